@@ -1,0 +1,1 @@
+"""Nodal forces to label grids, as one sparse matrix."""

@@ -1,0 +1,66 @@
+"""Files that are either whole or absent."""
+
+import csv
+import json
+import os
+from contextlib import contextmanager
+from pathlib import Path
+
+
+@contextmanager
+def publish(path):
+    """Yield a temporary path beside `path`; rename it to `path` if the block succeeds.
+
+    A killed or failing writer leaves nothing under the final name. The temporary name keeps
+    the suffix, because numpy and OpenCV choose a format by it.
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
+    try:
+        yield part
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def write_text(path, text: str) -> None:
+    """Write `text` to `path`, whole or not at all."""
+    with publish(path) as part:
+        part.write_text(text, encoding="utf-8")
+
+
+def write_if_changed(path, text: str) -> bool:
+    """Write `text` to `path` only where it differs; return whether it was written.
+
+    An unchanged file keeps its time stamp, so make sees no reason to rebuild what follows.
+    """
+    path = Path(path)
+    if path.exists() and path.read_text(encoding="utf-8") == text:
+        return False
+    write_text(path, text)
+    return True
+
+
+def write_json(path, value) -> None:
+    """Write `value` as indented JSON, whole or not at all."""
+    write_text(path, json.dumps(value, indent=1, sort_keys=True, allow_nan=False) + "\n")
+
+
+def read_json(path):
+    """Read a JSON file."""
+    return json.loads(Path(path).read_text(encoding="utf-8"))
+
+
+def write_csv(path, columns, rows) -> None:
+    """Write dict `rows` under `columns` as CSV, whole or not at all."""
+    with publish(path) as part, part.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.DictWriter(stream, columns, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def read_csv(path) -> list[dict]:
+    """Read a CSV file with a header as a list of dicts of strings."""
+    with Path(path).open(newline="", encoding="utf-8-sig") as stream:
+        return list(csv.DictReader(stream))

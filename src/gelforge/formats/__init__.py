@@ -1,0 +1,1 @@
+"""One module per file format that others wrote or read."""

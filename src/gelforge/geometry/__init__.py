@@ -1,0 +1,1 @@
+"""Shapes: the gel, the indenters, and where a press puts them."""

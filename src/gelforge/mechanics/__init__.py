@@ -1,0 +1,1 @@
+"""Finite element contact mechanics: scenes in, nodal forces and their evidence out."""

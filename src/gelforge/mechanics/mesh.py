@@ -1,0 +1,50 @@
+"""A volume mesh of the gel, with the parts that contact and labels need."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.files import publish
+
+NODES_PER_FACE = {"hex8": 4, "tet10": 6}
+NODES_PER_ELEMENT = {"hex8": 8, "tet10": 10}
+
+
+@dataclass(frozen=True)
+class GelMesh:
+    """Gel mesh in the gel frame, undeformed, mm.
+
+    kind: "hex8" or "tet10" (node order of CalculiX' C3D8 and C3D10).
+    nodes: (n, 3) float64. elements: (e, 8 or 10) int32, counting from 0.
+    faces: (f, 4 or 6) int32, the surface that can be touched (all but base and side walls), corner
+    nodes first and counter-clockwise seen from outside, then midside nodes (01, 12, 20).
+    base: (b,) int32, nodes bonded to the sensor.
+    """
+
+    kind: str
+    nodes: np.ndarray
+    elements: np.ndarray
+    faces: np.ndarray
+    base: np.ndarray
+
+    def save(self, path) -> None:
+        """Write to an .npz file, whole or not at all."""
+        with publish(path) as part:
+            np.savez_compressed(
+                part, kind=self.kind, nodes=self.nodes, elements=self.elements, faces=self.faces, base=self.base
+            )
+
+    @classmethod
+    def load(cls, path) -> "GelMesh":
+        """Read what `save` wrote; a file that is no mesh raises BadInput."""
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                return cls(str(file["kind"]), file["nodes"], file["elements"], file["faces"], file["base"])
+        except (OSError, ValueError, KeyError, EOFError) as error:
+            raise BadInput(f"{path}: not a gel mesh ({error}); delete it and run make again") from error
+
+    @property
+    def surface_nodes(self) -> np.ndarray:
+        """Sorted indices of the nodes on `faces`, int."""
+        return np.unique(self.faces)

@@ -1,0 +1,132 @@
+"""What a fidelity is asked (`Scene`) and what it answers (`Result`)."""
+
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Protocol
+
+import numpy as np
+
+from gelforge.geometry.gel import Gel
+
+REFERENCE_C10 = 0.0725  # MPa; every solve runs at this value, forces scale with C10 at fixed Poisson's ratio
+
+
+class Indenter(Protocol):
+    """A rigid body in its own frame: tip on the plane z = 0, body above it, mm."""
+
+    name: str
+
+    def distance(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Signed distance (n,) (negative inside) and unit outward normal (n, 3) at points (n, 3)."""
+
+    def surface(self) -> tuple[np.ndarray, np.ndarray]:
+        """Watertight triangles: vertices (v, 3) float64 and faces (f, 3) int, outward orientation."""
+
+    def radius(self) -> float:
+        """Largest horizontal distance from the z axis of any point of the body, mm."""
+
+
+@dataclass(frozen=True)
+class Material:
+    """Neo-Hookean solid, W = C10 (I1bar - 3) + (J - 1)^2 / D1 (CalculiX manual, *HYPERELASTIC).
+
+    c10 in MPa; nu is Poisson's ratio at small strain.
+    """
+
+    c10: float = REFERENCE_C10
+    nu: float = 0.475
+
+    @property
+    def shear_modulus(self) -> float:
+        return 2.0 * self.c10
+
+    @property
+    def bulk_modulus(self) -> float:
+        return 2.0 * self.shear_modulus * (1.0 + self.nu) / (3.0 * (1.0 - 2.0 * self.nu))
+
+    @property
+    def d1(self) -> float:
+        return 2.0 / self.bulk_modulus
+
+
+@dataclass(frozen=True)
+class Interface:
+    """Law between gel and indenter: "no_slip", "coulomb" (with `mu`) or "frictionless"."""
+
+    law: str = "no_slip"
+    mu: float = 0.0
+
+
+@dataclass(frozen=True)
+class Press:
+    """Pose and path of one press in the gel frame, mm and degrees.
+
+    The tip touches the plane z = z0 at (x0, y0), turned by `rot_deg` about z; then it moves down
+    to dz (negative), then sideways by (dx, dy) at that depth.
+    """
+
+    x0: float
+    y0: float
+    z0: float
+    dx: float
+    dy: float
+    dz: float
+    rot_deg: float = 0.0
+
+    def pose(self, press: float, shear: float) -> tuple[np.ndarray, np.ndarray]:
+        """Rotation (3, 3) and translation (3,) of the indenter frame at fractions of the path."""
+        angle = np.deg2rad(self.rot_deg)
+        c, s = np.cos(angle), np.sin(angle)
+        rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        travel = np.array([shear * self.dx, shear * self.dy, press * self.dz])
+        return rotation, np.array([self.x0, self.y0, self.z0]) + travel
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One press: everything a fidelity may look at."""
+
+    gel: Gel
+    material: Material
+    indenter: Indenter
+    press: Press
+    interface: Interface = Interface()
+
+
+class Status(Enum):
+    """How a solve ended; the value is a sentence with advice."""
+
+    OK = "The state is in equilibrium, nothing pulls, nothing penetrates."
+    NO_CONTACT = "The indenter does not reach the gel on this path; the forces are zero by geometry."
+    DIVERGED = "Newton's method found no equilibrium; use more load steps or a finer mesh."
+    UNSETTLED = "The contact set did not settle; allow more rounds or use a finer mesh."
+    OUT_OF_RANGE = "The press leaves what the gel can represent; check depth and position in the log."
+    SOLVER_MISSING = "The solver program was not found; run `make setup` or choose fidelity hex."
+    UNREADABLE = "The solver's output is truncated or not finite; look at its log and run again."
+    UNBALANCED = "Contact forces and base reactions do not agree; the result cannot be trusted."
+
+    @property
+    def valid(self) -> bool:
+        return self in (Status.OK, Status.NO_CONTACT)
+
+
+@dataclass
+class Result:
+    """State at the end of the path on a gel mesh with n nodes.
+
+    forces: (n, 3) N, contact forces ON the gel (zero off its surface).
+    displacement: (n, 3) mm. pressure/anchor data stay inside the fidelities.
+    evidence: plain numbers and strings; the keys every fidelity fills are
+    "equilibrium_residual" (relative), "penetration_mm", "pulling_fraction" (of the normal force),
+    "base_mismatch" (relative), "newton_iterations", "rounds", "seconds", "peak_mib", "load_steps".
+    """
+
+    status: Status
+    forces: np.ndarray
+    displacement: np.ndarray
+    evidence: dict = field(default_factory=dict)
+
+    @property
+    def total(self) -> np.ndarray:
+        """Resultant contact force on the gel, (3,) N."""
+        return self.forces.sum(axis=0)

@@ -1,0 +1,27 @@
+"""Progress of long work: a bar when a person watches, plain lines otherwise."""
+
+import sys
+import time
+
+
+def progress(items, what: str, total: int | None = None, every_s: float = 10.0):
+    """Yield `items`, showing how far the work named `what` has come.
+
+    On a terminal this is tqdm's bar. Elsewhere it prints a line with the count, the rate and
+    the time left at most every `every_s` seconds, which reads well in a log file.
+    """
+    total = len(items) if total is None else total
+    if sys.stderr.isatty():
+        from tqdm import tqdm
+
+        yield from tqdm(items, desc=what, total=total, dynamic_ncols=True)
+        return
+    start = last = time.monotonic()
+    for done, item in enumerate(items, 1):
+        yield item
+        now = time.monotonic()
+        if now - last >= every_s or done == total:
+            last = now
+            rate = done / max(now - start, 1e-9)
+            left = (total - done) / rate
+            print(f"{what}: {done}/{total}, {rate:.2f} a second, {left:.0f} s left", file=sys.stderr, flush=True)
