@@ -1,0 +1,33 @@
+# gelforge: raw CNC logs to contact-force labels and networks. `make help` lists the targets.
+MAKEFLAGS += -rR --warn-undefined-variables --output-sync=target
+.SUFFIXES:
+.DELETE_ON_ERROR:
+SHELL := bash
+.SHELLFLAGS := -euo pipefail -c
+.DEFAULT_GOAL := help
+
+# What a user may set: make DATASET=mylab RES="24x32 48x64" labels
+DATASET ?= demo
+RES ?= 24x32
+MODEL ?= grid
+EXECUTOR ?= local
+STRICT ?=
+JOBS ?= $(shell nproc)
+
+include rules/00_setup.mk
+include rules/00_plan.mk
+include rules/10_poses.mk
+include rules/20_meshes.mk
+include rules/30_fea.mk
+include rules/40_forces.mk
+include rules/50_labels.mk
+include rules/60_dataset.mk
+include rules/70_train.mk
+include rules/80_evaluate.mk
+include rules/90_report.mk
+include $(sort $(filter-out rules/0% rules/1% rules/2% rules/3% rules/4% rules/5% rules/6% rules/7% rules/8% rules/9%,$(wildcard rules/*.mk)))
+
+.PHONY: help
+help:  ## this list
+	@echo 'make TARGET [DATASET=$(DATASET)] [RES="$(RES)"] [MODEL=$(MODEL)] [EXECUTOR=local|slurm] [JOBS=n] [STRICT=1]'
+	@sed -nE 's/^([a-z][a-z0-9%_-]*):.*  ## (.*)/  \1\t\2/p' Makefile rules/*.mk | expand -t 24

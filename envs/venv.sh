@@ -1,0 +1,29 @@
+#!/usr/bin/env bash
+# Make the project's virtual environment from exact versions. Usage: envs/venv.sh STAMP
+set -euo pipefail
+stamp=$1
+venv=$(dirname "$stamp")
+cd "$(dirname "$0")/.."
+. envs/apt.sh
+
+python=""
+for name in python3 python3.11 python3.12 python3.13; do
+    if command -v "$name" >/dev/null && "$name" -c 'import sys; sys.exit(sys.version_info < (3, 11))'; then
+        python=$name
+        break
+    fi
+done
+[ -n "$python" ] || { echo "error: no Python 3.11 or newer on PATH; install one and run make again" >&2; exit 2; }
+
+echo "setting up $venv from envs/requirements.lock (minutes the first time)"
+# Debian keeps ensurepip in a package of its own.
+"$python" -c 'import ensurepip' 2>/dev/null || apt_install python3-venv
+[ -x "$venv/bin/python" ] || "$python" -m venv "$venv"
+"$venv/bin/python" -m pip install --quiet --disable-pip-version-check -r envs/requirements.lock
+"$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-deps -e .
+# Mesh and picture libraries load these at import; a minimal system lacks them.
+if ! "$venv/bin/python" -c 'import pymeshlab, vtkmodules.vtkRenderingOpenGL2' 2>/dev/null; then
+    apt_install libgl1 libopengl0 libegl1 libglu1-mesa libxrender1 libgomp1
+    "$venv/bin/python" -c 'import pymeshlab, vtkmodules.vtkRenderingOpenGL2'
+fi
+touch "$stamp"

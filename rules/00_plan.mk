@@ -1,0 +1,26 @@
+# Stage 00: shards and parameter slices, made while make reads its files, so that `make -n` is exact.
+D := results/$(DATASET)
+P := $D/00_plan/params
+DATA := data/$(DATASET)
+PLAN := $D/00_plan/plan.mk
+
+# Goals that need no dataset do not read one.
+NO_DATASET := help setup test test-% rig rig-% benchmark-% lock clean-venv feats-import projection
+ifneq ($(filter-out $(NO_DATASET),$(or $(MAKECMDGOALS),help)),)
+include $(PLAN)
+else
+SHARDS :=
+MESHES :=
+endif
+
+$(PLAN): $(DATA)/log.csv $(DATA)/dataset.toml $(wildcard workflow/*.toml) $(wildcard src/gelforge/*.py) $(CCX_FOUND) | $(SETUP)
+	@$(PY) -m gelforge.plan --data $(DATA) --ccx "$$(cat $(CCX_FOUND))" --out $@
+
+$(DATA)/log.csv $(DATA)/dataset.toml:
+	$(error $@ not found: DATASET=$(DATASET) needs a raw log and a dataset.toml; see README.md, or write one with make rig)
+
+# $(call step,MODULE ARGUMENTS) is the recipe of every artifact: it writes $@.part, the wrapper publishes it.
+ifeq ($(EXECUTOR),local)
+step = @$(PY) -m gelforge.step $@ -- $(PY) -m $(1)
+barrier =
+endif

@@ -1,0 +1,23 @@
+# Set-up: a virtual environment from exact versions, and CalculiX.
+PY := .venv/bin/python
+SETUP := .venv/ready
+CCX_FOUND := .venv/ccx.path
+
+# One solver thread per job: make's slots are the parallelism.
+export OMP_NUM_THREADS ?= 1
+export MKL_NUM_THREADS ?= 1
+export OPENBLAS_NUM_THREADS ?= 1
+
+# Jobs default to the cores of the machine; -jN on the command line wins.
+ifeq ($(filter -j%,$(MAKEFLAGS)),)
+MAKEFLAGS += -j$(JOBS)
+endif
+
+.PHONY: setup
+setup: $(SETUP) $(CCX_FOUND)  ## virtual environment and CalculiX, inside the project but for system packages
+
+$(SETUP): envs/requirements.lock pyproject.toml envs/venv.sh
+	@envs/venv.sh $@
+
+$(CCX_FOUND): envs/ccx.sh | $(SETUP)
+	@envs/ccx.sh $@

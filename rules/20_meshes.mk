@@ -1,0 +1,8 @@
+# Stage 20: gel meshes, one per region and density, never one per sample.
+MESH_FILES := $(MESHES:%=$D/20_meshes/%.npz)
+
+.PHONY: meshes
+meshes: $(MESH_FILES)  ## gel meshes of the chosen fidelity, with quality reports
+
+$(MESH_FILES): $D/20_meshes/%.npz: $P/meshes.json
+	$(call step,gelforge.meshes --name $* --params $< --out $@.part)

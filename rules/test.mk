@@ -1,0 +1,18 @@
+# Tests, and benchmarks of what was promised.
+TESTS ?= tests
+
+.PHONY: test lock
+test: $(SETUP) $(CCX_FOUND)  ## all tests
+	@$(PY) -m pytest $(TESTS)
+
+lock: $(SETUP)  ## write envs/requirements.lock from what is installed
+	@$(PY) -m pip freeze --exclude-editable | sed 's/+cpu$$//' > envs/requirements.lock
+
+BENCHMARKS := $(patsubst src/gelforge/benchmarks/%.py,benchmark-%,$(filter-out %/__init__.py %/figures.py,$(wildcard src/gelforge/benchmarks/*.py)))
+.PHONY: $(BENCHMARKS)
+$(BENCHMARKS): benchmark-%: $(SETUP) $(CCX_FOUND)
+	@$(PY) -m gelforge.benchmarks.$* --out results/benchmarks/$*.json
+
+.PHONY: benchmark-X
+benchmark-X:  ## measure what was promised; X is one of those listed by make benchmark-X
+	@echo "$(BENCHMARKS)"

@@ -1,0 +1,29 @@
+# What people type while they work: the whole flow, its state, one sample, clean-up.
+RES1 := $(firstword $(RES))
+
+.PHONY: demo status sample
+demo:  ## the whole flow on the demo dataset: labels, network, calibration, chart, report
+demo: report
+	@echo "report: $D/90_report/index.html"
+
+status:  ## samples done, failed with reasons and pending, per stage
+	@$(PY) -m gelforge.status --results $D
+
+sample:  ## one sample through all stages with its log: make sample ID=…
+	@$(PY) -m gelforge.sample --dataset $(DATASET) --id "$(ID)" --resolution $(RES1)
+
+ID ?=
+
+STAGES := poses:10_poses meshes:20_meshes fea:30_fea forces:40_forces labels:50_labels dataset:60_dataset \
+    train:70_train evaluate:80_evaluate report:90_report calibrate:calibrate pareto:pareto stability:stability
+CLEAN := $(foreach s,$(STAGES),clean-$(firstword $(subst :, ,$s)))
+
+.PHONY: $(CLEAN) clean-all clean-venv
+$(CLEAN): clean-%:
+	rm -rf $(addprefix $D/,$(foreach k,. logs metrics,$k/$(patsubst $*:%,%,$(filter $*:%,$(STAGES)))))
+
+clean-STAGE:  ## remove a stage's artifacts, logs and metrics (clean-fea, clean-labels …)
+	@echo "one of: $(CLEAN)"
+
+clean-all:  ## remove everything made of this dataset
+	rm -rf $D

@@ -1,0 +1,1 @@
+"""What was promised, measured: one module per `make benchmark-X`."""
