@@ -9,6 +9,8 @@ SHELL := bash
 # What a user may set: make DATASET=mylab RES="24x32 48x64" labels
 DATASET ?= demo
 RES ?= 24x32
+# Training, evaluation and the report take the first resolution.
+RES1 = $(firstword $(RES))
 MODEL ?= grid
 EXECUTOR ?= local
 STRICT ?=

@@ -11,6 +11,7 @@ include $(PLAN)
 else
 SHARDS :=
 MESHES :=
+BRANCHES :=
 endif
 
 $(PLAN): $(DATA)/log.csv $(DATA)/dataset.toml $(wildcard workflow/*.toml) $(wildcard src/gelforge/*.py) $(CCX_FOUND) | $(SETUP)

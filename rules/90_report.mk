@@ -1,1 +1,11 @@
-# being written
+# Stage 90: one page for people.
+REPORT := $D/90_report/index.html
+# Branches that this dataset's report shows ([report] branches).
+CALIBRATION := $(if $(filter calibrate,$(BRANCHES)),$D/calibrate/summary.json)
+CHART := $(if $(filter pareto,$(BRANCHES)),$D/pareto/quick.json)
+
+.PHONY: report
+report: $(REPORT)  ## one HTML page: presses, labels, errors, posterior, chart, failures
+
+$(REPORT): $P/report.json $(POSES) $(FORCES) $D/50_labels/$(RES1)/.all $D/80_evaluate/$(RES1)/$(MODEL).json $(CALIBRATION) $(CHART)
+	$(call step,gelforge.report --data $(DATA) --results $D --resolution $(RES1) --model $(MODEL) --params $< --out $@.part)

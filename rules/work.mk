@@ -1,6 +1,4 @@
 # What people type while they work: the whole flow, its state, one sample, clean-up.
-RES1 := $(firstword $(RES))
-
 .PHONY: demo status sample
 demo:  ## the whole flow on the demo dataset: labels, network, calibration, chart, report
 demo: report

@@ -117,7 +117,8 @@ def main(argv=None) -> int:
     from gelforge.meshes import required_meshes
 
     meshes = required_meshes(params["fea"], params["meshes"])
-    write_text(args.out, f"SHARDS := {' '.join(shards)}\nMESHES := {' '.join(meshes)}\n")
+    lists = {"SHARDS": shards, "MESHES": meshes, "BRANCHES": params["report"]["branches"]}
+    write_text(args.out, "".join(f"{name} := {' '.join(values)}\n" for name, values in lists.items()))
     return 0
 
 

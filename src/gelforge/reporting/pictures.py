@@ -1,0 +1,103 @@
+"""Pictures of a dataset, as PNG bytes."""
+
+import io
+
+import numpy as np
+
+DPI = 110
+CHANNELS = ("grid_x: force along gel y", "grid_y: force along gel x", "grid_z: force along z")
+
+
+def to_png(figure) -> bytes:
+    """A matplotlib figure as PNG bytes; the figure is closed."""
+    import matplotlib.pyplot as plt
+
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=DPI, bbox_inches="tight")
+    plt.close(figure)
+    return stream.getvalue()
+
+
+def new_figure(rows: int, columns: int, width: float, height: float):
+    """Axes on a figure that needs no screen."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    return plt.subplots(rows, columns, figsize=(width, height), layout="constrained", squeeze=False)
+
+
+def presses(table: dict[str, np.ndarray], indenters: list[str]) -> bytes:
+    """Where and how deep the rig pressed, and what its force sensor read.
+
+    `table` holds x0, y0, dx, dy, dz in mm and fz in N, each (n,); `indenters` names each press's body.
+    """
+    figure, axes = new_figure(1, 3, 12, 3.8)
+    where, depth, shear = axes[0]
+    for name in sorted(set(indenters)):
+        rows = np.array([i == name for i in indenters])
+        where.scatter(table["y0"][rows], table["x0"][rows], s=18, label=name)
+        depth.scatter(-table["dz"][rows], -table["fz"][rows], s=18)
+        shear.scatter(table["dy"][rows], table["dx"][rows], s=18)
+    where.set(xlabel="y, mm", ylabel="x, mm", title="first touch", aspect="equal")
+    depth.set(xlabel="commanded depth, mm", ylabel="measured normal force, N", title="force against depth")
+    shear.set(xlabel="dy, mm", ylabel="dx, mm", title="shear travel", aspect="equal")
+    figure.legend(loc="outside lower center", ncols=6, fontsize=8)
+    return to_png(figure)
+
+
+def label_over_image(image: np.ndarray, label: np.ndarray, title: str) -> bytes:
+    """An image (h, w, 3) beside its label (3, rows, columns) in N per cell."""
+    figure, axes = new_figure(1, 4, 13, 2.7)
+    axes[0, 0].imshow(image)
+    axes[0, 0].set_title(title, fontsize=9)
+    for channel, axis in enumerate(axes[0, 1:]):
+        grid = label[channel]
+        reach = max(float(np.abs(grid).max()), 1e-6)
+        shown = axis.imshow(grid, cmap="RdBu", vmin=-reach, vmax=reach, extent=(0, image.shape[1], image.shape[0], 0))
+        axis.set_title(f"{CHANNELS[channel]}, sum {grid.sum():.2f} N", fontsize=9)
+        figure.colorbar(shown, ax=axis, shrink=0.8, label="N per cell")
+    for axis in axes[0]:
+        axis.set_xticks([])
+        axis.set_yticks([])
+    return to_png(figure)
+
+
+def press_3d(mesh, nodes: np.ndarray, displacement: np.ndarray, force: np.ndarray, stl, travel) -> bytes:
+    """The deformed gel surface, the forces on it, and the indenter where it ended.
+
+    mesh: GelMesh; nodes (s,) its surface nodes with displacement (s, 3) mm and force (s, 3) N;
+    stl: path of the posed indenter surface; travel (3,) mm moves it to the end of the path.
+    """
+    import pyvista as pv
+
+    moved = mesh.nodes.copy()
+    moved[nodes] += displacement
+    corners = mesh.faces[:, : 4 if mesh.kind == "hex8" else 3]
+    cells = np.column_stack([np.full(len(corners), corners.shape[1]), corners]).ravel()
+    gel = pv.PolyData(moved, cells)
+    magnitude = np.zeros(len(moved))
+    magnitude[nodes] = -displacement[:, 2]
+    gel["indentation, mm"] = magnitude
+    plotter = pv.Plotter(off_screen=True, window_size=(1300, 760))
+    plotter.add_mesh(gel, scalars="indentation, mm", cmap="viridis", show_edges=True, edge_color="#44505c", line_width=0.4)
+    body = pv.read(stl).translate(travel)
+    plotter.add_mesh(body, color="#c8ccd2", opacity=0.35)
+    touched = np.flatnonzero(np.linalg.norm(force, axis=1) > 0)
+    if len(touched):
+        points = pv.PolyData(moved[nodes[touched]])
+        points["force"] = force[touched]
+        longest = np.linalg.norm(force[touched], axis=1).max()
+        plotter.add_mesh(points.glyph(orient="force", scale="force", factor=3.0 / longest), color="#d1495b")
+    plotter.camera_position = [(26, -30, 24), (0, 0, -1), (0, 0, 1)]
+    picture = plotter.screenshot(None, return_img=True)
+    plotter.close()
+    return encode(picture)
+
+
+def encode(rgb: np.ndarray) -> bytes:
+    """An RGB image (h, w, 3) uint8 as PNG bytes."""
+    import cv2
+
+    return cv2.imencode(".png", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))[1].tobytes()
