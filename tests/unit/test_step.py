@@ -1,0 +1,78 @@
+"""The wrapper publishes whole files, keeps logs, and leaves nothing behind when killed."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+from gelforge.step import mirror
+
+
+def start(target, *command):
+    return subprocess.Popen(
+        [sys.executable, "-m", "gelforge.step", str(target), "--", *command], stdout=subprocess.PIPE, text=True
+    )
+
+
+def wrapped(target, *command):
+    child = start(target, *command)
+    said = child.communicate(timeout=60)[0]
+    return child.returncode, said
+
+
+def test_success_publishes_target_log_and_metrics(tmp_path):
+    target = tmp_path / "results/d/30_fea/0000.csv"
+    code, said = wrapped(target, "bash", "-c", f"echo working; echo made > {target}.part")
+    assert code == 0 and str(target) in said
+    assert target.read_text() == "made\n" and not target.with_name("0000.csv.part").exists()
+    assert "working" in mirror(target, "logs", ".log").read_text()
+    assert json.loads(mirror(target, "metrics", ".json").read_text())["exit_code"] == 0
+    assert mirror(target, "logs", ".log") == tmp_path / "results/d/logs/30_fea/0000.log"
+
+
+def test_failure_removes_the_part_and_shows_the_log(tmp_path):
+    target = tmp_path / "results/d/30_fea/0000.csv"
+    code, said = wrapped(target, "bash", "-c", f"echo half > {target}.part; echo the reason; exit 3")
+    assert code == 3 and "the reason" in said and "0000.log" in said
+    assert not target.exists() and not target.with_name("0000.csv.part").exists()
+
+
+def test_success_without_a_file_is_a_failure(tmp_path):
+    code, said = wrapped(tmp_path / "results/d/30_fea/0000.csv", "true")
+    assert code == 1 and "wrote no" in said
+
+
+def test_killing_the_wrapper_ends_its_command(tmp_path):
+    target = tmp_path / "results/d/30_fea/0000.csv"
+    mark = tmp_path / "pid"
+    child = start(target, "bash", "-c", f"echo $$ > {mark}; exec sleep 60")
+    deadline = time.monotonic() + 20  # the interpreter starts within seconds even on a busy machine
+    while not (mark.exists() and mark.read_text().strip()) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    inner = int(mark.read_text())
+    child.send_signal(signal.SIGKILL)
+    child.wait()
+    deadline = time.monotonic() + 20
+    while alive(inner) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not alive(inner) and not target.exists()
+
+
+def alive(pid):
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    with open(f"/proc/{pid}/stat", encoding="utf-8") as stat:
+        return stat.read().rsplit(")", 1)[1].split()[0] != "Z"
+
+
+def test_two_wrappers_of_one_target_work_once(tmp_path):
+    target = tmp_path / "results/d/30_fea/0000.csv"
+    count = tmp_path / "count"
+    command = ("bash", "-c", f"echo ran >> {count}; sleep 1; echo made > {target}.part")
+    first, second = start(target, *command), start(target, *command)
+    assert first.wait(60) == 0 and second.wait(60) == 0
+    assert count.read_text() == "ran\n" and target.read_text() == "made\n"
