@@ -8,7 +8,7 @@ test: $(SETUP) $(CCX_FOUND)  ## all tests
 lock: $(SETUP)  ## write envs/requirements.lock from what is installed
 	@$(PY) -m pip freeze --exclude-editable | sed 's/+cpu$$//' > envs/requirements.lock
 
-BENCHMARKS := $(patsubst src/gelforge/benchmarks/%.py,benchmark-%,$(filter-out %/__init__.py %/figures.py,$(wildcard src/gelforge/benchmarks/*.py)))
+BENCHMARKS := $(patsubst src/gelforge/benchmarks/%.py,benchmark-%,$(filter-out %/__init__.py %/figures.py %/sandbox.py,$(wildcard src/gelforge/benchmarks/*.py)))
 .PHONY: $(BENCHMARKS)
 $(BENCHMARKS): benchmark-%: $(SETUP) $(CCX_FOUND)
 	@$(PY) -m gelforge.benchmarks.$* --out results/benchmarks/$*.json

@@ -1,14 +1,14 @@
 """How long make needs to find that 15 000 samples over five stages need nothing."""
 
 import argparse
-import os
-import subprocess
+import shutil
 import tempfile
 import time
 from pathlib import Path
 
 from gelforge.benchmarks.figures import Figure, publish_figures
-from gelforge.files import read_csv, write_csv, write_text
+from gelforge.benchmarks.sandbox import link_project, make
+from gelforge.files import read_csv, write_csv
 
 SAMPLES = 15_000
 REPEATS = 5
@@ -19,10 +19,8 @@ LOG_COLUMNS = (
 FEA_COLUMNS = ["sample_id", "status", "reason", "fidelity", "mesh", "file"]
 
 
-def lay_out(project: Path, root: Path) -> None:
-    """A project folder that shares everything but data and results with the real one."""
-    for name in ("Makefile", "rules", "workflow", "src", "envs", ".venv", "pyproject.toml"):
-        (project / name).symlink_to(root / name)
+def write_manifest(project: Path, root: Path) -> None:
+    """A raw log of SAMPLES rows."""
     data = project / "data" / "synthetic"
     numbers = dict.fromkeys((c for c in LOG_COLUMNS if c.endswith(("_mm", "_deg", "_n", "_nm"))), "0.5")
     rows = [
@@ -31,20 +29,16 @@ def lay_out(project: Path, root: Path) -> None:
         for k in range(SAMPLES)
     ]
     write_csv(data / "log.csv", LOG_COLUMNS, rows)
-    dataset = (root / "data" / "demo" / "dataset.toml").read_text(encoding="utf-8")
-    write_text(data / "dataset.toml", dataset)
+    shutil.copy(root / "data" / "demo" / "dataset.toml", data)
 
 
-def make(project: Path, *goals: str) -> float:
+def timed_make(project: Path, *goals: str) -> float:
     """Run make in the synthetic project; return its seconds."""
-    environment = {k: v for k, v in os.environ.items() if k not in ("MAKEFLAGS", "MAKELEVEL", "MFLAGS")}
     start = time.perf_counter()
-    done = subprocess.run(
-        ["make", "DATASET=synthetic", *goals], cwd=project, env=environment, capture_output=True, text=True
-    )
+    done = make(project, "DATASET=synthetic", *goals)
     seconds = time.perf_counter() - start
     if done.returncode:
-        raise RuntimeError(f"make {' '.join(goals)} failed:\n{done.stdout[-2000:]}{done.stderr[-2000:]}")
+        raise RuntimeError(f"make {' '.join(goals)} failed:\n{done.stdout[-2000:]}")
     return seconds
 
 
@@ -66,16 +60,15 @@ def fill(project: Path) -> int:
 def measure(root: Path) -> list[Figure]:
     """Build the manifest, mark it made, and time make and status with nothing to do."""
     with tempfile.TemporaryDirectory() as folder:
-        project = Path(folder)
-        lay_out(project, root)
-        make(project, "-n", "labels")  # reads the plan in, so that shards exist
+        project = link_project(root, Path(folder) / "project")
+        write_manifest(project, root)
+        timed_make(project, "-n", "labels")  # reads the plan in, so that shards exist
         shards = fill(project)
-        make(project, "-t", "labels")
-        said = subprocess.run(["make", "-q", "DATASET=synthetic", "labels"], cwd=project, capture_output=True)
-        if said.returncode:
+        timed_make(project, "-t", "labels")
+        if make(project, "-q", "DATASET=synthetic", "labels").returncode:
             raise RuntimeError("the synthetic manifest is not up to date after make -t; the benchmark would lie")
-        noop = min(make(project, "labels") for _ in range(REPEATS))
-        status = min(make(project, "status") for _ in range(REPEATS))
+        noop = min(timed_make(project, "labels") for _ in range(REPEATS))
+        status = min(timed_make(project, "status") for _ in range(REPEATS))
     note = f"{SAMPLES} samples, {shards} shards, 5 stages; best of {REPEATS}"
     return [
         Figure("no-op make", noop, "<=", 0.5, "s", note),
