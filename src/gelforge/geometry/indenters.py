@@ -1,0 +1,197 @@
+"""The indenter catalogue: tables of a TOML file become rigid bodies."""
+
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.geometry.profiles import Annulus, Ellipse, Outline, Pieces, Pierced, rectangle, regular_polygon
+from gelforge.geometry.solids import Body, Extrusion, LyingCylinder, RoundedPolyhedron
+
+DEFAULT = object()
+
+
+class _Table:
+    """One catalogue entry whose keys are taken one by one, so that a misspelt one is noticed."""
+
+    def __init__(self, name: str, table: dict, source):
+        self.name, self.source, self._left = name, source, dict(table)
+
+    def fail(self, key: str, value, remedy: str):
+        raise BadInput(f"{self.source}: indenter {self.name}: {key} = {value!r}; {remedy}")
+
+    def take(self, key, default=DEFAULT):
+        if key not in self._left and default is DEFAULT:
+            self.fail(key, None, f"this kind of indenter needs `{key}`")
+        return self._left.pop(key, default)
+
+    def flag(self, key, default) -> bool:
+        value = self.take(key, default)
+        if not isinstance(value, bool):
+            self.fail(key, value, "write true or false")
+        return value
+
+    def number(self, key, default=DEFAULT, low: float = 0.0) -> float:
+        value = self.take(key, default)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not low < value < 1000.0:
+            self.fail(key, value, f"give a number above {low:g} and below 1000 (mm or degrees)")
+        return float(value)
+
+    def pair(self, key, default=DEFAULT) -> tuple[float, float] | None:
+        value = self.take(key, default)
+        if value is None:
+            return None
+        fits = isinstance(value, list) and len(value) == 2
+        if not fits or not all(isinstance(v, int | float) and 0 < v < 1000 for v in value):
+            self.fail(key, value, "give two positive numbers [along x, along y] in mm")
+        return float(value[0]), float(value[1])
+
+    def finish(self) -> None:
+        if self._left:
+            key, value = next(iter(self._left.items()))
+            self.fail(key, value, "this kind of indenter has no such key; correct or remove it")
+
+
+def _sphere(t: _Table, **common) -> Body:
+    radius = t.number("diameter") / 2.0
+    return Extrusion(profile=Ellipse(radius, radius), fillet=radius, height=t.number("height"), **common)
+
+
+def _cuboid(t: _Table, **common) -> Body:
+    fillet, (sx, sy) = t.number("fillet"), t.pair("size")
+    return Extrusion(profile=Outline(rectangle(sx, sy), fillet), fillet=fillet, height=t.number("height"), **common)
+
+
+def _twin_cuboids(t: _Table, **common) -> Body:
+    fillet, (sx, sy), gap = t.number("fillet"), t.pair("size"), t.number("gap")
+    shift = (gap + sy) / 2.0
+    parts = [Outline(rectangle(sx, sy, 0.0, y), fillet) for y in (-shift, shift)]
+    return Extrusion(profile=Pieces(parts), fillet=fillet, height=t.number("height"), **common)
+
+
+def _cross(t: _Table, **common) -> Body:
+    fillet, (wide, long), arm = t.number("fillet"), t.pair("size"), t.number("arm")
+    y, a, w, h = t.number("offset", 0.0, low=-1000.0), arm / 2.0, wide / 2.0, long / 2.0
+    corners = [[-a, -h], [a, -h], [a, y - a], [w, y - a], [w, y + a], [a, y + a],
+               [a, h], [-a, h], [-a, y + a], [-w, y + a], [-w, y - a], [-a, y - a]]
+    return Extrusion(profile=Outline(corners, fillet), fillet=fillet, height=t.number("height"), **common)
+
+
+def _polygon(t: _Table, **common) -> Body:
+    fillet, sides = t.number("fillet"), int(t.number("sides", low=2.5))
+    corners = regular_polygon(sides, t.number("side"), t.number("first_corner_deg", 0.0, low=-361.0))
+    return Extrusion(profile=Outline(corners, fillet), fillet=fillet, height=t.number("height"), **common)
+
+
+def _outline(t: _Table, **common) -> Body:
+    fillet, corners = t.number("fillet"), np.array(t.take("corners"), dtype=object)
+    if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3:
+        t.fail("corners", corners.tolist(), "give at least three corners [x, y] in mm")
+    return Extrusion(profile=Outline(corners.astype(float), fillet), fillet=fillet, height=t.number("height"),
+                     **common)
+
+
+def _triple_triangle(t: _Table, **common) -> Body:
+    fillet, side, turn = t.number("fillet"), t.number("side"), t.number("first_corner_deg", 90.0, low=-361.0)
+    inner = side / np.sqrt(12.0) - t.number("wall")
+    if inner <= 0.0:
+        t.fail("wall", side / np.sqrt(12.0) - inner, "the wall leaves no hole; make it thinner")
+    hole = regular_polygon(3, inner * np.sqrt(3.0), turn + 180.0)
+    outer = Outline(regular_polygon(3, side, turn), fillet)
+    return Extrusion(profile=Pierced(outer, hole), fillet=fillet, height=t.number("height"), **common)
+
+
+def _ellipse(t: _Table, **common) -> Body:
+    size, hole = t.pair("size"), t.pair("hole", None)
+    profile = Ellipse(size[0] / 2.0, size[1] / 2.0)
+    if hole is not None:
+        profile = Annulus(profile, Ellipse(hole[0] / 2.0, hole[1] / 2.0))
+    return Extrusion(profile=profile, fillet=t.number("fillet"), height=t.number("height"), **common)
+
+
+def _cylinder(t: _Table, **common) -> Body:
+    radius, hole = t.number("diameter") / 2.0, t.number("hole", 0.0, low=-1e-9) / 2.0
+    profile = Ellipse(radius, radius)
+    if hole > 0.0:
+        profile = Annulus(profile, Ellipse(hole, hole))
+    return Extrusion(profile=profile, fillet=t.number("fillet"), height=t.number("height"), **common)
+
+
+def _lying_cylinder(t: _Table, **common) -> Body:
+    return LyingCylinder(diameter=t.number("diameter"), length=t.number("length"), fillet=t.number("fillet"), **common)
+
+
+def _sloping_cuboid(t: _Table, **common) -> Body:
+    size, slope = t.pair("size"), np.tan(np.deg2rad(t.number("slope_deg")))
+    deepest = np.deg2rad(t.number("deepest_deg", 0.0, low=-361.0))
+    normal = -np.array([slope * np.cos(deepest), slope * np.sin(deepest), 1.0])
+    return RoundedPolyhedron(outline=rectangle(*size), planes=([normal / np.linalg.norm(normal)], [0.0]),
+                             fillet=t.number("fillet"), height=t.number("height"), **common)
+
+
+def _pyramid(t: _Table, **common) -> Body:
+    (sx, sy), slope = t.pair("size"), np.tan(np.deg2rad(t.number("slope_deg")))
+    normals = np.array([[slope, 0, -1], [-slope, 0, -1], [0, slope, -1], [0, -slope, -1]]) / np.hypot(slope, 1.0)
+    levels = np.abs(normals[:, :2]) @ [sx / 2.0, sy / 2.0]
+    return RoundedPolyhedron(outline=rectangle(sx, sy), planes=(normals, levels), fillet=t.number("fillet"),
+                             height=t.number("height"), **common)
+
+
+def _stl(t: _Table, **common) -> Body:
+    from gelforge.geometry.sampled import sampled_from_stl
+
+    file, scale = t.take("file"), t.number("scale", 1.0)
+    spacing, reach = t.number("spacing", 0.1), t.number("reach", 4.0)
+    if not isinstance(file, str):
+        t.fail("file", file, "name an STL file, relative to the catalogue")
+    path = Path(t.source).parent / file
+    if not path.is_file():
+        t.fail("file", file, f"there is no file {path}; the path is relative to the catalogue")
+    return sampled_from_stl(path, scale=scale, spacing=spacing, reach=reach, **common)
+
+
+KINDS: dict[str, Callable] = {
+    "sphere": _sphere, "cuboid": _cuboid, "twin_cuboids": _twin_cuboids, "cross": _cross, "polygon": _polygon,
+    "outline": _outline, "triple_triangle": _triple_triangle, "ellipse": _ellipse, "cylinder": _cylinder,
+    "lying_cylinder": _lying_cylinder, "sloping_cuboid": _sloping_cuboid, "pyramid": _pyramid, "stl": _stl,
+}
+
+
+def build(name: str, table: dict, source="indenters.toml") -> Body:
+    """The body that one catalogue table describes; lengths in mm, angles in degrees."""
+    t = _Table(name, table, source)
+    kind = t.take("kind")
+    if not isinstance(kind, str) or kind not in KINDS:
+        t.fail("kind", kind, f"choose one of {', '.join(KINDS)}")
+    body = KINDS[kind](t, name=name, seen=t.flag("seen", True), spare=t.flag("spare", False))
+    t.finish()
+    return body
+
+
+def read_catalogue(path) -> dict[str, dict]:
+    """The raw tables of a catalogue file by name, not built yet."""
+    try:
+        tables = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadInput(f"{path}: cannot read the indenter catalogue ({error}); name an existing file") from None
+    except tomllib.TOMLDecodeError as error:
+        raise BadInput(f"{path}: not valid TOML ({error}); correct the line it names") from None
+    for name, table in tables.items():
+        if not isinstance(table, dict):
+            raise BadInput(f"{path}: {name} = {table!r} stands outside a table; write [{name}] with its `kind`")
+    return tables
+
+
+def load_catalogue(path, names=None) -> dict[str, Body]:
+    """Indenters by name from a TOML catalogue, all or those in `names`.
+
+    Each has distance(points), surface(), radius(), name, height (mm), seen (whether networks train on it) and spare
+    (left out of the standard set).
+    """
+    tables = read_catalogue(path)
+    for name in names or ():
+        if name not in tables:
+            raise BadInput(f"{path}: no indenter named {name!r}; it has {', '.join(tables)}")
+    return {n: build(n, t, path) for n, t in tables.items() if names is None or n in names}

@@ -1,0 +1,222 @@
+"""Plane figures: signed distance, and the offset curves that an edge fillet follows."""
+
+import numpy as np
+
+from gelforge.errors import BadInput
+
+CHORD_MM = 0.003  # a third of what the surfaces promise, so that two curvatures may add up
+
+
+def arc_steps(radius: float, angle: float) -> int:
+    """Segments for an arc of `angle` rad and `radius` mm whose chords stay within CHORD_MM."""
+    if radius <= CHORD_MM:
+        return 1
+    step = 2.0 * np.arccos(1.0 - CHORD_MM / radius)
+    return max(1, int(np.ceil(angle / step)))
+
+
+def unit(v: np.ndarray) -> np.ndarray:
+    """Vectors (..., d) scaled to length one."""
+    return v / np.linalg.norm(v, axis=-1, keepdims=True)
+
+
+def regular_polygon(sides: int, side: float, first_corner_deg: float) -> np.ndarray:
+    """Corners (sides, 2) of a regular polygon about the origin, counter-clockwise, mm."""
+    angle = np.deg2rad(first_corner_deg) + 2.0 * np.pi * np.arange(sides) / sides
+    return side / (2.0 * np.sin(np.pi / sides)) * np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def rectangle(sx: float, sy: float, cx: float = 0.0, cy: float = 0.0) -> np.ndarray:
+    """Corners (4, 2) of an axis-parallel rectangle, counter-clockwise, mm."""
+    return np.array([[-sx, -sy], [sx, -sy], [sx, sy], [-sx, sy]]) / 2.0 + [cx, cy]
+
+
+def mitred(corners: np.ndarray, offset: float) -> np.ndarray:
+    """Corners of a counter-clockwise polygon moved outwards by `offset` with sharp corners, (k, 2)."""
+    along = unit(np.roll(corners, -1, axis=0) - corners)
+    normal = np.column_stack([along[:, 1], -along[:, 0]])
+    before = np.roll(normal, 1, axis=0)
+    return corners + offset * (before + normal) / (1.0 + (before * normal).sum(1, keepdims=True))
+
+
+class Outline:
+    """A simple polygon whose convex corners are rounded and whose concave corners stay sharp.
+
+    corners: (k, 2) mm, counter-clockwise, before rounding; radius: mm. The distance is exact outside and within
+    `radius` of the edge at convex corners; deeper inside it is the distance to the core plus the radius.
+    """
+
+    def __init__(self, corners, radius: float):
+        corners = np.asarray(corners, float)
+        x, y = corners.T
+        if np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) < 0.0:
+            corners = corners[::-1]
+        self.corners, self.radius = corners, float(radius)
+        self.core = mitred(corners, -self.radius)
+        self._edge = np.roll(self.core, -1, axis=0) - self.core
+        if np.any(np.sum(self._edge * (np.roll(corners, -1, axis=0) - corners), axis=1) <= 1e-9):
+            raise BadInput(f"fillet {radius} mm is too large for this outline: an edge vanishes; choose a smaller one")
+        along = unit(self._edge)
+        self._normal = np.column_stack([along[:, 1], -along[:, 0]])
+
+    def distance(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Signed distance (n,) and outward unit gradient (n, 2) at points (n, 2)."""
+        best = np.full(len(p), np.inf)
+        nearest = np.zeros((len(p), 2))
+        normal = np.zeros((len(p), 2))
+        inside = np.zeros(len(p), bool)
+        for corner, edge, n in zip(self.core, self._edge, self._normal, strict=True):
+            rel = p - corner
+            t = np.clip(rel @ (edge / (edge @ edge)), 0.0, 1.0)
+            diff = rel - t[:, None] * edge
+            square = np.einsum("ij,ij->i", diff, diff)
+            closer = square < best
+            best = np.where(closer, square, best)
+            nearest[closer] = diff[closer]
+            normal[closer] = n
+            if edge[1] != 0.0:
+                crosses = (p[:, 1] >= corner[1]) != (p[:, 1] >= corner[1] + edge[1])
+                inside ^= crosses & (p[:, 0] < corner[0] + edge[0] / edge[1] * rel[:, 1])
+        length = np.sqrt(best)
+        sign = np.where(inside, -1.0, 1.0)
+        safe = length > 1e-12
+        gradient = np.where(safe[:, None], (sign / np.where(safe, length, 1.0))[:, None] * nearest, normal)
+        return sign * length - self.radius, gradient
+
+    def loops(self, offsets: np.ndarray) -> list[np.ndarray]:
+        """The closed curves at each distance inside the edge (m,): one array (m, k, 2), counter-clockwise."""
+        before = np.roll(self._normal, 1, axis=0)
+        grow = (self.radius - np.asarray(offsets, float))[:, None, None]
+        parts = []
+        for corner, n0, n1 in zip(self.core, before, self._normal, strict=True):
+            turn = np.arctan2(n0[0] * n1[1] - n0[1] * n1[0], n0 @ n1)
+            if turn > 1e-9:
+                steps = arc_steps(self.radius, turn)
+                angle = np.arctan2(n0[1], n0[0]) + turn * np.arange(steps + 1) / steps
+                direction = np.column_stack([np.cos(angle), np.sin(angle)])
+            else:
+                direction = ((n0 + n1) / (1.0 + n0 @ n1))[None]
+            parts.append(corner + grow * direction)
+        return [np.concatenate(parts, axis=1)]
+
+    def reach(self) -> float:
+        """Largest distance of the figure from the origin, mm."""
+        return float(np.linalg.norm(self.core, axis=1).max() + self.radius)
+
+
+class Ellipse:
+    """An ellipse with semi-axes a, b (mm) about the origin; a circle where they are equal."""
+
+    def __init__(self, a: float, b: float):
+        self.a, self.b = float(a), float(b)
+
+    def distance(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Signed distance (n,) and outward unit gradient (n, 2) at points (n, 2).
+
+        The nearest point of an ellipse is found by its centre of curvature (Chou 2017), six rounds, to 1e-12.
+        """
+        if self.a == self.b:
+            rho = np.hypot(p[:, 0], p[:, 1])
+            safe = np.where(rho > 1e-12, rho, 1.0)
+            return rho - self.a, np.where((rho > 1e-12)[:, None], p / safe[:, None], [1.0, 0.0])
+        q = self._nearest(np.abs(p))
+        normal = unit(q / [self.a**2, self.b**2])
+        return np.einsum("ij,ij->i", np.abs(p) - q, normal), np.copysign(normal, p)
+
+    def _nearest(self, p: np.ndarray) -> np.ndarray:
+        a, b = self.a, self.b
+        c, s = np.full(len(p), np.sqrt(0.5)), np.full(len(p), np.sqrt(0.5))
+        for _ in range(6):
+            on = np.column_stack([a * c, b * s])
+            centre = np.column_stack([(a * a - b * b) * c**3 / a, (b * b - a * a) * s**3 / b])
+            r = np.linalg.norm(on - centre, axis=1)
+            q = p - centre
+            length = np.maximum(np.linalg.norm(q, axis=1), 1e-300)
+            c = np.clip((q[:, 0] * r / length + centre[:, 0]) / a, 0.0, 1.0)
+            s = np.clip((q[:, 1] * r / length + centre[:, 1]) / b, 0.0, 1.0)
+            norm = np.hypot(c, s)
+            c, s = c / norm, s / norm
+        return np.column_stack([a * c, b * s])
+
+    def loops(self, offsets: np.ndarray) -> list[np.ndarray]:
+        """The closed curves at each distance inside the edge (m,): one array (m, k, 2), counter-clockwise."""
+        return [self.parallel(-np.asarray(offsets, float), self.steps())]
+
+    def steps(self) -> int:
+        """Points along the curve for the promised chord error."""
+        return 4 * arc_steps(max(self.a, self.b) ** 2 / min(self.a, self.b), np.pi / 2.0)
+
+    def parallel(self, outward: np.ndarray, steps: int) -> np.ndarray:
+        """Parallel curves at outward distances (m,), each of `steps` points: (m, steps, 2), counter-clockwise."""
+        angle = 2.0 * np.pi * np.arange(steps) / steps
+        on = np.column_stack([self.a * np.cos(angle), self.b * np.sin(angle)])
+        return on + outward[:, None, None] * unit(on / [self.a**2, self.b**2])
+
+    def reach(self) -> float:
+        """Largest distance of the figure from the origin, mm."""
+        return max(self.a, self.b)
+
+
+class Annulus:
+    """An ellipse with an elliptic hole about the same centre."""
+
+    def __init__(self, outer: Ellipse, inner: Ellipse):
+        if inner.a >= outer.a or inner.b >= outer.b:
+            raise BadInput(f"hole {2 * inner.a} x {2 * inner.b} mm does not fit into {2 * outer.a} x {2 * outer.b} mm")
+        self.outer, self.inner = outer, inner
+
+    def distance(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Signed distance (n,) and outward unit gradient (n, 2) at points (n, 2)."""
+        (d, g), (e, h) = self.outer.distance(p), self.inner.distance(p)
+        return np.maximum(d, -e), np.where((d > -e)[:, None], g, -h)
+
+    def loops(self, offsets: np.ndarray) -> list[np.ndarray]:
+        """Two arrays (m, k, 2): the outer curves counter-clockwise, then the hole's clockwise."""
+        offsets, steps = np.asarray(offsets, float), self.outer.steps()
+        return [self.outer.parallel(-offsets, steps), self.inner.parallel(offsets, steps)[:, ::-1]]
+
+    def reach(self) -> float:
+        """Largest distance of the figure from the origin, mm."""
+        return self.outer.reach()
+
+
+class Pieces:
+    """Several figures that do not overlap."""
+
+    def __init__(self, parts: list):
+        self.parts = parts
+
+    def distance(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Signed distance (n,) and outward unit gradient (n, 2) at points (n, 2)."""
+        best, gradient = self.parts[0].distance(p)
+        for part in self.parts[1:]:
+            d, g = part.distance(p)
+            gradient = np.where((d < best)[:, None], g, gradient)
+            best = np.minimum(d, best)
+        return best, gradient
+
+    def reach(self) -> float:
+        """Largest distance of the figure from the origin, mm."""
+        return max(part.reach() for part in self.parts)
+
+
+class Pierced:
+    """A figure with a convex polygonal hole whose corners stay sharp."""
+
+    def __init__(self, outer: Outline, hole: np.ndarray):
+        self.outer, self.hole = outer, np.asarray(hole, float)
+        along = unit(np.roll(self.hole, -1, axis=0) - self.hole)
+        self._normal = np.column_stack([along[:, 1], -along[:, 0]])
+        self._level = np.einsum("ij,ij->i", self._normal, self.hole)
+
+    def distance(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Signed distance (n,) and outward unit gradient (n, 2) at points (n, 2)."""
+        d, g = self.outer.distance(p)
+        planes = p @ self._normal.T - self._level
+        k = planes.argmax(axis=1)
+        e = -planes[np.arange(len(p)), k]
+        return np.maximum(d, e), np.where((d > e)[:, None], g, -self._normal[k])
+
+    def reach(self) -> float:
+        """Largest distance of the figure from the origin, mm."""
+        return self.outer.reach()

@@ -1,0 +1,274 @@
+"""Rigid bodies of indenters: exact signed distances and watertight surfaces.
+
+Every body stands in its own frame: lowest point on the plane z = 0, body above, cut flat at `height`.
+"""
+
+from functools import cached_property
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.geometry.profiles import Annulus, Outline, Pieces, Pierced, arc_steps, mitred, unit
+from gelforge.geometry.triangles import boolean, joined, stacked
+
+
+def _with_flat_top(z, height, side, side_gradient, below, below_normal):
+    """Cut a body that runs up for ever at z = height.
+
+    `side` is the distance to its cross-section at the cut, `below` the distance to the endless body.
+    """
+    up = z - height
+    outside, over = side > 0.0, up > 0.0
+    normal = np.array(below_normal)
+    cap = (over & ~outside) | (~over & (up > below))
+    normal[cap] = [0.0, 0.0, 1.0]
+    value = np.where(cap, up, below)
+    rim = over & outside
+    value[rim] = np.hypot(side[rim], up[rim])
+    normal[rim, :2] = side_gradient[rim] * (side[rim] / value[rim])[:, None]
+    normal[rim, 2] = up[rim] / value[rim]
+    return value, normal
+
+
+class Body:
+    """What all indenters share: a name, whether training sees it, and a cached surface."""
+
+    def __init__(self, name: str, height: float, seen: bool = True, spare: bool = False):
+        self.name, self.height, self.seen, self.spare = name, float(height), seen, spare
+
+    def surface(self) -> tuple[np.ndarray, np.ndarray]:
+        """Watertight triangles: vertices (v, 3) mm and faces (f, 3), outward; chords within 0.01 mm at fillets."""
+        return self._surface
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.name!r})"
+
+
+class Extrusion(Body):
+    """A plane figure drawn along z, its lower edge rounded with radius `fillet` (mm).
+
+    A sphere on a shank is the circle whose fillet is its own radius. The distance is exact wherever the figure's is.
+    """
+
+    def __init__(self, name, profile, fillet, height, **flags):
+        super().__init__(name, height, **flags)
+        if not 0.0 <= fillet <= height:
+            raise BadInput(f"indenter {name}: fillet {fillet} mm must lie between 0 and the height {height} mm")
+        self.profile, self.fillet = profile, float(fillet)
+
+    def distance(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Signed distance (n,) and unit outward normal (n, 3) at points (n, 3)."""
+        points = np.asarray(points, float)
+        side, gradient = self.profile.distance(points[:, :2])
+        z, r = points[:, 2], self.fillet
+        a, b = side + r, r - z
+        corner = (a > 0.0) & (b > 0.0)
+        length = np.hypot(a, b)
+        safe = np.where(length > 0.0, length, 1.0)
+        wall = ~corner & (a > b)
+        below = np.where(corner, length, np.maximum(a, b)) - r
+        normal = np.zeros_like(points)
+        normal[:, :2] = gradient * np.where(corner, a / safe, wall)[:, None]
+        normal[:, 2] = -np.where(corner, b / safe, ~wall)
+        return _with_flat_top(z, self.height, side, gradient, below, normal)
+
+    def radius(self) -> float:
+        """Largest horizontal distance from the z axis, mm."""
+        return self.profile.reach()
+
+    @cached_property
+    def _surface(self):
+        return self._mesh(self.profile)
+
+    def _mesh(self, profile):
+        if isinstance(profile, Pieces):
+            return joined([self._mesh(part) for part in profile.parts])
+        if isinstance(profile, Pierced):
+            return boolean(self._mesh(profile.outer), self._drill(profile), "difference")
+        offset, z = self._fillet_curve()
+        loops = profile.loops(np.append(offset, 0.0))
+        return stacked(loops, np.append(z, self.height), annular=isinstance(profile, Annulus))
+
+    def _fillet_curve(self):
+        """Distance inside the edge and height along the fillet, from the flat to the wall."""
+        angle = np.linspace(0.0, np.pi / 2.0, arc_steps(self.fillet, np.pi / 2.0) + 1)
+        return self.fillet * (1.0 - np.sin(angle)), self.fillet * (1.0 - np.cos(angle))
+
+    def _drill(self, profile: Pierced):
+        """The body that a hole with a rounded mouth takes away."""
+        offset, z = self._fillet_curve()
+        offset = np.concatenate([offset[:1], offset, [0.0]])
+        loops = np.array([mitred(profile.hole, o) for o in offset])
+        return stacked([loops], np.concatenate([[-1.0], z, [self.height + 1.0]]))
+
+
+class RoundedPolyhedron(Body):
+    """A block with vertical walls and a lower side of planes, every edge but the uppermost rounded.
+
+    outline: (k, 2) convex corners before rounding; planes: outward normals (m, 3) and levels (m,) of the lower side,
+    in a frame of any height: the body is moved so that its lowest point lies on z = 0. `height` counts from the
+    frame's zero upwards. Convex, so the distance is exact outside; inside it is that to the nearest plane.
+    """
+
+    def __init__(self, name, outline, planes, fillet, height, **flags):
+        normals, levels = np.asarray(planes[0], float), np.asarray(planes[1], float)
+        self.top = Outline(outline, fillet)
+        self.fillet = float(fillet)
+        core = self._core(normals, levels - self.fillet, height)
+        lowest = core[:, 2].min() - self.fillet
+        super().__init__(name, height - lowest, **flags)
+        self.core = core - [0.0, 0.0, lowest]
+        self._prepare()
+
+    def _core(self, normals, levels, height):
+        from scipy.spatial import HalfspaceIntersection
+
+        corners = self.top.core
+        along = unit(np.roll(corners, -1, axis=0) - corners)
+        walls = np.column_stack([along[:, 1], -along[:, 0], np.zeros(len(corners))])
+        wall_levels = np.einsum("ij,ij->i", walls[:, :2], corners)
+        n = np.vstack([walls, normals, [[0.0, 0.0, 1.0]]])
+        c = np.concatenate([wall_levels, levels, [height]])
+        inner = np.array([*corners.mean(axis=0), height - 1e-3])
+        points = HalfspaceIntersection(np.column_stack([n, -c]), inner).intersections
+        return points[np.unique(np.round(points, 7), axis=0, return_index=True)[1]]
+
+    def _prepare(self):
+        from scipy.spatial import ConvexHull
+
+        hull = ConvexHull(self.core)
+        _, first, face_of = np.unique(np.round(hull.equations, 7), axis=0, return_index=True, return_inverse=True)
+        self._normals, self._levels = hull.equations[first, :3], -hull.equations[first, 3]
+        edges = {}
+        for simplex, face in zip(hull.simplices, face_of.ravel(), strict=True):
+            for i, j in ((0, 1), (1, 2), (2, 0)):
+                edges.setdefault(tuple(sorted((simplex[i], simplex[j]))), set()).add(face)
+        self._edges = np.array([e for e, faces in edges.items() if len(faces) == 2])
+
+    def distance(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Signed distance (n,) and unit outward normal (n, 3) at points (n, 3)."""
+        points = np.asarray(points, float)
+        heights = points @ self._normals.T - self._levels
+        top = self._normals[:, 2] > 1.0 - 1e-9
+        heights[:, top] = -np.inf
+        face = heights.argmax(axis=1)
+        value = heights[np.arange(len(points)), face]
+        normal = self._normals[face]
+        out = np.flatnonzero(value > 0.0)
+        low = points[out]
+        low[:, 2] = np.minimum(low[:, 2], self.height)
+        to, length = self._off_core(low, value[out], normal[out])
+        value[out], normal[out] = length, to
+        side, gradient = self.top.distance(points[:, :2])
+        return _with_flat_top(points[:, 2], self.height, side, gradient, value - self.fillet, normal)
+
+    def _off_core(self, points, plane, normal):
+        """Direction (n, 3) and length (n,) from the core to points outside it."""
+        best = np.full(len(points), np.inf)
+        to = np.zeros_like(points)
+        for i, j in self._edges:
+            edge = self.core[j] - self.core[i]
+            rel = points - self.core[i]
+            t = np.clip(rel @ (edge / (edge @ edge)), 0.0, 1.0)
+            diff = rel - t[:, None] * edge
+            square = np.einsum("ij,ij->i", diff, diff)
+            closer = square < best
+            to[closer] = diff[closer]
+            best[closer] = square[closer]
+        foot = points - plane[:, None] * normal
+        on_face = (foot @ self._normals.T - self._levels).max(axis=1) < 1e-9
+        length = np.where(on_face, plane, np.sqrt(best))
+        to = np.where(on_face[:, None], normal, to / np.maximum(length, 1e-300)[:, None])
+        return to, length
+
+    def radius(self) -> float:
+        """Largest horizontal distance from the z axis, mm."""
+        return self.top.reach()
+
+    @cached_property
+    def _surface(self):
+        """Hull of the core's corners grown by the fillet, with every arc sampled at the promised chord."""
+        from scipy.spatial import ConvexHull
+
+        points = []
+        for index, corner in enumerate(self.core):
+            faces = np.flatnonzero(np.abs(self._normals @ corner - self._levels) < 1e-7)
+            points.append(corner + self.fillet * self._fan(index, self._normals[faces]))
+        points = np.unique(np.round(np.concatenate(points), 9), axis=0)
+        hull = ConvexHull(points)
+        a, b, c = points[hull.simplices].transpose(1, 0, 2)
+        flip = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0.0
+        faces = np.where(flip[:, None], hull.simplices[:, ::-1], hull.simplices)
+        used, faces = np.unique(faces, return_inverse=True)
+        return points[used], faces.reshape(-1, 3)
+
+    def _fan(self, index, normals):
+        """Directions in which the ball at one corner of the core shows on the surface."""
+        level = normals[:, 2] > 1.0 - 1e-9
+        steps = arc_steps(self.fillet, np.pi / 2.0)
+        if level.any():
+            a, b = normals[~level][:2]
+            return _arc(a, b, steps)
+        centre = unit(normals.mean(axis=0))
+        order = np.argsort(_angle_about(centre, normals))
+        ring = np.concatenate([_arc(normals[i], normals[j], steps) for i, j in zip(order, np.roll(order, -1),
+                                                                                  strict=True)])
+        weights = np.linspace(0.0, 1.0, steps + 1)[:, None, None]
+        return unit(weights * ring + (1.0 - weights) * centre).reshape(-1, 3)
+
+
+def _arc(a, b, steps):
+    """Directions (steps + 1, 3) on the great circle from a to b."""
+    angle = np.arccos(np.clip(a @ b, -1.0, 1.0))
+    t = np.linspace(0.0, 1.0, steps + 1)[:, None]
+    return (np.sin((1.0 - t) * angle) * a + np.sin(t * angle) * b) / np.sin(angle)
+
+
+def _angle_about(axis, directions):
+    first = unit(directions[0] - (directions[0] @ axis) * axis)
+    return np.arctan2(directions @ np.cross(axis, first), directions @ first)
+
+
+class LyingCylinder(Body):
+    """A cylinder along x whose side touches the gel, its end edges rounded (mm)."""
+
+    def __init__(self, name, diameter, length, fillet, **flags):
+        super().__init__(name, diameter, **flags)
+        if not 0.0 <= fillet <= min(diameter, length) / 2.0:
+            raise BadInput(f"indenter {name}: fillet {fillet} mm is larger than half the diameter or length")
+        self.length, self.fillet = float(length), float(fillet)
+
+    def distance(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Signed distance (n,) and unit outward normal (n, 3) at points (n, 3)."""
+        points = np.asarray(points, float)
+        radius, r = self.height / 2.0, self.fillet
+        y, z = points[:, 1], points[:, 2] - radius
+        rho = np.hypot(y, z)
+        safe = np.where(rho > 1e-12, rho, 1.0)
+        radial = np.column_stack([np.zeros_like(y), y / safe, np.where(rho > 1e-12, z / safe, -1.0)])
+        axial = np.zeros_like(points)
+        axial[:, 0] = np.copysign(1.0, points[:, 0])
+        a, b = rho - (radius - r), np.abs(points[:, 0]) - (self.length / 2.0 - r)
+        corner = (a > 0.0) & (b > 0.0)
+        length = np.hypot(a, b)
+        weight = np.where(corner, length, 1.0)
+        wall = a > b
+        value = np.where(corner, length, np.maximum(a, b)) - r
+        normal = radial * np.where(corner, a / weight, wall)[:, None]
+        return value, normal + axial * np.where(corner, b / weight, ~wall)[:, None]
+
+    def radius(self) -> float:
+        """Largest horizontal distance from the z axis, mm."""
+        return float(np.hypot(self.length / 2.0, self.height / 2.0))
+
+    @cached_property
+    def _surface(self):
+        radius, r, half = self.height / 2.0, self.fillet, self.length / 2.0
+        angle = np.linspace(0.0, np.pi / 2.0, arc_steps(r, np.pi / 2.0) + 1)
+        rho, x = radius - r * (1.0 - np.sin(angle)), -half + r * (1.0 - np.cos(angle))
+        rho, x = np.concatenate([rho, rho[::-1]]), np.concatenate([x, -x[::-1]])
+        turn = 2.0 * np.pi * np.arange(4 * arc_steps(radius, np.pi / 2.0))
+        turn = turn / len(turn)
+        circle = np.column_stack([np.cos(turn), np.sin(turn)])
+        vertices, faces = stacked([rho[:, None, None] * circle], x)
+        return vertices[:, [2, 0, 1]] + [0.0, 0.0, radius], faces
