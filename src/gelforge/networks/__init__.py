@@ -1,0 +1,1 @@
+"""Networks that read a force distribution from one tactile image."""

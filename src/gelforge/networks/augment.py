@@ -1,0 +1,52 @@
+"""Colour and noise augmentation, one small matrix per image."""
+
+import math
+
+import torch
+
+# Luma, and the two chroma axes of YIQ (NTSC 1953): hue turns the chroma plane, saturation scales it.
+RGB_TO_YIQ = torch.tensor([[0.299, 0.587, 0.114], [0.5959, -0.2746, -0.3213], [0.2115, -0.5227, 0.3112]])
+YIQ_TO_RGB = torch.linalg.inv(RGB_TO_YIQ)
+
+
+def uniform(n: int, half_width: float, generator):
+    """Draw `n` values in +-`half_width`."""
+    return (2 * torch.rand(n, generator=generator) - 1) * half_width
+
+
+def colour_matrices(saturation, hue_turns):
+    """Matrices (n, 3, 3) that scale the chroma by `saturation` (n,) and turn it by `hue_turns` (n,) of a circle."""
+    angle = 2 * math.pi * hue_turns
+    turn = torch.zeros(len(angle), 3, 3)
+    turn[:, 0, 0] = 1
+    turn[:, 1, 1] = turn[:, 2, 2] = saturation * torch.cos(angle)
+    turn[:, 2, 1] = saturation * torch.sin(angle)
+    turn[:, 1, 2] = -turn[:, 2, 1]
+    return YIQ_TO_RGB @ turn @ RGB_TO_YIQ
+
+
+def augment(images, settings: dict, generator):
+    """Vary noise, brightness, contrast, saturation and hue of images (n, 3, h, w) in 0..1; a chosen share of them.
+
+    The order is the paper's; brightness, contrast, saturation and hue are linear in RGB, so they are one
+    matrix and one offset per image. `settings` holds probability, noise (standard deviation), brightness,
+    contrast, saturation (half widths around 1) and hue (half width in turns).
+    """
+    n = len(images)
+    chosen = torch.rand(n, generator=generator) < settings["probability"]
+    brightness, contrast, saturation = (
+        1 + uniform(n, settings[key], generator) for key in ("brightness", "contrast", "saturation"))
+    matrices = colour_matrices(saturation, uniform(n, settings["hue"], generator))
+    where = torch.nonzero(chosen).flatten()
+    if len(where) == 0:
+        return images
+    part = images[where]
+    noise = torch.empty_like(part).normal_(0, 1, generator=generator).mul_(settings["noise"])
+    part = part.add(noise).mul_(brightness[where, None, None, None])
+    luma = torch.einsum("c,nchw->n", RGB_TO_YIQ[0], part) / (part.shape[2] * part.shape[3])
+    factor = contrast[where, None, None, None]
+    part = part.mul_(factor).add_((1 - factor) * luma[:, None, None, None])
+    turned = torch.bmm(matrices[where], part.flatten(2)).view_as(part)
+    images = images.clone()
+    images[where] = turned.clamp_(0, 1)
+    return images

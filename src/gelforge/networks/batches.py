@@ -1,0 +1,95 @@
+"""Batches of a dataset, prepared one ahead of the step that uses them."""
+
+import queue
+import threading
+import time
+
+import numpy as np
+import torch
+
+from gelforge.networks.augment import augment
+
+STREAMS = {"order": 0, "augment": 1, "weights": 2}
+
+
+def generator(seed: int, stream: str, *numbers: int) -> torch.Generator:
+    """A torch generator that depends on nothing but a seed, what it is for, and where in the work it stands.
+
+    So a resumed training draws what the uninterrupted one drew, and no generator's state is stored.
+    """
+    words = np.random.SeedSequence([seed, STREAMS[stream], *numbers]).generate_state(2, np.uint32)
+    return torch.Generator().manual_seed(int(words[0]) << 31 | int(words[1]) >> 1)
+
+
+def epoch_order(rows, seed: int, epoch: int) -> np.ndarray:
+    """The training rows of one epoch in the order in which they are seen."""
+    return rows[torch.randperm(len(rows), generator=generator(seed, "order", epoch)).numpy()]
+
+
+def images_to_tensor(images) -> torch.Tensor:
+    """Images (n, h, w, 3) uint8 to a contiguous float tensor (n, 3, h, w) in 0..1."""
+    return torch.from_numpy(np.ascontiguousarray(images)).permute(0, 3, 1, 2).float().div_(255).contiguous()
+
+
+def target(labels, norm: dict, total_only: bool) -> torch.Tensor:
+    """Labels (n, 3, rows, cols) in N to what a network is fitted to, in training units."""
+    if total_only:
+        labels = labels.sum((2, 3), keepdims=True)
+    return torch.from_numpy(np.ascontiguousarray(labels)) / torch.tensor(norm["label"]).float().view(1, 3, 1, 1)
+
+
+def training_batches(data, norm: dict, settings: dict, epoch: int, total_only: bool):
+    """Yield (images, target) of one epoch, augmented, images in the network's units."""
+    order = epoch_order(data.splits["train"], settings["seed"], epoch)
+    mean, std = (torch.tensor(norm[key]).float().view(1, 3, 1, 1) for key in ("image_mean", "image_std"))
+    draw = generator(settings["seed"], "augment", epoch)
+    for start in range(0, len(order), settings["batch"]):
+        # Sorted rows read the mapped file forwards; the order inside a batch changes nothing but rounding.
+        rows = np.sort(order[start : start + settings["batch"]])
+        images = augment(images_to_tensor(data.images[rows]), settings["augment"], draw)
+        yield (images - mean) / std, target(data.labels[rows], norm, total_only)
+
+
+class Ahead:
+    """Iterate over `items` while a thread prepares the next two; `waited` is the seconds spent waiting for it."""
+
+    def __init__(self, items):
+        self.waited = 0.0
+        self._queue = queue.Queue(maxsize=2)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._work, args=(items,), daemon=True)
+        self._thread.start()
+
+    def _work(self, items):
+        # A new thread starts with OpenMP's own count; one is enough here and keeps sums in one order.
+        torch.set_num_threads(1)
+        try:
+            for item in items:
+                if not self._put((item, None)):
+                    return
+            self._put((None, StopIteration()))
+        except Exception as error:  # handed to the consumer, which raises it
+            self._put((None, error))
+
+    def _put(self, entry) -> bool:
+        while not self._stop.is_set():
+            try:
+                self._queue.put(entry, timeout=0.2)
+                return True
+            except queue.Full:
+                continue
+        return False
+
+    def __iter__(self):
+        try:
+            while True:
+                started = time.perf_counter()
+                item, error = self._queue.get()
+                self.waited += time.perf_counter() - started
+                if isinstance(error, StopIteration):
+                    return
+                if error is not None:
+                    raise error
+                yield item
+        finally:
+            self._stop.set()

@@ -1,0 +1,156 @@
+"""The arrays of stage 60 as training and evaluation read them."""
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.files import read_csv, read_json
+
+FILES = ("images.npy", "labels.npy", "samples.csv", "normalisation.json", "dataset.json")
+TRAINING, VALIDATION = "train", "val"
+CHUNK = 256
+# Below this a split says nothing about an error and batch statistics nothing about a layer.
+SMALLEST = {TRAINING: 4, VALIDATION: 1}
+
+
+@dataclass(frozen=True)
+class Data:
+    """One dataset of stage 60, its arrays mapped from disk.
+
+    images (n, height, width, 3) uint8 RGB; labels (n, 3, rows, cols) float32 N per cell, channels and
+    signs as FEATS; table has one dict of strings per sample; splits gives row numbers by name.
+    """
+
+    folder: Path
+    images: np.ndarray
+    labels: np.ndarray
+    table: list[dict]
+    splits: dict[str, np.ndarray]
+    info: dict
+    normalisation: dict
+
+    @property
+    def image_size(self) -> tuple[int, int]:
+        return self.images.shape[1:3]
+
+    @property
+    def grid(self) -> tuple[int, int]:
+        return self.labels.shape[2:]
+
+    def column(self, name: str) -> np.ndarray:
+        """One column of samples.csv as float64 (n,); empty fields are NaN."""
+        return np.array([float(row.get(name) or "nan") for row in self.table])
+
+    def names(self, column: str) -> np.ndarray:
+        """One column of samples.csv as text (n,)."""
+        return np.array([row.get(column, "") for row in self.table])
+
+    def totals(self, rows) -> np.ndarray:
+        """Total force of the labels of some rows, (k, 3) float64 N, in the labels' channel order."""
+        return self.labels[rows].sum((2, 3), dtype=np.float64)
+
+
+def open_data(folder) -> Data:
+    """Open a dataset folder of stage 60 and check that its parts belong together.
+
+    Raises BadInput for missing files, arrays of other shapes or types, labels that are not finite.
+    """
+    folder = Path(folder)
+    for name in FILES:
+        if not (folder / name).exists():
+            raise BadInput(f"{folder}: {name} is missing; make it with `make dataset`, RES being the grid you want")
+    images, labels = map_array(folder / "images.npy"), map_array(folder / "labels.npy")
+    table = read_csv(folder / "samples.csv")
+    info = read_json(folder / "dataset.json")
+    check_shapes(folder, images, labels, table, info)
+    check_finite(folder, labels, table)
+    split = np.array([row["split"] for row in table])
+    splits = {str(name): np.flatnonzero(split == name) for name in np.unique(split)}
+    return Data(folder, images, labels, table, splits, info, read_json(folder / "normalisation.json"))
+
+
+def map_array(path: Path) -> np.ndarray:
+    """Map a .npy file for reading; pickled content is refused."""
+    try:
+        return np.load(path, mmap_mode="r", allow_pickle=False)
+    except (ValueError, OSError, EOFError) as error:
+        raise BadInput(f"{path}: not a readable .npy array ({error}); remove it and make the dataset again") from None
+
+
+def check_shapes(folder, images, labels, table, info) -> None:
+    """Raise BadInput where the arrays of a dataset do not fit each other."""
+    if images.dtype != np.uint8 or images.ndim != 4 or images.shape[3] != 3:
+        raise BadInput(f"{folder}/images.npy: expected uint8 (n, height, width, 3), got {images.dtype} {images.shape}")
+    if labels.dtype != np.float32 or labels.ndim != 4 or labels.shape[1] != 3:
+        raise BadInput(f"{folder}/labels.npy: expected float32 (n, 3, rows, cols), got {labels.dtype} {labels.shape}")
+    if not len(images) == len(labels) == len(table):
+        raise BadInput(f"{folder}: {len(images)} images, {len(labels)} labels and {len(table)} rows of samples.csv; "
+                       "they must be as many: remove the folder and make the dataset again")
+    grid = info.get("grid")
+    if grid and tuple(grid) != labels.shape[2:]:
+        raise BadInput(f"{folder}: dataset.json says a grid of {grid}, labels.npy has {list(labels.shape[2:])}; "
+                       "make the dataset again for one resolution")
+
+
+def check_finite(folder, labels, table) -> None:
+    """Raise BadInput naming the first sample whose label is not finite."""
+    for start in range(0, len(labels), CHUNK):
+        good = np.isfinite(labels[start : start + CHUNK]).all((1, 2, 3))
+        if not good.all():
+            row = start + int(np.argmin(good))
+            name = table[row].get("sample_id", row)
+            raise BadInput(f"{folder}/labels.npy: the label of sample {name} (row {row}) is not finite; "
+                           "look at its solve, then make labels and dataset again")
+
+
+def require_splits(data: Data) -> None:
+    """Raise BadInput if a dataset is too small to train on and validate with."""
+    for name, least in SMALLEST.items():
+        have = len(data.splits.get(name, ()))
+        if have < least:
+            raise BadInput(f"{data.folder}: split {name!r} holds {have} of {len(data.table)} samples, training needs "
+                           f"at least {least}; add presses or change the shares in [dataset]")
+
+
+def data_version(data: Data) -> str:
+    """Fingerprint of a dataset: everything but the images, of which every 64th enters."""
+    digest = hashlib.sha256()
+    for name in ("samples.csv", "normalisation.json", "dataset.json"):
+        digest.update((data.folder / name).read_bytes())
+    for start in range(0, len(data.labels), CHUNK):
+        digest.update(np.ascontiguousarray(data.labels[start : start + CHUNK]).tobytes())
+    for row in range(0, len(data.images), 64):
+        digest.update(np.ascontiguousarray(data.images[row]).tobytes())
+    return digest.hexdigest()[:16]
+
+
+def scales(data: Data, total_only: bool) -> dict:
+    """What training scales by: image mean and deviation per channel, and the labels' root mean square.
+
+    Zero force is zero in scaled units too, because labels are divided and never shifted. Where the
+    network only knows totals (`total_only`), `label` is the totals' root mean square.
+    """
+    rows = data.splits[TRAINING]
+    sums, squares, cells = np.zeros(3), np.zeros(3), np.zeros(3)
+    for part in np.array_split(rows, max(1, len(rows) // CHUNK)):
+        pixels = data.images[part].reshape(-1, 3)
+        counts = np.stack([np.bincount(pixels[:, c], minlength=256) for c in range(3)])
+        levels = np.arange(256) / 255
+        sums += counts @ levels
+        squares += counts @ levels**2
+        cells += (data.labels[part].astype(np.float64) ** 2).sum((0, 2, 3))
+    n = len(rows) * np.prod(data.image_size)
+    mean = sums / n
+    totals = data.totals(rows)
+    total = np.sqrt((totals**2).mean(0))
+    cell = np.sqrt(cells / (len(rows) * np.prod(data.grid)))
+    if (cell == 0).any():
+        raise BadInput(f"{data.folder}: a force component is zero in every training label; nothing can be learnt")
+    return {
+        "image_mean": mean.tolist(), "image_std": np.sqrt(np.maximum(squares / n - mean**2, 1e-6)).tolist(),
+        "label": (total if total_only else cell).tolist(), "total": total.tolist(),
+        "range": (totals.max(0) - totals.min(0)).tolist(),
+    }

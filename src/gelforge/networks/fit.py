@@ -1,0 +1,163 @@
+"""The training loop: seeded, resumable to the same curve, best epoch by validation."""
+
+import copy
+import resource
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch.nn import functional as F
+
+from gelforge.files import publish
+from gelforge.networks.batches import Ahead, generator, images_to_tensor, training_batches
+from gelforge.networks.modelfile import read_tensors
+from gelforge.networks.models import build
+from gelforge.progress import progress
+
+
+def initial_net(model: dict, image, grid, seed: int):
+    """Build a network whose weights depend on `seed` alone; torch's own generator is left as it was."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(generator(seed, "weights").initial_seed())
+        return build(model, image, grid)
+
+
+def loss_of(output, wanted, scale, total_scale, total_weight: float):
+    """Mean square error per cell, plus `total_weight` times that of total force, both in units of their own scale.
+
+    output, wanted: (n, 3, rows, cols) in training units; scale, total_scale: (3,) N.
+    """
+    loss = F.mse_loss(output, wanted)
+    if total_weight > 0 and output.shape[2:] != (1, 1):
+        error = (output - wanted).sum((2, 3)) * (scale / total_scale)
+        loss = loss + total_weight * (error**2).mean()
+    return loss
+
+
+def predict_rows(net, data, rows, norm: dict, batch: int = 8, device: str = "cpu") -> np.ndarray:
+    """Predict forces (k, 3, rows, cols) in N per cell for some rows of a dataset; `net` is put in evaluation mode."""
+    mean, std, scale = (torch.tensor(norm[key], device=device).float().view(1, 3, 1, 1)
+                        for key in ("image_mean", "image_std", "label"))
+    net.eval()
+    parts = []
+    with torch.inference_mode():
+        for start in range(0, len(rows), batch):
+            images = images_to_tensor(data.images[rows[start : start + batch]]).to(device)
+            parts.append((net((images - mean) / std) * scale).cpu().numpy())
+    return np.concatenate(parts) if parts else np.zeros((0, 3, 1, 1), np.float32)
+
+
+def validate(net, data, norm: dict, batch: int, device: str) -> dict:
+    """Validation errors of an epoch: mean absolute error of total force per component, N, and their sum."""
+    rows = data.splits["val"]
+    error = predict_rows(net, data, rows, norm, batch, device).sum((2, 3), dtype=np.float64) - data.totals(rows)
+    mae = np.abs(error).mean(0)
+    return {"val_fx": float(mae[0]), "val_fy": float(mae[1]), "val_fz": float(mae[2]), "val_total": float(mae.sum())}
+
+
+class Training:
+    """A network with everything that its training needs to go on where it stopped."""
+
+    def __init__(self, model: dict, settings: dict, norm: dict, image, grid, device: str):
+        self.settings, self.norm, self.device = settings, norm, device
+        self.total_only = model["kind"] == "resnet"
+        self.net = initial_net(model, image, grid, settings["seed"]).to(device)
+        self.optimiser = torch.optim.Adam(self.net.parameters(), lr=settings["learning_rate"])
+        self.schedule = torch.optim.lr_scheduler.ReduceLROnPlateau(
+            self.optimiser, factor=settings["plateau_factor"], patience=settings["plateau_patience"])
+        self.mixed = device == "cuda" and settings["mixed_precision"]
+        self.curve: list[dict] = []
+        self.best = {"epoch": 0, "val_total": float("inf"), "weights": None}
+        self.cost = {"seconds": 0.0, "wait_seconds": 0.0, "steps": 0, "resumed": 0}
+
+    def state(self, identity: str) -> dict:
+        """Everything a checkpoint holds: tensors and plain values only."""
+        return {"identity": identity, "net": self.net.state_dict(), "optimiser": self.optimiser.state_dict(),
+                "schedule": self.schedule.state_dict(), "curve": self.curve, "best": self.best, "cost": self.cost}
+
+    def restore(self, state: dict) -> None:
+        """Go back to where `state` was taken."""
+        self.net.load_state_dict(state["net"])
+        self.optimiser.load_state_dict(state["optimiser"])
+        self.schedule.load_state_dict(state["schedule"])
+        self.curve, self.best, self.cost = state["curve"], state["best"], state["cost"]
+        self.cost["resumed"] += 1
+
+    def step(self, images, wanted) -> float:
+        """One step of the optimiser; return the loss."""
+        images, wanted = images.to(self.device), wanted.to(self.device)
+        scale, total = (torch.tensor(self.norm[key], device=self.device).float() for key in ("label", "total"))
+        self.optimiser.zero_grad(set_to_none=True)
+        with torch.autocast(self.device, dtype=torch.bfloat16, enabled=self.mixed):
+            output = self.net(images)
+        loss = loss_of(output.float(), wanted, scale, total, self.settings["total_weight"])
+        loss.backward()
+        self.optimiser.step()
+        return loss.item()
+
+    def epoch(self, data) -> dict:
+        """Train one epoch, validate, keep the best weights; return the curve's new row."""
+        number = len(self.curve)
+        started = time.perf_counter()
+        rate = self.optimiser.param_groups[0]["lr"]
+        batches = Ahead(training_batches(data, self.norm, self.settings, number, self.total_only))
+        self.net.train()
+        losses = [self.step(images, wanted) for images, wanted in batches]
+        self.cost["wait_seconds"] += batches.waited
+        self.cost["seconds"] += time.perf_counter() - started
+        self.cost["steps"] += len(losses)
+        row = {"epoch": number + 1, "learning_rate": rate, "loss": float(np.mean(losses)),
+               **validate(self.net, data, self.norm, self.settings["batch"], self.device)}
+        self.schedule.step(row["val_total"])
+        self.curve.append(row)
+        if row["val_total"] < self.best["val_total"]:
+            self.best = {"epoch": row["epoch"], "val_total": row["val_total"],
+                         "weights": copy.deepcopy(self.net.state_dict())}
+        return row
+
+
+def save_checkpoint(path, training: Training, identity: str) -> None:
+    """Write a checkpoint, whole or not at all."""
+    with publish(path) as part:
+        torch.save(training.state(identity), part)
+
+
+def resume(path, training: Training, identity: str) -> bool:
+    """Go on from a checkpoint if it belongs to the same training; say so either way."""
+    if path is None or not Path(path).exists():
+        return False
+    state = read_tensors(path)
+    if state.get("identity") != identity:
+        print(f"{path}: of another configuration or dataset, starting over", flush=True)
+        return False
+    training.restore(state)
+    print(f"{path}: going on after epoch {len(training.curve)}", flush=True)
+    return True
+
+
+def fit(training: Training, data, checkpoint=None, identity: str = "") -> None:
+    """Train for the epochs that are left, then put the best epoch's weights into the network.
+
+    :param checkpoint: file to resume from and to write every `checkpoint_seconds`; None for neither.
+    :param identity: text that tells one training from another; a checkpoint of another one is not used.
+    """
+    resume(checkpoint, training, identity)
+    epochs = training.settings["epochs"]
+    left = range(len(training.curve), epochs)
+    saved = time.monotonic()
+    for number in progress(left, f"epochs of {epochs}"):
+        row = training.epoch(data)
+        if number % max(1, epochs // 20) == 0 or number == epochs - 1:
+            print(f"epoch {row['epoch']}: loss {row['loss']:.4g}, validation fx {row['val_fx']:.3f} "
+                  f"fy {row['val_fy']:.3f} fz {row['val_fz']:.3f} N, rate {row['learning_rate']:.2g}", flush=True)
+        if checkpoint and time.monotonic() - saved >= training.settings["checkpoint_seconds"]:
+            save_checkpoint(checkpoint, training, identity)
+            saved = time.monotonic()
+    training.net.load_state_dict(training.best["weights"])
+    training.net.eval()
+
+
+def peak_memory_gib() -> float:
+    """Peak resident memory of this process so far, GiB."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20

@@ -1,0 +1,84 @@
+"""Errors of force predictions: tables as the paper's, confidence intervals, and what a control would reach."""
+
+import numpy as np
+
+AXES = ("fx", "fy", "fz")
+CONFIDENCE = 0.95
+
+
+def bootstrap_mean(values, rng, resamplings: int) -> tuple[np.ndarray, np.ndarray]:
+    """Interval of the mean of `values` (n, k) over presses drawn with replacement; low and high, (k,) each.
+
+    Percentile bootstrap (Efron 1979) at 95 %.
+    """
+    values = np.asarray(values, float)
+    n = len(values)
+    means = np.empty((resamplings, values.shape[1]))
+    for i in range(resamplings):
+        means[i] = values[rng.integers(0, n, n)].mean(0)
+    low, high = np.quantile(means, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2], axis=0)
+    return low, high
+
+
+def error_table(error, rng, resamplings: int, force_range=None) -> dict:
+    """Summarise signed errors (n, 3) in N per component: MAE, its deviation and interval, bias, root mean square.
+
+    `force_range` (3,) N adds the MAE in percent of it.
+    """
+    size = np.abs(error)
+    low, high = bootstrap_mean(size, rng, resamplings)
+    table = {}
+    for i, axis in enumerate(AXES):
+        table[axis] = {
+            "mae": float(size[:, i].mean()), "std": float(size[:, i].std()), "mae_low": float(low[i]),
+            "mae_high": float(high[i]), "bias": float(error[:, i].mean()),
+            "rms": float(np.sqrt((error[:, i] ** 2).mean())),
+        }
+        if force_range is not None:
+            table[axis]["mae_percent_of_range"] = float(100 * size[:, i].mean() / force_range[i])
+    return table
+
+
+def cell_table(predicted, labels) -> dict:
+    """Error per cell (n, 3, rows, cols) in N: mean over cells and presses, and the deviation over presses."""
+    per_press = np.abs(predicted - labels).mean((2, 3), dtype=np.float64)
+    return {axis: {"mae": float(per_press[:, i].mean()), "std": float(per_press[:, i].std())}
+            for i, axis in enumerate(AXES)}
+
+
+def by_group(error, groups) -> dict:
+    """MAE and bias per component for each value of `groups` (n,), with the count."""
+    result = {}
+    for name in sorted(set(groups)):
+        part = error[np.asarray(groups) == name]
+        result[str(name)] = {"n": len(part)} | {
+            axis: {"mae": float(np.abs(part[:, i]).mean()), "bias": float(part[:, i].mean())}
+            for i, axis in enumerate(AXES)}
+    return result
+
+
+def force_bins(normal_force, edges) -> list[str]:
+    """Name of the bin of |f_z| that each press lies in, `low-high N`; beyond the last edge `high+ N`."""
+    edges = sorted(edges)
+    names = [f"{low:04.1f}-{high:04.1f} N" for low, high in zip(edges, edges[1:])] + [f"{edges[-1]:04.1f}+ N"]
+    place = np.clip(np.searchsorted(edges, np.abs(normal_force), side="right") - 1, 0, len(names) - 1)
+    return [names[i] for i in place]
+
+
+def constant_guess(train_totals, n: int) -> np.ndarray:
+    """The best constant for the absolute error: the median total force of the training presses, (n, 3)."""
+    return np.tile(np.median(train_totals, axis=0), (n, 1))
+
+
+def linear_on_means(train_means, train_totals, means) -> np.ndarray:
+    """Total force by least squares on the mean colour of an image, (n, 3); fitted to the training presses."""
+    def design(x):
+        return np.column_stack([x, np.ones(len(x))])
+
+    weights, *_ = np.linalg.lstsq(design(train_means), train_totals, rcond=None)
+    return design(means) @ weights
+
+
+def image_means(images, rows) -> np.ndarray:
+    """Mean colour (k, 3) of some rows of images (n, h, w, 3), one image at a time."""
+    return np.stack([images[row].mean((0, 1)) for row in rows])

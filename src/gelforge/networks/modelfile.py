@@ -1,0 +1,96 @@
+"""Model files: tensors and one JSON text, read without executing anything."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import nn
+
+from gelforge.errors import BadInput
+from gelforge.networks.models import build
+
+FORMAT = 1
+KEYS = ("name", "model", "train", "image", "grid", "sensor", "sensors", "data", "normalisation", "statistics")
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A trained network and all that is known about it (`about`, the JSON part of the file)."""
+
+    net: nn.Module
+    about: dict
+
+
+class Reader(nn.Module):
+    """A network with its scales inside: images (n, 3, h, w) in 0..255 to forces (n, 3, rows, cols) in N per cell."""
+
+    def __init__(self, trained: Trained):
+        super().__init__()
+        norm = trained.about["normalisation"]
+        mean, std = torch.tensor(norm["image_mean"]), torch.tensor(norm["image_std"])
+        self.net = trained.net
+        self.register_buffer("gain", (1 / (255 * std)).float().view(1, 3, 1, 1))
+        self.register_buffer("offset", (-mean / std).float().view(1, 3, 1, 1))
+        self.register_buffer("scale", torch.tensor(norm["label"]).float().view(1, 3, 1, 1))
+
+    def forward(self, images):
+        return self.net(images * self.gain + self.offset) * self.scale
+
+
+def save_model(path, trained: Trained) -> None:
+    """Write a model to exactly `path`; the caller publishes it."""
+    tensors = {name: value.detach().cpu().contiguous() for name, value in trained.net.state_dict().items()}
+    about = json.dumps({"format": FORMAT} | trained.about, sort_keys=True, allow_nan=False)
+    torch.save({"about": about, "tensors": tensors}, path)
+
+
+def load_model(path) -> Trained:
+    """Read a model, in evaluation mode on the CPU.
+
+    Raises BadInput for a file that is missing, cut short, of another kind or format, or whose
+    tensors do not fit the network that it describes.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise BadInput(f"{path}: no such model; train one with `make train MODEL=…`")
+    content = read_tensors(path)
+    try:
+        about = json.loads(content["about"])
+        missing = [key for key in KEYS if key not in about]
+        if about.get("format") != FORMAT or missing:
+            raise KeyError(f"format {about.get('format')}, missing {missing}")
+        tensors = content["tensors"]
+    except (KeyError, TypeError, ValueError) as error:
+        raise BadInput(f"{path}: not a gelforge model of format {FORMAT} ({error}); train it again") from None
+    net = build(about["model"], about["image"], about["grid"])
+    try:
+        net.load_state_dict(tensors)
+    except (RuntimeError, AttributeError, TypeError) as error:
+        first = str(error).splitlines()[0]
+        raise BadInput(f"{path}: the tensors do not fit the network it describes ({first}); train it again") from None
+    return Trained(net.eval(), about)
+
+
+def read_tensors(path) -> dict:
+    """Load a file of torch tensors with torch's weights-only reader, which runs no code of the file."""
+    try:
+        return torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # torch raises a dozen kinds for a damaged file, none of them documented
+        raise BadInput(f"{path}: cannot be read as tensors ({type(error).__name__}); the file is damaged or holds "
+                       "code, which is never run: train the model again") from None
+
+
+def require_fit(trained: Trained, data) -> None:
+    """Raise BadInput if a model cannot be used on a dataset: other grid, image size or sensor."""
+    about = trained.about
+    if tuple(about["image"]) != tuple(data.image_size):
+        raise BadInput(f"model {about['name']} reads images of {about['image']}, the dataset has "
+                       f"{list(data.image_size)}: use a model trained on this size")
+    if tuple(about["grid"]) not in (tuple(data.grid), (1, 1)):
+        raise BadInput(f"model {about['name']} writes a grid of {about['grid']}, the dataset has {list(data.grid)}: "
+                       "evaluate it on the dataset of its own RES")
+    sensor = data.info.get("sensor", "")
+    if about["sensor"] and sensor and about["sensor"] != sensor:
+        raise BadInput(f"model {about['name']} was trained for sensor {about['sensor']!r}, the dataset is of "
+                       f"{sensor!r}: train a model for that sensor")

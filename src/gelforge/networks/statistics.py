@@ -1,0 +1,78 @@
+"""How unlike its training images an image is, from a few statistics of the picture."""
+
+import numpy as np
+
+# Smallest standard deviation that a statistic is given, so that a uniform training set does not flag
+# what no eye could tell apart: grey levels for the colours, a dot or two for the count.
+FLOORS = np.array([4.0] * 12 + [2.0] * 3 + [0.15, 2.0, 4.0])
+DOT_AREA = (25, 500)  # pixels at 320 x 240; FEATS' dots have about 106
+DOT_DEPTH = 18  # grey levels below their surroundings
+SHRINKAGE = 0.2
+LEAST_THRESHOLD = 3.0
+MARGIN = 1.5
+
+
+def find_dots(image) -> tuple[int, float]:
+    """Count the dark dots of an image (h, w, 3) uint8 and return their mean depth in grey levels."""
+    import cv2
+
+    grey = image.mean(2).astype(np.uint8)
+    side = max(3, round(25 * image.shape[1] / 320) | 1)
+    depth = cv2.morphologyEx(grey, cv2.MORPH_BLACKHAT, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)))
+    _, mask = cv2.threshold(depth, DOT_DEPTH, 255, cv2.THRESH_BINARY)
+    _, _, boxes, _ = cv2.connectedComponentsWithStats(mask)
+    scale = image.shape[0] * image.shape[1] / (240 * 320)
+    area = boxes[1:, cv2.CC_STAT_AREA]
+    good = (area >= DOT_AREA[0] * scale) & (area <= DOT_AREA[1] * scale)
+    return int(good.sum()), float(depth[mask > 0].mean()) if mask.any() else 0.0
+
+
+def describe(image) -> np.ndarray:
+    """Statistics (18,) of an image (h, w, 3) uint8: quadrant colours, spread, sharpness, dots and their depth."""
+    import cv2
+
+    small = cv2.resize(image, (2, 2), interpolation=cv2.INTER_AREA).astype(float).ravel()
+    spread = image.reshape(-1, 3).std(0)
+    sharpness = np.log(1 + cv2.Laplacian(image.mean(2).astype(np.uint8), cv2.CV_64F).var())
+    return np.array([*small, *spread, sharpness, *find_dots(image)])
+
+
+def fit(train: np.ndarray, held_out: np.ndarray) -> dict:
+    """Fit the reference of `score` to statistics (n, 18) of training images and set the threshold on others.
+
+    The threshold is `MARGIN` times the worst score of held-out images of the same kind, at least
+    `LEAST_THRESHOLD`.
+    """
+    mean = train.mean(0)
+    spread = np.maximum(train.std(0), FLOORS)
+    scaled = (train - mean) / spread
+    covariance = (1 - SHRINKAGE) * (scaled.T @ scaled) / len(train) + SHRINKAGE * np.eye(train.shape[1])
+    model = {"mean": mean.tolist(), "spread": spread.tolist(), "inverse": np.linalg.inv(covariance).tolist()}
+    worst = max((score(model, row) for row in held_out), default=0.0)
+    return model | {"threshold": max(LEAST_THRESHOLD, MARGIN * worst)}
+
+
+def score(model: dict, statistics: np.ndarray) -> float:
+    """Mahalanobis distance of an image's statistics per dimension; about 1 for an image like the training ones."""
+    scaled = (np.asarray(statistics) - model["mean"]) / model["spread"]
+    return float(np.sqrt(scaled @ np.asarray(model["inverse"]) @ scaled / len(scaled)))
+
+
+def fit_to_images(images, train_rows, held_out_rows, most: int = 500) -> dict:
+    """Fit `score`'s reference to at most `most` training and held-out rows of images (n, h, w, 3), evenly picked."""
+    def described(rows):
+        picked = rows[np.linspace(0, len(rows) - 1, min(most, len(rows))).astype(int)]
+        return np.stack([describe(images[row]) for row in picked])
+
+    return fit(described(train_rows), described(held_out_rows))
+
+
+def judge(model: dict, image) -> dict:
+    """Score one image and say whether it is unlike the training images, and in what: `score`, `flag`, `reason`."""
+    statistics = describe(image)
+    value = score(model, statistics)
+    if value <= model["threshold"]:
+        return {"score": value, "flag": False, "reason": ""}
+    off = np.abs(statistics - model["mean"]) / model["spread"]
+    groups = {"colour": off[:12].max(), "contrast": off[12:15].max(), "sharpness": off[15], "dots": off[16:].max()}
+    return {"score": value, "flag": True, "reason": max(groups, key=groups.get)}

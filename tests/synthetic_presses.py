@@ -1,0 +1,60 @@
+"""Small datasets of stage 60 whose images follow from their labels by a made-up but learnable law."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.files import write_csv, write_json
+
+SPLITS = ("train", "val", "test", "test_unseen_indenter", "test_unseen_sensor")
+
+
+def draw_press(rng, image, grid):
+    """One image (h, w, 3) uint8 and its label (3, rows, cols): a bump that shades the picture and moves its dots."""
+    height, width = image
+    place = rng.uniform(0.3, 0.7, 2)
+    spread = rng.uniform(0.10, 0.18)
+    force = np.array([rng.uniform(-2, 2), rng.uniform(-2, 2), -rng.uniform(1, 20)])
+
+    def bump(rows, cols):
+        v, u = np.meshgrid((np.arange(rows) + 0.5) / rows, (np.arange(cols) + 0.5) / cols, indexing="ij")
+        return np.exp(-((v - place[0]) ** 2 + (u - place[1]) ** 2) / (2 * spread**2))
+
+    cells = bump(*grid)
+    label = force[:, None, None] * cells / cells.sum()
+    field = bump(height, width)
+    v, u = np.meshgrid(np.arange(height), np.arange(width), indexing="ij")
+    pitch, travel = height / 7, height / 60
+    du, dv = (u - travel * force[0] * field) / pitch, (v - travel * force[1] * field) / pitch
+    dots = np.exp(-(((du % 1) - 0.5) ** 2 + ((dv % 1) - 0.5) ** 2) * 30)
+    slope = np.gradient(field, axis=(0, 1))
+    light = 120 + 4 * height / 10 * np.stack([slope[0] * force[2], slope[1] * force[2], field * force[2] / height], -1)
+    picture = light * (1 - 0.8 * dots[..., None]) + rng.normal(0, 1.5, (height, width, 3))
+    return np.clip(picture, 0, 255).astype(np.uint8), label.astype(np.float32)
+
+
+def write_dataset(folder, n=48, image=(240, 320), grid=(24, 32), seed=0) -> Path:
+    """Write a dataset of `n` presses with all five splits as stage 60 does; return its folder."""
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    rng = np.random.default_rng(seed)
+    pairs = [draw_press(rng, image, grid) for _ in range(n)]
+    labels = np.stack([label for _, label in pairs])
+    np.save(folder / "images.npy", np.stack([picture for picture, _ in pairs]))
+    np.save(folder / "labels.npy", labels)
+    rows = []
+    for i, total in enumerate(labels.sum((2, 3))):
+        split = "train" if i % 8 < 4 else SPLITS[i % 8 - 3]
+        rows.append({"sample_id": f"p{i:04d}", "indenter": f"ball{i % 3}", "sensor_id": "mini0", "split": split,
+                     "fx_n": total[0], "fy_n": total[1], "fz_n": total[2]})
+    write_csv(folder / "samples.csv", list(rows[0]), rows)
+    write_json(folder / "normalisation.json", {})
+    write_json(folder / "dataset.json", {"name": "made up", "sensor": "gelsight_mini", "grid": list(grid)})
+    return folder
+
+
+SETTINGS = json.loads("""{"epochs": 4, "batch": 8, "learning_rate": 1e-3, "plateau_factor": 0.3,
+ "plateau_patience": 3, "total_weight": 0.3, "seed": 1, "threads": 1, "mixed_precision": true,
+ "checkpoint_seconds": 0.0, "augment": {"probability": 0.5, "noise": 0.05, "brightness": 0.25, "contrast": 0.25,
+ "saturation": 0.25, "hue": 0.1}}""")
