@@ -1,0 +1,210 @@
+"""Penalty contact between a rigid indenter and a gel surface, at Gauss points of the surface faces.
+
+Within a load step points that touch for the first time feel a normal penalty only; points glued
+earlier are held at their anchor, which travels with the indenter. So a step is a smooth problem
+but for new touches. Coulomb's law bounds the tangential force of a glued point by a number that is
+fixed while Newton iterates (Tresca), and updated between solves.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numba import njit
+
+from gelforge.mechanics.element import Pattern, add_block, block_places
+from gelforge.mechanics.mesh import GelMesh
+
+FREE, TOUCHING, GLUED = 0, 1, 2
+
+
+@dataclass
+class ContactState:
+    """Contact at m Gauss points of the surface; positions in mm, tractions in MPa of undeformed area.
+
+    face: (m,) index into mesh.faces. shape: (m, 4) weights of the face's nodes. reference: (m, 3)
+    undeformed position. weights: (m,) mm^2. status: (m,) FREE, TOUCHING or GLUED.
+    anchor: (m, 3) where a glued point is held, in the indenter's frame (nan elsewhere).
+    normal: (m, 3) the indenter's outward normal there, in its frame. bound: (m,) largest tangential
+    traction (inf: no slip). position: (m, 3) deformed. traction: (m, 3) on the gel.
+    """
+
+    face: np.ndarray
+    shape: np.ndarray
+    reference: np.ndarray
+    weights: np.ndarray
+    status: np.ndarray
+    anchor: np.ndarray
+    normal: np.ndarray
+    bound: np.ndarray
+    position: np.ndarray = field(default=None)
+    traction: np.ndarray = field(default=None)
+
+    @property
+    def touching(self) -> np.ndarray:
+        """(m,) bool, points in contact."""
+        return self.status != FREE
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where the indenter's frame stands: rotation (3, 3), translation (3,)."""
+
+    rotation: np.ndarray
+    translation: np.ndarray
+
+    def to_indenter(self, points):
+        return (points - self.translation) @ self.rotation
+
+    def to_gel(self, points):
+        return points @ self.rotation.T + self.translation
+
+    def turn(self, vectors):
+        """Vectors of the indenter's frame in the gel's."""
+        return vectors @ self.rotation.T
+
+
+def gauss_points(order: int) -> tuple[np.ndarray, np.ndarray]:
+    """Local coordinates (order^2, 2) and weights (order^2,) of the Gauss rule on [-1, 1]^2."""
+    x, w = np.polynomial.legendre.leggauss(order)
+    a, b = np.meshgrid(x, x, indexing="ij")
+    return np.stack([a.ravel(), b.ravel()], axis=1), np.outer(w, w).ravel()
+
+
+def contact_points(mesh: GelMesh, order: int, faces: np.ndarray | None = None) -> ContactState:
+    """Free Gauss points (order x order) on the chosen faces of a brick mesh (all by default)."""
+    faces = np.arange(len(mesh.faces)) if faces is None else faces
+    local, weight = gauss_points(order)
+    signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], float)
+    shape = np.prod(1 + local[:, None, :] * signs[None], axis=2) / 4
+    slope = signs[None] * (1 + local[:, None, ::-1] * signs[None, :, ::-1]) / 4
+    corners = mesh.nodes[mesh.faces[faces]]
+    reference = np.einsum("ga,fai->fgi", shape, corners)
+    tangents = np.einsum("gas,fai->fgsi", slope, corners)
+    area = np.linalg.norm(np.cross(tangents[:, :, 0], tangents[:, :, 1]), axis=2) * weight
+    m = area.size
+    return ContactState(
+        face=np.repeat(faces, len(weight)),
+        shape=np.tile(shape, (len(faces), 1)),
+        reference=reference.reshape(-1, 3),
+        weights=area.ravel(),
+        status=np.zeros(m, np.int8),
+        anchor=np.full((m, 3), np.nan),
+        normal=np.full((m, 3), np.nan),
+        bound=np.full(m, np.inf),
+    )
+
+
+@dataclass(frozen=True)
+class Springs:
+    """Tractions of the points in contact, linearised: point (p,) index, traction (p, 3), stiffness (p, 3, 3).
+
+    gap: (p,) signed distance where known (nan for points held at anchors without slip).
+    """
+
+    point: np.ndarray
+    traction: np.ndarray
+    stiffness: np.ndarray
+    gap: np.ndarray
+
+
+def contact_springs(state: ContactState, x: np.ndarray, pose: Pose, indenter, penalty: float, candidates) -> Springs:
+    """Penalty tractions at deformed positions x (m, 3); `candidates` (c,) are the free points within reach."""
+    stuck = np.flatnonzero((state.status == GLUED) & np.isinf(state.bound))
+    sliding = np.flatnonzero((state.status == GLUED) & np.isfinite(state.bound))
+    parts = [_held(state, x, pose, penalty, stuck)]
+    probe = np.concatenate([sliding, candidates])
+    if len(probe):
+        distance, normal = indenter.distance(pose.to_indenter(x[probe]))
+        inside = distance < 0.0
+        parts.append(_pressed(state, x, pose, penalty, probe[inside], distance[inside], normal[inside]))
+    joined = [np.concatenate(arrays) for arrays in zip(*parts)]
+    return Springs(*joined)
+
+
+def _held(state, x, pose, penalty, points):
+    """Springs in all directions to the anchors."""
+    traction = penalty * (pose.to_gel(state.anchor[points]) - x[points])
+    stiffness = np.broadcast_to(penalty * np.eye(3), (len(points), 3, 3))
+    return points, traction, stiffness, np.full(len(points), np.nan)
+
+
+def _pressed(state, x, pose, penalty, points, distance, normal):
+    """Normal penalty, and for glued points a tangential spring that yields at `bound`."""
+    n = pose.turn(normal)
+    stiffness = penalty * n[:, :, None] * n[:, None, :]
+    traction = -penalty * distance[:, None] * n
+    glued = np.flatnonzero(state.status[points] == GLUED)
+    if len(glued):
+        extra, slope = _yielding(state, x, pose, penalty, points[glued], n[glued])
+        traction[glued] += extra
+        stiffness[glued] += slope
+    return points, traction, stiffness, distance
+
+
+def _yielding(state, x, pose, penalty, points, n):
+    """Tangential traction of the potential that is quadratic below the bound and linear above (Huber)."""
+    stretch = pose.to_gel(state.anchor[points]) - x[points]
+    stretch -= np.einsum("pi,pi->p", stretch, n)[:, None] * n
+    length = np.linalg.norm(stretch, axis=1)
+    projector = np.eye(3) - n[:, :, None] * n[:, None, :]
+    slips = penalty * length > state.bound[points]
+    scale = np.where(slips, state.bound[points] / np.maximum(length, 1e-300), penalty)
+    along = stretch / np.maximum(length, 1e-300)[:, None]
+    stiffness = projector - np.where(slips, 1.0, 0.0)[:, None, None] * along[:, :, None] * along[:, None, :]
+    return scale[:, None] * stretch, scale[:, None, None] * stiffness
+
+
+class FacePlaces:
+    """Where the contact stiffness of every surface face goes in the matrix."""
+
+    def __init__(self, mesh: GelMesh, pattern: Pattern):
+        self.nodes = np.ascontiguousarray(mesh.faces, np.int32)
+        self.base, self.width = block_places(pattern, mesh.faces)
+
+    def add(self, state: ContactState, springs: Springs, forces, values) -> None:
+        """Subtract contact forces from `forces` (n, 3) and add their stiffness to `values` (None: forces only)."""
+        points = springs.point
+        face = state.face[points]
+        _add_forces(self.nodes[face], state.shape[points], state.weights[points], springs.traction, forces)
+        if values is not None:
+            _add_stiffness(
+                self.base[face], self.width[face], state.shape[points], state.weights[points],
+                np.ascontiguousarray(springs.stiffness), values,
+            )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def _add_forces(nodes, shape, weights, traction, forces):
+    for p in range(len(weights)):
+        for a in range(4):
+            factor = shape[p, a] * weights[p]
+            for i in range(3):
+                forces[nodes[p, a], i] -= factor * traction[p, i]
+
+
+@njit(cache=True, nogil=True)
+def _add_stiffness(base, width, shape, weights, stiffness, values):
+    block = np.empty((3, 3))
+    for p in range(len(weights)):
+        pair = 0
+        for a in range(4):
+            for b in range(a, 4):
+                factor = shape[p, a] * shape[p, b] * weights[p]
+                for i in range(3):
+                    for k in range(3):
+                        block[i, k] = factor * stiffness[p, i, k]
+                add_block(values, base[p, pair], width[p, pair], block, a == b)
+                pair += 1
+
+
+@njit(cache=True, nogil=True)
+def positions(shape, nodes, x):
+    """Interpolated points (m, 3) from shape (m, 4), nodes (m, 4) and nodal positions x (n, 3)."""
+    out = np.empty((len(shape), 3))
+    for p in range(len(shape)):
+        for i in range(3):
+            total = 0.0
+            for a in range(4):
+                total += shape[p, a] * x[nodes[p, a], i]
+            out[p, i] = total
+    return out
