@@ -22,6 +22,6 @@ $(DATA)/log.csv $(DATA)/dataset.toml:
 
 # $(call step,MODULE ARGUMENTS) is the recipe of every artifact: it writes $@.part, the wrapper publishes it.
 ifeq ($(EXECUTOR),local)
-step = @$(PY) -m gelforge.step $@ -- $(PY) -m $(1)
+step = @$(PY) -m gelforge.step $@ $(filter $D/%,$^) -- $(PY) -m $(1)
 barrier =
 endif

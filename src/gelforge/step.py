@@ -1,6 +1,7 @@
 """The wrapper every recipe runs in: log, cost, and a target that is whole or absent.
 
-`python -m gelforge.step TARGET -- COMMAND…`: COMMAND writes TARGET.part; this renames it on success.
+`python -m gelforge.step TARGET INPUT… -- COMMAND…`: COMMAND writes TARGET.part; this renames it on
+success. An input that lost bytes since it was made is made again first, by the command that made it.
 """
 
 import ctypes
@@ -14,7 +15,7 @@ import sys
 import time
 from pathlib import Path
 
-from gelforge.files import write_json
+from gelforge.files import read_json, write_json
 
 PR_SET_PDEATHSIG = 1  # linux/prctl.h
 TAIL_LINES = 20
@@ -63,7 +64,7 @@ def run(command: list[str], log_path: Path) -> tuple[int, dict]:
         code = child.wait()
     usage = resource.getrusage(resource.RUSAGE_CHILDREN)
     cost = {
-        "command": " ".join(command), "exit_code": code, "started": started,
+        "command": command, "exit_code": code, "started": started,
         "seconds": round(time.time() - started, 3), "cpu_seconds": round(usage.ru_utime + usage.ru_stime, 3),
         "peak_mib": round(usage.ru_maxrss / 1024, 1),
     }
@@ -76,39 +77,63 @@ def report_failure(target: Path, log_path: Path, code: int) -> None:
     print(f"FAILED {target} (exit {code}); log: {log_path}", *(f"  | {line}" for line in lines), sep="\n", flush=True)
 
 
-def build(target: Path, command: list[str]) -> int:
-    """Make one target: lock, run, publish; return the exit code."""
+def heal(path: Path) -> int:
+    """Make an input again if it does not have the bytes it was published with; return the exit code."""
+    metrics = mirror(path, "metrics", ".json")
+    if not (metrics.exists() and path.is_file()):
+        return 0
+    made = read_json(metrics)
+    if made["exit_code"] or path.stat().st_size == made["bytes"]:
+        return 0
+    print(f"{path}: {path.stat().st_size} bytes, {made['bytes']} when it was made; making it again", flush=True)
+    return build(path, [Path(name) for name in made["inputs"]], made["command"])
+
+
+def build(target: Path, inputs: list[Path], command: list[str]) -> int:
+    """Make one target: heal its inputs, lock, run, publish; return the exit code."""
     started = time.time()
+    for path in inputs:
+        code = heal(path)
+        if code:
+            return code
     log_path = mirror(target, "logs", ".log")
     for folder in (target.parent, log_path.parent):
         folder.mkdir(parents=True, exist_ok=True)
-    part = Path(f"{target}.part")
     with log_path.with_suffix(".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         # A second make that waited here finds the work of the first one done.
         if target.exists() and target.stat().st_mtime >= started:
             return 0
-        code, cost = run(command, log_path)
-        if code == 0 and not part.exists():
-            print(f"{target}: the command succeeded but wrote no {part}")
-            code = cost["exit_code"] = 1
-        write_json(mirror(target, "metrics", ".json"), cost)
-        if code:
-            shutil.rmtree(part, ignore_errors=True) if part.is_dir() else part.unlink(missing_ok=True)
-            report_failure(target, log_path, code)
-            return code if 0 < code < 126 else 1
-        os.replace(part, target)
+        return make_part(target, inputs, command, log_path)
+
+
+def make_part(target: Path, inputs: list[Path], command: list[str], log_path: Path) -> int:
+    """Run the command and publish what it wrote, with its cost; return the exit code."""
+    part = Path(f"{target}.part")
+    code, cost = run(command, log_path)
+    if code == 0 and not part.exists():
+        print(f"{target}: the command succeeded but wrote no {part}")
+        code = cost["exit_code"] = 1
+    cost["inputs"] = [str(path) for path in inputs]
+    cost["bytes"] = part.stat().st_size if code == 0 else 0
+    write_json(mirror(target, "metrics", ".json"), cost)
+    if code:
+        shutil.rmtree(part, ignore_errors=True) if part.is_dir() else part.unlink(missing_ok=True)
+        report_failure(target, log_path, code)
+        return code if 0 < code < 126 else 1
+    os.replace(part, target)
     print(f"{target}  {cost['seconds']:.1f} s, {cost['peak_mib']:.0f} MiB", flush=True)
     return 0
 
 
 def main(argv=None) -> int:
     argv = sys.argv[1:] if argv is None else argv
-    if len(argv) < 3 or argv[1] != "--":
-        print("usage: python -m gelforge.step TARGET -- COMMAND…", file=sys.stderr)
+    if "--" not in argv[1:-1]:
+        print("usage: python -m gelforge.step TARGET INPUT… -- COMMAND…", file=sys.stderr)
         return 2
+    split = argv.index("--")
     try:
-        return build(Path(argv[0]), argv[2:])
+        return build(Path(argv[0]), [Path(name) for name in argv[1:split]], argv[split + 1 :])
     except OSError as error:
         print(f"{argv[0]}: {error.strerror}: {error.filename}; free space or permissions, then run make again")
         return 1

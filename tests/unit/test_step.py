@@ -76,3 +76,19 @@ def test_two_wrappers_of_one_target_work_once(tmp_path):
     first, second = start(target, *command), start(target, *command)
     assert first.wait(60) == 0 and second.wait(60) == 0
     assert count.read_text() == "ran\n" and target.read_text() == "made\n"
+
+
+def test_an_input_that_lost_bytes_is_made_again(tmp_path):
+    first, second = tmp_path / "results/d/30_fea/0000.csv", tmp_path / "results/d/40_forces/0000.npz"
+    assert wrapped(first, "bash", "-c", f"echo whole > {first}.part")[0] == 0
+    first.write_text("wh")
+    code, said = inputs_wrapped(second, first, "bash", "-c", f"cp {first} {second}.part")
+    assert code == 0 and "making it again" in said
+    assert first.read_text() == second.read_text() == "whole\n"
+
+
+def inputs_wrapped(target, source, *command):
+    done = subprocess.run(
+        [sys.executable, "-m", "gelforge.step", str(target), str(source), "--", *command], capture_output=True, text=True
+    )
+    return done.returncode, done.stdout
