@@ -239,6 +239,7 @@ class _Run:
     residual: float = np.inf
     springs: object = None
     history: list = field(default_factory=list)
+    curve: list = field(default_factory=list)
 
     def __post_init__(self):
         material = self.scene.material
@@ -309,6 +310,8 @@ class _Run:
         start = (x, before, gap, self._points(predicted))
         self.u = u
         self.steps += 1
+        total = self.state.weights[self.springs.point] @ self.springs.traction
+        self.curve.append([float(t_next), *(float(f) for f in total)])
         self._glue(start, after)
         return used
 
@@ -489,6 +492,8 @@ class _Run:
         """Forces, evidence and contact state."""
         forces = np.zeros_like(self.u)
         evidence = _evidence(self.residual, np.nan, np.nan, np.nan, self.iterations, self.rounds, self.steps)
+        # Converged load steps as [path parameter, fx, fy, fz]: one solve is a whole force-depth curve.
+        evidence["path"] = self.curve
         if status is Status.OK:
             self.system.faces.add(self.state, self.springs, forces, None)
             forces *= -1.0
