@@ -1,1 +1,1 @@
-"""Nodal forces to label grids, as one sparse matrix."""
+"""Force on a gel's surface to cells of an image grid: projection, exact clipping, one sparse matrix."""

@@ -1,0 +1,100 @@
+"""Sensors: where a point of the gel appears in the image."""
+
+import json
+import tomllib
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.geometry.gel import Gel
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """One sensor unit.
+
+    projection: (3, 3), homography from gel mm (x, y, 1) to pixel (u, v, 1), u right and v down.
+    image: (width, height) in pixels. markers: what is known of the printed dots, see sensors.toml.
+    """
+
+    name: str
+    image: tuple[int, int]
+    projection: np.ndarray
+    gel: str = "gelsight_mini"
+    markers: dict = field(default_factory=dict)
+
+    def project(self, points: np.ndarray) -> np.ndarray:
+        """Pixels (..., 2) of gel points (..., 2 or more) in mm; only x and y are looked at."""
+        return transform(self.projection, points)
+
+    def unproject(self, pixels: np.ndarray) -> np.ndarray:
+        """Gel points (x, y) in mm, (..., 2), of pixels (..., 2)."""
+        return transform(np.linalg.inv(self.projection), pixels)
+
+
+def transform(homography: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Points (..., 2) under a homography (3, 3); a row of more than two numbers loses the rest."""
+    points = np.asarray(points, float)[..., :2]
+    mapped = points @ homography[:, :2].T + homography[:, 2]
+    return mapped[..., :2] / mapped[..., 2:]
+
+
+def check_projection(homography: np.ndarray, where: str, gel: Gel | None = None) -> None:
+    """Raise BadInput unless the homography is finite and neither folds nor flips the gel.
+
+    The camera looks at the gel from below with v down, so the map from (x, y) to (u, v) has a negative
+    Jacobian everywhere; a positive one is a mirrored image. It folds where the line that maps to
+    infinity crosses the gel (Hartley and Zisserman, Multiple View Geometry, section 2.3).
+    """
+    gel = gel or Gel()
+    homography = np.asarray(homography, float)
+    if homography.shape != (3, 3) or not np.isfinite(homography).all():
+        raise BadInput(f"{where}: the projection must be 3 x 3 finite numbers, it is {homography.tolist()}")
+    half = np.array([gel.width, gel.length]) / 2
+    corners = half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    scale = corners @ homography[2, :2] + homography[2, 2]
+    if scale.min() * scale.max() <= 0:
+        raise BadInput(f"{where}: the projection folds the gel (its line to infinity crosses the"
+                       f" {gel.width:g} x {gel.length:g} mm outline); check the correspondences and run make projection")
+    jacobian = np.linalg.det(homography) / scale**3  # of the map at each corner, section 2.4
+    size = np.abs(homography[:2]).max() / np.abs(scale).max()
+    if (np.abs(jacobian) <= 1e-9 * size**2).any():
+        raise BadInput(f"{where}: the projection is singular, it maps the gel onto a line; give points that span an area")
+    if (jacobian > 0).any():
+        raise BadInput(f"{where}: the projection flips the gel (positive Jacobian: the image would be mirrored);"
+                       " exchange u or v, or x and y, in the correspondences, or mirror the image back")
+
+
+def load_sensors(path) -> dict[str, Sensor]:
+    """Read sensors.toml (or its slice, .json) into {name: Sensor}; BadInput names a bad entry and its field."""
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+        tables = json.loads(text) if Path(path).suffix == ".json" else tomllib.loads(text)
+    except (OSError, ValueError) as error:
+        raise BadInput(f"{path}: cannot be read as sensors ({error}); correct it") from error
+    return {name: _sensor(path, name, table) for name, table in tables.items()}
+
+
+def find_sensor(sensors: dict, name: str, where: str) -> Sensor:
+    """The sensor called `name`; one that is not there raises BadInput with those that are."""
+    if name not in sensors:
+        raise BadInput(f"{where}: sensor {name!r} is not in workflow/sensors.toml (it has {', '.join(sorted(sensors))});"
+                       " add it there, or correct sensor_id in the log")
+    return sensors[name]
+
+
+def _sensor(path, name, table) -> Sensor:
+    where = f"{path}: [{name}]"
+    if not isinstance(table, dict) or not {"image", "projection"} <= set(table):
+        raise BadInput(f"{where}: needs image = [width, height] and projection = three rows of three numbers")
+    image = table["image"]
+    if not (isinstance(image, list) and len(image) == 2 and all(type(n) is int and 0 < n <= 10_000 for n in image)):
+        raise BadInput(f"{where}: image is {image!r}; write [width, height] in pixels, two positive whole numbers")
+    try:
+        projection = np.array(table["projection"], float)
+    except (TypeError, ValueError) as error:
+        raise BadInput(f"{where}: projection {table['projection']!r} is not three rows of three numbers") from error
+    check_projection(projection, f"{where} projection")
+    return Sensor(name, tuple(image), projection, table.get("gel", "gelsight_mini"), table.get("markers", {}))
