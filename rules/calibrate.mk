@@ -1,0 +1,9 @@
+# Branch calibrate: posterior of C10 and of what the bench does to the measurement, from the log's forces.
+# Solves, chain and pictures lie beside the summary, which is published last.
+POSTERIOR := $D/calibrate/summary.json
+
+.PHONY: calibrate
+calibrate: $(POSTERIOR)  ## posterior of C10, touch offset, compliance and friction from the log's force readings
+
+$(POSTERIOR): $(DATA)/log.csv $P/calibrate.json $P/indenters.json $(POSES)
+	$(call step,gelforge.calibrate --data $(DATA) --poses $D/10_poses --params $P/calibrate.json --work $D/calibrate --jobs $(JOBS) --out $@.part)

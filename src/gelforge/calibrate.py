@@ -1,0 +1,232 @@
+"""Branch calibrate: posterior of the gel's C10 and of what the rig does to the measurement."""
+
+import argparse
+import os
+import sys
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.calibration import plots, summary
+from gelforge.calibration.parameters import Model, compared_models, make_model, read_prior
+from gelforge.calibration.posterior import Posterior
+from gelforge.calibration.readings import Readings, check_enough, check_readings, choose_presses, read_readings
+from gelforge.calibration.sampling import Chain, Rules, sample
+from gelforge.config import read_toml
+from gelforge.errors import BadInput
+from gelforge.files import read_csv, read_json, write_json
+
+VERSION = 1
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A finished calibration: headline posterior and chain, all compared ones, and the readings used."""
+
+    readings: Readings
+    posterior: Posterior
+    chain: Chain
+    compared: list
+
+
+def sampling_rules(params: dict) -> Rules:
+    """Rules from the table [calibrate]."""
+    low, high = params["acceptance"]
+    return Rules(
+        params["walkers"], params["seed"], params["autocorrelation_times"], (low, high), params["split_rhat"],
+        params["max_steps"],
+    )  # fmt: skip
+
+
+def friction_nodes(params: dict) -> list[float]:
+    """Friction coefficients that are solved: frictionless, those of the table, no slip."""
+    inner = sorted(float(mu) for mu in params["friction_nodes"])
+    if any(not 0.0 < mu < np.inf for mu in inner):
+        raise BadInput(f"[calibrate] friction_nodes is {inner}; give positive coefficients (0 and no slip are implied)")
+    return [0.0, *inner, np.inf]
+
+
+def poisson_nodes(params: dict, nu: float) -> list[float]:
+    """Poisson's ratios that are solved: one, or three over the prior where it is free."""
+    table = params["priors"]["nu"]
+    if not table["free"]:
+        return [nu]
+    low, middle, high = read_prior("nu", table).quantile(np.array([0.01, 0.5, 0.99]))
+    return [float(min(v, 0.4995)) for v in (low, middle, high)]
+
+
+def served(readings: Readings, params: dict) -> np.ndarray:
+    """Force components that serve, (n, 3) N: sideways ones of sheared presses only where wanted, else nan."""
+    observed = readings.force.copy()
+    if not params["shear"]:
+        observed[:, :2] = np.nan
+    else:
+        observed[~readings.sheared, :2] = np.nan
+    return observed
+
+
+def calibrate(readings: Readings, emulator, params: dict, nu: float, chain_path=None, say=None) -> Calibration:
+    """Sample the chosen model and all compared ones on the same readings."""
+    rules = sampling_rules(params)
+    observed = served(readings, params)
+
+    def posterior_of(model: Model) -> Posterior:
+        return Posterior(emulator, model, readings.depth, observed, params["tail"], params["model_error"])
+
+    params = {**params, "priors": {**params["priors"], "nu": {"fixed": nu, **params["priors"]["nu"]}}}
+    headline = posterior_of(make_model(params, params["law"]))
+    check_enough(int(np.isfinite(observed).sum()), headline.model)
+    chain = sample(headline, rules, chain_path, say)
+    refuse_beyond(headline, chain)
+    compared = []
+    for model in compared_models(params) if params["compare"] else []:
+        if model.name == headline.model.name:
+            compared.append((headline, chain))
+        else:
+            posterior = posterior_of(model)
+            compared.append((posterior, sample(posterior, rules, None, say)))
+    return Calibration(readings, headline, chain, compared or [(headline, chain)])
+
+
+def refuse_beyond(posterior: Posterior, chain: Chain) -> None:
+    """Refuse a posterior that presses deeper than the emulator was solved."""
+    values = posterior.model.values(chain.flat(1000))
+    _, depth = posterior.emulator.forces(posterior.depth, values)
+    beyond = float((depth > posterior.emulator.top).mean())
+    if beyond > 0.02:
+        raise BadInput(
+            f"{100 * beyond:.0f} % of the posterior presses deeper than the emulator's solves go; raise [calibrate] "
+            "reach_mm or narrow the prior of the touch offset"
+        )
+
+
+def summarise(done: Calibration, params: dict) -> dict:
+    """Everything that summary.json holds but the solves and the plots."""
+    posterior, chain = done.posterior, done.chain
+    parameters = summary.parameter_table(chain, posterior.model)
+    correlation = summary.correlations(chain, posterior.model)
+    mean, scale, _ = summary.predictions(chain, posterior)
+    models = summary.score_models(done.compared)
+    for name, row in parameters.items():
+        row["reason"] = params["priors"][name].get("reason", "")
+    said = summary.sentences(parameters, correlation, models, posterior.model.name)
+    return {
+        "c10": summary.describe(posterior.model.values(chain.flat())["c10"]),
+        "unit": "MPa",
+        "model": posterior.model.name,
+        "parameters": parameters,
+        "correlations": correlation,
+        "diagnostics": {"model": posterior.model.name, **asdict(chain.figures)},
+        "models": models,
+        "presses": len(done.readings),
+        "readings": int(np.isfinite(posterior.observed).sum()),
+        "predictive_mae_n": summary.predictive_error(mean, posterior.observed),
+        "outliers": summary.find_outliers(done.readings, mean, scale, posterior.observed, params["outlier_scales"]),
+        "sentences": said,
+        "sentence": said[0],
+        "comparison": " ".join(said[1:]),
+    }
+
+
+def draw_bands(done: Calibration, most: int = 6) -> list:
+    """Predictive bands of the normal force for the deepest press of each indenter; see plots.predictive_plot."""
+    readings, posterior = done.readings, done.posterior
+    rng = np.random.default_rng(0)
+    coordinates = done.chain.flat(600)
+    values = posterior.model.values(coordinates)
+    bands = []
+    for name in np.unique(readings.indenters)[:most]:
+        members = np.flatnonzero(readings.indenters == name)
+        deepest = members[np.argmax(readings.depth[members])]
+        grid = np.linspace(0.0, readings.depth[deepest], 60)
+        one = posterior.emulator.take(np.full(len(grid), deepest))
+        forces, _ = one.forces(grid, values)
+        scale = posterior.scale(forces, values["noise"])
+        fresh = -forces[:, :, 2] + scale * rng.standard_t(posterior.tail, scale.shape)
+        same = members[np.abs(readings.pose[members][:, [0, 1, 6]] - readings.pose[deepest, [0, 1, 6]]).max(axis=1) < 0.01]
+        quantiles = np.quantile(fresh, [0.025, 0.16, 0.5, 0.84, 0.975], axis=0)
+        bands.append((str(name), grid, quantiles, readings.depth[same], -readings.force[same, 2]))
+    return bands
+
+
+def draw_plots(done: Calibration, folder: Path, chain_path) -> None:
+    """Corner plot, predictive bands, trace and autocorrelation, as PNG in `folder`."""
+    posterior, chain = done.posterior, done.chain
+    mean, scale, _ = summary.predictions(chain, posterior)
+    plots.corner_plot(folder / "corner.png", chain, posterior.model)
+    with np.load(chain_path, allow_pickle=False) as file:
+        plots.trace_plot(folder / "trace.png", file["coordinates"], chain.figures.burn, posterior.model)
+    plots.autocorrelation_plot(folder / "autocorrelation.png", chain, posterior.model)
+    plots.predictive_plot(
+        folder / "predictive.png", draw_bands(done), readings_depth(done), posterior.observed, mean, scale,
+        done.readings.indenters,
+    )  # fmt: skip
+
+
+def readings_depth(done: Calibration) -> np.ndarray:
+    return done.readings.depth
+
+
+def say_figures(figures) -> None:
+    """One line on how far a chain has come."""
+    print(
+        f"chain: {figures.steps} steps, {figures.taus:.0f} autocorrelation times kept, acceptance "
+        f"{figures.acceptance:.2f}, split R-hat {figures.rhat:.4f}",
+        file=sys.stderr, flush=True,
+    )  # fmt: skip
+
+
+def hex_settings(params: dict):
+    """Settings of the solver behind the emulator, from [calibrate.solver]."""
+    from gelforge.mechanics.hex import HexSettings
+
+    return HexSettings(**params["solver"])
+
+
+def load_rejected(folder: Path | None) -> set:
+    """Sample ids that stage 10 rejected for anything but their image, which a calibration does not look at."""
+    tables = sorted(folder.glob("*.rejected.csv")) if folder else []
+    return {row["sample_id"] for path in tables for row in read_csv(path) if row["column"] != "image"}
+
+
+def main(argv=None) -> int:
+    from gelforge.calibration.solves import SolveCache, build_emulator, make_plan
+    from gelforge.geometry.indenters import load_catalogue
+
+    parser = argparse.ArgumentParser(prog="gelforge.calibrate", description=__doc__.splitlines()[0])
+    parser.add_argument("--data", type=Path, required=True, help="data/DATASET, with log.csv and dataset.toml")
+    parser.add_argument("--workflow", type=Path, default=Path("workflow"))
+    parser.add_argument("--poses", type=Path, help="results/DATASET/10_poses: rows rejected there do not serve")
+    parser.add_argument("--params", type=Path, required=True, help="JSON slice with tables calibrate and material")
+    parser.add_argument("--work", type=Path, required=True, help="folder for solves, chain and plots")
+    parser.add_argument("--jobs", type=int, default=min(2, os.cpu_count() or 1), help="solves at a time")
+    parser.add_argument("--out", type=Path, required=True, help="summary.json")
+    args = parser.parse_args(argv)
+    tables = read_json(args.params)
+    params, nu = tables["calibrate"], float(tables["material"]["nu"])
+
+    logged = read_readings(args.data / "log.csv", load_rejected(args.poses))
+    check_readings(logged)
+    readings = logged.take(choose_presses(logged, params["max_presses"]))
+    file = args.workflow / read_toml(args.data / "dataset.toml").get("catalogue", "indenters.toml")
+    catalogue = load_catalogue(file, sorted(set(readings.indenters.tolist())))
+    cache = SolveCache(args.work / "solves", catalogue, hex_settings(params))
+    plan = make_plan(readings, params["reach_mm"], params["shear_depths"])
+    emulator = build_emulator(plan, cache, friction_nodes(params), poisson_nodes(params, nu), args.jobs)
+    done = calibrate(readings, emulator, params, nu, args.work / "chain.npz", say_figures)
+    draw_plots(done, args.work, args.work / "chain.npz")
+    result = summarise(done, params)
+    result["solves_spent"] = cache.spent
+    result["presses_logged"] = len(logged)
+    write_json(args.out, result)
+    print("\n".join([*result["sentences"], f"{cache.spent['total']} finite element solves, {cache.new} of them new."]))
+    for row in result["outliers"]:
+        print(f"outlier: {row}")
+    return 0
+
+
+if __name__ == "__main__":
+    from gelforge.cli import exit_with
+
+    exit_with(main)

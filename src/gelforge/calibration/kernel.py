@@ -1,0 +1,55 @@
+"""Compiled evaluation of the emulator's tables for all walkers and presses."""
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, fastmath=False)
+def evaluate(table, top, nu_nodes, depth, scale, offset, compliance, friction, nu):
+    """Forces (w, n, 3) N and effective depths (w, n) mm; see Emulator.forces.
+
+    friction: (w,) position on the friction axis in grid steps. All other (w,) in their own units.
+    With the force linear between grid depths d_j, the commanded depth that ends at d_j is
+    d_j - offset + compliance |f_j|, which increases with j: one bisection finds the interval and
+    the answer in it is exact.
+    """
+    walkers, presses = scale.size, depth.size
+    grid = table.shape[3]
+    forces = np.zeros((walkers, presses, 3))
+    depths = np.zeros((walkers, presses))
+    for w in range(walkers):
+        m = min(max(int(friction[w]), 0), table.shape[2] - 2)
+        fm = friction[w] - m
+        k = 0
+        while k + 2 < nu_nodes.size and nu[w] > nu_nodes[k + 1]:
+            k += 1
+        k2 = min(k + 1, nu_nodes.size - 1)
+        fk = 0.0 if k2 == k else (nu[w] - nu_nodes[k]) / (nu_nodes[k2] - nu_nodes[k])
+        w00, w01 = (1 - fk) * (1 - fm) * scale[w], (1 - fk) * fm * scale[w]
+        w10, w11 = fk * (1 - fm) * scale[w], fk * fm * scale[w]
+        for p in range(presses):
+            a, b, c, d = table[p, k, m], table[p, k, m + 1], table[p, k2, m], table[p, k2, m + 1]
+            step = top[p] / (grid - 1)
+            target = depth[p] + offset[w]
+            if target <= 0.0:
+                depths[w, p] = target
+                continue
+            low, high = 0, grid - 1
+            while high - low > 1:
+                j = (low + high) // 2
+                f = w00 * a[j, 2] + w01 * b[j, 2] + w10 * c[j, 2] + w11 * d[j, 2]
+                if j * step + compliance[w] * abs(f) <= target:
+                    low = j
+                else:
+                    high = j
+            f0 = w00 * a[low, 2] + w01 * b[low, 2] + w10 * c[low, 2] + w11 * d[low, 2]
+            f1 = w00 * a[high, 2] + w01 * b[high, 2] + w10 * c[high, 2] + w11 * d[high, 2]
+            c0 = low * step + compliance[w] * abs(f0)
+            c1 = high * step + compliance[w] * abs(f1)
+            t = (target - c0) / (c1 - c0)
+            depths[w, p] = (low + t) * step
+            for i in range(3):
+                g0 = w00 * a[low, i] + w01 * b[low, i] + w10 * c[low, i] + w11 * d[low, i]
+                g1 = w00 * a[high, i] + w01 * b[high, i] + w10 * c[high, i] + w11 * d[high, i]
+                forces[w, p, i] = (1 - t) * g0 + t * g1
+    return forces, depths

@@ -1,0 +1,169 @@
+"""Parameters of the calibration, their priors, and the interface and rig models compared."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gelforge.errors import BadInput
+
+NAMES = ("c10", "offset", "compliance", "mu", "noise", "discretisation", "nu")
+LABELS = {
+    "c10": "C10 (MPa)",
+    "offset": "touch offset (mm)",
+    "compliance": "frame compliance (mm/N)",
+    "mu": "friction coefficient",
+    "noise": "noise (N)",
+    "discretisation": "emulator scale",
+    "nu": "Poisson's ratio",
+}
+LAWS = ("frictionless", "coulomb", "no_slip")
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Prior of one parameter; walkers move in a coordinate of it: its logarithm for the kinds named log….
+
+    kind: "normal" (mean, spread), "lognormal" (median, spread of the logarithm), "halfnormal"
+    (spread; values below zero excluded), "uniform" or "loguniform" (low, high).
+    """
+
+    kind: str
+    a: float
+    b: float
+
+    @property
+    def informative(self) -> bool:
+        """Whether the prior alone bounds the parameter to a region it prefers."""
+        return self.kind in ("normal", "lognormal", "halfnormal")
+
+    @property
+    def logarithmic(self) -> bool:
+        return self.kind in ("lognormal", "loguniform")
+
+    def value(self, coordinate):
+        """Parameter values from walkers' coordinates, any shape."""
+        return np.exp(coordinate) if self.logarithmic else np.asarray(coordinate)
+
+    def log_density(self, coordinate) -> np.ndarray:
+        """Log density in the coordinate, up to a constant; -inf outside the support."""
+        x = np.asarray(coordinate, float)
+        if self.kind == "halfnormal":
+            return np.where(x >= 0.0, -0.5 * (x / self.b) ** 2, -np.inf)
+        if self.informative:
+            centre = np.log(self.a) if self.logarithmic else self.a
+            return -0.5 * ((x - centre) / self.b) ** 2
+        low, high = (np.log(self.a), np.log(self.b)) if self.logarithmic else (self.a, self.b)
+        return np.where((x >= low) & (x <= high), 0.0, -np.inf)
+
+    def draw(self, rng: np.random.Generator, size) -> np.ndarray:
+        """Coordinates drawn from the prior, (size,)."""
+        return self.quantile(rng.random(size))
+
+    def quantile(self, u) -> np.ndarray:
+        """Coordinates at probabilities `u` of the prior."""
+        from scipy.special import ndtri
+
+        u = np.asarray(u, float)
+        if self.kind == "halfnormal":
+            return self.b * ndtri(0.5 + 0.5 * u)
+        if self.informative:
+            return (np.log(self.a) if self.logarithmic else self.a) + self.b * ndtri(u)
+        low, high = (np.log(self.a), np.log(self.b)) if self.logarithmic else (self.a, self.b)
+        return low + (high - low) * u
+
+
+# kind -> the two keys of its table; a halfnormal has no first number.
+KEYS = {
+    "normal": ("mean", "spread"),
+    "lognormal": ("median", "spread"),
+    "halfnormal": (None, "spread"),
+    "uniform": ("low", "high"),
+    "loguniform": ("low", "high"),
+}
+
+
+def read_prior(name: str, table: dict) -> Prior:
+    """Prior from its table [calibrate.priors.NAME]; a wrong kind, key or number raises BadInput."""
+    where = f"workflow/params.toml: [calibrate.priors.{name}]"
+    kind = table.get("kind")
+    if kind not in KEYS:
+        raise BadInput(f"{where}: kind is {kind!r}; use one of {', '.join(KEYS)}")
+    try:
+        a, b = (float(table[key]) if key else 0.0 for key in KEYS[kind])
+    except (KeyError, TypeError, ValueError) as error:
+        raise BadInput(f"{where}: a {kind} prior needs the numbers {KEYS[kind]}; seen {table}") from error
+    bounded = kind in ("uniform", "loguniform")
+    if not np.isfinite([a, b]).all() or (bounded and a >= b) or (not bounded and b <= 0):
+        raise BadInput(f"{where}: {table} has no width; raise `{KEYS[kind][1]}`")
+    if kind in ("lognormal", "loguniform") and a <= 0:
+        raise BadInput(f"{where}: `{KEYS[kind][0]}` is {a}; a logarithmic prior needs a positive one")
+    return Prior(kind, a, b)
+
+
+@dataclass(frozen=True)
+class Model:
+    """One hypothesis: an interface law, and which parameters are free.
+
+    free: {name: Prior} in the order of NAMES. fixed: {name: value} of all others.
+    """
+
+    law: str
+    free: dict
+    fixed: dict
+
+    @property
+    def name(self) -> str:
+        rig = [part for part in ("offset", "compliance") if part in self.free]
+        return self.law + "".join(f"+{part}" for part in rig)
+
+    @property
+    def names(self) -> tuple:
+        return tuple(self.free)
+
+    def values(self, coordinates) -> dict:
+        """Every parameter as an array (w,) from coordinates (w, free)."""
+        coordinates = np.atleast_2d(coordinates)
+        values = {name: np.full(len(coordinates), value) for name, value in self.fixed.items()}
+        for column, (name, prior) in enumerate(self.free.items()):
+            values[name] = prior.value(coordinates[:, column])
+        return values
+
+    def log_prior(self, coordinates) -> np.ndarray:
+        """Sum of the log densities, (w,)."""
+        return sum(prior.log_density(coordinates[:, i]) for i, prior in enumerate(self.free.values()))
+
+    def draw(self, rng: np.random.Generator, size: int) -> np.ndarray:
+        """Coordinates drawn from the priors, (size, free)."""
+        return np.stack([prior.draw(rng, size) for prior in self.free.values()], axis=1)
+
+
+def make_model(params: dict, law: str, without=()) -> Model:
+    """Model of `law` from the table [calibrate]; parameters named in `without` are held at no effect.
+
+    A parameter is free where its prior's `free` is true; otherwise it stays at `fixed`.
+    """
+    if law not in LAWS:
+        raise BadInput(f"workflow/params.toml: [calibrate] law is {law!r}; use one of {', '.join(LAWS)}")
+    free, fixed = {}, {}
+    for name in NAMES:
+        table = params["priors"].get(name)
+        if table is None:
+            raise BadInput(f"workflow/params.toml: table [calibrate.priors.{name}] is missing")
+        if name == "mu" and law != "coulomb":
+            fixed[name] = 0.0 if law == "frictionless" else np.inf
+        elif name in without:
+            fixed[name] = 0.0
+        elif table.get("free", True):
+            free[name] = read_prior(name, table)
+        elif "fixed" in table:
+            fixed[name] = float(table["fixed"])
+        else:
+            raise BadInput(f"[calibrate.priors.{name}]: free = false needs `fixed`, the value it is held at")
+    return Model(law, free, fixed)
+
+
+def compared_models(params: dict) -> list[Model]:
+    """Every law with and without touch offset and compliance."""
+    rigs = [(), ("compliance",), ("offset",), ("offset", "compliance")]
+    models = [make_model(params, law, without) for law in LAWS for without in rigs]
+    return list({model.name: model for model in models}.values())

@@ -1,0 +1,182 @@
+"""Force readings of a raw log, and the faults that would make a calibration meaningless."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.files import read_csv
+from gelforge.mechanics.scene import Press
+
+NUMBERS = ("x0_mm", "y0_mm", "z0_mm", "dx_mm", "dy_mm", "dz_mm", "rot_deg")
+FORCES = ("fx_n", "fy_n", "fz_n")
+
+
+@dataclass(frozen=True)
+class Readings:
+    """n presses with a force reading each.
+
+    rows: (n,) line numbers in the log. ids, indenters: (n,) str. pose: (n, 7) in the order of NUMBERS.
+    force: (n, 3) N on the gel; nan where a sideways component was not logged.
+    """
+
+    source: str
+    rows: np.ndarray
+    ids: np.ndarray
+    indenters: np.ndarray
+    pose: np.ndarray
+    force: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def take(self, index) -> "Readings":
+        return Readings(
+            self.source, self.rows[index], self.ids[index], self.indenters[index], self.pose[index], self.force[index]
+        )
+
+    @property
+    def depth(self) -> np.ndarray:
+        """Commanded depth, (n,) mm, positive into the gel."""
+        return -self.pose[:, 5]
+
+    @property
+    def sheared(self) -> np.ndarray:
+        """Whether the press moves sideways, (n,) bool."""
+        return np.hypot(self.pose[:, 3], self.pose[:, 4]) > 0
+
+    def press(self, i: int, depth: float) -> Press:
+        """Path of press i to another depth."""
+        x0, y0, z0, dx, dy, _, rot = (float(v) for v in self.pose[i])
+        return Press(x0, y0, z0, dx, dy, -depth, rot)
+
+    def name(self, index) -> str:
+        """Rows for an error message, at most five."""
+        index = np.atleast_1d(index)
+        shown = ", ".join(f"row {self.rows[i]} ({self.ids[i]})" for i in index[:5])
+        return shown + (f" and {len(index) - 5} more" if len(index) > 5 else "")
+
+
+def _number(row: dict, column: str, where: str) -> float:
+    text = (row.get(column) or "").strip()
+    try:
+        value = float(text)
+    except ValueError as error:
+        raise BadInput(f"{where}, column {column}: {text!r} is not a number; mend the log") from error
+    if not np.isfinite(value):
+        raise BadInput(f"{where}, column {column}: {text!r} is not finite; mend the log or leave the force empty")
+    return value
+
+
+def read_readings(log, known_bad=()) -> Readings:
+    """Read every row of a raw log that has a normal force; rows without one do not serve.
+
+    known_bad: sample ids that stage 10 rejected. Sideways forces may be empty. A log in which no
+    row has a force, or a value that is no number, raises BadInput.
+    """
+    table = read_csv(log)
+    columns = set(table[0]) if table else set()
+    missing = [c for c in ("sample_id", "indenter", *NUMBERS, "fz_n") if c not in columns]
+    if missing:
+        raise BadInput(f"{log}: column {missing[0]} is missing; seen: {', '.join(sorted(columns)) or 'an empty file'}")
+    rows, ids, indenters, pose, force = [], [], [], [], []
+    for line, row in enumerate(table, 2):
+        if not (row["fz_n"] or "").strip() or row["sample_id"] in known_bad:
+            continue
+        where = f"{log}: row {line}"
+        rows.append(line)
+        ids.append(row["sample_id"])
+        indenters.append(row["indenter"])
+        pose.append([_number(row, c, where) for c in NUMBERS])
+        force.append([_number(row, c, where) if (row.get(c) or "").strip() else np.nan for c in FORCES])
+    if not rows:
+        raise BadInput(f"{log}: no row has a normal force (fz_n); calibration needs a force sensor's readings")
+    return Readings(
+        str(log), np.array(rows), np.array(ids), np.array(indenters), np.array(pose, float), np.array(force, float)
+    )
+
+
+def check_readings(readings: Readings) -> None:
+    """Refuse readings that a force sensor and a press cannot have produced; raise BadInput.
+
+    Detected: no depth, duplicated rows, a constant sensor, the wrong sign convention.
+    """
+    source, depth, fz = readings.source, readings.depth, readings.force[:, 2]
+    up = np.flatnonzero(depth <= 0)
+    if len(up):
+        raise BadInput(
+            f"{source}: {readings.name(up)}: dz_mm is not negative, so there is no depth and no contact, yet a force "
+            "is logged; dz is the travel into the gel and must be negative"
+        )
+    content = np.column_stack([readings.pose, readings.force])
+    _, first, inverse = np.unique(
+        np.column_stack([np.unique(readings.indenters, return_inverse=True)[1], np.nan_to_num(content, nan=1e300)]),
+        axis=0, return_index=True, return_inverse=True,
+    )  # fmt: skip
+    twice = np.flatnonzero(first[inverse.ravel()] != np.arange(len(readings)))
+    if len(twice):
+        raise BadInput(
+            f"{source}: {readings.name(twice)}: pose and force repeat an earlier row to the last digit; a copied row "
+            "counts one measurement twice and narrows the posterior falsely: remove the copies"
+        )
+    if len(readings) > 2 and np.ptp(fz) <= 1e-9 * np.abs(fz).max():
+        raise BadInput(
+            f"{source}: fz_n is {fz[0]:g} N in all {len(readings)} rows though the presses differ; the force sensor "
+            "was not connected, or the column holds a constant"
+        )
+    check_sign(readings)
+
+
+def check_sign(readings: Readings) -> None:
+    """Refuse readings whose normal forces pull: forces act on the gel, so a press is negative."""
+    fz = readings.force[:, 2]
+    large = np.abs(fz) > 0.1 * np.abs(fz).max()
+    pulling = np.flatnonzero(large & (fz > 0))
+    if len(pulling) > 0.5 * large.sum():
+        raise BadInput(
+            f"{readings.source}: fz_n is positive in {len(pulling)} of {large.sum()} readings of size, for example "
+            f"{readings.name(pulling[:1])} with {fz[pulling[0]]:g} N; a press pushes the gel along -z, so fz_n must be "
+            "negative: the log uses the opposite sign convention, multiply its force columns by -1"
+        )
+
+
+def check_enough(count: int, model) -> None:
+    """Refuse fewer readings than parameters that nothing but the readings can bound."""
+    vague = [name for name, prior in model.free.items() if not prior.informative]
+    if count < len(vague):
+        raise BadInput(
+            f"{count} force readings cannot determine {len(vague)} parameters with flat priors ({', '.join(vague)}); "
+            "log more presses, give those parameters informative priors, or hold them fixed"
+        )
+
+
+def choose_presses(readings: Readings, most: int) -> np.ndarray:
+    """Indices of at most `most` presses, spread over indenters and, within each, over depth.
+
+    Round robin over the indenters; each gives its presses in bisection order of depth, so that any
+    number taken spans the range.
+    """
+    if len(readings) <= most:
+        return np.arange(len(readings))
+    queues = []
+    for name in np.unique(readings.indenters):
+        members = np.flatnonzero(readings.indenters == name)
+        members = members[np.argsort(readings.depth[members], kind="stable")]
+        queues.append([int(members[k]) for k in bisection_order(len(members))])
+    chosen = []
+    for turn in range(max(map(len, queues))):
+        chosen.extend(queue[turn] for queue in queues if turn < len(queue))
+    return np.sort(chosen[:most])
+
+
+def bisection_order(n: int) -> list[int]:
+    """0 … n-1 with the ends first, then always the middle of the widest gap."""
+    order = [n - 1, 0][: max(n, 0)] if n > 1 else list(range(n))
+    gaps = [(0, n - 1)] if n > 2 else []
+    while gaps:
+        gaps.sort(key=lambda g: g[0] - g[1])
+        low, high = gaps.pop(0)
+        middle = (low + high) // 2
+        order.append(middle)
+        gaps += [g for g in ((low, middle), (middle, high)) if g[1] - g[0] > 1]
+    return order

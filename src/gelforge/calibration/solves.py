@@ -1,0 +1,217 @@
+"""Finite element solves behind the emulator: each one cached as a file, found again by what it solved.
+
+One solve follows the whole path in load steps, and each converged step is a point of the curve of
+force against depth. So a press straight down needs one solve per friction coefficient; a press with
+shear needs one per depth at which its shear is wanted.
+"""
+
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.calibration import emulator as em
+from gelforge.calibration.sampling import fingerprint
+from gelforge.errors import BadInput, SolveFailed
+from gelforge.files import read_json, write_json
+from gelforge.geometry.gel import Gel
+from gelforge.mechanics.hex import HexSettings, HexSolver
+from gelforge.mechanics.scene import REFERENCE_C10, Interface, Material, Press, Scene, Status
+from gelforge.progress import progress
+
+SOLVE_VERSION = 1  # raise when the hex solver's answers change: every cached solve is then void
+
+
+@dataclass(frozen=True)
+class Job:
+    """One solve: press path, indenter (its name in the catalogue), friction coefficient, Poisson's ratio."""
+
+    press: Press
+    indenter: str
+    mu: float
+    nu: float
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What the emulator of n presses needs.
+
+    top: (n,) deepest depth, mm. depths: (n, k) at which sheared presses are solved (k = 1 where
+    straight). straight: {group: job} is not kept; jobs(i, mu, nu) lists the jobs of press i, deepest first.
+    """
+
+    readings: object
+    top: np.ndarray
+    leader: np.ndarray
+    fractions: tuple
+
+    def jobs(self, i: int, mu: float, nu: float) -> list[Job]:
+        r, lead = self.readings, self.leader[i]
+        if not r.sheared[i]:
+            return [Job(r.press(lead, float(self.top[lead])), str(r.indenters[lead]), mu, nu)]
+        depths = [float(self.top[i] * f) for f in self.fractions]
+        return [Job(r.press(i, d), str(r.indenters[i]), mu, nu) for d in depths]
+
+
+def make_plan(readings, reach: float, fractions) -> Plan:
+    """Plan for readings; straight presses of one indenter at one place share one curve to the deepest.
+
+    reach: how far beyond the commanded depth the emulator goes, mm. fractions: of that depth, at which
+    presses with shear are solved, the first of them 1.
+    """
+    fractions = tuple(sorted((float(f) for f in fractions), reverse=True))
+    if not fractions or fractions[0] != 1.0 or fractions[-1] <= 0.0:
+        raise BadInput(f"[calibrate] shear_depths is {list(fractions)}; give fractions in (0, 1], one of them 1.0")
+    top = np.round(readings.depth + reach, 4)
+    leader = np.arange(len(readings))
+    groups: dict[tuple, int] = {}
+    for i in np.argsort(-top, kind="stable"):
+        if not readings.sheared[i]:
+            # CNC tolerance is a quarter micrometre; 5 um sideways move no force that a sensor sees.
+            key = (readings.indenters[i], *np.round(readings.pose[i, [0, 1, 6]], 2), round(readings.pose[i, 2], 4))
+            leader[i] = groups.setdefault(key, int(i))
+    return Plan(readings, top[leader], leader, fractions)
+
+
+def interface_of(mu: float) -> Interface:
+    if mu == 0.0:
+        return Interface("frictionless")
+    return Interface("no_slip") if np.isinf(mu) else Interface("coulomb", float(mu))
+
+
+def job_key(job: Job, shape: str, settings: HexSettings, gel: Gel) -> str:
+    """Name of a solve's file: a hash of the scene, the indenter's shape and the settings."""
+    parts = {"press": asdict(job.press), "mu": str(job.mu), "nu": job.nu, "gel": asdict(gel)}
+    return fingerprint(SOLVE_VERSION, parts, shape, asdict(settings))[:20]
+
+
+def shape_hash(indenter) -> str:
+    """Hash of an indenter's surface, so that a changed shape is another solve."""
+    vertices, faces = indenter.surface()
+    return fingerprint(np.round(np.asarray(vertices, float), 6), np.asarray(faces, np.int64))
+
+
+def path_curve(result, press: Press) -> dict:
+    """Converged load steps of a result: depth and force before shear, and the force at the end."""
+    steps = np.array(result.evidence["path"], float).reshape(-1, 4)
+    down = steps[steps[:, 0] <= 1.0 + 1e-9]
+    return {
+        "depth": (-press.dz * down[:, 0]).tolist(),
+        "force": down[:, 1:].tolist(),
+        "end": result.total.tolist(),
+        "status": result.status.name,
+        "seconds": float(result.evidence["seconds"]),
+    }
+
+
+def solve_job(job: Job, indenter, settings: HexSettings, gel: Gel, solver: HexSolver | None = None) -> dict:
+    """Solve one job, with finer load steps where the first try fails; raise SolveFailed where both do."""
+    scene = Scene(gel, Material(REFERENCE_C10, job.nu), indenter, job.press, interface_of(job.mu))
+    result = (solver or HexSolver(settings)).solve(scene)
+    if not result.status.valid:
+        from dataclasses import replace
+
+        finer = replace(settings, press_steps=2 * settings.press_steps, shear_steps=2 * settings.shear_steps)
+        result = HexSolver(finer).solve(scene)
+    if not result.status.valid:
+        raise SolveFailed(f"{job.indenter} at {job.press}, mu {job.mu:g}: {result.status.value}", result.evidence)
+    if result.status is Status.NO_CONTACT:
+        return {"depth": [], "force": [], "end": [0.0] * 3, "status": "NO_CONTACT", "seconds": 0.0}
+    return path_curve(result, job.press)
+
+
+def _solve_group(tasks, catalogue, settings, gel):
+    """Worker: solve tasks [(path, job)] one after the other, each published as it is done."""
+    solver = HexSolver(settings)
+    for path, job in tasks:
+        write_json(path, solve_job(job, catalogue[job.indenter], settings, gel, solver))
+    return len(tasks)
+
+
+class SolveCache:
+    """Folder of solves; `spent` counts those a result rests on, `new` those solved by this process."""
+
+    def __init__(self, folder, catalogue: dict, settings: HexSettings, gel: Gel = Gel()):
+        self.folder, self.catalogue, self.settings, self.gel = Path(folder), catalogue, settings, gel
+        self.new, self._shapes, self._used, self._kept = 0, {}, {}, {}
+
+    def path(self, job: Job) -> Path:
+        if job.indenter not in self.catalogue:
+            known = ", ".join(sorted(self.catalogue))
+            raise BadInput(f"indenter {job.indenter!r} is not in the catalogue; known: {known}")
+        if job.indenter not in self._shapes:
+            self._shapes[job.indenter] = shape_hash(self.catalogue[job.indenter])
+        return self.folder / f"{job_key(job, self._shapes[job.indenter], self.settings, self.gel)}.json"
+
+    def fill(self, jobs: list[Job], workers: int = 1) -> None:
+        """Solve the jobs that have no file yet, on `workers` processes."""
+        wanted = {self.path(job): job for job in jobs}
+        tasks = [(path, job) for path, job in wanted.items() if not path.exists()]
+        self.new += len(tasks)
+        if not tasks:
+            return
+        batches = [[task] for task in tasks] if workers > 1 else [tasks[i : i + 1] for i in range(len(tasks))]
+        args = (self.catalogue, self.settings, self.gel)
+        if workers == 1:
+            for batch in progress(batches, "calibration solves"):
+                _solve_group(batch, *args)
+            return
+        with ProcessPoolExecutor(workers) as pool:
+            running = [pool.submit(_solve_group, batch, *args) for batch in batches]
+            for future in progress(running, "calibration solves"):
+                future.result()
+
+    def get(self, job: Job) -> dict:
+        """The solve of a job that `fill` made."""
+        path = self.path(job)
+        if path not in self._kept:
+            try:
+                self._kept[path] = read_json(path)
+            except (ValueError, OSError) as error:
+                raise BadInput(f"{path}: not a solve ({error}); delete it and run make calibrate again") from error
+        self._used[path] = job
+        return self._kept[path]
+
+    @property
+    def spent(self) -> dict:
+        """Solves used so far, in total and per interface law."""
+        laws = [interface_of(job.mu).law for job in self._used.values()]
+        return {"total": len(laws), **{law: laws.count(law) for law in sorted(set(laws))}}
+
+
+def build_emulator(plan: Plan, cache: SolveCache, mus, nus, workers: int = 1) -> em.Emulator:
+    """Emulator of the planned presses at friction nodes `mus` and Poisson's ratios `nus`."""
+    count = len(plan.top)
+    cache.fill([j for i in range(count) for mu in mus for nu in nus for j in plan.jobs(i, mu, nu)], workers)
+    table = np.empty((count, len(nus), em.FRICTIONS, em.DEPTHS, 3))
+    for i in range(count):
+        for k, nu in enumerate(nus):
+            table[i, k] = em.friction_table(mus, [press_table(plan, cache, i, mu, nu) for mu in mus])
+    refuse_untouched(plan.readings, table)
+    return em.Emulator(table, plan.top, np.asarray(nus, float), cache.spent["total"])
+
+
+def press_table(plan: Plan, cache: SolveCache, i: int, mu: float, nu: float) -> np.ndarray:
+    """Force (DEPTHS, 3) of press i at one friction coefficient."""
+    jobs = plan.jobs(i, mu, nu)
+    solves = [cache.get(job) for job in jobs]
+    deepest = solves[0]
+    if not deepest["depth"]:
+        return np.zeros((em.DEPTHS, 3))
+    curve = em.Curve(np.array(deepest["depth"]), np.array(deepest["force"]))
+    press = em.curve_table(curve, float(plan.top[i]))
+    if not plan.readings.sheared[i]:
+        return press
+    reached = [(-job.press.dz, solve["end"]) for job, solve in zip(jobs, solves, strict=True) if solve["depth"]]
+    return em.sheared_table(press, float(plan.top[i]), *zip(*reached, strict=True))
+
+
+def refuse_untouched(readings, table) -> None:
+    """Refuse presses whose path, by geometry, never meets the gel although a force was logged."""
+    silent = np.flatnonzero(np.abs(table[..., 2]).max(axis=(1, 2, 3)) == 0.0)
+    if len(silent):
+        raise BadInput(
+            f"{readings.source}: {readings.name(silent)}: depth without contact: by its position and depth the "
+            "indenter never touches the gel; check x0, y0, z0 and dz, or remove the row"
+        )

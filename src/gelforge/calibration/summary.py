@@ -1,0 +1,152 @@
+"""What a posterior says, in numbers and in sentences a person can act on."""
+
+from dataclasses import asdict
+
+import numpy as np
+
+from gelforge.calibration import scores
+from gelforge.calibration.parameters import LABELS, NAMES
+
+QUANTILES = {"interval68": (0.16, 0.84), "interval95": (0.025, 0.975)}
+DRAWS = 4000  # draws for predictions and scores; Monte Carlo error far below the posterior's width
+NEAR = 4.0  # differences of elpd below this are small (Sivula et al. 2020, arXiv:2008.10296, section 5)
+
+
+def describe(draws) -> dict:
+    """Median, 68 % and 95 % interval of draws (s,), as plain floats."""
+    numbers = {name: [float(q) for q in np.quantile(draws, pair)] for name, pair in QUANTILES.items()}
+    return {"median": float(np.median(draws)), **numbers}
+
+
+def parameter_table(chain, model) -> dict:
+    """Posterior of every parameter with its prior's 95 % interval and how far the data narrowed it."""
+    values = model.values(chain.flat())
+    coordinates = chain.flat()
+    table = {}
+    for column, (name, prior) in enumerate(model.free.items()):
+        low, middle, high = prior.quantile(np.array([0.16, 0.5, 0.84]))
+        width = np.diff(np.quantile(coordinates[:, column], [0.16, 0.84]))[0] / (high - low)
+        table[name] = {
+            **describe(values[name]),
+            "label": LABELS[name],
+            "prior_kind": prior.kind,
+            "prior_interval95": [float(v) for v in prior.value(prior.quantile(np.array([0.025, 0.975])))],
+            "width_over_prior": float(width),
+        }
+    return table
+
+
+def correlations(chain, model) -> dict:
+    """Correlation matrix of the walkers' coordinates."""
+    matrix = np.corrcoef(chain.flat(), rowvar=False)
+    return {"names": list(model.names), "matrix": np.round(np.atleast_2d(matrix), 4).tolist()}
+
+
+def predictions(chain, posterior) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Posterior predictive mean (n, 3), scale of a new reading (n,), and draws (s, n, 3) of the force."""
+    forces, values = posterior.predict(chain.flat(DRAWS))
+    return forces.mean(axis=0), posterior.scale(forces, values["noise"]).mean(axis=0), forces
+
+
+def predictive_error(mean, observed) -> dict:
+    """Mean absolute error of the predictive mean, N, per component that serves."""
+    error = {}
+    for column, name in enumerate(("fx", "fy", "fz")):
+        used = np.isfinite(observed[:, column])
+        if used.any():
+            error[name] = float(np.abs(mean[used, column] - observed[used, column]).mean())
+    return error
+
+
+def find_outliers(readings, mean, scale, observed, threshold: float) -> list[dict]:
+    """Readings further than `threshold` scales from the predictive mean; they still serve, with a low weight."""
+    rows = []
+    for i, column in zip(*np.nonzero(np.isfinite(observed)), strict=True):
+        z = (observed[i, column] - mean[i, column]) / scale[i]
+        if abs(z) > threshold:
+            rows.append(
+                {
+                    "row": int(readings.rows[i]), "sample_id": str(readings.ids[i]), "component": "xyz"[column],
+                    "measured_n": float(observed[i, column]), "predicted_n": float(mean[i, column]),
+                    "scales_away": round(float(z), 2),
+                }
+            )  # fmt: skip
+    return sorted(rows, key=lambda r: -abs(r["scales_away"]))
+
+
+def score_models(results) -> list[dict]:
+    """Table of models, best first. results: list of (posterior, chain)."""
+    entries = []
+    for posterior, chain in results:
+        score = scores.loo(posterior.pointwise(chain.flat(DRAWS)))
+        mean, _, _ = predictions(chain, posterior)
+        entries.append((score, posterior, chain, mean))
+    entries.sort(key=lambda e: -e[0].elpd)
+    best = entries[0][0]
+    table = []
+    for score, posterior, chain, mean in entries:
+        gap, error = scores.difference(best, score)
+        table.append(
+            {
+                "model": posterior.model.name,
+                "elpd": score.elpd,
+                "behind": -gap,
+                "behind_standard_error": error,
+                "pareto_k": score.worst_k if np.isfinite(score.worst_k) else None,
+                "indistinguishable": bool(-gap <= max(NEAR, 2.0 * error)),
+                "c10": describe(posterior.model.values(chain.flat())["c10"]),
+                "predictive_mae_n": predictive_error(mean, posterior.observed),
+                "diagnostics": asdict(chain.figures),
+            }
+        )
+    return table
+
+
+def sentences(parameters: dict, correlation: dict, models: list[dict], model_name: str) -> list[str]:
+    """What the data say and what they cannot tell apart, in plain words."""
+    c10 = parameters["c10"]
+    low, high = c10["interval95"]
+    said = [
+        f"C10 is {c10['median']:.4f} MPa under {model_name}, between {low:.4f} and {high:.4f} with 95 % probability."
+    ]
+    return said + model_sentences(models) + _trades(correlation) + _unseen(parameters)
+
+
+def model_sentences(models: list[dict]) -> list[str]:
+    """Which models predict equally well, what that leaves open, and which are ruled out."""
+    alike = [m for m in models if m["indistinguishable"]]
+    apart = [m["model"] for m in models if not m["indistinguishable"]]
+    said = []
+    if len(alike) > 1:
+        medians = [m["c10"]["median"] for m in alike]
+        said.append(
+            f"The data cannot tell apart {len(alike)} of {len(models)} models ({', '.join(m['model'] for m in alike)}): "
+            f"their predictive scores differ by less than the comparison can resolve, yet their medians of C10 run from "
+            f"{min(medians):.4f} to {max(medians):.4f} MPa."
+        )
+    if apart:
+        said.append(f"The data speak against {', '.join(apart)}.")
+    shaky = [m["model"] for m in models if m["pareto_k"] is not None and m["pareto_k"] > 0.7]
+    if shaky:
+        said.append(f"Scores of {', '.join(shaky)} lean on few draws (Pareto k above 0.7): take them as rough.")
+    return said
+
+
+def _trades(correlation: dict) -> list[str]:
+    names = correlation["names"]
+    row = correlation["matrix"][names.index("c10")]
+    strong = [(n, r) for n, r in zip(names, row, strict=True) if n != "c10" and abs(r) > 0.5]
+    strong.sort(key=lambda pair: -abs(pair[1]))
+    return [
+        f"C10 trades against the {LABELS[n].split(' (')[0]} (correlation {r:+.2f}): measure that one apart to narrow C10."
+        for n, r in strong
+    ]
+
+
+def _unseen(parameters: dict) -> list[str]:
+    # The emulator's scale is there to widen C10 and is never seen by data.
+    blind = [n for n in NAMES if n in parameters and n != "discretisation" and parameters[n]["width_over_prior"] > 0.8]
+    if not blind:
+        return []
+    names = ", ".join(LABELS[n].split(" (")[0] for n in blind)
+    return [f"About {names} the data say almost nothing: the posterior is the prior."]
