@@ -1,1 +1,12 @@
-# being written
+# Stage 80: how wrong a network is, and its model card.
+EVALUATED := $(MODELS:%=$D/80_evaluate/$(RES1)/%.json)
+
+.PHONY: evaluate evaluate-models
+evaluate: $D/80_evaluate/$(RES1)/$(MODEL).json $D/80_evaluate/$(RES1)/$(MODEL).md  ## errors of one network against labels, controls and sensors; its card
+evaluate-models: $(EVALUATED)  ## the same for every network
+
+$(EVALUATED): $D/80_evaluate/$(RES1)/%.json: $D/70_train/$(RES1)/%.pt $D/60_dataset/$(RES1)/dataset.json $P/evaluate.json
+	$(call step,gelforge.evaluate --dataset $(dir $(word 2,$^)) --model $< --params $P/evaluate.json --out $@.part)
+
+$(EVALUATED:.json=.md): $D/80_evaluate/$(RES1)/%.md: $D/70_train/$(RES1)/%.pt $D/80_evaluate/$(RES1)/%.json $D/60_dataset/$(RES1)/dataset.json
+	$(call step,gelforge.networks.card --model $< --evaluation $(word 2,$^) --dataset $(dir $(word 3,$^)) --out $@.part)

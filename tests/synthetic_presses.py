@@ -55,6 +55,6 @@ def write_dataset(folder, n=48, image=(240, 320), grid=(24, 32), seed=0) -> Path
 
 
 SETTINGS = json.loads("""{"epochs": 4, "batch": 8, "learning_rate": 1e-3, "plateau_factor": 0.3,
- "plateau_patience": 3, "total_weight": 0.3, "seed": 1, "threads": 1, "mixed_precision": true,
+ "plateau_patience": 15, "least_rate": 1e-5, "total_weight": 0.3, "seed": 1, "threads": 1, "mixed_precision": true,
  "checkpoint_seconds": 0.0, "augment": {"probability": 0.5, "noise": 0.05, "brightness": 0.25, "contrast": 0.25,
  "saturation": 0.25, "hue": 0.1}}""")

@@ -95,8 +95,11 @@ def write_slices(params: dict, workflow: Path, out: Path, catalogue: str) -> Non
     for stage in config.SLICES:
         version = config.stage_version(source, stage)
         write_if_changed(out / "params" / f"{stage}.json", config.canonical(config.cut_slice(params, stage, version)))
-    for name, path in (("sensors", "sensors.toml"), ("indenters", catalogue), ("models", "models.toml")):
+    for name, path in (("sensors", "sensors.toml"), ("indenters", catalogue)):
         write_if_changed(out / "params" / f"{name}.json", config.canonical(config.read_toml(workflow / path)))
+    # One file per network, so that a new network retrains no other.
+    for name, table in config.read_toml(workflow / "models.toml").items():
+        write_if_changed(out / "params" / "models" / f"{name}.json", config.canonical({name: table}))
 
 
 def main(argv=None) -> int:

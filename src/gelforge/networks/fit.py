@@ -65,7 +65,8 @@ class Training:
         self.net = initial_net(model, image, grid, settings["seed"]).to(device)
         self.optimiser = torch.optim.Adam(self.net.parameters(), lr=settings["learning_rate"])
         self.schedule = torch.optim.lr_scheduler.ReduceLROnPlateau(
-            self.optimiser, factor=settings["plateau_factor"], patience=settings["plateau_patience"])
+            self.optimiser, factor=settings["plateau_factor"], patience=settings["plateau_patience"],
+            min_lr=settings["least_rate"])
         self.mixed = device == "cuda" and settings["mixed_precision"]
         self.curve: list[dict] = []
         self.best = {"epoch": 0, "val_total": float("inf"), "weights": None}

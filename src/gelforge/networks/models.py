@@ -134,16 +134,18 @@ class GridNet(nn.Module):
         self.early = BasicBlock(width, width)
         self.down = nn.Sequential(*(BasicBlock(width if i == 0 else 2 * width, 2 * width, s)
                                     for i, s in enumerate(rest or [1])))
-        self.place = nn.Conv2d(2, 2 * width, 1, bias=False)
+        # One weight per channel and direction; a convolution of the constant coordinates would do the same,
+        # but OpenCV cannot read it back from ONNX.
+        self.place = nn.Parameter(torch.zeros(2, 2 * width, 1, 1))
         self.late = nn.ModuleList(BasicBlock(2 * width, 2 * width, 1, 2 ** (i % 3)) for i in range(blocks))
         self.context = nn.ModuleList(nn.Linear(2 * width, 2 * width) for _ in range(blocks))
         self.head = nn.Conv2d(2 * width, COMPONENTS, 1)
         v, u = torch.meshgrid(*(torch.linspace(-1, 1, count) for count in grid), indexing="ij")
-        self.register_buffer("position", torch.stack([u, v])[None], persistent=False)
+        self.register_buffer("position", torch.stack([u, v])[:, None], persistent=False)
 
     def forward(self, x):
         x = self.early(F.relu(self.stem_norm(self.stem(x))))
-        x = self.down(x) + self.place(self.position)
+        x = self.down(x) + self.place[0] * self.position[0] + self.place[1] * self.position[1]
         for block, context in zip(self.late, self.context):
             x = block(x + context(x.mean((2, 3)))[:, :, None, None])
         return self.head(x)

@@ -1,0 +1,9 @@
+# Branch: error of the networks against the time one image takes.
+# The networks on the chart: those that exist, or a list: make pareto-models CHARTED="grid unet".
+CHARTED ?= $(MODELS)
+
+.PHONY: pareto-models
+pareto-models: $D/pareto_models/$(RES1).json  ## accuracy against latency of every network: chart, CSV, JSON
+
+$D/pareto_models/$(RES1).json: $(CHARTED:%=$D/80_evaluate/$(RES1)/%.json) $(CHARTED:%=$D/70_train/$(RES1)/%.pt) $D/60_dataset/$(RES1)/dataset.json
+	$(call step,gelforge.pareto_models --dataset $D/60_dataset/$(RES1) --models $(filter %.pt,$^) --evaluations $(filter $D/80_evaluate/%.json,$^) --out $@.part)

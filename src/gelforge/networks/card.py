@@ -1,0 +1,84 @@
+"""Model card: what a network is, what it learnt from, and how wrong it is, in Markdown."""
+
+import argparse
+from pathlib import Path
+
+from gelforge.files import read_json, write_text
+from gelforge.networks.metrics import AXES
+
+AXIS_NOTE = ("Forces act on the gel, compression is negative z. Channels are FEATS': fx is the force along the image's "
+             "columns (gel y, the long side), fy along its rows (gel x), fz along the gel's normal.")
+
+
+def table(header: list[str], rows: list[list[str]]) -> list[str]:
+    """A Markdown table as lines."""
+    return ["| " + " | ".join(line) + " |" for line in (header, ["---"] * len(header), *rows)]
+
+
+def error_rows(evaluation: dict) -> list[list[str]]:
+    """One row per split: count, total MAE with its interval and per-cell MAE."""
+    rows = []
+    for name, split in evaluation["splits"].items():
+        row = [name, str(split["n"])]
+        for axis in AXES:
+            e = split["total"][axis]
+            row.append(f"{e['mae']:.3f} ({e['mae_low']:.3f} to {e['mae_high']:.3f})")
+        row.append(" / ".join(f"{split['cell'][axis]['mae']:.5f}" for axis in AXES) if split["cell"] else "-")
+        rows.append(row)
+    return rows
+
+
+def control_rows(evaluation: dict) -> list[list[str]]:
+    """One row per split and control: the total MAE that it reaches."""
+    return [[split_name, control.replace("_", " "), *(f"{values[axis]:.3f}" for axis in AXES)]
+            for split_name, split in evaluation["splits"].items() for control, values in split["controls"].items()]
+
+
+def write_card(about: dict, evaluation: dict, simulated: bool) -> str:
+    """Return the card of a model as Markdown, from its file's `about` and its evaluation."""
+    data = about["data"]
+    origin = ("**It learnt from the virtual rig: simulated presses and rendered images, no real sensor.** Expect larger "
+              "errors on a real one." if simulated else "It learnt from recorded presses.")
+    samples = ", ".join(f"{count} {name}" for name, count in data["samples"].items())
+    lines = [
+        f"# Model card: {about['name']}", "",
+        f"Reads the contact forces on an optical tactile gel from one image of {about['image'][1]} x {about['image'][0]} "
+        f"pixels (RGB) as a grid of {about['grid'][0]} x {about['grid'][1]} cells in N. {origin}", "",
+        f"- Network: {about['model']}, {about['parameters']} parameters.",
+        f"- Sensor: {about['sensor'] or 'not named'}; units seen: {', '.join(about['sensors'])}.",
+        f"- Indenters seen: {', '.join(about['indenters'])}.",
+        f"- Data: {data['name']}, version {data['version']}; presses: {samples}.",
+        f"- Training: best of {len(about['curve'])} epochs was {about['best_epoch']}; {about['train']}.",
+        f"- {AXIS_NOTE}", "",
+        "## Error of total force (mean absolute, N; 95 % interval over presses) and per cell", "",
+        *table(["split", "presses", *AXES, "per cell fx / fy / fz"], error_rows(evaluation)), "",
+        "## What knows less (mean absolute error, N)", "",
+        *table(["split", "control", *AXES], control_rows(evaluation)), "",
+        "## Limits", "",
+        f"- An image whose statistics lie further than {about['statistics']['threshold']:.2f} from the training images is "
+        "flagged; the score sees colours, sharpness and dots, not whether a force is right.",
+        "- Valid for the gel, the light and the range of forces it was trained on; forces beyond "
+        + ", ".join(f"{axis} {span:.1f} N (span)" for axis, span in evaluation["force_range"].items())
+        + " are extrapolation.",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def main(argv=None) -> int:
+    parser = argparse.ArgumentParser(prog="gelforge.networks.card", description=__doc__.splitlines()[0])
+    parser.add_argument("--model", type=Path, required=True)
+    parser.add_argument("--evaluation", type=Path, required=True)
+    parser.add_argument("--dataset", type=Path, required=True, help="60_dataset/RES, which says whether it is simulated")
+    parser.add_argument("--out", type=Path, required=True)
+    args = parser.parse_args(argv)
+    from gelforge.networks.modelfile import load_model
+
+    simulated = bool(read_json(args.dataset / "dataset.json").get("simulated", False))
+    write_text(args.out, write_card(load_model(args.model).about, read_json(args.evaluation), simulated))
+    return 0
+
+
+if __name__ == "__main__":
+    from gelforge.cli import exit_with
+
+    exit_with(main)

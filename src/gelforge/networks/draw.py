@@ -1,0 +1,65 @@
+"""Pictures of force maps: a figure for a page, and an overlay that is quick enough for a video."""
+
+import numpy as np
+
+ARROW_PX_PER_N = 400.0  # a typical shear of 0.02 N per cell becomes an arrow of 8 px
+LONGEST_ARROW_PX = 24.0
+HEAT_AT_LEAST_N = 0.03  # full colour of the heat map stands for at least this normal force per cell
+
+
+def write_maps(path, image, forces, title: str) -> None:
+    """Write a PNG of an image (h, w, 3) RGB beside its force maps (3, rows, cols) in N per cell."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(13, 2.9), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(1, 4)
+    axes[0].imshow(image)
+    axes[0].set_title(title, fontsize=8)
+    names = ("along columns (FEATS x)", "along rows (FEATS y)", "normal (z)")
+    for axis, name, force in zip(axes[1:], names, forces):
+        span = max(float(np.abs(force).max()), 1e-6)
+        shown = axis.imshow(force, cmap="RdBu_r", vmin=-span, vmax=span)
+        axis.set_title(f"{name}: {force.sum():.2f} N", fontsize=8)
+        figure.colorbar(shown, ax=axis, label="N per cell")
+    for axis in axes:
+        axis.set_axis_off()
+    figure.savefig(path, dpi=110)
+
+
+def overlay(image, forces, lines: list[str], warning: str = "", zoom: int = 2) -> np.ndarray:
+    """Return a picture (BGR) of a frame (h, w, 3) BGR with heat by normal force, arrows by shear, and text below."""
+    import cv2
+
+    height, width = image.shape[0] * zoom, image.shape[1] * zoom
+    picture = cv2.resize(image, (width, height), interpolation=cv2.INTER_LINEAR)
+    pressure = np.clip(-forces[2], 0, None)
+    share = cv2.resize(pressure / max(float(pressure.max()), HEAT_AT_LEAST_N), (width, height))
+    heat = cv2.applyColorMap((255 * np.clip(share, 0, 1)).astype(np.uint8), cv2.COLORMAP_INFERNO)
+    weight = 0.7 * np.clip(share, 0, 1)[..., None]
+    picture = (picture * (1 - weight) + heat * weight).astype(np.uint8)
+    draw_arrows(picture, forces)
+    footer = np.zeros((22 * (len(lines) + 1), width, 3), np.uint8)
+    for i, (text, colour) in enumerate([*((line, (230, 230, 230)) for line in lines), (warning, (60, 60, 255))]):
+        cv2.putText(footer, text, (6, 17 + 22 * i), cv2.FONT_HERSHEY_SIMPLEX, 0.5, colour, 1, cv2.LINE_AA)
+    return np.vstack([picture, footer])
+
+
+def draw_arrows(picture, forces) -> None:
+    """Draw the shear of every second cell that carries some onto a picture, in place."""
+    import cv2
+
+    rows, cols = forces.shape[1:]
+    high, wide = picture.shape[0] / rows, picture.shape[1] / cols
+    # FEATS' channels: 0 runs along gel y and 1 along gel x, both opposite to u and v in the image.
+    shear = -forces[:2] * ARROW_PX_PER_N
+    for i in range(0, rows, 2):
+        for j in range(0, cols, 2):
+            du, dv = shear[0, i, j], shear[1, i, j]
+            length = float(np.hypot(du, dv))
+            if length >= 2:
+                shrink = min(1.0, LONGEST_ARROW_PX / length)
+                start = (round((j + 0.5) * wide), round((i + 0.5) * high))
+                end = (round(start[0] + du * shrink), round(start[1] + dv * shrink))
+                cv2.arrowedLine(picture, start, end, (255, 255, 255), 1, cv2.LINE_AA, tipLength=0.3)

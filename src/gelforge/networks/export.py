@@ -1,0 +1,92 @@
+"""A model as ONNX, checked against torch before it is published.
+
+The graph takes images (n, 3, height, width) float32 RGB in 0..255 and gives N per cell; the scales are inside.
+"""
+
+import argparse
+import importlib.util
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.errors import GelforgeError
+
+OPSET = 17
+TOLERANCE = 1e-5  # of the largest force per cell of the checked images
+
+
+def export(trained, path) -> None:
+    """Write a model as ONNX to exactly `path`, by torch's tracing exporter, which needs no other package."""
+    import torch
+
+    from gelforge.networks.modelfile import Reader
+
+    reader = Reader(trained).eval()
+    images = torch.zeros(1, 3, *trained.about["image"])
+    with warnings.catch_warnings():
+        # torch prefers an exporter that needs onnx and onnxscript; these networks do not.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        torch.onnx.export(reader, (images,), str(path), dynamo=False, opset_version=OPSET,
+                          input_names=["image"], output_names=["forces"],
+                          dynamic_axes={"image": {0: "n"}, "forces": {0: "n"}})
+
+
+def run_onnx(path, images) -> dict[str, np.ndarray]:
+    """Run an ONNX file on images (n, 3, h, w) with every engine at hand: OpenCV's, and ONNX Runtime if installed."""
+    import cv2
+
+    net = cv2.dnn.readNetFromONNX(str(path))
+    results = []
+    for image in images:
+        net.setInput(image[None])
+        results.append(net.forward()[0])
+    outputs = {"opencv": np.stack(results)}
+    if importlib.util.find_spec("onnxruntime"):
+        import onnxruntime
+
+        session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+        outputs["onnxruntime"] = np.concatenate([session.run(None, {"image": image[None]})[0] for image in images])
+    return outputs
+
+
+def largest_difference(trained, path, images) -> dict[str, float]:
+    """Largest difference between an ONNX file and torch on images (n, h, w, 3) uint8, as a share of the range."""
+    from gelforge.networks.latency import predict_images
+    from gelforge.networks.modelfile import Reader
+
+    wanted = predict_images(Reader(trained).eval(), images)
+    span = float(np.ptp(wanted)) or 1.0
+    tensors = np.ascontiguousarray(images.transpose(0, 3, 1, 2)).astype(np.float32)
+    return {engine: float(np.abs(got - wanted).max() / span) for engine, got in run_onnx(path, tensors).items()}
+
+
+def sample_images(size, count: int = 4) -> np.ndarray:
+    """Images (count, h, w, 3) of noise over a slope: no symmetry that could hide a swapped axis."""
+    rng = np.random.default_rng(0)
+    slope = np.linspace(30, 200, size[1])[None, None, :, None]
+    return np.clip(slope + rng.normal(0, 30, (count, *size, 3)), 0, 255).astype(np.uint8)
+
+
+def main(argv=None) -> int:
+    parser = argparse.ArgumentParser(prog="gelforge.networks.export", description=__doc__.splitlines()[0])
+    parser.add_argument("--model", type=Path, required=True)
+    parser.add_argument("--out", type=Path, required=True)
+    args = parser.parse_args(argv)
+    from gelforge.networks.modelfile import load_model
+
+    trained = load_model(args.model)
+    export(trained, args.out)
+    found = largest_difference(trained, args.out, sample_images(trained.about["image"]))
+    print(", ".join(f"{engine}: {value:.1e} of the range" for engine, value in found.items()))
+    if max(found.values()) > TOLERANCE:
+        args.out.unlink()
+        raise GelforgeError(f"{args.model}: its ONNX form differs from torch by {max(found.values()):.1e} of the range, "
+                            f"allowed is {TOLERANCE}; report the versions of torch and the engine")
+    return 0
+
+
+if __name__ == "__main__":
+    from gelforge.cli import exit_with
+
+    exit_with(main)

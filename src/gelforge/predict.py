@@ -1,0 +1,132 @@
+"""Force maps and totals from images: `gelforge predict IMAGE…`.
+
+For every image a picture and the map as .npy, float32 (3, rows, cols) in N per cell, and one totals.csv.
+Columns grid_x_n, grid_y_n, grid_z_n are FEATS' channels: force along gel y, along gel x, along the normal.
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.files import publish, write_csv
+
+SHIPPED = Path(__file__).parent / "networks" / "default.pt"
+COLUMNS = ["image", "grid_x_n", "grid_y_n", "grid_z_n", "unlike_training", "flagged", "reason"]
+
+
+def read_image(path) -> np.ndarray:
+    """Read an image file as (h, w, 3) uint8 RGB; BadInput if it is missing or not an image."""
+    import cv2
+
+    path = Path(path)
+    if not path.is_file():
+        raise BadInput(f"{path}: no such image")
+    image = cv2.imdecode(np.frombuffer(path.read_bytes() or b"\0", np.uint8), cv2.IMREAD_COLOR)
+    if image is None:
+        raise BadInput(f"{path}: cannot be read as an image; give PNG, JPEG or another format that OpenCV reads")
+    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+
+
+def load_for_use(path, sensor: str | None = None):
+    """Load a model for prediction and check that it is for `sensor`, where one is named."""
+    from gelforge.networks.modelfile import load_model
+
+    if path is None and not SHIPPED.exists():
+        raise BadInput("no model came with this copy of gelforge: train one with `make train` and name it with --model")
+    trained = load_model(path or SHIPPED)
+    if sensor and trained.about["sensor"] and trained.about["sensor"] != sensor:
+        raise BadInput(f"model {trained.about['name']} was trained for sensor {trained.about['sensor']!r}, not {sensor!r}: "
+                       "name a model of that sensor with --model")
+    return trained
+
+
+def fit_size(image, size) -> tuple[np.ndarray, str]:
+    """Bring an image to a model's (height, width); the second value says what was done, empty for nothing."""
+    import cv2
+
+    if image.shape[:2] == tuple(size):
+        return image, ""
+    resized = cv2.resize(image, (size[1], size[0]), interpolation=cv2.INTER_AREA)
+    return resized, f"size {image.shape[1]} x {image.shape[0]}, trained on {size[1]} x {size[0]}"
+
+
+def predict_one(trained, reader, image) -> tuple[np.ndarray, np.ndarray, dict]:
+    """Predict one image of any size; return the image as the network saw it, forces (3, rows, cols), and the judgement."""
+    from gelforge.networks.latency import predict_images
+    from gelforge.networks.statistics import judge
+
+    image, resized = fit_size(image, trained.about["image"])
+    verdict = judge(trained.about["statistics"], image)
+    if resized:
+        verdict = verdict | {"flag": True, "reason": "; ".join(filter(None, [resized, verdict["reason"]]))}
+    return image, predict_images(reader, image[None])[0], verdict
+
+
+def totals_row(name: str, forces, verdict: dict) -> dict:
+    """One row of totals.csv."""
+    total = forces.sum((1, 2), dtype=np.float64)
+    return {"image": name, "grid_x_n": f"{total[0]:.4f}", "grid_y_n": f"{total[1]:.4f}", "grid_z_n": f"{total[2]:.4f}",
+            "unlike_training": f"{verdict['score']:.2f}", "flagged": int(verdict["flag"]), "reason": verdict["reason"]}
+
+
+def output_names(paths) -> list[str]:
+    """Stems for the outputs, made distinct where two images share one."""
+    seen: dict[str, int] = {}
+    names = []
+    for path in paths:
+        stem = Path(path).stem
+        seen[stem] = seen.get(stem, 0) + 1
+        names.append(stem if seen[stem] == 1 else f"{stem}-{seen[stem]}")
+    return names
+
+
+def predict_files(paths, trained, out: Path) -> list[dict]:
+    """Predict image files and write their maps and totals.csv below `out`; return the rows of totals.csv.
+
+    Every image is read before anything is written.
+    """
+    from gelforge.networks.draw import write_maps
+    from gelforge.networks.modelfile import Reader
+
+    images = [read_image(path) for path in paths]
+    reader = Reader(trained).eval()
+    rows = []
+    for path, name, image in zip(paths, output_names(paths), images):
+        image, forces, verdict = predict_one(trained, reader, image)
+        row = totals_row(str(path), forces, verdict)
+        with publish(out / f"{name}.npy") as part:
+            np.save(part, forces)
+        with publish(out / f"{name}.png") as part:
+            flag = f" | UNLIKE TRAINING: {verdict['reason']}" if verdict["flag"] else ""
+            write_maps(part, image, forces, f"{name}, score {verdict['score']:.1f}{flag}")
+        rows.append(row)
+    write_csv(out / "totals.csv", COLUMNS, rows)
+    return rows
+
+
+def main(argv=None) -> int:
+    parser = argparse.ArgumentParser(prog="gelforge predict", description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("images", nargs="+", type=Path, metavar="IMAGE")
+    parser.add_argument("--model", type=Path, help="model file; the one that came with gelforge if not named")
+    parser.add_argument("--sensor", help="the sensor of the images; refused if the model is for another one")
+    parser.add_argument("--out", type=Path, default=Path("predictions"), help="folder (default: %(default)s)")
+    parser.add_argument("--threads", type=int, default=1)
+    args = parser.parse_args(argv)
+    import torch
+
+    torch.set_num_threads(args.threads)
+    rows = predict_files(args.images, load_for_use(args.model, args.sensor), args.out)
+    for row in rows:
+        warning = f"  UNLIKE TRAINING ({row['unlike_training']}): {row['reason']}" if row["flagged"] else ""
+        print(f"{row['image']}: x {row['grid_x_n']} y {row['grid_y_n']} z {row['grid_z_n']} N{warning}")
+    print(f"maps and totals.csv in {args.out}")
+    return 0
+
+
+if __name__ == "__main__":
+    from gelforge.cli import exit_with
+
+    exit_with(main)
