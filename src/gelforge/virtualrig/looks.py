@@ -1,0 +1,143 @@
+"""How each virtual sensor looks: light, camera, ink; read from workflow/rig/sensors.toml."""
+
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.errors import BadInput
+
+COLOURS = ("red", "green", "blue")
+WIDTH, HEIGHT = 320, 240
+DEGREE = 4
+TERMS = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]
+
+
+@dataclass(frozen=True)
+class Look:
+    """Appearance of one sensor; lengths in px unless named mm, colours in the order red, green, blue.
+
+    background: (15, 3) coefficients of s^i t^j in the order of TERMS, grey levels, where s and t run from -1 to 1
+    across the image. tilt: (3, 2) relative change of the light along s and t. light: (3, 2) unit vectors in the
+    image plane towards each light. slope_gain: (3,) relative brightening per unit of surface slope towards the light,
+    which levels off beyond slope_limit.
+    dots: (n, 2) centres. ink: (3,) what an ink dot still
+    reflects; flecks: (3,) how much brighter its bare spots are. shadow_depth and shadow_length: the coloured
+    penumbra beside each dot. noise: (3,) standard deviation in grey levels. camera_mm: height of the pinhole
+    below the gel's crown, which sets how much a pressed part looks larger.
+    """
+
+    name: str
+    background: np.ndarray
+    tilt: np.ndarray
+    white_balance: np.ndarray
+    gain: float
+    vignette: float
+    light: np.ndarray
+    slope_gain: np.ndarray
+    slope_limit: float
+    camera_mm: float
+    blur: float
+    noise: np.ndarray
+    noise_blur: float
+    dots: np.ndarray
+    diameter: float
+    raggedness: float
+    ink: np.ndarray
+    flecks: np.ndarray
+    shadow_depth: float
+    shadow_length: np.ndarray
+    seed: int
+
+    def light_field(self) -> np.ndarray:
+        """Image of the evenly lit, dotless, unloaded gel, (240, 320, 3) float32 grey levels."""
+        s, t = normalised_pixels()
+        powers = np.stack([s**i * t**j for i, j in TERMS], axis=-1)
+        field = powers @ self.background
+        field *= 1.0 + s[..., None] * self.tilt[:, 0] + t[..., None] * self.tilt[:, 1]
+        field *= self.gain * self.white_balance * (1.0 - self.vignette * (s**2 + t**2))[..., None]
+        return np.clip(field, 0.0, 255.0).astype(np.float32)
+
+
+def normalised_pixels() -> tuple[np.ndarray, np.ndarray]:
+    """Pixel coordinates scaled to -1..1 across the image, two arrays (240, 320)."""
+    v, u = np.mgrid[:HEIGHT, :WIDTH]
+    return (u - (WIDTH - 1) / 2) / (WIDTH / 2), (v - (HEIGHT - 1) / 2) / (HEIGHT / 2)
+
+
+def read_looks(path) -> dict[str, Look]:
+    """Read every sensor's look; a table may name another as `base` and write only what differs."""
+    path = Path(path)
+    try:
+        tables = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, tomllib.TOMLDecodeError) as error:
+        raise BadInput(f"{path}: cannot read the sensors' looks ({error})") from error
+    return {name: _look(name, _merged(name, tables, path), path) for name in tables}
+
+
+def _merged(name: str, tables: dict, path) -> dict:
+    table = tables[name]
+    base = table.get("base")
+    if base is None:
+        return table
+    if base not in tables or "base" in tables[base]:
+        raise BadInput(f"{path}: [{name}] has base = {base!r}, which must be a table without a base of its own")
+    merged = {part: dict(values) for part, values in tables[base].items()}
+    for part, values in table.items():
+        if part != "base":
+            merged.setdefault(part, {}).update(values)
+    return merged
+
+
+def _look(name: str, table: dict, path) -> Look:
+    try:
+        light, camera, dots = table["light"], table["camera"], table["dots"]
+        angle = np.deg2rad(np.array(light["azimuth_deg"], float))
+        look = Look(
+            name=name,
+            background=np.array([table["background"][colour] for colour in COLOURS], float).T,
+            tilt=np.array(light.get("tilt", np.zeros((3, 2))), float),
+            white_balance=np.array(camera["white_balance"], float),
+            gain=float(camera["gain"]),
+            vignette=float(camera["vignette"]),
+            light=np.stack([np.cos(angle), -np.sin(angle)], axis=1),
+            slope_gain=np.array(light["slope_gain"], float),
+            slope_limit=float(light["slope_limit"]),
+            camera_mm=float(camera["height_mm"]),
+            blur=float(camera["blur_px"]),
+            noise=np.array(camera["noise"], float),
+            noise_blur=float(camera["noise_blur_px"]),
+            dots=dot_centres(dots),
+            diameter=float(dots["diameter_px"]),
+            raggedness=float(dots["raggedness"]),
+            ink=np.array(dots["ink"], float),
+            flecks=np.array(dots["flecks"], float),
+            shadow_depth=float(dots["shadow_depth"]),
+            shadow_length=np.array(dots["shadow_length_px"], float),
+            seed=int(dots["seed"]),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise BadInput(f"{path}: [{name}] is incomplete or malformed: {error!r}; compare it with [mini_a]") from error
+    if look.background.shape != (len(TERMS), 3) or look.camera_mm <= 4.0:
+        raise BadInput(
+            f"{path}: [{name}] needs {len(TERMS)} background terms per colour and a camera height above 4 mm; "
+            f"it has {look.background.shape[0]} and {look.camera_mm}"
+        )
+    return look
+
+
+def dot_centres(dots: dict) -> np.ndarray:
+    """Centres of the printed dots, (n, 2) px: a rotated grid with seeded misprints, less the missing ones."""
+    rows, cols = dots["rows"], dots["cols"]
+    row, col = np.divmod(np.arange(rows * cols), cols)
+    half = np.array([cols - 1, rows - 1]) / 2
+    place = np.stack([col, row], axis=1) - half
+    # the lens and the crown spread the outer dots; the mean pitch stays
+    place = place * (1.0 + np.array(dots["spread"], float) * ((place / half) ** 2 - 1.0))
+    grid = place * np.array(dots["pitch_px"], float)
+    angle = np.deg2rad(dots["rotation_deg"])
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    jitter = np.random.default_rng(dots["seed"]).normal(scale=dots["jitter_px"], size=grid.shape)
+    centres = grid @ turn.T + jitter + np.array(dots["centre_px"], float)
+    return np.delete(centres, np.array(dots.get("missing", []), int), axis=0)

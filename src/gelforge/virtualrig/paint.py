@@ -1,0 +1,66 @@
+"""What is printed on the unloaded gel: dots with ragged rims, flecks and coloured shadows."""
+
+import cv2
+import numpy as np
+
+from gelforge.virtualrig.looks import HEIGHT, WIDTH, Look
+
+MARGIN = 32  # px of gel painted beyond the image, which a press can pull into view
+SUPER = 3  # samples per px and direction
+
+
+def printed(look: Look, rng: np.random.Generator) -> np.ndarray:
+    """Share of light the printed gel returns, ((240 + 2 MARGIN) SUPER, (320 + 2 MARGIN) SUPER, 3) float32.
+
+    Sample (i, j) lies at pixel v = (i + 0.5) / SUPER - 0.5 - MARGIN, u likewise.
+    """
+    shape = (HEIGHT + 2 * MARGIN) * SUPER, (WIDTH + 2 * MARGIN) * SUPER
+    cover = np.zeros(shape, np.float32)
+    fleck = np.zeros(shape, np.float32)
+    for centre in look.dots:
+        _print_dot(cover, fleck, centre, look, rng)
+    out = np.empty((*shape, 3), np.float32)
+    for colour in range(3):
+        shadow = look.shadow_depth * _smeared(cover, -look.light[colour], look.shadow_length[colour] * SUPER)
+        ink = (1.0 - look.ink[colour] - look.flecks[colour] * fleck) * cover
+        out[..., colour] = 1.0 - np.maximum(ink, shadow * (1.0 - look.ink[colour]) * (1.0 - cover))
+    return cv2.GaussianBlur(out, (0, 0), look.blur * SUPER) if look.blur > 0 else out
+
+
+def sample_position(pixel: np.ndarray) -> np.ndarray:
+    """Index of the painted sample at a pixel coordinate."""
+    return (pixel + MARGIN + 0.5) * SUPER - 0.5
+
+
+def _print_dot(cover, fleck, centre, look: Look, rng: np.random.Generator) -> None:
+    reach = int(look.diameter * SUPER)
+    middle = sample_position(np.asarray(centre))
+    left, top = (np.round(middle).astype(int)) - reach
+    size = 2 * reach + 1
+    y0, x0 = max(top, 0), max(left, 0)
+    y1, x1 = min(top + size, cover.shape[0]), min(left + size, cover.shape[1])
+    harmonics = rng.normal(scale=look.raggedness / np.arange(2, 7), size=(2, 5))
+    spots = cv2.GaussianBlur(rng.standard_normal((size, size), dtype=np.float32), (0, 0), 0.6 * SUPER)
+    if y0 >= y1 or x0 >= x1:
+        return
+    y, x = np.mgrid[y0:y1, x0:x1]
+    dx, dy = (x - middle[0]) / SUPER, (y - middle[1]) / SUPER
+    angle = np.arctan2(dy, dx)
+    order = np.arange(2, 7)[:, None, None]
+    rim = (harmonics[0, :, None, None] * np.cos(order * angle) + harmonics[1, :, None, None] * np.sin(order * angle)).sum(0)
+    inside = np.clip((look.diameter / 2 * (1.0 + rim) - np.hypot(dx, dy)) * SUPER + 0.5, 0.0, 1.0)
+    window = np.s_[y0:y1, x0:x1]
+    cover[window] = np.maximum(cover[window], inside)
+    bright = np.clip(spots[y0 - top : y1 - top, x0 - left : x1 - left] / (spots.std() + 1e-9) - 0.8, 0.0, 1.5)
+    fleck[window] = np.maximum(fleck[window], bright)
+
+
+def _smeared(cover: np.ndarray, direction: np.ndarray, length: float) -> np.ndarray:
+    """`cover` dragged along `direction`, fading over `length` samples."""
+    reach = int(np.ceil(3 * length))
+    kernel = np.zeros((2 * reach + 1, 2 * reach + 1), np.float32)
+    steps = np.arange(0, 3 * length, 0.25)
+    x, y = reach + direction[0] * steps, reach + direction[1] * steps
+    np.add.at(kernel, (np.round(y).astype(int), np.round(x).astype(int)), np.exp(-steps / length))
+    # filter2D correlates, so the kernel is turned round to drag forwards
+    return cv2.filter2D(cover, -1, kernel[::-1, ::-1] / kernel.sum(), borderType=cv2.BORDER_CONSTANT)

@@ -1,0 +1,171 @@
+"""From a displacement field to the picture the sensor's camera takes."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from gelforge.geometry.gel import Gel
+from gelforge.mechanics.scene import Press
+from gelforge.virtualrig.looks import HEIGHT, WIDTH, Look
+from gelforge.virtualrig.paint import MARGIN, SUPER, printed, sample_position
+from gelforge.virtualrig.surface import FAR, STEP, Body, Field, body_position, unloaded
+
+TOUCH = 0.08  # mm between the computed surface and the body within which the picture lays one on the other
+RIPPLE_MM = 0.3
+RELAXATION, ROUNDS = 0.65, 9
+
+
+@dataclass(frozen=True)
+class Pressed:
+    """The body in touch with the gel and where it went."""
+
+    body: Body
+    press: Press
+
+
+class Renderer:
+    """Camera of one sensor: everything that does not change from press to press is worked out once."""
+
+    def __init__(self, look: Look, projection: np.ndarray, gel: Gel):
+        self.look, self.projection, self.gel = look, np.asarray(projection, float), gel
+        self.light = look.light_field()
+        self.paint = printed(look, np.random.default_rng(look.seed))
+        self.pixel_u, self.pixel_v = _pixels(0)
+        wide_u, wide_v = _pixels(MARGIN)
+        x, y = unproject(self.projection, wide_u, wide_v)
+        empty = unloaded(gel)
+        self.field_column = ((x - empty.x0) / STEP).astype(np.float32)
+        self.field_row = ((y - empty.y0) / STEP).astype(np.float32)
+        self.wide = wide_u, wide_v, x, y
+        self.top = gel.top(x, y).astype(np.float32)
+        self.axis = np.array(project(self.projection, 0.0, 0.0))
+        self.scale = pixels_per_mm(self.projection)
+        inner = np.s_[MARGIN : MARGIN + HEIGHT, MARGIN : MARGIN + WIDTH]
+        self.inner_xy = x[inner], y[inner]
+        self.flat_shade = self._shade(self.top[inner].copy())
+
+    def image(self, field: Field | None = None, pressed: Pressed | None = None, rng=None) -> np.ndarray:
+        """Picture of the deformed gel, (240, 320, 3) uint8 RGB; without `rng` it is free of noise."""
+        if field is None:
+            inner = np.s_[MARGIN : MARGIN + HEIGHT, MARGIN : MARGIN + WIDTH]
+            source_u, source_v, height = self.pixel_u, self.pixel_v, self.top[inner].copy()
+        else:
+            source_u, source_v, height = self._trace(field)
+        if pressed is not None:
+            height = self._against(height, pressed)
+        ink = cv2.remap(
+            self.paint, sample_position(source_u), sample_position(source_v), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT
+        )
+        picture = self.light * (self._shade(height) / self.flat_shade)
+        picture *= ink
+        if rng is not None:
+            picture += self._noise(rng)
+        return np.clip(np.rint(picture, out=picture), 0, 255, out=picture).astype(np.uint8)
+
+    def displaced(self, field: Field, uv: np.ndarray) -> np.ndarray:
+        """Where points of the unloaded image (n, 2) px appear on the loaded gel, (n, 2) px."""
+        uv = np.asarray(uv, np.float32)
+        x, y = unproject(self.projection, uv[:, 0], uv[:, 1])
+        column, row = ((x - field.x0) / STEP).astype(np.float32), ((y - field.y0) / STEP).astype(np.float32)
+        moved = cv2.remap(field.values, column[None], row[None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[0]
+        return np.stack(self._seen(x + moved[:, 0], y + moved[:, 1], moved[:, 2]), axis=1)
+
+    def _seen(self, x, y, w):
+        """Pixels of displaced points: the part pressed by w towards the pinhole looks larger."""
+        u, v = project(self.projection, x, y)
+        nearer = self.look.camera_mm / (self.look.camera_mm + w)
+        return self.axis[0] + (u - self.axis[0]) * nearer, self.axis[1] + (v - self.axis[1]) * nearer
+
+    def _trace(self, field: Field):
+        """For every pixel the unloaded pixel of the gel point seen there, and its height in mm."""
+        moved = cv2.remap(
+            field.values, self.field_column, self.field_row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        )
+        wide_u, wide_v, x, y = self.wide
+        seen_u, seen_v = self._seen(x + moved[..., 0], y + moved[..., 1], moved[..., 2])
+        shift = np.stack([seen_u - wide_u, seen_v - wide_v], axis=-1).astype(np.float32)
+        source = np.stack([self.pixel_u, self.pixel_v], axis=-1)
+        target = source.copy()
+        for _ in range(ROUNDS):
+            at = cv2.remap(shift, source + np.float32(MARGIN), None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            source += np.float32(RELAXATION) * (target - at - source)
+        height = cv2.remap(
+            self.top + moved[..., 2], source + np.float32(MARGIN), None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        )
+        return source[..., 0].copy(), source[..., 1].copy(), height
+
+    def _against(self, height: np.ndarray, pressed: Pressed) -> np.ndarray:
+        """Lay the surface against the body where they touch, so that its edges and texture show.
+
+        Bricks are larger than a print line or an edge fillet; within TOUCH the gel follows the body.
+        """
+        # off the body the gel is smooth; what ripples there is the size of the bricks
+        height = cv2.GaussianBlur(height, (0, 0), RIPPLE_MM * self.scale)
+        x, y = self.inner_xy
+        farther = (self.look.camera_mm + height) / self.look.camera_mm
+        column, row, tip = body_position(pressed.body, pressed.press, x * farther, y * farther)
+        body = tip + cv2.remap(
+            pressed.body.height,
+            column.astype(np.float32),
+            row.astype(np.float32),
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_CONSTANT,
+            borderValue=FAR,
+        )
+        gap = np.maximum(body - height, 0.0)
+        gap *= 1.0 - np.exp(-((gap / np.float32(TOUCH)) ** 2))
+        return np.where(body < FAR + tip - 0.01, body - gap, height).astype(np.float32)
+
+    def _shade(self, height: np.ndarray) -> np.ndarray:
+        """Brightness by surface slope relative to a level surface, (240, 320, 3) float32."""
+        smooth = cv2.GaussianBlur(height, (0, 0), max(self.look.blur, 0.5))
+        slope_u = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=self.scale / 8)
+        slope_v = cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=self.scale / 8)
+        # the gel's coating scatters: steep flanks are hardly brighter than moderate ones
+        strength = 1.0 / np.sqrt(1.0 + (slope_u**2 + slope_v**2) / np.float32(self.look.slope_limit**2))
+        shade = np.empty((HEIGHT, WIDTH, 3), np.float32)
+        for colour, (towards, gain) in enumerate(zip(self.look.light, self.look.slope_gain, strict=True)):
+            lit = float(gain * towards[0]) * slope_u + float(gain * towards[1]) * slope_v
+            np.maximum(1.0 + strength * lit, 0.2, out=shade[..., colour])
+        return shade
+
+    def _noise(self, rng: np.random.Generator) -> np.ndarray:
+        noise = rng.standard_normal((HEIGHT, WIDTH, 3), dtype=np.float32)
+        sigma = self.look.noise_blur
+        if sigma > 0:
+            noise = cv2.GaussianBlur(noise, (0, 0), sigma)
+            noise *= np.float32(1.0 / _blur_gain(sigma))
+        return noise * self.look.noise.astype(np.float32)
+
+
+def _pixels(margin: int) -> tuple[np.ndarray, np.ndarray]:
+    v, u = np.mgrid[-margin : HEIGHT + margin, -margin : WIDTH + margin].astype(np.float32)
+    return u, v
+
+
+def _blur_gain(sigma: float) -> float:
+    """Standard deviation of blurred white noise of unit deviation."""
+    impulse = np.zeros((41, 41), np.float32)
+    impulse[20, 20] = 1.0
+    return float(np.sqrt((cv2.GaussianBlur(impulse, (0, 0), sigma) ** 2).sum()))
+
+
+def project(projection: np.ndarray, x, y):
+    """Pixels (u, v) of gel points, by a homography (Hartley and Zisserman, section 2.3)."""
+    w = projection[2, 0] * x + projection[2, 1] * y + projection[2, 2]
+    u = projection[0, 0] * x + projection[0, 1] * y + projection[0, 2]
+    v = projection[1, 0] * x + projection[1, 1] * y + projection[1, 2]
+    return u / w, v / w
+
+
+def unproject(projection: np.ndarray, u, v):
+    """Gel points (x, y) in mm of pixels."""
+    return project(np.linalg.inv(projection), u, v)
+
+
+def pixels_per_mm(projection: np.ndarray) -> float:
+    """Mean scale of the projection at the gel's crown."""
+    u, v = project(projection, np.array([0.0, 1e-3, 0.0]), np.array([0.0, 0.0, 1e-3]))
+    jacobian = np.array([[u[1] - u[0], u[2] - u[0]], [v[1] - v[0], v[2] - v[0]]]) / 1e-3
+    return float(np.sqrt(abs(np.linalg.det(jacobian))))

@@ -1,0 +1,117 @@
+"""The gel's deformed surface as smooth fields, and the indenter's underside as a height map."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from gelforge.geometry.gel import Gel
+from gelforge.mechanics.hexmesh import surface_lines
+from gelforge.mechanics.mesh import GelMesh
+from gelforge.mechanics.scene import Indenter, Press
+
+STEP = 0.1  # mm between the samples of a field
+FAR = 4.0  # mm; no part of the body higher than this above its tip can touch the gel
+
+
+@dataclass(frozen=True)
+class Field:
+    """Displacement of the gel's surface on a regular grid, (ny, nx, 3) float32 mm.
+
+    Sample (j, i) lies at x = x0 + i STEP, y = y0 + j STEP of the unloaded surface.
+    """
+
+    values: np.ndarray
+    x0: float
+    y0: float
+
+
+def unloaded(gel: Gel) -> Field:
+    """The field of a gel that nothing touches."""
+    x, y = _grid(gel)
+    return Field(np.zeros((len(y), len(x), 3), np.float32), x[0], y[0])
+
+
+def field_of(gel: Gel, mesh: GelMesh, displacement: np.ndarray) -> Field:
+    """Surface displacement (n, 3) of a brick mesh as a continuously differentiable field.
+
+    Tensor-product cubic Hermite interpolation through the nodes with finite-difference slopes: bricks
+    alone would show their edges as facets in the shading.
+    """
+    xs, ys, first = surface_lines(mesh)
+    nodal = displacement[first : first + len(xs) * len(ys)].reshape(len(ys), len(xs), 3)
+    x, y = _grid(gel)
+    along_x, along_y = _interpolation(xs, x), _interpolation(ys, y)
+    values = np.einsum("aj,jik->aik", along_y, nodal)
+    return Field(np.einsum("bi,aik->abk", along_x, values).astype(np.float32), x[0], y[0])
+
+
+def _grid(gel: Gel) -> tuple[np.ndarray, np.ndarray]:
+    half_x, half_y = gel.width / 2, gel.length / 2
+    return np.arange(-half_x, half_x + STEP / 2, STEP), np.arange(-half_y, half_y + STEP / 2, STEP)
+
+
+def _interpolation(lines: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Matrix (points, lines) of cubic Hermite interpolation."""
+    unit = np.eye(len(lines))
+    return CubicHermiteSpline(lines, unit, np.gradient(unit, lines, axis=0))(np.clip(points, lines[0], lines[-1]))
+
+
+@dataclass(frozen=True)
+class Body:
+    """Underside of an indenter with its printed texture, on a regular grid in its own frame.
+
+    height: (n, n) float32 mm above the tip plane, FAR where there is no underside. Sample (j, i) lies at
+    x = -reach + i STEP / 2, y likewise.
+    """
+
+    height: np.ndarray
+    reach: float
+    step: float
+
+
+def body_of(indenter: Indenter, texture_mm: float, pitch_mm: float, angle_deg: float) -> Body:
+    """Sample the underside of `indenter` and add the lines a filament printer leaves.
+
+    Flat faces carry parallel lines of `pitch_mm` at `angle_deg`, inclined ones the steps of the printed
+    layers; both are `texture_mm` deep.
+    """
+    step = STEP / 2
+    count = int(np.ceil(min(indenter.radius(), 15.0) / step)) + 2
+    axis = np.arange(-count, count + 1) * step
+    x, y = np.meshgrid(axis, axis)
+    height = _underside(indenter, np.stack([x.ravel(), y.ravel()], axis=1)).reshape(x.shape)
+    slope = np.hypot(*np.gradient(height, step))
+    angle = np.deg2rad(angle_deg)
+    along = (x * np.cos(angle) + y * np.sin(angle)) / pitch_mm
+    # filaments are not quite straight: a slow wobble keeps the lines from looking ruled
+    wobble = 0.05 * np.sin(1.3 * (x - y) + 0.9) + 0.04 * np.sin(2.1 * y + 0.4)
+    lines = np.cos(2 * np.pi * (along + wobble))
+    layers = np.cos(2 * np.pi * height / 0.2)
+    flat = np.exp(-((slope / 0.05) ** 2))
+    inclined = np.clip((slope - 0.05) / 0.1, 0, 1) * np.clip((1.2 - slope) / 0.4, 0, 1)
+    textured = height + texture_mm * 0.5 * (flat * (lines - 1.0) + 0.5 * inclined * (layers - 1.0))
+    return Body(textured.astype(np.float32), count * step, step)
+
+
+def _underside(indenter: Indenter, xy: np.ndarray) -> np.ndarray:
+    """Lowest z of the body above each point, by walking up its distance function."""
+    points = np.column_stack([xy, np.full(len(xy), -0.05)])
+    open_ = np.arange(len(points))
+    for _ in range(200):
+        distance, _ = indenter.distance(points[open_])
+        points[open_, 2] += np.maximum(distance, 0.0)
+        going = (distance > 1e-3) & (points[open_, 2] < FAR)
+        open_ = open_[going]
+        if not len(open_):
+            break
+    return np.minimum(points[:, 2], FAR)
+
+
+def body_position(body: Body, press: Press, x, y) -> tuple[np.ndarray, np.ndarray, float]:
+    """Column and row in `body` of gel points (x, y) at the end of the path, and the z of its tip plane."""
+    turn, tip = press.pose(1.0, 1.0)
+    dx, dy = x - tip[0], y - tip[1]
+    column = (turn[0, 0] * dx + turn[1, 0] * dy + body.reach) / body.step
+    row = (turn[0, 1] * dx + turn[1, 1] * dy + body.reach) / body.step
+    return column, row, float(tip[2])
