@@ -143,7 +143,7 @@ def _stl(t: _Table, **common) -> Body:
     from gelforge.geometry.sampled import sampled_from_stl
 
     file, scale = t.take("file"), t.number("scale", 1.0)
-    spacing, reach = t.number("spacing", 0.1), t.number("reach", 4.0)
+    spacing, reach = t.number("spacing", 0.2), t.number("reach", 4.0)
     if not isinstance(file, str):
         t.fail("file", file, "name an STL file, relative to the catalogue")
     path = Path(t.source).parent / file

@@ -1,0 +1,85 @@
+"""Comparison of indenters and gel with published STEP solids; needs the development dependency gmsh."""
+
+from pathlib import Path
+
+import numpy as np
+
+CONTACT_MM = 3.0  # above the tip: presses go 2 mm deep
+
+
+def read_step(path, size_mm: float) -> dict:
+    """Volume (mm^3), centre of mass (3,), surface points (n, 3) and triangles (f, 3) of a STEP file, in mm.
+
+    The points lie on the exact surfaces, at most `size_mm` apart.
+    """
+    import gmsh
+
+    gmsh.initialize(interruptible=False)
+    try:
+        gmsh.option.setNumber("General.Verbosity", 0)
+        gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
+        gmsh.option.setNumber("Mesh.MeshSizeMax", size_mm)
+        gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", 40)
+        gmsh.model.occ.importShapes(str(path))
+        gmsh.model.occ.synchronize()
+        solids = [tag for _, tag in gmsh.model.getEntities(3)]
+        masses = np.array([gmsh.model.occ.getMass(3, tag) for tag in solids])
+        centres = np.array([gmsh.model.occ.getCenterOfMass(3, tag) for tag in solids])
+        gmsh.model.mesh.generate(2)
+        tags, xyz, _ = gmsh.model.mesh.getNodes()
+        _, corners = gmsh.model.mesh.getElementsByType(2)
+    finally:
+        gmsh.finalize()
+    index = np.zeros(int(tags.max()) + 1, int)
+    index[tags.astype(int)] = np.arange(len(tags))
+    return {"volume": masses.sum(), "centre": masses @ centres / masses.sum(), "points": np.reshape(xyz, (-1, 3)),
+            "faces": index[np.reshape(corners, (-1, 3)).astype(int)]}
+
+
+def compare_indenter(body, path, size_mm: float = 1.5) -> dict:
+    """How far an indenter is from a STEP solid that points up.
+
+    The solid is turned half a turn about x, set on its tip and shifted in x and y so that the centres of mass agree.
+    Returns volume_error (relative), surface_mm (largest distance between the surfaces, either way, within CONTACT_MM
+    of the tip) and shift_mm (the shift in x and y).
+    """
+    from gelforge.geometry.triangles import volume
+
+    solid = read_step(path, size_mm)
+    turn = np.array([1.0, -1.0, -1.0])
+    points, centre = solid["points"] * turn, solid["centre"] * turn
+    vertices, faces = body.surface()
+    shift = _centre_of_mass(vertices, faces)[:2] - centre[:2]
+    points = points + [*shift, -points[:, 2].min()]
+    low, own = points[points[:, 2] < CONTACT_MM], vertices[vertices[:, 2] < CONTACT_MM]
+    there = np.abs(body.distance(low)[0]).max()
+    back = np.abs(_distance_to(own, points, solid["faces"])).max()
+    return {"volume_error": volume(vertices, faces) / solid["volume"] - 1.0, "surface_mm": float(max(there, back)),
+            "shift_mm": shift.tolist()}
+
+
+def compare_gel_top(gel, path, size_mm: float = 1.5) -> float:
+    """Largest distance in z between the gel's top and the STEP solid (its y points out of the gel), mm."""
+    points = read_step(path, size_mm)["points"]
+    centre = (points.max(axis=0) + points.min(axis=0)) / 2.0
+    x, y, z = points[:, 2] - centre[2], points[:, 0] - centre[0], points[:, 1] - points[:, 1].max()
+    top = z > gel.rim + 1e-6
+    return float(np.abs(gel.top(x[top], y[top]) - z[top]).max())
+
+
+def step_file(folder, name: str) -> Path:
+    """Where the published solid of a catalogue indenter lies below the reference folder."""
+    return Path(folder) / "feats" / "indenters" / f"{name}.step"
+
+
+def _centre_of_mass(vertices, faces):
+    a, b, c = vertices[faces].transpose(1, 0, 2)
+    weight = np.einsum("ij,ij->i", a, np.cross(b, c))
+    return weight @ (a + b + c) / (4.0 * weight.sum())
+
+
+def _distance_to(points, vertices, faces):
+    import pyvista
+
+    surface = pyvista.PolyData(vertices, np.column_stack([np.full(len(faces), 3), faces]).ravel())
+    return np.asarray(pyvista.PolyData(points).compute_implicit_distance(surface)["implicit_distance"])
