@@ -1,1 +1,1 @@
-"""One module per file format that others wrote or read."""
+"""Files in other people's layouts, read as data and never executed."""

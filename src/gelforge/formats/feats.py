@@ -1,0 +1,143 @@
+"""FEATS' files: one press per .npy, a pickled dict; and its normalisation file.
+
+Raw samples hold gs_img, indenter, x_0 … d_z, deg, f_x … m_z; label files hold gs_img, grid_x, grid_y,
+grid_z, f_x, f_y, f_z (feats-ai/feats, cnc_data_aquisition.py, label_generation.py, normalize.py).
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.files import publish
+from gelforge.formats.numpy_pickle import read_npy
+
+POSE_FIELDS = {
+    "x_0": "x0_mm", "y_0": "y0_mm", "z_0": "z0_mm", "d_x": "dx_mm", "d_y": "dy_mm", "d_z": "dz_mm", "deg": "rot_deg",
+}
+FORCE_FIELDS = {"f_x": "fx_n", "f_y": "fy_n", "f_z": "fz_n", "m_x": "mx_nm", "m_y": "my_nm", "m_z": "mz_nm"}
+GRIDS = ("grid_x", "grid_y", "grid_z")
+TOTALS = ("f_x", "f_y", "f_z")
+SUM_TOLERANCE = 1e-5  # of the sum of the cells' sizes; FEATS' totals are float64 sums of its cells
+
+
+@dataclass(frozen=True)
+class RawSample:
+    """A press as recorded: image (h, w, 3) uint8 RGB, and values under our log's column names."""
+
+    image: np.ndarray
+    values: dict
+
+
+@dataclass(frozen=True)
+class LabelSample:
+    """A labelled image: image (h, w, 3) uint8 RGB, label (3, rows, cols) N per cell, channels as ours."""
+
+    image: np.ndarray
+    label: np.ndarray
+
+
+def read_sample(path) -> RawSample | LabelSample:
+    """Read one press, raw or labelled; what is missing, of another kind or not finite raises BadInput."""
+    found = read_npy(path)
+    if not isinstance(found, dict):
+        raise BadInput(f"{path}: holds {type(found).__name__}, FEATS' files hold a dict; is it from another program?")
+    image = _image(path, found)
+    if all(name in found for name in GRIDS):
+        return LabelSample(image, _label(path, found))
+    missing = [name for name in ("indenter", *POSE_FIELDS, *FORCE_FIELDS) if name not in found]
+    if missing:
+        raise BadInput(f"{path}: field {missing[0]} is missing (it has {', '.join(map(str, found))[:120]});"
+                       " a raw sample needs all of FEATS' fields, a label file grid_x, grid_y and grid_z")
+    names = {**POSE_FIELDS, **FORCE_FIELDS}
+    values = {column: _number(path, name, found[name]) for name, column in names.items()}
+    return RawSample(image, {"indenter": _text(path, "indenter", found["indenter"]), **values})
+
+
+def _image(path, found) -> np.ndarray:
+    image = found.get("gs_img")
+    if not isinstance(image, np.ndarray) or image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
+        seen = f"{image.dtype} {image.shape}" if isinstance(image, np.ndarray) else type(image).__name__
+        raise BadInput(f"{path}: field gs_img is {seen}; it must be a uint8 image (height, width, 3)")
+    return image
+
+
+def _label(path, found) -> np.ndarray:
+    grids = [found[name] for name in GRIDS]
+    for name, grid in zip(GRIDS, grids):
+        if not isinstance(grid, np.ndarray) or grid.ndim != 2 or grid.dtype.kind not in "fiu" or not grid.size:
+            raise BadInput(f"{path}: field {name} is no grid of numbers; label the press again")
+        if grid.shape != grids[0].shape:
+            raise BadInput(f"{path}: field {name} has {grid.shape} cells, grid_x has {grids[0].shape}; they must agree")
+        if not np.isfinite(grid).all():
+            raise BadInput(f"{path}: field {name} holds NaN or infinity; label the press again")
+    for name, grid in zip(TOTALS, grids):
+        total = _number(path, name, found.get(name))
+        if abs(total - grid.sum()) > SUM_TOLERANCE * np.abs(grid).sum() + 1e-9:
+            raise BadInput(f"{path}: field {name} is {total:g} N, its cells sum to {grid.sum():g} N; label it again")
+    return np.stack(grids).astype(np.float64)
+
+
+def _number(path, name, value) -> float:
+    number = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+    if isinstance(value, np.ndarray) and value.shape == () and value.dtype.kind in "fiu":
+        number = True
+    if not number or not np.isfinite(float(value)):
+        seen = repr(value)[:40] if isinstance(value, (str, float, np.floating)) else type(value).__name__
+        raise BadInput(f"{path}: field {name} is {seen}; it must be a finite number")
+    return float(value)
+
+
+def _text(path, name, value) -> str:
+    if not isinstance(value, str) or not value.strip() or len(value) > 100 or not value.isprintable():
+        raise BadInput(f"{path}: field {name} must be a short name; correct it in the sample")
+    return value.strip()
+
+
+def write_label(path, sample: LabelSample) -> None:
+    """Write a label file in FEATS' layout, whole or not at all."""
+    grids = {name: np.asarray(sample.label[k], np.float64) for k, name in enumerate(GRIDS)}
+    totals = {name: np.float64(grids[grid].sum()) for name, grid in zip(TOTALS, GRIDS)}
+    _save(path, {"gs_img": np.asarray(sample.image, np.uint8), **grids, **totals})
+
+
+def read_normalisation(path) -> dict:
+    """Read a normalisation file: {field: {"min": value, "max": value}} of every field of the labels."""
+    found = read_npy(path)
+    good = isinstance(found, dict) and all(isinstance(v, dict) and {"min", "max"} <= set(v) for v in found.values())
+    if not good or not found:
+        raise BadInput(f"{path}: not a normalisation file, which holds min and max of every field; run normalize again")
+    return {name: {key: _number(path, f"{name}.{key}", ends[key]) for key in ("min", "max")} for name, ends in found.items()}
+
+
+def write_normalisation(path, ranges: dict) -> None:
+    """Write `ranges` ({field: {"min", "max"}}) as FEATS' normalisation file, whole or not at all."""
+    kind = {"gs_img": np.uint8}
+    _save(path, {name: {key: kind.get(name, np.float64)(ends[key]) for key in ("min", "max")}
+                 for name, ends in ranges.items()})
+
+
+def is_normalisation(path) -> bool:
+    """Whether a file's name is that of a normalisation file."""
+    return Path(path).name.startswith("normalization")
+
+
+def _save(path, value: dict) -> None:
+    with publish(path) as part, part.open("wb") as stream:
+        np.save(stream, value, allow_pickle=True)
+
+
+class Ranges:
+    """Smallest and largest value of every field over the labels seen so far, as FEATS' normalize.py finds them."""
+
+    def __init__(self):
+        self.found = {}
+
+    def add(self, sample: LabelSample) -> None:
+        fields = {"gs_img": sample.image, **{name: sample.label[k] for k, name in enumerate(GRIDS)}}
+        fields |= {name: np.float64(sample.label[k]).sum() for k, name in enumerate(TOTALS)}
+        for name, value in fields.items():
+            low, high = float(np.min(value)), float(np.max(value))
+            ends = self.found.setdefault(name, {"min": low, "max": high})
+            ends["min"], ends["max"] = min(ends["min"], low), max(ends["max"], high)

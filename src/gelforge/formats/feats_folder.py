@@ -1,0 +1,183 @@
+"""Whole datasets between FEATS' folders and ours: `python -m gelforge.formats.feats_folder import|export`."""
+
+import argparse
+import hashlib
+import re
+import shutil
+from contextlib import contextmanager
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.binning.labelfile import write_labels
+from gelforge.binning.sensor import find_sensor, load_sensors
+from gelforge.errors import BadInput
+from gelforge.files import read_csv, write_csv, write_json, write_text
+from gelforge.formats.feats import (
+    LabelSample, RawSample, Ranges, is_normalisation, read_normalisation, read_sample, write_label, write_normalisation,
+)
+from gelforge.progress import progress
+
+COLUMNS = ["sample_id", "time_utc", "sensor_id", "gel_id", "indenter", "x0_mm", "y0_mm", "z0_mm", "dx_mm", "dy_mm",
+           "dz_mm", "rot_deg", "fx_n", "fy_n", "fz_n", "mx_nm", "my_nm", "mz_nm", "image"]
+FEATS_C10 = 0.0792  # MPa, the paper's fit, which its labels were made with
+DATASET_TOML = '''# Imported from files in FEATS' layout.
+sensor = "{sensor}"
+gel = "{gel}"
+catalogue = "indenters.toml"
+'''
+
+
+@contextmanager
+def new_folder(path: Path):
+    """Yield a temporary folder beside `path`, renamed to `path` if the block succeeds; BadInput if it exists."""
+    if path.exists():
+        raise BadInput(f"{path} exists already; remove it, or give another name (DATASET=...)")
+    part = path.with_name(f".{path.name}.part")
+    shutil.rmtree(part, ignore_errors=True)
+    part.mkdir(parents=True)
+    try:
+        yield part
+        part.rename(path)
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+
+
+def import_folder(source: Path, data: Path, sensor, gel_id: str = "feats") -> dict:
+    """Turn the .npy files below `source` into the dataset folder `data`; return what was found.
+
+    Raw samples become rows of log.csv and images; label files become labels/ROWSxCOLS.npz. A raw sample
+    and a label file with the same image are one press. `sensor` is the Sensor that took the images. An
+    unusable file raises BadInput that names it, and nothing is left behind.
+    """
+    files = sorted(source.rglob("*.npy"))
+    if not files:
+        raise BadInput(f"{source}: holds no .npy files; give FEATS' folder of samples or labels as FROM=...")
+    with new_folder(data) as part:
+        presses, labels, ranges = {}, {}, None
+        for path in progress(files, "import"):
+            if is_normalisation(path):
+                ranges = read_normalisation(path)
+                continue
+            _take(path, read_sample(path), sensor, part, presses, labels)
+        _check_ids(presses, source)
+        rows = [{"sensor_id": sensor.name, "gel_id": gel_id, **press["row"]} for press in presses.values()]
+        if not rows:
+            raise BadInput(f"{source}: holds normalisation files only; give the folder that holds the samples too")
+        write_csv(part / "log.csv", COLUMNS, [{column: row.get(column, "") for column in COLUMNS} for row in rows])
+        for (height, width), members in labels.items():
+            _write_grid(part / "labels" / f"{height}x{width}.npz", members, presses)
+        if ranges:
+            write_json(part / "feats_normalisation.json", ranges)
+        write_text(part / "dataset.toml", DATASET_TOML.format(sensor=sensor.name, gel=sensor.gel))
+    grids = {f"{rows}x{cols}": len(members) for (rows, cols), members in labels.items()}
+    return {"presses": len(presses), "labels": grids, "files": len(files)}
+
+
+def _take(path, sample, sensor, part, presses, labels) -> None:
+    import cv2
+
+    height, width = sample.image.shape[:2]
+    if (width, height) != tuple(sensor.image):
+        raise BadInput(f"{path}: field gs_img is {width} x {height} pixels, sensor {sensor.name} has"
+                       f" {sensor.image[0]} x {sensor.image[1]}; import it with its own SENSOR, or resize it")
+    key = hashlib.sha256(np.ascontiguousarray(sample.image)).hexdigest()
+    if key not in presses:
+        name = re.sub(r"[^A-Za-z0-9_-]", "_", path.stem)
+        presses[key] = {"path": path, "row": {"sample_id": name, "image": f"images/{name}.png"}, "raw": False}
+        target = part / "images" / f"{name}.png"
+        target.parent.mkdir(exist_ok=True)
+        if target.exists():
+            raise BadInput(f"{path}: another file of that name was imported; names become sample_id, so make them differ")
+        if not cv2.imwrite(str(target), cv2.cvtColor(sample.image, cv2.COLOR_RGB2BGR)):
+            raise BadInput(f"{target}: the image cannot be written; free space, then import again")
+    press = presses[key]
+    if isinstance(sample, LabelSample):
+        labels.setdefault(sample.label.shape[1:], {})[key] = sample.label.astype(np.float32)
+    else:
+        _take_raw(path, sample, press)
+
+
+def _take_raw(path, sample: RawSample, press) -> None:
+    if press["raw"]:
+        raise BadInput(f"{path}: has the same image as {press['path']}; remove one of them")
+    press["row"].update(sample.values, time_utc=_time(path.stem))
+    press["raw"] = True
+
+
+def _time(stem: str) -> str:
+    """FEATS names a sample by the time of its recording, without a zone; taken as UTC."""
+    try:
+        return datetime.strptime(stem, "%Y%m%d-%H%M%S").strftime("%Y-%m-%dT%H:%M:%SZ")
+    except ValueError:
+        return ""
+
+
+def _check_ids(presses, source) -> None:
+    seen = {}
+    for press in presses.values():
+        name = press["row"]["sample_id"]
+        if name in seen:
+            raise BadInput(f"{source}: {press['path']} and {seen[name]} both become sample {name}; rename one")
+        seen[name] = press["path"]
+
+
+def _write_grid(path, members, presses) -> None:
+    order = sorted(members, key=lambda key: presses[key]["row"]["sample_id"])
+    arrays = {
+        "sample_id": np.array([presses[key]["row"]["sample_id"] for key in order]),
+        "status": np.array(["OK"] * len(order)),
+        "outside": np.full((len(order), 3), np.nan),  # FEATS does not say what it left out
+        "c10": np.float64(FEATS_C10),
+    }
+    shape = (len(order), *members[order[0]].shape)
+    write_labels(path, (members[key][None] for key in order), shape, arrays)
+
+
+def export_dataset(dataset: Path, out: Path) -> dict:
+    """Write a dataset of stage 60 as FEATS' label folders: out/SPLIT/ID.npy; return the training ranges.
+
+    Normalisation covers the training split, as FEATS' normalize.py does.
+    """
+    rows = read_csv(dataset / "samples.csv")
+    images = np.load(dataset / "images.npy", mmap_mode="r", allow_pickle=False)
+    labels = np.load(dataset / "labels.npy", mmap_mode="r", allow_pickle=False)
+    ranges = Ranges()
+    for at, row in progress(list(enumerate(rows)), "export"):
+        sample = LabelSample(np.asarray(images[at]), np.asarray(labels[at], np.float64))
+        if row["split"] == "train":
+            ranges.add(sample)
+        write_label(out / row["split"] / f"{row['sample_id']}.npy", sample)
+    if not ranges.found:
+        raise BadInput(f"{dataset}: has no training samples, so there is nothing to normalise by; add presses")
+    return ranges.found
+
+
+def main(argv=None) -> int:
+    parser = argparse.ArgumentParser(prog="gelforge.formats.feats_folder", description=__doc__)
+    commands = parser.add_subparsers(dest="command", required=True)
+    reading = commands.add_parser("import", help="FEATS' .npy files to data/DATASET")
+    reading.add_argument("--from", dest="source", type=Path, required=True)
+    reading.add_argument("--data", type=Path, required=True, help="data/DATASET, which must not exist")
+    reading.add_argument("--sensor", default="gelsight_mini", help="name in sensors.toml")
+    reading.add_argument("--sensors", type=Path, default=Path("workflow/sensors.toml"))
+    writing = commands.add_parser("export", help="60_dataset/RES to FEATS' label folders")
+    writing.add_argument("--dataset", type=Path, required=True)
+    writing.add_argument("--folder", type=Path, required=True, help="where train/, val/, test/ … go")
+    writing.add_argument("--out", type=Path, required=True, help="the normalisation file, written last")
+    args = parser.parse_args(argv)
+    if args.command == "export":
+        write_normalisation(args.out, export_dataset(args.dataset, args.folder))
+        return 0
+    if not args.source.is_dir():
+        raise BadInput(f"{args.source}: not a folder; say make feats-import FROM=folder DATASET=name")
+    found = import_folder(args.source, args.data, find_sensor(load_sensors(args.sensors), args.sensor, "SENSOR"))
+    print(f"{args.data}: {found['presses']} presses from {found['files']} files; labels: {found['labels'] or 'none'}")
+    return 0
+
+
+if __name__ == "__main__":
+    from gelforge.cli import exit_with
+
+    exit_with(main)
