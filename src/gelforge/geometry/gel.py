@@ -1,6 +1,7 @@
 """The gel pad: outline, top surface, closed surface."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -46,7 +47,8 @@ class Gel:
     def edge_distance(self, x, y) -> np.ndarray:
         """Signed distance from (x, y) to the outline, mm, negative inside."""
         r = self.corner_radius
-        qx, qy = np.abs(np.asarray(x, float)) - self.width / 2.0 + r, np.abs(np.asarray(y, float)) - self.length / 2.0 + r
+        qx = np.abs(np.asarray(x, float)) - self.width / 2.0 + r
+        qy = np.abs(np.asarray(y, float)) - self.length / 2.0 + r
         return np.hypot(np.maximum(qx, 0.0), np.maximum(qy, 0.0)) + np.minimum(np.maximum(qx, qy), 0.0) - r
 
     def outline(self, size_mm: float) -> np.ndarray:
@@ -68,7 +70,7 @@ class Gel:
         return np.where(near, np.copysign([w, h], points), points)
 
     def surface(self, size_mm: float) -> tuple[np.ndarray, np.ndarray]:
-        """Watertight triangles of the undeformed gel: vertices (v, 3) mm, faces (f, 3), outward, about `size_mm` wide."""
+        """Watertight triangles of the undeformed gel, about `size_mm` wide: vertices (v, 3) mm, faces (f, 3)."""
         from scipy.spatial import Delaunay
 
         if not 0.05 <= size_mm <= self.height:
@@ -89,7 +91,7 @@ class Gel:
         starts = [n, *(2 * n + k * i for i in range(layers - 1)), 0]
         faces = [flat, flat[:, ::-1] + n]
         i, j = np.arange(k), (np.arange(k) + 1) % k
-        for low, high in zip(starts[:-1], starts[1:], strict=True):
+        for low, high in pairwise(starts):
             faces += [np.column_stack([low + i, low + j, high + j]), np.column_stack([low + i, high + j, high + i])]
         return np.concatenate([top, base, *walls]), np.concatenate(faces)
 
@@ -141,3 +143,13 @@ class Gel:
 
 def _circle(half_chord, sag):
     return half_chord**2 / (2.0 * sag) + sag / 2.0
+
+
+GELS = {"gelsight_mini": Gel()}
+
+
+def load_gel(name: str) -> Gel:
+    """The gel of that name."""
+    if name not in GELS:
+        raise BadInput(f"gel {name!r} is unknown; known: {', '.join(GELS)}")
+    return GELS[name]

@@ -1,5 +1,6 @@
 """The indenter catalogue: tables of a TOML file become rigid bodies."""
 
+import json
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -16,8 +17,9 @@ DEFAULT = object()
 class _Table:
     """One catalogue entry whose keys are taken one by one, so that a misspelt one is noticed."""
 
-    def __init__(self, name: str, table: dict, source):
+    def __init__(self, name: str, table: dict, source, folder=None):
         self.name, self.source, self._left = name, source, dict(table)
+        self.folder = Path(source).parent if folder is None else Path(folder)
 
     def fail(self, key: str, value, remedy: str):
         raise BadInput(f"{self.source}: indenter {self.name}: {key} = {value!r}; {remedy}")
@@ -120,7 +122,8 @@ def _cylinder(t: _Table, **common) -> Body:
 
 
 def _lying_cylinder(t: _Table, **common) -> Body:
-    return LyingCylinder(diameter=t.number("diameter"), length=t.number("length"), fillet=t.number("fillet"), **common)
+    diameter, length = t.number("diameter"), t.number("length")
+    return LyingCylinder(diameter=diameter, length=length, fillet=t.number("fillet"), **common)
 
 
 def _sloping_cuboid(t: _Table, **common) -> Body:
@@ -145,10 +148,10 @@ def _stl(t: _Table, **common) -> Body:
     file, scale = t.take("file"), t.number("scale", 1.0)
     spacing, reach = t.number("spacing", 0.2), t.number("reach", 4.0)
     if not isinstance(file, str):
-        t.fail("file", file, "name an STL file, relative to the catalogue")
-    path = Path(t.source).parent / file
+        t.fail("file", file, "name an STL file, from the catalogue's folder")
+    path = t.folder / file
     if not path.is_file():
-        t.fail("file", file, f"there is no file {path}; the path is relative to the catalogue")
+        t.fail("file", file, f"there is no file {path}; the path starts at the catalogue's folder")
     return sampled_from_stl(path, scale=scale, spacing=spacing, reach=reach, **common)
 
 
@@ -159,9 +162,12 @@ KINDS: dict[str, Callable] = {
 }
 
 
-def build(name: str, table: dict, source="indenters.toml") -> Body:
-    """The body that one catalogue table describes; lengths in mm, angles in degrees."""
-    t = _Table(name, table, source)
+def build(name: str, table: dict, source="indenters.toml", folder=None) -> Body:
+    """The body that one catalogue table describes; lengths in mm, angles in degrees.
+
+    STL files are named from `folder`, which is that of the catalogue file `source` unless given.
+    """
+    t = _Table(name, table, source, folder)
     kind = t.take("kind")
     if not isinstance(kind, str) or kind not in KINDS:
         t.fail("kind", kind, f"choose one of {', '.join(KINDS)}")
@@ -171,27 +177,28 @@ def build(name: str, table: dict, source="indenters.toml") -> Body:
 
 
 def read_catalogue(path) -> dict[str, dict]:
-    """The raw tables of a catalogue file by name, not built yet."""
+    """The raw tables of a catalogue file (.toml, or its canonical .json) by name, not built yet."""
     try:
-        tables = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        text = Path(path).read_text(encoding="utf-8")
+        tables = json.loads(text) if Path(path).suffix == ".json" else tomllib.loads(text)
     except (OSError, UnicodeDecodeError) as error:
         raise BadInput(f"{path}: cannot read the indenter catalogue ({error}); name an existing file") from None
-    except tomllib.TOMLDecodeError as error:
-        raise BadInput(f"{path}: not valid TOML ({error}); correct the line it names") from None
+    except (tomllib.TOMLDecodeError, json.JSONDecodeError) as error:
+        raise BadInput(f"{path}: not valid TOML or JSON ({error}); correct the line it names") from None
     for name, table in tables.items():
         if not isinstance(table, dict):
             raise BadInput(f"{path}: {name} = {table!r} stands outside a table; write [{name}] with its `kind`")
     return tables
 
 
-def load_catalogue(path, names=None) -> dict[str, Body]:
-    """Indenters by name from a TOML catalogue, all or those in `names`.
+def load_catalogue(path, names=None, folder=None) -> dict[str, Body]:
+    """Indenters by name from a catalogue file, all or those in `names`; STL files are named from `folder`.
 
-    Each has distance(points), surface(), radius(), name, height (mm), seen (whether networks train on it) and spare
+    Without `folder` they are named from the catalogue's. Each has distance(points), surface(), radius(), name, height (mm), seen (whether networks train on it) and spare
     (left out of the standard set).
     """
     tables = read_catalogue(path)
     for name in names or ():
         if name not in tables:
             raise BadInput(f"{path}: no indenter named {name!r}; it has {', '.join(tables)}")
-    return {n: build(n, t, path) for n, t in tables.items() if names is None or n in names}
+    return {n: build(n, t, path, folder) for n, t in tables.items() if names is None or n in names}

@@ -55,7 +55,7 @@ class Outline:
         self.core = mitred(corners, -self.radius)
         self._edge = np.roll(self.core, -1, axis=0) - self.core
         if np.any(np.sum(self._edge * (np.roll(corners, -1, axis=0) - corners), axis=1) <= 1e-9):
-            raise BadInput(f"fillet {radius} mm is too large for this outline: an edge vanishes; choose a smaller one")
+            raise BadInput(f"fillet {radius} mm is too large: an edge of this outline vanishes; choose a smaller one")
         along = unit(self._edge)
         self._normal = np.column_stack([along[:, 1], -along[:, 0]])
 
@@ -162,7 +162,7 @@ class Annulus:
 
     def __init__(self, outer: Ellipse, inner: Ellipse):
         if inner.a >= outer.a or inner.b >= outer.b:
-            raise BadInput(f"hole {2 * inner.a} x {2 * inner.b} mm does not fit into {2 * outer.a} x {2 * outer.b} mm")
+            raise BadInput(f"a hole {2 * inner.a} x {2 * inner.b} mm does not fit {2 * outer.a} x {2 * outer.b} mm")
         self.outer, self.inner = outer, inner
 
     def distance(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

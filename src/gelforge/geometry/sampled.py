@@ -51,8 +51,8 @@ class Sampled(Body):
         self.spacing, self._low = float(spacing), low
         self._shape = np.ceil((high - low) / spacing).astype(int) + 3
         if self._shape.prod() > MOST_POINTS:
-            raise BadInput(f"indenter {name}: a grid of {spacing} mm needs {self._shape.prod() / 1e6:.0f} million points; "
-                           f"choose a coarser `spacing` or a smaller `reach`")
+            raise BadInput(f"indenter {name}: spacing {spacing} mm makes {self._shape.prod()} grid points; "
+                           "choose a coarser `spacing` or a smaller `reach`")
 
     @cached_property
     def _coefficients(self) -> np.ndarray:
