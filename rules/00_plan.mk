@@ -21,7 +21,12 @@ $(DATA)/log.csv $(DATA)/dataset.toml:
 	$(error $@ not found: DATASET=$(DATASET) needs a raw log and a dataset.toml; see README.md, or write one with make rig)
 
 # $(call step,MODULE ARGUMENTS) is the recipe of every artifact: it writes $@.part, the wrapper publishes it.
+wrapped = $(PY) -m gelforge.step $@ $(filter $D/%,$^) -- $(PY) -m $(1)
 ifeq ($(EXECUTOR),local)
-step = @$(PY) -m gelforge.step $@ $(filter $D/%,$^) -- $(PY) -m $(1)
+step = @$(wrapped)
 barrier =
+else ifeq ($(EXECUTOR),slurm)
+include rules/00_slurm.mk
+else
+$(error EXECUTOR=$(EXECUTOR): local or slurm is needed)
 endif

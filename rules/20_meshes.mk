@@ -2,7 +2,7 @@
 MESH_FILES := $(MESHES:%=$D/20_meshes/%.npz)
 
 .PHONY: meshes
-meshes: $(MESH_FILES)  ## gel meshes of the chosen fidelity, with quality reports
+meshes: $(MESH_FILES) $(call barrier,20_meshes)  ## gel meshes of the chosen fidelity, with quality reports
 
 $(MESH_FILES): $D/20_meshes/%.npz: $P/meshes.json
 	$(call step,gelforge.meshes --name $* --params $< --out $@.part)

@@ -5,5 +5,5 @@ POSTERIOR := $D/calibrate/summary.json
 .PHONY: calibrate
 calibrate: $(POSTERIOR)  ## posterior of C10, touch offset, compliance and friction from the log's force readings
 
-$(POSTERIOR): $(DATA)/log.csv $P/calibrate.json $P/indenters.json $(POSES)
+$(POSTERIOR): $(DATA)/log.csv $P/calibrate.json $P/indenters.json $(POSES) | $(call barrier,10_poses)
 	$(call step,gelforge.calibrate --data $(DATA) --poses $D/10_poses --params $P/calibrate.json --work $D/calibrate --jobs $(JOBS) --out $@.part)

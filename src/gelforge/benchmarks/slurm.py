@@ -1,0 +1,171 @@
+"""The Slurm executor against a real one-machine cluster: cost of a task, time to submit, same forces as locally."""
+
+import argparse
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.benchmarks.figures import Figure, publish_figures
+from gelforge.benchmarks.sandbox import clean_environment, link_project
+from gelforge.files import read_json, write_text
+
+ROOT = Path(__file__).resolve().parents[3]
+SHARDS = 1500
+
+# The flow's own macros over a module that does what the file faults/NAME says, and nothing else.
+MAKEFILE = """
+MAKEFLAGS += -rR --warn-undefined-variables --output-sync=target
+.SUFFIXES:
+.DELETE_ON_ERROR:
+SHELL := bash
+.SHELLFLAGS := -euo pipefail -c
+export PYTHONPATH := $(CURDIR)
+EXECUTOR ?= slurm
+DATASET ?= lab
+SHARDS ?= 0 1 2 3
+RES := 24x32
+JOBS := 2
+PY := .venv/bin/python
+SETUP := .venv/bin/python
+NO_DATASET := help
+D := results/$(DATASET)
+wrapped = $(PY) -m gelforge.step $@ $(filter $D/%,$^) -- $(PY) -m $(1)
+ifeq ($(EXECUTOR),local)
+MAKEFLAGS += -j2
+step = @$(wrapped)
+barrier =
+else
+include rules/00_slurm.mk
+endif
+POSES := $(SHARDS:%=$D/10_poses/%.csv)
+MESH_FILES :=
+FEA := $(SHARDS:%=$D/30_fea/%.csv)
+FORCES := $(SHARDS:%=$D/40_forces/%.npz)
+.PHONY: poses fea forces whole
+poses: $(POSES) $(call barrier,10_poses)
+fea: $(FEA) $(call barrier,30_fea)
+forces: $(FORCES) $(call barrier,40_forces)
+whole: $D/70_train/whole.pt
+$(POSES): $D/10_poses/%.csv: log.csv
+	$(call step,work --name poses-$* --out $@.part $<)
+$(FEA): $D/30_fea/%.csv: $D/10_poses/%.csv | $(call barrier,10_poses)
+	$(call step,work --name fea-$* --out $@.part $<)
+$(FORCES): $D/40_forces/%.npz: $D/30_fea/%.csv | $(call barrier,30_fea)
+	$(call step,work --name forces-$* --out $@.part $<)
+$D/70_train/whole.pt: $(FORCES) | $(call barrier,40_forces)
+	$(call step,work --name whole --out $@.part $^)
+include rules/slurm.mk
+"""
+
+WORK = """
+import sys, os
+name, out, inputs = sys.argv[2], sys.argv[4], sys.argv[5:]
+text = "".join(open(path).read() for path in inputs)
+with open(f"runs/{name}", "a") as stream:
+    stream.write("started\\n")
+if os.path.exists(f"faults/{name}"):
+    exec(open(f"faults/{name}").read())
+with open(out, "w") as stream:
+    stream.write(text + name + "\\n")
+with open(f"runs/{name}", "a") as stream:
+    stream.write("ended\\n")
+"""
+
+
+class Cluster:
+    """A Slurm cluster of one node on the loopback address, in a short temporary folder of its own."""
+
+    def __init__(self, cpus: int = 2, extra: str = ""):
+        self.folder = Path(tempfile.mkdtemp(prefix="gf-slurm-"))
+        self.settings = {"SLURM_CPUS": str(cpus), "SLURM_EXTRA": extra}
+
+    def do(self, action: str, *daemon: str) -> None:
+        """Run an action of envs/slurm-cluster.sh: start, stop, kill or lose."""
+        command = [ROOT / "envs" / "slurm-cluster.sh", action, self.folder, *daemon]
+        done = subprocess.run(command, env={**os.environ, **self.settings}, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+        if done.returncode:
+            raise RuntimeError(f"slurm-cluster.sh {action}: {done.stdout.decode(errors='replace')}")
+
+    @property
+    def environment(self) -> dict[str, str]:
+        """What programs need to reach this cluster."""
+        return {**clean_environment(), "SLURM_CONF": str(self.folder / "slurm.conf")}
+
+    def ask(self, *command: str) -> str:
+        """Run one of Slurm's programs and return its standard output."""
+        return subprocess.run(command, env=self.environment, capture_output=True, text=True, check=True).stdout
+
+
+@contextmanager
+def cluster(cpus: int = 2, extra: str = ""):
+    """Start a cluster and stop it at the end."""
+    made = Cluster(cpus, extra)
+    try:
+        made.do("start")
+        yield made
+    finally:
+        made.do("stop")
+        shutil.rmtree(made.folder, ignore_errors=True)
+
+
+def lay_project(folder: Path, **settings) -> Path:
+    """Lay a small project with the flow's Slurm rules over trivial work; `settings` change [default] of its profile."""
+    for name in ("runs", "faults", "workflow"):
+        (folder / name).mkdir(parents=True)
+    for name in ("rules", ".venv"):
+        (folder / name).symlink_to(ROOT / name)
+    write_text(folder / "Makefile", MAKEFILE)
+    write_text(folder / "work.py", WORK)
+    write_text(folder / "log.csv", "log\n")
+    lay_profile(folder, **{"memory_mb": 50, "time_minutes": 5, "poll_seconds": 1.0, **settings})
+    return folder
+
+
+def lay_profile(folder: Path, **settings) -> None:
+    """Write the project's profile with changed settings in [default]."""
+    lines = []
+    for line in (ROOT / "workflow" / "slurm.toml").read_text(encoding="utf-8").splitlines():
+        key = line.partition(" = ")[0]
+        value = settings.get(key)
+        lines.append(line if value is None else f"{key} = {str(value) if not isinstance(value, str) else repr(value)}")
+    text = "\n".join(lines).partition("[fea]")[0]
+    write_text(folder / "workflow" / "slurm.toml", text)
+
+
+def start_make(folder: Path, lab: Cluster, *arguments: str) -> subprocess.Popen:
+    """Start make in a project, in a process group of its own, its output in one pipe."""
+    return subprocess.Popen(
+        ["make", *arguments], cwd=folder, env=lab.environment, text=True, stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT, start_new_session=True,
+    )
+
+
+def make(folder: Path, lab: Cluster, *arguments: str, seconds: float = 600) -> tuple[int, str]:
+    """Run make in a project; return its exit code and its output."""
+    process = start_make(folder, lab, *arguments)
+    try:
+        text, _ = process.communicate(timeout=seconds)
+    except subprocess.TimeoutExpired:
+        os.killpg(process.pid, signal.SIGTERM)
+        raise
+    return process.returncode, text
+
+
+def overhead(folder: Path, lab: Cluster) -> list[Figure]:
+    """Cost of a task and time until all are submitted."""
+    lay_project(folder)
+    shards = "SHARDS=" + " ".join(str(k) for k in range(SHARDS))
+    started = time.time()
+    code, text = make(folder, lab, "poses", shards)
+    seconds = time.time() - started
+    if code:
+        raise RuntimeError(text)
+    return [started, seconds]
