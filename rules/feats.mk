@@ -1,0 +1,13 @@
+# FEATS' files in and out.
+FROM ?=
+SENSOR ?= gelsight_mini
+EXPORTED := $(RES:%=$D/feats/%/normalization_gelforge.npy)
+
+.PHONY: feats-import feats-export
+feats-import: $(SETUP)  ## FEATS' .npy files to data/DATASET: make feats-import FROM=folder DATASET=name SENSOR=name
+	@$(PY) -m gelforge.formats.feats_folder import --from "$(FROM)" --data $(DATA) --sensor $(SENSOR)
+
+feats-export: $(EXPORTED)  ## our labels as FEATS' folders, normalisation file included
+
+$(EXPORTED): $D/feats/%/normalization_gelforge.npy: $D/60_dataset/%/dataset.json
+	$(call step,gelforge.formats.feats_folder export --dataset $(<D) --folder $(@D) --out $@.part)

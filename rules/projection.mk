@@ -1,0 +1,8 @@
+# A sensor's projection from point correspondences, or from the dots of an image without contact.
+POINTS ?=
+IMAGE ?=
+LIKE ?= gelsight_mini
+
+.PHONY: projection
+projection: $(SETUP)  ## fit a sensor: make projection SENSOR=name POINTS=points.csv and/or IMAGE=nocontact.png
+	@$(PY) -m gelforge.projection --sensor "$(SENSOR)" $(if $(POINTS),--points "$(POINTS)") $(if $(IMAGE),--image "$(IMAGE)") --like $(LIKE)

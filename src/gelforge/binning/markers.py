@@ -1,0 +1,195 @@
+"""The printed marker dots of a gel in an image without contact."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gelforge.errors import BadInput
+
+PITCH_RANGE = (12.0, 90.0)  # px between neighbouring dots of any GelSight Mini image we know, with a margin of two
+LARGEST_TURN = 25.0  # degrees a gel can sit turned in its holder and still be told from the next lattice direction
+REACH = 0.3  # of the pitch: how far from its expected place a dot is still that dot
+LIT = 0.3  # of the brightest colour's background: below, a colour tells noise from ink no more
+LEAST_SHARE = 0.5  # of the dots must be found for a grid to be believed
+
+
+@dataclass(frozen=True)
+class MarkerGrid:
+    """Dots found in an image, px; index (n, 2) is (row, col) and points (n, 2) is (u, v) of each.
+
+    pitch (2,) is the mean distance of neighbouring dots along u and v. Rotation in degrees (positive turns
+    u towards v), centre (2,) of the whole grid and residual (root mean square distance of the dots from an
+    even grid) come from a least-squares affine fit. missing: (m, 2) indices of dots that were not found.
+    """
+
+    rows: int
+    cols: int
+    index: np.ndarray
+    points: np.ndarray
+    pitch: np.ndarray
+    rotation: float
+    centre: np.ndarray
+    residual: float
+    diameter: float
+
+    @property
+    def count(self) -> int:
+        return len(self.points)
+
+    @property
+    def missing(self) -> np.ndarray:
+        full = {(row, col) for row in range(self.rows) for col in range(self.cols)}
+        return np.array(sorted(full - {tuple(i) for i in self.index.tolist()}), int).reshape(-1, 2)
+
+
+def find_markers(image: np.ndarray, rows: int, cols: int, where: str = "image") -> MarkerGrid:
+    """Find a grid of `rows` x `cols` dark dots in an image (h, w, 3) uint8, dots missing or specks added.
+
+    Raises BadInput where no such grid is there.
+    """
+    points, widths = find_blobs(image)
+    if len(points) < max(4, LEAST_SHARE * rows * cols):
+        raise BadInput(f"{where}: {len(points)} dark dots found, a grid of {rows} x {cols} is expected; use a sharp image"
+                       " without contact, and check `markers` in workflow/sensors.toml")
+    index, used = _walk(points)
+    index, used = _complete(points, index, used)
+    index, used = _window(index, used, rows, cols)
+    if len(used) < LEAST_SHARE * rows * cols:
+        raise BadInput(f"{where}: only {len(used)} of {rows} x {cols} dots stand on one grid; use an image without contact,"
+                       " and check `markers` in workflow/sensors.toml")
+    return _measure(rows, cols, index, points[used], widths[used])
+
+
+def find_blobs(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Centres (n, 2) as (u, v) and diameters (n,) of dark round dots, px.
+
+    Each colour is divided by its own median-filtered background. Ink is dark in every colour and a dot's
+    shadow only in the colour of the light it hides, so the least dark colour counts; a colour whose light
+    hardly reaches a corner says nothing there.
+    """
+    import cv2
+
+    darkness, light = [], []
+    for colour in np.moveaxis(image.reshape(*image.shape[:2], -1), 2, 0):
+        colour = np.ascontiguousarray(colour)
+        smooth = cv2.GaussianBlur(colour, (0, 0), 1.0).astype(np.float32) + 1.0
+        background = cv2.GaussianBlur(cv2.medianBlur(colour, 51).astype(np.float32), (0, 0), 12.0) + 1.0
+        darkness.append(np.clip(1.0 - smooth / background, 0.0, 1.0))
+        light.append(background)
+    dark = np.where(light >= LIT * np.max(light, axis=0), darkness, 1.0).min(axis=0)
+    level = cv2.threshold((255 * dark).astype(np.uint8), 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU)[0] / 255
+    mask = cv2.morphologyEx((dark > level).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    number, label, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
+    found = [_blob(label, dark, k, stats[k]) for k in range(1, number)]
+    found = np.array([blob for blob in found if blob is not None]).reshape(-1, 3)
+    if len(found):
+        typical = np.median(found[:, 2])
+        found = found[(found[:, 2] > 0.5 * typical) & (found[:, 2] < 1.7 * typical)]
+    return found[:, :2], found[:, 2]
+
+
+def _blob(label, dark, number, stats):
+    """Centre, weighted by darkness, and diameter of a component; None where it is no dot."""
+    left, top, width, height, area = stats
+    if area < 9 or max(width, height) > 2.5 * min(width, height) or area < 0.45 * width * height:
+        return None
+    window = np.s_[top : top + height, left : left + width]
+    weight = np.where(label[window] == number, dark[window], 0.0)
+    v, u = np.mgrid[top : top + height, left : left + width]
+    return (u * weight).sum() / weight.sum(), (v * weight).sum() / weight.sum(), 2.0 * np.sqrt(area / np.pi)
+
+
+def _steps(points) -> np.ndarray:
+    """The lattice's two steps (2, 2): typical displacement to the nearest neighbour along u, and along v."""
+    apart = points[None] - points[:, None]
+    distance = np.hypot(*apart.T).T
+    distance[(distance < PITCH_RANGE[0]) | (distance > PITCH_RANGE[1])] = np.inf
+    steps = []
+    for axis in (0, 1):
+        turn = np.degrees(np.arctan2(np.abs(apart[..., 1 - axis]), apart[..., axis]))
+        reach = np.where(turn < LARGEST_TURN, distance, np.inf)
+        nearest = reach.argmin(axis=1)
+        real = np.isfinite(reach[np.arange(len(points)), nearest])
+        if real.sum() < 2:
+            raise BadInput("the dark dots found form no grid; use a sharp image without contact")
+        steps.append(np.median(apart[np.flatnonzero(real), nearest[real]], axis=0))
+    return np.array(steps)
+
+
+def _walk(points) -> tuple[np.ndarray, np.ndarray]:
+    """Walk from dot to dot along the lattice from every start; keep the largest patch: index (n, 2), dot (n,)."""
+    steps, best = _steps(points), {}
+    reach = REACH * np.hypot(*steps.T).min()
+    unseen = set(range(len(points)))
+    while unseen:
+        patch, queue = {}, [(min(unseen), (0, 0))]
+        while queue:
+            dot, at = queue.pop()
+            if at in patch or dot in patch.values():
+                continue
+            patch[at] = dot
+            for move in ((0, 1), (0, -1), (1, 0), (-1, 0)):
+                target = points[dot] + move[0] * steps[1] + move[1] * steps[0]
+                gap = np.hypot(*(points - target).T)
+                if gap.min() < reach:
+                    queue.append((int(gap.argmin()), (at[0] + move[0], at[1] + move[1])))
+        unseen -= set(patch.values())
+        best = max(best, patch, key=len)
+    return np.array(list(best)), np.array(list(best.values()))
+
+
+def _model(index, points) -> np.ndarray:
+    """Least-squares affine map (3, 2) from (1, col, row) to pixels."""
+    design = np.column_stack([np.ones(len(index)), index[:, 1], index[:, 0]])
+    return np.linalg.lstsq(design, points, rcond=None)[0]
+
+
+def _complete(points, index, used) -> tuple[np.ndarray, np.ndarray]:
+    """Give the dots that a gap cut off their place on the lattice; drop those that stand off it."""
+    for _ in range(3):
+        if len(used) < 4 or min(np.ptp(index, axis=0)) < 1:
+            raise BadInput("the dark dots found form no grid; use a sharp image without contact")
+        model = _model(index, points[used])
+        place = (points - model[0]) @ np.linalg.inv(model[1:])
+        nearest = np.rint(place).astype(int)
+        off = np.abs(place - nearest).max(axis=1)
+        best = {}
+        for dot in np.flatnonzero(off < REACH):
+            at = nearest[dot, 1], nearest[dot, 0]
+            if at not in best or off[dot] < off[best[at]]:
+                best[at] = dot
+        index, used = np.array(list(best)), np.array(list(best.values()))
+    return index, used
+
+
+def _window(index, used, rows, cols) -> tuple[np.ndarray, np.ndarray]:
+    """The `rows` x `cols` part of the lattice that holds most dots, counted from its top left dot."""
+    best = np.zeros(len(index), bool)
+    corner = index.min(axis=0)
+    for top in range(index[:, 0].min(), max(index[:, 0].max() - rows + 1, index[:, 0].min()) + 1):
+        for left in range(index[:, 1].min(), max(index[:, 1].max() - cols + 1, index[:, 1].min()) + 1):
+            inside = ((index >= (top, left)) & (index < (top + rows, left + cols))).all(axis=1)
+            if inside.sum() > best.sum():
+                best, corner = inside, np.array([top, left])
+    return index[best] - corner, used[best]
+
+
+def _measure(rows, cols, index, points, widths) -> MarkerGrid:
+    model = _model(index, points)
+    right, down = model[1], model[2]
+    fitted = model[0] + index[:, 1:] * right + index[:, :1] * down
+    centre = model[0] + (cols - 1) / 2 * right + (rows - 1) / 2 * down
+    turn = np.degrees(np.arctan2(right[1] - down[0], right[0] + down[1]))  # of the nearest rotation
+    order = np.lexsort((index[:, 1], index[:, 0]))
+    residual = float(np.sqrt(((points - fitted) ** 2).sum(axis=1).mean()))
+    pitch = np.array([_spacing(index, points, 1), _spacing(index, points, 0)])
+    return MarkerGrid(rows, cols, index[order], points[order], pitch, float(turn), centre, residual, float(np.median(widths)))
+
+
+def _spacing(index, points, axis) -> float:
+    """Mean distance of dots that are neighbours along rows (axis 1) or columns (axis 0)."""
+    at = {tuple(i): k for k, i in enumerate(index.tolist())}
+    step = (0, 1) if axis else (1, 0)
+    pairs = [(k, at[i + step[0], j + step[1]]) for (i, j), k in at.items() if (i + step[0], j + step[1]) in at]
+    here, there = np.array(pairs).T
+    return float(np.hypot(*(points[there] - points[here]).T).mean())
