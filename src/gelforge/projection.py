@@ -137,7 +137,7 @@ def _scale(homography) -> list[float]:
 
 def toml_table(about: dict) -> str:
     """The table to paste into workflow/sensors.toml."""
-    rows = ", ".join(str([float(f"{value:.8g}") for value in row]) for row in about["projection"])
+    rows = ", ".join(str([float(f"{value:.8g}") + 0.0 for value in row]) for row in about["projection"])
     lines = [f"[{about['sensor']}]", f'gel = "{about["gel"]}"', f"image = {about['image']}", f"projection = [{rows}]"]
     if "markers" in about:
         kept = ("rows", "cols", "pitch_px", "centre_px", "rotation_deg", "diameter_px")

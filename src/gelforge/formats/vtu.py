@@ -1,0 +1,56 @@
+"""A gel mesh with its displacement and nodal forces as .vtu, for ParaView and pyvista."""
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.files import publish
+from gelforge.mechanics.mesh import GelMesh
+
+VTK_CELL = {"hex8": 12, "tet10": 24}  # VTK_HEXAHEDRON, VTK_QUADRATIC_TETRA: same node order as C3D8 and C3D10
+
+
+def write_vtu(path, mesh: GelMesh, displacement: np.ndarray, force: np.ndarray, known: np.ndarray) -> None:
+    """Write the undeformed gel with point arrays, whole or not at all.
+
+    displacement (n, 3) mm ("Warp By Vector" shows the pressed gel), force (n, 3) N on the gel, known (n,)
+    bool: where the displacement was computed and not filled in.
+    """
+    import pyvista as pv
+
+    if displacement.shape != mesh.nodes.shape or force.shape != mesh.nodes.shape:
+        raise BadInput(f"{path}: displacement {displacement.shape} and force {force.shape} for {len(mesh.nodes)} nodes;"
+                       " they belong to another mesh, run make again")
+    count, width = mesh.elements.shape
+    cells = np.column_stack([np.full(count, width), mesh.elements]).ravel()
+    grid = pv.UnstructuredGrid(cells, np.full(count, VTK_CELL[mesh.kind], np.uint8), mesh.nodes)
+    grid.point_data["displacement"] = displacement
+    grid.point_data["force"] = force
+    grid.point_data["displacement_known"] = known.astype(np.uint8)
+    with publish(path) as part:
+        grid.save(part)
+
+
+def fill_inside(mesh: GelMesh, surface: np.ndarray, displacement: np.ndarray) -> np.ndarray:
+    """Displacement (n, 3) of all nodes from that of `surface` nodes (s, 3) and the fixed base.
+
+    Nodes between get the mean of their neighbours, which is smooth and only good for pictures.
+    """
+    from scipy.sparse import coo_matrix, diags
+    from scipy.sparse.linalg import spsolve
+
+    count, width = len(mesh.nodes), mesh.elements.shape[1]
+    filled = np.zeros((count, 3))
+    filled[surface] = displacement
+    fixed = np.zeros(count, bool)
+    fixed[surface] = fixed[mesh.base] = True
+    used = np.zeros(count, bool)
+    used[mesh.elements] = True
+    inner = np.flatnonzero(used & ~fixed)
+    if not len(inner):
+        return filled
+    a, b = np.repeat(mesh.elements, width, axis=1).ravel(), np.tile(mesh.elements, (1, width)).ravel()
+    graph = coo_matrix((np.ones(len(a)), (a, b)), shape=(count, count)).tocsr()
+    graph.data[:] = 1.0
+    laplace = (diags(np.asarray(graph.sum(axis=1)).ravel()) - graph).tocsr()[inner]
+    filled[inner] = spsolve(laplace[:, inner].tocsc(), -(laplace[:, np.flatnonzero(fixed)] @ filled[fixed]))
+    return filled
