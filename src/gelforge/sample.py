@@ -17,18 +17,20 @@ def find_row(results: Path, sample_id: str) -> tuple[list[str], dict]:
     raise BadInput(f"sample {sample_id!r} is not in the log of {results.name}; make sample ID=… takes a sample_id")
 
 
-def stages(data: Path, results: Path, work: Path, resolution: str) -> list[tuple[str, list[str]]]:
-    """The stages' modules and arguments for a shard of one sample in the folder `work`."""
+def stages(data: Path, results: Path, work: Path, resolution: str) -> list[tuple[str, list]]:
+    """The stages' modules and arguments for a shard of one sample in the folder `work`; the last argument is the output."""
     params = results / "00_plan" / "params"
     meshes = results / "20_meshes"
-    poses, fea, forces = work / "10_poses/one.csv", work / "30_fea/one.csv", work / "40_forces/one.npz"
-    out = work / "50_labels" / resolution / "one.npz"
+    shard, poses, fea, forces = (work / name for name in (
+        "00_plan/shards/0000.csv", "10_poses/0000.csv", "30_fea/0000.csv", "40_forces/0000.npz"))
+    labels = work / "50_labels" / resolution / "labels.json"
     return [
-        ("poses", ["--data", data, "--shard", work / "00_plan/one.csv", "--params", params / "poses.json", "--out", poses]),
+        ("poses", ["--data", data, "--shard", shard, "--params", params / "poses.json", "--out", poses]),
         ("fea", ["--poses", poses, "--meshes", meshes, "--params", params / "fea.json", "--out", fea]),
         ("forces", ["--fea", fea, "--meshes", meshes, "--params", params / "forces.json", "--out", forces]),
-        ("labels", ["--forces", forces, "--poses", poses, "--meshes", meshes, "--sensors", "workflow/sensors.toml",
-                    "--resolution", resolution, "--params", params / "labels.json", "--out", out]),
+        ("labels", ["--forces", forces.parent, "--poses", poses.parent, "--meshes", meshes, "--shards", shard.parent,
+                    "--sensors", params / "sensors.json", "--resolution", resolution,
+                    "--params", params / "labels.json", "--out", labels]),
     ]
 
 
@@ -45,7 +47,7 @@ def main(argv=None) -> int:
     data, results = Path("data") / args.dataset, Path("results") / args.dataset
     columns, row = find_row(results, args.id)
     work = results / "samples" / args.id
-    write_csv(work / "00_plan" / "one.csv", columns, [row])
+    write_csv(work / "00_plan" / "shards" / "0000.csv", columns, [row])
     for stage, arguments in stages(data, results, work, args.resolution):
         Path(arguments[-1]).parent.mkdir(parents=True, exist_ok=True)
         print(f"== {stage}", file=sys.stderr, flush=True)

@@ -1,0 +1,39 @@
+"""Small datasets in a project folder of their own."""
+
+import shutil
+
+import pytest
+
+from gelforge.benchmarks.sandbox import link_project
+from gelforge.files import read_csv, write_csv, write_text
+
+# Coarse and in-process: the flow is on trial here, not the mechanics.
+FAST = """
+[params.plan]
+shard_size = 2
+
+[params.fea]
+fidelity = "hex"
+tolerance = 0.2
+"""
+
+
+def lay_dataset(project, root, name, count, overrides=FAST):
+    """Copy the first `count` presses of the demo log into data/NAME of a sandbox."""
+    demo, data = root / "data" / "demo", project / "data" / name
+    rows = read_csv(demo / "log.csv")[:count]
+    write_csv(data / "log.csv", list(rows[0]), rows)
+    base = (demo / "dataset.toml").read_text(encoding="utf-8").split("[params")[0]
+    write_text(data / "dataset.toml", base + overrides)
+    for row in rows:
+        (data / row["image"]).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(demo / row["image"], data / row["image"])
+    return data
+
+
+@pytest.fixture
+def project(root, tmp_path):
+    """A sandbox with the dataset `tiny`: four presses in two shards."""
+    project = link_project(root, tmp_path / "project")
+    lay_dataset(project, root, "tiny", 4)
+    return project

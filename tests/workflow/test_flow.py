@@ -1,0 +1,178 @@
+"""The DAG on a tiny dataset through real tools: build, nothing to do, exact rebuilds, faults, resumption."""
+
+import os
+import re
+import signal
+import subprocess
+import time
+
+import numpy as np
+import pytest
+
+from gelforge.benchmarks.sandbox import clean_environment, make
+from gelforge.files import read_csv, write_csv
+
+BUILT = re.compile(r"^results/tiny/(\S+)  [\d.]+ s", re.MULTILINE)
+PREDICTED = re.compile(r"gelforge\.step results/tiny/(\S+)", re.MULTILINE)
+
+
+def build(project, *goals):
+    """Make goals of the dataset; return what was built, in order."""
+    done = make(project, "DATASET=tiny", *goals)
+    assert done.returncode == 0, done.stdout
+    return BUILT.findall(done.stdout)
+
+
+def predict(project, *goals):
+    """What `make -n` says it would build."""
+    done = make(project, "-n", "DATASET=tiny", *goals)
+    assert done.returncode == 0, done.stdout
+    return PREDICTED.findall(done.stdout)
+
+
+def edit(project, old, new, name="workflow/params.toml"):
+    """Replace text of a file, with a time stamp make cannot miss."""
+    path = project / name
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+    later = time.time() + 2
+    os.utime(path, (later, later))
+
+
+def stages(built):
+    return sorted({name.split("/")[0] for name in built})
+
+
+@pytest.fixture
+def labelled(project):
+    """The tiny dataset, built as far as labels."""
+    assert stages(build(project, "labels")) == ["10_poses", "20_meshes", "30_fea", "40_forces", "50_labels"]
+    return project
+
+
+def test_parameters_are_prerequisites_exactly(labelled):
+    assert predict(labelled, "labels") == [] and build(labelled, "labels") == []
+
+    edit(labelled, "[fea]", "# a comment\n[fea]")
+    assert predict(labelled, "labels") == [] and build(labelled, "labels") == []
+
+    expected = predict(labelled, "labels", "RES=12x16")
+    assert stages(expected) == ["50_labels"]
+    assert sorted(build(labelled, "labels", "RES=12x16")) == sorted(expected)
+    assert build(labelled, "labels", "RES=24x32") == []
+
+    edit(labelled, "tolerance = 0.2", "tolerance = 0.21", "data/tiny/dataset.toml")
+    expected = predict(labelled, "labels")
+    assert stages(expected) == ["30_fea", "40_forces", "50_labels"]
+    assert sorted(build(labelled, "labels")) == sorted(expected)
+
+
+def test_appending_to_the_log_solves_only_what_is_new(labelled, root):
+    from .conftest import lay_dataset
+
+    before = {p: p.stat().st_mtime_ns for p in (labelled / "results/tiny/30_fea").rglob("*") if p.is_file()}
+    lay_dataset(labelled, root, "tiny", 5)
+    later = time.time() + 2
+    os.utime(labelled / "data/tiny/log.csv", (later, later))
+    built = build(labelled, "labels")
+    assert {name for name in built if not name.startswith("20_")} == {
+        "10_poses/0002.csv", "30_fea/0002.csv", "40_forces/0002.npz", "50_labels/24x32/labels.json",
+    }  # fmt: skip
+    assert all(p.stat().st_mtime_ns == stamp for p, stamp in before.items())
+
+
+def test_a_truncated_artifact_is_made_again_alone(labelled):
+    whole = labelled / "results/tiny/40_forces/0000.npz"
+    content = whole.read_bytes()
+    whole.write_bytes(content[: len(content) // 2])
+    done = make(labelled, "DATASET=tiny", "labels")
+    assert done.returncode == 0, done.stdout
+    assert sorted(BUILT.findall(done.stdout)) == ["40_forces/0000.npz", "50_labels/24x32/labels.json"]
+    with np.load(whole) as again:
+        assert np.isfinite(again["total"]).all()
+
+
+def test_killing_make_in_a_solve_loses_at_most_that_solve(project):
+    build(project, "poses", "meshes")
+    child = subprocess.Popen(
+        ["make", "-j1", "DATASET=tiny", "fea"], cwd=project, env=clean_environment(), start_new_session=True,
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    first = project / "results/tiny/30_fea"
+    deadline = time.monotonic() + 120  # a busy machine starts the first solve within seconds
+    while not list(first.glob("*/*.json")) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    os.killpg(child.pid, signal.SIGKILL)
+    child.wait()
+    kept = {p: p.stat().st_mtime_ns for p in first.glob("*/*.json")}
+    assert kept and not list(first.glob("*.part"))
+    built = build(project, "fea")
+    assert set(built) <= {"30_fea/0000.csv", "30_fea/0001.csv"}
+    assert all(p.stat().st_mtime_ns == stamp for p, stamp in kept.items())
+    assert sum(len(read_csv(p)) for p in first.glob("*.csv")) == 4
+
+
+def bad_row(row, **changes):
+    return {**row, **changes}
+
+
+def test_bad_rows_are_rejected_by_name_and_the_rest_goes_on(project, root):
+    path = project / "data/tiny/log.csv"
+    rows = read_csv(path)
+    good = rows[0]
+    rows += [
+        bad_row(good, sample_id="nan", x0_mm="nan"),
+        bad_row(good, sample_id="text", dz_mm="deep"),
+        bad_row(good),
+        bad_row(good, sample_id="who", indenter="teapot"),
+        bad_row(good, sample_id="sensor", sensor_id="nobody"),
+        bad_row(good, sample_id="lost", image="images/none.png"),
+        bad_row(good, sample_id="escape", image="../../../workflow/params.toml"),
+        bad_row(good, sample_id="never", x0_mm="500"),
+        bad_row(good, sample_id="through", dz_mm="-4.5"),
+    ]
+    (project / "data/tiny/images/broken.png").write_bytes((project / "data/tiny" / good["image"]).read_bytes()[:200])
+    rows.append(bad_row(good, sample_id="broken", image="images/broken.png"))
+    write_csv(path, list(good), rows)
+    done = make(project, "DATASET=tiny", "poses")
+    assert done.returncode == 0, done.stdout
+    rejected = [r for p in sorted((project / "results/tiny/10_poses").glob("*.rejected.csv")) for r in read_csv(p)]
+    named = {r["sample_id"]: r for r in rejected}
+    assert {"nan", "text", "who", "sensor", "lost", "escape", "never", "through", "broken", good["sample_id"]} <= set(named)
+    for row in rejected:
+        assert row["row"] and row["column"] and row["reason"] and row["remedy"]
+        assert row["sample_id"] in done.stdout
+    kept = [r["sample_id"] for p in sorted((project / "results/tiny/10_poses").glob("[0-9]*[0-9].csv")) for r in read_csv(p)]
+    assert len(kept) >= 3 and len(set(kept)) == len(kept)
+    assert make(project, "DATASET=tiny", "STRICT=1", "clean-poses").returncode == 0
+    strict = make(project, "-k", "DATASET=tiny", "STRICT=1", "poses")
+    assert strict.returncode != 0 and "x0_mm" in strict.stdout
+
+
+@pytest.mark.parametrize(("text", "named"), [("", "sample_id"), ("sample_id\n", "no rows")])
+def test_an_empty_log_is_an_error(project, text, named):
+    (project / "data/tiny/log.csv").write_text(text)
+    done = make(project, "DATASET=tiny", "poses")
+    assert done.returncode != 0 and named in done.stdout and "log.csv" in done.stdout
+
+
+def test_an_unknown_dataset_is_an_error(project):
+    done = make(project, "DATASET=nowhere", "poses")
+    assert done.returncode != 0 and "data/nowhere/log.csv" in done.stdout
+
+
+def test_a_full_disk_fails_and_the_next_make_resumes(project, tmp_path):
+    small = tmp_path / "small"
+    small.mkdir()
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=200k", "tmpfs", str(small)], capture_output=True).returncode:
+        pytest.skip("a tmpfs cannot be mounted here")
+    try:
+        (project / "results").symlink_to(small)
+        full = make(project, "DATASET=tiny", "poses", "meshes")
+        assert full.returncode != 0 and "No space left" in full.stdout, full.stdout
+        subprocess.run(["mount", "-o", "remount,size=200m", str(small)], check=True)
+        assert make(project, "DATASET=tiny", "poses", "meshes").returncode == 0
+        assert make(project, "-q", "DATASET=tiny", "poses", "meshes").returncode == 0
+    finally:
+        subprocess.run(["umount", "-l", str(small)], check=True)
