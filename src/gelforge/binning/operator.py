@@ -13,6 +13,7 @@ towards linear traction, the errors of linear traction and of contact edges are 
 import hashlib
 import zipfile
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -42,7 +43,7 @@ class Operator:
     cell: np.ndarray
     weight: np.ndarray
 
-    @property
+    @cached_property
     def matrix(self):
         """scipy CSR, (mesh nodes, cells + 1)."""
         from scipy.sparse import csr_matrix

@@ -17,10 +17,9 @@ from gelforge.files import read_csv, write_csv, write_json, write_text
 from gelforge.formats.feats import (
     LabelSample, RawSample, Ranges, is_normalisation, read_normalisation, read_sample, write_label, write_normalisation,
 )
+from gelforge.log import COLUMNS
 from gelforge.progress import progress
 
-COLUMNS = ["sample_id", "time_utc", "sensor_id", "gel_id", "indenter", "x0_mm", "y0_mm", "z0_mm", "dx_mm", "dy_mm",
-           "dz_mm", "rot_deg", "fx_n", "fy_n", "fz_n", "mx_nm", "my_nm", "mz_nm", "image"]
 FEATS_C10 = 0.0792  # MPa, the paper's fit, which its labels were made with
 DATASET_TOML = '''# Imported from files in FEATS' layout.
 sensor = "{sensor}"
@@ -84,7 +83,7 @@ def _take(path, sample, sensor, part, presses, labels) -> None:
                        f" {sensor.image[0]} x {sensor.image[1]}; import it with its own SENSOR, or resize it")
     key = hashlib.sha256(np.ascontiguousarray(sample.image)).hexdigest()
     if key not in presses:
-        name = re.sub(r"[^A-Za-z0-9_-]", "_", path.stem)
+        name = re.sub(r"[^A-Za-z0-9_-]", "_", path.stem)[:100].lstrip("_-") or "sample"
         presses[key] = {"path": path, "row": {"sample_id": name, "image": f"images/{name}.png"}, "raw": False}
         target = part / "images" / f"{name}.png"
         target.parent.mkdir(exist_ok=True)
