@@ -8,5 +8,5 @@ evaluate-models: $(EVALUATED)  ## the same for every network
 $(EVALUATED): $D/80_evaluate/$(RES1)/%.json: $D/70_train/$(RES1)/%.pt $D/60_dataset/$(RES1)/dataset.json $P/evaluate.json
 	$(call step,gelforge.evaluate --dataset $(dir $(word 2,$^)) --model $< --params $P/evaluate.json --out $@.part)
 
-$(EVALUATED:.json=.md): $D/80_evaluate/$(RES1)/%.md: $D/70_train/$(RES1)/%.pt $D/80_evaluate/$(RES1)/%.json $D/60_dataset/$(RES1)/dataset.json
-	$(call step,gelforge.networks.card --model $< --evaluation $(word 2,$^) --dataset $(dir $(word 3,$^)) --out $@.part)
+$(EVALUATED:.json=.md): $D/80_evaluate/$(RES1)/%.md: $D/70_train/$(RES1)/%.pt $D/80_evaluate/$(RES1)/%.json
+	$(call step,gelforge.networks.card --model $< --evaluation $(word 2,$^) --out $@.part)

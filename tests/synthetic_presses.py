@@ -46,15 +46,19 @@ def write_dataset(folder, n=48, image=(240, 320), grid=(24, 32), seed=0) -> Path
     rows = []
     for i, total in enumerate(labels.sum((2, 3))):
         split = "train" if i % 8 < 4 else SPLITS[i % 8 - 3]
+        # Label channels are FEATS': the first runs along gel y, the second along gel x.
+        forces = {"fx_n": total[1], "fy_n": total[0], "fz_n": total[2]}
+        measured = {f"measured_{name}": value + 0.1 for name, value in forces.items()}
+        true = {f"true_{name}": value for name, value in forces.items()}
         rows.append({"sample_id": f"p{i:04d}", "indenter": f"ball{i % 3}", "sensor_id": "mini0", "split": split,
-                     "fx_n": total[0], "fy_n": total[1], "fz_n": total[2]})
+                     **forces, **measured, **true})
     write_csv(folder / "samples.csv", list(rows[0]), rows)
     write_json(folder / "normalisation.json", {})
-    write_json(folder / "dataset.json", {"name": "made up", "sensor": "gelsight_mini", "grid": list(grid)})
+    write_json(folder / "dataset.json", {"name": "made up", "sensor": "mini0", "grid": list(grid)})
     return folder
 
 
-SETTINGS = json.loads("""{"epochs": 4, "batch": 8, "learning_rate": 1e-3, "plateau_factor": 0.3,
- "plateau_patience": 15, "least_rate": 1e-5, "total_weight": 0.3, "seed": 1, "threads": 1, "mixed_precision": true,
+SETTINGS = json.loads("""{"epochs": 4, "batch": 8, "learning_rate": 1e-3, "schedule": "plateau", "plateau_factor": 0.3,
+ "plateau_patience": 15, "least_rate": 1e-5, "total_weight": 0.3, "seed": 1, "settle_images": 128, "threads": 1, "mixed_precision": true,
  "checkpoint_seconds": 0.0, "augment": {"probability": 0.5, "noise": 0.05, "brightness": 0.25, "contrast": 0.25,
  "saturation": 0.25, "hue": 0.1}}""")

@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.files import read_json, write_json
+from gelforge.files import publish, read_json, write_json
 from gelforge.networks import metrics
+from gelforge.networks.figures import draw_predictions, tables
 
 VERSION = 1
 # Where a dataset has them, total forces (samples.csv, gel frame: x short side) that did not come from
@@ -66,10 +67,11 @@ def evaluate_split(data, rows, predicted, settings: dict, force_range, rng) -> d
     return result
 
 
-def evaluate(data, trained, settings: dict) -> dict:
+def evaluate(data, trained, settings: dict) -> tuple[dict, dict]:
     """Evaluate a model on every split of a dataset but the one it was fitted to.
 
     :param data: networks.data.Data. :param trained: networks.modelfile.Trained.
+    Returns the figures, and per split its rows and predictions (k, 3, rows, cols) in N per cell.
     """
     import torch
 
@@ -92,10 +94,12 @@ def evaluate(data, trained, settings: dict) -> dict:
         "force_range": dict(zip(metrics.AXES, force_range.tolist())), "curve": about["curve"], "cost": about["cost"],
         "splits": {},
     }
+    predictions = {}
     for name, rows in splits.items():
-        predicted = predict_rows(trained.net, data, rows, about["normalisation"])
-        result["splits"][name] = evaluate_split(data, rows, predicted, settings, force_range, rng)
-    return result
+        predictions[name] = (rows, predict_rows(trained.net, data, rows, about["normalisation"]))
+        result["splits"][name] = evaluate_split(data, *predictions[name], settings, force_range, rng)
+    result["tables"] = tables(result)
+    return result, predictions
 
 
 def paper_table(result: dict) -> str:
@@ -121,8 +125,11 @@ def main(argv=None) -> int:
     from gelforge.networks.data import open_data
     from gelforge.networks.modelfile import load_model
 
-    result = evaluate(open_data(args.dataset), load_model(args.model), read_json(args.params)["evaluate"])
+    data = open_data(args.dataset)
+    result, predictions = evaluate(data, load_model(args.model), read_json(args.params)["evaluate"])
     print(paper_table(result))
+    with publish(args.out.with_name(args.out.name.removesuffix(".part").removesuffix(".json") + ".png")) as part:
+        draw_predictions(part, data, predictions)
     write_json(args.out, result)
     return 0
 

@@ -31,14 +31,13 @@ def read_image(path) -> np.ndarray:
 
 def load_for_use(path, sensor: str | None = None):
     """Load a model for prediction and check that it is for `sensor`, where one is named."""
-    from gelforge.networks.modelfile import load_model
+    from gelforge.networks.modelfile import load_model, require_sensor
 
     if path is None and not SHIPPED.exists():
         raise BadInput("no model came with this copy of gelforge: train one with `make train` and name it with --model")
     trained = load_model(path or SHIPPED)
-    if sensor and trained.about["sensor"] and trained.about["sensor"] != sensor:
-        raise BadInput(f"model {trained.about['name']} was trained for sensor {trained.about['sensor']!r}, not {sensor!r}: "
-                       "name a model of that sensor with --model")
+    if sensor:
+        require_sensor(trained, {sensor})
     return trained
 
 

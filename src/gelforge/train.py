@@ -8,7 +8,7 @@ import json
 from pathlib import Path
 
 from gelforge.errors import BadInput
-from gelforge.files import read_json, write_csv
+from gelforge.files import publish, read_json, write_csv
 
 VERSION = 1
 
@@ -41,6 +41,7 @@ def identity(about: dict) -> str:
 
 def describe(data, name: str, model: dict, settings: dict, device: str) -> dict:
     """What a model file says about where its network comes from."""
+    import numpy as np
     import torch
 
     from gelforge.networks.data import data_version
@@ -49,10 +50,12 @@ def describe(data, name: str, model: dict, settings: dict, device: str) -> dict:
     return {
         "name": name, "model": model, "train": settings, "version": VERSION, "torch": torch.__version__,
         "image": list(data.image_size), "grid": [1, 1] if model["kind"] == "resnet" else list(data.grid),
-        "sensor": data.info.get("sensor", ""), "sensors": sorted(set(data.names("sensor_id")[rows].tolist())),
+        "known_sensors": sorted(set(data.names("sensor_id").tolist())),
+        "sensors": sorted(set(data.names("sensor_id")[rows].tolist())),
         "indenters": sorted(set(data.names("indenter")[rows].tolist())),
         "threads_used": torch.get_num_threads(), "device": device,
         "data": {"name": data.info.get("name", data.folder.parent.parent.name), "version": data_version(data),
+                 "simulated": bool(np.isfinite(data.column("true_fz_n")).any()),
                  "samples": {key: len(value) for key, value in sorted(data.splits.items())}},
     }
 
@@ -93,6 +96,7 @@ def main(argv=None) -> int:
     parser.add_argument("--out", type=Path, required=True)
     args = parser.parse_args(argv)
     from gelforge.networks.data import open_data
+    from gelforge.networks.figures import draw_curve
     from gelforge.networks.modelfile import save_model
 
     settings = read_json(args.params)["train"]
@@ -100,7 +104,10 @@ def main(argv=None) -> int:
     stem = args.out.with_name(args.out.name.removesuffix(".part").removesuffix(".pt"))
     checkpoint = stem.with_name(stem.name + ".checkpoint.pt")
     trained = train(open_data(args.dataset), args.model, model, settings, checkpoint)
-    write_csv(stem.with_name(stem.name + ".curve.csv"), list(trained.about["curve"][0]), trained.about["curve"])
+    curve = trained.about["curve"]
+    write_csv(stem.with_name(stem.name + ".curve.csv"), list(curve[0]), curve)
+    with publish(stem.with_name(stem.name + ".curve.png")) as part:
+        draw_curve(part, curve, trained.about["best_epoch"], args.model)
     save_model(args.out, trained)
     checkpoint.unlink(missing_ok=True)
     cost = trained.about["cost"]

@@ -34,18 +34,18 @@ def control_rows(evaluation: dict) -> list[list[str]]:
             for split_name, split in evaluation["splits"].items() for control, values in split["controls"].items()]
 
 
-def write_card(about: dict, evaluation: dict, simulated: bool) -> str:
+def write_card(about: dict, evaluation: dict) -> str:
     """Return the card of a model as Markdown, from its file's `about` and its evaluation."""
     data = about["data"]
     origin = ("**It learnt from the virtual rig: simulated presses and rendered images, no real sensor.** Expect larger "
-              "errors on a real one." if simulated else "It learnt from recorded presses.")
+              "errors on a real one." if data["simulated"] else "It learnt from recorded presses.")
     samples = ", ".join(f"{count} {name}" for name, count in data["samples"].items())
     lines = [
         f"# Model card: {about['name']}", "",
         f"Reads the contact forces on an optical tactile gel from one image of {about['image'][1]} x {about['image'][0]} "
         f"pixels (RGB) as a grid of {about['grid'][0]} x {about['grid'][1]} cells in N. {origin}", "",
         f"- Network: {about['model']}, {about['parameters']} parameters.",
-        f"- Sensor: {about['sensor'] or 'not named'}; units seen: {', '.join(about['sensors'])}.",
+        f"- Sensors seen: {', '.join(about['sensors'])}; in its dataset: {', '.join(about['known_sensors'])}.",
         f"- Indenters seen: {', '.join(about['indenters'])}.",
         f"- Data: {data['name']}, version {data['version']}; presses: {samples}.",
         f"- Training: best of {len(about['curve'])} epochs was {about['best_epoch']}; {about['train']}.",
@@ -68,13 +68,11 @@ def main(argv=None) -> int:
     parser = argparse.ArgumentParser(prog="gelforge.networks.card", description=__doc__.splitlines()[0])
     parser.add_argument("--model", type=Path, required=True)
     parser.add_argument("--evaluation", type=Path, required=True)
-    parser.add_argument("--dataset", type=Path, required=True, help="60_dataset/RES, which says whether it is simulated")
     parser.add_argument("--out", type=Path, required=True)
     args = parser.parse_args(argv)
     from gelforge.networks.modelfile import load_model
 
-    simulated = bool(read_json(args.dataset / "dataset.json").get("simulated", False))
-    write_text(args.out, write_card(load_model(args.model).about, read_json(args.evaluation), simulated))
+    write_text(args.out, write_card(load_model(args.model).about, read_json(args.evaluation)))
     return 0
 
 

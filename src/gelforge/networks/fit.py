@@ -1,6 +1,7 @@
 """The training loop: seeded, resumable to the same curve, best epoch by validation."""
 
 import copy
+import math
 import resource
 import time
 from pathlib import Path
@@ -9,6 +10,7 @@ import numpy as np
 import torch
 from torch.nn import functional as F
 
+from gelforge.errors import BadInput, GelforgeError
 from gelforge.files import publish
 from gelforge.networks.batches import Ahead, generator, images_to_tensor, training_batches
 from gelforge.networks.modelfile import read_tensors
@@ -56,6 +58,44 @@ def validate(net, data, norm: dict, batch: int, device: str) -> dict:
     return {"val_fx": float(mae[0]), "val_fy": float(mae[1]), "val_fz": float(mae[2]), "val_total": float(mae.sum())}
 
 
+def cosine(epoch: int, epochs: int) -> float:
+    """Share of the learning rate in an epoch (from 0) of a cosine schedule that ends near zero (Loshchilov 2017)."""
+    return 0.5 * (1 + math.cos(math.pi * epoch / epochs))
+
+
+def make_schedule(optimiser, settings: dict):
+    """The schedule of the learning rate, and whether its step wants the validation error."""
+    if settings["schedule"] == "plateau":
+        return torch.optim.lr_scheduler.ReduceLROnPlateau(
+            optimiser, factor=settings["plateau_factor"], patience=settings["plateau_patience"],
+            min_lr=settings["least_rate"]), True
+    if settings["schedule"] == "cosine":
+        return torch.optim.lr_scheduler.LambdaLR(optimiser, lambda n: cosine(n, settings["epochs"])), False
+    raise BadInput(f"[train] schedule = {settings['schedule']!r}: use \"plateau\" or \"cosine\"")
+
+
+def settle_batch_norm(net, data, norm: dict, settings: dict, device: str) -> None:
+    """Replace the running statistics of batch normalisation by those of clean training images.
+
+    While it trains, a network sees augmented images and its weights move faster than running means
+    follow; with tens of steps an epoch that alone doubled the validation error. At most
+    `settle_images` images, evenly picked, in batches (precise batch normalisation, Wu and Johnson 2021).
+    """
+    layers = [layer for layer in net.modules() if isinstance(layer, torch.nn.BatchNorm2d)]
+    if not layers or settings["settle_images"] == 0:
+        return
+    rows = data.splits["train"]
+    rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), settings["settle_images"])).astype(int)]
+    mean, std = (torch.tensor(norm[key], device=device).float().view(1, 3, 1, 1) for key in ("image_mean", "image_std"))
+    for layer in layers:
+        layer.reset_running_stats()
+        layer.momentum = None  # a plain average over the batches
+    net.train()
+    with torch.no_grad():
+        for part in np.array_split(rows, max(1, len(rows) // settings["batch"])):
+            net((images_to_tensor(data.images[part]).to(device) - mean) / std)
+
+
 class Training:
     """A network with everything that its training needs to go on where it stopped."""
 
@@ -64,9 +104,7 @@ class Training:
         self.total_only = model["kind"] == "resnet"
         self.net = initial_net(model, image, grid, settings["seed"]).to(device)
         self.optimiser = torch.optim.Adam(self.net.parameters(), lr=settings["learning_rate"])
-        self.schedule = torch.optim.lr_scheduler.ReduceLROnPlateau(
-            self.optimiser, factor=settings["plateau_factor"], patience=settings["plateau_patience"],
-            min_lr=settings["least_rate"])
+        self.schedule, self.by_validation = make_schedule(self.optimiser, settings)
         self.mixed = device == "cuda" and settings["mixed_precision"]
         self.curve: list[dict] = []
         self.best = {"epoch": 0, "val_total": float("inf"), "weights": None}
@@ -105,12 +143,16 @@ class Training:
         batches = Ahead(training_batches(data, self.norm, self.settings, number, self.total_only))
         self.net.train()
         losses = [self.step(images, wanted) for images, wanted in batches]
+        if not np.isfinite(losses).all():
+            raise GelforgeError(f"training diverged in epoch {number + 1}: a loss is not finite; lower "
+                                f"[train] learning_rate, now {rate:g}")
         self.cost["wait_seconds"] += batches.waited
         self.cost["seconds"] += time.perf_counter() - started
         self.cost["steps"] += len(losses)
+        settle_batch_norm(self.net, data, self.norm, self.settings, self.device)
         row = {"epoch": number + 1, "learning_rate": rate, "loss": float(np.mean(losses)),
                **validate(self.net, data, self.norm, self.settings["batch"], self.device)}
-        self.schedule.step(row["val_total"])
+        self.schedule.step(*[row["val_total"]] if self.by_validation else [])
         self.curve.append(row)
         if row["val_total"] < self.best["val_total"]:
             self.best = {"epoch": row["epoch"], "val_total": row["val_total"],

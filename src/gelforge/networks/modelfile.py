@@ -11,7 +11,7 @@ from gelforge.errors import BadInput
 from gelforge.networks.models import build
 
 FORMAT = 1
-KEYS = ("name", "model", "train", "image", "grid", "sensor", "sensors", "data", "normalisation", "statistics")
+KEYS = ("name", "model", "train", "image", "grid", "known_sensors", "sensors", "data", "normalisation", "statistics")
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,12 @@ def require_fit(trained: Trained, data) -> None:
     if tuple(about["grid"]) not in (tuple(data.grid), (1, 1)):
         raise BadInput(f"model {about['name']} writes a grid of {about['grid']}, the dataset has {list(data.grid)}: "
                        "evaluate it on the dataset of its own RES")
-    sensor = data.info.get("sensor", "")
-    if about["sensor"] and sensor and about["sensor"] != sensor:
-        raise BadInput(f"model {about['name']} was trained for sensor {about['sensor']!r}, the dataset is of "
-                       f"{sensor!r}: train a model for that sensor")
+    require_sensor(trained, set(data.names("sensor_id").tolist()))
+
+
+def require_sensor(trained: Trained, wanted: set[str]) -> None:
+    """Raise BadInput if none of the sensors `wanted` belongs to the dataset that a model comes from."""
+    known = trained.about["known_sensors"]
+    if wanted.isdisjoint(known):
+        raise BadInput(f"model {trained.about['name']} was made for sensors {', '.join(known)}, not for "
+                       f"{', '.join(sorted(wanted))}: use a model trained on a dataset with that sensor")

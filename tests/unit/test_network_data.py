@@ -1,0 +1,90 @@
+"""Datasets that training must refuse, and what it says."""
+
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from synthetic_presses import write_dataset
+
+from gelforge.errors import BadInput
+from gelforge.files import read_csv, read_json, write_csv, write_json
+from gelforge.networks.data import FILES, data_version, open_data, require_splits, scales
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return write_dataset(tmp_path / "6x8", 16, (48, 64), (6, 8))
+
+
+def test_missing_part_is_named(folder, tmp_path):
+    for name in FILES:
+        copy = Path(shutil.copytree(folder, tmp_path / f"without {name}"))
+        (copy / name).unlink()
+        with pytest.raises(BadInput, match=name):
+            open_data(copy)
+
+
+def test_label_that_is_not_finite_is_named_by_sample(folder):
+    labels = np.load(folder / "labels.npy")
+    labels[5, 1, 2, 3] = np.nan
+    np.save(folder / "labels.npy", labels)
+    with pytest.raises(BadInput, match="p0005"):
+        open_data(folder)
+
+
+def test_grid_of_another_resolution_is_refused(folder):
+    write_json(folder / "dataset.json", read_json(folder / "dataset.json") | {"grid": [24, 32]})
+    with pytest.raises(BadInput, match="24"):
+        open_data(folder)
+
+
+def test_arrays_of_wrong_kind_or_length_are_refused(folder):
+    images = np.load(folder / "images.npy")
+    for wrong, word in ((images.astype(np.float32), "uint8"), (images[:-1], "15 images"), (images[..., 0], "uint8")):
+        np.save(folder / "images.npy", wrong)
+        with pytest.raises(BadInput, match=word):
+            open_data(folder)
+    (folder / "images.npy").write_bytes(b"damaged")
+    with pytest.raises(BadInput, match="not a readable"):
+        open_data(folder)
+
+
+def test_dataset_too_small_to_split_is_refused(folder):
+    rows = read_csv(folder / "samples.csv")
+    for keep, word in ((("test", "val"), "'train' holds 0"), (("train",), "'val' holds 0")):
+        changed = [row | {"split": row["split"] if row["split"] in keep else "test"} for row in rows]
+        write_csv(folder / "samples.csv", list(rows[0]), changed)
+        with pytest.raises(BadInput, match=word):
+            require_splits(open_data(folder))
+
+
+def test_version_changes_with_the_labels(folder):
+    before = data_version(open_data(folder))
+    assert before == data_version(open_data(folder))
+    labels = np.load(folder / "labels.npy")
+    labels[3] *= 1.001
+    np.save(folder / "labels.npy", labels)
+    assert data_version(open_data(folder)) != before
+
+
+def test_scales_are_those_of_the_training_split(folder):
+    data = open_data(folder)
+    rows = data.splits["train"]
+    found = scales(data, total_only=False)
+    pixels = data.images[rows] / 255
+    np.testing.assert_allclose(found["image_mean"], pixels.mean((0, 1, 2)), rtol=1e-9)  # same sums, other order
+    np.testing.assert_allclose(found["image_std"], pixels.std((0, 1, 2)), rtol=1e-6)
+    np.testing.assert_allclose(found["label"], np.sqrt((data.labels[rows] ** 2.0).mean((0, 2, 3))), rtol=1e-6)
+    assert scales(data, total_only=True)["label"] == found["total"]
+
+
+def test_a_component_without_force_is_refused(folder):
+    labels = np.load(folder / "labels.npy")
+    labels[:, 0] = 0
+    np.save(folder / "labels.npy", labels)
+    with pytest.raises(BadInput, match="zero in every"):
+        scales(open_data(folder), total_only=False)

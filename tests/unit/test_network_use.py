@@ -1,0 +1,245 @@
+"""Evaluation, prediction, live overlay, ONNX, chart: the parts that people run, on a small model."""
+
+import csv
+import shutil
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from synthetic_presses import SETTINGS, write_dataset
+
+from gelforge import live, pareto_models, predict
+from gelforge.errors import BadInput
+from gelforge.evaluate import evaluate
+from gelforge.files import write_json
+from gelforge.networks import statistics
+from gelforge.networks.card import write_card
+from gelforge.networks.data import open_data
+from gelforge.networks.export import TOLERANCE, export, largest_difference
+from gelforge.networks.figures import draw_curve, draw_predictions
+from gelforge.networks.modelfile import save_model
+from gelforge.train import train
+
+IMAGE, GRID = (48, 64), (6, 8)
+MODELS = {
+    "unet": {"kind": "unet", "widths": [4, 8]},
+    "small": {"kind": "grid", "width": 8, "blocks": 2},
+    "resnet": {"kind": "resnet", "blocks": [1, 1], "widths": [4, 8]},
+}
+EVALUATE = {"force_edges": [0.0, 5.0, 20.0], "bootstrap": 50, "seed": 1, "threads": 1}
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    return open_data(write_dataset(tmp_path_factory.mktemp("dataset") / "6x8", 48, IMAGE, GRID))
+
+
+@pytest.fixture(scope="module")
+def models(data):
+    return {name: train(data, name, model, {**SETTINGS, "epochs": 2}) for name, model in MODELS.items()}
+
+
+@pytest.fixture(scope="module")
+def paths(models, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("models")
+    for name, trained in models.items():
+        save_model(folder / f"{name}.pt", trained)
+    return {name: folder / f"{name}.pt" for name in models}
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_evaluation_holds_what_is_asked(data, models, name):
+    result, predictions = evaluate(data, models[name], EVALUATE)
+    assert set(result["splits"]) == {"val", "test", "test_unseen_indenter", "test_unseen_sensor"}
+    test = result["splits"]["test"]
+    rows, forces = predictions["test"]
+    error = np.abs(forces.sum((2, 3), dtype=float) - data.totals(rows))
+    assert test["total"]["fz"]["mae"] == pytest.approx(error[:, 2].mean())
+    assert (test["cell"] is None) == (name == "resnet")
+    assert set(test["controls"]) == {"constant_guess", "shuffled_images", "linear_on_image_means"}
+    assert {len(row) for table in result["tables"] for row in table["rows"]} <= {4, 5, 6, 7, 8}
+    assert all(len(row) == len(table["columns"]) for table in result["tables"] for row in table["rows"])
+
+
+def test_sensor_and_truth_are_compared_on_the_right_axis(data, models):
+    against = evaluate(data, models["small"], EVALUATE)[0]["splits"]["test"]["against"]
+    for axis in ("fx", "fy", "fz"):
+        # The made-up force sensor reads 0.1 N too much, the made-up truth is the label (float32 sums).
+        assert against["sensor"]["labels"][axis]["bias"] == pytest.approx(-0.1, abs=1e-5)
+        assert against["truth"]["labels"][axis]["mae"] < 1e-5
+
+
+def test_evaluation_without_a_second_split_is_refused(data, models):
+    only = type(data)(data.folder, data.images, data.labels, data.table, {"train": data.splits["train"]}, data.info,
+                      data.normalisation)
+    with pytest.raises(BadInput, match="one other"):
+        evaluate(only, models["small"], EVALUATE)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_onnx_equals_torch(models, name, data, tmp_path):
+    export(models[name], tmp_path / "m.onnx")
+    found = largest_difference(models[name], tmp_path / "m.onnx", np.asarray(data.images[:3]))
+    assert found and max(found.values()) <= TOLERANCE
+
+
+def test_pictures_and_card_are_written(data, models, tmp_path):
+    about = models["small"].about
+    result, predictions = evaluate(data, models["small"], EVALUATE)
+    draw_curve(tmp_path / "curve.png", about["curve"], about["best_epoch"], "small")
+    draw_predictions(tmp_path / "predictions.png", data, predictions)
+    for name in ("curve", "predictions"):
+        assert cv2.imread(str(tmp_path / f"{name}.png")).std() > 5
+    assert "virtual rig" in write_card(about, result)
+    real = about | {"data": about["data"] | {"simulated": False}}
+    assert "virtual rig" not in write_card(real, result)
+
+
+def write_png(path, image) -> Path:
+    cv2.imwrite(str(path), cv2.cvtColor(np.asarray(image), cv2.COLOR_RGB2BGR))
+    return path
+
+
+def test_predict_writes_maps_and_totals(data, models, paths, tmp_path, capsys):
+    images = [write_png(tmp_path / f"{i}.png", data.images[i]) for i in range(2)]
+    assert predict.main([*map(str, images), "--model", str(paths["small"]), "--out", str(tmp_path / "out")]) == 0
+    with (tmp_path / "out" / "totals.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    for i, row in enumerate(rows):
+        forces = np.load(tmp_path / "out" / f"{i}.npy")
+        assert forces.shape == (3, *GRID)
+        # totals.csv has four decimals.
+        assert float(row["grid_z_n"]) == pytest.approx(forces[2].sum(), abs=1e-3)
+        assert row["flagged"] == "0"
+        assert (tmp_path / "out" / f"{i}.png").exists()
+
+
+def test_predict_refuses_before_it_writes(data, paths, tmp_path):
+    good = write_png(tmp_path / "good.png", data.images[0])
+    (tmp_path / "bad.png").write_bytes(b"no picture")
+    for bad, word in ((tmp_path / "bad.png", "cannot be read"), (tmp_path / "absent.png", "no such image")):
+        with pytest.raises(BadInput, match=word):
+            predict.main([str(good), str(bad), "--model", str(paths["small"]), "--out", str(tmp_path / "out")])
+    with pytest.raises(BadInput, match="digit"):
+        predict.main([str(good), "--model", str(paths["small"]), "--sensor", "digit", "--out", str(tmp_path / "out")])
+    assert not (tmp_path / "out").exists()
+
+
+def test_two_images_of_one_name_keep_apart():
+    assert predict.output_names(["a/x.png", "b/x.png", "y.png"]) == ["x", "x-2", "y"]
+
+
+def test_unlike_images_are_flagged(data, models):
+    from gelforge.networks.modelfile import Reader
+
+    trained = models["small"]
+    reader = Reader(trained).eval()
+    like = [predict.predict_one(trained, reader, data.images[row])[2]["flag"] for row in data.splits["test"]]
+    assert not any(like)
+    black = np.zeros((*IMAGE, 3), np.uint8)
+    plain = np.full((*IMAGE, 3), 120, np.uint8)
+    larger = cv2.resize(np.asarray(data.images[0]), (128, 96))
+    for image, reason in ((black, ""), (plain, ""), (data.images[0][..., ::-1] // 3, ""), (larger, "size")):
+        verdict = predict.predict_one(trained, reader, image)[2]
+        assert verdict["flag"] and reason in verdict["reason"]
+
+
+def read_frames(path) -> list[np.ndarray]:
+    source, images = cv2.VideoCapture(str(path)), []
+    while True:
+        good, frame = source.read()
+        if not good:
+            return images
+        images.append(cv2.cvtColor(frame, cv2.COLOR_BGR2RGB))
+
+
+def test_dots_of_real_sensors_are_counted(reference):
+    image = cv2.imread(str(reference / "feats" / "images" / "cuboid_10-2-284.png"))
+    # 7 x 9 dots, two of which lie at the rim.
+    assert statistics.find_dots(image)[0] == pytest.approx(63, abs=4)
+    assert statistics.find_dots(cv2.medianBlur(image, 61))[0] <= 3
+
+
+def test_score_tells_real_sensors_apart(reference):
+    videos = {name: read_frames(reference / "slip_videos" / f"{name}.avi")
+              for name in ("cheese_tube_camera_0", "cheese_tube_camera_2", "glass_box_camera_0")}
+    own = np.stack([statistics.describe(image) for image in videos["cheese_tube_camera_0"]])
+    model = statistics.fit(own[::2], own[1::4])
+    assert not any(statistics.score(model, row) > model["threshold"] for row in own[3::4])
+    image = videos["cheese_tube_camera_0"][0]
+    feats = cv2.cvtColor(cv2.imread(str(reference / "feats" / "images" / "cuboid_10-2-284.png")), cv2.COLOR_BGR2RGB)
+    unlike = {"black": np.zeros_like(image), "no dots": cv2.medianBlur(image, 61), "red and blue swapped": image[..., ::-1],
+              "other sensor": videos["cheese_tube_camera_2"][0], "FEATS' sensor": feats}
+    assert [name for name, other in unlike.items() if not statistics.judge(model, np.ascontiguousarray(other))["flag"]] == []
+
+
+def write_avi(path, images) -> Path:
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 25, (IMAGE[1], IMAGE[0]))
+    for image in images:
+        writer.write(cv2.cvtColor(np.asarray(image), cv2.COLOR_RGB2BGR))
+    writer.release()
+    return path
+
+
+def test_live_overlays_a_video(data, paths, tmp_path, capsys):
+    video = write_avi(tmp_path / "in.avi", data.images[:12])
+    out = tmp_path / "out.avi"
+    assert live.main(["--video", str(video), "--model", str(paths["small"]), "--out", str(out)]) == 0
+    frames = read_frames(out)
+    assert len(frames) == 12 and frames[0].shape[1] == 2 * IMAGE[1]
+    assert "12 frames" in capsys.readouterr().out
+
+
+def test_live_on_a_real_video(reference, paths, tmp_path, capsys):
+    video = reference / "slip_videos" / "plier_camera_2.avi"
+    live.main(["--video", str(video), "--model", str(paths["small"]), "--frames", "5", "--out", str(tmp_path / "o.avi")])
+    assert "5 flagged" in capsys.readouterr().out
+
+
+def test_broken_videos_leave_nothing_behind(data, paths, tmp_path):
+    whole = write_avi(tmp_path / "in.avi", data.images[:20]).read_bytes()
+    (tmp_path / "cut.avi").write_bytes(whole[: len(whole) // 2])
+    (tmp_path / "no.avi").write_bytes(b"not a video")
+    for name in ("cut", "no", "absent"):
+        with pytest.raises(BadInput, match=name):
+            live.main(["--video", str(tmp_path / f"{name}.avi"), "--model", str(paths["small"]),
+                       "--out", str(tmp_path / "out" / "o.avi")])
+    assert not list((tmp_path / "out").glob("*")) if (tmp_path / "out").exists() else True
+
+
+def test_camera_that_is_not_there_is_named(paths):
+    with pytest.raises(BadInput, match="camera 97"):
+        live.main(["--camera", "97", "--model", str(paths["small"]), "--out", "unused.avi"])
+
+
+def test_front_and_choice():
+    assert pareto_models.front([(1, 3), (2, 2), (3, 2.5), (4, 1)]) == [True, True, False, True]
+    errors = {f"{what}_{axis}": 1.0 for what in ("total", "cell") for axis in ("fx", "fy", "fz")}
+    base = {"model": "unet", "cpu1_median_ms": 10.0, **errors}
+    fast = {"model": "fast", "cpu1_median_ms": 1.0, **errors, "cell_fz": 1.1}
+    good = {"model": "good", "cpu1_median_ms": 2.0, **errors, "total_fx": 0.9}
+    totals = {"model": "totals", "cpu1_median_ms": 0.5, **errors, "cell_fz": None}
+    assert pareto_models.choose([base, fast, good, totals])["model"] == "good"
+    assert pareto_models.choose([base, fast]) is None and pareto_models.choose([fast]) is None
+
+
+def test_chart_of_models_against_latency(data, models, paths, tmp_path):
+    evaluations = {}
+    for name, trained in models.items():
+        write_json(tmp_path / f"{name}.json", evaluate(data, trained, EVALUATE)[0])
+        evaluations[name] = tmp_path / f"{name}.json"
+    out = tmp_path / "chart" / "6x8.json"
+    argv = ["--dataset", str(data.folder), "--models", *map(str, paths.values()), "--seconds", "0.05",
+            "--evaluations", *map(str, evaluations.values()), "--out", f"{out}.part"]
+    assert pareto_models.main(argv) == 0
+    shutil.move(f"{out}.part", out)
+    with out.with_suffix(".csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert {row["model"] for row in rows} == set(MODELS) and all(float(row["cpu2_median_ms"]) > 0 for row in rows)
+    assert out.with_suffix(".png").exists()
+    with pytest.raises(BadInput, match="same names"):
+        pareto_models.main([*argv[:4], *argv[6:]])

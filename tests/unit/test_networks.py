@@ -1,0 +1,242 @@
+"""Networks: their shapes, their files, their training."""
+
+import json
+import pickle
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from synthetic_presses import SETTINGS, write_dataset
+
+from gelforge.errors import BadInput
+from gelforge.networks.augment import RGB_TO_YIQ, augment, colour_matrices
+from gelforge.networks.batches import Ahead, epoch_order
+from gelforge.networks.data import open_data, scales
+from gelforge.networks.fit import Training, fit, loss_of, save_checkpoint
+from gelforge.networks.modelfile import Reader, load_model, require_fit, save_model
+from gelforge.networks.models import ResNetTotal, UNet, build, parameter_count, strides
+from gelforge.train import resolve, train
+
+SMALL = {"kind": "grid", "width": 8, "blocks": 1}
+IMAGE, GRID = (48, 64), (6, 8)
+LEARNING = {"epochs": 40, "learning_rate": 4e-3, "schedule": "cosine", "total_weight": 1.0}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return write_dataset(tmp_path_factory.mktemp("dataset") / "6x8", 96, IMAGE, GRID)
+
+
+@pytest.fixture(scope="module")
+def trained(folder):
+    return train(open_data(folder), "small", SMALL, {**SETTINGS, **LEARNING})
+
+
+def test_unet_is_the_papers():
+    net = UNet((24, 32)).eval()
+    seen = {}
+    net.head.register_forward_hook(lambda module, inputs, output: seen.update(size=tuple(output.shape[2:])))
+    with torch.inference_mode():
+        assert net(torch.zeros(1, 3, 240, 320)).shape == (1, 3, 24, 32)
+    # Four halvings and 18 unpadded convolutions of 240 x 320 by hand: 7 x 12 at the bottom, 52 x 132 at the top.
+    assert seen["size"] == (52, 132)
+    pairs = [(3, 16), (16, 32), (32, 64), (64, 128), (128, 256)]
+    down = sum(9 * a * b + b + 9 * b * b + b for a, b in pairs)
+    up = sum(4 * a * b + b + 9 * a * b + b + 9 * b * b + b for b, a in pairs[1:])
+    assert parameter_count(net) == down + up + 16 * 3 + 3
+
+
+def test_resnet34_has_its_known_size():
+    # ResNet-34 has 21 797 672 values with its 513 000 of 1000 classes; ours ends in three outputs.
+    assert parameter_count(ResNetTotal()) == 21_797_672 - 513_000 + 512 * 3 + 3
+
+
+@pytest.mark.parametrize("grid", [(12, 16), (24, 32), (48, 64), (30, 40)])
+def test_grid_net_writes_any_grid_that_divides_the_image(grid):
+    with torch.inference_mode():
+        assert build(SMALL, (240, 320), grid).eval()(torch.zeros(1, 3, 240, 320)).shape == (1, 3, *grid)
+
+
+def test_every_network_of_the_table_builds(root):
+    from gelforge.config import read_toml
+
+    models = read_toml(root / "workflow" / "models.toml")
+    settings = read_toml(root / "workflow" / "params.toml")["train"]
+    assert len(models) >= 10
+    for name in models:
+        model, own = resolve(models, name, settings)
+        assert build(model, (240, 320), (24, 32)) is not None
+        assert own.keys() == settings.keys()
+
+
+@pytest.mark.parametrize("image, grid", [((240, 320), (7, 9)), ((240, 320), (24, 24)), ((24, 32), (24, 32))])
+def test_grid_net_refuses_cells_of_uneven_size(image, grid):
+    with pytest.raises(BadInput, match="divides the image"):
+        strides(image, grid)
+
+
+def test_unknown_kind_and_wrong_size_are_named():
+    with pytest.raises(BadInput, match="transformer"):
+        build({"kind": "transformer"}, IMAGE, GRID)
+    with pytest.raises(BadInput, match="depth"):
+        build({"kind": "grid", "depth": 3}, IMAGE, GRID)
+    with pytest.raises(BadInput, match="MODEL=nothing"):
+        resolve({"grid": SMALL}, "nothing", SETTINGS)
+    with pytest.raises(BadInput, match="epoch"):
+        resolve({"grid": {**SMALL, "train": {"epoch": 3}}}, "grid", SETTINGS)
+
+
+def test_colours_keep_luma_and_grey():
+    draw = torch.Generator().manual_seed(0)
+    matrices = colour_matrices(1 + torch.rand(20, generator=draw), torch.rand(20, generator=draw))
+    grey = matrices @ torch.ones(3)
+    # Chroma is turned and scaled about the grey axis; the YIQ matrix is given to four digits.
+    torch.testing.assert_close(grey, torch.ones(20, 3), atol=1e-3, rtol=0)
+    colour = torch.tensor([0.2, 0.5, 0.3])
+    torch.testing.assert_close((matrices @ colour) @ RGB_TO_YIQ[0], (colour @ RGB_TO_YIQ[0]).expand(20))
+
+
+def test_augmentation_leaves_alone_what_it_must():
+    images = torch.rand(6, 3, 8, 8, generator=torch.Generator().manual_seed(1))
+    still = dict.fromkeys(("noise", "brightness", "contrast", "saturation", "hue"), 0.0)
+    one = augment(images, {**still, "probability": 1.0}, torch.Generator().manual_seed(2))
+    torch.testing.assert_close(one, images, atol=1e-5, rtol=0)  # a matrix and its inverse in single precision
+    none = augment(images, {**SETTINGS["augment"], "probability": 0.0}, torch.Generator().manual_seed(2))
+    assert torch.equal(none, images)
+    changed = augment(images, {**SETTINGS["augment"], "probability": 1.0}, torch.Generator().manual_seed(2))
+    assert (changed != images).flatten(1).any(1).all() and changed.min() >= 0 and changed.max() <= 1
+
+
+def test_total_force_loss_is_blind_to_where_the_force_is():
+    wanted = torch.zeros(1, 3, 2, 2)
+    wanted[0, :, 0, 0] = 1
+    moved = wanted.roll(1, 3)
+    scale = torch.ones(3)
+    only_cells = loss_of(moved, wanted, scale, scale, 0.0)
+    assert loss_of(moved, wanted, scale, scale, 1.0) == only_cells == 0.5
+    assert loss_of(2 * wanted, wanted, scale, scale, 1.0) == pytest.approx(0.25 + 1.0)
+
+
+def test_epochs_visit_every_press_once_in_their_own_order():
+    rows = np.arange(100, 140)
+    first, second = epoch_order(rows, 1, 0), epoch_order(rows, 1, 1)
+    assert sorted(first) == sorted(second) == list(rows)
+    assert list(first) != list(second) and list(first) == list(epoch_order(rows, 1, 0))
+
+
+def test_reading_ahead_keeps_order_and_hands_on_errors():
+    assert list(Ahead(iter(range(20)))) == list(range(20))
+
+    def broken():
+        yield 1
+        raise BadInput("the second one is missing")
+
+    with pytest.raises(BadInput, match="second"):
+        list(Ahead(broken()))
+
+
+def test_training_learns(folder, trained):
+    data = open_data(folder)
+    guess = np.abs(data.totals(data.splits["val"]) - np.median(data.totals(data.splits["train"]), axis=0)).mean(0)
+    best = trained.about["curve"][trained.about["best_epoch"] - 1]
+    # Forty epochs on 48 small images are enough to see all three forces, not to see them well.
+    assert best["val_total"] < 0.6 * guess.sum() and best["val_fx"] < 0.7 * guess[0]
+    assert best["val_total"] == min(row["val_total"] for row in trained.about["curve"])
+
+
+def test_same_seed_same_curve_other_seed_other_curve(folder):
+    data = open_data(folder)
+    curves = [train(data, "small", SMALL, {**SETTINGS, "epochs": 2, "seed": seed}).about["curve"] for seed in (5, 5, 6)]
+    assert curves[0] == curves[1] != curves[2]
+
+
+@pytest.mark.parametrize("kind, schedule", [("grid", "cosine"), ("grid", "plateau"), ("unet", "plateau"),
+                                            ("resnet", "plateau")])
+def test_resumed_training_has_the_same_curve_and_weights(folder, tmp_path, kind, schedule):
+    model = {"grid": SMALL, "unet": {"kind": "unet", "widths": [4, 8]},
+             "resnet": {"kind": "resnet", "blocks": [1, 1], "widths": [4, 8]}}[kind]
+    data = open_data(folder)
+    norm = scales(data, kind == "resnet")
+    grid = (1, 1) if kind == "resnet" else GRID
+
+    def start():
+        return Training(model, {**SETTINGS, "epochs": 5, "schedule": schedule}, norm, IMAGE, grid, "cpu")
+
+    whole, cut, rest = start(), start(), start()
+    fit(whole, data)
+    for _ in range(2):
+        cut.epoch(data)
+    save_checkpoint(tmp_path / "c.pt", cut, "same")
+    fit(rest, data, tmp_path / "c.pt", "same")
+    assert rest.cost["resumed"] == 1 and rest.curve == whole.curve
+    for a, b in zip(whole.net.state_dict().values(), rest.net.state_dict().values()):
+        assert torch.equal(a, b)
+
+
+def test_checkpoint_of_another_training_is_not_used(folder, tmp_path):
+    data = open_data(folder)
+    for name in ("one", "other"):
+        training = Training(SMALL, {**SETTINGS, "epochs": 1}, scales(data, False), IMAGE, GRID, "cpu")
+        fit(training, data, tmp_path / "c.pt", name)
+        assert training.cost["resumed"] == 0
+
+
+def test_model_file_round_trip(trained, tmp_path):
+    save_model(tmp_path / "m.pt", trained)
+    again = load_model(tmp_path / "m.pt")
+    assert again.about == json.loads(json.dumps({"format": 1} | trained.about))
+    x = torch.rand(2, 3, *IMAGE, generator=torch.Generator().manual_seed(0)) * 255
+    with torch.inference_mode():
+        assert torch.equal(Reader(again)(x), Reader(trained)(x))
+
+
+def test_damaged_and_foreign_model_files_are_refused(trained, tmp_path):
+    path = tmp_path / "m.pt"
+    save_model(path, trained)
+    whole = path.read_bytes()
+    for content in (whole[: len(whole) // 2], b"", b"no model"):
+        path.write_bytes(content)
+        with pytest.raises(BadInput, match="m.pt"):
+            load_model(path)
+    torch.save({"weights": torch.zeros(2)}, path)
+    with pytest.raises(BadInput, match="not a gelforge model"):
+        load_model(path)
+    torch.save({"about": json.dumps({"format": 1} | trained.about), "tensors": {"a": torch.zeros(2)}}, path)
+    with pytest.raises(BadInput, match="do not fit"):
+        load_model(path)
+    with pytest.raises(BadInput, match="no such model"):
+        load_model(tmp_path / "absent.pt")
+
+
+class WritesWhenLoaded:
+    """A pickle of this object writes a file as it is loaded."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return Path.write_text, (self.path, "executed")
+
+
+def test_code_in_a_model_file_is_never_run(tmp_path):
+    mark = tmp_path / "mark"
+    pickle.loads(pickle.dumps(WritesWhenLoaded(mark)))
+    assert mark.exists(), "the trap must work for the test to mean something"
+    mark.unlink()
+    torch.save(WritesWhenLoaded(mark), tmp_path / "m.pt")
+    with pytest.raises(BadInput, match="never run"):
+        load_model(tmp_path / "m.pt")
+    assert not mark.exists()
+
+
+def test_model_of_another_sensor_grid_or_size_is_refused(folder, trained):
+    data = open_data(folder)
+    require_fit(trained, data)
+    for key, value, word in (("known_sensors", ["digit"], "digit"), ("grid", [5, 5], "grid"), ("image", [10, 10], "images")):
+        other = type(trained)(trained.net, trained.about | {key: value})
+        with pytest.raises(BadInput, match=word):
+            require_fit(other, data)
