@@ -35,7 +35,9 @@ def die_with_parent() -> None:
 
 def follow(stream, log) -> None:
     """Copy a child's output to its log; where a person watches, keep its latest line on the terminal."""
-    terminal = open(os.environ["MAKE_TERMERR"], "w") if os.environ.get("MAKE_TERMERR") else None
+    # make names the terminal it writes to here, or says `true` where it cannot tell.
+    name = os.environ.get("MAKE_TERMERR", "")
+    terminal = open(name, "w") if name.startswith("/dev/") else None
     for line in stream:
         log.write(line)
         log.flush()
