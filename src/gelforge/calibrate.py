@@ -3,26 +3,28 @@
 import argparse
 import os
 import sys
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 
-from gelforge.calibration import plots, summary
+from gelforge.calibration import plots, scores, summary
 from gelforge.calibration.parameters import Model, compared_models, make_model, read_prior
-from gelforge.calibration.posterior import Posterior
+from gelforge.calibration.posterior import LeaveOneOut, Posterior
 from gelforge.calibration.readings import Readings, check_enough, check_readings, choose_presses, read_readings
 from gelforge.calibration.sampling import Chain, Rules, sample
 from gelforge.config import read_toml
 from gelforge.errors import BadInput
 from gelforge.files import read_csv, read_json, write_json
+from gelforge.progress import progress
 
 VERSION = 1
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """A finished calibration: headline posterior and chain, all compared ones, and the readings used."""
+    """A finished calibration: readings used, headline posterior and chain, and (posterior, chain, score) of all models."""
 
     readings: Readings
     posterior: Posterior
@@ -66,33 +68,53 @@ def served(readings: Readings, params: dict) -> np.ndarray:
     return observed
 
 
-def calibrate(readings: Readings, emulator, params: dict, nu: float, chain_path=None, say=None) -> Calibration:
-    """Sample the chosen model and all compared ones on the same readings."""
-    rules = sampling_rules(params)
-    observed = served(readings, params)
+def score_model(posterior: Posterior, chain: Chain, rules: Rules) -> scores.Score:
+    """Leave-one-out score; from a chain of its own where importance sampling would lean on few draws."""
+    score = scores.loo(posterior.pointwise(chain.flat(summary.DRAWS)))
+    if score.reliable:
+        return score
+    mixture = LeaveOneOut(posterior.emulator, posterior.model, posterior.depth, posterior.observed, posterior.tail)
+    return scores.loo_from_mixture(posterior.pointwise(sample(mixture, rules).flat(4 * summary.DRAWS)))
+
+
+def compare_one(task) -> tuple[Posterior, Chain, scores.Score]:
+    """Sample (where that is not done yet) and score one model; task: (posterior, chain or None, rules)."""
+    posterior, chain, rules = task
+    chain = chain or sample(posterior, rules)
+    return posterior, chain, score_model(posterior, chain, rules)
+
+
+def compare(tasks: list, jobs: int) -> list:
+    """Run compare_one over tasks on `jobs` processes."""
+    if jobs <= 1 or len(tasks) <= 1:
+        return [compare_one(task) for task in progress(tasks, "models compared")]
+    with ProcessPoolExecutor(jobs) as pool:
+        return list(progress(pool.map(compare_one, tasks), "models compared", len(tasks)))
+
+
+def calibrate(readings: Readings, emulator, params: dict, nu: float, chain_path=None, say=None, jobs=1) -> Calibration:
+    """Sample the chosen model, then all compared ones on the same readings."""
+    params = {**params, "priors": {**params["priors"], "nu": {"fixed": nu, **params["priors"]["nu"]}}}
+    rules, observed = sampling_rules(params), served(readings, params)
 
     def posterior_of(model: Model) -> Posterior:
-        return Posterior(emulator, model, readings.depth, observed, params["tail"], params["model_error"])
+        return Posterior(emulator, model, readings.depth, observed, params["tail"])
 
-    params = {**params, "priors": {**params["priors"], "nu": {"fixed": nu, **params["priors"]["nu"]}}}
     headline = posterior_of(make_model(params, params["law"]))
     check_enough(int(np.isfinite(observed).sum()), headline.model)
     chain = sample(headline, rules, chain_path, say)
     refuse_beyond(headline, chain)
-    compared = []
-    for model in compared_models(params) if params["compare"] else []:
-        if model.name == headline.model.name:
-            compared.append((headline, chain))
-        else:
-            posterior = posterior_of(model)
-            compared.append((posterior, sample(posterior, rules, None, say)))
-    return Calibration(readings, headline, chain, compared or [(headline, chain)])
+    tasks = [(headline, chain, rules)]
+    if params["compare"]:
+        others = (model for model in compared_models(params) if model.name != headline.model.name)
+        tasks += [(posterior_of(model), None, rules) for model in others]
+    return Calibration(readings, headline, chain, compare(tasks, jobs))
 
 
 def refuse_beyond(posterior: Posterior, chain: Chain) -> None:
     """Refuse a posterior that presses deeper than the emulator was solved."""
     values = posterior.model.values(chain.flat(1000))
-    _, depth = posterior.emulator.forces(posterior.depth, values)
+    depth = posterior.emulator.forces(posterior.depth, values)[2]
     beyond = float((depth > posterior.emulator.top).mean())
     if beyond > 0.02:
         raise BadInput(
@@ -106,7 +128,7 @@ def summarise(done: Calibration, params: dict) -> dict:
     posterior, chain = done.posterior, done.chain
     parameters = summary.parameter_table(chain, posterior.model)
     correlation = summary.correlations(chain, posterior.model)
-    mean, scale, _ = summary.predictions(chain, posterior)
+    mean, scale = summary.predictions(chain, posterior)
     models = summary.score_models(done.compared)
     for name, row in parameters.items():
         row["reason"] = params["priors"][name].get("reason", "")
@@ -122,6 +144,7 @@ def summarise(done: Calibration, params: dict) -> dict:
         "presses": len(done.readings),
         "readings": int(np.isfinite(posterior.observed).sum()),
         "predictive_mae_n": summary.predictive_error(mean, posterior.observed),
+        "own_touch_mae_n": summary.predictive_error(summary.own_forces(chain, posterior), posterior.observed),
         "outliers": summary.find_outliers(done.readings, mean, scale, posterior.observed, params["outlier_scales"]),
         "sentences": said,
         "sentence": said[0],
@@ -141,8 +164,8 @@ def draw_bands(done: Calibration, most: int = 6) -> list:
         deepest = members[np.argmax(readings.depth[members])]
         grid = np.linspace(0.0, readings.depth[deepest], 60)
         one = posterior.emulator.take(np.full(len(grid), deepest))
-        forces, _ = one.forces(grid, values)
-        scale = posterior.scale(forces, values["noise"])
+        forces, slopes, _ = one.forces(grid, values)
+        scale = posterior.scale(slopes, values)[:, :, 2]
         fresh = -forces[:, :, 2] + scale * rng.standard_t(posterior.tail, scale.shape)
         same = members[np.abs(readings.pose[members][:, [0, 1, 6]] - readings.pose[deepest, [0, 1, 6]]).max(axis=1) < 0.01]
         quantiles = np.quantile(fresh, [0.025, 0.16, 0.5, 0.84, 0.975], axis=0)
@@ -153,7 +176,7 @@ def draw_bands(done: Calibration, most: int = 6) -> list:
 def draw_plots(done: Calibration, folder: Path, chain_path) -> None:
     """Corner plot, predictive bands, trace and autocorrelation, as PNG in `folder`."""
     posterior, chain = done.posterior, done.chain
-    mean, scale, _ = summary.predictions(chain, posterior)
+    mean, scale = summary.predictions(chain, posterior)
     plots.corner_plot(folder / "corner.png", chain, posterior.model)
     with np.load(chain_path, allow_pickle=False) as file:
         plots.trace_plot(folder / "trace.png", file["coordinates"], chain.figures.burn, posterior.model)
@@ -214,7 +237,7 @@ def main(argv=None) -> int:
     cache = SolveCache(args.work / "solves", catalogue, hex_settings(params))
     plan = make_plan(readings, params["reach_mm"], params["shear_depths"])
     emulator = build_emulator(plan, cache, friction_nodes(params), poisson_nodes(params, nu), args.jobs)
-    done = calibrate(readings, emulator, params, nu, args.work / "chain.npz", say_figures)
+    done = calibrate(readings, emulator, params, nu, args.work / "chain.npz", say_figures, args.jobs)
     draw_plots(done, args.work, args.work / "chain.npz")
     result = summarise(done, params)
     result["solves_spent"] = cache.spent

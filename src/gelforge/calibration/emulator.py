@@ -48,12 +48,12 @@ class Emulator:
     nu: np.ndarray
     solves: int
 
-    def forces(self, depth, values: dict) -> tuple[np.ndarray, np.ndarray]:
-        """Forces (w, n, 3) N and effective depths (w, n) mm of n presses for w parameter sets.
+    def forces(self, depth, values: dict) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Forces (w, n, 3) N, slopes (w, n, 3) N per mm, and effective depths (w, n) mm, for w parameter sets.
 
         depth: (n,) commanded depth, mm. values: arrays (w,) by name (parameters.NAMES). The
-        effective depth is commanded + offset - compliance * |normal force|, solved exactly.
-        Beyond the table the last slope goes on; `beyond` counts that.
+        effective depth is commanded + offset - compliance * |normal force|, solved exactly; slopes
+        are with respect to the commanded depth. Beyond the table the last slope goes on.
         """
         from gelforge.calibration.kernel import evaluate
 

@@ -6,7 +6,7 @@ from numba import njit
 
 @njit(cache=True, fastmath=False)
 def evaluate(table, top, nu_nodes, depth, scale, offset, compliance, friction, nu):
-    """Forces (w, n, 3) N and effective depths (w, n) mm; see Emulator.forces.
+    """Forces (w, n, 3) N, slopes (w, n, 3) N per mm of commanded depth, effective depths (w, n) mm; see Emulator.forces.
 
     friction: (w,) position on the friction axis in grid steps. All other (w,) in their own units.
     With the force linear between grid depths d_j, the commanded depth that ends at d_j is
@@ -16,6 +16,7 @@ def evaluate(table, top, nu_nodes, depth, scale, offset, compliance, friction, n
     walkers, presses = scale.size, depth.size
     grid = table.shape[3]
     forces = np.zeros((walkers, presses, 3))
+    slopes = np.zeros((walkers, presses, 3))
     depths = np.zeros((walkers, presses))
     for w in range(walkers):
         m = min(max(int(friction[w]), 0), table.shape[2] - 2)
@@ -52,4 +53,5 @@ def evaluate(table, top, nu_nodes, depth, scale, offset, compliance, friction, n
                 g0 = w00 * a[low, i] + w01 * b[low, i] + w10 * c[low, i] + w11 * d[low, i]
                 g1 = w00 * a[high, i] + w01 * b[high, i] + w10 * c[high, i] + w11 * d[high, i]
                 forces[w, p, i] = (1 - t) * g0 + t * g1
-    return forces, depths
+                slopes[w, p, i] = (g1 - g0) / (c1 - c0)
+    return forces, slopes, depths

@@ -6,13 +6,14 @@ import numpy as np
 
 from gelforge.errors import BadInput
 
-NAMES = ("c10", "offset", "compliance", "mu", "noise", "discretisation", "nu")
+NAMES = ("c10", "offset", "compliance", "mu", "noise", "scatter", "discretisation", "nu")
 LABELS = {
     "c10": "C10 (MPa)",
     "offset": "touch offset (mm)",
     "compliance": "frame compliance (mm/N)",
     "mu": "friction coefficient",
     "noise": "noise (N)",
+    "scatter": "touch scatter (mm)",
     "discretisation": "emulator scale",
     "nu": "Poisson's ratio",
 }

@@ -89,10 +89,10 @@ def predictive_plot(path, bands, depth, observed, mean, scale, indenters) -> Non
     for column, (name, marker) in enumerate(zip(("fx", "fy", "fz"), "v^o", strict=True)):
         used = np.isfinite(observed[:, column])
         if used.any():
-            away = (observed[used, column] - mean[used, column]) / scale[used]
+            away = (observed[used, column] - mean[used, column]) / scale[used, column]
             right.plot(np.hypot(*mean[used, ::2].T), away, marker, ms=4, label=name, alpha=0.8)
     right.axhspan(-1, 1, color="0.9", zorder=0)
     right.axhline(0.0, color="0.6", lw=0.6)
-    right.set(xlabel="predicted force (N)", ylabel="measured - predicted (scales)", title=f"{len(observed)} presses")
+    right.set(xlabel="predicted force (N)", ylabel="measured - predicted (standard deviations)", title=f"{len(observed)} presses")
     right.legend(fontsize=8)
     _save(figure, path)

@@ -1,12 +1,14 @@
 """Log-probability of a calibration model given force readings, for all walkers at once."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from scipy.special import gammaln
 
 from gelforge.calibration.emulator import Emulator
 from gelforge.calibration.parameters import Model
+
+FORM = 2  # raise when the likelihood changes: a chain on disk of an older form is then not gone on with
 
 
 @dataclass(frozen=True)
@@ -15,7 +17,6 @@ class Posterior:
 
     depth: (n,) commanded, mm. observed: (n, 3) N on the gel, nan where a component does not serve.
     tail: degrees of freedom of Student's t, the robust likelihood (Lange, Little, Taylor 1989).
-    model_error: standard error of the emulator, as a fraction of the force of each reading.
     """
 
     emulator: Emulator
@@ -23,27 +24,39 @@ class Posterior:
     depth: np.ndarray
     observed: np.ndarray
     tail: float
-    model_error: float
 
-    def predict(self, coordinates) -> tuple[np.ndarray, dict]:
-        """Noise-free forces (w, n, 3) and the parameter values."""
+    def predict(self, coordinates) -> tuple[np.ndarray, np.ndarray]:
+        """Noise-free forces and scale of the likelihood, each (w, n, 3) N.
+
+        The scale holds the sensor's noise and, in quadrature, what the scatter of touch from press to
+        press makes of the slope of force over depth.
+        """
         values = self.model.values(coordinates)
-        return self.emulator.forces(self.depth, values)[0], values
+        forces, slopes, _ = self.emulator.forces(self.depth, values)
+        return forces, self.scale(slopes, values)
 
-    def scale(self, forces, noise) -> np.ndarray:
-        """Scale of the likelihood, (w, n): noise and emulator error in quadrature, N."""
-        size = np.sqrt((forces**2).sum(axis=2))
-        return np.sqrt(noise[:, None] ** 2 + (self.model_error * size) ** 2)
+    @staticmethod
+    def scale(slopes, values: dict) -> np.ndarray:
+        """Scale of the likelihood at slopes (w, n, 3) N per mm."""
+        noise, scatter = (values[name][:, None, None] for name in ("noise", "scatter"))
+        return np.sqrt(noise**2 + (scatter * slopes) ** 2)
 
     def pointwise(self, coordinates) -> np.ndarray:
         """Log-likelihood of every reading that serves, (w, r)."""
-        forces, values = self.predict(coordinates)
+        forces, scale = self.predict(coordinates)
         used = np.isfinite(self.observed)
-        scale = np.broadcast_to(self.scale(forces, values["noise"])[:, :, None], forces.shape)[:, used]
+        scale = scale[:, used]
         z = (self.observed[used] - forces[:, used]) / scale
         v = self.tail
         constant = gammaln((v + 1) / 2) - gammaln(v / 2) - 0.5 * np.log(v * np.pi)
         return constant - np.log(scale) - (v + 1) / 2 * np.log1p(z * z / v)
+
+    @property
+    def identity(self) -> list:
+        """Everything the log-probability depends on, as plain values and arrays."""
+        free = {name: asdict(prior) for name, prior in self.model.free.items()}
+        plain = {"form": FORM, "free": free, "fixed": self.model.fixed, "law": self.model.law, "tail": self.tail}
+        return [plain, self.depth, self.observed, self.emulator.table, self.emulator.top, self.emulator.nu]
 
     def __call__(self, coordinates) -> np.ndarray:
         """Log-probability (w,) at coordinates (w, free); -inf outside the priors."""
@@ -52,4 +65,26 @@ class Posterior:
         inside = np.isfinite(total)
         if inside.any():
             total[inside] += self.pointwise(coordinates[inside]).sum(axis=1)
+        return np.where(np.isnan(total), -np.inf, total)
+
+
+@dataclass(frozen=True)
+class LeaveOneOut(Posterior):
+    """Sum over readings of the posterior without that reading: one chain that serves every leave-one-out.
+
+    Silva and Zanella (2024), Robust leave-one-out cross-validation for high-dimensional Bayesian
+    models, JASA 119:2369: importance weights from it to each posterior without a reading are bounded.
+    """
+
+    @property
+    def identity(self) -> list:
+        return ["leave one out", *super().identity]
+
+    def __call__(self, coordinates) -> np.ndarray:
+        coordinates = np.atleast_2d(coordinates)
+        total = self.model.log_prior(coordinates)
+        inside = np.isfinite(total)
+        if inside.any():
+            terms = self.pointwise(coordinates[inside])
+            total[inside] += terms.sum(axis=1) + np.logaddexp.reduce(-terms, axis=1)
         return np.where(np.isnan(total), -np.inf, total)

@@ -2,8 +2,7 @@
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -102,13 +101,8 @@ def fingerprint(*parts) -> str:
 
 
 def problem_of(posterior, rules: Rules) -> str:
-    """Fingerprint of everything a chain depends on."""
-    model = posterior.model
-    plain = {"free": {k: asdict(p) for k, p in model.free.items()}, "fixed": model.fixed, "law": model.law}
-    return fingerprint(
-        plain, asdict(rules), posterior.tail, posterior.model_error, posterior.depth, posterior.observed,
-        posterior.emulator.table, posterior.emulator.top, posterior.emulator.nu,
-    )  # fmt: skip
+    """Fingerprint of everything a chain depends on but its length."""
+    return fingerprint(*posterior.identity, [rules.walkers, rules.seed])
 
 
 def start_points(posterior, rules: Rules, rng: np.random.Generator) -> np.ndarray:

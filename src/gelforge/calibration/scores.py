@@ -1,4 +1,4 @@
-"""How well a model predicts a reading it was not given: PSIS-LOO, from pointwise likelihoods."""
+"""How well a model predicts a reading it was not given: leave-one-out, from pointwise likelihoods."""
 
 from dataclasses import dataclass
 
@@ -15,6 +15,10 @@ class Score:
     elpd: float
     pointwise: np.ndarray
     worst_k: float
+
+    @property
+    def reliable(self) -> bool:
+        return self.worst_k <= 0.7
 
 
 def fit_pareto(x: np.ndarray) -> tuple[float, float]:
@@ -68,6 +72,16 @@ def loo(pointwise: np.ndarray) -> Score:
         terms.append(np.logaddexp.reduce(weights + column))
         shapes.append(shape)
     return Score(float(np.sum(terms)), np.array(terms), float(np.max(shapes)))
+
+
+def loo_from_mixture(pointwise: np.ndarray) -> Score:
+    """LOO from log-likelihoods (draws, readings) at draws of the posterior.LeaveOneOut mixture.
+
+    Silva and Zanella (2024), JASA 119:2369, section 3. The weights are at most one, so no draw dominates.
+    """
+    log_weight = -pointwise - np.logaddexp.reduce(-pointwise, axis=1, keepdims=True)
+    terms = np.logaddexp.reduce(log_weight + pointwise, axis=0) - np.logaddexp.reduce(log_weight, axis=0)
+    return Score(float(terms.sum()), terms, -np.inf)
 
 
 def difference(best: Score, other: Score) -> tuple[float, float]:

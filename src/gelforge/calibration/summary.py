@@ -42,10 +42,27 @@ def correlations(chain, model) -> dict:
     return {"names": list(model.names), "matrix": np.round(np.atleast_2d(matrix), 4).tolist()}
 
 
-def predictions(chain, posterior) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Posterior predictive mean (n, 3), scale of a new reading (n,), and draws (s, n, 3) of the force."""
-    forces, values = posterior.predict(chain.flat(DRAWS))
-    return forces.mean(axis=0), posterior.scale(forces, values["noise"]).mean(axis=0), forces
+def predictions(chain, posterior) -> tuple[np.ndarray, np.ndarray]:
+    """Posterior predictive mean (n, 3) of a press repeated, and the scale (n, 3) of a reading about it, N."""
+    forces, scale = posterior.predict(chain.flat(DRAWS))
+    spread = np.sqrt(forces.var(axis=0) + (scale**2).mean(axis=0))
+    return forces.mean(axis=0), spread
+
+
+def own_forces(chain, posterior) -> np.ndarray:
+    """Posterior mean of the force at these very presses, (n, 3) N: each with its own error of touch.
+
+    The error of touch of a press is normal with deviation `scatter`; given the reading of the normal
+    force, its mean follows from the linear slope.
+    """
+    coordinates = chain.flat(DRAWS)
+    values = posterior.model.values(coordinates)
+    forces, slopes, _ = posterior.emulator.forces(posterior.depth, values)
+    scatter, noise = values["scatter"][:, None], values["noise"][:, None]
+    slope = slopes[:, :, 2]
+    residual = posterior.observed[:, 2] - forces[:, :, 2]
+    error = scatter**2 * slope * residual / (noise**2 + (scatter * slope) ** 2)
+    return (forces + slopes * error[:, :, None]).mean(axis=0)
 
 
 def predictive_error(mean, observed) -> dict:
@@ -62,7 +79,7 @@ def find_outliers(readings, mean, scale, observed, threshold: float) -> list[dic
     """Readings further than `threshold` scales from the predictive mean; they still serve, with a low weight."""
     rows = []
     for i, column in zip(*np.nonzero(np.isfinite(observed)), strict=True):
-        z = (observed[i, column] - mean[i, column]) / scale[i]
+        z = (observed[i, column] - mean[i, column]) / scale[i, column]
         if abs(z) > threshold:
             rows.append(
                 {
@@ -75,16 +92,12 @@ def find_outliers(readings, mean, scale, observed, threshold: float) -> list[dic
 
 
 def score_models(results) -> list[dict]:
-    """Table of models, best first. results: list of (posterior, chain)."""
-    entries = []
-    for posterior, chain in results:
-        score = scores.loo(posterior.pointwise(chain.flat(DRAWS)))
-        mean, _, _ = predictions(chain, posterior)
-        entries.append((score, posterior, chain, mean))
-    entries.sort(key=lambda e: -e[0].elpd)
-    best = entries[0][0]
+    """Table of models, best first. results: list of (posterior, chain, score)."""
+    entries = sorted(results, key=lambda entry: -entry[2].elpd)
+    best = entries[0][2]
     table = []
-    for score, posterior, chain, mean in entries:
+    for posterior, chain, score in entries:
+        mean, _ = predictions(chain, posterior)
         gap, error = scores.difference(best, score)
         table.append(
             {
@@ -92,7 +105,6 @@ def score_models(results) -> list[dict]:
                 "elpd": score.elpd,
                 "behind": -gap,
                 "behind_standard_error": error,
-                "pareto_k": score.worst_k if np.isfinite(score.worst_k) else None,
                 "indistinguishable": bool(-gap <= max(NEAR, 2.0 * error)),
                 "c10": describe(posterior.model.values(chain.flat())["c10"]),
                 "predictive_mae_n": predictive_error(mean, posterior.observed),
@@ -126,9 +138,6 @@ def model_sentences(models: list[dict]) -> list[str]:
         )
     if apart:
         said.append(f"The data speak against {', '.join(apart)}.")
-    shaky = [m["model"] for m in models if m["pareto_k"] is not None and m["pareto_k"] > 0.7]
-    if shaky:
-        said.append(f"Scores of {', '.join(shaky)} lean on few draws (Pareto k above 0.7): take them as rough.")
     return said
 
 
