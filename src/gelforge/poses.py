@@ -71,7 +71,7 @@ def geometric_faults(sample: log.Sample, file: str, body, gel: Gel, params: dict
         return [log.reject(sample, file, "dz_mm", reason, remedy)]
     depth, limit = -(press.z0 + press.dz), params["deepest_share"] * gel.height
     if depth > limit:
-        reason = f"the tip comes {depth:.3g} mm below the crown, {limit:.3g} of the gel's {gel.height:g} mm are allowed"
+        reason = f"the tip comes {depth:.3g} mm below the crown; the gel ({gel.height:g} mm) allows {limit:.3g}"
         return [log.reject(sample, file, "dz_mm", reason, "check z0_mm and dz_mm, or raise deepest_share in [poses]")]
     return []
 

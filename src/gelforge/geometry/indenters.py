@@ -8,7 +8,16 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.geometry.profiles import Annulus, Ellipse, Outline, Pieces, Pierced, rectangle, regular_polygon
+from gelforge.geometry.profiles import (
+    Annulus,
+    Ellipse,
+    Outline,
+    Pieces,
+    Pierced,
+    crosses_itself,
+    rectangle,
+    regular_polygon,
+)
 from gelforge.geometry.solids import Body, Extrusion, LyingCylinder, RoundedPolyhedron
 
 DEFAULT = object()
@@ -35,10 +44,10 @@ class _Table:
             self.fail(key, value, "write true or false")
         return value
 
-    def number(self, key, default=DEFAULT, low: float = 0.0) -> float:
+    def number(self, key, default=DEFAULT, low: float = 0.0, high: float = 1000.0) -> float:
         value = self.take(key, default)
-        if isinstance(value, bool) or not isinstance(value, int | float) or not low < value < 1000.0:
-            self.fail(key, value, f"give a number above {low:g} and below 1000 (mm or degrees)")
+        if isinstance(value, bool) or not isinstance(value, int | float) or not low < value < high:
+            self.fail(key, value, f"give a number above {low:g} and below {high:g} (mm or degrees)")
         return float(value)
 
     def pair(self, key, default=DEFAULT) -> tuple[float, float] | None:
@@ -88,11 +97,16 @@ def _polygon(t: _Table, **common) -> Body:
 
 
 def _outline(t: _Table, **common) -> Body:
-    fillet, corners = t.number("fillet"), np.array(t.take("corners"), dtype=object)
-    if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3:
-        t.fail("corners", corners.tolist(), "give at least three corners [x, y] in mm")
-    return Extrusion(profile=Outline(corners.astype(float), fillet), fillet=fillet, height=t.number("height"),
-                     **common)
+    fillet, given = t.number("fillet"), t.take("corners")
+    try:
+        corners = np.array(given, float)
+    except (TypeError, ValueError):
+        corners = np.zeros(0)
+    if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3 or not np.isfinite(corners).all():
+        t.fail("corners", given, "give at least three corners [x, y] in mm")
+    if crosses_itself(corners):
+        t.fail("corners", given, "its edges cross or touch; go round the figure once")
+    return Extrusion(profile=Outline(corners, fillet), fillet=fillet, height=t.number("height"), **common)
 
 
 def _triple_triangle(t: _Table, **common) -> Body:
@@ -145,7 +159,7 @@ def _pyramid(t: _Table, **common) -> Body:
 def _stl(t: _Table, **common) -> Body:
     from gelforge.geometry.sampled import sampled_from_stl
 
-    file, scale = t.take("file"), t.number("scale", 1.0)
+    file, scale = t.take("file"), t.number("scale", 1.0, high=1e5)
     spacing, reach = t.number("spacing", 0.2), t.number("reach", 4.0)
     if not isinstance(file, str):
         t.fail("file", file, "name an STL file, from the catalogue's folder")
@@ -194,8 +208,8 @@ def read_catalogue(path) -> dict[str, dict]:
 def load_catalogue(path, names=None, folder=None) -> dict[str, Body]:
     """Indenters by name from a catalogue file, all or those in `names`; STL files are named from `folder`.
 
-    Without `folder` they are named from the catalogue's. Each has distance(points), surface(), radius(), name, height (mm), seen (whether networks train on it) and spare
-    (left out of the standard set).
+    Without `folder` they are named from the catalogue's. Each has distance(points), surface(), radius(), name,
+    height (mm), seen (whether networks train on it) and spare (left out of the standard set).
     """
     tables = read_catalogue(path)
     for name in names or ():

@@ -39,6 +39,21 @@ def mitred(corners: np.ndarray, offset: float) -> np.ndarray:
     return corners + offset * (before + normal) / (1.0 + (before * normal).sum(1, keepdims=True))
 
 
+def crosses_itself(corners: np.ndarray) -> bool:
+    """Whether any two edges of a polygon (k, 2) that are not neighbours meet, or a corner repeats."""
+    a, b = corners, np.roll(corners, -1, axis=0)
+
+    def side(p, q, r):
+        (ux, uy), (vx, vy) = (q - p).T, (r - p).T
+        return np.sign(ux * vy - uy * vx)
+
+    first, second = np.triu_indices(len(a), 2)
+    apart = (second + 1) % len(a) != first
+    p, q, r, s = a[first[apart]], b[first[apart]], a[second[apart]], b[second[apart]]
+    meet = (side(p, q, r) * side(p, q, s) <= 0) & (side(r, s, p) * side(r, s, q) <= 0)
+    return bool(meet.any()) or len(np.unique(corners, axis=0)) < len(corners)
+
+
 class Outline:
     """A simple polygon whose convex corners are rounded and whose concave corners stay sharp.
 
@@ -65,7 +80,8 @@ class Outline:
         nearest = np.zeros((len(p), 2))
         normal = np.zeros((len(p), 2))
         inside = np.zeros(len(p), bool)
-        for corner, edge, n in zip(self.core, self._edge, self._normal, strict=True):
+        ends = np.roll(self.core, -1, axis=0)
+        for corner, end, edge, n in zip(self.core, ends, self._edge, self._normal, strict=True):
             rel = p - corner
             t = np.clip(rel @ (edge / (edge @ edge)), 0.0, 1.0)
             diff = rel - t[:, None] * edge
@@ -74,8 +90,9 @@ class Outline:
             best = np.where(closer, square, best)
             nearest[closer] = diff[closer]
             normal[closer] = n
-            if edge[1] != 0.0:
-                crosses = (p[:, 1] >= corner[1]) != (p[:, 1] >= corner[1] + edge[1])
+            # both ends exactly as the neighbours see them, or a level edge would count once too often
+            crosses = (p[:, 1] >= corner[1]) != (p[:, 1] >= end[1])
+            if crosses.any():
                 inside ^= crosses & (p[:, 0] < corner[0] + edge[0] / edge[1] * rel[:, 1])
         length = np.sqrt(best)
         sign = np.where(inside, -1.0, 1.0)

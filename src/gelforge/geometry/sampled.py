@@ -18,6 +18,10 @@ def check_body(vertices: np.ndarray, faces: np.ndarray, what: str) -> tuple[np.n
     if not is_watertight(faces):
         raise BadInput(f"{what}: the surface is not closed or not consistently oriented; every edge must belong to "
                        "two triangles. Close holes and merge doubled vertices in the program that exported it")
+    extent = np.ptp(vertices, axis=0).max()
+    if not 0.5 <= extent <= LARGEST_MM:
+        raise BadInput(f"{what}: the body measures {extent:.4g} mm after scaling, expected 0.5 to {LARGEST_MM:g} mm; "
+                       "set `scale` in the catalogue (1000 for a file in metres, 25.4 for inches)")
     enclosed = volume(vertices, faces)
     if abs(enclosed) < 1e-6:
         raise BadInput(f"{what}: the surface encloses {enclosed:.1e} mm^3; export a solid body")
@@ -28,10 +32,6 @@ def check_body(vertices: np.ndarray, faces: np.ndarray, what: str) -> tuple[np.n
     count = meshes.current_mesh().selected_face_number()
     if count:
         raise BadInput(f"{what}: {count} triangles cut through each other; unite the overlapping parts into one body")
-    extent = np.ptp(vertices, axis=0).max()
-    if not 0.5 <= extent <= LARGEST_MM:
-        raise BadInput(f"{what}: the body measures {extent:.4g} mm after scaling, expected 0.5 to {LARGEST_MM:g} mm; "
-                       "set `scale` in the catalogue (1000 for a file in metres, 25.4 for inches)")
     return vertices, faces
 
 

@@ -1,0 +1,117 @@
+"""Laws that every indenter's distance obeys."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gelforge.geometry.indenters import build, load_catalogue, read_catalogue
+from gelforge.mechanics.scene import Press
+from tests.conftest import ROOT
+
+CATALOGUE = ROOT / "workflow" / "indenters.toml"
+EXTRA = {
+    "lying": {"kind": "lying_cylinder", "diameter": 7.0, "length": 12.0, "fillet": 0.8},
+    "disc": {"kind": "ellipse", "size": [9.0, 4.0], "fillet": 0.3, "height": 5.0},
+    "hook": {"kind": "outline", "corners": [[-4, -4], [4, -4], [4, 0], [0, 0], [0, 5], [-4, 5]], "fillet": 0.7,
+             "height": 6.0},
+    "sharp": {"kind": "cuboid", "size": [6.0, 3.0], "fillet": 0.01, "height": 5.0},
+}
+NAMES = [*sorted(read_catalogue(CATALOGUE)), *EXTRA]
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+@cache
+def body(name):
+    return build(name, EXTRA[name]) if name in EXTRA else load_catalogue(CATALOGUE, [name])[name]
+
+
+def draw(name, seed, count=200):
+    r = body(name).radius() + 2.0
+    return np.random.default_rng(seed).uniform([-r, -r, -2.0], [r, r, body(name).height + 2.0], (count, 3))
+
+
+@pytest.mark.parametrize("name", NAMES)
+@given(seed=SEEDS)
+@settings(max_examples=8, deadline=None)
+def test_distance_never_changes_faster_than_the_point_moves(name, seed):
+    a = draw(name, seed)
+    b = a + np.random.default_rng(seed).normal(size=a.shape) * np.geomspace(1e-6, 3.0, len(a))[:, None]
+    change = np.abs(body(name).distance(a)[0] - body(name).distance(b)[0])
+    # 1e-9 mm is rounding in the hull of a polyhedron
+    assert (change <= np.linalg.norm(a - b, axis=1) + 1e-8).all()
+
+
+@pytest.mark.parametrize("name", NAMES)
+@given(seed=SEEDS)
+@settings(max_examples=8, deadline=None)
+def test_normal_is_the_gradient_and_has_length_one(name, seed):
+    p, h = draw(name, seed), 1e-5
+    _, normal = body(name).distance(p)
+    # rounding only
+    np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1.0, atol=1e-9)
+    ahead, behind = body(name).distance(p + h * normal)[0], body(name).distance(p - h * normal)[0]
+    slope = (ahead - behind) / (2.0 * h)
+    # at a ridge of the distance (a set of measure zero, here h wide) the slope is that of either side
+    assert np.quantile(np.abs(slope - 1.0), 0.98) < 1e-4
+
+
+@pytest.mark.parametrize("name", NAMES)
+@given(seed=SEEDS)
+@settings(max_examples=5, deadline=None)
+def test_foot_of_a_point_lies_on_the_surface(name, seed):
+    p = draw(name, seed)
+    d, n = body(name).distance(p)
+    outside = d > 0.0
+    foot = p[outside] - d[outside, None] * n[outside]
+    # where the three triangles meet, a ridge of 33 degrees bounds the distance from below by 1/25
+    slack = 0.05 * d[outside] if name == "zelda_15" else 1e-7
+    assert (np.abs(body(name).distance(foot)[0]) <= slack + 1e-7).all()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_sign_agrees_with_the_surface(name):
+    pyvista = pytest.importorskip("pyvista")
+    p = draw(name, 7, 1500)
+    d, _ = body(name).distance(p)
+    vertices, faces = body(name).surface()
+    mesh = pyvista.PolyData(vertices, np.column_stack([np.full(len(faces), 3), faces]).ravel())
+    mesh_distance = np.asarray(pyvista.PolyData(p).compute_implicit_distance(mesh)["implicit_distance"])
+    # chords are within 0.01 mm, so beyond that both must say the same side
+    sure = np.abs(d) > 0.02
+    np.testing.assert_array_equal(np.sign(d[sure]), np.sign(mesh_distance[sure]))
+    # outside the distance is exact but for chords (0.01 mm) and the ridges of the three triangles (see above)
+    outside = d > 0.02
+    rough = 0.05 * d[outside] if name == "zelda_15" else 0.0
+    assert (np.abs(mesh_distance - d)[outside] <= 0.01 + rough).all()
+
+
+@given(seed=SEEDS, x=st.floats(-3, 3), y=st.floats(-5, 5), turn=st.floats(-180, 180), press=st.floats(0, 1),
+       shear=st.floats(0, 1), name=st.sampled_from(NAMES))
+@settings(max_examples=40, deadline=None)
+def test_a_moved_indenter_keeps_its_distances(seed, x, y, turn, press, shear, name):
+    rotation, shift = Press(x, y, 0.2, 0.3, -0.4, -1.5, turn).pose(press, shear)
+    p = draw(name, seed, 50)
+    d, n = body(name).distance(p)
+    world = p @ rotation.T + shift
+    moved, normal = body(name).distance((world - shift) @ rotation)
+    # rounding of one rotation and its inverse
+    np.testing.assert_allclose(moved, d, atol=1e-9)
+    steady = np.abs(normal - n).max(axis=1) < 1e-6
+    assert steady.mean() > 0.9
+
+
+@given(kind=st.sampled_from(["cuboid", "polygon", "pyramid", "sloping_cuboid", "cylinder"]),
+       size=st.floats(4.0, 20.0), fillet=st.floats(0.05, 1.2), slope=st.floats(3.0, 35.0))
+@settings(max_examples=25, deadline=None)
+def test_any_size_builds_a_body_whose_surface_is_on_its_distance(kind, size, fillet, slope):
+    keys = {"cuboid": {"size": [size, size / 2.0 + 1.0]}, "polygon": {"sides": 5, "side": size},
+            "pyramid": {"size": [size, size], "slope_deg": slope}, "cylinder": {"diameter": size},
+            "sloping_cuboid": {"size": [size, size], "slope_deg": slope}}[kind]
+    shape = build("any", {"kind": kind, "height": 8.0, "fillet": fillet, **keys})
+    vertices, faces = shape.surface()
+    # surface corners lie on the body; 1e-6 is rounding in the hull
+    assert np.abs(shape.distance(vertices)[0]).max() < 1e-6
+    assert np.abs(shape.distance(vertices[faces].mean(axis=1))[0]).max() < 0.01

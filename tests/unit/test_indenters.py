@@ -1,0 +1,206 @@
+"""The catalogue: what it holds, closed forms, and what it refuses."""
+
+import numpy as np
+import pytest
+
+from gelforge.errors import BadInput
+from gelforge.geometry import triangles
+from gelforge.geometry.indenters import build, load_catalogue
+from gelforge.geometry.profiles import regular_polygon
+from gelforge.geometry.sampled import Sampled, check_body
+
+
+@pytest.fixture(scope="module")
+def catalogue(root):
+    return load_catalogue(root / "workflow" / "indenters.toml")
+
+
+
+def table(kind, **keys):
+    return {"kind": kind, "fillet": 0.5, "height": 8.0, **keys}
+
+
+def test_standard_set_has_the_papers_numbers(catalogue):
+    standard = [b for b in catalogue.values() if not b.spare]
+    assert len(standard) == 24
+    assert sum(not b.seen for b in standard) == 5
+
+
+def test_every_surface_is_closed_outward_and_stands_on_its_tip(catalogue):
+    for name, body in catalogue.items():
+        vertices, faces = body.surface()
+        assert triangles.is_watertight(faces), name
+        assert triangles.volume(vertices, faces) > 0.0, name
+        # chords: the sampled tip of a sloping edge may miss its lowest point by a chord's height
+        assert 0.0 <= vertices[:, 2].min() < 0.01, name
+        assert body.radius() >= np.hypot(*vertices[:, :2].T).max() - 1e-9, name
+        assert body.height == pytest.approx(vertices[:, 2].max(), abs=1e-9), name
+
+
+def test_surface_stays_within_a_hundredth_of_the_distance(catalogue):
+    for name, (body, (vertices, faces)) in {n: (b, b.surface()) for n, b in catalogue.items()}.items():
+        inside_faces = vertices[faces].mean(axis=1)
+        # corners lie on the body; only a boolean cut puts corners on chords
+        assert np.abs(body.distance(vertices)[0]).max() < 0.005, name
+        assert np.abs(body.distance(inside_faces)[0]).max() < 0.01, name
+
+
+def test_sphere_is_a_sphere(catalogue):
+    points = np.random.default_rng(1).uniform([-9, -9, -4], [9, 9, 7.4], (500, 3))
+    # deeper than 2 mm the flat end of the shank may be nearer than the sphere
+    points = points[np.linalg.norm(points - [0.0, 0.0, 7.5], axis=1) > 5.5]
+    distance, normal = catalogue["sphere_15"].distance(points)
+    away = points - [0.0, 0.0, 7.5]
+    length = np.linalg.norm(away, axis=1)
+    # rounding only: both are closed forms
+    np.testing.assert_allclose(distance, length - 7.5, atol=1e-12)
+    np.testing.assert_allclose(normal, away / length[:, None], atol=1e-12)
+
+
+def test_cuboid_has_flat_wall_edge_and_corner(catalogue):
+    points = np.array([[0, 0, -1], [7, 0, 5], [5 + 3, 0, 1 - 4], [4 + 2, 4 + 2, 1 - 1], [0, 0, 1], [0, 0, 11.0]])
+    distance, normal = catalogue["cuboid_10"].distance(points)
+    np.testing.assert_allclose(distance, [1, 2, np.hypot(4, 4) - 1, 3 - 1, -1, 1], atol=1e-12)
+    np.testing.assert_allclose(normal[0], [0, 0, -1], atol=1e-12)
+    np.testing.assert_allclose(normal[3], np.array([2, 2, -1]) / 3.0, atol=1e-12)
+
+
+def test_ellipse_distance_is_that_of_its_nearest_point():
+    body = build("e", table("ellipse", size=[15, 10]))
+    angle = np.linspace(0.0, 2.0 * np.pi, 40_001)
+    edge = np.column_stack([7.5 * np.cos(angle), 5.0 * np.sin(angle)])
+    points = np.random.default_rng(2).uniform(-9, 9, (100, 2))
+    brute = np.array([np.linalg.norm(edge - p, axis=1).min() for p in points])
+    distance = body.profile.distance(points)[0]
+    # the brute-force edge is sampled every 0.001 mm
+    np.testing.assert_allclose(np.abs(distance), brute, atol=1e-5)
+
+
+@pytest.mark.parametrize(("name", "keys", "expected"), [
+    ("lying_cylinder", {"diameter": 6.0, "length": 12.0}, np.pi * 9.0 * 12.0),
+    ("cuboid", {"size": [4.0, 6.0]}, 4.0 * 6.0 * 8.0),
+    ("cross", {"size": [8.0, 10.0], "arm": 2.0}, (8.0 * 2.0 + 8.0 * 2.0) * 8.0),
+    ("polygon", {"sides": 5, "side": 4.0}, 8.0 * 4.0**2 * 5.0 / (4.0 * np.tan(np.pi / 5.0))),
+    ("outline", {"corners": [[0, 0], [5, 0], [5, 2], [2, 2], [2, 5], [0, 5]]}, 16.0 * 8.0),
+    ("cylinder", {"diameter": 8.0, "hole": 4.0}, np.pi * (16.0 - 4.0) * 8.0),
+    ("triple_triangle", {"side": 12.0, "wall": 1.0},
+     8.0 * np.sqrt(3.0) / 4.0 * (12.0**2 - 3.0 * (12.0 / np.sqrt(12.0) - 1.0) ** 2)),
+])
+def test_volume_approaches_the_sharp_body(name, keys, expected):
+    body = build("b", {**table(name, **keys), "fillet": 0.02} if name != "lying_cylinder" else
+                 {"kind": name, "fillet": 0.02, **keys})
+    # fillets of 0.02 mm and chords of 0.003 mm take well under 1 % away
+    assert triangles.volume(*body.surface()) == pytest.approx(expected, rel=0.01)
+
+
+@pytest.mark.parametrize(("wrong", "says"), [
+    ({"kind": "sphare", "diameter": 3}, "choose one of"),
+    ({"kind": "sphere", "diameter": "3", "height": 5}, "diameter"),
+    ({"kind": "sphere", "diameter": True, "height": 5}, "diameter"),
+    ({"kind": "sphere", "diameter": float("nan"), "height": 5}, "diameter"),
+    ({"kind": "sphere", "diameter": 5, "height": 5, "colour": 1}, "no such key"),
+    ({"kind": "sphere", "diameter": 20, "height": 5}, "fillet"),
+    ({"kind": "cuboid", "size": [5], "fillet": 1, "height": 5}, "two positive numbers"),
+    ({"kind": "cuboid", "size": [1.5, 9], "fillet": 1, "height": 5}, "too large"),
+    ({"kind": "cylinder", "diameter": 5, "hole": 6, "fillet": 0.1, "height": 5}, "does not fit"),
+    ({"kind": "triple_triangle", "side": 5, "wall": 4, "fillet": 0.1, "height": 5}, "no hole"),
+    ({"kind": "stl", "file": "nowhere.stl"}, "there is no file"),
+    ({"kind": "cuboid", "size": [5, 5], "fillet": 1, "height": 5, "seen": "yes"}, "true or false"),
+    ({"size": [5, 5]}, "kind"),
+    ({"kind": "outline", "corners": [[0, 0], [5, 5], [5, 0], [0, 5]], "fillet": 0.1, "height": 5}, "cross"),
+    ({"kind": "outline", "corners": [[0, 0], [5, 5]], "fillet": 0.1, "height": 5}, "three corners"),
+    ({"kind": "outline", "corners": [[0, 0], [5, "a"], [0, 5]], "fillet": 0.1, "height": 5}, "three corners"),
+    ({"kind": "outline", "corners": [[0, 0], [5, float("inf")], [0, 5]], "fillet": 0.1, "height": 5}, "three corners"),
+])
+def test_wrong_tables_are_refused_with_name_and_remedy(wrong, says):
+    with pytest.raises(BadInput, match="wrong_one|too large|does not fit") as error:
+        build("wrong_one", wrong)
+    assert says in str(error.value)
+
+
+def test_catalogue_faults_name_the_file(tmp_path):
+    path = tmp_path / "indenters.toml"
+    path.write_text("a = 1\n")
+    with pytest.raises(BadInput, match="outside a table"):
+        load_catalogue(path)
+    path.write_text("[a\n")
+    with pytest.raises(BadInput, match="not valid TOML"):
+        load_catalogue(path)
+    with pytest.raises(BadInput, match="cannot read"):
+        load_catalogue(tmp_path / "none.toml")
+
+
+def test_catalogue_names_are_looked_up(root):
+    with pytest.raises(BadInput, match="no indenter named 'spere_15'"):
+        load_catalogue(root / "workflow" / "indenters.toml", ["spere_15"])
+
+
+def write_stl_catalogue(folder, mesh, **keys):
+    triangles.write_stl(folder / "mine.stl", *mesh)
+    lines = [f"{k} = {v}" for k, v in keys.items()]
+    path = folder / "indenters.toml"
+    path.write_text("\n".join(["[mine]", 'kind = "stl"', 'file = "mine.stl"', *lines]) + "\n")
+    return path
+
+
+def test_users_stl_comes_back_as_its_body(tmp_path, catalogue):
+    original = catalogue["cuboid_7"]
+    body = load_catalogue(write_stl_catalogue(tmp_path, original.surface()))["mine"]
+    points = np.random.default_rng(3).uniform([-4.5, -4.5, -0.8], [4.5, 4.5, 4.0], (3000, 3))
+    near = np.abs(original.distance(points)[0]) < 0.5
+    # chords of 0.005 mm and a spline on 0.2 mm
+    np.testing.assert_allclose(body.distance(points)[0][near], original.distance(points)[0][near], atol=0.015)
+    assert body.radius() == pytest.approx(original.radius(), abs=0.01)
+
+
+def test_stl_in_metres_is_refused_until_scaled(tmp_path, catalogue):
+    vertices, faces = catalogue["cuboid_7"].surface()
+    path = write_stl_catalogue(tmp_path, (vertices / 1000.0, faces))
+    with pytest.raises(BadInput, match="mine.*scale"):
+        load_catalogue(path)
+    path = write_stl_catalogue(tmp_path, (vertices / 1000.0, faces), scale=1000.0)
+    assert load_catalogue(path)["mine"].height == pytest.approx(10.0, abs=1e-5)
+
+
+def test_open_stl_is_refused(tmp_path, catalogue):
+    vertices, faces = catalogue["cuboid_7"].surface()
+    with pytest.raises(BadInput, match=r"mine.*not closed.*holes"):
+        load_catalogue(write_stl_catalogue(tmp_path, (vertices, faces[:-1])))
+
+
+def test_self_intersecting_stl_is_refused(tmp_path, catalogue):
+    vertices, faces = catalogue["cuboid_7"].surface()
+    doubled = triangles.joined([(vertices, faces), (vertices + [3.0, 2.0, 1.0], faces)])
+    with pytest.raises(BadInput, match=r"mine.*cut through each other.*unite"):
+        load_catalogue(write_stl_catalogue(tmp_path, doubled))
+
+
+@pytest.mark.parametrize("content", [b"", b"solid x\nendsolid x\n", b"\x00" * 84, b"\x89PNG not a mesh at all"])
+def test_unreadable_stl_is_refused(tmp_path, content):
+    (tmp_path / "mine.stl").write_bytes(content)
+    with pytest.raises(BadInput, match=r"mine\.stl"):
+        build("mine", {"kind": "stl", "file": "mine.stl"}, folder=tmp_path)
+
+
+def test_inward_triangles_are_turned(catalogue):
+    vertices, faces = catalogue["cuboid_7"].surface()
+    assert triangles.volume(*check_body(vertices, faces[:, ::-1], "inward")) > 0.0
+
+
+def test_grid_that_would_fill_memory_is_refused(catalogue):
+    with pytest.raises(BadInput, match="coarser"):
+        Sampled("fine", *catalogue["cuboid_7"].surface(), spacing=0.01)
+
+
+def test_ears_cover_a_polygon_with_notches():
+    comb = np.array([[0, 0], [7, 0], [7, 3], [6, 3], [6, 1], [4, 1],
+                     [4, 3], [3, 3], [3, 1], [1, 1], [1, 3], [0, 3]], float)
+    a, b, c = comb[triangles.ears(comb)].transpose(1, 0, 2)
+    area = ((b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])) / 2.0
+    assert (area >= 0.0).all()
+    assert area.sum() == pytest.approx(7.0 + 3 * 2.0)
+
+
+def test_regular_polygon_has_its_side():
+    corners = regular_polygon(6, 5.0, 0.0)
+    assert np.linalg.norm(corners[0] - corners[1]) == pytest.approx(5.0)
