@@ -176,8 +176,8 @@ def without_duplicates(samples: list[Sample], file: str) -> tuple[list[Sample], 
     first, good, wrong = {}, [], []
     for sample in samples:
         if sample.sample_id in first:
-            wrong.append(reject(sample, file, "sample_id", f"row {first[sample.sample_id]} has the same sample_id",
-                                "give every press its own; the first one was kept"))
+            remedy = f"row {first[sample.sample_id]} has it and was kept; give every press its own"
+            wrong.append(reject(sample, file, "sample_id", "an earlier row has the same sample_id", remedy))
             continue
         first[sample.sample_id] = sample.row
         good.append(sample)

@@ -58,21 +58,21 @@ def _top_points(gel, low, high, step):
 def geometric_faults(sample: log.Sample, file: str, body, gel: Gel, params: dict) -> list[log.Rejection]:
     """Rejections of a press that never touches the gel or leaves what it can represent."""
     press = sample.press()
-    sideways = float(np.hypot(press.dx, press.dy))
-    if sideways > params["farthest_shear_mm"]:
+    # Reasons stay the same words for every sample, so that they can be counted; the numbers go into the remedy.
+    sideways, farthest = float(np.hypot(press.dx, press.dy)), params["farthest_shear_mm"]
+    if sideways > farthest:
         column = "dx_mm" if abs(press.dx) >= abs(press.dy) else "dy_mm"
-        reason = f"moves {sideways:.3g} mm sideways, more than {params['farthest_shear_mm']:g} mm"
-        return [log.reject(sample, file, column, reason, "check the unit, or raise farthest_shear_mm in [poses]")]
-    clear = nearest(body, press, gel)
-    if clear >= 0.0:
-        reason = f"the indenter stays {clear:.3g} mm clear of the gel" if np.isfinite(clear) else (
-            "the indenter is never above the gel")
-        remedy = "check x0_mm, y0_mm, z0_mm and dz_mm; the crown of the gel is the origin"
-        return [log.reject(sample, file, "dz_mm", reason, remedy)]
+        remedy = f"it moves {sideways:.3g} mm; check the unit, or raise farthest_shear_mm = {farthest:g} in [poses]"
+        return [log.reject(sample, file, column, "the indenter moves too far sideways", remedy)]
     depth, limit = -(press.z0 + press.dz), params["deepest_share"] * gel.height
     if depth > limit:
-        reason = f"the tip comes {depth:.3g} mm below the crown; the gel ({gel.height:g} mm) allows {limit:.3g}"
-        return [log.reject(sample, file, "dz_mm", reason, "check z0_mm and dz_mm, or raise deepest_share in [poses]")]
+        remedy = f"the tip ends {depth:.3g} mm below the crown, {limit:.3g} are allowed; check z0_mm and dz_mm"
+        return [log.reject(sample, file, "dz_mm", "the press is deeper than the gel allows", remedy)]
+    clear = nearest(body, press, gel)
+    if clear >= 0.0:
+        where = f"stays {clear:.3g} mm clear of" if np.isfinite(clear) else "is never above"
+        remedy = f"it {where} the gel, whose crown is the origin; check x0_mm, y0_mm, z0_mm and dz_mm"
+        return [log.reject(sample, file, "dz_mm", "the indenter never touches the gel", remedy)]
     return []
 
 

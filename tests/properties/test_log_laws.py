@@ -1,0 +1,60 @@
+"""Laws of the raw log: it reads back what was written, and survives any row."""
+
+import csv
+import io
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gelforge import log
+
+NUMBERS = st.floats(-999.0, 999.0, allow_nan=False)
+WORDS = st.from_regex(r"[A-Za-z0-9][A-Za-z0-9_.\-]{0,20}", fullmatch=True)
+SAMPLES = st.builds(
+    log.Sample, row=st.integers(2, 10**6), sample_id=WORDS, time_utc=st.just("2025-04-08T12:25:19+00:00"),
+    sensor_id=WORDS, gel_id=WORDS, indenter=WORDS, image=WORDS,
+    **{name: NUMBERS for name in log.POSE if name != "dz_mm"}, dz_mm=st.floats(-999.0, -1e-9),
+    **{name: st.none() | NUMBERS for name in log.FORCES})
+
+
+@given(samples=st.lists(SAMPLES, min_size=1, max_size=5))
+@settings(deadline=None, max_examples=60)
+def test_log_reads_back_to_the_last_digit(tmp_path_factory, samples):
+    path = tmp_path_factory.mktemp("log") / "log.csv"
+    log.write_log(path, samples)
+    rows = log.read_log(path)
+    for line, (sample, row) in enumerate(zip(samples, rows, strict=True), 2):
+        back, wrong = log.parse(row, "log.csv")
+        assert not wrong
+        assert back == log.Sample(**{**vars(sample), "row": line})
+
+
+CELLS = st.one_of(st.text(max_size=30), st.none(), st.sampled_from(
+    ["nan", "-inf", "1e400", "1,5", "\x00", "=1+1", "../..", " 3 ", "--1", "0x1", "\u0663", "1e", ".", "-", "2025-13-45"]))
+
+
+@given(cells=st.dictionaries(st.sampled_from([*log.COLUMNS, "row", "other"]), CELLS))
+@settings(deadline=None, max_examples=200)
+def test_any_row_is_either_typed_or_explained(cells):
+    sample, wrong = log.parse(cells, "log.csv")
+    assert (sample is None) == bool(wrong)
+    for rejection in wrong:
+        assert rejection.reason and rejection.remedy
+        assert rejection.column in log.COLUMNS
+        # a rejection must survive the file it is written to
+        text = io.StringIO()
+        csv.writer(text).writerow([rejection.value, str(rejection)])
+
+
+@given(text=st.text(max_size=20))
+def test_number_is_finite_or_none(text):
+    value = log.parse_number(text)
+    assert value is None or value == float(text)
+
+
+@given(data=st.binary(max_size=300), cut=st.integers(0, 200))
+@settings(deadline=None)
+def test_no_bytes_break_the_image_check(data, cut):
+    for attempt in (data, b"\x89PNG\r\n\x1a\n" + data, (b"\x89PNG\r\n\x1a\n" + data)[:cut]):
+        fault, _ = log.png_fault(attempt)
+        assert fault

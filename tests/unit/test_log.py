@@ -1,0 +1,179 @@
+"""The raw log: every kind of bad cell is refused with its place and a remedy."""
+
+import struct
+import zlib
+
+import cv2
+import numpy as np
+import pytest
+
+from gelforge import log
+from gelforge.errors import BadInput
+
+GOOD = {"row": "2", "sample_id": "a1", "time_utc": "2025-04-08T12:25:19Z", "sensor_id": "gelsight_mini", "gel_id": "g1",
+        "indenter": "sphere_15", "x0_mm": "0.5", "y0_mm": "-1", "z0_mm": "0", "dx_mm": "0.2", "dy_mm": "0",
+        "dz_mm": "-1.25", "rot_deg": "30", "fx_n": "", "fy_n": "", "fz_n": "-6.5", "mx_nm": "", "my_nm": "",
+        "mz_nm": "", "image": "images/a1.png"}
+
+
+def parse(**cells):
+    return log.parse({**GOOD, **cells}, "data/lab/log.csv")
+
+
+def image_bytes(width=320, height=240, channels=3):
+    shape = (height, width, channels) if channels > 1 else (height, width)
+    return cv2.imencode(".png", np.full(shape, 128, np.uint8))[1].tobytes()
+
+
+def test_good_row_is_typed():
+    sample, wrong = parse()
+    assert not wrong
+    assert (sample.row, sample.x0_mm, sample.dz_mm, sample.fz_n, sample.fx_n) == (2, 0.5, -1.25, -6.5, None)
+    assert sample.press().dz == -1.25
+
+
+@pytest.mark.parametrize(("column", "value", "says"), [
+    ("x0_mm", "NaN", "not a finite number"),
+    ("y0_mm", "inf", "not a finite number"),
+    ("dz_mm", "1e999", "not a finite number"),
+    ("dx_mm", "0,5", "decimals with a point"),
+    ("dy_mm", "two", "not a finite number"),
+    ("rot_deg", "1_0", "not a finite number"),
+    ("rot_deg", "\u0661", "not a finite number"),
+    ("x0_mm", "0x10", "not a finite number"),
+    ("z0_mm", "", "is empty"),
+    ("fz_n", "nan", "leave the cell empty"),
+    ("fz_n", "1e9", "check the unit"),
+    ("x0_mm", "1e6", "check the unit"),
+    ("dz_mm", "0", "does not move towards the gel"),
+    ("dz_mm", "1.25", "negative"),
+    ("sample_id", "", "file name"),
+    ("sample_id", "../../etc/passwd", "file name"),
+    ("sample_id", "a/b", "file name"),
+    ("sample_id", ".hidden", "file name"),
+    ("sample_id", "a b", "file name"),
+    ("sample_id", "\u00e4", "file name"),
+    ("sample_id", "a" * 101, "file name"),
+    ("time_utc", "yesterday", "ISO 8601"),
+    ("sensor_id", " ", "is empty"),
+    ("indenter", "", "is empty"),
+])
+def test_bad_cell_is_rejected_with_its_place(column, value, says):
+    sample, wrong = parse(**{column: value})
+    assert sample is None
+    assert [r.column for r in wrong] == [column]
+    assert says in f"{wrong[0].reason}; {wrong[0].remedy}"
+    assert (wrong[0].file, wrong[0].row) == ("data/lab/log.csv", 2)
+    assert wrong[0].remedy
+
+
+@pytest.mark.parametrize("column", log.COLUMNS)
+def test_missing_column_is_named(column):
+    row = {k: v for k, v in GOOD.items() if k != column}
+    sample, wrong = log.parse(row, "log.csv")
+    assert sample is None
+    assert [(r.column, r.reason) for r in wrong] == [(column, "the column is missing")]
+
+
+def test_all_faults_of_a_row_are_told_at_once():
+    _, wrong = parse(x0_mm="x", dz_mm="NaN", indenter="")
+    assert sorted(r.column for r in wrong) == ["dz_mm", "indenter", "x0_mm"]
+
+
+def test_later_duplicates_are_rejected():
+    rows = [parse(row=str(n), sample_id=name)[0] for n, name in ((2, "a"), (3, "b"), (4, "a"))]
+    good, wrong = log.without_duplicates(rows, "log.csv")
+    assert [s.row for s in good] == [2, 3]
+    assert [(r.row, r.column) for r in wrong] == [(4, "sample_id")]
+    assert "row 2" in wrong[0].remedy
+
+
+def test_unknown_sensor_and_indenter():
+    sample, _ = parse(sensor_id="mini_x", indenter="spere_15")
+    wrong = log.unknown_names(sample, "log.csv", ["gelsight_mini"], ["sphere_15"])
+    assert [(r.column, r.value) for r in wrong] == [("sensor_id", "mini_x"), ("indenter", "spere_15")]
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "set" / "images").mkdir(parents=True)
+    (tmp_path / "secret.png").write_bytes(image_bytes())
+    return tmp_path / "set"
+
+
+def judge_image(folder, data=None, image="images/a1.png"):
+    if data is not None:
+        (folder / "images" / "a1.png").write_bytes(data)
+    return log.bad_image(parse(image=image)[0], "log.csv", folder, (320, 240))
+
+
+def test_good_image_is_taken(folder):
+    assert judge_image(folder, image_bytes()) is None
+
+
+@pytest.mark.parametrize(("data", "says"), [
+    (None, "cannot be read"),
+    (b"", "not a PNG"),
+    (b"GIF89a", "not a PNG"),
+    (image_bytes()[:200], "truncated"),
+    (image_bytes()[:-1], "truncated"),
+    (image_bytes()[:60] + b"\x00\x01\x02" + image_bytes()[63:], "checksum"),
+    (image_bytes(320, 241), "320 x 241"),
+    (image_bytes(channels=1), "colour"),
+])
+def test_bad_image_is_refused(folder, data, says):
+    assert says in judge_image(folder, data).reason
+
+
+def test_giant_image_is_refused_before_it_is_decoded(folder):
+    header = struct.pack(">IIBBBBB", 2**31 - 1, 2**31 - 1, 8, 2, 0, 0, 0)
+    body = b"IHDR" + header
+    end = b"IEND"
+    data = (b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + body + struct.pack(">I", zlib.crc32(body))
+            + struct.pack(">I", 0) + end + struct.pack(">I", zlib.crc32(end)))
+    assert "has a size of" in judge_image(folder, data).reason
+
+
+@pytest.mark.parametrize("path", ["../secret.png", "images/../../secret.png", "/etc/passwd", "images/a\\b.png", ""])
+def test_image_path_stays_in_the_dataset(folder, path):
+    rejection = judge_image(folder, image=path)
+    assert rejection.column == "image"
+    assert "cannot be read" not in rejection.reason
+
+
+def test_link_out_of_the_dataset_is_refused(folder):
+    (folder / "images" / "a1.png").symlink_to(folder.parent / "secret.png")
+    assert "leaves the dataset" in judge_image(folder).reason
+    (folder / "linked").symlink_to(folder.parent)
+    assert "leaves the dataset" in judge_image(folder, image="linked/secret.png").reason
+
+
+def test_link_within_the_dataset_is_taken(folder):
+    (folder / "images" / "real.png").write_bytes(image_bytes())
+    (folder / "images" / "a1.png").symlink_to(folder / "images" / "real.png")
+    assert judge_image(folder) is None
+
+
+def test_folder_as_image_is_refused(folder):
+    assert "cannot be read" in judge_image(folder, image="images").reason
+
+
+def test_empty_and_absent_logs_are_errors(tmp_path):
+    path = tmp_path / "log.csv"
+    with pytest.raises(BadInput, match="not found"):
+        log.read_log(path)
+    path.write_text("")
+    with pytest.raises(BadInput, match="no presses"):
+        log.read_log(path)
+    path.write_text(",".join(log.COLUMNS) + "\n")
+    with pytest.raises(BadInput, match="no presses"):
+        log.read_log(path)
+    path.write_bytes(b"sample_id\n\xff\xfe\n")
+    with pytest.raises(BadInput, match="UTF-8"):
+        log.read_log(path)
+
+
+def test_rows_are_numbered_as_an_editor_shows_them(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("sample_id,x0_mm\na,1\nb,2\n")
+    assert [row["row"] for row in log.read_log(path)] == ["2", "3"]

@@ -1,0 +1,149 @@
+"""Stage 10 on small logs: what is written, what is refused."""
+
+import csv
+import json
+import tomllib
+
+import cv2
+import numpy as np
+import pytest
+
+from gelforge import log, poses
+from gelforge.errors import BadInput
+from gelforge.geometry import triangles
+from gelforge.geometry.gel import Gel
+from gelforge.geometry.indenters import load_catalogue
+from gelforge.mechanics.scene import Press
+
+
+@pytest.fixture
+def lab(tmp_path, root):
+    """A dataset folder, parameter files, and a function that runs the stage over rows."""
+    (tmp_path / "data" / "images").mkdir(parents=True)
+    cv2.imwrite(str(tmp_path / "data" / "images" / "a.png"), np.full((240, 320, 3), 90, np.uint8))
+    (tmp_path / "params").mkdir()
+    for name in ("sensors", "indenters"):
+        table = tomllib.loads((root / "workflow" / f"{name}.toml").read_text())
+        (tmp_path / "params" / f"{name}.json").write_text(json.dumps(table))
+    params = tomllib.loads((root / "workflow" / "params.toml").read_text())["poses"]
+    (tmp_path / "params" / "poses.json").write_text(json.dumps({"version": 1, "poses": params}))
+
+    def run(rows, *flags):
+        shard = tmp_path / "0000.csv"
+        log.write_log(shard, rows)
+        out = tmp_path / "out" / "0000.csv.part"
+        code = poses.main(["--data", str(tmp_path / "data"), "--shard", str(shard), "--params",
+                           str(tmp_path / "params" / "poses.json"), "--out", str(out), *flags])
+        assert code == 0
+        return read(out), read(out.parent / "0000.rejected.csv"), out.parent / "0000"
+
+    return run
+
+
+def read(path):
+    with path.open(newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def sample(sample_id="a", **cells):
+    plain = dict.fromkeys(log.FORCES) | {"x0_mm": 0.0, "y0_mm": 0.0, "z0_mm": 0.0, "dx_mm": 0.0, "dy_mm": 0.0,
+                                        "dz_mm": -1.0, "rot_deg": 0.0}
+    words = {"time_utc": "", "sensor_id": "gelsight_mini", "gel_id": "g", "indenter": "sphere_15",
+             "image": "images/a.png"}
+    return log.Sample(row=0, sample_id=sample_id, **{**plain, **words, **cells})
+
+
+def test_table_and_surfaces_are_written(lab):
+    table, rejected, folder = lab([sample("a", x0_mm=1.0, rot_deg=30.0, fz_n=-5.5), sample("b", indenter="bar_5")])
+    assert not rejected
+    assert [row["stl"] for row in table] == ["0000/a.stl", "0000/b.stl"]
+    assert tuple(table[0]) == poses.COLUMNS
+    assert (float(table[0]["fz_n"]), table[0]["fx_n"]) == (-5.5, "")
+    vertices, faces = triangles.read_stl(folder / "a.stl")
+    # STL holds float32: 1e-6 of a few mm
+    assert vertices[:, 2].min() == pytest.approx(0.0, abs=1e-5)
+    assert vertices[vertices[:, 2].argmin(), 0] == pytest.approx(1.0, abs=1e-5)
+    # 1 mm of travel, 0.5 mm of bulge: the rest of the sphere cannot be reached
+    assert vertices[:, 2].max() == pytest.approx(1.5, abs=1e-5)
+    assert triangles.is_watertight(faces)
+
+
+def test_posed_surface_is_the_body_turned_and_moved(lab, root):
+    _, _, folder = lab([sample("a", indenter="cross_15_10_3", x0_mm=1.5, y0_mm=-2.0, z0_mm=0.1, rot_deg=77.0)])
+    vertices, _ = triangles.read_stl(folder / "a.stl")
+    body = load_catalogue(root / "workflow" / "indenters.toml", ["cross_15_10_3"])["cross_15_10_3"]
+    rotation, shift = Press(1.5, -2.0, 0.1, 0, 0, -1, 77.0).pose(0.0, 0.0)
+    local = (vertices - shift) @ rotation
+    low = local[:, 2] < 1.3
+    # chords and float32; the boolean cut puts corners on chords
+    assert np.abs(body.distance(local[low])[0]).max() < 0.006
+
+
+@pytest.mark.parametrize(("cells", "column", "says"), [
+    ({"z0_mm": 1.5}, "dz_mm", "never touches"),
+    ({"x0_mm": 25.0}, "dz_mm", "never touches"),
+    ({"x0_mm": 10.0, "y0_mm": 12.0, "dz_mm": -0.2}, "dz_mm", "never touches"),
+    ({"dz_mm": -3.5}, "dz_mm", "deeper than the gel"),
+    ({"dz_mm": -900.0}, "dz_mm", "deeper than the gel"),
+    ({"dx_mm": 30.0}, "dx_mm", "too far sideways"),
+    ({"sensor_id": "nobody"}, "sensor_id", "no such sensor"),
+    ({"indenter": "spoon"}, "indenter", "no such indenter"),
+    ({"image": "images/b.png"}, "image", "cannot be read"),
+    ({"image": "../a.png"}, "image", "leaves the dataset"),
+])
+def test_unusable_press_is_rejected_and_the_others_go_on(lab, capsys, cells, column, says):
+    table, rejected, folder = lab([sample("bad", **cells), sample("good")])
+    assert [row["sample_id"] for row in table] == ["good"]
+    assert [(r["sample_id"], r["column"], r["row"]) for r in rejected] == [("bad", column, "2")]
+    assert says in rejected[0]["reason"]
+    assert rejected[0]["file"].endswith("data/log.csv")
+    assert f"row 2, bad: {column}" in capsys.readouterr().err
+    assert [p.name for p in folder.iterdir()] == ["good.stl"]
+
+
+def test_strict_fails_after_writing_the_reasons(lab, tmp_path):
+    with pytest.raises(BadInput, match="1 rows rejected"):
+        lab([sample("bad", z0_mm=1.5), sample("good")], "--strict")
+    assert read(tmp_path / "out" / "0000.rejected.csv")
+
+
+def test_strict_run_can_be_followed_by_a_good_one(lab):
+    lab([sample("a"), sample("b")])
+    table, _, folder = lab([sample("b")])
+    assert len(table) == 1
+    assert [p.name for p in folder.iterdir()] == ["b.stl"]
+
+
+def test_a_log_without_images_can_be_allowed(lab, tmp_path):
+    path = tmp_path / "params" / "poses.json"
+    params = json.loads(path.read_text())
+    params["poses"]["images"] = False
+    path.write_text(json.dumps(params))
+    table, rejected, _ = lab([sample("a", image="")])
+    assert len(table) == 1
+    assert not rejected
+
+
+def test_nearest_finds_a_grazing_touch(root):
+    sphere = load_catalogue(root / "workflow" / "indenters.toml", ["sphere_10"])["sphere_10"]
+    # at the crown the tip is the only point to touch; the finer samples miss it by 0.0125 mm at most, which is
+    # 2e-5 mm of height
+    for depth in (-0.01, -0.001):
+        assert poses.nearest(sphere, Press(0.07, 0.11, 0.0, 0, 0, depth - 0.001), Gel()) < 0.0
+    assert poses.nearest(sphere, Press(0.0, 0.0, 0.02, 0, 0, -0.01), Gel()) == pytest.approx(0.01, abs=1e-4)
+
+
+def test_nearest_sees_a_touch_that_only_the_shear_brings(root):
+    bar = load_catalogue(root / "workflow" / "indenters.toml", ["bar_5"])["bar_5"]
+    aside = Press(0.0, 15.5, 0.0, 0.0, -3.0, -1.5)
+    assert poses.nearest(bar, Press(0.0, 15.5, 0.0, 0.0, 0.0, -1.5), Gel()) > 0.0
+    assert poses.nearest(bar, aside, Gel()) < 0.0
+
+
+def test_cropped_is_closed_and_ends_where_asked(root):
+    for name, body in load_catalogue(root / "workflow" / "indenters.toml", ["zelda_15", "pyramid_10"]).items():
+        vertices, faces = poses.cropped(body, 1.5)
+        assert triangles.is_watertight(faces), name
+        assert vertices[:, 2].max() == pytest.approx(1.5, abs=1e-9)
+        whole = body.surface()
+        assert 0.0 < triangles.volume(vertices, faces) < triangles.volume(*whole)
