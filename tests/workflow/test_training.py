@@ -1,0 +1,80 @@
+"""Training as make runs it: killed and resumed, refused, evaluated."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from synthetic_presses import SETTINGS, write_dataset
+
+from gelforge.files import read_json, write_json
+from gelforge.networks.modelfile import load_model
+
+EPOCHS = 20
+
+
+def command(module, *arguments) -> list[str]:
+    return [sys.executable, "-m", f"gelforge.{module}", *map(str, arguments)]
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("training")
+    write_dataset(folder / "6x8", 48, (48, 64), (6, 8))
+    write_json(folder / "params.json", {"train": {**SETTINGS, "epochs": EPOCHS}, "evaluate": {
+        "force_edges": [0.0, 10.0], "bootstrap": 50, "seed": 1, "threads": 1}})
+    write_json(folder / "models.json", {"small": {"kind": "grid", "width": 8, "blocks": 1}})
+    return folder
+
+
+def train_command(place, out) -> list[str]:
+    return command("train", "--dataset", place / "6x8", "--model", "small", "--models", place / "models.json",
+                   "--params", place / "params.json", "--out", out)
+
+
+@pytest.fixture(scope="module")
+def whole(place):
+    subprocess.run(train_command(place, place / "whole.pt.part"), check=True, capture_output=True)
+    return load_model(place / "whole.pt.part").about
+
+
+def test_killed_training_ends_with_the_same_curve(place, whole):
+    out, checkpoint = place / "killed.pt.part", place / "killed.checkpoint.pt"
+    running = subprocess.Popen(train_command(place, out), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    until = time.monotonic() + 60
+    while not checkpoint.exists() and time.monotonic() < until:
+        time.sleep(0.01)
+    running.send_signal(signal.SIGKILL)
+    assert running.wait() == -signal.SIGKILL, "the training must be killed while it runs"
+    assert not out.exists()
+    again = subprocess.run(train_command(place, out), check=True, capture_output=True, text=True)
+    assert "going on after epoch" in again.stdout and not checkpoint.exists()
+    about = load_model(out).about
+    assert about["curve"] == whole["curve"] and about["cost"]["resumed"] == 1
+
+
+def test_command_writes_what_it_says(place, whole):
+    assert len(whole["curve"]) == EPOCHS and whole["data"]["samples"]["train"] == 24
+    assert (place / "whole.curve.csv").read_text().count("\n") == EPOCHS + 1
+    assert (place / "whole.curve.png").exists()
+    out = place / "whole.json"
+    subprocess.run(command("evaluate", "--dataset", place / "6x8", "--model", place / "whole.pt.part", "--params",
+                           place / "params.json", "--out", f"{out}.part"), check=True, capture_output=True)
+    assert read_json(f"{out}.part")["splits"]["test"]["n"] == 6
+
+
+def test_unusable_dataset_is_one_line_and_leaves_nothing(place, tmp_path):
+    ran = subprocess.run(command("train", "--dataset", tmp_path, "--model", "small", "--models", place / "models.json",
+                                 "--params", place / "params.json", "--out", tmp_path / "x.pt.part"),
+                         capture_output=True, text=True)
+    assert ran.returncode == 2 and ran.stderr.startswith("error: ") and ran.stderr.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_description_is_plain_json(whole):
+    assert json.loads(json.dumps(whole, allow_nan=False)) == whole
