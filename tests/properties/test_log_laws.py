@@ -30,7 +30,7 @@ def test_log_reads_back_to_the_last_digit(tmp_path_factory, samples):
 
 
 CELLS = st.one_of(st.text(max_size=30), st.none(), st.sampled_from(
-    ["nan", "-inf", "1e400", "1,5", "\x00", "=1+1", "../..", " 3 ", "--1", "0x1", "\u0663", "1e", ".", "-", "2025-13-45"]))
+    ["nan", "-inf", "1e400", "1,5", "\x00", "=1+1", "../..", " 3 ", "--1", "0x1", "\u0663", "1e", ".", "2025-13-45"]))
 
 
 @given(cells=st.dictionaries(st.sampled_from([*log.COLUMNS, "row", "other"]), CELLS))

@@ -10,8 +10,8 @@ import pytest
 from gelforge import log
 from gelforge.errors import BadInput
 
-GOOD = {"row": "2", "sample_id": "a1", "time_utc": "2025-04-08T12:25:19Z", "sensor_id": "gelsight_mini", "gel_id": "g1",
-        "indenter": "sphere_15", "x0_mm": "0.5", "y0_mm": "-1", "z0_mm": "0", "dx_mm": "0.2", "dy_mm": "0",
+GOOD = {"row": "2", "sample_id": "a1", "time_utc": "2025-04-08T12:25:19Z", "sensor_id": "gelsight_mini",
+        "gel_id": "g1", "indenter": "sphere_15", "x0_mm": "0.5", "y0_mm": "-1", "z0_mm": "0", "dx_mm": "0.2", "dy_mm": "0",
         "dz_mm": "-1.25", "rot_deg": "30", "fx_n": "", "fy_n": "", "fz_n": "-6.5", "mx_nm": "", "my_nm": "",
         "mz_nm": "", "image": "images/a1.png"}
 

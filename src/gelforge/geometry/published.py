@@ -4,6 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
+# FEATS' set-up files turn these by 180 degrees about z for its 0 degrees (indenterRotZ).
+HALF_TURN = ("triangle_10", "triangle_15", "triangle_20")
 CONTACT_MM = 3.0  # above the tip: presses go 2 mm deep
 
 
@@ -39,7 +41,8 @@ def read_step(path, size_mm: float, per_turn: int = 32) -> dict:
 def compare_indenter(body, path, sizes_mm=(3.0, 1.0, 0.4), good_mm: float = 0.05) -> dict:
     """How far an indenter is from a STEP solid that points up.
 
-    The solid is turned half a turn about x, set on its tip and shifted in x and y so that the centres of mass agree.
+    The solid is turned half a turn about x (those of HALF_TURN about z, too), set on its tip and shifted in x and y
+    so that the centres of mass agree.
     Returns volume_error (relative), surface_mm (largest distance between the surfaces, either way, within CONTACT_MM
     of the tip) and shift_mm (the shift in x and y). A coarse triangulation of the solid can only make the distance
     look larger, so finer ones are tried until it is below `good_mm`.
@@ -54,7 +57,7 @@ def compare_indenter(body, path, sizes_mm=(3.0, 1.0, 0.4), good_mm: float = 0.05
 def _compare(body, solid) -> dict:
     from gelforge.geometry.triangles import volume
 
-    turn = np.array([1.0, -1.0, -1.0])
+    turn = np.array([-1.0, 1.0, -1.0] if body.name in HALF_TURN else [1.0, -1.0, -1.0])
     points, centre = solid["points"] * turn, solid["centre"] * turn
     vertices, faces = body.surface()
     shift = _centre_of_mass(vertices, faces)[:2] - centre[:2]
