@@ -10,19 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
+from gelforge.calibration.friction import friction_axis
 from gelforge.errors import BadInput
 from gelforge.mechanics.scene import REFERENCE_C10
 
 DEPTHS = 161
 FRICTIONS = 33
-HALF_MU = 0.5  # the friction coefficient in the middle of the friction axis
-
-
-def friction_axis(mu) -> np.ndarray:
-    """Map a friction coefficient in [0, inf] to [0, 1]: mu / (mu + HALF_MU), no slip at 1."""
-    mu = np.asarray(mu, float)
-    return np.where(np.isinf(mu), 1.0, mu / (np.where(np.isinf(mu), 1.0, mu) + HALF_MU))
-
 
 @dataclass(frozen=True)
 class Curve:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gelforge.calibration.friction import HALF_MU, friction_axis, friction_of
 from gelforge.errors import BadInput
 
 NAMES = ("c10", "offset", "compliance", "mu", "noise", "scatter", "discretisation", "nu")
@@ -73,6 +74,30 @@ class Prior:
         return low + (high - low) * u
 
 
+@dataclass(frozen=True)
+class FrictionPrior(Prior):
+    """Prior of a friction coefficient whose walkers move on the emulator's friction axis, in (0, 1).
+
+    Forces are nearly straight along that axis, and level off along mu itself: there the walkers
+    would have to follow a bend.
+    """
+
+    def value(self, coordinate):
+        return friction_of(np.asarray(coordinate))
+
+    def log_density(self, coordinate) -> np.ndarray:
+        x = np.asarray(coordinate, float)
+        inside = (x > 0.0) & (x < 1.0)
+        mu = friction_of(np.where(inside, x, 0.5))
+        inner = super().log_density(np.log(mu) if self.logarithmic else mu)
+        # d mu / d x = (mu + HALF_MU)^2 / HALF_MU; a logarithmic density is one in log mu.
+        change = 2.0 * np.log(mu + HALF_MU) - (np.log(mu) if self.logarithmic else 0.0)
+        return np.where(inside, inner + change, -np.inf)
+
+    def quantile(self, u) -> np.ndarray:
+        return friction_axis(super().value(super().quantile(u)))
+
+
 # kind -> the two keys of its table; a halfnormal has no first number.
 KEYS = {
     "normal": ("mean", "spread"),
@@ -98,7 +123,7 @@ def read_prior(name: str, table: dict) -> Prior:
         raise BadInput(f"{where}: {table} has no width; raise `{KEYS[kind][1]}`")
     if kind in ("lognormal", "loguniform") and a <= 0:
         raise BadInput(f"{where}: `{KEYS[kind][0]}` is {a}; a logarithmic prior needs a positive one")
-    return Prior(kind, a, b)
+    return FrictionPrior(kind, a, b) if name == "mu" else Prior(kind, a, b)
 
 
 @dataclass(frozen=True)

@@ -54,7 +54,7 @@ class Posterior:
     @property
     def identity(self) -> list:
         """Everything the log-probability depends on, as plain values and arrays."""
-        free = {name: asdict(prior) for name, prior in self.model.free.items()}
+        free = {name: [type(prior).__name__, asdict(prior)] for name, prior in self.model.free.items()}
         plain = {"form": FORM, "free": free, "fixed": self.model.fixed, "law": self.model.law, "tail": self.tail}
         return [plain, self.depth, self.observed, self.emulator.table, self.emulator.top, self.emulator.nu]
 

@@ -3,6 +3,7 @@
 import hashlib
 import json
 from dataclasses import dataclass
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -140,7 +141,7 @@ def load_checkpoint(path, problem: str):
             position, has_gauss, gauss = file["rng_rest"]
             state = ("MT19937", file["rng_keys"], int(position), int(has_gauss), float(gauss))
             return file["coordinates"], file["log_probability"], file["accepted"], state
-    except (OSError, ValueError, KeyError, EOFError):
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
         return None
 
 

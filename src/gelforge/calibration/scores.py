@@ -32,7 +32,7 @@ def fit_pareto(x: np.ndarray) -> tuple[float, float]:
     b = b / (3.0 * x[int(n / 4 + 0.5) - 1]) + 1.0 / x[-1]
     k = np.log1p(-b[:, None] * x).mean(axis=1)
     profile = n * (np.log(-b / k) - k - 1.0)
-    weight = 1.0 / np.exp(profile - profile[:, None]).sum(axis=1)
+    weight = np.exp(profile - np.logaddexp.reduce(profile))
     best = float((b * weight).sum() / weight.sum())
     shape = float(np.log1p(-best * x).mean())
     scale = -shape / best

@@ -1,0 +1,142 @@
+"""Readings and chains that must be refused, each by name."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from calibration_law import PARAMS, law_posterior, make_readings
+from gelforge.calibration.emulator import Emulator
+from gelforge.calibration.parameters import Model, Prior, make_model, read_prior
+from gelforge.calibration.readings import check_enough, check_readings, read_readings
+from gelforge.calibration.sampling import NotConverged, Rules, find_modes, sample
+from gelforge.calibration.solves import refuse_untouched
+from gelforge.errors import BadInput
+
+DEPTH = np.array([0.5, 1.0, 1.5, 2.0])
+FORCE = -np.array([1.65, 5.96, 13.5, 23.3])
+RULES = Rules(walkers=32, seed=3, taus=50, acceptance=(0.15, 0.6), rhat=1.01, max_steps=3000)
+
+
+def test_good_readings_pass():
+    check_readings(make_readings(DEPTH, FORCE))
+
+
+def test_wrong_sign_convention_is_named():
+    with pytest.raises(BadInput, match=r"fz_n is positive in 3 of 3 .* row 3 .* opposite sign convention"):
+        check_readings(make_readings(DEPTH, -FORCE))
+
+
+def test_one_pulling_reading_is_no_sign_error():
+    force = FORCE.copy()
+    force[2] = 5.0
+    check_readings(make_readings(DEPTH, force))
+
+
+def test_no_depth_is_named():
+    with pytest.raises(BadInput, match=r"row 4 \(p002\).*no depth and no contact"):
+        check_readings(make_readings([0.5, 1.0, 0.0, 2.0], FORCE))
+
+
+def test_duplicated_rows_are_named():
+    with pytest.raises(BadInput, match=r"row 4 \(p002\): pose and force repeat an earlier row"):
+        check_readings(make_readings([0.5, 1.0, 1.0, 2.0], [-1.65, -5.96, -5.96, -23.3]))
+
+
+def test_repeated_press_with_its_own_reading_is_no_copy():
+    check_readings(make_readings([0.5, 1.0, 1.0, 2.0], [-1.65, -5.96, -5.99, -23.3]))
+
+
+@pytest.mark.parametrize("value", [-3.2, 0.0])
+def test_constant_sensor_is_named(value):
+    with pytest.raises(BadInput, match=r"in all 4 rows though the presses differ"):
+        check_readings(make_readings(DEPTH, np.full(4, value)))
+
+
+def test_depth_without_contact_is_named():
+    readings = make_readings(DEPTH, FORCE)
+    table = np.full((4, 1, 3, 5, 3), -1.0)
+    table[3] = 0.0
+    with pytest.raises(BadInput, match=r"row 5 \(p003\): depth without contact"):
+        refuse_untouched(readings, table)
+
+
+def test_fewer_readings_than_vague_parameters():
+    params = {**PARAMS, "priors": {**PARAMS["priors"], "nu": {**PARAMS["priors"]["nu"], "fixed": 0.475}}}
+    model = make_model(params, "coulomb")
+    check_enough(1, model)  # every prior is informative
+    flat = {name: Prior("uniform", 0.0, 1.0) for name in ("c10", "offset", "mu")}
+    with pytest.raises(BadInput, match=r"2 force readings cannot determine 3 parameters with flat priors \(c10"):
+        check_enough(2, replace(model, free={**model.free, **flat}))
+
+
+@dataclass(frozen=True)
+class TwoPeaks:
+    """Log-probability with two peaks 40 deviations apart, which no walker can cross."""
+
+    model: Model
+    emulator: Emulator = None
+
+    @property
+    def identity(self):
+        return ["two peaks"]
+
+    def __call__(self, x):
+        x = np.atleast_2d(x)
+        peaks = [-0.5 * (((x - c) / 0.05) ** 2).sum(axis=1) for c in (-1.0, 1.0)]
+        return np.logaddexp(*peaks)
+
+
+def test_walkers_stuck_in_two_modes_are_named():
+    wide = Prior("uniform", -2.0, 2.0)
+    with pytest.raises(NotConverged, match=r"stuck in two modes: \d+ walkers near offset = -\d.* and \d+ walkers"):
+        sample(TwoPeaks(Model("coulomb", {"offset": wide, "nu": wide}, {})), RULES)
+
+
+def test_one_broad_mode_is_not_two():
+    rng = np.random.default_rng(0)
+    slow = rng.standard_normal((1, 32, 3)) + 0.5 * rng.standard_normal((400, 32, 3))
+    assert find_modes(slow) == []
+
+
+def test_too_short_a_chain_fails_with_figures_and_remedy():
+    posterior = law_posterior(np.random.default_rng(1), DEPTH)
+    with pytest.raises(NotConverged, match=r"in 500 steps: \d+ autocorrelation .* acceptance 0\.\d+ .* max_steps"):
+        sample(posterior, replace(RULES, max_steps=500))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("sample_id,indenter\na,s\n", "column x0_mm is missing"),
+        ("{h}\na,s,0,0,0,0,0,-1,0,,,,\n", "no row has a normal force"),
+        ("{h}\na,s,0,0,0,0,0,-1,0,,,x,\n", r"row 2, column fz_n: 'x' is not a number"),
+        ("{h}\na,s,0,0,0,0,0,nan,0,,,-1,\n", r"row 2, column dz_mm: 'nan' is not finite"),
+    ],
+)
+def test_unreadable_logs(tmp_path, text, message):
+    header = "sample_id,indenter,x0_mm,y0_mm,z0_mm,dx_mm,dy_mm,dz_mm,rot_deg,fx_n,fy_n,fz_n,image"
+    (tmp_path / "log.csv").write_text(text.replace("{h}", header))
+    with pytest.raises(BadInput, match=message):
+        read_readings(tmp_path / "log.csv")
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ({"kind": "gauss"}, "kind is 'gauss'"),
+        ({"kind": "normal", "mean": 0.0}, "needs the numbers"),
+        ({"kind": "normal", "mean": 0.0, "spread": 0.0}, "has no width"),
+        ({"kind": "uniform", "low": 1.0, "high": 1.0}, "has no width"),
+        ({"kind": "lognormal", "median": -1.0, "spread": 1.0}, "needs a positive one"),
+    ],
+)
+def test_unusable_priors(table, message):
+    with pytest.raises(BadInput, match=message):
+        read_prior("c10", table)
+
+
+def test_too_few_walkers():
+    posterior = law_posterior(np.random.default_rng(1), DEPTH)
+    with pytest.raises(BadInput, match="walkers is 8; 7 parameters"):
+        sample(posterior, replace(RULES, walkers=8))

@@ -1,0 +1,176 @@
+"""The inference on a smooth force law: exact inversions, recovery, resuming, scores."""
+
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calibration_law import TOP, law_curve, law_emulator, law_posterior, normal_force, true_values
+from gelforge.calibration import sampling, scores
+from gelforge.calibration.emulator import curve_table, sheared_table
+from gelforge.calibration.parameters import FrictionPrior, Model, Prior
+from gelforge.calibration.posterior import LeaveOneOut
+from gelforge.calibration.readings import bisection_order, choose_presses
+from gelforge.calibration.sampling import Rules, sample, split_rhat
+from calibration_law import make_readings
+from gelforge.mechanics.scene import REFERENCE_C10
+
+RULES = Rules(walkers=32, seed=5, taus=50, acceptance=(0.15, 0.6), rhat=1.01, max_steps=40000)
+DEPTH = np.linspace(0.4, 2.0, 10)
+
+
+def test_table_follows_the_curve_between_its_points():
+    grid = np.linspace(0.0, TOP, 161)
+    error = np.abs(curve_table(law_curve(0.4), TOP)[:, 2] - normal_force(grid, 0.4))
+    assert error.max() < 3e-3 * np.abs(normal_force(TOP, 0.4))  # monotone cubic through 14 points
+
+
+def test_compliance_is_inverted_exactly():
+    """Effective depth plus what the frame gives way is the commanded depth plus the offset."""
+    values = true_values(compliance=0.02)
+    forces, slopes, depth = law_emulator().forces([1.5], values)
+    assert depth[0, 0] == pytest.approx(1.5 + 0.03 - 0.02 * abs(forces[0, 0, 2]), abs=1e-12)
+    ahead = law_emulator().forces([1.5 + 1e-5], values)[0]
+    assert slopes[0, 0, 2] == pytest.approx((ahead - forces)[0, 0, 2] / 1e-5, rel=1e-6)
+
+
+def test_force_is_proportional_to_c10_without_compliance():
+    one = law_emulator().forces([1.0], true_values(c10=REFERENCE_C10, compliance=0.0))[0]
+    two = law_emulator().forces([1.0], true_values(c10=2 * REFERENCE_C10, compliance=0.0))[0]
+    np.testing.assert_allclose(two, 2 * one, rtol=1e-12)
+
+
+def test_no_force_above_the_gel():
+    assert not law_emulator().forces([0.01], true_values(offset=-0.02))[0].any()
+
+
+@pytest.mark.parametrize("exponent", [0.0, -1.0])
+def test_shear_between_solved_depths_is_exact_in_both_limits(exponent):
+    """Full slip (shear over normal force constant) and full stick of a punch (falls as 1 / depth)."""
+    press = curve_table(law_curve(0.4), TOP)
+    grid = np.linspace(0.0, TOP, len(press))
+    solved = np.array([2.2, 1.2])
+    normal = np.interp(solved, grid, press[:, 2])
+    table = sheared_table(press, TOP, solved, np.stack([-0.3 * solved**exponent * normal, 0 * solved, normal], axis=1))
+    inside = (grid > 1.21) & (grid < 2.19)
+    np.testing.assert_allclose(table[inside, 0], -0.3 * grid[inside] ** exponent * press[inside, 2], rtol=1e-10)
+
+
+def test_truth_is_recovered_where_data_are_rich():
+    posterior = law_posterior(np.random.default_rng(2), np.tile(DEPTH, 4), stiffness=list(np.repeat([2.0, 4, 8, 20], 10)))
+    chain = sample(posterior, RULES)
+    c10 = posterior.model.values(chain.flat())["c10"]
+    assert abs(c10.mean() - 0.085) < 3 * c10.std()
+    assert c10.std() < 0.1 * 0.3 * 0.08 * 2  # a small part of the prior's width
+
+
+def test_resumed_chain_is_the_uninterrupted_one(tmp_path):
+    posterior = law_posterior(np.random.default_rng(3), DEPTH)
+    whole = sample(posterior, RULES, tmp_path / "whole.npz")
+    lengths = []
+
+    def stop(figures):
+        lengths.append(figures.steps)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        sample(posterior, RULES, tmp_path / "part.npz", stop)
+    resumed = sample(posterior, RULES, tmp_path / "part.npz")
+    assert lengths[0] < whole.figures.steps
+    np.testing.assert_array_equal(resumed.coordinates, whole.coordinates)
+
+
+def test_chain_of_another_problem_or_damaged_is_not_resumed(tmp_path):
+    path = tmp_path / "chain.npz"
+    posterior = law_posterior(np.random.default_rng(3), DEPTH)
+    sample(posterior, RULES, path)
+    problem = sampling.problem_of(posterior, RULES)
+    assert sampling.load_checkpoint(path, problem) is not None
+    other = replace(posterior, tail=5.0)
+    assert sampling.load_checkpoint(path, sampling.problem_of(other, RULES)) is None
+    shutil.copy(path, tmp_path / "cut.npz")
+    with open(tmp_path / "cut.npz", "r+b") as file:
+        file.truncate(1000)
+    assert sampling.load_checkpoint(tmp_path / "cut.npz", problem) is None
+
+
+def test_split_rhat_sees_a_shifted_walker():
+    rng = np.random.default_rng(4)
+    chains = rng.standard_normal((2000, 8, 2))
+    assert split_rhat(chains).max() < 1.01
+    chains[:, 0, 1] += 1.0
+    assert split_rhat(chains)[1] > 1.03
+
+
+def conjugate(rng, n=12):
+    """Draws and exact leave-one-out densities of a normal mean with known deviation 1 and prior deviation 10."""
+    y = rng.standard_normal(n)
+    exact = []
+    for i in range(n):
+        rest = np.delete(y, i)
+        variance = 1 / (len(rest) + 0.01)
+        mean, spread = variance * rest.sum(), np.sqrt(variance + 1)
+        exact.append(-0.5 * ((y[i] - mean) / spread) ** 2 - np.log(spread * np.sqrt(2 * np.pi)))
+    variance = 1 / (n + 0.01)
+    draws = variance * y.sum() + np.sqrt(variance) * rng.standard_normal(20000)
+    return y, draws, np.sum(exact)
+
+
+def test_psis_loo_matches_a_conjugate_model():
+    y, draws, exact = conjugate(np.random.default_rng(6))
+    pointwise = -0.5 * (y - draws[:, None]) ** 2 - 0.5 * np.log(2 * np.pi)
+    score = scores.loo(pointwise)
+    assert score.reliable
+    assert score.elpd == pytest.approx(exact, abs=0.02)  # Monte Carlo error of 20 000 draws
+
+
+def test_mixture_loo_matches_psis_on_the_law():
+    posterior = law_posterior(np.random.default_rng(7), np.tile(DEPTH, 2), stiffness=[4.0] * 10 + [20.0] * 10)
+    plain = scores.loo(posterior.pointwise(sample(posterior, RULES).flat(8000)))
+    mixture = LeaveOneOut(posterior.emulator, posterior.model, posterior.depth, posterior.observed, posterior.tail)
+    robust = scores.loo_from_mixture(posterior.pointwise(sample(mixture, RULES).flat(16000)))
+    assert robust.elpd == pytest.approx(plain.elpd, abs=0.5)  # both estimate the same sum; Monte Carlo error of each
+
+
+def test_pareto_fit_finds_the_shape():
+    rng = np.random.default_rng(8)
+    for shape in (-0.3, 0.3, 0.8):
+        x = np.sort(((1 - rng.random(4000)) ** -shape - 1) / shape)
+        assert scores.fit_pareto(x)[0] == pytest.approx(shape, abs=3.5 * (1 + shape) / 4000**0.5)
+
+
+def test_priors_draw_what_their_density_says():
+    rng = np.random.default_rng(9)
+    for prior in (Prior("normal", 1.0, 2.0), Prior("lognormal", 0.5, 0.4), Prior("halfnormal", 0, 0.3), Prior("uniform", 1, 3)):
+        draws = prior.draw(rng, 20000)
+        assert np.isfinite(prior.log_density(draws)).all()
+        assert prior.value(np.median(draws)) == pytest.approx(float(prior.value(prior.quantile(0.5))), rel=0.03)
+    assert Prior("halfnormal", 0, 0.3).log_density(-1e-9) == -np.inf
+
+
+@pytest.mark.parametrize(("kind", "a", "b"), [("lognormal", 0.6, 0.6), ("uniform", 0.1, 2.0), ("halfnormal", 0.0, 0.5)])
+def test_friction_prior_keeps_its_density_on_its_axis(kind, a, b):
+    """Its density integrates, over any interval, to what its quantiles say."""
+    prior = FrictionPrior(kind, a, b)
+    x = np.linspace(1e-6, 1 - 1e-6, 200001)
+    density = np.exp(prior.log_density(x))
+    total = np.cumsum(density) / density.sum()
+    for u in (0.1, 0.5, 0.9):
+        assert np.interp(prior.quantile(u), x, total) == pytest.approx(u, abs=2e-3)  # rectangles
+
+
+def test_chosen_presses_span_indenters_and_depths():
+    readings = make_readings(np.linspace(0.1, 2.0, 20), -np.linspace(1, 20, 20))
+    readings.indenters[10:] = "cuboid_10"
+    chosen = choose_presses(readings, 6)
+    assert {0, 9, 10, 19} <= set(chosen.tolist())
+    assert sorted(bisection_order(9)) == list(range(9))
+    assert len(choose_presses(readings, 99)) == 20
+
+
+def test_model_values_hold_fixed_ones():
+    model = Model("coulomb", {"c10": Prior("lognormal", 0.08, 0.3)}, {"mu": 0.4})
+    values = model.values(np.log([[0.07], [0.09]]))
+    np.testing.assert_allclose(values["c10"], [0.07, 0.09])
+    np.testing.assert_allclose(values["mu"], [0.4, 0.4])
