@@ -68,6 +68,7 @@ class Plan:
     catalogue: str
     start_utc: str
     seconds_per_press: float
+    held_out_sensors: tuple[str, ...]  # written to dataset.toml as those that training must not see
     truth: Truth
     kinds: tuple[Kind, ...]
 
@@ -136,7 +137,7 @@ def _record(cls, table: dict, where: str):
 
 def _fits(value, wanted) -> bool:
     if wanted is str or wanted == tuple[str, ...]:
-        return isinstance(value, str) if wanted is str else _all(value, str)
+        return isinstance(value, str) if wanted is str else _strings(value)
     if wanted is int:
         return isinstance(value, int) and not isinstance(value, bool)
     if wanted is float:
@@ -147,8 +148,8 @@ def _fits(value, wanted) -> bool:
     return True
 
 
-def _all(value, kind) -> bool:
-    return isinstance(value, tuple) and len(value) > 0 and all(isinstance(item, kind) for item in value)
+def _strings(value) -> bool:
+    return isinstance(value, tuple) and all(isinstance(item, str) for item in value)
 
 
 def _number(value) -> bool:
@@ -177,6 +178,8 @@ def _check_values(plan: Plan, path) -> None:
 
 
 def _check_kind(kind: Kind, gel: Gel, where: str) -> None:
+    if not kind.indenters or not kind.sensors:
+        raise BadInput(f"{where}: indenters and sensors must each name at least one")
     if kind.weight <= 0 or kind.max_force_n <= 0:
         raise BadInput(f"{where}: weight {kind.weight} and max_force_n {kind.max_force_n} must be above 0")
     for name in ("x_mm", "y_mm", "depth_mm", "shear", "rot_deg"):

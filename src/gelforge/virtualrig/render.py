@@ -11,8 +11,8 @@ from gelforge.virtualrig.looks import HEIGHT, WIDTH, Look
 from gelforge.virtualrig.paint import MARGIN, SUPER, printed, sample_position
 from gelforge.virtualrig.surface import FAR, STEP, Body, Field, body_position, unloaded
 
-TOUCH = 0.08  # mm between the computed surface and the body within which the picture lays one on the other
-RIPPLE_MM = 0.3
+TOUCH = 0.05  # mm between the computed surface and the body within which the picture lays one on the other
+RIPPLE_MM = 0.2
 RELAXATION, ROUNDS = 0.65, 9
 
 

@@ -1,0 +1,155 @@
+"""Source `rig`: carry out a plan on the virtual bench and write data/DATASET like a real one would."""
+
+import argparse
+import os
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import nullcontext
+from multiprocessing import get_context
+from pathlib import Path
+
+from gelforge.binning.sensor import load_sensors
+from gelforge.errors import BadInput
+from gelforge.geometry.gel import Gel
+from gelforge.geometry.indenters import load_catalogue, read_catalogue
+from gelforge.progress import progress
+from gelforge.virtualrig.dataset import Dataset, image_name, log_row, save_image, truth_row
+from gelforge.virtualrig.looks import read_looks
+from gelforge.virtualrig.plan import Plan, check_names, generator, orders, read_plan
+
+VERSION = 1
+
+_worker = None  # the bench and cameras of this process; building them costs more than a press
+
+
+class Worker:
+    """Bench and cameras of one process."""
+
+    def __init__(self, plan: Plan, workflow: Path, folder: Path):
+        from gelforge.virtualrig.bench import Bench
+        from gelforge.virtualrig.render import Renderer
+
+        gel = Gel()
+        self.plan, self.folder, self.gel = plan, folder, gel
+        self.bench = Bench(plan, load_catalogue(workflow / plan.catalogue, plan.indenters), gel)
+        sensors, looks = load_sensors(workflow / "sensors.toml"), read_looks(workflow / "rig" / "sensors.toml")
+        self.cameras = {name: Renderer(looks[name], sensors[name].projection, gel) for name in plan.sensors}
+
+    def carry_out(self, order):
+        """Press, take the picture, and return (order, row of the log or None, row of the truth)."""
+        from gelforge.virtualrig.render import Pressed
+        from gelforge.virtualrig.surface import field_of
+
+        pressing = self.bench.press(order)
+        if not pressing.result.status.valid:
+            return order, None, truth_row(pressing)
+        field = field_of(self.gel, pressing.result.mesh, pressing.result.displacement)
+        body = Pressed(self.bench.body(order.indenter), pressing.real)
+        image = self.cameras[order.sensor].image(field, body, generator(self.plan, order.index, 2))
+        save_image(self.folder / image_name(order), image)
+        return order, log_row(pressing, self.plan.gel), truth_row(pressing)
+
+
+def _start(*arguments):
+    global _worker
+    _worker = Worker(*arguments)
+
+
+def _carry_out(order):
+    return _worker.carry_out(order)
+
+
+def run(plan_path, data="data", workflow="workflow", jobs: int = 1) -> Path:
+    """Carry out what is missing of a plan; returns the dataset's folder."""
+    workflow = Path(workflow)
+    plan = check(plan_path, workflow)
+    folder = Path(data) / plan.dataset
+    dataset = Dataset(folder, plan)
+    dataset.check_same_plan()
+    dataset.begin()
+    _no_contact_images(plan, workflow, folder)
+    todo = dataset.missing(orders(plan))
+    failed = []
+    with _pool(min(jobs, len(todo)), plan, workflow, folder) as carried_out:
+        for order, log, truth in progress(carried_out(todo), "rig", total=len(todo)):
+            dataset.add(order, log, truth)
+            if log is None:
+                failed.append(f"{order.sample_id} ({order.indenter}, {order.depth:.2f} mm: {truth['status']})")
+    print(f"{folder}: {len(dataset.log)} presses, {len(todo)} new" + (f", {len(failed)} failed" if failed else ""))
+    for line in failed:
+        print(f"  no equilibrium, left out: {line}")
+    return folder
+
+
+def check(plan_path, workflow: Path) -> Plan:
+    """Everything that can be refused before a file is written."""
+    plan = read_plan(plan_path)
+    sensors = load_sensors(workflow / "sensors.toml")
+    looks = read_looks(workflow / "rig" / "sensors.toml")
+    check_names(plan, read_catalogue(workflow / plan.catalogue), sensors, looks, plan_path)
+    load_catalogue(workflow / plan.catalogue, plan.indenters)
+    return plan
+
+
+def _pool(jobs: int, plan, workflow, folder):
+    """Context that yields a function from orders to results, in their order."""
+    if jobs <= 1:
+        worker = None
+
+        def here(todo):
+            nonlocal worker
+            for order in todo:
+                worker = worker or Worker(plan, workflow, folder)
+                yield worker.carry_out(order)
+
+        return nullcontext(here)
+    return _Processes(jobs, plan, workflow, folder)
+
+
+class _Processes:
+    def __init__(self, jobs, *arguments):
+        # forked threads of numerical libraries hang, so workers start fresh
+        self.executor = ProcessPoolExecutor(jobs, get_context("spawn"), _start, arguments)
+
+    def __enter__(self):
+        return lambda todo: self.executor.map(_carry_out, todo)
+
+    def __exit__(self, *_):
+        self.executor.shutdown(cancel_futures=True)
+
+
+def _no_contact_images(plan, workflow, folder) -> None:
+    """A picture of every untouched unit, from which its markers and projection can be found."""
+    missing = [name for name in plan.sensors if not (folder / "nocontact" / f"{name}.png").exists()]
+    if not missing:
+        return
+    import numpy as np
+
+    from gelforge.virtualrig.render import Renderer
+
+    sensors, looks = load_sensors(workflow / "sensors.toml"), read_looks(workflow / "rig" / "sensors.toml")
+    for name in missing:
+        camera = Renderer(looks[name], sensors[name].projection, Gel())
+        save_image(folder / "nocontact" / f"{name}.png", camera.image(rng=np.random.default_rng([plan.seed, looks[name].seed])))
+
+
+def main(argv=None) -> int:
+    """Carry out a plan, or refuse it with the reason."""
+    parser = argparse.ArgumentParser(prog="gelforge.rig", description=__doc__)
+    parser.add_argument("--plan", required=True, help="workflow/rig/NAME.toml")
+    parser.add_argument("--data", default="data", help="folder of the datasets")
+    parser.add_argument("--workflow", default="workflow", help="folder of sensors.toml and rig/sensors.toml")
+    parser.add_argument("--jobs", type=int, default=1, help="presses at a time, one core each")
+    given = parser.parse_args(argv)
+    if given.jobs < 1:
+        raise BadInput(f"--jobs {given.jobs}: give at least 1")
+    # one thread per press: presses run side by side, and sums come out in the same order everywhere
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    os.environ.setdefault("MKL_NUM_THREADS", "1")
+    run(given.plan, given.data, given.workflow, given.jobs)
+    return 0
+
+
+if __name__ == "__main__":
+    from gelforge.cli import exit_with
+
+    exit_with(main)

@@ -1,0 +1,183 @@
+"""The bench itself: one ordered press becomes forces, a row of the log, and the gel's shape."""
+
+import zlib
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gelforge.geometry.gel import Gel
+from gelforge.mechanics.hex import HexResult, HexSettings, HexSolver
+from gelforge.mechanics.hexmesh import FineBox
+from gelforge.mechanics.scene import REFERENCE_C10, Indenter, Interface, Material, Press, Scene, Status
+from gelforge.virtualrig.plan import Order, Plan, Truth, generator
+from gelforge.virtualrig.surface import FAR, Body, body_of
+
+# The rig's own mesh, in no ratio to those of the labels; with friction it costs 1 to 2 s a press.
+SETTINGS = HexSettings(
+    size=0.6,
+    layers=5,
+    layer_ratio=2.5,
+    growth=1.8,
+    largest=3.0,
+    press_steps=5,
+    shear_steps=3,
+    friction_rounds=4,
+    friction_tolerance=0.03,
+    final_tolerance=1e-7,
+)
+# A bench never diverges: shorter steps, and for the last attempt a less deep press.
+ATTEMPTS = ((SETTINGS, 1.0), (replace(SETTINGS, press_steps=12, shear_steps=8, max_cuts=10), 1.0),
+            (replace(SETTINGS, press_steps=12, shear_steps=8, max_cuts=10), 0.8))  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Pressing:
+    """What one press really was and what the bench reports of it.
+
+    real: the path the tip took, mm. log: the same as the bench believes it. force: (3,) N on the gel,
+    moment: (3,) N m about the crown. read_force, read_moment: the load cell's readings of both.
+    """
+
+    order: Order
+    real: Press
+    log: Press
+    force: np.ndarray
+    moment: np.ndarray
+    read_force: np.ndarray
+    read_moment: np.ndarray
+    result: HexResult
+
+
+class Bench:
+    """Presses indenters as a plan's truth has it; keeps the bodies between presses."""
+
+    def __init__(self, plan: Plan, indenters: dict[str, Indenter], gel: Gel):
+        self.plan, self.indenters, self.gel = plan, indenters, gel
+        self._bodies: dict[str, Body] = {}
+
+    def body(self, name: str) -> Body:
+        """Underside of an indenter with the texture its printing left, the same in every run."""
+        if name not in self._bodies:
+            rng = np.random.default_rng(zlib.crc32(name.encode()))
+            angle = float(rng.choice([135.0, 45.0])) + rng.normal(scale=2.0)
+            self._bodies[name] = body_of(self.indenters[name], rng.uniform(0.015, 0.03), rng.uniform(0.55, 0.75), angle)
+        return self._bodies[name]
+
+    def press(self, order: Order) -> Pressing:
+        """Carry out one order; a state that no attempt could reach has a status that is not valid."""
+        truth, rng = self.plan.truth, generator(self.plan, order.index, 1)
+        play = rng.uniform(-1.0, 1.0, size=6) * truth.cnc_um * 1e-3
+        height = truth.touch_offset_mm + rng.normal(scale=truth.touch_scatter_mm)
+        read_noise = rng.normal(scale=truth.force_noise_n, size=3)
+        moment_noise = rng.normal(scale=truth.moment_noise_nm, size=3)
+        depth = self._reached(order, height)
+        for settings, share in ATTEMPTS:
+            real = _path(order, height, share * depth, play)
+            result = self._solve(order, real, settings)
+            if result.status.valid:
+                break
+        scale = truth.c10_mpa / REFERENCE_C10
+        force = scale * result.total
+        arm = result.mesh.nodes + result.displacement
+        moment = scale * np.cross(arm, result.forces).sum(axis=0) * 1e-3
+        log = believed(order, real, height, play, force, truth)
+        return Pressing(
+            order, real, log, force, moment, force + load_cell_error(self.plan, order.index) + read_noise,
+            moment + moment_noise, result,
+        )  # fmt: skip
+
+    def _solve(self, order: Order, real: Press, settings: HexSettings) -> HexResult:
+        truth = self.plan.truth
+        law = Interface("coulomb", truth.friction) if truth.friction > 0 else Interface("frictionless")
+        scene = Scene(self.gel, Material(nu=truth.nu), self.indenters[order.indenter], real, law)
+        result = HexSolver(replace(settings, box=self.fine_box(order.indenter, real, settings.size))).solve(scene)
+        if result.status is Status.UNSETTLED and result.evidence.get("pulling_fraction", 1.0) < 0.01:
+            result.status = Status.OK  # sticking and sliding still trade under 1 % of the force
+        return result
+
+    def _reached(self, order: Order, height: float) -> float:
+        """Depth that is left of the ordered one when the frame has given way and the load limit was kept.
+
+        Only an estimate enters here: the log's depth follows afterwards from the force that was computed.
+        """
+        low, high = 0.0, order.depth
+        compliance = self.plan.truth.compliance_mm_per_n
+        if order.depth + compliance * self.estimate(order, height, order.depth) <= order.depth:
+            return order.depth
+        for _ in range(24):
+            middle = 0.5 * (low + high)
+            force = self.estimate(order, height, middle)
+            if middle + compliance * force > order.depth or force > order.max_force_n:
+                high = middle
+            else:
+                low = middle
+        return low
+
+    def estimate(self, order: Order, height: float, depth: float) -> float:
+        """Normal force in N, good to a fifth: displaced volume on a bed that stiffens with mean depth.
+
+        The stiffness is a fit to solves of spheres, cuboids, bars and cylinders from 0.5 to 2.3 mm.
+        """
+        place = Press(order.x, order.y, height, 0.0, 0.0, -depth, order.rot_deg)
+        _, _, sunk, cell = self._sunk(order.indenter, place)
+        volume, area = sunk.sum() * cell, (sunk > 0).sum() * cell
+        mean = volume / area if area else 0.0
+        return self.plan.truth.c10_mpa / REFERENCE_C10 * volume * (0.15 + 0.2 * mean + 0.03 * mean**2)
+
+    def fine_box(self, name: str, real: Press, size: float) -> FineBox | None:
+        """Fine part of the mesh, laid so that a brick straddles each side of the footprint. None: no footprint.
+
+        A punch's flank is a step, and the picture shows it where the brick that spans it lies. The brick size
+        is varied by a tenth so that the footprint is a whole number of bricks both ways.
+        """
+        x, y, sunk, _ = self._sunk(name, real)
+        if not (sunk > 0).any():
+            return None
+        low = np.array([x[sunk > 0].min(), y[sunk > 0].min()])
+        high = np.array([x[sunk > 0].max(), y[sunk > 0].max()])
+        sizes = np.linspace(0.9 * size, 1.1 * size, 41)
+        misfit = np.abs((high - low)[None] / sizes[:, None] - np.rint((high - low)[None] / sizes[:, None])).max(axis=1)
+        best = float(sizes[np.argmin(misfit)])
+        half = np.array([self.gel.width, self.gel.length]) / 2
+        low, high = np.maximum(low - 1.35*best, -half), np.minimum(high + 1.35*best, half)
+        return FineBox(float(low[0]), float(high[0]), float(low[1]), float(high[1]), best)
+
+    def _sunk(self, name: str, press: Press, every: int = 4):
+        """Gel points x, y under the body at the end of the path, how far it is below the flat gel there, cell area."""
+        body = self.body(name)
+        under = body.height[::every, ::every]
+        axis = np.arange(body.height.shape[0])[::every] * body.step - body.reach
+        x, y = np.meshgrid(axis, axis)
+        turn, tip = press.pose(1.0, 1.0)
+        gx, gy = tip[0] + turn[0, 0] * x + turn[0, 1] * y, tip[1] + turn[1, 0] * x + turn[1, 1] * y
+        on_gel = (np.abs(gx) < self.gel.width / 2) & (np.abs(gy) < self.gel.length / 2) & (under < FAR - 0.01)
+        return gx, gy, np.clip(self.gel.top(gx, gy) - (tip[2] + under), 0.0, None) * on_gel, (every * body.step) ** 2
+
+
+def _path(order: Order, height: float, depth: float, play) -> Press:
+    share = depth / order.depth
+    dx, dy = order.shear[0] * share, order.shear[1] * share
+    return Press(
+        order.x + play[0], order.y + play[1], height + play[2], dx + play[3], dy + play[4], -depth + play[5], order.rot_deg
+    )
+
+
+def believed(order: Order, real: Press, height: float, play, force, truth: Truth) -> Press:
+    """The path as commanded: the real one plus what frame and gantry gave way under `force`."""
+    return Press(
+        order.x,
+        order.y,
+        0.0,
+        real.dx - play[3] + truth.shear_compliance_mm_per_n * force[0],
+        real.dy - play[4] + truth.shear_compliance_mm_per_n * force[1],
+        real.dz - play[5] + truth.compliance_mm_per_n * force[2],
+        order.rot_deg,
+    )
+
+
+def load_cell_error(plan: Plan, index: int) -> np.ndarray:
+    """Bias and drift of the load cell at a press, (3,) N: slow waves over the presses, known from the seed alone."""
+    rng = np.random.default_rng([plan.seed, 999_999_999])
+    phase, period = rng.uniform(0, 2 * np.pi, (3, 3)), rng.uniform(80.0, 900.0, (3, 3))
+    waves = np.sin(2 * np.pi * index / period + phase).sum(axis=1) / np.sqrt(3.0)
+    return np.array(plan.truth.force_bias_n) + plan.truth.drift_n * waves

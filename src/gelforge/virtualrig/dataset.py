@@ -1,0 +1,128 @@
+"""data/DATASET as a bench writes it, row by row, and the truth beside it that only the rig's checks read."""
+
+from dataclasses import asdict
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from gelforge.errors import BadInput, GelforgeError
+from gelforge.files import publish, read_csv, read_json, write_csv, write_json, write_text
+from gelforge.virtualrig.bench import Pressing
+from gelforge.virtualrig.plan import Order, Plan
+
+LOG_COLUMNS = (
+    "sample_id,time_utc,sensor_id,gel_id,indenter,x0_mm,y0_mm,z0_mm,dx_mm,dy_mm,dz_mm,rot_deg,"
+    "fx_n,fy_n,fz_n,mx_nm,my_nm,mz_nm,image"
+).split(",")
+TRUTH_COLUMNS = (
+    "sample_id,status,x0_mm,y0_mm,z0_mm,dx_mm,dy_mm,dz_mm,rot_deg,fx_n,fy_n,fz_n,mx_nm,my_nm,mz_nm,"
+    "newton_iterations,load_steps"
+).split(",")
+
+
+class Dataset:
+    """One dataset folder that grows press by press; every file in it is whole at any time."""
+
+    def __init__(self, folder, plan: Plan):
+        self.folder, self.plan = Path(folder), plan
+        self.log_path, self.truth_path = self.folder / "log.csv", self.folder / "truth" / "presses.csv"
+        self.log = self._rows(self.log_path)
+        self.truth = self._rows(self.truth_path)
+
+    def _rows(self, path) -> dict[str, dict]:
+        return {row["sample_id"]: row for row in read_csv(path)} if path.exists() else {}
+
+    def check_same_plan(self) -> None:
+        """Refuse to mix two plans in one folder; more presses of the same plan are welcome."""
+        stored = self.folder / "truth" / "truth.json"
+        if not stored.exists():
+            if self.log:
+                raise BadInput(f"{self.log_path} was not written by the virtual rig; choose another `dataset` in the plan")
+            return
+        if read_json(stored)["plan"] != self.plan.identity():
+            raise BadInput(
+                f"{self.folder}: was written by another plan (only `presses` may change); "
+                "name another `dataset` in the plan or remove the folder"
+            )
+
+    def begin(self) -> None:
+        """Write what does not depend on the presses."""
+        truth = {"truth": asdict(self.plan.truth), "plan": self.plan.identity()}
+        write_json(self.folder / "truth" / "truth.json", truth)
+        description = self.folder / "dataset.toml"
+        if not description.exists():
+            write_text(description, describe(self.plan))
+
+    def missing(self, orders: list[Order]) -> list[Order]:
+        """Orders that are not yet carried out, or whose image is gone."""
+        return [order for order in orders if not self._done(order)]
+
+    def _done(self, order: Order) -> bool:
+        row = self.truth.get(order.sample_id)
+        if row is None:
+            return False
+        if order.sample_id not in self.log:
+            return row["status"] not in ("OK", "NO_CONTACT")
+        return (self.folder / image_name(order)).is_file()
+
+    def add(self, order: Order, log_row: dict | None, truth_row: dict) -> None:
+        """Publish one press: the truth first, then the row that makes it count."""
+        self.truth[order.sample_id] = truth_row
+        write_csv(self.truth_path, TRUTH_COLUMNS, _ordered(self.truth))
+        if log_row is not None:
+            self.log[order.sample_id] = log_row
+        write_csv(self.log_path, LOG_COLUMNS, _ordered(self.log))
+
+
+def _ordered(rows: dict[str, dict]) -> list[dict]:
+    return [rows[name] for name in sorted(rows)]
+
+
+def image_name(order: Order) -> str:
+    """Path of a press's image below the dataset's folder."""
+    return f"images/{order.sample_id}.png"
+
+
+def save_image(path, image: np.ndarray) -> None:
+    """Write an RGB image as PNG, whole or not at all."""
+    with publish(path) as part:
+        if not cv2.imwrite(str(part), image[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9]):
+            raise GelforgeError(f"{path}: the image could not be written; is the disk full?")
+
+
+def log_row(pressing: Pressing, gel_id: str) -> dict:
+    """The bench's row: what it was told to do and what its load cell read."""
+    order, log = pressing.order, pressing.log
+    values = [log.x0, log.y0, log.z0, log.dx, log.dy, log.dz, log.rot_deg, *pressing.read_force, *pressing.read_moment]
+    names = [order.sample_id, order.time_utc, order.sensor, gel_id, order.indenter]
+    return dict(zip(LOG_COLUMNS, [*names, *_digits(values), image_name(order)], strict=True))
+
+
+def truth_row(pressing: Pressing) -> dict:
+    """What the press really was."""
+    real, evidence = pressing.real, pressing.result.evidence
+    values = [real.x0, real.y0, real.z0, real.dx, real.dy, real.dz, real.rot_deg, *pressing.force, *pressing.moment]
+    cost = [evidence["newton_iterations"], evidence["load_steps"]]
+    row = [pressing.order.sample_id, pressing.result.status.name, *_digits(values), *cost]
+    return dict(zip(TRUTH_COLUMNS, row, strict=True))
+
+
+def _digits(values) -> list[str]:
+    """Lengths to 0.1 micrometre, forces to 0.1 mN, moments to 1 mN mm; never a negative zero."""
+    places = [4] * 10 + [6] * 3
+    return [f"{value + 0.0:.{place}f}".replace("-0." + "0" * place, "0." + "0" * place) for value, place in zip(values, places, strict=True)]
+
+
+def describe(plan: Plan) -> str:
+    """Text of dataset.toml."""
+    lines = [
+        f"# Written by the virtual rig from plan `{plan.dataset}`, seed {plan.seed}.",
+        f'sensor = "{plan.sensors[0]}"  # of rows that name none',
+        f'gel = "{plan.gel}"',
+        f'catalogue = "{plan.catalogue}"',
+    ]
+    if plan.held_out_sensors:
+        names = ", ".join(f'"{name}"' for name in plan.held_out_sensors)
+        lines += ["", "[params.dataset]", f"unseen_sensors = [{names}]"]
+    return "\n".join(lines) + "\n"
