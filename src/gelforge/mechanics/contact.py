@@ -26,6 +26,8 @@ class ContactState:
     anchor: (m, 3) where a glued point is held, in the indenter's frame (nan elsewhere).
     normal: (m, 3) the indenter's outward normal there, in its frame. bound: (m,) largest tangential
     traction (inf: no slip). position: (m, 3) deformed. traction: (m, 3) on the gel.
+    goal: (m, 3) where anchors are on their way to; fading: (m, 3) what is left of the traction of
+    points let go (both only differ from anchor and zero while a path is walked).
     """
 
     face: np.ndarray
@@ -36,8 +38,28 @@ class ContactState:
     anchor: np.ndarray
     normal: np.ndarray
     bound: np.ndarray
+    goal: np.ndarray
+    fading: np.ndarray
     position: np.ndarray = field(default=None)
     traction: np.ndarray = field(default=None)
+
+    def go(self, part: float) -> tuple:
+        """Carry out `part` (0 to 1) of the pending changes; returns what `restore` needs."""
+        kept = self.status.copy(), self.anchor.copy(), self.fading.copy()
+        moving = self.status == GLUED
+        self.anchor[moving] += part * (self.goal[moving] - self.anchor[moving])
+        self.fading *= 1.0 - part
+        return kept
+
+    def let_go(self, points, traction) -> None:
+        """Free glued points; their traction fades as changes are carried out."""
+        self.status[points] = FREE
+        self.anchor[points] = self.goal[points] = np.nan
+        self.fading[points] = traction
+
+    def restore(self, kept: tuple) -> None:
+        """Undo `go`."""
+        self.status, self.anchor, self.fading = (array.copy() for array in kept)
 
     @property
     def touching(self) -> np.ndarray:
@@ -91,6 +113,8 @@ def contact_points(mesh: GelMesh, order: int, faces: np.ndarray | None = None) -
         anchor=np.full((m, 3), np.nan),
         normal=np.full((m, 3), np.nan),
         bound=np.full(m, np.inf),
+        goal=np.full((m, 3), np.nan),
+        fading=np.zeros((m, 3)),
     )
 
 
@@ -111,7 +135,7 @@ def contact_springs(state: ContactState, x: np.ndarray, pose: Pose, indenter, pe
     """Penalty tractions at deformed positions x (m, 3); `candidates` (c,) are the free points within reach."""
     stuck = np.flatnonzero((state.status == GLUED) & np.isinf(state.bound))
     sliding = np.flatnonzero((state.status == GLUED) & np.isfinite(state.bound))
-    parts = [_held(state, x, pose, penalty, stuck)]
+    parts = [_held(state, x, pose, penalty, stuck), _faded(state)]
     probe = np.concatenate([sliding, candidates])
     if len(probe):
         distance, normal = indenter.distance(pose.to_indenter(x[probe]))
@@ -126,6 +150,12 @@ def _held(state, x, pose, penalty, points):
     traction = penalty * (pose.to_gel(state.anchor[points]) - x[points])
     stiffness = np.broadcast_to(penalty * np.eye(3), (len(points), 3, 3))
     return points, traction, stiffness, np.full(len(points), np.nan)
+
+
+def _faded(state):
+    """Dead loads that are left of points let go."""
+    points = np.flatnonzero(np.any(state.fading, axis=1))
+    return points, state.fading[points], np.zeros((len(points), 3, 3)), np.full(len(points), np.nan)
 
 
 def _pressed(state, x, pose, penalty, points, distance, normal):
@@ -161,16 +191,20 @@ class FacePlaces:
         self.nodes = np.ascontiguousarray(mesh.faces, np.int32)
         self.base, self.width = block_places(pattern, mesh.faces)
 
-    def add(self, state: ContactState, springs: Springs, forces, values) -> None:
-        """Subtract contact forces from `forces` (n, 3) and add their stiffness to `values` (None: forces only)."""
+    def add_forces(self, state: ContactState, springs: Springs, forces) -> None:
+        """Subtract contact forces from `forces` (n, 3)."""
+        points = springs.point
+        nodes = self.nodes[state.face[points]]
+        _add_forces(nodes, state.shape[points], state.weights[points], springs.traction, forces)
+
+    def add_stiffness(self, state: ContactState, springs: Springs, values) -> None:
+        """Add the contact stiffness to the matrix values."""
         points = springs.point
         face = state.face[points]
-        _add_forces(self.nodes[face], state.shape[points], state.weights[points], springs.traction, forces)
-        if values is not None:
-            _add_stiffness(
-                self.base[face], self.width[face], state.shape[points], state.weights[points],
-                np.ascontiguousarray(springs.stiffness), values,
-            )  # fmt: skip
+        stiffness = np.ascontiguousarray(springs.stiffness)
+        _add_stiffness(
+            self.base[face], self.width[face], state.shape[points], state.weights[points], stiffness, values
+        )
 
 
 @njit(cache=True, nogil=True)
