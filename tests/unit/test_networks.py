@@ -16,7 +16,7 @@ from gelforge.errors import BadInput
 from gelforge.networks.augment import RGB_TO_YIQ, augment, colour_matrices
 from gelforge.networks.batches import Ahead, epoch_order
 from gelforge.networks.data import open_data, scales
-from gelforge.networks.fit import Training, fit, loss_of, save_checkpoint
+from gelforge.networks.fit import Training, fit, loss_of
 from gelforge.networks.modelfile import Reader, load_model, require_fit, save_model
 from gelforge.networks.models import ResNetTotal, UNet, build, parameter_count, strides
 from gelforge.train import resolve, train
@@ -168,9 +168,7 @@ def test_resumed_training_has_the_same_curve_and_weights(folder, tmp_path, kind,
 
     whole, cut, rest = start(), start(), start()
     fit(whole, data)
-    for _ in range(2):
-        cut.epoch(data)
-    save_checkpoint(tmp_path / "c.pt", cut, "same")
+    fit(cut, data, tmp_path / "c.pt", "same", epochs=2)
     fit(rest, data, tmp_path / "c.pt", "same")
     assert rest.cost["resumed"] == 1 and rest.curve == whole.curve
     for a, b in zip(whole.net.state_dict().values(), rest.net.state_dict().values()):

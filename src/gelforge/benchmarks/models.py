@@ -109,17 +109,15 @@ def resume_figure(models: dict, settings: dict, folder: Path, dataset: Path) -> 
     import torch
 
     from gelforge.networks.data import open_data, scales
-    from gelforge.networks.fit import Training, fit, save_checkpoint
+    from gelforge.networks.fit import Training, fit
     from gelforge.train import resolve
 
     torch.set_num_threads(settings["threads"])
     data = open_data(dataset)
-    model, settings = resolve(models, LIGHT, settings | {"epochs": 4})
+    model, settings = resolve(models, LIGHT, settings | {"epochs": 4, "checkpoint_seconds": 0.0})
     whole, cut, rest = (Training(model, settings, scales(data, False), IMAGE, GRID, "cpu") for _ in range(3))
     fit(whole, data)
-    for _ in range(2):
-        cut.epoch(data)
-    save_checkpoint(folder / "cut.checkpoint.pt", cut, "one")
+    fit(cut, data, folder / "cut.checkpoint.pt", "one", epochs=2)
     fit(rest, data, folder / "cut.checkpoint.pt", "one")
     worst = max(abs(a[key] - b[key]) for a, b in zip(whole.curve, rest.curve, strict=True) for key in a)
     return Figure("validation curve, interrupted and resumed against whole", worst, "==", 0.0, "N",

@@ -80,6 +80,10 @@ class Ahead:
                 continue
         return False
 
+    def close(self) -> None:
+        """Stop the thread; what it has prepared is dropped."""
+        self._stop.set()
+
     def __iter__(self):
         try:
             while True:
@@ -92,4 +96,4 @@ class Ahead:
                     raise error
                 yield item
         finally:
-            self._stop.set()
+            self.close()

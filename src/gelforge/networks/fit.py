@@ -106,6 +106,7 @@ class Training:
         self.optimiser = torch.optim.Adam(self.net.parameters(), lr=settings["learning_rate"])
         self.schedule, self.by_validation = make_schedule(self.optimiser, settings)
         self.mixed = device == "cuda" and settings["mixed_precision"]
+        self.epochs_done = 0
         self.curve: list[dict] = []
         self.best = {"epoch": 0, "val_total": float("inf"), "weights": None}
         self.cost = {"seconds": 0.0, "wait_seconds": 0.0, "steps": 0, "resumed": 0}
@@ -121,6 +122,7 @@ class Training:
         self.optimiser.load_state_dict(state["optimiser"])
         self.schedule.load_state_dict(state["schedule"])
         self.curve, self.best, self.cost = state["curve"], state["best"], state["cost"]
+        self.epochs_done = len(self.curve)
         self.cost["resumed"] += 1
 
     def step(self, images, wanted) -> float:
@@ -135,22 +137,29 @@ class Training:
         self.optimiser.step()
         return loss.item()
 
-    def epoch(self, data) -> dict:
-        """Train one epoch, validate, keep the best weights; return the curve's new row."""
-        number = len(self.curve)
+    def batches(self, data) -> Ahead:
+        """Start preparing the batches of the next epoch."""
+        return Ahead(training_batches(data, self.norm, self.settings, self.epochs_done, self.total_only))
+
+    def train_epoch(self, batches: Ahead) -> float:
+        """Go through one epoch's batches; return the mean loss."""
         started = time.perf_counter()
-        rate = self.optimiser.param_groups[0]["lr"]
-        batches = Ahead(training_batches(data, self.norm, self.settings, number, self.total_only))
+        waited = batches.waited
         self.net.train()
         losses = [self.step(images, wanted) for images, wanted in batches]
-        if not np.isfinite(losses).all():
-            raise GelforgeError(f"training diverged in epoch {number + 1}: a loss is not finite; lower "
-                                f"[train] learning_rate, now {rate:g}")
-        self.cost["wait_seconds"] += batches.waited
+        self.cost["wait_seconds"] += batches.waited - waited
         self.cost["seconds"] += time.perf_counter() - started
         self.cost["steps"] += len(losses)
+        self.epochs_done += 1
+        if not np.isfinite(losses).all():
+            raise GelforgeError(f"training diverged in epoch {self.epochs_done}: a loss is not finite; lower "
+                                f"[train] learning_rate, now {self.settings['learning_rate']:g} at its start")
+        return float(np.mean(losses))
+
+    def close_epoch(self, data, loss: float) -> dict:
+        """Validate, move the learning rate, keep the best weights; return the curve's new row."""
         settle_batch_norm(self.net, data, self.norm, self.settings, self.device)
-        row = {"epoch": number + 1, "learning_rate": rate, "loss": float(np.mean(losses)),
+        row = {"epoch": self.epochs_done, "learning_rate": self.optimiser.param_groups[0]["lr"], "loss": loss,
                **validate(self.net, data, self.norm, self.settings["batch"], self.device)}
         self.schedule.step(*[row["val_total"]] if self.by_validation else [])
         self.curve.append(row)
@@ -179,24 +188,31 @@ def resume(path, training: Training, identity: str) -> bool:
     return True
 
 
-def fit(training: Training, data, checkpoint=None, identity: str = "") -> None:
-    """Train for the epochs that are left, then put the best epoch's weights into the network.
+def fit(training: Training, data, checkpoint=None, identity: str = "", epochs: int | None = None) -> None:
+    """Train up to `epochs` (all of them if None), then put the best epoch's weights into the network.
 
     :param checkpoint: file to resume from and to write every `checkpoint_seconds`; None for neither.
     :param identity: text that tells one training from another; a checkpoint of another one is not used.
     """
     resume(checkpoint, training, identity)
-    epochs = training.settings["epochs"]
-    left = range(len(training.curve), epochs)
+    planned = training.settings["epochs"]
+    epochs = planned if epochs is None else epochs
     saved = time.monotonic()
-    for number in progress(left, f"epochs of {epochs}"):
-        row = training.epoch(data)
-        if number % max(1, epochs // 20) == 0 or number == epochs - 1:
-            print(f"epoch {row['epoch']}: loss {row['loss']:.4g}, validation fx {row['val_fx']:.3f} "
-                  f"fy {row['val_fy']:.3f} fz {row['val_fz']:.3f} N, rate {row['learning_rate']:.2g}", flush=True)
-        if checkpoint and time.monotonic() - saved >= training.settings["checkpoint_seconds"]:
-            save_checkpoint(checkpoint, training, identity)
-            saved = time.monotonic()
+    batches = training.batches(data)
+    try:
+        for number in progress(range(training.epochs_done, epochs), f"epochs of {planned}"):
+            loss = training.train_epoch(batches)
+            if number + 1 < epochs:
+                batches = training.batches(data)  # read while this epoch is validated
+            row = training.close_epoch(data, loss)
+            if number % max(1, planned // 20) == 0 or number == planned - 1:
+                print(f"epoch {row['epoch']}: loss {loss:.4g}, validation fx {row['val_fx']:.3f} fy {row['val_fy']:.3f} "
+                      f"fz {row['val_fz']:.3f} N, rate {row['learning_rate']:.2g}", flush=True)
+            if checkpoint and time.monotonic() - saved >= training.settings["checkpoint_seconds"]:
+                save_checkpoint(checkpoint, training, identity)
+                saved = time.monotonic()
+    finally:
+        batches.close()
     training.net.load_state_dict(training.best["weights"])
     training.net.eval()
 
