@@ -113,6 +113,9 @@ def parse(row: dict, file: str) -> tuple[Sample | None, list[Rejection]]:
     absent = [name for name in COLUMNS if row.get(name) is None]
     for name in absent:
         reject(name, "the column is missing", f"add a column {name} to the log (the force columns may be empty)")
+    if row.get(None) or _text(row.get("extra_columns")):
+        reject("image", "the row has more cells than the header has columns",
+               "quote cells that hold a comma, and write decimals with a point")
     values = {}
     for name in POSE + FORCES:
         if name not in absent:

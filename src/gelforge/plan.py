@@ -56,7 +56,9 @@ def read_log_rows(path: Path) -> tuple[list[str], list[dict]]:
         raise BadInput(f"{path}: column sample_id is missing; seen: {', '.join(header) or 'no header'}")
     rows = []
     for row in reader:
-        row.pop("extra_columns", None)
+        # kept, because an unquoted 0,5 shifts every cell behind it: stage 10 refuses such a row
+        if "extra_columns" in row:
+            row["extra_columns"] = " ".join(row["extra_columns"])
         rows.append({"row": reader.line_num, **row})
     if not rows:
         raise BadInput(f"{path}: has a header and no rows; log at least one press")
@@ -84,7 +86,8 @@ def write_shards(log: Path, out: Path, size: int) -> list[str]:
     names = []
     for shard, members in sorted(by_shard.items()):
         names.append(f"{shard:0{SHARD_DIGITS}d}")
-        write_if_changed(out / "shards" / f"{names[-1]}.csv", to_csv(["row", *header], members))
+        columns = ["row", *header, *["extra_columns"] * any("extra_columns" in row for row in members)]
+        write_if_changed(out / "shards" / f"{names[-1]}.csv", to_csv(columns, members))
     write_if_changed(table, to_csv(["sample_id", "shard"], [{"sample_id": k, "shard": v} for k, v in shards.items()]))
     return names
 

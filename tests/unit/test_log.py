@@ -80,6 +80,18 @@ def test_all_faults_of_a_row_are_told_at_once():
     assert sorted(r.column for r in wrong) == ["dz_mm", "indenter", "x0_mm"]
 
 
+def test_decimal_commas_do_not_shift_cells(tmp_path):
+    path = tmp_path / "log.csv"
+    cells = [GOOD[name] for name in log.COLUMNS]
+    cells[5] = "0,5"
+    path.write_text(",".join(log.COLUMNS) + "\n" + ",".join(cells) + "\n")
+    sample, wrong = log.parse(log.read_log(path)[0], "log.csv")
+    assert sample is None
+    assert "more cells" in wrong[0].reason
+    _, wrong = parse(extra_columns="images/a1.png")
+    assert "more cells" in wrong[0].reason
+
+
 def test_later_duplicates_are_rejected():
     rows = [parse(row=str(n), sample_id=name)[0] for n, name in ((2, "a"), (3, "b"), (4, "a"))]
     good, wrong = log.without_duplicates(rows, "log.csv")
