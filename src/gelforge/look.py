@@ -159,7 +159,8 @@ def _draw_image(axis, look, extent):
         u = (np.arange(cols) + 0.5) * look.sensor.image[0] / cols
         v = (np.arange(rows) + 0.5) * look.sensor.image[1] / rows
         if min(rows, cols) > 1:
-            axis.contour(u, v, pressure, levels=pressure.max() * np.array([0.05, 0.35, 0.65]), colors="white", linewidths=0.9)
+            axis.contour(u, v, pressure, levels=pressure.max() * np.array([0.05, 0.35, 0.65]),
+                         colors="white" if look.image is not None else INK, linewidths=0.9)
     place, force = arrows(look)
     size = np.hypot(*force.T)
     largest = float(size.max(initial=0.0))

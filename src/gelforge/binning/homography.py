@@ -73,7 +73,7 @@ def _check_spread(points, where) -> None:
 def _thickness(points) -> float:
     """Largest distance of the points from the line that fits them best."""
     centred = points - points.mean(axis=0)
-    return float(np.abs(centred @ np.linalg.svd(centred)[2][1]).max())
+    return float(np.abs(centred @ np.linalg.svd(centred, full_matrices=False)[2][1]).max())
 
 
 def _normaliser(points) -> np.ndarray:
