@@ -1,0 +1,152 @@
+"""One interface to every way of solving a scene, with the ladder that a failing solve climbs down."""
+
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.meshes import MeshFamily, choose_mesh, hex_box, hex_solver
+from gelforge.mechanics.ccx import KINEMATICS, CcxSettings, CcxSolver
+from gelforge.mechanics.ccx_run import need_ccx
+from gelforge.mechanics.hex import HexSolver
+from gelforge.mechanics.scene import Result, Scene, Status
+
+FIDELITIES = ("hex", "ccx", "ccx-native", "ccx-fine", "auto")
+
+
+@dataclass(frozen=True)
+class FeaSettings:
+    """The [fea] table: see workflow/params.toml for the reasons of its values."""
+
+    fidelity: str = "ccx"
+    tolerance: float = 0.02
+    hex_press_steps: int = 8
+    hex_shear_steps: int = 4
+    kinematics_size_mm: float = 0.9
+    kinematics_layers: int = 4
+    stiffness: float = 2000.0
+    rounds: int = 8
+    pull_tolerance: float = 2e-3
+    penetration_mm: float = 2e-3
+    residual: float = 1e-5
+    timeout_s: float = 1800.0
+    charted: dict | None = None
+
+    @classmethod
+    def from_table(cls, table: dict) -> "FeaSettings":
+        """Take what the table holds of these; mesh names are not for the solver."""
+        names = {f.name for f in fields(cls)}
+        return cls(**{k: v for k, v in table.items() if k in names})
+
+    @property
+    def ccx(self) -> CcxSettings:
+        names = {f.name for f in fields(CcxSettings)}
+        return CcxSettings(**{k: getattr(self, k) for k in names if hasattr(self, k)})
+
+
+class Solvers:
+    """Solvers of one mesh family, kept between scenes; files of a solve lie in `workdir`."""
+
+    def __init__(self, family: MeshFamily, workdir, settings: FeaSettings = FeaSettings()):
+        self.family, self.workdir, self.settings = family, Path(workdir), settings
+        kinematics = replace(KINEMATICS, size=settings.kinematics_size_mm, layers=settings.kinematics_layers)
+        self.kinematics = HexSolver(kinematics)
+        self._ccx, self._hex = {}, {}
+
+    def solve(self, scene: Scene, fidelity: str) -> Result:
+        """Solve at one fidelity, or the cheapest that is good enough for "auto"; see `solve`."""
+        if fidelity not in FIDELITIES:
+            raise BadInput(f"fidelity {fidelity!r} is unknown; choose one of {', '.join(FIDELITIES)}")
+        if fidelity == "auto":
+            fidelity = cheapest(self.settings.charted or {}, self.settings.tolerance)
+        if fidelity != "hex":
+            need_ccx()
+        climbed = []
+        for rung, attempt in self._ladder(fidelity):
+            result = attempt(scene)
+            result.evidence["rung"] = rung
+            if result.status.valid:
+                break
+            climbed.append(f"{rung}: {result.status.name}, {result.evidence.get('reason') or result.status.value}")
+        result.evidence["ladder"] = climbed + result.evidence.get("ladder", [])
+        result.evidence.setdefault("fidelity", fidelity)
+        return result
+
+    def _ladder(self, fidelity):
+        """Attempts in order: as asked, smaller load steps, more contact rounds, another fidelity."""
+        if fidelity == "hex":
+            return [("hex", self._solve_hex), ("hex, smaller load steps", lambda s: self._solve_hex(s, 4))]
+        if fidelity == "ccx-native":
+            return [("ccx-native", self._solve_native)]
+        rungs = [
+            (fidelity, self._solve_ccx),
+            (f"{fidelity}, smaller load steps", lambda s: self._solve_ccx(s, steps=3)),
+            (f"{fidelity}, more contact rounds", lambda s: self._solve_ccx(s, steps=3, rounds=3)),
+        ]
+        if self.family.of("hex"):
+            rungs.append(("hex", self._solve_hex))
+        return rungs
+
+    def _solve_ccx(self, scene, steps=1, rounds=1) -> Result:
+        mesh = choose_mesh(scene, self.family, "ccx")
+        if mesh not in self._ccx:
+            self._ccx[mesh] = CcxSolver(self.family.load(mesh), self.workdir / mesh, self.settings.ccx, self.kinematics)
+        solver = self._ccx[mesh]
+        if steps > 1 or rounds > 1:
+            finer = replace(self.kinematics.settings, press_steps=steps * self.kinematics.settings.press_steps,
+                            shear_steps=steps * self.kinematics.settings.shear_steps)  # fmt: skip
+            settings = replace(self.settings.ccx, rounds=rounds * self.settings.rounds)
+            solver = CcxSolver(solver.mesh, solver.folder, settings, HexSolver(finer))
+        result = solver.solve(scene)
+        result.evidence |= {"mesh": mesh}
+        return result
+
+    def _solve_hex(self, scene, steps=1) -> Result:
+        mesh = choose_mesh(scene, self.family, "hex")
+        report = self.family.reports[mesh]
+        saved = self.family.load(mesh)
+        if (mesh, steps) not in self._hex:
+            s = self.settings
+            box = hex_box(report["size"], report["half_mm"], scene.gel)
+            layers = round(len(saved.nodes) / len(saved.base)) - 1
+            self._hex[mesh, steps] = hex_solver(
+                report["size"], report["half_mm"], layers, box=box,
+                press_steps=steps * s.hex_press_steps, shear_steps=steps * s.hex_shear_steps,
+            )  # fmt: skip
+        result = self._hex[mesh, steps].solve(scene)
+        if result.mesh.nodes.shape != saved.nodes.shape or not np.allclose(result.mesh.nodes, saved.nodes):
+            if result.status is not Status.NO_CONTACT:
+                raise BadInput(f"{self.family.folder}/{mesh}.npz is not the mesh that hex solves on; run `make meshes`")
+            result = Result(result.status, np.zeros_like(saved.nodes), np.zeros_like(saved.nodes), result.evidence)
+        result.evidence |= {"mesh": mesh, "fidelity": "hex"}
+        return result
+
+    def _solve_native(self, scene) -> Result:
+        from gelforge.mechanics.native import solve_native
+
+        mesh = choose_mesh(scene, self.family, "ccx")
+        result = solve_native(scene, self.family.load(mesh), self.workdir / "native", self.settings.timeout_s)
+        result.evidence |= {"mesh": mesh}
+        return result
+
+
+def cheapest(charted: dict, tolerance: float) -> str:
+    """The cheapest fidelity whose charted worst error in total force meets `tolerance`.
+
+    charted: fidelity -> [error, relative seconds], from the speed-accuracy chart.
+    """
+    meeting = {name: cost for name, (error, cost) in charted.items() if error <= tolerance}
+    if not meeting:
+        raise BadInput(f"no charted fidelity meets tolerance = {tolerance:g}; raise it or name a fidelity in [fea]")
+    return min(meeting, key=meeting.get)
+
+
+def solve(scene: Scene, fidelity: str, meshes: MeshFamily, workdir, settings: FeaSettings = FeaSettings()) -> Result:
+    """Solve one press at a fidelity: "hex", "ccx", "ccx-native", "ccx-fine" or "auto".
+
+    Returns nodal forces (n, 3) N on the gel and displacement (n, 3) mm on the mesh named by
+    evidence["mesh"]. A failed solve is a status with its reason in the evidence; a missing CalculiX
+    or a full disk raises BadInput. Many scenes: keep a `Solvers`.
+    """
+    return Solvers(meshes, workdir, settings).solve(scene, fidelity)

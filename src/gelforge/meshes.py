@@ -1,0 +1,170 @@
+"""Stage 20: a small family of gel meshes, by engine, region and density, each with a quality report."""
+
+import argparse
+import json
+import re
+import sys
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.files import read_json, write_json
+from gelforge.geometry.gel import Gel, load_gel
+from gelforge.mechanics.mesh import GelMesh
+from gelforge.mechanics.scene import Scene
+
+VERSION = 1
+_NAME = re.compile(r"(ccx|hex)-([a-z]+)-(\d+(?:\.\d+)?)")
+# Engines whose meshes a fidelity needs; `hex` meshes cost nothing and serve the last rung of its ladder.
+ENGINES = {"ccx": ("ccx", "hex"), "ccx-fine": ("ccx",), "ccx-native": ("ccx",), "hex": ("hex",), "auto": ("ccx", "hex")}
+
+
+@dataclass(frozen=True)
+class MeshName:
+    """What a mesh is: engine "ccx" (tetrahedra) or "hex" (bricks), region, element size in mm."""
+
+    engine: str
+    region: str
+    size: float
+
+    @classmethod
+    def parse(cls, text: str) -> "MeshName":
+        """Read ENGINE-REGION-SIZE, such as ccx-centre-0.7."""
+        match = _NAME.fullmatch(text)
+        if not match or float(match[3]) < 0.1:
+            raise BadInput(f"mesh name {text!r} is none; write ENGINE-REGION-SIZE, such as ccx-centre-0.7 (size >= 0.1 mm)")
+        return cls(match[1], match[2], float(match[3]))
+
+
+def required_meshes(fea: dict, meshes: dict) -> list[str]:
+    """Names of the meshes that the [fea] table asks for, in its order; [meshes] must know their regions."""
+    if fea["fidelity"] not in ENGINES:
+        raise BadInput(f"[fea] fidelity = {fea['fidelity']!r} is unknown; choose one of {', '.join(ENGINES)}")
+    kinds = fea["fine_meshes"] if fea["fidelity"] == "ccx-fine" else fea["meshes"]
+    names = [f"{engine}-{kind}" for engine in ENGINES[fea["fidelity"]] for kind in kinds]
+    for name in names:
+        region(MeshName.parse(name), meshes)
+    return names
+
+
+def region(name: MeshName, meshes: dict) -> tuple[float, float]:
+    """Half extents (x, y) in mm of a mesh's fine region."""
+    regions = meshes["regions"]
+    if name.region not in regions:
+        raise BadInput(f"mesh region {name.region!r} is unknown; [meshes.regions] has {', '.join(regions)}")
+    half = regions[name.region]
+    if len(half) != 2 or not all(h > 0 for h in half):
+        raise BadInput(f"[meshes.regions] {name.region} = {half}; give two positive half extents in mm, x then y")
+    return float(half[0]), float(half[1])
+
+
+def sizing(half: tuple[float, float], size: float, meshes: dict):
+    """Edge length (n,) mm wanted at points (n, 3) of the flat pad: `size` in the region, growing away from it."""
+
+    def at(points):
+        out = np.maximum(np.abs(points[:, :2]) - half, 0.0)
+        below = np.maximum(-points[:, 2] - meshes["fine_depth_mm"], 0.0)
+        away = np.sqrt((out**2).sum(axis=1) + below**2)
+        return np.clip(size + meshes["growth"] * away, size, max(size, meshes["coarsest_mm"]))
+
+    return at
+
+
+def make_mesh(name: MeshName, gel: Gel, meshes: dict) -> tuple[GelMesh, dict]:
+    """Build one mesh and its report."""
+    half = region(name, meshes)
+    report = asdict(name) | {"half_mm": list(half), "gel": gel.name}
+    if name.engine == "hex":
+        mesh = hex_solver(name.size, half, meshes["hex_layers"]).mesh(gel, hex_box(name.size, half, gel))
+        return mesh, report | {"kind": mesh.kind, "nodes": len(mesh.nodes), "elements": len(mesh.elements),
+                               "faces": len(mesh.faces)}  # fmt: skip
+    from gelforge.mechanics.tet import gel_mesh, quality
+
+    # pytetwild's edges come out about a tenth longer than asked for
+    mesh = gel_mesh(gel, sizing(half, 0.9 * name.size, meshes))
+    return mesh, report | quality(mesh, gel)
+
+
+def hex_box(size: float, half, gel: Gel):
+    """The fine part of a brick mesh for a region, within the gel."""
+    from gelforge.mechanics.hexmesh import FineBox
+
+    x, y = min(half[0], gel.width / 2), min(half[1], gel.length / 2)
+    return FineBox(-x, x, -y, y, size)
+
+
+def hex_solver(size: float, half, layers: int, **settings):
+    """In-process solver whose fine part is fixed to a region (see `hex_box`)."""
+    from gelforge.mechanics.hex import HexSettings, HexSolver
+
+    return HexSolver(HexSettings(size=size, layers=layers, **settings))
+
+
+class MeshFamily:
+    """The meshes of a folder 20_meshes; each is read when first asked for."""
+
+    def __init__(self, folder):
+        self.folder = Path(folder)
+        self.reports = {path.stem: read_json(path) for path in sorted(self.folder.glob("*.json"))
+                        if path.with_suffix(".npz").exists()}  # fmt: skip
+        if not self.reports:
+            raise BadInput(f"{folder}: holds no meshes; run `make meshes`")
+        self.load = lru_cache(maxsize=8)(self._load)
+
+    def _load(self, name: str) -> GelMesh:
+        return GelMesh.load(self.folder / f"{name}.npz")
+
+    def of(self, engine: str) -> list[str]:
+        """Names of one engine's meshes."""
+        return [name for name, report in self.reports.items() if report["engine"] == engine]
+
+
+def footprint(scene: Scene, spacing: float = 0.25, reach: float = 0.05) -> np.ndarray | None:
+    """Largest |x|, |y| (mm) of the undeformed top within `reach` of the indenter on its path; None if none."""
+    gel = scene.gel
+    x = np.arange(-gel.width / 2, gel.width / 2 + spacing, spacing)
+    y = np.arange(-gel.length / 2, gel.length / 2 + spacing, spacing)
+    xx, yy = (a.ravel() for a in np.meshgrid(x, y))
+    points = np.column_stack([xx, yy, gel.top(xx, yy)])
+    touched = np.zeros(len(points), bool)
+    for shear in (0.0, 1.0):
+        rotation, shift = scene.press.pose(1.0, shear)
+        touched |= scene.indenter.distance((points - shift) @ rotation)[0] < reach
+    return np.abs(points[touched, :2]).max(axis=0) if touched.any() else None
+
+
+def choose_mesh(scene: Scene, family: MeshFamily, engine: str = "ccx") -> str:
+    """Name of the mesh for one press: the finest whose region holds the footprint, else the widest."""
+    names = family.of(engine)
+    if not names:
+        raise BadInput(f"{family.folder}: has no {engine} mesh; add one to [fea] meshes and run `make meshes`")
+    reach = footprint(scene)
+    report = family.reports
+    holding = [n for n in names if reach is None or np.all(reach <= report[n]["half_mm"])]
+    if holding:
+        return min(holding, key=lambda n: (report[n]["size"], report[n]["nodes"]))
+    return max(names, key=lambda n: (np.prod(report[n]["half_mm"]), -report[n]["size"]))
+
+
+def main(argv=None) -> int:
+    parser = argparse.ArgumentParser(prog="gelforge.meshes", description=__doc__.splitlines()[0])
+    parser.add_argument("--name", required=True, help="ENGINE-REGION-SIZE, such as ccx-centre-0.7")
+    parser.add_argument("--params", type=Path, required=True, help="slice of [meshes], .json")
+    parser.add_argument("--out", type=Path, required=True, help="20_meshes/NAME.npz; NAME.json is written beside it")
+    args = parser.parse_args(argv)
+    table = read_json(args.params)["meshes"]
+    mesh, report = make_mesh(MeshName.parse(args.name), load_gel(table["gel"]), table)
+    write_json(args.out.with_name(f"{args.name}.json"), report)
+    mesh.save(args.out.with_name(f".{args.name}.npz"))
+    args.out.with_name(f".{args.name}.npz").replace(args.out)
+    print(json.dumps(report, indent=1), file=sys.stderr)
+    return 0
+
+
+if __name__ == "__main__":
+    from gelforge.cli import exit_with
+
+    exit_with(main)
