@@ -157,7 +157,7 @@ def main(argv=None) -> int:
     parser = argparse.ArgumentParser(prog="gelforge.formats.feats_folder", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     reading = commands.add_parser("import", help="FEATS' .npy files to data/DATASET")
-    reading.add_argument("--from", dest="source", type=Path, required=True)
+    reading.add_argument("--from", dest="source", required=True)
     reading.add_argument("--data", type=Path, required=True, help="data/DATASET, which must not exist")
     reading.add_argument("--sensor", default="gelsight_mini", help="name in sensors.toml")
     reading.add_argument("--sensors", type=Path, default=Path("workflow/sensors.toml"))
@@ -169,9 +169,9 @@ def main(argv=None) -> int:
     if args.command == "export":
         write_normalisation(args.out, export_dataset(args.dataset, args.folder))
         return 0
-    if not args.source.is_dir():
-        raise BadInput(f"{args.source}: not a folder; say make feats-import FROM=folder DATASET=name")
-    found = import_folder(args.source, args.data, find_sensor(load_sensors(args.sensors), args.sensor, "SENSOR"))
+    if not args.source or not Path(args.source).is_dir():
+        raise BadInput(f"FROM={args.source}: not a folder; say make feats-import FROM=folder DATASET=name")
+    found = import_folder(Path(args.source), args.data, find_sensor(load_sensors(args.sensors), args.sensor, "SENSOR"))
     print(f"{args.data}: {found['presses']} presses from {found['files']} files; labels: {found['labels'] or 'none'}")
     return 0
 

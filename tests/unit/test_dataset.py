@@ -1,0 +1,177 @@
+"""Stage 60: splits without leaks, arrays that belong together, images of the right size."""
+
+import os
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pressed_dataset import PARAMS, collect, label, write_pressed
+
+from gelforge.errors import BadInput
+from gelforge.files import read_csv, read_json
+from gelforge.networks.data import open_data
+from gelforge.split import group_presses, split_presses
+
+SETTINGS = PARAMS["dataset"]["dataset"]
+
+
+def presses(count, seed, touches=None, indenters=4, sensors=2):
+    """Rows of presses and their forces; several presses per touch where `touches` are fewer."""
+    rng = np.random.default_rng(seed)
+    places = rng.uniform(-9, 9, (touches or count, 2))
+    rows, force = [], rng.uniform(0, 12, count)
+    for at in range(count):
+        touch = int(rng.integers(touches)) if touches else at
+        rows.append({"sample_id": f"s{at}", "indenter": f"i{touch % indenters}", "sensor_id": f"c{rng.integers(sensors)}",
+                     "x0_mm": str(places[touch, 0]), "y0_mm": str(places[touch, 1]), "rot_deg": "0"})
+    return rows, force
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.integers(1, 200), st.integers(1, 80), st.integers(0, 999), st.integers(1, 5))
+def test_no_press_is_on_two_sides(count, touches, seed, kinds):
+    rows, force = presses(count, seed, touches, kinds)
+    split, group = split_presses(rows, force, {"i1"}, {**SETTINGS, "unseen_sensors": ["c1"], "seed": seed})
+    for row, name in zip(rows, split):
+        unseen = row["indenter"] == "i1", row["sensor_id"] == "c1"
+        expected = {(1, 0): "test_unseen_indenter", (0, 1): "test_unseen_sensor", (1, 1): "test_unseen_both"}
+        assert name == expected[unseen] if any(unseen) else name in ("train", "val", "test")
+    known = [k for k, name in enumerate(split) if name in ("train", "val", "test")]
+    for g in set(group[known]):
+        assert len({split[k] for k in known if group[k] == g}) == 1
+    places = {(row["indenter"], row["x0_mm"], row["y0_mm"]) for row in rows}
+    assert len(set(group)) == len(places)
+
+
+def test_shares_and_strata_hold():
+    rows, force = presses(4000, 1)
+    split, _ = split_presses(rows, force, set(), SETTINGS)
+    for name, share in (("train", 0.7), ("val", 0.1), ("test", 0.2)):
+        chosen = split == name
+        assert chosen.mean() == pytest.approx(share, abs=0.005)  # what 4000 can be dealt to
+        for low, high in zip([0, *SETTINGS["force_edges"]], [*SETTINGS["force_edges"], 99]):
+            stratum = (force >= low) & (force < high)
+            assert (chosen & stratum).sum() / stratum.sum() == pytest.approx(share, abs=0.03)
+        for indenter in ("i0", "i3"):
+            mine = np.array([row["indenter"] == indenter for row in rows])
+            assert (chosen & mine).sum() / mine.sum() == pytest.approx(share, abs=0.03)
+
+
+def test_the_seed_decides():
+    rows, force = presses(300, 2)
+    first, again = (split_presses(rows, force, set(), SETTINGS)[0] for _ in range(2))
+    other = split_presses(rows, force, set(), {**SETTINGS, "seed": 2})[0]
+    assert (first == again).all() and (first != other).any()
+
+
+@pytest.mark.parametrize("count", [8, 12, 20, 40])
+def test_small_datasets_still_validate_and_test(count):
+    rows, force = presses(count, 3)
+    split, _ = split_presses(rows, force, set(), {**SETTINGS, "validation": 0.05, "test": 0.1})
+    assert {"train", "val", "test"} <= set(split) and (split == "train").sum() > count / 2
+
+
+def test_nearly_the_same_touch_is_one_press():
+    rows = [{"indenter": "a", "x0_mm": x, "y0_mm": 0, "rot_deg": turn}
+            for x, turn in ((0, 0), (0.04, 0), (0.08, 0.3), (0.2, 0), (0.2, 2))]
+    rows += [{**rows[0], "indenter": "b"}, {"indenter": "a", "x0_mm": "", "y0_mm": "", "rot_deg": ""}]
+    assert group_presses(rows, 0.05, 0.5).tolist() == [0, 0, 0, 1, 2, 3, 4]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory, root):
+    os.chdir(root)
+    made = write_pressed(tmp_path_factory.mktemp("made"), failed=(5,), sensors=("mini_a", "mini_b"))
+    for resolution in ("24x32", "6x8"):
+        label(made, resolution)
+        collect(made, resolution)
+    return made
+
+
+def test_arrays_belong_together(made):
+    folder = made["results"] / "60_dataset/24x32"
+    data = open_data(folder)
+    assert len(data.table) == 23 and data.grid == (24, 32) and data.image_size == (240, 320)
+    assert data.info["left_out"] == {"DIVERGED": 1} and data.info["c10"] == 0.0725 and data.info["c10_interval68"]
+    for at in (0, 7, 22):
+        name = data.table[at]["sample_id"]
+        image = cv2.imread(str(made["data"] / "images" / f"{name}.png"))[..., ::-1]
+        assert np.array_equal(data.images[at], image)
+        assert data.totals([at])[0] == pytest.approx(made["loads"][name].sum(axis=0)[[1, 0, 2]], rel=1e-6)
+        for axis, column in enumerate(("fx_n", "fy_n", "fz_n")):
+            total = made["loads"][name].sum(axis=0)[axis]
+            assert float(data.table[at][column]) == pytest.approx(total, rel=1e-6)
+            assert float(data.table[at][f"measured_{column}"]) == pytest.approx(total, rel=1e-9)
+    assert {row["split"] for row in data.table if row["indenter"] == "triangle_8"} == {"test_unseen_indenter"}
+
+
+def test_resolutions_share_split_and_images(made):
+    fine, coarse = (made["results"] / "60_dataset" / name for name in ("24x32", "6x8"))
+    assert (fine / "split.csv").read_text() == (coarse / "split.csv").read_text()
+    assert os.path.samefile(fine / "images.npy", coarse / "images.npy")
+    assert [r["split"] for r in read_csv(fine / "samples.csv")] == [r["split"] for r in read_csv(fine / "split.csv")]
+
+
+def test_normalisation_covers_the_training_split(made):
+    folder = made["results"] / "60_dataset/24x32"
+    data, ranges = open_data(folder), read_json(folder / "normalisation.json")
+    train = data.splits["train"]
+    assert ranges["grid_z"]["min"] == data.labels[train][:, 2].min()
+    assert ranges["f_y"]["max"] == pytest.approx(data.totals(train)[:, 1].max(), rel=1e-6)
+    assert ranges["gs_img"] == {"min": 0, "max": 254}
+
+
+def test_an_unseen_sensor_has_its_own_test(made):
+    params = {**PARAMS["dataset"], "dataset": {**SETTINGS, "unseen_sensors": ["mini_b"]}}
+    data = open_data(collect(made, "24x32", params))
+    for row in data.table:
+        assert (row["sensor_id"] == "mini_b") == (row["split"] in ("test_unseen_sensor", "test_unseen_both"))
+
+
+def spoil(tmp_path, breaking, **params):
+    made = write_pressed(tmp_path, count=6)
+    label(made, "4x4")
+    breaking(made)
+    with pytest.raises(BadInput) as error:
+        collect(made, "4x4", {**PARAMS["dataset"], "dataset": {**SETTINGS, **params}})
+    assert not (made["results"] / "60_dataset/4x4/dataset.json").exists()
+    assert not list((made["results"] / "60_dataset").rglob(".*.part*"))
+    return str(error.value)
+
+
+def shrink(made):
+    cv2.imwrite(str(made["data"] / "images/s002.png"), np.zeros((120, 160, 3), np.uint8))
+
+
+def escape(made):
+    path = made["results"] / "10_poses/0000.csv"
+    path.write_text(path.read_text().replace("images/s002.png", "../../../../etc/hostname"))
+
+
+BROKEN = {
+    "an image of another size": (shrink, {}, ["s002.png", "160 x 120", "320 x 240", "sensors.toml"]),
+    "a missing image": (lambda m: (m["data"] / "images/s003.png").unlink(), {}, ["s003.png", "missing"]),
+    "a path out of the folder": (escape, {}, ["hostname", "inside"]),
+    "no labels": (lambda m: (m["results"] / "50_labels/4x4/0000.npz").write_bytes(b"x"), {}, ["0000.npz", "make labels"]),
+    "shares above one": (lambda m: None, {"validation": 0.7, "test": 0.4}, ["validation", "0.7"]),
+    "falling edges": (lambda m: None, {"force_edges": [3.0, 1.0]}, ["force_edges", "rising"]),
+    "no tolerance": (lambda m: None, {"same_press_mm": 0.0}, ["same_press_mm"]),
+}
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_broken_inputs_are_named(tmp_path, root, monkeypatch, name):
+    monkeypatch.chdir(root)
+    breaking, params, words = BROKEN[name]
+    message = spoil(tmp_path, breaking, **params)
+    assert all(word in message for word in words), message
+
+
+def test_a_dataset_without_any_label_is_refused(tmp_path, root, monkeypatch):
+    monkeypatch.chdir(root)
+    made = write_pressed(tmp_path, count=2, failed=(0, 1))
+    label(made, "4x4")
+    with pytest.raises(BadInput, match="DIVERGED"):
+        collect(made, "4x4")

@@ -1,0 +1,101 @@
+"""Pictures and .vtu of a sample."""
+
+import cv2
+import numpy as np
+import pytest
+from pressed_dataset import PARAMS, label, write_pressed
+
+from gelforge import look
+from gelforge.errors import BadInput
+from gelforge.files import read_csv
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory, root):
+    import os
+
+    os.chdir(root)
+    made = write_pressed(tmp_path_factory.mktemp("made"), count=6, failed=(2,))
+    assert PARAMS
+    label(made, "24x32")
+    label(made, "48x64")
+    return made
+
+
+def run(made, sample_id, *resolutions):
+    return look.main(["--data", str(made["data"]), "--results", str(made["results"]), "--id", sample_id,
+                      "--resolution", *resolutions])
+
+
+def test_vtu_opens_and_holds_the_press(made):
+    import pyvista as pv
+
+    run(made, "s001", "24x32", "48x64")
+    grid = pv.read(made["results"] / "look/s001.vtu")
+    mesh, force = made["mesh"], made["loads"]["s001"]
+    assert grid.n_points == len(mesh.nodes) and grid.n_cells == len(mesh.elements)
+    assert np.allclose(grid.points, mesh.nodes) and np.allclose(grid["force"], force)
+    assert np.allclose(grid["displacement"][mesh.surface_nodes], -0.1 * np.abs(force[mesh.surface_nodes]), atol=1e-7)
+    assert not grid["displacement"][mesh.base].any()
+    # A solid whose node order were wrong would be turned inside out.
+    assert grid.compute_cell_sizes()["Volume"].min() > 0
+    for resolution in ("24x32", "48x64"):
+        assert cv2.imread(str(made["results"] / f"look/s001-{resolution}.png")).shape[1] > 1000
+
+
+def test_second_order_tetrahedra_keep_their_order(tmp_path):
+    import pyvista as pv
+
+    from gelforge.formats.vtu import write_vtu
+    from gelforge.mechanics.mesh import GelMesh
+
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    middles = [(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)]
+    nodes = np.vstack([corners, [corners[list(pair)].mean(axis=0) for pair in middles]])
+    mesh = GelMesh("tet10", nodes, np.arange(10)[None], np.array([[0, 2, 1, 6, 5, 4]]), np.array([3]))
+    write_vtu(tmp_path / "t.vtu", mesh, np.zeros((10, 3)), np.zeros((10, 3)), np.ones(10, bool))
+    grid = pv.read(tmp_path / "t.vtu")
+    assert grid.celltypes.tolist() == [24]
+    assert grid.compute_cell_sizes()["Volume"][0] == pytest.approx(1 / 6)
+    with pytest.raises(BadInput, match="another mesh"):
+        write_vtu(tmp_path / "t.vtu", mesh, np.zeros((9, 3)), np.zeros((10, 3)), np.ones(10, bool))
+
+
+def test_arrows_follow_the_image(made):
+    """A force along gel x points up the image, one along gel y to the left, as the projection says."""
+    paths = look.shard_paths(made["results"], "s001", "24x32")
+    seen = look.load(made["data"], paths, "s001", look.load_sensors("workflow/sensors.toml"), "24x32")
+    seen.label[:] = 0.0
+    seen.label[1, 5, 6], seen.label[0, 15, 20] = 0.3, 0.2
+    place, force = look.arrows(seen)
+    first, second = (np.flatnonzero(np.isclose(np.hypot(*force.T), size))[0] for size in (0.3, 0.2))
+    assert force[first] == pytest.approx([0, -0.3], abs=1e-6) and force[second] == pytest.approx([-0.2, 0], abs=1e-6)
+    # Cells are merged two by two to be seen: rows 4 and 5, columns 6 and 7.
+    assert place[first] == pytest.approx([70, 50]) and place[second] == pytest.approx([210, 150])
+
+
+@pytest.mark.parametrize("sample_id, resolution, reason", [
+    ("", "24x32", "ID=SAMPLE_ID"), ("zzz", "24x32", "not in the log"), ("s001", "5x5", "make labels RES=5x5"),
+    ("s002", "24x32", "DIVERGED"), ("s001", "big", "RES=24x32"),
+])
+def test_refusals_say_what_to_do(made, sample_id, resolution, reason):
+    with pytest.raises(BadInput, match=reason):
+        run(made, sample_id, resolution)
+
+
+def test_samples_of_the_sample_target_are_found(made, tmp_path):
+    """Where the shard has no label yet, what `make sample` left is looked at."""
+    import shutil
+
+    results = tmp_path / "made"
+    shutil.copytree(made["results"], results)
+    shutil.rmtree(results / "50_labels")
+    one = results / "samples/s001"
+    for stage, suffix in (("10_poses", "csv"), ("40_forces", "npz")):
+        (one / stage).mkdir(parents=True)
+        shutil.copy(results / stage / f"0000.{suffix}", one / stage / f"one.{suffix}")
+    (one / "50_labels/24x32").mkdir(parents=True)
+    shutil.copy(made["results"] / "50_labels/24x32/0000.npz", one / "50_labels/24x32/one.npz")
+    run({**made, "results": results}, "s001", "24x32")
+    assert (results / "look/s001-24x32.png").exists()
+    assert len(read_csv(results / "00_plan/shards.csv")) == 6
