@@ -36,7 +36,7 @@ def law_curve(mu, stiffness=4.0, ratio=0.0) -> Curve:
 def law_emulator(stiffness=(4.0,)) -> Emulator:
     """Emulator with one press per stiffness."""
     tables = [friction_table(MUS, [curve_table(law_curve(mu, k), TOP) for mu in MUS]) for k in stiffness]
-    return Emulator(np.array(tables)[:, None], np.full(len(stiffness), TOP), np.array([0.475]), len(MUS))
+    return Emulator(np.array(tables)[:, None], np.full(len(stiffness), TOP), np.array([0.475]), np.zeros(len(stiffness), int))
 
 
 def make_readings(depth, force, sheared=False) -> Readings:
@@ -52,7 +52,8 @@ def make_readings(depth, force, sheared=False) -> Readings:
 
 
 def true_values(**changes) -> dict:
-    return {name: np.array([value]) for name, value in {**TRUTH, **changes}.items()}
+    values = {name: np.array([value]) for name, value in {**TRUTH, **changes}.items()}
+    return {**values, "indenter": np.zeros((1, 1))}
 
 
 def law_posterior(rng, depth, stiffness=None, law="coulomb", noise=0.03, without=(), **truth) -> Posterior:

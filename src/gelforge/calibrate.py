@@ -100,13 +100,14 @@ def calibrate(readings: Readings, emulator, params: dict, nu: float, chain_path=
     def posterior_of(model: Model) -> Posterior:
         return Posterior(emulator, model, readings.depth, observed, params["tail"])
 
-    headline = posterior_of(make_model(params, params["law"]))
+    indenters = np.unique(readings.indenters).tolist()
+    headline = posterior_of(make_model(params, params["law"], (), indenters))
     check_enough(int(np.isfinite(observed).sum()), headline.model)
     chain = sample(headline, rules, chain_path, say)
     refuse_beyond(headline, chain)
     tasks = [(headline, chain, rules)]
     if params["compare"]:
-        others = (model for model in compared_models(params) if model.name != headline.model.name)
+        others = (model for model in compared_models(params, indenters) if model.name != headline.model.name)
         tasks += [(posterior_of(model), None, rules) for model in others]
     return Calibration(readings, headline, chain, compare(tasks, jobs))
 
@@ -131,7 +132,7 @@ def summarise(done: Calibration, params: dict) -> dict:
     mean, scale = summary.predictions(chain, posterior)
     models = summary.score_models(done.compared)
     for name, row in parameters.items():
-        row["reason"] = params["priors"][name].get("reason", "")
+        row["reason"] = params["priors"]["indenter" if name.startswith("scale of ") else name].get("reason", "")
     said = summary.sentences(parameters, correlation, models, posterior.model.name)
     return {
         "c10": summary.describe(posterior.model.values(chain.flat())["c10"]),
@@ -200,11 +201,32 @@ def say_figures(figures) -> None:
     )  # fmt: skip
 
 
-def hex_settings(params: dict):
+def hex_settings(table: dict):
     """Settings of the solver behind the emulator, from [calibrate.solver]."""
     from gelforge.mechanics.hex import HexSettings
 
-    return HexSettings(**params["solver"])
+    try:
+        return HexSettings(**table)
+    except TypeError as error:
+        raise BadInput(f"workflow/params.toml: [calibrate.solver] {table}: {error}; see HexSettings") from error
+
+
+def emulate(readings: Readings, catalogue: dict, params: dict, nu: float, folder: Path, jobs: int) -> tuple:
+    """Emulator of the readings and the count of solves it took: total, per interface law, fine, and new."""
+    from gelforge.calibration.solves import SolveCache, build_emulator, make_plan, refine
+
+    cache = SolveCache(folder, catalogue, hex_settings(params["solver"]))
+    plan = make_plan(readings, params["reach_mm"], params["shear_depths"])
+    nus = poisson_nodes(params, nu)
+    emulator = build_emulator(plan, cache, friction_nodes(params), nus, jobs)
+    spent, new = cache.spent, cache.new
+    if params["refine"]["on"]:
+        finer = {key: value for key, value in params["refine"].items() if key != "on"}
+        fine = SolveCache(folder, catalogue, hex_settings({**params["solver"], **finer}))
+        emulator = refine(emulator, plan, cache, fine, np.inf, nus[len(nus) // 2], jobs)
+        spent = {**spent, "total": spent["total"] + fine.spent["total"], "fine": fine.spent["total"]}
+        new += fine.new
+    return emulator, {**spent, "new": new}
 
 
 def load_rejected(folder: Path | None) -> set:
@@ -214,7 +236,6 @@ def load_rejected(folder: Path | None) -> set:
 
 
 def main(argv=None) -> int:
-    from gelforge.calibration.solves import SolveCache, build_emulator, make_plan
     from gelforge.geometry.indenters import load_catalogue
 
     parser = argparse.ArgumentParser(prog="gelforge.calibrate", description=__doc__.splitlines()[0])
@@ -234,16 +255,14 @@ def main(argv=None) -> int:
     readings = logged.take(choose_presses(logged, params["max_presses"]))
     file = args.workflow / read_toml(args.data / "dataset.toml").get("catalogue", "indenters.toml")
     catalogue = load_catalogue(file, sorted(set(readings.indenters.tolist())))
-    cache = SolveCache(args.work / "solves", catalogue, hex_settings(params))
-    plan = make_plan(readings, params["reach_mm"], params["shear_depths"])
-    emulator = build_emulator(plan, cache, friction_nodes(params), poisson_nodes(params, nu), args.jobs)
+    emulator, spent = emulate(readings, catalogue, params, nu, args.work / "solves", args.jobs)
     done = calibrate(readings, emulator, params, nu, args.work / "chain.npz", say_figures, args.jobs)
     draw_plots(done, args.work, args.work / "chain.npz")
     result = summarise(done, params)
-    result["solves_spent"] = cache.spent
+    result["solves_spent"] = spent
     result["presses_logged"] = len(logged)
     write_json(args.out, result)
-    print("\n".join([*result["sentences"], f"{cache.spent['total']} finite element solves, {cache.new} of them new."]))
+    print("\n".join([*result["sentences"], f"{spent['total']} finite element solves, {spent['new']} of them new."]))
     for row in result["outliers"]:
         print(f"outlier: {row}")
     return 0

@@ -33,13 +33,13 @@ class Emulator:
     """Tables for n presses.
 
     table: (n, nu, FRICTIONS, DEPTHS, 3) N at REFERENCE_C10. top: (n,) mm, deepest tabulated depth.
-    nu: (nu,) increasing. solves: how many finite element solves the tables hold.
+    nu: (nu,) increasing. group: (n,) index of each press's indenter.
     """
 
     table: np.ndarray
     top: np.ndarray
     nu: np.ndarray
-    solves: int
+    group: np.ndarray
 
     def forces(self, depth, values: dict) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Forces (w, n, 3) N, slopes (w, n, 3) N per mm, and effective depths (w, n) mm, for w parameter sets.
@@ -50,7 +50,8 @@ class Emulator:
         """
         from gelforge.calibration.kernel import evaluate
 
-        scale = values["c10"] / REFERENCE_C10 * np.exp(values["discretisation"])
+        error = np.exp(values["discretisation"][:, None] + values["indenter"][:, self.group])
+        scale = values["c10"][:, None] / REFERENCE_C10 * error
         axis = friction_axis(values["mu"]) * (FRICTIONS - 1)
         return evaluate(
             self.table, self.top, self.nu, np.asarray(depth, float), scale, values["offset"], values["compliance"],
@@ -59,7 +60,7 @@ class Emulator:
 
     def take(self, rows) -> "Emulator":
         """The emulator of some of the presses."""
-        return Emulator(self.table[rows], self.top[rows], self.nu, self.solves)
+        return Emulator(self.table[rows], self.top[rows], self.nu, self.group[rows])
 
 
 def curve_table(curve: Curve, top: float) -> np.ndarray:

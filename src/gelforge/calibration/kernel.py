@@ -8,12 +8,12 @@ from numba import njit
 def evaluate(table, top, nu_nodes, depth, scale, offset, compliance, friction, nu):
     """Forces (w, n, 3) N, slopes (w, n, 3) N per mm of commanded depth, effective depths (w, n) mm; see Emulator.forces.
 
-    friction: (w,) position on the friction axis in grid steps. All other (w,) in their own units.
+    scale: (w, n). friction: (w,) position on the friction axis in grid steps. Others (w,) in their own units.
     With the force linear between grid depths d_j, the commanded depth that ends at d_j is
     d_j - offset + compliance |f_j|, which increases with j: one bisection finds the interval and
     the answer in it is exact.
     """
-    walkers, presses = scale.size, depth.size
+    walkers, presses = offset.size, depth.size
     grid = table.shape[3]
     forces = np.zeros((walkers, presses, 3))
     slopes = np.zeros((walkers, presses, 3))
@@ -26,9 +26,9 @@ def evaluate(table, top, nu_nodes, depth, scale, offset, compliance, friction, n
             k += 1
         k2 = min(k + 1, nu_nodes.size - 1)
         fk = 0.0 if k2 == k else (nu[w] - nu_nodes[k]) / (nu_nodes[k2] - nu_nodes[k])
-        w00, w01 = (1 - fk) * (1 - fm) * scale[w], (1 - fk) * fm * scale[w]
-        w10, w11 = fk * (1 - fm) * scale[w], fk * fm * scale[w]
         for p in range(presses):
+            w00, w01 = (1 - fk) * (1 - fm) * scale[w, p], (1 - fk) * fm * scale[w, p]
+            w10, w11 = fk * (1 - fm) * scale[w, p], fk * fm * scale[w, p]
             a, b, c, d = table[p, k, m], table[p, k, m + 1], table[p, k2, m], table[p, k2, m + 1]
             step = top[p] / (grid - 1)
             target = depth[p] + offset[w]

@@ -15,7 +15,7 @@ LABELS = {
     "mu": "friction coefficient",
     "noise": "noise (N)",
     "scatter": "touch scatter (mm)",
-    "discretisation": "emulator scale",
+    "discretisation": "scale of all forces",
     "nu": "Poisson's ratio",
 }
 LAWS = ("frictionless", "coulomb", "no_slip")
@@ -130,12 +130,14 @@ def read_prior(name: str, table: dict) -> Prior:
 class Model:
     """One hypothesis: an interface law, and which parameters are free.
 
-    free: {name: Prior} in the order of NAMES. fixed: {name: value} of all others.
+    free: {name: Prior} in the order of NAMES, then "scale of INDENTER" where several indenters
+    serve. fixed: {name: value} of all others. indenters: names in the order of Emulator.group.
     """
 
     law: str
     free: dict
     fixed: dict
+    indenters: tuple = ()
 
     @property
     def name(self) -> str:
@@ -147,12 +149,14 @@ class Model:
         return tuple(self.free)
 
     def values(self, coordinates) -> dict:
-        """Every parameter as an array (w,) from coordinates (w, free)."""
+        """Every parameter as an array (w,) from coordinates (w, free), and `indenter`, (w, indenters)."""
         coordinates = np.atleast_2d(coordinates)
         values = {name: np.full(len(coordinates), value) for name, value in self.fixed.items()}
         for column, (name, prior) in enumerate(self.free.items()):
             values[name] = prior.value(coordinates[:, column])
-        return values
+        none = np.zeros(len(coordinates))
+        scales = [values.get(f"scale of {name}", none) for name in self.indenters] or [none]
+        return {**values, "indenter": np.stack(scales, axis=1)}
 
     def log_prior(self, coordinates) -> np.ndarray:
         """Sum of the log densities, (w,)."""
@@ -163,10 +167,11 @@ class Model:
         return np.stack([prior.draw(rng, size) for prior in self.free.values()], axis=1)
 
 
-def make_model(params: dict, law: str, without=()) -> Model:
+def make_model(params: dict, law: str, without=(), indenters=()) -> Model:
     """Model of `law` from the table [calibrate]; parameters named in `without` are held at no effect.
 
-    A parameter is free where its prior's `free` is true; otherwise it stays at `fixed`.
+    A parameter is free where its prior's `free` is true; otherwise it stays at `fixed`. Several
+    indenters get a scale each, with the prior `indenter`.
     """
     if law not in LAWS:
         raise BadInput(f"workflow/params.toml: [calibrate] law is {law!r}; use one of {', '.join(LAWS)}")
@@ -185,11 +190,19 @@ def make_model(params: dict, law: str, without=()) -> Model:
             fixed[name] = float(table["fixed"])
         else:
             raise BadInput(f"[calibrate.priors.{name}]: free = false needs `fixed`, the value it is held at")
-    return Model(law, free, fixed)
+    if len(indenters) > 1 and params["priors"]["indenter"].get("free", True):
+        prior = read_prior("indenter", params["priors"]["indenter"])
+        free.update({f"scale of {name}": prior for name in indenters})
+    return Model(law, free, fixed, tuple(indenters))
 
 
-def compared_models(params: dict) -> list[Model]:
+def label_of(name: str) -> str:
+    """Name of a parameter for people, with its unit."""
+    return LABELS.get(name, name)
+
+
+def compared_models(params: dict, indenters=()) -> list[Model]:
     """Every law with and without touch offset and compliance."""
     rigs = [(), ("compliance",), ("offset",), ("offset", "compliance")]
-    models = [make_model(params, law, without) for law in LAWS for without in rigs]
+    models = [make_model(params, law, without, indenters) for law in LAWS for without in rigs]
     return list({model.name: model for model in models}.values())

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gelforge.calibration.parameters import LABELS
+from gelforge.calibration.parameters import label_of
 from gelforge.files import publish
 
 BAND = "#3b6ea5"
@@ -28,7 +28,7 @@ def corner_plot(path, chain, model) -> None:
     data = np.stack([values[name] for name in model.names], axis=1)
     figure = Figure(figsize=(2.1 * len(model.names),) * 2)
     corner.corner(
-        data, labels=[LABELS[n] for n in model.names], quantiles=[0.16, 0.5, 0.84], show_titles=True, title_fmt=".3g",
+        data, labels=[label_of(n) for n in model.names], quantiles=[0.16, 0.5, 0.84], show_titles=True, title_fmt=".3g",
         label_kwargs={"fontsize": 9}, title_kwargs={"fontsize": 9}, color=BAND, fig=figure, labelpad=0.12,
     )  # fmt: skip
     for axis in figure.axes:
@@ -46,7 +46,7 @@ def trace_plot(path, coordinates, burn: int, model) -> None:
     for column, (axis, name) in enumerate(zip(axes, model.names, strict=True)):
         axis.plot(steps, model.free[name].value(coordinates[::thin, :, column]), lw=0.3, alpha=0.4, color=BAND)
         axis.axvspan(0, burn, color="0.9", zorder=0)
-        axis.set_ylabel(LABELS[name].replace(" (", "\n("), fontsize=8)
+        axis.set_ylabel(label_of(name).replace(" (", "\n("), fontsize=8)
         axis.margins(x=0)
     axes[-1].set_xlabel("step (grey: burn-in, not used)")
     _save(figure, path)
@@ -61,7 +61,7 @@ def autocorrelation_plot(path, chain, model) -> None:
     lags = min(len(chain.coordinates) // 2, int(8 * chain.figures.tau))
     for column, name in enumerate(model.names):
         walkers = chain.coordinates[:, :, column].T
-        axis.plot(np.mean([function_1d(w)[:lags] for w in walkers], axis=0), label=LABELS[name], lw=1.2)
+        axis.plot(np.mean([function_1d(w)[:lags] for w in walkers], axis=0), label=label_of(name), lw=1.2)
     axis.axvline(chain.figures.tau, color="0.6", ls=":", label=f"longest time, {chain.figures.tau:.0f} steps")
     axis.axhline(0.0, color="0.7", lw=0.6)
     axis.set(xlabel="lag (steps)", ylabel="autocorrelation")

@@ -8,7 +8,7 @@ from scipy.special import gammaln
 from gelforge.calibration.emulator import Emulator
 from gelforge.calibration.parameters import Model
 
-FORM = 2  # raise when the likelihood changes: a chain on disk of an older form is then not gone on with
+FORM = 3  # raise when the likelihood changes: a chain on disk of an older form is then not gone on with
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,8 @@ class Posterior:
         """Everything the log-probability depends on, as plain values and arrays."""
         free = {name: [type(prior).__name__, asdict(prior)] for name, prior in self.model.free.items()}
         plain = {"form": FORM, "free": free, "fixed": self.model.fixed, "law": self.model.law, "tail": self.tail}
-        return [plain, self.depth, self.observed, self.emulator.table, self.emulator.top, self.emulator.nu]
+        e = self.emulator
+        return [plain, self.depth, self.observed, e.table, e.top, e.nu, e.group]
 
     def __call__(self, coordinates) -> np.ndarray:
         """Log-probability (w,) at coordinates (w, free); -inf outside the priors."""

@@ -45,10 +45,10 @@ class Readings:
         """Whether the press moves sideways, (n,) bool."""
         return np.hypot(self.pose[:, 3], self.pose[:, 4]) > 0
 
-    def press(self, i: int, depth: float) -> Press:
-        """Path of press i to another depth."""
+    def press(self, i: int, depth: float, shear: bool = True) -> Press:
+        """Path of press i to another depth, with its sideways travel or without."""
         x0, y0, z0, dx, dy, _, rot = (float(v) for v in self.pose[i])
-        return Press(x0, y0, z0, dx, dy, -depth, rot)
+        return Press(x0, y0, z0, dx * shear, dy * shear, -depth, rot)
 
     def name(self, index) -> str:
         """Rows for an error message, at most five."""
@@ -153,13 +153,15 @@ def check_enough(count: int, model) -> None:
 def choose_presses(readings: Readings, most: int) -> np.ndarray:
     """Indices of at most `most` presses, spread over indenters and, within each, over depth.
 
-    Round robin over the indenters; each gives its presses in bisection order of depth, so that any
-    number taken spans the range.
+    Round robin over the indenters with most presses, half as many as presses at most, since an
+    indenter pressed to one depth only tells little; each gives its presses in bisection order of
+    depth, so that any number taken spans the range.
     """
     if len(readings) <= most:
         return np.arange(len(readings))
     queues = []
-    for name in np.unique(readings.indenters):
+    names, counts = np.unique(readings.indenters, return_counts=True)
+    for name in sorted(names[np.argsort(-counts, kind="stable")][: max(1, most // 2)]):
         members = np.flatnonzero(readings.indenters == name)
         members = members[np.argsort(readings.depth[members], kind="stable")]
         queues.append([int(members[k]) for k in bisection_order(len(members))])

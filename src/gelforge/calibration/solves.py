@@ -189,19 +189,59 @@ def build_emulator(plan: Plan, cache: SolveCache, mus, nus, workers: int = 1) ->
         for k, nu in enumerate(nus):
             table[i, k] = em.friction_table(mus, [press_table(plan, cache, i, mu, nu) for mu in mus])
     refuse_untouched(plan.readings, table)
-    return em.Emulator(table, plan.top, np.asarray(nus, float), cache.spent["total"])
+    group = np.unique(plan.readings.indenters, return_inverse=True)[1]
+    return em.Emulator(table, plan.top, np.asarray(nus, float), group)
+
+
+def refine(emulator: em.Emulator, plan: Plan, coarse: SolveCache, fine: SolveCache, mu: float, nu: float, workers=1):
+    """Emulator whose forces are those of a finer mesh, for one fine solve per indenter.
+
+    The ratio of fine to coarse force along the depth of one press of an indenter, straight down, is
+    applied to all its presses: what a mesh adds to a force belongs to the shape of the footprint.
+    """
+    leaders = {}
+    for i in np.argsort(plan.top, kind="stable"):
+        leaders[emulator.group[i]] = int(i)  # the deepest
+    jobs = {g: [Job(plan.readings.press(i, float(plan.top[i]), shear=False), str(plan.readings.indenters[i]), mu, nu)]
+            for g, i in leaders.items()}  # fmt: skip
+    fine.fill([job for group in jobs.values() for job in group], workers)
+    table = emulator.table.copy()
+    for g, (job,) in jobs.items():
+        i = leaders[g]
+        rough = press_curve(coarse.get(plan.jobs(i, mu, nu)[0]), plan.top[i])
+        ratio = mesh_ratio(rough, press_curve(fine.get(job), plan.top[i]))
+        members = np.flatnonzero(emulator.group == g)
+        for p in members:
+            at = np.linspace(0.0, plan.top[p], em.DEPTHS)
+            table[p] *= np.interp(at, np.linspace(0.0, plan.top[i], em.DEPTHS), ratio)[:, None]
+    return em.Emulator(table, emulator.top, emulator.nu, emulator.group)
+
+
+def mesh_ratio(coarse: np.ndarray, fine: np.ndarray, shallow: float = 0.3) -> np.ndarray:
+    """Normal force of `fine` over `coarse`, both (DEPTHS, 3); constant below `shallow` of the depth.
+
+    Close to first touch few contact points carry the force and the ratio is noise.
+    """
+    start = int(shallow * (len(coarse) - 1))
+    ratio = np.ones(len(coarse))
+    ratio[start:] = fine[start:, 2] / coarse[start:, 2]
+    ratio[:start] = ratio[start]
+    return ratio
+
+
+def press_curve(solve: dict, top: float) -> np.ndarray:
+    """Force (DEPTHS, 3) of the press of one solve, before any shear."""
+    if not solve["depth"]:
+        return np.zeros((em.DEPTHS, 3))
+    return em.curve_table(em.Curve(np.array(solve["depth"]), np.array(solve["force"])), float(top))
 
 
 def press_table(plan: Plan, cache: SolveCache, i: int, mu: float, nu: float) -> np.ndarray:
     """Force (DEPTHS, 3) of press i at one friction coefficient."""
     jobs = plan.jobs(i, mu, nu)
     solves = [cache.get(job) for job in jobs]
-    deepest = solves[0]
-    if not deepest["depth"]:
-        return np.zeros((em.DEPTHS, 3))
-    curve = em.Curve(np.array(deepest["depth"]), np.array(deepest["force"]))
-    press = em.curve_table(curve, float(plan.top[i]))
-    if not plan.readings.sheared[i]:
+    press = press_curve(solves[0], plan.top[i])
+    if not plan.readings.sheared[i] or not press.any():
         return press
     reached = [(-job.press.dz, solve["end"]) for job, solve in zip(jobs, solves, strict=True) if solve["depth"]]
     return em.sheared_table(press, float(plan.top[i]), *zip(*reached, strict=True))

@@ -5,7 +5,7 @@ from dataclasses import asdict
 import numpy as np
 
 from gelforge.calibration import scores
-from gelforge.calibration.parameters import LABELS, NAMES
+from gelforge.calibration.parameters import NAMES, label_of
 
 QUANTILES = {"interval68": (0.16, 0.84), "interval95": (0.025, 0.975)}
 DRAWS = 4000  # draws for predictions and scores; Monte Carlo error far below the posterior's width
@@ -28,7 +28,7 @@ def parameter_table(chain, model) -> dict:
         width = np.diff(np.quantile(coordinates[:, column], [0.16, 0.84]))[0] / (high - low)
         table[name] = {
             **describe(values[name]),
-            "label": LABELS[name],
+            "label": label_of(name),
             "prior_kind": prior.kind,
             "prior_interval95": [float(v) for v in prior.value(prior.quantile(np.array([0.025, 0.975])))],
             "width_over_prior": float(width),
@@ -147,7 +147,7 @@ def _trades(correlation: dict) -> list[str]:
     strong = [(n, r) for n, r in zip(names, row, strict=True) if n != "c10" and abs(r) > 0.5]
     strong.sort(key=lambda pair: -abs(pair[1]))
     return [
-        f"C10 trades against the {LABELS[n].split(' (')[0]} (correlation {r:+.2f}): measure that one apart to narrow C10."
+        f"C10 trades against the {label_of(n).split(' (')[0]} (correlation {r:+.2f}): measure that one apart to narrow C10."
         for n, r in strong
     ]
 
@@ -157,5 +157,5 @@ def _unseen(parameters: dict) -> list[str]:
     blind = [n for n in NAMES if n in parameters and n != "discretisation" and parameters[n]["width_over_prior"] > 0.8]
     if not blind:
         return []
-    names = ", ".join(LABELS[n].split(" (")[0] for n in blind)
+    names = ", ".join(label_of(n).split(" (")[0] for n in blind)
     return [f"About {names} the data say almost nothing: the posterior is the prior."]
