@@ -14,6 +14,7 @@ from gelforge.geometry.profiles import (
     Outline,
     Pieces,
     Pierced,
+    Rectangle,
     crosses_itself,
     rectangle,
     regular_polygon,
@@ -72,13 +73,13 @@ def _sphere(t: _Table, **common) -> Body:
 
 def _cuboid(t: _Table, **common) -> Body:
     fillet, (sx, sy) = t.number("fillet"), t.pair("size")
-    return Extrusion(profile=Outline(rectangle(sx, sy), fillet), fillet=fillet, height=t.number("height"), **common)
+    return Extrusion(profile=Rectangle(sx, sy, fillet), fillet=fillet, height=t.number("height"), **common)
 
 
 def _twin_cuboids(t: _Table, **common) -> Body:
     fillet, (sx, sy), gap = t.number("fillet"), t.pair("size"), t.number("gap")
     shift = (gap + sy) / 2.0
-    parts = [Outline(rectangle(sx, sy, 0.0, y), fillet) for y in (-shift, shift)]
+    parts = [Rectangle(sx, sy, fillet, 0.0, y) for y in (-shift, shift)]
     return Extrusion(profile=Pieces(parts), fillet=fillet, height=t.number("height"), **common)
 
 

@@ -76,29 +76,32 @@ class Outline:
 
     def distance(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Signed distance (n,) and outward unit gradient (n, 2) at points (n, 2)."""
+        px, py = np.ascontiguousarray(p[:, 0]), np.ascontiguousarray(p[:, 1])
         best = np.full(len(p), np.inf)
-        nearest = np.zeros((len(p), 2))
-        normal = np.zeros((len(p), 2))
+        nearest_x, nearest_y, which = np.empty_like(px), np.empty_like(px), np.zeros(len(p), np.int8)
         inside = np.zeros(len(p), bool)
         ends = np.roll(self.core, -1, axis=0)
-        for corner, end, edge, n in zip(self.core, ends, self._edge, self._normal, strict=True):
-            rel = p - corner
-            t = np.clip(rel @ (edge / (edge @ edge)), 0.0, 1.0)
-            diff = rel - t[:, None] * edge
-            square = np.einsum("ij,ij->i", diff, diff)
-            closer = square < best
-            best = np.where(closer, square, best)
-            nearest[closer] = diff[closer]
-            normal[closer] = n
+        for k, ((cx, cy), (_, ey), (ux, uy)) in enumerate(zip(self.core, ends, self._edge, strict=True)):
+            rx, ry = px - cx, py - cy
+            square = ux * ux + uy * uy
+            t = np.clip(rx * (ux / square) + ry * (uy / square), 0.0, 1.0)
+            dx, dy = rx - t * ux, ry - t * uy
+            far = dx * dx + dy * dy
+            closer = far < best
+            for keep, new in ((best, far), (nearest_x, dx), (nearest_y, dy), (which, k)):
+                np.copyto(keep, new, where=closer)
             # both ends exactly as the neighbours see them, or a level edge would count once too often
-            crosses = (p[:, 1] >= corner[1]) != (p[:, 1] >= end[1])
+            crosses = (py >= cy) != (py >= ey)
             if crosses.any():
-                inside ^= crosses & (p[:, 0] < corner[0] + edge[0] / edge[1] * rel[:, 1])
+                inside ^= crosses & (rx < ux / uy * ry)
         length = np.sqrt(best)
-        sign = np.where(inside, -1.0, 1.0)
-        safe = length > 1e-12
-        gradient = np.where(safe[:, None], (sign / np.where(safe, length, 1.0))[:, None] * nearest, normal)
-        return sign * length - self.radius, gradient
+        signed = np.where(inside, -length, length)
+        gradient = self._normal[which]
+        far = length > 1e-12
+        inverse = np.divide(1.0, signed, where=far, out=np.zeros_like(signed))
+        np.copyto(gradient[:, 0], nearest_x * inverse, where=far)
+        np.copyto(gradient[:, 1], nearest_y * inverse, where=far)
+        return signed - self.radius, gradient
 
     def loops(self, offsets: np.ndarray) -> list[np.ndarray]:
         """The closed curves at each distance inside the edge (m,): one array (m, k, 2), counter-clockwise."""
@@ -121,6 +124,28 @@ class Outline:
         return float(np.linalg.norm(self.core, axis=1).max() + self.radius)
 
 
+class Rectangle(Outline):
+    """An axis-parallel rectangle with rounded corners: the same figure as its `Outline`, several times faster."""
+
+    def __init__(self, sx: float, sy: float, radius: float, cx: float = 0.0, cy: float = 0.0):
+        super().__init__(rectangle(sx, sy, cx, cy), radius)
+        self._half, self._centre = (sx / 2.0 - radius, sy / 2.0 - radius), (cx, cy)
+
+    def distance(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Signed distance (n,) and outward unit gradient (n, 2) at points (n, 2)."""
+        x, y = p[:, 0] - self._centre[0], p[:, 1] - self._centre[1]
+        qx, qy = np.abs(x) - self._half[0], np.abs(y) - self._half[1]
+        ox, oy = np.maximum(qx, 0.0), np.maximum(qy, 0.0)
+        length = np.hypot(ox, oy)
+        outside = length > 1e-12
+        inverse = np.divide(1.0, length, where=outside, out=np.zeros_like(length))
+        along_x = qx > qy
+        gradient = np.empty_like(p)
+        gradient[:, 0] = np.copysign(np.where(outside, ox * inverse, along_x), x)
+        gradient[:, 1] = np.copysign(np.where(outside, oy * inverse, ~along_x), y)
+        return np.where(outside, length, np.maximum(qx, qy)) - self.radius, gradient
+
+
 class Ellipse:
     """An ellipse with semi-axes a, b (mm) about the origin; a circle where they are equal."""
 
@@ -136,24 +161,27 @@ class Ellipse:
             rho = np.hypot(p[:, 0], p[:, 1])
             safe = np.where(rho > 1e-12, rho, 1.0)
             return rho - self.a, np.where((rho > 1e-12)[:, None], p / safe[:, None], [1.0, 0.0])
-        q = self._nearest(np.abs(p))
-        normal = unit(q / [self.a**2, self.b**2])
-        return np.einsum("ij,ij->i", np.abs(p) - q, normal), np.copysign(normal, p)
+        x, y = np.abs(p[:, 0]), np.abs(p[:, 1])
+        qx, qy = self._nearest(x, y)
+        nx, ny = qx / self.a**2, qy / self.b**2
+        length = np.hypot(nx, ny)
+        nx, ny = nx / length, ny / length
+        gradient = np.column_stack([np.copysign(nx, p[:, 0]), np.copysign(ny, p[:, 1])])
+        return (x - qx) * nx + (y - qy) * ny, gradient
 
-    def _nearest(self, p: np.ndarray) -> np.ndarray:
+    def _nearest(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         a, b = self.a, self.b
-        c, s = np.full(len(p), np.sqrt(0.5)), np.full(len(p), np.sqrt(0.5))
+        focal = a * a - b * b
+        c, s = np.full_like(x, np.sqrt(0.5)), np.full_like(x, np.sqrt(0.5))
         for _ in range(6):
-            on = np.column_stack([a * c, b * s])
-            centre = np.column_stack([(a * a - b * b) * c**3 / a, (b * b - a * a) * s**3 / b])
-            r = np.linalg.norm(on - centre, axis=1)
-            q = p - centre
-            length = np.maximum(np.linalg.norm(q, axis=1), 1e-300)
-            c = np.clip((q[:, 0] * r / length + centre[:, 0]) / a, 0.0, 1.0)
-            s = np.clip((q[:, 1] * r / length + centre[:, 1]) / b, 0.0, 1.0)
+            ex, ey = focal / a * (c * c * c), -focal / b * (s * s * s)
+            rx, ry = x - ex, y - ey
+            scale = np.hypot(a * c - ex, b * s - ey) / np.maximum(np.hypot(rx, ry), 1e-300)
+            c = np.clip((rx * scale + ex) / a, 0.0, 1.0)
+            s = np.clip((ry * scale + ey) / b, 0.0, 1.0)
             norm = np.hypot(c, s)
             c, s = c / norm, s / norm
-        return np.column_stack([a * c, b * s])
+        return a * c, b * s
 
     def loops(self, offsets: np.ndarray) -> list[np.ndarray]:
         """The closed curves at each distance inside the edge (m,): one array (m, k, 2), counter-clockwise."""
