@@ -155,7 +155,7 @@ class Ellipse:
     def distance(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Signed distance (n,) and outward unit gradient (n, 2) at points (n, 2).
 
-        The nearest point of an ellipse is found by its centre of curvature (Chou 2017), six rounds, to 1e-12.
+        The nearest point of an ellipse is found by its centre of curvature (Chou 2017); eight rounds leave 1e-9 mm.
         """
         if self.a == self.b:
             rho = np.hypot(p[:, 0], p[:, 1])
@@ -173,14 +173,15 @@ class Ellipse:
         a, b = self.a, self.b
         focal = a * a - b * b
         c, s = np.full_like(x, np.sqrt(0.5)), np.full_like(x, np.sqrt(0.5))
-        for _ in range(6):
+        for _ in range(8):
             ex, ey = focal / a * (c * c * c), -focal / b * (s * s * s)
             rx, ry = x - ex, y - ey
-            scale = np.hypot(a * c - ex, b * s - ey) / np.maximum(np.hypot(rx, ry), 1e-300)
+            wx, wy = a * c - ex, b * s - ey
+            scale = np.sqrt((wx * wx + wy * wy) / np.maximum(rx * rx + ry * ry, 1e-300))
             c = np.clip((rx * scale + ex) / a, 0.0, 1.0)
             s = np.clip((ry * scale + ey) / b, 0.0, 1.0)
-            norm = np.hypot(c, s)
-            c, s = c / norm, s / norm
+            norm = 1.0 / np.sqrt(c * c + s * s)
+            c, s = c * norm, s * norm
         return a * c, b * s
 
     def loops(self, offsets: np.ndarray) -> list[np.ndarray]:
