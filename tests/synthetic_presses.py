@@ -1,6 +1,5 @@
 """Small datasets of stage 60 whose images follow from their labels by a made-up but learnable law."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +28,9 @@ def draw_press(rng, image, grid):
     du, dv = (u - travel * force[0] * field) / pitch, (v - travel * force[1] * field) / pitch
     dots = np.exp(-(((du % 1) - 0.5) ** 2 + ((dv % 1) - 0.5) ** 2) * 30)
     slope = np.gradient(field, axis=(0, 1))
-    light = 120 + 4 * height / 10 * np.stack([slope[0] * force[2], slope[1] * force[2], field * force[2] / height], -1)
+    light = 120 + 4 * height / 10 * np.stack(
+        [slope[0] * force[2], slope[1] * force[2], field * force[2] / height], -1
+    )
     picture = light * (1 - 0.8 * dots[..., None]) + rng.normal(0, 1.5, (height, width, 3))
     return np.clip(picture, 0, 255).astype(np.uint8), label.astype(np.float32)
 
@@ -50,15 +51,43 @@ def write_dataset(folder, n=48, image=(240, 320), grid=(24, 32), seed=0) -> Path
         forces = {"fx_n": total[1], "fy_n": total[0], "fz_n": total[2]}
         measured = {f"measured_{name}": value + 0.1 for name, value in forces.items()}
         true = {f"true_{name}": value for name, value in forces.items()}
-        rows.append({"sample_id": f"p{i:04d}", "indenter": f"ball{i % 3}", "sensor_id": "mini0", "split": split,
-                     **forces, **measured, **true})
+        rows.append(
+            {
+                "sample_id": f"p{i:04d}",
+                "indenter": f"ball{i % 3}",
+                "sensor_id": "mini0",
+                "split": split,
+                **forces,
+                **measured,
+                **true,
+            }
+        )
     write_csv(folder / "samples.csv", list(rows[0]), rows)
     write_json(folder / "normalisation.json", {})
     write_json(folder / "dataset.json", {"name": "made up", "sensor": "mini0", "grid": list(grid)})
     return folder
 
 
-SETTINGS = json.loads("""{"epochs": 4, "batch": 8, "learning_rate": 1e-3, "schedule": "plateau", "plateau_factor": 0.3,
- "plateau_patience": 15, "least_rate": 1e-5, "total_weight": 0.3, "seed": 1, "settle_images": 128, "threads": 1, "mixed_precision": true,
- "checkpoint_seconds": 0.0, "augment": {"probability": 0.5, "noise": 0.05, "brightness": 0.25, "contrast": 0.25,
- "saturation": 0.25, "hue": 0.1}}""")
+SETTINGS = {
+    "epochs": 4,
+    "batch": 8,
+    "learning_rate": 1e-3,
+    "schedule": "plateau",
+    "plateau_factor": 0.3,
+    "plateau_patience": 15,
+    "least_rate": 1e-5,
+    "total_weight": 0.3,
+    "settle_images": 128,
+    "seed": 1,
+    "threads": 1,
+    "mixed_precision": True,
+    "checkpoint_seconds": 0.0,
+    "augment": {
+        "probability": 0.5,
+        "noise": 0.05,
+        "brightness": 0.25,
+        "contrast": 0.25,
+        "saturation": 0.25,
+        "hue": 0.1,
+    },
+}

@@ -35,7 +35,8 @@ def controls(data, rows, predicted_totals, rng) -> dict:
         "constant_guess": metrics.constant_guess(totals, len(rows)),
         "shuffled_images": predicted_totals[rng.permutation(len(rows))],
         "linear_on_image_means": metrics.linear_on_means(
-            metrics.image_means(data.images, train), totals, metrics.image_means(data.images, rows)),
+            metrics.image_means(data.images, train), totals, metrics.image_means(data.images, rows)
+        ),
     }
 
 
@@ -51,8 +52,10 @@ def evaluate_split(data, rows, predicted, settings: dict, force_range, rng) -> d
         "per_indenter": metrics.by_group(error, data.names("indenter")[rows]),
         "per_force": metrics.by_group(error, metrics.force_bins(wanted[:, 2], settings["force_edges"])),
         "per_sensor": metrics.by_group(error, data.names("sensor_id")[rows]),
-        "controls": {name: {axis: float(np.abs(guess - wanted).mean(0)[i]) for i, axis in enumerate(metrics.AXES)}
-                     for name, guess in controls(data, rows, totals, rng).items()},
+        "controls": {
+            name: {axis: float(np.abs(guess - wanted).mean(0)[i]) for i, axis in enumerate(metrics.AXES)}
+            for name, guess in controls(data, rows, totals, rng).items()
+        },
         "against": {},
     }
     for kind in REFERENCES:
@@ -63,7 +66,8 @@ def evaluate_split(data, rows, predicted, settings: dict, force_range, rng) -> d
             result["against"][kind] = {
                 "n": int(known.sum()),
                 "network": metrics.error_table(mine, rng, settings["bootstrap"]),
-                "labels": metrics.error_table(labels, rng, settings["bootstrap"])}
+                "labels": metrics.error_table(labels, rng, settings["bootstrap"]),
+            }
     return result
 
 
@@ -82,16 +86,24 @@ def evaluate(data, trained, settings: dict) -> tuple[dict, dict]:
     torch.set_num_threads(settings["threads"])
     splits = {name: rows for name, rows in data.splits.items() if name != "train" and len(rows)}
     if "train" not in data.splits or not splits:
-        raise BadInput(f"{data.folder}: has splits {', '.join(data.splits) or 'none'}; an evaluation needs `train` "
-                       "for its controls and one other; make the dataset again")
+        raise BadInput(
+            f"{data.folder}: has splits {', '.join(data.splits) or 'none'}; an evaluation needs `train` "
+            "for its controls and one other; make the dataset again"
+        )
     rng = np.random.default_rng(settings["seed"])
     train_totals = data.totals(data.splits["train"])
     force_range = train_totals.max(0) - train_totals.min(0)
     about = trained.about
     result = {
-        "model": about["name"], "kind": about["model"]["kind"], "parameters": about["parameters"],
-        "grid": list(data.grid), "dataset": about["data"], "best_epoch": about["best_epoch"],
-        "force_range": dict(zip(metrics.AXES, force_range.tolist())), "curve": about["curve"], "cost": about["cost"],
+        "model": about["name"],
+        "kind": about["model"]["kind"],
+        "parameters": about["parameters"],
+        "grid": list(data.grid),
+        "dataset": about["data"],
+        "best_epoch": about["best_epoch"],
+        "force_range": dict(zip(metrics.AXES, force_range.tolist())),
+        "curve": about["curve"],
+        "cost": about["cost"],
         "splits": {},
     }
     predictions = {}

@@ -21,8 +21,11 @@ def open_source(video: Path | None, camera: int | None):
         raise BadInput(f"{video}: no such video")
     source = cv2.VideoCapture(str(video) if video is not None else camera)
     if not source.isOpened():
-        what = f"{video}: cannot be opened as a video; convert it to AVI or MP4" if video is not None else (
-            f"camera {camera} cannot be opened; `ls /dev/video*` lists those there are")
+        what = (
+            f"{video}: cannot be opened as a video; convert it to AVI or MP4"
+            if video is not None
+            else (f"camera {camera} cannot be opened; `ls /dev/video*` lists those there are")
+        )
         raise BadInput(what)
     return source, int(max(0, source.get(cv2.CAP_PROP_FRAME_COUNT))) if video is not None else 0
 
@@ -38,9 +41,12 @@ def frames(source, announced: int, name: str, limit: int | None):
         yield frame
     expected = min(announced, limit) if limit is not None else announced
     if count == 0 or count < expected:
-        raise BadInput(f"{name}: ended after {count} of {expected or 'an unknown number of'} frames; the file is cut "
-                       f"short or damaged: use --frames {count} to take what there is" if count else
-                       f"{name}: holds no frame that can be decoded")
+        raise BadInput(
+            f"{name}: ended after {count} of {expected or 'an unknown number of'} frames; the file is cut "
+            f"short or damaged: use --frames {count} to take what there is"
+            if count
+            else f"{name}: holds no frame that can be decoded"
+        )
 
 
 class Overlay:
@@ -69,7 +75,10 @@ class Overlay:
         span = self.recent[-1] - self.recent[0]
         rate = (len(self.recent) - 1) / span if span > 0 else 0.0
         x, y, z = forces.sum((1, 2))
-        lines = [f"x {x:+6.2f}  y {y:+6.2f}  z {z:+7.2f} N", f"{rate:5.1f} frames/s, {self.network_ms[-1]:.1f} ms a frame"]
+        lines = [
+            f"x {x:+6.2f}  y {y:+6.2f}  z {z:+7.2f} N",
+            f"{rate:5.1f} frames/s, {self.network_ms[-1]:.1f} ms a frame",
+        ]
         warning = f"unlike training ({verdict['score']:.1f}): {verdict['reason']}" if verdict["flag"] else ""
         return overlay(cv2.cvtColor(image, cv2.COLOR_RGB2BGR), forces, lines, warning)
 
@@ -83,8 +92,9 @@ def write_video(pictures, path, rate: float) -> int:
         try:
             for picture in pictures:
                 if writer is None:
-                    writer = cv2.VideoWriter(str(part), cv2.VideoWriter_fourcc(*"MJPG"), rate,
-                                             (picture.shape[1], picture.shape[0]))
+                    writer = cv2.VideoWriter(
+                        str(part), cv2.VideoWriter_fourcc(*"MJPG"), rate, (picture.shape[1], picture.shape[0])
+                    )
                     if not writer.isOpened():
                         raise BadInput(f"{path}: cannot be written as a video; give a name that ends in .avi")
                 writer.write(picture)
@@ -107,7 +117,9 @@ def show(pictures) -> int:
             if cv2.waitKey(1) & 0xFF == ord("q"):
                 break
         except cv2.error as error:
-            raise BadInput("this OpenCV has no window (a headless build or no display): use --out FILE.avi") from error
+            raise BadInput(
+                "this OpenCV has no window (a headless build or no display): use --out FILE.avi"
+            ) from error
     return count
 
 
@@ -147,8 +159,10 @@ def main(argv=None) -> int:
     finally:
         capture.release()
     seconds = time.perf_counter() - started
-    print(f"{count} frames in {seconds:.1f} s: {count / seconds:.1f} a second with overlay; network and check "
-          f"{np.median(overlay.network_ms):.1f} ms a frame; {overlay.flagged} flagged as unlike the training images")
+    print(
+        f"{count} frames in {seconds:.1f} s: {count / seconds:.1f} a second with overlay; network and check "
+        f"{np.median(overlay.network_ms):.1f} ms a frame; {overlay.flagged} flagged as unlike the training images"
+    )
     return 0
 
 

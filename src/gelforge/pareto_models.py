@@ -18,6 +18,7 @@ KIND_COLOURS = {"unet": "tab:blue", "unet_single": "tab:purple", "resnet": "tab:
 
 def front(points) -> list[bool]:
     """Which of the points (latency, error) no other point beats in both, or in one at equal other."""
+
     def beaten(p):
         return any(q[0] <= p[0] and q[1] <= p[1] and q != p for q in points)
 
@@ -27,12 +28,19 @@ def front(points) -> list[bool]:
 def row_of(evaluation: dict, split: str, latencies: dict[str, dict]) -> dict:
     """One network's row: errors on `split` and latency per way of running (`cpu1`, `cpu2`, `cuda`)."""
     if split not in evaluation["splits"]:
-        raise BadInput(f"evaluation of {evaluation['model']}: has no split {split!r}; known: "
-                       f"{', '.join(evaluation['splits'])}; choose one with --split")
+        raise BadInput(
+            f"evaluation of {evaluation['model']}: has no split {split!r}; known: "
+            f"{', '.join(evaluation['splits'])}; choose one with --split"
+        )
     errors = evaluation["splits"][split]
-    row = {"model": evaluation["model"], "kind": evaluation["kind"], "parameters": evaluation["parameters"],
-           "best_epoch": evaluation["best_epoch"], "epochs": len(evaluation["curve"]),
-           "train_seconds": evaluation["cost"]["seconds"]}
+    row = {
+        "model": evaluation["model"],
+        "kind": evaluation["kind"],
+        "parameters": evaluation["parameters"],
+        "best_epoch": evaluation["best_epoch"],
+        "epochs": len(evaluation["curve"]),
+        "train_seconds": evaluation["cost"]["seconds"],
+    }
     for axis in AXES:
         row[f"total_{axis}"] = errors["total"][axis]["mae"]
         row[f"percent_{axis}"] = errors["total"][axis]["mae_percent_of_range"]
@@ -52,13 +60,16 @@ def choose(rows: list[dict]) -> dict | None:
     if base is None:
         return None
     keys = [f"{what}_{axis}" for what in ("total", "cell") for axis in AXES]
-    good = [row for row in rows if row["cell_fz"] is not None and row is not base
-            and all(row[key] <= base[key] for key in keys)]
+    good = [
+        row
+        for row in rows
+        if row["cell_fz"] is not None and row is not base and all(row[key] <= base[key] for key in keys)
+    ]
     return min(good, key=lambda row: row["cpu1_median_ms"], default=None)
 
 
 def measure(models: dict, image, seconds: float) -> dict[str, dict[str, dict]]:
-    """Latency of models (name to networks.modelfile.Trained) with one and two CPU threads and on CUDA if there is one."""
+    """Latency of models, name to networks.modelfile.Trained, with one and two CPU threads, and on CUDA if there."""
     import torch
 
     from gelforge.networks.latency import time_models
@@ -86,12 +97,23 @@ def draw_chart(path, rows: list[dict], split: str, chosen: str | None) -> None:
         line = sorted((row["cpu1_median_ms"], row[key]) for row, good in zip(shown, best) if good)
         axis.plot(*zip(*line), color="0.7", zorder=1, drawstyle="steps-post")
         for row in shown:
-            x, spread = row["cpu1_median_ms"], [[row["cpu1_median_ms"] - row["cpu1_p10_ms"]],
-                                                [row["cpu1_p90_ms"] - row["cpu1_median_ms"]]]
-            axis.errorbar(x, row[key], xerr=spread, fmt="*" if row["model"] == chosen else "o", zorder=2,
-                          markersize=13 if row["model"] == chosen else 6, color=KIND_COLOURS[row["kind"]])
+            x, spread = (
+                row["cpu1_median_ms"],
+                [[row["cpu1_median_ms"] - row["cpu1_p10_ms"]], [row["cpu1_p90_ms"] - row["cpu1_median_ms"]]],
+            )
+            axis.errorbar(
+                x,
+                row[key],
+                xerr=spread,
+                fmt="*" if row["model"] == chosen else "o",
+                zorder=2,
+                markersize=13 if row["model"] == chosen else 6,
+                color=KIND_COLOURS[row["kind"]],
+            )
             axis.annotate(row["model"], (x, row[key]), xytext=(5, 5), textcoords="offset points", fontsize=8)
-        axis.set(xscale="log", xlabel="ms per image, batch 1, one CPU thread (bar: 10 to 90 %)", ylabel=f"MAE, {label}")
+        axis.set(
+            xscale="log", xlabel="ms per image, batch 1, one CPU thread (bar: 10 to 90 %)", ylabel=f"MAE, {label}"
+        )
         axis.set_ylim(bottom=0)
         axis.margins(x=0.15)
         axis.grid(alpha=0.3, which="both")
@@ -114,8 +136,10 @@ def main(argv=None) -> int:
     models = {path.name.removesuffix(".pt"): load_model(path) for path in args.models}
     evaluations = {path.name.removesuffix(".json"): read_json(path) for path in args.evaluations}
     if models.keys() != evaluations.keys():
-        raise BadInput(f"models {sorted(models)} and evaluations {sorted(evaluations)} must be of the same names; "
-                       "run `make evaluate` for those that are missing")
+        raise BadInput(
+            f"models {sorted(models)} and evaluations {sorted(evaluations)} must be of the same names; "
+            "run `make evaluate` for those that are missing"
+        )
     image = np.asarray(open_data(args.dataset).images[0])
     latencies = measure(models, image, args.seconds)
     rows = [row_of(evaluations[name], args.split, latencies[name]) for name in sorted(models)]
@@ -128,8 +152,10 @@ def main(argv=None) -> int:
         draw_chart(part, rows, args.split, chosen)
     write_json(args.out, {"split": args.split, "chosen": chosen, "baseline": BASELINE, "models": rows})
     for row in sorted(rows, key=lambda r: r["cpu1_median_ms"]):
-        print(f"{row['model']:14s} {row['cpu1_median_ms']:8.2f} ms  {row['cpu2_median_ms']:8.2f} ms  "
-              f"{row['percent']:6.2f} % {'front' if row['front'] else ''}{' chosen' if row['model'] == chosen else ''}")
+        print(
+            f"{row['model']:14s} {row['cpu1_median_ms']:8.2f} ms  {row['cpu2_median_ms']:8.2f} ms  "
+            f"{row['percent']:6.2f} % {'front' if row['front'] else ''}{' chosen' if row['model'] == chosen else ''}"
+        )
     return 0
 
 

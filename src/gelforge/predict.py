@@ -34,7 +34,9 @@ def load_for_use(path, sensor: str | None = None):
     from gelforge.networks.modelfile import load_model, require_sensor
 
     if path is None and not SHIPPED.exists():
-        raise BadInput("no model came with this copy of gelforge: train one with `make train` and name it with --model")
+        raise BadInput(
+            "no model came with this copy of gelforge: train one with `make train` and name it with --model"
+        )
     trained = load_model(path or SHIPPED)
     if sensor:
         require_sensor(trained, {sensor})
@@ -52,7 +54,7 @@ def fit_size(image, size) -> tuple[np.ndarray, str]:
 
 
 def predict_one(trained, reader, image) -> tuple[np.ndarray, np.ndarray, dict]:
-    """Predict one image of any size; return the image as the network saw it, forces (3, rows, cols), and the judgement."""
+    """Predict an image of any size; return it as the network saw it, forces (3, rows, cols), and the judgement."""
     from gelforge.networks.latency import predict_images
     from gelforge.networks.statistics import judge
 
@@ -66,8 +68,15 @@ def predict_one(trained, reader, image) -> tuple[np.ndarray, np.ndarray, dict]:
 def totals_row(name: str, forces, verdict: dict) -> dict:
     """One row of totals.csv."""
     total = forces.sum((1, 2), dtype=np.float64)
-    return {"image": name, "grid_x_n": f"{total[0]:.4f}", "grid_y_n": f"{total[1]:.4f}", "grid_z_n": f"{total[2]:.4f}",
-            "unlike_training": f"{verdict['score']:.2f}", "flagged": int(verdict["flag"]), "reason": verdict["reason"]}
+    return {
+        "image": name,
+        "grid_x_n": f"{total[0]:.4f}",
+        "grid_y_n": f"{total[1]:.4f}",
+        "grid_z_n": f"{total[2]:.4f}",
+        "unlike_training": f"{verdict['score']:.2f}",
+        "flagged": int(verdict["flag"]),
+        "reason": verdict["reason"],
+    }
 
 
 def output_names(paths) -> list[str]:
@@ -106,8 +115,9 @@ def predict_files(paths, trained, out: Path) -> list[dict]:
 
 
 def main(argv=None) -> int:
-    parser = argparse.ArgumentParser(prog="gelforge predict", description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        prog="gelforge predict", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("images", nargs="+", type=Path, metavar="IMAGE")
     parser.add_argument("--model", type=Path, help="model file; the one that came with gelforge if not named")
     parser.add_argument("--sensor", help="the sensor of the images; refused if the model is for another one")

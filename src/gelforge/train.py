@@ -48,15 +48,24 @@ def describe(data, name: str, model: dict, settings: dict, device: str) -> dict:
 
     rows = data.splits["train"]
     return {
-        "name": name, "model": model, "train": settings, "version": VERSION, "torch": torch.__version__,
-        "image": list(data.image_size), "grid": [1, 1] if model["kind"] == "resnet" else list(data.grid),
+        "name": name,
+        "model": model,
+        "train": settings,
+        "version": VERSION,
+        "torch": torch.__version__,
+        "image": list(data.image_size),
+        "grid": [1, 1] if model["kind"] == "resnet" else list(data.grid),
         "known_sensors": sorted(set(data.names("sensor_id").tolist())),
         "sensors": sorted(set(data.names("sensor_id")[rows].tolist())),
         "indenters": sorted(set(data.names("indenter")[rows].tolist())),
-        "threads_used": torch.get_num_threads(), "device": device,
-        "data": {"name": data.info.get("name", data.folder.parent.parent.name), "version": data_version(data),
-                 "simulated": bool(np.isfinite(data.column("true_fz_n")).any()),
-                 "samples": {key: len(value) for key, value in sorted(data.splits.items())}},
+        "threads_used": torch.get_num_threads(),
+        "device": device,
+        "data": {
+            "name": data.info.get("name", data.folder.parent.parent.name),
+            "version": data_version(data),
+            "simulated": bool(np.isfinite(data.column("true_fz_n")).any()),
+            "samples": {key: len(value) for key, value in sorted(data.splits.items())},
+        },
     }
 
 
@@ -82,8 +91,14 @@ def train(data, name: str, model: dict, settings: dict, checkpoint=None):
     fit(training, data, checkpoint, identity(about))
     statistics = fit_to_images(data.images, data.splits["train"], data.splits["val"])
     cost = training.cost | {"peak_gib": peak_memory_gib()}
-    about |= {"normalisation": norm, "statistics": statistics, "curve": training.curve, "cost": cost,
-              "best_epoch": training.best["epoch"], "parameters": parameter_count(training.net)}
+    about |= {
+        "normalisation": norm,
+        "statistics": statistics,
+        "curve": training.curve,
+        "cost": cost,
+        "best_epoch": training.best["epoch"],
+        "parameters": parameter_count(training.net),
+    }
     return Trained(training.net.cpu(), about)
 
 
@@ -111,8 +126,10 @@ def main(argv=None) -> int:
     save_model(args.out, trained)
     checkpoint.unlink(missing_ok=True)
     cost = trained.about["cost"]
-    print(f"best epoch {trained.about['best_epoch']}, {cost['seconds']:.0f} s in {cost['steps']} steps, waited "
-          f"{100 * cost['wait_seconds'] / max(cost['seconds'], 1e-9):.1f} % for data, peak {cost['peak_gib']:.2f} GiB")
+    print(
+        f"best epoch {trained.about['best_epoch']}, {cost['seconds']:.0f} s in {cost['steps']} steps, waited "
+        f"{100 * cost['wait_seconds'] / max(cost['seconds'], 1e-9):.1f} % for data, peak {cost['peak_gib']:.2f} GiB"
+    )
     return 0
 
 

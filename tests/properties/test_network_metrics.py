@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 
 from gelforge.networks import metrics
 
-errors = st.integers(2, 40).flatmap(lambda n: st.builds(
-    lambda seed: np.random.default_rng(seed).normal(size=(n, 3)), st.integers(0, 2**32 - 1)))
+errors = st.integers(2, 40).flatmap(
+    lambda n: st.builds(lambda seed: np.random.default_rng(seed).normal(size=(n, 3)), st.integers(0, 2**32 - 1))
+)
 
 
 @settings(max_examples=30, deadline=None)

@@ -74,8 +74,15 @@ def test_sensor_and_truth_are_compared_on_the_right_axis(data, models):
 
 
 def test_evaluation_without_a_second_split_is_refused(data, models):
-    only = type(data)(data.folder, data.images, data.labels, data.table, {"train": data.splits["train"]}, data.info,
-                      data.normalisation)
+    only = type(data)(
+        data.folder,
+        data.images,
+        data.labels,
+        data.table,
+        {"train": data.splits["train"]},
+        data.info,
+        data.normalisation,
+    )
     with pytest.raises(BadInput, match="one other"):
         evaluate(only, models["small"], EVALUATE)
 
@@ -165,16 +172,25 @@ def test_dots_of_real_sensors_are_counted(reference):
 
 
 def test_score_tells_real_sensors_apart(reference):
-    videos = {name: read_frames(reference / "slip_videos" / f"{name}.avi")
-              for name in ("cheese_tube_camera_0", "cheese_tube_camera_2", "glass_box_camera_0")}
+    videos = {
+        name: read_frames(reference / "slip_videos" / f"{name}.avi")
+        for name in ("cheese_tube_camera_0", "cheese_tube_camera_2", "glass_box_camera_0")
+    }
     own = np.stack([statistics.describe(image) for image in videos["cheese_tube_camera_0"]])
     model = statistics.fit(own[::2], own[1::4])
     assert not any(statistics.score(model, row) > model["threshold"] for row in own[3::4])
     image = videos["cheese_tube_camera_0"][0]
     feats = cv2.cvtColor(cv2.imread(str(reference / "feats" / "images" / "cuboid_10-2-284.png")), cv2.COLOR_BGR2RGB)
-    unlike = {"black": np.zeros_like(image), "no dots": cv2.medianBlur(image, 61), "red and blue swapped": image[..., ::-1],
-              "other sensor": videos["cheese_tube_camera_2"][0], "FEATS' sensor": feats}
-    assert [name for name, other in unlike.items() if not statistics.judge(model, np.ascontiguousarray(other))["flag"]] == []
+    unlike = {
+        "black": np.zeros_like(image),
+        "no dots": cv2.medianBlur(image, 61),
+        "red and blue swapped": image[..., ::-1],
+        "other sensor": videos["cheese_tube_camera_2"][0],
+        "FEATS' sensor": feats,
+    }
+    assert [
+        name for name, other in unlike.items() if not statistics.judge(model, np.ascontiguousarray(other))["flag"]
+    ] == []
 
 
 def write_avi(path, images) -> Path:
@@ -196,7 +212,9 @@ def test_live_overlays_a_video(data, paths, tmp_path, capsys):
 
 def test_live_on_a_real_video(reference, paths, tmp_path, capsys):
     video = reference / "slip_videos" / "plier_camera_2.avi"
-    live.main(["--video", str(video), "--model", str(paths["small"]), "--frames", "5", "--out", str(tmp_path / "o.avi")])
+    live.main(
+        ["--video", str(video), "--model", str(paths["small"]), "--frames", "5", "--out", str(tmp_path / "o.avi")]
+    )
     assert "5 flagged" in capsys.readouterr().out
 
 
@@ -206,8 +224,16 @@ def test_broken_videos_leave_nothing_behind(data, paths, tmp_path):
     (tmp_path / "no.avi").write_bytes(b"not a video")
     for name in ("cut", "no", "absent"):
         with pytest.raises(BadInput, match=name):
-            live.main(["--video", str(tmp_path / f"{name}.avi"), "--model", str(paths["small"]),
-                       "--out", str(tmp_path / "out" / "o.avi")])
+            live.main(
+                [
+                    "--video",
+                    str(tmp_path / f"{name}.avi"),
+                    "--model",
+                    str(paths["small"]),
+                    "--out",
+                    str(tmp_path / "out" / "o.avi"),
+                ]
+            )
     assert not list((tmp_path / "out").glob("*")) if (tmp_path / "out").exists() else True
 
 
@@ -233,8 +259,18 @@ def test_chart_of_models_against_latency(data, models, paths, tmp_path):
         write_json(tmp_path / f"{name}.json", evaluate(data, trained, EVALUATE)[0])
         evaluations[name] = tmp_path / f"{name}.json"
     out = tmp_path / "chart" / "6x8.json"
-    argv = ["--dataset", str(data.folder), "--models", *map(str, paths.values()), "--seconds", "0.05",
-            "--evaluations", *map(str, evaluations.values()), "--out", f"{out}.part"]
+    argv = [
+        "--dataset",
+        str(data.folder),
+        "--models",
+        *map(str, paths.values()),
+        "--seconds",
+        "0.05",
+        "--evaluations",
+        *map(str, evaluations.values()),
+        "--out",
+        f"{out}.part",
+    ]
     assert pareto_models.main(argv) == 0
     shutil.move(f"{out}.part", out)
     with out.with_suffix(".csv").open() as stream:

@@ -150,15 +150,21 @@ def test_training_learns(folder, trained):
 
 def test_same_seed_same_curve_other_seed_other_curve(folder):
     data = open_data(folder)
-    curves = [train(data, "small", SMALL, {**SETTINGS, "epochs": 2, "seed": seed}).about["curve"] for seed in (5, 5, 6)]
+    curves = [
+        train(data, "small", SMALL, {**SETTINGS, "epochs": 2, "seed": seed}).about["curve"] for seed in (5, 5, 6)
+    ]
     assert curves[0] == curves[1] != curves[2]
 
 
-@pytest.mark.parametrize("kind, schedule", [("grid", "cosine"), ("grid", "plateau"), ("unet", "plateau"),
-                                            ("resnet", "plateau")])
+@pytest.mark.parametrize(
+    "kind, schedule", [("grid", "cosine"), ("grid", "plateau"), ("unet", "plateau"), ("resnet", "plateau")]
+)
 def test_resumed_training_has_the_same_curve_and_weights(folder, tmp_path, kind, schedule):
-    model = {"grid": SMALL, "unet": {"kind": "unet", "widths": [4, 8]},
-             "resnet": {"kind": "resnet", "blocks": [1, 1], "widths": [4, 8]}}[kind]
+    model = {
+        "grid": SMALL,
+        "unet": {"kind": "unet", "widths": [4, 8]},
+        "resnet": {"kind": "resnet", "blocks": [1, 1], "widths": [4, 8]},
+    }[kind]
     data = open_data(folder)
     norm = scales(data, kind == "resnet")
     grid = (1, 1) if kind == "resnet" else GRID
@@ -234,7 +240,11 @@ def test_code_in_a_model_file_is_never_run(tmp_path):
 def test_model_of_another_sensor_grid_or_size_is_refused(folder, trained):
     data = open_data(folder)
     require_fit(trained, data)
-    for key, value, word in (("known_sensors", ["digit"], "digit"), ("grid", [5, 5], "grid"), ("image", [10, 10], "images")):
+    for key, value, word in (
+        ("known_sensors", ["digit"], "digit"),
+        ("grid", [5, 5], "grid"),
+        ("image", [10, 10], "images"),
+    ):
         other = type(trained)(trained.net, trained.about | {key: value})
         with pytest.raises(BadInput, match=word):
             require_fit(other, data)

@@ -26,15 +26,31 @@ def command(module, *arguments) -> list[str]:
 def place(tmp_path_factory):
     folder = tmp_path_factory.mktemp("training")
     write_dataset(folder / "6x8", 48, (48, 64), (6, 8))
-    write_json(folder / "params.json", {"train": {**SETTINGS, "epochs": EPOCHS}, "evaluate": {
-        "force_edges": [0.0, 10.0], "bootstrap": 50, "seed": 1, "threads": 1}})
+    write_json(
+        folder / "params.json",
+        {
+            "train": {**SETTINGS, "epochs": EPOCHS},
+            "evaluate": {"force_edges": [0.0, 10.0], "bootstrap": 50, "seed": 1, "threads": 1},
+        },
+    )
     write_json(folder / "models.json", {"small": {"kind": "grid", "width": 8, "blocks": 1}})
     return folder
 
 
 def train_command(place, out) -> list[str]:
-    return command("train", "--dataset", place / "6x8", "--model", "small", "--models", place / "models.json",
-                   "--params", place / "params.json", "--out", out)
+    return command(
+        "train",
+        "--dataset",
+        place / "6x8",
+        "--model",
+        "small",
+        "--models",
+        place / "models.json",
+        "--params",
+        place / "params.json",
+        "--out",
+        out,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -63,15 +79,42 @@ def test_command_writes_what_it_says(place, whole):
     assert (place / "whole.curve.csv").read_text().count("\n") == EPOCHS + 1
     assert (place / "whole.curve.png").exists()
     out = place / "whole.json"
-    subprocess.run(command("evaluate", "--dataset", place / "6x8", "--model", place / "whole.pt.part", "--params",
-                           place / "params.json", "--out", f"{out}.part"), check=True, capture_output=True)
+    subprocess.run(
+        command(
+            "evaluate",
+            "--dataset",
+            place / "6x8",
+            "--model",
+            place / "whole.pt.part",
+            "--params",
+            place / "params.json",
+            "--out",
+            f"{out}.part",
+        ),
+        check=True,
+        capture_output=True,
+    )
     assert read_json(f"{out}.part")["splits"]["test"]["n"] == 6
 
 
 def test_unusable_dataset_is_one_line_and_leaves_nothing(place, tmp_path):
-    ran = subprocess.run(command("train", "--dataset", tmp_path, "--model", "small", "--models", place / "models.json",
-                                 "--params", place / "params.json", "--out", tmp_path / "x.pt.part"),
-                         capture_output=True, text=True)
+    ran = subprocess.run(
+        command(
+            "train",
+            "--dataset",
+            tmp_path,
+            "--model",
+            "small",
+            "--models",
+            place / "models.json",
+            "--params",
+            place / "params.json",
+            "--out",
+            tmp_path / "x.pt.part",
+        ),
+        capture_output=True,
+        text=True,
+    )
     assert ran.returncode == 2 and ran.stderr.startswith("error: ") and ran.stderr.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
 

@@ -32,8 +32,10 @@ def write_made_up(folder: Path) -> Path:
     count = PROBED + 8
     np.save(folder / "images.npy", rng.integers(0, 256, (count, *IMAGE, 3), np.uint8))
     np.save(folder / "labels.npy", rng.normal(size=(count, 3, *GRID)).astype(np.float32))
-    rows = [{"sample_id": f"p{i}", "indenter": "none", "sensor_id": "none", "split": "train" if i < PROBED else "val"}
-            for i in range(count)]
+    rows = [
+        {"sample_id": f"p{i}", "indenter": "none", "sensor_id": "none", "split": "train" if i < PROBED else "val"}
+        for i in range(count)
+    ]
     write_csv(folder / "samples.csv", list(rows[0]), rows)
     write_json(folder / "normalisation.json", {})
     write_json(folder / "dataset.json", {"name": "made up", "grid": list(GRID)})
@@ -52,17 +54,26 @@ def speed_figures(models: dict, seconds: float) -> list[Figure]:
     from gelforge.networks.latency import time_models
     from gelforge.networks.models import build
 
-    readers = {name: untrained_reader(build({k: v for k, v in models[name].items() if k != "train"}, IMAGE, GRID))
-               for name in (BASELINE, LIGHT)}
+    readers = {
+        name: untrained_reader(build({k: v for k, v in models[name].items() if k != "train"}, IMAGE, GRID))
+        for name in (BASELINE, LIGHT)
+    }
     image = np.random.default_rng(0).integers(0, 256, (*IMAGE, 3), np.uint8)
     figures = []
     for threads in (1, 2):
         timed = time_models(readers, image, threads, seconds)
         ms = {name: timed[name]["median_ms"] for name in timed}
         spread = {name: f"{timed[name]['p10_ms']:.1f} to {timed[name]['p90_ms']:.1f}" for name in timed}
-        figures.append(Figure(
-            f"latency of the U-net over that of `{LIGHT}`, {threads} thread(s)", ms[BASELINE] / ms[LIGHT], ">=", 5.0, "times",
-            f"{ms[BASELINE]:.1f} ms ({spread[BASELINE]}) against {ms[LIGHT]:.1f} ms ({spread[LIGHT]}), batch 1"))
+        figures.append(
+            Figure(
+                f"latency of the U-net over that of `{LIGHT}`, {threads} thread(s)",
+                ms[BASELINE] / ms[LIGHT],
+                ">=",
+                5.0,
+                "times",
+                f"{ms[BASELINE]:.1f} ms ({spread[BASELINE]}) against {ms[LIGHT]:.1f} ms ({spread[LIGHT]}), batch 1",
+            )
+        )
     return figures
 
 
@@ -81,8 +92,24 @@ def train_apart(dataset: Path, name: str, settings: dict, folder: Path):
     params = folder / f"{name}.json"
     write_json(params, {"train": settings})
     out = folder / f"{name}.pt"
-    subprocess.run([sys.executable, "-m", "gelforge.train", "--dataset", dataset, "--model", name, "--params", params,
-                    "--out", out], check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    subprocess.run(
+        [
+            sys.executable,
+            "-m",
+            "gelforge.train",
+            "--dataset",
+            dataset,
+            "--model",
+            name,
+            "--params",
+            params,
+            "--out",
+            out,
+        ],
+        check=True,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
     return load_model(out)
 
 
@@ -95,9 +122,19 @@ def training_figures(settings: dict, folder: Path, dataset: Path) -> list[Figure
     for name, epochs in ((BASELINE, 1), (LIGHT, 6)):
         trained = train_apart(dataset, name, settings | {"epochs": epochs}, folder)
         cost = trained.about["cost"]
-        figures.append(Figure(f"peak memory of training `{name}`, batch {settings['batch']}", cost["peak_gib"], "<=", 4.0, "GiB"))
-        figures.append(Figure(f"waiting for data, `{name}`", 100 * cost["wait_seconds"] / cost["seconds"], "<=", 10.0,
-                              "% of a step", f"{1e3 * cost['seconds'] / cost['steps']:.0f} ms a step"))
+        figures.append(
+            Figure(f"peak memory of training `{name}`, batch {settings['batch']}", cost["peak_gib"], "<=", 4.0, "GiB")
+        )
+        figures.append(
+            Figure(
+                f"waiting for data, `{name}`",
+                100 * cost["wait_seconds"] / cost["seconds"],
+                "<=",
+                10.0,
+                "% of a step",
+                f"{1e3 * cost['seconds'] / cost['steps']:.0f} ms a step",
+            )
+        )
         export(trained, folder / f"{name}.onnx")
         for engine, value in largest_difference(trained, folder / f"{name}.onnx", images).items():
             figures.append(Figure(f"ONNX of `{name}` in {engine} against torch", value, "<=", 1e-5, "of the range"))
@@ -120,8 +157,14 @@ def resume_figure(models: dict, settings: dict, folder: Path, dataset: Path) -> 
     fit(cut, data, folder / "cut.checkpoint.pt", "one", epochs=2)
     fit(rest, data, folder / "cut.checkpoint.pt", "one")
     worst = max(abs(a[key] - b[key]) for a, b in zip(whole.curve, rest.curve, strict=True) for key in a)
-    return Figure("validation curve, interrupted and resumed against whole", worst, "==", 0.0, "N",
-                  f"{rest.cost['resumed']} resumption at epoch 2 of 4")
+    return Figure(
+        "validation curve, interrupted and resumed against whole",
+        worst,
+        "==",
+        0.0,
+        "N",
+        f"{rest.cost['resumed']} resumption at epoch 2 of 4",
+    )
 
 
 def error_figures(results: Path, resolution: str) -> list[Figure]:
@@ -137,10 +180,20 @@ def error_figures(results: Path, resolution: str) -> list[Figure]:
         row, base = by_name[chosen], by_name[BASELINE]
         for threads in (1, 2):
             key = f"cpu{threads}_median_ms"
-            figures.append(Figure(f"latency of the U-net over the chosen network's, {threads} thread(s)", base[key] / row[key],
-                                  ">=", 5.0, "times", note))
+            figures.append(
+                Figure(
+                    f"latency of the U-net over the chosen network's, {threads} thread(s)",
+                    base[key] / row[key],
+                    ">=",
+                    5.0,
+                    "times",
+                    note,
+                )
+            )
         for key in [f"{what}_{axis}" for what in ("total", "cell") for axis in AXES]:
-            figures.append(Figure(f"error over the U-net's, {key.replace('_', ' ')}", row[key] / base[key], "<=", 1.0, "", note))
+            figures.append(
+                Figure(f"error over the U-net's, {key.replace('_', ' ')}", row[key] / base[key], "<=", 1.0, "", note)
+            )
     splits = read_json(results / "80_evaluate" / resolution / f"{chosen}.json")["splits"]
     return figures + split_figures(splits, note)
 
@@ -151,13 +204,31 @@ def split_figures(splits: dict, note: str) -> list[Figure]:
     figures = []
     for axis, goal in PERCENT_GOALS.items():
         seen = test["total"][axis]
-        figures.append(Figure(f"total {axis}, seen indenters", seen["mae_percent_of_range"], "<=", goal, "% of range", note))
+        figures.append(
+            Figure(f"total {axis}, seen indenters", seen["mae_percent_of_range"], "<=", goal, "% of range", note)
+        )
         if unseen:
-            figures.append(Figure(f"total {axis}, unseen over seen indenters", unseen["total"][axis]["mae"] / seen["mae"], "<=",
-                                  1.5, "", note))
+            figures.append(
+                Figure(
+                    f"total {axis}, unseen over seen indenters",
+                    unseen["total"][axis]["mae"] / seen["mae"],
+                    "<=",
+                    1.5,
+                    "",
+                    note,
+                )
+            )
         for control, values in test["controls"].items():
-            figures.append(Figure(f"total {axis}, {control.replace('_', ' ')} over the network", values[axis] / seen["mae"],
-                                  ">=", 3.0, "times", note))
+            figures.append(
+                Figure(
+                    f"total {axis}, {control.replace('_', ' ')} over the network",
+                    values[axis] / seen["mae"],
+                    ">=",
+                    3.0,
+                    "times",
+                    note,
+                )
+            )
     return figures
 
 

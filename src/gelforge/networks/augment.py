@@ -35,7 +35,8 @@ def augment(images, settings: dict, generator):
     n = len(images)
     chosen = torch.rand(n, generator=generator) < settings["probability"]
     brightness, contrast, saturation = (
-        1 + uniform(n, settings[key], generator) for key in ("brightness", "contrast", "saturation"))
+        1 + uniform(n, settings[key], generator) for key in ("brightness", "contrast", "saturation")
+    )
     matrices = colour_matrices(saturation, uniform(n, settings["hue"], generator))
     where = torch.nonzero(chosen).flatten()
     if len(where) == 0:

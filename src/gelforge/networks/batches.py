@@ -28,14 +28,22 @@ def epoch_order(rows, seed: int, epoch: int) -> np.ndarray:
 
 def images_to_tensor(images) -> torch.Tensor:
     """Images (n, h, w, 3) uint8 to a contiguous float tensor (n, 3, h, w) in 0..1."""
-    return torch.from_numpy(np.require(images, requirements=["C", "W"])).permute(0, 3, 1, 2).float().div_(255).contiguous()
+    return (
+        torch.from_numpy(np.require(images, requirements=["C", "W"]))
+        .permute(0, 3, 1, 2)
+        .float()
+        .div_(255)
+        .contiguous()
+    )
 
 
 def target(labels, norm: dict, total_only: bool) -> torch.Tensor:
     """Labels (n, 3, rows, cols) in N to what a network is fitted to, in training units."""
     if total_only:
         labels = labels.sum((2, 3), keepdims=True)
-    return torch.from_numpy(np.require(labels, requirements=["C", "W"])) / torch.tensor(norm["label"]).float().view(1, 3, 1, 1)
+    return torch.from_numpy(np.require(labels, requirements=["C", "W"])) / torch.tensor(norm["label"]).float().view(
+        1, 3, 1, 1
+    )
 
 
 def training_batches(data, norm: dict, settings: dict, epoch: int, total_only: bool):

@@ -6,13 +6,23 @@ from pathlib import Path
 from gelforge.files import read_json, write_text
 from gelforge.networks.metrics import AXES
 
-AXIS_NOTE = ("Forces act on the gel, compression is negative z. Channels are FEATS': fx is the force along the image's "
-             "columns (gel y, the long side), fy along its rows (gel x), fz along the gel's normal.")
+AXIS_NOTE = (
+    "Forces act on the gel, compression is negative z. Channels are FEATS': fx is the force along the image's "
+    "columns (gel y, the long side), fy along its rows (gel x), fz along the gel's normal."
+)
 
 
 def table(header: list[str], rows: list[list[str]]) -> list[str]:
     """A Markdown table as lines."""
     return ["| " + " | ".join(line) + " |" for line in (header, ["---"] * len(header), *rows)]
+
+
+def listing(values: dict) -> str:
+    """Settings as text, one after another."""
+    parts = (
+        f"{key} ({listing(value)})" if isinstance(value, dict) else f"{key} {value}" for key, value in values.items()
+    )
+    return ", ".join(parts)
 
 
 def error_rows(evaluation: dict) -> list[list[str]]:
@@ -30,33 +40,48 @@ def error_rows(evaluation: dict) -> list[list[str]]:
 
 def control_rows(evaluation: dict) -> list[list[str]]:
     """One row per split and control: the total MAE that it reaches."""
-    return [[split_name, control.replace("_", " "), *(f"{values[axis]:.3f}" for axis in AXES)]
-            for split_name, split in evaluation["splits"].items() for control, values in split["controls"].items()]
+    return [
+        [split_name, control.replace("_", " "), *(f"{values[axis]:.3f}" for axis in AXES)]
+        for split_name, split in evaluation["splits"].items()
+        for control, values in split["controls"].items()
+    ]
 
 
 def write_card(about: dict, evaluation: dict) -> str:
     """Return the card of a model as Markdown, from its file's `about` and its evaluation."""
     data = about["data"]
-    origin = ("**It learnt from the virtual rig: simulated presses and rendered images, no real sensor.** Expect larger "
-              "errors on a real one." if data["simulated"] else "It learnt from recorded presses.")
+    origin = (
+        "**It learnt from the virtual rig: simulated presses and rendered images, no real sensor.** Expect larger "
+        "errors on a real one."
+        if data["simulated"]
+        else "It learnt from recorded presses."
+    )
     samples = ", ".join(f"{count} {name}" for name, count in data["samples"].items())
     lines = [
-        f"# Model card: {about['name']}", "",
-        f"Reads the contact forces on an optical tactile gel from one image of {about['image'][1]} x {about['image'][0]} "
-        f"pixels (RGB) as a grid of {about['grid'][0]} x {about['grid'][1]} cells in N. {origin}", "",
-        f"- Network: {about['model']}, {about['parameters']} parameters.",
+        f"# Model card: {about['name']}",
+        "",
+        f"Reads the contact forces on an optical tactile gel from one image of {about['image'][1]} x "
+        f"{about['image'][0]} pixels (RGB) as a grid of {about['grid'][0]} x {about['grid'][1]} cells in N. {origin}",
+        "",
+        f"- Network: {listing(about['model'])}; {about['parameters']} parameters.",
         f"- Sensors seen: {', '.join(about['sensors'])}; in its dataset: {', '.join(about['known_sensors'])}.",
         f"- Indenters seen: {', '.join(about['indenters'])}.",
         f"- Data: {data['name']}, version {data['version']}; presses: {samples}.",
-        f"- Training: best of {len(about['curve'])} epochs was {about['best_epoch']}; {about['train']}.",
-        f"- {AXIS_NOTE}", "",
-        "## Error of total force (mean absolute, N; 95 % interval over presses) and per cell", "",
-        *table(["split", "presses", *AXES, "per cell fx / fy / fz"], error_rows(evaluation)), "",
-        "## What knows less (mean absolute error, N)", "",
-        *table(["split", "control", *AXES], control_rows(evaluation)), "",
-        "## Limits", "",
-        f"- An image whose statistics lie further than {about['statistics']['threshold']:.2f} from the training images is "
-        "flagged; the score sees colours, sharpness and dots, not whether a force is right.",
+        f"- Training: best of {len(about['curve'])} epochs was {about['best_epoch']}; {listing(about['train'])}.",
+        f"- {AXIS_NOTE}",
+        "",
+        "## Error of total force (mean absolute, N; 95 % interval over presses) and per cell",
+        "",
+        *table(["split", "presses", *AXES, "per cell fx / fy / fz"], error_rows(evaluation)),
+        "",
+        "## What knows less (mean absolute error, N)",
+        "",
+        *table(["split", "control", *AXES], control_rows(evaluation)),
+        "",
+        "## Limits",
+        "",
+        f"- An image whose statistics lie further than {about['statistics']['threshold']:.2f} from the training "
+        "images is flagged; the score sees colours, sharpness and dots, not whether a force is right.",
         "- Valid for the gel, the light and the range of forces it was trained on; forces beyond "
         + ", ".join(f"{axis} {span:.1f} N (span)" for axis, span in evaluation["force_range"].items())
         + " are extrapolation.",

@@ -83,16 +83,22 @@ def map_array(path: Path) -> np.ndarray:
 def check_shapes(folder, images, labels, table, info) -> None:
     """Raise BadInput where the arrays of a dataset do not fit each other."""
     if images.dtype != np.uint8 or images.ndim != 4 or images.shape[3] != 3:
-        raise BadInput(f"{folder}/images.npy: expected uint8 (n, height, width, 3), got {images.dtype} {images.shape}")
+        raise BadInput(
+            f"{folder}/images.npy: expected uint8 (n, height, width, 3), got {images.dtype} {images.shape}"
+        )
     if labels.dtype != np.float32 or labels.ndim != 4 or labels.shape[1] != 3:
         raise BadInput(f"{folder}/labels.npy: expected float32 (n, 3, rows, cols), got {labels.dtype} {labels.shape}")
     if not len(images) == len(labels) == len(table):
-        raise BadInput(f"{folder}: {len(images)} images, {len(labels)} labels and {len(table)} rows of samples.csv; "
-                       "they must be as many: remove the folder and make the dataset again")
+        raise BadInput(
+            f"{folder}: {len(images)} images, {len(labels)} labels and {len(table)} rows of samples.csv; "
+            "they must be as many: remove the folder and make the dataset again"
+        )
     grid = info.get("grid")
     if grid and tuple(grid) != labels.shape[2:]:
-        raise BadInput(f"{folder}: dataset.json says a grid of {grid}, labels.npy has {list(labels.shape[2:])}; "
-                       "make the dataset again for one resolution")
+        raise BadInput(
+            f"{folder}: dataset.json says a grid of {grid}, labels.npy has {list(labels.shape[2:])}; "
+            "make the dataset again for one resolution"
+        )
 
 
 def check_finite(folder, labels, table) -> None:
@@ -102,8 +108,10 @@ def check_finite(folder, labels, table) -> None:
         if not good.all():
             row = start + int(np.argmin(good))
             name = table[row].get("sample_id", row)
-            raise BadInput(f"{folder}/labels.npy: the label of sample {name} (row {row}) is not finite; "
-                           "look at its solve, then make labels and dataset again")
+            raise BadInput(
+                f"{folder}/labels.npy: the label of sample {name} (row {row}) is not finite; "
+                "look at its solve, then make labels and dataset again"
+            )
 
 
 def require_splits(data: Data) -> None:
@@ -111,8 +119,10 @@ def require_splits(data: Data) -> None:
     for name, least in SMALLEST.items():
         have = len(data.splits.get(name, ()))
         if have < least:
-            raise BadInput(f"{data.folder}: split {name!r} holds {have} of {len(data.table)} samples, training needs "
-                           f"at least {least}; add presses or change the shares in [dataset]")
+            raise BadInput(
+                f"{data.folder}: split {name!r} holds {have} of {len(data.table)} samples, training needs "
+                f"at least {least}; add presses or change the shares in [dataset]"
+            )
 
 
 def data_version(data: Data) -> str:
@@ -150,7 +160,9 @@ def scales(data: Data, total_only: bool) -> dict:
     if (cell == 0).any():
         raise BadInput(f"{data.folder}: a force component is zero in every training label; nothing can be learnt")
     return {
-        "image_mean": mean.tolist(), "image_std": np.sqrt(np.maximum(squares / n - mean**2, 1e-6)).tolist(),
-        "label": (total if total_only else cell).tolist(), "total": total.tolist(),
+        "image_mean": mean.tolist(),
+        "image_std": np.sqrt(np.maximum(squares / n - mean**2, 1e-6)).tolist(),
+        "label": (total if total_only else cell).tolist(),
+        "total": total.tolist(),
         "range": (totals.max(0) - totals.min(0)).tolist(),
     }

@@ -27,9 +27,16 @@ def export(trained, path) -> None:
     with warnings.catch_warnings():
         # torch prefers an exporter that needs onnx and onnxscript; these networks do not.
         warnings.simplefilter("ignore", DeprecationWarning)
-        torch.onnx.export(reader, (images,), str(path), dynamo=False, opset_version=OPSET,
-                          input_names=["image"], output_names=["forces"],
-                          dynamic_axes={"image": {0: "n"}, "forces": {0: "n"}})
+        torch.onnx.export(
+            reader,
+            (images,),
+            str(path),
+            dynamo=False,
+            opset_version=OPSET,
+            input_names=["image"],
+            output_names=["forces"],
+            dynamic_axes={"image": {0: "n"}, "forces": {0: "n"}},
+        )
 
 
 def run_onnx(path, images) -> dict[str, np.ndarray]:
@@ -81,8 +88,10 @@ def main(argv=None) -> int:
     print(", ".join(f"{engine}: {value:.1e} of the range" for engine, value in found.items()))
     if max(found.values()) > TOLERANCE:
         args.out.unlink()
-        raise GelforgeError(f"{args.model}: its ONNX form differs from torch by {max(found.values()):.1e} of the range, "
-                            f"allowed is {TOLERANCE}; report the versions of torch and the engine")
+        raise GelforgeError(
+            f"{args.model}: its ONNX form differs from torch by {max(found.values()):.1e} of the range, "
+            f"allowed is {TOLERANCE}; report the versions of torch and the engine"
+        )
     return 0
 
 

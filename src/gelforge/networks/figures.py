@@ -77,30 +77,81 @@ def cell_text(table: dict | None, axis: str) -> str:
 def tables(result: dict) -> list[dict]:
     """Tables of an evaluation for the report: title, columns, rows of text."""
     splits = result["splits"]
-    main = [[name, split["n"], *(f"{split['total'][a]['mae']:.3f} ± {split['total'][a]['std']:.3f}" for a in AXES),
-             *(cell_text(split["cell"], a) for a in AXES)] for name, split in splits.items()]
-    detail = [[name, *(f"{e['mae_low']:.3f} to {e['mae_high']:.3f} N; bias {e['bias']:+.3f} N; "
-                       f"{e['mae_percent_of_range']:.2f} %" for e in (split["total"][a] for a in AXES))]
-              for name, split in splits.items()]
-    control = [[name, what.replace("_", " "), *(f"{values[a]:.3f}" for a in AXES)]
-               for name, split in splits.items() for what, values in split["controls"].items()]
-    against = [[name, kind, who, pair["n"], *(f"{pair[who][a]['mae']:.3f} (bias {pair[who][a]['bias']:+.3f})" for a in AXES)]
-               for name, split in splits.items() for kind, pair in split["against"].items()
-               for who in ("network", "labels")]
-    result = [
-        {"title": f"Mean absolute error of {result['model']}, N: total force, and per cell (± deviation over presses)",
-         "columns": ["split", "presses", *(f"total {a}" for a in AXES), *(f"cell {a}" for a in AXES)], "rows": main},
-        {"title": "Total force: 95 % interval of the mean absolute error, bias, share of the force range",
-         "columns": ["split", *AXES], "rows": detail},
-        {"title": "What knows less than the network: mean absolute error of total force, N",
-         "columns": ["split", "control", *AXES], "rows": control},
+    main = [
+        [
+            name,
+            split["n"],
+            *(f"{split['total'][a]['mae']:.3f} ± {split['total'][a]['std']:.3f}" for a in AXES),
+            *(cell_text(split["cell"], a) for a in AXES),
+        ]
+        for name, split in splits.items()
     ]
-    for key, title in (("per_indenter", "per indenter"), ("per_force", "per normal force"), ("per_sensor", "per sensor")):
-        result.append({"title": f"Total force, mean absolute error {title}, N", "columns": ["split", "group", "presses", *AXES],
-                       "rows": [[name, group, values["n"], *(f"{values[a]['mae']:.3f} (bias {values[a]['bias']:+.3f})"
-                                                             for a in AXES)]
-                                for name, split in splits.items() for group, values in split[key].items()]})
+    detail = [
+        [
+            name,
+            *(
+                f"{e['mae_low']:.3f} to {e['mae_high']:.3f} N; bias {e['bias']:+.3f} N; "
+                f"{e['mae_percent_of_range']:.2f} %"
+                for e in (split["total"][a] for a in AXES)
+            ),
+        ]
+        for name, split in splits.items()
+    ]
+    control = [
+        [name, what.replace("_", " "), *(f"{values[a]:.3f}" for a in AXES)]
+        for name, split in splits.items()
+        for what, values in split["controls"].items()
+    ]
+    against = [
+        [name, kind, who, pair["n"], *(f"{pair[who][a]['mae']:.3f} (bias {pair[who][a]['bias']:+.3f})" for a in AXES)]
+        for name, split in splits.items()
+        for kind, pair in split["against"].items()
+        for who in ("network", "labels")
+    ]
+    result = [
+        {
+            "title": f"Mean absolute error of {result['model']}, N: total and per cell (± deviation over presses)",
+            "columns": ["split", "presses", *(f"total {a}" for a in AXES), *(f"cell {a}" for a in AXES)],
+            "rows": main,
+        },
+        {
+            "title": "Total force: 95 % interval of the mean absolute error, bias, share of the force range",
+            "columns": ["split", *AXES],
+            "rows": detail,
+        },
+        {
+            "title": "What knows less than the network: mean absolute error of total force, N",
+            "columns": ["split", "control", *AXES],
+            "rows": control,
+        },
+    ]
+    for key, title in (
+        ("per_indenter", "per indenter"),
+        ("per_force", "per normal force"),
+        ("per_sensor", "per sensor"),
+    ):
+        result.append(
+            {
+                "title": f"Total force, mean absolute error {title}, N",
+                "columns": ["split", "group", "presses", *AXES],
+                "rows": [
+                    [
+                        name,
+                        group,
+                        values["n"],
+                        *(f"{values[a]['mae']:.3f} (bias {values[a]['bias']:+.3f})" for a in AXES),
+                    ]
+                    for name, split in splits.items()
+                    for group, values in split[key].items()
+                ],
+            }
+        )
     if against:
-        result.append({"title": "Network and labels against the force sensor and against what a virtual rig knows, N",
-                       "columns": ["split", "reference", "who", "presses", *AXES], "rows": against})
+        result.append(
+            {
+                "title": "Network and labels against the force sensor and against what a virtual rig knows, N",
+                "columns": ["split", "reference", "who", "presses", *AXES],
+                "rows": against,
+            }
+        )
     return result

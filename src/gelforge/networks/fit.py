@@ -39,8 +39,10 @@ def loss_of(output, wanted, scale, total_scale, total_weight: float):
 
 def predict_rows(net, data, rows, norm: dict, batch: int = 8, device: str = "cpu") -> np.ndarray:
     """Predict forces (k, 3, rows, cols) in N per cell for some rows of a dataset; `net` is put in evaluation mode."""
-    mean, std, scale = (torch.tensor(norm[key], device=device).float().view(1, 3, 1, 1)
-                        for key in ("image_mean", "image_std", "label"))
+    mean, std, scale = (
+        torch.tensor(norm[key], device=device).float().view(1, 3, 1, 1)
+        for key in ("image_mean", "image_std", "label")
+    )
     net.eval()
     parts = []
     with torch.inference_mode():
@@ -67,11 +69,14 @@ def make_schedule(optimiser, settings: dict):
     """The schedule of the learning rate, and whether its step wants the validation error."""
     if settings["schedule"] == "plateau":
         return torch.optim.lr_scheduler.ReduceLROnPlateau(
-            optimiser, factor=settings["plateau_factor"], patience=settings["plateau_patience"],
-            min_lr=settings["least_rate"]), True
+            optimiser,
+            factor=settings["plateau_factor"],
+            patience=settings["plateau_patience"],
+            min_lr=settings["least_rate"],
+        ), True
     if settings["schedule"] == "cosine":
         return torch.optim.lr_scheduler.LambdaLR(optimiser, lambda n: cosine(n, settings["epochs"])), False
-    raise BadInput(f"[train] schedule = {settings['schedule']!r}: use \"plateau\" or \"cosine\"")
+    raise BadInput(f'[train] schedule = {settings["schedule"]!r}: use "plateau" or "cosine"')
 
 
 def settle_batch_norm(net, data, norm: dict, settings: dict, device: str) -> None:
@@ -86,7 +91,9 @@ def settle_batch_norm(net, data, norm: dict, settings: dict, device: str) -> Non
         return
     rows = data.splits["train"]
     rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), settings["settle_images"])).astype(int)]
-    mean, std = (torch.tensor(norm[key], device=device).float().view(1, 3, 1, 1) for key in ("image_mean", "image_std"))
+    mean, std = (
+        torch.tensor(norm[key], device=device).float().view(1, 3, 1, 1) for key in ("image_mean", "image_std")
+    )
     for layer in layers:
         layer.reset_running_stats()
         layer.momentum = None  # a plain average over the batches
@@ -113,8 +120,15 @@ class Training:
 
     def state(self, identity: str) -> dict:
         """Everything a checkpoint holds: tensors and plain values only."""
-        return {"identity": identity, "net": self.net.state_dict(), "optimiser": self.optimiser.state_dict(),
-                "schedule": self.schedule.state_dict(), "curve": self.curve, "best": self.best, "cost": self.cost}
+        return {
+            "identity": identity,
+            "net": self.net.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+            "schedule": self.schedule.state_dict(),
+            "curve": self.curve,
+            "best": self.best,
+            "cost": self.cost,
+        }
 
     def restore(self, state: dict) -> None:
         """Go back to where `state` was taken."""
@@ -152,20 +166,29 @@ class Training:
         self.cost["steps"] += len(losses)
         self.epochs_done += 1
         if not np.isfinite(losses).all():
-            raise GelforgeError(f"training diverged in epoch {self.epochs_done}: a loss is not finite; lower "
-                                f"[train] learning_rate, now {self.settings['learning_rate']:g} at its start")
+            raise GelforgeError(
+                f"training diverged in epoch {self.epochs_done}: a loss is not finite; lower "
+                f"[train] learning_rate, now {self.settings['learning_rate']:g} at its start"
+            )
         return float(np.mean(losses))
 
     def close_epoch(self, data, loss: float) -> dict:
         """Validate, move the learning rate, keep the best weights; return the curve's new row."""
         settle_batch_norm(self.net, data, self.norm, self.settings, self.device)
-        row = {"epoch": self.epochs_done, "learning_rate": self.optimiser.param_groups[0]["lr"], "loss": loss,
-               **validate(self.net, data, self.norm, self.settings["batch"], self.device)}
+        row = {
+            "epoch": self.epochs_done,
+            "learning_rate": self.optimiser.param_groups[0]["lr"],
+            "loss": loss,
+            **validate(self.net, data, self.norm, self.settings["batch"], self.device),
+        }
         self.schedule.step(*[row["val_total"]] if self.by_validation else [])
         self.curve.append(row)
         if row["val_total"] < self.best["val_total"]:
-            self.best = {"epoch": row["epoch"], "val_total": row["val_total"],
-                         "weights": copy.deepcopy(self.net.state_dict())}
+            self.best = {
+                "epoch": row["epoch"],
+                "val_total": row["val_total"],
+                "weights": copy.deepcopy(self.net.state_dict()),
+            }
         return row
 
 
@@ -206,8 +229,11 @@ def fit(training: Training, data, checkpoint=None, identity: str = "", epochs: i
                 batches = training.batches(data)  # read while this epoch is validated
             row = training.close_epoch(data, loss)
             if number % max(1, planned // 20) == 0 or number == planned - 1:
-                print(f"epoch {row['epoch']}: loss {loss:.4g}, validation fx {row['val_fx']:.3f} fy {row['val_fy']:.3f} "
-                      f"fz {row['val_fz']:.3f} N, rate {row['learning_rate']:.2g}", flush=True)
+                print(
+                    f"epoch {row['epoch']}: loss {loss:.4g}, validation fx {row['val_fx']:.3f} "
+                    f"fy {row['val_fy']:.3f} fz {row['val_fz']:.3f} N, rate {row['learning_rate']:.2g}",
+                    flush=True,
+                )
             if checkpoint and time.monotonic() - saved >= training.settings["checkpoint_seconds"]:
                 save_checkpoint(checkpoint, training, identity)
                 saved = time.monotonic()

@@ -30,8 +30,11 @@ def error_table(error, rng, resamplings: int, force_range=None) -> dict:
     table = {}
     for i, axis in enumerate(AXES):
         table[axis] = {
-            "mae": float(size[:, i].mean()), "std": float(size[:, i].std()), "mae_low": float(low[i]),
-            "mae_high": float(high[i]), "bias": float(error[:, i].mean()),
+            "mae": float(size[:, i].mean()),
+            "std": float(size[:, i].std()),
+            "mae_low": float(low[i]),
+            "mae_high": float(high[i]),
+            "bias": float(error[:, i].mean()),
             "rms": float(np.sqrt((error[:, i] ** 2).mean())),
         }
         if force_range is not None:
@@ -42,8 +45,10 @@ def error_table(error, rng, resamplings: int, force_range=None) -> dict:
 def cell_table(predicted, labels) -> dict:
     """Error per cell (n, 3, rows, cols) in N: mean over cells and presses, and the deviation over presses."""
     per_press = np.abs(predicted - labels).mean((2, 3), dtype=np.float64)
-    return {axis: {"mae": float(per_press[:, i].mean()), "std": float(per_press[:, i].std())}
-            for i, axis in enumerate(AXES)}
+    return {
+        axis: {"mae": float(per_press[:, i].mean()), "std": float(per_press[:, i].std())}
+        for i, axis in enumerate(AXES)
+    }
 
 
 def by_group(error, groups) -> dict:
@@ -53,7 +58,8 @@ def by_group(error, groups) -> dict:
         part = error[np.asarray(groups) == name]
         result[str(name)] = {"n": len(part)} | {
             axis: {"mae": float(np.abs(part[:, i]).mean()), "bias": float(part[:, i].mean())}
-            for i, axis in enumerate(AXES)}
+            for i, axis in enumerate(AXES)
+        }
     return result
 
 
@@ -72,6 +78,7 @@ def constant_guess(train_totals, n: int) -> np.ndarray:
 
 def linear_on_means(train_means, train_totals, means) -> np.ndarray:
     """Total force by least squares on the mean colour of an image, (n, 3); fitted to the training presses."""
+
     def design(x):
         return np.column_stack([x, np.ones(len(x))])
 

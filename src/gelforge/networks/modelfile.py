@@ -77,19 +77,25 @@ def read_tensors(path) -> dict:
     try:
         return torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # torch raises a dozen kinds for a damaged file, none of them documented
-        raise BadInput(f"{path}: cannot be read as tensors ({type(error).__name__}); the file is damaged or holds "
-                       "code, which is never run: train the model again") from None
+        raise BadInput(
+            f"{path}: cannot be read as tensors ({type(error).__name__}); the file is damaged or holds "
+            "code, which is never run: train the model again"
+        ) from None
 
 
 def require_fit(trained: Trained, data) -> None:
     """Raise BadInput if a model cannot be used on a dataset: other grid, image size or sensor."""
     about = trained.about
     if tuple(about["image"]) != tuple(data.image_size):
-        raise BadInput(f"model {about['name']} reads images of {about['image']}, the dataset has "
-                       f"{list(data.image_size)}: use a model trained on this size")
+        raise BadInput(
+            f"model {about['name']} reads images of {about['image']}, the dataset has "
+            f"{list(data.image_size)}: use a model trained on this size"
+        )
     if tuple(about["grid"]) not in (tuple(data.grid), (1, 1)):
-        raise BadInput(f"model {about['name']} writes a grid of {about['grid']}, the dataset has {list(data.grid)}: "
-                       "evaluate it on the dataset of its own RES")
+        raise BadInput(
+            f"model {about['name']} writes a grid of {about['grid']}, the dataset has {list(data.grid)}: "
+            "evaluate it on the dataset of its own RES"
+        )
     require_sensor(trained, set(data.names("sensor_id").tolist()))
 
 
@@ -97,5 +103,7 @@ def require_sensor(trained: Trained, wanted: set[str]) -> None:
     """Raise BadInput if none of the sensors `wanted` belongs to the dataset that a model comes from."""
     known = trained.about["known_sensors"]
     if wanted.isdisjoint(known):
-        raise BadInput(f"model {trained.about['name']} was made for sensors {', '.join(known)}, not for "
-                       f"{', '.join(sorted(wanted))}: use a model trained on a dataset with that sensor")
+        raise BadInput(
+            f"model {trained.about['name']} was made for sensors {', '.join(known)}, not for "
+            f"{', '.join(sorted(wanted))}: use a model trained on a dataset with that sensor"
+        )

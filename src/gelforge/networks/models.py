@@ -86,8 +86,11 @@ class BasicBlock(nn.Module):
         self.second = nn.Conv2d(after, after, 3, 1, 1, bias=False)
         self.second_norm = nn.BatchNorm2d(after)
         same = stride == 1 and before == after
-        self.shortcut = nn.Identity() if same else nn.Sequential(
-            nn.Conv2d(before, after, 1, stride, bias=False), nn.BatchNorm2d(after))
+        self.shortcut = (
+            nn.Identity()
+            if same
+            else nn.Sequential(nn.Conv2d(before, after, 1, stride, bias=False), nn.BatchNorm2d(after))
+        )
 
     def forward(self, x):
         y = F.relu(self.first_norm(self.first(x)))
@@ -132,8 +135,9 @@ class GridNet(nn.Module):
         self.stem = nn.Conv2d(3, width, first + 2, first, 1, bias=False)
         self.stem_norm = nn.BatchNorm2d(width)
         self.early = BasicBlock(width, width)
-        self.down = nn.Sequential(*(BasicBlock(width if i == 0 else 2 * width, 2 * width, s)
-                                    for i, s in enumerate(rest or [1])))
+        self.down = nn.Sequential(
+            *(BasicBlock(width if i == 0 else 2 * width, 2 * width, s) for i, s in enumerate(rest or [1]))
+        )
         # One weight per channel and direction; a convolution of the constant coordinates would do the same,
         # but OpenCV cannot read it back from ONNX.
         self.place = nn.Parameter(torch.zeros(2, 2 * width, 1, 1))
@@ -155,8 +159,10 @@ def strides(image, grid) -> list[int]:
     """Split the factor from an image (height, width) to a grid (rows, cols) into strides, the largest first."""
     height, width, rows, cols = *image, *grid
     if height % rows or width % cols or height // rows != width // cols or height == rows:
-        raise BadInput(f"a light net needs cells of one whole number of pixels in both directions, got an image of "
-                       f"{height} x {width} and a grid of {rows} x {cols}: choose a grid that divides the image")
+        raise BadInput(
+            f"a light net needs cells of one whole number of pixels in both directions, got an image of "
+            f"{height} x {width} and a grid of {rows} x {cols}: choose a grid that divides the image"
+        )
     factor = height // rows
     found = next(s for s in (5, 4, 3, 2, factor) if factor % s == 0)
     result, factor = [found], factor // found

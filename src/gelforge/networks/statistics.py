@@ -60,6 +60,7 @@ def score(model: dict, statistics: np.ndarray) -> float:
 
 def fit_to_images(images, train_rows, held_out_rows, most: int = 500) -> dict:
     """Fit `score`'s reference to at most `most` training and held-out rows of images (n, h, w, 3), evenly picked."""
+
     def described(rows):
         picked = rows[np.linspace(0, len(rows) - 1, min(most, len(rows))).astype(int)]
         return np.stack([describe(images[row]) for row in picked])
