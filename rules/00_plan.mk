@@ -21,7 +21,8 @@ $(DATA)/log.csv $(DATA)/dataset.toml:
 	$(error $@ not found: DATASET=$(DATASET) needs a raw log and a dataset.toml; see README.md, or write one with make rig)
 
 # $(call step,MODULE ARGUMENTS) is the recipe of every artifact: it writes $@.part, the wrapper publishes it.
-wrapped = $(PY) -m gelforge.step $@ $(filter $D/%,$^) -- $(PY) -m $(1)
+# Of more inputs than a shell takes as one command (128 KiB) none is named; their reader refuses a broken one.
+wrapped = $(PY) -m gelforge.step $@ $(if $(word 1500,$^),,$(filter $D/%,$^)) -- $(PY) -m $(1)
 ifeq ($(EXECUTOR),local)
 step = @$(wrapped)
 barrier =
