@@ -105,6 +105,16 @@ def write_posed(path, body, press, params: dict) -> None:
         write_stl(part, posed_points(press, vertices), faces)
 
 
+def sensor_facts(name: str, table: dict) -> tuple[Gel, tuple[int, int]]:
+    """Gel and image size (width, height) of a sensor's table."""
+    size = table.get("image")
+    if not isinstance(size, list) or len(size) != 2 or not all(isinstance(n, int) and n > 0 for n in size):
+        raise BadInput(f"workflow/sensors.toml: {name}: image = {size!r}; give [width, height] in pixels")
+    if "gel" not in table:
+        raise BadInput(f"workflow/sensors.toml: {name}: gel is missing; name the gel it carries")
+    return load_gel(table["gel"]), tuple(size)
+
+
 def judge(rows: list[dict], file: str, data: Path, tables: dict, params: dict):
     """Good samples with body and gel, and rejections, of raw rows.
 
@@ -120,12 +130,12 @@ def judge(rows: list[dict], file: str, data: Path, tables: dict, params: dict):
     for sample in samples:
         wrong = log.unknown_names(sample, file, tables["sensors"], tables["indenters"])
         if not wrong:
-            name, sensor = sample.indenter, tables["sensors"][sample.sensor_id]
+            name = sample.indenter
+            gel, image_size = sensor_facts(sample.sensor_id, tables["sensors"][sample.sensor_id])
             if name not in bodies:
                 bodies[name] = build(name, tables["indenters"][name], "indenter catalogue", tables["folder"])
-            gel = load_gel(sensor["gel"])
             wrong = geometric_faults(sample, file, bodies[name], gel, params)
-            fault = log.bad_image(sample, file, data, sensor["image"]) if params["images"] else None
+            fault = log.bad_image(sample, file, data, image_size) if params["images"] else None
             wrong += [fault] if fault else []
         rejections += wrong
         if not wrong:

@@ -113,7 +113,7 @@ def test_volume_approaches_the_sharp_body(name, keys, expected):
     ({"kind": "outline", "corners": [[0, 0], [5, float("inf")], [0, 5]], "fillet": 0.1, "height": 5}, "corners"),
 ])
 def test_wrong_tables_are_refused_with_name_and_remedy(wrong, says):
-    with pytest.raises(BadInput, match="wrong_one|too large|does not fit") as error:
+    with pytest.raises(BadInput, match="indenter wrong_one") as error:
         build("wrong_one", wrong)
     assert says in str(error.value)
 
@@ -178,7 +178,7 @@ def test_self_intersecting_stl_is_refused(tmp_path, catalogue):
 @pytest.mark.parametrize("content", [b"", b"solid x\nendsolid x\n", b"\x00" * 84, b"\x89PNG not a mesh at all"])
 def test_unreadable_stl_is_refused(tmp_path, content):
     (tmp_path / "mine.stl").write_bytes(content)
-    with pytest.raises(BadInput, match=r"mine\.stl"):
+    with pytest.raises(BadInput, match=r"indenter mine.*mine\.stl"):
         build("mine", {"kind": "stl", "file": "mine.stl"}, folder=tmp_path)
 
 

@@ -2,6 +2,8 @@
 
 import csv
 import json
+import subprocess
+import sys
 import tomllib
 
 import cv2
@@ -122,6 +124,44 @@ def test_a_log_without_images_can_be_allowed(lab, tmp_path):
     table, rejected, _ = lab([sample("a", image="")])
     assert len(table) == 1
     assert not rejected
+
+
+def test_users_shape_goes_through(lab, tmp_path, root):
+    catalogue = load_catalogue(root / "workflow" / "indenters.toml", ["cuboid_7"])
+    path = tmp_path / "params" / "indenters.json"
+    path.write_text(json.dumps({"mine": {"kind": "stl", "file": "shapes/mine.stl", "spacing": 0.3}}))
+    (tmp_path / "shapes").mkdir()
+    mine = tmp_path / "shapes" / "mine.stl"
+    triangles.write_stl(mine, *catalogue["cuboid_7"].surface())
+    table, rejected, folder = lab([sample("a", indenter="mine"), sample("b", indenter="mine", z0_mm=3.0)],
+                                  "--workflow", str(tmp_path))
+    assert [row["sample_id"] for row in table] == ["a"]
+    assert [row["column"] for row in rejected] == ["dz_mm"]
+    assert triangles.read_stl(folder / "a.stl")[0][:, 2].max() == pytest.approx(1.5, abs=1e-5)
+    mine.write_bytes(mine.read_bytes()[:500])
+    with pytest.raises(BadInput, match="indenter mine"):
+        lab([sample("a", indenter="mine")], "--workflow", str(tmp_path))
+
+
+@pytest.mark.parametrize(("table", "says"), [({"gel": "gelsight_mini"}, "image"), ({"image": [320, 240]}, "gel"),
+                                             ({"image": [320, 240], "gel": "jelly"}, "jelly"),
+                                             ({"image": "320x240", "gel": "gelsight_mini"}, "image")])
+def test_sensor_without_its_facts_is_named(table, says):
+    with pytest.raises(BadInput, match=says):
+        poses.sensor_facts("mini_z", table)
+
+
+def test_strict_leaves_with_two(lab, tmp_path, root):
+    with pytest.raises(BadInput):
+        lab([sample("bad", z0_mm=1.5)], "--strict")
+    done = subprocess.run(
+        [sys.executable, "-m", "gelforge.poses", "--data", tmp_path / "data", "--shard", tmp_path / "0000.csv",
+         "--params", tmp_path / "params" / "poses.json", "--out", tmp_path / "x.csv", "--strict"],
+        capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "error: " in done.stderr
+    assert "Traceback" not in done.stderr
+    assert read(tmp_path / "x.rejected.csv")
 
 
 def test_nearest_finds_a_grazing_touch(root):

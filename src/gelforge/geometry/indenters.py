@@ -186,7 +186,12 @@ def build(name: str, table: dict, source="indenters.toml", folder=None) -> Body:
     kind = t.take("kind")
     if not isinstance(kind, str) or kind not in KINDS:
         t.fail("kind", kind, f"choose one of {', '.join(KINDS)}")
-    body = KINDS[kind](t, name=name, seen=t.flag("seen", True), spare=t.flag("spare", False))
+    try:
+        body = KINDS[kind](t, name=name, seen=t.flag("seen", True), spare=t.flag("spare", False))
+    except BadInput as error:
+        if f"indenter {name}" in str(error):
+            raise
+        raise BadInput(f"{source}: indenter {name}: {error}") from None
     t.finish()
     return body
 
