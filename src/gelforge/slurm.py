@@ -123,7 +123,7 @@ def observe(record: Record, known: dict | None, results: Results) -> list[tuple]
         if known is None:
             continue
         name, _, index = task.where.rpartition("/")
-        state, status, why = known.get((jobs[name], int(index)), ("", 0, ""))
+        state, status, why = known.get((jobs.get(name), int(index or 0)), ("", 0, ""))
         if not state or state in FINAL or HELD in why:
             ended.append((task, state, status, why))
         else:
@@ -212,6 +212,15 @@ def cancel(record: Record) -> None:
     forget(record)
 
 
+def withdraw(record: Record) -> None:
+    """Leave nothing behind of a submission that Slurm refused half-way."""
+    try:
+        cancel(record)
+    except SlurmRefused:
+        # It may have taken what it did not confirm: the record stays, and the next make finds out.
+        pass
+
+
 def forget(record: Record) -> None:
     """Remove a record with its task lists and outputs."""
     record.path.unlink(missing_ok=True)
@@ -235,9 +244,8 @@ def work(record: Record, profile: Profile, detach: bool, submitting: bool) -> in
             print(f"{record.stage}: interrupted, its Slurm jobs are cancelled", flush=True)
         return 130
     except SlurmRefused:
-        # A first submission that Slurm refused half-way leaves nothing behind.
-        if submitting and not all(task.where and batch.job for task in record.tasks for batch in record.batches):
-            cancel(record)
+        if submitting and not record.accepted():
+            withdraw(record)
         raise
     code = report(record)
     if not code:

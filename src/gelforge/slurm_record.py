@@ -58,6 +58,10 @@ class Record:
         """Tasks neither done nor failed."""
         return [task for task in self.tasks if task.state in ("queued", "running")]
 
+    def accepted(self) -> bool:
+        """Whether Slurm has taken every task."""
+        return all(task.where for task in self.tasks) and all(batch.job for batch in self.batches)
+
     def open_batches(self) -> list[Batch]:
         """Job arrays with a task neither done nor failed."""
         names = {task.where.rpartition("/")[0] for task in self.open_tasks()}
@@ -119,7 +123,9 @@ def counted(record: Record) -> str:
 
 def show(record: Record, said: float, silent: bool, every_s: float = 30.0) -> float:
     """Say how far the work has come: on make's terminal always, as a line now and then elsewhere."""
-    line = f"{record.stage} on Slurm: {counted(record)}" + (" (the controller does not answer)" if silent else "")
+    why = Counter(task.reason for task in record.tasks if task.state == "queued" and task.reason not in ("", "None"))
+    note = "the controller does not answer" if silent else why.most_common(1)[0][0] if why else ""
+    line = f"{record.stage} on Slurm: {counted(record)}" + (f" ({note})" if note else "")
     if os.environ.get("MAKE_TERMERR"):
         with open(os.environ["MAKE_TERMERR"], "w") as terminal:
             terminal.write("\r\033[K" + line[: shutil.get_terminal_size().columns - 1])

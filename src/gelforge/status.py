@@ -80,11 +80,20 @@ def lines(results: Path) -> list[str]:
     return text
 
 
+def slurm_lines(results: Path) -> list[str]:
+    """Work on Slurm, where there is any: tasks queued, running, done and failed per stage."""
+    if not any((results / ".slurm").glob("*.json")):
+        return []
+    from gelforge.slurm import overview
+
+    return overview(results)
+
+
 def main(argv=None) -> int:
     parser = argparse.ArgumentParser(prog="gelforge status", description=__doc__)
     parser.add_argument("--results", type=Path, required=True, help="results/DATASET")
     args = parser.parse_args(argv)
-    print("\n".join(lines(args.results)))
+    print("\n".join([*lines(args.results), *slurm_lines(args.results)]))
     return 0
 
 

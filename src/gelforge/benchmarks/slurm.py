@@ -49,7 +49,9 @@ POSES := $(SHARDS:%=$D/10_poses/%.csv)
 MESH_FILES :=
 FEA := $(SHARDS:%=$D/30_fea/%.csv)
 FORCES := $(SHARDS:%=$D/40_forces/%.npz)
-.PHONY: poses fea forces whole
+.PHONY: poses fea forces whole status
+status:
+	@$(PY) -m gelforge.status --results $D
 poses: $(POSES) $(call barrier,10_poses)
 fea: $(FEA) $(call barrier,30_fea)
 forces: $(FORCES) $(call barrier,40_forces)
