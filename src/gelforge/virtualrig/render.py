@@ -63,13 +63,17 @@ class Renderer:
             picture += self._noise(rng)
         return np.clip(np.rint(picture, out=picture), 0, 255, out=picture).astype(np.uint8)
 
-    def displaced(self, field: Field, uv: np.ndarray) -> np.ndarray:
-        """Where points of the unloaded image (n, 2) px appear on the loaded gel, (n, 2) px."""
-        uv = np.asarray(uv, np.float32)
-        x, y = unproject(self.projection, uv[:, 0], uv[:, 1])
-        column, row = ((x - field.x0) / STEP).astype(np.float32), ((y - field.y0) / STEP).astype(np.float32)
-        moved = cv2.remap(field.values, column[None], row[None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[0]
-        return np.stack(self._seen(x + moved[:, 0], y + moved[:, 1], moved[:, 2]), axis=1)
+    def seen(self, xy: np.ndarray, moved: np.ndarray) -> np.ndarray:
+        """Pixels (n, 2) at which gel points xy (n, 2) mm appear that have moved by (n, 3) mm."""
+        return np.stack(self._seen(xy[:, 0] + moved[:, 0], xy[:, 1] + moved[:, 1], moved[:, 2]), axis=1)
+
+    def gel_points(self, pixels: np.ndarray) -> np.ndarray:
+        """Points (n, 2) mm of the unloaded gel at pixels (n, 2)."""
+        return np.stack(unproject(self.projection, pixels[:, 0], pixels[:, 1]), axis=1)
+
+    def height(self, field: Field, pressed: Pressed) -> np.ndarray:
+        """Height z in mm of the surface that each pixel shows, (240, 320) float32."""
+        return self._against(self._trace(field)[2], pressed)
 
     def _seen(self, x, y, w):
         """Pixels of displaced points: the part pressed by w towards the pinhole looks larger."""

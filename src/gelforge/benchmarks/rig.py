@@ -1,0 +1,244 @@
+"""What was promised of the virtual rig: speed, likeness to real pictures, agreement with mechanics, repetition."""
+
+import argparse
+import tempfile
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from gelforge.benchmarks.figures import Figure, publish_figures
+from gelforge.binning.markers import find_markers
+from gelforge.binning.sensor import load_sensors
+from gelforge.errors import BadInput
+from gelforge.files import read_csv
+from gelforge.formats.feats import read_sample
+from gelforge.geometry.gel import Gel
+from gelforge.geometry.indenters import load_catalogue
+from gelforge.geometry.published import compare_indenter, step_file
+from gelforge.virtualrig import measure
+from gelforge.virtualrig.bench import Bench, Pressing
+from gelforge.virtualrig.looks import read_looks
+from gelforge.virtualrig.plan import Order, Plan, generator, orders, read_plan
+from gelforge.virtualrig.render import Pressed, Renderer
+from gelforge.virtualrig.surface import field_of
+
+REFERENCE_UNIT = "mini_a"
+# The real cuboid's log is not published: depth and corners are, the sideways path is read off its dots (3 px along u).
+CUBOID = Order(0, "cuboid", "", REFERENCE_UNIT, "cuboid_10", 0.0, 0.0, 2.284, (0.0, -0.25), 0.0, 1e9)
+MOVED_PX = 2.0  # misprints of real dots are 1 px; a dot that stands off the grid by more than this was moved
+
+
+@dataclass
+class Rig:
+    """One bench with its cameras, and the press that the real cuboid picture shows."""
+
+    plan: Plan
+    bench: Bench
+    cameras: dict[str, Renderer]
+
+    @classmethod
+    def of(cls, plan_path, workflow: Path) -> "Rig":
+        plan = read_plan(plan_path)
+        gel, sensors, looks = Gel(), load_sensors(workflow / "sensors.toml"), read_looks(workflow / "rig" / "sensors.toml")
+        names = dict.fromkeys([REFERENCE_UNIT, *plan.sensors])
+        cameras = {name: Renderer(looks[name], sensors[name].projection, gel) for name in names}
+        return cls(plan, Bench(plan, load_catalogue(workflow / plan.catalogue), gel), cameras)
+
+    def view(self, pressing: Pressing):
+        """Displacement field and body of a press, as cameras want them."""
+        result = pressing.result
+        field = field_of(self.bench.gel, result.mesh, result.displacement)
+        return field, Pressed(self.bench.body(pressing.order.indenter), pressing.real)
+
+    def picture(self, pressing: Pressing, purpose: int = 2) -> np.ndarray:
+        """Image of a press by its sensor."""
+        noise = generator(self.plan, pressing.order.index, purpose)
+        return self.cameras[pressing.order.sensor].image(*self.view(pressing), noise)
+
+
+def speed(rig: Rig, count: int = 8) -> tuple[list[Figure], list[Pressing]]:
+    """Processor seconds of whole presses of the plan, and pictures a second."""
+    some = orders(replace(rig.plan, presses=6 * count))[1::6]
+    for order in some:
+        rig.bench.body(order.indenter)
+    warm = rig.picture(rig.bench.press(some[0]))  # compiles what numba compiles
+    seconds, pressings = [], []
+    for order in some:
+        start = time.process_time()
+        pressing = rig.bench.press(order)
+        rig.picture(pressing)
+        seconds.append(time.process_time() - start)
+        pressings.append(pressing)
+    camera, view = rig.cameras[pressings[0].order.sensor], rig.view(pressings[0])
+    start, rounds = time.process_time(), 60
+    for k in range(rounds):
+        camera.image(*view, np.random.default_rng(k))
+    rate = rounds / (time.process_time() - start)
+    note = f"processor time on one core, {count} presses of {rig.plan.dataset}.toml, {warm.shape[1]} x {warm.shape[0]}"
+    return [
+        Figure("one press simulated and rendered, mean", float(np.mean(seconds)), "<=", 3.0, "s", note),
+        Figure("one press simulated and rendered, slowest", max(seconds), "<=", 3.0, "s", note),
+        Figure("rendering alone", rate, ">=", 50.0, "images/s", "displacement field to 8-bit image"),
+    ], pressings
+
+
+def likeness(rig: Rig, reference: Path) -> list[Figure]:
+    """No-contact image of the reference unit against the real one."""
+    real, ours = (measure.no_contact(image, 7, 9) for image in no_contact_pair(rig, reference))
+    note = "no contact, reference unit against the real image"
+    pitch, diameter = np.abs(ours.grid.pitch - real.grid.pitch), abs(ours.grid.diameter - real.grid.diameter)
+    noise = ours.noise / real.noise
+    return [
+        Figure("dots found", ours.grid.count, "==", 63, "", f"{note}: {real.grid.count} in the real one"),
+        Figure("dot pitch, difference", pitch.max(), "<=", 0.5, "px", note),
+        Figure("dot diameter, difference", diameter, "<=", 1.0, "px", f"{note}: {real.grid.diameter:.2f} px"),
+        Figure("mean colour, largest difference", np.abs(ours.colour - real.colour).max(), "<=", 8.0, "grey levels", note),
+        Figure("smoothed background, least correlation", measure.background_correlation(ours, real).min(), ">=", 0.9, "", note),
+        Figure("noise level, largest factor", np.maximum(noise, 1 / noise).max(), "<=", 1.5, "", note),
+    ]
+
+
+def no_contact_pair(rig: Rig, reference: Path) -> tuple[np.ndarray, np.ndarray]:
+    """The real no-contact image and the rig's, RGB."""
+    real = read_sample(reference / "feats" / "images" / "nocontact_train_sensor.npy").image
+    return real, rig.cameras[REFERENCE_UNIT].image(rng=np.random.default_rng(rig.plan.seed))
+
+
+def real_cuboid(reference: Path) -> np.ndarray:
+    """The real image of the pressed cuboid, RGB."""
+    return cv2.imread(str(reference / "feats" / "images" / "cuboid_10-2-284.png"))[..., ::-1]
+
+
+def cuboid(rig: Rig, reference: Path) -> list[Figure]:
+    """The pressed cuboid against the real picture of one."""
+    pressing = rig.bench.press(CUBOID)
+    camera = rig.cameras[REFERENCE_UNIT]
+    corners = read_csv_pixels(reference / "feats" / "point_correspondences.csv")
+    wanted = np.array([corners[:, 0].min(), corners[:, 0].max(), corners[:, 1].min(), corners[:, 1].max()])
+    middle = camera.seen(np.array([[pressing.real.x0, pressing.real.y0]]), np.array([[pressing.real.dx, pressing.real.dy, 0.0]]))[0]
+    sides = measure.steepest(camera.height(*rig.view(pressing)), middle)
+    shift = middle - [np.mean(wanted[:2]), np.mean(wanted[2:])]
+    off = np.abs(sides - wanted - np.repeat(shift, 2))
+    turned = direction_cosines(real_cuboid(reference), rig.picture(pressing))
+    same = float((turned > 0.5).mean())
+    return [
+        Figure("cuboid outline, largest distance of a side", off.max(), "<=", 3.0, "px",
+               "steepest line of each flank against the published corner pixels, less the sideways path"),
+        Figure("cuboid dots displaced in the same direction", same, ">=", 0.9, "share",
+               f"within 60 degrees, of {len(turned)} dots that moved over {MOVED_PX:g} px in the real picture; "
+               f"mean cosine {turned.mean():.2f}"),
+    ]  # fmt: skip
+
+
+def read_csv_pixels(path) -> np.ndarray:
+    """Pixels (n, 2) of the published corners."""
+    lines = [line for line in path.read_text().splitlines() if not line.startswith("#")]
+    return np.array([[float(cell) for cell in line.split(",")[2:4]] for line in lines[1:]])
+
+
+def direction_cosines(real: np.ndarray, ours: np.ndarray) -> np.ndarray:
+    """Cosine between the motions of the same dot in both pictures, for those that moved in the real one."""
+    motions = []
+    for image in (real, ours):
+        grid = find_markers(image, 7, 9)
+        if grid.count != 63:
+            raise BadInput(f"{grid.count} of 63 dots found in a picture of the pressed cuboid; look at make rig-check")
+        order = np.lexsort((grid.index[:, 1], grid.index[:, 0]))
+        index = grid.index[order]
+        outer = (index[:, 0] % 6 == 0) | (index[:, 1] % 8 == 0)
+        motions.append(measure.turned_grid_motion(grid.points[order], index, outer))
+    moved = np.linalg.norm(motions[0], axis=1) > MOVED_PX
+    moved &= ~outer
+    a, b = motions[0][moved], motions[1][moved]
+    return (a * b).sum(axis=1) / (np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1))
+
+
+def tracking(rig: Rig, pressings: list[Pressing]) -> list[Figure]:
+    """Dots followed between a no-contact and a pressed picture against nodal displacements."""
+    errors, moved = [], 0.0
+    for pressing in pressings:
+        camera = rig.cameras[pressing.order.sensor]
+        start, expected = camera.look.dots, measure.dots_by_mechanics(camera, pressing.result)
+        before = camera.image(rng=generator(rig.plan, pressing.order.index, 3))
+        motion, followed = measure.tracked_dots(before, rig.picture(pressing), expected, start)
+        whole = camera.look.diameter
+        followed &= measure.inside_image(start, whole) & measure.inside_image(expected, whole)
+        errors.append(np.linalg.norm(motion - (expected - start), axis=1)[followed])
+        moved = max(moved, float(np.linalg.norm(expected - start, axis=1).max()))
+    error = np.concatenate(errors)
+    note = f"{len(error)} dots in {len(pressings)} pairs that moved up to {moved:.1f} px; "
+    note += f"median {np.median(error):.3f}, 95 % below {np.quantile(error, 0.95):.3f}, largest {error.max():.2f}"
+    return [Figure("dots tracked against finite elements, root mean square", float(np.sqrt((error**2).mean())), "<=", 0.15, "px", note)]
+
+
+def indenters(rig: Rig, reference: Path) -> list[Figure]:
+    """Every catalogue indenter that has a published solid against it."""
+    volume, surface = {}, {}
+    for name, body in rig.bench.indenters.items():
+        path = step_file(reference, name)
+        if path.exists():
+            found = compare_indenter(body, path)
+            volume[name], surface[name] = abs(found["volume_error"]), found["surface_mm"]
+    worst_volume, worst_surface = max(volume, key=volume.get), max(surface, key=surface.get)
+    return [
+        Figure("indenters against STEP, volume", volume[worst_volume], "<=", 0.02, "relative",
+               f"largest of {len(volume)}: {worst_volume}"),
+        Figure("indenters against STEP, contact surface", surface[worst_surface], "<=", 0.05, "mm",
+               f"largest of {len(surface)}: {worst_surface}"),
+    ]  # fmt: skip
+
+
+def repetition(plan_path, workflow: Path, presses: int = 3) -> list[Figure]:
+    """The same plan carried out twice, the second time grown from a shorter one and on two processes."""
+    from gelforge.rig import run
+
+    text = Path(plan_path).read_text(encoding="utf-8")
+    with tempfile.TemporaryDirectory() as folder:
+        logs, images = [], []
+        for k, steps in enumerate(([presses], [1, presses])):
+            data = Path(folder) / str(k)
+            for count in steps:
+                plan = Path(folder) / "plan.toml"
+                plan.write_text(_with_presses(text, count), encoding="utf-8")
+                made = run(plan, data, workflow, jobs=1 + k)
+            logs.append((made / "log.csv").read_bytes())
+            images.append([cv2.imread(str(made / row["image"])).astype(int) for row in read_csv(made / "log.csv")])
+    grey = max(int(np.abs(a - b).max()) for a, b in zip(*images, strict=True))
+    note = f"{presses} presses at once, and again as 1 that grew, on two processes"
+    return [
+        Figure("same plan and seed, logs identical", float(logs[0] == logs[1]), "==", 1.0, "", note),
+        Figure("same plan and seed, images differ by", grey, "<=", 1.0, "grey levels", note),
+    ]
+
+
+def _with_presses(text: str, count: int) -> str:
+    lines = [f"presses = {count}" if line.startswith("presses") else line for line in text.splitlines()]
+    return "\n".join(lines) + "\n"
+
+
+def main(argv=None) -> int:
+    """Measure all of it and write the figures."""
+    parser = argparse.ArgumentParser(prog="gelforge.benchmarks.rig", description=main.__doc__)
+    parser.add_argument("--out", type=Path, default=Path("results/benchmarks/rig.json"))
+    parser.add_argument("--plan", type=Path, default=Path("workflow/rig/train.toml"))
+    parser.add_argument("--workflow", type=Path, default=Path("workflow"))
+    parser.add_argument("--reference", type=Path, default=Path("../shared/reference"))
+    given = parser.parse_args(argv)
+    if not given.reference.is_dir():
+        raise BadInput(f"{given.reference}: no reference data there; name their folder with --reference")
+    cv2.setNumThreads(1)
+    rig = Rig.of(given.plan, given.workflow)
+    figures, pressings = speed(rig)
+    figures += likeness(rig, given.reference) + cuboid(rig, given.reference) + tracking(rig, pressings)
+    figures += indenters(rig, given.reference) + repetition(given.plan, given.workflow)
+    publish_figures(given.out, figures)
+    return 0
+
+
+if __name__ == "__main__":
+    from gelforge.cli import exit_with
+
+    exit_with(main)

@@ -1,0 +1,130 @@
+"""One page with the rig's pictures beside real ones, and the figures that compare them."""
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from gelforge.benchmarks.figures import Figure
+from gelforge.benchmarks.rig import (
+    CUBOID,
+    REFERENCE_UNIT,
+    Rig,
+    cuboid,
+    likeness,
+    no_contact_pair,
+    real_cuboid,
+    tracking,
+)
+from gelforge.errors import BadInput
+from gelforge.files import write_text
+from gelforge.reporting.page import Section, render
+from gelforge.virtualrig.plan import Order, orders
+
+ENLARGED = 2
+# What each real video shows, and the press of a virtual unit that stands beside it: sensor, indenter, depth, path.
+VIDEOS = {
+    "plier_camera_2": ("mini_d", "cylinder_10_7", 0.9, (0.2, 0.1)),
+    "glass_box_camera_2": ("mini_d", "pyramid_10", 1.2, (0.0, 0.2)),
+    "nylon_thread_camera_2": ("mini_d", "sphere_20", 1.0, (0.1, -0.2)),
+    "cheese_tube_camera_2": ("mini_d", "bar_10", 0.5, (0.1, 0.0)),
+    "plier_camera_0": ("mini_e", "cylinder_8", 0.8, (0.0, 0.1)),
+    "glass_box_camera_0": ("mini_e", "sphere_15", 1.0, (0.2, 0.0)),
+    "nylon_thread_camera_0": ("mini_e", "triangle_10", 0.7, (0.1, 0.1)),
+    "cheese_tube_camera_0": ("mini_e", "cuboid_7", 0.8, (0.0, -0.2)),
+}
+
+
+def png(*images: np.ndarray) -> bytes:
+    """RGB images side by side, enlarged, as PNG."""
+    gap = np.full((images[0].shape[0], 4, 3), 255, np.uint8)
+    row = np.hstack([part for image in images for part in (image, gap)][:-1])
+    large = cv2.resize(row, None, fx=ENLARGED, fy=ENLARGED, interpolation=cv2.INTER_CUBIC)
+    return cv2.imencode(".png", large[..., ::-1])[1].tobytes()
+
+
+def frames(path) -> list[np.ndarray]:
+    """All frames of a video, RGB."""
+    video, found = cv2.VideoCapture(str(path)), []
+    while True:
+        good, image = video.read()
+        if not good:
+            break
+        found.append(image[..., ::-1])
+    if not found:
+        raise BadInput(f"{path}: no readable video; check the reference folder")
+    return found
+
+
+def most_changed(images: list[np.ndarray]) -> np.ndarray:
+    """The frame that is least like the last one, in which nothing touches the gel any more."""
+    last = images[-1].astype(np.float32)
+    return max(images, key=lambda image: float(np.abs(image - last).mean()))
+
+
+def beside_real(rig: Rig, reference: Path) -> list[Section]:
+    """No-contact image, cuboid and videos, real on the left."""
+    real, ours = no_contact_pair(rig, reference)
+    pressing = rig.bench.press(CUBOID)
+    still = Section("Without contact").picture(png(real, ours), "Left: real GelSight Mini. Right: the rig's reference unit.")
+    pressed = Section("10 mm cuboid, 2.284 mm deep").picture(
+        png(real_cuboid(reference), rig.picture(pressing)),
+        f"Left: real (another unit). Right: the rig, {-pressing.real.dz:.2f} mm of {-pressing.log.dz:.2f} mm left after the frame "
+        f"gave way, {-pressing.force[2]:.0f} N.",
+    )
+    videos = Section("Two other real sensors").text(
+        "Objects in the videos are not the rig's indenters; light, dots and the look of edges and texture compare."
+    )
+    for number, (name, (sensor, indenter, depth, path)) in enumerate(VIDEOS.items()):
+        seen = frames(reference / "slip_videos" / f"{name}.avi")
+        order = Order(10_000 + number, name, "", sensor, indenter, -0.5, 1.0, depth, path, 20.0, 60.0)
+        images = most_changed(seen), seen[-1], rig.picture(rig.bench.press(order))
+        caption = f"{name}: touched, after release; right: the rig's {sensor} with {indenter}, {depth} mm."
+        videos.picture(png(*images), caption)
+    return [still, pressed, videos]
+
+
+def gallery(rig: Rig, count: int = 24) -> Section:
+    """Pictures of the first presses of the plan."""
+    section = Section("Presses of the plan")
+    presses = [rig.bench.press(order) for order in orders(replace(rig.plan, presses=count))]
+    for k in range(0, count, 3):
+        row = presses[k : k + 3]
+        names = [f"{p.order.indenter} on {p.order.sensor}, {-p.real.dz:.2f} mm, {-p.force[2]:.1f} N" for p in row]
+        section.picture(png(*(rig.picture(p) for p in row)), "; ".join(names))
+    return section
+
+
+def figure_table(figures: list[Figure]) -> Section:
+    """The figures as a table, missed ones marked."""
+    rows = [["" if f.met else "missed", f.name, float(f.value), f"{f.compare} {f.goal:g}", f.unit, f.note] for f in figures]
+    return Section("Figures").table(["", "figure", "measured", "goal", "unit", "note"], rows)
+
+
+def main(argv=None) -> int:
+    """Write the page."""
+    parser = argparse.ArgumentParser(prog="gelforge.virtualrig.check", description=__doc__)
+    parser.add_argument("--plan", type=Path, default=Path("workflow/rig/train.toml"))
+    parser.add_argument("--workflow", type=Path, default=Path("workflow"))
+    parser.add_argument("--reference", type=Path, default=Path("../shared/reference"))
+    parser.add_argument("--out", type=Path, default=Path("results/rig-check/index.html"))
+    given = parser.parse_args(argv)
+    if not given.reference.is_dir():
+        raise BadInput(f"{given.reference}: no real pictures there; make rig-check REFERENCE=folder")
+    cv2.setNumThreads(1)
+    rig = Rig.of(given.plan, given.workflow)
+    some = [rig.bench.press(order) for order in orders(replace(rig.plan, presses=19))[::6]]
+    figures = likeness(rig, given.reference) + cuboid(rig, given.reference) + tracking(rig, some)
+    sections = [figure_table(figures), *beside_real(rig, given.reference), gallery(rig)]
+    lead = f"Unit {REFERENCE_UNIT} is fitted to the real no-contact image; every other unit differs from it as real ones do."
+    write_text(given.out, render("virtual rig", lead, sections))
+    print(given.out)
+    return 0
+
+
+if __name__ == "__main__":
+    from gelforge.cli import exit_with
+
+    exit_with(main)
