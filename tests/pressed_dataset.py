@@ -15,9 +15,19 @@ from gelforge.mechanics.hexmesh import FineBox, build_mesh
 ROOT = Path(__file__).resolve().parent.parent
 PARAMS = {
     "labels": {"version": 1, "labels": {"largest_outside_share": 0.02}},
-    "dataset": {"version": 1, "dataset": {
-        "validation": 0.1, "test": 0.2, "unseen_indenters": [], "unseen_sensors": [], "force_edges": [1.0, 3.0, 6.0],
-        "same_press_mm": 0.05, "same_press_deg": 0.5, "seed": 1}},
+    "dataset": {
+        "version": 1,
+        "dataset": {
+            "validation": 0.1,
+            "test": 0.2,
+            "unseen_indenters": [],
+            "unseen_sensors": [],
+            "force_edges": [1.0, 3.0, 6.0],
+            "same_press_mm": 0.05,
+            "same_press_deg": 0.5,
+            "seed": 1,
+        },
+    },
 }
 CATALOGUE = {"sphere_10": {"kind": "sphere"}, "cuboid_7": {"kind": "cuboid"}, "triangle_8": {"seen": False}}
 
@@ -33,7 +43,9 @@ def bump(mesh, x, y, radius, force) -> np.ndarray:
     return shape[:, None] / shape.sum() * np.asarray(force)
 
 
-def write_pressed(folder, count: int = 24, shard_size: int = 8, seed: int = 0, failed=(), sensors=("mini_a",)) -> dict:
+def write_pressed(
+    folder, count: int = 24, shard_size: int = 8, seed: int = 0, failed=(), sensors=("mini_a",)
+) -> dict:
     """Write data/made and results/made below `folder`; return the paths and the nodal forces by sample_id."""
     import cv2
 
@@ -50,21 +62,40 @@ def write_pressed(folder, count: int = 24, shard_size: int = 8, seed: int = 0, f
         surface, image = mesh.surface_nodes, rng.integers(0, 255, (240, 320, 3), np.uint8)
         cv2.imwrite(str(data / "images" / f"{name}.png"), image)
         row = dict.fromkeys(COLUMNS, "") | {
-            "sample_id": name, "sensor_id": sensors[at % len(sensors)], "gel_id": "g1", "indenter": indenter,
-            "x0_mm": touch[0], "y0_mm": touch[1], "z0_mm": 0, "dx_mm": 0.1, "dy_mm": 0.2, "dz_mm": -1.0, "rot_deg": 0,
-            "fx_n": force[0], "fy_n": force[1], "fz_n": force[2], "image": f"images/{name}.png"}
+            "sample_id": name,
+            "sensor_id": sensors[at % len(sensors)],
+            "gel_id": "g1",
+            "indenter": indenter,
+            "x0_mm": touch[0],
+            "y0_mm": touch[1],
+            "z0_mm": 0,
+            "dx_mm": 0.1,
+            "dy_mm": 0.2,
+            "dz_mm": -1.0,
+            "rot_deg": 0,
+            "fx_n": force[0],
+            "fy_n": force[1],
+            "fz_n": force[2],
+            "image": f"images/{name}.png",
+        }
         rows.append(row)
         good = at not in failed
-        samples.append(SampleForces(name, "OK", "brick", surface, loads[name][surface], -0.1 * np.abs(loads[name][surface]))
-                       if good else SampleForces.failed(name, "DIVERGED", "brick"))
+        samples.append(
+            SampleForces(name, "OK", "brick", surface, loads[name][surface], -0.1 * np.abs(loads[name][surface]))
+            if good
+            else SampleForces.failed(name, "DIVERGED", "brick")
+        )
     write_csv(data / "log.csv", COLUMNS, rows)
     for shard in range(0, count, shard_size):
         stem, part = f"{shard // shard_size:04d}", slice(shard, shard + shard_size)
         write_csv(results / "00_plan/shards" / f"{stem}.csv", COLUMNS, rows[part])
         write_csv(results / "10_poses" / f"{stem}.csv", [*COLUMNS, "stl"], rows[part])
         write_forces(results / "40_forces" / f"{stem}.npz", samples[part], 0.0725, {"c10_interval68": [0.07, 0.075]})
-    write_csv(results / "00_plan/shards.csv", ["sample_id", "shard"],
-              [{"sample_id": row["sample_id"], "shard": at // shard_size} for at, row in enumerate(rows)])
+    write_csv(
+        results / "00_plan/shards.csv",
+        ["sample_id", "shard"],
+        [{"sample_id": row["sample_id"], "shard": at // shard_size} for at, row in enumerate(rows)],
+    )
     for stage, params in PARAMS.items():
         write_json(results / "00_plan/params" / f"{stage}.json", params)
     write_json(results / "00_plan/params/indenters.json", CATALOGUE)
@@ -76,9 +107,26 @@ def label(made: dict, resolution: str, sensors=ROOT / "workflow/sensors.toml") -
     from gelforge import labels
 
     results, out = made["results"], made["results"] / "50_labels" / resolution / "labels.json"
-    labels.main(["--forces", str(results / "40_forces"), "--poses", str(results / "10_poses"), "--meshes",
-                 str(results / "20_meshes"), "--shards", str(results / "00_plan/shards"), "--sensors", str(sensors),
-                 "--resolution", resolution, "--params", str(results / "00_plan/params/labels.json"), "--out", str(out)])
+    labels.main(
+        [
+            "--forces",
+            str(results / "40_forces"),
+            "--poses",
+            str(results / "10_poses"),
+            "--meshes",
+            str(results / "20_meshes"),
+            "--shards",
+            str(results / "00_plan/shards"),
+            "--sensors",
+            str(sensors),
+            "--resolution",
+            resolution,
+            "--params",
+            str(results / "00_plan/params/labels.json"),
+            "--out",
+            str(out),
+        ]
+    )
     return out.parent
 
 
@@ -91,8 +139,26 @@ def collect(made: dict, resolution: str, params=None) -> Path:
         (results / "00_plan/params/dataset.json").write_text(json.dumps(params))
     source = made["data"] / "labels" / f"{resolution}.npz"
     folder = source if source.exists() else results / "50_labels" / resolution
-    dataset.main(["--data", str(made["data"]), "--labels", str(folder), "--poses", str(results / "10_poses"), "--shards",
-                  str(results / "00_plan/shards"), "--catalogue", str(results / "00_plan/params/indenters.json"),
-                  "--sensors", str(ROOT / "workflow/sensors.toml"), "--resolution", resolution, "--params",
-                  str(results / "00_plan/params/dataset.json"), "--out", str(out)])
+    dataset.main(
+        [
+            "--data",
+            str(made["data"]),
+            "--labels",
+            str(folder),
+            "--poses",
+            str(results / "10_poses"),
+            "--shards",
+            str(results / "00_plan/shards"),
+            "--catalogue",
+            str(results / "00_plan/params/indenters.json"),
+            "--sensors",
+            str(ROOT / "workflow/sensors.toml"),
+            "--resolution",
+            resolution,
+            "--params",
+            str(results / "00_plan/params/dataset.json"),
+            "--out",
+            str(out),
+        ]
+    )
     return out.parent

@@ -20,9 +20,20 @@ from gelforge.split import split_presses
 VERSION = 1
 POSE_COLUMNS = ["x0_mm", "y0_mm", "z0_mm", "dx_mm", "dy_mm", "dz_mm", "rot_deg"]
 FORCES = ["fx_n", "fy_n", "fz_n"]
-COLUMNS = ["sample_id", "indenter", "sensor_id", "gel_id", "split", "group", *FORCES,
-           *(f"outside_{name}" for name in FORCES), *(f"measured_{name}" for name in FORCES),
-           *(f"true_{name}" for name in FORCES), *POSE_COLUMNS, "image"]
+COLUMNS = [
+    "sample_id",
+    "indenter",
+    "sensor_id",
+    "gel_id",
+    "split",
+    "group",
+    *FORCES,
+    *(f"outside_{name}" for name in FORCES),
+    *(f"measured_{name}" for name in FORCES),
+    *(f"true_{name}" for name in FORCES),
+    *POSE_COLUMNS,
+    "image",
+]
 
 
 def collect(shards: list[tuple[Path, list[dict]]], truth: dict) -> tuple[list[dict], list, dict]:
@@ -36,7 +47,7 @@ def collect(shards: list[tuple[Path, list[dict]]], truth: dict) -> tuple[list[di
         by_id = {row["sample_id"]: row for row in table}
         found = read_labels(path)
         totals = found["label"].sum(axis=(2, 3), dtype=np.float64)
-        for at, (name, status) in enumerate(zip(found["sample_id"], found["status"])):
+        for at, (name, status) in enumerate(zip(found["sample_id"], found["status"], strict=True)):
             row, status = by_id.get(str(name)), str(status)
             reason = _reason(row, status)
             if reason:
@@ -56,7 +67,9 @@ def _reason(row, status) -> str:
 
 
 def _sample_row(row, total, outside, true) -> dict:
-    kept = {name: row.get(name, "") for name in ("sample_id", "indenter", "sensor_id", "gel_id", *POSE_COLUMNS, "image")}
+    kept = {
+        name: row.get(name, "") for name in ("sample_id", "indenter", "sensor_id", "gel_id", *POSE_COLUMNS, "image")
+    }
     for channel, axis in enumerate(CHANNELS):
         kept[FORCES[axis]] = round(float(total[channel]), 9)
         kept[f"outside_{FORCES[axis]}"] = "" if np.isnan(outside[channel]) else round(float(outside[channel]), 9)
@@ -81,7 +94,9 @@ def check_settings(settings: dict) -> None:
     """Raise BadInput for shares that are none, and for force edges that do not rise."""
     shares = settings["validation"], settings["test"]
     if not all(0 <= share < 1 for share in shares) or sum(shares) >= 1:
-        raise BadInput(f"[dataset] validation = {shares[0]} and test = {shares[1]}: shares from 0 that leave some to train")
+        raise BadInput(
+            f"[dataset] validation = {shares[0]} and test = {shares[1]}: shares from 0 that leave some to train"
+        )
     edges = settings["force_edges"]
     if list(edges) != sorted(set(edges)):
         raise BadInput(f"[dataset] force_edges = {edges}: write rising numbers of newtons")
@@ -112,8 +127,10 @@ def read_image(data: Path, name: str, size: tuple[int, int]) -> np.ndarray:
     if image is None:
         raise BadInput(f"{path}: image is missing or unreadable; restore it, or empty the log's column `image`")
     if (image.shape[1], image.shape[0]) != tuple(size):
-        raise BadInput(f"{path}: image is {image.shape[1]} x {image.shape[0]} pixels, its sensor has {size[0]} x {size[1]};"
-                       " resize it, or correct `image` in workflow/sensors.toml")
+        raise BadInput(
+            f"{path}: image is {image.shape[1]} x {image.shape[0]} pixels, its sensor has {size[0]} x {size[1]};"
+            " resize it, or correct `image` in workflow/sensors.toml"
+        )
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
 
 
@@ -143,7 +160,9 @@ def write_label_array(path, shards, places, grid: Grid) -> None:
             if number != opened:
                 opened, array = number, read_labels(shards[number][0], ["label"])["label"]
             if array.shape[2:] != grid.shape:
-                raise BadInput(f"{shards[number][0]}: labels of {array.shape[2:]} cells, asked for {grid}; make labels again")
+                raise BadInput(
+                    f"{shards[number][0]}: labels of {array.shape[2:]} cells, asked for {grid}; make labels again"
+                )
             labels[at] = array[index]
         labels.flush()
 
@@ -170,7 +189,7 @@ def image_size(rows: list[dict], sensors: dict, where: str) -> tuple[int, int]:
 
 
 def list_shards(args) -> list[tuple[Path, list[dict]]]:
-    """Label files with the rows of their samples: a stage-50 folder with pose tables, or an imported file with the log."""
+    """Label files with their samples' rows: a stage-50 folder with pose tables, or an imported file with the log."""
     if args.labels.is_dir():
         names = sorted(path.stem for path in args.shards.glob("*.csv"))
         return [(args.labels / f"{name}.npz", read_csv(args.poses / f"{name}.csv")) for name in names]
@@ -185,9 +204,16 @@ def describe(args, grid: Grid, rows, left_out, size, first_labels: Path) -> dict
     for row in rows:
         counts[row["split"]] = counts.get(row["split"], 0) + 1
     return {
-        "name": args.data.name, "grid": list(grid.shape), "image": list(size), "samples": len(rows), "splits": counts,
-        "sensor": rows[0]["sensor_id"], "sensors": sorted({row["sensor_id"] for row in rows}),
-        "indenters": sorted({row["indenter"] for row in rows}), "left_out": left_out, **material,
+        "name": args.data.name,
+        "grid": list(grid.shape),
+        "image": list(size),
+        "samples": len(rows),
+        "splits": counts,
+        "sensor": rows[0]["sensor_id"],
+        "sensors": sorted({row["sensor_id"] for row in rows}),
+        "indenters": sorted({row["indenter"] for row in rows}),
+        "left_out": left_out,
+        **material,
     }
 
 
@@ -198,18 +224,25 @@ def build(args) -> dict:
     shards = list_shards(args)
     rows, places, left_out = collect(shards, read_truth(args.data))
     if not rows:
-        raise BadInput(f"{args.data}: no sample has both a label and an image (left out: {left_out or 'none'});"
-                       " look at make status")
+        raise BadInput(
+            f"{args.data}: no sample has both a label and an image (left out: {left_out or 'none'});"
+            " look at make status"
+        )
     size = image_size(rows, load_sensors(args.sensors), f"{args.data}/log.csv")
-    splits, groups = split_presses(rows, _strength(rows), unseen_indenters(read_json(args.catalogue), settings), settings)
-    for row, split, group in zip(rows, splits, groups):
+    splits, groups = split_presses(
+        rows, _strength(rows), unseen_indenters(read_json(args.catalogue), settings), settings
+    )
+    for row, split, group in zip(rows, splits, groups, strict=True):
         row["split"], row["group"] = str(split), int(group)
     folder = args.out.parent
     write_label_array(folder / "labels.npy", shards, places, grid)
     share_images(folder, args.data, rows, size)
     write_csv(folder / "samples.csv", COLUMNS, rows)
-    write_csv(folder / "split.csv", ["sample_id", "group", "split"],
-              [{name: row[name] for name in ("sample_id", "group", "split")} for row in rows])
+    write_csv(
+        folder / "split.csv",
+        ["sample_id", "group", "split"],
+        [{name: row[name] for name in ("sample_id", "group", "split")} for row in rows],
+    )
     write_json(folder / "normalisation.json", training_ranges(folder, rows))
     return describe(args, grid, rows, left_out, size, shards[0][0])
 

@@ -25,7 +25,7 @@ def bin_samples(forces: ForceFile, members, operator: Operator) -> tuple[np.ndar
     Channels in FEATS' order. Every sample must be on the operator's mesh.
     """
     starts, stops = forces.ptr[members], forces.ptr[np.asarray(members) + 1]
-    rows = np.concatenate([np.arange(a, b) for a, b in zip(starts, stops)])
+    rows = np.concatenate([np.arange(a, b) for a, b in zip(starts, stops, strict=True)])
     ptr = np.concatenate([[0], np.cumsum(stops - starts)])
     cells, outside = operator.apply(ptr, forces.node[rows], forces.force[rows])
     return to_float32(cells[:, CHANNELS]), outside[:, CHANNELS]
@@ -62,8 +62,10 @@ def label_shard(forces_path, poses_path, find_operator, grid: Grid, out) -> dict
     with ForceFile(forces_path) as forces:
         operators = [_operator_of(forces, i, sensor_of, find_operator, poses_path) for i in range(len(forces))]
         if not np.isfinite(forces.force).all():
-            raise BadInput(f"{forces_path}: sample {_first_bad(forces)} has forces that are not finite;"
-                           " delete the file and its solve in 30_fea, then run make again")
+            raise BadInput(
+                f"{forces_path}: sample {_first_bad(forces)} has forces that are not finite;"
+                " delete the file and its solve in 30_fea, then run make again"
+            )
         valid = np.array([Status[str(status)].valid for status in forces.status], bool)
         outside = np.where(valid[:, None], np.zeros(3), np.nan)
         others = {"sample_id": forces.sample_id, "status": forces.status, "outside": outside, "c10": forces.c10}
@@ -92,7 +94,8 @@ def summarise(forces: ForceFile, outside: np.ndarray) -> dict:
     share = np.where(np.isfinite(share), share, 0.0)
     worst = int(share.argmax()) if len(share) else None
     return {
-        "samples": len(forces), "failed": int(np.isnan(outside[:, 0]).sum()),
+        "samples": len(forces),
+        "failed": int(np.isnan(outside[:, 0]).sum()),
         "worst_sample": "" if worst is None else str(forces.sample_id[worst]),
         "worst_outside_share": 0.0 if worst is None else float(share[worst]),
     }
@@ -126,14 +129,20 @@ def label_folder(args, grid: Grid, sensors: dict) -> dict:
             found = summary_of(out, forces)
         else:
             found = label_shard(forces, poses, find, grid, out)
-        totals = {**totals, "samples": totals["samples"] + found["samples"], "failed": totals["failed"] + found["failed"]}
+        totals = {
+            **totals,
+            "samples": totals["samples"] + found["samples"],
+            "failed": totals["failed"] + found["failed"],
+        }
         worst = max(worst, found, key=lambda s: s["worst_outside_share"])
     return {**totals, **{key: worst[key] for key in ("worst_sample", "worst_outside_share")}}
 
 
 def up_to_date(out: Path, *sources) -> bool:
     """Whether `out` is there and no source is newer, as make would judge it."""
-    return out.exists() and all(Path(s).stat().st_mtime_ns <= out.stat().st_mtime_ns for s in sources if Path(s).exists())
+    return out.exists() and all(
+        Path(s).stat().st_mtime_ns <= out.stat().st_mtime_ns for s in sources if Path(s).exists()
+    )
 
 
 def summary_of(path, forces_path) -> dict:
@@ -147,14 +156,20 @@ def report(summary: dict, largest_share: float) -> None:
     """Say what was labelled, and name the press that lies farthest outside the image."""
     print(f"labels {summary['resolution']}: {summary['samples'] - summary['failed']} of {summary['samples']} samples")
     if summary["worst_outside_share"] > largest_share:
-        print(f"force outside the image: at most {summary['worst_outside_share']:.1%} of a press"
-              f" ({summary['worst_sample']}); each sample's is in `outside`")
+        print(
+            f"force outside the image: at most {summary['worst_outside_share']:.1%} of a press"
+            f" ({summary['worst_sample']}); each sample's is in `outside`"
+        )
 
 
 def main(argv=None) -> int:
     parser = argparse.ArgumentParser(prog="gelforge.labels", description=__doc__)
-    parser.add_argument("--forces", type=Path, required=True, help="a shard of 40_forces, or the folder with --shards")
-    parser.add_argument("--poses", type=Path, required=True, help="the shard of 10_poses, or the folder with --shards")
+    parser.add_argument(
+        "--forces", type=Path, required=True, help="a shard of 40_forces, or the folder with --shards"
+    )
+    parser.add_argument(
+        "--poses", type=Path, required=True, help="the shard of 10_poses, or the folder with --shards"
+    )
     parser.add_argument("--meshes", type=Path, required=True, help="folder 20_meshes")
     parser.add_argument("--sensors", type=Path, required=True, help="sensors.toml, or its slice as .json")
     parser.add_argument("--resolution", required=True, help="ROWSxCOLS")

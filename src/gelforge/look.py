@@ -38,12 +38,18 @@ def shard_paths(results: Path, sample_id: str, resolution: str) -> dict[str, Pat
     if sample_id not in shards:
         raise BadInput(f"sample {sample_id!r} is not in the log of {results.name}; say make look ID=SAMPLE_ID")
     for folder, name in ((results, f"{shards[sample_id]:04d}"), (results / "samples" / sample_id, "one")):
-        paths = {"poses": folder / "10_poses" / f"{name}.csv", "fea": folder / "30_fea" / name / f"{sample_id}.npz",
-                 "forces": folder / "40_forces" / f"{name}.npz", "labels": folder / "50_labels" / resolution / f"{name}.npz"}
+        paths = {
+            "poses": folder / "10_poses" / f"{name}.csv",
+            "fea": folder / "30_fea" / name / f"{sample_id}.npz",
+            "forces": folder / "40_forces" / f"{name}.npz",
+            "labels": folder / "50_labels" / resolution / f"{name}.npz",
+        }
         if paths["labels"].exists() and paths["forces"].exists():
             return paths
-    raise BadInput(f"sample {sample_id} has no label at {resolution} yet; run make sample ID={sample_id}"
-                   f" RES={resolution}, or make labels RES={resolution}")
+    raise BadInput(
+        f"sample {sample_id} has no label at {resolution} yet; run make sample ID={sample_id}"
+        f" RES={resolution}, or make labels RES={resolution}"
+    )
 
 
 def load(data: Path, paths: dict, sample_id: str, sensors: dict, resolution: str) -> Look:
@@ -54,7 +60,9 @@ def load(data: Path, paths: dict, sample_id: str, sensors: dict, resolution: str
     found = read_labels(paths["labels"])
     at = np.flatnonzero(found["sample_id"] == sample_id)
     if row is None or not len(at):
-        raise BadInput(f"{paths['labels']}: has no sample {sample_id}; its row was rejected, see 10_poses/*.rejected.csv")
+        raise BadInput(
+            f"{paths['labels']}: has no sample {sample_id}; its row was rejected, see 10_poses/*.rejected.csv"
+        )
     status = str(found["status"][at[0]])
     if np.isnan(found["label"][at[0]]).any():
         raise BadInput(f"sample {sample_id} has no valid state ({status}); its log lies in 30_fea")
@@ -103,8 +111,10 @@ def arrows(look: Look) -> tuple[np.ndarray, np.ndarray]:
     merge = max(1, -(-rows // ARROWS))
     starts = np.arange(0, rows, merge), np.arange(0, cols, merge)
     merged = np.add.reduceat(np.add.reduceat(look.label[:2], starts[0], axis=1), starts[1], axis=2)
-    v, u = (np.minimum(start + merge / 2, size) for start, size in zip(starts, (rows, cols)))
-    place = np.stack(np.meshgrid(u * look.sensor.image[0] / cols, v * look.sensor.image[1] / rows), axis=-1).reshape(-1, 2)
+    v, u = (np.minimum(start + merge / 2, size) for start, size in zip(starts, (rows, cols), strict=True))
+    place = np.stack(np.meshgrid(u * look.sensor.image[0] / cols, v * look.sensor.image[1] / rows), axis=-1).reshape(
+        -1, 2
+    )
     force = merged[::-1].reshape(2, -1).T  # channels are gel y, gel x
     size = np.hypot(*force.T)
     gel, step = look.sensor.unproject(place), 1e-4
@@ -130,15 +140,20 @@ def draw(look: Look):
         reach = max(float(np.abs(grid).max()), 1e-9)
         _backdrop(axis, look, extent, grey=True)
         strength = np.clip(0.25 + 0.75 * np.abs(grid) / reach, 0, 0.92) * (np.abs(grid) > 0.003 * reach)
-        shown = axis.imshow(grid, cmap="RdBu", vmin=-reach, vmax=reach, extent=extent, alpha=strength, interpolation="nearest")
+        shown = axis.imshow(
+            grid, cmap="RdBu", vmin=-reach, vmax=reach, extent=extent, alpha=strength, interpolation="nearest"
+        )
         beyond = f", outside {look.outside[channel]:+.3f} N" if abs(look.outside[channel]) > 5e-4 else ""
         axis.set_title(f"{CHANNELS[channel]}: {grid.sum():+.3f} N{beyond}", fontsize=10)
         figure.colorbar(shown, ax=axis, shrink=0.85, label="N per cell")
     for axis in axes.ravel():
         axis.set(xlim=(0, width), ylim=(height, 0), xlabel="u, px", ylabel="v, px")
     row = look.row
-    figure.suptitle(f"{row['sample_id']}: {row['indenter']} on {row['sensor_id']}, {-float(row['dz_mm']):.2f} mm deep,"
-                    f" shear ({float(row['dx_mm']):.2f}, {float(row['dy_mm']):.2f}) mm, label {look.resolution}", fontsize=12)
+    figure.suptitle(
+        f"{row['sample_id']}: {row['indenter']} on {row['sensor_id']}, {-float(row['dz_mm']):.2f} mm deep,"
+        f" shear ({float(row['dx_mm']):.2f}, {float(row['dy_mm']):.2f}) mm, label {look.resolution}",
+        fontsize=12,
+    )
     return figure
 
 
@@ -159,8 +174,14 @@ def _draw_image(axis, look, extent):
         u = (np.arange(cols) + 0.5) * look.sensor.image[0] / cols
         v = (np.arange(rows) + 0.5) * look.sensor.image[1] / rows
         if min(rows, cols) > 1:
-            axis.contour(u, v, pressure, levels=pressure.max() * np.array([0.05, 0.35, 0.65]),
-                         colors="white" if look.image is not None else INK, linewidths=0.9)
+            axis.contour(
+                u,
+                v,
+                pressure,
+                levels=pressure.max() * np.array([0.05, 0.35, 0.65]),
+                colors="white" if look.image is not None else INK,
+                linewidths=0.9,
+            )
     place, force = arrows(look)
     size = np.hypot(*force.T)
     largest = float(size.max(initial=0.0))
@@ -168,9 +189,20 @@ def _draw_image(axis, look, extent):
         seen = size > 0.02 * largest
         unit = 10.0 ** np.floor(np.log10(largest))
         unit *= next(m for m in (5, 2, 1) if m * unit <= largest)
-        quiver = axis.quiver(*place[seen].T, *force[seen].T, color="#ffd23f", edgecolor=INK, linewidth=0.4, angles="xy",
-                             scale_units="xy", scale=largest / 26.0, width=0.0045)
-        axis.quiverkey(quiver, 0.86, -0.11, unit, f"{unit:g} N shear", labelpos="E", coordinates="axes", color="#b98300")
+        quiver = axis.quiver(
+            *place[seen].T,
+            *force[seen].T,
+            color="#ffd23f",
+            edgecolor=INK,
+            linewidth=0.4,
+            angles="xy",
+            scale_units="xy",
+            scale=largest / 26.0,
+            width=0.0045,
+        )
+        axis.quiverkey(
+            quiver, 0.86, -0.11, unit, f"{unit:g} N shear", labelpos="E", coordinates="axes", color="#b98300"
+        )
     axis.set_title("image, pressure (lines at 5, 35, 65 % of its peak), shear on the gel", fontsize=10)
 
 

@@ -36,7 +36,9 @@ def read_points(path) -> tuple[np.ndarray, np.ndarray]:
     try:
         lines = [line for line in Path(path).read_text(encoding="utf-8-sig").splitlines() if not line.startswith("#")]
     except (OSError, UnicodeDecodeError) as error:
-        raise BadInput(f"{path}: cannot be read ({error}); give a CSV with columns {', '.join(POINT_COLUMNS)}") from error
+        raise BadInput(
+            f"{path}: cannot be read ({error}); give a CSV with columns {', '.join(POINT_COLUMNS)}"
+        ) from error
     rows = list(csv.DictReader(lines))
     missing = [name for name in POINT_COLUMNS if not rows or name not in rows[0]]
     if missing:
@@ -72,8 +74,10 @@ def read_picture(path, size: tuple[int, int]) -> np.ndarray:
             raise BadInput(f"{path}: not an image that can be read; give a PNG, or a .npy sample")
         image = cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
     if (image.shape[1], image.shape[0]) != tuple(size):
-        raise BadInput(f"{path}: image is {image.shape[1]} x {image.shape[0]} pixels, the sensor has {size[0]} x {size[1]};"
-                       " resize it, or correct `image` in workflow/sensors.toml")
+        raise BadInput(
+            f"{path}: image is {image.shape[1]} x {image.shape[0]} pixels, the sensor has {size[0]} x {size[1]};"
+            " resize it, or correct `image` in workflow/sensors.toml"
+        )
     return image
 
 
@@ -95,12 +99,16 @@ def calibrate(name: str, like: Sensor, points=None, image=None, where: str = "")
     if image is not None:
         needed = {"rows", "cols", "pitch_px", "centre_px"}
         if not needed <= set(like.markers):
-            raise BadInput(f"sensor {like.name}: `markers` lacks {', '.join(sorted(needed - set(like.markers)))}, which an"
-                           " image needs; add it to workflow/sensors.toml, or name another sensor as LIKE")
+            raise BadInput(
+                f"sensor {like.name}: `markers` lacks {', '.join(sorted(needed - set(like.markers)))}, which an"
+                " image needs; add it to workflow/sensors.toml, or name another sensor as LIKE"
+            )
         markers = find_markers(image, like.markers["rows"], like.markers["cols"], where)
     if points is None:
         if markers is None:
-            raise BadInput("give POINTS=points.csv, or IMAGE=nocontact.png, or both: make projection SENSOR=name POINTS=…")
+            raise BadInput(
+                "give POINTS=points.csv, or IMAGE=nocontact.png, or both: make projection SENSOR=name POINTS=…"
+            )
         points = like.unproject(grid_pixels(like.markers, markers.index)), markers.points
     fit = fit_homography(*points, where=where or "correspondences")
     check_projection(fit.homography, where or "correspondences")
@@ -111,18 +119,29 @@ def describe(found: Calibration) -> dict:
     """The calibration as plain numbers."""
     worst = int(found.fit.residual.argmax())
     about = {
-        "sensor": found.sensor, "image": list(found.image), "gel": found.gel, "points": len(found.points),
+        "sensor": found.sensor,
+        "image": list(found.image),
+        "gel": found.gel,
+        "points": len(found.points),
         "projection": np.round(found.fit.homography, 8).tolist(),
-        "residual_px": {"rms": round(found.fit.rms, 4), "largest": round(float(found.fit.residual[worst]), 4),
-                        "at_mm": np.round(found.points[worst], 3).tolist()},
+        "residual_px": {
+            "rms": round(found.fit.rms, 4),
+            "largest": round(float(found.fit.residual[worst]), 4),
+            "at_mm": np.round(found.points[worst], 3).tolist(),
+        },
         "px_per_mm": np.round(_scale(found.fit.homography), 4).tolist(),
     }
     if found.markers is not None:
         grid = found.markers
         about["markers"] = {
-            "rows": grid.rows, "cols": grid.cols, "count": grid.count, "missing": grid.missing.tolist(),
-            "pitch_px": np.round(grid.pitch, 3).tolist(), "rotation_deg": round(grid.rotation, 3),
-            "centre_px": np.round(grid.centre, 2).tolist(), "diameter_px": round(grid.diameter, 2),
+            "rows": grid.rows,
+            "cols": grid.cols,
+            "count": grid.count,
+            "missing": grid.missing.tolist(),
+            "pitch_px": np.round(grid.pitch, 3).tolist(),
+            "rotation_deg": round(grid.rotation, 3),
+            "centre_px": np.round(grid.centre, 2).tolist(),
+            "diameter_px": round(grid.diameter, 2),
             "uneven_px": round(grid.residual, 3),
         }
     return about
@@ -165,7 +184,9 @@ def draw(found: Calibration, image) -> np.ndarray:
         cv2.putText(picture, axis, (at + 8).tolist(), cv2.FONT_HERSHEY_SIMPLEX, 0.8, COLOURS["gel"], 2, cv2.LINE_AA)
     if found.markers is not None:
         for at in pixel(found.markers.points):
-            cv2.circle(picture, at.tolist(), round(ZOOM * found.markers.diameter / 2), COLOURS["markers"], 2, cv2.LINE_AA)
+            cv2.circle(
+                picture, at.tolist(), round(ZOOM * found.markers.diameter / 2), COLOURS["markers"], 2, cv2.LINE_AA
+            )
         for at in pixel(_expected(found.markers)):
             cv2.drawMarker(picture, at.tolist(), COLOURS["missing"], cv2.MARKER_TILTED_CROSS, 20, 2)
     for at in pixel(found.pixels):
@@ -175,21 +196,30 @@ def draw(found: Calibration, image) -> np.ndarray:
 
 def _expected(grid: MarkerGrid) -> np.ndarray:
     """Where the missing dots would be on an even grid, (m, 2) px."""
-    even = {"rows": grid.rows, "cols": grid.cols, "pitch_px": grid.pitch, "centre_px": grid.centre,
-            "rotation_deg": grid.rotation}
+    even = {
+        "rows": grid.rows,
+        "cols": grid.cols,
+        "pitch_px": grid.pitch,
+        "centre_px": grid.centre,
+        "rotation_deg": grid.rotation,
+    }
     return grid_pixels(even, grid.missing)
 
 
 def report(about: dict, old: Sensor | None) -> None:
     """Print residual, dots, the change from sensors.toml, and the table to paste."""
     residual = about["residual_px"]
-    print(f"projection of {about['sensor']} from {about['points']} points: residual {residual['rms']:.3f} px rms,"
-          f" {residual['largest']:.3f} px at most (at x, y = {residual['at_mm']} mm)")
+    print(
+        f"projection of {about['sensor']} from {about['points']} points: residual {residual['rms']:.3f} px rms,"
+        f" {residual['largest']:.3f} px at most (at x, y = {residual['at_mm']} mm)"
+    )
     if "markers" in about:
         dots = about["markers"]
-        print(f"markers: {dots['count']} of {dots['rows'] * dots['cols']}, pitch {dots['pitch_px'][0]:.2f} x"
-              f" {dots['pitch_px'][1]:.2f} px, turned {dots['rotation_deg']:.2f} degrees, centre {dots['centre_px']} px,"
-              f" {dots['uneven_px']:.2f} px rms off an even grid")
+        print(
+            f"markers: {dots['count']} of {dots['rows'] * dots['cols']}, pitch {dots['pitch_px'][0]:.2f} x"
+            f" {dots['pitch_px'][1]:.2f} px, turned {dots['rotation_deg']:.2f} degrees about {dots['centre_px']},"
+            f" {dots['uneven_px']:.2f} px rms off an even grid"
+        )
     if old is not None:
         half = np.array([[-9.5, -11], [9.5, -11], [9.5, 11], [-9.5, 11]])
         moved = np.hypot(*(transform(np.array(about["projection"]), half) - old.project(half)).T).max()
@@ -204,7 +234,9 @@ def main(argv=None) -> int:
     parser.add_argument("--image", type=Path, help="image without contact, .png or FEATS' .npy")
     parser.add_argument("--like", default="gelsight_mini", help="sensor whose image size, gel and dots it shares")
     parser.add_argument("--sensors", type=Path, default=Path("workflow/sensors.toml"))
-    parser.add_argument("--out", type=Path, help="JSON; a picture goes beside it (default results/projection/SENSOR.json)")
+    parser.add_argument(
+        "--out", type=Path, help="JSON; a picture goes beside it (default results/projection/SENSOR.json)"
+    )
     args = parser.parse_args(argv)
     if not args.sensor:
         raise BadInput("no sensor named; say make projection SENSOR=name POINTS=points.csv (or IMAGE=nocontact.png)")

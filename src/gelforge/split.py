@@ -46,10 +46,13 @@ def split_presses(rows: list[dict], force, unseen_indenters, settings: dict) -> 
     group = group_presses(rows, settings["same_press_mm"], settings["same_press_deg"])
     split = np.array([_kept_apart(row, unseen_indenters, settings["unseen_sensors"]) for row in rows], dtype=object)
     known = np.flatnonzero(split == "")
-    shares = {"train": 1.0 - settings["validation"] - settings["test"], "val": settings["validation"],
-              "test": settings["test"]}
+    shares = {
+        "train": 1.0 - settings["validation"] - settings["test"],
+        "val": settings["validation"],
+        "test": settings["test"],
+    }
     order = _order(rows, np.asarray(force), group, known, settings)
-    chosen = dict(zip(order, _deal([int((group[known] == g).sum()) for g in order], shares)))
+    chosen = dict(zip(order, _deal([int((group[known] == g).sum()) for g in order], shares), strict=True))
     for at in known:
         split[at] = chosen[group[at]]
     return split.astype(str), group

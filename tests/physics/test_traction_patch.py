@@ -8,8 +8,12 @@ from gelforge.binning.operator import assemble
 from gelforge.binning.patch import consistent_loads, exact_cells, irregular_surface
 from gelforge.binning.sensor import load_sensors
 
-CASES = [(kind, sensor, size, text) for kind in ("tet10", "hex8") for sensor in ("gelsight_mini", "mini_c")
-         for size, text in ((0.75, "12x16"), (0.4, "24x32"))]
+CASES = [
+    (kind, sensor, size, text)
+    for kind in ("tet10", "hex8")
+    for sensor in ("gelsight_mini", "mini_c")
+    for size, text in ((0.75, "12x16"), (0.4, "24x32"))
+]
 
 
 def label_error(mesh, operator, sensor, traction) -> float:
@@ -36,7 +40,9 @@ def test_linear_traction_converges_with_the_mesh():
     errors = []
     for size in (0.8, 0.4, 0.2):
         mesh = irregular_surface("tet10", size, np.random.default_rng(6))
-        errors.append(label_error(mesh, assemble(mesh, sensor, Grid.parse("12x16")), sensor, lambda x, y: 0.1 * x + 0.02 * y))
+        errors.append(
+            label_error(mesh, assemble(mesh, sensor, Grid.parse("12x16")), sensor, lambda x, y: 0.1 * x + 0.02 * y)
+        )
     rates = np.log2(np.array(errors[:-1]) / errors[1:])
     assert rates.min() > 1.2 and rates.mean() > 1.5  # random meshes scatter the rate by some tenths
 
@@ -47,7 +53,9 @@ def test_exact_cells_of_one_square():
 
     sensor = load_sensors("workflow/sensors.toml")["gelsight_mini"]
     mesh = irregular_surface("hex8", 1.0, np.random.default_rng(0))
-    mesh = replace(mesh, nodes=np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]), faces=np.array([[0, 1, 2, 3]]))
+    mesh = replace(
+        mesh, nodes=np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]), faces=np.array([[0, 1, 2, 3]])
+    )
     found = exact_cells(mesh, lambda x, y: 1 + x, sensor, Grid(2, 2))
     # Row 0 is v < 120, that is x > 0: the integral of 1 + x over x in (0, 1), y in (0, 1) is 3/2, and 1/2 for x < 0.
     assert found == pytest.approx(np.array([[1.5, 1.5], [0.5, 0.5]]), abs=1e-12)

@@ -43,7 +43,7 @@ def test_every_newton_is_in_a_cell_or_outside(sensor, rows, cols, seed, kind):
     ptr, node, force = random_forces(MESHES[kind], seed)
     operator = assemble(MESHES[kind], sensor, Grid(rows, cols))
     cells, outside = operator.apply(ptr, node, force)
-    total = np.array([force[a:b].sum(axis=0) for a, b in zip(ptr, ptr[1:])])
+    total = np.array([force[a:b].sum(axis=0) for a, b in zip(ptr, ptr[1:], strict=False)])
     assert np.abs(cells.sum(axis=(2, 3)) + outside - total).max() <= ROUNDING * np.abs(force).sum()
     assert operator.weight.min() >= 0
     sums = np.asarray(operator.matrix.sum(axis=1)).ravel()[MESHES[kind].surface_nodes]
@@ -68,7 +68,9 @@ def test_moving_the_image_by_whole_cells_moves_the_label(sensor, right, down, se
     grid = Grid(24, 32)
     shift = np.array([[1, 0, 10.0 * right], [0, 1, 10.0 * down], [0, 0, 1]])
     here, _ = assemble(MESHES[kind], sensor, grid).apply(ptr, node, force)
-    there, _ = assemble(MESHES[kind], replace(sensor, projection=shift @ sensor.projection), grid).apply(ptr, node, force)
+    there, _ = assemble(MESHES[kind], replace(sensor, projection=shift @ sensor.projection), grid).apply(
+        ptr, node, force
+    )
     keep = np.s_[..., max(down, 0) : 24 + min(down, 0), max(right, 0) : 32 + min(right, 0)]
     back = np.s_[..., max(-down, 0) : 24 + min(-down, 0), max(-right, 0) : 32 + min(-right, 0)]
     # The clipping's own rounding, 1e-13 of an area, is the only difference.
@@ -113,8 +115,21 @@ def test_rounding_to_float32_keeps_sums(seed, scale):
 
 def test_upright_faces_keep_their_nodes_force():
     """A face seen edge-on has no projected area: its nodes' force goes to the neighbours, a lone one to its point."""
-    nodes = np.array([[0, 0, 0], [2, 0, 0], [2, 2, 0], [0, 2, 0], [0, 0, -2], [2, 0, -2], [4, 4, 0], [4, 4, -2], [5, 5, 0],
-                      [5, 5, -2]], float)
+    nodes = np.array(
+        [
+            [0, 0, 0],
+            [2, 0, 0],
+            [2, 2, 0],
+            [0, 2, 0],
+            [0, 0, -2],
+            [2, 0, -2],
+            [4, 4, 0],
+            [4, 4, -2],
+            [5, 5, 0],
+            [5, 5, -2],
+        ],
+        float,
+    )
     faces = np.array([[0, 1, 2, 3], [1, 0, 4, 5], [6, 8, 9, 7]])
     mesh = replace(MESHES["hex8"], nodes=nodes, faces=faces.astype(np.int32))
     sensor = load_sensors("workflow/sensors.toml")["gelsight_mini"]
@@ -131,5 +146,7 @@ def test_loads_of_a_patch_sum_to_the_traction_on_its_area():
     for mesh in MESHES.values():
         area = consistent_loads(mesh, lambda x, y: np.ones_like(x)).sum()
         moment = consistent_loads(mesh, lambda x, y: x).sum()
-        assert area == pytest.approx(20.75 * 25.25, rel=0.04)  # dome and rim make the surface 3 % larger than its plan
+        assert area == pytest.approx(
+            20.75 * 25.25, rel=0.04
+        )  # dome and rim make the surface 3 % larger than its plan
         assert abs(moment) <= 0.02 * area

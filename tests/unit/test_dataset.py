@@ -24,8 +24,16 @@ def presses(count, seed, touches=None, indenters=4, sensors=2):
     rows, force = [], rng.uniform(0, 12, count)
     for at in range(count):
         touch = int(rng.integers(touches)) if touches else at
-        rows.append({"sample_id": f"s{at}", "indenter": f"i{touch % indenters}", "sensor_id": f"c{rng.integers(sensors)}",
-                     "x0_mm": str(places[touch, 0]), "y0_mm": str(places[touch, 1]), "rot_deg": "0"})
+        rows.append(
+            {
+                "sample_id": f"s{at}",
+                "indenter": f"i{touch % indenters}",
+                "sensor_id": f"c{rng.integers(sensors)}",
+                "x0_mm": str(places[touch, 0]),
+                "y0_mm": str(places[touch, 1]),
+                "rot_deg": "0",
+            }
+        )
     return rows, force
 
 
@@ -34,7 +42,7 @@ def presses(count, seed, touches=None, indenters=4, sensors=2):
 def test_no_press_is_on_two_sides(count, touches, seed, kinds):
     rows, force = presses(count, seed, touches, kinds)
     split, group = split_presses(rows, force, {"i1"}, {**SETTINGS, "unseen_sensors": ["c1"], "seed": seed})
-    for row, name in zip(rows, split):
+    for row, name in zip(rows, split, strict=True):
         unseen = row["indenter"] == "i1", row["sensor_id"] == "c1"
         expected = {(1, 0): "test_unseen_indenter", (0, 1): "test_unseen_sensor", (1, 1): "test_unseen_both"}
         assert name == expected[unseen] if any(unseen) else name in ("train", "val", "test")
@@ -51,7 +59,7 @@ def test_shares_and_strata_hold():
     for name, share in (("train", 0.7), ("val", 0.1), ("test", 0.2)):
         chosen = split == name
         assert chosen.mean() == pytest.approx(share, abs=0.005)  # what 4000 can be dealt to
-        for low, high in zip([0, *SETTINGS["force_edges"]], [*SETTINGS["force_edges"], 99]):
+        for low, high in zip([0, *SETTINGS["force_edges"]], [*SETTINGS["force_edges"], 99], strict=True):
             stratum = (force >= low) & (force < high)
             assert (chosen & stratum).sum() / stratum.sum() == pytest.approx(share, abs=0.03)
         for indenter in ("i0", "i3"):
@@ -74,8 +82,10 @@ def test_small_datasets_still_validate_and_test(count):
 
 
 def test_nearly_the_same_touch_is_one_press():
-    rows = [{"indenter": "a", "x0_mm": x, "y0_mm": 0, "rot_deg": turn}
-            for x, turn in ((0, 0), (0.04, 0), (0.08, 0.3), (0.2, 0), (0.2, 2))]
+    rows = [
+        {"indenter": "a", "x0_mm": x, "y0_mm": 0, "rot_deg": turn}
+        for x, turn in ((0, 0), (0.04, 0), (0.08, 0.3), (0.2, 0), (0.2, 2))
+    ]
     rows += [{**rows[0], "indenter": "b"}, {"indenter": "a", "x0_mm": "", "y0_mm": "", "rot_deg": ""}]
     assert group_presses(rows, 0.05, 0.5).tolist() == [0, 0, 0, 1, 2, 3, 4]
 
@@ -154,7 +164,11 @@ BROKEN = {
     "an image of another size": (shrink, {}, ["s002.png", "160 x 120", "320 x 240", "sensors.toml"]),
     "a missing image": (lambda m: (m["data"] / "images/s003.png").unlink(), {}, ["s003.png", "missing"]),
     "a path out of the folder": (escape, {}, ["hostname", "inside"]),
-    "no labels": (lambda m: (m["results"] / "50_labels/4x4/0000.npz").write_bytes(b"x"), {}, ["0000.npz", "make labels"]),
+    "no labels": (
+        lambda m: (m["results"] / "50_labels/4x4/0000.npz").write_bytes(b"x"),
+        {},
+        ["0000.npz", "make labels"],
+    ),
     "shares above one": (lambda m: None, {"validation": 0.7, "test": 0.4}, ["validation", "0.7"]),
     "falling edges": (lambda m: None, {"force_edges": [3.0, 1.0]}, ["force_edges", "rising"]),
     "no tolerance": (lambda m: None, {"same_press_mm": 0.0}, ["same_press_mm"]),

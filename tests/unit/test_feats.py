@@ -17,17 +17,44 @@ from gelforge.binning.sensor import load_sensors
 from gelforge.errors import BadInput
 from gelforge.files import read_csv
 from gelforge.formats.feats import (
-    LabelSample, RawSample, read_normalisation, read_sample, write_label, write_normalisation,
+    LabelSample,
+    RawSample,
+    read_normalisation,
+    read_sample,
+    write_label,
+    write_normalisation,
 )
 from gelforge.formats.feats_folder import export_dataset, import_folder
 from gelforge.networks.data import open_data
 
 IMAGE = np.random.default_rng(0).integers(0, 255, (240, 320, 3), np.uint8)
-RAW = {"gs_img": IMAGE, "indenter": "sphere_15", "x_0": 1.0, "y_0": -2.0, "z_0": 0.0, "d_x": 0.1, "d_y": 0.0, "d_z": -1.5,
-       "deg": 30.0, "f_x": np.float64(0.2), "f_y": 0.1, "f_z": -7.5, "m_x": 0.01, "m_y": 0.0, "m_z": 0.0}
+RAW = {
+    "gs_img": IMAGE,
+    "indenter": "sphere_15",
+    "x_0": 1.0,
+    "y_0": -2.0,
+    "z_0": 0.0,
+    "d_x": 0.1,
+    "d_y": 0.0,
+    "d_z": -1.5,
+    "deg": 30.0,
+    "f_x": np.float64(0.2),
+    "f_y": 0.1,
+    "f_z": -7.5,
+    "m_x": 0.01,
+    "m_y": 0.0,
+    "m_z": 0.0,
+}
 GRID = np.random.default_rng(1).normal(0, 0.1, (24, 32))
-LABEL = {"gs_img": IMAGE, "grid_x": GRID, "grid_y": 2 * GRID, "grid_z": -np.abs(GRID), "f_x": GRID.sum(),
-         "f_y": 2 * GRID.sum(), "f_z": -np.abs(GRID).sum()}
+LABEL = {
+    "gs_img": IMAGE,
+    "grid_x": GRID,
+    "grid_y": 2 * GRID,
+    "grid_z": -np.abs(GRID),
+    "f_x": GRID.sum(),
+    "f_y": 2 * GRID.sum(),
+    "f_z": -np.abs(GRID).sum(),
+}
 
 
 def save(path, value):
@@ -59,13 +86,22 @@ def test_raw_samples_come_under_our_columns(tmp_path):
     assert sample.values["dz_mm"] == -1.5 and sample.values["fz_n"] == -7.5 and sample.values["rot_deg"] == 30.0
 
 
-@pytest.mark.parametrize("base, change, words", [
-    (RAW, {"d_z": None}, ["d_z", "finite number"]), (RAW, {"d_z": float("nan")}, ["d_z", "nan"]),
-    (RAW, {"f_x": "strong"}, ["f_x", "strong"]), (RAW, {"indenter": 3}, ["indenter"]), (RAW, {"deg": True}, ["deg"]),
-    (RAW, {"gs_img": IMAGE.astype(float)}, ["gs_img", "float64"]), (RAW, {"gs_img": IMAGE[..., 0]}, ["gs_img"]),
-    (LABEL, {"grid_x": GRID[:5]}, ["grid_y", "must agree"]), (LABEL, {"grid_z": GRID * np.nan}, ["grid_z", "NaN"]),
-    (LABEL, {"f_z": 3.0}, ["f_z", "sum"]), (LABEL, {"grid_y": "x"}, ["grid_y"]),
-])
+@pytest.mark.parametrize(
+    "base, change, words",
+    [
+        (RAW, {"d_z": None}, ["d_z", "finite number"]),
+        (RAW, {"d_z": float("nan")}, ["d_z", "nan"]),
+        (RAW, {"f_x": "strong"}, ["f_x", "strong"]),
+        (RAW, {"indenter": 3}, ["indenter"]),
+        (RAW, {"deg": True}, ["deg"]),
+        (RAW, {"gs_img": IMAGE.astype(float)}, ["gs_img", "float64"]),
+        (RAW, {"gs_img": IMAGE[..., 0]}, ["gs_img"]),
+        (LABEL, {"grid_x": GRID[:5]}, ["grid_y", "must agree"]),
+        (LABEL, {"grid_z": GRID * np.nan}, ["grid_z", "NaN"]),
+        (LABEL, {"f_z": 3.0}, ["f_z", "sum"]),
+        (LABEL, {"grid_y": "x"}, ["grid_y"]),
+    ],
+)
 def test_bad_fields_are_named(tmp_path, base, change, words):
     path = save(tmp_path / "bad.npy", {**base, **change})
     with pytest.raises(BadInput) as error:
@@ -121,13 +157,17 @@ def test_a_folder_becomes_a_dataset(tmp_path, sensor):
     assert (tmp_path / "data/dataset.toml").read_text().count("gelsight_mini") == 2
 
 
-@pytest.mark.parametrize("files, words", [
-    ({"a.npy": {**RAW, "gs_img": IMAGE[:100]}}, ["a.npy", "gs_img", "320 x 100", "320 x 240"]),
-    ({"a.npy": RAW, "b.npy": RAW}, ["b.npy", "same image", "a.npy"]),
-    ({"x/a.npy": RAW, "y/a.npy": {**RAW, "gs_img": IMAGE[::-1]}}, ["a.npy", "same|differ|name"]),
-    ({}, ["no .npy files"]), ({"normalization_1.npy": {"f": {"min": 0, "max": 1}}}, ["normalisation files only"]),
-    ({"a.npy": RAW, "b.npy": {**RAW, "d_z": "deep"}}, ["b.npy", "d_z"]),
-])
+@pytest.mark.parametrize(
+    "files, words",
+    [
+        ({"a.npy": {**RAW, "gs_img": IMAGE[:100]}}, ["a.npy", "gs_img", "320 x 100", "320 x 240"]),
+        ({"a.npy": RAW, "b.npy": RAW}, ["b.npy", "same image", "a.npy"]),
+        ({"x/a.npy": RAW, "y/a.npy": {**RAW, "gs_img": IMAGE[::-1]}}, ["a.npy", "same|differ|name"]),
+        ({}, ["no .npy files"]),
+        ({"normalization_1.npy": {"f": {"min": 0, "max": 1}}}, ["normalisation files only"]),
+        ({"a.npy": RAW, "b.npy": {**RAW, "d_z": "deep"}}, ["b.npy", "d_z"]),
+    ],
+)
 def test_a_bad_folder_leaves_nothing_behind(tmp_path, sensor, files, words):
     source = tmp_path / "feats"
     source.mkdir()
@@ -167,7 +207,9 @@ def test_our_labels_go_out_and_come_back(tmp_path, sensor):
     data = open_data(dataset)
     for at, row in enumerate(data.table):
         back = read_sample(tmp_path / "feats/labels" / row["split"] / f"{row['sample_id']}.npy")
-        assert np.array_equal(back.label.astype(np.float32), data.labels[at]) and np.array_equal(back.image, data.images[at])
+        assert np.array_equal(back.label.astype(np.float32), data.labels[at]) and np.array_equal(
+            back.image, data.images[at]
+        )
     import_folder(tmp_path / "feats", tmp_path / "again/data/back", sensor)
     again = read_labels(tmp_path / "again/data/back/labels/6x8.npz")
     order = [row["sample_id"] for row in data.table]
@@ -180,7 +222,11 @@ def test_our_labels_go_out_and_come_back(tmp_path, sensor):
 
 
 def test_the_command_names_what_is_missing(root):
-    done = subprocess.run([sys.executable, "-m", "gelforge.formats.feats_folder", "import", "--from", "", "--data", "data/x"],
-                          cwd=root, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-m", "gelforge.formats.feats_folder", "import", "--from", "", "--data", "data/x"],
+        cwd=root,
+        capture_output=True,
+        text=True,
+    )
     assert done.returncode == 2 and "FROM=folder" in done.stderr and "Traceback" not in done.stderr
     assert not (root / "data/x").exists()

@@ -72,9 +72,24 @@ def test_only_what_is_older_than_its_sources_is_made_again(made):
 def test_a_single_shard_can_be_asked_for(made, tmp_path):
     results = made["results"]
     out = tmp_path / "one.npz.part"
-    labels.main(["--forces", str(results / "40_forces/0000.npz"), "--poses", str(results / "10_poses/0000.csv"),
-                 "--meshes", str(results / "20_meshes"), "--sensors", "workflow/sensors.toml", "--resolution", "5x7",
-                 "--params", str(results / "00_plan/params/labels.json"), "--out", str(out)])
+    labels.main(
+        [
+            "--forces",
+            str(results / "40_forces/0000.npz"),
+            "--poses",
+            str(results / "10_poses/0000.csv"),
+            "--meshes",
+            str(results / "20_meshes"),
+            "--sensors",
+            "workflow/sensors.toml",
+            "--resolution",
+            "5x7",
+            "--params",
+            str(results / "00_plan/params/labels.json"),
+            "--out",
+            str(out),
+        ]
+    )
     assert read_labels(out)["label"].shape == (8, 3, 5, 7)
 
 
@@ -103,7 +118,9 @@ def test_no_contact_is_zero_and_not_missing(tmp_path):
     made = write_pressed(tmp_path, count=1)
     surface = made["mesh"].surface_nodes
     still = np.zeros((len(surface), 3))
-    write_forces(made["results"] / "40_forces/0000.npz", [SampleForces("s000", "NO_CONTACT", "", surface, still, still)], 0.07)
+    write_forces(
+        made["results"] / "40_forces/0000.npz", [SampleForces("s000", "NO_CONTACT", "", surface, still, still)], 0.07
+    )
     assert not read_labels(label(made, "4x4") / "0000.npz")["label"].any()
 
 
@@ -112,7 +129,9 @@ def broken(made, breaking):
     with pytest.raises(BadInput) as error:
         label(made, "10x10")
     folder = made["results"] / "50_labels/10x10"
-    assert not (folder / "labels.json").exists() and not list(folder.glob(".*")) and not (folder / "0000.npz").exists()
+    assert (
+        not (folder / "labels.json").exists() and not list(folder.glob(".*")) and not (folder / "0000.npz").exists()
+    )
     return str(error.value)
 
 
@@ -127,11 +146,17 @@ def spoil_forces(results):
 
 BROKEN = {
     "NaN forces": (spoil_forces, ["0000.npz", "s000", "not finite"]),
-    "truncated forces": (lambda r: (r / "40_forces/0000.npz").write_bytes(b"PK\x03\x04half"), ["0000.npz", "delete it"]),
+    "truncated forces": (
+        lambda r: (r / "40_forces/0000.npz").write_bytes(b"PK\x03\x04half"),
+        ["0000.npz", "delete it"],
+    ),
     "no mesh": (lambda r: (r / "20_meshes/brick.npz").unlink(), ["brick.npz", "make meshes"]),
     "truncated mesh": (lambda r: (r / "20_meshes/brick.npz").write_bytes(b"junk"), ["brick.npz", "not a gel mesh"]),
     "no pose": (lambda r: (r / "10_poses/0000.csv").write_text("sample_id,sensor_id\n"), ["0000.csv", "s000"]),
-    "unknown sensor": (lambda r: (r / "10_poses/0000.csv").write_text("sample_id,sensor_id\ns000,zzz\n"), ["zzz", "mini_a"]),
+    "unknown sensor": (
+        lambda r: (r / "10_poses/0000.csv").write_text("sample_id,sensor_id\ns000,zzz\n"),
+        ["zzz", "mini_a"],
+    ),
     "other mesh": (lambda r: make_mesh(2.5).save(r / "20_meshes/brick.npz"), ["node", "make"]),
 }
 
@@ -167,8 +192,11 @@ def test_forces_come_back(tmp_path):
     mesh = make_mesh(2.5)
     surface, rng = mesh.surface_nodes, np.random.default_rng(0)
     force = rng.normal(size=(len(surface), 3)) * (rng.random(len(surface)) < 0.2)[:, None]
-    samples = [SampleForces("a", "OK", "m", surface, force, 0.1 * force), SampleForces.failed("b", "DIVERGED"),
-               SampleForces("c", "OK", "m", surface, -force, force)]
+    samples = [
+        SampleForces("a", "OK", "m", surface, force, 0.1 * force),
+        SampleForces.failed("b", "DIVERGED"),
+        SampleForces("c", "OK", "m", surface, -force, force),
+    ]
     write_forces(tmp_path / "f.npz", samples, 0.08)
     with ForceFile(tmp_path / "f.npz") as file:
         assert file.index("c") == 2 and file.c10 == 0.08 and not file.intervals
@@ -182,12 +210,23 @@ def test_forces_come_back(tmp_path):
             file.sample(0, surface[:-1])
 
 
-@pytest.mark.parametrize("change, reason", [
-    ({"status": "FINE"}, "FINE"), ({"force": np.full((2, 3), np.nan)}, "finite"), ({"force": np.zeros((3, 3))}, "3 forces"),
-])
+@pytest.mark.parametrize(
+    "change, reason",
+    [
+        ({"status": "FINE"}, "FINE"),
+        ({"force": np.full((2, 3), np.nan)}, "finite"),
+        ({"force": np.zeros((3, 3))}, "3 forces"),
+    ],
+)
 def test_forces_that_are_none_are_refused(tmp_path, change, reason):
-    good = {"sample_id": "a", "status": "OK", "mesh": "m", "nodes": np.arange(2), "force": np.zeros((2, 3)),
-            "displacement": np.zeros((2, 3))}
+    good = {
+        "sample_id": "a",
+        "status": "OK",
+        "mesh": "m",
+        "nodes": np.arange(2),
+        "force": np.zeros((2, 3)),
+        "displacement": np.zeros((2, 3)),
+    }
     with pytest.raises(BadInput, match=reason):
         write_forces(tmp_path / "f.npz", [SampleForces(**{**good, **change})], 0.07)
     assert not list(tmp_path.iterdir())

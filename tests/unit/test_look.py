@@ -23,8 +23,18 @@ def made(tmp_path_factory, root):
 
 
 def run(made, sample_id, *resolutions):
-    return look.main(["--data", str(made["data"]), "--results", str(made["results"]), "--id", sample_id,
-                      "--resolution", *resolutions])
+    return look.main(
+        [
+            "--data",
+            str(made["data"]),
+            "--results",
+            str(made["results"]),
+            "--id",
+            sample_id,
+            "--resolution",
+            *resolutions,
+        ]
+    )
 
 
 def test_vtu_opens_and_holds_the_press(made):
@@ -74,10 +84,16 @@ def test_arrows_follow_the_image(made):
     assert place[first] == pytest.approx([70, 50]) and place[second] == pytest.approx([210, 150])
 
 
-@pytest.mark.parametrize("sample_id, resolution, reason", [
-    ("", "24x32", "ID=SAMPLE_ID"), ("zzz", "24x32", "not in the log"), ("s001", "5x5", "make labels RES=5x5"),
-    ("s002", "24x32", "DIVERGED"), ("s001", "big", "RES=24x32"),
-])
+@pytest.mark.parametrize(
+    "sample_id, resolution, reason",
+    [
+        ("", "24x32", "ID=SAMPLE_ID"),
+        ("zzz", "24x32", "not in the log"),
+        ("s001", "5x5", "make labels RES=5x5"),
+        ("s002", "24x32", "DIVERGED"),
+        ("s001", "big", "RES=24x32"),
+    ],
+)
 def test_refusals_say_what_to_do(made, sample_id, resolution, reason):
     with pytest.raises(BadInput, match=reason):
         run(made, sample_id, resolution)

@@ -12,9 +12,16 @@ from gelforge.errors import BadInput
 from gelforge.formats.numpy_pickle import Refused, parse_pickle, read_npy
 
 PLAIN = {
-    "image": np.arange(24, dtype=np.uint8).reshape(2, 4, 3), "fortran": np.asfortranarray(np.arange(6.0).reshape(2, 3)),
-    "big": np.arange(3, dtype=">i4"), "text": np.array(["ab", "cde"]), "empty": np.zeros((0, 3)), "flag": np.bool_(True),
-    "number": np.float32(2.5), "words": "größe", "list": [[1, -2**70], [], b"raw", 1.5, None, True], "pair": (1, ("x",)),
+    "image": np.arange(24, dtype=np.uint8).reshape(2, 4, 3),
+    "fortran": np.asfortranarray(np.arange(6.0).reshape(2, 3)),
+    "big": np.arange(3, dtype=">i4"),
+    "text": np.array(["ab", "cde"]),
+    "empty": np.zeros((0, 3)),
+    "flag": np.bool_(True),
+    "number": np.float32(2.5),
+    "words": "größe",
+    "list": [[1, -(2**70)], [], b"raw", 1.5, None, True],
+    "pair": (1, ("x",)),
 }
 
 
@@ -106,8 +113,15 @@ def test_hostile_files_are_refused_by_name_and_never_run(tmp_path, name, protoco
 
 def reconstruct(shape: bytes, data: bytes, code=b"f8") -> bytes:
     """Pickle of a float array with a shape and bytes of our choice."""
-    return (b"cnumpy.core.multiarray\n_reconstruct\n(cnumpy\nndarray\n(I0\ntC\x01btR(I1\n" + shape + b"cnumpy\ndtype\n(V"
-            + code + b"\nI0\nI1\ntR(I3\nV<\nNNNI-1\nI-1\nI0\ntbI00\n" + data + b"tb.")
+    return (
+        b"cnumpy.core.multiarray\n_reconstruct\n(cnumpy\nndarray\n(I0\ntC\x01btR(I1\n"
+        + shape
+        + b"cnumpy\ndtype\n(V"
+        + code
+        + b"\nI0\nI1\ntR(I3\nV<\nNNNI-1\nI-1\nI0\ntbI00\n"
+        + data
+        + b"tb."
+    )
 
 
 def test_crafted_array_is_read_when_honest():

@@ -67,10 +67,15 @@ def test_collinear_pixels_are_refused():
         fit_homography(SQUARE, np.array([[0.0, 0], [10, 10], [20, 20], [40, 40]]))
 
 
-@pytest.mark.parametrize("change, reason", [
-    (np.diag([1.0, -1, 1]), "flips"), (np.diag([0.0, 1, 1]), "singular"),
-    (np.array([[1.0, 0, 0], [0, 1, 0], [0.01, 0, 0]]), "folds"), (np.full((3, 3), np.nan), "finite"),
-])
+@pytest.mark.parametrize(
+    "change, reason",
+    [
+        (np.diag([1.0, -1, 1]), "flips"),
+        (np.diag([0.0, 1, 1]), "singular"),
+        (np.array([[1.0, 0, 0], [0, 1, 0], [0.01, 0, 0]]), "folds"),
+        (np.full((3, 3), np.nan), "finite"),
+    ],
+)
 def test_projections_that_fold_or_flip(change, reason):
     with pytest.raises(BadInput, match=reason):
         check_projection(change @ GOOD, "unit")
@@ -83,10 +88,16 @@ def test_a_projection_that_folds_within_the_gel_is_refused_in_a_file(tmp_path):
         load_sensors(path)
 
 
-@pytest.mark.parametrize("line, reason", [
-    ("image = [320]", "width, height"), ("image = [320, 0]", "width, height"), ("projection = 3", "projection"),
-    ("projection = [[1, 2], [3, 4]]", "3 x 3"), ("image = [", "TOML|sensors"),
-])
+@pytest.mark.parametrize(
+    "line, reason",
+    [
+        ("image = [320]", "width, height"),
+        ("image = [320, 0]", "width, height"),
+        ("projection = 3", "projection"),
+        ("projection = [[1, 2], [3, 4]]", "3 x 3"),
+        ("image = [", "TOML|sensors"),
+    ],
+)
 def test_broken_sensor_tables_name_the_field(tmp_path, line, reason):
     keep = {"image": "image = [320, 240]", "projection": "projection = [[0, -14, 160], [-14, 0, 120], [0, 0, 1]]"}
     path = tmp_path / "sensors.toml"
@@ -121,10 +132,15 @@ def test_the_reference_correspondences(reference):
     assert fit.homography == pytest.approx(GOOD, abs=1e-9) and fit.rms < 1e-9
 
 
-@pytest.mark.parametrize("text, reason", [
-    ("x_mm,y_mm,u_px\n1,2,3\n", "v_px"), ("x_mm,y_mm,u_px,v_px\n1,2,3,abc\n", "point 1, v_px"), ("", "x_mm"),
-    ("x_mm,y_mm,u_px,v_px\n1,2,3,\n", "point 1"),
-])
+@pytest.mark.parametrize(
+    "text, reason",
+    [
+        ("x_mm,y_mm,u_px\n1,2,3\n", "v_px"),
+        ("x_mm,y_mm,u_px,v_px\n1,2,3,abc\n", "point 1, v_px"),
+        ("", "x_mm"),
+        ("x_mm,y_mm,u_px,v_px\n1,2,3,\n", "point 1"),
+    ],
+)
 def test_broken_correspondences_name_point_and_field(tmp_path, text, reason):
     path = tmp_path / "points.csv"
     path.write_text(text)
@@ -164,28 +180,38 @@ def draw_dots(pitch, turn_deg, centre, rows=7, cols=9, missing=(), specks=(), se
     return np.clip(image, 0, 255).astype(np.uint8), index, places
 
 
-@pytest.mark.parametrize("pitch, turn, centre, missing, specks", [
-    ((32.9, 31.4), 0.0, (160, 120), (), ()),
-    ((32.0, 30.0), 3.0, (156, 123), (), ()),
-    ((33.0, 31.0), -4.0, (163, 118), ((0, 0), (3, 4), (3, 5), (6, 8)), ()),
-    ((32.9, 31.4), 1.0, (160, 120), ((1, 1), (2, 1)), ((177, 135), (45, 71))),
-    ((32.9, 31.4), 0.5, (158, 121), tuple((r, 4) for r in range(7)), ()),
-])
+@pytest.mark.parametrize(
+    "pitch, turn, centre, missing, specks",
+    [
+        ((32.9, 31.4), 0.0, (160, 120), (), ()),
+        ((32.0, 30.0), 3.0, (156, 123), (), ()),
+        ((33.0, 31.0), -4.0, (163, 118), ((0, 0), (3, 4), (3, 5), (6, 8)), ()),
+        ((32.9, 31.4), 1.0, (160, 120), ((1, 1), (2, 1)), ((177, 135), (45, 71))),
+        ((32.9, 31.4), 0.5, (158, 121), tuple((r, 4) for r in range(7)), ()),
+    ],
+)
 def test_drawn_dots_are_found(pitch, turn, centre, missing, specks):
     image, index, places = draw_dots(pitch, turn, centre, missing=missing, specks=specks)
     found = find_markers(image, 7, 9)
     assert {tuple(i) for i in found.missing.tolist()} == set(missing)
-    true = {tuple(i): p for i, p in zip(index.tolist(), places)}
-    off = [np.hypot(*(p - true[tuple(i)])) for i, p in zip(found.index.tolist(), found.points)]
+    true = {tuple(i): p for i, p in zip(index.tolist(), places, strict=True)}
+    off = [np.hypot(*(p - true[tuple(i)])) for i, p in zip(found.index.tolist(), found.points, strict=True)]
     assert max(off) < 0.5  # a tenth of the dots' radius, under noise and uneven light
     assert found.pitch == pytest.approx(pitch, abs=0.1) and found.rotation == pytest.approx(turn, abs=0.2)
     assert found.centre == pytest.approx(centre, abs=0.3)
 
 
-@pytest.mark.parametrize("image", [
-    np.full((240, 320, 3), 120, np.uint8), np.random.default_rng(0).integers(0, 255, (240, 320, 3), np.uint8),
-    draw_dots((32.9, 31.4), 0, (160, 120), missing={(r, c) for r in range(7) for c in range(9) if (r + c) % 3})[0],
-], ids=["flat", "noise", "too few"])
+@pytest.mark.parametrize(
+    "image",
+    [
+        np.full((240, 320, 3), 120, np.uint8),
+        np.random.default_rng(0).integers(0, 255, (240, 320, 3), np.uint8),
+        draw_dots((32.9, 31.4), 0, (160, 120), missing={(r, c) for r in range(7) for c in range(9) if (r + c) % 3})[
+            0
+        ],
+    ],
+    ids=["flat", "noise", "too few"],
+)
 def test_images_without_a_grid_are_refused(image):
     with pytest.raises(BadInput, match="image without contact"):
         find_markers(image, 7, 9, "empty.png")
@@ -199,7 +225,9 @@ def test_a_unit_is_calibrated_from_one_image(root):
     turn = scale * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     move = np.eye(3)
     move[:2, :2], move[:2, 2] = turn, np.array([164, 118]) - turn @ like.markers["centre_px"]
-    image, _, _ = draw_dots(scale * np.array(like.markers["pitch_px"]), 1.5 + like.markers["rotation_deg"], (164, 118))
+    image, _, _ = draw_dots(
+        scale * np.array(like.markers["pitch_px"]), 1.5 + like.markers["rotation_deg"], (164, 118)
+    )
     found = projection.calibrate("new", like, image=image)
     half = np.array([[-8.0, -9], [8, -9], [8, 9], [-8, 9]])
     assert np.abs(transform(found.fit.homography, half) - transform(move @ like.projection, half)).max() < 0.5
@@ -208,21 +236,36 @@ def test_a_unit_is_calibrated_from_one_image(root):
 
 def test_the_command_writes_json_picture_and_table(root, reference, tmp_path, capsys):
     out = tmp_path / "unit.json"
-    projection.main(["--sensor", "unit", "--points", str(reference / "feats/point_correspondences.csv"), "--image",
-                     str(reference / "feats/images/nocontact_train_sensor.npy"), "--out", str(out)])
+    projection.main(
+        [
+            "--sensor",
+            "unit",
+            "--points",
+            str(reference / "feats/point_correspondences.csv"),
+            "--image",
+            str(reference / "feats/images/nocontact_train_sensor.npy"),
+            "--out",
+            str(out),
+        ]
+    )
     text = capsys.readouterr().out
     assert "residual 0.000 px rms" in text and "63 of 63" in text and "[unit]" in text
     table = tmp_path / "sensors.toml"
-    table.write_text(text[text.index("[unit]"):])
+    table.write_text(text[text.index("[unit]") :])
     assert load_sensors(table)["unit"].projection == pytest.approx(GOOD, abs=1e-6)
     assert cv2.imread(str(out.with_suffix(".png"))).shape == (720, 960, 3)
 
 
-@pytest.mark.parametrize("arguments, reason", [
-    (["--sensor", ""], "SENSOR=name"), (["--sensor", "a"], "POINTS=points.csv"),
-    (["--sensor", "a", "--image", "small.png"], "160 x 120.*320 x 240"),
-    (["--sensor", "a", "--image", "none.png"], "none.png"), (["--sensor", "a", "--like", "b"], "'b'"),
-])
+@pytest.mark.parametrize(
+    "arguments, reason",
+    [
+        (["--sensor", ""], "SENSOR=name"),
+        (["--sensor", "a"], "POINTS=points.csv"),
+        (["--sensor", "a", "--image", "small.png"], "160 x 120.*320 x 240"),
+        (["--sensor", "a", "--image", "none.png"], "none.png"),
+        (["--sensor", "a", "--like", "b"], "'b'"),
+    ],
+)
 def test_the_command_refuses(tmp_path, monkeypatch, root, arguments, reason):
     monkeypatch.chdir(tmp_path)
     cv2.imwrite("small.png", np.zeros((120, 160, 3), np.uint8))

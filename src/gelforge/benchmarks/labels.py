@@ -26,7 +26,11 @@ from gelforge.projection import read_points
 
 SENSORS = Path("workflow/sensors.toml")
 GRIDS = ("12x16", "24x32", "48x64", "96x128")
-ELEMENT_OF_CELL = {"12x16": 0.75, "24x32": 0.4, "48x64": 0.2}  # mm, corners moved by 0.3 of it: edges stay below a cell
+ELEMENT_OF_CELL = {
+    "12x16": 0.75,
+    "24x32": 0.4,
+    "48x64": 0.2,
+}  # mm, corners moved by 0.3 of it: edges stay below a cell
 SAMPLES, SHARD = 15_000, 8
 REFERENCE_PITCH = np.array([32.9, 31.4])
 DEPTH = -2.284  # mm, of the cuboid in the reference image
@@ -38,16 +42,25 @@ def bumps(mesh, rng, count, reach) -> list[np.ndarray]:
     found = []
     for _ in range(count):
         x, y, radius = rng.uniform(-reach[0], reach[0]), rng.uniform(-reach[1], reach[1]), rng.uniform(2, 5)
-        load = consistent_loads(mesh, lambda u, v: np.maximum(0.0, 1 - ((u - x) ** 2 + (v - y) ** 2) / radius**2))
+        load = dome_load(mesh, x, y, radius)
         found.append(load[:, None] / load.sum() * rng.uniform([-3, -3, -30], [3, 3, -1]))
     return found
+
+
+def dome_load(mesh, x, y, radius) -> np.ndarray:
+    """Nodal load (n,) of a pressure dome of 1 MPa on a round footprint."""
+    return consistent_loads(mesh, lambda u, v: np.maximum(0.0, 1 - ((u - x) ** 2 + (v - y) ** 2) / radius**2))
 
 
 def csr(forces) -> tuple:
     """ptr, node, force of dense nodal forces, as in a forces shard."""
     nodes = [np.flatnonzero(f.any(axis=1)) for f in forces]
     ptr = np.concatenate([[0], np.cumsum([len(n) for n in nodes])])
-    return ptr, np.concatenate(nodes).astype(np.int32), np.concatenate([f[n] for f, n in zip(forces, nodes)])
+    return (
+        ptr,
+        np.concatenate(nodes).astype(np.int32),
+        np.concatenate([f[n] for f, n in zip(forces, nodes, strict=True)]),
+    )
 
 
 def conservation(sensors, rng) -> list[Figure]:
@@ -62,12 +75,18 @@ def conservation(sensors, rng) -> list[Figure]:
         cells, outside = operator.apply(*csr(inside + rim))
         total = np.array([f.sum(axis=0) for f in inside + rim]) - outside
         size = np.abs(cells).sum(axis=(2, 3))
-        lost = max(lost, float((np.abs(cells.sum(axis=(2, 3)) - total) / size).max()), float(np.abs(outside[:20]).max()))
+        lost = max(
+            lost, float((np.abs(cells.sum(axis=(2, 3)) - total) / size).max()), float(np.abs(outside[:20]).max())
+        )
         stored = max(stored, float((np.abs(to_float32(cells).astype(float).sum(axis=(2, 3)) - total) / size).max()))
         if finest is not None:
             step = finest.shape[2] // operator.grid.rows
-            coarse = finest.reshape(len(cells), 3, operator.grid.rows, step, operator.grid.cols, step).sum(axis=(3, 5))
-            nested = max(nested, float((np.abs(coarse - cells).max(axis=(2, 3)) / np.abs(cells).max(axis=(2, 3))).max()))
+            coarse = finest.reshape(len(cells), 3, operator.grid.rows, step, operator.grid.cols, step).sum(
+                axis=(3, 5)
+            )
+            nested = max(
+                nested, float((np.abs(coarse - cells).max(axis=(2, 3)) / np.abs(cells).max(axis=(2, 3))).max())
+            )
         finest = cells if finest is None else finest
     note = "40 presses, half of them over the rim, at " + " ".join(GRIDS)
     return [
@@ -87,6 +106,7 @@ def traction(sensors, rng) -> list[Figure]:
             mesh = irregular_surface(kind, size, rng)
             operator = assemble(mesh, sensors["gelsight_mini"], Grid.parse(text))
             for slope in ((0, 0, 1), (1 / 10.4, 0, 0), (0, 1 / 12.6, 0), (1 / 20.8, 1 / 25.2, 0.5)):
+
                 def field(x, y, s=slope):
                     return s[0] * x + s[1] * y + s[2]
 
@@ -119,8 +139,9 @@ def shapely_label(mesh, sensor, grid: Grid, nodal, boxes_first: bool) -> np.ndar
             low, high = corners.min(axis=1), corners.max(axis=1)
             near = range(len(shapes))
             if boxes_first:
-                near = np.flatnonzero((high > (col * du, row * dv)).all(axis=1)
-                                      & (low < ((col + 1) * du, (row + 1) * dv)).all(axis=1))
+                near = np.flatnonzero(
+                    (high > (col * du, row * dv)).all(axis=1) & (low < ((col + 1) * du, (row + 1) * dv)).all(axis=1)
+                )
             for k in near:
                 label[:, row, col] += force[touched[k]] * cell.intersection(shapes[k]).area / shapes[k].area
     return label
@@ -140,8 +161,7 @@ def speed(sensors, rng) -> list[Figure]:
     """Time of one label, against shapely on the same press in the same run."""
     unit, grid = sensors["gelsight_mini"], Grid.parse("24x32")
     mesh = irregular_surface("tet10", 0.75, rng)
-    radius = 4.0
-    load = consistent_loads(mesh, lambda u, v: np.maximum(0.0, 1 - (u**2 + v**2) / radius**2))[:, None] * [0.1, 0.1, -1]
+    load = dome_load(mesh, 0.0, 0.0, 4.0)[:, None] * [0.1, 0.1, -1]
     operator = assemble(mesh, unit, grid)
     shard = csr([load] * 100)
     ours = best_seconds(lambda: operator.apply(*shard), 20) / 100
@@ -152,10 +172,24 @@ def speed(sensors, rng) -> list[Figure]:
     assembly = best_seconds(lambda: assemble(mesh, unit, Grid.parse("96x128")), 2)
     faces = int(load[mesh.faces].any(axis=(1, 2)).sum())
     return [
-        Figure("one sample at 24x32, operator there", 1e3 * ours, "<=", 0.2, "ms",
-               f"mean of a shard of 100, {faces} contact faces; {1e3 * alone:.3f} ms alone; operator at 96x128 {assembly:.2f} s"),
-        Figure("faster than shapely", plain / ours, ">=", 300, "times",
-               f"shapely {plain:.3f} s as FEATS does it; {boxed:.3f} s with bounding boxes first ({boxed / ours:.0f} times)"),
+        Figure(
+            "one sample at 24x32, operator there",
+            1e3 * ours,
+            "<=",
+            0.2,
+            "ms",
+            f"mean of a shard of 100, {faces} contact faces; {1e3 * alone:.3f} ms alone;"
+            f" operator at 96x128 {assembly:.2f} s",
+        ),
+        Figure(
+            "faster than shapely",
+            plain / ours,
+            ">=",
+            300,
+            "times",
+            f"shapely {plain:.3f} s as FEATS does it; {boxed:.3f} s with bounding boxes first"
+            f" ({boxed / ours:.0f} times)",
+        ),
     ]
 
 
@@ -169,7 +203,9 @@ def write_shards(folder: Path, rng) -> None:
     (folder / "shards").mkdir()
     for shard in range(-(-SAMPLES // SHARD)):
         names = [f"p{at:05d}" for at in range(shard * SHARD, min((shard + 1) * SHARD, SAMPLES))]
-        samples = [SampleForces(n, "OK", "irregular", surface, stock[(shard + k) % 40], rest) for k, n in enumerate(names)]
+        samples = [
+            SampleForces(n, "OK", "irregular", surface, stock[(shard + k) % 40], rest) for k, n in enumerate(names)
+        ]
         write_forces(folder / "40_forces" / f"{shard:04d}.npz", samples, 0.0725)
         rows = [{"sample_id": name, "sensor_id": "gelsight_mini"} for name in names]
         write_csv(folder / "10_poses" / f"{shard:04d}.csv", ["sample_id", "sensor_id"], rows)
@@ -185,11 +221,31 @@ def whole_dataset(rng) -> list[Figure]:
         figures = []
         for text in ("24x32", "96x128"):
             out = folder / "50_labels" / text / "labels.json"
-            command = [sys.executable, "-m", "gelforge.labels", "--forces", folder / "40_forces", "--poses",
-                       folder / "10_poses", "--meshes", folder / "20_meshes", "--shards", folder / "shards", "--sensors",
-                       SENSORS, "--resolution", text, "--params", folder / "labels.json", "--out", out]
+            command = [
+                sys.executable,
+                "-m",
+                "gelforge.labels",
+                "--forces",
+                folder / "40_forces",
+                "--poses",
+                folder / "10_poses",
+                "--meshes",
+                folder / "20_meshes",
+                "--shards",
+                folder / "shards",
+                "--sensors",
+                SENSORS,
+                "--resolution",
+                text,
+                "--params",
+                folder / "labels.json",
+                "--out",
+                out,
+            ]
             start = time.perf_counter()
-            subprocess.run([str(part) for part in command], check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+            subprocess.run(
+                [str(part) for part in command], check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+            )
             seconds = time.perf_counter() - start
             if read_json(out)["samples"] != SAMPLES or not len(read_labels(out.parent / "0000.npz")["label"]):
                 raise RuntimeError("stage 50 did not label all samples; the benchmark would lie")
@@ -219,13 +275,21 @@ def cuboid_outline(sensors, reference: Path) -> list[Figure]:
         cell = sensors["gelsight_mini"].image[1] / operator.grid.rows
         marked = np.concatenate([corners.min(axis=0), corners.max(axis=0)])
         off = float(np.abs(outline - marked).max() / cell)
-        figures.append(Figure(f"cuboid outline against the image, {text}", off, "<=", 1.0, "cells",
-                              f"left, top, right, bottom {outline.round(1).tolist()} px, marked {marked.tolist()}"))
+        figures.append(
+            Figure(
+                f"cuboid outline against the image, {text}",
+                off,
+                "<=",
+                1.0,
+                "cells",
+                f"left, top, right, bottom {outline.round(1).tolist()} px, marked {marked.tolist()}",
+            )
+        )
     return figures
 
 
 def outline_px(pressure, image) -> np.ndarray:
-    """Left, top, right and bottom edge in px of the cells that bear at least PLATEAU of the median of the loaded ones."""
+    """Left, top, right and bottom edge in px of the cells that bear over PLATEAU of the loaded ones' median."""
     loaded = pressure > PLATEAU * np.median(pressure[pressure > 0.05 * pressure.max()])
     rows, cols = np.flatnonzero(loaded.any(axis=1)), np.flatnonzero(loaded.any(axis=0))
     du, dv = image[0] / pressure.shape[1], image[1] / pressure.shape[0]
@@ -240,7 +304,8 @@ def reference_markers(reference: Path) -> list[Figure]:
     pressed = cv2.imread(str(reference / "feats/images/cuboid_10-2-284.png"))[..., ::-1]
     grid, other = find_markers(quiet, 7, 9), find_markers(pressed, 7, 9)
     off = np.abs(grid.pitch - REFERENCE_PITCH)
-    note = f"{grid.pitch[0]:.2f} x {grid.pitch[1]:.2f} px, turned {grid.rotation:.2f} degrees, centre {grid.centre.round(1)}"
+    pitch = " x ".join(f"{p:.2f}" for p in grid.pitch)
+    note = f"{pitch} px, turned {grid.rotation:.2f} degrees, centre {grid.centre.round(1)}"
     return [
         Figure("dots in the image without contact", grid.count, "==", 63, "", note),
         Figure("pitch against 32.9 x 31.4 px", float(off.max()), "<=", 0.3, "px", note),

@@ -61,7 +61,7 @@ def clip_to_grid(polygons: np.ndarray, shape: tuple[int, int], image: tuple[int,
         found.append(_clip_block(polygons, block, first, last, edges, cols, measure))
     if not found:
         return np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0)
-    return tuple(np.concatenate(parts) for parts in zip(*found))
+    return tuple(np.concatenate(parts) for parts in zip(*found, strict=True))
 
 
 def _cell_range(polygons, axis, cells, length):
@@ -78,7 +78,7 @@ def _blocks(pairs):
         return
     number = np.cumsum(pairs) // PAIRS_AT_ONCE
     cuts = np.flatnonzero(np.diff(number)) + 1
-    yield from (np.arange(a, b) for a, b in zip([0, *cuts], [*cuts, len(pairs)]))
+    yield from (np.arange(a, b) for a, b in zip([0, *cuts], [*cuts, len(pairs)], strict=True))
 
 
 def _clip_block(polygons, block, u_range, v_range, edges, cols, measure):

@@ -20,7 +20,9 @@ class Grid:
         """Read "24x32"; anything but two positive integers raises BadInput."""
         found = re.fullmatch(r"([0-9]{1,5})x([0-9]{1,5})", text.strip(), re.ASCII)
         if not found or not all(0 < int(n) <= LARGEST for n in found.groups()):
-            raise BadInput(f"resolution {text!r}: write ROWSxCOLS, two whole numbers from 1 to {LARGEST}, as RES=24x32")
+            raise BadInput(
+                f"resolution {text!r}: write ROWSxCOLS, two whole numbers from 1 to {LARGEST}, as RES=24x32"
+            )
         return cls(*(int(n) for n in found.groups()))
 
     def __str__(self) -> str:

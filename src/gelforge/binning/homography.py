@@ -48,7 +48,9 @@ def fit_homography(gel: np.ndarray, pixels: np.ndarray, where: str = "correspond
 def check_points(gel, pixels, where) -> None:
     """Raise BadInput for fewer than four points, repeated ones, all on a line, or three of four on one."""
     if len(gel) != len(pixels) or gel.ndim != 2 or gel.shape[1:] != (2,) or pixels.shape != gel.shape:
-        raise BadInput(f"{where}: {len(gel)} gel points and {len(pixels)} pixels; give one pixel (u, v) per point (x, y)")
+        raise BadInput(
+            f"{where}: {len(gel)} gel points and {len(pixels)} pixels; give one pixel (u, v) per point (x, y)"
+        )
     if len(gel) < 4:
         raise BadInput(f"{where}: {len(gel)} points; a projection needs at least four")
     if not (np.isfinite(gel).all() and np.isfinite(pixels).all()):
@@ -98,8 +100,12 @@ def _refine(homography, gel, pixels) -> np.ndarray:
         scale = lifted @ best[2]
         seen = (lifted @ best[:2].T) / scale[:, None]
         part, zeros = lifted / scale[:, None], np.zeros_like(lifted)
-        jacobian = np.vstack([np.hstack([part, zeros, -seen[:, :1] * part[:, :2]]),
-                              np.hstack([zeros, part, -seen[:, 1:] * part[:, :2]])])
+        jacobian = np.vstack(
+            [
+                np.hstack([part, zeros, -seen[:, :1] * part[:, :2]]),
+                np.hstack([zeros, part, -seen[:, 1:] * part[:, :2]]),
+            ]
+        )
         step = np.linalg.lstsq(jacobian, (pixels - seen).T.ravel(), rcond=None)[0]
         trial = best + np.append(step, 0.0).reshape(3, 3)
         if ((transform(trial, gel) - pixels) ** 2).sum() >= ((seen - pixels) ** 2).sum():

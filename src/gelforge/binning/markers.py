@@ -49,14 +49,18 @@ def find_markers(image: np.ndarray, rows: int, cols: int, where: str = "image") 
     """
     points, widths = find_blobs(image)
     if len(points) < max(4, LEAST_SHARE * rows * cols):
-        raise BadInput(f"{where}: {len(points)} dark dots found, a grid of {rows} x {cols} is expected; use a sharp image"
-                       " without contact, and check `markers` in workflow/sensors.toml")
+        raise BadInput(
+            f"{where}: {len(points)} dark dots found, a grid of {rows} x {cols} is expected; use a sharp image"
+            " without contact, and check `markers` in workflow/sensors.toml"
+        )
     index, used = _walk(points)
     index, used = _complete(points, index, used)
     index, used = _window(index, used, rows, cols)
     if len(used) < LEAST_SHARE * rows * cols:
-        raise BadInput(f"{where}: only {len(used)} of {rows} x {cols} dots stand on one grid; use an image without contact,"
-                       " and check `markers` in workflow/sensors.toml")
+        raise BadInput(
+            f"{where}: only {len(used)} of {rows} x {cols} dots stand on one grid; use an image without contact,"
+            " and check `markers` in workflow/sensors.toml"
+        )
     return _measure(rows, cols, index, points[used], widths[used])
 
 
@@ -183,7 +187,9 @@ def _measure(rows, cols, index, points, widths) -> MarkerGrid:
     order = np.lexsort((index[:, 1], index[:, 0]))
     residual = float(np.sqrt(((points - fitted) ** 2).sum(axis=1).mean()))
     pitch = np.array([_spacing(index, points, 1), _spacing(index, points, 0)])
-    return MarkerGrid(rows, cols, index[order], points[order], pitch, float(turn), centre, residual, float(np.median(widths)))
+    return MarkerGrid(
+        rows, cols, index[order], points[order], pitch, float(turn), centre, residual, float(np.median(widths))
+    )
 
 
 def _spacing(index, points, axis) -> float:

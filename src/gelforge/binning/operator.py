@@ -72,7 +72,9 @@ class Operator:
             raise BadInput(f"force on node {node.max()} of a mesh of {len(self.ptr) - 1} nodes; run make again")
         bare = node[self.ptr[node] == self.ptr[np.asarray(node) + 1]]
         if len(bare):
-            raise BadInput(f"force on node {bare[0]}, which is on no surface face of the mesh; the mesh changed, run make")
+            raise BadInput(
+                f"force on node {bare[0]}, which is on no surface face of the mesh; the mesh changed, run make"
+            )
 
     def save(self, path) -> None:
         """Write to an .npz file, whole or not at all."""
@@ -98,8 +100,10 @@ def assemble(mesh: GelMesh, sensor: Sensor, grid: Grid) -> Operator:
     to_part, lonely = node_to_part(mesh, areas)
     to_cell = part_to_cell(parts, areas, sensor, grid)
     if not (to_cell.indices < grid.cells).any():
-        raise BadInput(f"sensor {sensor.name}: the gel lies wholly outside the {sensor.image[0]} x {sensor.image[1]}"
-                       " image; correct its projection (make projection SENSOR=...)")
+        raise BadInput(
+            f"sensor {sensor.name}: the gel lies wholly outside the {sensor.image[0]} x {sensor.image[1]}"
+            " image; correct its projection (make projection SENSOR=...)"
+        )
     matrix = (to_part @ to_cell + point_to_cell(mesh, sensor, grid, lonely)).tocsr()
     matrix.sort_indices()
     return Operator(grid, matrix.indptr.astype(np.int64), matrix.indices.astype(np.int32), matrix.data)
@@ -137,7 +141,9 @@ def face_loads(mesh: GelMesh) -> np.ndarray:
     side = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     for point in side / np.sqrt(3):
         shape = np.prod(1 + side * point, axis=1) / 4
-        along = [np.einsum("fkd,k->fd", corners, side[:, i] * (1 + side[:, 1 - i] * point[1 - i]) / 4) for i in (0, 1)]
+        along = [
+            np.einsum("fkd,k->fd", corners, side[:, i] * (1 + side[:, 1 - i] * point[1 - i]) / 4) for i in (0, 1)
+        ]
         loads += np.linalg.norm(np.cross(*along), axis=1)[:, None] * shape
     return loads
 
@@ -152,7 +158,7 @@ def node_to_part(mesh: GelMesh, areas: np.ndarray):
 
     loads = np.where(areas > 0, face_loads(mesh), 0.0)
     slots = np.arange(areas.size).reshape(areas.shape)
-    nodes, parts, weights = [mesh.faces[:, -areas.shape[1]:]], [slots], [loads]
+    nodes, parts, weights = [mesh.faces[:, -areas.shape[1] :]], [slots], [loads]
     if mesh.kind == "tet10":
         for turn in (0, 1):
             nodes.append(mesh.faces[:, :3])

@@ -10,14 +10,17 @@ from gelforge.geometry.gel import Gel
 from gelforge.mechanics.mesh import GelMesh
 
 TRIANGLE_RULE = (  # degree 4, Dunavant (1985), table 1: weight, then two of the area coordinates
-    (0.223381589678011, 0.445948490915965, 0.445948490915965), (0.223381589678011, 0.10810301816807, 0.445948490915965),
-    (0.223381589678011, 0.445948490915965, 0.10810301816807), (0.109951743655322, 0.091576213509771, 0.091576213509771),
-    (0.109951743655322, 0.816847572980459, 0.091576213509771), (0.109951743655322, 0.091576213509771, 0.816847572980459),
+    (0.223381589678011, 0.445948490915965, 0.445948490915965),
+    (0.223381589678011, 0.10810301816807, 0.445948490915965),
+    (0.223381589678011, 0.445948490915965, 0.10810301816807),
+    (0.109951743655322, 0.091576213509771, 0.091576213509771),
+    (0.109951743655322, 0.816847572980459, 0.091576213509771),
+    (0.109951743655322, 0.091576213509771, 0.816847572980459),
 )
 SQUARE = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
 
 
-def irregular_surface(kind: str, size: float, rng, gel: Gel = Gel(), jitter: float = 0.3) -> GelMesh:
+def irregular_surface(kind: str, size: float, rng, gel: Gel | None = None, jitter: float = 0.3) -> GelMesh:
     """Surface mesh over the gel's rectangle with corners moved at random by up to `jitter` of `size` mm.
 
     "tet10" gives a Delaunay triangulation with midside nodes on the dome, "hex8" skewed quadrangles on its
@@ -25,8 +28,11 @@ def irregular_surface(kind: str, size: float, rng, gel: Gel = Gel(), jitter: flo
     """
     from scipy.spatial import Delaunay
 
+    gel = gel or Gel()
     counts = [round(length / size) for length in (gel.width, gel.length)]
-    lines = [np.linspace(-length / 2, length / 2, n + 1) for length, n in zip((gel.width, gel.length), counts)]
+    lines = [
+        np.linspace(-length / 2, length / 2, n + 1) for length, n in zip((gel.width, gel.length), counts, strict=True)
+    ]
     flat = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 2)
     inner = (np.abs(flat) < np.array([gel.width, gel.length]) / 2 - 1e-9).all(axis=1)
     flat[inner] += rng.uniform(-jitter * size, jitter * size, (inner.sum(), 2))
@@ -71,21 +77,24 @@ def _square_points(corners):
     for i in range(3):
         for j in range(3):
             at = np.array([points[i], points[j]])
-            along = [np.einsum("fkd,k->fd", corners, SQUARE[:, k] * (1 + SQUARE[:, 1 - k] * at[1 - k]) / 4) for k in (0, 1)]
+            along = [
+                np.einsum("fkd,k->fd", corners, SQUARE[:, k] * (1 + SQUARE[:, 1 - k] * at[1 - k]) / 4) for k in (0, 1)
+            ]
             shape = np.prod(1 + SQUARE * at, axis=1) / 4
             area = np.linalg.norm(np.cross(*along), axis=1)
             yield weights[i] * weights[j] * area, shape, np.einsum("fkd,k->fd", corners, shape)
 
 
 def exact_cells(mesh: GelMesh, traction, sensor: Sensor, grid: Grid) -> np.ndarray:
-    """Force (rows, cols) of a linear traction(x, y) on each cell, exact: clipped area times traction at its centroid."""
+    """Exact force (rows, cols) of a linear traction(x, y) on each cell: clipped area times mid traction."""
     flat = mesh.nodes[mesh.faces[:, : CORNERS[mesh.kind]], :2]
     slope = face_loads(mesh).sum(axis=1) / polygon_area(flat)
     back, total = np.linalg.inv(sensor.projection), np.zeros(grid.cells)
     lift = 1.0 + 2.0 * np.abs(traction(flat[..., 0], flat[..., 1])).max()  # keeps every measure positive
     for sign, measure in ((1.0, lambda p: _integral(p, lambda x, y: traction(x, y) + lift)), (-lift, polygon_area)):
         face, cell, value = clip_to_grid(
-            sensor.project(flat), grid.shape, sensor.image, lambda p, m=measure: m(transform(back, p)))
+            sensor.project(flat), grid.shape, sensor.image, lambda p, m=measure: m(transform(back, p))
+        )
         total += sign * np.bincount(cell, value * slope[face], grid.cells)
     return total.reshape(grid.shape)
 

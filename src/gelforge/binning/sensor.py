@@ -56,15 +56,21 @@ def check_projection(homography: np.ndarray, where: str, gel: Gel | None = None)
     corners = half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     scale = corners @ homography[2, :2] + homography[2, 2]
     if scale.min() * scale.max() <= 0:
-        raise BadInput(f"{where}: the projection folds the gel (its line to infinity crosses the"
-                       f" {gel.width:g} x {gel.length:g} mm outline); check the correspondences and run make projection")
+        raise BadInput(
+            f"{where}: the projection folds the gel (its line to infinity crosses the"
+            f" {gel.width:g} x {gel.length:g} mm outline); check the correspondences and run make projection"
+        )
     jacobian = np.linalg.det(homography) / scale**3  # of the map at each corner, section 2.4
     size = np.abs(homography[:2]).max() / np.abs(scale).max()
     if (np.abs(jacobian) <= 1e-9 * size**2).any():
-        raise BadInput(f"{where}: the projection is singular, it maps the gel onto a line; give points that span an area")
+        raise BadInput(
+            f"{where}: the projection is singular, it maps the gel onto a line; give points that span an area"
+        )
     if (jacobian > 0).any():
-        raise BadInput(f"{where}: the projection flips the gel (positive Jacobian: the image would be mirrored);"
-                       " exchange u or v, or x and y, in the correspondences, or mirror the image back")
+        raise BadInput(
+            f"{where}: the projection flips the gel (positive Jacobian: the image would be mirrored);"
+            " exchange u or v, or x and y, in the correspondences, or mirror the image back"
+        )
 
 
 def load_sensors(path) -> dict[str, Sensor]:
@@ -80,8 +86,10 @@ def load_sensors(path) -> dict[str, Sensor]:
 def find_sensor(sensors: dict, name: str, where: str) -> Sensor:
     """The sensor called `name`; one that is not there raises BadInput with those that are."""
     if name not in sensors:
-        raise BadInput(f"{where}: sensor {name!r} is not in workflow/sensors.toml (it has {', '.join(sorted(sensors))});"
-                       " add it there, or correct sensor_id in the log")
+        raise BadInput(
+            f"{where}: sensor {name!r} is not in workflow/sensors.toml (it has {', '.join(sorted(sensors))});"
+            " add it there, or correct sensor_id in the log"
+        )
     return sensors[name]
 
 

@@ -14,7 +14,13 @@ from gelforge.files import publish
 from gelforge.formats.numpy_pickle import read_npy
 
 POSE_FIELDS = {
-    "x_0": "x0_mm", "y_0": "y0_mm", "z_0": "z0_mm", "d_x": "dx_mm", "d_y": "dy_mm", "d_z": "dz_mm", "deg": "rot_deg",
+    "x_0": "x0_mm",
+    "y_0": "y0_mm",
+    "z_0": "z0_mm",
+    "d_x": "dx_mm",
+    "d_y": "dy_mm",
+    "d_z": "dz_mm",
+    "deg": "rot_deg",
 }
 FORCE_FIELDS = {"f_x": "fx_n", "f_y": "fy_n", "f_z": "fz_n", "m_x": "mx_nm", "m_y": "my_nm", "m_z": "mz_nm"}
 GRIDS = ("grid_x", "grid_y", "grid_z")
@@ -48,8 +54,10 @@ def read_sample(path) -> RawSample | LabelSample:
         return LabelSample(image, _label(path, found))
     missing = [name for name in ("indenter", *POSE_FIELDS, *FORCE_FIELDS) if name not in found]
     if missing:
-        raise BadInput(f"{path}: field {missing[0]} is missing (it has {', '.join(map(str, found))[:120]});"
-                       " a raw sample needs all of FEATS' fields, a label file grid_x, grid_y and grid_z")
+        raise BadInput(
+            f"{path}: field {missing[0]} is missing (it has {', '.join(map(str, found))[:120]});"
+            " a raw sample needs all of FEATS' fields, a label file grid_x, grid_y and grid_z"
+        )
     names = {**POSE_FIELDS, **FORCE_FIELDS}
     values = {column: _number(path, name, found[name]) for name, column in names.items()}
     return RawSample(image, {"indenter": _text(path, "indenter", found["indenter"]), **values})
@@ -65,14 +73,16 @@ def _image(path, found) -> np.ndarray:
 
 def _label(path, found) -> np.ndarray:
     grids = [found[name] for name in GRIDS]
-    for name, grid in zip(GRIDS, grids):
+    for name, grid in zip(GRIDS, grids, strict=True):
         if not isinstance(grid, np.ndarray) or grid.ndim != 2 or grid.dtype.kind not in "fiu" or not grid.size:
             raise BadInput(f"{path}: field {name} is no grid of numbers; label the press again")
         if grid.shape != grids[0].shape:
-            raise BadInput(f"{path}: field {name} has {grid.shape} cells, grid_x has {grids[0].shape}; they must agree")
+            raise BadInput(
+                f"{path}: field {name} has {grid.shape} cells, grid_x has {grids[0].shape}; they must agree"
+            )
         if not np.isfinite(grid).all():
             raise BadInput(f"{path}: field {name} holds NaN or infinity; label the press again")
-    for name, grid in zip(TOTALS, grids):
+    for name, grid in zip(TOTALS, grids, strict=True):
         total = _number(path, name, found.get(name))
         if abs(total - grid.sum()) > SUM_TOLERANCE * np.abs(grid).sum() + 1e-9:
             raise BadInput(f"{path}: field {name} is {total:g} N, its cells sum to {grid.sum():g} N; label it again")
@@ -98,7 +108,7 @@ def _text(path, name, value) -> str:
 def write_label(path, sample: LabelSample) -> None:
     """Write a label file in FEATS' layout, whole or not at all."""
     grids = {name: np.asarray(sample.label[k], np.float64) for k, name in enumerate(GRIDS)}
-    totals = {name: np.float64(grids[grid].sum()) for name, grid in zip(TOTALS, GRIDS)}
+    totals = {name: np.float64(grids[grid].sum()) for name, grid in zip(TOTALS, GRIDS, strict=True)}
     _save(path, {"gs_img": np.asarray(sample.image, np.uint8), **grids, **totals})
 
 
@@ -107,15 +117,25 @@ def read_normalisation(path) -> dict:
     found = read_npy(path)
     good = isinstance(found, dict) and all(isinstance(v, dict) and {"min", "max"} <= set(v) for v in found.values())
     if not good or not found:
-        raise BadInput(f"{path}: not a normalisation file, which holds min and max of every field; run normalize again")
-    return {name: {key: _number(path, f"{name}.{key}", ends[key]) for key in ("min", "max")} for name, ends in found.items()}
+        raise BadInput(
+            f"{path}: not a normalisation file, which holds min and max of every field; run normalize again"
+        )
+    return {
+        name: {key: _number(path, f"{name}.{key}", ends[key]) for key in ("min", "max")}
+        for name, ends in found.items()
+    }
 
 
 def write_normalisation(path, ranges: dict) -> None:
     """Write `ranges` ({field: {"min", "max"}}) as FEATS' normalisation file, whole or not at all."""
     kind = {"gs_img": np.uint8}
-    _save(path, {name: {key: kind.get(name, np.float64)(ends[key]) for key in ("min", "max")}
-                 for name, ends in ranges.items()})
+    _save(
+        path,
+        {
+            name: {key: kind.get(name, np.float64)(ends[key]) for key in ("min", "max")}
+            for name, ends in ranges.items()
+        },
+    )
 
 
 def is_normalisation(path) -> bool:

@@ -15,17 +15,24 @@ from gelforge.binning.sensor import find_sensor, load_sensors
 from gelforge.errors import BadInput
 from gelforge.files import read_csv, write_csv, write_json, write_text
 from gelforge.formats.feats import (
-    LabelSample, RawSample, Ranges, is_normalisation, read_normalisation, read_sample, write_label, write_normalisation,
+    LabelSample,
+    Ranges,
+    RawSample,
+    is_normalisation,
+    read_normalisation,
+    read_sample,
+    write_label,
+    write_normalisation,
 )
 from gelforge.log import COLUMNS
 from gelforge.progress import progress
 
 FEATS_C10 = 0.0792  # MPa, the paper's fit, which its labels were made with
-DATASET_TOML = '''# Imported from files in FEATS' layout.
+DATASET_TOML = """# Imported from files in FEATS' layout.
 sensor = "{sensor}"
 gel = "{gel}"
 catalogue = "indenters.toml"
-'''
+"""
 
 
 @contextmanager
@@ -79,8 +86,10 @@ def _take(path, sample, sensor, part, presses, labels) -> None:
 
     height, width = sample.image.shape[:2]
     if (width, height) != tuple(sensor.image):
-        raise BadInput(f"{path}: field gs_img is {width} x {height} pixels, sensor {sensor.name} has"
-                       f" {sensor.image[0]} x {sensor.image[1]}; import it with its own SENSOR, or resize it")
+        raise BadInput(
+            f"{path}: field gs_img is {width} x {height} pixels, sensor {sensor.name} has"
+            f" {sensor.image[0]} x {sensor.image[1]}; import it with its own SENSOR, or resize it"
+        )
     key = hashlib.sha256(np.ascontiguousarray(sample.image)).hexdigest()
     if key not in presses:
         name = re.sub(r"[^A-Za-z0-9_-]", "_", path.stem)[:100].lstrip("_-") or "sample"
@@ -88,7 +97,9 @@ def _take(path, sample, sensor, part, presses, labels) -> None:
         target = part / "images" / f"{name}.png"
         target.parent.mkdir(exist_ok=True)
         if target.exists():
-            raise BadInput(f"{path}: another file of that name was imported; names become sample_id, so make them differ")
+            raise BadInput(
+                f"{path}: another file of that name was imported; names become sample_id, so make them differ"
+            )
         if not cv2.imwrite(str(target), cv2.cvtColor(sample.image, cv2.COLOR_RGB2BGR)):
             raise BadInput(f"{target}: the image cannot be written; free space, then import again")
     press = presses[key]
@@ -171,7 +182,9 @@ def main(argv=None) -> int:
         return 0
     if not args.source or not Path(args.source).is_dir():
         raise BadInput(f"FROM={args.source}: not a folder; say make feats-import FROM=folder DATASET=name")
-    found = import_folder(Path(args.source), args.data, find_sensor(load_sensors(args.sensors), args.sensor, "SENSOR"))
+    found = import_folder(
+        Path(args.source), args.data, find_sensor(load_sensors(args.sensors), args.sensor, "SENSOR")
+    )
     print(f"{args.data}: {found['presses']} presses from {found['files']} files; labels: {found['labels'] or 'none'}")
     return 0
 

@@ -109,8 +109,11 @@ def _bytes(*args):
 
 
 NAMES = {
-    "numpy.ndarray": None, "numpy.dtype": _dtype, "_codecs.encode": _encode,
-    "__builtin__.bytes": _bytes, "builtins.bytes": _bytes,  # protocol 2 writes empty bytes so
+    "numpy.ndarray": None,
+    "numpy.dtype": _dtype,
+    "_codecs.encode": _encode,
+    "__builtin__.bytes": _bytes,
+    "builtins.bytes": _bytes,  # protocol 2 writes empty bytes so
 }
 for _core in ("numpy.core", "numpy._core"):
     NAMES[f"{_core}.multiarray._reconstruct"] = _reconstruct
@@ -120,9 +123,26 @@ for _core in ("numpy.core", "numpy._core"):
 MARK = object()
 CONSTANTS = {"NONE": None, "NEWTRUE": True, "NEWFALSE": False}
 LITERALS = {
-    "INT", "BININT", "BININT1", "BININT2", "LONG", "LONG1", "LONG4", "FLOAT", "BINFLOAT", "STRING", "BINSTRING",
-    "SHORT_BINSTRING", "UNICODE", "BINUNICODE", "SHORT_BINUNICODE", "BINUNICODE8", "BINBYTES", "SHORT_BINBYTES",
-    "BINBYTES8", "BYTEARRAY8",
+    "INT",
+    "BININT",
+    "BININT1",
+    "BININT2",
+    "LONG",
+    "LONG1",
+    "LONG4",
+    "FLOAT",
+    "BINFLOAT",
+    "STRING",
+    "BINSTRING",
+    "SHORT_BINSTRING",
+    "UNICODE",
+    "BINUNICODE",
+    "SHORT_BINUNICODE",
+    "BINUNICODE8",
+    "BINBYTES",
+    "SHORT_BINBYTES",
+    "BINBYTES8",
+    "BYTEARRAY8",
 }
 SKIPPED = {"PROTO", "FRAME"}
 
@@ -243,7 +263,7 @@ class _Machine:
         target = self._target(dict)
         if len(items) % 2:
             raise Refused("a dict with a key and no value")
-        for key, value in zip(items[::2], items[1::2]):
+        for key, value in zip(items[::2], items[1::2], strict=True):
             if not isinstance(key, (str, int, float, bytes)):
                 raise Refused("a dict key that is neither text nor number")
             target[key] = value
@@ -317,7 +337,9 @@ class _Finisher:
         if not isinstance(item.type, _Type):
             raise Refused("an array without a type")
         shape = item.shape
-        if not (isinstance(shape, tuple) and len(shape) <= 8 and all(type(n) is int and 0 <= n < 2**31 for n in shape)):
+        if not (
+            isinstance(shape, tuple) and len(shape) <= 8 and all(type(n) is int and 0 <= n < 2**31 for n in shape)
+        ):
             raise Refused("an array whose shape is not a few whole numbers")
         size = 1
         for n in shape:
@@ -357,8 +379,10 @@ def read_npy(path):
         with path.open("rb") as stream:
             return _read(stream)
     except Refused as error:
-        raise BadInput(f"{path}: refused, it holds {error}; only numpy arrays, scalars and plain containers are read,"
-                       " nothing is executed; save the sample again with numpy.save") from error
+        raise BadInput(
+            f"{path}: refused, it holds {error}; only numpy arrays, scalars and plain containers are read,"
+            " nothing is executed; save the sample again with numpy.save"
+        ) from error
     except (OSError, ValueError, EOFError, KeyError, IndexError, TypeError, OverflowError, RecursionError) as error:
         raise BadInput(f"{path}: truncated or not a .npy file ({error}); copy it again") from error
 

@@ -18,8 +18,10 @@ def write_vtu(path, mesh: GelMesh, displacement: np.ndarray, force: np.ndarray, 
     import pyvista as pv
 
     if displacement.shape != mesh.nodes.shape or force.shape != mesh.nodes.shape:
-        raise BadInput(f"{path}: displacement {displacement.shape} and force {force.shape} for {len(mesh.nodes)} nodes;"
-                       " they belong to another mesh, run make again")
+        raise BadInput(
+            f"{path}: displacement {displacement.shape} and force {force.shape} for {len(mesh.nodes)} nodes;"
+            " they belong to another mesh, run make again"
+        )
     count, width = mesh.elements.shape
     cells = np.column_stack([np.full(count, width), mesh.elements]).ravel()
     grid = pv.UnstructuredGrid(cells, np.full(count, VTK_CELL[mesh.kind], np.uint8), mesh.nodes)

@@ -4,8 +4,8 @@ An uncompressed .npz. `n` samples; `k` contact nodes and `m` surface nodes, all 
 
 | array | shape, type | meaning |
 | --- | --- | --- |
-| sample_id, status, mesh | (n,) str | `status` is the name of a `Status`, `mesh` the stem of a file in 20_meshes |
-| ptr, node, force | (n+1,) int64, (k,) int32, (k, 3) float64 | N on the gel at `c10`; nodes without force are left out |
+| sample_id, status, mesh | (n,) str | `status` names a `Status`, `mesh` a file in 20_meshes |
+| ptr, node, force | (n+1,) int64, (k,) int32, (k, 3) float64 | N on the gel at `c10`; free nodes are left out |
 | surface_ptr, displacement | (n+1,) int64, (m, 3) float32 | mm, rows follow the mesh's `surface_nodes` |
 | total | (n, 3) float64 | resultant, N |
 | c10 | () float64 | MPa |
@@ -60,8 +60,8 @@ def write_forces(path, samples, c10: float, intervals: dict | None = None) -> No
         "status": np.array([s.status for s in samples], dtype=str),
         "mesh": np.array([s.mesh for s in samples], dtype=str),
         "ptr": _pointer([len(rows) for rows in touched]),
-        "node": _stack([s.nodes[rows] for s, rows in zip(samples, touched)], (0,), np.int32),
-        "force": _stack([s.force[rows] for s, rows in zip(samples, touched)], (0, 3), np.float64),
+        "node": _stack([s.nodes[rows] for s, rows in zip(samples, touched, strict=True)], (0,), np.int32),
+        "force": _stack([s.force[rows] for s, rows in zip(samples, touched, strict=True)], (0, 3), np.float64),
         "surface_ptr": _pointer([len(s.displacement) for s in samples]),
         "displacement": _stack([s.displacement for s in samples], (0, 3), np.float32),
         "total": np.array([s.force.sum(axis=0) for s in samples], np.float64).reshape(-1, 3),
@@ -80,8 +80,10 @@ def _check_sample(path, sample: SampleForces) -> None:
     if sample.status not in Status.__members__:
         raise BadInput(f"{where}: status {sample.status!r} is none of {', '.join(Status.__members__)}")
     if not len(sample.nodes) == len(sample.force) == len(sample.displacement):
-        raise BadInput(f"{where}: {len(sample.nodes)} nodes, {len(sample.force)} forces and"
-                       f" {len(sample.displacement)} displacements; give one of each per surface node")
+        raise BadInput(
+            f"{where}: {len(sample.nodes)} nodes, {len(sample.force)} forces and"
+            f" {len(sample.displacement)} displacements; give one of each per surface node"
+        )
     if not (np.isfinite(sample.force).all() and np.isfinite(sample.displacement).all()):
         raise BadInput(f"{where}: forces or displacements are not finite; record the sample as UNREADABLE instead")
 
@@ -125,7 +127,9 @@ class ForceFile:
         try:
             return self._file[name]
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-            raise BadInput(f"{self.path}: array {name} is unreadable ({error}); delete it and run make again") from error
+            raise BadInput(
+                f"{self.path}: array {name} is unreadable ({error}); delete it and run make again"
+            ) from error
 
     @cached_property
     def node(self) -> np.ndarray:
@@ -147,8 +151,10 @@ class ForceFile:
         """Position of a sample in the shard; a name that is not in it raises BadInput."""
         found = np.flatnonzero(self.sample_id == sample_id)
         if not len(found):
-            raise BadInput(f"{self.path}: has no sample {sample_id!r}; it holds {len(self)} samples,"
-                           f" the first is {self.sample_id[0] if len(self) else 'none'}")
+            raise BadInput(
+                f"{self.path}: has no sample {sample_id!r}; it holds {len(self)} samples,"
+                f" the first is {self.sample_id[0] if len(self) else 'none'}"
+            )
         return int(found[0])
 
     def sample(self, index: int, surface_nodes: np.ndarray) -> SampleForces:
@@ -160,8 +166,10 @@ class ForceFile:
         if not len(displacement):
             return SampleForces.failed(*names)
         if len(displacement) != len(surface_nodes):
-            raise BadInput(f"{self.path}: sample {names[0]} has {len(displacement)} surface nodes, mesh {names[2]} has"
-                           f" {len(surface_nodes)}; the mesh changed since, run make again")
+            raise BadInput(
+                f"{self.path}: sample {names[0]} has {len(displacement)} surface nodes, mesh {names[2]} has"
+                f" {len(surface_nodes)}; the mesh changed since, run make again"
+            )
         force = np.zeros((len(surface_nodes), 3))
         force[np.searchsorted(surface_nodes, self.node[touched])] = self.force[touched]
         return SampleForces(*names, surface_nodes, force, displacement)
