@@ -20,7 +20,8 @@ SETTINGS = PARAMS["dataset"]["dataset"]
 def presses(count, seed, touches=None, indenters=4, sensors=2):
     """Rows of presses and their forces; several presses per touch where `touches` are fewer."""
     rng = np.random.default_rng(seed)
-    places = rng.uniform(-9, 9, (touches or count, 2))
+    # On a lattice of 0.1 mm, so that no two touches are close enough to be one.
+    places = np.array(divmod(rng.permutation(180 * 180)[: touches or count], 180)).T * 0.1 - 9
     rows, force = [], rng.uniform(0, 12, count)
     for at in range(count):
         touch = int(rng.integers(touches)) if touches else at
