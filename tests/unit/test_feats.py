@@ -161,6 +161,7 @@ def test_a_folder_becomes_a_dataset(tmp_path, sensor):
     "files, words",
     [
         ({"a.npy": {**RAW, "gs_img": IMAGE[:100]}}, ["a.npy", "gs_img", "320 x 100", "320 x 240"]),
+        ({"a.npy": LABEL, "b.npy": LABEL}, ["b.npy", "same image", "a.npy"]),
         ({"a.npy": RAW, "b.npy": RAW}, ["b.npy", "same image", "a.npy"]),
         ({"x/a.npy": RAW, "y/a.npy": {**RAW, "gs_img": IMAGE[::-1]}}, ["a.npy", "same|differ|name"]),
         ({}, ["no .npy files"]),

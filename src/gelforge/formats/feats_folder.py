@@ -104,7 +104,12 @@ def _take(path, sample, sensor, part, presses, labels) -> None:
             raise BadInput(f"{target}: the image cannot be written; free space, then import again")
     press = presses[key]
     if isinstance(sample, LabelSample):
-        labels.setdefault(sample.label.shape[1:], {})[key] = sample.label.astype(np.float32)
+        grid = labels.setdefault(sample.label.shape[1:], {})
+        if key in grid:
+            raise BadInput(
+                f"{path}: has the same image as a label file read before ({press['path']}); remove one of them"
+            )
+        grid[key] = sample.label.astype(np.float32)
     else:
         _take_raw(path, sample, press)
 
