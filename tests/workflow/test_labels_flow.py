@@ -1,0 +1,74 @@
+"""Labels through real make: any resolution by itself, several at once, nothing upstream again."""
+
+import json
+import re
+
+import pytest
+from pressed_dataset import write_pressed
+
+from gelforge.benchmarks.sandbox import link_project, make
+from gelforge.binning.labelfile import read_labels
+
+DATASET = 'sensor = "mini_a"\ngel = "gelsight_mini"\ncatalogue = "indenters.toml"\n'
+
+
+@pytest.fixture(scope="module")
+def made(root, tmp_path_factory):
+    """A sandbox whose stages up to 40 are done."""
+    project = link_project(root, tmp_path_factory.mktemp("labels") / "project")
+    made = write_pressed(project, count=16)
+    (made["data"] / "dataset.toml").write_text(DATASET)
+    (made["results"] / "30_fea").mkdir()
+    run(project, "-t", "forces")
+    return made
+
+
+def run(project, *arguments) -> str:
+    done = make(project, "DATASET=made", *arguments)
+    assert done.returncode == 0, done.stdout
+    return done.stdout
+
+
+def built(text) -> set[str]:
+    """Targets that make reported as made."""
+    return set(re.findall(r"^(results/\S+)  [0-9.]+ s", text, re.MULTILINE))
+
+
+def test_resolutions_are_built_beside_each_other(made):
+    folder = made["folder"]
+    targets = {name: f"results/made/50_labels/{name}/labels.json" for name in ("6x8", "12x16", "24x32")}
+    assert built(run(folder, "labels", "RES=6x8 12x16")) == {targets["6x8"], targets["12x16"]}
+    assert built(run(folder, "labels", "RES=6x8 12x16 24x32")) == {targets["24x32"]}
+    assert not built(run(folder, "labels", "RES=6x8 12x16 24x32"))
+    for name, target in targets.items():
+        assert json.loads((folder / target).read_text())["samples"] == 16
+        rows, cols = map(int, name.split("x"))
+        assert read_labels((folder / target).parent / "0001.npz", ["label"])["label"].shape == (8, 3, rows, cols)
+
+
+def test_dataset_export_and_pictures_follow(made):
+    folder = made["folder"]
+    text = run(folder, "feats-export", "RES=4x4")
+    assert built(text) == {f"results/made/{name}" for name in (
+        "50_labels/4x4/labels.json", "60_dataset/4x4/dataset.json", "feats/4x4/normalization_gelforge.npy")}  # fmt: skip
+    run(folder, "look", "ID=s003", "RES=4x4")
+    assert (folder / "results/made/look/s003.vtu").stat().st_size > 1000
+    back = make(folder, "DATASET=back", "feats-import", "FROM=results/made/feats/4x4")
+    assert back.returncode == 0 and "16 presses" in back.stdout, back.stdout
+    assert "results/back/60_dataset/4x4/dataset.json" in built(make(folder, "DATASET=back", "dataset", "RES=4x4").stdout)
+
+
+def test_a_bad_resolution_fails_and_leaves_nothing(made):
+    done = make(made["folder"], "DATASET=made", "labels", "RES=24by32")
+    assert done.returncode != 0 and "two whole numbers" in done.stdout
+    assert not list((made["results"] / "50_labels/24by32").iterdir())
+
+
+def test_a_changed_value_remakes_labels_only(made):
+    folder = made["folder"]
+    run(folder, "labels", "RES=6x8")
+    params = folder / "workflow/params.toml"
+    params.write_text(params.read_text().replace("largest_outside_share = 0.02", "largest_outside_share = 0.03"))
+    assert built(run(folder, "labels", "RES=6x8")) == {"results/made/50_labels/6x8/labels.json"}
+    params.write_text(params.read_text() + "\n# a comment rebuilds nothing\n")
+    assert not built(run(folder, "labels", "RES=6x8"))
