@@ -212,13 +212,28 @@ def hex_settings(table: dict):
 
 
 def emulate(readings: Readings, catalogue: dict, params: dict, nu: float, folder: Path, jobs: int) -> tuple:
-    """Emulator of the readings and the count of solves it took: total, per interface law, fine, and new."""
-    from gelforge.calibration.solves import SolveCache, build_emulator, make_plan, refine
+    """Readings that could be solved, their emulator, and the solves it took.
+
+    Counts: total, per interface law, fine, new, and the list `unsolved` of presses left out with
+    the reason. More than half of them unsolved raises BadInput.
+    """
+    from gelforge.calibration.solves import SolveCache, build_emulator, make_plan, refine, solve_all
 
     cache = SolveCache(folder, catalogue, hex_settings(params["solver"]))
+    mus, nus = friction_nodes(params), poisson_nodes(params, nu)
     plan = make_plan(readings, params["reach_mm"], params["shear_depths"])
-    nus = poisson_nodes(params, nu)
-    emulator = build_emulator(plan, cache, friction_nodes(params), nus, jobs)
+    failed = solve_all(plan, cache, mus, nus, jobs)
+    unsolved = [{"sample_id": str(readings.ids[i]), "reason": reason} for i, reason in failed.items()]
+    if len(failed) > len(readings) / 2:
+        raise BadInput(
+            f"{len(failed)} of {len(readings)} presses could not be solved, the first: {unsolved[0]['reason']}; raise "
+            "press_steps or change size in [calibrate.solver]"
+        )
+    if failed:
+        readings = readings.take(np.setdiff1d(np.arange(len(readings)), list(failed)))
+        plan = make_plan(readings, params["reach_mm"], params["shear_depths"])
+        solve_all(plan, cache, mus, nus, jobs)
+    emulator = build_emulator(plan, cache, mus, nus)
     spent, new = cache.spent, cache.new
     if params["refine"]["on"]:
         finer = {key: value for key, value in params["refine"].items() if key != "on"}
@@ -226,7 +241,7 @@ def emulate(readings: Readings, catalogue: dict, params: dict, nu: float, folder
         emulator = refine(emulator, plan, cache, fine, np.inf, nus[len(nus) // 2], jobs)
         spent = {**spent, "total": spent["total"] + fine.spent["total"], "fine": fine.spent["total"]}
         new += fine.new
-    return emulator, {**spent, "new": new}
+    return readings, emulator, {**spent, "new": new, "unsolved": unsolved}
 
 
 def load_rejected(folder: Path | None) -> set:
@@ -255,7 +270,7 @@ def main(argv=None) -> int:
     readings = logged.take(choose_presses(logged, params["max_presses"]))
     file = args.workflow / read_toml(args.data / "dataset.toml").get("catalogue", "indenters.toml")
     catalogue = load_catalogue(file, sorted(set(readings.indenters.tolist())))
-    emulator, spent = emulate(readings, catalogue, params, nu, args.work / "solves", args.jobs)
+    readings, emulator, spent = emulate(readings, catalogue, params, nu, args.work / "solves", args.jobs)
     done = calibrate(readings, emulator, params, nu, args.work / "chain.npz", say_figures, args.jobs)
     draw_plots(done, args.work, args.work / "chain.npz")
     result = summarise(done, params)

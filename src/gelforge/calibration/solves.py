@@ -6,13 +6,14 @@ shear needs one per depth at which its shear is wanted.
 """
 
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from gelforge.calibration import emulator as em
 from gelforge.calibration.sampling import fingerprint
+from gelforge.config import stage_version
 from gelforge.errors import BadInput, SolveFailed
 from gelforge.files import read_json, write_json
 from gelforge.geometry.gel import Gel
@@ -20,7 +21,8 @@ from gelforge.mechanics.hex import HexSettings, HexSolver
 from gelforge.mechanics.scene import REFERENCE_C10, Interface, Material, Press, Scene, Status
 from gelforge.progress import progress
 
-SOLVE_VERSION = 1  # raise when the hex solver's answers change: every cached solve is then void
+# Solves made by an older solver are void: stage fea's version is raised when its answers change.
+SOLVER_VERSION = stage_version(Path(__file__).parents[1], "fea")
 
 
 @dataclass(frozen=True)
@@ -83,7 +85,7 @@ def interface_of(mu: float) -> Interface:
 def job_key(job: Job, shape: str, settings: HexSettings, gel: Gel) -> str:
     """Name of a solve's file: a hash of the scene, the indenter's shape and the settings."""
     parts = {"press": asdict(job.press), "mu": str(job.mu), "nu": job.nu, "gel": asdict(gel)}
-    return fingerprint(SOLVE_VERSION, parts, shape, asdict(settings))[:20]
+    return fingerprint(SOLVER_VERSION, parts, shape, asdict(settings))[:20]
 
 
 def shape_hash(indenter) -> str:
@@ -93,9 +95,15 @@ def shape_hash(indenter) -> str:
 
 
 def path_curve(result, press: Press) -> dict:
-    """Converged load steps of a result: depth and force before shear, and the force at the end."""
+    """Converged load steps of a result: depth and force before shear, and the force at the end.
+
+    Within the path, points that touch in a step have no friction until its end, so steps lie a
+    steady 0.5 to 1.5 % below settled states; a straight press tells by how much, at its end.
+    """
     steps = np.array(result.evidence["path"], float).reshape(-1, 4)
     down = steps[steps[:, 0] <= 1.0 + 1e-9]
+    if not (press.dx or press.dy):
+        down[:, 1:] *= result.total[2] / down[-1, 3]
     return {
         "depth": (-press.dz * down[:, 0]).tolist(),
         "force": down[:, 1:].tolist(),
@@ -105,13 +113,11 @@ def path_curve(result, press: Press) -> dict:
     }
 
 
-def solve_job(job: Job, indenter, settings: HexSettings, gel: Gel, solver: HexSolver | None = None) -> dict:
+def solve_job(job: Job, indenter, settings: HexSettings, gel: Gel) -> dict:
     """Solve one job, with finer load steps where the first try fails; raise SolveFailed where both do."""
     scene = Scene(gel, Material(REFERENCE_C10, job.nu), indenter, job.press, interface_of(job.mu))
-    result = (solver or HexSolver(settings)).solve(scene)
+    result = HexSolver(settings).solve(scene)
     if not result.status.valid:
-        from dataclasses import replace
-
         finer = replace(settings, press_steps=2 * settings.press_steps, shear_steps=2 * settings.shear_steps)
         result = HexSolver(finer).solve(scene)
     if not result.status.valid:
@@ -121,12 +127,13 @@ def solve_job(job: Job, indenter, settings: HexSettings, gel: Gel, solver: HexSo
     return path_curve(result, job.press)
 
 
-def _solve_group(tasks, catalogue, settings, gel):
-    """Worker: solve tasks [(path, job)] one after the other, each published as it is done."""
-    solver = HexSolver(settings)
-    for path, job in tasks:
-        write_json(path, solve_job(job, catalogue[job.indenter], settings, gel, solver))
-    return len(tasks)
+def _solve_task(path, job, indenter, settings, gel):
+    """Worker: solve one job and publish it; return (path, reason) where it cannot be solved."""
+    try:
+        write_json(path, solve_job(job, indenter, settings, gel))
+    except SolveFailed as error:
+        return path, str(error)
+    return path, None
 
 
 class SolveCache:
@@ -134,7 +141,8 @@ class SolveCache:
 
     def __init__(self, folder, catalogue: dict, settings: HexSettings, gel: Gel = Gel()):
         self.folder, self.catalogue, self.settings, self.gel = Path(folder), catalogue, settings, gel
-        self.new, self._shapes, self._used, self._kept = 0, {}, {}, {}
+        self.new, self.failed = 0, {}
+        self._shapes, self._used, self._kept = {}, {}, {}
 
     def path(self, job: Job) -> Path:
         if job.indenter not in self.catalogue:
@@ -145,22 +153,24 @@ class SolveCache:
         return self.folder / f"{job_key(job, self._shapes[job.indenter], self.settings, self.gel)}.json"
 
     def fill(self, jobs: list[Job], workers: int = 1) -> None:
-        """Solve the jobs that have no file yet, on `workers` processes."""
+        """Solve the jobs that have no file yet, on `workers` processes; `failed` gets {path: reason}.
+
+        A failed solve leaves no file, so the next run tries it again.
+        """
         wanted = {self.path(job): job for job in jobs}
-        tasks = [(path, job) for path, job in wanted.items() if not path.exists()]
+        tasks = [
+            (path, job, self.catalogue[job.indenter], self.settings, self.gel)
+            for path, job in wanted.items()
+            if not path.exists()
+        ]
         self.new += len(tasks)
-        if not tasks:
-            return
-        batches = [[task] for task in tasks] if workers > 1 else [tasks[i : i + 1] for i in range(len(tasks))]
-        args = (self.catalogue, self.settings, self.gel)
-        if workers == 1:
-            for batch in progress(batches, "calibration solves"):
-                _solve_group(batch, *args)
-            return
-        with ProcessPoolExecutor(workers) as pool:
-            running = [pool.submit(_solve_group, batch, *args) for batch in batches]
-            for future in progress(running, "calibration solves"):
-                future.result()
+        if workers == 1 or len(tasks) <= 1:
+            done = [_solve_task(*task) for task in progress(tasks, "calibration solves")]
+        else:
+            with ProcessPoolExecutor(workers) as pool:
+                running = [pool.submit(_solve_task, *task) for task in tasks]
+                done = [future.result() for future in progress(running, "calibration solves")]
+        self.failed |= {path: reason for path, reason in done if reason}
 
     def get(self, job: Job) -> dict:
         """The solve of a job that `fill` made."""
@@ -180,10 +190,17 @@ class SolveCache:
         return {"total": len(laws), **{law: laws.count(law) for law in sorted(set(laws))}}
 
 
-def build_emulator(plan: Plan, cache: SolveCache, mus, nus, workers: int = 1) -> em.Emulator:
-    """Emulator of the planned presses at friction nodes `mus` and Poisson's ratios `nus`."""
+def solve_all(plan: Plan, cache: SolveCache, mus, nus, workers: int = 1) -> dict[int, str]:
+    """Solve what the planned presses need; return {press: reason} of those that could not be solved."""
+    needs = {i: [j for mu in mus for nu in nus for j in plan.jobs(i, mu, nu)] for i in range(len(plan.top))}
+    cache.fill([job for jobs in needs.values() for job in jobs], workers)
+    reasons = {i: [cache.failed[p] for p in map(cache.path, jobs) if p in cache.failed] for i, jobs in needs.items()}
+    return {i: found[0] for i, found in reasons.items() if found}
+
+
+def build_emulator(plan: Plan, cache: SolveCache, mus, nus) -> em.Emulator:
+    """Emulator of the planned presses at friction nodes `mus` and Poisson's ratios `nus`, all of them solved."""
     count = len(plan.top)
-    cache.fill([j for i in range(count) for mu in mus for nu in nus for j in plan.jobs(i, mu, nu)], workers)
     table = np.empty((count, len(nus), em.FRICTIONS, em.DEPTHS, 3))
     for i in range(count):
         for k, nu in enumerate(nus):
@@ -205,6 +222,8 @@ def refine(emulator: em.Emulator, plan: Plan, coarse: SolveCache, fine: SolveCac
     jobs = {g: [Job(plan.readings.press(i, float(plan.top[i]), shear=False), str(plan.readings.indenters[i]), mu, nu)]
             for g, i in leaders.items()}  # fmt: skip
     fine.fill([job for group in jobs.values() for job in group], workers)
+    if fine.failed:
+        raise SolveFailed(f"a refined solve failed ({next(iter(fine.failed.values()))}); set [calibrate.refine] on = false")
     table = emulator.table.copy()
     for g, (job,) in jobs.items():
         i = leaders[g]

@@ -1,0 +1,120 @@
+"""The emulator against the solver it stands for."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calibration_law import true_values
+from gelforge.calibration.readings import NUMBERS, Readings
+from gelforge.calibration.solves import SolveCache, build_emulator, interface_of, make_plan, refine, solve_all
+from gelforge.errors import BadInput
+from gelforge.geometry.gel import Gel
+from gelforge.geometry.indenters import load_catalogue
+from gelforge.mechanics.hex import HexSettings, solve_hex
+from gelforge.mechanics.scene import REFERENCE_C10, Material, Scene
+
+SETTINGS = HexSettings(size=1.2, layers=3, press_steps=8, shear_steps=3, friction_tolerance=0.03, final_tolerance=1e-7)
+NU = 0.475
+MU = 0.5
+
+
+@pytest.fixture(scope="module")
+def catalogue(root):
+    return load_catalogue(root / "workflow" / "indenters.toml", ["sphere_15"])
+
+
+def presses(*poses) -> Readings:
+    n = len(poses)
+    ids = np.array([f"p{i}" for i in range(n)])
+    force = np.tile([0.0, 0.0, -1.0], (n, 1))
+    assert len(poses[0]) == len(NUMBERS)
+    return Readings("log.csv", np.arange(2, n + 2), ids, np.array(["sphere_15"] * n), np.array(poses, float), force)
+
+
+def solve(catalogue, press, mu=MU):
+    result = solve_hex(Scene(Gel(), Material(REFERENCE_C10, NU), catalogue["sphere_15"], press, interface_of(mu)), SETTINGS)
+    assert result.status.valid, result.status.value
+    return result.total
+
+
+@pytest.fixture(scope="module")
+def built(catalogue, tmp_path_factory):
+    """Emulator of two straight presses at one place and one with shear, at one friction coefficient."""
+    readings = presses((0.5, 0, 0, 0, 0, -0.8, 0), (0.5, 0, 0, 0, 0, -1.4, 0), (1.0, 1.0, 0, 0.3, 0.1, -1.3, 0))
+    folder = tmp_path_factory.mktemp("solves")
+    cache = SolveCache(folder, catalogue, SETTINGS)
+    plan = make_plan(readings, 0.15, (1.0, 0.65))
+    assert not solve_all(plan, cache, [MU], [NU])
+    return readings, plan, cache, build_emulator(plan, cache, [MU], [NU])
+
+
+def test_straight_presses_at_one_place_share_one_solve(built):
+    _, plan, cache, _ = built
+    assert cache.spent == {"total": 3, "coulomb": 3}
+    assert plan.top[0] == plan.top[1] == pytest.approx(1.55)
+
+
+def test_history_of_one_solve_is_the_curve_of_many(built, catalogue):
+    """Other load steps anchor points elsewhere: FINDINGS' spread over steps is 1 to 2 %."""
+    readings, _, _, emulator = built
+    values = true_values(c10=REFERENCE_C10, offset=0.0, compliance=0.0, mu=MU)
+    forces = emulator.forces(readings.depth, values)[0][0]
+    for i in (0, 1):
+        assert forces[i, 2] == pytest.approx(solve(catalogue, readings.press(i, readings.depth[i]))[2], rel=0.02)
+
+
+def test_compliance_and_offset_press_less_deep(built, catalogue):
+    """The emulated force is the solver's at the depth that is left, times C10."""
+    readings, _, _, emulator = built
+    values = true_values(c10=0.09, offset=0.04, compliance=0.02, mu=MU)
+    forces, _, depth = emulator.forces(readings.depth, values)
+    direct = solve(catalogue, readings.press(1, float(depth[0, 1])))[2] * 0.09 / REFERENCE_C10
+    assert forces[0, 1, 2] == pytest.approx(direct, rel=0.02)
+    assert depth[0, 1] == pytest.approx(1.4 + 0.04 + 0.02 * direct, abs=0.01)
+
+
+def test_shear_between_two_solved_depths(built, catalogue):
+    """Sideways force within 3 % of the normal force's size of a solve between the two depths."""
+    readings, _, _, emulator = built
+    values = true_values(c10=REFERENCE_C10, offset=0.0, compliance=0.0, mu=MU)
+    forces = emulator.forces(readings.depth, values)[0][0, 2]
+    direct = solve(catalogue, readings.press(2, 1.3))
+    np.testing.assert_allclose(forces, direct, atol=0.03 * abs(direct[2]))
+    assert abs(direct[0]) > 0.1  # there is shear to compare
+
+
+def test_cached_solves_are_found_and_settings_name_them(built, catalogue):
+    readings, plan, cache, emulator = built
+    again = SolveCache(cache.folder, catalogue, SETTINGS)
+    assert not solve_all(plan, again, [MU], [NU])
+    assert again.new == 0
+    np.testing.assert_array_equal(build_emulator(plan, again, [MU], [NU]).table, emulator.table)
+    other = SolveCache(cache.folder, catalogue, replace(SETTINGS, size=1.1))
+    job = plan.jobs(0, MU, NU)[0]
+    assert not other.path(job).exists()
+    assert again.path(replace(job, mu=0.6)) != again.path(job)
+
+
+def test_refined_forces_are_the_fine_mesh_s(built, catalogue):
+    readings, plan, cache, emulator = built
+    fine = SolveCache(cache.folder, catalogue, replace(SETTINGS, size=0.9, layers=4))
+    refined = refine(emulator, plan, cache, fine, MU, NU)
+    job = replace(plan.jobs(1, MU, NU)[0])
+    end = fine.get(job)["end"][2]
+    assert refined.table[1, 0, 0, -1, 2] == pytest.approx(end, rel=0.01)  # last load step against settled end
+
+
+def test_press_that_never_touches_is_refused(catalogue, tmp_path):
+    readings = presses((0, 0, 3.0, 0, 0, -0.5, 0))
+    cache, plan = SolveCache(tmp_path, catalogue, SETTINGS), make_plan(readings, 0.15, (1.0,))
+    solve_all(plan, cache, [0.0], [NU])
+    with pytest.raises(BadInput, match=r"row 2 \(p0\): depth without contact"):
+        build_emulator(plan, cache, [0.0], [NU])
+
+
+def test_unknown_indenter_is_named(tmp_path, catalogue):
+    readings = presses((0, 0, 0, 0, 0, -0.5, 0))
+    readings.indenters[0] = "spoon"
+    with pytest.raises(BadInput, match="'spoon' is not in the catalogue; known: sphere_15"):
+        solve_all(make_plan(readings, 0.15, (1.0,)), SolveCache(tmp_path, catalogue, SETTINGS), [0.0], [NU])

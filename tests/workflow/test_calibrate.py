@@ -1,0 +1,81 @@
+"""The calibration stage on the four real points, with a coarse mesh."""
+
+import json
+import shutil
+import tomllib
+
+import numpy as np
+import pytest
+
+from gelforge import calibrate
+from gelforge.errors import BadInput
+
+SOLVER = {"size": 1.2, "layers": 3, "press_steps": 8, "shear_steps": 3, "friction_tolerance": 0.03, "final_tolerance": 1e-7}
+
+
+def stage_args(root, folder, **changes):
+    """Arguments of the stage in a folder of its own, and the parameters it gets."""
+    params = tomllib.loads((root / "workflow" / "params.toml").read_text())["calibrate"]
+    params |= {"solver": SOLVER, "compare": False, "refine": {"on": False}, "friction_nodes": []} | changes
+    (folder / "params.json").write_text(json.dumps({"version": 1, "calibrate": params, "material": {"nu": 0.475}}))
+    if not (folder / "data").exists():
+        shutil.copytree(root / "data" / "feats_sphere15", folder / "data")
+    names = {"data": "data", "params": "params.json", "work": "work", "out": "work/summary.json"}
+    args = [text for key, name in names.items() for text in (f"--{key}", str(folder / name))]
+    return [*args, "--workflow", str(root / "workflow"), "--jobs", "1"]
+
+
+@pytest.fixture(scope="module")
+def done(root, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("feats")
+    assert calibrate.main(stage_args(root, folder)) == 0
+    return folder
+
+
+def test_log_holds_the_measured_points(root, reference):
+    measured = np.loadtxt(reference / "feats" / "force_depth_sphere15mm.csv", delimiter=",", skiprows=2)
+    readings = calibrate.read_readings(root / "data" / "feats_sphere15" / "log.csv")
+    np.testing.assert_allclose(readings.depth, measured[:, 0])
+    np.testing.assert_allclose(readings.force[:, 2], -measured[:, 1])
+
+
+def test_summary_says_what_is_known(done):
+    summary = json.loads((done / "work" / "summary.json").read_text())
+    low, high = summary["c10"]["interval95"]
+    assert low < summary["c10"]["interval68"][0] < summary["c10"]["median"] < high
+    assert 0.05 < summary["c10"]["median"] < 0.15  # soft silicone
+    assert summary["solves_spent"]["total"] == 2
+    figures = summary["diagnostics"]
+    assert figures["taus"] >= 50 and figures["rhat"] < 1.01 and 0.15 <= figures["acceptance"] <= 0.6
+    assert set(summary["parameters"]) == set(summary["correlations"]["names"])
+    assert any("touch offset" in sentence for sentence in summary["sentences"])
+
+
+def test_pictures_and_chain_are_there(done):
+    work = done / "work"
+    for name in ("corner", "predictive", "trace", "autocorrelation"):
+        assert (work / f"{name}.png").stat().st_size > 10_000
+    assert np.load(work / "chain.npz")["coordinates"].ndim == 3
+    assert not list(work.glob(".*"))  # nothing half-written is left
+
+
+def test_second_run_solves_and_samples_nothing_anew(root, done, capsys):
+    before = (done / "work" / "summary.json").read_text()
+    assert calibrate.main(stage_args(root, done)) == 0
+    assert "0 of them new" in capsys.readouterr().out
+    after = json.loads((done / "work" / "summary.json").read_text())
+    assert after["c10"] == json.loads(before)["c10"]
+
+
+def test_wrong_sign_leaves_no_summary(root, tmp_path):
+    args = stage_args(root, tmp_path)
+    log = tmp_path / "data" / "log.csv"
+    log.write_text(log.read_text().replace(",-1.6503", ",1.6503").replace(",-5", ",5").replace(",-13", ",13").replace(",-23", ",23"))
+    with pytest.raises(BadInput, match="opposite sign convention"):
+        calibrate.main(args)
+    assert not (tmp_path / "work" / "summary.json").exists()
+
+
+def test_unknown_solver_setting_is_named(root, tmp_path):
+    with pytest.raises(BadInput, match="unexpected keyword argument 'sizes'"):
+        calibrate.main(stage_args(root, tmp_path, solver={"sizes": 1.0}))
