@@ -18,7 +18,7 @@ free_port() { python3 -c 'import socket; s = socket.socket(); s.bind(("127.0.0.1
 write_conf() {
     # Tasks of the tests are short: Slurm's defaults would add a second to each (the first two lines).
     cat >"$SLURM_CONF" <<CONF
-SchedulerParameters=batch_sched_delay=0
+SchedulerParameters=batch_sched_delay=0,sched_interval=1,bf_interval=1
 Epilog=/bin/true
 ClusterName=lab
 SlurmctldHost=$host(127.0.0.1)
@@ -48,6 +48,7 @@ SlurmctldTimeout=60
 SlurmdTimeout=10
 KillWait=2
 InactiveLimit=0
+BatchStartTimeout=1
 MaxJobCount=200000
 SlurmdParameters=config_overrides
 ${SLURM_EXTRA:-}

@@ -1,5 +1,17 @@
-# What each barrier of EXECUTOR=slurm waits for, before the stages that read it go on.
-.PHONY: slurm-cancel
+# EXECUTOR=slurm: what each barrier waits for; its tests on a real one-machine cluster.
+SLURM_FOUND := .venv/slurm.found
+
+$(SLURM_FOUND): envs/slurm.sh | $(SETUP)
+	@envs/slurm.sh $@
+
+test: $(SLURM_FOUND)
+
+.PHONY: test-slurm slurm-cancel
+test-slurm: $(SETUP) $(SLURM_FOUND)  ## tests of EXECUTOR=slurm on a real cluster of one node, started and stopped here
+	@$(PY) -m pytest -m slurm tests/workflow
+
+benchmark-slurm: $(SLURM_FOUND)
+
 slurm-cancel:  ## cancel what was left running on Slurm (DETACH=1)
 	@$(PY) -m gelforge.slurm cancel --results $D
 

@@ -21,8 +21,20 @@ from pathlib import Path
 
 from gelforge.files import write_text
 from gelforge.slurm_client import (
-    FINAL, HELD, STOP, WAITING, Interrupted, SlurmRefused, array_limit, call, cancel_jobs, cause_of, find_job, patient,
-    pause, queue,
+    FINAL,
+    HELD,
+    STOP,
+    WAITING,
+    Interrupted,
+    SlurmRefused,
+    array_limit,
+    call,
+    cancel_jobs,
+    cause_of,
+    find_job,
+    patient,
+    pause,
+    queue,
 )
 from gelforge.slurm_profile import Profile, read_profile
 from gelforge.slurm_record import Batch, Record, Results, Task, counted, records, report, show, tail
@@ -56,9 +68,9 @@ def submit(record: Record, profile: Profile, tasks: list[Task]) -> None:
         alike.setdefault((task.memory_mb, task.minutes), []).append(number[id(task)])
     limit, each = array_limit(profile), profile.shards_per_task
     for (memory_mb, minutes), members in alike.items():
-        groups = [members[k: k + each] for k in range(0, len(members), each)]
+        groups = [members[k : k + each] for k in range(0, len(members), each)]
         for k in range(0, len(groups), limit):
-            submit_array(record, profile, groups[k: k + limit], profile.sbatch_options(memory_mb, minutes))
+            submit_array(record, profile, groups[k : k + limit], profile.sbatch_options(memory_mb, minutes))
 
 
 def submit_array(record: Record, profile: Profile, groups: list[list[int]], options: list[str]) -> None:
@@ -74,13 +86,22 @@ def submit_array(record: Record, profile: Profile, groups: list[list[int]], opti
     record.batches.append(batch)
     record.save()
     script = SCRIPT.format(
-        setup="\n".join(profile.setup), cores=profile.cores, each=profile.shards_per_task,
+        setup="\n".join(profile.setup),
+        cores=profile.cores,
+        each=profile.shards_per_task,
         tasks=shlex.quote(str(folder / "tasks")),
     )
     array = f"1-{len(groups)}" + (f"%{profile.concurrent}" if profile.concurrent else "")
     command = [
-        "sbatch", "--parsable", f"--job-name={batch.name}", f"--array={array}", f"--chdir={os.getcwd()}",
-        f"--output={folder}/%a.out", "--open-mode=append", "--requeue", *options,
+        "sbatch",
+        "--parsable",
+        f"--job-name={batch.name}",
+        f"--array={array}",
+        f"--chdir={os.getcwd()}",
+        f"--output={folder}/%a.out",
+        "--open-mode=append",
+        "--requeue",
+        *options,
     ]
     # After a lost answer the job may be there: look before asking again.
     asked = []
@@ -88,7 +109,7 @@ def submit_array(record: Record, profile: Profile, groups: list[list[int]], opti
     def ask() -> str:
         found = find_job(batch.name) if asked else ""
         asked.append(True)
-        return found or call(*command, text=script).split(";")[0].strip()
+        return found or call(*command, text=script).split()[-1].split(";")[0]
 
     batch.job = patient(profile, ask)
     record.save()
@@ -186,7 +207,9 @@ def ask_queue(record: Record, answered: float, profile: Profile) -> tuple[dict |
         return queue([batch.job for batch in record.open_batches() if batch.job]), time.monotonic()
     except SlurmRefused as error:
         if time.monotonic() - answered > profile.silence_seconds:
-            raise SlurmRefused(f"{error}\nThe work of {record.stage} stays with Slurm; the next make awaits it.") from error
+            raise SlurmRefused(
+                f"{error}\nThe work of {record.stage} stays with Slurm; the next make awaits it."
+            ) from error
         return None, answered
 
 

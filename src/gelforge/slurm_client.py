@@ -10,8 +10,10 @@ from gelforge.errors import GelforgeError
 from gelforge.slurm_profile import Profile
 
 STOP = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-TRANSIENT = re.compile(r"unable to contact|timed out|temporar|try again|connection refused|zero bytes|no answer", re.I)
-OVER_MEMORY = re.compile(r"exceeded (job |step )?memory limit|oom.kill", re.I)
+TRANSIENT = re.compile(
+    r"unable to contact|timed out|temporar|try again|connection refused|zero bytes|no answer", re.IGNORECASE
+)
+OVER_MEMORY = re.compile(r"exceeded (job |step )?memory limit|oom.kill", re.IGNORECASE)
 OVER_TIME = re.compile(r"DUE TO TIME LIMIT")
 WAITING = {"PENDING", "REQUEUED", "REQUEUE_HOLD", "REQUEUE_FED", "SPECIAL_EXIT", "RESV_DEL_HOLD"}
 HELD = "launch failed"  # a task that Slurm could not start and holds back for ever
@@ -27,13 +29,15 @@ class Interrupted(Exception):
     """make was told to stop."""
 
 
-
 def call(*command: str, text: str = "", seconds: float = 60.0) -> str:
     """Run one of Slurm's programs and return what it prints; SlurmRefused with its words otherwise."""
-    # Inside an allocation of its own make would hand its limits on; its terminal is not the node's.
-    env = {k: v for k, v in os.environ.items() if not k.startswith(("SLURM_", "MAKE", "MFLAGS")) or k == "SLURM_CONF"}
+    # Inside an allocation of its own make would hand its limits on; its terminal is not the node's; formats are ours.
+    ours = ("SLURM_", "SQUEUE_", "MAKE", "MFLAGS")
+    env = {key: value for key, value in os.environ.items() if not key.startswith(ours) or key == "SLURM_CONF"}
     try:
-        asked = subprocess.run(command, input=text, capture_output=True, text=True, timeout=seconds, env=env)
+        asked = subprocess.run(
+            command, input=text, capture_output=True, text=True, timeout=seconds, env=env, check=False
+        )
     except FileNotFoundError as error:
         raise SlurmRefused(f"{command[0]}: not found; EXECUTOR=slurm needs Slurm's programs on PATH") from error
     except subprocess.TimeoutExpired as error:
@@ -57,7 +61,7 @@ def queue(jobs: list[str]) -> dict:
         text = ""
     known = {}
     for line in text.splitlines():
-        job, index, state, code, reason = (line[20 * k: 20 * k + 20 + 60 * (k == 4)].strip() for k in range(5))
+        job, index, state, code, reason = (line[20 * k : 20 * k + 20 + 60 * (k == 4)].strip() for k in range(5))
         if index.isdigit():
             known[job, int(index)] = (state, int(code) if code.isdigit() else 0, reason)
     return known

@@ -48,10 +48,18 @@ class Profile:
         return [*asked, f"--mem={memory_mb}M", f"--time={minutes}", *self.options]
 
 
+KINDS = {str: "a text", int: "a whole number", float: "a number", list: "a list of texts"}
 # The least value of each number; 0 means "no limit" or "at once" where it is allowed.
 LEAST = {
-    "time_minutes": 1, "memory_mb": 1, "cores": 1, "shards_per_task": 1, "memory_factor": 1.0, "time_factor": 1.0,
-    "memory_max_mb": 1, "time_max_minutes": 1, "poll_seconds": 0.1,
+    "time_minutes": 1,
+    "memory_mb": 1,
+    "cores": 1,
+    "shards_per_task": 1,
+    "memory_factor": 1.0,
+    "time_factor": 1.0,
+    "memory_max_mb": 1,
+    "time_max_minutes": 1,
+    "poll_seconds": 0.1,
 }
 
 
@@ -63,9 +71,9 @@ def checked(table: dict, where: str) -> dict:
             raise BadInput(f"{where}.{key}: no such setting; known: {', '.join(known)}")
         kinds = (int, float) if known[key] is float else known[key]
         if not isinstance(value, kinds) or isinstance(value, bool):
-            raise BadInput(f"{where}.{key} = {value!r}: a {known[key].__name__} is needed")
+            raise BadInput(f"{where}.{key} = {value!r}: {KINDS[known[key]]} is needed")
         if known[key] is list and not all(isinstance(line, str) for line in value):
-            raise BadInput(f"{where}.{key} = {value!r}: a list of texts is needed")
+            raise BadInput(f"{where}.{key} = {value!r}: {KINDS[list]} is needed")
         if known[key] in (int, float) and value < LEAST.get(key, 0):
             raise BadInput(f"{where}.{key} = {value!r}: must be at least {LEAST.get(key, 0)}")
     return table

@@ -15,7 +15,7 @@ pytestmark = [
     pytest.mark.slurm,
     pytest.mark.skipif(
         not shutil.which("slurmd", path=f"{os.environ.get('PATH', '')}:/usr/sbin"),
-        reason="Slurm is absent; envs/slurm-packages.sh installs slurm-wlm and munge where it may",
+        reason="Slurm is absent; make test-slurm installs slurm-wlm and munge where it may",
     ),
 ]
 # A task sleeps in its first run only: what is lost while it sleeps is quick when it is brought back.
@@ -28,6 +28,19 @@ def lab():
     """A cluster of two cores, shared by the tests; each leaves it running and empty."""
     with cluster(cpus=2) as made:
         yield made
+
+
+@pytest.fixture(scope="module", autouse=True)
+def overdue(tmp_path_factory):
+    """A task over its time limit on a cluster of its own, begun first: Slurm counts whole minutes."""
+    with cluster(cpus=1) as made:
+        project = lay_project(tmp_path_factory.mktemp("overdue") / "p", time_minutes=1)
+        fault(project, "poses-0", FIRST_RUN + "time.sleep(150)\n")
+        process = start_make(project, made, "poses", "SHARDS=0 1")
+        yield project, process
+        if process.poll() is None:
+            process.terminate()
+            process.wait()
 
 
 @pytest.fixture
@@ -51,7 +64,9 @@ def runs(project: Path, stage: str = "poses", shards=range(4)) -> list[tuple[int
 
 def there(project: Path, stage: str = "10_poses") -> list[str]:
     """Results that are there under their final names."""
-    return sorted(path.stem for path in (project / "results" / "lab" / stage).glob("[0-9]*.*") if path.suffix != ".part")
+    return sorted(
+        path.stem for path in (project / "results" / "lab" / stage).glob("[0-9]*.*") if path.suffix != ".part"
+    )
 
 
 def await_true(condition, seconds: float = 60) -> None:
@@ -86,7 +101,11 @@ def test_equals_local_and_nothing_is_left_to_do(project, lab, tmp_path):
 
 def test_dry_run_shows_what_local_would_run_and_submits_nothing(project, lab):
     steps = [
-        [line for line in make(project, lab, "-n", "whole", f"EXECUTOR={name}")[1].splitlines() if "gelforge.step" in line]
+        [
+            line
+            for line in make(project, lab, "-n", "whole", f"EXECUTOR={name}")[1].splitlines()
+            if "gelforge.step" in line
+        ]
         for name in ("slurm", "local")
     ]
     assert sorted(steps[0]) == sorted(steps[1]) and len(steps[0]) == 13
@@ -184,7 +203,7 @@ def test_node_lost_and_back(project, lab):
     process = start_make(project, lab, "poses")
     await_running(project, lab, 2)
     lab.do("lose")
-    time.sleep(1)
+    time.sleep(12)  # over SlurmdTimeout: Slurm itself must see that the node is gone
     lab.do("start", "slurmd")
     text, _ = process.communicate(timeout=120)
     assert process.returncode == 0, text
@@ -288,3 +307,11 @@ def test_a_busy_controller_takes_the_work_once(project, lab):
     code, text = make(project, lab, "poses")
     assert code == 0, text
     assert runs(project) == ONCE
+
+
+def test_killed_by_the_time_limit_comes_back_with_more(overdue):
+    project, process = overdue
+    text, _ = process.communicate(timeout=150)
+    assert process.returncode == 0, text
+    assert "killed at its time limit of 1 min; again with 50 MiB, 2 min" in text
+    assert runs(project, shards=range(2)) == [(2, 1), (1, 1)]

@@ -5,7 +5,6 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 import tempfile
 import time
 from contextlib import contextmanager
@@ -85,14 +84,15 @@ with open(f"runs/{name}", "a") as stream:
 class Cluster:
     """A Slurm cluster of one node on the loopback address, in a short temporary folder of its own."""
 
-    def __init__(self, cpus: int = 2, extra: str = ""):
+    def __init__(self, cpus: int = 2, memory_mb: int = 4000):
         self.folder = Path(tempfile.mkdtemp(prefix="gf-slurm-"))
-        self.settings = {"SLURM_CPUS": str(cpus), "SLURM_EXTRA": extra}
+        self.settings = {"SLURM_CPUS": str(cpus), "SLURM_MEMORY_MB": str(memory_mb)}
 
     def do(self, action: str, *daemon: str) -> None:
         """Run an action of envs/slurm-cluster.sh: start, stop, kill or lose."""
         command = [ROOT / "envs" / "slurm-cluster.sh", action, self.folder, *daemon]
-        done = subprocess.run(command, env={**os.environ, **self.settings}, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+        environment = {**os.environ, **self.settings}
+        done = subprocess.run(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, check=False)
         if done.returncode:
             raise RuntimeError(f"slurm-cluster.sh {action}: {done.stdout.decode(errors='replace')}")
 
@@ -107,9 +107,9 @@ class Cluster:
 
 
 @contextmanager
-def cluster(cpus: int = 2, extra: str = ""):
+def cluster(cpus: int = 2, memory_mb: int = 4000):
     """Start a cluster and stop it at the end."""
-    made = Cluster(cpus, extra)
+    made = Cluster(cpus, memory_mb)
     try:
         made.do("start")
         yield made
@@ -137,7 +137,9 @@ def lay_profile(folder: Path, **settings) -> None:
     for line in (ROOT / "workflow" / "slurm.toml").read_text(encoding="utf-8").splitlines():
         key = line.partition(" = ")[0]
         value = settings.get(key)
-        lines.append(line if value is None else f"{key} = {str(value) if not isinstance(value, str) else repr(value)}")
+        lines.append(
+            line if value is None else f"{key} = {str(value) if not isinstance(value, str) else repr(value)}"
+        )
     text = "\n".join(lines).partition("[fea]")[0]
     write_text(folder / "workflow" / "slurm.toml", text)
 
@@ -145,8 +147,13 @@ def lay_profile(folder: Path, **settings) -> None:
 def start_make(folder: Path, lab: Cluster, *arguments: str) -> subprocess.Popen:
     """Start make in a project, in a process group of its own, its output in one pipe."""
     return subprocess.Popen(
-        ["make", *arguments], cwd=folder, env=lab.environment, text=True, stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT, start_new_session=True,
+        ["make", *arguments],
+        cwd=folder,
+        env=lab.environment,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        start_new_session=True,
     )
 
 
@@ -161,13 +168,124 @@ def make(folder: Path, lab: Cluster, *arguments: str, seconds: float = 600) -> t
     return process.returncode, text
 
 
+def record_of(folder: Path) -> dict:
+    """The record of stage 10 as it stands, empty before there is one."""
+    try:
+        return read_json(folder / "results" / "lab" / ".slurm" / "10_poses.json")
+    except FileNotFoundError:
+        return {}
+
+
+def bare_seconds(folder: Path, count: int) -> float:
+    """Seconds that the work of `count` shards takes by itself, two at a time."""
+    names = "\n".join(str(k) for k in range(count))
+    command = [
+        "xargs",
+        "-P2",
+        "-I{}",
+        ".venv/bin/python",
+        "-m",
+        "work",
+        "--name",
+        "bare",
+        "--out",
+        "bare-{}",
+        "log.csv",
+    ]
+    started = time.monotonic()
+    environment = {**clean_environment(), "PYTHONPATH": str(folder)}
+    subprocess.run(command, input=names, text=True, cwd=folder, env=environment, check=True)
+    return time.monotonic() - started
+
+
 def overhead(folder: Path, lab: Cluster) -> list[Figure]:
-    """Cost of a task and time until all are submitted."""
+    """What a task costs beyond its work, and how long make takes until Slurm has all of them."""
     lay_project(folder)
     shards = "SHARDS=" + " ".join(str(k) for k in range(SHARDS))
-    started = time.time()
-    code, text = make(folder, lab, "poses", shards)
-    seconds = time.time() - started
+    bare = bare_seconds(folder, 150) / 150
+    started = time.monotonic()
+    process = start_make(folder, lab, "poses", shards)
+    record, submitted = {}, 0.0
+    while process.poll() is None:
+        record = record_of(folder) or record
+        taken = [len(batch["groups"]) for batch in record.get("batches", []) if batch["job"]]
+        if not submitted and sum(taken) == SHARDS:
+            submitted = time.monotonic() - started
+        time.sleep(0.02 if not submitted else 0.5)
+    seconds = time.monotonic() - started
+    if process.returncode:
+        raise RuntimeError(process.stdout.read())
+    again = time.monotonic()
+    make(folder, lab, "poses", shards, "EXECUTOR=local", "DATASET=local")
+    local = time.monotonic() - again
+    twice = sum((folder / "runs" / f"poses-{k}").read_text().count("started") != 2 for k in range(SHARDS))
+    load = f"{os.getloadavg()[0]:.1f} processes wanted the cores at the end"
+    return [
+        Figure(
+            "overhead per task",
+            1000 * (seconds / SHARDS - bare),
+            "<=",
+            50,
+            "ms",
+            f"{seconds:.1f} s for {SHARDS} tasks, {1000 * bare:.1f} ms of a task are its work; {load}",
+        ),
+        Figure(
+            "of it beyond make's own local run",
+            1000 * (seconds - local) / SHARDS,
+            "<=",
+            50,
+            "ms",
+            f"the same recipes, EXECUTOR=local -j2: {local:.1f} s",
+        ),
+        Figure("until Slurm has all tasks", submitted, "<=", 5, "s", f"arrays of {taken}"),
+        Figure("longest array", max(taken), "<=", 1000, "tasks"),
+        Figure("tasks not run exactly once", twice, "==", 0, "tasks"),
+    ]
+
+
+def demo_forces(folder: Path) -> list[Figure]:
+    """The demo's forces through Slurm against those of the project's own local run."""
+    subprocess.run(["make", "forces"], cwd=ROOT, env=clean_environment(), check=True)
+    project = link_project(ROOT, folder)
+    lay_profile(project, poll_seconds=2.0)
+    shutil.copytree(ROOT / "data" / "demo", project / "data" / "demo")
+    # The same meshes: what is compared are poses, solves and forces.
+    solved = shutil.ignore_patterns(".slurm", "10_poses", "30_fea", "[4-9]0_*", "calibrate", "pareto*", "stability")
+    shutil.copytree(ROOT / "results" / "demo", project / "results" / "demo", ignore=solved)
+    with cluster(memory_mb=20000) as lab:
+        started = time.monotonic()
+        code, text = make(project, lab, "forces", "EXECUTOR=slurm", seconds=6 * 3600)
+        seconds = time.monotonic() - started
     if code:
         raise RuntimeError(text)
-    return [started, seconds]
+    shards = sorted((ROOT / "results" / "demo" / "40_forces").glob("*.npz"))
+    presses, differ = 0, 0
+    for path in shards:
+        ours, theirs = np.load(path), np.load(project / path.relative_to(ROOT))
+        presses += len(ours["sample_id"])
+        same = ours.files == theirs.files and all(np.array_equal(ours[key], theirs[key]) for key in ours.files)
+        differ += not same
+    note = f"{len(shards)} shards, {presses} presses, every array of every file; {seconds:.0f} s"
+    return [Figure("shards of the demo whose forces differ from local ones", differ, "==", 0, "shards", note)]
+
+
+def main(argv=None) -> int:
+    parser = argparse.ArgumentParser(prog="gelforge.benchmarks.slurm", description=__doc__)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--only", choices=["overhead", "demo"], help="one part of it, for a quick look")
+    args = parser.parse_args(argv)
+    figures = []
+    with tempfile.TemporaryDirectory(prefix="gf-bench-") as scratch:
+        if args.only != "demo":
+            with cluster() as lab:
+                figures += overhead(Path(scratch) / "trivial", lab)
+        if args.only != "overhead":
+            figures += demo_forces(Path(scratch) / "demo")
+    publish_figures(args.out, figures)
+    return 0
+
+
+if __name__ == "__main__":
+    from gelforge.cli import exit_with
+
+    exit_with(main)

@@ -1,0 +1,186 @@
+"""Parts of the Slurm executor that need no cluster: causes, remedies, patience, profiles, and what waits for what."""
+
+import dataclasses
+import re
+import time
+from pathlib import Path
+
+import pytest
+
+from gelforge import slurm
+from gelforge.benchmarks.sandbox import link_project, make
+from gelforge.errors import BadInput
+from gelforge.files import write_json, write_text
+from gelforge.slurm_client import cause_of
+from gelforge.slurm_profile import read_profile
+from gelforge.slurm_record import Batch, Record, Results, Task
+
+ROOT = Path(__file__).resolve().parents[2]
+PROFILE = ROOT / "workflow" / "slurm.toml"
+
+
+@pytest.mark.parametrize(
+    ("state", "status", "reason", "output", "cause"),
+    [
+        ("OUT_OF_MEMORY", 0, "OutOfMemory", "", "memory"),
+        # Limits enforced by polling end a job as if it had failed; only its output says why.
+        (
+            "FAILED",
+            9,
+            "JobLaunchFailure",
+            "slurmstepd: error: StepId=3.batch exceeded memory limit (2 > 1)",
+            "memory",
+        ),
+        (
+            "FAILED",
+            256,
+            "NonZeroExitCode",
+            "slurmstepd: error: Detected 1 oom-kill event(s) in StepId=3.batch",
+            "memory",
+        ),
+        ("TIMEOUT", 0, "TimeLimit", "", "time"),
+        ("NODE_FAIL", 1, "NodeDown", "", "node"),
+        ("PREEMPTED", 0, "None", "", "node"),
+        ("PENDING", 0, "launch failed requeued held", "", "node"),
+        ("FAILED", 256, "NonZeroExitCode", "FAILED x (exit 1)", "error"),
+        ("FAILED", 9, "NonZeroExitCode", "FAILED x", "error"),
+        ("CANCELLED", 15, "None", "", "error"),
+        ("COMPLETED", 0, "None", "", "unknown"),
+        ("", 0, "", "", "unknown"),
+    ],
+)
+def test_cause(state, status, reason, output, cause):
+    assert cause_of(state, status, reason, output)[0] == cause
+
+
+def test_remedies_are_bounded_and_fit_the_cause():
+    profile = dataclasses.replace(
+        read_profile(PROFILE, "30_fea"),
+        memory_max_mb=300,
+        time_max_minutes=25,
+        memory_factor=2.0,
+        time_factor=2.0,
+        retries=9,
+    )
+    asked = {"memory": [], "time": [], "node": [], "error": []}
+    for cause, seen in asked.items():
+        task = Task("t", "c", 100, 10, runs=1)
+        while slurm.remedy(task, cause, profile):
+            seen.append((task.memory_mb, task.minutes))
+            task.runs += 1
+    assert asked["memory"] == [(200, 10), (300, 10)]
+    assert asked["time"] == [(100, 20), (100, 25)]
+    assert asked["node"] == [(100, 10)] * 9
+    assert asked["error"] == []
+
+
+def published(folder: Path, text: str) -> None:
+    """Lay a target as the wrapper does: metrics with its bytes, then the file."""
+    write_json(folder / "results/lab/metrics/30_fea/0.json", {"bytes": len(text)})
+    write_text(folder / "results/lab/30_fea/0.csv", text)
+
+
+def look(record: Record) -> list[tuple]:
+    """One look at a record whose only task has COMPLETED according to Slurm."""
+    results = Results()
+    results.look({"results/lab/30_fea"})
+    return slurm.observe(record, {("7", 1): ("COMPLETED", 0, "None")}, results)
+
+
+def test_a_result_that_shows_late_is_waited_for_and_one_that_never_shows_is_not(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    profile = dataclasses.replace(read_profile(PROFILE, "30_fea"), visible_seconds=0.3)
+    task = Task("results/lab/30_fea/0.csv", "c", 100, 10, runs=1, where="b/1")
+    record = Record(tmp_path / "r.json", "30_fea", [task], [Batch("b", "7", [[0]])])
+    gone: dict = {}
+    assert slurm.judge(record, profile, look(record), gone) == [] and task.state == "queued"
+    published(tmp_path, "whole\n")
+    assert look(record) == [] and task.state == "done"
+    # The same without a result: after the time the profile allows it is run again, as it was.
+    (tmp_path / "results/lab/30_fea/0.csv").unlink()
+    task.state = "running"
+    assert slurm.judge(record, profile, look(record), gone) == []
+    time.sleep(0.4)
+    assert slurm.judge(record, profile, look(record), gone) == [task]
+
+
+@pytest.mark.parametrize("text", ["", "who"])
+def test_a_file_without_all_its_bytes_is_no_result(tmp_path, monkeypatch, text):
+    monkeypatch.chdir(tmp_path)
+    published(tmp_path, "whole\n")
+    (tmp_path / "results/lab/30_fea/0.csv").write_text(text)
+    results = Results()
+    results.look({"results/lab/30_fea"})
+    assert not results.there("results/lab/30_fea/0.csv")
+
+
+def test_a_stage_overrides_the_default_profile(tmp_path):
+    path = tmp_path / "slurm.toml"
+    path.write_text(PROFILE.read_text() + '[labels]\noptions = ["--qos=short"]\nmemory_mb = 7\n')
+    assert read_profile(path, "50_labels").sbatch_options(7, 3)[-3:] == ["--mem=7M", "--time=3", "--qos=short"]
+    assert "--gres=gpu:1" in read_profile(path, "70_train").options
+    assert read_profile(path, "calibrate") == read_profile(path, "40_forces")
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("memory = 3", "memory: no such setting"),
+        ("cores = 0", "at least 1"),
+        ("cores = '1'", "a whole number is needed"),
+        ("options = [1]", "list of texts"),
+        ("poll_seconds = true", "a number is needed"),
+    ],
+)
+def test_a_wrong_profile_is_named(tmp_path, line, words):
+    path = tmp_path / "slurm.toml"
+    path.write_text(PROFILE.read_text() + f"[labels]\n{line}\n")
+    with pytest.raises(BadInput, match=re.escape(words)):
+        read_profile(path, "50_labels")
+
+
+def test_collected_tasks_come_once_and_in_order(tmp_path):
+    path = tmp_path / "30_fea.tasks"
+    path.write_text("a\tone two\nb\tthree \\\n  four\na\tone two\n")
+    assert slurm.collected(path) == [("a", "one two"), ("b", "three    four")]
+
+
+def prerequisites(text: str) -> dict[str, set[str]]:
+    """Target to prerequisites, order-only ones too, out of `make -p`."""
+    graph: dict[str, set[str]] = {}
+    for line in text.splitlines():
+        match = re.match(r"^([^\s#:=][^:=]*):(?!=) ?(.*)$", line)
+        if match:
+            graph.setdefault(match[1], set()).update(match[2].replace("|", " ").split())
+    return graph
+
+
+def reaches(graph: dict, start: str) -> set[str]:
+    """Everything a target waits for."""
+    seen, todo = set(), [start]
+    while todo:
+        for name in graph.get(todo.pop(), ()):
+            if name not in seen:
+                seen.add(name)
+                todo.append(name)
+    return seen
+
+
+def test_whatever_reads_a_collected_stage_waits_for_its_barrier(tmp_path):
+    """Without it make would start a reader while its input is only noted."""
+    project = link_project(ROOT, tmp_path / "p")
+    data = project / "data" / "tiny"
+    write_text(data / "log.csv", "sample_id,indenter\ns1,sphere_15\ns2,sphere_15\n")
+    write_text(data / "dataset.toml", 'sensor = "feats"\ngel = "g"\n')
+    done = make(project, "-np", "DATASET=tiny", "EXECUTOR=slurm", "labels", "report", "calibrate")
+    graph = prerequisites(done.stdout)
+    collected = re.search(r"^COLLECT := (.*)$", done.stdout, re.MULTILINE)[1].split()
+    assert any(name.startswith("barrier-30_fea") for name in graph), done.stdout[-2000:]
+    for target in graph:
+        if target.startswith("barrier-"):
+            continue
+        for stage in collected:
+            folder, barrier = f"results/tiny/{stage}/", f"barrier-{stage}"
+            reads = any(name.startswith(folder) for name in graph[target])
+            if reads and not target.startswith(folder):
+                assert barrier in reaches(graph, target), f"{target} does not wait for {stage}"
