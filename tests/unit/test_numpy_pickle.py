@@ -7,6 +7,8 @@ import struct
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from gelforge.errors import BadInput
 from gelforge.formats.numpy_pickle import Refused, parse_pickle, read_npy
@@ -199,3 +201,26 @@ def test_a_header_that_lies_about_its_size(tmp_path):
     path.write_bytes(stream.getvalue() + bytes(64))
     with pytest.raises(BadInput, match="64 bytes where"):
         read_npy(path)
+
+
+SMALL = {
+    "a": np.arange(4.0),
+    "f": np.float32(2),
+    "t": (1, "x", b"y", None),
+    "u": np.array(["ab"]),
+    "l": [True, 2**70],
+}
+
+
+@settings(deadline=None, max_examples=400)
+@given(st.integers(0, 5), st.lists(st.tuples(st.integers(0, 10**6), st.integers(0, 255)), min_size=1, max_size=6))
+def test_damaged_pickles_are_read_or_refused_but_never_crash(tmp_path_factory, protocol, damage):
+    path = npy(tmp_path_factory.getbasetemp() / "damaged.npy", pickle.dumps(SMALL, protocol))
+    whole = bytearray(path.read_bytes())
+    for at, byte in damage:
+        whole[at % len(whole)] = byte
+    path.write_bytes(whole)
+    try:
+        read_npy(path)
+    except BadInput as error:
+        assert "damaged.npy" in str(error)

@@ -9,6 +9,7 @@ pickletools, protocols 0 to 5; numpy.lib.format for the container.
 import io
 import pickletools
 import re
+import tokenize
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +18,11 @@ import numpy as np
 from gelforge.errors import BadInput
 
 LARGEST_FILE = 2**30
+# What reading damaged bytes can raise in numpy's header parser, pickletools and here.
+DAMAGED = (
+    OSError, ValueError, EOFError, KeyError, IndexError, TypeError, OverflowError, RecursionError, MemoryError,
+    SyntaxError, tokenize.TokenError,
+)  # fmt: skip
 DEEPEST = 64
 PLAIN_TYPE = re.compile(r"[<>|=]?(b1|[iu][1248]|f[248]|c8|c16|[US][0-9]{1,6})")
 
@@ -383,7 +389,7 @@ def read_npy(path):
             f"{path}: refused, it holds {error}; only numpy arrays, scalars and plain containers are read,"
             " nothing is executed; save the sample again with numpy.save"
         ) from error
-    except (OSError, ValueError, EOFError, KeyError, IndexError, TypeError, OverflowError, RecursionError) as error:
+    except DAMAGED as error:
         raise BadInput(f"{path}: truncated or not a .npy file ({error}); copy it again") from error
 
 
