@@ -173,7 +173,7 @@ def draw(found: Calibration, image) -> np.ndarray:
     picture = cv2.resize(base, (width * ZOOM, height * ZOOM), interpolation=cv2.INTER_CUBIC)
 
     def pixel(points):
-        return np.rint((np.asarray(points).reshape(-1, 2) + 0.5) * ZOOM).astype(int)
+        return np.rint(np.asarray(points).reshape(-1, 2) * ZOOM).astype(int)
 
     for at in range(-10, 11, 5):
         for line in ([(at, -12.5), (at, 12.5)], [(-10, at), (10, at)]):

@@ -166,7 +166,7 @@ def test_the_dots_of_the_pressed_reference_image(reference):
 def draw_dots(pitch, turn_deg, centre, rows=7, cols=9, missing=(), specks=(), seed=0):
     """Image (240, 320, 3) of dark soft dots on uneven coloured light, and their true places by index."""
     rng = np.random.default_rng(seed)
-    v, u = np.mgrid[:240, :320].astype(float)
+    v, u = np.mgrid[:240, :320] + 0.5
     light = np.stack([90 + 0.15 * u, 120 - 0.2 * v + 0.1 * u, 80 + 0.2 * v], axis=-1)
     markers = {"rows": rows, "cols": cols, "pitch_px": pitch, "rotation_deg": turn_deg, "centre_px": centre}
     index = np.array([(r, c) for r in range(rows) for c in range(cols)])

@@ -93,13 +93,16 @@ def find_blobs(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _blob(label, dark, number, stats):
-    """Centre, weighted by darkness, and diameter of a component; None where it is no dot."""
+    """Centre, weighted by darkness, and diameter of a component; None where it is no dot.
+
+    Coordinates run from the image's edge, as those of label cells do: a pixel's centre is half a pixel in.
+    """
     left, top, width, height, area = stats
     if area < 9 or max(width, height) > 2.5 * min(width, height) or area < 0.45 * width * height:
         return None
     window = np.s_[top : top + height, left : left + width]
     weight = np.where(label[window] == number, dark[window], 0.0)
-    v, u = np.mgrid[top : top + height, left : left + width]
+    v, u = np.mgrid[top : top + height, left : left + width] + 0.5
     return (u * weight).sum() / weight.sum(), (v * weight).sum() / weight.sum(), 2.0 * np.sqrt(area / np.pi)
 
 

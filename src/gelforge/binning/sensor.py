@@ -15,7 +15,8 @@ from gelforge.geometry.gel import Gel
 class Sensor:
     """One sensor unit.
 
-    projection: (3, 3), homography from gel mm (x, y, 1) to pixel (u, v, 1), u right and v down.
+    projection: (3, 3), homography from gel mm (x, y, 1) to pixel (u, v, 1), u right and v down from the
+    image's corner, so that the first pixel's centre is (0.5, 0.5) and label cells start at 0.
     image: (width, height) in pixels. markers: what is known of the printed dots, see sensors.toml.
     """
 
