@@ -5,10 +5,10 @@ TRAINED := $(MODELS:%=$D/70_train/$(RES1)/%.pt)
 .PHONY: train models onnx
 train: $D/70_train/$(RES1)/$(MODEL).pt  ## one network: make train MODEL=grid RES=24x32
 models: $(TRAINED)  ## every network of workflow/models.toml
-onnx: $D/70_train/$(RES1)/$(MODEL).onnx  ## a trained network as ONNX, checked against torch
+onnx: $D/70_train/$(RES1)/onnx/$(MODEL).onnx  ## a trained network as ONNX, checked against torch
 
 $(TRAINED): $D/70_train/$(RES1)/%.pt: $D/60_dataset/$(RES1)/dataset.json $P/models/%.json $P/train.json
 	$(call step,gelforge.train --dataset $(<D) --model $* --models $P/models/$*.json --params $P/train.json --out $@.part)
 
-$(TRAINED:.pt=.onnx): %.onnx: %.pt
+$(MODELS:%=$D/70_train/$(RES1)/onnx/%.onnx): $D/70_train/$(RES1)/onnx/%.onnx: $D/70_train/$(RES1)/%.pt
 	$(call step,gelforge.networks.export --model $< --out $@.part)

@@ -2,11 +2,11 @@
 EVALUATED := $(MODELS:%=$D/80_evaluate/$(RES1)/%.json)
 
 .PHONY: evaluate evaluate-models
-evaluate: $D/80_evaluate/$(RES1)/$(MODEL).json $D/80_evaluate/$(RES1)/$(MODEL).md  ## errors of one network against labels, controls and sensors; its card
+evaluate: $D/80_evaluate/$(RES1)/$(MODEL).json $D/80_evaluate/$(RES1)/$(MODEL).card.md  ## errors of one network against labels, controls and sensors; its card
 evaluate-models: $(EVALUATED)  ## the same for every network
 
 $(EVALUATED): $D/80_evaluate/$(RES1)/%.json: $D/70_train/$(RES1)/%.pt $D/60_dataset/$(RES1)/dataset.json $P/evaluate.json
 	$(call step,gelforge.evaluate --dataset $(dir $(word 2,$^)) --model $< --params $P/evaluate.json --out $@.part)
 
-$(EVALUATED:.json=.md): $D/80_evaluate/$(RES1)/%.md: $D/70_train/$(RES1)/%.pt $D/80_evaluate/$(RES1)/%.json
+$(EVALUATED:.json=.card.md): $D/80_evaluate/$(RES1)/%.card.md: $D/70_train/$(RES1)/%.pt $D/80_evaluate/$(RES1)/%.json
 	$(call step,gelforge.networks.card --model $< --evaluation $(word 2,$^) --out $@.part)
