@@ -79,8 +79,8 @@ def _sample_row(row, total, outside, true) -> dict:
 
 
 def read_truth(data: Path) -> dict:
-    """True resultants by sample_id where a simulated dataset brings truth.csv (columns fx_n, fy_n, fz_n)."""
-    path = data / "truth.csv"
+    """True resultants (fx_n, fy_n, fz_n) by sample_id, where a virtual rig left them; evaluation compares, no more."""
+    path = data / "truth" / "presses.csv"
     return {row["sample_id"]: row for row in read_csv(path)} if path.exists() else {}
 
 

@@ -118,6 +118,16 @@ def test_arrays_belong_together(made):
     assert {row["split"] for row in data.table if row["indenter"] == "triangle_8"} == {"test_unseen_indenter"}
 
 
+def test_the_truth_of_a_virtual_rig_goes_into_its_columns(tmp_path, root, monkeypatch):
+    monkeypatch.chdir(root)
+    made = write_pressed(tmp_path, count=2)
+    (made["data"] / "truth").mkdir()
+    (made["data"] / "truth/presses.csv").write_text("sample_id,status,fx_n,fy_n,fz_n\ns001,OK,1.0,2.0,-3.5\n")
+    label(made, "4x4")
+    rows = read_csv(collect(made, "4x4") / "samples.csv")
+    assert [row["true_fz_n"] for row in rows] == ["", "-3.5"] and rows[1]["true_fx_n"] == "1.0"
+
+
 def test_resolutions_share_split_and_images(made):
     fine, coarse = (made["results"] / "60_dataset" / name for name in ("24x32", "6x8"))
     assert (fine / "split.csv").read_text() == (coarse / "split.csv").read_text()
