@@ -79,7 +79,7 @@ def _sample_row(row, total, outside, true) -> dict:
 
 
 def read_truth(data: Path) -> dict:
-    """True resultants (fx_n, fy_n, fz_n) by sample_id, where a virtual rig left them; evaluation compares, no more."""
+    """True resultants (fx_n, fy_n, fz_n) by sample_id where a virtual rig left them; only evaluation compares."""
     path = data / "truth" / "presses.csv"
     return {row["sample_id"]: row for row in read_csv(path)} if path.exists() else {}
 
