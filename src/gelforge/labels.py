@@ -27,8 +27,19 @@ def bin_samples(forces: ForceFile, members, operator: Operator) -> tuple[np.ndar
     starts, stops = forces.ptr[members], forces.ptr[np.asarray(members) + 1]
     rows = np.concatenate([np.arange(a, b) for a, b in zip(starts, stops, strict=True)])
     ptr = np.concatenate([[0], np.cumsum(stops - starts)])
-    cells, outside = operator.apply(ptr, forces.node[rows], forces.force[rows])
-    return to_float32(cells[:, CHANNELS]), outside[:, CHANNELS]
+    binned, samples, cells = (
+        operator.spread(ptr, forces.node[rows], forces.force[rows]),
+        len(members),
+        operator.grid.cells,
+    )
+    row, inside = np.repeat(np.arange(3 * samples), np.diff(binned.indptr)), binned.indices < cells
+    axis, sample = np.divmod(row, samples)
+    channel = np.argsort(CHANNELS)[axis]
+    label, outside = np.zeros((samples, 3, cells), np.float32), np.zeros((samples, 3))
+    value = to_float32(binned.data[inside], row[inside], 3 * samples)
+    label[sample[inside], channel[inside], binned.indices[inside]] = value
+    outside[sample[~inside], channel[~inside]] = binned.data[~inside]
+    return label.reshape(samples, 3, *operator.grid.shape), outside
 
 
 def label_blocks(forces: ForceFile, operators: list, grid: Grid, outside: np.ndarray):

@@ -64,6 +64,17 @@ def test_a_bad_resolution_fails_and_leaves_nothing(made):
     assert not list((made["results"] / "50_labels/24by32").iterdir())
 
 
+def test_a_deleted_shard_is_made_again(made):
+    folder = made["folder"]
+    run(folder, "labels", "RES=6x8")
+    shards = [folder / f"results/made/50_labels/6x8/{name}.npz" for name in ("0000", "0001")]
+    kept, stamp = shards[0].read_bytes(), shards[1].stat().st_mtime_ns
+    shards[0].unlink()
+    assert built(run(folder, "labels", "RES=6x8")) == {"results/made/50_labels/6x8/labels.json"}
+    assert shards[0].read_bytes() == kept and shards[1].stat().st_mtime_ns == stamp
+    assert not built(run(folder, "labels", "RES=6x8"))
+
+
 def test_a_changed_value_remakes_labels_only(made):
     folder = made["folder"]
     run(folder, "labels", "RES=6x8")

@@ -48,19 +48,20 @@ def read_labels(path, names=None) -> dict:
         raise BadInput(f"{Path(path)}: not a label shard ({error}); delete it and run make labels again") from error
 
 
-def to_float32(cells: np.ndarray) -> np.ndarray:
-    """Round cells (n, 3, rows, cols) to float32 so that every channel's sum stays what it was.
+def to_float32(values: np.ndarray, group: np.ndarray, groups: int) -> np.ndarray:
+    """Round values (k,) to float32 (k,) so that the sum of each group stays what it was.
 
-    Rounding each cell alone would lose some 1e-8 of the total. What is lost is put into one small cell,
-    whose spacing of float32 values is fine enough to hold it.
+    group (k,) numbers the values' groups from 0 to groups - 1. Rounding each value alone would lose some
+    1e-8 of a sum. What is lost is put into one small value, whose spacing of float32 numbers is fine
+    enough to hold it, and which is a thousand times what it takes in.
     """
-    rounded = cells.astype(np.float32)
-    lost = (cells - rounded).reshape(*cells.shape[:2], -1).sum(axis=-1)
-    flat, size = rounded.reshape(*cells.shape[:2], -1), np.abs(rounded).reshape(*cells.shape[:2], -1)
-    fit = size >= 1000.0 * np.abs(lost)[..., None].astype(np.float32)
-    fit &= size > 0
-    chosen = np.where(fit, size, np.inf).argmin(axis=-1)[..., None]
-    usable = fit.any(axis=-1, keepdims=True)
-    mended = np.take_along_axis(flat, chosen, -1).astype(float) + np.where(usable, lost[..., None], 0.0)
-    np.put_along_axis(flat, chosen, mended.astype(np.float32), -1)
-    return flat.reshape(cells.shape)
+    rounded = values.astype(np.float32)
+    lost = np.bincount(group, values - rounded, groups)
+    size = np.abs(rounded).astype(float)
+    score = np.where((size > 0) & (size >= 1000.0 * np.abs(lost)[group]), size, np.inf)
+    smallest = np.full(groups, np.inf)
+    np.minimum.at(smallest, group, score)
+    match = np.flatnonzero(np.isfinite(score) & (score == smallest[group]))
+    chosen = match[np.unique(group[match], return_index=True)[1]]
+    rounded[chosen] = (rounded[chosen] + lost[group[chosen]]).astype(np.float32)
+    return rounded

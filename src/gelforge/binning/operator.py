@@ -50,11 +50,11 @@ class Operator:
 
         return csr_matrix((self.weight, self.cell, self.ptr), shape=(len(self.ptr) - 1, self.grid.cells + 1))
 
-    def apply(self, ptr, node, force) -> tuple[np.ndarray, np.ndarray]:
-        """Bin the forces of n samples in one product.
+    def spread(self, ptr, node, force):
+        """Bin the forces of n samples in one product, sparse.
 
-        ptr (n+1,), node (k,) mesh nodes, force (k, 3) N. Returns cells (n, 3, rows, cols) in N along gel
-        x, y, z and outside (n, 3) in N. Force on a node off the surface raises BadInput.
+        ptr (n+1,), node (k,) mesh nodes, force (k, 3) N. Returns scipy CSR (3 n, cells + 1) in N, row
+        axis * n + sample, the last column outside. Force on a node off the surface raises BadInput.
         """
         from scipy.sparse import csr_matrix
 
@@ -64,7 +64,12 @@ class Operator:
         self._check_nodes(node)
         pointer = np.concatenate([np.asarray(ptr[:-1]) + count * axis for axis in range(3)] + [[3 * count]])
         stacked = csr_matrix((force.T.ravel(), np.tile(node, 3), pointer), shape=(3 * samples, len(self.ptr) - 1))
-        cells = (stacked @ self.matrix).toarray().reshape(3, samples, self.grid.cells + 1).transpose(1, 0, 2)
+        return stacked @ self.matrix
+
+    def apply(self, ptr, node, force) -> tuple[np.ndarray, np.ndarray]:
+        """What `spread` gives, as cells (n, 3, rows, cols) along gel x, y, z and outside (n, 3), N."""
+        samples = len(ptr) - 1
+        cells = self.spread(ptr, node, force).toarray().reshape(3, samples, self.grid.cells + 1).transpose(1, 0, 2)
         return cells[..., :-1].reshape(samples, 3, *self.grid.shape), np.ascontiguousarray(cells[..., -1])
 
     def _check_nodes(self, node):
