@@ -1,4 +1,4 @@
-"""A smooth force law in place of finite element curves, and readings drawn from it, for tests of the inference alone."""
+"""A smooth force law in place of finite element curves, for tests of the inference alone."""
 
 import tomllib
 from pathlib import Path
@@ -36,7 +36,9 @@ def law_curve(mu, stiffness=4.0, ratio=0.0) -> Curve:
 def law_emulator(stiffness=(4.0,)) -> Emulator:
     """Emulator with one press per stiffness."""
     tables = [friction_table(MUS, [curve_table(law_curve(mu, k), TOP) for mu in MUS]) for k in stiffness]
-    return Emulator(np.array(tables)[:, None], np.full(len(stiffness), TOP), np.array([0.475]), np.zeros(len(stiffness), int))
+    return Emulator(
+        np.array(tables)[:, None], np.full(len(stiffness), TOP), np.array([0.475]), np.zeros(len(stiffness), int)
+    )
 
 
 def make_readings(depth, force, sheared=False) -> Readings:
@@ -67,4 +69,12 @@ def law_posterior(rng, depth, stiffness=None, law="coulomb", noise=0.03, without
     return Posterior(emulator, make_model(params, law, without), depth, observed, 4.0)
 
 
-__all__ = ["REFERENCE_C10", "law_curve", "law_emulator", "law_posterior", "make_readings", "normal_force", "true_values"]
+__all__ = [
+    "REFERENCE_C10",
+    "law_curve",
+    "law_emulator",
+    "law_posterior",
+    "make_readings",
+    "normal_force",
+    "true_values",
+]

@@ -24,7 +24,10 @@ VERSION = 1
 
 @dataclass(frozen=True)
 class Calibration:
-    """A finished calibration: readings used, headline posterior and chain, and (posterior, chain, score) of all models."""
+    """A finished calibration: readings used, headline posterior and chain.
+
+    compared: (posterior, chain, score) of every model.
+    """
 
     readings: Readings
     posterior: Posterior
@@ -45,7 +48,9 @@ def friction_nodes(params: dict) -> list[float]:
     """Friction coefficients that are solved: frictionless, those of the table, no slip."""
     inner = sorted(float(mu) for mu in params["friction_nodes"])
     if any(not 0.0 < mu < np.inf for mu in inner):
-        raise BadInput(f"[calibrate] friction_nodes is {inner}; give positive coefficients (0 and no slip are implied)")
+        raise BadInput(
+            f"[calibrate] friction_nodes is {inner}; give positive coefficients (0 and no slip are implied)"
+        )
     return [0.0, *inner, np.inf]
 
 
@@ -92,7 +97,9 @@ def compare(tasks: list, jobs: int) -> list:
         return list(progress(pool.map(compare_one, tasks), "models compared", len(tasks)))
 
 
-def calibrate(readings: Readings, emulator, params: dict, nu: float, chain_path=None, say=None, jobs=1) -> Calibration:
+def calibrate(
+    readings: Readings, emulator, params: dict, nu: float, chain_path=None, say=None, jobs=1
+) -> Calibration:
     """Sample the chosen model, then all compared ones on the same readings."""
     params = {**params, "priors": {**params["priors"], "nu": {"fixed": nu, **params["priors"]["nu"]}}}
     rules, observed = sampling_rules(params), served(readings, params)
@@ -168,7 +175,9 @@ def draw_bands(done: Calibration, most: int = 6) -> list:
         forces, slopes, _ = one.forces(grid, values)
         scale = posterior.scale(slopes, values)[:, :, 2]
         fresh = -forces[:, :, 2] + scale * rng.standard_t(posterior.tail, scale.shape)
-        same = members[np.abs(readings.pose[members][:, [0, 1, 6]] - readings.pose[deepest, [0, 1, 6]]).max(axis=1) < 0.01]
+        same = members[
+            np.abs(readings.pose[members][:, [0, 1, 6]] - readings.pose[deepest, [0, 1, 6]]).max(axis=1) < 0.01
+        ]
         quantiles = np.quantile(fresh, [0.025, 0.16, 0.5, 0.84, 0.975], axis=0)
         bands.append((str(name), grid, quantiles, readings.depth[same], -readings.force[same, 2]))
     return bands
@@ -245,7 +254,7 @@ def emulate(readings: Readings, catalogue: dict, params: dict, nu: float, folder
 
 
 def load_rejected(folder: Path | None) -> set:
-    """Sample ids that stage 10 rejected for anything but their image, which a calibration does not look at."""
+    """Sample ids that stage 10 rejected for anything but their image, which calibration does not see."""
     tables = sorted(folder.glob("*.rejected.csv")) if folder else []
     return {row["sample_id"] for path in tables for row in read_csv(path) if row["column"] != "image"}
 

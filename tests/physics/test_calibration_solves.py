@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from calibration_law import true_values
+
 from gelforge.calibration.readings import NUMBERS, Readings
 from gelforge.calibration.solves import SolveCache, build_emulator, interface_of, make_plan, refine, solve_all
 from gelforge.errors import BadInput
@@ -14,7 +14,9 @@ from gelforge.geometry.indenters import load_catalogue
 from gelforge.mechanics.hex import HexSettings, solve_hex
 from gelforge.mechanics.scene import REFERENCE_C10, Material, Scene
 
-SETTINGS = HexSettings(size=1.2, layers=3, press_steps=8, shear_steps=3, friction_tolerance=0.03, final_tolerance=1e-7)
+SETTINGS = HexSettings(
+    size=1.2, layers=3, press_steps=8, shear_steps=3, friction_tolerance=0.03, final_tolerance=1e-7
+)
 NU = 0.475
 MU = 0.5
 
@@ -33,7 +35,9 @@ def presses(*poses) -> Readings:
 
 
 def solve(catalogue, press, mu=MU):
-    result = solve_hex(Scene(Gel(), Material(REFERENCE_C10, NU), catalogue["sphere_15"], press, interface_of(mu)), SETTINGS)
+    result = solve_hex(
+        Scene(Gel(), Material(REFERENCE_C10, NU), catalogue["sphere_15"], press, interface_of(mu)), SETTINGS
+    )
     assert result.status.valid, result.status.value
     return result.total
 

@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-
 from calibration_law import PARAMS, law_posterior, make_readings
+
 from gelforge.calibration.emulator import Emulator
 from gelforge.calibration.parameters import Model, Prior, make_model, read_prior
 from gelforge.calibration.readings import check_enough, check_readings, read_readings

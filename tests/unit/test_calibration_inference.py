@@ -5,15 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from calibration_law import TOP, law_curve, law_emulator, law_posterior, make_readings, normal_force, true_values
 
-from calibration_law import TOP, law_curve, law_emulator, law_posterior, normal_force, true_values
 from gelforge.calibration import sampling, scores
 from gelforge.calibration.emulator import curve_table, sheared_table
 from gelforge.calibration.parameters import FrictionPrior, Model, Prior
 from gelforge.calibration.posterior import LeaveOneOut
 from gelforge.calibration.readings import bisection_order, choose_presses
 from gelforge.calibration.sampling import Rules, sample, split_rhat
-from calibration_law import make_readings
 from gelforge.mechanics.scene import REFERENCE_C10
 
 RULES = Rules(walkers=32, seed=5, taus=50, acceptance=(0.15, 0.6), rhat=1.01, max_steps=40000)
@@ -52,13 +51,17 @@ def test_shear_between_solved_depths_is_exact_in_both_limits(exponent):
     grid = np.linspace(0.0, TOP, len(press))
     solved = np.array([2.2, 1.2])
     normal = np.interp(solved, grid, press[:, 2])
-    table = sheared_table(press, TOP, solved, np.stack([-0.3 * solved**exponent * normal, 0 * solved, normal], axis=1))
+    table = sheared_table(
+        press, TOP, solved, np.stack([-0.3 * solved**exponent * normal, 0 * solved, normal], axis=1)
+    )
     inside = (grid > 1.21) & (grid < 2.19)
     np.testing.assert_allclose(table[inside, 0], -0.3 * grid[inside] ** exponent * press[inside, 2], rtol=1e-10)
 
 
 def test_truth_is_recovered_where_data_are_rich():
-    posterior = law_posterior(np.random.default_rng(2), np.tile(DEPTH, 4), stiffness=list(np.repeat([2.0, 4, 8, 20], 10)))
+    posterior = law_posterior(
+        np.random.default_rng(2), np.tile(DEPTH, 4), stiffness=list(np.repeat([2.0, 4, 8, 20], 10))
+    )
     chain = sample(posterior, RULES)
     c10 = posterior.model.values(chain.flat())["c10"]
     assert abs(c10.mean() - 0.085) < 3 * c10.std()
@@ -142,14 +145,21 @@ def test_pareto_fit_finds_the_shape():
 
 def test_priors_draw_what_their_density_says():
     rng = np.random.default_rng(9)
-    for prior in (Prior("normal", 1.0, 2.0), Prior("lognormal", 0.5, 0.4), Prior("halfnormal", 0, 0.3), Prior("uniform", 1, 3)):
+    for prior in (
+        Prior("normal", 1.0, 2.0),
+        Prior("lognormal", 0.5, 0.4),
+        Prior("halfnormal", 0, 0.3),
+        Prior("uniform", 1, 3),
+    ):
         draws = prior.draw(rng, 20000)
         assert np.isfinite(prior.log_density(draws)).all()
         assert prior.value(np.median(draws)) == pytest.approx(float(prior.value(prior.quantile(0.5))), rel=0.03)
     assert Prior("halfnormal", 0, 0.3).log_density(-1e-9) == -np.inf
 
 
-@pytest.mark.parametrize(("kind", "a", "b"), [("lognormal", 0.6, 0.6), ("uniform", 0.1, 2.0), ("halfnormal", 0.0, 0.5)])
+@pytest.mark.parametrize(
+    ("kind", "a", "b"), [("lognormal", 0.6, 0.6), ("uniform", 0.1, 2.0), ("halfnormal", 0.0, 0.5)]
+)
 def test_friction_prior_keeps_its_density_on_its_axis(kind, a, b):
     """Its density integrates, over any interval, to what its quantiles say."""
     prior = FrictionPrior(kind, a, b)

@@ -10,7 +10,14 @@ import pytest
 from gelforge import calibrate
 from gelforge.errors import BadInput
 
-SOLVER = {"size": 1.2, "layers": 3, "press_steps": 8, "shear_steps": 3, "friction_tolerance": 0.03, "final_tolerance": 1e-7}
+SOLVER = {
+    "size": 1.2,
+    "layers": 3,
+    "press_steps": 8,
+    "shear_steps": 3,
+    "friction_tolerance": 0.03,
+    "final_tolerance": 1e-7,
+}
 
 
 def stage_args(root, folder, **changes):
@@ -70,7 +77,13 @@ def test_second_run_solves_and_samples_nothing_anew(root, done, capsys):
 def test_wrong_sign_leaves_no_summary(root, tmp_path):
     args = stage_args(root, tmp_path)
     log = tmp_path / "data" / "log.csv"
-    log.write_text(log.read_text().replace(",-1.6503", ",1.6503").replace(",-5", ",5").replace(",-13", ",13").replace(",-23", ",23"))
+    log.write_text(
+        log.read_text()
+        .replace(",-1.6503", ",1.6503")
+        .replace(",-5", ",5")
+        .replace(",-13", ",13")
+        .replace(",-23", ",23")
+    )
     with pytest.raises(BadInput, match="opposite sign convention"):
         calibrate.main(args)
     assert not (tmp_path / "work" / "summary.json").exists()

@@ -17,6 +17,7 @@ from gelforge.mechanics.scene import REFERENCE_C10
 DEPTHS = 161
 FRICTIONS = 33
 
+
 @dataclass(frozen=True)
 class Curve:
     """Contact force at REFERENCE_C10 along the depth of one press, from converged load steps.

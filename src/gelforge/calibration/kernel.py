@@ -6,7 +6,7 @@ from numba import njit
 
 @njit(cache=True, fastmath=False)
 def evaluate(table, top, nu_nodes, depth, scale, offset, compliance, friction, nu):
-    """Forces (w, n, 3) N, slopes (w, n, 3) N per mm of commanded depth, effective depths (w, n) mm; see Emulator.forces.
+    """Forces (w, n, 3) N, slopes (w, n, 3) N per mm, effective depths (w, n) mm; see Emulator.forces.
 
     scale: (w, n). friction: (w,) position on the friction axis in grid steps. Others (w,) in their own units.
     With the force linear between grid depths d_j, the commanded depth that ends at d_j is

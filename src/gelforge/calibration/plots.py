@@ -28,8 +28,8 @@ def corner_plot(path, chain, model) -> None:
     data = np.stack([values[name] for name in model.names], axis=1)
     figure = Figure(figsize=(2.1 * len(model.names),) * 2)
     corner.corner(
-        data, labels=[label_of(n) for n in model.names], quantiles=[0.16, 0.5, 0.84], show_titles=True, title_fmt=".3g",
-        label_kwargs={"fontsize": 9}, title_kwargs={"fontsize": 9}, color=BAND, fig=figure, labelpad=0.12,
+        data, labels=[label_of(n) for n in model.names], quantiles=[0.16, 0.5, 0.84], show_titles=True,
+        title_fmt=".3g", label_kwargs={"fontsize": 9}, title_kwargs={"fontsize": 9}, color=BAND, fig=figure, labelpad=0.12,
     )  # fmt: skip
     for axis in figure.axes:
         axis.tick_params(labelsize=7)
@@ -83,7 +83,9 @@ def predictive_plot(path, bands, depth, observed, mean, scale, indenters) -> Non
         left.fill_between(grid, quantiles[1], quantiles[3], color=colour, alpha=0.3, lw=0)
         left.plot(grid, quantiles[2], color=colour, lw=1, label=name)
         left.plot(at, measured, "o", color=colour, ms=4, mec="k", mew=0.5)
-    left.set(xlabel="commanded depth (mm)", ylabel="normal force, compression (N)", title="measured, 68 % and 95 % bands")
+    left.set(
+        xlabel="commanded depth (mm)", ylabel="normal force, compression (N)", title="measured, 68 % and 95 % bands"
+    )
     left.legend(fontsize=7)
     left.set_ylim(bottom=0)
     for column, (name, marker) in enumerate(zip(("fx", "fy", "fz"), "v^o", strict=True)):
@@ -93,6 +95,10 @@ def predictive_plot(path, bands, depth, observed, mean, scale, indenters) -> Non
             right.plot(np.hypot(*mean[used, ::2].T), away, marker, ms=4, label=name, alpha=0.8)
     right.axhspan(-1, 1, color="0.9", zorder=0)
     right.axhline(0.0, color="0.6", lw=0.6)
-    right.set(xlabel="predicted force (N)", ylabel="measured - predicted (standard deviations)", title=f"{len(observed)} presses")
+    right.set(
+        xlabel="predicted force (N)",
+        ylabel="measured - predicted (standard deviations)",
+        title=f"{len(observed)} presses",
+    )
     right.legend(fontsize=8)
     _save(figure, path)

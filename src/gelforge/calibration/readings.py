@@ -78,7 +78,9 @@ def read_readings(log, known_bad=()) -> Readings:
     columns = set(table[0]) if table else set()
     missing = [c for c in ("sample_id", "indenter", *NUMBERS, "fz_n") if c not in columns]
     if missing:
-        raise BadInput(f"{log}: column {missing[0]} is missing; seen: {', '.join(sorted(columns)) or 'an empty file'}")
+        raise BadInput(
+            f"{log}: column {missing[0]} is missing; seen: {', '.join(sorted(columns)) or 'an empty file'}"
+        )
     rows, ids, indenters, pose, force = [], [], [], [], []
     for line, row in enumerate(table, 2):
         if not (row["fz_n"] or "").strip() or row["sample_id"] in known_bad:
@@ -135,8 +137,8 @@ def check_sign(readings: Readings) -> None:
     if len(pulling) > 0.5 * large.sum():
         raise BadInput(
             f"{readings.source}: fz_n is positive in {len(pulling)} of {large.sum()} readings of size, for example "
-            f"{readings.name(pulling[:1])} with {fz[pulling[0]]:g} N; a press pushes the gel along -z, so fz_n must be "
-            "negative: the log uses the opposite sign convention, multiply its force columns by -1"
+            f"{readings.name(pulling[:1])} with {fz[pulling[0]]:g} N; a press pushes the gel along -z, so fz_n "
+            "must be negative: the log uses the opposite sign convention, multiply its force columns by -1"
         )
 
 

@@ -229,5 +229,7 @@ def complaint(model, chain, score, figures: Figures, rules: Rules) -> str:
             "prior, or add readings that tell the two apart"
         )
     if figures.acceptance < low:
-        return text + "Acceptance is low: raise [calibrate] walkers, or tighten the priors of parameters unseen by data"
+        return (
+            text + "Acceptance is low: raise [calibrate] walkers, or tighten the priors of parameters unseen by data"
+        )
     return text + "Raise [calibrate] max_steps, or hold a parameter that the data do not see (free = false)"

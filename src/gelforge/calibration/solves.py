@@ -139,8 +139,8 @@ def _solve_task(path, job, indenter, settings, gel):
 class SolveCache:
     """Folder of solves; `spent` counts those a result rests on, `new` those solved by this process."""
 
-    def __init__(self, folder, catalogue: dict, settings: HexSettings, gel: Gel = Gel()):
-        self.folder, self.catalogue, self.settings, self.gel = Path(folder), catalogue, settings, gel
+    def __init__(self, folder, catalogue: dict, settings: HexSettings, gel: Gel | None = None):
+        self.folder, self.catalogue, self.settings, self.gel = Path(folder), catalogue, settings, gel or Gel()
         self.new, self.failed = 0, {}
         self._shapes, self._used, self._kept = {}, {}, {}
 
@@ -223,7 +223,9 @@ def refine(emulator: em.Emulator, plan: Plan, coarse: SolveCache, fine: SolveCac
             for g, i in leaders.items()}  # fmt: skip
     fine.fill([job for group in jobs.values() for job in group], workers)
     if fine.failed:
-        raise SolveFailed(f"a refined solve failed ({next(iter(fine.failed.values()))}); set [calibrate.refine] on = false")
+        raise SolveFailed(
+            f"a refined solve failed ({next(iter(fine.failed.values()))}); set [calibrate.refine] on = false"
+        )
     table = emulator.table.copy()
     for g, (job,) in jobs.items():
         i = leaders[g]

@@ -132,8 +132,9 @@ def model_sentences(models: list[dict]) -> list[str]:
     if len(alike) > 1:
         medians = [m["c10"]["median"] for m in alike]
         said.append(
-            f"The data cannot tell apart {len(alike)} of {len(models)} models ({', '.join(m['model'] for m in alike)}): "
-            f"their predictive scores differ by less than the comparison can resolve, yet their medians of C10 run from "
+            f"The data cannot tell apart {len(alike)} of {len(models)} models "
+            f"({', '.join(m['model'] for m in alike)}): their predictive scores differ by less than the comparison "
+            f"can resolve, yet their medians of C10 run from "
             f"{min(medians):.4f} to {max(medians):.4f} MPa."
         )
     if apart:
@@ -147,14 +148,17 @@ def _trades(correlation: dict) -> list[str]:
     strong = [(n, r) for n, r in zip(names, row, strict=True) if n != "c10" and abs(r) > 0.5]
     strong.sort(key=lambda pair: -abs(pair[1]))
     return [
-        f"C10 trades against the {label_of(n).split(' (')[0]} (correlation {r:+.2f}): measure that one apart to narrow C10."
+        f"C10 trades against the {label_of(n).split(' (')[0]} (correlation {r:+.2f}): "
+        "measure that one apart to narrow C10."
         for n, r in strong
     ]
 
 
 def _unseen(parameters: dict) -> list[str]:
     # The emulator's scale is there to widen C10 and is never seen by data.
-    blind = [n for n in NAMES if n in parameters and n != "discretisation" and parameters[n]["width_over_prior"] > 0.8]
+    blind = [
+        n for n in NAMES if n in parameters and n != "discretisation" and parameters[n]["width_over_prior"] > 0.8
+    ]
     if not blind:
         return []
     names = ", ".join(label_of(n).split(" (")[0] for n in blind)
