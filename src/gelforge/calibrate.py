@@ -235,8 +235,8 @@ def emulate(readings: Readings, catalogue: dict, params: dict, nu: float, folder
     unsolved = [{"sample_id": str(readings.ids[i]), "reason": reason} for i, reason in failed.items()]
     if len(failed) > len(readings) / 2:
         raise BadInput(
-            f"{len(failed)} of {len(readings)} presses could not be solved, the first: {unsolved[0]['reason']}; raise "
-            "press_steps or change size in [calibrate.solver]"
+            f"{len(failed)} of {len(readings)} presses could not be solved, the first: {unsolved[0]['reason']}; "
+            "raise press_steps or change size in [calibrate.solver]"
         )
     if failed:
         readings = readings.take(np.setdiff1d(np.arange(len(readings)), list(failed)))
@@ -254,9 +254,9 @@ def emulate(readings: Readings, catalogue: dict, params: dict, nu: float, folder
 
 
 def load_rejected(folder: Path | None) -> set:
-    """Sample ids that stage 10 rejected for anything but their image, which calibration does not see."""
+    """Lines of the log that stage 10 rejected for anything but their image, which does not matter here."""
     tables = sorted(folder.glob("*.rejected.csv")) if folder else []
-    return {row["sample_id"] for path in tables for row in read_csv(path) if row["column"] != "image"}
+    return {int(row["row"]) for path in tables for row in read_csv(path) if row["column"] != "image"}
 
 
 def main(argv=None) -> int:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from calibration_law import PARAMS, law_posterior, make_readings
 
+from gelforge.calibrate import load_rejected
 from gelforge.calibration.emulator import Emulator
 from gelforge.calibration.parameters import Model, Prior, make_model, read_prior
 from gelforge.calibration.readings import check_enough, check_readings, read_readings
@@ -140,3 +141,15 @@ def test_too_few_walkers():
     posterior = law_posterior(np.random.default_rng(1), DEPTH)
     with pytest.raises(BadInput, match="walkers is 8; 7 parameters"):
         sample(posterior, replace(RULES, walkers=8))
+
+
+def test_rows_rejected_by_stage_10_do_not_serve(tmp_path):
+    (tmp_path / "0000.rejected.csv").write_text(
+        "file,row,sample_id,column,value,reason,remedy\n"
+        "log.csv,3,b,dz_mm,x,no number,mend\nlog.csv,4,c,image,,none,add\n"
+    )
+    lines = [f"{name},sphere_15,0,0,0,0,0,-1,0,,,-{k}" for k, name in enumerate("abc", 1)]
+    header = "sample_id,indenter,x0_mm,y0_mm,z0_mm,dx_mm,dy_mm,dz_mm,rot_deg,fx_n,fy_n,fz_n"
+    (tmp_path / "log.csv").write_text("\n".join([header, *lines]) + "\n")
+    readings = read_readings(tmp_path / "log.csv", load_rejected(tmp_path))
+    assert readings.ids.tolist() == ["a", "c"]  # a missing image is no reason to drop a force

@@ -40,6 +40,16 @@ def test_force_is_proportional_to_c10_without_compliance():
     np.testing.assert_allclose(two, 2 * one, rtol=1e-12)
 
 
+def test_poisson_s_ratio_is_interpolated_between_its_nodes():
+    one = law_emulator()
+    three = replace(
+        one, table=np.concatenate([one.table, 1.2 * one.table, 1.4 * one.table], 1), nu=np.array([0.45, 0.47, 0.49])
+    )
+    for nu, factor in ((0.45, 1.0), (0.465, 1.15), (0.48, 1.3), (0.49, 1.4)):
+        values = true_values(nu=nu, compliance=0.0)
+        np.testing.assert_allclose(three.forces([1.0], values)[0], factor * one.forces([1.0], values)[0], rtol=1e-9)
+
+
 def test_no_force_above_the_gel():
     assert not law_emulator().forces([0.01], true_values(offset=-0.02))[0].any()
 

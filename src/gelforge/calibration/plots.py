@@ -29,7 +29,8 @@ def corner_plot(path, chain, model) -> None:
     figure = Figure(figsize=(2.1 * len(model.names),) * 2)
     corner.corner(
         data, labels=[label_of(n) for n in model.names], quantiles=[0.16, 0.5, 0.84], show_titles=True,
-        title_fmt=".3g", label_kwargs={"fontsize": 9}, title_kwargs={"fontsize": 9}, color=BAND, fig=figure, labelpad=0.12,
+        title_fmt=".3g", label_kwargs={"fontsize": 9}, title_kwargs={"fontsize": 9}, color=BAND, fig=figure,
+        labelpad=0.12,
     )  # fmt: skip
     for axis in figure.axes:
         axis.tick_params(labelsize=7)

@@ -71,7 +71,7 @@ def _number(row: dict, column: str, where: str) -> float:
 def read_readings(log, known_bad=()) -> Readings:
     """Read every row of a raw log that has a normal force; rows without one do not serve.
 
-    known_bad: sample ids that stage 10 rejected. Sideways forces may be empty. A log in which no
+    known_bad: lines of the log that stage 10 rejected. Sideways forces may be empty. A log in which no
     row has a force, or a value that is no number, raises BadInput.
     """
     table = read_csv(log)
@@ -83,7 +83,7 @@ def read_readings(log, known_bad=()) -> Readings:
         )
     rows, ids, indenters, pose, force = [], [], [], [], []
     for line, row in enumerate(table, 2):
-        if not (row["fz_n"] or "").strip() or row["sample_id"] in known_bad:
+        if not (row["fz_n"] or "").strip() or line in known_bad:
             continue
         where = f"{log}: row {line}"
         rows.append(line)
