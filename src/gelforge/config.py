@@ -20,8 +20,9 @@ SLICES = {
     "evaluate": ["evaluate"],
     "report": ["report"],
     "calibrate": ["calibrate", "material.nu"],
-    "pareto": ["pareto", "material.nu"],
-    "stability": ["stability", "material.nu"],
+    "pareto": ["pareto", "fea", "meshes", "material.nu"],
+    "pareto_meshes": ["pareto.regions", "meshes"],
+    "stability": ["stability", "fea", "meshes"],
 }
 
 

@@ -92,7 +92,7 @@ def write_shards(log: Path, out: Path, size: int) -> list[str]:
     return names
 
 
-def write_slices(params: dict, workflow: Path, out: Path, catalogue: str) -> None:
+def write_slices(params: dict, workflow: Path, out: Path, catalogue: str, scenes: dict) -> None:
     """Write every stage's slice, and the catalogues without their comments."""
     source = Path(__file__).parent
     for stage in config.SLICES:
@@ -103,6 +103,16 @@ def write_slices(params: dict, workflow: Path, out: Path, catalogue: str) -> Non
     # One file per network, so that a new network retrains no other.
     for name, table in config.read_toml(workflow / "models.toml").items():
         write_if_changed(out / "params" / "models" / f"{name}.json", config.canonical({name: table}))
+    for name, table in scenes.items():
+        write_if_changed(out / "params" / "scenes" / f"{name}.json", config.canonical(table))
+
+
+def chart_lists(params: dict, scenes: dict) -> dict[str, list[str]]:
+    """Names that the rules of the branches pareto and stability need."""
+    from gelforge.charting.meshes import all_meshes
+
+    quick = params["pareto"]["quick"]["scenes"]
+    return {"PARETO_SCENES": list(scenes), "PARETO_QUICK": quick, "PARETO_MESHES": all_meshes(params, scenes)}
 
 
 def main(argv=None) -> int:
@@ -118,12 +128,16 @@ def main(argv=None) -> int:
     if args.ccx == "none" and params["fea"]["fidelity"] != "hex":
         print(f"CalculiX (ccx) was not found: fidelity hex is used instead of {params['fea']['fidelity']}.", flush=True)
         params["fea"]["fidelity"] = "hex"
-    write_slices(params, args.workflow, out, config.read_toml(dataset_toml).get("catalogue", "indenters.toml"))
+    from gelforge.charting.scenes import read_tables
+
+    scenes = read_tables(args.workflow)
+    write_slices(params, args.workflow, out, config.read_toml(dataset_toml).get("catalogue", "indenters.toml"), scenes)
     shards = write_shards(args.data / "log.csv", out, params["plan"]["shard_size"])
     from gelforge.meshes import required_meshes
 
     meshes = required_meshes(params["fea"], params["meshes"])
     lists = {"SHARDS": shards, "MESHES": meshes, "BRANCHES": params["report"]["branches"]}
+    lists |= chart_lists(params, scenes)
     write_text(args.out, "".join(f"{name} := {' '.join(values)}\n" for name, values in lists.items()))
     return 0
 

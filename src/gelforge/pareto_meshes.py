@@ -1,0 +1,33 @@
+"""Meshes of branch pareto: label regions at every density of the chart, and tight fine ones for the reference."""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from gelforge.charting.meshes import build_mesh
+from gelforge.files import read_json, write_json
+from gelforge.geometry.gel import load_gel
+
+VERSION = 1
+
+
+def main(argv=None) -> int:
+    parser = argparse.ArgumentParser(prog="gelforge.pareto_meshes", description=__doc__.splitlines()[0])
+    parser.add_argument("--name", required=True, help="ccx-REGION-SIZE, hex-REGION-SIZE or fine-REGION-SIZE")
+    parser.add_argument("--params", type=Path, required=True, help="slice of [meshes] and [pareto.regions], .json")
+    parser.add_argument("--out", type=Path, required=True, help="NAME.npz; NAME.json is written beside it")
+    args = parser.parse_args(argv)
+    params = read_json(args.params)
+    mesh, report = build_mesh(args.name, load_gel(params["meshes"]["gel"]), params)
+    write_json(args.out.with_name(f"{args.name}.json"), report)
+    mesh.save(args.out.with_name(f".{args.name}.npz"))
+    args.out.with_name(f".{args.name}.npz").replace(args.out)
+    print(json.dumps(report, indent=1), file=sys.stderr)
+    return 0
+
+
+if __name__ == "__main__":
+    from gelforge.cli import exit_with
+
+    exit_with(main)
