@@ -22,7 +22,7 @@ from gelforge.progress import progress
 VERSION = 1
 EVIDENCE = (
     "rung", "rounds", "newton_iterations", "load_steps", "seconds", "kinematics_seconds", "peak_mib",
-    "equilibrium_residual", "base_mismatch", "penetration_mm", "pulling_fraction", "hex_force_difference",
+    "equilibrium_residual", "base_mismatch", "penetration_mm", "pulling_fraction", "engine_difference",
 )  # fmt: skip
 COLUMNS = ("sample_id", "status", "reason", "fidelity", "mesh", "file", "fx_n", "fy_n", "fz_n", *EVIDENCE)
 PATH = ("x0_mm", "y0_mm", "z0_mm", "dx_mm", "dy_mm", "dz_mm", "rot_deg")

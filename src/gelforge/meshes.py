@@ -83,8 +83,7 @@ def make_mesh(name: MeshName, gel: Gel, meshes: dict) -> tuple[GelMesh, dict]:
                                "faces": len(mesh.faces)}  # fmt: skip
     from gelforge.mechanics.tet import gel_mesh, quality
 
-    # pytetwild's edges come out about a tenth longer than asked for
-    mesh = gel_mesh(gel, sizing(half, 0.9 * name.size, meshes))
+    mesh = gel_mesh(gel, sizing(half, name.size, meshes))
     return mesh, report | quality(mesh, gel)
 
 

@@ -1,4 +1,4 @@
-"""Fidelity `ccx`: CalculiX on second-order tetrahedra, contact found by `hex` and corrected in rounds.
+"""Fidelity `ccx`: CalculiX on second-order tetrahedra, contact found in process and corrected in rounds.
 
 The deck has no contact. The final state of a hyperelastic body depends on its boundary data only,
 so the points that touch are held where they ended and CalculiX finds the equilibrium; points that
@@ -7,7 +7,7 @@ is integrated at twelve points of each face, because at nodes a footprint's edge
 """
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,24 +16,25 @@ from gelforge.mechanics import ccx_contact as touch
 from gelforge.mechanics.ccx_deck import press_deck, write_include
 from gelforge.mechanics.ccx_run import run_ccx
 from gelforge.mechanics.dat import DatError, last_table, read_dat, without_set
-from gelforge.mechanics.hex import HexResult, HexSettings, HexSolver
+from gelforge.mechanics.hex import first_touch
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.scene import REFERENCE_C10, Result, Scene, Status
-from gelforge.mechanics.tetface import FacePoints, face_points
-
-KINEMATICS = HexSettings(size=0.9, layers=4, press_steps=6, shear_steps=3, tolerance=1e-3, final_tolerance=1e-6)
-
+from gelforge.mechanics.tetcontact import PathSettings, contact_forces, follow
+from gelforge.mechanics.tetface import face_points
+from gelforge.mechanics.tetsolid import TetSolid
 
 @dataclass(frozen=True)
 class CcxSettings:
     """How `ccx` works.
 
-    stiffness: contact springs, multiples of C10 per mm.
+    press_steps, shear_steps: load steps of the kinematics. stiffness: contact springs, multiples of C10 per mm.
     rounds: at most so many solves. pull_tolerance: share of the normal force that may pull in a valid
     state. penetration_mm: depth that counts as touching. residual: largest nodal residual over the
     mean nodal force. increments: first load increment when the start from hex fails.
     """
 
+    press_steps: int = 6
+    shear_steps: int = 3
     stiffness: float = 2000.0
     rounds: int = 8
     pull_tolerance: float = 2e-3
@@ -54,39 +55,48 @@ class CcxResult(Result):
 class CcxSolver:
     """Solves scenes on one tetrahedral mesh; decks and output live in `folder`."""
 
-    def __init__(self, mesh: GelMesh, folder, settings: CcxSettings = CcxSettings(), kinematics: HexSolver | None = None):
+    def __init__(self, mesh: GelMesh, folder, settings: CcxSettings = CcxSettings()):
         self.mesh, self.folder, self.settings = mesh, Path(folder), settings
-        self.kinematics = kinematics or HexSolver(KINEMATICS)
-        self.points = face_points(mesh)
+        self.points, self.solid = face_points(mesh), TetSolid(mesh)
         self.folder.mkdir(parents=True, exist_ok=True)
         self.include = write_include(mesh, self.folder / "mesh.inp").name
 
-    def solve(self, scene: Scene, name: str = "press") -> CcxResult:
+    def solve(self, scene: Scene, name: str = "press", settings: CcxSettings | None = None) -> CcxResult:
         """State at the end of the scene's path. Failure is a status, not an exception."""
-        started = time.perf_counter()
-        hexa = self.kinematics.solve(scene)
-        kinematics_s = time.perf_counter() - started
-        if hexa.status is not Status.OK:
-            result = self._empty(hexa)
+        began = time.perf_counter()
+        s = settings or self.settings
+        touch_at = first_touch(scene)
+        if touch_at is None:
+            return self._empty(Status.NO_CONTACT, "", began)
+        path = PathSettings(
+            s.press_steps, s.shear_steps, s.stiffness * REFERENCE_C10,
+            pull_tolerance=s.pull_tolerance / 2, penetration_mm=s.penetration_mm / 2,
+        )  # fmt: skip
+        found = follow(scene, self.solid, self.points, touch_at, path)
+        kinematics_s = time.perf_counter() - began
+        if found.settled:
+            result = self._rounds(scene, found, name, s)
+            own = contact_forces(found.contact, self.points, found.displacement, path.stiffness).sum(axis=0)
+            result.evidence["engine_difference"] = _difference(result.total, own)
         else:
-            result = self._rounds(scene, hexa, name)
-            result.evidence["hex_force_difference"] = _difference(result.total, hexa.total)
+            result = self._empty(Status.DIVERGED, found.reason, began)
         result.evidence |= {
-            "kinematics_seconds": kinematics_s, "seconds": time.perf_counter() - started,
-            "load_steps": hexa.evidence["load_steps"],
+            "kinematics_seconds": kinematics_s, "seconds": time.perf_counter() - began, "load_steps": found.steps,
+            "kinematics_iterations": found.iterations,
         }  # fmt: skip
         return result
 
-    def _empty(self, hexa: HexResult) -> CcxResult:
+    def _empty(self, status, reason, began) -> CcxResult:
         zero = np.zeros_like(self.mesh.nodes)
-        return CcxResult(hexa.status, zero, zero.copy(), dict(hexa.evidence))
+        evidence = dict.fromkeys(("equilibrium_residual", "penetration_mm", "pulling_fraction", "base_mismatch"), 0.0)
+        evidence |= dict.fromkeys(("newton_iterations", "rounds", "load_steps"), 0)
+        evidence |= {"reason": reason, "seconds": time.perf_counter() - began, "peak_mib": 0.0}
+        return CcxResult(status, zero, zero.copy(), evidence)
 
-    def _rounds(self, scene, hexa, name) -> CcxResult:
-        s = self.settings
+    def _rounds(self, scene, found, name, s) -> CcxResult:
         stiffness = s.stiffness * REFERENCE_C10
-        contact = touch.predict(scene, self.points, hexa)
-        run = _Run(self, scene, name, stiffness)
-        start = start_from_hex(self.mesh, hexa)
+        contact, start = found.contact, found.displacement
+        run = _Run(self, scene, name, s)
         for number in range(1, s.rounds + 1):
             answer = run.solve(contact, start)
             if isinstance(answer, CcxResult):
@@ -94,8 +104,6 @@ class CcxSolver:
             verdict = touch.judge(scene, contact, self.points, answer.displacement, stiffness)
             run.history.append([verdict.pulling_fraction, verdict.penetration, float(-answer.top.sum(axis=0)[2])])
             settled = verdict.pulling_fraction <= s.pull_tolerance and verdict.penetration <= s.penetration_mm
-            if scene.interface.law == "coulomb" and number == 1:
-                settled = False  # the drag still follows hex' pressure
             if settled or number == s.rounds:
                 return run.result(Status.OK if settled else Status.UNSETTLED, answer, contact, verdict)
             contact, start = touch.correct(scene, contact, verdict, s.penetration_mm / 4), answer.displacement
@@ -116,15 +124,16 @@ class Answer:
 class _Run:
     """The rounds of one scene, with what they cost."""
 
-    def __init__(self, solver: CcxSolver, scene: Scene, name: str, stiffness: float):
-        self.solver, self.scene, self.name, self.stiffness = solver, scene, name, stiffness
+    def __init__(self, solver: CcxSolver, scene: Scene, name: str, settings: CcxSettings):
+        self.solver, self.scene, self.name, self.settings = solver, scene, name, settings
+        self.stiffness = settings.stiffness * REFERENCE_C10
         self.iterations = self.rounds = 0
         self.seconds = self.peak = 0.0
         self.ladder, self.history = [], []
 
     def solve(self, contact, start):
         """One round: from the start, else in increments from rest; an Answer, or a failed CcxResult."""
-        mesh, s = self.solver.mesh, self.solver.settings
+        mesh, s = self.solver.mesh, self.settings
         rows = touch.spring_rows(contact, self.solver.points, self.stiffness)
         loads = touch.drag_loads(contact, self.solver.points, len(mesh.nodes))
         problem = Status.DIVERGED, "no point touches"
@@ -187,32 +196,3 @@ def read_answer(path: Path, mesh: GelMesh, deck: str) -> Answer:
 
 def _difference(one, other) -> float:
     return float(np.linalg.norm(one - other) / max(np.linalg.norm(one), 1e-12))
-
-
-def start_from_hex(mesh: GelMesh, hexa: HexResult) -> np.ndarray:
-    """Displacement (n, 3) of a brick mesh at the nodes of another mesh of the same gel: Newton's start."""
-    from gelforge.mechanics.hex import interpolate_surface
-
-    bricks = hexa.mesh
-    planes = bricks.nodes.reshape(bricks.layers + 1, -1, 3)
-    fields = hexa.displacement.reshape(bricks.layers + 1, -1, 3)
-    middle = planes.shape[1] // 2
-    levels = planes[:, middle, 2]
-    levels = (levels - levels[0]) / (levels[-1] - levels[0])
-    xy = mesh.nodes[:, :2]
-    bottom = bricks.nodes[0, 2]
-    roof = interpolate_surface(bricks, bricks.nodes[:, 2:], xy)[:, 0]
-    height = np.clip((mesh.nodes[:, 2] - bottom) / (roof - bottom), 0.0, 1.0)
-    first = len(bricks.nodes) - planes.shape[1]
-    spread = np.zeros((len(bricks.nodes), 3))
-    at = []
-    for field in fields:
-        spread[first:] = field
-        at.append(interpolate_surface(bricks, spread, xy))
-    at = np.array(at)
-    low = np.clip(np.searchsorted(levels, height, "right") - 1, 0, len(levels) - 2)
-    share = ((height - levels[low]) / (levels[low + 1] - levels[low]))[:, None]
-    node = np.arange(len(xy))
-    start = (1 - share) * at[low, node] + share * at[low + 1, node]
-    start[mesh.base] = 0.0
-    return start

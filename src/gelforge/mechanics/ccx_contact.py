@@ -1,17 +1,15 @@
-"""Contact at the face points of a tetrahedral gel: predicted from `hex`, held by springs, corrected in rounds."""
+"""Contact at the face points of a tetrahedral gel: held by springs, judged, corrected in rounds."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from gelforge.mechanics.ccx_deck import Rows
-from gelforge.mechanics.contact import GLUED, Pose
-from gelforge.mechanics.hex import HexResult, interpolate_surface
+from gelforge.mechanics.contact import Pose
 from gelforge.mechanics.scene import Scene
 from gelforge.mechanics.tetface import FacePoints
 
 FREE, SLIDE, STICK = 0, 1, 2
-_YIELDS = 0.999  # share of the friction bound above which hex' point counts as sliding
 
 
 @dataclass
@@ -42,71 +40,6 @@ def gaps(scene: Scene, pose: Pose, points: np.ndarray) -> tuple[np.ndarray, np.n
     """Signed distance (f, q) mm to the indenter and its outward normal (f, q, 3) at points (f, q, 3)."""
     distance, normal = scene.indenter.distance(pose.to_indenter(points.reshape(-1, 3)))
     return distance.reshape(points.shape[:2]), pose.turn(normal).reshape(points.shape)
-
-
-def predict(scene: Scene, points: FacePoints, hexa: HexResult) -> Contact:
-    """Contact that a `hex` state foretells: points among hex' own touching points, where hex puts them."""
-    pose = end_pose(scene)
-    flat = points.position.reshape(-1, 3)
-    moved = points.position + interpolate_surface(hexa.mesh, hexa.displacement, flat[:, :2]).reshape(points.position.shape)
-    gap, normal = gaps(scene, pose, moved)
-    near = _among_touching(points, hexa.contact, _brick_size(hexa))
-    stick = STICK if scene.interface.law == "no_slip" else SLIDE
-    contact = Contact(np.where(near, stick, FREE), moved - gap[..., None] * normal, normal, np.zeros_like(moved))
-    if scene.interface.law == "coulomb":
-        _take_friction(contact, points, hexa, pose)
-    return contact
-
-
-def _among_touching(points: FacePoints, found, size: float) -> np.ndarray:
-    """Whether each face point (f, q) lies in the region that hex' touching points fill.
-
-    Bilinear faces against a curved indenter touch in speckles, so a point is judged by the touching
-    share of the area within `size` (mm, hex' bricks) of it: the region ends where the share is half
-    of what it is inside.
-    """
-    from scipy.sparse import csr_matrix
-    from scipy.spatial import cKDTree
-
-    touching = found.touching
-    inside = np.zeros(points.weight.shape, bool)
-    if not touching.any():
-        return inside
-    tree = cKDTree(found.reference[:, :2])
-    flat = points.position[..., :2].reshape(-1, 2)
-    near = np.flatnonzero(cKDTree(found.reference[touching, :2]).query(flat)[0] < size)
-    lists = tree.query_ball_point(flat[near], 0.75 * size)
-    pointer = np.concatenate([[0], np.cumsum([len(x) for x in lists])])
-    column = np.concatenate([np.asarray(x, int) for x in lists])
-    share = csr_matrix((found.weights[column], column, pointer), (len(near), len(touching)))
-    filled = share @ touching / np.maximum(share @ np.ones(len(touching)), 1e-12)
-    inside.reshape(-1)[near] = filled > 0.5 * np.quantile(filled, 0.8)
-    return inside
-
-
-def _brick_size(hexa: HexResult) -> float:
-    """Side of the smallest bricks, mm."""
-    return float(min(np.diff(hexa.mesh.xs).min(), np.diff(hexa.mesh.ys).min()))
-
-
-def _take_friction(contact, points, hexa, pose):
-    """Stick or slide as the nearest touching point of hex does, dragged the way it is dragged there."""
-    from scipy.spatial import cKDTree
-
-    found = hexa.contact
-    known = np.flatnonzero(found.status == GLUED)
-    held = np.argwhere(contact.held)
-    if not len(known) or not len(held):
-        return
-    f, q = held.T
-    nearest = known[cKDTree(found.reference[known, :2]).query(points.position[f, q, :2])[1]]
-    normal = pose.turn(found.normal[nearest])
-    traction = found.traction[nearest]
-    tangent = traction - np.einsum("pi,pi->p", traction, normal)[:, None] * normal
-    size = np.linalg.norm(tangent, axis=1)
-    slides = size >= _YIELDS * found.bound[nearest]
-    contact.state[f, q] = np.where(slides, SLIDE, STICK)
-    contact.drag[f, q] = np.where(slides[:, None], tangent, 0.0)
 
 
 def spring_rows(contact: Contact, points: FacePoints, stiffness: float) -> Rows:

@@ -7,9 +7,8 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.meshes import MeshFamily, choose_mesh, hex_box, hex_solver
-from gelforge.mechanics.ccx import KINEMATICS, CcxSettings, CcxSolver
+from gelforge.mechanics.ccx import CcxSettings, CcxSolver
 from gelforge.mechanics.ccx_run import need_ccx
-from gelforge.mechanics.hex import HexSolver
 from gelforge.mechanics.scene import Result, Scene, Status
 
 FIDELITIES = ("hex", "ccx", "ccx-native", "ccx-fine", "auto")
@@ -23,8 +22,8 @@ class FeaSettings:
     tolerance: float = 0.02
     hex_press_steps: int = 8
     hex_shear_steps: int = 4
-    kinematics_size_mm: float = 0.9
-    kinematics_layers: int = 4
+    press_steps: int = 6
+    shear_steps: int = 3
     stiffness: float = 2000.0
     rounds: int = 8
     pull_tolerance: float = 2e-3
@@ -50,8 +49,6 @@ class Solvers:
 
     def __init__(self, family: MeshFamily, workdir, settings: FeaSettings = FeaSettings()):
         self.family, self.workdir, self.settings = family, Path(workdir), settings
-        kinematics = replace(KINEMATICS, size=settings.kinematics_size_mm, layers=settings.kinematics_layers)
-        self.kinematics = HexSolver(kinematics)
         self._ccx, self._hex = {}, {}
 
     def solve(self, scene: Scene, fidelity: str) -> Result:
@@ -91,14 +88,11 @@ class Solvers:
     def _solve_ccx(self, scene, steps=1, rounds=1) -> Result:
         mesh = choose_mesh(scene, self.family, "ccx")
         if mesh not in self._ccx:
-            self._ccx[mesh] = CcxSolver(self.family.load(mesh), self.workdir / mesh, self.settings.ccx, self.kinematics)
-        solver = self._ccx[mesh]
-        if steps > 1 or rounds > 1:
-            finer = replace(self.kinematics.settings, press_steps=steps * self.kinematics.settings.press_steps,
-                            shear_steps=steps * self.kinematics.settings.shear_steps)  # fmt: skip
-            settings = replace(self.settings.ccx, rounds=rounds * self.settings.rounds)
-            solver = CcxSolver(solver.mesh, solver.folder, settings, HexSolver(finer))
-        result = solver.solve(scene)
+            self._ccx[mesh] = CcxSolver(self.family.load(mesh), self.workdir / mesh, self.settings.ccx)
+        base = self.settings.ccx
+        finer = replace(base, press_steps=steps * base.press_steps, shear_steps=steps * base.shear_steps,
+                        rounds=rounds * base.rounds)  # fmt: skip
+        result = self._ccx[mesh].solve(scene, settings=finer)
         result.evidence |= {"mesh": mesh}
         return result
 

@@ -1,0 +1,273 @@
+"""Contact kinematics on the tetrahedra, in process: which face points touch, and where they are held.
+
+The path is followed in load steps. Within a step a point that is new feels only the normal; at the
+step's end it is held where it first touched (glue at the end of the step), and what pulls is let
+go. So every step is a smooth problem but for new touches. CalculiX then solves the end of the path.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gelforge.mechanics.ccx_contact import FREE, SLIDE, STICK, Contact, gaps, judge
+from gelforge.mechanics.contact import Pose
+from gelforge.mechanics.scene import Material, REFERENCE_C10, Scene
+from gelforge.mechanics.tetface import FacePoints
+from gelforge.mechanics.tetsolid import TetSolid
+
+_A, _B = np.triu_indices(6)
+
+
+@dataclass(frozen=True)
+class PathSettings:
+    """Load steps of press and shear, contact stiffness (N/mm^3), residuals over contact force, and limits."""
+
+    press_steps: int = 6
+    shear_steps: int = 3
+    stiffness: float = 145.0
+    step_tolerance: float = 1e-2
+    final_tolerance: float = 1e-6
+    pull_tolerance: float = 1e-3
+    penetration_mm: float = 1e-3
+    most_iterations: int = 12
+    most_cuts: int = 5
+    settle_rounds: int = 8
+    friction_rounds: int = 4
+
+
+@dataclass
+class Kinematics:
+    """End of a path: contact, displacement (n, 3) mm, whether it settled, why not, iterations and load steps."""
+
+    contact: Contact
+    displacement: np.ndarray
+    settled: bool
+    reason: str
+    iterations: int
+    steps: int
+
+
+class NoEquilibrium(Exception):
+    """Newton's method stopped without a state; internal to the load stepping."""
+
+
+def contact_forces(contact: Contact, points: FacePoints, u: np.ndarray, stiffness: float) -> np.ndarray:
+    """Nodal forces (n, 3) N of the springs and drags of held points on the gel."""
+    faces = np.flatnonzero(contact.held.any(axis=1))
+    nodes, state, normal = points.faces[faces], contact.state[faces], contact.normal[faces]
+    position = points.position[faces] + np.einsum("qa,fak->fqk", points.shape, u[nodes])
+    stretch = contact.target[faces] - position
+    along = np.einsum("fqk,fqk->fq", stretch, normal)[..., None] * normal
+    stick, slide = (state == STICK)[..., None], (state == SLIDE)[..., None]
+    traction = stiffness * (stick * stretch + slide * along) + slide * contact.drag[faces]
+    forces = np.zeros_like(u)
+    np.add.at(forces, nodes, np.einsum("qa,fqk->fak", points.shape, traction * points.weight[faces][..., None]))
+    return forces
+
+
+def contact_blocks(contact: Contact, points: FacePoints, stiffness: float) -> tuple[np.ndarray, np.ndarray]:
+    """Touched faces (f,) and their stiffness on node pairs a <= b, (f, 21, 3, 3) N/mm."""
+    faces = np.flatnonzero(contact.held.any(axis=1))
+    state, weight = contact.state[faces], points.weight[faces] * stiffness
+    pairs = points.shape[:, _A] * points.shape[:, _B]
+    blocks = np.einsum("fq,qp->fp", weight * (state == STICK), pairs)[..., None, None] * np.eye(3)
+    n = contact.normal[faces]
+    outer = n[..., :, None] * n[..., None, :] * (weight * (state == SLIDE))[..., None, None]
+    return faces, blocks + np.einsum("qp,fqij->fpij", pairs, outer)
+
+
+def follow(scene: Scene, solid: TetSolid, points: FacePoints, start: float, settings: PathSettings) -> Kinematics:
+    """Follow press and shear from the press fraction `start` of first touch to the end of the path."""
+    path = _Path(scene, solid, points, settings)
+    reason = ""
+    try:
+        for fraction in np.linspace(min(start, 0.98), 1.0, settings.press_steps + 1)[1:]:
+            path.advance(np.array([fraction, 0.0]))
+        if scene.press.dx or scene.press.dy:
+            for fraction in np.linspace(0.0, 1.0, settings.shear_steps + 1)[1:]:
+                path.advance(np.array([1.0, fraction]))
+        settled = path.settle()
+        reason = "" if settled else "the contact set did not settle on the path"
+    except NoEquilibrium as error:
+        settled, reason = False, str(error)
+    return Kinematics(path.contact, path.u, settled, reason, path.iterations, path.steps)
+
+
+class _Path:
+    """State along a path: displacement u (n, 3), contact, anchors (f, q, 3) in the indenter's frame."""
+
+    def __init__(self, scene: Scene, solid: TetSolid, points: FacePoints, settings: PathSettings):
+        material = Material(REFERENCE_C10, scene.material.nu)
+        self.shear, self.bulk = material.shear_modulus, material.bulk_modulus
+        self.scene, self.solid, self.points, self.settings = scene, solid, points, settings
+        self.u = np.zeros((len(solid.free), 3))
+        self.velocity = np.zeros_like(self.u)
+        self.at = np.zeros(2)
+        zero = np.zeros_like(points.position)
+        self.contact = Contact(np.zeros(points.weight.shape, int), zero, zero.copy(), zero.copy())
+        self.anchor, self.anchor_normal = zero.copy(), zero.copy()
+        self.iterations = self.steps = 0
+
+    def pose(self, at) -> Pose:
+        return Pose(*self.scene.press.pose(*at))
+
+    def positions(self, u):
+        return self.points.position + self.points.at(u)
+
+    # -- one load step
+
+    def advance(self, goal) -> None:
+        """Go to `goal` (press, shear fractions), in shorter steps where Newton asks for it."""
+        origin, done, length, cuts = self.at, 0.0, 1.0, 0
+        while done < 1.0:
+            ahead = min(1.0, done + length)
+            kept = self.u, self.contact, self.anchor.copy(), self.anchor_normal.copy()
+            try:
+                self._step(origin + ahead * (goal - origin))
+                done = ahead
+            except NoEquilibrium:
+                self.u, self.contact, self.anchor, self.anchor_normal = kept
+                length, cuts = length / 2, cuts + 1
+                if cuts > self.settings.most_cuts:
+                    raise
+
+    def _step(self, aim) -> None:
+        s, before, start = self.settings, self.at, self.u
+        pose = self.pose(aim)
+        gap0, _ = gaps(self.scene, self.pose(before), self.positions(start))
+        contact = self._lead(pose)
+        self.u, self.contact = self.newton(self.u, contact, pose, s.step_tolerance)
+        if self.scene.interface.law == "no_slip":
+            self._glue(start, before, aim, gap0)
+        elif self.scene.interface.law == "coulomb":
+            self._rub(pose)
+        length = max(np.abs(aim - before).max(), 1e-12)
+        self.velocity, self.at = (self.u - start) / length, aim
+        self.steps += 1
+
+    def _lead(self, pose) -> Contact:
+        """The contact as the step begins: held points travel with the indenter."""
+        stick = self.contact.state == STICK
+        c = self.contact
+        target = np.where(stick[..., None], pose.to_gel(self.anchor), c.target)
+        normal = np.where(stick[..., None], pose.turn(self.anchor_normal), c.normal)
+        return Contact(c.state, target, normal, c.drag)
+
+    def newton(self, u, contact, pose, tolerance) -> tuple[np.ndarray, Contact]:
+        """Equilibrium at a fixed pose; points that no anchor holds touch where they would penetrate."""
+        s = self.settings
+        for _ in range(s.most_iterations):
+            contact, changed = self._touch(u, contact, pose)
+            inner, smallest = self.solid.forces(u, self.shear, self.bulk)
+            outer = contact_forces(contact, self.points, u, s.stiffness)
+            size = np.linalg.norm((outer - inner)[self.solid.free]) / max(np.linalg.norm(outer), 1e-12)
+            if smallest <= 0.0 or not np.isfinite(size):
+                raise NoEquilibrium("an element turned inside out")
+            # on the way a few points may still come and go; at the end none
+            if size < tolerance and changed <= (0.03 * contact.held.sum() if tolerance > s.final_tolerance else 0):
+                return u, contact
+            u = self._newton_step(u, contact, outer - inner)
+        raise NoEquilibrium(f"no equilibrium in {s.most_iterations} Newton iterations, residual {size:.1e} of the force")
+
+    def _newton_step(self, u, contact, residual):
+        self.iterations += 1
+        self.solid.factorise(u, self.shear, self.bulk, *contact_blocks(contact, self.points, self.settings.stiffness))
+        step = self.solid.step(residual)
+        for _ in range(6):
+            if self.solid.forces(u + step, self.shear, self.bulk)[1] > 0.0:
+                return u + step
+            step = step / 2
+        raise NoEquilibrium("an element turned inside out")
+
+    def _touch(self, u, contact, pose) -> tuple[Contact, int]:
+        """Set of touching points for the next iteration, and how many points came or went."""
+        position = self.positions(u)
+        gap, normal = gaps(self.scene, pose, position)
+        stick = contact.state == STICK
+        # a sliding point under drag stays until it opens; a new one starts where it penetrates
+        near = ~stick & (gap < 0.0)
+        state = np.where(stick, STICK, np.where(near, SLIDE, FREE))
+        target = np.where(stick[..., None], contact.target, position - gap[..., None] * normal)
+        normal = np.where(stick[..., None], contact.normal, normal)
+        drag = np.where(near[..., None], contact.drag, 0.0)
+        return Contact(state, target, normal, drag), int((state != contact.state).sum())
+
+    # -- the end of a step
+
+    def _push(self) -> np.ndarray:
+        """Pressure of held points, MPa: positive where the indenter presses."""
+        stretch = self.contact.target - self.positions(self.u)
+        return self.settings.stiffness * np.einsum("fqk,fqk->fq", stretch, self.contact.normal) * self.contact.held
+
+    def _release(self) -> int:
+        """Let go the held points that pull."""
+        push = self._push()
+        gone = (self.contact.state == STICK) & (push < 0.0)
+        self.contact = replace(self.contact, state=np.where(gone, FREE, self.contact.state))
+        return int(gone.sum())
+
+    def _glue(self, start, before, aim, gap0) -> None:
+        """Hold new points where they first touched, let go what pulls."""
+        self._release()
+        new = self.contact.state == SLIDE
+        length = np.abs(aim - before).max()
+        ahead, _ = gaps(self.scene, self.pose(aim), self.positions(start + length * self.velocity))
+        fraction = np.clip(gap0 / np.maximum(gap0 - ahead, 1e-12), 0.0, 1.0)
+        fraction = np.where(ahead >= 0.0, 1.0, fraction)[..., None]
+        first = self.pose(before).to_indenter(self.positions(start))
+        last = self.pose(aim).to_indenter(self.positions(self.u))
+        self._anchor(new, first + fraction * (last - first), self.pose(aim))
+
+    def _anchor(self, new, places, pose) -> None:
+        """Hold points at places of the indenter's frame, moved onto its surface."""
+        if not new.any():
+            return
+        spots = places[new]
+        for _ in range(2):
+            distance, normal = self.scene.indenter.distance(spots)
+            spots = spots - distance[:, None] * normal
+        self.anchor[new], self.anchor_normal[new] = spots, normal
+        self.contact = replace(self.contact, state=np.where(new, STICK, self.contact.state))
+        self.contact = self._lead(pose)
+
+    def _rub(self, pose) -> None:
+        """Coulomb's law at the end of a step: what exceeds mu times the pressure slides under that drag."""
+        mu, stiffness = self.scene.interface.mu, self.settings.stiffness
+        self._anchor(self.contact.state == SLIDE, pose.to_indenter(self._carried()), pose)
+        for _ in range(self.settings.friction_rounds):
+            self._release()
+            push = self._push()
+            stick = self.contact.state == STICK
+            stretch = stiffness * (self.contact.target - self.positions(self.u))
+            tangent = stretch - np.einsum("fqk,fqk->fq", stretch, self.contact.normal)[..., None] * self.contact.normal
+            size = np.linalg.norm(tangent, axis=-1)
+            over = stick & (size > 1.01 * mu * push)
+            slide = self.contact.state == SLIDE
+            direction = np.where(slide[..., None], self.contact.drag, tangent)
+            length = np.maximum(np.linalg.norm(direction, axis=-1), 1e-12)
+            drag = (mu * np.maximum(push, 0.0) / length)[..., None] * direction
+            drag = np.where((over | slide)[..., None], drag, 0.0)
+            moved = np.abs(drag - self.contact.drag).sum() / max(np.abs(drag).sum(), 1e-12)
+            state = np.where(over, SLIDE, self.contact.state)
+            self.contact = replace(self.contact, state=state, drag=drag)
+            self.u, self.contact = self.newton(self.u, self.contact, pose, self.settings.step_tolerance)
+            if not over.any() and moved < 0.02:
+                break
+
+    def _carried(self):
+        """Where sliding points would be held by springs that carry their drag."""
+        return self.positions(self.u) + self.contact.drag / self.settings.stiffness
+
+    # -- the end of the path
+
+    def settle(self) -> bool:
+        """Equilibrium at the end of the path in which nothing pulls and nothing new penetrates."""
+        s, pose = self.settings, self.pose(self.at)
+        for _ in range(s.settle_rounds):
+            self.u, self.contact = self.newton(self.u, self.contact, pose, s.step_tolerance)
+            verdict = judge(self.scene, self.contact, self.points, self.u, s.stiffness)
+            if verdict.pulling_fraction <= s.pull_tolerance and verdict.penetration <= s.penetration_mm:
+                self.u, self.contact = self.newton(self.u, self.contact, pose, s.final_tolerance)
+                return True
+            self._release()
+        return False

@@ -1,0 +1,91 @@
+"""The Neo-Hookean solid through CalculiX and through the in-process tetrahedra, against closed forms."""
+
+import numpy as np
+import pytest
+from block_meshes import kuhn
+from scipy.optimize import brentq
+
+from gelforge.mechanics.ccx_deck import material_lines, mesh_include
+from gelforge.mechanics.ccx_run import run_ccx
+from gelforge.mechanics.dat import last_table, read_dat
+from gelforge.mechanics.mesh import GelMesh
+from gelforge.mechanics.scene import Material
+from gelforge.mechanics.tet import boundary_faces, second_order
+from gelforge.mechanics.tetsolid import TetSolid
+
+MATERIAL = Material()
+SIDE = np.linspace(0.0, 1.0, 3)
+
+
+def cube() -> GelMesh:
+    """The unit cube; every boundary node counts as top, the side z = 0 is the base."""
+    corners, tets = kuhn((SIDE, SIDE, SIDE))
+    nodes, elements, midside = second_order(corners, tets)
+    faces = boundary_faces(tets)
+    middles = [[midside[tuple(sorted((f[i], f[(i + 1) % 3])))] for i in range(3)] for f in faces.tolist()]
+    return GelMesh("tet10", nodes, elements, np.hstack([faces, middles]).astype(np.int32),
+                   np.flatnonzero(nodes[:, 2] == 0).astype(np.int32))  # fmt: skip
+
+
+def stress(f) -> np.ndarray:
+    """First Piola-Kirchhoff stress dW/dF of W = C10 (I1bar - 3) + (J - 1)^2 / D1."""
+    j, inv = np.linalg.det(f), np.linalg.inv(f).T
+    isochoric = 2 * MATERIAL.c10 * j ** (-2 / 3) * (f - np.trace(f.T @ f) / 3 * inv)
+    return isochoric + 2 / MATERIAL.d1 * (j - 1) * j * inv
+
+
+def uniaxial(stretch) -> np.ndarray:
+    """Deformation gradient of a bar stretched along x with free sides."""
+    side = brentq(lambda s: stress(np.diag([stretch, s, s]))[1, 1], 0.5, 2.0, xtol=1e-14)
+    return np.diag([stretch, side, side])
+
+
+CASES = {
+    "uniaxial compression": uniaxial(0.75), "uniaxial tension": uniaxial(1.3),
+    "simple shear": np.array([[1.0, 0.0, 0.4], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
+    "confined compression": np.diag([1.0, 1.0, 0.95]),
+}  # fmt: skip
+
+
+def deck(mesh, displacement) -> str:
+    lines = [mesh_include(mesh), *material_lines(MATERIAL), "*STEP, NLGEOM", "*STATIC", "1.,1.", "*BOUNDARY"]
+    for n in mesh.surface_nodes:
+        lines += [f"{n + 1},{a + 1},{a + 1},{displacement[n, a]:.12e}" for a in range(3)]
+    return "\n".join([*lines, "*NODE PRINT, NSET=NTOP", "RF", "*END STEP"]) + "\n"
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_forces_on_every_side_of_a_cube(case, ccx, tmp_path):
+    mesh, f = cube(), CASES[case]
+    (tmp_path / "cube.inp").write_text(deck(mesh, mesh.nodes @ (f - np.eye(3)).T))
+    job = run_ccx("cube", tmp_path, 60)
+    assert job.returncode == 0, job.reason()
+    top = mesh.surface_nodes
+    forces = np.zeros_like(mesh.nodes)
+    forces[top] = last_table(read_dat((tmp_path / "cube.dat").read_text()), "forces", "NTOP", top + 1)
+    own, _ = TetSolid(mesh).forces(mesh.nodes @ (f - np.eye(3)).T, MATERIAL.shear_modulus, MATERIAL.bulk_modulus)
+    # the .dat prints seven digits; forces are of the order of the modulus
+    np.testing.assert_allclose(forces[top], own[top], atol=2e-6 * np.abs(own).max())
+    # a quadratic element holds a linear field exactly: virtual work with x gives the mean stress
+    np.testing.assert_allclose(forces.T @ mesh.nodes, stress(f), atol=2e-6 * np.abs(stress(f)).max())
+
+
+def test_rigid_rotation_costs_no_force():
+    mesh = cube()
+    turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
+    turn *= np.sign(np.linalg.det(turn))
+    forces, smallest = TetSolid(mesh).forces(mesh.nodes @ (turn - np.eye(3)).T, 0.145, 2.85)
+    assert np.abs(forces).max() < 1e-13  # rounding of a modulus of 3 MPa on 1 mm
+    assert smallest == pytest.approx(1.0, abs=1e-12)
+
+
+def test_tangent_is_the_derivative_of_the_forces():
+    mesh, rng = cube(), np.random.default_rng(5)
+    solid = TetSolid(mesh)
+    u = 0.02 * rng.normal(size=mesh.nodes.shape) * solid.free[:, None]
+    empty = np.empty(0, int), np.empty((0, 21, 3, 3))
+    solid.factorise(u, 0.145, 2.85, *empty)
+    way = 1e-5 * rng.normal(size=mesh.nodes.shape) * solid.free[:, None]
+    change = solid.forces(u + way, 0.145, 2.85)[0] - solid.forces(u - way, 0.145, 2.85)[0]
+    # factors are in single precision and the matrix is stiff: a part in a thousand
+    np.testing.assert_allclose(solid.step(change / 2), way, atol=2e-3 * np.abs(way).max())

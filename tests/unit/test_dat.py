@@ -1,0 +1,56 @@
+"""The reader of CalculiX' .dat: what is whole is read, what is not is refused by name."""
+
+import numpy as np
+import pytest
+
+from gelforge.mechanics.dat import DatError, last_table, read_dat, without_set
+
+HEAD = "\n displacements (vx,vy,vz) for set NTOP and time  0.{time}000000E+01\n\n"
+ROWS = "         1  1.000000E-01 -2.000000E-01  3.000000E-01\n         7  4.000000E-01  5.000000E-01 -6.000000E-01\n"
+FORCES = "\n forces (fx,fy,fz) for set NBASE and time  0.1000000E+01\n\n         3 -1.000000E+00  0.000000E+00  2.500000E-101\n"
+NODES = np.array([1, 7])
+
+
+def whole(time="1"):
+    return HEAD.format(time=time) + ROWS
+
+
+def read(text, nodes=NODES):
+    return last_table(read_dat(text), "displacements", "NTOP", nodes)
+
+
+def test_values_come_in_the_order_asked_for():
+    assert read(whole() + FORCES, np.array([1, 7]))[1].tolist() == [0.4, 0.5, -0.6]
+
+
+def test_exponents_of_three_digits_lose_their_letter():
+    text = whole() + FORCES.replace("E-101", "-101")
+    assert last_table(read_dat(text), "forces", "NBASE", np.array([3]))[0, 2] == 2.5e-101
+
+
+def test_last_of_several_steps_counts():
+    early = HEAD.format(time="5") + ROWS.replace("1.000000E-01", "9.000000E-01")
+    assert read(early + whole())[0, 0] == 0.1
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("", "printed nothing"),
+        (whole(time="5"), "stopped early"),
+        (whole()[:-20], "truncated"),
+        (HEAD.format(time="1") + ROWS.splitlines()[0] + "\n", "truncated"),
+        (whole().replace("5.000000E-01", "         NaN"), "not finite at node 7"),
+        (whole().replace("5.000000E-01", "*************"), "no number"),
+        (whole().replace("         7", "         8"), "another mesh"),
+    ],
+)
+def test_what_is_not_whole_is_refused_by_name(text, reason):
+    with pytest.raises(DatError, match=reason):
+        read(text)
+
+
+def test_a_set_can_be_left_out():
+    text = whole() + FORCES
+    assert without_set(text, "NTOP") == "\n" + FORCES.lstrip("\n") or "NTOP" not in without_set(text, "NTOP")
+    assert read_dat(without_set(text, "NTOP"))[0].set_name == "NBASE"
