@@ -158,7 +158,7 @@ def network_section(results: Path, resolution: str, model: str) -> Section:
     for title, columns, rows in evaluation_tables(metrics):
         section.text(title).table(columns, rows)
     for folder in ("70_train", "80_evaluate"):
-        for png in sorted((results / folder / resolution).glob(f"{model}*.png")):
+        for png in sorted((results / folder / resolution).glob(f"{model}.*png")):
             section.picture(png.read_bytes(), png.stem)
     return section
 
