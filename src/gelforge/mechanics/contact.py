@@ -15,6 +15,7 @@ from gelforge.mechanics.element import Pattern, add_block, block_places
 from gelforge.mechanics.mesh import GelMesh
 
 FREE, TOUCHING, GLUED = 0, 1, 2
+_CHANGING = ("status", "anchor", "normal", "bound", "multiplier", "goal", "fading")
 
 
 @dataclass
@@ -25,7 +26,7 @@ class ContactState:
     undeformed position. weights: (m,) mm^2. status: (m,) FREE, TOUCHING or GLUED.
     anchor: (m, 3) where a glued point is held, in the indenter's frame (nan elsewhere).
     normal: (m, 3) the indenter's outward normal there, in its frame. bound: (m,) largest tangential
-    traction (inf: no slip). position: (m, 3) deformed. traction: (m, 3) on the gel.
+    traction (inf: no slip). multiplier: (m, 3) tangential traction carried at no stretch (Coulomb only). position: (m, 3) deformed. traction: (m, 3) on the gel.
     goal: (m, 3) where anchors are on their way to; fading: (m, 3) what is left of the traction of
     points let go (both only differ from anchor and zero while a path is walked).
     """
@@ -38,28 +39,32 @@ class ContactState:
     anchor: np.ndarray
     normal: np.ndarray
     bound: np.ndarray
+    multiplier: np.ndarray
     goal: np.ndarray
     fading: np.ndarray
     position: np.ndarray = field(default=None)
     traction: np.ndarray = field(default=None)
 
-    def go(self, part: float) -> tuple:
-        """Carry out `part` (0 to 1) of the pending changes; returns what `restore` needs."""
-        kept = self.status.copy(), self.anchor.copy(), self.fading.copy()
+    def snapshot(self) -> dict:
+        """Copies of all that changes along a path, for `restore`."""
+        return {name: getattr(self, name).copy() for name in _CHANGING}
+
+    def restore(self, kept: dict) -> None:
+        """Back to a snapshot."""
+        for name, array in kept.items():
+            setattr(self, name, array.copy())
+
+    def go(self, part: float) -> None:
+        """Carry out `part` (0 to 1) of the pending changes."""
         moving = self.status == GLUED
         self.anchor[moving] += part * (self.goal[moving] - self.anchor[moving])
         self.fading *= 1.0 - part
-        return kept
 
     def let_go(self, points, traction) -> None:
         """Free glued points; their traction fades as changes are carried out."""
         self.status[points] = FREE
         self.anchor[points] = self.goal[points] = np.nan
         self.fading[points] = traction
-
-    def restore(self, kept: tuple) -> None:
-        """Undo `go`."""
-        self.status, self.anchor, self.fading = (array.copy() for array in kept)
 
     @property
     def touching(self) -> np.ndarray:
@@ -113,6 +118,7 @@ def contact_points(mesh: GelMesh, order: int, faces: np.ndarray | None = None) -
         anchor=np.full((m, 3), np.nan),
         normal=np.full((m, 3), np.nan),
         bound=np.full(m, np.inf),
+        multiplier=np.zeros((m, 3)),
         goal=np.full((m, 3), np.nan),
         fading=np.zeros((m, 3)),
     )
@@ -131,16 +137,24 @@ class Springs:
     gap: np.ndarray
 
 
-def contact_springs(state: ContactState, x: np.ndarray, pose: Pose, indenter, penalty: float, candidates) -> Springs:
+@dataclass(frozen=True)
+class Law:
+    """Contact stiffness, MPa per mm of gap (penalty) and of slip (friction; finite bounds only)."""
+
+    penalty: float
+    friction: float
+
+
+def contact_springs(state: ContactState, x: np.ndarray, pose: Pose, indenter, law: Law, candidates) -> Springs:
     """Penalty tractions at deformed positions x (m, 3); `candidates` (c,) are the free points within reach."""
     stuck = np.flatnonzero((state.status == GLUED) & np.isinf(state.bound))
     sliding = np.flatnonzero((state.status == GLUED) & np.isfinite(state.bound))
-    parts = [_held(state, x, pose, penalty, stuck), _faded(state)]
+    parts = [_held(state, x, pose, law.penalty, stuck), _faded(state)]
     probe = np.concatenate([sliding, candidates])
     if len(probe):
         distance, normal = indenter.distance(pose.to_indenter(x[probe]))
         inside = distance < 0.0
-        parts.append(_pressed(state, x, pose, penalty, probe[inside], distance[inside], normal[inside]))
+        parts.append(_pressed(state, x, pose, law, probe[inside], distance[inside], normal[inside]))
     joined = [np.concatenate(arrays) for arrays in zip(*parts)]
     return Springs(*joined)
 
@@ -158,30 +172,38 @@ def _faded(state):
     return points, state.fading[points], np.zeros((len(points), 3, 3)), np.full(len(points), np.nan)
 
 
-def _pressed(state, x, pose, penalty, points, distance, normal):
-    """Normal penalty, and for glued points a tangential spring that yields at `bound`."""
+def _pressed(state, x, pose, law, points, distance, normal):
+    """Normal penalty, and for glued points a tangential spring that yields at `bound`.
+
+    The indenter's curvature is left out of the stiffness: measured, it costs more iterations than it
+    saves, because normals of filleted edges jump in curvature.
+    """
     n = pose.turn(normal)
-    stiffness = penalty * n[:, :, None] * n[:, None, :]
-    traction = -penalty * distance[:, None] * n
+    stiffness = law.penalty * n[:, :, None] * n[:, None, :]
+    traction = -law.penalty * distance[:, None] * n
     glued = np.flatnonzero(state.status[points] == GLUED)
     if len(glued):
-        extra, slope = _yielding(state, x, pose, penalty, points[glued], n[glued])
+        extra, slope = _yielding(state, x, pose, law.friction, points[glued], n[glued])
         traction[glued] += extra
         stiffness[glued] += slope
     return points, traction, stiffness, distance
 
 
-def _yielding(state, x, pose, penalty, points, n):
-    """Tangential traction of the potential that is quadratic below the bound and linear above (Huber)."""
-    stretch = pose.to_gel(state.anchor[points]) - x[points]
-    stretch -= np.einsum("pi,pi->p", stretch, n)[:, None] * n
-    length = np.linalg.norm(stretch, axis=1)
-    projector = np.eye(3) - n[:, :, None] * n[:, None, :]
-    slips = penalty * length > state.bound[points]
-    scale = np.where(slips, state.bound[points] / np.maximum(length, 1e-300), penalty)
-    along = stretch / np.maximum(length, 1e-300)[:, None]
-    stiffness = projector - np.where(slips, 1.0, 0.0)[:, None, None] * along[:, :, None] * along[:, None, :]
-    return scale[:, None] * stretch, scale[:, None, None] * stiffness
+def _yielding(state, x, pose, stiffness, points, n):
+    """Tangential traction multiplier + stiffness * stretch, cut off at the bound, and its slope.
+
+    The augmented Lagrangian of Coulomb friction with a given bound: Simo, Laursen (1992), Comput.
+    Struct. 42, 97-116.
+    """
+    trial = state.multiplier[points] + stiffness * (pose.to_gel(state.anchor[points]) - x[points])
+    trial -= np.einsum("pi,pi->p", trial, n)[:, None] * n
+    length = np.maximum(np.linalg.norm(trial, axis=1), 1e-300)
+    slips = length > state.bound[points]
+    scale = np.where(slips, state.bound[points] / length, 1.0)
+    along = trial / length[:, None]
+    slope = np.eye(3) - n[:, :, None] * n[:, None, :]
+    slope -= slips[:, None, None] * along[:, :, None] * along[:, None, :]
+    return scale[:, None] * trial, (stiffness * scale)[:, None, None] * slope
 
 
 class FacePlaces:

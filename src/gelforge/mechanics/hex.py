@@ -26,7 +26,8 @@ class HexSettings:
     size: side of the bricks under the press, mm. layers, layer_ratio: bricks through the height and
     how much thicker the lowest is. growth, largest: coarsening away from the press, mm.
     press_steps, shear_steps: load steps of the two legs (more where Newton asks for it).
-    gauss: order of the contact rule on a face. penalty: contact stiffness times size / C10.
+    gauss: order of the contact rule on a face. penalty, friction_penalty: contact stiffness along the
+    normal and along the surface (Coulomb) times size / C10.
     tolerance, final_tolerance: residual over contact force, within the path and at its end.
     box: fixed fine part (FineBox) in place of one that follows the press.
     """
@@ -40,6 +41,7 @@ class HexSettings:
     shear_steps: int = 3
     gauss: int = 3
     penalty: float = 1000.0
+    friction_penalty: float = 30.0
     tolerance: float = 1e-4
     final_tolerance: float = 1e-9
     max_iterations: int = 14
@@ -132,7 +134,8 @@ def _result(run: Run, status: Status, started: float) -> HexResult:
     run.record()
     # Converged load steps as [path parameter, fx, fy, fz]: one solve is a whole force-depth curve.
     evidence["path"] = run.curve
-    evidence |= {"reached": float(run.t), "cuts": run.cuts, "seconds": time.perf_counter() - started}
+    evidence |= {"reached": float(run.t), "cuts": run.cuts, "friction_error": run.friction_error}
+    evidence["seconds"] = time.perf_counter() - started
     return HexResult(status, forces, run.u, evidence, run.mesh, run.state)
 
 
