@@ -33,7 +33,7 @@ class CcxSettings:
     mean nodal force. increments: first load increment when the start from hex fails.
     """
 
-    press_steps: int = 6
+    press_steps: int = 4
     shear_steps: int = 3
     stiffness: float = 2000.0
     rounds: int = 8

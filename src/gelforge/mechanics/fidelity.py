@@ -22,7 +22,7 @@ class FeaSettings:
     tolerance: float = 0.02
     hex_press_steps: int = 8
     hex_shear_steps: int = 4
-    press_steps: int = 6
+    press_steps: int = 4
     shear_steps: int = 3
     stiffness: float = 2000.0
     rounds: int = 8

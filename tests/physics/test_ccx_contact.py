@@ -1,0 +1,125 @@
+"""A sphere on a small flat pad: CalculiX' forces against the in-process solver and against equilibrium."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from block_meshes import block_mesh
+
+from gelforge.geometry.gel import Gel
+from gelforge.mechanics.ccx import CcxSettings, CcxSolver
+from gelforge.mechanics.ccx_contact import SLIDE, STICK, Contact, spring_rows
+from gelforge.mechanics.hex import HexSettings, solve_hex
+from gelforge.mechanics.scene import Interface, Material, Press, Scene, Status
+from gelforge.mechanics.tetcontact import contact_blocks, contact_forces
+from gelforge.mechanics.tetface import dunavant12, face_points
+
+
+@dataclass(frozen=True)
+class FlatPad(Gel):
+    """A pad whose top is a plane."""
+
+    def top(self, x, y):
+        return np.zeros(np.broadcast(x, y).shape)
+
+
+@dataclass(frozen=True)
+class Ball:
+    """A sphere standing on the plane z = 0 of its frame."""
+
+    size: float
+    name: str = "ball"
+
+    def distance(self, points):
+        way = points - np.array([0.0, 0.0, self.size])
+        length = np.linalg.norm(way, axis=1)
+        return length - self.size, way / length[:, None]
+
+    def radius(self):
+        return self.size
+
+
+PAD = FlatPad(name="pad", width=7.0, length=7.0, corner_radius=0.0, height=4.0)
+
+
+def scene(law, dx=0.0, depth=0.5):
+    return Scene(PAD, Material(), Ball(4.0), Press(0, 0, 0, dx, 0, -depth), Interface(law, 0.4))
+
+
+@pytest.fixture(scope="module")
+def solver(ccx, tmp_path_factory):
+    return CcxSolver(block_mesh(PAD, 1.0, 3), tmp_path_factory.mktemp("ccx"), CcxSettings(press_steps=3, shear_steps=2))
+
+
+@pytest.fixture(scope="module")
+def mesh():
+    return block_mesh(PAD, 1.75, 2)
+
+
+def test_face_rule_is_exact_to_degree_six():
+    bary, weights = dunavant12()
+    # integral of l1^2 l2^2 l3^2 over a triangle of area one: 2 (2! 2! 2!) / 8!
+    assert weights @ np.prod(bary**2, axis=1) == pytest.approx(2 * 8 / 40320, rel=1e-12)
+
+
+def some_contact(mesh, rng):
+    points = face_points(mesh)
+    state = rng.choice([0, SLIDE, STICK], size=points.weight.shape)
+    normal = rng.normal(size=points.position.shape)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    target = points.position + 0.1 * rng.normal(size=normal.shape)
+    return points, Contact(state, target, normal, np.zeros_like(normal))
+
+
+def test_few_rows_pull_like_all_springs(mesh):
+    rng = np.random.default_rng(7)
+    points, contact = some_contact(mesh, rng)
+    u = 0.05 * rng.normal(size=mesh.nodes.shape)
+    rows = spring_rows(contact, points, 145.0)
+    length = np.bincount(rows.row, rows.coefficient * u[rows.node, rows.axis], minlength=len(rows.target))
+    pull = np.zeros_like(u)
+    np.add.at(pull, (rows.node, rows.axis), rows.coefficient * (145.0 * (rows.target - length))[rows.row])
+    springs = contact_forces(contact, points, u, 145.0)
+    np.testing.assert_allclose(pull, springs, atol=1e-10 * np.abs(springs).max())
+
+
+def test_blocks_are_the_derivative_of_the_springs(mesh):
+    rng = np.random.default_rng(8)
+    points, contact = some_contact(mesh, rng)
+    way = rng.normal(size=mesh.nodes.shape)
+    change = contact_forces(contact, points, way, 145.0) - contact_forces(contact, points, 0 * way, 145.0)
+    faces, blocks = contact_blocks(contact, points, 145.0)
+    applied = np.zeros_like(way)
+    for face, own in zip(points.faces[faces], blocks, strict=True):
+        for (a, b), block in zip(zip(*np.triu_indices(6), strict=True), own, strict=True):
+            applied[face[a]] -= block @ way[face[b]]
+            if a != b:
+                applied[face[b]] -= block.T @ way[face[a]]
+    np.testing.assert_allclose(applied, change, atol=1e-10 * np.abs(change).max())
+
+
+@pytest.mark.parametrize("law", ["no_slip", "frictionless"])
+def test_forces_balance_and_agree_with_hex(solver, law):
+    result = solver.solve(scene(law))
+    assert result.status is Status.OK, result.evidence
+    assert result.evidence["base_mismatch"] < 1e-6  # the demand; the .dat prints seven digits
+    assert result.evidence["engine_difference"] < 1e-4  # same elements, same springs: Newton's tolerances
+    hexa = solve_hex(scene(law), HexSettings(size=0.6, layers=6))
+    # the meshes' own errors at these sizes: 4 % of total force
+    assert result.total[2] == pytest.approx(hexa.total[2], rel=0.04)
+    # the mesh is not symmetric: its diagonals all run one way
+    assert np.abs(result.total[:2]).max() < 0.01 * abs(result.total[2])
+
+
+def test_coulomb_bounds_shear_and_no_slip_exceeds_it(solver):
+    free, bound, stuck = (solver.solve(scene(law, dx=0.25)).total for law in ("frictionless", "coulomb", "no_slip"))
+    assert abs(free[0]) < abs(bound[0]) < 1.02 * abs(stuck[0])
+    assert abs(bound[0]) <= 0.42 * abs(bound[2])  # mu = 0.4, its rounds stop at 2 % of the drag
+
+
+def test_a_press_that_touches_nothing_runs_nothing(solver):
+    press = Press(0, 0, 1.0, 0, 0, -0.5)
+    result = solver.solve(Scene(PAD, Material(), Ball(4.0), press))
+    assert result.status is Status.NO_CONTACT
+    assert not result.forces.any()
+    assert result.evidence["rounds"] == 0

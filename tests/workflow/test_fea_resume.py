@@ -1,0 +1,106 @@
+"""Stages 30 and 40 on a tiny mesh: a killed run resumes, damage is found, failures stay rows."""
+
+import gzip
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from block_meshes import block_mesh
+
+from gelforge import fea, forces
+from gelforge.files import read_csv, write_json
+from gelforge.geometry.gel import GELS
+from gelforge.mechanics.forcefile import ForceFile
+
+GEL = GELS["gelsight_mini"]
+HEADER = "sample_id,sensor_id,gel_id,indenter,x0_mm,y0_mm,z0_mm,dx_mm,dy_mm,dz_mm,rot_deg\n"
+ROWS = [f"s{i},cam,g,ball,{i},0,0,0,0,-0.4,0\n" for i in range(3)]
+FEA = {"fidelity": "ccx", "press_steps": 2, "shear_steps": 1, "rounds": 4}
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Inputs of stage 30: three presses, one coarse mesh."""
+    (tmp_path / "20_meshes").mkdir()
+    mesh = block_mesh(GEL, 2.6, 2)
+    mesh.save(tmp_path / "20_meshes" / "ccx-wide-2.6.npz")
+    report = {"engine": "ccx", "region": "wide", "size": 2.6, "half_mm": [10, 12], "nodes": len(mesh.nodes)}
+    write_json(tmp_path / "20_meshes" / "ccx-wide-2.6.json", report)
+    params = tmp_path / "params"
+    write_json(params / "fea.json", {"fea": FEA, "interface": {"law": "no_slip", "mu": 0}, "material": {"nu": 0.475}})
+    write_json(params / "forces.json", {"forces": {"noise": 1e-6, "base_mismatch": 1e-6}, "material": {"c10": 0.145}})
+    write_json(params / "sensors.json", {"cam": {"gel": GEL.name}})
+    write_json(params / "indenters.json", {"ball": {"kind": "sphere", "diameter": 15, "height": 7}})
+    (tmp_path / "10_poses").mkdir()
+    (tmp_path / "10_poses" / "0000.csv").write_text(HEADER + "".join(ROWS))
+    return tmp_path
+
+
+def arguments(folder):
+    return ["--poses", f"{folder}/10_poses/0000.csv", "--meshes", f"{folder}/20_meshes",
+            "--params", f"{folder}/params/fea.json", "--out", f"{folder}/30_fea/0000.csv.part"]  # fmt: skip
+
+
+def forces_arguments(folder):
+    return ["--fea", f"{folder}/30_fea/0000.csv.part", "--meshes", f"{folder}/20_meshes",
+            "--params", f"{folder}/params/forces.json", "--out", f"{folder}/0000.npz"]  # fmt: skip
+
+
+def test_killed_run_resumes_and_damage_is_found(folder, ccx):
+    out = folder / "30_fea" / "0000"
+    run = subprocess.Popen([sys.executable, "-m", "gelforge.fea", *arguments(folder)], stderr=subprocess.DEVNULL)
+    while not (out / "s0.json").exists():
+        assert run.poll() is None, "stage 30 ended without its first sample"
+        time.sleep(0.05)
+    run.send_signal(signal.SIGKILL)
+    run.wait()
+    first = (out / "s0.json").stat().st_mtime_ns
+    assert not (folder / "30_fea" / "0000.csv.part").exists()
+    assert fea.main(arguments(folder)) == 0
+    assert (out / "s0.json").stat().st_mtime_ns == first, "a finished sample was solved again"
+    rows = read_csv(folder / "30_fea" / "0000.csv.part")
+    assert [r["status"] for r in rows] == ["OK"] * 3
+    assert not list(out.glob(".*")), "scratch is left behind"
+
+    assert forces.main(forces_arguments(folder)) == 0
+    with ForceFile(folder / "0000.npz") as found:
+        assert found.c10 == 0.145
+        # forces scale with C10; the table's are at 0.0725
+        np.testing.assert_allclose(found.total[:, 2], [2 * float(r["fz_n"]) for r in rows], rtol=1e-4)
+
+    text = gzip.decompress((out / "s1.dat.gz").read_bytes())
+    (out / "s1.dat.gz").write_bytes(gzip.compress(text[: len(text) // 2]))
+    (out / "s2.dat.gz").write_bytes(b"")
+    forces.main(forces_arguments(folder))
+    with ForceFile(folder / "0000.npz") as found:
+        assert found.status.tolist() == ["OK", "UNREADABLE", "UNREADABLE"]
+
+    params = json.loads((folder / "params" / "fea.json").read_text())
+    params["material"]["nu"] = 0.47
+    write_json(folder / "params" / "fea.json", params)
+    assert fea.main(arguments(folder)) == 0
+    assert (out / "s0.json").stat().st_mtime_ns != first, "another material must be solved again"
+
+
+def test_missing_calculix_is_one_clear_error(folder, monkeypatch):
+    monkeypatch.setitem(os.environ, "CCX", "no-such-ccx")
+    with pytest.raises(fea.BadInput, match="solver program was not found"):
+        fea.main(arguments(folder))
+
+
+def test_a_failed_solve_is_a_row_with_its_reason(folder, ccx):
+    params = json.loads((folder / "params" / "fea.json").read_text())
+    params["fea"]["timeout_s"] = 1e-3
+    write_json(folder / "params" / "fea.json", params)
+    (folder / "10_poses" / "0000.csv").write_text(HEADER + ROWS[0])
+    assert fea.main(arguments(folder)) == 0
+    row = read_csv(folder / "30_fea" / "0000.csv.part")[0]
+    assert row["status"] == "DIVERGED" and "SIGALRM" in row["reason"]
+    forces.main(forces_arguments(folder))
+    with ForceFile(folder / "0000.npz") as found:
+        assert found.status.tolist() == ["DIVERGED"] and not len(found.node)
