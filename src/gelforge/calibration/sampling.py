@@ -10,7 +10,7 @@ import numpy as np
 from gelforge.errors import BadInput, GelforgeError
 from gelforge.files import publish
 
-CHUNK = 1000  # steps between checks and checkpoints
+CHUNK = 1000  # steps between checks and checkpoints, at least; a third of the chain once that is more
 
 
 class NotConverged(GelforgeError):
@@ -148,7 +148,7 @@ def load_checkpoint(path, problem: str):
 def sample(posterior, rules: Rules, path=None, say=None) -> Chain:
     """Sample until the rules are met; raise NotConverged with the figures where they cannot be.
 
-    The chain is kept at `path` after every CHUNK steps and goes on from there; an interrupted and
+    The chain is kept at `path` at every check and goes on from there; an interrupted and
     resumed chain is the same, to the last digit, as an uninterrupted one. say(figures) reports.
     """
     import emcee
@@ -174,7 +174,8 @@ def sample(posterior, rules: Rules, path=None, say=None) -> Chain:
         if len(chain) >= rules.max_steps:
             raise NotConverged(complaint(posterior.model, chain, score, figures, rules))
         sampler.reset()
-        state = sampler.run_mcmc(state, min(CHUNK, rules.max_steps - len(chain)), skip_initial_state_check=True)
+        ahead = min(max(CHUNK, len(chain) // 3), rules.max_steps - len(chain))
+        state = sampler.run_mcmc(state, ahead, skip_initial_state_check=True)
         chain = np.concatenate([chain, sampler.get_chain()])
         score = np.concatenate([score, sampler.get_log_prob()])
         accepted = accepted + sampler.backend.accepted
