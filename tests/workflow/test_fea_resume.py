@@ -35,7 +35,7 @@ def folder(tmp_path):
     write_json(params / "fea.json", {"fea": FEA, "interface": {"law": "no_slip", "mu": 0}, "material": {"nu": 0.475}})
     write_json(params / "forces.json", {"forces": {"noise": 1e-6, "base_mismatch": 1e-6}, "material": {"c10": 0.145}})
     write_json(params / "sensors.json", {"cam": {"gel": GEL.name}})
-    write_json(params / "indenters.json", {"ball": {"kind": "sphere", "diameter": 15, "height": 7}})
+    write_json(params / "indenters.json", {"ball": {"kind": "sphere", "diameter": 15, "height": 10}})
     (tmp_path / "10_poses").mkdir()
     (tmp_path / "10_poses" / "0000.csv").write_text(HEADER + "".join(ROWS))
     return tmp_path
@@ -53,7 +53,7 @@ def forces_arguments(folder):
 
 def test_killed_run_resumes_and_damage_is_found(folder, ccx):
     out = folder / "30_fea" / "0000"
-    run = subprocess.Popen([sys.executable, "-m", "gelforge.fea", *arguments(folder)], stderr=subprocess.DEVNULL)
+    run = subprocess.Popen([sys.executable, "-m", "gelforge.fea", *arguments(folder)])
     while not (out / "s0.json").exists():
         assert run.poll() is None, "stage 30 ended without its first sample"
         time.sleep(0.05)
