@@ -18,8 +18,8 @@ from gelforge.progress import progress
 
 VERSION = 1
 GOAL_TOTAL, GOAL_CELLS = 0.02, 0.08  # what a label setting should meet over all scenes
-COLUMNS = ("method", "fidelity", "size_mm", "load_steps", "scenes", "failed", "cpu_seconds_median", "cpu_seconds_worst",
-           "total_median", "total_worst", "total_worst_scene", "cells_median", "cells_worst", "cells_worst_scene",
+COLUMNS = ("method", "fidelity", "size_mm", "load_steps", "scenes", "failed",
+           "cpu_seconds_median", "cpu_seconds_worst", "total_median", "total_worst", "total_worst_scene", "cells_median", "cells_worst", "cells_worst_scene",
            "frontier_total", "frontier_cells")  # fmt: skip
 
 
@@ -79,7 +79,8 @@ def _median(values: list[float]) -> float | None:
 def failures(scenes: list[dict]) -> list[dict]:
     """Every solve that gave no result, with its reason."""
     return [{"scene": scene["scene"], "method": name, "status": record["status"], "reason": record["reason"]}
-            for scene in scenes for name, record in scene["methods"].items() if record.get("cells") is None]  # fmt: skip
+            for scene in scenes for name, record in scene["methods"].items()
+            if record.get("cells") is None]  # fmt: skip
 
 
 def charted(rows: list[dict]) -> dict:
@@ -112,7 +113,9 @@ def reading(rows: list[dict], scenes: list[dict], fails: list[dict]) -> list[str
     for scene in scenes:
         check = scene.get("reference_check")
         if "reference_check" in scene:
-            told = f"moves total force by {check['total']:.2%} and cells by {check['cells']:.1%}" if check else "failed"
+            told = "failed"
+            if check:
+                told = f"moves total force by {check['total']:.2%} and cells by {check['cells']:.1%}"
             said.append(f"Halving the reference's element size and load step on {scene['scene']} {told}.")
     if fails:
         said.append(f"{len(fails)} solves gave no result; they are listed with their reasons.")

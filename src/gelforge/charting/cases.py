@@ -13,8 +13,9 @@ BODIES = {
     "round": {"kind": "sphere", "diameter": 15, "height": 10},
     "flat": {"kind": "cuboid", "size": [7, 7], "fillet": 1.0, "height": 10},
     "sharp": {"kind": "cuboid", "size": [5, 5], "fillet": 0.1, "height": 10},
-    "several": {"kind": "triple_triangle", "side": 10, "wall": 1, "first_corner_deg": -90, "fillet": 0.7, "height": 10},
-}
+    "several": {"kind": "triple_triangle", "side": 10, "wall": 1, "first_corner_deg": -90, "fillet": 0.7,
+                "height": 10},
+}  # fmt: skip
 # Where the axis stands, mm; at the rim part of every body hangs over the gel's edge.
 PLACES = {"centre": (0.0, 0.0), "off-centre": (3.0, 5.0), "rim": (8.5, 0.0)}
 FACTORS = ("depth", "shear", "place", "nu", "size", "steps")

@@ -1,6 +1,5 @@
 """Charts of pareto and stability, as PNG bytes."""
 
-import numpy as np
 
 from gelforge.reporting.pictures import new_figure, to_png
 
@@ -22,8 +21,9 @@ def _spot(axis, row, kind):
     ship = row["method"].endswith("-label")
     axis.plot([x, x], [middle, worst], color=colour, lw=0.8, alpha=0.5, zorder=1)
     axis.plot([x], [worst], "_", color=colour, ms=7, zorder=2)
-    axis.plot([x], [middle], MARKERS[row["fidelity"]], ms=11 if row["fidelity"] == "auto" else 8 if ship else 5,
-              mfc=colour if not row["failed"] else "white", mec="black" if ship else colour, mew=1.2, zorder=3)  # fmt: skip
+    size = 11 if row["fidelity"] == "auto" else 8 if ship else 5
+    inside, edge = "white" if row["failed"] else colour, "black" if ship else colour
+    axis.plot([x], [middle], MARKERS[row["fidelity"]], ms=size, mfc=inside, mec=edge, mew=1.2, zorder=3)
     if ship or row["fidelity"] == "ccx-native":
         axis.annotate(row["method"], (x, middle), xytext=(6, -9), textcoords="offset points", fontsize=7)
 
@@ -109,6 +109,8 @@ def _scatter(axis, row, lines):
     """Random combinations over depth and shear; circles hex, squares ccx."""
     for fidelity, shift in (("hex", -0.012), ("ccx", 0.012)):
         own = [line for line in lines if line["fidelity"] == fidelity]
-        axis.scatter([line["depth"] + shift for line in own], [line["shear"] for line in own], s=34,
-                     marker=MARKERS[fidelity], c=[VERDICTS[line["verdict"]] for line in own], edgecolors="0.2", lw=0.5)  # fmt: skip
-    axis.set(xlabel="depth, mm", ylabel="shear, share of depth", title="random combinations: circles hex, squares ccx")
+        x, y = [line["depth"] + shift for line in own], [line["shear"] for line in own]
+        colours = [VERDICTS[line["verdict"]] for line in own]
+        axis.scatter(x, y, s=34, marker=MARKERS[fidelity], c=colours, edgecolors="0.2", lw=0.5)
+    axis.set(xlabel="depth, mm", ylabel="shear, share of depth")
+    axis.set_title("random combinations: circles hex, squares ccx")

@@ -40,7 +40,8 @@ def resolve(name: str, table: dict, catalogue: dict, source="workflow/scenes.tom
 def read_tables(workflow) -> dict[str, dict]:
     """Resolved tables of workflow/scenes.toml by name."""
     catalogue = read_toml(Path(workflow) / "indenters.toml")
-    return {name: resolve(name, table, catalogue) for name, table in read_toml(Path(workflow) / "scenes.toml").items()}
+    scenes = read_toml(Path(workflow) / "scenes.toml")
+    return {name: resolve(name, table, catalogue) for name, table in scenes.items()}
 
 
 def parse_scene(name: str, table: dict, nu: float, source="workflow/scenes.toml") -> NamedScene:

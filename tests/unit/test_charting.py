@@ -1,0 +1,169 @@
+"""Errors, frontiers, keys and verdicts behind the charts of the mechanics; solves in processes of their own."""
+
+import os
+import signal
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from gelforge import config, pareto, stability
+from gelforge.binning.sensor import load_sensors
+from gelforge.charting import cases
+from gelforge.charting.errors import cell_error, errors, frontier, total_error
+from gelforge.charting.isolate import Clock, isolated
+from gelforge.charting.measure import load_bench
+from gelforge.charting.methods import Method, every_method, quick_methods
+from gelforge.charting.scenes import parse_scene, read_tables, resolve
+from gelforge.errors import BadInput
+from gelforge.meshes import footprint
+
+NUMBERS = st.floats(-50, 50, allow_nan=False)
+CELLS = arrays(float, (3, 4, 5), elements=NUMBERS)
+
+
+@pytest.fixture(scope="module")
+def params():
+    return config.cut_slice(config.load_params("workflow"), "pareto", pareto.VERSION)
+
+
+@pytest.fixture(scope="module")
+def scenes(params):
+    return {name: parse_scene(name, table, params["material"]["nu"]) for name, table in read_tables("workflow").items()}
+
+
+@given(CELLS, CELLS)
+def test_cells_err_at_least_as_much_as_their_sum(cells, reference):
+    """Errors of cells may cancel in the total, never the other way round."""
+    total = np.array([0.0, 0.0, -10.0])
+    difference = np.linalg.norm((cells - reference).sum(axis=(1, 2))) / 10.0
+    # rounding of 20 summed cells of size 50
+    assert cell_error(cells, reference, total) >= difference - 1e-12
+    assert cell_error(cells, cells, total) == 0.0
+
+
+@given(arrays(float, 3, elements=NUMBERS), st.floats(0.1, 10))
+def test_total_error_has_no_unit(total, scale):
+    reference = np.array([1.0, -2.0, -30.0])
+    assert total_error(scale * total, scale * reference) == pytest.approx(total_error(total, reference), abs=1e-12)
+
+
+def test_no_error_where_either_is_no_result():
+    good = {"total": [0, 0, -1.0], "cells": np.ones((3, 2, 2))}
+    assert errors(good, {"total": [0, 0, 0], "cells": None}) is None
+    assert errors({"status": "DIVERGED"}, good) is None
+    assert errors(good, good) == {"total": 0.0, "cells": 0.0}
+
+
+@given(st.lists(st.tuples(st.integers(1, 9), st.integers(1, 9)), min_size=1, max_size=12))
+def test_frontier_beats_every_other_point(points):
+    best = [p for p, good in zip(points, frontier(points), strict=True) if good]
+    assert best
+    for p in points:
+        assert any(q[0] <= p[0] and q[1] <= p[1] for q in best)
+
+
+def test_scenes_are_many_shapes_inside_their_reference_mesh(scenes, params):
+    assert len(scenes) >= 12
+    assert len({str(scene.table["indenter"]) for scene in scenes.values()}) >= 10
+    for name, scene in scenes.items():
+        x_min, x_max, y_min, y_max = params["pareto"]["regions"][scene.fine]["box"]
+        # the footprint is |x|, |y| of the touched points, so off-centre boxes are asked for their far side
+        reach = footprint(scene.scene)
+        assert np.all(reach <= np.array([max(-x_min, x_max), max(-y_min, y_max)])), name
+
+
+@pytest.mark.parametrize(
+    "change, named",
+    [({"indenter": "spheer"}, "spheer"), ({"detph": 1.0}, "detph"), ({"depth": -1.0}, "depth"), ({"x0": "1"}, "x0")],
+)
+def test_a_scene_that_is_wrong_is_named(change, named):
+    table = {"indenter": {"kind": "sphere", "diameter": 15, "height": 10}, "depth": 1.0, "fine": "disc"} | change
+    with pytest.raises(BadInput, match=named):
+        parse_scene("wrong", resolve("wrong", table, {}), 0.475)
+
+
+def test_the_chart_holds_what_was_asked(params):
+    methods = every_method(params["pareto"])
+    assert len({m.name for m in methods}) == len(methods)
+    for fidelity in ("hex", "ccx"):
+        own = [m for m in methods if m.fidelity == fidelity and m.size]
+        assert len({m.size for m in own}) >= 4 and len({m.steps for m in own}) >= 3
+    assert {"hex", "ccx", "ccx-native", "auto", "ccx-fine"} <= {m.fidelity for m in methods}
+    assert all(m.fidelity == "hex" for m in quick_methods(params["pareto"]["quick"], with_ccx=False))
+
+
+def test_a_key_follows_what_the_method_depends_on_and_nothing_else(params, scenes, tmp_path):
+    def key(method, **changed):
+        bench = load_bench(params | changed, load_sensors("workflow/sensors.toml"), tmp_path, tmp_path)
+        return bench.key(scenes["punch"], method)
+
+    stiffer = params["fea"] | {"stiffness": 1.0}
+    charted = params["fea"] | {"charted": {}, "tolerance": 0.5}
+    brick, ccx = Method("hex-1-8", "hex", 1.0, 4, 8), Method("ccx-1-8", "ccx", 1.0, steps=8)
+    auto = Method("auto-label", "auto")
+    assert key(brick) == key(brick, fea=stiffer)
+    assert key(ccx) != key(ccx, fea=stiffer)
+    assert key(ccx) == key(ccx, fea=charted)
+    assert key(auto) != key(auto, fea=charted)
+    assert key(brick) != key(brick, material={"nu": 0.49})
+
+
+def test_a_solve_fails_in_its_own_process():
+    def refuse():
+        raise BadInput("too deep")
+
+    def crash():
+        raise ZeroDivisionError("by zero")
+
+    def full():
+        raise OSError(28, "No space left on device")
+
+    assert isolated(lambda: {"status": "OK"}, 10)["status"] == "OK"
+    assert isolated(refuse, 10) == {"status": "REFUSED", "reason": "too deep"}
+    assert isolated(crash, 10)["status"] == "CRASHED"
+    killed = isolated(lambda: os.kill(os.getpid(), signal.SIGKILL), 10)
+    assert killed["status"] == "CRASHED" and "-9" in killed["reason"]
+    assert isolated(lambda: time.sleep(60), 0.2)["status"] == "TIMED_OUT"
+    with pytest.raises(BadInput, match="free space"):
+        isolated(full, 10)
+
+
+def test_the_clock_counts_work_not_sleep():
+    with Clock() as clock:
+        time.sleep(0.3)
+    # a sleeping process uses none of the 0.3 s; a tenth of it is left for the scheduler
+    assert clock.seconds >= 0.3 and clock.cpu_seconds < 0.03
+
+
+def _record(case, status="OK", fz=-5.0):
+    return {"case": case.describe(), "status": status, "total": [0, 0, fz], "reason": "" if status == "OK" else "why"}
+
+
+def test_verdicts_against_the_finest_of_the_row():
+    base = cases.Case("hex", "round", 1.0, 0.0, "centre", 0.475, 1.0, 8)
+    sizes = [cases.Case(**(base.describe() | {"size": size})) for size in (1.4, 1.0, 0.5)]
+    records = [_record(sizes[0], fz=-6.0), _record(sizes[1], fz=-5.1), _record(sizes[2])]
+    judged = stability.judge_row("size", records, {"stability": {"drift": 0.05}})
+    assert [line["verdict"] for line in judged] == ["drifts", "good", "good"]
+    assert judged[0]["drift"] == pytest.approx(0.2)
+    records[0] = _record(sizes[0], "DIVERGED", 0.0)
+    judged = stability.judge_row("size", records, {"stability": {"drift": 0.05}})
+    assert judged[0]["verdict"] == "failed" and judged[0]["reason"] == "why"
+    assert "DIVERGED" in "\n".join(stability.reading(judged))
+
+
+def test_the_map_covers_what_was_asked():
+    table = config.load_params("workflow")["stability"]
+    rows = {row: cases.row_cases(table, row) for row in (*cases.FACTORS, "random", "native")}
+    every = [case for row in rows.values() for case in row]
+    assert {case.kind for case in every} == {"round", "flat", "sharp", "several"}
+    depths, shears, nus, steps = ([getattr(c, f) for c in every] for f in ("depth", "shear", "nu", "steps"))
+    assert (min(depths), max(depths)) == (0.02, 2.5) and (min(shears), max(shears)) == (0.0, 0.5)
+    assert (min(nus), max(nus)) == (0.45, 0.499) and (min(steps), max(steps)) == (1, 40)
+    assert rows["random"] == cases.row_cases(table, "random")
+    rim = next(c for c in every if c.place == "rim" and c.kind == "flat")
+    assert rim.scene.press.x0 + rim.scene.indenter.radius() > rim.scene.gel.width / 2

@@ -1,0 +1,80 @@
+"""A scene of the chart through real solves: kept, resumed, drawn; figures of the fea benchmark's deck reader."""
+
+import json
+
+import numpy as np
+import pytest
+
+from gelforge import config, pareto
+from gelforge.benchmarks.fea import deck_force, envelope_scene
+from gelforge.binning.sensor import load_sensors
+from gelforge.charting.measure import load_bench
+from gelforge.charting.methods import hex_method
+from gelforge.charting.scenes import parse_scene
+from gelforge.errors import BadInput
+from gelforge.geometry.gel import Gel
+from gelforge.geometry.indenters import load_catalogue
+
+METHODS = [hex_method(2.0, 2, 1), hex_method(1.4, 3, 2), hex_method(1.0, 4, 4)]
+
+
+@pytest.fixture
+def bench(tmp_path):
+    params = config.cut_slice(config.load_params("workflow"), "pareto", pareto.VERSION)
+    return load_bench(params, load_sensors("workflow/sensors.toml"), tmp_path / "meshes", tmp_path / "records")
+
+
+def scene(name, table):
+    return parse_scene(name, {"depth": 0.5, "fine": "disc", **table}, 0.475)
+
+
+def test_a_scene_is_solved_once_resumed_and_drawn(bench, tmp_path, capfd):
+    ball = scene("ball", {"indenter": {"kind": "sphere", "diameter": 15, "height": 10}})
+    first = pareto.solve_scene(bench, ball, METHODS, halved=False)
+    assert capfd.readouterr().out.count("ball hex") == len(METHODS)
+    (bench.records / "ball" / "hex-1.4-2.json").unlink()
+    (bench.records / "ball" / "hex-1-4.json").write_text('{"key": "trunc')
+    again = pareto.solve_scene(bench, ball, METHODS, halved=False)
+    out = capfd.readouterr().out
+    assert out.count("ball hex") == 2 and "hex-2-1" not in out
+    # the same solve on the same machine: sums in another order at most
+    for name in first["methods"]:
+        assert np.allclose(first["methods"][name]["total"], again["methods"][name]["total"], rtol=1e-9, atol=1e-9)
+    coarse = again["methods"]["hex-2-1"]
+    cells = np.array(coarse["cells"])
+    # cells are rounded to 1e-7 N, 768 of them per axis
+    assert np.allclose(cells.sum(axis=(1, 2)) + coarse["outside"], coarse["total"], atol=1e-4)
+    assert 0 < coarse["errors"]["total"] < 0.5 and again["methods"]["hex-1-4"]["errors"]["total"] == 0.0
+
+    found = pareto.publish_chart(tmp_path / "chart.json", [again], "")
+    assert {p.suffix for p in tmp_path.glob("chart.*")} == {".json", ".csv", ".png"}
+    assert (tmp_path / "chart.png").read_bytes().startswith(b"\x89PNG")
+    assert [row["method"] for row in found["rows"]] == ["hex-2-1", "hex-1.4-2"]
+    assert any(row["frontier_total"] for row in found["rows"])
+    assert json.loads((tmp_path / "chart.json").read_text())["failures"] == []
+
+
+def test_a_scene_that_cannot_be_solved_is_listed_with_its_reason(bench, tmp_path):
+    far = scene("far", {"indenter": {"kind": "sphere", "diameter": 2, "height": 10}, "x0": 9.0, "depth": 0.1})
+    ball = scene("ball", {"indenter": {"kind": "sphere", "diameter": 15, "height": 10}})
+    solved = [pareto.solve_scene(bench, s, METHODS[:2], halved=False) for s in (far, ball)]
+    found = pareto.publish_chart(tmp_path / "chart.json", solved, "")
+    row = found["rows"][0]
+    assert row["scenes"] == 2 and row["failed"] == 1 and not row["frontier_total"]
+
+
+def test_envelope_scenes_are_the_same_ones_every_time():
+    catalogue = load_catalogue("workflow/indenters.toml", ["sphere_15", "cuboid_7"])
+    one, other = (envelope_scene(7, catalogue, Gel()).press for _ in range(2))
+    assert one == other != envelope_scene(8, catalogue, Gel()).press
+    presses = [envelope_scene(n, catalogue, Gel()).press for n in range(50)]
+    assert max(abs(p.x0) for p in presses) <= 3 and max(abs(p.y0) for p in presses) <= 5
+    assert max(np.hypot(p.dx, p.dy) / -p.dz for p in presses) <= 0.4
+
+
+def test_the_decks_force_is_the_last_total_on_its_base():
+    block = " total force (fx,fy,fz) for set NGELSIGHT_MINI{} and time  {:.7E}\n\n {:e} {:e} {:e}\n"
+    text = "".join(block.format(s, t, 0.1, 0.2, f) for t in (0.5, 1.0) for s, f in (("VOLUME", 9.0), ("FIXED", 5 * t)))
+    assert deck_force(text) == 5.0
+    with pytest.raises(BadInput, match="no total force"):
+        deck_force(text[:20])
