@@ -14,7 +14,7 @@ from gelforge.config import canonical
 from gelforge.errors import BadInput
 from gelforge.files import publish, read_csv, read_json, write_csv, write_json
 from gelforge.geometry.gel import load_gel
-from gelforge.meshes import MeshFamily
+from gelforge.meshes import MeshFamily, mesh_names
 from gelforge.mechanics.fidelity import FeaSettings, Solvers
 from gelforge.mechanics.scene import Interface, Material, Press, Scene, Status
 from gelforge.progress import progress
@@ -106,7 +106,8 @@ def table_row(record: dict, folder: Path) -> dict:
 def run_shard(poses: Path, meshes: Path, params: dict, tables: dict, bodies: dict, folder: Path) -> list[dict]:
     """Solve what is missing of a shard; records in the order of the pose table."""
     rows = read_csv(poses)
-    family = MeshFamily(meshes)
+    # only the meshes asked for: one that another setting left behind must not be chosen
+    family = MeshFamily(meshes, mesh_names(params["fea"]))
     folder.mkdir(parents=True, exist_ok=True)
     for stale in folder.glob(".work-*"):
         shutil.rmtree(stale, ignore_errors=True)

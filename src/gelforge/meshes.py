@@ -39,12 +39,17 @@ class MeshName:
         return cls(match[1], match[2], float(match[3]))
 
 
-def required_meshes(fea: dict, meshes: dict) -> list[str]:
-    """Names of the meshes that the [fea] table asks for, in its order; [meshes] must know their regions."""
+def mesh_names(fea: dict) -> list[str]:
+    """Names of the meshes that the [fea] table asks for, in its order."""
     if fea["fidelity"] not in ENGINES:
         raise BadInput(f"[fea] fidelity = {fea['fidelity']!r} is unknown; choose one of {', '.join(ENGINES)}")
     kinds = fea["fine_meshes"] if fea["fidelity"] == "ccx-fine" else fea["meshes"]
-    names = [f"{engine}-{kind}" for engine in ENGINES[fea["fidelity"]] for kind in kinds]
+    return [f"{engine}-{kind}" for engine in ENGINES[fea["fidelity"]] for kind in kinds]
+
+
+def required_meshes(fea: dict, meshes: dict) -> list[str]:
+    """`mesh_names` of the [fea] table, whose regions [meshes] must know."""
+    names = mesh_names(fea)
     for name in names:
         region(MeshName.parse(name), meshes)
     return names
@@ -103,12 +108,16 @@ def hex_solver(size: float, half, layers: int, **settings):
 
 
 class MeshFamily:
-    """The meshes of a folder 20_meshes; each is read when first asked for."""
+    """Meshes of a folder 20_meshes, all or those named; each is read when first asked for."""
 
-    def __init__(self, folder):
+    def __init__(self, folder, names=None):
         self.folder = Path(folder)
-        self.reports = {path.stem: read_json(path) for path in sorted(self.folder.glob("*.json"))
-                        if path.with_suffix(".npz").exists()}  # fmt: skip
+        names = sorted(path.stem for path in self.folder.glob("*.npz")) if names is None else names
+        self.reports = {}
+        for name in names:
+            if not (self.folder / f"{name}.npz").exists() or not (self.folder / f"{name}.json").exists():
+                raise BadInput(f"{self.folder / name}.npz or its report .json is missing; run `make meshes`")
+            self.reports[name] = read_json(self.folder / f"{name}.json")
         if not self.reports:
             raise BadInput(f"{folder}: holds no meshes; run `make meshes`")
         self.load = lru_cache(maxsize=8)(self._load)

@@ -28,13 +28,11 @@ def indenter_tets(indenter, size: float, crop: float = CROP_MM) -> tuple[np.ndar
     import pymeshlab
     import pytetwild
 
-    vertices, faces = indenter.surface()
-    height = min(crop, vertices[:, 2].max())
-    reach = 2.0 * indenter.radius() + 1.0
+    from gelforge.poses import cropped
+
+    vertices, faces = cropped(indenter, crop)
     shapes = pymeshlab.MeshSet()
     shapes.add_mesh(pymeshlab.Mesh(vertices, faces))
-    shapes.create_cube(min=np.array([-reach, -reach, -1.0]), max=np.array([reach, reach, height]))
-    shapes.generate_boolean_intersection(first_mesh=0, second_mesh=1)
     shapes.meshing_isotropic_explicit_remeshing(targetlen=pymeshlab.PureValue(size), iterations=5)
     surface = shapes.current_mesh()
     nodes, tets = pytetwild.tetrahedralize(
