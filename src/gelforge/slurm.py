@@ -7,16 +7,13 @@ task, and the wrapper publishes by renaming. An exit code or a job's state alone
 """
 
 import argparse
-import fcntl
 import os
 import secrets
-import select
 import shlex
 import shutil
 import signal
 import sys
 import time
-from contextlib import contextmanager
 from pathlib import Path
 
 from gelforge.files import write_text
@@ -36,6 +33,7 @@ from gelforge.slurm_client import (
     pause,
     queue,
 )
+from gelforge.slurm_lock import at_work, become_only_make, hold
 from gelforge.slurm_profile import Profile, read_profile
 from gelforge.slurm_record import Batch, Record, Results, Task, counted, records, report, show, tail
 from gelforge.step import die_with_parent
@@ -290,14 +288,6 @@ def start(results: Path, key: str, stage: str, tasks: list[tuple[str, str]], pro
     return record
 
 
-@contextmanager
-def at_work(results: Path, kind: int):
-    """Hold the lock that every process at work on a record shares."""
-    with (results / ".slurm" / "work").open("a") as lock:
-        fcntl.flock(lock, kind)
-        yield
-
-
 def flush(args) -> int:
     """Run what make collected for a stage."""
     path = args.results / ".slurm" / f"{args.stage}.tasks"
@@ -320,27 +310,13 @@ def run(args) -> int:
 
 def attend(args) -> int:
     """Become the only make at work on these results, then await what an earlier one left running."""
-    folder = args.results / ".slurm"
-    folder.mkdir(parents=True, exist_ok=True)
-    make = os.pidfd_open(args.make)
-    lock = (folder / "lock").open("a+")
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        lock.seek(0)
-        if lock.read() == str(args.make):  # make reads its files again after it made one of them
-            return 0
-        print(f"another make is at work on {args.results} with Slurm; awaiting it", file=sys.stderr, flush=True)
-        fcntl.flock(lock, fcntl.LOCK_EX)
-    signal.pthread_sigmask(signal.SIG_BLOCK, STOP)
-    lock.truncate(0)
-    lock.write(str(args.make))
-    lock.flush()
-    with at_work(args.results, fcntl.LOCK_EX):
-        pass  # a make that was killed leaves a process that is still cancelling
+    lock = become_only_make(args.results, args.make)
+    if lock is None:
+        return 0
+    # make reads standard output.
     sys.stdout = sys.stderr
     # What a make collected and never submitted, because it was killed, is collected anew.
-    for path in folder.glob("*.tasks"):
+    for path in (args.results / ".slurm").glob("*.tasks"):
         path.unlink()
     code = 0
     for record in records(args.results):
@@ -348,29 +324,8 @@ def attend(args) -> int:
             print(f"{record.stage}: awaiting what was left running on Slurm ({counted(record)})", flush=True)
             code = work(record, read_profile(args.profile, record.stage), args.detach, submitting=False) or code
     if not code:
-        hold(lock, make)
+        hold(lock, args.make)
     return code
-
-
-def hold(lock, make: int) -> None:
-    """Keep `lock` in a process of its own until the process `make` (a pidfd) ends."""
-    if os.fork():
-        return
-    os.setsid()
-    os.chdir("/")
-    null = os.open(os.devnull, os.O_RDWR)
-    for number in (0, 1, 2):
-        os.dup2(null, number)
-    for number in map(int, os.listdir("/proc/self/fd")):
-        if number > 2 and number not in (lock.fileno(), make):
-            try:
-                os.close(number)
-            except OSError:
-                pass
-    poll = select.poll()
-    poll.register(make, select.POLLIN)
-    poll.poll()
-    os._exit(0)
 
 
 def give_up(args) -> int:
@@ -425,7 +380,7 @@ def main(argv=None) -> int:
     if args.action == "cancel":
         return give_up(args)
     signal.pthread_sigmask(signal.SIG_BLOCK, STOP)
-    with at_work(args.results, fcntl.LOCK_SH):
+    with at_work(args.results):
         return {"flush": flush, "run": run}[args.action](args)
 
 

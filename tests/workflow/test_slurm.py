@@ -210,6 +210,19 @@ def test_node_lost_and_back(project, lab):
     assert runs(project) == [(2, 1), (2, 1), (1, 1), (1, 1)]
 
 
+def test_tasks_that_slurm_starts_again_while_they_still_run_are_done_once(project, lab):
+    """slurmd away for longer than SlurmdTimeout: Slurm gives the node up, its tasks do not."""
+    fault(project, "poses-0", FIRST_RUN + "time.sleep(25)\n")
+    process = start_make(project, lab, "poses", "SHARDS=0 1")
+    await_running(project, lab, 1)
+    lab.do("kill", "slurmd")
+    time.sleep(14)
+    lab.do("start", "slurmd")
+    text, _ = process.communicate(timeout=120)
+    assert process.returncode == 0, text
+    assert [ended for _, ended in runs(project, shards=range(2))] == [1, 1]
+
+
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_interrupted_make_cancels(project, lab, how):
     fault(project, "poses-3", FIRST_RUN + "time.sleep(60)\n")
@@ -258,7 +271,7 @@ def test_the_same_make_twice_submits_once(project, lab):
 
 def test_a_partial_result_never_counts(project, lab):
     # The task dies half-way through its file, and so does the wrapper that would have cleaned up.
-    dies = "open(out, 'w').write('half')\nimport signal\nos.kill(os.getppid(), signal.SIGKILL)\nos.kill(os.getpid(), 9)\n"
+    dies = "open(out, 'w').write('half')\nos.kill(os.getppid(), 9)\nos.kill(os.getpid(), 9)\n"
     fault(project, "poses-2", dies)
     code, text = make(project, lab, "fea")
     assert code != 0 and "FAILED results/lab/10_poses/2.csv: failed (" in text
