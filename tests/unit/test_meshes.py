@@ -1,0 +1,87 @@
+"""Gel meshes: what a name means, which one a press takes, and what pytetwild must keep."""
+
+import numpy as np
+import pytest
+
+from gelforge.errors import BadInput
+from gelforge.files import write_json
+from gelforge.geometry.gel import GELS
+from gelforge.geometry.indenters import build
+from gelforge.mechanics.scene import Material, Press, Scene
+from gelforge.mechanics.tet import boundary_faces, gel_mesh, quality, signed_volumes, sizing_grid
+from gelforge.meshes import MeshFamily, MeshName, choose_mesh, required_meshes, sizing
+
+GEL = GELS["gelsight_mini"]
+TABLE = {"growth": 0.4, "coarsest_mm": 4.0, "fine_depth_mm": 0.6, "regions": {"centre": [4.0, 4.0], "wide": [9, 11]}}
+
+
+@pytest.fixture(scope="module")
+def mesh():
+    return gel_mesh(GEL, sizing((4.0, 4.0), 2.0, TABLE))
+
+
+def test_gel_of_tetrahedra_keeps_its_shape(mesh):
+    report = quality(mesh, GEL)
+    top = mesh.nodes[mesh.surface_nodes]
+    np.testing.assert_allclose(top[:, 2], GEL.top(top[:, 0], top[:, 1]), atol=1e-12)
+    assert set(mesh.nodes[mesh.base, 2]) == {-GEL.height}
+    # the outline's arcs are polygons of four sides, and edges 3 mm long cut the fall to the rim
+    assert abs(report["volume_error"]) < 5e-3
+    assert report["min_scaled_jacobian"] > 0.2
+    assert signed_volumes(mesh.nodes, mesh.elements[:, :4]).min() > 0
+
+
+def test_top_faces_look_outward_and_cover_the_outline(mesh):
+    a, b, c = (mesh.nodes[mesh.faces[:, i]] for i in range(3))
+    up = np.cross(b - a, c - a)[:, 2]
+    assert up.min() > 0
+    corners = 4 * GEL.corner_radius**2 * (1 - np.pi / 4)
+    assert up.sum() / 2 == pytest.approx(GEL.width * GEL.length - corners, rel=2e-3)
+    middles = (mesh.nodes[mesh.faces[:, [0, 1, 2]]] + mesh.nodes[mesh.faces[:, [1, 2, 0]]]) / 2
+    np.testing.assert_allclose(mesh.nodes[mesh.faces[:, 3:], :2], middles[..., :2], atol=1e-12)
+
+
+def test_second_order_mesh_is_closed(mesh):
+    faces = boundary_faces(mesh.elements[:, :4])
+    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    assert np.all(np.unique(edges, axis=0, return_counts=True)[1] == 2)
+
+
+def test_sizing_grid_fills_the_gel():
+    vertices, tets, values = sizing_grid(GEL, lambda p: 1 + 0 * p[:, 0], step=2.0)
+    volume = signed_volumes(vertices, tets)
+    assert volume.min() > 0
+    assert volume.sum() == pytest.approx(np.prod(np.ptp(vertices, axis=0)))
+    assert len(values) == len(vertices)
+
+
+@pytest.mark.parametrize("name", ["ccx-centre", "ccx-centre-0.05", "fem-centre-1.0", "ccx-../x-1.0"])
+def test_names_that_mean_nothing_are_refused(name):
+    with pytest.raises(BadInput, match="ENGINE-REGION-SIZE"):
+        MeshName.parse(name)
+
+
+def test_required_meshes_need_known_regions():
+    fea = {"fidelity": "ccx", "meshes": ["centre-0.7", "wide-1.0"]}
+    assert required_meshes(fea, TABLE) == ["ccx-centre-0.7", "ccx-wide-1.0", "hex-centre-0.7", "hex-wide-1.0"]
+    with pytest.raises(BadInput, match="edge"):
+        required_meshes(fea | {"meshes": ["edge-1.0"]}, TABLE)
+    with pytest.raises(BadInput, match="fidelity"):
+        required_meshes(fea | {"fidelity": "abaqus"}, TABLE)
+
+
+def test_a_press_takes_the_finest_mesh_that_holds_its_footprint(tmp_path, mesh):
+    for name, half in (("ccx-centre-0.7", [4.0, 4.0]), ("ccx-wide-1.0", [9.0, 11.0])):
+        mesh.save(tmp_path / f"{name}.npz")
+        report = {"engine": "ccx", "half_mm": half, "size": float(name[-3:]), "nodes": 1}
+        write_json(tmp_path / f"{name}.json", report)
+    family = MeshFamily(tmp_path)
+    ball = build("ball", {"kind": "sphere", "diameter": 10, "height": 8})
+
+    def chosen(x, depth):
+        return choose_mesh(Scene(GEL, Material(), ball, Press(x, 0, 0, 0, 0, -depth)), family)
+
+    assert chosen(0, 1.0) == "ccx-centre-0.7"
+    assert chosen(2, 1.0) == "ccx-wide-1.0"
+    with pytest.raises(BadInput, match="make meshes"):
+        MeshFamily(tmp_path, ["ccx-centre-0.5"])
