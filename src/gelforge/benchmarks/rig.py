@@ -4,6 +4,7 @@ import argparse
 import tempfile
 import time
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import cv2
@@ -46,6 +47,11 @@ class Rig:
         names = dict.fromkeys([REFERENCE_UNIT, *plan.sensors])
         cameras = {name: Renderer(looks[name], sensors[name].projection, gel) for name in names}
         return cls(plan, Bench(plan, load_catalogue(workflow / plan.catalogue), gel), cameras)
+
+    @cached_property
+    def cuboid(self) -> Pressing:
+        """The press of the real cuboid picture."""
+        return self.bench.press(CUBOID)
 
     def view(self, pressing: Pressing):
         """Displacement field and body of a press, as cameras want them."""
@@ -114,7 +120,7 @@ def real_cuboid(reference: Path) -> np.ndarray:
 
 def cuboid(rig: Rig, reference: Path) -> list[Figure]:
     """The pressed cuboid against the real picture of one."""
-    pressing = rig.bench.press(CUBOID)
+    pressing = rig.cuboid
     camera = rig.cameras[REFERENCE_UNIT]
     corners = read_csv_pixels(reference / "feats" / "point_correspondences.csv")
     wanted = np.array([corners[:, 0].min(), corners[:, 0].max(), corners[:, 1].min(), corners[:, 1].max()])

@@ -9,7 +9,6 @@ import numpy as np
 
 from gelforge.benchmarks.figures import Figure
 from gelforge.benchmarks.rig import (
-    CUBOID,
     REFERENCE_UNIT,
     Rig,
     cuboid,
@@ -21,20 +20,25 @@ from gelforge.benchmarks.rig import (
 from gelforge.errors import BadInput
 from gelforge.files import write_text
 from gelforge.reporting.page import Section, render
+from gelforge.virtualrig.bench import Pressing
 from gelforge.virtualrig.plan import Order, orders
 
 ENLARGED = 2
+PRESSES = 12  # of the plan, shown and tracked
 # What each real video shows, and the press of a virtual unit that stands beside it: sensor, indenter, depth, path.
 VIDEOS = {
     "plier_camera_2": ("mini_d", "cylinder_10_7", 0.9, (0.2, 0.1)),
     "glass_box_camera_2": ("mini_d", "pyramid_10", 1.2, (0.0, 0.2)),
-    "nylon_thread_camera_2": ("mini_d", "sphere_20", 1.0, (0.1, -0.2)),
-    "cheese_tube_camera_2": ("mini_d", "bar_10", 0.5, (0.1, 0.0)),
-    "plier_camera_0": ("mini_e", "cylinder_8", 0.8, (0.0, 0.1)),
-    "glass_box_camera_0": ("mini_e", "sphere_15", 1.0, (0.2, 0.0)),
-    "nylon_thread_camera_0": ("mini_e", "triangle_10", 0.7, (0.1, 0.1)),
-    "cheese_tube_camera_0": ("mini_e", "cuboid_7", 0.8, (0.0, -0.2)),
+    "plier_camera_0": ("mini_e", "sphere_15", 0.8, (0.0, 0.1)),
+    "cheese_tube_camera_0": ("mini_e", "bar_5", 0.8, (0.0, -0.2)),
 }
+
+DIFFERENCES = (
+    "Real images darken and turn redder as a whole when a hand or an object shades the gel; the rig's light stays. "
+    "Real cuboids show a thin bright and dark line at their outline and wrinkles between the print lines; the rig's flanks are "
+    "soft bands as wide as a brick of its mesh. Real gels carry scratches and specks beside the dots; the rig's are clean. "
+    "Real dots differ in shape more from one to the next, and some are half worn. Print lines of the rig are even."
+)
 
 
 def png(*images: np.ndarray) -> bytes:
@@ -67,7 +71,7 @@ def most_changed(images: list[np.ndarray]) -> np.ndarray:
 def beside_real(rig: Rig, reference: Path) -> list[Section]:
     """No-contact image, cuboid and videos, real on the left."""
     real, ours = no_contact_pair(rig, reference)
-    pressing = rig.bench.press(CUBOID)
+    pressing = rig.cuboid
     still = Section("Without contact").picture(png(real, ours), "Left: real GelSight Mini. Right: the rig's reference unit.")
     pressed = Section("10 mm cuboid, 2.284 mm deep").picture(
         png(real_cuboid(reference), rig.picture(pressing)),
@@ -86,11 +90,10 @@ def beside_real(rig: Rig, reference: Path) -> list[Section]:
     return [still, pressed, videos]
 
 
-def gallery(rig: Rig, count: int = 24) -> Section:
-    """Pictures of the first presses of the plan."""
+def gallery(rig: Rig, presses: list[Pressing]) -> Section:
+    """Pictures of presses of the plan, three in a row."""
     section = Section("Presses of the plan")
-    presses = [rig.bench.press(order) for order in orders(replace(rig.plan, presses=count))]
-    for k in range(0, count, 3):
+    for k in range(0, len(presses) - 2, 3):
         row = presses[k : k + 3]
         names = [f"{p.order.indenter} on {p.order.sensor}, {-p.real.dz:.2f} mm, {-p.force[2]:.1f} N" for p in row]
         section.picture(png(*(rig.picture(p) for p in row)), "; ".join(names))
@@ -115,9 +118,10 @@ def main(argv=None) -> int:
         raise BadInput(f"{given.reference}: no real pictures there; make rig-check REFERENCE=folder")
     cv2.setNumThreads(1)
     rig = Rig.of(given.plan, given.workflow)
-    some = [rig.bench.press(order) for order in orders(replace(rig.plan, presses=19))[::6]]
+    some = [rig.bench.press(order) for order in orders(replace(rig.plan, presses=PRESSES))]
     figures = likeness(rig, given.reference) + cuboid(rig, given.reference) + tracking(rig, some)
-    sections = [figure_table(figures), *beside_real(rig, given.reference), gallery(rig)]
+    sections = [figure_table(figures), *beside_real(rig, given.reference), gallery(rig, some)]
+    sections.append(Section("Where they still differ").text(DIFFERENCES))
     lead = f"Unit {REFERENCE_UNIT} is fitted to the real no-contact image; every other unit differs from it as real ones do."
     write_text(given.out, render("virtual rig", lead, sections))
     print(given.out)

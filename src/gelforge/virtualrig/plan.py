@@ -206,12 +206,13 @@ def _check_kind(kind: Kind, gel: Gel, where: str) -> None:
 
 def check_names(plan: Plan, indenters, sensors, looks, path) -> None:
     """Refuse a plan that names indenters, sensors or looks nobody defined."""
+    units = [*plan.sensors, *plan.held_out_sensors]
     for what, asked, known, where in (
         ("indenter", plan.indenters, indenters, plan.catalogue),
-        ("sensor", plan.sensors, sensors, "workflow/sensors.toml"),
-        ("sensor's look", plan.sensors, looks, "workflow/rig/sensors.toml"),
+        ("sensor", units, sensors, "workflow/sensors.toml"),
+        ("sensor's look", units, looks, "workflow/rig/sensors.toml"),
     ):
-        unknown = [name for name in asked if name not in known]
+        unknown = [name for name in dict.fromkeys(asked) if name not in known]
         if unknown:
             raise BadInput(f"{path}: unknown {what} {', '.join(unknown)}; {where} has {', '.join(sorted(known))}")
 

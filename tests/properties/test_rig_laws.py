@@ -1,0 +1,98 @@
+"""Laws of the virtual rig: growing appends, and pictures show what the gel does."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gelforge.binning.sensor import load_sensors
+from gelforge.geometry.gel import Gel
+from gelforge.virtualrig.fit import dot_spots
+from gelforge.virtualrig.looks import read_looks
+from gelforge.virtualrig.measure import inside_image
+from gelforge.virtualrig.plan import kind_of, orders, read_plan
+from gelforge.virtualrig.render import Renderer
+from gelforge.virtualrig.surface import STEP, unloaded
+from tests.conftest import ROOT
+
+PLAN = ROOT / "workflow" / "rig" / "train.toml"
+UNITS = ("mini_a", "mini_b", "mini_c", "mini_d", "mini_e")
+
+
+@cache
+def camera(name: str) -> Renderer:
+    sensors, looks = load_sensors(ROOT / "workflow" / "sensors.toml"), read_looks(ROOT / "workflow/rig/sensors.toml")
+    return Renderer(looks[name], sensors[name].projection, Gel())
+
+
+@given(short=st.integers(1, 60), more=st.integers(0, 60))
+@settings(deadline=None, max_examples=25)
+def test_growing_a_plan_appends(short, more):
+    plan = read_plan(PLAN)
+    assert orders(replace(plan, presses=short + more))[:short] == orders(replace(plan, presses=short))
+
+
+@given(weights=st.lists(st.floats(0.1, 10.0), min_size=1, max_size=5), presses=st.integers(1, 300))
+@settings(deadline=None, max_examples=50)
+def test_kinds_get_their_share_at_every_length(weights, presses):
+    plan = read_plan(PLAN)
+    plan = replace(plan, kinds=tuple(replace(plan.kinds[0], weight=w) for w in weights))
+    count = np.bincount(kind_of(plan, presses)[0], minlength=len(weights))
+    wanted = presses * np.array(weights) / sum(weights)
+    # the kind furthest behind is served next, so none is ahead by a whole press
+    assert (count - wanted < 1.0).all()
+    assert count.sum() == presses
+
+
+def linear_field(shift, stretch, turn_deg):
+    """A homogeneous displacement of the whole surface and its map on points (n, 2)."""
+    field = unloaded(Gel())
+    y, x = np.mgrid[: field.values.shape[0], : field.values.shape[1]]
+    xy = np.stack([field.x0 + STEP * x, field.y0 + STEP * y], axis=-1)
+    angle = np.deg2rad(turn_deg)
+    matrix = stretch * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]) - np.eye(2)
+    field.values[..., :2] = xy @ matrix.T + shift
+    return field, lambda points: points @ matrix.T + shift
+
+
+@given(
+    name=st.sampled_from(UNITS),
+    shift=st.tuples(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5)),
+    stretch=st.floats(0.95, 1.05),
+    turn=st.floats(-2.0, 2.0),
+)
+@settings(deadline=None, max_examples=20)
+def test_dots_go_where_the_gel_goes(name, shift, stretch, turn):
+    eye = camera(name)
+    field, moves = linear_field(np.array(shift), stretch, turn)
+    points = eye.gel_points(eye.look.dots)
+    expected = eye.seen(points, np.column_stack([moves(points), np.zeros(len(points))]))
+    before, after = dot_spots(eye.image())[0], dot_spots(eye.image(field))[0]
+    seen = inside_image(expected, 1.5 * eye.look.diameter) & inside_image(eye.look.dots, 1.5 * eye.look.diameter)
+    for dot, there in zip(eye.look.dots[seen], expected[seen], strict=True):
+        a = before[np.linalg.norm(before - dot, axis=1).argmin()]
+        b = after[np.linalg.norm(after - there, axis=1).argmin()]
+        # pictures are free of noise here; 8 bit and dark-weighted centres of ragged, flecked dots leave this much
+        assert np.linalg.norm((b - a) - (there - dot)) < 0.2
+
+
+@given(name=st.sampled_from(UNITS), seed=st.integers(0, 1000))
+@settings(deadline=None, max_examples=10)
+def test_an_untouched_field_is_the_untouched_picture(name, seed):
+    eye = camera(name)
+    plain = eye.image(rng=np.random.default_rng(seed)).astype(int)
+    through = eye.image(unloaded(Gel()), rng=np.random.default_rng(seed)).astype(int)
+    assert np.abs(plain - through).max() <= 1  # interpolation of nothing may round one grey level
+
+
+@given(depth=st.floats(0.2, 2.0))
+@settings(deadline=None, max_examples=10)
+def test_what_is_pressed_looks_larger(depth):
+    eye = camera("mini_a")
+    points = np.array([[-4.0, -4.0], [4.0, 4.0]])
+    flat = eye.seen(points, np.zeros((2, 3)))
+    near = eye.seen(points, np.array([[0.0, 0.0, -depth]] * 2))
+    larger = np.linalg.norm(near[1] - near[0]) / np.linalg.norm(flat[1] - flat[0])
+    assert np.isclose(larger, eye.look.camera_mm / (eye.look.camera_mm - depth))

@@ -1,0 +1,132 @@
+"""Plans of the virtual rig: what is refused before anything is written, and what growing keeps."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gelforge.errors import BadInput
+from gelforge.rig import check, run
+from gelforge.virtualrig.bench import load_cell_error
+from gelforge.virtualrig.looks import read_looks
+from gelforge.virtualrig.plan import kind_of, orders, read_plan
+from tests.conftest import ROOT
+
+DEMO = ROOT / "workflow" / "rig" / "demo.toml"
+TRAIN = ROOT / "workflow" / "rig" / "train.toml"
+
+
+def changed(tmp_path, *changes) -> Path:
+    """The demo plan with text replaced."""
+    text = DEMO.read_text(encoding="utf-8")
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new, 1)
+    path = tmp_path / "plan.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ('"cylinder_8"', '"cylinder_88"', "unknown indenter cylinder_88"),
+        ('sensors = ["mini_e"]', 'sensors = ["mini_z"]', "unknown sensor mini_z"),
+        ('sensors = ["mini_e"]', 'sensors = ["gelsight_mini"]', "unknown sensor's look gelsight_mini"),
+        ("x_mm = [-2.5, 2.5]", "x_mm = [-2.5, 9.0]", "the tip must stay within"),
+        ("y_mm = [-4.0, 4.0]", "y_mm = [4.0, -4.0]", "runs backwards"),
+        ("depth_mm = [0.3, 1.5]", "depth_mm = [0.3, 4.5]", "the gel is 4.0 mm thick"),
+        ("depth_mm = [0.3, 1.5]", "depth_mm = [0.0, 1.5]", "must start above 0"),
+        ("depth_mm = [0.3, 1.5]", "depth_mm = [0.3, nan]", "not a finite"),
+        ("weight = 5\n", "weight = 0\n", "must be above 0"),
+        ("presses = 48", "presses = 0", "give at least 1"),
+        ("presses = 48", 'presses = "many"', "presses = 'many'"),
+        ("seed = 20260112", "sead = 20260112", "unknown keys \\['sead'\\], missing keys \\['seed'\\]"),
+        ('dataset = "demo"', 'dataset = "../demo"', "it names a folder"),
+        ('gel = "gelsight_mini"', 'gel = "digit"', "gel = 'digit' is unknown"),
+        ("2026-01-12T09:00:00Z", "yesterday", "is no time"),
+        ("nu = 0.475", "nu = 0.5", "0 < nu < 0.5"),
+    ],
+)
+def test_bad_plan_is_refused_by_name_before_anything_is_written(tmp_path, old, new, says):
+    plan = changed(tmp_path, (old, new))
+    with pytest.raises(BadInput, match=says) as refused:
+        run(plan, tmp_path / "data", ROOT / "workflow")
+    assert str(plan) in str(refused.value)
+    assert not (tmp_path / "data").exists()
+
+
+def test_open_stl_is_refused_before_anything_is_written(tmp_path):
+    (tmp_path / "rig").mkdir()
+    (tmp_path / "open.stl").write_text(
+        "solid open\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n"
+        "endsolid open\n"
+    )
+    (tmp_path / "shapes.toml").write_text('[mine]\nkind = "stl"\nfile = "open.stl"\n')
+    for name in ("sensors.toml", "rig/sensors.toml"):
+        (tmp_path / name).write_text((ROOT / "workflow" / name).read_text())
+    plan = changed(tmp_path, ('"indenters.toml"', '"shapes.toml"'))
+    plan.write_text(re.sub(r"indenters = \[.*\]", 'indenters = ["mine"]', plan.read_text()))
+    with pytest.raises(BadInput, match="mine|open.stl"):
+        run(plan, tmp_path / "data", tmp_path)
+    assert not (tmp_path / "data").exists()
+
+
+@pytest.mark.parametrize("path", [DEMO, TRAIN])
+def test_plans_that_travel_with_the_project_are_good(path):
+    check(path, ROOT / "workflow")
+
+
+def test_training_plan_covers_the_papers_envelope():
+    plan = read_plan(TRAIN)
+    known, unseen, unit = plan.kinds
+    assert len(known.indenters) == 19
+    assert len(unseen.indenters) == 5
+    assert not set(known.indenters) & set(unseen.indenters)
+    assert len(known.sensors) == 4
+    assert set(unit.sensors) == set(plan.held_out_sensors)
+    assert (kind_of(plan, plan.presses)[0] == 0).sum() >= 600
+
+
+def test_every_look_agrees_with_its_sensor():
+    from gelforge.binning.sensor import load_sensors
+
+    sensors, looks = load_sensors(ROOT / "workflow" / "sensors.toml"), read_looks(ROOT / "workflow/rig/sensors.toml")
+    assert len(looks) >= 5
+    for name, look in looks.items():
+        markers = sensors[name].markers
+        missing = markers["rows"] * markers["cols"] - len(look.dots)
+        assert 0 <= missing <= 2
+        # misprints of half a pixel average out; a missing outer dot shifts the mean by 4 pitches of 33 px over 62 dots
+        assert np.abs(look.dots.mean(axis=0) - markers["centre_px"]).max() < 0.5 + 2.2 * missing
+        assert look.diameter == pytest.approx(markers["diameter_px"])
+
+
+def test_a_look_that_lacks_a_value_is_named(tmp_path):
+    text = (ROOT / "workflow/rig/sensors.toml").read_text().replace("flecks = ", "specks = ", 1)
+    path = tmp_path / "sensors.toml"
+    path.write_text(text)
+    with pytest.raises(BadInput, match=r"\[mini_a\] is incomplete or malformed: KeyError\('flecks'\)"):
+        read_looks(path)
+
+
+def test_orders_stay_in_their_ranges_and_share_out():
+    plan = read_plan(DEMO)
+    made = orders(plan)
+    for order in made:
+        assert abs(order.x) <= 2.5
+        assert 0.3 <= order.depth <= 1.5
+        assert np.hypot(*order.shear) <= 0.4 * order.depth + 1e-12
+    assert len({order.sample_id for order in made}) == plan.presses
+    assert {order.indenter for order in made} == set(plan.indenters)
+
+
+def test_load_cell_drifts_slowly_about_its_bias():
+    plan = read_plan(DEMO)
+    error = np.array([load_cell_error(plan, i) for i in range(3000)])
+    bias = np.array(plan.truth.force_bias_n)
+    # three waves whose amplitudes sum to sqrt(3) of the drift
+    assert np.abs(error - bias).max() <= np.sqrt(3.0) * plan.truth.drift_n + 1e-12
+    # the fastest wave takes 80 presses, so no step is larger than 2 pi / 80 of the whole
+    assert np.abs(np.diff(error, axis=0)).max() < 2 * np.pi / 80 * np.sqrt(3.0) * plan.truth.drift_n

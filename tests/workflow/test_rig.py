@@ -1,0 +1,90 @@
+"""A tiny plan through the real bench: resume, growth, repetition, another plan in the same folder."""
+
+import cv2
+import numpy as np
+import pytest
+
+from gelforge.errors import BadInput
+from gelforge.files import read_csv, read_json
+from gelforge.log import parse, read_log
+from gelforge.rig import main, run
+from tests.conftest import ROOT
+
+DEMO = ROOT / "workflow" / "rig" / "demo.toml"
+
+
+def plan_of(folder, presses: int, *changes):
+    """The demo plan, shallow and short."""
+    text = DEMO.read_text(encoding="utf-8").replace("presses = 48", f"presses = {presses}")
+    text = text.replace("depth_mm = [0.3, 1.5]", "depth_mm = [0.2, 0.4]")
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    path = folder / "plan.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def two(tmp_path_factory):
+    """A dataset of two presses."""
+    folder = tmp_path_factory.mktemp("rig")
+    return run(plan_of(folder, 2), folder / "data", ROOT / "workflow")
+
+
+def test_log_and_images_are_what_the_importer_expects(two):
+    rows = read_log(two / "log.csv")
+    for row in rows:
+        sample, wrong = parse(row, "log.csv")
+        assert not wrong
+        image = cv2.imread(str(two / sample.image))
+        assert image.shape == (240, 320, 3)
+        assert sample.fz_n < 0 > sample.dz_mm
+    assert (two / "dataset.toml").is_file()
+    assert {path.stem for path in (two / "nocontact").iterdir()} == {"mini_a", "mini_e"}
+
+
+def test_log_hides_what_the_truth_knows(two):
+    log, truth = read_csv(two / "log.csv"), read_csv(two / "truth" / "presses.csv")
+    hidden = read_json(two / "truth" / "truth.json")["truth"]
+    for seen, real in zip(log, truth, strict=True):
+        given_way = float(real["dz_mm"]) - float(seen["dz_mm"])
+        # the frame gives way by compliance times force; the CNC is good to a quarter of a micrometre
+        assert abs(given_way + hidden["compliance_mm_per_n"] * float(real["fz_n"])) < 0.5e-3
+        assert abs(float(real["z0_mm"]) - hidden["touch_offset_mm"]) < 5 * hidden["touch_scatter_mm"] + 0.5e-3
+        assert abs(float(seen["fz_n"]) - float(real["fz_n"])) < 0.3
+    assert "truth" not in (two / "log.csv").read_text()
+
+
+def test_growth_appends_and_repeats_nothing_and_equals_a_fresh_run(two, tmp_path):
+    before = (two / "log.csv").read_text()
+    times = {path: path.stat().st_mtime_ns for path in (two / "images").iterdir()}
+    gone = two / "images" / "demo-000001.png"
+    image = cv2.imread(str(gone))
+    gone.unlink()
+    plan = plan_of(tmp_path, 3)
+    assert main(["--plan", str(plan), "--data", str(two.parent), "--workflow", str(ROOT / "workflow"), "--jobs", "2"]) == 0
+    after = (two / "log.csv").read_text()
+    assert after.startswith(before)
+    assert len(after.splitlines()) == 4
+    assert np.abs(cv2.imread(str(gone)).astype(int) - image).max() <= 1
+    kept = two / "images" / "demo-000000.png"
+    assert kept.stat().st_mtime_ns == times[kept]
+    run(plan, two.parent, ROOT / "workflow")
+    assert (two / "log.csv").read_text() == after
+
+
+def test_another_plan_does_not_mix_in(two, tmp_path):
+    before = (two / "log.csv").read_text()
+    with pytest.raises(BadInput, match="was written by another plan"):
+        run(plan_of(tmp_path, 2, ("friction = 0.7", "friction = 0.5")), two.parent, ROOT / "workflow")
+    assert (two / "log.csv").read_text() == before
+
+
+def test_a_log_from_elsewhere_is_left_alone(tmp_path):
+    (tmp_path / "data" / "demo").mkdir(parents=True)
+    log = tmp_path / "data" / "demo" / "log.csv"
+    log.write_text("sample_id\nmine\n")
+    with pytest.raises(BadInput, match="was not written by the virtual rig"):
+        run(plan_of(tmp_path, 1), tmp_path / "data", ROOT / "workflow")
+    assert log.read_text() == "sample_id\nmine\n"
