@@ -1,11 +1,12 @@
 #!/usr/bin/env bash
-# A real Slurm cluster on the loopback address, for tests: one node, no accounting, no systemd.
+# A real Slurm cluster on the loopback address, for tests and trials: one node, no accounting, no systemd.
 # Usage: envs/slurm-cluster.sh ACTION FOLDER [munged|slurmctld|slurmd]
 #   start   write FOLDER/slurm.conf, start the daemons, wait until the node takes work; or start one daemon again
 #   stop    end the daemons by the process ids recorded in FOLDER/pids
 #   kill    end one daemon at once (KILL), as a crash would
 #   lose    lose the whole node: slurmd and every task on it, at once
-# Settings from the environment: SLURM_CPUS (cores), SLURM_MEMORY_MB, SLURM_EXTRA (lines for slurm.conf).
+# Settings from the environment: SLURM_CPUS and SLURM_MEMORY_MB (both the machine's own), SLURM_EXTRA (lines for slurm.conf).
+# Then: SLURM_CONF=FOLDER/slurm.conf make … EXECUTOR=slurm SLURM_PROFILE=envs/slurm-cluster.toml
 # FOLDER must be short: the path of a Unix socket in it ends at about 100 characters.
 set -euo pipefail
 PATH=$PATH:/usr/sbin:/sbin
@@ -52,7 +53,7 @@ BatchStartTimeout=1
 MaxJobCount=200000
 SlurmdParameters=config_overrides
 ${SLURM_EXTRA:-}
-NodeName=$host NodeAddr=127.0.0.1 CPUs=${SLURM_CPUS:-2} RealMemory=${SLURM_MEMORY_MB:-4000} State=UNKNOWN
+NodeName=$host NodeAddr=127.0.0.1 CPUs=${SLURM_CPUS:-$(nproc)} RealMemory=${SLURM_MEMORY_MB:-$(free -m | awk '/^Mem/ {print $2}')} State=UNKNOWN
 PartitionName=main Nodes=$host Default=YES MaxTime=INFINITE State=UP
 CONF
 }

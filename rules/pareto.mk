@@ -21,7 +21,7 @@ $(PARETO_MESH_FILES): $D/pareto/meshes/%.npz: $P/pareto_meshes.json
 $(PARETO_FILES): $D/pareto/scenes/%.json: $P/scenes/%.json $P/pareto.json $P/sensors.json $(PARETO_MESH_FILES)
 	$(call step,$(PARETO_SCENE) --meshes $D/pareto/meshes --out $@.part)
 
-$(PARETO_QUICK_FILES): $D/pareto/quick/%.json: $P/scenes/%.json $P/pareto.json $P/sensors.json $(MESH_FILES)
+$(PARETO_QUICK_FILES): $D/pareto/quick/%.json: $P/scenes/%.json $P/pareto.json $P/sensors.json $(MESH_FILES) | $(call barrier,20_meshes)
 	$(call step,$(PARETO_SCENE) --set quick --meshes $D/20_meshes --out $@.part)
 
 $D/pareto/pareto.json: $(PARETO_FILES)

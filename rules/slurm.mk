@@ -8,7 +8,7 @@ test: $(SLURM_FOUND)
 
 .PHONY: test-slurm slurm-cancel
 test-slurm: $(SETUP) $(SLURM_FOUND)  ## tests of EXECUTOR=slurm on a real cluster of one node, started and stopped here
-	@$(PY) -m pytest -m slurm tests/workflow
+	@$(PY) -m pytest tests/workflow/test_slurm.py tests/workflow/test_slurm_parts.py
 
 benchmark-slurm: $(SLURM_FOUND)
 

@@ -34,7 +34,7 @@ from gelforge.slurm_client import (
     queue,
 )
 from gelforge.slurm_lock import at_work, become_only_make, hold
-from gelforge.slurm_profile import Profile, read_profile
+from gelforge.slurm_profile import PUBLISHED, Profile, read_profile
 from gelforge.slurm_record import Batch, Record, Results, Task, counted, records, report, show, tail
 from gelforge.step import die_with_parent
 
@@ -364,7 +364,7 @@ def main(argv=None) -> int:
     parser = argparse.ArgumentParser(prog="gelforge.slurm", description=__doc__.splitlines()[0])
     parser.add_argument("action", choices=["attend", "flush", "run", "cancel"])
     parser.add_argument("--results", type=Path, required=True, help="results/DATASET")
-    parser.add_argument("--profile", type=Path, default=Path("workflow/slurm.toml"))
+    parser.add_argument("--profile", type=Path, default=PUBLISHED)
     parser.add_argument("--stage", default="", help="flush: the stage whose tasks make collected")
     parser.add_argument("--make", type=int, default=0, help="attend: process id of make")
     parser.add_argument("--detach", action="store_true", help="an interrupt leaves work running")

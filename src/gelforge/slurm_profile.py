@@ -2,9 +2,12 @@
 
 import math
 from dataclasses import dataclass, fields
+from pathlib import Path
 
 from gelforge.config import read_toml
 from gelforge.errors import BadInput
+
+PUBLISHED = Path("workflow/slurm.toml")
 
 
 @dataclass(frozen=True)
@@ -80,12 +83,17 @@ def checked(table: dict, where: str) -> dict:
 
 
 def read_profile(path, stage: str) -> Profile:
-    """Return the profile of `stage` (`30_fea` reads [default], then [fea]); BadInput names what is wrong."""
-    tables = read_toml(path)
-    default = checked(tables.get("default", {}), f"{path}: default")
-    missing = [field.name for field in fields(Profile) if field.name not in default]
+    """Return the profile of `stage`: `30_fea` reads [default], then [fea]; BadInput names what is wrong.
+
+    A file of one's own says only what differs from PUBLISHED.
+    """
+    name, values = stage.lstrip("0123456789_"), {}
+    files = dict.fromkeys([PUBLISHED, Path(path)])
+    tables = {file: read_toml(file) for file in files}
+    for table in ("default", name):
+        for file in files:
+            values.update(checked(tables[file].get(table, {}), f"{file}: {table}"))
+    missing = [field.name for field in fields(Profile) if field.name not in values]
     if missing:
-        raise BadInput(f"{path}: [default] lacks {', '.join(missing)}; workflow/slurm.toml as published has them all")
-    name = stage.lstrip("0123456789_")
-    own = checked(tables.get(name, {}), f"{path}: {name}")
-    return Profile(**{**default, **own})
+        raise BadInput(f"{PUBLISHED}: [default] lacks {', '.join(missing)}; take them from the published file")
+    return Profile(**values)

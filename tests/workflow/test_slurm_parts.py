@@ -53,7 +53,8 @@ def test_cause(state, status, reason, output, cause):
     assert cause_of(state, status, reason, output)[0] == cause
 
 
-def test_remedies_are_bounded_and_fit_the_cause():
+def test_remedies_are_bounded_and_fit_the_cause(monkeypatch):
+    monkeypatch.chdir(ROOT)
     profile = dataclasses.replace(
         read_profile(PROFILE, "30_fea"),
         memory_max_mb=300,
@@ -88,8 +89,9 @@ def look(record: Record) -> list[tuple]:
 
 
 def test_a_result_that_shows_late_is_waited_for_and_one_that_never_shows_is_not(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+    monkeypatch.chdir(ROOT)
     profile = dataclasses.replace(read_profile(PROFILE, "30_fea"), visible_seconds=0.3)
+    monkeypatch.chdir(tmp_path)
     task = Task("results/lab/30_fea/0.csv", "c", 100, 10, runs=1, where="b/1")
     record = Record(tmp_path / "r.json", "30_fea", [task], [Batch("b", "7", [[0]])])
     gone: dict = {}
@@ -114,12 +116,30 @@ def test_a_file_without_all_its_bytes_is_no_result(tmp_path, monkeypatch, text):
     assert not results.there("results/lab/30_fea/0.csv")
 
 
-def test_a_stage_overrides_the_default_profile(tmp_path):
-    path = tmp_path / "slurm.toml"
-    path.write_text(PROFILE.read_text() + '[labels]\noptions = ["--qos=short"]\nmemory_mb = 7\n')
-    assert read_profile(path, "50_labels").sbatch_options(7, 3)[-3:] == ["--mem=7M", "--time=3", "--qos=short"]
-    assert "--gres=gpu:1" in read_profile(path, "70_train").options
+@pytest.fixture
+def own(tmp_path, monkeypatch):
+    """Write a profile of one's own beside the published one."""
+    monkeypatch.chdir(ROOT)
+
+    def write(text: str) -> Path:
+        path = tmp_path / "slurm.toml"
+        path.write_text(text)
+        return path
+
+    return write
+
+
+def test_a_stage_overrides_the_default_and_an_own_file_the_published_one(own):
+    path = own('[default]\ncores = 3\nmemory_mb = 9\n[labels]\noptions = ["--qos=short"]\nmemory_mb = 7\n')
+    profile = read_profile(path, "50_labels")
+    asked = profile.sbatch_options(profile.memory_mb, 3)
+    assert asked[-4:] == ["--cpus-per-task=3", "--mem=7M", "--time=3", "--qos=short"]
+    # A stage's own table is narrower than [default], whichever file it stands in.
+    train = read_profile(path, "70_train")
+    assert "--gres=gpu:1" in train.options and train.cores == 4
     assert read_profile(path, "calibrate") == read_profile(path, "40_forces")
+    local = read_profile(ROOT / "envs" / "slurm-cluster.toml", "70_train")
+    assert local.options == [] and local.cores == 1
 
 
 @pytest.mark.parametrize(
@@ -132,9 +152,8 @@ def test_a_stage_overrides_the_default_profile(tmp_path):
         ("poll_seconds = true", "a number is needed"),
     ],
 )
-def test_a_wrong_profile_is_named(tmp_path, line, words):
-    path = tmp_path / "slurm.toml"
-    path.write_text(PROFILE.read_text() + f"[labels]\n{line}\n")
+def test_a_wrong_profile_is_named(own, line, words):
+    path = own(f"[labels]\n{line}\n")
     with pytest.raises(BadInput, match=re.escape(words)):
         read_profile(path, "50_labels")
 
@@ -172,7 +191,7 @@ def test_whatever_reads_a_collected_stage_waits_for_its_barrier(tmp_path):
     data = project / "data" / "tiny"
     write_text(data / "log.csv", "sample_id,indenter\ns1,sphere_15\ns2,sphere_15\n")
     write_text(data / "dataset.toml", 'sensor = "feats"\ngel = "g"\n')
-    done = make(project, "-np", "DATASET=tiny", "EXECUTOR=slurm", "labels", "report", "calibrate")
+    done = make(project, "-np", "DATASET=tiny", "EXECUTOR=slurm", "report", "calibrate", "pareto", "stability")
     graph = prerequisites(done.stdout)
     collected = re.search(r"^COLLECT := (.*)$", done.stdout, re.MULTILINE)[1].split()
     assert any(name.startswith("barrier-30_fea") for name in graph), done.stdout[-2000:]
