@@ -129,7 +129,10 @@ def _no_contact_images(plan, workflow, folder) -> None:
     sensors, looks = load_sensors(workflow / "sensors.toml"), read_looks(workflow / "rig" / "sensors.toml")
     for name in missing:
         camera = Renderer(looks[name], sensors[name].projection, Gel())
-        save_image(folder / "nocontact" / f"{name}.png", camera.image(rng=np.random.default_rng([plan.seed, looks[name].seed])))
+        save_image(
+            folder / "nocontact" / f"{name}.png",
+            camera.image(rng=np.random.default_rng([plan.seed, looks[name].seed])),
+        )
 
 
 def main(argv=None) -> int:

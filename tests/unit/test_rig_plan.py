@@ -98,7 +98,7 @@ def test_every_look_agrees_with_its_sensor():
         markers = sensors[name].markers
         missing = markers["rows"] * markers["cols"] - len(look.dots)
         assert 0 <= missing <= 2
-        # misprints of half a pixel average out; a missing outer dot shifts the mean by 4 pitches of 33 px over 62 dots
+        # misprints of half a pixel average out; a missing outer dot shifts the mean by 4 pitches of 33 px in 62
         assert np.abs(look.dots.mean(axis=0) - markers["centre_px"]).max() < 0.5 + 2.2 * missing
         assert look.diameter == pytest.approx(markers["diameter_px"])
 

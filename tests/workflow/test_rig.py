@@ -63,7 +63,10 @@ def test_growth_appends_and_repeats_nothing_and_equals_a_fresh_run(two, tmp_path
     image = cv2.imread(str(gone))
     gone.unlink()
     plan = plan_of(tmp_path, 3)
-    assert main(["--plan", str(plan), "--data", str(two.parent), "--workflow", str(ROOT / "workflow"), "--jobs", "2"]) == 0
+    assert (
+        main(["--plan", str(plan), "--data", str(two.parent), "--workflow", str(ROOT / "workflow"), "--jobs", "2"])
+        == 0
+    )
     after = (two / "log.csv").read_text()
     assert after.startswith(before)
     assert len(after.splitlines()) == 4

@@ -27,7 +27,7 @@ from gelforge.virtualrig.render import Pressed, Renderer
 from gelforge.virtualrig.surface import field_of
 
 REFERENCE_UNIT = "mini_a"
-# The real cuboid's log is not published: depth and corners are, the sideways path is read off its dots (3 px along u).
+# The real cuboid's log is not published: depth and corners are; the sideways path is read off its dots (3 px in u).
 CUBOID = Order(0, "cuboid", "", REFERENCE_UNIT, "cuboid_10", 0.0, 0.0, 2.284, (0.0, -0.25), 0.0, 1e9)
 MOVED_PX = 2.0  # misprints of real dots are 1 px; a dot that stands off the grid by more than this was moved
 
@@ -43,7 +43,11 @@ class Rig:
     @classmethod
     def of(cls, plan_path, workflow: Path) -> "Rig":
         plan = read_plan(plan_path)
-        gel, sensors, looks = Gel(), load_sensors(workflow / "sensors.toml"), read_looks(workflow / "rig" / "sensors.toml")
+        gel, sensors, looks = (
+            Gel(),
+            load_sensors(workflow / "sensors.toml"),
+            read_looks(workflow / "rig" / "sensors.toml"),
+        )
         names = dict.fromkeys([REFERENCE_UNIT, *plan.sensors])
         cameras = {name: Renderer(looks[name], sensors[name].projection, gel) for name in names}
         return cls(plan, Bench(plan, load_catalogue(workflow / plan.catalogue), gel), cameras)
@@ -83,7 +87,9 @@ def speed(rig: Rig, count: int = 8) -> tuple[list[Figure], list[Pressing]]:
     for k in range(rounds):
         camera.image(*view, np.random.default_rng(k))
     rate = rounds / (time.process_time() - start)
-    note = f"processor time on one core, {count} presses of {rig.plan.dataset}.toml, {warm.shape[1]} x {warm.shape[0]}"
+    note = (
+        f"processor time on one core, {count} presses of {rig.plan.dataset}.toml, {warm.shape[1]} x {warm.shape[0]}"
+    )
     return [
         Figure("one press simulated and rendered, mean", float(np.mean(seconds)), "<=", 3.0, "s", note),
         Figure("one press simulated and rendered, slowest", max(seconds), "<=", 3.0, "s", note),
@@ -101,8 +107,17 @@ def likeness(rig: Rig, reference: Path) -> list[Figure]:
         Figure("dots found", ours.grid.count, "==", 63, "", f"{note}: {real.grid.count} in the real one"),
         Figure("dot pitch, difference", pitch.max(), "<=", 0.5, "px", note),
         Figure("dot diameter, difference", diameter, "<=", 1.0, "px", f"{note}: {real.grid.diameter:.2f} px"),
-        Figure("mean colour, largest difference", np.abs(ours.colour - real.colour).max(), "<=", 8.0, "grey levels", note),
-        Figure("smoothed background, least correlation", measure.background_correlation(ours, real).min(), ">=", 0.9, "", note),
+        Figure(
+            "mean colour, largest difference", np.abs(ours.colour - real.colour).max(), "<=", 8.0, "grey levels", note
+        ),
+        Figure(
+            "smoothed background, least correlation",
+            measure.background_correlation(ours, real).min(),
+            ">=",
+            0.9,
+            "",
+            note,
+        ),
         Figure("noise level, largest factor", np.maximum(noise, 1 / noise).max(), "<=", 1.5, "", note),
     ]
 
@@ -124,7 +139,9 @@ def cuboid(rig: Rig, reference: Path) -> list[Figure]:
     camera = rig.cameras[REFERENCE_UNIT]
     corners = read_csv_pixels(reference / "feats" / "point_correspondences.csv")
     wanted = np.array([corners[:, 0].min(), corners[:, 0].max(), corners[:, 1].min(), corners[:, 1].max()])
-    middle = camera.seen(np.array([[pressing.real.x0, pressing.real.y0]]), np.array([[pressing.real.dx, pressing.real.dy, 0.0]]))[0]
+    middle = camera.seen(
+        np.array([[pressing.real.x0, pressing.real.y0]]), np.array([[pressing.real.dx, pressing.real.dy, 0.0]])
+    )[0]
     sides = measure.steepest(camera.height(*rig.view(pressing)), middle)
     shift = middle - [np.mean(wanted[:2]), np.mean(wanted[2:])]
     off = np.abs(sides - wanted - np.repeat(shift, 2))
@@ -151,7 +168,9 @@ def direction_cosines(real: np.ndarray, ours: np.ndarray) -> np.ndarray:
     for image in (real, ours):
         grid = find_markers(image, 7, 9)
         if grid.count != 63:
-            raise BadInput(f"{grid.count} of 63 dots found in a picture of the pressed cuboid; look at make rig-check")
+            raise BadInput(
+                f"{grid.count} of 63 dots found in a picture of the pressed cuboid; look at make rig-check"
+            )
         order = np.lexsort((grid.index[:, 1], grid.index[:, 0]))
         index = grid.index[order]
         outer = (index[:, 0] % 6 == 0) | (index[:, 1] % 8 == 0)
@@ -177,7 +196,16 @@ def tracking(rig: Rig, pressings: list[Pressing]) -> list[Figure]:
     error = np.concatenate(errors)
     note = f"{len(error)} dots in {len(pressings)} pairs that moved up to {moved:.1f} px; "
     note += f"median {np.median(error):.3f}, 95 % below {np.quantile(error, 0.95):.3f}, largest {error.max():.2f}"
-    return [Figure("dots tracked against finite elements, root mean square", float(np.sqrt((error**2).mean())), "<=", 0.15, "px", note)]
+    return [
+        Figure(
+            "dots tracked against finite elements, root mean square",
+            float(np.sqrt((error**2).mean())),
+            "<=",
+            0.15,
+            "px",
+            note,
+        )
+    ]
 
 
 def indenters(rig: Rig, reference: Path) -> list[Figure]:

@@ -62,7 +62,9 @@ class Bench:
         if name not in self._bodies:
             rng = np.random.default_rng(zlib.crc32(name.encode()))
             angle = float(rng.choice([135.0, 45.0])) + rng.normal(scale=2.0)
-            self._bodies[name] = body_of(self.indenters[name], rng.uniform(0.015, 0.03), rng.uniform(0.55, 0.75), angle)
+            self._bodies[name] = body_of(
+                self.indenters[name], rng.uniform(0.015, 0.03), rng.uniform(0.55, 0.75), angle
+            )
         return self._bodies[name]
 
     def press(self, order: Order) -> Pressing:
@@ -138,14 +140,16 @@ class Bench:
         low = np.array([x[sunk > 0].min(), y[sunk > 0].min()])
         high = np.array([x[sunk > 0].max(), y[sunk > 0].max()])
         sizes = np.linspace(0.9 * size, 1.1 * size, 41)
-        misfit = np.abs((high - low)[None] / sizes[:, None] - np.rint((high - low)[None] / sizes[:, None])).max(axis=1)
+        misfit = np.abs((high - low)[None] / sizes[:, None] - np.rint((high - low)[None] / sizes[:, None])).max(
+            axis=1
+        )
         best = float(sizes[np.argmin(misfit)])
         half = np.array([self.gel.width, self.gel.length]) / 2
-        low, high = np.maximum(low - 1.35*best, -half), np.minimum(high + 1.35*best, half)
+        low, high = np.maximum(low - 1.35 * best, -half), np.minimum(high + 1.35 * best, half)
         return FineBox(float(low[0]), float(high[0]), float(low[1]), float(high[1]), best)
 
     def _sunk(self, name: str, press: Press, every: int = 4):
-        """Gel points x, y under the body at the end of the path, how far it is below the flat gel there, cell area."""
+        """Gel points x, y under the body at the end of the path, how far it is below the gel there, cell area."""
         body = self.body(name)
         under = body.height[::every, ::every]
         axis = np.arange(body.height.shape[0])[::every] * body.step - body.reach
@@ -160,7 +164,13 @@ def _path(order: Order, height: float, depth: float, play) -> Press:
     share = depth / order.depth
     dx, dy = order.shear[0] * share, order.shear[1] * share
     return Press(
-        order.x + play[0], order.y + play[1], height + play[2], dx + play[3], dy + play[4], -depth + play[5], order.rot_deg
+        order.x + play[0],
+        order.y + play[1],
+        height + play[2],
+        dx + play[3],
+        dy + play[4],
+        -depth + play[5],
+        order.rot_deg,
     )
 
 

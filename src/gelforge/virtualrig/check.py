@@ -35,8 +35,9 @@ VIDEOS = {
 
 DIFFERENCES = (
     "Real images darken and turn redder as a whole when a hand or an object shades the gel; the rig's light stays. "
-    "Real cuboids show a thin bright and dark line at their outline and wrinkles between the print lines; the rig's flanks are "
-    "soft bands as wide as a brick of its mesh. Real gels carry scratches and specks beside the dots; the rig's are clean. "
+    "Real cuboids show a thin bright and dark line at their outline and wrinkles between the print lines; the rig's "
+    "flanks are soft bands as wide as a brick of its mesh. Real gels carry scratches and specks beside the dots; the "
+    "rig's are clean. "
     "Real dots differ in shape more from one to the next, and some are half worn. Print lines of the rig are even."
 )
 
@@ -72,11 +73,13 @@ def beside_real(rig: Rig, reference: Path) -> list[Section]:
     """No-contact image, cuboid and videos, real on the left."""
     real, ours = no_contact_pair(rig, reference)
     pressing = rig.cuboid
-    still = Section("Without contact").picture(png(real, ours), "Left: real GelSight Mini. Right: the rig's reference unit.")
+    still = Section("Without contact").picture(
+        png(real, ours), "Left: real GelSight Mini. Right: the rig's reference unit."
+    )
     pressed = Section("10 mm cuboid, 2.284 mm deep").picture(
         png(real_cuboid(reference), rig.picture(pressing)),
-        f"Left: real (another unit). Right: the rig, {-pressing.real.dz:.2f} mm of {-pressing.log.dz:.2f} mm left after the frame "
-        f"gave way, {-pressing.force[2]:.0f} N.",
+        f"Left: real (another unit). Right: the rig, {-pressing.real.dz:.2f} mm of {-pressing.log.dz:.2f} mm left "
+        f"after the frame gave way, {-pressing.force[2]:.0f} N.",
     )
     videos = Section("Two other real sensors").text(
         "Objects in the videos are not the rig's indenters; light, dots and the look of edges and texture compare."
@@ -102,7 +105,10 @@ def gallery(rig: Rig, presses: list[Pressing]) -> Section:
 
 def figure_table(figures: list[Figure]) -> Section:
     """The figures as a table, missed ones marked."""
-    rows = [["" if f.met else "missed", f.name, float(f.value), f"{f.compare} {f.goal:g}", f.unit, f.note] for f in figures]
+    rows = [
+        ["" if f.met else "missed", f.name, float(f.value), f"{f.compare} {f.goal:g}", f.unit, f.note]
+        for f in figures
+    ]
     return Section("Figures").table(["", "figure", "measured", "goal", "unit", "note"], rows)
 
 
@@ -122,7 +128,7 @@ def main(argv=None) -> int:
     figures = likeness(rig, given.reference) + cuboid(rig, given.reference) + tracking(rig, some)
     sections = [figure_table(figures), *beside_real(rig, given.reference), gallery(rig, some)]
     sections.append(Section("Where they still differ").text(DIFFERENCES))
-    lead = f"Unit {REFERENCE_UNIT} is fitted to the real no-contact image; every other unit differs from it as real ones do."
+    lead = f"Unit {REFERENCE_UNIT} is fitted to the real no-contact image; the others differ from it as real ones do."
     write_text(given.out, render("virtual rig", lead, sections))
     print(given.out)
     return 0

@@ -8,17 +8,11 @@ import numpy as np
 
 from gelforge.errors import BadInput, GelforgeError
 from gelforge.files import publish, read_csv, read_json, write_csv, write_json, write_text
+from gelforge.log import COLUMNS, FORCES, POSE
 from gelforge.virtualrig.bench import Pressing
 from gelforge.virtualrig.plan import Order, Plan
 
-LOG_COLUMNS = (
-    "sample_id,time_utc,sensor_id,gel_id,indenter,x0_mm,y0_mm,z0_mm,dx_mm,dy_mm,dz_mm,rot_deg,"
-    "fx_n,fy_n,fz_n,mx_nm,my_nm,mz_nm,image"
-).split(",")
-TRUTH_COLUMNS = (
-    "sample_id,status,x0_mm,y0_mm,z0_mm,dx_mm,dy_mm,dz_mm,rot_deg,fx_n,fy_n,fz_n,mx_nm,my_nm,mz_nm,"
-    "newton_iterations,load_steps"
-).split(",")
+TRUTH_COLUMNS = ("sample_id", "status", *POSE, *FORCES, "newton_iterations", "load_steps")
 
 
 class Dataset:
@@ -38,7 +32,9 @@ class Dataset:
         stored = self.folder / "truth" / "truth.json"
         if not stored.exists():
             if self.log:
-                raise BadInput(f"{self.log_path} was not written by the virtual rig; choose another `dataset` in the plan")
+                raise BadInput(
+                    f"{self.log_path} was not written by the virtual rig; choose another `dataset` in the plan"
+                )
             return
         if read_json(stored)["plan"] != self.plan.identity():
             raise BadInput(
@@ -72,7 +68,7 @@ class Dataset:
         write_csv(self.truth_path, TRUTH_COLUMNS, _ordered(self.truth))
         if log_row is not None:
             self.log[order.sample_id] = log_row
-        write_csv(self.log_path, LOG_COLUMNS, _ordered(self.log))
+        write_csv(self.log_path, COLUMNS, _ordered(self.log))
 
 
 def _ordered(rows: dict[str, dict]) -> list[dict]:
@@ -94,9 +90,19 @@ def save_image(path, image: np.ndarray) -> None:
 def log_row(pressing: Pressing, gel_id: str) -> dict:
     """The bench's row: what it was told to do and what its load cell read."""
     order, log = pressing.order, pressing.log
-    values = [log.x0, log.y0, log.z0, log.dx, log.dy, log.dz, log.rot_deg, *pressing.read_force, *pressing.read_moment]
+    values = [
+        log.x0,
+        log.y0,
+        log.z0,
+        log.dx,
+        log.dy,
+        log.dz,
+        log.rot_deg,
+        *pressing.read_force,
+        *pressing.read_moment,
+    ]
     names = [order.sample_id, order.time_utc, order.sensor, gel_id, order.indenter]
-    return dict(zip(LOG_COLUMNS, [*names, *_digits(values), image_name(order)], strict=True))
+    return dict(zip(COLUMNS, [*names, *_digits(values), image_name(order)], strict=True))
 
 
 def truth_row(pressing: Pressing) -> dict:
@@ -111,7 +117,10 @@ def truth_row(pressing: Pressing) -> dict:
 def _digits(values) -> list[str]:
     """Lengths to 0.1 micrometre, forces to 0.1 mN, moments to 1 mN mm; never a negative zero."""
     places = [4] * 10 + [6] * 3
-    return [f"{value + 0.0:.{place}f}".replace("-0." + "0" * place, "0." + "0" * place) for value, place in zip(values, places, strict=True)]
+    return [
+        f"{value + 0.0:.{place}f}".replace("-0." + "0" * place, "0." + "0" * place)
+        for value, place in zip(values, places, strict=True)
+    ]
 
 
 def describe(plan: Plan) -> str:

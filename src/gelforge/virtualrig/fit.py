@@ -24,7 +24,9 @@ def dot_spots(image: np.ndarray, darker: float = 0.72) -> tuple[np.ndarray, np.n
         left, top, width, height, area = stats[k]
         if not 40 <= area <= 500 or max(width, height) > 2.2 * min(width, height):
             continue
-        window = np.s_[max(top - 2, 0) : min(top + height + 2, HEIGHT), max(left - 2, 0) : min(left + width + 2, WIDTH)]
+        window = np.s_[
+            max(top - 2, 0) : min(top + height + 2, HEIGHT), max(left - 2, 0) : min(left + width + 2, WIDTH)
+        ]
         near = cv2.dilate((label[window] == k).astype(np.uint8), np.ones((3, 3)))
         weight = np.clip(1.0 - ratio[window], 0.0, None) * near
         v, u = np.mgrid[window]

@@ -103,7 +103,9 @@ def dots_by_mechanics(camera, result) -> np.ndarray:
     The mean over the dot's area, because a dot's centre in a picture is that of its area.
     """
     radius, angle = np.array([0.2, 0.5, 0.7, 0.87, 0.96]), np.linspace(0, 2 * np.pi, 12, endpoint=False)
-    ring = (camera.look.diameter / 2 * radius[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)).reshape(-1, 2)
+    ring = (
+        camera.look.diameter / 2 * radius[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    ).reshape(-1, 2)
     pixels = (camera.look.dots[:, None] + ring[None]).reshape(-1, 2)
     xy = camera.gel_points(pixels)
     moved = interpolate_surface(result.mesh, result.displacement, xy)

@@ -47,7 +47,9 @@ def _print_dot(cover, fleck, centre, look: Look, rng: np.random.Generator) -> No
     dx, dy = (x - middle[0]) / SUPER, (y - middle[1]) / SUPER
     angle = np.arctan2(dy, dx)
     order = np.arange(2, 7)[:, None, None]
-    rim = (harmonics[0, :, None, None] * np.cos(order * angle) + harmonics[1, :, None, None] * np.sin(order * angle)).sum(0)
+    rim = (
+        harmonics[0, :, None, None] * np.cos(order * angle) + harmonics[1, :, None, None] * np.sin(order * angle)
+    ).sum(0)
     inside = np.clip((look.diameter / 2 * (1.0 + rim) - np.hypot(dx, dy)) * SUPER + 0.5, 0.0, 1.0)
     window = np.s_[y0:y1, x0:x1]
     cover[window] = np.maximum(cover[window], inside)

@@ -20,7 +20,8 @@ class Truth:
     """What the bench does to a press and nobody may read from the log; MPa, mm, N, N m, micrometres.
 
     touch_offset_mm: real height of the tip above the logged one when the log says "touch" (negative: deeper).
-    compliance_mm_per_n: how far frame and gantry give way per newton of normal force, shear_compliance_mm_per_n sideways.
+    compliance_mm_per_n: how far frame and gantry give way per newton of normal force, shear_compliance_mm_per_n
+    sideways.
     force_bias_n, drift_n: constant error of the load cell and how far it wanders over a day.
     """
 
@@ -199,8 +200,8 @@ def _check_kind(kind: Kind, gel: Gel, where: str) -> None:
         reach = max(abs(kind.__dict__[name][0]), abs(kind.__dict__[name][1])) + slide
         if reach > half - EDGE:
             raise BadInput(
-                f"{where}: {name} = {list(getattr(kind, name))} with {slide:.2f} mm of shear reaches {reach:.2f} mm, but the "
-                f"tip must stay within {half - EDGE:.2f} mm of the gel's centre; narrow the range"
+                f"{where}: {name} = {list(getattr(kind, name))} with {slide:.2f} mm of shear reaches {reach:.2f} mm, "
+                f"but the tip must stay within {half - EDGE:.2f} mm of the gel's centre; narrow the range"
             )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from gelforge.geometry.gel import Gel
 from gelforge.mechanics.scene import Press
 from gelforge.virtualrig.looks import HEIGHT, WIDTH, Look
-from gelforge.virtualrig.paint import MARGIN, SUPER, printed, sample_position
+from gelforge.virtualrig.paint import MARGIN, printed, sample_position
 from gelforge.virtualrig.surface import FAR, STEP, Body, Field, body_position, unloaded
 
 TOUCH = 0.05  # mm between the computed surface and the body within which the picture lays one on the other
@@ -55,7 +55,11 @@ class Renderer:
         if pressed is not None:
             height = self._against(height, pressed)
         ink = cv2.remap(
-            self.paint, sample_position(source_u), sample_position(source_v), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT
+            self.paint,
+            sample_position(source_u),
+            sample_position(source_v),
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_REFLECT,
         )
         picture = self.light * (self._shade(height) / self.flat_shade)
         picture *= ink
@@ -92,10 +96,16 @@ class Renderer:
         source = np.stack([self.pixel_u, self.pixel_v], axis=-1)
         target = source.copy()
         for _ in range(ROUNDS):
-            at = cv2.remap(shift, source + np.float32(MARGIN), None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            at = cv2.remap(
+                shift, source + np.float32(MARGIN), None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+            )
             source += np.float32(RELAXATION) * (target - at - source)
         height = cv2.remap(
-            self.top + moved[..., 2], source + np.float32(MARGIN), None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+            self.top + moved[..., 2],
+            source + np.float32(MARGIN),
+            None,
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_REPLICATE,
         )
         return source[..., 0].copy(), source[..., 1].copy(), height
 
