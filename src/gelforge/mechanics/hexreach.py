@@ -6,6 +6,7 @@ from gelforge.mechanics.contact import Pose
 from gelforge.mechanics.hexmesh import FineBox, HexMesh
 from gelforge.mechanics.scene import Scene
 
+SMALLEST = 0.15  # mm, of bricks made smaller for a small contact
 SHEAR_SAMPLES = (1.0, 1.25, 1.5, 1.75, 2.0)
 
 
@@ -53,10 +54,11 @@ def first_touch(scene: Scene, spacing: float = 0.2) -> float | None:
     return float(low)
 
 
-def fine_box(scene: Scene, size: float, margin: float = 0.5, grid: float = 0.5) -> FineBox:
+def fine_box(scene: Scene, size: float, across: int = 0, margin: float = 0.5, grid: float = 0.5) -> FineBox:
     """Part of the gel that the press can touch, rounded outwards to `grid` so that presses share meshes.
 
-    The undeformed surface inside the indenter anywhere on the path, and `margin` mm around it.
+    The undeformed surface inside the indenter anywhere on the path, and `margin` mm around it. Bricks
+    are of `size`, or smaller where the shorter side of what is touched is under `across` bricks.
     """
     points = _surface_grid(scene, 0.2)
     inside = np.zeros(len(points), bool)
@@ -65,6 +67,9 @@ def fine_box(scene: Scene, size: float, margin: float = 0.5, grid: float = 0.5) 
     if not inside.any():
         inside |= _gap(scene, points, 1.0) <= _gap(scene, points, 1.0).min() + 1e-9
     touched = points[inside, :2]
+    if across:
+        shorter = float(np.ptp(touched, axis=0).min())
+        size = min(size, max(SMALLEST, np.round(shorter / across, 2)))
     gel = scene.gel
     half = np.array([gel.width / 2, gel.length / 2])
     low = np.maximum(np.floor((touched.min(axis=0) - margin) / grid) * grid, -half)

@@ -1,0 +1,133 @@
+"""Contact at Gauss points: the rule integrates the surface, springs derive from a potential, friction obeys its bound."""
+
+import numpy as np
+import pytest
+
+from gelforge.geometry.gel import Gel
+from gelforge.mechanics.contact import GLUED, Law, Pose, contact_points, contact_springs
+from gelforge.mechanics.hexmesh import FineBox, build_mesh, graded_lines, interpolate_surface, layer_heights, surface_lines
+
+LAW = Law(penalty=50.0, friction=5.0)
+HERE = Pose(np.eye(3), np.zeros(3))
+
+
+class Floor:
+    """Half space above z = 0, tilted: a body with one flat face."""
+
+    name = "floor"
+    normal = np.array([0.2, -0.1, -1.0]) / np.linalg.norm([0.2, -0.1, -1.0])
+
+    def distance(self, points):
+        return points @ self.normal, np.tile(self.normal, (len(points), 1))
+
+
+@pytest.fixture(scope="module")
+def mesh():
+    return build_mesh(Gel(), FineBox(-3, 3, -2, 2, 1.0), 3)
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 4])
+def test_rule_covers_the_surface(mesh, order):
+    state = contact_points(mesh, order)
+    corners = mesh.nodes[mesh.faces]
+    flat = 0.5 * np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
+    # a warped quad is larger than its projection by the square of its slopes, below 1e-2 in all but the rim
+    assert state.weights.sum() == pytest.approx(np.linalg.norm(flat, axis=1).sum(), rel=5e-3)
+    assert np.allclose(state.shape.sum(axis=1), 1.0)
+
+
+def test_free_points_feel_the_normal_only(mesh):
+    state = contact_points(mesh, 2)
+    x = state.reference + [0, 0, 0.3]
+    springs = contact_springs(state, x, HERE, Floor(), LAW, np.arange(len(x)))
+    assert len(springs.point)
+    assert np.abs(np.cross(springs.traction, Floor.normal)).max() < 1e-12 * np.abs(springs.traction).max()
+
+
+def glued(mesh, bound, seed=0):
+    state, rng = contact_points(mesh, 1), np.random.default_rng(seed)
+    state.status[:] = GLUED
+    state.anchor = state.reference + rng.normal(0, 0.2, state.reference.shape)
+    state.normal = np.tile(Floor.normal, (len(state.status), 1))
+    state.bound[:] = bound
+    state.multiplier = rng.normal(0, 0.3, state.reference.shape)
+    return state, state.reference + [0, 0, 2.0]
+
+
+@pytest.mark.parametrize("bound", [0.0, 0.4, 3.0, np.inf])
+def test_stiffness_is_the_derivative_of_the_traction(mesh, bound):
+    """On a flat face, where the indenter's curvature (left out of the stiffness) is zero."""
+    state, x = glued(mesh, bound)
+    none = np.empty(0, int)
+    springs = contact_springs(state, x, HERE, Floor(), LAW, none)
+    step = np.random.default_rng(1).normal(size=x.shape)
+    h = 1e-6
+    ahead = contact_springs(state, x + h * step, HERE, Floor(), LAW, none).traction
+    behind = contact_springs(state, x - h * step, HERE, Floor(), LAW, none).traction
+    predicted = -np.einsum("pij,pj->pi", springs.stiffness, step[springs.point])
+    # central differences of a smooth law; a point within h of its bound would be off, none is for this seed
+    assert np.abs((ahead - behind) / (2 * h) - predicted).max() < 1e-5 * LAW.penalty
+    assert np.allclose(springs.stiffness, springs.stiffness.transpose(0, 2, 1))
+
+
+@pytest.mark.parametrize("bound", [0.0, 0.2])
+def test_tangential_traction_never_exceeds_its_bound_and_opposes_slip(mesh, bound):
+    state, x = glued(mesh, bound)
+    state.multiplier[:] = 0.0
+    springs = contact_springs(state, x, HERE, Floor(), LAW, np.empty(0, int))
+    tangential = springs.traction - (springs.traction @ Floor.normal)[:, None] * Floor.normal
+    assert np.linalg.norm(tangential, axis=1).max() <= bound + 1e-12 * LAW.penalty * 10  # rounding of the normal part
+    back = state.anchor[springs.point] - x[springs.point]
+    assert np.all(np.einsum("pi,pi->p", tangential, back) >= -1e-12)
+
+
+def test_points_let_go_fade():
+    mesh = build_mesh(Gel(), FineBox(-3, 3, -2, 2, 1.0), 2)
+    state, x = glued(mesh, np.inf)
+    state.let_go(np.array([0, 5]), np.ones((2, 3)))
+    state.go(0.25)
+    springs = contact_springs(state, x - [0, 0, 10], HERE, Floor(), LAW, np.empty(0, int))
+    for point in (0, 5):
+        assert np.allclose(springs.traction[springs.point == point].sum(axis=0), 0.75)
+
+
+# ---- meshes
+
+
+def test_lines_are_fine_inside_and_end_at_the_rim():
+    lines = graded_lines(-10, 12, -2, 3, 0.5)
+    steps = np.diff(lines)
+    assert lines[0] == -10 and lines[-1] == 12 and np.all(steps > 0)
+    inside = (lines[:-1] >= -2 - 1e-9) & (lines[1:] <= 3 + 1e-9)
+    assert np.allclose(steps[inside], 0.5)
+    assert np.all(steps[1:] / steps[:-1] < 2.0) and np.all(steps[:-1] / steps[1:] < 2.0)
+
+
+def test_layers_grow_downwards():
+    heights = layer_heights(5, 3.0)
+    steps = np.diff(heights)
+    assert heights[0] == 0 and heights[-1] == 1 and steps[0] / steps[-1] == pytest.approx(3.0)
+
+
+def test_mesh_fills_the_gel(mesh):
+    from gelforge.mechanics.element import bricks
+
+    gel = Gel()
+    volume = bricks(mesh.nodes, mesh.elements).weights.sum()  # raises where a brick is inverted
+    x, y = np.meshgrid(np.linspace(-10.37, 10.37, 400), np.linspace(-12.62, 12.62, 400))
+    inside = gel.edge_distance(x, y) <= 0
+    exact = (gel.top(x, y) + gel.height)[inside].mean() * inside.mean() * gel.width * gel.length
+    assert volume == pytest.approx(exact, rel=0.02)  # bricks of 2 mm cut the curved rim short
+    assert np.allclose(mesh.nodes[mesh.base][:, 2], -gel.height)
+    top = mesh.nodes[mesh.surface_nodes]
+    assert np.allclose(top[:, 2], gel.top(top[:, 0], top[:, 1]))
+
+
+def test_surface_interpolation_reproduces_bilinear_fields(mesh):
+    xs, ys, _ = surface_lines(mesh)
+    assert np.allclose(xs, mesh.xs) and np.allclose(ys, mesh.ys)
+    rng = np.random.default_rng(0)
+    values = np.stack([mesh.nodes[:, 0] * 2 + mesh.nodes[:, 1], mesh.nodes[:, 1] - 1], axis=1)
+    xy = rng.uniform([-8, -10], [8, 10], (200, 2))  # away from the rounded corners
+    expected = np.stack([xy[:, 0] * 2 + xy[:, 1], xy[:, 1] - 1], axis=1)
+    assert np.allclose(interpolate_surface(mesh, values, xy), expected)

@@ -1,0 +1,176 @@
+"""Bricks with mean dilatation against closed forms of the Neo-Hookean solid."""
+
+import numpy as np
+import pytest
+
+from gelforge.mechanics import element
+from gelforge.mechanics.linear import SuperLU, symmetric_solver
+from gelforge.mechanics.scene import Material
+
+EXACT = 1e-10  # relative; homogeneous fields lie in the element's space, so only rounding is left
+
+
+def distorted_block(n=3, amount=0.25, seed=1):
+    """Unit cube of n^3 bricks whose inner nodes are moved at random: nodes, elements."""
+    grid = np.linspace(0, 1, n + 1)
+    z, y, x = np.meshgrid(grid, grid, grid, indexing="ij")
+    nodes = np.stack([x, y, z], axis=-1).reshape(-1, 3)
+    inner = np.all((nodes > 1e-9) & (nodes < 1 - 1e-9), axis=1)
+    nodes[inner] += np.random.default_rng(seed).uniform(-amount, amount, (inner.sum(), 3)) / n
+    index = np.arange((n + 1) ** 3).reshape(n + 1, n + 1, n + 1)
+    lower = [index[:-1, :-1, :-1], index[:-1, :-1, 1:], index[:-1, 1:, 1:], index[:-1, 1:, :-1]]
+    upper = [index[1:, :-1, :-1], index[1:, :-1, 1:], index[1:, 1:, 1:], index[1:, 1:, :-1]]
+    return nodes, np.stack([a.ravel() for a in lower + upper], axis=1).astype(np.int32), ~inner
+
+
+def forces_of(nodes, elements, u, material):
+    """Nodal forces dE/du (n, 3)."""
+    b = element.bricks(nodes, elements)
+    out = np.zeros_like(u)
+    smallest = element.internal_forces(
+        u, b.elements, b.gradients, b.weights, material.shear_modulus, material.bulk_modulus, out
+    )
+    assert smallest > 0
+    return out
+
+
+def matrix_of(nodes, elements, u, material, fixed=np.empty(0, int)):
+    """Upper-triangle values and pattern of the tangent."""
+    b, pattern = element.bricks(nodes, elements), element.build_pattern(elements, len(nodes), fixed)
+    base, width = element.block_places(pattern, elements)
+    values = np.zeros(len(pattern.indices))
+    element.tangent(
+        u, b.elements, b.gradients, b.weights, material.shear_modulus, material.bulk_modulus, base, width, values
+    )
+    return values, pattern
+
+
+def dense(values, pattern):
+    import scipy.sparse as sp
+
+    n = len(pattern.indptr) - 1
+    upper = sp.csr_matrix((values, pattern.indices, pattern.indptr), (n, n)).toarray()
+    return upper + np.triu(upper, 1).T
+
+
+def first_piola(f, material):
+    """P = dW/dF of W = C10 (I1bar - 3) + (J - 1)^2 / D1."""
+    j, inverse = np.linalg.det(f), np.linalg.inv(f).T
+    isochoric = material.shear_modulus * j ** (-2 / 3) * (f - np.sum(f * f) / 3 * inverse)
+    return isochoric + material.bulk_modulus * (j - 1) * j * inverse
+
+
+def solve_inner(nodes, elements, u, fixed, material):
+    """Newton on the nodes that are not fixed; returns u and the residual norms."""
+    free = np.setdiff1d(np.arange(len(nodes)), fixed)
+    norms = []
+    for _ in range(12):
+        residual = forces_of(nodes, elements, u, material)[free]
+        norms.append(np.linalg.norm(residual))
+        if norms[-1] < 1e-14:
+            break
+        values, pattern = matrix_of(nodes, elements, u, material, fixed)
+        solver = SuperLU(pattern.indptr, pattern.indices)
+        solver.factorise(values)
+        u = u.copy()
+        u[free] -= solver.solve(residual.ravel()).reshape(-1, 3)
+    return u, norms
+
+
+DEFORMATIONS = {
+    "uniaxial": np.diag([1.25, 0.9, 0.9]),
+    "simple shear": np.array([[1, 0.4, 0], [0, 1, 0], [0, 0, 1.0]]),
+    "confined compression": np.diag([1, 1, 0.9]),
+    "mixed": np.array([[1.1, 0.1, -0.05], [0.02, 0.95, 0.08], [0.0, 0.1, 0.97]]),
+}
+
+
+@pytest.mark.parametrize("nu", [0.3, 0.475, 0.499])
+@pytest.mark.parametrize("name", DEFORMATIONS)
+def test_patch_and_closed_forms(name, nu):
+    """Inner nodes of a distorted block find the homogeneous state; boundary forces are P N."""
+    nodes, elements, boundary = distorted_block()
+    material, f = Material(nu=nu), DEFORMATIONS[name]
+    exact = nodes @ (f - np.eye(3)).T
+    start = np.where(boundary[:, None], exact, exact + 0.01 * (nodes > 2))
+    start[~boundary] *= 0.97
+    u, _ = solve_inner(nodes, elements, start, np.flatnonzero(boundary), material)
+    assert np.abs(u - exact).max() < 1e-9  # Newton stops at rounding of forces, which stiff nu magnifies
+    forces = forces_of(nodes, elements, u, material)
+    stress = first_piola(f, material)
+    for axis in range(3):  # the resultant over a face of unit area is a column of P
+        # an edge node shares its force between faces, so the first moment is compared: sum f x^T = V P
+        moment = forces.T @ nodes[:, axis]
+        assert np.abs(moment - stress[:, axis]).max() < EXACT * np.abs(stress).max() * 100
+
+
+def test_closed_forms_by_hand():
+    """P of the law itself against textbook results, so that the comparison above is no circle."""
+    m = Material(nu=0.475)
+    mu, kappa = m.shear_modulus, m.bulk_modulus
+    shear = first_piola(DEFORMATIONS["simple shear"], m)
+    assert shear[0, 1] == pytest.approx(mu * 0.4, rel=1e-12)  # tau = mu gamma
+    lam = 0.9
+    confined = first_piola(np.diag([1, 1, lam]), m)[2, 2]
+    hand = mu * lam ** (-2 / 3) * (lam - (2 + lam**2) / (3 * lam)) + kappa * (lam - 1)
+    assert confined == pytest.approx(hand, rel=1e-12)
+    small = first_piola(np.diag([1 + 1e-6, 1, 1]), m)[0, 0] / 1e-6
+    assert small == pytest.approx(kappa + 4 * mu / 3, rel=1e-5)  # oedometric modulus, to first order in the strain
+
+
+def test_rigid_rotation_gives_no_force():
+    nodes, elements, _ = distorted_block()
+    a, b = np.deg2rad(70), np.deg2rad(-40)
+    rx = np.array([[1, 0, 0], [0, np.cos(a), -np.sin(a)], [0, np.sin(a), np.cos(a)]])
+    rz = np.array([[np.cos(b), -np.sin(b), 0], [np.sin(b), np.cos(b), 0], [0, 0, 1]])
+    u = nodes @ (rx @ rz - np.eye(3)).T + [0.3, -2.0, 1.0]
+    material = Material(nu=0.499)
+    # the stiffest modulus times area sets the size of rounding
+    assert np.abs(forces_of(nodes, elements, u, material)).max() < 1e-12 * material.bulk_modulus
+
+
+def test_tangent_is_the_derivative_of_the_forces():
+    nodes, elements, _ = distorted_block(2)
+    material, rng = Material(nu=0.49), np.random.default_rng(4)
+    u = 0.05 * rng.normal(size=nodes.shape)
+    direction = rng.normal(size=nodes.shape)
+    k = dense(*matrix_of(nodes, elements, u, material)) @ direction.ravel()
+    h = 1e-5
+    ahead, behind = (forces_of(nodes, elements, u + s * h * direction, material).ravel() for s in (1, -1))
+    # central differences: error h^2 times the third derivative, far below 1e-6 of the stiffness
+    assert np.abs(k - (ahead - behind) / (2 * h)).max() < 1e-6 * np.abs(k).max()
+
+
+def test_newton_converges_quadratically():
+    nodes, elements, boundary = distorted_block()
+    f = DEFORMATIONS["mixed"]
+    start = nodes @ (f - np.eye(3)).T
+    start[~boundary] *= 0.7
+    _, norms = solve_inner(nodes, elements, start, np.flatnonzero(boundary), Material(nu=0.475))
+    orders = [np.log(c / b) / np.log(b / a) for a, b, c in zip(norms, norms[1:], norms[2:]) if c > 1e-13]
+    assert max(orders) > 1.8  # 2 in theory; rounding spoils the last pair
+
+
+def test_no_locking_near_incompressibility():
+    """A bonded block pressed flat: its force hardly knows nu, a locking brick answers with the bulk modulus."""
+    nodes, elements, _ = distorted_block(4, amount=0.0)
+    fixed = np.flatnonzero((nodes[:, 2] < 1e-9) | (nodes[:, 2] > 1 - 1e-9))
+    answers = []
+    for nu in (0.475, 0.499):
+        u, _ = solve_inner(nodes, elements, nodes * [0, 0, -0.01], fixed, Material(nu=nu))
+        answers.append(forces_of(nodes, elements, u, Material(nu=nu))[nodes[:, 2] > 1 - 1e-9, 2].sum())
+    # a bonded unit cube is stiffened by incompressibility by a few per cent only (its sides are free)
+    assert answers[1] / answers[0] == pytest.approx(1.0, abs=0.12)
+
+
+def test_both_factorisations_agree():
+    nodes, elements, _ = distorted_block(3)
+    material, fixed = Material(nu=0.475), np.flatnonzero(nodes[:, 2] < 1e-9)
+    values, pattern = matrix_of(nodes, elements, np.zeros_like(nodes), material, fixed)
+    b = np.random.default_rng(0).normal(size=len(pattern.indptr) - 1)
+    answers = []
+    for solver in (symmetric_solver(pattern.indptr, pattern.indices), SuperLU(pattern.indptr, pattern.indices)):
+        solver.factorise(values)
+        answers.append(solver.solve(b))
+    # PARDISO's factors are single precision: 1e-7 times a condition number of about 1e3
+    assert np.linalg.norm(answers[0] - answers[1]) < 1e-4 * np.linalg.norm(answers[1])
