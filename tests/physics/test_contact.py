@@ -1,11 +1,18 @@
-"""Contact at Gauss points: the rule integrates the surface, springs derive from a potential, friction obeys its bound."""
+"""Contact at Gauss points: the rule integrates the surface, springs have a potential, friction is bounded."""
 
 import numpy as np
 import pytest
 
 from gelforge.geometry.gel import Gel
 from gelforge.mechanics.contact import GLUED, Law, Pose, contact_points, contact_springs
-from gelforge.mechanics.hexmesh import FineBox, build_mesh, graded_lines, interpolate_surface, layer_heights, surface_lines
+from gelforge.mechanics.hexmesh import (
+    FineBox,
+    build_mesh,
+    graded_lines,
+    interpolate_surface,
+    layer_heights,
+    surface_lines,
+)
 
 LAW = Law(penalty=50.0, friction=5.0)
 HERE = Pose(np.eye(3), np.zeros(3))

@@ -26,7 +26,8 @@ class ContactState:
     undeformed position. weights: (m,) mm^2. status: (m,) FREE, TOUCHING or GLUED.
     anchor: (m, 3) where a glued point is held, in the indenter's frame (nan elsewhere).
     normal: (m, 3) the indenter's outward normal there, in its frame. bound: (m,) largest tangential
-    traction (inf: no slip). multiplier: (m, 3) tangential traction carried at no stretch (Coulomb only). position: (m, 3) deformed. traction: (m, 3) on the gel.
+    traction (inf: no slip). multiplier: (m, 3) tangential traction carried at no stretch (Coulomb only).
+    position: (m, 3) deformed. traction: (m, 3) on the gel.
     goal: (m, 3) where anchors are on their way to; fading: (m, 3) what is left of the traction of
     points let go (both only differ from anchor and zero while a path is walked).
     """

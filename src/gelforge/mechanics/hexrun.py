@@ -5,7 +5,6 @@ import numpy as np
 from gelforge.errors import BadInput, SolveFailed
 from gelforge.mechanics import element
 from gelforge.mechanics.contact import (
-    FREE,
     GLUED,
     TOUCHING,
     FacePlaces,
@@ -172,7 +171,8 @@ class Run:
     def _out_of_balance(self, u, pose):
         """Nodal residual (n, 3) and contact springs; sets `residual` relative to the contact force."""
         forces = self._internal(u)
-        springs = contact_springs(self.state, self._points(u), pose, self.scene.indenter, self.contact, self.candidates)
+        x, indenter = self._points(u), self.scene.indenter
+        springs = contact_springs(self.state, x, pose, indenter, self.contact, self.candidates)
         self.system.faces.add_forces(self.state, springs, forces)
         scale = float(self.state.weights[springs.point] @ np.linalg.norm(springs.traction, axis=1))
         self.residual = float(np.linalg.norm(forces[self.system.free])) / max(scale, 1e-9 * self.moduli[0])
@@ -269,7 +269,7 @@ class Run:
         Within a solve tangential tractions are bounded by mu times the pressure of the solve before
         (Tresca) and stretch their springs; between solves bounds and multipliers follow.
         """
-        s, state = self.settings, self.state
+        s = self.settings
         self.friction_error = self._follow_pressure(pose)
         for _ in range(s.friction_rounds):
             if self.friction_error < s.friction_tolerance and not self._pending():
