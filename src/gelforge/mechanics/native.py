@@ -60,8 +60,9 @@ def native_deck(scene: Scene, mesh: GelMesh, nodes: np.ndarray, tets: np.ndarray
     lines += [f"{n + i},{x:.9e},{y:.9e},{z:.9e}" for i, (x, y, z) in enumerate(placed.tolist(), 1)]
     lines.append("*ELEMENT, TYPE=C3D4, ELSET=EIND")
     lines += [f"{e + i}," + ",".join(str(n + c + 1) for c in tet) for i, tet in enumerate(tets.tolist(), 1)]
-    lines += ["*MATERIAL, NAME=INDENTER", "*ELASTIC", "210000., 0.3", "*SOLID SECTION, ELSET=EIND, MATERIAL=INDENTER"]
+    # The gel comes first: the penalty that CalculiX falls back to is 50 times the first material's first constant.
     lines += material_lines(scene.material)
+    lines += ["*MATERIAL, NAME=INDENTER", "*ELASTIC", "210000., 0.3", "*SOLID SECTION, ELSET=EIND, MATERIAL=INDENTER"]
     lines.append("*SURFACE, NAME=SGEL, TYPE=ELEMENT")
     lines += [f"{i},S{s}" for i, s in element_faces(mesh.elements[:, :4], mesh.faces[:, :3])]
     from gelforge.mechanics.tet import boundary_faces
