@@ -6,6 +6,7 @@
 import argparse
 import hashlib
 import time
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ import numpy as np
 from gelforge.charting.cases import FACTORS, Case, row_cases
 from gelforge.charting.errors import total_error
 from gelforge.charting.measure import NOT_SOLVER, kept, solve_isolated
-from gelforge.charting.methods import Method, prepare
+from gelforge.charting.methods import Method, hex_settings, prepare
 from gelforge.config import canonical
 from gelforge.files import publish, read_json, write_csv, write_json
 from gelforge.mechanics.ccx_run import need_ccx
@@ -29,9 +30,17 @@ COLUMNS = ("row", "fidelity", "kind", "depth", "shear", "place", "nu", "size", "
 def case_key(case: Case, params: dict) -> str:
     """Digest of all that a case's result depends on."""
     parts = [case.describe(), params["version"]]
-    if case.fidelity != "hex":
+    if case.fidelity == "hex":
+        parts.append(asdict(hex_settings(case_method(case, params))))
+    else:
         parts += [params["meshes"], {k: v for k, v in params["fea"].items() if k not in NOT_SOLVER}]
     return hashlib.sha256(canonical(parts).encode()).hexdigest()
+
+
+def case_method(case: Case, params: dict) -> Method:
+    """How a case is solved."""
+    layers = params["stability"]["layers"].get(str(case.size), 6)
+    return Method("case", case.fidelity, case.size, layers, case.steps)
 
 
 def case_file(case: Case, params: dict, folder: Path) -> tuple[Path, str]:
@@ -45,8 +54,7 @@ def solve_case(case: Case, params: dict, meshes: Path, folder: Path) -> dict:
     path, key = case_file(case, params, folder)
     record = kept(path, key)
     if record is None:
-        layers = params["stability"]["layers"].get(str(case.size), 6)
-        method = Method("case", case.fidelity, case.size, layers, case.steps)
+        method = case_method(case, params)
         scene = case.scene
 
         def make(work):

@@ -15,7 +15,7 @@ from gelforge.binning.operator import assemble
 from gelforge.binning.sensor import Sensor
 from gelforge.charting import meshes
 from gelforge.charting.isolate import Clock, isolated, peak_mib
-from gelforge.charting.methods import REFERENCE, Method, prepare, warm_up
+from gelforge.charting.methods import REFERENCE, Method, hex_settings, prepare, warm_up
 from gelforge.charting.scenes import NamedScene
 from gelforge.config import canonical
 from gelforge.errors import BadInput
@@ -46,7 +46,7 @@ class Bench:
     def _settings(self, scene, method) -> list:
         p = self.params
         if method.fidelity == "hex" and method.name != "hex-label":
-            return []
+            return [asdict(hex_settings(method))]
         if method.fidelity == REFERENCE:
             steps = {key: p["pareto"]["reference"][key] for key in ("press_steps", "shear_steps")}
             return [steps, p["pareto"]["regions"].get(scene.fine), p["meshes"], _solver_settings(p["fea"])]

@@ -12,17 +12,6 @@ from gelforge.mechanics.scene import Scene
 from gelforge.meshes import MeshFamily, MeshName, choose_mesh, make_mesh, required_meshes, sizing
 
 
-class Subset(MeshFamily):
-    """A family of some meshes of a folder; the rest is not there for whoever chooses."""
-
-    def __init__(self, folder, names):
-        super().__init__(folder)
-        missing = sorted(set(names) - set(self.reports))
-        if missing:
-            raise BadInput(f"{folder}: meshes {', '.join(missing)} are missing; run make pareto-meshes")
-        self.reports = {name: self.reports[name] for name in names}
-
-
 def label_meshes(params: dict) -> list[str]:
     """Names of the meshes on which labels are made, tetrahedra and bricks."""
     return required_meshes(params["fea"] | {"fidelity": "ccx"}, params["meshes"])
@@ -81,7 +70,7 @@ def need_mesh(name: str, folder: Path, params: dict) -> Path:
 def density_mesh(scene: Scene, folder: Path, params: dict, size: float) -> str:
     """The mesh of one density that a press would be given among the label regions."""
     names = [f"ccx-{region}-{size}" for region in params["meshes"]["regions"]]
-    return choose_mesh(scene, Subset(folder, names), "ccx")
+    return choose_mesh(scene, MeshFamily(folder, names), "ccx")
 
 
 def report_of(folder: Path, name: str) -> dict:

@@ -7,8 +7,10 @@ from pathlib import Path
 from gelforge.charting import meshes
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.scene import Result, Scene
+from gelforge.meshes import MeshFamily
 
 LABEL_METHODS = ("hex", "ccx", "auto")
+QUALITIES = ("demo", "label", "fine")  # of gelforge.mechanics.hex: their bricks follow the press
 REFERENCE, HALVED = "ccx-fine", "ccx-fine-halved"
 
 
@@ -40,7 +42,8 @@ def every_method(pareto: dict) -> list[Method]:
     bricks = [hex_method(size, layers, n) for size, layers in sizes for n in steps]
     tets = [Method(f"ccx-{size:g}-{n}", "ccx", size, steps=n) for size in pareto["ccx_sizes_mm"] for n in steps]
     native = [Method(f"ccx-native-{size:g}", "ccx-native", size) for size in pareto["native_sizes_mm"]]
-    return [Method("hex-demo", "hex"), *label, *bricks, *tets, *native, Method(REFERENCE, REFERENCE)]
+    qualities = [Method(f"hex-{quality}-quality", "hex") for quality in QUALITIES]
+    return [*qualities, *label, *bricks, *tets, *native, Method(REFERENCE, REFERENCE)]
 
 
 def quick_methods(quick: dict, with_ccx: bool) -> list[Method]:
@@ -71,7 +74,7 @@ def prepare(
 
     fine: region of the reference mesh. folder: meshes. work: an empty folder for CalculiX' files.
     """
-    if method.fidelity == "hex" and (method.size or method.name == "hex-demo"):
+    if method.fidelity == "hex" and method.name != "hex-label":
         return _prepare_hex(method, scene)
     if method.size is None and method.fidelity in LABEL_METHODS:
         return _prepare_label(method, scene, folder, params, work)
@@ -80,14 +83,21 @@ def prepare(
     return _prepare_ccx(method, scene, fine, folder, params, work)
 
 
-def _prepare_hex(method, scene):
-    from gelforge.mechanics.hex import QUALITIES, HexSettings, HexSolver
+def hex_settings(method: Method):
+    """Settings of a method that runs the in-process solver with bricks that follow the press."""
+    from gelforge.mechanics import hex as engine
 
-    settings = QUALITIES["demo"]
-    if method.size:
-        settings = HexSettings(size=method.size, layers=method.layers, press_steps=method.steps,
-                               shear_steps=(method.steps + 1) // 2)  # fmt: skip
-    solver = HexSolver(settings)
+    if method.size is None:
+        return engine.QUALITIES[method.name.removeprefix("hex-").removesuffix("-quality")]
+    # `across` would shrink the bricks under small contacts: a density series holds their size
+    return engine.HexSettings(size=method.size, layers=method.layers, press_steps=method.steps,
+                              shear_steps=(method.steps + 1) // 2, across=0)  # fmt: skip
+
+
+def _prepare_hex(method, scene):
+    from gelforge.mechanics.hex import HexSolver
+
+    solver = HexSolver(hex_settings(method))
 
     def run():
         result = solver.solve(scene)
@@ -102,7 +112,7 @@ def _prepare_label(method, scene, folder, params, work):
     names = meshes.label_meshes(params)
     if method.fidelity == "hex":
         names = [name for name in names if name.startswith("hex-")]
-    solvers = Solvers(meshes.Subset(folder, names), work, FeaSettings.from_table(params["fea"]))
+    solvers = Solvers(MeshFamily(folder, names), work, FeaSettings.from_table(params["fea"]))
 
     def run():
         result = solvers.solve(scene, method.fidelity)
