@@ -125,25 +125,33 @@ def coverage_figures(runs: list[dict]) -> list[Figure]:
     ]
 
 
-def run_stage(dataset: str, jobs: int) -> tuple[dict, float]:
-    """Calibrate a dataset as make would; return the summary and the seconds of a run on cached solves."""
-    work = Path("results") / dataset / "calibrate"
+def run_stage(dataset: str, folder: Path, jobs: int) -> tuple[dict, float]:
+    """Calibrate a dataset as make would; return the summary and the seconds of a run on cached solves.
+
+    Solves are those of make calibrate, found or made; chain, plots and summary stay in `folder`.
+    """
+    work = folder / dataset
     params = config.load_params("workflow", Path("data") / dataset / "dataset.toml")
-    slice_path = work / "benchmark.params.json"
-    write_json(slice_path, config.cut_slice(params, "calibrate", stage.VERSION))
-    out = work / "benchmark.json"
-    args = ["--data", f"data/{dataset}", "--poses", f"results/{dataset}/10_poses", "--params", str(slice_path),
-            "--work", str(work), "--jobs", str(jobs), "--out", str(out)]  # fmt: skip
+    write_json(work / "params.json", config.cut_slice(params, "calibrate", stage.VERSION))
+    places = {
+        "--data": Path("data") / dataset,
+        "--poses": Path("results") / dataset / "10_poses",
+        "--params": work / "params.json",
+        "--work": work,
+        "--solves": Path("results") / dataset / "calibrate" / "solves",
+        "--out": work / "summary.json",
+    }
+    args = [str(part) for pair in places.items() for part in pair] + ["--jobs", str(jobs)]
     stage.main(args)
     (work / "chain.npz").unlink()
     start = time.perf_counter()
     stage.main(args)
-    return read_json(out), time.perf_counter() - start
+    return read_json(work / "summary.json"), time.perf_counter() - start
 
 
-def four_point_figures(jobs: int) -> list[Figure]:
+def four_point_figures(folder: Path, jobs: int) -> list[Figure]:
     """The real sphere."""
-    found, seconds = run_stage("feats_sphere15", jobs)
+    found, seconds = run_stage("feats_sphere15", folder, jobs)
     c10, laws = (
         found["c10"],
         {k: v for k, v in found["solves_spent"].items() if k in ("frictionless", "coulomb", "no_slip")},
@@ -161,10 +169,10 @@ def four_point_figures(jobs: int) -> list[Figure]:
     ]  # fmt: skip
 
 
-def demo_figures(jobs: int) -> list[Figure]:
+def demo_figures(folder: Path, jobs: int) -> list[Figure]:
     """The rig's hidden C10."""
     truth = read_json("data/demo/truth/truth.json")["truth"]["c10_mpa"]
-    found, seconds = run_stage("demo", jobs)
+    found, seconds = run_stage("demo", folder, jobs)
     c10 = found["c10"]
     low, high = c10["interval95"]
     return [
@@ -184,7 +192,7 @@ def main(argv=None) -> int:
     parser.add_argument("--count", type=int, default=100, help="synthetic calibrations; fewer only to try it out")
     args = parser.parse_args(argv)
     folder = args.out.parent / "calibration"
-    figures = four_point_figures(args.jobs) + demo_figures(args.jobs)
+    figures = four_point_figures(folder, args.jobs) + demo_figures(folder, args.jobs)
     runs = coverage(config.load_params("workflow")["calibrate"], folder, args.jobs, args.count)
     write_json(folder / "runs.json", runs)
     publish_figures(args.out, figures + coverage_figures(runs))
