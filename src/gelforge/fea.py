@@ -14,9 +14,9 @@ from gelforge.config import canonical
 from gelforge.errors import BadInput
 from gelforge.files import publish, read_csv, read_json, write_csv, write_json
 from gelforge.geometry.gel import load_gel
-from gelforge.meshes import MeshFamily, mesh_names
 from gelforge.mechanics.fidelity import FeaSettings, Solvers
 from gelforge.mechanics.scene import Interface, Material, Press, Scene, Status
+from gelforge.meshes import MeshFamily, mesh_names
 from gelforge.progress import progress
 
 VERSION = 1
@@ -63,7 +63,8 @@ def solve_sample(row: dict, scene: Scene, solvers: Solvers, key: str, folder: Pa
     record = {
         "key": key, "sample_id": sample_id, "status": result.status.name, "mesh": evidence.get("mesh", ""),
         "reason": "" if result.status.valid else str(evidence.get("reason") or result.status.value),
-        "fidelity": evidence.get("fidelity", fidelity), "total": result.total.tolist(), "evidence": evidence, "files": [],
+        "fidelity": evidence.get("fidelity", fidelity), "total": result.total.tolist(),
+        "evidence": evidence, "files": [],
     }  # fmt: skip
     if result.status.valid:
         record["files"] = publish_result(folder, sample_id, result, solvers.family.load(record["mesh"]))
@@ -121,8 +122,10 @@ def run_shard(poses: Path, meshes: Path, params: dict, tables: dict, bodies: dic
                 try:
                     record = solve_sample(row, scene_of(row, bodies, tables["sensors"], params), solvers, key, folder)
                 except OSError as error:
-                    raise BadInput(f"{folder}: sample {row['sample_id']}: {error}; free space or mend the folder and"
-                                   " run make again, it resumes at this sample") from error
+                    raise BadInput(
+                        f"{folder}: sample {row['sample_id']}: {error}; free space or mend the folder and"
+                        " run make again, it resumes at this sample"
+                    ) from error
             records.append(record)
     return records
 
@@ -140,7 +143,9 @@ def main(argv=None) -> int:
     params = read_json(args.params)
     tables = {name: read_json(args.params.parent / f"{name}.json") for name in ("sensors", "indenters")}
     wanted = {row["indenter"] for row in read_csv(args.poses)}
-    bodies = {name: build(name, tables["indenters"][name], "indenter catalogue", args.workflow) for name in sorted(wanted)}
+    bodies = {
+        name: build(name, tables["indenters"][name], "indenter catalogue", args.workflow) for name in sorted(wanted)
+    }
     folder = args.out.parent / args.out.name.removesuffix(".part").removesuffix(".csv")
     records = run_shard(args.poses, args.meshes, params, tables, bodies, folder)
     write_csv(args.out, COLUMNS, [table_row(record, folder) for record in records])

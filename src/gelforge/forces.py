@@ -10,11 +10,11 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.files import read_csv, read_json
-from gelforge.meshes import MeshFamily
 from gelforge.mechanics.dat import DatError, last_table, read_dat
 from gelforge.mechanics.forcefile import SampleForces, write_forces
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.scene import REFERENCE_C10, Status
+from gelforge.meshes import MeshFamily
 
 VERSION = 1
 
@@ -79,7 +79,9 @@ def material_c10(c10, calibration: Path | None) -> tuple[float, dict]:
         intervals = {f"c10_{name}": found[name] for name in ("interval68", "interval95")}
         return float(found["median"]), intervals
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise BadInput(f"{calibration}: holds no c10 with median and intervals ({error!r}); run `make calibrate`") from error
+        raise BadInput(
+            f"{calibration}: holds no c10 with median and intervals ({error!r}); run `make calibrate`"
+        ) from error
 
 
 def main(argv=None) -> int:

@@ -19,7 +19,13 @@ from gelforge.mechanics.scene import Scene
 VERSION = 1
 _NAME = re.compile(r"(ccx|hex)-([a-z]+)-(\d+(?:\.\d+)?)")
 # Engines whose meshes a fidelity needs; `hex` meshes cost nothing and serve the last rung of its ladder.
-ENGINES = {"ccx": ("ccx", "hex"), "ccx-fine": ("ccx",), "ccx-native": ("ccx",), "hex": ("hex",), "auto": ("ccx", "hex")}
+ENGINES = {
+    "ccx": ("ccx", "hex"),
+    "ccx-fine": ("ccx",),
+    "ccx-native": ("ccx",),
+    "hex": ("hex",),
+    "auto": ("ccx", "hex"),
+}
 
 
 @dataclass(frozen=True)
@@ -35,7 +41,9 @@ class MeshName:
         """Read ENGINE-REGION-SIZE, such as ccx-centre-0.7."""
         match = _NAME.fullmatch(text)
         if not match or float(match[3]) < 0.1:
-            raise BadInput(f"mesh name {text!r} is none; write ENGINE-REGION-SIZE, such as ccx-centre-0.7 (size >= 0.1 mm)")
+            raise BadInput(
+                f"mesh name {text!r} is none; write ENGINE-REGION-SIZE, such as ccx-centre-0.7 (size >= 0.1 mm)"
+            )
         return cls(match[1], match[2], float(match[3]))
 
 

@@ -48,7 +48,9 @@ def scene(law, dx=0.0, depth=0.5):
 
 @pytest.fixture(scope="module")
 def solver(ccx, tmp_path_factory):
-    return CcxSolver(block_mesh(PAD, 1.0, 3), tmp_path_factory.mktemp("ccx"), CcxSettings(press_steps=3, shear_steps=2))
+    return CcxSolver(
+        block_mesh(PAD, 1.0, 3), tmp_path_factory.mktemp("ccx"), CcxSettings(press_steps=3, shear_steps=2)
+    )
 
 
 @pytest.fixture(scope="module")

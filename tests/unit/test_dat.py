@@ -7,7 +7,8 @@ from gelforge.mechanics.dat import DatError, last_table, read_dat, without_set
 
 HEAD = "\n displacements (vx,vy,vz) for set NTOP and time  0.{time}000000E+01\n\n"
 ROWS = "         1  1.000000E-01 -2.000000E-01  3.000000E-01\n         7  4.000000E-01  5.000000E-01 -6.000000E-01\n"
-FORCES = "\n forces (fx,fy,fz) for set NBASE and time  0.1000000E+01\n\n         3 -1.000000E+00  0.000000E+00  2.500000E-101\n"
+FORCES = "\n forces (fx,fy,fz) for set NBASE and time  0.1000000E+01\n\n"
+FORCES += "         3 -1.000000E+00  0.000000E+00  2.500000E-101\n"
 NODES = np.array([1, 7])
 
 

@@ -15,7 +15,9 @@ MESH = block_mesh(GELS["gelsight_mini"], 6.0, 1)
 
 def table(quantity, name, nodes, values):
     head = f"\n {quantity} for set {name} and time  0.1000000E+01\n\n"
-    return head + "".join(f"{n:10d} {v[0]:13.6E} {v[1]:13.6E} {v[2]:13.6E}\n" for n, v in zip(nodes, values, strict=True))
+    return head + "".join(
+        f"{n:10d} {v[0]:13.6E} {v[1]:13.6E} {v[2]:13.6E}\n" for n, v in zip(nodes, values, strict=True)
+    )
 
 
 def text(push, base_error=0.0):
@@ -24,8 +26,11 @@ def text(push, base_error=0.0):
     forces[3] = push
     reaction = np.zeros((len(base), 3))
     reaction[0] = -np.asarray(push) * (1 + base_error)
-    return (table("displacements (vx,vy,vz)", "NTOP", top, 0.1 * np.ones((len(top), 3)))
-            + table("forces (fx,fy,fz)", "NTOP", top, forces) + table("forces (fx,fy,fz)", "NBASE", base, reaction))
+    return (
+        table("displacements (vx,vy,vz)", "NTOP", top, 0.1 * np.ones((len(top), 3)))
+        + table("forces (fx,fy,fz)", "NTOP", top, forces)
+        + table("forces (fx,fy,fz)", "NBASE", base, reaction)
+    )
 
 
 def test_residual_is_not_contact():

@@ -23,6 +23,7 @@ from gelforge.mechanics.tetcontact import PathSettings, contact_forces, follow
 from gelforge.mechanics.tetface import face_points
 from gelforge.mechanics.tetsolid import TetSolid
 
+
 @dataclass(frozen=True)
 class CcxSettings:
     """How `ccx` works.
@@ -152,7 +153,9 @@ class _Run:
                 self.rounds += 1
                 return answer
             except DatError as error:
-                status = Status.DIVERGED if "stopped early" in str(error) or "nothing" in str(error) else Status.UNREADABLE
+                status = (
+                    Status.DIVERGED if "stopped early" in str(error) or "nothing" in str(error) else Status.UNREADABLE
+                )
                 problem = status, f"{error}; {job.reason()}"
                 self.ladder.append(f"round {self.rounds + 1}, first increment {increment:g}: {problem[1]}")
         zero = np.zeros_like(mesh.nodes)

@@ -125,4 +125,6 @@ def correct(scene: Scene, contact: Contact, verdict: Verdict, tolerance: float) 
         size = np.linalg.norm(contact.drag, axis=-1)
         wanted = scene.interface.mu * np.maximum(verdict.push, 0.0)
         drag = contact.drag * np.where(size > 0, wanted / np.where(size > 0, size, 1.0), 0.0)[..., None]
-    return Contact(state, np.where(renew, touch, contact.target), np.where(renew, verdict.normal, contact.normal), drag)
+    return Contact(
+        state, np.where(renew, touch, contact.target), np.where(renew, verdict.normal, contact.normal), drag
+    )

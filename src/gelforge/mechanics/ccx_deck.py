@@ -54,7 +54,11 @@ def write_include(mesh: GelMesh, path) -> Path:
 def material_lines(material: Material) -> list[str]:
     """Neo-Hooke at REFERENCE_C10 and the material's Poisson's ratio (CalculiX manual, *HYPERELASTIC)."""
     reference = Material(REFERENCE_C10, material.nu)
-    return [f"*MATERIAL, NAME={MATERIAL_NAME}", "*HYPERELASTIC, NEO HOOKE", f"{reference.c10:.12g},{reference.d1:.12g}"]
+    return [
+        f"*MATERIAL, NAME={MATERIAL_NAME}",
+        "*HYPERELASTIC, NEO HOOKE",
+        f"{reference.c10:.12g},{reference.d1:.12g}",
+    ]
 
 
 def spring_lines(rows: Rows, first_node: int, first_element: int) -> tuple[list[str], list[str]]:
@@ -104,7 +108,8 @@ def press_deck(
 
     include: file name of the mesh. rows: springs that hold the touching points. loads: (n, 3) N
     nodal forces, or None. start: (n, 3) mm. increment: first load increment, 1 for all at once.
-    residual: largest nodal residual over the mean nodal force. Prints U and RF of the top's nodes, RF of the base, U of all.
+    residual: largest nodal residual over the mean nodal force. Prints U and RF of the top's nodes,
+    RF of the base, U of all.
     RF of a node that springs or loads act on is the force they exert on the gel there.
     """
     lines = [f"*INCLUDE, INPUT={include}", *material_lines(material)]

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.meshes import MeshFamily, choose_mesh, hex_box, hex_solver
 from gelforge.mechanics.ccx import CcxSettings, CcxSolver
 from gelforge.mechanics.ccx_run import need_ccx
 from gelforge.mechanics.scene import Result, Scene, Status
+from gelforge.meshes import MeshFamily, choose_mesh, hex_box, hex_solver
 
 FIDELITIES = ("hex", "ccx", "ccx-native", "ccx-fine", "auto")
 
@@ -111,7 +111,9 @@ class Solvers:
         result = self._hex[mesh, steps].solve(scene)
         if result.mesh.nodes.shape != saved.nodes.shape or not np.allclose(result.mesh.nodes, saved.nodes):
             if result.status is not Status.NO_CONTACT:
-                raise BadInput(f"{self.family.folder}/{mesh}.npz is not the mesh that hex solves on; run `make meshes`")
+                raise BadInput(
+                    f"{self.family.folder}/{mesh}.npz is not the mesh that hex solves on; run `make meshes`"
+                )
             result = Result(result.status, np.zeros_like(saved.nodes), np.zeros_like(saved.nodes), result.evidence)
         result.evidence |= {"mesh": mesh, "fidelity": "hex"}
         return result

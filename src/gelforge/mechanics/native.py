@@ -13,11 +13,12 @@ import numpy as np
 from gelforge.mechanics.ccx import CcxResult
 from gelforge.mechanics.ccx_deck import material_lines, mesh_include
 from gelforge.mechanics.ccx_run import run_ccx
-from gelforge.mechanics.dat import DatError, last_table, read_dat, without_set
+from gelforge.mechanics.dat import DatError, last_table, read_dat
 from gelforge.mechanics.hex import first_touch
 from gelforge.mechanics.mesh import GelMesh
-from gelforge.mechanics.scene import Scene, Status
-from gelforge.mechanics.tet import FACES, orient
+from gelforge.mechanics.scene import REFERENCE_C10, Material, Scene, Status
+from gelforge.mechanics.tet import FACES, boundary_faces, orient
+from gelforge.mechanics.tetsolid import TetSolid
 
 CROP_MM = 3.0  # height of the indenter that is meshed, above its tip: more than any press is deep
 _FACE_OF = {tuple(sorted(f)): i + 1 for i, f in enumerate(([0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]))}  # S1 to S4
@@ -65,8 +66,6 @@ def native_deck(scene: Scene, mesh: GelMesh, nodes: np.ndarray, tets: np.ndarray
     lines += ["*MATERIAL, NAME=INDENTER", "*ELASTIC", "210000., 0.3", "*SOLID SECTION, ELSET=EIND, MATERIAL=INDENTER"]
     lines.append("*SURFACE, NAME=SGEL, TYPE=ELEMENT")
     lines += [f"{i},S{s}" for i, s in element_faces(mesh.elements[:, :4], mesh.faces[:, :3])]
-    from gelforge.mechanics.tet import boundary_faces
-
     outer = boundary_faces(tets)
     top = nodes[:, 2] > nodes[:, 2].max() - 1e-3
     lower = outer[~top[outer].all(axis=1)]
@@ -74,7 +73,8 @@ def native_deck(scene: Scene, mesh: GelMesh, nodes: np.ndarray, tets: np.ndarray
     lines += [f"{e + i},S{s}" for i, s in element_faces(tets, lower)]
     lines.append("*NSET, NSET=NLED")
     lines += [str(n + i + 1) for i in np.flatnonzero(top)]
-    lines += ["*CONTACT PAIR, INTERACTION=TOUCH, TYPE=SURFACE TO SURFACE", "SGEL,SIND", "*SURFACE INTERACTION, NAME=TOUCH",
+    lines += ["*CONTACT PAIR, INTERACTION=TOUCH, TYPE=SURFACE TO SURFACE", "SGEL,SIND",
+              "*SURFACE INTERACTION, NAME=TOUCH",
               "*SURFACE BEHAVIOR, PRESSURE-OVERCLOSURE=TIED"]  # fmt: skip
     if scene.interface.law != "frictionless":
         lines += ["*FRICTION", f"{scene.interface.mu if scene.interface.law == 'coulomb' else 1.0:g}"]
@@ -83,7 +83,7 @@ def native_deck(scene: Scene, mesh: GelMesh, nodes: np.ndarray, tets: np.ndarray
     for dx, dy in [(0.0, 0.0)] + ([(p.dx, p.dy)] if p.dx or p.dy else []):
         lines += ["*STEP, NLGEOM, INC=1000", "*STATIC, SOLVER=SPOOLES", "0.1,1.", "*BOUNDARY"]
         lines += [f"NLED,{a},{a},{v:.9e}" for a, v in enumerate((dx, dy, p.dz), 1)]
-        for name, quantity in (("NTOP", "U"), ("NTOP", "RF"), ("NBASE", "RF")):
+        for name, quantity in (("NALL", "U"), ("NBASE", "RF")):
             lines += [f"*NODE PRINT, NSET={name}, FREQUENCY=100000", quantity]
         lines.append("*END STEP")
     return "\n".join(lines) + "\n"
@@ -101,19 +101,27 @@ def solve_native(scene: Scene, mesh: GelMesh, folder, timeout_s: float, size: fl
     deck = native_deck(scene, mesh, *indenter_tets(scene.indenter, size))
     (folder / "native.inp").write_text(deck)
     job = run_ccx("native", folder, timeout_s)
-    evidence |= {"newton_iterations": job.iterations, "seconds": time.perf_counter() - began, "peak_mib": job.peak_mib}
+    evidence |= {
+        "newton_iterations": job.iterations,
+        "seconds": time.perf_counter() - began,
+        "peak_mib": job.peak_mib,
+    }
     try:
         path = folder / "native.dat"
         text = path.read_text(errors="replace") if path.exists() else ""
         tables, top = read_dat(text), mesh.surface_nodes
         end = 2.0 if scene.press.dx or scene.press.dy else 1.0
-        displacement, forces = zero.copy(), zero.copy()
-        displacement[top] = last_table(tables, "displacements", "NTOP", top + 1, end)
-        forces[top] = last_table(tables, "forces", "NTOP", top + 1, end)
+        every = np.arange(len(mesh.nodes)) + 1
+        displacement = last_table(tables, "displacements", "NALL", every, end)
         base = last_table(tables, "forces", "NBASE", mesh.base + 1, end).sum(axis=0)
     except DatError as error:
         return CcxResult(Status.DIVERGED, zero, zero.copy(), evidence | {"reason": f"{error}; {job.reason()}"}, deck)
+    # Stock CalculiX prints no contact force per node; what the elements bear at the top is what contact exerts.
+    solid, material = TetSolid(mesh), Material(REFERENCE_C10, scene.material.nu)
+    inner, _ = solid.forces(displacement, material.shear_modulus, material.bulk_modulus)
+    forces = zero.copy()
+    forces[top] = inner[top]
     total = forces.sum(axis=0)
     evidence["base_mismatch"] = float(np.linalg.norm(total + base) / max(np.linalg.norm(total), 1e-12))
     evidence["equilibrium_residual"] = evidence["base_mismatch"]
-    return CcxResult(Status.OK, forces, displacement, evidence, deck, without_set(text, "NALL"))
+    return CcxResult(Status.OK, forces, displacement, evidence, deck)

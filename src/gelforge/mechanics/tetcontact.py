@@ -11,7 +11,7 @@ import numpy as np
 
 from gelforge.mechanics.ccx_contact import FREE, SLIDE, STICK, Contact, gaps, judge
 from gelforge.mechanics.contact import Pose
-from gelforge.mechanics.scene import Material, REFERENCE_C10, Scene
+from gelforge.mechanics.scene import REFERENCE_C10, Material, Scene
 from gelforge.mechanics.tetface import FacePoints
 from gelforge.mechanics.tetsolid import TetSolid
 
@@ -172,7 +172,9 @@ class _Path:
             if size < tolerance and changed <= (0.05 * contact.held.sum() if tolerance > s.final_tolerance else 0):
                 return u, contact
             u = self._newton_step(u, contact, outer - inner)
-        raise NoEquilibrium(f"no equilibrium in {s.most_iterations} Newton iterations, residual {size:.1e} of the force")
+        raise NoEquilibrium(
+            f"no equilibrium in {s.most_iterations} Newton iterations, residual {size:.1e} of the force"
+        )
 
     def _newton_step(self, u, contact, residual):
         self.iterations += 1
@@ -244,7 +246,9 @@ class _Path:
             push = self._push()
             stick = self.contact.state == STICK
             stretch = stiffness * (self.contact.target - self.positions(self.u))
-            tangent = stretch - np.einsum("fqk,fqk->fq", stretch, self.contact.normal)[..., None] * self.contact.normal
+            tangent = (
+                stretch - np.einsum("fqk,fqk->fq", stretch, self.contact.normal)[..., None] * self.contact.normal
+            )
             size = np.linalg.norm(tangent, axis=-1)
             over = stick & (size > 1.01 * mu * push)
             slide = self.contact.state == SLIDE

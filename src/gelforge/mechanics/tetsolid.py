@@ -80,8 +80,14 @@ def _kinematics(u, elements, gradients, e, q, f, g, h):
     for a in range(10):
         for i in range(3):
             # g: gradient in space, h: F times the gradient at rest
-            g[a, i] = gradients[e, q, a, 0] * inv[0, i] + gradients[e, q, a, 1] * inv[1, i] + gradients[e, q, a, 2] * inv[2, i]
-            h[a, i] = f[i, 0] * gradients[e, q, a, 0] + f[i, 1] * gradients[e, q, a, 1] + f[i, 2] * gradients[e, q, a, 2]
+            g[a, i] = (
+                gradients[e, q, a, 0] * inv[0, i]
+                + gradients[e, q, a, 1] * inv[1, i]
+                + gradients[e, q, a, 2] * inv[2, i]
+            )
+            h[a, i] = (
+                f[i, 0] * gradients[e, q, a, 0] + f[i, 1] * gradients[e, q, a, 1] + f[i, 2] * gradients[e, q, a, 2]
+            )
     return j, trace
 
 
