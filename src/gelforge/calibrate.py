@@ -280,7 +280,8 @@ def main(argv=None) -> int:
     readings = logged.take(choose_presses(logged, params["max_presses"]))
     file = args.workflow / read_toml(args.data / "dataset.toml").get("catalogue", "indenters.toml")
     catalogue = load_catalogue(file, sorted(set(readings.indenters.tolist())))
-    readings, emulator, spent = emulate(readings, catalogue, params, nu, args.solves or args.work / "solves", args.jobs)
+    solves = args.solves or args.work / "solves"
+    readings, emulator, spent = emulate(readings, catalogue, params, nu, solves, args.jobs)
     done = calibrate(readings, emulator, params, nu, args.work / "chain.npz", say_figures, args.jobs)
     draw_plots(done, args.work, args.work / "chain.npz")
     result = summarise(done, params)
