@@ -31,6 +31,7 @@ class PathSettings:
     penetration_mm: float = 1e-3
     most_iterations: int = 12
     most_cuts: int = 5
+    most_in_all: int = 300
     settle_rounds: int = 8
     friction_rounds: int = 4
 
@@ -161,6 +162,8 @@ class _Path:
     def newton(self, u, contact, pose, tolerance) -> tuple[np.ndarray, Contact]:
         """Equilibrium at a fixed pose; points that no anchor holds touch where they would penetrate."""
         s = self.settings
+        if self.iterations > s.most_in_all:
+            raise NoEquilibrium(f"the path took more than {s.most_in_all} Newton iterations")
         for _ in range(s.most_iterations):
             contact, changed = self._touch(u, contact, pose)
             inner, smallest = self.solid.forces(u, self.shear, self.bulk)
