@@ -5,6 +5,7 @@ import shutil
 import sys
 import time
 from collections import Counter
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
@@ -121,15 +122,25 @@ def counted(record: Record) -> str:
     return ", ".join(f"{states[name]} {name}" for name in ("queued", "running", "done", "failed"))
 
 
+def on_terminal(line: str) -> bool:
+    """Put a line in place of the last one on the terminal make was started from; return whether there is one."""
+    name = os.environ.get("MAKE_TERMERR")
+    if not name:
+        return False
+    # The terminal may have been closed since.
+    with suppress(OSError), open(name, "w") as terminal:
+        terminal.write(f"\r\033[K{line}")
+    return True
+
+
 def show(record: Record, said: float, silent: bool, every_s: float = 30.0) -> float:
     """Say how far the work has come: on make's terminal always, as a line now and then elsewhere."""
     why = Counter(task.reason for task in record.tasks if task.state == "queued" and task.reason not in ("", "None"))
     note = "the controller does not answer" if silent else why.most_common(1)[0][0] if why else ""
     line = f"{record.stage} on Slurm: {counted(record)}" + (f" ({note})" if note else "")
-    if os.environ.get("MAKE_TERMERR"):
-        with open(os.environ["MAKE_TERMERR"], "w") as terminal:
-            terminal.write("\r\033[K" + line[: shutil.get_terminal_size().columns - 1])
-    elif time.monotonic() - said > every_s:
+    if on_terminal(line[: shutil.get_terminal_size().columns - 1]):
+        return said
+    if time.monotonic() - said > every_s:
         print(line, file=sys.stderr, flush=True)
         return time.monotonic()
     return said
@@ -147,6 +158,7 @@ def unfinished_samples(target: Path) -> list[str]:
 def report(record: Record, most: int = 5) -> int:
     """Print what failed, why, and the end of its log; return an exit code."""
     failed = [task for task in record.tasks if task.state == "failed"]
+    on_terminal("")
     for task in failed[:most]:
         name, _, index = task.where.rpartition("/")
         job = next((batch.job for batch in record.batches if batch.name == name), "")
