@@ -1,6 +1,7 @@
 """What calibration promises: four real points, truth recovered, the demo's hidden C10, and time."""
 
 import argparse
+import os
 import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
@@ -12,7 +13,7 @@ from gelforge import calibrate as stage
 from gelforge import config
 from gelforge.benchmarks.figures import Figure, publish_figures
 from gelforge.calibration.emulator import Emulator
-from gelforge.calibration.parameters import make_model
+from gelforge.calibration.parameters import LAWS, make_model
 from gelforge.calibration.posterior import Posterior
 from gelforge.calibration.readings import Readings
 from gelforge.calibration.sampling import sample
@@ -125,8 +126,13 @@ def coverage_figures(runs: list[dict]) -> list[Figure]:
     ]
 
 
-def run_stage(dataset: str, folder: Path, jobs: int) -> tuple[dict, float]:
-    """Calibrate a dataset as make would; return the summary and the seconds of a run on cached solves.
+def processor_seconds() -> float:
+    """Processor time of this process and its finished children; what a loaded machine does not lengthen."""
+    return sum(os.times()[:4])
+
+
+def run_stage(dataset: str, folder: Path, jobs: int) -> tuple[dict, float, str]:
+    """Calibrate a dataset as make would; return the summary, the seconds of a run on cached solves and a note.
 
     Solves are those of make calibrate, found or made; chain, plots and summary stay in `folder`.
     """
@@ -144,18 +150,16 @@ def run_stage(dataset: str, folder: Path, jobs: int) -> tuple[dict, float]:
     args = [str(part) for pair in places.items() for part in pair] + ["--jobs", str(jobs)]
     stage.main(args)
     (work / "chain.npz").unlink()
-    start = time.perf_counter()
+    start, spent = time.perf_counter(), processor_seconds()
     stage.main(args)
-    return read_json(work / "summary.json"), time.perf_counter() - start
+    seconds, spent = time.perf_counter() - start, processor_seconds() - spent
+    return read_json(work / "summary.json"), seconds, f"{jobs} processes, {spent:.0f} s of processor time together"
 
 
 def four_point_figures(folder: Path, jobs: int) -> list[Figure]:
     """The real sphere."""
-    found, seconds = run_stage("feats_sphere15", folder, jobs)
-    c10, laws = (
-        found["c10"],
-        {k: v for k, v in found["solves_spent"].items() if k in ("frictionless", "coulomb", "no_slip")},
-    )
+    found, seconds, note = run_stage("feats_sphere15", folder, jobs)
+    c10, laws = found["c10"], {k: v for k, v in found["solves_spent"].items() if k in LAWS}
     best = min(m["predictive_mae_n"]["fz"] for m in found["models"])
     low, high = c10["interval95"]
     return [
@@ -164,15 +168,15 @@ def four_point_figures(folder: Path, jobs: int) -> list[Figure]:
         Figure("four real points, each with its own touch", found["own_touch_mae_n"]["fz"], "<=", 0.05, "N",
                "posterior mean at these very presses, touch scatter of micrometres inferred"),
         Figure("solves per interface law, most", max(laws.values()), "<=", 12, "", str(laws)),
-        Figure("C10 from the four points", c10["median"], ">=", 0.0, "MPa", f"95 %: {low:.4f} to {high:.4f}"),
-        Figure("four points, calibration on cached solves", seconds, "<=", 60, "s", f"{jobs} processes"),
+        Figure("C10 from the four points, stated without a goal", c10["median"], ">=", 0.0, "MPa", f"95 %: {low:.4f} to {high:.4f}"),
+        Figure("four points, calibration on cached solves", seconds, "<=", 60, "s", note),
     ]  # fmt: skip
 
 
 def demo_figures(folder: Path, jobs: int) -> list[Figure]:
     """The rig's hidden C10."""
     truth = read_json("data/demo/truth/truth.json")["truth"]["c10_mpa"]
-    found, seconds = run_stage("demo", folder, jobs)
+    found, seconds, note = run_stage("demo", folder, jobs)
     c10 = found["c10"]
     low, high = c10["interval95"]
     return [
@@ -181,7 +185,7 @@ def demo_figures(folder: Path, jobs: int) -> list[Figure]:
         Figure("demo, median off the hidden C10", 100 * abs(c10["median"] / truth - 1), "<=", 3, "%",
                f"median {c10['median']:.4f} MPa"),
         Figure("demo, calibration on cached solves", seconds, "<=", 60, "s",
-               f"{found['presses']} presses, {found['solves_spent']['total']} solves, {jobs} processes"),
+               f"{found['presses']} presses, {found['solves_spent']['total']} solves, {note}"),
     ]  # fmt: skip
 
 
