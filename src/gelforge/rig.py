@@ -148,6 +148,7 @@ def main(argv=None) -> int:
     # one thread per press: presses run side by side, and sums come out in the same order everywhere
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     os.environ.setdefault("MKL_NUM_THREADS", "1")
+    os.environ.setdefault("MKL_CBWR", "AUTO")  # the same digits wherever in memory an array lies
     run(given.plan, given.data, given.workflow, given.jobs)
     return 0
 

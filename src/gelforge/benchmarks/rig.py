@@ -145,7 +145,7 @@ def cuboid(rig: Rig, reference: Path) -> list[Figure]:
     sides = measure.steepest(camera.height(*rig.view(pressing)), middle)
     shift = middle - [np.mean(wanted[:2]), np.mean(wanted[2:])]
     off = np.abs(sides - wanted - np.repeat(shift, 2))
-    turned = direction_cosines(real_cuboid(reference), rig.picture(pressing))
+    turned = direction_cosines(real_cuboid(reference), no_contact_pair(rig, reference)[1], rig.picture(pressing))
     same = float((turned > 0.5).mean())
     return [
         Figure("cuboid outline, largest distance of a side", off.max(), "<=", 3.0, "px",
@@ -162,23 +162,26 @@ def read_csv_pixels(path) -> np.ndarray:
     return np.array([[float(cell) for cell in line.split(",")[2:4]] for line in lines[1:]])
 
 
-def direction_cosines(real: np.ndarray, ours: np.ndarray) -> np.ndarray:
-    """Cosine between the motions of the same dot in both pictures, for those that moved in the real one."""
-    motions = []
-    for image in (real, ours):
-        grid = find_markers(image, 7, 9)
-        if grid.count != 63:
-            raise BadInput(
-                f"{grid.count} of 63 dots found in a picture of the pressed cuboid; look at make rig-check"
-            )
-        order = np.lexsort((grid.index[:, 1], grid.index[:, 0]))
-        index = grid.index[order]
-        outer = (index[:, 0] % 6 == 0) | (index[:, 1] % 8 == 0)
-        motions.append(measure.turned_grid_motion(grid.points[order], index, outer))
-    moved = np.linalg.norm(motions[0], axis=1) > MOVED_PX
-    moved &= ~outer
-    a, b = motions[0][moved], motions[1][moved]
-    return (a * b).sum(axis=1) / (np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1))
+def direction_cosines(real: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Cosine between the motions of a dot in the real picture and in ours, for those that moved in the real one.
+
+    There is no picture before contact of the real unit, so its dots are set against the even grid through the
+    outer ones; of our dots' motion the same even part is taken away.
+    """
+    (index, there), (_, start), (_, end) = (_all_dots(image) for image in (real, before, after))
+    outer = (index[:, 0] % 6 == 0) | (index[:, 1] % 8 == 0)
+    a, b = (measure.turned_grid_motion(points, index, outer) for points in (there, end - start))
+    moved = (np.linalg.norm(a, axis=1) > MOVED_PX) & ~outer
+    return (a * b).sum(axis=1)[moved] / np.linalg.norm(a[moved], axis=1) / np.linalg.norm(b[moved], axis=1)
+
+
+def _all_dots(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Index (63, 2) and place (63, 2) px of every dot, row by row."""
+    grid = find_markers(image, 7, 9)
+    if grid.count != 63:
+        raise BadInput(f"{grid.count} of 63 dots found in a picture of the pressed cuboid; look at make rig-check")
+    order = np.lexsort((grid.index[:, 1], grid.index[:, 0]))
+    return grid.index[order], grid.points[order]
 
 
 def tracking(rig: Rig, pressings: list[Pressing]) -> list[Figure]:
