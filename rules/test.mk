@@ -3,7 +3,7 @@ TESTS ?= tests
 
 .PHONY: test lock
 test: $(SETUP) $(CCX_FOUND)  ## all tests
-	@$(PY) -m pytest $(TESTS)
+	@$(PY) -m pytest -n $(JOBS) --dist loadfile $(TESTS)
 
 lock: $(SETUP)  ## write envs/requirements.lock from what is installed
 	@$(PY) -m pip freeze --exclude-editable | sed 's/+cpu$$//' > envs/requirements.lock

@@ -99,8 +99,10 @@ def calibration_section(results: Path) -> Section:
     for sentence in ("conclusion", "sentence", "comparison"):
         if isinstance(summary.get(sentence), str):
             section.text(summary[sentence])
-    for png in sorted((results / "calibrate").glob("*.png")):
-        section.picture(png.read_bytes(), png.stem.replace("_", " "))
+    pictures_made = {png.stem: png for png in sorted((results / "calibrate").glob("*.png"))}
+    first = [name for name in ("predictive", "corner") if name in pictures_made]
+    for name in first + [name for name in pictures_made if name not in first]:
+        section.picture(pictures_made[name].read_bytes(), name.replace("_", " "))
     return section
 
 

@@ -77,20 +77,20 @@ def press_3d(mesh, nodes: np.ndarray, displacement: np.ndarray, force: np.ndarra
     corners = mesh.faces[:, : 4 if mesh.kind == "hex8" else 3]
     cells = np.column_stack([np.full(len(corners), corners.shape[1]), corners]).ravel()
     gel = pv.PolyData(moved, cells)
-    magnitude = np.zeros(len(moved))
-    magnitude[nodes] = -displacement[:, 2]
-    gel["indentation, mm"] = magnitude
-    plotter = pv.Plotter(off_screen=True, window_size=(1300, 760))
-    plotter.add_mesh(gel, scalars="indentation, mm", cmap="viridis", show_edges=True, edge_color="#44505c", line_width=0.4)
-    body = pv.read(stl).translate(travel)
-    plotter.add_mesh(body, color="#c8ccd2", opacity=0.35)
+    gel["indentation, mm"] = np.bincount(nodes, -displacement[:, 2], len(moved))
+    plotter = pv.Plotter(off_screen=True, window_size=(1300, 640))
+    bar = {"position_x": 0.68, "position_y": 0.04, "width": 0.28, "fmt": "%.1f"}
+    plotter.add_mesh(gel, scalars="indentation, mm", cmap="viridis", show_edges=True, edge_color="#44505c",
+                     line_width=0.4, scalar_bar_args=bar)  # fmt: skip
+    plotter.add_mesh(pv.read(stl).translate(travel), color="#c8ccd2", opacity=0.25)
     touched = np.flatnonzero(np.linalg.norm(force, axis=1) > 0)
     if len(touched):
-        points = pv.PolyData(moved[nodes[touched]])
-        points["force"] = force[touched]
-        longest = np.linalg.norm(force[touched], axis=1).max()
-        plotter.add_mesh(points.glyph(orient="force", scale="force", factor=3.0 / longest), color="#d1495b")
-    plotter.camera_position = [(26, -30, 24), (0, 0, -1), (0, 0, 1)]
+        # An arrow ends where its force acts, because one that starts there is hidden in the gel.
+        arrows = force[touched] * (3.0 / np.linalg.norm(force[touched], axis=1).max())
+        points = pv.PolyData(moved[nodes[touched]] - arrows)
+        points["force"] = arrows
+        plotter.add_mesh(points.glyph(orient="force", scale="force", factor=1.0), color="#d1495b")
+    plotter.camera_position = [(19, -23, 17), (1, -1, -1.5), (0, 0, 1)]
     picture = plotter.screenshot(None, return_img=True)
     plotter.close()
     return encode(picture)
