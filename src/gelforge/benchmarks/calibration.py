@@ -168,7 +168,8 @@ def four_point_figures(folder: Path, jobs: int) -> list[Figure]:
         Figure("four real points, each with its own touch", found["own_touch_mae_n"]["fz"], "<=", 0.05, "N",
                "posterior mean at these very presses, touch scatter of micrometres inferred"),
         Figure("solves per interface law, most", max(laws.values()), "<=", 12, "", str(laws)),
-        Figure("C10 from the four points, stated without a goal", c10["median"], ">=", 0.0, "MPa", f"95 %: {low:.4f} to {high:.4f}"),
+        Figure("C10 from the four points, stated without a goal", c10["median"], ">=", 0.0, "MPa",
+               f"95 %: {low:.4f} to {high:.4f}"),
         Figure("four points, calibration on cached solves", seconds, "<=", 60, "s", note),
     ]  # fmt: skip
 
