@@ -27,8 +27,8 @@ SETTINGS = HexSettings(
     tolerance=1e-3,
     final_tolerance=1e-7,
 )
-# A bench never diverges. Soft friction springs are three times faster, stiffer ones hold a deep flat punch too; the last
-# attempt takes a less deep press, which the log then reports.
+# A bench never diverges. Soft friction springs are three times faster, stiffer ones hold a deep flat punch too;
+# the last attempt takes a less deep press, which the log then reports.
 STIFFER = replace(SETTINGS, friction_penalty=30.0, friction_rounds=2, friction_tolerance=0.1, max_cuts=10)
 ATTEMPTS = ((SETTINGS, 1.0), (STIFFER, 1.0), (STIFFER, 0.8))
 
