@@ -80,6 +80,8 @@ def contact_blocks(contact: Contact, points: FacePoints, stiffness: float) -> tu
 def follow(scene: Scene, solid: TetSolid, points: FacePoints, start: float, settings: PathSettings) -> Kinematics:
     """Follow press and shear from the press fraction `start` of first touch to the end of the path."""
     path = _Path(scene, solid, points, settings)
+    # nothing touches before: where a point is first met is sought from here on
+    path.at = np.array([min(start, 0.98), 0.0])
     reason = ""
     try:
         for fraction in np.linspace(min(start, 0.98), 1.0, settings.press_steps + 1)[1:]:
