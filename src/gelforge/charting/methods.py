@@ -52,6 +52,7 @@ def quick_methods(quick: dict, with_ccx: bool) -> list[Method]:
     sizes = zip(quick["hex_sizes_mm"], quick["hex_layers"], strict=True)
     found = [hex_method(size, layers, steps) for size, layers in sizes]
     found += [Method(f"{name}-label", name) for name in (("hex", "ccx") if with_ccx else ("hex",))]
+    found.append(Method("hex-label-quality", "hex"))
     return [*found, hex_method(fine["size"], fine["layers"], fine["press_steps"])]
 
 

@@ -24,7 +24,7 @@ def _spot(axis, row, kind):
     size = 11 if row["fidelity"] == "auto" else 8 if ship else 5
     inside, edge = "white" if row["failed"] else colour, "black" if ship else colour
     axis.plot([x], [middle], MARKERS[row["fidelity"]], ms=size, mfc=inside, mec=edge, mew=1.2, zorder=3)
-    if ship or row["fidelity"] == "ccx-native":
+    if ship or row["fidelity"] == "ccx-native" or row["method"].endswith("-quality"):
         axis.annotate(row["method"], (x, middle), xytext=(6, -9), textcoords="offset points", fontsize=7)
 
 
@@ -33,6 +33,18 @@ def _frontier(axis, rows, kind):
     if line:
         axis.plot(*zip(*line, strict=True), color="0.35", lw=1.0, drawstyle="steps-post", zorder=0,
                   label="frontier of the worst scene")  # fmt: skip
+
+
+def _plain_ticks(axis):
+    """1, 2, 5, 10 as such, with room for the names of points."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    axis.set(xscale="log", yscale="log")
+    for side in (axis.xaxis, axis.yaxis):
+        side.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        side.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        side.set_minor_formatter(NullFormatter())
+    axis.margins(x=0.12, y=0.08)
 
 
 def pareto_chart(rows: list[dict], scenes: list[dict], note: str) -> bytes:
@@ -45,8 +57,8 @@ def pareto_chart(rows: list[dict], scenes: list[dict], note: str) -> bytes:
         for row in usable:
             _spot(axis, row, kind)
         _frontier(axis, usable, kind)
-        axis.set(xscale="log", yscale="log", xlabel="processor seconds per press, one thread (median over scenes)",
-                 ylabel=f"{label}, %")  # fmt: skip
+        _plain_ticks(axis)
+        axis.set(xlabel="processor seconds per press, one thread (median over scenes)", ylabel=f"{label}, %")
         axis.grid(alpha=0.25, which="both")
     fidelities = dict.fromkeys(row["fidelity"] for row in usable)
     handles = [Line2D([], [], ls="", marker=MARKERS[f], color=COLOURS[f], label=f) for f in fidelities]
