@@ -149,6 +149,9 @@ def main(argv=None) -> int:
     folder = args.out.parent / args.out.name.removesuffix(".part").removesuffix(".csv")
     records = run_shard(args.poses, args.meshes, params, tables, bodies, folder)
     write_csv(args.out, COLUMNS, [table_row(record, folder) for record in records])
+    for record in records:
+        if not Status[record["status"]].valid:
+            print(f"failed: {record['sample_id']}: {record['status']}, {record['reason']}")
     counts = {name: n for name in Status.__members__ if (n := sum(r["status"] == name for r in records))}
     print(json.dumps(counts))
     return 0

@@ -19,6 +19,7 @@ from gelforge.files import read_json, write_json
 
 PR_SET_PDEATHSIG = 1  # linux/prctl.h
 TAIL_LINES = 20
+NOTICES = ("rejected: ", "failed: ")  # lines of a log that a person must see although the step succeeded
 
 
 def mirror(target: Path, kind: str, suffix: str) -> Path:
@@ -73,6 +74,13 @@ def run(command: list[str], log_path: Path) -> tuple[int, dict]:
     return code, cost
 
 
+def show_notices(log_path: Path) -> None:
+    """Repeat what the command rejected or could not solve, because a log is not read unless something fails."""
+    for line in log_path.read_text(encoding="utf-8", errors="replace").splitlines():
+        if line.startswith(NOTICES):
+            print(line)
+
+
 def report_failure(target: Path, log_path: Path, code: int) -> None:
     """Say where the log is and show its end."""
     lines = log_path.read_text(encoding="utf-8", errors="replace").splitlines()[-TAIL_LINES:]
@@ -124,6 +132,7 @@ def make_part(target: Path, inputs: list[Path], command: list[str], log_path: Pa
         report_failure(target, log_path, code)
         return code if 0 < code < 126 else 1
     os.replace(part, target)
+    show_notices(log_path)
     print(f"{target}  {cost['seconds']:.1f} s, {cost['peak_mib']:.0f} MiB", flush=True)
     return 0
 
