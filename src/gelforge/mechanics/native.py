@@ -17,7 +17,7 @@ from gelforge.mechanics.dat import DatError, last_table, read_dat
 from gelforge.mechanics.hex import first_touch
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.scene import REFERENCE_C10, Material, Scene, Status
-from gelforge.mechanics.tet import FACES, boundary_faces, orient
+from gelforge.mechanics.tet import FACES, boundary_faces, orient, tetrahedralise
 from gelforge.mechanics.tetsolid import TetSolid
 
 CROP_MM = 3.0  # height of the indenter that is meshed, above its tip: more than any press is deep
@@ -27,7 +27,6 @@ _FACE_OF = {tuple(sorted(f)): i + 1 for i, f in enumerate(([0, 1, 2], [0, 3, 1],
 def indenter_tets(indenter, size: float, crop: float = CROP_MM) -> tuple[np.ndarray, np.ndarray]:
     """Linear tetrahedra of the indenter's lowest `crop` mm in its own frame: nodes (n, 3), elements (e, 4)."""
     import pymeshlab
-    import pytetwild
 
     from gelforge.poses import cropped
 
@@ -36,11 +35,10 @@ def indenter_tets(indenter, size: float, crop: float = CROP_MM) -> tuple[np.ndar
     shapes.add_mesh(pymeshlab.Mesh(vertices, faces))
     shapes.meshing_isotropic_explicit_remeshing(targetlen=pymeshlab.PureValue(size), iterations=5)
     surface = shapes.current_mesh()
-    nodes, tets = pytetwild.tetrahedralize(
+    nodes, tets = tetrahedralise(
         surface.vertex_matrix(), surface.face_matrix(), edge_length_abs=size, epsilon=1e-3, num_threads=1
     )
-    used, tets = np.unique(tets, return_inverse=True)
-    return nodes[used], orient(nodes[used], tets.reshape(-1, 4))
+    return nodes, orient(nodes, tets)
 
 
 def element_faces(tets: np.ndarray, faces: np.ndarray) -> list[tuple[int, int]]:

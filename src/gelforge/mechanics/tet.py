@@ -1,5 +1,8 @@
 """Second-order tetrahedra: the gel with a sizing field, and the quality of a mesh."""
 
+import contextlib
+import tempfile
+
 import numpy as np
 
 from gelforge.errors import BadInput
@@ -106,16 +109,24 @@ def gel_mesh(gel: Gel, size, threads: int = 1) -> GelMesh:
     The pad is meshed as a flat prism and then bent column by column onto `gel.top`, so that every
     top node, midsides included, lies on the exact surface and every base node on z = -height.
     """
-    import pytetwild
-
     vertices, faces = prism(outline(gel), gel.height)
     background, bg_tets, values = sizing_grid(gel, size)
-    nodes, tets = pytetwild.tetrahedralize(
+    nodes, tets = tetrahedralise(
         vertices, faces, edge_length_abs=float(values.max()), epsilon=2e-4, num_threads=threads,
         bg_vertices=background, bg_tets=bg_tets, bg_values=values,
     )  # fmt: skip
+    return from_flat(gel, nodes, tets)
+
+
+def tetrahedralise(vertices: np.ndarray, faces: np.ndarray, **options) -> tuple[np.ndarray, np.ndarray]:
+    """Linear tetrahedra inside closed triangles: the nodes (n, 3) in use and elements (e, 4)."""
+    import pytetwild
+
+    # It leaves a file in the folder it runs in.
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+        nodes, tets = pytetwild.tetrahedralize(vertices, faces, **options)
     used, tets = np.unique(tets, return_inverse=True)
-    return from_flat(gel, nodes[used], tets.reshape(-1, 4))
+    return nodes[used], tets.reshape(-1, 4)
 
 
 def from_flat(gel: Gel, nodes: np.ndarray, tets: np.ndarray) -> GelMesh:
