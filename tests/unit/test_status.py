@@ -1,0 +1,22 @@
+"""Status counts what is on disk, and names why samples are missing."""
+
+from gelforge.files import write_csv
+from gelforge.status import lines
+
+
+def test_counts_add_up_and_reasons_are_named(tmp_path):
+    results = tmp_path / "lab"
+    assert "nothing planned" in lines(results)[0]
+    write_csv(results / "00_plan/shards.csv", ["sample_id", "shard"], [{"sample_id": k, "shard": k // 3} for k in range(6)])
+    write_csv(results / "10_poses/0000.csv", ["sample_id"], [{"sample_id": k} for k in range(2)])
+    rejected = [{"row": 4, "column": c, "reason": "not a number"} for c in ("x0_mm", "y0_mm")]
+    write_csv(results / "10_poses/0000.rejected.csv", ["row", "column", "reason"], rejected)
+    write_csv(
+        results / "30_fea/0000.csv", ["sample_id", "status", "reason"],
+        [{"sample_id": 0, "status": "OK", "reason": ""}, {"sample_id": 1, "status": "DIVERGED", "reason": "too deep"}],
+    )  # fmt: skip
+    text = lines(results)
+    table = {line.split()[0]: line.split()[1:] for line in text[2:] if not line.startswith(" ")}
+    assert table["10_poses"] == ["2", "1", "3"]
+    assert table["30_fea"] == ["1", "1", "3"]
+    assert any("not a number" in line for line in text) and any("too deep" in line for line in text)
