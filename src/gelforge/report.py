@@ -157,6 +157,10 @@ def network_section(results: Path, resolution: str, model: str) -> Section:
     if not path.exists():
         return section.text("Not made: make evaluate.", absent=True)
     metrics = read_json(path)
+    samples = read_csv(results / "60_dataset" / resolution / "samples.csv")
+    learnt = sum(row["split"] == "train" for row in samples)
+    section.text(f"{model} learnt from {learnt} of {len(samples)} presses. Judge it by the controls below: what they reach"
+                 " without looking at the picture of a press, a network must beat by far.")
     for title, columns, rows in evaluation_tables(metrics):
         section.text(title).table(columns, rows)
     for folder in ("70_train", "80_evaluate"):
