@@ -126,12 +126,16 @@ def main(argv=None) -> int:
     dataset_toml = args.data / "dataset.toml"
     params = config.load_params(args.workflow, dataset_toml)
     if args.ccx == "none" and params["fea"]["fidelity"] != "hex":
-        print(f"CalculiX (ccx) was not found: fidelity hex is used instead of {params['fea']['fidelity']}.", flush=True)
+        print(
+            f"CalculiX (ccx) was not found: fidelity hex is used instead of {params['fea']['fidelity']}.", flush=True
+        )
         params["fea"]["fidelity"] = "hex"
     from gelforge.charting.scenes import read_tables
 
     scenes = read_tables(args.workflow)
-    write_slices(params, args.workflow, out, config.read_toml(dataset_toml).get("catalogue", "indenters.toml"), scenes)
+    write_slices(
+        params, args.workflow, out, config.read_toml(dataset_toml).get("catalogue", "indenters.toml"), scenes
+    )
     shards = write_shards(args.data / "log.csv", out, params["plan"]["shard_size"])
     from gelforge.meshes import required_meshes
 

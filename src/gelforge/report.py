@@ -56,7 +56,9 @@ def press_section(results: Path, row: dict, shard: str) -> Section:
         mesh = GelMesh.load(results / "20_meshes" / f"{forces.mesh[at]}.npz")
         sample = forces.sample(at, mesh.surface_nodes)
     travel = [float(row[c]) for c in ("dx_mm", "dy_mm", "dz_mm")]
-    png = pictures.press_3d(mesh, sample.nodes, sample.displacement, sample.force, results / "10_poses" / row["stl"], travel)
+    png = pictures.press_3d(
+        mesh, sample.nodes, sample.displacement, sample.force, results / "10_poses" / row["stl"], travel
+    )
     total = ", ".join(f"{v:.2f}" for v in sample.force.sum(axis=0))
     caption = f"{row['sample_id']}: {row['indenter']}, {-travel[2]:.2f} mm deep; forces on the gel (red) sum to ({total}) N."
     return Section("One press").picture(png, caption)
@@ -69,7 +71,9 @@ def labels_section(results: Path, data: Path, rows: list[dict], shards: dict[str
     section = Section("Labels")
     section.text(f"Force per cell at {resolution}, channels and signs as in FEATS; compression is negative z.")
     for row in rows:
-        with np.load(results / "50_labels" / resolution / f"{shards[row['sample_id']]}.npz", allow_pickle=False) as file:
+        with np.load(
+            results / "50_labels" / resolution / f"{shards[row['sample_id']]}.npz", allow_pickle=False
+        ) as file:
             label = file["label"][list(file["sample_id"]).index(row["sample_id"])]
         image = cv2.cvtColor(cv2.imread(str(data / row["image"])), cv2.COLOR_BGR2RGB)
         title = f"{row['sample_id']} {row['indenter']} {row['dz_mm']} mm"
@@ -91,10 +95,16 @@ def calibration_section(results: Path) -> Section:
     if not path.exists():
         return section.text("Not made: make calibrate (needs force readings in the log).", absent=True)
     summary = read_json(path)
-    rows = [[name, v["median"], *v["interval68"], *v["interval95"]] for name, v in summary.items()
-            if isinstance(v, dict) and {"median", "interval68", "interval95"} <= v.keys()]
-    rows += [[name, v["median"], *v["interval68"], *v["interval95"]] for name, v in summary.get("parameters", {}).items()
-             if name not in summary]
+    rows = [
+        [name, v["median"], *v["interval68"], *v["interval95"]]
+        for name, v in summary.items()
+        if isinstance(v, dict) and {"median", "interval68", "interval95"} <= v.keys()
+    ]
+    rows += [
+        [name, v["median"], *v["interval68"], *v["interval95"]]
+        for name, v in summary.get("parameters", {}).items()
+        if name not in summary
+    ]
     section.table(["parameter", "median", "68 % from", "to", "95 % from", "to"], rows)
     for sentence in ("conclusion", "sentence", "comparison"):
         if isinstance(summary.get(sentence), str):
@@ -115,7 +125,9 @@ def failures_section(results: Path, solved: dict[str, dict]) -> Section:
         return section.text("None: every row of the log became a label.")
     if rejected:
         columns = ["sample_id", "row", "column", "value", "reason", "remedy"]
-        section.text("Rows of the log that were rejected.").table(columns, [[r[c] for c in columns] for r in rejected])
+        section.text("Rows of the log that were rejected.").table(
+            columns, [[r[c] for c in columns] for r in rejected]
+        )
     if failed:
         columns = ["sample_id", "status", "reason", "fidelity"]
         section.text("Solves that failed.").table(columns, [[r[c] for c in columns] for r in failed])
@@ -159,8 +171,10 @@ def network_section(results: Path, resolution: str, model: str) -> Section:
     metrics = read_json(path)
     samples = read_csv(results / "60_dataset" / resolution / "samples.csv")
     learnt = sum(row["split"] == "train" for row in samples)
-    section.text(f"{model} learnt from {learnt} of {len(samples)} presses. Judge it by the controls below: what they reach"
-                 " without looking at the picture of a press, a network must beat by far.")
+    section.text(
+        f"{model} learnt from {learnt} of {len(samples)} presses. Judge it by the controls below: what they reach"
+        " without looking at the picture of a press, a network must beat by far."
+    )
     for title, columns, rows in evaluation_tables(metrics):
         section.text(title).table(columns, rows)
     for folder in ("70_train", "80_evaluate"):
@@ -195,8 +209,11 @@ def versions_section(results: Path) -> Section:
 def build(data: Path, results: Path, resolution: str, model: str, gallery: int) -> str:
     """The whole page as text."""
     poses = read_tables(results / "10_poses", "[0-9]*[0-9].csv")
-    shards = {row["sample_id"]: path.stem for path in sorted((results / "10_poses").glob("[0-9]*[0-9].csv"))
-              for row in read_csv(path)}
+    shards = {
+        row["sample_id"]: path.stem
+        for path in sorted((results / "10_poses").glob("[0-9]*[0-9].csv"))
+        for row in read_csv(path)
+    }
     solved = {row["sample_id"]: row for row in read_tables(results / "30_fea", "*.csv")}
     rows = pick(poses, solved, gallery)
     valid = sum(row["status"] in ("OK", "NO_CONTACT") for row in solved.values())
@@ -204,12 +221,19 @@ def build(data: Path, results: Path, resolution: str, model: str, gallery: int) 
     sections = [presses_section(poses)]
     if rows:
         deepest = min(rows, key=lambda row: float(row["dz_mm"]))
-        sections += [press_section(results, deepest, shards[deepest["sample_id"]]),
-                     labels_section(results, data, rows, shards, resolution)]
+        sections += [
+            press_section(results, deepest, shards[deepest["sample_id"]]),
+            labels_section(results, data, rows, shards, resolution),
+        ]
     sections += [
         network_section(results, resolution, model),
         calibration_section(results),
-        branch_section(results, "Speed against accuracy", "pareto", "Seconds of a solve against its error, each point one fidelity and mesh."),
+        branch_section(
+            results,
+            "Speed against accuracy",
+            "pareto",
+            "Seconds of a solve against its error, each point one fidelity and mesh.",
+        ),
         failures_section(results, solved),
         cost_section(results, solved),
         versions_section(results),

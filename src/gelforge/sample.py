@@ -21,16 +21,36 @@ def stages(data: Path, results: Path, work: Path, resolution: str) -> list[tuple
     """The stages' modules and arguments for a shard of one sample in the folder `work`; the last argument is the output."""
     params = results / "00_plan" / "params"
     meshes = results / "20_meshes"
-    shard, poses, fea, forces = (work / name for name in (
-        "00_plan/shards/0000.csv", "10_poses/0000.csv", "30_fea/0000.csv", "40_forces/0000.npz"))
+    shard, poses, fea, forces = (
+        work / name
+        for name in ("00_plan/shards/0000.csv", "10_poses/0000.csv", "30_fea/0000.csv", "40_forces/0000.npz")
+    )
     labels = work / "50_labels" / resolution / "labels.json"
     return [
         ("poses", ["--data", data, "--shard", shard, "--params", params / "poses.json", "--out", poses]),
         ("fea", ["--poses", poses, "--meshes", meshes, "--params", params / "fea.json", "--out", fea]),
         ("forces", ["--fea", fea, "--meshes", meshes, "--params", params / "forces.json", "--out", forces]),
-        ("labels", ["--forces", forces.parent, "--poses", poses.parent, "--meshes", meshes, "--shards", shard.parent,
-                    "--sensors", params / "sensors.json", "--resolution", resolution,
-                    "--params", params / "labels.json", "--out", labels]),
+        (
+            "labels",
+            [
+                "--forces",
+                forces.parent,
+                "--poses",
+                poses.parent,
+                "--meshes",
+                meshes,
+                "--shards",
+                shard.parent,
+                "--sensors",
+                params / "sensors.json",
+                "--resolution",
+                resolution,
+                "--params",
+                params / "labels.json",
+                "--out",
+                labels,
+            ],
+        ),
     ]
 
 

@@ -66,15 +66,26 @@ def lines(results: Path) -> list[str]:
     solved, diverged = fea_state(results, sizes)
     stages = [("10_poses", good, rejected), ("30_fea", solved, diverged)]
     stages.append(("40_forces", shard_state(results / "40_forces", sizes), Counter()))
-    stages += [(f"50_labels {f.name}", shard_state(f, sizes), Counter()) for f in sorted(results.glob("50_labels/*x*"))]
-    text = [f"{results.name}: {total} samples in {len(sizes)} shards", f"{'stage':20s} {'done':>7s} {'failed':>7s} {'pending':>7s}"]
+    stages += [
+        (f"50_labels {f.name}", shard_state(f, sizes), Counter()) for f in sorted(results.glob("50_labels/*x*"))
+    ]
+    text = [
+        f"{results.name}: {total} samples in {len(sizes)} shards",
+        f"{'stage':20s} {'done':>7s} {'failed':>7s} {'pending':>7s}",
+    ]
     for name, done, failed in stages:
         bad = failed.total()
         lost = 0 if name == "10_poses" else rejected.total()
         text.append(f"{name:20s} {done:7d} {bad:7d} {max(total - done - bad - lost, 0):7d}")
         text += [f"    {count:6d} x {reason}" for reason, count in failed.most_common()]
-    for kind, pattern in (("60_dataset", "*/dataset.json"), ("70_train", "*/*.pt"), ("80_evaluate", "*/*.json"),
-                          ("90_report", "index.html"), ("calibrate", "summary.json"), ("pareto", "pareto.json")):
+    for kind, pattern in (
+        ("60_dataset", "*/dataset.json"),
+        ("70_train", "*/*.pt"),
+        ("80_evaluate", "*/*.json"),
+        ("90_report", "index.html"),
+        ("calibrate", "summary.json"),
+        ("pareto", "pareto.json"),
+    ):
         found = sorted(str(p.relative_to(results / kind)) for p in (results / kind).glob(pattern))
         text.append(f"{kind:20s} {', '.join(found) or 'pending'}")
     return text

@@ -25,7 +25,11 @@ NOTICES = ("rejected: ", "failed: ")  # lines of a log that a person must see al
 def mirror(target: Path, kind: str, suffix: str) -> Path:
     """Where the log or the metrics of a target lie: results/DATASET/kind/STAGE/stem.suffix."""
     parts = target.parts
-    at = parts.index("results") + 2 if "results" in parts and len(parts) > parts.index("results") + 3 else len(parts) - 1
+    at = (
+        parts.index("results") + 2
+        if "results" in parts and len(parts) > parts.index("results") + 3
+        else len(parts) - 1
+    )
     return Path(*parts[:at], kind, *parts[at:]).with_suffix(suffix)
 
 
@@ -58,7 +62,11 @@ def run(command: list[str], log_path: Path) -> tuple[int, dict]:
         log.write(f"$ {' '.join(command)}\n")
         log.flush()
         child = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace",
+            command,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors="replace",
             preexec_fn=die_with_parent,
         )
         for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
@@ -67,8 +75,11 @@ def run(command: list[str], log_path: Path) -> tuple[int, dict]:
         code = child.wait()
     usage = resource.getrusage(resource.RUSAGE_CHILDREN)
     cost = {
-        "command": command, "exit_code": code, "started": started,
-        "seconds": round(time.time() - started, 3), "cpu_seconds": round(usage.ru_utime + usage.ru_stime, 3),
+        "command": command,
+        "exit_code": code,
+        "started": started,
+        "seconds": round(time.time() - started, 3),
+        "cpu_seconds": round(usage.ru_utime + usage.ru_stime, 3),
         "peak_mib": round(usage.ru_maxrss / 1024, 1),
     }
     return code, cost

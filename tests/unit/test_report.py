@@ -32,7 +32,9 @@ def test_every_indenter_is_shown_before_any_comes_twice():
 
 
 def test_failures_are_listed_with_their_reasons(tmp_path):
-    section = failures_section(tmp_path, {"s1": {"sample_id": "s1", "status": "DIVERGED", "reason": "why", "fidelity": "ccx"}})
+    section = failures_section(
+        tmp_path, {"s1": {"sample_id": "s1", "status": "DIVERGED", "reason": "why", "fidelity": "ccx"}}
+    )
     assert any(["s1", "DIVERGED", "why", "ccx"] in item.get("rows", []) for item in section.items)
     assert "None" in failures_section(tmp_path, {}).items[0]["text"]
 

@@ -7,7 +7,9 @@ from gelforge.status import lines
 def test_counts_add_up_and_reasons_are_named(tmp_path):
     results = tmp_path / "lab"
     assert "nothing planned" in lines(results)[0]
-    write_csv(results / "00_plan/shards.csv", ["sample_id", "shard"], [{"sample_id": k, "shard": k // 3} for k in range(6)])
+    write_csv(
+        results / "00_plan/shards.csv", ["sample_id", "shard"], [{"sample_id": k, "shard": k // 3} for k in range(6)]
+    )
     write_csv(results / "10_poses/0000.csv", ["sample_id"], [{"sample_id": k} for k in range(2)])
     rejected = [{"row": 4, "column": c, "reason": "not a number"} for c in ("x0_mm", "y0_mm")]
     write_csv(results / "10_poses/0000.rejected.csv", ["row", "column", "reason"], rejected)

@@ -89,6 +89,8 @@ def test_an_input_that_lost_bytes_is_made_again(tmp_path):
 
 def inputs_wrapped(target, source, *command):
     done = subprocess.run(
-        [sys.executable, "-m", "gelforge.step", str(target), str(source), "--", *command], capture_output=True, text=True
+        [sys.executable, "-m", "gelforge.step", str(target), str(source), "--", *command],
+        capture_output=True,
+        text=True,
     )
     return done.returncode, done.stdout

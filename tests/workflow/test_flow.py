@@ -139,11 +139,17 @@ def test_bad_rows_are_rejected_by_name_and_the_rest_goes_on(project, root):
     assert done.returncode == 0, done.stdout
     rejected = [r for p in sorted((project / "results/tiny/10_poses").glob("*.rejected.csv")) for r in read_csv(p)]
     named = {r["sample_id"]: r for r in rejected}
-    assert {"nan", "text", "who", "sensor", "lost", "escape", "never", "through", "broken", good["sample_id"]} <= set(named)
+    assert {"nan", "text", "who", "sensor", "lost", "escape", "never", "through", "broken", good["sample_id"]} <= set(
+        named
+    )
     for row in rejected:
         assert row["row"] and row["column"] and row["reason"] and row["remedy"]
         assert row["sample_id"] in done.stdout
-    kept = [r["sample_id"] for p in sorted((project / "results/tiny/10_poses").glob("[0-9]*[0-9].csv")) for r in read_csv(p)]
+    kept = [
+        r["sample_id"]
+        for p in sorted((project / "results/tiny/10_poses").glob("[0-9]*[0-9].csv"))
+        for r in read_csv(p)
+    ]
     assert len(kept) >= 3 and len(set(kept)) == len(kept)
     assert make(project, "DATASET=tiny", "STRICT=1", "clean-poses").returncode == 0
     strict = make(project, "-k", "DATASET=tiny", "STRICT=1", "poses")
@@ -165,7 +171,9 @@ def test_an_unknown_dataset_is_an_error(project):
 def test_a_full_disk_fails_and_the_next_make_resumes(project, tmp_path):
     small = tmp_path / "small"
     small.mkdir()
-    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=200k", "tmpfs", str(small)], capture_output=True).returncode:
+    if subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=200k", "tmpfs", str(small)], capture_output=True
+    ).returncode:
         pytest.skip("a tmpfs cannot be mounted here")
     try:
         (project / "results").symlink_to(small)

@@ -24,8 +24,15 @@ def write_manifest(project: Path, root: Path) -> None:
     data = project / "data" / "synthetic"
     numbers = dict.fromkeys((c for c in LOG_COLUMNS if c.endswith(("_mm", "_deg", "_n", "_nm"))), "0.5")
     rows = [
-        {**numbers, "sample_id": f"s{k:05d}", "time_utc": "", "sensor_id": "reference", "gel_id": "g1",
-         "indenter": "sphere_15", "image": f"images/s{k:05d}.png"}
+        {
+            **numbers,
+            "sample_id": f"s{k:05d}",
+            "time_utc": "",
+            "sensor_id": "reference",
+            "gel_id": "g1",
+            "indenter": "sphere_15",
+            "image": f"images/s{k:05d}.png",
+        }
         for k in range(SAMPLES)
     ]
     write_csv(data / "log.csv", LOG_COLUMNS, rows)

@@ -46,7 +46,9 @@ def table(figures: list[Figure]) -> str:
     ]
     rows.insert(0, ("", "figure", "measured", "goal", "unit", "note"))
     widths = [max(len(row[k]) for row in rows) for k in range(5)]
-    return "\n".join("  ".join([*(c.ljust(w) for c, w in zip(row[:5], widths, strict=True)), row[5]]).rstrip() for row in rows)
+    return "\n".join(
+        "  ".join([*(c.ljust(w) for c, w in zip(row[:5], widths, strict=True)), row[5]]).rstrip() for row in rows
+    )
 
 
 def publish_figures(path, figures: list[Figure]) -> None:

@@ -27,6 +27,11 @@ def clean_environment() -> dict[str, str]:
 def make(project: Path, *arguments: str, **options) -> subprocess.CompletedProcess:
     """Run make in a sandbox; standard output and error are in the answer's `stdout`."""
     return subprocess.run(
-        ["make", *arguments], cwd=project, env=clean_environment(), text=True,
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, **options,
+        ["make", *arguments],
+        cwd=project,
+        env=clean_environment(),
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        **options,
     )
