@@ -1,5 +1,9 @@
 # gelforge: raw CNC logs to contact-force labels and networks. `make help` lists the targets.
-MAKEFLAGS += -rR --warn-undefined-variables --output-sync=target
+MAKEFLAGS += -rR --warn-undefined-variables
+# Parallel jobs print whole; tests and benchmarks are one long job, which a person watches.
+ifeq ($(filter test test-% benchmark-%,$(MAKECMDGOALS)),)
+MAKEFLAGS += --output-sync=target
+endif
 .SUFFIXES:
 .DELETE_ON_ERROR:
 SHELL := bash
