@@ -18,8 +18,9 @@ from gelforge.progress import progress
 
 VERSION = 1
 GOAL_TOTAL, GOAL_CELLS = 0.02, 0.08  # what a label setting should meet over all scenes
-COLUMNS = ("method", "fidelity", "size_mm", "load_steps", "scenes", "failed",
-           "cpu_seconds_median", "cpu_seconds_worst", "total_median", "total_worst", "total_worst_scene", "cells_median", "cells_worst", "cells_worst_scene",
+COLUMNS = ("method", "fidelity", "size_mm", "load_steps", "scenes", "failed", "cpu_seconds_median",
+           "cpu_seconds_worst",
+           "total_median", "total_worst", "total_worst_scene", "cells_median", "cells_worst", "cells_worst_scene",
            "frontier_total", "frontier_cells")  # fmt: skip
 
 

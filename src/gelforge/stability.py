@@ -100,7 +100,8 @@ def judge_row(row: str, records: list[dict], params: dict) -> list[dict]:
         fx, fy, fz = record.get("total") or (None, None, None)
         judged.append({"row": row} | record["case"] | {
             "status": record["status"], "verdict": verdict, "drift": drift, "against": against,
-            "fx_n": fx, "fy_n": fy, "fz_n": fz, "cpu_seconds": record.get("cpu_seconds"), "reason": record.get("reason", ""),
+            "fx_n": fx, "fy_n": fy, "fz_n": fz, "cpu_seconds": record.get("cpu_seconds"),
+            "reason": record.get("reason", ""),
         })  # fmt: skip
     return judged
 

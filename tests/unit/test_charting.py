@@ -32,7 +32,8 @@ def params():
 
 @pytest.fixture(scope="module")
 def scenes(params):
-    return {name: parse_scene(name, table, params["material"]["nu"]) for name, table in read_tables("workflow").items()}
+    nu = params["material"]["nu"]
+    return {name: parse_scene(name, table, nu) for name, table in read_tables("workflow").items()}
 
 
 @given(CELLS, CELLS)

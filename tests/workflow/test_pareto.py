@@ -74,7 +74,8 @@ def test_envelope_scenes_are_the_same_ones_every_time():
 
 def test_the_decks_force_is_the_last_total_on_its_base():
     block = " total force (fx,fy,fz) for set NGELSIGHT_MINI{} and time  {:.7E}\n\n {:e} {:e} {:e}\n"
-    text = "".join(block.format(s, t, 0.1, 0.2, f) for t in (0.5, 1.0) for s, f in (("VOLUME", 9.0), ("FIXED", 5 * t)))
+    sets = (("VOLUME", 9.0), ("FIXED", 5.0))
+    text = "".join(block.format(name, t, 0.1, 0.2, f * t) for t in (0.5, 1.0) for name, f in sets)
     assert deck_force(text) == 5.0
     with pytest.raises(BadInput, match="no total force"):
         deck_force(text[:20])

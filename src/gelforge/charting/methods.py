@@ -126,7 +126,7 @@ def _prepare_native(method, scene, folder, params, work):
     from gelforge.mechanics.native import solve_native
 
     mesh = GelMesh.load(Path(folder) / f"{meshes.density_mesh(scene, folder, params, method.size)}.npz")
-    return lambda: (solve_native(scene, mesh, work / "native", params["pareto"]["limit_s"]), mesh)
+    return lambda: (solve_native(scene, mesh, work / "native", 0.9 * params["pareto"]["limit_s"]), mesh)
 
 
 def _prepare_ccx(method, scene, fine, folder, params, work):
