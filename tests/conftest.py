@@ -10,6 +10,12 @@ ROOT = Path(__file__).resolve().parent.parent
 REFERENCE = Path(os.environ.get("GELFORGE_REFERENCE", ROOT.parent / "shared" / "reference"))
 
 
+@pytest.fixture(autouse=True)
+def in_project(monkeypatch):
+    """Every test starts in the project's folder, wherever the one before it went."""
+    monkeypatch.chdir(ROOT)
+
+
 @pytest.fixture(scope="session")
 def root() -> Path:
     """The project's folder."""
