@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gelforge.files import write_text
+from gelforge.files import write_if_changed
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.scene import REFERENCE_C10, Material
 
@@ -44,11 +44,9 @@ def mesh_include(mesh: GelMesh) -> str:
 
 
 def write_include(mesh: GelMesh, path) -> Path:
-    """Write `mesh_include` to `path` unless it is there already."""
-    path = Path(path)
-    if not path.exists():
-        write_text(path, mesh_include(mesh))
-    return path
+    """Write `mesh_include` to `path`; a file of another mesh that lies there is replaced."""
+    write_if_changed(path, mesh_include(mesh))
+    return Path(path)
 
 
 def material_lines(material: Material) -> list[str]:
