@@ -10,7 +10,9 @@ apt_install() {
     fi
     command -v apt-get >/dev/null || { echo "error: no apt-get here; install by hand: $*" >&2; return 2; }
     echo "installing system packages: $*"
-    DEBIAN_FRONTEND=noninteractive $sudo apt-get install -y -qq --no-install-recommends "$@" >/dev/null 2>&1 && return
-    $sudo apt-get update -qq >/dev/null
-    DEBIAN_FRONTEND=noninteractive $sudo apt-get install -y -qq --no-install-recommends "$@" >/dev/null
+    # Another program may hold apt's lock for a while.
+    local apt="$sudo env DEBIAN_FRONTEND=noninteractive apt-get -y -qq -o DPkg::Lock::Timeout=600"
+    $apt install --no-install-recommends "$@" >/dev/null 2>&1 && return
+    $apt update >/dev/null
+    $apt install --no-install-recommends "$@" >/dev/null
 }

@@ -1,7 +1,8 @@
 # EXECUTOR=slurm: what each barrier waits for; its tests on a real one-machine cluster.
 SLURM_FOUND := .venv/slurm.found
 
-$(SLURM_FOUND): envs/slurm.sh | $(SETUP)
+# After CalculiX: two installs at once would fight for apt's lock.
+$(SLURM_FOUND): envs/slurm.sh | $(SETUP) $(CCX_FOUND)
 	@envs/slurm.sh $@
 
 test: $(SLURM_FOUND)
