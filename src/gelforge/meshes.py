@@ -165,6 +165,15 @@ def choose_mesh(scene: Scene, family: MeshFamily, engine: str = "ccx") -> str:
     return max(names, key=lambda n: (np.prod(report[n]["half_mm"]), -report[n]["size"]))
 
 
+def publish_mesh(name: str, mesh: GelMesh, report: dict, out: Path) -> None:
+    """Write a mesh to `out`, whatever its suffix, with the report NAME.json beside it, and show the report."""
+    write_json(out.with_name(f"{name}.json"), report)
+    whole = out.with_name(f".{name}.npz")
+    mesh.save(whole)
+    whole.replace(out)
+    print(json.dumps(report, indent=1), file=sys.stderr)
+
+
 def main(argv=None) -> int:
     parser = argparse.ArgumentParser(prog="gelforge.meshes", description=__doc__.splitlines()[0])
     parser.add_argument("--name", required=True, help="ENGINE-REGION-SIZE, such as ccx-centre-0.7")
@@ -173,10 +182,7 @@ def main(argv=None) -> int:
     args = parser.parse_args(argv)
     table = read_json(args.params)["meshes"]
     mesh, report = make_mesh(MeshName.parse(args.name), load_gel(table["gel"]), table)
-    write_json(args.out.with_name(f"{args.name}.json"), report)
-    mesh.save(args.out.with_name(f".{args.name}.npz"))
-    args.out.with_name(f".{args.name}.npz").replace(args.out)
-    print(json.dumps(report, indent=1), file=sys.stderr)
+    publish_mesh(args.name, mesh, report, args.out)
     return 0
 
 

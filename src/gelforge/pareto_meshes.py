@@ -1,13 +1,12 @@
 """Meshes of branch pareto: label regions at every density of the chart, and tight fine ones for the reference."""
 
 import argparse
-import json
-import sys
 from pathlib import Path
 
 from gelforge.charting.meshes import build_mesh
-from gelforge.files import read_json, write_json
+from gelforge.files import read_json
 from gelforge.geometry.gel import load_gel
+from gelforge.meshes import publish_mesh
 
 VERSION = 1
 
@@ -20,10 +19,7 @@ def main(argv=None) -> int:
     args = parser.parse_args(argv)
     params = read_json(args.params)
     mesh, report = build_mesh(args.name, load_gel(params["meshes"]["gel"]), params)
-    write_json(args.out.with_name(f"{args.name}.json"), report)
-    mesh.save(args.out.with_name(f".{args.name}.npz"))
-    args.out.with_name(f".{args.name}.npz").replace(args.out)
-    print(json.dumps(report, indent=1), file=sys.stderr)
+    publish_mesh(args.name, mesh, report, args.out)
     return 0
 
 

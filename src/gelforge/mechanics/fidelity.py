@@ -15,21 +15,13 @@ FIDELITIES = ("hex", "ccx", "ccx-native", "ccx-fine", "auto")
 
 
 @dataclass(frozen=True)
-class FeaSettings:
+class FeaSettings(CcxSettings):
     """The [fea] table: see workflow/params.toml for the reasons of its values."""
 
     fidelity: str = "ccx"
     tolerance: float = 0.02
     hex_press_steps: int = 8
     hex_shear_steps: int = 4
-    press_steps: int = 4
-    shear_steps: int = 3
-    stiffness: float = 2000.0
-    rounds: int = 8
-    pull_tolerance: float = 2e-3
-    penetration_mm: float = 2e-3
-    residual: float = 1e-5
-    timeout_s: float = 1800.0
     charted: dict | None = None
 
     @classmethod
@@ -40,8 +32,7 @@ class FeaSettings:
 
     @property
     def ccx(self) -> CcxSettings:
-        names = {f.name for f in fields(CcxSettings)}
-        return CcxSettings(**{k: getattr(self, k) for k in names if hasattr(self, k)})
+        return CcxSettings(**{f.name: getattr(self, f.name) for f in fields(CcxSettings)})
 
 
 class Solvers:
