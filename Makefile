@@ -35,5 +35,5 @@ include $(sort $(filter-out rules/0% rules/1% rules/2% rules/3% rules/4% rules/5
 
 .PHONY: help
 help:  ## this list
-	@echo 'make TARGET [DATASET=$(DATASET)] [RES="$(RES)"] [MODEL=$(MODEL)] [EXECUTOR=local|slurm] [JOBS=n] [STRICT=1]'
+	@echo 'make TARGET [DATASET=$(DATASET)] [RES="$(RES)"] [MODEL=$(MODEL)] [EXECUTOR=local|slurm] [SLURM_PROFILE=name] [DETACH=1] [JOBS=n] [STRICT=1]'
 	@sed -nE 's/^([a-z][a-zA-Z0-9%_-]*):.*  ## (.*)/  \1\t\2/p' Makefile rules/*.mk | expand -t 24
