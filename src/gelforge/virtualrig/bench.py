@@ -64,7 +64,7 @@ class Bench:
             rng = np.random.default_rng(zlib.crc32(name.encode()))
             angle = float(rng.choice([135.0, 45.0])) + rng.normal(scale=2.0)
             self._bodies[name] = body_of(
-                self.indenters[name], rng.uniform(0.015, 0.03), rng.uniform(0.55, 0.75), angle
+                self.indenters[name], rng.uniform(0.035, 0.055), rng.uniform(0.55, 0.75), angle
             )
         return self._bodies[name]
 

@@ -10,7 +10,7 @@ from gelforge.virtualrig.looks import COLOURS, HEIGHT, TERMS, WIDTH, normalised_
 
 
 def dot_spots(image: np.ndarray, darker: float = 0.72) -> tuple[np.ndarray, np.ndarray]:
-    """Dark round spots of a dotted gel: centres (n, 2) px, and diameters (n,) px of equal area.
+    """Dark round spots of a dotted gel: centres (n, 2) px from the image's corner, diameters (n,) px of equal area.
 
     A spot is a connected part darker than `darker` times its surroundings, 40 to 500 pixels large.
     Centres are weighted by darkness, which is good to about 0.05 px on a sharp picture.
@@ -29,7 +29,7 @@ def dot_spots(image: np.ndarray, darker: float = 0.72) -> tuple[np.ndarray, np.n
         ]
         near = cv2.dilate((label[window] == k).astype(np.uint8), np.ones((3, 3)))
         weight = np.clip(1.0 - ratio[window], 0.0, None) * near
-        v, u = np.mgrid[window]
+        v, u = np.mgrid[window] + 0.5
         centres.append([(weight * u).sum() / weight.sum(), (weight * v).sum() / weight.sum()])
         diameters.append(2.0 * np.sqrt(area / np.pi))
     return np.array(centres).reshape(-1, 2), np.array(diameters)
@@ -37,7 +37,7 @@ def dot_spots(image: np.ndarray, darker: float = 0.72) -> tuple[np.ndarray, np.n
 
 def dot_free(centres: np.ndarray, radius: float) -> np.ndarray:
     """Mask (240, 320) of the pixels farther than `radius` px from every centre."""
-    v, u = np.mgrid[:HEIGHT, :WIDTH]
+    v, u = np.mgrid[:HEIGHT, :WIDTH] + 0.5
     mask = np.ones((HEIGHT, WIDTH), bool)
     for cu, cv_ in centres:
         mask &= np.hypot(u - cu, v - cv_) > radius

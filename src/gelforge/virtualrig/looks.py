@@ -21,8 +21,9 @@ class Look:
     background: (15, 3) coefficients of s^i t^j in the order of TERMS, grey levels, where s and t run from -1 to 1
     across the image. tilt: (3, 2) relative change of the light along s and t. light: (3, 2) unit vectors in the
     image plane towards each light. slope_gain: (3,) relative brightening per unit of surface slope towards the light,
-    which levels off beyond slope_limit.
-    dots: (n, 2) centres. ink: (3,) what an ink dot still
+    which levels off beyond slope_limit. brightening: (3,) how much of it a steep flank that faces the light gets;
+    gentle slopes and flanks that turn away get all.
+    dots: (n, 2) centres, counted from the image's corner like projections. ink: (3,) what an ink dot still
     reflects; flecks: (3,) how much brighter its bare spots are. shadow_depth and shadow_length: the coloured
     penumbra beside each dot. noise: (3,) standard deviation in grey levels. camera_mm: height of the pinhole
     below the gel's crown, which sets how much a pressed part looks larger.
@@ -37,6 +38,7 @@ class Look:
     light: np.ndarray
     slope_gain: np.ndarray
     slope_limit: float
+    brightening: np.ndarray
     camera_mm: float
     blur: float
     noise: np.ndarray
@@ -104,6 +106,7 @@ def _look(name: str, table: dict, path) -> Look:
             light=np.stack([np.cos(angle), -np.sin(angle)], axis=1),
             slope_gain=np.array(light["slope_gain"], float),
             slope_limit=float(light["slope_limit"]),
+            brightening=np.array(light.get("brightening", np.ones(3)), float),
             camera_mm=float(camera["height_mm"]),
             blur=float(camera["blur_px"]),
             noise=np.array(camera["noise"], float),

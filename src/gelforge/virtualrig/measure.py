@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from gelforge.binning.markers import MarkerGrid, find_blobs, find_markers
+from gelforge.binning.markers import MarkerGrid, find_markers
 from gelforge.mechanics.hexmesh import interpolate_surface
 from gelforge.virtualrig.fit import dot_free, dot_spots
 from gelforge.virtualrig.looks import HEIGHT, WIDTH
@@ -43,32 +43,16 @@ def background_correlation(a: NoContact, b: NoContact) -> np.ndarray:
 
 
 def steepest(height: np.ndarray, centre, half_width: int = 20) -> np.ndarray:
-    """Pixels left, right, top, bottom of `centre` (u, v) where the surface is steepest, (4,).
+    """Where left, right, above and below `centre` (u, v) the surface is steepest, (4,) px from the image's corner.
 
     Median over strips of 2 `half_width` px through the centre, to a tenth of a px by a parabola.
     """
     smooth = cv2.GaussianBlur(height, (0, 0), 1.0)
-    u, v = (int(round(c)) for c in centre)
+    u, v = (int(c) for c in centre)
     along_u = np.median(cv2.Sobel(smooth, cv2.CV_32F, 1, 0)[v - half_width : v + half_width], axis=0)
     along_v = np.median(cv2.Sobel(smooth, cv2.CV_32F, 0, 1)[:, u - half_width : u + half_width], axis=1)
-    return np.array([_peak(-along_u[:u]), u + _peak(along_u[u:]), _peak(-along_v[:v]), v + _peak(along_v[v:])])
-
-
-def flank_bands(image: np.ndarray, light: np.ndarray, windows: dict) -> dict[str, float]:
-    """Where each flank of a pressed body is darkest or brightest in a picture, px.
-
-    light: (240, 320, 3) background to divide by. windows: side -> (axis, colour, sign, low, high, from, to), the
-    range searched along the axis and the strip across it; dots are left out.
-    """
-    points, widths = find_blobs(image)
-    free = dot_free(points, 0.5 * float(np.median(widths)) + 3.0)
-    ratio = np.where(free[..., None], image / np.maximum(light, 1.0), np.nan)
-    found = {}
-    for side, (axis, colour, sign, low, high, start, stop) in windows.items():
-        strip = ratio[start:stop, low:high, colour] if axis == 0 else ratio[low:high, start:stop, colour].T
-        profile = cv2.GaussianBlur(np.nanmedian(strip, axis=0)[None].astype(np.float32), (0, 0), 1.5)[0]
-        found[side] = low + _peak(sign * profile)
-    return found
+    sides = _peak(-along_u[:u]), u + _peak(along_u[u:]), _peak(-along_v[:v]), v + _peak(along_v[v:])
+    return np.array(sides) + 0.5
 
 
 def _peak(profile: np.ndarray) -> float:

@@ -12,7 +12,7 @@ SUPER = 3  # samples per px and direction
 def printed(look: Look, rng: np.random.Generator) -> np.ndarray:
     """Share of light the printed gel returns, ((240 + 2 MARGIN) SUPER, (320 + 2 MARGIN) SUPER, 3) float32.
 
-    Sample (i, j) lies at pixel v = (i + 0.5) / SUPER - 0.5 - MARGIN, u likewise.
+    Sample (i, j) lies at v = (i + 0.5) / SUPER - MARGIN px from the image's corner, u likewise.
     """
     shape = (HEIGHT + 2 * MARGIN) * SUPER, (WIDTH + 2 * MARGIN) * SUPER
     cover = np.zeros(shape, np.float32)
@@ -28,8 +28,8 @@ def printed(look: Look, rng: np.random.Generator) -> np.ndarray:
 
 
 def sample_position(pixel: np.ndarray) -> np.ndarray:
-    """Index of the painted sample at a pixel coordinate."""
-    return (pixel + MARGIN + 0.5) * SUPER - 0.5
+    """Index of the painted sample at a distance in px from the image's corner."""
+    return (pixel + MARGIN) * SUPER - 0.5
 
 
 def _print_dot(cover, fleck, centre, look: Look, rng: np.random.Generator) -> None:

@@ -95,14 +95,13 @@ class Renderer:
         shift = np.stack([seen_u - wide_u, seen_v - wide_v], axis=-1).astype(np.float32)
         source = np.stack([self.pixel_u, self.pixel_v], axis=-1)
         target = source.copy()
+        index = np.float32(MARGIN - 0.5)  # of the first pixel's corner in the painted surroundings
         for _ in range(ROUNDS):
-            at = cv2.remap(
-                shift, source + np.float32(MARGIN), None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-            )
+            at = cv2.remap(shift, source + index, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
             source += np.float32(RELAXATION) * (target - at - source)
         height = cv2.remap(
             self.top + moved[..., 2],
-            source + np.float32(MARGIN),
+            source + index,
             None,
             cv2.INTER_LINEAR,
             borderMode=cv2.BORDER_REPLICATE,
@@ -138,10 +137,13 @@ class Renderer:
         slope_v = cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=self.scale / 8)
         # the gel's coating scatters: steep flanks are hardly brighter than moderate ones
         strength = 1.0 / np.sqrt(1.0 + (slope_u**2 + slope_v**2) / np.float32(self.look.slope_limit**2))
+        gentle = strength**4
         shade = np.empty((HEIGHT, WIDTH, 3), np.float32)
         for colour, (towards, gain) in enumerate(zip(self.look.light, self.look.slope_gain, strict=True)):
-            lit = float(gain * towards[0]) * slope_u + float(gain * towards[1]) * slope_v
-            np.maximum(1.0 + strength * lit, 0.2, out=shade[..., colour])
+            lit = strength * (float(gain * towards[0]) * slope_u + float(gain * towards[1]) * slope_v)
+            steep = np.float32(self.look.brightening[colour])
+            lit = np.where(lit > 0.0, (steep + (1 - steep) * gentle) * lit, lit)
+            np.maximum(1.0 + lit, 0.2, out=shade[..., colour])
         return shade
 
     def _noise(self, rng: np.random.Generator) -> np.ndarray:
@@ -154,7 +156,8 @@ class Renderer:
 
 
 def _pixels(margin: int) -> tuple[np.ndarray, np.ndarray]:
-    v, u = np.mgrid[-margin : HEIGHT + margin, -margin : WIDTH + margin].astype(np.float32)
+    """Centres (u, v) of the pixels, counted from the image's corner as projections and label cells are."""
+    v, u = np.mgrid[-margin : HEIGHT + margin, -margin : WIDTH + margin].astype(np.float32) + np.float32(0.5)
     return u, v
 
 

@@ -84,9 +84,10 @@ def body_of(indenter: Indenter, texture_mm: float, pitch_mm: float, angle_deg: f
     slope = np.hypot(*np.gradient(height, step))
     angle = np.deg2rad(angle_deg)
     along = (x * np.cos(angle) + y * np.sin(angle)) / pitch_mm
-    # filaments are not quite straight: a slow wobble keeps the lines from looking ruled
-    wobble = 0.05 * np.sin(1.3 * (x - y) + 0.9) + 0.04 * np.sin(2.1 * y + 0.4)
+    # filaments are not quite straight nor equally high: a slow wobble keeps the lines from looking ruled
+    wobble = 0.12 * np.sin(1.3 * (x - y) + 0.9) + 0.09 * np.sin(2.1 * y + 0.4)
     lines = np.cos(2 * np.pi * (along + wobble))
+    lines *= 0.7 + 0.3 * np.sin(1.1 * x + 1.7) * np.sin(0.9 * y + 0.6) + 0.15 * np.sin(4.1 * along)
     layers = np.cos(2 * np.pi * height / 0.2)
     flat = np.exp(-((slope / 0.05) ** 2))
     inclined = np.clip((slope - 0.05) / 0.1, 0, 1) * np.clip((1.2 - slope) / 0.4, 0, 1)
