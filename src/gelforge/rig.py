@@ -12,9 +12,9 @@ from gelforge.errors import BadInput
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue, read_catalogue
 from gelforge.progress import progress
-from gelforge.virtualrig.dataset import Dataset, image_name, log_row, save_image, truth_row
+from gelforge.virtualrig.dataset import Dataset, image_name, log_row, save_image, surface_name, truth_row
 from gelforge.virtualrig.looks import read_looks
-from gelforge.virtualrig.plan import Plan, check_names, generator, orders, read_plan
+from gelforge.virtualrig.plan import Order, Plan, check_names, generator, orders, read_plan
 
 VERSION = 1
 
@@ -34,19 +34,33 @@ class Worker:
         sensors, looks = load_sensors(workflow / "sensors.toml"), read_looks(workflow / "rig" / "sensors.toml")
         self.cameras = {name: Renderer(looks[name], sensors[name].projection, gel) for name in plan.sensors}
 
-    def carry_out(self, order):
-        """Press, take the picture, and return (order, row of the log or None, row of the truth)."""
-        from gelforge.virtualrig.render import Pressed
-        from gelforge.virtualrig.surface import field_of
+    def carry_out(self, order: Order, solved: bool):
+        """Press and take the picture; returns (order, row of the log or None, row of the truth).
 
+        Where the press is `solved`, only its picture is drawn from the surface kept then, and no rows come back.
+        """
+        from gelforge.virtualrig.surface import Surface, surface_of
+
+        kept = self.folder / surface_name(order)
+        if solved:
+            self._take_picture(order, Surface.load(kept))
+            return order, None, None
         pressing = self.bench.press(order)
         if not pressing.result.status.valid:
             return order, None, truth_row(pressing)
-        field = field_of(self.gel, pressing.result.mesh, pressing.result.displacement)
-        body = Pressed(self.bench.body(order.indenter), pressing.real)
-        image = self.cameras[order.sensor].image(field, body, generator(self.plan, order.index, 2))
-        save_image(self.folder / image_name(order), image)
+        surface = surface_of(pressing.result.mesh, pressing.result.displacement, pressing.real)
+        surface.save(kept)
+        self._take_picture(order, surface)
         return order, log_row(pressing, self.plan.gel), truth_row(pressing)
+
+    def _take_picture(self, order: Order, surface) -> None:
+        from gelforge.virtualrig.render import Pressed
+        from gelforge.virtualrig.surface import field_of
+
+        body = Pressed(self.bench.body(order.indenter), surface.press)
+        noise = generator(self.plan, order.index, 2)
+        image = self.cameras[order.sensor].image(field_of(self.gel, surface), body, noise)
+        save_image(self.folder / image_name(order), image)
 
 
 def _start(*arguments):
@@ -54,8 +68,8 @@ def _start(*arguments):
     _worker = Worker(*arguments)
 
 
-def _carry_out(order):
-    return _worker.carry_out(order)
+def _carry_out(task):
+    return _worker.carry_out(*task)
 
 
 def run(plan_path, data="data", workflow="workflow", jobs: int = 1) -> Path:
@@ -67,14 +81,19 @@ def run(plan_path, data="data", workflow="workflow", jobs: int = 1) -> Path:
     dataset.check_same_plan()
     dataset.begin()
     _no_contact_images(plan, workflow, folder)
-    todo = dataset.missing(orders(plan))
-    failed = []
+    todo = [(order, dataset.solved(order)) for order in dataset.missing(orders(plan))]
+    drawn, failed = 0, []
     with _pool(min(jobs, len(todo)), plan, workflow, folder) as carried_out:
         for order, log, truth in progress(carried_out(todo), "rig", total=len(todo)):
+            if truth is None:
+                drawn += 1
+                continue
             dataset.add(order, log, truth)
             if log is None:
                 failed.append(f"{order.sample_id} ({order.indenter}, {order.depth:.2f} mm: {truth['status']})")
-    print(f"{folder}: {len(dataset.log)} presses, {len(todo)} new" + (f", {len(failed)} failed" if failed else ""))
+    counts = {"new": len(todo) - drawn, "only drawn again": drawn, "failed": len(failed)}
+    told = "".join(f", {count} {what}" for what, count in counts.items() if count or what == "new")
+    print(f"{folder}: {len(dataset.log)} presses{told}")
     for line in failed:
         print(f"  no equilibrium, left out: {line}")
     return folder
@@ -91,15 +110,15 @@ def check(plan_path, workflow: Path) -> Plan:
 
 
 def _pool(jobs: int, plan, workflow, folder):
-    """Context that yields a function from orders to results, in their order."""
+    """Context that yields a function from tasks, (order, solved), to results, in their order."""
     if jobs <= 1:
         worker = None
 
         def here(todo):
             nonlocal worker
-            for order in todo:
+            for task in todo:
                 worker = worker or Worker(plan, workflow, folder)
-                yield worker.carry_out(order)
+                yield worker.carry_out(*task)
 
         return nullcontext(here)
     return _Processes(jobs, plan, workflow, folder)
@@ -145,9 +164,8 @@ def main(argv=None) -> int:
     given = parser.parse_args(argv)
     if given.jobs < 1:
         raise BadInput(f"--jobs {given.jobs}: give at least 1")
-    # one thread per press: presses run side by side, and sums come out in the same order everywhere
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
-    os.environ.setdefault("MKL_NUM_THREADS", "1")
+    # one thread per press, whatever the user has set: presses run side by side, and sums keep their order
+    os.environ.update(OMP_NUM_THREADS="1", MKL_NUM_THREADS="1")
     os.environ.setdefault("MKL_CBWR", "AUTO")  # the same digits wherever in memory an array lies
     run(given.plan, given.data, given.workflow, given.jobs)
     return 0

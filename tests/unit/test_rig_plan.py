@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from gelforge.errors import BadInput
+from gelforge.geometry import triangles
+from gelforge.geometry.indenters import load_catalogue
 from gelforge.rig import check, run
 from gelforge.virtualrig.bench import load_cell_error
 from gelforge.virtualrig.looks import read_looks
@@ -57,18 +59,30 @@ def test_bad_plan_is_refused_by_name_before_anything_is_written(tmp_path, old, n
     assert not (tmp_path / "data").exists()
 
 
-def test_open_stl_is_refused_before_anything_is_written(tmp_path):
-    (tmp_path / "rig").mkdir()
-    (tmp_path / "open.stl").write_text(
+def cuts_through_itself(path) -> None:
+    """Two cuboids in one file, one in the other."""
+    vertices, faces = load_catalogue(ROOT / "workflow" / "indenters.toml", ["cuboid_7"])["cuboid_7"].surface()
+    triangles.write_stl(path, *triangles.joined([(vertices, faces), (vertices + [3.0, 2.0, 1.0], faces)]))
+
+
+def one_triangle(path) -> None:
+    """A surface with a rim."""
+    path.write_text(
         "solid open\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n"
         "endsolid open\n"
     )
-    (tmp_path / "shapes.toml").write_text('[mine]\nkind = "stl"\nfile = "open.stl"\n')
+
+
+@pytest.mark.parametrize(("make", "says"), [(one_triangle, "not closed"), (cuts_through_itself, "cut through each other")])
+def test_bad_stl_is_refused_before_anything_is_written(tmp_path, make, says):
+    (tmp_path / "rig").mkdir()
+    make(tmp_path / "mine.stl")
+    (tmp_path / "shapes.toml").write_text('[mine]\nkind = "stl"\nfile = "mine.stl"\n')
     for name in ("sensors.toml", "rig/sensors.toml"):
         (tmp_path / name).write_text((ROOT / "workflow" / name).read_text())
     plan = changed(tmp_path, ('"indenters.toml"', '"shapes.toml"'))
     plan.write_text(re.sub(r"indenters = \[.*\]", 'indenters = ["mine"]', plan.read_text()))
-    with pytest.raises(BadInput, match="mine|open.stl"):
+    with pytest.raises(BadInput, match=f"mine.*({says})"):
         run(plan, tmp_path / "data", tmp_path)
     assert not (tmp_path / "data").exists()
 

@@ -62,6 +62,7 @@ def test_growth_appends_and_repeats_nothing_and_equals_a_fresh_run(two, tmp_path
     gone = two / "images" / "demo-000001.png"
     image = cv2.imread(str(gone))
     gone.unlink()
+    (two / "truth" / "surfaces" / "demo-000001.npz").unlink()  # so that the press is repeated, on another process
     plan = plan_of(tmp_path, 3)
     assert (
         main(["--plan", str(plan), "--data", str(two.parent), "--workflow", str(ROOT / "workflow"), "--jobs", "2"])
@@ -75,6 +76,28 @@ def test_growth_appends_and_repeats_nothing_and_equals_a_fresh_run(two, tmp_path
     assert kept.stat().st_mtime_ns == times[kept]
     run(plan, two.parent, ROOT / "workflow")
     assert (two / "log.csv").read_text() == after
+
+
+def test_a_lost_picture_is_drawn_again_from_the_kept_surface(two, tmp_path, capsys):
+    log = (two / "log.csv").read_bytes()
+    lost = two / "images" / "demo-000000.png"
+    image = lost.read_bytes()
+    lost.unlink()
+    run(plan_of(tmp_path, 2), two.parent, ROOT / "workflow")
+    assert "0 new, 1 only drawn again" in capsys.readouterr().out
+    assert lost.read_bytes() == image
+    assert (two / "log.csv").read_bytes() == log
+
+
+def test_a_broken_surface_is_named(two, tmp_path):
+    lost, surface = two / "images" / "demo-000000.png", two / "truth" / "surfaces" / "demo-000000.npz"
+    image, kept = lost.read_bytes(), surface.read_bytes()
+    lost.unlink()
+    surface.write_bytes(kept[:100])
+    with pytest.raises(BadInput, match="demo-000000.npz: no surface of a press"):
+        run(plan_of(tmp_path, 2), two.parent, ROOT / "workflow")
+    surface.write_bytes(kept)
+    lost.write_bytes(image)
 
 
 def test_another_plan_does_not_mix_in(two, tmp_path):

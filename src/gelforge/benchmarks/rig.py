@@ -24,7 +24,7 @@ from gelforge.virtualrig.bench import Bench, Pressing
 from gelforge.virtualrig.looks import read_looks
 from gelforge.virtualrig.plan import Order, Plan, generator, orders, read_plan
 from gelforge.virtualrig.render import Pressed, Renderer
-from gelforge.virtualrig.surface import field_of
+from gelforge.virtualrig.surface import field_of, surface_of
 
 REFERENCE_UNIT = "mini_a"
 # The real cuboid's log is not published: depth and corners are; the sideways path is read off its dots (3 px in u).
@@ -60,8 +60,8 @@ class Rig:
     def view(self, pressing: Pressing):
         """Displacement field and body of a press, as cameras want them."""
         result = pressing.result
-        field = field_of(self.bench.gel, result.mesh, result.displacement)
-        return field, Pressed(self.bench.body(pressing.order.indenter), pressing.real)
+        surface = surface_of(result.mesh, result.displacement, pressing.real)
+        return field_of(self.bench.gel, surface), Pressed(self.bench.body(pressing.order.indenter), pressing.real)
 
     def picture(self, pressing: Pressing, purpose: int = 2) -> np.ndarray:
         """Image of a press by its sensor."""

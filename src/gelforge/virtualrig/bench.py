@@ -164,15 +164,8 @@ class Bench:
 def _path(order: Order, height: float, depth: float, play) -> Press:
     share = depth / order.depth
     dx, dy = order.shear[0] * share, order.shear[1] * share
-    return Press(
-        order.x + play[0],
-        order.y + play[1],
-        height + play[2],
-        dx + play[3],
-        dy + play[4],
-        -depth + play[5],
-        order.rot_deg,
-    )
+    path = order.x + play[0], order.y + play[1], height + play[2], dx + play[3], dy + play[4], -depth + play[5]
+    return Press(*map(float, path), order.rot_deg)
 
 
 def believed(order: Order, real: Press, height: float, play, force, truth: Truth) -> Press:

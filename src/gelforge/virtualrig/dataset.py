@@ -62,6 +62,10 @@ class Dataset:
             return row["status"] not in ("OK", "NO_CONTACT")
         return (self.folder / image_name(order)).is_file()
 
+    def solved(self, order: Order) -> bool:
+        """Whether all but the picture of an order is there."""
+        return order.sample_id in self.log and (self.folder / surface_name(order)).is_file()
+
     def add(self, order: Order, log_row: dict | None, truth_row: dict) -> None:
         """Publish one press: the truth first, then the row that makes it count."""
         self.truth[order.sample_id] = truth_row
@@ -78,6 +82,11 @@ def _ordered(rows: dict[str, dict]) -> list[dict]:
 def image_name(order: Order) -> str:
     """Path of a press's image below the dataset's folder."""
     return f"images/{order.sample_id}.png"
+
+
+def surface_name(order: Order) -> str:
+    """Path of a press's surface below the dataset's folder: from it the picture can be drawn again."""
+    return f"truth/surfaces/{order.sample_id}.npz"
 
 
 def save_image(path, image: np.ndarray) -> None:

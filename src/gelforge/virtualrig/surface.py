@@ -1,10 +1,13 @@
 """The gel's deformed surface as smooth fields, and the indenter's underside as a height map."""
 
-from dataclasses import dataclass
+import zipfile
+from dataclasses import astuple, dataclass
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
+from gelforge.errors import BadInput
+from gelforge.files import publish
 from gelforge.geometry.gel import Gel
 from gelforge.mechanics.hexmesh import surface_lines
 from gelforge.mechanics.mesh import GelMesh
@@ -32,17 +35,46 @@ def unloaded(gel: Gel) -> Field:
     return Field(np.zeros((len(y), len(x), 3), np.float32), x[0], y[0])
 
 
-def field_of(gel: Gel, mesh: GelMesh, displacement: np.ndarray) -> Field:
-    """Surface displacement (n, 3) of a brick mesh as a continuously differentiable field.
+@dataclass(frozen=True)
+class Surface:
+    """All that a picture of a press needs: displacement (ny, nx, 3) mm at the nodes of the lines xs, ys, and the path."""
+
+    xs: np.ndarray
+    ys: np.ndarray
+    moved: np.ndarray
+    press: Press
+
+    def save(self, path) -> None:
+        """Write to an .npz file, whole or not at all."""
+        with publish(path) as part:
+            np.savez_compressed(part, xs=self.xs, ys=self.ys, moved=self.moved, press=np.array(astuple(self.press)))
+
+    @classmethod
+    def load(cls, path) -> "Surface":
+        """Read what `save` wrote; anything else raises BadInput."""
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                return cls(file["xs"], file["ys"], file["moved"], Press(*(float(v) for v in file["press"])))
+        except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+            raise BadInput(f"{path}: no surface of a press ({error!r}); remove it, and the press is repeated") from error
+
+
+def surface_of(mesh: GelMesh, displacement: np.ndarray, press: Press) -> Surface:
+    """The part of a solved press, displacement (n, 3) on a brick mesh, that a camera can see."""
+    xs, ys, first = surface_lines(mesh)
+    nodal = displacement[first : first + len(xs) * len(ys)].reshape(len(ys), len(xs), 3)
+    return Surface(xs, ys, nodal.astype(np.float32), press)
+
+
+def field_of(gel: Gel, surface: Surface) -> Field:
+    """Displacement of a surface as a continuously differentiable field.
 
     Tensor-product cubic Hermite interpolation through the nodes with finite-difference slopes: bricks
     alone would show their edges as facets in the shading.
     """
-    xs, ys, first = surface_lines(mesh)
-    nodal = displacement[first : first + len(xs) * len(ys)].reshape(len(ys), len(xs), 3)
     x, y = _grid(gel)
-    along_x, along_y = _interpolation(xs, x), _interpolation(ys, y)
-    values = np.einsum("aj,jik->aik", along_y, nodal)
+    along_x, along_y = _interpolation(surface.xs, x), _interpolation(surface.ys, y)
+    values = np.einsum("aj,jik->aik", along_y, surface.moved.astype(float))
     return Field(np.einsum("bi,aik->abk", along_x, values).astype(np.float32), x[0], y[0])
 
 
