@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.calibration import plots, scores, summary
+from gelforge.calibration.floor import least_error
 from gelforge.calibration.parameters import Model, compared_models, make_model, read_prior
 from gelforge.calibration.posterior import LeaveOneOut, Posterior
 from gelforge.calibration.readings import Readings, check_enough, check_readings, choose_presses, read_readings
@@ -19,7 +20,7 @@ from gelforge.errors import BadInput
 from gelforge.files import read_csv, read_json, write_json
 from gelforge.progress import progress
 
-VERSION = 1
+VERSION = 2
 
 
 @dataclass(frozen=True)
@@ -140,7 +141,13 @@ def summarise(done: Calibration, params: dict) -> dict:
     models = summary.score_models(done.compared)
     for name, row in parameters.items():
         row["reason"] = params["priors"]["indenter" if name.startswith("scale of ") else name].get("reason", "")
+    repeated = summary.predictive_error(mean, posterior.observed)
+    own = summary.predictive_error(summary.own_forces(chain, posterior), posterior.observed)
+    # Several indenters have scales of their own, and shear a mean over components: there it says little.
+    plain = len(posterior.model.indenters) < 2 and not done.readings.sheared.any()
+    least = least_error(posterior).error if plain else None
     said = summary.sentences(parameters, correlation, models, posterior.model.name)
+    said.append(summary.predictive_sentence(repeated, own, least))
     return {
         "c10": summary.describe(posterior.model.values(chain.flat())["c10"]),
         "unit": "MPa",
@@ -151,8 +158,9 @@ def summarise(done: Calibration, params: dict) -> dict:
         "models": models,
         "presses": len(done.readings),
         "readings": int(np.isfinite(posterior.observed).sum()),
-        "predictive_mae_n": summary.predictive_error(mean, posterior.observed),
-        "own_touch_mae_n": summary.predictive_error(summary.own_forces(chain, posterior), posterior.observed),
+        "predictive_mae_n": repeated,
+        "own_touch_mae_n": own,
+        "least_mae_n": least,
         "outliers": summary.find_outliers(done.readings, mean, scale, posterior.observed, params["outlier_scales"]),
         "sentences": said,
         "sentence": said[0],
@@ -192,13 +200,8 @@ def draw_plots(done: Calibration, folder: Path, chain_path) -> None:
         plots.trace_plot(folder / "trace.png", file["coordinates"], chain.figures.burn, posterior.model)
     plots.autocorrelation_plot(folder / "autocorrelation.png", chain, posterior.model)
     plots.predictive_plot(
-        folder / "predictive.png", draw_bands(done), readings_depth(done), posterior.observed, mean, scale,
-        done.readings.indenters,
+        folder / "predictive.png", draw_bands(done), posterior.observed, mean, scale, done.readings.ids,
     )  # fmt: skip
-
-
-def readings_depth(done: Calibration) -> np.ndarray:
-    return done.readings.depth
 
 
 def say_figures(figures) -> None:
@@ -223,8 +226,8 @@ def hex_settings(table: dict):
 def emulate(readings: Readings, catalogue: dict, params: dict, nu: float, folder: Path, jobs: int) -> tuple:
     """Readings that could be solved, their emulator, and the solves it took.
 
-    Counts: total, per interface law, fine, new, and the list `unsolved` of presses left out with
-    the reason. More than half of them unsolved raises BadInput.
+    Counts: total, per interface law, fine, new, in_vain (SolveCache.spent), and the list `unsolved` of presses
+    left out with the reason. More than half of them unsolved raises BadInput.
     """
     from gelforge.calibration.solves import SolveCache, build_emulator, make_plan, refine, solve_all
 
@@ -243,14 +246,22 @@ def emulate(readings: Readings, catalogue: dict, params: dict, nu: float, folder
         plan = make_plan(readings, params["reach_mm"], params["shear_depths"])
         solve_all(plan, cache, mus, nus, jobs)
     emulator = build_emulator(plan, cache, mus, nus)
-    spent, new = cache.spent, cache.new
+    spent = cache.spent
     if params["refine"]["on"]:
         finer = {key: value for key, value in params["refine"].items() if key != "on"}
         fine = SolveCache(folder, catalogue, hex_settings({**params["solver"], **finer}))
         emulator = refine(emulator, plan, cache, fine, np.inf, nus[len(nus) // 2], jobs)
-        spent = {**spent, "total": spent["total"] + fine.spent["total"], "fine": fine.spent["total"]}
-        new += fine.new
-    return readings, emulator, {**spent, "new": new, "unsolved": unsolved}
+        more = {key: spent[key] + fine.spent[key] for key in ("total", "new", "in_vain")}
+        spent = {**spent, **more, "fine": fine.spent["total"]}
+    return readings, emulator, {**spent, "unsolved": unsolved}
+
+
+def say_spent(spent: dict) -> str:
+    """One line on the solves behind a result."""
+    text = f"{spent['total']} finite element solves, {spent['new']} of them new"
+    if spent["in_vain"]:
+        text += f"; {spent['in_vain']} more new ones for presses left out"
+    return text + "."
 
 
 def load_rejected(folder: Path | None) -> set:
@@ -288,7 +299,9 @@ def main(argv=None) -> int:
     result["solves_spent"] = spent
     result["presses_logged"] = len(logged)
     write_json(args.out, result)
-    print("\n".join([*result["sentences"], f"{spent['total']} finite element solves, {spent['new']} of them new."]))
+    print("\n".join([*result["sentences"], say_spent(spent)]))
+    for row in spent["unsolved"]:
+        print(f"left out: {row['sample_id']}: {row['reason']}")
     for row in result["outliers"]:
         print(f"outlier: {row}")
     return 0

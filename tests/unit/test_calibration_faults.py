@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from calibration_law import PARAMS, law_posterior, make_readings
 
-from gelforge.calibrate import load_rejected
+from gelforge.calibrate import load_rejected, refuse_beyond
 from gelforge.calibration.emulator import Emulator
 from gelforge.calibration.parameters import Model, Prior, make_model, read_prior
 from gelforge.calibration.readings import check_enough, check_readings, read_readings
-from gelforge.calibration.sampling import NotConverged, Rules, find_modes, sample
+from gelforge.calibration.sampling import Chain, NotConverged, Rules, find_modes, sample
 from gelforge.calibration.solves import refuse_untouched
 from gelforge.errors import BadInput
 
@@ -60,6 +60,16 @@ def test_depth_without_contact_is_named():
     table[3] = 0.0
     with pytest.raises(BadInput, match=r"row 5 \(p003\): depth without contact"):
         refuse_untouched(readings, table)
+
+
+def test_posterior_deeper_than_the_solves_is_named():
+    posterior = law_posterior(np.random.default_rng(1), DEPTH)
+    free = posterior.model.free
+    deep = np.zeros((50, 32, len(free)))
+    for column, name in enumerate(free):
+        deep[..., column] = 0.7 if name == "offset" else free[name].quantile(0.5)
+    with pytest.raises(BadInput, match=r"25 % of the posterior presses deeper .* raise \[calibrate\] reach_mm"):
+        refuse_beyond(posterior, Chain(deep, np.zeros((50, 32)), None))
 
 
 def test_fewer_readings_than_vague_parameters():

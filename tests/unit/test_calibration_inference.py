@@ -1,14 +1,17 @@
 """The inference on a smooth force law: exact inversions, recovery, resuming, scores."""
 
 import shutil
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 from calibration_law import TOP, law_curve, law_emulator, law_posterior, make_readings, normal_force, true_values
+from scipy.stats import multivariate_t
 
-from gelforge.calibration import sampling, scores
+from gelforge.calibration import sampling, scores, summary
 from gelforge.calibration.emulator import curve_table, sheared_table
+from gelforge.calibration.floor import least_error
+from gelforge.calibration.moves import TAIL, independent_draws
 from gelforge.calibration.parameters import FrictionPrior, Model, Prior
 from gelforge.calibration.posterior import LeaveOneOut
 from gelforge.calibration.readings import bisection_order, choose_presses
@@ -76,6 +79,73 @@ def test_truth_is_recovered_where_data_are_rich():
     c10 = posterior.model.values(chain.flat())["c10"]
     assert abs(c10.mean() - 0.085) < 3 * c10.std()
     assert c10.std() < 0.1 * 0.3 * 0.08 * 2  # a small part of the prior's width
+
+
+def test_independent_draws_have_the_density_they_are_accepted_by():
+    """The ratio is the multivariate t's of scipy, and draws have the spread of the past, 5 / 3 in variance."""
+    rng = np.random.default_rng(8)
+    past = rng.standard_normal((400, 32, 3)) @ np.array([[1.0, 0.8, 0.0], [0.0, 0.5, 0.2], [0.0, 0.0, 2.0]]) + 3.0
+    propose = independent_draws(past)
+    old = past[0]
+    new, ratio = propose(old, np.random.RandomState(1))
+    flat = past.reshape(-1, 3)
+    law = multivariate_t(flat.mean(axis=0), np.cov(flat, rowvar=False), df=TAIL)
+    np.testing.assert_allclose(ratio, law.logpdf(old) - law.logpdf(new), rtol=1e-6, atol=1e-8)
+    many, _ = propose(np.zeros((200_000, 3)), np.random.RandomState(2))
+    # the sixth moment of t5 does not exist, so its sample covariance settles slowly: 5 %
+    np.testing.assert_allclose(np.cov(many, rowvar=False), 5 / 3 * np.cov(flat, rowvar=False), rtol=0.05, atol=0.05)
+
+
+@dataclass(frozen=True)
+class Skewed:
+    """Log-probability of independent exponential laws: no moves fitted to it can have its shape."""
+
+    model: Model
+
+    @property
+    def identity(self):
+        return ["skewed"]
+
+    def __call__(self, x):
+        return np.where((x > 0).all(axis=1), -x.sum(axis=1), -np.inf)
+
+
+def test_chain_has_the_moments_of_a_law_that_its_moves_do_not_fit():
+    """Mean, deviation and 95 % quantile of an exponential law, within three of their standard errors or so."""
+    start = Prior("uniform", 0.0, 3.0)
+    model = Model("no_slip", {"c10": start, "offset": start}, {})
+    draws = sample(Skewed(model), replace(RULES, taus=400)).flat()
+    # at least 400 times 32 independent draws: the mean's standard error is 0.009, the quantile's 0.04
+    np.testing.assert_allclose(draws.mean(axis=0), 1.0, atol=0.03)
+    np.testing.assert_allclose(draws.std(axis=0), 1.0, atol=0.05)
+    np.testing.assert_allclose(np.quantile(draws, 0.95, axis=0), np.log(20.0), atol=0.12)
+
+
+def test_least_error_is_zero_without_noise_and_that_of_the_kink_with_one():
+    exact = law_posterior(np.random.default_rng(0), DEPTH, noise=0.0)
+    found = least_error(exact)
+    assert found.error < 2e-3  # on forces up to 13 N; a simplex in four dimensions gets no nearer
+    assert found.values["c10"] == pytest.approx(0.085, rel=0.05)
+    four = law_posterior(np.random.default_rng(0), [0.5, 1.0, 1.5, 2.0], law="no_slip", noise=0.0, mu=np.inf)
+    kinked = four.observed.copy()
+    kinked[1, 2] += 0.5  # three parameters meet three of four readings, and missing this one costs the least
+    floor = least_error(replace(four, observed=kinked))
+    np.testing.assert_allclose(floor.residual, [0.0, -0.5, 0.0, 0.0], atol=1e-3)
+    assert floor.error == pytest.approx(0.125, abs=1e-3)
+
+
+def test_own_touch_explains_a_press_off_in_depth():
+    """A press commanded 8 um deeper than it went: the mean of its own touch is nearer than that of a press repeated."""
+    posterior = law_posterior(np.random.default_rng(3), DEPTH, noise=0.002)
+    slope = np.abs(posterior.emulator.forces(DEPTH, true_values())[1][0, 6, 2])
+    observed = posterior.observed.copy()
+    observed[6, 2] -= 0.008 * slope
+    posterior = replace(posterior, observed=observed)
+    chain = sample(posterior, RULES)
+    mean, _ = summary.predictions(chain, posterior)
+    own = summary.own_forces(chain, posterior)
+    away, left = (abs(m[6, 2] - observed[6, 2]) for m in (mean, own))
+    assert away > 0.002 * slope and left < 0.6 * away
 
 
 def test_resumed_chain_is_the_uninterrupted_one(tmp_path):

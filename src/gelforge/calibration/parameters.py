@@ -15,7 +15,7 @@ LABELS = {
     "mu": "friction coefficient",
     "noise": "noise (N)",
     "scatter": "touch scatter (mm)",
-    "discretisation": "scale of all forces",
+    "discretisation": "ln of scale, all forces",
     "nu": "Poisson's ratio",
 }
 LAWS = ("frictionless", "coulomb", "no_slip")
@@ -198,7 +198,7 @@ def make_model(params: dict, law: str, without=(), indenters=()) -> Model:
 
 def label_of(name: str) -> str:
     """Name of a parameter for people, with its unit."""
-    return LABELS.get(name, name)
+    return LABELS.get(name, name.replace("scale of ", "ln of scale, "))
 
 
 def compared_models(params: dict, indenters=()) -> list[Model]:

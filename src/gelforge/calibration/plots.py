@@ -6,6 +6,8 @@ from gelforge.calibration.parameters import label_of
 from gelforge.files import publish
 
 BAND = "#3b6ea5"
+READABLE = 8  # parameters in one corner plot
+FAR = 3.0  # standard deviations beyond which a reading is named
 
 
 def _figure(size):
@@ -19,21 +21,36 @@ def _save(figure, path) -> None:
         figure.savefig(part, dpi=110)
 
 
+def corner_names(names) -> list[str]:
+    """Parameters that the corner plot shows: scales of single indenters are left out where that makes it readable."""
+    return [name for name in names if len(names) <= READABLE or not name.startswith("scale of ")]
+
+
 def corner_plot(path, chain, model) -> None:
-    """One and two-dimensional marginals of the parameters, with medians and 68 % intervals."""
+    """One and two-dimensional marginals of the parameters, with medians and 68 % intervals.
+
+    The outermost half per cent of the draws is not shown, or one draw in a long tail would set the axes.
+    """
     import corner
     from matplotlib.figure import Figure
 
+    names = corner_names(model.names)
     values = model.values(chain.flat(20000))
-    data = np.stack([values[name] for name in model.names], axis=1)
-    figure = Figure(figsize=(2.1 * len(model.names),) * 2)
+    data = np.stack([values[name] for name in names], axis=1)
+    labels = [label_of(name).replace(" (", "\n(").replace(", ", ",\n") for name in names]
+    figure = Figure(figsize=(1.9 * len(names),) * 2)
     corner.corner(
-        data, labels=[label_of(n) for n in model.names], quantiles=[0.16, 0.5, 0.84], show_titles=True,
-        title_fmt=".3g", label_kwargs={"fontsize": 9}, title_kwargs={"fontsize": 9}, color=BAND, fig=figure,
-        labelpad=0.12,
+        data, labels=labels, quantiles=[0.16, 0.5, 0.84], label_kwargs={"fontsize": 9}, color=BAND, fig=figure,
+        range=[0.995] * len(names), labelpad=0.15, max_n_ticks=4,
     )  # fmt: skip
     for axis in figure.axes:
         axis.tick_params(labelsize=7)
+    for column, axis in enumerate(figure.axes[:: len(names) + 1]):
+        low, middle, high = np.quantile(data[:, column], [0.16, 0.5, 0.84])
+        axis.set_title(f"${middle:.3g}^{{+{high - middle:#.2g}}}_{{-{middle - low:#.2g}}}$", fontsize=10)
+    hidden = len(model.names) - len(names)
+    if hidden:
+        figure.text(0.6, 0.9, f"{hidden} scales of single indenters: see the trace", fontsize=11)
     with publish(path) as part:
         figure.savefig(part, dpi=90, bbox_inches="tight")
 
@@ -70,11 +87,11 @@ def autocorrelation_plot(path, chain, model) -> None:
     _save(figure, path)
 
 
-def predictive_plot(path, bands, depth, observed, mean, scale, indenters) -> None:
+def predictive_plot(path, bands, observed, mean, scale, ids) -> None:
     """Force against depth with predictive bands, and every reading's distance from its prediction.
 
     bands: list of (name, depth (g,), force quantiles (5, g) at 2.5, 16, 50, 84, 97.5 %, N, measured
-    depths, measured forces), normal force as compression. Other arrays as in summary.predictions.
+    depths, measured forces), normal force as compression. ids: (n,) str. Others as in summary.predictions.
     """
     figure = _figure((11, 4.6))
     left, right = figure.subplots(1, 2)
@@ -85,7 +102,9 @@ def predictive_plot(path, bands, depth, observed, mean, scale, indenters) -> Non
         left.plot(grid, quantiles[2], color=colour, lw=1, label=name)
         left.plot(at, measured, "o", color=colour, ms=4, mec="k", mew=0.5)
     left.set(
-        xlabel="commanded depth (mm)", ylabel="normal force, compression (N)", title="measured, 68 % and 95 % bands"
+        xlabel="commanded depth (mm)",
+        ylabel="normal force, compression (N)",
+        title="readings, and where 68 % and 95 % of new ones would lie",
     )
     left.legend(fontsize=7)
     left.set_ylim(bottom=0)
@@ -93,13 +112,17 @@ def predictive_plot(path, bands, depth, observed, mean, scale, indenters) -> Non
         used = np.isfinite(observed[:, column])
         if used.any():
             away = (observed[used, column] - mean[used, column]) / scale[used, column]
-            right.plot(np.hypot(*mean[used, ::2].T), away, marker, ms=4, label=name, alpha=0.8)
-    right.axhspan(-1, 1, color="0.9", zorder=0)
+            force = -mean[used, 2]
+            right.plot(force, away, marker, ms=4, label=name, alpha=0.8)
+            for k in np.flatnonzero(np.abs(away) > FAR):
+                right.annotate(f" {ids[used][k]} ", (force[k], away[k]), fontsize=7, ha="right", va="center")
+    right.axhspan(-1, 1, color="0.92", zorder=0)
     right.axhline(0.0, color="0.6", lw=0.6)
+    right.set_ylim(*np.array([-1.0, 1.0]) * max(2.5, 1.1 * np.abs(right.get_ylim()).max()))
     right.set(
-        xlabel="predicted force (N)",
+        xlabel="predicted normal force, compression (N)",
         ylabel="measured - predicted (standard deviations)",
-        title=f"{len(observed)} presses",
+        title=f"distance of {np.isfinite(observed).sum()} readings of {len(observed)} presses; grey: one deviation",
     )
     right.legend(fontsize=8)
     _save(figure, path)

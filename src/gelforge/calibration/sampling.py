@@ -7,10 +7,13 @@ from zipfile import BadZipFile
 
 import numpy as np
 
+from gelforge.calibration.moves import learning_moves, learnt_moves
 from gelforge.errors import BadInput, GelforgeError
 from gelforge.files import publish
 
-CHUNK = 1000  # steps between checks and checkpoints, at least; a third of the chain once that is more
+LEARN = 600  # first steps, whose second half the later moves are fitted to; never kept
+CHUNK = 800  # steps between checks and checkpoints, at least; a third of the chain once that is more
+MOVES = 2  # raise when the moves change: a chain on disk made by older ones is then not gone on with
 
 
 class NotConverged(GelforgeError):
@@ -76,14 +79,19 @@ def split_rhat(chains: np.ndarray) -> np.ndarray:
 
 
 def judge(coordinates: np.ndarray, accepted: float) -> Figures:
-    """Figures of a whole chain (steps, walkers, k); the first ten autocorrelation times are burn-in."""
+    """Figures of a whole chain (steps, walkers, k); at least ten autocorrelation times are burn-in.
+
+    No figures can be given of the steps that moves are learnt from: none of these is kept.
+    """
     import emcee
 
     steps = len(coordinates)
-    tau = float(np.max(emcee.autocorr.integrated_time(coordinates[steps // 5 :], tol=0)))
+    if steps <= LEARN:
+        return Figures(steps, steps, steps, 0.0, accepted, np.inf)
+    tau = float(np.max(emcee.autocorr.integrated_time(coordinates[max(steps // 5, LEARN) :], tol=0)))
     if not np.isfinite(tau):
         return Figures(steps, steps // 2, steps, 0.0, accepted, np.inf)
-    burn = min(max(int(10 * tau), 200), steps // 2)
+    burn = max(min(int(10 * tau), steps // 2), LEARN)
     kept = coordinates[burn:]
     rhat = split_rhat(kept)
     worst = float(np.max(rhat)) if np.isfinite(rhat).all() else np.inf
@@ -103,7 +111,7 @@ def fingerprint(*parts) -> str:
 
 def problem_of(posterior, rules: Rules) -> str:
     """Fingerprint of everything a chain depends on but its length."""
-    return fingerprint(*posterior.identity, [rules.walkers, rules.seed])
+    return fingerprint(*posterior.identity, [rules.walkers, rules.seed, MOVES])
 
 
 def start_points(posterior, rules: Rules, rng: np.random.Generator) -> np.ndarray:
@@ -158,8 +166,6 @@ def sample(posterior, rules: Rules, path=None, say=None) -> Chain:
         raise BadInput(f"[calibrate] walkers is {rules.walkers}; {size} parameters need an even number >= {2 * size}")
     problem = problem_of(posterior, rules)
     rng = np.random.default_rng(rules.seed)
-    moves = [(emcee.moves.StretchMove(), 0.3), (emcee.moves.DEMove(), 0.6), (emcee.moves.DESnookerMove(), 0.1)]
-    sampler = emcee.EnsembleSampler(rules.walkers, size, posterior, vectorize=True, moves=moves)
     kept = load_checkpoint(path, problem) if path else None
     if kept:
         chain, score, accepted, random_state = kept
@@ -173,8 +179,11 @@ def sample(posterior, rules: Rules, path=None, say=None) -> Chain:
     while figures is None or not figures.meets(rules):
         if len(chain) >= rules.max_steps:
             raise NotConverged(complaint(posterior.model, chain, score, figures, rules))
-        sampler.reset()
-        ahead = min(max(CHUNK, len(chain) // 3), rules.max_steps - len(chain))
+        learning = len(chain) < LEARN
+        moves = learning_moves() if learning else learnt_moves(chain[LEARN // 2 : LEARN])
+        sampler = emcee.EnsembleSampler(rules.walkers, size, posterior, vectorize=True, moves=moves)
+        ahead = LEARN - len(chain) if learning else max(CHUNK, len(chain) // 3)
+        ahead = min(ahead, rules.max_steps - len(chain))
         state = sampler.run_mcmc(state, ahead, skip_initial_state_check=True)
         chain = np.concatenate([chain, sampler.get_chain()])
         score = np.concatenate([score, sampler.get_log_prob()])
@@ -220,7 +229,8 @@ def complaint(model, chain, score, figures: Figures, rules: Rules) -> str:
         f"autocorrelation times after the burn-in (at least {rules.taus:g}), acceptance {figures.acceptance:.2f} "
         f"({low:g} to {high:g}), split R-hat {figures.rhat:.3f} (below {rules.rhat:g}). "
     )
-    modes = find_modes(chain)
+    # Later moves may jump from mode to mode, too seldom: what keeps walkers apart shows before these.
+    modes = find_modes(chain[:LEARN]) or find_modes(chain)
     if modes:
         name = model.names[modes[0]["column"]]
         prior = model.free[name]

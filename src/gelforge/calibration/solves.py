@@ -139,21 +139,24 @@ def solve_job(job: Job, indenter, settings: HexSettings, gel: Gel) -> dict:
 
 
 def _solve_task(path, job, indenter, settings, gel):
-    """Worker: solve one job and publish it; return (path, reason) where it cannot be solved."""
+    """Worker: solve one job and publish it, or the reason why it cannot be solved."""
     try:
-        write_json(path, solve_job(job, indenter, settings, gel))
+        found = solve_job(job, indenter, settings, gel)
     except SolveFailed as error:
-        return path, str(error)
-    return path, None
+        found = {"failed": str(error)}
+    write_json(path, found)
 
 
 class SolveCache:
-    """Folder of solves; `spent` counts those a result rests on, `new` those solved by this process."""
+    """Folder of solves; `failed` gets {path: reason}.
+
+    What cannot be solved is kept as well: with the same settings and solver it would fail again.
+    """
 
     def __init__(self, folder, catalogue: dict, settings: HexSettings, gel: Gel | None = None):
         self.folder, self.catalogue, self.settings, self.gel = Path(folder), catalogue, settings, gel or Gel()
-        self.new, self.failed = 0, {}
-        self._shapes, self._used, self._kept = {}, {}, {}
+        self.failed = {}
+        self._made, self._shapes, self._used, self._kept = set(), {}, {}, {}
 
     def path(self, job: Job) -> Path:
         if job.indenter not in self.catalogue:
@@ -164,41 +167,53 @@ class SolveCache:
         return self.folder / f"{job_key(job, self._shapes[job.indenter], self.settings, self.gel)}.json"
 
     def fill(self, jobs: list[Job], workers: int = 1) -> None:
-        """Solve the jobs that have no file yet, on `workers` processes; `failed` gets {path: reason}.
-
-        A failed solve leaves no file, so the next run tries it again.
-        """
+        """Solve the jobs that have no file yet, on `workers` processes."""
         wanted = {self.path(job): job for job in jobs}
         tasks = [
             (path, job, self.catalogue[job.indenter], self.settings, self.gel)
             for path, job in wanted.items()
             if not path.exists()
         ]
-        self.new += len(tasks)
+        self._made |= {task[0] for task in tasks}
         if workers == 1 or len(tasks) <= 1:
-            done = [_solve_task(*task) for task in progress(tasks, "calibration solves")]
+            for task in progress(tasks, "calibration solves"):
+                _solve_task(*task)
         else:
             with ProcessPoolExecutor(workers) as pool:
                 running = [pool.submit(_solve_task, *task) for task in tasks]
-                done = [future.result() for future in progress(running, "calibration solves")]
-        self.failed |= {path: reason for path, reason in done if reason}
+                for future in progress(running, "calibration solves"):
+                    future.result()
+        for path in wanted:
+            if "failed" in self._read(path):
+                self.failed[path] = self._read(path)["failed"]
 
-    def get(self, job: Job) -> dict:
-        """The solve of a job that `fill` made."""
-        path = self.path(job)
+    def _read(self, path: Path) -> dict:
         if path not in self._kept:
             try:
                 self._kept[path] = read_json(path)
             except (ValueError, OSError) as error:
                 raise BadInput(f"{path}: not a solve ({error}); delete it and run make calibrate again") from error
-        self._used[path] = job
         return self._kept[path]
+
+    def get(self, job: Job) -> dict:
+        """The solve of a job that `fill` made."""
+        path = self.path(job)
+        solve = self._read(path)
+        if "failed" in solve:
+            raise SolveFailed(solve["failed"])
+        self._used[path] = job
+        return solve
 
     @property
     def spent(self) -> dict:
-        """Solves used so far, in total and per interface law."""
+        """Solves that a result rests on: total, per interface law and, of the total, `new` in this process.
+
+        `in_vain`: made by this process for presses that are left out.
+        """
         laws = [interface_of(job.mu).law for job in self._used.values()]
-        return {"total": len(laws), **{law: laws.count(law) for law in sorted(set(laws))}}
+        new = len(self._made & set(self._used))
+        counts = {law: laws.count(law) for law in sorted(set(laws))}
+        return {"total": len(laws), **counts, "new": new, "in_vain": len(self._made) - new}
 
 
 def solve_all(plan: Plan, cache: SolveCache, mus, nus, workers: int = 1) -> dict[int, str]:

@@ -24,7 +24,7 @@ def parameter_table(chain, model) -> dict:
     coordinates = chain.flat()
     table = {}
     for column, (name, prior) in enumerate(model.free.items()):
-        low, middle, high = prior.quantile(np.array([0.16, 0.5, 0.84]))
+        low, high = prior.quantile(np.array([0.16, 0.84]))
         width = np.diff(np.quantile(coordinates[:, column], [0.16, 0.84]))[0] / (high - low)
         table[name] = {
             **describe(values[name]),
@@ -43,17 +43,21 @@ def correlations(chain, model) -> dict:
 
 
 def predictions(chain, posterior) -> tuple[np.ndarray, np.ndarray]:
-    """Posterior predictive mean (n, 3) of a press repeated, and the scale (n, 3) of a reading about it, N."""
+    """Posterior predictive mean (n, 3) of a press repeated, and the scale (n, 3) of a reading about it, N.
+
+    A press repeated touches anew: its error of touch is another one, and the mean knows nothing of it.
+    """
     forces, scale = posterior.predict(chain.flat(DRAWS))
     spread = np.sqrt(forces.var(axis=0) + (scale**2).mean(axis=0))
     return forces.mean(axis=0), spread
 
 
 def own_forces(chain, posterior) -> np.ndarray:
-    """Posterior mean of the force at these very presses, (n, 3) N: each with its own error of touch.
+    """Posterior predictive mean at these very presses, (n, 3) N: what their sensor would read if read again.
 
-    The error of touch of a press is normal with deviation `scatter`; given the reading of the normal
-    force, its mean follows from the linear slope.
+    Each press keeps its own error of touch, a latent variable of the model with deviation `scatter`, which the
+    likelihood has integrated out. Given the reading of its normal force, which is thus used twice, the mean of that
+    error follows from the linear slope; it is the same for normal errors and for Student's t.
     """
     coordinates = chain.flat(DRAWS)
     values = posterior.model.values(coordinates)
@@ -108,6 +112,7 @@ def score_models(results) -> list[dict]:
                 "indistinguishable": bool(-gap <= max(NEAR, 2.0 * error)),
                 "c10": describe(posterior.model.values(chain.flat())["c10"]),
                 "predictive_mae_n": predictive_error(mean, posterior.observed),
+                "own_touch_mae_n": predictive_error(own_forces(chain, posterior), posterior.observed),
                 "diagnostics": asdict(chain.figures),
             }
         )
@@ -142,16 +147,28 @@ def model_sentences(models: list[dict]) -> list[str]:
     return said
 
 
+def predictive_sentence(repeated: dict, own: dict, least: float | None) -> str:
+    """How far the normal force is off, in both senses of a predictive mean, and how near any parameters come."""
+    text = (
+        f"The predictive mean of the normal force is off by {repeated['fz']:.3f} N on average for a press repeated, "
+        f"by {own['fz']:.3f} N at these very presses, each with its own error of touch"
+    )
+    if least is not None:
+        text += f"; without such errors no parameters of this model, priors aside, come nearer than {least:.3f} N"
+    return text + "."
+
+
 def _trades(correlation: dict) -> list[str]:
     names = correlation["names"]
     row = correlation["matrix"][names.index("c10")]
     strong = [(n, r) for n, r in zip(names, row, strict=True) if n != "c10" and abs(r) > 0.5]
     strong.sort(key=lambda pair: -abs(pair[1]))
-    return [
-        f"C10 trades against the {label_of(n).split(' (')[0]} (correlation {r:+.2f}): "
-        "measure that one apart to narrow C10."
-        for n, r in strong
-    ]
+    said = []
+    for name, r in strong:
+        remedy = "press other indenters" if name.startswith("scale of ") else "measure that one apart"
+        what = label_of(name).split(" (")[0]
+        said.append(f"C10 trades against the {what} (correlation {r:+.2f}): {remedy} to narrow C10.")
+    return said
 
 
 def _unseen(parameters: dict) -> list[str]:
