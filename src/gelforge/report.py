@@ -88,6 +88,23 @@ def flatten(value, prefix: str = "") -> list[tuple[str, float]]:
     return [(prefix.rstrip("."), value)] if isinstance(value, (int, float, str)) else []
 
 
+def compared_models(models: list[dict]) -> tuple[list[str], list[list]]:
+    """Columns and rows of the table of calibration models, best predicting first; errors are of normal force."""
+    columns = [
+        "model", "log score behind the best", "standard error", "as good as the best", "C10 (MPa)", "95 % from", "to",
+        "error of a press repeated (N)", "at these presses (N)",
+    ]  # fmt: skip
+    rows = [
+        [
+            m["model"].replace("+", " + ").replace("_", " "), m["behind"] + 0.0, m["behind_standard_error"],
+            "yes" if m["indistinguishable"] else "no", m["c10"]["median"], *m["c10"]["interval95"],
+            m["predictive_mae_n"]["fz"], m.get("own_touch_mae_n", {}).get("fz"),
+        ]
+        for m in models
+    ]  # fmt: skip
+    return columns, rows
+
+
 def calibration_section(results: Path) -> Section:
     """Posterior of the material."""
     section = Section("Calibration")
@@ -95,20 +112,23 @@ def calibration_section(results: Path) -> Section:
     if not path.exists():
         return section.text("Not made: make calibrate (needs force readings in the log).", absent=True)
     summary = read_json(path)
+    parameters = {"c10": {"label": "C10 (MPa)", **summary["c10"]}, **summary.get("parameters", {})}
     rows = [
-        [name, v["median"], *v["interval68"], *v["interval95"]]
-        for name, v in summary.items()
-        if isinstance(v, dict) and {"median", "interval68", "interval95"} <= v.keys()
-    ]
-    rows += [
-        [name, v["median"], *v["interval68"], *v["interval95"]]
-        for name, v in summary.get("parameters", {}).items()
-        if name not in summary
+        [v.get("label", name), v["median"], *v["interval68"], *v["interval95"]] for name, v in parameters.items()
     ]
     section.table(["parameter", "median", "68 % from", "to", "95 % from", "to"], rows)
-    for sentence in ("conclusion", "sentence", "comparison"):
-        if isinstance(summary.get(sentence), str):
-            section.text(summary[sentence])
+    for sentence in summary.get("sentences", [summary.get("sentence", "")]):
+        section.text(sentence)
+    if summary.get("models"):
+        section.table(*compared_models(summary["models"]))
+    for press in summary.get("outliers", []):
+        section.text(
+            f"Outlier: {press['sample_id']} (row {press['row']}), f{press['component']} {press['measured_n']:.3g} N "
+            f"read, {press['predicted_n']:.3g} N predicted, {press['scales_away']:+.1f} deviations; it serves with a "
+            "low weight."
+        )
+    for press in summary.get("solves_spent", {}).get("unsolved", []):
+        section.text(f"Left out: {press['sample_id']}: {press['reason']}")
     pictures_made = {png.stem: png for png in sorted((results / "calibrate").glob("*.png"))}
     first = [name for name in ("predictive", "corner") if name in pictures_made]
     for name in first + [name for name in pictures_made if name not in first]:

@@ -9,13 +9,13 @@ import pytest
 
 from gelforge import calibrate
 from gelforge.errors import BadInput
+from gelforge.report import calibration_section
 
 SOLVER = {
     "size": 1.2,
     "layers": 3,
     "press_steps": 8,
     "shear_steps": 3,
-    "friction_tolerance": 0.03,
     "final_tolerance": 1e-7,
 }
 
@@ -64,6 +64,23 @@ def test_pictures_and_chain_are_there(done):
         assert (work / f"{name}.png").stat().st_size > 10_000
     assert np.load(work / "chain.npz")["coordinates"].ndim == 3
     assert not list(work.glob(".*"))  # nothing half-written is left
+
+
+def test_report_shows_parameters_models_and_what_they_mean(done, tmp_path):
+    shutil.copytree(done / "work", tmp_path / "calibrate")
+    section = calibration_section(tmp_path)
+    parameters, models = (item for item in section.items if item["kind"] == "table")
+    assert parameters["rows"][0][0] == "C10 (MPa)" and len({row[0] for row in parameters["rows"]}) == 7
+    assert [row[0] for row in models["rows"]] == ["coulomb + offset + compliance"]
+    texts = [item["text"] for item in section.items if item["kind"] == "text"]
+    assert any("priors aside, come nearer than" in text for text in texts)
+
+
+def test_both_predictive_means_and_the_least_error_are_told(done):
+    summary = json.loads((done / "work" / "summary.json").read_text())
+    # its own error of touch explains part of a reading; three parameters cannot meet four such readings
+    assert summary["own_touch_mae_n"]["fz"] < summary["predictive_mae_n"]["fz"]
+    assert 0.0 < summary["least_mae_n"] < summary["predictive_mae_n"]["fz"]
 
 
 def test_second_run_solves_and_samples_nothing_anew(root, done, capsys):
