@@ -79,7 +79,8 @@ def autocorrelation_plot(path, chain, model) -> None:
     lags = min(len(chain.coordinates) // 2, int(8 * chain.figures.tau))
     for column, name in enumerate(model.names):
         walkers = chain.coordinates[:, :, column].T
-        axis.plot(np.mean([function_1d(w)[:lags] for w in walkers], axis=0), label=label_of(name), lw=1.2)
+        mean = np.mean([function_1d(w)[:lags] for w in walkers], axis=0)
+        axis.plot(mean, f"C{column % 10}" + ("" if column < 10 else "--"), label=label_of(name), lw=1.2)
     axis.axvline(chain.figures.tau, color="0.6", ls=":", label=f"longest time, {chain.figures.tau:.0f} steps")
     axis.axhline(0.0, color="0.7", lw=0.6)
     axis.set(xlabel="lag (steps)", ylabel="autocorrelation")
