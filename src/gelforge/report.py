@@ -91,13 +91,12 @@ def flatten(value, prefix: str = "") -> list[tuple[str, float]]:
 def compared_models(models: list[dict]) -> tuple[list[str], list[list]]:
     """Columns and rows of the table of calibration models, best predicting first; errors are of normal force."""
     columns = [
-        "model", "log score behind the best", "standard error", "as good as the best", "C10 (MPa)", "95 % from", "to",
-        "error of a press repeated (N)", "at these presses (N)",
+        "model", "behind", "plus-minus", "ruled out", "C10 (MPa)", "95 % from", "to", "repeated (N)", "these (N)",
     ]  # fmt: skip
     rows = [
         [
             m["model"].replace("+", " + ").replace("_", " "), m["behind"] + 0.0, m["behind_standard_error"],
-            "yes" if m["indistinguishable"] else "no", m["c10"]["median"], *m["c10"]["interval95"],
+            "no" if m["indistinguishable"] else "yes", m["c10"]["median"], *m["c10"]["interval95"],
             m["predictive_mae_n"]["fz"], m.get("own_touch_mae_n", {}).get("fz"),
         ]
         for m in models
@@ -120,7 +119,11 @@ def calibration_section(results: Path) -> Section:
     for sentence in summary.get("sentences", [summary.get("sentence", "")]):
         section.text(sentence)
     if summary.get("models"):
-        section.table(*compared_models(summary["models"]))
+        section.table(*compared_models(summary["models"])).text(
+            "Models by their predictive score (expected log density of a reading left out): how far behind the best, "
+            "with its standard error. Last, the mean error of normal force when the presses are repeated, and at "
+            "these presses, each with its own error of touch."
+        )
     for press in summary.get("outliers", []):
         section.text(
             f"Outlier: {press['sample_id']} (row {press['row']}), f{press['component']} {press['measured_n']:.3g} N "
