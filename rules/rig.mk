@@ -6,5 +6,5 @@ REFERENCE ?= ../shared/reference
 rig: $(SETUP)  ## simulate the presses of a plan into data/: make rig PLAN=workflow/rig/train.toml
 	@$(PY) -m gelforge.rig --plan "$(PLAN)" --data data --jobs $(or $(patsubst -j%,%,$(filter -j%,$(MAKEFLAGS))),$(JOBS))
 
-rig-check: $(SETUP)  ## the rig's pictures beside real ones, with figures: results/rig-check/index.html
-	@$(PY) -m gelforge.virtualrig.check --reference "$(REFERENCE)" --out results/rig-check/index.html
+rig-check: $(SETUP)  ## benchmark-rig with a page of the rig's pictures beside real ones: results/rig-check/index.html
+	@$(PY) -m gelforge.benchmarks.rig --reference "$(REFERENCE)" --page results/rig-check/index.html

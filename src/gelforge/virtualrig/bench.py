@@ -21,16 +21,14 @@ SETTINGS = HexSettings(
     largest=3.0,
     press_steps=5,
     shear_steps=3,
-    friction_penalty=10.0,
-    friction_rounds=3,
-    friction_tolerance=0.03,
+    friction_penalty=100.0,
     tolerance=1e-3,
     final_tolerance=1e-7,
 )
 # A bench never diverges. Soft friction springs are three times faster, stiffer ones hold a deep flat punch too;
 # the last attempt takes a less deep press, which the log then reports.
-STIFFER = replace(SETTINGS, friction_penalty=30.0, friction_rounds=2, friction_tolerance=0.1, max_cuts=10)
-ATTEMPTS = ((SETTINGS, 1.0), (STIFFER, 1.0), (STIFFER, 0.8))
+FINER = replace(SETTINGS, press_steps=10, shear_steps=6, max_cuts=10)
+ATTEMPTS = ((SETTINGS, 1.0), (FINER, 1.0), (FINER, 0.8))
 
 
 @dataclass(frozen=True)
@@ -64,7 +62,7 @@ class Bench:
             rng = np.random.default_rng(zlib.crc32(name.encode()))
             angle = float(rng.choice([135.0, 45.0])) + rng.normal(scale=2.0)
             self._bodies[name] = body_of(
-                self.indenters[name], rng.uniform(0.035, 0.055), rng.uniform(0.55, 0.75), angle
+                self.indenters[name], rng.uniform(0.025, 0.045), rng.uniform(0.55, 0.75), angle
             )
         return self._bodies[name]
 
@@ -152,8 +150,8 @@ class Bench:
     def _sunk(self, name: str, press: Press, every: int = 4):
         """Gel points x, y under the body at the end of the path, how far it is below the gel there, cell area."""
         body = self.body(name)
-        under = body.height[::every, ::every]
-        axis = np.arange(body.height.shape[0])[::every] * body.step - body.reach
+        under = body.bare[::every, ::every]
+        axis = np.arange(len(under)) * every * body.step - body.reach
         x, y = np.meshgrid(axis, axis)
         turn, tip = press.pose(1.0, 1.0)
         gx, gy = tip[0] + turn[0, 0] * x + turn[0, 1] * y, tip[1] + turn[1, 0] * x + turn[1, 1] * y

@@ -99,10 +99,3 @@ def dots_by_mechanics(camera, result) -> np.ndarray:
 def inside_image(pixels: np.ndarray, margin: float) -> np.ndarray:
     """Which pixels (n, 2) lie at least `margin` px inside the image, (n,) bool."""
     return (pixels > margin).all(axis=1) & (pixels < [WIDTH - margin, HEIGHT - margin]).all(axis=1)
-
-
-def turned_grid_motion(points: np.ndarray, index: np.ndarray, outer: np.ndarray) -> np.ndarray:
-    """How far dots (n, 2) px of a pressed gel stand off the even grid through its `outer` ones, (n, 2) px."""
-    design = np.column_stack([np.ones(len(index)), index[:, 1], index[:, 0]])
-    fit = np.linalg.lstsq(design[outer], points[outer], rcond=None)[0]
-    return points - design @ fit

@@ -37,7 +37,7 @@ def unloaded(gel: Gel) -> Field:
 
 @dataclass(frozen=True)
 class Surface:
-    """All that a picture of a press needs: displacement (ny, nx, 3) mm at the nodes of the lines xs, ys, and the path."""
+    """What a picture of a press needs: displacement (ny, nx, 3) mm at the nodes of lines xs, ys, and the path."""
 
     xs: np.ndarray
     ys: np.ndarray
@@ -56,7 +56,9 @@ class Surface:
             with np.load(path, allow_pickle=False) as file:
                 return cls(file["xs"], file["ys"], file["moved"], Press(*(float(v) for v in file["press"])))
         except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
-            raise BadInput(f"{path}: no surface of a press ({error!r}); remove it, and the press is repeated") from error
+            raise BadInput(
+                f"{path}: no surface of a press ({error!r}); remove it, and the press is repeated"
+            ) from error
 
 
 def surface_of(mesh: GelMesh, displacement: np.ndarray, press: Press) -> Surface:
@@ -93,11 +95,12 @@ def _interpolation(lines: np.ndarray, points: np.ndarray) -> np.ndarray:
 class Body:
     """Underside of an indenter with its printed texture, on a regular grid in its own frame.
 
-    height: (n, n) float32 mm above the tip plane, FAR where there is no underside. Sample (j, i) lies at
-    x = -reach + i STEP / 2, y likewise.
+    height: (n, n) float32 mm above the tip plane, FAR where there is no underside; bare: the same without texture.
+    Sample (j, i) lies at x = -reach + i STEP / 2, y likewise.
     """
 
     height: np.ndarray
+    bare: np.ndarray
     reach: float
     step: float
 
@@ -117,14 +120,14 @@ def body_of(indenter: Indenter, texture_mm: float, pitch_mm: float, angle_deg: f
     angle = np.deg2rad(angle_deg)
     along = (x * np.cos(angle) + y * np.sin(angle)) / pitch_mm
     # filaments are not quite straight nor equally high: a slow wobble keeps the lines from looking ruled
-    wobble = 0.12 * np.sin(1.3 * (x - y) + 0.9) + 0.09 * np.sin(2.1 * y + 0.4)
+    wobble = 0.07 * np.sin(1.3 * (x - y) + 0.9) + 0.05 * np.sin(2.1 * y + 0.4)
     lines = np.cos(2 * np.pi * (along + wobble))
     lines *= 0.7 + 0.3 * np.sin(1.1 * x + 1.7) * np.sin(0.9 * y + 0.6) + 0.15 * np.sin(4.1 * along)
     layers = np.cos(2 * np.pi * height / 0.2)
     flat = np.exp(-((slope / 0.05) ** 2))
     inclined = np.clip((slope - 0.05) / 0.1, 0, 1) * np.clip((1.2 - slope) / 0.4, 0, 1)
     textured = height + texture_mm * 0.5 * (flat * (lines - 1.0) + 0.5 * inclined * (layers - 1.0))
-    return Body(textured.astype(np.float32), count * step, step)
+    return Body(textured.astype(np.float32), height.astype(np.float32), count * step, step)
 
 
 def _underside(indenter: Indenter, xy: np.ndarray) -> np.ndarray:
