@@ -1,10 +1,13 @@
 """Contact at Gauss points: the rule integrates the surface, springs have a potential, friction is bounded."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from gelforge.geometry.gel import Gel
-from gelforge.mechanics.contact import GLUED, Law, Pose, contact_points, contact_springs
+from gelforge.mechanics.contact import GLUED, FacePlaces, Law, Pose, contact_points, contact_springs
+from gelforge.mechanics.element import build_pattern
 from gelforge.mechanics.hexmesh import (
     FineBox,
     build_mesh,
@@ -51,46 +54,67 @@ def test_free_points_feel_the_normal_only(mesh):
     assert np.abs(np.cross(springs.traction, Floor.normal)).max() < 1e-12 * np.abs(springs.traction).max()
 
 
-def glued(mesh, bound, seed=0):
+def glued(mesh, seed=0):
     state, rng = contact_points(mesh, 1), np.random.default_rng(seed)
     state.status[:] = GLUED
     state.anchor = state.reference + rng.normal(0, 0.2, state.reference.shape)
     state.normal = np.tile(Floor.normal, (len(state.status), 1))
-    state.bound[:] = bound
-    state.multiplier = rng.normal(0, 0.3, state.reference.shape)
     return state, state.reference + [0, 0, 2.0]
 
 
-@pytest.mark.parametrize("bound", [0.0, 0.4, 3.0, np.inf])
-def test_stiffness_is_the_derivative_of_the_traction(mesh, bound):
+@pytest.mark.parametrize("mu", [0.0, 0.02, 0.1, 0.8, np.inf])
+def test_stiffness_is_the_derivative_of_the_traction(mesh, mu):
     """On a flat face, where the indenter's curvature (left out of the stiffness) is zero."""
-    state, x = glued(mesh, bound)
+    (state, x), law = glued(mesh), replace(LAW, mu=mu)
     none = np.empty(0, int)
-    springs = contact_springs(state, x, HERE, Floor(), LAW, none)
+    springs = contact_springs(state, x, HERE, Floor(), law, none)
     step = np.random.default_rng(1).normal(size=x.shape)
     h = 1e-6
-    ahead = contact_springs(state, x + h * step, HERE, Floor(), LAW, none).traction
-    behind = contact_springs(state, x - h * step, HERE, Floor(), LAW, none).traction
+    ahead = contact_springs(state, x + h * step, HERE, Floor(), law, none).traction
+    behind = contact_springs(state, x - h * step, HERE, Floor(), law, none).traction
     predicted = -np.einsum("pij,pj->pi", springs.stiffness, step[springs.point])
-    # central differences of a smooth law; a point within h of its bound would be off, none is for this seed
+    slip = springs.slip
+    pull = -slip.pull * np.einsum("pi,pi->p", slip.normal, step[slip.point])[:, None]
+    predicted[np.searchsorted(springs.point, slip.point)] += pull
+    # central differences of a smooth law; a point within h of the cone would be off, none is for this seed
     assert np.abs((ahead - behind) / (2 * h) - predicted).max() < 1e-5 * LAW.penalty
     assert np.allclose(springs.stiffness, springs.stiffness.transpose(0, 2, 1))
+    assert (len(slip.point) > 0) == (mu < 2.0)
 
 
-@pytest.mark.parametrize("bound", [0.0, 0.2])
-def test_tangential_traction_never_exceeds_its_bound_and_opposes_slip(mesh, bound):
-    state, x = glued(mesh, bound)
-    state.multiplier[:] = 0.0
-    springs = contact_springs(state, x, HERE, Floor(), LAW, np.empty(0, int))
-    tangential = springs.traction - (springs.traction @ Floor.normal)[:, None] * Floor.normal
-    assert np.linalg.norm(tangential, axis=1).max() <= bound + 1e-12 * LAW.penalty * 10  # rounding of the normal part
+@pytest.mark.parametrize("mu", [0.0, 0.02, 0.1])
+def test_tangential_traction_stays_in_its_cone_and_opposes_slip(mesh, mu):
+    state, x = glued(mesh)
+    springs = contact_springs(state, x, HERE, Floor(), replace(LAW, mu=mu), np.empty(0, int))
+    pressure = springs.traction @ Floor.normal
+    tangential = springs.traction - pressure[:, None] * Floor.normal
+    assert np.all(np.linalg.norm(tangential, axis=1) <= mu * pressure + 1e-12 * LAW.penalty * 10)  # rounding
     back = state.anchor[springs.point] - x[springs.point]
     assert np.all(np.einsum("pi,pi->p", tangential, back) >= -1e-12)
 
 
+def test_matrix_product_with_slip_is_that_of_the_blocks(mesh):
+    """The part of the matrix that is not symmetric, applied without being stored."""
+    state, x = glued(mesh)
+    pattern = build_pattern(mesh.elements, len(mesh.nodes), mesh.base)
+    slip = contact_springs(state, x, HERE, Floor(), replace(LAW, mu=0.05), np.empty(0, int)).slip
+    rng = np.random.default_rng(2)
+    v = rng.normal(size=(len(mesh.nodes), 3))
+    v[mesh.base] = 0.0
+    free = pattern.first_row >= 0
+    y = np.zeros(3 * free.sum())
+    FacePlaces(mesh, pattern).slip_product(state, slip)(v[free].ravel(), y)
+    expected = np.zeros_like(v)
+    nodes = mesh.faces[state.face[slip.point]]
+    moved = np.einsum("pa,pai->pi", state.shape[slip.point], v[nodes])
+    force = slip.pull * (np.einsum("pi,pi->p", slip.normal, moved) * state.weights[slip.point])[:, None]
+    np.add.at(expected, nodes, state.shape[slip.point][:, :, None] * force[:, None, :])
+    assert len(slip.point) and np.allclose(y, expected[free].ravel(), atol=1e-12 * np.abs(y).max())
+
+
 def test_points_let_go_fade():
     mesh = build_mesh(Gel(), FineBox(-3, 3, -2, 2, 1.0), 2)
-    state, x = glued(mesh, np.inf)
+    state, x = glued(mesh)
     state.let_go(np.array([0, 5]), np.ones((2, 3)))
     state.go(0.25)
     springs = contact_springs(state, x - [0, 0, 10], HERE, Floor(), LAW, np.empty(0, int))

@@ -2,8 +2,8 @@
 
 Within a load step points that touch for the first time feel a normal penalty only; points glued
 earlier are held at their anchor, which travels with the indenter. So a step is a smooth problem
-but for new touches. Coulomb's law bounds the tangential force of a glued point by a number that is
-fixed while Newton iterates (Tresca), and updated between solves.
+but for new touches. Coulomb's law cuts the tangential force of a glued point off at mu times its
+pressure, both of the same iterate (return mapping).
 """
 
 from dataclasses import dataclass, field
@@ -15,7 +15,7 @@ from gelforge.mechanics.element import Pattern, add_block, block_places
 from gelforge.mechanics.mesh import GelMesh
 
 FREE, TOUCHING, GLUED = 0, 1, 2
-_CHANGING = ("status", "anchor", "normal", "bound", "multiplier", "goal", "fading")
+_CHANGING = ("status", "anchor", "normal", "goal", "fading")
 
 
 @dataclass
@@ -25,8 +25,7 @@ class ContactState:
     face: (m,) index into mesh.faces. shape: (m, 4) weights of the face's nodes. reference: (m, 3)
     undeformed position. weights: (m,) mm^2. status: (m,) FREE, TOUCHING or GLUED.
     anchor: (m, 3) where a glued point is held, in the indenter's frame (nan elsewhere).
-    normal: (m, 3) the indenter's outward normal there, in its frame. bound: (m,) largest tangential
-    traction (inf: no slip). multiplier: (m, 3) tangential traction carried at no stretch (Coulomb only).
+    normal: (m, 3) the indenter's outward normal there, in its frame.
     position: (m, 3) deformed. traction: (m, 3) on the gel.
     goal: (m, 3) where anchors are on their way to; fading: (m, 3) what is left of the traction of
     points let go (both only differ from anchor and zero while a path is walked).
@@ -39,8 +38,6 @@ class ContactState:
     status: np.ndarray
     anchor: np.ndarray
     normal: np.ndarray
-    bound: np.ndarray
-    multiplier: np.ndarray
     goal: np.ndarray
     fading: np.ndarray
     position: np.ndarray = field(default=None)
@@ -118,46 +115,60 @@ def contact_points(mesh: GelMesh, order: int, faces: np.ndarray | None = None) -
         status=np.zeros(m, np.int8),
         anchor=np.full((m, 3), np.nan),
         normal=np.full((m, 3), np.nan),
-        bound=np.full(m, np.inf),
-        multiplier=np.zeros((m, 3)),
         goal=np.full((m, 3), np.nan),
         fading=np.zeros((m, 3)),
     )
 
 
 @dataclass(frozen=True)
+class Slip:
+    """Points that slip: the part of their stiffness that is not symmetric, pull (x) normal.
+
+    point: (s,) index. pull: (s, 3) growth of the friction traction with depth, MPa/mm. normal: (s, 3).
+    """
+
+    point: np.ndarray
+    pull: np.ndarray
+    normal: np.ndarray
+
+
+@dataclass(frozen=True)
 class Springs:
     """Tractions of the points in contact, linearised: point (p,) index, traction (p, 3), stiffness (p, 3, 3).
 
-    gap: (p,) signed distance where known (nan for points held at anchors without slip).
+    gap: (p,) signed distance where known (nan for points held at anchors without slip). stiffness is
+    symmetric; what friction adds to it is in `slip`.
     """
 
     point: np.ndarray
     traction: np.ndarray
     stiffness: np.ndarray
     gap: np.ndarray
+    slip: Slip
 
 
 @dataclass(frozen=True)
 class Law:
-    """Contact stiffness, MPa per mm of gap (penalty) and of slip (friction; finite bounds only)."""
+    """Contact stiffness, MPa per mm of gap (penalty) and of elastic slip (friction); mu inf: no slip."""
 
     penalty: float
     friction: float
+    mu: float = np.inf
 
 
 def contact_springs(state: ContactState, x: np.ndarray, pose: Pose, indenter, law: Law, candidates) -> Springs:
     """Penalty tractions at deformed positions x (m, 3); `candidates` (c,) are the free points within reach."""
-    stuck = np.flatnonzero((state.status == GLUED) & np.isinf(state.bound))
-    sliding = np.flatnonzero((state.status == GLUED) & np.isfinite(state.bound))
+    glued = np.flatnonzero(state.status == GLUED)
+    stuck, sliding = (glued, glued[:0]) if np.isinf(law.mu) else (glued[:0], glued)
     parts = [_held(state, x, pose, law.penalty, stuck), _faded(state)]
-    probe = np.concatenate([sliding, candidates])
+    probe, slip = np.concatenate([sliding, candidates]), Slip(glued[:0], np.empty((0, 3)), np.empty((0, 3)))
     if len(probe):
         distance, normal = indenter.distance(pose.to_indenter(x[probe]))
         inside = distance < 0.0
-        parts.append(_pressed(state, x, pose, law, probe[inside], distance[inside], normal[inside]))
+        pressed, slip = _pressed(state, x, pose, law, probe[inside], distance[inside], normal[inside])
+        parts.append(pressed)
     joined = [np.concatenate(arrays) for arrays in zip(*parts)]
-    return Springs(*joined)
+    return Springs(*joined, slip)
 
 
 def _held(state, x, pose, penalty, points):
@@ -174,7 +185,7 @@ def _faded(state):
 
 
 def _pressed(state, x, pose, law, points, distance, normal):
-    """Normal penalty, and for glued points a tangential spring that yields at `bound`.
+    """Normal penalty, and for glued points a tangential spring that yields at mu times the pressure.
 
     The indenter's curvature is left out of the stiffness: measured, it costs more iterations than it
     saves, because normals of filleted edges jump in curvature.
@@ -183,28 +194,29 @@ def _pressed(state, x, pose, law, points, distance, normal):
     stiffness = law.penalty * n[:, :, None] * n[:, None, :]
     traction = -law.penalty * distance[:, None] * n
     glued = np.flatnonzero(state.status[points] == GLUED)
-    if len(glued):
-        extra, slope = _yielding(state, x, pose, law.friction, points[glued], n[glued])
-        traction[glued] += extra
-        stiffness[glued] += slope
-    return points, traction, stiffness, distance
+    friction, slope, slip = _friction(state, x, pose, law, points[glued], distance[glued], n[glued])
+    traction[glued] += friction
+    stiffness[glued] += slope
+    return (points, traction, stiffness, distance), slip
 
 
-def _yielding(state, x, pose, stiffness, points, n):
-    """Tangential traction multiplier + stiffness * stretch, cut off at the bound, and its slope.
+def _friction(state, x, pose, law, points, distance, n):
+    """Tangential traction of springs that yield at the cone, its symmetric slope, and the slip.
 
-    The augmented Lagrangian of Coulomb friction with a given bound: Simo, Laursen (1992), Comput.
-    Struct. 42, 97-116.
+    Return mapping of Coulomb friction: Wriggers, Computational Contact Mechanics (2006), section 6.3.2; its
+    tangent, section 9.2: along the slip the traction follows the pressure.
     """
-    trial = state.multiplier[points] + stiffness * (pose.to_gel(state.anchor[points]) - x[points])
+    trial = law.friction * (pose.to_gel(state.anchor[points]) - x[points])
     trial -= np.einsum("pi,pi->p", trial, n)[:, None] * n
-    length = np.maximum(np.linalg.norm(trial, axis=1), 1e-300)
-    slips = length > state.bound[points]
-    scale = np.where(slips, state.bound[points] / length, 1.0)
+    length = np.maximum(np.linalg.norm(trial, axis=1), 1e-12 * law.friction)
+    bound = -law.mu * law.penalty * distance
+    slips = length > bound
+    scale = np.where(slips, bound / length, 1.0)
     along = trial / length[:, None]
     slope = np.eye(3) - n[:, :, None] * n[:, None, :]
     slope -= slips[:, None, None] * along[:, :, None] * along[:, None, :]
-    return scale[:, None] * trial, (stiffness * scale)[:, None, None] * slope
+    slip = Slip(points[slips], law.mu * law.penalty * along[slips], n[slips])
+    return scale[:, None] * trial, (law.friction * scale)[:, None, None] * slope, slip
 
 
 class FacePlaces:
@@ -212,6 +224,7 @@ class FacePlaces:
 
     def __init__(self, mesh: GelMesh, pattern: Pattern):
         self.nodes = np.ascontiguousarray(mesh.faces, np.int32)
+        self.rows = np.ascontiguousarray(pattern.first_row[mesh.faces], np.int64)
         self.base, self.width = block_places(pattern, mesh.faces)
 
     def add_forces(self, state: ContactState, springs: Springs, forces) -> None:
@@ -228,6 +241,28 @@ class FacePlaces:
         _add_stiffness(
             self.base[face], self.width[face], state.shape[points], state.weights[points], stiffness, values
         )
+
+
+    def slip_product(self, state: ContactState, slip: Slip):
+        """Function that adds the slipping points' part of the matrix times x (unknowns,) to y (unknowns,)."""
+        points = slip.point
+        rows = self.rows[state.face[points]]
+        shape, pull = state.shape[points], slip.pull * state.weights[points, None]
+        return lambda x, y: _add_slip(rows, shape, pull, slip.normal, x, y)
+
+
+@njit(cache=True, nogil=True)
+def _add_slip(rows, shape, pull, normal, x, y):
+    for p in range(len(shape)):
+        deeper = 0.0
+        for a in range(4):
+            if rows[p, a] >= 0:
+                for i in range(3):
+                    deeper += shape[p, a] * normal[p, i] * x[rows[p, a] + i]
+        for a in range(4):
+            if rows[p, a] >= 0:
+                for i in range(3):
+                    y[rows[p, a] + i] += shape[p, a] * deeper * pull[p, i]
 
 
 @njit(cache=True, nogil=True)

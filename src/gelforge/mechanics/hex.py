@@ -49,8 +49,6 @@ class HexSettings:
     max_iterations: int = 14
     max_cuts: int = 8
     settle_rounds: int = 6
-    friction_rounds: int = 8
-    friction_tolerance: float = 0.01
     pull_tolerance: float = 1e-3
     anchoring: str = "crossing"
     box: FineBox | None = None
@@ -137,7 +135,8 @@ def _result(run: Run, status: Status, started: float) -> HexResult:
     run.record()
     # Converged load steps as [path parameter, fx, fy, fz]: one solve is a whole force-depth curve.
     evidence["path"] = run.curve
-    evidence |= {"reached": float(run.t), "cuts": run.cuts, "friction_error": run.friction_error}
+    evidence |= {"reached": float(run.t), "cuts": run.cuts, "factorisations": run.factorisations}
+    evidence["products"] = run.products
     evidence["seconds"] = time.perf_counter() - started
     return HexResult(status, forces, run.u, evidence, run.mesh, run.state)
 

@@ -1,5 +1,7 @@
 """One scene walked along its path: load steps, Newton's method, and the contact set between them."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from gelforge.errors import BadInput, SolveFailed
@@ -16,13 +18,17 @@ from gelforge.mechanics.contact import (
 )
 from gelforge.mechanics.hexmesh import HexMesh
 from gelforge.mechanics.hexreach import path_pose, reachable_faces
-from gelforge.mechanics.linear import symmetric_solver
+from gelforge.mechanics.linear import gmres, symmetric_product, symmetric_solver
 from gelforge.mechanics.scene import Scene, Status
 
 EASY = 7  # Newton iterations up to which a shortened step may grow again
 SMALLEST_PART = 0.1  # of pending contact changes carried out in one solve
 
 
+FORCING = 1e-2  # of the residual that is left of a linear solve: Newton hardly loses by it
+# Iterations after which a step must lower the residual: the first ones look uphill, though they are right.
+WARY = 3
+STALE, FRESH = 12, 60  # matrix products that a solve may take with an old factorisation and with its own
 ACCEPTED = 3e-7  # residual over contact force that keeps base reactions within 1e-6
 
 
@@ -55,15 +61,18 @@ class Run:
         if self.law not in ("no_slip", "coulomb", "frictionless"):
             raise BadInput(f"interface law {self.law!r} is unknown; choose no_slip, coulomb or frictionless")
         scale = scene.material.c10 / settings.size
-        self.contact = Law(settings.penalty * scale, settings.friction_penalty * scale)
+        mu = self.mu if self.law == "coulomb" else np.inf
+        self.contact = Law(settings.penalty * scale, settings.friction_penalty * scale, mu)
+        self.sticking = replace(self.contact, mu=1e9)
         self.moduli = scene.material.shear_modulus, scene.material.bulk_modulus
         self.bricks = element.bricks(mesh.nodes, mesh.elements)
         self.state = contact_points(mesh, settings.gauss, reachable_faces(scene, mesh))
         self.nodes = np.ascontiguousarray(mesh.faces[self.state.face])
         self.u = np.zeros_like(mesh.nodes)
         self.t, self.candidates, self.springs = 0.0, np.empty(0, np.int64), None
+        self.factorisations = self.products = 0
         self.iterations = self.rounds = self.steps = self.cuts = 0
-        self.residual, self.friction_error = np.inf, 0.0
+        self.residual, self.factored = np.inf, False
         self.history, self.curve = [], []
 
     # -- the path
@@ -155,24 +164,48 @@ class Run:
                 continue
         raise NoEquilibrium
 
-    def _newton(self, u, pose: Pose, tolerance: float) -> tuple[np.ndarray, int]:
-        """Full Newton steps from u until the residual is below tolerance times the contact force."""
-        free = self.system.free
+    def _newton(self, u, pose: Pose, tolerance: float, still: bool = False) -> tuple[np.ndarray, int]:
+        """Newton steps from u until the residual is below tolerance times the contact force.
+
+        With friction the first step holds every glued point (but where the indenter stands `still`):
+        points that slip from a poor guess drag others along, and Newton loses its way.
+        """
+        laws = [self.contact] if still or self.law != "coulomb" else [self.sticking, self.contact]
+        state = self._out_of_balance(u, pose, laws[0])
         for iteration in range(self.settings.max_iterations + 1):
-            forces, springs = self._out_of_balance(u, pose)
-            if self.residual <= tolerance:
-                self.springs = springs
+            if len(laws) == 1 and self.residual <= tolerance:
+                self.springs = state[1]
                 return u, iteration
             if iteration < self.settings.max_iterations:
-                u = u.copy()
-                u[free] -= self._direction(u, forces, springs)
+                step = self._direction(u, *state)
+                laws = laws[-1:]
+                u, state = self._step(u, step, pose, laws[0], self.residual if iteration >= WARY else np.inf)
         raise NoEquilibrium
 
-    def _out_of_balance(self, u, pose):
+    def _step(self, u, step, pose, law, before):
+        """u less the step, or less a part of it where that inverts bricks or leaves the residual above `before`."""
+        free, best = self.system.free, None
+        for part in (1.0, 0.5, 0.25):
+            trial = u.copy()
+            trial[free] -= part * step
+            try:
+                state = self._out_of_balance(trial, pose, law)
+            except NoEquilibrium:
+                continue
+            if best is None or self.residual < best[0]:
+                best = self.residual, trial, state
+            if self.residual < before:
+                break
+        if best is None:
+            raise NoEquilibrium
+        self.residual = best[0]
+        return best[1:]
+
+    def _out_of_balance(self, u, pose, law):
         """Nodal residual (n, 3) and contact springs; sets `residual` relative to the contact force."""
         forces = self._internal(u)
         x, indenter = self._points(u), self.scene.indenter
-        springs = contact_springs(self.state, x, pose, indenter, self.contact, self.candidates)
+        springs = contact_springs(self.state, x, pose, indenter, law, self.candidates)
         self.system.faces.add_forces(self.state, springs, forces)
         scale = float(self.state.weights[springs.point] @ np.linalg.norm(springs.traction, axis=1))
         self.residual = float(np.linalg.norm(forces[self.system.free])) / max(scale, 1e-9 * self.moduli[0])
@@ -188,15 +221,40 @@ class Run:
         return forces
 
     def _direction(self, u, forces, springs):
+        """Newton's step, to FORCING of the residual; a factorisation serves as long as GMRES is quick with it."""
         system, b = self.system, self.bricks
         system.values[:] = 0.0
         element.tangent(
             u, b.elements, b.gradients, b.weights, *self.moduli, system.base, system.width, system.values
         )
         system.faces.add_stiffness(self.state, springs, system.values)
-        system.linear.factorise(system.values)
         self.iterations += 1
-        return system.linear.solve(forces[system.free].ravel()).reshape(-1, 3)
+        apply = self._product(springs)
+        right = forces[system.free].ravel()
+        if self.factored:
+            step, count = gmres(apply, system.linear.solve, right, FORCING, STALE)
+            if step is not None:
+                return step.reshape(-1, 3)
+        system.linear.factorise(system.values)
+        self.factored = True
+        self.factorisations += 1
+        step, count = gmres(apply, system.linear.solve, right, FORCING, FRESH)
+        if step is None:
+            raise NoEquilibrium
+        return step.reshape(-1, 3)
+
+    def _product(self, springs):
+        system = self.system
+        pattern, values = system.pattern, system.values
+        slip = system.faces.slip_product(self.state, springs.slip)
+
+        def apply(x):
+            y = symmetric_product(pattern.indptr, pattern.indices, values, x)
+            slip(x, y)
+            self.products += 1
+            return y
+
+        return apply
 
     # -- the contact set at the end of a step
 
@@ -207,12 +265,14 @@ class Run:
 
     def _end_step(self, pose, start) -> None:
         """Let go what pulls; hold what touched for the first time in this step where it touched."""
-        self._release(pose)
-        new = self._touching()
-        if self.law != "frictionless":
-            self._glue(new, pose, self._touch_places(new, pose, *start))
+        if self.law == "frictionless":
+            return
         if self.law == "coulomb":
             self._slide(pose)
+        else:
+            self._release(pose)
+        new = self._touching()
+        self._glue(new, pose, self._touch_places(new, pose, *start))
 
     def _touch_places(self, new, pose, x, before, gap, expected):
         """Where new points first touched, in the indenter's frame (p, 3): second-order anchoring.
@@ -236,9 +296,9 @@ class Run:
             return
         state = self.state
         state.status[points] = GLUED
-        state.anchor[points], _ = self._on_surface(pose.to_indenter(self._points(self.u)[points]))
-        state.goal[points], state.normal[points] = self._on_surface(places)
-        state.bound[points] = np.inf if self.law == "no_slip" else 0.0
+        here, _ = self._on_surface(pose.to_indenter(self._points(self.u)[points]))
+        goal, state.normal[points] = self._on_surface(places)
+        state.anchor[points], state.goal[points] = here, goal
 
     def _on_surface(self, places):
         for _ in range(2):
@@ -264,66 +324,21 @@ class Run:
     # -- Coulomb's law
 
     def _slide(self, pose) -> None:
-        """Return mapping at the end of a step, by an augmented Lagrangian.
-
-        Within a solve tangential tractions are bounded by mu times the pressure of the solve before
-        (Tresca) and stretch their springs; between solves bounds and multipliers follow.
-        """
-        s = self.settings
-        self.friction_error = self._follow_pressure(pose)
-        for _ in range(s.friction_rounds):
-            if self.friction_error < s.friction_tolerance and not self._pending():
-                break
-            self._carry_out(pose)
-            self.rounds += 1
-            self.friction_error = self._follow_pressure(pose)
-        self._drag_anchors(pose)
-
-    def _sliding(self):
-        """Glued points in contact: place in springs, index, and those that lost contact are let go."""
+        """Anchors follow slip; points that lost contact are let go."""
         state, springs = self.state, self.springs
         pressed = np.zeros(len(state.status), bool)
         pressed[springs.point[springs.gap < 0.0]] = True
         gone = np.flatnonzero((state.status == GLUED) & ~pressed)
         state.let_go(gone, np.zeros((len(gone), 3)))
-        state.multiplier[gone] = 0.0
         at = np.flatnonzero((state.status[springs.point] == GLUED) & (springs.gap < 0.0))
-        return at, springs.point[at]
-
-    def _follow_pressure(self, pose) -> float:
-        """Bounds to mu times pressure, multipliers to the tractions; returns the error left, of the friction force.
-
-        The error: change of bounds, and the traction that the stretch of sticking springs stands for.
-        """
-        state, springs = self.state, self.springs
-        at, point = self._sliding()
-        bound = -self.mu * self.contact.penalty * springs.gap[at]
-        tangential = self._tangential(at, point, pose)
-        change = np.abs(bound - state.bound[point])
-        size = np.linalg.norm(tangential, axis=1)
-        sticks = size < state.bound[point] * (1 - 1e-9)
-        change += np.where(sticks, np.linalg.norm(tangential - state.multiplier[point], axis=1), 0.0)
-        state.bound[point] = bound
-        state.multiplier[point] = tangential * np.minimum(1.0, bound / np.maximum(size, 1e-300))[:, None]
-        weights = state.weights[point]
-        return float(weights @ change / max(weights @ bound, 1e-300))
-
-    def _tangential(self, at, point, pose):
-        _, normal = self.scene.indenter.distance(pose.to_indenter(self._points(self.u)[point]))
+        point = springs.point[at]
+        x = self._points(self.u)[point]
+        _, normal = self.scene.indenter.distance(pose.to_indenter(x))
         n = pose.turn(normal)
-        traction = self.springs.traction[at]
-        return traction - np.einsum("pi,pi->p", traction, n)[:, None] * n
-
-    def _drag_anchors(self, pose) -> None:
-        """Points that slip take their anchors along."""
-        state = self.state
-        at, point = self._sliding()
-        size = np.linalg.norm(self._tangential(at, point, pose), axis=1)
-        slips = point[size > state.bound[point] * (1 - 1e-6)]
-        if len(slips):
-            places = pose.to_indenter(self._points(self.u)[slips])
-            state.anchor[slips], state.normal[slips] = self._on_surface(places)
-            state.goal[slips] = state.anchor[slips]
+        traction = springs.traction[at]
+        traction = traction - np.einsum("pi,pi->p", traction, n)[:, None] * n
+        state.anchor[point] = pose.to_indenter(x + traction / self.contact.friction)
+        state.goal[point], state.normal[point] = state.anchor[point], normal
 
     # -- the end of the path
 
@@ -341,11 +356,6 @@ class Run:
         self._polish(pose)
         self.state.status[self._touching()] = TOUCHING
         return status
-
-    def _pending(self) -> bool:
-        state = self.state
-        glued = state.status == GLUED
-        return bool(np.any(state.fading) or np.any(state.anchor[glued] != state.goal[glued]))
 
     def _carry_out(self, pose) -> None:
         """Carry out all pending contact changes at a fixed pose, in parts where one go fails."""
@@ -375,7 +385,7 @@ class Run:
     def _solve_here(self, pose, tolerance) -> None:
         gap = self._gaps(self._points(self.u), pose)
         self.candidates = np.flatnonzero((self.state.status != GLUED) & (gap < self.settings.size))
-        self.u, _ = self._newton(self.u, pose, tolerance)
+        self.u, _ = self._newton(self.u, pose, tolerance, True)
 
     # -- evidence
 

@@ -1,8 +1,10 @@
 """Sparse symmetric linear systems: one symbolic factorisation, many numerical ones."""
 
 import ctypes
+from functools import lru_cache
 
 import numpy as np
+from numba import njit
 
 from gelforge.errors import SolveFailed
 
@@ -21,6 +23,14 @@ def symmetric_solver(indptr: np.ndarray, indices: np.ndarray):
         return SuperLU(indptr, indices)
 
 
+@lru_cache(maxsize=1)
+def _mkl():
+    """PARDISO's entry in mkl_rt; finding the library takes tenths of a second, so once a process."""
+    from pypardiso.pardiso_wrapper import PyPardisoSolver
+
+    return PyPardisoSolver(mtype=_SYMMETRIC_INDEFINITE)  # its own calls are not used
+
+
 class Pardiso:
     """MKL PARDISO for real symmetric indefinite matrices (oneMKL reference, `pardiso`, mtype -2).
 
@@ -33,9 +43,7 @@ class Pardiso:
     name = "pardiso"
 
     def __init__(self, indptr, indices):
-        from pypardiso.pardiso_wrapper import PyPardisoSolver
-
-        self._library = PyPardisoSolver(mtype=_SYMMETRIC_INDEFINITE)  # finds mkl_rt; its own calls are not used
+        self._library = _mkl()
         self._indptr = np.ascontiguousarray(indptr, np.int32)
         self._indices = np.ascontiguousarray(indices, np.int32)
         self.size = len(self._indptr) - 1
@@ -121,3 +129,56 @@ class SuperLU:
 
     def solve(self, b):
         return self._lu.solve(b)
+
+
+@njit(cache=True, nogil=True)
+def symmetric_product(indptr, indices, values, x):
+    """Product (n,) of a symmetric matrix, given by its upper triangle in CSR form (diagonal first), with x (n,)."""
+    y = np.zeros(len(x))
+    for i in range(len(x)):
+        start = indptr[i]
+        own = x[i]
+        total = values[start] * own
+        for at in range(start + 1, indptr[i + 1]):
+            j, a = indices[at], values[at]
+            total += a * x[j]
+            y[j] += a * own
+        y[i] += total
+    return y
+
+
+def gmres(apply, precondition, b: np.ndarray, tolerance: float, limit: int):
+    """Flexible GMRES (Saad 1993, SIAM J. Sci. Comput. 14, 461-469) without restart, from zero.
+
+    apply, precondition: functions (n,) -> (n,). Returns x (n,) with |b - A x| <= tolerance |b| and the
+    number of products, or None and their number as soon as `limit` of them will not suffice at this pace.
+    """
+    size = float(np.linalg.norm(b))
+    if size == 0.0:
+        return np.zeros_like(b), 0
+    basis, ways = [b / size], []
+    h = np.zeros((limit + 1, limit))
+    rotation = np.zeros((limit, 2))
+    rest = np.zeros(limit + 1)
+    rest[0] = size
+    for k in range(limit):
+        ways.append(precondition(basis[k]))
+        w = apply(ways[k])
+        for i in range(k + 1):
+            h[i, k] = w @ basis[i]
+            w -= h[i, k] * basis[i]
+        h[k + 1, k] = np.linalg.norm(w)
+        basis.append(w / max(h[k + 1, k], 1e-300))
+        for i in range(k):
+            c, s = rotation[i]
+            h[i, k], h[i + 1, k] = c * h[i, k] + s * h[i + 1, k], c * h[i + 1, k] - s * h[i, k]
+        length = np.hypot(h[k, k], h[k + 1, k])
+        rotation[k] = h[k, k] / length, h[k + 1, k] / length
+        h[k, k], h[k + 1, k] = length, 0.0
+        rest[k], rest[k + 1] = rotation[k, 0] * rest[k], -rotation[k, 1] * rest[k]
+        if abs(rest[k + 1]) <= tolerance * size:
+            y = np.linalg.solve(np.triu(h[: k + 1, : k + 1]), rest[: k + 1])
+            return np.column_stack(ways) @ y, k + 1
+        if k >= 2 and (abs(rest[k + 1]) / size) ** (limit / (k + 1)) > tolerance:
+            return None, k + 1
+    return None, limit

@@ -12,7 +12,7 @@ from gelforge.mechanics.scene import REFERENCE_C10, Indenter, Interface, Materia
 from gelforge.virtualrig.plan import Order, Plan, Truth, generator
 from gelforge.virtualrig.surface import FAR, Body, body_of
 
-# The rig's own mesh, in no ratio to those of the labels, and soft friction springs: about 80 iterations a press.
+# The rig's own mesh, in no ratio to those of the labels: about 40 iterations a press.
 SETTINGS = HexSettings(
     size=0.7,
     layers=5,
@@ -25,8 +25,8 @@ SETTINGS = HexSettings(
     tolerance=1e-3,
     final_tolerance=1e-7,
 )
-# A bench never diverges. Soft friction springs are three times faster, stiffer ones hold a deep flat punch too;
-# the last attempt takes a less deep press, which the log then reports.
+# A bench never diverges: where the steps were too long it takes shorter ones, and at last a less deep press,
+# which the log then reports.
 FINER = replace(SETTINGS, press_steps=10, shear_steps=6, max_cuts=10)
 ATTEMPTS = ((SETTINGS, 1.0), (FINER, 1.0), (FINER, 0.8))
 
