@@ -21,7 +21,7 @@ SLICES = {
     "report": ["report"],
     "calibrate": ["calibrate", "material.nu"],
     "pareto": ["pareto", "fea", "meshes", "material.nu"],
-    "pareto_meshes": ["pareto.regions", "meshes"],
+    "pareto_meshes": ["pareto.regions", "pareto.grading", "meshes"],
     "stability": ["stability", "fea", "meshes"],
 }
 

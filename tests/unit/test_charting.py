@@ -92,7 +92,9 @@ def test_the_chart_holds_what_was_asked(params):
     assert len({m.name for m in methods}) == len(methods)
     for fidelity in ("hex", "ccx"):
         own = [m for m in methods if m.fidelity == fidelity and m.size]
+        # one factor at a time: a full product would be hours
         assert len({m.size for m in own}) >= 4 and len({m.steps for m in own}) >= 3
+        assert len(own) == len({m.size for m in own}) + len({m.steps for m in own}) - 1
     assert {"hex", "ccx", "ccx-native", "auto", "ccx-fine"} <= {m.fidelity for m in methods}
     assert all(m.fidelity == "hex" for m in quick_methods(params["pareto"]["quick"], with_ccx=False))
 

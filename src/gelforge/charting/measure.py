@@ -49,7 +49,8 @@ class Bench:
             return [asdict(hex_settings(method))]
         if method.fidelity == REFERENCE:
             steps = {key: p["pareto"]["reference"][key] for key in ("press_steps", "shear_steps")}
-            return [steps, p["pareto"]["regions"].get(scene.fine), p["meshes"], _solver_settings(p["fea"])]
+            mesh = [p["pareto"]["regions"].get(scene.fine), p["pareto"]["grading"], p["meshes"]]
+            return [steps, *mesh, _solver_settings(p["fea"])]
         if method.name == "auto-label":
             return [p["fea"], p["meshes"]]
         if method.size is None:
@@ -137,7 +138,8 @@ def measure(bench: Bench, scene: NamedScene, method: Method) -> dict:
         def make(folder):
             return prepare(method, scene.scene, scene.fine, bench.meshes, bench.params, folder)
 
-        found = solve_isolated(make, bench.sensor, bench.params["pareto"]["limit_s"], path.parent)
+        limit = bench.params["pareto"]["native_limit_s" if method.fidelity == "ccx-native" else "limit_s"]
+        found = solve_isolated(make, bench.sensor, limit, path.parent)
         record = {"key": key, "scene": scene.name, "method": method.name, "fidelity": method.fidelity} | found
         write_json(path, record)
         print(f"{scene.name} {method.name}: {record['status']} {record.get('cpu_seconds', float('nan')):.1f} s"

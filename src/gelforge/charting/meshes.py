@@ -51,7 +51,7 @@ def build_mesh(name: str, gel: Gel, params: dict) -> tuple[GelMesh, dict]:
     centre = np.array([(x_min + x_max) / 2, (y_min + y_max) / 2, 0.0])
     half = (x_max - x_min) / 2, (y_max - y_min) / 2
     # pytetwild's edges come out about a tenth longer than asked for
-    at = sizing(half, 0.9 * float(size), params["meshes"])
+    at = sizing(half, 0.9 * float(size), params["meshes"] | params["pareto"]["grading"])
     mesh = gel_mesh(gel, lambda points: at(points - centre))
     report = {"engine": "fine", "region": region, "size": float(size), "half_mm": list(half), "gel": gel.name}
     return mesh, report | quality(mesh, gel)

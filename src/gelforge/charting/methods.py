@@ -4,6 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from gelforge.charting import meshes
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.scene import Result, Scene
@@ -35,12 +37,17 @@ def hex_method(size: float, layers: int, steps: int) -> Method:
 
 
 def every_method(pareto: dict) -> list[Method]:
-    """The methods of the whole chart, cheap ones first, the reference last."""
-    steps = pareto["load_steps"]
+    """The methods of the whole chart, cheap ones first, the reference last.
+
+    Mesh density is varied at the first of `load_steps`, load steps at the first of each engine's sizes.
+    """
+    usual, *others = pareto["load_steps"]
     label = [Method(f"{name}-label", name) for name in LABEL_METHODS]
-    sizes = zip(pareto["hex_sizes_mm"], pareto["hex_layers"], strict=True)
-    bricks = [hex_method(size, layers, n) for size, layers in sizes for n in steps]
-    tets = [Method(f"ccx-{size:g}-{n}", "ccx", size, steps=n) for size in pareto["ccx_sizes_mm"] for n in steps]
+    sizes = list(zip(pareto["hex_sizes_mm"], pareto["hex_layers"], strict=True))
+    bricks = [hex_method(size, layers, usual) for size, layers in sizes]
+    bricks += [hex_method(*sizes[0], n) for n in others]
+    varied = [(size, usual) for size in pareto["ccx_sizes_mm"]] + [(pareto["ccx_sizes_mm"][0], n) for n in others]
+    tets = [Method(f"ccx-{size:g}-{n}", "ccx", size, steps=n) for size, n in varied]
     native = [Method(f"ccx-native-{size:g}", "ccx-native", size) for size in pareto["native_sizes_mm"]]
     qualities = [Method(f"hex-{quality}-quality", "hex") for quality in QUALITIES]
     return [*qualities, *label, *bricks, *tets, *native, Method(REFERENCE, REFERENCE)]
@@ -126,7 +133,7 @@ def _prepare_native(method, scene, folder, params, work):
     from gelforge.mechanics.native import solve_native
 
     mesh = GelMesh.load(Path(folder) / f"{meshes.density_mesh(scene, folder, params, method.size)}.npz")
-    return lambda: (solve_native(scene, mesh, work / "native", 0.9 * params["pareto"]["limit_s"]), mesh)
+    return lambda: (solve_native(scene, mesh, work / "native", 0.9 * params["pareto"]["native_limit_s"]), mesh)
 
 
 def _prepare_ccx(method, scene, fine, folder, params, work):
@@ -140,6 +147,6 @@ def _prepare_ccx(method, scene, fine, folder, params, work):
     else:
         name = meshes.density_mesh(scene, folder, params, method.size)
         steps = {"press_steps": method.steps, "shear_steps": (method.steps + 1) // 2}
-    settings = replace(FeaSettings.from_table(params["fea"]).ccx, **steps)
+    settings = replace(FeaSettings.from_table(params["fea"]).ccx, **steps, step_mm=np.inf)
     solver = CcxSolver(GelMesh.load(Path(folder) / f"{name}.npz"), work, settings)
     return lambda: (solver.solve(scene), solver.mesh)

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.mechanics import ccx_contact as touch
-from gelforge.mechanics.ccx_deck import press_deck, write_include
+from gelforge.mechanics.ccx_deck import DIRECT, ITERATIVE, press_deck, write_include
 from gelforge.mechanics.ccx_run import run_ccx
 from gelforge.mechanics.dat import DatError, last_table, read_dat, without_set
 from gelforge.mechanics.hex import first_touch
@@ -28,14 +28,15 @@ from gelforge.mechanics.tetsolid import TetSolid
 class CcxSettings:
     """How `ccx` works.
 
-    press_steps, shear_steps: load steps of the kinematics. stiffness: contact springs, multiples of C10 per mm.
-    rounds: at most so many solves. pull_tolerance: share of the normal force that may pull in a valid
+    press_steps, shear_steps: load steps of the kinematics, at least. step_mm: none of the press is longer.
+    stiffness: contact springs, multiples of C10 per mm. rounds: at most so many solves. pull_tolerance: share of the normal force that may pull in a valid
     state. penetration_mm: depth that counts as touching. residual: largest nodal residual over the
     mean nodal force. increments: first load increment when the start from hex fails.
     """
 
     press_steps: int = 4
     shear_steps: int = 3
+    step_mm: float = 0.35
     stiffness: float = 2000.0
     rounds: int = 8
     pull_tolerance: float = 2e-3
@@ -70,7 +71,7 @@ class CcxSolver:
         if touch_at is None:
             return self._empty(Status.NO_CONTACT, "", began)
         path = PathSettings(
-            s.press_steps, s.shear_steps, s.stiffness * REFERENCE_C10,
+            s.press_steps, s.shear_steps, s.step_mm, s.stiffness * REFERENCE_C10,
             pull_tolerance=s.pull_tolerance / 2, penetration_mm=s.penetration_mm / 2,
         )  # fmt: skip
         found = follow(scene, self.solid, self.points, touch_at, path)
@@ -138,10 +139,11 @@ class _Run:
         rows = touch.spring_rows(contact, self.solver.points, self.stiffness)
         loads = touch.drag_loads(contact, self.solver.points, len(mesh.nodes))
         problem = Status.DIVERGED, "no point touches"
-        attempts = [(start, 1.0), (None, s.increment), (None, s.increment / 10)] if len(rows.target) else []
-        for begin, increment in attempts:
+        attempts = [(start, 1.0, ITERATIVE), (start, 1.0, DIRECT)]
+        attempts += [(None, s.increment, DIRECT), (None, s.increment / 10, DIRECT)]
+        for begin, increment, method in attempts if len(rows.target) else []:
             deck = press_deck(
-                mesh, self.solver.include, self.scene.material, rows, loads, begin, increment, s.residual
+                mesh, self.solver.include, self.scene.material, rows, loads, begin, increment, s.residual, method
             )  # fmt: skip
             (self.solver.folder / f"{self.name}.inp").write_text(deck)
             job = run_ccx(self.name, self.solver.folder, s.timeout_s)
@@ -157,7 +159,7 @@ class _Run:
                     Status.DIVERGED if "stopped early" in str(error) or "nothing" in str(error) else Status.UNREADABLE
                 )
                 problem = status, f"{error}; {job.reason()}"
-                self.ladder.append(f"round {self.rounds + 1}, first increment {increment:g}: {problem[1]}")
+                self.ladder.append(f"round {self.rounds + 1}, {method}, first increment {increment:g}: {problem[1]}")
         zero = np.zeros_like(mesh.nodes)
         return CcxResult(problem[0], zero, zero.copy(), self._evidence() | {"reason": problem[1]}, deck=None)
 

@@ -82,7 +82,7 @@ class Solvers:
             self._ccx[mesh] = CcxSolver(self.family.load(mesh), self.workdir / mesh, self.settings.ccx)
         base = self.settings.ccx
         finer = replace(base, press_steps=steps * base.press_steps, shear_steps=steps * base.shear_steps,
-                        rounds=rounds * base.rounds)  # fmt: skip
+                        step_mm=base.step_mm / steps, rounds=rounds * base.rounds)  # fmt: skip
         result = self._ccx[mesh].solve(scene, settings=finer)
         result.evidence |= {"mesh": mesh}
         return result

@@ -20,13 +20,19 @@ _A, _B = np.triu_indices(6)
 
 @dataclass(frozen=True)
 class PathSettings:
-    """Load steps of press and shear, contact stiffness (N/mm^3), residuals over contact force, and limits."""
+    """Load steps of press and shear, contact stiffness (N/mm^3), residuals over contact force, and limits.
+
+    step_mm: no load step of the press is longer. gentle_above: residual above which Newton takes the gentle
+    tangent of TetSolid.factorise: it halves the iterations of deep presses and needs no cut steps.
+    """
 
     press_steps: int = 4
     shear_steps: int = 3
+    step_mm: float = 0.35
     stiffness: float = 145.0
-    step_tolerance: float = 5e-2
+    step_tolerance: float = 0.2
     final_tolerance: float = 1e-6
+    gentle_above: float = 0.5
     pull_tolerance: float = 1e-3
     penetration_mm: float = 1e-3
     most_iterations: int = 12
@@ -84,7 +90,7 @@ def follow(scene: Scene, solid: TetSolid, points: FacePoints, start: float, sett
     path.at = np.array([min(start, 0.98), 0.0])
     reason = ""
     try:
-        for fraction in np.linspace(min(start, 0.98), 1.0, settings.press_steps + 1)[1:]:
+        for fraction in np.linspace(path.at[0], 1.0, path.press_steps() + 1)[1:]:
             path.advance(np.array([fraction, 0.0]))
         if scene.press.dx or scene.press.dy:
             for fraction in np.linspace(0.0, 1.0, settings.shear_steps + 1)[1:]:
@@ -116,6 +122,11 @@ class _Path:
 
     def positions(self, u):
         return self.points.position + self.points.at(u)
+
+    def press_steps(self) -> int:
+        """Load steps from here to the end of the press."""
+        travel = (1.0 - self.at[0]) * abs(self.scene.press.dz)
+        return max(self.settings.press_steps, int(np.ceil(travel / self.settings.step_mm)))
 
     # -- one load step
 
@@ -176,19 +187,21 @@ class _Path:
             # on the way a few points may still come and go; at the end none
             if size < tolerance and changed <= (0.05 * contact.held.sum() if tolerance > s.final_tolerance else 0):
                 return u, contact
-            u = self._newton_step(u, contact, outer - inner)
+            u = self._newton_step(u, contact, outer - inner, size > s.gentle_above)
         raise NoEquilibrium(
             f"no equilibrium in {s.most_iterations} Newton iterations, residual {size:.1e} of the force"
         )
 
-    def _newton_step(self, u, contact, residual):
-        self.iterations += 1
-        self.solid.factorise(u, self.shear, self.bulk, *contact_blocks(contact, self.points, self.settings.stiffness))
-        step = self.solid.step(residual)
-        for _ in range(6):
-            if self.solid.forces(u + step, self.shear, self.bulk)[1] > 0.0:
-                return u + step
-            step = step / 2
+    def _newton_step(self, u, contact, residual, gentle):
+        springs = contact_blocks(contact, self.points, self.settings.stiffness)
+        for tangent in (True,) if gentle else (False, True):
+            self.iterations += 1
+            self.solid.factorise(u, self.shear, self.bulk, *springs, gentle=tangent)
+            step = self.solid.step(residual)
+            for _ in range(6):
+                if self.solid.forces(u + step, self.shear, self.bulk)[1] > 0.0:
+                    return u + step
+                step = step / 2
         raise NoEquilibrium("an element turned inside out")
 
     def _touch(self, u, contact, pose) -> tuple[Contact, int]:
@@ -278,10 +291,12 @@ class _Path:
         """Equilibrium at the end of the path in which nothing pulls and nothing new penetrates."""
         s, pose = self.settings, self.pose(self.at)
         for _ in range(s.settle_rounds):
-            self.u, self.contact = self.newton(self.u, self.contact, pose, s.step_tolerance)
-            verdict = judge(self.scene, self.contact, self.points, self.u, s.stiffness)
-            if verdict.pulling_fraction <= s.pull_tolerance and verdict.penetration <= s.penetration_mm:
-                self.u, self.contact = self.newton(self.u, self.contact, pose, s.final_tolerance)
+            for tolerance in (s.step_tolerance, s.final_tolerance):
+                self.u, self.contact = self.newton(self.u, self.contact, pose, tolerance)
+                verdict = judge(self.scene, self.contact, self.points, self.u, s.stiffness)
+                if verdict.pulling_fraction > s.pull_tolerance or verdict.penetration > s.penetration_mm:
+                    self._release()
+                    break
+            else:
                 return True
-            self._release()
         return False

@@ -39,10 +39,15 @@ class TetSolid:
         smallest = _forces(u, self.elements, self.gradients, self.weights, shear, bulk, forces)
         return forces, smallest
 
-    def factorise(self, u, shear, bulk, faces, stiffness) -> None:
-        """Factorise the tangent at u with blocks `stiffness` (f, 21, 3, 3) N/mm on node pairs of `faces` (f,)."""
+    def factorise(self, u, shear, bulk, faces, stiffness, gentle=False) -> None:
+        """Factorise the tangent at u with blocks `stiffness` (f, 21, 3, 3) N/mm on node pairs of `faces` (f,).
+
+        gentle: leave out what the bulk pressure adds to the stiffness (Gauss and Newton's approximation of
+        the volumetric energy). Far from equilibrium pressures are wild and the full tangent is indefinite.
+        """
         values = np.zeros(len(self.pattern.indices))
-        _tangent(u, self.elements, self.gradients, self.weights, shear, bulk, *self.places, values)
+        pressed = 0.0 if gentle else 1.0
+        _tangent(u, self.elements, self.gradients, self.weights, shear, bulk, pressed, *self.places, values)
         _add_faces(self.face_places[0][faces], self.face_places[1][faces], np.ascontiguousarray(stiffness), values)
         self.solver.factorise(values)
 
@@ -111,7 +116,7 @@ def _forces(u, elements, gradients, weights, shear, bulk, forces):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _tangent(u, elements, gradients, weights, shear, bulk, base, width, values):
+def _tangent(u, elements, gradients, weights, shear, bulk, pressed, base, width, values):
     f, g, h = np.empty((3, 3)), np.empty((10, 3)), np.empty((10, 3))
     block = np.empty((55, 3, 3))
     for e in range(elements.shape[0]):
@@ -121,8 +126,8 @@ def _tangent(u, elements, gradients, weights, shear, bulk, base, width, values):
             w = weights[e, q]
             c = shear * j ** (-2.0 / 3.0) * w
             across = -2.0 / 3.0 * c
-            outer = 2.0 / 9.0 * c * trace + bulk * (2.0 * j - 1.0) * j * w
-            turned = c * trace / 3.0 - bulk * (j - 1.0) * j * w
+            outer = 2.0 / 9.0 * c * trace + bulk * (j + pressed * (j - 1.0)) * j * w
+            turned = c * trace / 3.0 - pressed * bulk * (j - 1.0) * j * w
             pair = 0
             for a in range(10):
                 for b in range(a, 10):
