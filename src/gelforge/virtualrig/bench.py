@@ -15,16 +15,16 @@ from gelforge.virtualrig.surface import FAR, Body, body_of
 # The rig's own mesh, in no ratio to those of the labels: about 40 iterations a press.
 SETTINGS = HexSettings(
     size=0.7,
-    layers=5,
+    layers=4,
     layer_ratio=2.5,
     growth=1.8,
     largest=3.0,
     press_steps=5,
     shear_steps=3,
-    friction_penalty=100.0,
     tolerance=1e-3,
     final_tolerance=1e-7,
 )
+MOST_BRICKS = 600  # under a footprint: keeps the widest bars within seconds
 # A bench never diverges: where the steps were too long it takes shorter ones, and at last a less deep press,
 # which the log then reports.
 FINER = replace(SETTINGS, press_steps=10, shear_steps=6, max_cuts=10)
@@ -117,27 +117,29 @@ class Bench:
         return low
 
     def estimate(self, order: Order, height: float, depth: float) -> float:
-        """Normal force in N, good to a fifth: displaced volume on a bed that stiffens with mean depth.
+        """Normal force in N, good to a seventh: displaced volume on a bed that stiffens with mean depth and area.
 
-        The stiffness is a fit to solves of spheres, cuboids, bars and cylinders from 0.5 to 2.3 mm.
+        The stiffness is a fit to solves of 24 presses of the training plan, spheres to bars, 0.2 to 1.7 mm deep.
         """
         place = Press(order.x, order.y, height, 0.0, 0.0, -depth, order.rot_deg)
         _, _, sunk, cell = self._sunk(order.indenter, place)
         volume, area = sunk.sum() * cell, (sunk > 0).sum() * cell
         mean = volume / area if area else 0.0
-        return self.plan.truth.c10_mpa / REFERENCE_C10 * volume * (0.15 + 0.2 * mean + 0.03 * mean**2)
+        return self.plan.truth.c10_mpa / REFERENCE_C10 * volume * (0.28 + 0.037 * mean + 0.0005 * area)
 
     def fine_box(self, name: str, real: Press, size: float) -> FineBox | None:
         """Fine part of the mesh, laid so that a brick straddles each side of the footprint. None: no footprint.
 
         A punch's flank is a step, and the picture shows it where the brick that spans it lies. The brick size
-        is varied by a tenth so that the footprint is a whole number of bricks both ways.
+        is varied by a tenth so that the footprint is a whole number of bricks both ways. Bricks are larger where
+        the footprint would take more than MOST_BRICKS.
         """
         x, y, sunk, _ = self._sunk(name, real)
         if not (sunk > 0).any():
             return None
         low = np.array([x[sunk > 0].min(), y[sunk > 0].min()])
         high = np.array([x[sunk > 0].max(), y[sunk > 0].max()])
+        size = max(size, float(np.sqrt(np.prod(high - low) / MOST_BRICKS)))
         sizes = np.linspace(0.9 * size, 1.1 * size, 41)
         misfit = np.abs((high - low)[None] / sizes[:, None] - np.rint((high - low)[None] / sizes[:, None])).max(
             axis=1
