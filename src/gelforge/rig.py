@@ -16,7 +16,7 @@ from gelforge.virtualrig.dataset import Dataset, image_name, log_row, save_image
 from gelforge.virtualrig.looks import read_looks
 from gelforge.virtualrig.plan import Order, Plan, check_names, generator, orders, read_plan
 
-VERSION = 1
+VERSION = 2
 
 _worker = None  # the bench and cameras of this process; building them costs more than a press
 
@@ -25,9 +25,12 @@ class Worker:
     """Bench and cameras of one process."""
 
     def __init__(self, plan: Plan, workflow: Path, folder: Path):
+        import cv2
+
         from gelforge.virtualrig.bench import Bench
         from gelforge.virtualrig.render import Renderer
 
+        cv2.setNumThreads(1)
         gel = Gel()
         self.plan, self.folder, self.gel = plan, folder, gel
         self.bench = Bench(plan, load_catalogue(workflow / plan.catalogue, plan.indenters), gel)
