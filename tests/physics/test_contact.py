@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gelforge.geometry.gel import Gel
-from gelforge.mechanics.contact import GLUED, FacePlaces, Law, Pose, contact_points, contact_springs
+from gelforge.mechanics.contact import GLUED, FacePlaces, Law, Pose, contact_points, contact_springs, curved
 from gelforge.mechanics.element import build_pattern
 from gelforge.mechanics.hexmesh import (
     FineBox,
@@ -29,6 +29,17 @@ class Floor:
 
     def distance(self, points):
         return points @ self.normal, np.tile(self.normal, (len(points), 1))
+
+
+class Ball:
+    """A ball that all of the gel's top lies in."""
+
+    name = "ball"
+
+    def distance(self, points):
+        v = points - [0.0, 0.0, 8.0]
+        length = np.linalg.norm(v, axis=1)
+        return length - 40.0, v / length[:, None]
 
 
 @pytest.fixture(scope="module")
@@ -74,8 +85,7 @@ def test_stiffness_is_the_derivative_of_the_traction(mesh, mu):
     behind = contact_springs(state, x - h * step, HERE, Floor(), law, none).traction
     predicted = -np.einsum("pij,pj->pi", springs.stiffness, step[springs.point])
     slip = springs.slip
-    pull = -slip.pull * np.einsum("pi,pi->p", slip.normal, step[slip.point])[:, None]
-    predicted[np.searchsorted(springs.point, slip.point)] += pull
+    predicted[np.searchsorted(springs.point, slip.point)] -= np.einsum("pij,pj->pi", slip.block, step[slip.point])
     # central differences of a smooth law; a point within h of the cone would be off, none is for this seed
     assert np.abs((ahead - behind) / (2 * h) - predicted).max() < 1e-5 * LAW.penalty
     assert np.allclose(springs.stiffness, springs.stiffness.transpose(0, 2, 1))
@@ -103,13 +113,27 @@ def test_matrix_product_with_slip_is_that_of_the_blocks(mesh):
     v[mesh.base] = 0.0
     free = pattern.first_row >= 0
     y = np.zeros(3 * free.sum())
-    FacePlaces(mesh, pattern).slip_product(state, slip)(v[free].ravel(), y)
+    FacePlaces(mesh, pattern).skew_product(state, slip)(v[free].ravel(), y)
     expected = np.zeros_like(v)
     nodes = mesh.faces[state.face[slip.point]]
     moved = np.einsum("pa,pai->pi", state.shape[slip.point], v[nodes])
-    force = slip.pull * (np.einsum("pi,pi->p", slip.normal, moved) * state.weights[slip.point])[:, None]
+    force = np.einsum("pij,pj->pi", slip.block, moved) * state.weights[slip.point, None]
     np.add.at(expected, nodes, state.shape[slip.point][:, :, None] * force[:, None, :])
     assert len(slip.point) and np.allclose(y, expected[free].ravel(), atol=1e-12 * np.abs(y).max())
+
+
+def test_curved_stiffness_is_exact_where_the_face_is_not_flat(mesh):
+    state, x = glued(mesh)
+    ball, law, none = Ball(), replace(LAW, mu=0.3), np.empty(0, int)
+    springs = contact_springs(state, x, HERE, ball, law, none)
+    rest = curved(springs, state, x, HERE, ball, law, none)
+    step, h = np.random.default_rng(1).normal(size=x.shape), 1e-6
+    ahead = contact_springs(state, x + h * step, HERE, ball, law, none).traction
+    behind = contact_springs(state, x - h * step, HERE, ball, law, none).traction
+    predicted = -np.einsum("pij,pj->pi", springs.stiffness, step[springs.point])
+    predicted[np.searchsorted(springs.point, rest.point)] -= np.einsum("pij,pj->pi", rest.block, step[rest.point])
+    # one-sided differences over 1e-6 mm within `curved`: 1e-4 of slopes that grow as the pressure does
+    assert np.abs((ahead - behind) / (2 * h) - predicted).max() < 1e-3 * LAW.penalty
 
 
 def test_points_let_go_fade():

@@ -183,6 +183,60 @@ def test_coulomb_lies_between_its_limits(solver, sheared):
     assert smooth > normal[0.05] > normal[0.5] > rough * 1.005
 
 
+def dragged(law, mu=0.0, far=0.6, body=None, depth=0.4):
+    """A flat-topped block under a plate or a body that goes down and then `far` mm sideways."""
+    press = Press(0.0, 0.0, 0.0, far, 0.0, -depth)
+    return Scene(Block(width=14.0, length=14.0), Material(), body or Plate(), press, Interface(law, mu))
+
+
+WHOLE = replace(COARSE, box=FineBox(-7, 7, -7, 7, 1.4))
+
+
+@pytest.mark.parametrize("mu", [0.1, 0.3])
+def test_gross_slip_on_a_plate(mu):
+    """Every point slips: the force along the travel is mu times the normal one, and none is across."""
+    result = solve_hex(dragged("coulomb", mu, far=1.5), WHOLE)
+    total = result.total
+    assert result.status is Status.OK
+    # where the block bulges from under the plate, friction turns with the slip: 3 % of it points elsewhere
+    assert total[0] / -total[2] == pytest.approx(mu, rel=0.03)
+    assert abs(total[1]) < 1e-3 * total[0]
+
+
+def test_friction_with_a_large_coefficient_is_no_slip():
+    held, rough = solve_hex(dragged("no_slip", far=0.3), WHOLE), solve_hex(dragged("coulomb", 5.0, far=0.3), WHOLE)
+    # friction springs are a tenth of the penalty; multipliers leave 1 % of what they give way
+    assert np.allclose(rough.total, held.total, rtol=0.01, atol=0.01)
+
+
+def test_friction_without_a_coefficient_is_frictionless():
+    smooth, slick = (solve_hex(ball(dx=0.3, law=law, mu=1e-6), COARSE) for law in ("frictionless", "coulomb"))
+    assert np.allclose(slick.total, smooth.total, rtol=1e-4, atol=1e-4)
+
+
+def test_partial_slip_grows_into_gross_slip():
+    """Cattaneo and Mindlin: the shear force of a ball starts as without slip, bends, and meets mu times the load."""
+    settings, mu = replace(COARSE, shear_steps=8), 0.3
+    curves = {}
+    for law in ("no_slip", "coulomb"):
+        path = np.array(solve_hex(ball(dx=1.2, law=law, mu=mu), settings).evidence["path"])
+        curves[law] = np.vstack([path[path[:, 0] == 1.0], path[path[:, 0] > 1.0]])
+    slope = {law: np.diff(curve[:, 1]) / np.diff(curve[:, 0]) for law, curve in curves.items()}
+    # the press alone has slip at the rim, and the multipliers of a step are complete in the next
+    assert slope["coulomb"][0] == pytest.approx(slope["no_slip"][0], rel=0.25)
+    # once all slips, the ball runs up and down the gel between its Gauss points
+    assert np.all(np.diff(slope["coulomb"]) < 0.1 * slope["coulomb"][0])
+    assert np.all(curves["coulomb"][:, 1] < curves["no_slip"][:, 1] * 1.02)
+    assert curves["coulomb"][-1, 1] / -curves["coulomb"][-1, 3] == pytest.approx(mu, rel=0.07)
+
+
+def test_the_same_scene_gives_the_same_digits():
+    """A used solver and a fresh one: nothing of an earlier scene stays behind."""
+    used, scene = HexSolver(COARSE), ball(dx=0.2, law="coulomb", mu=0.8)
+    used.solve(ball(dx=-0.1, law="coulomb", mu=0.8))
+    assert np.array_equal(used.solve(scene).forces, HexSolver(COARSE).solve(scene).forces)
+
+
 def test_no_contact_is_known_from_geometry(solver):
     scene = replace(ball(), press=Press(0, 0, 2.0, 0, 0, -1.0))
     result = solver.solve(scene)
@@ -194,7 +248,6 @@ def test_a_press_through_the_gel_is_reported():
     """4.5 mm into a 4 mm gel has no equilibrium: a status, no exception and no force."""
     result = solve_hex(ball(depth=4.5, diameter=4.0), replace(COARSE, press_steps=2, max_cuts=1))
     assert result.status is Status.DIVERGED and not result.forces.any()
-    assert result.evidence["reached"] < 1.0
 
 
 def test_solver_reuses_what_it_made(solver):

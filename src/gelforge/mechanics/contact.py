@@ -15,7 +15,7 @@ from gelforge.mechanics.element import Pattern, add_block, block_places
 from gelforge.mechanics.mesh import GelMesh
 
 FREE, TOUCHING, GLUED = 0, 1, 2
-_CHANGING = ("status", "anchor", "normal", "goal", "fading")
+_CHANGING = ("status", "anchor", "normal", "goal", "fading", "multiplier", "carried")
 
 
 @dataclass
@@ -27,8 +27,9 @@ class ContactState:
     anchor: (m, 3) where a glued point is held, in the indenter's frame (nan elsewhere).
     normal: (m, 3) the indenter's outward normal there, in its frame.
     position: (m, 3) deformed. traction: (m, 3) on the gel.
-    goal: (m, 3) where anchors are on their way to; fading: (m, 3) what is left of the traction of
-    points let go (both only differ from anchor and zero while a path is walked).
+    multiplier: (m, 3) tangential traction of glued points at no stretch (Coulomb only).
+    goal: (m, 3) where anchors are on their way to; carried: (m, 3) what multipliers are on their way to;
+    fading: (m, 3) what is left of the traction of points let go (at the end of a path nothing is pending).
     """
 
     face: np.ndarray
@@ -40,6 +41,8 @@ class ContactState:
     normal: np.ndarray
     goal: np.ndarray
     fading: np.ndarray
+    multiplier: np.ndarray
+    carried: np.ndarray
     position: np.ndarray = field(default=None)
     traction: np.ndarray = field(default=None)
 
@@ -56,12 +59,14 @@ class ContactState:
         """Carry out `part` (0 to 1) of the pending changes."""
         moving = self.status == GLUED
         self.anchor[moving] += part * (self.goal[moving] - self.anchor[moving])
+        self.multiplier += part * (self.carried - self.multiplier)
         self.fading *= 1.0 - part
 
     def let_go(self, points, traction) -> None:
         """Free glued points; their traction fades as changes are carried out."""
         self.status[points] = FREE
         self.anchor[points] = self.goal[points] = np.nan
+        self.multiplier[points] = self.carried[points] = 0.0
         self.fading[points] = traction
 
     @property
@@ -117,19 +122,17 @@ def contact_points(mesh: GelMesh, order: int, faces: np.ndarray | None = None) -
         normal=np.full((m, 3), np.nan),
         goal=np.full((m, 3), np.nan),
         fading=np.zeros((m, 3)),
+        multiplier=np.zeros((m, 3)),
+        carried=np.zeros((m, 3)),
     )
 
 
 @dataclass(frozen=True)
-class Slip:
-    """Points that slip: the part of their stiffness that is not symmetric, pull (x) normal.
-
-    point: (s,) index. pull: (s, 3) growth of the friction traction with depth, MPa/mm. normal: (s, 3).
-    """
+class Skew:
+    """Stiffness that is not symmetric: point (s,) index, block (s, 3, 3) MPa/mm."""
 
     point: np.ndarray
-    pull: np.ndarray
-    normal: np.ndarray
+    block: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -137,14 +140,14 @@ class Springs:
     """Tractions of the points in contact, linearised: point (p,) index, traction (p, 3), stiffness (p, 3, 3).
 
     gap: (p,) signed distance where known (nan for points held at anchors without slip). stiffness is
-    symmetric; what friction adds to it is in `slip`.
+    symmetric; what friction adds to it as the pressure grows is in `slip`.
     """
 
     point: np.ndarray
     traction: np.ndarray
     stiffness: np.ndarray
     gap: np.ndarray
-    slip: Slip
+    slip: Skew
 
 
 @dataclass(frozen=True)
@@ -161,7 +164,7 @@ def contact_springs(state: ContactState, x: np.ndarray, pose: Pose, indenter, la
     glued = np.flatnonzero(state.status == GLUED)
     stuck, sliding = (glued, glued[:0]) if np.isinf(law.mu) else (glued[:0], glued)
     parts = [_held(state, x, pose, law.penalty, stuck), _faded(state)]
-    probe, slip = np.concatenate([sliding, candidates]), Slip(glued[:0], np.empty((0, 3)), np.empty((0, 3)))
+    probe, slip = np.concatenate([sliding, candidates]), Skew(glued[:0], np.empty((0, 3, 3)))
     if len(probe):
         distance, normal = indenter.distance(pose.to_indenter(x[probe]))
         inside = distance < 0.0
@@ -169,6 +172,26 @@ def contact_springs(state: ContactState, x: np.ndarray, pose: Pose, indenter, la
         parts.append(pressed)
     joined = [np.concatenate(arrays) for arrays in zip(*parts)]
     return Springs(*joined, slip)
+
+
+def curved(springs: Springs, state, x, pose, indenter, law, candidates, h: float = 1e-6) -> Skew:
+    """What `springs` lack of the exact stiffness, by differences over h mm: friction and the indenter's curvature."""
+    point = springs.point
+    here = _scattered(springs, len(x))
+    block = np.empty((len(x), 3, 3))
+    for k in range(3):
+        ahead = contact_springs(state, x + h * np.eye(3)[k], pose, indenter, law, candidates)
+        block[:, :, k] = (here - _scattered(ahead, len(x))) / h
+    known = np.zeros_like(block)
+    np.add.at(known, point, springs.stiffness)
+    point = np.unique(point)
+    return Skew(point, (block - known)[point])
+
+
+def _scattered(springs, count):
+    traction = np.zeros((count, 3))
+    np.add.at(traction, springs.point, springs.traction)
+    return traction
 
 
 def _held(state, x, pose, penalty, points):
@@ -187,8 +210,8 @@ def _faded(state):
 def _pressed(state, x, pose, law, points, distance, normal):
     """Normal penalty, and for glued points a tangential spring that yields at mu times the pressure.
 
-    The indenter's curvature is left out of the stiffness: measured, it costs more iterations than it
-    saves, because normals of filleted edges jump in curvature.
+    The indenter's curvature is left out of the stiffness (see `curved`): far from equilibrium it costs more
+    iterations than it saves, because normals of filleted edges jump in curvature.
     """
     n = pose.turn(normal)
     stiffness = law.penalty * n[:, :, None] * n[:, None, :]
@@ -203,10 +226,11 @@ def _pressed(state, x, pose, law, points, distance, normal):
 def _friction(state, x, pose, law, points, distance, n):
     """Tangential traction of springs that yield at the cone, its symmetric slope, and the slip.
 
-    Return mapping of Coulomb friction: Wriggers, Computational Contact Mechanics (2006), section 6.3.2; its
+    Augmented Lagrangian (Simo, Laursen 1992, Comput. Struct. 42, 97-116): multipliers take over what the
+    springs hold, so that points which stick end where they touched, however soft the springs are. Return mapping of Coulomb friction: Wriggers, Computational Contact Mechanics (2006), section 6.3.2; its
     tangent, section 9.2: along the slip the traction follows the pressure.
     """
-    trial = law.friction * (pose.to_gel(state.anchor[points]) - x[points])
+    trial = state.multiplier[points] + law.friction * (pose.to_gel(state.anchor[points]) - x[points])
     trial -= np.einsum("pi,pi->p", trial, n)[:, None] * n
     length = np.maximum(np.linalg.norm(trial, axis=1), 1e-12 * law.friction)
     bound = -law.mu * law.penalty * distance
@@ -215,7 +239,7 @@ def _friction(state, x, pose, law, points, distance, n):
     along = trial / length[:, None]
     slope = np.eye(3) - n[:, :, None] * n[:, None, :]
     slope -= slips[:, None, None] * along[:, :, None] * along[:, None, :]
-    slip = Slip(points[slips], law.mu * law.penalty * along[slips], n[slips])
+    slip = Skew(points[slips], law.mu * law.penalty * along[slips, :, None] * n[slips, None, :])
     return scale[:, None] * trial, (law.friction * scale)[:, None, None] * slope, slip
 
 
@@ -243,26 +267,27 @@ class FacePlaces:
         )
 
 
-    def slip_product(self, state: ContactState, slip: Slip):
-        """Function that adds the slipping points' part of the matrix times x (unknowns,) to y (unknowns,)."""
-        points = slip.point
-        rows = self.rows[state.face[points]]
-        shape, pull = state.shape[points], slip.pull * state.weights[points, None]
-        return lambda x, y: _add_slip(rows, shape, pull, slip.normal, x, y)
+    def skew_product(self, state: ContactState, skew: Skew):
+        """Function that adds the matrix of `skew` times x (unknowns,) to y (unknowns,)."""
+        rows = self.rows[state.face[skew.point]]
+        shape, block = state.shape[skew.point], skew.block * state.weights[skew.point, None, None]
+        return lambda x, y: _add_skew(rows, shape, block, x, y)
 
 
 @njit(cache=True, nogil=True)
-def _add_slip(rows, shape, pull, normal, x, y):
+def _add_skew(rows, shape, block, x, y):
+    moved = np.empty(3)
     for p in range(len(shape)):
-        deeper = 0.0
+        moved[:] = 0.0
         for a in range(4):
             if rows[p, a] >= 0:
                 for i in range(3):
-                    deeper += shape[p, a] * normal[p, i] * x[rows[p, a] + i]
+                    moved[i] += shape[p, a] * x[rows[p, a] + i]
         for a in range(4):
             if rows[p, a] >= 0:
                 for i in range(3):
-                    y[rows[p, a] + i] += shape[p, a] * deeper * pull[p, i]
+                    for k in range(3):
+                        y[rows[p, a] + i] += shape[p, a] * block[p, i, k] * moved[k]
 
 
 @njit(cache=True, nogil=True)

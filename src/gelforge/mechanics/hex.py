@@ -43,7 +43,7 @@ class HexSettings:
     shear_steps: int = 3
     gauss: int = 3
     penalty: float = 1000.0
-    friction_penalty: float = 30.0
+    friction_penalty: float = 100.0
     tolerance: float = 1e-4
     final_tolerance: float = 1e-9
     max_iterations: int = 14

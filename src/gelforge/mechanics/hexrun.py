@@ -14,6 +14,7 @@ from gelforge.mechanics.contact import (
     Pose,
     contact_points,
     contact_springs,
+    curved,
     positions,
 )
 from gelforge.mechanics.hexmesh import HexMesh
@@ -23,13 +24,16 @@ from gelforge.mechanics.scene import Scene, Status
 
 EASY = 7  # Newton iterations up to which a shortened step may grow again
 SMALLEST_PART = 0.1  # of pending contact changes carried out in one solve
-
-
-FORCING = 1e-2  # of the residual that is left of a linear solve: Newton hardly loses by it
 # Iterations after which a step must lower the residual: the first ones look uphill, though they are right.
 WARY = 3
-STALE, FRESH = 12, 60  # matrix products that a solve may take with an old factorisation and with its own
-ACCEPTED = 3e-7  # residual over contact force that keeps base reactions within 1e-6
+# Share of the residual that is left of a linear solve: Newton hardly loses by it.
+FORCING = 3e-2
+# Residual below which the tangent is exact; farther away the curvature of fillets leads astray.
+CLOSE = 1e-3
+# Matrix products that a solve may take with an old factorisation (one costs as much as a dozen) and with its own.
+STALE, FRESH = 12, 60
+BEYOND = 1.001  # of its traction is what a slipping point's multiplier wants, or rounding decides which points stick
+ACCEPTED = 1e-7  # residual over contact force that keeps base reactions within 1e-6
 
 
 class NoEquilibrium(Exception):
@@ -177,7 +181,7 @@ class Run:
                 self.springs = state[1]
                 return u, iteration
             if iteration < self.settings.max_iterations:
-                step = self._direction(u, *state)
+                step = self._direction(u, pose, *state)
                 laws = laws[-1:]
                 u, state = self._step(u, step, pose, laws[0], self.residual if iteration >= WARY else np.inf)
         raise NoEquilibrium
@@ -220,7 +224,7 @@ class Run:
             raise NoEquilibrium
         return forces
 
-    def _direction(self, u, forces, springs):
+    def _direction(self, u, pose, forces, springs):
         """Newton's step, to FORCING of the residual; a factorisation serves as long as GMRES is quick with it."""
         system, b = self.system, self.bricks
         system.values[:] = 0.0
@@ -229,7 +233,7 @@ class Run:
         )
         system.faces.add_stiffness(self.state, springs, system.values)
         self.iterations += 1
-        apply = self._product(springs)
+        apply = self._product(self._skew(u, pose, springs))
         right = forces[system.free].ravel()
         if self.factored:
             step, count = gmres(apply, system.linear.solve, right, FORCING, STALE)
@@ -243,14 +247,21 @@ class Run:
             raise NoEquilibrium
         return step.reshape(-1, 3)
 
-    def _product(self, springs):
+    def _skew(self, u, pose, springs):
+        """The stiffness beyond the symmetric one; exact close to equilibrium, where it makes Newton quadratic."""
+        if self.residual > CLOSE:
+            return springs.slip
+        x = self._points(u)
+        return curved(springs, self.state, x, pose, self.scene.indenter, self.contact, self.candidates)
+
+    def _product(self, skew):
         system = self.system
         pattern, values = system.pattern, system.values
-        slip = system.faces.slip_product(self.state, springs.slip)
+        add = system.faces.skew_product(self.state, skew)
 
         def apply(x):
             y = symmetric_product(pattern.indptr, pattern.indices, values, x)
-            slip(x, y)
+            add(x, y)
             self.products += 1
             return y
 
@@ -324,7 +335,7 @@ class Run:
     # -- Coulomb's law
 
     def _slide(self, pose) -> None:
-        """Anchors follow slip; points that lost contact are let go."""
+        """Anchors follow points that slip, multipliers the tractions; points that lost contact are let go."""
         state, springs = self.state, self.springs
         pressed = np.zeros(len(state.status), bool)
         pressed[springs.point[springs.gap < 0.0]] = True
@@ -332,13 +343,16 @@ class Run:
         state.let_go(gone, np.zeros((len(gone), 3)))
         at = np.flatnonzero((state.status[springs.point] == GLUED) & (springs.gap < 0.0))
         point = springs.point[at]
-        x = self._points(self.u)[point]
-        _, normal = self.scene.indenter.distance(pose.to_indenter(x))
+        places = pose.to_indenter(self._points(self.u)[point])
+        _, normal = self.scene.indenter.distance(places)
         n = pose.turn(normal)
         traction = springs.traction[at]
-        traction = traction - np.einsum("pi,pi->p", traction, n)[:, None] * n
-        state.anchor[point] = pose.to_indenter(x + traction / self.contact.friction)
-        state.goal[point], state.normal[point] = state.anchor[point], normal
+        state.carried[point] = traction - np.einsum("pi,pi->p", traction, n)[:, None] * n
+        slips = np.isin(point, springs.slip.point)
+        moved = point[slips]
+        state.anchor[moved], state.normal[moved] = self._on_surface(places[slips])
+        state.carried[moved] *= BEYOND
+        state.goal[moved], state.multiplier[moved] = state.anchor[moved], state.carried[moved]
 
     # -- the end of the path
 
@@ -352,6 +366,8 @@ class Run:
             if not self._release(pose):
                 status = Status.OK
                 break
+        if self.law == "coulomb":
+            self._slide(pose)
         self._carry_out(pose)
         self._polish(pose)
         self.state.status[self._touching()] = TOUCHING

@@ -19,12 +19,12 @@ SETTINGS = HexSettings(
     layer_ratio=2.5,
     growth=1.8,
     largest=3.0,
-    press_steps=5,
-    shear_steps=3,
+    press_steps=4,
+    shear_steps=2,
     tolerance=1e-3,
     final_tolerance=1e-7,
 )
-MOST_BRICKS = 600  # under a footprint: keeps the widest bars within seconds
+MOST_BRICKS = 500  # under a footprint: keeps the widest bars within seconds
 # A bench never diverges: where the steps were too long it takes shorter ones, and at last a less deep press,
 # which the log then reports.
 FINER = replace(SETTINGS, press_steps=10, shear_steps=6, max_cuts=10)
