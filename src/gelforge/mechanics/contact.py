@@ -227,8 +227,9 @@ def _friction(state, x, pose, law, points, distance, n):
     """Tangential traction of springs that yield at the cone, its symmetric slope, and the slip.
 
     Augmented Lagrangian (Simo, Laursen 1992, Comput. Struct. 42, 97-116): multipliers take over what the
-    springs hold, so that points which stick end where they touched, however soft the springs are. Return mapping of Coulomb friction: Wriggers, Computational Contact Mechanics (2006), section 6.3.2; its
-    tangent, section 9.2: along the slip the traction follows the pressure.
+    springs hold, so that points which stick end where they touched, however soft the springs are. The return
+    mapping: Wriggers, Computational Contact Mechanics (2006), section 6.3.2; its tangent, section 9.2: along
+    the slip the traction follows the pressure.
     """
     trial = state.multiplier[points] + law.friction * (pose.to_gel(state.anchor[points]) - x[points])
     trial -= np.einsum("pi,pi->p", trial, n)[:, None] * n
