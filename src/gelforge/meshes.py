@@ -16,7 +16,7 @@ from gelforge.geometry.gel import Gel, load_gel
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.scene import Scene
 
-VERSION = 1
+VERSION = 2
 _NAME = re.compile(r"(ccx|hex)-([a-z]+)-(\d+(?:\.\d+)?)")
 # Engines whose meshes a fidelity needs; `hex` meshes cost nothing and serve the last rung of its ladder.
 ENGINES = {

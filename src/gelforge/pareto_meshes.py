@@ -8,7 +8,7 @@ from gelforge.files import read_json
 from gelforge.geometry.gel import load_gel
 from gelforge.meshes import publish_mesh
 
-VERSION = 1
+VERSION = 2
 
 
 def main(argv=None) -> int:

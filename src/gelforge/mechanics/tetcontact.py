@@ -35,6 +35,7 @@ class PathSettings:
     gentle_above: float = 0.5
     pull_tolerance: float = 1e-3
     penetration_mm: float = 1e-3
+    free_iterations: int = 6
     most_iterations: int = 12
     most_cuts: int = 5
     most_in_all: int = 300
@@ -177,8 +178,8 @@ class _Path:
         s = self.settings
         if self.iterations > s.most_in_all:
             raise NoEquilibrium(f"the path took more than {s.most_in_all} Newton iterations")
-        for _ in range(s.most_iterations):
-            contact, changed = self._touch(u, contact, pose)
+        for iteration in range(s.most_iterations):
+            contact, changed = self._touch(u, contact, pose, iteration >= s.free_iterations)
             inner, smallest = self.solid.forces(u, self.shear, self.bulk)
             outer = contact_forces(contact, self.points, u, s.stiffness)
             size = np.linalg.norm((outer - inner)[self.solid.free]) / max(np.linalg.norm(outer), 1e-12)
@@ -198,19 +199,23 @@ class _Path:
             self.iterations += 1
             self.solid.factorise(u, self.shear, self.bulk, *springs, gentle=tangent)
             step = self.solid.step(residual)
-            for _ in range(6):
+            # a full tangent that turns elements inside out is not worth following at a crawl
+            for _ in range(6 if tangent else 1):
                 if self.solid.forces(u + step, self.shear, self.bulk)[1] > 0.0:
                     return u + step
                 step = step / 2
         raise NoEquilibrium("an element turned inside out")
 
-    def _touch(self, u, contact, pose) -> tuple[Contact, int]:
-        """Set of touching points for the next iteration, and how many points came or went."""
+    def _touch(self, u, contact, pose, keep) -> tuple[Contact, int]:
+        """Set of touching points for the next iteration, and how many points came or went.
+
+        keep: none goes, so that a set that flickers comes to rest; `_release` lets go what pulls.
+        """
         position = self.positions(u)
         gap, normal = gaps(self.scene, pose, position)
         stick = contact.state == STICK
         # a sliding point under drag stays until it opens; a new one starts where it penetrates
-        near = ~stick & (gap < 0.0)
+        near = ~stick & ((gap < 0.0) | (keep & (contact.state == SLIDE)))
         state = np.where(stick, STICK, np.where(near, SLIDE, FREE))
         target = np.where(stick[..., None], contact.target, position - gap[..., None] * normal)
         normal = np.where(stick[..., None], contact.normal, normal)
@@ -227,7 +232,7 @@ class _Path:
     def _release(self) -> int:
         """Let go the held points that pull."""
         push = self._push()
-        gone = (self.contact.state == STICK) & (push < 0.0)
+        gone = self.contact.held & (push < 0.0)
         self.contact = replace(self.contact, state=np.where(gone, FREE, self.contact.state))
         return int(gone.sum())
 
