@@ -125,7 +125,8 @@ class Bench:
         _, _, sunk, cell = self._sunk(order.indenter, place)
         volume, area = sunk.sum() * cell, (sunk > 0).sum() * cell
         mean = volume / area if area else 0.0
-        return self.plan.truth.c10_mpa / REFERENCE_C10 * volume * (0.28 + 0.037 * mean + 0.0005 * area)
+        stiffness = 0.304 - 0.027 * mean - 0.00011 * area + 0.00124 * mean * area
+        return self.plan.truth.c10_mpa / REFERENCE_C10 * volume * stiffness
 
     def fine_box(self, name: str, real: Press, size: float) -> FineBox | None:
         """Fine part of the mesh, laid so that a brick straddles each side of the footprint. None: no footprint.
