@@ -195,12 +195,12 @@ class _Path:
 
     def _newton_step(self, u, contact, residual, gentle):
         springs = contact_blocks(contact, self.points, self.settings.stiffness)
-        for tangent in (True,) if gentle else (False, True):
+        for tangent in (1.0,) if gentle else (0.0, 0.5, 1.0):
             self.iterations += 1
             self.solid.factorise(u, self.shear, self.bulk, *springs, gentle=tangent)
             step = self.solid.step(residual)
             # a full tangent that turns elements inside out is not worth following at a crawl
-            for _ in range(6 if tangent else 1):
+            for _ in range(6 if tangent == 1.0 else 1):
                 if self.solid.forces(u + step, self.shear, self.bulk)[1] > 0.0:
                     return u + step
                 step = step / 2

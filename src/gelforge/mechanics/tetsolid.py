@@ -39,14 +39,14 @@ class TetSolid:
         smallest = _forces(u, self.elements, self.gradients, self.weights, shear, bulk, forces)
         return forces, smallest
 
-    def factorise(self, u, shear, bulk, faces, stiffness, gentle=False) -> None:
+    def factorise(self, u, shear, bulk, faces, stiffness, gentle=0.0) -> None:
         """Factorise the tangent at u with blocks `stiffness` (f, 21, 3, 3) N/mm on node pairs of `faces` (f,).
 
-        gentle: leave out what the bulk pressure adds to the stiffness (Gauss and Newton's approximation of
+        gentle: leave out this share of what the bulk pressure adds to the stiffness (Gauss and Newton's approximation of
         the volumetric energy). Far from equilibrium pressures are wild and the full tangent is indefinite.
         """
         values = np.zeros(len(self.pattern.indices))
-        pressed = 0.0 if gentle else 1.0
+        pressed = 1.0 - gentle
         _tangent(u, self.elements, self.gradients, self.weights, shear, bulk, pressed, *self.places, values)
         _add_faces(self.face_places[0][faces], self.face_places[1][faces], np.ascontiguousarray(stiffness), values)
         self.solver.factorise(values)
