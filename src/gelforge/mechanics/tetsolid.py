@@ -42,8 +42,9 @@ class TetSolid:
     def factorise(self, u, shear, bulk, faces, stiffness, gentle=0.0) -> None:
         """Factorise the tangent at u with blocks `stiffness` (f, 21, 3, 3) N/mm on node pairs of `faces` (f,).
 
-        gentle: leave out this share of what the bulk pressure adds to the stiffness (Gauss and Newton's approximation of
-        the volumetric energy). Far from equilibrium pressures are wild and the full tangent is indefinite.
+        gentle: leave out this share of what the bulk pressure adds to the stiffness (all of it: Gauss and
+        Newton's approximation of the volumetric energy). Far from equilibrium pressures are wild and the
+        full tangent is indefinite.
         """
         values = np.zeros(len(self.pattern.indices))
         pressed = 1.0 - gentle
