@@ -45,17 +45,18 @@ def load_params(workflow, dataset_toml=None) -> dict:
     """
     params = read_toml(Path(workflow) / "params.toml")
     overrides = read_toml(dataset_toml).get("params", {}) if dataset_toml else {}
-    _overlay(params, overrides, f"{dataset_toml}: params")
+    overlay(params, overrides, f"{dataset_toml}: params")
     return params
 
 
-def _overlay(base: dict, over: dict, where: str) -> None:
+def overlay(base: dict, over: dict, where: str) -> None:
+    """Lay values over parameters; one that `base` does not have is refused, as `where` names it."""
     for key, value in over.items():
         if key not in base:
             known = ", ".join(sorted(base))
             raise BadInput(f"{where}.{key}: no such parameter in workflow/params.toml; known here: {known}")
         if isinstance(base[key], dict) and isinstance(value, dict):
-            _overlay(base[key], value, f"{where}.{key}")
+            overlay(base[key], value, f"{where}.{key}")
         else:
             base[key] = value
 

@@ -8,6 +8,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 from gelforge.binning.sensor import load_sensors
+from gelforge.config import load_params, overlay
 from gelforge.errors import BadInput
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue, read_catalogue
@@ -109,6 +110,7 @@ def check(plan_path, workflow: Path) -> Plan:
     looks = read_looks(workflow / "rig" / "sensors.toml")
     check_names(plan, read_catalogue(workflow / plan.catalogue), sensors, looks, plan_path)
     load_catalogue(workflow / plan.catalogue, plan.indenters)
+    overlay(load_params(workflow), plan.params, f"{plan_path}: params")
     return plan
 
 

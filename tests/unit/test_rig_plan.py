@@ -1,6 +1,8 @@
 """Plans of the virtual rig: what is refused before anything is written, and what growing keeps."""
 
 import re
+import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +13,7 @@ from gelforge.geometry import triangles
 from gelforge.geometry.indenters import load_catalogue
 from gelforge.rig import check, run
 from gelforge.virtualrig.bench import load_cell_error
+from gelforge.virtualrig.dataset import describe
 from gelforge.virtualrig.looks import read_looks
 from gelforge.virtualrig.plan import kind_of, orders, read_plan
 from tests.conftest import ROOT
@@ -49,6 +52,7 @@ def changed(tmp_path, *changes) -> Path:
         ('gel = "gelsight_mini"', 'gel = "digit"', "gel = 'digit' is unknown"),
         ("2026-01-12T09:00:00Z", "yesterday", "is no time"),
         ("nu = 0.475", "nu = 0.5", "0 < nu < 0.5"),
+        ("[params.train]\nepochs", "[params.train]\nepoks", "params.train.epoks: no such parameter"),
     ],
 )
 def test_bad_plan_is_refused_by_name_before_anything_is_written(tmp_path, old, new, says):
@@ -123,6 +127,15 @@ def test_a_look_that_lacks_a_value_is_named(tmp_path):
     path.write_text(text)
     with pytest.raises(BadInput, match=r"\[mini_a\] is incomplete or malformed: KeyError\('flecks'\)"):
         read_looks(path)
+
+
+def test_a_plans_parameters_stand_in_the_dataset_it_writes():
+    plan = read_plan(DEMO)
+    written = tomllib.loads(describe(plan))["params"]
+    assert written == plan.params | {
+        "dataset": plan.params["dataset"] | {"unseen_sensors": list(plan.held_out_sensors)}
+    }
+    assert replace(plan, params={}).identity() == plan.identity()
 
 
 def test_orders_stay_in_their_ranges_and_share_out():

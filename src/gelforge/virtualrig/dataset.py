@@ -1,5 +1,6 @@
 """data/DATASET as a bench writes it, row by row, and the truth beside it that only the rig's checks read."""
 
+import json
 from dataclasses import asdict
 from pathlib import Path
 
@@ -140,7 +141,17 @@ def describe(plan: Plan) -> str:
         f'gel = "{plan.gel}"',
         f'catalogue = "{plan.catalogue}"',
     ]
+    params = dict(plan.params)
     if plan.held_out_sensors:
-        names = ", ".join(f'"{name}"' for name in plan.held_out_sensors)
-        lines += ["", "[params.dataset]", f"unseen_sensors = [{names}]"]
-    return "\n".join(lines) + "\n"
+        params["dataset"] = {"unseen_sensors": list(plan.held_out_sensors)} | params.get("dataset", {})
+    return "\n".join(lines + _tables("params", params)) + "\n"
+
+
+def _tables(name: str, table: dict) -> list[str]:
+    """Lines of a TOML table of numbers, texts and lists of them, which TOML and JSON write alike, and its subtables."""
+    own = [f"{key} = {json.dumps(value)}" for key, value in table.items() if not isinstance(value, dict)]
+    lines = ["", f"[{name}]", *own] if own else []
+    for key, value in table.items():
+        if isinstance(value, dict):
+            lines += _tables(f"{name}.{key}", value)
+    return lines

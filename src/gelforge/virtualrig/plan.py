@@ -60,7 +60,7 @@ class Kind:
 
 @dataclass(frozen=True)
 class Plan:
-    """A whole plan; `presses` may grow, everything else makes it another plan."""
+    """A whole plan; `presses` may grow, everything else but `params` makes it another plan."""
 
     dataset: str
     seed: int
@@ -72,10 +72,12 @@ class Plan:
     held_out_sensors: tuple[str, ...]  # written to dataset.toml as those that training must not see
     truth: Truth
     kinds: tuple[Kind, ...]
+    params: dict  # [params.TABLE] of the plan: parameters of the stages, written to dataset.toml
 
     def identity(self) -> str:
-        """Canonical text of everything but the number of presses."""
-        return json.dumps({**asdict(self), "presses": None}, sort_keys=True)
+        """Canonical text of everything that a press depends on but the number of presses."""
+        told = {key: value for key, value in asdict(self).items() if key != "params"}
+        return json.dumps({**told, "presses": None}, sort_keys=True)
 
     @property
     def indenters(self) -> list[str]:
@@ -108,11 +110,11 @@ def read_plan(path) -> Plan:
     path = Path(path)
     raw = read_toml(path)
     truth = _record(Truth, raw.pop("truth", {}), f"{path}: [truth]")
-    kinds = raw.pop("kind", [])
+    kinds, params = raw.pop("kind", []), raw.pop("params", {})
     if not isinstance(kinds, list) or not kinds:
         raise BadInput(f"{path}: no [[kind]] table; write at least one with indenters, sensors and ranges")
     made = tuple(_record(Kind, kind, f"{path}: [[kind]] {k + 1}") for k, kind in enumerate(kinds))
-    plan = _record(Plan, {**raw, "truth": truth, "kinds": made}, str(path))
+    plan = _record(Plan, {**raw, "truth": truth, "kinds": made, "params": params}, str(path))
     _check_values(plan, path)
     return plan
 
