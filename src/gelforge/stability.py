@@ -13,7 +13,7 @@ import numpy as np
 
 from gelforge.charting.cases import FACTORS, Case, row_cases
 from gelforge.charting.errors import total_error
-from gelforge.charting.measure import NOT_SOLVER, kept, solve_isolated
+from gelforge.charting.measure import ccx_settings, kept, solve_isolated
 from gelforge.charting.methods import Method, hex_settings, prepare
 from gelforge.config import canonical
 from gelforge.files import publish, read_json, write_csv, write_json
@@ -33,7 +33,7 @@ def case_key(case: Case, params: dict) -> str:
     if case.fidelity == "hex":
         parts.append(asdict(hex_settings(case_method(case, params))))
     else:
-        parts += [params["meshes"], {k: v for k, v in params["fea"].items() if k not in NOT_SOLVER}]
+        parts += ccx_settings(params)
     return hashlib.sha256(canonical(parts).encode()).hexdigest()
 
 

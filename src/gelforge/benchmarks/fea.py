@@ -22,7 +22,15 @@ from gelforge.binning.sensor import load_sensors
 from gelforge.charting import meshes
 from gelforge.charting.errors import errors
 from gelforge.charting.isolate import Clock, isolated, peak_mib
-from gelforge.charting.measure import Bench, ensure_meshes, kept, load_bench, measure, solve_isolated
+from gelforge.charting.measure import (
+    Bench,
+    ensure_meshes,
+    kept,
+    load_bench,
+    measure,
+    solve_isolated,
+    without_bricks,
+)
 from gelforge.charting.methods import REFERENCE, Method, prepare
 from gelforge.charting.scenes import NamedScene, parse_scene, read_tables
 from gelforge.config import canonical
@@ -186,7 +194,8 @@ def solve_envelope(bench: Bench, catalogue: dict, folder: Path, count: int) -> l
     """Records of the envelope's scenes with `ccx`, kept one by one."""
     ensure_meshes(bench, meshes.label_meshes(bench.params))
     gel, method = load_gel(bench.params["meshes"]["gel"]), Method("ccx-label", "ccx")
-    settings = canonical([bench.params["version"], bench.params["fea"] | {"charted": None}, bench.params["meshes"]])
+    tables = [without_bricks(bench.params["fea"] | {"charted": None}), without_bricks(bench.params["meshes"])]
+    settings = canonical([bench.params["version"], *tables])
     key = hashlib.sha256(settings.encode()).hexdigest()
     records = []
     for number in progress(range(count), "envelope"):

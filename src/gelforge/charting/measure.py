@@ -49,18 +49,24 @@ class Bench:
             return [asdict(hex_settings(method))]
         if method.fidelity == REFERENCE:
             steps = {key: p["pareto"]["reference"][key] for key in ("press_steps", "shear_steps")}
-            mesh = [p["pareto"]["regions"].get(scene.fine), p["pareto"]["grading"], p["meshes"]]
-            return [steps, *mesh, _solver_settings(p["fea"])]
+            mesh = [p["pareto"]["regions"].get(scene.fine), p["pareto"]["grading"]]
+            return [steps, *mesh, *ccx_settings(p)]
         if method.name == "auto-label":
             return [p["fea"], p["meshes"]]
         if method.size is None:
-            return [p["fea"]["meshes"], p["meshes"], _solver_settings(p["fea"])]
-        return [p["meshes"], _solver_settings(p["fea"])]
+            return [p["fea"]["meshes"], *ccx_settings(p)]
+        return ccx_settings(p)
 
 
-def _solver_settings(fea: dict) -> dict:
-    """What of [fea] changes a solve, whichever fidelity is chosen."""
-    return {key: value for key, value in fea.items() if key not in NOT_SOLVER}
+def ccx_settings(params: dict) -> list[dict]:
+    """What of [meshes] and [fea] changes a solve with CalculiX, whichever fidelity is chosen; bricks do not."""
+    return [without_bricks(params["meshes"]),
+            {k: v for k, v in without_bricks(params["fea"]).items() if k not in NOT_SOLVER}]  # fmt: skip
+
+
+def without_bricks(table: dict) -> dict:
+    """A table of parameters without those of the in-process solver, hex_*."""
+    return {key: value for key, value in table.items() if not key.startswith("hex_")}
 
 
 def cells_of(mesh, forces: np.ndarray, sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
