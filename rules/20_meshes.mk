@@ -1,4 +1,4 @@
-# Stage 20: gel meshes, one per region and density, never one per sample.
+# Stage 20: tetrahedral gel meshes, one per region and density, never one per sample. Bricks need no file.
 MESH_FILES := $(MESHES:%=$D/20_meshes/%.npz)
 
 .PHONY: meshes

@@ -4,6 +4,7 @@ import argparse
 import gzip
 import json
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from gelforge.mechanics.dat import DatError, last_table, read_dat
 from gelforge.mechanics.forcefile import SampleForces, write_forces
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.scene import REFERENCE_C10, Status
-from gelforge.meshes import MeshFamily
+from gelforge.meshes import mesh_loader
 
 VERSION = 1
 
@@ -44,12 +45,15 @@ def dat_forces(text: str, mesh: GelMesh, noise: float, mismatch: float) -> tuple
     return Status.OK, "", forces, displacement
 
 
-def read_sample(row: dict, folder: Path, family: MeshFamily, table: dict) -> tuple[SampleForces, str]:
-    """Forces of one row of 30_fea's table at the reference C10, and the reason where there are none."""
+def read_sample(row: dict, folder: Path, load: Callable[[str], GelMesh], table: dict) -> tuple[SampleForces, str]:
+    """Forces of one row of 30_fea's table at the reference C10, and the reason where there are none.
+
+    load: gives the mesh of a name.
+    """
     status = Status[row["status"]]
     if not status.valid:
         return SampleForces.failed(row["sample_id"], row["status"], row["mesh"]), row["reason"]
-    mesh = family.load(row["mesh"])
+    mesh = load(row["mesh"])
     path = folder / row["file"]
     reason = ""
     try:
@@ -94,10 +98,10 @@ def main(argv=None) -> int:
     args = parser.parse_args(argv)
     params = read_json(args.params)
     c10, intervals = material_c10(params["material"]["c10"], args.calibration)
-    family = MeshFamily(args.meshes)
+    load = mesh_loader(args.meshes)
     samples, counts = [], {}
     for row in read_csv(args.fea):
-        sample, reason = read_sample(row, args.fea.parent, family, params["forces"])
+        sample, reason = read_sample(row, args.fea.parent, load, params["forces"])
         if reason:
             print(f"{sample.sample_id}: {sample.status}: {reason}")
         # At a fixed Poisson's ratio and prescribed motion every force is proportional to C10.

@@ -1,21 +1,24 @@
 """Stage 50: nodal forces of a shard to force per cell of an image grid."""
 
 import argparse
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
 from gelforge.binning.grid import Grid
 from gelforge.binning.labelfile import CHANNELS, read_labels, to_float32, write_labels
-from gelforge.binning.operator import Operator, cached
+from gelforge.binning.operator import Operator, assemble, cached
 from gelforge.binning.sensor import find_sensor, load_sensors
 from gelforge.errors import BadInput
 from gelforge.files import read_csv, read_json, write_json
 from gelforge.mechanics.forcefile import ForceFile
 from gelforge.mechanics.scene import Status
+from gelforge.meshes import is_bricks, load_mesh, mesh_file
 from gelforge.progress import progress
 
 VERSION = 1
+KEPT = 64  # operators in memory
 BLOCK_BYTES = 64 * 2**20  # of float64 cells held at a time
 
 
@@ -113,14 +116,18 @@ def summarise(forces: ForceFile, outside: np.ndarray) -> dict:
 
 
 def operator_finder(meshes, sensors: dict, grid: Grid, folder, where: str):
-    """A function (mesh name, sensor name) -> Operator that keeps operators in memory and below `folder`."""
-    known = {}
+    """A function (mesh name, sensor name) -> Operator that keeps the last ones in memory.
 
+    Those of mesh files are also kept below `folder`. Bricks follow the press: nearly every press has its own, and
+    its operator takes a fiftieth of a second, so that no file is worth it.
+    """
+
+    @lru_cache(maxsize=KEPT)
     def find(mesh: str, sensor: str) -> Operator:
-        if (mesh, sensor) not in known:
-            unit = find_sensor(sensors, sensor, where)
-            known[mesh, sensor] = cached(folder, Path(meshes) / f"{mesh}.npz", unit, grid)
-        return known[mesh, sensor]
+        unit = find_sensor(sensors, sensor, where)
+        if is_bricks(mesh):
+            return assemble(load_mesh(meshes, mesh), unit, grid)
+        return cached(folder, mesh_file(meshes, mesh), unit, grid)
 
     return find
 

@@ -12,7 +12,7 @@ from gelforge.binning.sensor import Sensor, find_sensor, load_sensors, transform
 from gelforge.errors import BadInput
 from gelforge.files import publish, read_csv
 from gelforge.mechanics.forcefile import ForceFile
-from gelforge.mechanics.mesh import GelMesh
+from gelforge.meshes import load_mesh
 
 CHANNELS = ("force along gel y (grid_x)", "force along gel x (grid_y)", "force along z (grid_z)")
 ARROWS = 16  # along the image's height at most, so that they can be told apart
@@ -80,7 +80,7 @@ def export_vtu(path, paths: dict, meshes: Path, sample_id: str) -> None:
         name = str(forces.mesh[at])
         if forces.surface_ptr[at] == forces.surface_ptr[at + 1]:
             raise BadInput(f"sample {sample_id} has no state ({forces.status[at]}), so there is nothing to export")
-        mesh = GelMesh.load(meshes / f"{name}.npz")
+        mesh = load_mesh(meshes, name)
         sample = forces.sample(at, mesh.surface_nodes)
     force, known = np.zeros_like(mesh.nodes), np.zeros(len(mesh.nodes), bool)
     force[sample.nodes], known[sample.nodes], known[mesh.base] = sample.force, True, True

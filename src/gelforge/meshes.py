@@ -1,11 +1,12 @@
-"""Stage 20: a small family of gel meshes, by engine, region and density, each with a quality report."""
+"""Stage 20: a small family of tetrahedral gel meshes, by region and density, each with a quality report."""
 
 import argparse
 import json
 import re
 import sys
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -13,24 +14,19 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.files import read_json, write_json
 from gelforge.geometry.gel import Gel, load_gel
+from gelforge.mechanics.bricks import Bricks, is_bricks
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.scene import Scene
 
 VERSION = 2
-_NAME = re.compile(r"(ccx|hex)-([a-z]+)-(\d+(?:\.\d+)?)")
-# Engines whose meshes a fidelity needs; `hex` meshes cost nothing and serve the last rung of its ladder.
-ENGINES = {
-    "ccx": ("ccx", "hex"),
-    "ccx-fine": ("ccx",),
-    "ccx-native": ("ccx",),
-    "hex": ("hex",),
-    "auto": ("ccx", "hex"),
-}
+_NAME = re.compile(r"(ccx)-([a-z]+)-(\d+(?:\.\d+)?)")
+# Key of [fea] that lists a fidelity's meshes; bricks are built where they are needed, from their name.
+LISTS = {"ccx": "meshes", "ccx-fine": "fine_meshes", "ccx-native": "meshes", "hex": None, "auto": "meshes"}
 
 
 @dataclass(frozen=True)
 class MeshName:
-    """What a mesh is: engine "ccx" (tetrahedra) or "hex" (bricks), region, element size in mm."""
+    """What a tetrahedral mesh is: engine ("ccx"), region, element size in mm."""
 
     engine: str
     region: str
@@ -38,21 +34,21 @@ class MeshName:
 
     @classmethod
     def parse(cls, text: str) -> "MeshName":
-        """Read ENGINE-REGION-SIZE, such as ccx-centre-0.7."""
+        """Read ccx-REGION-SIZE, such as ccx-centre-0.7."""
         match = _NAME.fullmatch(text)
         if not match or float(match[3]) < 0.1:
             raise BadInput(
-                f"mesh name {text!r} is none; write ENGINE-REGION-SIZE, such as ccx-centre-0.7 (size >= 0.1 mm)"
+                f"mesh name {text!r} is none; write ccx-REGION-SIZE, such as ccx-centre-0.7 (size >= 0.1 mm)"
             )
         return cls(match[1], match[2], float(match[3]))
 
 
 def mesh_names(fea: dict) -> list[str]:
     """Names of the meshes that the [fea] table asks for, in its order."""
-    if fea["fidelity"] not in ENGINES:
-        raise BadInput(f"[fea] fidelity = {fea['fidelity']!r} is unknown; choose one of {', '.join(ENGINES)}")
-    kinds = fea["fine_meshes"] if fea["fidelity"] == "ccx-fine" else fea["meshes"]
-    return [f"{engine}-{kind}" for engine in ENGINES[fea["fidelity"]] for kind in kinds]
+    if fea["fidelity"] not in LISTS:
+        raise BadInput(f"[fea] fidelity = {fea['fidelity']!r} is unknown; choose one of {', '.join(LISTS)}")
+    key = LISTS[fea["fidelity"]]
+    return [f"ccx-{kind}" for kind in fea[key]] if key else []
 
 
 def required_meshes(fea: dict, meshes: dict) -> list[str]:
@@ -88,54 +84,47 @@ def sizing(half: tuple[float, float], size: float, meshes: dict):
 
 def make_mesh(name: MeshName, gel: Gel, meshes: dict) -> tuple[GelMesh, dict]:
     """Build one mesh and its report."""
-    half = region(name, meshes)
-    report = asdict(name) | {"half_mm": list(half), "gel": gel.name}
-    if name.engine == "hex":
-        mesh = hex_solver(name.size, half, meshes["hex_layers"]).mesh(gel, hex_box(name.size, half, gel))
-        return mesh, report | {"kind": mesh.kind, "nodes": len(mesh.nodes), "elements": len(mesh.elements),
-                               "faces": len(mesh.faces)}  # fmt: skip
     from gelforge.mechanics.tet import gel_mesh, quality
 
+    half = region(name, meshes)
     mesh = gel_mesh(gel, sizing(half, name.size, meshes))
-    return mesh, report | quality(mesh, gel)
+    return mesh, asdict(name) | {"half_mm": list(half), "gel": gel.name} | quality(mesh, gel)
 
 
-def hex_box(size: float, half, gel: Gel):
-    """The fine part of a brick mesh for a region, within the gel."""
-    from gelforge.mechanics.hexmesh import FineBox
+def load_mesh(folder, name: str) -> GelMesh:
+    """The mesh of that name: rebuilt where it is of bricks, else read from the folder 20_meshes.
 
-    x, y = min(half[0], gel.width / 2), min(half[1], gel.length / 2)
-    return FineBox(-x, x, -y, y, size)
+    Every reader of meshes by name comes here. A name that means nothing or whose file is missing raises BadInput.
+    """
+    if is_bricks(name):
+        return Bricks.parse(name).mesh()
+    return GelMesh.load(mesh_file(folder, name))
 
 
-def hex_solver(size: float, half, layers: int, **settings):
-    """In-process solver whose fine part is fixed to a region (see `hex_box`)."""
-    from gelforge.mechanics.hex import HexSettings, HexSolver
+def mesh_file(folder, name: str) -> Path:
+    """Path of a mesh of stage 20; one that is not there raises BadInput."""
+    path = Path(folder) / f"{name}.npz"
+    if not path.exists():
+        raise BadInput(f"{path}: a mesh of this name is missing; run make meshes")
+    return path
 
-    return HexSolver(HexSettings(size=size, layers=layers, **settings))
+
+def mesh_loader(folder, kept: int = 8) -> Callable[[str], GelMesh]:
+    """`load_mesh` of one folder, which keeps the `kept` meshes last used."""
+    return lru_cache(maxsize=kept)(partial(load_mesh, folder))
 
 
 class MeshFamily:
-    """Meshes of a folder 20_meshes, all or those named; each is read when first asked for."""
+    """The named tetrahedral meshes of a folder 20_meshes; each is read when first asked for."""
 
-    def __init__(self, folder, names=None):
+    def __init__(self, folder, names: list[str]):
         self.folder = Path(folder)
-        names = sorted(path.stem for path in self.folder.glob("*.npz")) if names is None else names
         self.reports = {}
         for name in names:
             if not (self.folder / f"{name}.npz").exists() or not (self.folder / f"{name}.json").exists():
                 raise BadInput(f"{self.folder / name}.npz or its report .json is missing; run `make meshes`")
             self.reports[name] = read_json(self.folder / f"{name}.json")
-        if not self.reports:
-            raise BadInput(f"{folder}: holds no meshes; run `make meshes`")
-        self.load = lru_cache(maxsize=8)(self._load)
-
-    def _load(self, name: str) -> GelMesh:
-        return GelMesh.load(self.folder / f"{name}.npz")
-
-    def of(self, engine: str) -> list[str]:
-        """Names of one engine's meshes."""
-        return [name for name, report in self.reports.items() if report["engine"] == engine]
+        self.load = mesh_loader(self.folder)
 
 
 def footprint(scene: Scene, spacing: float = 0.25, reach: float = 0.05) -> np.ndarray | None:
@@ -152,17 +141,16 @@ def footprint(scene: Scene, spacing: float = 0.25, reach: float = 0.05) -> np.nd
     return np.abs(points[touched, :2]).max(axis=0) if touched.any() else None
 
 
-def choose_mesh(scene: Scene, family: MeshFamily, engine: str = "ccx") -> str:
+def choose_mesh(scene: Scene, family: MeshFamily) -> str:
     """Name of the mesh for one press: the finest whose region holds the footprint, else the widest."""
-    names = family.of(engine)
-    if not names:
-        raise BadInput(f"{family.folder}: has no {engine} mesh; add one to [fea] meshes and run `make meshes`")
-    reach = footprint(scene)
     report = family.reports
-    holding = [n for n in names if reach is None or np.all(reach <= report[n]["half_mm"])]
+    if not report:
+        raise BadInput(f"{family.folder}: no mesh was asked for; add one to [fea] meshes and run `make meshes`")
+    reach = footprint(scene)
+    holding = [n for n in report if reach is None or np.all(reach <= report[n]["half_mm"])]
     if holding:
         return min(holding, key=lambda n: (report[n]["size"], report[n]["nodes"]))
-    return max(names, key=lambda n: (np.prod(report[n]["half_mm"]), -report[n]["size"]))
+    return max(report, key=lambda n: (np.prod(report[n]["half_mm"]), -report[n]["size"]))
 
 
 def publish_mesh(name: str, mesh: GelMesh, report: dict, out: Path) -> None:
@@ -176,7 +164,7 @@ def publish_mesh(name: str, mesh: GelMesh, report: dict, out: Path) -> None:
 
 def main(argv=None) -> int:
     parser = argparse.ArgumentParser(prog="gelforge.meshes", description=__doc__.splitlines()[0])
-    parser.add_argument("--name", required=True, help="ENGINE-REGION-SIZE, such as ccx-centre-0.7")
+    parser.add_argument("--name", required=True, help="ccx-REGION-SIZE, such as ccx-centre-0.7")
     parser.add_argument("--params", type=Path, required=True, help="slice of [meshes], .json")
     parser.add_argument("--out", type=Path, required=True, help="20_meshes/NAME.npz; NAME.json is written beside it")
     args = parser.parse_args(argv)

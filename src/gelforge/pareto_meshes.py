@@ -13,7 +13,7 @@ VERSION = 2
 
 def main(argv=None) -> int:
     parser = argparse.ArgumentParser(prog="gelforge.pareto_meshes", description=__doc__.splitlines()[0])
-    parser.add_argument("--name", required=True, help="ccx-REGION-SIZE, hex-REGION-SIZE or fine-REGION-SIZE")
+    parser.add_argument("--name", required=True, help="ccx-REGION-SIZE or fine-REGION-SIZE")
     parser.add_argument("--params", type=Path, required=True, help="slice of [meshes] and [pareto.regions], .json")
     parser.add_argument("--out", type=Path, required=True, help="NAME.npz; NAME.json is written beside it")
     args = parser.parse_args(argv)

@@ -49,11 +49,11 @@ def pick(poses: list[dict], solved: dict[str, dict], count: int) -> list[dict]:
 def press_section(results: Path, row: dict, shard: str) -> Section:
     """One press in three dimensions."""
     from gelforge.mechanics.forcefile import ForceFile
-    from gelforge.mechanics.mesh import GelMesh
+    from gelforge.meshes import load_mesh
 
     with ForceFile(results / "40_forces" / f"{shard}.npz") as forces:
         at = forces.index(row["sample_id"])
-        mesh = GelMesh.load(results / "20_meshes" / f"{forces.mesh[at]}.npz")
+        mesh = load_mesh(results / "20_meshes", str(forces.mesh[at]))
         sample = forces.sample(at, mesh.surface_nodes)
     travel = [float(row[c]) for c in ("dx_mm", "dy_mm", "dz_mm")]
     png = pictures.press_3d(

@@ -31,7 +31,7 @@ def case_key(case: Case, params: dict) -> str:
     """Digest of all that a case's result depends on."""
     parts = [case.describe(), params["version"]]
     if case.fidelity == "hex":
-        parts.append(asdict(hex_settings(case_method(case, params))))
+        parts.append(asdict(hex_settings(case_method(case, params), params["fea"])))
     else:
         parts += ccx_settings(params)
     return hashlib.sha256(canonical(parts).encode()).hexdigest()

@@ -88,7 +88,7 @@ def test_a_scene_that_is_wrong_is_named(change, named):
 
 
 def test_the_chart_holds_what_was_asked(params):
-    methods = every_method(params["pareto"])
+    methods = every_method(params["pareto"], params["fea"]["hex_quality"])
     assert len({m.name for m in methods}) == len(methods)
     for fidelity in ("hex", "ccx"):
         own = [m for m in methods if m.fidelity == fidelity and m.size]
@@ -107,12 +107,15 @@ def test_a_key_follows_what_the_method_depends_on_and_nothing_else(params, scene
     stiffer = params["fea"] | {"stiffness": 1.0}
     charted = params["fea"] | {"charted": {}, "tolerance": 0.5}
     brick, ccx = Method("hex-1-8", "hex", 1.0, 4, 8), Method("ccx-1-8", "ccx", 1.0, steps=8)
-    auto = Method("auto-label", "auto")
+    auto, label, tets = Method("auto-label", "auto"), Method("hex-label", "hex"), Method("ccx-label", "ccx")
+    rough = params["fea"] | {"hex_quality": "demo"}
     assert key(brick) == key(brick, fea=stiffer)
     assert key(ccx) != key(ccx, fea=stiffer)
     assert key(ccx) == key(ccx, fea=charted)
     assert key(auto) != key(auto, fea=charted)
     assert key(brick) != key(brick, material={"nu": 0.49})
+    assert key(label) != key(label, fea=rough)
+    assert key(tets) == key(tets, fea=rough) and key(brick) == key(brick, fea=rough)
 
 
 def test_a_solve_fails_in_its_own_process():

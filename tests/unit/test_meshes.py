@@ -55,15 +55,16 @@ def test_sizing_grid_fills_the_gel():
     assert len(values) == len(vertices)
 
 
-@pytest.mark.parametrize("name", ["ccx-centre", "ccx-centre-0.05", "fem-centre-1.0", "ccx-../x-1.0"])
+@pytest.mark.parametrize("name", ["ccx-centre", "hex-centre-1.0", "ccx-centre-0.05", "fem-centre-1.0", "ccx-../x-1.0"])
 def test_names_that_mean_nothing_are_refused(name):
-    with pytest.raises(BadInput, match="ENGINE-REGION-SIZE"):
+    with pytest.raises(BadInput, match="ccx-REGION-SIZE"):
         MeshName.parse(name)
 
 
 def test_required_meshes_need_known_regions():
     fea = {"fidelity": "ccx", "meshes": ["centre-0.7", "wide-1.0"]}
-    assert required_meshes(fea, TABLE) == ["ccx-centre-0.7", "ccx-wide-1.0", "hex-centre-0.7", "hex-wide-1.0"]
+    assert required_meshes(fea, TABLE) == ["ccx-centre-0.7", "ccx-wide-1.0"]
+    assert required_meshes(fea | {"fidelity": "hex"}, TABLE) == []
     with pytest.raises(BadInput, match="edge"):
         required_meshes(fea | {"meshes": ["edge-1.0"]}, TABLE)
     with pytest.raises(BadInput, match="fidelity"):
@@ -75,7 +76,7 @@ def test_a_press_takes_the_finest_mesh_that_holds_its_footprint(tmp_path, mesh):
         mesh.save(tmp_path / f"{name}.npz")
         report = {"engine": "ccx", "half_mm": half, "size": float(name[-3:]), "nodes": 1}
         write_json(tmp_path / f"{name}.json", report)
-    family = MeshFamily(tmp_path)
+    family = MeshFamily(tmp_path, ["ccx-centre-0.7", "ccx-wide-1.0"])
     ball = build("ball", {"kind": "sphere", "diameter": 10, "height": 8})
 
     def chosen(x, depth):

@@ -14,6 +14,7 @@ shard_size = 2
 
 [params.fea]
 fidelity = "hex"
+hex_quality = "demo"
 tolerance = 0.2
 """
 

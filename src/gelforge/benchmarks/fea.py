@@ -31,7 +31,7 @@ from gelforge.charting.measure import (
     solve_isolated,
     without_bricks,
 )
-from gelforge.charting.methods import REFERENCE, Method, prepare
+from gelforge.charting.methods import REFERENCE, Method, prepare, quality_method
 from gelforge.charting.scenes import NamedScene, parse_scene, read_tables
 from gelforge.config import canonical
 from gelforge.errors import BadInput
@@ -43,8 +43,8 @@ from gelforge.mechanics.scene import Interface, Material, Press, Scene, Status
 from gelforge.progress import progress
 
 SPEED = {1.0: ("sphere_1mm", 15.0), 2.0: ("sphere_2mm", 30.0)}  # depth of FEATS' deck: scene, times faster
-METHODS = (Method("hex-demo-quality", "hex"), Method("hex-label-quality", "hex"), Method("hex-label", "hex"),
-           Method("ccx-label", "ccx"), Method(REFERENCE, REFERENCE))  # fmt: skip
+METHODS = (quality_method("demo"), quality_method("draft"), Method("hex-label", "hex"), Method("ccx-label", "ccx"),
+           Method(REFERENCE, REFERENCE))  # fmt: skip
 ENVELOPE = 200
 PARTS = ("deck", "scenes", "envelope", "laws")
 
@@ -135,8 +135,7 @@ def scene_figures(found: dict, decks: dict) -> list[Figure]:
     demo = found["sphere_1mm"]["hex-demo-quality"]
     figures.append(Figure("hex at demo setting, 1.0 mm", demo["cpu_seconds"], "<=", 1.0, "s"))
     figures.append(Figure("hex at demo setting, total force", 100 * demo["errors"]["total"], "<=", 3.0, "%"))
-    for what, method in (("ccx label setting", "ccx-label"), ("hex label setting", "hex-label-quality"),
-                         ("hex on the fixed meshes of stage 20", "hex-label")):  # fmt: skip
+    for what, method in (("ccx label setting", "ccx-label"), ("hex label setting", "hex-label")):
         own = {name: records[method] for name, records in found.items()}
         figures += _error_figures(f"{what}, worst scene", own, 2.0, 8.0)
     return [*figures, _symmetry(found), _balance(found)]

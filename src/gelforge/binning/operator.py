@@ -246,8 +246,6 @@ def operator_path(folder, mesh_path, sensor: Sensor, grid: Grid) -> Path:
 
 def cached(folder, mesh_path, sensor: Sensor, grid: Grid) -> Operator:
     """Read the operator of a mesh file, or assemble and keep it."""
-    if not Path(mesh_path).exists():
-        raise BadInput(f"{mesh_path}: the mesh that the forces name is missing; run make meshes")
     path = operator_path(folder, mesh_path, sensor, grid)
     if path.exists():
         return Operator.load(path)

@@ -45,8 +45,8 @@ class Bench:
 
     def _settings(self, scene, method) -> list:
         p = self.params
-        if method.fidelity == "hex" and method.name != "hex-label":
-            return [asdict(hex_settings(method))]
+        if method.fidelity == "hex":
+            return [asdict(hex_settings(method, p["fea"]))]
         if method.fidelity == REFERENCE:
             steps = {key: p["pareto"]["reference"][key] for key in ("press_steps", "shear_steps")}
             mesh = [p["pareto"]["regions"].get(scene.fine), p["pareto"]["grading"]]

@@ -13,7 +13,7 @@ from gelforge.meshes import MeshFamily, MeshName, choose_mesh, make_mesh, requir
 
 
 def label_meshes(params: dict) -> list[str]:
-    """Names of the meshes on which labels are made, tetrahedra and bricks."""
+    """Names of the tetrahedral meshes on which labels are made."""
     return required_meshes(params["fea"] | {"fidelity": "ccx"}, params["meshes"])
 
 
@@ -70,7 +70,7 @@ def need_mesh(name: str, folder: Path, params: dict) -> Path:
 def density_mesh(scene: Scene, folder: Path, params: dict, size: float) -> str:
     """The mesh of one density that a press would be given among the label regions."""
     names = [f"ccx-{region}-{size}" for region in params["meshes"]["regions"]]
-    return choose_mesh(scene, MeshFamily(folder, names), "ccx")
+    return choose_mesh(scene, MeshFamily(folder, names))
 
 
 def report_of(folder: Path, name: str) -> dict:

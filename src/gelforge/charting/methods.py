@@ -12,7 +12,7 @@ from gelforge.mechanics.scene import Result, Scene
 from gelforge.meshes import MeshFamily
 
 LABEL_METHODS = ("hex", "ccx", "auto")
-QUALITIES = ("demo", "label", "fine")  # of gelforge.mechanics.hex: their bricks follow the press
+QUALITIES = ("demo", "draft", "label", "fine")  # of gelforge.mechanics.hex
 REFERENCE, HALVED = "ccx-fine", "ccx-fine-halved"
 
 
@@ -20,7 +20,7 @@ REFERENCE, HALVED = "ccx-fine", "ccx-fine-halved"
 class Method:
     """One point of the chart: name, fidelity, and the settings that make it differ from others.
 
-    size: mm, of bricks or of the density's tetrahedra; None where the fea stage's own meshes are used.
+    size: mm, of bricks or of the density's tetrahedra; None where the fea stage's own are used, or a named quality.
     steps: load steps of the press, half as many of the shear; None for those of the fea stage.
     """
 
@@ -36,10 +36,16 @@ def hex_method(size: float, layers: int, steps: int) -> Method:
     return Method(f"hex-{size:g}-{steps}", "hex", size, layers, steps)
 
 
-def every_method(pareto: dict) -> list[Method]:
+def quality_method(quality: str) -> Method:
+    """The in-process solver at a quality that [fea] need not name."""
+    return Method(f"hex-{quality}-quality", "hex")
+
+
+def every_method(pareto: dict, hex_quality: str) -> list[Method]:
     """The methods of the whole chart, cheap ones first, the reference last.
 
-    Mesh density is varied at the first of `load_steps`, load steps at the first of each engine's sizes.
+    Mesh density is varied at the first of `load_steps`, load steps at the first of each engine's sizes. The quality
+    of [fea] is the method hex-label.
     """
     usual, *others = pareto["load_steps"]
     label = [Method(f"{name}-label", name) for name in LABEL_METHODS]
@@ -49,7 +55,7 @@ def every_method(pareto: dict) -> list[Method]:
     varied = [(size, usual) for size in pareto["ccx_sizes_mm"]] + [(pareto["ccx_sizes_mm"][0], n) for n in others]
     tets = [Method(f"ccx-{size:g}-{n}", "ccx", size, steps=n) for size, n in varied]
     native = [Method(f"ccx-native-{size:g}", "ccx-native", size) for size in pareto["native_sizes_mm"]]
-    qualities = [Method(f"hex-{quality}-quality", "hex") for quality in QUALITIES]
+    qualities = [quality_method(quality) for quality in QUALITIES if quality != hex_quality]
     return [*qualities, *label, *bricks, *tets, *native, Method(REFERENCE, REFERENCE)]
 
 
@@ -59,7 +65,6 @@ def quick_methods(quick: dict, with_ccx: bool) -> list[Method]:
     sizes = zip(quick["hex_sizes_mm"], quick["hex_layers"], strict=True)
     found = [hex_method(size, layers, steps) for size, layers in sizes]
     found += [Method(f"{name}-label", name) for name in (("hex", "ccx") if with_ccx else ("hex",))]
-    found.append(Method("hex-label-quality", "hex"))
     return [*found, hex_method(fine["size"], fine["layers"], fine["press_steps"])]
 
 
@@ -83,7 +88,7 @@ def prepare(
     fine: region of the reference mesh. folder: meshes. work: an empty folder for CalculiX' files.
     """
     if method.fidelity == "hex" and method.name != "hex-label":
-        return _prepare_hex(method, scene)
+        return _prepare_hex(method, scene, params["fea"])
     if method.size is None and method.fidelity in LABEL_METHODS:
         return _prepare_label(method, scene, folder, params, work)
     if method.fidelity == "ccx-native":
@@ -91,21 +96,22 @@ def prepare(
     return _prepare_ccx(method, scene, fine, folder, params, work)
 
 
-def hex_settings(method: Method):
-    """Settings of a method that runs the in-process solver with bricks that follow the press."""
+def hex_settings(method: Method, fea: dict):
+    """Settings of a method that runs the in-process solver; `fea` is the table of the fea stage."""
     from gelforge.mechanics import hex as engine
 
     if method.size is None:
-        return engine.QUALITIES[method.name.removeprefix("hex-").removesuffix("-quality")]
+        named = method.name.removeprefix("hex-").removesuffix("-quality")
+        return engine.quality(fea["hex_quality"] if method.name == "hex-label" else named)
     # `across` would shrink the bricks under small contacts: a density series holds their size
     return engine.HexSettings(size=method.size, layers=method.layers, press_steps=method.steps,
                               shear_steps=(method.steps + 1) // 2, across=0)  # fmt: skip
 
 
-def _prepare_hex(method, scene):
+def _prepare_hex(method, scene, fea):
     from gelforge.mechanics.hex import HexSolver
 
-    solver = HexSolver(hex_settings(method))
+    solver = HexSolver(hex_settings(method, fea))
 
     def run():
         result = solver.solve(scene)
@@ -117,9 +123,7 @@ def _prepare_hex(method, scene):
 def _prepare_label(method, scene, folder, params, work):
     from gelforge.mechanics.fidelity import FeaSettings, Solvers
 
-    names = meshes.label_meshes(params)
-    if method.fidelity == "hex":
-        names = [name for name in names if name.startswith("hex-")]
+    names = [] if method.fidelity == "hex" else meshes.label_meshes(params)
     solvers = Solvers(MeshFamily(folder, names), work, FeaSettings.from_table(params["fea"]))
 
     def run():

@@ -7,7 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gelforge.errors import BadInput
 from gelforge.geometry.gel import Gel
+from gelforge.mechanics.bricks import Bricks
 from gelforge.mechanics.contact import ContactState
 from gelforge.mechanics.hexmesh import FineBox, HexMesh, build_mesh, interpolate_surface
 from gelforge.mechanics.hexreach import fine_box, first_touch
@@ -16,7 +18,7 @@ from gelforge.mechanics.scene import Result, Scene, Status
 
 BALANCE = 1e-6  # largest base reaction against contact sum of a valid result
 
-__all__ = ["HexSettings", "HexSolver", "HexResult", "QUALITIES", "solve_hex", "interpolate_surface"]
+__all__ = ["HexSettings", "HexSolver", "HexResult", "QUALITIES", "quality", "solve_hex", "interpolate_surface"]
 
 
 @dataclass(frozen=True)
@@ -56,10 +58,11 @@ class HexSettings:
 
 @dataclass
 class HexResult(Result):
-    """A Result with the mesh it lives on and the contact at its Gauss points (None where nothing was solved)."""
+    """A Result with its mesh, what that is built from, and the contact at Gauss points (None: nothing was solved)."""
 
     mesh: HexMesh | None = None
     contact: ContactState | None = None
+    bricks: Bricks | None = None
 
 
 def solve_hex(scene: Scene, settings: HexSettings = HexSettings()) -> HexResult:
@@ -91,7 +94,11 @@ class HexSolver:
         box = self.settings.box or fine_box(scene, self.settings.size, self.settings.across)
         mesh = self.mesh(scene.gel, box)
         run = Run(scene, replace(self.settings, size=box.size), mesh, self._system(mesh))
-        return _result(run, run.follow(start), started)
+        return _result(run, run.follow(start), started, self._bricks(scene.gel, box))
+
+    def _bricks(self, gel: Gel, box: FineBox) -> Bricks:
+        s = self.settings
+        return Bricks(gel.name, box, s.layers, s.layer_ratio, s.growth, s.largest)
 
     def _system(self, mesh: HexMesh) -> System:
         """Matrix and factorisation: they depend on the numbers of bricks only."""
@@ -105,7 +112,7 @@ class HexSolver:
         zero = np.zeros_like(mesh.nodes)
         evidence = _evidence(unknown=0.0)
         evidence["seconds"] = time.perf_counter() - started
-        return HexResult(Status.NO_CONTACT, zero, zero.copy(), evidence, mesh, None)
+        return HexResult(Status.NO_CONTACT, zero, zero.copy(), evidence, mesh, None, self._bricks(gel, box))
 
 
 class _Kept:
@@ -123,7 +130,7 @@ class _Kept:
         return self._items[key]
 
 
-def _result(run: Run, status: Status, started: float) -> HexResult:
+def _result(run: Run, status: Status, started: float, bricks: Bricks) -> HexResult:
     """Forces, evidence and contact state of a walked path."""
     evidence = _evidence(run.residual, run.iterations, run.rounds, run.steps)
     forces = np.zeros_like(run.u)
@@ -138,7 +145,7 @@ def _result(run: Run, status: Status, started: float) -> HexResult:
     evidence |= {"reached": float(run.t), "cuts": run.cuts, "factorisations": run.factorisations}
     evidence["products"] = run.products
     evidence["seconds"] = time.perf_counter() - started
-    return HexResult(status, forces, run.u, evidence, run.mesh, run.state)
+    return HexResult(status, forces, run.u, evidence, run.mesh, run.state, bricks)
 
 
 def _evidence(residual=0.0, iterations=0, rounds=0, steps=0, unknown=np.nan) -> dict:
@@ -156,6 +163,7 @@ def _evidence(residual=0.0, iterations=0, rounds=0, steps=0, unknown=np.nan) -> 
 
 # Chosen on the 16 scenes of workflow/scenes.toml; worst error against CalculiX on fine tetrahedra (total force |
 # cells of 24 x 32) and processor seconds on a busy machine:
+#   size 0.45, 5 layers, 2 x 2 points, 15 across (five scenes)     3 % | 10 %   1 to 3 s
 #   size 0.5, 6 layers, 3 x 3 points, 10 bricks across a contact   5 % | 14 %   1 to 5 s
 #   size 0.4, 6 layers, 3 x 3 points, 20 across                    3 % |  9 %   5 to 8 s
 #   size 0.4, 6 layers, 2 x 2 points, 20 across                  2.3 % | 10 %   3 to 14 s
@@ -164,8 +172,18 @@ def _evidence(residual=0.0, iterations=0, rounds=0, steps=0, unknown=np.nan) -> 
 # Three press steps cost under 0.6 % of the force with anchors at first touch (12 % where a step ends, one step).
 QUALITIES = {
     "demo": HexSettings(size=1.0, layers=4, gauss=2, press_steps=3, shear_steps=2),
+    "draft": HexSettings(
+        size=0.45, across=15, layers=5, growth=2.0, largest=3.0, gauss=2, press_steps=3, shear_steps=2
+    ),
     "label": HexSettings(
         size=0.35, across=17, layers=7, growth=1.8, largest=3.0, gauss=2, press_steps=4, shear_steps=2
     ),
     "fine": HexSettings(size=0.3, across=24, layers=8, gauss=2, press_steps=6, shear_steps=3),
 }
+
+
+def quality(name: str) -> HexSettings:
+    """The settings of that name; an unknown one raises BadInput."""
+    if name not in QUALITIES:
+        raise BadInput(f"[fea] hex_quality = {name!r} is unknown; choose one of {', '.join(QUALITIES)}")
+    return QUALITIES[name]

@@ -1,0 +1,57 @@
+"""Names of brick meshes: they hold all of the mesh, and what is no such name is refused."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gelforge.errors import BadInput
+from gelforge.mechanics.bricks import FORM, Bricks
+from gelforge.mechanics.hexmesh import FineBox
+from gelforge.meshes import load_mesh
+
+GOOD = "hex@gelsight_mini:-5.5:5.5:-10:0.25:0.45:5:3:1.8:3"
+LENGTH = st.floats(0.2, 3.0)
+BRICKS = st.builds(
+    Bricks, st.just("gelsight_mini"),
+    st.builds(FineBox, st.floats(-10, -0.1), st.floats(0, 10), st.floats(-12, -0.1), st.floats(0, 12), LENGTH),
+    st.integers(1, 12), st.floats(0.5, 5), st.floats(1, 3), LENGTH,
+)  # fmt: skip
+
+
+@given(BRICKS)
+def test_a_name_holds_every_bit(bricks):
+    assert Bricks.parse(bricks.name) == bricks
+
+
+@given(BRICKS)
+def test_zero_has_one_name(bricks):
+    low, high = (Bricks(bricks.gel, FineBox(-1.0, zero, -1.0, 1.0, 1.0), 2, 3.0, 1.5, 2.0) for zero in (0.0, -0.0))
+    assert low.name == high.name
+
+
+def test_a_mesh_of_a_name_is_the_same_wherever_it_is_built(tmp_path):
+    one, other = load_mesh(tmp_path, GOOD), Bricks.parse(GOOD).mesh()
+    assert np.array_equal(one.nodes, other.nodes) and np.array_equal(one.elements, other.elements)
+    assert len(one.nodes) > 1000 and one.layers == 5
+
+
+@pytest.mark.parametrize(
+    "old, new",
+    [
+        ("hex@gelsight_mini", "hex@teapot"), (":3", ""), (":5:", ":5:5:"), ("-5.5", "left"), (":5:", ":2.5:"),
+        (":5:", ":0:"), (":5:", ":1e9:"), ("0.45", "0"), ("0.45", "nan"), ("5.5:-10", "inf:-10"), ("0.45", "1e-9"),
+        ("1.8", "0.5"), ("-10:0.25", "0.25:-10"), ("0.45", "0.450"), (GOOD, "hex@"), (":-10", ":-10/../.."),
+    ],
+)  # fmt: skip
+def test_a_name_that_is_none_is_refused(tmp_path, old, new):
+    name = GOOD.replace(old, new, 1)
+    assert name != GOOD
+    with pytest.raises(BadInput, match="gel 'teapot'" if "teapot" in new else FORM):
+        load_mesh(tmp_path, name)
+
+
+@pytest.mark.parametrize("name", ["ccx-centre-0.5", "hex-centre-0.5", ""])
+def test_a_mesh_that_is_not_there_is_refused(tmp_path, name):
+    with pytest.raises(BadInput, match="make meshes"):
+        load_mesh(tmp_path, name)

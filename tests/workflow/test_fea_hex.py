@@ -1,0 +1,97 @@
+"""Stages 30 to 50 in process: every press has bricks of its own and no mesh file."""
+
+import numpy as np
+import pytest
+
+from gelforge import fea, forces, labels
+from gelforge.binning.labelfile import read_labels
+from gelforge.errors import BadInput
+from gelforge.files import read_csv, write_csv, write_json
+from gelforge.geometry.gel import GELS, Gel
+from gelforge.geometry.indenters import build
+from gelforge.mechanics.fidelity import FeaSettings, Solvers
+from gelforge.mechanics.forcefile import ForceFile
+from gelforge.mechanics.scene import Material, Press, Scene
+from gelforge.meshes import MeshFamily, load_mesh
+
+SENSOR = "gelsight_mini"
+BALL = {"kind": "sphere", "diameter": 15, "height": 10}
+COLUMNS = ("sample_id", "sensor_id", "indenter", "x0_mm", "y0_mm", "z0_mm", "dx_mm", "dy_mm", "dz_mm", "rot_deg")
+# Two that share their bricks, one elsewhere, one above the gel, one through the gel.
+PRESSES = {
+    "one": ("ball", 0, 0, 0, 0.1, 0, -0.6, 0), "same": ("ball", 0, 0, 0, 0.1, 0.01, -0.6, 0),
+    "aside": ("ball", 3, -4, -0.2, 0, 0, -0.5, 0), "above": ("ball", 0, 0, 2, 0, 0, -0.5, 0),
+    "through": ("ball", 0, 0, 0, 0, 0, -4.5, 0),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A shard solved at quality demo, with its forces and labels."""
+    folder = tmp_path_factory.mktemp("hex")
+    rows = [dict(zip(COLUMNS, (name, SENSOR, *press), strict=True)) for name, press in PRESSES.items()]
+    write_csv(folder / "10_poses" / "0000.csv", COLUMNS, rows)
+    params = folder / "params"
+    table = {"fidelity": "hex", "hex_quality": "demo"}
+    write_json(params / "fea.json", {"fea": table, "interface": {"law": "no_slip", "mu": 0}, "material": {"nu": 0.475}})
+    write_json(params / "forces.json", {"forces": {"noise": 1e-6, "base_mismatch": 1e-6}, "material": {"c10": 0.0725}})
+    write_json(params / "labels.json", {"labels": {"largest_outside_share": 0.02}})
+    write_json(params / "sensors.json", {SENSOR: {"gel": SENSOR}})
+    write_json(params / "indenters.json", {"ball": BALL})
+    for module, *arguments in (
+        (fea, "--poses", folder / "10_poses/0000.csv", "--params", params / "fea.json",
+         "--out", folder / "30_fea/0000.csv"),
+        (forces, "--fea", folder / "30_fea/0000.csv", "--params", params / "forces.json",
+         "--out", folder / "40_forces.npz"),
+        (labels, "--forces", folder / "40_forces.npz", "--poses", folder / "10_poses/0000.csv",
+         "--params", params / "labels.json", "--sensors", "workflow/sensors.toml", "--resolution", "24x32",
+         "--out", folder / "50_labels.npz"),
+    ):  # fmt: skip
+        assert module.main(list(map(str, ["--meshes", folder / "20_meshes", *arguments]))) == 0
+    return folder
+
+
+def test_every_press_names_its_bricks(made):
+    rows = {row["sample_id"]: row for row in read_csv(made / "30_fea" / "0000.csv")}
+    statuses = {name: row["status"] for name, row in rows.items()}
+    assert statuses.pop("through") == "OUT_OF_RANGE" and "inside the gel" in rows["through"]["reason"]
+    assert statuses == {"one": "OK", "same": "OK", "aside": "OK", "above": "NO_CONTACT"}
+    assert rows["one"]["mesh"] == rows["same"]["mesh"] != rows["aside"]["mesh"]
+    assert all(len(load_mesh(made, row["mesh"]).nodes) > 100 for row in rows.values())
+    assert not (made / "20_meshes").exists() and not list(made.glob("**/operators"))
+
+
+def test_force_is_kept_from_solve_to_label(made):
+    solved = {row["sample_id"]: [float(row[f"f{c}_n"]) for c in "xyz"] for row in read_csv(made / "30_fea/0000.csv")}
+    found = read_labels(made / "50_labels.npz")
+    with ForceFile(made / "40_forces.npz") as forced:
+        for at, name in enumerate(forced.sample_id):
+            label, outside = found["label"][at].astype(float), found["outside"][at]
+            if name == "through":
+                assert np.isnan(label).all()
+                continue
+            # channels are force along gel y, x, z; cells are float32
+            got = (label.sum(axis=(1, 2)) + outside)[[1, 0, 2]]
+            size = np.linalg.norm(forced.total[at])
+            assert np.abs(got - forced.total[at]).max() <= 1e-6 * size
+            # the table is rounded to six digits
+            np.testing.assert_allclose(forced.total[at], solved[str(name)], atol=1e-5 * max(size, 1e-9))
+
+
+@pytest.mark.parametrize("press", [Press(0, 0, 0, 0.1, 0, -0.6), Press(1.3, -9.7, -0.6, 0, 0, -0.4, 30)])
+def test_the_mesh_of_a_name_is_the_one_that_was_solved(tmp_path, press):
+    solvers = Solvers(MeshFamily(tmp_path, []), tmp_path, FeaSettings(hex_quality="demo"))
+    result = solvers.solve(Scene(GELS[SENSOR], Material(), build("ball", BALL), press), "hex")
+    again = load_mesh(tmp_path, result.evidence["mesh"])
+    assert result.status.valid
+    for part in ("nodes", "elements", "faces", "base"):
+        assert np.array_equal(getattr(again, part), getattr(result.mesh, part)), part
+
+
+def test_a_gel_or_quality_that_no_name_can_tell_is_refused(tmp_path):
+    solvers = Solvers(MeshFamily(tmp_path, []), tmp_path, FeaSettings(hex_quality="demo"))
+    scene = Scene(Gel(height=5.0), Material(), build("ball", BALL), Press(0, 0, 0, 0, 0, -0.5))
+    with pytest.raises(BadInput, match="gelsight_mini"):
+        solvers.solve(scene, "hex")
+    with pytest.raises(BadInput, match="demo, draft, label, fine"):
+        Solvers(MeshFamily(tmp_path, []), tmp_path, FeaSettings(hex_quality="best"))
