@@ -16,7 +16,7 @@ from gelforge.errors import BadInput
 from gelforge.files import publish, read_json, write_csv, write_json
 from gelforge.progress import progress
 
-VERSION = 2
+VERSION = 3
 GOAL_TOTAL, GOAL_CELLS = 0.02, 0.08  # what a label setting should meet over all scenes
 COLUMNS = ("method", "fidelity", "size_mm", "load_steps", "scenes", "failed", "cpu_seconds_median",
            "cpu_seconds_worst",

@@ -20,7 +20,7 @@ from gelforge.files import publish, read_json, write_csv, write_json
 from gelforge.mechanics.ccx_run import need_ccx
 from gelforge.progress import progress
 
-VERSION = 2
+VERSION = 3
 NOT_RUN = "NOT_RUN"
 VALID = ("OK", "NO_CONTACT")
 COLUMNS = ("row", "fidelity", "kind", "depth", "shear", "place", "nu", "size", "steps", "status", "verdict", "drift",

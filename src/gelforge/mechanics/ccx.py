@@ -29,9 +29,10 @@ class CcxSettings:
     """How `ccx` works.
 
     press_steps, shear_steps: load steps of the kinematics, at least. step_mm: none of the press is longer.
-    stiffness: contact springs, multiples of C10 per mm. rounds: at most so many solves. pull_tolerance: share of the normal force that may pull in a valid
-    state. penetration_mm: depth that counts as touching. residual: largest nodal residual over the
-    mean nodal force. increments: first load increment when the start from hex fails.
+    stiffness: contact springs, multiples of C10 per mm. rounds: at most so many solves. pull_tolerance: share
+    of the normal force that may pull in a valid state. penetration_mm: depth that counts as touching. residual:
+    largest nodal residual over the mean nodal force. increment: first load increment when the start from the
+    kinematics fails.
     """
 
     press_steps: int = 4

@@ -24,6 +24,7 @@ class PathSettings:
 
     step_mm: no load step of the press is longer. gentle_above: residual above which Newton takes the gentle
     tangent of TetSolid.factorise: it halves the iterations of deep presses and needs no cut steps.
+    reuse_below: residual below which the last factorisation is tried again, at a tenth of the cost of a new one.
     """
 
     press_steps: int = 4
@@ -33,6 +34,7 @@ class PathSettings:
     step_tolerance: float = 0.2
     final_tolerance: float = 1e-6
     gentle_above: float = 0.5
+    reuse_below: float = 0.1
     pull_tolerance: float = 1e-3
     penetration_mm: float = 1e-3
     free_iterations: int = 6
@@ -53,6 +55,18 @@ class Kinematics:
     reason: str
     iterations: int
     steps: int
+
+
+@dataclass(frozen=True)
+class _State:
+    """Displacement (n, 3) mm, contact there, points that came or went, residual (n, 3) N, its share, smallest J."""
+
+    u: np.ndarray
+    contact: Contact
+    changed: int
+    residual: np.ndarray
+    size: float
+    smallest: float
 
 
 class NoEquilibrium(Exception):
@@ -178,33 +192,70 @@ class _Path:
         s = self.settings
         if self.iterations > s.most_in_all:
             raise NoEquilibrium(f"the path took more than {s.most_in_all} Newton iterations")
+        state = self._evaluate(u, contact, pose, False)
         for iteration in range(s.most_iterations):
-            contact, changed = self._touch(u, contact, pose, iteration >= s.free_iterations)
-            inner, smallest = self.solid.forces(u, self.shear, self.bulk)
-            outer = contact_forces(contact, self.points, u, s.stiffness)
-            size = np.linalg.norm((outer - inner)[self.solid.free]) / max(np.linalg.norm(outer), 1e-12)
-            if smallest <= 0.0 or not np.isfinite(size):
+            if state.smallest <= 0.0 or not np.isfinite(state.size):
                 raise NoEquilibrium("an element turned inside out")
             # on the way a few points may still come and go; at the end none
-            if size < tolerance and changed <= (0.05 * contact.held.sum() if tolerance > s.final_tolerance else 0):
-                return u, contact
-            u = self._newton_step(u, contact, outer - inner, size > s.gentle_above)
+            allowed = 0.05 * state.contact.held.sum() if tolerance > s.final_tolerance else 0
+            if state.size < tolerance and state.changed <= allowed:
+                return state.u, state.contact
+            keep = iteration + 1 >= s.free_iterations
+            near = iteration > 0 and state.size < s.reuse_below
+            state = (near and self._cheap_steps(state, pose, keep, tolerance)) or self._newton_step(state, pose, keep)
         raise NoEquilibrium(
-            f"no equilibrium in {s.most_iterations} Newton iterations, residual {size:.1e} of the force"
+            f"no equilibrium in {s.most_iterations} Newton iterations, residual {state.size:.1e} of the force"
         )
 
-    def _newton_step(self, u, contact, residual, gentle):
-        springs = contact_blocks(contact, self.points, self.settings.stiffness)
+    def _evaluate(self, u, contact, pose, keep) -> "_State":
+        """Contact and residual at displacement u."""
+        inner, smallest = self.solid.forces(u, self.shear, self.bulk)
+        if smallest <= 0.0:
+            return _State(u, contact, 0, np.zeros_like(u), np.inf, smallest)
+        contact, changed = self._touch(u, contact, pose, keep)
+        outer = contact_forces(contact, self.points, u, self.settings.stiffness)
+        residual = np.where(self.solid.free[:, None], outer - inner, 0.0)
+        size = np.linalg.norm(residual) / max(np.linalg.norm(outer), 1e-12)
+        return _State(u, contact, changed, residual, size, smallest)
+
+    def _cheap_steps(self, state, pose, keep, tolerance) -> "_State | None":
+        """Steps with the last factorisation as long as each takes away most of the residual; None if none does."""
+        found = None
+        while state.size >= tolerance or state.changed:
+            trial = self._evaluate(state.u + self.solid.step(state.residual), state.contact, pose, keep)
+            if not trial.size < 0.3 * state.size:
+                break
+            found = state = trial
+        return found
+
+    def _newton_step(self, state, pose, keep) -> "_State":
+        springs = contact_blocks(state.contact, self.points, self.settings.stiffness)
+        gentle = state.size > self.settings.gentle_above
         for tangent in (1.0,) if gentle else (0.0, 0.5, 1.0):
             self.iterations += 1
-            self.solid.factorise(u, self.shear, self.bulk, *springs, gentle=tangent)
-            step = self.solid.step(residual)
+            self.solid.factorise(state.u, self.shear, self.bulk, *springs, gentle=tangent)
             # a full tangent that turns elements inside out is not worth following at a crawl
-            for _ in range(6 if tangent == 1.0 else 1):
-                if self.solid.forces(u + step, self.shear, self.bulk)[1] > 0.0:
-                    return u + step
-                step = step / 2
+            found = self._search(state, self.solid.step(state.residual), pose, keep, 8 if tangent == 1.0 else 3)
+            if found is not None:
+                return found
         raise NoEquilibrium("an element turned inside out")
+
+    def _search(self, state, step, pose, keep, tries) -> "_State | None":
+        """State along a step, where the energy does not rise more steeply than it fell at the start; None if none."""
+        slope, length, found = (state.residual * step).sum(), 1.0, None
+        if slope <= 0.0:
+            return None
+        for _ in range(tries):
+            trial = self._evaluate(state.u + length * step, state.contact, pose, keep)
+            if trial.smallest <= 0.0:
+                length /= 2
+                continue
+            found = trial
+            now = (trial.residual * step).sum()
+            if now > -slope:
+                break
+            length *= max(0.2, slope / (slope - now))
+        return found
 
     def _touch(self, u, contact, pose, keep) -> tuple[Contact, int]:
         """Set of touching points for the next iteration, and how many points came or went.
