@@ -163,7 +163,7 @@ def _evidence(residual=0.0, iterations=0, rounds=0, steps=0, unknown=np.nan) -> 
 
 # Chosen on the 16 scenes of workflow/scenes.toml; worst error against CalculiX on fine tetrahedra (total force |
 # cells of 24 x 32) and processor seconds on a busy machine:
-#   size 0.45, 5 layers, 2 x 2 points, 15 across (five scenes)     3 % | 10 %   1 to 3 s
+#   size 0.45, 5 layers, 2 x 2 points, 15 across                   3 % | 11 %   1 to 4 s
 #   size 0.5, 6 layers, 3 x 3 points, 10 bricks across a contact   5 % | 14 %   1 to 5 s
 #   size 0.4, 6 layers, 3 x 3 points, 20 across                    3 % |  9 %   5 to 8 s
 #   size 0.4, 6 layers, 2 x 2 points, 20 across                  2.3 % | 10 %   3 to 14 s
