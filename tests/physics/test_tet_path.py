@@ -1,0 +1,101 @@
+"""Newton's method on the tetrahedra: whatever way it takes, the equilibrium at its end is the same one."""
+
+import os
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from block_meshes import block_mesh
+
+from gelforge.geometry.gel import Gel
+from gelforge.geometry.indenters import build
+from gelforge.mechanics.ccx import CcxSettings, CcxSolver
+from gelforge.mechanics.hex import first_touch
+from gelforge.mechanics.scene import Interface, Material, Press, Scene
+from gelforge.mechanics.tetcontact import PathSettings, contact_forces, follow
+from gelforge.mechanics.tetface import face_points
+from gelforge.mechanics.tetsolid import TetSolid
+
+
+@dataclass(frozen=True)
+class FlatPad(Gel):
+    """A pad whose top is a plane."""
+
+    def top(self, x, y):
+        return np.zeros(np.broadcast(x, y).shape)
+
+
+PAD = FlatPad(name="pad", width=7.0, length=7.0, corner_radius=0.0, height=4.0)
+# every step solved to the end, and no point kept longer than it touches, so that only the way there differs
+TIGHT = PathSettings(
+    press_steps=3, shear_steps=2, step_tolerance=1e-9, final_tolerance=1e-9, most_iterations=60, free_iterations=60
+)
+
+
+def scene(law="no_slip", depth=0.6, dx=0.2):
+    ball = build("ball", {"kind": "sphere", "diameter": 8, "height": 10})
+    return Scene(PAD, Material(), ball, Press(0, 0, 0, dx, 0, -depth), Interface(law, 0.4))
+
+
+@pytest.fixture(scope="module")
+def mesh():
+    return block_mesh(PAD, 1.2, 3)
+
+
+@pytest.fixture(scope="module")
+def run(mesh):
+    solid, points = TetSolid(mesh), face_points(mesh)
+
+    def forces(scene, settings):
+        found = follow(scene, solid, points, first_touch(scene), settings)
+        assert found.settled, found.reason
+        return contact_forces(found.contact, points, found.displacement, settings.stiffness), found
+
+    return forces
+
+
+def apart(one, other):
+    return np.linalg.norm(one - other) / np.linalg.norm(other)
+
+
+@pytest.mark.parametrize(
+    "way",
+    [{"gentle_above": 0.0}, {"gentle_above": np.inf}, {"reuse_below": 0.0}],
+    ids=["gentle", "full", "new factors"],
+)
+def test_every_tangent_ends_at_the_same_equilibrium(run, way):
+    usual, _ = run(scene(), TIGHT)
+    # residuals of 1e-9 of the force; the softest mode of the pad is a thousand times softer than the springs
+    assert apart(run(scene(), replace(TIGHT, **way))[0], usual) < 1e-6
+
+
+def test_one_leap_without_friction_ends_where_many_steps_do(run):
+    """Its state depends on the pose alone; a leap overshoots, and is brought back along Newton's direction."""
+    straight = scene("frictionless", depth=0.9, dx=0.0)
+    leap, one = run(straight, replace(TIGHT, press_steps=1, step_mm=np.inf))
+    many, steps = run(straight, replace(TIGHT, press_steps=6))
+    assert one.steps == 1 and steps.steps == 6
+    # points that pull or penetrate by less than its limits may differ: 1e-3 of the force
+    assert apart(leap.sum(axis=0), many.sum(axis=0)) < 1e-3
+
+
+@pytest.mark.parametrize("longest, steps", [(np.inf, 2), (0.35, 2), (0.25, 3), (0.1, 6)])
+def test_no_step_of_the_press_is_longer_than_asked(run, longest, steps):
+    _, found = run(scene(depth=0.6, dx=0.0), PathSettings(press_steps=2, shear_steps=1, step_mm=longest))
+    assert found.steps == steps
+
+
+def test_where_conjugate_gradients_fail_a_factorisation_follows(mesh, ccx, tmp_path, monkeypatch):
+    """The failed attempt stays on record, and the forces are those that the first solver would have found."""
+    settings = CcxSettings(press_steps=2, shear_steps=1)
+    whole = CcxSolver(mesh, tmp_path / "whole", settings).solve(scene())
+    assert whole.status.valid and not whole.evidence["ladder"]
+    broken = tmp_path / "ccx"
+    broken.write_text(f'#!/bin/sh\ngrep -q "SOLVER=ITERATIVE" "$1.inp" && exit 3\nexec {ccx} "$1"\n')
+    broken.chmod(0o755)
+    monkeypatch.setitem(os.environ, "CCX", str(broken))
+    result = CcxSolver(mesh, tmp_path / "broken", settings).solve(scene())
+    assert result.status.valid and result.evidence["rounds"] == whole.evidence["rounds"]
+    assert ["ITERATIVE" in line for line in result.evidence["ladder"]] == [True] * result.evidence["rounds"]
+    # both stop at residuals of 1e-5 of the mean nodal force, reached quadratically; the .dat has seven digits
+    assert apart(result.forces, whole.forces) < 1e-5
