@@ -10,7 +10,7 @@ from pathlib import Path
 from gelforge.errors import BadInput
 from gelforge.files import publish, read_json, write_csv
 
-VERSION = 1
+VERSION = 2
 
 
 def read_models(path) -> dict:
@@ -35,7 +35,7 @@ def resolve(models: dict, name: str, train: dict) -> tuple[dict, dict]:
 
 def identity(about: dict) -> str:
     """Text that is equal for two trainings exactly when they must give the same curve."""
-    keys = ("name", "model", "train", "image", "grid", "data", "threads_used", "device", "version")
+    keys = ("name", "model", "train", "image", "grid", "data", "threads_used", "device", "mixed", "version")
     return json.dumps({key: about[key] for key in keys}, sort_keys=True)
 
 
@@ -45,6 +45,7 @@ def describe(data, name: str, model: dict, settings: dict, device: str) -> dict:
     import torch
 
     from gelforge.networks.data import data_version
+    from gelforge.networks.fit import has_bfloat16
 
     rows = data.splits["train"]
     return {
@@ -60,6 +61,7 @@ def describe(data, name: str, model: dict, settings: dict, device: str) -> dict:
         "indenters": sorted(set(data.names("indenter")[rows].tolist())),
         "threads_used": torch.get_num_threads(),
         "device": device,
+        "mixed": settings["mixed_precision"] and has_bfloat16(device),
         "data": {
             "name": data.info.get("name", data.folder.parent.parent.name),
             "version": data_version(data),

@@ -103,16 +103,25 @@ def settle_batch_norm(net, data, norm: dict, settings: dict, device: str) -> Non
             net((images_to_tensor(data.images[part]).to(device) - mean) / std)
 
 
+def has_bfloat16(device: str) -> bool:
+    """Whether bfloat16 is done in hardware; emulated, it is slower than single precision."""
+    if device == "cuda":
+        return True
+    able = torch.cpu.get_capabilities()
+    return bool(able.get("avx512_bf16") or able.get("amx_bf16"))
+
+
 class Training:
     """A network with everything that its training needs to go on where it stopped."""
 
     def __init__(self, model: dict, settings: dict, norm: dict, image, grid, device: str):
         self.settings, self.norm, self.device = settings, norm, device
         self.total_only = model["kind"] == "resnet"
-        self.net = initial_net(model, image, grid, settings["seed"]).to(device)
+        # pixels side by side with their channels: convolutions on a CPU are a third faster
+        self.net = initial_net(model, image, grid, settings["seed"]).to(device, memory_format=torch.channels_last)
         self.optimiser = torch.optim.Adam(self.net.parameters(), lr=settings["learning_rate"])
         self.schedule, self.by_validation = make_schedule(self.optimiser, settings)
-        self.mixed = device == "cuda" and settings["mixed_precision"]
+        self.mixed = settings["mixed_precision"] and has_bfloat16(device)
         self.epochs_done = 0
         self.curve: list[dict] = []
         self.best = {"epoch": 0, "val_total": float("inf"), "weights": None}
@@ -240,7 +249,7 @@ def fit(training: Training, data, checkpoint=None, identity: str = "", epochs: i
     finally:
         batches.close()
     training.net.load_state_dict(training.best["weights"])
-    training.net.eval()
+    training.net.to(memory_format=torch.contiguous_format).eval()
 
 
 def peak_memory_gib() -> float:
