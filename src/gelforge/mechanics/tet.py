@@ -12,6 +12,7 @@ from gelforge.mechanics.mesh import GelMesh
 EDGES = np.array([[0, 1], [1, 2], [2, 0], [0, 3], [1, 3], [2, 3]])  # midside order of C3D10
 FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])  # corners, outward for a positive tetrahedron
 OUTLINE_STEP_MM = 1.5  # length of a side of the outline polygon; no edge of a mesh there is shorter
+SIZING_STEP_MM = 0.75
 
 
 def outline(gel: Gel, step: float = OUTLINE_STEP_MM, arc: int = 4) -> np.ndarray:
@@ -47,7 +48,7 @@ def prism(polygon: np.ndarray, height: float) -> tuple[np.ndarray, np.ndarray]:
     return vertices, np.concatenate(faces).astype(np.int32)
 
 
-def sizing_grid(gel: Gel, size, step: float = 0.75) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def sizing_grid(gel: Gel, size, step: float = SIZING_STEP_MM) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Background tetrahedra for pytetwild: vertices, tets and edge lengths from size(points) -> mm."""
     margin = step
     axes = [
@@ -102,15 +103,16 @@ def second_order(nodes: np.ndarray, tets: np.ndarray) -> tuple[np.ndarray, np.nd
     return np.concatenate([nodes, middles]), elements, midside
 
 
-def gel_mesh(gel: Gel, size, threads: int = 1) -> GelMesh:
+def gel_mesh(gel: Gel, size, threads: int = 1, step: float = SIZING_STEP_MM) -> GelMesh:
     """Mesh the gel with second-order tetrahedra.
 
-    gel: the pad. size: points (n, 3) mm -> edge lengths (n,) mm, on the flat pad (top at z = 0).
+    gel: the pad. size: points (n, 3) mm -> edge lengths (n,) mm, on the flat pad (top at z = 0). step:
+    spacing, mm, of the grid on which sizes are told, between whose points they are interpolated.
     The pad is meshed as a flat prism and then bent column by column onto `gel.top`, so that every
     top node, midsides included, lies on the exact surface and every base node on z = -height.
     """
     vertices, faces = prism(outline(gel), gel.height)
-    background, bg_tets, values = sizing_grid(gel, size)
+    background, bg_tets, values = sizing_grid(gel, size, step)
     nodes, tets = tetrahedralise(
         vertices, faces, edge_length_abs=float(values.max()), epsilon=2e-4, num_threads=threads,
         bg_vertices=background, bg_tets=bg_tets, bg_values=values,

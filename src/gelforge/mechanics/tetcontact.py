@@ -38,7 +38,7 @@ class PathSettings:
     pull_tolerance: float = 1e-3
     penetration_mm: float = 1e-3
     free_iterations: int = 6
-    most_iterations: int = 12
+    most_iterations: int = 20
     most_cuts: int = 5
     most_in_all: int = 300
     settle_rounds: int = 8
@@ -231,25 +231,29 @@ class _Path:
     def _newton_step(self, state, pose, keep) -> "_State":
         springs = contact_blocks(state.contact, self.points, self.settings.stiffness)
         gentle = state.size > self.settings.gentle_above
-        for tangent in (1.0,) if gentle else (0.0, 0.5, 1.0):
+        ways = [(1.0, 0.0), (1.0, 1.0)] if gentle else [(0.0, 0.0), (0.5, 0.0), (1.0, 0.0), (1.0, 1.0)]
+        for share, firm in ways:
             self.iterations += 1
-            self.solid.factorise(state.u, self.shear, self.bulk, *springs, gentle=tangent)
+            self.solid.factorise(state.u, self.shear, self.bulk, *springs, gentle=share, firm=firm)
             # a full tangent that turns elements inside out is not worth following at a crawl
-            found = self._search(state, self.solid.step(state.residual), pose, keep, 8 if tangent == 1.0 else 3)
+            found = self._search(state, self.solid.step(state.residual), pose, keep, 8 if share == 1.0 else 3)
             if found is not None:
                 return found
         raise NoEquilibrium("an element turned inside out")
 
     def _search(self, state, step, pose, keep, tries) -> "_State | None":
-        """State along a step, where the energy does not rise more steeply than it fell at the start; None if none."""
+        """State along a step, where the energy does not rise more steeply than it fell at the start; None if none.
+
+        An indefinite tangent's step may lead uphill: it is taken only where it shrinks the residual.
+        """
         slope, length, found = (state.residual * step).sum(), 1.0, None
-        if slope <= 0.0:
-            return None
         for _ in range(tries):
             trial = self._evaluate(state.u + length * step, state.contact, pose, keep)
             if trial.smallest <= 0.0:
                 length /= 2
                 continue
+            if slope <= 0.0:
+                return trial if trial.size < state.size else None
             found = trial
             now = (trial.residual * step).sum()
             if now > -slope:

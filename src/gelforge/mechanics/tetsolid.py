@@ -39,16 +39,22 @@ class TetSolid:
         smallest = _forces(u, self.elements, self.gradients, self.weights, shear, bulk, forces)
         return forces, smallest
 
-    def factorise(self, u, shear, bulk, faces, stiffness, gentle=0.0) -> None:
+    def factorise(self, u, shear, bulk, faces, stiffness, gentle=0.0, firm=0.0) -> None:
         """Factorise the tangent at u with blocks `stiffness` (f, 21, 3, 3) N/mm on node pairs of `faces` (f,).
 
         gentle: leave out this share of what the bulk pressure adds to the stiffness (all of it: Gauss and
         Newton's approximation of the volumetric energy). Far from equilibrium pressures are wild and the
-        full tangent is indefinite.
+        full tangent is indefinite. firm: add so much of the stiffness at rest, which makes any tangent definite;
+        one near a crease stays indefinite without.
         """
         values = np.zeros(len(self.pattern.indices))
         pressed = 1.0 - gentle
         _tangent(u, self.elements, self.gradients, self.weights, shear, bulk, pressed, *self.places, values)
+        if firm:
+            rest = np.zeros_like(u)
+            _tangent(
+                rest, self.elements, self.gradients, firm * self.weights, shear, bulk, 1.0, *self.places, values
+            )
         _add_faces(self.face_places[0][faces], self.face_places[1][faces], np.ascontiguousarray(stiffness), values)
         self.solver.factorise(values)
 
