@@ -30,6 +30,7 @@ from gelforge.calibration.summary import describe
 from gelforge.errors import SolveFailed
 from gelforge.files import read_json, write_json
 from gelforge.geometry.indenters import load_catalogue
+from gelforge.mechanics.hex import HexSettings
 from gelforge.progress import progress
 
 NU = 0.475
@@ -53,11 +54,23 @@ def design() -> Readings:
     return Readings("synthetic", np.arange(2, n + 2), ids, names, poses, np.full((n, 3), np.nan))
 
 
-def rig_emulator(readings: Readings, catalogue, params: dict, folder: Path, jobs: int) -> Emulator:
-    """The rig's forces on the rig's own mesh, at four friction coefficients."""
+def rig_meshes() -> list[HexSettings]:
+    """Bricks of the benches that the truths are read at, coarse to fine, the virtual rig's own among them.
+
+    A mesh's error is the same in every reading taken with it. The posterior allows for such errors, so truths must
+    come from many meshes: from one alone, intervals hold them too often or too seldom.
+    """
+    from gelforge.mechanics.hex import QUALITIES
     from gelforge.virtualrig.bench import SETTINGS
 
-    cache = SolveCache(folder, catalogue, replace(SETTINGS, press_steps=10))
+    middle = replace(QUALITIES["demo"], size=0.6, layers=5, gauss=3)
+    meshes = [QUALITIES["demo"], SETTINGS, middle, QUALITIES["draft"], QUALITIES["label"]]
+    return [replace(mesh, press_steps=10, shear_steps=3) for mesh in meshes]
+
+
+def rig_emulator(readings: Readings, catalogue, params: dict, mesh: HexSettings, folder: Path, jobs: int) -> Emulator:
+    """The rig's forces on one mesh, at four friction coefficients."""
+    cache = SolveCache(folder, catalogue, mesh)
     plan = make_plan(readings, params["reach_mm"], (1.0, 0.7))
     failed = solve_all(plan, cache, RIG_MUS, [NU], jobs)
     if failed:
@@ -68,12 +81,13 @@ def rig_emulator(readings: Readings, catalogue, params: dict, folder: Path, jobs
 def draw_truths(model, count: int, rng: np.random.Generator) -> np.ndarray:
     """Coordinates (count, free) over the priors, Latin hypercube: every parameter's range is covered evenly.
 
-    What stands for the emulator's own error is not drawn: the difference of the meshes is real.
+    The factor that stands for the emulator's mesh is not drawn: the meshes really differ. An indenter's own factor
+    is: it stands for its print too, which no mesh has.
     """
     columns = []
     for name, prior in model.free.items():
         u = (rng.permutation(count) + rng.random(count)) / count
-        if name == "discretisation" or name.startswith("scale of"):
+        if name == "discretisation":
             u[:] = 0.5
         columns.append(prior.quantile(u))
     return np.stack(columns, axis=1)
@@ -94,23 +108,24 @@ def recover(task) -> dict:
     return {"truth": truth, **describe(posterior.model.values(chain.flat())["c10"])}
 
 
-def both_emulators(params: dict, folder: Path, jobs: int) -> tuple[Readings, Emulator, Emulator]:
-    """The design's readings with the emulator of the stage and that of the rig."""
+def all_emulators(params: dict, folder: Path, jobs: int) -> tuple[Readings, Emulator, list[Emulator]]:
+    """The design's readings with the emulator of the stage and those of the rig."""
     readings = design()
     catalogue = load_catalogue("workflow/indenters.toml", sorted(set(readings.indenters.tolist())))
     readings, own, _ = stage.emulate(readings, catalogue, params, NU, folder / "solves", jobs)
-    return readings, own, rig_emulator(readings, catalogue, params, folder / "rig", jobs)
+    rigs = [rig_emulator(readings, catalogue, params, mesh, folder / "rig", jobs) for mesh in rig_meshes()]
+    return readings, own, rigs
 
 
 def synthetic_tasks(params: dict, folder: Path, jobs: int, count: int) -> list:
     """Tasks of `recover` for truths drawn from the priors."""
-    readings, own, rig = both_emulators(params, folder, jobs)
+    readings, own, rigs = all_emulators(params, folder, jobs)
     priors = {**params["priors"], "nu": {"fixed": NU, **params["priors"]["nu"]}}
     model = make_model({**params, "priors": priors}, "coulomb", (), np.unique(readings.indenters).tolist())
     rng = np.random.default_rng(2026)
     tasks = []
     for k, truth in enumerate(draw_truths(model, count, rng)):
-        force = read_forces(rig, readings, model, truth, rng)
+        force = read_forces(rigs[k % len(rigs)], readings, model, truth, rng)
         observed = stage.served(replace(readings, force=force), params)
         rules = replace(stage.sampling_rules(params), seed=k)
         c10 = float(model.values(truth)["c10"][0])
