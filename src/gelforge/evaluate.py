@@ -10,7 +10,7 @@ from gelforge.files import publish, read_json, write_json
 from gelforge.networks import metrics
 from gelforge.networks.figures import draw_predictions, tables
 
-VERSION = 1
+VERSION = 2
 # Where a dataset has them, total forces (samples.csv, gel frame: x short side) that did not come from
 # the labels: the force sensor of the rig, and what a virtual rig knows and a real one cannot.
 REFERENCES = {"sensor": "measured_{}_n", "truth": "true_{}_n"}
@@ -27,13 +27,21 @@ def reference_totals(data, kind: str) -> np.ndarray | None:
     return totals if np.isfinite(totals).all(1).any() else None
 
 
+def another_of_each(count: int, rng) -> np.ndarray:
+    """Rows (count,) in a random order that leaves none in its place: each is followed by the next of one cycle."""
+    order = rng.permutation(count)
+    other = np.empty(count, int)
+    other[order] = np.roll(order, 1)
+    return other
+
+
 def controls(data, rows, predicted_totals, rng) -> dict:
     """Totals (k, 3) that know less than the network: a constant, another press's prediction, the image's mean."""
     train = data.splits["train"]
     totals = data.totals(train)
     return {
         "constant_guess": metrics.constant_guess(totals, len(rows)),
-        "shuffled_images": predicted_totals[rng.permutation(len(rows))],
+        "shuffled_images": predicted_totals[another_of_each(len(rows), rng)],
         "linear_on_image_means": metrics.linear_on_means(
             metrics.image_means(data.images, train), totals, metrics.image_means(data.images, rows)
         ),

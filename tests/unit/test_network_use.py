@@ -14,7 +14,7 @@ from synthetic_presses import SETTINGS, write_dataset
 
 from gelforge import live, pareto_models, predict
 from gelforge.errors import BadInput
-from gelforge.evaluate import evaluate
+from gelforge.evaluate import another_of_each, evaluate
 from gelforge.files import write_json
 from gelforge.networks import statistics
 from gelforge.networks.card import write_card
@@ -52,6 +52,14 @@ def paths(models, tmp_path_factory):
 
 
 @pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("count", [2, 3, 4, 17])
+def test_shuffling_leaves_no_press_its_own_prediction(count):
+    for seed in range(20):
+        other = another_of_each(count, np.random.default_rng(seed))
+        assert sorted(other) == list(range(count))
+        assert (other != np.arange(count)).all()
+
+
 def test_evaluation_holds_what_is_asked(data, models, name):
     result, predictions = evaluate(data, models[name], EVALUATE)
     assert set(result["splits"]) == {"val", "test", "test_unseen_indenter", "test_unseen_sensor"}
