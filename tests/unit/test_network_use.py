@@ -52,14 +52,6 @@ def paths(models, tmp_path_factory):
 
 
 @pytest.mark.parametrize("name", MODELS)
-@pytest.mark.parametrize("count", [2, 3, 4, 17])
-def test_shuffling_leaves_no_press_its_own_prediction(count):
-    for seed in range(20):
-        other = another_of_each(count, np.random.default_rng(seed))
-        assert sorted(other) == list(range(count))
-        assert (other != np.arange(count)).all()
-
-
 def test_evaluation_holds_what_is_asked(data, models, name):
     result, predictions = evaluate(data, models[name], EVALUATE)
     assert set(result["splits"]) == {"val", "test", "test_unseen_indenter", "test_unseen_sensor"}
@@ -287,3 +279,11 @@ def test_chart_of_models_against_latency(data, models, paths, tmp_path):
     assert out.with_suffix(".png").exists()
     with pytest.raises(BadInput, match="same names"):
         pareto_models.main([*argv[:4], *argv[6:]])
+
+
+@pytest.mark.parametrize("count", [2, 3, 4, 17])
+def test_shuffling_leaves_no_press_its_own_prediction(count):
+    for seed in range(20):
+        other = another_of_each(count, np.random.default_rng(seed))
+        assert sorted(other) == list(range(count))
+        assert (other != np.arange(count)).all()
