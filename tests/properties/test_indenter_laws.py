@@ -63,12 +63,14 @@ def test_normal_is_the_gradient_and_has_length_one(name, seed):
 @settings(max_examples=5, deadline=None)
 def test_foot_of_a_point_lies_on_the_surface(name, seed):
     p = draw(name, seed)
-    d, n = body(name).distance(p)
-    outside = d > 0.0
-    foot = p[outside] - d[outside, None] * n[outside]
-    # where the three triangles meet, a ridge of 33 degrees bounds the distance from below by 1/25
-    slack = 0.05 * d[outside] if name == "zelda_15" else 1e-7
-    assert (np.abs(body(name).distance(foot)[0]) <= slack + 1e-7).all()
+    outside = p[body(name).distance(p)[0] > 0.0]
+    # below the sharp ridge where fillets of the thin walls of three triangles meet, the distance is that to one
+    # fillet, less than that to the ridge: the first foot lies outside, its own foot on the surface
+    for _ in range(2 if name == "zelda_15" else 1):
+        d, n = body(name).distance(outside)
+        assert (d >= -1e-7).all()
+        outside = outside - d[:, None] * n
+    assert (np.abs(body(name).distance(outside)[0]) <= 2e-7).all()
 
 
 @pytest.mark.parametrize("name", NAMES)
