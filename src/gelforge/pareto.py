@@ -157,7 +157,8 @@ def _scene(args) -> None:
         from gelforge.mechanics.ccx_run import need_ccx
 
         need_ccx()
-        methods, halved = every_method(params["pareto"], params["fea"]["hex_quality"]), args.name in params["pareto"]["halved"]
+        methods = every_method(params["pareto"], params["fea"]["hex_quality"])
+        halved = args.name in params["pareto"]["halved"]
     write_json(args.out, solve_scene(bench, scene, methods, halved))
 
 

@@ -45,7 +45,7 @@ def describe(data, name: str, model: dict, settings: dict, device: str) -> dict:
     import torch
 
     from gelforge.networks.data import data_version
-    from gelforge.networks.fit import has_bfloat16
+    from gelforge.networks.fit import mixes_precision
 
     rows = data.splits["train"]
     return {
@@ -61,7 +61,7 @@ def describe(data, name: str, model: dict, settings: dict, device: str) -> dict:
         "indenters": sorted(set(data.names("indenter")[rows].tolist())),
         "threads_used": torch.get_num_threads(),
         "device": device,
-        "mixed": settings["mixed_precision"] and has_bfloat16(device),
+        "mixed": mixes_precision(settings, device),
         "data": {
             "name": data.info.get("name", data.folder.parent.parent.name),
             "version": data_version(data),

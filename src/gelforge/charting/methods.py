@@ -12,7 +12,6 @@ from gelforge.mechanics.scene import Result, Scene
 from gelforge.meshes import MeshFamily
 
 LABEL_METHODS = ("hex", "ccx", "auto")
-QUALITIES = ("demo", "draft", "label", "fine")  # of gelforge.mechanics.hex
 REFERENCE, HALVED = "ccx-fine", "ccx-fine-halved"
 
 
@@ -47,6 +46,8 @@ def every_method(pareto: dict, hex_quality: str) -> list[Method]:
     Mesh density is varied at the first of `load_steps`, load steps at the first of each engine's sizes. The quality
     of [fea] is the method hex-label.
     """
+    from gelforge.mechanics.hex import QUALITIES
+
     usual, *others = pareto["load_steps"]
     label = [Method(f"{name}-label", name) for name in LABEL_METHODS]
     sizes = list(zip(pareto["hex_sizes_mm"], pareto["hex_layers"], strict=True))

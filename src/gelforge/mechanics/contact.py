@@ -267,7 +267,6 @@ class FacePlaces:
             self.base[face], self.width[face], state.shape[points], state.weights[points], stiffness, values
         )
 
-
     def skew_product(self, state: ContactState, skew: Skew):
         """Function that adds the matrix of `skew` times x (unknowns,) to y (unknowns,)."""
         rows = self.rows[state.face[skew.point]]

@@ -103,7 +103,8 @@ class Solvers:
         if result.status is Status.OK and inside > MOST_INSIDE_MM:
             result.status = Status.OUT_OF_RANGE
             result.evidence["reason"] = (
-                f"the indenter ends {inside:.2g} mm inside the gel, {MOST_INSIDE_MM:g} mm is allowed; {result.status.value}"
+                f"the indenter ends {inside:.2g} mm inside the gel, {MOST_INSIDE_MM:g} mm is allowed;"
+                f" {result.status.value}"
             )
         return result
 

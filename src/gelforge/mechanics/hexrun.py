@@ -236,13 +236,13 @@ class Run:
         apply = self._product(self._skew(u, pose, springs))
         right = forces[system.free].ravel()
         if self.factored:
-            step, count = gmres(apply, system.linear.solve, right, FORCING, STALE)
+            step = gmres(apply, system.linear.solve, right, FORCING, STALE)
             if step is not None:
                 return step.reshape(-1, 3)
         system.linear.factorise(system.values)
         self.factored = True
         self.factorisations += 1
-        step, count = gmres(apply, system.linear.solve, right, FORCING, FRESH)
+        step = gmres(apply, system.linear.solve, right, FORCING, FRESH)
         if step is None:
             raise NoEquilibrium
         return step.reshape(-1, 3)

@@ -150,12 +150,12 @@ def symmetric_product(indptr, indices, values, x):
 def gmres(apply, precondition, b: np.ndarray, tolerance: float, limit: int):
     """Flexible GMRES (Saad 1993, SIAM J. Sci. Comput. 14, 461-469) without restart, from zero.
 
-    apply, precondition: functions (n,) -> (n,). Returns x (n,) with |b - A x| <= tolerance |b| and the
-    number of products, or None and their number as soon as `limit` of them will not suffice at this pace.
+    apply, precondition: functions (n,) -> (n,). Returns x (n,) with |b - A x| <= tolerance |b|, or None as
+    soon as `limit` products will not suffice at this pace.
     """
     size = float(np.linalg.norm(b))
     if size == 0.0:
-        return np.zeros_like(b), 0
+        return np.zeros_like(b)
     basis, ways = [b / size], []
     h = np.zeros((limit + 1, limit))
     rotation = np.zeros((limit, 2))
@@ -178,7 +178,7 @@ def gmres(apply, precondition, b: np.ndarray, tolerance: float, limit: int):
         rest[k], rest[k + 1] = rotation[k, 0] * rest[k], -rotation[k, 1] * rest[k]
         if abs(rest[k + 1]) <= tolerance * size:
             y = np.linalg.solve(np.triu(h[: k + 1, : k + 1]), rest[: k + 1])
-            return np.column_stack(ways) @ y, k + 1
+            return np.column_stack(ways) @ y
         if k >= 2 and (abs(rest[k + 1]) / size) ** (limit / (k + 1)) > tolerance:
-            return None, k + 1
-    return None, limit
+            return None
+    return None

@@ -103,12 +103,11 @@ def settle_batch_norm(net, data, norm: dict, settings: dict, device: str) -> Non
             net((images_to_tensor(data.images[part]).to(device) - mean) / std)
 
 
-def has_bfloat16(device: str) -> bool:
-    """Whether bfloat16 is done in hardware; emulated, it is slower than single precision."""
-    if device == "cuda":
-        return True
+def mixes_precision(settings: dict, device: str) -> bool:
+    """Whether steps run in bfloat16: if asked for, and done in hardware; emulated, it is slower than float32."""
     able = torch.cpu.get_capabilities()
-    return bool(able.get("avx512_bf16") or able.get("amx_bf16"))
+    hardware = device == "cuda" or able.get("avx512_bf16") or able.get("amx_bf16")
+    return bool(settings["mixed_precision"] and hardware)
 
 
 class Training:
@@ -121,7 +120,7 @@ class Training:
         self.net = initial_net(model, image, grid, settings["seed"]).to(device, memory_format=torch.channels_last)
         self.optimiser = torch.optim.Adam(self.net.parameters(), lr=settings["learning_rate"])
         self.schedule, self.by_validation = make_schedule(self.optimiser, settings)
-        self.mixed = settings["mixed_precision"] and has_bfloat16(device)
+        self.mixed = mixes_precision(settings, device)
         self.epochs_done = 0
         self.curve: list[dict] = []
         self.best = {"epoch": 0, "val_total": float("inf"), "weights": None}
