@@ -87,6 +87,17 @@ def publish_result(folder: Path, sample_id: str, result, mesh) -> list[str]:
     return [f"{sample_id}.npz"]
 
 
+def borrow(record: dict, sample_id: str, key: str, folder: Path) -> dict:
+    """Publish the solve of a sample for another one that is the same press, seen by another sensor."""
+    files = [name.replace(record["sample_id"], sample_id, 1) for name in record["files"]]
+    for source, name in zip(record["files"], files, strict=True):
+        with publish(folder / name) as part:
+            shutil.copyfile(folder / source, part)
+    found = {**record, "key": key, "sample_id": sample_id, "files": files}
+    write_json(folder / f"{sample_id}.json", found)
+    return found
+
+
 def _plain(value) -> bool:
     try:
         json.dumps(value, allow_nan=False)
@@ -112,21 +123,27 @@ def run_shard(poses: Path, meshes: Path, params: dict, tables: dict, bodies: dic
     folder.mkdir(parents=True, exist_ok=True)
     for stale in folder.glob(".work-*"):
         shutil.rmtree(stale, ignore_errors=True)
-    records = []
+    records, solved = [], {}
     with tempfile.TemporaryDirectory(prefix=".work-", dir=folder) as work:
         solvers = Solvers(family, work, FeaSettings.from_table(params["fea"]))
         for row in progress(rows, f"fea {folder.name}"):
             key = sample_key(row, params, tables, family)
             record = finished(folder, row["sample_id"], key)
+            scene = scene_of(row, bodies, tables["sensors"], params)
+            same = (scene.gel.name, row["indenter"], scene.press)
             if record is None:
                 try:
-                    record = solve_sample(row, scene_of(row, bodies, tables["sensors"], params), solvers, key, folder)
+                    if same in solved:
+                        record = borrow(solved[same], row["sample_id"], key, folder)
+                    else:
+                        record = solve_sample(row, scene, solvers, key, folder)
                 except OSError as error:
                     raise BadInput(
                         f"{folder}: sample {row['sample_id']}: {error}; free space or mend the folder and"
                         " run make again, it resumes at this sample"
                     ) from error
             records.append(record)
+            solved[same] = record
     return records
 
 

@@ -170,8 +170,9 @@ def _word_cell(name, text, reject) -> None:
 
 def reject(sample: Sample, file: str, column: str, reason: str, remedy: str) -> Rejection:
     """A rejection of one cell of a sample that could be read."""
-    value = str(getattr(sample, column))[:200]
-    return Rejection(file, sample.row, sample.sample_id, column, value, reason, remedy)
+    value = getattr(sample, column)
+    text = "" if value is None else str(value)[:200]
+    return Rejection(file, sample.row, sample.sample_id, column, text, reason, remedy)
 
 
 def without_duplicates(samples: list[Sample], file: str) -> tuple[list[Sample], list[Rejection]]:

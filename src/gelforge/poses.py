@@ -1,8 +1,12 @@
-"""Stage 10: checks the raw log and puts each indenter's surface where the CNC put it."""
+"""Stage 10: checks the raw log and puts each indenter's surface where the CNC put it.
+
+The pose table holds the path of the tip against the gel; the commanded one stays in the raw log.
+"""
 
 import argparse
 import json
 import sys
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -15,6 +19,28 @@ from gelforge.geometry.gel import Gel, load_gel
 
 VERSION = 1
 COLUMNS = ("sample_id", "sensor_id", "gel_id", "indenter", *log.POSE, *log.FORCES, "image", "stl")
+
+
+def yielded(sample: log.Sample, file: str, params: dict) -> tuple[log.Sample, list[log.Rejection]]:
+    """The sample with the path that its tip took against the gel, in place of the commanded one.
+
+    Frame and gantry give way in proportion to the force read, and touch was found too high or too low: parameters
+    `compliance_mm_per_n`, `shear_compliance_mm_per_n` and `touch_offset_mm` (positive: deeper), as calibrate infers
+    them from the commanded path. A sample without the reading that this takes is rejected.
+    """
+    normal, sideways = params["compliance_mm_per_n"], params["shear_compliance_mm_per_n"]
+    needed = {"fx_n": sideways, "fy_n": sideways, "fz_n": normal}
+    for column, compliance in needed.items():
+        if compliance and getattr(sample, column) is None:
+            remedy = f"fill it in, or set the compliance of [poses], {compliance:g} mm/N, to 0"
+            return sample, [log.reject(sample, file, column, "no force reading, which the compliance needs", remedy)]
+    # the force on the gel points along the motion, so what the frame gave way shortens the path
+    way = {name: c * (getattr(sample, f"f{name[1]}_n") or 0.0)
+           for name, c in (("dx_mm", sideways), ("dy_mm", sideways), ("dz_mm", normal))}  # fmt: skip
+    moved = {name: getattr(sample, name) - shift for name, shift in way.items() if shift}
+    if params["touch_offset_mm"]:
+        moved["z0_mm"] = sample.z0_mm - params["touch_offset_mm"]
+    return replace(sample, **moved), []
 
 
 def posed_points(press, points: np.ndarray, fraction: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
@@ -129,6 +155,8 @@ def judge(rows: list[dict], file: str, data: Path, tables: dict, params: dict):
     good, bodies = [], {}
     for sample in samples:
         wrong = log.unknown_names(sample, file, tables["sensors"], tables["indenters"])
+        if not wrong:
+            sample, wrong = yielded(sample, file, params)
         if not wrong:
             name = sample.indenter
             gel, image_size = sensor_facts(sample.sensor_id, tables["sensors"][sample.sensor_id])

@@ -4,6 +4,7 @@ import argparse
 import os
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import nullcontext
+from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from gelforge.virtualrig.looks import read_looks
 from gelforge.virtualrig.plan import Order, Plan, check_names, generator, orders, read_plan
 
 VERSION = 2
+CAMERA = 2  # purpose of a generator: noise of the first camera that sees a press; the others follow
 
 _worker = None  # the bench and cameras of this process; building them costs more than a press
 
@@ -38,33 +40,35 @@ class Worker:
         sensors, looks = load_sensors(workflow / "sensors.toml"), read_looks(workflow / "rig" / "sensors.toml")
         self.cameras = {name: Renderer(looks[name], sensors[name].projection, gel) for name in plan.sensors}
 
-    def carry_out(self, order: Order, solved: bool):
-        """Press and take the picture; returns (order, row of the log or None, row of the truth).
+    def carry_out(self, orders: list[Order], solved: bool) -> list[tuple]:
+        """Press once and take every picture of `orders`, which are of one press.
 
-        Where the press is `solved`, only its picture is drawn from the surface kept then, and no rows come back.
+        Returns (order, row of the log or None, row of the truth) of each; none where the press is `solved` and only
+        pictures are drawn from the surface kept then.
         """
         from gelforge.virtualrig.surface import Surface, surface_of
 
-        kept = self.folder / surface_name(order)
+        kept = self.folder / surface_name(orders[0])
         if solved:
-            self._take_picture(order, Surface.load(kept))
-            return order, None, None
-        pressing = self.bench.press(order)
+            self._take_pictures(orders, Surface.load(kept))
+            return []
+        pressing = self.bench.press(orders[0])
+        of_each = [(order, replace(pressing, order=order)) for order in orders]
         if not pressing.result.status.valid:
-            return order, None, truth_row(pressing)
+            return [(order, None, truth_row(seen)) for order, seen in of_each]
         surface = surface_of(pressing.result.mesh, pressing.result.displacement, pressing.real)
         surface.save(kept)
-        self._take_picture(order, surface)
-        return order, log_row(pressing, self.plan.gel), truth_row(pressing)
+        self._take_pictures(orders, surface)
+        return [(order, log_row(seen, self.plan.gel), truth_row(seen)) for order, seen in of_each]
 
-    def _take_picture(self, order: Order, surface) -> None:
+    def _take_pictures(self, orders: list[Order], surface) -> None:
         from gelforge.virtualrig.render import Pressed
         from gelforge.virtualrig.surface import field_of
 
-        body = Pressed(self.bench.body(order.indenter), surface.press)
-        noise = generator(self.plan, order.index, 2)
-        image = self.cameras[order.sensor].image(field_of(self.gel, surface), body, noise)
-        save_image(self.folder / image_name(order), image)
+        body, field = Pressed(self.bench.body(orders[0].indenter), surface.press), field_of(self.gel, surface)
+        for order in orders:
+            noise = generator(self.plan, order.index, CAMERA + order.unit)
+            save_image(self.folder / image_name(order), self.cameras[order.sensor].image(field, body, noise))
 
 
 def _start(*arguments):
@@ -85,22 +89,30 @@ def run(plan_path, data="data", workflow="workflow", jobs: int = 1) -> Path:
     dataset.check_same_plan()
     dataset.begin()
     _no_contact_images(plan, workflow, folder)
-    todo = [(order, dataset.solved(order)) for order in dataset.missing(orders(plan))]
-    drawn, failed = 0, []
+    todo = _by_press(dataset, orders(plan))
+    new, drawn, failed = 0, 0, []
     with _pool(min(jobs, len(todo)), plan, workflow, folder) as carried_out:
-        for order, log, truth in progress(carried_out(todo), "rig", total=len(todo)):
-            if truth is None:
-                drawn += 1
+        for (of_press, solved), rows in zip(todo, progress(carried_out(todo), "rig", total=len(todo)), strict=True):
+            if solved:
+                drawn += len(of_press)
                 continue
-            dataset.add(order, log, truth)
-            if log is None:
-                failed.append(f"{order.sample_id} ({order.indenter}, {order.depth:.2f} mm: {truth['status']})")
-    counts = {"new": len(todo) - drawn, "only drawn again": drawn, "failed": len(failed)}
+            new += len(of_press)
+            dataset.add(rows)
+            failed += [(order, truth["status"]) for order, log, truth in rows if log is None]
+    counts = {"new": new, "only drawn again": drawn, "failed": len(failed)}
     told = "".join(f", {count} {what}" for what, count in counts.items() if count or what == "new")
-    print(f"{folder}: {len(dataset.log)} presses{told}")
-    for line in failed:
-        print(f"  no equilibrium, left out: {line}")
+    print(f"{folder}: {len(dataset.log)} samples{told}")
+    for order, status in failed:
+        print(f"  no equilibrium, left out: {order.sample_id} ({order.indenter}, {order.depth:.2f} mm: {status})")
     return folder
+
+
+def _by_press(dataset: Dataset, every: list[Order]) -> list[tuple[list[Order], bool]]:
+    """What is missing: the orders of each press, and whether only their pictures are."""
+    found = {}
+    for order in dataset.missing(every):
+        found.setdefault((order.index, dataset.solved(order)), []).append(order)
+    return [(of_press, solved) for (_, solved), of_press in found.items()]
 
 
 def check(plan_path, workflow: Path) -> Plan:

@@ -31,7 +31,8 @@ def camera(name: str) -> Renderer:
 @settings(deadline=None, max_examples=25)
 def test_growing_a_plan_appends(short, more):
     plan = read_plan(PLAN)
-    assert orders(replace(plan, presses=short + more))[:short] == orders(replace(plan, presses=short))
+    few = orders(replace(plan, presses=short))
+    assert orders(replace(plan, presses=short + more))[: len(few)] == few
 
 
 @given(weights=st.lists(st.floats(0.1, 10.0), min_size=1, max_size=5), presses=st.integers(1, 300))

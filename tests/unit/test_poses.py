@@ -187,3 +187,45 @@ def test_cropped_is_closed_and_ends_where_asked(root):
         assert vertices[:, 2].max() == pytest.approx(1.5, abs=1e-9)
         whole = body.surface()
         assert 0.0 < triangles.volume(vertices, faces) < triangles.volume(*whole)
+
+
+YIELDING = {"touch_offset_mm": 0.0, "compliance_mm_per_n": 0.01, "shear_compliance_mm_per_n": 0.02}
+
+
+def test_the_paths_of_a_yielding_bench_are_those_the_tip_took(root):
+    """The rig's own truth: with its compliance and touch offset, logged paths are the real ones to its tolerances."""
+    bench = json.loads((root / "data/demo/truth/truth.json").read_text())["truth"]
+    params = {name: bench[name] for name in ("compliance_mm_per_n", "shear_compliance_mm_per_n")}
+    params["touch_offset_mm"] = -bench["touch_offset_mm"]  # the rig counts heights, [poses] depths
+    real = {row["sample_id"]: row for row in read(root / "data/demo/truth/presses.csv")}
+    off, uncorrected = [], []
+    for row in log.read_log(root / "data/demo/log.csv"):
+        logged, _ = log.parse(row, "log.csv")
+        path, wrong = poses.yielded(logged, "log.csv", params)
+        assert not wrong
+        true = real[path.sample_id]
+        away = [getattr(path, name) - float(true[name]) for name in ("dx_mm", "dy_mm")]
+        away.append(path.z0_mm + path.dz_mm - float(true["z0_mm"]) - float(true["dz_mm"]))
+        off.append(away)
+        uncorrected.append(logged.z0_mm + logged.dz_mm - float(true["z0_mm"]) - float(true["dz_mm"]))
+    spread = 4 * (bench["touch_scatter_mm"] + 3 * bench["cnc_um"] * 1e-3) + 1e-3
+    assert np.abs(off).max() < spread
+    assert np.abs(uncorrected).max() > 5 * spread
+
+
+def test_a_rigid_bench_moves_nothing():
+    rigid = dict.fromkeys(YIELDING, 0.0)
+    press = sample(dx_mm=0.1, fx_n=3.0, fz_n=-20.0)
+    assert poses.yielded(press, "log.csv", rigid) == (press, [])
+
+
+@pytest.mark.parametrize(("column", "readings"), [("fz_n", {"fx_n": 1.0, "fy_n": 1.0}), ("fx_n", {"fz_n": -9.0})])
+def test_a_press_without_the_reading_that_compliance_takes_is_rejected(column, readings):
+    _, wrong = poses.yielded(sample(**readings), "log.csv", YIELDING)
+    assert (wrong[0].column, wrong[0].value) == (column, "")
+    assert "force reading" in wrong[0].reason
+
+
+def test_a_touch_found_too_high_is_a_deeper_press():
+    path, _ = poses.yielded(sample(), "log.csv", dict.fromkeys(YIELDING, 0.0) | {"touch_offset_mm": 0.05})
+    assert (path.z0_mm, path.dz_mm) == (-0.05, -1.0)

@@ -149,6 +149,19 @@ def test_orders_stay_in_their_ranges_and_share_out():
     assert {order.indenter for order in made} == set(plan.indenters)
 
 
+def test_orders_of_one_press_differ_in_what_sees_it_only():
+    plan = read_plan(DEMO)
+    plan = replace(plan, kinds=tuple(replace(kind, sensors=("mini_a", "mini_e")) for kind in plan.kinds))
+    every = orders(replace(plan, kinds=tuple(replace(kind, each_sensor=True) for kind in plan.kinds)))
+    assert len(every) == 2 * plan.presses
+    for one, other in zip(every[::2], every[1::2], strict=True):
+        assert (one.sensor, other.sensor) == ("mini_a", "mini_e")
+        assert replace(other, sample_id=one.sample_id, sensor=one.sensor, unit=one.unit) == one
+    assert len({order.sample_id for order in every}) == len(every)
+    # what is pressed where does not depend on who looks
+    assert [order.x for order in every[::2]] == [order.x for order in orders(plan)]
+
+
 def test_load_cell_drifts_slowly_about_its_bias():
     plan = read_plan(DEMO)
     error = np.array([load_cell_error(plan, i) for i in range(3000)])

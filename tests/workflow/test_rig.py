@@ -44,6 +44,18 @@ def test_log_and_images_are_what_the_importer_expects(two):
     assert {path.stem for path in (two / "nocontact").iterdir()} == {"mini_a", "mini_e"}
 
 
+def test_one_press_seen_by_two_sensors_is_carried_out_once(tmp_path):
+    both = 'sensors = ["mini_a"]\neach_sensor = false', 'sensors = ["mini_a", "mini_e"]\neach_sensor = true'
+    data = run(plan_of(tmp_path, 1, both), tmp_path / "data", ROOT / "workflow")
+    one, other = read_csv(data / "log.csv")
+    assert [one.pop("sensor_id"), other.pop("sensor_id")] == ["mini_a", "mini_e"]
+    pictures = [cv2.imread(str(data / row.pop("image"))) for row in (one, other)]
+    assert np.abs(pictures[0].astype(int) - pictures[1]).mean() > 5
+    assert one.pop("sample_id") != other.pop("sample_id")
+    assert one == other
+    assert len(list((data / "truth" / "surfaces").iterdir())) == 1
+
+
 def test_log_hides_what_the_truth_knows(two):
     log, truth = read_csv(two / "log.csv"), read_csv(two / "truth" / "presses.csv")
     hidden = read_json(two / "truth" / "truth.json")["truth"]

@@ -74,7 +74,7 @@ class Rig:
 
 def pressed(rig: Rig, count: int = 24) -> tuple[list[Pressing], list[float]]:
     """Presses spread over the whole plan, and the processor seconds of simulating and rendering each."""
-    some = orders(rig.plan)[7 :: max(1, rig.plan.presses // count)][:count]
+    some = [order for order in orders(rig.plan) if order.unit == 0][7 :: max(1, rig.plan.presses // count)][:count]
     for order in some:
         rig.bench.body(order.indenter)
     rig.picture(rig.bench.press(some[0]))  # compiles what numba compiles
@@ -264,7 +264,7 @@ def repetition(plan_path, workflow: Path, presses: int = 4) -> list[Figure]:
         once, again = Path(folder) / "once", Path(folder) / "again"
         carry_out(text, presses, once, workflow, jobs=1)
         carry_out(text, 2, again, workflow, jobs=1)
-        for lost in [*again.glob("*/images/*-000000.png"), *again.glob("*/truth/surfaces/*-000000.npz")]:
+        for lost in [*again.glob("*/images/*-000000*.png"), *again.glob("*/truth/surfaces/*-000000.npz")]:
             lost.unlink()
         carry_out(text, presses, again, workflow, jobs=2)
         logs = [next(data.glob("*/log.csv")) for data in (once, again)]

@@ -67,12 +67,14 @@ class Dataset:
         """Whether all but the picture of an order is there."""
         return order.sample_id in self.log and (self.folder / surface_name(order)).is_file()
 
-    def add(self, order: Order, log_row: dict | None, truth_row: dict) -> None:
-        """Publish one press: the truth first, then the row that makes it count."""
-        self.truth[order.sample_id] = truth_row
+    def add(self, rows: list[tuple[Order, dict | None, dict]]) -> None:
+        """Publish one press, (order, row of the log or None, row of the truth) of each sensor that saw it.
+
+        The truth comes first, then the rows that make it count.
+        """
+        self.truth |= {order.sample_id: truth for order, _, truth in rows}
         write_csv(self.truth_path, TRUTH_COLUMNS, _ordered(self.truth))
-        if log_row is not None:
-            self.log[order.sample_id] = log_row
+        self.log |= {order.sample_id: log for order, log, _ in rows if log is not None}
         write_csv(self.log_path, COLUMNS, _ordered(self.log))
 
 
@@ -86,8 +88,8 @@ def image_name(order: Order) -> str:
 
 
 def surface_name(order: Order) -> str:
-    """Path of a press's surface below the dataset's folder: from it the picture can be drawn again."""
-    return f"truth/surfaces/{order.sample_id}.npz"
+    """Path of a press's surface below the dataset's folder: from it its pictures can be drawn again."""
+    return f"truth/surfaces/{order.press_id or order.sample_id}.npz"
 
 
 def save_image(path, image: np.ndarray) -> None:

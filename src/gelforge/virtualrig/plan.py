@@ -1,7 +1,7 @@
 """Plans of the virtual rig: what is pressed where, how often, and what the bench hides."""
 
 import json
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -43,13 +43,15 @@ class Truth:
 class Kind:
     """One kind of press: `weight` of all presses, drawn evenly from these ranges.
 
-    shear: range of the sideways path as a share of the depth. max_force_n: depth is cut where the
+    each_sensor: whether a press is seen by each of `sensors`, a row of the log each, or by one of them. A press takes
+    a second, a further picture of it a hundredth. shear: range of the sideways path as a share of the depth. max_force_n: depth is cut where the
     estimated normal force would pass it, as a bench with a load limit does.
     """
 
     weight: float
     indenters: tuple[str, ...]
     sensors: tuple[str, ...]
+    each_sensor: bool
     x_mm: tuple[float, float]
     y_mm: tuple[float, float]
     depth_mm: tuple[float, float]
@@ -90,7 +92,10 @@ class Plan:
 
 @dataclass(frozen=True)
 class Order:
-    """One press as ordered: what the bench is told to do, and its place in the plan."""
+    """One press as ordered, seen by one sensor: what the bench is told to do, and its place in the plan.
+
+    index: of the press, unit: of the sensor among those that see it. press_id: what orders of one press share.
+    """
 
     index: int
     sample_id: str
@@ -103,6 +108,8 @@ class Order:
     shear: tuple[float, float]  # mm along x and y at full depth
     rot_deg: float
     max_force_n: float
+    unit: int = 0
+    press_id: str = ""
 
 
 def read_plan(path) -> Plan:
@@ -141,6 +148,8 @@ def _record(cls, table: dict, where: str):
 def _fits(value, wanted) -> bool:
     if wanted is str or wanted == tuple[str, ...]:
         return isinstance(value, str) if wanted is str else _strings(value)
+    if wanted is bool:
+        return isinstance(value, bool)
     if wanted is int:
         return isinstance(value, int) and not isinstance(value, bool)
     if wanted is float:
@@ -243,14 +252,28 @@ def kind_of(plan: Plan, presses: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def generator(plan: Plan, index: int, purpose: int) -> np.random.Generator:
-    """Randomness of one press, independent of all others; `purpose` keeps order, bench and camera apart."""
+    """Randomness of one press, independent of all others; `purpose` keeps order, bench and cameras apart."""
     return np.random.default_rng([plan.seed, index, purpose])
 
 
 def orders(plan: Plan) -> list[Order]:
-    """Every press of the plan in the order of the log."""
+    """Every order of the plan in the order of the log; those of one press stand side by side."""
     kinds, numbers = kind_of(plan, plan.presses)
-    return [_order(plan, i, plan.kinds[k], int(n)) for i, (k, n) in enumerate(zip(kinds, numbers, strict=True))]
+    return [
+        order
+        for i, (k, n) in enumerate(zip(kinds, numbers, strict=True))
+        for order in _orders_of_press(plan, i, plan.kinds[k], int(n))
+    ]
+
+
+def _orders_of_press(plan: Plan, index: int, kind: Kind, number: int) -> list[Order]:
+    order = _order(plan, index, kind, number)
+    if not kind.each_sensor:
+        return [order]
+    return [
+        replace(order, sample_id=f"{order.press_id}-{unit + 1}", sensor=sensor, unit=unit)
+        for unit, sensor in enumerate(kind.sensors)
+    ]
 
 
 def _order(plan: Plan, index: int, kind: Kind, number: int) -> Order:
@@ -269,4 +292,5 @@ def _order(plan: Plan, index: int, kind: Kind, number: int) -> Order:
         shear=(share * depth * np.cos(heading), share * depth * np.sin(heading)),
         rot_deg=rng.uniform(*kind.rot_deg),
         max_force_n=kind.max_force_n,
+        press_id=f"{plan.dataset}-{index:06d}",
     )
