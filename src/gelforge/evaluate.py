@@ -10,7 +10,7 @@ from gelforge.files import publish, read_json, write_json
 from gelforge.networks import metrics
 from gelforge.networks.figures import draw_predictions, tables
 
-VERSION = 2
+VERSION = 3
 # Where a dataset has them, total forces (samples.csv, gel frame: x short side) that did not come from
 # the labels: the force sensor of the rig, and what a virtual rig knows and a real one cannot.
 REFERENCES = {"sensor": "measured_{}_n", "truth": "true_{}_n"}
@@ -27,11 +27,14 @@ def reference_totals(data, kind: str) -> np.ndarray | None:
     return totals if np.isfinite(totals).all(1).any() else None
 
 
-def another_of_each(count: int, rng) -> np.ndarray:
-    """Rows (count,) in a random order that leaves none in its place: each is followed by the next of one cycle."""
-    order = rng.permutation(count)
-    other = np.empty(count, int)
-    other[order] = np.roll(order, 1)
+def another_of_each(press, rng) -> np.ndarray:
+    """For each row of `press` (n,), a row of another press, each taken once; with one press only, any row."""
+    _, number = np.unique(press, return_inverse=True)
+    views = np.bincount(number)
+    # rows of a press lie side by side in `order`: a roll by the most views leaves the press
+    order = np.argsort(rng.permutation(len(views))[number], kind="stable")
+    other = np.empty(len(order), int)
+    other[order] = np.roll(order, views.max())
     return other
 
 
@@ -41,7 +44,7 @@ def controls(data, rows, predicted_totals, rng) -> dict:
     totals = data.totals(train)
     return {
         "constant_guess": metrics.constant_guess(totals, len(rows)),
-        "shuffled_images": predicted_totals[another_of_each(len(rows), rng)],
+        "shuffled_images": predicted_totals[another_of_each(data.presses(rows), rng)],
         "linear_on_image_means": metrics.linear_on_means(
             metrics.image_means(data.images, train), totals, metrics.image_means(data.images, rows)
         ),
@@ -53,9 +56,11 @@ def evaluate_split(data, rows, predicted, settings: dict, force_range, rng) -> d
     wanted = data.totals(rows)
     totals = predicted.sum((2, 3), dtype=np.float64)
     error = totals - wanted
+    press = data.presses(rows)
     result = {
         "n": len(rows),
-        "total": metrics.error_table(error, rng, settings["bootstrap"], force_range),
+        "presses": len(np.unique(press)),
+        "total": metrics.error_table(error, rng, settings["bootstrap"], force_range, press),
         "cell": metrics.cell_table(predicted, data.labels[rows]) if predicted.shape[2:] == data.grid else None,
         "per_indenter": metrics.by_group(error, data.names("indenter")[rows]),
         "per_force": metrics.by_group(error, metrics.force_bins(wanted[:, 2], settings["force_edges"])),
@@ -73,8 +78,8 @@ def evaluate_split(data, rows, predicted, settings: dict, force_range, rng) -> d
             mine, labels = totals[known] - reference[rows][known], wanted[known] - reference[rows][known]
             result["against"][kind] = {
                 "n": int(known.sum()),
-                "network": metrics.error_table(mine, rng, settings["bootstrap"]),
-                "labels": metrics.error_table(labels, rng, settings["bootstrap"]),
+                "network": metrics.error_table(mine, rng, settings["bootstrap"], press=press[known]),
+                "labels": metrics.error_table(labels, rng, settings["bootstrap"], press=press[known]),
             }
     return result
 

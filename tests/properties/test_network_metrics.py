@@ -62,6 +62,17 @@ def test_bootstrap_interval_covers_at_its_rate():
     assert 0.87 <= hits / 200 <= 0.99
 
 
+@settings(max_examples=30, deadline=None)
+@given(errors, st.integers(2, 5))
+def test_views_of_one_press_that_err_alike_tell_no_more_than_one(error, views):
+    size = np.abs(error)
+    once = metrics.bootstrap_mean(size, np.random.default_rng(0), 100)
+    seen = metrics.bootstrap_mean(
+        np.repeat(size, views, 0), np.random.default_rng(0), 100, np.repeat(range(len(size)), views)
+    )
+    np.testing.assert_allclose(seen, once, rtol=1e-9)
+
+
 def test_linear_control_is_exact_on_linear_data():
     rng = np.random.default_rng(2)
     weights, means = rng.normal(size=(3, 3)), rng.uniform(0, 255, (20, 3))

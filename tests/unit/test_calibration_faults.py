@@ -23,6 +23,18 @@ def test_good_readings_pass():
     check_readings(make_readings(DEPTH, FORCE))
 
 
+def test_a_press_that_two_sensors_saw_is_one_reading(tmp_path):
+    path = tmp_path / "log.csv"
+    cells = "{},t,{},ball,0,0,0,0,0,-1.0,0,0,0,-5.0"
+    header = "sample_id,time_utc,sensor_id,indenter,x0_mm,y0_mm,z0_mm,dx_mm,dy_mm,dz_mm,rot_deg,fx_n,fy_n,fz_n"
+    path.write_text("\n".join([header, cells.format("a1", "left"), cells.format("a2", "right")]) + "\n")
+    assert list(read_readings(path).ids) == ["a1"]
+    # the same sensor twice is a copied row
+    path.write_text("\n".join([header, cells.format("a1", "left"), cells.format("a2", "left")]) + "\n")
+    with pytest.raises(BadInput, match="a2"):
+        check_readings(read_readings(path))
+
+
 def test_wrong_sign_convention_is_named():
     with pytest.raises(BadInput, match=r"fz_n is positive in 3 of 3 .* row 3 .* opposite sign convention"):
         check_readings(make_readings(DEPTH, -FORCE))

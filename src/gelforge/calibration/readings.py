@@ -69,9 +69,9 @@ def _number(row: dict, column: str, where: str) -> float:
 
 
 def read_readings(log, known_bad=()) -> Readings:
-    """Read every row of a raw log that has a normal force; rows without one do not serve.
+    """Read every press of a raw log that has a normal force; rows without one do not serve.
 
-    known_bad: lines of the log that stage 10 rejected. Sideways forces may be empty. A log in which no
+    A press that several sensors saw, in rows that are otherwise equal, is one reading. known_bad: lines of the log that stage 10 rejected. Sideways forces may be empty. A log in which no
     row has a force, or a value that is no number, raises BadInput.
     """
     table = read_csv(log)
@@ -81,11 +81,14 @@ def read_readings(log, known_bad=()) -> Readings:
         raise BadInput(
             f"{log}: column {missing[0]} is missing; seen: {', '.join(sorted(columns)) or 'an empty file'}"
         )
-    rows, ids, indenters, pose, force = [], [], [], [], []
+    rows, ids, indenters, pose, force, seen_by = [], [], [], [], [], {}
     for line, row in enumerate(table, 2):
         if not (row["fz_n"] or "").strip() or line in known_bad:
             continue
-        where = f"{log}: row {line}"
+        where, sensor = f"{log}: row {line}", row.get("sensor_id")
+        press = tuple(row.get(c) for c in ("time_utc", "indenter", *NUMBERS, *FORCES))
+        if seen_by.setdefault(press, sensor) != sensor:
+            continue
         rows.append(line)
         ids.append(row["sample_id"])
         indenters.append(row["indenter"])

@@ -29,7 +29,7 @@ def error_rows(evaluation: dict) -> list[list[str]]:
     """One row per split: count, total MAE with its interval and per-cell MAE."""
     rows = []
     for name, split in evaluation["splits"].items():
-        row = [name, str(split["n"])]
+        row = [name, f"{split['n']} of {split['presses']}"]
         for axis in AXES:
             e = split["total"][axis]
             row.append(f"{e['mae']:.3f} ({e['mae_low']:.3f} to {e['mae_high']:.3f})")
@@ -66,13 +66,13 @@ def write_card(about: dict, evaluation: dict) -> str:
         f"- Network: {listing(about['model'])}; {about['parameters']} parameters.",
         f"- Sensors seen: {', '.join(about['sensors'])}; in its dataset: {', '.join(about['known_sensors'])}.",
         f"- Indenters seen: {', '.join(about['indenters'])}.",
-        f"- Data: {data['name']}, version {data['version']}; presses: {samples}.",
+        f"- Data: {data['name']}, version {data['version']}; images: {samples}.",
         f"- Training: best of {len(about['curve'])} epochs was {about['best_epoch']}; {listing(about['train'])}.",
         f"- {AXIS_NOTE}",
         "",
         "## Error of total force (mean absolute, N; 95 % interval over presses) and per cell",
         "",
-        *table(["split", "presses", *AXES, "per cell fx / fy / fz"], error_rows(evaluation)),
+        *table(["split", "images of presses", *AXES, "per cell fx / fy / fz"], error_rows(evaluation)),
         "",
         "## What knows less (mean absolute error, N)",
         "",

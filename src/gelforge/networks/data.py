@@ -48,6 +48,10 @@ class Data:
         """One column of samples.csv as text (n,)."""
         return np.array([row.get(column, "") for row in self.table])
 
+    def presses(self, rows) -> np.ndarray:
+        """What tells the presses of some rows apart, (k,): several images may show one; where unknown, none does."""
+        return np.array([self.table[row].get("group") or f"row {row}" for row in rows])
+
     def totals(self, rows) -> np.ndarray:
         """Total force of the labels of some rows, (k, 3) float64 N, in the labels' channel order."""
         return self.labels[rows].sum((2, 3), dtype=np.float64)

@@ -110,8 +110,8 @@ def tables(result: dict) -> list[dict]:
     ]
     result = [
         {
-            "title": f"Mean absolute error of {result['model']}, N: total and per cell (± deviation over presses)",
-            "columns": ["split", "presses", *(f"total {a}" for a in AXES), *(f"cell {a}" for a in AXES)],
+            "title": f"Mean absolute error of {result['model']}, N: total and per cell (± deviation over images)",
+            "columns": ["split", "images", *(f"total {a}" for a in AXES), *(f"cell {a}" for a in AXES)],
             "rows": main,
         },
         {
@@ -133,7 +133,7 @@ def tables(result: dict) -> list[dict]:
         result.append(
             {
                 "title": f"Total force, mean absolute error {title}, N",
-                "columns": ["split", "group", "presses", *AXES],
+                "columns": ["split", "group", "images", *AXES],
                 "rows": [
                     [
                         name,
@@ -150,7 +150,7 @@ def tables(result: dict) -> list[dict]:
         result.append(
             {
                 "title": "Network and labels against the force sensor and against what a virtual rig knows, N",
-                "columns": ["split", "reference", "who", "presses", *AXES],
+                "columns": ["split", "reference", "who", "images", *AXES],
                 "rows": against,
             }
         )

@@ -6,27 +6,32 @@ AXES = ("fx", "fy", "fz")
 CONFIDENCE = 0.95
 
 
-def bootstrap_mean(values, rng, resamplings: int) -> tuple[np.ndarray, np.ndarray]:
+def bootstrap_mean(values, rng, resamplings: int, press=None) -> tuple[np.ndarray, np.ndarray]:
     """Interval of the mean of `values` (n, k) over presses drawn with replacement; low and high, (k,) each.
 
-    Percentile bootstrap (Efron 1979) at 95 %.
+    Percentile bootstrap (Efron 1979) at 95 %. press: (n,) the press of each value, which are drawn whole, because
+    views of one press err alike (cluster bootstrap, Davison and Hinkley 1997, section 3.8); None: each its own.
     """
     values = np.asarray(values, float)
-    n = len(values)
+    _, press = np.unique(np.arange(len(values)) if press is None else press, return_inverse=True)
+    views = np.bincount(press)
+    sums = np.stack([np.bincount(press, column) for column in values.T], axis=1)
+    n = len(views)
     means = np.empty((resamplings, values.shape[1]))
     for i in range(resamplings):
-        means[i] = values[rng.integers(0, n, n)].mean(0)
+        drawn = rng.integers(0, n, n)
+        means[i] = sums[drawn].sum(0) / views[drawn].sum()
     low, high = np.quantile(means, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2], axis=0)
     return low, high
 
 
-def error_table(error, rng, resamplings: int, force_range=None) -> dict:
+def error_table(error, rng, resamplings: int, force_range=None, press=None) -> dict:
     """Summarise signed errors (n, 3) in N per component: MAE, its deviation and interval, bias, root mean square.
 
-    `force_range` (3,) N adds the MAE in percent of it.
+    `force_range` (3,) N adds the MAE in percent of it; `press` (n,) is as for `bootstrap_mean`.
     """
     size = np.abs(error)
-    low, high = bootstrap_mean(size, rng, resamplings)
+    low, high = bootstrap_mean(size, rng, resamplings, press)
     table = {}
     for i, axis in enumerate(AXES):
         table[axis] = {
