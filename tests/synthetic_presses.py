@@ -82,6 +82,7 @@ SETTINGS = {
     "threads": 1,
     "mixed_precision": True,
     "checkpoint_seconds": 0.0,
+    "shift_cells": 1,
     "augment": {
         "probability": 0.5,
         "noise": 0.05,

@@ -13,7 +13,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from synthetic_presses import SETTINGS, write_dataset
 
 from gelforge.errors import BadInput
-from gelforge.networks.augment import RGB_TO_YIQ, augment, colour_matrices
+from gelforge.networks.augment import RGB_TO_YIQ, augment, colour_matrices, shift_together
 from gelforge.networks.batches import Ahead, epoch_order
 from gelforge.networks.data import open_data, scales
 from gelforge.networks.fit import Training, fit, loss_of
@@ -98,6 +98,23 @@ def test_colours_keep_luma_and_grey():
     torch.testing.assert_close(grey, torch.ones(20, 3), atol=1e-3, rtol=0)
     colour = torch.tensor([0.2, 0.5, 0.3])
     torch.testing.assert_close((matrices @ colour) @ RGB_TO_YIQ[0], (colour @ RGB_TO_YIQ[0]).expand(20))
+
+
+def test_a_shift_moves_image_and_label_alike_and_loses_nothing():
+    rng = np.random.default_rng(0)
+    images, labels = rng.integers(0, 256, (16, 24, 32, 3), np.uint8), rng.normal(size=(16, 3, 6, 8)).astype("f4")
+    # pictures of the labels: each cell shows its own force
+    images[..., 0] = np.kron(labels[:, 0], np.ones((4, 4))) * 30 + 120
+    seen, wanted = shift_together(images, labels, 2, torch.Generator().manual_seed(1))
+    assert np.abs(np.kron(wanted[:, 0], np.ones((4, 4))) * 30 + 120 - seen[..., 0]).max() < 1  # bytes
+    np.testing.assert_allclose(wanted.sum((2, 3)), labels.sum((2, 3)), rtol=1e-5, atol=1e-5)
+    moved = (seen != images).any((1, 2, 3))
+    assert 0 < moved.sum() < 16
+
+
+def test_a_shift_needs_cells_of_whole_pixels():
+    with pytest.raises(BadInput, match="shift_cells = 1: cells of 7 x 8 on an image of 24 x 32"):
+        shift_together(np.zeros((1, 24, 32, 3), np.uint8), np.zeros((1, 3, 7, 8)), 1, torch.Generator())
 
 
 def test_augmentation_leaves_alone_what_it_must():

@@ -1,8 +1,11 @@
-"""Colour and noise augmentation, one small matrix per image."""
+"""Augmentation: colour and noise, one small matrix per image, and shifts of image and label by whole cells."""
 
 import math
 
+import numpy as np
 import torch
+
+from gelforge.errors import BadInput
 
 # Luma, and the two chroma axes of YIQ (NTSC 1953): hue turns the chroma plane, saturation scales it.
 RGB_TO_YIQ = torch.tensor([[0.299, 0.587, 0.114], [0.5959, -0.2746, -0.3213], [0.2115, -0.5227, 0.3112]])
@@ -51,3 +54,24 @@ def augment(images, settings: dict, generator):
     images = images.clone()
     images[where] = turned.clamp_(0, 1)
     return images
+
+
+def shift_together(images, labels, cells: int, generator) -> tuple[np.ndarray, np.ndarray]:
+    """Move each image (n, h, w, 3) and its label (n, 3, rows, cols) alike, by up to `cells` cells along both axes.
+
+    What leaves one side comes in at the other, in both, so that no force is lost: half a contact at the rim is half
+    the force. Places are drawn evenly, none moved or moved at random with equal odds.
+    """
+    n, height, rows = len(images), images.shape[1], labels.shape[2]
+    if height % rows or images.shape[2] * rows != height * labels.shape[3]:
+        raise BadInput(
+            f"[train] shift_cells = {cells}: cells of {rows} x {labels.shape[3]} on an image of {height} x "
+            f"{images.shape[2]} are no squares of whole pixels; set it to 0 for this grid"
+        )
+    by = torch.randint(-cells, cells + 1, (n, 2), generator=generator)
+    by[torch.rand(n, generator=generator) < 0.5] = 0
+    pixels = height // rows
+    moved = zip(images, labels, by.tolist(), strict=True)
+    pairs = [(np.roll(image, (pixels * v, pixels * u), (0, 1)), np.roll(label, (v, u), (1, 2)))
+             for image, label, (v, u) in moved]  # fmt: skip
+    return np.stack([image for image, _ in pairs]), np.stack([label for _, label in pairs])

@@ -7,9 +7,9 @@ import time
 import numpy as np
 import torch
 
-from gelforge.networks.augment import augment
+from gelforge.networks.augment import augment, shift_together
 
-STREAMS = {"order": 0, "augment": 1, "weights": 2}
+STREAMS = {"order": 0, "augment": 1, "weights": 2, "shift": 3}
 
 
 def generator(seed: int, stream: str, *numbers: int) -> torch.Generator:
@@ -50,12 +50,15 @@ def training_batches(data, norm: dict, settings: dict, epoch: int, total_only: b
     """Yield (images, target) of one epoch, augmented, images in the network's units."""
     order = epoch_order(data.splits["train"], settings["seed"], epoch)
     mean, std = (torch.tensor(norm[key]).float().view(1, 3, 1, 1) for key in ("image_mean", "image_std"))
-    draw = generator(settings["seed"], "augment", epoch)
+    draw, place = (generator(settings["seed"], stream, epoch) for stream in ("augment", "shift"))
     for start in range(0, len(order), settings["batch"]):
         # Sorted rows read the mapped file forwards; the order inside a batch changes nothing but rounding.
         rows = np.sort(order[start : start + settings["batch"]])
-        images = augment(images_to_tensor(data.images[rows]), settings["augment"], draw)
-        yield (images - mean) / std, target(data.labels[rows], norm, total_only)
+        images, labels = data.images[rows], data.labels[rows]
+        if settings["shift_cells"]:
+            images, labels = shift_together(images, labels, settings["shift_cells"], place)
+        images = augment(images_to_tensor(images), settings["augment"], draw)
+        yield (images - mean) / std, target(labels, norm, total_only)
 
 
 class Ahead:
