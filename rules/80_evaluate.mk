@@ -1,7 +1,9 @@
 # Stage 80: how wrong a network is, and its model card.
 EVALUATED := $(MODELS:%=$D/80_evaluate/$(RES1)/%.json)
 
-.PHONY: evaluate evaluate-models
+SHIPPED := src/gelforge/networks/default
+
+.PHONY: evaluate evaluate-models ship
 evaluate: $D/80_evaluate/$(RES1)/$(MODEL).json $D/80_evaluate/$(RES1)/$(MODEL).card.md  ## errors of one network against labels, controls and sensors; its card
 evaluate-models: $(EVALUATED)  ## the same for every network
 
@@ -10,3 +12,7 @@ $(EVALUATED): $D/80_evaluate/$(RES1)/%.json: $D/70_train/$(RES1)/%.pt $D/60_data
 
 $(EVALUATED:.json=.card.md): $D/80_evaluate/$(RES1)/%.card.md: $D/70_train/$(RES1)/%.pt $D/80_evaluate/$(RES1)/%.json
 	$(call step,gelforge.networks.card --model $< --evaluation $(word 2,$^) --out $@.part)
+
+ship: $D/70_train/$(RES1)/$(MODEL).pt $D/80_evaluate/$(RES1)/$(MODEL).card.md  ## makes a network the one that predict and live use where none is named
+	cp $< $(SHIPPED).pt
+	cp $(word 2,$^) $(SHIPPED).md

@@ -56,11 +56,12 @@ def solve_case(case: Case, params: dict, meshes: Path, folder: Path) -> dict:
     if record is None:
         method = case_method(case, params)
         scene = case.scene
+        limit = params["stability"]["native_limit_s" if case.fidelity == "ccx-native" else "limit_s"]
 
         def make(work):
-            return prepare(method, scene, "", meshes, params, work)
+            return prepare(method, scene, "", meshes, params, work, limit)
 
-        found = solve_isolated(make, None, params["stability"]["limit_s"], folder)
+        found = solve_isolated(make, None, limit, folder)
         record = {"key": key, "case": case.describe()} | found
         write_json(path, record)
         print(f"{case}: {record['status']} {record.get('total')} {record.get('reason')}", flush=True)

@@ -1,13 +1,17 @@
 """A scene of the chart through real solves: kept, resumed, drawn; figures of the fea benchmark's deck reader."""
 
 import json
+import subprocess
+import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from gelforge import config, pareto
+from gelforge import config, pareto, stability
 from gelforge.benchmarks.fea import deck_force, envelope_scene
 from gelforge.binning.sensor import load_sensors
+from gelforge.charting import cases
 from gelforge.charting.measure import load_bench
 from gelforge.charting.methods import hex_method
 from gelforge.charting.scenes import parse_scene
@@ -22,6 +26,19 @@ METHODS = [hex_method(2.0, 2, 1), hex_method(1.4, 3, 2), hex_method(1.0, 4, 4)]
 def bench(tmp_path):
     params = config.cut_slice(config.load_params("workflow"), "pareto", pareto.VERSION)
     return load_bench(params, load_sensors("workflow/sensors.toml"), tmp_path / "meshes", tmp_path / "records")
+
+
+@pytest.fixture(scope="module")
+def coarse(tmp_path_factory):
+    """The parameters of the stability branch, nothing more, and one coarse mesh to solve its cases on."""
+    params = config.cut_slice(config.load_params("workflow"), "stability", stability.VERSION)
+    params["meshes"]["regions"] = {"wide": params["meshes"]["regions"]["wide"]}
+    folder = tmp_path_factory.mktemp("meshes")
+    (folder / "params.json").write_text(json.dumps(params))
+    # by a process of its own, as make does: pytetwild's threads do not survive the fork of a solve
+    command = [sys.executable, "-m", "gelforge.pareto_meshes", "--name", "ccx-wide-3.0", "--params", "params.json"]
+    subprocess.run([*command, "--out", "ccx-wide-3.0.npz"], cwd=folder, check=True)
+    return params, folder
 
 
 def scene(name, table):
@@ -61,6 +78,18 @@ def test_a_scene_that_cannot_be_solved_is_listed_with_its_reason(bench, tmp_path
     found = pareto.publish_chart(tmp_path / "chart.json", solved, "")
     row = found["rows"][0]
     assert row["scenes"] == 2 and row["failed"] == 1 and not row["frontier_total"]
+
+
+@pytest.mark.parametrize("fidelity", ["hex", "ccx", "ccx-native"])
+def test_every_fidelity_of_the_map_solves_with_what_its_branch_is_given(fidelity, ccx, coarse, tmp_path):
+    params, folder = coarse
+    size = 0.7 if fidelity == "hex" else 3.0
+    case = replace(cases.centre(params["stability"], fidelity, "round"), depth=0.2, size=size, steps=2)
+    record = stability.solve_case(case, params, folder, tmp_path)
+    assert record["status"] == "OK", record["reason"]
+    # a sphere of this size at 0.2 mm; the mesh is coarse
+    assert -1.0 < record["total"][2] < -0.2
+    assert stability.solve_case(case, params, folder, tmp_path) == record
 
 
 def test_envelope_scenes_are_the_same_ones_every_time():

@@ -196,7 +196,7 @@ def solve_envelope(bench: Bench, catalogue: dict, folder: Path, count: int) -> l
     tables = [without_bricks(bench.params["fea"] | {"charted": None}), without_bricks(bench.params["meshes"])]
     settings = canonical([bench.params["version"], *tables])
     key = hashlib.sha256(settings.encode()).hexdigest()
-    records = []
+    records, limit = [], bench.params["pareto"]["limit_s"]
     for number in progress(range(count), "envelope"):
         path = folder / f"{number:03d}.json"
         record = kept(path, key)
@@ -204,9 +204,9 @@ def solve_envelope(bench: Bench, catalogue: dict, folder: Path, count: int) -> l
             scene = envelope_scene(number, catalogue, gel)
 
             def make(work, scene=scene):
-                return prepare(method, scene, "", bench.meshes, bench.params, work)
+                return prepare(method, scene, "", bench.meshes, bench.params, work, limit)
 
-            found = solve_isolated(make, None, bench.params["pareto"]["limit_s"], folder)
+            found = solve_isolated(make, None, limit, folder)
             asked = {"number": number, "indenter": scene.indenter.name, "press": vars(scene.press)}
             record = {"key": key} | asked | found
             write_json(path, record)

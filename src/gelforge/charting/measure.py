@@ -141,10 +141,11 @@ def measure(bench: Bench, scene: NamedScene, method: Method) -> dict:
         for stale in path.parent.glob(".work-*"):
             shutil.rmtree(stale, ignore_errors=True)
 
-        def make(folder):
-            return prepare(method, scene.scene, scene.fine, bench.meshes, bench.params, folder)
-
         limit = bench.params["pareto"]["native_limit_s" if method.fidelity == "ccx-native" else "limit_s"]
+
+        def make(folder):
+            return prepare(method, scene.scene, scene.fine, bench.meshes, bench.params, folder, limit)
+
         found = solve_isolated(make, bench.sensor, limit, path.parent)
         record = {"key": key, "scene": scene.name, "method": method.name, "fidelity": method.fidelity} | found
         write_json(path, record)

@@ -82,18 +82,19 @@ def warm_up() -> None:
 
 
 def prepare(
-    method: Method, scene: Scene, fine: str, folder: Path, params: dict, work: Path
+    method: Method, scene: Scene, fine: str, folder: Path, params: dict, work: Path, limit_s: float
 ) -> Callable[[], tuple[Result, GelMesh]]:
     """Read meshes and set up solvers, which many presses share; the function returned solves the scene.
 
-    fine: region of the reference mesh. folder: meshes. work: an empty folder for CalculiX' files.
+    fine: region of the reference mesh. folder: meshes. work: an empty folder for CalculiX' files. limit_s: when the
+    whole solve is stopped from outside; CalculiX' own contact gives up before, so that it can say how far it came.
     """
     if method.fidelity == "hex" and method.name != "hex-label":
         return _prepare_hex(method, scene, params["fea"])
     if method.size is None and method.fidelity in LABEL_METHODS:
         return _prepare_label(method, scene, folder, params, work)
     if method.fidelity == "ccx-native":
-        return _prepare_native(method, scene, folder, params, work)
+        return _prepare_native(method, scene, folder, params, work, 0.9 * limit_s)
     return _prepare_ccx(method, scene, fine, folder, params, work)
 
 
@@ -134,11 +135,11 @@ def _prepare_label(method, scene, folder, params, work):
     return run
 
 
-def _prepare_native(method, scene, folder, params, work):
+def _prepare_native(method, scene, folder, params, work, limit_s):
     from gelforge.mechanics.native import solve_native
 
     mesh = GelMesh.load(Path(folder) / f"{meshes.density_mesh(scene, folder, params, method.size)}.npz")
-    return lambda: (solve_native(scene, mesh, work / "native", 0.9 * params["pareto"]["native_limit_s"]), mesh)
+    return lambda: (solve_native(scene, mesh, work / "native", limit_s), mesh)
 
 
 def _prepare_ccx(method, scene, fine, folder, params, work):

@@ -87,6 +87,8 @@ def stability_map(table: list[dict]) -> bytes:
         (_scatter if row == "random" else _grid)(axis, row, lines)
     for axis in axes.ravel()[len(rows):]:
         axis.set_axis_off()
+    figure.suptitle("Numbers: difference of total force, %; for size and steps from the finest of the same engine, "
+                    "elsewhere between hex and ccx at the same press", fontsize=11)  # fmt: skip
     handles = [Patch(color=colour, label=verdict) for verdict, colour in VERDICTS.items()]
     figure.legend(handles=handles, loc="outside lower center", ncols=4)
     return to_png(figure)
@@ -106,7 +108,7 @@ def _grid(axis, row, lines):
             told = f"{100 * line['drift']:.1f}"
         axis.text(x, y, told, ha="center", va="center", fontsize=7)
     axis.set(xlim=(-0.5, len(levels) - 0.5), ylim=(len(groups) - 0.5, -0.5), xticks=range(len(levels)),
-             yticks=range(len(groups)), title=f"{row} (numbers: drift of total force, %)")  # fmt: skip
+             yticks=range(len(groups)), title=row)  # fmt: skip
     axis.set_xticklabels([str(level) for level in levels])
     axis.set_yticklabels([" ".join(group) for group in groups], fontsize=8)
 
