@@ -85,7 +85,7 @@ def judge_row(row: str, records: list[dict], params: dict) -> list[dict]:
     """Rows of the table: each case with its verdict "good", "drifts", "failed" or "not run".
 
     In the rows of mesh and load steps a case is held against the finest of the same press and
-    fidelity; elsewhere the in-process solve against CalculiX' of the same press.
+    fidelity; elsewhere the in-process solve and CalculiX' of the same press against each other.
     """
     limit = params["stability"]["drift"]
     cases = [Case(**record["case"]) for record in records]
@@ -113,7 +113,7 @@ def _yardstick(row, case, cases, records):
         same = [i for i, c in enumerate(cases) if (c.fidelity, c.press) == (case.fidelity, case.press)]
         finest = min(same, key=lambda i: (cases[i].size, -cases[i].steps))
         return f"{row} {getattr(cases[finest], row):g}", records[finest]
-    other = {"hex": "ccx", "ccx": "hex"}.get(case.fidelity)
+    other = {"hex": "ccx", "ccx": "hex", "ccx-native": "hex"}[case.fidelity]
     for c, record in zip(cases, records, strict=True):
         if c.fidelity == other and c.press == case.press and c.steps == case.steps:
             return other, record

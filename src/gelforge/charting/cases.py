@@ -63,11 +63,11 @@ def centre(table: dict, fidelity: str, kind: str) -> Case:
 
 
 def row_cases(table: dict, row: str) -> list[Case]:
-    """Cases of one row: a factor, "random", or "native" (CalculiX' own contact on round and flat, by depth)."""
+    """Cases of one row: a factor, "random", or "native" (CalculiX' own contact and, to hold it against, hex)."""
     if row == "random":
         return random_cases(table)
     if row == "native":
-        around = [centre(table, "ccx-native", kind) for kind in ("round", "flat")]
+        around = [centre(table, fidelity, kind) for fidelity in ("ccx-native", "hex") for kind in ("round", "flat")]
         return [replace(case, depth=depth) for case in around for depth in table["native_depths_mm"]]
     around = [centre(table, fidelity, kind) for fidelity in ("hex", "ccx") for kind in BODIES]
     return [replace(case, **{row: level}) for case in around for level in levels(table, row, case.fidelity)]
