@@ -297,8 +297,9 @@ def main(argv=None) -> int:
     parser = argparse.ArgumentParser(prog="gelforge.benchmarks.fea", description=__doc__,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)  # fmt: skip
     parser.add_argument("--workflow", type=Path, default=Path("workflow"))
-    parser.add_argument("--pareto", type=Path, default=Path("results/demo/pareto"),
-                        help="branch pareto's folder: its meshes and records are used and added to")  # fmt: skip
+    parser.add_argument("--pareto", type=Path, default=Path("results/feats_sphere15/pareto"),
+                        help="branch pareto's folder of a dataset that overrides no setting of [fea] and [meshes]: its"
+                             " meshes and records are used and added to")  # fmt: skip
     parser.add_argument("--work", type=Path, default=Path("results/benchmarks/fea"), help="what else is kept")
     parser.add_argument("--reference", type=Path, default=Path(os.environ.get("GELFORGE_REFERENCE",
                                                                               "../shared/reference")))
