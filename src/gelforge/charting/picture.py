@@ -23,9 +23,12 @@ def _spot(axis, row, kind):
     axis.plot([x], [worst], "_", color=colour, ms=7, zorder=2)
     size = 11 if row["fidelity"] == "auto" else 8 if ship else 5
     inside, edge = "white" if row["failed"] else colour, "black" if ship else colour
-    axis.plot([x], [middle], MARKERS[row["fidelity"]], ms=size, mfc=inside, mec=edge, mew=1.2, zorder=3)
+    # auto lies on the fidelity that it takes: drawn over it, and named on the other side
+    auto = row["fidelity"] == "auto"
+    axis.plot([x], [middle], MARKERS[row["fidelity"]], ms=size, mfc=inside, mec=edge, mew=1.2, zorder=4 if auto else 3)
     if ship or row["fidelity"] == "ccx-native" or row["method"].endswith("-quality"):
-        axis.annotate(row["method"], (x, middle), xytext=(6, -9), textcoords="offset points", fontsize=7)
+        place = {"xytext": (-7, -9), "ha": "right"} if auto else {"xytext": (6, -9)}
+        axis.annotate(row["method"], (x, middle), textcoords="offset points", fontsize=7, **place)
 
 
 def _frontier(axis, rows, kind):
