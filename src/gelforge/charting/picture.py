@@ -25,7 +25,8 @@ def _spot(axis, row, kind):
     inside, edge = "white" if row["failed"] else colour, "black" if ship else colour
     # auto lies on the fidelity that it takes: drawn over it, and named on the other side
     auto = row["fidelity"] == "auto"
-    axis.plot([x], [middle], MARKERS[row["fidelity"]], ms=size, mfc=inside, mec=edge, mew=1.2, zorder=4 if auto else 3)
+    above = 4 if auto else 3
+    axis.plot([x], [middle], MARKERS[row["fidelity"]], ms=size, mfc=inside, mec=edge, mew=1.2, zorder=above)
     if ship or row["fidelity"] == "ccx-native" or row["method"].endswith("-quality"):
         place = {"xytext": (-7, -9), "ha": "right"} if auto else {"xytext": (6, -9)}
         axis.annotate(row["method"], (x, middle), textcoords="offset points", fontsize=7, **place)
