@@ -71,7 +71,8 @@ def _number(row: dict, column: str, where: str) -> float:
 def read_readings(log, known_bad=()) -> Readings:
     """Read every press of a raw log that has a normal force; rows without one do not serve.
 
-    A press that several sensors saw, in rows that are otherwise equal, is one reading. known_bad: lines of the log that stage 10 rejected. Sideways forces may be empty. A log in which no
+    A press that several sensors saw, in rows that are otherwise equal, is one reading.
+    known_bad: lines of the log that stage 10 rejected. Sideways forces may be empty. A log in which no
     row has a force, or a value that is no number, raises BadInput.
     """
     table = read_csv(log)

@@ -89,7 +89,7 @@ def image_name(order: Order) -> str:
 
 def surface_name(order: Order) -> str:
     """Path of a press's surface below the dataset's folder: from it its pictures can be drawn again."""
-    return f"truth/surfaces/{order.press_id or order.sample_id}.npz"
+    return f"truth/surfaces/{order.press_id}.npz"
 
 
 def save_image(path, image: np.ndarray) -> None:

@@ -44,7 +44,8 @@ class Kind:
     """One kind of press: `weight` of all presses, drawn evenly from these ranges.
 
     each_sensor: whether a press is seen by each of `sensors`, a row of the log each, or by one of them. A press takes
-    a second, a further picture of it a hundredth. shear: range of the sideways path as a share of the depth. max_force_n: depth is cut where the
+    a second, a further picture of it a hundredth.
+    shear: range of the sideways path as a share of the depth. max_force_n: depth is cut where the
     estimated normal force would pass it, as a bench with a load limit does.
     """
 
