@@ -15,7 +15,8 @@ DATASET ?= demo
 RES ?= 24x32
 # Training, evaluation and the report take the first resolution.
 RES1 = $(firstword $(RES))
-MODEL ?= grid
+# A network that reads differences where there are pictures of the untouched sensors, one that does not where not.
+MODEL ?= $(if $(wildcard $(DATA)/nocontact),pair_16,grid_32)
 EXECUTOR ?= local
 STRICT ?=
 JOBS ?= $(shell nproc)

@@ -9,12 +9,15 @@ from gelforge.files import write_csv, write_json
 SPLITS = ("train", "val", "test", "test_unseen_indenter", "test_unseen_sensor")
 
 
-def draw_press(rng, image, grid):
-    """One image (h, w, 3) uint8 and its label (3, rows, cols): a bump that shades the picture and moves its dots."""
+def draw_press(rng, image, grid, strength: float = 1.0):
+    """One image (h, w, 3) uint8 and its label (3, rows, cols): a bump that shades the picture and moves its dots.
+
+    strength: factor on its force; 0 shows the sensor untouched.
+    """
     height, width = image
     place = rng.uniform(0.3, 0.7, 2)
     spread = rng.uniform(0.10, 0.18)
-    force = np.array([rng.uniform(-2, 2), rng.uniform(-2, 2), -rng.uniform(1, 20)])
+    force = strength * np.array([rng.uniform(-2, 2), rng.uniform(-2, 2), -rng.uniform(1, 20)])
 
     def bump(rows, cols):
         v, u = np.meshgrid((np.arange(rows) + 0.5) / rows, (np.arange(cols) + 0.5) / cols, indexing="ij")
@@ -64,7 +67,9 @@ def write_dataset(folder, n=48, image=(240, 320), grid=(24, 32), seed=0) -> Path
         )
     write_csv(folder / "samples.csv", list(rows[0]), rows)
     write_json(folder / "normalisation.json", {})
-    write_json(folder / "dataset.json", {"name": "made up", "sensor": "mini0", "grid": list(grid)})
+    np.save(folder / "nocontact.npy", draw_press(rng, image, grid, strength=0.0)[0][None])
+    about = {"name": "made up", "sensor": "mini0", "nocontact": ["mini0"], "grid": list(grid)}
+    write_json(folder / "dataset.json", about)
     return folder
 
 

@@ -17,7 +17,7 @@ from gelforge.mechanics.scene import Status
 from gelforge.progress import progress
 from gelforge.split import split_presses
 
-VERSION = 1
+VERSION = 2
 POSE_COLUMNS = ["x0_mm", "y0_mm", "z0_mm", "dx_mm", "dy_mm", "dz_mm", "rot_deg"]
 FORCES = ["fx_n", "fy_n", "fz_n"]
 COLUMNS = [
@@ -134,6 +134,18 @@ def read_image(data: Path, name: str, size: tuple[int, int]) -> np.ndarray:
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
 
 
+def write_nocontact(path, data: Path, names: list[str], size: tuple[int, int]) -> list[str]:
+    """Write the pictures of untouched sensors, nocontact/NAME.png, as uint8 (k, height, width, 3) RGB.
+
+    Returns the k of `names` that have one; a network that reads differences needs them, no other does.
+    """
+    there = [name for name in names if (data / "nocontact" / f"{name}.png").exists()]
+    pictures = [read_image(data, f"nocontact/{name}.png", size) for name in there]
+    with publish(path) as part, part.open("wb") as stream:
+        np.save(stream, np.array(pictures, np.uint8).reshape(len(there), size[1], size[0], 3))
+    return there
+
+
 def share_images(folder: Path, data: Path, rows: list[dict], size) -> None:
     """Put images.npy into `folder` as a hard link to one copy that all resolutions of the dataset share."""
     digest = hashlib.sha256(str(size).encode())
@@ -244,7 +256,8 @@ def build(args) -> dict:
         [{name: row[name] for name in ("sample_id", "group", "split")} for row in rows],
     )
     write_json(folder / "normalisation.json", training_ranges(folder, rows))
-    return describe(args, grid, rows, left_out, size, shards[0][0])
+    about = describe(args, grid, rows, left_out, size, shards[0][0])
+    return about | {"nocontact": write_nocontact(folder / "nocontact.npy", args.data, about["sensors"], size)}
 
 
 def _strength(rows) -> np.ndarray:

@@ -1,6 +1,10 @@
-"""Force maps over a video or a camera, as it runs: `gelforge live --video FILE | --camera N`."""
+"""Force maps over a video or a camera, as it runs: `gelforge live --video FILE | --camera N`.
+
+A network that reads differences takes the first frame for the untouched sensor, unless told otherwise.
+"""
 
 import argparse
+import itertools
 import time
 from collections import deque
 from pathlib import Path
@@ -52,10 +56,8 @@ def frames(source, announced: int, name: str, limit: int | None):
 class Overlay:
     """Turn frames into pictures with forces on them, keeping count of time."""
 
-    def __init__(self, trained):
-        from gelforge.networks.modelfile import Reader
-
-        self.trained, self.reader = trained, Reader(trained).eval()
+    def __init__(self, untouched):
+        self.untouched = untouched
         self.recent: deque[float] = deque(maxlen=RATE_OVER)
         self.network_ms: list[float] = []
         self.flagged = 0
@@ -68,7 +70,7 @@ class Overlay:
         from gelforge.predict import predict_one
 
         started = time.perf_counter()
-        image, forces, verdict = predict_one(self.trained, self.reader, cv2.cvtColor(frame, cv2.COLOR_BGR2RGB))
+        image, forces, verdict = predict_one(self.untouched, cv2.cvtColor(frame, cv2.COLOR_BGR2RGB))
         self.network_ms.append(1e3 * (time.perf_counter() - started))
         self.flagged += verdict["flag"]
         self.recent.append(started)
@@ -123,6 +125,13 @@ def show(pictures) -> int:
     return count
 
 
+def first_and_all(items):
+    """The first of `items`, and an iterator over all of them."""
+    items = iter(items)
+    first = next(items)
+    return first, itertools.chain([first], items)
+
+
 def until_interrupted(items):
     """Yield `items`; an interrupt from the keyboard ends them like the end of the source."""
     try:
@@ -138,6 +147,7 @@ def main(argv=None) -> int:
     source.add_argument("--camera", type=int)
     parser.add_argument("--model", type=Path, help="model file; the one that came with gelforge if not named")
     parser.add_argument("--sensor", help="the sensor that films; refused if the model is for another one")
+    parser.add_argument("--untouched", type=Path, metavar="IMAGE", help="the sensor while nothing touches it")
     parser.add_argument("--frames", type=int, help="stop after so many")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--out", type=Path, help="overlay video (.avi); a window is opened if not named")
@@ -145,14 +155,18 @@ def main(argv=None) -> int:
     import cv2
     import torch
 
-    from gelforge.predict import load_for_use
+    from gelforge.predict import Untouched, load_for_use, read_image
 
     torch.set_num_threads(args.threads)
     trained = load_for_use(args.model, args.sensor)
+    picture = read_image(args.untouched) if args.untouched else None
     capture, announced = open_source(args.video, args.camera)
-    overlay = Overlay(trained)
     name = str(args.video) if args.video else f"camera {args.camera}"
-    pictures = (overlay(frame) for frame in until_interrupted(frames(capture, announced, name, args.frames)))
+    first, seen = first_and_all(frames(capture, announced, name, args.frames))
+    if picture is None and not args.sensor:
+        picture = cv2.cvtColor(first, cv2.COLOR_BGR2RGB)
+    overlay = Overlay(Untouched(trained, picture, args.sensor))
+    pictures = (overlay(frame) for frame in until_interrupted(seen))
     started = time.perf_counter()
     try:
         count = write_video(pictures, args.out, capture.get(cv2.CAP_PROP_FPS) or 25.0) if args.out else show(pictures)

@@ -2,6 +2,8 @@
 
 For every image a picture and the map as .npy, float32 (3, rows, cols) in N per cell, and one totals.csv.
 Columns grid_x_n, grid_y_n, grid_z_n are FEATS' channels: force along gel y, along gel x, along the normal.
+A network that reads differences needs a picture of the sensor while nothing touches it: --untouched FILE, or one
+of the training sensors by its name, or, where neither is named, the training sensor that the image is nearest to.
 """
 
 import argparse
@@ -13,7 +15,7 @@ from gelforge.errors import BadInput
 from gelforge.files import publish, write_csv
 
 SHIPPED = Path(__file__).parent / "networks" / "default.pt"
-COLUMNS = ["image", "grid_x_n", "grid_y_n", "grid_z_n", "unlike_training", "flagged", "reason"]
+COLUMNS = ["image", "grid_x_n", "grid_y_n", "grid_z_n", "untouched", "unlike_training", "flagged", "reason"]
 
 
 def read_image(path) -> np.ndarray:
@@ -53,16 +55,60 @@ def fit_size(image, size) -> tuple[np.ndarray, str]:
     return resized, f"size {image.shape[1]} x {image.shape[0]}, trained on {size[1]} x {size[0]}"
 
 
-def predict_one(trained, reader, image) -> tuple[np.ndarray, np.ndarray, dict]:
-    """Predict an image of any size; return it as the network saw it, forces (3, rows, cols), and the judgement."""
+class Untouched:
+    """Finds the picture of the untouched sensor that an image is read against.
+
+    picture: (h, w, 3) uint8 RGB of any size, given by the user. sensor: name of a training sensor. With neither,
+    each image is read against the training sensor it is nearest to.
+    """
+
+    def __init__(self, trained, picture: np.ndarray | None = None, sensor: str | None = None):
+        self.trained, self.known = trained, trained.untouched
+        if not trained.needs_untouched:
+            self.known = {"": None}
+        elif picture is not None:
+            self.known = {"given": fit_size(picture, trained.about["image"])[0]}
+        elif sensor in trained.untouched:
+            self.known = {sensor: trained.untouched[sensor]}
+        elif sensor or not trained.untouched:
+            raise BadInput(
+                f"model {trained.about['name']} has no picture of the untouched sensor {sensor or 'of any name'}: give "
+                "one with --untouched"
+            )
+        self._readers = {}
+
+    def of(self, image) -> str:
+        """Name of the picture for an image (h, w, 3) of the model's size."""
+        from gelforge.networks.statistics import distance
+
+        if len(self.known) == 1:
+            return next(iter(self.known))
+        return min(self.known, key=lambda name: distance(image, self.known[name]))
+
+    def reader(self, name: str):
+        """The network for the sensor of that picture."""
+        from gelforge.networks.modelfile import Reader
+
+        if name not in self._readers:
+            self._readers[name] = Reader(self.trained, self.known[name]).eval()
+        return self._readers[name]
+
+
+def predict_one(untouched: Untouched, image) -> tuple[np.ndarray, np.ndarray, dict]:
+    """Predict an image of any size; return it as the network saw it, forces (3, rows, cols), and the judgement.
+
+    The judgement is that of networks.statistics.judge, and `untouched`: what picture the image was read against.
+    """
     from gelforge.networks.latency import predict_images
     from gelforge.networks.statistics import judge
 
+    trained = untouched.trained
     image, resized = fit_size(image, trained.about["image"])
-    verdict = judge(trained.about["statistics"], image)
+    name = untouched.of(image)
+    verdict = judge(trained.about["statistics"], image, untouched.known[name]) | {"untouched": name}
     if resized:
         verdict = verdict | {"flag": True, "reason": "; ".join(filter(None, [resized, verdict["reason"]]))}
-    return image, predict_images(reader, image[None])[0], verdict
+    return image, predict_images(untouched.reader(name), image[None])[0], verdict
 
 
 def totals_row(name: str, forces, verdict: dict) -> dict:
@@ -73,6 +119,7 @@ def totals_row(name: str, forces, verdict: dict) -> dict:
         "grid_x_n": f"{total[0]:.4f}",
         "grid_y_n": f"{total[1]:.4f}",
         "grid_z_n": f"{total[2]:.4f}",
+        "untouched": verdict["untouched"],
         "unlike_training": f"{verdict['score']:.2f}",
         "flagged": int(verdict["flag"]),
         "reason": verdict["reason"],
@@ -90,19 +137,17 @@ def output_names(paths) -> list[str]:
     return names
 
 
-def predict_files(paths, trained, out: Path) -> list[dict]:
+def predict_files(paths, untouched: Untouched, out: Path) -> list[dict]:
     """Predict image files and write their maps and totals.csv below `out`; return the rows of totals.csv.
 
     Every image is read before anything is written.
     """
     from gelforge.networks.draw import write_maps
-    from gelforge.networks.modelfile import Reader
 
     images = [read_image(path) for path in paths]
-    reader = Reader(trained).eval()
     rows = []
     for path, name, image in zip(paths, output_names(paths), images):
-        image, forces, verdict = predict_one(trained, reader, image)
+        image, forces, verdict = predict_one(untouched, image)
         row = totals_row(str(path), forces, verdict)
         with publish(out / f"{name}.npy") as part:
             np.save(part, forces)
@@ -121,16 +166,20 @@ def main(argv=None) -> int:
     parser.add_argument("images", nargs="+", type=Path, metavar="IMAGE")
     parser.add_argument("--model", type=Path, help="model file; the one that came with gelforge if not named")
     parser.add_argument("--sensor", help="the sensor of the images; refused if the model is for another one")
+    parser.add_argument("--untouched", type=Path, metavar="IMAGE", help="the sensor while nothing touches it")
     parser.add_argument("--out", type=Path, default=Path("predictions"), help="folder (default: %(default)s)")
     parser.add_argument("--threads", type=int, default=1)
     args = parser.parse_args(argv)
     import torch
 
     torch.set_num_threads(args.threads)
-    rows = predict_files(args.images, load_for_use(args.model, args.sensor), args.out)
+    picture = read_image(args.untouched) if args.untouched else None
+    untouched = Untouched(load_for_use(args.model, args.sensor), picture, args.sensor)
+    rows = predict_files(args.images, untouched, args.out)
     for row in rows:
         warning = f"  UNLIKE TRAINING ({row['unlike_training']}): {row['reason']}" if row["flagged"] else ""
-        print(f"{row['image']}: x {row['grid_x_n']} y {row['grid_y_n']} z {row['grid_z_n']} N{warning}")
+        against = f" against {row['untouched']}" if row["untouched"] else ""
+        print(f"{row['image']}: x {row['grid_x_n']} y {row['grid_y_n']} z {row['grid_z_n']} N{against}{warning}")
     print(f"maps and totals.csv in {args.out}")
     return 0
 

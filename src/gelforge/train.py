@@ -10,7 +10,7 @@ from pathlib import Path
 from gelforge.errors import BadInput
 from gelforge.files import publish, read_json, write_csv
 
-VERSION = 2
+VERSION = 3
 
 
 def read_models(path) -> dict:
@@ -80,18 +80,21 @@ def train(data, name: str, model: dict, settings: dict, checkpoint=None):
 
     from gelforge.networks.data import require_splits, scales
     from gelforge.networks.fit import Training, fit, peak_memory_gib
+    from gelforge.networks.inputs import needs_untouched
     from gelforge.networks.modelfile import Trained
     from gelforge.networks.models import parameter_count
-    from gelforge.networks.statistics import fit_to_images
+    from gelforge.networks.statistics import fit_to_images, largest_distance
 
     require_splits(data)
     torch.set_num_threads(settings["threads"])
     device = "cuda" if torch.cuda.is_available() else "cpu"
     about = describe(data, name, model, settings, device)
-    norm = scales(data, model["kind"] == "resnet")
+    norm = scales(data, model["kind"] == "resnet", model.get("reads", "image"))
     training = Training(model, settings, norm, about["image"], about["grid"], device)
     fit(training, data, checkpoint, identity(about))
     statistics = fit_to_images(data.images, data.splits["train"], data.splits["val"])
+    if needs_untouched(norm["reads"]):
+        statistics |= {"largest_distance": largest_distance(data.seen(data.splits["val"], norm["reads"]))}
     cost = training.cost | {"peak_gib": peak_memory_gib()}
     about |= {
         "normalisation": norm,
@@ -101,7 +104,7 @@ def train(data, name: str, model: dict, settings: dict, checkpoint=None):
         "best_epoch": training.best["epoch"],
         "parameters": parameter_count(training.net),
     }
-    return Trained(training.net.cpu(), about)
+    return Trained(training.net.cpu(), about, data.nocontact if needs_untouched(norm["reads"]) else {})
 
 
 def main(argv=None) -> int:

@@ -3,6 +3,7 @@
 import csv
 import shutil
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -28,6 +29,8 @@ IMAGE, GRID = (48, 64), (6, 8)
 MODELS = {
     "unet": {"kind": "unet", "widths": [4, 8]},
     "small": {"kind": "grid", "width": 8, "blocks": 2},
+    "difference": {"kind": "grid", "width": 8, "blocks": 1, "reads": "difference"},
+    "pair": {"kind": "grid", "width": 8, "blocks": 1, "reads": "pair"},
     "resnet": {"kind": "resnet", "blocks": [1, 1], "widths": [4, 8]},
 }
 EVALUATE = {"force_edges": [0.0, 5.0, 20.0], "bootstrap": 50, "seed": 1, "threads": 1}
@@ -74,15 +77,7 @@ def test_sensor_and_truth_are_compared_on_the_right_axis(data, models):
 
 
 def test_evaluation_without_a_second_split_is_refused(data, models):
-    only = type(data)(
-        data.folder,
-        data.images,
-        data.labels,
-        data.table,
-        {"train": data.splits["train"]},
-        data.info,
-        data.normalisation,
-    )
+    only = replace(data, splits={"train": data.splits["train"]})
     with pytest.raises(BadInput, match="one other"):
         evaluate(only, models["small"], EVALUATE)
 
@@ -136,22 +131,37 @@ def test_predict_refuses_before_it_writes(data, paths, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def test_predict_finds_the_untouched_sensor(data, models, paths, tmp_path):
+    image = write_png(tmp_path / "p.png", data.images[0])
+    own = data.nocontact["mini0"]
+    other = replace(models["pair"], untouched={"bright": np.clip(own.astype(int) + 60, 0, 255).astype(np.uint8)} |
+                    models["pair"].untouched)  # fmt: skip
+    assert predict.Untouched(other).of(data.images[0]) == "mini0"
+    assert predict.Untouched(other, sensor="bright").of(data.images[0]) == "bright"
+    assert predict.predict_one(predict.Untouched(other, sensor="bright"), data.images[0])[2]["flag"]
+    with pytest.raises(BadInput, match="--untouched"):
+        predict.Untouched(other, sensor="mini9")
+    totals = []
+    for more in ([], ["--untouched", str(write_png(tmp_path / "own.png", own))], ["--sensor", "mini0"]):
+        predict.main([str(image), "--model", str(paths["pair"]), "--out", str(tmp_path / "out"), *more])
+        with (tmp_path / "out" / "totals.csv").open() as stream:
+            totals.append([{**row, "untouched": ""} for row in csv.DictReader(stream)])
+    assert totals[0] == totals[1] == totals[2]
+
+
 def test_two_images_of_one_name_keep_apart():
     assert predict.output_names(["a/x.png", "b/x.png", "y.png"]) == ["x", "x-2", "y"]
 
 
 def test_unlike_images_are_flagged(data, models):
-    from gelforge.networks.modelfile import Reader
-
-    trained = models["small"]
-    reader = Reader(trained).eval()
-    like = [predict.predict_one(trained, reader, data.images[row])[2]["flag"] for row in data.splits["test"]]
+    use = predict.Untouched(models["small"])
+    like = [predict.predict_one(use, data.images[row])[2]["flag"] for row in data.splits["test"]]
     assert not any(like)
     black = np.zeros((*IMAGE, 3), np.uint8)
     plain = np.full((*IMAGE, 3), 120, np.uint8)
     larger = cv2.resize(np.asarray(data.images[0]), (128, 96))
     for image, reason in ((black, ""), (plain, ""), (data.images[0][..., ::-1] // 3, ""), (larger, "size")):
-        verdict = predict.predict_one(trained, reader, image)[2]
+        verdict = predict.predict_one(use, image)[2]
         assert verdict["flag"] and reason in verdict["reason"]
 
 
@@ -208,6 +218,17 @@ def test_live_overlays_a_video(data, paths, tmp_path, capsys):
     frames = read_frames(out)
     assert len(frames) == 12 and frames[0].shape[1] == 2 * IMAGE[1]
     assert "12 frames" in capsys.readouterr().out
+
+
+def test_live_takes_the_first_frame_for_the_untouched_sensor(data, models, paths, tmp_path):
+    seen = [data.nocontact["mini0"], *data.images[:3]]
+    video = write_avi(tmp_path / "in.avi", seen)
+    live.main(["--video", str(video), "--model", str(paths["pair"]), "--out", str(tmp_path / "o.avi")])
+    overlay = live.Overlay(predict.Untouched(models["pair"], seen[0]))
+    wanted = [overlay(cv2.cvtColor(np.asarray(image), cv2.COLOR_RGB2BGR)) for image in seen]
+    got = read_frames(tmp_path / "o.avi")
+    # the video is compressed twice; the lines that tell times differ
+    assert np.median(np.abs(got[2].astype(int) - wanted[2][..., ::-1])) <= 2
 
 
 def test_live_on_a_real_video(reference, paths, tmp_path, capsys):

@@ -3,6 +3,7 @@
 import json
 import pickle
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,9 @@ from gelforge.errors import BadInput
 from gelforge.networks.augment import RGB_TO_YIQ, augment, colour_matrices, shift_together
 from gelforge.networks.batches import Ahead, epoch_order
 from gelforge.networks.data import open_data, scales
-from gelforge.networks.fit import Training, fit, loss_of
+from gelforge.networks.fit import Training, fit, loss_of, predict_rows
+from gelforge.networks.inputs import network_input
+from gelforge.networks.latency import predict_images
 from gelforge.networks.modelfile import Reader, load_model, require_fit, save_model
 from gelforge.networks.models import ResNetTotal, UNet, build, parameter_count, strides
 from gelforge.train import resolve, train
@@ -117,6 +120,16 @@ def test_a_shift_needs_cells_of_whole_pixels():
         shift_together(np.zeros((1, 24, 32, 3), np.uint8), np.zeros((1, 3, 7, 8)), 1, torch.Generator())
 
 
+def test_the_untouched_sensor_is_coloured_as_its_image():
+    image = 0.3 + 0.3 * torch.rand(4, 3, 8, 8, generator=torch.Generator().manual_seed(1))
+    settings = {**SETTINGS["augment"], "probability": 1.0, "noise": 0.0, "hue": 0.02}
+    changed = augment(torch.cat([image, image], 1), settings, torch.Generator().manual_seed(2))
+    assert torch.equal(changed[:, :3], changed[:, 3:]) and not torch.equal(changed[:, :3], image)
+    torch.testing.assert_close(changed[:, :3], augment(image, settings, torch.Generator().manual_seed(2)))
+    noisy = augment(torch.cat([image, image], 1), settings | {"noise": 0.1}, torch.Generator().manual_seed(2))
+    assert not torch.equal(noisy[:, :3], noisy[:, 3:])
+
+
 def test_augmentation_leaves_alone_what_it_must():
     images = torch.rand(6, 3, 8, 8, generator=torch.Generator().manual_seed(1))
     still = dict.fromkeys(("noise", "brightness", "contrast", "saturation", "hue"), 0.0)
@@ -209,10 +222,51 @@ def test_checkpoint_of_another_training_is_not_used(folder, tmp_path):
 def test_model_file_round_trip(trained, tmp_path):
     save_model(tmp_path / "m.pt", trained)
     again = load_model(tmp_path / "m.pt")
-    assert again.about == json.loads(json.dumps({"format": 1} | trained.about))
+    assert again.about == json.loads(json.dumps({"format": 2} | trained.about))
     x = torch.rand(2, 3, *IMAGE, generator=torch.Generator().manual_seed(0)) * 255
     with torch.inference_mode():
         assert torch.equal(Reader(again)(x), Reader(trained)(x))
+
+
+def test_model_file_keeps_the_untouched_sensors(folder, tmp_path):
+    data = open_data(folder)
+    pair = train(data, "pair", {**SMALL, "reads": "pair"}, {**SETTINGS, "epochs": 1})
+    save_model(tmp_path / "m.pt", pair)
+    again = load_model(tmp_path / "m.pt")
+    assert again.untouched.keys() == {"mini0"}
+    np.testing.assert_array_equal(again.untouched["mini0"], data.nocontact["mini0"])
+    content = torch.load(tmp_path / "m.pt", weights_only=True)
+    torch.save(content | {"untouched": {"mini0": torch.zeros(9, dtype=torch.uint8)}}, tmp_path / "m.pt")
+    with pytest.raises(BadInput, match="untouched sensor is damaged"):
+        load_model(tmp_path / "m.pt")
+
+
+def test_a_reader_is_the_network_it_was_trained_as(folder):
+    data = open_data(folder)
+    rows = data.splits["test"]
+    for reads in ("image", "difference", "pair"):
+        trained = train(data, reads, {**SMALL, "reads": reads}, {**SETTINGS, "epochs": 1})
+        wanted = predict_rows(trained.net, data, rows, trained.about["normalisation"])
+        got = predict_images(Reader(trained, data.nocontact["mini0"]).eval(), data.images[rows])
+        np.testing.assert_allclose(got, wanted, atol=1e-4 * np.abs(wanted).max())
+
+
+def test_differences_forget_the_picture_they_are_taken_from():
+    pictures = torch.rand(2, 6, 4, 4, generator=torch.Generator().manual_seed(0))
+    brighter = pictures + torch.rand(2, 3, 4, 4, generator=torch.Generator().manual_seed(1)).repeat(1, 2, 1, 1)
+    norm = {"image_mean": [0.3, 0.4, 0.5], "image_std": [0.1, 0.2, 0.3], "reads": "difference"}
+    torch.testing.assert_close(network_input(pictures, norm), network_input(brighter, norm))
+    both = network_input(pictures, norm | {"reads": "pair"})
+    torch.testing.assert_close(both[:, 3:], network_input(pictures, norm))
+    torch.testing.assert_close(both[:, :3], network_input(pictures[:, :3], norm | {"reads": "image"}))
+    with pytest.raises(BadInput, match="reads = 'sound'"):
+        build({**SMALL, "reads": "sound"}, IMAGE, GRID)
+
+
+def test_a_dataset_without_the_untouched_sensor_is_named(folder):
+    data = replace(open_data(folder), nocontact={})
+    with pytest.raises(BadInput, match="nocontact/mini0.png"):
+        train(data, "pair", {**SMALL, "reads": "pair"}, {**SETTINGS, "epochs": 1})
 
 
 def test_damaged_and_foreign_model_files_are_refused(trained, tmp_path):
@@ -226,7 +280,7 @@ def test_damaged_and_foreign_model_files_are_refused(trained, tmp_path):
     torch.save({"weights": torch.zeros(2)}, path)
     with pytest.raises(BadInput, match="not a gelforge model"):
         load_model(path)
-    torch.save({"about": json.dumps({"format": 1} | trained.about), "tensors": {"a": torch.zeros(2)}}, path)
+    torch.save({"about": json.dumps({"format": 2} | trained.about), "tensors": {"a": torch.zeros(2)}, "untouched": {}}, path)
     with pytest.raises(BadInput, match="do not fit"):
         load_model(path)
     with pytest.raises(BadInput, match="no such model"):

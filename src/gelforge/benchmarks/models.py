@@ -19,7 +19,7 @@ from gelforge.files import read_json, write_csv, write_json
 from gelforge.networks.metrics import AXES
 
 IMAGE, GRID = (240, 320), (24, 32)
-BASELINE, LIGHT = "unet", "grid"
+BASELINE, LIGHT = "unet", "pair_32"
 PROBED = 24  # presses of the made-up dataset: three batches an epoch
 # Per cent of the force range, from the paper: 0.80 N of 40 N in z, about 0.26 N of 10 N in x and y.
 PERCENT_GOALS = {"fx": 2.0, "fy": 2.0, "fz": 1.5}
@@ -38,7 +38,8 @@ def write_made_up(folder: Path) -> Path:
     ]
     write_csv(folder / "samples.csv", list(rows[0]), rows)
     write_json(folder / "normalisation.json", {})
-    write_json(folder / "dataset.json", {"name": "made up", "grid": list(GRID)})
+    np.save(folder / "nocontact.npy", rng.integers(0, 256, (1, *IMAGE, 3), np.uint8))
+    write_json(folder / "dataset.json", {"name": "made up", "grid": list(GRID), "nocontact": ["none"]})
     return folder
 
 
@@ -52,12 +53,8 @@ def load_workflow() -> tuple[dict, dict]:
 def speed_figures(models: dict, seconds: float) -> list[Figure]:
     """How much faster the light net is than the U-net, with one and two threads."""
     from gelforge.networks.latency import time_models
-    from gelforge.networks.models import build
 
-    readers = {
-        name: untrained_reader(build({k: v for k, v in models[name].items() if k != "train"}, IMAGE, GRID))
-        for name in (BASELINE, LIGHT)
-    }
+    readers = {name: untrained_reader(models[name]) for name in (BASELINE, LIGHT)}
     image = np.random.default_rng(0).integers(0, 256, (*IMAGE, 3), np.uint8)
     figures = []
     for threads in (1, 2):
@@ -77,12 +74,14 @@ def speed_figures(models: dict, seconds: float) -> list[Figure]:
     return figures
 
 
-def untrained_reader(net):
-    """A network with unit scales, for timing."""
+def untrained_reader(model: dict):
+    """A network with fresh weights and unit scales, for timing."""
     from gelforge.networks.modelfile import Reader, Trained
+    from gelforge.networks.models import build
 
-    ones = [1.0, 1.0, 1.0]
-    return Reader(Trained(net.eval(), {"normalisation": {"image_mean": ones, "image_std": ones, "label": ones}}))
+    norm = dict.fromkeys(("image_mean", "image_std", "label"), [1.0, 1.0, 1.0]) | {"reads": model.get("reads", "image")}
+    trained = Trained(build(model, IMAGE, GRID).eval(), {"normalisation": norm})
+    return Reader(trained, np.zeros((*IMAGE, 3), np.uint8))
 
 
 def train_apart(dataset: Path, name: str, settings: dict, folder: Path):
@@ -152,7 +151,8 @@ def resume_figure(models: dict, settings: dict, folder: Path, dataset: Path) -> 
     torch.set_num_threads(settings["threads"])
     data = open_data(dataset)
     model, settings = resolve(models, LIGHT, settings | {"epochs": 4, "checkpoint_seconds": 0.0})
-    whole, cut, rest = (Training(model, settings, scales(data, False), IMAGE, GRID, "cpu") for _ in range(3))
+    norm = scales(data, False, model["reads"])
+    whole, cut, rest = (Training(model, settings, norm, IMAGE, GRID, "cpu") for _ in range(3))
     fit(whole, data)
     fit(cut, data, folder / "cut.checkpoint.pt", "one", epochs=2)
     fit(rest, data, folder / "cut.checkpoint.pt", "one")

@@ -33,7 +33,8 @@ def augment(images, settings: dict, generator):
 
     The order is the paper's; brightness, contrast, saturation and hue are linear in RGB, so they are one
     matrix and one offset per image. `settings` holds probability, noise (standard deviation), brightness,
-    contrast, saturation (half widths around 1) and hue (half width in turns).
+    contrast, saturation (half widths around 1) and hue (half width in turns). Of images (n, 6, h, w) the
+    second half is the untouched sensor: its colours vary as the image's do, and it gets no noise.
     """
     n = len(images)
     chosen = torch.rand(n, generator=generator) < settings["probability"]
@@ -44,20 +45,21 @@ def augment(images, settings: dict, generator):
     where = torch.nonzero(chosen).flatten()
     if len(where) == 0:
         return images
-    part = images[where]
-    noise = torch.empty_like(part).normal_(0, 1, generator=generator).mul_(settings["noise"])
-    part = part.add(noise).mul_(brightness[where, None, None, None])
-    luma = torch.einsum("c,nchw->n", RGB_TO_YIQ[0], part) / (part.shape[2] * part.shape[3])
-    factor = contrast[where, None, None, None]
-    part = part.mul_(factor).add_((1 - factor) * luma[:, None, None, None])
-    turned = torch.bmm(matrices[where], part.flatten(2)).view_as(part)
+    part = images[where].unflatten(1, (-1, 3))
+    noise = torch.empty_like(part[:, 0]).normal_(0, 1, generator=generator).mul_(settings["noise"])
+    part[:, 0] += noise
+    part.mul_(brightness[where, None, None, None, None])
+    luma = torch.einsum("c,nchw->n", RGB_TO_YIQ[0], part[:, 0]) / (part.shape[3] * part.shape[4])
+    factor = contrast[where, None, None, None, None]
+    part = part.mul_(factor).add_((1 - factor) * luma[:, None, None, None, None])
+    turned = (matrices[where, None] @ part.flatten(3)).view_as(part)
     images = images.clone()
-    images[where] = turned.clamp_(0, 1)
+    images[where] = turned.clamp_(0, 1).flatten(1, 2)
     return images
 
 
 def shift_together(images, labels, cells: int, generator) -> tuple[np.ndarray, np.ndarray]:
-    """Move each image (n, h, w, 3) and its label (n, 3, rows, cols) alike, by up to `cells` cells along both axes.
+    """Move each image (n, h, w, channels) and its label (n, 3, rows, cols) alike, by up to `cells` cells along both axes.
 
     What leaves one side comes in at the other, in both, so that no force is lost: half a contact at the rim is half
     the force. Places are drawn evenly, none moved or moved at random with equal odds.

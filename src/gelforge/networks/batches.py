@@ -8,6 +8,7 @@ import numpy as np
 import torch
 
 from gelforge.networks.augment import augment, shift_together
+from gelforge.networks.inputs import network_input
 
 STREAMS = {"order": 0, "augment": 1, "weights": 2, "shift": 3}
 
@@ -27,7 +28,7 @@ def epoch_order(rows, seed: int, epoch: int) -> np.ndarray:
 
 
 def images_to_tensor(images) -> torch.Tensor:
-    """Images (n, h, w, 3) uint8 to a contiguous float tensor (n, 3, h, w) in 0..1."""
+    """Images (n, h, w, channels) uint8 to a contiguous float tensor (n, channels, h, w) in 0..1."""
     return (
         torch.from_numpy(np.require(images, requirements=["C", "W"]))
         .permute(0, 3, 1, 2)
@@ -47,18 +48,17 @@ def target(labels, norm: dict, total_only: bool) -> torch.Tensor:
 
 
 def training_batches(data, norm: dict, settings: dict, epoch: int, total_only: bool):
-    """Yield (images, target) of one epoch, augmented, images in the network's units."""
+    """Yield (input, target) of one epoch, augmented, both in the network's units."""
     order = epoch_order(data.splits["train"], settings["seed"], epoch)
-    mean, std = (torch.tensor(norm[key]).float().view(1, 3, 1, 1) for key in ("image_mean", "image_std"))
     draw, place = (generator(settings["seed"], stream, epoch) for stream in ("augment", "shift"))
     for start in range(0, len(order), settings["batch"]):
         # Sorted rows read the mapped file forwards; the order inside a batch changes nothing but rounding.
         rows = np.sort(order[start : start + settings["batch"]])
-        images, labels = data.images[rows], data.labels[rows]
+        pictures, labels = data.seen(rows, norm["reads"]), data.labels[rows]
         if settings["shift_cells"]:
-            images, labels = shift_together(images, labels, settings["shift_cells"], place)
-        images = augment(images_to_tensor(images), settings["augment"], draw)
-        yield (images - mean) / std, target(labels, norm, total_only)
+            pictures, labels = shift_together(pictures, labels, settings["shift_cells"], place)
+        pictures = augment(images_to_tensor(pictures), settings["augment"], draw)
+        yield network_input(pictures, norm), target(labels, norm, total_only)
 
 
 class Ahead:

@@ -8,8 +8,9 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.files import read_csv, read_json
+from gelforge.networks.inputs import needs_untouched
 
-FILES = ("images.npy", "labels.npy", "samples.csv", "normalisation.json", "dataset.json")
+FILES = ("images.npy", "labels.npy", "nocontact.npy", "samples.csv", "normalisation.json", "dataset.json")
 TRAINING, VALIDATION = "train", "val"
 CHUNK = 256
 # Below this a split says nothing about an error and batch statistics nothing about a layer.
@@ -21,7 +22,8 @@ class Data:
     """One dataset of stage 60, its arrays mapped from disk.
 
     images (n, height, width, 3) uint8 RGB; labels (n, 3, rows, cols) float32 N per cell, channels and
-    signs as FEATS; table has one dict of strings per sample; splits gives row numbers by name.
+    signs as FEATS; table has one dict of strings per sample; splits gives row numbers by name; nocontact
+    has the picture (height, width, 3) uint8 RGB of each sensor that was photographed untouched.
     """
 
     folder: Path
@@ -31,6 +33,7 @@ class Data:
     splits: dict[str, np.ndarray]
     info: dict
     normalisation: dict
+    nocontact: dict[str, np.ndarray]
 
     @property
     def image_size(self) -> tuple[int, int]:
@@ -47,6 +50,25 @@ class Data:
     def names(self, column: str) -> np.ndarray:
         """One column of samples.csv as text (n,)."""
         return np.array([row.get(column, "") for row in self.table])
+
+    def untouched(self, rows) -> np.ndarray:
+        """Pictures (k, height, width, 3) uint8 RGB of the sensors of some rows, taken while nothing touched them."""
+        names = [self.table[row]["sensor_id"] for row in rows]
+        missing = sorted(set(names) - set(self.nocontact))
+        if missing:
+            raise BadInput(
+                f"{self.folder}: no picture of the untouched sensor {', '.join(missing)}, from which this network reads "
+                f"differences: put nocontact/{missing[0]}.png into the dataset's data folder and make the dataset "
+                "again, or choose a MODEL without `reads` in workflow/models.toml"
+            )
+        return np.stack([self.nocontact[name] for name in names])
+
+    def seen(self, rows, reads: str) -> np.ndarray:
+        """What a network with `reads` (workflow/models.toml) is given of some rows, uint8 (k, height, width, 3), or 6 with a picture
+        of the untouched sensor behind each image."""
+        if not needs_untouched(reads):
+            return self.images[rows]
+        return np.concatenate([self.images[rows], self.untouched(rows)], axis=3)
 
     def presses(self, rows) -> np.ndarray:
         """What tells the presses of some rows apart, (k,): several images may show one; where unknown, none does."""
@@ -66,14 +88,15 @@ def open_data(folder) -> Data:
     for name in FILES:
         if not (folder / name).exists():
             raise BadInput(f"{folder}: {name} is missing; make it with `make dataset`, RES being the grid you want")
-    images, labels = map_array(folder / "images.npy"), map_array(folder / "labels.npy")
+    images, labels, pictures = (map_array(folder / f"{name}.npy") for name in ("images", "labels", "nocontact"))
     table = read_csv(folder / "samples.csv")
     info = read_json(folder / "dataset.json")
     check_shapes(folder, images, labels, table, info)
     check_finite(folder, labels, table)
     split = np.array([row["split"] for row in table])
     splits = {str(name): np.flatnonzero(split == name) for name in np.unique(split)}
-    return Data(folder, images, labels, table, splits, info, read_json(folder / "normalisation.json"))
+    nocontact = match_pictures(folder, info, pictures, images)
+    return Data(folder, images, labels, table, splits, info, read_json(folder / "normalisation.json"), nocontact)
 
 
 def map_array(path: Path) -> np.ndarray:
@@ -105,6 +128,17 @@ def check_shapes(folder, images, labels, table, info) -> None:
         )
 
 
+def match_pictures(folder, info, pictures, images) -> dict[str, np.ndarray]:
+    """Pictures of untouched sensors by name; BadInput where they fit neither their names nor the images."""
+    names = info.get("nocontact", [])
+    if pictures.dtype != np.uint8 or pictures.shape != (len(names), *images.shape[1:]):
+        raise BadInput(
+            f"{folder}/nocontact.npy: expected uint8 {(len(names), *images.shape[1:])}, got {pictures.dtype} "
+            f"{pictures.shape}; make the dataset again"
+        )
+    return {name: np.array(picture) for name, picture in zip(names, pictures, strict=True)}
+
+
 def check_finite(folder, labels, table) -> None:
     """Raise BadInput naming the first sample whose label is not finite."""
     for start in range(0, len(labels), CHUNK):
@@ -132,7 +166,7 @@ def require_splits(data: Data) -> None:
 def data_version(data: Data) -> str:
     """Fingerprint of a dataset: everything but the images, of which every 64th enters."""
     digest = hashlib.sha256()
-    for name in ("samples.csv", "normalisation.json", "dataset.json"):
+    for name in ("samples.csv", "normalisation.json", "dataset.json", "nocontact.npy"):
         digest.update((data.folder / name).read_bytes())
     for start in range(0, len(data.labels), CHUNK):
         digest.update(np.ascontiguousarray(data.labels[start : start + CHUNK]).tobytes())
@@ -141,11 +175,12 @@ def data_version(data: Data) -> str:
     return digest.hexdigest()[:16]
 
 
-def scales(data: Data, total_only: bool) -> dict:
+def scales(data: Data, total_only: bool, reads: str = "image") -> dict:
     """What training scales by: image mean and deviation per channel, and the labels' root mean square.
 
     Zero force is zero in scaled units too, because labels are divided and never shifted. Where the
-    network only knows totals (`total_only`), `label` is the totals' root mean square.
+    network only knows totals (`total_only`), `label` is the totals' root mean square. `reads` is kept
+    beside them: the three together make a network's input of pictures.
     """
     rows = data.splits[TRAINING]
     sums, squares, cells = np.zeros(3), np.zeros(3), np.zeros(3)
@@ -164,6 +199,7 @@ def scales(data: Data, total_only: bool) -> dict:
     if (cell == 0).any():
         raise BadInput(f"{data.folder}: a force component is zero in every training label; nothing can be learnt")
     return {
+        "reads": reads,
         "image_mean": mean.tolist(),
         "image_std": np.sqrt(np.maximum(squares / n - mean**2, 1e-6)).tolist(),
         "label": (total if total_only else cell).tolist(),

@@ -1,6 +1,7 @@
 """A model as ONNX, checked against torch before it is published.
 
-The graph takes images (n, 3, height, width) float32 RGB in 0..255 and gives N per cell; the scales are inside.
+The graph takes `image` (n, 3, height, width) float32 RGB in 0..255 and gives `forces`, N per cell; the scales are
+inside. That of a network that reads differences also takes `untouched` (1, 3, height, width), in the same units.
 """
 
 import argparse
@@ -20,52 +21,77 @@ def export(trained, path) -> None:
     """Write a model as ONNX to exactly `path`, by torch's tracing exporter, which needs no other package."""
     import torch
 
-    from gelforge.networks.modelfile import Reader
-
-    reader = Reader(trained).eval()
-    images = torch.zeros(1, 3, *trained.about["image"])
+    graph, inputs = on_tensors(trained), {"image": torch.zeros(1, 3, *trained.about["image"])}
+    if trained.needs_untouched:
+        inputs["untouched"] = torch.zeros_like(inputs["image"])
     with warnings.catch_warnings():
         # torch prefers an exporter that needs onnx and onnxscript; these networks do not.
         warnings.simplefilter("ignore", DeprecationWarning)
         torch.onnx.export(
-            reader,
-            (images,),
+            graph,
+            tuple(inputs.values()),
             str(path),
             dynamo=False,
             opset_version=OPSET,
-            input_names=["image"],
+            input_names=list(inputs),
             output_names=["forces"],
             dynamic_axes={"image": {0: "n"}, "forces": {0: "n"}},
         )
 
 
-def run_onnx(path, images) -> dict[str, np.ndarray]:
-    """Run an ONNX file on images (n, 3, h, w) with every engine at hand: OpenCV's, and ONNX Runtime if installed."""
+def on_tensors(trained):
+    """The network as a module of its pictures: images, and the untouched sensor where it reads differences."""
+    import torch
+
+    from gelforge.networks.modelfile import Reader
+
+    class Pair(torch.nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.reader = Reader(trained, np.zeros((*trained.about["image"], 3), np.uint8))
+
+        def forward(self, images, untouched=None):
+            return self.reader.against(images, untouched)
+
+    return Pair().eval()
+
+
+def run_onnx(path, images, untouched=None) -> dict[str, np.ndarray]:
+    """Run an ONNX file on images (n, 3, h, w) with every engine at hand: OpenCV's, and ONNX Runtime if installed.
+
+    untouched: (1, 3, h, w), where the graph takes it.
+    """
     import cv2
 
     net = cv2.dnn.readNetFromONNX(str(path))
+    others = {} if untouched is None else {"untouched": untouched}
     results = []
     for image in images:
-        net.setInput(image[None])
+        for name, value in ({"image": image[None]} | others).items():
+            net.setInput(value, name)
         results.append(net.forward()[0])
     outputs = {"opencv": np.stack(results)}
     if importlib.util.find_spec("onnxruntime"):
         import onnxruntime
 
         session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
-        outputs["onnxruntime"] = np.concatenate([session.run(None, {"image": image[None]})[0] for image in images])
+        outputs["onnxruntime"] = np.concatenate([session.run(None, {"image": image[None]} | others)[0] for image in images])
     return outputs
 
 
 def largest_difference(trained, path, images) -> dict[str, float]:
-    """Largest difference between an ONNX file and torch on images (n, h, w, 3) uint8, as a share of the range."""
+    """Largest difference between an ONNX file and torch on images (n, h, w, 3) uint8, as a share of the range.
+
+    The last image serves as the untouched sensor, where the network reads differences.
+    """
     from gelforge.networks.latency import predict_images
     from gelforge.networks.modelfile import Reader
 
-    wanted = predict_images(Reader(trained).eval(), images)
+    wanted = predict_images(Reader(trained, images[-1]).eval(), images)
     span = float(np.ptp(wanted)) or 1.0
     tensors = np.ascontiguousarray(images.transpose(0, 3, 1, 2)).astype(np.float32)
-    return {engine: float(np.abs(got - wanted).max() / span) for engine, got in run_onnx(path, tensors).items()}
+    found = run_onnx(path, tensors, tensors[-1:] if trained.needs_untouched else None)
+    return {engine: float(np.abs(got - wanted).max() / span) for engine, got in found.items()}
 
 
 def sample_images(size, count: int = 4) -> np.ndarray:

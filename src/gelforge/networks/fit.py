@@ -13,6 +13,7 @@ from torch.nn import functional as F
 from gelforge.errors import BadInput, GelforgeError
 from gelforge.files import publish
 from gelforge.networks.batches import Ahead, generator, images_to_tensor, training_batches
+from gelforge.networks.inputs import network_input
 from gelforge.networks.modelfile import read_tensors
 from gelforge.networks.models import build
 from gelforge.progress import progress
@@ -39,16 +40,13 @@ def loss_of(output, wanted, scale, total_scale, total_weight: float):
 
 def predict_rows(net, data, rows, norm: dict, batch: int = 8, device: str = "cpu") -> np.ndarray:
     """Predict forces (k, 3, rows, cols) in N per cell for some rows of a dataset; `net` is put in evaluation mode."""
-    mean, std, scale = (
-        torch.tensor(norm[key], device=device).float().view(1, 3, 1, 1)
-        for key in ("image_mean", "image_std", "label")
-    )
+    scale = torch.tensor(norm["label"], device=device).float().view(1, 3, 1, 1)
     net.eval()
     parts = []
     with torch.inference_mode():
         for start in range(0, len(rows), batch):
-            images = images_to_tensor(data.images[rows[start : start + batch]]).to(device)
-            parts.append((net((images - mean) / std) * scale).cpu().numpy())
+            pictures = images_to_tensor(data.seen(rows[start : start + batch], norm["reads"])).to(device)
+            parts.append((net(network_input(pictures, norm)) * scale).cpu().numpy())
     return np.concatenate(parts) if parts else np.zeros((0, 3, 1, 1), np.float32)
 
 
@@ -91,16 +89,13 @@ def settle_batch_norm(net, data, norm: dict, settings: dict, device: str) -> Non
         return
     rows = data.splits["train"]
     rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), settings["settle_images"])).astype(int)]
-    mean, std = (
-        torch.tensor(norm[key], device=device).float().view(1, 3, 1, 1) for key in ("image_mean", "image_std")
-    )
     for layer in layers:
         layer.reset_running_stats()
         layer.momentum = None  # a plain average over the batches
     net.train()
     with torch.no_grad():
         for part in np.array_split(rows, max(1, len(rows) // settings["batch"])):
-            net((images_to_tensor(data.images[part]).to(device) - mean) / std)
+            net(network_input(images_to_tensor(data.seen(part, norm["reads"])).to(device), norm))
 
 
 def mixes_precision(settings: dict, device: str) -> bool:

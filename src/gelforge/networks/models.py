@@ -1,6 +1,6 @@
 """The network families: the paper's U-net, ResNet-34 to total force, and light nets on the label grid.
 
-Every network maps images (n, 3, height, width), normalised, to (n, 3, rows, cols) in label units of
+Every network maps an input (n, channels, height, width), normalised, to (n, 3, rows, cols) in label units of
 its training scale. A network that only knows total force has a grid of one cell.
 """
 
@@ -9,6 +9,7 @@ from torch import nn
 from torch.nn import functional as F
 
 from gelforge.errors import BadInput
+from gelforge.networks import inputs
 
 COMPONENTS = 3
 
@@ -40,10 +41,10 @@ class UNet(nn.Module):
     in the paper.
     """
 
-    def __init__(self, grid, widths=(16, 32, 64, 128, 256), outputs: int = COMPONENTS):
+    def __init__(self, grid, widths=(16, 32, 64, 128, 256), channels: int = 3, outputs: int = COMPONENTS):
         super().__init__()
         self.grid = tuple(grid)
-        down = (3, *widths)
+        down = (channels, *widths)
         up = tuple(reversed(widths))
         self.down = nn.ModuleList(DoubleConvolution(a, b) for a, b in zip(down, down[1:]))
         self.lift = nn.ModuleList(nn.ConvTranspose2d(a, b, 2, 2) for a, b in zip(up, up[1:]))
@@ -68,9 +69,9 @@ class SingleChannelUNets(nn.Module):
     of the best epoch and the learning rate's schedule are common to the three.
     """
 
-    def __init__(self, grid, widths=(16, 32, 64, 128, 256)):
+    def __init__(self, grid, widths=(16, 32, 64, 128, 256), channels: int = 3):
         super().__init__()
-        self.nets = nn.ModuleList(UNet(grid, widths, outputs=1) for _ in range(COMPONENTS))
+        self.nets = nn.ModuleList(UNet(grid, widths, channels, outputs=1) for _ in range(COMPONENTS))
 
     def forward(self, x):
         return torch.cat([net(x) for net in self.nets], dim=1)
@@ -100,9 +101,9 @@ class BasicBlock(nn.Module):
 class ResNetTotal(nn.Module):
     """ResNet to total force, (n, 3, 1, 1); blocks (3, 4, 6, 3) make ResNet-34 (He et al. 2016, table 1)."""
 
-    def __init__(self, blocks=(3, 4, 6, 3), widths=(64, 128, 256, 512)):
+    def __init__(self, blocks=(3, 4, 6, 3), widths=(64, 128, 256, 512), channels: int = 3):
         super().__init__()
-        self.stem = nn.Conv2d(3, widths[0], 7, 2, 3, bias=False)
+        self.stem = nn.Conv2d(channels, widths[0], 7, 2, 3, bias=False)
         self.stem_norm = nn.BatchNorm2d(widths[0])
         layers, before = [], widths[0]
         for level, (count, width) in enumerate(zip(blocks, widths)):
@@ -129,10 +130,10 @@ class GridNet(nn.Module):
     :param blocks: residual blocks at the grid.
     """
 
-    def __init__(self, image, grid, width: int = 16, blocks: int = 3):
+    def __init__(self, image, grid, width: int = 16, blocks: int = 3, channels: int = 3):
         super().__init__()
         first, *rest = strides(image, grid)
-        self.stem = nn.Conv2d(3, width, first + 2, first, 1, bias=False)
+        self.stem = nn.Conv2d(channels, width, first + 2, first, 1, bias=False)
         self.stem_norm = nn.BatchNorm2d(width)
         self.early = BasicBlock(width, width)
         self.down = nn.Sequential(
@@ -178,10 +179,11 @@ def strides(image, grid) -> list[int]:
 def build(config: dict, image, grid) -> nn.Module:
     """Build the network that `config` describes, with fresh weights from torch's current seed.
 
-    :param config: one table of workflow/models.toml: `kind` and the sizes of that kind.
+    :param config: one table of workflow/models.toml: `kind`, the sizes of that kind, and what it `reads`.
     :param image: (height, width) in pixels. :param grid: (rows, cols) of the label.
     """
-    sizes = {key: value for key, value in config.items() if key not in ("kind", "note", "train")}
+    sizes = {key: value for key, value in config.items() if key not in ("kind", "note", "train", "reads")}
+    sizes["channels"] = inputs.channels(config.get("reads", "image"))
     kinds = {
         "unet": lambda: UNet(grid, **sizes),
         "unet_single": lambda: SingleChannelUNets(grid, **sizes),

@@ -68,11 +68,29 @@ def fit_to_images(images, train_rows, held_out_rows, most: int = 500) -> dict:
     return fit(described(train_rows), described(held_out_rows))
 
 
-def judge(model: dict, image) -> dict:
-    """Score one image and say whether it is unlike the training images, and in what: `score`, `flag`, `reason`."""
+def distance(image, untouched) -> float:
+    """Median over the pixels of how far an image is from the untouched sensor, grey levels; images (h, w, 3) uint8.
+
+    A press changes fewer than half of the pixels by much: another sensor's light changes most.
+    """
+    return float(np.median(np.abs(image.astype(np.int16) - untouched).mean(2)))
+
+
+def largest_distance(pairs) -> float:
+    """`distance` beyond which a picture is of another sensor, from pairs (n, h, w, 6) of image and untouched sensor."""
+    return MARGIN * max(distance(pair[..., :3], pair[..., 3:]) for pair in pairs)
+
+
+def judge(model: dict, image, untouched=None) -> dict:
+    """Score one image and say whether it is unlike the training images, and in what: `score`, `flag`, `reason`.
+
+    `untouched` is the picture of its sensor, where the network reads differences.
+    """
     statistics = describe(image)
     value = score(model, statistics)
     if value <= model["threshold"]:
+        if untouched is not None and distance(image, untouched) > model["largest_distance"]:
+            return {"score": value, "flag": True, "reason": "another sensor than the untouched one"}
         return {"score": value, "flag": False, "reason": ""}
     off = np.abs(statistics - model["mean"]) / model["spread"]
     groups = {"colour": off[:12].max(), "contrast": off[12:15].max(), "sharpness": off[15], "dots": off[16:].max()}

@@ -1,0 +1,44 @@
+"""What a network reads: the image, how it differs from the untouched sensor, or the pair of both.
+
+A sheared gel shows in dots that moved by fractions of a pixel. From one image a network has to know where each dot
+was; beside a picture of the same sensor before it was touched the displacement lies open, also on a sensor that the
+network never saw. Tactile cameras are commonly read against such a first frame (GelSight: Yuan, Dong and Adelson
+2017, Sensors 17(12) 2762).
+"""
+
+import torch
+
+from gelforge.errors import BadInput
+
+CHANNELS = {"image": 3, "difference": 3, "pair": 6}
+
+
+def channels(reads: str) -> int:
+    """Channels of the input of a network with `reads` of workflow/models.toml."""
+    if reads not in CHANNELS:
+        raise BadInput(f"workflow/models.toml: reads = {reads!r}; use one of {', '.join(CHANNELS)}")
+    return CHANNELS[reads]
+
+
+def needs_untouched(reads: str) -> bool:
+    """Whether such a network needs a picture of the untouched sensor beside each image."""
+    channels(reads)
+    return reads != "image"
+
+
+def network_input(pictures: torch.Tensor, norm: dict) -> torch.Tensor:
+    """Input (n, 3 or 6, h, w) of a network in its own units.
+
+    :param pictures: (n, 3, h, w) images in 0..1; where `norm["reads"]` says that the untouched sensor is needed,
+        (n, 6, h, w) with its picture behind the image.
+    :param norm: what networks.data.scales returns.
+    """
+    mean, std = (
+        torch.tensor(norm[key], device=pictures.device).float().view(1, 3, 1, 1) for key in ("image_mean", "image_std")
+    )
+    parts = []
+    if norm["reads"] != "difference":
+        parts.append((pictures[:, :3] - mean) / std)
+    if norm["reads"] != "image":
+        parts.append((pictures[:, :3] - pictures[:, 3:]) / std)
+    return torch.cat(parts, 1) if len(parts) > 1 else parts[0]
