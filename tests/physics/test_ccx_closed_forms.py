@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from block_meshes import kuhn
 from scipy.optimize import brentq
 
 from gelforge.mechanics.ccx_deck import material_lines, mesh_include
@@ -10,7 +9,7 @@ from gelforge.mechanics.ccx_run import run_ccx
 from gelforge.mechanics.dat import last_table, read_dat
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.scene import Material
-from gelforge.mechanics.tet import boundary_faces, second_order
+from gelforge.mechanics.tet import boundary_faces, kuhn_grid, second_order
 from gelforge.mechanics.tetsolid import TetSolid
 
 MATERIAL = Material()
@@ -19,7 +18,7 @@ SIDE = np.linspace(0.0, 1.0, 3)
 
 def cube() -> GelMesh:
     """The unit cube; every boundary node counts as top, the side z = 0 is the base."""
-    corners, tets = kuhn((SIDE, SIDE, SIDE))
+    corners, tets = kuhn_grid((SIDE, SIDE, SIDE))
     nodes, elements, midside = second_order(corners, tets)
     faces = boundary_faces(tets)
     middles = [[midside[tuple(sorted((f[i], f[(i + 1) % 3])))] for i in range(3)] for f in faces.tolist()]

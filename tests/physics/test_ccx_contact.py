@@ -4,13 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from block_meshes import block_mesh
 
 from gelforge.geometry.gel import Gel
 from gelforge.mechanics.ccx import CcxSettings, CcxSolver
 from gelforge.mechanics.ccx_contact import SLIDE, STICK, Contact, spring_rows
 from gelforge.mechanics.hex import HexSettings, solve_hex
 from gelforge.mechanics.scene import Interface, Material, Press, Scene, Status
+from gelforge.mechanics.tet import symmetric_block
 from gelforge.mechanics.tetcontact import contact_blocks, contact_forces
 from gelforge.mechanics.tetface import dunavant12, face_points
 
@@ -49,13 +49,13 @@ def scene(law, dx=0.0, depth=0.5):
 @pytest.fixture(scope="module")
 def solver(ccx, tmp_path_factory):
     return CcxSolver(
-        block_mesh(PAD, 1.0, 3), tmp_path_factory.mktemp("ccx"), CcxSettings(press_steps=3, shear_steps=2)
+        symmetric_block(PAD, 1.0, 3), tmp_path_factory.mktemp("ccx"), CcxSettings(press_steps=3, shear_steps=2)
     )
 
 
 @pytest.fixture(scope="module")
 def mesh():
-    return block_mesh(PAD, 1.75, 2)
+    return symmetric_block(PAD, 1.75, 2)
 
 
 def test_face_rule_is_exact_to_degree_six():

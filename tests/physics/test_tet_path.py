@@ -5,13 +5,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from block_meshes import block_mesh
 
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
 from gelforge.mechanics.ccx import CcxSettings, CcxSolver
 from gelforge.mechanics.hex import first_touch
 from gelforge.mechanics.scene import Interface, Material, Press, Scene
+from gelforge.mechanics.tet import symmetric_block
 from gelforge.mechanics.tetcontact import PathSettings, contact_forces, follow
 from gelforge.mechanics.tetface import face_points
 from gelforge.mechanics.tetsolid import TetSolid
@@ -39,7 +39,7 @@ def scene(law="no_slip", depth=0.6, dx=0.2):
 
 @pytest.fixture(scope="module")
 def mesh():
-    return block_mesh(PAD, 1.2, 3)
+    return symmetric_block(PAD, 1.2, 3)
 
 
 @pytest.fixture(scope="module")

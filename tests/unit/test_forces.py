@@ -2,15 +2,15 @@
 
 import numpy as np
 import pytest
-from block_meshes import block_mesh
 
 from gelforge.errors import BadInput
 from gelforge.files import write_json
 from gelforge.forces import dat_forces, material_c10
 from gelforge.geometry.gel import GELS
 from gelforge.mechanics.scene import Status
+from gelforge.mechanics.tet import symmetric_block
 
-MESH = block_mesh(GELS["gelsight_mini"], 6.0, 1)
+MESH = symmetric_block(GELS["gelsight_mini"], 6.0, 1)
 
 
 def table(quantity, name, nodes, values):

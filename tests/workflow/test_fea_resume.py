@@ -10,12 +10,12 @@ import time
 
 import numpy as np
 import pytest
-from block_meshes import block_mesh
 
 from gelforge import fea, forces
 from gelforge.files import read_csv, write_json
 from gelforge.geometry.gel import GELS
 from gelforge.mechanics.forcefile import ForceFile
+from gelforge.mechanics.tet import symmetric_block
 
 GEL = GELS["gelsight_mini"]
 HEADER = "sample_id,sensor_id,gel_id,indenter,x0_mm,y0_mm,z0_mm,dx_mm,dy_mm,dz_mm,rot_deg\n"
@@ -27,7 +27,7 @@ FEA = {"fidelity": "ccx-fine", "fine_meshes": ["wide-2.6"], "press_steps": 2, "s
 def folder(tmp_path):
     """Inputs of stage 30: three presses, one coarse mesh."""
     (tmp_path / "20_meshes").mkdir()
-    mesh = block_mesh(GEL, 2.6, 2)
+    mesh = symmetric_block(GEL, 2.6, 2)
     mesh.save(tmp_path / "20_meshes" / "ccx-wide-2.6.npz")
     report = {"engine": "ccx", "region": "wide", "size": 2.6, "half_mm": [10, 12], "nodes": len(mesh.nodes)}
     write_json(tmp_path / "20_meshes" / "ccx-wide-2.6.json", report)

@@ -265,12 +265,12 @@ def block_shear(folder: Path) -> dict[str, float]:
     """Sideways over normal force by engine, of a plate and of a sphere that slide before they touch."""
     from gelforge.mechanics.ccx import CcxSolver
     from gelforge.mechanics.hex import HexSettings, HexSolver
-    from gelforge.mechanics.tet import gel_mesh
+    from gelforge.mechanics.tet import symmetric_block
 
     gel = Block()
     bodies = {"plate": {"kind": "cuboid", "size": [12, 12], "fillet": 0.5, "height": 10},
               "sphere": {"kind": "sphere", "diameter": 15, "height": 10}}  # fmt: skip
-    tets = CcxSolver(gel_mesh(gel, lambda p: np.full(len(p), 1.3)), folder)
+    tets = CcxSolver(symmetric_block(gel, 1.0, 4), folder)
     solvers = {"hex": HexSolver(HexSettings(size=0.8, layers=4)), "ccx": tets}
     found = {}
     for shape, table in bodies.items():

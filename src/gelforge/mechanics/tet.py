@@ -1,6 +1,7 @@
 """Second-order tetrahedra: the gel with a sizing field, and the quality of a mesh."""
 
 import contextlib
+import itertools
 import tempfile
 
 import numpy as np
@@ -56,20 +57,42 @@ def sizing_grid(gel: Gel, size, step: float = SIZING_STEP_MM) -> tuple[np.ndarra
         for extent in (gel.width, gel.length)
     ]
     axes.append(np.linspace(-gel.height - margin, margin, int(np.ceil(gel.height / step)) + 3))
+    vertices, tets = kuhn_grid(axes)
+    return vertices, tets.astype(np.int32), size(vertices)
+
+
+def kuhn_grid(axes) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes (n, 3) and tetrahedra (e, 4) of a grid with lines `axes` (x, y, z), six to a cell (Kuhn 1960)."""
     points = np.stack(np.meshgrid(*axes, indexing="ij"), -1)
     index = np.arange(points[..., 0].size).reshape(points.shape[:3])
     corner = {
         (i, j, k): index[i : index.shape[0] - 1 + i, j : index.shape[1] - 1 + j, k : index.shape[2] - 1 + k].ravel()
-        for i in (0, 1) for j in (0, 1) for k in (0, 1)
-    }  # fmt: skip
+        for i, j, k in itertools.product((0, 1), repeat=3)
+    }
     tets = []
-    for order in ((0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0)):  # Kuhn's six per cube
+    for order in itertools.permutations(range(3)):
         path = [(0, 0, 0)]
         for axis in order:
             path.append(tuple(1 if a == axis else v for a, v in enumerate(path[-1])))
         tets.append(np.column_stack([corner[p] for p in path]))
     vertices = points.reshape(-1, 3)
-    return vertices, orient(vertices, np.concatenate(tets)).astype(np.int32), size(vertices)
+    return vertices, orient(vertices, np.concatenate(tets))
+
+
+def symmetric_block(gel: Gel, size: float, layers: int) -> GelMesh:
+    """Second-order tetrahedra of a gel without rounded corners: cells of about `size`, symmetric about x = 0 and y = 0.
+
+    For laws that a lopsided mesh would blur; layers grow thinner towards the top.
+    """
+    x, y = (np.linspace(0, extent / 2, max(1, round(extent / 2 / size)) + 1) for extent in (gel.width, gel.length))
+    z = -gel.height + gel.height * np.sin(np.linspace(0, np.pi / 2, layers + 1))
+    nodes, tets = kuhn_grid((x, y, z))
+    for axis in (0, 1):
+        mirrored = nodes * np.where(np.arange(3) == axis, -1.0, 1.0)
+        tets = np.concatenate([tets, tets + len(nodes)])
+        nodes, same = np.unique(np.round(np.concatenate([nodes, mirrored]), 9) + 0.0, axis=0, return_inverse=True)
+        tets = same.ravel()[tets]
+    return from_flat(gel, nodes, tets)
 
 
 def orient(nodes: np.ndarray, tets: np.ndarray) -> np.ndarray:
