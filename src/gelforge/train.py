@@ -21,11 +21,14 @@ def read_models(path) -> dict:
 
 
 def resolve(models: dict, name: str, train: dict) -> tuple[dict, dict]:
-    """Return the table of model `name` and the training settings with the model's own laid over them."""
+    """Return the table of model `name` and the training settings with those of its kind and its own laid over them."""
     if name not in models:
         raise BadInput(f"MODEL={name}: no such model in workflow/models.toml; known: {', '.join(sorted(models))}")
     model = dict(models[name])
     own = model.pop("train", {})
+    train = dict(train)
+    of_kind = train.pop("epochs_of").get(model.get("kind"), 0)
+    train["epochs"] = of_kind or train["epochs"]
     unknown = sorted(set(own) - set(train))
     if unknown:
         raise BadInput(f"workflow/models.toml [{name}.train]: no such setting in [train]: {', '.join(unknown)}")

@@ -26,6 +26,7 @@ from gelforge.train import resolve, train
 
 SMALL = {"kind": "grid", "width": 8, "blocks": 1}
 IMAGE, GRID = (48, 64), (6, 8)
+TABLE = {**SETTINGS, "epochs_of": {}}
 LEARNING = {"epochs": 40, "learning_rate": 4e-3, "schedule": "cosine", "total_weight": 1.0}
 
 
@@ -73,7 +74,15 @@ def test_every_network_of_the_table_builds(root):
     for name in models:
         model, own = resolve(models, name, settings)
         assert build(model, (240, 320), (24, 32)) is not None
-        assert own.keys() == settings.keys()
+        assert own.keys() == settings.keys() - {"epochs_of"}
+        assert own["epochs"] == settings["epochs"]
+
+
+def test_a_kind_may_get_epochs_of_its_own():
+    settings = {**SETTINGS, "epochs_of": {"resnet": 7, "grid": 0}}
+    assert resolve({"small": SMALL}, "small", settings)[1]["epochs"] == SETTINGS["epochs"]
+    assert resolve({"total": {"kind": "resnet"}}, "total", settings)[1]["epochs"] == 7
+    assert resolve({"total": {"kind": "resnet", "train": {"epochs": 9}}}, "total", settings)[1]["epochs"] == 9
 
 
 @pytest.mark.parametrize("image, grid", [((240, 320), (7, 9)), ((240, 320), (24, 24)), ((24, 32), (24, 32))])
@@ -88,9 +97,9 @@ def test_unknown_kind_and_wrong_size_are_named():
     with pytest.raises(BadInput, match="depth"):
         build({"kind": "grid", "depth": 3}, IMAGE, GRID)
     with pytest.raises(BadInput, match="MODEL=nothing"):
-        resolve({"grid": SMALL}, "nothing", SETTINGS)
+        resolve({"grid": SMALL}, "nothing", TABLE)
     with pytest.raises(BadInput, match="epoch"):
-        resolve({"grid": {**SMALL, "train": {"epoch": 3}}}, "grid", SETTINGS)
+        resolve({"grid": {**SMALL, "train": {"epoch": 3}}}, "grid", TABLE)
 
 
 def test_colours_keep_luma_and_grey():

@@ -126,11 +126,15 @@ def second_order(nodes: np.ndarray, tets: np.ndarray) -> tuple[np.ndarray, np.nd
     return np.concatenate([nodes, middles]), elements, midside
 
 
-def gel_mesh(gel: Gel, size, threads: int = 1, step: float = SIZING_STEP_MM) -> GelMesh:
+def gel_mesh(
+    gel: Gel, size, threads: int = 1, step: float = SIZING_STEP_MM, hold: float | None = None
+) -> GelMesh:
     """Mesh the gel with second-order tetrahedra.
 
     gel: the pad. size: points (n, 3) mm -> edge lengths (n,) mm, on the flat pad (top at z = 0). step:
-    spacing, mm, of the grid on which sizes are told, between whose points they are interpolated.
+    spacing, mm, of the grid on which sizes are told, between whose points they are interpolated. hold: edges
+    longer than so many sizes are split (None: they stay as pytetwild leaves them, two to three sizes long where
+    the fine part is small).
     The pad is meshed as a flat prism and then bent column by column onto `gel.top`, so that every
     top node, midsides included, lies on the exact surface and every base node on z = -height.
     """
@@ -140,7 +144,37 @@ def gel_mesh(gel: Gel, size, threads: int = 1, step: float = SIZING_STEP_MM) -> 
         vertices, faces, edge_length_abs=float(values.max()), epsilon=2e-4, num_threads=threads,
         bg_vertices=background, bg_tets=bg_tets, bg_values=values,
     )  # fmt: skip
+    if hold is not None:
+        nodes, tets = split_long_edges(nodes, tets, lambda points: hold * size(points))
     return from_flat(gel, nodes, tets)
+
+
+def split_long_edges(nodes: np.ndarray, tets: np.ndarray, longest) -> tuple[np.ndarray, np.ndarray]:
+    """Halve edges longer than longest(points (n, 3)) -> (n,) mm at their midpoints, until none is left.
+
+    An edge is halved in all elements (e, 4) around it at once, so that the mesh stays conforming, and only where it
+    is the longest to halve in each: longest-edge bisection (Rivara 1984), under which shapes stay sound.
+    """
+    while True:
+        pairs = np.sort(tets[:, EDGES], axis=2).reshape(-1, 2)
+        edges, of = np.unique(pairs, axis=0, return_inverse=True)
+        of = of.reshape(-1, 6)
+        length = np.linalg.norm(nodes[edges[:, 0]] - nodes[edges[:, 1]], axis=1)
+        long = length > longest(nodes[edges].mean(axis=1))
+        if not long.any():
+            return nodes, tets
+        rank = np.empty(len(edges), int)
+        rank[np.argsort(length, kind="stable")] = np.arange(len(edges))
+        own = np.where(long[of], rank[of], -1)  # an element's edges to halve, the longest highest
+        first = np.where(own.max(axis=1) >= 0, of[np.arange(len(tets)), own.argmax(axis=1)], -1)
+        agreed = np.bincount(first[first >= 0], minlength=len(edges)) == np.bincount(of.ravel())
+        middle = np.full(len(edges), -1)
+        middle[long & agreed] = len(nodes) + np.arange((long & agreed).sum())
+        nodes = np.concatenate([nodes, nodes[edges[long & agreed]].mean(axis=1)])
+        cut = (first >= 0) & (middle[first] >= 0)
+        whole, ends, new = tets[cut], edges[first[cut]], middle[first[cut]][:, None]
+        halves = [np.where(whole == ends[:, [side]], new, whole) for side in (0, 1)]
+        tets = np.concatenate([tets[~cut], *halves])
 
 
 def tetrahedralise(vertices: np.ndarray, faces: np.ndarray, **options) -> tuple[np.ndarray, np.ndarray]:
