@@ -8,7 +8,17 @@ from gelforge.files import write_json
 from gelforge.geometry.gel import GELS
 from gelforge.geometry.indenters import build
 from gelforge.mechanics.scene import Material, Press, Scene
-from gelforge.mechanics.tet import boundary_faces, gel_mesh, quality, signed_volumes, sizing_grid
+from gelforge.mechanics.tet import (
+    EDGES,
+    boundary_faces,
+    gel_mesh,
+    kuhn_grid,
+    orient,
+    quality,
+    signed_volumes,
+    sizing_grid,
+    split_long_edges,
+)
 from gelforge.meshes import MeshFamily, MeshName, choose_mesh, required_meshes, sizing
 
 GEL = GELS["gelsight_mini"]
@@ -45,6 +55,31 @@ def test_second_order_mesh_is_closed(mesh):
     faces = boundary_faces(mesh.elements[:, :4])
     edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     assert np.all(np.unique(edges, axis=0, return_counts=True)[1] == 2)
+
+
+def test_splitting_keeps_the_body_and_leaves_no_long_edge():
+    def longest(points):
+        return 0.1 + 0.3 * np.abs(points[:, 0])
+
+    nodes, tets = split_long_edges(*kuhn_grid([np.linspace(0, 1, 4)] * 3), longest)
+    tets = orient(nodes, tets)
+    ends = nodes[tets[:, EDGES].reshape(-1, 2)]
+    assert (np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1) <= longest(ends.mean(axis=1))).all()
+    assert signed_volumes(nodes, tets).sum() == pytest.approx(1.0, rel=1e-12)
+    # conforming: what belongs to one element only is the cube's own skin, and no two nodes are one
+    a, b, c = (nodes[boundary_faces(tets)[:, i]] for i in range(3))
+    assert np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2 == pytest.approx(6.0, rel=1e-12)
+    assert len(np.unique(np.round(nodes, 9), axis=0)) == len(nodes)
+
+
+def test_a_held_mesh_is_as_fine_as_asked_and_sound():
+    wanted = sizing((2.0, 2.0), 1.5, TABLE)
+    mesh = gel_mesh(GEL, wanted, hold=1.3)
+    flat = mesh.nodes[mesh.elements[:, :4][:, EDGES].reshape(-1, 2)] * [1, 1, 0]
+    on_top = np.isin(mesh.elements[:, :4][:, EDGES].reshape(-1, 2), mesh.surface_nodes).all(axis=1)
+    length = np.linalg.norm(flat[:, 0] - flat[:, 1], axis=1)[on_top]
+    assert (length <= 1.3 * wanted(flat.mean(axis=1))[on_top] + 1e-9).all()
+    assert quality(mesh, GEL)["min_scaled_jacobian"] > 0.2
 
 
 def test_sizing_grid_fills_the_gel():

@@ -52,10 +52,11 @@ def build_mesh(name: str, gel: Gel, params: dict) -> tuple[GelMesh, dict]:
     half = (x_max - x_min) / 2, (y_max - y_min) / 2
     # pytetwild's edges come out longer than asked for, the more so where the grid that holds the sizes is coarse
     # beside them: asked like this, those of disc are 0.41 mm, and half of that where the reference is halved
-    halved = float(size) < table["size"]
-    factor, step = (0.8, 0.4) if halved else (0.9, SIZING_STEP_MM)
+    # (where `hold` splits them, they are as asked)
+    halved, hold = float(size) < table["size"], table.get("hold")
+    factor, step = (1.0, SIZING_STEP_MM) if hold else (0.8, 0.4) if halved else (0.9, SIZING_STEP_MM)
     at = sizing(half, factor * float(size), params["meshes"] | params["pareto"]["grading"])
-    mesh = gel_mesh(gel, lambda points: at(points - centre), step=step)
+    mesh = gel_mesh(gel, lambda points: at(points - centre), step=step, hold=hold)
     report = {"engine": "fine", "region": region, "size": float(size), "half_mm": list(half), "gel": gel.name}
     return mesh, report | quality(mesh, gel)
 

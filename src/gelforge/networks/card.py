@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 
 from gelforge.files import read_json, write_text
+from gelforge.networks.inputs import needs_untouched
 from gelforge.networks.metrics import AXES
 
 AXIS_NOTE = (
@@ -56,12 +57,16 @@ def write_card(about: dict, evaluation: dict) -> str:
         if data["simulated"]
         else "It learnt from recorded presses."
     )
+    beside = ""
+    if needs_untouched(about["normalisation"]["reads"]):
+        beside = " beside a picture of the same sensor untouched"
     samples = ", ".join(f"{count} {name}" for name, count in data["samples"].items())
     lines = [
         f"# Model card: {about['name']}",
         "",
         f"Reads the contact forces on an optical tactile gel from one image of {about['image'][1]} x "
-        f"{about['image'][0]} pixels (RGB) as a grid of {about['grid'][0]} x {about['grid'][1]} cells in N. {origin}",
+        f"{about['image'][0]} pixels (RGB){beside} as a grid of {about['grid'][0]} x {about['grid'][1]} cells in N. "
+        f"{origin}",
         "",
         f"- Network: {listing(about['model'])}; {about['parameters']} parameters.",
         f"- Sensors seen: {', '.join(about['sensors'])}; in its dataset: {', '.join(about['known_sensors'])}.",
