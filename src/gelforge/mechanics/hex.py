@@ -176,7 +176,7 @@ QUALITIES = {
         size=0.45, across=15, layers=5, growth=2.0, largest=3.0, gauss=2, press_steps=3, shear_steps=2
     ),
     "label": HexSettings(
-        size=0.35, across=17, layers=7, growth=1.8, largest=3.0, gauss=2, press_steps=4, shear_steps=2
+        size=0.35, across=20, layers=7, growth=1.8, largest=3.0, gauss=2, press_steps=4, shear_steps=2
     ),
     "fine": HexSettings(size=0.3, across=24, layers=8, gauss=2, press_steps=6, shear_steps=3),
 }
