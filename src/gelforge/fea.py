@@ -19,7 +19,7 @@ from gelforge.mechanics.scene import Interface, Material, Press, Scene, Status
 from gelforge.meshes import MeshFamily, mesh_names
 from gelforge.progress import progress
 
-VERSION = 4
+VERSION = 5
 EVIDENCE = (
     "rung", "rounds", "newton_iterations", "load_steps", "seconds", "kinematics_seconds", "peak_mib",
     "equilibrium_residual", "base_mismatch", "penetration_mm", "pulling_fraction", "engine_difference",
