@@ -82,6 +82,7 @@ SETTINGS = {
     "plateau_patience": 15,
     "least_rate": 1e-5,
     "total_weight": 0.3,
+    "total_huber": 0.0,
     "settle_images": 128,
     "seed": 1,
     "threads": 1,

@@ -155,9 +155,13 @@ def test_total_force_loss_is_blind_to_where_the_force_is():
     wanted[0, :, 0, 0] = 1
     moved = wanted.roll(1, 3)
     scale = torch.ones(3)
-    only_cells = loss_of(moved, wanted, scale, scale, 0.0)
-    assert loss_of(moved, wanted, scale, scale, 1.0) == only_cells == 0.5
-    assert loss_of(2 * wanted, wanted, scale, scale, 1.0) == pytest.approx(0.25 + 1.0)
+    off, square, linear = ({"total_weight": w, "total_huber": h} for w, h in ((0.0, 0.0), (1.0, 0.0), (1.0, 0.1)))
+    only_cells = loss_of(moved, wanted, scale, scale, off)
+    assert loss_of(moved, wanted, scale, scale, square) == only_cells == 0.5
+    assert loss_of(moved, wanted, scale, scale, linear) == 0.5
+    assert loss_of(2 * wanted, wanted, scale, scale, square) == pytest.approx(0.25 + 1.0)
+    # an error of one scale: one beyond the corner at 0.1, less half of it
+    assert loss_of(2 * wanted, wanted, scale, scale, linear) == pytest.approx(0.25 + 1.0 - 0.05)
 
 
 def test_epochs_visit_every_press_once_in_their_own_order():

@@ -20,6 +20,7 @@ from gelforge.charting.scenes import NamedScene
 from gelforge.config import canonical
 from gelforge.errors import BadInput
 from gelforge.files import read_json, write_json
+from gelforge.mechanics.hex import quality
 
 GRID = Grid(24, 32)  # of FEATS' labels
 NOT_SOLVER = {"fidelity", "meshes", "fine_meshes", "tolerance", "charted", "timeout_s"}
@@ -52,7 +53,7 @@ class Bench:
             mesh = [p["pareto"]["regions"].get(scene.fine), p["pareto"]["grading"]]
             return [steps, *mesh, *ccx_settings(p)]
         if method.name == "auto-label":
-            return [p["fea"], p["meshes"]]
+            return [p["fea"], p["meshes"], asdict(quality(p["fea"]["hex_quality"]))]
         if method.size is None:
             return [p["fea"]["meshes"], *ccx_settings(p)]
         return ccx_settings(p)

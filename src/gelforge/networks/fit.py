@@ -26,15 +26,19 @@ def initial_net(model: dict, image, grid, seed: int):
         return build(model, image, grid)
 
 
-def loss_of(output, wanted, scale, total_scale, total_weight: float):
+def loss_of(output, wanted, scale, total_scale, settings: dict):
     """Mean square error per cell, plus `total_weight` times that of total force, both in units of their own scale.
 
+    Beyond `total_huber` scales an error of total force counts linearly (smooth L1: Girshick 2015, equation 3, its
+    corner at `total_huber`); where that is 0, all count squared.
     output, wanted: (n, 3, rows, cols) in training units; scale, total_scale: (3,) N.
     """
     loss = F.mse_loss(output, wanted)
-    if total_weight > 0 and output.shape[2:] != (1, 1):
+    if settings["total_weight"] > 0 and output.shape[2:] != (1, 1):
         error = (output - wanted).sum((2, 3)) * (scale / total_scale)
-        loss = loss + total_weight * (error**2).mean()
+        corner = settings["total_huber"]
+        total = F.smooth_l1_loss(error, torch.zeros_like(error), beta=corner) if corner > 0 else (error**2).mean()
+        loss = loss + settings["total_weight"] * total
     return loss
 
 
@@ -149,7 +153,7 @@ class Training:
         self.optimiser.zero_grad(set_to_none=True)
         with torch.autocast(self.device, dtype=torch.bfloat16, enabled=self.mixed):
             output = self.net(images)
-        loss = loss_of(output.float(), wanted, scale, total, self.settings["total_weight"])
+        loss = loss_of(output.float(), wanted, scale, total, self.settings)
         loss.backward()
         self.optimiser.step()
         return loss.item()
