@@ -5,7 +5,7 @@ import math
 import numpy as np
 import torch
 
-from gelforge.errors import BadInput
+from gelforge.networks.inputs import cell_pixels
 
 # Luma, and the two chroma axes of YIQ (NTSC 1953): hue turns the chroma plane, saturation scales it.
 RGB_TO_YIQ = torch.tensor([[0.299, 0.587, 0.114], [0.5959, -0.2746, -0.3213], [0.2115, -0.5227, 0.3112]])
@@ -64,15 +64,9 @@ def shift_together(images, labels, cells: int, generator) -> tuple[np.ndarray, n
     What leaves one side comes in at the other, in both, so that no force is lost: half a contact at the rim is half
     the force. Places are drawn evenly, none moved or moved at random with equal odds.
     """
-    n, height, rows = len(images), images.shape[1], labels.shape[2]
-    if height % rows or images.shape[2] * rows != height * labels.shape[3]:
-        raise BadInput(
-            f"[train] shift_cells = {cells}: cells of {rows} x {labels.shape[3]} on an image of {height} x "
-            f"{images.shape[2]} are no squares of whole pixels; set it to 0 for this grid"
-        )
-    by = torch.randint(-cells, cells + 1, (n, 2), generator=generator)
-    by[torch.rand(n, generator=generator) < 0.5] = 0
-    pixels = height // rows
+    pixels = cell_pixels(images.shape[1:3], labels.shape[2:], f"[train] shift_cells = {cells}")
+    by = torch.randint(-cells, cells + 1, (len(images), 2), generator=generator)
+    by[torch.rand(len(images), generator=generator) < 0.5] = 0
     moved = zip(images, labels, by.tolist(), strict=True)
     pairs = [(np.roll(image, (pixels * v, pixels * u), (0, 1)), np.roll(label, (v, u), (1, 2)))
              for image, label, (v, u) in moved]  # fmt: skip

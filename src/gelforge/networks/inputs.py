@@ -26,6 +26,17 @@ def needs_untouched(reads: str) -> bool:
     return reads != "image"
 
 
+def cell_pixels(image, grid, who: str) -> int:
+    """Side in pixels of a cell of grid (rows, cols) on an image (height, width); BadInput, for `who`, if not whole."""
+    (height, width), (rows, cols) = image, grid
+    if height % rows or width % cols or height // rows != width // cols:
+        raise BadInput(
+            f"{who}: cells of {rows} x {cols} on an image of {height} x {width} are no squares of whole pixels; choose "
+            "a grid that divides the image"
+        )
+    return height // rows
+
+
 def network_input(pictures: torch.Tensor, norm: dict) -> torch.Tensor:
     """Input (n, 3 or 6, h, w) of a network in its own units.
 

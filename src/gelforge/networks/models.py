@@ -158,13 +158,9 @@ class GridNet(nn.Module):
 
 def strides(image, grid) -> list[int]:
     """Split the factor from an image (height, width) to a grid (rows, cols) into strides, the largest first."""
-    height, width, rows, cols = *image, *grid
-    if height % rows or width % cols or height // rows != width // cols or height == rows:
-        raise BadInput(
-            f"a light net needs cells of one whole number of pixels in both directions, got an image of "
-            f"{height} x {width} and a grid of {rows} x {cols}: choose a grid that divides the image"
-        )
-    factor = height // rows
+    factor = inputs.cell_pixels(image, grid, "a light net")
+    if factor == 1:
+        raise BadInput(f"a light net: its grid must be coarser than the image, both are {grid[0]} x {grid[1]}")
     found = next(s for s in (5, 4, 3, 2, factor) if factor % s == 0)
     result, factor = [found], factor // found
     prime = 2
