@@ -118,6 +118,25 @@ def test_arrays_belong_together(made):
     assert {row["split"] for row in data.table if row["indenter"] == "triangle_8"} == {"test_unseen_indenter"}
 
 
+def test_untouched_sensors_come_along_where_they_were_photographed(tmp_path, root, monkeypatch):
+    monkeypatch.chdir(root)
+    made = write_pressed(tmp_path, count=4, sensors=("mini_a", "mini_b"))
+    (made["data"] / "nocontact").mkdir()
+    picture = np.random.default_rng(3).integers(0, 255, (240, 320, 3), np.uint8)
+    cv2.imwrite(str(made["data"] / "nocontact/mini_b.png"), picture)
+    label(made, "4x4")
+    data = open_data(collect(made, "4x4"))
+    assert data.info["nocontact"] == ["mini_b"]
+    photographed, other = ([i for i, row in enumerate(data.table) if row["sensor_id"] == name] for name in
+                           ("mini_b", "mini_a"))  # fmt: skip
+    seen = data.seen(photographed, "pair")
+    assert np.array_equal(seen[..., :3], data.images[photographed])
+    assert (seen[..., 3:] == picture[..., ::-1]).all()
+    assert np.array_equal(data.seen(other, "image"), data.images[other])
+    with pytest.raises(BadInput, match="nocontact/mini_a.png"):
+        data.seen(other, "difference")
+
+
 def test_the_truth_of_a_virtual_rig_goes_into_its_columns(tmp_path, root, monkeypatch):
     monkeypatch.chdir(root)
     made = write_pressed(tmp_path, count=2)
@@ -162,6 +181,11 @@ def spoil(tmp_path, breaking, **params):
     return str(error.value)
 
 
+def write_png(path, image):
+    path.parent.mkdir(exist_ok=True)
+    cv2.imwrite(str(path), image)
+
+
 def shrink(made):
     cv2.imwrite(str(made["data"] / "images/s002.png"), np.zeros((120, 160, 3), np.uint8))
 
@@ -173,6 +197,11 @@ def escape(made):
 
 BROKEN = {
     "an image of another size": (shrink, {}, ["s002.png", "160 x 120", "320 x 240", "sensors.toml"]),
+    "an untouched sensor of another size": (
+        lambda m: write_png(m["data"] / "nocontact/mini_a.png", np.zeros((12, 16, 3), np.uint8)),
+        {},
+        ["nocontact/mini_a.png", "16 x 12"],
+    ),
     "a missing image": (lambda m: (m["data"] / "images/s003.png").unlink(), {}, ["s003.png", "missing"]),
     "a path out of the folder": (escape, {}, ["hostname", "inside"]),
     "no labels": (
