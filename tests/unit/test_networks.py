@@ -254,14 +254,24 @@ def test_model_file_keeps_the_untouched_sensors(folder, tmp_path):
         load_model(tmp_path / "m.pt")
 
 
-def test_a_reader_is_the_network_it_was_trained_as(folder):
+@pytest.mark.parametrize("reads", ["image", "difference", "pair"])
+@pytest.mark.parametrize(
+    "model",
+    [
+        SMALL,
+        {"kind": "unet", "widths": [4, 8]},
+        {"kind": "unet_single", "widths": [2, 4]},
+        {"kind": "resnet", "blocks": [1, 1], "widths": [4, 8]},
+    ],
+    ids=lambda model: model["kind"],
+)
+def test_a_reader_is_the_network_it_was_trained_as(folder, model, reads):
     data = open_data(folder)
     rows = data.splits["test"]
-    for reads in ("image", "difference", "pair"):
-        trained = train(data, reads, {**SMALL, "reads": reads}, {**SETTINGS, "epochs": 1})
-        wanted = predict_rows(trained.net, data, rows, trained.about["normalisation"])
-        got = predict_images(Reader(trained, data.nocontact["mini0"]).eval(), data.images[rows])
-        np.testing.assert_allclose(got, wanted, atol=1e-4 * np.abs(wanted).max())
+    trained = train(data, reads, {**model, "reads": reads}, {**SETTINGS, "epochs": 1})
+    wanted = predict_rows(trained.net, data, rows, trained.about["normalisation"])
+    got = predict_images(Reader(trained, data.nocontact["mini0"]).eval(), data.images[rows])
+    np.testing.assert_allclose(got, wanted, atol=1e-5 * np.abs(wanted).max())
 
 
 def test_differences_forget_the_picture_they_are_taken_from():

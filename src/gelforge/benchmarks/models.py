@@ -80,7 +80,7 @@ def untrained_reader(model: dict):
     from gelforge.networks.models import build
 
     norm = dict.fromkeys(("image_mean", "image_std", "label"), [1.0, 1.0, 1.0]) | {"reads": model.get("reads", "image")}
-    trained = Trained(build(model, IMAGE, GRID).eval(), {"normalisation": norm})
+    trained = Trained(build(model, IMAGE, GRID).eval(), {"normalisation": norm, "image": IMAGE})
     return Reader(trained, np.zeros((*IMAGE, 3), np.uint8))
 
 

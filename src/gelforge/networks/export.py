@@ -25,8 +25,9 @@ def export(trained, path) -> None:
     if trained.needs_untouched:
         inputs["untouched"] = torch.zeros_like(inputs["image"])
     with warnings.catch_warnings():
-        # torch prefers an exporter that needs onnx and onnxscript; these networks do not.
+        # torch prefers an exporter that needs onnx and onnxscript; these networks do not. Scales are constants.
         warnings.simplefilter("ignore", DeprecationWarning)
+        warnings.simplefilter("ignore", torch.jit.TracerWarning)
         torch.onnx.export(
             graph,
             tuple(inputs.values()),
@@ -40,20 +41,23 @@ def export(trained, path) -> None:
 
 
 def on_tensors(trained):
-    """The network as a module of its pictures: images, and the untouched sensor where it reads differences."""
+    """The network, scales inside, as a module of images and, where it reads differences, of the untouched sensor."""
     import torch
 
-    from gelforge.networks.modelfile import Reader
+    from gelforge.networks.inputs import network_input
 
-    class Pair(torch.nn.Module):
+    norm = trained.about["normalisation"]
+    scale = torch.tensor(norm["label"]).float().view(1, 3, 1, 1)
+
+    class Graph(torch.nn.Module):
         def __init__(self):
             super().__init__()
-            self.reader = Reader(trained, np.zeros((*trained.about["image"], 3), np.uint8))
+            self.net = trained.net
 
-        def forward(self, images, untouched=None):
-            return self.reader.against(images, untouched)
+        def forward(self, *pictures):
+            return self.net(network_input(torch.cat(pictures, 1) / 255, norm)) * scale
 
-    return Pair().eval()
+    return Graph().eval()
 
 
 def run_onnx(path, images, untouched=None) -> dict[str, np.ndarray]:

@@ -5,7 +5,6 @@ import time
 import numpy as np
 import torch
 
-from gelforge.networks.batches import images_to_tensor
 from gelforge.networks.modelfile import Reader
 
 WARM_UP = 5
@@ -14,8 +13,9 @@ WARM_UP = 5
 def predict_images(reader: Reader, images, device: str = "cpu") -> np.ndarray:
     """Forces (n, 3, rows, cols) in N per cell of images (n, h, w, 3) uint8 RGB."""
     with torch.inference_mode():
-        # images_to_tensor scales to 0..1, the reader expects 0..255: one factor, paid once per batch.
-        return reader(images_to_tensor(images).to(device).mul_(255)).cpu().numpy()
+        # channels stay behind each pixel, as a camera gives them and convolutions on a CPU like them
+        tensor = torch.from_numpy(np.require(images, requirements=["C", "W"])).to(device).permute(0, 3, 1, 2)
+        return reader(tensor.float()).cpu().numpy()
 
 
 def time_models(readers: dict[str, Reader], image, threads: int, seconds: float, device: str = "cpu") -> dict:

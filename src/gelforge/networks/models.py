@@ -51,6 +51,10 @@ class UNet(nn.Module):
         self.up = nn.ModuleList(DoubleConvolution(2 * b, b) for b in up[1:])
         self.head = nn.Conv2d(widths[0], outputs, 1)
 
+    def entries(self) -> list[tuple[nn.Module, str]]:
+        """Where the convolutions that read the input are: module and attribute. Every network says so."""
+        return [(self.down[0], "first")]
+
     def forward(self, x):
         skips = []
         for level, block in enumerate(self.down):
@@ -72,6 +76,9 @@ class SingleChannelUNets(nn.Module):
     def __init__(self, grid, widths=(16, 32, 64, 128, 256), channels: int = 3):
         super().__init__()
         self.nets = nn.ModuleList(UNet(grid, widths, channels, outputs=1) for _ in range(COMPONENTS))
+
+    def entries(self) -> list[tuple[nn.Module, str]]:
+        return [entry for net in self.nets for entry in net.entries()]
 
     def forward(self, x):
         return torch.cat([net(x) for net in self.nets], dim=1)
@@ -113,6 +120,9 @@ class ResNetTotal(nn.Module):
         self.blocks = nn.Sequential(*layers)
         self.head = nn.Linear(before, COMPONENTS)
 
+    def entries(self) -> list[tuple[nn.Module, str]]:
+        return [(self, "stem")]
+
     def forward(self, x):
         x = F.max_pool2d(F.relu(self.stem_norm(self.stem(x))), 3, 2, 1)
         return self.head(self.blocks(x).mean((2, 3)))[:, :, None, None]
@@ -147,6 +157,9 @@ class GridNet(nn.Module):
         self.head = nn.Conv2d(2 * width, COMPONENTS, 1)
         v, u = torch.meshgrid(*(torch.linspace(-1, 1, count) for count in grid), indexing="ij")
         self.register_buffer("position", torch.stack([u, v])[:, None], persistent=False)
+
+    def entries(self) -> list[tuple[nn.Module, str]]:
+        return [(self, "stem")]
 
     def forward(self, x):
         x = self.early(F.relu(self.stem_norm(self.stem(x))))
