@@ -303,7 +303,8 @@ def test_damaged_and_foreign_model_files_are_refused(trained, tmp_path):
     torch.save({"weights": torch.zeros(2)}, path)
     with pytest.raises(BadInput, match="not a gelforge model"):
         load_model(path)
-    torch.save({"about": json.dumps({"format": 2} | trained.about), "tensors": {"a": torch.zeros(2)}, "untouched": {}}, path)
+    about = json.dumps({"format": 2} | trained.about)
+    torch.save({"about": about, "tensors": {"a": torch.zeros(2)}, "untouched": {}}, path)
     with pytest.raises(BadInput, match="do not fit"):
         load_model(path)
     with pytest.raises(BadInput, match="no such model"):

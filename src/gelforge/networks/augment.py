@@ -59,7 +59,7 @@ def augment(images, settings: dict, generator):
 
 
 def shift_together(images, labels, cells: int, generator) -> tuple[np.ndarray, np.ndarray]:
-    """Move each image (n, h, w, channels) and its label (n, 3, rows, cols) alike, by up to `cells` cells along both axes.
+    """Move each image (n, h, w, channels) and its label (n, 3, rows, cols) alike, by up to `cells` cells both ways.
 
     What leaves one side comes in at the other, in both, so that no force is lost: half a contact at the rim is half
     the force. Places are drawn evenly, none moved or moved at random with equal odds.

@@ -57,15 +57,17 @@ class Data:
         missing = sorted(set(names) - set(self.nocontact))
         if missing:
             raise BadInput(
-                f"{self.folder}: no picture of the untouched sensor {', '.join(missing)}, from which this network reads "
-                f"differences: put nocontact/{missing[0]}.png into the dataset's data folder and make the dataset "
+                f"{self.folder}: no picture of the untouched sensor {', '.join(missing)}, from which this network "
+                f"reads differences: put nocontact/{missing[0]}.png into the dataset's data folder and make the dataset "
                 "again, or choose a MODEL without `reads` in workflow/models.toml"
             )
         return np.stack([self.nocontact[name] for name in names])
 
     def seen(self, rows, reads: str) -> np.ndarray:
-        """What a network with `reads` (workflow/models.toml) is given of some rows, uint8 (k, height, width, 3), or 6 with a picture
-        of the untouched sensor behind each image."""
+        """What a network with `reads` (networks.inputs) is given of some rows, uint8 (k, height, width, 3).
+
+        Or (k, height, width, 6), where the untouched sensor stands behind each image.
+        """
         if not needs_untouched(reads):
             return self.images[rows]
         return np.concatenate([self.images[rows], self.untouched(rows)], axis=3)

@@ -1,7 +1,7 @@
 """A model as ONNX, checked against torch before it is published.
 
 The graph takes `image` (n, 3, height, width) float32 RGB in 0..255 and gives `forces`, N per cell; the scales are
-inside. That of a network that reads differences also takes `untouched` (1, 3, height, width), in the same units.
+inside. That of a network that reads differences also takes `untouched`, as many pictures in the same units.
 """
 
 import argparse
@@ -36,7 +36,7 @@ def export(trained, path) -> None:
             opset_version=OPSET,
             input_names=list(inputs),
             output_names=["forces"],
-            dynamic_axes={"image": {0: "n"}, "forces": {0: "n"}},
+            dynamic_axes={name: {0: "n"} for name in (*inputs, "forces")},
         )
 
 
@@ -63,7 +63,7 @@ def on_tensors(trained):
 def run_onnx(path, images, untouched=None) -> dict[str, np.ndarray]:
     """Run an ONNX file on images (n, 3, h, w) with every engine at hand: OpenCV's, and ONNX Runtime if installed.
 
-    untouched: (1, 3, h, w), where the graph takes it.
+    untouched: (1, 3, h, w) for all of them, where the graph takes it.
     """
     import cv2
 
@@ -79,7 +79,9 @@ def run_onnx(path, images, untouched=None) -> dict[str, np.ndarray]:
         import onnxruntime
 
         session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
-        outputs["onnxruntime"] = np.concatenate([session.run(None, {"image": image[None]} | others)[0] for image in images])
+        outputs["onnxruntime"] = np.concatenate(
+            [session.run(None, {"image": image[None]} | others)[0] for image in images]
+        )
     return outputs
 
 

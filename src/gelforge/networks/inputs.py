@@ -45,7 +45,8 @@ def network_input(pictures: torch.Tensor, norm: dict) -> torch.Tensor:
     :param norm: what networks.data.scales returns.
     """
     mean, std = (
-        torch.tensor(norm[key], device=pictures.device).float().view(1, 3, 1, 1) for key in ("image_mean", "image_std")
+        torch.tensor(norm[key], device=pictures.device).float().view(1, 3, 1, 1)
+        for key in ("image_mean", "image_std")
     )
     parts = []
     if norm["reads"] != "difference":
