@@ -266,12 +266,14 @@ def test_camera_that_is_not_there_is_named(paths):
 def test_front_and_choice():
     assert pareto_models.front([(1, 3), (2, 2), (3, 2.5), (4, 1)]) == [True, True, False, True]
     errors = {f"{what}_{axis}": 1.0 for what in ("total", "cell") for axis in ("fx", "fy", "fz")}
-    base = {"model": "unet", "cpu1_median_ms": 10.0, **errors}
-    fast = {"model": "fast", "cpu1_median_ms": 1.0, **errors, "cell_fz": 1.1}
-    good = {"model": "good", "cpu1_median_ms": 2.0, **errors, "total_fx": 0.9}
-    totals = {"model": "totals", "cpu1_median_ms": 0.5, **errors, "cell_fz": None}
-    assert pareto_models.choose([base, fast, good, totals])["model"] == "good"
-    assert pareto_models.choose([base, fast]) is None and pareto_models.choose([fast]) is None
+    base = {"model": "unet", "cpu1_median_ms": 10.0, "percent": 5.0, **errors}
+    fast = {"model": "fast", "cpu1_median_ms": 1.0, "percent": 4.0, **errors, "cell_fz": 1.1}
+    light = {"model": "light", "cpu1_median_ms": 1.5, "percent": 4.5, **errors}
+    good = {"model": "good", "cpu1_median_ms": 2.0, "percent": 4.0, **errors, "total_fx": 0.9}
+    best = {"model": "best", "cpu1_median_ms": 2.1, "percent": 3.0, **errors}
+    totals = {"model": "totals", "cpu1_median_ms": 0.5, "percent": 2.0, **errors, "cell_fz": None}
+    assert pareto_models.choose([base, fast, light, good, best, totals])["model"] == "good"
+    assert pareto_models.choose([base, fast, best]) is None and pareto_models.choose([fast]) is None
 
 
 def test_chart_of_models_against_latency(data, models, paths, tmp_path):
