@@ -84,6 +84,7 @@ SETTINGS = {
     "total_weight": 0.3,
     "total_huber": 0.0,
     "settle_images": 128,
+    "frozen_share": 0.25,
     "seed": 1,
     "threads": 1,
     "mixed_precision": True,

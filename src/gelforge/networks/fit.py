@@ -81,6 +81,11 @@ def make_schedule(optimiser, settings: dict):
     raise BadInput(f'[train] schedule = {settings["schedule"]!r}: use "plateau" or "cosine"')
 
 
+def normalisations(net) -> list[torch.nn.BatchNorm2d]:
+    """The layers of a network that normalise by the statistics of a batch."""
+    return [layer for layer in net.modules() if isinstance(layer, torch.nn.BatchNorm2d)]
+
+
 def settle_batch_norm(net, data, norm: dict, settings: dict, device: str) -> None:
     """Replace the running statistics of batch normalisation by those of clean training images.
 
@@ -88,7 +93,7 @@ def settle_batch_norm(net, data, norm: dict, settings: dict, device: str) -> Non
     follow; with tens of steps an epoch that alone doubled the validation error. At most
     `settle_images` images, evenly picked, in batches (precise batch normalisation, Wu and Johnson 2021).
     """
-    layers = [layer for layer in net.modules() if isinstance(layer, torch.nn.BatchNorm2d)]
+    layers = normalisations(net)
     if not layers or settings["settle_images"] == 0:
         return
     rows = data.splits["train"]
@@ -158,6 +163,11 @@ class Training:
         self.optimiser.step()
         return loss.item()
 
+    @property
+    def frozen(self) -> bool:
+        """Whether the next epoch is one of the last, in which batch normalisation keeps its statistics."""
+        return self.epochs_done >= (1 - self.settings["frozen_share"]) * self.settings["epochs"]
+
     def batches(self, data) -> Ahead:
         """Start preparing the batches of the next epoch."""
         return Ahead(training_batches(data, self.norm, self.settings, self.epochs_done, self.total_only))
@@ -167,6 +177,9 @@ class Training:
         started = time.perf_counter()
         waited = batches.waited
         self.net.train()
+        if self.frozen:
+            for layer in normalisations(self.net):
+                layer.eval()
         losses = [self.step(images, wanted) for images, wanted in batches]
         self.cost["wait_seconds"] += batches.waited - waited
         self.cost["seconds"] += time.perf_counter() - started
@@ -181,7 +194,8 @@ class Training:
 
     def close_epoch(self, data, loss: float) -> dict:
         """Validate, move the learning rate, keep the best weights; return the curve's new row."""
-        settle_batch_norm(self.net, data, self.norm, self.settings, self.device)
+        if self.epochs_done <= (1 - self.settings["frozen_share"]) * self.settings["epochs"]:
+            settle_batch_norm(self.net, data, self.norm, self.settings, self.device)
         row = {
             "epoch": self.epochs_done,
             "learning_rate": self.optimiser.param_groups[0]["lr"],
