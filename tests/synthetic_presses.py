@@ -75,6 +75,7 @@ def write_dataset(folder, n=48, image=(240, 320), grid=(24, 32), seed=0) -> Path
 
 SETTINGS = {
     "epochs": 4,
+    "epochs_of": {},
     "batch": 8,
     "learning_rate": 1e-3,
     "schedule": "plateau",

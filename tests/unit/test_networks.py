@@ -26,7 +26,6 @@ from gelforge.train import resolve, train
 
 SMALL = {"kind": "grid", "width": 8, "blocks": 1}
 IMAGE, GRID = (48, 64), (6, 8)
-TABLE = {**SETTINGS, "epochs_of": {}}
 LEARNING = {"epochs": 40, "learning_rate": 4e-3, "schedule": "cosine", "total_weight": 1.0}
 
 
@@ -97,9 +96,9 @@ def test_unknown_kind_and_wrong_size_are_named():
     with pytest.raises(BadInput, match="depth"):
         build({"kind": "grid", "depth": 3}, IMAGE, GRID)
     with pytest.raises(BadInput, match="MODEL=nothing"):
-        resolve({"grid": SMALL}, "nothing", TABLE)
+        resolve({"grid": SMALL}, "nothing", SETTINGS)
     with pytest.raises(BadInput, match="epoch"):
-        resolve({"grid": {**SMALL, "train": {"epoch": 3}}}, "grid", TABLE)
+        resolve({"grid": {**SMALL, "train": {"epoch": 3}}}, "grid", SETTINGS)
 
 
 def test_colours_keep_luma_and_grey():
