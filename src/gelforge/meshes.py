@@ -87,7 +87,7 @@ def make_mesh(name: MeshName, gel: Gel, meshes: dict) -> tuple[GelMesh, dict]:
     from gelforge.mechanics.tet import gel_mesh, quality
 
     half = region(name, meshes)
-    mesh = gel_mesh(gel, sizing(half, name.size, meshes), hold=meshes["hold"].get(name.region) or None)
+    mesh = gel_mesh(gel, sizing(half, name.size, meshes), hold=meshes["hold"].get(name.region, 0.0))
     return mesh, asdict(name) | {"half_mm": list(half), "gel": gel.name} | quality(mesh, gel)
 
 

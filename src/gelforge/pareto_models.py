@@ -71,17 +71,17 @@ def choose(rows: list[dict]) -> dict | None:
     return min(good, key=lambda row: row["percent"], default=None)
 
 
-def measure(models: dict, image, untouched, seconds: float) -> dict[str, dict[str, dict]]:
+def measure(models: dict, image, seconds: float) -> dict[str, dict[str, dict]]:
     """Latency of models, name to networks.modelfile.Trained, with one and two CPU threads, and on CUDA if there.
 
-    image, untouched: (h, w, 3) uint8; of what the second shows no time depends.
+    image: (h, w, 3) uint8. It serves as the untouched sensor too: no time depends on what that shows.
     """
     import torch
 
     from gelforge.networks.latency import time_models
     from gelforge.networks.modelfile import Reader
 
-    readers = {name: Reader(trained, untouched) for name, trained in models.items()}
+    readers = {name: Reader(trained, image) for name, trained in models.items()}
     ways = {"cpu1": (1, "cpu"), "cpu2": (2, "cpu")}
     if torch.cuda.is_available():
         ways["cuda"] = (1, "cuda")
@@ -146,8 +146,8 @@ def main(argv=None) -> int:
             f"models {sorted(models)} and evaluations {sorted(evaluations)} must be of the same names; "
             "run `make evaluate` for those that are missing"
         )
-    image, other = np.asarray(open_data(args.dataset).images[:2])
-    latencies = measure(models, image, other, args.seconds)
+    image = np.asarray(open_data(args.dataset).images[0])
+    latencies = measure(models, image, args.seconds)
     rows = [row_of(evaluations[name], args.split, latencies[name]) for name in sorted(models)]
     for row, good in zip(rows, front([(row["cpu1_median_ms"], row["percent"]) for row in rows])):
         row["front"] = good

@@ -97,7 +97,8 @@ def train(data, name: str, model: dict, settings: dict, checkpoint=None):
     fit(training, data, checkpoint, identity(about))
     statistics = fit_to_images(data.images, data.splits["train"], data.splits["val"])
     if needs_untouched(norm["reads"]):
-        statistics |= {"largest_distance": largest_distance(data.seen(data.splits["val"], norm["reads"]))}
+        pairs = (data.seen([row], norm["reads"])[0] for row in data.splits["val"])
+        statistics |= {"largest_distance": largest_distance(pairs)}
     cost = training.cost | {"peak_gib": peak_memory_gib()}
     about |= {
         "normalisation": norm,

@@ -223,17 +223,22 @@ def test_resumed_training_has_the_same_curve_and_weights(folder, tmp_path, kind,
         assert torch.equal(a, b)
 
 
-def test_the_last_epochs_train_the_network_that_is_used(folder):
+@pytest.mark.parametrize("share", [0.5, 0.4])
+def test_the_last_epochs_train_the_network_that_is_used(folder, share, monkeypatch):
     """Frozen statistics stay, the weights go on; before, each epoch has its own."""
     data = open_data(folder)
-    settings = {**SETTINGS, "epochs": 4, "frozen_share": 0.5}
+    settings = {**SETTINGS, "epochs": 4, "frozen_share": share}
+    frozen = [False, False, True, True] if share == 0.5 else [False, False, False, True]
+    settled = []
+    monkeypatch.setattr("gelforge.networks.fit.settle_batch_norm", lambda net, *_: settled.append(training.epochs_done))
     training = Training(SMALL, settings, scales(data, False), IMAGE, GRID, "cpu")
     seen = []
     for _ in range(4):
         training.close_epoch(data, training.train_epoch(training.batches(data)))
         state = training.net.state_dict()
         seen.append((state["stem_norm.running_mean"].clone(), state["stem.weight"].clone()))
-    assert [torch.equal(a[0], b[0]) for a, b in zip(seen, seen[1:])] == [False, True, True]
+    assert [torch.equal(a[0], b[0]) for a, b in zip(seen, seen[1:])] == frozen[1:]
+    assert settled == [epoch + 1 for epoch in range(4) if not frozen[epoch]]
     assert not any(torch.equal(a[1], b[1]) for a, b in zip(seen, seen[1:]))
 
 

@@ -174,7 +174,9 @@ def error_figures(results: Path, resolution: str) -> list[Figure]:
     chosen = chart["chosen"] or LIGHT
     if chosen not in by_name:
         raise BadInput(f"{results}: network {chosen!r} is not on the chart; make pareto-models CHARTED with it")
-    note = f"network `{chosen}`" + ("" if chart["chosen"] else ", none is so much faster and as good as the U-net everywhere")
+    note = f"network `{chosen}`"
+    if not chart["chosen"]:
+        note += ", none is so much faster and as good as the U-net everywhere"
     figures = []
     if BASELINE in by_name:
         row, base = by_name[chosen], by_name[BASELINE]

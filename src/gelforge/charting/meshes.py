@@ -53,7 +53,7 @@ def build_mesh(name: str, gel: Gel, params: dict) -> tuple[GelMesh, dict]:
     # pytetwild's edges come out longer than asked for, the more so where the grid that holds the sizes is coarse
     # beside them: asked like this, those of disc are 0.41 mm, and half of that where the reference is halved
     # (where `hold` splits them, they are as asked)
-    halved, hold = float(size) < table["size"], table.get("hold")
+    halved, hold = float(size) < table["size"], table.get("hold", 0.0)
     factor, step = (1.0, SIZING_STEP_MM) if hold else (0.8, 0.4) if halved else (0.9, SIZING_STEP_MM)
     at = sizing(half, factor * float(size), params["meshes"] | params["pareto"]["grading"])
     mesh = gel_mesh(gel, lambda points: at(points - centre), step=step, hold=hold)

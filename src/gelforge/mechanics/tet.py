@@ -126,14 +126,12 @@ def second_order(nodes: np.ndarray, tets: np.ndarray) -> tuple[np.ndarray, np.nd
     return np.concatenate([nodes, middles]), elements, midside
 
 
-def gel_mesh(
-    gel: Gel, size, threads: int = 1, step: float = SIZING_STEP_MM, hold: float | None = None
-) -> GelMesh:
+def gel_mesh(gel: Gel, size, threads: int = 1, step: float = SIZING_STEP_MM, hold: float = 0.0) -> GelMesh:
     """Mesh the gel with second-order tetrahedra.
 
     gel: the pad. size: points (n, 3) mm -> edge lengths (n,) mm, on the flat pad (top at z = 0). step:
     spacing, mm, of the grid on which sizes are told, between whose points they are interpolated. hold: edges
-    longer than so many sizes are split (None: they stay as pytetwild leaves them, two to three sizes long where
+    longer than so many sizes are split (0: they stay as pytetwild leaves them, two to three sizes long where
     the fine part is small).
     The pad is meshed as a flat prism and then bent column by column onto `gel.top`, so that every
     top node, midsides included, lies on the exact surface and every base node on z = -height.
@@ -144,7 +142,7 @@ def gel_mesh(
         vertices, faces, edge_length_abs=float(values.max()), epsilon=2e-4, num_threads=threads,
         bg_vertices=background, bg_tets=bg_tets, bg_values=values,
     )  # fmt: skip
-    if hold is not None:
+    if hold:
         nodes, tets = split_long_edges(nodes, tets, lambda points: hold * size(points))
     return from_flat(gel, nodes, tets)
 

@@ -58,8 +58,8 @@ class Data:
         if missing:
             raise BadInput(
                 f"{self.folder}: no picture of the untouched sensor {', '.join(missing)}, from which this network "
-                f"reads differences: put nocontact/{missing[0]}.png into the dataset's data folder and make the dataset "
-                "again, or choose a MODEL without `reads` in workflow/models.toml"
+                f"reads differences: put nocontact/{missing[0]}.png into the dataset's data folder and make the "
+                "dataset again, or choose a MODEL without `reads` in workflow/models.toml"
             )
         return np.stack([self.nocontact[name] for name in names])
 

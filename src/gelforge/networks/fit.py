@@ -163,10 +163,9 @@ class Training:
         self.optimiser.step()
         return loss.item()
 
-    @property
-    def frozen(self) -> bool:
-        """Whether the next epoch is one of the last, in which batch normalisation keeps its statistics."""
-        return self.epochs_done >= (1 - self.settings["frozen_share"]) * self.settings["epochs"]
+    def freezes(self, epoch: int) -> bool:
+        """Whether an epoch (from 0) is one of the last, in which batch normalisation keeps its statistics."""
+        return epoch >= (1 - self.settings["frozen_share"]) * self.settings["epochs"]
 
     def batches(self, data) -> Ahead:
         """Start preparing the batches of the next epoch."""
@@ -177,7 +176,7 @@ class Training:
         started = time.perf_counter()
         waited = batches.waited
         self.net.train()
-        if self.frozen:
+        if self.freezes(self.epochs_done):
             for layer in normalisations(self.net):
                 layer.eval()
         losses = [self.step(images, wanted) for images, wanted in batches]
@@ -194,7 +193,7 @@ class Training:
 
     def close_epoch(self, data, loss: float) -> dict:
         """Validate, move the learning rate, keep the best weights; return the curve's new row."""
-        if self.epochs_done <= (1 - self.settings["frozen_share"]) * self.settings["epochs"]:
+        if not self.freezes(self.epochs_done - 1):
             settle_batch_norm(self.net, data, self.norm, self.settings, self.device)
         row = {
             "epoch": self.epochs_done,

@@ -77,7 +77,7 @@ def distance(image, untouched) -> float:
 
 
 def largest_distance(pairs) -> float:
-    """`distance` beyond which a picture is of another sensor, from pairs (n, h, w, 6) of image and untouched sensor."""
+    """`distance` beyond which a picture is of another sensor, from pairs (h, w, 6) of image and untouched sensor."""
     return MARGIN * max(distance(pair[..., :3], pair[..., 3:]) for pair in pairs)
 
 
