@@ -91,6 +91,7 @@ SETTINGS = {
     "mixed_precision": True,
     "checkpoint_seconds": 0.0,
     "shift_cells": 1,
+    "mirrored_share": 0.0,
     "augment": {
         "probability": 0.5,
         "noise": 0.05,

@@ -112,9 +112,7 @@ def calibration_section(results: Path) -> Section:
         return section.text("Not made: make calibrate (needs force readings in the log).", absent=True)
     summary = read_json(path)
     parameters = {"c10": {"label": "C10 (MPa)", **summary["c10"]}, **summary.get("parameters", {})}
-    rows = [
-        [v.get("label", name), v["median"], *v["interval68"], *v["interval95"]] for name, v in parameters.items()
-    ]
+    rows = [[v.get("label", name), v["median"], *v["interval68"], *v["interval95"]] for name, v in parameters.items()]
     section.table(["parameter", "median", "68 % from", "to", "95 % from", "to"], rows)
     for sentence in summary.get("sentences", [summary.get("sentence", "")]):
         section.text(sentence)
@@ -134,8 +132,12 @@ def calibration_section(results: Path) -> Section:
         section.text(f"Left out: {press['sample_id']}: {press['reason']}")
     pictures_made = {png.stem: png for png in sorted((results / "calibrate").glob("*.png"))}
     first = [name for name in ("predictive", "corner") if name in pictures_made]
+    captions = {
+        "predictive": "Readings beside what the posterior predicts of them.",
+        "corner": "Posterior of every parameter, and of every two.",
+    }
     for name in first + [name for name in pictures_made if name not in first]:
-        section.picture(pictures_made[name].read_bytes(), name.replace("_", " "))
+        section.picture(pictures_made[name].read_bytes(), captions.get(name, name.replace("_", " ")))
     return section
 
 
@@ -195,14 +197,20 @@ def network_section(results: Path, resolution: str, model: str) -> Section:
     samples = read_csv(results / "60_dataset" / resolution / "samples.csv")
     learnt = sum(row["split"] == "train" for row in samples)
     section.text(
-        f"{model} learnt from {learnt} of {len(samples)} presses. Judge it by the controls below: what they reach"
+        f"{model} learnt from {learnt} of {len(samples)} images. Judge it by the controls below: what they reach"
         " without looking at the picture of a press, a network must beat by far."
     )
     for title, columns, rows in evaluation_tables(metrics):
         section.text(title).table(columns, rows)
-    for folder in ("70_train", "80_evaluate"):
-        for png in sorted((results / folder / resolution).glob(f"{model}.*png")):
-            section.picture(png.read_bytes(), png.stem)
+    for name, caption in (
+        (
+            f"70_train/{resolution}/{model}.curve.png",
+            "Loss, learning rate and validation error in the course of training.",
+        ),
+        (f"80_evaluate/{resolution}/{model}.png", "Predicted against labelled total force, and f_z of some presses."),
+    ):
+        if (results / name).exists():
+            section.picture((results / name).read_bytes(), caption)
     return section
 
 

