@@ -88,6 +88,8 @@ def write_shards(log: Path, out: Path, size: int) -> list[str]:
         names.append(f"{shard:0{SHARD_DIGITS}d}")
         columns = ["row", *header, *["extra_columns"] * any("extra_columns" in row for row in members)]
         write_if_changed(out / "shards" / f"{names[-1]}.csv", to_csv(columns, members))
+    for gone in set((out / "shards").glob("*.csv")) - {out / "shards" / f"{name}.csv" for name in names}:
+        gone.unlink()  # of a log that lost rows: what reads the folder would label presses that are no more
     write_if_changed(table, to_csv(["sample_id", "shard"], [{"sample_id": k, "shard": v} for k, v in shards.items()]))
     return names
 

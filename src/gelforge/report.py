@@ -16,9 +16,11 @@ VERSION = 1
 PACKAGES = ("numpy", "scipy", "torch", "pymeshlab", "pytetwild", "pyvista", "emcee", "opencv-contrib-python-headless")
 
 
-def read_tables(folder: Path, pattern: str) -> list[dict]:
-    """Rows of all shards' tables in a stage's folder."""
-    return [row for path in sorted(folder.glob(pattern)) for row in read_csv(path)]
+def read_tables(results: Path, stage: str, suffix: str = "") -> dict[str, list[dict]]:
+    """Rows of a stage's tables, shard to rows, of the shards in today's plan; a stage may not have made all of them."""
+    shards = sorted(path.stem for path in (results / "00_plan" / "shards").glob("*.csv"))
+    paths = {shard: results / stage / f"{shard}{suffix}.csv" for shard in shards}
+    return {shard: read_csv(path) for shard, path in paths.items() if path.exists()}
 
 
 def numbers(rows: list[dict], *columns: str) -> dict[str, np.ndarray]:
@@ -144,7 +146,7 @@ def calibration_section(results: Path) -> Section:
 def failures_section(results: Path, solved: dict[str, dict]) -> Section:
     """Everything that did not become a label, with its reason."""
     section = Section("Failures")
-    rejected = read_tables(results / "10_poses", "*.rejected.csv")
+    rejected = [row for rows in read_tables(results, "10_poses", ".rejected").values() for row in rows]
     failed = [row for row in solved.values() if row["status"] not in ("OK", "NO_CONTACT")]
     if not rejected and not failed:
         return section.text("None: every row of the log became a label.")
@@ -239,13 +241,10 @@ def versions_section(results: Path) -> Section:
 
 def build(data: Path, results: Path, resolution: str, model: str, gallery: int) -> str:
     """The whole page as text."""
-    poses = read_tables(results / "10_poses", "[0-9]*[0-9].csv")
-    shards = {
-        row["sample_id"]: path.stem
-        for path in sorted((results / "10_poses").glob("[0-9]*[0-9].csv"))
-        for row in read_csv(path)
-    }
-    solved = {row["sample_id"]: row for row in read_tables(results / "30_fea", "*.csv")}
+    posed = read_tables(results, "10_poses")
+    poses = [row for rows in posed.values() for row in rows]
+    shards = {row["sample_id"]: shard for shard, rows in posed.items() for row in rows}
+    solved = {row["sample_id"]: row for rows in read_tables(results, "30_fea").values() for row in rows}
     rows = pick(poses, solved, gallery)
     valid = sum(row["status"] in ("OK", "NO_CONTACT") for row in solved.values())
     lead = f"{valid} of {len(shards)} good presses labelled at {resolution}; forces by finite elements, all steps cached."

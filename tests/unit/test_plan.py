@@ -44,6 +44,15 @@ def test_appending_rewrites_only_the_last_shard(tmp_path):
     assert [name for name in before if after[name] != before[name]] == ["0002.csv"]
 
 
+def test_a_log_that_lost_rows_leaves_no_shard_behind(tmp_path):
+    log = tmp_path / "log.csv"
+    write_log(log, range(10))
+    write_shards(log, tmp_path, 4)
+    write_log(log, range(4))
+    assert write_shards(log, tmp_path, 4) == ["0000"]
+    assert [path.name for path in (tmp_path / "shards").glob("*.csv")] == ["0000.csv"]
+
+
 @pytest.mark.parametrize(
     ("text", "named"),
     [("", "sample_id"), ("a,b\n1,2\n", "sample_id"), ("sample_id,x0_mm\n", "no rows")],
