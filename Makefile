@@ -16,7 +16,7 @@ RES ?= 24x32
 # Training, evaluation and the report take the first resolution.
 RES1 = $(firstword $(RES))
 # A network that reads differences where there are pictures of the untouched sensors, one that does not where not.
-MODEL ?= $(if $(wildcard $(DATA)/nocontact),pair_16,grid_16)
+MODEL ?= $(if $(wildcard $(DATA)/nocontact),pair_24_mirrored,grid_16)
 EXECUTOR ?= local
 STRICT ?=
 JOBS ?= $(shell nproc)

@@ -17,7 +17,7 @@ from gelforge.errors import BadInput
 from gelforge.networks.augment import RGB_TO_YIQ, augment, colour_matrices, mirror_together, shift_together
 from gelforge.networks.batches import Ahead, epoch_order
 from gelforge.networks.data import open_data, scales
-from gelforge.networks.fit import Training, fit, loss_of, predict_rows
+from gelforge.networks.fit import Training, fit, loss_of, normalisations, predict_rows
 from gelforge.networks.inputs import network_input
 from gelforge.networks.latency import predict_images
 from gelforge.networks.modelfile import Reader, load_model, require_fit, save_model
@@ -307,7 +307,9 @@ def test_a_reader_is_the_network_it_was_trained_as(folder, model, reads):
     rows = data.splits["test"]
     trained = train(data, reads, {**model, "reads": reads}, {**SETTINGS, "epochs": 1})
     wanted = predict_rows(trained.net, data, rows, trained.about["normalisation"])
-    got = predict_images(Reader(trained, data.nocontact["mini0"]).eval(), data.images[rows])
+    reader = Reader(trained, data.nocontact["mini0"]).eval()
+    assert not normalisations(reader)  # in the convolutions before them
+    got = predict_images(reader, data.images[rows])
     np.testing.assert_allclose(got, wanted, atol=1e-5 * np.abs(wanted).max())
 
 

@@ -19,7 +19,7 @@ from gelforge.files import read_json, write_csv, write_json
 from gelforge.networks.metrics import AXES
 
 IMAGE, GRID = (240, 320), (24, 32)
-BASELINE, LIGHT = "unet", "pair_16"
+BASELINE, LIGHT = "unet", "pair_24_mirrored"
 PROBED = 24  # presses of the made-up dataset: three batches an epoch
 # Per cent of the force range, from the paper: 0.80 N of 40 N in z, about 0.26 N of 10 N in x and y.
 PERCENT_GOALS = {"fx": 2.0, "fy": 2.0, "fz": 1.5}
