@@ -1,5 +1,7 @@
 """Pictures of force maps: a figure for a page, and an overlay that is quick enough for a video."""
 
+import textwrap
+
 import numpy as np
 
 ARROW_PX_PER_N = 400.0  # a typical shear of 0.02 N per cell becomes an arrow of 8 px
@@ -16,7 +18,7 @@ def write_maps(path, image, forces, title: str) -> None:
     FigureCanvasAgg(figure)
     axes = figure.subplots(1, 4)
     axes[0].imshow(image)
-    axes[0].set_title(title, fontsize=8)
+    axes[0].set_title(textwrap.fill(title, 36), fontsize=8)  # no wider than the image
     names = ("along columns (FEATS x)", "along rows (FEATS y)", "normal (z)")
     for axis, name, force in zip(axes[1:], names, forces):
         span = max(float(np.abs(force).max()), 1e-6)
