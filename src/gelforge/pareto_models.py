@@ -102,7 +102,7 @@ def draw_chart(path, rows: list[dict], split: str, chosen: str | None) -> None:
         best = front([(row["cpu1_median_ms"], row[key]) for row in shown])
         line = sorted((row["cpu1_median_ms"], row[key]) for row, good in zip(shown, best) if good)
         axis.plot(*zip(*line), color="0.7", zorder=1, drawstyle="steps-post")
-        for row in shown:
+        for place, row in enumerate(sorted(shown, key=lambda row: row[key])):
             x, spread = (
                 row["cpu1_median_ms"],
                 [[row["cpu1_median_ms"] - row["cpu1_p10_ms"]], [row["cpu1_p90_ms"] - row["cpu1_median_ms"]]],
@@ -116,12 +116,21 @@ def draw_chart(path, rows: list[dict], split: str, chosen: str | None) -> None:
                 markersize=13 if row["model"] == chosen else 6,
                 color=KIND_COLOURS[row["kind"]],
             )
-            axis.annotate(row["model"], (x, row[key]), xytext=(5, 5), textcoords="offset points", fontsize=8)
+            # names in turn below and above, from the least error: those of near networks would cover each other
+            axis.annotate(
+                row["model"],
+                (x, row[key]),
+                xytext=(5, 6 if place % 2 else -12),
+                textcoords="offset points",
+                fontsize=8,
+            )
         axis.set(
-            xscale="log", xlabel="ms per image, batch 1, one CPU thread (bar: 10 to 90 %)", ylabel=f"MAE, {label}"
+            xscale="log",
+            yscale="log",
+            xlabel="ms per image, batch 1, one CPU thread (bar: 10 to 90 %)",
+            ylabel=f"MAE, {label}",
         )
-        axis.set_ylim(bottom=0)
-        axis.margins(x=0.15)
+        axis.margins(x=0.2, y=0.12)
         axis.grid(alpha=0.3, which="both")
     figure.suptitle(f"Networks on split {split}: line is the front, star the chosen one", fontsize=10)
     figure.savefig(path, dpi=130)
