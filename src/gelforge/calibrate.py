@@ -18,6 +18,7 @@ from gelforge.calibration.sampling import Chain, Rules, sample
 from gelforge.config import read_toml
 from gelforge.errors import BadInput
 from gelforge.files import read_csv, read_json, write_json
+from gelforge.plan import planned_shards
 from gelforge.progress import progress
 
 VERSION = 2
@@ -264,9 +265,9 @@ def say_spent(spent: dict) -> str:
     return text + "."
 
 
-def load_rejected(folder: Path | None) -> set:
+def load_rejected(poses: Path, shards: list[str]) -> set:
     """Lines of the log that stage 10 rejected for anything but their image, which does not matter here."""
-    tables = sorted(folder.glob("*.rejected.csv")) if folder else []
+    tables = [path for name in shards if (path := poses / f"{name}.rejected.csv").exists()]
     return {int(row["row"]) for path in tables for row in read_csv(path) if row["column"] != "image"}
 
 
@@ -277,16 +278,20 @@ def main(argv=None) -> int:
     parser.add_argument("--data", type=Path, required=True, help="data/DATASET, with log.csv and dataset.toml")
     parser.add_argument("--workflow", type=Path, default=Path("workflow"))
     parser.add_argument("--poses", type=Path, help="results/DATASET/10_poses: rows rejected there do not serve")
+    parser.add_argument("--shards", type=Path, help="results/DATASET/00_plan/shards, with --poses")
     parser.add_argument("--params", type=Path, required=True, help="JSON slice with tables calibrate and material")
     parser.add_argument("--work", type=Path, required=True, help="folder for chain and plots")
     parser.add_argument("--solves", type=Path, help="folder of cached solves; WORK/solves by default")
     parser.add_argument("--jobs", type=int, default=min(2, os.cpu_count() or 1), help="solves at a time")
     parser.add_argument("--out", type=Path, required=True, help="summary.json")
     args = parser.parse_args(argv)
+    if (args.poses is None) != (args.shards is None):
+        parser.error("--poses and --shards go together: the plan tells which tables of --poses are of today's log")
     tables = read_json(args.params)
     params, nu = tables["calibrate"], float(tables["material"]["nu"])
 
-    logged = read_readings(args.data / "log.csv", load_rejected(args.poses))
+    rejected = load_rejected(args.poses, planned_shards(args.shards)) if args.poses else set()
+    logged = read_readings(args.data / "log.csv", rejected)
     check_readings(logged)
     readings = logged.take(choose_presses(logged, params["max_presses"]))
     file = args.workflow / read_toml(args.data / "dataset.toml").get("catalogue", "indenters.toml")

@@ -14,6 +14,7 @@ from gelforge.errors import BadInput
 from gelforge.files import publish, read_csv, read_json, write_csv, write_json
 from gelforge.formats.feats import LabelSample, Ranges
 from gelforge.mechanics.scene import Status
+from gelforge.plan import planned_shards
 from gelforge.progress import progress
 from gelforge.split import split_presses
 
@@ -203,7 +204,7 @@ def image_size(rows: list[dict], sensors: dict, where: str) -> tuple[int, int]:
 def list_shards(args) -> list[tuple[Path, list[dict]]]:
     """Label files with their samples' rows: a stage-50 folder with pose tables, or an imported file with the log."""
     if args.labels.is_dir():
-        names = sorted(path.stem for path in args.shards.glob("*.csv"))
+        names = planned_shards(args.shards)
         return [(args.labels / f"{name}.npz", read_csv(args.poses / f"{name}.csv")) for name in names]
     return [(args.labels, read_csv(args.data / "log.csv"))]
 

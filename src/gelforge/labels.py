@@ -15,6 +15,7 @@ from gelforge.files import read_csv, read_json, write_json
 from gelforge.mechanics.forcefile import ForceFile
 from gelforge.mechanics.scene import Status
 from gelforge.meshes import is_bricks, load_mesh, mesh_file
+from gelforge.plan import planned_shards
 from gelforge.progress import progress
 
 VERSION = 1
@@ -136,7 +137,7 @@ def label_folder(args, grid: Grid, sensors: dict) -> dict:
     """Label every shard of a dataset whose labels are older than what they are made of; return a summary."""
     folder = args.out.parent
     find = operator_finder(args.meshes, sensors, grid, folder / "operators", str(args.poses))
-    shards = sorted(path.stem for path in args.shards.glob("*.csv"))
+    shards = planned_shards(args.shards)
     if not shards:
         raise BadInput(f"{args.shards}: holds no shards; run make, which plans them")
     totals = {"resolution": str(grid), "shards": len(shards), "samples": 0, "failed": 0}

@@ -74,6 +74,11 @@ def to_csv(columns: list[str], rows: list[dict]) -> str:
     return text.getvalue()
 
 
+def planned_shards(folder: Path) -> list[str]:
+    """Names of the shards that are planned today, in order, from the folder 00_plan/shards."""
+    return sorted(path.stem for path in folder.glob("*.csv"))
+
+
 def write_shards(log: Path, out: Path, size: int) -> list[str]:
     """Write one CSV of raw rows per shard and the assignment; return the shards' names in order."""
     header, rows = read_log_rows(log)
@@ -88,8 +93,8 @@ def write_shards(log: Path, out: Path, size: int) -> list[str]:
         names.append(f"{shard:0{SHARD_DIGITS}d}")
         columns = ["row", *header, *["extra_columns"] * any("extra_columns" in row for row in members)]
         write_if_changed(out / "shards" / f"{names[-1]}.csv", to_csv(columns, members))
-    for gone in set((out / "shards").glob("*.csv")) - {out / "shards" / f"{name}.csv" for name in names}:
-        gone.unlink()  # of a log that lost rows: what reads the folder would label presses that are no more
+    for gone in set(planned_shards(out / "shards")) - set(names):
+        (out / "shards" / f"{gone}.csv").unlink()  # the log lost its rows: no stage may read them again
     write_if_changed(table, to_csv(["sample_id", "shard"], [{"sample_id": k, "shard": v} for k, v in shards.items()]))
     return names
 

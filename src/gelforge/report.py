@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.files import read_csv, read_json, write_text
+from gelforge.plan import planned_shards
 from gelforge.reporting import pictures
 from gelforge.reporting.page import Section, render
 
@@ -16,11 +17,10 @@ VERSION = 1
 PACKAGES = ("numpy", "scipy", "torch", "pymeshlab", "pytetwild", "pyvista", "emcee", "opencv-contrib-python-headless")
 
 
-def read_tables(results: Path, stage: str, suffix: str = "") -> dict[str, list[dict]]:
-    """Rows of a stage's tables, shard to rows, of the shards in today's plan; a stage may not have made all of them."""
-    shards = sorted(path.stem for path in (results / "00_plan" / "shards").glob("*.csv"))
-    paths = {shard: results / stage / f"{shard}{suffix}.csv" for shard in shards}
-    return {shard: read_csv(path) for shard, path in paths.items() if path.exists()}
+def read_tables(results: Path, stage: str, suffix: str = "") -> list[dict]:
+    """Rows of a stage's tables of the planned shards, each with its `shard`; a stage may not have made all of them."""
+    paths = {name: results / stage / f"{name}{suffix}.csv" for name in planned_shards(results / "00_plan" / "shards")}
+    return [{**row, "shard": name} for name, path in paths.items() if path.exists() for row in read_csv(path)]
 
 
 def numbers(rows: list[dict], *columns: str) -> dict[str, np.ndarray]:
@@ -132,21 +132,27 @@ def calibration_section(results: Path) -> Section:
         )
     for press in summary.get("solves_spent", {}).get("unsolved", []):
         section.text(f"Left out: {press['sample_id']}: {press['reason']}")
-    pictures_made = {png.stem: png for png in sorted((results / "calibrate").glob("*.png"))}
-    first = [name for name in ("predictive", "corner") if name in pictures_made]
     captions = {
-        "predictive": "Readings beside what the posterior predicts of them.",
-        "corner": "Posterior of every parameter, and of every two.",
+        "predictive.png": "Readings beside what the posterior predicts of them.",
+        "corner.png": "Posterior of every parameter, and of every two.",
+        "autocorrelation.png": "Autocorrelation of the chain.",
+        "trace.png": "Walkers of the chain.",
     }
-    for name in first + [name for name in pictures_made if name not in first]:
-        section.picture(pictures_made[name].read_bytes(), captions.get(name, name.replace("_", " ")))
+    return add_pictures(section, results / "calibrate", captions)
+
+
+def add_pictures(section: Section, folder: Path, captions: dict[str, str]) -> Section:
+    """Pictures of a folder, file to caption, in this order; those that were not made are left out."""
+    for name, caption in captions.items():
+        if (folder / name).exists():
+            section.picture((folder / name).read_bytes(), caption)
     return section
 
 
 def failures_section(results: Path, solved: dict[str, dict]) -> Section:
     """Everything that did not become a label, with its reason."""
     section = Section("Failures")
-    rejected = [row for rows in read_tables(results, "10_poses", ".rejected").values() for row in rows]
+    rejected = read_tables(results, "10_poses", ".rejected")
     failed = [row for row in solved.values() if row["status"] not in ("OK", "NO_CONTACT")]
     if not rejected and not failed:
         return section.text("None: every row of the log became a label.")
@@ -204,16 +210,11 @@ def network_section(results: Path, resolution: str, model: str) -> Section:
     )
     for title, columns, rows in evaluation_tables(metrics):
         section.text(title).table(columns, rows)
-    for name, caption in (
-        (
-            f"70_train/{resolution}/{model}.curve.png",
-            "Loss, learning rate and validation error in the course of training.",
-        ),
-        (f"80_evaluate/{resolution}/{model}.png", "Predicted against labelled total force, and f_z of some presses."),
-    ):
-        if (results / name).exists():
-            section.picture((results / name).read_bytes(), caption)
-    return section
+    captions = {
+        f"70_train/{resolution}/{model}.curve.png": "Loss, learning rate and validation error while it learnt.",
+        f"80_evaluate/{resolution}/{model}.png": "Predicted against labelled total force, and f_z of some presses.",
+    }
+    return add_pictures(section, results, captions)
 
 
 def evaluation_tables(metrics: dict) -> list[tuple[str, list[str], list[list]]]:
@@ -241,10 +242,9 @@ def versions_section(results: Path) -> Section:
 
 def build(data: Path, results: Path, resolution: str, model: str, gallery: int) -> str:
     """The whole page as text."""
-    posed = read_tables(results, "10_poses")
-    poses = [row for rows in posed.values() for row in rows]
-    shards = {row["sample_id"]: shard for shard, rows in posed.items() for row in rows}
-    solved = {row["sample_id"]: row for rows in read_tables(results, "30_fea").values() for row in rows}
+    poses = read_tables(results, "10_poses")
+    shards = {row["sample_id"]: row["shard"] for row in poses}
+    solved = {row["sample_id"]: row for row in read_tables(results, "30_fea")}
     rows = pick(poses, solved, gallery)
     valid = sum(row["status"] in ("OK", "NO_CONTACT") for row in solved.values())
     lead = f"{valid} of {len(shards)} good presses labelled at {resolution}; forces by finite elements, all steps cached."

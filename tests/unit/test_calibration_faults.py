@@ -170,8 +170,12 @@ def test_rows_rejected_by_stage_10_do_not_serve(tmp_path):
         "file,row,sample_id,column,value,reason,remedy\n"
         "log.csv,3,b,dz_mm,x,no number,mend\nlog.csv,4,c,image,,none,add\n"
     )
+    # of a longer log: no shard of today's
+    (tmp_path / "0001.rejected.csv").write_text(
+        "file,row,sample_id,column,value,reason,remedy\nlog.csv,2,z,dz_mm,x,,\n"
+    )
     lines = [f"{name},sphere_15,0,0,0,0,0,-1,0,,,-{k}" for k, name in enumerate("abc", 1)]
     header = "sample_id,indenter,x0_mm,y0_mm,z0_mm,dx_mm,dy_mm,dz_mm,rot_deg,fx_n,fy_n,fz_n"
     (tmp_path / "log.csv").write_text("\n".join([header, *lines]) + "\n")
-    readings = read_readings(tmp_path / "log.csv", load_rejected(tmp_path))
+    readings = read_readings(tmp_path / "log.csv", load_rejected(tmp_path, ["0000"]))
     assert readings.ids.tolist() == ["a", "c"]  # a missing image is no reason to drop a force

@@ -184,6 +184,7 @@ def run_stage(dataset: str, folder: Path, jobs: int) -> tuple[dict, list[Figure]
     places = {
         "--data": Path("data") / dataset,
         "--poses": Path("results") / dataset / "10_poses",
+        "--shards": Path("results") / dataset / "00_plan" / "shards",
         "--params": work / "params.json",
         "--work": work,
         "--solves": solves_of(dataset),
