@@ -14,15 +14,15 @@ MESHES :=
 BRANCHES :=
 endif
 
-$(PLAN): $(DATA)/log.csv $(DATA)/dataset.toml $(wildcard workflow/*.toml) $(wildcard src/gelforge/*.py) $(CCX_FOUND) | $(SETUP)
-	@$(PY) -m gelforge.plan --data $(DATA) --ccx "$$(cat $(CCX_FOUND))" --out $@
+$(PLAN): $(DATA)/log.csv $(DATA)/dataset.toml $(wildcard workflow/*.toml) $(wildcard src/gelforge/*/*.py) $(CCX_FOUND) | $(SETUP)
+	@$(PY) -m gelforge.stages.plan --data $(DATA) --ccx "$$(cat $(CCX_FOUND))" --out $@
 
 $(DATA)/log.csv $(DATA)/dataset.toml:
 	$(error $@ not found: DATASET=$(DATASET) needs a raw log and a dataset.toml; see README.md, or write one with make rig)
 
 # $(call step,MODULE ARGUMENTS) is the recipe of every artifact: it writes $@.part, the wrapper publishes it.
 # Of more inputs than a shell takes as one command (128 KiB) none is named; their reader refuses a broken one.
-wrapped = $(PY) -m gelforge.step $@ $(if $(word 1500,$^),,$(filter $D/%,$^)) -- $(PY) -m $(1)
+wrapped = $(PY) -m gelforge.flow.step $@ $(if $(word 1500,$^),,$(filter $D/%,$^)) -- $(PY) -m $(1)
 ifeq ($(EXECUTOR),local)
 step = @$(wrapped)
 barrier =

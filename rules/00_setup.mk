@@ -1,5 +1,7 @@
 # Set-up: a virtual environment from exact versions, and CalculiX.
 PY := .venv/bin/python
+# The code of this checkout, whichever one the environment was made in.
+export PYTHONPATH := $(CURDIR)/src
 SETUP := .venv/ready
 CCX_FOUND := .venv/ccx.path
 

@@ -8,4 +8,4 @@ poses: $(POSES) $(call barrier,10_poses)  ## check the log, put every indenter's
 SHAPES := $(wildcard workflow/*.stl workflow/*/*.stl)
 
 $(POSES): $D/10_poses/%.csv: $D/00_plan/shards/%.csv $P/poses.json $P/indenters.json $P/sensors.json $(SHAPES)
-	$(call step,gelforge.poses --data $(DATA) --shard $< --params $P/poses.json $(if $(STRICT),--strict) --out $@.part)
+	$(call step,gelforge.stages.poses --data $(DATA) --shard $< --params $P/poses.json $(if $(STRICT),--strict) --out $@.part)

@@ -5,4 +5,4 @@ MESH_FILES := $(MESHES:%=$D/20_meshes/%.npz)
 meshes: $(MESH_FILES) $(call barrier,20_meshes)  ## gel meshes of the chosen fidelity, with quality reports
 
 $(MESH_FILES): $D/20_meshes/%.npz: $P/meshes.json
-	$(call step,gelforge.meshes --name $* --params $< --out $@.part)
+	$(call step,gelforge.stages.meshes --name $* --params $< --out $@.part)

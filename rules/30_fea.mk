@@ -5,4 +5,4 @@ FEA := $(SHARDS:%=$D/30_fea/%.csv)
 fea: $(FEA) $(call barrier,30_fea)  ## finite element solves of every good sample
 
 $(FEA): $D/30_fea/%.csv: $D/10_poses/%.csv $P/fea.json $(MESH_FILES) | $(call barrier,10_poses 20_meshes)
-	$(call step,gelforge.fea --poses $< --meshes $D/20_meshes --params $P/fea.json --out $@.part)
+	$(call step,gelforge.stages.fea --poses $< --meshes $D/20_meshes --params $P/fea.json --out $@.part)

@@ -8,4 +8,4 @@ CALIBRATED := $(if $(shell grep -s '"c10": "calibrated"' $P/forces.json),$D/cali
 forces: $(FORCES) $(call barrier,40_forces)  ## nodal contact forces out of the solvers' output
 
 $(FORCES): $D/40_forces/%.npz: $D/30_fea/%.csv $P/forces.json $(CALIBRATED) | $(call barrier,30_fea)
-	$(call step,gelforge.forces --fea $< --meshes $D/20_meshes --params $P/forces.json $(if $(CALIBRATED),--calibration $(CALIBRATED)) --out $@.part)
+	$(call step,gelforge.stages.forces --fea $< --meshes $D/20_meshes --params $P/forces.json $(if $(CALIBRATED),--calibration $(CALIBRATED)) --out $@.part)

@@ -6,7 +6,7 @@ LABELS := $(RES:%=$D/50_labels/%/labels.json)
 labels: $(LABELS)  ## force per grid cell: make labels RES="12x16 24x32 48x64"
 
 $(LABELS): $D/50_labels/%/labels.json: $(FORCES) $(POSES) $D/00_plan/shards.csv $P/labels.json $P/sensors.json | $(call barrier,10_poses 40_forces)
-	$(call step,gelforge.labels --forces $D/40_forces --poses $D/10_poses --meshes $D/20_meshes --shards $D/00_plan/shards --sensors $P/sensors.json --resolution $* --params $P/labels.json --out $@.part)
+	$(call step,gelforge.stages.labels --forces $D/40_forces --poses $D/10_poses --meshes $D/20_meshes --shards $D/00_plan/shards --sensors $P/sensors.json --resolution $* --params $P/labels.json --out $@.part)
 
 # A shard that was deleted, because it lost bytes say, is made again: labels.json alone would hide the gap.
 there = $(wildcard $D/50_labels/$(1)/*.npz)

@@ -8,7 +8,7 @@ models: $(TRAINED)  ## every network of workflow/models.toml
 onnx: $D/70_train/$(RES1)/onnx/$(MODEL).onnx  ## a trained network as ONNX, checked against torch
 
 $(TRAINED): $D/70_train/$(RES1)/%.pt: $D/60_dataset/$(RES1)/dataset.json $P/models/%.json $P/train.json
-	$(call step,gelforge.train --dataset $(<D) --model $* --models $P/models/$*.json --params $P/train.json --out $@.part)
+	$(call step,gelforge.stages.train --dataset $(<D) --model $* --models $P/models/$*.json --params $P/train.json --out $@.part)
 
 $(MODELS:%=$D/70_train/$(RES1)/onnx/%.onnx): $D/70_train/$(RES1)/onnx/%.onnx: $D/70_train/$(RES1)/%.pt
 	$(call step,gelforge.networks.export --model $< --out $@.part)

@@ -8,7 +8,7 @@ evaluate: $D/80_evaluate/$(RES1)/$(MODEL).json $D/80_evaluate/$(RES1)/$(MODEL).c
 evaluate-models: $(EVALUATED)  ## the same for every network
 
 $(EVALUATED): $D/80_evaluate/$(RES1)/%.json: $D/70_train/$(RES1)/%.pt $D/60_dataset/$(RES1)/dataset.json $P/evaluate.json
-	$(call step,gelforge.evaluate --dataset $(dir $(word 2,$^)) --model $< --params $P/evaluate.json --out $@.part)
+	$(call step,gelforge.stages.evaluate --dataset $(dir $(word 2,$^)) --model $< --params $P/evaluate.json --out $@.part)
 
 $(EVALUATED:.json=.card.md): $D/80_evaluate/$(RES1)/%.card.md: $D/70_train/$(RES1)/%.pt $D/80_evaluate/$(RES1)/%.json
 	$(call step,gelforge.networks.card --model $< --evaluation $(word 2,$^) --out $@.part)

@@ -8,4 +8,4 @@ CHART := $(if $(filter pareto,$(BRANCHES)),$D/pareto/quick.json)
 report: $(REPORT)  ## one HTML page: presses, labels, errors, posterior, chart, failures
 
 $(REPORT): $P/report.json $(POSES) $(FORCES) $D/50_labels/$(RES1)/labels.json $D/80_evaluate/$(RES1)/$(MODEL).json $(CALIBRATION) $(CHART)
-	$(call step,gelforge.report --data $(DATA) --results $D --resolution $(RES1) --model $(MODEL) --params $< --out $@.part)
+	$(call step,gelforge.stages.report --data $(DATA) --results $D --resolution $(RES1) --model $(MODEL) --params $< --out $@.part)

@@ -6,7 +6,7 @@ PARETO_MESHES ?=
 PARETO_MESH_FILES := $(PARETO_MESHES:%=$D/pareto/meshes/%.npz)
 PARETO_FILES := $(PARETO_SCENES:%=$D/pareto/scenes/%.json)
 PARETO_QUICK_FILES := $(PARETO_QUICK:%=$D/pareto/quick/%.json)
-PARETO_SCENE = gelforge.pareto scene --name $* --scene $< --params $P/pareto.json --sensors $P/sensors.json
+PARETO_SCENE = gelforge.stages.pareto scene --name $* --scene $< --params $P/pareto.json --sensors $P/sensors.json
 
 .PHONY: pareto pareto-quick pareto-meshes
 pareto: $D/pareto/pareto.json  ## speed against accuracy of the mechanics: chart, CSV, JSON (hours; resumes)
@@ -16,7 +16,7 @@ pareto-quick: $D/pareto/quick.json  ## the report's small chart: three scenes, f
 pareto-meshes: $(PARETO_MESH_FILES)
 
 $(PARETO_MESH_FILES): $D/pareto/meshes/%.npz: $P/pareto_meshes.json
-	$(call step,gelforge.pareto_meshes --name $* --params $< --out $@.part)
+	$(call step,gelforge.stages.pareto_meshes --name $* --params $< --out $@.part)
 
 $(PARETO_FILES): $D/pareto/scenes/%.json: $P/scenes/%.json $P/pareto.json $P/sensors.json $(PARETO_MESH_FILES)
 	$(call step,$(PARETO_SCENE) --meshes $D/pareto/meshes --out $@.part)
@@ -25,7 +25,7 @@ $(PARETO_QUICK_FILES): $D/pareto/quick/%.json: $P/scenes/%.json $P/pareto.json $
 	$(call step,$(PARETO_SCENE) --set quick --meshes $D/20_meshes --out $@.part)
 
 $D/pareto/pareto.json: $(PARETO_FILES)
-	$(call step,gelforge.pareto chart --scenes $^ --out $@.part)
+	$(call step,gelforge.stages.pareto chart --scenes $^ --out $@.part)
 
 $D/pareto/quick.json: $(PARETO_QUICK_FILES)
-	$(call step,gelforge.pareto chart --scenes $^ --note "a small chart; the reference is in process; make pareto draws the large one" --out $@.part)
+	$(call step,gelforge.stages.pareto chart --scenes $^ --note "a small chart; the reference is in process; make pareto draws the large one" --out $@.part)

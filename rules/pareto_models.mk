@@ -6,4 +6,4 @@ CHARTED ?= $(MODELS)
 pareto-models: $D/pareto_models/$(RES1).json  ## accuracy against latency of every network: chart, CSV, JSON
 
 $D/pareto_models/$(RES1).json: $(CHARTED:%=$D/80_evaluate/$(RES1)/%.json) $(CHARTED:%=$D/70_train/$(RES1)/%.pt) $D/60_dataset/$(RES1)/dataset.json
-	$(call step,gelforge.pareto_models --dataset $D/60_dataset/$(RES1) --models $(filter %.pt,$^) --evaluations $(filter $D/80_evaluate/%.json,$^) --out $@.part)
+	$(call step,gelforge.stages.pareto_models --dataset $D/60_dataset/$(RES1) --models $(filter %.pt,$^) --evaluations $(filter $D/80_evaluate/%.json,$^) --out $@.part)

@@ -14,7 +14,7 @@ test-slurm: $(SETUP) $(SLURM_FOUND)  ## tests of EXECUTOR=slurm on a real cluste
 benchmark-slurm: $(SLURM_FOUND)
 
 slurm-cancel:  ## cancel what was left running on Slurm (DETACH=1)
-	@$(PY) -m gelforge.slurm cancel --results $D
+	@$(PY) -m gelforge.flow.slurm.run cancel --results $D
 
 ifeq ($(EXECUTOR),slurm)
 ifneq ($(COLLECT),)

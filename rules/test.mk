@@ -8,10 +8,10 @@ test: $(SETUP) $(CCX_FOUND)  ## all tests
 lock: $(SETUP)  ## write envs/requirements.lock from what is installed
 	@$(PY) -m pip freeze --exclude-editable | sed 's/+cpu$$//' > envs/requirements.lock
 
-BENCHMARKS := $(patsubst src/gelforge/benchmarks/%.py,benchmark-%,$(filter-out %/__init__.py %/figures.py %/sandbox.py,$(wildcard src/gelforge/benchmarks/*.py)))
+BENCHMARKS := $(patsubst tests/benchmarks/%.py,benchmark-%,$(filter-out %/__init__.py %/figures.py %/sandbox.py %/rig_page.py,$(wildcard tests/benchmarks/*.py)))
 .PHONY: $(BENCHMARKS)
 $(BENCHMARKS): benchmark-%: $(SETUP) $(CCX_FOUND)
-	@$(PY) -m gelforge.benchmarks.$* --out results/benchmarks/$*.json
+	@$(PY) -m tests.benchmarks.$* --out results/benchmarks/$*.json
 
 .PHONY: benchmark-X
 benchmark-X:  ## measure what was promised; X is one of those listed by make benchmark-X

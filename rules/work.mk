@@ -5,10 +5,10 @@ demo: report
 	@echo "report: $D/90_report/index.html"
 
 status:  ## samples done, failed with reasons and pending, per stage
-	@$(PY) -m gelforge.status --results $D
+	@$(PY) -m gelforge.commands.status --results $D
 
 sample:  ## one sample through all stages with its log: make sample ID=…
-	@$(PY) -m gelforge.sample --dataset $(DATASET) --id "$(ID)" --resolution $(RES1)
+	@$(PY) -m gelforge.commands.sample --dataset $(DATASET) --id "$(ID)" --resolution $(RES1)
 
 ID ?=
 

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from gelforge.binning.patch import consistent_loads
-from gelforge.files import write_csv, write_json
+from gelforge.flow.files import write_csv, write_json
 from gelforge.geometry.gel import Gel
-from gelforge.log import COLUMNS
-from gelforge.mechanics.forcefile import SampleForces, write_forces
-from gelforge.mechanics.hexmesh import FineBox, build_mesh
+from gelforge.labelling.patch import consistent_loads
+from gelforge.mechanics.hex.hexmesh import FineBox, build_mesh
+from gelforge.records.forcefile import SampleForces, write_forces
+from gelforge.records.log import COLUMNS
 
 ROOT = Path(__file__).resolve().parent.parent
 PARAMS = {
@@ -104,7 +104,7 @@ def write_pressed(
 
 def label(made: dict, resolution: str, sensors=ROOT / "workflow/sensors.toml") -> Path:
     """Run stage 50 on all shards; return the folder of labels."""
-    from gelforge import labels
+    from gelforge.stages import labels
 
     results, out = made["results"], made["results"] / "50_labels" / resolution / "labels.json"
     labels.main(
@@ -132,7 +132,7 @@ def label(made: dict, resolution: str, sensors=ROOT / "workflow/sensors.toml") -
 
 def collect(made: dict, resolution: str, params=None) -> Path:
     """Run stage 60; return the dataset's folder."""
-    from gelforge import dataset
+    from gelforge.stages import dataset
 
     results, out = made["results"], made["results"] / "60_dataset" / resolution / "dataset.json"
     if params:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gelforge.files import write_csv, write_json
+from gelforge.flow.files import write_csv, write_json
 
 SPLITS = ("train", "val", "test", "test_unseen_indenter", "test_unseen_sensor")
 

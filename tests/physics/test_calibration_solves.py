@@ -11,12 +11,10 @@ from gelforge.calibration.solves import SolveCache, build_emulator, interface_of
 from gelforge.errors import BadInput, SolveFailed
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue
-from gelforge.mechanics.hex import HexSettings, solve_hex
+from gelforge.mechanics.hex.solver import HexSettings, solve_hex
 from gelforge.mechanics.scene import REFERENCE_C10, Material, Scene
 
-SETTINGS = HexSettings(
-    size=1.2, layers=3, press_steps=8, shear_steps=3, final_tolerance=1e-7
-)
+SETTINGS = HexSettings(size=1.2, layers=3, press_steps=8, shear_steps=3, final_tolerance=1e-7)
 NU = 0.475
 MU = 0.5
 

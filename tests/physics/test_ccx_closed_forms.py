@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from gelforge.mechanics.ccx_deck import material_lines, mesh_include
-from gelforge.mechanics.ccx_run import run_ccx
-from gelforge.mechanics.dat import last_table, read_dat
+from gelforge.mechanics.ccx.dat import last_table, read_dat
+from gelforge.mechanics.ccx.deck import material_lines, mesh_include
+from gelforge.mechanics.ccx.program import run_ccx
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.scene import Material
-from gelforge.mechanics.tet import boundary_faces, kuhn_grid, second_order
-from gelforge.mechanics.tetsolid import TetSolid
+from gelforge.mechanics.tet.solid import TetSolid
+from gelforge.mechanics.tet.tetmesh import boundary_faces, kuhn_grid, second_order
 
 MATERIAL = Material()
 SIDE = np.linspace(0.0, 1.0, 3)

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from gelforge.geometry.gel import Gel
-from gelforge.mechanics.ccx import CcxSettings, CcxSolver
-from gelforge.mechanics.ccx_contact import SLIDE, STICK, Contact, spring_rows
-from gelforge.mechanics.hex import HexSettings, solve_hex
-from gelforge.mechanics.scene import Interface, Material, Press, Scene, Status
-from gelforge.mechanics.tet import symmetric_block
-from gelforge.mechanics.tetcontact import contact_blocks, contact_forces
-from gelforge.mechanics.tetface import dunavant12, face_points
+from gelforge.mechanics.ccx.boundary import SLIDE, STICK, Contact, spring_rows
+from gelforge.mechanics.ccx.solver import CcxSettings, CcxSolver
+from gelforge.mechanics.hex.solver import HexSettings, solve_hex
+from gelforge.mechanics.scene import Interface, Material, Press, Scene
+from gelforge.mechanics.tet.face import dunavant12, face_points
+from gelforge.mechanics.tet.kinematics import contact_blocks, contact_forces
+from gelforge.mechanics.tet.tetmesh import symmetric_block
+from gelforge.records.status import Status
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import pytest
 from gelforge.geometry.gel import Gel
 from gelforge.mechanics.contact import GLUED, FacePlaces, Law, Pose, contact_points, contact_springs, curved
 from gelforge.mechanics.element import build_pattern
-from gelforge.mechanics.hexmesh import (
+from gelforge.mechanics.hex.hexmesh import (
     FineBox,
     build_mesh,
     graded_lines,

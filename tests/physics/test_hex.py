@@ -7,10 +7,11 @@ import pytest
 
 from gelforge.geometry.gel import Gel
 from gelforge.mechanics.contact import GLUED
-from gelforge.mechanics.hex import HexSettings, HexSolver, solve_hex
-from gelforge.mechanics.hexmesh import FineBox, HexMesh, mesh_on_lines
-from gelforge.mechanics.hexreach import path_pose
-from gelforge.mechanics.scene import Interface, Material, Press, Scene, Status
+from gelforge.mechanics.hex.hexmesh import FineBox, HexMesh, mesh_on_lines
+from gelforge.mechanics.hex.reach import path_pose
+from gelforge.mechanics.hex.solver import HexSettings, HexSolver, solve_hex
+from gelforge.mechanics.scene import Interface, Material, Press, Scene
+from gelforge.records.status import Status
 
 COARSE = HexSettings(size=1.2, layers=3, press_steps=3, shear_steps=2)
 

@@ -7,8 +7,11 @@ from gelforge.geometry.indenters import load_catalogue, read_catalogue
 from gelforge.geometry.published import compare_gel_top, compare_indenter, step_file
 from tests.conftest import ROOT
 
-pytest.importorskip("gmsh", reason="gmsh reads STEP files; pip install gmsh to compare with the published solids",
-                    exc_type=ImportError)
+pytest.importorskip(
+    "gmsh",
+    reason="gmsh reads STEP files; pip install gmsh to compare with the published solids",
+    exc_type=ImportError,
+)
 CATALOGUE = ROOT / "workflow" / "indenters.toml"
 
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from gelforge.benchmarks.rig import Rig, likeness
 from gelforge.geometry.gel import Gel
 from gelforge.virtualrig.surface import STEP, unloaded
+from tests.benchmarks.rig import Rig, likeness
 from tests.conftest import ROOT
 
 

@@ -8,13 +8,13 @@ import pytest
 
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
-from gelforge.mechanics.ccx import CcxSettings, CcxSolver
-from gelforge.mechanics.hex import first_touch
+from gelforge.mechanics.ccx.solver import CcxSettings, CcxSolver
+from gelforge.mechanics.hex.solver import first_touch
 from gelforge.mechanics.scene import Interface, Material, Press, Scene
-from gelforge.mechanics.tet import symmetric_block
-from gelforge.mechanics.tetcontact import PathSettings, contact_forces, follow
-from gelforge.mechanics.tetface import face_points
-from gelforge.mechanics.tetsolid import TetSolid
+from gelforge.mechanics.tet.face import face_points
+from gelforge.mechanics.tet.kinematics import PathSettings, contact_forces, follow
+from gelforge.mechanics.tet.solid import TetSolid
+from gelforge.mechanics.tet.tetmesh import symmetric_block
 
 
 @dataclass(frozen=True)

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from gelforge.binning.grid import Grid
-from gelforge.binning.operator import assemble
-from gelforge.binning.patch import consistent_loads, exact_cells, irregular_surface
-from gelforge.binning.sensor import load_sensors
+from gelforge.labelling.grid import Grid
+from gelforge.labelling.operator import assemble
+from gelforge.labelling.patch import consistent_loads, exact_cells, irregular_surface
+from gelforge.labelling.sensor import load_sensors
 
 CASES = [
     (kind, sensor, size, text)

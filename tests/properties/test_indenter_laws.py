@@ -15,8 +15,12 @@ CATALOGUE = ROOT / "workflow" / "indenters.toml"
 EXTRA = {
     "lying": {"kind": "lying_cylinder", "diameter": 7.0, "length": 12.0, "fillet": 0.8},
     "disc": {"kind": "ellipse", "size": [9.0, 4.0], "fillet": 0.3, "height": 5.0},
-    "hook": {"kind": "outline", "corners": [[-4, -4], [4, -4], [4, 0], [0, 0], [0, 5], [-4, 5]], "fillet": 0.7,
-             "height": 6.0},
+    "hook": {
+        "kind": "outline",
+        "corners": [[-4, -4], [4, -4], [4, 0], [0, 0], [0, 5], [-4, 5]],
+        "fillet": 0.7,
+        "height": 6.0,
+    },
     "sharp": {"kind": "cuboid", "size": [6.0, 3.0], "fillet": 0.01, "height": 5.0},
 }
 NAMES = [*sorted(read_catalogue(CATALOGUE)), *EXTRA]
@@ -90,8 +94,15 @@ def test_sign_agrees_with_the_surface(name):
     assert (np.abs(mesh_distance - d)[outside] <= 0.01 + rough).all()
 
 
-@given(seed=SEEDS, x=st.floats(-3, 3), y=st.floats(-5, 5), turn=st.floats(-180, 180), press=st.floats(0, 1),
-       shear=st.floats(0, 1), name=st.sampled_from(NAMES))
+@given(
+    seed=SEEDS,
+    x=st.floats(-3, 3),
+    y=st.floats(-5, 5),
+    turn=st.floats(-180, 180),
+    press=st.floats(0, 1),
+    shear=st.floats(0, 1),
+    name=st.sampled_from(NAMES),
+)
 @settings(max_examples=40, deadline=None)
 def test_a_moved_indenter_keeps_its_distances(seed, x, y, turn, press, shear, name):
     rotation, shift = Press(x, y, 0.2, 0.3, -0.4, -1.5, turn).pose(press, shear)
@@ -105,13 +116,21 @@ def test_a_moved_indenter_keeps_its_distances(seed, x, y, turn, press, shear, na
     assert steady.mean() > 0.9
 
 
-@given(kind=st.sampled_from(["cuboid", "polygon", "pyramid", "sloping_cuboid", "cylinder"]),
-       size=st.floats(4.0, 20.0), fillet=st.floats(0.05, 1.2), slope=st.floats(3.0, 35.0))
+@given(
+    kind=st.sampled_from(["cuboid", "polygon", "pyramid", "sloping_cuboid", "cylinder"]),
+    size=st.floats(4.0, 20.0),
+    fillet=st.floats(0.05, 1.2),
+    slope=st.floats(3.0, 35.0),
+)
 @settings(max_examples=25, deadline=None)
 def test_any_size_builds_a_body_whose_surface_is_on_its_distance(kind, size, fillet, slope):
-    keys = {"cuboid": {"size": [size, size / 2.0 + 1.0]}, "polygon": {"sides": 5, "side": size},
-            "pyramid": {"size": [size, size], "slope_deg": slope}, "cylinder": {"diameter": size},
-            "sloping_cuboid": {"size": [size, size], "slope_deg": slope}}[kind]
+    keys = {
+        "cuboid": {"size": [size, size / 2.0 + 1.0]},
+        "polygon": {"sides": 5, "side": size},
+        "pyramid": {"size": [size, size], "slope_deg": slope},
+        "cylinder": {"diameter": size},
+        "sloping_cuboid": {"size": [size, size], "slope_deg": slope},
+    }[kind]
     shape = build("any", {"kind": kind, "height": 8.0, "fillet": fillet, **keys})
     vertices, faces = shape.surface()
     # surface corners lie on the body; 1e-6 is rounding in the hull

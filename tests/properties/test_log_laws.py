@@ -6,15 +6,23 @@ import io
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gelforge import log
+from gelforge.records import log
 
 NUMBERS = st.floats(-999.0, 999.0, allow_nan=False)
 WORDS = st.from_regex(r"[A-Za-z0-9][A-Za-z0-9_.\-]{0,20}", fullmatch=True)
 SAMPLES = st.builds(
-    log.Sample, row=st.integers(2, 10**6), sample_id=WORDS, time_utc=st.just("2025-04-08T12:25:19+00:00"),
-    sensor_id=WORDS, gel_id=WORDS, indenter=WORDS, image=WORDS,
-    **{name: NUMBERS for name in log.POSE if name != "dz_mm"}, dz_mm=st.floats(-999.0, -1e-9),
-    **{name: st.none() | NUMBERS for name in log.FORCES})
+    log.Sample,
+    row=st.integers(2, 10**6),
+    sample_id=WORDS,
+    time_utc=st.just("2025-04-08T12:25:19+00:00"),
+    sensor_id=WORDS,
+    gel_id=WORDS,
+    indenter=WORDS,
+    image=WORDS,
+    **{name: NUMBERS for name in log.POSE if name != "dz_mm"},
+    dz_mm=st.floats(-999.0, -1e-9),
+    **{name: st.none() | NUMBERS for name in log.FORCES},
+)
 
 
 @given(samples=st.lists(SAMPLES, min_size=1, max_size=5))
@@ -29,8 +37,28 @@ def test_log_reads_back_to_the_last_digit(tmp_path_factory, samples):
         assert back == log.Sample(**{**vars(sample), "row": line})
 
 
-CELLS = st.one_of(st.text(max_size=30), st.none(), st.sampled_from(
-    ["nan", "-inf", "1e400", "1,5", "\x00", "=1+1", "../..", " 3 ", "--1", "0x1", "\u0663", "1e", ".", "2025-13-45"]))
+CELLS = st.one_of(
+    st.text(max_size=30),
+    st.none(),
+    st.sampled_from(
+        [
+            "nan",
+            "-inf",
+            "1e400",
+            "1,5",
+            "\x00",
+            "=1+1",
+            "../..",
+            " 3 ",
+            "--1",
+            "0x1",
+            "\u0663",
+            "1e",
+            ".",
+            "2025-13-45",
+        ]
+    ),
+)
 
 
 @given(cells=st.dictionaries(st.sampled_from([*log.COLUMNS, "row", "other"]), CELLS))

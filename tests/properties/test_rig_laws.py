@@ -7,13 +7,13 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gelforge.binning.sensor import load_sensors
 from gelforge.geometry.gel import Gel
-from gelforge.virtualrig.fit import dot_spots
+from gelforge.labelling.sensor import load_sensors
+from gelforge.virtualrig.background import dot_spots
+from gelforge.virtualrig.likeness import inside_image
 from gelforge.virtualrig.looks import TERMS, Look, read_looks
-from gelforge.virtualrig.measure import inside_image
-from gelforge.virtualrig.plan import kind_of, orders, read_plan
 from gelforge.virtualrig.render import Renderer
+from gelforge.virtualrig.rigplan import kind_of, orders, read_plan
 from gelforge.virtualrig.surface import STEP, unloaded
 from tests.conftest import ROOT
 

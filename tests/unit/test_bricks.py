@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gelforge.errors import BadInput
-from gelforge.mechanics.bricks import FORM, Bricks
-from gelforge.mechanics.hexmesh import FineBox
-from gelforge.meshes import load_mesh
+from gelforge.mechanics.family import load_mesh
+from gelforge.mechanics.hex.bricks import FORM, Bricks
+from gelforge.mechanics.hex.hexmesh import FineBox
 
 GOOD = "hex@gelsight_mini:-5.5:5.5:-10:0.25:0.45:5:3:1.8:3"
 LENGTH = st.floats(0.2, 3.0)

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from calibration_law import PARAMS, law_posterior, make_readings
 
-from gelforge.calibrate import load_rejected, refuse_beyond
 from gelforge.calibration.emulator import Emulator
 from gelforge.calibration.parameters import Model, Prior, make_model, read_prior
 from gelforge.calibration.readings import check_enough, check_readings, read_readings
 from gelforge.calibration.sampling import Chain, NotConverged, Rules, find_modes, sample
 from gelforge.calibration.solves import refuse_untouched
 from gelforge.errors import BadInput
+from gelforge.stages.calibrate import load_rejected, refuse_beyond
 
 DEPTH = np.array([0.5, 1.0, 1.5, 2.0])
 FORCE = -np.array([1.65, 5.96, 13.5, 23.3])

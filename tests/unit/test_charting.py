@@ -10,16 +10,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from gelforge import config, pareto, stability
-from gelforge.binning.sensor import load_sensors
-from gelforge.charting import cases
-from gelforge.charting.errors import cell_error, errors, frontier, total_error
-from gelforge.charting.isolate import Clock, isolated
-from gelforge.charting.measure import load_bench
-from gelforge.charting.methods import Method, every_method, quick_methods
-from gelforge.charting.scenes import parse_scene, read_tables, resolve
 from gelforge.errors import BadInput
-from gelforge.meshes import footprint
+from gelforge.flow import params as config
+from gelforge.labelling.sensor import load_sensors
+from gelforge.mechanics.family import footprint
+from gelforge.stages import pareto, stability
+from gelforge.sweeps import cases
+from gelforge.sweeps.deviation import cell_error, errors, frontier, total_error
+from gelforge.sweeps.isolate import Clock, isolated
+from gelforge.sweeps.methods import Method, every_method, quick_methods
+from gelforge.sweeps.scenes import parse_scene, read_tables, resolve
+from gelforge.sweeps.trial import load_bench
 
 NUMBERS = st.floats(-50, 50, allow_nan=False)
 CELLS = arrays(float, (3, 4, 5), elements=NUMBERS)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gelforge.mechanics.dat import DatError, last_table, read_dat, without_set
+from gelforge.mechanics.ccx.dat import DatError, last_table, read_dat, without_set
 
 HEAD = "\n displacements (vx,vy,vz) for set NTOP and time  0.{time}000000E+01\n\n"
 ROWS = "         1  1.000000E-01 -2.000000E-01  3.000000E-01\n         7  4.000000E-01  5.000000E-01 -6.000000E-01\n"

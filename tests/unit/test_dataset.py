@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from pressed_dataset import PARAMS, collect, label, write_pressed
 
 from gelforge.errors import BadInput
-from gelforge.files import read_csv, read_json
+from gelforge.flow.files import read_csv, read_json
 from gelforge.networks.data import open_data
-from gelforge.split import group_presses, split_presses
+from gelforge.networks.split import group_presses, split_presses
 
 SETTINGS = PARAMS["dataset"]["dataset"]
 

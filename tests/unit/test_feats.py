@@ -12,10 +12,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from pressed_dataset import collect, label, write_pressed
 
-from gelforge.binning.labelfile import read_labels
-from gelforge.binning.sensor import load_sensors
 from gelforge.errors import BadInput
-from gelforge.files import read_csv
+from gelforge.flow.files import read_csv
 from gelforge.formats.feats import (
     LabelSample,
     RawSample,
@@ -25,7 +23,9 @@ from gelforge.formats.feats import (
     write_normalisation,
 )
 from gelforge.formats.feats_folder import export_dataset, import_folder
+from gelforge.labelling.sensor import load_sensors
 from gelforge.networks.data import open_data
+from gelforge.records.labelfile import read_labels
 
 IMAGE = np.random.default_rng(0).integers(0, 255, (240, 320, 3), np.uint8)
 RAW = {

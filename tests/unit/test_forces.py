@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from gelforge.errors import BadInput
-from gelforge.files import write_json
-from gelforge.forces import dat_forces, material_c10
+from gelforge.flow.files import write_json
 from gelforge.geometry.gel import GELS
-from gelforge.mechanics.scene import Status
-from gelforge.mechanics.tet import symmetric_block
+from gelforge.mechanics.tet.tetmesh import symmetric_block
+from gelforge.records.status import Status
+from gelforge.stages.forces import dat_forces, material_c10
 
 MESH = symmetric_block(GELS["gelsight_mini"], 6.0, 1)
 

@@ -15,7 +15,6 @@ def catalogue(root):
     return load_catalogue(root / "workflow" / "indenters.toml")
 
 
-
 def table(kind, **keys):
     return {"kind": kind, "fillet": 0.5, "height": 8.0, **keys}
 
@@ -76,42 +75,55 @@ def test_ellipse_distance_is_that_of_its_nearest_point():
     np.testing.assert_allclose(np.abs(distance), brute, atol=1e-5)
 
 
-@pytest.mark.parametrize(("name", "keys", "expected"), [
-    ("lying_cylinder", {"diameter": 6.0, "length": 12.0}, np.pi * 9.0 * 12.0),
-    ("cuboid", {"size": [4.0, 6.0]}, 4.0 * 6.0 * 8.0),
-    ("cross", {"size": [8.0, 10.0], "arm": 2.0}, (8.0 * 2.0 + 8.0 * 2.0) * 8.0),
-    ("polygon", {"sides": 5, "side": 4.0}, 8.0 * 4.0**2 * 5.0 / (4.0 * np.tan(np.pi / 5.0))),
-    ("outline", {"corners": [[0, 0], [5, 0], [5, 2], [2, 2], [2, 5], [0, 5]]}, 16.0 * 8.0),
-    ("cylinder", {"diameter": 8.0, "hole": 4.0}, np.pi * (16.0 - 4.0) * 8.0),
-    ("triple_triangle", {"side": 12.0, "wall": 1.0},
-     8.0 * np.sqrt(3.0) / 4.0 * (12.0**2 - 3.0 * (12.0 / np.sqrt(12.0) - 1.0) ** 2)),
-])
+@pytest.mark.parametrize(
+    ("name", "keys", "expected"),
+    [
+        ("lying_cylinder", {"diameter": 6.0, "length": 12.0}, np.pi * 9.0 * 12.0),
+        ("cuboid", {"size": [4.0, 6.0]}, 4.0 * 6.0 * 8.0),
+        ("cross", {"size": [8.0, 10.0], "arm": 2.0}, (8.0 * 2.0 + 8.0 * 2.0) * 8.0),
+        ("polygon", {"sides": 5, "side": 4.0}, 8.0 * 4.0**2 * 5.0 / (4.0 * np.tan(np.pi / 5.0))),
+        ("outline", {"corners": [[0, 0], [5, 0], [5, 2], [2, 2], [2, 5], [0, 5]]}, 16.0 * 8.0),
+        ("cylinder", {"diameter": 8.0, "hole": 4.0}, np.pi * (16.0 - 4.0) * 8.0),
+        (
+            "triple_triangle",
+            {"side": 12.0, "wall": 1.0},
+            8.0 * np.sqrt(3.0) / 4.0 * (12.0**2 - 3.0 * (12.0 / np.sqrt(12.0) - 1.0) ** 2),
+        ),
+    ],
+)
 def test_volume_approaches_the_sharp_body(name, keys, expected):
-    body = build("b", {**table(name, **keys), "fillet": 0.02} if name != "lying_cylinder" else
-                 {"kind": name, "fillet": 0.02, **keys})
+    body = build(
+        "b",
+        {**table(name, **keys), "fillet": 0.02}
+        if name != "lying_cylinder"
+        else {"kind": name, "fillet": 0.02, **keys},
+    )
     # fillets of 0.02 mm and chords of 0.003 mm take well under 1 % away
     assert triangles.volume(*body.surface()) == pytest.approx(expected, rel=0.01)
 
 
-@pytest.mark.parametrize(("wrong", "says"), [
-    ({"kind": "sphare", "diameter": 3}, "choose one of"),
-    ({"kind": "sphere", "diameter": "3", "height": 5}, "diameter"),
-    ({"kind": "sphere", "diameter": True, "height": 5}, "diameter"),
-    ({"kind": "sphere", "diameter": float("nan"), "height": 5}, "diameter"),
-    ({"kind": "sphere", "diameter": 5, "height": 5, "colour": 1}, "no such key"),
-    ({"kind": "sphere", "diameter": 20, "height": 5}, "fillet"),
-    ({"kind": "cuboid", "size": [5], "fillet": 1, "height": 5}, "two positive numbers"),
-    ({"kind": "cuboid", "size": [1.5, 9], "fillet": 1, "height": 5}, "too large"),
-    ({"kind": "cylinder", "diameter": 5, "hole": 6, "fillet": 0.1, "height": 5}, "does not fit"),
-    ({"kind": "triple_triangle", "side": 5, "wall": 4, "fillet": 0.1, "height": 5}, "no hole"),
-    ({"kind": "stl", "file": "nowhere.stl"}, "there is no file"),
-    ({"kind": "cuboid", "size": [5, 5], "fillet": 1, "height": 5, "seen": "yes"}, "true or false"),
-    ({"size": [5, 5]}, "kind"),
-    ({"kind": "outline", "corners": [[0, 0], [5, 5], [5, 0], [0, 5]], "fillet": 0.1, "height": 5}, "cross"),
-    ({"kind": "outline", "corners": [[0, 0], [5, 5]], "fillet": 0.1, "height": 5}, "three corners"),
-    ({"kind": "outline", "corners": [[0, 0], [5, "a"], [0, 5]], "fillet": 0.1, "height": 5}, "three corners"),
-    ({"kind": "outline", "corners": [[0, 0], [5, float("inf")], [0, 5]], "fillet": 0.1, "height": 5}, "corners"),
-])
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        ({"kind": "sphare", "diameter": 3}, "choose one of"),
+        ({"kind": "sphere", "diameter": "3", "height": 5}, "diameter"),
+        ({"kind": "sphere", "diameter": True, "height": 5}, "diameter"),
+        ({"kind": "sphere", "diameter": float("nan"), "height": 5}, "diameter"),
+        ({"kind": "sphere", "diameter": 5, "height": 5, "colour": 1}, "no such key"),
+        ({"kind": "sphere", "diameter": 20, "height": 5}, "fillet"),
+        ({"kind": "cuboid", "size": [5], "fillet": 1, "height": 5}, "two positive numbers"),
+        ({"kind": "cuboid", "size": [1.5, 9], "fillet": 1, "height": 5}, "too large"),
+        ({"kind": "cylinder", "diameter": 5, "hole": 6, "fillet": 0.1, "height": 5}, "does not fit"),
+        ({"kind": "triple_triangle", "side": 5, "wall": 4, "fillet": 0.1, "height": 5}, "no hole"),
+        ({"kind": "stl", "file": "nowhere.stl"}, "there is no file"),
+        ({"kind": "cuboid", "size": [5, 5], "fillet": 1, "height": 5, "seen": "yes"}, "true or false"),
+        ({"size": [5, 5]}, "kind"),
+        ({"kind": "outline", "corners": [[0, 0], [5, 5], [5, 0], [0, 5]], "fillet": 0.1, "height": 5}, "cross"),
+        ({"kind": "outline", "corners": [[0, 0], [5, 5]], "fillet": 0.1, "height": 5}, "three corners"),
+        ({"kind": "outline", "corners": [[0, 0], [5, "a"], [0, 5]], "fillet": 0.1, "height": 5}, "three corners"),
+        ({"kind": "outline", "corners": [[0, 0], [5, float("inf")], [0, 5]], "fillet": 0.1, "height": 5}, "corners"),
+    ],
+)
 def test_wrong_tables_are_refused_with_name_and_remedy(wrong, says):
     with pytest.raises(BadInput, match="indenter wrong_one") as error:
         build("wrong_one", wrong)
@@ -193,8 +205,9 @@ def test_grid_that_would_fill_memory_is_refused(catalogue):
 
 
 def test_ears_cover_a_polygon_with_notches():
-    comb = np.array([[0, 0], [7, 0], [7, 3], [6, 3], [6, 1], [4, 1],
-                     [4, 3], [3, 3], [3, 1], [1, 1], [1, 3], [0, 3]], float)
+    comb = np.array(
+        [[0, 0], [7, 0], [7, 3], [6, 3], [6, 1], [4, 1], [4, 3], [3, 3], [3, 1], [1, 1], [1, 3], [0, 3]], float
+    )
     a, b, c = comb[triangles.ears(comb)].transpose(1, 0, 2)
     area = ((b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])) / 2.0
     assert (area >= 0.0).all()

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from pressed_dataset import PARAMS, bump, label, make_mesh, write_pressed
 
-from gelforge import labels
-from gelforge.binning.grid import Grid
-from gelforge.binning.labelfile import read_labels
-from gelforge.binning.operator import Operator, assemble, cached, operator_path
-from gelforge.binning.sensor import load_sensors
 from gelforge.errors import BadInput
-from gelforge.mechanics.forcefile import ForceFile, SampleForces, write_forces
+from gelforge.labelling.grid import Grid
+from gelforge.labelling.operator import Operator, assemble, cached, operator_path
+from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.mesh import GelMesh
+from gelforge.records.forcefile import ForceFile, SampleForces, write_forces
+from gelforge.records.labelfile import read_labels
+from gelforge.stages import labels
 
 
 @pytest.fixture(scope="module")

@@ -7,13 +7,31 @@ import cv2
 import numpy as np
 import pytest
 
-from gelforge import log
 from gelforge.errors import BadInput
+from gelforge.records import log
 
-GOOD = {"row": "2", "sample_id": "a1", "time_utc": "2025-04-08T12:25:19Z", "sensor_id": "gelsight_mini",
-        "gel_id": "g1", "indenter": "sphere_15", "x0_mm": "0.5", "y0_mm": "-1", "z0_mm": "0", "dx_mm": "0.2", "dy_mm": "0",
-        "dz_mm": "-1.25", "rot_deg": "30", "fx_n": "", "fy_n": "", "fz_n": "-6.5", "mx_nm": "", "my_nm": "",
-        "mz_nm": "", "image": "images/a1.png"}
+GOOD = {
+    "row": "2",
+    "sample_id": "a1",
+    "time_utc": "2025-04-08T12:25:19Z",
+    "sensor_id": "gelsight_mini",
+    "gel_id": "g1",
+    "indenter": "sphere_15",
+    "x0_mm": "0.5",
+    "y0_mm": "-1",
+    "z0_mm": "0",
+    "dx_mm": "0.2",
+    "dy_mm": "0",
+    "dz_mm": "-1.25",
+    "rot_deg": "30",
+    "fx_n": "",
+    "fy_n": "",
+    "fz_n": "-6.5",
+    "mx_nm": "",
+    "my_nm": "",
+    "mz_nm": "",
+    "image": "images/a1.png",
+}
 
 
 def parse(**cells):
@@ -32,32 +50,35 @@ def test_good_row_is_typed():
     assert sample.press().dz == -1.25
 
 
-@pytest.mark.parametrize(("column", "value", "says"), [
-    ("x0_mm", "NaN", "not a finite number"),
-    ("y0_mm", "inf", "not a finite number"),
-    ("dz_mm", "1e999", "not a finite number"),
-    ("dx_mm", "0,5", "decimals with a point"),
-    ("dy_mm", "two", "not a finite number"),
-    ("rot_deg", "1_0", "not a finite number"),
-    ("rot_deg", "\u0661", "not a finite number"),
-    ("x0_mm", "0x10", "not a finite number"),
-    ("z0_mm", "", "is empty"),
-    ("fz_n", "nan", "leave the cell empty"),
-    ("fz_n", "1e9", "check the unit"),
-    ("x0_mm", "1e6", "check the unit"),
-    ("dz_mm", "0", "does not move towards the gel"),
-    ("dz_mm", "1.25", "negative"),
-    ("sample_id", "", "file name"),
-    ("sample_id", "../../etc/passwd", "file name"),
-    ("sample_id", "a/b", "file name"),
-    ("sample_id", ".hidden", "file name"),
-    ("sample_id", "a b", "file name"),
-    ("sample_id", "\u00e4", "file name"),
-    ("sample_id", "a" * 101, "file name"),
-    ("time_utc", "yesterday", "ISO 8601"),
-    ("sensor_id", " ", "is empty"),
-    ("indenter", "", "is empty"),
-])
+@pytest.mark.parametrize(
+    ("column", "value", "says"),
+    [
+        ("x0_mm", "NaN", "not a finite number"),
+        ("y0_mm", "inf", "not a finite number"),
+        ("dz_mm", "1e999", "not a finite number"),
+        ("dx_mm", "0,5", "decimals with a point"),
+        ("dy_mm", "two", "not a finite number"),
+        ("rot_deg", "1_0", "not a finite number"),
+        ("rot_deg", "\u0661", "not a finite number"),
+        ("x0_mm", "0x10", "not a finite number"),
+        ("z0_mm", "", "is empty"),
+        ("fz_n", "nan", "leave the cell empty"),
+        ("fz_n", "1e9", "check the unit"),
+        ("x0_mm", "1e6", "check the unit"),
+        ("dz_mm", "0", "does not move towards the gel"),
+        ("dz_mm", "1.25", "negative"),
+        ("sample_id", "", "file name"),
+        ("sample_id", "../../etc/passwd", "file name"),
+        ("sample_id", "a/b", "file name"),
+        ("sample_id", ".hidden", "file name"),
+        ("sample_id", "a b", "file name"),
+        ("sample_id", "\u00e4", "file name"),
+        ("sample_id", "a" * 101, "file name"),
+        ("time_utc", "yesterday", "ISO 8601"),
+        ("sensor_id", " ", "is empty"),
+        ("indenter", "", "is empty"),
+    ],
+)
 def test_bad_cell_is_rejected_with_its_place(column, value, says):
     sample, wrong = parse(**{column: value})
     assert sample is None
@@ -123,16 +144,19 @@ def test_good_image_is_taken(folder):
     assert judge_image(folder, image_bytes()) is None
 
 
-@pytest.mark.parametrize(("data", "says"), [
-    (None, "cannot be read"),
-    (b"", "not a PNG"),
-    (b"GIF89a", "not a PNG"),
-    (image_bytes()[:200], "truncated"),
-    (image_bytes()[:-1], "truncated"),
-    (image_bytes()[:60] + b"\x00\x01\x02" + image_bytes()[63:], "checksum"),
-    (image_bytes(320, 241), "320 x 241"),
-    (image_bytes(channels=1), "colour"),
-])
+@pytest.mark.parametrize(
+    ("data", "says"),
+    [
+        (None, "cannot be read"),
+        (b"", "not a PNG"),
+        (b"GIF89a", "not a PNG"),
+        (image_bytes()[:200], "truncated"),
+        (image_bytes()[:-1], "truncated"),
+        (image_bytes()[:60] + b"\x00\x01\x02" + image_bytes()[63:], "checksum"),
+        (image_bytes(320, 241), "320 x 241"),
+        (image_bytes(channels=1), "colour"),
+    ],
+)
 def test_bad_image_is_refused(folder, data, says):
     assert says in judge_image(folder, data).reason
 
@@ -141,8 +165,15 @@ def test_giant_image_is_refused_before_it_is_decoded(folder):
     header = struct.pack(">IIBBBBB", 2**31 - 1, 2**31 - 1, 8, 2, 0, 0, 0)
     body = b"IHDR" + header
     end = b"IEND"
-    data = (b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + body + struct.pack(">I", zlib.crc32(body))
-            + struct.pack(">I", 0) + end + struct.pack(">I", zlib.crc32(end)))
+    data = (
+        b"\x89PNG\r\n\x1a\n"
+        + struct.pack(">I", 13)
+        + body
+        + struct.pack(">I", zlib.crc32(body))
+        + struct.pack(">I", 0)
+        + end
+        + struct.pack(">I", zlib.crc32(end))
+    )
     assert "has a size of" in judge_image(folder, data).reason
 
 

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from pressed_dataset import PARAMS, label, write_pressed
 
-from gelforge import look
+from gelforge.commands import look
 from gelforge.errors import BadInput
-from gelforge.files import read_csv
+from gelforge.flow.files import read_csv
 
 
 @pytest.fixture(scope="module")

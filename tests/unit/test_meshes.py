@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from gelforge.errors import BadInput
-from gelforge.files import write_json
+from gelforge.flow.files import write_json
 from gelforge.geometry.gel import GELS
 from gelforge.geometry.indenters import build
+from gelforge.mechanics.family import MeshFamily, MeshName, choose_mesh, required_meshes, sizing
 from gelforge.mechanics.scene import Material, Press, Scene
-from gelforge.mechanics.tet import (
+from gelforge.mechanics.tet.tetmesh import (
     EDGES,
     boundary_faces,
     gel_mesh,
@@ -19,7 +20,6 @@ from gelforge.mechanics.tet import (
     sizing_grid,
     split_long_edges,
 )
-from gelforge.meshes import MeshFamily, MeshName, choose_mesh, required_meshes, sizing
 
 GEL = GELS["gelsight_mini"]
 TABLE = {"growth": 0.4, "coarsest_mm": 4.0, "fine_depth_mm": 0.6, "regions": {"centre": [4.0, 4.0], "wide": [9, 11]}}
@@ -90,7 +90,9 @@ def test_sizing_grid_fills_the_gel():
     assert len(values) == len(vertices)
 
 
-@pytest.mark.parametrize("name", ["ccx-centre", "hex-centre-1.0", "ccx-centre-0.05", "fem-centre-1.0", "ccx-../x-1.0"])
+@pytest.mark.parametrize(
+    "name", ["ccx-centre", "hex-centre-1.0", "ccx-centre-0.05", "fem-centre-1.0", "ccx-../x-1.0"]
+)
 def test_names_that_mean_nothing_are_refused(name):
     with pytest.raises(BadInput, match="ccx-REGION-SIZE"):
         MeshName.parse(name)

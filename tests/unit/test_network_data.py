@@ -11,7 +11,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from synthetic_presses import write_dataset
 
 from gelforge.errors import BadInput
-from gelforge.files import read_csv, read_json, write_csv, write_json
+from gelforge.flow.files import read_csv, read_json, write_csv, write_json
 from gelforge.networks.data import FILES, data_version, open_data, require_splits, scales
 
 

@@ -13,17 +13,18 @@ import pytest
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from synthetic_presses import SETTINGS, write_dataset
 
-from gelforge import live, pareto_models, predict
+from gelforge.commands import live, predict
 from gelforge.errors import BadInput
-from gelforge.evaluate import another_of_each, evaluate
-from gelforge.files import write_json
+from gelforge.flow.files import write_json
 from gelforge.networks import statistics
 from gelforge.networks.card import write_card
 from gelforge.networks.data import open_data
 from gelforge.networks.export import TOLERANCE, export, largest_difference
-from gelforge.networks.figures import draw_curve, draw_predictions
 from gelforge.networks.modelfile import save_model
-from gelforge.train import train
+from gelforge.networks.tables import draw_curve, draw_predictions
+from gelforge.stages import pareto_models
+from gelforge.stages.evaluate import another_of_each, evaluate
+from gelforge.stages.train import train
 
 IMAGE, GRID = (48, 64), (6, 8)
 MODELS = {

@@ -17,12 +17,12 @@ from gelforge.errors import BadInput
 from gelforge.networks.augment import RGB_TO_YIQ, augment, colour_matrices, mirror_together, shift_together
 from gelforge.networks.batches import Ahead, epoch_order
 from gelforge.networks.data import open_data, scales
-from gelforge.networks.fit import Training, fit, loss_of, normalisations, predict_rows
 from gelforge.networks.inputs import network_input
 from gelforge.networks.latency import predict_images
 from gelforge.networks.modelfile import Reader, load_model, require_fit, save_model
 from gelforge.networks.models import ResNetTotal, UNet, build, parameter_count, strides
-from gelforge.train import resolve, train
+from gelforge.networks.training import Training, fit, loss_of, normalisations, predict_rows
+from gelforge.stages.train import resolve, train
 
 SMALL = {"kind": "grid", "width": 8, "blocks": 1}
 IMAGE, GRID = (48, 64), (6, 8)
@@ -65,7 +65,7 @@ def test_grid_net_writes_any_grid_that_divides_the_image(grid):
 
 
 def test_every_network_of_the_table_builds(root):
-    from gelforge.config import read_toml
+    from gelforge.flow.params import read_toml
 
     models = read_toml(root / "workflow" / "models.toml")
     settings = read_toml(root / "workflow" / "params.toml")["train"]
@@ -248,7 +248,7 @@ def test_the_last_epochs_train_the_network_that_is_used(folder, share, monkeypat
     frozen = [False, False, True, True] if share == 0.5 else [False, False, False, True]
     settled = []
     monkeypatch.setattr(
-        "gelforge.networks.fit.settle_batch_norm", lambda net, *_: settled.append(training.epochs_done)
+        "gelforge.networks.training.settle_batch_norm", lambda net, *_: settled.append(training.epochs_done)
     )
     training = Training(SMALL, settings, scales(data, False), IMAGE, GRID, "cpu")
     seen = []

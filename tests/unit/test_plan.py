@@ -4,10 +4,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gelforge import config
 from gelforge.errors import BadInput
-from gelforge.files import write_if_changed
-from gelforge.plan import assign_shards, write_shards
+from gelforge.flow import params as config
+from gelforge.flow.files import write_if_changed
+from gelforge.stages.plan import assign_shards, write_shards
 
 NAMES = st.lists(st.integers(0, 200).map(str), unique=True, max_size=60)
 

@@ -10,12 +10,13 @@ import cv2
 import numpy as np
 import pytest
 
-from gelforge import log, poses
 from gelforge.errors import BadInput
 from gelforge.geometry import triangles
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue
 from gelforge.mechanics.scene import Press
+from gelforge.records import log
+from gelforge.stages import poses
 
 
 @pytest.fixture
@@ -34,8 +35,19 @@ def lab(tmp_path, root):
         shard = tmp_path / "0000.csv"
         log.write_log(shard, rows)
         out = tmp_path / "out" / "0000.csv.part"
-        code = poses.main(["--data", str(tmp_path / "data"), "--shard", str(shard), "--params",
-                           str(tmp_path / "params" / "poses.json"), "--out", str(out), *flags])
+        code = poses.main(
+            [
+                "--data",
+                str(tmp_path / "data"),
+                "--shard",
+                str(shard),
+                "--params",
+                str(tmp_path / "params" / "poses.json"),
+                "--out",
+                str(out),
+                *flags,
+            ]
+        )
         assert code == 0
         return read(out), read(out.parent / "0000.rejected.csv"), out.parent / "0000"
 
@@ -48,10 +60,22 @@ def read(path):
 
 
 def sample(sample_id="a", **cells):
-    plain = dict.fromkeys(log.FORCES) | {"x0_mm": 0.0, "y0_mm": 0.0, "z0_mm": 0.0, "dx_mm": 0.0, "dy_mm": 0.0,
-                                        "dz_mm": -1.0, "rot_deg": 0.0}
-    words = {"time_utc": "", "sensor_id": "gelsight_mini", "gel_id": "g", "indenter": "sphere_15",
-             "image": "images/a.png"}
+    plain = dict.fromkeys(log.FORCES) | {
+        "x0_mm": 0.0,
+        "y0_mm": 0.0,
+        "z0_mm": 0.0,
+        "dx_mm": 0.0,
+        "dy_mm": 0.0,
+        "dz_mm": -1.0,
+        "rot_deg": 0.0,
+    }
+    words = {
+        "time_utc": "",
+        "sensor_id": "gelsight_mini",
+        "gel_id": "g",
+        "indenter": "sphere_15",
+        "image": "images/a.png",
+    }
     return log.Sample(row=0, sample_id=sample_id, **{**plain, **words, **cells})
 
 
@@ -81,18 +105,21 @@ def test_posed_surface_is_the_body_turned_and_moved(lab, root):
     assert np.abs(body.distance(local[low])[0]).max() < 0.006
 
 
-@pytest.mark.parametrize(("cells", "column", "says"), [
-    ({"z0_mm": 1.5}, "dz_mm", "never touches"),
-    ({"x0_mm": 25.0}, "dz_mm", "never touches"),
-    ({"x0_mm": 10.0, "y0_mm": 12.0, "dz_mm": -0.2}, "dz_mm", "never touches"),
-    ({"dz_mm": -3.5}, "dz_mm", "deeper than the gel"),
-    ({"dz_mm": -900.0}, "dz_mm", "deeper than the gel"),
-    ({"dx_mm": 30.0}, "dx_mm", "too far sideways"),
-    ({"sensor_id": "nobody"}, "sensor_id", "no such sensor"),
-    ({"indenter": "spoon"}, "indenter", "no such indenter"),
-    ({"image": "images/b.png"}, "image", "cannot be read"),
-    ({"image": "../a.png"}, "image", "leaves the dataset"),
-])
+@pytest.mark.parametrize(
+    ("cells", "column", "says"),
+    [
+        ({"z0_mm": 1.5}, "dz_mm", "never touches"),
+        ({"x0_mm": 25.0}, "dz_mm", "never touches"),
+        ({"x0_mm": 10.0, "y0_mm": 12.0, "dz_mm": -0.2}, "dz_mm", "never touches"),
+        ({"dz_mm": -3.5}, "dz_mm", "deeper than the gel"),
+        ({"dz_mm": -900.0}, "dz_mm", "deeper than the gel"),
+        ({"dx_mm": 30.0}, "dx_mm", "too far sideways"),
+        ({"sensor_id": "nobody"}, "sensor_id", "no such sensor"),
+        ({"indenter": "spoon"}, "indenter", "no such indenter"),
+        ({"image": "images/b.png"}, "image", "cannot be read"),
+        ({"image": "../a.png"}, "image", "leaves the dataset"),
+    ],
+)
 def test_unusable_press_is_rejected_and_the_others_go_on(lab, capsys, cells, column, says):
     table, rejected, folder = lab([sample("bad", **cells), sample("good")])
     assert [row["sample_id"] for row in table] == ["good"]
@@ -133,8 +160,9 @@ def test_users_shape_goes_through(lab, tmp_path, root):
     (tmp_path / "shapes").mkdir()
     mine = tmp_path / "shapes" / "mine.stl"
     triangles.write_stl(mine, *catalogue["cuboid_7"].surface())
-    table, rejected, folder = lab([sample("a", indenter="mine"), sample("b", indenter="mine", z0_mm=3.0)],
-                                  "--workflow", str(tmp_path))
+    table, rejected, folder = lab(
+        [sample("a", indenter="mine"), sample("b", indenter="mine", z0_mm=3.0)], "--workflow", str(tmp_path)
+    )
     assert [row["sample_id"] for row in table] == ["a"]
     assert [row["column"] for row in rejected] == ["dz_mm"]
     assert triangles.read_stl(folder / "a.stl")[0][:, 2].max() == pytest.approx(1.5, abs=1e-5)
@@ -143,9 +171,15 @@ def test_users_shape_goes_through(lab, tmp_path, root):
         lab([sample("a", indenter="mine")], "--workflow", str(tmp_path))
 
 
-@pytest.mark.parametrize(("table", "says"), [({"gel": "gelsight_mini"}, "image"), ({"image": [320, 240]}, "gel"),
-                                             ({"image": [320, 240], "gel": "jelly"}, "jelly"),
-                                             ({"image": "320x240", "gel": "gelsight_mini"}, "image")])
+@pytest.mark.parametrize(
+    ("table", "says"),
+    [
+        ({"gel": "gelsight_mini"}, "image"),
+        ({"image": [320, 240]}, "gel"),
+        ({"image": [320, 240], "gel": "jelly"}, "jelly"),
+        ({"image": "320x240", "gel": "gelsight_mini"}, "image"),
+    ],
+)
 def test_sensor_without_its_facts_is_named(table, says):
     with pytest.raises(BadInput, match=says):
         poses.sensor_facts("mini_z", table)
@@ -155,9 +189,24 @@ def test_strict_leaves_with_two(lab, tmp_path, root):
     with pytest.raises(BadInput):
         lab([sample("bad", z0_mm=1.5)], "--strict")
     done = subprocess.run(
-        [sys.executable, "-m", "gelforge.poses", "--data", tmp_path / "data", "--shard", tmp_path / "0000.csv",
-         "--params", tmp_path / "params" / "poses.json", "--out", tmp_path / "x.csv", "--strict"],
-        capture_output=True, text=True, check=False)
+        [
+            sys.executable,
+            "-m",
+            "gelforge.stages.poses",
+            "--data",
+            tmp_path / "data",
+            "--shard",
+            tmp_path / "0000.csv",
+            "--params",
+            tmp_path / "params" / "poses.json",
+            "--out",
+            tmp_path / "x.csv",
+            "--strict",
+        ],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 2
     assert "error: " in done.stderr
     assert "Traceback" not in done.stderr

@@ -6,15 +6,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gelforge import projection
-from gelforge.binning.grid import Grid
-from gelforge.binning.homography import fit_homography
-from gelforge.binning.markers import find_markers
-from gelforge.binning.operator import assemble
-from gelforge.binning.patch import irregular_surface
-from gelforge.binning.sensor import check_projection, find_sensor, load_sensors, transform
+from gelforge.commands import projection
 from gelforge.errors import BadInput
 from gelforge.formats.numpy_pickle import read_npy
+from gelforge.labelling.grid import Grid
+from gelforge.labelling.homography import fit_homography
+from gelforge.labelling.markers import find_markers
+from gelforge.labelling.operator import assemble
+from gelforge.labelling.patch import irregular_surface
+from gelforge.labelling.sensor import check_projection, find_sensor, load_sensors, transform
 
 SQUARE = np.array([[-5.0, 5], [5, 5], [-5, -5], [5, -5]])
 GOOD = np.array([[0.0, -14, 160], [-14, 0, 120], [0, 0, 1]])

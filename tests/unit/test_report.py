@@ -4,9 +4,9 @@ import re
 
 import numpy as np
 
-from gelforge.report import failures_section, flatten, pick
 from gelforge.reporting import pictures
 from gelforge.reporting.page import Section, render
+from gelforge.stages.report import failures_section, flatten, pick
 
 
 def test_text_from_data_is_escaped():

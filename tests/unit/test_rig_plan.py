@@ -11,11 +11,11 @@ import pytest
 from gelforge.errors import BadInput
 from gelforge.geometry import triangles
 from gelforge.geometry.indenters import load_catalogue
-from gelforge.rig import check, run
+from gelforge.stages.rig import check, run
 from gelforge.virtualrig.bench import load_cell_error
-from gelforge.virtualrig.dataset import describe
 from gelforge.virtualrig.looks import read_looks
-from gelforge.virtualrig.plan import kind_of, orders, read_plan
+from gelforge.virtualrig.rigplan import kind_of, orders, read_plan
+from gelforge.virtualrig.writer import describe
 from tests.conftest import ROOT
 
 DEMO = ROOT / "workflow" / "rig" / "demo.toml"
@@ -108,7 +108,7 @@ def test_training_plan_covers_the_papers_envelope():
 
 
 def test_every_look_agrees_with_its_sensor():
-    from gelforge.binning.sensor import load_sensors
+    from gelforge.labelling.sensor import load_sensors
 
     sensors, looks = load_sensors(ROOT / "workflow" / "sensors.toml"), read_looks(ROOT / "workflow/rig/sensors.toml")
     assert len(looks) >= 5

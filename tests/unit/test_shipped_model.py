@@ -4,7 +4,7 @@ import csv
 
 import numpy as np
 
-from gelforge import predict
+from gelforge.commands import predict
 from gelforge.networks.modelfile import load_model
 
 LARGEST = 3 * 2**20  # bytes

@@ -1,7 +1,7 @@
 """Status counts what is on disk, and names why samples are missing."""
 
-from gelforge.files import write_csv
-from gelforge.status import lines
+from gelforge.commands.status import lines
+from gelforge.flow.files import write_csv
 
 
 def test_counts_add_up_and_reasons_are_named(tmp_path):

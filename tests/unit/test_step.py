@@ -7,12 +7,12 @@ import subprocess
 import sys
 import time
 
-from gelforge.step import mirror
+from gelforge.flow.step import mirror
 
 
 def start(target, *command):
     return subprocess.Popen(
-        [sys.executable, "-m", "gelforge.step", str(target), "--", *command], stdout=subprocess.PIPE, text=True
+        [sys.executable, "-m", "gelforge.flow.step", str(target), "--", *command], stdout=subprocess.PIPE, text=True
     )
 
 
@@ -89,7 +89,7 @@ def test_an_input_that_lost_bytes_is_made_again(tmp_path):
 
 def inputs_wrapped(target, source, *command):
     done = subprocess.run(
-        [sys.executable, "-m", "gelforge.step", str(target), str(source), "--", *command],
+        [sys.executable, "-m", "gelforge.flow.step", str(target), str(source), "--", *command],
         capture_output=True,
         text=True,
     )

@@ -4,8 +4,8 @@ import shutil
 
 import pytest
 
-from gelforge.benchmarks.sandbox import link_project
-from gelforge.files import read_csv, write_csv, write_text
+from gelforge.flow.files import read_csv, write_csv, write_text
+from tests.benchmarks.sandbox import link_project
 
 # Coarse and in-process: the flow is on trial here, not the mechanics.
 FAST = """

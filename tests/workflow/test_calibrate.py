@@ -7,9 +7,9 @@ import tomllib
 import numpy as np
 import pytest
 
-from gelforge import calibrate
 from gelforge.errors import BadInput
-from gelforge.report import calibration_section
+from gelforge.stages import calibrate
+from gelforge.stages.report import calibration_section
 
 SOLVER = {
     "size": 1.2,

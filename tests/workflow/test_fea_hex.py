@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 
-from gelforge import fea, forces, labels
-from gelforge.binning.labelfile import read_labels
 from gelforge.errors import BadInput
-from gelforge.files import read_csv, write_csv, write_json
+from gelforge.flow.files import read_csv, write_csv, write_json
 from gelforge.geometry.gel import GELS, Gel
 from gelforge.geometry.indenters import build
+from gelforge.mechanics.family import MeshFamily, load_mesh
 from gelforge.mechanics.fidelity import FeaSettings, Solvers
-from gelforge.mechanics.forcefile import ForceFile
 from gelforge.mechanics.scene import Material, Press, Scene
-from gelforge.meshes import MeshFamily, load_mesh
+from gelforge.records.forcefile import ForceFile
+from gelforge.records.labelfile import read_labels
+from gelforge.stages import fea, forces, labels
 
 SENSOR = "gelsight_mini"
 BALL = {"kind": "sphere", "diameter": 15, "height": 10}
@@ -33,8 +33,12 @@ def made(tmp_path_factory):
     write_csv(folder / "10_poses" / "0000.csv", COLUMNS, rows)
     params = folder / "params"
     table = {"fidelity": "hex", "hex_quality": "demo"}
-    write_json(params / "fea.json", {"fea": table, "interface": {"law": "no_slip", "mu": 0}, "material": {"nu": 0.475}})
-    write_json(params / "forces.json", {"forces": {"noise": 1e-6, "base_mismatch": 1e-6}, "material": {"c10": 0.0725}})
+    write_json(
+        params / "fea.json", {"fea": table, "interface": {"law": "no_slip", "mu": 0}, "material": {"nu": 0.475}}
+    )
+    write_json(
+        params / "forces.json", {"forces": {"noise": 1e-6, "base_mismatch": 1e-6}, "material": {"c10": 0.0725}}
+    )
     write_json(params / "labels.json", {"labels": {"largest_outside_share": 0.02}})
     write_json(params / "sensors.json", {SENSOR: {"gel": SENSOR}})
     write_json(params / "indenters.json", {"ball": BALL})

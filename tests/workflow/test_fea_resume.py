@@ -11,11 +11,11 @@ import time
 import numpy as np
 import pytest
 
-from gelforge import fea, forces
-from gelforge.files import read_csv, write_json
+from gelforge.flow.files import read_csv, write_json
 from gelforge.geometry.gel import GELS
-from gelforge.mechanics.forcefile import ForceFile
-from gelforge.mechanics.tet import symmetric_block
+from gelforge.mechanics.tet.tetmesh import symmetric_block
+from gelforge.records.forcefile import ForceFile
+from gelforge.stages import fea, forces
 
 GEL = GELS["gelsight_mini"]
 HEADER = "sample_id,sensor_id,gel_id,indenter,x0_mm,y0_mm,z0_mm,dx_mm,dy_mm,dz_mm,rot_deg\n"
@@ -53,7 +53,7 @@ def forces_arguments(folder):
 
 def test_killed_run_resumes_and_damage_is_found(folder, ccx):
     out = folder / "30_fea" / "0000"
-    run = subprocess.Popen([sys.executable, "-m", "gelforge.fea", *arguments(folder)])
+    run = subprocess.Popen([sys.executable, "-m", "gelforge.stages.fea", *arguments(folder)])
     while not (out / "s0.json").exists():
         assert run.poll() is None, "stage 30 ended without its first sample"
         time.sleep(0.05)

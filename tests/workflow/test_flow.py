@@ -9,8 +9,8 @@ import time
 import numpy as np
 import pytest
 
-from gelforge.benchmarks.sandbox import clean_environment, make
-from gelforge.files import read_csv, write_csv
+from gelforge.flow.files import read_csv, write_csv
+from tests.benchmarks.sandbox import clean_environment, make
 
 BUILT = re.compile(r"^results/tiny/(\S+)  [\d.]+ s", re.MULTILINE)
 PREDICTED = re.compile(r"gelforge\.step results/tiny/(\S+)", re.MULTILINE)

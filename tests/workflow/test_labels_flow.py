@@ -6,8 +6,8 @@ import re
 import pytest
 from pressed_dataset import write_pressed
 
-from gelforge.benchmarks.sandbox import link_project, make
-from gelforge.binning.labelfile import read_labels
+from gelforge.records.labelfile import read_labels
+from tests.benchmarks.sandbox import link_project, make
 
 DATASET = 'sensor = "mini_a"\ngel = "gelsight_mini"\ncatalogue = "indenters.toml"\n'
 
@@ -55,7 +55,9 @@ def test_dataset_export_and_pictures_follow(made):
     assert (folder / "results/made/look/s003.vtu").stat().st_size > 1000
     back = make(folder, "DATASET=back", "feats-import", "FROM=results/made/feats/4x4")
     assert back.returncode == 0 and "16 presses" in back.stdout, back.stdout
-    assert "results/back/60_dataset/4x4/dataset.json" in built(make(folder, "DATASET=back", "dataset", "RES=4x4").stdout)
+    assert "results/back/60_dataset/4x4/dataset.json" in built(
+        make(folder, "DATASET=back", "dataset", "RES=4x4").stdout
+    )
 
 
 def test_a_bad_resolution_fails_and_leaves_nothing(made):

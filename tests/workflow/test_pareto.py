@@ -10,16 +10,17 @@ from multiprocessing import get_context
 import numpy as np
 import pytest
 
-from gelforge import config, pareto, stability
-from gelforge.benchmarks.fea import deck_force, envelope_scene
-from gelforge.binning.sensor import load_sensors
-from gelforge.charting import cases
-from gelforge.charting.measure import load_bench
-from gelforge.charting.methods import hex_method
-from gelforge.charting.scenes import parse_scene
 from gelforge.errors import BadInput
+from gelforge.flow import params as config
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue
+from gelforge.labelling.sensor import load_sensors
+from gelforge.stages import pareto, stability
+from gelforge.sweeps import cases
+from gelforge.sweeps.methods import hex_method
+from gelforge.sweeps.scenes import parse_scene
+from gelforge.sweeps.trial import load_bench
+from tests.benchmarks.fea import deck_force, envelope_scene
 
 METHODS = [hex_method(2.0, 2, 1), hex_method(1.4, 3, 2), hex_method(1.0, 4, 4)]
 
@@ -37,7 +38,15 @@ def coarse(tmp_path_factory):
     params["meshes"]["regions"] = {"wide": params["meshes"]["regions"]["wide"]}
     folder = tmp_path_factory.mktemp("meshes")
     (folder / "params.json").write_text(json.dumps(params))
-    command = [sys.executable, "-m", "gelforge.pareto_meshes", "--name", "ccx-wide-3.0", "--params", "params.json"]
+    command = [
+        sys.executable,
+        "-m",
+        "gelforge.stages.pareto_meshes",
+        "--name",
+        "ccx-wide-3.0",
+        "--params",
+        "params.json",
+    ]
     subprocess.run([*command, "--out", "ccx-wide-3.0.npz"], cwd=folder, check=True)
     return params, folder
 

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from gelforge.errors import BadInput
-from gelforge.files import read_csv, read_json
-from gelforge.log import parse, read_log
-from gelforge.rig import main, run
+from gelforge.flow.files import read_csv, read_json
+from gelforge.records.log import parse, read_log
+from gelforge.stages.rig import main, run
 from tests.conftest import ROOT
 
 DEMO = ROOT / "workflow" / "rig" / "demo.toml"

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from gelforge.benchmarks.slurm import cluster, lay_profile, lay_project, make, start_make
+from tests.benchmarks.slurm import cluster, lay_profile, lay_project, make, start_make
 
 pytestmark = [
     pytest.mark.slurm,
@@ -104,7 +104,7 @@ def test_dry_run_shows_what_local_would_run_and_submits_nothing(project, lab):
         [
             line
             for line in make(project, lab, "-n", "whole", f"EXECUTOR={name}")[1].splitlines()
-            if "gelforge.step" in line
+            if "gelforge.flow.step" in line
         ]
         for name in ("slurm", "local")
     ]

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from gelforge import slurm
-from gelforge.benchmarks.sandbox import link_project, make
 from gelforge.errors import BadInput
-from gelforge.files import write_json, write_text
-from gelforge.slurm_client import cause_of
-from gelforge.slurm_profile import read_profile
-from gelforge.slurm_record import Batch, Record, Results, Task
+from gelforge.flow.files import write_json, write_text
+from gelforge.flow.slurm import run as slurm
+from gelforge.flow.slurm.client import cause_of
+from gelforge.flow.slurm.profile import read_profile
+from gelforge.flow.slurm.record import Batch, Record, Results, Task
+from tests.benchmarks.sandbox import link_project, make
 
 ROOT = Path(__file__).resolve().parents[2]
 PROFILE = ROOT / "workflow" / "slurm.toml"

@@ -12,14 +12,14 @@ import pytest
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from synthetic_presses import SETTINGS, write_dataset
 
-from gelforge.files import read_json, write_json
+from gelforge.flow.files import read_json, write_json
 from gelforge.networks.modelfile import load_model
 
 EPOCHS = 20
 
 
 def command(module, *arguments) -> list[str]:
-    return [sys.executable, "-m", f"gelforge.{module}", *map(str, arguments)]
+    return [sys.executable, "-m", f"gelforge.stages.{module}", *map(str, arguments)]
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.files import read_csv
+from gelforge.flow.files import read_csv
 from gelforge.mechanics.scene import Press
 
 NUMBERS = ("x0_mm", "y0_mm", "z0_mm", "dx_mm", "dy_mm", "dz_mm", "rot_deg")

@@ -9,7 +9,7 @@ import numpy as np
 
 from gelforge.calibration.moves import learning_moves, learnt_moves
 from gelforge.errors import BadInput, GelforgeError
-from gelforge.files import publish
+from gelforge.flow.files import publish
 
 LEARN = 600  # first steps, whose second half the later moves are fitted to; never kept
 CHUNK = 800  # steps between checks and checkpoints, at least; a third of the chain once that is more

@@ -13,16 +13,17 @@ import numpy as np
 
 from gelforge.calibration import emulator as em
 from gelforge.calibration.sampling import fingerprint
-from gelforge.config import stage_version
 from gelforge.errors import BadInput, SolveFailed
-from gelforge.files import read_json, write_json
+from gelforge.flow.files import read_json, write_json
+from gelforge.flow.params import stage_version
+from gelforge.flow.progress import progress
 from gelforge.geometry.gel import Gel
-from gelforge.mechanics.hex import HexSettings, HexSolver
-from gelforge.mechanics.scene import REFERENCE_C10, Interface, Material, Press, Scene, Status
-from gelforge.progress import progress
+from gelforge.mechanics.hex.solver import HexSettings, HexSolver
+from gelforge.mechanics.scene import REFERENCE_C10, Interface, Material, Press, Scene
+from gelforge.records.status import Status
 
 # Solves made by an older solver are void: stage fea's version is raised when its answers change.
-SOLVER_VERSION = stage_version(Path(__file__).parents[1], "fea")
+SOLVER_VERSION = stage_version(Path(__file__).parents[1] / "stages", "fea")
 
 
 @dataclass(frozen=True)

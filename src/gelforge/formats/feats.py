@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.files import publish
+from gelforge.flow.files import publish
 from gelforge.formats.numpy_pickle import read_npy
 
 POSE_FIELDS = {

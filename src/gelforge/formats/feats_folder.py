@@ -10,10 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from gelforge.binning.labelfile import write_labels
-from gelforge.binning.sensor import find_sensor, load_sensors
 from gelforge.errors import BadInput
-from gelforge.files import read_csv, write_csv, write_json, write_text
+from gelforge.flow.files import read_csv, write_csv, write_json, write_text
+from gelforge.flow.progress import progress
 from gelforge.formats.feats import (
     LabelSample,
     Ranges,
@@ -24,8 +23,9 @@ from gelforge.formats.feats import (
     write_label,
     write_normalisation,
 )
-from gelforge.log import COLUMNS
-from gelforge.progress import progress
+from gelforge.labelling.sensor import find_sensor, load_sensors
+from gelforge.records.labelfile import write_labels
+from gelforge.records.log import COLUMNS
 
 FEATS_C10 = 0.0792  # MPa, the paper's fit, which its labels were made with
 DATASET_TOML = """# Imported from files in FEATS' layout.
@@ -195,6 +195,6 @@ def main(argv=None) -> int:
 
 
 if __name__ == "__main__":
-    from gelforge.cli import exit_with
+    from gelforge.flow.main import exit_with
 
     exit_with(main)

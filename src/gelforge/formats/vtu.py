@@ -3,7 +3,7 @@
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.files import publish
+from gelforge.flow.files import publish
 from gelforge.mechanics.mesh import GelMesh
 
 VTK_CELL = {"hex8": 12, "tet10": 24}  # VTK_HEXAHEDRON, VTK_QUADRATIC_TETRA: same node order as C3D8 and C3D10

@@ -86,8 +86,20 @@ def _twin_cuboids(t: _Table, **common) -> Body:
 def _cross(t: _Table, **common) -> Body:
     fillet, (wide, long), arm = t.number("fillet"), t.pair("size"), t.number("arm")
     y, a, w, h = t.number("offset", 0.0, low=-1000.0), arm / 2.0, wide / 2.0, long / 2.0
-    corners = [[-a, -h], [a, -h], [a, y - a], [w, y - a], [w, y + a], [a, y + a],
-               [a, h], [-a, h], [-a, y + a], [-w, y + a], [-w, y - a], [-a, y - a]]
+    corners = [
+        [-a, -h],
+        [a, -h],
+        [a, y - a],
+        [w, y - a],
+        [w, y + a],
+        [a, y + a],
+        [a, h],
+        [-a, h],
+        [-a, y + a],
+        [-w, y + a],
+        [-w, y - a],
+        [-a, y - a],
+    ]
     return Extrusion(profile=Outline(corners, fillet), fillet=fillet, height=t.number("height"), **common)
 
 
@@ -145,16 +157,26 @@ def _sloping_cuboid(t: _Table, **common) -> Body:
     size, slope = t.pair("size"), np.tan(np.deg2rad(t.number("slope_deg")))
     deepest = np.deg2rad(t.number("deepest_deg", 0.0, low=-361.0))
     normal = -np.array([slope * np.cos(deepest), slope * np.sin(deepest), 1.0])
-    return RoundedPolyhedron(outline=rectangle(*size), planes=([normal / np.linalg.norm(normal)], [0.0]),
-                             fillet=t.number("fillet"), height=t.number("height"), **common)
+    return RoundedPolyhedron(
+        outline=rectangle(*size),
+        planes=([normal / np.linalg.norm(normal)], [0.0]),
+        fillet=t.number("fillet"),
+        height=t.number("height"),
+        **common,
+    )
 
 
 def _pyramid(t: _Table, **common) -> Body:
     (sx, sy), slope = t.pair("size"), np.tan(np.deg2rad(t.number("slope_deg")))
     normals = np.array([[slope, 0, -1], [-slope, 0, -1], [0, slope, -1], [0, -slope, -1]]) / np.hypot(slope, 1.0)
     levels = np.abs(normals[:, :2]) @ [sx / 2.0, sy / 2.0]
-    return RoundedPolyhedron(outline=rectangle(sx, sy), planes=(normals, levels), fillet=t.number("fillet"),
-                             height=t.number("height"), **common)
+    return RoundedPolyhedron(
+        outline=rectangle(sx, sy),
+        planes=(normals, levels),
+        fillet=t.number("fillet"),
+        height=t.number("height"),
+        **common,
+    )
 
 
 def _stl(t: _Table, **common) -> Body:
@@ -171,9 +193,19 @@ def _stl(t: _Table, **common) -> Body:
 
 
 KINDS: dict[str, Callable] = {
-    "sphere": _sphere, "cuboid": _cuboid, "twin_cuboids": _twin_cuboids, "cross": _cross, "polygon": _polygon,
-    "outline": _outline, "triple_triangle": _triple_triangle, "ellipse": _ellipse, "cylinder": _cylinder,
-    "lying_cylinder": _lying_cylinder, "sloping_cuboid": _sloping_cuboid, "pyramid": _pyramid, "stl": _stl,
+    "sphere": _sphere,
+    "cuboid": _cuboid,
+    "twin_cuboids": _twin_cuboids,
+    "cross": _cross,
+    "polygon": _polygon,
+    "outline": _outline,
+    "triple_triangle": _triple_triangle,
+    "ellipse": _ellipse,
+    "cylinder": _cylinder,
+    "lying_cylinder": _lying_cylinder,
+    "sloping_cuboid": _sloping_cuboid,
+    "pyramid": _pyramid,
+    "stl": _stl,
 }
 
 

@@ -34,8 +34,12 @@ def read_step(path, size_mm: float, per_turn: int = 32) -> dict:
         gmsh.finalize()
     index = np.zeros(int(tags.max()) + 1, int)
     index[tags.astype(int)] = np.arange(len(tags))
-    return {"volume": masses.sum(), "centre": masses @ centres / masses.sum(), "points": np.reshape(xyz, (-1, 3)),
-            "faces": index[np.reshape(corners, (-1, 3)).astype(int)]}
+    return {
+        "volume": masses.sum(),
+        "centre": masses @ centres / masses.sum(),
+        "points": np.reshape(xyz, (-1, 3)),
+        "faces": index[np.reshape(corners, (-1, 3)).astype(int)],
+    }
 
 
 def compare_indenter(body, path, sizes_mm=(3.0, 1.0, 0.4), good_mm: float = 0.05) -> dict:
@@ -65,8 +69,11 @@ def _compare(body, solid) -> dict:
     low, own = points[points[:, 2] < CONTACT_MM], vertices[vertices[:, 2] < CONTACT_MM]
     there = np.abs(body.distance(low)[0]).max()
     back = np.abs(_distance_to(own, points, solid["faces"])).max()
-    return {"volume_error": volume(vertices, faces) / solid["volume"] - 1.0, "surface_mm": float(max(there, back)),
-            "shift_mm": shift.tolist()}
+    return {
+        "volume_error": volume(vertices, faces) / solid["volume"] - 1.0,
+        "surface_mm": float(max(there, back)),
+        "shift_mm": shift.tolist(),
+    }
 
 
 def compare_gel_top(gel, path, size_mm: float = 1.5) -> float:

@@ -16,12 +16,16 @@ MOST_POINTS = 6_000_000
 def check_body(vertices: np.ndarray, faces: np.ndarray, what: str) -> tuple[np.ndarray, np.ndarray]:
     """A closed body without self-intersection, outward; anything else is BadInput naming `what`."""
     if not is_watertight(faces):
-        raise BadInput(f"{what}: the surface is not closed or not consistently oriented; every edge must belong to "
-                       "two triangles. Close holes and merge doubled vertices in the program that exported it")
+        raise BadInput(
+            f"{what}: the surface is not closed or not consistently oriented; every edge must belong to "
+            "two triangles. Close holes and merge doubled vertices in the program that exported it"
+        )
     extent = np.ptp(vertices, axis=0).max()
     if not 0.5 <= extent <= LARGEST_MM:
-        raise BadInput(f"{what}: the body measures {extent:.4g} mm after scaling, expected 0.5 to {LARGEST_MM:g} mm; "
-                       "set `scale` in the catalogue (1000 for a file in metres, 25.4 for inches)")
+        raise BadInput(
+            f"{what}: the body measures {extent:.4g} mm after scaling, expected 0.5 to {LARGEST_MM:g} mm; "
+            "set `scale` in the catalogue (1000 for a file in metres, 25.4 for inches)"
+        )
     enclosed = volume(vertices, faces)
     if abs(enclosed) < 1e-6:
         raise BadInput(f"{what}: the surface encloses {enclosed:.1e} mm^3; export a solid body")
@@ -51,15 +55,18 @@ class Sampled(Body):
         self.spacing, self._low = float(spacing), low
         self._shape = np.ceil((high - low) / spacing).astype(int) + 3
         if self._shape.prod() > MOST_POINTS:
-            raise BadInput(f"indenter {name}: spacing {spacing} mm makes {self._shape.prod()} grid points; "
-                           "choose a coarser `spacing` or a smaller `reach`")
+            raise BadInput(
+                f"indenter {name}: spacing {spacing} mm makes {self._shape.prod()} grid points; "
+                "choose a coarser `spacing` or a smaller `reach`"
+            )
 
     @cached_property
     def _coefficients(self) -> np.ndarray:
         from scipy.ndimage import spline_filter
 
-        return spline_filter(_distance_grid(self.vertices, self.faces, self._low, self.spacing, self._shape), order=3,
-                             mode="mirror")
+        return spline_filter(
+            _distance_grid(self.vertices, self.faces, self._low, self.spacing, self._shape), order=3, mode="mirror"
+        )
 
     def distance(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Signed distance (n,) and unit outward normal (n, 3) at points (n, 3)."""
@@ -71,11 +78,20 @@ class Sampled(Body):
         index = cell[:, :, None] + np.arange(-1, 3)
         block = c[index[:, 0, :, None, None], index[:, 1, None, :, None], index[:, 2, None, None, :]]
         along_z, slope_z = (np.einsum("nabc,nc->nab", block, k[:, 2]) for k in (w, dw))
-        yz, y_slope, z_slope = (np.einsum("nab,nb->na", m, k[:, 1]) for m, k in
-                                ((along_z, w), (along_z, dw), (slope_z, w)))
+        yz, y_slope, z_slope = (
+            np.einsum("nab,nb->na", m, k[:, 1]) for m, k in ((along_z, w), (along_z, dw), (slope_z, w))
+        )
         value = np.einsum("na,na->n", yz, w[:, 0])
-        gradient = np.column_stack([np.einsum("na,na->n", yz, dw[:, 0]), np.einsum("na,na->n", y_slope, w[:, 0]),
-                                    np.einsum("na,na->n", z_slope, w[:, 0])]) / h
+        gradient = (
+            np.column_stack(
+                [
+                    np.einsum("na,na->n", yz, dw[:, 0]),
+                    np.einsum("na,na->n", y_slope, w[:, 0]),
+                    np.einsum("na,na->n", z_slope, w[:, 0]),
+                ]
+            )
+            / h
+        )
         return self._beyond(points, at, value, gradient)
 
     def _beyond(self, points, at, value, gradient):

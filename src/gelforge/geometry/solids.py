@@ -215,8 +215,9 @@ class RoundedPolyhedron(Body):
             return _arc(a, b, steps)
         centre = unit(normals.mean(axis=0))
         order = np.argsort(_angle_about(centre, normals))
-        ring = np.concatenate([_arc(normals[i], normals[j], steps) for i, j in zip(order, np.roll(order, -1),
-                                                                                  strict=True)])
+        ring = np.concatenate(
+            [_arc(normals[i], normals[j], steps) for i, j in zip(order, np.roll(order, -1), strict=True)]
+        )
         weights = np.linspace(0.0, 1.0, steps + 1)[:, None, None]
         return unit(weights * ring + (1.0 - weights) * centre).reshape(-1, 3)
 

@@ -8,8 +8,9 @@ from gelforge.errors import BadInput
 def joined(meshes: list) -> tuple[np.ndarray, np.ndarray]:
     """Several meshes as one."""
     start = np.cumsum([0] + [len(v) for v, _ in meshes[:-1]])
-    return np.concatenate([v for v, _ in meshes]), np.concatenate([f + s for (_, f), s in zip(meshes, start,
-                                                                                             strict=True)])
+    return np.concatenate([v for v, _ in meshes]), np.concatenate(
+        [f + s for (_, f), s in zip(meshes, start, strict=True)]
+    )
 
 
 def cleaned(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -5,11 +5,12 @@ from pathlib import Path
 
 from gelforge.errors import BadInput
 from gelforge.geometry.gel import load_gel
-from gelforge.mechanics.ccx import CcxSettings, CcxSolver
-from gelforge.mechanics.ccx_run import need_ccx
-from gelforge.mechanics.hex import HexSolver, quality
-from gelforge.mechanics.scene import Result, Scene, Status
-from gelforge.meshes import MeshFamily, choose_mesh
+from gelforge.mechanics.ccx.program import need_ccx
+from gelforge.mechanics.ccx.solver import CcxSettings, CcxSolver
+from gelforge.mechanics.family import MeshFamily, choose_mesh
+from gelforge.mechanics.hex.solver import HexSolver, quality
+from gelforge.mechanics.scene import Result, Scene
+from gelforge.records.status import Status
 
 # Contact springs of the bricks give way by 0.02 mm at most on the scenes of the chart, by half a millimetre and more
 # where the gel is pressed through: that state is in equilibrium, but not one of the press.
@@ -109,7 +110,7 @@ class Solvers:
         return result
 
     def _solve_native(self, scene) -> Result:
-        from gelforge.mechanics.native import solve_native
+        from gelforge.mechanics.ccx.native import solve_native
 
         mesh = choose_mesh(scene, self.family)
         result = solve_native(scene, self.family.load(mesh), self.workdir / "native", self.settings.timeout_s)

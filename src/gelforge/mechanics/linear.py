@@ -82,7 +82,9 @@ class Pardiso:
             b.ctypes.data, x.ctypes.data, error,
         )  # fmt: skip
         if error.value:
-            raise SolveFailed(f"PARDISO phase {phase} failed with error {error.value}", {"pardiso_error": error.value})
+            raise SolveFailed(
+                f"PARDISO phase {phase} failed with error {error.value}", {"pardiso_error": error.value}
+            )
 
     def __del__(self):
         if getattr(self, "_analysed", False):

@@ -1,12 +1,12 @@
 """What a fidelity is asked (`Scene`) and what it answers (`Result`)."""
 
 from dataclasses import dataclass, field
-from enum import Enum
 from typing import Protocol
 
 import numpy as np
 
 from gelforge.geometry.gel import Gel
+from gelforge.records.status import Status
 
 REFERENCE_C10 = 0.0725  # MPa; every solve runs at this value, forces scale with C10 at fixed Poisson's ratio
 
@@ -91,23 +91,6 @@ class Scene:
     indenter: Indenter
     press: Press
     interface: Interface = Interface()
-
-
-class Status(Enum):
-    """How a solve ended; the value is a sentence with advice."""
-
-    OK = "The state is in equilibrium, nothing pulls, nothing penetrates."
-    NO_CONTACT = "The indenter does not reach the gel on this path; the forces are zero by geometry."
-    DIVERGED = "Newton's method found no equilibrium; use more load steps or a finer mesh."
-    UNSETTLED = "The contact set did not settle; allow more rounds or use a finer mesh."
-    OUT_OF_RANGE = "The press leaves what the gel can represent; check depth and position in the log."
-    SOLVER_MISSING = "The solver program was not found; run `make setup` or choose fidelity hex."
-    UNREADABLE = "The solver's output is truncated or not finite; look at its log and run again."
-    UNBALANCED = "Contact forces and base reactions do not agree; the result cannot be trusted."
-
-    @property
-    def valid(self) -> bool:
-        return self in (Status.OK, Status.NO_CONTACT)
 
 
 @dataclass

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from gelforge.files import read_json, write_text
+from gelforge.flow.files import read_json, write_text
 from gelforge.networks.inputs import needs_untouched
 from gelforge.networks.metrics import AXES
 
@@ -107,6 +107,6 @@ def main(argv=None) -> int:
 
 
 if __name__ == "__main__":
-    from gelforge.cli import exit_with
+    from gelforge.flow.main import exit_with
 
     exit_with(main)

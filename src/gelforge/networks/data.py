@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.files import read_csv, read_json
+from gelforge.flow.files import read_csv, read_json
 from gelforge.networks.inputs import needs_untouched
 
 FILES = ("images.npy", "labels.npy", "nocontact.npy", "samples.csv", "normalisation.json", "dataset.json")

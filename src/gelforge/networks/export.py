@@ -128,6 +128,6 @@ def main(argv=None) -> int:
 
 
 if __name__ == "__main__":
-    from gelforge.cli import exit_with
+    from gelforge.flow.main import exit_with
 
     exit_with(main)

@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gelforge.geometry.gel import Gel
-from gelforge.mechanics.hex import HexResult, HexSettings, HexSolver
-from gelforge.mechanics.hexmesh import FineBox
-from gelforge.mechanics.scene import REFERENCE_C10, Indenter, Interface, Material, Press, Scene, Status
-from gelforge.virtualrig.plan import Order, Plan, Truth, generator
+from gelforge.mechanics.hex.hexmesh import FineBox
+from gelforge.mechanics.hex.solver import HexResult, HexSettings, HexSolver
+from gelforge.mechanics.scene import REFERENCE_C10, Indenter, Interface, Material, Press, Scene
+from gelforge.records.status import Status
+from gelforge.virtualrig.rigplan import Order, Plan, Truth, generator
 from gelforge.virtualrig.surface import FAR, Body, body_of
 
 # The rig's own mesh, in no ratio to those of the labels: about 40 iterations a press.

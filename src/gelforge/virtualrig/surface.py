@@ -7,9 +7,9 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from gelforge.errors import BadInput
-from gelforge.files import publish
+from gelforge.flow.files import publish
 from gelforge.geometry.gel import Gel
-from gelforge.mechanics.hexmesh import surface_lines
+from gelforge.mechanics.hex.hexmesh import surface_lines
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.scene import Indenter, Press
 

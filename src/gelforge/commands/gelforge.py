@@ -1,0 +1,31 @@
+"""The `gelforge` command: one word names a module of this folder."""
+
+import importlib
+import sys
+
+from gelforge.flow.main import exit_with
+
+COMMANDS = {
+    "predict": "force maps and totals from images",
+    "live": "force maps over a video or a camera, as it runs",
+    "rig": "simulate presses and write a raw log with images",
+    "status": "what of a dataset is done, failed, pending",
+    "sample": "one sample through all stages, with its log",
+    "projection": "fit a sensor's projection",
+    "look": "pictures and .vtu of one sample",
+}
+
+# Commands whose module is a stage.
+HOMES = {"rig": "gelforge.stages.rig"}
+
+
+def main(argv=None) -> None:
+    """Dispatch `gelforge COMMAND …` to the module of that name."""
+    argv = sys.argv[1:] if argv is None else argv
+    if not argv or argv[0] not in COMMANDS:
+        lines = [f"  gelforge {name:11s} {what}" for name, what in COMMANDS.items()]
+        print("\n".join(["usage: gelforge COMMAND …", *lines, "Everything else is a make target: make help."]))
+        sys.exit(0 if argv and argv[0] in ("-h", "--help") else 2)
+    module = importlib.import_module(HOMES.get(argv[0], f"gelforge.commands.{argv[0]}"))
+    sys.argv[0] = f"gelforge {argv[0]}"
+    exit_with(module.main, argv[1:])

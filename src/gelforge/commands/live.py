@@ -1,0 +1,186 @@
+"""Force maps over a video or a camera, as it runs: `gelforge live --video FILE | --camera N`.
+
+A network that reads differences takes the first frame for the untouched sensor, unless told otherwise.
+"""
+
+import argparse
+import itertools
+import time
+from collections import deque
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.flow.files import publish
+
+RATE_OVER = 30  # frames that the shown rate is averaged over
+
+
+def open_source(video: Path | None, camera: int | None):
+    """Open a video file or a camera; return OpenCV's capture and the frames announced, 0 if unknown."""
+    import cv2
+
+    if video is not None and not video.is_file():
+        raise BadInput(f"{video}: no such video")
+    source = cv2.VideoCapture(str(video) if video is not None else camera)
+    if not source.isOpened():
+        what = (
+            f"{video}: cannot be opened as a video; convert it to AVI or MP4"
+            if video is not None
+            else (f"camera {camera} cannot be opened; `ls /dev/video*` lists those there are")
+        )
+        raise BadInput(what)
+    return source, int(max(0, source.get(cv2.CAP_PROP_FRAME_COUNT))) if video is not None else 0
+
+
+def frames(source, announced: int, name: str, limit: int | None):
+    """Yield frames (h, w, 3) BGR until the source or `limit` ends; BadInput if it ends before it should."""
+    count = 0
+    while limit is None or count < limit:
+        good, frame = source.read()
+        if not good:
+            break
+        count += 1
+        yield frame
+    expected = min(announced, limit) if limit is not None else announced
+    if count == 0 or count < expected:
+        raise BadInput(
+            f"{name}: ended after {count} of {expected or 'an unknown number of'} frames; the file is cut "
+            f"short or damaged: use --frames {count} to take what there is"
+            if count
+            else f"{name}: holds no frame that can be decoded"
+        )
+
+
+class Overlay:
+    """Turn frames into pictures with forces on them, keeping count of time."""
+
+    def __init__(self, untouched):
+        self.untouched = untouched
+        self.recent: deque[float] = deque(maxlen=RATE_OVER)
+        self.network_ms: list[float] = []
+        self.flagged = 0
+
+    def __call__(self, frame) -> np.ndarray:
+        """Return the picture (BGR) of a frame (h, w, 3) BGR."""
+        import cv2
+
+        from gelforge.commands.predict import predict_one
+        from gelforge.reporting.forcemaps import overlay
+
+        started = time.perf_counter()
+        image, forces, verdict = predict_one(self.untouched, cv2.cvtColor(frame, cv2.COLOR_BGR2RGB))
+        self.network_ms.append(1e3 * (time.perf_counter() - started))
+        self.flagged += verdict["flag"]
+        self.recent.append(started)
+        span = self.recent[-1] - self.recent[0]
+        rate = (len(self.recent) - 1) / span if span > 0 else 0.0
+        x, y, z = forces.sum((1, 2))
+        lines = [
+            f"x {x:+6.2f}  y {y:+6.2f}  z {z:+7.2f} N",
+            f"{rate:5.1f} frames/s, {self.network_ms[-1]:.1f} ms a frame",
+        ]
+        warning = f"unlike training ({verdict['score']:.1f}): {verdict['reason']}" if verdict["flag"] else ""
+        return overlay(cv2.cvtColor(image, cv2.COLOR_RGB2BGR), forces, lines, warning)
+
+
+def write_video(pictures, path, rate: float) -> int:
+    """Write pictures (h, w, 3) BGR as a motion-JPEG AVI, whole or not at all; return how many."""
+    import cv2
+
+    count, writer = 0, None
+    with publish(path) as part:
+        try:
+            for picture in pictures:
+                if writer is None:
+                    writer = cv2.VideoWriter(
+                        str(part), cv2.VideoWriter_fourcc(*"MJPG"), rate, (picture.shape[1], picture.shape[0])
+                    )
+                    if not writer.isOpened():
+                        raise BadInput(f"{path}: cannot be written as a video; give a name that ends in .avi")
+                writer.write(picture)
+                count += 1
+        finally:
+            if writer is not None:
+                writer.release()
+    return count
+
+
+def show(pictures) -> int:
+    """Show pictures in a window until q is pressed; return how many. BadInput where OpenCV has no window."""
+    import cv2
+
+    count = 0
+    for picture in pictures:
+        try:
+            cv2.imshow("gelforge live", picture)
+            count += 1
+            if cv2.waitKey(1) & 0xFF == ord("q"):
+                break
+        except cv2.error as error:
+            raise BadInput(
+                "this OpenCV has no window (a headless build or no display): use --out FILE.avi"
+            ) from error
+    return count
+
+
+def first_and_all(items):
+    """The first of `items`, and an iterator over all of them."""
+    items = iter(items)
+    first = next(items)
+    return first, itertools.chain([first], items)
+
+
+def until_interrupted(items):
+    """Yield `items`; an interrupt from the keyboard ends them like the end of the source."""
+    try:
+        yield from items
+    except KeyboardInterrupt:
+        return
+
+
+def main(argv=None) -> int:
+    parser = argparse.ArgumentParser(prog="gelforge live", description=__doc__)
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument("--video", type=Path)
+    source.add_argument("--camera", type=int)
+    parser.add_argument("--model", type=Path, help="model file; the one that came with gelforge if not named")
+    parser.add_argument("--sensor", help="the sensor that films; refused if the model is for another one")
+    parser.add_argument("--untouched", type=Path, metavar="IMAGE", help="the sensor while nothing touches it")
+    parser.add_argument("--frames", type=int, help="stop after so many")
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--out", type=Path, help="overlay video (.avi); a window is opened if not named")
+    args = parser.parse_args(argv)
+    import cv2
+    import torch
+
+    from gelforge.commands.predict import Untouched, load_for_use, read_image
+
+    torch.set_num_threads(args.threads)
+    trained = load_for_use(args.model, args.sensor)
+    picture = read_image(args.untouched) if args.untouched else None
+    capture, announced = open_source(args.video, args.camera)
+    name = str(args.video) if args.video else f"camera {args.camera}"
+    first, seen = first_and_all(frames(capture, announced, name, args.frames))
+    if picture is None and not args.sensor:
+        picture = cv2.cvtColor(first, cv2.COLOR_BGR2RGB)
+    overlay = Overlay(Untouched(trained, picture, args.sensor))
+    pictures = (overlay(frame) for frame in until_interrupted(seen))
+    started = time.perf_counter()
+    try:
+        count = write_video(pictures, args.out, capture.get(cv2.CAP_PROP_FPS) or 25.0) if args.out else show(pictures)
+    finally:
+        capture.release()
+    seconds = time.perf_counter() - started
+    print(
+        f"{count} frames in {seconds:.1f} s: {count / seconds:.1f} a second with overlay; network and check "
+        f"{np.median(overlay.network_ms):.1f} ms a frame; {overlay.flagged} flagged as unlike the training images"
+    )
+    return 0
+
+
+if __name__ == "__main__":
+    from gelforge.flow.main import exit_with
+
+    exit_with(main)

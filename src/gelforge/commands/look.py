@@ -1,0 +1,244 @@
+"""Pictures and a .vtu of one sample: what was pressed, what the gel did, what the label says."""
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.flow.files import publish, read_csv
+from gelforge.labelling.grid import Grid
+from gelforge.labelling.sensor import Sensor, find_sensor, load_sensors, transform
+from gelforge.mechanics.family import load_mesh
+from gelforge.records.forcefile import ForceFile
+from gelforge.records.labelfile import read_labels
+
+CHANNELS = ("force along gel y (grid_x)", "force along gel x (grid_y)", "force along z (grid_z)")
+ARROWS = 16  # along the image's height at most, so that they can be told apart
+INK = "#12181f"
+
+
+@dataclass(frozen=True)
+class Look:
+    """One sample with its label (3, rows, cols), what fell outside (3,), its image (h, w, 3) or None, its sensor."""
+
+    row: dict
+    label: np.ndarray
+    outside: np.ndarray
+    image: np.ndarray | None
+    sensor: Sensor
+    resolution: str
+
+
+def shard_paths(results: Path, sample_id: str, resolution: str) -> dict[str, Path]:
+    """Files of the shard that holds a sample; those of `make sample` where the shard has no label yet."""
+    table = results / "00_plan" / "shards.csv"
+    shards = {row["sample_id"]: int(row["shard"]) for row in read_csv(table)} if table.exists() else {}
+    if sample_id not in shards:
+        raise BadInput(f"sample {sample_id!r} is not in the log of {results.name}; say make look ID=SAMPLE_ID")
+    for folder, name in ((results, f"{shards[sample_id]:04d}"), (results / "samples" / sample_id, "one")):
+        paths = {
+            "poses": folder / "10_poses" / f"{name}.csv",
+            "fea": folder / "30_fea" / name / f"{sample_id}.npz",
+            "forces": folder / "40_forces" / f"{name}.npz",
+            "labels": folder / "50_labels" / resolution / f"{name}.npz",
+        }
+        if paths["labels"].exists() and paths["forces"].exists():
+            return paths
+    raise BadInput(
+        f"sample {sample_id} has no label at {resolution} yet; run make sample ID={sample_id}"
+        f" RES={resolution}, or make labels RES={resolution}"
+    )
+
+
+def load(data: Path, paths: dict, sample_id: str, sensors: dict, resolution: str) -> Look:
+    """Read a sample's row, label and image."""
+    from gelforge.stages.dataset import read_image
+
+    row = next((row for row in read_csv(paths["poses"]) if row["sample_id"] == sample_id), None)
+    found = read_labels(paths["labels"])
+    at = np.flatnonzero(found["sample_id"] == sample_id)
+    if row is None or not len(at):
+        raise BadInput(
+            f"{paths['labels']}: has no sample {sample_id}; its row was rejected, see 10_poses/*.rejected.csv"
+        )
+    status = str(found["status"][at[0]])
+    if np.isnan(found["label"][at[0]]).any():
+        raise BadInput(f"sample {sample_id} has no valid state ({status}); its log lies in 30_fea")
+    sensor = find_sensor(sensors, row["sensor_id"], str(paths["poses"]))
+    image = read_image(data, row["image"], sensor.image) if row.get("image") else None
+    return Look(row, found["label"][at[0]].astype(float), found["outside"][at[0]], image, sensor, resolution)
+
+
+def export_vtu(path, paths: dict, meshes: Path, sample_id: str) -> None:
+    """Write the gel of a sample with displacement and nodal force; inner nodes from the solve, or filled in."""
+    from gelforge.formats.vtu import fill_inside, write_vtu
+
+    with ForceFile(paths["forces"]) as forces:
+        at = forces.index(sample_id)
+        name = str(forces.mesh[at])
+        if forces.surface_ptr[at] == forces.surface_ptr[at + 1]:
+            raise BadInput(f"sample {sample_id} has no state ({forces.status[at]}), so there is nothing to export")
+        mesh = load_mesh(meshes, name)
+        sample = forces.sample(at, mesh.surface_nodes)
+    force, known = np.zeros_like(mesh.nodes), np.zeros(len(mesh.nodes), bool)
+    force[sample.nodes], known[sample.nodes], known[mesh.base] = sample.force, True, True
+    inside = solved_displacement(paths["fea"], len(mesh.nodes))
+    if inside is None:
+        inside = fill_inside(mesh, sample.nodes, sample.displacement)
+    else:
+        known[:] = True
+    write_vtu(path, mesh, inside, force, known)
+
+
+def solved_displacement(path: Path, count: int) -> np.ndarray | None:
+    """Displacement (n, 3) of all nodes where the solve kept it, else None."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            found = file["displacement"] if "displacement" in file.files else None
+    except (OSError, ValueError, EOFError):
+        return None
+    return None if found is None or found.shape != (count, 3) else np.asarray(found, float)
+
+
+def arrows(look: Look) -> tuple[np.ndarray, np.ndarray]:
+    """Places (n, 2) px and shear forces (n, 2) N turned into image directions (u, v), in cells merged to be seen.
+
+    The direction of a force in the image follows the projection's Jacobian; its length stays in N.
+    """
+    rows, cols = look.label.shape[1:]
+    merge = max(1, -(-rows // ARROWS))
+    starts = np.arange(0, rows, merge), np.arange(0, cols, merge)
+    merged = np.add.reduceat(np.add.reduceat(look.label[:2], starts[0], axis=1), starts[1], axis=2)
+    v, u = (np.minimum(start + merge / 2, size) for start, size in zip(starts, (rows, cols), strict=True))
+    place = np.stack(np.meshgrid(u * look.sensor.image[0] / cols, v * look.sensor.image[1] / rows), axis=-1).reshape(
+        -1, 2
+    )
+    force = merged[::-1].reshape(2, -1).T  # channels are gel y, gel x
+    size = np.hypot(*force.T)
+    gel, step = look.sensor.unproject(place), 1e-4
+    ahead = gel + step * force / np.maximum(size, 1e-300)[:, None]
+    heading = transform(look.sensor.projection, ahead) - place
+    heading /= np.maximum(np.hypot(*heading.T), 1e-300)[:, None]
+    return place, heading * size[:, None]
+
+
+def draw(look: Look):
+    """Matplotlib figure: the image with pressure and shear arrows, and the three channels over the image."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    width, height = look.sensor.image
+    figure, axes = plt.subplots(2, 2, figsize=(12.4, 9.2), layout="constrained")
+    extent = (0, width, height, 0)
+    _draw_image(axes[0, 0], look, extent)
+    for channel, axis in enumerate((axes[0, 1], axes[1, 0], axes[1, 1])):
+        grid = look.label[channel]
+        reach = max(float(np.abs(grid).max()), 1e-9)
+        _backdrop(axis, look, extent, grey=True)
+        strength = np.clip(0.25 + 0.75 * np.abs(grid) / reach, 0, 0.92) * (np.abs(grid) > 0.003 * reach)
+        shown = axis.imshow(
+            grid, cmap="RdBu", vmin=-reach, vmax=reach, extent=extent, alpha=strength, interpolation="nearest"
+        )
+        beyond = f", outside {look.outside[channel]:+.3f} N" if abs(look.outside[channel]) > 5e-4 else ""
+        axis.set_title(f"{CHANNELS[channel]}: {grid.sum():+.3f} N{beyond}", fontsize=10)
+        figure.colorbar(shown, ax=axis, shrink=0.85, label="N per cell")
+    for axis in axes.ravel():
+        axis.set(xlim=(0, width), ylim=(height, 0), xlabel="u, px", ylabel="v, px")
+    row = look.row
+    figure.suptitle(
+        f"{row['sample_id']}: {row['indenter']} on {row['sensor_id']}, {-float(row['dz_mm']):.2f} mm deep,"
+        f" shear ({float(row['dx_mm']):.2f}, {float(row['dy_mm']):.2f}) mm, label {look.resolution}",
+        fontsize=12,
+    )
+    return figure
+
+
+def _backdrop(axis, look, extent, grey=False):
+    if look.image is None:
+        axis.set_facecolor("#e6e8ea")
+    elif grey:
+        axis.imshow(look.image.mean(axis=2), cmap="gray", vmin=-120, vmax=255, extent=extent)
+    else:
+        axis.imshow(look.image, extent=extent)
+
+
+def _draw_image(axis, look, extent):
+    _backdrop(axis, look, extent)
+    pressure = np.maximum(-look.label[2], 0.0)
+    if pressure.max() > 0:
+        rows, cols = pressure.shape
+        u = (np.arange(cols) + 0.5) * look.sensor.image[0] / cols
+        v = (np.arange(rows) + 0.5) * look.sensor.image[1] / rows
+        if min(rows, cols) > 1:
+            axis.contour(
+                u,
+                v,
+                pressure,
+                levels=pressure.max() * np.array([0.05, 0.35, 0.65]),
+                colors="white" if look.image is not None else INK,
+                linewidths=0.9,
+            )
+    place, force = arrows(look)
+    size = np.hypot(*force.T)
+    largest = float(size.max(initial=0.0))
+    if largest > 1e-6:
+        seen = size > 0.02 * largest
+        unit = 10.0 ** np.floor(np.log10(largest))
+        unit *= next(m for m in (5, 2, 1) if m * unit <= largest)
+        quiver = axis.quiver(
+            *place[seen].T,
+            *force[seen].T,
+            color="#ffd23f",
+            edgecolor=INK,
+            linewidth=0.4,
+            angles="xy",
+            scale_units="xy",
+            scale=largest / 26.0,
+            width=0.0045,
+        )
+        axis.quiverkey(
+            quiver, 0.86, -0.11, unit, f"{unit:g} N shear", labelpos="E", coordinates="axes", color="#b98300"
+        )
+    axis.set_title("image, pressure (lines at 5, 35, 65 % of its peak), shear on the gel", fontsize=10)
+
+
+def write_figure(path, figure) -> None:
+    """Write a matplotlib figure as PNG, whole or not at all, and close it."""
+    import matplotlib.pyplot as plt
+
+    with publish(path) as part:
+        figure.savefig(part, format="png", dpi=110)
+    plt.close(figure)
+
+
+def main(argv=None) -> int:
+    parser = argparse.ArgumentParser(prog="gelforge look", description=__doc__)
+    parser.add_argument("--data", type=Path, required=True, help="data/DATASET")
+    parser.add_argument("--results", type=Path, required=True, help="results/DATASET")
+    parser.add_argument("--id", required=True, help="sample_id")
+    parser.add_argument("--resolution", nargs="+", default=["24x32"])
+    parser.add_argument("--sensors", type=Path, default=Path("workflow/sensors.toml"))
+    parser.add_argument("--out", type=Path, help="folder (default results/DATASET/look)")
+    args = parser.parse_args(argv)
+    if not args.id:
+        raise BadInput("no sample named; say make look ID=SAMPLE_ID")
+    sensors, out = load_sensors(args.sensors), args.out or args.results / "look"
+    paths = {}
+    for resolution in map(str, map(Grid.parse, args.resolution)):
+        paths = shard_paths(args.results, args.id, resolution)
+        look = load(args.data, paths, args.id, sensors, resolution)
+        write_figure(out / f"{args.id}-{resolution}.png", draw(look))
+        print(out / f"{args.id}-{resolution}.png")
+    export_vtu(out / f"{args.id}.vtu", paths, args.results / "20_meshes", args.id)
+    print(out / f"{args.id}.vtu")
+    return 0
+
+
+if __name__ == "__main__":
+    from gelforge.flow.main import exit_with
+
+    exit_with(main)

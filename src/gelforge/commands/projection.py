@@ -1,0 +1,268 @@
+"""Fit a sensor's projection from point correspondences, or from the marker dots in an image without contact."""
+
+import argparse
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.flow.files import publish, write_json
+from gelforge.labelling.homography import Fit, fit_homography
+from gelforge.labelling.markers import MarkerGrid, find_markers
+from gelforge.labelling.sensor import Sensor, check_projection, find_sensor, load_sensors, transform
+
+POINT_COLUMNS = ["x_mm", "y_mm", "u_px", "v_px"]
+ZOOM = 3  # of the picture, so that lines stay thin beside the pixels
+COLOURS = {"gel": (255, 255, 255), "points": (0, 255, 255), "markers": (0, 220, 0), "missing": (0, 0, 255)}  # BGR
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What was fitted for a sensor; markers and correspondences are None where they were not given."""
+
+    sensor: str
+    image: tuple[int, int]
+    gel: str
+    fit: Fit
+    points: np.ndarray
+    pixels: np.ndarray
+    markers: MarkerGrid | None
+
+
+def read_points(path) -> tuple[np.ndarray, np.ndarray]:
+    """Gel points (n, 2) mm and pixels (n, 2) of a CSV with columns x_mm, y_mm, u_px, v_px; # starts a comment."""
+    try:
+        lines = [line for line in Path(path).read_text(encoding="utf-8-sig").splitlines() if not line.startswith("#")]
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadInput(
+            f"{path}: cannot be read ({error}); give a CSV with columns {', '.join(POINT_COLUMNS)}"
+        ) from error
+    rows = list(csv.DictReader(lines))
+    missing = [name for name in POINT_COLUMNS if not rows or name not in rows[0]]
+    if missing:
+        raise BadInput(f"{path}: has no column {missing[0]} or no rows; it needs {', '.join(POINT_COLUMNS)}")
+    values = np.array([[_number(path, at, row, name) for name in POINT_COLUMNS] for at, row in enumerate(rows, 1)])
+    return values[:, :2], values[:, 2:]
+
+
+def _number(path, at, row, name) -> float:
+    try:
+        value = float(row[name])
+    except (TypeError, ValueError):
+        value = np.nan
+    if not np.isfinite(value):
+        raise BadInput(f"{path}: point {at}, {name} is {row[name]!r}; write a number")
+    return value
+
+
+def read_picture(path, size: tuple[int, int]) -> np.ndarray:
+    """An image file, or the gs_img of one of FEATS' .npy samples, as RGB (h, w, 3); another size raises BadInput."""
+    import cv2
+
+    from gelforge.formats.numpy_pickle import read_npy
+
+    if Path(path).suffix == ".npy":
+        found = read_npy(path)
+        image = found.get("gs_img") if isinstance(found, dict) else found
+        if not isinstance(image, np.ndarray) or image.dtype != np.uint8 or image.ndim != 3:
+            raise BadInput(f"{path}: holds no uint8 image gs_img; give an image without contact")
+    else:
+        image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+        if image is None:
+            raise BadInput(f"{path}: not an image that can be read; give a PNG, or a .npy sample")
+        image = cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+    if (image.shape[1], image.shape[0]) != tuple(size):
+        raise BadInput(
+            f"{path}: image is {image.shape[1]} x {image.shape[0]} pixels, the sensor has {size[0]} x {size[1]};"
+            " resize it, or correct `image` in workflow/sensors.toml"
+        )
+    return image
+
+
+def grid_pixels(markers: dict, index: np.ndarray) -> np.ndarray:
+    """Pixels (n, 2) of dots (row, col) (n, 2) of an even grid as a sensor's `markers` describes it."""
+    angle = np.deg2rad(markers.get("rotation_deg", 0.0))
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    middle = np.array([markers["cols"] - 1, markers["rows"] - 1]) / 2
+    return (index[:, ::-1] - middle) * np.array(markers["pitch_px"]) @ turn.T + np.array(markers["centre_px"])
+
+
+def calibrate(name: str, like: Sensor, points=None, image=None, where: str = "") -> Calibration:
+    """Fit the projection of the sensor `name`.
+
+    points: (gel points, pixels), or None: then the dots of `image` (h, w, 3) RGB are taken to be where
+    `like`, a sensor of the same print, has them on its gel. With both, the points give the projection.
+    """
+    markers = None
+    if image is not None:
+        needed = {"rows", "cols", "pitch_px", "centre_px"}
+        if not needed <= set(like.markers):
+            raise BadInput(
+                f"sensor {like.name}: `markers` lacks {', '.join(sorted(needed - set(like.markers)))}, which an"
+                " image needs; add it to workflow/sensors.toml, or name another sensor as LIKE"
+            )
+        markers = find_markers(image, like.markers["rows"], like.markers["cols"], where)
+    if points is None:
+        if markers is None:
+            raise BadInput(
+                "give POINTS=points.csv, or IMAGE=nocontact.png, or both: make projection SENSOR=name POINTS=…"
+            )
+        points = like.unproject(grid_pixels(like.markers, markers.index)), markers.points
+    fit = fit_homography(*points, where=where or "correspondences")
+    check_projection(fit.homography, where or "correspondences")
+    return Calibration(name, like.image, like.gel, fit, *points, markers)
+
+
+def describe(found: Calibration) -> dict:
+    """The calibration as plain numbers."""
+    worst = int(found.fit.residual.argmax())
+    about = {
+        "sensor": found.sensor,
+        "image": list(found.image),
+        "gel": found.gel,
+        "points": len(found.points),
+        "projection": np.round(found.fit.homography, 8).tolist(),
+        "residual_px": {
+            "rms": round(found.fit.rms, 4),
+            "largest": round(float(found.fit.residual[worst]), 4),
+            "at_mm": np.round(found.points[worst], 3).tolist(),
+        },
+        "px_per_mm": np.round(_scale(found.fit.homography), 4).tolist(),
+    }
+    if found.markers is not None:
+        grid = found.markers
+        about["markers"] = {
+            "rows": grid.rows,
+            "cols": grid.cols,
+            "count": grid.count,
+            "missing": grid.missing.tolist(),
+            "pitch_px": np.round(grid.pitch, 3).tolist(),
+            "rotation_deg": round(grid.rotation, 3),
+            "centre_px": np.round(grid.centre, 2).tolist(),
+            "diameter_px": round(grid.diameter, 2),
+            "uneven_px": round(grid.residual, 3),
+        }
+    return about
+
+
+def _scale(homography) -> list[float]:
+    """Pixels per mm along gel x and y at the crown."""
+    step = 1e-3
+    here, along_x, along_y = transform(homography, np.array([[0, 0], [step, 0], [0, step]]))
+    return [float(np.hypot(*(to - here)) / step) for to in (along_x, along_y)]
+
+
+def toml_table(about: dict) -> str:
+    """The table to paste into workflow/sensors.toml."""
+    rows = ", ".join(str([float(f"{value:.8g}") + 0.0 for value in row]) for row in about["projection"])
+    lines = [f"[{about['sensor']}]", f'gel = "{about["gel"]}"', f"image = {about['image']}", f"projection = [{rows}]"]
+    if "markers" in about:
+        kept = ("rows", "cols", "pitch_px", "centre_px", "rotation_deg", "diameter_px")
+        lines.append("markers = { " + ", ".join(f"{name} = {about['markers'][name]}" for name in kept) + " }")
+    return "\n".join(lines) + "\n"
+
+
+def draw(found: Calibration, image) -> np.ndarray:
+    """Picture (BGR) of the fit: the gel's 5 mm lines, the points used, the dots found and those missing."""
+    import cv2
+
+    width, height = found.image
+    base = np.full((height, width, 3), 60, np.uint8) if image is None else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
+    picture = cv2.resize(base, (width * ZOOM, height * ZOOM), interpolation=cv2.INTER_CUBIC)
+
+    def pixel(points):
+        return np.rint(np.asarray(points).reshape(-1, 2) * ZOOM).astype(int)
+
+    for at in range(-10, 11, 5):
+        for line in ([(at, -12.5), (at, 12.5)], [(-10, at), (10, at)]):
+            a, b = pixel(transform(found.fit.homography, np.array(line, float)))
+            cv2.line(picture, a.tolist(), b.tolist(), COLOURS["gel"], 2 if at == 0 else 1, cv2.LINE_AA)
+    for axis, end in (("x", (8, 0)), ("y", (0, 8))):
+        at = pixel(transform(found.fit.homography, np.array([end], float)))[0]
+        cv2.putText(picture, axis, (at + 8).tolist(), cv2.FONT_HERSHEY_SIMPLEX, 0.8, COLOURS["gel"], 2, cv2.LINE_AA)
+    if found.markers is not None:
+        for at in pixel(found.markers.points):
+            cv2.circle(
+                picture, at.tolist(), round(ZOOM * found.markers.diameter / 2), COLOURS["markers"], 2, cv2.LINE_AA
+            )
+        for at in pixel(_expected(found.markers)):
+            cv2.drawMarker(picture, at.tolist(), COLOURS["missing"], cv2.MARKER_TILTED_CROSS, 20, 2)
+    for at in pixel(found.pixels):
+        cv2.drawMarker(picture, at.tolist(), COLOURS["points"], cv2.MARKER_CROSS, 12, 1)
+    return picture
+
+
+def _expected(grid: MarkerGrid) -> np.ndarray:
+    """Where the missing dots would be on an even grid, (m, 2) px."""
+    even = {
+        "rows": grid.rows,
+        "cols": grid.cols,
+        "pitch_px": grid.pitch,
+        "centre_px": grid.centre,
+        "rotation_deg": grid.rotation,
+    }
+    return grid_pixels(even, grid.missing)
+
+
+def report(about: dict, old: Sensor | None) -> None:
+    """Print residual, dots, the change from sensors.toml, and the table to paste."""
+    residual = about["residual_px"]
+    print(
+        f"projection of {about['sensor']} from {about['points']} points: residual {residual['rms']:.3f} px rms,"
+        f" {residual['largest']:.3f} px at most (at x, y = {residual['at_mm']} mm)"
+    )
+    if "markers" in about:
+        dots = about["markers"]
+        print(
+            f"markers: {dots['count']} of {dots['rows'] * dots['cols']}, pitch {dots['pitch_px'][0]:.2f} x"
+            f" {dots['pitch_px'][1]:.2f} px, turned {dots['rotation_deg']:.2f} degrees about {dots['centre_px']},"
+            f" {dots['uneven_px']:.2f} px rms off an even grid"
+        )
+    if old is not None:
+        half = np.array([[-9.5, -11], [9.5, -11], [9.5, 11], [-9.5, 11]])
+        moved = np.hypot(*(transform(np.array(about["projection"]), half) - old.project(half)).T).max()
+        print(f"against workflow/sensors.toml, corners of the view move by up to {moved:.2f} px")
+    print("for workflow/sensors.toml:\n" + toml_table(about))
+
+
+def main(argv=None) -> int:
+    parser = argparse.ArgumentParser(prog="gelforge projection", description=__doc__)
+    parser.add_argument("--sensor", required=True, help="name the sensor has, or shall have, in sensors.toml")
+    parser.add_argument("--points", type=Path, help="CSV: x_mm, y_mm, u_px, v_px")
+    parser.add_argument("--image", type=Path, help="image without contact, .png or FEATS' .npy")
+    parser.add_argument("--like", default="gelsight_mini", help="sensor whose image size, gel and dots it shares")
+    parser.add_argument("--sensors", type=Path, default=Path("workflow/sensors.toml"))
+    parser.add_argument(
+        "--out", type=Path, help="JSON; a picture goes beside it (default results/projection/SENSOR.json)"
+    )
+    args = parser.parse_args(argv)
+    if not args.sensor:
+        raise BadInput("no sensor named; say make projection SENSOR=name POINTS=points.csv (or IMAGE=nocontact.png)")
+    sensors = load_sensors(args.sensors)
+    like = find_sensor(sensors, args.like, "LIKE")
+    points = read_points(args.points) if args.points else None
+    image = read_picture(args.image, like.image) if args.image else None
+    found = calibrate(args.sensor, like, points, image, str(args.points or args.image or ""))
+    out = args.out or Path("results/projection") / f"{args.sensor}.json"
+    about = describe(found)
+    write_json(out, about)
+    write_picture(out.with_suffix(".png"), draw(found, image))
+    report(about, sensors.get(args.sensor))
+    return 0
+
+
+def write_picture(path, picture: np.ndarray) -> None:
+    """Write a BGR picture as PNG, whole or not at all."""
+    import cv2
+
+    with publish(path) as part:
+        if not cv2.imwrite(str(part), picture):
+            raise BadInput(f"{path}: the picture cannot be written; free space or permissions, then try again")
+
+
+if __name__ == "__main__":
+    from gelforge.flow.main import exit_with
+
+    exit_with(main)

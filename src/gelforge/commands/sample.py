@@ -1,0 +1,86 @@
+"""One sample through all stages in the foreground, with its log shown."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from gelforge.errors import BadInput
+from gelforge.flow.files import read_csv, write_csv
+
+
+def find_row(results: Path, sample_id: str) -> tuple[list[str], dict]:
+    """Columns and the raw row of a sample in the planned shards."""
+    for path in sorted((results / "00_plan" / "shards").glob("*.csv")):
+        for row in read_csv(path):
+            if row["sample_id"] == sample_id:
+                return list(row), row
+    raise BadInput(f"sample {sample_id!r} is not in the log of {results.name}; make sample ID=… takes a sample_id")
+
+
+def stages(data: Path, results: Path, work: Path, resolution: str) -> list[tuple[str, list]]:
+    """The stages' modules and arguments for a shard of one sample in the folder `work`; the last argument is the output."""
+    params = results / "00_plan" / "params"
+    meshes = results / "20_meshes"
+    shard, poses, fea, forces = (
+        work / name
+        for name in ("00_plan/shards/0000.csv", "10_poses/0000.csv", "30_fea/0000.csv", "40_forces/0000.npz")
+    )
+    labels = work / "50_labels" / resolution / "labels.json"
+    return [
+        ("poses", ["--data", data, "--shard", shard, "--params", params / "poses.json", "--out", poses]),
+        ("fea", ["--poses", poses, "--meshes", meshes, "--params", params / "fea.json", "--out", fea]),
+        ("forces", ["--fea", fea, "--meshes", meshes, "--params", params / "forces.json", "--out", forces]),
+        (
+            "labels",
+            [
+                "--forces",
+                forces.parent,
+                "--poses",
+                poses.parent,
+                "--meshes",
+                meshes,
+                "--shards",
+                shard.parent,
+                "--sensors",
+                params / "sensors.json",
+                "--resolution",
+                resolution,
+                "--params",
+                params / "labels.json",
+                "--out",
+                labels,
+            ],
+        ),
+    ]
+
+
+def main(argv=None) -> int:
+    import importlib
+
+    parser = argparse.ArgumentParser(prog="gelforge sample", description=__doc__)
+    parser.add_argument("--dataset", required=True)
+    parser.add_argument("--id", required=True, help="sample_id in the raw log")
+    parser.add_argument("--resolution", default="24x32")
+    args = parser.parse_args(argv)
+    if not args.id:
+        raise BadInput("no sample named; say make sample ID=SAMPLE_ID")
+    data, results = Path("data") / args.dataset, Path("results") / args.dataset
+    columns, row = find_row(results, args.id)
+    work = results / "samples" / args.id
+    write_csv(work / "00_plan" / "shards" / "0000.csv", columns, [row])
+    for stage, arguments in stages(data, results, work, args.resolution):
+        Path(arguments[-1]).parent.mkdir(parents=True, exist_ok=True)
+        print(f"== {stage}", file=sys.stderr, flush=True)
+        code = importlib.import_module(f"gelforge.stages.{stage}").main([str(a) for a in arguments])
+        if code:
+            return code
+        if Path(arguments[-1]).suffix == ".csv":
+            print(Path(arguments[-1]).read_text(encoding="utf-8"))
+    print(f"everything of {args.id} lies in {work}")
+    return 0
+
+
+if __name__ == "__main__":
+    from gelforge.flow.main import exit_with
+
+    exit_with(main)

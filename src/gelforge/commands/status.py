@@ -1,0 +1,114 @@
+"""What of a dataset is done, failed (with reasons) and pending, stage by stage."""
+
+import argparse
+import csv
+from collections import Counter
+from pathlib import Path
+
+# Only the standard library: status answers in a fraction of a second for 15 000 samples.
+
+
+def read_rows(path: Path) -> list[dict]:
+    """Rows of a CSV file, none where it is absent."""
+    if not path.exists():
+        return []
+    with path.open(newline="", encoding="utf-8") as stream:
+        return list(csv.DictReader(stream))
+
+
+def shard_sizes(results: Path) -> dict[str, int]:
+    """Samples per shard as planned."""
+    rows = read_rows(results / "00_plan" / "shards.csv")
+    if not rows:
+        return {}
+    digits = max(4, len(rows[-1]["shard"]))
+    return Counter(f"{int(row['shard']):0{digits}d}" for row in rows)
+
+
+def poses_state(results: Path, sizes: dict[str, int]) -> tuple[int, Counter]:
+    """Good samples and reasons of the rejected ones."""
+    done, failed = 0, Counter()
+    for shard in sizes:
+        done += len(read_rows(results / "10_poses" / f"{shard}.csv"))
+        # A row may be wrong in several columns; it is one rejected sample.
+        rejected = {row["row"]: row for row in read_rows(results / "10_poses" / f"{shard}.rejected.csv")}
+        failed.update(f"{row['column']}: {row['reason']}" for row in rejected.values())
+    return done, failed
+
+
+def fea_state(results: Path, sizes: dict[str, int]) -> tuple[int, Counter]:
+    """Valid solves and reasons of the failed ones; partly done shards count by their sample files."""
+    done, failed = 0, Counter()
+    for shard in sizes:
+        table = results / "30_fea" / f"{shard}.csv"
+        if not table.exists():
+            done += sum(1 for _ in (results / "30_fea" / shard).glob("*.json"))
+        for row in read_rows(table):
+            if row["status"] in ("OK", "NO_CONTACT"):
+                done += 1
+            else:
+                failed[f"{row['status']}: {row.get('reason', '')}"] += 1
+    return done, failed
+
+
+def shard_state(folder: Path, sizes: dict[str, int]) -> int:
+    """Samples in shards whose file exists."""
+    return sum(size for shard, size in sizes.items() if (folder / f"{shard}.npz").exists())
+
+
+def lines(results: Path) -> list[str]:
+    """The table that `make status` prints."""
+    sizes = shard_sizes(results)
+    total = sum(sizes.values())
+    if not total:
+        return [f"{results}: nothing planned yet; run make poses"]
+    good, rejected = poses_state(results, sizes)
+    solved, diverged = fea_state(results, sizes)
+    stages = [("10_poses", good, rejected), ("30_fea", solved, diverged)]
+    stages.append(("40_forces", shard_state(results / "40_forces", sizes), Counter()))
+    stages += [
+        (f"50_labels {f.name}", shard_state(f, sizes), Counter()) for f in sorted(results.glob("50_labels/*x*"))
+    ]
+    text = [
+        f"{results.name}: {total} samples in {len(sizes)} shards",
+        f"{'stage':20s} {'done':>7s} {'failed':>7s} {'pending':>7s}",
+    ]
+    for name, done, failed in stages:
+        bad = failed.total()
+        lost = 0 if name == "10_poses" else rejected.total()
+        text.append(f"{name:20s} {done:7d} {bad:7d} {max(total - done - bad - lost, 0):7d}")
+        text += [f"    {count:6d} x {reason}" for reason, count in failed.most_common()]
+    for kind, pattern in (
+        ("60_dataset", "*/dataset.json"),
+        ("70_train", "*/*.pt"),
+        ("80_evaluate", "*/*.json"),
+        ("90_report", "index.html"),
+        ("calibrate", "summary.json"),
+        ("pareto", "pareto.json"),
+    ):
+        found = sorted(str(p.relative_to(results / kind)) for p in (results / kind).glob(pattern))
+        text.append(f"{kind:20s} {', '.join(found) or 'pending'}")
+    return text
+
+
+def slurm_lines(results: Path) -> list[str]:
+    """Work on Slurm, where there is any: tasks queued, running, done and failed per stage."""
+    if not any((results / ".slurm").glob("*.json")):
+        return []
+    from gelforge.flow.slurm.run import overview
+
+    return overview(results)
+
+
+def main(argv=None) -> int:
+    parser = argparse.ArgumentParser(prog="gelforge status", description=__doc__)
+    parser.add_argument("--results", type=Path, required=True, help="results/DATASET")
+    args = parser.parse_args(argv)
+    print("\n".join([*lines(args.results), *slurm_lines(args.results)]))
+    return 0
+
+
+if __name__ == "__main__":
+    from gelforge.flow.main import exit_with
+
+    exit_with(main)

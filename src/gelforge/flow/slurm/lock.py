@@ -1,0 +1,87 @@
+"""One make at a time on the results of a dataset, on whatever machine it runs."""
+
+import fcntl
+import os
+import select
+import signal
+import sys
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+from gelforge.errors import BadInput
+from gelforge.flow.slurm.client import STOP
+
+
+def take(lock, kind: int) -> None:
+    """Take a lock; BadInput where the file system has none."""
+    try:
+        fcntl.flock(lock, kind)
+    except BlockingIOError:
+        raise
+    except OSError as error:
+        raise BadInput(
+            f"{lock.name}: no file locks here ({error.strerror}); mount the file system with them"
+        ) from error
+
+
+@contextmanager
+def at_work(results: Path, kind: int = fcntl.LOCK_SH):
+    """Hold the lock that every process at work for a make shares."""
+    with (results / ".slurm" / "work").open("a") as lock:
+        take(lock, kind)
+        yield
+
+
+def become_only_make(results: Path, make: int):
+    """Return the open lock file of these results once no other make holds it; None if `make` holds it already.
+
+    From then on the signals that stop make are blocked: they are received while waiting, see `pause`.
+    """
+    folder = results / ".slurm"
+    folder.mkdir(parents=True, exist_ok=True)
+    lock = (folder / "lock").open("a+")
+    try:
+        take(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        lock.seek(0)
+        if lock.read() == str(make):  # make reads its files again after it made one of them
+            return None
+        print(f"another make is at work on {results} with Slurm; awaiting it", file=sys.stderr, flush=True)
+        take(lock, fcntl.LOCK_EX)
+    signal.pthread_sigmask(signal.SIG_BLOCK, STOP)
+    lock.truncate(0)
+    lock.write(str(make))
+    lock.flush()
+    with at_work(results, fcntl.LOCK_EX):
+        pass  # a make that was killed leaves a process behind that is still cancelling
+    return lock
+
+
+def hold(lock, make: int) -> None:
+    """Keep `lock` in a process of its own until the process `make` ends."""
+    if os.fork():
+        return
+    os.setsid()
+    os.chdir("/")
+    null = os.open(os.devnull, os.O_RDWR)
+    for number in (0, 1, 2):
+        os.dup2(null, number)
+    # What make handed down (its job slots, output files) must close when make does.
+    os.closerange(3, lock.fileno())
+    os.closerange(lock.fileno() + 1, 65536)
+    await_end(make)
+    os._exit(0)
+
+
+def await_end(process: int) -> None:
+    """Return when a process has ended."""
+    try:
+        poll = select.poll()
+        poll.register(os.pidfd_open(process), select.POLLIN)
+        poll.poll()
+    except ProcessLookupError:
+        return
+    except OSError:  # a kernel before 5.3
+        while Path(f"/proc/{process}").exists():
+            time.sleep(0.5)

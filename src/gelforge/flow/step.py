@@ -1,0 +1,165 @@
+"""The wrapper every recipe runs in: log, cost, and a target that is whole or absent.
+
+`python -m gelforge.flow.step TARGET INPUT… -- COMMAND…`: COMMAND writes TARGET.part; this renames it on
+success. An input that lost bytes since it was made is made again first, by the command that made it.
+"""
+
+import ctypes
+import fcntl
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from gelforge.flow.files import read_json, write_json
+
+PR_SET_PDEATHSIG = 1  # linux/prctl.h
+TAIL_LINES = 20
+NOTICES = ("rejected: ", "failed: ")  # lines of a log that a person must see although the step succeeded
+
+
+def mirror(target: Path, kind: str, suffix: str) -> Path:
+    """Where the log or the metrics of a target lie: results/DATASET/kind/STAGE/stem.suffix."""
+    parts = target.parts
+    at = (
+        parts.index("results") + 2
+        if "results" in parts and len(parts) > parts.index("results") + 3
+        else len(parts) - 1
+    )
+    return Path(*parts[:at], kind, *parts[at:]).with_suffix(suffix)
+
+
+def die_with_parent() -> None:
+    """Make the kernel end this process when its parent dies, so that kill -9 of make leaves no orphans."""
+    ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
+def follow(stream, log) -> None:
+    """Copy a child's output to its log; where a person watches, keep its latest line on the terminal."""
+    # make names the terminal it writes to here, or says `true` where it cannot tell.
+    name = os.environ.get("MAKE_TERMERR", "")
+    terminal = open(name, "w") if name.startswith("/dev/") else None
+    for line in stream:
+        log.write(line)
+        log.flush()
+        if terminal and line.strip():
+            width = shutil.get_terminal_size().columns - 1
+            terminal.write("\r\033[K" + line.strip()[:width])
+            terminal.flush()
+    if terminal:
+        terminal.write("\r\033[K")
+        terminal.close()
+
+
+def run(command: list[str], log_path: Path) -> tuple[int, dict]:
+    """Run a command into its log; return its exit code and what it cost."""
+    started = time.time()
+    with log_path.open("w", encoding="utf-8", errors="replace") as log:
+        log.write(f"$ {' '.join(command)}\n")
+        log.flush()
+        child = subprocess.Popen(
+            command,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors="replace",
+            preexec_fn=die_with_parent,
+        )
+        for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            signal.signal(name, lambda number, frame: child.send_signal(number))
+        follow(child.stdout, log)
+        code = child.wait()
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    cost = {
+        "command": command,
+        "exit_code": code,
+        "started": started,
+        "seconds": round(time.time() - started, 3),
+        "cpu_seconds": round(usage.ru_utime + usage.ru_stime, 3),
+        "peak_mib": round(usage.ru_maxrss / 1024, 1),
+    }
+    return code, cost
+
+
+def show_notices(log_path: Path) -> None:
+    """Repeat what the command rejected or could not solve, because a log is not read unless something fails."""
+    for line in log_path.read_text(encoding="utf-8", errors="replace").splitlines():
+        if line.startswith(NOTICES):
+            print(line)
+
+
+def report_failure(target: Path, log_path: Path, code: int) -> None:
+    """Say where the log is and show its end."""
+    lines = log_path.read_text(encoding="utf-8", errors="replace").splitlines()[-TAIL_LINES:]
+    print(f"FAILED {target} (exit {code}); log: {log_path}", *(f"  | {line}" for line in lines), sep="\n", flush=True)
+
+
+def heal(path: Path) -> int:
+    """Make an input again if it does not have the bytes it was published with; return the exit code."""
+    metrics = mirror(path, "metrics", ".json")
+    if not (metrics.exists() and path.is_file()):
+        return 0
+    made = read_json(metrics)
+    if made["exit_code"] or path.stat().st_size == made["bytes"]:
+        return 0
+    print(f"{path}: {path.stat().st_size} bytes, {made['bytes']} when it was made; making it again", flush=True)
+    return build(path, [Path(name) for name in made["inputs"]], made["command"])
+
+
+def build(target: Path, inputs: list[Path], command: list[str]) -> int:
+    """Make one target: heal its inputs, lock, run, publish; return the exit code."""
+    started = time.time()
+    for path in inputs:
+        code = heal(path)
+        if code:
+            return code
+    log_path = mirror(target, "logs", ".log")
+    for folder in (target.parent, log_path.parent):
+        folder.mkdir(parents=True, exist_ok=True)
+    with log_path.with_suffix(".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        # A second make that waited here finds the work of the first one done.
+        if target.exists() and target.stat().st_mtime >= started:
+            return 0
+        return make_part(target, inputs, command, log_path)
+
+
+def make_part(target: Path, inputs: list[Path], command: list[str], log_path: Path) -> int:
+    """Run the command and publish what it wrote, with its cost; return the exit code."""
+    part = Path(f"{target}.part")
+    code, cost = run(command, log_path)
+    if code == 0 and not part.exists():
+        print(f"{target}: the command succeeded but wrote no {part}")
+        code = cost["exit_code"] = 1
+    cost["inputs"] = [str(path) for path in inputs]
+    cost["bytes"] = part.stat().st_size if code == 0 else 0
+    write_json(mirror(target, "metrics", ".json"), cost)
+    if code:
+        shutil.rmtree(part, ignore_errors=True) if part.is_dir() else part.unlink(missing_ok=True)
+        report_failure(target, log_path, code)
+        return code if 0 < code < 126 else 1
+    os.replace(part, target)
+    show_notices(log_path)
+    print(f"{target}  {cost['seconds']:.1f} s, {cost['peak_mib']:.0f} MiB", flush=True)
+    return 0
+
+
+def main(argv=None) -> int:
+    argv = sys.argv[1:] if argv is None else argv
+    if "--" not in argv[1:-1]:
+        print("usage: python -m gelforge.flow.step TARGET INPUT… -- COMMAND…", file=sys.stderr)
+        return 2
+    split = argv.index("--")
+    try:
+        return build(Path(argv[0]), [Path(name) for name in argv[1:split]], argv[split + 1 :])
+    except OSError as error:
+        print(f"{argv[0]}: {error.strerror}: {error.filename}; free space or permissions, then run make again")
+        return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

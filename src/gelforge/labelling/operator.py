@@ -1,0 +1,254 @@
+"""Nodal force to grid cells as one sparse matrix per mesh, sensor and grid.
+
+Every face is cut into one part per node that a uniform traction loads: a second-order triangle into
+three triangles between an edge and the centroid (its corners carry none of a uniform traction), a
+bilinear quadrangle into its four quarters. A nodal force belongs to the parts of its node on all faces
+around it, in proportion to the load that a uniform traction puts on the node from each; a part
+spreads it evenly over its projected undeformed area, clipped exactly against the cells. Columns sum
+to one, one extra row being what falls outside the image, and no weight is negative. A uniform
+traction comes out exactly. Against spreading over whole faces, with or without iterative refinement
+towards linear traction, the errors of linear traction and of contact edges are a third smaller.
+"""
+
+import hashlib
+import zipfile
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.flow.files import publish
+from gelforge.labelling.clip import clip_to_grid, polygon_area
+from gelforge.labelling.grid import Grid
+from gelforge.labelling.sensor import Sensor, transform
+from gelforge.mechanics.mesh import GelMesh
+
+VERSION = 1  # of the numbers in an operator file; part of its name
+CORNERS = {"tet10": 3, "hex8": 4}
+UPRIGHT = 1e-6  # a face whose projection is smaller than this share of its area stands upright
+WHOLE = 1e-9  # a part that clipping finds inside the image to this accuracy lies inside; the rest is rounding
+
+
+@dataclass(frozen=True)
+class Operator:
+    """Sparse map from nodal force to cells, by rows: node i feeds `cell[ptr[i]:ptr[i + 1]]`.
+
+    grid.cells is the index of what falls outside. Rows of surface nodes sum to one, others are empty.
+    """
+
+    grid: Grid
+    ptr: np.ndarray
+    cell: np.ndarray
+    weight: np.ndarray
+
+    @cached_property
+    def matrix(self):
+        """scipy CSR, (mesh nodes, cells + 1)."""
+        from scipy.sparse import csr_matrix
+
+        return csr_matrix((self.weight, self.cell, self.ptr), shape=(len(self.ptr) - 1, self.grid.cells + 1))
+
+    def spread(self, ptr, node, force):
+        """Bin the forces of n samples in one product, sparse.
+
+        ptr (n+1,), node (k,) mesh nodes, force (k, 3) N. Returns scipy CSR (3 n, cells + 1) in N, row
+        axis * n + sample, the last column outside. Force on a node off the surface raises BadInput.
+        """
+        from scipy.sparse import csr_matrix
+
+        samples, count = len(ptr) - 1, len(node)
+        if not np.isfinite(force).all():
+            raise BadInput("nodal forces hold NaN or infinity; solve the sample again")
+        self._check_nodes(node)
+        pointer = np.concatenate([np.asarray(ptr[:-1]) + count * axis for axis in range(3)] + [[3 * count]])
+        stacked = csr_matrix((force.T.ravel(), np.tile(node, 3), pointer), shape=(3 * samples, len(self.ptr) - 1))
+        return stacked @ self.matrix
+
+    def apply(self, ptr, node, force) -> tuple[np.ndarray, np.ndarray]:
+        """What `spread` gives, as cells (n, 3, rows, cols) along gel x, y, z and outside (n, 3), N."""
+        samples = len(ptr) - 1
+        cells = self.spread(ptr, node, force).toarray().reshape(3, samples, self.grid.cells + 1).transpose(1, 0, 2)
+        return cells[..., :-1].reshape(samples, 3, *self.grid.shape), np.ascontiguousarray(cells[..., -1])
+
+    def _check_nodes(self, node):
+        if len(node) and (node.min() < 0 or node.max() >= len(self.ptr) - 1):
+            raise BadInput(f"force on node {node.max()} of a mesh of {len(self.ptr) - 1} nodes; run make again")
+        bare = node[self.ptr[node] == self.ptr[np.asarray(node) + 1]]
+        if len(bare):
+            raise BadInput(
+                f"force on node {bare[0]}, which is on no surface face of the mesh; the mesh changed, run make"
+            )
+
+    def save(self, path) -> None:
+        """Write to an .npz file, whole or not at all."""
+        with publish(path) as part, part.open("wb") as stream:
+            np.savez(stream, grid=np.array(self.grid.shape), ptr=self.ptr, cell=self.cell, weight=self.weight)
+
+    @classmethod
+    def load(cls, path) -> "Operator":
+        """Read what `save` wrote; anything else raises BadInput."""
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                return cls(Grid(*map(int, file["grid"])), file["ptr"], file["cell"], file["weight"])
+        except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+            raise BadInput(f"{path}: not a binning operator ({error}); delete it and run make again") from error
+
+
+def assemble(mesh: GelMesh, sensor: Sensor, grid: Grid) -> Operator:
+    """Build the operator of `mesh` seen by `sensor` on `grid`.
+
+    A gel that lies wholly outside the image raises BadInput.
+    """
+    parts, areas = face_parts(mesh)
+    to_part, lonely = node_to_part(mesh, areas)
+    to_cell = part_to_cell(parts, areas, sensor, grid)
+    if not (to_cell.indices < grid.cells).any():
+        raise BadInput(
+            f"sensor {sensor.name}: the gel lies wholly outside the {sensor.image[0]} x {sensor.image[1]}"
+            " image; correct its projection (make projection SENSOR=...)"
+        )
+    matrix = (to_part @ to_cell + point_to_cell(mesh, sensor, grid, lonely)).tocsr()
+    matrix.sort_indices()
+    return Operator(grid, matrix.indptr.astype(np.int64), matrix.indices.astype(np.int32), matrix.data)
+
+
+def face_parts(mesh: GelMesh) -> tuple[np.ndarray, np.ndarray]:
+    """Cut faces into k parts each: polygons (f, k, corners, 2) in the gel's plane and their areas (f, k), mm^2.
+
+    Faces that stand upright get zero areas: nothing of their force can be spread over the image.
+    """
+    corners = mesh.nodes[mesh.faces[:, : CORNERS[mesh.kind]]]
+    flat, following = corners[..., :2], np.roll(corners[..., :2], -1, axis=1)
+    centre = np.broadcast_to(flat.mean(axis=1, keepdims=True), flat.shape)
+    if mesh.kind == "tet10":
+        parts = np.stack([flat, following, centre], axis=2)
+    else:
+        middle = (flat + following) / 2
+        parts = np.stack([flat, middle, centre, np.roll(middle, 1, axis=1)], axis=2)
+    areas = polygon_area(parts.reshape(-1, *parts.shape[2:])).reshape(parts.shape[:2])
+    upright = areas.sum(axis=1) <= UPRIGHT * face_loads(mesh).sum(axis=1)
+    return parts, np.where(upright[:, None], 0.0, areas)
+
+
+def face_loads(mesh: GelMesh) -> np.ndarray:
+    """Load (f, k) that a unit traction on each face puts on the nodes of its k parts, mm^2.
+
+    Second-order triangle: a third of the area on each midside node. Bilinear quadrangle: 2 x 2 Gauss
+    points (Zienkiewicz and Taylor, The Finite Element Method, volume 1, section 8).
+    """
+    corners = mesh.nodes[mesh.faces[:, : CORNERS[mesh.kind]]]
+    if mesh.kind == "tet10":
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        return np.repeat(np.linalg.norm(normal, axis=1)[:, None] / 6, 3, axis=1)
+    loads = np.zeros(mesh.faces.shape)
+    side = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    for point in side / np.sqrt(3):
+        shape = np.prod(1 + side * point, axis=1) / 4
+        along = [
+            np.einsum("fkd,k->fd", corners, side[:, i] * (1 + side[:, 1 - i] * point[1 - i]) / 4) for i in (0, 1)
+        ]
+        loads += np.linalg.norm(np.cross(*along), axis=1)[:, None] * shape
+    return loads
+
+
+def node_to_part(mesh: GelMesh, areas: np.ndarray):
+    """CSR (nodes, f k) giving each node's share of the faces' parts, and nodes without any, (l,).
+
+    The corners of second-order triangles have no part: their force, small and of either sign, goes to
+    the parts beside them by area.
+    """
+    from scipy.sparse import csr_matrix
+
+    loads = np.where(areas > 0, face_loads(mesh), 0.0)
+    slots = np.arange(areas.size).reshape(areas.shape)
+    nodes, parts, weights = [mesh.faces[:, -areas.shape[1] :]], [slots], [loads]
+    if mesh.kind == "tet10":
+        for turn in (0, 1):
+            nodes.append(mesh.faces[:, :3])
+            parts.append(np.roll(slots, turn, axis=1))
+            weights.append(np.roll(areas, turn, axis=1))
+    entries = (np.ravel(weights), (np.ravel(nodes), np.ravel(parts)))
+    share = csr_matrix(entries, shape=(len(mesh.nodes), areas.size))
+    share.eliminate_zeros()
+    total = np.asarray(share.sum(axis=1)).ravel()
+    share.data /= np.repeat(total, np.diff(share.indptr))
+    if mesh.kind == "hex8":
+        share = share @ _even_out(loads, areas)
+    return share, mesh.surface_nodes[total[mesh.surface_nodes] <= 0]
+
+
+def _even_out(loads, areas):
+    """CSR (f k, f k) moving what a node's load exceeds its part's area to the face's parts that lack some.
+
+    A skewed quadrangle loads its corners not quite as its quarters' areas; after this a uniform traction
+    is uniform again. Rows sum to one and nothing is negative.
+    """
+    from scipy.sparse import csr_matrix
+
+    faces, k = areas.shape
+    scale = areas.sum(axis=1, keepdims=True) / np.maximum(loads.sum(axis=1, keepdims=True), np.finfo(float).tiny)
+    load = np.where(areas > 0, loads * scale, 1.0)
+    excess, lack = np.maximum(load - areas, 0.0), np.maximum(areas - load, 0.0)
+    excess[areas.sum(axis=1) <= 0] = 0.0
+    lack /= np.maximum(lack.sum(axis=1, keepdims=True), np.finfo(float).tiny)
+    moved = (excess / load)[:, :, None] * lack[:, None, :]
+    moved[:, range(k), range(k)] += 1.0 - moved.sum(axis=2)
+    column = np.repeat(np.arange(areas.size).reshape(faces, 1, k), k, axis=1)
+    return csr_matrix((moved.ravel(), column.ravel(), np.arange(areas.size + 1) * k), shape=(areas.size,) * 2)
+
+
+def part_to_cell(parts, areas, sensor: Sensor, grid: Grid):
+    """CSR (f k, cells + 1): the share of each part's area in each cell, the rest outside.
+
+    Areas are taken in the gel's plane: a homography that is not affine stretches a part unevenly.
+    """
+    from scipy.sparse import csr_matrix
+
+    polygons, area = parts.reshape(-1, *parts.shape[2:]), areas.ravel()
+    real = np.flatnonzero(area > 0)
+    back = np.linalg.inv(sensor.projection)
+    pixels = sensor.project(polygons[real])
+    found, cell, overlap = clip_to_grid(pixels, grid.shape, sensor.image, lambda p: polygon_area(transform(back, p)))
+    part = real[found]
+    overlap = overlap / area[part]
+    inside = np.bincount(part, overlap, len(area))
+    whole = np.abs(inside - 1.0) < WHOLE
+    overlap /= np.where(whole, inside, 1.0)[part]
+    outside = np.where(whole | (area <= 0), 0.0, 1.0 - inside)
+    cut = np.flatnonzero(outside)
+    entries = np.concatenate([overlap, outside[cut]])
+    where = np.concatenate([part, cut]), np.concatenate([cell, np.full(len(cut), grid.cells)])
+    return csr_matrix((entries, where), shape=(len(area), grid.cells + 1))
+
+
+def point_to_cell(mesh: GelMesh, sensor: Sensor, grid: Grid, nodes):
+    """CSR (nodes, cells + 1) putting `nodes` wholly into the cell that they project to."""
+    from scipy.sparse import csr_matrix
+
+    u, v = sensor.project(mesh.nodes[nodes]).reshape(-1, 2).T
+    col, row = np.floor(u * grid.cols / sensor.image[0]), np.floor(v * grid.rows / sensor.image[1])
+    inside = (col >= 0) & (col < grid.cols) & (row >= 0) & (row < grid.rows)
+    cell = np.where(inside, row * grid.cols + col, grid.cells).astype(int)
+    return csr_matrix((np.ones(len(nodes)), (nodes, cell)), shape=(len(mesh.nodes), grid.cells + 1))
+
+
+def operator_path(folder, mesh_path, sensor: Sensor, grid: Grid) -> Path:
+    """Where the operator of a mesh file, a sensor and a grid is kept below `folder`.
+
+    The name carries a digest of all that the numbers depend on, so a stale operator is never read.
+    """
+    digest = hashlib.sha256(f"{VERSION} {grid} {sensor.image} {sensor.projection.tolist()} ".encode())
+    digest.update(Path(mesh_path).read_bytes())
+    return Path(folder) / f"{Path(mesh_path).stem}-{sensor.name}-{digest.hexdigest()[:16]}.npz"
+
+
+def cached(folder, mesh_path, sensor: Sensor, grid: Grid) -> Operator:
+    """Read the operator of a mesh file, or assemble and keep it."""
+    path = operator_path(folder, mesh_path, sensor, grid)
+    if path.exists():
+        return Operator.load(path)
+    operator = assemble(GelMesh.load(mesh_path), sensor, grid)
+    operator.save(path)
+    return operator

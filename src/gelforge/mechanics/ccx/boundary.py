@@ -1,0 +1,130 @@
+"""Contact at the face points of a tetrahedral gel: held by springs, judged, corrected in rounds."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gelforge.mechanics.ccx.deck import Rows
+from gelforge.mechanics.contact import Pose
+from gelforge.mechanics.scene import Scene
+from gelforge.mechanics.tet.face import FacePoints
+
+FREE, SLIDE, STICK = 0, 1, 2
+
+
+@dataclass
+class Contact:
+    """Contact state of (f, q) face points at the end of the path.
+
+    state: FREE, SLIDE (held along the normal, dragged by `drag`) or STICK (held at `target`).
+    target: (f, q, 3) mm, on the indenter. normal: (f, q, 3) the indenter's outward normal there.
+    drag: (f, q, 3) MPa of undeformed area, tangential traction on a sliding point.
+    """
+
+    state: np.ndarray
+    target: np.ndarray
+    normal: np.ndarray
+    drag: np.ndarray
+
+    @property
+    def held(self) -> np.ndarray:
+        return self.state != FREE
+
+
+def end_pose(scene: Scene) -> Pose:
+    """Where the indenter stands at the end of the path."""
+    return Pose(*scene.press.pose(1.0, 1.0))
+
+
+def gaps(scene: Scene, pose: Pose, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Signed distance (f, q) mm to the indenter and its outward normal (f, q, 3) at points (f, q, 3)."""
+    distance, normal = scene.indenter.distance(pose.to_indenter(points.reshape(-1, 3)))
+    return distance.reshape(points.shape[:2]), pose.turn(normal).reshape(points.shape)
+
+
+def spring_rows(contact: Contact, points: FacePoints, stiffness: float) -> Rows:
+    """Springs of `stiffness` (N/mm^3) times each held point's area, as few rows as the faces' shape allows.
+
+    Springs at k points of a face have the energy K/2 |A u - b|^2 with A (k, unknowns of the face).
+    With A = QR that is K/2 |R u - Q'b|^2 and a constant, so a face never needs more rows than it has
+    unknowns: 6 per axis where points stick, 18 where they slide, however fine the rule.
+    """
+    row, node, axis, coefficient, target = [], [], [], [], []
+    count = 0
+    for face in np.flatnonzero(contact.held.any(axis=1)):
+        nodes = points.faces[face]
+        root = np.sqrt(points.weight[face])
+        goal = contact.target[face] - points.position[face]
+        for kind in (STICK, SLIDE):
+            q = np.flatnonzero(contact.state[face] == kind)
+            if not len(q):
+                continue
+            if kind == STICK:
+                # three axes share R: their rows are kept together, three to a helper node
+                basis, small = np.linalg.qr(root[q, None] * points.shape[q])
+                aims = basis.T @ (root[q, None] * goal[q])
+                full = np.einsum("ja,ik->jiak", small, np.eye(3)).reshape(-1, 18)
+                aims = aims.reshape(-1)
+            else:
+                normal = contact.normal[face, q]
+                full = (root[q, None] * points.shape[q])[:, :, None] * normal[:, None, :]
+                basis, full = np.linalg.qr(full.reshape(len(q), 18))
+                aims = basis.T @ (root[q] * np.einsum("qk,qk->q", normal, goal[q]))
+            j, term = np.nonzero(full)
+            row.append(count + j)
+            node.append(nodes[term // 3])
+            axis.append(term % 3)
+            coefficient.append(full[j, term])
+            target.append(aims)
+            count += len(aims)
+    join = [np.concatenate(x) if x else np.empty(0) for x in (row, node, axis, coefficient, target)]
+    return Rows(*(x.astype(int) for x in join[:3]), join[3], join[4], stiffness)
+
+
+def drag_loads(contact: Contact, points: FacePoints, nodes: int) -> np.ndarray:
+    """Nodal forces (nodes, 3) N of the tangential tractions of sliding points."""
+    loads = np.zeros((nodes, 3))
+    dragged = np.where((contact.state == SLIDE)[..., None], contact.drag, 0.0) * points.weight[..., None]
+    np.add.at(loads, points.faces, np.einsum("qa,fqk->fak", points.shape, dragged))
+    return loads
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What a solved round says: pushes (f, q) MPa along the normal, gaps (f, q) mm, where the points are."""
+
+    position: np.ndarray
+    push: np.ndarray
+    gap: np.ndarray
+    normal: np.ndarray
+    pulling: np.ndarray
+    pulling_fraction: float
+    penetration: float
+
+
+def judge(scene: Scene, contact: Contact, points: FacePoints, displacement: np.ndarray, stiffness: float) -> Verdict:
+    """Read the pressure of every held point and the gap of every free one off a displacement field (n, 3)."""
+    position = points.position + points.at(displacement)
+    gap, normal = gaps(scene, end_pose(scene), position)
+    push = stiffness * np.einsum("fqk,fqk->fq", contact.target - position, contact.normal) * contact.held
+    force = np.abs((push * points.weight).sum())
+    pulling = contact.held & (push < 0)
+    share = float(-(push * points.weight)[pulling].sum() / max(force, 1e-12))
+    return Verdict(position, push, gap, normal, pulling, share, float(max(0.0, -gap[~contact.held].min(initial=0.0))))
+
+
+def correct(scene: Scene, contact: Contact, verdict: Verdict, tolerance: float) -> Contact:
+    """The next round's contact: what pulls is let go, what penetrates is held where it is, tangents follow."""
+    new = ~contact.held & (verdict.gap < -tolerance)
+    state = np.where(verdict.pulling, FREE, contact.state)
+    state[new] = STICK if scene.interface.law == "no_slip" else SLIDE
+    touch = verdict.position - verdict.gap[..., None] * verdict.normal
+    renew = (new | (state == SLIDE))[..., None]
+    drag = np.zeros_like(contact.drag)
+    if scene.interface.law == "coulomb":
+        size = np.linalg.norm(contact.drag, axis=-1)
+        wanted = scene.interface.mu * np.maximum(verdict.push, 0.0)
+        drag = contact.drag * np.where(size > 0, wanted / np.where(size > 0, size, 1.0), 0.0)[..., None]
+    return Contact(
+        state, np.where(renew, touch, contact.target), np.where(renew, verdict.normal, contact.normal), drag
+    )

@@ -1,0 +1,81 @@
+"""Reader of CalculiX' .dat files: nodal tables, whole and finite or refused by name."""
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+_HEAD = re.compile(r"^ *(\S[^\n]*?) \([^)\n]*\) for set (\S+) and time +(\S+) *$", re.MULTILINE)
+_SHORT_EXPONENT = re.compile(r"(\d)([+-]\d{3})(?=\s|$)")  # Fortran drops the E of three-digit exponents
+
+
+class DatError(Exception):
+    """A .dat file that does not hold what the deck asked for; the message names the table."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """One printed table: quantity ("displacements", "forces"), set name, time, node ids (n,), values (n, 3)."""
+
+    quantity: str
+    set_name: str
+    time: float
+    nodes: np.ndarray
+    values: np.ndarray
+
+
+def read_dat(text: str) -> list[Table]:
+    """All nodal tables of a .dat file in order. A row that is cut or no number raises DatError."""
+    heads = list(_HEAD.finditer(text))
+    ends = [head.start() for head in heads[1:]] + [len(text)] * bool(heads)
+    return [_table(head, text[head.end() : end]) for head, end in zip(heads, ends, strict=True)]
+
+
+def _table(head, body) -> Table:
+    quantity, set_name = head[1].strip(), head[2]
+    words = _SHORT_EXPONENT.sub(r"\1E\2", body).split()
+    where = f"table `{quantity}` of set {set_name} at time {head[3]}"
+    if len(words) % 4:
+        raise DatError(f"{where} ends inside a row: the file is truncated")
+    try:
+        rows = np.array(words, dtype=float).reshape(-1, 4)
+        time = float(head[3])
+    except ValueError as error:
+        raise DatError(f"{where} holds something that is no number ({error})") from error
+    return Table(quantity, set_name, time, rows[:, 0].astype(np.int64), rows[:, 1:])
+
+
+def last_table(tables: list[Table], quantity: str, set_name: str, nodes: np.ndarray, time: float = 1.0) -> np.ndarray:
+    """Values (n, 3) of the last table of `quantity` for `set_name`, in the order of `nodes` (n,), counted from 1.
+
+    Decks with several increments or steps print one table each; only the one at `time` is the
+    result, so a job that stopped early is refused, as are missing rows and values that are not finite.
+    """
+    found = [t for t in tables if t.quantity == quantity and t.set_name == set_name]
+    where = f"table `{quantity}` of set {set_name}"
+    if not found:
+        raise DatError(f"{where} is not in the file: the job printed nothing, its log says why")
+    table = found[-1]
+    if abs(table.time - time) > 1e-6:
+        raise DatError(f"{where} ends at time {table.time:g} of {time:g}: the job stopped early")
+    order = np.argsort(table.nodes, kind="stable")
+    at = np.searchsorted(table.nodes[order], nodes)
+    if len(table.nodes) != len(nodes) or not np.array_equal(table.nodes[order][at.clip(max=len(order) - 1)], nodes):
+        raise DatError(
+            f"{where} has {len(table.nodes)} rows where {len(nodes)} nodes were asked for:"
+            " the file is truncated or belongs to another mesh"
+        )
+    values = table.values[order][at]
+    if not np.isfinite(values).all():
+        bad = int(nodes[np.flatnonzero(~np.isfinite(values).all(axis=1))[0]])
+        raise DatError(f"{where} is not finite at node {bad}")
+    return values
+
+
+def without_set(text: str, set_name: str) -> str:
+    """The same file without the tables of one set."""
+    heads = list(_HEAD.finditer(text))
+    ends = [head.start() for head in heads[1:]] + [len(text)] * bool(heads)
+    keep = [text[: heads[0].start()]] if heads else [text]
+    keep += [text[head.start() : end] for head, end in zip(heads, ends, strict=True) if head[2] != set_name]
+    return "".join(keep)

@@ -1,0 +1,126 @@
+"""Fidelity `ccx-native`: FEATS' formulation, CalculiX' own contact pair between gel and indenter tetrahedra.
+
+The deck follows FEATS' sim.inp (Helmut et al., IROS 2025): surface-to-surface contact, the penalty
+that PRESSURE-OVERCLOSURE=TIED falls back to without a data line (50 C10 per mm), friction 1, the
+indenter's top led by prescribed displacements. It is the baseline of the chart, not a good answer.
+"""
+
+import time
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.mechanics.ccx.dat import DatError, last_table, read_dat
+from gelforge.mechanics.ccx.deck import material_lines, mesh_include
+from gelforge.mechanics.ccx.program import run_ccx
+from gelforge.mechanics.ccx.solver import CcxResult
+from gelforge.mechanics.hex.solver import first_touch
+from gelforge.mechanics.mesh import GelMesh
+from gelforge.mechanics.scene import REFERENCE_C10, Material, Scene
+from gelforge.mechanics.tet.solid import TetSolid
+from gelforge.mechanics.tet.tetmesh import FACES, boundary_faces, orient, tetrahedralise
+from gelforge.records.status import Status
+
+CROP_MM = 3.0  # height of the indenter that is meshed, above its tip: more than any press is deep
+_FACE_OF = {tuple(sorted(f)): i + 1 for i, f in enumerate(([0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]))}  # S1 to S4
+
+
+def indenter_tets(indenter, size: float, crop: float = CROP_MM) -> tuple[np.ndarray, np.ndarray]:
+    """Linear tetrahedra of the indenter's lowest `crop` mm in its own frame: nodes (n, 3), elements (e, 4)."""
+    import pymeshlab
+
+    from gelforge.stages.poses import cropped
+
+    vertices, faces = cropped(indenter, crop)
+    shapes = pymeshlab.MeshSet()
+    shapes.add_mesh(pymeshlab.Mesh(vertices, faces))
+    shapes.meshing_isotropic_explicit_remeshing(targetlen=pymeshlab.PureValue(size), iterations=5)
+    surface = shapes.current_mesh()
+    nodes, tets = tetrahedralise(
+        surface.vertex_matrix(), surface.face_matrix(), edge_length_abs=size, epsilon=1e-3, num_threads=1
+    )
+    return nodes, orient(nodes, tets)
+
+
+def element_faces(tets: np.ndarray, faces: np.ndarray) -> list[tuple[int, int]]:
+    """(element, CalculiX' face number) of each boundary face (f, 3 corners), both counted from 1."""
+    found = {}
+    for element, corners in enumerate(tets.tolist(), 1):
+        for local in FACES.tolist():
+            found[tuple(sorted(corners[i] for i in local))] = element, _FACE_OF[tuple(sorted(local))]
+    return [found[tuple(sorted(f))] for f in faces.tolist()]
+
+
+def native_deck(scene: Scene, mesh: GelMesh, nodes: np.ndarray, tets: np.ndarray) -> str:
+    """FEATS' deck for a scene: press in one step, then shear in another where there is one."""
+    rotation, shift = scene.press.pose(0.0, 0.0)
+    placed = nodes @ rotation.T + shift
+    n, e = len(mesh.nodes), len(mesh.elements)
+    lines = [mesh_include(mesh), "*NODE, NSET=NIND"]
+    lines += [f"{n + i},{x:.9e},{y:.9e},{z:.9e}" for i, (x, y, z) in enumerate(placed.tolist(), 1)]
+    lines.append("*ELEMENT, TYPE=C3D4, ELSET=EIND")
+    lines += [f"{e + i}," + ",".join(str(n + c + 1) for c in tet) for i, tet in enumerate(tets.tolist(), 1)]
+    # The gel comes first: the penalty that CalculiX falls back to is 50 times the first material's first constant.
+    lines += material_lines(scene.material)
+    lines += ["*MATERIAL, NAME=INDENTER", "*ELASTIC", "210000., 0.3", "*SOLID SECTION, ELSET=EIND, MATERIAL=INDENTER"]
+    lines.append("*SURFACE, NAME=SGEL, TYPE=ELEMENT")
+    lines += [f"{i},S{s}" for i, s in element_faces(mesh.elements[:, :4], mesh.faces[:, :3])]
+    outer = boundary_faces(tets)
+    top = nodes[:, 2] > nodes[:, 2].max() - 1e-3
+    lower = outer[~top[outer].all(axis=1)]
+    lines.append("*SURFACE, NAME=SIND, TYPE=ELEMENT")
+    lines += [f"{e + i},S{s}" for i, s in element_faces(tets, lower)]
+    lines.append("*NSET, NSET=NLED")
+    lines += [str(n + i + 1) for i in np.flatnonzero(top)]
+    lines += ["*CONTACT PAIR, INTERACTION=TOUCH, TYPE=SURFACE TO SURFACE", "SGEL,SIND",
+              "*SURFACE INTERACTION, NAME=TOUCH",
+              "*SURFACE BEHAVIOR, PRESSURE-OVERCLOSURE=TIED"]  # fmt: skip
+    if scene.interface.law != "frictionless":
+        lines += ["*FRICTION", f"{scene.interface.mu if scene.interface.law == 'coulomb' else 1.0:g}"]
+    lines += ["*BOUNDARY", "NBASE,1,3"]
+    p = scene.press
+    for dx, dy in [(0.0, 0.0)] + ([(p.dx, p.dy)] if p.dx or p.dy else []):
+        lines += ["*STEP, NLGEOM, INC=1000", "*STATIC, SOLVER=SPOOLES", "0.1,1.", "*BOUNDARY"]
+        lines += [f"NLED,{a},{a},{v:.9e}" for a, v in enumerate((dx, dy, p.dz), 1)]
+        for name, quantity in (("NALL", "U"), ("NBASE", "RF")):
+            lines += [f"*NODE PRINT, NSET={name}, FREQUENCY=100000", quantity]
+        lines.append("*END STEP")
+    return "\n".join(lines) + "\n"
+
+
+def solve_native(scene: Scene, mesh: GelMesh, folder, timeout_s: float, size: float = 0.7) -> CcxResult:
+    """Solve a scene with FEATS' formulation on a gel mesh; indenter elements of `size` mm. Failure is a status."""
+    began = time.perf_counter()
+    zero = np.zeros_like(mesh.nodes)
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    evidence = {"rounds": 1, "load_steps": 0, "penetration_mm": None, "pulling_fraction": None}
+    if first_touch(scene) is None:
+        return CcxResult(Status.NO_CONTACT, zero, zero.copy(), evidence)
+    deck = native_deck(scene, mesh, *indenter_tets(scene.indenter, size))
+    (folder / "native.inp").write_text(deck)
+    job = run_ccx("native", folder, timeout_s)
+    evidence |= {
+        "newton_iterations": job.iterations,
+        "seconds": time.perf_counter() - began,
+        "peak_mib": job.peak_mib,
+    }
+    try:
+        path = folder / "native.dat"
+        text = path.read_text(errors="replace") if path.exists() else ""
+        tables, top = read_dat(text), mesh.surface_nodes
+        end = 2.0 if scene.press.dx or scene.press.dy else 1.0
+        every = np.arange(len(mesh.nodes)) + 1
+        displacement = last_table(tables, "displacements", "NALL", every, end)
+        base = last_table(tables, "forces", "NBASE", mesh.base + 1, end).sum(axis=0)
+    except DatError as error:
+        return CcxResult(Status.DIVERGED, zero, zero.copy(), evidence | {"reason": f"{error}; {job.reason()}"}, deck)
+    # Stock CalculiX prints no contact force per node; what the elements bear at the top is what contact exerts.
+    solid, material = TetSolid(mesh), Material(REFERENCE_C10, scene.material.nu)
+    inner, _ = solid.forces(displacement, material.shear_modulus, material.bulk_modulus)
+    forces = zero.copy()
+    forces[top] = inner[top]
+    total = forces.sum(axis=0)
+    evidence["base_mismatch"] = float(np.linalg.norm(total + base) / max(np.linalg.norm(total), 1e-12))
+    evidence["equilibrium_residual"] = evidence["base_mismatch"]
+    return CcxResult(Status.OK, forces, displacement, evidence, deck)

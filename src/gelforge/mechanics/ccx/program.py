@@ -1,0 +1,88 @@
+"""Running CalculiX as a child that cannot outlive its parent."""
+
+import ctypes
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from gelforge.errors import BadInput
+from gelforge.records.status import Status
+
+_PR_SET_PDEATHSIG = 1
+_ENOUGH_BYTES = 1 << 20  # less than this left on the disk counts as full
+
+
+def ccx_program() -> str | None:
+    """Path of the CalculiX program (environment variable CCX, else `ccx` on PATH), or None."""
+    return shutil.which(os.environ.get("CCX", "ccx"))
+
+
+def need_ccx() -> str:
+    """Path of CalculiX; BadInput where there is none."""
+    program = ccx_program()
+    if program is None:
+        raise BadInput(f"ccx: {Status.SOLVER_MISSING.value}")
+    return program
+
+
+@dataclass(frozen=True)
+class Job:
+    """A finished run: returncode, log (stdout), seconds, peak resident memory of any child so far (MiB)."""
+
+    returncode: int
+    log: str
+    seconds: float
+    peak_mib: float
+
+    @property
+    def iterations(self) -> int:
+        """Newton iterations of all increments and attempts."""
+        return self.log.count("largest residual force")
+
+    def reason(self) -> str:
+        """The first error in the log, in one line."""
+        for start, line in enumerate(lines := self.log.splitlines()):
+            if "*ERROR" in line:
+                return " ".join(" ".join(lines[start : start + 3]).split())[:200]
+        if self.returncode < 0:
+            return f"stopped by {signal.Signals(-self.returncode).name}"
+        return f"exit code {self.returncode} without a message"
+
+
+def _die_with_parent():
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
+def run_ccx(name: str, folder, timeout_s: float) -> Job:
+    """Run the deck `name`.inp in `folder` with one thread; a run past `timeout_s` is stopped.
+
+    A full disk raises BadInput, because every other sample would fail for it too.
+    """
+    program = need_ccx()
+    folder = Path(folder)
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "CCX_NPROC_EQUATION_SOLVER": "1"}
+    started = time.perf_counter()
+    log_path = folder / f"{name}.log"
+    with log_path.open("w") as log:
+        child = subprocess.Popen(
+            [program, name], cwd=folder, stdout=log, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL,
+            env=environment, preexec_fn=_die_with_parent,
+        )  # fmt: skip
+        try:
+            returncode = child.wait(timeout_s)
+        except BaseException as stop:
+            child.kill()
+            child.wait()
+            if not isinstance(stop, subprocess.TimeoutExpired):
+                raise
+            returncode = -signal.SIGALRM
+    free = shutil.disk_usage(folder).free
+    if free < _ENOUGH_BYTES:
+        raise BadInput(f"{folder}: the disk is full ({free} bytes left); free some space and run make again")
+    peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024.0
+    return Job(returncode, log_path.read_text(errors="replace"), time.perf_counter() - started, peak)

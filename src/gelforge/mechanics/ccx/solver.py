@@ -1,0 +1,205 @@
+"""Fidelity `ccx`: CalculiX on second-order tetrahedra, contact found in process and corrected in rounds.
+
+The deck has no contact. The final state of a hyperelastic body depends on its boundary data only,
+so the points that touch are held where they ended and CalculiX finds the equilibrium; points that
+pull are let go, points that penetrate are held, and the rounds go on until neither remains. Contact
+is integrated at twelve points of each face, because at nodes a footprint's edge falls between them.
+"""
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.mechanics.ccx import boundary as touch
+from gelforge.mechanics.ccx.dat import DatError, last_table, read_dat, without_set
+from gelforge.mechanics.ccx.deck import DIRECT, ITERATIVE, press_deck, write_include
+from gelforge.mechanics.ccx.program import run_ccx
+from gelforge.mechanics.hex.solver import first_touch
+from gelforge.mechanics.mesh import GelMesh
+from gelforge.mechanics.scene import REFERENCE_C10, Result, Scene
+from gelforge.mechanics.tet.face import face_points
+from gelforge.mechanics.tet.kinematics import PathSettings, contact_forces, follow
+from gelforge.mechanics.tet.solid import TetSolid
+from gelforge.records.status import Status
+
+
+@dataclass(frozen=True)
+class CcxSettings:
+    """How `ccx` works.
+
+    press_steps, shear_steps: load steps of the kinematics, at least. step_mm: none of the press is longer.
+    stiffness: contact springs, multiples of C10 per mm. rounds: at most so many solves. pull_tolerance: share
+    of the normal force that may pull in a valid state. penetration_mm: depth that counts as touching. residual:
+    largest nodal residual over the mean nodal force. increment: first load increment when the start from the
+    kinematics fails.
+    """
+
+    press_steps: int = 4
+    shear_steps: int = 3
+    step_mm: float = 0.35
+    stiffness: float = 2000.0
+    rounds: int = 8
+    pull_tolerance: float = 2e-3
+    penetration_mm: float = 2e-3
+    residual: float = 1e-5
+    increment: float = 0.25
+    timeout_s: float = 1800.0
+
+
+@dataclass
+class CcxResult(Result):
+    """A Result with the deck and the .dat text of its last round (None where nothing was run)."""
+
+    deck: str | None = None
+    dat: str | None = None
+
+
+class CcxSolver:
+    """Solves scenes on one tetrahedral mesh; decks and output live in `folder`."""
+
+    def __init__(self, mesh: GelMesh, folder, settings: CcxSettings = CcxSettings()):
+        self.mesh, self.folder, self.settings = mesh, Path(folder), settings
+        self.points, self.solid = face_points(mesh), TetSolid(mesh)
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self.include = write_include(mesh, self.folder / "mesh.inp").name
+
+    def solve(self, scene: Scene, name: str = "press", settings: CcxSettings | None = None) -> CcxResult:
+        """State at the end of the scene's path. Failure is a status, not an exception."""
+        began = time.perf_counter()
+        s = settings or self.settings
+        touch_at = first_touch(scene)
+        if touch_at is None:
+            return self._empty(Status.NO_CONTACT, "", began)
+        path = PathSettings(
+            s.press_steps, s.shear_steps, s.step_mm, s.stiffness * REFERENCE_C10,
+            pull_tolerance=s.pull_tolerance / 2, penetration_mm=s.penetration_mm / 2,
+        )  # fmt: skip
+        found = follow(scene, self.solid, self.points, touch_at, path)
+        kinematics_s = time.perf_counter() - began
+        if found.settled:
+            result = self._rounds(scene, found, name, s)
+            own = contact_forces(found.contact, self.points, found.displacement, path.stiffness).sum(axis=0)
+            result.evidence["engine_difference"] = _difference(result.total, own)
+        else:
+            result = self._empty(Status.DIVERGED, found.reason, began)
+        result.evidence |= {
+            "kinematics_seconds": kinematics_s, "seconds": time.perf_counter() - began, "load_steps": found.steps,
+            "kinematics_iterations": found.iterations,
+        }  # fmt: skip
+        return result
+
+    def _empty(self, status, reason, began) -> CcxResult:
+        zero = np.zeros_like(self.mesh.nodes)
+        evidence = dict.fromkeys(("equilibrium_residual", "penetration_mm", "pulling_fraction", "base_mismatch"), 0.0)
+        evidence |= dict.fromkeys(("newton_iterations", "rounds", "load_steps"), 0)
+        evidence |= {"reason": reason, "seconds": time.perf_counter() - began, "peak_mib": 0.0}
+        return CcxResult(status, zero, zero.copy(), evidence)
+
+    def _rounds(self, scene, found, name, s) -> CcxResult:
+        stiffness = s.stiffness * REFERENCE_C10
+        contact, start = found.contact, found.displacement
+        run = _Run(self, scene, name, s)
+        for number in range(1, s.rounds + 1):
+            answer = run.solve(contact, start)
+            if isinstance(answer, CcxResult):
+                return answer
+            verdict = touch.judge(scene, contact, self.points, answer.displacement, stiffness)
+            run.history.append([verdict.pulling_fraction, verdict.penetration, float(-answer.top.sum(axis=0)[2])])
+            settled = verdict.pulling_fraction <= s.pull_tolerance and verdict.penetration <= s.penetration_mm
+            if settled or number == s.rounds:
+                return run.result(Status.OK if settled else Status.UNSETTLED, answer, contact, verdict)
+            contact, start = touch.correct(scene, contact, verdict, s.penetration_mm / 4), answer.displacement
+        raise AssertionError("unreachable")
+
+
+@dataclass(frozen=True)
+class Answer:
+    """One solved round: displacement (n, 3), reactions at the top (t, 3) and base (b, 3), texts."""
+
+    displacement: np.ndarray
+    top: np.ndarray
+    base: np.ndarray
+    deck: str
+    dat: str
+
+
+class _Run:
+    """The rounds of one scene, with what they cost."""
+
+    def __init__(self, solver: CcxSolver, scene: Scene, name: str, settings: CcxSettings):
+        self.solver, self.scene, self.name, self.settings = solver, scene, name, settings
+        self.stiffness = settings.stiffness * REFERENCE_C10
+        self.iterations = self.rounds = 0
+        self.seconds = self.peak = 0.0
+        self.ladder, self.history = [], []
+
+    def solve(self, contact, start):
+        """One round: from the start, else in increments from rest; an Answer, or a failed CcxResult."""
+        mesh, s = self.solver.mesh, self.settings
+        rows = touch.spring_rows(contact, self.solver.points, self.stiffness)
+        loads = touch.drag_loads(contact, self.solver.points, len(mesh.nodes))
+        problem = Status.DIVERGED, "no point touches"
+        attempts = [(start, 1.0, ITERATIVE), (start, 1.0, DIRECT)]
+        attempts += [(None, s.increment, DIRECT), (None, s.increment / 10, DIRECT)]
+        for begin, increment, method in attempts if len(rows.target) else []:
+            deck = press_deck(
+                mesh, self.solver.include, self.scene.material, rows, loads, begin, increment, s.residual, method
+            )  # fmt: skip
+            (self.solver.folder / f"{self.name}.inp").write_text(deck)
+            job = run_ccx(self.name, self.solver.folder, s.timeout_s)
+            self.iterations += job.iterations
+            self.seconds += job.seconds
+            self.peak = max(self.peak, job.peak_mib)
+            try:
+                answer = read_answer(self.solver.folder / f"{self.name}.dat", mesh, deck)
+                self.rounds += 1
+                return answer
+            except DatError as error:
+                status = (
+                    Status.DIVERGED if "stopped early" in str(error) or "nothing" in str(error) else Status.UNREADABLE
+                )
+                problem = status, f"{error}; {job.reason()}"
+                self.ladder.append(f"round {self.rounds + 1}, {method}, first increment {increment:g}: {problem[1]}")
+        zero = np.zeros_like(mesh.nodes)
+        return CcxResult(problem[0], zero, zero.copy(), self._evidence() | {"reason": problem[1]}, deck=None)
+
+    def result(self, status, answer, contact, verdict) -> CcxResult:
+        mesh = self.solver.mesh
+        forces = np.zeros_like(mesh.nodes)
+        touched = np.unique(mesh.faces[contact.held.any(axis=1)])
+        top = mesh.surface_nodes
+        forces[top] = np.where(np.isin(top, touched)[:, None], answer.top, 0.0)
+        total = forces.sum(axis=0)
+        mismatch = np.linalg.norm(total + answer.base.sum(axis=0)) / max(np.linalg.norm(total), 1e-12)
+        if status is Status.OK and mismatch > 1e-6:
+            status = Status.UNBALANCED
+        free = np.abs(answer.top[~np.isin(top, touched)]).max(initial=0.0)
+        evidence = self._evidence() | {
+            "equilibrium_residual": float(free / max(np.abs(forces).max(), 1e-12)),
+            "penetration_mm": verdict.penetration, "pulling_fraction": verdict.pulling_fraction,
+            "base_mismatch": float(mismatch), "touching_points": int(contact.held.sum()),
+        }  # fmt: skip
+        return CcxResult(status, forces, answer.displacement, evidence, answer.deck, without_set(answer.dat, "NALL"))
+
+    def _evidence(self) -> dict:
+        return {
+            "newton_iterations": self.iterations, "rounds": self.rounds, "peak_mib": self.peak,
+            "solver_seconds": self.seconds, "ladder": self.ladder, "history": self.history,
+        }  # fmt: skip
+
+
+def read_answer(path: Path, mesh: GelMesh, deck: str) -> Answer:
+    """Parse and check the .dat of a press deck; raises DatError."""
+    text = path.read_text(errors="replace") if path.exists() else ""
+    tables = read_dat(text)
+    top, base, every = mesh.surface_nodes + 1, mesh.base + 1, np.arange(len(mesh.nodes)) + 1
+    return Answer(
+        last_table(tables, "displacements", "NALL", every), last_table(tables, "forces", "NTOP", top),
+        last_table(tables, "forces", "NBASE", base), deck, text,
+    )  # fmt: skip
+
+
+def _difference(one, other) -> float:
+    return float(np.linalg.norm(one - other) / max(np.linalg.norm(one), 1e-12))

@@ -1,0 +1,71 @@
+"""A brick mesh by its name, which holds the few numbers it is built from: no press needs a mesh file of its own."""
+
+import math
+from dataclasses import astuple, dataclass
+
+from gelforge.errors import BadInput
+from gelforge.geometry.gel import load_gel
+from gelforge.mechanics.hex.hexmesh import FineBox, HexMesh, build_mesh
+
+PREFIX = "hex@"
+FORM = f"{PREFIX}GEL:X_MIN:X_MAX:Y_MIN:Y_MAX:SIZE:LAYERS:LAYER_RATIO:GROWTH:LARGEST"
+MOST_BRICKS = 2e6  # a name that asks for more is a mistake, not a mesh
+
+
+@dataclass(frozen=True)
+class Bricks:
+    """What `hexmesh.build_mesh` builds a gel's mesh from; lengths in mm, the gel by its name."""
+
+    gel: str
+    box: FineBox
+    layers: int
+    layer_ratio: float
+    growth: float
+    largest: float
+
+    @property
+    def name(self) -> str:
+        """The name that `parse` reads; numbers in full, so that the mesh built from it is the same to the last bit."""
+        numbers = (*astuple(self.box), self.layers, self.layer_ratio, self.growth, self.largest)
+        return ":".join([PREFIX + self.gel, *(_text(number) for number in numbers)])
+
+    @classmethod
+    def parse(cls, name: str) -> "Bricks":
+        """Read a name of the form `FORM`; any other raises BadInput."""
+        gel, *texts = name.removeprefix(PREFIX).split(":")
+        try:
+            numbers = [float(text) for text in texts]
+            x_min, x_max, y_min, y_max, size, layers, ratio, growth, largest = numbers
+        except ValueError as error:
+            raise _wrong(name, f"its numbers cannot be read ({error})") from error
+        sound = all(map(math.isfinite, numbers)) and x_min < x_max and y_min < y_max and min(size, largest) > 0
+        if not (sound and layers >= 1 and ratio > 0 and growth >= 1):
+            raise _wrong(name, "its numbers make no mesh")
+        found = cls(gel, FineBox(x_min, x_max, y_min, y_max, size), int(layers), ratio, growth, largest)
+        if found.name != name:
+            raise _wrong(name, f"it would be written {found.name}")
+        if found._at_most() > MOST_BRICKS:
+            raise _wrong(name, f"it asks for more than {MOST_BRICKS:.0g} bricks")
+        return found
+
+    def mesh(self) -> HexMesh:
+        """Build the mesh, within milliseconds."""
+        return build_mesh(load_gel(self.gel), self.box, self.layers, self.layer_ratio, self.growth, self.largest)
+
+    def _at_most(self) -> float:
+        gel, finest = load_gel(self.gel), min(self.box.size, self.largest)
+        return gel.width / finest * gel.length / finest * self.layers
+
+
+def is_bricks(name: str) -> bool:
+    """Whether a mesh name is one of bricks."""
+    return name.startswith(PREFIX)
+
+
+def _text(number) -> str:
+    # no minus before zero: equal meshes have one name
+    return repr(float(number) + 0.0).removesuffix(".0")
+
+
+def _wrong(name: str, why: str) -> BadInput:
+    return BadInput(f"mesh name {name!r} is none of bricks, {FORM}: {why}; run make fea again")

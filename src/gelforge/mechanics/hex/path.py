@@ -1,0 +1,431 @@
+"""One scene walked along its path: load steps, Newton's method, and the contact set between them."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from gelforge.errors import BadInput, SolveFailed
+from gelforge.mechanics import element
+from gelforge.mechanics.contact import (
+    GLUED,
+    TOUCHING,
+    FacePlaces,
+    Law,
+    Pose,
+    contact_points,
+    contact_springs,
+    curved,
+    positions,
+)
+from gelforge.mechanics.hex.hexmesh import HexMesh
+from gelforge.mechanics.hex.reach import path_pose, reachable_faces
+from gelforge.mechanics.linear import gmres, symmetric_product, symmetric_solver
+from gelforge.mechanics.scene import Scene
+from gelforge.records.status import Status
+
+EASY = 7  # Newton iterations up to which a shortened step may grow again
+SMALLEST_PART = 0.1  # of pending contact changes carried out in one solve
+# Iterations after which a step must lower the residual: the first ones look uphill, though they are right.
+WARY = 3
+# Share of the residual that is left of a linear solve: Newton hardly loses by it.
+FORCING = 3e-2
+# Residual below which the tangent is exact; farther away the curvature of fillets leads astray.
+CLOSE = 1e-3
+# Matrix products that a solve may take with an old factorisation (one costs as much as a dozen) and with its own.
+STALE, FRESH = 12, 60
+BEYOND = 1.001  # of its traction is what a slipping point's multiplier wants, or rounding decides which points stick
+ACCEPTED = 1e-7  # residual over contact force that keeps base reactions within 1e-6
+
+
+class NoEquilibrium(Exception):
+    """Newton's method stopped without a state; the load stepping answers with a shorter step."""
+
+
+class System:
+    """Sparsity pattern, assembly places and symbolic factorisation: they depend on the numbers of bricks only."""
+
+    def __init__(self, mesh: HexMesh):
+        self.pattern = element.build_pattern(mesh.elements, len(mesh.nodes), mesh.base)
+        self.base, self.width = element.block_places(self.pattern, mesh.elements)
+        self.faces = FacePlaces(mesh, self.pattern)
+        self.linear = symmetric_solver(self.pattern.indptr, self.pattern.indices)
+        self.free = np.flatnonzero(self.pattern.first_row >= 0)
+        self.values = np.zeros(len(self.pattern.indices))
+
+
+class Run:
+    """State of one scene on one mesh while its path is walked.
+
+    `follow` does it all; afterwards u (n, 3), state (ContactState), springs (those of the last
+    equilibrium) and the counters hold the end of the path, or the last equilibrium before a failure.
+    """
+
+    def __init__(self, scene: Scene, settings, mesh: HexMesh, system: System):
+        self.scene, self.settings, self.mesh, self.system = scene, settings, mesh, system
+        self.law, self.mu = scene.interface.law, scene.interface.mu
+        if self.law not in ("no_slip", "coulomb", "frictionless"):
+            raise BadInput(f"interface law {self.law!r} is unknown; choose no_slip, coulomb or frictionless")
+        scale = scene.material.c10 / settings.size
+        mu = self.mu if self.law == "coulomb" else np.inf
+        self.contact = Law(settings.penalty * scale, settings.friction_penalty * scale, mu)
+        self.sticking = replace(self.contact, mu=1e9)
+        self.moduli = scene.material.shear_modulus, scene.material.bulk_modulus
+        self.bricks = element.bricks(mesh.nodes, mesh.elements)
+        self.state = contact_points(mesh, settings.gauss, reachable_faces(scene, mesh))
+        self.nodes = np.ascontiguousarray(mesh.faces[self.state.face])
+        self.u = np.zeros_like(mesh.nodes)
+        self.t, self.candidates, self.springs = 0.0, np.empty(0, np.int64), None
+        self.factorisations = self.products = 0
+        self.iterations = self.rounds = self.steps = self.cuts = 0
+        self.residual, self.factored = np.inf, False
+        self.history, self.curve = [], []
+
+    # -- the path
+
+    def follow(self, start: float) -> Status:
+        """Walk the path from path parameter `start` (first touch) to its end."""
+        self.t = start
+        try:
+            for stop, count in self._legs(start):
+                self._leg(stop, (stop - self.t) / count)
+            return self._settle()
+        except (NoEquilibrium, SolveFailed):
+            return Status.DIVERGED
+
+    def _legs(self, start):
+        press, s = self.scene.press, self.settings
+        legs = [(1.0, s.press_steps)] if start < 1.0 else []
+        if press.dx or press.dy or start >= 1.0:
+            legs.append((2.0, s.shear_steps))
+        return legs
+
+    def _leg(self, stop: float, step: float) -> None:
+        """Load steps up to `stop`; a step that fails is cut, one that is easy lets the next grow."""
+        largest, pending = step, step
+        while stop - self.t > 1e-9:
+            ahead = min(step, stop - self.t)
+            if stop - self.t - ahead < 0.3 * ahead:
+                ahead = stop - self.t
+            try:
+                used = self._advance(self.t + ahead, min(1.0, ahead / pending))
+                pending = step
+            except NoEquilibrium:
+                self.cuts += 1
+                pending = max(pending, ahead)
+                step = 0.5 * ahead
+                if step < largest / 2**self.settings.max_cuts:
+                    raise
+                continue
+            if used <= EASY:
+                step = min(2.0 * step, largest)
+
+    def _advance(self, t: float, part: float) -> int:
+        """One load step to t with `part` of the pending contact changes; raises NoEquilibrium, changing nothing."""
+        before, after = path_pose(self.scene, self.t), path_pose(self.scene, t)
+        x = self._points(self.u)
+        gap = self._gaps(x, before)
+        reach = 1.5 * np.linalg.norm(after.translation - before.translation) + self.settings.size
+        self.candidates = np.flatnonzero((self.state.status != GLUED) & (gap < reach))
+        guess = self._predict(t)
+        expected = self._points(self.u if guess is None else guess)
+        kept, previous = self.state.snapshot(), (self.t, self.u)
+        try:
+            self.state.go(part)
+            self.u, used = self._newton_from([self.u] if guess is None else [guess, self.u], after)
+            total = self.state.weights[self.springs.point] @ self.springs.traction
+            self._end_step(after, (x, before, gap, expected))
+        except NoEquilibrium:
+            self.state.restore(kept)
+            self.u = previous[1]
+            raise
+        self.t = t
+        self.steps += 1
+        self.curve.append([float(t), *total.tolist()])
+        self.history = [previous, (t, self.u)]
+        return used
+
+    def _predict(self, t):
+        """Displacement at t if it went on as in the step before; None where the path turns."""
+        if not self.history:
+            return None
+        (t0, u0), (t1, u1) = self.history
+        if t1 <= 1.0 < t:
+            return None
+        return u1 + (t - t1) / (t1 - t0) * (u1 - u0)
+
+    def _points(self, u):
+        return positions(self.state.shape, self.nodes, self.mesh.nodes + u)
+
+    def _gaps(self, x, pose):
+        return self.scene.indenter.distance(pose.to_indenter(x))[0]
+
+    # -- equilibrium
+
+    def _newton_from(self, guesses, pose):
+        for guess in guesses:
+            try:
+                return self._newton(guess, pose, self.settings.tolerance)
+            except NoEquilibrium:
+                continue
+        raise NoEquilibrium
+
+    def _newton(self, u, pose: Pose, tolerance: float, still: bool = False) -> tuple[np.ndarray, int]:
+        """Newton steps from u until the residual is below tolerance times the contact force.
+
+        With friction the first step holds every glued point (but where the indenter stands `still`):
+        points that slip from a poor guess drag others along, and Newton loses its way.
+        """
+        laws = [self.contact] if still or self.law != "coulomb" else [self.sticking, self.contact]
+        state = self._out_of_balance(u, pose, laws[0])
+        for iteration in range(self.settings.max_iterations + 1):
+            if len(laws) == 1 and self.residual <= tolerance:
+                self.springs = state[1]
+                return u, iteration
+            if iteration < self.settings.max_iterations:
+                step = self._direction(u, pose, *state)
+                laws = laws[-1:]
+                u, state = self._step(u, step, pose, laws[0], self.residual if iteration >= WARY else np.inf)
+        raise NoEquilibrium
+
+    def _step(self, u, step, pose, law, before):
+        """u less the step, or less a part of it where that inverts bricks or leaves the residual above `before`."""
+        free, best = self.system.free, None
+        for part in (1.0, 0.5, 0.25):
+            trial = u.copy()
+            trial[free] -= part * step
+            try:
+                state = self._out_of_balance(trial, pose, law)
+            except NoEquilibrium:
+                continue
+            if best is None or self.residual < best[0]:
+                best = self.residual, trial, state
+            if self.residual < before:
+                break
+        if best is None:
+            raise NoEquilibrium
+        self.residual = best[0]
+        return best[1:]
+
+    def _out_of_balance(self, u, pose, law):
+        """Nodal residual (n, 3) and contact springs; sets `residual` relative to the contact force."""
+        forces = self._internal(u)
+        x, indenter = self._points(u), self.scene.indenter
+        springs = contact_springs(self.state, x, pose, indenter, law, self.candidates)
+        self.system.faces.add_forces(self.state, springs, forces)
+        scale = float(self.state.weights[springs.point] @ np.linalg.norm(springs.traction, axis=1))
+        self.residual = float(np.linalg.norm(forces[self.system.free])) / max(scale, 1e-9 * self.moduli[0])
+        if not np.isfinite(self.residual):
+            raise NoEquilibrium
+        return forces, springs
+
+    def _internal(self, u):
+        b, forces = self.bricks, np.zeros_like(u)
+        smallest = element.internal_forces(u, b.elements, b.gradients, b.weights, *self.moduli, forces)
+        if not smallest > 0.0:
+            raise NoEquilibrium
+        return forces
+
+    def _direction(self, u, pose, forces, springs):
+        """Newton's step, to FORCING of the residual; a factorisation serves as long as GMRES is quick with it."""
+        system, b = self.system, self.bricks
+        system.values[:] = 0.0
+        element.tangent(u, b.elements, b.gradients, b.weights, *self.moduli, system.base, system.width, system.values)
+        system.faces.add_stiffness(self.state, springs, system.values)
+        self.iterations += 1
+        apply = self._product(self._skew(u, pose, springs))
+        right = forces[system.free].ravel()
+        if self.factored:
+            step = gmres(apply, system.linear.solve, right, FORCING, STALE)
+            if step is not None:
+                return step.reshape(-1, 3)
+        system.linear.factorise(system.values)
+        self.factored = True
+        self.factorisations += 1
+        step = gmres(apply, system.linear.solve, right, FORCING, FRESH)
+        if step is None:
+            raise NoEquilibrium
+        return step.reshape(-1, 3)
+
+    def _skew(self, u, pose, springs):
+        """The stiffness beyond the symmetric one; exact close to equilibrium, where it makes Newton quadratic."""
+        if self.residual > CLOSE:
+            return springs.slip
+        x = self._points(u)
+        return curved(springs, self.state, x, pose, self.scene.indenter, self.contact, self.candidates)
+
+    def _product(self, skew):
+        system = self.system
+        pattern, values = system.pattern, system.values
+        add = system.faces.skew_product(self.state, skew)
+
+        def apply(x):
+            y = symmetric_product(pattern.indptr, pattern.indices, values, x)
+            add(x, y)
+            self.products += 1
+            return y
+
+        return apply
+
+    # -- the contact set at the end of a step
+
+    def _touching(self):
+        """Points that press in the last equilibrium and are not glued."""
+        point = self.springs.point[self.springs.gap < 0.0]
+        return point[self.state.status[point] != GLUED]
+
+    def _end_step(self, pose, start) -> None:
+        """Let go what pulls; hold what touched for the first time in this step where it touched."""
+        if self.law == "frictionless":
+            return
+        if self.law == "coulomb":
+            self._slide(pose)
+        else:
+            self._release(pose)
+        new = self._touching()
+        self._glue(new, pose, self._touch_places(new, pose, *start))
+
+    def _touch_places(self, new, pose, x, before, gap, expected):
+        """Where new points first touched, in the indenter's frame (p, 3): second-order anchoring.
+
+        A point that goes on as in the step before crosses the surface at a fraction of the step; it is
+        held where it was then on its way from the step's start to its end, not where the step left it.
+        """
+        begin = before.to_indenter(x[new])
+        end = pose.to_indenter(self._points(self.u)[new])
+        if self.settings.anchoring == "end" or not len(new):
+            return end
+        gap_before = np.maximum(gap[new], 0.0)
+        gap_after = self._gaps(expected[new], pose)
+        crosses = gap_after < 0.0
+        fraction = np.where(crosses, gap_before / np.where(crosses, gap_before - gap_after, 1.0), 1.0)
+        return begin + fraction[:, None] * (end - begin)
+
+    def _glue(self, points, pose, places) -> None:
+        """Hold points where they are, bound for `places` of the indenter's frame moved onto its surface."""
+        if not len(points):
+            return
+        state = self.state
+        state.status[points] = GLUED
+        here, _ = self._on_surface(pose.to_indenter(self._points(self.u)[points]))
+        goal, state.normal[points] = self._on_surface(places)
+        state.anchor[points], state.goal[points] = here, goal
+
+    def _on_surface(self, places):
+        for _ in range(2):
+            distance, normal = self.scene.indenter.distance(places)
+            places = places - distance[:, None] * normal
+        return places, normal
+
+    def _pressing(self, pose):
+        """Index (p,), traction (p, 3) and pressing part (p,) of glued points; below zero they pull."""
+        springs, state = self.springs, self.state
+        held = (state.status[springs.point] == GLUED) & np.isnan(springs.gap)
+        point = springs.point[held]
+        push = np.einsum("pi,pi->p", springs.traction[held], pose.turn(state.normal[point]))
+        return point, springs.traction[held], push
+
+    def _release(self, pose) -> int:
+        """Let go of what pulls: its traction fades with the next changes. Returns how many."""
+        point, traction, push = self._pressing(pose)
+        gone = push < -self.settings.pull_tolerance * push.max(initial=0.0)
+        self.state.let_go(point[gone], traction[gone])
+        return int(gone.sum())
+
+    # -- Coulomb's law
+
+    def _slide(self, pose) -> None:
+        """Anchors follow points that slip, multipliers the tractions; points that lost contact are let go."""
+        state, springs = self.state, self.springs
+        pressed = np.zeros(len(state.status), bool)
+        pressed[springs.point[springs.gap < 0.0]] = True
+        gone = np.flatnonzero((state.status == GLUED) & ~pressed)
+        state.let_go(gone, np.zeros((len(gone), 3)))
+        at = np.flatnonzero((state.status[springs.point] == GLUED) & (springs.gap < 0.0))
+        point = springs.point[at]
+        places = pose.to_indenter(self._points(self.u)[point])
+        _, normal = self.scene.indenter.distance(places)
+        n = pose.turn(normal)
+        traction = springs.traction[at]
+        state.carried[point] = traction - np.einsum("pi,pi->p", traction, n)[:, None] * n
+        slips = np.isin(point, springs.slip.point)
+        moved = point[slips]
+        state.anchor[moved], state.normal[moved] = self._on_surface(places[slips])
+        state.carried[moved] *= BEYOND
+        state.goal[moved], state.multiplier[moved] = state.anchor[moved], state.carried[moved]
+
+    # -- the end of the path
+
+    def _settle(self) -> Status:
+        """Equilibrium at the end of the path in which nothing pulls, to the final tolerance."""
+        pose = path_pose(self.scene, self.t)
+        status = Status.UNSETTLED
+        for _ in range(self.settings.settle_rounds):
+            self._carry_out(pose)
+            self.rounds += 1
+            if not self._release(pose):
+                status = Status.OK
+                break
+        if self.law == "coulomb":
+            self._slide(pose)
+        self._carry_out(pose)
+        self._polish(pose)
+        self.state.status[self._touching()] = TOUCHING
+        return status
+
+    def _carry_out(self, pose) -> None:
+        """Carry out all pending contact changes at a fixed pose, in parts where one go fails."""
+        left, share = 1.0, 1.0
+        while left > 0.0:
+            share = min(share, left)
+            kept = self.state.snapshot()
+            try:
+                self.state.go(share / left)
+                self._solve_here(pose, self.settings.tolerance)
+                left -= share
+            except NoEquilibrium:
+                self.state.restore(kept)
+                share *= 0.5
+                if share < SMALLEST_PART:
+                    raise
+
+    def _polish(self, pose) -> None:
+        """Tight equilibrium; a point that flips in rounding noise may leave it at the accepted residual."""
+        for tolerance in (self.settings.final_tolerance, ACCEPTED):
+            try:
+                return self._solve_here(pose, tolerance)
+            except NoEquilibrium:
+                continue
+        raise NoEquilibrium
+
+    def _solve_here(self, pose, tolerance) -> None:
+        gap = self._gaps(self._points(self.u), pose)
+        self.candidates = np.flatnonzero((self.state.status != GLUED) & (gap < self.settings.size))
+        self.u, _ = self._newton(self.u, pose, tolerance, True)
+
+    # -- evidence
+
+    def contact_forces(self) -> np.ndarray:
+        """Nodal contact forces on the gel (n, 3) of the last equilibrium, N."""
+        forces = np.zeros_like(self.u)
+        self.system.faces.add_forces(self.state, self.springs, forces)
+        return -forces
+
+    def checks(self, forces: np.ndarray) -> dict:
+        """Penetration, pull and balance of the final state."""
+        pose, total = path_pose(self.scene, self.t), forces.sum(axis=0)
+        point, _, push = self._pressing(pose)
+        size = max(float(np.linalg.norm(total)), 1e-300)
+        base = self._internal(self.u)[self.mesh.base].sum(axis=0)
+        gap = self._gaps(self._points(self.u), pose)
+        return {
+            "penetration_mm": float(max(0.0, -gap.min(initial=0.0))),
+            "pulling_fraction": float(self.state.weights[point] @ np.maximum(-push, 0.0)) / size,
+            "base_mismatch": float(np.linalg.norm(base + total)) / size,
+        }
+
+    def record(self) -> None:
+        """Write final positions and tractions into the contact state."""
+        self.state.position = self._points(self.u)
+        self.state.traction = np.zeros_like(self.state.position)
+        if self.springs is not None:
+            np.add.at(self.state.traction, self.springs.point, self.springs.traction)

@@ -1,0 +1,87 @@
+"""Which part of the path and of the gel a press concerns, from undeformed geometry alone."""
+
+import numpy as np
+
+from gelforge.mechanics.contact import Pose
+from gelforge.mechanics.hex.hexmesh import FineBox, HexMesh
+from gelforge.mechanics.scene import Scene
+
+SMALLEST = 0.15  # mm, of bricks made smaller for a small contact
+SHEAR_SAMPLES = (1.0, 1.25, 1.5, 1.75, 2.0)
+
+
+def path_pose(scene: Scene, t: float) -> Pose:
+    """Pose at path parameter t: 0 to 1 press, 1 to 2 shear; below 0 the press goes on upwards."""
+    return Pose(*scene.press.pose(min(t, 1.0), max(t - 1.0, 0.0)))
+
+
+def _surface_grid(scene: Scene, spacing: float):
+    """Points of the undeformed top surface around the press, (m, 3)."""
+    gel, reach = scene.gel, scene.indenter.radius() + spacing
+    ends = np.array([path_pose(scene, t).translation[:2] for t in (0.0, 0.5, 1.0, 1.5, 2.0)])
+    low = np.maximum(ends.min(axis=0) - reach, [-gel.width / 2, -gel.length / 2])
+    high = np.minimum(ends.max(axis=0) + reach, [gel.width / 2, gel.length / 2])
+    if np.any(high <= low):
+        return np.empty((0, 3))
+    counts = np.maximum(2, np.ceil((high - low) / spacing).astype(int))
+    x, y = np.meshgrid(*(np.linspace(low[i], high[i], counts[i]) for i in range(2)), indexing="ij")
+    return np.stack([x.ravel(), y.ravel(), np.asarray(gel.top(x, y), float).ravel()], axis=1)
+
+
+def _gap(scene, points, t):
+    return scene.indenter.distance(path_pose(scene, t).to_indenter(points))[0]
+
+
+def first_touch(scene: Scene, spacing: float = 0.2) -> float | None:
+    """Path parameter where the indenter first meets the undeformed gel, or None where it never does."""
+    points = _surface_grid(scene, spacing)
+    if not len(points):
+        return None
+    samples = np.concatenate([np.linspace(0.0, 1.0, 5), np.linspace(1.2, 2.0, 5)])
+    lowest = [float(_gap(scene, points, t).min()) for t in samples]
+    inside = np.flatnonzero(np.array(lowest) < 0.0)
+    if not len(inside):
+        return None
+    high = samples[inside[0]]
+    low = samples[inside[0] - 1] if inside[0] else -1.0
+    for _ in range(30):
+        middle = 0.5 * (low + high)
+        if _gap(scene, points, middle).min() < 0.0:
+            high = middle
+        else:
+            low = middle
+    return float(low)
+
+
+def fine_box(scene: Scene, size: float, across: int = 0, margin: float = 0.5, grid: float = 0.5) -> FineBox:
+    """Part of the gel that the press can touch, rounded outwards to `grid` so that presses share meshes.
+
+    The undeformed surface inside the indenter anywhere on the path, and `margin` mm around it. Bricks
+    are of `size`, or smaller where the shorter side of what is touched is under `across` bricks.
+    """
+    points = _surface_grid(scene, 0.2)
+    inside = np.zeros(len(points), bool)
+    for t in SHEAR_SAMPLES:
+        inside |= _gap(scene, points, t) < 0.0
+    if not inside.any():
+        inside |= _gap(scene, points, 1.0) <= _gap(scene, points, 1.0).min() + 1e-9
+    touched = points[inside, :2]
+    if across:
+        shorter = float(np.ptp(touched, axis=0).min())
+        size = min(size, max(SMALLEST, np.round(shorter / across, 2)))
+    gel = scene.gel
+    half = np.array([gel.width / 2, gel.length / 2])
+    low = np.maximum(np.floor((touched.min(axis=0) - margin) / grid) * grid, -half)
+    high = np.minimum(np.ceil((touched.max(axis=0) + margin) / grid) * grid, half)
+    return FineBox(float(low[0]), float(high[0]), float(low[1]), float(high[1]), size)
+
+
+def reachable_faces(scene: Scene, mesh: HexMesh, margin: float = 1.0) -> np.ndarray:
+    """Faces whose undeformed corners come within `margin` of the indenter somewhere on the path."""
+    corners = mesh.nodes[mesh.faces]
+    centre = corners.mean(axis=1)
+    size = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
+    near = np.zeros(len(centre), bool)
+    for t in SHEAR_SAMPLES:
+        near |= _gap(scene, centre, t) < margin + size
+    return np.flatnonzero(near)

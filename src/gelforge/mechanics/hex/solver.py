@@ -1,0 +1,190 @@
+"""Fidelity `hex`: the whole contact problem in process, on bricks with mean dilatation."""
+
+import resource
+import time
+from collections import OrderedDict
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.geometry.gel import Gel
+from gelforge.mechanics.contact import ContactState
+from gelforge.mechanics.hex.bricks import Bricks
+from gelforge.mechanics.hex.hexmesh import FineBox, HexMesh, build_mesh, interpolate_surface
+from gelforge.mechanics.hex.path import Run, System
+from gelforge.mechanics.hex.reach import fine_box, first_touch
+from gelforge.mechanics.scene import Result, Scene
+from gelforge.records.status import Status
+
+BALANCE = 1e-6  # largest base reaction against contact sum of a valid result
+
+__all__ = ["HexSettings", "HexSolver", "HexResult", "QUALITIES", "quality", "solve_hex", "interpolate_surface"]
+
+
+@dataclass(frozen=True)
+class HexSettings:
+    """How finely a scene is solved.
+
+    size: side of the bricks under the press, mm; smaller where the contact is under `across` of them
+    wide (0: never). layers, layer_ratio: bricks through the height and
+    how much thicker the lowest is. growth, largest: coarsening away from the press, mm.
+    press_steps, shear_steps: load steps of the two legs (more where Newton asks for it).
+    gauss: order of the contact rule on a face. penalty, friction_penalty: contact stiffness along the
+    normal and along the surface (Coulomb) times size / C10.
+    tolerance, final_tolerance: residual over contact force, within the path and at its end.
+    box: fixed fine part (FineBox) in place of one that follows the press.
+    """
+
+    size: float = 0.7
+    across: int = 0
+    layers: int = 6
+    layer_ratio: float = 3.0
+    growth: float = 1.5
+    largest: float = 2.0
+    press_steps: int = 6
+    shear_steps: int = 3
+    gauss: int = 3
+    penalty: float = 1000.0
+    friction_penalty: float = 100.0
+    tolerance: float = 1e-4
+    final_tolerance: float = 1e-9
+    max_iterations: int = 14
+    max_cuts: int = 8
+    settle_rounds: int = 6
+    pull_tolerance: float = 1e-3
+    anchoring: str = "crossing"
+    box: FineBox | None = None
+
+
+@dataclass
+class HexResult(Result):
+    """A Result with its mesh, what that is built from, and the contact at Gauss points (None: nothing was solved)."""
+
+    mesh: HexMesh | None = None
+    contact: ContactState | None = None
+    bricks: Bricks | None = None
+
+
+def solve_hex(scene: Scene, settings: HexSettings = HexSettings()) -> HexResult:
+    """Solve one scene with a solver of its own."""
+    return HexSolver(settings).solve(scene)
+
+
+class HexSolver:
+    """Solves many scenes, keeping meshes and symbolic factorisations (`kept` of each)."""
+
+    def __init__(self, settings: HexSettings = HexSettings(), kept: int = 4):
+        self.settings = settings
+        self._meshes = _Kept(kept)
+        self._systems = _Kept(kept)
+
+    def mesh(self, gel: Gel, box: FineBox) -> HexMesh:
+        """The brick mesh for a fine box (cached)."""
+        s = self.settings
+        return self._meshes.get(
+            (gel, box), lambda: build_mesh(gel, box, s.layers, s.layer_ratio, s.growth, s.largest)
+        )
+
+    def solve(self, scene: Scene) -> HexResult:
+        """State at the end of the scene's path. Failure is a status, not an exception."""
+        started = time.perf_counter()
+        start = first_touch(scene)
+        if start is None:
+            return self._untouched(scene, started)
+        box = self.settings.box or fine_box(scene, self.settings.size, self.settings.across)
+        mesh = self.mesh(scene.gel, box)
+        run = Run(scene, replace(self.settings, size=box.size), mesh, self._system(mesh))
+        return _result(run, run.follow(start), started, self._bricks(scene.gel, box))
+
+    def _bricks(self, gel: Gel, box: FineBox) -> Bricks:
+        s = self.settings
+        return Bricks(gel.name, box, s.layers, s.layer_ratio, s.growth, s.largest)
+
+    def _system(self, mesh: HexMesh) -> System:
+        """Matrix and factorisation: they depend on the numbers of bricks only."""
+        return self._systems.get(mesh.shape, lambda: System(mesh))
+
+    def _untouched(self, scene, started) -> HexResult:
+        gel = scene.gel
+        s = self.settings
+        box = s.box or FineBox(-gel.width / 4, gel.width / 4, -gel.length / 4, gel.length / 4, 2 * s.size)
+        mesh = self.mesh(gel, box)
+        zero = np.zeros_like(mesh.nodes)
+        evidence = _evidence(unknown=0.0)
+        evidence["seconds"] = time.perf_counter() - started
+        return HexResult(Status.NO_CONTACT, zero, zero.copy(), evidence, mesh, None, self._bricks(gel, box))
+
+
+class _Kept:
+    """The most recently used few of what is costly to make."""
+
+    def __init__(self, size):
+        self._size, self._items = size, OrderedDict()
+
+    def get(self, key, make):
+        if key not in self._items:
+            self._items[key] = make()
+        self._items.move_to_end(key)
+        while len(self._items) > self._size:
+            self._items.popitem(last=False)
+        return self._items[key]
+
+
+def _result(run: Run, status: Status, started: float, bricks: Bricks) -> HexResult:
+    """Forces, evidence and contact state of a walked path."""
+    evidence = _evidence(run.residual, run.iterations, run.rounds, run.steps)
+    forces = np.zeros_like(run.u)
+    if status is not Status.DIVERGED:
+        forces = run.contact_forces()
+        evidence |= run.checks(forces)
+        if evidence["base_mismatch"] > BALANCE:
+            status = Status.UNBALANCED
+    run.record()
+    # Converged load steps as [path parameter, fx, fy, fz]: one solve is a whole force-depth curve.
+    evidence["path"] = run.curve
+    evidence |= {"reached": float(run.t), "cuts": run.cuts, "factorisations": run.factorisations}
+    evidence["products"] = run.products
+    evidence["seconds"] = time.perf_counter() - started
+    return HexResult(status, forces, run.u, evidence, run.mesh, run.state, bricks)
+
+
+def _evidence(residual=0.0, iterations=0, rounds=0, steps=0, unknown=np.nan) -> dict:
+    return {
+        "equilibrium_residual": float(residual),
+        "penetration_mm": unknown,
+        "pulling_fraction": unknown,
+        "base_mismatch": unknown,
+        "newton_iterations": int(iterations),
+        "rounds": int(rounds),
+        "load_steps": int(steps),
+        "peak_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
+    }
+
+
+# Chosen on the 16 scenes of workflow/scenes.toml; worst error against CalculiX on fine tetrahedra (total force |
+# cells of 24 x 32) and processor seconds on a busy machine:
+#   size 0.45, 5 layers, 2 x 2 points, 15 across                   3 % | 11 %   1 to 4 s
+#   size 0.5, 6 layers, 3 x 3 points, 10 bricks across a contact   5 % | 14 %   1 to 5 s
+#   size 0.4, 6 layers, 3 x 3 points, 20 across                    3 % |  9 %   5 to 8 s
+#   size 0.4, 6 layers, 2 x 2 points, 20 across                  2.3 % | 10 %   3 to 14 s
+#   size 0.35, 7 layers, 2 x 2 points, 17 across                 1.7 % |  7 %   4 to 13 s
+# A brick's face bends too little for 3 x 3 points to be held: 2 x 2 halve the error of flat and sharp indenters.
+# Three press steps cost under 0.6 % of the force with anchors at first touch (12 % where a step ends, one step).
+QUALITIES = {
+    "demo": HexSettings(size=1.0, layers=4, gauss=2, press_steps=3, shear_steps=2),
+    "draft": HexSettings(
+        size=0.45, across=15, layers=5, growth=2.0, largest=3.0, gauss=2, press_steps=3, shear_steps=2
+    ),
+    "label": HexSettings(
+        size=0.35, across=20, layers=7, growth=1.8, largest=3.0, gauss=2, press_steps=4, shear_steps=2
+    ),
+    "fine": HexSettings(size=0.3, across=24, layers=8, gauss=2, press_steps=6, shear_steps=3),
+}
+
+
+def quality(name: str) -> HexSettings:
+    """The settings of that name; an unknown one raises BadInput."""
+    if name not in QUALITIES:
+        raise BadInput(f"[fea] hex_quality = {name!r} is unknown; choose one of {', '.join(QUALITIES)}")
+    return QUALITIES[name]

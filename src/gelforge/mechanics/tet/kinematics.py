@@ -1,0 +1,362 @@
+"""Contact kinematics on the tetrahedra, in process: which face points touch, and where they are held.
+
+The path is followed in load steps. Within a step a point that is new feels only the normal; at the
+step's end it is held where it first touched (glue at the end of the step), and what pulls is let
+go. So every step is a smooth problem but for new touches. CalculiX then solves the end of the path.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gelforge.mechanics.ccx.boundary import FREE, SLIDE, STICK, Contact, gaps, judge
+from gelforge.mechanics.contact import Pose
+from gelforge.mechanics.scene import REFERENCE_C10, Material, Scene
+from gelforge.mechanics.tet.face import FacePoints
+from gelforge.mechanics.tet.solid import TetSolid
+
+_A, _B = np.triu_indices(6)
+
+
+@dataclass(frozen=True)
+class PathSettings:
+    """Load steps of press and shear, contact stiffness (N/mm^3), residuals over contact force, and limits.
+
+    step_mm: no load step of the press is longer. gentle_above: residual above which Newton takes the gentle
+    tangent of TetSolid.factorise: it halves the iterations of deep presses and needs no cut steps.
+    reuse_below: residual below which the last factorisation is tried again, at a tenth of the cost of a new one.
+    """
+
+    press_steps: int = 4
+    shear_steps: int = 3
+    step_mm: float = 0.35
+    stiffness: float = 145.0
+    step_tolerance: float = 0.2
+    final_tolerance: float = 1e-6
+    gentle_above: float = 0.5
+    reuse_below: float = 0.1
+    pull_tolerance: float = 1e-3
+    penetration_mm: float = 1e-3
+    free_iterations: int = 6
+    most_iterations: int = 20
+    most_cuts: int = 5
+    most_in_all: int = 300
+    settle_rounds: int = 8
+    friction_rounds: int = 4
+
+
+@dataclass
+class Kinematics:
+    """End of a path: contact, displacement (n, 3) mm, whether it settled, why not, iterations and load steps."""
+
+    contact: Contact
+    displacement: np.ndarray
+    settled: bool
+    reason: str
+    iterations: int
+    steps: int
+
+
+@dataclass(frozen=True)
+class _State:
+    """Displacement (n, 3) mm, contact there, points that came or went, residual (n, 3) N, its share, smallest J."""
+
+    u: np.ndarray
+    contact: Contact
+    changed: int
+    residual: np.ndarray
+    size: float
+    smallest: float
+
+
+class NoEquilibrium(Exception):
+    """Newton's method stopped without a state; internal to the load stepping."""
+
+
+def contact_forces(contact: Contact, points: FacePoints, u: np.ndarray, stiffness: float) -> np.ndarray:
+    """Nodal forces (n, 3) N of the springs and drags of held points on the gel."""
+    faces = np.flatnonzero(contact.held.any(axis=1))
+    nodes, state, normal = points.faces[faces], contact.state[faces], contact.normal[faces]
+    position = points.position[faces] + np.einsum("qa,fak->fqk", points.shape, u[nodes])
+    stretch = contact.target[faces] - position
+    along = np.einsum("fqk,fqk->fq", stretch, normal)[..., None] * normal
+    stick, slide = (state == STICK)[..., None], (state == SLIDE)[..., None]
+    traction = stiffness * (stick * stretch + slide * along) + slide * contact.drag[faces]
+    forces = np.zeros_like(u)
+    np.add.at(forces, nodes, np.einsum("qa,fqk->fak", points.shape, traction * points.weight[faces][..., None]))
+    return forces
+
+
+def contact_blocks(contact: Contact, points: FacePoints, stiffness: float) -> tuple[np.ndarray, np.ndarray]:
+    """Touched faces (f,) and their stiffness on node pairs a <= b, (f, 21, 3, 3) N/mm."""
+    faces = np.flatnonzero(contact.held.any(axis=1))
+    state, weight = contact.state[faces], points.weight[faces] * stiffness
+    pairs = points.shape[:, _A] * points.shape[:, _B]
+    blocks = np.einsum("fq,qp->fp", weight * (state == STICK), pairs)[..., None, None] * np.eye(3)
+    n = contact.normal[faces]
+    outer = n[..., :, None] * n[..., None, :] * (weight * (state == SLIDE))[..., None, None]
+    return faces, blocks + np.einsum("qp,fqij->fpij", pairs, outer)
+
+
+def follow(scene: Scene, solid: TetSolid, points: FacePoints, start: float, settings: PathSettings) -> Kinematics:
+    """Follow press and shear from the press fraction `start` of first touch to the end of the path."""
+    path = _Path(scene, solid, points, settings)
+    # nothing touches before: where a point is first met is sought from here on
+    path.at = np.array([min(start, 0.98), 0.0])
+    reason = ""
+    try:
+        for fraction in np.linspace(path.at[0], 1.0, path.press_steps() + 1)[1:]:
+            path.advance(np.array([fraction, 0.0]))
+        if scene.press.dx or scene.press.dy:
+            for fraction in np.linspace(0.0, 1.0, settings.shear_steps + 1)[1:]:
+                path.advance(np.array([1.0, fraction]))
+        settled = path.settle()
+        reason = "" if settled else "the contact set did not settle on the path"
+    except NoEquilibrium as error:
+        settled, reason = False, str(error)
+    return Kinematics(path.contact, path.u, settled, reason, path.iterations, path.steps)
+
+
+class _Path:
+    """State along a path: displacement u (n, 3), contact, anchors (f, q, 3) in the indenter's frame."""
+
+    def __init__(self, scene: Scene, solid: TetSolid, points: FacePoints, settings: PathSettings):
+        material = Material(REFERENCE_C10, scene.material.nu)
+        self.shear, self.bulk = material.shear_modulus, material.bulk_modulus
+        self.scene, self.solid, self.points, self.settings = scene, solid, points, settings
+        self.u = np.zeros((len(solid.free), 3))
+        self.velocity = np.zeros_like(self.u)
+        self.at = np.zeros(2)
+        zero = np.zeros_like(points.position)
+        self.contact = Contact(np.zeros(points.weight.shape, int), zero, zero.copy(), zero.copy())
+        self.anchor, self.anchor_normal = zero.copy(), zero.copy()
+        self.iterations = self.steps = 0
+
+    def pose(self, at) -> Pose:
+        return Pose(*self.scene.press.pose(*at))
+
+    def positions(self, u):
+        return self.points.position + self.points.at(u)
+
+    def press_steps(self) -> int:
+        """Load steps from here to the end of the press."""
+        travel = (1.0 - self.at[0]) * abs(self.scene.press.dz)
+        return max(self.settings.press_steps, int(np.ceil(travel / self.settings.step_mm)))
+
+    # -- one load step
+
+    def advance(self, goal) -> None:
+        """Go to `goal` (press, shear fractions), in shorter steps where Newton asks for it."""
+        origin, done, length, cuts = self.at, 0.0, 1.0, 0
+        while done < 1.0:
+            ahead = min(1.0, done + length)
+            kept = self.u, self.contact, self.anchor.copy(), self.anchor_normal.copy()
+            try:
+                self._step(origin + ahead * (goal - origin))
+                done = ahead
+            except NoEquilibrium:
+                self.u, self.contact, self.anchor, self.anchor_normal = kept
+                length, cuts = length / 2, cuts + 1
+                if cuts > self.settings.most_cuts:
+                    raise
+
+    def _step(self, aim) -> None:
+        s, before, start = self.settings, self.at, self.u
+        pose = self.pose(aim)
+        gap0, _ = gaps(self.scene, self.pose(before), self.positions(start))
+        contact = self._lead(pose)
+        length = max(np.abs(aim - before).max(), 1e-12)
+        self.u, self.contact = self.newton(self._ahead(start, length), contact, pose, s.step_tolerance)
+        if self.scene.interface.law == "no_slip":
+            self._glue(start, before, aim, gap0)
+        elif self.scene.interface.law == "coulomb":
+            self._rub(pose)
+        self.velocity, self.at = (self.u - start) / length, aim
+        self.steps += 1
+
+    def _ahead(self, u, length) -> np.ndarray:
+        """Where the last step's motion would lead, if that inverts no element."""
+        ahead = u + length * self.velocity
+        return ahead if self.solid.forces(ahead, self.shear, self.bulk)[1] > 0.2 else u
+
+    def _lead(self, pose) -> Contact:
+        """The contact as the step begins: held points travel with the indenter."""
+        stick = self.contact.state == STICK
+        c = self.contact
+        target = np.where(stick[..., None], pose.to_gel(self.anchor), c.target)
+        normal = np.where(stick[..., None], pose.turn(self.anchor_normal), c.normal)
+        return Contact(c.state, target, normal, c.drag)
+
+    def newton(self, u, contact, pose, tolerance) -> tuple[np.ndarray, Contact]:
+        """Equilibrium at a fixed pose; points that no anchor holds touch where they would penetrate."""
+        s = self.settings
+        if self.iterations > s.most_in_all:
+            raise NoEquilibrium(f"the path took more than {s.most_in_all} Newton iterations")
+        state = self._evaluate(u, contact, pose, False)
+        for iteration in range(s.most_iterations):
+            if state.smallest <= 0.0 or not np.isfinite(state.size):
+                raise NoEquilibrium("an element turned inside out")
+            # on the way a few points may still come and go; at the end none
+            allowed = 0.05 * state.contact.held.sum() if tolerance > s.final_tolerance else 0
+            if state.size < tolerance and state.changed <= allowed:
+                return state.u, state.contact
+            keep = iteration + 1 >= s.free_iterations
+            near = iteration > 0 and state.size < s.reuse_below
+            state = (near and self._cheap_steps(state, pose, keep, tolerance)) or self._newton_step(state, pose, keep)
+        raise NoEquilibrium(
+            f"no equilibrium in {s.most_iterations} Newton iterations, residual {state.size:.1e} of the force"
+        )
+
+    def _evaluate(self, u, contact, pose, keep) -> "_State":
+        """Contact and residual at displacement u."""
+        inner, smallest = self.solid.forces(u, self.shear, self.bulk)
+        if smallest <= 0.0:
+            return _State(u, contact, 0, np.zeros_like(u), np.inf, smallest)
+        contact, changed = self._touch(u, contact, pose, keep)
+        outer = contact_forces(contact, self.points, u, self.settings.stiffness)
+        residual = np.where(self.solid.free[:, None], outer - inner, 0.0)
+        size = np.linalg.norm(residual) / max(np.linalg.norm(outer), 1e-12)
+        return _State(u, contact, changed, residual, size, smallest)
+
+    def _cheap_steps(self, state, pose, keep, tolerance) -> "_State | None":
+        """Steps with the last factorisation as long as each takes away most of the residual; None if none does."""
+        found = None
+        while state.size >= tolerance or state.changed:
+            trial = self._evaluate(state.u + self.solid.step(state.residual), state.contact, pose, keep)
+            if not trial.size < 0.3 * state.size:
+                break
+            found = state = trial
+        return found
+
+    def _newton_step(self, state, pose, keep) -> "_State":
+        springs = contact_blocks(state.contact, self.points, self.settings.stiffness)
+        gentle = state.size > self.settings.gentle_above
+        ways = [(1.0, 0.0), (1.0, 1.0)] if gentle else [(0.0, 0.0), (0.5, 0.0), (1.0, 0.0), (1.0, 1.0)]
+        for share, firm in ways:
+            self.iterations += 1
+            self.solid.factorise(state.u, self.shear, self.bulk, *springs, gentle=share, firm=firm)
+            # a full tangent that turns elements inside out is not worth following at a crawl
+            found = self._search(state, self.solid.step(state.residual), pose, keep, 8 if share == 1.0 else 3)
+            if found is not None:
+                return found
+        raise NoEquilibrium("an element turned inside out")
+
+    def _search(self, state, step, pose, keep, tries) -> "_State | None":
+        """State along a step, where the energy does not rise more steeply than it fell at the start; None if none.
+
+        An indefinite tangent's step may lead uphill: it is taken only where it shrinks the residual.
+        """
+        slope, length, found = (state.residual * step).sum(), 1.0, None
+        for _ in range(tries):
+            trial = self._evaluate(state.u + length * step, state.contact, pose, keep)
+            if trial.smallest <= 0.0:
+                length /= 2
+                continue
+            if slope <= 0.0:
+                return trial if trial.size < state.size else None
+            found = trial
+            now = (trial.residual * step).sum()
+            if now > -slope:
+                break
+            length *= max(0.2, slope / (slope - now))
+        return found
+
+    def _touch(self, u, contact, pose, keep) -> tuple[Contact, int]:
+        """Set of touching points for the next iteration, and how many points came or went.
+
+        keep: none goes, so that a set that flickers comes to rest; `_release` lets go what pulls.
+        """
+        position = self.positions(u)
+        gap, normal = gaps(self.scene, pose, position)
+        stick = contact.state == STICK
+        # a sliding point under drag stays until it opens; a new one starts where it penetrates
+        near = ~stick & ((gap < 0.0) | (keep & (contact.state == SLIDE)))
+        state = np.where(stick, STICK, np.where(near, SLIDE, FREE))
+        target = np.where(stick[..., None], contact.target, position - gap[..., None] * normal)
+        normal = np.where(stick[..., None], contact.normal, normal)
+        drag = np.where(near[..., None], contact.drag, 0.0)
+        return Contact(state, target, normal, drag), int((state != contact.state).sum())
+
+    # -- the end of a step
+
+    def _push(self) -> np.ndarray:
+        """Pressure of held points, MPa: positive where the indenter presses."""
+        stretch = self.contact.target - self.positions(self.u)
+        return self.settings.stiffness * np.einsum("fqk,fqk->fq", stretch, self.contact.normal) * self.contact.held
+
+    def _release(self) -> int:
+        """Let go the held points that pull."""
+        push = self._push()
+        gone = self.contact.held & (push < 0.0)
+        self.contact = replace(self.contact, state=np.where(gone, FREE, self.contact.state))
+        return int(gone.sum())
+
+    def _glue(self, start, before, aim, gap0) -> None:
+        """Hold new points where they first touched, let go what pulls."""
+        self._release()
+        new = self.contact.state == SLIDE
+        length = np.abs(aim - before).max()
+        ahead, _ = gaps(self.scene, self.pose(aim), self.positions(start + length * self.velocity))
+        fraction = np.clip(gap0 / np.maximum(gap0 - ahead, 1e-12), 0.0, 1.0)
+        fraction = np.where(ahead >= 0.0, 1.0, fraction)[..., None]
+        first = self.pose(before).to_indenter(self.positions(start))
+        last = self.pose(aim).to_indenter(self.positions(self.u))
+        self._anchor(new, first + fraction * (last - first), self.pose(aim))
+
+    def _anchor(self, new, places, pose) -> None:
+        """Hold points at places of the indenter's frame, moved onto its surface."""
+        if not new.any():
+            return
+        spots = places[new]
+        for _ in range(2):
+            distance, normal = self.scene.indenter.distance(spots)
+            spots = spots - distance[:, None] * normal
+        self.anchor[new], self.anchor_normal[new] = spots, normal
+        self.contact = replace(self.contact, state=np.where(new, STICK, self.contact.state))
+        self.contact = self._lead(pose)
+
+    def _rub(self, pose) -> None:
+        """Coulomb's law at the end of a step: what exceeds mu times the pressure slides under that drag."""
+        mu, stiffness = self.scene.interface.mu, self.settings.stiffness
+        self._anchor(self.contact.state == SLIDE, pose.to_indenter(self._carried()), pose)
+        for _ in range(self.settings.friction_rounds):
+            self._release()
+            push = self._push()
+            stick = self.contact.state == STICK
+            stretch = stiffness * (self.contact.target - self.positions(self.u))
+            tangent = (
+                stretch - np.einsum("fqk,fqk->fq", stretch, self.contact.normal)[..., None] * self.contact.normal
+            )
+            size = np.linalg.norm(tangent, axis=-1)
+            over = stick & (size > 1.01 * mu * push)
+            slide = self.contact.state == SLIDE
+            direction = np.where(slide[..., None], self.contact.drag, tangent)
+            length = np.maximum(np.linalg.norm(direction, axis=-1), 1e-12)
+            drag = (mu * np.maximum(push, 0.0) / length)[..., None] * direction
+            drag = np.where((over | slide)[..., None], drag, 0.0)
+            moved = np.abs(drag - self.contact.drag).sum() / max(np.abs(drag).sum(), 1e-12)
+            state = np.where(over, SLIDE, self.contact.state)
+            self.contact = replace(self.contact, state=state, drag=drag)
+            self.u, self.contact = self.newton(self.u, self.contact, pose, self.settings.step_tolerance)
+            if not over.any() and moved < 0.02:
+                break
+
+    def _carried(self):
+        """Where sliding points would be held by springs that carry their drag."""
+        return self.positions(self.u) + self.contact.drag / self.settings.stiffness
+
+    # -- the end of the path
+
+    def settle(self) -> bool:
+        """Equilibrium at the end of the path in which nothing pulls and nothing new penetrates."""
+        s, pose = self.settings, self.pose(self.at)
+        for _ in range(s.settle_rounds):
+            for tolerance in (s.step_tolerance, s.final_tolerance):
+                self.u, self.contact = self.newton(self.u, self.contact, pose, tolerance)
+                verdict = judge(self.scene, self.contact, self.points, self.u, s.stiffness)
+                if verdict.pulling_fraction > s.pull_tolerance or verdict.penetration > s.penetration_mm:
+                    self._release()
+                    break
+            else:
+                return True
+        return False

@@ -1,0 +1,133 @@
+"""Charts of pareto and stability, as PNG bytes."""
+
+from gelforge.reporting.pictures import new_figure, to_png
+
+COLOURS = {"hex": "#2a7f9e", "ccx": "#d1603d", "ccx-native": "#7a7a7a", "auto": "#6a4c93"}
+MARKERS = {"hex": "o", "ccx": "s", "ccx-native": "D", "auto": "*"}
+FLOOR = 1e-5  # errors below it are drawn on it
+KINDS = {"total": "error of total force", "cells": "error per cell at 24 x 32, sum over cells / total force"}
+
+
+def _shown(row, kind, which):
+    value = row[f"{kind}_{which}"]
+    return None if value is None else 100 * max(value, FLOOR)
+
+
+def _spot(axis, row, kind):
+    """One method: filled at its median, a line up to its worst scene; hollow where a scene failed."""
+    middle, worst = _shown(row, kind, "median"), _shown(row, kind, "worst")
+    colour, x = COLOURS[row["fidelity"]], row["cpu_seconds_median"]
+    ship = row["method"].endswith("-label")
+    axis.plot([x, x], [middle, worst], color=colour, lw=0.8, alpha=0.5, zorder=1)
+    axis.plot([x], [worst], "_", color=colour, ms=7, zorder=2)
+    size = 11 if row["fidelity"] == "auto" else 8 if ship else 5
+    inside, edge = "white" if row["failed"] else colour, "black" if ship else colour
+    # auto lies on the fidelity that it takes: drawn over it, and named on the other side
+    auto = row["fidelity"] == "auto"
+    above = 4 if auto else 3
+    axis.plot([x], [middle], MARKERS[row["fidelity"]], ms=size, mfc=inside, mec=edge, mew=1.2, zorder=above)
+    if ship or row["fidelity"] == "ccx-native" or row["method"].endswith("-quality"):
+        place = {"xytext": (-7, -9), "ha": "right"} if auto else {"xytext": (6, -9)}
+        axis.annotate(row["method"], (x, middle), textcoords="offset points", fontsize=7, **place)
+
+
+def _frontier(axis, rows, kind):
+    line = sorted((r["cpu_seconds_median"], _shown(r, kind, "worst")) for r in rows if r[f"frontier_{kind}"])
+    if line:
+        axis.plot(*zip(*line, strict=True), color="0.35", lw=1.0, drawstyle="steps-post", zorder=0,
+                  label="frontier of the worst scene")  # fmt: skip
+
+
+def _plain_ticks(axis):
+    """1, 2, 5, 10 as such, with room for the names of points."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    axis.set(xscale="log", yscale="log")
+    for side in (axis.xaxis, axis.yaxis):
+        side.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        side.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        side.set_minor_formatter(NullFormatter())
+    axis.margins(x=0.12, y=0.08)
+
+
+def pareto_chart(rows: list[dict], scenes: list[dict], note: str) -> bytes:
+    """Seconds against error, log-log, one panel per kind of error; medians over scenes with a line to the worst."""
+    from matplotlib.lines import Line2D
+
+    usable = [row for row in rows if row["total_median"] is not None]
+    figure, axes = new_figure(1, 2, 12, 5.2)
+    for axis, (kind, label) in zip(axes[0], KINDS.items(), strict=True):
+        for row in usable:
+            _spot(axis, row, kind)
+        _frontier(axis, usable, kind)
+        _plain_ticks(axis)
+        axis.set(xlabel="processor seconds per press, one thread (median over scenes)", ylabel=f"{label}, %")
+        axis.grid(alpha=0.25, which="both")
+    fidelities = dict.fromkeys(row["fidelity"] for row in usable)
+    handles = [Line2D([], [], ls="", marker=MARKERS[f], color=COLOURS[f], label=f) for f in fidelities]
+    handles += [Line2D([], [], color="0.35", label="frontier of the worst scene"),
+                Line2D([], [], ls="", marker="o", mfc="white", color="0.3", label="hollow: failed on some scene"),
+                Line2D([], [], ls="", marker="_", color="0.3", label="worst scene")]  # fmt: skip
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), fontsize=8)
+    reference = scenes[0]["reference"]
+    figure.suptitle(f"{len(scenes)} scenes; error against {reference}{'; ' + note if note else ''}", fontsize=10)
+    return to_png(figure)
+
+
+VERDICTS = {"good": "#9bc995", "drifts": "#f0c05a", "failed": "#c8553d", "not run": "#d9d9d9"}
+
+
+def stability_map(table: list[dict]) -> bytes:
+    """One panel per row of the map: its levels against fidelity and kind of indenter, coloured by verdict."""
+    from matplotlib.patches import Patch
+
+    rows = list(dict.fromkeys(line["row"] for line in table))
+    columns = 2
+    height = -(-len(rows) // columns)
+    figure, axes = new_figure(height, columns, 15, 3.6 * height)
+    for axis, row in zip(axes.ravel(), rows, strict=False):
+        lines = [line for line in table if line["row"] == row]
+        (_scatter if row == "random" else _grid)(axis, row, lines)
+    for axis in axes.ravel()[len(rows) :]:
+        axis.set_axis_off()
+    figure.suptitle("Numbers: difference of total force, %; for size and steps from the finest of the same engine, "
+                    "elsewhere between hex and ccx at the same press", fontsize=11)  # fmt: skip
+    handles = [Patch(color=colour, label=verdict) for verdict, colour in VERDICTS.items()]
+    figure.legend(handles=handles, loc="outside lower center", ncols=4)
+    return to_png(figure)
+
+
+def _grid(axis, row, lines):
+    """Cells of levels by fidelity and kind; numbers are the drift in per cent, words how a solve failed."""
+    factor = "depth" if row == "native" else row
+    levels = list(dict.fromkeys(line[factor] for line in lines))
+    levels = levels if factor == "place" else sorted(levels, reverse=factor == "size")
+    groups = list(dict.fromkeys((line["fidelity"], line["kind"]) for line in lines))
+    for line in lines:
+        x, y = levels.index(line[factor]), groups.index((line["fidelity"], line["kind"]))
+        axis.add_patch(_tile(x, y, VERDICTS[line["verdict"]]))
+        told = line["status"].lower() if line["verdict"] == "failed" else ""
+        if line["verdict"] in ("good", "drifts") and line["drift"] is not None:
+            told = f"{100 * line['drift']:.1f}"
+        axis.text(x, y, told, ha="center", va="center", fontsize=7)
+    axis.set(xlim=(-0.5, len(levels) - 0.5), ylim=(len(groups) - 0.5, -0.5), xticks=range(len(levels)),
+             yticks=range(len(groups)), title=row)  # fmt: skip
+    axis.set_xticklabels([str(level) for level in levels])
+    axis.set_yticklabels([" ".join(group) for group in groups], fontsize=8)
+
+
+def _tile(x, y, colour):
+    from matplotlib.patches import Rectangle
+
+    return Rectangle((x - 0.5, y - 0.5), 1, 1, facecolor=colour, edgecolor="white")
+
+
+def _scatter(axis, row, lines):
+    """Random combinations over depth and shear; circles hex, squares ccx."""
+    for fidelity, shift in (("hex", -0.012), ("ccx", 0.012)):
+        own = [line for line in lines if line["fidelity"] == fidelity]
+        x, y = [line["depth"] + shift for line in own], [line["shear"] for line in own]
+        colours = [VERDICTS[line["verdict"]] for line in own]
+        axis.scatter(x, y, s=34, marker=MARKERS[fidelity], c=colours, edgecolors="0.2", lw=0.5)
+    axis.set(xlabel="depth, mm", ylabel="shear, share of depth")
+    axis.set_title("random combinations: circles hex, squares ccx")

@@ -1,0 +1,129 @@
+"""Pictures of a posterior."""
+
+import numpy as np
+
+from gelforge.calibration.parameters import label_of
+from gelforge.flow.files import publish
+
+BAND = "#3b6ea5"
+READABLE = 8  # parameters in one corner plot
+FAR = 3.0  # standard deviations beyond which a reading is named
+
+
+def _figure(size):
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=size, layout="constrained")
+
+
+def _save(figure, path) -> None:
+    with publish(path) as part:
+        figure.savefig(part, dpi=110)
+
+
+def corner_names(names) -> list[str]:
+    """Parameters that the corner plot shows: scales of single indenters are left out where that makes it readable."""
+    return [name for name in names if len(names) <= READABLE or not name.startswith("scale of ")]
+
+
+def corner_plot(path, chain, model) -> None:
+    """One and two-dimensional marginals of the parameters, with medians and 68 % intervals.
+
+    The outermost half per cent of the draws is not shown, or one draw in a long tail would set the axes.
+    """
+    import corner
+    from matplotlib.figure import Figure
+
+    names = corner_names(model.names)
+    values = model.values(chain.flat(20000))
+    data = np.stack([values[name] for name in names], axis=1)
+    labels = [label_of(name).replace(" (", "\n(").replace(", ", ",\n") for name in names]
+    figure = Figure(figsize=(1.9 * len(names),) * 2)
+    corner.corner(
+        data, labels=labels, quantiles=[0.16, 0.5, 0.84], label_kwargs={"fontsize": 9}, color=BAND, fig=figure,
+        range=[0.995] * len(names), labelpad=0.15, max_n_ticks=4,
+    )  # fmt: skip
+    for axis in figure.axes:
+        axis.tick_params(labelsize=7)
+    for column, axis in enumerate(figure.axes[:: len(names) + 1]):
+        low, middle, high = np.quantile(data[:, column], [0.16, 0.5, 0.84])
+        axis.set_title(f"${middle:.3g}^{{+{high - middle:#.2g}}}_{{-{middle - low:#.2g}}}$", fontsize=10)
+    hidden = len(model.names) - len(names)
+    if hidden:
+        figure.text(0.6, 0.9, f"{hidden} scales of single indenters: see the trace", fontsize=11)
+    with publish(path) as part:
+        figure.savefig(part, dpi=90, bbox_inches="tight")
+
+
+def trace_plot(path, coordinates, burn: int, model) -> None:
+    """Every walker's path (steps, walkers, k), thinned, the burn-in shaded."""
+    figure = _figure((9, 1.5 * len(model.names)))
+    axes = np.atleast_1d(figure.subplots(len(model.names), 1, sharex=True))
+    thin = max(1, len(coordinates) // 1500)
+    steps = np.arange(0, len(coordinates), thin)
+    for column, (axis, name) in enumerate(zip(axes, model.names, strict=True)):
+        axis.plot(steps, model.free[name].value(coordinates[::thin, :, column]), lw=0.3, alpha=0.4, color=BAND)
+        axis.axvspan(0, burn, color="0.9", zorder=0)
+        axis.set_ylabel(label_of(name).replace(" (", "\n("), fontsize=8)
+        axis.margins(x=0)
+    axes[-1].set_xlabel("step (grey: burn-in, not used)")
+    _save(figure, path)
+
+
+def autocorrelation_plot(path, chain, model) -> None:
+    """Autocorrelation of every parameter, averaged over walkers, against lag."""
+    from emcee.autocorr import function_1d
+
+    figure = _figure((7, 4))
+    axis = figure.subplots()
+    lags = min(len(chain.coordinates) // 2, int(8 * chain.figures.tau))
+    for column, name in enumerate(model.names):
+        walkers = chain.coordinates[:, :, column].T
+        mean = np.mean([function_1d(w)[:lags] for w in walkers], axis=0)
+        axis.plot(mean, f"C{column % 10}" + ("" if column < 10 else "--"), label=label_of(name), lw=1.2)
+    axis.axvline(chain.figures.tau, color="0.6", ls=":", label=f"longest time, {chain.figures.tau:.0f} steps")
+    axis.axhline(0.0, color="0.7", lw=0.6)
+    axis.set(xlabel="lag (steps)", ylabel="autocorrelation")
+    axis.legend(fontsize=8)
+    _save(figure, path)
+
+
+def predictive_plot(path, bands, observed, mean, scale, ids) -> None:
+    """Force against depth with predictive bands, and every reading's distance from its prediction.
+
+    bands: list of (name, depth (g,), force quantiles (5, g) at 2.5, 16, 50, 84, 97.5 %, N, measured
+    depths, measured forces), normal force as compression. ids: (n,) str. Others as in summary.predictions.
+    """
+    figure = _figure((11, 4.6))
+    left, right = figure.subplots(1, 2)
+    for number, (name, grid, quantiles, at, measured) in enumerate(bands):
+        colour = f"C{number % 10}"
+        left.fill_between(grid, quantiles[0], quantiles[4], color=colour, alpha=0.15, lw=0)
+        left.fill_between(grid, quantiles[1], quantiles[3], color=colour, alpha=0.3, lw=0)
+        left.plot(grid, quantiles[2], color=colour, lw=1, label=name)
+        left.plot(at, measured, "o", color=colour, ms=4, mec="k", mew=0.5)
+    left.set(
+        xlabel="commanded depth (mm)",
+        ylabel="normal force, compression (N)",
+        title="readings, and where 68 % and 95 % of new ones would lie",
+    )
+    left.legend(fontsize=7)
+    left.set_ylim(bottom=0)
+    for column, (name, marker) in enumerate(zip(("fx", "fy", "fz"), "v^o", strict=True)):
+        used = np.isfinite(observed[:, column])
+        if used.any():
+            away = (observed[used, column] - mean[used, column]) / scale[used, column]
+            force = -mean[used, 2]
+            right.plot(force, away, marker, ms=4, label=name, alpha=0.8)
+            for k in np.flatnonzero(np.abs(away) > FAR):
+                right.annotate(f" {ids[used][k]} ", (force[k], away[k]), fontsize=7, ha="right", va="center")
+    right.axhspan(-1, 1, color="0.92", zorder=0)
+    right.axhline(0.0, color="0.6", lw=0.6)
+    right.set_ylim(*np.array([-1.0, 1.0]) * max(2.5, 1.1 * np.abs(right.get_ylim()).max()))
+    right.set(
+        xlabel="predicted normal force, compression (N)",
+        ylabel="measured - predicted (standard deviations)",
+        title=f"distance of {np.isfinite(observed).sum()} readings of {len(observed)} presses; grey: one deviation",
+    )
+    right.legend(fontsize=8)
+    _save(figure, path)

@@ -1,0 +1,319 @@
+"""Branch calibrate: posterior of the gel's C10 and of what the rig does to the measurement."""
+
+import argparse
+import os
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.calibration import scores, summary
+from gelforge.calibration.floor import least_error
+from gelforge.calibration.parameters import Model, compared_models, make_model, read_prior
+from gelforge.calibration.posterior import LeaveOneOut, Posterior
+from gelforge.calibration.readings import Readings, check_enough, check_readings, choose_presses, read_readings
+from gelforge.calibration.sampling import Chain, Rules, sample
+from gelforge.errors import BadInput
+from gelforge.flow.files import read_csv, read_json, write_json
+from gelforge.flow.params import read_toml
+from gelforge.flow.progress import progress
+from gelforge.reporting import posterior as plots
+from gelforge.stages.plan import planned_shards
+
+VERSION = 2
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A finished calibration: readings used, headline posterior and chain.
+
+    compared: (posterior, chain, score) of every model.
+    """
+
+    readings: Readings
+    posterior: Posterior
+    chain: Chain
+    compared: list
+
+
+def sampling_rules(params: dict) -> Rules:
+    """Rules from the table [calibrate]."""
+    low, high = params["acceptance"]
+    return Rules(
+        params["walkers"], params["seed"], params["autocorrelation_times"], (low, high), params["split_rhat"],
+        params["max_steps"],
+    )  # fmt: skip
+
+
+def friction_nodes(params: dict) -> list[float]:
+    """Friction coefficients that are solved: frictionless, those of the table, no slip."""
+    inner = sorted(float(mu) for mu in params["friction_nodes"])
+    if any(not 0.0 < mu < np.inf for mu in inner):
+        raise BadInput(
+            f"[calibrate] friction_nodes is {inner}; give positive coefficients (0 and no slip are implied)"
+        )
+    return [0.0, *inner, np.inf]
+
+
+def poisson_nodes(params: dict, nu: float) -> list[float]:
+    """Poisson's ratios that are solved: one, or three over the prior where it is free."""
+    table = params["priors"]["nu"]
+    if not table["free"]:
+        return [nu]
+    low, middle, high = read_prior("nu", table).quantile(np.array([0.01, 0.5, 0.99]))
+    return [float(min(v, 0.4995)) for v in (low, middle, high)]
+
+
+def served(readings: Readings, params: dict) -> np.ndarray:
+    """Force components that serve, (n, 3) N: sideways ones of sheared presses only where wanted, else nan."""
+    observed = readings.force.copy()
+    if not params["shear"]:
+        observed[:, :2] = np.nan
+    else:
+        observed[~readings.sheared, :2] = np.nan
+    return observed
+
+
+def score_model(posterior: Posterior, chain: Chain, rules: Rules) -> scores.Score:
+    """Leave-one-out score; from a chain of its own where importance sampling would lean on few draws."""
+    score = scores.loo(posterior.pointwise(chain.flat(summary.DRAWS)))
+    if score.reliable:
+        return score
+    mixture = LeaveOneOut(posterior.emulator, posterior.model, posterior.depth, posterior.observed, posterior.tail)
+    return scores.loo_from_mixture(posterior.pointwise(sample(mixture, rules).flat(4 * summary.DRAWS)))
+
+
+def compare_one(task) -> tuple[Posterior, Chain, scores.Score]:
+    """Sample (where that is not done yet) and score one model; task: (posterior, chain or None, rules)."""
+    posterior, chain, rules = task
+    chain = chain or sample(posterior, rules)
+    return posterior, chain, score_model(posterior, chain, rules)
+
+
+def compare(tasks: list, jobs: int) -> list:
+    """Run compare_one over tasks on `jobs` processes."""
+    if jobs <= 1 or len(tasks) <= 1:
+        return [compare_one(task) for task in progress(tasks, "models compared")]
+    with ProcessPoolExecutor(jobs) as pool:
+        return list(progress(pool.map(compare_one, tasks), "models compared", len(tasks)))
+
+
+def calibrate(
+    readings: Readings, emulator, params: dict, nu: float, chain_path=None, say=None, jobs=1
+) -> Calibration:
+    """Sample the chosen model, then all compared ones on the same readings."""
+    params = {**params, "priors": {**params["priors"], "nu": {"fixed": nu, **params["priors"]["nu"]}}}
+    rules, observed = sampling_rules(params), served(readings, params)
+
+    def posterior_of(model: Model) -> Posterior:
+        return Posterior(emulator, model, readings.depth, observed, params["tail"])
+
+    indenters = np.unique(readings.indenters).tolist()
+    headline = posterior_of(make_model(params, params["law"], (), indenters))
+    check_enough(int(np.isfinite(observed).sum()), headline.model)
+    chain = sample(headline, rules, chain_path, say)
+    refuse_beyond(headline, chain)
+    tasks = [(headline, chain, rules)]
+    if params["compare"]:
+        others = (model for model in compared_models(params, indenters) if model.name != headline.model.name)
+        tasks += [(posterior_of(model), None, rules) for model in others]
+    return Calibration(readings, headline, chain, compare(tasks, jobs))
+
+
+def refuse_beyond(posterior: Posterior, chain: Chain) -> None:
+    """Refuse a posterior that presses deeper than the emulator was solved."""
+    values = posterior.model.values(chain.flat(1000))
+    depth = posterior.emulator.forces(posterior.depth, values)[2]
+    beyond = float((depth > posterior.emulator.top).mean())
+    if beyond > 0.02:
+        raise BadInput(
+            f"{100 * beyond:.0f} % of the posterior presses deeper than the emulator's solves go; raise [calibrate] "
+            "reach_mm or narrow the prior of the touch offset"
+        )
+
+
+def summarise(done: Calibration, params: dict) -> dict:
+    """Everything that summary.json holds but the solves and the plots."""
+    posterior, chain = done.posterior, done.chain
+    parameters = summary.parameter_table(chain, posterior.model)
+    correlation = summary.correlations(chain, posterior.model)
+    mean, scale = summary.predictions(chain, posterior)
+    models = summary.score_models(done.compared)
+    for name, row in parameters.items():
+        row["reason"] = params["priors"]["indenter" if name.startswith("scale of ") else name].get("reason", "")
+    repeated = summary.predictive_error(mean, posterior.observed)
+    own = summary.predictive_error(summary.own_forces(chain, posterior), posterior.observed)
+    # Several indenters have scales of their own, and shear a mean over components: there it says little.
+    plain = len(posterior.model.indenters) < 2 and not done.readings.sheared.any()
+    least = least_error(posterior).error if plain else None
+    said = summary.sentences(parameters, correlation, models, posterior.model.name)
+    said.append(summary.predictive_sentence(repeated, own, least))
+    return {
+        "c10": summary.describe(posterior.model.values(chain.flat())["c10"]),
+        "unit": "MPa",
+        "model": posterior.model.name,
+        "parameters": parameters,
+        "correlations": correlation,
+        "diagnostics": {"model": posterior.model.name, **asdict(chain.figures)},
+        "models": models,
+        "presses": len(done.readings),
+        "readings": int(np.isfinite(posterior.observed).sum()),
+        "predictive_mae_n": repeated,
+        "own_touch_mae_n": own,
+        "least_mae_n": least,
+        "outliers": summary.find_outliers(done.readings, mean, scale, posterior.observed, params["outlier_scales"]),
+        "sentences": said,
+        "sentence": said[0],
+        "comparison": " ".join(said[1:]),
+    }
+
+
+def draw_bands(done: Calibration, most: int = 6) -> list:
+    """Predictive bands of the normal force for the deepest press of each indenter; see plots.predictive_plot."""
+    readings, posterior = done.readings, done.posterior
+    rng = np.random.default_rng(0)
+    coordinates = done.chain.flat(600)
+    values = posterior.model.values(coordinates)
+    bands = []
+    for name in np.unique(readings.indenters)[:most]:
+        members = np.flatnonzero(readings.indenters == name)
+        deepest = members[np.argmax(readings.depth[members])]
+        grid = np.linspace(0.0, readings.depth[deepest], 60)
+        one = posterior.emulator.take(np.full(len(grid), deepest))
+        forces, slopes, _ = one.forces(grid, values)
+        scale = posterior.scale(slopes, values)[:, :, 2]
+        fresh = -forces[:, :, 2] + scale * rng.standard_t(posterior.tail, scale.shape)
+        same = members[
+            np.abs(readings.pose[members][:, [0, 1, 6]] - readings.pose[deepest, [0, 1, 6]]).max(axis=1) < 0.01
+        ]
+        quantiles = np.quantile(fresh, [0.025, 0.16, 0.5, 0.84, 0.975], axis=0)
+        bands.append((str(name), grid, quantiles, readings.depth[same], -readings.force[same, 2]))
+    return bands
+
+
+def draw_plots(done: Calibration, folder: Path, chain_path) -> None:
+    """Corner plot, predictive bands, trace and autocorrelation, as PNG in `folder`."""
+    posterior, chain = done.posterior, done.chain
+    mean, scale = summary.predictions(chain, posterior)
+    plots.corner_plot(folder / "corner.png", chain, posterior.model)
+    with np.load(chain_path, allow_pickle=False) as file:
+        plots.trace_plot(folder / "trace.png", file["coordinates"], chain.figures.burn, posterior.model)
+    plots.autocorrelation_plot(folder / "autocorrelation.png", chain, posterior.model)
+    plots.predictive_plot(
+        folder / "predictive.png", draw_bands(done), posterior.observed, mean, scale, done.readings.ids,
+    )  # fmt: skip
+
+
+def say_figures(figures) -> None:
+    """One line on how far a chain has come."""
+    print(
+        f"chain: {figures.steps} steps, {figures.taus:.0f} autocorrelation times kept, acceptance "
+        f"{figures.acceptance:.2f}, split R-hat {figures.rhat:.4f}",
+        file=sys.stderr, flush=True,
+    )  # fmt: skip
+
+
+def hex_settings(table: dict):
+    """Settings of the solver behind the emulator, from [calibrate.solver]."""
+    from gelforge.mechanics.hex.solver import HexSettings
+
+    try:
+        return HexSettings(**table)
+    except TypeError as error:
+        raise BadInput(f"workflow/params.toml: [calibrate.solver] {table}: {error}; see HexSettings") from error
+
+
+def emulate(readings: Readings, catalogue: dict, params: dict, nu: float, folder: Path, jobs: int) -> tuple:
+    """Readings that could be solved, their emulator, and the solves it took.
+
+    Counts: total, per interface law, fine, new, in_vain (SolveCache.spent), and the list `unsolved` of presses
+    left out with the reason. More than half of them unsolved raises BadInput.
+    """
+    from gelforge.calibration.solves import SolveCache, build_emulator, make_plan, refine, solve_all
+
+    cache = SolveCache(folder, catalogue, hex_settings(params["solver"]))
+    mus, nus = friction_nodes(params), poisson_nodes(params, nu)
+    plan = make_plan(readings, params["reach_mm"], params["shear_depths"])
+    failed = solve_all(plan, cache, mus, nus, jobs)
+    unsolved = [{"sample_id": str(readings.ids[i]), "reason": reason} for i, reason in failed.items()]
+    if len(failed) > len(readings) / 2:
+        raise BadInput(
+            f"{len(failed)} of {len(readings)} presses could not be solved, the first: {unsolved[0]['reason']}; "
+            "raise press_steps or change size in [calibrate.solver]"
+        )
+    if failed:
+        readings = readings.take(np.setdiff1d(np.arange(len(readings)), list(failed)))
+        plan = make_plan(readings, params["reach_mm"], params["shear_depths"])
+        solve_all(plan, cache, mus, nus, jobs)
+    emulator = build_emulator(plan, cache, mus, nus)
+    spent = cache.spent
+    if params["refine"]["on"]:
+        finer = {key: value for key, value in params["refine"].items() if key != "on"}
+        fine = SolveCache(folder, catalogue, hex_settings({**params["solver"], **finer}))
+        emulator = refine(emulator, plan, cache, fine, np.inf, nus[len(nus) // 2], jobs)
+        more = {key: spent[key] + fine.spent[key] for key in ("total", "new", "in_vain")}
+        spent = {**spent, **more, "fine": fine.spent["total"]}
+    return readings, emulator, {**spent, "unsolved": unsolved}
+
+
+def say_spent(spent: dict) -> str:
+    """One line on the solves behind a result."""
+    text = f"{spent['total']} finite element solves, {spent['new']} of them new"
+    if spent["in_vain"]:
+        text += f"; {spent['in_vain']} more new ones for presses left out"
+    return text + "."
+
+
+def load_rejected(poses: Path, shards: list[str]) -> set:
+    """Lines of the log that stage 10 rejected for anything but their image, which does not matter here."""
+    tables = [path for name in shards if (path := poses / f"{name}.rejected.csv").exists()]
+    return {int(row["row"]) for path in tables for row in read_csv(path) if row["column"] != "image"}
+
+
+def main(argv=None) -> int:
+    from gelforge.geometry.indenters import load_catalogue
+
+    parser = argparse.ArgumentParser(prog="gelforge.stages.calibrate", description=__doc__.splitlines()[0])
+    parser.add_argument("--data", type=Path, required=True, help="data/DATASET, with log.csv and dataset.toml")
+    parser.add_argument("--workflow", type=Path, default=Path("workflow"))
+    parser.add_argument("--poses", type=Path, help="results/DATASET/10_poses: rows rejected there do not serve")
+    parser.add_argument("--shards", type=Path, help="results/DATASET/00_plan/shards, with --poses")
+    parser.add_argument("--params", type=Path, required=True, help="JSON slice with tables calibrate and material")
+    parser.add_argument("--work", type=Path, required=True, help="folder for chain and plots")
+    parser.add_argument("--solves", type=Path, help="folder of cached solves; WORK/solves by default")
+    parser.add_argument("--jobs", type=int, default=min(2, os.cpu_count() or 1), help="solves at a time")
+    parser.add_argument("--out", type=Path, required=True, help="summary.json")
+    args = parser.parse_args(argv)
+    if (args.poses is None) != (args.shards is None):
+        parser.error("--poses and --shards go together: the plan tells which tables of --poses are of today's log")
+    tables = read_json(args.params)
+    params, nu = tables["calibrate"], float(tables["material"]["nu"])
+
+    rejected = load_rejected(args.poses, planned_shards(args.shards)) if args.poses else set()
+    logged = read_readings(args.data / "log.csv", rejected)
+    check_readings(logged)
+    readings = logged.take(choose_presses(logged, params["max_presses"]))
+    file = args.workflow / read_toml(args.data / "dataset.toml").get("catalogue", "indenters.toml")
+    catalogue = load_catalogue(file, sorted(set(readings.indenters.tolist())))
+    solves = args.solves or args.work / "solves"
+    readings, emulator, spent = emulate(readings, catalogue, params, nu, solves, args.jobs)
+    done = calibrate(readings, emulator, params, nu, args.work / "chain.npz", say_figures, args.jobs)
+    draw_plots(done, args.work, args.work / "chain.npz")
+    result = summarise(done, params)
+    result["solves_spent"] = spent
+    result["presses_logged"] = len(logged)
+    write_json(args.out, result)
+    print("\n".join([*result["sentences"], say_spent(spent)]))
+    for row in spent["unsolved"]:
+        print(f"left out: {row['sample_id']}: {row['reason']}")
+    for row in result["outliers"]:
+        print(f"outlier: {row}")
+    return 0
+
+
+if __name__ == "__main__":
+    from gelforge.flow.main import exit_with
+
+    exit_with(main)

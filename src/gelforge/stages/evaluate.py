@@ -1,0 +1,165 @@
+"""Stage 80: errors of one trained network, in the paper's tables, against labels, controls and sensors."""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.flow.files import publish, read_json, write_json
+from gelforge.networks import metrics
+from gelforge.networks.tables import draw_predictions, tables
+
+VERSION = 3
+# Where a dataset has them, total forces (samples.csv, gel frame: x short side) that did not come from
+# the labels: the force sensor of the rig, and what a virtual rig knows and a real one cannot.
+REFERENCES = {"sensor": "measured_{}_n", "truth": "true_{}_n"}
+# Label channels in the order of the gel's axes: FEATS' grid_x is force along gel y.
+CHANNEL_OF_AXIS = {"fx": "fy", "fy": "fx", "fz": "fz"}
+
+
+def reference_totals(data, kind: str) -> np.ndarray | None:
+    """Total forces (n, 3) of a reference in the labels' channel order, NaN where a press has none."""
+    columns = [REFERENCES[kind].format(CHANNEL_OF_AXIS[axis]) for axis in metrics.AXES]
+    if not all(name in data.table[0] for name in columns):
+        return None
+    totals = np.stack([data.column(name) for name in columns], axis=1)
+    return totals if np.isfinite(totals).all(1).any() else None
+
+
+def another_of_each(press, rng) -> np.ndarray:
+    """For each row of `press` (n,), a row of another press, each taken once; with one press only, any row."""
+    _, number = np.unique(press, return_inverse=True)
+    views = np.bincount(number)
+    # rows of a press lie side by side in `order`: a roll by the most views leaves the press
+    order = np.argsort(rng.permutation(len(views))[number], kind="stable")
+    other = np.empty(len(order), int)
+    other[order] = np.roll(order, views.max())
+    return other
+
+
+def controls(data, rows, predicted_totals, rng) -> dict:
+    """Totals (k, 3) that know less than the network: a constant, another press's prediction, the image's mean."""
+    train = data.splits["train"]
+    totals = data.totals(train)
+    return {
+        "constant_guess": metrics.constant_guess(totals, len(rows)),
+        "shuffled_images": predicted_totals[another_of_each(data.presses(rows), rng)],
+        "linear_on_image_means": metrics.linear_on_means(
+            metrics.image_means(data.images, train), totals, metrics.image_means(data.images, rows)
+        ),
+    }
+
+
+def evaluate_split(data, rows, predicted, settings: dict, force_range, rng) -> dict:
+    """All tables of one split; `predicted` is (k, 3, rows, cols) in N per cell."""
+    wanted = data.totals(rows)
+    totals = predicted.sum((2, 3), dtype=np.float64)
+    error = totals - wanted
+    press = data.presses(rows)
+    result = {
+        "n": len(rows),
+        "presses": len(np.unique(press)),
+        "total": metrics.error_table(error, rng, settings["bootstrap"], force_range, press),
+        "cell": metrics.cell_table(predicted, data.labels[rows]) if predicted.shape[2:] == data.grid else None,
+        "per_indenter": metrics.by_group(error, data.names("indenter")[rows]),
+        "per_force": metrics.by_group(error, metrics.force_bins(wanted[:, 2], settings["force_edges"])),
+        "per_sensor": metrics.by_group(error, data.names("sensor_id")[rows]),
+        "controls": {
+            name: {axis: float(np.abs(guess - wanted).mean(0)[i]) for i, axis in enumerate(metrics.AXES)}
+            for name, guess in controls(data, rows, totals, rng).items()
+        },
+        "against": {},
+    }
+    for kind in REFERENCES:
+        reference = reference_totals(data, kind)
+        known = np.isfinite(reference[rows]).all(1) if reference is not None else np.zeros(0, bool)
+        if known.any():
+            mine, labels = totals[known] - reference[rows][known], wanted[known] - reference[rows][known]
+            result["against"][kind] = {
+                "n": int(known.sum()),
+                "network": metrics.error_table(mine, rng, settings["bootstrap"], press=press[known]),
+                "labels": metrics.error_table(labels, rng, settings["bootstrap"], press=press[known]),
+            }
+    return result
+
+
+def evaluate(data, trained, settings: dict) -> tuple[dict, dict]:
+    """Evaluate a model on every split of a dataset but the one it was fitted to.
+
+    :param data: networks.data.Data. :param trained: networks.modelfile.Trained.
+    Returns the figures, and per split its rows and predictions (k, 3, rows, cols) in N per cell.
+    """
+    import torch
+
+    from gelforge.networks.modelfile import require_fit
+    from gelforge.networks.training import predict_rows
+
+    require_fit(trained, data)
+    torch.set_num_threads(settings["threads"])
+    splits = {name: rows for name, rows in data.splits.items() if name != "train" and len(rows)}
+    if "train" not in data.splits or not splits:
+        raise BadInput(
+            f"{data.folder}: has splits {', '.join(data.splits) or 'none'}; an evaluation needs `train` "
+            "for its controls and one other; make the dataset again"
+        )
+    rng = np.random.default_rng(settings["seed"])
+    train_totals = data.totals(data.splits["train"])
+    force_range = train_totals.max(0) - train_totals.min(0)
+    about = trained.about
+    result = {
+        "model": about["name"],
+        "kind": about["model"]["kind"],
+        "parameters": about["parameters"],
+        "grid": list(data.grid),
+        "dataset": about["data"],
+        "best_epoch": about["best_epoch"],
+        "force_range": dict(zip(metrics.AXES, force_range.tolist())),
+        "curve": about["curve"],
+        "cost": about["cost"],
+        "splits": {},
+    }
+    predictions = {}
+    for name, rows in splits.items():
+        predictions[name] = (rows, predict_rows(trained.net, data, rows, about["normalisation"]))
+        result["splits"][name] = evaluate_split(data, *predictions[name], settings, force_range, rng)
+    result["tables"] = tables(result)
+    return result, predictions
+
+
+def paper_table(result: dict) -> str:
+    """The paper's table of one evaluation as text: total and per-cell MAE with deviation, N, per split."""
+    lines = [f"{'split':22s} {'n':>5s}  " + "".join(f"{'total ' + a:>18s}{'cell ' + a:>20s}" for a in metrics.AXES)]
+    for name, split in result["splits"].items():
+        line = f"{name:22s} {split['n']:5d}  "
+        for axis in metrics.AXES:
+            total, cell = split["total"][axis], (split["cell"] or {}).get(axis)
+            line += f"{total['mae']:8.3f} +- {total['std']:6.3f}"
+            line += f"{cell['mae']:10.5f} +- {cell['std']:6.5f}" if cell else f"{'-':>20s}"
+        lines.append(line)
+    return "\n".join(lines)
+
+
+def main(argv=None) -> int:
+    parser = argparse.ArgumentParser(prog="gelforge.stages.evaluate", description=__doc__.splitlines()[0])
+    parser.add_argument("--dataset", type=Path, required=True, help="60_dataset/RES")
+    parser.add_argument("--model", type=Path, required=True, help="70_train/RES/MODEL.pt")
+    parser.add_argument("--params", type=Path, required=True)
+    parser.add_argument("--out", type=Path, required=True)
+    args = parser.parse_args(argv)
+    from gelforge.networks.data import open_data
+    from gelforge.networks.modelfile import load_model
+
+    data = open_data(args.dataset)
+    result, predictions = evaluate(data, load_model(args.model), read_json(args.params)["evaluate"])
+    print(paper_table(result))
+    with publish(args.out.with_name(args.out.name.removesuffix(".part").removesuffix(".json") + ".png")) as part:
+        draw_predictions(part, data, predictions)
+    write_json(args.out, result)
+    return 0
+
+
+if __name__ == "__main__":
+    from gelforge.flow.main import exit_with
+
+    exit_with(main)

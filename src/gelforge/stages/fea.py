@@ -1,0 +1,181 @@
+"""Stage 30: finite element solves of a shard's samples; a rerun resumes at the missing ones."""
+
+import argparse
+import gzip
+import hashlib
+import json
+import shutil
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.flow.files import publish, read_csv, read_json, write_csv, write_json
+from gelforge.flow.params import canonical
+from gelforge.flow.progress import progress
+from gelforge.geometry.gel import load_gel
+from gelforge.mechanics.family import MeshFamily, mesh_names
+from gelforge.mechanics.fidelity import FeaSettings, Solvers
+from gelforge.mechanics.scene import Interface, Material, Press, Scene
+from gelforge.records.status import Status
+
+VERSION = 5
+EVIDENCE = (
+    "rung", "rounds", "newton_iterations", "load_steps", "seconds", "kinematics_seconds", "peak_mib",
+    "equilibrium_residual", "base_mismatch", "penetration_mm", "pulling_fraction", "engine_difference",
+)  # fmt: skip
+COLUMNS = ("sample_id", "status", "reason", "fidelity", "mesh", "file", "fx_n", "fy_n", "fz_n", *EVIDENCE)
+PATH = ("x0_mm", "y0_mm", "z0_mm", "dx_mm", "dy_mm", "dz_mm", "rot_deg")
+
+
+def scene_of(row: dict, bodies: dict, sensors: dict, params: dict) -> Scene:
+    """The scene of one row of a pose table."""
+    interface = params["interface"]
+    law = Interface(interface["law"], interface["mu"] if interface["law"] == "coulomb" else 0.0)
+    gel = load_gel(sensors[row["sensor_id"]]["gel"])
+    material = Material(nu=params["material"]["nu"])
+    return Scene(gel, material, bodies[row["indenter"]], Press(*(float(row[c]) for c in PATH)), law)
+
+
+def sample_key(row: dict, params: dict, tables: dict, family: MeshFamily) -> str:
+    """Digest of everything a sample's solve depends on."""
+    parts = [[row[c] for c in ("indenter", "sensor_id", *PATH)], params, tables["indenters"][row["indenter"]],
+             tables["sensors"][row["sensor_id"]]["gel"], family.reports]  # fmt: skip
+    return hashlib.sha256(canonical(parts).encode()).hexdigest()
+
+
+def finished(folder: Path, sample_id: str, key: str) -> dict | None:
+    """The record of a sample that was solved whole under the same key, else None."""
+    path = folder / f"{sample_id}.json"
+    try:
+        record = read_json(path)
+    except (OSError, ValueError):
+        return None
+    whole = record.get("key") == key and all((folder / name).exists() for name in record.get("files", ["missing"]))
+    return record if whole else None
+
+
+def solve_sample(row: dict, scene: Scene, solvers: Solvers, key: str, folder: Path) -> dict:
+    """Solve one sample and publish its files, the record last."""
+    sample_id, fidelity = row["sample_id"], solvers.settings.fidelity
+    result = solvers.solve(scene, fidelity)
+    evidence = {k: v for k, v in result.evidence.items() if _plain(v)}
+    record = {
+        "key": key, "sample_id": sample_id, "status": result.status.name, "mesh": evidence.get("mesh", ""),
+        "reason": "" if result.status.valid else str(evidence.get("reason") or result.status.value),
+        "fidelity": evidence.get("fidelity", fidelity), "total": result.total.tolist(),
+        "evidence": evidence, "files": [],
+    }  # fmt: skip
+    if result.status.valid:
+        record["files"] = publish_result(folder, sample_id, result, solvers.family.load(record["mesh"]))
+    write_json(folder / f"{sample_id}.json", record)
+    return record
+
+
+def publish_result(folder: Path, sample_id: str, result, mesh) -> list[str]:
+    """Write deck and output of CalculiX, or the surface's arrays of a result that has none; names of the files."""
+    if getattr(result, "dat", None):
+        with publish(folder / f"{sample_id}.inp") as part:
+            part.write_text(result.deck)
+        with publish(folder / f"{sample_id}.dat.gz") as part:
+            # no time stamp inside: the same solve writes the same bytes
+            part.write_bytes(gzip.compress(result.dat.encode(), 6, mtime=0))
+        return [f"{sample_id}.inp", f"{sample_id}.dat.gz"]
+    top = mesh.surface_nodes
+    with publish(folder / f"{sample_id}.npz") as part:
+        np.savez(part, force=result.forces[top], displacement=result.displacement[top])
+    return [f"{sample_id}.npz"]
+
+
+def borrow(record: dict, sample_id: str, key: str, folder: Path) -> dict:
+    """Publish the solve of a sample for another one that is the same press, seen by another sensor."""
+    files = [name.replace(record["sample_id"], sample_id, 1) for name in record["files"]]
+    for source, name in zip(record["files"], files, strict=True):
+        with publish(folder / name) as part:
+            shutil.copyfile(folder / source, part)
+    found = {**record, "key": key, "sample_id": sample_id, "files": files}
+    write_json(folder / f"{sample_id}.json", found)
+    return found
+
+
+def _plain(value) -> bool:
+    try:
+        json.dumps(value, allow_nan=False)
+    except (TypeError, ValueError):
+        return False
+    return True
+
+
+def table_row(record: dict, folder: Path) -> dict:
+    """One row of the shard's table."""
+    evidence = record["evidence"]
+    row = {column: evidence.get(column, "") for column in EVIDENCE}
+    row |= {k: record[k] for k in ("sample_id", "status", "reason", "fidelity", "mesh")}
+    row |= dict(zip(("fx_n", "fy_n", "fz_n"), (f"{f:.6g}" for f in record["total"]), strict=True))
+    return row | {"file": f"{folder.name}/{record['files'][-1]}" if record["files"] else ""}
+
+
+def run_shard(poses: Path, meshes: Path, params: dict, tables: dict, bodies: dict, folder: Path) -> list[dict]:
+    """Solve what is missing of a shard; records in the order of the pose table."""
+    rows = read_csv(poses)
+    # only the meshes asked for: one that another setting left behind must not be chosen
+    family = MeshFamily(meshes, mesh_names(params["fea"]))
+    folder.mkdir(parents=True, exist_ok=True)
+    for stale in folder.glob(".work-*"):
+        shutil.rmtree(stale, ignore_errors=True)
+    records, solved = [], {}
+    with tempfile.TemporaryDirectory(prefix=".work-", dir=folder) as work:
+        solvers = Solvers(family, work, FeaSettings.from_table(params["fea"]))
+        for row in progress(rows, f"fea {folder.name}"):
+            key = sample_key(row, params, tables, family)
+            record = finished(folder, row["sample_id"], key)
+            scene = scene_of(row, bodies, tables["sensors"], params)
+            same = (scene.gel.name, row["indenter"], scene.press)
+            if record is None:
+                try:
+                    if same in solved:
+                        record = borrow(solved[same], row["sample_id"], key, folder)
+                    else:
+                        record = solve_sample(row, scene, solvers, key, folder)
+                except OSError as error:
+                    raise BadInput(
+                        f"{folder}: sample {row['sample_id']}: {error}; free space or mend the folder and"
+                        " run make again, it resumes at this sample"
+                    ) from error
+            records.append(record)
+            solved[same] = record
+    return records
+
+
+def main(argv=None) -> int:
+    parser = argparse.ArgumentParser(prog="gelforge.stages.fea", description=__doc__.splitlines()[0])
+    parser.add_argument("--poses", type=Path, required=True, help="10_poses/NNNN.csv")
+    parser.add_argument("--meshes", type=Path, required=True, help="20_meshes")
+    parser.add_argument("--params", type=Path, required=True, help="fea.json, beside sensors.json, indenters.json")
+    parser.add_argument("--workflow", type=Path, default=Path("workflow"), help="where STL paths start")
+    parser.add_argument("--out", type=Path, required=True, help="30_fea/NNNN.csv; samples go to 30_fea/NNNN/")
+    args = parser.parse_args(argv)
+    from gelforge.geometry.indenters import build
+
+    params = read_json(args.params)
+    tables = {name: read_json(args.params.parent / f"{name}.json") for name in ("sensors", "indenters")}
+    wanted = {row["indenter"] for row in read_csv(args.poses)}
+    bodies = {
+        name: build(name, tables["indenters"][name], "indenter catalogue", args.workflow) for name in sorted(wanted)
+    }
+    folder = args.out.parent / args.out.name.removesuffix(".part").removesuffix(".csv")
+    records = run_shard(args.poses, args.meshes, params, tables, bodies, folder)
+    write_csv(args.out, COLUMNS, [table_row(record, folder) for record in records])
+    for record in records:
+        if not Status[record["status"]].valid:
+            print(f"failed: {record['sample_id']}: {record['status']}, {record['reason']}")
+    counts = {name: n for name in Status.__members__ if (n := sum(r["status"] == name for r in records))}
+    print(json.dumps(counts))
+    return 0
+
+
+if __name__ == "__main__":
+    from gelforge.flow.main import exit_with
+
+    exit_with(main)

@@ -1,0 +1,120 @@
+"""Stage 40: nodal contact forces out of the solvers' output, checked for equilibrium, scaled to the material."""
+
+import argparse
+import gzip
+import json
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.flow.files import read_csv, read_json
+from gelforge.mechanics.ccx.dat import DatError, last_table, read_dat
+from gelforge.mechanics.family import mesh_loader
+from gelforge.mechanics.mesh import GelMesh
+from gelforge.mechanics.scene import REFERENCE_C10
+from gelforge.records.forcefile import SampleForces, write_forces
+from gelforge.records.status import Status
+
+VERSION = 1
+
+
+def dat_forces(text: str, mesh: GelMesh, noise: float, mismatch: float) -> tuple[Status, str, np.ndarray, np.ndarray]:
+    """Status, reason, forces (s, 3) N and displacements (s, 3) mm of the surface nodes from a .dat text.
+
+    noise: share of the largest nodal force below which a node counts as free; what Newton's residual
+    leaves there is not contact. mismatch: largest imbalance with the base, relative to the total.
+    """
+    top, base = mesh.surface_nodes + 1, mesh.base + 1
+    empty = np.empty((0, 3))
+    try:
+        tables = read_dat(text)
+        forces = last_table(tables, "forces", "NTOP", top)
+        reaction = last_table(tables, "forces", "NBASE", base).sum(axis=0)
+        displacement = last_table(tables, "displacements", "NTOP", top)
+    except DatError as error:
+        return Status.UNREADABLE, str(error), empty, empty
+    size = np.linalg.norm(forces, axis=1)
+    forces[size < noise * size.max(initial=0.0)] = 0.0
+    total = forces.sum(axis=0)
+    imbalance = np.linalg.norm(total + reaction) / max(np.linalg.norm(total), 1e-12)
+    if imbalance > mismatch:
+        reason = f"contact forces and base reactions differ by {imbalance:.2g} of their size, {mismatch:g} is allowed"
+        return Status.UNBALANCED, reason, empty, empty
+    return Status.OK, "", forces, displacement
+
+
+def read_sample(row: dict, folder: Path, load: Callable[[str], GelMesh], table: dict) -> tuple[SampleForces, str]:
+    """Forces of one row of 30_fea's table at the reference C10, and the reason where there are none.
+
+    load: gives the mesh of a name.
+    """
+    status = Status[row["status"]]
+    if not status.valid:
+        return SampleForces.failed(row["sample_id"], row["status"], row["mesh"]), row["reason"]
+    mesh = load(row["mesh"])
+    path = folder / row["file"]
+    reason = ""
+    try:
+        if path.suffix == ".gz":
+            text = gzip.decompress(path.read_bytes()).decode("ascii", errors="replace")
+            status, reason, force, displacement = dat_forces(text, mesh, table["noise"], table["base_mismatch"])
+        else:
+            with np.load(path, allow_pickle=False) as file:
+                force, displacement = file["force"], file["displacement"]
+    except (OSError, EOFError, ValueError, KeyError, zlib.error) as error:
+        status, reason = Status.UNREADABLE, f"{path}: {error}"
+    if not status.valid:
+        return SampleForces.failed(row["sample_id"], status.name, row["mesh"]), reason
+    return SampleForces(row["sample_id"], status.name, row["mesh"], mesh.surface_nodes, force, displacement), ""
+
+
+def material_c10(c10, calibration: Path | None) -> tuple[float, dict]:
+    """C10 in MPa and its intervals, from [material] c10: a number, or "calibrated" with a summary file."""
+    if c10 != "calibrated":
+        if not isinstance(c10, int | float) or not 0 < c10 < 100:
+            raise BadInput(f'[material] c10 = {c10!r}; give MPa, such as 0.0725, or "calibrated"')
+        return float(c10), {}
+    if calibration is None:
+        raise BadInput('[material] c10 = "calibrated" needs --calibration FILE; run `make calibrate` first')
+    try:
+        found = read_json(calibration)["c10"]
+        intervals = {f"c10_{name}": found[name] for name in ("interval68", "interval95")}
+        return float(found["median"]), intervals
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise BadInput(
+            f"{calibration}: holds no c10 with median and intervals ({error!r}); run `make calibrate`"
+        ) from error
+
+
+def main(argv=None) -> int:
+    parser = argparse.ArgumentParser(prog="gelforge.stages.forces", description=__doc__.splitlines()[0])
+    parser.add_argument("--fea", type=Path, required=True, help="30_fea/NNNN.csv")
+    parser.add_argument("--meshes", type=Path, required=True, help="20_meshes")
+    parser.add_argument("--params", type=Path, required=True, help="forces.json")
+    parser.add_argument("--calibration", type=Path, help="summary of the calibrate branch")
+    parser.add_argument("--out", type=Path, required=True, help="40_forces/NNNN.npz")
+    args = parser.parse_args(argv)
+    params = read_json(args.params)
+    c10, intervals = material_c10(params["material"]["c10"], args.calibration)
+    load = mesh_loader(args.meshes)
+    samples, counts = [], {}
+    for row in read_csv(args.fea):
+        sample, reason = read_sample(row, args.fea.parent, load, params["forces"])
+        if reason:
+            print(f"{sample.sample_id}: {sample.status}: {reason}")
+        # At a fixed Poisson's ratio and prescribed motion every force is proportional to C10.
+        samples.append(SampleForces(sample.sample_id, sample.status, sample.mesh, sample.nodes,
+                                    sample.force * (c10 / REFERENCE_C10), sample.displacement))  # fmt: skip
+        counts[sample.status] = counts.get(sample.status, 0) + 1
+    write_forces(args.out, samples, c10, intervals)
+    print(json.dumps(counts))
+    return 0
+
+
+if __name__ == "__main__":
+    from gelforge.flow.main import exit_with
+
+    exit_with(main)

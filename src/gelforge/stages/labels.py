@@ -1,0 +1,215 @@
+"""Stage 50: nodal forces of a shard to force per cell of an image grid."""
+
+import argparse
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.flow.files import read_csv, read_json, write_json
+from gelforge.flow.progress import progress
+from gelforge.labelling.grid import Grid
+from gelforge.labelling.operator import Operator, assemble, cached
+from gelforge.labelling.sensor import find_sensor, load_sensors
+from gelforge.mechanics.family import load_mesh, mesh_file
+from gelforge.mechanics.hex.bricks import is_bricks
+from gelforge.records.forcefile import ForceFile
+from gelforge.records.labelfile import CHANNELS, read_labels, to_float32, write_labels
+from gelforge.records.status import Status
+from gelforge.stages.plan import planned_shards
+
+VERSION = 1
+KEPT = 64  # operators in memory
+BLOCK_BYTES = 64 * 2**20  # of float64 cells held at a time
+
+
+def bin_samples(forces: ForceFile, members, operator: Operator) -> tuple[np.ndarray, np.ndarray]:
+    """Labels (m, 3, rows, cols) float32 and force outside (m, 3) of the samples numbered `members`.
+
+    Channels in FEATS' order. Every sample must be on the operator's mesh.
+    """
+    starts, stops = forces.ptr[members], forces.ptr[np.asarray(members) + 1]
+    rows = np.concatenate([np.arange(a, b) for a, b in zip(starts, stops, strict=True)])
+    ptr = np.concatenate([[0], np.cumsum(stops - starts)])
+    binned, samples, cells = (
+        operator.spread(ptr, forces.node[rows], forces.force[rows]),
+        len(members),
+        operator.grid.cells,
+    )
+    row, inside = np.repeat(np.arange(3 * samples), np.diff(binned.indptr)), binned.indices < cells
+    axis, sample = np.divmod(row, samples)
+    channel = np.argsort(CHANNELS)[axis]
+    label, outside = np.zeros((samples, 3, cells), np.float32), np.zeros((samples, 3))
+    value = to_float32(binned.data[inside], row[inside], 3 * samples)
+    label[sample[inside], channel[inside], binned.indices[inside]] = value
+    outside[sample[~inside], channel[~inside]] = binned.data[~inside]
+    return label.reshape(samples, 3, *operator.grid.shape), outside
+
+
+def label_blocks(forces: ForceFile, operators: list, grid: Grid, outside: np.ndarray):
+    """Yield the labels of consecutive samples and fill `outside` (n, 3).
+
+    operators has one entry per sample, None where no force acts. Where `outside` is NaN, the sample has no
+    valid state, and its label is NaN too.
+    """
+    size = max(1, BLOCK_BYTES // (3 * 8 * grid.cells))
+    for start in range(0, len(forces), size):
+        block = range(start, min(start + size, len(forces)))
+        label = np.zeros((len(block), 3, *grid.shape), np.float32)
+        label[np.isnan(outside[block.start : block.stop, 0])] = np.nan
+        groups = {}
+        for sample in block:
+            if operators[sample] is not None:
+                groups.setdefault(id(operators[sample]), []).append(sample)
+        for members in groups.values():
+            cells, beyond = bin_samples(forces, members, operators[members[0]])
+            label[np.array(members) - start], outside[members] = cells, beyond
+        yield label
+
+
+def label_shard(forces_path, poses_path, find_operator, grid: Grid, out) -> dict:
+    """Write the labels of one shard to `out` and return a summary of it.
+
+    find_operator(mesh name, sensor name) gives the operator. Forces that are not finite, a sample without
+    a pose, and a mesh or sensor that is missing raise BadInput with the file and the sample.
+    """
+    sensor_of = {row["sample_id"]: row["sensor_id"] for row in read_csv(poses_path)}
+    with ForceFile(forces_path) as forces:
+        operators = [_operator_of(forces, i, sensor_of, find_operator, poses_path) for i in range(len(forces))]
+        if not np.isfinite(forces.force).all():
+            raise BadInput(
+                f"{forces_path}: sample {_first_bad(forces)} has forces that are not finite;"
+                " delete the file and its solve in 30_fea, then run make again"
+            )
+        valid = np.array([Status[str(status)].valid for status in forces.status], bool)
+        outside = np.where(valid[:, None], np.zeros(3), np.nan)
+        others = {"sample_id": forces.sample_id, "status": forces.status, "outside": outside, "c10": forces.c10}
+        blocks = label_blocks(forces, operators, grid, outside)
+        write_labels(out, blocks, (len(forces), 3, *grid.shape), {**others, **forces.intervals})
+        return summarise(forces, outside)
+
+
+def _operator_of(forces, sample, sensor_of, find_operator, poses_path):
+    name = str(forces.sample_id[sample])
+    if forces.ptr[sample] == forces.ptr[sample + 1]:
+        return None
+    if name not in sensor_of:
+        raise BadInput(f"{poses_path}: has no sample {name}, which {forces.path} holds; run make poses forces")
+    return find_operator(str(forces.mesh[sample]), sensor_of[name])
+
+
+def _first_bad(forces: ForceFile) -> str:
+    row = np.flatnonzero(~np.isfinite(forces.force).all(axis=1))[0]
+    return str(forces.sample_id[np.searchsorted(forces.ptr, row, side="right") - 1])
+
+
+def summarise(forces: ForceFile, outside: np.ndarray) -> dict:
+    """Counts of a shard and the sample with the largest share of its normal force outside the image."""
+    share = np.abs(outside[:, 2]) / np.maximum(np.abs(forces.total[:, 2]), 1e-12)
+    share = np.where(np.isfinite(share), share, 0.0)
+    worst = int(share.argmax()) if len(share) else None
+    return {
+        "samples": len(forces),
+        "failed": int(np.isnan(outside[:, 0]).sum()),
+        "worst_sample": "" if worst is None else str(forces.sample_id[worst]),
+        "worst_outside_share": 0.0 if worst is None else float(share[worst]),
+    }
+
+
+def operator_finder(meshes, sensors: dict, grid: Grid, folder, where: str):
+    """A function (mesh name, sensor name) -> Operator that keeps the last ones in memory.
+
+    Those of mesh files are also kept below `folder`. Bricks follow the press: nearly every press has its own, and
+    its operator takes a fiftieth of a second, so that no file is worth it.
+    """
+
+    @lru_cache(maxsize=KEPT)
+    def find(mesh: str, sensor: str) -> Operator:
+        unit = find_sensor(sensors, sensor, where)
+        if is_bricks(mesh):
+            return assemble(load_mesh(meshes, mesh), unit, grid)
+        return cached(folder, mesh_file(meshes, mesh), unit, grid)
+
+    return find
+
+
+def label_folder(args, grid: Grid, sensors: dict) -> dict:
+    """Label every shard of a dataset whose labels are older than what they are made of; return a summary."""
+    folder = args.out.parent
+    find = operator_finder(args.meshes, sensors, grid, folder / "operators", str(args.poses))
+    shards = planned_shards(args.shards)
+    if not shards:
+        raise BadInput(f"{args.shards}: holds no shards; run make, which plans them")
+    totals = {"resolution": str(grid), "shards": len(shards), "samples": 0, "failed": 0}
+    worst = {"worst_sample": "", "worst_outside_share": 0.0}
+    for shard in progress(shards, f"labels {grid}"):
+        forces, poses, out = args.forces / f"{shard}.npz", args.poses / f"{shard}.csv", folder / f"{shard}.npz"
+        if up_to_date(out, forces, poses, args.sensors, args.params):
+            found = summary_of(out, forces)
+        else:
+            found = label_shard(forces, poses, find, grid, out)
+        totals = {
+            **totals,
+            "samples": totals["samples"] + found["samples"],
+            "failed": totals["failed"] + found["failed"],
+        }
+        worst = max(worst, found, key=lambda s: s["worst_outside_share"])
+    return {**totals, **{key: worst[key] for key in ("worst_sample", "worst_outside_share")}}
+
+
+def up_to_date(out: Path, *sources) -> bool:
+    """Whether `out` is there and no source is newer, as make would judge it."""
+    return out.exists() and all(
+        Path(s).stat().st_mtime_ns <= out.stat().st_mtime_ns for s in sources if Path(s).exists()
+    )
+
+
+def summary_of(path, forces_path) -> dict:
+    """The summary of a shard that was labelled before."""
+    outside = read_labels(path, ["outside"])["outside"]
+    with ForceFile(forces_path) as forces:
+        return summarise(forces, outside)
+
+
+def report(summary: dict, largest_share: float) -> None:
+    """Say what was labelled, and name the press that lies farthest outside the image."""
+    print(f"labels {summary['resolution']}: {summary['samples'] - summary['failed']} of {summary['samples']} samples")
+    if summary["worst_outside_share"] > largest_share:
+        print(
+            f"force outside the image: at most {summary['worst_outside_share']:.1%} of a press"
+            f" ({summary['worst_sample']}); each sample's is in `outside`"
+        )
+
+
+def main(argv=None) -> int:
+    parser = argparse.ArgumentParser(prog="gelforge.stages.labels", description=__doc__)
+    parser.add_argument(
+        "--forces", type=Path, required=True, help="a shard of 40_forces, or the folder with --shards"
+    )
+    parser.add_argument(
+        "--poses", type=Path, required=True, help="the shard of 10_poses, or the folder with --shards"
+    )
+    parser.add_argument("--meshes", type=Path, required=True, help="folder 20_meshes")
+    parser.add_argument("--sensors", type=Path, required=True, help="sensors.toml, or its slice as .json")
+    parser.add_argument("--resolution", required=True, help="ROWSxCOLS")
+    parser.add_argument("--params", type=Path, required=True)
+    parser.add_argument("--shards", type=Path, help="folder of planned shards: label all, write a summary to --out")
+    parser.add_argument("--out", type=Path, required=True)
+    args = parser.parse_args(argv)
+    grid, sensors = Grid.parse(args.resolution), load_sensors(args.sensors)
+    params = read_json(args.params)["labels"]
+    if args.shards:
+        summary = label_folder(args, grid, sensors)
+        write_json(args.out, summary)
+    else:
+        find = operator_finder(args.meshes, sensors, grid, args.out.parent / "operators", str(args.poses))
+        summary = {"resolution": str(grid), **label_shard(args.forces, args.poses, find, grid, args.out)}
+    report(summary, params["largest_outside_share"])
+    return 0
+
+
+if __name__ == "__main__":
+    from gelforge.flow.main import exit_with
+
+    exit_with(main)

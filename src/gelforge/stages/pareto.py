@@ -1,0 +1,197 @@
+"""Branch pareto: seconds of a solve against its error, for every fidelity, mesh density and load-step count.
+
+`scene` solves one scene by every method, `chart` draws.
+"""
+
+import argparse
+from dataclasses import asdict
+from pathlib import Path
+
+from gelforge.errors import BadInput
+from gelforge.flow.files import publish, read_json, write_csv, write_json
+from gelforge.flow.progress import progress
+from gelforge.labelling.sensor import load_sensors
+from gelforge.sweeps.deviation import errors, frontier
+from gelforge.sweeps.methods import HALVED, REFERENCE, Method, every_method, quick_methods
+from gelforge.sweeps.scenes import NamedScene, parse_scene
+from gelforge.sweeps.trial import Bench, load_bench, measure
+
+VERSION = 3
+GOAL_TOTAL, GOAL_CELLS = 0.02, 0.08  # what a label setting should meet over all scenes
+COLUMNS = ("method", "fidelity", "size_mm", "load_steps", "scenes", "failed", "cpu_seconds_median",
+           "cpu_seconds_worst",
+           "total_median", "total_worst", "total_worst_scene", "cells_median", "cells_worst", "cells_worst_scene",
+           "frontier_total", "frontier_cells")  # fmt: skip
+
+
+def solve_scene(bench: Bench, scene: NamedScene, methods: list[Method], halved: bool) -> dict:
+    """Every method on one scene, the last of `methods` being the reference; records by method with their errors."""
+    if halved:
+        methods = [*methods, Method(HALVED, REFERENCE, halved=True)]
+    records = {m.name: measure(bench, scene, m) for m in progress(methods, scene.name)}
+    reference = methods[-2 if halved else -1].name
+    found = {"scene": scene.name, "table": scene.table, "reference": reference, "methods": {}}
+    for method in methods:
+        record = records[method.name] | {"method": asdict(method)}
+        against = HALVED if method.name == reference and halved else reference
+        found["methods"][method.name] = record | {"errors": errors(record, records[against])}
+    if halved:
+        found["reference_check"] = errors(records[reference], records[HALVED])
+    return found
+
+
+def summarise(scenes: list[dict]) -> list[dict]:
+    """One row per method over all scenes: cost, errors, failures and whether it lies on a frontier."""
+    names = dict.fromkeys(name for scene in scenes for name in scene["methods"])
+    reference = {scene["reference"] for scene in scenes} | {HALVED}
+    rows = [_row(name, scenes) for name in names if name not in reference]
+    for kind in ("total", "cells"):
+        usable = [row for row in rows if row[f"{kind}_worst"] is not None]
+        best = frontier([(row["cpu_seconds_median"], row[f"{kind}_worst"]) for row in usable])
+        for row in rows:
+            row[f"frontier_{kind}"] = False
+        for row, good in zip(usable, best, strict=True):
+            row[f"frontier_{kind}"] = good and not row["failed"]
+    return rows
+
+
+def _row(name: str, scenes: list[dict]) -> dict:
+    records = {scene["scene"]: scene["methods"][name] for scene in scenes if name in scene["methods"]}
+    method = next(iter(records.values()))["method"]
+    good = {scene: record for scene, record in records.items() if record["errors"]}
+    row = {"method": name, "fidelity": method["fidelity"], "size_mm": method["size"], "load_steps": method["steps"],
+           "scenes": len(records), "failed": len(records) - len(good)}  # fmt: skip
+    seconds = [record["cpu_seconds"] for record in good.values()]
+    row |= {"cpu_seconds_median": _median(seconds), "cpu_seconds_worst": max(seconds, default=None)}
+    for kind in ("total", "cells"):
+        found = {scene: record["errors"][kind] for scene, record in good.items()}
+        worst = max(found, key=found.get, default=None)
+        row |= {f"{kind}_median": _median(list(found.values())), f"{kind}_worst": found.get(worst),
+                f"{kind}_worst_scene": worst}  # fmt: skip
+    return row
+
+
+def _median(values: list[float]) -> float | None:
+    from statistics import median
+
+    return median(values) if values else None
+
+
+def failures(scenes: list[dict]) -> list[dict]:
+    """Every solve that gave no result, with its reason."""
+    return [{"scene": scene["scene"], "method": name, "status": record["status"], "reason": record["reason"]}
+            for scene in scenes for name, record in scene["methods"].items()
+            if record.get("cells") is None]  # fmt: skip
+
+
+def charted(rows: list[dict]) -> dict:
+    """What [fea] charted should say: worst error in total force and relative cost of the label settings."""
+    labels = {row["fidelity"]: row for row in rows if row["method"] in ("hex-label", "ccx-label")}
+    if "hex" not in labels or any(row["total_worst"] is None for row in labels.values()):
+        return {}
+    base = labels["hex"]["cpu_seconds_median"]
+    return {name: [round(row["total_worst"], 4), round(row["cpu_seconds_median"] / base, 2)]
+            for name, row in labels.items()}  # fmt: skip
+
+
+def reading(rows: list[dict], scenes: list[dict], fails: list[dict]) -> list[str]:
+    """What the chart says, in sentences."""
+    meets = [row for row in rows if row["total_worst"] is not None and not row["failed"]
+             and row["total_worst"] <= GOAL_TOTAL and row["cells_worst"] <= GOAL_CELLS]  # fmt: skip
+    said = [f"{len(scenes)} scenes against {scenes[0]['reference']}; seconds are processor seconds of one thread."]
+    if meets:
+        best = min(meets, key=lambda row: row["cpu_seconds_median"])
+        said.append(f"Cheapest within {GOAL_TOTAL:.0%} of total force and {GOAL_CELLS:.0%} per cell on every scene:"
+                    f" {best['method']}, {best['cpu_seconds_median']:.2g} s (median).")  # fmt: skip
+    else:
+        goals = f"{GOAL_TOTAL:.0%} of total force and {GOAL_CELLS:.0%} per cell"
+        said.append(f"No method is within {goals} on every scene.")
+    for row in rows:
+        if row["method"].endswith("-label") and row["total_worst"] is not None:
+            said.append(f"{row['method']}: {row['cpu_seconds_median']:.2g} s; total force worst"
+                        f" {row['total_worst']:.2%} ({row['total_worst_scene']}), cells worst"
+                        f" {row['cells_worst']:.1%} ({row['cells_worst_scene']}).")  # fmt: skip
+    for scene in scenes:
+        check = scene.get("reference_check")
+        if "reference_check" in scene:
+            told = "failed"
+            if check:
+                told = f"moves total force by {check['total']:.2%} and cells by {check['cells']:.1%}"
+            said.append(f"Halving the reference's element size and load step on {scene['scene']} {told}.")
+    if fails:
+        said.append(f"{len(fails)} solves gave no result; they are listed with their reasons.")
+    return said
+
+
+def publish_chart(out: Path, scenes: list[dict], note: str) -> dict:
+    """Write chart, CSV and JSON (`out`, last); returns what the JSON holds."""
+    from gelforge.reporting.charts import pareto_chart
+
+    rows, fails = summarise(scenes), failures(scenes)
+    stem = out.with_name(out.name.removesuffix(".part").removesuffix(".json"))
+    write_csv(stem.with_suffix(".csv"), COLUMNS, rows)
+    with publish(stem.with_suffix(".png")) as part:
+        part.write_bytes(pareto_chart(rows, scenes, note))
+    found = {
+        "reading": reading(rows, scenes, fails), "rows": rows, "failures": fails, "charted": charted(rows),
+        "reference_check": {s["scene"]: s["reference_check"] for s in scenes if "reference_check" in s},
+        "scenes": {s["scene"]: {name: _brief(r) for name, r in s["methods"].items()} for s in scenes},
+    }  # fmt: skip
+    write_json(out, found)
+    return found
+
+
+def _brief(record: dict) -> dict:
+    keys = ("status", "reason", "total", "seconds", "cpu_seconds", "peak_mib", "nodes", "errors")
+    return {key: record.get(key) for key in keys}
+
+
+def _scene(args) -> None:
+    params = read_json(args.params)
+    scene = parse_scene(args.name, read_json(args.scene), params["material"]["nu"])
+    bench = load_bench(params, load_sensors(args.sensors), args.meshes, args.out.parent)
+    if args.set == "quick":
+        with_ccx = params["fea"]["fidelity"] != "hex"
+        methods, halved = quick_methods(params["pareto"]["quick"], with_ccx), False
+    else:
+        from gelforge.mechanics.ccx.program import need_ccx
+
+        need_ccx()
+        methods = every_method(params["pareto"], params["fea"]["hex_quality"])
+        halved = args.name in params["pareto"]["halved"]
+    write_json(args.out, solve_scene(bench, scene, methods, halved))
+
+
+def _chart(args) -> None:
+    scenes = [read_json(path) for path in args.scenes]
+    references = {scene["reference"] for scene in scenes}
+    if len(references) != 1:
+        raise BadInput(f"scenes stand against different references ({', '.join(sorted(references))}); run make again")
+    found = publish_chart(args.out, scenes, args.note)
+    print("\n".join(found["reading"]))
+
+
+def main(argv=None) -> int:
+    parser = argparse.ArgumentParser(prog="gelforge.stages.pareto", description=__doc__.splitlines()[0])
+    commands = parser.add_subparsers(dest="command", required=True)
+    scene = commands.add_parser("scene", help="solve one scene by every method; a rerun resumes")
+    scene.add_argument("--name", required=True)
+    scene.add_argument("--scene", type=Path, required=True, help="resolved table, .json")
+    scene.add_argument("--set", choices=("full", "quick"), default="full")
+    scene.add_argument("--params", type=Path, required=True)
+    scene.add_argument("--sensors", type=Path, required=True)
+    scene.add_argument("--meshes", type=Path, required=True)
+    chart = commands.add_parser("chart", help="chart, CSV and JSON of solved scenes")
+    chart.add_argument("--scenes", type=Path, nargs="+", required=True)
+    chart.add_argument("--note", default="")
+    for command in (scene, chart):
+        command.add_argument("--out", type=Path, required=True)
+    args = parser.parse_args(argv)
+    {"scene": _scene, "chart": _chart}[args.command](args)
+    return 0
+
+
+if __name__ == "__main__":
+    from gelforge.flow.main import exit_with
+
+    exit_with(main)

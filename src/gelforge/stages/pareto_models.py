@@ -1,0 +1,180 @@
+"""Branch pareto-models: error of every trained network against the time it takes for one image.
+
+Writes JSON and, beside it, the same as CSV and as a chart.
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.flow.files import publish, read_json, write_csv, write_json
+from gelforge.networks.metrics import AXES
+
+BASELINE = "unet"
+FASTER = 5.0  # times that the chosen network must be faster than the baseline, on one CPU thread
+KIND_COLOURS = {"unet": "tab:blue", "unet_single": "tab:purple", "resnet": "tab:orange", "grid": "tab:green"}
+
+
+def front(points) -> list[bool]:
+    """Which of the points (latency, error) no other point beats in both, or in one at equal other."""
+
+    def beaten(p):
+        return any(q[0] <= p[0] and q[1] <= p[1] and q != p for q in points)
+
+    return [not beaten(p) for p in points]
+
+
+def row_of(evaluation: dict, split: str, latencies: dict[str, dict]) -> dict:
+    """One network's row: errors on `split` and latency per way of running (`cpu1`, `cpu2`, `cuda`)."""
+    if split not in evaluation["splits"]:
+        raise BadInput(
+            f"evaluation of {evaluation['model']}: has no split {split!r}; known: "
+            f"{', '.join(evaluation['splits'])}; choose one with --split"
+        )
+    errors = evaluation["splits"][split]
+    row = {
+        "model": evaluation["model"],
+        "kind": evaluation["kind"],
+        "parameters": evaluation["parameters"],
+        "best_epoch": evaluation["best_epoch"],
+        "epochs": len(evaluation["curve"]),
+        "train_seconds": evaluation["cost"]["seconds"],
+    }
+    for axis in AXES:
+        row[f"total_{axis}"] = errors["total"][axis]["mae"]
+        row[f"percent_{axis}"] = errors["total"][axis]["mae_percent_of_range"]
+        row[f"cell_{axis}"] = errors["cell"][axis]["mae"] if errors["cell"] else None
+    row["percent"] = float(np.mean([row[f"percent_{axis}"] for axis in AXES]))
+    for way, figures in latencies.items():
+        row |= {f"{way}_{key}": value for key, value in figures.items()}
+    return row
+
+
+def choose(rows: list[dict]) -> dict | None:
+    """The most accurate network `FASTER` times faster than the U-net and no worse on any component, total and per cell.
+
+    None if the U-net is not among them or nothing else is as good.
+    """
+    base = next((row for row in rows if row["model"] == BASELINE), None)
+    if base is None:
+        return None
+    keys = [f"{what}_{axis}" for what in ("total", "cell") for axis in AXES]
+    good = [
+        row
+        for row in rows
+        if row["cell_fz"] is not None
+        and FASTER * row["cpu1_median_ms"] <= base["cpu1_median_ms"]
+        and all(row[key] <= base[key] for key in keys)
+    ]
+    return min(good, key=lambda row: row["percent"], default=None)
+
+
+def measure(models: dict, image, seconds: float) -> dict[str, dict[str, dict]]:
+    """Latency of models, name to networks.modelfile.Trained, with one and two CPU threads, and on CUDA if there.
+
+    image: (h, w, 3) uint8. It serves as the untouched sensor too: no time depends on what that shows.
+    """
+    import torch
+
+    from gelforge.networks.latency import time_models
+    from gelforge.networks.modelfile import Reader
+
+    readers = {name: Reader(trained, image) for name, trained in models.items()}
+    ways = {"cpu1": (1, "cpu"), "cpu2": (2, "cpu")}
+    if torch.cuda.is_available():
+        ways["cuda"] = (1, "cuda")
+    timed = {way: time_models(readers, image, threads, seconds, device) for way, (threads, device) in ways.items()}
+    return {name: {way: timed[way][name] for way in ways} for name in models}
+
+
+def draw_chart(path, rows: list[dict], split: str, chosen: str | None) -> None:
+    """Write the chart: total error and error per cell against latency with one thread."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11, 4.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    panels = (("percent", "total force, mean of components (% of range)"), ("cell_fz", "normal force per cell (N)"))
+    for axis, (key, label) in zip(figure.subplots(1, 2), panels):
+        shown = [row for row in rows if row[key] is not None]
+        best = front([(row["cpu1_median_ms"], row[key]) for row in shown])
+        line = sorted((row["cpu1_median_ms"], row[key]) for row, good in zip(shown, best) if good)
+        axis.plot(*zip(*line), color="0.7", zorder=1, drawstyle="steps-post")
+        for place, row in enumerate(sorted(shown, key=lambda row: row[key])):
+            x, spread = (
+                row["cpu1_median_ms"],
+                [[row["cpu1_median_ms"] - row["cpu1_p10_ms"]], [row["cpu1_p90_ms"] - row["cpu1_median_ms"]]],
+            )
+            axis.errorbar(
+                x,
+                row[key],
+                xerr=spread,
+                fmt="*" if row["model"] == chosen else "o",
+                zorder=2,
+                markersize=13 if row["model"] == chosen else 6,
+                color=KIND_COLOURS[row["kind"]],
+            )
+            # names in turn below and above, from the least error: those of near networks would cover each other
+            axis.annotate(
+                row["model"],
+                (x, row[key]),
+                xytext=(5, 6 if place % 2 else -12),
+                textcoords="offset points",
+                fontsize=8,
+            )
+        axis.set(
+            xscale="log",
+            yscale="log",
+            xlabel="ms per image, batch 1, one CPU thread (bar: 10 to 90 %)",
+            ylabel=f"MAE, {label}",
+        )
+        axis.margins(x=0.2, y=0.12)
+        axis.grid(alpha=0.3, which="both")
+    figure.suptitle(f"Networks on split {split}: line is the front, star the chosen one", fontsize=10)
+    figure.savefig(path, dpi=130)
+
+
+def main(argv=None) -> int:
+    parser = argparse.ArgumentParser(prog="gelforge.stages.pareto_models", description=__doc__.splitlines()[0])
+    parser.add_argument("--dataset", type=Path, required=True, help="60_dataset/RES, for an image to time on")
+    parser.add_argument("--models", type=Path, nargs="+", required=True, help="70_train/RES/*.pt")
+    parser.add_argument("--evaluations", type=Path, nargs="+", required=True, help="80_evaluate/RES/*.json")
+    parser.add_argument("--split", default="test")
+    parser.add_argument("--seconds", type=float, default=3.0, help="of timed runs per model and way")
+    parser.add_argument("--out", type=Path, required=True)
+    args = parser.parse_args(argv)
+    from gelforge.networks.data import open_data
+    from gelforge.networks.modelfile import load_model
+
+    models = {path.name.removesuffix(".pt"): load_model(path) for path in args.models}
+    evaluations = {path.name.removesuffix(".json"): read_json(path) for path in args.evaluations}
+    if models.keys() != evaluations.keys():
+        raise BadInput(
+            f"models {sorted(models)} and evaluations {sorted(evaluations)} must be of the same names; "
+            "run `make evaluate` for those that are missing"
+        )
+    image = np.asarray(open_data(args.dataset).images[0])
+    latencies = measure(models, image, args.seconds)
+    rows = [row_of(evaluations[name], args.split, latencies[name]) for name in sorted(models)]
+    for row, good in zip(rows, front([(row["cpu1_median_ms"], row["percent"]) for row in rows])):
+        row["front"] = good
+    chosen = (choose(rows) or {}).get("model")
+    stem = args.out.with_name(args.out.name.removesuffix(".part").removesuffix(".json"))
+    write_csv(stem.with_suffix(".csv"), list(rows[0]), rows)
+    with publish(stem.with_suffix(".png")) as part:
+        draw_chart(part, rows, args.split, chosen)
+    write_json(args.out, {"split": args.split, "chosen": chosen, "baseline": BASELINE, "models": rows})
+    for row in sorted(rows, key=lambda r: r["cpu1_median_ms"]):
+        print(
+            f"{row['model']:14s} {row['cpu1_median_ms']:8.2f} ms  {row['cpu2_median_ms']:8.2f} ms  "
+            f"{row['percent']:6.2f} % {'front' if row['front'] else ''}{' chosen' if row['model'] == chosen else ''}"
+        )
+    return 0
+
+
+if __name__ == "__main__":
+    from gelforge.flow.main import exit_with
+
+    exit_with(main)

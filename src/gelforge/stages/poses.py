@@ -1,0 +1,219 @@
+"""Stage 10: checks the raw log and puts each indenter's surface where the CNC put it.
+
+The pose table holds the path of the tip against the gel; the commanded one stays in the raw log.
+"""
+
+import argparse
+import json
+import sys
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.flow.files import publish, read_json, write_csv
+from gelforge.geometry.gel import Gel, load_gel
+from gelforge.records import log
+
+VERSION = 1
+COLUMNS = ("sample_id", "sensor_id", "gel_id", "indenter", *log.POSE, *log.FORCES, "image", "stl")
+
+
+def yielded(sample: log.Sample, file: str, params: dict) -> tuple[log.Sample, list[log.Rejection]]:
+    """The sample with the path that its tip took against the gel, in place of the commanded one.
+
+    Frame and gantry give way in proportion to the force read, and touch was found too high or too low: parameters
+    `compliance_mm_per_n`, `shear_compliance_mm_per_n` and `touch_offset_mm` (positive: deeper), as calibrate infers
+    them from the commanded path. A sample without the reading that this takes is rejected.
+    """
+    normal, sideways = params["compliance_mm_per_n"], params["shear_compliance_mm_per_n"]
+    needed = {"fx_n": sideways, "fy_n": sideways, "fz_n": normal}
+    for column, compliance in needed.items():
+        if compliance and getattr(sample, column) is None:
+            remedy = f"fill it in, or set the compliance of [poses], {compliance:g} mm/N, to 0"
+            return sample, [log.reject(sample, file, column, "no force reading, which the compliance needs", remedy)]
+    # the force on the gel points along the motion, so what the frame gave way shortens the path
+    way = {name: c * (getattr(sample, f"f{name[1]}_n") or 0.0)
+           for name, c in (("dx_mm", sideways), ("dy_mm", sideways), ("dz_mm", normal))}  # fmt: skip
+    moved = {name: getattr(sample, name) - shift for name, shift in way.items() if shift}
+    if params["touch_offset_mm"]:
+        moved["z0_mm"] = sample.z0_mm - params["touch_offset_mm"]
+    return replace(sample, **moved), []
+
+
+def posed_points(press, points: np.ndarray, fraction: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
+    """Points (n, 3) of the indenter frame in the gel frame, mm, at fractions (press, shear) of the path."""
+    rotation, shift = press.pose(*fraction)
+    return points @ rotation.T + shift
+
+
+def nearest(body, press, gel: Gel, spacing: float = 0.25) -> float:
+    """Least signed distance, mm, of the undeformed gel's top from the indenter along its path; negative: it touches.
+
+    The top is sampled every `spacing` mm, at the end of the press and along the shear, then ten times finer around
+    the nearest sample; infinite where the indenter is never above the gel.
+    """
+    r = body.radius() + spacing
+    least = np.inf
+    for shear in (0.0, 0.5, 1.0):
+        rotation, shift = press.pose(1.0, shear)
+        low = np.maximum(shift[:2] - r, [-gel.width / 2.0, -gel.length / 2.0])
+        high = np.minimum(shift[:2] + r, [gel.width / 2.0, gel.length / 2.0])
+        for step in (spacing, spacing / 10.0):
+            if np.any(high <= low):
+                break
+            points = _top_points(gel, low, high, step)
+            value = body.distance((points - shift) @ rotation)[0]
+            best = value.argmin()
+            least = min(least, value[best])
+            low = np.maximum(points[best, :2] - step, low)
+            high = np.minimum(points[best, :2] + step, high)
+    return float(least)
+
+
+def _top_points(gel, low, high, step):
+    x, y = (np.linspace(a, b, int(np.ceil((b - a) / step)) + 1) for a, b in zip(low, high, strict=True))
+    x, y = (m.ravel() for m in np.meshgrid(x, y))
+    keep = gel.inside(x, y)
+    x, y = (x[keep], y[keep]) if keep.any() else (x, y)
+    return np.column_stack([x, y, gel.top(x, y)])
+
+
+def geometric_faults(sample: log.Sample, file: str, body, gel: Gel, params: dict) -> list[log.Rejection]:
+    """Rejections of a press that never touches the gel or leaves what it can represent."""
+    press = sample.press()
+    # Reasons stay the same words for every sample, so that they can be counted; the numbers go into the remedy.
+    sideways, farthest = float(np.hypot(press.dx, press.dy)), params["farthest_shear_mm"]
+    if sideways > farthest:
+        column = "dx_mm" if abs(press.dx) >= abs(press.dy) else "dy_mm"
+        remedy = f"it moves {sideways:.3g} mm; check the unit, or raise farthest_shear_mm = {farthest:g} in [poses]"
+        return [log.reject(sample, file, column, "the indenter moves too far sideways", remedy)]
+    depth, limit = -(press.z0 + press.dz), params["deepest_share"] * gel.height
+    if depth > limit:
+        remedy = f"the tip ends {depth:.3g} mm below the crown, {limit:.3g} are allowed; check z0_mm and dz_mm"
+        return [log.reject(sample, file, "dz_mm", "the press is deeper than the gel allows", remedy)]
+    clear = nearest(body, press, gel)
+    if clear >= 0.0:
+        where = f"stays {clear:.3g} mm clear of" if np.isfinite(clear) else "is never above"
+        remedy = f"it {where} the gel, whose crown is the origin; check x0_mm, y0_mm, z0_mm and dz_mm"
+        return [log.reject(sample, file, "dz_mm", "the indenter never touches the gel", remedy)]
+    return []
+
+
+@lru_cache(maxsize=64)
+def cropped(body, height: float) -> tuple[np.ndarray, np.ndarray]:
+    """The closed part of an indenter's surface up to `height` mm above its tip: vertices (v, 3), faces (f, 3)."""
+    from gelforge.geometry.triangles import boolean, stacked
+
+    surface = body.surface()
+    if height >= surface[0][:, 2].max():
+        return surface
+    r = 2.0 * body.radius() + 1.0
+    square = np.array([[-r, -r], [r, -r], [r, r], [-r, r]])
+    box = stacked([np.array([square, square])], np.array([-1.0, height]))
+    return boolean(surface, box, "intersection")
+
+
+def reachable_height(press, params: dict) -> float:
+    """Height above the tip, mm, up to which the gel can meet the indenter; rounded up, so that crops are shared."""
+    reach = -(press.z0 + press.dz) + params["bulge_mm"]
+    return float(max(1, np.ceil(reach / params["band_mm"])) * params["band_mm"])
+
+
+def write_posed(path, body, press, params: dict) -> None:
+    """Write the reachable part of an indenter at the first position of its path as STL in the gel frame."""
+    from gelforge.geometry.triangles import write_stl
+
+    vertices, faces = cropped(body, reachable_height(press, params))
+    with publish(path) as part:
+        write_stl(part, posed_points(press, vertices), faces)
+
+
+def sensor_facts(name: str, table: dict) -> tuple[Gel, tuple[int, int]]:
+    """Gel and image size (width, height) of a sensor's table."""
+    size = table.get("image")
+    if not isinstance(size, list) or len(size) != 2 or not all(isinstance(n, int) and n > 0 for n in size):
+        raise BadInput(f"workflow/sensors.toml: {name}: image = {size!r}; give [width, height] in pixels")
+    if "gel" not in table:
+        raise BadInput(f"workflow/sensors.toml: {name}: gel is missing; name the gel it carries")
+    return load_gel(table["gel"]), tuple(size)
+
+
+def judge(rows: list[dict], file: str, data: Path, tables: dict, params: dict):
+    """Good samples with body and gel, and rejections, of raw rows.
+
+    tables: "sensors" and "indenters" as dicts of catalogue tables, "folder" that STL files are named from.
+    """
+    from gelforge.geometry.indenters import build
+
+    parsed = [log.parse(row, file) for row in rows]
+    rejections = [r for _, wrong in parsed for r in wrong]
+    samples, doubled = log.without_duplicates([s for s, _ in parsed if s], file)
+    rejections += doubled
+    good, bodies = [], {}
+    for sample in samples:
+        wrong = log.unknown_names(sample, file, tables["sensors"], tables["indenters"])
+        if not wrong:
+            sample, wrong = yielded(sample, file, params)
+        if not wrong:
+            name = sample.indenter
+            gel, image_size = sensor_facts(sample.sensor_id, tables["sensors"][sample.sensor_id])
+            if name not in bodies:
+                bodies[name] = build(name, tables["indenters"][name], "indenter catalogue", tables["folder"])
+            wrong = geometric_faults(sample, file, bodies[name], gel, params)
+            fault = log.bad_image(sample, file, data, image_size) if params["images"] else None
+            wrong += [fault] if fault else []
+        rejections += wrong
+        if not wrong:
+            good.append((sample, bodies[sample.indenter]))
+    return good, sorted(rejections, key=lambda r: r.row)
+
+
+def write_shard(good, rejections, out: Path, params: dict) -> None:
+    """Write a shard's surfaces, its rejections, and last its pose table to exactly `out`."""
+    shard = out.name.removesuffix(".part").removesuffix(".csv")
+    folder = out.parent / shard
+    folder.mkdir(parents=True, exist_ok=True)
+    rows = []
+    for sample, body in good:
+        name = f"{sample.sample_id}.stl"
+        write_posed(folder / name, body, sample.press(), params)
+        cells = {**sample.cells(), "stl": f"{shard}/{name}"}
+        rows.append({column: cells[column] for column in COLUMNS})
+    kept = {f"{sample.sample_id}.stl" for sample, _ in good}
+    for stale in folder.glob("*.stl"):
+        if stale.name not in kept:
+            stale.unlink()
+    log.write_rejections(out.parent / f"{shard}.rejected.csv", rejections)
+    write_csv(out, COLUMNS, rows)
+
+
+def main(argv=None) -> int:
+    parser = argparse.ArgumentParser(prog="gelforge.stages.poses", description=__doc__.splitlines()[0])
+    parser.add_argument("--data", type=Path, required=True, help="data/DATASET")
+    parser.add_argument("--shard", type=Path, required=True, help="raw rows, 00_plan/shards/NNNN.csv")
+    parser.add_argument("--params", type=Path, required=True, help="poses.json, beside sensors.json, indenters.json")
+    parser.add_argument("--workflow", type=Path, default=Path("workflow"), help="where STL paths start")
+    parser.add_argument("--strict", action="store_true", help="fail where a sample is rejected")
+    parser.add_argument("--out", type=Path, required=True, help="pose table, 10_poses/NNNN.csv")
+    args = parser.parse_args(argv)
+    params = read_json(args.params)["poses"]
+    tables = {name: read_json(args.params.parent / f"{name}.json") for name in ("sensors", "indenters")}
+    rows = log.read_log(args.shard)
+    good, rejections = judge(rows, str(args.data / "log.csv"), args.data, {**tables, "folder": args.workflow}, params)
+    write_shard(good, rejections, args.out, params)
+    for rejection in rejections:
+        print(rejection, file=sys.stderr)
+    if args.strict and rejections:
+        count = len({r.row for r in rejections})
+        raise BadInput(f"{args.data}: {count} rows rejected; correct them, or run without STRICT")
+    print(json.dumps({"good": len(good), "rejected": len(rows) - len(good)}))
+    return 0
+
+
+if __name__ == "__main__":
+    from gelforge.flow.main import exit_with
+
+    exit_with(main)

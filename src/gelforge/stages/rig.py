@@ -1,0 +1,194 @@
+"""Source `rig`: carry out a plan on the virtual bench and write data/DATASET like a real one would."""
+
+import argparse
+import os
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import nullcontext
+from dataclasses import replace
+from multiprocessing import get_context
+from pathlib import Path
+
+from gelforge.errors import BadInput
+from gelforge.flow.params import load_params, overlay
+from gelforge.flow.progress import progress
+from gelforge.geometry.gel import Gel
+from gelforge.geometry.indenters import load_catalogue, read_catalogue
+from gelforge.labelling.sensor import load_sensors
+from gelforge.virtualrig.looks import read_looks
+from gelforge.virtualrig.rigplan import Order, Plan, check_names, generator, orders, read_plan
+from gelforge.virtualrig.writer import Dataset, image_name, log_row, save_image, surface_name, truth_row
+
+VERSION = 2
+CAMERA = 2  # purpose of a generator: noise of the first camera that sees a press; the others follow
+
+_worker = None  # the bench and cameras of this process; building them costs more than a press
+
+
+class Worker:
+    """Bench and cameras of one process."""
+
+    def __init__(self, plan: Plan, workflow: Path, folder: Path):
+        import cv2
+
+        from gelforge.virtualrig.bench import Bench
+        from gelforge.virtualrig.render import Renderer
+
+        cv2.setNumThreads(1)
+        gel = Gel()
+        self.plan, self.folder, self.gel = plan, folder, gel
+        self.bench = Bench(plan, load_catalogue(workflow / plan.catalogue, plan.indenters), gel)
+        sensors, looks = load_sensors(workflow / "sensors.toml"), read_looks(workflow / "rig" / "sensors.toml")
+        self.cameras = {name: Renderer(looks[name], sensors[name].projection, gel) for name in plan.sensors}
+
+    def carry_out(self, orders: list[Order], solved: bool) -> list[tuple]:
+        """Press once and take every picture of `orders`, which are of one press.
+
+        Returns (order, row of the log or None, row of the truth) of each; none where the press is `solved` and only
+        pictures are drawn from the surface kept then.
+        """
+        from gelforge.virtualrig.surface import Surface, surface_of
+
+        kept = self.folder / surface_name(orders[0])
+        if solved:
+            self._take_pictures(orders, Surface.load(kept))
+            return []
+        pressing = self.bench.press(orders[0])
+        of_each = [(order, replace(pressing, order=order)) for order in orders]
+        if not pressing.result.status.valid:
+            return [(order, None, truth_row(seen)) for order, seen in of_each]
+        surface = surface_of(pressing.result.mesh, pressing.result.displacement, pressing.real)
+        surface.save(kept)
+        self._take_pictures(orders, surface)
+        return [(order, log_row(seen, self.plan.gel), truth_row(seen)) for order, seen in of_each]
+
+    def _take_pictures(self, orders: list[Order], surface) -> None:
+        from gelforge.virtualrig.render import Pressed
+        from gelforge.virtualrig.surface import field_of
+
+        body, field = Pressed(self.bench.body(orders[0].indenter), surface.press), field_of(self.gel, surface)
+        for order in orders:
+            noise = generator(self.plan, order.index, CAMERA + order.unit)
+            save_image(self.folder / image_name(order), self.cameras[order.sensor].image(field, body, noise))
+
+
+def _start(*arguments):
+    global _worker
+    _worker = Worker(*arguments)
+
+
+def _carry_out(task):
+    return _worker.carry_out(*task)
+
+
+def run(plan_path, data="data", workflow="workflow", jobs: int = 1) -> Path:
+    """Carry out what is missing of a plan; returns the dataset's folder."""
+    workflow = Path(workflow)
+    plan = check(plan_path, workflow)
+    folder = Path(data) / plan.dataset
+    dataset = Dataset(folder, plan)
+    dataset.check_same_plan()
+    dataset.begin()
+    _no_contact_images(plan, workflow, folder)
+    todo = _by_press(dataset, orders(plan))
+    new, drawn, failed = 0, 0, []
+    with _pool(min(jobs, len(todo)), plan, workflow, folder) as carried_out:
+        for (of_press, solved), rows in zip(todo, progress(carried_out(todo), "rig", total=len(todo)), strict=True):
+            if solved:
+                drawn += len(of_press)
+                continue
+            new += len(of_press)
+            dataset.add(rows)
+            failed += [(order, truth["status"]) for order, log, truth in rows if log is None]
+    counts = {"new": new, "only drawn again": drawn, "failed": len(failed)}
+    told = "".join(f", {count} {what}" for what, count in counts.items() if count or what == "new")
+    print(f"{folder}: {len(dataset.log)} samples{told}")
+    for order, status in failed:
+        print(f"  no equilibrium, left out: {order.sample_id} ({order.indenter}, {order.depth:.2f} mm: {status})")
+    return folder
+
+
+def _by_press(dataset: Dataset, every: list[Order]) -> list[tuple[list[Order], bool]]:
+    """What is missing: the orders of each press, and whether only their pictures are."""
+    found = {}
+    for order in dataset.missing(every):
+        found.setdefault((order.index, dataset.solved(order)), []).append(order)
+    return [(of_press, solved) for (_, solved), of_press in found.items()]
+
+
+def check(plan_path, workflow: Path) -> Plan:
+    """Everything that can be refused before a file is written."""
+    plan = read_plan(plan_path)
+    sensors = load_sensors(workflow / "sensors.toml")
+    looks = read_looks(workflow / "rig" / "sensors.toml")
+    check_names(plan, read_catalogue(workflow / plan.catalogue), sensors, looks, plan_path)
+    load_catalogue(workflow / plan.catalogue, plan.indenters)
+    overlay(load_params(workflow), plan.params, f"{plan_path}: params")
+    return plan
+
+
+def _pool(jobs: int, plan, workflow, folder):
+    """Context that yields a function from tasks, (order, solved), to results, in their order."""
+    if jobs <= 1:
+        worker = None
+
+        def here(todo):
+            nonlocal worker
+            for task in todo:
+                worker = worker or Worker(plan, workflow, folder)
+                yield worker.carry_out(*task)
+
+        return nullcontext(here)
+    return _Processes(jobs, plan, workflow, folder)
+
+
+class _Processes:
+    def __init__(self, jobs, *arguments):
+        # forked threads of numerical libraries hang, so workers start fresh
+        self.executor = ProcessPoolExecutor(jobs, get_context("spawn"), _start, arguments)
+
+    def __enter__(self):
+        return lambda todo: self.executor.map(_carry_out, todo)
+
+    def __exit__(self, *_):
+        self.executor.shutdown(cancel_futures=True)
+
+
+def _no_contact_images(plan, workflow, folder) -> None:
+    """A picture of every untouched unit, from which its markers and projection can be found."""
+    missing = [name for name in plan.sensors if not (folder / "nocontact" / f"{name}.png").exists()]
+    if not missing:
+        return
+    import numpy as np
+
+    from gelforge.virtualrig.render import Renderer
+
+    sensors, looks = load_sensors(workflow / "sensors.toml"), read_looks(workflow / "rig" / "sensors.toml")
+    for name in missing:
+        camera = Renderer(looks[name], sensors[name].projection, Gel())
+        save_image(
+            folder / "nocontact" / f"{name}.png",
+            camera.image(rng=np.random.default_rng([plan.seed, looks[name].seed])),
+        )
+
+
+def main(argv=None) -> int:
+    """Carry out a plan, or refuse it with the reason."""
+    parser = argparse.ArgumentParser(prog="gelforge.stages.rig", description=__doc__)
+    parser.add_argument("--plan", required=True, help="workflow/rig/NAME.toml")
+    parser.add_argument("--data", default="data", help="folder of the datasets")
+    parser.add_argument("--workflow", default="workflow", help="folder of sensors.toml and rig/sensors.toml")
+    parser.add_argument("--jobs", type=int, default=1, help="presses at a time, one core each")
+    given = parser.parse_args(argv)
+    if given.jobs < 1:
+        raise BadInput(f"--jobs {given.jobs}: give at least 1")
+    # one thread per press, whatever the user has set: presses run side by side, and sums keep their order
+    os.environ.update(OMP_NUM_THREADS="1", MKL_NUM_THREADS="1")
+    os.environ.setdefault("MKL_CBWR", "AUTO")  # the same digits wherever in memory an array lies
+    run(given.plan, given.data, given.workflow, given.jobs)
+    return 0
+
+
+if __name__ == "__main__":
+    from gelforge.flow.main import exit_with
+
+    exit_with(main)

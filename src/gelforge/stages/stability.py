@@ -1,0 +1,189 @@
+"""Branch stability: where each fidelity converges, what fails and why, where an answer drifts though it converged.
+
+`row` solves the cases of one factor, `map` puts the rows together.
+"""
+
+import argparse
+import hashlib
+import time
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.flow.files import publish, read_json, write_csv, write_json
+from gelforge.flow.params import canonical
+from gelforge.flow.progress import progress
+from gelforge.mechanics.ccx.program import need_ccx
+from gelforge.sweeps.cases import FACTORS, Case, row_cases
+from gelforge.sweeps.deviation import total_error
+from gelforge.sweeps.methods import Method, hex_settings, prepare
+from gelforge.sweeps.trial import ccx_settings, kept, solve_isolated
+
+VERSION = 3
+NOT_RUN = "NOT_RUN"
+VALID = ("OK", "NO_CONTACT")
+COLUMNS = ("row", "fidelity", "kind", "depth", "shear", "place", "nu", "size", "steps", "status", "verdict", "drift",
+           "against", "fx_n", "fy_n", "fz_n", "cpu_seconds", "reason")  # fmt: skip
+
+
+def case_key(case: Case, params: dict) -> str:
+    """Digest of all that a case's result depends on."""
+    parts = [case.describe(), params["version"]]
+    if case.fidelity == "hex":
+        parts.append(asdict(hex_settings(case_method(case, params), params["fea"])))
+    else:
+        parts += ccx_settings(params)
+    return hashlib.sha256(canonical(parts).encode()).hexdigest()
+
+
+def case_method(case: Case, params: dict) -> Method:
+    """How a case is solved."""
+    layers = params["stability"]["layers"].get(str(case.size), 6)
+    return Method("case", case.fidelity, case.size, layers, case.steps)
+
+
+def case_file(case: Case, params: dict, folder: Path) -> tuple[Path, str]:
+    """Where a case's record is kept, and its key."""
+    key = case_key(case, params)
+    return folder / f"{key[:24]}.json", key
+
+
+def solve_case(case: Case, params: dict, meshes: Path, folder: Path) -> dict:
+    """Record of one case, the kept one or a new one."""
+    path, key = case_file(case, params, folder)
+    record = kept(path, key)
+    if record is None:
+        method = case_method(case, params)
+        scene = case.scene
+        limit = params["stability"]["native_limit_s" if case.fidelity == "ccx-native" else "limit_s"]
+
+        def make(work):
+            return prepare(method, scene, "", meshes, params, work, limit)
+
+        found = solve_isolated(make, None, limit, folder)
+        record = {"key": key, "case": case.describe()} | found
+        write_json(path, record)
+        print(f"{case}: {record['status']} {record.get('total')} {record.get('reason')}", flush=True)
+    return record
+
+
+def solve_row(row: str, params: dict, meshes: Path, folder: Path) -> list[dict]:
+    """Records of a row, those beyond its time marked NOT_RUN; a rerun resumes at them."""
+    end = time.monotonic() + 60.0 * params["stability"]["minutes"]
+    records = []
+    for case in progress(row_cases(params["stability"], row), f"stability {row}"):
+        if time.monotonic() > end and kept(*case_file(case, params, folder)) is None:
+            reason = "the row's time was over; raise [stability] minutes, it resumes here"
+            records.append({"case": case.describe(), "status": NOT_RUN, "reason": reason})
+        else:
+            records.append(solve_case(case, params, meshes, folder))
+    return records
+
+
+def judge_row(row: str, records: list[dict], params: dict) -> list[dict]:
+    """Rows of the table: each case with its verdict "good", "drifts", "failed" or "not run".
+
+    In the rows of mesh and load steps a case is held against the finest of the same press and
+    fidelity; elsewhere the in-process solve and CalculiX' of the same press against each other.
+    """
+    limit = params["stability"]["drift"]
+    cases = [Case(**record["case"]) for record in records]
+    judged = []
+    for case, record in zip(cases, records, strict=True):
+        against, other = _yardstick(row, case, cases, records)
+        drift = None
+        if other is not None and record["status"] == other["status"] == "OK" and np.linalg.norm(other["total"]) > 0:
+            drift = total_error(record["total"], other["total"])
+        verdict = "not run" if record["status"] == NOT_RUN else "failed" if record["status"] not in VALID else "good"
+        if verdict == "good" and drift is not None and drift > limit:
+            verdict = "drifts"
+        fx, fy, fz = record.get("total") or (None, None, None)
+        judged.append({"row": row} | record["case"] | {
+            "status": record["status"], "verdict": verdict, "drift": drift, "against": against,
+            "fx_n": fx, "fy_n": fy, "fz_n": fz, "cpu_seconds": record.get("cpu_seconds"),
+            "reason": record.get("reason", ""),
+        })  # fmt: skip
+    return judged
+
+
+def _yardstick(row, case, cases, records):
+    """What a case is held against: its description and the record, (None, None) where there is nothing."""
+    if row in ("size", "steps"):
+        same = [i for i, c in enumerate(cases) if (c.fidelity, c.press) == (case.fidelity, case.press)]
+        finest = min(same, key=lambda i: (cases[i].size, -cases[i].steps))
+        return f"{row} {getattr(cases[finest], row):g}", records[finest]
+    other = {"hex": "ccx", "ccx": "hex", "ccx-native": "hex"}[case.fidelity]
+    for c, record in zip(cases, records, strict=True):
+        if c.fidelity == other and c.press == case.press and c.steps == case.steps:
+            return other, record
+    return None, None
+
+
+def reading(table: list[dict]) -> list[str]:
+    """What the map says, in sentences."""
+    said = []
+    for fidelity in dict.fromkeys(line["fidelity"] for line in table):
+        own = [line for line in table if line["fidelity"] == fidelity]
+        count = {v: sum(line["verdict"] == v for line in own) for v in ("good", "drifts", "failed", "not run")}
+        run = len(own) - count["not run"]
+        said.append(f"{fidelity}: {run - count['failed']} of {run} solves converged, {count['drifts']} of them drift,"
+                    f" {count['failed']} failed, {count['not run']} were not run.")  # fmt: skip
+        for row in dict.fromkeys(line["row"] for line in own):
+            bad = [line for line in own if line["row"] == row and line["verdict"] in ("failed", "drifts")]
+            if bad:
+                named = ", ".join(_name_bad(line, row if row in FACTORS else "depth") for line in bad[:8])
+                said.append(f"  {fidelity}, {row}: {named}{' and more' if len(bad) > 8 else ''}.")
+    return said
+
+
+def _name_bad(line: dict, factor: str) -> str:
+    how = line["status"] if line["verdict"] == "failed" else f"{line['drift']:.0%}"
+    return f"{line['kind']} {factor} {line[factor]} ({how})"
+
+
+def _row(args) -> None:
+    params = read_json(args.params)
+    need_ccx()
+    records = solve_row(args.row, params, args.meshes, args.cases)
+    judged = judge_row(args.row, records, params)
+    write_json(args.out, {"row": args.row, "judged": judged, "evidence": [r.get("evidence", {}) for r in records]})
+    left = sum(r["status"] == NOT_RUN for r in records)
+    if left:
+        print(f"{left} of {len(records)} cases were not run: the row's time was over; raise [stability] minutes")
+
+
+def _map(args) -> None:
+    from gelforge.reporting.charts import stability_map
+
+    table = [line for path in args.rows for line in read_json(path)["judged"]]
+    stem = args.out.with_name(args.out.name.removesuffix(".part").removesuffix(".json"))
+    write_csv(stem.with_suffix(".csv"), COLUMNS, table)
+    with publish(stem.with_suffix(".png")) as part:
+        part.write_bytes(stability_map(table))
+    said = reading(table)
+    write_json(args.out, {"reading": said, "table": table})
+    print("\n".join(said))
+
+
+def main(argv=None) -> int:
+    parser = argparse.ArgumentParser(prog="gelforge.stages.stability", description=__doc__.splitlines()[0])
+    commands = parser.add_subparsers(dest="command", required=True)
+    row = commands.add_parser("row", help="solve the cases of one row; a rerun resumes")
+    row.add_argument("--row", required=True, choices=(*FACTORS, "random", "native"))
+    row.add_argument("--params", type=Path, required=True)
+    row.add_argument("--meshes", type=Path, required=True)
+    row.add_argument("--cases", type=Path, required=True, help="folder that keeps solved cases")
+    chart = commands.add_parser("map", help="picture, CSV and JSON of all rows")
+    chart.add_argument("--rows", type=Path, nargs="+", required=True)
+    for command in (row, chart):
+        command.add_argument("--out", type=Path, required=True)
+    args = parser.parse_args(argv)
+    {"row": _row, "map": _map}[args.command](args)
+    return 0
+
+
+if __name__ == "__main__":
+    from gelforge.flow.main import exit_with
+
+    exit_with(main)

@@ -1,0 +1,148 @@
+"""Stage 70: train one network of workflow/models.toml on one dataset.
+
+The curve lies inside the model file and, as a table, beside it.
+"""
+
+import argparse
+import json
+from pathlib import Path
+
+from gelforge.errors import BadInput
+from gelforge.flow.files import publish, read_json, write_csv
+
+VERSION = 5
+
+
+def read_models(path) -> dict:
+    """Read the model table, TOML as written or JSON as stage 00 leaves it."""
+    from gelforge.flow.params import read_toml
+
+    return read_json(path) if Path(path).suffix == ".json" else read_toml(path)
+
+
+def resolve(models: dict, name: str, train: dict) -> tuple[dict, dict]:
+    """Return the table of model `name` and the training settings with those of its kind and its own laid over them."""
+    if name not in models:
+        raise BadInput(f"MODEL={name}: no such model in workflow/models.toml; known: {', '.join(sorted(models))}")
+    model = dict(models[name])
+    own = model.pop("train", {})
+    train = dict(train)
+    of_kind = train.pop("epochs_of").get(model.get("kind"), 0)
+    train["epochs"] = of_kind or train["epochs"]
+    unknown = sorted(set(own) - set(train))
+    if unknown:
+        raise BadInput(f"workflow/models.toml [{name}.train]: no such setting in [train]: {', '.join(unknown)}")
+    model.pop("note", None)
+    return model, {**train, **own}
+
+
+def identity(about: dict) -> str:
+    """Text that is equal for two trainings exactly when they must give the same curve."""
+    keys = ("name", "model", "train", "image", "grid", "data", "threads_used", "device", "mixed", "version")
+    return json.dumps({key: about[key] for key in keys}, sort_keys=True)
+
+
+def describe(data, name: str, model: dict, settings: dict, device: str) -> dict:
+    """What a model file says about where its network comes from."""
+    import numpy as np
+    import torch
+
+    from gelforge.networks.data import data_version
+    from gelforge.networks.training import mixes_precision
+
+    rows = data.splits["train"]
+    return {
+        "name": name,
+        "model": model,
+        "train": settings,
+        "version": VERSION,
+        "torch": torch.__version__,
+        "image": list(data.image_size),
+        "grid": [1, 1] if model["kind"] == "resnet" else list(data.grid),
+        "known_sensors": sorted(set(data.names("sensor_id").tolist())),
+        "sensors": sorted(set(data.names("sensor_id")[rows].tolist())),
+        "indenters": sorted(set(data.names("indenter")[rows].tolist())),
+        "threads_used": torch.get_num_threads(),
+        "device": device,
+        "mixed": mixes_precision(settings, device),
+        "data": {
+            "name": data.info.get("name", data.folder.parent.parent.name),
+            "version": data_version(data),
+            "simulated": bool(np.isfinite(data.column("true_fz_n")).any()),
+            "samples": {key: len(value) for key, value in sorted(data.splits.items())},
+        },
+    }
+
+
+def train(data, name: str, model: dict, settings: dict, checkpoint=None):
+    """Train a network; return it with its description, curve and cost inside.
+
+    :param data: networks.data.Data. :param checkpoint: file for resuming, or None.
+    """
+    import torch
+
+    from gelforge.networks.data import require_splits, scales
+    from gelforge.networks.inputs import needs_untouched
+    from gelforge.networks.modelfile import Trained
+    from gelforge.networks.models import parameter_count
+    from gelforge.networks.statistics import fit_to_images, largest_distance
+    from gelforge.networks.training import Training, fit, peak_memory_gib
+
+    require_splits(data)
+    torch.set_num_threads(settings["threads"])
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    about = describe(data, name, model, settings, device)
+    norm = scales(data, model["kind"] == "resnet", model.get("reads", "image"))
+    training = Training(model, settings, norm, about["image"], about["grid"], device)
+    fit(training, data, checkpoint, identity(about))
+    statistics = fit_to_images(data.images, data.splits["train"], data.splits["val"])
+    if needs_untouched(norm["reads"]):
+        pairs = (data.seen([row], norm["reads"])[0] for row in data.splits["val"])
+        statistics |= {"largest_distance": largest_distance(pairs)}
+    cost = training.cost | {"peak_gib": peak_memory_gib()}
+    about |= {
+        "normalisation": norm,
+        "statistics": statistics,
+        "curve": training.curve,
+        "cost": cost,
+        "best_epoch": training.best["epoch"],
+        "parameters": parameter_count(training.net),
+    }
+    return Trained(training.net.cpu(), about, data.nocontact if needs_untouched(norm["reads"]) else {})
+
+
+def main(argv=None) -> int:
+    parser = argparse.ArgumentParser(prog="gelforge.stages.train", description=__doc__.splitlines()[0])
+    parser.add_argument("--dataset", type=Path, required=True, help="60_dataset/RES")
+    parser.add_argument("--model", required=True, help="name of a table in --models")
+    parser.add_argument("--models", type=Path, default=Path("workflow/models.toml"))
+    parser.add_argument("--params", type=Path, required=True)
+    parser.add_argument("--out", type=Path, required=True)
+    args = parser.parse_args(argv)
+    from gelforge.networks.data import open_data
+    from gelforge.networks.modelfile import save_model
+    from gelforge.networks.tables import draw_curve
+
+    settings = read_json(args.params)["train"]
+    model, settings = resolve(read_models(args.models), args.model, settings)
+    stem = args.out.with_name(args.out.name.removesuffix(".part").removesuffix(".pt"))
+    checkpoint = stem.with_name(stem.name + ".checkpoint.pt")
+    trained = train(open_data(args.dataset), args.model, model, settings, checkpoint)
+    curve = trained.about["curve"]
+    write_csv(stem.with_name(stem.name + ".curve.csv"), list(curve[0]), curve)
+    with publish(stem.with_name(stem.name + ".curve.png")) as part:
+        draw_curve(part, curve, trained.about["best_epoch"], args.model)
+    save_model(args.out, trained)
+    checkpoint.unlink(missing_ok=True)
+    cost = trained.about["cost"]
+    print(
+        f"best epoch {trained.about['best_epoch']}, {cost['seconds']:.0f} s in {cost['steps']} steps, waited "
+        f"{100 * cost['wait_seconds'] / max(cost['seconds'], 1e-9):.1f} % for data, peak {cost['peak_gib']:.2f} GiB"
+    )
+    return 0
+
+
+if __name__ == "__main__":
+    from gelforge.flow.main import exit_with
+
+    exit_with(main)

@@ -1,0 +1,158 @@
+"""The methods on the chart: a fidelity with its mesh and its load steps, and how each is run."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.mechanics.family import MeshFamily
+from gelforge.mechanics.mesh import GelMesh
+from gelforge.mechanics.scene import Result, Scene
+from gelforge.sweeps import references as meshes
+
+LABEL_METHODS = ("hex", "ccx", "auto")
+REFERENCE, HALVED = "ccx-fine", "ccx-fine-halved"
+
+
+@dataclass(frozen=True)
+class Method:
+    """One point of the chart: name, fidelity, and the settings that make it differ from others.
+
+    size: mm, of bricks or of the density's tetrahedra; None where the fea stage's own are used, or a named quality.
+    steps: load steps of the press, half as many of the shear; None for those of the fea stage.
+    """
+
+    name: str
+    fidelity: str
+    size: float | None = None
+    layers: int | None = None
+    steps: int | None = None
+    halved: bool = False
+
+
+def hex_method(size: float, layers: int, steps: int) -> Method:
+    return Method(f"hex-{size:g}-{steps}", "hex", size, layers, steps)
+
+
+def quality_method(quality: str) -> Method:
+    """The in-process solver at a quality that [fea] need not name."""
+    return Method(f"hex-{quality}-quality", "hex")
+
+
+def every_method(pareto: dict, hex_quality: str) -> list[Method]:
+    """The methods of the whole chart, cheap ones first, the reference last.
+
+    Mesh density is varied at the first of `load_steps`, load steps at the first of each engine's sizes. The quality
+    of [fea] is the method hex-label.
+    """
+    from gelforge.mechanics.hex.solver import QUALITIES
+
+    usual, *others = pareto["load_steps"]
+    label = [Method(f"{name}-label", name) for name in LABEL_METHODS]
+    sizes = list(zip(pareto["hex_sizes_mm"], pareto["hex_layers"], strict=True))
+    bricks = [hex_method(size, layers, usual) for size, layers in sizes]
+    bricks += [hex_method(*sizes[0], n) for n in others]
+    varied = [(size, usual) for size in pareto["ccx_sizes_mm"]] + [(pareto["ccx_sizes_mm"][0], n) for n in others]
+    tets = [Method(f"ccx-{size:g}-{n}", "ccx", size, steps=n) for size, n in varied]
+    native = [Method(f"ccx-native-{size:g}", "ccx-native", size) for size in pareto["native_sizes_mm"]]
+    qualities = [quality_method(quality) for quality in QUALITIES if quality != hex_quality]
+    return [*qualities, *label, *bricks, *tets, *native, Method(REFERENCE, REFERENCE)]
+
+
+def quick_methods(quick: dict, with_ccx: bool) -> list[Method]:
+    """Methods of the small chart; its reference is the last."""
+    steps, fine = quick["steps"], quick["reference"]
+    sizes = zip(quick["hex_sizes_mm"], quick["hex_layers"], strict=True)
+    found = [hex_method(size, layers, steps) for size, layers in sizes]
+    found += [Method(f"{name}-label", name) for name in (("hex", "ccx") if with_ccx else ("hex",))]
+    return [*found, hex_method(fine["size"], fine["layers"], fine["press_steps"])]
+
+
+def warm_up() -> None:
+    """Compile or load kernels before the clock runs: a solve of one process of many pays that once."""
+    from gelforge.geometry.gel import Gel
+    from gelforge.geometry.indenters import build
+    from gelforge.mechanics.hex.solver import HexSettings, solve_hex
+    from gelforge.mechanics.scene import Material, Press
+
+    ball = build("ball", {"kind": "sphere", "diameter": 15, "height": 10})
+    scene = Scene(Gel(), Material(), ball, Press(0, 0, 0, 0, 0, -0.2))
+    solve_hex(scene, HexSettings(size=2.0, layers=2, press_steps=1))
+
+
+def prepare(
+    method: Method, scene: Scene, fine: str, folder: Path, params: dict, work: Path, limit_s: float
+) -> Callable[[], tuple[Result, GelMesh]]:
+    """Read meshes and set up solvers, which many presses share; the function returned solves the scene.
+
+    fine: region of the reference mesh. folder: meshes. work: an empty folder for CalculiX' files. limit_s: when the
+    whole solve is stopped from outside; CalculiX' own contact gives up before, so that it can say how far it came.
+    """
+    if method.fidelity == "hex" and method.name != "hex-label":
+        return _prepare_hex(method, scene, params["fea"])
+    if method.size is None and method.fidelity in LABEL_METHODS:
+        return _prepare_label(method, scene, folder, params, work)
+    if method.fidelity == "ccx-native":
+        return _prepare_native(method, scene, folder, params, work, 0.9 * limit_s)
+    return _prepare_ccx(method, scene, fine, folder, params, work)
+
+
+def hex_settings(method: Method, fea: dict):
+    """Settings of a method that runs the in-process solver; `fea` is the table of the fea stage."""
+    from gelforge.mechanics.hex import solver as engine
+
+    if method.size is None:
+        named = method.name.removeprefix("hex-").removesuffix("-quality")
+        return engine.quality(fea["hex_quality"] if method.name == "hex-label" else named)
+    # `across` would shrink the bricks under small contacts: a density series holds their size
+    return engine.HexSettings(size=method.size, layers=method.layers, press_steps=method.steps,
+                              shear_steps=(method.steps + 1) // 2, across=0)  # fmt: skip
+
+
+def _prepare_hex(method, scene, fea):
+    from gelforge.mechanics.hex.solver import HexSolver
+
+    solver = HexSolver(hex_settings(method, fea))
+
+    def run():
+        result = solver.solve(scene)
+        return result, result.mesh
+
+    return run
+
+
+def _prepare_label(method, scene, folder, params, work):
+    from gelforge.mechanics.fidelity import FeaSettings, Solvers
+
+    names = [] if method.fidelity == "hex" else meshes.label_meshes(params)
+    solvers = Solvers(MeshFamily(folder, names), work, FeaSettings.from_table(params["fea"]))
+
+    def run():
+        result = solvers.solve(scene, method.fidelity)
+        return result, solvers.family.load(result.evidence["mesh"])
+
+    return run
+
+
+def _prepare_native(method, scene, folder, params, work, limit_s):
+    from gelforge.mechanics.ccx.native import solve_native
+
+    mesh = GelMesh.load(Path(folder) / f"{meshes.density_mesh(scene, folder, params, method.size)}.npz")
+    return lambda: (solve_native(scene, mesh, work / "native", limit_s), mesh)
+
+
+def _prepare_ccx(method, scene, fine, folder, params, work):
+    from gelforge.mechanics.ccx.solver import CcxSolver
+    from gelforge.mechanics.fidelity import FeaSettings
+
+    if method.fidelity == REFERENCE:
+        table, factor = params["pareto"]["reference"], 2 if method.halved else 1
+        name = meshes.reference_mesh(params, fine, method.halved)
+        steps = {key: factor * table[key] for key in ("press_steps", "shear_steps")}
+    else:
+        name = meshes.density_mesh(scene, folder, params, method.size)
+        steps = {"press_steps": method.steps, "shear_steps": (method.steps + 1) // 2}
+    settings = replace(FeaSettings.from_table(params["fea"]).ccx, **steps, step_mm=np.inf)
+    solver = CcxSolver(GelMesh.load(Path(folder) / f"{name}.npz"), work, settings)
+    return lambda: (solver.solve(scene), solver.mesh)

@@ -1,0 +1,169 @@
+"""A scene solved by a method: the record of it, kept in a file of its own."""
+
+import hashlib
+import json
+import shutil
+import tempfile
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.flow.files import read_json, write_json
+from gelforge.flow.params import canonical
+from gelforge.labelling.grid import Grid
+from gelforge.labelling.operator import assemble
+from gelforge.labelling.sensor import Sensor
+from gelforge.mechanics.hex.solver import quality
+from gelforge.sweeps import references as meshes
+from gelforge.sweeps.isolate import Clock, isolated, peak_mib
+from gelforge.sweeps.methods import REFERENCE, Method, hex_settings, prepare, warm_up
+from gelforge.sweeps.scenes import NamedScene
+
+GRID = Grid(24, 32)  # of FEATS' labels
+NOT_SOLVER = {"fidelity", "meshes", "fine_meshes", "tolerance", "charted", "timeout_s"}
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Where methods are measured: meshes, sensor whose cells are compared, parameters, kept records."""
+
+    meshes: Path
+    sensor: Sensor
+    params: dict
+    records: Path
+
+    def record_path(self, scene: NamedScene, method: Method) -> Path:
+        return self.records / scene.name / f"{method.name}.json"
+
+    def key(self, scene: NamedScene, method: Method) -> str:
+        """Digest of all that a record depends on."""
+        parts = [scene.table, asdict(method), self.params["version"], self.params["material"]["nu"],
+                 self.sensor.projection.tolist(), self._settings(scene, method)]  # fmt: skip
+        return hashlib.sha256(canonical(parts).encode()).hexdigest()
+
+    def _settings(self, scene, method) -> list:
+        p = self.params
+        if method.fidelity == "hex":
+            return [asdict(hex_settings(method, p["fea"]))]
+        if method.fidelity == REFERENCE:
+            steps = {key: p["pareto"]["reference"][key] for key in ("press_steps", "shear_steps")}
+            mesh = [p["pareto"]["regions"].get(scene.fine), p["pareto"]["grading"]]
+            return [steps, *mesh, *ccx_settings(p)]
+        if method.name == "auto-label":
+            return [p["fea"], p["meshes"], asdict(quality(p["fea"]["hex_quality"]))]
+        if method.size is None:
+            return [p["fea"]["meshes"], *ccx_settings(p)]
+        return ccx_settings(p)
+
+
+def ccx_settings(params: dict) -> list[dict]:
+    """What of [meshes] and [fea] changes a solve with CalculiX, whichever fidelity is chosen; bricks do not."""
+    return [without_bricks(params["meshes"]),
+            {k: v for k, v in without_bricks(params["fea"]).items() if k not in NOT_SOLVER}]  # fmt: skip
+
+
+def without_bricks(table: dict) -> dict:
+    """A table of parameters without those of the in-process solver, hex_*."""
+    return {key: value for key, value in table.items() if not key.startswith("hex_")}
+
+
+def cells_of(mesh, forces: np.ndarray, sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
+    """Label cells (3, 24, 32) in N along gel x, y, z of nodal forces (n, 3), and the force outside (3,)."""
+    nodes = mesh.surface_nodes
+    cells, outside = assemble(mesh, sensor, GRID).apply(np.array([0, len(nodes)]), nodes, forces[nodes])
+    return cells[0], outside[0]
+
+
+def plain(evidence: dict) -> dict:
+    """What of the evidence JSON can hold; numbers that are not finite are left out."""
+    kept = {}
+    for key, value in evidence.items():
+        value = value.item() if isinstance(value, np.generic) else value
+        try:
+            json.dumps(value, allow_nan=False)
+        except (TypeError, ValueError):
+            continue
+        kept[key] = value
+    return kept
+
+
+def outcome(result, mesh, sensor: Sensor | None) -> dict:
+    """The part of a record that the result itself tells."""
+    found = {"status": result.status.name, "total": result.total.tolist(), "nodes": len(mesh.nodes),
+             "evidence": plain(result.evidence), "reason": ""}  # fmt: skip
+    if not result.status.valid:
+        found["reason"] = str(result.evidence.get("reason") or result.status.value)
+    elif sensor is not None:
+        cells, outside = cells_of(mesh, result.forces, sensor)
+        found |= {"cells": np.round(cells, 7).tolist(), "outside": outside.tolist()}
+    return found
+
+
+def solve_isolated(make: Callable[[Path], Callable], sensor: Sensor | None, limit_s: float, work: Path) -> dict:
+    """Run `make(folder)()`, a prepared solve, in a process of its own; its record with what it cost."""
+
+    def child():
+        warm_up()
+        solve = make(folder)
+        with Clock() as clock:
+            result, mesh = solve()
+        cost = {"seconds": clock.seconds, "cpu_seconds": clock.cpu_seconds, "peak_mib": peak_mib()}
+        return outcome(result, mesh, sensor) | cost
+
+    work.mkdir(parents=True, exist_ok=True)
+    folder = Path(tempfile.mkdtemp(prefix=".work-", dir=work))
+    try:
+        return isolated(child, limit_s)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def kept(path: Path, key: str) -> dict | None:
+    """The record that was made under the same key, else None."""
+    try:
+        record = read_json(path)
+    except (OSError, ValueError):
+        return None
+    return record if record.get("key") == key else None
+
+
+def measure(bench: Bench, scene: NamedScene, method: Method) -> dict:
+    """The record of a scene solved by a method: the kept one, or a new one, which is kept.
+
+    {"status", "reason", "total" (3,) N, "cells" (3, 24, 32) N, "outside" (3,) N, "seconds", "cpu_seconds"
+    (the solve alone, on one thread), "peak_mib", "nodes", "evidence"}; what failed has no cells.
+    """
+    path, key = bench.record_path(scene, method), bench.key(scene, method)
+    record = kept(path, key)
+    if record is None:
+        for stale in path.parent.glob(".work-*"):
+            shutil.rmtree(stale, ignore_errors=True)
+
+        limit = bench.params["pareto"]["native_limit_s" if method.fidelity == "ccx-native" else "limit_s"]
+
+        def make(folder):
+            return prepare(method, scene.scene, scene.fine, bench.meshes, bench.params, folder, limit)
+
+        found = solve_isolated(make, bench.sensor, limit, path.parent)
+        record = {"key": key, "scene": scene.name, "method": method.name, "fidelity": method.fidelity} | found
+        write_json(path, record)
+        print(f"{scene.name} {method.name}: {record['status']} {record.get('cpu_seconds', float('nan')):.1f} s"
+              f" {np.round(record.get('total', []), 4).tolist()} {record['reason']}", flush=True)  # fmt: skip
+    return record
+
+
+def ensure_meshes(bench: Bench, names: list[str]) -> None:
+    """Build what is missing of the meshes (make builds them as targets; a benchmark may stand alone)."""
+    for name in names:
+        meshes.need_mesh(name, bench.meshes, bench.params)
+
+
+def load_bench(params: dict, sensors: dict, mesh_folder: Path, records: Path) -> Bench:
+    """A bench that compares cells as the sensor of [pareto] sees them."""
+    name = params["pareto"]["sensor"]
+    if name not in sensors:
+        raise BadInput(f"[pareto] sensor = {name!r} is not in workflow/sensors.toml; it has {', '.join(sensors)}")
+    return Bench(Path(mesh_folder), sensors[name], params, Path(records))

@@ -1,0 +1,297 @@
+"""Plans of the virtual rig: what is pressed where, how often, and what the bench hides."""
+
+import json
+from dataclasses import asdict, dataclass, fields, replace
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.flow.params import read_toml
+from gelforge.geometry.gel import Gel
+
+EDGE = 2.0  # mm that the tip keeps from the gel's outline
+DEEPEST = 0.7  # share of the gel's height that a press may take
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What the bench does to a press and nobody may read from the log; MPa, mm, N, N m, micrometres.
+
+    touch_offset_mm: real height of the tip above the logged one when the log says "touch" (negative: deeper).
+    compliance_mm_per_n: how far frame and gantry give way per newton of normal force, shear_compliance_mm_per_n
+    sideways.
+    force_bias_n, drift_n: constant error of the load cell and how far it wanders over a day.
+    """
+
+    c10_mpa: float
+    nu: float
+    friction: float
+    compliance_mm_per_n: float
+    shear_compliance_mm_per_n: float
+    touch_offset_mm: float
+    touch_scatter_mm: float
+    force_noise_n: float
+    force_bias_n: tuple[float, float, float]
+    drift_n: float
+    moment_noise_nm: float
+    cnc_um: float
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind of press: `weight` of all presses, drawn evenly from these ranges.
+
+    each_sensor: whether a press is seen by each of `sensors`, a row of the log each, or by one of them. A press takes
+    a second, a further picture of it a hundredth.
+    shear: range of the sideways path as a share of the depth. max_force_n: depth is cut where the
+    estimated normal force would pass it, as a bench with a load limit does.
+    """
+
+    weight: float
+    indenters: tuple[str, ...]
+    sensors: tuple[str, ...]
+    each_sensor: bool
+    x_mm: tuple[float, float]
+    y_mm: tuple[float, float]
+    depth_mm: tuple[float, float]
+    shear: tuple[float, float]
+    rot_deg: tuple[float, float]
+    max_force_n: float
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A whole plan; `presses` may grow, everything else but `params` makes it another plan."""
+
+    dataset: str
+    seed: int
+    presses: int
+    gel: str
+    catalogue: str
+    start_utc: str
+    seconds_per_press: float
+    held_out_sensors: tuple[str, ...]  # written to dataset.toml as those that training must not see
+    truth: Truth
+    kinds: tuple[Kind, ...]
+    params: dict  # [params.TABLE] of the plan: parameters of the stages, written to dataset.toml
+
+    def identity(self) -> str:
+        """Canonical text of everything that a press depends on but the number of presses."""
+        told = {key: value for key, value in asdict(self).items() if key != "params"}
+        return json.dumps({**told, "presses": None}, sort_keys=True)
+
+    @property
+    def indenters(self) -> list[str]:
+        return list(dict.fromkeys(name for kind in self.kinds for name in kind.indenters))
+
+    @property
+    def sensors(self) -> list[str]:
+        return list(dict.fromkeys(name for kind in self.kinds for name in kind.sensors))
+
+
+@dataclass(frozen=True)
+class Order:
+    """One press as ordered, seen by one sensor: what the bench is told to do, and its place in the plan.
+
+    index: of the press, unit: of the sensor among those that see it. press_id: what orders of one press share.
+    """
+
+    index: int
+    sample_id: str
+    time_utc: str
+    sensor: str
+    indenter: str
+    x: float
+    y: float
+    depth: float
+    shear: tuple[float, float]  # mm along x and y at full depth
+    rot_deg: float
+    max_force_n: float
+    unit: int = 0
+    press_id: str = ""
+
+
+def read_plan(path) -> Plan:
+    """Read and check a plan's own values; names are checked by `check_names`."""
+    path = Path(path)
+    raw = read_toml(path)
+    truth = _record(Truth, raw.pop("truth", {}), f"{path}: [truth]")
+    kinds, params = raw.pop("kind", []), raw.pop("params", {})
+    if not isinstance(kinds, list) or not kinds:
+        raise BadInput(f"{path}: no [[kind]] table; write at least one with indenters, sensors and ranges")
+    made = tuple(_record(Kind, kind, f"{path}: [[kind]] {k + 1}") for k, kind in enumerate(kinds))
+    plan = _record(Plan, {**raw, "truth": truth, "kinds": made, "params": params}, str(path))
+    _check_values(plan, path)
+    return plan
+
+
+def _record(cls, table: dict, where: str):
+    known = {f.name: f.type for f in fields(cls)}
+    unknown, missing = sorted(set(table) - set(known)), sorted(set(known) - set(table))
+    if unknown or missing:
+        raise BadInput(
+            f"{where}: unknown keys {unknown or 'none'}, missing keys {missing or 'none'}; "
+            f"it needs exactly {', '.join(sorted(known))}"
+        )
+    values = {}
+    for name, value in table.items():
+        if isinstance(value, list):
+            value = tuple(value)
+        wanted = known[name]
+        if not _fits(value, wanted):
+            raise BadInput(f"{where}: {name} = {value!r} is not a finite {getattr(wanted, '__name__', wanted)}")
+        values[name] = value
+    return cls(**values)
+
+
+def _fits(value, wanted) -> bool:
+    if wanted is str or wanted == tuple[str, ...]:
+        return isinstance(value, str) if wanted is str else _strings(value)
+    if wanted is bool:
+        return isinstance(value, bool)
+    if wanted is int:
+        return isinstance(value, int) and not isinstance(value, bool)
+    if wanted is float:
+        return _number(value)
+    arguments = getattr(wanted, "__args__", ())
+    if arguments and arguments[0] is float:
+        return isinstance(value, tuple) and len(value) == len(arguments) and all(map(_number, value))
+    return True
+
+
+def _strings(value) -> bool:
+    return isinstance(value, tuple) and all(isinstance(item, str) for item in value)
+
+
+def _number(value) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
+
+
+def _check_values(plan: Plan, path) -> None:
+    if not plan.dataset.replace("_", "").replace("-", "").isalnum():
+        raise BadInput(f"{path}: dataset = {plan.dataset!r}; use letters, digits, - and _ only, it names a folder")
+    if plan.presses < 1:
+        raise BadInput(f"{path}: presses = {plan.presses}; give at least 1")
+    if plan.gel != Gel().name:
+        raise BadInput(f"{path}: gel = {plan.gel!r} is unknown; known: {Gel().name}")
+    try:
+        start_time(plan)
+    except ValueError as error:
+        raise BadInput(f"{path}: start_utc = {plan.start_utc!r} is no time; write 2026-01-12T09:00:00Z") from error
+    truth = plan.truth
+    if not (truth.c10_mpa > 0 and 0.0 < truth.nu < 0.5 and truth.friction >= 0):
+        raise BadInput(f"{path}: [truth] needs c10_mpa > 0, 0 < nu < 0.5, friction >= 0; seen {truth}")
+    for name in ("compliance_mm_per_n", "shear_compliance_mm_per_n", "touch_scatter_mm", "force_noise_n", "cnc_um"):
+        if getattr(truth, name) < 0:
+            raise BadInput(f"{path}: [truth] {name} = {getattr(truth, name)} must not be negative")
+    for k, kind in enumerate(plan.kinds, 1):
+        _check_kind(kind, Gel(), f"{path}: [[kind]] {k}")
+
+
+def _check_kind(kind: Kind, gel: Gel, where: str) -> None:
+    if not kind.indenters or not kind.sensors:
+        raise BadInput(f"{where}: indenters and sensors must each name at least one")
+    if kind.weight <= 0 or kind.max_force_n <= 0:
+        raise BadInput(f"{where}: weight {kind.weight} and max_force_n {kind.max_force_n} must be above 0")
+    for name in ("x_mm", "y_mm", "depth_mm", "shear", "rot_deg"):
+        low, high = getattr(kind, name)
+        if low > high:
+            raise BadInput(f"{where}: {name} = [{low}, {high}] runs backwards; write [low, high]")
+    if kind.depth_mm[0] <= 0 or kind.shear[0] < 0:
+        raise BadInput(f"{where}: depth_mm {kind.depth_mm} must start above 0 and shear {kind.shear} at 0 or above")
+    deepest = DEEPEST * gel.height
+    if kind.depth_mm[1] > deepest:
+        raise BadInput(
+            f"{where}: depth_mm reaches {kind.depth_mm[1]} mm; the gel is {gel.height} mm thick and a press may take "
+            f"{deepest:.2f} mm of it, so lower the range"
+        )
+    slide = kind.shear[1] * kind.depth_mm[1]
+    for name, half in (("x_mm", gel.width / 2), ("y_mm", gel.length / 2)):
+        reach = max(abs(kind.__dict__[name][0]), abs(kind.__dict__[name][1])) + slide
+        if reach > half - EDGE:
+            raise BadInput(
+                f"{where}: {name} = {list(getattr(kind, name))} with {slide:.2f} mm of shear reaches {reach:.2f} mm, "
+                f"but the tip must stay within {half - EDGE:.2f} mm of the gel's centre; narrow the range"
+            )
+
+
+def check_names(plan: Plan, indenters, sensors, looks, path) -> None:
+    """Refuse a plan that names indenters, sensors or looks nobody defined."""
+    units = [*plan.sensors, *plan.held_out_sensors]
+    for what, asked, known, where in (
+        ("indenter", plan.indenters, indenters, plan.catalogue),
+        ("sensor", units, sensors, "workflow/sensors.toml"),
+        ("sensor's look", units, looks, "workflow/rig/sensors.toml"),
+    ):
+        unknown = [name for name in dict.fromkeys(asked) if name not in known]
+        if unknown:
+            raise BadInput(f"{path}: unknown {what} {', '.join(unknown)}; {where} has {', '.join(sorted(known))}")
+
+
+def start_time(plan: Plan) -> datetime:
+    """Time of the first press."""
+    return datetime.strptime(plan.start_utc, "%Y-%m-%dT%H:%M:%SZ")
+
+
+def kind_of(plan: Plan, presses: int) -> tuple[np.ndarray, np.ndarray]:
+    """Kind of each press and its number within that kind, two arrays (presses,).
+
+    Always the kind that is furthest behind its share, so the answer for a press does not depend on
+    how many follow.
+    """
+    weight = np.array([kind.weight for kind in plan.kinds])
+    share = weight / weight.sum()
+    count = np.zeros(len(share), int)
+    kinds, numbers = np.empty(presses, int), np.empty(presses, int)
+    for i in range(presses):
+        k = int(np.argmax(np.round(share * (i + 1) - count, 9)))
+        kinds[i], numbers[i] = k, count[k]
+        count[k] += 1
+    return kinds, numbers
+
+
+def generator(plan: Plan, index: int, purpose: int) -> np.random.Generator:
+    """Randomness of one press, independent of all others; `purpose` keeps order, bench and cameras apart."""
+    return np.random.default_rng([plan.seed, index, purpose])
+
+
+def orders(plan: Plan) -> list[Order]:
+    """Every order of the plan in the order of the log; those of one press stand side by side."""
+    kinds, numbers = kind_of(plan, plan.presses)
+    return [
+        order
+        for i, (k, n) in enumerate(zip(kinds, numbers, strict=True))
+        for order in _orders_of_press(plan, i, plan.kinds[k], int(n))
+    ]
+
+
+def _orders_of_press(plan: Plan, index: int, kind: Kind, number: int) -> list[Order]:
+    order = _order(plan, index, kind, number)
+    if not kind.each_sensor:
+        return [order]
+    return [
+        replace(order, sample_id=f"{order.press_id}-{unit + 1}", sensor=sensor, unit=unit)
+        for unit, sensor in enumerate(kind.sensors)
+    ]
+
+
+def _order(plan: Plan, index: int, kind: Kind, number: int) -> Order:
+    rng = generator(plan, index, 0)
+    depth, share, heading = rng.uniform(*kind.depth_mm), rng.uniform(*kind.shear), rng.uniform(0.0, 2 * np.pi)
+    time = start_time(plan) + timedelta(seconds=round(index * plan.seconds_per_press, 3))
+    return Order(
+        index=index,
+        sample_id=f"{plan.dataset}-{index:06d}",
+        time_utc=time.strftime("%Y-%m-%dT%H:%M:%SZ"),
+        sensor=kind.sensors[int(rng.integers(len(kind.sensors)))],
+        indenter=kind.indenters[number % len(kind.indenters)],
+        x=rng.uniform(*kind.x_mm),
+        y=rng.uniform(*kind.y_mm),
+        depth=depth,
+        shear=(share * depth * np.cos(heading), share * depth * np.sin(heading)),
+        rot_deg=rng.uniform(*kind.rot_deg),
+        max_force_n=kind.max_force_n,
+        press_id=f"{plan.dataset}-{index:06d}",
+    )

@@ -1,0 +1,159 @@
+"""data/DATASET as a bench writes it, row by row, and the truth beside it that only the rig's checks read."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from gelforge.errors import BadInput, GelforgeError
+from gelforge.flow.files import publish, read_csv, read_json, write_csv, write_json, write_text
+from gelforge.records.log import COLUMNS, FORCES, POSE
+from gelforge.virtualrig.bench import Pressing
+from gelforge.virtualrig.rigplan import Order, Plan
+
+TRUTH_COLUMNS = ("sample_id", "status", *POSE, *FORCES, "newton_iterations", "load_steps")
+
+
+class Dataset:
+    """One dataset folder that grows press by press; every file in it is whole at any time."""
+
+    def __init__(self, folder, plan: Plan):
+        self.folder, self.plan = Path(folder), plan
+        self.log_path, self.truth_path = self.folder / "log.csv", self.folder / "truth" / "presses.csv"
+        self.log = self._rows(self.log_path)
+        self.truth = self._rows(self.truth_path)
+
+    def _rows(self, path) -> dict[str, dict]:
+        return {row["sample_id"]: row for row in read_csv(path)} if path.exists() else {}
+
+    def check_same_plan(self) -> None:
+        """Refuse to mix two plans in one folder; more presses of the same plan are welcome."""
+        stored = self.folder / "truth" / "truth.json"
+        if not stored.exists():
+            if self.log:
+                raise BadInput(
+                    f"{self.log_path} was not written by the virtual rig; choose another `dataset` in the plan"
+                )
+            return
+        if read_json(stored)["plan"] != self.plan.identity():
+            raise BadInput(
+                f"{self.folder}: was written by another plan (only `presses` may change); "
+                "name another `dataset` in the plan or remove the folder"
+            )
+
+    def begin(self) -> None:
+        """Write what does not depend on the presses."""
+        truth = {"truth": asdict(self.plan.truth), "plan": self.plan.identity()}
+        write_json(self.folder / "truth" / "truth.json", truth)
+        description = self.folder / "dataset.toml"
+        if not description.exists():
+            write_text(description, describe(self.plan))
+
+    def missing(self, orders: list[Order]) -> list[Order]:
+        """Orders that are not yet carried out, or whose image is gone."""
+        return [order for order in orders if not self._done(order)]
+
+    def _done(self, order: Order) -> bool:
+        row = self.truth.get(order.sample_id)
+        if row is None:
+            return False
+        if order.sample_id not in self.log:
+            return row["status"] not in ("OK", "NO_CONTACT")
+        return (self.folder / image_name(order)).is_file()
+
+    def solved(self, order: Order) -> bool:
+        """Whether all but the picture of an order is there."""
+        return order.sample_id in self.log and (self.folder / surface_name(order)).is_file()
+
+    def add(self, rows: list[tuple[Order, dict | None, dict]]) -> None:
+        """Publish one press, (order, row of the log or None, row of the truth) of each sensor that saw it.
+
+        The truth comes first, then the rows that make it count.
+        """
+        self.truth |= {order.sample_id: truth for order, _, truth in rows}
+        write_csv(self.truth_path, TRUTH_COLUMNS, _ordered(self.truth))
+        self.log |= {order.sample_id: log for order, log, _ in rows if log is not None}
+        write_csv(self.log_path, COLUMNS, _ordered(self.log))
+
+
+def _ordered(rows: dict[str, dict]) -> list[dict]:
+    return [rows[name] for name in sorted(rows)]
+
+
+def image_name(order: Order) -> str:
+    """Path of a press's image below the dataset's folder."""
+    return f"images/{order.sample_id}.png"
+
+
+def surface_name(order: Order) -> str:
+    """Path of a press's surface below the dataset's folder: from it its pictures can be drawn again."""
+    return f"truth/surfaces/{order.press_id}.npz"
+
+
+def save_image(path, image: np.ndarray) -> None:
+    """Write an RGB image as PNG, whole or not at all."""
+    with publish(path) as part:
+        if not cv2.imwrite(str(part), image[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9]):
+            raise GelforgeError(f"{path}: the image could not be written; is the disk full?")
+
+
+def log_row(pressing: Pressing, gel_id: str) -> dict:
+    """The bench's row: what it was told to do and what its load cell read."""
+    order, log = pressing.order, pressing.log
+    values = [
+        log.x0,
+        log.y0,
+        log.z0,
+        log.dx,
+        log.dy,
+        log.dz,
+        log.rot_deg,
+        *pressing.read_force,
+        *pressing.read_moment,
+    ]
+    names = [order.sample_id, order.time_utc, order.sensor, gel_id, order.indenter]
+    return dict(zip(COLUMNS, [*names, *_digits(values), image_name(order)], strict=True))
+
+
+def truth_row(pressing: Pressing) -> dict:
+    """What the press really was."""
+    real, evidence = pressing.real, pressing.result.evidence
+    values = [real.x0, real.y0, real.z0, real.dx, real.dy, real.dz, real.rot_deg, *pressing.force, *pressing.moment]
+    cost = [evidence["newton_iterations"], evidence["load_steps"]]
+    row = [pressing.order.sample_id, pressing.result.status.name, *_digits(values), *cost]
+    return dict(zip(TRUTH_COLUMNS, row, strict=True))
+
+
+def _digits(values) -> list[str]:
+    """Lengths to 0.1 micrometre, forces to 0.1 mN, moments to 1 mN mm; never a negative zero."""
+    places = [4] * 10 + [6] * 3
+    return [
+        f"{value + 0.0:.{place}f}".replace("-0." + "0" * place, "0." + "0" * place)
+        for value, place in zip(values, places, strict=True)
+    ]
+
+
+def describe(plan: Plan) -> str:
+    """Text of dataset.toml."""
+    lines = [
+        f"# Written by the virtual rig from plan `{plan.dataset}`, seed {plan.seed}.",
+        f'sensor = "{plan.sensors[0]}"  # of rows that name none',
+        f'gel = "{plan.gel}"',
+        f'catalogue = "{plan.catalogue}"',
+    ]
+    params = dict(plan.params)
+    if plan.held_out_sensors:
+        params["dataset"] = {"unseen_sensors": list(plan.held_out_sensors)} | params.get("dataset", {})
+    return "\n".join(lines + _tables("params", params)) + "\n"
+
+
+def _tables(name: str, table: dict) -> list[str]:
+    """Lines of a TOML table of numbers, texts and lists of them, which TOML and JSON write alike, and its subtables."""
+    own = [f"{key} = {json.dumps(value)}" for key, value in table.items() if not isinstance(value, dict)]
+    lines = ["", f"[{name}]", *own] if own else []
+    for key, value in table.items():
+        if isinstance(value, dict):
+            lines += _tables(f"{name}.{key}", value)
+    return lines

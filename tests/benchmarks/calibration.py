@@ -1,0 +1,316 @@
+"""What calibration promises: four real points, truth recovered, the demo's hidden C10, and time.
+
+Parts `points`, `demo` and `coverage` are kept beside the figures and made again only where code, parameters or data
+changed: `--only PART` makes one of them, without it all are made and the figures written. The synthetic calibrations
+of `coverage` are kept as they come, so a stopped run goes on.
+"""
+
+import argparse
+import resource
+import subprocess
+import sys
+import time
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.calibration.emulator import Emulator
+from gelforge.calibration.floor import least_error
+from gelforge.calibration.parameters import LAWS, make_model
+from gelforge.calibration.posterior import Posterior
+from gelforge.calibration.readings import Readings, read_readings
+from gelforge.calibration.sampling import fingerprint, sample
+from gelforge.calibration.solves import SOLVER_VERSION, SolveCache, build_emulator, make_plan, solve_all
+from gelforge.calibration.summary import describe
+from gelforge.errors import SolveFailed
+from gelforge.flow import params as config
+from gelforge.flow.files import read_json, write_json
+from gelforge.flow.progress import progress
+from gelforge.geometry.indenters import load_catalogue
+from gelforge.mechanics.hex.solver import HexSettings
+from gelforge.stages import calibrate as stage
+from tests.benchmarks.figures import Figure, publish_figures, table
+
+NU = 0.475
+PARTS = ("points", "demo", "coverage")
+RIG_MUS = (0.0, 0.3, 0.8, np.inf)
+# Indenter, place, turn, sideways travel, depths: round and flat, straight, and one with shear three times, as a first
+# session at a new bench would have it.
+DESIGN = (
+    ("sphere_15", (0.0, 0.0), 0.0, (0.0, 0.0), (0.4, 0.7, 1.0, 1.3, 1.6, 1.9)),
+    ("cuboid_10", (1.0, 1.5), 20.0, (0.0, 0.0), (0.3, 0.5, 0.7, 0.9, 1.1)),
+    ("sphere_10", (-1.5, 2.0), 0.0, (0.3, 0.1), (1.2, 1.2, 1.2)),
+)
+
+
+def design() -> Readings:
+    """The presses of a synthetic session, forces still unknown."""
+    rows = [(name, [*at, 0.0, *slide, -d, turn]) for name, at, turn, slide, depths in DESIGN for d in depths]
+    n = len(rows)
+    names, poses = np.array([name for name, _ in rows]), np.array([pose for _, pose in rows])
+    ids = np.array([f"synthetic-{i:02d}" for i in range(n)])
+    return Readings("synthetic", np.arange(2, n + 2), ids, names, poses, np.full((n, 3), np.nan))
+
+
+def rig_meshes() -> list[HexSettings]:
+    """Bricks of the benches that the truths are read at, coarse to fine, the virtual rig's own among them.
+
+    A mesh's error is the same in every reading taken with it. The posterior allows for such errors, so truths must
+    come from many meshes: from one alone, intervals hold them too often or too seldom.
+    """
+    from gelforge.mechanics.hex.solver import QUALITIES
+    from gelforge.virtualrig.bench import SETTINGS
+
+    middle = replace(QUALITIES["demo"], size=0.6, layers=5, gauss=3)
+    meshes = [QUALITIES["demo"], SETTINGS, middle, QUALITIES["draft"], QUALITIES["label"]]
+    return [replace(mesh, press_steps=10, shear_steps=3) for mesh in meshes]
+
+
+def rig_emulator(readings: Readings, catalogue, params: dict, mesh: HexSettings, folder: Path, jobs: int) -> Emulator:
+    """The rig's forces on one mesh, at four friction coefficients."""
+    cache = SolveCache(folder, catalogue, mesh)
+    plan = make_plan(readings, params["reach_mm"], (1.0, 0.7))
+    failed = solve_all(plan, cache, RIG_MUS, [NU], jobs)
+    if failed:
+        raise SolveFailed(f"the rig's own solves failed: {failed}")
+    return build_emulator(plan, cache, RIG_MUS, [NU])
+
+
+def draw_truths(model, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Coordinates (count, free) over the priors, Latin hypercube: every parameter's range is covered evenly.
+
+    The factor that stands for the emulator's mesh is not drawn: the meshes really differ. An indenter's own factor
+    is: it stands for its print too, which no mesh has.
+    """
+    columns = []
+    for name, prior in model.free.items():
+        u = (rng.permutation(count) + rng.random(count)) / count
+        if name == "discretisation":
+            u[:] = 0.5
+        columns.append(prior.quantile(u))
+    return np.stack(columns, axis=1)
+
+
+def read_forces(rig: Emulator, readings: Readings, model, truth, rng) -> np.ndarray:
+    """One reading of every press (n, 3) N: each touches with its own scatter, the load cell adds noise."""
+    values = model.values(truth)
+    depth = readings.depth + values["scatter"][0] * rng.standard_normal(len(readings))
+    forces = rig.forces(depth, values)[0][0]
+    return forces + values["noise"][0] * rng.standard_normal(forces.shape)
+
+
+def recover(task) -> dict:
+    """One synthetic calibration; task: (posterior, rules, true C10)."""
+    posterior, rules, truth = task
+    chain = sample(posterior, rules)
+    return {"truth": truth, **describe(posterior.model.values(chain.flat())["c10"])}
+
+
+def all_emulators(params: dict, folder: Path, jobs: int) -> tuple[Readings, Emulator, list[Emulator]]:
+    """The design's readings with the emulator of the stage and those of the rig."""
+    readings = design()
+    catalogue = load_catalogue("workflow/indenters.toml", sorted(set(readings.indenters.tolist())))
+    readings, own, _ = stage.emulate(readings, catalogue, params, NU, folder / "solves", jobs)
+    rigs = [rig_emulator(readings, catalogue, params, mesh, folder / "rig", jobs) for mesh in rig_meshes()]
+    return readings, own, rigs
+
+
+def synthetic_tasks(params: dict, folder: Path, jobs: int, count: int) -> list:
+    """Tasks of `recover` for truths drawn from the priors."""
+    readings, own, rigs = all_emulators(params, folder, jobs)
+    priors = {**params["priors"], "nu": {"fixed": NU, **params["priors"]["nu"]}}
+    model = make_model({**params, "priors": priors}, "coulomb", (), np.unique(readings.indenters).tolist())
+    rng = np.random.default_rng(2026)
+    tasks = []
+    for k, truth in enumerate(draw_truths(model, count, rng)):
+        force = read_forces(rigs[k % len(rigs)], readings, model, truth, rng)
+        observed = stage.served(replace(readings, force=force), params)
+        rules = replace(stage.sampling_rules(params), seed=k)
+        c10 = float(model.values(truth)["c10"][0])
+        tasks.append((Posterior(own, model, readings.depth, observed, params["tail"]), rules, c10))
+    return tasks
+
+
+def coverage(params: dict, folder: Path, jobs: int, count: int, key: str) -> list[dict]:
+    """Synthetic calibrations of truths drawn from the priors; those kept under `key` are not made again."""
+    tasks = synthetic_tasks(params, folder, jobs, count)
+    runs = kept(folder / "runs.json", key, [])
+    with ProcessPoolExecutor(jobs) as pool:
+        done = pool.map(recover, tasks[len(runs) :])
+        for run in progress(done, "synthetic calibrations", count - len(runs)):
+            runs.append(run)
+            write_json(folder / "runs.json", {"key": key, "content": runs})
+    return runs
+
+
+def coverage_figures(runs: list[dict]) -> list[Figure]:
+    """How often the intervals hold the truth, as the four bounds that were asked for."""
+    held = {n: sum(r[n][0] <= r["truth"] <= r[n][1] for r in runs) for n in ("interval68", "interval95")}
+    error = np.array([abs(r["median"] / r["truth"] - 1) for r in runs])
+    width = np.array([(r["interval68"][1] - r["interval68"][0]) / 2 / r["median"] for r in runs])
+    note = (
+        f"{len(runs)} truths; half width {100 * np.median(width):.1f} %, median error {100 * np.median(error):.1f} %"
+    )
+    return [
+        Figure("68 % interval holds the truth, at least", held["interval68"], ">=", 60, "of 100", note),
+        Figure("68 % interval holds the truth, at most", held["interval68"], "<=", 76, "of 100"),
+        Figure("95 % interval holds the truth, at least", held["interval95"], ">=", 89, "of 100"),
+        Figure("95 % interval holds the truth, at most", held["interval95"], "<=", 99, "of 100"),
+    ]
+
+
+def timed_run(args: list[str]) -> tuple[float, float]:
+    """Run the stage as a process of its own; seconds of wall and of processor time, its workers' included."""
+    before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    command = [sys.executable, "-m", "gelforge.stages.calibrate", *args]
+    asked = subprocess.run(command, check=False, capture_output=True, text=True)
+    if asked.returncode:
+        raise SolveFailed(f"gelforge.stages.calibrate {' '.join(args)}: {asked.stderr[-2000:]}")
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return time.perf_counter() - start, spent
+
+
+def run_stage(dataset: str, folder: Path, jobs: int) -> tuple[dict, list[Figure]]:
+    """Calibrate a dataset as make would; return the summary and the figures of a second run, on cached solves.
+
+    Solves are those of make calibrate, found or made; chain, plots and summary stay in `folder`.
+    """
+    work = folder / dataset
+    params = config.load_params("workflow", Path("data") / dataset / "dataset.toml")
+    write_json(work / "params.json", config.cut_slice(params, "calibrate", stage.VERSION))
+    places = {
+        "--data": Path("data") / dataset,
+        "--poses": Path("results") / dataset / "10_poses",
+        "--shards": Path("results") / dataset / "00_plan" / "shards",
+        "--params": work / "params.json",
+        "--work": work,
+        "--solves": solves_of(dataset),
+        "--out": work / "summary.json",
+    }
+    args = [str(part) for pair in places.items() for part in pair] + ["--jobs", str(jobs)]
+    timed_run(args)
+    (work / "chain.npz").unlink()
+    wall, spent = timed_run(args)
+    found = read_json(work / "summary.json")
+    note = f"{found['presses']} presses, {found['solves_spent']['total']} solves, {len(found['models'])} models"
+    return found, [
+        Figure(f"{dataset}, calibration on cached solves", wall, "<=", 60, "s", f"wall, as loaded as it was; {note}"),
+        Figure(f"{dataset}, the same, processor time of each process", spent / jobs, "<=", 60, "s",
+               f"{jobs} processes, {spent:.0f} s together"),
+    ]  # fmt: skip
+
+
+def solves_of(dataset: str) -> Path:
+    return Path("results") / dataset / "calibrate" / "solves"
+
+
+def floors(dataset: str, jobs: int) -> dict:
+    """Least mean absolute error of any parameters, priors aside, per interface law; see calibration.floor."""
+    params = config.load_params("workflow", Path("data") / dataset / "dataset.toml")["calibrate"]
+    readings = read_readings(Path("data") / dataset / "log.csv")
+    catalogue = load_catalogue("workflow/indenters.toml", sorted(set(readings.indenters.tolist())))
+    readings, emulator, _ = stage.emulate(readings, catalogue, params, NU, solves_of(dataset), jobs)
+    params = {**params, "priors": {**params["priors"], "nu": {"fixed": NU, **params["priors"]["nu"]}}}
+    observed = stage.served(readings, params)
+    return {
+        law: least_error(Posterior(emulator, make_model(params, law), readings.depth, observed, params["tail"])).error
+        for law in LAWS
+    }
+
+
+def four_point_figures(folder: Path, jobs: int) -> list[Figure]:
+    """The real sphere."""
+    found, seconds = run_stage("feats_sphere15", folder, jobs)
+    c10, laws = found["c10"], {k: v for k, v in found["solves_spent"].items() if k in LAWS}
+    best = min(m["predictive_mae_n"]["fz"] for m in found["models"])
+    least = floors("feats_sphere15", jobs)
+    low, high = c10["interval95"]
+    fewest, said = min(least.values()), ", ".join(f"{law} {error:.3f}" for law, error in least.items())
+    return [
+        Figure("four real points, predictive mean at these presses", found["own_touch_mae_n"]["fz"], "<=", 0.05, "N",
+               "each keeps its error of touch, of micrometres, inferred with the rest; the paper: 0.5166"),
+        Figure("four real points, predictive mean of a press repeated", found["predictive_mae_n"]["fz"], "<=", 0.05,
+               "N", f"a new error of touch; best of all models {best:.3f}; parameters chosen for it {fewest:.3f}"),
+        Figure("the least that any parameters leave, stated without a goal", fewest, ">=", 0.0, "N",
+               f"C10, offset and compliance free, no priors: {said}"),
+        Figure("solves per interface law, most", max(laws.values()), "<=", 12, "", str(laws)),
+        Figure("C10 from the four points, stated without a goal", c10["median"], ">=", 0.0, "MPa",
+               f"95 %: {low:.4f} to {high:.4f}"),
+        *seconds,
+    ]  # fmt: skip
+
+
+def demo_figures(folder: Path, jobs: int) -> list[Figure]:
+    """The rig's hidden C10."""
+    truth = read_json("data/demo/truth/truth.json")["truth"]["c10_mpa"]
+    found, seconds = run_stage("demo", folder, jobs)
+    c10 = found["c10"]
+    low, high = c10["interval95"]
+    return [
+        Figure("demo, hidden C10 inside the 95 % interval", float(low <= truth <= high), "==", 1, "",
+               f"{low:.4f} to {high:.4f}, truth {truth:.4f} MPa"),
+        Figure("demo, median off the hidden C10", 100 * abs(c10["median"] / truth - 1), "<=", 3, "%",
+               f"median {c10['median']:.4f} MPa"),
+        *seconds,
+    ]  # fmt: skip
+
+
+def part_key(part: str, count: int) -> str:
+    """Name of everything that the figures of a part depend on: code, parameters, data."""
+    here = Path(stage.__file__).parent.parent
+    files = (Path(__file__), here / "stages" / "calibrate.py", *sorted(here.glob("calibration/*.py")))
+    code = [file.read_text() for file in files]
+    parameters = config.load_params("workflow")
+    tables = [parameters["calibrate"], parameters["material"]]
+    if part == "coverage":
+        return fingerprint(code, tables, SOLVER_VERSION, count)
+    data = Path("data") / {"points": "feats_sphere15", "demo": "demo"}[part]
+    facts = [(data / name).read_text() for name in ("log.csv", "dataset.toml")]
+    return fingerprint(code, tables, SOLVER_VERSION, facts)
+
+
+def kept(path: Path, key: str, default):
+    """What lies at `path` where it was kept under this key."""
+    found = read_json(path) if path.exists() else None
+    return found["content"] if isinstance(found, dict) and found.get("key") == key else default
+
+
+def figures_of(part: str, folder: Path, jobs: int, count: int) -> list[Figure]:
+    """Figures of a part, kept or made."""
+    key = part_key(part, count)
+    made = kept(folder / f"{part}.json", key, None)
+    if made is not None:
+        return [Figure(**figure) for figure in made]
+    if part == "coverage":
+        figures = coverage_figures(coverage(config.load_params("workflow")["calibrate"], folder, jobs, count, key))
+    else:
+        figures = {"points": four_point_figures, "demo": demo_figures}[part](folder, jobs)
+    content = [{**asdict(figure), "value": float(figure.value)} for figure in figures]
+    write_json(folder / f"{part}.json", {"key": key, "content": content})
+    return figures
+
+
+def main(argv=None) -> int:
+    parser = argparse.ArgumentParser(prog="tests.benchmarks.calibration", description=__doc__)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--count", type=int, default=100, help="synthetic calibrations; fewer only to try it out")
+    parser.add_argument("--only", choices=PARTS, help="make one part; no figures are written")
+    args = parser.parse_args(argv)
+    folder = args.out.parent / "calibration"
+    parts = (args.only,) if args.only else PARTS
+    figures = [figure for part in parts for figure in figures_of(part, folder, args.jobs, args.count)]
+    if args.only:
+        print(table(figures))
+    else:
+        publish_figures(args.out, figures)
+    return 0
+
+
+if __name__ == "__main__":
+    from gelforge.flow.main import exit_with
+
+    exit_with(main)

@@ -1,0 +1,97 @@
+"""How long make needs to find that 15 000 samples over five stages need nothing."""
+
+import argparse
+import shutil
+import tempfile
+import time
+from pathlib import Path
+
+from gelforge.flow.files import read_csv, write_csv
+from tests.benchmarks.figures import Figure, publish_figures
+from tests.benchmarks.sandbox import link_project, make
+
+SAMPLES = 15_000
+REPEATS = 5
+LOG_COLUMNS = (
+    "sample_id time_utc sensor_id gel_id indenter x0_mm y0_mm z0_mm dx_mm dy_mm dz_mm rot_deg "
+    "fx_n fy_n fz_n mx_nm my_nm mz_nm image"
+).split()
+FEA_COLUMNS = ["sample_id", "status", "reason", "fidelity", "mesh", "file"]
+
+
+def write_manifest(project: Path, root: Path) -> None:
+    """A raw log of SAMPLES rows."""
+    data = project / "data" / "synthetic"
+    numbers = dict.fromkeys((c for c in LOG_COLUMNS if c.endswith(("_mm", "_deg", "_n", "_nm"))), "0.5")
+    rows = [
+        {
+            **numbers,
+            "sample_id": f"s{k:05d}",
+            "time_utc": "",
+            "sensor_id": "reference",
+            "gel_id": "g1",
+            "indenter": "sphere_15",
+            "image": f"images/s{k:05d}.png",
+        }
+        for k in range(SAMPLES)
+    ]
+    write_csv(data / "log.csv", LOG_COLUMNS, rows)
+    shutil.copy(root / "data" / "demo" / "dataset.toml", data)
+
+
+def timed_make(project: Path, *goals: str) -> float:
+    """Run make in the synthetic project; return its seconds."""
+    start = time.perf_counter()
+    done = make(project, "DATASET=synthetic", *goals)
+    seconds = time.perf_counter() - start
+    if done.returncode:
+        raise RuntimeError(f"make {' '.join(goals)} failed:\n{done.stdout[-2000:]}")
+    return seconds
+
+
+def fill(project: Path) -> int:
+    """Give every shard the tables that status reads; return the number of shards."""
+    results = project / "results" / "synthetic"
+    shards = sorted((results / "00_plan" / "shards").glob("*.csv"))
+    for folder in ("10_poses", "20_meshes", "30_fea", "40_forces", "50_labels/24x32"):
+        (results / folder).mkdir(parents=True, exist_ok=True)
+    for shard in shards:
+        ids = [row["sample_id"] for row in read_csv(shard)]
+        poses = [{"sample_id": i, "sensor_id": "reference", "indenter": "sphere_15"} for i in ids]
+        write_csv(results / "10_poses" / shard.name, ["sample_id", "sensor_id", "indenter"], poses)
+        fea = [{"sample_id": i, "status": "OK", "fidelity": "ccx", "mesh": "ccx-centre"} for i in ids]
+        write_csv(results / "30_fea" / shard.name, FEA_COLUMNS, fea)
+    return len(shards)
+
+
+def measure(root: Path) -> list[Figure]:
+    """Build the manifest, mark it made, and time make and status with nothing to do."""
+    with tempfile.TemporaryDirectory() as folder:
+        project = link_project(root, Path(folder) / "project")
+        write_manifest(project, root)
+        timed_make(project, "-n", "labels")  # reads the plan in, so that shards exist
+        shards = fill(project)
+        timed_make(project, "-t", "labels")
+        if make(project, "-q", "DATASET=synthetic", "labels").returncode:
+            raise RuntimeError("the synthetic manifest is not up to date after make -t; the benchmark would lie")
+        noop = min(timed_make(project, "labels") for _ in range(REPEATS))
+        status = min(timed_make(project, "status") for _ in range(REPEATS))
+    note = f"{SAMPLES} samples, {shards} shards, 5 stages; best of {REPEATS}"
+    return [
+        Figure("no-op make", noop, "<=", 0.5, "s", note),
+        Figure("no-op make status", status, "<=", 0.5, "s", note),
+    ]
+
+
+def main(argv=None) -> int:
+    parser = argparse.ArgumentParser(prog="tests.benchmarks.dag", description=__doc__)
+    parser.add_argument("--out", type=Path, required=True)
+    args = parser.parse_args(argv)
+    publish_figures(args.out, measure(Path.cwd()))
+    return 0
+
+
+if __name__ == "__main__":
+    from gelforge.flow.main import exit_with
+
+    exit_with(main)

@@ -1,0 +1,356 @@
+"""What the fea stage promises: speed and error against FEATS' deck, errors over all scenes, validity, balance.
+
+Everything costly is kept below --work and resumed, so that it may run in the background for hours: first
+`--only deck`, `--only scenes`, `--only envelope`, then all of it for the figures. Seconds are processor seconds
+of one thread, so that other work on the machine does not enter the ratios.
+"""
+
+import argparse
+import hashlib
+import os
+import shutil
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.flow import params as config
+from gelforge.flow.files import read_json, write_json
+from gelforge.flow.params import canonical
+from gelforge.flow.progress import progress
+from gelforge.geometry.gel import Gel, load_gel
+from gelforge.geometry.indenters import build, load_catalogue
+from gelforge.labelling.sensor import load_sensors
+from gelforge.mechanics.ccx.program import need_ccx, run_ccx
+from gelforge.mechanics.scene import Interface, Material, Press, Scene
+from gelforge.records.status import Status
+from gelforge.stages import pareto as branch
+from gelforge.sweeps import references as meshes
+from gelforge.sweeps.deviation import errors
+from gelforge.sweeps.isolate import Clock, isolated, peak_mib
+from gelforge.sweeps.methods import REFERENCE, Method, prepare, quality_method
+from gelforge.sweeps.scenes import NamedScene, parse_scene, read_tables
+from gelforge.sweeps.trial import (
+    Bench,
+    ensure_meshes,
+    kept,
+    load_bench,
+    measure,
+    solve_isolated,
+    without_bricks,
+)
+from tests.benchmarks.figures import Figure, publish_figures
+
+SPEED = {1.0: ("sphere_1mm", 15.0), 2.0: ("sphere_2mm", 30.0)}  # depth of FEATS' deck: scene, times faster
+METHODS = (quality_method("demo"), quality_method("draft"), Method("hex-label", "hex"), Method("ccx-label", "ccx"),
+           Method(REFERENCE, REFERENCE))  # fmt: skip
+ENVELOPE = 200
+HELD_TOTAL, HELD_CELLS = 0.5, 2.0  # % that halving the reference may move it
+PARTS = ("deck", "scenes", "envelope", "laws")
+
+
+# -- FEATS' own deck
+
+
+def deck_folder(reference: Path, folder: Path, depth: float) -> str:
+    """Lay FEATS' deck out in `folder` for one depth (mm); returns the job's name."""
+    source = reference / "feats" / "deck"
+    if not (source / "sim.inp").exists():
+        raise BadInput(f"{source}: FEATS' deck is not there; set GELFORGE_REFERENCE to the reference data's folder")
+    shutil.copytree(source, folder / "template", dirs_exist_ok=True)
+    shutil.copy(source / "materials.inp", folder)
+    text = (source / "sim.inp").read_text()
+    push = "NindenterFixed,3,,-2."
+    if text.count(push) != 1:
+        raise BadInput(f"{source}/sim.inp: the line {push} that sets its depth is not there once")
+    (folder / "sim.inp").write_text(text.replace(push, f"NindenterFixed,3,,-{depth:g}"))
+    return "sim"
+
+
+def deck_force(text: str) -> float:
+    """Normal force on the gel's base, N, from the totals of the deck's .dat."""
+    totals = [lines for lines in text.split("total force")[1:] if "NGELSIGHT_MINIFIXED" in lines[:200].upper()]
+    if not totals:
+        raise BadInput("FEATS' deck printed no total force on the gel's base; look at its log")
+    numbers = [line.split() for line in totals[-1].splitlines()[1:] if len(line.split()) == 3]
+    return float(numbers[0][2])
+
+
+def run_deck(reference: Path, work: Path, depth: float, limit_s: float = 36000.0) -> dict:
+    """Seconds and force of FEATS' deck at one depth, kept."""
+    path, key = work / f"deck-{depth:g}.json", hashlib.sha256(f"1 {depth}".encode()).hexdigest()
+    record = kept(path, key)
+    if record is None:
+        folder = work / f"deck-{depth:g}"
+
+        def child():
+            name = deck_folder(reference, folder, depth)
+            with Clock() as clock:
+                job = run_ccx(name, folder, limit_s)
+            if job.returncode:
+                raise BadInput(f"FEATS' deck at {depth:g} mm: {job.reason()}")
+            force = deck_force((folder / f"{name}.dat").read_text(errors="replace"))
+            return {"status": "OK", "seconds": clock.seconds, "cpu_seconds": clock.cpu_seconds, "fz": force,
+                    "iterations": job.iterations, "peak_mib": peak_mib()}  # fmt: skip
+
+        folder.mkdir(parents=True, exist_ok=True)
+        record = {"key": key, "depth": depth} | isolated(child, limit_s)
+        shutil.rmtree(folder, ignore_errors=True)
+        if record["status"] != "OK":
+            raise BadInput(f"FEATS' deck at {depth:g} mm did not finish: {record['reason']}")
+        write_json(path, record)
+        print(f"FEATS' deck at {depth:g} mm: {record}", flush=True)
+    return record
+
+
+# -- the named scenes
+
+
+def solve_scenes(bench: Bench, scenes: dict[str, NamedScene]) -> dict[str, dict]:
+    """Records by scene and method, with errors against the reference under "errors"."""
+    fine = [meshes.reference_mesh(bench.params, scene.fine) for scene in scenes.values()]
+    names = list(dict.fromkeys([*meshes.label_meshes(bench.params), *fine]))
+    ensure_meshes(bench, names)
+    found = {}
+    for name, scene in progress(scenes.items(), "scenes", len(scenes)):
+        records = {method.name: measure(bench, scene, method) for method in METHODS}
+        for record in records.values():
+            record["errors"] = errors(record, records[REFERENCE])
+        found[name] = records
+    return found
+
+
+def scene_figures(found: dict, decks: dict) -> list[Figure]:
+    """Speed and error at the deck's depths, worst errors over all scenes, symmetry."""
+    figures = []
+    for depth, (name, goal) in SPEED.items():
+        records, deck = found[name], decks.get(depth)
+        ccx = records["ccx-label"]
+        if deck:
+            note = (f"{deck['cpu_seconds']:.0f} s and {abs(deck['fz']):.3f} N against {ccx['cpu_seconds']:.1f} s and"
+                    f" {-ccx['total'][2]:.3f} N")  # fmt: skip
+            faster = deck["cpu_seconds"] / ccx["cpu_seconds"]
+            figures.append(Figure(f"ccx against FEATS' deck, {depth:g} mm", faster, ">=", goal, "times faster", note))
+        figures += _error_figures(f"ccx, sphere {depth:g} mm", {name: ccx}, 1.0, 5.0)
+    demo = found["sphere_1mm"]["hex-demo-quality"]
+    figures.append(Figure("hex at demo setting, 1.0 mm", demo["cpu_seconds"], "<=", 1.0, "s"))
+    figures.append(Figure("hex at demo setting, total force", 100 * demo["errors"]["total"], "<=", 3.0, "%"))
+    for what, method in (("ccx label setting", "ccx-label"), ("hex label setting", "hex-label")):
+        own = {name: records[method] for name, records in found.items()}
+        figures += _error_figures(f"{what}, worst scene", own, 2.0, 8.0)
+    return [*figures, _symmetry(found), _balance(found)]
+
+
+def _error_figures(what: str, records: dict, total: float, cells: float) -> list[Figure]:
+    """Worst error in total force and per cell, in per cent; a scene without result counts as infinite."""
+    figures = []
+    for kind, goal, label in (("total", total, "total force"), ("cells", cells, "cells")):
+        found = {name: 100 * r["errors"][kind] if r["errors"] else 1e9 for name, r in records.items()}
+        worst = max(found, key=found.get)
+        missed = sorted((n for n in found if found[n] > goal), key=found.get, reverse=True)
+        note = worst if len(records) > 1 else ""
+        if len(missed) > 1:
+            note += f"; above the goal: {', '.join(f'{n} {found[n]:.1f}' for n in missed)}"
+        figures.append(Figure(f"{what}, {label}", found[worst], "<=", goal, "%", note))
+    return figures
+
+
+def _symmetry(found: dict) -> Figure:
+    """Largest sideways force of a sphere pressed straight at the centre."""
+    sideways = {}
+    for name in ("sphere_shallow", "sphere_1mm", "sphere_2mm"):
+        for method, record in found[name].items():
+            fx, fy, fz = record["total"]
+            sideways[f"{name}, {method}"] = 100 * max(abs(fx), abs(fy)) / max(abs(fz), 1e-12)
+    worst = max(sideways, key=sideways.get)
+    return Figure("sphere at the centre, sideways force", sideways[worst], "<=", 0.1, "% of f_z", worst)
+
+
+def _balance(found: dict) -> Figure:
+    """Worst base reaction against contact sum of every valid result."""
+    gaps = {f"{name}, {method}": record["evidence"]["base_mismatch"] for name, records in found.items()
+            for method, record in records.items() if record["status"] == "OK"}  # fmt: skip
+    worst = max(gaps, key=gaps.get)
+    return Figure("base reaction against contact sum", gaps[worst], "<=", 1e-6, "of the force", worst)
+
+
+# -- the paper's envelope
+
+
+def envelope_scene(number: int, catalogue: dict, gel: Gel) -> Scene:
+    """Random scene `number` of the paper's envelope: the same whatever else is solved."""
+    rng = np.random.default_rng([8, number])
+    bodies = [body for body in catalogue.values() if not body.spare]
+    body = bodies[rng.integers(len(bodies))]
+    x, y = rng.uniform(-3, 3), rng.uniform(-5, 5)
+    depth = rng.uniform(0.1, 2.0)
+    size, angle = rng.uniform(0, 0.4) * depth, rng.uniform(0, 2 * np.pi)
+    press = Press(x, y, 0.0, size * np.cos(angle), size * np.sin(angle), -depth, float(rng.uniform(0, 360)))
+    return Scene(gel, Material(), body, press, Interface())
+
+
+def solve_envelope(bench: Bench, catalogue: dict, folder: Path, count: int) -> list[dict]:
+    """Records of the envelope's scenes with `ccx`, kept one by one."""
+    ensure_meshes(bench, meshes.label_meshes(bench.params))
+    gel, method = load_gel(bench.params["meshes"]["gel"]), Method("ccx-label", "ccx")
+    tables = [without_bricks(bench.params["fea"] | {"charted": None}), without_bricks(bench.params["meshes"])]
+    settings = canonical([bench.params["version"], *tables])
+    key = hashlib.sha256(settings.encode()).hexdigest()
+    records, limit = [], bench.params["pareto"]["limit_s"]
+    for number in progress(range(count), "envelope"):
+        path = folder / f"{number:03d}.json"
+        record = kept(path, key)
+        if record is None:
+            scene = envelope_scene(number, catalogue, gel)
+
+            def make(work, scene=scene):
+                return prepare(method, scene, "", bench.meshes, bench.params, work, limit)
+
+            found = solve_isolated(make, None, limit, folder)
+            asked = {"number": number, "indenter": scene.indenter.name, "press": vars(scene.press)}
+            record = {"key": key} | asked | found
+            write_json(path, record)
+            print(f"{number:03d} {scene.indenter.name} {record['status']} {record['reason']}"
+                  f" {record.get('cpu_seconds', 0):.1f} s", flush=True)  # fmt: skip
+        records.append(record)
+    return records
+
+
+def envelope_figures(records: list[dict]) -> list[Figure]:
+    """Share of valid results, of failures with a reason, and how many needed a lower rung."""
+    valid = [r for r in records if r["status"] in ("OK", "NO_CONTACT")]
+    ccx = [r for r in valid if r["evidence"].get("fidelity", "ccx") != "hex"]
+    mute = [r["number"] for r in records if r not in valid and not r["reason"]]
+    seconds = np.median([r["cpu_seconds"] for r in valid]) if valid else np.nan
+    told = ", ".join(f"{r['number']} {r['indenter']} {r['status']}" for r in records if r not in ccx)
+    return [
+        Figure("valid ccx results in the paper's envelope", 100 * len(ccx) / len(records), ">=", 99.0, "%",
+               f"{len(records)} random scenes, median {seconds:.1f} s{'; not: ' + told if told else ''}"),
+        Figure("failures without a reason", len(mute), "==", 0, "scenes"),
+    ]  # fmt: skip
+
+
+# -- laws
+
+
+@dataclass(frozen=True)
+class Block(Gel):
+    """A flat block bonded at its base, mm."""
+
+    name: str = "block"
+    width: float = 6.0
+    length: float = 6.0
+    corner_radius: float = 0.5
+    height: float = 4.0
+
+    def top(self, x, y):
+        return np.zeros(np.broadcast(np.asarray(x), np.asarray(y)).shape)
+
+
+@dataclass(frozen=True)
+class SlideThenPress(Press):
+    """A press that moves `slide` mm sideways above the gel in the first half of its way, then straight down."""
+
+    slide: float = 0.5
+    lift: float = 0.2
+
+    def pose(self, press, shear):
+        rotation, _ = super().pose(0.0, 0.0)
+        down = self.lift if press < 0.5 else self.lift - (press - 0.5) * 2 * (self.lift - self.dz)
+        return rotation, np.array([self.slide * min(2 * press, 1.0) - self.slide, 0.0, down])
+
+
+def block_shear(folder: Path) -> dict[str, float]:
+    """Sideways over normal force by engine, of a plate and of a sphere that slide before they touch."""
+    from gelforge.mechanics.ccx.solver import CcxSolver
+    from gelforge.mechanics.hex.solver import HexSettings, HexSolver
+    from gelforge.mechanics.tet.tetmesh import symmetric_block
+
+    gel = Block()
+    bodies = {"plate": {"kind": "cuboid", "size": [12, 12], "fillet": 0.5, "height": 10},
+              "sphere": {"kind": "sphere", "diameter": 15, "height": 10}}  # fmt: skip
+    tets = CcxSolver(symmetric_block(gel, 1.0, 4), folder)
+    solvers = {"hex": HexSolver(HexSettings(size=0.8, layers=4)), "ccx": tets}
+    found = {}
+    for shape, table in bodies.items():
+        press = SlideThenPress(0.0, 0.0, 0.0, 0.0, 0.0, -0.5)
+        scene = Scene(gel, Material(), build(shape, table), press, Interface())
+        for engine, solver in solvers.items():
+            result = solver.solve(scene)
+            fx, _, fz = result.total
+            # along the slide; a failed solve shows as infinite
+            found[f"{shape}, {engine}"] = abs(fx / fz) if result.status is Status.OK else np.inf
+    return found
+
+
+def law_figures(work: Path) -> list[Figure]:
+    """The frictional block: what moves before it touches leaves no shear."""
+    work.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=work) as folder:
+        found = block_shear(Path(folder))
+    worst = max(found, key=found.get)
+    return [Figure("frictional block, shear of motion before touch", 100 * found[worst], "<=", 0.1, "% of f_z",
+                   f"worst: {worst}; CalculiX' own contact has 94 %")]  # fmt: skip
+
+
+def main(argv=None) -> int:
+    parser = argparse.ArgumentParser(prog="tests.benchmarks.fea", description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)  # fmt: skip
+    parser.add_argument("--workflow", type=Path, default=Path("workflow"))
+    parser.add_argument("--pareto", type=Path, default=Path("results/feats_sphere15/pareto"),
+                        help="branch pareto's folder of a dataset that overrides no setting of [fea] and [meshes]: its"
+                             " meshes and records are used and added to")  # fmt: skip
+    parser.add_argument("--work", type=Path, default=Path("results/benchmarks/fea"), help="what else is kept")
+    parser.add_argument(
+        "--reference", type=Path, default=Path(os.environ.get("GELFORGE_REFERENCE", "../shared/reference"))
+    )
+    parser.add_argument("--scenes", nargs="+", help="only these of workflow/scenes.toml")
+    parser.add_argument("--envelope", type=int, default=ENVELOPE, help="random scenes")
+    parser.add_argument("--only", choices=PARTS, help="do one part, for its kept records; no figures are written")
+    parser.add_argument("--out", type=Path, required=True)
+    args = parser.parse_args(argv)
+    need_ccx()
+    params = config.cut_slice(config.load_params(args.workflow), "pareto", branch.VERSION)
+    sensors = load_sensors(args.workflow / "sensors.toml")
+    bench = load_bench(params, sensors, args.pareto / "meshes", args.pareto / "scenes")
+    tables = read_tables(args.workflow)
+    scenes = {n: parse_scene(n, t, params["material"]["nu"]) for n, t in tables.items()
+              if not args.scenes or n in args.scenes}  # fmt: skip
+    parts = (args.only,) if args.only else PARTS
+    figures, decks = [], {}
+    if "deck" in parts:
+        decks = {depth: run_deck(args.reference, args.work, depth) for depth in SPEED}
+    if "scenes" in parts:
+        found = solve_scenes(bench, scenes)
+        if not args.only:
+            figures += scene_figures(found, decks)
+    if "envelope" in parts:
+        catalogue = load_catalogue(args.workflow / "indenters.toml")
+        figures += envelope_figures(solve_envelope(bench, catalogue, args.work / "envelope", args.envelope))
+    if "laws" in parts:
+        figures += law_figures(args.work)
+    if args.only:
+        print("\n".join(str(figure) for figure in figures))
+        return 0
+    chart = args.pareto / "pareto.json"
+    figures += reference_figures(read_json(chart)["reference_check"] if chart.exists() else {})
+    publish_figures(args.out, figures)
+    return 0
+
+
+def reference_figures(checks: dict) -> list[Figure]:
+    """On how many scenes halving the reference's element size and load step leaves it in place, from branch pareto."""
+    moved = {name: (100 * check["total"], 100 * check["cells"]) if check else (np.inf, np.inf)
+             for name, check in checks.items()}  # fmt: skip
+    held = [name for name, (total, cells) in moved.items() if total < HELD_TOTAL and cells < HELD_CELLS]
+    told = "; ".join(f"{name} {total:.2f} %, {cells:.2f} %" for name, (total, cells) in moved.items())
+    return [Figure(f"scenes where halving the reference moves total force < {HELD_TOTAL} %, cells < {HELD_CELLS} %",
+                   len(held), ">=", 3, "scenes", told or "not measured yet: make pareto")]  # fmt: skip
+
+
+if __name__ == "__main__":
+    from gelforge.flow.main import exit_with
+
+    exit_with(main)

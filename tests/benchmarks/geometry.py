@@ -1,0 +1,87 @@
+"""Indenters and gel against the published solids, and how fast their distances are."""
+
+import argparse
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.flow.progress import progress
+from gelforge.geometry.gel import Gel
+from gelforge.geometry.indenters import load_catalogue
+from gelforge.geometry.published import compare_gel_top, compare_indenter, step_file
+from tests.benchmarks.figures import Figure, publish_figures
+
+
+def solid_figures(catalogue: dict, reference: Path) -> list[Figure]:
+    """Largest deviations of all indenters from the published solids, and of the gel's top."""
+    try:
+        import gmsh  # noqa: F401
+    except (ImportError, OSError) as error:
+        raise BadInput(f"gmsh reads the STEP files and cannot be loaded ({error}); pip install gmsh") from None
+    if not reference.is_dir():
+        raise BadInput(f"{reference}: no reference data there; set GELFORGE_REFERENCE to their folder")
+    found = {
+        name: compare_indenter(body, step_file(reference, name), good_mm=0.01)
+        for name, body in progress(catalogue.items(), "solids", len(catalogue))
+    }
+    volume = max(found, key=lambda n: abs(found[n]["volume_error"]))
+    surface = max(found, key=lambda n: found[n]["surface_mm"])
+    top = compare_gel_top(Gel(), reference / "feats" / "gelsight_mini.step")
+    return [
+        Figure(
+            "indenters' volume against STEP",
+            100.0 * abs(found[volume]["volume_error"]),
+            "<=",
+            2.0,
+            "%",
+            f"worst of {len(found)}: {volume}",
+        ),
+        Figure(
+            "indenters' contact side against STEP",
+            found[surface]["surface_mm"],
+            "<=",
+            0.05,
+            "mm",
+            f"worst of {len(found)}: {surface}",
+        ),
+        Figure("gel's top against STEP", top, "<=", 0.02, "mm"),
+    ]
+
+
+def speed_figures(catalogue: dict) -> list[Figure]:
+    """The slowest indenter's time for 10 000 points, best of seven."""
+    points = np.random.default_rng(1).uniform([-12, -12, -3], [12, 12, 3], (10_000, 3))
+    seconds = {name: min(_timed(body.distance, points) for _ in range(7)) for name, body in catalogue.items()}
+    slowest, usual = max(seconds, key=seconds.get), np.median(list(seconds.values()))
+    return [
+        Figure("distance at 10 000 points, slowest", 1e3 * seconds[slowest], "<=", 10.0, "ms", slowest),
+        Figure("distance at 10 000 points, median", 1e3 * usual, "<=", 3.0, "ms"),
+    ]
+
+
+def _timed(function, argument) -> float:
+    start = time.perf_counter()
+    function(argument)
+    return time.perf_counter() - start
+
+
+def main(argv=None) -> int:
+    parser = argparse.ArgumentParser(prog="tests.benchmarks.geometry", description=__doc__)
+    parser.add_argument("--catalogue", type=Path, default=Path("workflow/indenters.toml"))
+    parser.add_argument(
+        "--reference", type=Path, default=Path(os.environ.get("GELFORGE_REFERENCE", "../shared/reference"))
+    )
+    parser.add_argument("--out", type=Path, required=True)
+    args = parser.parse_args(argv)
+    catalogue = load_catalogue(args.catalogue)
+    publish_figures(args.out, [*solid_figures(catalogue, args.reference), *speed_figures(catalogue)])
+    return 0
+
+
+if __name__ == "__main__":
+    from gelforge.flow.main import exit_with
+
+    exit_with(main)

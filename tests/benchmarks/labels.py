@@ -1,0 +1,342 @@
+"""Labels: force kept, nesting, traction patch tests, time against shapely, and line-up with the image."""
+
+import argparse
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.commands.projection import read_points
+from gelforge.errors import BadInput
+from gelforge.flow.files import read_json, write_csv, write_json
+from gelforge.formats.numpy_pickle import read_npy
+from gelforge.labelling.grid import Grid
+from gelforge.labelling.markers import find_markers
+from gelforge.labelling.operator import CORNERS, assemble
+from gelforge.labelling.patch import consistent_loads, exact_cells, irregular_surface
+from gelforge.labelling.sensor import load_sensors
+from gelforge.records.forcefile import SampleForces, write_forces
+from gelforge.records.labelfile import read_labels, to_float32
+from tests.benchmarks.figures import Figure, publish_figures
+
+SENSORS = Path("workflow/sensors.toml")
+GRIDS = ("12x16", "24x32", "48x64", "96x128")
+ELEMENT_OF_CELL = {
+    "12x16": 0.75,
+    "24x32": 0.4,
+    "48x64": 0.2,
+}  # mm, corners moved by 0.3 of it: edges stay below a cell
+SAMPLES, SHARD = 15_000, 8
+REFERENCE_PITCH = np.array([32.9, 31.4])
+DEPTH = -2.284  # mm, of the cuboid in the reference image
+PLATEAU = 0.5  # of the median pressure under the cuboid: where its outline is drawn
+
+
+def bumps(mesh, rng, count, reach) -> list[np.ndarray]:
+    """Nodal forces (n, 3) of round presses of 2 to 5 mm radius with centres up to `reach` (2,) mm from the crown."""
+    found = []
+    for _ in range(count):
+        x, y, radius = rng.uniform(-reach[0], reach[0]), rng.uniform(-reach[1], reach[1]), rng.uniform(2, 5)
+        load = dome_load(mesh, x, y, radius)
+        found.append(load[:, None] / load.sum() * rng.uniform([-3, -3, -30], [3, 3, -1]))
+    return found
+
+
+def dome_load(mesh, x, y, radius) -> np.ndarray:
+    """Nodal load (n,) of a pressure dome of 1 MPa on a round footprint."""
+    return consistent_loads(mesh, lambda u, v: np.maximum(0.0, 1 - ((u - x) ** 2 + (v - y) ** 2) / radius**2))
+
+
+def csr(forces) -> tuple:
+    """ptr, node, force of dense nodal forces, as in a forces shard."""
+    nodes = [np.flatnonzero(f.any(axis=1)) for f in forces]
+    ptr = np.concatenate([[0], np.cumsum([len(n) for n in nodes])])
+    return (
+        ptr,
+        np.concatenate(nodes).astype(np.int32),
+        np.concatenate([f[n] for f, n in zip(forces, nodes, strict=True)]),
+    )
+
+
+def conservation(sensors, rng) -> list[Figure]:
+    """Force kept by the labels as computed and as stored, and coarse labels against sums of fine ones."""
+    mesh = irregular_surface("tet10", 0.5, rng)
+    inside, rim = bumps(mesh, rng, 20, (3.4, 6.2)), bumps(mesh, rng, 20, (9, 11))
+    unit, lost, stored, nested, lowest = sensors["mini_c"], 0.0, 0.0, 0.0, 0.0
+    finest = None
+    for text in reversed(GRIDS):
+        operator = assemble(mesh, unit, Grid.parse(text))
+        lowest = min(lowest, operator.weight.min())
+        cells, outside = operator.apply(*csr(inside + rim))
+        total = np.array([f.sum(axis=0) for f in inside + rim]) - outside
+        size = np.abs(cells).sum(axis=(2, 3))
+        lost = max(
+            lost, float((np.abs(cells.sum(axis=(2, 3)) - total) / size).max()), float(np.abs(outside[:20]).max())
+        )
+        stored = max(stored, float((np.abs(stored_sums(cells) - total) / size).max()))
+        if finest is not None:
+            step = finest.shape[2] // operator.grid.rows
+            coarse = finest.reshape(len(cells), 3, operator.grid.rows, step, operator.grid.cols, step).sum(
+                axis=(3, 5)
+            )
+            nested = max(
+                nested, float((np.abs(coarse - cells).max(axis=(2, 3)) / np.abs(cells).max(axis=(2, 3))).max())
+            )
+        finest = cells if finest is None else finest
+    note = "40 presses, half of them over the rim, at " + " ".join(GRIDS)
+    return [
+        Figure("force kept, float64", lost, "<=", 1e-9, "relative", note),
+        Figure("force kept, label as stored (float32)", stored, "<=", 1e-9, "relative", note),
+        Figure("coarse against sum of fine", nested, "<=", 1e-9, "of largest cell", "96x128 summed to the others"),
+        Figure("smallest weight", lowest, ">=", 0.0, "", "no force changes sign"),
+    ]
+
+
+def stored_sums(cells) -> np.ndarray:
+    """Sums (n, 3) of cells (n, 3, rows, cols) after they were rounded as labels are."""
+    groups = cells.shape[0] * 3
+    rounded = to_float32(cells.ravel(), np.repeat(np.arange(groups), cells[0, 0].size), groups)
+    return rounded.astype(float).reshape(cells.shape).sum(axis=(2, 3))
+
+
+def traction(sensors, rng) -> list[Figure]:
+    """Largest error of a cell under uniform and linear traction over irregular meshes."""
+    figures = []
+    for kind in ("tet10", "hex8"):
+        uniform, linear = 0.0, 0.0
+        for text, size in ELEMENT_OF_CELL.items():
+            mesh = irregular_surface(kind, size, rng)
+            operator = assemble(mesh, sensors["gelsight_mini"], Grid.parse(text))
+            for slope in ((0, 0, 1), (1 / 10.4, 0, 0), (0, 1 / 12.6, 0), (1 / 20.8, 1 / 25.2, 0.5)):
+
+                def field(x, y, s=slope):
+                    return s[0] * x + s[1] * y + s[2]
+
+                exact = exact_cells(mesh, field, sensors["gelsight_mini"], operator.grid)
+                got = (operator.matrix.T @ consistent_loads(mesh, field))[:-1].reshape(exact.shape)
+                error = float(np.abs(got - exact).max() / np.abs(exact).max())
+                uniform, linear = (max(uniform, error), linear) if slope[2] == 1 else (uniform, max(linear, error))
+        sizes = ", ".join(f"{size} mm at {text}" for text, size in ELEMENT_OF_CELL.items())
+        figures.append(Figure(f"uniform traction, {kind}", uniform, "<=", 0.01, "of largest cell", sizes))
+        figures.append(Figure(f"linear traction, {kind}", linear, "<=", 0.01, "of largest cell", sizes))
+    return figures
+
+
+def shapely_label(mesh, sensor, grid: Grid, nodal, boxes_first: bool) -> np.ndarray:
+    """One label by intersecting polygons one at a time, as FEATS' label_generation.py does.
+
+    Every cell is intersected with every contact face; with `boxes_first` only where bounding boxes meet.
+    """
+    from shapely.geometry import Polygon, box
+
+    force = nodal[mesh.faces].sum(axis=1) / 2
+    touched = np.flatnonzero(force.any(axis=1))
+    corners = sensor.project(mesh.nodes[mesh.faces[touched][:, : CORNERS[mesh.kind]]])
+    shapes = [Polygon(c) for c in corners]
+    label = np.zeros((3, *grid.shape))
+    du, dv = sensor.image[0] / grid.cols, sensor.image[1] / grid.rows
+    for row in range(grid.rows):
+        for col in range(grid.cols):
+            cell = box(col * du, row * dv, (col + 1) * du, (row + 1) * dv)
+            low, high = corners.min(axis=1), corners.max(axis=1)
+            near = range(len(shapes))
+            if boxes_first:
+                near = np.flatnonzero(
+                    (high > (col * du, row * dv)).all(axis=1) & (low < ((col + 1) * du, (row + 1) * dv)).all(axis=1)
+                )
+            for k in near:
+                label[:, row, col] += force[touched[k]] * cell.intersection(shapes[k]).area / shapes[k].area
+    return label
+
+
+def best_seconds(work, repeats: int = 5) -> float:
+    """Shortest processor time of `work()`, which other load on the machine does not lengthen."""
+    times = []
+    for _ in range(repeats):
+        start = time.process_time()
+        work()
+        times.append(time.process_time() - start)
+    return min(times)
+
+
+def speed(sensors, rng) -> list[Figure]:
+    """Time of one label, against shapely on the same press in the same run."""
+    unit, grid = sensors["gelsight_mini"], Grid.parse("24x32")
+    mesh = irregular_surface("tet10", 0.75, rng)
+    load = dome_load(mesh, 0.0, 0.0, 4.0)[:, None] * [0.1, 0.1, -1]
+    operator = assemble(mesh, unit, grid)
+    single, shard = csr([load]), csr([load] * 100)
+    alone = best_seconds(lambda: [operator.apply(*single) for _ in range(20)]) / 20
+    mean = best_seconds(lambda: operator.apply(*shard), 20) / 100
+    plain = best_seconds(lambda: shapely_label(mesh, unit, grid, load, False), 1)
+    boxed = best_seconds(lambda: shapely_label(mesh, unit, grid, load, True), 2)
+    assembly = best_seconds(lambda: assemble(mesh, unit, Grid.parse("96x128")), 2)
+    faces = int(load[mesh.faces].any(axis=(1, 2)).sum())
+    return [
+        Figure(
+            "one sample at 24x32, operator there",
+            1e3 * alone,
+            "<=",
+            0.2,
+            "ms",
+            f"{faces} contact faces; {1e3 * mean:.3f} ms in a shard of 100; operator at 96x128 {assembly:.2f} s",
+        ),
+        Figure(
+            "faster than shapely",
+            plain / alone,
+            ">=",
+            300,
+            "times",
+            f"shapely {plain:.2f} s as FEATS does it; {boxed:.3f} s with boxes first ({boxed / alone:.0f} times)",
+        ),
+    ]
+
+
+def write_shards(folder: Path, rng) -> None:
+    """Forces and poses of SAMPLES presses on an irregular mesh of 0.5 mm."""
+    mesh = irregular_surface("tet10", 0.5, rng)
+    mesh.save(folder / "20_meshes" / "irregular.npz")
+    surface = mesh.surface_nodes.astype(np.int32)
+    stock = [f[surface] for f in bumps(mesh, rng, 40, (6, 8))]
+    rest = np.zeros((len(surface), 3), np.float32)
+    (folder / "shards").mkdir()
+    for shard in range(-(-SAMPLES // SHARD)):
+        names = [f"p{at:05d}" for at in range(shard * SHARD, min((shard + 1) * SHARD, SAMPLES))]
+        samples = [
+            SampleForces(n, "OK", "irregular", surface, stock[(shard + k) % 40], rest) for k, n in enumerate(names)
+        ]
+        write_forces(folder / "40_forces" / f"{shard:04d}.npz", samples, 0.0725)
+        rows = [{"sample_id": name, "sensor_id": "gelsight_mini"} for name in names]
+        write_csv(folder / "10_poses" / f"{shard:04d}.csv", ["sample_id", "sensor_id"], rows)
+        (folder / "shards" / f"{shard:04d}.csv").touch()
+    write_json(folder / "labels.json", {"version": 1, "labels": {"largest_outside_share": 1.0}})
+
+
+def whole_dataset(rng) -> list[Figure]:
+    """Stage 50 as make runs it, on 15 000 samples at a resolution that has no operator yet; one thread."""
+    with tempfile.TemporaryDirectory(dir="results") as name:
+        folder = Path(name)
+        write_shards(folder, rng)
+        figures = []
+        for text in ("24x32", "96x128"):
+            out = folder / "50_labels" / text / "labels.json"
+            command = [
+                sys.executable,
+                "-m",
+                "gelforge.stages.labels",
+                "--forces",
+                folder / "40_forces",
+                "--poses",
+                folder / "10_poses",
+                "--meshes",
+                folder / "20_meshes",
+                "--shards",
+                folder / "shards",
+                "--sensors",
+                SENSORS,
+                "--resolution",
+                text,
+                "--params",
+                folder / "labels.json",
+                "--out",
+                out,
+            ]
+            start, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
+            subprocess.run(
+                [str(part) for part in command], check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+            )
+            seconds = time.perf_counter() - start
+            if read_json(out)["samples"] != SAMPLES or not len(read_labels(out.parent / "0000.npz")["label"]):
+                raise RuntimeError("stage 50 did not label all samples; the benchmark would lie")
+            after = resource.getrusage(resource.RUSAGE_CHILDREN)
+            peak, busy = (
+                after.ru_maxrss / 1024**2,
+                after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime,
+            )
+            note = f"shards of {SHARD}, reading and writing included; {busy:.1f} s of processor time"
+            figures.append(Figure(f"15 000 samples at {text}", seconds, "<=", 60, "s", note))
+            figures.append(Figure(f"peak memory at {text}", peak, "<=", 2.0, "GiB", note))
+        return figures
+
+
+def cuboid_outline(sensors, reference: Path) -> list[Figure]:
+    """Outline of a computed cuboid label against the four corners marked in the real image."""
+    from gelforge.geometry.gel import Gel
+    from gelforge.geometry.indenters import load_catalogue
+    from gelforge.mechanics.hex.solver import HexSettings, solve_hex
+    from gelforge.mechanics.scene import Material, Press, Scene
+
+    cuboid = load_catalogue("workflow/indenters.toml")["cuboid_10"]
+    result = solve_hex(Scene(Gel(), Material(), cuboid, Press(0, 0, 0, 0, 0, DEPTH)), HexSettings(size=0.7, layers=5))
+    corners = read_points(reference / "feats/point_correspondences.csv")[1]
+    figures = []
+    for text in ("24x32", "48x64"):
+        operator = assemble(result.mesh, sensors["gelsight_mini"], Grid.parse(text))
+        surface = np.isin(np.arange(len(result.forces)), result.mesh.surface_nodes)
+        cells, _ = operator.apply(*csr([result.forces * surface[:, None]]))
+        outline = outline_px(-cells[0, 2], sensors["gelsight_mini"].image)
+        cell = sensors["gelsight_mini"].image[1] / operator.grid.rows
+        marked = np.concatenate([corners.min(axis=0), corners.max(axis=0)])
+        off = float(np.abs(outline - marked).max() / cell)
+        figures.append(
+            Figure(
+                f"cuboid outline against the image, {text}",
+                off,
+                "<=",
+                1.0,
+                "cells",
+                f"left, top, right, bottom {outline.round(1).tolist()} px, marked {marked.tolist()}",
+            )
+        )
+    return figures
+
+
+def outline_px(pressure, image) -> np.ndarray:
+    """Left, top, right and bottom edge in px of the cells that bear over PLATEAU of the loaded ones' median."""
+    loaded = pressure > PLATEAU * np.median(pressure[pressure > 0.05 * pressure.max()])
+    rows, cols = np.flatnonzero(loaded.any(axis=1)), np.flatnonzero(loaded.any(axis=0))
+    du, dv = image[0] / pressure.shape[1], image[1] / pressure.shape[0]
+    return np.array([cols[0] * du, rows[0] * dv, (cols[-1] + 1) * du, (rows[-1] + 1) * dv])
+
+
+def reference_markers(reference: Path) -> list[Figure]:
+    """The dots of both real images."""
+    import cv2
+
+    quiet = read_npy(reference / "feats/images/nocontact_train_sensor.npy")["gs_img"]
+    pressed = cv2.imread(str(reference / "feats/images/cuboid_10-2-284.png"))[..., ::-1]
+    grid, other = find_markers(quiet, 7, 9), find_markers(pressed, 7, 9)
+    off = np.abs(grid.pitch - REFERENCE_PITCH)
+    pitch = " x ".join(f"{p:.2f}" for p in grid.pitch)
+    note = f"{pitch} px, turned {grid.rotation:.2f} degrees, centre {grid.centre.round(1)}"
+    return [
+        Figure("dots in the image without contact", grid.count, "==", 63, "", note),
+        Figure("pitch against 32.9 x 31.4 px", float(off.max()), "<=", 0.3, "px", note),
+        Figure("dots in the pressed image", other.count, "==", 63, "", "the indented cuboid does not hide any"),
+    ]
+
+
+def main(argv=None) -> int:
+    parser = argparse.ArgumentParser(prog="tests.benchmarks.labels", description=__doc__)
+    parser.add_argument("--out", type=Path, required=True)
+    args = parser.parse_args(argv)
+    reference = Path(os.environ.get("GELFORGE_REFERENCE", "../shared/reference"))
+    if not reference.is_dir():
+        raise BadInput(f"{reference}: the real measurements are not there; set GELFORGE_REFERENCE to their folder")
+    sensors, rng = load_sensors(SENSORS), np.random.default_rng(1)
+    Path("results").mkdir(exist_ok=True)
+    figures = [*conservation(sensors, rng), *traction(sensors, rng), *speed(sensors, rng), *whole_dataset(rng)]
+    figures += [*cuboid_outline(sensors, reference), *reference_markers(reference)]
+    publish_figures(args.out, figures)
+    return 0
+
+
+if __name__ == "__main__":
+    from gelforge.flow.main import exit_with
+
+    exit_with(main)

@@ -1,0 +1,318 @@
+"""What was promised of the virtual rig: speed, likeness to real pictures, agreement with mechanics, repetition."""
+
+import argparse
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.flow.files import read_csv
+from gelforge.flow.progress import progress
+from gelforge.formats.feats import read_sample
+from gelforge.geometry.gel import Gel
+from gelforge.geometry.indenters import load_catalogue
+from gelforge.geometry.published import compare_indenter, step_file
+from gelforge.labelling.markers import find_markers
+from gelforge.labelling.sensor import load_sensors
+from gelforge.virtualrig import likeness as measure
+from gelforge.virtualrig.bench import Bench, Pressing
+from gelforge.virtualrig.looks import read_looks
+from gelforge.virtualrig.render import Pressed, Renderer
+from gelforge.virtualrig.rigplan import Order, Plan, generator, orders, read_plan
+from gelforge.virtualrig.surface import field_of, surface_of
+from tests.benchmarks.figures import Figure, publish_figures
+
+REFERENCE_UNIT = "mini_a"
+# The real cuboid's log is not published: depth and corners are; the sideways path is read off its dots (3 px in u).
+CUBOID = Order(0, "cuboid", "", REFERENCE_UNIT, "cuboid_10", 0.0, 0.0, 2.284, (0.0, -0.25), 0.0, 1e9)
+MOVED_PX = 2.0  # misprints of real dots are 1 px; a dot that stands off the grid by more than this was moved
+
+
+@dataclass
+class Rig:
+    """One bench with its cameras, and the press that the real cuboid picture shows."""
+
+    plan: Plan
+    bench: Bench
+    cameras: dict[str, Renderer]
+
+    @classmethod
+    def of(cls, plan_path, workflow: Path) -> "Rig":
+        plan = read_plan(plan_path)
+        gel, sensors, looks = (
+            Gel(),
+            load_sensors(workflow / "sensors.toml"),
+            read_looks(workflow / "rig" / "sensors.toml"),
+        )
+        names = dict.fromkeys([REFERENCE_UNIT, *plan.sensors])
+        cameras = {name: Renderer(looks[name], sensors[name].projection, gel) for name in names}
+        return cls(plan, Bench(plan, load_catalogue(workflow / plan.catalogue), gel), cameras)
+
+    @cached_property
+    def cuboid(self) -> Pressing:
+        """The press of the real cuboid picture."""
+        return self.bench.press(CUBOID)
+
+    def view(self, pressing: Pressing):
+        """Displacement field and body of a press, as cameras want them."""
+        result = pressing.result
+        surface = surface_of(result.mesh, result.displacement, pressing.real)
+        return field_of(self.bench.gel, surface), Pressed(self.bench.body(pressing.order.indenter), pressing.real)
+
+    def picture(self, pressing: Pressing, purpose: int = 2) -> np.ndarray:
+        """Image of a press by its sensor."""
+        noise = generator(self.plan, pressing.order.index, purpose)
+        return self.cameras[pressing.order.sensor].image(*self.view(pressing), noise)
+
+
+def pressed(rig: Rig, count: int = 24) -> tuple[list[Pressing], list[float]]:
+    """Presses spread over the whole plan, and the processor seconds of simulating and rendering each."""
+    some = [order for order in orders(rig.plan) if order.unit == 0][7 :: max(1, rig.plan.presses // count)][:count]
+    for order in some:
+        rig.bench.body(order.indenter)
+    rig.picture(rig.bench.press(some[0]))  # compiles what numba compiles
+    pressings, seconds = [], []
+    for order in progress(some, "presses"):
+        start = time.process_time()
+        pressings.append(rig.bench.press(order))
+        rig.picture(pressings[-1])
+        seconds.append(time.process_time() - start)
+    return pressings, seconds
+
+
+def speed(rig: Rig, pressings: list[Pressing], seconds: list[float]) -> list[Figure]:
+    """How long presses take, and pictures a second."""
+    worst = pressings[int(np.argmax(seconds))]
+    note = f"processor time on one core, {len(seconds)} presses of {rig.plan.dataset}.toml, "
+    slowest = f"{worst.order.indenter}, {-worst.real.dz:.2f} mm, {-worst.force[2]:.0f} N"
+    camera, view = rig.cameras[pressings[0].order.sensor], rig.view(pressings[0])
+    start, rounds = time.process_time(), 60
+    for k in range(rounds):
+        camera.image(*view, np.random.default_rng(k))
+    rate = rounds / (time.process_time() - start)
+    return [
+        Figure("one press simulated and rendered, mean", float(np.mean(seconds)), "<=", 3.0, "s",
+               note + f"median {np.median(seconds):.2f} s"),
+        Figure("one press simulated and rendered, slowest", max(seconds), "<=", 3.0, "s", note + slowest),
+        Figure("rendering alone", rate, ">=", 50.0, "images/s", "displacement field to 8-bit image"),
+    ]  # fmt: skip
+
+
+def likeness(rig: Rig, reference: Path) -> list[Figure]:
+    """No-contact image of the reference unit against the real one."""
+    real, ours = (measure.no_contact(image, 7, 9) for image in no_contact_pair(rig, reference))
+    note = "no contact, reference unit against the real image"
+    pitch, diameter = np.abs(ours.grid.pitch - real.grid.pitch), abs(ours.grid.diameter - real.grid.diameter)
+    noise = ours.noise / real.noise
+    return [
+        Figure("dots found", ours.grid.count, "==", 63, "", f"{note}: {real.grid.count} in the real one"),
+        Figure("dot pitch, difference", pitch.max(), "<=", 0.5, "px", note),
+        Figure("dot diameter, difference", diameter, "<=", 1.0, "px", f"{note}: {real.grid.diameter:.2f} px"),
+        Figure(
+            "mean colour, largest difference", np.abs(ours.colour - real.colour).max(), "<=", 8.0, "grey levels", note
+        ),
+        Figure(
+            "smoothed background, least correlation",
+            measure.background_correlation(ours, real).min(),
+            ">=",
+            0.9,
+            "",
+            note,
+        ),
+        Figure("noise level, largest factor", np.maximum(noise, 1 / noise).max(), "<=", 1.5, "", note),
+    ]
+
+
+def no_contact_pair(rig: Rig, reference: Path) -> tuple[np.ndarray, np.ndarray]:
+    """The real no-contact image and the rig's, RGB."""
+    real = read_sample(reference / "feats" / "images" / "nocontact_train_sensor.npy").image
+    return real, rig.cameras[REFERENCE_UNIT].image(rng=np.random.default_rng(rig.plan.seed))
+
+
+def real_cuboid(reference: Path) -> np.ndarray:
+    """The real image of the pressed cuboid, RGB."""
+    return cv2.imread(str(reference / "feats" / "images" / "cuboid_10-2-284.png"))[..., ::-1]
+
+
+def cuboid(rig: Rig, reference: Path) -> list[Figure]:
+    """The pressed cuboid against the real picture of one."""
+    pressing = rig.cuboid
+    camera = rig.cameras[REFERENCE_UNIT]
+    corners = read_csv_pixels(reference / "feats" / "point_correspondences.csv")
+    wanted = np.array([corners[:, 0].min(), corners[:, 0].max(), corners[:, 1].min(), corners[:, 1].max()])
+    middle = camera.seen(
+        np.array([[pressing.real.x0, pressing.real.y0]]), np.array([[pressing.real.dx, pressing.real.dy, 0.0]])
+    )[0]
+    sides = measure.steepest(camera.height(*rig.view(pressing)), middle)
+    shift = middle - [np.mean(wanted[:2]), np.mean(wanted[2:])]
+    off = np.abs(sides - wanted - np.repeat(shift, 2))
+    pictures = (*no_contact_pair(rig, reference), real_cuboid(reference), rig.picture(pressing))
+    motion, ours = dot_motions(*pictures)
+    moved = np.linalg.norm(motion, axis=1) > MOVED_PX
+    cosine, uneven = cosines(motion, ours), cosines(without_even_part(motion), without_even_part(ours))
+    there = f"of {moved.sum()} dots that moved over {MOVED_PX:g} px in the real picture; "
+    deep = f"{-pressing.log.dz:.2f} mm by the log, {-pressing.real.dz:.2f} mm into the gel"
+    return [
+        Figure("cuboid outline, largest distance of a side", off.max(), "<=", 3.0, "px",
+               f"steepest line of each flank against the published corners, less the sideways path; {deep}"),
+        Figure("cuboid dots displaced in the same direction", (cosine[moved] > 0.5).mean(), ">=", 0.9, "share",
+               f"within 60 degrees, {there}mean cosine {cosine[moved].mean():.2f}, correlation "
+               f"{np.corrcoef(motion.ravel(), ours.ravel())[0, 1]:.2f}; less the even stretch, which the print of "
+               f"that unit may share: {(uneven > 0.5).mean():.2f}"),
+    ]  # fmt: skip
+
+
+def read_csv_pixels(path) -> np.ndarray:
+    """Pixels (n, 2) of the published corners."""
+    lines = [line for line in path.read_text().splitlines() if not line.startswith("#")]
+    return np.array([[float(cell) for cell in line.split(",")[2:4]] for line in lines[1:]])
+
+
+def dot_motions(real_before, before, real_after, after) -> tuple[np.ndarray, np.ndarray]:
+    """How far each dot (63, 2) px moved in the real picture and in ours, less the mean motion of all.
+
+    The unit of the real cuboid was not photographed without contact, so another unit of the same print stands in.
+    Gels sit a few px apart in their holders, which the mean takes away; a print that is a little larger would
+    be read as motion.
+    """
+    start, end, our_start, our_end = (_all_dots(image) for image in (real_before, real_after, before, after))
+    return tuple(motion - motion.mean(axis=0) for motion in (end - start, our_end - our_start))
+
+
+def without_even_part(motion: np.ndarray) -> np.ndarray:
+    """Motion (63, 2) of the dots less the affine map of the grid that fits it best."""
+    row, col = np.divmod(np.arange(len(motion)), 9)
+    design = np.column_stack([np.ones(len(motion)), col, row])
+    return motion - design @ np.linalg.lstsq(design, motion, rcond=None)[0]
+
+
+def cosines(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Cosine (n,) of the angle between vectors (n, 2)."""
+    return (a * b).sum(axis=1) / np.linalg.norm(a, axis=1) / np.linalg.norm(b, axis=1)
+
+
+def _all_dots(image: np.ndarray) -> np.ndarray:
+    """Place (63, 2) px of every dot, row by row."""
+    grid = find_markers(image, 7, 9)
+    if grid.count != 63:
+        raise BadInput(f"{grid.count} of 63 dots found in a picture of the pressed cuboid; look at make rig-check")
+    return grid.points
+
+
+def tracking(rig: Rig, pressings: list[Pressing]) -> list[Figure]:
+    """Dots followed between a no-contact and a pressed picture against nodal displacements.
+
+    The lights show no slopes here: a flank across a dot pulls its dark-weighted centre, though the dot is in place.
+    """
+    plain = {
+        name: Renderer(replace(camera.look, slope_gain=np.zeros(3)), camera.projection, camera.gel)
+        for name, camera in rig.cameras.items()
+    }
+    error, moved = tracking_errors(rig, plain, pressings)
+    lit, _ = tracking_errors(rig, rig.cameras, pressings)
+    note = f"{len(error)} dots in {len(pressings)} pairs that moved up to {moved:.1f} px, lit without slopes; "
+    note += f"median {np.median(error):.3f}, 95 % below {np.quantile(error, 0.95):.3f}, largest {error.max():.2f}; "
+    note += f"in full light, where flanks mislead the tracker, {np.sqrt((lit**2).mean()):.2f}"
+    rms = float(np.sqrt((error**2).mean()))
+    return [Figure("dots tracked against finite elements, root mean square", rms, "<=", 0.15, "px", note)]
+
+
+def tracking_errors(rig: Rig, cameras: dict[str, Renderer], pressings: list[Pressing]) -> tuple[np.ndarray, float]:
+    """Distance (n,) px of each dot tracked in a pair of pictures from where nodes put it, and the largest motion."""
+    errors, moved = [], 0.0
+    for pressing in pressings:
+        camera, index = cameras[pressing.order.sensor], pressing.order.index
+        start, expected = camera.look.dots, measure.dots_by_mechanics(camera, pressing.result)
+        before = camera.image(rng=generator(rig.plan, index, 3))
+        after = camera.image(*rig.view(pressing), generator(rig.plan, index, 2))
+        motion, followed = measure.tracked_dots(before, after, expected, start)
+        whole = camera.look.diameter
+        followed &= measure.inside_image(start, whole) & measure.inside_image(expected, whole)
+        errors.append(np.linalg.norm(motion - (expected - start), axis=1)[followed])
+        moved = max(moved, float(np.linalg.norm(expected - start, axis=1).max()))
+    return np.concatenate(errors), moved
+
+
+def indenters(rig: Rig, reference: Path) -> list[Figure]:
+    """Every catalogue indenter that has a published solid against it."""
+    volume, surface = {}, {}
+    for name, body in rig.bench.indenters.items():
+        path = step_file(reference, name)
+        if path.exists():
+            found = compare_indenter(body, path)
+            volume[name], surface[name] = abs(found["volume_error"]), found["surface_mm"]
+    worst_volume, worst_surface = max(volume, key=volume.get), max(surface, key=surface.get)
+    return [
+        Figure("indenters against STEP, volume", volume[worst_volume], "<=", 0.02, "relative",
+               f"largest of {len(volume)}: {worst_volume}"),
+        Figure("indenters against STEP, contact surface", surface[worst_surface], "<=", 0.05, "mm",
+               f"largest of {len(surface)}: {worst_surface}"),
+    ]  # fmt: skip
+
+
+def repetition(plan_path, workflow: Path, presses: int = 4) -> list[Figure]:
+    """The same plan carried out twice by fresh processes, the second time piecemeal."""
+    text = Path(plan_path).read_text(encoding="utf-8")
+    with tempfile.TemporaryDirectory() as folder:
+        once, again = Path(folder) / "once", Path(folder) / "again"
+        carry_out(text, presses, once, workflow, jobs=1)
+        carry_out(text, 2, again, workflow, jobs=1)
+        for lost in [*again.glob("*/images/*-000000*.png"), *again.glob("*/truth/surfaces/*-000000.npz")]:
+            lost.unlink()
+        carry_out(text, presses, again, workflow, jobs=2)
+        logs = [next(data.glob("*/log.csv")) for data in (once, again)]
+        pictures = [[cv2.imread(str(log.parent / row["image"])).astype(int) for row in read_csv(log)] for log in logs]
+        same = logs[0].read_bytes() == logs[1].read_bytes()
+    grey = max(int(np.abs(a - b).max()) for a, b in zip(*pictures, strict=True))
+    note = f"{presses} presses by one process, and again as 2 that grew, with one lost and repeated, by two processes"
+    return [
+        Figure("same plan and seed, logs identical", float(same), "==", 1.0, "", note),
+        Figure("same plan and seed, images differ by", grey, "<=", 1.0, "grey levels", note),
+    ]
+
+
+def carry_out(plan_text: str, presses: int, data: Path, workflow: Path, jobs: int) -> None:
+    """Carry out a plan, shortened or grown to `presses`, by a fresh process."""
+    lines = [f"presses = {presses}" if line.startswith("presses") else line for line in plan_text.splitlines()]
+    data.mkdir(exist_ok=True)
+    (data / "plan.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    command = [sys.executable, "-m", "gelforge.stages.rig", "--plan", data / "plan.toml", "--data", data]
+    subprocess.run([*command, "--workflow", workflow, "--jobs", str(jobs)], check=True, stdout=subprocess.DEVNULL)
+
+
+def main(argv=None) -> int:
+    """Measure all of it and write the figures, and if asked for the page that shows pictures beside real ones."""
+    parser = argparse.ArgumentParser(prog="tests.benchmarks.rig", description=main.__doc__)
+    parser.add_argument("--out", type=Path, default=Path("results/benchmarks/rig.json"))
+    parser.add_argument("--page", type=Path, help="HTML page to write, with the rig's pictures beside real ones")
+    parser.add_argument("--plan", type=Path, default=Path("workflow/rig/train.toml"))
+    parser.add_argument("--workflow", type=Path, default=Path("workflow"))
+    parser.add_argument("--reference", type=Path, default=Path("../shared/reference"))
+    given = parser.parse_args(argv)
+    if not given.reference.is_dir():
+        raise BadInput(f"{given.reference}: no reference data there; name their folder with --reference")
+    cv2.setNumThreads(1)
+    rig = Rig.of(given.plan, given.workflow)
+    pressings, seconds = pressed(rig)
+    figures = speed(rig, pressings, seconds) + likeness(rig, given.reference) + cuboid(rig, given.reference)
+    figures += tracking(rig, pressings) + indenters(rig, given.reference) + repetition(given.plan, given.workflow)
+    publish_figures(given.out, figures)
+    if given.page:
+        from tests.benchmarks.rig_page import write_page
+
+        write_page(given.page, rig, given.reference, pressings, figures)
+        print(given.page)
+    return 0
+
+
+if __name__ == "__main__":
+    from gelforge.flow.main import exit_with
+
+    exit_with(main)
