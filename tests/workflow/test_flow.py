@@ -13,7 +13,7 @@ from gelforge.flow.files import read_csv, write_csv
 from tests.benchmarks.sandbox import clean_environment, make
 
 BUILT = re.compile(r"^results/tiny/(\S+)  [\d.]+ s", re.MULTILINE)
-PREDICTED = re.compile(r"gelforge\.step results/tiny/(\S+)", re.MULTILINE)
+PREDICTED = re.compile(r"gelforge\.flow\.step results/tiny/(\S+)", re.MULTILINE)
 
 
 def build(project, *goals):
