@@ -9,7 +9,7 @@ from gelforge.geometry.gel import Gel
 from gelforge.mechanics.contact import GLUED
 from gelforge.mechanics.hex.hexmesh import FineBox, HexMesh, mesh_on_lines
 from gelforge.mechanics.hex.reach import path_pose
-from gelforge.mechanics.hex.solver import HexSettings, HexSolver, solve_hex
+from gelforge.mechanics.hex.solver import MOST_BELOW_MM, MOST_INSIDE_MM, HexSettings, HexSolver, solve_hex
 from gelforge.mechanics.scene import Interface, Material, Press, Scene
 from gelforge.records.status import Status
 
@@ -246,10 +246,23 @@ def test_no_contact_is_known_from_geometry(solver):
     assert result.evidence["newton_iterations"] == 0
 
 
-def test_a_press_through_the_gel_is_reported():
-    """4.5 mm into a 4 mm gel has no equilibrium: a status, no exception and no force."""
-    result = solve_hex(ball(depth=4.5, diameter=4.0), replace(COARSE, press_steps=2, max_cuts=1))
-    assert result.status is Status.DIVERGED and not result.forces.any()
+@pytest.mark.parametrize("depth", [4.0, 4.5])
+def test_a_press_through_the_gel_is_out_of_range(depth):
+    """The tip would stand in or below the base: a status with its reason, no exception and no force."""
+    result = solve_hex(ball(depth=depth, diameter=4.0), replace(COARSE, press_steps=6))
+    assert result.status is Status.OUT_OF_RANGE and not result.forces.any()
+    assert "base" in result.evidence["reason"]
+
+
+@pytest.mark.parametrize(("depth", "steps", "cuts"), [(3.0, 6, 8), (3.5, 2, 1), (3.8, 6, 8), (3.95, 6, 8)])
+def test_what_ends_ok_neither_penetrates_nor_leaves_the_base(depth, steps, cuts):
+    """So deep, rounding decides whether Newton's method arrives; wherever it does, the state is a possible one."""
+    result = solve_hex(ball(depth=depth, diameter=4.0), replace(COARSE, press_steps=steps, max_cuts=cuts))
+    if result.status is Status.OK:
+        assert result.evidence["penetration_mm"] <= MOST_INSIDE_MM
+        assert (result.mesh.nodes + result.displacement)[:, 2].min() >= -Gel().height - MOST_BELOW_MM
+    else:
+        assert not result.forces.any()
 
 
 def test_solver_reuses_what_it_made(solver):

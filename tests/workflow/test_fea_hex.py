@@ -58,7 +58,7 @@ def made(tmp_path_factory):
 def test_every_press_names_its_bricks(made):
     rows = {row["sample_id"]: row for row in read_csv(made / "30_fea" / "0000.csv")}
     statuses = {name: row["status"] for name, row in rows.items()}
-    assert statuses.pop("through") == "OUT_OF_RANGE" and "inside the gel" in rows["through"]["reason"]
+    assert statuses.pop("through") == "OUT_OF_RANGE" and "below the gel's base" in rows["through"]["reason"]
     assert statuses == {"one": "OK", "same": "OK", "aside": "OK", "above": "NO_CONTACT"}
     assert rows["one"]["mesh"] == rows["same"]["mesh"] != rows["aside"]["mesh"]
     assert all(len(load_mesh(made, row["mesh"]).nodes) > 100 for row in rows.values())

@@ -419,6 +419,7 @@ class Run:
         gap = self._gaps(self._points(self.u), pose)
         return {
             "penetration_mm": float(max(0.0, -gap.min(initial=0.0))),
+            "below_base_mm": float(max(0.0, -self.scene.gel.height - (self.mesh.nodes + self.u)[:, 2].min())),
             "pulling_fraction": float(self.state.weights[point] @ np.maximum(-push, 0.0)) / size,
             "base_mismatch": float(np.linalg.norm(base + total)) / size,
         }

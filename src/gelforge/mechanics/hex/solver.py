@@ -18,6 +18,10 @@ from gelforge.mechanics.scene import Result, Scene
 from gelforge.records.status import Status
 
 BALANCE = 1e-6  # largest base reaction against contact sum of a valid result
+# Contact springs give way by 0.02 mm at most on the scenes of the chart, by half a millimetre and more where the gel
+# is pressed through: that state is in equilibrium, but not one of the press.
+MOST_INSIDE_MM = 0.1
+MOST_BELOW_MM = 1e-3  # that a node may end below the base the gel is bonded to
 
 __all__ = ["HexSettings", "HexSolver", "HexResult", "QUALITIES", "quality", "solve_hex", "interpolate_surface"]
 
@@ -94,8 +98,13 @@ class HexSolver:
             return self._untouched(scene, started)
         box = self.settings.box or fine_box(scene, self.settings.size, self.settings.across)
         mesh = self.mesh(scene.gel, box)
+        bricks = self._bricks(scene.gel, box)
+        lowest = scene.press.z0 + scene.press.dz
+        if lowest <= -scene.gel.height:
+            reason = f"the tip ends at z = {lowest:.3g} mm, at or below the gel's base at {-scene.gel.height:g} mm"
+            return _refused(mesh, bricks, reason, started)
         run = Run(scene, replace(self.settings, size=box.size), mesh, self._system(mesh))
-        return _result(run, run.follow(start), started, self._bricks(scene.gel, box))
+        return _result(run, run.follow(start), started, bricks)
 
     def _bricks(self, gel: Gel, box: FineBox) -> Bricks:
         s = self.settings
@@ -140,6 +149,10 @@ def _result(run: Run, status: Status, started: float, bricks: Bricks) -> HexResu
         evidence |= run.checks(forces)
         if evidence["base_mismatch"] > BALANCE:
             status = Status.UNBALANCED
+        elif reason := _impossible(evidence):
+            status = Status.OUT_OF_RANGE
+            evidence["reason"] = f"{reason}; {status.value}"
+            forces = np.zeros_like(run.u)
     run.record()
     # Converged load steps as [path parameter, fx, fy, fz]: one solve is a whole force-depth curve.
     evidence["path"] = run.curve
@@ -149,10 +162,29 @@ def _result(run: Run, status: Status, started: float, bricks: Bricks) -> HexResu
     return HexResult(status, forces, run.u, evidence, run.mesh, run.state, bricks)
 
 
+def _impossible(evidence: dict) -> str | None:
+    """What no real gel does, in an equilibrium that was found all the same; None where all is well."""
+    inside, below = evidence["penetration_mm"], evidence["below_base_mm"]
+    if inside > MOST_INSIDE_MM:
+        return f"the indenter ends {inside:.2g} mm inside the gel, {MOST_INSIDE_MM:g} mm is allowed"
+    if below > MOST_BELOW_MM:
+        return f"the gel is pressed {below:.2g} mm through its own base"
+    return None
+
+
+def _refused(mesh: HexMesh, bricks: Bricks, reason: str, started: float) -> HexResult:
+    """A press that geometry alone forbids: no solve, no force."""
+    zero = np.zeros_like(mesh.nodes)
+    evidence = _evidence() | {"reason": f"{reason}; {Status.OUT_OF_RANGE.value}"}
+    evidence["seconds"] = time.perf_counter() - started
+    return HexResult(Status.OUT_OF_RANGE, zero, zero.copy(), evidence, mesh, None, bricks)
+
+
 def _evidence(residual=0.0, iterations=0, rounds=0, steps=0, unknown=np.nan) -> dict:
     return {
         "equilibrium_residual": float(residual),
         "penetration_mm": unknown,
+        "below_base_mm": unknown,
         "pulling_fraction": unknown,
         "base_mismatch": unknown,
         "newton_iterations": int(iterations),
