@@ -11,4 +11,4 @@ $(TRAINED): $D/70_train/$(RES1)/%.pt: $D/60_dataset/$(RES1)/dataset.json $P/mode
 	$(call step,gelforge.stages.train --dataset $(<D) --model $* --models $P/models/$*.json --params $P/train.json --out $@.part)
 
 $(MODELS:%=$D/70_train/$(RES1)/onnx/%.onnx): $D/70_train/$(RES1)/onnx/%.onnx: $D/70_train/$(RES1)/%.pt
-	$(call step,gelforge.networks.export --model $< --out $@.part)
+	$(call step,gelforge.stages.onnx --model $< --out $@.part)

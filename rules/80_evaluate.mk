@@ -11,7 +11,7 @@ $(EVALUATED): $D/80_evaluate/$(RES1)/%.json: $D/70_train/$(RES1)/%.pt $D/60_data
 	$(call step,gelforge.stages.evaluate --dataset $(dir $(word 2,$^)) --model $< --params $P/evaluate.json --out $@.part)
 
 $(EVALUATED:.json=.card.md): $D/80_evaluate/$(RES1)/%.card.md: $D/70_train/$(RES1)/%.pt $D/80_evaluate/$(RES1)/%.json
-	$(call step,gelforge.networks.card --model $< --evaluation $(word 2,$^) --out $@.part)
+	$(call step,gelforge.stages.card --model $< --evaluation $(word 2,$^) --out $@.part)
 
 ship: $D/70_train/$(RES1)/$(MODEL).pt $D/80_evaluate/$(RES1)/$(MODEL).card.md  ## makes a network the one that predict and live use where none is named
 	cp $< $(SHIPPED).pt

@@ -5,9 +5,9 @@ EXPORTED := $(RES:%=$D/feats/%/normalization_gelforge.npy)
 
 .PHONY: feats-import feats-export
 feats-import: $(SETUP)  ## FEATS' .npy files to data/DATASET: make feats-import FROM=folder DATASET=name SENSOR=name
-	@$(PY) -m gelforge.formats.feats_folder import --from "$(FROM)" --data $(DATA) --sensor $(SENSOR)
+	@$(PY) -m gelforge.commands.feats import --from "$(FROM)" --data $(DATA) --sensor $(SENSOR)
 
 feats-export: $(EXPORTED)  ## our labels as FEATS' folders, normalisation file included
 
 $(EXPORTED): $D/feats/%/normalization_gelforge.npy: $D/60_dataset/%/dataset.json
-	$(call step,gelforge.formats.feats_folder export --dataset $(<D) --folder $(@D) --out $@.part)
+	$(call step,gelforge.commands.feats export --dataset $(<D) --folder $(@D) --out $@.part)

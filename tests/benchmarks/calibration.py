@@ -5,11 +5,11 @@ changed: `--only PART` makes one of them, without it all are made and the figure
 of `coverage` are kept as they come, so a stopped run goes on.
 """
 
-import argparse
 import resource
 import subprocess
 import sys
 import time
+from argparse import Namespace
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -27,6 +27,7 @@ from gelforge.calibration.summary import describe
 from gelforge.errors import SolveFailed
 from gelforge.flow import params as config
 from gelforge.flow.files import read_json, write_json
+from gelforge.flow.main import command, option
 from gelforge.flow.progress import progress
 from gelforge.geometry.indenters import load_catalogue
 from gelforge.mechanics.hex.solver import HexSettings
@@ -293,13 +294,13 @@ def figures_of(part: str, folder: Path, jobs: int, count: int) -> list[Figure]:
     return figures
 
 
-def main(argv=None) -> int:
-    parser = argparse.ArgumentParser(prog="tests.benchmarks.calibration", description=__doc__)
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--count", type=int, default=100, help="synthetic calibrations; fewer only to try it out")
-    parser.add_argument("--only", choices=PARTS, help="make one part; no figures are written")
-    args = parser.parse_args(argv)
+@command(
+    option("--out", type=Path),
+    option("--jobs", type=int, default=2),
+    option("--count", type=int, default=100, help="synthetic calibrations; fewer only to try it out"),
+    option("--only", choices=PARTS, help="make one part; no figures are written", default=None),
+)
+def main(args: Namespace) -> None:
     folder = args.out.parent / "calibration"
     parts = (args.only,) if args.only else PARTS
     figures = [figure for part in parts for figure in figures_of(part, folder, args.jobs, args.count)]
@@ -307,10 +308,7 @@ def main(argv=None) -> int:
         print(table(figures))
     else:
         publish_figures(args.out, figures)
-    return 0
 
 
 if __name__ == "__main__":
-    from gelforge.flow.main import exit_with
-
-    exit_with(main)
+    main.exit()

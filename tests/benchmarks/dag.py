@@ -1,12 +1,13 @@
 """How long make needs to find that 15 000 samples over five stages need nothing."""
 
-import argparse
 import shutil
 import tempfile
 import time
+from argparse import Namespace
 from pathlib import Path
 
 from gelforge.flow.files import read_csv, write_csv
+from gelforge.flow.main import command, option
 from tests.benchmarks.figures import Figure, publish_figures
 from tests.benchmarks.sandbox import link_project, make
 
@@ -83,15 +84,12 @@ def measure(root: Path) -> list[Figure]:
     ]
 
 
-def main(argv=None) -> int:
-    parser = argparse.ArgumentParser(prog="tests.benchmarks.dag", description=__doc__)
-    parser.add_argument("--out", type=Path, required=True)
-    args = parser.parse_args(argv)
+@command(
+    option("--out", type=Path),
+)
+def main(args: Namespace) -> None:
     publish_figures(args.out, measure(Path.cwd()))
-    return 0
 
 
 if __name__ == "__main__":
-    from gelforge.flow.main import exit_with
-
-    exit_with(main)
+    main.exit()

@@ -5,11 +5,11 @@ Everything costly is kept below --work and resumed, so that it may run in the ba
 of one thread, so that other work on the machine does not enter the ratios.
 """
 
-import argparse
 import hashlib
 import os
 import shutil
 import tempfile
+from argparse import Namespace
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +18,7 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow import params as config
 from gelforge.flow.files import read_json, write_json
+from gelforge.flow.main import command, option
 from gelforge.flow.params import canonical
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import Gel, load_gel
@@ -295,22 +296,23 @@ def law_figures(work: Path) -> list[Figure]:
                    f"worst: {worst}; CalculiX' own contact has 94 %")]  # fmt: skip
 
 
-def main(argv=None) -> int:
-    parser = argparse.ArgumentParser(prog="tests.benchmarks.fea", description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)  # fmt: skip
-    parser.add_argument("--workflow", type=Path, default=Path("workflow"))
-    parser.add_argument("--pareto", type=Path, default=Path("results/feats_sphere15/pareto"),
-                        help="branch pareto's folder of a dataset that overrides no setting of [fea] and [meshes]: its"
-                             " meshes and records are used and added to")  # fmt: skip
-    parser.add_argument("--work", type=Path, default=Path("results/benchmarks/fea"), help="what else is kept")
-    parser.add_argument(
-        "--reference", type=Path, default=Path(os.environ.get("GELFORGE_REFERENCE", "../shared/reference"))
-    )
-    parser.add_argument("--scenes", nargs="+", help="only these of workflow/scenes.toml")
-    parser.add_argument("--envelope", type=int, default=ENVELOPE, help="random scenes")
-    parser.add_argument("--only", choices=PARTS, help="do one part, for its kept records; no figures are written")
-    parser.add_argument("--out", type=Path, required=True)
-    args = parser.parse_args(argv)
+@command(
+    option("--workflow", type=Path, default=Path("workflow")),
+    option(
+        "--pareto",
+        type=Path,
+        default=Path("results/feats_sphere15/pareto"),
+        help="branch pareto's folder of a dataset that overrides no setting of [fea] and [meshes]: its"
+        " meshes and records are used and added to",
+    ),
+    option("--work", type=Path, default=Path("results/benchmarks/fea"), help="what else is kept"),
+    option("--reference", type=Path, default=Path(os.environ.get("GELFORGE_REFERENCE", "../shared/reference"))),
+    option("--scenes", nargs="+", help="only these of workflow/scenes.toml", default=None),
+    option("--envelope", type=int, default=ENVELOPE, help="random scenes"),
+    option("--only", choices=PARTS, help="do one part, for its kept records; no figures are written", default=None),
+    option("--out", type=Path),
+)
+def main(args: Namespace) -> None:
     need_ccx()
     params = config.cut_slice(config.load_params(args.workflow), "pareto", branch.VERSION)
     sensors = load_sensors(args.workflow / "sensors.toml")
@@ -333,11 +335,10 @@ def main(argv=None) -> int:
         figures += law_figures(args.work)
     if args.only:
         print("\n".join(str(figure) for figure in figures))
-        return 0
+        return
     chart = args.pareto / "pareto.json"
     figures += reference_figures(read_json(chart)["reference_check"] if chart.exists() else {})
     publish_figures(args.out, figures)
-    return 0
 
 
 def reference_figures(checks: dict) -> list[Figure]:
@@ -351,6 +352,4 @@ def reference_figures(checks: dict) -> list[Figure]:
 
 
 if __name__ == "__main__":
-    from gelforge.flow.main import exit_with
-
-    exit_with(main)
+    main.exit()

@@ -1,13 +1,14 @@
 """Indenters and gel against the published solids, and how fast their distances are."""
 
-import argparse
 import os
 import time
+from argparse import Namespace
 from pathlib import Path
 
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.flow.main import command, option
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue
@@ -68,20 +69,15 @@ def _timed(function, argument) -> float:
     return time.perf_counter() - start
 
 
-def main(argv=None) -> int:
-    parser = argparse.ArgumentParser(prog="tests.benchmarks.geometry", description=__doc__)
-    parser.add_argument("--catalogue", type=Path, default=Path("workflow/indenters.toml"))
-    parser.add_argument(
-        "--reference", type=Path, default=Path(os.environ.get("GELFORGE_REFERENCE", "../shared/reference"))
-    )
-    parser.add_argument("--out", type=Path, required=True)
-    args = parser.parse_args(argv)
+@command(
+    option("--catalogue", type=Path, default=Path("workflow/indenters.toml")),
+    option("--reference", type=Path, default=Path(os.environ.get("GELFORGE_REFERENCE", "../shared/reference"))),
+    option("--out", type=Path),
+)
+def main(args: Namespace) -> None:
     catalogue = load_catalogue(args.catalogue)
     publish_figures(args.out, [*solid_figures(catalogue, args.reference), *speed_figures(catalogue)])
-    return 0
 
 
 if __name__ == "__main__":
-    from gelforge.flow.main import exit_with
-
-    exit_with(main)
+    main.exit()

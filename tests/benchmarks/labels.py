@@ -1,12 +1,12 @@
 """Labels: force kept, nesting, traction patch tests, time against shapely, and line-up with the image."""
 
-import argparse
 import os
 import resource
 import subprocess
 import sys
 import tempfile
 import time
+from argparse import Namespace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ import numpy as np
 from gelforge.commands.projection import read_points
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_json, write_csv, write_json
+from gelforge.flow.main import command, option
 from gelforge.formats.numpy_pickle import read_npy
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.markers import find_markers
@@ -321,10 +322,10 @@ def reference_markers(reference: Path) -> list[Figure]:
     ]
 
 
-def main(argv=None) -> int:
-    parser = argparse.ArgumentParser(prog="tests.benchmarks.labels", description=__doc__)
-    parser.add_argument("--out", type=Path, required=True)
-    args = parser.parse_args(argv)
+@command(
+    option("--out", type=Path),
+)
+def main(args: Namespace) -> None:
     reference = Path(os.environ.get("GELFORGE_REFERENCE", "../shared/reference"))
     if not reference.is_dir():
         raise BadInput(f"{reference}: the real measurements are not there; set GELFORGE_REFERENCE to their folder")
@@ -333,10 +334,7 @@ def main(argv=None) -> int:
     figures = [*conservation(sensors, rng), *traction(sensors, rng), *speed(sensors, rng), *whole_dataset(rng)]
     figures += [*cuboid_outline(sensors, reference), *reference_markers(reference)]
     publish_figures(args.out, figures)
-    return 0
 
 
 if __name__ == "__main__":
-    from gelforge.flow.main import exit_with
-
-    exit_with(main)
+    main.exit()

@@ -4,17 +4,18 @@ Latency, memory, waiting, resuming and ONNX need no trained network and are meas
 Errors are read from a dataset's results; without them their figures are listed as not measured.
 """
 
-import argparse
 import os
 import subprocess
 import sys
 import tempfile
+from argparse import Namespace
 from pathlib import Path
 
 import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_json, write_csv, write_json
+from gelforge.flow.main import command, option
 from gelforge.networks.metrics import AXES
 from tests.benchmarks.figures import Figure, publish_figures
 
@@ -236,13 +237,13 @@ def split_figures(splits: dict, note: str) -> list[Figure]:
     return figures
 
 
-def main(argv=None) -> int:
-    parser = argparse.ArgumentParser(prog="tests.benchmarks.models", description=__doc__.splitlines()[0])
-    parser.add_argument("--results", type=Path, default=Path("results") / os.environ.get("DATASET", "train"))
-    parser.add_argument("--resolution", default=os.environ.get("RES", "24x32").split()[0])
-    parser.add_argument("--seconds", type=float, default=4.0, help="of timed runs per network and thread count")
-    parser.add_argument("--out", type=Path, required=True)
-    args = parser.parse_args(argv)
+@command(
+    option("--results", type=Path, default=Path("results") / os.environ.get("DATASET", "train")),
+    option("--resolution", default=os.environ.get("RES", "24x32").split()[0]),
+    option("--seconds", type=float, default=4.0, help="of timed runs per network and thread count"),
+    option("--out", type=Path),
+)
+def main(args: Namespace) -> None:
     models, settings = load_workflow()
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
@@ -255,10 +256,7 @@ def main(argv=None) -> int:
     else:
         print(f"not measured: errors of trained networks; first make DATASET={args.results.name} pareto-models")
     publish_figures(args.out, figures)
-    return 0
 
 
 if __name__ == "__main__":
-    from gelforge.flow.main import exit_with
-
-    exit_with(main)
+    main.exit()

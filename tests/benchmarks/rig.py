@@ -1,10 +1,10 @@
 """What was promised of the virtual rig: speed, likeness to real pictures, agreement with mechanics, repetition."""
 
-import argparse
 import subprocess
 import sys
 import tempfile
 import time
+from argparse import Namespace
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -14,6 +14,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv
+from gelforge.flow.main import command, option
 from gelforge.flow.progress import progress
 from gelforge.formats.feats import read_sample
 from gelforge.geometry.gel import Gel
@@ -287,15 +288,15 @@ def carry_out(plan_text: str, presses: int, data: Path, workflow: Path, jobs: in
     subprocess.run([*command, "--workflow", workflow, "--jobs", str(jobs)], check=True, stdout=subprocess.DEVNULL)
 
 
-def main(argv=None) -> int:
+@command(
+    option("--out", type=Path, default=Path("results/benchmarks/rig.json")),
+    option("--page", type=Path, help="HTML page to write, with the rig's pictures beside real ones", default=None),
+    option("--plan", type=Path, default=Path("workflow/rig/train.toml")),
+    option("--workflow", type=Path, default=Path("workflow")),
+    option("--reference", type=Path, default=Path("../shared/reference")),
+)
+def main(given: Namespace) -> None:
     """Measure all of it and write the figures, and if asked for the page that shows pictures beside real ones."""
-    parser = argparse.ArgumentParser(prog="tests.benchmarks.rig", description=main.__doc__)
-    parser.add_argument("--out", type=Path, default=Path("results/benchmarks/rig.json"))
-    parser.add_argument("--page", type=Path, help="HTML page to write, with the rig's pictures beside real ones")
-    parser.add_argument("--plan", type=Path, default=Path("workflow/rig/train.toml"))
-    parser.add_argument("--workflow", type=Path, default=Path("workflow"))
-    parser.add_argument("--reference", type=Path, default=Path("../shared/reference"))
-    given = parser.parse_args(argv)
     if not given.reference.is_dir():
         raise BadInput(f"{given.reference}: no reference data there; name their folder with --reference")
     cv2.setNumThreads(1)
@@ -309,10 +310,7 @@ def main(argv=None) -> int:
 
         write_page(given.page, rig, given.reference, pressings, figures)
         print(given.page)
-    return 0
 
 
 if __name__ == "__main__":
-    from gelforge.flow.main import exit_with
-
-    exit_with(main)
+    main.exit()

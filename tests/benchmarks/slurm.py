@@ -1,18 +1,19 @@
 """The Slurm executor against a real one-machine cluster: cost of a task, time to submit, same forces as locally."""
 
-import argparse
 import os
 import shutil
 import signal
 import subprocess
 import tempfile
 import time
+from argparse import Namespace
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
 from gelforge.flow.files import read_json, write_text
+from gelforge.flow.main import command, option
 from tests.benchmarks.figures import Figure, publish_figures
 from tests.benchmarks.sandbox import clean_environment, link_project
 
@@ -273,11 +274,11 @@ def demo_forces(folder: Path) -> list[Figure]:
     return [Figure("shards of the demo whose forces differ from local ones", differ, "==", 0, "shards", note)]
 
 
-def main(argv=None) -> int:
-    parser = argparse.ArgumentParser(prog="tests.benchmarks.slurm", description=__doc__)
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--only", choices=["overhead", "demo"], help="one part of it, for a quick look")
-    args = parser.parse_args(argv)
+@command(
+    option("--out", type=Path),
+    option("--only", choices=["overhead", "demo"], help="one part of it, for a quick look", default=None),
+)
+def main(args: Namespace) -> None:
     figures = []
     with tempfile.TemporaryDirectory(prefix="gf-bench-") as scratch:
         if args.only != "demo":
@@ -286,10 +287,7 @@ def main(argv=None) -> int:
         if args.only != "overhead":
             figures += demo_forces(Path(scratch) / "demo")
     publish_figures(args.out, figures)
-    return 0
 
 
 if __name__ == "__main__":
-    from gelforge.flow.main import exit_with
-
-    exit_with(main)
+    main.exit()

@@ -224,7 +224,7 @@ def test_our_labels_go_out_and_come_back(tmp_path, sensor):
 
 def test_the_command_names_what_is_missing(root):
     done = subprocess.run(
-        [sys.executable, "-m", "gelforge.formats.feats_folder", "import", "--from", "", "--data", "data/x"],
+        [sys.executable, "-m", "gelforge.commands.feats", "import", "--from", "", "--data", "data/x"],
         cwd=root,
         capture_output=True,
         text=True,

@@ -3,8 +3,6 @@
 import importlib
 import sys
 
-from gelforge.flow.main import exit_with
-
 COMMANDS = {
     "predict": "force maps and totals from images",
     "live": "force maps over a video or a camera, as it runs",
@@ -28,4 +26,4 @@ def main(argv=None) -> None:
         sys.exit(0 if argv and argv[0] in ("-h", "--help") else 2)
     module = importlib.import_module(HOMES.get(argv[0], f"gelforge.commands.{argv[0]}"))
     sys.argv[0] = f"gelforge {argv[0]}"
-    exit_with(module.main, argv[1:])
+    module.main.exit(argv[1:])

@@ -3,9 +3,9 @@
 A network that reads differences takes the first frame for the untouched sensor, unless told otherwise.
 """
 
-import argparse
 import itertools
 import time
+from argparse import Namespace
 from collections import deque
 from pathlib import Path
 
@@ -13,6 +13,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish
+from gelforge.flow.main import command, option
 
 RATE_OVER = 30  # frames that the shown rate is averaged over
 
@@ -140,18 +141,19 @@ def until_interrupted(items):
         return
 
 
-def main(argv=None) -> int:
-    parser = argparse.ArgumentParser(prog="gelforge live", description=__doc__)
-    source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument("--video", type=Path)
-    source.add_argument("--camera", type=int)
-    parser.add_argument("--model", type=Path, help="model file; the one that came with gelforge if not named")
-    parser.add_argument("--sensor", help="the sensor that films; refused if the model is for another one")
-    parser.add_argument("--untouched", type=Path, metavar="IMAGE", help="the sensor while nothing touches it")
-    parser.add_argument("--frames", type=int, help="stop after so many")
-    parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--out", type=Path, help="overlay video (.avi); a window is opened if not named")
-    args = parser.parse_args(argv)
+@command(
+    option("--video", type=Path, help="a film", default=None),
+    option("--camera", type=int, help="number of a camera, if no film is named", default=None),
+    option("--model", type=Path, help="model file; the one that came with gelforge if not named", default=None),
+    option("--sensor", help="the sensor that films; refused if the model is for another one", default=None),
+    option("--untouched", type=Path, metavar="IMAGE", help="the sensor while nothing touches it", default=None),
+    option("--frames", type=int, help="stop after so many", default=None),
+    option("--threads", type=int, default=1),
+    option("--out", type=Path, help="overlay video (.avi); a window is opened if not named", default=None),
+)
+def main(args: Namespace) -> None:
+    if (args.video is None) == (args.camera is None):
+        raise BadInput("give either --video FILE or --camera NUMBER")
     import cv2
     import torch
 
@@ -177,10 +179,7 @@ def main(argv=None) -> int:
         f"{count} frames in {seconds:.1f} s: {count / seconds:.1f} a second with overlay; network and check "
         f"{np.median(overlay.network_ms):.1f} ms a frame; {overlay.flagged} flagged as unlike the training images"
     )
-    return 0
 
 
 if __name__ == "__main__":
-    from gelforge.flow.main import exit_with
-
-    exit_with(main)
+    main.exit()

@@ -1,6 +1,6 @@
 """Pictures and a .vtu of one sample: what was pressed, what the gel did, what the label says."""
 
-import argparse
+from argparse import Namespace
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish, read_csv
+from gelforge.flow.main import command, option
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import Sensor, find_sensor, load_sensors, transform
 from gelforge.mechanics.family import load_mesh
@@ -215,15 +216,15 @@ def write_figure(path, figure) -> None:
     plt.close(figure)
 
 
-def main(argv=None) -> int:
-    parser = argparse.ArgumentParser(prog="gelforge look", description=__doc__)
-    parser.add_argument("--data", type=Path, required=True, help="data/DATASET")
-    parser.add_argument("--results", type=Path, required=True, help="results/DATASET")
-    parser.add_argument("--id", required=True, help="sample_id")
-    parser.add_argument("--resolution", nargs="+", default=["24x32"])
-    parser.add_argument("--sensors", type=Path, default=Path("workflow/sensors.toml"))
-    parser.add_argument("--out", type=Path, help="folder (default results/DATASET/look)")
-    args = parser.parse_args(argv)
+@command(
+    option("--data", type=Path, help="data/DATASET"),
+    option("--results", type=Path, help="results/DATASET"),
+    option("--id", help="sample_id"),
+    option("--resolution", nargs="+", default=["24x32"]),
+    option("--sensors", type=Path, default=Path("workflow/sensors.toml")),
+    option("--out", type=Path, help="folder (default results/DATASET/look)", default=None),
+)
+def main(args: Namespace) -> None:
     if not args.id:
         raise BadInput("no sample named; say make look ID=SAMPLE_ID")
     sensors, out = load_sensors(args.sensors), args.out or args.results / "look"
@@ -235,10 +236,7 @@ def main(argv=None) -> int:
         print(out / f"{args.id}-{resolution}.png")
     export_vtu(out / f"{args.id}.vtu", paths, args.results / "20_meshes", args.id)
     print(out / f"{args.id}.vtu")
-    return 0
 
 
 if __name__ == "__main__":
-    from gelforge.flow.main import exit_with
-
-    exit_with(main)
+    main.exit()

@@ -6,13 +6,14 @@ A network that reads differences needs a picture of the sensor while nothing tou
 of the training sensors by its name, or, where neither is named, the training sensor that the image is nearest to.
 """
 
-import argparse
+from argparse import Namespace
 from pathlib import Path
 
 import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish, write_csv
+from gelforge.flow.main import command, option
 
 SHIPPED = Path(__file__).parents[1] / "networks" / "default.pt"
 COLUMNS = ["image", "grid_x_n", "grid_y_n", "grid_z_n", "untouched", "unlike_training", "flagged", "reason"]
@@ -159,17 +160,15 @@ def predict_files(paths, untouched: Untouched, out: Path) -> list[dict]:
     return rows
 
 
-def main(argv=None) -> int:
-    parser = argparse.ArgumentParser(
-        prog="gelforge predict", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("images", nargs="+", type=Path, metavar="IMAGE")
-    parser.add_argument("--model", type=Path, help="model file; the one that came with gelforge if not named")
-    parser.add_argument("--sensor", help="the sensor of the images; refused if the model is for another one")
-    parser.add_argument("--untouched", type=Path, metavar="IMAGE", help="the sensor while nothing touches it")
-    parser.add_argument("--out", type=Path, default=Path("predictions"), help="folder (default: %(default)s)")
-    parser.add_argument("--threads", type=int, default=1)
-    args = parser.parse_args(argv)
+@command(
+    option("images", nargs="+", type=Path, metavar="IMAGE"),
+    option("--model", type=Path, help="model file; the one that came with gelforge if not named", default=None),
+    option("--sensor", help="the sensor of the images; refused if the model is for another one", default=None),
+    option("--untouched", type=Path, metavar="IMAGE", help="the sensor while nothing touches it", default=None),
+    option("--out", type=Path, default=Path("predictions"), help="folder (default: %(default)s)"),
+    option("--threads", type=int, default=1),
+)
+def main(args: Namespace) -> None:
     import torch
 
     torch.set_num_threads(args.threads)
@@ -181,10 +180,7 @@ def main(argv=None) -> int:
         against = f" against {row['untouched']}" if row["untouched"] else ""
         print(f"{row['image']}: x {row['grid_x_n']} y {row['grid_y_n']} z {row['grid_z_n']} N{against}{warning}")
     print(f"maps and totals.csv in {args.out}")
-    return 0
 
 
 if __name__ == "__main__":
-    from gelforge.flow.main import exit_with
-
-    exit_with(main)
+    main.exit()

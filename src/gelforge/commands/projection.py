@@ -1,7 +1,7 @@
 """Fit a sensor's projection from point correspondences, or from the marker dots in an image without contact."""
 
-import argparse
 import csv
+from argparse import Namespace
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish, write_json
+from gelforge.flow.main import command, option
 from gelforge.labelling.homography import Fit, fit_homography
 from gelforge.labelling.markers import MarkerGrid, find_markers
 from gelforge.labelling.sensor import Sensor, check_projection, find_sensor, load_sensors, transform
@@ -227,17 +228,20 @@ def report(about: dict, old: Sensor | None) -> None:
     print("for workflow/sensors.toml:\n" + toml_table(about))
 
 
-def main(argv=None) -> int:
-    parser = argparse.ArgumentParser(prog="gelforge projection", description=__doc__)
-    parser.add_argument("--sensor", required=True, help="name the sensor has, or shall have, in sensors.toml")
-    parser.add_argument("--points", type=Path, help="CSV: x_mm, y_mm, u_px, v_px")
-    parser.add_argument("--image", type=Path, help="image without contact, .png or FEATS' .npy")
-    parser.add_argument("--like", default="gelsight_mini", help="sensor whose image size, gel and dots it shares")
-    parser.add_argument("--sensors", type=Path, default=Path("workflow/sensors.toml"))
-    parser.add_argument(
-        "--out", type=Path, help="JSON; a picture goes beside it (default results/projection/SENSOR.json)"
-    )
-    args = parser.parse_args(argv)
+@command(
+    option("--sensor", help="name the sensor has, or shall have, in sensors.toml"),
+    option("--points", type=Path, help="CSV: x_mm, y_mm, u_px, v_px", default=None),
+    option("--image", type=Path, help="image without contact, .png or FEATS' .npy", default=None),
+    option("--like", default="gelsight_mini", help="sensor whose image size, gel and dots it shares"),
+    option("--sensors", type=Path, default=Path("workflow/sensors.toml")),
+    option(
+        "--out",
+        type=Path,
+        help="JSON; a picture goes beside it (default results/projection/SENSOR.json)",
+        default=None,
+    ),
+)
+def main(args: Namespace) -> None:
     if not args.sensor:
         raise BadInput("no sensor named; say make projection SENSOR=name POINTS=points.csv (or IMAGE=nocontact.png)")
     sensors = load_sensors(args.sensors)
@@ -250,7 +254,6 @@ def main(argv=None) -> int:
     write_json(out, about)
     write_picture(out.with_suffix(".png"), draw(found, image))
     report(about, sensors.get(args.sensor))
-    return 0
 
 
 def write_picture(path, picture: np.ndarray) -> None:
@@ -263,6 +266,4 @@ def write_picture(path, picture: np.ndarray) -> None:
 
 
 if __name__ == "__main__":
-    from gelforge.flow.main import exit_with
-
-    exit_with(main)
+    main.exit()

@@ -1,11 +1,12 @@
 """One sample through all stages in the foreground, with its log shown."""
 
-import argparse
 import sys
+from argparse import Namespace
 from pathlib import Path
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, write_csv
+from gelforge.flow.main import command, option
 
 
 def find_row(results: Path, sample_id: str) -> tuple[list[str], dict]:
@@ -54,14 +55,14 @@ def stages(data: Path, results: Path, work: Path, resolution: str) -> list[tuple
     ]
 
 
-def main(argv=None) -> int:
+@command(
+    option("--dataset"),
+    option("--id", help="sample_id in the raw log"),
+    option("--resolution", default="24x32"),
+)
+def main(args: Namespace) -> int | None:
     import importlib
 
-    parser = argparse.ArgumentParser(prog="gelforge sample", description=__doc__)
-    parser.add_argument("--dataset", required=True)
-    parser.add_argument("--id", required=True, help="sample_id in the raw log")
-    parser.add_argument("--resolution", default="24x32")
-    args = parser.parse_args(argv)
     if not args.id:
         raise BadInput("no sample named; say make sample ID=SAMPLE_ID")
     data, results = Path("data") / args.dataset, Path("results") / args.dataset
@@ -77,10 +78,7 @@ def main(argv=None) -> int:
         if Path(arguments[-1]).suffix == ".csv":
             print(Path(arguments[-1]).read_text(encoding="utf-8"))
     print(f"everything of {args.id} lies in {work}")
-    return 0
 
 
 if __name__ == "__main__":
-    from gelforge.flow.main import exit_with
-
-    exit_with(main)
+    main.exit()

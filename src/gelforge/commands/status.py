@@ -1,9 +1,11 @@
 """What of a dataset is done, failed (with reasons) and pending, stage by stage."""
 
-import argparse
 import csv
+from argparse import Namespace
 from collections import Counter
 from pathlib import Path
+
+from gelforge.flow.main import command, option
 
 # Only the standard library: status answers in a fraction of a second for 15 000 samples.
 
@@ -100,15 +102,12 @@ def slurm_lines(results: Path) -> list[str]:
     return overview(results)
 
 
-def main(argv=None) -> int:
-    parser = argparse.ArgumentParser(prog="gelforge status", description=__doc__)
-    parser.add_argument("--results", type=Path, required=True, help="results/DATASET")
-    args = parser.parse_args(argv)
+@command(
+    option("--results", type=Path, help="results/DATASET"),
+)
+def main(args: Namespace) -> None:
     print("\n".join([*lines(args.results), *slurm_lines(args.results)]))
-    return 0
 
 
 if __name__ == "__main__":
-    from gelforge.flow.main import exit_with
-
-    exit_with(main)
+    main.exit()

@@ -1,12 +1,105 @@
-"""How every module's `main` ends."""
+"""A module's command line: its options, its `main`, and how a process ends.
 
+A stage says what it needs and does it; everything else of a program stands here:
+
+    @command(
+        option("--name", help="ccx-REGION-SIZE, such as ccx-centre-0.7"),
+        option("--out", type=Path, help="20_meshes/NAME.npz"),
+    )
+    def main(args):
+        publish(make_mesh(args.name), args.out)
+
+    if __name__ == "__main__":
+        main.exit()
+"""
+
+import argparse
+import inspect
 import os
 import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 from gelforge.errors import GelforgeError
 
 
-def exit_with(main, argv=None) -> None:
+@dataclass(frozen=True)
+class Option:
+    """One argument of a command line: its names and what `argparse` is told of it."""
+
+    names: tuple[str, ...]
+    about: dict[str, Any]
+
+
+def option(*names: str, **about: Any) -> Option:
+    """Return an argument as `argparse.add_argument` takes it; an option without a default must be given."""
+    if names[0].startswith("-") and not {"default", "action", "required"} & about.keys():
+        about["required"] = True
+    return Option(names, about)
+
+
+@dataclass(frozen=True)
+class Command:
+    """A function with a command line: call it with a list of arguments, or let the process end with its code."""
+
+    run: Callable[[argparse.Namespace], int | None]
+    options: tuple[Option, ...]
+
+    def __call__(self, argv: Sequence[str] | None = None) -> int:
+        """Parse `argv` (the process's own where None) and run; return the exit code, raise what goes wrong."""
+        home = inspect.getmodule(self.run)
+        parser = argparse.ArgumentParser(
+            prog=program(home), description=home.__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        )
+        self.extend(parser)
+        args = parser.parse_args(argv)
+        return args.run(args) or 0
+
+    def extend(self, parser: argparse.ArgumentParser) -> None:
+        """Add this command's options to a parser."""
+        for each in self.options:
+            parser.add_argument(*each.names, **each.about)
+        parser.set_defaults(run=self.run)
+
+    def exit(self, argv: Sequence[str] | None = None) -> None:
+        """Run and leave the process, with one line for what a user can mend."""
+        exit_with(self, argv)
+
+
+@dataclass(frozen=True)
+class Group(Command):
+    """Several commands of one module, told apart by their first word."""
+
+    members: dict[str, Command]
+
+    def extend(self, parser: argparse.ArgumentParser) -> None:
+        """Add one sub-parser a member."""
+        words = parser.add_subparsers(required=True, metavar="COMMAND")
+        for word, member in self.members.items():
+            about = inspect.getdoc(member.run)
+            member.extend(words.add_parser(word, help=about, description=about))
+
+
+def command(*options: Option) -> Callable[[Callable[[argparse.Namespace], int | None]], Command]:
+    """Give a function `main(args)` a command line; the module's docstring is its help."""
+    return lambda run: Command(run, options)
+
+
+def group(**members: Command) -> Group:
+    """Join commands of one module into one `main`; the first word of the command line chooses."""
+    first = next(iter(members.values()))
+    return Group(first.run, (), members)
+
+
+def program(home: Any) -> str:
+    """Return how a person starts a module: `gelforge NAME` for a command, `python -m …` for a stage."""
+    name = home.__spec__.name if home.__spec__ else home.__name__
+    folder, _, last = name.rpartition(".")
+    return f"gelforge {last}" if folder == "gelforge.commands" else f"python -m {name}"
+
+
+def exit_with(main: Callable[[Sequence[str] | None], int], argv: Sequence[str] | None = None) -> None:
     """Run `main(argv)` and leave the process with its code; 2 and one line for what a user can mend."""
     try:
         code = main(argv)

@@ -1,6 +1,5 @@
-"""Whole datasets between FEATS' folders and ours: `python -m gelforge.formats.feats_folder import|export`."""
+"""Whole datasets between FEATS' folders and ours."""
 
-import argparse
 import hashlib
 import re
 import shutil
@@ -21,9 +20,7 @@ from gelforge.formats.feats import (
     read_normalisation,
     read_sample,
     write_label,
-    write_normalisation,
 )
-from gelforge.labelling.sensor import find_sensor, load_sensors
 from gelforge.records.labelfile import write_labels
 from gelforge.records.log import COLUMNS
 
@@ -167,34 +164,3 @@ def export_dataset(dataset: Path, out: Path) -> dict:
     if not ranges.found:
         raise BadInput(f"{dataset}: has no training samples, so there is nothing to normalise by; add presses")
     return ranges.found
-
-
-def main(argv=None) -> int:
-    parser = argparse.ArgumentParser(prog="gelforge.formats.feats_folder", description=__doc__)
-    commands = parser.add_subparsers(dest="command", required=True)
-    reading = commands.add_parser("import", help="FEATS' .npy files to data/DATASET")
-    reading.add_argument("--from", dest="source", required=True)
-    reading.add_argument("--data", type=Path, required=True, help="data/DATASET, which must not exist")
-    reading.add_argument("--sensor", default="gelsight_mini", help="name in sensors.toml")
-    reading.add_argument("--sensors", type=Path, default=Path("workflow/sensors.toml"))
-    writing = commands.add_parser("export", help="60_dataset/RES to FEATS' label folders")
-    writing.add_argument("--dataset", type=Path, required=True)
-    writing.add_argument("--folder", type=Path, required=True, help="where train/, val/, test/ … go")
-    writing.add_argument("--out", type=Path, required=True, help="the normalisation file, written last")
-    args = parser.parse_args(argv)
-    if args.command == "export":
-        write_normalisation(args.out, export_dataset(args.dataset, args.folder))
-        return 0
-    if not args.source or not Path(args.source).is_dir():
-        raise BadInput(f"FROM={args.source}: not a folder; say make feats-import FROM=folder DATASET=name")
-    found = import_folder(
-        Path(args.source), args.data, find_sensor(load_sensors(args.sensors), args.sensor, "SENSOR")
-    )
-    print(f"{args.data}: {found['presses']} presses from {found['files']} files; labels: {found['labels'] or 'none'}")
-    return 0
-
-
-if __name__ == "__main__":
-    from gelforge.flow.main import exit_with
-
-    exit_with(main)

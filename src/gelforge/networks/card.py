@@ -1,9 +1,5 @@
 """Model card: what a network is, what it learnt from, and how wrong it is, in Markdown."""
 
-import argparse
-from pathlib import Path
-
-from gelforge.flow.files import read_json, write_text
 from gelforge.networks.inputs import needs_untouched
 from gelforge.networks.metrics import AXES
 
@@ -92,21 +88,3 @@ def write_card(about: dict, evaluation: dict) -> str:
         + " are extrapolation.",
     ]
     return "\n".join(lines) + "\n"
-
-
-def main(argv=None) -> int:
-    parser = argparse.ArgumentParser(prog="gelforge.networks.card", description=__doc__.splitlines()[0])
-    parser.add_argument("--model", type=Path, required=True)
-    parser.add_argument("--evaluation", type=Path, required=True)
-    parser.add_argument("--out", type=Path, required=True)
-    args = parser.parse_args(argv)
-    from gelforge.networks.modelfile import load_model
-
-    write_text(args.out, write_card(load_model(args.model).about, read_json(args.evaluation)))
-    return 0
-
-
-if __name__ == "__main__":
-    from gelforge.flow.main import exit_with
-
-    exit_with(main)

@@ -4,14 +4,10 @@ The graph takes `image` (n, 3, height, width) float32 RGB in 0..255 and gives `f
 inside. That of a network that reads differences also takes `untouched`, as many pictures in the same units.
 """
 
-import argparse
 import importlib.util
 import warnings
-from pathlib import Path
 
 import numpy as np
-
-from gelforge.errors import GelforgeError
 
 OPSET = 17
 TOLERANCE = 1e-5  # of the largest force per cell of the checked images
@@ -105,29 +101,3 @@ def sample_images(size, count: int = 4) -> np.ndarray:
     rng = np.random.default_rng(0)
     slope = np.linspace(30, 200, size[1])[None, None, :, None]
     return np.clip(slope + rng.normal(0, 30, (count, *size, 3)), 0, 255).astype(np.uint8)
-
-
-def main(argv=None) -> int:
-    parser = argparse.ArgumentParser(prog="gelforge.networks.export", description=__doc__.splitlines()[0])
-    parser.add_argument("--model", type=Path, required=True)
-    parser.add_argument("--out", type=Path, required=True)
-    args = parser.parse_args(argv)
-    from gelforge.networks.modelfile import load_model
-
-    trained = load_model(args.model)
-    export(trained, args.out)
-    found = largest_difference(trained, args.out, sample_images(trained.about["image"]))
-    print(", ".join(f"{engine}: {value:.1e} of the range" for engine, value in found.items()))
-    if max(found.values()) > TOLERANCE:
-        args.out.unlink()
-        raise GelforgeError(
-            f"{args.model}: its ONNX form differs from torch by {max(found.values()):.1e} of the range, "
-            f"allowed is {TOLERANCE}; report the versions of torch and the engine"
-        )
-    return 0
-
-
-if __name__ == "__main__":
-    from gelforge.flow.main import exit_with
-
-    exit_with(main)

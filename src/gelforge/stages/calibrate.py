@@ -1,8 +1,8 @@
 """Branch calibrate: posterior of the gel's C10 and of what the rig does to the measurement."""
 
-import argparse
 import os
 import sys
+from argparse import Namespace
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -17,6 +17,7 @@ from gelforge.calibration.readings import Readings, check_enough, check_readings
 from gelforge.calibration.sampling import Chain, Rules, sample
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, read_json, write_json
+from gelforge.flow.main import command, option
 from gelforge.flow.params import read_toml
 from gelforge.flow.progress import progress
 from gelforge.reporting import posterior as plots
@@ -272,22 +273,22 @@ def load_rejected(poses: Path, shards: list[str]) -> set:
     return {int(row["row"]) for path in tables for row in read_csv(path) if row["column"] != "image"}
 
 
-def main(argv=None) -> int:
+@command(
+    option("--data", type=Path, help="data/DATASET, with log.csv and dataset.toml"),
+    option("--workflow", type=Path, default=Path("workflow")),
+    option("--poses", type=Path, help="results/DATASET/10_poses: rows rejected there do not serve", default=None),
+    option("--shards", type=Path, help="results/DATASET/00_plan/shards, with --poses", default=None),
+    option("--params", type=Path, help="JSON slice with tables calibrate and material"),
+    option("--work", type=Path, help="folder for chain and plots"),
+    option("--solves", type=Path, help="folder of cached solves; WORK/solves by default", default=None),
+    option("--jobs", type=int, default=min(2, os.cpu_count() or 1), help="solves at a time"),
+    option("--out", type=Path, help="summary.json"),
+)
+def main(args: Namespace) -> None:
     from gelforge.geometry.indenters import load_catalogue
 
-    parser = argparse.ArgumentParser(prog="gelforge.stages.calibrate", description=__doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path, required=True, help="data/DATASET, with log.csv and dataset.toml")
-    parser.add_argument("--workflow", type=Path, default=Path("workflow"))
-    parser.add_argument("--poses", type=Path, help="results/DATASET/10_poses: rows rejected there do not serve")
-    parser.add_argument("--shards", type=Path, help="results/DATASET/00_plan/shards, with --poses")
-    parser.add_argument("--params", type=Path, required=True, help="JSON slice with tables calibrate and material")
-    parser.add_argument("--work", type=Path, required=True, help="folder for chain and plots")
-    parser.add_argument("--solves", type=Path, help="folder of cached solves; WORK/solves by default")
-    parser.add_argument("--jobs", type=int, default=min(2, os.cpu_count() or 1), help="solves at a time")
-    parser.add_argument("--out", type=Path, required=True, help="summary.json")
-    args = parser.parse_args(argv)
     if (args.poses is None) != (args.shards is None):
-        parser.error("--poses and --shards go together: the plan tells which tables of --poses are of today's log")
+        raise BadInput("--poses and --shards go together: the plan tells which tables of --poses are of today's log")
     tables = read_json(args.params)
     params, nu = tables["calibrate"], float(tables["material"]["nu"])
 
@@ -310,10 +311,7 @@ def main(argv=None) -> int:
         print(f"left out: {row['sample_id']}: {row['reason']}")
     for row in result["outliers"]:
         print(f"outlier: {row}")
-    return 0
 
 
 if __name__ == "__main__":
-    from gelforge.flow.main import exit_with
-
-    exit_with(main)
+    main.exit()

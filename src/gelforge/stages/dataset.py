@@ -1,14 +1,15 @@
 """Stage 60: images and labels as arrays ready to train on, with a split without leaks and normalisation."""
 
-import argparse
 import hashlib
 import os
+from argparse import Namespace
 from pathlib import Path
 
 import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish, read_csv, read_json, write_csv, write_json
+from gelforge.flow.main import command, option
 from gelforge.flow.progress import progress
 from gelforge.formats.feats import LabelSample, Ranges
 from gelforge.labelling.grid import Grid
@@ -266,25 +267,22 @@ def _strength(rows) -> np.ndarray:
     return np.array([round(abs(row["fz_n"] + (row["outside_fz_n"] or 0.0)), 3) for row in rows])
 
 
-def main(argv=None) -> int:
-    parser = argparse.ArgumentParser(prog="gelforge.stages.dataset", description=__doc__)
-    parser.add_argument("--data", type=Path, required=True, help="data/DATASET")
-    parser.add_argument("--labels", type=Path, required=True, help="50_labels/RES, or an imported labels/RES.npz")
-    parser.add_argument("--poses", type=Path, required=True, help="folder 10_poses")
-    parser.add_argument("--shards", type=Path, required=True, help="folder of planned shards")
-    parser.add_argument("--catalogue", type=Path, required=True, help="slice of the indenter catalogue, .json")
-    parser.add_argument("--sensors", type=Path, required=True)
-    parser.add_argument("--resolution", required=True, help="ROWSxCOLS")
-    parser.add_argument("--params", type=Path, required=True)
-    parser.add_argument("--out", type=Path, required=True, help="60_dataset/RES/dataset.json, written last")
-    args = parser.parse_args(argv)
+@command(
+    option("--data", type=Path, help="data/DATASET"),
+    option("--labels", type=Path, help="50_labels/RES, or an imported labels/RES.npz"),
+    option("--poses", type=Path, help="folder 10_poses"),
+    option("--shards", type=Path, help="folder of planned shards"),
+    option("--catalogue", type=Path, help="slice of the indenter catalogue, .json"),
+    option("--sensors", type=Path),
+    option("--resolution", help="ROWSxCOLS"),
+    option("--params", type=Path),
+    option("--out", type=Path, help="60_dataset/RES/dataset.json, written last"),
+)
+def main(args: Namespace) -> None:
     about = build(args)
     write_json(args.out, about)
     print(f"{about['samples']} samples: {about['splits']}; left out: {about['left_out'] or 'none'}")
-    return 0
 
 
 if __name__ == "__main__":
-    from gelforge.flow.main import exit_with
-
-    exit_with(main)
+    main.exit()

@@ -1,12 +1,13 @@
 """Stage 80: errors of one trained network, in the paper's tables, against labels, controls and sensors."""
 
-import argparse
+from argparse import Namespace
 from pathlib import Path
 
 import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish, read_json, write_json
+from gelforge.flow.main import command, option
 from gelforge.networks import metrics
 from gelforge.networks.tables import draw_predictions, tables
 
@@ -140,13 +141,13 @@ def paper_table(result: dict) -> str:
     return "\n".join(lines)
 
 
-def main(argv=None) -> int:
-    parser = argparse.ArgumentParser(prog="gelforge.stages.evaluate", description=__doc__.splitlines()[0])
-    parser.add_argument("--dataset", type=Path, required=True, help="60_dataset/RES")
-    parser.add_argument("--model", type=Path, required=True, help="70_train/RES/MODEL.pt")
-    parser.add_argument("--params", type=Path, required=True)
-    parser.add_argument("--out", type=Path, required=True)
-    args = parser.parse_args(argv)
+@command(
+    option("--dataset", type=Path, help="60_dataset/RES"),
+    option("--model", type=Path, help="70_train/RES/MODEL.pt"),
+    option("--params", type=Path),
+    option("--out", type=Path),
+)
+def main(args: Namespace) -> None:
     from gelforge.networks.data import open_data
     from gelforge.networks.modelfile import load_model
 
@@ -156,10 +157,7 @@ def main(argv=None) -> int:
     with publish(args.out.with_name(args.out.name.removesuffix(".part").removesuffix(".json") + ".png")) as part:
         draw_predictions(part, data, predictions)
     write_json(args.out, result)
-    return 0
 
 
 if __name__ == "__main__":
-    from gelforge.flow.main import exit_with
-
-    exit_with(main)
+    main.exit()

@@ -1,17 +1,18 @@
 """Stage 30: finite element solves of a shard's samples; a rerun resumes at the missing ones."""
 
-import argparse
 import gzip
 import hashlib
 import json
 import shutil
 import tempfile
+from argparse import Namespace
 from pathlib import Path
 
 import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish, read_csv, read_json, write_csv, write_json
+from gelforge.flow.main import command, option
 from gelforge.flow.params import canonical
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import load_gel
@@ -148,14 +149,14 @@ def run_shard(poses: Path, meshes: Path, params: dict, tables: dict, bodies: dic
     return records
 
 
-def main(argv=None) -> int:
-    parser = argparse.ArgumentParser(prog="gelforge.stages.fea", description=__doc__.splitlines()[0])
-    parser.add_argument("--poses", type=Path, required=True, help="10_poses/NNNN.csv")
-    parser.add_argument("--meshes", type=Path, required=True, help="20_meshes")
-    parser.add_argument("--params", type=Path, required=True, help="fea.json, beside sensors.json, indenters.json")
-    parser.add_argument("--workflow", type=Path, default=Path("workflow"), help="where STL paths start")
-    parser.add_argument("--out", type=Path, required=True, help="30_fea/NNNN.csv; samples go to 30_fea/NNNN/")
-    args = parser.parse_args(argv)
+@command(
+    option("--poses", type=Path, help="10_poses/NNNN.csv"),
+    option("--meshes", type=Path, help="20_meshes"),
+    option("--params", type=Path, help="fea.json, beside sensors.json, indenters.json"),
+    option("--workflow", type=Path, default=Path("workflow"), help="where STL paths start"),
+    option("--out", type=Path, help="30_fea/NNNN.csv; samples go to 30_fea/NNNN/"),
+)
+def main(args: Namespace) -> None:
     from gelforge.geometry.indenters import build
 
     params = read_json(args.params)
@@ -172,10 +173,7 @@ def main(argv=None) -> int:
             print(f"failed: {record['sample_id']}: {record['status']}, {record['reason']}")
     counts = {name: n for name in Status.__members__ if (n := sum(r["status"] == name for r in records))}
     print(json.dumps(counts))
-    return 0
 
 
 if __name__ == "__main__":
-    from gelforge.flow.main import exit_with
-
-    exit_with(main)
+    main.exit()

@@ -1,9 +1,9 @@
 """Stage 40: nodal contact forces out of the solvers' output, checked for equilibrium, scaled to the material."""
 
-import argparse
 import gzip
 import json
 import zlib
+from argparse import Namespace
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, read_json
+from gelforge.flow.main import command, option
 from gelforge.mechanics.ccx.dat import DatError, last_table, read_dat
 from gelforge.mechanics.family import mesh_loader
 from gelforge.mechanics.mesh import GelMesh
@@ -89,14 +90,14 @@ def material_c10(c10, calibration: Path | None) -> tuple[float, dict]:
         ) from error
 
 
-def main(argv=None) -> int:
-    parser = argparse.ArgumentParser(prog="gelforge.stages.forces", description=__doc__.splitlines()[0])
-    parser.add_argument("--fea", type=Path, required=True, help="30_fea/NNNN.csv")
-    parser.add_argument("--meshes", type=Path, required=True, help="20_meshes")
-    parser.add_argument("--params", type=Path, required=True, help="forces.json")
-    parser.add_argument("--calibration", type=Path, help="summary of the calibrate branch")
-    parser.add_argument("--out", type=Path, required=True, help="40_forces/NNNN.npz")
-    args = parser.parse_args(argv)
+@command(
+    option("--fea", type=Path, help="30_fea/NNNN.csv"),
+    option("--meshes", type=Path, help="20_meshes"),
+    option("--params", type=Path, help="forces.json"),
+    option("--calibration", type=Path, help="summary of the calibrate branch", default=None),
+    option("--out", type=Path, help="40_forces/NNNN.npz"),
+)
+def main(args: Namespace) -> None:
     params = read_json(args.params)
     c10, intervals = material_c10(params["material"]["c10"], args.calibration)
     load = mesh_loader(args.meshes)
@@ -111,10 +112,7 @@ def main(argv=None) -> int:
         counts[sample.status] = counts.get(sample.status, 0) + 1
     write_forces(args.out, samples, c10, intervals)
     print(json.dumps(counts))
-    return 0
 
 
 if __name__ == "__main__":
-    from gelforge.flow.main import exit_with
-
-    exit_with(main)
+    main.exit()

@@ -1,6 +1,6 @@
 """Stage 50: nodal forces of a shard to force per cell of an image grid."""
 
-import argparse
+from argparse import Namespace
 from functools import lru_cache
 from pathlib import Path
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, read_json, write_json
+from gelforge.flow.main import command, option
 from gelforge.flow.progress import progress
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import Operator, assemble, cached
@@ -182,21 +183,17 @@ def report(summary: dict, largest_share: float) -> None:
         )
 
 
-def main(argv=None) -> int:
-    parser = argparse.ArgumentParser(prog="gelforge.stages.labels", description=__doc__)
-    parser.add_argument(
-        "--forces", type=Path, required=True, help="a shard of 40_forces, or the folder with --shards"
-    )
-    parser.add_argument(
-        "--poses", type=Path, required=True, help="the shard of 10_poses, or the folder with --shards"
-    )
-    parser.add_argument("--meshes", type=Path, required=True, help="folder 20_meshes")
-    parser.add_argument("--sensors", type=Path, required=True, help="sensors.toml, or its slice as .json")
-    parser.add_argument("--resolution", required=True, help="ROWSxCOLS")
-    parser.add_argument("--params", type=Path, required=True)
-    parser.add_argument("--shards", type=Path, help="folder of planned shards: label all, write a summary to --out")
-    parser.add_argument("--out", type=Path, required=True)
-    args = parser.parse_args(argv)
+@command(
+    option("--forces", type=Path, help="a shard of 40_forces, or the folder with --shards"),
+    option("--poses", type=Path, help="the shard of 10_poses, or the folder with --shards"),
+    option("--meshes", type=Path, help="folder 20_meshes"),
+    option("--sensors", type=Path, help="sensors.toml, or its slice as .json"),
+    option("--resolution", help="ROWSxCOLS"),
+    option("--params", type=Path),
+    option("--shards", type=Path, help="folder of planned shards: label all, write a summary to --out", default=None),
+    option("--out", type=Path),
+)
+def main(args: Namespace) -> None:
     grid, sensors = Grid.parse(args.resolution), load_sensors(args.sensors)
     params = read_json(args.params)["labels"]
     if args.shards:
@@ -206,10 +203,7 @@ def main(argv=None) -> int:
         find = operator_finder(args.meshes, sensors, grid, args.out.parent / "operators", str(args.poses))
         summary = {"resolution": str(grid), **label_shard(args.forces, args.poses, find, grid, args.out)}
     report(summary, params["largest_outside_share"])
-    return 0
 
 
 if __name__ == "__main__":
-    from gelforge.flow.main import exit_with
-
-    exit_with(main)
+    main.exit()

@@ -3,12 +3,13 @@
 `scene` solves one scene by every method, `chart` draws.
 """
 
-import argparse
+from argparse import Namespace
 from dataclasses import asdict
 from pathlib import Path
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish, read_json, write_csv, write_json
+from gelforge.flow.main import command, group, option
 from gelforge.flow.progress import progress
 from gelforge.labelling.sensor import load_sensors
 from gelforge.sweeps.deviation import errors, frontier
@@ -146,7 +147,17 @@ def _brief(record: dict) -> dict:
     return {key: record.get(key) for key in keys}
 
 
-def _scene(args) -> None:
+@command(
+    option("--name"),
+    option("--scene", type=Path, help="resolved table, .json"),
+    option("--set", choices=("full", "quick"), default="full"),
+    option("--params", type=Path),
+    option("--sensors", type=Path),
+    option("--meshes", type=Path),
+    option("--out", type=Path),
+)
+def solve(args: Namespace) -> None:
+    """Solve one scene by every method; a rerun resumes."""
     params = read_json(args.params)
     scene = parse_scene(args.name, read_json(args.scene), params["material"]["nu"])
     bench = load_bench(params, load_sensors(args.sensors), args.meshes, args.out.parent)
@@ -162,7 +173,13 @@ def _scene(args) -> None:
     write_json(args.out, solve_scene(bench, scene, methods, halved))
 
 
-def _chart(args) -> None:
+@command(
+    option("--scenes", type=Path, nargs="+"),
+    option("--note", default=""),
+    option("--out", type=Path),
+)
+def draw(args: Namespace) -> None:
+    """Draw solved scenes: chart, CSV and JSON."""
     scenes = [read_json(path) for path in args.scenes]
     references = {scene["reference"] for scene in scenes}
     if len(references) != 1:
@@ -171,27 +188,8 @@ def _chart(args) -> None:
     print("\n".join(found["reading"]))
 
 
-def main(argv=None) -> int:
-    parser = argparse.ArgumentParser(prog="gelforge.stages.pareto", description=__doc__.splitlines()[0])
-    commands = parser.add_subparsers(dest="command", required=True)
-    scene = commands.add_parser("scene", help="solve one scene by every method; a rerun resumes")
-    scene.add_argument("--name", required=True)
-    scene.add_argument("--scene", type=Path, required=True, help="resolved table, .json")
-    scene.add_argument("--set", choices=("full", "quick"), default="full")
-    scene.add_argument("--params", type=Path, required=True)
-    scene.add_argument("--sensors", type=Path, required=True)
-    scene.add_argument("--meshes", type=Path, required=True)
-    chart = commands.add_parser("chart", help="chart, CSV and JSON of solved scenes")
-    chart.add_argument("--scenes", type=Path, nargs="+", required=True)
-    chart.add_argument("--note", default="")
-    for command in (scene, chart):
-        command.add_argument("--out", type=Path, required=True)
-    args = parser.parse_args(argv)
-    {"scene": _scene, "chart": _chart}[args.command](args)
-    return 0
+main = group(scene=solve, chart=draw)
 
 
 if __name__ == "__main__":
-    from gelforge.flow.main import exit_with
-
-    exit_with(main)
+    main.exit()

@@ -3,13 +3,14 @@
 Writes JSON and, beside it, the same as CSV and as a chart.
 """
 
-import argparse
+from argparse import Namespace
 from pathlib import Path
 
 import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish, read_json, write_csv, write_json
+from gelforge.flow.main import command, option
 from gelforge.networks.metrics import AXES
 
 BASELINE = "unet"
@@ -136,15 +137,15 @@ def draw_chart(path, rows: list[dict], split: str, chosen: str | None) -> None:
     figure.savefig(path, dpi=130)
 
 
-def main(argv=None) -> int:
-    parser = argparse.ArgumentParser(prog="gelforge.stages.pareto_models", description=__doc__.splitlines()[0])
-    parser.add_argument("--dataset", type=Path, required=True, help="60_dataset/RES, for an image to time on")
-    parser.add_argument("--models", type=Path, nargs="+", required=True, help="70_train/RES/*.pt")
-    parser.add_argument("--evaluations", type=Path, nargs="+", required=True, help="80_evaluate/RES/*.json")
-    parser.add_argument("--split", default="test")
-    parser.add_argument("--seconds", type=float, default=3.0, help="of timed runs per model and way")
-    parser.add_argument("--out", type=Path, required=True)
-    args = parser.parse_args(argv)
+@command(
+    option("--dataset", type=Path, help="60_dataset/RES, for an image to time on"),
+    option("--models", type=Path, nargs="+", help="70_train/RES/*.pt"),
+    option("--evaluations", type=Path, nargs="+", help="80_evaluate/RES/*.json"),
+    option("--split", default="test"),
+    option("--seconds", type=float, default=3.0, help="of timed runs per model and way"),
+    option("--out", type=Path),
+)
+def main(args: Namespace) -> None:
     from gelforge.networks.data import open_data
     from gelforge.networks.modelfile import load_model
 
@@ -171,10 +172,7 @@ def main(argv=None) -> int:
             f"{row['model']:14s} {row['cpu1_median_ms']:8.2f} ms  {row['cpu2_median_ms']:8.2f} ms  "
             f"{row['percent']:6.2f} % {'front' if row['front'] else ''}{' chosen' if row['model'] == chosen else ''}"
         )
-    return 0
 
 
 if __name__ == "__main__":
-    from gelforge.flow.main import exit_with
-
-    exit_with(main)
+    main.exit()

@@ -4,14 +4,15 @@ Written at parse time of make, so that `make -n` knows all of it. Files change o
 content does.
 """
 
-import argparse
 import csv
 import io
+from argparse import Namespace
 from pathlib import Path
 
 from gelforge.errors import BadInput
 from gelforge.flow import params as config
 from gelforge.flow.files import read_csv, write_if_changed, write_text
+from gelforge.flow.main import command, option
 
 SHARD_DIGITS = 4
 
@@ -122,13 +123,13 @@ def chart_lists(params: dict, scenes: dict) -> dict[str, list[str]]:
     return {"PARETO_SCENES": list(scenes), "PARETO_QUICK": quick, "PARETO_MESHES": all_meshes(params, scenes)}
 
 
-def main(argv=None) -> int:
-    parser = argparse.ArgumentParser(prog="gelforge.stages.plan", description=__doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path, required=True, help="data/DATASET")
-    parser.add_argument("--workflow", type=Path, default=Path("workflow"))
-    parser.add_argument("--ccx", default="none", help="CalculiX' program, or `none`")
-    parser.add_argument("--out", type=Path, required=True, help="results/DATASET/00_plan/plan.mk")
-    args = parser.parse_args(argv)
+@command(
+    option("--data", type=Path, help="data/DATASET"),
+    option("--workflow", type=Path, default=Path("workflow")),
+    option("--ccx", default="none", help="CalculiX' program, or `none`"),
+    option("--out", type=Path, help="results/DATASET/00_plan/plan.mk"),
+)
+def main(args: Namespace) -> None:
     out = args.out.parent
     dataset_toml = args.data / "dataset.toml"
     params = config.load_params(args.workflow, dataset_toml)
@@ -150,10 +151,7 @@ def main(argv=None) -> int:
     lists = {"SHARDS": shards, "MESHES": meshes, "BRANCHES": params["report"]["branches"]}
     lists |= chart_lists(params, scenes)
     write_text(args.out, "".join(f"{name} := {' '.join(values)}\n" for name, values in lists.items()))
-    return 0
 
 
 if __name__ == "__main__":
-    from gelforge.flow.main import exit_with
-
-    exit_with(main)
+    main.exit()

@@ -3,9 +3,9 @@
 The pose table holds the path of the tip against the gel; the commanded one stays in the raw log.
 """
 
-import argparse
 import json
 import sys
+from argparse import Namespace
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -14,6 +14,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish, read_json, write_csv
+from gelforge.flow.main import command, option
 from gelforge.geometry.gel import Gel, load_gel
 from gelforge.records import log
 
@@ -190,15 +191,15 @@ def write_shard(good, rejections, out: Path, params: dict) -> None:
     write_csv(out, COLUMNS, rows)
 
 
-def main(argv=None) -> int:
-    parser = argparse.ArgumentParser(prog="gelforge.stages.poses", description=__doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path, required=True, help="data/DATASET")
-    parser.add_argument("--shard", type=Path, required=True, help="raw rows, 00_plan/shards/NNNN.csv")
-    parser.add_argument("--params", type=Path, required=True, help="poses.json, beside sensors.json, indenters.json")
-    parser.add_argument("--workflow", type=Path, default=Path("workflow"), help="where STL paths start")
-    parser.add_argument("--strict", action="store_true", help="fail where a sample is rejected")
-    parser.add_argument("--out", type=Path, required=True, help="pose table, 10_poses/NNNN.csv")
-    args = parser.parse_args(argv)
+@command(
+    option("--data", type=Path, help="data/DATASET"),
+    option("--shard", type=Path, help="raw rows, 00_plan/shards/NNNN.csv"),
+    option("--params", type=Path, help="poses.json, beside sensors.json, indenters.json"),
+    option("--workflow", type=Path, default=Path("workflow"), help="where STL paths start"),
+    option("--strict", action="store_true", help="fail where a sample is rejected"),
+    option("--out", type=Path, help="pose table, 10_poses/NNNN.csv"),
+)
+def main(args: Namespace) -> None:
     params = read_json(args.params)["poses"]
     tables = {name: read_json(args.params.parent / f"{name}.json") for name in ("sensors", "indenters")}
     rows = log.read_log(args.shard)
@@ -210,10 +211,7 @@ def main(argv=None) -> int:
         count = len({r.row for r in rejections})
         raise BadInput(f"{args.data}: {count} rows rejected; correct them, or run without STRICT")
     print(json.dumps({"good": len(good), "rejected": len(rows) - len(good)}))
-    return 0
 
 
 if __name__ == "__main__":
-    from gelforge.flow.main import exit_with
-
-    exit_with(main)
+    main.exit()

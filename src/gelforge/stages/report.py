@@ -1,14 +1,15 @@
 """Stage 90: one page that shows what was pressed, solved, labelled, learnt, and what failed."""
 
-import argparse
 import importlib.metadata
 import json
 import subprocess
+from argparse import Namespace
 from pathlib import Path
 
 import numpy as np
 
 from gelforge.flow.files import read_csv, read_json, write_text
+from gelforge.flow.main import command, option
 from gelforge.reporting import pictures
 from gelforge.reporting.page import Section, render
 from gelforge.stages.plan import planned_shards
@@ -271,21 +272,18 @@ def build(data: Path, results: Path, resolution: str, model: str, gallery: int) 
     return render(data.name, lead, sections)
 
 
-def main(argv=None) -> int:
-    parser = argparse.ArgumentParser(prog="gelforge.stages.report", description=__doc__)
-    parser.add_argument("--data", type=Path, required=True, help="data/DATASET")
-    parser.add_argument("--results", type=Path, required=True, help="results/DATASET")
-    parser.add_argument("--resolution", required=True)
-    parser.add_argument("--model", required=True)
-    parser.add_argument("--params", type=Path, required=True)
-    parser.add_argument("--out", type=Path, required=True)
-    args = parser.parse_args(argv)
+@command(
+    option("--data", type=Path, help="data/DATASET"),
+    option("--results", type=Path, help="results/DATASET"),
+    option("--resolution"),
+    option("--model"),
+    option("--params", type=Path),
+    option("--out", type=Path),
+)
+def main(args: Namespace) -> None:
     gallery = read_json(args.params)["report"]["gallery"]
     write_text(args.out, build(args.data, args.results, args.resolution, args.model, gallery))
-    return 0
 
 
 if __name__ == "__main__":
-    from gelforge.flow.main import exit_with
-
-    exit_with(main)
+    main.exit()

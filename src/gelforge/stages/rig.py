@@ -1,7 +1,7 @@
 """Source `rig`: carry out a plan on the virtual bench and write data/DATASET like a real one would."""
 
-import argparse
 import os
+from argparse import Namespace
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import nullcontext
 from dataclasses import replace
@@ -9,6 +9,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 from gelforge.errors import BadInput
+from gelforge.flow.main import command, option
 from gelforge.flow.params import load_params, overlay
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import Gel
@@ -171,24 +172,21 @@ def _no_contact_images(plan, workflow, folder) -> None:
         )
 
 
-def main(argv=None) -> int:
+@command(
+    option("--plan", help="workflow/rig/NAME.toml"),
+    option("--data", default="data", help="folder of the datasets"),
+    option("--workflow", default="workflow", help="folder of sensors.toml and rig/sensors.toml"),
+    option("--jobs", type=int, default=1, help="presses at a time, one core each"),
+)
+def main(given: Namespace) -> None:
     """Carry out a plan, or refuse it with the reason."""
-    parser = argparse.ArgumentParser(prog="gelforge.stages.rig", description=__doc__)
-    parser.add_argument("--plan", required=True, help="workflow/rig/NAME.toml")
-    parser.add_argument("--data", default="data", help="folder of the datasets")
-    parser.add_argument("--workflow", default="workflow", help="folder of sensors.toml and rig/sensors.toml")
-    parser.add_argument("--jobs", type=int, default=1, help="presses at a time, one core each")
-    given = parser.parse_args(argv)
     if given.jobs < 1:
         raise BadInput(f"--jobs {given.jobs}: give at least 1")
     # one thread per press, whatever the user has set: presses run side by side, and sums keep their order
     os.environ.update(OMP_NUM_THREADS="1", MKL_NUM_THREADS="1")
     os.environ.setdefault("MKL_CBWR", "AUTO")  # the same digits wherever in memory an array lies
     run(given.plan, given.data, given.workflow, given.jobs)
-    return 0
 
 
 if __name__ == "__main__":
-    from gelforge.flow.main import exit_with
-
-    exit_with(main)
+    main.exit()

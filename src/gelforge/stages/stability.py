@@ -3,15 +3,16 @@
 `row` solves the cases of one factor, `map` puts the rows together.
 """
 
-import argparse
 import hashlib
 import time
+from argparse import Namespace
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
 from gelforge.flow.files import publish, read_json, write_csv, write_json
+from gelforge.flow.main import command, group, option
 from gelforge.flow.params import canonical
 from gelforge.flow.progress import progress
 from gelforge.mechanics.ccx.program import need_ccx
@@ -142,7 +143,15 @@ def _name_bad(line: dict, factor: str) -> str:
     return f"{line['kind']} {factor} {line[factor]} ({how})"
 
 
-def _row(args) -> None:
+@command(
+    option("--row", choices=(*FACTORS, "random", "native")),
+    option("--params", type=Path),
+    option("--meshes", type=Path),
+    option("--cases", type=Path, help="folder that keeps solved cases"),
+    option("--out", type=Path),
+)
+def solve(args: Namespace) -> None:
+    """Solve the cases of one row; a rerun resumes."""
     params = read_json(args.params)
     need_ccx()
     records = solve_row(args.row, params, args.meshes, args.cases)
@@ -153,7 +162,12 @@ def _row(args) -> None:
         print(f"{left} of {len(records)} cases were not run: the row's time was over; raise [stability] minutes")
 
 
-def _map(args) -> None:
+@command(
+    option("--rows", type=Path, nargs="+"),
+    option("--out", type=Path),
+)
+def draw(args: Namespace) -> None:
+    """Put the rows together: picture, CSV and JSON."""
     from gelforge.reporting.charts import stability_map
 
     table = [line for path in args.rows for line in read_json(path)["judged"]]
@@ -166,24 +180,8 @@ def _map(args) -> None:
     print("\n".join(said))
 
 
-def main(argv=None) -> int:
-    parser = argparse.ArgumentParser(prog="gelforge.stages.stability", description=__doc__.splitlines()[0])
-    commands = parser.add_subparsers(dest="command", required=True)
-    row = commands.add_parser("row", help="solve the cases of one row; a rerun resumes")
-    row.add_argument("--row", required=True, choices=(*FACTORS, "random", "native"))
-    row.add_argument("--params", type=Path, required=True)
-    row.add_argument("--meshes", type=Path, required=True)
-    row.add_argument("--cases", type=Path, required=True, help="folder that keeps solved cases")
-    chart = commands.add_parser("map", help="picture, CSV and JSON of all rows")
-    chart.add_argument("--rows", type=Path, nargs="+", required=True)
-    for command in (row, chart):
-        command.add_argument("--out", type=Path, required=True)
-    args = parser.parse_args(argv)
-    {"row": _row, "map": _map}[args.command](args)
-    return 0
+main = group(row=solve, map=draw)
 
 
 if __name__ == "__main__":
-    from gelforge.flow.main import exit_with
-
-    exit_with(main)
+    main.exit()

@@ -3,12 +3,13 @@
 The curve lies inside the model file and, as a table, beside it.
 """
 
-import argparse
 import json
+from argparse import Namespace
 from pathlib import Path
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish, read_json, write_csv
+from gelforge.flow.main import command, option
 
 VERSION = 5
 
@@ -111,14 +112,14 @@ def train(data, name: str, model: dict, settings: dict, checkpoint=None):
     return Trained(training.net.cpu(), about, data.nocontact if needs_untouched(norm["reads"]) else {})
 
 
-def main(argv=None) -> int:
-    parser = argparse.ArgumentParser(prog="gelforge.stages.train", description=__doc__.splitlines()[0])
-    parser.add_argument("--dataset", type=Path, required=True, help="60_dataset/RES")
-    parser.add_argument("--model", required=True, help="name of a table in --models")
-    parser.add_argument("--models", type=Path, default=Path("workflow/models.toml"))
-    parser.add_argument("--params", type=Path, required=True)
-    parser.add_argument("--out", type=Path, required=True)
-    args = parser.parse_args(argv)
+@command(
+    option("--dataset", type=Path, help="60_dataset/RES"),
+    option("--model", help="name of a table in --models"),
+    option("--models", type=Path, default=Path("workflow/models.toml")),
+    option("--params", type=Path),
+    option("--out", type=Path),
+)
+def main(args: Namespace) -> None:
     from gelforge.networks.data import open_data
     from gelforge.networks.modelfile import save_model
     from gelforge.networks.tables import draw_curve
@@ -139,10 +140,7 @@ def main(argv=None) -> int:
         f"best epoch {trained.about['best_epoch']}, {cost['seconds']:.0f} s in {cost['steps']} steps, waited "
         f"{100 * cost['wait_seconds'] / max(cost['seconds'], 1e-9):.1f} % for data, peak {cost['peak_gib']:.2f} GiB"
     )
-    return 0
 
 
 if __name__ == "__main__":
-    from gelforge.flow.main import exit_with
-
-    exit_with(main)
+    main.exit()

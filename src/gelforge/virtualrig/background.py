@@ -1,12 +1,10 @@
 """Fit the parametric light of a look to a real picture without contact."""
 
-import argparse
-
 import cv2
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.virtualrig.looks import COLOURS, HEIGHT, TERMS, WIDTH, normalised_pixels
+from gelforge.virtualrig.looks import HEIGHT, TERMS, WIDTH, normalised_pixels
 
 
 def dot_spots(image: np.ndarray, darker: float = 0.72) -> tuple[np.ndarray, np.ndarray]:
@@ -55,22 +53,3 @@ def fit_background(image: np.ndarray) -> np.ndarray:
     s, t = normalised_pixels()
     powers = np.stack([s[mask] ** i * t[mask] ** j for i, j in TERMS], axis=1)
     return np.linalg.lstsq(powers, image[mask].astype(float), rcond=None)[0]
-
-
-def main(argv=None) -> int:
-    """Print the background of IMAGE as it stands in workflow/rig/sensors.toml."""
-    parser = argparse.ArgumentParser(prog="gelforge.virtualrig.background", description=main.__doc__)
-    parser.add_argument("image", help="a picture without contact, 320 x 240")
-    path = parser.parse_args(argv).image
-    image = cv2.imread(path)
-    if image is None:
-        raise BadInput(f"{path}: no readable image; give a PNG of the gel without contact")
-    for name, terms in zip(COLOURS, fit_background(image[..., ::-1]).T, strict=True):
-        print(f"{name} = [{', '.join(f'{value:.1f}' for value in terms)}]")
-    return 0
-
-
-if __name__ == "__main__":
-    from gelforge.flow.main import exit_with
-
-    exit_with(main)

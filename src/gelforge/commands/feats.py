@@ -1,0 +1,42 @@
+"""Datasets from FEATS' files and back: `make feats-import`, `make feats-export`."""
+
+from argparse import Namespace
+from pathlib import Path
+
+from gelforge.errors import BadInput
+from gelforge.flow.main import command, group, option
+from gelforge.formats.feats import write_normalisation
+from gelforge.formats.feats_folder import export_dataset, import_folder
+from gelforge.labelling.sensor import find_sensor, load_sensors
+
+
+@command(
+    option("--from", dest="source"),
+    option("--data", type=Path, help="data/DATASET, which must not exist"),
+    option("--sensor", default="gelsight_mini", help="name in sensors.toml"),
+    option("--sensors", type=Path, default=Path("workflow/sensors.toml")),
+)
+def bring_in(args: Namespace) -> None:
+    """FEATS' .npy files to data/DATASET."""
+    if not args.source or not Path(args.source).is_dir():
+        raise BadInput(f"FROM={args.source}: not a folder; say make feats-import FROM=folder DATASET=name")
+    sensor = find_sensor(load_sensors(args.sensors), args.sensor, "SENSOR")
+    found = import_folder(Path(args.source), args.data, sensor)
+    print(f"{args.data}: {found['presses']} presses from {found['files']} files; labels: {found['labels'] or 'none'}")
+
+
+@command(
+    option("--dataset", type=Path, help="60_dataset/RES"),
+    option("--folder", type=Path, help="where train/, val/, test/ … go"),
+    option("--out", type=Path, help="the normalisation file, written last"),
+)
+def send_out(args: Namespace) -> None:
+    """60_dataset/RES to FEATS' label folders."""
+    write_normalisation(args.out, export_dataset(args.dataset, args.folder))
+
+
+main = group(**{"import": bring_in, "export": send_out})
+
+
+if __name__ == "__main__":
+    main.exit()

@@ -1,0 +1,65 @@
+"""A module's command line: what must be given, how errors end a process, what the help says."""
+
+import importlib
+import pkgutil
+
+import pytest
+
+import gelforge.commands
+import gelforge.stages
+from gelforge.errors import BadInput
+from gelforge.flow.main import Command, command, group, option
+
+PROGRAMS = [
+    module.name
+    for package in (gelforge.stages, gelforge.commands)
+    for module in pkgutil.iter_modules(package.__path__, f"{package.__name__}.")
+    if module.name != "gelforge.commands.gelforge"
+]
+
+
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_every_stage_and_command_has_a_command_line_with_help(name, capsys):
+    main = importlib.import_module(name).main
+    assert isinstance(main, Command)
+    with pytest.raises(SystemExit) as ended:
+        main(["--help"])
+    assert ended.value.code == 0
+    assert "usage: " in capsys.readouterr().out
+
+
+def test_an_option_without_a_default_must_be_given(capsys):
+    main = command(option("--out"), option("--jobs", type=int, default=1))(lambda args: args.jobs)
+    assert main(["--out", "x", "--jobs", "3"]) == 3
+    with pytest.raises(SystemExit):
+        main([])
+    assert "--out" in capsys.readouterr().err
+
+
+def test_the_first_word_chooses_a_command_of_a_group():
+    main = group(one=command()(lambda args: 1), two=command(option("--value", type=int))(lambda args: args.value))
+    assert main(["one"]) == 1
+    assert main(["two", "--value", "7"]) == 7
+
+
+def test_a_mistake_of_the_user_is_one_line_and_code_2(capsys):
+    @command()
+    def main(args):
+        raise BadInput("log.csv: row 3: no number")
+
+    with pytest.raises(BadInput):
+        main([])
+    with pytest.raises(SystemExit) as ended:
+        main.exit([])
+    assert ended.value.code == 2
+    assert capsys.readouterr().err == "error: log.csv: row 3: no number\n"
+
+
+def test_gelforge_lists_its_commands(capsys):
+    from gelforge.commands.gelforge import COMMANDS, main
+
+    with pytest.raises(SystemExit) as ended:
+        main(["--help"])
+    assert ended.value.code == 0
+    said = capsys.readouterr().out
+    assert all(f"gelforge {name}" in said for name in COMMANDS)
