@@ -10,7 +10,7 @@ from gelforge.geometry.gel import Gel
 from gelforge.labelling.patch import consistent_loads
 from gelforge.mechanics.hex.hexmesh import FineBox, build_mesh
 from gelforge.records.forcefile import SampleForces, write_forces
-from gelforge.records.log import COLUMNS
+from gelforge.records.press import COLUMNS
 
 ROOT = Path(__file__).resolve().parent.parent
 PARAMS = {

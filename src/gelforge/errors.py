@@ -1,12 +1,23 @@
-"""The errors that a user of gelforge is meant to read."""
+"""The errors that a user of gelforge is meant to read, and how text of others is shown in them."""
+
+
+def printable(text: object) -> str:
+    """Text with every character that a terminal would obey, or not show, written as its escape: a newline as \\n.
+
+    Names and cells come from files of others: shown raw, a sample_id could clear the screen or forge a line.
+    """
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in str(text))
 
 
 class GelforgeError(Exception):
     """What was given cannot be used.
 
-    The message names what was given, what was seen, and what to do. `main` functions
-    print it and exit with 2; nothing else catches it.
+    The message names what was given, what was seen, and what to do; it is shown as `printable`. `main`
+    functions print it and exit with 2; nothing else catches it.
     """
+
+    def __str__(self) -> str:
+        return printable(super().__str__())
 
 
 class BadInput(GelforgeError):

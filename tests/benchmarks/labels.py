@@ -23,6 +23,7 @@ from gelforge.labelling.patch import consistent_loads, exact_cells, irregular_su
 from gelforge.labelling.sensor import load_sensors
 from gelforge.records.forcefile import SampleForces, write_forces
 from gelforge.records.labelfile import read_labels, to_float32
+from gelforge.records.press import POSE
 from tests.benchmarks.figures import Figure, publish_figures
 
 SENSORS = Path("workflow/sensors.toml")
@@ -212,8 +213,9 @@ def write_shards(folder: Path, rng) -> None:
             SampleForces(n, "OK", "irregular", surface, stock[(shard + k) % 40], rest) for k, n in enumerate(names)
         ]
         write_forces(folder / "40_forces" / f"{shard:04d}.npz", samples, 0.0725)
-        rows = [{"sample_id": name, "sensor_id": "gelsight_mini"} for name in names]
-        write_csv(folder / "10_poses" / f"{shard:04d}.csv", ["sample_id", "sensor_id"], rows)
+        pose = dict.fromkeys(POSE, "0") | {"sensor_id": "gelsight_mini", "indenter": "sphere_15", "dz_mm": "-1"}
+        rows = [{"sample_id": name, **pose} for name in names]
+        write_csv(folder / "10_poses" / f"{shard:04d}.csv", list(rows[0]), rows)
         (folder / "shards" / f"{shard:04d}.csv").touch()
     write_json(folder / "labels.json", {"version": 1, "labels": {"largest_outside_share": 1.0}})
 

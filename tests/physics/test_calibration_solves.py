@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from calibration_law import true_values
 
-from gelforge.calibration.readings import NUMBERS, Readings
+from gelforge.calibration.readings import Readings
 from gelforge.calibration.solves import SolveCache, build_emulator, interface_of, make_plan, refine, solve_all
 from gelforge.errors import BadInput, SolveFailed
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue
 from gelforge.mechanics.hex.solver import HexSettings, solve_hex
 from gelforge.mechanics.scene import REFERENCE_C10, Material, Scene
+from gelforge.records.press import POSE
 
 SETTINGS = HexSettings(size=1.2, layers=3, press_steps=8, shear_steps=3, final_tolerance=1e-7)
 NU = 0.475
@@ -28,7 +29,7 @@ def presses(*poses) -> Readings:
     n = len(poses)
     ids = np.array([f"p{i}" for i in range(n)])
     force = np.tile([0.0, 0.0, -1.0], (n, 1))
-    assert len(poses[0]) == len(NUMBERS)
+    assert len(poses[0]) == len(POSE)
     return Readings("log.csv", np.arange(2, n + 2), ids, np.array(["sphere_15"] * n), np.array(poses, float), force)
 
 

@@ -123,8 +123,8 @@ def test_too_short_a_chain_fails_with_figures_and_remedy():
     [
         ("sample_id,indenter\na,s\n", "column x0_mm is missing"),
         ("{h}\na,s,0,0,0,0,0,-1,0,,,,\n", "no row has a normal force"),
-        ("{h}\na,s,0,0,0,0,0,-1,0,,,x,\n", r"row 2, column fz_n: 'x' is not a number"),
-        ("{h}\na,s,0,0,0,0,0,nan,0,,,-1,\n", r"row 2, column dz_mm: 'nan' is not finite"),
+        ("{h}\na,s,0,0,0,0,0,-1,0,,,x,\n", r"row 2, column fz_n: 'x': not a finite number"),
+        ("{h}\na,s,0,0,0,0,0,nan,0,,,-1,\n", r"row 2, column dz_mm: 'nan': not a finite number"),
     ],
 )
 def test_unreadable_logs(tmp_path, text, message):

@@ -144,6 +144,10 @@ def spoil_forces(results):
     np.savez(path, **arrays)
 
 
+def rewrite(path, old, new):
+    path.write_text(path.read_text().replace(old, new))
+
+
 BROKEN = {
     "NaN forces": (spoil_forces, ["0000.npz", "s000", "not finite"]),
     "truncated forces": (
@@ -154,7 +158,7 @@ BROKEN = {
     "truncated mesh": (lambda r: (r / "20_meshes/brick.npz").write_bytes(b"junk"), ["brick.npz", "not a gel mesh"]),
     "no pose": (lambda r: (r / "10_poses/0000.csv").write_text("sample_id,sensor_id\n"), ["0000.csv", "s000"]),
     "unknown sensor": (
-        lambda r: (r / "10_poses/0000.csv").write_text("sample_id,sensor_id\ns000,zzz\n"),
+        lambda r: rewrite(r / "10_poses/0000.csv", "mini_a", "zzz"),
         ["zzz", "mini_a"],
     ),
     "other mesh": (lambda r: make_mesh(2.5).save(r / "20_meshes/brick.npz"), ["node", "make"]),

@@ -16,6 +16,7 @@ from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue
 from gelforge.mechanics.scene import Press
 from gelforge.records import log
+from gelforge.records.press import FORCES, LoggedPress, parse
 from gelforge.stages import poses
 
 
@@ -60,7 +61,7 @@ def read(path):
 
 
 def sample(sample_id="a", **cells):
-    plain = dict.fromkeys(log.FORCES) | {
+    plain = dict.fromkeys(FORCES) | {
         "x0_mm": 0.0,
         "y0_mm": 0.0,
         "z0_mm": 0.0,
@@ -76,14 +77,14 @@ def sample(sample_id="a", **cells):
         "indenter": "sphere_15",
         "image": "images/a.png",
     }
-    return log.Sample(row=0, sample_id=sample_id, **{**plain, **words, **cells})
+    return LoggedPress(row=0, sample_id=sample_id, **{**plain, **words, **cells})
 
 
 def test_table_and_surfaces_are_written(lab):
     table, rejected, folder = lab([sample("a", x0_mm=1.0, rot_deg=30.0, fz_n=-5.5), sample("b", indenter="bar_5")])
     assert not rejected
     assert [row["stl"] for row in table] == ["0000/a.stl", "0000/b.stl"]
-    assert tuple(table[0]) == poses.COLUMNS
+    assert tuple(table[0]) == log.POSED_COLUMNS
     assert (float(table[0]["fz_n"]), table[0]["fx_n"]) == (-5.5, "")
     vertices, faces = triangles.read_stl(folder / "a.stl")
     # STL holds float32: 1e-6 of a few mm
@@ -167,8 +168,13 @@ def test_users_shape_goes_through(lab, tmp_path, root):
     assert [row["column"] for row in rejected] == ["dz_mm"]
     assert triangles.read_stl(folder / "a.stl")[0][:, 2].max() == pytest.approx(1.5, abs=1e-5)
     mine.write_bytes(mine.read_bytes()[:500])
-    with pytest.raises(BadInput, match="indenter mine"):
-        lab([sample("a", indenter="mine")], "--workflow", str(tmp_path))
+    table = json.loads(path.read_text()) | {"ball": {"kind": "sphere", "diameter": 15.0, "height": 10.0}}
+    path.write_text(json.dumps(table))
+    table, rejected, _ = lab(
+        [sample("a", indenter="mine"), sample("b", indenter="ball")], "--workflow", str(tmp_path)
+    )
+    assert [row["sample_id"] for row in table] == ["b"]  # a broken shape keeps out its own presses alone
+    assert [(row["column"], "mine.stl" in row["remedy"]) for row in rejected] == [("indenter", True)]
 
 
 @pytest.mark.parametrize(
@@ -249,7 +255,7 @@ def test_the_paths_of_a_yielding_bench_are_those_the_tip_took(root):
     real = {row["sample_id"]: row for row in read(root / "data/demo/truth/presses.csv")}
     off, uncorrected = [], []
     for row in log.read_log(root / "data/demo/log.csv"):
-        logged, _ = log.parse(row, "log.csv")
+        logged, _ = parse(row, "log.csv")
         path, wrong = poses.yielded(logged, "log.csv", params)
         assert not wrong
         true = real[path.sample_id]

@@ -6,7 +6,8 @@ import pytest
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, read_json
-from gelforge.records.log import parse, read_log
+from gelforge.records.log import read_log
+from gelforge.records.press import parse
 from gelforge.stages.rig import main, run
 from tests.conftest import ROOT
 

@@ -1,22 +1,21 @@
 """Force readings of a raw log, and the faults that would make a calibration meaningless."""
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import read_csv
 from gelforge.mechanics.scene import Press
-
-NUMBERS = ("x0_mm", "y0_mm", "z0_mm", "dx_mm", "dy_mm", "dz_mm", "rot_deg")
-FORCES = ("fx_n", "fy_n", "fz_n")
+from gelforge.records.log import read_log
+from gelforge.records.press import FORCE, POSE, parse
 
 
 @dataclass(frozen=True)
 class Readings:
     """n presses with a force reading each.
 
-    rows: (n,) line numbers in the log. ids, indenters: (n,) str. pose: (n, 7) in the order of NUMBERS.
+    rows: (n,) line numbers in the log. ids, indenters: (n,) str. pose: (n, 7) in the order of POSE.
     force: (n, 3) N on the gel; nan where a sideways component was not logged.
     """
 
@@ -57,49 +56,40 @@ class Readings:
         return shown + (f" and {len(index) - 5} more" if len(index) > 5 else "")
 
 
-def _number(row: dict, column: str, where: str) -> float:
-    text = (row.get(column) or "").strip()
-    try:
-        value = float(text)
-    except ValueError as error:
-        raise BadInput(f"{where}, column {column}: {text!r} is not a number; mend the log") from error
-    if not np.isfinite(value):
-        raise BadInput(f"{where}, column {column}: {text!r} is not finite; mend the log or leave the force empty")
-    return value
+NEEDED = ("indenter", *POSE, *FORCE)
 
 
-def read_readings(log, known_bad=()) -> Readings:
+def read_readings(log, known_bad: Collection[int] = ()) -> Readings:
     """Read every press of a raw log that has a normal force; rows without one do not serve.
 
     A press that several sensors saw, in rows that are otherwise equal, is one reading.
     known_bad: lines of the log that stage 10 rejected. Sideways forces may be empty. A log in which no
     row has a force, or a value that is no number, raises BadInput.
     """
-    table = read_csv(log)
-    columns = set(table[0]) if table else set()
-    missing = [c for c in ("sample_id", "indenter", *NUMBERS, "fz_n") if c not in columns]
+    rows = read_log(log)
+    missing = [column for column in ("indenter", *POSE, "fz_n") if column not in rows[0].cells]
     if missing:
-        raise BadInput(
-            f"{log}: column {missing[0]} is missing; seen: {', '.join(sorted(columns)) or 'an empty file'}"
-        )
-    rows, ids, indenters, pose, force, seen_by = [], [], [], [], [], {}
-    for line, row in enumerate(table, 2):
-        if not (row["fz_n"] or "").strip() or line in known_bad:
+        raise BadInput(f"{log}: column {missing[0]} is missing; seen: {', '.join(rows[0].cells)}")
+    presses, seen_by = [], {}
+    for raw in rows:
+        if raw.row in known_bad or not raw.cells["fz_n"]:
             continue
-        where, sensor = f"{log}: row {line}", row.get("sensor_id")
-        press = tuple(row.get(c) for c in ("time_utc", "indenter", *NUMBERS, *FORCES))
-        if seen_by.setdefault(press, sensor) != sensor:
-            continue
-        rows.append(line)
-        ids.append(row["sample_id"])
-        indenters.append(row["indenter"])
-        pose.append([_number(row, c, where) for c in NUMBERS])
-        force.append([_number(row, c, where) if (row.get(c) or "").strip() else np.nan for c in FORCES])
-    if not rows:
+        press, wrong = parse(raw, str(log), [column for column in NEEDED if column in raw.cells])
+        if press is None:
+            first = wrong[0]
+            raise BadInput(
+                f"{log}: row {first.row}, column {first.column}: {first.value!r}: {first.reason}; {first.remedy}"
+            )
+        same = tuple(raw.cells.get(c) for c in ("time_utc", "indenter", *POSE, *FORCE))
+        if seen_by.setdefault(same, press.sensor_id) == press.sensor_id:
+            presses.append(press)
+    if not presses:
         raise BadInput(f"{log}: no row has a normal force (fz_n); calibration needs a force sensor's readings")
     return Readings(
-        str(log), np.array(rows), np.array(ids), np.array(indenters), np.array(pose, float), np.array(force, float)
-    )
+        str(log), np.array([p.row for p in presses]), np.array([p.sample_id for p in presses]),
+        np.array([p.indenter for p in presses]), np.array([[getattr(p, c) for c in POSE] for p in presses], float),
+        np.array([p.force for p in presses]),
+    )  # fmt: skip
 
 
 def check_readings(readings: Readings) -> None:

@@ -22,7 +22,7 @@ from gelforge.formats.feats import (
     write_label,
 )
 from gelforge.records.labelfile import write_labels
-from gelforge.records.log import COLUMNS
+from gelforge.records.press import COLUMNS
 
 FEATS_C10 = 0.0792  # MPa, the paper's fit, which its labels were made with
 DATASET_TOML = """# Imported from files in FEATS' layout.

@@ -6,6 +6,7 @@ from typing import Protocol
 import numpy as np
 
 from gelforge.geometry.gel import Gel
+from gelforge.records.press import Press
 from gelforge.records.status import Status
 
 REFERENCE_C10 = 0.0725  # MPa; every solve runs at this value, forces scale with C10 at fixed Poisson's ratio
@@ -55,31 +56,6 @@ class Interface:
 
     law: str = "no_slip"
     mu: float = 0.0
-
-
-@dataclass(frozen=True)
-class Press:
-    """Pose and path of one press in the gel frame, mm and degrees.
-
-    The tip touches the plane z = z0 at (x0, y0), turned by `rot_deg` about z; then it moves down
-    to dz (negative), then sideways by (dx, dy) at that depth.
-    """
-
-    x0: float
-    y0: float
-    z0: float
-    dx: float
-    dy: float
-    dz: float
-    rot_deg: float = 0.0
-
-    def pose(self, press: float, shear: float) -> tuple[np.ndarray, np.ndarray]:
-        """Rotation (3, 3) and translation (3,) of the indenter frame at fractions of the path."""
-        angle = np.deg2rad(self.rot_deg)
-        c, s = np.cos(angle), np.sin(angle)
-        rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        travel = np.array([shear * self.dx, shear * self.dy, press * self.dz])
-        return rotation, np.array([self.x0, self.y0, self.z0]) + travel
 
 
 @dataclass(frozen=True)

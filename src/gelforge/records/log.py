@@ -1,291 +1,202 @@
-"""The raw log: one row per press, judged cell by cell; what is wrong comes back as data."""
+"""The raw log and its shards as files: one reader of rows, one way to number them."""
 
-import math
-import re
-import struct
-import zlib
-from collections.abc import Iterable
-from dataclasses import asdict, dataclass
-from datetime import datetime
+import csv
+import io
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict
+from difflib import get_close_matches
 from pathlib import Path
+from typing import Any, TypeVar
 
-from gelforge.errors import BadInput
-from gelforge.flow.files import read_csv, write_csv
+from gelforge.errors import BadInput, printable
+from gelforge.flow.files import write_csv
+from gelforge.records.press import (
+    COLUMNS,
+    FORCES,
+    KNOWN,
+    OPTIONAL,
+    POSE,
+    LoggedPress,
+    PosedPress,
+    PressRecord,
+    RawRow,
+    Rejection,
+    parse_posed,
+    reject,
+)
+from gelforge.records.regular import read_text
 
-POSE = ("x0_mm", "y0_mm", "z0_mm", "dx_mm", "dy_mm", "dz_mm", "rot_deg")
-FORCES = ("fx_n", "fy_n", "fz_n", "mx_nm", "my_nm", "mz_nm")
-COLUMNS = ("sample_id", "time_utc", "sensor_id", "gel_id", "indenter", *POSE, *FORCES, "image")
+P = TypeVar("P", bound=PressRecord)
+
 REJECTION_COLUMNS = ("file", "row", "sample_id", "column", "value", "reason", "remedy")
-
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
-_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.\-]{0,99}", re.ASCII)
-_PNG = b"\x89PNG\r\n\x1a\n"
-LARGEST = {**dict.fromkeys(POSE, 1000.0), "rot_deg": 3600.0, **dict.fromkeys(FORCES, 1e5)}
-MOST_PIXELS = 4096 * 4096
+POSED_COLUMNS = ("sample_id", "sensor_id", "gel_id", "indenter", *POSE, *FORCES, "image", "stl")
 
 
-@dataclass(frozen=True)
-class Sample:
-    """One press as logged: mm, degrees, N, N m; a force that was not measured is None."""
+def read_log(path: str | Path) -> list[RawRow]:
+    """Rows of a raw log, each numbered by the line it begins at; blank lines count and are no rows.
 
-    row: int
-    sample_id: str
-    time_utc: str
-    sensor_id: str
-    gel_id: str
-    indenter: str
-    x0_mm: float
-    y0_mm: float
-    z0_mm: float
-    dx_mm: float
-    dy_mm: float
-    dz_mm: float
-    rot_deg: float
-    fx_n: float | None
-    fy_n: float | None
-    fz_n: float | None
-    mx_nm: float | None
-    my_nm: float | None
-    mz_nm: float | None
-    image: str
-
-    def press(self):
-        """The pose and path as `mechanics.scene.Press`."""
-        from gelforge.mechanics.scene import Press
-
-        return Press(self.x0_mm, self.y0_mm, self.z0_mm, self.dx_mm, self.dy_mm, self.dz_mm, self.rot_deg)
-
-    def cells(self) -> dict[str, str]:
-        """The row as text; numbers in the shortest form that reads back to the same float."""
-        return {name: _cell(value) for name, value in asdict(self).items() if name != "row"}
+    Cells are stripped, columns of other names are not read. A log without rows, without sample_id, with a column
+    twice or with one whose name is nearly that of an optional one raises BadInput.
+    """
+    return _some(_read(Path(path), KNOWN), path)
 
 
-@dataclass(frozen=True)
-class Rejection:
-    """Why one cell keeps its row out, and what to do."""
-
-    file: str
-    row: int
-    sample_id: str
-    column: str
-    value: str
-    reason: str
-    remedy: str
-
-    def __str__(self) -> str:
-        where = f"{self.file}, row {self.row}, {self.sample_id or 'no sample_id'}"
-        return f"rejected: {where}: {self.column} = {self.value!r}: {self.reason}; {self.remedy}"
+def read_shard(path: str | Path) -> list[RawRow]:
+    """Rows of a shard that `shard_text` wrote, with their line in the log; of a log alike."""
+    return _some(_read(Path(path), (*KNOWN, "row", "fault")), path)
 
 
-def read_log(path) -> list[dict]:
-    """Rows of a log as dicts of text with their line number as `row`; an empty log is BadInput."""
-    try:
-        rows = read_csv(path)
-    except FileNotFoundError:
-        raise BadInput(f"{path}: not found; a dataset needs its raw log there") from None
-    except UnicodeDecodeError as error:
-        raise BadInput(f"{path}: not UTF-8 text ({error}); save it as CSV in UTF-8") from None
+def shard_text(rows: list[RawRow]) -> str:
+    """Rows as the text of a shard's file: their line in the log, their cells, and what is wrong with the row."""
+    header = list(dict.fromkeys(name for row in rows for name in row.cells))
+    columns = ["row", *header, *["fault"] * any(row.fault for row in rows)]
+    return csv_text(
+        columns, [{"row": row.row, **row.cells, **({"fault": row.fault} if row.fault else {})} for row in rows]
+    )
+
+
+def csv_text(columns: list[str], rows: list[dict[str, Any]]) -> str:
+    """Dict rows as CSV text; a missing cell is empty."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, columns, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def _read(path: Path, known: tuple[str, ...], remedy: str = "a dataset needs its raw log there") -> list[RawRow]:
+    lines = list(io.StringIO(read_text(path, remedy), newline=""))
+    top = next((at for at, line in enumerate(lines) if line.strip()), 0)
+    header = [cell.strip() for cell in next(csv.reader(lines[top : top + 1]), [])]
+    places = _places(path, header, known)
+    return [_row(*record, places, len(header)) for record in _records(lines, top + 1, set(places.values()))]
+
+
+def _some(rows: list[RawRow], path: str | Path) -> list[RawRow]:
     if not rows:
-        raise BadInput(f"{path}: holds no presses; log at least one row under {', '.join(COLUMNS)}")
-    return [row if "row" in row else {"row": str(line), **row} for line, row in enumerate(rows, 2)]
+        raise BadInput(f"{path}: holds no presses, a header and no rows; log at least one under {', '.join(COLUMNS)}")
+    return rows
 
 
-def write_log(path, samples: Iterable[Sample]) -> None:
-    """Write samples as a raw log that `read_log` and `parse` read back to the last digit."""
-    write_csv(path, COLUMNS, [sample.cells() for sample in samples])
+def _places(path: Path, header: list[str], known: tuple[str, ...]) -> dict[str, int]:
+    """Where each known column stands in the header."""
+    if "sample_id" not in header:
+        seen = printable(", ".join(header))[:200] or "no header"
+        raise BadInput(f"{path}: column sample_id is missing, so it holds no presses; seen: {seen}")
+    for name in known:
+        if header.count(name) > 1:
+            raise BadInput(f"{path}: column {name} stands {header.count(name)} times in the header; keep one of them")
+    for name in header:
+        near = get_close_matches(name.lower(), OPTIONAL, 1, 0.8)
+        if near and name not in known:
+            raise BadInput(f"{path}: column {name!r} is unknown; write {near[0]}, or give it another name")
+    return {name: header.index(name) for name in header if name in known}
 
 
-def parse_number(text: str) -> float | None:
-    """The finite float that plain decimal text stands for, else None."""
-    value = float(text) if _NUMBER.fullmatch(text) else math.nan
-    return value if math.isfinite(value) else None
+def _records(lines: list[str], start: int, known: set[int]) -> Iterator[tuple[int, list[str], str]]:
+    """Line number, cells and fault (of ROW_FAULTS) of every record from a line on; blank lines are none.
+
+    A quotation mark that is not closed would swallow the lines below, good presses among them. So a record of several
+    lines stands only where it is strict CSV and no `known` cell goes over a line's end; else its first line is a
+    record of its own, and reading goes on below it.
+    """
+    while start < len(lines):
+        reader, first = csv.reader(lines[at] for at in range(start, len(lines))), start
+        for cells in _each(reader):
+            end = first + reader.line_num
+            several = end > start + 1
+            if several and not (cells and _several_lines(lines[start:end], known)):
+                own = next(_each(csv.reader([lines[start]])), None)
+                yield start + 1, own or [], "open_quote"
+                start += 1
+                break
+            if cells is None:
+                yield start + 1, [], "long_cell"
+                start += 1
+                break
+            if cells:
+                yield start + 1, cells, ""
+            start = end
 
 
-def parse(row: dict, file: str) -> tuple[Sample | None, list[Rejection]]:
-    """One raw row as a typed sample, or None and every reason against it."""
-    cells = {name: _text(row.get(name)) for name in COLUMNS}
-    number = int(row["row"]) if _text(row.get("row")).isdigit() else 0
-    wrong = []
-
-    def reject(column, reason, remedy):
-        wrong.append(Rejection(file, number, cells["sample_id"][:100], column, cells[column][:200], reason, remedy))
-
-    absent = [name for name in COLUMNS if row.get(name) is None]
-    for name in absent:
-        reject(name, "the column is missing", f"add a column {name} to the log (the force columns may be empty)")
-    if row.get(None) or _text(row.get("extra_columns")):
-        reject(
-            "image",
-            "the row has more cells than the header has columns",
-            "quote cells that hold a comma, and write decimals with a point",
-        )
-    values = {}
-    for name in POSE + FORCES:
-        if name not in absent:
-            values[name] = _number_cell(name, cells[name], reject)
-    for name in ("sample_id", "time_utc", "sensor_id", "indenter"):
-        if name not in absent:
-            _word_cell(name, cells[name], reject)
-    if values.get("dz_mm") is not None and values["dz_mm"] >= 0.0:
-        reject("dz_mm", "the indenter does not move towards the gel", "give the press depth as a negative number")
-    if wrong:
-        return None, wrong
-    return Sample(row=number, **{**cells, **values}), []
+def _each(reader: Iterable[list[str]]) -> Iterator[list[str] | None]:
+    """What a csv reader gives, then None where it fails: a cell is longer than it takes."""
+    try:
+        yield from reader
+    except csv.Error:
+        yield None
 
 
-def _cell(value) -> str:
-    if value is None or isinstance(value, str):
-        return value or ""
-    return repr(float(value))
+def _several_lines(lines: list[str], known: set[int]) -> bool:
+    """Whether lines are one record of strict CSV with its line breaks in cells that nobody reads."""
+    try:
+        cells = next(csv.reader(lines, strict=True))
+    except csv.Error:
+        return False
+    return not any("\n" in cells[at] or "\r" in cells[at] for at in known if at < len(cells))
 
 
-def _text(value) -> str:
-    return value.strip() if isinstance(value, str) else ""
+def _row(line: int, cells: list[str], fault: str, places: dict[str, int], width: int) -> RawRow:
+    text = {name: cells[at].strip() if at < len(cells) else "" for name, at in places.items()}
+    number, known_fault = text.pop("row", ""), text.pop("fault", "")
+    fault = fault or known_fault or ("more_cells" if len(cells) > width else "")
+    return RawRow(int(number) if number.isdigit() else line, text, fault)
 
 
-def _number_cell(name, text, reject) -> float | None:
-    if name in FORCES and not text:
-        return None
-    value = parse_number(text)
-    if value is None and not text:
-        reject(name, "the cell is empty", "every press needs its full pose and path; write 0 where nothing moves")
-    elif value is None:
-        empty = ", or leave the cell empty" if name in FORCES else ""
-        reject(name, "not a finite number", f"write plain decimals with a point, like -1.25{empty}")
-    elif abs(value) > LARGEST[name]:
-        reject(name, f"larger than {LARGEST[name]:g}", "check the unit: mm, degrees, N and N m")
-        return None
-    return value
+def write_log(path: str | Path, presses: Iterable[LoggedPress]) -> None:
+    """Write presses as a raw log that `read_log` and `parse` read back to the last digit."""
+    _write(path, COLUMNS, list(presses))
 
 
-def _word_cell(name, text, reject) -> None:
-    if name == "sample_id" and not _ID.fullmatch(text):
-        reject(
-            name,
-            "not usable as a file name",
-            "use 1 to 100 letters, digits, dots, dashes or underscores, beginning with a letter or digit",
-        )
-    if name in ("sensor_id", "indenter") and not text:
-        reject(name, "the cell is empty", "name it as in its catalogue")
-    if name == "time_utc" and text:
-        try:
-            datetime.fromisoformat(text)
-        except ValueError:
-            reject(name, "not a time", "write ISO 8601 like 2025-04-08T12:25:19Z, or leave the cell empty")
+def write_poses(path: str | Path, presses: Iterable[PosedPress]) -> None:
+    """Write a pose table, whole or not at all."""
+    _write(path, POSED_COLUMNS, list(presses))
 
 
-def reject(sample: Sample, file: str, column: str, reason: str, remedy: str) -> Rejection:
-    """A rejection of one cell of a sample that could be read."""
-    value = getattr(sample, column)
-    text = "" if value is None else str(value)[:200]
-    return Rejection(file, sample.row, sample.sample_id, column, text, reason, remedy)
+def _write(path: str | Path, columns: tuple[str, ...], presses: list[LoggedPress] | list[PosedPress]) -> None:
+    """One row a press; optional columns only where a press has one, so that other tables stay as they were."""
+    used = [name for name in OPTIONAL if any(getattr(press, name) for press in presses)]
+    columns = (*columns, *used)
+    write_csv(path, columns, [{name: press.cells()[name] for name in columns} for press in presses])
 
 
-def without_duplicates(samples: list[Sample], file: str) -> tuple[list[Sample], list[Rejection]]:
-    """The first sample of every id, and a rejection of each later one."""
-    first, good, wrong = {}, [], []
-    for sample in samples:
-        if sample.sample_id in first:
-            remedy = f"row {first[sample.sample_id]} has it and was kept; give every press its own"
-            wrong.append(reject(sample, file, "sample_id", "an earlier row has the same sample_id", remedy))
+def read_poses(path: str | Path) -> list[PosedPress]:
+    """Presses of a pose table; one that stage 10 cannot have written raises BadInput."""
+    return [parse_posed(raw, str(path)) for raw in _read(Path(path), (*KNOWN, "stl"), "run make poses")]
+
+
+def without_duplicates(presses: list[P], file: str) -> tuple[list[P], list[Rejection]]:
+    """The first press of every sample_id, and a rejection of each later one."""
+    first: dict[str, int] = {}
+    good, wrong = [], []
+    for press in presses:
+        if press.sample_id in first:
+            remedy = f"row {first[press.sample_id]} has it and was kept; give every press its own"
+            wrong.append(reject(press, file, "sample_id", "an earlier row has the same sample_id", remedy))
             continue
-        first[sample.sample_id] = sample.row
-        good.append(sample)
+        first[press.sample_id] = press.row
+        good.append(press)
     return good, wrong
 
 
-def unknown_names(sample: Sample, file: str, sensors, indenters) -> list[Rejection]:
+def unknown_names(press: PressRecord, file: str, sensors: Iterable[str], indenters: Iterable[str]) -> list[Rejection]:
     """Rejections of a sensor or an indenter that its catalogue does not have."""
     wrong = []
-    if sample.sensor_id not in sensors:
-        wrong.append(
-            reject(
-                sample,
-                file,
-                "sensor_id",
-                "no such sensor in workflow/sensors.toml",
-                f"add it there or use one of {', '.join(sensors)}",
-            )
-        )
-    if sample.indenter not in indenters:
-        wrong.append(
-            reject(
-                sample,
-                file,
-                "indenter",
-                "no such indenter in the dataset's catalogue",
-                f"add it there or use one of {', '.join(indenters)}",
-            )
-        )
+    for column, name, known, where in (
+        ("sensor_id", press.sensor_id, list(sensors), "no such sensor in workflow/sensors.toml"),
+        ("indenter", press.indenter, list(indenters), "no such indenter in the dataset's catalogue"),
+    ):
+        if name not in known:
+            wrong.append(reject(press, file, column, where, f"add it there or use one of {', '.join(known)}"))
     return wrong
 
 
-def bad_image(sample: Sample, file: str, folder, size: tuple[int, int]) -> Rejection | None:
-    """Why a sample's image cannot be used; `folder` is the dataset's, `size` the sensor's width and height."""
-
-    def no(reason, remedy):
-        return reject(sample, file, "image", reason, remedy)
-
-    if not sample.image:
-        return no("no image is named", "name its PNG, or set images = false under [params.poses] in dataset.toml")
-    if "\x00" in sample.image or "\\" in sample.image:
-        return no("the path holds a character that is not allowed", "write it with forward slashes: images/0001.png")
-    folder = Path(folder).resolve()
-    if Path(sample.image).is_absolute() or not (folder / sample.image).resolve().is_relative_to(folder):
-        return no("the path leaves the dataset's folder", "copy the image below data/DATASET and name it from there")
-    try:
-        data = (folder / sample.image).read_bytes()
-    except OSError as error:
-        return no(f"cannot be read ({error.strerror})", "copy the image there, or remove the row")
-    fault, seen = png_fault(data)
-    if fault:
-        return no(fault, "copy the file again from the source, as PNG")
-    if seen != tuple(size):
-        return no(
-            f"is {seen[0]} x {seen[1]} pixels, the sensor has {size[0]} x {size[1]}",
-            f"record at that size, or correct `image` of {sample.sensor_id} in workflow/sensors.toml",
-        )
-    return None
-
-
-def png_fault(data: bytes) -> tuple[str | None, tuple[int, int]]:
-    """What is wrong with PNG bytes (None where nothing is), and width and height.
-
-    Chunks and checksums are walked first, because decoders show half a truncated file without complaint (PNG
-    specification, 5.3).
-    """
-    if not data.startswith(_PNG):
-        return "is not a PNG file", (0, 0)
-    at, size, kind = len(_PNG), (0, 0), b""
-    while kind != b"IEND":
-        if at + 12 > len(data):
-            return "is truncated", size
-        length, kind = struct.unpack(">I4s", data[at : at + 8])
-        body = data[at + 4 : at + 8 + length]
-        at += 12 + length
-        if at > len(data):
-            return "is truncated", size
-        if zlib.crc32(body) != struct.unpack(">I", data[at - 4 : at])[0]:
-            return "is damaged: a checksum is wrong", size
-        if kind == b"IHDR" and length >= 8:
-            size = struct.unpack(">II", body[4:12])
-    if not 0 < size[0] * size[1] <= MOST_PIXELS:
-        return f"has a size of {size[0]} x {size[1]} pixels", size
-    return _decode_fault(data), size
-
-
-def _decode_fault(data: bytes) -> str | None:
-    import cv2
-    import numpy as np
-
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    if image is None:
-        return "cannot be decoded"
-    if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] not in (3, 4):
-        return "is not an 8-bit colour image"
-    return None
-
-
-def write_rejections(path, rejections: Iterable[Rejection]) -> None:
+def write_rejections(path: str | Path, rejections: Iterable[Rejection]) -> None:
     """Write rejections as CSV, whole or not at all."""
     write_csv(path, REJECTION_COLUMNS, [asdict(r) for r in rejections])
+
+
+def rejected_rows(path: str | Path, but: str = "") -> set[int]:
+    """Lines of the log that a table of rejections names, those for column `but` alone left out."""
+    lines = list(io.StringIO(read_text(Path(path), "run make poses"), newline=""))
+    return {int(cells["row"]) for cells in csv.DictReader(lines) if cells["column"] != but}

@@ -16,10 +16,11 @@ from gelforge.calibration.posterior import LeaveOneOut, Posterior
 from gelforge.calibration.readings import Readings, check_enough, check_readings, choose_presses, read_readings
 from gelforge.calibration.sampling import Chain, Rules, sample
 from gelforge.errors import BadInput
-from gelforge.flow.files import read_csv, read_json, write_json
+from gelforge.flow.files import read_json, write_json
 from gelforge.flow.main import command, option
 from gelforge.flow.params import read_toml
 from gelforge.flow.progress import progress
+from gelforge.records.log import rejected_rows
 from gelforge.reporting import posterior as plots
 from gelforge.stages.plan import planned_shards
 
@@ -270,7 +271,7 @@ def say_spent(spent: dict) -> str:
 def load_rejected(poses: Path, shards: list[str]) -> set:
     """Lines of the log that stage 10 rejected for anything but their image, which does not matter here."""
     tables = [path for name in shards if (path := poses / f"{name}.rejected.csv").exists()]
-    return {int(row["row"]) for path in tables for row in read_csv(path) if row["column"] != "image"}
+    return {row for path in tables for row in rejected_rows(path, but="image")}
 
 
 @command(

@@ -11,14 +11,16 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import publish, read_csv, read_json, write_csv, write_json
+from gelforge.flow.files import publish, read_json, write_csv, write_json
 from gelforge.flow.main import command, option
 from gelforge.flow.params import canonical
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import load_gel
 from gelforge.mechanics.family import MeshFamily, mesh_names
 from gelforge.mechanics.fidelity import FeaSettings, Solvers
-from gelforge.mechanics.scene import Interface, Material, Press, Scene
+from gelforge.mechanics.scene import Interface, Material, Scene
+from gelforge.records.log import read_poses
+from gelforge.records.press import FORCE, POSE, PosedPress
 from gelforge.records.status import Status
 
 VERSION = 5
@@ -26,23 +28,23 @@ EVIDENCE = (
     "rung", "rounds", "newton_iterations", "load_steps", "seconds", "kinematics_seconds", "peak_mib",
     "equilibrium_residual", "base_mismatch", "penetration_mm", "pulling_fraction", "engine_difference",
 )  # fmt: skip
-COLUMNS = ("sample_id", "status", "reason", "fidelity", "mesh", "file", "fx_n", "fy_n", "fz_n", *EVIDENCE)
-PATH = ("x0_mm", "y0_mm", "z0_mm", "dx_mm", "dy_mm", "dz_mm", "rot_deg")
+COLUMNS = ("sample_id", "status", "reason", "fidelity", "mesh", "file", *FORCE, *EVIDENCE)
 
 
-def scene_of(row: dict, bodies: dict, sensors: dict, params: dict) -> Scene:
-    """The scene of one row of a pose table."""
+def scene_of(press: PosedPress, bodies: dict, sensors: dict, params: dict) -> Scene:
+    """The scene of one press of a pose table."""
     interface = params["interface"]
     law = Interface(interface["law"], interface["mu"] if interface["law"] == "coulomb" else 0.0)
-    gel = load_gel(sensors[row["sensor_id"]]["gel"])
+    gel = load_gel(sensors[press.sensor_id]["gel"])
     material = Material(nu=params["material"]["nu"])
-    return Scene(gel, material, bodies[row["indenter"]], Press(*(float(row[c]) for c in PATH)), law)
+    return Scene(gel, material, bodies[press.indenter], press.press, law)
 
 
-def sample_key(row: dict, params: dict, tables: dict, family: MeshFamily) -> str:
+def sample_key(press: PosedPress, params: dict, tables: dict, family: MeshFamily) -> str:
     """Digest of everything a sample's solve depends on."""
-    parts = [[row[c] for c in ("indenter", "sensor_id", *PATH)], params, tables["indenters"][row["indenter"]],
-             tables["sensors"][row["sensor_id"]]["gel"], family.reports]  # fmt: skip
+    cells = press.cells()
+    parts = [[cells[c] for c in ("indenter", "sensor_id", *POSE)], params, tables["indenters"][press.indenter],
+             tables["sensors"][press.sensor_id]["gel"], family.reports]  # fmt: skip
     return hashlib.sha256(canonical(parts).encode()).hexdigest()
 
 
@@ -57,9 +59,9 @@ def finished(folder: Path, sample_id: str, key: str) -> dict | None:
     return record if whole else None
 
 
-def solve_sample(row: dict, scene: Scene, solvers: Solvers, key: str, folder: Path) -> dict:
+def solve_sample(sample_id: str, scene: Scene, solvers: Solvers, key: str, folder: Path) -> dict:
     """Solve one sample and publish its files, the record last."""
-    sample_id, fidelity = row["sample_id"], solvers.settings.fidelity
+    fidelity = solvers.settings.fidelity
     result = solvers.solve(scene, fidelity)
     evidence = {k: v for k, v in result.evidence.items() if _plain(v)}
     record = {
@@ -113,13 +115,13 @@ def table_row(record: dict, folder: Path) -> dict:
     evidence = record["evidence"]
     row = {column: evidence.get(column, "") for column in EVIDENCE}
     row |= {k: record[k] for k in ("sample_id", "status", "reason", "fidelity", "mesh")}
-    row |= dict(zip(("fx_n", "fy_n", "fz_n"), (f"{f:.6g}" for f in record["total"]), strict=True))
+    row |= dict(zip(FORCE, (f"{f:.6g}" for f in record["total"]), strict=True))
     return row | {"file": f"{folder.name}/{record['files'][-1]}" if record["files"] else ""}
 
 
 def run_shard(poses: Path, meshes: Path, params: dict, tables: dict, bodies: dict, folder: Path) -> list[dict]:
     """Solve what is missing of a shard; records in the order of the pose table."""
-    rows = read_csv(poses)
+    presses = read_poses(poses)
     # only the meshes asked for: one that another setting left behind must not be chosen
     family = MeshFamily(meshes, mesh_names(params["fea"]))
     folder.mkdir(parents=True, exist_ok=True)
@@ -128,20 +130,20 @@ def run_shard(poses: Path, meshes: Path, params: dict, tables: dict, bodies: dic
     records, solved = [], {}
     with tempfile.TemporaryDirectory(prefix=".work-", dir=folder) as work:
         solvers = Solvers(family, work, FeaSettings.from_table(params["fea"]))
-        for row in progress(rows, f"fea {folder.name}"):
-            key = sample_key(row, params, tables, family)
-            record = finished(folder, row["sample_id"], key)
-            scene = scene_of(row, bodies, tables["sensors"], params)
-            same = (scene.gel.name, row["indenter"], scene.press)
+        for press in progress(presses, f"fea {folder.name}"):
+            key = sample_key(press, params, tables, family)
+            record = finished(folder, press.sample_id, key)
+            scene = scene_of(press, bodies, tables["sensors"], params)
+            same = (scene.gel.name, press.indenter, scene.press)
             if record is None:
                 try:
                     if same in solved:
-                        record = borrow(solved[same], row["sample_id"], key, folder)
+                        record = borrow(solved[same], press.sample_id, key, folder)
                     else:
-                        record = solve_sample(row, scene, solvers, key, folder)
+                        record = solve_sample(press.sample_id, scene, solvers, key, folder)
                 except OSError as error:
                     raise BadInput(
-                        f"{folder}: sample {row['sample_id']}: {error}; free space or mend the folder and"
+                        f"{folder}: sample {press.sample_id}: {error}; free space or mend the folder and"
                         " run make again, it resumes at this sample"
                     ) from error
             records.append(record)
@@ -161,7 +163,7 @@ def main(args: Namespace) -> None:
 
     params = read_json(args.params)
     tables = {name: read_json(args.params.parent / f"{name}.json") for name in ("sensors", "indenters")}
-    wanted = {row["indenter"] for row in read_csv(args.poses)}
+    wanted = {press.indenter for press in read_poses(args.poses)}
     bodies = {
         name: build(name, tables["indenters"][name], "indenter catalogue", args.workflow) for name in sorted(wanted)
     }

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import read_csv, read_json, write_json
+from gelforge.flow.files import read_json, write_json
 from gelforge.flow.main import command, option
 from gelforge.flow.progress import progress
 from gelforge.labelling.grid import Grid
@@ -17,6 +17,7 @@ from gelforge.mechanics.family import load_mesh, mesh_file
 from gelforge.mechanics.hex.bricks import is_bricks
 from gelforge.records.forcefile import ForceFile
 from gelforge.records.labelfile import CHANNELS, read_labels, to_float32, write_labels
+from gelforge.records.log import read_poses
 from gelforge.records.status import Status
 from gelforge.stages.plan import planned_shards
 
@@ -75,7 +76,7 @@ def label_shard(forces_path, poses_path, find_operator, grid: Grid, out) -> dict
     find_operator(mesh name, sensor name) gives the operator. Forces that are not finite, a sample without
     a pose, and a mesh or sensor that is missing raise BadInput with the file and the sample.
     """
-    sensor_of = {row["sample_id"]: row["sensor_id"] for row in read_csv(poses_path)}
+    sensor_of = {press.sample_id: press.sensor_id for press in read_poses(poses_path)}
     with ForceFile(forces_path) as forces:
         operators = [_operator_of(forces, i, sensor_of, find_operator, poses_path) for i in range(len(forces))]
         if not np.isfinite(forces.force).all():

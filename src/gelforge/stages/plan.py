@@ -4,26 +4,30 @@ Written at parse time of make, so that `make -n` knows all of it. Files change o
 content does.
 """
 
-import csv
-import io
 from argparse import Namespace
 from pathlib import Path
 
-from gelforge.errors import BadInput
 from gelforge.flow import params as config
 from gelforge.flow.files import read_csv, write_if_changed, write_text
 from gelforge.flow.main import command, option
+from gelforge.records.log import csv_text, read_log, shard_text
+from gelforge.records.press import RawRow
 
 SHARD_DIGITS = 4
 
 
-def assign_shards(ids: list[str], known: dict[str, int], size: int) -> dict[str, int]:
+def assign_shards(
+    ids: list[str], known: dict[str, int], size: int, press_of: dict[str, str] | None = None
+) -> dict[str, int]:
     """Return the shard of each id: what `known` says, new ones filling the last shard.
 
-    A sample keeps its shard for ever, so appending to a log leaves every full shard as it is.
+    A sample keeps its shard for ever, so appending to a log leaves every full shard as it is. Samples of one press
+    (`press_of`, by id) are solved together: they go to its first one's shard, however full.
     """
-    shards = {}
+    shards: dict[str, int] = {}
     counts: dict[int, int] = {}
+    press_of = press_of or {}
+    homes = {press_of[name]: shard for name, shard in reversed(known.items()) if press_of.get(name)}
     for shard in known.values():
         counts[shard] = counts.get(shard, 0) + 1
     last = max(counts, default=0)
@@ -33,46 +37,16 @@ def assign_shards(ids: list[str], known: dict[str, int], size: int) -> dict[str,
         if name in known:
             shards[name] = known[name]
             continue
-        if counts.get(last, 0) >= size:
-            last += 1
-        counts[last] = counts.get(last, 0) + 1
-        shards[name] = last
+        press = press_of.get(name)
+        if press in homes:
+            shards[name] = homes[press]
+        else:
+            last += counts.get(last, 0) >= size
+            shards[name] = last
+        if press:
+            homes.setdefault(press, shards[name])
+        counts[shards[name]] = counts.get(shards[name], 0) + 1
     return shards
-
-
-def read_log_rows(path: Path) -> tuple[list[str], list[dict]]:
-    """Return the header and the rows of a raw log, each row with its line number as `row`.
-
-    Only what sharding needs is checked here; stage 10 judges the rows.
-    """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError as error:
-        raise BadInput(f"{path}: not found; a dataset needs a raw log there (README.md, your own data)") from error
-    except UnicodeDecodeError as error:
-        raise BadInput(f"{path}: not UTF-8 text ({error}); save it as CSV in UTF-8") from error
-    reader = csv.DictReader(io.StringIO(text), restkey="extra_columns", restval="")
-    header = reader.fieldnames or []
-    if "sample_id" not in header:
-        raise BadInput(f"{path}: column sample_id is missing; seen: {', '.join(header) or 'no header'}")
-    rows = []
-    for row in reader:
-        # kept, because an unquoted 0,5 shifts every cell behind it: stage 10 refuses such a row
-        if "extra_columns" in row:
-            row["extra_columns"] = " ".join(row["extra_columns"])
-        rows.append({"row": reader.line_num, **row})
-    if not rows:
-        raise BadInput(f"{path}: has a header and no rows; log at least one press")
-    return header, rows
-
-
-def to_csv(columns: list[str], rows: list[dict]) -> str:
-    """Rows as CSV text."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, columns, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()
 
 
 def planned_shards(folder: Path) -> list[str]:
@@ -81,22 +55,27 @@ def planned_shards(folder: Path) -> list[str]:
 
 
 def write_shards(log: Path, out: Path, size: int) -> list[str]:
-    """Write one CSV of raw rows per shard and the assignment; return the shards' names in order."""
-    header, rows = read_log_rows(log)
+    """Write one CSV of raw rows per shard and the assignment; return the shards' names in order.
+
+    Only what sharding needs is checked here; stage 10 judges the rows.
+    """
+    rows = read_log(log)
     table = out / "shards.csv"
     known = {row["sample_id"]: int(row["shard"]) for row in read_csv(table)} if table.exists() else {}
-    shards = assign_shards([row["sample_id"] for row in rows], known, size)
-    by_shard: dict[int, list[dict]] = {}
-    for row in rows:
-        by_shard.setdefault(shards[row["sample_id"]], []).append(row)
+    ids = [row.cells["sample_id"] for row in rows]
+    press_of = {row.cells["sample_id"]: row.cells["press_id"] for row in rows if row.cells.get("press_id")}
+    shards = assign_shards(ids, known, size, press_of)
+    by_shard: dict[int, list[RawRow]] = {}
+    for row, name in zip(rows, ids, strict=True):
+        by_shard.setdefault(shards[name], []).append(row)
     names = []
     for shard, members in sorted(by_shard.items()):
         names.append(f"{shard:0{SHARD_DIGITS}d}")
-        columns = ["row", *header, *["extra_columns"] * any("extra_columns" in row for row in members)]
-        write_if_changed(out / "shards" / f"{names[-1]}.csv", to_csv(columns, members))
+        write_if_changed(out / "shards" / f"{names[-1]}.csv", shard_text(members))
     for gone in set(planned_shards(out / "shards")) - set(names):
         (out / "shards" / f"{gone}.csv").unlink()  # the log lost its rows: no stage may read them again
-    write_if_changed(table, to_csv(["sample_id", "shard"], [{"sample_id": k, "shard": v} for k, v in shards.items()]))
+    lines = [{"sample_id": name, "shard": shard} for name, shard in shards.items()]
+    write_if_changed(table, csv_text(["sample_id", "shard"], lines))
     return names
 
 

@@ -13,16 +13,24 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import publish, read_json, write_csv
+from gelforge.flow.files import publish, read_json
 from gelforge.flow.main import command, option
 from gelforge.geometry.gel import Gel, load_gel
-from gelforge.records import log
+from gelforge.records.frames import check_frames
+from gelforge.records.image import bad_image
+from gelforge.records.log import (
+    read_shard,
+    unknown_names,
+    without_duplicates,
+    write_poses,
+    write_rejections,
+)
+from gelforge.records.press import LoggedPress, PosedPress, RawRow, Rejection, parse, reject
 
 VERSION = 1
-COLUMNS = ("sample_id", "sensor_id", "gel_id", "indenter", *log.POSE, *log.FORCES, "image", "stl")
 
 
-def yielded(sample: log.Sample, file: str, params: dict) -> tuple[log.Sample, list[log.Rejection]]:
+def yielded(sample: LoggedPress, file: str, params: dict) -> tuple[LoggedPress, list[Rejection]]:
     """The sample with the path that its tip took against the gel, in place of the commanded one.
 
     Frame and gantry give way in proportion to the force read, and touch was found too high or too low: parameters
@@ -34,13 +42,16 @@ def yielded(sample: log.Sample, file: str, params: dict) -> tuple[log.Sample, li
     for column, compliance in needed.items():
         if compliance and getattr(sample, column) is None:
             remedy = f"fill it in, or set the compliance of [poses], {compliance:g} mm/N, to 0"
-            return sample, [log.reject(sample, file, column, "no force reading, which the compliance needs", remedy)]
+            return sample, [reject(sample, file, column, "no force reading, which the compliance needs", remedy)]
     # the force on the gel points along the motion, so what the frame gave way shortens the path
     way = {name: c * (getattr(sample, f"f{name[1]}_n") or 0.0)
            for name, c in (("dx_mm", sideways), ("dy_mm", sideways), ("dz_mm", normal))}  # fmt: skip
     moved = {name: getattr(sample, name) - shift for name, shift in way.items() if shift}
     if params["touch_offset_mm"]:
         moved["z0_mm"] = sample.z0_mm - params["touch_offset_mm"]
+    if moved.get("dz_mm", sample.dz_mm) >= 0.0:
+        remedy = f"check fz_n, or compliance_mm_per_n = {normal:g} in [poses]"
+        return sample, [reject(sample, file, "dz_mm", "the bench gives way by more than the press", remedy)]
     return replace(sample, **moved), []
 
 
@@ -82,24 +93,24 @@ def _top_points(gel, low, high, step):
     return np.column_stack([x, y, gel.top(x, y)])
 
 
-def geometric_faults(sample: log.Sample, file: str, body, gel: Gel, params: dict) -> list[log.Rejection]:
+def geometric_faults(sample: LoggedPress, file: str, body, gel: Gel, params: dict) -> list[Rejection]:
     """Rejections of a press that never touches the gel or leaves what it can represent."""
-    press = sample.press()
+    press = sample.press
     # Reasons stay the same words for every sample, so that they can be counted; the numbers go into the remedy.
     sideways, farthest = float(np.hypot(press.dx, press.dy)), params["farthest_shear_mm"]
     if sideways > farthest:
         column = "dx_mm" if abs(press.dx) >= abs(press.dy) else "dy_mm"
         remedy = f"it moves {sideways:.3g} mm; check the unit, or raise farthest_shear_mm = {farthest:g} in [poses]"
-        return [log.reject(sample, file, column, "the indenter moves too far sideways", remedy)]
+        return [reject(sample, file, column, "the indenter moves too far sideways", remedy)]
     depth, limit = -(press.z0 + press.dz), params["deepest_share"] * gel.height
     if depth > limit:
         remedy = f"the tip ends {depth:.3g} mm below the crown, {limit:.3g} are allowed; check z0_mm and dz_mm"
-        return [log.reject(sample, file, "dz_mm", "the press is deeper than the gel allows", remedy)]
+        return [reject(sample, file, "dz_mm", "the press is deeper than the gel allows", remedy)]
     clear = nearest(body, press, gel)
     if clear >= 0.0:
         where = f"stays {clear:.3g} mm clear of" if np.isfinite(clear) else "is never above"
         remedy = f"it {where} the gel, whose crown is the origin; check x0_mm, y0_mm, z0_mm and dz_mm"
-        return [log.reject(sample, file, "dz_mm", "the indenter never touches the gel", remedy)]
+        return [reject(sample, file, "dz_mm", "the indenter never touches the gel", remedy)]
     return []
 
 
@@ -142,34 +153,63 @@ def sensor_facts(name: str, table: dict) -> tuple[Gel, tuple[int, int]]:
     return load_gel(table["gel"]), tuple(size)
 
 
-def judge(rows: list[dict], file: str, data: Path, tables: dict, params: dict):
+def judge(rows: list[RawRow], file: str, data: Path, tables: dict, params: dict):
     """Good samples with body and gel, and rejections, of raw rows.
 
     tables: "sensors" and "indenters" as dicts of catalogue tables, "folder" that STL files are named from.
     """
-    from gelforge.geometry.indenters import build
-
-    parsed = [log.parse(row, file) for row in rows]
+    parsed = [parse(row, file) for row in rows]
     rejections = [r for _, wrong in parsed for r in wrong]
-    samples, doubled = log.without_duplicates([s for s, _ in parsed if s], file)
+    samples, doubled = without_duplicates([s for s, _ in parsed if s], file)
     rejections += doubled
-    good, bodies = [], {}
+    good, bodies = [], Bodies(tables["indenters"], tables["folder"])
     for sample in samples:
-        wrong = log.unknown_names(sample, file, tables["sensors"], tables["indenters"])
+        wrong = unknown_names(sample, file, tables["sensors"], tables["indenters"])
         if not wrong:
             sample, wrong = yielded(sample, file, params)
         if not wrong:
-            name = sample.indenter
-            gel, image_size = sensor_facts(sample.sensor_id, tables["sensors"][sample.sensor_id])
-            if name not in bodies:
-                bodies[name] = build(name, tables["indenters"][name], "indenter catalogue", tables["folder"])
-            wrong = geometric_faults(sample, file, bodies[name], gel, params)
-            fault = log.bad_image(sample, file, data, image_size) if params["images"] else None
-            wrong += [fault] if fault else []
+            wrong = place_faults(sample, file, data, tables["sensors"][sample.sensor_id], bodies, params)
         rejections += wrong
         if not wrong:
-            good.append((sample, bodies[sample.indenter]))
-    return good, sorted(rejections, key=lambda r: r.row)
+            good.append(sample)
+    astray = check_frames(good, file)
+    lost = {r.row for r in astray}
+    kept = [(sample, bodies[sample.indenter]) for sample in good if sample.row not in lost]
+    return kept, sorted([*rejections, *astray], key=lambda r: r.row)
+
+
+class Bodies:
+    """Indenters by name, each built when first asked for; one that cannot be built raises the same BadInput again."""
+
+    def __init__(self, catalogue: dict, folder):
+        self.catalogue, self.folder, self.built = catalogue, folder, {}
+
+    def __getitem__(self, name: str):
+        from gelforge.geometry.indenters import build
+
+        if name not in self.built:
+            try:
+                self.built[name] = build(name, self.catalogue[name], "indenter catalogue", self.folder)
+            except BadInput as error:
+                self.built[name] = error
+        if isinstance(self.built[name], BadInput):
+            raise self.built[name]
+        return self.built[name]
+
+
+def place_faults(sample: LoggedPress, file: str, data: Path, sensor: dict, bodies, params: dict) -> list[Rejection]:
+    """Rejections of a press by its sensor's table, its indenter's shape, where it lies and its image."""
+    try:
+        gel, image_size = sensor_facts(sample.sensor_id, sensor)
+    except BadInput as error:
+        return [reject(sample, file, "sensor_id", "its table cannot be used", str(error))]
+    try:
+        body = bodies[sample.indenter]
+    except BadInput as error:
+        return [reject(sample, file, "indenter", "its shape cannot be used", str(error))]
+    wrong = geometric_faults(sample, file, body, gel, params)
+    fault = bad_image(sample, file, data, image_size) if params["images"] else None
+    return [*wrong, fault] if fault else wrong
 
 
 def write_shard(good, rejections, out: Path, params: dict) -> None:
@@ -177,18 +217,18 @@ def write_shard(good, rejections, out: Path, params: dict) -> None:
     shard = out.name.removesuffix(".part").removesuffix(".csv")
     folder = out.parent / shard
     folder.mkdir(parents=True, exist_ok=True)
-    rows = []
+    posed = []
     for sample, body in good:
         name = f"{sample.sample_id}.stl"
-        write_posed(folder / name, body, sample.press(), params)
-        cells = {**sample.cells(), "stl": f"{shard}/{name}"}
-        rows.append({column: cells[column] for column in COLUMNS})
+        write_posed(folder / name, body, sample.press, params)
+        facts = {key: value for key, value in vars(sample).items() if key != "time_utc"}
+        posed.append(PosedPress(**facts, stl=f"{shard}/{name}"))
     kept = {f"{sample.sample_id}.stl" for sample, _ in good}
     for stale in folder.glob("*.stl"):
         if stale.name not in kept:
             stale.unlink()
-    log.write_rejections(out.parent / f"{shard}.rejected.csv", rejections)
-    write_csv(out, COLUMNS, rows)
+    write_rejections(out.parent / f"{shard}.rejected.csv", rejections)
+    write_poses(out, posed)
 
 
 @command(
@@ -202,7 +242,7 @@ def write_shard(good, rejections, out: Path, params: dict) -> None:
 def main(args: Namespace) -> None:
     params = read_json(args.params)["poses"]
     tables = {name: read_json(args.params.parent / f"{name}.json") for name in ("sensors", "indenters")}
-    rows = log.read_log(args.shard)
+    rows = read_shard(args.shard)
     good, rejections = judge(rows, str(args.data / "log.csv"), args.data, {**tables, "folder": args.workflow}, params)
     write_shard(good, rejections, args.out, params)
     for rejection in rejections:

@@ -9,7 +9,7 @@ import numpy as np
 
 from gelforge.errors import BadInput, GelforgeError
 from gelforge.flow.files import publish, read_csv, read_json, write_csv, write_json, write_text
-from gelforge.records.log import COLUMNS, FORCES, POSE
+from gelforge.records.press import COLUMNS, FORCES, POSE
 from gelforge.virtualrig.bench import Pressing
 from gelforge.virtualrig.rigplan import Order, Plan
 

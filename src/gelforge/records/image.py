@@ -1,0 +1,197 @@
+"""Pictures as files: the only reader and the only writer. A picture is RGB, (height, width, 3) uint8, everywhere else.
+
+Bytes come from others, so what a file claims is checked before a decoder sees it: that it is a file, its size in
+bytes, its width and height, and, of a PNG, that every chunk is whole.
+"""
+
+import io
+import struct
+import warnings
+import zlib
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.errors import BadInput, GelforgeError
+from gelforge.flow.files import publish
+from gelforge.records.press import PressRecord, Rejection, reject
+from gelforge.records.regular import file_fault, read_bytes
+
+PNG = b"\x89PNG\r\n\x1a\n"
+KINDS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP", "PPM")
+MOST_PIXELS = 4096 * 4096
+MOST_BYTES = 256 * 2**20
+REMEDY = "give PNG, JPEG or another format that OpenCV reads"
+
+
+def read_image(path: str | Path, size: tuple[int, int] | None = None, remedy: str = REMEDY) -> np.ndarray:
+    """A picture file as RGB (height, width, 3) uint8.
+
+    size is the (width, height) it must have. What is missing, no regular file, no picture, larger than 4096 x 4096
+    pixels or of another size raises BadInput.
+    """
+    path = Path(path)
+    image = decode(read_bytes(path, remedy, MOST_BYTES), str(path), remedy)
+    if size is not None and (image.shape[1], image.shape[0]) != tuple(size):
+        raise BadInput(
+            f"{path}: image is {image.shape[1]} x {image.shape[0]} pixels, its sensor has {size[0]} x {size[1]};"
+            " resize it, or correct `image` in workflow/sensors.toml"
+        )
+    return image
+
+
+def read_logged_image(folder: Path, name: str, size: tuple[int, int]) -> np.ndarray:
+    """A picture that a log names below its dataset's folder; a path that leads out of it raises BadInput."""
+    if not stays_inside(folder, name):
+        raise BadInput(f"{folder}/log.csv: image {name!r} leads out of the dataset's folder; give a path inside it")
+    return read_image(folder / name, size, "restore it, or empty the log's column `image`")
+
+
+def stays_inside(folder: Path, name: str) -> bool:
+    """Whether a path that a log names, links followed, lies below its dataset's folder."""
+    try:
+        return not Path(name).is_absolute() and (folder / name).resolve().is_relative_to(folder.resolve())
+    except (OSError, RuntimeError, ValueError):  # a link that leads to itself, a null character
+        return False
+
+
+def decode(data: bytes, where: str, remedy: str = REMEDY) -> np.ndarray:
+    """Bytes of a picture as RGB (height, width, 3) uint8; what cannot be decoded raises BadInput."""
+    import cv2
+
+    if not data.startswith(PNG):
+        fault = _claim_fault(data)
+    else:
+        fault, size = _chunk_fault(data)
+        fault = fault or _size_fault(size)
+    image = None
+    if fault is None:
+        try:
+            image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+        except cv2.error as error:
+            fault = f"cannot be read as an image ({error.err})"
+    if image is None:
+        raise BadInput(f"{where}: {fault or 'cannot be read as an image'}; {remedy}")
+    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+
+
+def _claim_fault(data: bytes) -> str | None:
+    """What is wrong with what the header of any other format says; Pillow reads headers without decoding."""
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            with Image.open(io.BytesIO(data), formats=KINDS) as header:
+                return _size_fault(header.size)
+    except Image.DecompressionBombError:
+        return "is far larger than 4096 x 4096 pixels"
+    except (UnidentifiedImageError, OSError, ValueError, SyntaxError, struct.error) as error:
+        return f"cannot be read as an image ({type(error).__name__})"
+
+
+def _size_fault(size: tuple[int, int]) -> str | None:
+    good = 0 < size[0] * size[1] <= MOST_PIXELS
+    return None if good else f"has a size of {size[0]} x {size[1]} pixels, at most 4096 x 4096 are read"
+
+
+def encode_png(image: np.ndarray, compression: int | None = None) -> bytes:
+    """An RGB picture (height, width, 3) uint8 as the bytes of a PNG."""
+    import cv2
+
+    settings = [] if compression is None else [cv2.IMWRITE_PNG_COMPRESSION, compression]
+    return cv2.imencode(".png", cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2BGR), settings)[1].tobytes()
+
+
+def write_png(path: str | Path, image: np.ndarray, compression: int | None = None) -> None:
+    """Write an RGB picture as PNG, whole or not at all."""
+    try:
+        with publish(path) as part:
+            part.write_bytes(encode_png(image, compression))
+    except OSError as error:
+        raise GelforgeError(
+            f"{path}: the image could not be written ({error.strerror}); free space or mend the folder"
+        ) from error
+
+
+def bad_image(press: PressRecord, file: str, folder: str | Path, size: tuple[int, int]) -> Rejection | None:
+    """Why a press's image cannot be used; `folder` is the dataset's, `size` the sensor's width and height."""
+
+    def no(reason: str, remedy: str) -> Rejection:
+        return reject(press, file, "image", reason, remedy)
+
+    if not press.image:
+        return no("no image is named", "name its PNG, or set images = false under [params.poses] in dataset.toml")
+    if "\x00" in press.image or "\\" in press.image:
+        return no("the path holds a character that is not allowed", "write it with forward slashes: images/0001.png")
+    path = Path(folder) / press.image
+    try:
+        path.resolve()
+    except (OSError, RuntimeError):
+        return no("cannot be read (a link that leads to itself)", "copy the image there, or remove the row")
+    if not stays_inside(Path(folder), press.image):
+        return no("the path leaves the dataset's folder", "copy the image below data/DATASET and name it from there")
+    fault = file_fault(path)
+    if fault is None and path.stat().st_size > MOST_BYTES:
+        fault = f"it has more than {MOST_BYTES} bytes"
+    if fault:
+        return no(f"cannot be read ({fault})", "copy the image there, or remove the row")
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        return no(f"cannot be read ({error.strerror})", "copy the image there, or remove the row")
+    fault, seen = png_fault(data)
+    if fault:
+        return no(fault, "copy the file again from the source, as PNG")
+    if seen != tuple(size):
+        return no(
+            f"is {seen[0]} x {seen[1]} pixels, the sensor has {size[0]} x {size[1]}",
+            f"record at that size, or correct `image` of {press.sensor_id} in workflow/sensors.toml",
+        )
+    return None
+
+
+def png_fault(data: bytes) -> tuple[str | None, tuple[int, int]]:
+    """What is wrong with PNG bytes (None where nothing is), and width and height."""
+    if not data.startswith(PNG):
+        return "is not a PNG file", (0, 0)
+    fault, size = _chunk_fault(data)
+    if fault is None and not 0 < size[0] * size[1] <= MOST_PIXELS:
+        fault = f"has a size of {size[0]} x {size[1]} pixels"
+    return fault or _decode_fault(data), size
+
+
+def _chunk_fault(data: bytes) -> tuple[str | None, tuple[int, int]]:
+    """Walk the chunks and their checksums: decoders show half a truncated file without complaint.
+
+    PNG specification, 5.3.
+    """
+    at, size, kind = len(PNG), (0, 0), b""
+    while kind != b"IEND":
+        if at + 12 > len(data):
+            return "is truncated", size
+        length, kind = struct.unpack(">I4s", data[at : at + 8])
+        body = memoryview(data)[at + 4 : at + 8 + length]
+        at += 12 + length
+        if at > len(data):
+            return "is truncated", size
+        if zlib.crc32(body) != struct.unpack(">I", data[at - 4 : at])[0]:
+            return "is damaged: a checksum is wrong", size
+        if kind == b"IHDR" and length >= 8:
+            width, height = struct.unpack(">II", body[4:12])
+            size = width, height
+    return None, size
+
+
+def _decode_fault(data: bytes) -> str | None:
+    import cv2
+
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        image = None
+    if image is None:
+        return "cannot be decoded"
+    if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] not in (3, 4):
+        return "is not an 8-bit colour image"
+    return None

@@ -1,0 +1,267 @@
+"""A press from the log to the report: what a row says, as a typed record, and the one parser of its cells.
+
+`LoggedPress` is a row of the raw log, `PosedPress` one of the pose table that stage 10 writes. Lengths are mm, angles
+degrees, forces N, moments N m. A row's number is its line in the log as an editor shows it, in every file and message.
+"""
+
+import math
+import re
+from collections.abc import Collection
+from dataclasses import asdict, dataclass
+from datetime import datetime
+from typing import Any
+
+import numpy as np
+
+from gelforge.errors import BadInput, printable
+
+POSE = ("x0_mm", "y0_mm", "z0_mm", "dx_mm", "dy_mm", "dz_mm", "rot_deg")
+FORCE = ("fx_n", "fy_n", "fz_n")
+MOMENT = ("mx_nm", "my_nm", "mz_nm")
+FORCES = (*FORCE, *MOMENT)
+COLUMNS = ("sample_id", "time_utc", "sensor_id", "gel_id", "indenter", *POSE, *FORCES, "image")
+OPTIONAL = ("press_id",)
+KNOWN = (*COLUMNS, *OPTIONAL)
+
+ID_RULE = "1 to 100 letters, digits, dots, dashes or underscores, beginning with a letter or digit"
+LARGEST = {**dict.fromkeys(POSE, 1000.0), "rot_deg": 3600.0, **dict.fromkeys(FORCES, 1e5)}
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.\-]{0,99}", re.ASCII)
+
+# Why the cells of a row cannot be told apart: column that the rejection names, reason, remedy.
+ROW_FAULTS = {
+    "more_cells": (
+        "sample_id",
+        "the row has more cells than the header has columns",
+        "quote cells that hold a comma, and write decimals with a point",
+    ),
+    "open_quote": (
+        "sample_id",
+        "a quotation mark opens in this row and does not close in it",
+        "remove it, or close it; rows below were read without it",
+    ),
+    "long_cell": (
+        "sample_id",
+        "a cell of the row is longer than 131072 characters",
+        "shorten it; a cell holds a name, a number or a path",
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Press:
+    """Pose and path of one press in the gel frame, mm and degrees.
+
+    The tip touches the plane z = z0 at (x0, y0), turned by `rot_deg` about z; then it moves down
+    to dz (negative), then sideways by (dx, dy) at that depth.
+    """
+
+    x0: float
+    y0: float
+    z0: float
+    dx: float
+    dy: float
+    dz: float
+    rot_deg: float = 0.0
+
+    def pose(self, press: float, shear: float) -> tuple[np.ndarray, np.ndarray]:
+        """Rotation (3, 3) and translation (3,) of the indenter frame at fractions of the path."""
+        angle = np.deg2rad(self.rot_deg)
+        c, s = np.cos(angle), np.sin(angle)
+        rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        travel = np.array([shear * self.dx, shear * self.dy, press * self.dz])
+        return rotation, np.array([self.x0, self.y0, self.z0]) + travel
+
+
+@dataclass(frozen=True, kw_only=True)
+class PressRecord:
+    """What the log says of one press: a force that was not measured is None, a pose that was not logged NaN.
+
+    press_id: rows that share one are moments of one press (`records.frames`); empty where the row stands alone.
+    """
+
+    row: int
+    sample_id: str
+    sensor_id: str
+    gel_id: str
+    indenter: str
+    x0_mm: float
+    y0_mm: float
+    z0_mm: float
+    dx_mm: float
+    dy_mm: float
+    dz_mm: float
+    rot_deg: float
+    fx_n: float | None
+    fy_n: float | None
+    fz_n: float | None
+    mx_nm: float | None
+    my_nm: float | None
+    mz_nm: float | None
+    image: str
+    press_id: str = ""
+
+    @property
+    def press(self) -> Press:
+        """Pose and path."""
+        return Press(self.x0_mm, self.y0_mm, self.z0_mm, self.dx_mm, self.dy_mm, self.dz_mm, self.rot_deg)
+
+    @property
+    def posed(self) -> bool:
+        """Whether the log has the whole pose: images that were imported with their labels may have none."""
+        return all(math.isfinite(getattr(self, name)) for name in POSE)
+
+    @property
+    def force(self) -> np.ndarray:
+        """Force on the gel along its axes, (3,) N; NaN where it was not measured."""
+        return np.array([self.fx_n, self.fy_n, self.fz_n], dtype=float)
+
+    def cells(self) -> dict[str, str]:
+        """The record as text; numbers in the shortest form that reads back to the same float."""
+        return {name: _cell(value) for name, value in asdict(self).items() if name != "row"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoggedPress(PressRecord):
+    """One row of the raw log."""
+
+    time_utc: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PosedPress(PressRecord):
+    """One row of the pose table: the path is that of the tip against the gel; stl names the posed surface."""
+
+    stl: str = ""
+
+
+@dataclass(frozen=True)
+class RawRow:
+    """One row of a log as text: cells by known column, stripped; `fault` names one of ROW_FAULTS."""
+
+    row: int
+    cells: dict[str, str]
+    fault: str = ""
+
+
+@dataclass(frozen=True)
+class Rejection:
+    """Why one cell keeps its row out, and what to do; text of the log is shown as `printable`."""
+
+    file: str
+    row: int
+    sample_id: str
+    column: str
+    value: str
+    reason: str
+    remedy: str
+
+    def __str__(self) -> str:
+        where = f"{self.file}, row {self.row}, {self.sample_id or 'no sample_id'}"
+        return printable(f"rejected: {where}: {self.column} = {self.value!r}: {self.reason}; {self.remedy}")
+
+
+def reject(press: PressRecord, file: str, column: str, reason: str, remedy: str) -> Rejection:
+    """A rejection of one cell of a press that could be read."""
+    return Rejection(
+        file, press.row, press.sample_id, column, printable(_cell(getattr(press, column)))[:200], reason, remedy
+    )
+
+
+def parse_number(text: str) -> float | None:
+    """The finite float that plain decimal text stands for, else None."""
+    value = float(text) if _NUMBER.fullmatch(text) else math.nan
+    return value if math.isfinite(value) else None
+
+
+def check_id(sample_id: str) -> str:
+    """A sample_id that may name files, as it is; any other raises BadInput."""
+    if not _ID.fullmatch(sample_id):
+        raise BadInput(f"sample_id {sample_id[:100]!r} is not usable as a file name; use {ID_RULE}")
+    return sample_id
+
+
+def parse(raw: RawRow, file: str, needed: Collection[str] = COLUMNS) -> tuple[LoggedPress | None, list[Rejection]]:
+    """One raw row as a typed press, or None and every reason against it.
+
+    Columns that are not `needed` may be missing or hold anything: what cannot be read of them stays empty.
+    """
+    if raw.fault:
+        column, *why = ROW_FAULTS[raw.fault]
+        return None, [_rejection(raw, file, column, *why)]
+    wrong: list[Rejection] = []
+    values: dict[str, Any] = {}
+    for name in KNOWN:
+        values[name], fault = _judge(name, raw.cells.get(name))
+        if fault and (name in needed or name in OPTIONAL):
+            wrong.append(_rejection(raw, file, name, *fault))
+    return (None, wrong) if wrong else (LoggedPress(row=raw.row, **values), [])
+
+
+def parse_posed(raw: RawRow, file: str) -> PosedPress:
+    """One row of a pose table; a cell that stage 10 cannot have written raises BadInput."""
+    press, wrong = parse(raw, file, ("sample_id", "sensor_id", "indenter", *POSE))
+    if press is None:
+        raise BadInput(f"{file}: row {raw.row}: {wrong[0].column}: {wrong[0].reason}; delete it and run make poses")
+    cells = {name: value for name, value in vars(press).items() if name != "time_utc"}
+    return PosedPress(**cells, stl=raw.cells.get("stl", ""))
+
+
+def _rejection(raw: RawRow, file: str, column: str, reason: str, remedy: str) -> Rejection:
+    sample_id, value = (
+        printable(raw.cells.get(name, ""))[:most] for name, most in (("sample_id", 100), (column, 200))
+    )
+    return Rejection(file, raw.row, sample_id, column, value, reason, remedy)
+
+
+def _cell(value: str | float | None) -> str:
+    if value is None or isinstance(value, str):
+        return value or ""
+    return repr(float(value)) if math.isfinite(value) else ""
+
+
+def _judge(name: str, text: str | None) -> tuple[str | float | None, tuple[str, str] | None]:
+    """Value of a cell, or what stands for none and what is wrong: (reason, remedy)."""
+    if text is None:
+        remedy = f"add a column {name} to the log (the force columns may be empty)"
+        return _nothing(name), None if name in OPTIONAL else ("the column is missing", remedy)
+    if name in POSE or name in FORCES:
+        value, fault = _number_cell(name, text)
+        return (_nothing(name) if value is None else value), fault
+    fault = _word_fault(name, text)
+    return (_nothing(name) if fault else text), fault
+
+
+def _nothing(name: str) -> str | float | None:
+    return math.nan if name in POSE else None if name in FORCES else ""
+
+
+def _number_cell(name: str, text: str) -> tuple[float | None, tuple[str, str] | None]:
+    if not text:
+        every = "every press needs its full pose and path; write 0 where nothing moves"
+        return None, None if name in FORCES else ("the cell is empty", every)
+    value = parse_number(text)
+    if value is None:
+        empty = ", or leave the cell empty" if name in FORCES else ""
+        return None, ("not a finite number", f"write plain decimals with a point, like -1.25{empty}")
+    if abs(value) > LARGEST[name]:
+        return None, (f"larger than {LARGEST[name]:g}", "check the unit: mm, degrees, N and N m")
+    if name == "dz_mm" and value >= 0.0:
+        why = "the indenter does not move towards the gel", "give the press depth as a negative number"
+        return None, why
+    return value, None
+
+
+def _word_fault(name: str, text: str) -> tuple[str, str] | None:
+    if name == "sample_id" and not _ID.fullmatch(text):
+        return "not usable as a file name", f"use {ID_RULE}"
+    if name == "press_id" and text and not _ID.fullmatch(text):
+        return "not a name", f"use {ID_RULE}, or leave it empty"
+    if name in ("sensor_id", "indenter") and not text:
+        return "the cell is empty", "name it as in its catalogue"
+    if name == "time_utc" and text:
+        try:
+            datetime.fromisoformat(text)
+        except ValueError:
+            return "not a time", "write ISO 8601 like 2025-04-08T12:25:19Z, or leave the cell empty"
+    return None

@@ -1,0 +1,46 @@
+"""Files of others, opened only where they are what they should be: no pipe that never ends, no device, no folder."""
+
+import stat
+from pathlib import Path
+
+from gelforge.errors import BadInput
+
+KINDS = {
+    stat.S_IFDIR: "a folder",
+    stat.S_IFIFO: "a named pipe",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+}
+
+
+def file_fault(path: Path) -> str | None:
+    """Why a path is no file that can be read whole, in a few words, or None."""
+    try:
+        mode = path.stat().st_mode
+    except OSError as error:
+        return error.strerror or str(error)
+    return None if stat.S_ISREG(mode) else f"it is {KINDS.get(stat.S_IFMT(mode), 'no regular file')}"
+
+
+def read_bytes(path: Path, remedy: str, most: int = 2**32) -> bytes:
+    """Bytes of a regular file of at most `most` bytes; anything else raises BadInput that ends with the remedy."""
+    try:
+        fault = file_fault(path)
+        if fault is None and path.stat().st_size > most:
+            fault = f"it has {path.stat().st_size} bytes, {most} are allowed"
+        if fault is None:
+            return path.read_bytes()
+    except OSError as error:
+        fault = error.strerror or str(error)
+    raise BadInput(
+        f"{path}: {'not found' if fault.startswith('No such file') else f'cannot be read ({fault})'}; {remedy}"
+    )
+
+
+def read_text(path: Path, remedy: str) -> str:
+    """Text of a regular file in UTF-8, with or without a byte order mark; line endings stay as they are."""
+    try:
+        return read_bytes(path, remedy).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise BadInput(f"{path}: not UTF-8 text ({error}); save it as CSV in UTF-8") from None
