@@ -1,6 +1,14 @@
 # Tests, and benchmarks of what was promised.
 TESTS ?= tests
 
+# Tests of pages need a browser; installed after CalculiX, because two installs at once would fight for apt's lock.
+CHROMIUM_FOUND := .venv/chromium.found
+
+$(CHROMIUM_FOUND): envs/chromium.sh | $(SETUP) $(CCX_FOUND) $(SLURM_FOUND)
+	@envs/chromium.sh $@
+
+test: $(CHROMIUM_FOUND)
+
 .PHONY: test lock
 test: $(SETUP) $(CCX_FOUND)  ## all tests
 	@$(PY) -m pytest -n $(JOBS) --dist loadfile $(TESTS)

@@ -1,34 +1,103 @@
 """The page holds everything itself, and nothing that data says becomes markup."""
 
+import base64
+import json
 import re
+import zlib
 
 import numpy as np
 
-from gelforge.reporting import pictures
+from gelforge.geometry.gel import load_gel
+from gelforge.mechanics.hex.bricks import Bricks
+from gelforge.mechanics.hex.hexmesh import FineBox
 from gelforge.reporting.page import Section, render
-from gelforge.stages.report import failures_section, flatten, pick
+from gelforge.reporting.parts import forget_parts, pack, place_parts, script_json
+from gelforge.reporting.presses import as_columns, press_rows
+from gelforge.reporting.provenance import stages
+from gelforge.reporting.surface import Resampler, grid_points
+from gelforge.stages.report import failures_section, flatten
+from tests.explored import tables, write_page
 
 
 def test_text_from_data_is_escaped():
     section = Section("Failures").table(["sample"], [["<script>alert(1)</script>"]]).text("a < b & c")
     page = render("<b>lab</b>", "lead", [section])
-    assert "<script>" not in page and "<b>lab" not in page
+    assert "<script>alert" not in page and "<b>lab" not in page
     assert "&lt;script&gt;" in page and "a &lt; b &amp; c" in page
 
 
-def test_the_page_asks_nothing_from_outside():
-    label = np.zeros((3, 4, 5))
-    picture = pictures.label_over_image(np.zeros((24, 32, 3), np.uint8), label, "none")
-    page = render("lab", "lead", [Section("Labels").picture(picture, "a caption")])
-    sources = re.findall(r'(?:src|href)="([^"]{0,30})', page)
-    assert sources and all(s.startswith(("data:image/png;base64,", "#")) for s in sources)
+def test_the_page_asks_nothing_from_outside(tmp_path):
+    page = write_page(tmp_path, 20).read_text(encoding="utf-8")
+    sources = re.findall(r'<[^>]*(?:src|href)="([^"]{0,30})', page)
+    assert sources and all(source.startswith(("data:", "#")) for source in sources)
+    assert "fetch(" not in page and "XMLHttpRequest" not in page.split("var THREE")[0]
 
 
-def test_every_indenter_is_shown_before_any_comes_twice():
-    rows = [{"sample_id": str(k), "dz_mm": str(-k), "indenter": "ab"[k > 3]} for k in range(6)]
-    solved = {row["sample_id"]: {"status": "OK"} for row in rows} | {"5": {"status": "DIVERGED"}}
-    chosen = pick(rows, solved, 3)
-    assert {row["indenter"] for row in chosen[:2]} == {"a", "b"} and "5" not in [row["sample_id"] for row in chosen]
+def test_text_in_a_script_cannot_end_it():
+    text = "</script><!-- \u2028 &amp;"
+    held = script_json({"a": text})
+    assert not set("<>&\u2028") & set(held) and json.loads(held) == {"a": text}
+
+
+def unpacked(packed: dict) -> dict:
+    """What the page's `unpack` reads."""
+    planes = np.frombuffer(zlib.decompress(base64.b64decode(packed["data"])), np.uint8).reshape(2, -1)
+    values, at, found = (planes[0] | planes[1].astype(np.uint16) << 8).view(np.int16), 0, {}
+    for name, length, unit in packed["arrays"]:
+        found[name], at = values[at : at + length] * unit, at + length
+    return found
+
+
+def test_packed_arrays_come_back_to_half_a_unit():
+    rng = np.random.default_rng(1)
+    maps, points = rng.normal(0, 0.1, (3, 24, 32)), rng.uniform(-12, 12, (50, 3))
+    found = unpacked(pack({"maps": maps, "points": (points, 1e-3), "none": np.zeros((0, 3))}))
+    assert np.abs(found["maps"] - maps.ravel()).max() <= np.abs(maps).max() / 32767
+    assert np.abs(found["points"] - points.ravel()).max() <= 0.5e-3 + 1e-9
+    assert found["none"].size == 0 and unpacked(pack({})) == {}
+
+
+def test_parts_lie_beside_the_page_only_where_they_are_large(tmp_path):
+    texts = [(k, "x" * 100) for k in range(5)]
+    assert place_parts(tmp_path, texts, 1000) == ("", ["x" * 100] * 5) and not list(tmp_path.iterdir())
+    folder, held = place_parts(tmp_path, texts, 250)
+    assert not held and sorted(path.name for path in (tmp_path / folder).iterdir()) == [f"{k}.js" for k in range(5)]
+    other, _ = place_parts(tmp_path, [(0, "y" * 900)], 250)
+    forget_parts(tmp_path, other)
+    assert [path.name for path in tmp_path.iterdir()] == [other] != [folder]
+
+
+def test_a_linear_displacement_is_carried_to_the_grid_exactly():
+    gel = load_gel("gelsight_mini")
+    mesh = Bricks(gel.name, FineBox(-3, 3, -4, 4, 0.8), 3, 1.2, 1.3, 2.0).mesh()
+    resampler = Resampler(mesh, gel)
+    slope = np.array([[0.01, 0.02, -0.03], [0.0, -0.01, 0.02]])
+    moved = resampler(resampler.places[:, :2] @ slope)
+    points = grid_points(gel)[2]
+    inside = gel.edge_distance(points[:, 0], points[:, 1]) < -0.5
+    assert np.abs(moved - points[:, :2] @ slope)[inside].max() < 1e-6
+
+
+def test_every_press_and_every_rejected_row_is_in_the_table():
+    rows = press_rows(*tables(25))
+    table = as_columns(rows)
+    assert len(table["id"]) == 26 and table["id"][-1] == "row 7"
+    reason = table["reason"]["names"][table["reason"]["at"][-1]]
+    assert reason == "dz_mm: not a number; write a number of millimetres"
+    assert table["label_fz"][9] is None and table["label_fz"][-1] is None
+    # The network's first channel runs along gel y.
+    assert table["network_fx"][0] == 0.3 and table["network_fy"][0] == -0.08
+    json.dumps(table, allow_nan=False)
+
+
+def test_stages_know_what_they_read(tmp_path):
+    cost = {"started": 1.0, "seconds": 2.0, "cpu_seconds": 1.0, "peak_mib": 10.0, "inputs": []}
+    inputs = [str(tmp_path / "10_poses" / "0000.csv"), str(tmp_path / "00_plan" / "params" / "fea.json")]
+    costs = {"10_poses/0000": cost, "30_fea/0000": cost | {"started": 2.0, "inputs": inputs, "peak_mib": 99.0},
+             "30_fea/0001": cost | {"started": 3.0}}  # fmt: skip
+    poses, fea = stages(tmp_path, costs)
+    assert fea["reads"] == ["10_poses"] and fea["targets"] == 2 and fea["seconds"] == 4.0 and fea["peak_mib"] == 99.0
+    assert poses["reads"] == []
 
 
 def test_failures_are_listed_with_their_reasons(tmp_path):

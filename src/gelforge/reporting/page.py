@@ -4,6 +4,10 @@ import base64
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from gelforge.reporting.parts import script_json
+
+WEB = Path(__file__).parent / "web"
+
 
 @dataclass
 class Section:
@@ -22,9 +26,10 @@ class Section:
         self.items.append({"kind": "picture", "data": base64.b64encode(png).decode(), "caption": caption})
         return self
 
-    def table(self, columns: list[str], rows: list[list]) -> "Section":
-        """A table; floats are shown with four significant digits."""
-        self.items.append({"kind": "table", "columns": columns, "rows": [[show(c) for c in row] for row in rows]})
+    def table(self, columns: list[str], rows: list[list], folded: str = "") -> "Section":
+        """A table, floats with four significant digits; `folded` is the caption it is folded away under."""
+        cells = [[show(c) for c in row] for row in rows]
+        self.items.append({"kind": "table", "columns": columns, "rows": cells, "caption": folded})
         return self
 
     def code(self, text: str, caption: str) -> "Section":
@@ -40,9 +45,32 @@ def show(value) -> str:
     return "" if value is None else str(value)
 
 
-def render(dataset: str, lead: str, sections: list[Section]) -> str:
-    """The page as text; everything that came from data is escaped."""
-    from jinja2 import Environment
+@dataclass(frozen=True)
+class Explored:
+    """What the explorer of presses is given: its data, and the parts that the page itself holds."""
 
-    template = (Path(__file__).parent / "page.html").read_text(encoding="utf-8")
-    return Environment(autoescape=True).from_string(template).render(dataset=dataset, lead=lead, sections=sections)
+    data: dict
+    parts: list[str]
+
+
+def render(dataset: str, lead: str, sections: list[Section], explored: Explored | None = None) -> str:
+    """The page as text, one file that asks for nothing from outside; everything that came from data is escaped."""
+    from jinja2 import Environment
+    from markupsafe import Markup
+
+    def asset(name: str) -> Markup:
+        return Markup((WEB / name).read_text(encoding="utf-8"))
+
+    scripts = [asset("tables.js")]
+    if explored is not None:
+        data = Markup(f"const DATA = {script_json(explored.data)};")
+        scripts += [data, *map(asset, ("three.js", "explore.js", "charts.js")), *map(Markup, explored.parts)]
+    template = Environment(autoescape=True, trim_blocks=True).from_string(asset("page.html"))
+    return template.render(
+        dataset=dataset,
+        lead=lead,
+        sections=sections,
+        explorer=explored is not None,
+        scripts=scripts,
+        style=asset("look.css"),
+    )

@@ -5,7 +5,6 @@ import io
 import numpy as np
 
 DPI = 110
-CHANNELS = ("grid_x: force along gel y", "grid_y: force along gel x", "grid_z: force along z")
 
 
 def to_png(figure) -> bytes:
@@ -26,42 +25,6 @@ def new_figure(rows: int, columns: int, width: float, height: float):
     import matplotlib.pyplot as plt
 
     return plt.subplots(rows, columns, figsize=(width, height), layout="constrained", squeeze=False)
-
-
-def presses(table: dict[str, np.ndarray], indenters: list[str]) -> bytes:
-    """Where and how deep the rig pressed, and what its force sensor read.
-
-    `table` holds x0, y0, dx, dy, dz in mm and fz in N, each (n,); `indenters` names each press's body.
-    """
-    figure, axes = new_figure(1, 3, 12, 3.8)
-    where, depth, shear = axes[0]
-    for name in sorted(set(indenters)):
-        rows = np.array([i == name for i in indenters])
-        where.scatter(table["y0"][rows], table["x0"][rows], s=18, label=name)
-        depth.scatter(-table["dz"][rows], -table["fz"][rows], s=18)
-        shear.scatter(table["dy"][rows], table["dx"][rows], s=18)
-    where.set(xlabel="y, mm", ylabel="x, mm", title="first touch", aspect="equal")
-    depth.set(xlabel="commanded depth, mm", ylabel="measured normal force, N", title="force against depth")
-    shear.set(xlabel="dy, mm", ylabel="dx, mm", title="shear travel", aspect="equal")
-    figure.legend(loc="outside lower center", ncols=6, fontsize=8)
-    return to_png(figure)
-
-
-def label_over_image(image: np.ndarray, label: np.ndarray, title: str) -> bytes:
-    """An image (h, w, 3) beside its label (3, rows, columns) in N per cell."""
-    figure, axes = new_figure(1, 4, 13, 2.7)
-    axes[0, 0].imshow(image)
-    axes[0, 0].set_title(title, fontsize=9)
-    for channel, axis in enumerate(axes[0, 1:]):
-        grid = label[channel]
-        reach = max(float(np.abs(grid).max()), 1e-6)
-        shown = axis.imshow(grid, cmap="RdBu", vmin=-reach, vmax=reach, extent=(0, image.shape[1], image.shape[0], 0))
-        axis.set_title(f"{CHANNELS[channel]}, sum {grid.sum():.2f} N", fontsize=9)
-        figure.colorbar(shown, ax=axis, shrink=0.8, label="N per cell")
-    for axis in axes[0]:
-        axis.set_xticks([])
-        axis.set_yticks([])
-    return to_png(figure)
 
 
 def press_3d(mesh, nodes: np.ndarray, displacement: np.ndarray, force: np.ndarray, stl, travel) -> bytes:

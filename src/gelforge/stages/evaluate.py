@@ -10,8 +10,9 @@ from gelforge.flow.files import publish, read_json, write_json
 from gelforge.flow.main import command, option
 from gelforge.networks import metrics
 from gelforge.networks.tables import draw_predictions, tables
+from gelforge.records.predictionfile import write_predictions
 
-VERSION = 3
+VERSION = 4
 # Where a dataset has them, total forces (samples.csv, gel frame: x short side) that did not come from
 # the labels: the force sensor of the rig, and what a virtual rig knows and a real one cannot.
 REFERENCES = {"sensor": "measured_{}_n", "truth": "true_{}_n"}
@@ -128,6 +129,21 @@ def evaluate(data, trained, settings: dict) -> tuple[dict, dict]:
     return result, predictions
 
 
+def keep_predictions(path, data, trained, predictions: dict) -> None:
+    """Write what the network reads in every image, those it learnt from too, in the order of samples.csv.
+
+    predictions: those already made, as `evaluate` returns them.
+    """
+    from gelforge.networks.training import predict_rows
+
+    learnt = data.splits["train"]
+    parts = [*predictions.values(), (learnt, predict_rows(trained.net, data, learnt, trained.about["normalisation"]))]
+    forces = np.zeros((len(data.table), *parts[0][1].shape[1:]), np.float32)
+    for rows, predicted in parts:
+        forces[rows] = predicted
+    write_predictions(path, data.names("sample_id"), forces)
+
+
 def paper_table(result: dict) -> str:
     """The paper's table of one evaluation as text: total and per-cell MAE with deviation, N, per split."""
     lines = [f"{'split':22s} {'n':>5s}  " + "".join(f"{'total ' + a:>18s}{'cell ' + a:>20s}" for a in metrics.AXES)]
@@ -152,10 +168,13 @@ def main(args: Namespace) -> None:
     from gelforge.networks.modelfile import load_model
 
     data = open_data(args.dataset)
-    result, predictions = evaluate(data, load_model(args.model), read_json(args.params)["evaluate"])
+    trained = load_model(args.model)
+    result, predictions = evaluate(data, trained, read_json(args.params)["evaluate"])
     print(paper_table(result))
-    with publish(args.out.with_name(args.out.name.removesuffix(".part").removesuffix(".json") + ".png")) as part:
+    stem = args.out.name.removesuffix(".part").removesuffix(".json")
+    with publish(args.out.with_name(f"{stem}.png")) as part:
         draw_predictions(part, data, predictions)
+    keep_predictions(args.out.with_name(f"{stem}.predictions.npz"), data, trained, predictions)
     write_json(args.out, result)
 
 

@@ -10,11 +10,17 @@ import numpy as np
 
 from gelforge.flow.files import read_csv, read_json, write_text
 from gelforge.flow.main import command, option
-from gelforge.reporting import pictures
-from gelforge.reporting.page import Section, render
+from gelforge.flow.progress import progress
+from gelforge.labelling.grid import Grid
+from gelforge.records.predictionfile import read_predictions
+from gelforge.reporting.explorer import Explorer
+from gelforge.reporting.page import Explored, Section, render
+from gelforge.reporting.parts import PART, forget_parts, in_parts, place_parts
+from gelforge.reporting.presses import as_columns, press_rows
+from gelforge.reporting.provenance import COST, stages, target_costs
 from gelforge.stages.plan import planned_shards
 
-VERSION = 1
+VERSION = 2
 PACKAGES = ("numpy", "scipy", "torch", "pymeshlab", "pytetwild", "pyvista", "emcee", "opencv-contrib-python-headless")
 
 
@@ -22,66 +28,6 @@ def read_tables(results: Path, stage: str, suffix: str = "") -> list[dict]:
     """Rows of a stage's tables of the planned shards, each with its `shard`; a stage may not have made all of them."""
     paths = {name: results / stage / f"{name}{suffix}.csv" for name in planned_shards(results / "00_plan" / "shards")}
     return [{**row, "shard": name} for name, path in paths.items() if path.exists() for row in read_csv(path)]
-
-
-def numbers(rows: list[dict], *columns: str) -> dict[str, np.ndarray]:
-    """Columns as arrays under their short names, NaN where a cell is empty."""
-    return {c.split("_")[0]: np.array([float(row[c] or "nan") for row in rows]) for c in columns}
-
-
-def presses_section(poses: list[dict]) -> Section:
-    """What the bench did."""
-    table = numbers(poses, "x0_mm", "y0_mm", "dx_mm", "dy_mm", "dz_mm", "fz_n")
-    names = [row["indenter"] for row in poses]
-    sensors = sorted({row["sensor_id"] for row in poses})
-    section = Section("Presses")
-    section.text(f"{len(poses)} good presses of {len(set(names))} indenters on sensors {', '.join(sensors)}.")
-    return section.picture(pictures.presses(table, names), "Positions, forces and shear travel in the raw log.")
-
-
-def pick(poses: list[dict], solved: dict[str, dict], count: int) -> list[dict]:
-    """Solved samples for the gallery: evenly over the force range, each indenter before any comes twice."""
-    usable = [row for row in poses if solved.get(row["sample_id"], {}).get("status") == "OK"]
-    usable.sort(key=lambda row: float(row["dz_mm"]))
-    seen: set[str] = set()
-    first = [row for row in usable if not (row["indenter"] in seen or seen.add(row["indenter"]))]
-    rest = [row for row in usable if row not in first]
-    return (first + rest)[:count]
-
-
-def press_section(results: Path, row: dict, shard: str) -> Section:
-    """One press in three dimensions."""
-    from gelforge.mechanics.family import load_mesh
-    from gelforge.records.forcefile import ForceFile
-
-    with ForceFile(results / "40_forces" / f"{shard}.npz") as forces:
-        at = forces.index(row["sample_id"])
-        mesh = load_mesh(results / "20_meshes", str(forces.mesh[at]))
-        sample = forces.sample(at, mesh.surface_nodes)
-    travel = [float(row[c]) for c in ("dx_mm", "dy_mm", "dz_mm")]
-    png = pictures.press_3d(
-        mesh, sample.nodes, sample.displacement, sample.force, results / "10_poses" / row["stl"], travel
-    )
-    total = ", ".join(f"{v:.2f}" for v in sample.force.sum(axis=0))
-    caption = f"{row['sample_id']}: {row['indenter']}, {-travel[2]:.2f} mm deep; forces on the gel (red) sum to ({total}) N."
-    return Section("One press").picture(png, caption)
-
-
-def labels_section(results: Path, data: Path, rows: list[dict], shards: dict[str, str], resolution: str) -> Section:
-    """Images beside their labels."""
-    import cv2
-
-    section = Section("Labels")
-    section.text(f"Force per cell at {resolution}, channels and signs as in FEATS; compression is negative z.")
-    for row in rows:
-        with np.load(
-            results / "50_labels" / resolution / f"{shards[row['sample_id']]}.npz", allow_pickle=False
-        ) as file:
-            label = file["label"][list(file["sample_id"]).index(row["sample_id"])]
-        image = cv2.cvtColor(cv2.imread(str(data / row["image"])), cv2.COLOR_BGR2RGB)
-        title = f"{row['sample_id']} {row['indenter']} {row['dz_mm']} mm"
-        section.picture(pictures.label_over_image(image, label, title), title)
-    return section
 
 
 def flatten(value, prefix: str = "") -> list[tuple[str, float]]:
@@ -120,7 +66,7 @@ def calibration_section(results: Path) -> Section:
     for sentence in summary.get("sentences", [summary.get("sentence", "")]):
         section.text(sentence)
     if summary.get("models"):
-        section.table(*compared_models(summary["models"])).text(
+        section.table(*compared_models(summary["models"]), folded="Models compared").text(
             "Models by their predictive score (expected log density of a reading left out): how far behind the best, "
             "with its standard error. Last, the mean error of normal force when the presses are repeated, and at "
             "these presses, each with its own error of touch."
@@ -168,20 +114,14 @@ def failures_section(results: Path, solved: dict[str, dict]) -> Section:
     return section
 
 
-def cost_section(results: Path, solved: dict[str, dict]) -> Section:
-    """What each stage cost."""
-    section = Section("Cost")
-    rows = []
-    for folder in sorted(p for p in (results / "metrics").glob("*") if p.is_dir()):
-        costs = [read_json(p) for p in folder.rglob("*.json")]
-        rows.append([folder.name, len(costs), sum(c["seconds"] for c in costs), max(c["peak_mib"] for c in costs)])
-    section.table(["stage", "targets", "seconds, all targets", "largest memory, MiB"], rows)
+def fidelities_section(solved: dict[str, dict]) -> Section:
+    """Seconds of a solve, by fidelity."""
     by_fidelity: dict[str, list[float]] = {}
     for row in solved.values():
         if row.get("seconds"):
             by_fidelity.setdefault(row["fidelity"], []).append(float(row["seconds"]))
     rows = [[name, len(s), float(np.median(s)), float(np.max(s))] for name, s in sorted(by_fidelity.items())]
-    return section.table(["fidelity", "solves", "median seconds", "slowest"], rows)
+    return Section("Cost of a solve").table(["fidelity", "solves", "median seconds", "slowest"], rows)
 
 
 def branch_section(results: Path, title: str, folder: str, what: str) -> Section:
@@ -210,7 +150,7 @@ def network_section(results: Path, resolution: str, model: str) -> Section:
         " without looking at the picture of a press, a network must beat by far."
     )
     for title, columns, rows in evaluation_tables(metrics):
-        section.text(title).table(columns, rows)
+        section.table(columns, rows, folded=title)
     captions = {
         f"70_train/{resolution}/{model}.curve.png": "Loss, learning rate and validation error while it learnt.",
         f"80_evaluate/{resolution}/{model}.png": "Predicted against labelled total force, and f_z of some presses.",
@@ -231,32 +171,61 @@ def versions_section(results: Path) -> Section:
     rows = [["gelforge", importlib.metadata.version("gelforge")]]
     rows += [[name, importlib.metadata.version(name)] for name in PACKAGES]
     try:
-        said = subprocess.run(["ccx", "-v"], capture_output=True, text=True).stdout.split()
+        said = subprocess.run(["ccx", "-v"], check=False, capture_output=True, text=True).stdout.split()
         rows.append(["CalculiX", said[-1] if said else "unknown"])
     except FileNotFoundError:
         rows.append(["CalculiX", "not installed"])
-    section.table(["program", "version"], rows)
+    section.table(["program", "version"], rows, folded="programs")
     for path in sorted((results / "00_plan" / "params").glob("*.json")):
         section.code(json.dumps(read_json(path), indent=1), f"parameters of {path.stem}")
     return section
 
 
-def build(data: Path, results: Path, resolution: str, model: str, gallery: int) -> str:
-    """The whole page as text."""
-    poses = read_tables(results, "10_poses")
-    shards = {row["sample_id"]: row["shard"] for row in poses}
-    solved = {row["sample_id"]: row for row in read_tables(results, "30_fea")}
-    rows = pick(poses, solved, gallery)
-    valid = sum(row["status"] in ("OK", "NO_CONTACT") for row in solved.values())
-    lead = f"{valid} of {len(shards)} good presses labelled at {resolution}; forces by finite elements, all steps cached."
-    sections = [presses_section(poses)]
-    if rows:
-        deepest = min(rows, key=lambda row: float(row["dz_mm"]))
-        sections += [
-            press_section(results, deepest, shards[deepest["sample_id"]]),
-            labels_section(results, data, rows, shards, resolution),
-        ]
-    sections += [
+def about(results: Path, dataset: str, resolution: str, model: str, params: Path) -> dict:
+    """What the page's charts and provenance must know beside the presses."""
+    path = results / "80_evaluate" / resolution / f"{model}.json"
+    splits = read_json(path)["splits"] if path.exists() else {}
+    return {
+        "dataset": dataset,
+        "resolution": resolution,
+        "model": model,
+        "grid": list(Grid.parse(resolution).shape),
+        "force_edges": read_json(params / "evaluate.json")["evaluate"]["force_edges"],
+        "controls": {name: {"n": split["n"], "controls": split["controls"]} for name, split in splits.items()},
+    }
+
+
+def open_explorer(results: Path, resolution: str, model: str, solved: dict[str, dict]) -> Explorer:
+    """The table of presses with what the network read of them."""
+    path = results / "80_evaluate" / resolution / f"{model}.predictions.npz"
+    predictions = read_predictions(path) if path.exists() else None
+    totals = (
+        dict(zip(predictions["sample_id"].tolist(), predictions["total"].tolist(), strict=True))
+        if predictions
+        else {}
+    )
+    table = results / "60_dataset" / resolution / "samples.csv"
+    samples = {row["sample_id"]: row for row in (read_csv(table) if table.exists() else [])}
+    poses, rejected = read_tables(results, "10_poses"), read_tables(results, "10_poses", ".rejected")
+    rows = press_rows(poses, rejected, solved, samples, totals)
+    return Explorer(results, resolution, rows, {name: at for at, name in enumerate(samples)}, predictions)
+
+
+def explorer_data(explorer: Explorer, known: dict) -> dict:
+    """All that the page's explorer is given, but for the parts."""
+    costs = target_costs(explorer.results)
+    return {
+        "columns": as_columns(explorer.rows),
+        "shared": explorer.shared(),
+        "costs": {target: [cost[name] for name in COST] for target, cost in costs.items()},
+        "stages": stages(explorer.results, costs),
+        "about": known,
+    }
+
+
+def sections_of(results: Path, resolution: str, model: str, solved: dict[str, dict]) -> list[Section]:
+    """What stands below the explorer."""
+    return [
         network_section(results, resolution, model),
         calibration_section(results),
         branch_section(
@@ -266,10 +235,15 @@ def build(data: Path, results: Path, resolution: str, model: str, gallery: int) 
             "Seconds of a solve against its error, each point one fidelity and mesh.",
         ),
         failures_section(results, solved),
-        cost_section(results, solved),
+        fidelities_section(solved),
         versions_section(results),
     ]
-    return render(data.name, lead, sections)
+
+
+def lead_of(rows: list[dict], resolution: str) -> str:
+    """One sentence on how many presses became labels."""
+    labelled = sum(row["status"] in ("OK", "NO_CONTACT") for row in rows)
+    return f"{labelled} of {len(rows)} presses labelled by finite elements at {resolution} cells a picture."
 
 
 @command(
@@ -281,8 +255,18 @@ def build(data: Path, results: Path, resolution: str, model: str, gallery: int) 
     option("--out", type=Path),
 )
 def main(args: Namespace) -> None:
-    gallery = read_json(args.params)["report"]["gallery"]
-    write_text(args.out, build(args.data, args.results, args.resolution, args.model, gallery))
+    solved = {row["sample_id"]: row for row in read_tables(args.results, "30_fea")}
+    explorer = open_explorer(args.results, args.resolution, args.model, solved)
+    known = about(args.results, args.data.name, args.resolution, args.model, args.params.parent)
+    limit = read_json(args.params)["report"]["embed_mb"] * 1e6
+    folder, embedded = place_parts(
+        args.out.parent, in_parts(progress(explorer.presses(), "presses", len(explorer.rows))), limit
+    )
+    data = explorer_data(explorer, known) | {"parts": {"size": PART, "beside": folder}}
+    sections = sections_of(args.results, args.resolution, args.model, solved)
+    lead = lead_of(explorer.rows, args.resolution)
+    write_text(args.out, render(args.data.name, lead, sections, Explored(data, embedded)))
+    forget_parts(args.out.parent, folder)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,147 @@
+"""What the page's explorer shows: the table of presses, each one's parts, and what all of them share."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.geometry.gel import Gel, load_gel
+from gelforge.geometry.triangles import read_stl
+from gelforge.mechanics.family import mesh_loader
+from gelforge.records.forcefile import ForceFile
+from gelforge.records.labelfile import read_labels
+from gelforge.reporting.parts import MICRON, arrows, jpeg, pack
+from gelforge.reporting.presses import number
+from gelforge.reporting.surface import Resampler, grid_points
+
+MOST_FACES = 1500  # of an indenter in the page
+
+
+@dataclass(frozen=True)
+class Explorer:
+    """Reads what belongs to single presses.
+
+    rows: the table of presses.press_rows. samples: row of samples.csv, counted from 0, by sample_id. predictions: arrays
+    of records.predictionfile, or none.
+    """
+
+    results: Path
+    resolution: str
+    rows: list[dict]
+    samples: dict[str, int]
+    predictions: dict | None = None
+    gel: Gel = field(default_factory=lambda: load_gel("gelsight_mini"))
+
+    @cached_property
+    def images(self) -> np.ndarray:
+        """Pictures (n, height, width, 3) uint8 of the dataset, mapped from disk."""
+        return np.load(
+            self.results / "60_dataset" / self.resolution / "images.npy", mmap_mode="r", allow_pickle=False
+        )
+
+    @cached_property
+    def resampler(self):
+        """`Resampler` by mesh name; those last used are kept."""
+        load = mesh_loader(self.results / "20_meshes")
+        return lru_cache(maxsize=16)(lambda name: Resampler(load(name), self.gel))
+
+    @cached_property
+    def predicted(self) -> dict[str, int]:
+        """Row of the predictions by sample_id."""
+        return {} if self.predictions is None else {str(n): i for i, n in enumerate(self.predictions["sample_id"])}
+
+    def presses(self) -> Iterator[dict]:
+        """What the page draws of each press, in the order of the rows."""
+        shard, opened = None, Shard()
+        for row in self.rows:
+            if row["shard"] != shard:
+                shard = row["shard"]
+                opened = Shard.read(self.results, self.resolution, shard)
+            yield self.press(row, opened)
+
+    def press(self, row: dict, shard: "Shard") -> dict:
+        """Picture, maps, gel and forces of one press; what it lacks is left out."""
+        packed = {}
+        if row["id"] in shard.labels:
+            packed["label"] = shard.labels[row["id"]]
+        if row["id"] in self.predicted:
+            packed["network"] = self.predictions["forces"][self.predicted[row["id"]]].astype(np.float32)
+        if row["id"] in shard.gels and row["mesh"]:
+            resampler = self.resampler(row["mesh"])
+            sample = shard.sample(row["id"], resampler.nodes)
+            if len(sample.nodes):
+                packed["gel"] = (resampler(sample.displacement), MICRON)
+                packed |= arrows(resampler.places + sample.displacement, sample.force)
+        found = self.samples.get(row["id"])
+        return ({"image": jpeg(self.images[found])} if found is not None else {}) | pack(packed)
+
+    def shared(self) -> dict:
+        """What all presses share: the gel's untouched surface, and the indenters as they stand over the origin."""
+        rows, columns, points = grid_points(self.gel)
+        return {
+            "gel": {"rows": rows, "columns": columns, "width": self.gel.width, "length": self.gel.length,
+                    "height": self.gel.height} | pack({"points": (points, MICRON)}),
+            "indenters": {name: self.indenter(row) for name, row in self.deepest().items()},
+        }  # fmt: skip
+
+    def deepest(self) -> dict[str, dict]:
+        """The deepest press of each indenter, whose posed surface reaches highest."""
+        found: dict[str, dict] = {}
+        for row in self.rows:
+            if row.get("indenter") and row.get("stl"):
+                best = found.setdefault(row["indenter"], row)
+                if number(row["dz_mm"]) < number(best["dz_mm"]):
+                    found[row["indenter"]] = row
+        return found
+
+    def indenter(self, row: dict) -> dict:
+        """Surface of the indenter of a press in its own frame, of few faces: points and faces to pack."""
+        points, faces = few_faces(*read_stl(self.results / "10_poses" / row["stl"]))
+        turn = -np.deg2rad(number(row["rot_deg"]))
+        c, s = np.cos(turn), np.sin(turn)
+        away = points - [number(row["x0_mm"]), number(row["y0_mm"]), number(row["z0_mm"])]
+        own = away @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).T
+        return pack({"points": (own, MICRON), "faces": (faces, 1)})
+
+
+def few_faces(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A surface with at most about MOST_FACES triangles."""
+    if len(faces) <= MOST_FACES:
+        return points, faces
+    import pyvista as pv
+
+    body = pv.PolyData(points, np.column_stack([np.full(len(faces), 3), faces]).ravel())
+    small = body.decimate(1 - MOST_FACES / len(faces))
+    return np.asarray(small.points), small.faces.reshape(-1, 4)[:, 1:]
+
+
+@dataclass(frozen=True)
+class Shard:
+    """Labels and gels of one shard by sample_id; empty where its stages have not run."""
+
+    labels: dict = field(default_factory=dict)
+    gels: dict[str, int] = field(default_factory=dict)
+    forces: ForceFile | None = None
+
+    @classmethod
+    def read(cls, results: Path, resolution: str, shard: str) -> "Shard":
+        """Read what stages 40 and 50 made of a shard."""
+        labels, forces, gels = {}, results / "40_forces" / f"{shard}.npz", {}
+        path = results / "50_labels" / resolution / f"{shard}.npz"
+        if path.exists():
+            found = read_labels(path, ("sample_id", "label"))
+            good = np.isfinite(found["label"]).all((1, 2, 3))
+            labels = {str(n): v for n, v, ok in zip(found["sample_id"], found["label"], good, strict=True) if ok}
+        if not forces.exists():
+            return cls(labels)
+        with ForceFile(forces) as file:
+            gels = {str(name): at for at, name in enumerate(file.sample_id)}
+            for array in ("node", "force", "surface_ptr", "displacement"):
+                getattr(file, array)  # read while the file is open
+        return cls(labels, gels, file)
+
+    def sample(self, name: str, nodes: np.ndarray):
+        """Forces and displacements of one sample."""
+        return self.forces.sample(self.gels[name], nodes)
