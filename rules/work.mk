@@ -7,7 +7,7 @@ demo: report
 status:  ## samples done, failed with reasons and pending, per stage
 	@$(PY) -m gelforge.commands.status --results $D
 
-sample:  ## one sample through all stages with its log: make sample ID=…
+sample: $(MESH_FILES)  ## one sample through all stages with its log: make sample ID=…
 	@$(PY) -m gelforge.commands.sample --dataset $(DATASET) --id "$(ID)" --resolution $(RES1)
 
 ID ?=

@@ -58,7 +58,8 @@ def write_page(folder, count: int, limit: float = 12e6):
     shown = (made[k % 16] if row["status"] == "OK" else press(k, False) for k, row in enumerate(rows))
     beside, held = place_parts(folder, in_parts(shown), limit)
     controls = {
-        name: {"n": 9, "controls": {"constant_guess": {"fx": 1.0, "fy": 1.0, "fz": 4.0}}} for name in set(SPLITS)
+        name: {"n": 9, "controls": {"constant_guess": {"grid_y": 1.0, "grid_x": 1.0, "grid_z": 4.0}}}
+        for name in set(SPLITS)
     }
     data = {
         "columns": as_columns(rows), "shared": explorer.shared(), "costs": {"10_poses/0000": [2.0, 1.5, 100.0]},

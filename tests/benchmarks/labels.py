@@ -254,7 +254,7 @@ def whole_dataset(rng) -> list[Figure]:
                 [str(part) for part in command], check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
             )
             seconds = time.perf_counter() - start
-            if read_json(out)["samples"] != SAMPLES or not len(read_labels(out.parent / "0000.npz")["label"]):
+            if read_json(out)["samples"] != SAMPLES or not len(read_labels(out.parent / "0000.npz").label):
                 raise RuntimeError("stage 50 did not label all samples; the benchmark would lie")
             after = resource.getrusage(resource.RUSAGE_CHILDREN)
             peak, busy = (

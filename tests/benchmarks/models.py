@@ -16,14 +16,14 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_json, write_csv, write_json
 from gelforge.flow.main import command, option
-from gelforge.networks.metrics import AXES
+from gelforge.records.axes import CHANNELS
 from tests.benchmarks.figures import Figure, publish_figures
 
 IMAGE, GRID = (240, 320), (24, 32)
 BASELINE, LIGHT = "unet", "pair_24_mirrored"
 PROBED = 24  # presses of the made-up dataset: three batches an epoch
 # Per cent of the force range, from the paper: 0.80 N of 40 N in z, about 0.26 N of 10 N in x and y.
-PERCENT_GOALS = {"fx": 2.0, "fy": 2.0, "fz": 1.5}
+PERCENT_GOALS = {"grid_x": 2.0, "grid_y": 2.0, "grid_z": 1.5}
 
 
 def write_made_up(folder: Path) -> Path:
@@ -195,7 +195,7 @@ def error_figures(results: Path, resolution: str) -> list[Figure]:
                     note,
                 )
             )
-        for key in [f"{what}_{axis}" for what in ("total", "cell") for axis in AXES]:
+        for key in [f"{what}_{axis}" for what in ("total", "cell") for axis in CHANNELS]:
             figures.append(
                 Figure(f"error over the U-net's, {key.replace('_', ' ')}", row[key] / base[key], "<=", 1.0, "", note)
             )

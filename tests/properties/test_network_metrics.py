@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gelforge.networks import metrics
+from gelforge.records.axes import CHANNELS
 
 errors = st.integers(2, 40).flatmap(
     lambda n: st.builds(lambda seed: np.random.default_rng(seed).normal(size=(n, 3)), st.integers(0, 2**32 - 1))
@@ -17,7 +18,7 @@ errors = st.integers(2, 40).flatmap(
 def test_errors_scale_with_the_unit_of_force(error, unit):
     one = metrics.error_table(error, np.random.default_rng(0), 50)
     other = metrics.error_table(unit * error, np.random.default_rng(0), 50)
-    for axis in metrics.AXES:
+    for axis in CHANNELS:
         for key, value in one[axis].items():
             # The resampling is the same, so only rounding differs.
             assert other[axis][key] == pytest.approx(unit * value, rel=1e-9, abs=1e-12)
@@ -39,7 +40,7 @@ def test_groups_average_to_the_whole(error, groups):
     names = [f"g{i % groups}" for i in range(len(error))]
     table = metrics.by_group(error, names)
     assert sum(row["n"] for row in table.values()) == len(error)
-    for i, axis in enumerate(metrics.AXES):
+    for i, axis in enumerate(CHANNELS):
         whole = sum(row["n"] * row[axis]["mae"] for row in table.values()) / len(error)
         assert whole == pytest.approx(np.abs(error[:, i]).mean(), rel=1e-12)
 

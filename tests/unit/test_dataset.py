@@ -1,12 +1,15 @@
 """Stage 60: splits without leaks, arrays that belong together, images of the right size."""
 
+import math
 import os
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from press_records import press_record
 from pressed_dataset import PARAMS, collect, label, write_pressed
 
 from gelforge.errors import BadInput
@@ -26,15 +29,11 @@ def presses(count, seed, touches=None, indenters=4, sensors=2):
     for at in range(count):
         touch = int(rng.integers(touches)) if touches else at
         rows.append(
-            {
-                "sample_id": f"s{at}",
-                "indenter": f"i{touch % indenters}",
-                "sensor_id": f"c{rng.integers(sensors)}",
-                "x0_mm": str(places[touch, 0]),
-                "y0_mm": str(places[touch, 1]),
-                "rot_deg": "0",
-            }
-        )
+            press_record(
+                sample_id=f"s{at}", indenter=f"i{touch % indenters}", sensor_id=f"c{rng.integers(sensors)}",
+                x0_mm=places[touch, 0], y0_mm=places[touch, 1],
+            )
+        )  # fmt: skip
     return rows, force
 
 
@@ -44,13 +43,13 @@ def test_no_press_is_on_two_sides(count, touches, seed, kinds):
     rows, force = presses(count, seed, touches, kinds)
     split, group = split_presses(rows, force, {"i1"}, {**SETTINGS, "unseen_sensors": ["c1"], "seed": seed})
     for row, name in zip(rows, split, strict=True):
-        unseen = row["indenter"] == "i1", row["sensor_id"] == "c1"
+        unseen = row.indenter == "i1", row.sensor_id == "c1"
         expected = {(1, 0): "test_unseen_indenter", (0, 1): "test_unseen_sensor", (1, 1): "test_unseen_both"}
         assert name == expected[unseen] if any(unseen) else name in ("train", "val", "test")
     known = [k for k, name in enumerate(split) if name in ("train", "val", "test")]
     for g in set(group[known]):
         assert len({split[k] for k in known if group[k] == g}) == 1
-    places = {(row["indenter"], row["x0_mm"], row["y0_mm"]) for row in rows}
+    places = {(row.indenter, row.x0_mm, row.y0_mm) for row in rows}
     assert len(set(group)) == len(places)
 
 
@@ -64,7 +63,7 @@ def test_shares_and_strata_hold():
             stratum = (force >= low) & (force < high)
             assert (chosen & stratum).sum() / stratum.sum() == pytest.approx(share, abs=0.03)
         for indenter in ("i0", "i3"):
-            mine = np.array([row["indenter"] == indenter for row in rows])
+            mine = np.array([row.indenter == indenter for row in rows])
             assert (chosen & mine).sum() / mine.sum() == pytest.approx(share, abs=0.03)
 
 
@@ -83,11 +82,9 @@ def test_small_datasets_still_validate_and_test(count):
 
 
 def test_nearly_the_same_touch_is_one_press():
-    rows = [
-        {"indenter": "a", "x0_mm": x, "y0_mm": 0, "rot_deg": turn}
-        for x, turn in ((0, 0), (0.04, 0), (0.08, 0.3), (0.2, 0), (0.2, 2))
-    ]
-    rows += [{**rows[0], "indenter": "b"}, {"indenter": "a", "x0_mm": "", "y0_mm": "", "rot_deg": ""}]
+    places = ((0, 0), (0.04, 0), (0.08, 0.3), (0.2, 0), (0.2, 2))
+    rows = [press_record(indenter="a", x0_mm=x, rot_deg=turn) for x, turn in places]
+    rows += [replace(rows[0], indenter="b"), press_record(indenter="a", x0_mm=math.nan)]
     assert group_presses(rows, 0.05, 0.5).tolist() == [0, 0, 0, 1, 2, 3, 4]
 
 
@@ -202,7 +199,7 @@ BROKEN = {
         {},
         ["nocontact/mini_a.png", "16 x 12"],
     ),
-    "a missing image": (lambda m: (m["data"] / "images/s003.png").unlink(), {}, ["s003.png", "missing"]),
+    "a missing image": (lambda m: (m["data"] / "images/s003.png").unlink(), {}, ["s003.png", "not found"]),
     "a path out of the folder": (escape, {}, ["hostname", "inside"]),
     "no labels": (
         lambda m: (m["results"] / "50_labels/4x4/0000.npz").write_bytes(b"x"),

@@ -152,8 +152,8 @@ def test_a_folder_becomes_a_dataset(tmp_path, sensor):
     image = cv2.imread(str(tmp_path / "data" / joined["image"]))
     assert np.array_equal(image[..., ::-1], IMAGE)
     labels = read_labels(tmp_path / "data/labels/24x32.npz")
-    assert labels["sample_id"].tolist() == ["press_1"]
-    assert np.array_equal(labels["label"][0], np.stack([GRID, 2 * GRID, -np.abs(GRID)]).astype(np.float32))
+    assert labels.sample_id.tolist() == ["press_1"]
+    assert np.array_equal(labels.label[0], np.stack([GRID, 2 * GRID, -np.abs(GRID)]).astype(np.float32))
     assert (tmp_path / "data/dataset.toml").read_text().count("gelsight_mini") == 2
 
 
@@ -214,8 +214,8 @@ def test_our_labels_go_out_and_come_back(tmp_path, sensor):
     import_folder(tmp_path / "feats", tmp_path / "again/data/back", sensor)
     again = read_labels(tmp_path / "again/data/back/labels/6x8.npz")
     order = [row["sample_id"] for row in data.table]
-    assert sorted(order) == again["sample_id"].tolist()
-    assert np.array_equal(again["label"], data.labels[np.argsort(order)])
+    assert sorted(order) == again.sample_id.tolist()
+    assert np.array_equal(again.label, data.labels[np.argsort(order)])
     # Imported labels feed stage 60 without any stage before it.
     made["data"] = tmp_path / "again/data/back"
     trained = open_data(collect({**made, "results": made["results"]}, "6x8"))

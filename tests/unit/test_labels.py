@@ -14,6 +14,7 @@ from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.records.forcefile import ForceFile, SampleForces, write_forces
 from gelforge.records.labelfile import read_labels
+from gelforge.records.status import Status
 from gelforge.stages import labels
 
 
@@ -27,13 +28,13 @@ def test_labels_hold_the_forces_in_feats_order(made):
     folder = label(made, "24x32")
     for shard in ("0000", "0001", "0002"):
         found = read_labels(folder / f"{shard}.npz")
-        assert found["label"].shape == (8, 3, 24, 32) and found["label"].dtype == np.float32
-        assert found["c10"] == 0.0725 and found["c10_interval68"].tolist() == [0.07, 0.075]
-        for at, name in enumerate(found["sample_id"]):
+        assert found.label.shape == (8, 3, 24, 32) and found.label.dtype == np.float32
+        assert found.material == {"c10": 0.0725, "c10_interval68": [0.07, 0.075]}
+        for at, name in enumerate(found.sample_id):
             total = made["loads"][str(name)].sum(axis=0)[[1, 0, 2]]
-            seen = found["label"][at].astype(float).sum(axis=(1, 2)) + found["outside"][at]
+            seen = found.label[at].astype(float).sum(axis=(1, 2)) + found.outside[at]
             if name == "s005":
-                assert found["status"][at] == "DIVERGED" and np.isnan(seen).all()
+                assert found.status[at] is Status.DIVERGED and np.isnan(seen).all()
             else:
                 assert seen == pytest.approx(total, rel=1e-9, abs=1e-9 * np.abs(total).sum())
 
@@ -46,12 +47,12 @@ def test_each_sample_is_seen_by_its_own_sensor(made):
         node = np.flatnonzero(force.any(axis=1))
         operator = assemble(made["mesh"], sensors[name], Grid(12, 16))
         cells, _ = operator.apply(np.array([0, len(node)]), node, force[node])
-        assert np.abs(found["label"][at] - cells[0][[1, 0, 2]]).max() < 1e-6  # float32 of some newtons
+        assert np.abs(found.label[at] - cells[0][[1, 0, 2]]).max() < 1e-6  # float32 of some newtons
 
 
 def test_stored_resolutions_nest(made):
-    coarse = read_labels(label(made, "12x16") / "0001.npz", ["label"])["label"]
-    fine = read_labels(label(made, "48x64") / "0001.npz", ["label"])["label"].astype(float)
+    coarse = read_labels(label(made, "12x16") / "0001.npz").label
+    fine = read_labels(label(made, "48x64") / "0001.npz").label.astype(float)
     summed = fine.reshape(8, 3, 12, 4, 16, 4).sum(axis=(3, 5))
     assert np.abs(summed - coarse).max() < 1e-6 * np.abs(coarse).max()  # what float32 of a cell can hold
 
@@ -90,15 +91,15 @@ def test_a_single_shard_can_be_asked_for(made, tmp_path):
             str(out),
         ]
     )
-    assert read_labels(out)["label"].shape == (8, 3, 5, 7)
+    assert read_labels(out).label.shape == (8, 3, 5, 7)
 
 
 def test_blocks_do_not_change_labels(made, monkeypatch):
-    whole = read_labels(label(made, "9x11") / "0000.npz", ["label"])["label"]
+    whole = read_labels(label(made, "9x11") / "0000.npz").label
     monkeypatch.setattr(labels, "BLOCK_BYTES", 3 * 3 * 8 * 99)
     for path in (made["results"] / "50_labels/9x11").glob("0*.npz"):
         path.unlink()
-    assert np.array_equal(read_labels(label(made, "9x11") / "0000.npz", ["label"])["label"], whole, equal_nan=True)
+    assert np.array_equal(read_labels(label(made, "9x11") / "0000.npz").label, whole, equal_nan=True)
 
 
 def test_a_press_over_the_rim_reports_what_it_lost(tmp_path, capsys):
@@ -108,9 +109,9 @@ def test_a_press_over_the_rim_reports_what_it_lost(tmp_path, capsys):
     sample = SampleForces("s000", "OK", "brick", surface, force[surface], np.zeros((len(surface), 3)))
     write_forces(made["results"] / "40_forces/0000.npz", [sample], 0.0725)
     found = read_labels(label(made, "24x32") / "0000.npz")
-    outside = found["outside"][0, 2]
+    outside = found.outside[0, 2]
     assert -4.0 < outside < -0.5
-    assert found["label"].astype(float)[0, 2].sum() + outside == pytest.approx(-4.0, rel=1e-9)
+    assert found.label.astype(float)[0, 2].sum() + outside == pytest.approx(-4.0, rel=1e-9)
     assert "s000" in capsys.readouterr().out
 
 
@@ -121,7 +122,7 @@ def test_no_contact_is_zero_and_not_missing(tmp_path):
     write_forces(
         made["results"] / "40_forces/0000.npz", [SampleForces("s000", "NO_CONTACT", "", surface, still, still)], 0.07
     )
-    assert not read_labels(label(made, "4x4") / "0000.npz")["label"].any()
+    assert not read_labels(label(made, "4x4") / "0000.npz").label.any()
 
 
 def broken(made, breaking):

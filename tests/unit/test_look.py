@@ -7,7 +7,6 @@ from pressed_dataset import PARAMS, label, write_pressed
 
 from gelforge.commands import look
 from gelforge.errors import BadInput
-from gelforge.flow.files import read_csv
 
 
 @pytest.fixture(scope="module")
@@ -97,21 +96,3 @@ def test_arrows_follow_the_image(made):
 def test_refusals_say_what_to_do(made, sample_id, resolution, reason):
     with pytest.raises(BadInput, match=reason):
         run(made, sample_id, resolution)
-
-
-def test_samples_of_the_sample_target_are_found(made, tmp_path):
-    """Where the shard has no label yet, what `make sample` left is looked at."""
-    import shutil
-
-    results = tmp_path / "made"
-    shutil.copytree(made["results"], results)
-    shutil.rmtree(results / "50_labels")
-    one = results / "samples/s001"
-    for stage, suffix in (("10_poses", "csv"), ("40_forces", "npz")):
-        (one / stage).mkdir(parents=True)
-        shutil.copy(results / stage / f"0000.{suffix}", one / stage / f"one.{suffix}")
-    (one / "50_labels/24x32").mkdir(parents=True)
-    shutil.copy(made["results"] / "50_labels/24x32/0000.npz", one / "50_labels/24x32/one.npz")
-    run({**made, "results": results}, "s001", "24x32")
-    assert (results / "look/s001-24x32.png").exists()
-    assert len(read_csv(results / "00_plan/shards.csv")) == 6

@@ -22,6 +22,7 @@ from gelforge.networks.data import open_data
 from gelforge.networks.export import TOLERANCE, export, largest_difference
 from gelforge.networks.modelfile import save_model
 from gelforge.networks.tables import draw_curve, draw_predictions
+from gelforge.records.axes import CHANNELS
 from gelforge.stages import pareto_models
 from gelforge.stages.evaluate import another_of_each, evaluate
 from gelforge.stages.train import train
@@ -62,7 +63,7 @@ def test_evaluation_holds_what_is_asked(data, models, name):
     test = result["splits"]["test"]
     rows, forces = predictions["test"]
     error = np.abs(forces.sum((2, 3), dtype=float) - data.totals(rows))
-    assert test["total"]["fz"]["mae"] == pytest.approx(error[:, 2].mean())
+    assert test["total"]["grid_z"]["mae"] == pytest.approx(error[:, 2].mean())
     assert (test["cell"] is None) == (name == "resnet")
     assert set(test["controls"]) == {"constant_guess", "shuffled_images", "linear_on_image_means"}
     assert {len(row) for table in result["tables"] for row in table["rows"]} <= {4, 5, 6, 7, 8}
@@ -71,7 +72,7 @@ def test_evaluation_holds_what_is_asked(data, models, name):
 
 def test_sensor_and_truth_are_compared_on_the_right_axis(data, models):
     against = evaluate(data, models["small"], EVALUATE)[0]["splits"]["test"]["against"]
-    for axis in ("fx", "fy", "fz"):
+    for axis in CHANNELS:
         # The made-up force sensor reads 0.1 N too much, the made-up truth is the label (float32 sums).
         assert against["sensor"]["labels"][axis]["bias"] == pytest.approx(-0.1, abs=1e-5)
         assert against["truth"]["labels"][axis]["mae"] < 1e-5
@@ -124,7 +125,7 @@ def test_predict_writes_maps_and_totals(data, models, paths, tmp_path, capsys):
 def test_predict_refuses_before_it_writes(data, paths, tmp_path):
     good = write_png(tmp_path / "good.png", data.images[0])
     (tmp_path / "bad.png").write_bytes(b"no picture")
-    for bad, word in ((tmp_path / "bad.png", "cannot be read"), (tmp_path / "absent.png", "no such image")):
+    for bad, word in ((tmp_path / "bad.png", "cannot be read"), (tmp_path / "absent.png", "not found")):
         with pytest.raises(BadInput, match=word):
             predict.main([str(good), str(bad), "--model", str(paths["small"]), "--out", str(tmp_path / "out")])
     with pytest.raises(BadInput, match="digit"):
@@ -266,13 +267,13 @@ def test_camera_that_is_not_there_is_named(paths):
 
 def test_front_and_choice():
     assert pareto_models.front([(1, 3), (2, 2), (3, 2.5), (4, 1)]) == [True, True, False, True]
-    errors = {f"{what}_{axis}": 1.0 for what in ("total", "cell") for axis in ("fx", "fy", "fz")}
+    errors = {f"{what}_{axis}": 1.0 for what in ("total", "cell") for axis in CHANNELS}
     base = {"model": "unet", "cpu1_median_ms": 10.0, "percent": 5.0, **errors}
-    fast = {"model": "fast", "cpu1_median_ms": 1.0, "percent": 4.0, **errors, "cell_fz": 1.1}
+    fast = {"model": "fast", "cpu1_median_ms": 1.0, "percent": 4.0, **errors, "cell_grid_z": 1.1}
     light = {"model": "light", "cpu1_median_ms": 1.5, "percent": 4.5, **errors}
-    good = {"model": "good", "cpu1_median_ms": 2.0, "percent": 4.0, **errors, "total_fx": 0.9}
+    good = {"model": "good", "cpu1_median_ms": 2.0, "percent": 4.0, **errors, "total_grid_x": 0.9}
     best = {"model": "best", "cpu1_median_ms": 2.1, "percent": 3.0, **errors}
-    totals = {"model": "totals", "cpu1_median_ms": 0.5, "percent": 2.0, **errors, "cell_fz": None}
+    totals = {"model": "totals", "cpu1_median_ms": 0.5, "percent": 2.0, **errors, "cell_grid_z": None}
     assert pareto_models.choose([base, fast, light, good, best, totals])["model"] == "good"
     assert pareto_models.choose([base, fast, best]) is None and pareto_models.choose([fast]) is None
 

@@ -70,7 +70,7 @@ def test_force_is_kept_from_solve_to_label(made):
     found = read_labels(made / "50_labels.npz")
     with ForceFile(made / "40_forces.npz") as forced:
         for at, name in enumerate(forced.sample_id):
-            label, outside = found["label"][at].astype(float), found["outside"][at]
+            label, outside = found.label[at].astype(float), found.outside[at]
             if name == "through":
                 assert np.isnan(label).all()
                 continue

@@ -43,7 +43,7 @@ def test_resolutions_are_built_beside_each_other(made):
     for name, target in targets.items():
         assert json.loads((folder / target).read_text())["samples"] == 16
         rows, cols = map(int, name.split("x"))
-        assert read_labels((folder / target).parent / "0001.npz", ["label"])["label"].shape == (8, 3, rows, cols)
+        assert read_labels((folder / target).parent / "0001.npz").label.shape == (8, 3, rows, cols)
 
 
 def test_dataset_export_and_pictures_follow(made):

@@ -2,10 +2,8 @@
 
 from argparse import Namespace
 
-import cv2
-
-from gelforge.errors import BadInput
 from gelforge.flow.main import command, option
+from gelforge.records.image import read_image
 from gelforge.virtualrig.background import fit_background
 from gelforge.virtualrig.looks import COLOURS
 
@@ -14,10 +12,8 @@ from gelforge.virtualrig.looks import COLOURS
     option("image", help="a picture without contact, 320 x 240"),
 )
 def main(args: Namespace) -> None:
-    image = cv2.imread(args.image)
-    if image is None:
-        raise BadInput(f"{args.image}: no readable image; give a PNG of the gel without contact")
-    for name, terms in zip(COLOURS, fit_background(image[..., ::-1]).T, strict=True):
+    image = read_image(args.image)
+    for name, terms in zip(COLOURS, fit_background(image).T, strict=True):
         print(f"{name} = [{', '.join(f'{value:.1f}' for value in terms)}]")
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish
-from gelforge.flow.main import command, option
+from gelforge.flow.main import command, option, positive
 
 RATE_OVER = 30  # frames that the shown rate is averaged over
 
@@ -148,7 +148,7 @@ def until_interrupted(items):
     option("--sensor", help="the sensor that films; refused if the model is for another one", default=None),
     option("--untouched", type=Path, metavar="IMAGE", help="the sensor while nothing touches it", default=None),
     option("--frames", type=int, help="stop after so many", default=None),
-    option("--threads", type=int, default=1),
+    option("--threads", type=positive, default=1),
     option("--out", type=Path, help="overlay video (.avi); a window is opened if not named", default=None),
 )
 def main(args: Namespace) -> None:
@@ -157,7 +157,8 @@ def main(args: Namespace) -> None:
     import cv2
     import torch
 
-    from gelforge.commands.predict import Untouched, load_for_use, read_image
+    from gelforge.commands.predict import Untouched, load_for_use
+    from gelforge.records.image import read_image
 
     torch.set_num_threads(args.threads)
     trained = load_for_use(args.model, args.sensor)

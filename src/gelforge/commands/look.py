@@ -12,10 +12,13 @@ from gelforge.flow.main import command, option
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import Sensor, find_sensor, load_sensors, transform
 from gelforge.mechanics.family import load_mesh
+from gelforge.records.axes import TITLES
 from gelforge.records.forcefile import ForceFile
+from gelforge.records.image import read_logged_image
 from gelforge.records.labelfile import read_labels
+from gelforge.records.log import read_poses
+from gelforge.records.press import PosedPress, check_id
 
-CHANNELS = ("force along gel y (grid_x)", "force along gel x (grid_y)", "force along z (grid_z)")
 ARROWS = 16  # along the image's height at most, so that they can be told apart
 INK = "#12181f"
 
@@ -24,7 +27,7 @@ INK = "#12181f"
 class Look:
     """One sample with its label (3, rows, cols), what fell outside (3,), its image (h, w, 3) or None, its sensor."""
 
-    row: dict
+    press: PosedPress
     label: np.ndarray
     outside: np.ndarray
     image: np.ndarray | None
@@ -38,10 +41,9 @@ def shard_paths(results: Path, sample_id: str, resolution: str) -> dict[str, Pat
     shards = {row["sample_id"]: int(row["shard"]) for row in read_csv(table)} if table.exists() else {}
     if sample_id not in shards:
         raise BadInput(f"sample {sample_id!r} is not in the log of {results.name}; say make look ID=SAMPLE_ID")
-    for folder, name in ((results, f"{shards[sample_id]:04d}"), (results / "samples" / sample_id, "one")):
+    for folder, name in ((results, f"{shards[sample_id]:04d}"), (results / "samples" / sample_id, "0000")):
         paths = {
             "poses": folder / "10_poses" / f"{name}.csv",
-            "fea": folder / "30_fea" / name / f"{sample_id}.npz",
             "forces": folder / "40_forces" / f"{name}.npz",
             "labels": folder / "50_labels" / resolution / f"{name}.npz",
         }
@@ -54,26 +56,21 @@ def shard_paths(results: Path, sample_id: str, resolution: str) -> dict[str, Pat
 
 
 def load(data: Path, paths: dict, sample_id: str, sensors: dict, resolution: str) -> Look:
-    """Read a sample's row, label and image."""
-    from gelforge.stages.dataset import read_image
-
-    row = next((row for row in read_csv(paths["poses"]) if row["sample_id"] == sample_id), None)
+    """Read a sample's press, label and image."""
     found = read_labels(paths["labels"])
-    at = np.flatnonzero(found["sample_id"] == sample_id)
-    if row is None or not len(at):
-        raise BadInput(
-            f"{paths['labels']}: has no sample {sample_id}; its row was rejected, see 10_poses/*.rejected.csv"
-        )
-    status = str(found["status"][at[0]])
-    if np.isnan(found["label"][at[0]]).any():
-        raise BadInput(f"sample {sample_id} has no valid state ({status}); its log lies in 30_fea")
-    sensor = find_sensor(sensors, row["sensor_id"], str(paths["poses"]))
-    image = read_image(data, row["image"], sensor.image) if row.get("image") else None
-    return Look(row, found["label"][at[0]].astype(float), found["outside"][at[0]], image, sensor, resolution)
+    at = found.index(sample_id)
+    press = next((press for press in read_poses(paths["poses"]) if press.sample_id == sample_id), None)
+    if press is None:
+        raise BadInput(f"{paths['poses']}: has no sample {sample_id}; run make poses labels")
+    if not found.status[at].valid:
+        raise BadInput(f"sample {sample_id} has no valid state ({found.status[at].name}); its log lies in 30_fea")
+    sensor = find_sensor(sensors, press.sensor_id, str(paths["poses"]))
+    image = read_logged_image(data, press.image, sensor.image) if press.image else None
+    return Look(press, found.label[at].astype(float), found.outside[at], image, sensor, resolution)
 
 
 def export_vtu(path, paths: dict, meshes: Path, sample_id: str) -> None:
-    """Write the gel of a sample with displacement and nodal force; inner nodes from the solve, or filled in."""
+    """Write the gel of a sample with displacement and nodal force; inner nodes are filled in."""
     from gelforge.formats.vtu import fill_inside, write_vtu
 
     with ForceFile(paths["forces"]) as forces:
@@ -85,22 +82,7 @@ def export_vtu(path, paths: dict, meshes: Path, sample_id: str) -> None:
         sample = forces.sample(at, mesh.surface_nodes)
     force, known = np.zeros_like(mesh.nodes), np.zeros(len(mesh.nodes), bool)
     force[sample.nodes], known[sample.nodes], known[mesh.base] = sample.force, True, True
-    inside = solved_displacement(paths["fea"], len(mesh.nodes))
-    if inside is None:
-        inside = fill_inside(mesh, sample.nodes, sample.displacement)
-    else:
-        known[:] = True
-    write_vtu(path, mesh, inside, force, known)
-
-
-def solved_displacement(path: Path, count: int) -> np.ndarray | None:
-    """Displacement (n, 3) of all nodes where the solve kept it, else None."""
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            found = file["displacement"] if "displacement" in file.files else None
-    except (OSError, ValueError, EOFError):
-        return None
-    return None if found is None or found.shape != (count, 3) else np.asarray(found, float)
+    write_vtu(path, mesh, fill_inside(mesh, sample.nodes, sample.displacement), force, known)
 
 
 def arrows(look: Look) -> tuple[np.ndarray, np.ndarray]:
@@ -145,14 +127,14 @@ def draw(look: Look):
             grid, cmap="RdBu", vmin=-reach, vmax=reach, extent=extent, alpha=strength, interpolation="nearest"
         )
         beyond = f", outside {look.outside[channel]:+.3f} N" if abs(look.outside[channel]) > 5e-4 else ""
-        axis.set_title(f"{CHANNELS[channel]}: {grid.sum():+.3f} N{beyond}", fontsize=10)
+        axis.set_title(f"{TITLES[channel]}: {grid.sum():+.3f} N{beyond}", fontsize=10)
         figure.colorbar(shown, ax=axis, shrink=0.85, label="N per cell")
     for axis in axes.ravel():
         axis.set(xlim=(0, width), ylim=(height, 0), xlabel="u, px", ylabel="v, px")
-    row = look.row
+    press = look.press
     figure.suptitle(
-        f"{row['sample_id']}: {row['indenter']} on {row['sensor_id']}, {-float(row['dz_mm']):.2f} mm deep,"
-        f" shear ({float(row['dx_mm']):.2f}, {float(row['dy_mm']):.2f}) mm, label {look.resolution}",
+        f"{press.sample_id}: {press.indenter} on {press.sensor_id}, {-press.dz_mm:.2f} mm deep,"
+        f" shear ({press.dx_mm:.2f}, {press.dy_mm:.2f}) mm, label {look.resolution}",
         fontsize=12,
     )
     return figure
@@ -227,6 +209,7 @@ def write_figure(path, figure) -> None:
 def main(args: Namespace) -> None:
     if not args.id:
         raise BadInput("no sample named; say make look ID=SAMPLE_ID")
+    check_id(args.id)
     sensors, out = load_sensors(args.sensors), args.out or args.results / "look"
     paths = {}
     for resolution in map(str, map(Grid.parse, args.resolution)):

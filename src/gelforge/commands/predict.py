@@ -6,30 +6,20 @@ A network that reads differences needs a picture of the sensor while nothing tou
 of the training sensors by its name, or, where neither is named, the training sensor that the image is nearest to.
 """
 
+import tempfile
 from argparse import Namespace
 from pathlib import Path
 
 import numpy as np
 
-from gelforge.errors import BadInput
+from gelforge.errors import BadInput, printable
 from gelforge.flow.files import publish, write_csv
-from gelforge.flow.main import command, option
+from gelforge.flow.main import command, option, positive
+from gelforge.records.axes import CHANNELS
+from gelforge.records.image import read_image
 
 SHIPPED = Path(__file__).parents[1] / "networks" / "default.pt"
-COLUMNS = ["image", "grid_x_n", "grid_y_n", "grid_z_n", "untouched", "unlike_training", "flagged", "reason"]
-
-
-def read_image(path) -> np.ndarray:
-    """Read an image file as (h, w, 3) uint8 RGB; BadInput if it is missing or not an image."""
-    import cv2
-
-    path = Path(path)
-    if not path.is_file():
-        raise BadInput(f"{path}: no such image")
-    image = cv2.imdecode(np.frombuffer(path.read_bytes() or b"\0", np.uint8), cv2.IMREAD_COLOR)
-    if image is None:
-        raise BadInput(f"{path}: cannot be read as an image; give PNG, JPEG or another format that OpenCV reads")
-    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+COLUMNS = ["image", *(f"{name}_n" for name in CHANNELS), "untouched", "unlike_training", "flagged", "reason"]
 
 
 def load_for_use(path, sensor: str | None = None):
@@ -117,9 +107,7 @@ def totals_row(name: str, forces, verdict: dict) -> dict:
     total = forces.sum((1, 2), dtype=np.float64)
     return {
         "image": name,
-        "grid_x_n": f"{total[0]:.4f}",
-        "grid_y_n": f"{total[1]:.4f}",
-        "grid_z_n": f"{total[2]:.4f}",
+        **{f"{channel}_n": f"{value:.4f}" for channel, value in zip(CHANNELS, total, strict=True)},
         "untouched": verdict["untouched"],
         "unlike_training": f"{verdict['score']:.2f}",
         "flagged": int(verdict["flag"]),
@@ -138,6 +126,16 @@ def output_names(paths) -> list[str]:
     return names
 
 
+def need_folder(out: Path) -> None:
+    """Make the folder of the outputs; one that cannot be written into raises BadInput before anything is read."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=out):
+            pass
+    except OSError as error:
+        raise BadInput(f"--out {out}: cannot be written into ({error.strerror}); name another folder") from error
+
+
 def predict_files(paths, untouched: Untouched, out: Path) -> list[dict]:
     """Predict image files and write their maps and totals.csv below `out`; return the rows of totals.csv.
 
@@ -146,6 +144,7 @@ def predict_files(paths, untouched: Untouched, out: Path) -> list[dict]:
     from gelforge.reporting.forcemaps import write_maps
 
     images = [read_image(path) for path in paths]
+    need_folder(out)
     rows = []
     for path, name, image in zip(paths, output_names(paths), images):
         image, forces, verdict = predict_one(untouched, image)
@@ -166,7 +165,7 @@ def predict_files(paths, untouched: Untouched, out: Path) -> list[dict]:
     option("--sensor", help="the sensor of the images; refused if the model is for another one", default=None),
     option("--untouched", type=Path, metavar="IMAGE", help="the sensor while nothing touches it", default=None),
     option("--out", type=Path, default=Path("predictions"), help="folder (default: %(default)s)"),
-    option("--threads", type=int, default=1),
+    option("--threads", type=positive, default=1),
 )
 def main(args: Namespace) -> None:
     import torch
@@ -178,7 +177,8 @@ def main(args: Namespace) -> None:
     for row in rows:
         warning = f"  UNLIKE TRAINING ({row['unlike_training']}): {row['reason']}" if row["flagged"] else ""
         against = f" against {row['untouched']}" if row["untouched"] else ""
-        print(f"{row['image']}: x {row['grid_x_n']} y {row['grid_y_n']} z {row['grid_z_n']} N{against}{warning}")
+        forces = ", ".join(f"{channel} {row[f'{channel}_n']}" for channel in CHANNELS)
+        print(printable(f"{row['image']}: {forces} N{against}{warning}"))
     print(f"maps and totals.csv in {args.out}")
 
 

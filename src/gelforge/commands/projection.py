@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import publish, write_json
+from gelforge.flow.files import write_json
 from gelforge.flow.main import command, option
 from gelforge.labelling.homography import Fit, fit_homography
 from gelforge.labelling.markers import MarkerGrid, find_markers
 from gelforge.labelling.sensor import Sensor, check_projection, find_sensor, load_sensors, transform
+from gelforge.records.image import read_image, write_png
 
 POINT_COLUMNS = ["x_mm", "y_mm", "u_px", "v_px"]
 ZOOM = 3  # of the picture, so that lines stay thin beside the pixels
@@ -60,8 +61,6 @@ def _number(path, at, row, name) -> float:
 
 def read_picture(path, size: tuple[int, int]) -> np.ndarray:
     """An image file, or the gs_img of one of FEATS' .npy samples, as RGB (h, w, 3); another size raises BadInput."""
-    import cv2
-
     from gelforge.formats.numpy_pickle import read_npy
 
     if Path(path).suffix == ".npy":
@@ -70,10 +69,7 @@ def read_picture(path, size: tuple[int, int]) -> np.ndarray:
         if not isinstance(image, np.ndarray) or image.dtype != np.uint8 or image.ndim != 3:
             raise BadInput(f"{path}: holds no uint8 image gs_img; give an image without contact")
     else:
-        image = cv2.imread(str(path), cv2.IMREAD_COLOR)
-        if image is None:
-            raise BadInput(f"{path}: not an image that can be read; give a PNG, or a .npy sample")
-        image = cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+        return read_image(path, size, "give a PNG, or a .npy sample")
     if (image.shape[1], image.shape[0]) != tuple(size):
         raise BadInput(
             f"{path}: image is {image.shape[1]} x {image.shape[0]} pixels, the sensor has {size[0]} x {size[1]};"
@@ -252,17 +248,8 @@ def main(args: Namespace) -> None:
     out = args.out or Path("results/projection") / f"{args.sensor}.json"
     about = describe(found)
     write_json(out, about)
-    write_picture(out.with_suffix(".png"), draw(found, image))
+    write_png(out.with_suffix(".png"), draw(found, image)[..., ::-1])
     report(about, sensors.get(args.sensor))
-
-
-def write_picture(path, picture: np.ndarray) -> None:
-    """Write a BGR picture as PNG, whole or not at all."""
-    import cv2
-
-    with publish(path) as part:
-        if not cv2.imwrite(str(part), picture):
-            raise BadInput(f"{path}: the picture cannot be written; free space or permissions, then try again")
 
 
 if __name__ == "__main__":

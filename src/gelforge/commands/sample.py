@@ -5,16 +5,18 @@ from argparse import Namespace
 from pathlib import Path
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import read_csv, write_csv
+from gelforge.flow.files import write_text
 from gelforge.flow.main import command, option
+from gelforge.records.log import read_poses, read_shard, shard_text
+from gelforge.records.press import RawRow, check_id
 
 
-def find_row(results: Path, sample_id: str) -> tuple[list[str], dict]:
-    """Columns and the raw row of a sample in the planned shards."""
+def find_row(results: Path, sample_id: str) -> RawRow:
+    """The raw row of a sample in the planned shards."""
     for path in sorted((results / "00_plan" / "shards").glob("*.csv")):
-        for row in read_csv(path):
-            if row["sample_id"] == sample_id:
-                return list(row), row
+        for row in read_shard(path):
+            if row.cells["sample_id"] == sample_id:
+                return row
     raise BadInput(f"sample {sample_id!r} is not in the log of {results.name}; make sample ID=… takes a sample_id")
 
 
@@ -66,15 +68,16 @@ def main(args: Namespace) -> int | None:
     if not args.id:
         raise BadInput("no sample named; say make sample ID=SAMPLE_ID")
     data, results = Path("data") / args.dataset, Path("results") / args.dataset
-    columns, row = find_row(results, args.id)
-    work = results / "samples" / args.id
-    write_csv(work / "00_plan" / "shards" / "0000.csv", columns, [row])
+    work = results / "samples" / check_id(args.id)
+    write_text(work / "00_plan" / "shards" / "0000.csv", shard_text([find_row(results, args.id)]))
     for stage, arguments in stages(data, results, work, args.resolution):
         Path(arguments[-1]).parent.mkdir(parents=True, exist_ok=True)
         print(f"== {stage}", file=sys.stderr, flush=True)
         code = importlib.import_module(f"gelforge.stages.{stage}").main([str(a) for a in arguments])
         if code:
             return code
+        if stage == "poses" and not read_poses(arguments[-1]):
+            raise BadInput(f"sample {args.id} was rejected, see above; correct its row of {data}/log.csv")
         if Path(arguments[-1]).suffix == ".csv":
             print(Path(arguments[-1]).read_text(encoding="utf-8"))
     print(f"everything of {args.id} lies in {work}")

@@ -81,6 +81,17 @@ class Group(Command):
             member.extend(words.add_parser(word, help=about, description=about))
 
 
+def positive(text: str) -> int:
+    """A whole number above 0, as the `type` of an option."""
+    try:
+        value = int(text)
+    except ValueError:
+        value = 0
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number above 0")
+    return value
+
+
 def command(*options: Option) -> Callable[[Callable[[argparse.Namespace], int | None]], Command]:
     """Give a function `main(args)` a command line; the module's docstring is its help."""
     return lambda run: Command(run, options)

@@ -21,6 +21,7 @@ from gelforge.formats.feats import (
     read_sample,
     write_label,
 )
+from gelforge.records.image import write_png
 from gelforge.records.labelfile import write_labels
 from gelforge.records.press import COLUMNS
 
@@ -79,8 +80,6 @@ def import_folder(source: Path, data: Path, sensor, gel_id: str = "feats") -> di
 
 
 def _take(path, sample, sensor, part, presses, labels) -> None:
-    import cv2
-
     height, width = sample.image.shape[:2]
     if (width, height) != tuple(sensor.image):
         raise BadInput(
@@ -97,8 +96,7 @@ def _take(path, sample, sensor, part, presses, labels) -> None:
             raise BadInput(
                 f"{path}: another file of that name was imported; names become sample_id, so make them differ"
             )
-        if not cv2.imwrite(str(target), cv2.cvtColor(sample.image, cv2.COLOR_RGB2BGR)):
-            raise BadInput(f"{target}: the image cannot be written; free space, then import again")
+        write_png(target, sample.image)
     press = presses[key]
     if isinstance(sample, LabelSample):
         grid = labels.setdefault(sample.label.shape[1:], {})

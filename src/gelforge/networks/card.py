@@ -1,11 +1,11 @@
 """Model card: what a network is, what it learnt from, and how wrong it is, in Markdown."""
 
 from gelforge.networks.inputs import needs_untouched
-from gelforge.networks.metrics import AXES
+from gelforge.records.axes import CHANNELS
 
 AXIS_NOTE = (
-    "Forces act on the gel, compression is negative z. Channels are FEATS': fx is the force along the image's "
-    "columns (gel y, the long side), fy along its rows (gel x), fz along the gel's normal."
+    "Forces act on the gel, compression is negative z. Channels are FEATS': grid_x is the force along the "
+    "image's columns (gel y, the long side), grid_y along its rows (gel x), grid_z along the gel's normal."
 )
 
 
@@ -27,10 +27,10 @@ def error_rows(evaluation: dict) -> list[list[str]]:
     rows = []
     for name, split in evaluation["splits"].items():
         row = [name, f"{split['n']} of {split['presses']}"]
-        for axis in AXES:
+        for axis in CHANNELS:
             e = split["total"][axis]
             row.append(f"{e['mae']:.3f} ({e['mae_low']:.3f} to {e['mae_high']:.3f})")
-        row.append(" / ".join(f"{split['cell'][axis]['mae']:.5f}" for axis in AXES) if split["cell"] else "-")
+        row.append(" / ".join(f"{split['cell'][axis]['mae']:.5f}" for axis in CHANNELS) if split["cell"] else "-")
         rows.append(row)
     return rows
 
@@ -38,7 +38,7 @@ def error_rows(evaluation: dict) -> list[list[str]]:
 def control_rows(evaluation: dict) -> list[list[str]]:
     """One row per split and control: the total MAE that it reaches."""
     return [
-        [split_name, control.replace("_", " "), *(f"{values[axis]:.3f}" for axis in AXES)]
+        [split_name, control.replace("_", " "), *(f"{values[axis]:.3f}" for axis in CHANNELS)]
         for split_name, split in evaluation["splits"].items()
         for control, values in split["controls"].items()
     ]
@@ -73,11 +73,11 @@ def write_card(about: dict, evaluation: dict) -> str:
         "",
         "## Error of total force (mean absolute, N; 95 % interval over presses) and per cell",
         "",
-        *table(["split", "images of presses", *AXES, "per cell fx / fy / fz"], error_rows(evaluation)),
+        *table(["split", "images of presses", *CHANNELS, f"per cell {' / '.join(CHANNELS)}"], error_rows(evaluation)),
         "",
         "## What knows less (mean absolute error, N)",
         "",
-        *table(["split", "control", *AXES], control_rows(evaluation)),
+        *table(["split", "control", *CHANNELS], control_rows(evaluation)),
         "",
         "## Limits",
         "",

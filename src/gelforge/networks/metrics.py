@@ -2,7 +2,8 @@
 
 import numpy as np
 
-AXES = ("fx", "fy", "fz")
+from gelforge.records.axes import CHANNELS
+
 CONFIDENCE = 0.95
 
 
@@ -33,7 +34,7 @@ def error_table(error, rng, resamplings: int, force_range=None, press=None) -> d
     size = np.abs(error)
     low, high = bootstrap_mean(size, rng, resamplings, press)
     table = {}
-    for i, axis in enumerate(AXES):
+    for i, axis in enumerate(CHANNELS):
         table[axis] = {
             "mae": float(size[:, i].mean()),
             "std": float(size[:, i].std()),
@@ -52,7 +53,7 @@ def cell_table(predicted, labels) -> dict:
     per_press = np.abs(predicted - labels).mean((2, 3), dtype=np.float64)
     return {
         axis: {"mae": float(per_press[:, i].mean()), "std": float(per_press[:, i].std())}
-        for i, axis in enumerate(AXES)
+        for i, axis in enumerate(CHANNELS)
     }
 
 
@@ -63,7 +64,7 @@ def by_group(error, groups) -> dict:
         part = error[np.asarray(groups) == name]
         result[str(name)] = {"n": len(part)} | {
             axis: {"mae": float(np.abs(part[:, i]).mean()), "bias": float(part[:, i].mean())}
-            for i, axis in enumerate(AXES)
+            for i, axis in enumerate(CHANNELS)
         }
     return result
 

@@ -14,10 +14,14 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 from gelforge.errors import BadInput
 from gelforge.networks.batches import images_to_tensor
 from gelforge.networks.inputs import needs_untouched, network_input
+from gelforge.networks.modelcheck import check_about, check_pictures, check_tensors
 from gelforge.networks.models import build
+from gelforge.records.image import decode, encode_png
+from gelforge.records.regular import file_fault
 
 FORMAT = 2
-KEYS = ("name", "model", "train", "image", "grid", "known_sensors", "sensors", "data", "normalisation", "statistics")
+PARTS_OF_FILE = ("about", "tensors", "untouched")
+MOST_BYTES = 2**31
 
 
 @dataclass(frozen=True)
@@ -108,19 +112,7 @@ def save_model(path, trained: Trained) -> None:
 
 def encode(picture: np.ndarray) -> torch.Tensor:
     """A picture (h, w, 3) uint8 RGB as the bytes of a PNG: half the size."""
-    import cv2
-
-    return torch.from_numpy(cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))[1].ravel())
-
-
-def decode(content: torch.Tensor) -> np.ndarray:
-    """The picture (h, w, 3) uint8 RGB that `encode` was given; ValueError if the bytes are none."""
-    import cv2
-
-    picture = cv2.imdecode(content.numpy(), cv2.IMREAD_COLOR)
-    if picture is None:
-        raise ValueError("a picture of an untouched sensor is damaged")
-    return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
+    return torch.frombuffer(bytearray(encode_png(picture)), dtype=torch.uint8)
 
 
 def load_model(path) -> Trained:
@@ -129,28 +121,42 @@ def load_model(path) -> Trained:
     Raises BadInput for a file that is missing, cut short, of another kind or format, or whose
     tensors do not fit the network that it describes.
     """
-    import cv2
-
     path = Path(path)
     if not path.exists():
         raise BadInput(f"{path}: no such model; train one with `make train MODEL=…`")
+    fault = file_fault(path) or ("it is larger than 2 GiB" if path.stat().st_size > MOST_BYTES else None)
+    if fault:
+        raise BadInput(f"{path}: not a model ({fault}); name the file that make train wrote")
     content = read_tensors(path)
+    about, tensors, pictures = (content.get(name) if isinstance(content, dict) else None for name in PARTS_OF_FILE)
     try:
-        about = json.loads(content["about"])
-        missing = [key for key in KEYS if key not in about]
-        if about.get("format") != FORMAT or missing:
-            raise KeyError(f"format {about.get('format')}, missing {missing}")
-        tensors = content["tensors"]
-        untouched = {name: decode(picture) for name, picture in content["untouched"].items()}
-    except (KeyError, TypeError, ValueError, AttributeError, cv2.error) as error:
+        about = json.loads(about)
+    except (TypeError, ValueError, RecursionError) as error:
         raise BadInput(f"{path}: not a gelforge model of format {FORMAT} ({error}); train it again") from None
+    if not isinstance(about, dict) or about.get("format") != FORMAT:
+        seen = about.get("format") if isinstance(about, dict) else type(about).__name__
+        raise BadInput(f"{path}: not a gelforge model of format {FORMAT} (its format is {seen}); train it again")
+    check_about(about, str(path))
+    check_tensors(about, tensors, str(path))
+    untouched = read_pictures(pictures, str(path))
+    check_pictures(about, untouched, str(path))
     net = build(about["model"], about["image"], about["grid"])
-    try:
-        net.load_state_dict(tensors)
-    except (RuntimeError, AttributeError, TypeError) as error:
-        first = str(error).splitlines()[0]
-        raise BadInput(f"{path}: the tensors do not fit the network it describes ({first}); train it again") from None
+    net.load_state_dict(tensors)
     return Trained(net.eval(), about, untouched)
+
+
+def read_pictures(pictures, where: str) -> dict[str, np.ndarray]:
+    """Pictures (h, w, 3) uint8 RGB of untouched sensors by name, from the bytes that `encode` made."""
+    good = isinstance(pictures, dict) and all(
+        isinstance(name, str) and isinstance(data, torch.Tensor) and data.dtype == torch.uint8 and data.ndim == 1
+        for name, data in pictures.items()
+    )
+    if not good:
+        raise BadInput(f"{where}: its pictures of untouched sensors are none; train the model again")
+    remedy = "train the model again"
+    return {
+        name: decode(data.numpy().tobytes(), f"{where}: untouched {name}", remedy) for name, data in pictures.items()
+    }
 
 
 def read_tensors(path) -> dict:

@@ -1,77 +1,92 @@
 """Training, validation and test sets of presses, without leaks."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from gelforge.records.press import PressRecord
+
 UNSEEN_INDENTER, UNSEEN_SENSOR, UNSEEN_BOTH = "test_unseen_indenter", "test_unseen_sensor", "test_unseen_both"
-POSE = ("x0_mm", "y0_mm", "rot_deg")
 
 
-def group_presses(rows: list[dict], same_mm: float, same_deg: float) -> np.ndarray:
-    """Group number (n,) of each sample: samples of one indenter at one position and angle share it.
+def group_presses(presses: Sequence[PressRecord], same_mm: float, same_deg: float) -> np.ndarray:
+    """Group number (n,) of each sample: samples of one indenter at one position and angle share it, frames of a press too.
 
     Depths and shears of one touch, and the same touch on several sensors, are views of one press: were
     some trained on and others tested on, the test would be too easy. Closeness chains. Samples without
-    a pose stand alone.
+    a pose and a press_id stand alone.
     """
-    group = np.arange(len(rows))
-    by_indenter = {}
-    for at, row in enumerate(rows):
-        if all(row.get(name) not in ("", None) for name in POSE):
-            by_indenter.setdefault(row["indenter"], []).append(at)
+    by_indenter, by_press = {}, {}
+    for at, press in enumerate(presses):
+        if press.posed:
+            by_indenter.setdefault(press.indenter, []).append(at)
+        if press.press_id:
+            by_press.setdefault(press.press_id, []).append(at)
+    linked = [np.column_stack([members[:-1], members[1:]]) for members in by_press.values()]
     for members in by_indenter.values():
-        place = np.array([[float(rows[at][name]) for name in POSE] for at in members])
-        group[members] = np.array(members)[_clusters(place / (same_mm, same_mm, same_deg))]
-    return np.unique(group, return_inverse=True)[1].reshape(-1)
+        place = np.array([[presses[at].x0_mm, presses[at].y0_mm, presses[at].rot_deg] for at in members])
+        linked.append(np.array(members)[_close(place / (same_mm, same_mm, same_deg))])
+    return _clusters(len(presses), np.concatenate([np.empty((0, 2), int), *linked]))
 
 
-def _clusters(points: np.ndarray) -> np.ndarray:
-    """First member of each point's cluster, (n,); points within 1 along every axis are linked."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
+def _close(points: np.ndarray) -> np.ndarray:
+    """Pairs (k, 2) of points that lie within 1 of each other along every axis."""
     from scipy.spatial import cKDTree
 
-    pairs = cKDTree(points).query_pairs(1.0, p=np.inf, output_type="ndarray")
-    graph = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(points), len(points)))
+    return cKDTree(points).query_pairs(1.0, p=np.inf, output_type="ndarray")
+
+
+def _clusters(count: int, pairs: np.ndarray) -> np.ndarray:
+    """Number (count,) of the cluster that each of `count` things belongs to by linked pairs, by first members."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    graph = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(count, count))
     label = connected_components(graph, directed=False)[1]
-    return np.unique(label, return_index=True)[1][label]
+    first = np.unique(label, return_index=True)[1][label]
+    return np.unique(first, return_inverse=True)[1].reshape(-1)
 
 
-def split_presses(rows: list[dict], force, unseen_indenters, settings: dict) -> tuple[np.ndarray, np.ndarray]:
-    """Split name (n,) and group (n,) of samples with `indenter`, `sensor_id` and a pose.
+def split_presses(
+    presses: Sequence[PressRecord], force, unseen_indenters, settings: dict
+) -> tuple[np.ndarray, np.ndarray]:
+    """Split name (n,) and group (n,) of samples.
 
     force (n,) N decides the stratum by settings["force_edges"]. Unseen indenters and sensors make their
     own tests; the groups of the others, ordered by force range and indenter with ties shuffled by
     settings["seed"], go one by one to the split that is furthest behind its share of samples.
     """
-    group = group_presses(rows, settings["same_press_mm"], settings["same_press_deg"])
-    split = np.array([_kept_apart(row, unseen_indenters, settings["unseen_sensors"]) for row in rows], dtype=object)
+    group = group_presses(presses, settings["same_press_mm"], settings["same_press_deg"])
+    split = np.array(
+        [_kept_apart(press, unseen_indenters, settings["unseen_sensors"]) for press in presses], dtype=object
+    )
     known = np.flatnonzero(split == "")
     shares = {
         "train": 1.0 - settings["validation"] - settings["test"],
         "val": settings["validation"],
         "test": settings["test"],
     }
-    order = _order(rows, np.asarray(force), group, known, settings)
+    order = _order(presses, np.asarray(force), group, known, settings)
     chosen = dict(zip(order, _deal([int((group[known] == g).sum()) for g in order], shares), strict=True))
     for at in known:
         split[at] = chosen[group[at]]
     return split.astype(str), group
 
 
-def _kept_apart(row, unseen_indenters, unseen_sensors) -> str:
-    indenter, sensor = row["indenter"] in unseen_indenters, row["sensor_id"] in unseen_sensors
+def _kept_apart(press, unseen_indenters, unseen_sensors) -> str:
+    indenter, sensor = press.indenter in unseen_indenters, press.sensor_id in unseen_sensors
     if indenter and sensor:
         return UNSEEN_BOTH
     return UNSEEN_INDENTER if indenter else UNSEEN_SENSOR if sensor else ""
 
 
-def _order(rows, force, group, known, settings) -> list[int]:
+def _order(presses, force, group, known, settings) -> list[int]:
     """Groups of the known samples by force range, then indenter, ties in random order."""
     rng = np.random.default_rng(settings["seed"])
     strongest, name = {}, {}
     for at in known:
         strongest[group[at]] = max(strongest.get(group[at], 0.0), abs(force[at]))
-        name[group[at]] = rows[at]["indenter"]
+        name[group[at]] = presses[at].indenter
     groups = sorted(strongest)
     tie = rng.permutation(len(groups))
     stratum = {g: int(np.searchsorted(settings["force_edges"], strongest[g])) for g in groups}

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gelforge.networks.metrics import AXES
+from gelforge.records.axes import CHANNELS
 
 SHOWN_PRESSES = 4
 
@@ -27,7 +27,7 @@ def draw_curve(path, curve: list[dict], best_epoch: int, name: str) -> None:
     rate = left.twinx()
     rate.semilogy(epochs, [row["learning_rate"] for row in curve], color="0.7")
     rate.set_ylabel("learning rate", color="0.5")
-    for axis in AXES:
+    for axis in CHANNELS:
         right.semilogy(epochs, [row[f"val_{axis}"] for row in curve], label=axis)
     right.axvline(best_epoch, color="0.6", linestyle=":", label="best")
     right.set(xlabel="epoch", ylabel="validation MAE of total force (N)")
@@ -48,7 +48,7 @@ def draw_predictions(path, data, predictions: dict) -> None:
             axis.plot(data.totals(rows)[:, i], forces.sum((2, 3))[:, i], ".", markersize=4, label=name)
         low, high = np.array([axis.get_xlim(), axis.get_ylim()]).T
         axis.plot([low.min(), high.max()], [low.min(), high.max()], color="0.7", linewidth=0.8, zorder=0)
-        axis.set(xlabel=f"label {AXES[i]} (N)", ylabel=f"predicted {AXES[i]} (N)")
+        axis.set(xlabel=f"label {CHANNELS[i]} (N)", ylabel=f"predicted {CHANNELS[i]} (N)")
     axis.legend(fontsize=7)
     if has_cells:
         draw_maps(maps[0], data, *predictions.get("test", next(iter(predictions.values()))))
@@ -81,8 +81,8 @@ def tables(result: dict) -> list[dict]:
         [
             name,
             split["n"],
-            *(f"{split['total'][a]['mae']:.3f} ± {split['total'][a]['std']:.3f}" for a in AXES),
-            *(cell_text(split["cell"], a) for a in AXES),
+            *(f"{split['total'][a]['mae']:.3f} ± {split['total'][a]['std']:.3f}" for a in CHANNELS),
+            *(cell_text(split["cell"], a) for a in CHANNELS),
         ]
         for name, split in splits.items()
     ]
@@ -98,12 +98,18 @@ def tables(result: dict) -> list[dict]:
         for axis, e in split["total"].items()
     ]
     control = [
-        [name, what.replace("_", " "), *(f"{values[a]:.3f}" for a in AXES)]
+        [name, what.replace("_", " "), *(f"{values[a]:.3f}" for a in CHANNELS)]
         for name, split in splits.items()
         for what, values in split["controls"].items()
     ]
     against = [
-        [name, kind, who, pair["n"], *(f"{pair[who][a]['mae']:.3f} (bias {pair[who][a]['bias']:+.3f})" for a in AXES)]
+        [
+            name,
+            kind,
+            who,
+            pair["n"],
+            *(f"{pair[who][a]['mae']:.3f} (bias {pair[who][a]['bias']:+.3f})" for a in CHANNELS),
+        ]
         for name, split in splits.items()
         for kind, pair in split["against"].items()
         for who in ("network", "labels")
@@ -111,7 +117,7 @@ def tables(result: dict) -> list[dict]:
     result = [
         {
             "title": f"Mean absolute error of {result['model']}, N: total and per cell (± deviation over images)",
-            "columns": ["split", "images", *(f"total {a}" for a in AXES), *(f"cell {a}" for a in AXES)],
+            "columns": ["split", "images", *(f"total {a}" for a in CHANNELS), *(f"cell {a}" for a in CHANNELS)],
             "rows": main,
         },
         {
@@ -121,7 +127,7 @@ def tables(result: dict) -> list[dict]:
         },
         {
             "title": "What knows less than the network: mean absolute error of total force, N",
-            "columns": ["split", "control", *AXES],
+            "columns": ["split", "control", *CHANNELS],
             "rows": control,
         },
     ]
@@ -133,13 +139,13 @@ def tables(result: dict) -> list[dict]:
         result.append(
             {
                 "title": f"Total force, mean absolute error {title}, N",
-                "columns": ["split", "group", "images", *AXES],
+                "columns": ["split", "group", "images", *CHANNELS],
                 "rows": [
                     [
                         name,
                         group,
                         values["n"],
-                        *(f"{values[a]['mae']:.3f} (bias {values[a]['bias']:+.3f})" for a in AXES),
+                        *(f"{values[a]['mae']:.3f} (bias {values[a]['bias']:+.3f})" for a in CHANNELS),
                     ]
                     for name, split in splits.items()
                     for group, values in split[key].items()
@@ -150,7 +156,7 @@ def tables(result: dict) -> list[dict]:
         result.append(
             {
                 "title": "Network and labels against the force sensor and against what a virtual rig knows, N",
-                "columns": ["split", "reference", "who", "images", *AXES],
+                "columns": ["split", "reference", "who", "images", *CHANNELS],
                 "rows": against,
             }
         )

@@ -17,6 +17,7 @@ from gelforge.networks.batches import Ahead, generator, images_to_tensor, traini
 from gelforge.networks.inputs import network_input
 from gelforge.networks.modelfile import read_tensors
 from gelforge.networks.models import build
+from gelforge.records.axes import CHANNELS
 
 
 def initial_net(model: dict, image, grid, seed: int):
@@ -59,7 +60,9 @@ def validate(net, data, norm: dict, batch: int, device: str) -> dict:
     rows = data.splits["val"]
     error = predict_rows(net, data, rows, norm, batch, device).sum((2, 3), dtype=np.float64) - data.totals(rows)
     mae = np.abs(error).mean(0)
-    return {"val_fx": float(mae[0]), "val_fy": float(mae[1]), "val_fz": float(mae[2]), "val_total": float(mae.sum())}
+    return {f"val_{name}": float(value) for name, value in zip(CHANNELS, mae, strict=True)} | {
+        "val_total": float(mae.sum())
+    }
 
 
 def cosine(epoch: int, epochs: int) -> float:
@@ -249,9 +252,9 @@ def fit(training: Training, data, checkpoint=None, identity: str = "", epochs: i
                 batches = training.batches(data)  # read while this epoch is validated
             row = training.close_epoch(data, loss)
             if number % max(1, planned // 20) == 0 or number == planned - 1:
+                errors = ", ".join(f"{name} {row[f'val_{name}']:.3f}" for name in CHANNELS)
                 print(
-                    f"epoch {row['epoch']}: loss {loss:.4g}, validation fx {row['val_fx']:.3f} "
-                    f"fy {row['val_fy']:.3f} fz {row['val_fz']:.3f} N, rate {row['learning_rate']:.2g}",
+                    f"epoch {row['epoch']}: loss {loss:.4g}, validation {errors} N, rate {row['learning_rate']:.2g}",
                     flush=True,
                 )
             if checkpoint and time.monotonic() - saved >= training.settings["checkpoint_seconds"]:

@@ -10,13 +10,13 @@ An uncompressed .npz. `n` samples; `k` contact nodes and `m` surface nodes, all 
 | total | (n, 3) float64 | resultant, N |
 | c10 | () float64 | MPa |
 | c10_interval68, c10_interval95 | (2,) float64 | MPa, only where the material was calibrated |
+| press_id | (n,) str | only where samples are frames of a press: which one |
 
 Samples without a valid state have no entries. Nothing is compressed because a label reads `force`
 only, and a zip member is read alone: measured on 100 samples of 6000 surface nodes, uncompressed
 reads eight times faster than deflated, and deflating saves 8 % of the bytes.
 """
 
-import zipfile
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -24,6 +24,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish
+from gelforge.records.npz import Archive
 from gelforge.records.status import Status
 
 INTERVALS = ("c10_interval68", "c10_interval95")
@@ -39,11 +40,12 @@ class SampleForces:
     nodes: np.ndarray
     force: np.ndarray
     displacement: np.ndarray
+    press_id: str = ""
 
     @classmethod
-    def failed(cls, sample_id: str, status: str, mesh: str = "") -> "SampleForces":
+    def failed(cls, sample_id: str, status: str, mesh: str = "", press_id: str = "") -> "SampleForces":
         """A sample without a valid state."""
-        return cls(sample_id, status, mesh, np.empty(0, np.int32), np.empty((0, 3)), np.empty((0, 3)))
+        return cls(sample_id, status, mesh, np.empty(0, np.int32), np.empty((0, 3)), np.empty((0, 3)), press_id)
 
 
 def write_forces(path, samples, c10: float, intervals: dict | None = None) -> None:
@@ -67,6 +69,8 @@ def write_forces(path, samples, c10: float, intervals: dict | None = None) -> No
         "total": np.array([s.force.sum(axis=0) for s in samples], np.float64).reshape(-1, 3),
         "c10": np.float64(c10),
     }
+    if any(sample.press_id for sample in samples):
+        arrays["press_id"] = np.array([sample.press_id for sample in samples], dtype=str)
     for name, interval in (intervals or {}).items():
         if name not in INTERVALS:
             raise BadInput(f"{path}: unknown interval {name!r}; use one of {', '.join(INTERVALS)}")
@@ -104,48 +108,37 @@ class ForceFile:
 
     def __init__(self, path):
         self.path = path
-        try:
-            self._file = np.load(path, allow_pickle=False)
-            if not hasattr(self._file, "files"):
-                raise ValueError("a single array, not an .npz")
-            self.sample_id, self.status, self.mesh = (self._file[k] for k in ("sample_id", "status", "mesh"))
-            self.ptr, self.total, self.c10 = self._file["ptr"], self._file["total"], float(self._file["c10"])
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-            raise BadInput(f"{path}: not a forces shard ({error}); delete it and run make again") from error
-        self.intervals = {name: self._file[name] for name in INTERVALS if name in self._file.files}
+        self._file = file = Archive(path, "a forces shard", "delete it and run make again")
+        self.sample_id, self.status, self.mesh = (file.array(k, "U", 1) for k in ("sample_id", "status", "mesh"))
+        self.ptr, self.total = file.array("ptr", "i", 1), file.array("total", "f", 2)
+        self.c10 = float(file.array("c10", "f", 0))
+        self.intervals = {name: file.array(name, "f", 1) for name in INTERVALS if name in file}
+        self.press_id = file.array("press_id", "U", 1) if "press_id" in file else np.full(len(self.sample_id), "")
 
     def __enter__(self) -> "ForceFile":
         return self
 
     def __exit__(self, *_):
-        self._file.close()
+        self._file.__exit__()
 
     def __len__(self) -> int:
         return len(self.sample_id)
 
-    def _array(self, name) -> np.ndarray:
-        try:
-            return self._file[name]
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-            raise BadInput(
-                f"{self.path}: array {name} is unreadable ({error}); delete it and run make again"
-            ) from error
-
     @cached_property
     def node(self) -> np.ndarray:
-        return self._array("node")
+        return self._file.array("node", "i", 1)
 
     @cached_property
     def force(self) -> np.ndarray:
-        return self._array("force")
+        return self._file.array("force", "f", 2)
 
     @cached_property
     def surface_ptr(self) -> np.ndarray:
-        return self._array("surface_ptr")
+        return self._file.array("surface_ptr", "i", 1)
 
     @cached_property
     def displacement(self) -> np.ndarray:
-        return self._array("displacement")
+        return self._file.array("displacement", "f", 2)
 
     def index(self, sample_id: str) -> int:
         """Position of a sample in the shard; a name that is not in it raises BadInput."""

@@ -5,21 +5,24 @@ An uncompressed .npz. `n` samples:
 | array | shape, type | meaning |
 | --- | --- | --- |
 | sample_id, status | (n,) str | as in the forces; a sample without a valid state has labels of NaN |
-| label | (n, 3, rows, cols) float32 | N per cell; channels force along gel y, along gel x, along z (FEATS) |
+| label | (n, 3, rows, cols) float32 | N per cell; channels as in `records.axes` (FEATS) |
 | outside | (n, 3) float64 | N that fell outside the image, same channels |
+| press_id | (n,) str | where samples are frames of a press: which one |
 | c10 | () float64 | MPa, the material that the forces belong to |
 | c10_interval68, c10_interval95 | (2,) float64 | MPa, where the material was calibrated; labels scale with c10 |
 """
 
 import zipfile
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish
-
-CHANNELS = (1, 0, 2)  # gel axis of each channel: grid_x is the force along gel y (FEATS, label_generation.py)
+from gelforge.records.forcefile import INTERVALS
+from gelforge.records.npz import Archive
+from gelforge.records.status import Status
 
 
 def write_labels(path, blocks, shape, arrays: dict) -> None:
@@ -39,13 +42,70 @@ def write_labels(path, blocks, shape, arrays: dict) -> None:
                 np.lib.format.write_array(member, np.asanyarray(array), allow_pickle=False)
 
 
-def read_labels(path, names=None) -> dict:
-    """Arrays of a label shard by name, all or those asked for; an unreadable file raises BadInput."""
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            return {name: file[name] for name in names or file.files}
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
-        raise BadInput(f"{Path(path)}: not a label shard ({error}); delete it and run make labels again") from error
+@dataclass(frozen=True)
+class LabelShard:
+    """Labels of n samples at one resolution; the arrays are those of the file."""
+
+    path: Path
+    sample_id: np.ndarray
+    status: list[Status]
+    label: np.ndarray
+    outside: np.ndarray
+    material: dict[str, float | list[float]]
+    press_id: np.ndarray
+
+    def index(self, sample_id: str) -> int:
+        """Position of a sample; one that is not in the shard raises BadInput."""
+        found = np.flatnonzero(self.sample_id == sample_id)
+        if not len(found):
+            raise BadInput(
+                f"{self.path}: has no sample {sample_id}; its row was rejected, see 10_poses/*.rejected.csv"
+            )
+        return int(found[0])
+
+
+def open_labels(path: str | Path) -> Archive:
+    """A label file to read single arrays of."""
+    return Archive(path, "a label shard", "delete it and run make labels again, or import it again")
+
+
+def read_labels(path: str | Path) -> LabelShard:
+    """Read a label file, made by stage 50 or imported, and check it.
+
+    An array that is missing or has another form, a status that is none, a sample_id that stands twice and a valid
+    sample whose label is not finite raise BadInput that names the file and the sample.
+    """
+    with open_labels(path) as file:
+        names, states = file.array("sample_id", "U", 1), file.array("status", "U", 1)
+        label, outside = file.array("label", "f", 4), file.array("outside", "f", 2)
+        c10 = float(file.array("c10", "f", 0))
+        material: dict[str, float | list[float]] = {"c10": c10}
+        material |= {name: file.array(name, "f", 1).tolist() for name in INTERVALS if name in file}
+        press = file.array("press_id", "U", 1) if "press_id" in file else np.full(len(names), "")
+    where, n = f"{path}", len(names)
+    if not (len(states) == len(label) == len(outside) == len(press) == n and label.shape[1] == 3 == outside.shape[1]):
+        raise BadInput(
+            f"{where}: {n} names, {len(states)} states, labels {label.shape} and forces outside {outside.shape} do not"
+            " fit each other; make or import the labels again"
+        )
+    ids, counts = np.unique(names, return_counts=True)
+    if (counts > 1).any():
+        first = counts.argmax()
+        raise BadInput(
+            f"{where}: sample {ids[first]} stands {counts[first]} times; give every label its own sample_id"
+        )
+    for name, state in zip(names, states, strict=True):
+        if state not in Status.__members__:
+            raise BadInput(f"{where}: sample {name}: status {state!r} is none of {', '.join(Status.__members__)}")
+    status = [Status[state] for state in states]
+    lost = [not state.valid for state in status] | np.isfinite(label).all(axis=(1, 2, 3))
+    if not lost.all():
+        raise BadInput(
+            f"{where}: sample {names[np.argmin(lost)]} has a label that is not finite; make or import the labels again"
+        )
+    if not 0.0 < c10 < np.inf:
+        raise BadInput(f"{where}: c10 = {c10:g} MPa; it must be above 0: make or import the labels again")
+    return LabelShard(Path(path), names, status, label, outside, material, press)
 
 
 def to_float32(values: np.ndarray, group: np.ndarray, groups: int) -> np.ndarray:

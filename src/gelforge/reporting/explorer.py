@@ -131,9 +131,9 @@ class Shard:
         labels, forces, gels = {}, results / "40_forces" / f"{shard}.npz", {}
         path = results / "50_labels" / resolution / f"{shard}.npz"
         if path.exists():
-            found = read_labels(path, ("sample_id", "label"))
-            good = np.isfinite(found["label"]).all((1, 2, 3))
-            labels = {str(n): v for n, v, ok in zip(found["sample_id"], found["label"], good, strict=True) if ok}
+            found = read_labels(path)
+            each = zip(found.sample_id.tolist(), found.label, found.status, strict=True)
+            labels = {name: label for name, label, status in each if status.valid}
         if not forces.exists():
             return cls(labels)
         with ForceFile(forces) as file:

@@ -4,6 +4,8 @@ import io
 
 import numpy as np
 
+from gelforge.records.image import encode_png
+
 DPI = 110
 
 
@@ -56,11 +58,4 @@ def press_3d(mesh, nodes: np.ndarray, displacement: np.ndarray, force: np.ndarra
     plotter.camera_position = [(19, -23, 17), (1, -1, -1.5), (0, 0, 1)]
     picture = plotter.screenshot(None, return_img=True)
     plotter.close()
-    return encode(picture)
-
-
-def encode(rgb: np.ndarray) -> bytes:
-    """An RGB image (h, w, 3) uint8 as PNG bytes."""
-    import cv2
-
-    return cv2.imencode(".png", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))[1].tobytes()
+    return encode_png(picture)

@@ -2,8 +2,10 @@
 
 import numpy as np
 
+from gelforge.records.axes import CHANNEL_OF_AXIS
+from gelforge.records.press import POSE
+
 AXES = ("fx", "fy", "fz")
-POSE = ("x0_mm", "y0_mm", "z0_mm", "dx_mm", "dy_mm", "dz_mm", "rot_deg")
 TEXTS = ("indenter", "sensor", "split", "status", "reason", "fidelity", "mesh", "group", "shard")
 NUMBERS = (
     *POSE,
@@ -13,7 +15,6 @@ NUMBERS = (
 )  # fmt: skip
 # Digits behind the point: micrometres, tenths of a millinewton.
 DIGITS = 4
-CHANNEL_OF_AXIS = (1, 0, 2)  # a prediction's channel of each gel axis: FEATS' first channel runs along gel y
 
 
 def number(text) -> float:

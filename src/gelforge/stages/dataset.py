@@ -2,7 +2,9 @@
 
 import hashlib
 import os
+import sys
 from argparse import Namespace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,69 +17,80 @@ from gelforge.formats.feats import LabelSample, Ranges
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import find_sensor, load_sensors
 from gelforge.networks.split import split_presses
-from gelforge.records.labelfile import CHANNELS, read_labels
+from gelforge.records.axes import CHANNEL_OF_AXIS
+from gelforge.records.image import read_logged_image
+from gelforge.records.labelfile import read_labels
+from gelforge.records.log import read_log, read_poses, without_duplicates
+from gelforge.records.press import FORCE, POSE, PressRecord, parse
 from gelforge.records.status import Status
 from gelforge.stages.plan import planned_shards
 
 VERSION = 2
-POSE_COLUMNS = ["x0_mm", "y0_mm", "z0_mm", "dx_mm", "dy_mm", "dz_mm", "rot_deg"]
-FORCES = ["fx_n", "fy_n", "fz_n"]
-COLUMNS = [
-    "sample_id",
-    "indenter",
-    "sensor_id",
-    "gel_id",
-    "split",
-    "group",
-    *FORCES,
-    *(f"outside_{name}" for name in FORCES),
-    *(f"measured_{name}" for name in FORCES),
-    *(f"true_{name}" for name in FORCES),
-    *POSE_COLUMNS,
-    "image",
-]
+COLUMNS = (
+    "sample_id", "indenter", "sensor_id", "gel_id", "split", "group", *FORCE,
+    *(f"outside_{name}" for name in FORCE), *(f"measured_{name}" for name in FORCE),
+    *(f"true_{name}" for name in FORCE), *POSE, "image",
+)  # fmt: skip
 
 
-def collect(shards: list[tuple[Path, list[dict]]], truth: dict) -> tuple[list[dict], list, dict]:
-    """Rows of samples.csv, where each one's label lies, and what was left out and why.
+@dataclass(frozen=True)
+class Labelled:
+    """A press with the total of its label and the force outside the image, (3,) N along the gel's axes.
 
-    shards: label files with the rows of their samples (a pose table or a log). Returns rows (n,), (file
-    number, index in it) (n,), and {reason: count}.
+    place: number of its label file and its index there. truth: what a virtual rig knows of it.
     """
-    rows, places, left_out = [], [], {}
-    for number, (path, table) in enumerate(shards):
-        by_id = {row["sample_id"]: row for row in table}
-        found = read_labels(path)
-        totals = found["label"].sum(axis=(2, 3), dtype=np.float64)
-        for at, (name, status) in enumerate(zip(found["sample_id"], found["status"], strict=True)):
-            row, status = by_id.get(str(name)), str(status)
-            reason = _reason(row, status)
+
+    press: PressRecord
+    total: np.ndarray
+    outside: np.ndarray
+    place: tuple[int, int]
+    truth: dict[str, str]
+
+    @property
+    def strength(self) -> float:
+        """Normal force to a millinewton, the part outside the image included: alike at every resolution."""
+        return round(abs(round(float(self.total[2]), 9) + np.nan_to_num(round(float(self.outside[2]), 9))), 3)
+
+    def cells(self, split: str, group: int) -> dict:
+        """One row of samples.csv."""
+        own = self.press.cells()
+        row = {
+            name: own[name] for name in ("sample_id", "indenter", "sensor_id", "gel_id", *POSE, "image", "press_id")
+        }
+        for name, total, outside in zip(FORCE, self.total, self.outside, strict=True):
+            row[name] = round(float(total), 9)
+            row[f"outside_{name}"] = "" if np.isnan(outside) else round(float(outside), 9)
+            row[f"measured_{name}"], row[f"true_{name}"] = own[name], self.truth.get(name, "")
+        return row | {"split": split, "group": group}
+
+
+def collect(shards: list[tuple[Path, list]], truth: dict) -> tuple[list[Labelled], dict]:
+    """Samples with a label and an image, and what was left out: {reason: count}.
+
+    shards: label files with the presses of their samples (a pose table or a log).
+    """
+    found, left_out = [], {}
+    for number, (path, presses) in enumerate(shards):
+        by_id = {press.sample_id: press for press in presses}
+        labels = read_labels(path)
+        totals = labels.label.sum(axis=(2, 3), dtype=np.float64)
+        for at, (name, status) in enumerate(zip(labels.sample_id.tolist(), labels.status, strict=True)):
+            press = by_id.get(name)
+            reason = _reason(press, status)
             if reason:
                 left_out[reason] = left_out.get(reason, 0) + 1
                 continue
-            rows.append(_sample_row(row, totals[at], found["outside"][at], truth.get(str(name), {})))
-            places.append((number, at))
-    return rows, places, left_out
+            total, outside = totals[at][list(CHANNEL_OF_AXIS)], labels.outside[at][list(CHANNEL_OF_AXIS)]
+            found.append(Labelled(press, total, outside, (number, at), truth.get(name, {})))
+    return found, left_out
 
 
-def _reason(row, status) -> str:
-    if not Status[status].valid:
-        return status
-    if row is None:
+def _reason(press: PressRecord | None, status: Status) -> str:
+    if not status.valid:
+        return status.name
+    if press is None:
         return "no row in the pose table"
-    return "" if row.get("image") else "no image in the log"
-
-
-def _sample_row(row, total, outside, true) -> dict:
-    kept = {
-        name: row.get(name, "") for name in ("sample_id", "indenter", "sensor_id", "gel_id", *POSE_COLUMNS, "image")
-    }
-    for channel, axis in enumerate(CHANNELS):
-        kept[FORCES[axis]] = round(float(total[channel]), 9)
-        kept[f"outside_{FORCES[axis]}"] = "" if np.isnan(outside[channel]) else round(float(outside[channel]), 9)
-    for name in FORCES:
-        kept[f"measured_{name}"], kept[f"true_{name}"] = row.get(name, ""), true.get(name, "")
-    return kept
+    return "" if press.image else "no image in the log"
 
 
 def read_truth(data: Path) -> dict:
@@ -106,34 +119,16 @@ def check_settings(settings: dict) -> None:
         raise BadInput("[dataset] same_press_mm and same_press_deg must be above 0")
 
 
-def write_image_array(path, data: Path, rows: list[dict], size: tuple[int, int]) -> None:
-    """Write the images of `rows` as uint8 (n, height, width, 3) RGB, whole or not at all.
+def write_image_array(path, data: Path, presses: list[PressRecord], size: tuple[int, int]) -> None:
+    """Write the images of presses as uint8 (n, height, width, 3) RGB, whole or not at all.
 
     size is (width, height). A missing, unreadable or differently sized image raises BadInput.
     """
     with publish(path) as part:
-        images = np.lib.format.open_memmap(part, "w+", np.uint8, (len(rows), size[1], size[0], 3))
-        for at, row in progress(list(enumerate(rows)), "images"):
-            images[at] = read_image(data, row["image"], size)
+        images = np.lib.format.open_memmap(part, "w+", np.uint8, (len(presses), size[1], size[0], 3))
+        for at, press in progress(list(enumerate(presses)), "images"):
+            images[at] = read_logged_image(data, press.image, size)
         images.flush()
-
-
-def read_image(data: Path, name: str, size: tuple[int, int]) -> np.ndarray:
-    """One image of a dataset folder as RGB (height, width, 3)."""
-    import cv2
-
-    path = (data / name).resolve()
-    if not path.is_relative_to(data.resolve()):
-        raise BadInput(f"{data}/log.csv: image {name!r} leads out of the dataset's folder; give a path inside it")
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
-    if image is None:
-        raise BadInput(f"{path}: image is missing or unreadable; restore it, or empty the log's column `image`")
-    if (image.shape[1], image.shape[0]) != tuple(size):
-        raise BadInput(
-            f"{path}: image is {image.shape[1]} x {image.shape[0]} pixels, its sensor has {size[0]} x {size[1]};"
-            " resize it, or correct `image` in workflow/sensors.toml"
-        )
-    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
 
 
 def write_nocontact(path, data: Path, names: list[str], size: tuple[int, int]) -> list[str]:
@@ -142,22 +137,22 @@ def write_nocontact(path, data: Path, names: list[str], size: tuple[int, int]) -
     Returns the k of `names` that have one; a network that reads differences needs them, no other does.
     """
     there = [name for name in names if (data / "nocontact" / f"{name}.png").exists()]
-    pictures = [read_image(data, f"nocontact/{name}.png", size) for name in there]
+    pictures = [read_logged_image(data, f"nocontact/{name}.png", size) for name in there]
     with publish(path) as part, part.open("wb") as stream:
         np.save(stream, np.array(pictures, np.uint8).reshape(len(there), size[1], size[0], 3))
     return there
 
 
-def share_images(folder: Path, data: Path, rows: list[dict], size) -> None:
+def share_images(folder: Path, data: Path, presses: list[PressRecord], size) -> None:
     """Put images.npy into `folder` as a hard link to one copy that all resolutions of the dataset share."""
     digest = hashlib.sha256(str(size).encode())
-    for row in rows:
-        path = data / row["image"]
+    for press in presses:
+        path = data / press.image
         stamp = path.stat().st_mtime_ns if path.exists() else 0
-        digest.update(f"{row['sample_id']} {row['image']} {stamp}\n".encode())
+        digest.update(f"{press.sample_id} {press.image} {stamp}\n".encode())
     shared = folder.parent / f"images-{digest.hexdigest()[:16]}.npy"
     if not shared.exists():
-        write_image_array(shared, data, rows, size)
+        write_image_array(shared, data, presses, size)
     with publish(folder / "images.npy") as part:
         os.link(shared, part)
     for other in folder.parent.glob("images-*.npy"):
@@ -172,7 +167,7 @@ def write_label_array(path, shards, places, grid: Grid) -> None:
         opened, array = None, None
         for at, (number, index) in enumerate(places):
             if number != opened:
-                opened, array = number, read_labels(shards[number][0], ["label"])["label"]
+                opened, array = number, read_labels(shards[number][0]).label
             if array.shape[2:] != grid.shape:
                 raise BadInput(
                     f"{shards[number][0]}: labels of {array.shape[2:]} cells, asked for {grid}; make labels again"
@@ -181,20 +176,19 @@ def write_label_array(path, shards, places, grid: Grid) -> None:
         labels.flush()
 
 
-def training_ranges(folder: Path, rows: list[dict]) -> dict:
+def training_ranges(folder: Path, splits: np.ndarray) -> dict:
     """Smallest and largest value of every field over the training split, as FEATS' normalisation has them."""
     images, labels = (np.load(folder / name, mmap_mode="r") for name in ("images.npy", "labels.npy"))
     ranges = Ranges()
-    for at, row in enumerate(rows):
-        if row["split"] == "train":
-            ranges.add(LabelSample(images[at], labels[at]))
+    for at in np.flatnonzero(splits == "train"):
+        ranges.add(LabelSample(images[at], labels[at]))
     return ranges.found
 
 
-def image_size(rows: list[dict], sensors: dict, where: str) -> tuple[int, int]:
+def image_size(presses: list[PressRecord], sensors: dict, where: str) -> tuple[int, int]:
     """The one image size of all samples' sensors; several raise BadInput."""
     sizes = {}
-    for name in sorted({row["sensor_id"] for row in rows}):
+    for name in sorted({press.sensor_id for press in presses}):
         sizes.setdefault(tuple(find_sensor(sensors, name, where).image), name)
     if len(sizes) > 1:
         seen = ", ".join(f"{name} {w} x {h}" for (w, h), name in sizes.items())
@@ -202,32 +196,34 @@ def image_size(rows: list[dict], sensors: dict, where: str) -> tuple[int, int]:
     return next(iter(sizes))
 
 
-def list_shards(args) -> list[tuple[Path, list[dict]]]:
-    """Label files with their samples' rows: a stage-50 folder with pose tables, or an imported file with the log."""
+def list_shards(args) -> list[tuple[Path, list]]:
+    """Label files with their presses: a stage-50 folder with pose tables, or an imported file with the log."""
     if args.labels.is_dir():
         names = planned_shards(args.shards)
-        return [(args.labels / f"{name}.npz", read_csv(args.poses / f"{name}.csv")) for name in names]
-    return [(args.labels, read_csv(args.data / "log.csv"))]
+        return [(args.labels / f"{name}.npz", read_poses(args.poses / f"{name}.csv")) for name in names]
+    log = args.data / "log.csv"
+    # an image that was imported with its label may have no pose
+    parsed = [parse(raw, str(log), ("sample_id", "sensor_id", "image")) for raw in read_log(log)]
+    presses, doubled = without_duplicates([press for press, _ in parsed if press], str(log))
+    for rejection in [*(r for _, wrong in parsed for r in wrong), *doubled]:
+        print(rejection, file=sys.stderr)
+    return [(args.labels, presses)]
 
 
-def describe(args, grid: Grid, rows, left_out, size, first_labels: Path) -> dict:
+def describe(args, grid: Grid, found: list[Labelled], splits, left_out, size, first_labels: Path) -> dict:
     """Contents of dataset.json."""
-    about = read_labels(first_labels)
-    material = {name: about[name].tolist() for name in about if name.startswith("c10")}
-    counts = {}
-    for row in rows:
-        counts[row["split"]] = counts.get(row["split"], 0) + 1
+    names, counts = np.unique(splits, return_counts=True)
     return {
         "name": args.data.name,
         "grid": list(grid.shape),
         "image": list(size),
-        "samples": len(rows),
-        "splits": counts,
-        "sensor": rows[0]["sensor_id"],
-        "sensors": sorted({row["sensor_id"] for row in rows}),
-        "indenters": sorted({row["indenter"] for row in rows}),
+        "samples": len(found),
+        "splits": dict(zip(names.tolist(), counts.tolist(), strict=True)),
+        "sensor": found[0].press.sensor_id,
+        "sensors": sorted({each.press.sensor_id for each in found}),
+        "indenters": sorted({each.press.indenter for each in found}),
         "left_out": left_out,
-        **material,
+        **read_labels(first_labels).material,
     }
 
 
@@ -236,35 +232,34 @@ def build(args) -> dict:
     grid, settings = Grid.parse(args.resolution), read_json(args.params)["dataset"]
     check_settings(settings)
     shards = list_shards(args)
-    rows, places, left_out = collect(shards, read_truth(args.data))
-    if not rows:
+    found, left_out = collect(shards, read_truth(args.data))
+    if not found:
         raise BadInput(
             f"{args.data}: no sample has both a label and an image (left out: {left_out or 'none'});"
             " look at make status"
         )
-    size = image_size(rows, load_sensors(args.sensors), f"{args.data}/log.csv")
+    presses = [each.press for each in found]
+    size = image_size(presses, load_sensors(args.sensors), f"{args.data}/log.csv")
     splits, groups = split_presses(
-        rows, _strength(rows), unseen_indenters(read_json(args.catalogue), settings), settings
-    )
-    for row, split, group in zip(rows, splits, groups, strict=True):
-        row["split"], row["group"] = str(split), int(group)
+        presses, np.array([each.strength for each in found]),
+        unseen_indenters(read_json(args.catalogue), settings), settings,
+    )  # fmt: skip
     folder = args.out.parent
-    write_label_array(folder / "labels.npy", shards, places, grid)
-    share_images(folder, args.data, rows, size)
-    write_csv(folder / "samples.csv", COLUMNS, rows)
-    write_csv(
-        folder / "split.csv",
-        ["sample_id", "group", "split"],
-        [{name: row[name] for name in ("sample_id", "group", "split")} for row in rows],
-    )
-    write_json(folder / "normalisation.json", training_ranges(folder, rows))
-    about = describe(args, grid, rows, left_out, size, shards[0][0])
+    write_label_array(folder / "labels.npy", shards, [each.place for each in found], grid)
+    share_images(folder, args.data, presses, size)
+    write_samples(folder, found, splits, groups)
+    write_json(folder / "normalisation.json", training_ranges(folder, splits))
+    about = describe(args, grid, found, splits, left_out, size, shards[0][0])
     return about | {"nocontact": write_nocontact(folder / "nocontact.npy", args.data, about["sensors"], size)}
 
 
-def _strength(rows) -> np.ndarray:
-    """Normal force of each press to a millinewton, the part outside the image included: alike at every resolution."""
-    return np.array([round(abs(row["fz_n"] + (row["outside_fz_n"] or 0.0)), 3) for row in rows])
+def write_samples(folder: Path, found: list[Labelled], splits, groups) -> None:
+    """Write samples.csv, and split.csv beside it."""
+    rows = [each.cells(str(s), int(g)) for each, s, g in zip(found, splits, groups, strict=True)]
+    columns = [*COLUMNS, *["press_id"] * any(row["press_id"] for row in rows)]
+    short = ("sample_id", "group", "split")
+    write_csv(folder / "samples.csv", columns, [{name: row[name] for name in columns} for row in rows])
+    write_csv(folder / "split.csv", short, [{name: row[name] for name in short} for row in rows])
 
 
 @command(

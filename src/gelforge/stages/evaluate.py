@@ -10,19 +10,18 @@ from gelforge.flow.files import publish, read_json, write_json
 from gelforge.flow.main import command, option
 from gelforge.networks import metrics
 from gelforge.networks.tables import draw_predictions, tables
+from gelforge.records.axes import CHANNELS, FORCE_OF_CHANNEL
 from gelforge.records.predictionfile import write_predictions
 
-VERSION = 4
+VERSION = 5
 # Where a dataset has them, total forces (samples.csv, gel frame: x short side) that did not come from
 # the labels: the force sensor of the rig, and what a virtual rig knows and a real one cannot.
-REFERENCES = {"sensor": "measured_{}_n", "truth": "true_{}_n"}
-# Label channels in the order of the gel's axes: FEATS' grid_x is force along gel y.
-CHANNEL_OF_AXIS = {"fx": "fy", "fy": "fx", "fz": "fz"}
+REFERENCES = {"sensor": "measured_{}", "truth": "true_{}"}
 
 
 def reference_totals(data, kind: str) -> np.ndarray | None:
     """Total forces (n, 3) of a reference in the labels' channel order, NaN where a press has none."""
-    columns = [REFERENCES[kind].format(CHANNEL_OF_AXIS[axis]) for axis in metrics.AXES]
+    columns = [REFERENCES[kind].format(column) for column in FORCE_OF_CHANNEL]
     if not all(name in data.table[0] for name in columns):
         return None
     totals = np.stack([data.column(name) for name in columns], axis=1)
@@ -68,7 +67,7 @@ def evaluate_split(data, rows, predicted, settings: dict, force_range, rng) -> d
         "per_force": metrics.by_group(error, metrics.force_bins(wanted[:, 2], settings["force_edges"])),
         "per_sensor": metrics.by_group(error, data.names("sensor_id")[rows]),
         "controls": {
-            name: {axis: float(np.abs(guess - wanted).mean(0)[i]) for i, axis in enumerate(metrics.AXES)}
+            name: {axis: float(np.abs(guess - wanted).mean(0)[i]) for i, axis in enumerate(CHANNELS)}
             for name, guess in controls(data, rows, totals, rng).items()
         },
         "against": {},
@@ -116,7 +115,7 @@ def evaluate(data, trained, settings: dict) -> tuple[dict, dict]:
         "grid": list(data.grid),
         "dataset": about["data"],
         "best_epoch": about["best_epoch"],
-        "force_range": dict(zip(metrics.AXES, force_range.tolist())),
+        "force_range": dict(zip(CHANNELS, force_range.tolist())),
         "curve": about["curve"],
         "cost": about["cost"],
         "splits": {},
@@ -146,10 +145,10 @@ def keep_predictions(path, data, trained, predictions: dict) -> None:
 
 def paper_table(result: dict) -> str:
     """The paper's table of one evaluation as text: total and per-cell MAE with deviation, N, per split."""
-    lines = [f"{'split':22s} {'n':>5s}  " + "".join(f"{'total ' + a:>18s}{'cell ' + a:>20s}" for a in metrics.AXES)]
+    lines = [f"{'split':22s} {'n':>5s}  " + "".join(f"{'total ' + a:>18s}{'cell ' + a:>20s}" for a in CHANNELS)]
     for name, split in result["splits"].items():
         line = f"{name:22s} {split['n']:5d}  "
-        for axis in metrics.AXES:
+        for axis in CHANNELS:
             total, cell = split["total"][axis], (split["cell"] or {}).get(axis)
             line += f"{total['mae']:8.3f} +- {total['std']:6.3f}"
             line += f"{cell['mae']:10.5f} +- {cell['std']:6.5f}" if cell else f"{'-':>20s}"

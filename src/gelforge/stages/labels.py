@@ -15,8 +15,9 @@ from gelforge.labelling.operator import Operator, assemble, cached
 from gelforge.labelling.sensor import find_sensor, load_sensors
 from gelforge.mechanics.family import load_mesh, mesh_file
 from gelforge.mechanics.hex.bricks import is_bricks
+from gelforge.records.axes import CHANNEL_OF_AXIS
 from gelforge.records.forcefile import ForceFile
-from gelforge.records.labelfile import CHANNELS, read_labels, to_float32, write_labels
+from gelforge.records.labelfile import open_labels, to_float32, write_labels
 from gelforge.records.log import read_poses
 from gelforge.records.status import Status
 from gelforge.stages.plan import planned_shards
@@ -41,7 +42,7 @@ def bin_samples(forces: ForceFile, members, operator: Operator) -> tuple[np.ndar
     )
     row, inside = np.repeat(np.arange(3 * samples), np.diff(binned.indptr)), binned.indices < cells
     axis, sample = np.divmod(row, samples)
-    channel = np.argsort(CHANNELS)[axis]
+    channel = np.array(CHANNEL_OF_AXIS)[axis]
     label, outside = np.zeros((samples, 3, cells), np.float32), np.zeros((samples, 3))
     value = to_float32(binned.data[inside], row[inside], 3 * samples)
     label[sample[inside], channel[inside], binned.indices[inside]] = value
@@ -87,6 +88,8 @@ def label_shard(forces_path, poses_path, find_operator, grid: Grid, out) -> dict
         valid = np.array([Status[str(status)].valid for status in forces.status], bool)
         outside = np.where(valid[:, None], np.zeros(3), np.nan)
         others = {"sample_id": forces.sample_id, "status": forces.status, "outside": outside, "c10": forces.c10}
+        if forces.press_id.any():
+            others["press_id"] = forces.press_id
         blocks = label_blocks(forces, operators, grid, outside)
         write_labels(out, blocks, (len(forces), 3, *grid.shape), {**others, **forces.intervals})
         return summarise(forces, outside)
@@ -169,7 +172,8 @@ def up_to_date(out: Path, *sources) -> bool:
 
 def summary_of(path, forces_path) -> dict:
     """The summary of a shard that was labelled before."""
-    outside = read_labels(path, ["outside"])["outside"]
+    with open_labels(path) as labels:
+        outside = labels.array("outside", "f", 2)
     with ForceFile(forces_path) as forces:
         return summarise(forces, outside)
 

@@ -11,7 +11,7 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish, read_json, write_csv, write_json
 from gelforge.flow.main import command, option
-from gelforge.networks.metrics import AXES
+from gelforge.records.axes import CHANNELS
 
 BASELINE = "unet"
 FASTER = 5.0  # times that the chosen network must be faster than the baseline, on one CPU thread
@@ -43,11 +43,11 @@ def row_of(evaluation: dict, split: str, latencies: dict[str, dict]) -> dict:
         "epochs": len(evaluation["curve"]),
         "train_seconds": evaluation["cost"]["seconds"],
     }
-    for axis in AXES:
+    for axis in CHANNELS:
         row[f"total_{axis}"] = errors["total"][axis]["mae"]
         row[f"percent_{axis}"] = errors["total"][axis]["mae_percent_of_range"]
         row[f"cell_{axis}"] = errors["cell"][axis]["mae"] if errors["cell"] else None
-    row["percent"] = float(np.mean([row[f"percent_{axis}"] for axis in AXES]))
+    row["percent"] = float(np.mean([row[f"percent_{axis}"] for axis in CHANNELS]))
     for way, figures in latencies.items():
         row |= {f"{way}_{key}": value for key, value in figures.items()}
     return row
@@ -61,11 +61,11 @@ def choose(rows: list[dict]) -> dict | None:
     base = next((row for row in rows if row["model"] == BASELINE), None)
     if base is None:
         return None
-    keys = [f"{what}_{axis}" for what in ("total", "cell") for axis in AXES]
+    keys = [f"{what}_{axis}" for what in ("total", "cell") for axis in CHANNELS]
     good = [
         row
         for row in rows
-        if row["cell_fz"] is not None
+        if row["cell_grid_z"] is not None
         and FASTER * row["cpu1_median_ms"] <= base["cpu1_median_ms"]
         and all(row[key] <= base[key] for key in keys)
     ]
@@ -97,7 +97,10 @@ def draw_chart(path, rows: list[dict], split: str, chosen: str | None) -> None:
 
     figure = Figure(figsize=(11, 4.6), layout="constrained")
     FigureCanvasAgg(figure)
-    panels = (("percent", "total force, mean of components (% of range)"), ("cell_fz", "normal force per cell (N)"))
+    panels = (
+        ("percent", "total force, mean of components (% of range)"),
+        ("cell_grid_z", "normal force per cell (N)"),
+    )
     for axis, (key, label) in zip(figure.subplots(1, 2), panels):
         shown = [row for row in rows if row[key] is not None]
         best = front([(row["cpu1_median_ms"], row[key]) for row in shown])

@@ -4,11 +4,11 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
-import cv2
 import numpy as np
 
-from gelforge.errors import BadInput, GelforgeError
-from gelforge.flow.files import publish, read_csv, read_json, write_csv, write_json, write_text
+from gelforge.errors import BadInput
+from gelforge.flow.files import read_csv, read_json, write_csv, write_json, write_text
+from gelforge.records.image import write_png
 from gelforge.records.press import COLUMNS, FORCES, POSE
 from gelforge.virtualrig.bench import Pressing
 from gelforge.virtualrig.rigplan import Order, Plan
@@ -94,9 +94,7 @@ def surface_name(order: Order) -> str:
 
 def save_image(path, image: np.ndarray) -> None:
     """Write an RGB image as PNG, whole or not at all."""
-    with publish(path) as part:
-        if not cv2.imwrite(str(part), image[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9]):
-            raise GelforgeError(f"{path}: the image could not be written; is the disk full?")
+    write_png(path, image, compression=9)
 
 
 def log_row(pressing: Pressing, gel_id: str) -> dict:

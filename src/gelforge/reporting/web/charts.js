@@ -78,7 +78,7 @@ function controlLines(splits, axis) {
   const found = splits.map((v) => DATA.about.controls[v]).filter(Boolean), n = found.reduce((a, v) => a + v.n, 0);
   if (!n) return [];
   return Object.keys(names).filter((name) => found[0].controls[name]).map((name) => ({
-    name: names[name], value: found.reduce((a, v) => a + v.n * v.controls[name][{ fx: "fy", fy: "fx", fz: "fz" }[axis]], 0) / n,
+    name: names[name], value: found.reduce((a, v) => a + v.n * v.controls[name][{ fx: "grid_y", fy: "grid_x", fz: "grid_z" }[axis]], 0) / n,
   }));
 }
 const time = (s) => (s < 90 ? `${fixed(s, s < 10 ? 1 : 0)} s` : s < 5400 ? `${fixed(s / 60, 1)} min` : `${fixed(s / 3600, 1)} h`);

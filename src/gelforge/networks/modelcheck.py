@@ -1,0 +1,108 @@
+"""What a model file says of itself, checked before anything is built from it: it may come from anyone."""
+
+import math
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+import torch
+
+from gelforge.errors import BadInput
+from gelforge.networks.inputs import CHANNELS
+from gelforge.networks.models import build
+
+MOST_WIDTH, MOST_BLOCKS, MOST_LEVELS, MOST_SIDE = 4096, 64, 16, 4096
+
+
+def _numbers(value: Any, count: int | None, above: float = -math.inf) -> bool:
+    return (
+        isinstance(value, list)
+        and (count is None or len(value) == count)
+        and all(type(v) in (int, float) and math.isfinite(v) and v > above for v in value)
+    )
+
+
+def _side(value: Any) -> bool:
+    return _numbers(value, 2, 0) and all(type(v) is int and v <= MOST_SIDE for v in value)
+
+
+def _names(value: Any) -> bool:
+    return isinstance(value, list) and all(isinstance(name, str) and 0 < len(name) <= 200 for name in value)
+
+
+def _square(value: Any) -> bool:
+    return isinstance(value, list) and all(_numbers(row, len(value)) for row in value)
+
+
+# Every part of a model's description that use relies on, and what it must be.
+PARTS: dict[str, tuple[str, Callable[[Any], bool]]] = {
+    "name": ("a name", lambda v: isinstance(v, str) and 0 < len(v) <= 200),
+    "model": ("a table of its network", lambda v: isinstance(v, dict)),
+    "train": ("a table", lambda v: isinstance(v, dict)),
+    "image": (f"[height, width], whole numbers to {MOST_SIDE}", _side),
+    "grid": (f"[rows, cols], whole numbers to {MOST_SIDE}", _side),
+    "known_sensors": ("a list of names", _names),
+    "sensors": ("a list of names", _names),
+    "data": ("a table", lambda v: isinstance(v, dict)),
+    "normalisation": ("a table", lambda v: isinstance(v, dict)),
+    "normalisation.reads": (f"one of {', '.join(CHANNELS)}", lambda v: isinstance(v, str) and v in CHANNELS),
+    "normalisation.image_mean": ("three numbers", lambda v: _numbers(v, 3)),
+    "normalisation.image_std": ("three numbers above 0", lambda v: _numbers(v, 3, 0)),
+    "normalisation.label": ("three numbers above 0", lambda v: _numbers(v, 3, 0)),
+    "statistics": ("a table", lambda v: isinstance(v, dict)),
+    "statistics.inverse": ("a square of numbers", _square),
+    "statistics.threshold": ("a number", lambda v: _numbers([v], 1)),
+}
+
+
+def check_about(about: Any, where: str) -> None:
+    """Raise BadInput for the first part of a model's description that is missing or cannot be."""
+    for name, (what, good) in PARTS.items():
+        table, _, key = name.partition(".")
+        inside = about.get(table) if isinstance(about, dict) else None
+        value = inside.get(key) if key and isinstance(inside, dict) else inside
+        if not good(value):
+            raise BadInput(f"{where}: {name} is {str(value)[:60]!r}, it must be {what}; train the model again")
+    _check_sizes(about["model"], where)
+
+
+def _check_sizes(model: dict[str, Any], where: str) -> None:
+    for name, most in (("width", MOST_WIDTH), ("widths", MOST_WIDTH), ("blocks", MOST_BLOCKS)):
+        values = model.get(name, [1])
+        values = values if isinstance(values, list) else [values]
+        if len(values) > MOST_LEVELS or not all(type(v) is int and 0 <= v <= most for v in values):
+            raise BadInput(
+                f"{where}: model.{name} is {str(values)[:60]}, at most {most} each are built; train it again"
+            )
+
+
+def check_tensors(about: dict[str, Any], tensors: Any, where: str) -> None:
+    """Raise BadInput unless the tensors are finite and those of the described network, which costs no memory yet."""
+    with torch.device("meta"):
+        wanted = build(about["model"], about["image"], about["grid"]).state_dict()
+    if not isinstance(tensors, dict) or set(tensors) != set(wanted):
+        seen: Iterable[Any] = tensors if isinstance(tensors, dict) else ()
+        odd = sorted(map(str, set(wanted) ^ set(seen)))[:3]
+        raise BadInput(f"{where}: the tensors do not fit the network it describes ({', '.join(odd)}); train it again")
+    for name, like in wanted.items():
+        tensor = tensors[name]
+        if not isinstance(tensor, torch.Tensor) or tensor.shape != like.shape or tensor.dtype != like.dtype:
+            seen_as = f"{tensor.dtype} {tuple(tensor.shape)}" if isinstance(tensor, torch.Tensor) else type(tensor)
+            raise BadInput(
+                f"{where}: the tensors do not fit the network it describes ({name} is {seen_as}, not {like.dtype}"
+                f" {tuple(like.shape)}); train it again"
+            )
+        if tensor.is_floating_point() and not torch.isfinite(tensor).all():
+            raise BadInput(
+                f"{where}: {name} holds NaN or infinity, so every force would be none; train the model again"
+            )
+
+
+def check_pictures(about: dict[str, Any], untouched: dict[str, np.ndarray], where: str) -> None:
+    """Raise BadInput for pictures of untouched sensors of another size than the images the network reads."""
+    for name, picture in untouched.items():
+        if list(picture.shape[:2]) != about["image"]:
+            raise BadInput(
+                f"{where}: its picture of the untouched sensor {name} has {picture.shape[0]} x {picture.shape[1]} pixels,"
+                f" its images {about['image'][0]} x {about['image'][1]}; train the model again"
+            )
