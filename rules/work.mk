@@ -26,3 +26,13 @@ clean-STAGE:  ## remove a stage's artifacts, logs and metrics (clean-fea, clean-
 
 clean-all:  ## remove everything made of this dataset
 	rm -rf $D
+
+# Questions about the flow.
+.PHONY: why lineage estimate
+TARGET ?=
+
+why:  ## why a target would be made again: make why TARGET=report
+	@$(PY) -m gelforge.commands.why --target '$(subst ','\'',$(TARGET))' 'DATASET=$(DATASET)' 'RES=$(RES)'
+
+lineage:  ## every file, parameter and cost behind one label: make lineage ID=…
+	@$(PY) -m gelforge.commands.lineage --results $D --id '$(subst ','\'',$(ID))' --resolution $(RES1)

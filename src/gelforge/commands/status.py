@@ -1,11 +1,13 @@
 """What of a dataset is done, failed (with reasons) and pending, stage by stage."""
 
 import csv
+import json
 from argparse import Namespace
 from collections import Counter
 from pathlib import Path
 
 from gelforge.flow.main import command, option
+from gelforge.flow.running import duration, look
 
 # Only the standard library: status answers in a fraction of a second for 15 000 samples.
 
@@ -93,6 +95,36 @@ def lines(results: Path) -> list[str]:
     return text
 
 
+def stage_costs(results: Path) -> dict[str, tuple[float, float]]:
+    """Processor seconds of all targets of each stage, and the largest memory of one, MiB."""
+    costs: dict[str, tuple[float, float]] = {}
+    for path in (results / "metrics").rglob("*.json"):
+        try:
+            record = json.loads(path.read_bytes())
+            cpu, peak = float(record["cpu_seconds"]), float(record["peak_mib"])
+        except (OSError, ValueError, KeyError, TypeError):
+            continue  # one that is being written
+        stage = path.relative_to(results / "metrics").parts[0]
+        before = costs.get(stage, (0.0, 0.0))
+        costs[stage] = (before[0] + cpu, max(before[1], peak))
+    return costs
+
+
+def cost_lines(results: Path) -> list[str]:
+    """Processor time and memory of each stage so far."""
+    costs = stage_costs(results)
+    if not costs:
+        return []
+    head = f"{'cost so far':20s} {'processor':>12s} {'largest MiB':>12s}"
+    return [head, *(f"{name:20s} {duration(cpu):>12s} {peak:12.0f}" for name, (cpu, peak) in sorted(costs.items()))]
+
+
+def running_lines(results: Path) -> list[str]:
+    """How far the run that is going on has come; nothing where none is."""
+    state = look(results)
+    return [f"running: {state}"] if state.running else []
+
+
 def slurm_lines(results: Path) -> list[str]:
     """Work on Slurm, where there is any: tasks queued, running, done and failed per stage."""
     if not any((results / ".slurm").glob("*.json")):
@@ -106,7 +138,8 @@ def slurm_lines(results: Path) -> list[str]:
     option("--results", type=Path, help="results/DATASET"),
 )
 def main(args: Namespace) -> None:
-    print("\n".join([*lines(args.results), *slurm_lines(args.results)]))
+    parts = (lines, cost_lines, running_lines, slurm_lines)
+    print("\n".join(line for part in parts for line in part(args.results)))
 
 
 if __name__ == "__main__":

@@ -12,13 +12,17 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 from gelforge.flow.files import read_json, write_json
+from gelforge.flow.running import look
 
 PR_SET_PDEATHSIG = 1  # linux/prctl.h
 TAIL_LINES = 20
+LIVE_EVERY_S = 1.0
 NOTICES = ("rejected: ", "failed: ")  # lines of a log that a person must see although the step succeeded
 
 
@@ -39,20 +43,54 @@ def die_with_parent() -> None:
 
 
 def follow(stream, log) -> None:
-    """Copy a child's output to its log; where a person watches, keep its latest line on the terminal."""
-    # make names the terminal it writes to here, or says `true` where it cannot tell.
-    name = os.environ.get("MAKE_TERMERR", "")
-    terminal = open(name, "w") if name.startswith("/dev/") else None
+    """Copy a child's output to its log."""
     for line in stream:
         log.write(line)
         log.flush()
-        if terminal and line.strip():
-            width = shutil.get_terminal_size().columns - 1
-            terminal.write("\r\033[K" + line.strip()[:width])
-            terminal.flush()
-    if terminal:
-        terminal.write("\r\033[K")
-        terminal.close()
+
+
+def dataset_folder(path: Path) -> Path | None:
+    """results/DATASET of a file, none where it lies elsewhere."""
+    parts = path.parts
+    if "results" not in parts or len(parts) < parts.index("results") + 3:
+        return None
+    return Path(*parts[: parts.index("results") + 2])
+
+
+@contextmanager
+def live_line(log_path: Path):
+    """While the block runs, keep one line on a person's terminal: how far the whole run has come, and what runs now."""
+    # make names the terminal it writes to here, or says `true` where it cannot tell.
+    name, results = os.environ.get("MAKE_TERMERR", ""), dataset_folder(log_path)
+    if not name.startswith("/dev/") or results is None:
+        yield
+        return
+    over = threading.Event()
+
+    def show() -> None:
+        with open(name, "w") as terminal:
+            while not over.wait(LIVE_EVERY_S):
+                width = shutil.get_terminal_size().columns - 1
+                said = f"{look(results)} | {last_line(log_path)}"
+                terminal.write("\r\033[K" + "".join(c for c in said if c.isprintable())[:width])
+                terminal.flush()
+            terminal.write("\r\033[K")
+
+    teller = threading.Thread(target=show, daemon=True)
+    teller.start()
+    try:
+        yield
+    finally:
+        over.set()
+        teller.join()
+
+
+def last_line(path: Path) -> str:
+    """The last thing a log says."""
+    with path.open("rb") as log:
+        log.seek(max(0, path.stat().st_size - 1000))
+        lines = log.read().decode("utf-8", errors="replace").split("\n")
+    return next((line.strip() for line in reversed(lines) if line.strip()), "")
 
 
 def run(command: list[str], log_path: Path) -> tuple[int, dict]:
@@ -71,8 +109,9 @@ def run(command: list[str], log_path: Path) -> tuple[int, dict]:
         )
         for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(name, lambda number, frame: child.send_signal(number))
-        follow(child.stdout, log)
-        code = child.wait()
+        with live_line(log_path):  # after the fork, which must not meet a second thread
+            follow(child.stdout, log)
+            code = child.wait()
     usage = resource.getrusage(resource.RUSAGE_CHILDREN)
     cost = {
         "command": command,
@@ -144,7 +183,9 @@ def make_part(target: Path, inputs: list[Path], command: list[str], log_path: Pa
         return code if 0 < code < 126 else 1
     os.replace(part, target)
     show_notices(log_path)
-    print(f"{target}  {cost['seconds']:.1f} s, {cost['peak_mib']:.0f} MiB", flush=True)
+    results = dataset_folder(target)
+    far = f"  [{look(results)}]" if results and not os.environ.get("MAKE_TERMERR", "").startswith("/dev/") else ""
+    print(f"{target}  {cost['seconds']:.1f} s, {cost['peak_mib']:.0f} MiB{far}", flush=True)
     return 0
 
 

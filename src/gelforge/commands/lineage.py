@@ -1,0 +1,97 @@
+"""Where one label comes from: files, parameters, program versions and cost, as text or JSON."""
+
+import json
+from argparse import Namespace
+from dataclasses import asdict, replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+from gelforge.errors import BadInput
+from gelforge.flow.lineage import Step, concerning, pose_of, read_record, shard_of, steps_to
+from gelforge.flow.main import command, option
+
+PROGRAMS = ("gelforge", "numpy", "scipy", "numba", "torch")
+
+
+def versions() -> dict[str, str]:
+    """Programs as they are installed now."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    found = {}
+    for name in PROGRAMS:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed"
+    return found
+
+
+def lineage(results: Path, sample_id: str, resolution: str) -> dict:
+    """All that is known of a label: its sample's solve, and the steps that led to it, first one first."""
+    shard = shard_of(results, sample_id)
+    label = results / "50_labels" / resolution / "labels.json"
+    steps = list(steps_to(results, str(label), shard))
+    if not steps:  # no label yet: what there is
+        last = [
+            results / "40_forces" / f"{shard}.npz",
+            results / "30_fea" / f"{shard}.csv",
+            results / "10_poses" / f"{shard}.csv",
+        ]
+        steps = next((found for path in last if (found := list(steps_to(results, str(path), shard)))), [])
+    pose = pose_of(results, shard, sample_id)
+    steps = [replace(step, parameters=concerning(step.parameters, pose)) for step in steps]
+    solve = read_record(results / "30_fea" / shard / f"{sample_id}.json")
+    return {
+        "sample_id": sample_id,
+        "shard": shard,
+        "solve": solve,
+        "steps": [asdict(s) for s in steps],
+        "versions": versions(),
+    }
+
+
+def lines(found: dict, results: Path) -> list[str]:
+    """The lineage as text."""
+    text = [f"{found['sample_id']} of shard {found['shard']}", f"log: data/{results.name}/log.csv"]
+    for step in (Step(**made) for made in found["steps"]):
+        when = datetime.fromtimestamp(step.started, UTC).strftime("%Y-%m-%d %H:%M:%S")
+        text.append(
+            f"{step.target}: made {when} UTC in {step.seconds:.1f} s, {step.cpu_seconds:.1f} s of processor time,"
+            f" {step.peak_mib:.0f} MiB"
+        )
+        text += [f"    reads {path}" for path in step.inputs if "00_plan/params" not in path]
+        text += [f"    parameters {name} {json.dumps(values)}" for name, values in step.parameters.items()]
+        if "/30_fea/" in step.target and found["solve"]:
+            text += solve_lines(found["solve"], step.target)
+    if not found["steps"]:
+        text.append("nothing was made of it yet")
+    return [*text, "programs installed now: " + ", ".join(f"{k} {v}" for k, v in found["versions"].items())]
+
+
+def solve_lines(solve: dict, target: str) -> list[str]:
+    """The sample's own solve."""
+    evidence = solve.get("evidence", {})
+    cost = f"{evidence.get('seconds', 0.0):.1f} s, {evidence.get('peak_mib', 0.0):.0f} MiB"
+    why = f" ({solve['reason']})" if solve.get("reason") else ""
+    files = ", ".join(f"{Path(target).with_suffix('')}/{name}" for name in solve.get("files", []))
+    return [
+        f"    this sample: {solve['status']}{why}, {solve['fidelity']} on mesh {solve['mesh']}, {cost}",
+        f"    its files: {files or 'none'}",
+    ]
+
+
+@command(
+    option("--results", type=Path, help="results/DATASET"),
+    option("--id", help="sample_id in the raw log"),
+    option("--resolution", default="24x32"),
+    option("--json", action="store_true", help="all of it, for programs"),
+)
+def main(args: Namespace) -> None:
+    if not args.id:
+        raise BadInput("no sample named; say make lineage ID=SAMPLE_ID")
+    found = lineage(args.results, args.id, args.resolution)
+    print(json.dumps(found, indent=1) if args.json else "\n".join(lines(found, args.results)))
+
+
+if __name__ == "__main__":
+    main.exit()

@@ -1,0 +1,98 @@
+"""Where one sample's label comes from: every file, parameter and cost, from the records that the flow leaves.
+
+Only the standard library: an answer takes a fraction of a second for 15 000 samples.
+"""
+
+import csv
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from gelforge.errors import BadInput
+
+
+@dataclass(frozen=True)
+class Step:
+    """One target on the way to a label: its file, what it read, its cost, and the parameters it was made with."""
+
+    target: str
+    inputs: list[str]
+    seconds: float
+    cpu_seconds: float
+    peak_mib: float
+    started: float
+    parameters: dict
+
+
+def shard_of(results: Path, sample_id: str) -> str:
+    """Name of the shard that holds a sample; BadInput where the log has no such sample."""
+    table = results / "00_plan" / "shards.csv"
+    if not table.exists():
+        raise BadInput(f"{table}: not there, so nothing was planned; run make poses DATASET={results.name}")
+    with table.open(newline="", encoding="utf-8") as stream:
+        found = next((row["shard"] for row in csv.DictReader(stream) if row["sample_id"] == sample_id), None)
+    if found is None:
+        raise BadInput(f"sample {sample_id!r} is not in the log of {results.name}; say make lineage ID=SAMPLE_ID")
+    names = {int(path.stem): path.stem for path in (results / "00_plan" / "shards").glob("*.csv")}
+    if int(found) not in names:
+        raise BadInput(f"sample {sample_id!r}: its shard {found} is no longer planned; run make status")
+    return names[int(found)]
+
+
+def read_record(path: Path) -> dict:
+    """A record of the flow, empty where there is none or it is damaged."""
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+
+
+def record_path(results: Path, target: str) -> Path:
+    """Where the record of a target lies."""
+    return results / "metrics" / Path(target).relative_to(results).with_suffix(".json")
+
+
+def belongs(path: str, results: Path, shards: set[str], shard: str) -> bool:
+    """Whether a prerequisite concerns the sample: files of other shards do not."""
+    stem = Path(path).stem
+    return Path(path).is_relative_to(results) and (stem == shard or stem not in shards)
+
+
+def pose_of(results: Path, shard: str, sample_id: str) -> dict:
+    """The sample's row of the pose table, empty where there is none."""
+    table = results / "10_poses" / f"{shard}.csv"
+    if not table.exists():
+        return {}
+    with table.open(newline="", encoding="utf-8") as stream:
+        return next((row for row in csv.DictReader(stream) if row["sample_id"] == sample_id), {})
+
+
+def concerning(slices: dict[str, dict], pose: dict) -> dict[str, dict]:
+    """Parameter files without the entries of the catalogues that are of other indenters and sensors."""
+    of = {"indenters": pose.get("indenter"), "sensors": pose.get("sensor_id")}
+    return {
+        name: {of[name]: values[of[name]]} if of.get(name) in values else values for name, values in slices.items()
+    }
+
+
+def steps_to(results: Path, target: str, shard: str) -> Iterator[Step]:
+    """Targets on the way to `target` that concern a shard's samples, prerequisites first, each once."""
+    shards = {path.stem for path in (results / "00_plan" / "shards").glob("*.csv")}
+    seen: set[str] = set()
+
+    def walk(name: str) -> Iterator[Step]:
+        if name in seen:
+            return
+        seen.add(name)
+        record = read_record(record_path(results, name))
+        if not record:
+            return
+        inputs = [path for path in record.get("inputs", []) if belongs(path, results, shards, shard)]
+        for path in inputs:
+            yield from walk(path)
+        slices = {Path(path).stem: read_record(Path(path)) for path in inputs if "00_plan/params" in path}
+        costs = (record.get(key, 0.0) for key in ("seconds", "cpu_seconds", "peak_mib", "started"))
+        yield Step(name, inputs, *costs, slices)
+
+    yield from walk(target)

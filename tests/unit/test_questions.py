@@ -1,0 +1,151 @@
+"""`make why` and `make lineage` say what is true of a flow on disk."""
+
+import json
+import os
+import subprocess
+import time
+
+import pytest
+
+from gelforge.commands.lineage import lineage, lines
+from gelforge.commands.why import lines as why_lines
+from gelforge.commands.why import main as why
+from gelforge.commands.why import reasons
+from gelforge.errors import BadInput
+from gelforge.flow.files import write_csv, write_json, write_text
+
+MAKEFILE = """results/d/10_poses/0000.csv: results/d/00_plan/params/poses.json data.csv
+\ttouch $@
+results/d/30_fea/0000.csv: results/d/10_poses/0000.csv
+\ttouch $@
+.PHONY: fea
+fea: results/d/30_fea/0000.csv
+"""
+
+
+def made(folder, *names):
+    for age, name in enumerate(names):
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+        stamp = time.time() - 1000 + 10 * age
+        os.utime(path, (stamp, stamp))
+
+
+def asked(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    from gelforge.commands.why import ask_make
+
+    return reasons(ask_make("fea", []))
+
+
+FILES = (
+    "results/d/00_plan/params/poses.json",
+    "data.csv",
+    "results/d/10_poses/0000.csv",
+    "results/d/30_fea/0000.csv",
+)
+
+
+def test_what_is_up_to_date_needs_nothing(tmp_path, monkeypatch):
+    write_text(tmp_path / "Makefile", MAKEFILE)
+    made(tmp_path, *FILES)
+    assert asked(tmp_path, monkeypatch) == {}
+    assert "up to date" in why_lines("fea", {})[0]
+
+
+def test_a_changed_parameter_is_the_cause_and_the_solve_only_follows(tmp_path, monkeypatch):
+    write_text(tmp_path / "Makefile", MAKEFILE)
+    made(tmp_path, *FILES[1:], FILES[0])
+    found = asked(tmp_path, monkeypatch)
+    assert "parameters of poses changed" in found[FILES[2]][0]
+    assert found[FILES[3]] == [f"{FILES[2]} is made again"]
+    text = "\n".join(why_lines("fea", found))
+    assert "2 files" in text and f"1 that read them: {FILES[3]}" in text
+
+
+def test_a_missing_file_and_a_changed_input_are_told_apart(tmp_path, monkeypatch):
+    write_text(tmp_path / "Makefile", MAKEFILE)
+    made(tmp_path, FILES[0], FILES[2], FILES[1])
+    found = asked(tmp_path, monkeypatch)
+    assert found[FILES[2]] == ["data.csv changed since"] and found[FILES[3]] == ["it does not exist"]
+
+
+def test_an_unknown_target_is_one_sentence(tmp_path, monkeypatch):
+    write_text(tmp_path / "Makefile", MAKEFILE)
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(BadInput, match="knows no such target"):
+        why(["--target", "nonsense"])
+    for target in ("", "-f/etc/passwd", "SHELL=x"):
+        with pytest.raises(BadInput, match="TARGET"):
+            why([f"--target={target}"])
+
+
+def lay(results, count, size=100):
+    """A flow of so many presses in shards, with the records that the wrapper leaves."""
+    names = [f"{k:04d}" for k in range(-(-count // size))]
+    rows = [{"sample_id": f"s{k:05d}", "shard": k // size} for k in range(count)]
+    write_csv(results / "00_plan/shards.csv", ["sample_id", "shard"], rows)
+    cost = {"seconds": 2.0, "cpu_seconds": 1.5, "peak_mib": 80.0, "started": 1.0e9}
+    params = results / "00_plan/params"
+    write_json(params / "poses.json", {"version": 1})
+    write_json(params / "indenters.json", {"ball": {"radius": 3}, "other": {"radius": 4}})
+    for name in names:
+        write_text(results / f"00_plan/shards/{name}.csv", "sample_id\n")
+        pose, fea = results / f"10_poses/{name}.csv", results / f"30_fea/{name}.csv"
+        write_csv(
+            pose,
+            ["sample_id", "indenter"],
+            [{"sample_id": f"s{int(name) * size + k:05d}", "indenter": "ball"} for k in range(size)],
+        )
+        inputs = [str(params / "poses.json"), str(params / "indenters.json")]
+        write_json(results / f"metrics/10_poses/{name}.json", cost | {"inputs": inputs})
+        write_json(results / f"metrics/30_fea/{name}.json", cost | {"inputs": [str(pose)]})
+        write_json(results / f"metrics/40_forces/{name}.json", cost | {"inputs": [str(fea)]})
+    forces = [str(results / f"40_forces/{name}.npz") for name in names]
+    write_json(results / "metrics/50_labels/24x32/labels.json", cost | {"inputs": forces})
+    solve = {"status": "OK", "reason": "", "fidelity": "hex", "mesh": "hex@a", "files": ["s00123.npz"],
+             "evidence": {"seconds": 3.25, "peak_mib": 77.0}}  # fmt: skip
+    write_json(results / "30_fea/0001/s00123.json", solve)
+
+
+def test_lineage_names_only_what_made_the_sample(tmp_path):
+    results = tmp_path / "results/d"
+    lay(results, 300)
+    found = lineage(results, "s00123", "24x32")
+    assert [step["target"].split("/")[-2] + "/" + step["target"].split("/")[-1] for step in found["steps"]] == [
+        "10_poses/0001.csv", "30_fea/0001.csv", "40_forces/0001.npz", "24x32/labels.json",
+    ]  # fmt: skip
+    assert found["steps"][0]["parameters"] == {"poses": {"version": 1}, "indenters": {"ball": {"radius": 3}}}
+    text = "\n".join(lines(found, results))
+    assert "this sample: OK, hex on mesh hex@a, 3.2 s, 77 MiB" in text and "0002" not in text and "s00123.npz" in text
+    json.dumps(found)
+
+
+def test_a_sample_that_is_not_in_the_log_is_one_sentence(tmp_path):
+    results = tmp_path / "results/d"
+    with pytest.raises(BadInput, match="nothing was planned"):
+        lineage(results, "s00123", "24x32")
+    lay(results, 100)
+    with pytest.raises(BadInput, match="not in the log"):
+        lineage(results, "../../x", "24x32")
+
+
+def test_lineage_reads_the_same_files_however_many_samples_there_are(tmp_path, root):
+    """15 000 samples: only the sample's own records are opened, beside the plan."""
+    results = tmp_path / "results/d"
+    lay(results, 15000)
+    command = [
+        str(root / ".venv/bin/python"),
+        "-X",
+        "importtime",
+        "-m",
+        "gelforge.commands.lineage",
+        "--results",
+        str(results),
+        "--id",
+        "s14999",
+    ]
+    ran = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert "149.csv" in ran.stdout
+    assert not any(f" {heavy}\n" in ran.stderr for heavy in ("numpy", "scipy", "torch"))

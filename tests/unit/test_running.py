@@ -1,0 +1,61 @@
+"""The line over a run counts what is on disk and names what holds a lock."""
+
+import fcntl
+import os
+import time
+
+from gelforge.commands.status import cost_lines, running_lines
+from gelforge.flow.files import write_csv, write_json
+from gelforge.flow.running import Progress, duration, look
+
+
+def lay(results, solved):
+    """Eight planned presses in two shards, so many of the first one solved, one a second until now."""
+    rows = [{"sample_id": f"s{k}", "shard": k // 4} for k in range(8)]
+    write_csv(results / "00_plan/shards.csv", ["sample_id", "shard"], rows)
+    for shard in ("0000", "0001"):
+        write_csv(results / f"00_plan/shards/{shard}.csv", ["sample_id"], [])
+    now = time.time()
+    for k in range(solved):
+        path = results / f"30_fea/{k // 4:04d}/s{k}.json"
+        write_json(path, {})
+        os.utime(path, (now - (solved - k), now - (solved - k)))
+    return now
+
+
+def test_presses_of_a_shard_that_is_being_solved_count(tmp_path):
+    now = lay(tmp_path, 3)
+    lock = tmp_path / "logs/30_fea/0000.lock"
+    lock.parent.mkdir(parents=True)
+    with lock.open("w") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        state = look(tmp_path, now)
+    assert (state.solved, state.total, state.running, state.stage) == (3, 8, ["30_fea/0000"], "30_fea")
+    assert abs(state.rate - 1.0) < 0.05
+    assert "3 of 8 presses solved" in str(state) and "5 s left" in str(state) and "30_fea/0000" in str(state)
+
+
+def test_a_lock_that_nobody_holds_is_not_running(tmp_path):
+    lay(tmp_path, 8)
+    for shard in ("0000", "0001"):
+        write_csv(tmp_path / f"30_fea/{shard}.csv", ["sample_id"], [])
+    lock = tmp_path / "logs/30_fea/0000.lock"
+    lock.parent.mkdir(parents=True)
+    lock.touch()
+    state = look(tmp_path)
+    assert state.running == [] and state.solved == state.total == 8 and running_lines(tmp_path) == []
+
+
+def test_nothing_planned_is_nothing(tmp_path):
+    assert look(tmp_path) == Progress(0, 0, 0.0, [])
+
+
+def test_costs_add_up_by_stage(tmp_path):
+    for shard, cpu in (("0000", 30.0), ("0001", 40.0)):
+        write_json(tmp_path / f"metrics/30_fea/{shard}.json", {"cpu_seconds": cpu, "peak_mib": cpu})
+    (tmp_path / "metrics/30_fea/0002.json").write_text("{")
+    assert cost_lines(tmp_path)[1].split() == ["30_fea", "70", "s", "40"]
+
+
+def test_durations_read_well():
+    assert [duration(s) for s in (12.2, 125, 7200)] == ["12 s", "2 min", "2.0 h"]
