@@ -12,6 +12,7 @@ else
 SHARDS :=
 MESHES :=
 BRANCHES :=
+REPORT_MODEL :=
 endif
 
 $(PLAN): $(DATA)/log.csv $(DATA)/dataset.toml $(wildcard workflow/*.toml) $(wildcard src/gelforge/*/*.py) $(CCX_FOUND) | $(SETUP)

@@ -10,9 +10,18 @@ evaluate-models: $(EVALUATED)  ## the same for every network
 $(EVALUATED): $D/80_evaluate/$(RES1)/%.json: $D/70_train/$(RES1)/%.pt $D/60_dataset/$(RES1)/dataset.json $P/evaluate.json
 	$(call step,gelforge.stages.evaluate --dataset $(dir $(word 2,$^)) --model $< --params $P/evaluate.json --out $@.part)
 
+# The network that ships, on a dataset that it did not learn from.
+READ := $D/80_evaluate/$(RES1)/shipped.json
+
+$(READ): $(SHIPPED).pt $D/60_dataset/$(RES1)/dataset.json $P/evaluate.json
+	$(call step,gelforge.stages.evaluate --dataset $(dir $(word 2,$^)) --model $< --params $P/evaluate.json --out $@.part)
+
+$(READ:.json=.card.md): $(SHIPPED).pt $(READ)
+	$(call step,gelforge.stages.card --model $< --evaluation $(word 2,$^) --out $@.part)
+
 $(EVALUATED:.json=.card.md): $D/80_evaluate/$(RES1)/%.card.md: $D/70_train/$(RES1)/%.pt $D/80_evaluate/$(RES1)/%.json
 	$(call step,gelforge.stages.card --model $< --evaluation $(word 2,$^) --out $@.part)
 
-ship: $D/70_train/$(RES1)/$(MODEL).pt $D/80_evaluate/$(RES1)/$(MODEL).card.md  ## makes a network the one that predict and live use where none is named
+ship: $D/70_train/$(RES1)/$(LEARNT).pt $D/80_evaluate/$(RES1)/$(LEARNT).card.md  ## makes a network the one that predict and live use where none is named
 	cp $< $(SHIPPED).pt
 	cp $(word 2,$^) $(SHIPPED).md

@@ -36,3 +36,7 @@ why:  ## why a target would be made again: make why TARGET=report
 
 lineage:  ## every file, parameter and cost behind one label: make lineage ID=…
 	@$(PY) -m gelforge.commands.lineage --results $D --id '$(subst ','\'',$(ID))' --resolution $(RES1)
+
+# The pilots need the meshes, which the run keeps.
+estimate: $(MESH_FILES)  ## core hours, disk and time of a run before it starts
+	@$(PY) -m gelforge.commands.estimate --data $(DATA) --results $D --resolution $(RES1) --cores $(JOBS)

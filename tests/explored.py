@@ -65,7 +65,7 @@ def write_page(folder, count: int, limit: float = 12e6):
         "columns": as_columns(rows), "shared": explorer.shared(), "costs": {"10_poses/0000": [2.0, 1.5, 100.0]},
         "stages": [{"name": name, "targets": 3, "seconds": 4.0, "cpu_seconds": 3.0, "peak_mib": 90.0, "reads": reads}
                    for name, reads in (("10_poses", []), ("30_fea", ["10_poses"]), ("90_report", ["30_fea", "10_poses"]))],
-        "about": {"dataset": "made", "resolution": "24x32", "model": "made", "grid": list(GRID),
+        "about": {"dataset": "made", "resolution": "24x32", "model": "made", "learnt_here": True, "grid": list(GRID),
                   "force_edges": [0.0, 2.0, 5.0, 10.0], "controls": controls},
         "parts": {"size": PART, "beside": beside},
     }  # fmt: skip

@@ -10,6 +10,9 @@ COMMANDS = {
     "status": "what of a dataset is done, failed, pending",
     "sample": "one sample through all stages, with its log",
     "projection": "fit a sensor's projection",
+    "estimate": "core hours, disk and time of a run before it starts",
+    "why": "why make would make a target again",
+    "lineage": "every file, parameter and cost behind one label",
     "look": "pictures and .vtu of one sample",
 }
 

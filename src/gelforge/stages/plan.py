@@ -7,6 +7,7 @@ content does.
 from argparse import Namespace
 from pathlib import Path
 
+from gelforge.errors import BadInput
 from gelforge.flow import params as config
 from gelforge.flow.files import read_csv, write_if_changed, write_text
 from gelforge.flow.main import command, option
@@ -94,6 +95,16 @@ def write_slices(params: dict, workflow: Path, out: Path, catalogue: str, scenes
         write_if_changed(out / "params" / "scenes" / f"{name}.json", config.canonical(table))
 
 
+def reported_model(params: dict, models: dict) -> list[str]:
+    """The network that the report shows, as a list of one or none; BadInput for a name that is none."""
+    name = params["report"]["model"]
+    if name and name not in {*models, "shipped"}:
+        raise BadInput(
+            f"[report] model = {name!r}: choose shipped, nothing, or one of {', '.join(models)} (models.toml)"
+        )
+    return [name] if name else []
+
+
 def chart_lists(params: dict, scenes: dict) -> dict[str, list[str]]:
     """Names that the rules of the branches pareto and stability need."""
     from gelforge.sweeps.references import all_meshes
@@ -129,6 +140,7 @@ def main(args: Namespace) -> None:
     meshes = required_meshes(params["fea"], params["meshes"])
     lists = {"SHARDS": shards, "MESHES": meshes, "BRANCHES": params["report"]["branches"]}
     lists |= chart_lists(params, scenes)
+    lists["REPORT_MODEL"] = reported_model(params, config.read_toml(args.workflow / "models.toml"))
     write_text(args.out, "".join(f"{name} := {' '.join(values)}\n" for name, values in lists.items()))
 
 

@@ -21,6 +21,7 @@ from gelforge.reporting.provenance import COST, stages, target_costs
 from gelforge.stages.plan import planned_shards
 
 VERSION = 2
+SHIPPED_MODEL = "shipped"
 PACKAGES = ("numpy", "scipy", "torch", "pymeshlab", "pytetwild", "pyvista", "emcee", "opencv-contrib-python-headless")
 
 
@@ -143,12 +144,7 @@ def network_section(results: Path, resolution: str, model: str) -> Section:
     if not path.exists():
         return section.text("Not made: make evaluate.", absent=True)
     metrics = read_json(path)
-    samples = read_csv(results / "60_dataset" / resolution / "samples.csv")
-    learnt = sum(row["split"] == "train" for row in samples)
-    section.text(
-        f"{model} learnt from {learnt} of {len(samples)} images. Judge it by the controls below: what they reach"
-        " without looking at the picture of a press, a network must beat by far."
-    )
+    section.text(learnt_from(metrics, model))
     for title, columns, rows in evaluation_tables(metrics):
         section.table(columns, rows, folded=title)
     captions = {
@@ -156,6 +152,20 @@ def network_section(results: Path, resolution: str, model: str) -> Section:
         f"80_evaluate/{resolution}/{model}.png": "Predicted against labelled total force, and f_z of some presses.",
     }
     return add_pictures(section, results, captions)
+
+
+def learnt_from(metrics: dict, model: str) -> str:
+    """What the network saw before, and how to judge it."""
+    about = metrics["dataset"]
+    count = sum(about["samples"].values()) if model == SHIPPED_MODEL else about["samples"].get("train", 0)
+    whose = f"the network that ships, learnt from dataset {about['name']} ({count} images), and from none of these"
+    who = (
+        whose if model == SHIPPED_MODEL else f"{model} learnt from {count} of {sum(about['samples'].values())} images"
+    )
+    return (
+        f"{who[0].upper()}{who[1:]}. Judge it by the controls below: what they reach without looking at the picture of a"
+        " press, a network must beat by far."
+    )
 
 
 def evaluation_tables(metrics: dict) -> list[tuple[str, list[str], list[list]]]:
@@ -189,6 +199,7 @@ def about(results: Path, dataset: str, resolution: str, model: str, params: Path
         "dataset": dataset,
         "resolution": resolution,
         "model": model,
+        "learnt_here": model != SHIPPED_MODEL,
         "grid": list(Grid.parse(resolution).shape),
         "force_edges": read_json(params / "evaluate.json")["evaluate"]["force_edges"],
         "controls": {name: {"n": split["n"], "controls": split["controls"]} for name, split in splits.items()},

@@ -51,12 +51,12 @@ function drawCharts() {
   const box = el("charts"), usable = [...COLUMNS.error.keys()].filter((i) => Number.isFinite(COLUMNS.error[i]));
   if (!usable.length) { box.append(make("p", { className: "absent" }, "No network was evaluated on this dataset: make evaluate.")); return; }
   const splits = [...new Set(usable.map((i) => COLUMNS.split[i]))].sort();
-  const split = make("select", { id: "chart-split" }, make("option", { value: "" }, "all it did not learn from"), ...splits.map((v) => make("option", { value: v }, v)));
+  const split = make("select", { id: "chart-split" }, make("option", { value: "" }, DATA.about.learnt_here ? "all it did not learn from" : "all"), ...splits.map((v) => make("option", { value: v }, v)));
   const axis = make("select", { id: "chart-axis" }, ...AXES.map((v) => make("option", { value: v }, AXIS_NAMES[v])));
   const legend = make("div", { className: "legend" }), area = make("div", { className: "charts" });
   let table = [];
   const update = () => {
-    const chosen = usable.filter((i) => (split.value ? COLUMNS.split[i] === split.value : COLUMNS.split[i] !== "train"));
+    const chosen = usable.filter((i) => (split.value ? COLUMNS.split[i] === split.value : !DATA.about.learnt_here || COLUMNS.split[i] !== "train"));
     const lines = controlLines(split.value ? [split.value] : splits.filter((v) => v !== "train"), axis.value);
     table = [["group", "value", "presses", "mean absolute error N", "low", "high"]];
     legend.replaceChildren(make("span", {}, make("i", { style: `background:${PALETTE[0]}` }), `${DATA.about.model}: mean and 95 % interval over presses`),

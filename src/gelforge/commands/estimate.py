@@ -1,0 +1,139 @@
+"""Core hours, disk and time of a run before it starts, from a few of its presses.
+
+Presses from the middles of equal shares of the depths go through poses, fea, forces and labels, in a folder of their
+own that is removed afterwards. Stages after the labels are told from what they took on other datasets.
+"""
+
+import os
+import resource
+import shutil
+import subprocess
+import sys
+from argparse import Namespace
+from pathlib import Path
+
+from gelforge.commands.sample import stages
+from gelforge.errors import BadInput
+from gelforge.flow.estimate import Cost, pilots, table, wall_seconds
+from gelforge.flow.files import read_csv, read_json, write_csv
+from gelforge.flow.main import command, option
+from gelforge.flow.running import duration
+
+STAGES = {"poses": "10_poses", "fea": "30_fea", "forces": "40_forces", "labels": "50_labels"}
+# Measured on the demo, processor seconds: an image through a light net in one epoch of training, and through an
+# evaluation with its start; a press in the report; a press of a calibration; a scene of the quick chart.
+TRAIN_EACH, EVALUATE_EACH, REPORT_EACH, CALIBRATE_EACH, CHART_EACH = 5e-3, 5e-3, 0.02, 24.0, 22.0
+START = 3.0  # of a process with torch or the drawing libraries
+IMAGE_BYTES = 240 * 320 * 3
+
+
+def planned_rows(results: Path) -> tuple[list[str], list[dict]]:
+    """Columns and rows of all planned shards."""
+    columns, rows = [], []
+    for path in sorted((results / "00_plan" / "shards").glob("*.csv")):
+        rows += read_csv(path)
+    if rows:
+        columns = list(rows[0])
+    return columns, rows
+
+
+def depth(row: dict) -> float:
+    """Depth of a raw row, mm; rows that cannot be read count as untouched, because stage 10 rejects them."""
+    try:
+        return -float(row["dz_mm"])
+    except (KeyError, TypeError, ValueError):
+        return 0.0
+
+
+def spend(module: str, arguments: list) -> float:
+    """Run a stage in a process of its own; return its processor seconds, children included."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    ran = subprocess.run(
+        [sys.executable, "-m", f"gelforge.stages.{module}", *map(str, arguments)], capture_output=True, text=True, check=False
+    )  # fmt: skip
+    if ran.returncode:
+        raise BadInput(f"a pilot press failed in stage {module}: {ran.stderr.strip().splitlines()[-1]}")
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def folder_bytes(folder: Path) -> int:
+    """Bytes of all files of a folder."""
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+
+
+def pilot(data: Path, results: Path, work: Path, columns, rows, resolution: str) -> dict[str, tuple[float, int]]:
+    """Processor seconds and bytes of each stage for a shard of the rows given."""
+    shutil.rmtree(work, ignore_errors=True)
+    write_csv(work / "00_plan" / "shards" / "0000.csv", columns, rows)
+    found = {}
+    for module, arguments in stages(data, results, work, resolution):
+        out = Path(arguments[-1])
+        out.parent.mkdir(parents=True, exist_ok=True)
+        cpu = spend(module, arguments)
+        found[STAGES[module]] = (cpu, folder_bytes(work / STAGES[module]))
+    return found
+
+
+def measured(data: Path, results: Path, resolution: str, columns: list[str], rows: list[dict]) -> list[Cost]:
+    """What stages 10 to 50 take of each press, from a shard of pilots."""
+    chosen = [rows[k] for k in pilots([depth(row) for row in rows])]
+    work = results / "estimate"
+    try:
+        found = pilot(data, results, work, columns, chosen, resolution)
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+    return [
+        Cost(stage, cpu / len(chosen), bytes_each=written / len(chosen)) for stage, (cpu, written) in found.items()
+    ]
+
+
+def meshes(results: Path) -> Cost:
+    """What the meshes took, which the pilots needed and the run keeps."""
+    records = [read_json(path) for path in (results / "metrics" / "20_meshes").glob("*.json")]
+    written = folder_bytes(results / "20_meshes")
+    return Cost("20_meshes", cpu_once=sum(record["cpu_seconds"] for record in records), bytes_once=written)
+
+
+def told(params: Path, resolution: str) -> list[Cost]:
+    """What the stages after the labels take, from other datasets."""
+    report = read_json(params / "report.json")["report"]
+    cells = 4 * 3 * int(resolution.split("x")[0]) * int(resolution.split("x")[1])
+    found = [Cost("60_dataset", 2e-3, START, IMAGE_BYTES + cells)]
+    if report["model"] != "shipped":
+        epochs = read_json(params / "train.json")["train"]["epochs"]
+        found.append(Cost("70_train", TRAIN_EACH * epochs, START, bytes_once=3e6))
+    found.append(Cost("80_evaluate", EVALUATE_EACH, START, cells / 2))
+    if "calibrate" in report["branches"]:
+        presses = read_json(params / "calibrate.json")["calibrate"]["max_presses"]
+        found.append(Cost("calibrate", cpu_once=CALIBRATE_EACH * presses, bytes_once=2e7))
+    if "pareto" in report["branches"]:
+        scenes = read_json(params / "pareto.json")["pareto"]["quick"]["scenes"]
+        found.append(Cost("pareto", cpu_once=CHART_EACH * len(scenes), bytes_once=3e7))
+    return [*found, Cost("90_report", REPORT_EACH, START, 4e4, 3e6)]
+
+
+@command(
+    option("--data", type=Path, help="data/DATASET"),
+    option("--results", type=Path, help="results/DATASET"),
+    option("--resolution", default="24x32"),
+    option("--cores", type=int, default=os.cpu_count(), help="that the run may use"),
+)
+def main(args: Namespace) -> None:
+    columns, rows = planned_rows(args.results)
+    if not rows:
+        raise BadInput(f"{args.data}/log.csv: no press is planned; log at least one, then make estimate")
+    print(
+        f"solving {len(pilots([depth(row) for row in rows]))} of {len(rows)} presses to see what they take",
+        flush=True,
+    )
+    costs = [*measured(args.data, args.results, args.resolution, columns, rows)]
+    costs.insert(1, meshes(args.results))
+    costs += told(args.results / "00_plan" / "params", args.resolution)
+    shards = len(list((args.results / "00_plan" / "shards").glob("*.csv")))
+    print("\n".join(table(costs, len(rows))))
+    print(f"about {duration(wall_seconds(costs, len(rows), args.cores, shards))} on {args.cores} cores like these")
+
+
+if __name__ == "__main__":
+    main.exit()

@@ -1,0 +1,62 @@
+"""What a run will take before it starts: core hours, disk and time, from what a few presses of it take."""
+
+import math
+from dataclasses import dataclass
+
+PILOTS = 5
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What a stage takes: processor seconds and bytes of each press, and those that do not depend on their number."""
+
+    stage: str
+    cpu_each: float = 0.0
+    cpu_once: float = 0.0
+    bytes_each: float = 0.0
+    bytes_once: float = 0.0
+
+    def cpu(self, presses: int) -> float:
+        """Processor seconds of so many presses."""
+        return self.cpu_once + self.cpu_each * presses
+
+    def disk(self, presses: int) -> float:
+        """Bytes of so many presses."""
+        return self.bytes_once + self.bytes_each * presses
+
+
+def pilots(strength: list[float], count: int = PILOTS) -> list[int]:
+    """Rows that stand for all: the middles of equal shares of the presses, ordered by strength; each once.
+
+    strength: (n,), what the cost rises with, such as the depth.
+    """
+    order = sorted(range(len(strength)), key=strength.__getitem__)
+    count = min(count, len(order))
+    return [order[int((k + 0.5) * len(order) / count)] for k in range(count)]
+
+
+# Stages of many targets, and branches that run beside others.
+PARALLEL = ("10_poses", "20_meshes", "30_fea", "40_forces", "calibrate", "pareto")
+
+
+def wall_seconds(costs: list[Cost], presses: int, cores: int, shards: int) -> float:
+    """Time on so many cores: stages of shards and branches fill them, the others take one core one after the other."""
+    beside = sum(cost.cpu(presses) for cost in costs if cost.stage in PARALLEL)
+    return beside / min(cores, max(shards, 1)) + sum(
+        cost.cpu(presses) for cost in costs if cost.stage not in PARALLEL
+    )
+
+
+def table(costs: list[Cost], presses: int) -> list[str]:
+    """The estimate as text."""
+    text = [f"{'stage':20s} {'core hours':>12s} {'disk':>10s}"]
+    text += [f"{c.stage:20s} {c.cpu(presses) / 3600:12.3f} {size(c.disk(presses)):>10s}" for c in costs]
+    cpu, disk = sum(c.cpu(presses) for c in costs), sum(c.disk(presses) for c in costs)
+    text.append(f"{'all':20s} {cpu / 3600:12.3f} {size(disk):>10s}")
+    return text
+
+
+def size(count: float) -> str:
+    """Bytes as people say them."""
+    power = min(int(math.log(max(count, 1), 1000)), 4)
+    return f"{count / 1000**power:.3g} {('B', 'kB', 'MB', 'GB', 'TB')[power]}"
