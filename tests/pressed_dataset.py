@@ -14,7 +14,7 @@ from gelforge.records.press import COLUMNS
 
 ROOT = Path(__file__).resolve().parent.parent
 PARAMS = {
-    "labels": {"version": 1, "labels": {"largest_outside_share": 0.02}},
+    "labels": {"version": 1, "labels": {"channels": ["force"], "largest_outside_share": 0.02}},
     "dataset": {
         "version": 1,
         "dataset": {

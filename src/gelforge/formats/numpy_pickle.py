@@ -16,8 +16,11 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.records.regular import file_fault
 
 LARGEST_FILE = 2**30
+# A sample of FEATS takes some hundred instructions; each may leave an object of a hundred bytes on the stack.
+MOST_INSTRUCTIONS = 200_000
 # What reading damaged bytes can raise in numpy's header parser, pickletools and here.
 DAMAGED = (
     OSError, ValueError, EOFError, KeyError, IndexError, TypeError, OverflowError, RecursionError, MemoryError,
@@ -161,7 +164,9 @@ class _Machine:
 
     def run(self, data: bytes):
         stream = io.BytesIO(data)
-        for opcode, argument, _ in pickletools.genops(stream):
+        for count, (opcode, argument, _) in enumerate(pickletools.genops(stream)):
+            if count == MOST_INSTRUCTIONS:
+                raise Refused(f"more than {MOST_INSTRUCTIONS} instructions")
             if opcode.name == "STOP":
                 break
             self.step(opcode.name, argument)
@@ -379,6 +384,9 @@ def read_npy(path):
     or holds anything but arrays, scalars and plain containers raises BadInput that names it.
     """
     path = Path(path)
+    fault = file_fault(path)
+    if fault:
+        raise BadInput(f"{path}: cannot be read ({fault}); give a .npy file")
     try:
         if path.stat().st_size > LARGEST_FILE:
             raise Refused(f"more than {LARGEST_FILE >> 20} MiB")

@@ -1,5 +1,6 @@
 """One interface to every way of solving a scene, with the ladder that a failing solve climbs down."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
@@ -60,6 +61,10 @@ class Solvers:
         result.evidence["ladder"] = climbed + result.evidence.get("ladder", [])
         result.evidence.setdefault("fidelity", fidelity)
         return result
+
+    def solve_frames(self, scenes: Sequence[Scene], fidelity: str) -> list[Result]:
+        """Solve moments of one press, scenes in order of time along one path; one result each, as `solve` gives it."""
+        return [self.solve(scene, fidelity) for scene in scenes]
 
     def _ladder(self, fidelity):
         """Attempts in order: as asked, smaller load steps, more contact rounds, another fidelity."""

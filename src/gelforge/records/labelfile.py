@@ -10,11 +10,21 @@ An uncompressed .npz. `n` samples:
 | press_id | (n,) str | where samples are frames of a press: which one |
 | c10 | () float64 | MPa, the material that the forces belong to |
 | c10_interval68, c10_interval95 | (2,) float64 | MPa, where the material was calibrated; labels scale with c10 |
+
+Only where `[labels] channels` asks for them, NaN in cells that show no gel:
+
+| array | shape, type | meaning |
+| --- | --- | --- |
+| displacement | (n, 3, rows, cols) float32 | mm, mean over the piece of surface that the cell shows before the touch |
+| traction, area | (n, 3, rows, cols), (n, rows, cols) float32 | kPa on the undeformed area, and that area, mm^2 |
+| traction_deformed, area_deformed | the same | kPa on the deformed area of the same piece, and that area |
 """
 
 import zipfile
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -24,22 +34,41 @@ from gelforge.records.forcefile import INTERVALS
 from gelforge.records.npz import Archive
 from gelforge.records.status import Status
 
+Stream = tuple[tuple[int, ...], Iterable[np.ndarray]]
 
-def write_labels(path, blocks, shape, arrays: dict) -> None:
+
+def write_labels(
+    path: str | Path,
+    blocks: Iterable[np.ndarray],
+    shape: tuple[int, ...],
+    arrays: dict[str, Any] | Callable[[], dict[str, Any]],
+    fields: dict[str, Stream] | None = None,
+) -> None:
     """Write a shard whose label array of `shape` comes in consecutive `blocks` (b, 3, rows, cols) float32.
 
-    Labels are streamed, because a large shard at a fine resolution does not fit in memory. `arrays` is a
-    function called after the last block, or a dict, of the other arrays. Whole or not at all.
+    Labels are streamed, because a large shard at a fine resolution does not fit in memory, and so are `fields`, by
+    name their shape and blocks. `arrays` is a function called after the last label block, or a dict, of the other
+    arrays. Whole or not at all.
     """
     with publish(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_STORED, allowZip64=True) as archive:
-        with archive.open(zipfile.ZipInfo("label.npy"), "w", force_zip64=True) as member:
-            header = {"descr": "<f4", "fortran_order": False, "shape": tuple(int(n) for n in shape)}
-            np.lib.format.write_array_header_1_0(member, header)
-            for block in blocks:
-                member.write(np.ascontiguousarray(block, "<f4").data)
+        _stream(archive, "label", shape, blocks)
         for name, array in (arrays() if callable(arrays) else arrays).items():
             with archive.open(zipfile.ZipInfo(f"{name}.npy"), "w") as member:
                 np.lib.format.write_array(member, np.asanyarray(array), allow_pickle=False)
+        for name, (size, parts) in (fields or {}).items():
+            _stream(archive, name, size, parts)
+
+
+def _stream(archive: zipfile.ZipFile, name: str, shape: tuple[int, ...], blocks: Iterable[np.ndarray]) -> None:
+    with archive.open(zipfile.ZipInfo(f"{name}.npy"), "w", force_zip64=True) as member:
+        header = {"descr": "<f4", "fortran_order": False, "shape": tuple(int(n) for n in shape)}
+        np.lib.format.write_array_header_1_0(member, header)
+        for block in blocks:
+            member.write(np.ascontiguousarray(block, "<f4").data)
+
+
+# Arrays beside the forces that a shard may have, and their dimensions.
+FIELDS = {"displacement": 4, "traction": 4, "area": 3, "traction_deformed": 4, "area_deformed": 3}
 
 
 @dataclass(frozen=True)
@@ -53,6 +82,7 @@ class LabelShard:
     outside: np.ndarray
     material: dict[str, float | list[float]]
     press_id: np.ndarray
+    fields: dict[str, np.ndarray]
 
     def index(self, sample_id: str) -> int:
         """Position of a sample; one that is not in the shard raises BadInput."""
@@ -82,19 +112,23 @@ def read_labels(path: str | Path) -> LabelShard:
         material: dict[str, float | list[float]] = {"c10": c10}
         material |= {name: file.array(name, "f", 1).tolist() for name in INTERVALS if name in file}
         press = file.array("press_id", "U", 1) if "press_id" in file else np.full(len(names), "")
+        fields = {name: file.array(name, "f", dims) for name, dims in FIELDS.items() if name in file}
     where, n = f"{path}", len(names)
     if not (len(states) == len(label) == len(outside) == len(press) == n and label.shape[1] == 3 == outside.shape[1]):
         raise BadInput(
             f"{where}: {n} names, {len(states)} states, labels {label.shape} and forces outside {outside.shape} do not"
             " fit each other; make or import the labels again"
         )
+    for name, field in fields.items():
+        if len(field) != n or field.shape[-2:] != label.shape[-2:]:
+            raise BadInput(f"{where}: {name} is {field.shape}, the labels are {label.shape}; make the labels again")
     ids, counts = np.unique(names, return_counts=True)
     if (counts > 1).any():
         first = counts.argmax()
         raise BadInput(
             f"{where}: sample {ids[first]} stands {counts[first]} times; give every label its own sample_id"
         )
-    for name, state in zip(names, states, strict=True):
+    for name, state in zip(names.tolist(), states.tolist(), strict=True):
         if state not in Status.__members__:
             raise BadInput(f"{where}: sample {name}: status {state!r} is none of {', '.join(Status.__members__)}")
     status = [Status[state] for state in states]
@@ -105,7 +139,7 @@ def read_labels(path: str | Path) -> LabelShard:
         )
     if not 0.0 < c10 < np.inf:
         raise BadInput(f"{where}: c10 = {c10:g} MPa; it must be above 0: make or import the labels again")
-    return LabelShard(Path(path), names, status, label, outside, material, press)
+    return LabelShard(Path(path), names, status, label, outside, material, press, fields)
 
 
 def to_float32(values: np.ndarray, group: np.ndarray, groups: int) -> np.ndarray:

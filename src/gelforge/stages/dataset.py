@@ -19,7 +19,7 @@ from gelforge.labelling.sensor import find_sensor, load_sensors
 from gelforge.networks.split import split_presses
 from gelforge.records.axes import CHANNEL_OF_AXIS
 from gelforge.records.image import read_logged_image
-from gelforge.records.labelfile import read_labels
+from gelforge.records.labelfile import FIELDS, read_labels
 from gelforge.records.log import read_log, read_poses, without_duplicates
 from gelforge.records.press import FORCE, POSE, PressRecord, parse
 from gelforge.records.status import Status
@@ -160,20 +160,34 @@ def share_images(folder: Path, data: Path, presses: list[PressRecord], size) -> 
             other.unlink(missing_ok=True)
 
 
-def write_label_array(path, shards, places, grid: Grid) -> None:
-    """Write the labels at `places` as float32 (n, 3, rows, cols), whole or not at all."""
+def write_label_array(path, shards, places, grid: Grid, name: str = "label") -> None:
+    """Write the labels at `places`, or a field beside them, as float32 (n, …, rows, cols), whole or not at all."""
     with publish(path) as part:
-        labels = np.lib.format.open_memmap(part, "w+", np.float32, (len(places), 3, *grid.shape))
-        opened, array = None, None
+        opened, array, written = None, None, None
         for at, (number, index) in enumerate(places):
             if number != opened:
-                opened, array = number, read_labels(shards[number][0]).label
-            if array.shape[2:] != grid.shape:
+                found = read_labels(shards[number][0])
+                opened, array = number, found.label if name == "label" else found.fields.get(name)
+            if array is None:
+                raise BadInput(f"{shards[number][0]}: has no {name}, which other shards have; make labels again")
+            if array.shape[-2:] != grid.shape:
                 raise BadInput(
-                    f"{shards[number][0]}: labels of {array.shape[2:]} cells, asked for {grid}; make labels again"
+                    f"{shards[number][0]}: labels of {array.shape[-2:]} cells, asked for {grid}; make labels again"
                 )
-            labels[at] = array[index]
-        labels.flush()
+            if written is None:
+                written = np.lib.format.open_memmap(part, "w+", np.float32, (len(places), *array.shape[1:]))
+            written[at] = array[index]
+        written.flush()
+
+
+def write_fields(folder: Path, shards, places, grid: Grid) -> None:
+    """Write what the labels hold beside forces, one array each; those that they no longer hold go."""
+    held = read_labels(shards[places[0][0]][0]).fields
+    for name in FIELDS:
+        if name in held:
+            write_label_array(folder / f"{name}.npy", shards, places, grid, name)
+        else:
+            (folder / f"{name}.npy").unlink(missing_ok=True)
 
 
 def training_ranges(folder: Path, splits: np.ndarray) -> dict:
@@ -245,7 +259,9 @@ def build(args) -> dict:
         unseen_indenters(read_json(args.catalogue), settings), settings,
     )  # fmt: skip
     folder = args.out.parent
-    write_label_array(folder / "labels.npy", shards, [each.place for each in found], grid)
+    places = [each.place for each in found]
+    write_label_array(folder / "labels.npy", shards, places, grid)
+    write_fields(folder, shards, places, grid)
     share_images(folder, args.data, presses, size)
     write_samples(folder, found, splits, groups)
     write_json(folder / "normalisation.json", training_ranges(folder, splits))

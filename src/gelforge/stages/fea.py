@@ -11,24 +11,21 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import publish, read_json, write_csv, write_json
+from gelforge.flow.files import publish, read_json, write_json
 from gelforge.flow.main import command, option
 from gelforge.flow.params import canonical
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import load_gel
 from gelforge.mechanics.family import MeshFamily, mesh_names
 from gelforge.mechanics.fidelity import FeaSettings, Solvers
-from gelforge.mechanics.scene import Interface, Material, Scene
+from gelforge.mechanics.scene import Interface, Material, Result, Scene
+from gelforge.records.frames import presses_of
 from gelforge.records.log import read_poses
-from gelforge.records.press import FORCE, POSE, PosedPress
+from gelforge.records.press import POSE, PosedPress
+from gelforge.records.solvetable import Solved, write_solves
 from gelforge.records.status import Status
 
 VERSION = 5
-EVIDENCE = (
-    "rung", "rounds", "newton_iterations", "load_steps", "seconds", "kinematics_seconds", "peak_mib",
-    "equilibrium_residual", "base_mismatch", "penetration_mm", "pulling_fraction", "engine_difference",
-)  # fmt: skip
-COLUMNS = ("sample_id", "status", "reason", "fidelity", "mesh", "file", *FORCE, *EVIDENCE)
 
 
 def scene_of(press: PosedPress, bodies: dict, sensors: dict, params: dict) -> Scene:
@@ -59,15 +56,13 @@ def finished(folder: Path, sample_id: str, key: str) -> dict | None:
     return record if whole else None
 
 
-def solve_sample(sample_id: str, scene: Scene, solvers: Solvers, key: str, folder: Path) -> dict:
-    """Solve one sample and publish its files, the record last."""
-    fidelity = solvers.settings.fidelity
-    result = solvers.solve(scene, fidelity)
+def publish_solve(sample_id: str, result: Result, solvers: Solvers, key: str, folder: Path) -> dict:
+    """Publish the files of one solved sample, its record last; return the record."""
     evidence = {k: v for k, v in result.evidence.items() if _plain(v)}
     record = {
         "key": key, "sample_id": sample_id, "status": result.status.name, "mesh": evidence.get("mesh", ""),
         "reason": "" if result.status.valid else str(evidence.get("reason") or result.status.value),
-        "fidelity": evidence.get("fidelity", fidelity), "total": result.total.tolist(),
+        "fidelity": evidence.get("fidelity", solvers.settings.fidelity), "total": result.total.tolist(),
         "evidence": evidence, "files": [],
     }  # fmt: skip
     if result.status.valid:
@@ -110,44 +105,56 @@ def _plain(value) -> bool:
     return True
 
 
-def table_row(record: dict, folder: Path) -> dict:
-    """One row of the shard's table."""
-    evidence = record["evidence"]
-    row = {column: evidence.get(column, "") for column in EVIDENCE}
-    row |= {k: record[k] for k in ("sample_id", "status", "reason", "fidelity", "mesh")}
-    row |= dict(zip(FORCE, (f"{f:.6g}" for f in record["total"]), strict=True))
-    return row | {"file": f"{folder.name}/{record['files'][-1]}" if record["files"] else ""}
+def solved(record: dict, press: PosedPress, folder: Path) -> Solved:
+    """The row of the shard's table that a sample's record makes."""
+    file = f"{folder.name}/{record['files'][-1]}" if record["files"] else ""
+    return Solved(
+        record["sample_id"], Status[record["status"]], record["reason"], record["fidelity"], record["mesh"], file,
+        tuple(record["total"]), record["evidence"], press.press_id,
+    )  # fmt: skip
 
 
-def run_shard(poses: Path, meshes: Path, params: dict, tables: dict, bodies: dict, folder: Path) -> list[dict]:
-    """Solve what is missing of a shard; records in the order of the pose table."""
+def run_shard(poses: Path, meshes: Path, params: dict, tables: dict, bodies: dict, folder: Path) -> list[Solved]:
+    """Solve what is missing of a shard, frames of a press together; rows in the order of the pose table."""
     presses = read_poses(poses)
     # only the meshes asked for: one that another setting left behind must not be chosen
     family = MeshFamily(meshes, mesh_names(params["fea"]))
     folder.mkdir(parents=True, exist_ok=True)
     for stale in folder.glob(".work-*"):
         shutil.rmtree(stale, ignore_errors=True)
-    records, solved = [], {}
+    records, known = {}, {}
     with tempfile.TemporaryDirectory(prefix=".work-", dir=folder) as work:
         solvers = Solvers(family, work, FeaSettings.from_table(params["fea"]))
-        for press in progress(presses, f"fea {folder.name}"):
-            key = sample_key(press, params, tables, family)
-            record = finished(folder, press.sample_id, key)
-            scene = scene_of(press, bodies, tables["sensors"], params)
-            same = (scene.gel.name, press.indenter, scene.press)
-            if record is None:
-                try:
-                    if same in solved:
-                        record = borrow(solved[same], press.sample_id, key, folder)
-                    else:
-                        record = solve_sample(press.sample_id, scene, solvers, key, folder)
-                except OSError as error:
-                    raise BadInput(
-                        f"{folder}: sample {press.sample_id}: {error}; free space or mend the folder and"
-                        " run make again, it resumes at this sample"
-                    ) from error
-            records.append(record)
-            solved[same] = record
+        for frames in progress(presses_of(presses), f"fea {folder.name}"):
+            keys = [sample_key(press, params, tables, family) for press in frames]
+            scenes = [scene_of(press, bodies, tables["sensors"], params) for press in frames]
+            try:
+                found = run_press(frames, keys, scenes, solvers, known, folder)
+            except OSError as error:
+                raise BadInput(
+                    f"{folder}: sample {frames[0].sample_id}: {error}; free space or mend the folder and"
+                    " run make again, it resumes at this sample"
+                ) from error
+            records |= {record["sample_id"]: record for record in found}
+    return [solved(records[press.sample_id], press, folder) for press in presses]
+
+
+def run_press(frames: list[PosedPress], keys: list[str], scenes: list[Scene], solvers: Solvers, known: dict,
+              folder: Path) -> list[dict]:  # fmt: skip
+    """Records of the frames of one press: those finished before, borrowed ones, and the rest from one solve.
+
+    known: record of each scene met in this shard, which grows: several sensors may have seen a press.
+    """
+    same = [(scene.gel.name, press.indenter, scene.press) for press, scene in zip(frames, scenes, strict=True)]
+    records = [finished(folder, press.sample_id, key) for press, key in zip(frames, keys, strict=True)]
+    for at, press in enumerate(frames):
+        if records[at] is None and same[at] in known:
+            records[at] = borrow(known[same[at]], press.sample_id, keys[at], folder)
+    missing = [at for at, record in enumerate(records) if record is None]
+    results = solvers.solve_frames([scenes[at] for at in missing], solvers.settings.fidelity) if missing else []
+    for at, result in zip(missing, results, strict=True):
+        records[at] = publish_solve(frames[at].sample_id, result, solvers, keys[at], folder)
+    known |= dict(zip(same, records, strict=True))
     return records
 
 
@@ -168,12 +175,12 @@ def main(args: Namespace) -> None:
         name: build(name, tables["indenters"][name], "indenter catalogue", args.workflow) for name in sorted(wanted)
     }
     folder = args.out.parent / args.out.name.removesuffix(".part").removesuffix(".csv")
-    records = run_shard(args.poses, args.meshes, params, tables, bodies, folder)
-    write_csv(args.out, COLUMNS, [table_row(record, folder) for record in records])
-    for record in records:
-        if not Status[record["status"]].valid:
-            print(f"failed: {record['sample_id']}: {record['status']}, {record['reason']}")
-    counts = {name: n for name in Status.__members__ if (n := sum(r["status"] == name for r in records))}
+    solves = run_shard(args.poses, args.meshes, params, tables, bodies, folder)
+    write_solves(args.out, solves)
+    for solve in solves:
+        if not solve.status.valid:
+            print(f"failed: {solve.sample_id}: {solve.status.name}, {solve.reason}")
+    counts = {state.name: n for state in Status if (n := sum(solve.status is state for solve in solves))}
     print(json.dumps(counts))
 
 

@@ -5,18 +5,20 @@ import json
 import zlib
 from argparse import Namespace
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import read_csv, read_json
+from gelforge.flow.files import read_json
 from gelforge.flow.main import command, option
 from gelforge.mechanics.ccx.dat import DatError, last_table, read_dat
 from gelforge.mechanics.family import mesh_loader
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.scene import REFERENCE_C10
 from gelforge.records.forcefile import SampleForces, write_forces
+from gelforge.records.solvetable import Solved, read_solves
 from gelforge.records.status import Status
 
 VERSION = 1
@@ -47,16 +49,16 @@ def dat_forces(text: str, mesh: GelMesh, noise: float, mismatch: float) -> tuple
     return Status.OK, "", forces, displacement
 
 
-def read_sample(row: dict, folder: Path, load: Callable[[str], GelMesh], table: dict) -> tuple[SampleForces, str]:
+def read_sample(solve: Solved, folder: Path, load: Callable[[str], GelMesh], table: dict) -> tuple[SampleForces, str]:
     """Forces of one row of 30_fea's table at the reference C10, and the reason where there are none.
 
     load: gives the mesh of a name.
     """
-    status = Status[row["status"]]
+    status, reason = solve.status, solve.reason
     if not status.valid:
-        return SampleForces.failed(row["sample_id"], row["status"], row["mesh"]), row["reason"]
-    mesh = load(row["mesh"])
-    path = folder / row["file"]
+        return SampleForces.failed(solve.sample_id, status.name, solve.mesh, solve.press_id), reason
+    mesh = load(solve.mesh)
+    path = folder / solve.file
     reason = ""
     try:
         if path.suffix == ".gz":
@@ -68,8 +70,9 @@ def read_sample(row: dict, folder: Path, load: Callable[[str], GelMesh], table: 
     except (OSError, EOFError, ValueError, KeyError, zlib.error) as error:
         status, reason = Status.UNREADABLE, f"{path}: {error}"
     if not status.valid:
-        return SampleForces.failed(row["sample_id"], status.name, row["mesh"]), reason
-    return SampleForces(row["sample_id"], status.name, row["mesh"], mesh.surface_nodes, force, displacement), ""
+        return SampleForces.failed(solve.sample_id, status.name, solve.mesh, solve.press_id), reason
+    top = mesh.surface_nodes
+    return SampleForces(solve.sample_id, status.name, solve.mesh, top, force, displacement, solve.press_id), ""
 
 
 def material_c10(c10, calibration: Path | None) -> tuple[float, dict]:
@@ -102,13 +105,12 @@ def main(args: Namespace) -> None:
     c10, intervals = material_c10(params["material"]["c10"], args.calibration)
     load = mesh_loader(args.meshes)
     samples, counts = [], {}
-    for row in read_csv(args.fea):
-        sample, reason = read_sample(row, args.fea.parent, load, params["forces"])
+    for solve in read_solves(args.fea):
+        sample, reason = read_sample(solve, args.fea.parent, load, params["forces"])
         if reason:
             print(f"{sample.sample_id}: {sample.status}: {reason}")
         # At a fixed Poisson's ratio and prescribed motion every force is proportional to C10.
-        samples.append(SampleForces(sample.sample_id, sample.status, sample.mesh, sample.nodes,
-                                    sample.force * (c10 / REFERENCE_C10), sample.displacement))  # fmt: skip
+        samples.append(replace(sample, force=sample.force * (c10 / REFERENCE_C10)))
         counts[sample.status] = counts.get(sample.status, 0) + 1
     write_forces(args.out, samples, c10, intervals)
     print(json.dumps(counts))

@@ -1,7 +1,7 @@
 """Stage 50: nodal forces of a shard to force per cell of an image grid."""
 
 from argparse import Namespace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -13,16 +13,19 @@ from gelforge.flow.progress import progress
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import Operator, assemble, cached
 from gelforge.labelling.sensor import find_sensor, load_sensors
+from gelforge.labelling.surface import SurfaceMap, surface_map, traction
 from gelforge.mechanics.family import load_mesh, mesh_file
 from gelforge.mechanics.hex.bricks import is_bricks
-from gelforge.records.axes import CHANNEL_OF_AXIS
+from gelforge.mechanics.mesh import GelMesh
+from gelforge.records.axes import AXIS_OF_CHANNEL, CHANNEL_OF_AXIS
 from gelforge.records.forcefile import ForceFile
-from gelforge.records.labelfile import open_labels, to_float32, write_labels
+from gelforge.records.labelfile import Stream, open_labels, to_float32, write_labels
 from gelforge.records.log import read_poses
 from gelforge.records.status import Status
 from gelforge.stages.plan import planned_shards
 
 VERSION = 1
+CHANNELS = ("force", "displacement", "traction", "traction_deformed")  # of [labels] channels
 KEPT = 64  # operators in memory
 BLOCK_BYTES = 64 * 2**20  # of float64 cells held at a time
 
@@ -71,15 +74,84 @@ def label_blocks(forces: ForceFile, operators: list, grid: Grid, outside: np.nda
         yield label
 
 
-def label_shard(forces_path, poses_path, find_operator, grid: Grid, out) -> dict:
+class Finder:
+    """Operators and surface maps of a folder of meshes at one resolution, the last ones kept in memory.
+
+    Operators of mesh files are also kept below `folder`. Bricks follow the press: nearly every press has its own, and
+    its operator takes a fiftieth of a second, so that no file is worth it.
+    """
+
+    def __init__(self, meshes, sensors: dict, grid: Grid, folder, where: str):
+        self.meshes, self.sensors, self.grid, self.folder, self.where = meshes, sensors, grid, folder, where
+        self.operator, self.fields = lru_cache(KEPT)(self._operator), lru_cache(KEPT)(self._fields)
+
+    def _operator(self, mesh: str, sensor: str) -> Operator:
+        unit = find_sensor(self.sensors, sensor, self.where)
+        if is_bricks(mesh):
+            return assemble(load_mesh(self.meshes, mesh), unit, self.grid)
+        return cached(self.folder, mesh_file(self.meshes, mesh), unit, self.grid)
+
+    def _fields(self, name: str, sensor: str) -> tuple[SurfaceMap, Operator, GelMesh]:
+        mesh = load_mesh(self.meshes, name)
+        surface = surface_map(mesh, find_sensor(self.sensors, sensor, self.where), self.grid)
+        return surface, self.operator(name, sensor), mesh
+
+
+def field_streams(forces: ForceFile, find_maps: list, grid: Grid, channels) -> dict[str, Stream]:
+    """Fields beside the forces that `channels` asks for, by name of their array: shape, and blocks of one sample each.
+
+    find_maps has for each sample a function without arguments that gives its `SurfaceMap` and the `Operator` of its
+    forces, None where it has no state: then a field is NaN.
+    """
+    n = len(forces)
+
+    def each(shape, of_sample):
+        for at in range(n):
+            if find_maps[at] is None:
+                yield np.full((1, *shape, *grid.shape), np.nan, np.float32)
+                continue
+            surface, operator, mesh = find_maps[at]()
+            sample = forces.sample(at, mesh.surface_nodes)
+            moved = np.zeros_like(mesh.nodes)
+            moved[sample.nodes] = sample.displacement
+            force = operator.apply([0, len(sample.nodes)], sample.nodes, sample.force)[0][0]
+            yield of_sample(surface, moved, force).astype(np.float32)[None]
+
+    order = list(AXIS_OF_CHANNEL)
+    made = {
+        "displacement": {"displacement": ((3,), lambda s, moved, force: s.displacement(moved)[order])},
+        "traction": {
+            "traction": ((3,), lambda s, moved, force: traction(force, s.area())[order]),
+            "area": ((), lambda s, moved, force: s.area()),
+        },
+        "traction_deformed": {
+            "traction_deformed": ((3,), lambda s, moved, force: traction(force, s.area(moved))[order]),
+            "area_deformed": ((), lambda s, moved, force: s.area(moved)),
+        },
+    }
+    wanted = {name: how for channel in channels if channel != "force" for name, how in made[channel].items()}
+    return {name: ((n, *shape, *grid.shape), each(shape, of)) for name, (shape, of) in wanted.items()}
+
+
+def check_channels(channels) -> tuple[str, ...]:
+    """[labels] channels as a tuple; an unknown one, or a list without force, raises BadInput."""
+    known = isinstance(channels, list) and all(channel in CHANNELS for channel in channels)
+    if not known or "force" not in channels or len(set(channels)) < len(channels):
+        raise BadInput(
+            f'[labels] channels = {channels!r}; write a list of "force" and any of {", ".join(CHANNELS[1:])}'
+        )
+    return tuple(channels)
+
+
+def label_shard(forces_path, poses_path, find: Finder, grid: Grid, out, channels=("force",)) -> dict:
     """Write the labels of one shard to `out` and return a summary of it.
 
-    find_operator(mesh name, sensor name) gives the operator. Forces that are not finite, a sample without
+    find.operator(mesh name, sensor name) gives the operator. Forces that are not finite, a sample without
     a pose, and a mesh or sensor that is missing raise BadInput with the file and the sample.
     """
     sensor_of = {press.sample_id: press.sensor_id for press in read_poses(poses_path)}
     with ForceFile(forces_path) as forces:
-        operators = [_operator_of(forces, i, sensor_of, find_operator, poses_path) for i in range(len(forces))]
+        operators = [_operator_of(forces, i, sensor_of, find.operator, poses_path) for i in range(len(forces))]
         if not np.isfinite(forces.force).all():
             raise BadInput(
                 f"{forces_path}: sample {_first_bad(forces)} has forces that are not finite;"
@@ -91,7 +163,12 @@ def label_shard(forces_path, poses_path, find_operator, grid: Grid, out) -> dict
         if forces.press_id.any():
             others["press_id"] = forces.press_id
         blocks = label_blocks(forces, operators, grid, outside)
-        write_labels(out, blocks, (len(forces), 3, *grid.shape), {**others, **forces.intervals})
+        maps = [
+            partial(find.fields, str(mesh), sensor_of.get(str(name), "")) if moved else None
+            for mesh, name, moved in zip(forces.mesh, forces.sample_id, np.diff(forces.surface_ptr) > 0, strict=True)
+        ]
+        fields = field_streams(forces, maps, grid, channels)
+        write_labels(out, blocks, (len(forces), 3, *grid.shape), {**others, **forces.intervals}, fields)
         return summarise(forces, outside)
 
 
@@ -122,27 +199,10 @@ def summarise(forces: ForceFile, outside: np.ndarray) -> dict:
     }
 
 
-def operator_finder(meshes, sensors: dict, grid: Grid, folder, where: str):
-    """A function (mesh name, sensor name) -> Operator that keeps the last ones in memory.
-
-    Those of mesh files are also kept below `folder`. Bricks follow the press: nearly every press has its own, and
-    its operator takes a fiftieth of a second, so that no file is worth it.
-    """
-
-    @lru_cache(maxsize=KEPT)
-    def find(mesh: str, sensor: str) -> Operator:
-        unit = find_sensor(sensors, sensor, where)
-        if is_bricks(mesh):
-            return assemble(load_mesh(meshes, mesh), unit, grid)
-        return cached(folder, mesh_file(meshes, mesh), unit, grid)
-
-    return find
-
-
-def label_folder(args, grid: Grid, sensors: dict) -> dict:
+def label_folder(args, grid: Grid, sensors: dict, channels) -> dict:
     """Label every shard of a dataset whose labels are older than what they are made of; return a summary."""
     folder = args.out.parent
-    find = operator_finder(args.meshes, sensors, grid, folder / "operators", str(args.poses))
+    find = Finder(args.meshes, sensors, grid, folder / "operators", str(args.poses))
     shards = planned_shards(args.shards)
     if not shards:
         raise BadInput(f"{args.shards}: holds no shards; run make, which plans them")
@@ -153,7 +213,7 @@ def label_folder(args, grid: Grid, sensors: dict) -> dict:
         if up_to_date(out, forces, poses, args.sensors, args.params):
             found = summary_of(out, forces)
         else:
-            found = label_shard(forces, poses, find, grid, out)
+            found = label_shard(forces, poses, find, grid, out, channels)
         totals = {
             **totals,
             "samples": totals["samples"] + found["samples"],
@@ -201,12 +261,13 @@ def report(summary: dict, largest_share: float) -> None:
 def main(args: Namespace) -> None:
     grid, sensors = Grid.parse(args.resolution), load_sensors(args.sensors)
     params = read_json(args.params)["labels"]
+    channels = check_channels(params.get("channels", ["force"]))
     if args.shards:
-        summary = label_folder(args, grid, sensors)
+        summary = label_folder(args, grid, sensors, channels)
         write_json(args.out, summary)
     else:
-        find = operator_finder(args.meshes, sensors, grid, args.out.parent / "operators", str(args.poses))
-        summary = {"resolution": str(grid), **label_shard(args.forces, args.poses, find, grid, args.out)}
+        find = Finder(args.meshes, sensors, grid, args.out.parent / "operators", str(args.poses))
+        summary = {"resolution": str(grid), **label_shard(args.forces, args.poses, find, grid, args.out, channels)}
     report(summary, params["largest_outside_share"])
 
 

@@ -1,0 +1,150 @@
+"""What the gel's surface does in each cell of the image: mean displacement, and area before and after.
+
+A cell is a piece of the gel's surface, the one that it shows before the gel is touched: that piece is followed. Means
+and areas are linear maps of what the nodes do, from the same clipped parts of faces that spread forces
+(`labelling.operator`), so that traction times area is the force of a cell.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gelforge.labelling.clip import clip_to_grid, polygon_area
+from gelforge.labelling.grid import Grid
+from gelforge.labelling.operator import CORNERS, face_parts, part_to_cell
+from gelforge.labelling.sensor import Sensor, transform
+from gelforge.mechanics.mesh import GelMesh
+
+NEWTON_STEPS = 8  # of the inverse of a bilinear map: doubles its digits each
+
+
+@dataclass(frozen=True)
+class SurfaceMap:
+    """Linear maps of one mesh seen by one sensor on one grid.
+
+    mean: CSR (cells, nodes), rows sum to one, empty where a cell shows no gel. share: CSR (parts, cells + 1), of each
+    part's area in each cell. corners: (parts, triangles, 3) points as rows of `weights`, CSR (points, nodes).
+    """
+
+    grid: Grid
+    nodes: np.ndarray
+    mean: Any
+    share: Any
+    weights: Any
+    corners: np.ndarray
+
+    def displacement(self, moved: np.ndarray) -> np.ndarray:
+        """Mean of a displacement (nodes, 3) over each cell, (3, rows, cols) along gel x, y, z; NaN without gel."""
+        found = self.mean @ moved
+        found[np.diff(self.mean.indptr) == 0] = np.nan
+        return found.T.reshape(3, *self.grid.shape)
+
+    def area(self, moved: np.ndarray | None = None) -> np.ndarray:
+        """Area (rows, cols) mm^2 of the surface in each cell, after a displacement (nodes, 3) where one is given."""
+        points = (self.weights @ (self.nodes if moved is None else self.nodes + moved))[self.corners]
+        normal = np.cross(points[:, :, 1] - points[:, :, 0], points[:, :, 2] - points[:, :, 0])
+        parts = 0.5 * np.linalg.norm(normal, axis=2).sum(axis=1)
+        return (parts @ self.share)[:-1].reshape(self.grid.shape)
+
+
+def traction(force: np.ndarray, area: np.ndarray) -> np.ndarray:
+    """Force per cell (3, rows, cols) N over its area (rows, cols) mm^2, in kPa; NaN where a cell shows no gel."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(area > 0, 1e3 * force / area, np.nan)
+
+
+def surface_map(mesh: GelMesh, sensor: Sensor, grid: Grid) -> SurfaceMap:
+    """Build the maps of `mesh` seen by `sensor` on `grid`."""
+    parts, areas = face_parts(mesh)
+    weights, corners = _corners(mesh)
+    return SurfaceMap(
+        grid, mesh.nodes, _mean(mesh, parts, areas, sensor, grid), part_to_cell(parts, areas, sensor, grid),
+        weights, corners,
+    )  # fmt: skip
+
+
+def _corners(mesh: GelMesh) -> tuple[Any, np.ndarray]:
+    """Points of the triangles of every part: CSR (points, nodes), and their numbers (parts, triangles, 3)."""
+    from scipy.sparse import csr_matrix
+
+    k = CORNERS[mesh.kind]
+    # a second-order triangle's middle by its quadratic shape functions: -1/9 a corner, 4/9 a midside node
+    unit = np.eye(mesh.faces.shape[1])
+    if mesh.kind == "tet10":
+        corner, side, middle = unit[:3], unit[3:6], np.repeat([-1 / 9, 4 / 9], 3)
+        pattern = [[i, k + i, 2 * k] for i in range(k)], [[k + i, (i + 1) % k, 2 * k] for i in range(k)]
+    else:
+        corner, side, middle = unit, (unit + np.roll(unit, -1, axis=0)) / 2, np.full(k, 1 / k)
+        pattern = [[i, k + i, 2 * k] for i in range(k)], [[i, 2 * k, k + (i - 1) % k] for i in range(k)]
+    local = np.vstack([corner, side, middle])
+    faces = len(mesh.faces)
+    rows = np.repeat(np.arange(faces * len(local)), local.shape[1])
+    entries = (np.tile(local.ravel(), faces), (rows, np.repeat(mesh.faces, len(local), axis=0).ravel()))
+    weights = csr_matrix(entries, shape=(faces * len(local), len(mesh.nodes)))
+    own = np.stack(pattern, axis=1)
+    return weights, (np.arange(faces)[:, None, None, None] * len(local) + own).reshape(-1, 2, 3)
+
+
+def _mean(mesh: GelMesh, parts: np.ndarray, areas: np.ndarray, sensor: Sensor, grid: Grid) -> Any:
+    """CSR (cells, nodes): mean over each cell of what shape functions interpolate, by the middle of each clipped piece."""
+    from scipy.sparse import csr_matrix
+
+    polygons, k = parts.reshape(-1, *parts.shape[2:]), areas.shape[1]
+    real = np.flatnonzero(areas.ravel() > 0)
+    pixels, back = sensor.project(polygons[real]), np.linalg.inv(sensor.projection)
+    low = polygons[real].min(axis=(0, 1), initial=0.0) - 1.0
+
+    def moment(axis: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        def measure(piece: np.ndarray) -> np.ndarray:
+            flat = transform(back, piece)
+            return polygon_area(flat) * (_middle(flat)[:, axis] - low[axis])
+
+        return clip_to_grid(pixels, grid.shape, sensor.image, measure)
+
+    found, cell, area = clip_to_grid(pixels, grid.shape, sensor.image, lambda p: polygon_area(transform(back, p)))
+    middle = np.stack([moment(axis)[2] / area + low[axis] for axis in (0, 1)], axis=1)
+    face = real[found] // k
+    shapes = _shapes(mesh, face, middle)
+    entries = (area[:, None] * shapes).ravel(), (np.repeat(cell, shapes.shape[1]), mesh.faces[face].ravel())
+    total = csr_matrix(entries, shape=(grid.cells, len(mesh.nodes)))
+    size = np.bincount(cell, area, grid.cells)
+    total.data /= np.repeat(np.maximum(size, np.finfo(float).tiny), np.diff(total.indptr))
+    return total
+
+
+def _middle(polygons: np.ndarray) -> np.ndarray:
+    """Centroids (m, 2) of convex polygons (m, k, 2); of vanishing ones the mean of the corners."""
+    first = polygons[:, :1]
+    local = polygons - first
+    following = np.roll(local, -1, axis=1)
+    cross = local[..., 0] * following[..., 1] - following[..., 0] * local[..., 1]
+    double = cross.sum(axis=1)
+    mean = local.mean(axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = ((local + following) * cross[..., None]).sum(axis=1) / (3.0 * double[:, None])
+    inside = np.isfinite(found) & (found >= local.min(axis=1)) & (found <= local.max(axis=1))
+    return np.where(inside.all(axis=1)[:, None], found, mean) + first[:, 0]
+
+
+def _shapes(mesh: GelMesh, face: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Shape functions (m, nodes of a face) of faces at points (m, 2) of the gel's plane; they sum to one."""
+    corners = mesh.nodes[mesh.faces[face][:, : CORNERS[mesh.kind]]][..., :2]
+    if mesh.kind == "tet10":
+        edges = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2)
+        inner = np.linalg.solve(edges, (points - corners[:, 0])[..., None])[..., 0]
+        share = np.column_stack([1.0 - inner.sum(axis=1), inner])
+        return np.hstack([share * (2.0 * share - 1.0), 4.0 * share * np.roll(share, -1, axis=1)])
+    place = np.zeros_like(points)
+    for _ in range(NEWTON_STEPS):
+        value, slope = _bilinear(place)
+        wrong = np.einsum("mk,mkd->md", value, corners) - points
+        place -= np.linalg.solve(np.einsum("mke,mkd->mde", slope, corners), wrong[..., None])[..., 0]
+    return _bilinear(place)[0]
+
+
+def _bilinear(place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Bilinear shape functions (m, 4) at (xi, eta) (m, 2), and their slopes (m, 4, 2)."""
+    side = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    along = 1.0 + side * place[:, None, :]
+    return along.prod(axis=2) / 4.0, side * along[..., ::-1] / 4.0

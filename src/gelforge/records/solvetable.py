@@ -1,0 +1,71 @@
+"""The table of stage 30: how each press of a shard was solved, one row a press."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from gelforge.errors import BadInput
+from gelforge.flow.files import read_csv, write_csv
+from gelforge.records.press import FORCE, parse_number
+from gelforge.records.status import Status
+
+EVIDENCE = (
+    "rung", "rounds", "newton_iterations", "load_steps", "seconds", "kinematics_seconds", "peak_mib",
+    "equilibrium_residual", "base_mismatch", "penetration_mm", "pulling_fraction", "engine_difference",
+)  # fmt: skip
+NAMES = ("sample_id", "status", "reason", "fidelity", "mesh", "file")
+COLUMNS = (*NAMES, *FORCE, *EVIDENCE)
+
+
+@dataclass(frozen=True)
+class Solved:
+    """How one press was solved.
+
+    total: force on the gel, (3,) N at the reference C10. file: its output below the folder of the table, empty where
+    there is none. evidence: cells of EVIDENCE as the solve gave them.
+    """
+
+    sample_id: str
+    status: Status
+    reason: str
+    fidelity: str
+    mesh: str
+    file: str
+    total: tuple[float, float, float]
+    evidence: dict[str, object]
+    press_id: str = ""
+
+    def cells(self) -> dict[str, object]:
+        """One row of the table."""
+        row: dict[str, object] = {name: getattr(self, name) for name in NAMES} | {"status": self.status.name}
+        row |= dict(zip(FORCE, (f"{force:.6g}" for force in self.total), strict=True))
+        return row | {name: self.evidence.get(name, "") for name in EVIDENCE} | {"press_id": self.press_id}
+
+
+def write_solves(path: str | Path, solves: Sequence[Solved]) -> None:
+    """Write the table, whole or not at all; press_id only where a press has one."""
+    columns = [*COLUMNS, *["press_id"] * any(solve.press_id for solve in solves)]
+    rows = [solve.cells() for solve in solves]
+    write_csv(path, columns, [{name: row[name] for name in columns} for row in rows])
+
+
+def _force(text: str) -> float | None:
+    """A force of a table; a failed solve may have none."""
+    return math.nan if text in ("", "nan") else parse_number(text)
+
+
+def read_solves(path: str | Path) -> list[Solved]:
+    """Read what `write_solves` wrote; anything else raises BadInput."""
+    found = []
+    for at, row in enumerate(read_csv(path), 2):
+        forces = [_force(row.get(name) or "") for name in FORCE]
+        state = row.get("status") or ""
+        if None in row or state not in Status.__members__ or None in forces or not row.get("sample_id"):
+            raise BadInput(f"{path}: row {at} is no solve of stage 30; delete the file and run make fea")
+        x, y, z = (math.nan if force is None else force for force in forces)
+        names = {name: row.get(name) or "" for name in NAMES if name != "status"}
+        evidence: dict[str, object] = {name: row.get(name) or "" for name in EVIDENCE}
+        found.append(Solved(**names, status=Status[state], total=(x, y, z), evidence=evidence,
+                            press_id=row.get("press_id") or ""))  # fmt: skip
+    return found

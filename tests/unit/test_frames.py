@@ -1,0 +1,167 @@
+"""Frames of one press: checked, kept together in shards and splits, carried into every file."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from press_records import log_line, press_record, write_lines
+from pressed_dataset import PARAMS, collect, label, write_pressed
+
+from gelforge.flow.files import read_csv, write_csv
+from gelforge.networks.split import group_presses, split_presses
+from gelforge.records import log
+from gelforge.records.forcefile import ForceFile, SampleForces, write_forces
+from gelforge.records.frames import check_frames, presses_of
+from gelforge.records.labelfile import read_labels
+from gelforge.records.press import COLUMNS, parse
+from gelforge.records.solvetable import Solved, read_solves, write_solves
+from gelforge.records.status import Status
+from gelforge.stages.plan import assign_shards, write_shards
+
+WITH_ID = (*COLUMNS, "press_id")
+
+
+def frame(at: int, **cells):
+    return press_record(row=at + 2, sample_id=f"f{at}", press_id=cells.pop("press_id", "p1"), **cells)
+
+
+DOWN = [frame(0, dz_mm=-0.5), frame(1, dz_mm=-1.0), frame(2, dz_mm=-1.5)]
+ASIDE = [frame(3, dz_mm=-1.5, dx_mm=0.1, dy_mm=0.2), frame(4, dz_mm=-1.5, dx_mm=0.2, dy_mm=0.4)]
+
+
+def test_a_press_goes_down_and_then_sideways():
+    assert check_frames(DOWN + ASIDE, "log.csv") == []
+
+
+@pytest.mark.parametrize(
+    ("column", "frames", "says"),
+    [
+        ("indenter", [*DOWN, frame(3, dz_mm=-1.8, indenter="bar_5")], "differs"),
+        ("sensor_id", [*DOWN, frame(3, dz_mm=-1.8, sensor_id="other")], "differs"),
+        ("gel_id", [*DOWN, frame(3, dz_mm=-1.8, gel_id="other")], "differs"),
+        ("x0_mm", [*DOWN, frame(3, dz_mm=-1.8, x0_mm=0.5)], "differs"),
+        ("rot_deg", [*DOWN, frame(3, dz_mm=-1.8, rot_deg=10.0)], "differs"),
+        ("dz_mm", [*DOWN, frame(3, dz_mm=-1.2)], "rises"),
+        ("dz_mm", [*DOWN, frame(3, dz_mm=-1.5)], "same point"),
+        ("dz_mm", [*DOWN, *ASIDE, frame(5, dz_mm=-1.9, dx_mm=0.3, dy_mm=0.6)], "deeper after"),
+        ("dy_mm", [*DOWN, *ASIDE, frame(5, dz_mm=-1.5, dx_mm=0.15, dy_mm=0.3)], "goes back"),
+        ("dy_mm", [*DOWN, *ASIDE, frame(5, dz_mm=-1.5, dx_mm=0.6, dy_mm=-0.8)], "leaves the line"),
+    ],
+)
+def test_a_row_that_is_no_later_moment_is_rejected_alone(column, frames, says):
+    wrong = check_frames(frames, "log.csv")
+    assert [(r.row, r.column) for r in wrong] == [(frames[-1].row, column)]
+    assert says in wrong[0].reason and f"row {frames[-2].row}" in wrong[0].remedy
+
+
+def test_rows_without_press_id_are_never_held_against_each_other():
+    alone = [replace(each, press_id="") for each in (*ASIDE, *DOWN)]
+    assert check_frames(alone, "log.csv") == [] and len(presses_of(alone)) == 5
+
+
+def test_axes_read_while_they_move_may_shake():
+    shaking = [replace(each, x0_mm=0.004 * (-1) ** k, dz_mm=each.dz_mm + 0.003 * k) for k, each in enumerate(ASIDE)]
+    assert check_frames(DOWN + shaking, "log.csv") == []
+
+
+@settings(deadline=None)
+@given(
+    st.lists(st.floats(0.05, 1.0), min_size=1, max_size=5), st.lists(st.floats(0.05, 0.5), max_size=5),
+    st.floats(0, 6.28), st.randoms(use_true_random=False),
+)  # fmt: skip
+def test_every_path_down_and_sideways_is_one_press_and_its_reverse_is_not(down, aside, angle, shuffle):
+    steps = [(depth, 0.0) for depth in np.cumsum(down)] + [(sum(down), way) for way in np.cumsum(aside)]
+    path = [frame(k, dz_mm=-depth, dx_mm=way * np.cos(angle), dy_mm=way * np.sin(angle))
+            for k, (depth, way) in enumerate(steps)]  # fmt: skip
+    assert check_frames(path, "log.csv") == []
+    assert len(check_frames(path[::-1], "log.csv")) == len(path) - 1
+    # presses of a log may be mixed: each is judged by its own rows
+    other = [replace(each, press_id="p2", x0_mm=3.0) for each in path]
+    mixed = [each for pair in zip(path, other, strict=True) for each in pair]
+    assert check_frames(mixed, "log.csv") == []
+
+
+def test_the_column_is_optional_and_read(tmp_path):
+    lines = [log_line(WITH_ID, sample_id="a", press_id="p1"), log_line(WITH_ID, sample_id="b")]
+    rows = log.read_log(write_lines(tmp_path / "log.csv", *lines, columns=WITH_ID))
+    assert [parse(row, "log.csv")[0].press_id for row in rows] == ["p1", ""]
+    rows = log.read_log(write_lines(tmp_path / "log.csv", log_line(sample_id="a")))
+    assert parse(rows[0], "log.csv")[0].press_id == "" and "press_id" not in log.shard_text(rows)
+
+
+def test_a_press_id_that_is_no_name_is_rejected(tmp_path):
+    line = log_line(WITH_ID, press_id="a b")
+    _, wrong = parse(log.read_log(write_lines(tmp_path / "log.csv", line, columns=WITH_ID))[0], "log.csv")
+    assert [r.column for r in wrong] == ["press_id"]
+
+
+@given(st.lists(st.integers(0, 6), min_size=1, max_size=60), st.integers(1, 5), st.integers(0, 60))
+def test_frames_of_a_press_share_a_shard_and_keep_it(presses, size, first):
+    ids = [f"s{k}" for k in range(len(presses))]
+    press_of = {name: f"p{p}" for name, p in zip(ids, presses, strict=True) if p}
+    early = assign_shards(ids[:first], {}, size, press_of)
+    shards = assign_shards(ids, early, size, press_of)
+    assert {name: shards[name] for name in ids[:first]} == early
+    for press in set(press_of.values()):
+        assert len({shards[name] for name in ids if press_of.get(name) == press}) == 1
+
+
+def test_the_plan_keeps_frames_together(tmp_path):
+    ids = ["a", "b", "a", "c", "a", "b"]
+    lines = [log_line(WITH_ID, sample_id=f"s{k}", press_id=press) for k, press in enumerate(ids)]
+    path = write_lines(tmp_path / "log.csv", *lines, columns=WITH_ID)
+    names = write_shards(path, tmp_path, 2)
+    held = [{row.cells["press_id"] for row in log.read_shard(tmp_path / f"shards/{name}.csv")} for name in names]
+    assert sum(map(len, held)) == 3
+
+
+def test_no_press_is_on_two_sides_of_a_split():
+    """Frames far apart, as of a bench that films a press whose place drifts, are still one press."""
+    rng = np.random.default_rng(3)
+    presses = [press_record(sample_id=f"s{k}", press_id=f"p{k // 6}", x0_mm=rng.uniform(-9, 9), y0_mm=rng.uniform(-9, 9))
+               for k in range(300)]  # fmt: skip
+    settings = PARAMS["dataset"]["dataset"]
+    split, group = split_presses(presses, rng.uniform(0, 9, 300), set(), settings)
+    for k in range(0, 300, 6):
+        assert len(set(split[k : k + 6])) == len(set(group[k : k + 6])) == 1
+    assert {"train", "val", "test"} <= set(split)
+    assert len(set(group_presses([replace(p, press_id="") for p in presses], 1e-6, 1e-6))) == 300
+
+
+def test_files_carry_the_press(tmp_path):
+    solves = [Solved("a", Status.OK, "", "hex", "m", "f", (0.0, 0.1, -1.0), {"seconds": 1.5}, "p1"),
+              Solved("b", Status.DIVERGED, "why", "hex", "m", "", (np.nan, 0.0, 0.0), {}, "")]  # fmt: skip
+    write_solves(tmp_path / "fea.csv", solves)
+    back = read_solves(tmp_path / "fea.csv")
+    assert [(s.sample_id, s.status, s.press_id) for s in back] == [("a", Status.OK, "p1"), ("b", Status.DIVERGED, "")]
+    write_solves(tmp_path / "plain.csv", [replace(solves[0], press_id="")])
+    assert "press_id" not in read_csv(tmp_path / "plain.csv")[0]
+    write_forces(tmp_path / "f.npz", [SampleForces.failed("a", "DIVERGED", "m", "p1")], 0.07)
+    with ForceFile(tmp_path / "f.npz") as forces:
+        assert forces.press_id.tolist() == ["p1"]
+
+
+def test_labels_and_dataset_carry_the_press(tmp_path, root, monkeypatch):
+    monkeypatch.chdir(root)
+    made = write_pressed(tmp_path, count=24)
+    # give the force files and pose tables of stages 10 and 40 presses of six frames
+    for shard in ("0000", "0001", "0002"):
+        table = made["results"] / "10_poses" / f"{shard}.csv"
+        rows = read_csv(table)
+        for row in rows:
+            row["press_id"] = f"p{int(row['sample_id'][1:]) // 6}"
+        write_csv(table, list(rows[0]), rows)
+        path = made["results"] / "40_forces" / f"{shard}.npz"
+        with np.load(path) as file:
+            arrays = dict(file)
+        np.savez(path, **arrays, press_id=np.array([row["press_id"] for row in rows]))
+    folder = label(made, "6x8")
+    assert read_labels(folder / "0001.npz").press_id.tolist() == ["p1"] * 4 + ["p2"] * 4
+    rows = read_csv(collect(made, "6x8") / "samples.csv")
+    by_press = {}
+    for row in rows:
+        assert row["press_id"] == f"p{int(row['sample_id'][1:]) // 6}"
+        by_press.setdefault((row["press_id"], row["indenter"] == "triangle_8"), set()).add(row["split"])
+    assert all(len(splits) == 1 for splits in by_press.values())

@@ -1,0 +1,392 @@
+"""Files of others: what cannot be used is refused in a sentence, quickly, and keeps no good sample out."""
+
+import io
+import json
+import os
+import signal
+import struct
+import subprocess
+import sys
+import zipfile
+import zlib
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from press_records import log_line, press_record, write_lines
+
+from gelforge.calibration.readings import read_readings
+from gelforge.commands import look, predict, sample
+from gelforge.commands.projection import read_picture
+from gelforge.errors import BadInput, GelforgeError, printable
+from gelforge.formats.numpy_pickle import read_npy
+from gelforge.networks.modelfile import encode, load_model
+from gelforge.records import log
+from gelforge.records.image import bad_image, read_image
+from gelforge.records.labelfile import read_labels
+from gelforge.records.press import COLUMNS, RawRow, parse
+from gelforge.stages.calibrate import load_rejected
+from gelforge.stages.plan import write_shards
+
+ESCAPES = "a\x1b[2Jb\n\u202ec"
+
+
+def judged(path):
+    """Good ids and (row, reason) of rejections of a log, as stage 10 has them."""
+    parsed = [parse(raw, "log.csv") for raw in log.read_log(path)]
+    good, doubled = log.without_duplicates([press for press, _ in parsed if press], "log.csv")
+    wrong = [r for _, found in parsed for r in found] + doubled
+    return [press.sample_id for press in good], sorted((r.row, r.reason) for r in wrong)
+
+
+def test_every_reader_of_a_log_counts_its_lines(tmp_path):
+    """A blank line is a line: stage 10, its shards and calibration name the same row."""
+    lines = [log_line(sample_id="s1", fz_n=-1), "", log_line(sample_id="s2", fz_n=-2, dz_mm="deep"),
+             log_line(sample_id="s3", fz_n=-3)]  # fmt: skip
+    path = write_lines(tmp_path / "log.csv", *lines)
+    write_shards(path, tmp_path / "plan", 8)
+    rows = log.read_shard(tmp_path / "plan/shards/0000.csv")
+    assert [(row.row, row.cells["sample_id"]) for row in rows] == [(2, "s1"), (4, "s2"), (5, "s3")]
+    wrong = [r for row in rows for r in parse(row, "log.csv")[1]]
+    assert [(r.row, r.sample_id) for r in wrong] == [(4, "s2")]
+    log.write_rejections(tmp_path / "0000.rejected.csv", wrong)
+    readings = read_readings(path, load_rejected(tmp_path, ["0000"]))
+    assert readings.ids.tolist() == ["s1", "s3"] and readings.rows.tolist() == [2, 5]
+
+
+def test_ids_that_differ_by_blanks_are_one(tmp_path):
+    path = write_lines(
+        tmp_path / "log.csv", log_line(sample_id="a"), log_line(sample_id="b"), log_line(sample_id="a ")
+    )
+    assert write_shards(path, tmp_path / "plan", 2) == ["0000"]
+    assert judged(path) == (["a", "b"], [(4, "an earlier row has the same sample_id")])
+
+
+def test_a_column_that_stands_twice_is_refused(tmp_path):
+    columns = (*COLUMNS, "x0_mm")
+    path = write_lines(tmp_path / "log.csv", log_line(columns), columns=columns)
+    with pytest.raises(BadInput, match=r"column x0_mm stands 2 times"):
+        log.read_log(path)
+
+
+def test_columns_of_other_names_are_not_read(tmp_path):
+    """One is called as a column of the shards' own files, two have no name at all."""
+    columns = ("row", *COLUMNS, "fault", "", "")
+    line = ",".join(["seven", log_line(), "none", "", ""])
+    path = write_lines(tmp_path / "log.csv", line, columns=columns)
+    write_shards(path, tmp_path / "plan", 8)
+    row = log.read_shard(tmp_path / "plan/shards/0000.csv")[0]
+    assert (row.row, row.fault) == (2, "") and parse(row, "log.csv")[0] is not None
+
+
+def test_a_misspelt_optional_column_is_named(tmp_path):
+    columns = (*COLUMNS, "pressid")
+    path = write_lines(tmp_path / "log.csv", log_line() + ",p1", columns=columns)
+    with pytest.raises(BadInput, match="'pressid' is unknown; write press_id"):
+        log.read_log(path)
+
+
+def test_a_quotation_mark_that_stays_open_keeps_out_its_own_row_alone(tmp_path):
+    lines = [log_line(sample_id="a"), log_line(sample_id="b", image='"images/b.png'), log_line(sample_id="c"),
+             log_line(sample_id="d", gel_id='"g'), log_line(sample_id="e")]  # fmt: skip
+    good, wrong = judged(write_lines(tmp_path / "log.csv", *lines))
+    assert good == ["a", "c", "e"] and [row for row, _ in wrong] == [3, 5]
+
+
+def test_notes_of_several_lines_are_no_fault(tmp_path):
+    columns = (*COLUMNS, "notes")
+    lines = [log_line(sample_id="a") + ',"two\nlines"', log_line(sample_id="b") + ","]
+    path = write_lines(tmp_path / "log.csv", *lines, columns=columns)
+    assert judged(path) == (["a", "b"], []) and [row.row for row in log.read_log(path)] == [2, 4]
+
+
+def test_a_cell_of_a_book_keeps_out_its_own_row_alone(tmp_path):
+    lines = [log_line(sample_id="a"), log_line(sample_id="b", gel_id="x" * 200_000), log_line(sample_id="c")]
+    path = write_lines(tmp_path / "log.csv", *lines)
+    good, wrong = judged(path)
+    assert good == ["a", "c"] and [row for row, _ in wrong] == [3] and "131072" in wrong[0][1]
+    write_shards(path, tmp_path / "plan", 8)
+    assert log.read_shard(tmp_path / "plan/shards/0000.csv")[1].fault == "long_cell"
+
+
+@pytest.mark.parametrize("name", ["..", "../../../x", "a/b", "$(touch f)", "", "-rf", "a" * 101, ESCAPES])
+def test_a_sample_id_that_may_name_no_file_never_does(tmp_path, name, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for run in (lambda: sample.main(["--dataset", "demo", f"--id={name}"]),
+                lambda: look.main(["--data", "data/demo", "--results", "results/demo", f"--id={name}"])):  # fmt: skip
+        with pytest.raises(BadInput) as refused:
+            run()
+        assert str(refused.value).isprintable()
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("text", [ESCAPES, "\x00", "\x9b31m", "\udc80", "\u2028", "plain words, ümlaut"])
+def test_what_is_shown_obeys_no_text_of_others(text):
+    assert printable(text).isprintable()
+    assert str(GelforgeError(f"{text}: is wrong")).isprintable()
+    rejection = parse(RawRow(2, press_record().cells() | {"sample_id": text, "x0_mm": text}), "log.csv")[1][0]
+    assert str(rejection).isprintable() and rejection.sample_id.isprintable() and rejection.value.isprintable()
+    assert printable("plain words, ümlaut") == "plain words, ümlaut"
+
+
+@pytest.fixture
+def pipe(tmp_path):
+    """A named pipe that nobody writes into: whoever opens it waits for ever, here until the alarm rings."""
+    os.mkfifo(tmp_path / "pipe.png")
+    os.link(tmp_path / "pipe.png", tmp_path / "pipe.npy")
+    signal.alarm(60)
+    yield tmp_path / "pipe.png"
+    signal.alarm(0)
+
+
+def test_a_pipe_is_no_file(pipe, tmp_path):
+    assert "a named pipe" in bad_image(press_record(image="pipe.png"), "log.csv", tmp_path, (320, 240)).reason
+    readers = (read_image, read_labels, load_model, log.read_log, lambda p: read_npy(p.with_suffix(".npy")),
+               lambda p: read_picture(p, (320, 240)), lambda p: read_picture(p.with_suffix(".npy"), (320, 240)))  # fmt: skip
+    for read in readers:
+        with pytest.raises(BadInput, match="named pipe"):
+            read(pipe)
+
+
+def test_a_link_that_leads_to_itself_is_rejected(tmp_path):
+    (tmp_path / "loop.png").symlink_to(tmp_path / "loop.png")
+    rejection = bad_image(press_record(image="loop.png"), "log.csv", tmp_path, (320, 240))
+    assert rejection.column == "image" and "leads to itself" in rejection.reason
+    with pytest.raises(BadInput, match=r"loop\.png"):
+        read_image(tmp_path / "loop.png")
+
+
+def chunk(kind: bytes, body: bytes) -> bytes:
+    return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+
+
+def giant_png(side: int) -> bytes:
+    """A PNG of a few bytes that says it is `side` pixels wide and high."""
+    header = struct.pack(">IIBBBBB", side, side, 8, 2, 0, 0, 0)
+    return (
+        b"\x89PNG\r\n\x1a\n"
+        + chunk(b"IHDR", header)
+        + chunk(b"IDAT", zlib.compress(b"\0" * 999))
+        + chunk(b"IEND", b"")
+    )
+
+
+def giant_jpeg() -> bytes:
+    data = bytearray(cv2.imencode(".jpg", np.zeros((8, 8, 3), np.uint8))[1].tobytes())
+    at = data.index(b"\xff\xc0")
+    data[at + 5 : at + 9] = struct.pack(">HH", 65000, 65000)
+    return bytes(data)
+
+
+@pytest.mark.parametrize("data", [giant_png(60_000), giant_png(20_000), giant_jpeg()], ids=["png", "smaller", "jpeg"])
+def test_a_giant_picture_is_refused_before_it_is_decoded(tmp_path, data):
+    (tmp_path / "giant.png").write_bytes(data)
+    with pytest.raises(BadInput, match="4096 x 4096"):
+        read_image(tmp_path / "giant.png")
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp", ".tiff", ".webp", ".ppm"])
+def test_pictures_of_every_kind_are_read_as_before(tmp_path, suffix):
+    picture = np.random.default_rng(1).integers(0, 255, (24, 32, 3), np.uint8)
+    cv2.imwrite(str(tmp_path / f"p{suffix}"), picture)
+    found = read_image(tmp_path / f"p{suffix}")
+    assert np.array_equal(found, cv2.imread(str(tmp_path / f"p{suffix}"))[..., ::-1])
+
+
+@pytest.mark.parametrize("flag", [["--threads", "0"], ["--threads", "-2"], ["--threads", "two"]])
+def test_threads_are_counted_from_one(flag, capsys):
+    with pytest.raises(SystemExit) as ended:
+        predict.main(["a.png", *flag])
+    assert ended.value.code == 2 and "whole number above 0" in capsys.readouterr().err
+
+
+def test_a_folder_that_cannot_be_written_is_named(tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    cv2.imwrite(str(tmp_path / "a.png"), np.zeros((240, 320, 3), np.uint8))
+    with pytest.raises(BadInput, match=r"--out .*file/out: cannot be written into"):
+        predict.main([str(tmp_path / "a.png"), "--out", str(tmp_path / "file/out")])
+
+
+def npy(path, body: bytes):
+    stream = io.BytesIO()
+    np.lib.format.write_array_header_1_0(stream, {"descr": "|O", "fortran_order": False, "shape": ()})
+    path.write_bytes(stream.getvalue() + body)
+    return path
+
+
+def test_a_pickle_of_empty_dicts_takes_no_memory(tmp_path):
+    """Twenty million instructions that each leave an object: refused within 200 MB of what Python itself takes."""
+    path = npy(tmp_path / "a.npy", b"\x80\x04" + b"}" * 20_000_000 + b".")
+    code = (
+        "import resource, sys\n"
+        "from gelforge.formats.numpy_pickle import read_npy\n"
+        "from gelforge.errors import BadInput\n"
+        "before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
+        "try:\n    read_npy(sys.argv[1])\nexcept BadInput as error:\n    print(error)\n"
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)\n"
+    )
+    said = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True).stdout.splitlines()
+    assert "instructions" in said[0] and int(said[-1]) < 200_000
+
+
+N = 3
+
+
+def label_arrays() -> dict:
+    return {
+        "sample_id": np.array(["a", "b", "c"]),
+        "status": np.array(["OK", "OK", "DIVERGED"]),
+        "label": np.zeros((N, 3, 4, 5), np.float32),
+        "outside": np.full((N, 3), np.nan),
+        "c10": np.float64(0.0792),
+    }
+
+
+def nan_in(arrays):
+    arrays["label"][1, 2, 3, 4] = np.nan
+
+
+SPOILT = {
+    "a label that is not finite": (nan_in, "sample b has a label that is not finite"),
+    "an unknown status": (lambda a: a.update(status=np.array(["OK", "FINE", "OK"])), "sample b: status 'FINE'"),
+    "one id eight times": (lambda a: a.update(sample_id=np.array(["a", "a", "c"])), "sample a stands 2 times"),
+    "no outside": (lambda a: a.pop("outside"), "array outside is missing"),
+    "no c10": (lambda a: a.pop("c10"), "array c10 is missing"),
+    "c10 below zero": (lambda a: a.update(c10=np.float64(-1)), "c10 = -1"),
+    "two channels": (lambda a: a.update(label=a["label"][:, :2]), "do not fit each other"),
+    "one label less": (lambda a: a.update(label=a["label"][:2]), "do not fit each other"),
+    "labels of whole numbers": (lambda a: a.update(label=a["label"].astype(int)), "label is int64"),
+    "a flat label": (lambda a: a.update(label=a["label"][0]), "which it cannot be"),
+    "ids that are numbers": (lambda a: a.update(sample_id=np.arange(3)), "sample_id is int64"),
+    "objects": (lambda a: a.update(status=np.array([{}, [], None], object)), "which it cannot be"),
+}
+
+
+@pytest.mark.parametrize("name", SPOILT)
+def test_labels_of_others_are_checked(tmp_path, name):
+    arrays = label_arrays()
+    spoil, words = SPOILT[name]
+    spoil(arrays)
+    np.savez(tmp_path / "24x32.npz", **arrays)
+    with pytest.raises(BadInput, match=words):
+        read_labels(tmp_path / "24x32.npz")
+
+
+def test_a_good_imported_label_file_is_read(tmp_path):
+    np.savez_compressed(tmp_path / "24x32.npz", **label_arrays())
+    found = read_labels(tmp_path / "24x32.npz")
+    assert found.sample_id.tolist() == ["a", "b", "c"] and found.material == {"c10": 0.0792}
+
+
+def test_an_archive_that_would_fill_the_memory_is_refused(tmp_path):
+    path, stream = tmp_path / "24x32.npz", io.BytesIO()
+    np.lib.format.write_array_header_1_0(
+        stream, {"descr": "<f4", "fortran_order": False, "shape": (3, 3, 10_000, 10_000)}
+    )
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("label.npy", stream.getvalue() + bytes(2**20))
+        for name, array in label_arrays().items():
+            if name != "label":
+                body = io.BytesIO()
+                np.save(body, array)
+                archive.writestr(f"{name}.npy", body.getvalue())
+    with pytest.raises(BadInput, match="label claims"):
+        read_labels(path)
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("label.npy", "w") as member:
+        for _ in range(1100):
+            member.write(bytes(2**20))
+    with pytest.raises(BadInput, match="would unpack to"):
+        read_labels(path)
+
+
+@pytest.mark.parametrize("data", [b"", b"PK\x03\x04", b"not a zip", os.urandom(500)])
+def test_what_is_no_archive_is_refused(tmp_path, data):
+    (tmp_path / "24x32.npz").write_bytes(data)
+    with pytest.raises(BadInput, match="not a label shard"):
+        read_labels(tmp_path / "24x32.npz")
+
+
+@pytest.fixture(scope="module")
+def model(root):
+    """The parts of the model that ships."""
+    content = torch.load(root / "src/gelforge/networks/default.pt", weights_only=True)
+    return {**content, "about": json.loads(content["about"])}
+
+
+def about(**changes):
+    def change(model):
+        for name, value in changes.items():
+            table, _, key = name.partition("__")
+            if key:
+                model["about"][table] = {**model["about"][table], key: value}
+            else:
+                model["about"][name] = value
+
+    return change
+
+
+def tensors(change):
+    def apply(model):
+        model["tensors"] = {name: value.clone() for name, value in model["tensors"].items()}
+        change(model["tensors"])
+
+    return apply
+
+
+def first(table):
+    return next(name for name, value in table.items() if value.is_floating_point())
+
+
+HOSTILE = {
+    "a network that fills the memory": about(model__blocks=100_000),
+    "a wide one": about(model__width=10**6),
+    "a width that is text": about(model__width="24"),
+    "a width below zero": about(model__width=-3),
+    "another kind": about(model__kind="transformer"),
+    "an unknown size": about(model__depth=3),
+    "an image of a wall": about(image=[10**6, 10**6]),
+    "an image of no size": about(image=[0, 320]),
+    "an image that is text": about(image="240x320"),
+    "a grid that is none": about(grid=[24]),
+    "no scales": about(normalisation={}),
+    "a scale of zero": about(normalisation__image_std=[0.1, 0.0, 0.1]),
+    "scales that are text": about(normalisation__label=["a", "b", "c"]),
+    "another input": about(normalisation__reads="sound"),
+    "sensors that are numbers": about(known_sensors=[1, 2]),
+    "no statistics": about(statistics=None),
+    "a crooked matrix": about(statistics__inverse=[[1.0], [1.0, 2.0]]),
+    "a name that is a list": about(name=["x"]),
+    "another format": about(format=99),
+    "NaN weights": tensors(lambda t: t[first(t)].fill_(float("nan"))),
+    "infinite weights": tensors(lambda t: t[first(t)].fill_(float("inf"))),
+    "weights of another shape": tensors(lambda t: t.update({first(t): torch.zeros(3)})),
+    "weights of half precision": tensors(lambda t: t.update({first(t): t[first(t)].half()})),
+    "a weight too few": tensors(lambda t: t.pop(first(t))),
+    "a weight too many": tensors(lambda t: t.update(extra=torch.zeros(1))),
+    "weights that are none": lambda m: m.update(tensors=[1, 2]),
+    "pictures that are none": lambda m: m.update(untouched={"mini_a": torch.zeros(9, dtype=torch.uint8)}),
+    "pictures that are a list": lambda m: m.update(untouched=[1]),
+    "pictures of another size": lambda m: m.update(untouched={"mini_a": encode(np.zeros((8, 9, 3), np.uint8))}),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_hostile_model_is_refused_in_a_sentence(tmp_path, model, name):
+    changed = dict(model, about=dict(model["about"]))
+    HOSTILE[name](changed)
+    path = tmp_path / "m.pt"
+    torch.save(changed | {"about": json.dumps(changed["about"])}, path)
+    with pytest.raises(BadInput, match=r"m\.pt|kind|unknown"):
+        load_model(path)
+
+
+@pytest.mark.parametrize("content", [[1], {"about": 3}, {"about": "[]"}, {"about": "{" * 5000}, "text"])
+def test_a_file_of_tensors_that_is_no_model_is_refused(tmp_path, content):
+    torch.save(content, tmp_path / "m.pt")
+    with pytest.raises(BadInput, match="not a gelforge model"):
+        load_model(tmp_path / "m.pt")
+
+
+def test_the_model_that_ships_is_read(root):
+    assert load_model(root / "src/gelforge/networks/default.pt").about["grid"] == [24, 32]
