@@ -15,9 +15,11 @@ from pathlib import Path
 from gelforge.commands.sample import stages
 from gelforge.errors import BadInput
 from gelforge.flow.estimate import Cost, pilots, table, wall_seconds
-from gelforge.flow.files import read_csv, read_json, write_csv
+from gelforge.flow.files import read_json, write_text
 from gelforge.flow.main import command, option
 from gelforge.flow.running import duration
+from gelforge.records.log import read_shard, shard_text
+from gelforge.records.press import RawRow, parse
 
 STAGES = {"poses": "10_poses", "fea": "30_fea", "forces": "40_forces", "labels": "50_labels"}
 # Measured on the demo, processor seconds: an image through a light net in one epoch of training, and through an
@@ -27,22 +29,15 @@ START = 3.0  # of a process with torch or the drawing libraries
 IMAGE_BYTES = 240 * 320 * 3
 
 
-def planned_rows(results: Path) -> tuple[list[str], list[dict]]:
-    """Columns and rows of all planned shards."""
-    columns, rows = [], []
-    for path in sorted((results / "00_plan" / "shards").glob("*.csv")):
-        rows += read_csv(path)
-    if rows:
-        columns = list(rows[0])
-    return columns, rows
+def planned_rows(results: Path) -> list[RawRow]:
+    """Rows of all planned shards."""
+    return [row for path in sorted((results / "00_plan" / "shards").glob("*.csv")) for row in read_shard(path)]
 
 
-def depth(row: dict) -> float:
+def depth(row: RawRow) -> float:
     """Depth of a raw row, mm; rows that cannot be read count as untouched, because stage 10 rejects them."""
-    try:
-        return -float(row["dz_mm"])
-    except (KeyError, TypeError, ValueError):
-        return 0.0
+    press, _ = parse(row, "", ("dz_mm",))
+    return 0.0 if press is None else -press.dz_mm
 
 
 def spend(module: str, arguments: list) -> float:
@@ -62,10 +57,10 @@ def folder_bytes(folder: Path) -> int:
     return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
 
 
-def pilot(data: Path, results: Path, work: Path, columns, rows, resolution: str) -> dict[str, tuple[float, int]]:
+def pilot(data: Path, results: Path, work: Path, rows: list[RawRow], resolution: str) -> dict[str, tuple[float, int]]:
     """Processor seconds and bytes of each stage for a shard of the rows given."""
     shutil.rmtree(work, ignore_errors=True)
-    write_csv(work / "00_plan" / "shards" / "0000.csv", columns, rows)
+    write_text(work / "00_plan" / "shards" / "0000.csv", shard_text(rows))
     found = {}
     for module, arguments in stages(data, results, work, resolution):
         out = Path(arguments[-1])
@@ -75,12 +70,12 @@ def pilot(data: Path, results: Path, work: Path, columns, rows, resolution: str)
     return found
 
 
-def measured(data: Path, results: Path, resolution: str, columns: list[str], rows: list[dict]) -> list[Cost]:
+def measured(data: Path, results: Path, resolution: str, rows: list[RawRow]) -> list[Cost]:
     """What stages 10 to 50 take of each press, from a shard of pilots."""
     chosen = [rows[k] for k in pilots([depth(row) for row in rows])]
     work = results / "estimate"
     try:
-        found = pilot(data, results, work, columns, chosen, resolution)
+        found = pilot(data, results, work, chosen, resolution)
     finally:
         shutil.rmtree(work, ignore_errors=True)
     return [
@@ -120,14 +115,14 @@ def told(params: Path, resolution: str) -> list[Cost]:
     option("--cores", type=int, default=os.cpu_count(), help="that the run may use"),
 )
 def main(args: Namespace) -> None:
-    columns, rows = planned_rows(args.results)
+    rows = planned_rows(args.results)
     if not rows:
         raise BadInput(f"{args.data}/log.csv: no press is planned; log at least one, then make estimate")
     print(
         f"solving {len(pilots([depth(row) for row in rows]))} of {len(rows)} presses to see what they take",
         flush=True,
     )
-    costs = [*measured(args.data, args.results, args.resolution, columns, rows)]
+    costs = [*measured(args.data, args.results, args.resolution, rows)]
     costs.insert(1, meshes(args.results))
     costs += told(args.results / "00_plan" / "params", args.resolution)
     shards = len(list((args.results / "00_plan" / "shards").glob("*.csv")))
