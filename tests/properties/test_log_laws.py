@@ -76,6 +76,31 @@ def test_any_row_is_either_typed_or_explained(cells):
         assert text.getvalue().rstrip("\r\n").isprintable()
 
 
+GOOD = "{},,s,g,ball,0,0,0,0,0,-1,0,,,-5,,,,i.png"
+JUNK = st.text(st.characters(codec="utf-8", exclude_characters="\r\n"), max_size=60) | st.sampled_from(
+    ['"', '""', 'x,"y', 'a,b,"', "," * 30 + '"', '"' + "x" * 140_000, "\x00", "\u2028", "'", '"a" b,"']
+)
+
+
+@given(lines=st.lists(JUNK | st.integers(0, 99), max_size=12))
+@settings(deadline=None, max_examples=300)
+def test_no_line_of_a_log_keeps_another_press_out(tmp_path_factory, lines):
+    path = tmp_path_factory.mktemp("log") / "log.csv"
+    text = [GOOD.format(f"p{at}") if isinstance(line, int) else line for at, line in enumerate(lines)]
+    path.write_text(
+        "\n".join([",".join(press.COLUMNS), *text, GOOD.format("last")]) + "\n", encoding="utf-8", newline=""
+    )
+    found = {}
+    for row in log.read_log(path):
+        sample, wrong = press.parse(row, "log.csv")
+        assert (sample is None) == bool(wrong) and row.row not in found
+        found[row.row] = sample.sample_id if sample else None
+    for at, line in enumerate(lines):
+        if isinstance(line, int):
+            assert found[at + 2] == f"p{at}"
+    assert found[len(lines) + 2] == "last"
+
+
 @given(text=st.text(max_size=20))
 def test_number_is_finite_or_none(text):
     value = press.parse_number(text)

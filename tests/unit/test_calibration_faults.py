@@ -6,12 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from calibration_law import PARAMS, law_posterior, make_readings
+from press_records import log_line, write_lines
 
 from gelforge.calibration.parameters import Model, Prior, make_model, read_prior
 from gelforge.calibration.readings import check_enough, check_readings, read_readings
 from gelforge.calibration.sampling import LEARN, Chain, NotConverged, Rules, complaint, find_modes, judge, sample
 from gelforge.calibration.solves import refuse_untouched
 from gelforge.errors import BadInput
+from gelforge.records.press import COLUMNS
 from gelforge.stages.calibrate import load_rejected, refuse_beyond
 
 DEPTH = np.array([0.5, 1.0, 1.5, 2.0])
@@ -33,6 +35,14 @@ def test_a_press_that_two_sensors_saw_is_one_reading(tmp_path):
     path.write_text("\n".join([header, cells.format("a1", "left"), cells.format("a2", "left")]) + "\n")
     with pytest.raises(BadInput, match="a2"):
         check_readings(read_readings(path))
+
+
+def test_of_the_frames_of_a_press_the_last_serves(tmp_path):
+    """They share one error of touch: as six readings they would make it look six times smaller."""
+    lines = [log_line((*COLUMNS, "press_id"), sample_id=f"f{k}", press_id="film" if k < 4 else "", dz_mm=-0.3 - 0.1 * k,
+                      fz_n=-1.0 - k) for k in range(5)]  # fmt: skip
+    path = write_lines(tmp_path / "log.csv", *lines, columns=(*COLUMNS, "press_id"))
+    assert read_readings(path).ids.tolist() == ["f3", "f4"]
 
 
 def test_wrong_sign_convention_is_named():

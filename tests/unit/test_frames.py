@@ -43,6 +43,11 @@ def test_a_press_goes_down_and_then_sideways():
         ("gel_id", [*DOWN, frame(3, dz_mm=-1.8, gel_id="other")], "differs"),
         ("x0_mm", [*DOWN, frame(3, dz_mm=-1.8, x0_mm=0.5)], "differs"),
         ("rot_deg", [*DOWN, frame(3, dz_mm=-1.8, rot_deg=10.0)], "differs"),
+        (
+            "time_utc",
+            [frame(0, time_utc="2026-01-01T10:00:01Z"), frame(1, dz_mm=-1.2, time_utc="2026-01-01T10:00:00Z")],
+            "earlier",
+        ),
         ("dz_mm", [*DOWN, frame(3, dz_mm=-1.2)], "rises"),
         ("dz_mm", [*DOWN, frame(3, dz_mm=-1.5)], "same point"),
         ("dz_mm", [*DOWN, *ASIDE, frame(5, dz_mm=-1.9, dx_mm=0.3, dy_mm=0.6)], "deeper after"),

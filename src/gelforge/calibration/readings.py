@@ -7,6 +7,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.mechanics.scene import Press
+from gelforge.records.frames import presses_of
 from gelforge.records.log import read_log
 from gelforge.records.press import FORCE, POSE, parse
 
@@ -62,7 +63,8 @@ NEEDED = ("indenter", *POSE, *FORCE)
 def read_readings(log, known_bad: Collection[int] = ()) -> Readings:
     """Read every press of a raw log that has a normal force; rows without one do not serve.
 
-    A press that several sensors saw, in rows that are otherwise equal, is one reading.
+    A press that several sensors saw, in rows that are otherwise equal, is one reading, and so are the frames of a
+    press, of which the last serves.
     known_bad: lines of the log that stage 10 rejected. Sideways forces may be empty. A log in which no
     row has a force, or a value that is no number, raises BadInput.
     """
@@ -83,6 +85,8 @@ def read_readings(log, known_bad: Collection[int] = ()) -> Readings:
         same = tuple(raw.cells.get(c) for c in ("time_utc", "indenter", *POSE, *FORCE))
         if seen_by.setdefault(same, press.sensor_id) == press.sensor_id:
             presses.append(press)
+    # frames of one press share its error of touch: more than one would count that error as if it averaged out
+    presses = [frames[-1] for frames in presses_of(presses)]
     if not presses:
         raise BadInput(f"{log}: no row has a normal force (fz_n); calibration needs a force sensor's readings")
     return Readings(

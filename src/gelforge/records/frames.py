@@ -1,6 +1,7 @@
 """Moments of one press: rows of a log that share a press_id, in order of time along one path, down and then sideways."""
 
 from collections.abc import Sequence
+from datetime import datetime
 
 import numpy as np
 
@@ -31,7 +32,7 @@ def check_frames(records: Sequence[PressRecord], file: str) -> list[Rejection]:
     for press in presses_of(records):
         stands = [press[0]]
         for frame in press[1:]:
-            fault = _differs(stands[0], frame) or _goes_back(stands, frame)
+            fault = _differs(stands[0], frame) or _earlier(stands[-1], frame) or _goes_back(stands[-1], frame)
             if fault:
                 column, reason = fault
                 remedy = f"give it another press_id than row {stands[-1].row} has, or correct the cell"
@@ -51,9 +52,19 @@ def _differs(first: PressRecord, frame: PressRecord) -> tuple[str, str] | None:
     return None
 
 
-def _goes_back(stands: Sequence[PressRecord], frame: PressRecord) -> tuple[str, str] | None:
-    """Whether a frame is no later point of the path that the rows before it took."""
-    last = stands[-1]
+def _earlier(last: PressRecord, frame: PressRecord) -> tuple[str, str] | None:
+    """Whether the log gives a frame an earlier time than the row before it; rows without a time are in order."""
+    times = [getattr(record, "time_utc", "") for record in (last, frame)]
+    if not all(times):
+        return None
+    before, now = (datetime.fromisoformat(time) for time in times)
+    if (before.tzinfo is None) == (now.tzinfo is None) and now < before:
+        return "time_utc", "is earlier than the row before it of its press"
+    return None
+
+
+def _goes_back(last: PressRecord, frame: PressRecord) -> tuple[str, str] | None:
+    """Whether a frame is no later point of the path that the row before it is on."""
     before, now = (np.array([r.dx_mm, r.dy_mm]) for r in (last, frame))
     moved, goes = np.hypot(*before), np.hypot(*now)
     column = "dx_mm" if abs(now[0] - before[0]) >= abs(now[1] - before[1]) else "dy_mm"

@@ -69,7 +69,8 @@ def _read(path: Path, known: tuple[str, ...], remedy: str = "a dataset needs its
     top = next((at for at, line in enumerate(lines) if line.strip()), 0)
     header = [cell.strip() for cell in next(csv.reader(lines[top : top + 1]), [])]
     places = _places(path, header, known)
-    return [_row(*record, places, len(header)) for record in _records(lines, top + 1, set(places.values()))]
+    free = set(range(len(header))) - set(places.values())
+    return [_row(*record, places, len(header)) for record in _records(lines, top + 1, free)]
 
 
 def _some(rows: list[RawRow], path: str | Path) -> list[RawRow]:
@@ -93,19 +94,19 @@ def _places(path: Path, header: list[str], known: tuple[str, ...]) -> dict[str, 
     return {name: header.index(name) for name in header if name in known}
 
 
-def _records(lines: list[str], start: int, known: set[int]) -> Iterator[tuple[int, list[str], str]]:
+def _records(lines: list[str], start: int, free: set[int]) -> Iterator[tuple[int, list[str], str]]:
     """Line number, cells and fault (of ROW_FAULTS) of every record from a line on; blank lines are none.
 
     A quotation mark that is not closed would swallow the lines below, good presses among them. So a record of several
-    lines stands only where it is strict CSV and no `known` cell goes over a line's end; else its first line is a
-    record of its own, and reading goes on below it.
+    lines stands only where it is strict CSV and none but a `free` cell, which nobody reads, goes over a line's end; else
+    its first line is a record of its own, and reading goes on below it.
     """
     while start < len(lines):
         reader, first = csv.reader(lines[at] for at in range(start, len(lines))), start
         for cells in _each(reader):
             end = first + reader.line_num
             several = end > start + 1
-            if several and not (cells and _several_lines(lines[start:end], known)):
+            if several and not (cells and _several_lines(lines[start:end], free)):
                 own = next(_each(csv.reader([lines[start]])), None)
                 yield start + 1, own or [], "open_quote"
                 start += 1
@@ -127,13 +128,13 @@ def _each(reader: Iterable[list[str]]) -> Iterator[list[str] | None]:
         yield None
 
 
-def _several_lines(lines: list[str], known: set[int]) -> bool:
+def _several_lines(lines: list[str], free: set[int]) -> bool:
     """Whether lines are one record of strict CSV with its line breaks in cells that nobody reads."""
     try:
         cells = next(csv.reader(lines, strict=True))
     except csv.Error:
         return False
-    return not any("\n" in cells[at] or "\r" in cells[at] for at in known if at < len(cells))
+    return {at for at, cell in enumerate(cells) if "\n" in cell or "\r" in cell} <= free
 
 
 def _row(line: int, cells: list[str], fault: str, places: dict[str, int], width: int) -> RawRow:
