@@ -1,6 +1,7 @@
 """Whole datasets between FEATS' folders and ours."""
 
 import hashlib
+import math
 import re
 import shutil
 from contextlib import contextmanager
@@ -10,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import read_csv, write_csv, write_json, write_text
+from gelforge.flow.files import read_csv, write_json, write_text
 from gelforge.flow.progress import progress
 from gelforge.formats.feats import (
     LabelSample,
@@ -23,9 +24,12 @@ from gelforge.formats.feats import (
 )
 from gelforge.records.image import write_png
 from gelforge.records.labelfile import write_labels
-from gelforge.records.press import COLUMNS
+from gelforge.records.log import write_log
+from gelforge.records.press import FORCES, POSE, LoggedPress
 
 FEATS_C10 = 0.0792  # MPa, the paper's fit, which its labels were made with
+# An image that came with its label alone: nobody knows how it was pressed.
+NO_PRESS = {**dict.fromkeys(POSE, math.nan), **dict.fromkeys(FORCES), "indenter": "", "time_utc": ""}
 DATASET_TOML = """# Imported from files in FEATS' layout.
 sensor = "{sensor}"
 gel = "{gel}"
@@ -69,7 +73,7 @@ def import_folder(source: Path, data: Path, sensor, gel_id: str = "feats") -> di
         rows = [{"sensor_id": sensor.name, "gel_id": gel_id, **press["row"]} for press in presses.values()]
         if not rows:
             raise BadInput(f"{source}: holds normalisation files only; give the folder that holds the samples too")
-        write_csv(part / "log.csv", COLUMNS, [{column: row.get(column, "") for column in COLUMNS} for row in rows])
+        write_log(part / "log.csv", [LoggedPress(row=0, **{**NO_PRESS, **row}) for row in rows])
         for (height, width), members in labels.items():
             _write_grid(part / "labels" / f"{height}x{width}.npz", members, presses)
         if ranges:

@@ -21,6 +21,7 @@ from gelforge.records.press import (
     PressRecord,
     RawRow,
     Rejection,
+    parse,
     parse_posed,
     reject,
 )
@@ -144,21 +145,51 @@ def _row(line: int, cells: list[str], fault: str, places: dict[str, int], width:
     return RawRow(int(number) if number.isdigit() else line, text, fault)
 
 
-def write_log(path: str | Path, presses: Iterable[LoggedPress]) -> None:
-    """Write presses as a raw log that `read_log` and `parse` read back to the last digit."""
-    _write(path, COLUMNS, list(presses))
+def write_log(path: str | Path, presses: Iterable[LoggedPress], decimals: dict[str, int] | None = None) -> None:
+    """Write presses as a raw log that `read_log` and `parse` read back to the last digit.
+
+    decimals: digits behind the point, by column, where the shortest text that reads back is not wanted.
+    """
+    _write(path, COLUMNS, list(presses), decimals or {})
+
+
+def read_presses(path: str | Path) -> list[LoggedPress]:
+    """Presses of a log that a program wrote; a row that cannot be read raises BadInput."""
+    presses = []
+    for raw in read_log(path):
+        press, wrong = parse(raw, str(path))
+        if press is None:
+            raise BadInput(str(wrong[0]))
+        presses.append(press)
+    return presses
 
 
 def write_poses(path: str | Path, presses: Iterable[PosedPress]) -> None:
     """Write a pose table, whole or not at all."""
-    _write(path, POSED_COLUMNS, list(presses))
+    _write(path, POSED_COLUMNS, list(presses), {})
 
 
-def _write(path: str | Path, columns: tuple[str, ...], presses: list[LoggedPress] | list[PosedPress]) -> None:
+def _write(
+    path: str | Path,
+    columns: tuple[str, ...],
+    presses: list[LoggedPress] | list[PosedPress],
+    decimals: dict[str, int],
+) -> None:
     """One row a press; optional columns only where a press has one, so that other tables stay as they were."""
     used = [name for name in OPTIONAL if any(getattr(press, name) for press in presses)]
     columns = (*columns, *used)
-    write_csv(path, columns, [{name: press.cells()[name] for name in columns} for press in presses])
+    rows = []
+    for press in presses:
+        cells = press.cells()
+        cells |= {name: fixed(float(cells[name]), places) for name, places in decimals.items() if cells[name]}
+        rows.append({name: cells[name] for name in columns})
+    write_csv(path, columns, rows)
+
+
+def fixed(value: float, places: int) -> str:
+    """A number with so many digits behind the point, never a negative zero."""
+    text = f"{value:.{places}f}"
+    return text if float(text) else f"{0.0:.{places}f}"
 
 
 def read_poses(path: str | Path) -> list[PosedPress]:

@@ -17,7 +17,7 @@ from gelforge.geometry.indenters import load_catalogue, read_catalogue
 from gelforge.labelling.sensor import load_sensors
 from gelforge.virtualrig.looks import read_looks
 from gelforge.virtualrig.rigplan import Order, Plan, check_names, generator, orders, read_plan
-from gelforge.virtualrig.writer import Dataset, image_name, log_row, save_image, surface_name, truth_row
+from gelforge.virtualrig.writer import Dataset, image_name, logged, save_image, surface_name, truth_row
 
 VERSION = 2
 CAMERA = 2  # purpose of a generator: noise of the first camera that sees a press; the others follow
@@ -60,7 +60,7 @@ class Worker:
         surface = surface_of(pressing.result.mesh, pressing.result.displacement, pressing.real)
         surface.save(kept)
         self._take_pictures(orders, surface)
-        return [(order, log_row(seen, self.plan.gel), truth_row(seen)) for order, seen in of_each]
+        return [(order, logged(seen, self.plan.gel), truth_row(seen)) for order, seen in of_each]
 
     def _take_pictures(self, orders: list[Order], surface) -> None:
         from gelforge.virtualrig.render import Pressed

@@ -9,10 +9,13 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, read_json, write_csv, write_json, write_text
 from gelforge.records.image import write_png
-from gelforge.records.press import COLUMNS, FORCES, POSE
+from gelforge.records.log import fixed, read_presses, write_log
+from gelforge.records.press import FORCE, FORCES, MOMENT, POSE, LoggedPress
 from gelforge.virtualrig.bench import Pressing
 from gelforge.virtualrig.rigplan import Order, Plan
 
+# Lengths to 0.1 micrometre, forces to 0.1 mN, moments to 1 mN mm.
+DECIMALS = {**dict.fromkeys((*POSE, *FORCE), 4), **dict.fromkeys(MOMENT, 6)}
 TRUTH_COLUMNS = ("sample_id", "status", *POSE, *FORCES, "newton_iterations", "load_steps")
 
 
@@ -22,7 +25,10 @@ class Dataset:
     def __init__(self, folder, plan: Plan):
         self.folder, self.plan = Path(folder), plan
         self.log_path, self.truth_path = self.folder / "log.csv", self.folder / "truth" / "presses.csv"
-        self.log = self._rows(self.log_path)
+        self.plan_path = self.folder / "truth" / "truth.json"
+        ours = self.log_path.exists() and self.plan_path.exists()
+        presses = read_presses(self.log_path) if ours else []
+        self.log = {press.sample_id: press for press in presses}
         self.truth = self._rows(self.truth_path)
 
     def _rows(self, path) -> dict[str, dict]:
@@ -30,14 +36,13 @@ class Dataset:
 
     def check_same_plan(self) -> None:
         """Refuse to mix two plans in one folder; more presses of the same plan are welcome."""
-        stored = self.folder / "truth" / "truth.json"
-        if not stored.exists():
-            if self.log:
+        if not self.plan_path.exists():
+            if self.log_path.exists():
                 raise BadInput(
                     f"{self.log_path} was not written by the virtual rig; choose another `dataset` in the plan"
                 )
             return
-        if read_json(stored)["plan"] != self.plan.identity():
+        if read_json(self.plan_path)["plan"] != self.plan.identity():
             raise BadInput(
                 f"{self.folder}: was written by another plan (only `presses` may change); "
                 "name another `dataset` in the plan or remove the folder"
@@ -46,7 +51,7 @@ class Dataset:
     def begin(self) -> None:
         """Write what does not depend on the presses."""
         truth = {"truth": asdict(self.plan.truth), "plan": self.plan.identity()}
-        write_json(self.folder / "truth" / "truth.json", truth)
+        write_json(self.plan_path, truth)
         description = self.folder / "dataset.toml"
         if not description.exists():
             write_text(description, describe(self.plan))
@@ -67,18 +72,18 @@ class Dataset:
         """Whether all but the picture of an order is there."""
         return order.sample_id in self.log and (self.folder / surface_name(order)).is_file()
 
-    def add(self, rows: list[tuple[Order, dict | None, dict]]) -> None:
-        """Publish one press, (order, row of the log or None, row of the truth) of each sensor that saw it.
+    def add(self, rows: list[tuple[Order, LoggedPress | None, dict]]) -> None:
+        """Publish one press, (order, record of the log or None, row of the truth) of each sensor that saw it.
 
         The truth comes first, then the rows that make it count.
         """
         self.truth |= {order.sample_id: truth for order, _, truth in rows}
         write_csv(self.truth_path, TRUTH_COLUMNS, _ordered(self.truth))
         self.log |= {order.sample_id: log for order, log, _ in rows if log is not None}
-        write_csv(self.log_path, COLUMNS, _ordered(self.log))
+        write_log(self.log_path, _ordered(self.log), DECIMALS)
 
 
-def _ordered(rows: dict[str, dict]) -> list[dict]:
+def _ordered(rows: dict) -> list:
     return [rows[name] for name in sorted(rows)]
 
 
@@ -97,22 +102,15 @@ def save_image(path, image: np.ndarray) -> None:
     write_png(path, image, compression=9)
 
 
-def log_row(pressing: Pressing, gel_id: str) -> dict:
-    """The bench's row: what it was told to do and what its load cell read."""
+def logged(pressing: Pressing, gel_id: str) -> LoggedPress:
+    """The bench's record: what it was told to do and what its load cell read."""
     order, log = pressing.order, pressing.log
-    values = [
-        log.x0,
-        log.y0,
-        log.z0,
-        log.dx,
-        log.dy,
-        log.dz,
-        log.rot_deg,
-        *pressing.read_force,
-        *pressing.read_moment,
-    ]
-    names = [order.sample_id, order.time_utc, order.sensor, gel_id, order.indenter]
-    return dict(zip(COLUMNS, [*names, *_digits(values), image_name(order)], strict=True))
+    path = (log.x0, log.y0, log.z0, log.dx, log.dy, log.dz, log.rot_deg)
+    values = dict(zip((*POSE, *FORCES), (*path, *pressing.read_force, *pressing.read_moment), strict=True))
+    return LoggedPress(
+        row=0, sample_id=order.sample_id, time_utc=order.time_utc, sensor_id=order.sensor, gel_id=gel_id,
+        indenter=order.indenter, image=image_name(order), **{name: float(value) for name, value in values.items()},
+    )  # fmt: skip
 
 
 def truth_row(pressing: Pressing) -> dict:
@@ -120,17 +118,9 @@ def truth_row(pressing: Pressing) -> dict:
     real, evidence = pressing.real, pressing.result.evidence
     values = [real.x0, real.y0, real.z0, real.dx, real.dy, real.dz, real.rot_deg, *pressing.force, *pressing.moment]
     cost = [evidence["newton_iterations"], evidence["load_steps"]]
-    row = [pressing.order.sample_id, pressing.result.status.name, *_digits(values), *cost]
+    texts = [fixed(value, DECIMALS[name]) for name, value in zip((*POSE, *FORCES), values, strict=True)]
+    row = [pressing.order.sample_id, pressing.result.status.name, *texts, *cost]
     return dict(zip(TRUTH_COLUMNS, row, strict=True))
-
-
-def _digits(values) -> list[str]:
-    """Lengths to 0.1 micrometre, forces to 0.1 mN, moments to 1 mN mm; never a negative zero."""
-    places = [4] * 10 + [6] * 3
-    return [
-        f"{value + 0.0:.{place}f}".replace("-0." + "0" * place, "0." + "0" * place)
-        for value, place in zip(values, places, strict=True)
-    ]
 
 
 def describe(plan: Plan) -> str:
