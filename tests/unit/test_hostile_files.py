@@ -80,6 +80,13 @@ def test_columns_of_other_names_are_not_read(tmp_path):
     assert (row.row, row.fault) == (2, "") and parse(row, "log.csv")[0] is not None
 
 
+def test_a_log_of_another_separator_says_so(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text((",".join(COLUMNS) + "\n" + log_line()).replace(",", ";"))
+    with pytest.raises(BadInput, match="separate cells by commas, not by ';'"):
+        log.read_log(path)
+
+
 def test_a_misspelt_optional_column_is_named(tmp_path):
     columns = (*COLUMNS, "pressid")
     path = write_lines(tmp_path / "log.csv", log_line() + ",p1", columns=columns)

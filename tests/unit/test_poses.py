@@ -284,3 +284,27 @@ def test_a_press_without_the_reading_that_compliance_takes_is_rejected(column, r
 def test_a_touch_found_too_high_is_a_deeper_press():
     path, _ = poses.yielded(sample(), "log.csv", dict.fromkeys(YIELDING, 0.0) | {"touch_offset_mm": 0.05})
     assert (path.z0_mm, path.dz_mm) == (-0.05, -1.0)
+
+
+def test_a_broken_sensor_keeps_out_its_own_presses_alone(lab, tmp_path):
+    path = tmp_path / "params" / "sensors.json"
+    tables = json.loads(path.read_text())
+    tables["broken"] = {**tables["gelsight_mini"], "image": "320x240"}
+    path.write_text(json.dumps(tables))
+    table, rejected, _ = lab([sample("a", sensor_id="broken"), sample("b")])
+    assert [row["sample_id"] for row in table] == ["b"]
+    assert [(row["column"], "image" in row["remedy"]) for row in rejected] == [("sensor_id", True)]
+
+
+def test_a_bench_that_gives_way_by_more_than_the_press_is_rejected():
+    _, wrong = poses.yielded(sample(dz_mm=-0.2, fx_n=0.0, fy_n=0.0, fz_n=-40.0), "log.csv", YIELDING)
+    assert [(r.column, "gives way" in r.reason) for r in wrong] == [("dz_mm", True)]
+
+
+def test_frames_that_go_back_are_rejected_and_the_table_says_which_press(lab):
+    film = [sample(f"f{k}", press_id="film", dz_mm=depth) for k, depth in enumerate((-0.4, -0.8, -0.6, -1.0))]
+    table, rejected, _ = lab([*film, sample("alone")])
+    assert [(row["sample_id"], row["press_id"]) for row in table] == [
+        ("f0", "film"), ("f1", "film"), ("f3", "film"), ("alone", ""),
+    ]  # fmt: skip
+    assert [(row["sample_id"], row["row"]) for row in rejected] == [("f2", "4")]

@@ -6,6 +6,7 @@ from argparse import Namespace
 from collections import Counter
 from pathlib import Path
 
+from gelforge.errors import printable
 from gelforge.flow.main import command, option
 from gelforge.flow.running import duration, look
 
@@ -139,7 +140,7 @@ def slurm_lines(results: Path) -> list[str]:
 )
 def main(args: Namespace) -> None:
     parts = (lines, cost_lines, running_lines, slurm_lines)
-    print("\n".join(line for part in parts for line in part(args.results)))
+    print("\n".join(printable(line) for part in parts for line in part(args.results)))
 
 
 if __name__ == "__main__":

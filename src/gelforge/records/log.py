@@ -84,7 +84,9 @@ def _places(path: Path, header: list[str], known: tuple[str, ...]) -> dict[str, 
     """Where each known column stands in the header."""
     if "sample_id" not in header:
         seen = printable(", ".join(header))[:200] or "no header"
-        raise BadInput(f"{path}: column sample_id is missing, so it holds no presses; seen: {seen}")
+        other = next((mark for mark in ";\t|" if len(header) == 1 and mark in header[0]), "")
+        remedy = f"; separate cells by commas, not by {other!r}" if other else ""
+        raise BadInput(f"{path}: column sample_id is missing, so it holds no presses; seen: {seen}{remedy}")
     for name in known:
         if header.count(name) > 1:
             raise BadInput(f"{path}: column {name} stands {header.count(name)} times in the header; keep one of them")

@@ -19,7 +19,7 @@ from gelforge.labelling.sensor import find_sensor, load_sensors
 from gelforge.networks.split import split_presses
 from gelforge.records.axes import CHANNEL_OF_AXIS
 from gelforge.records.image import read_logged_image
-from gelforge.records.labelfile import FIELDS, read_labels
+from gelforge.records.labelfile import FIELDS, open_labels, read_labels
 from gelforge.records.log import read_log, read_poses, without_duplicates
 from gelforge.records.press import FORCE, POSE, PressRecord, parse
 from gelforge.records.status import Status
@@ -64,15 +64,16 @@ class Labelled:
         return row | {"split": split, "group": group}
 
 
-def collect(shards: list[tuple[Path, list]], truth: dict) -> tuple[list[Labelled], dict]:
-    """Samples with a label and an image, and what was left out: {reason: count}.
+def collect(shards: list[tuple[Path, list]], truth: dict) -> tuple[list[Labelled], dict, dict]:
+    """Samples with a label and an image, what was left out ({reason: count}), and the first shard's material.
 
     shards: label files with the presses of their samples (a pose table or a log).
     """
-    found, left_out = [], {}
+    found, left_out, material = [], {}, {}
     for number, (path, presses) in enumerate(shards):
         by_id = {press.sample_id: press for press in presses}
         labels = read_labels(path)
+        material = material or labels.material
         totals = labels.label.sum(axis=(2, 3), dtype=np.float64)
         for at, (name, status) in enumerate(zip(labels.sample_id.tolist(), labels.status, strict=True)):
             press = by_id.get(name)
@@ -82,7 +83,7 @@ def collect(shards: list[tuple[Path, list]], truth: dict) -> tuple[list[Labelled
                 continue
             total, outside = totals[at][list(CHANNEL_OF_AXIS)], labels.outside[at][list(CHANNEL_OF_AXIS)]
             found.append(Labelled(press, total, outside, (number, at), truth.get(name, {})))
-    return found, left_out
+    return found, left_out, material
 
 
 def _reason(press: PressRecord | None, status: Status) -> str:
@@ -166,23 +167,25 @@ def write_label_array(path, shards, places, grid: Grid, name: str = "label") -> 
         opened, array, written = None, None, None
         for at, (number, index) in enumerate(places):
             if number != opened:
-                found = read_labels(shards[number][0])
-                opened, array = number, found.label if name == "label" else found.fields.get(name)
-            if array is None:
-                raise BadInput(f"{shards[number][0]}: has no {name}, which other shards have; make labels again")
-            if array.shape[-2:] != grid.shape:
-                raise BadInput(
-                    f"{shards[number][0]}: labels of {array.shape[-2:]} cells, asked for {grid}; make labels again"
-                )
+                opened, array = number, _read_array(shards[number][0], name, grid)
             if written is None:
                 written = np.lib.format.open_memmap(part, "w+", np.float32, (len(places), *array.shape[1:]))
             written[at] = array[index]
         written.flush()
 
 
+def _read_array(path: Path, name: str, grid: Grid) -> np.ndarray:
+    with open_labels(path) as file:
+        array = file.array(name, "f", FIELDS.get(name, 4))
+    if array.shape[-2:] != grid.shape:
+        raise BadInput(f"{path}: labels of {array.shape[-2:]} cells, asked for {grid}; make labels again")
+    return array
+
+
 def write_fields(folder: Path, shards, places, grid: Grid) -> None:
     """Write what the labels hold beside forces, one array each; those that they no longer hold go."""
-    held = read_labels(shards[places[0][0]][0]).fields
+    with open_labels(shards[places[0][0]][0]) as file:
+        held = [name for name in FIELDS if name in file]
     for name in FIELDS:
         if name in held:
             write_label_array(folder / f"{name}.npy", shards, places, grid, name)
@@ -224,7 +227,7 @@ def list_shards(args) -> list[tuple[Path, list]]:
     return [(args.labels, presses)]
 
 
-def describe(args, grid: Grid, found: list[Labelled], splits, left_out, size, first_labels: Path) -> dict:
+def describe(args, grid: Grid, found: list[Labelled], splits, left_out, size, material: dict) -> dict:
     """Contents of dataset.json."""
     names, counts = np.unique(splits, return_counts=True)
     return {
@@ -237,7 +240,7 @@ def describe(args, grid: Grid, found: list[Labelled], splits, left_out, size, fi
         "sensors": sorted({each.press.sensor_id for each in found}),
         "indenters": sorted({each.press.indenter for each in found}),
         "left_out": left_out,
-        **read_labels(first_labels).material,
+        **material,
     }
 
 
@@ -246,7 +249,7 @@ def build(args) -> dict:
     grid, settings = Grid.parse(args.resolution), read_json(args.params)["dataset"]
     check_settings(settings)
     shards = list_shards(args)
-    found, left_out = collect(shards, read_truth(args.data))
+    found, left_out, material = collect(shards, read_truth(args.data))
     if not found:
         raise BadInput(
             f"{args.data}: no sample has both a label and an image (left out: {left_out or 'none'});"
@@ -265,7 +268,7 @@ def build(args) -> dict:
     share_images(folder, args.data, presses, size)
     write_samples(folder, found, splits, groups)
     write_json(folder / "normalisation.json", training_ranges(folder, splits))
-    about = describe(args, grid, found, splits, left_out, size, shards[0][0])
+    about = describe(args, grid, found, splits, left_out, size, material)
     return about | {"nocontact": write_nocontact(folder / "nocontact.npy", args.data, about["sensors"], size)}
 
 
