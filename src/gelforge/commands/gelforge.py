@@ -13,6 +13,7 @@ COMMANDS = {
     "estimate": "core hours, disk and time of a run before it starts",
     "why": "why make would make a target again",
     "lineage": "every file, parameter and cost behind one label",
+    "export": "a dataset as MCAP, Rerun, LeRobot, WebDataset or HDF5",
     "look": "pictures and .vtu of one sample",
 }
 

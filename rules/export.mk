@@ -1,0 +1,14 @@
+# A dataset in formats that others read: make export FORMAT=lerobot.
+FORMAT ?=
+FORMATS := mcap rerun lerobot webdataset hdf5
+SUFFIX_mcap := .mcap
+SUFFIX_rerun := .rrd
+SUFFIX_lerobot :=
+SUFFIX_webdataset :=
+SUFFIX_hdf5 := .h5
+EXPORT = $D/export/$(RES1)/$(FORMAT)/$(DATASET)$(SUFFIX_$(FORMAT))
+
+.PHONY: export
+export: $D/60_dataset/$(RES1)/dataset.json  ## a dataset for others: make export FORMAT=mcap, rerun, lerobot, webdataset or hdf5
+	$(if $(filter $(FORMATS),$(FORMAT)),,$(error FORMAT=$(FORMAT): name one of $(FORMATS)))
+	@$(PY) -m gelforge.commands.export --data $(DATA) --dataset $(<D) --sensors $P/sensors.json --format $(FORMAT) --out $(EXPORT)

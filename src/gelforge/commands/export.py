@@ -1,0 +1,104 @@
+"""A dataset of images and labels in a format that others read.
+
+mcap: ROS 2 messages, for Foxglove. rerun: a recording. lerobot: LeRobot's layout, version 3. webdataset: tar shards.
+hdf5: one file. FEATS' own layout is `make feats-export`. They need `pip install gelforge[exports]`.
+"""
+
+import importlib
+import shutil
+from argparse import Namespace
+from contextlib import contextmanager
+from pathlib import Path
+
+from gelforge.errors import BadInput
+from gelforge.flow.main import command, option
+from gelforge.formats.export.samples import Samples
+
+# Module and the name of what it writes: a file, or a folder where there is no suffix.
+FORMATS = {
+    "mcap": ("mcap_file", ".mcap"),
+    "rerun": ("rerun_file", ".rrd"),
+    "lerobot": ("lerobot", ""),
+    "webdataset": ("webdataset_shards", ""),
+    "hdf5": ("hdf5", ".h5"),
+}
+
+
+@contextmanager
+def whole_or_absent(path: Path):
+    """Yield a temporary place beside `path`, which takes its place if the block succeeds; else nothing is left."""
+    part = path.with_name(f".{path.name}.part{path.suffix}")
+    remove(part)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield part
+        remove(path)
+        part.rename(path)
+    except OSError as error:
+        raise BadInput(
+            f"{path}: cannot be written ({error.strerror or error}); free space or name another place"
+        ) from error
+    finally:
+        remove(part)
+
+
+def remove(path: Path) -> None:
+    """Remove a file or a folder, if it is there."""
+    if path.is_dir():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)
+
+
+def export(samples: Samples, form: str, path: Path) -> None:
+    """Write a dataset in one of FORMATS, whole or not at all; BadInput where that is not possible."""
+    if form not in FORMATS:
+        raise BadInput(f"FORMAT={form}: no such format; choose one of {', '.join(FORMATS)}")
+    least = samples.least_bytes()
+    refuse_full_disk(path, least + samples.labels.nbytes)
+    writer = importlib.import_module(f"gelforge.formats.export.{FORMATS[form][0]}")
+    with whole_or_absent(path) as part:
+        try:
+            writer.write(part, samples)
+        except ModuleNotFoundError as error:
+            raise BadInput(
+                f"format {form} needs the package {error.name}: pip install 'gelforge[exports]'"
+            ) from error
+        # Not every library says that the disk was full.
+        if written(part) < least:
+            raise BadInput(
+                f"{path}: only {written(part)} of more than {least} bytes were written; free space and export again"
+            )
+
+
+def refuse_full_disk(path: Path, needed: int) -> None:
+    """BadInput where the disk that will hold `path` has less than the bytes needed."""
+    home = next(parent for parent in path.absolute().parents if parent.exists())
+    free = shutil.disk_usage(home).free
+    if free < needed:
+        raise BadInput(
+            f"{path}: needs about {needed / 1e6:.3g} MB, {home} has {free / 1e6:.3g} MB left; free space or name another place"
+        )
+
+
+def written(path: Path) -> int:
+    """Bytes of a file or of all files of a folder."""
+    files = path.rglob("*") if path.is_dir() else [path]
+    return sum(file.stat().st_size for file in files if file.is_file())
+
+
+@command(
+    option("--data", type=Path, help="data/DATASET"),
+    option("--dataset", type=Path, help="60_dataset/RES"),
+    option("--sensors", type=Path, help="sensors.json"),
+    option("--format", choices=FORMATS),
+    option("--out", type=Path),
+)
+def main(args: Namespace) -> None:
+    samples = Samples.open(args.data, args.dataset, args.sensors)
+    export(samples, args.format, args.out)
+    print(f"{len(samples)} samples in {args.out}")
+
+
+if __name__ == "__main__":
+    main.exit()

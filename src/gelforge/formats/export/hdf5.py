@@ -1,0 +1,49 @@
+"""HDF5: one file for those who ask for one.
+
+/picture (n,) bytes of the picture's file as the sensor gave it, /forces (n, 3, rows, cols) float32 N per cell, /total
+(n, 3) N along gel x, y, z, and every column of samples.csv below /samples. Attributes of the file say what they mean.
+"""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.formats.export.samples import Samples
+
+BLOCK = 256
+
+
+def write(path: Path, samples: Samples) -> None:
+    """Write one file."""
+    import h5py
+
+    count = len(samples)
+    with h5py.File(path, "w") as file:
+        for name, value in samples.facts().items():
+            file.attrs[name] = value if isinstance(value, str) else json.dumps(value)
+        pictures = file.create_dataset("picture", (count,), h5py.vlen_dtype(np.uint8))
+        types = file.create_dataset("media_type", (count,), h5py.string_dtype())
+        forces = file.create_dataset(
+            "forces", (count, 3, *samples.grid), np.float32, chunks=(min(16, count), 3, *samples.grid), compression="lzf"
+        )  # fmt: skip
+        forces.attrs["unit"] = "N per cell"
+        for start in range(0, count, BLOCK):
+            block = [samples.sample(at) for at in range(start, min(start + BLOCK, count))]
+            rows = slice(start, start + len(block))
+            pictures[rows] = as_objects([np.frombuffer(sample.picture, np.uint8) for sample in block])
+            types[rows] = [sample.media_type for sample in block]
+            forces[rows] = np.stack([sample.label for sample in block])
+        file["total"] = np.array([[float(row[axis]) for axis in ("fx_n", "fy_n", "fz_n")] for row in samples.rows])
+        file["total"].attrs["unit"] = "N"
+        for name in samples.rows[0]:
+            file.create_dataset(
+                f"samples/{name}", data=[row[name] for row in samples.rows], dtype=h5py.string_dtype()
+            )
+
+
+def as_objects(arrays: list[np.ndarray]) -> np.ndarray:
+    """Arrays of any lengths as one of objects, also where they happen to be of one length."""
+    held = np.empty(len(arrays), object)
+    held[:] = arrays
+    return held

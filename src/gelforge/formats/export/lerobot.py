@@ -1,0 +1,272 @@
+"""LeRobot's dataset layout, codebase version v3.0 (https://huggingface.co/docs/lerobot, lerobot-dataset-v3).
+
+A press is an episode, its pictures the frames by depth, one after the other at FPS; episodes of a split follow each
+other. LeRobot has no agreed schema for touch yet (its proposals speak of point sets); features here are ordinary ones:
+
+| feature | type | meaning |
+| --- | --- | --- |
+| observation.images.gelsight | image | the picture as its file |
+| observation.forces | float32 (3 * rows * cols,) | N per cell, force along gel y, x, z: reshape to (3, rows, cols) |
+| observation.state | float32 (7,) | pose of the indenter: x0, y0, z0, dx, dy, dz in mm, rotation in degrees |
+| observation.wrench | float32 (3,) | total force of the label along gel x, y, z, N |
+| sample_id, indenter, sensor_id, split | string | as in samples.csv |
+
+Forces are flat, because readers of the layout other than LeRobot's own take features of one dimension only.
+"""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.flow.files import write_json, write_text
+from gelforge.formats.export.samples import Samples
+
+VERSION = "v3.0"
+FPS = 10
+CHUNK_FILES = 1000  # files a chunk folder holds at most
+FILE_BYTES = 100e6  # of data a file holds at most, about
+POSE = ("x0_mm", "y0_mm", "z0_mm", "dx_mm", "dy_mm", "dz_mm", "rot_deg")
+NAMES = ("sample_id", "indenter", "sensor_id", "split")
+PICTURE, FORCES, STATE, WRENCH = (
+    "observation.images.gelsight",
+    "observation.forces",
+    "observation.state",
+    "observation.wrench",
+)
+INDICES = ("frame_index", "episode_index", "index", "task_index")
+TASK = "press the gel"
+DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+CARD = """---
+license: other
+task_categories:
+- robotics
+tags:
+- LeRobot
+- tactile
+- gelsight
+configs:
+- config_name: default
+  data_files: data/*/*.parquet
+---
+
+# {name}
+
+Pictures of an optical tactile sensor with forces per cell, labelled by finite elements (gelforge).
+{frames} pictures of {episodes} presses; splits are in the column `split` and, by episodes, in `meta/info.json`.
+
+{about}
+
+## What the numbers mean
+
+```json
+{facts}
+```
+"""
+
+
+def features(samples: Samples) -> dict:
+    """`features` of meta/info.json."""
+    width, height = samples.info["image"]
+    scalar = {"shape": [1], "names": None}
+    return {
+        PICTURE: {"dtype": "image", "shape": [height, width, 3], "names": ["height", "width", "channels"]},
+        FORCES: {"dtype": "float32", "shape": [cells_of(samples)], "names": None},
+        STATE: {"dtype": "float32", "shape": [len(POSE)], "names": list(POSE)},
+        WRENCH: {"dtype": "float32", "shape": [3], "names": ["fx_n", "fy_n", "fz_n"]},
+        **{name: {"dtype": "string", **scalar} for name in NAMES},
+        "timestamp": {"dtype": "float32", **scalar},
+        **{name: {"dtype": "int64", **scalar} for name in INDICES},
+    }
+
+
+def schema(samples: Samples):
+    """Schema of a data file, with the features that Hugging Face's `datasets` reads from it."""
+    import pyarrow as pa
+
+    known = {
+        PICTURE: (pa.struct([("bytes", pa.binary()), ("path", pa.string())]), {"_type": "Image"}),
+        FORCES: (pa.list_(pa.float32(), cells_of(samples)), sequence(cells_of(samples))),
+        STATE: (pa.list_(pa.float32(), len(POSE)), sequence(len(POSE))),
+        WRENCH: (pa.list_(pa.float32(), 3), sequence(3)),
+        **{name: (pa.string(), {"dtype": "string", "_type": "Value"}) for name in NAMES},
+        "timestamp": (pa.float32(), {"dtype": "float32", "_type": "Value"}),
+        **{name: (pa.int64(), {"dtype": "int64", "_type": "Value"}) for name in INDICES},
+    }
+    about = {"info": {"features": {name: kind for name, (_, kind) in known.items()}}}
+    return pa.schema([(name, kind) for name, (kind, _) in known.items()], {"huggingface": json.dumps(about)})
+
+
+def cells_of(samples: Samples) -> int:
+    """Numbers of a force map: three components of all cells."""
+    return 3 * samples.grid[0] * samples.grid[1]
+
+
+def sequence(length: int) -> dict:
+    """A list of fixed length in the words of `datasets`."""
+    return {"feature": {"dtype": "float32", "_type": "Value"}, "length": length, "_type": "List"}
+
+
+def write(folder: Path, samples: Samples) -> None:
+    """Write the dataset's folder."""
+    episodes = in_order_of_splits(samples)
+    placed = write_data(folder, samples, episodes)
+    write_episodes(folder, episodes, placed)
+    write_tasks(folder)
+    write_json(folder / "meta" / "stats.json", stats(samples))
+    write_json(folder / "meta" / "info.json", info(samples, episodes))
+    about = __doc__.split("\n\n", 1)[1].strip()
+    text = CARD.format(
+        name=samples.info["name"], frames=len(samples), episodes=len(episodes), about=about,
+        facts=json.dumps(samples.facts(), indent=1),
+    )  # fmt: skip
+    write_text(folder / "README.md", text)
+
+
+def in_order_of_splits(samples: Samples) -> list[list[int]]:
+    """Episodes as rows of samples, those of a split together, train first."""
+    presses = samples.frames_of_presses
+    order = sorted({samples.rows[rows[0]]["split"] for rows in presses}, key=lambda split: (split != "train", split))
+    return [rows for split in order for rows in presses if samples.rows[rows[0]]["split"] == split]
+
+
+def write_data(folder: Path, samples: Samples, episodes: list[list[int]]) -> list[tuple[int, int]]:
+    """Write the data files, whole episodes in each; return (chunk, file) of every episode."""
+    import pyarrow.parquet as pq
+
+    form, placed, index, number, held, size = schema(samples), [], 0, 0, [], 0
+
+    def flush() -> None:
+        nonlocal held, size, number
+        if held:
+            path = folder / DATA_PATH.format(chunk_index=number // CHUNK_FILES, file_index=number % CHUNK_FILES)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            # Pictures are compressed already; a dictionary of them would be their copy.
+            compression = {**dict.fromkeys(leaves(form), "snappy"), f"{PICTURE}.bytes": "none"}
+            pq.write_table(as_table(held, form), path, compression=compression, use_dictionary=list(NAMES))
+            held, size, number = [], 0, number + 1
+
+    for episode, rows in enumerate(episodes):
+        placed.append((number // CHUNK_FILES, number % CHUNK_FILES))
+        for frame, at in enumerate(rows):
+            sample = samples.sample(at)
+            held.append((sample, frame, episode, index))
+            size += len(sample.picture) + sample.label.nbytes
+            index += 1
+        if size >= FILE_BYTES:
+            flush()
+    flush()
+    return placed
+
+
+def leaves(form) -> list[str]:
+    """Paths of a schema's columns as parquet names them."""
+    return [*(name for name in form.names if name not in (PICTURE, FORCES, STATE, WRENCH)),
+            f"{PICTURE}.bytes", f"{PICTURE}.path", f"{FORCES}.list.element",
+            f"{STATE}.list.element", f"{WRENCH}.list.element"]  # fmt: skip
+
+
+def as_table(held: list, form):
+    """Frames as a table of one data file."""
+    import pyarrow as pa
+
+    samples = [sample for sample, *_ in held]
+    pictures = pa.StructArray.from_arrays(
+        [pa.array([sample.picture for sample in samples], pa.binary()),
+         pa.array([Path(sample.row["image"]).name for sample in samples])],
+        names=["bytes", "path"],
+    )  # fmt: skip
+    columns = {
+        PICTURE: pictures,
+        FORCES: fixed([sample.label.ravel() for sample in samples]),
+        STATE: fixed([[float(sample.row[name] or "nan") for name in POSE] for sample in samples]),
+        WRENCH: fixed([sample.total() for sample in samples]),
+        **{name: pa.array([sample.row[name] for sample in samples]) for name in NAMES},
+        "timestamp": pa.array(np.array([frame / FPS for _, frame, _, _ in held], np.float32)),
+        "frame_index": pa.array([frame for _, frame, _, _ in held], pa.int64()),
+        "episode_index": pa.array([episode for _, _, episode, _ in held], pa.int64()),
+        "index": pa.array([index for *_, index in held], pa.int64()),
+        "task_index": pa.array(np.zeros(len(samples), np.int64)),
+    }
+    return pa.Table.from_arrays([columns[name] for name in form.names], schema=form)
+
+
+def fixed(rows: list):
+    """Rows of one length as a column of lists of that length."""
+    import pyarrow as pa
+
+    values = np.array(rows, np.float32)
+    return pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), values.shape[1])
+
+
+def write_episodes(folder: Path, episodes: list[list[int]], placed: list[tuple[int, int]]) -> None:
+    """meta/episodes: where each episode lies."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    lengths = np.array([len(rows) for rows in episodes])
+    stops = np.cumsum(lengths)
+    chunks, files = np.array(placed).T
+    table = pa.table({
+        "episode_index": np.arange(len(episodes)), "tasks": [[TASK]] * len(episodes), "length": lengths,
+        "data/chunk_index": chunks, "data/file_index": files, "dataset_from_index": stops - lengths,
+        "dataset_to_index": stops, "meta/episodes/chunk_index": np.zeros_like(stops),
+        "meta/episodes/file_index": np.zeros_like(stops),
+    })  # fmt: skip
+    path = folder / "meta" / "episodes" / "chunk-000" / "file-000.parquet"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    pq.write_table(table, path)
+
+
+def write_tasks(folder: Path) -> None:
+    """meta/tasks.parquet: a pandas table whose index is the task's words."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    table = pa.table({"task_index": pa.array([0], pa.int64()), "task": pa.array([TASK])})
+    column = {"field_name": None, "metadata": None}
+    about = {
+        "index_columns": ["task"], "column_indexes": [], "pandas_version": "2.2.0",
+        "columns": [column | {"name": "task_index", "field_name": "task_index", "pandas_type": "int64", "numpy_type": "int64"},
+                    column | {"name": "task", "field_name": "task", "pandas_type": "unicode", "numpy_type": "object"}],
+    }  # fmt: skip
+    pq.write_table(table.replace_schema_metadata({"pandas": json.dumps(about)}), folder / "meta" / "tasks.parquet")
+
+
+def stats(samples: Samples) -> dict:
+    """meta/stats.json: ranges of the numbers, as LeRobot normalises by."""
+    forces = samples.labels
+    shape = forces.shape[1:]
+    sums, squares, low, high = np.zeros(shape), np.zeros(shape), np.full(shape, np.inf), np.full(shape, -np.inf)
+    for start in range(0, len(forces), 256):
+        block = np.asarray(forces[start : start + 256], np.float64)
+        sums, squares = sums + block.sum(0), squares + (block**2).sum(0)
+        low, high = np.minimum(low, block.min(0)), np.maximum(high, block.max(0))
+    mean = sums / len(forces)
+    spread = np.sqrt(np.maximum(squares / len(forces) - mean**2, 0))
+    found = {"min": low, "max": high, "mean": mean, "std": spread}
+    cells = {name: value.ravel().tolist() for name, value in found.items()}
+    state = np.array([[float(row[name] or "nan") for name in POSE] for row in samples.rows])
+    wrench = np.array([[float(row[name]) for name in ("fx_n", "fy_n", "fz_n")] for row in samples.rows])
+    count = {"count": [len(forces)]}
+    return {FORCES: cells | count, STATE: ranges(state) | count, WRENCH: ranges(wrench) | count}
+
+
+def ranges(values: np.ndarray) -> dict:
+    """Smallest, largest, mean and deviation of each column."""
+    found = {"min": np.nanmin, "max": np.nanmax, "mean": np.nanmean, "std": np.nanstd}
+    return {name: of(values, axis=0).tolist() for name, of in found.items()}
+
+
+def info(samples: Samples, episodes: list[list[int]]) -> dict:
+    """meta/info.json."""
+    splits: dict[str, list[int]] = {}
+    for number, rows in enumerate(episodes):
+        splits.setdefault(samples.rows[rows[0]]["split"] or "train", []).append(number)
+    return {
+        "codebase_version": VERSION, "robot_type": "gelsight_mini", "total_episodes": len(episodes),
+        "total_frames": len(samples), "total_tasks": 1, "chunks_size": CHUNK_FILES, "fps": FPS,
+        "data_files_size_in_mb": int(FILE_BYTES / 1e6), "video_files_size_in_mb": 200,
+        "splits": {name: f"{numbers[0]}:{numbers[-1] + 1}" for name, numbers in splits.items()},
+        "data_path": DATA_PATH, "video_path": None, "features": features(samples), "gelforge": samples.facts(),
+    }  # fmt: skip

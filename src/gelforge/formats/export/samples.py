@@ -1,0 +1,123 @@
+"""A dataset of stage 60 as every export reads it, with the facts that give its numbers a meaning."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.flow.files import read_csv, read_json
+
+SUFFIXES = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg"}
+TEXTS = ("sample_id", "indenter", "sensor_id", "gel_id", "split", "group", "image")
+CHANNELS = ("force along gel y", "force along gel x", "force along gel z")
+TOTALS = ("fx_n", "fy_n", "fz_n")
+FRAME = "gel: origin on the crown of the untouched gel, x the short side, y the long side, z out of the gel; mm, N"
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One image with its label: row of samples.csv, encoded picture and its type, forces (3, rows, cols) N per cell."""
+
+    row: dict[str, str]
+    picture: bytes
+    media_type: str
+    label: np.ndarray
+
+    @property
+    def name(self) -> str:
+        return self.row["sample_id"]
+
+    def total(self) -> list[float]:
+        """Total force along gel x, y, z in N, as the dataset states it."""
+        return [float(self.row[axis]) for axis in TOTALS]
+
+
+@dataclass(frozen=True)
+class Samples:
+    """All samples of a dataset, and what is true of all of them.
+
+    data: data/DATASET, whose pictures are carried over as they are. dataset: 60_dataset/RES. sensors: sensors.json.
+    """
+
+    data: Path
+    dataset: Path
+    rows: list[dict[str, str]]
+    labels: np.ndarray
+    info: dict
+    sensors: dict
+
+    @classmethod
+    def open(cls, data: Path, dataset: Path, sensors: Path) -> "Samples":
+        """Open a dataset; BadInput where it is missing, or no picture belongs to it."""
+        for name in ("samples.csv", "labels.npy", "dataset.json"):
+            if not (dataset / name).exists():
+                raise BadInput(
+                    f"{dataset}: {name} is missing; make it with `make dataset`, RES being the grid you want"
+                )
+        rows = read_csv(dataset / "samples.csv")
+        if not rows or not any(row.get("image") for row in rows):
+            raise BadInput(
+                f"{dataset}: holds no sample with a picture; fill the log's column `image` and make dataset"
+            )
+        labels = np.load(dataset / "labels.npy", mmap_mode="r", allow_pickle=False)
+        if len(labels) != len(rows):
+            raise BadInput(f"{dataset}: {len(labels)} labels for {len(rows)} samples; remove it and make dataset")
+        return cls(data, dataset, rows, labels, read_json(dataset / "dataset.json"), read_json(sensors))
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __iter__(self) -> Iterator[Sample]:
+        return (self.sample(at) for at in range(len(self)))
+
+    def sample(self, at: int) -> Sample:
+        """One sample; BadInput where its picture is not there."""
+        row = self.rows[at]
+        path = (self.data / row["image"]).resolve()
+        if not path.is_relative_to(self.data.resolve()):
+            raise BadInput(f"{self.data}/log.csv: image {row['image']!r} leads out of the dataset's folder")
+        media_type = SUFFIXES.get(path.suffix.lower())
+        if media_type is None or not path.is_file():
+            raise BadInput(f"{path}: no picture of sample {row['sample_id']} there as PNG or JPEG; restore it")
+        return Sample(row, path.read_bytes(), media_type, np.asarray(self.labels[at]))
+
+    def least_bytes(self) -> int:
+        """Bytes of all pictures, which every format carries as they are; those that are missing count as none."""
+        paths = (self.data / row["image"] for row in self.rows)
+        return sum(path.stat().st_size for path in paths if path.is_file())
+
+    @cached_property
+    def frames_of_presses(self) -> list[list[int]]:
+        """Rows of each press, by depth, presses in the order of their first row; a press has one split."""
+        found: dict[tuple, list[int]] = {}
+        for at, row in enumerate(self.rows):
+            key = (row["split"], row["group"] or f"row {at}", row["indenter"])
+            found.setdefault(key, []).append(at)
+        return [sorted(rows, key=lambda at: -float(self.rows[at]["dz_mm"] or 0)) for rows in found.values()]
+
+    @cached_property
+    def grid(self) -> tuple[int, int]:
+        return self.labels.shape[2], self.labels.shape[3]
+
+    def facts(self) -> dict:
+        """Units, frame, sensors and calibration."""
+        named = {row["sensor_id"] for row in self.rows}
+        return {
+            "dataset": self.info["name"],
+            "grid": list(self.grid),
+            "image": self.info["image"],
+            "units": {"forces": "N per cell", "total": "N", "pose": "mm and degrees"},
+            "channels": list(CHANNELS),
+            "signs": "compression is negative z; force that acts on the gel, as FEATS",
+            "frame": FRAME,
+            "sensors": {name: self.sensors[name] for name in sorted(named & self.sensors.keys())},
+            "calibration": {name: value for name, value in self.info.items() if name.startswith("c10")},
+        }
+
+    def facts_text(self) -> str:
+        """The facts as JSON."""
+        return json.dumps(self.facts(), sort_keys=True)

@@ -1,0 +1,124 @@
+"""Every export comes back exactly through its format's own library, and none is left half-written."""
+
+import json
+import os
+import subprocess
+import sys
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from gelforge.commands.export import FORMATS, export, whole_or_absent
+from gelforge.errors import BadInput
+from tests.exported import READERS, lay
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_what_was_exported_comes_back_exactly(tmp_path, form):
+    samples = lay(tmp_path, 22)
+    suffix, read = READERS[form]
+    out = tmp_path / f"out{suffix}"
+    export(samples, form, out)
+    found, facts = read(out)
+    assert set(found) == {row["sample_id"] for row in samples.rows}
+    for sample in samples:
+        row, picture, label, total = found[sample.name]
+        assert row.items() <= sample.row.items() and picture == sample.picture
+        assert label.dtype == np.float32 and np.array_equal(label, sample.label)
+        # LeRobot's state is single precision.
+        assert total == (pytest.approx(sample.total(), rel=1e-7) if form == "lerobot" else sample.total())
+    assert facts == json.loads(samples.facts_text())
+    assert {"units", "frame", "sensors", "calibration"} <= facts.keys() and set(facts["sensors"]) == {
+        "mini_a",
+        "mini_e",
+    }
+
+
+def test_lerobot_is_opened_by_a_reader_of_its_layout(tmp_path):
+    """Rerun keeps a reader of LeRobot's version 3: it finds every episode, its frames and their pictures."""
+    from rerun.experimental import LeRobotReader
+
+    samples = lay(tmp_path, 22)
+    export(samples, "lerobot", tmp_path / "out")
+    reader = LeRobotReader(str(tmp_path / "out"))
+    assert len(list(reader.episodes())) == 11
+    for episode in reader.episodes():
+        rows = {chunk.entity_path: chunk.num_rows for chunk in reader.stream(episode)}
+        assert any("gelsight" in path and count == 2 for path, count in rows.items()), rows
+
+
+def test_frames_of_a_press_follow_each_other_from_shallow_to_deep(tmp_path):
+    samples = lay(tmp_path, 22)
+    for rows in samples.frames_of_presses:
+        assert [samples.rows[at]["dz_mm"] for at in rows] == ["-0.5", "-1.5"]
+        assert len({samples.rows[at]["split"] for at in rows}) == 1
+
+
+def test_splits_of_lerobot_are_runs_of_episodes(tmp_path):
+    samples = lay(tmp_path, 22)
+    export(samples, "lerobot", tmp_path / "out")
+    info = json.loads((tmp_path / "out/meta/info.json").read_text())
+    ends = sorted(tuple(map(int, run.split(":"))) for run in info["splits"].values())
+    assert ends[0][0] == 0 and ends[-1][1] == info["total_episodes"] == 11
+    assert all(before[1] == after[0] for before, after in pairwise(ends))
+    assert info["codebase_version"] == "v3.0" and "tactile" in (tmp_path / "out/README.md").read_text()
+
+
+def test_a_dataset_without_pictures_is_refused(tmp_path):
+    samples = lay(tmp_path, 4)
+    table = samples.dataset / "samples.csv"
+    lines = table.read_text().splitlines()
+    table.write_text("\n".join([lines[0], *(line.rsplit(",", 1)[0] + "," for line in lines[1:])]) + "\n")
+    with pytest.raises(BadInput, match="no sample with a picture"):
+        type(samples).open(samples.data, samples.dataset, tmp_path / "sensors.json")
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_a_lost_picture_is_named_and_nothing_is_left(tmp_path, form):
+    samples = lay(tmp_path, 6)
+    (samples.data / "images/s3.png").unlink()
+    with pytest.raises(BadInput, match=r"s3\.png"):
+        export(samples, form, tmp_path / "out" / "x")
+    assert not list((tmp_path / "out").iterdir())
+
+
+def test_a_picture_outside_the_dataset_is_not_read(tmp_path):
+    samples = lay(tmp_path, 4)
+    samples.rows[1]["image"] = "../../../etc/hostname.png"
+    with pytest.raises(BadInput, match="leads out"):
+        samples.sample(1)
+
+
+def test_an_earlier_export_stays_where_a_new_one_fails(tmp_path):
+    path = tmp_path / "held"
+    path.write_text("earlier")
+    with pytest.raises(BadInput, match="free space"), whole_or_absent(path) as part:
+        part.write_text("half")
+        raise OSError(28, "No space left on device")
+    assert path.read_text() == "earlier" and [p.name for p in tmp_path.iterdir()] == ["held"]
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="mounting a small disk needs root")
+@pytest.mark.parametrize("form", FORMATS)
+def test_a_full_disk_is_a_sentence_and_nothing_half_written(tmp_path, form):
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    if subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=64k", "none", disk], capture_output=True, check=False
+    ).returncode:
+        pytest.skip("mounting is not allowed here")
+    try:
+        samples = lay(tmp_path, 60)
+        command = [sys.executable, "-m", "gelforge.commands.export", "--data", samples.data, "--dataset", samples.dataset,
+                   "--sensors", tmp_path / "sensors.json", "--format", form, "--out", disk / "x"]  # fmt: skip
+        ran = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert ran.returncode == 2 and ran.stderr.strip().splitlines()[-1].startswith("error: "), ran.stderr
+        assert "Traceback" not in ran.stderr and not list(disk.iterdir())
+    finally:
+        subprocess.run(["umount", disk], check=True)
+
+
+def test_an_unknown_format_is_one_sentence(tmp_path):
+    with pytest.raises(BadInput, match="choose one of mcap"):
+        export(lay(tmp_path, 4), "xml", tmp_path / "out")
