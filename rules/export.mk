@@ -8,7 +8,13 @@ SUFFIX_webdataset :=
 SUFFIX_hdf5 := .h5
 EXPORT = $D/export/$(RES1)/$(FORMAT)/$(DATASET)$(SUFFIX_$(FORMAT))
 
+# Before anything is made for it.
+ifneq ($(filter export,$(MAKECMDGOALS)),)
+ifeq ($(filter $(FORMATS),$(FORMAT)),)
+$(error FORMAT=$(FORMAT): name one of $(FORMATS))
+endif
+endif
+
 .PHONY: export
 export: $D/60_dataset/$(RES1)/dataset.json  ## a dataset for others: make export FORMAT=mcap, rerun, lerobot, webdataset or hdf5
-	$(if $(filter $(FORMATS),$(FORMAT)),,$(error FORMAT=$(FORMAT): name one of $(FORMATS)))
 	@$(PY) -m gelforge.commands.export --data $(DATA) --dataset $(<D) --sensors $P/sensors.json --format $(FORMAT) --out $(EXPORT)
