@@ -1,8 +1,13 @@
 """A made-up dataset of any size, as the report's page is given it: real packing, plain numbers inside."""
 
 import numpy as np
+from press_records import press_record
 
 from gelforge.geometry.gel import load_gel
+from gelforge.records.press import PosedPress
+from gelforge.records.samplefile import DatasetSample
+from gelforge.records.solvetable import Solved
+from gelforge.records.status import Status
 from gelforge.reporting.explorer import Explorer
 from gelforge.reporting.page import Explored, render
 from gelforge.reporting.parts import MICRON, PART, arrows, in_parts, jpeg, pack, place_parts
@@ -22,16 +27,21 @@ def tables(count: int):
         name = f"made-{k:06d}"
         place = {"x0_mm": rng.uniform(-6, 6), "y0_mm": rng.uniform(-8, 8), "z0_mm": 0.0, "dx_mm": 0.1, "dy_mm": 0.0,
                  "dz_mm": -rng.uniform(0.3, 1.5), "rot_deg": rng.uniform(0, 360)}  # fmt: skip
-        poses.append({"sample_id": name, "indenter": SHAPES[k % 3], "sensor_id": f"mini_{'ab'[k % 2]}", "stl": "",
-                      "shard": f"{k // 100:04d}", "fz_n": 12 * place["dz_mm"], **place})  # fmt: skip
+        force = (0.3, -0.1, 12 * place["dz_mm"])
+        press = press_record(row=k + 2, sample_id=name, indenter=SHAPES[k % 3], sensor_id=f"mini_{'ab'[k % 2]}",
+                             fz_n=force[2], **place)  # fmt: skip
+        posed = PosedPress(**{key: value for key, value in vars(press).items() if key != "time_utc"})
+        poses.append((f"{k // 100:04d}", posed))
         good = k % 10 != 9
-        force = {"fx_n": 0.3, "fy_n": -0.1, "fz_n": 12 * place["dz_mm"]} if good else {}
-        solved[name] = {"status": "OK" if good else "DIVERGED", "reason": "" if good else "no equilibrium <b>at</b> 0.7",
-                        "fidelity": "hex", "mesh": "hex@made", "seconds": 1.5, "peak_mib": 120, **force}  # fmt: skip
+        status, reason = (Status.OK, "") if good else (Status.DIVERGED, "no equilibrium <b>at</b> 0.7")
+        evidence = {"seconds": 1.5, "peak_mib": 120}
+        solved[name] = Solved(
+            name, status, reason, "hex", "hex@made", "", force if good else (0.0, 0.0, 0.0), evidence
+        )
         if good:
             # Two frames are one press.
-            samples[name] = {"split": SPLITS[k // 2 % 5], "group": str(k // 2), **force}
-            totals[name] = (-0.1 + 0.02, 0.3, force["fz_n"] + rng.normal(0, 0.5))
+            samples[name] = DatasetSample(posed, np.array(force), np.zeros(3), {}, SPLITS[k // 2 % 5], str(k // 2))
+            totals[name] = (-0.1 + 0.02, 0.3, force[2] + rng.normal(0, 0.5))
     rejected = [{"sample_id": "", "shard": "0000", "row": "7", "column": "dz_mm", "value": "x",
                  "reason": "not a number", "remedy": "write a number of millimetres"}]  # fmt: skip
     return poses, rejected, solved, samples, totals

@@ -104,15 +104,15 @@ def test_arrays_belong_together(made):
     assert len(data.table) == 23 and data.grid == (24, 32) and data.image_size == (240, 320)
     assert data.info["left_out"] == {"DIVERGED": 1} and data.info["c10"] == 0.0725 and data.info["c10_interval68"]
     for at in (0, 7, 22):
-        name = data.table[at]["sample_id"]
+        name = data.table[at].press.sample_id
         image = cv2.imread(str(made["data"] / "images" / f"{name}.png"))[..., ::-1]
         assert np.array_equal(data.images[at], image)
         assert data.totals([at])[0] == pytest.approx(made["loads"][name].sum(axis=0)[[1, 0, 2]], rel=1e-6)
         for axis, column in enumerate(("fx_n", "fy_n", "fz_n")):
             total = made["loads"][name].sum(axis=0)[axis]
-            assert float(data.table[at][column]) == pytest.approx(total, rel=1e-6)
-            assert float(data.table[at][f"measured_{column}"]) == pytest.approx(total, rel=1e-9)
-    assert {row["split"] for row in data.table if row["indenter"] == "triangle_8"} == {"test_unseen_indenter"}
+            assert data.column(column)[at] == pytest.approx(total, rel=1e-6)
+            assert data.column(f"measured_{column}")[at] == pytest.approx(total, rel=1e-9)
+    assert {s.split for s in data.table if s.press.indenter == "triangle_8"} == {"test_unseen_indenter"}
 
 
 def test_untouched_sensors_come_along_where_they_were_photographed(tmp_path, root, monkeypatch):
@@ -124,7 +124,7 @@ def test_untouched_sensors_come_along_where_they_were_photographed(tmp_path, roo
     label(made, "4x4")
     data = open_data(collect(made, "4x4"))
     assert data.info["nocontact"] == ["mini_b"]
-    photographed, other = ([i for i, row in enumerate(data.table) if row["sensor_id"] == name] for name in
+    photographed, other = ([i for i, s in enumerate(data.table) if s.press.sensor_id == name] for name in
                            ("mini_b", "mini_a"))  # fmt: skip
     seen = data.seen(photographed, "pair")
     assert np.array_equal(seen[..., :3], data.images[photographed])
@@ -163,8 +163,8 @@ def test_normalisation_covers_the_training_split(made):
 def test_an_unseen_sensor_has_its_own_test(made):
     params = {**PARAMS["dataset"], "dataset": {**SETTINGS, "unseen_sensors": ["mini_b"]}}
     data = open_data(collect(made, "24x32", params))
-    for row in data.table:
-        assert (row["sensor_id"] == "mini_b") == (row["split"] in ("test_unseen_sensor", "test_unseen_both"))
+    for each in data.table:
+        assert (each.press.sensor_id == "mini_b") == (each.split in ("test_unseen_sensor", "test_unseen_both"))
 
 
 def spoil(tmp_path, breaking, **params):

@@ -206,14 +206,14 @@ def test_our_labels_go_out_and_come_back(tmp_path, sensor):
     ranges = export_dataset(dataset, tmp_path / "feats/labels")
     write_normalisation(tmp_path / "feats/labels/normalization_ours.npy", ranges)
     data = open_data(dataset)
-    for at, row in enumerate(data.table):
+    for at, row in enumerate(s.cells() for s in data.table):
         back = read_sample(tmp_path / "feats/labels" / row["split"] / f"{row['sample_id']}.npy")
         assert np.array_equal(back.label.astype(np.float32), data.labels[at]) and np.array_equal(
             back.image, data.images[at]
         )
     import_folder(tmp_path / "feats", tmp_path / "again/data/back", sensor)
     again = read_labels(tmp_path / "again/data/back/labels/6x8.npz")
-    order = [row["sample_id"] for row in data.table]
+    order = [s.press.sample_id for s in data.table]
     assert sorted(order) == again.sample_id.tolist()
     assert np.array_equal(again.label, data.labels[np.argsort(order)])
     # Imported labels feed stage 60 without any stage before it.

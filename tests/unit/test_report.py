@@ -10,6 +10,8 @@ import numpy as np
 from gelforge.geometry.gel import load_gel
 from gelforge.mechanics.hex.bricks import Bricks
 from gelforge.mechanics.hex.hexmesh import FineBox
+from gelforge.records.solvetable import Solved
+from gelforge.records.status import Status
 from gelforge.reporting.page import Section, render
 from gelforge.reporting.parts import forget_parts, pack, place_parts, script_json
 from gelforge.reporting.presses import as_columns, press_rows
@@ -101,9 +103,8 @@ def test_stages_know_what_they_read(tmp_path):
 
 
 def test_failures_are_listed_with_their_reasons(tmp_path):
-    section = failures_section(
-        tmp_path, {"s1": {"sample_id": "s1", "status": "DIVERGED", "reason": "why", "fidelity": "ccx"}}
-    )
+    failed = Solved("s1", Status.DIVERGED, "why", "ccx", "", "", (0.0, 0.0, 0.0), {})
+    section = failures_section(tmp_path, {"s1": failed})
     assert any(["s1", "DIVERGED", "why", "ccx"] in item.get("rows", []) for item in section.items)
     assert "None" in failures_section(tmp_path, {}).items[0]["text"]
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import read_csv, write_json, write_text
+from gelforge.flow.files import write_json, write_text
 from gelforge.flow.progress import progress
 from gelforge.formats.feats import (
     LabelSample,
@@ -25,7 +25,8 @@ from gelforge.formats.feats import (
 from gelforge.records.image import write_png
 from gelforge.records.labelfile import write_labels
 from gelforge.records.log import write_log
-from gelforge.records.press import FORCES, POSE, LoggedPress
+from gelforge.records.press import FORCES, POSE, LoggedPress, check_id
+from gelforge.records.samplefile import read_samples
 
 FEATS_C10 = 0.0792  # MPa, the paper's fit, which its labels were made with
 # An image that came with its label alone: nobody knows how it was pressed.
@@ -154,15 +155,15 @@ def export_dataset(dataset: Path, out: Path) -> dict:
 
     Normalisation covers the training split, as FEATS' normalize.py does.
     """
-    rows = read_csv(dataset / "samples.csv")
+    samples = read_samples(dataset / "samples.csv")
     images = np.load(dataset / "images.npy", mmap_mode="r", allow_pickle=False)
     labels = np.load(dataset / "labels.npy", mmap_mode="r", allow_pickle=False)
     ranges = Ranges()
-    for at, row in progress(list(enumerate(rows)), "export"):
+    for at, each in progress(list(enumerate(samples)), "export"):
         sample = LabelSample(np.asarray(images[at]), np.asarray(labels[at], np.float64))
-        if row["split"] == "train":
+        if each.split == "train":
             ranges.add(sample)
-        write_label(out / row["split"] / f"{row['sample_id']}.npy", sample)
+        write_label(out / check_id(each.split) / f"{each.press.sample_id}.npy", sample)
     if not ranges.found:
         raise BadInput(f"{dataset}: has no training samples, so there is nothing to normalise by; add presses")
     return ranges.found

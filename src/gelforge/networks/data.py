@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import read_csv, read_json
+from gelforge.flow.files import read_json
 from gelforge.networks.inputs import needs_untouched
+from gelforge.records.samplefile import DatasetSample, read_samples
 
 FILES = ("images.npy", "labels.npy", "nocontact.npy", "samples.csv", "normalisation.json", "dataset.json")
 TRAINING, VALIDATION = "train", "val"
@@ -22,14 +23,14 @@ class Data:
     """One dataset of stage 60, its arrays mapped from disk.
 
     images (n, height, width, 3) uint8 RGB; labels (n, 3, rows, cols) float32 N per cell, channels and
-    signs as FEATS; table has one dict of strings per sample; splits gives row numbers by name; nocontact
+    signs as FEATS; table has one record per sample; splits gives row numbers by name; nocontact
     has the picture (height, width, 3) uint8 RGB of each sensor that was photographed untouched.
     """
 
     folder: Path
     images: np.ndarray
     labels: np.ndarray
-    table: list[dict]
+    table: list[DatasetSample]
     splits: dict[str, np.ndarray]
     info: dict
     normalisation: dict
@@ -45,15 +46,15 @@ class Data:
 
     def column(self, name: str) -> np.ndarray:
         """One column of samples.csv as float64 (n,); empty fields are NaN."""
-        return np.array([float(row.get(name) or "nan") for row in self.table])
+        return np.array([sample.numbers()[name] for sample in self.table])
 
     def names(self, column: str) -> np.ndarray:
         """One column of samples.csv as text (n,)."""
-        return np.array([row.get(column, "") for row in self.table])
+        return np.array([sample.text(column) for sample in self.table])
 
     def untouched(self, rows) -> np.ndarray:
         """Pictures (k, height, width, 3) uint8 RGB of the sensors of some rows, taken while nothing touched them."""
-        names = [self.table[row]["sensor_id"] for row in rows]
+        names = [self.table[row].press.sensor_id for row in rows]
         missing = sorted(set(names) - set(self.nocontact))
         if missing:
             raise BadInput(
@@ -74,7 +75,7 @@ class Data:
 
     def presses(self, rows) -> np.ndarray:
         """What tells the presses of some rows apart, (k,): several images may show one; where unknown, none does."""
-        return np.array([self.table[row].get("group") or f"row {row}" for row in rows])
+        return np.array([self.table[row].group or f"row {row}" for row in rows])
 
     def totals(self, rows) -> np.ndarray:
         """Total force of the labels of some rows, (k, 3) float64 N, in the labels' channel order."""
@@ -91,11 +92,11 @@ def open_data(folder) -> Data:
         if not (folder / name).exists():
             raise BadInput(f"{folder}: {name} is missing; make it with `make dataset`, RES being the grid you want")
     images, labels, pictures = (map_array(folder / f"{name}.npy") for name in ("images", "labels", "nocontact"))
-    table = read_csv(folder / "samples.csv")
+    table = read_samples(folder / "samples.csv")
     info = read_json(folder / "dataset.json")
     check_shapes(folder, images, labels, table, info)
     check_finite(folder, labels, table)
-    split = np.array([row["split"] for row in table])
+    split = np.array([sample.split for sample in table])
     splits = {str(name): np.flatnonzero(split == name) for name in np.unique(split)}
     nocontact = match_pictures(folder, info, pictures, images)
     return Data(folder, images, labels, table, splits, info, read_json(folder / "normalisation.json"), nocontact)
@@ -147,7 +148,7 @@ def check_finite(folder, labels, table) -> None:
         good = np.isfinite(labels[start : start + CHUNK]).all((1, 2, 3))
         if not good.all():
             row = start + int(np.argmin(good))
-            name = table[row].get("sample_id", row)
+            name = table[row].press.sample_id
             raise BadInput(
                 f"{folder}/labels.npy: the label of sample {name} (row {row}) is not finite; "
                 "look at its solve, then make labels and dataset again"

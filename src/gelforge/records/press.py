@@ -7,7 +7,7 @@ degrees, forces N, moments N m. A row's number is its line in the log as an edit
 import math
 import re
 from collections.abc import Collection
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
@@ -118,7 +118,7 @@ class PressRecord:
 
     def cells(self) -> dict[str, str]:
         """The record as text; numbers in the shortest form that reads back to the same float."""
-        return {name: _cell(value) for name, value in asdict(self).items() if name != "row"}
+        return {name: _cell(value) for name, value in vars(self).items() if name != "row"}
 
 
 @dataclass(frozen=True, kw_only=True)

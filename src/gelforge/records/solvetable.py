@@ -36,6 +36,11 @@ class Solved:
     evidence: dict[str, object]
     press_id: str = ""
 
+    def number(self, name: str) -> float:
+        """A number of the evidence, NaN where the solve gave none."""
+        value = parse_number(str(self.evidence.get(name, "")))
+        return math.nan if value is None else value
+
     def cells(self) -> dict[str, object]:
         """One row of the table."""
         row: dict[str, object] = {name: getattr(self, name) for name in NAMES} | {"status": self.status.name}

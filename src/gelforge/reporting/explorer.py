@@ -13,7 +13,6 @@ from gelforge.mechanics.family import mesh_loader
 from gelforge.records.forcefile import ForceFile
 from gelforge.records.labelfile import read_labels
 from gelforge.reporting.parts import MICRON, arrows, jpeg, pack
-from gelforge.reporting.presses import number
 from gelforge.reporting.surface import Resampler, grid_points
 
 MOST_FACES = 1500  # of an indenter in the page
@@ -92,16 +91,16 @@ class Explorer:
         for row in self.rows:
             if row.get("indenter") and row.get("stl"):
                 best = found.setdefault(row["indenter"], row)
-                if number(row["dz_mm"]) < number(best["dz_mm"]):
+                if row["dz_mm"] < best["dz_mm"]:
                     found[row["indenter"]] = row
         return found
 
     def indenter(self, row: dict) -> dict:
         """Surface of the indenter of a press in its own frame, of few faces: points and faces to pack."""
         points, faces = few_faces(*read_stl(self.results / "10_poses" / row["stl"]))
-        turn = -np.deg2rad(number(row["rot_deg"]))
+        turn = -np.deg2rad(row["rot_deg"])
         c, s = np.cos(turn), np.sin(turn)
-        away = points - [number(row["x0_mm"]), number(row["y0_mm"]), number(row["z0_mm"])]
+        away = points - [row["x0_mm"], row["y0_mm"], row["z0_mm"]]
         own = away @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).T
         return pack({"points": (own, MICRON), "faces": (faces, 1)})
 

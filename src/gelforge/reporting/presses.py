@@ -3,7 +3,9 @@
 import numpy as np
 
 from gelforge.records.axes import CHANNEL_OF_AXIS
-from gelforge.records.press import POSE
+from gelforge.records.press import POSE, PosedPress
+from gelforge.records.samplefile import DatasetSample
+from gelforge.records.solvetable import Solved
 
 AXES = ("fx", "fy", "fz")
 TEXTS = ("indenter", "sensor", "split", "status", "reason", "fidelity", "mesh", "group", "shard")
@@ -17,22 +19,22 @@ NUMBERS = (
 DIGITS = 4
 
 
-def number(text) -> float:
-    """A cell as a number, NaN where it is empty or none."""
-    try:
-        return float(text)
-    except (TypeError, ValueError):
-        return float("nan")
-
-
-def press_rows(poses, rejected, solved: dict, samples: dict, totals: dict) -> list[dict]:
+def press_rows(
+    presses: list[tuple[str, PosedPress]],
+    rejected: list[dict],
+    solved: dict[str, Solved],
+    samples: dict[str, DatasetSample],
+    totals: dict,
+) -> list[dict]:
     """One dict a press, rejected rows of the log last.
 
-    poses, rejected: rows of stage 10 with their `shard`. solved, samples: rows of stages 30 and 60 by sample_id.
-    totals: (3,) N by sample_id that the network read, in its channel order.
+    presses, rejected: presses of the pose tables and rows of their rejections, with their shard. solved, samples: of
+    stages 30 and 60 by sample_id. totals: (3,) N by sample_id that the network read, in its channel order.
     """
-    rows = [_press(row, solved.get(row["sample_id"], {}), samples.get(row["sample_id"], {}),
-                   totals.get(row["sample_id"])) for row in poses]  # fmt: skip
+    rows = [
+        _press(shard, press, solved.get(press.sample_id), samples.get(press.sample_id), totals.get(press.sample_id))
+        for shard, press in presses
+    ]
     by_row: dict[tuple, dict] = {}
     for fault in rejected:
         text = f"{fault['column']}: {fault['reason']}; {fault['remedy']}"
@@ -43,17 +45,19 @@ def press_rows(poses, rejected, solved: dict, samples: dict, totals: dict) -> li
     return rows + list(by_row.values())
 
 
-def _press(pose: dict, solve: dict, sample: dict, total) -> dict:
-    row = {"id": pose["sample_id"], "indenter": pose["indenter"], "sensor": pose["sensor_id"], "shard": pose["shard"]}
-    row |= {"split": sample.get("split", ""), "group": sample.get("group", "")}
-    row |= {"status": solve.get("status", "PENDING")}
-    row |= {name: solve.get(name, "") for name in ("reason", "fidelity", "mesh", "seconds", "peak_mib")}
-    row |= {name: pose[name] for name in (*POSE, "stl")}
-    for axis, channel in zip(AXES, CHANNEL_OF_AXIS, strict=True):
-        row[f"measured_{axis}"] = pose.get(f"{axis}_n", "")
-        # Forces of the label, or of the solve where the press has no picture and so no place in the dataset.
-        row[f"label_{axis}"] = sample.get(f"{axis}_n", solve.get(f"{axis}_n", ""))
-        row[f"network_{axis}"] = "" if total is None else total[channel]
+def _press(shard: str, press: PosedPress, solve: Solved | None, sample: DatasetSample | None, total) -> dict:
+    row = {"id": press.sample_id, "indenter": press.indenter, "sensor": press.sensor_id, "shard": shard}
+    row |= {"split": sample.split, "group": sample.group} if sample else {}
+    row |= {"status": solve.status.name if solve else "PENDING"}
+    if solve:
+        row |= {name: getattr(solve, name) for name in ("reason", "fidelity", "mesh")}
+        row |= {name: solve.number(name) for name in ("seconds", "peak_mib")}
+    row |= {name: getattr(press, name) for name in (*POSE, "stl")}
+    # Forces of the label, or of the solve where the press has no picture and so no place in the dataset.
+    known = sample.total if sample else solve.total if solve and solve.status.valid else np.full(3, np.nan)
+    for at, (axis, channel) in enumerate(zip(AXES, CHANNEL_OF_AXIS, strict=True)):
+        row[f"measured_{axis}"], row[f"label_{axis}"] = press.force[at], known[at]
+        row[f"network_{axis}"] = np.nan if total is None else total[channel]
     return row
 
 
@@ -61,7 +65,7 @@ def as_columns(rows: list[dict]) -> dict:
     """The table by columns: `id` as text, NUMBERS as lists with None where unknown, TEXTS as (names, at)."""
     table = {"id": [row["id"] for row in rows]}
     for name in NUMBERS:
-        values = np.round([number(row.get(name)) for row in rows], DIGITS)
+        values = np.round([row.get(name, np.nan) for row in rows], DIGITS)
         table[name] = [None if np.isnan(value) else value for value in values.tolist()]
     for name in TEXTS:
         values = [row.get(name) or "" for row in rows]

@@ -4,7 +4,7 @@ import hashlib
 import os
 import sys
 from argparse import Namespace
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,55 +21,21 @@ from gelforge.records.axes import CHANNEL_OF_AXIS
 from gelforge.records.image import read_logged_image
 from gelforge.records.labelfile import FIELDS, open_labels, read_labels
 from gelforge.records.log import read_log, read_poses, without_duplicates
-from gelforge.records.press import FORCE, POSE, PressRecord, parse
+from gelforge.records.press import PressRecord, parse
+from gelforge.records.samplefile import DatasetSample, write_samples
 from gelforge.records.status import Status
 from gelforge.stages.plan import planned_shards
 
 VERSION = 2
-COLUMNS = (
-    "sample_id", "indenter", "sensor_id", "gel_id", "split", "group", *FORCE,
-    *(f"outside_{name}" for name in FORCE), *(f"measured_{name}" for name in FORCE),
-    *(f"true_{name}" for name in FORCE), *POSE, "image",
-)  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Labelled:
-    """A press with the total of its label and the force outside the image, (3,) N along the gel's axes.
+def collect(shards: list[tuple[Path, list]], truth: dict) -> tuple[list[DatasetSample], list, dict, dict]:
+    """Samples with a label and an image, where each one's label lies, what was left out, and the first shard's material.
 
-    place: number of its label file and its index there. truth: what a virtual rig knows of it.
+    shards: label files with the presses of their samples (a pose table or a log). Places are (file number, index in
+    it); what was left out is counted by its reason.
     """
-
-    press: PressRecord
-    total: np.ndarray
-    outside: np.ndarray
-    place: tuple[int, int]
-    truth: dict[str, str]
-
-    @property
-    def strength(self) -> float:
-        """Normal force to a millinewton, the part outside the image included: alike at every resolution."""
-        return round(abs(round(float(self.total[2]), 9) + np.nan_to_num(round(float(self.outside[2]), 9))), 3)
-
-    def cells(self, split: str, group: int) -> dict:
-        """One row of samples.csv."""
-        own = self.press.cells()
-        row = {
-            name: own[name] for name in ("sample_id", "indenter", "sensor_id", "gel_id", *POSE, "image", "press_id")
-        }
-        for name, total, outside in zip(FORCE, self.total, self.outside, strict=True):
-            row[name] = round(float(total), 9)
-            row[f"outside_{name}"] = "" if np.isnan(outside) else round(float(outside), 9)
-            row[f"measured_{name}"], row[f"true_{name}"] = own[name], self.truth.get(name, "")
-        return row | {"split": split, "group": group}
-
-
-def collect(shards: list[tuple[Path, list]], truth: dict) -> tuple[list[Labelled], dict, dict]:
-    """Samples with a label and an image, what was left out ({reason: count}), and the first shard's material.
-
-    shards: label files with the presses of their samples (a pose table or a log).
-    """
-    found, left_out, material = [], {}, {}
+    found, places, left_out, material = [], [], {}, {}
     for number, (path, presses) in enumerate(shards):
         by_id = {press.sample_id: press for press in presses}
         labels = read_labels(path)
@@ -82,8 +48,9 @@ def collect(shards: list[tuple[Path, list]], truth: dict) -> tuple[list[Labelled
                 left_out[reason] = left_out.get(reason, 0) + 1
                 continue
             total, outside = totals[at][list(CHANNEL_OF_AXIS)], labels.outside[at][list(CHANNEL_OF_AXIS)]
-            found.append(Labelled(press, total, outside, (number, at), truth.get(name, {})))
-    return found, left_out, material
+            found.append(DatasetSample(press, total, outside, truth.get(name, {})))
+            places.append((number, at))
+    return found, places, left_out, material
 
 
 def _reason(press: PressRecord | None, status: Status) -> str:
@@ -227,7 +194,7 @@ def list_shards(args) -> list[tuple[Path, list]]:
     return [(args.labels, presses)]
 
 
-def describe(args, grid: Grid, found: list[Labelled], splits, left_out, size, material: dict) -> dict:
+def describe(args, grid: Grid, found: list[DatasetSample], splits, left_out, size, material: dict) -> dict:
     """Contents of dataset.json."""
     names, counts = np.unique(splits, return_counts=True)
     return {
@@ -249,7 +216,7 @@ def build(args) -> dict:
     grid, settings = Grid.parse(args.resolution), read_json(args.params)["dataset"]
     check_settings(settings)
     shards = list_shards(args)
-    found, left_out, material = collect(shards, read_truth(args.data))
+    found, places, left_out, material = collect(shards, read_truth(args.data))
     if not found:
         raise BadInput(
             f"{args.data}: no sample has both a label and an image (left out: {left_out or 'none'});"
@@ -262,23 +229,16 @@ def build(args) -> dict:
         unseen_indenters(read_json(args.catalogue), settings), settings,
     )  # fmt: skip
     folder = args.out.parent
-    places = [each.place for each in found]
     write_label_array(folder / "labels.npy", shards, places, grid)
     write_fields(folder, shards, places, grid)
     share_images(folder, args.data, presses, size)
-    write_samples(folder, found, splits, groups)
+    found = [replace(each, split=str(s), group=str(g)) for each, s, g in zip(found, splits, groups, strict=True)]
+    write_samples(folder / "samples.csv", found)
+    short = ("sample_id", "group", "split")
+    write_csv(folder / "split.csv", short, [{name: each.cells()[name] for name in short} for each in found])
     write_json(folder / "normalisation.json", training_ranges(folder, splits))
     about = describe(args, grid, found, splits, left_out, size, material)
     return about | {"nocontact": write_nocontact(folder / "nocontact.npy", args.data, about["sensors"], size)}
-
-
-def write_samples(folder: Path, found: list[Labelled], splits, groups) -> None:
-    """Write samples.csv, and split.csv beside it."""
-    rows = [each.cells(str(s), int(g)) for each, s, g in zip(found, splits, groups, strict=True)]
-    columns = [*COLUMNS, *["press_id"] * any(row["press_id"] for row in rows)]
-    short = ("sample_id", "group", "split")
-    write_csv(folder / "samples.csv", columns, [{name: row[name] for name in columns} for row in rows])
-    write_csv(folder / "split.csv", short, [{name: row[name] for name in short} for row in rows])
 
 
 @command(

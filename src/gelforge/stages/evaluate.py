@@ -22,8 +22,6 @@ REFERENCES = {"sensor": "measured_{}", "truth": "true_{}"}
 def reference_totals(data, kind: str) -> np.ndarray | None:
     """Total forces (n, 3) of a reference in the labels' channel order, NaN where a press has none."""
     columns = [REFERENCES[kind].format(column) for column in FORCE_OF_CHANNEL]
-    if not all(name in data.table[0] for name in columns):
-        return None
     totals = np.stack([data.column(name) for name in columns], axis=1)
     return totals if np.isfinite(totals).all(1).any() else None
 

@@ -12,7 +12,11 @@ from gelforge.flow.files import read_csv, read_json, write_text
 from gelforge.flow.main import command, option
 from gelforge.flow.progress import progress
 from gelforge.labelling.grid import Grid
+from gelforge.records.log import read_poses
 from gelforge.records.predictionfile import read_predictions
+from gelforge.records.press import PosedPress
+from gelforge.records.samplefile import read_samples
+from gelforge.records.solvetable import Solved, read_solves
 from gelforge.reporting.explorer import Explorer
 from gelforge.reporting.page import Explored, Section, render
 from gelforge.reporting.parts import PART, forget_parts, in_parts, place_parts
@@ -29,6 +33,18 @@ def read_tables(results: Path, stage: str, suffix: str = "") -> list[dict]:
     """Rows of a stage's tables of the planned shards, each with its `shard`; a stage may not have made all of them."""
     paths = {name: results / stage / f"{name}{suffix}.csv" for name in planned_shards(results / "00_plan" / "shards")}
     return [{**row, "shard": name} for name, path in paths.items() if path.exists() for row in read_csv(path)]
+
+
+def read_presses(results: Path) -> list[tuple[str, PosedPress]]:
+    """Good presses of the planned shards whose pose tables are there, each with its shard."""
+    paths = {name: results / "10_poses" / f"{name}.csv" for name in planned_shards(results / "00_plan" / "shards")}
+    return [(name, press) for name, path in paths.items() if path.exists() for press in read_poses(path)]
+
+
+def read_solved(results: Path) -> dict[str, Solved]:
+    """Solves of the planned shards whose tables are there, by sample_id."""
+    paths = [results / "30_fea" / f"{name}.csv" for name in planned_shards(results / "00_plan" / "shards")]
+    return {solve.sample_id: solve for path in paths if path.exists() for solve in read_solves(path)}
 
 
 def flatten(value, prefix: str = "") -> list[tuple[str, float]]:
@@ -97,11 +113,11 @@ def add_pictures(section: Section, folder: Path, captions: dict[str, str]) -> Se
     return section
 
 
-def failures_section(results: Path, solved: dict[str, dict]) -> Section:
+def failures_section(results: Path, solved: dict[str, Solved]) -> Section:
     """Everything that did not become a label, with its reason."""
     section = Section("Failures")
     rejected = read_tables(results, "10_poses", ".rejected")
-    failed = [row for row in solved.values() if row["status"] not in ("OK", "NO_CONTACT")]
+    failed = [solve for solve in solved.values() if not solve.status.valid]
     if not rejected and not failed:
         return section.text("None: every row of the log became a label.")
     if rejected:
@@ -111,16 +127,19 @@ def failures_section(results: Path, solved: dict[str, dict]) -> Section:
         )
     if failed:
         columns = ["sample_id", "status", "reason", "fidelity"]
-        section.text("Solves that failed.").table(columns, [[r[c] for c in columns] for r in failed])
+        section.text("Solves that failed.").table(
+            columns, [[s.sample_id, s.status.name, s.reason, s.fidelity] for s in failed]
+        )
     return section
 
 
-def fidelities_section(solved: dict[str, dict]) -> Section:
+def fidelities_section(solved: dict[str, Solved]) -> Section:
     """Seconds of a solve, by fidelity."""
     by_fidelity: dict[str, list[float]] = {}
-    for row in solved.values():
-        if row.get("seconds"):
-            by_fidelity.setdefault(row["fidelity"], []).append(float(row["seconds"]))
+    for solve in solved.values():
+        seconds = solve.number("seconds")
+        if seconds > 0:
+            by_fidelity.setdefault(solve.fidelity, []).append(seconds)
     rows = [[name, len(s), float(np.median(s)), float(np.max(s))] for name, s in sorted(by_fidelity.items())]
     return Section("Cost of a solve").table(["fidelity", "solves", "median seconds", "slowest"], rows)
 
@@ -206,7 +225,7 @@ def about(results: Path, dataset: str, resolution: str, model: str, params: Path
     }
 
 
-def open_explorer(results: Path, resolution: str, model: str, solved: dict[str, dict]) -> Explorer:
+def open_explorer(results: Path, resolution: str, model: str, solved: dict[str, Solved]) -> Explorer:
     """The table of presses with what the network read of them."""
     path = results / "80_evaluate" / resolution / f"{model}.predictions.npz"
     predictions = read_predictions(path) if path.exists() else None
@@ -216,9 +235,9 @@ def open_explorer(results: Path, resolution: str, model: str, solved: dict[str, 
         else {}
     )
     table = results / "60_dataset" / resolution / "samples.csv"
-    samples = {row["sample_id"]: row for row in (read_csv(table) if table.exists() else [])}
-    poses, rejected = read_tables(results, "10_poses"), read_tables(results, "10_poses", ".rejected")
-    rows = press_rows(poses, rejected, solved, samples, totals)
+    samples = {each.press.sample_id: each for each in (read_samples(table) if table.exists() else [])}
+    rejected = read_tables(results, "10_poses", ".rejected")
+    rows = press_rows(read_presses(results), rejected, solved, samples, totals)
     return Explorer(results, resolution, rows, {name: at for at, name in enumerate(samples)}, predictions)
 
 
@@ -234,7 +253,7 @@ def explorer_data(explorer: Explorer, known: dict) -> dict:
     }
 
 
-def sections_of(results: Path, resolution: str, model: str, solved: dict[str, dict]) -> list[Section]:
+def sections_of(results: Path, resolution: str, model: str, solved: dict[str, Solved]) -> list[Section]:
     """What stands below the explorer."""
     return [
         network_section(results, resolution, model),
@@ -266,7 +285,7 @@ def lead_of(rows: list[dict], resolution: str) -> str:
     option("--out", type=Path),
 )
 def main(args: Namespace) -> None:
-    solved = {row["sample_id"]: row for row in read_tables(args.results, "30_fea")}
+    solved = read_solved(args.results)
     explorer = open_explorer(args.results, args.resolution, args.model, solved)
     known = about(args.results, args.data.name, args.resolution, args.model, args.params.parent)
     limit = read_json(args.params)["report"]["embed_mb"] * 1e6

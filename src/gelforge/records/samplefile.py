@@ -1,0 +1,102 @@
+"""The table of stage 60, samples.csv: each press of a dataset with its label's total and its place in the split."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.flow.files import read_csv, write_csv
+from gelforge.records.press import FORCE, KNOWN, POSE, PressRecord, RawRow, parse, parse_number
+
+NAMES = ("sample_id", "indenter", "sensor_id", "gel_id")
+COLUMNS = (
+    *NAMES, "split", "group", *FORCE, *(f"outside_{name}" for name in FORCE), *(f"measured_{name}" for name in FORCE),
+    *(f"true_{name}" for name in FORCE), *POSE, "image",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class DatasetSample:
+    """A press of a dataset; its record's own force is the one that was measured.
+
+    total: force of its label, outside: force that fell outside the image, (3,) N along the gel's axes, NaN where it is
+    not known. truth: what a virtual rig knows of it, cells by FORCE. group: of samples that share a split.
+    """
+
+    press: PressRecord
+    total: np.ndarray
+    outside: np.ndarray
+    truth: dict[str, str]
+    split: str = ""
+    group: str = ""
+
+    @property
+    def strength(self) -> float:
+        """Normal force to a millinewton, the part outside the image included: alike at every resolution."""
+        total, outside = round(float(self.total[2]), 9), round(float(self.outside[2]), 9)
+        return round(abs(total + (0.0 if np.isnan(outside) else outside)), 3)
+
+    def numbers(self) -> dict[str, float]:
+        """Every number of the row by its column, NaN where it is not known."""
+        found = {name: float(getattr(self.press, name)) for name in POSE}
+        true = [parse_number(self.truth.get(name, "")) for name in FORCE]
+        for at, name in enumerate(FORCE):
+            found |= {name: float(self.total[at]), f"outside_{name}": float(self.outside[at])}
+            true_force = true[at]
+            found |= {f"measured_{name}": float(self.press.force[at]),
+                      f"true_{name}": np.nan if true_force is None else true_force}  # fmt: skip
+        return found
+
+    def text(self, column: str) -> str:
+        """A name of the row by its column: of the press, or its split or group."""
+        return str(getattr(self if column in ("split", "group") else self.press, column))
+
+    def cells(self) -> dict[str, Any]:
+        """One row of the table."""
+        own = self.press.cells()
+        row: dict[str, Any] = {name: own[name] for name in (*NAMES, *POSE, "image", "press_id")}
+        for at, name in enumerate(FORCE):
+            row[name] = _rounded(self.total[at])
+            row[f"outside_{name}"] = _rounded(self.outside[at])
+            row[f"measured_{name}"], row[f"true_{name}"] = own[name], self.truth.get(name, "")
+        return row | {"split": self.split, "group": self.group}
+
+
+def _rounded(force: float) -> float | str:
+    return "" if np.isnan(force) else round(float(force), 9)
+
+
+def write_samples(path: str | Path, samples: Sequence[DatasetSample]) -> None:
+    """Write the table, whole or not at all; press_id only where a press has one."""
+    columns = [*COLUMNS, *["press_id"] * any(sample.press.press_id for sample in samples)]
+    rows = [sample.cells() for sample in samples]
+    write_csv(path, columns, [{name: row[name] for name in columns} for row in rows])
+
+
+def read_samples(path: str | Path) -> list[DatasetSample]:
+    """Read the table; a row without sample_id or split, or with a number that is none, raises BadInput."""
+    return [_sample(path, at, row) for at, row in enumerate(read_csv(path), 2)]
+
+
+def _sample(path: str | Path, at: int, row: dict[str, str]) -> DatasetSample:
+    measured = {name: row.get(f"measured_{name}") or "" for name in FORCE}
+    press, wrong = parse(
+        RawRow(at, {k: v for k, v in row.items() if k in KNOWN} | measured), str(path), ("sample_id",)
+    )
+    if press is None or not row.get("split"):
+        why = f"{wrong[0].column}: {wrong[0].reason}" if wrong else "its split is missing"
+        raise BadInput(f"{path}: row {at}: {why}; remove the folder and make the dataset again")
+    total, outside = (np.array([_force(path, at, row.get(f"{kind}{name}") or "") for name in FORCE])
+                      for kind in ("", "outside_"))  # fmt: skip
+    truth = {name: row.get(f"true_{name}") or "" for name in FORCE}
+    return DatasetSample(press, total, outside, truth, row["split"], row.get("group") or "")
+
+
+def _force(path: str | Path, at: int, text: str) -> float:
+    value = parse_number(text) if text else np.nan
+    if value is None:
+        raise BadInput(f"{path}: row {at}: {text[:40]!r} is no force; remove the folder and make the dataset again")
+    return value
