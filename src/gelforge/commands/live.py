@@ -1,5 +1,6 @@
 """Force maps over a video or a camera, as it runs: `gelforge live --video FILE | --camera N`.
 
+--web serves a page to this machine, with recording and replay; --jsonl and --csv write what is read, without a display.
 A network that reads differences takes the first frame for the untouched sensor, unless told otherwise.
 """
 
@@ -121,7 +122,7 @@ def show(pictures) -> int:
                 break
         except cv2.error as error:
             raise BadInput(
-                "this OpenCV has no window (a headless build or no display): use --out FILE.avi"
+                "this OpenCV has no window (a headless build or no display): use --web, --jsonl FILE, --csv FILE or --out FILE.avi"
             ) from error
     return count
 
@@ -149,6 +150,12 @@ def until_interrupted(items):
     option("--untouched", type=Path, metavar="IMAGE", help="the sensor while nothing touches it", default=None),
     option("--frames", type=int, help="stop after so many", default=None),
     option("--threads", type=positive, default=1),
+    option("--web", action="store_true", help="serve a page that shows it all"),
+    option("--host", default="127.0.0.1", help="who may see the page; 0.0.0.0: everyone on the network"),
+    option("--port", type=int, default=8765, help="of the page; 0: any that is free"),
+    option("--record", type=Path, default=Path("recordings"), help="folder of the page's recordings"),
+    option("--jsonl", type=Path, help="write a JSON line a frame; - for standard output", default=None),
+    option("--csv", type=Path, help="write a row a frame", default=None),
     option("--out", type=Path, help="overlay video (.avi); a window is opened if not named", default=None),
 )
 def main(args: Namespace) -> None:
@@ -168,6 +175,11 @@ def main(args: Namespace) -> None:
     first, seen = first_and_all(frames(capture, announced, name, args.frames))
     if picture is None and not args.sensor:
         picture = cv2.cvtColor(first, cv2.COLOR_BGR2RGB)
+    if args.web or args.jsonl or args.csv:
+        from gelforge.commands.live_readings import tell
+
+        tell(args, Untouched(trained, picture, args.sensor), until_interrupted(seen), capture, name)
+        return
     overlay = Overlay(Untouched(trained, picture, args.sensor))
     pictures = (overlay(frame) for frame in until_interrupted(seen))
     started = time.perf_counter()

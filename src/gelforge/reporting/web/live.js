@@ -1,0 +1,96 @@
+"use strict";
+const el = (id) => document.getElementById(id);
+const fixed = (v, digits = 2) => (Number.isFinite(v) ? v.toFixed(digits) : "–");
+const DIVERGING = [[5, 48, 97], [67, 147, 195], [247, 247, 247], [214, 96, 77], [103, 0, 31]];
+const MAPS = [["normal", 2, "normal force"], ["short", 1, "along the short side"], ["long", 0, "along the long side"]];
+const TOTALS = [["grid_z_n", 2, "#1f6f8b", -1], ["grid_y_n", 1, "#d1603d", 1], ["grid_x_n", 0, "#5b8c3a", 1]];
+const KEPT = 600;
+let history = [], source = null, drawing = false, latest = null;
+function ramp(t) {
+  const x = Math.min(Math.max(t, 0), 1) * (DIVERGING.length - 1), k = Math.min(Math.floor(x), DIVERGING.length - 2), f = x - k;
+  return DIVERGING[k].map((v, c) => v + f * (DIVERGING[k + 1][c] - v));
+}
+async function unpack(packed) {
+  const bytes = Uint8Array.from(atob(packed.data), (s) => s.charCodeAt(0));
+  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
+  const planes = new Uint8Array(await new Response(stream).arrayBuffer()), n = planes.length / 2, unit = packed.arrays[0][2];
+  return Float32Array.from({ length: n }, (_, k) => ((planes[k] | (planes[n + k] << 8)) << 16 >> 16) * unit);
+}
+function drawMap(name, map, rows, cols, title) {
+  const canvas = el(name), reach = Math.max(1e-3, ...map.map(Math.abs));
+  canvas.width = cols; canvas.height = rows;
+  const c = canvas.getContext("2d"), pixels = c.createImageData(cols, rows);
+  map.forEach((v, k) => pixels.data.set([...ramp(0.5 + v / (2 * reach)), 255], 4 * k));
+  c.putImageData(pixels, 0, 0);
+  el(`cap-${name}`).textContent = `${title}, up to ${fixed(reach, 3)} N a cell`;
+}
+function drawCurve() {
+  const canvas = el("curve"), ratio = devicePixelRatio || 1, width = canvas.clientWidth, height = canvas.clientHeight, c = canvas.getContext("2d");
+  canvas.width = width * ratio; canvas.height = height * ratio; c.setTransform(ratio, 0, 0, ratio, 0, 0); c.font = "12px system-ui, sans-serif";
+  if (history.length < 2) return;
+  const value = (e, [name, , , sign]) => sign * e[name], half = (e, [, channel]) => (e.half_width ? e.half_width[channel] : 0);
+  const all = history.flatMap((e) => TOTALS.flatMap((t) => [value(e, t) - half(e, t), value(e, t) + half(e, t)]));
+  const low = Math.min(0, ...all), high = Math.max(1, ...all), first = history[0].time_s, span = Math.max(history.at(-1).time_s - first, 1e-3);
+  const X = (t) => 50 + (width - 60) * (t - first) / span, Y = (v) => height - 24 - (height - 34) * (v - low) / (high - low);
+  c.strokeStyle = "#d9dee4"; c.fillStyle = "#555c66"; c.textAlign = "right";
+  for (const v of [low, (low + high) / 2, high]) { c.beginPath(); c.moveTo(50, Y(v)); c.lineTo(width - 10, Y(v)); c.stroke(); c.fillText(`${fixed(v, 1)} N`, 46, Y(v) + 4); }
+  c.fillText(`${fixed(history.at(-1).time_s, 1)} s`, width - 10, height - 6); c.textAlign = "left"; c.fillText(`${fixed(first, 1)} s`, 50, height - 6);
+  for (const total of TOTALS) {
+    c.fillStyle = `${total[2]}33`; c.beginPath();
+    history.forEach((e) => c.lineTo(X(e.time_s), Y(value(e, total) + half(e, total))));
+    [...history].reverse().forEach((e) => c.lineTo(X(e.time_s), Y(value(e, total) - half(e, total)))); c.fill();
+    c.strokeStyle = total[2]; c.lineWidth = 1.5; c.beginPath(); history.forEach((e) => c.lineTo(X(e.time_s), Y(value(e, total)))); c.stroke();
+  }
+}
+async function show(event) {
+  if (event.trouble) el("trouble").textContent = event.trouble;
+  if (event.ended) { el("state").textContent = event.ended; document.body.dataset.ended = "yes"; loadNames(); return; }
+  const [rows, cols] = event.grid, n = rows * cols, forces = await unpack(event.forces);
+  el("image").src = `data:image/jpeg;base64,${event.image}`;
+  for (const [name, channel, title] of MAPS) drawMap(name, forces.subarray(channel * n, (channel + 1) * n), rows, cols, title);
+  if (history.length && event.time_s < history.at(-1).time_s) history = [];
+  history.push(event);
+  if (history.length > KEPT) history.shift();
+  for (const [id, [name, channel]] of [["z", TOTALS[0]], ["x", TOTALS[1]], ["y", TOTALS[2]]]) el(id).textContent = fixed(event[name]) + (event.half_width ? ` ± ${fixed(event.half_width[channel])}` : "");
+  const recent = history.slice(-30), span = recent.at(-1).time_s - recent[0].time_s;
+  el("rate").textContent = span > 0 ? fixed((recent.length - 1) / span, 1) : "–";
+  el("flag").className = event.flag ? "on" : "";
+  el("flag").textContent = event.flag ? `unlike the training pictures: ${event.reason}` : "like the training pictures";
+  el("band").textContent = event.half_width ? "band: where 95 % of the readings of known sensors lie" : "";
+  el("state").textContent = `frame ${event.frame}, ${fixed(event.time_s, 1)} s, ${fixed(event.ms, 1)} ms a frame`;
+  if (event.recording !== undefined) el("record").setAttribute("aria-pressed", event.recording);
+  if (el("record").textContent !== "Starting") el("record").textContent = event.recording ? "Stop recording" : "Record";
+  drawCurve();
+  document.body.dataset.frame = event.frame;
+}
+// Frames come faster than some machines draw: the latest is drawn, those between are left out.
+async function take(event) {
+  latest = event;
+  if (drawing) return;
+  drawing = true;
+  while (latest) { const next = latest; latest = null; await show(next); await new Promise(requestAnimationFrame); }
+  drawing = false;
+}
+function open(path) {
+  if (source) source.close();
+  history = []; delete document.body.dataset.ended;
+  source = new EventSource(path);
+  source.onmessage = (message) => { const event = JSON.parse(message.data); if (event.ended) source.close(); take(event); };
+  source.onerror = () => { el("state").textContent = "the program that reads the sensor does not answer; start gelforge live --web again"; };
+}
+async function post(path) {
+  const answer = await (await fetch(path, { method: "POST", headers: { "X-Gelforge": "1" } })).json();
+  el("trouble").textContent = answer.error || "";
+  return answer;
+}
+async function loadNames() {
+  const { names, on } = await (await fetch("recordings")).json();
+  el("which").replaceChildren(...names.map((name) => new Option(name, name)));
+  el("replay").disabled = el("which").disabled = !names.length;
+  el("record").setAttribute("aria-pressed", on); el("record").textContent = on ? "Stop recording" : "Record";
+}
+el("record").onclick = async () => { await post(el("record").getAttribute("aria-pressed") === "true" ? "stop" : "record"); await loadNames(); };
+el("replay").onclick = () => open(`replay/${el("which").value}`);
+el("back").onclick = () => open("events");
+window.addEventListener("resize", drawCurve);
+loadNames(); open("events");

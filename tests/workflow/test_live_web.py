@@ -1,0 +1,187 @@
+"""The live page in a real browser, with a film as the camera; and what happens when things go wrong."""
+
+import csv
+import json
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from gelforge.errors import BadInput
+from gelforge.reporting.live import Hub, Reading, Recorder, Server, paced
+from tests.browser import WIDTHS, browser, console_errors, needs_browser, wait_for
+
+LIVE = [sys.executable, "-m", "gelforge.commands.live"]
+
+
+@pytest.fixture(scope="module")
+def film(root, tmp_path_factory):
+    """Pictures of the demo as a film, forty frames of ten a second."""
+    path = tmp_path_factory.mktemp("film") / "film.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 10, (320, 240))
+    for k in range(40):
+        name = "nocontact/mini_a.png" if k < 5 else f"images/demo-{k % 6:06d}.png"
+        writer.write(cv2.imread(str(root / "data/demo" / name)))
+    writer.release()
+    return path
+
+
+@pytest.fixture
+def served(film, tmp_path):
+    """`gelforge live --web` on a free port, ended by an interrupt; yields (address, folder of recordings)."""
+    command = [*LIVE, "--video", film, "--web", "--port", "0", "--record", tmp_path / "recordings"]
+    child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        yield re.match(r"(http://\S+)", child.stdout.readline())[1], tmp_path / "recordings"
+    finally:
+        child.send_signal(signal.SIGINT)
+        said = child.communicate(timeout=30)[1]
+        assert child.returncode == 0 and "Traceback" not in said, said
+
+
+@needs_browser
+@pytest.mark.parametrize("width", WIDTHS)
+def test_a_person_watches_records_and_replays(served, width):
+    address, folder = served
+    with browser(width) as driver:
+        driver.get(address)
+        wait_for(driver, "return Number(document.body.dataset.frame) > 6")
+        assert driver.execute_script("return document.documentElement.scrollWidth <= innerWidth")
+        assert (
+            driver.execute_script("return el('normal').width") == 32
+            and "N a cell" in driver.find_element("id", "cap-normal").text
+        )
+        driver.find_element("id", "record").click()
+        wait_for(driver, "return el('record').textContent === 'Stop recording'")
+        time.sleep(0.6)
+        driver.find_element("id", "record").click()
+        name = wait_for(driver, "return el('which').value")
+        lines = (folder / f"{name}.jsonl").read_text().splitlines()
+        assert 1 <= len(lines) <= 40 and {"forces", "image", "grid_z_n", "half_width"} <= json.loads(lines[0]).keys()
+        driver.find_element("id", "replay").click()
+        wait_for(driver, "return document.body.dataset.ended")
+        assert f"ended after {len(lines)} readings" in driver.find_element("id", "state").text
+        assert not console_errors(driver)
+
+
+def get(address, **headers):
+    with urllib.request.urlopen(urllib.request.Request(address, headers=headers), timeout=10) as answer:
+        return answer.read().decode()
+
+
+def test_the_page_is_for_this_machine_and_its_own_page_only(served):
+    address, folder = served
+    assert address.startswith("http://127.0.0.1:")
+    with pytest.raises(urllib.error.HTTPError, match="403"):
+        get(address, Host="evil.example")
+    with pytest.raises(urllib.error.HTTPError, match="403"):  # a POST of a foreign page lacks our header
+        urllib.request.urlopen(urllib.request.Request(f"{address}record", method="POST"), timeout=10)
+    assert "there is none of that name" in get(f"{address}replay/..%2f..%2fetc%2fpasswd")
+    assert not folder.exists()
+
+
+def test_browsers_that_leave_do_not_stop_it(served):
+    address = served[0]
+    for _ in range(5):
+        host, port = re.match(r"http://(.+):(\d+)/", address).groups()
+        with socket.create_connection((host, int(port))) as line:
+            line.sendall(f"GET /events HTTP/1.1\r\nHost: {host}:{port}\r\n\r\n".encode())
+            line.recv(100)
+    assert "gelforge live" in get(address)
+
+
+def test_a_port_in_use_is_one_sentence(film, tmp_path):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = str(taken.getsockname()[1])
+        ran = subprocess.run(
+            [*LIVE, "--video", film, "--web", "--port", port], capture_output=True, text=True, check=False
+        )
+    assert (
+        ran.returncode == 2
+        and f"port {port}" in ran.stderr
+        and "--port" in ran.stderr
+        and "Traceback" not in ran.stderr
+    )
+
+
+def test_no_camera_is_one_sentence():
+    ran = subprocess.run(
+        [*LIVE, "--camera", "97", "--web", "--port", "0"], capture_output=True, text=True, check=False
+    )
+    assert ran.returncode == 2 and "camera 97 cannot be opened" in ran.stderr and "Traceback" not in ran.stderr
+
+
+def test_a_camera_that_stops_is_told(tmp_path):
+    """A camera is a device of the system; what is told of its end is the same function's words for both."""
+    from gelforge.commands.live_readings import ended
+
+    assert "camera 0: stopped after 12 frames" in ended("camera 0", True, 12)
+
+
+def test_without_a_display_lines_and_rows_are_written(film, tmp_path):
+    lines, table = tmp_path / "live.jsonl", tmp_path / "live.csv"
+    command = [*LIVE, "--video", film, "--jsonl", lines, "--csv", table, "--frames", "9"]
+    subprocess.run(command, check=True, capture_output=True)
+    told = [json.loads(line) for line in lines.read_text().splitlines()]
+    with table.open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(told) == len(rows) == 9 and [row["frame"] for row in told] == list(range(9))
+    assert [float(row["grid_z_n"]) for row in rows] == [row["grid_z_n"] for row in told]
+    assert min(row["grid_z_n"] for row in told[5:]) < -1.0 < told[0]["grid_z_n"]
+
+
+def reading(number, flag=False):
+    forces = np.zeros((3, 4, 5), np.float32)
+    forces[2, 1, 1] = -number
+    return Reading(number, 0.01 * number, np.zeros((6, 8, 3), np.uint8), forces, flag, "dark" if flag else "", 1.0)
+
+
+def test_a_recording_is_whole_or_absent(tmp_path):
+    recorder = Recorder(tmp_path)
+    recorder.add(reading(1).event())
+    assert recorder.stop() == 0 and not list(tmp_path.iterdir())
+    name = recorder.start()
+    assert recorder.start() == name and recorder.names() == []
+    for k in range(3):
+        recorder.add(reading(k).event())
+    assert recorder.stop() == 3 and recorder.names() == [name]
+    assert [event["grid_z_n"] for event in recorder.read(name)] == [0.0, -1.0, -2.0]
+    assert "3 readings" in list(paced(list(recorder.read(name))))[-1]["ended"]
+    recorder.start()
+    assert recorder.stop() == 0 and [path.suffix for path in tmp_path.iterdir()] == [".jsonl"]
+
+
+@pytest.mark.skipif(not shutil.which("bash"), reason="needs /dev/full")
+def test_a_full_disk_ends_the_recording_and_leaves_nothing(tmp_path):
+    recorder = Recorder(tmp_path)
+    recorder.start()
+    recorder.stream.close()
+    recorder.stream = Path("/dev/full").open("w", encoding="utf-8")  # noqa: SIM115, the recorder closes it
+    with pytest.raises(BadInput, match="free space"):
+        recorder.add(reading(1).event())
+    assert not recorder.on and not list(tmp_path.iterdir())
+
+
+def test_a_slow_page_gets_the_latest(tmp_path):
+    hub = Hub()
+    for k in range(5):
+        hub.tell({"frame": k})
+    assert hub.after(2, 0.1) == (5, {"frame": 4}) and hub.after(5, 0.05) == (5, None)
+
+
+def test_a_server_outside_this_machine_must_be_asked_for(tmp_path):
+    server = Server("127.0.0.1", 0, Hub(), Recorder(tmp_path))
+    server.server_close()
+    assert server.local and server.url.startswith("http://127.0.0.1:")
