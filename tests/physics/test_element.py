@@ -40,7 +40,7 @@ def matrix_of(nodes, elements, u, material, fixed=np.empty(0, int)):
     base, width = element.block_places(pattern, elements)
     values = np.zeros(len(pattern.indices))
     element.tangent(
-        u, b.elements, b.gradients, b.weights, material.shear_modulus, material.bulk_modulus, base, width, values
+        u, b.elements, b.gradients, b.weights, material.shear_modulus, material.bulk_modulus, 1.0, base, width, values
     )
     return values, pattern
 

@@ -42,12 +42,39 @@ def bricks(nodes: np.ndarray, elements: np.ndarray) -> Bricks:
             * (1 + points[:, None, second] * CORNERS[None, :, second])
             / 8.0
         )
-    jacobian = np.einsum("gak,eai->egik", local, nodes[elements])
-    weights = np.linalg.det(jacobian)
+    elements = np.ascontiguousarray(elements, np.int32)
+    gradients, weights = _geometry(np.ascontiguousarray(nodes, np.float64), elements, local)
     if weights.min() <= 0.0:
         raise ValueError(f"{int((weights.min(axis=1) <= 0).sum())} bricks are inverted")
-    gradients = np.einsum("gak,egki->egai", local, np.linalg.inv(jacobian))
-    return Bricks(np.ascontiguousarray(elements, np.int32), np.ascontiguousarray(gradients), weights)
+    return Bricks(elements, gradients, weights)
+
+
+@njit(cache=True, nogil=True)
+def _geometry(nodes, elements, local):
+    """Gradients (e, 8, 8, 3) of the shape functions and weights (e, 8): the Jacobian's determinant."""
+    count = len(elements)
+    gradients, weights = np.empty((count, 8, 8, 3)), np.empty((count, 8))
+    jacobian, inverse = np.empty((3, 3)), np.empty((3, 3))
+    for e in range(count):
+        for g in range(8):
+            jacobian[:] = 0.0
+            for a in range(8):
+                for i in range(3):
+                    for k in range(3):
+                        jacobian[i, k] += nodes[elements[e, a], i] * local[g, a, k]
+            for i in range(3):
+                for k in range(3):
+                    p, q, r, s = (k + 1) % 3, (k + 2) % 3, (i + 1) % 3, (i + 2) % 3
+                    inverse[i, k] = jacobian[p, r] * jacobian[q, s] - jacobian[p, s] * jacobian[q, r]
+            volume = jacobian[0, 0] * inverse[0, 0] + jacobian[0, 1] * inverse[1, 0] + jacobian[0, 2] * inverse[2, 0]
+            weights[e, g] = volume
+            for a in range(8):
+                for i in range(3):
+                    total = 0.0
+                    for k in range(3):
+                        total += local[g, a, k] * inverse[k, i]
+                    gradients[e, g, a, i] = total / volume if volume != 0.0 else 0.0
+    return gradients, weights
 
 
 @dataclass(frozen=True)
@@ -229,7 +256,7 @@ def _spatial(f, gradients, e, g, spatial):
 
 
 @njit(**_FAST)
-def tangent(u, elements, gradients, weights, shear, bulk, base, width, values):
+def tangent(u, elements, gradients, weights, shear, bulk, pressed, base, width, values):
     """Add d2E/du2 to the upper-triangle `values` at the places of `block_places`.
 
     Block (a, b) of a point, with alpha = 2 C10 J^(-2/3) w, G reference and g spatial gradients:
@@ -273,7 +300,7 @@ def tangent(u, elements, gradients, weights, shear, bulk, base, width, values):
                 pair += 1
         for g in range(8):
             alpha = shear * ratio[g] ** (-2.0 / 3.0) * weights[e, g]
-            volumetric = pressure * ratio[g] * weights[e, g]
+            volumetric = pressed * pressure * ratio[g] * weights[e, g]
             diagonal = 2.0 / 9.0 * alpha * traces[g] + volumetric
             beta = alpha * traces[g] / 3.0 - volumetric
             third = -2.0 / 3.0 * alpha

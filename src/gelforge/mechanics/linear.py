@@ -1,5 +1,6 @@
 """Sparse symmetric linear systems: one symbolic factorisation, many numerical ones."""
 
+import contextlib
 import ctypes
 from functools import lru_cache
 
@@ -9,16 +10,18 @@ from numba import njit
 from gelforge.errors import SolveFailed
 
 _ANALYSE, _FACTORISE, _SOLVE, _RELEASE = 11, 22, 33, -1
-_SYMMETRIC_INDEFINITE = -2
+_POSITIVE_DEFINITE, _INDEFINITE = 2, -2
+_NOT_POSITIVE = -4  # PARDISO's word for a pivot that is zero or, in a Cholesky factorisation, negative
 
 
-def symmetric_solver(indptr: np.ndarray, indices: np.ndarray):
+def symmetric_solver(indptr: np.ndarray, indices: np.ndarray, order: np.ndarray | None = None):
     """Solver for the pattern of an upper triangle in CSR form: MKL PARDISO, or SuperLU where MKL is missing.
 
-    indptr: (n + 1,), indices: (nnz,), sorted columns, diagonal first in each row, counting from 0.
+    indptr: (n + 1,), indices: (nnz,), sorted columns, diagonal first in each row, counting from 0. order: (n,) in
+    which unknowns are eliminated, where the caller knows a good one.
     """
     try:
-        return Pardiso(indptr, indices)
+        return Pardiso(indptr, indices, order)
     except ImportError:
         return SuperLU(indptr, indices)
 
@@ -28,70 +31,101 @@ def _mkl():
     """PARDISO's entry in mkl_rt; finding the library takes tenths of a second, so once a process."""
     from pypardiso.pardiso_wrapper import PyPardisoSolver
 
-    return PyPardisoSolver(mtype=_SYMMETRIC_INDEFINITE)  # its own calls are not used
+    return PyPardisoSolver(mtype=_INDEFINITE)  # its own calls are not used
 
 
 class Pardiso:
-    """MKL PARDISO for real symmetric indefinite matrices (oneMKL reference, `pardiso`, mtype -2).
+    """MKL PARDISO for real symmetric matrices (oneMKL reference, `pardiso`, mtype 2 and -2).
 
-    Indefinite because tangents of deep presses are not always positive definite; it costs no
-    more than Cholesky. The pattern is analysed once, `factorise` takes new values only. Factors are
-    in single precision, 1.7 times faster: a Newton direction exact to 1e-6 loses no convergence, as
-    residuals stay in double.
+    Cholesky first, at a little over half the price; the tangents of deep presses are not always positive definite,
+    and where Cholesky stops the same values are factorised as indefinite. The pattern is analysed once for each,
+    `factorise` takes new values only. Factors are in single precision, 1.7 times faster: a Newton direction exact to
+    1e-6 loses no convergence, as residuals stay in double.
+
+    order: (n,) permutation that eliminates unknowns, from a mesh's geometry; None: METIS finds one.
     """
 
     name = "pardiso"
 
-    def __init__(self, indptr, indices):
-        self._library = _mkl()
+    def __init__(self, indptr, indices, order=None):
+        self.size = len(indptr) - 1
         self._indptr = np.ascontiguousarray(indptr, np.int32)
         self._indices = np.ascontiguousarray(indices, np.int32)
-        self.size = len(self._indptr) - 1
-        self._handle = np.zeros(64, np.int64)
-        self._options = _pardiso_options()
-        self._none = np.zeros(1, np.float32)
-        self._data = np.zeros(len(self._indices), np.float32)
-        self._analysed = False
+        self._order = None if order is None else np.ascontiguousarray(order, np.int32)
+        self._factors: dict[int, _Factor] = {}
+        self._current: _Factor | None = None
 
     def factorise(self, data: np.ndarray) -> None:
         """Factorise the matrix with upper-triangle values `data` (nnz,); raises SolveFailed where it is singular."""
-        self._data[:] = data
-        if not self._analysed:
-            self._call(_ANALYSE, self._none, self._none)
-            self._analysed = True
-        self._call(_FACTORISE, self._none, self._none)
+        for kind in (_POSITIVE_DEFINITE, _INDEFINITE):
+            factor = self._factors.get(kind)
+            if factor is None:
+                factor = self._factors[kind] = _Factor(kind, self._indptr, self._indices, self._order)
+            error = factor.factorise(data)
+            if not error:
+                self._current = factor
+                return
+            if error != _NOT_POSITIVE:
+                break
+        raise SolveFailed(f"PARDISO cannot factorise, error {error}", {"pardiso_error": error})
 
     def solve(self, b: np.ndarray) -> np.ndarray:
         """Solution x (n,) of the system factorised last."""
         b = np.asarray(b, np.float64)
         scale = float(np.abs(b).max(initial=0.0)) or 1.0
-        single = np.ascontiguousarray(b / scale, np.float32)
-        x = np.empty_like(single)
-        self._call(_SOLVE, single, x)
+        x = self._current.solve(np.ascontiguousarray(b / scale, np.float32))
         return x.astype(np.float64) * scale
 
-    def _call(self, phase, b, x):
+
+class _Factor:
+    """One kind of factorisation of one pattern, and the memory that the library holds for it."""
+
+    def __init__(self, kind: int, indptr, indices, order):
+        self._library, self._kind = _mkl(), kind
+        self._indptr, self._indices = indptr, indices
+        self._handle = np.zeros(64, np.int64)
+        self._options = _pardiso_options()
+        self._order = np.zeros(len(indptr) - 1, np.int32) if order is None else order
+        self._options[4] = 0 if order is None else 1
+        self._none = np.zeros(1, np.float32)
+        self._data = np.zeros(len(indices), np.float32)
+        self._analysed = False
+
+    def factorise(self, data) -> int:
+        """The library's error code, 0 where all went well."""
+        self._data[:] = data
+        if not self._analysed:
+            error = self._call(_ANALYSE, self._none, self._none)
+            if error:
+                return error
+            self._analysed = True
+        return self._call(_FACTORISE, self._none, self._none)
+
+    def solve(self, b):
+        x = np.empty_like(b)
+        error = self._call(_SOLVE, b, x)
+        if error:
+            raise SolveFailed(f"PARDISO cannot solve, error {error}", {"pardiso_error": error})
+        return x
+
+    def _call(self, phase, b, x) -> int:
         integer = ctypes.c_int32
         error = integer(0)
         as_int = ctypes.POINTER(integer)
         self._library._mkl_pardiso(
             self._handle.ctypes.data_as(ctypes.POINTER(ctypes.c_int64)),
-            integer(1), integer(1), integer(_SYMMETRIC_INDEFINITE), integer(phase), integer(self.size),
+            integer(1), integer(1), integer(self._kind), integer(phase), integer(len(self._indptr) - 1),
             self._data.ctypes.data, self._indptr.ctypes.data_as(as_int), self._indices.ctypes.data_as(as_int),
-            self._library.perm.ctypes.data_as(as_int), integer(1), self._options.ctypes.data_as(as_int), integer(0),
+            self._order.ctypes.data_as(as_int), integer(1), self._options.ctypes.data_as(as_int), integer(0),
             b.ctypes.data, x.ctypes.data, error,
         )  # fmt: skip
-        if error.value:
-            raise SolveFailed(
-                f"PARDISO phase {phase} failed with error {error.value}", {"pardiso_error": error.value}
-            )
+        return error.value
 
     def __del__(self):
         if getattr(self, "_analysed", False):
-            try:
+            # the interpreter may be half gone; nothing is lost but memory that goes with it
+            with contextlib.suppress(Exception):
                 self._call(_RELEASE, self._none, self._none)
-            except Exception:  # the interpreter may be half gone; nothing is lost but memory that goes with it
-                pass
 
 
 def _pardiso_options() -> np.ndarray:

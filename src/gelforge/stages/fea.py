@@ -25,7 +25,7 @@ from gelforge.records.press import POSE, PosedPress
 from gelforge.records.solvetable import Solved, write_solves
 from gelforge.records.status import Status
 
-VERSION = 5
+VERSION = 6
 
 
 def scene_of(press: PosedPress, bodies: dict, sensors: dict, params: dict) -> Scene:

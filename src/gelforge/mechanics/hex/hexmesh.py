@@ -26,6 +26,13 @@ class HexMesh(GelMesh):
         """Bricks along x, y and z: what decides the sparsity pattern."""
         return len(self.xs) - 1, len(self.ys) - 1, self.layers
 
+    @property
+    def heights(self) -> np.ndarray:
+        """Relative heights (nz + 1,) of the planes of nodes, 0 at the base and 1 at the top."""
+        plane = len(self.xs) * len(self.ys)
+        column = self.nodes[plane // 2 :: plane, 2]
+        return (column - column[0]) / (column[-1] - column[0])
+
 
 @dataclass(frozen=True)
 class FineBox:
@@ -62,6 +69,37 @@ def _outward(distance, size, growth, largest):
     if len(sizes) > 1 and sum(sizes) - distance > distance - sum(sizes[:-1]):
         sizes.pop()
     return np.cumsum(sizes) * (distance / sum(sizes))
+
+
+def dissected(nx: int, ny: int, smallest: int = 3) -> np.ndarray:
+    """Order (nx * ny,) in which the columns of a grid are eliminated, x fastest in their numbers: nested dissection.
+
+    George 1973, SIAM J. Numer. Anal. 10, 345-363: both halves before the line that parts them.
+    """
+
+    def part(x0, x1, y0, y1):
+        if min(x1 - x0, y1 - y0) <= 0:
+            return []
+        if max(x1 - x0, y1 - y0) <= smallest:
+            return [(np.arange(y0, y1)[:, None] * nx + np.arange(x0, x1)).ravel()]
+        if x1 - x0 >= y1 - y0:
+            m = (x0 + x1) // 2
+            return [*part(x0, m, y0, y1), *part(m + 1, x1, y0, y1), np.arange(y0, y1) * nx + m]
+        m = (y0 + y1) // 2
+        return [*part(x0, x1, y0, m), *part(x0, x1, m + 1, y1), m * nx + np.arange(x0, x1)]
+
+    return np.concatenate(part(0, nx, 0, ny))
+
+
+def elimination_order(mesh: "HexMesh") -> np.ndarray:
+    """Order (unknowns,) for a direct solver: whole columns of nodes by nested dissection of the plane.
+
+    The unknowns are 3 a node, those of the base left out, in the order of the nodes.
+    """
+    plane = len(mesh.xs) * len(mesh.ys)
+    columns = dissected(len(mesh.xs), len(mesh.ys))
+    nodes = (columns[:, None] + plane * np.arange(mesh.layers)).ravel()
+    return (3 * nodes[:, None] + np.arange(3)).ravel()
 
 
 def layer_heights(layers: int, ratio: float) -> np.ndarray:

@@ -1,6 +1,7 @@
 """One scene walked along its path: load steps, Newton's method, and the contact set between them."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -17,7 +18,8 @@ from gelforge.mechanics.contact import (
     curved,
     positions,
 )
-from gelforge.mechanics.hex.hexmesh import HexMesh
+from gelforge.mechanics.hex.carry import Trail, carried, touch_fraction, touches
+from gelforge.mechanics.hex.hexmesh import HexMesh, elimination_order
 from gelforge.mechanics.hex.reach import path_pose, reachable_faces
 from gelforge.mechanics.linear import gmres, symmetric_product, symmetric_solver
 from gelforge.mechanics.scene import Scene
@@ -31,6 +33,10 @@ WARY = 3
 FORCING = 3e-2
 # Residual below which the tangent is exact; farther away the curvature of fillets leads astray.
 CLOSE = 1e-3
+# Residual above which the pressure's geometric stiffness is left out: an interpolated state has noise in its volume
+# ratio, so large pressures of both signs, and a tangent that is indefinite with them.
+NOISY = 5e-3
+ROUGH = 1e-3  # residual at which it shows what pulls and what presses
 # Matrix products that a solve may take with an old factorisation (one costs as much as a dozen) and with its own.
 STALE, FRESH = 12, 60
 BEYOND = 1.001  # of its traction is what a slipping point's multiplier wants, or rounding decides which points stick
@@ -48,7 +54,7 @@ class System:
         self.pattern = element.build_pattern(mesh.elements, len(mesh.nodes), mesh.base)
         self.base, self.width = element.block_places(self.pattern, mesh.elements)
         self.faces = FacePlaces(mesh, self.pattern)
-        self.linear = symmetric_solver(self.pattern.indptr, self.pattern.indices)
+        self.linear = symmetric_solver(self.pattern.indptr, self.pattern.indices, elimination_order(mesh))
         self.free = np.flatnonzero(self.pattern.first_row >= 0)
         self.values = np.zeros(len(self.pattern.indices))
 
@@ -79,18 +85,54 @@ class Run:
         self.iterations = self.rounds = self.steps = self.cuts = 0
         self.residual, self.factored = np.inf, False
         self.history, self.curve = [], []
+        self._walked = [(0.0, self.u)]
 
     # -- the path
 
     def follow(self, start: float) -> Status:
         """Walk the path from path parameter `start` (first touch) to its end."""
         self.t = start
+        self._walked = [(start, self.u)]
         try:
             for stop, count in self._legs(start):
                 self._leg(stop, (stop - self.t) / count)
             return self._settle()
         except (NoEquilibrium, SolveFailed):
             return Status.DIVERGED
+
+    def arrive(self, trail: Trail) -> Status:
+        """Equilibrium at the end of a path that was walked on coarser bricks: no slip or no friction only."""
+        self.t = trail.times[-1]
+        pose = path_pose(self.scene, self.t)
+        self.u = carried(trail.mesh, trail.states[-1], self.mesh)
+        try:
+            if self.law == "frictionless":
+                self._solve_here(pose, ROUGH)
+            else:
+                held, places = touches(trail, self.state.reference, partial(path_pose, self.scene), self._gaps)
+                self._glue(np.flatnonzero(held), pose, places[held])
+                self._settle_contact(pose, places)
+            return self._settle()
+        except (NoEquilibrium, SolveFailed):
+            return Status.DIVERGED
+
+    def _settle_contact(self, pose, places) -> None:
+        """Let go what pulls and hold what presses, each point once, until neither remains.
+
+        A point that was let go and presses again stays loose: it would change for ever.
+        """
+        held = self.state.status == GLUED
+        for _ in range(self.settings.settle_rounds):
+            self.state.go(1.0)
+            self._solve_here(pose, ROUGH)
+            self.rounds += 1
+            new = self._touching()
+            new = new[~held[new]]
+            held[new] = True
+            gone = self._release(pose)
+            self._glue(new, pose, places[new])
+            if not gone and not len(new):
+                return
 
     def _legs(self, start):
         press, s = self.scene.press, self.settings
@@ -142,6 +184,7 @@ class Run:
         self.steps += 1
         self.curve.append([float(t), *total.tolist()])
         self.history = [previous, (t, self.u)]
+        self._walked.append((t, self.u))
         return used
 
     def _predict(self, t):
@@ -229,7 +272,10 @@ class Run:
         """Newton's step, to FORCING of the residual; a factorisation serves as long as GMRES is quick with it."""
         system, b = self.system, self.bricks
         system.values[:] = 0.0
-        element.tangent(u, b.elements, b.gradients, b.weights, *self.moduli, system.base, system.width, system.values)
+        pressed = float(self.residual <= NOISY)
+        element.tangent(
+            u, b.elements, b.gradients, b.weights, *self.moduli, pressed, system.base, system.width, system.values
+        )
         system.faces.add_stiffness(self.state, springs, system.values)
         self.iterations += 1
         apply = self._product(self._skew(u, pose, springs))
@@ -294,10 +340,8 @@ class Run:
         end = pose.to_indenter(self._points(self.u)[new])
         if self.settings.anchoring == "end" or not len(new):
             return end
-        gap_before = np.maximum(gap[new], 0.0)
-        gap_after = self._gaps(expected[new], pose)
-        crosses = gap_after < 0.0
-        fraction = np.where(crosses, gap_before / np.where(crosses, gap_before - gap_after, 1.0), 1.0)
+        gap_before, gap_after = gap[new], self._gaps(expected[new], pose)
+        fraction = touch_fraction(gap_before, gap_after)
         return begin + fraction[:, None] * (end - begin)
 
     def _glue(self, points, pose, places) -> None:
@@ -403,6 +447,11 @@ class Run:
         self.u, _ = self._newton(self.u, pose, tolerance, True)
 
     # -- evidence
+
+    def trail(self) -> Trail:
+        """The walked path, for a finer mesh to arrive at its end."""
+        states = [u for _, u in self._walked[:-1]]
+        return Trail(self.mesh, [t for t, _ in self._walked], [*states, self.u], self.settings.size)
 
     def contact_forces(self) -> np.ndarray:
         """Nodal contact forces on the gel (n, 3) of the last equilibrium, N."""

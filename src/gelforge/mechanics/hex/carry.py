@@ -1,0 +1,88 @@
+"""What a path walked on coarse bricks tells fine ones: displacement, and where each surface point first touched.
+
+Nested iteration (Hackbusch, Multi-Grid Methods and Applications, 1985, section 5): the path is walked where that is
+cheap, and only its end is solved on the fine mesh. What the end needs of the path is where in the indenter's frame
+each point touched. That is read off the point's own way through the coarse path, which is smooth where points have
+not touched yet; the coarse contact points would tell it at the coarse mesh's resolution only.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from gelforge.mechanics.contact import Pose
+from gelforge.mechanics.hex.hexmesh import HexMesh
+
+# A point has touched that comes so close to the indenter, in widths of a coarse brick: between the points where
+# the coarse contact is held, its faces cut corners.
+TOUCHED = 0.05
+LEFT = 0.1  # and it has left again that is farther away
+
+
+@dataclass(frozen=True)
+class Trail:
+    """The states of a walked path: mesh, path parameters (k,) and displacements (k, n, 3) mm, the first at rest."""
+
+    mesh: HexMesh
+    times: list[float]
+    states: list[np.ndarray]
+    size: float
+
+
+def line_weights(lines: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Weights (m, 2) and indices (m, 2) of linear interpolation on `lines` (n,) at places `at` (m,)."""
+    i = np.clip(np.searchsorted(lines, at, "right") - 1, 0, len(lines) - 2)
+    s = np.clip((at - lines[i]) / (lines[i + 1] - lines[i]), 0.0, 1.0)
+    return np.stack([1.0 - s, s], axis=1), np.stack([i, i + 1], axis=1)
+
+
+def carried(coarse: HexMesh, u: np.ndarray, fine: HexMesh) -> np.ndarray:
+    """Displacement (n, 3) of the fine nodes: the coarse one (m, 3), trilinear in x, y and relative height."""
+    grid = u.reshape(coarse.layers + 1, len(coarse.ys), len(coarse.xs), 3)
+    lines = ((coarse.heights, fine.heights), (coarse.ys, fine.ys), (coarse.xs, fine.xs))
+    for axis, (old, new) in enumerate(lines):
+        weights, index = line_weights(old, new)
+        shape = [1] * grid.ndim
+        shape[axis] = -1
+        low, high = (np.take(grid, index[:, k], axis=axis) * weights[:, k].reshape(shape) for k in (0, 1))
+        grid = low + high
+    return np.ascontiguousarray(grid.reshape(-1, 3))
+
+
+def surface_motion(coarse: HexMesh, u: np.ndarray, xy: np.ndarray) -> np.ndarray:
+    """Displacement (p, 3) of points of the top surface, by their undeformed places xy (p, 2)."""
+    top = u.reshape(coarse.layers + 1, len(coarse.ys), len(coarse.xs), 3)[-1]
+    (wx, ix), (wy, iy) = line_weights(coarse.xs, xy[:, 0]), line_weights(coarse.ys, xy[:, 1])
+    return np.einsum("pa,pb,pabi->pi", wy, wx, top[iy[:, :, None], ix[:, None, :]])
+
+
+def touch_fraction(gap_before: np.ndarray, gap_after: np.ndarray) -> np.ndarray:
+    """At which fraction of a step points cross the surface, whose gap falls evenly; 1 where it stays open."""
+    crosses, open_ = gap_after < 0.0, np.maximum(gap_before, 0.0)
+    return np.where(crosses, open_ / np.where(crosses, open_ - gap_after, 1.0), 1.0)
+
+
+def touches(trail: Trail, points: np.ndarray, pose_at: Callable[[float], Pose], gap_of: Callable) -> tuple:
+    """Which surface points (m, 3) a path has brought into contact (m,), and where each touched (m, 3).
+
+    pose_at(t): the indenter's pose; gap_of(x, pose): signed distances (m,) of places x (m, 3). Places are in the
+    indenter's frame. A point that goes on as in the step before crosses the surface at a fraction of the step: that
+    place counts. Points that have not touched get the place to which the last step would lead them.
+    """
+    held, places = np.zeros(len(points), bool), np.empty_like(points)
+    before = earlier = None
+    for t, u in zip(trail.times, trail.states, strict=True):
+        pose, x = pose_at(t), points + surface_motion(trail.mesh, u, points[:, :2])
+        gap = gap_of(x, pose)
+        if before is not None:
+            t1, x1, pose1, gap1 = before
+            straight = earlier is not None and not t1 <= 1.0 < t  # the path turns from press to shear at 1
+            ahead = x1 + (t - t1) / (t1 - earlier[0]) * (x1 - earlier[1]) if straight else x1
+            free = np.flatnonzero(~held)
+            fraction = touch_fraction(gap1[free], gap_of(ahead[free], pose))[:, None]
+            places[free] = (1.0 - fraction) * pose1.to_indenter(x1[free]) + fraction * pose.to_indenter(x[free])
+            held = (held | (gap < TOUCHED * trail.size)) & (gap < LEFT * trail.size)
+            earlier = before
+        before = (t, x, pose, gap)
+    return held, places

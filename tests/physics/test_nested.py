@@ -1,0 +1,152 @@
+"""The path on coarse bricks and its end on fine ones: what is carried over, and how close it comes to the whole path."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gelforge.geometry.gel import Gel
+from gelforge.geometry.indenters import build
+from gelforge.mechanics.contact import Pose
+from gelforge.mechanics.hex.carry import Trail, carried, surface_motion, touches
+from gelforge.mechanics.hex.hexmesh import FineBox, build_mesh, dissected, elimination_order
+from gelforge.mechanics.hex.reach import width_of
+from gelforge.mechanics.hex.solver import HexSettings, Nested, solve_hex
+from gelforge.mechanics.linear import symmetric_solver
+from gelforge.mechanics.scene import Interface, Material, Press, Scene
+from gelforge.records.status import Status
+
+COARSE = build_mesh(Gel(), FineBox(-4, 4, -4, 4, 1.0), 3, 2.0)
+FINE = build_mesh(Gel(), FineBox(-4, 4, -4, 4, 0.5), 5, 2.0)
+PATH = HexSettings(size=0.7, layers=4, layer_ratio=2.0, gauss=2, press_steps=6, shear_steps=3)
+BALL = build("ball", {"kind": "sphere", "diameter": 15, "height": 10})
+CUBOID = build("cuboid", {"kind": "cuboid", "size": [7, 7], "fillet": 1, "height": 10})
+
+
+def heights_of(mesh):
+    """Relative height (n,) of every node between base and top."""
+    base, top = -Gel().height, np.asarray(Gel().top(mesh.nodes[:, 0], mesh.nodes[:, 1]))
+    return (mesh.nodes[:, 2] - base) / (top - base)
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=20, deadline=None)
+def test_carrying_keeps_trilinear_fields(seed):
+    """A displacement linear along x, y and relative height is told on the fine nodes without error.
+
+    Inside the rounded corners only: there mesh lines are bent, and places on a line are not evenly spaced.
+    """
+    k = np.random.default_rng(seed).normal(size=(3, 4))
+
+    def field(mesh):
+        x, y, h = mesh.nodes[:, 0], mesh.nodes[:, 1], heights_of(mesh)
+        return np.stack([a + b * x + c * y * h + d * x * y for a, b, c, d in k], axis=1)
+
+    straight = np.all(np.abs(FINE.nodes[:, :2]) < [8.0, 10.0], axis=1)
+    found = carried(COARSE, field(COARSE), FINE)
+    np.testing.assert_allclose(found[straight], field(FINE)[straight], atol=1e-9)
+    top = FINE.nodes[FINE.surface_nodes]
+    inner = np.all(np.abs(top[:, :2]) < [8.0, 10.0], axis=1)
+    moved = surface_motion(COARSE, field(COARSE), top[inner, :2])
+    np.testing.assert_allclose(moved, field(FINE)[FINE.surface_nodes][inner], atol=1e-9)
+
+
+def test_points_that_never_moved_touch_straight_above_them():
+    """A ball that comes down on a gel at rest meets each point where the point is, whatever the steps."""
+    points = FINE.nodes[FINE.surface_nodes]
+    rest, times = np.zeros_like(COARSE.nodes), [0.0, 0.3, 0.7, 1.0]
+    trail = Trail(COARSE, times, [rest] * len(times), 1e-6)
+
+    def pose_at(t):
+        return Pose(np.eye(3), np.array([0.0, 0.0, -1.5 * t]))
+
+    def gap_of(x, pose):
+        return BALL.distance(pose.to_indenter(x))[0]
+
+    held, places = touches(trail, points, pose_at, gap_of)
+    inside = gap_of(points, pose_at(1.0)) < 0.0
+    assert inside.sum() > 50 and np.array_equal(held, inside)
+    np.testing.assert_allclose(places[held][:, :2], points[held][:, :2], atol=1e-12)
+    # the gap of a straight way is not straight in time: the place errs by what a step bends it
+    assert np.abs(BALL.distance(places[held])[0]).max() < 0.02
+
+
+@pytest.mark.parametrize(
+    ("law", "body", "press"),
+    [
+        ("no_slip", BALL, Press(0, 0, 0, 0, 0, -1.0)),
+        ("frictionless", BALL, Press(0, 0, 0, 0, 0, -1.0)),
+        ("no_slip", CUBOID, Press(1, -2, 0, 0.3, 0.1, -1)),
+    ],
+)
+def test_nested_and_whole_path_come_together_as_bricks_shrink(law, body, press):
+    """Total force within 3 % on bricks of 1 mm, within 1.5 % on those of 0.5 mm: the difference falls like the size."""
+    for size, bound in ((1.0, 0.03), (0.5, 0.015)):
+        scene = Scene(Gel(), Material(), body, press, Interface(law))
+        whole = solve_hex(scene, replace(PATH, size=size))
+        nested = solve_hex(scene, replace(PATH, size=size, nested=Nested(layers=2)))
+        assert whole.status is nested.status is Status.OK
+        assert nested.evidence["coarse_newton_iterations"] > 0  # it did take the short way
+        assert nested.evidence["base_mismatch"] < 1e-6 and nested.evidence["pulling_fraction"] < 2e-3
+        apart = np.linalg.norm(nested.total - whole.total) / np.linalg.norm(whole.total)
+        assert apart < bound
+
+
+def test_extrapolation_brings_wide_bricks_closer_to_small_ones():
+    """Forces are too large on wide bricks; one factor, told by two sizes, takes most of that back."""
+    scene = Scene(Gel(), Material(), BALL, Press(0, 0, 0, 0, 0, -1.0))
+    fine = np.linalg.norm(solve_hex(scene, replace(PATH, size=0.3, layers=9)).total)
+    wide = replace(PATH, size=0.5, layers=5)
+    plain = solve_hex(scene, replace(wide, nested=Nested(layers=3)))
+    better = solve_hex(scene, replace(wide, nested=Nested(layers=3, extrapolation=1 / 3)))
+    assert abs(np.linalg.norm(better.total) - fine) < 0.5 * abs(np.linalg.norm(plain.total) - fine)
+    np.testing.assert_allclose(better.forces, better.evidence["extrapolated"] * plain.forces, rtol=1e-12)
+
+
+def test_friction_walks_the_whole_path_on_the_fine_bricks():
+    scene = Scene(Gel(), Material(), BALL, Press(0, 0, 0, 0.2, 0, -0.5), Interface("coulomb", 0.5))
+    small = replace(PATH, size=1.0)
+    np.testing.assert_array_equal(
+        solve_hex(scene, replace(small, nested=Nested())).forces, solve_hex(scene, small).forces
+    )
+
+
+@pytest.mark.parametrize(
+    ("inside", "width"),
+    [
+        (lambda x, y: np.hypot(x, y) < 3.0, 6.0),
+        (lambda x, y: np.maximum(abs(x), abs(y)) < 2.5, 5.0 * 4 / np.pi),  # straight edges are not too long
+        (lambda x, y: (np.hypot(x, y) < 4.0) & (np.hypot(x, y) > 3.0), 2.0),
+    ],
+)
+def test_width_of_plane_figures(inside, width):
+    x, y = np.meshgrid(np.arange(-5, 5, 0.05), np.arange(-6, 6, 0.04), indexing="ij")
+    assert width_of(inside(x, y), (0.05, 0.04)) == pytest.approx(width, rel=0.03)
+
+
+@given(st.integers(1, 30), st.integers(1, 30))
+@settings(deadline=None)
+def test_nested_dissection_takes_each_column_once(nx, ny):
+    assert np.array_equal(np.sort(dissected(nx, ny)), np.arange(nx * ny))
+
+
+def test_elimination_order_is_one_of_the_free_unknowns():
+    free = 3 * (len(FINE.nodes) - len(FINE.base))
+    assert np.array_equal(np.sort(elimination_order(FINE)), np.arange(free))
+
+
+def test_an_indefinite_matrix_is_solved_after_a_definite_one():
+    """Cholesky's method serves one, stops at the other, and serves again."""
+    rng = np.random.default_rng(0)
+    a = rng.normal(size=(30, 30))
+    definite = a @ a.T + 30 * np.eye(30)
+    saddle = definite.copy()
+    saddle[15:, 15:] *= -1.0
+    rows, columns = np.triu_indices(30)
+    solver = symmetric_solver(np.concatenate([[0], np.cumsum(np.arange(30, 0, -1))]), columns)
+    b = rng.normal(size=30)
+    for matrix in (definite, saddle, definite):
+        solver.factorise(matrix[rows, columns])
+        np.testing.assert_allclose(matrix @ solver.solve(b), b, atol=1e-3)
