@@ -26,6 +26,7 @@ from gelforge.records.press import (
     reject,
 )
 from gelforge.records.regular import read_text
+from gelforge.records.table import read_table
 
 P = TypeVar("P", bound=PressRecord)
 
@@ -232,5 +233,10 @@ def write_rejections(path: str | Path, rejections: Iterable[Rejection]) -> None:
 
 def rejected_rows(path: str | Path, but: str = "") -> set[int]:
     """Lines of the log that a table of rejections names, those for column `but` alone left out."""
-    lines = list(io.StringIO(read_text(Path(path), "run make poses"), newline=""))
-    return {int(cells["row"]) for cells in csv.DictReader(lines) if cells["column"] != but}
+    found = set()
+    for cells in read_table(path, "delete it and run make poses"):
+        if not cells.get("row", "").isdigit() or "column" not in cells:
+            raise BadInput(f"{path}: is no table of rejected rows; delete it and run make poses")
+        if cells["column"] != but:
+            found.add(int(cells["row"]))
+    return found

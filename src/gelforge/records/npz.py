@@ -36,7 +36,7 @@ class Archive:
         try:
             self._zip = zipfile.ZipFile(self.path)
         except DAMAGED as error:
-            raise self._bad(str(error)) from error
+            raise self._bad(str(error)[:200]) from error
         members = self._zip.infolist()
         claimed = sum(member.file_size for member in members)
         if claimed > max(FREE_BYTES, MOST_TIMES * self.path.stat().st_size):
@@ -68,7 +68,7 @@ class Archive:
             with self._zip.open(self.names[name]) as stream:
                 return np.asarray(np.lib.format.read_array(stream, allow_pickle=False))
         except DAMAGED as error:
-            raise self._bad(f"array {name}: {error}") from error
+            raise self._bad(f"array {name}: {str(error)[:200]}") from error
 
     def _check(self, name: str, shape: tuple[int, ...], kind: Any, size: int, kinds: str, dims: int) -> None:
         if kind.kind not in kinds or len(shape) != dims:

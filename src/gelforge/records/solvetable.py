@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import read_csv, write_csv
+from gelforge.flow.files import write_csv
 from gelforge.records.press import FORCE, parse_number
 from gelforge.records.status import Status
+from gelforge.records.table import read_table
 
 EVIDENCE = (
     "rung", "rounds", "newton_iterations", "load_steps", "seconds", "kinematics_seconds", "peak_mib",
@@ -63,10 +64,10 @@ def _force(text: str) -> float | None:
 def read_solves(path: str | Path) -> list[Solved]:
     """Read what `write_solves` wrote; anything else raises BadInput."""
     found = []
-    for at, row in enumerate(read_csv(path), 2):
+    for at, row in enumerate(read_table(path, "delete it and run make fea"), 2):
         forces = [_force(row.get(name) or "") for name in FORCE]
         state = row.get("status") or ""
-        if None in row or state not in Status.__members__ or None in forces or not row.get("sample_id"):
+        if state not in Status.__members__ or None in forces or not row.get("sample_id"):
             raise BadInput(f"{path}: row {at} is no solve of stage 30; delete the file and run make fea")
         x, y, z = (math.nan if force is None else force for force in forces)
         names = {name: row.get(name) or "" for name in NAMES if name != "status"}

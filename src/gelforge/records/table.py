@@ -1,0 +1,21 @@
+"""Tables that a stage wrote, read as rows of text; whatever else lies there is refused."""
+
+import csv
+import io
+from pathlib import Path
+
+from gelforge.errors import BadInput
+from gelforge.records.regular import read_text
+
+
+def read_table(path: str | Path, remedy: str) -> list[dict[str, str]]:
+    """Rows of a CSV file by column; one that cannot be read, or with a row of another length, raises BadInput."""
+    lines = csv.DictReader(io.StringIO(read_text(Path(path), remedy), newline=""), restval=None)
+    try:
+        rows = list(lines)
+    except csv.Error as error:
+        raise BadInput(f"{path}: row {lines.line_num}: {error}; {remedy}") from error
+    for at, row in enumerate(rows, 2):
+        if None in row or None in row.values():
+            raise BadInput(f"{path}: row {at} has another number of cells than the header; {remedy}")
+    return rows

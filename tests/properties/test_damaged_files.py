@@ -1,0 +1,110 @@
+"""Whatever happens to the bytes of a file, its reader gives it or refuses it in a sentence; nothing else escapes."""
+
+import io
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from press_records import log_line
+
+from gelforge.errors import BadInput
+from gelforge.formats.numpy_pickle import read_npy
+from gelforge.networks.modelfile import load_model
+from gelforge.records.forcefile import ForceFile, SampleForces, write_forces
+from gelforge.records.image import read_image
+from gelforge.records.labelfile import read_labels
+from gelforge.records.log import read_log, read_poses, rejected_rows
+from gelforge.records.predictionfile import read_predictions, write_predictions
+from gelforge.records.press import COLUMNS, parse
+from gelforge.records.samplefile import read_samples
+from gelforge.records.solvetable import Solved, read_solves, write_solves
+from gelforge.records.status import Status
+
+PICTURE = np.random.default_rng(1).integers(0, 255, (24, 32, 3), np.uint8)
+LABELS = {"sample_id": np.array(["a", "b"]), "status": np.array(["OK", "OK"]), "outside": np.zeros((2, 3)),
+          "label": np.zeros((2, 3, 2, 2), np.float32), "c10": np.float64(0.07)}  # fmt: skip
+LOG = "\n".join([",".join(COLUMNS), *(log_line(sample_id=f"s{k}", fz_n=-1.0 - k) for k in range(6))]) + "\n"
+
+
+def log_rows(path):
+    return [parse(row, "log.csv") for row in read_log(path)]
+
+
+def forces(path):
+    with ForceFile(path) as file:
+        return file.sample(0, np.arange(3)), file.node, file.force, file.surface_ptr, file.displacement
+
+
+def archive(save, **arrays) -> bytes:
+    stream = io.BytesIO()
+    save(stream, **arrays)
+    return stream.getvalue()
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory, root):
+    """Bytes of a good file of every kind, and its readers."""
+    folder = tmp_path_factory.mktemp("whole")
+    found = {
+        kind: (cv2.imencode(f".{kind}", PICTURE)[1].tobytes(), [read_image]) for kind in ("png", "jpg", "bmp", "tiff")
+    }
+    found["labels"] = archive(np.savez, **LABELS), [read_labels]
+    found["packed"] = archive(np.savez_compressed, **LABELS), [read_labels]
+    sample = SampleForces("a", "OK", "m", np.arange(3), np.ones((3, 3)), np.zeros((3, 3)))
+    write_forces(folder / "f.npz", [sample], 0.07)
+    found["forces"] = (folder / "f.npz").read_bytes(), [forces]
+    write_predictions(folder / "p.npz", np.array(["a"]), np.zeros((1, 3, 2, 2), np.float32))
+    found["predictions"] = (folder / "p.npz").read_bytes(), [read_predictions]
+    write_solves(folder / "s.csv", [Solved("a", Status.OK, "", "hex", "m", "f", (0.0, 0.1, -1.0), {"seconds": 1.5})])
+    found["solves"] = (folder / "s.csv").read_bytes(), [read_solves]
+    np.save(folder / "x.npy", np.array({"gs_img": PICTURE, "f_x": 1.5}, object), allow_pickle=True)
+    found["npy"] = (folder / "x.npy").read_bytes(), [read_npy]
+    found["log"] = LOG.encode(), [log_rows, read_poses, read_samples, rejected_rows]
+    found["model"] = (root / "src/gelforge/networks/default.pt").read_bytes(), [load_model]
+    return found
+
+
+def damage(data: bytes, draw) -> bytes:
+    """Cut, flip, insert, delete or overwrite, where `draw` says."""
+    at = draw(st.integers(0, len(data) - 1))
+    junk = draw(
+        st.binary(min_size=1, max_size=40)
+        | st.sampled_from([b"\xff" * 4, b"\0" * 8, b'",",', b"\n\n", b"PK\x03\x04"])
+    )
+    how = draw(st.sampled_from(["cut", "insert", "delete", "overwrite"]))
+    behind = {
+        "cut": b"",
+        "insert": junk + data[at:],
+        "delete": data[at + len(junk) :],
+        "overwrite": junk + data[at + len(junk) :],
+    }
+    return data[:at] + behind[how]
+
+
+KINDS = ("png", "jpg", "bmp", "tiff", "labels", "packed", "forces", "predictions", "solves", "npy", "log")
+
+
+@pytest.mark.parametrize(("kind", "examples"), [*((kind, 150) for kind in KINDS), ("model", 25)])
+def test_a_damaged_file_is_read_or_refused(whole, tmp_path, kind, examples):
+    data, readers = whole[kind]
+
+    @settings(max_examples=examples, deadline=None, suppress_health_check=list(HealthCheck), database=None)
+    @given(st.data())
+    def holds(drawn):
+        path = tmp_path / f"x.{kind}"
+        path.write_bytes(damage(data, drawn.draw))
+        for read in readers:
+            try:
+                read(path)
+            except BadInput as error:
+                assert str(error).isprintable() and len(str(error)) < 1000
+
+    holds()
+
+
+def test_whole_files_are_read(whole, tmp_path):
+    for kind, (data, (read, *_)) in whole.items():
+        (tmp_path / f"x.{kind}").write_bytes(data)
+        assert read(tmp_path / f"x.{kind}") is not None, kind
