@@ -34,7 +34,7 @@ def write(path: Path, samples: Samples) -> None:
             pictures[rows] = as_objects([np.frombuffer(sample.picture, np.uint8) for sample in block])
             types[rows] = [sample.media_type for sample in block]
             forces[rows] = np.stack([sample.label for sample in block])
-        file["total"] = np.array([[float(row[axis]) for axis in ("fx_n", "fy_n", "fz_n")] for row in samples.rows])
+        file["total"] = np.array([each.total for each in samples.records])
         file["total"].attrs["unit"] = "N"
         for name in samples.rows[0]:
             file.create_dataset(

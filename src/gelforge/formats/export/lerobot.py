@@ -21,12 +21,13 @@ import numpy as np
 
 from gelforge.flow.files import write_json, write_text
 from gelforge.formats.export.samples import Samples
+from gelforge.records.press import POSE
+from gelforge.records.samplefile import DatasetSample
 
 VERSION = "v3.0"
 FPS = 10
 CHUNK_FILES = 1000  # files a chunk folder holds at most
 FILE_BYTES = 100e6  # of data a file holds at most, about
-POSE = ("x0_mm", "y0_mm", "z0_mm", "dx_mm", "dy_mm", "dz_mm", "rot_deg")
 NAMES = ("sample_id", "indenter", "sensor_id", "split")
 PICTURE, FORCES, STATE, WRENCH = (
     "observation.images.gelsight",
@@ -179,7 +180,7 @@ def as_table(held: list, form):
     columns = {
         PICTURE: pictures,
         FORCES: fixed([sample.label.ravel() for sample in samples]),
-        STATE: fixed([[float(sample.row[name] or "nan") for name in POSE] for sample in samples]),
+        STATE: fixed([pose(sample.record) for sample in samples]),
         WRENCH: fixed([sample.total() for sample in samples]),
         **{name: pa.array([sample.row[name] for sample in samples]) for name in NAMES},
         "timestamp": pa.array(np.array([frame / FPS for _, frame, _, _ in held], np.float32)),
@@ -189,6 +190,11 @@ def as_table(held: list, form):
         "task_index": pa.array(np.zeros(len(samples), np.int64)),
     }
     return pa.Table.from_arrays([columns[name] for name in form.names], schema=form)
+
+
+def pose(sample: DatasetSample) -> list[float]:
+    """Pose and path of a press, in the order of POSE."""
+    return [getattr(sample.press, name) for name in POSE]
 
 
 def fixed(rows: list):
@@ -246,8 +252,8 @@ def stats(samples: Samples) -> dict:
     spread = np.sqrt(np.maximum(squares / len(forces) - mean**2, 0))
     found = {"min": low, "max": high, "mean": mean, "std": spread}
     cells = {name: value.ravel().tolist() for name, value in found.items()}
-    state = np.array([[float(row[name] or "nan") for name in POSE] for row in samples.rows])
-    wrench = np.array([[float(row[name]) for name in ("fx_n", "fy_n", "fz_n")] for row in samples.rows])
+    state = np.array([pose(each) for each in samples.records])
+    wrench = np.array([each.total for each in samples.records])
     count = {"count": [len(forces)]}
     return {FORCES: cells | count, STATE: ranges(state) | count, WRENCH: ranges(wrench) | count}
 

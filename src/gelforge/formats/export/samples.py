@@ -9,20 +9,24 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import read_csv, read_json
+from gelforge.flow.files import read_json
+from gelforge.records.axes import AXES, AXIS_OF_CHANNEL
+from gelforge.records.image import stays_inside
+from gelforge.records.regular import file_fault
+from gelforge.records.samplefile import DatasetSample, read_samples
+from gelforge.records.table import read_table
 
 SUFFIXES = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg"}
 TEXTS = ("sample_id", "indenter", "sensor_id", "gel_id", "split", "group", "image")
-CHANNELS = ("force along gel y", "force along gel x", "force along gel z")
-TOTALS = ("fx_n", "fy_n", "fz_n")
 FRAME = "gel: origin on the crown of the untouched gel, x the short side, y the long side, z out of the gel; mm, N"
 
 
 @dataclass(frozen=True)
 class Sample:
-    """One image with its label: row of samples.csv, encoded picture and its type, forces (3, rows, cols) N per cell."""
+    """One image with its label: row of samples.csv as text and as record, encoded picture and its type, forces (3, rows, cols) N per cell."""
 
     row: dict[str, str]
+    record: DatasetSample
     picture: bytes
     media_type: str
     label: np.ndarray
@@ -33,7 +37,7 @@ class Sample:
 
     def total(self) -> list[float]:
         """Total force along gel x, y, z in N, as the dataset states it."""
-        return [float(self.row[axis]) for axis in TOTALS]
+        return self.record.total.tolist()
 
 
 @dataclass(frozen=True)
@@ -46,6 +50,7 @@ class Samples:
     data: Path
     dataset: Path
     rows: list[dict[str, str]]
+    records: list[DatasetSample]
     labels: np.ndarray
     info: dict
     sensors: dict
@@ -58,7 +63,7 @@ class Samples:
                 raise BadInput(
                     f"{dataset}: {name} is missing; make it with `make dataset`, RES being the grid you want"
                 )
-        rows = read_csv(dataset / "samples.csv")
+        rows, records = read_table(dataset / "samples.csv", "make dataset"), read_samples(dataset / "samples.csv")
         if not rows or not any(row.get("image") for row in rows):
             raise BadInput(
                 f"{dataset}: holds no sample with a picture; fill the log's column `image` and make dataset"
@@ -66,7 +71,7 @@ class Samples:
         labels = np.load(dataset / "labels.npy", mmap_mode="r", allow_pickle=False)
         if len(labels) != len(rows):
             raise BadInput(f"{dataset}: {len(labels)} labels for {len(rows)} samples; remove it and make dataset")
-        return cls(data, dataset, rows, labels, read_json(dataset / "dataset.json"), read_json(sensors))
+        return cls(data, dataset, rows, records, labels, read_json(dataset / "dataset.json"), read_json(sensors))
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -77,13 +82,13 @@ class Samples:
     def sample(self, at: int) -> Sample:
         """One sample; BadInput where its picture is not there."""
         row = self.rows[at]
-        path = (self.data / row["image"]).resolve()
-        if not path.is_relative_to(self.data.resolve()):
+        path = self.data / row["image"]
+        if not stays_inside(self.data, row["image"]):
             raise BadInput(f"{self.data}/log.csv: image {row['image']!r} leads out of the dataset's folder")
         media_type = SUFFIXES.get(path.suffix.lower())
-        if media_type is None or not path.is_file():
+        if media_type is None or file_fault(path):
             raise BadInput(f"{path}: no picture of sample {row['sample_id']} there as PNG or JPEG; restore it")
-        return Sample(row, path.read_bytes(), media_type, np.asarray(self.labels[at]))
+        return Sample(row, self.records[at], path.read_bytes(), media_type, np.asarray(self.labels[at]))
 
     def least_bytes(self) -> int:
         """Bytes of all pictures, which every format carries as they are; those that are missing count as none."""
@@ -97,7 +102,7 @@ class Samples:
         for at, row in enumerate(self.rows):
             key = (row["split"], row["group"] or f"row {at}", row["indenter"])
             found.setdefault(key, []).append(at)
-        return [sorted(rows, key=lambda at: -float(self.rows[at]["dz_mm"] or 0)) for rows in found.values()]
+        return [sorted(rows, key=lambda at: -np.nan_to_num(self.records[at].press.dz_mm)) for rows in found.values()]
 
     @cached_property
     def grid(self) -> tuple[int, int]:
@@ -111,7 +116,7 @@ class Samples:
             "grid": list(self.grid),
             "image": self.info["image"],
             "units": {"forces": "N per cell", "total": "N", "pose": "mm and degrees"},
-            "channels": list(CHANNELS),
+            "channels": [f"force along gel {AXES[axis]}" for axis in AXIS_OF_CHANNEL],
             "signs": "compression is negative z; force that acts on the gel, as FEATS",
             "frame": FRAME,
             "sensors": {name: self.sensors[name] for name in sorted(named & self.sensors.keys())},
