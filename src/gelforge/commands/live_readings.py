@@ -76,7 +76,7 @@ def tell(args: Namespace, untouched, frames, capture, name: str) -> None:
         except BadInput as error:
             said = str(error)
         recorder.stop()
-        hub.tell({"ended": said})
+        hub.tell(hub.latest | {"ended": said})  # a page that is opened later still sees the last frame
         print(said, file=sys.stderr, flush=True)
         over.wait()  # the page can still be looked at and recordings replayed
 

@@ -44,8 +44,12 @@ function drawCurve() {
 }
 async function show(event) {
   if (event.trouble) el("trouble").textContent = event.trouble;
-  if (event.ended) { el("state").textContent = event.ended; document.body.dataset.ended = "yes"; loadNames(); return; }
+  if (event.image) await draw(event);
+  if (event.ended) { el("state").textContent = event.ended; document.body.dataset.ended = "yes"; await loadNames(); }
+}
+async function draw(event) {
   const [rows, cols] = event.grid, n = rows * cols, forces = await unpack(event.forces);
+  el("image").style.visibility = "visible";
   el("image").src = `data:image/jpeg;base64,${event.image}`;
   for (const [name, channel, title] of MAPS) drawMap(name, forces.subarray(channel * n, (channel + 1) * n), rows, cols, title);
   if (history.length && event.time_s < history.at(-1).time_s) history = [];
