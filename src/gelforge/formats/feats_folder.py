@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import write_json, write_text
+from gelforge.flow.files import write_csv, write_json, write_text
 from gelforge.flow.progress import progress
 from gelforge.formats.feats import (
     LabelSample,
@@ -28,6 +28,8 @@ from gelforge.records.log import write_log
 from gelforge.records.press import FORCES, POSE, LoggedPress, check_id
 from gelforge.records.samplefile import read_samples
 
+# FEATS' own folders, and ours.
+SPLITS = ("train", "val", "test", "test_unseen_indenter", "test_unseen_sensor", "test_unseen_both")
 FEATS_C10 = 0.0792  # MPa, the paper's fit, which its labels were made with
 # An image that came with its label alone: nobody knows how it was pressed.
 NO_PRESS = {**dict.fromkeys(POSE, math.nan), **dict.fromkeys(FORCES), "indenter": "", "time_utc": ""}
@@ -79,9 +81,30 @@ def import_folder(source: Path, data: Path, sensor, gel_id: str = "feats") -> di
             _write_grid(part / "labels" / f"{height}x{width}.npz", members, presses)
         if ranges:
             write_json(part / "feats_normalisation.json", ranges)
+        splits = published_splits(source, presses)
+        if splits:
+            write_csv(part / "splits.csv", ["sample_id", "split"], splits)
         write_text(part / "dataset.toml", DATASET_TOML.format(sensor=sensor.name, gel=sensor.gel))
     grids = {f"{rows}x{cols}": len(members) for (rows, cols), members in labels.items()}
     return {"presses": len(presses), "labels": grids, "files": len(files)}
+
+
+def published_splits(source: Path, presses: dict) -> list[dict]:
+    """sample_id and split of every press where folders directly below `source` are named as splits, else none.
+
+    A dataset as FEATS publishes it lies in train/, val/, test/ and the three of unseen indenters and sensors. Where
+    only some files lie in such folders BadInput is raised: which split the others belong to cannot be told.
+    """
+    found, outside = [], []
+    for press in presses.values():
+        parts = press["path"].relative_to(source).parts
+        if len(parts) > 1 and parts[0] in SPLITS:
+            found.append({"sample_id": press["row"]["sample_id"], "split": parts[0]})
+        else:
+            outside.append(press["path"])
+    if found and outside:
+        raise BadInput(f"{outside[0]}: lies in none of the folders {', '.join(SPLITS)}, other files do; move it into one")
+    return found
 
 
 def _take(path, sample, sensor, part, presses, labels) -> None:

@@ -21,7 +21,7 @@ from gelforge.records.axes import CHANNEL_OF_AXIS
 from gelforge.records.image import read_logged_image
 from gelforge.records.labelfile import FIELDS, open_labels, read_labels
 from gelforge.records.log import read_log, read_poses, without_duplicates
-from gelforge.records.press import PressRecord, parse
+from gelforge.records.press import PressRecord, check_id, parse
 from gelforge.records.samplefile import DatasetSample, write_samples
 from gelforge.records.status import Status
 from gelforge.stages.plan import planned_shards
@@ -211,6 +211,18 @@ def describe(args, grid: Grid, found: list[DatasetSample], splits, left_out, siz
     }
 
 
+def published_splits(data: Path, presses: list, splits: np.ndarray) -> np.ndarray:
+    """The splits (n,) that an imported dataset came with, data/DATASET/splits.csv, else those given."""
+    path = data / "splits.csv"
+    if not path.exists():
+        return splits
+    known = {row["sample_id"]: row["split"] for row in read_csv(path)}
+    missing = [press.sample_id for press in presses if press.sample_id not in known]
+    if missing:
+        raise BadInput(f"{path}: has no split of sample {missing[0]}; add it, or remove the file to split anew")
+    return np.array([check_id(known[press.sample_id]) for press in presses])
+
+
 def build(args) -> dict:
     """Write the arrays and tables of one resolution beside args.out; return the contents of dataset.json."""
     grid, settings = Grid.parse(args.resolution), read_json(args.params)["dataset"]
@@ -228,6 +240,7 @@ def build(args) -> dict:
         presses, np.array([each.strength for each in found]),
         unseen_indenters(read_json(args.catalogue), settings), settings,
     )  # fmt: skip
+    splits = published_splits(args.data, presses, splits)
     folder = args.out.parent
     write_label_array(folder / "labels.npy", shards, places, grid)
     write_fields(folder, shards, places, grid)

@@ -1,0 +1,34 @@
+"""Recordings in MCAP as a dataset: `make mcap-import FROM=recordings TOPICS=topics.toml DATASET=name`."""
+
+from argparse import Namespace
+from pathlib import Path
+
+from gelforge.errors import BadInput
+from gelforge.flow.main import command, option
+from gelforge.formats.mcap_import import Topics, import_recordings
+from gelforge.labelling.sensor import find_sensor, load_sensors
+
+
+@command(
+    option("--from", dest="source"),
+    option("--topics", help="TOML that names the topics; src/gelforge/formats/mcap_import.py shows one"),
+    option("--data", type=Path, help="data/DATASET, which must not exist"),
+    option("--sensors", type=Path, default=Path("workflow/sensors.toml")),
+)
+def main(args: Namespace) -> None:
+    for name, value in (("FROM", args.source), ("TOPICS", args.topics)):
+        if not value or not Path(value).exists():
+            raise BadInput(
+                f"{name}={value}: not there; say make mcap-import FROM=recordings TOPICS=topics.toml DATASET=name"
+            )
+    topics = Topics.read(Path(args.topics))
+    sensor = find_sensor(load_sensors(args.sensors), topics.sensor, args.topics)
+    found = import_recordings(Path(args.source), args.data, topics, sensor)
+    print(
+        f"{args.data}: {found['pictures']} pictures with force from {found['files']} recordings, {found['without_wrench']}"
+        " without; train on them with RES=1x1"
+    )
+
+
+if __name__ == "__main__":
+    main.exit()

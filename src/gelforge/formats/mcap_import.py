@@ -1,0 +1,218 @@
+"""Recordings in MCAP as a dataset: pictures with the force sensor's wrench, where no indenter is known.
+
+A small TOML names the topics:
+
+    image = "/gelsight/image/compressed"  # sensor_msgs/CompressedImage or sensor_msgs/Image (rgb8, bgr8)
+    wrench = "/ft/wrench"                 # geometry_msgs/WrenchStamped or Wrench
+    sensor = "gelsight_mini"              # in workflow/sensors.toml
+    latest_s = 0.02                       # a picture takes the nearest wrench within this time
+    every = 10                            # of so many pictures one is taken
+    touch_n = 0.2                         # a press begins where the force rises above it
+    rotation = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]  # from the wrench's frame to the gel's: x short side, z out of the gel
+    sign = 1                              # -1 where the sensor states the force that the gel exerts
+
+Every picture with a wrench becomes a row of log.csv without a pose, and a label of one cell, the total force: networks
+of totals train on it with RES=1x1.
+"""
+
+from bisect import bisect_left
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.flow.files import write_text
+from gelforge.flow.params import read_toml
+from gelforge.formats.feats_folder import NO_PRESS, new_folder
+from gelforge.records.axes import AXIS_OF_CHANNEL
+from gelforge.records.image import write_png
+from gelforge.records.labelfile import write_labels
+from gelforge.records.log import write_log
+from gelforge.records.press import FORCES, LoggedPress
+
+DEFAULTS = {
+    "latest_s": 0.02,
+    "every": 1,
+    "sign": 1,
+    "touch_n": 0.2,
+    "rotation": np.eye(3).tolist(),
+    "sensor": "gelsight_mini",
+}
+# What a force sensor reads belongs to no material; a label file states one that labels of a mesh would scale with.
+NO_MATERIAL_MPA = 0.08
+ENCODINGS = {"rgb8": 3, "bgr8": 3}
+DATASET_TOML = """# Imported from recordings in MCAP: pictures with total force, no indenter known. RES=1x1.
+sensor = "{sensor}"
+gel = "{gel}"
+catalogue = "indenters.toml"
+"""
+
+
+@dataclass(frozen=True)
+class Topics:
+    """What a recording holds under which name, and how its wrench is to be read."""
+
+    image: str
+    wrench: str
+    sensor: str
+    latest_s: float
+    every: int
+    sign: int
+    touch_n: float
+    rotation: np.ndarray
+
+    @classmethod
+    def read(cls, path: Path) -> "Topics":
+        """Read the TOML; BadInput where a name is missing, unknown or of the wrong kind."""
+        table = read_toml(path)
+        for name in ("image", "wrench"):
+            if not isinstance(table.get(name), str):
+                raise BadInput(f"{path}: {name} is missing; name the topic of the {name}, as `mcap info` lists them")
+        unknown = sorted(table.keys() - DEFAULTS.keys() - {"image", "wrench"})
+        if unknown:
+            raise BadInput(f"{path}: {unknown[0]} is not known; known: image, wrench, {', '.join(DEFAULTS)}")
+        found = {**DEFAULTS, **table}
+        try:
+            rotation = np.array(found["rotation"], float)
+            turned = rotation.shape == (3, 3) and np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3)
+        except (TypeError, ValueError):
+            turned = False
+        if not turned:
+            raise BadInput(f"{path}: rotation = {found['rotation']!r}; give three rows of three, a rotation")
+        whole = type(found["every"]) is int and found["every"] >= 1 and found["sign"] in (1, -1)
+        if not whole or not isinstance(found["latest_s"], (int, float)) or not found["latest_s"] > 0:
+            raise BadInput(f"{path}: every is a whole number from 1, sign is 1 or -1, latest_s is above 0")
+        return cls(found["image"], found["wrench"], found["sensor"], float(found["latest_s"]), found["every"],
+                   found["sign"], float(found["touch_n"]), rotation)  # fmt: skip
+
+
+def wrenches(path: Path, topics: Topics) -> tuple[np.ndarray, np.ndarray]:
+    """Times (n,) ns and forces with moments (n, 6) in the gel frame, N and N m, in the order of time."""
+    times, values = [], []
+    for time, said in messages(path, topics.wrench):
+        wrench = getattr(said, "wrench", said)
+        try:
+            parts = [[getattr(part, axis) for axis in "xyz"] for part in (wrench.force, wrench.torque)]
+        except AttributeError as error:
+            raise BadInput(
+                f"{path}: topic {topics.wrench} holds no wrench ({error}); name one of geometry_msgs/Wrench"
+            ) from error
+        times.append(time)
+        values.append(topics.sign * (topics.rotation @ np.array(parts).T).T.ravel())
+    order = np.argsort(times, kind="stable")
+    return np.array(times, np.int64)[order], np.array(values, float).reshape(-1, 6)[order]
+
+
+def messages(path: Path, topic: str) -> Iterator[tuple[int, object]]:
+    """(log time in ns, message) of one topic; BadInput for a file that cannot be read."""
+    try:
+        from mcap.exceptions import McapError
+        from mcap.reader import make_reader
+        from mcap_ros2.decoder import DecoderFactory
+    except ModuleNotFoundError as error:
+        raise BadInput(
+            f"recordings in MCAP need the package {error.name}: pip install 'gelforge[exports]'"
+        ) from error
+    with path.open("rb") as stream:
+        try:
+            reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+            for _, _, message, said in reader.iter_decoded_messages(topics=[topic]):
+                yield message.log_time, said
+        except (McapError, EOFError, ValueError, KeyError) as error:
+            raise BadInput(f"{path}: cannot be read as MCAP with ROS 2 messages ({error or type(error).__name__}); record it again, or mend it with `mcap recover`") from error  # fmt: skip
+
+
+def picture(said, where: str) -> np.ndarray:
+    """An image message as (h, w, 3) uint8 RGB."""
+    import cv2
+
+    if hasattr(said, "format"):
+        image = cv2.imdecode(np.frombuffer(bytes(said.data) or b"\0", np.uint8), cv2.IMREAD_COLOR)
+        if image is None:
+            raise BadInput(f"{where}: a picture of format {said.format!r} cannot be decoded; record PNG or JPEG")
+        return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+    if getattr(said, "encoding", None) not in ENCODINGS:
+        raise BadInput(f"{where}: encoding {getattr(said, 'encoding', None)!r} is none of {', '.join(ENCODINGS)}")
+    data = np.frombuffer(bytes(said.data), np.uint8)
+    if said.step < 3 * said.width or len(data) != said.height * said.step:
+        raise BadInput(f"{where}: a picture of {said.width} x {said.height} has {len(data)} bytes; it is cut short")
+    rows = data.reshape(said.height, said.step)[:, : 3 * said.width].reshape(said.height, said.width, 3)
+    return rows if said.encoding == "rgb8" else rows[..., ::-1]
+
+
+def nearest(times: np.ndarray, time: int, latest_ns: float) -> int | None:
+    """Row of the time nearest to another, none where it is farther away."""
+    after = bisect_left(times, time)
+    found = min(
+        (at for at in (after - 1, after) if 0 <= at < len(times)), key=lambda at: abs(times[at] - time), default=None
+    )
+    return None if found is None or abs(times[found] - time) > latest_ns else int(found)
+
+
+def import_recordings(source: Path, data: Path, topics: Topics, sensor) -> dict:
+    """Turn MCAP files into the dataset folder `data`, which must not exist; return what was found.
+
+    source: a file, or a folder of them. sensor: labelling.sensor.Sensor. Nothing is left behind where a file fails.
+    """
+    files = sorted(source.rglob("*.mcap")) if source.is_dir() else [source]
+    if not files or not files[0].is_file():
+        raise BadInput(f"{source}: holds no .mcap files; give a recording or a folder of them as FROM=…")
+    with new_folder(data) as part:
+        rows, forces, alone = [], [], 0
+        for number, path in enumerate(files):
+            found, without = take(path, number, part, topics, sensor)
+            rows += [row for row, _ in found]
+            forces += [force for _, force in found]
+            alone += without
+        if not rows:
+            raise BadInput(f"{source}: no picture of {topics.image} has a wrench of {topics.wrench} within {topics.latest_s:g} s; {alone} pictures were seen")  # fmt: skip
+        write_log(part / "log.csv", rows)
+        write_totals(part / "labels" / "1x1.npz", rows, np.array(forces))
+        write_text(part / "dataset.toml", DATASET_TOML.format(sensor=sensor.name, gel=sensor.gel))
+    return {"files": len(files), "pictures": len(rows), "without_wrench": alone}
+
+
+def take(
+    path: Path, number: int, part: Path, topics: Topics, sensor
+) -> tuple[list[tuple[LoggedPress, np.ndarray]], int]:
+    """Rows and forces (3,) of the pictures of one file, whose PNGs are written; and how many had no wrench."""
+    times, values = wrenches(path, topics)
+    found, alone, press, touched = [], 0, 0, False
+    for at, (time, said) in enumerate(messages(path, topics.image)):
+        if at % topics.every:
+            continue
+        row = nearest(times, time, 1e9 * topics.latest_s)
+        if row is None:
+            alone += 1
+            continue
+        image = picture(said, f"{path}: topic {topics.image}, message {at + 1}")
+        if (image.shape[1], image.shape[0]) != tuple(sensor.image):
+            raise BadInput(f"{path}: pictures of {topics.image} are {image.shape[1]} x {image.shape[0]}, sensor {sensor.name} has {sensor.image[0]} x {sensor.image[1]}; name another sensor")  # fmt: skip
+        # Pictures of one contact are frames of one press: a split must not tear them apart.
+        touches = bool(np.linalg.norm(values[row][:3]) > topics.touch_n)
+        press, touched = press + (touches and not touched), touches
+        name = f"r{number:03d}-{at:06d}"
+        (part / "images").mkdir(exist_ok=True)
+        write_png(part / "images" / f"{name}.png", image)
+        when = datetime.fromtimestamp(time / 1e9, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+        known = {"sample_id": name, "sensor_id": sensor.name, "gel_id": sensor.gel, "image": f"images/{name}.png",
+                 "time_utc": when, "press_id": f"r{number:03d}-p{press:05d}"}  # fmt: skip
+        forces = dict(zip(FORCES, values[row].tolist(), strict=True))
+        found.append((LoggedPress(row=0, **{**NO_PRESS, **known, **forces}), values[row][:3]))
+    return found, alone
+
+
+def write_totals(path: Path, rows: list[LoggedPress], forces: np.ndarray) -> None:
+    """Write labels of one cell: total force (n, 3) along gel x, y, z, in the labels' order of channels."""
+    order = np.argsort([row.sample_id for row in rows])
+    labels = forces[order][:, AXIS_OF_CHANNEL].astype(np.float32)[:, :, None, None]
+    arrays = {
+        "sample_id": np.array([rows[at].sample_id for at in order]),
+        "status": np.array(["OK"] * len(rows)),
+        "outside": np.full((len(rows), 3), np.nan),
+        "c10": np.float64(NO_MATERIAL_MPA),
+    }
+    write_labels(path, [labels], labels.shape, arrays)
