@@ -103,7 +103,9 @@ def published_splits(source: Path, presses: dict) -> list[dict]:
         else:
             outside.append(press["path"])
     if found and outside:
-        raise BadInput(f"{outside[0]}: lies in none of the folders {', '.join(SPLITS)}, other files do; move it into one")
+        raise BadInput(
+            f"{outside[0]}: lies in none of the folders {', '.join(SPLITS)}, other files do; move it into one"
+        )
     return found
 
 
