@@ -10,14 +10,14 @@ import torch
 
 from gelforge.errors import BadInput
 
-CHANNELS = {"image": 3, "difference": 3, "pair": 6}
+INPUT_CHANNELS = {"image": 3, "difference": 3, "pair": 6}
 
 
 def channels(reads: str) -> int:
     """Channels of the input of a network with `reads` of workflow/models.toml."""
-    if reads not in CHANNELS:
-        raise BadInput(f"workflow/models.toml: reads = {reads!r}; use one of {', '.join(CHANNELS)}")
-    return CHANNELS[reads]
+    if reads not in INPUT_CHANNELS:
+        raise BadInput(f"workflow/models.toml: reads = {reads!r}; use one of {', '.join(INPUT_CHANNELS)}")
+    return INPUT_CHANNELS[reads]
 
 
 def needs_untouched(reads: str) -> bool:

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from gelforge.errors import BadInput
-from gelforge.networks.inputs import CHANNELS
+from gelforge.networks.inputs import INPUT_CHANNELS
 from gelforge.networks.models import build
 
 MOST_WIDTH, MOST_BLOCKS, MOST_LEVELS, MOST_SIDE = 4096, 64, 16, 4096
@@ -45,7 +45,10 @@ PARTS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "sensors": ("a list of names", _names),
     "data": ("a table", lambda v: isinstance(v, dict)),
     "normalisation": ("a table", lambda v: isinstance(v, dict)),
-    "normalisation.reads": (f"one of {', '.join(CHANNELS)}", lambda v: isinstance(v, str) and v in CHANNELS),
+    "normalisation.reads": (
+        f"one of {', '.join(INPUT_CHANNELS)}",
+        lambda v: isinstance(v, str) and v in INPUT_CHANNELS,
+    ),
     "normalisation.image_mean": ("three numbers", lambda v: _numbers(v, 3)),
     "normalisation.image_std": ("three numbers above 0", lambda v: _numbers(v, 3, 0)),
     "normalisation.label": ("three numbers above 0", lambda v: _numbers(v, 3, 0)),

@@ -14,11 +14,12 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.records.axes import CHANNELS
 from gelforge.reporting.parts import jpeg, pack
 
 WEB = Path(__file__).parent / "web"
-CHANNELS = ("grid_x_n", "grid_y_n", "grid_z_n")  # totals: along gel y, along gel x, along the normal, as FEATS
-COLUMNS = ("frame", "time_s", *CHANNELS, "flag", "reason", "ms")
+TOTALS = tuple(f"{channel}_n" for channel in CHANNELS)
+COLUMNS = ("frame", "time_s", *TOTALS, "flag", "reason", "ms")
 NAME = re.compile(r"[0-9]{8}-[0-9]{6}(-[0-9]+)?")
 LOCAL = ("127.0.0.1", "localhost", "[::1]")
 QUIET_S = 5.0  # without a reading a page is sent a comment, so that one that left is noticed
@@ -45,7 +46,7 @@ class Reading:
         totals = self.forces.sum((1, 2), dtype=np.float64)
         return {
             "frame": self.frame, "time_s": round(self.time_s, 4),
-            **{name: round(float(total), 4) for name, total in zip(CHANNELS, totals, strict=True)},
+            **{name: round(float(total), 4) for name, total in zip(TOTALS, totals, strict=True)},
             "flag": bool(self.flag), "reason": self.reason, "ms": round(self.ms, 2),
         }  # fmt: skip
 
