@@ -20,12 +20,15 @@ for name in python3 python3.11 python3.12 python3.13; do
 done
 [ -n "$python" ] || { echo "error: no Python 3.11 or newer on PATH; install one and run make again" >&2; exit 2; }
 
-echo "setting up $venv from envs/requirements.lock (minutes the first time)"
+echo "setting up $venv: downloads $(grep -c '==' envs/requirements.lock) Python packages of the versions in" \
+    "envs/requirements.lock, 3.5 GB on disk; some minutes the first time"
+# What pip would warn of, the user it runs as and programs beside PATH, is meant so here.
+export PIP_ROOT_USER_ACTION=ignore PIP_NO_WARN_SCRIPT_LOCATION=1 PIP_DISABLE_PIP_VERSION_CHECK=1
 # Debian keeps ensurepip in a package of its own.
 "$python" -c 'import ensurepip' 2>/dev/null || apt_install python3-venv
 [ -x "$venv/bin/python" ] || "$python" -m venv "$venv"
-"$venv/bin/python" -m pip install --quiet --disable-pip-version-check -r envs/requirements.lock
-"$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-deps -e .
+"$venv/bin/python" -m pip install --quiet -r envs/requirements.lock
+"$venv/bin/python" -m pip install --quiet --no-deps -e .
 # Mesh and picture libraries load these at import; a minimal system lacks them.
 if ! "$venv/bin/python" -c 'import pymeshlab, vtkmodules.vtkRenderingOpenGL2' 2>/dev/null; then
     apt_install libgl1 libopengl0 libegl1 libglu1-mesa libxrender1 libgomp1

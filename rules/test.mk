@@ -7,7 +7,7 @@ CHROMIUM_FOUND := .venv/chromium.found
 $(CHROMIUM_FOUND): envs/chromium.sh | $(SETUP) $(CCX_FOUND) $(SLURM_FOUND)
 	@envs/chromium.sh $@
 
-test: $(CHROMIUM_FOUND)
+test benchmark-face: $(CHROMIUM_FOUND)
 
 .PHONY: test lock
 test: $(SETUP) $(CCX_FOUND)  ## all tests

@@ -1,7 +1,6 @@
 """A made-up dataset of any size, as the report's page is given it: real packing, plain numbers inside."""
 
 import numpy as np
-from press_records import press_record
 
 from gelforge.geometry.gel import load_gel
 from gelforge.records.press import PosedPress
@@ -13,6 +12,7 @@ from gelforge.reporting.page import Explored, render
 from gelforge.reporting.parts import MICRON, PART, arrows, in_parts, jpeg, pack, place_parts
 from gelforge.reporting.presses import as_columns, press_rows
 from gelforge.reporting.surface import grid_points
+from tests.press_records import press_record
 
 GRID = (24, 32)
 SHAPES = ("sphere_15", "cuboid_10", "cylinder_8")

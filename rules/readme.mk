@@ -1,0 +1,16 @@
+# Pictures of the README. A test fails where one is older than what it shows; these targets draw them again.
+README := results/readme
+README_FILMS := $(addprefix $(REFERENCE)/gripper_videos/,ball_white_thread_4_camera_0.avi glass_box_1_camera_2.avi marker_pen_1_camera_0.avi)
+README_PICTURES := $(README)/real.png $(README)/speed.png $(README)/stability.png
+
+.PHONY: readme-pictures
+readme-pictures: $(README_PICTURES)  ## the README's pictures: real sensors beside their force maps, speed and accuracy, stability
+
+$(README)/real.png: src/gelforge/networks/default.pt $(README_FILMS) | $(SETUP)
+	@$(PY) -m gelforge.stages.readme real $(README_FILMS) --out $@
+
+$(README)/speed.png: $D/pareto/pareto.json
+	@$(PY) -m gelforge.stages.readme copy --chart $D/pareto/pareto.png --data $< --out $@
+
+$(README)/stability.png: $D/stability/map.json
+	@$(PY) -m gelforge.stages.readme copy --chart $D/stability/map.png --data $< --out $@

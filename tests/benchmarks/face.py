@@ -1,0 +1,132 @@
+"""What people see and plug in, at 15 000 presses: the page in a browser, exports, and questions to the flow."""
+
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from argparse import Namespace
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.commands.export import FORMATS, export
+from gelforge.flow.files import read_csv, write_csv
+from gelforge.flow.main import command, option
+from gelforge.formats.export.samples import Samples
+from tests.benchmarks.figures import Figure, publish_figures
+from tests.browser import WIDTHS, browser, console_errors, wait_for
+from tests.explored import write_page
+from tests.exported import READERS, lay
+from tests.unit.test_questions import lay as lay_flow
+
+PRESSES = 15_000
+CHOICES = 20
+REPORT = Path("results/demo/90_report/index.html")
+
+
+def time_page(folder: Path) -> list[Figure]:
+    """Open the page of all presses at both widths, choose presses all over it, sort and filter."""
+    page, opened, took, sorting, errors = write_page(folder, PRESSES), [], [], [], 0
+    for width in WIDTHS:
+        with browser(width) as driver:
+            started = time.perf_counter()
+            driver.get(page.as_uri())
+            wait_for(driver, "return document.body.dataset.shown")
+            opened.append(time.perf_counter() - started)
+            for k in range(CHOICES):
+                name = f"made-{(7919 * (k + 1)) % PRESSES:06d}"
+                driver.execute_script("choose(PLACE.get(arguments[0]))", name)
+                wait_for(driver, f"return document.body.dataset.shown === {json.dumps(name)}")
+                took.append(float(driver.execute_script("return document.body.dataset.took")) / 1e3)
+            for action in ("el('worst').click()", "state.filter = {indenter: 'sphere_15'}; arrange()"):
+                sorting.append(
+                    driver.execute_script(f"const t = performance.now(); {action}; return performance.now() - t")
+                    / 1e3
+                )
+            errors += len(console_errors(driver))
+    note = f"{PRESSES} presses, parts beside the page, widths {WIDTHS[0]} and {WIDTHS[1]} px"
+    return [
+        Figure("page opens", max(opened), "<=", 3.0, "s", f"{note}; the first press is drawn"),
+        Figure("a choice answers, slowest", max(took), "<=", 0.2, "s", f"{len(took)} presses all over it"),
+        Figure("a choice answers, median", float(np.median(took)), "<=", 0.2, "s"),
+        Figure("sorting or filtering, slowest", max(sorting), "<=", 0.2, "s"),
+        Figure("console errors", errors, "==", 0, "", note),
+    ]
+
+
+def many(folder: Path, count: int = PRESSES, pictures: int = 48) -> Samples:
+    """A dataset of so many samples that share a few dozen pictures of a sensor's size."""
+    samples = lay(folder, pictures, (24, 32), (320, 240))
+    rows = read_csv(samples.dataset / "samples.csv")
+    rows = [{**rows[k % pictures], "sample_id": f"s{k}", "group": str(k)} for k in range(count)]
+    write_csv(samples.dataset / "samples.csv", list(rows[0]), rows)
+    np.save(samples.dataset / "labels.npy", np.tile(samples.labels, (-(-count // pictures), 1, 1, 1))[:count])
+    return Samples.open(samples.data, samples.dataset, folder / "sensors.json")
+
+
+def time_exports(folder: Path) -> list[Figure]:
+    """Write every format, and read back what a smaller one holds."""
+    samples, found = many(folder / "large"), []
+    few = many(folder / "small", 96)
+    for form in FORMATS:
+        suffix, read = READERS[form]
+        started = time.perf_counter()
+        export(samples, form, folder / f"out{suffix}")
+        seconds = time.perf_counter() - started
+        found.append(Figure(f"export of {PRESSES} samples, {form}", seconds, "<=", 60.0, "s"))
+        export(few, form, folder / f"few{suffix}")
+        back = read(folder / f"few{suffix}")[0]
+        wrong = sum(not np.array_equal(back[s.name][2], s.label) or back[s.name][1] != s.picture for s in few)
+        found.append(
+            Figure(f"samples that come back changed, {form}", wrong, "==", 0, "", f"of {len(few)}, by its own reader")
+        )
+    return found
+
+
+def time_lineage(folder: Path) -> list[Figure]:
+    """The command itself, start of Python included."""
+    results = folder / "results" / "d"
+    lay_flow(results, PRESSES)
+    words = [
+        sys.executable,
+        "-m",
+        "gelforge.commands.lineage",
+        "--results",
+        str(results),
+        "--id",
+        f"s{PRESSES - 1:05d}",
+    ]
+    seconds = []
+    for _ in range(5):
+        started = time.perf_counter()
+        subprocess.run(words, check=True, capture_output=True)
+        seconds.append(time.perf_counter() - started)
+    return [Figure("lineage of one label", min(seconds), "<=", 0.3, "s", f"{PRESSES} samples; best of 5")]
+
+
+def run_of_demo(results: Path) -> list[Figure]:
+    """What the last whole make demo took, from its records; nothing where none lies here."""
+    if not REPORT.exists():
+        return []
+    records = [json.loads(path.read_text()) for path in (results / "metrics").rglob("*.json")]
+    seconds = max(r["started"] + r["seconds"] for r in records) - min(r["started"] for r in records)
+    note = "from the records of the run that made it; whole only if it ran from nothing"
+    return [
+        Figure("page of the demo", REPORT.stat().st_size / 1e6, "<=", 15.0, "MB"),
+        Figure("make demo, wall time", seconds / 60, "<=", 5.0, "min", note),
+    ]
+
+
+@command(option("--out", type=Path))
+def main(args: Namespace) -> None:
+    figures = []
+    for name, measure in (("page", time_page), ("exports", time_exports), ("lineage", time_lineage)):
+        with tempfile.TemporaryDirectory() as folder:
+            (Path(folder) / name).mkdir()
+            figures += measure(Path(folder) / name)
+    publish_figures(args.out, [*figures, *run_of_demo(Path("results/demo"))])
+
+
+if __name__ == "__main__":
+    main.exit()

@@ -1,0 +1,22 @@
+"""Pictures of the README show what their data say today."""
+
+from pathlib import Path
+
+from gelforge.stages.readme import outdated, publish_picture
+
+
+def test_no_picture_is_older_than_its_data(root):
+    made = sorted((root / "results" / "readme").glob("*.json"))
+    old = {path.stem: names for path in made if (names := outdated(path.with_suffix(".png")))}
+    assert not old, f"draw them again: make readme-pictures ({old})"
+
+
+def test_changed_data_make_a_picture_old(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("data.json").write_text("1")
+    publish_picture(Path("readme/chart.png"), b"drawn", [Path("data.json")])
+    assert outdated(Path("readme/chart.png")) == []
+    Path("data.json").write_text("2")
+    assert outdated(Path("readme/chart.png")) == ["data.json"]
+    Path("data.json").unlink()
+    assert outdated(Path("readme/chart.png")) == []
