@@ -5,7 +5,7 @@ DATA := data/$(DATASET)
 PLAN := $D/00_plan/plan.mk
 
 # Goals that need no dataset do not read one.
-NO_DATASET := help setup test test-% rig rig-% benchmark-% lock clean-venv feats-import mcap-import projection
+NO_DATASET := help setup lint format test test-% rig rig-% benchmark-% lock clean-venv feats-import mcap-import projection
 ifneq ($(filter-out $(NO_DATASET),$(or $(MAKECMDGOALS),help)),)
 include $(PLAN)
 else

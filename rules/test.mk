@@ -9,9 +9,18 @@ $(CHROMIUM_FOUND): envs/chromium.sh | $(SETUP) $(CCX_FOUND) $(SLURM_FOUND)
 
 test benchmark-face: $(CHROMIUM_FOUND)
 
-.PHONY: test lock
+.PHONY: test lint format lock
 test: $(SETUP) $(CCX_FOUND)  ## all tests
 	@$(PY) -m pytest -n $(JOBS) --dist loadfile $(TESTS)
+
+lint: $(SETUP)  ## style, names and types of the code, as CI asks for them
+	@$(PY) -m ruff check
+	@$(PY) -m ruff format --check
+	@$(PY) -m mypy
+
+format: $(SETUP)  ## write the code in the project's form
+	@$(PY) -m ruff check --fix
+	@$(PY) -m ruff format
 
 lock: $(SETUP)  ## write envs/requirements.lock from what is installed
 	@$(PY) -m pip freeze --exclude-editable | sed 's/+cpu$$//' > envs/requirements.lock

@@ -2,7 +2,7 @@
 
 
 def printable(text: object) -> str:
-    """Text with every character that a terminal would obey, or not show, written as its escape: a newline as \\n.
+    r"""Text with every character that a terminal would obey, or not show, written as its escape: a newline as \n.
 
     Names and cells come from files of others: shown raw, a sample_id could clear the screen or forge a line.
     """

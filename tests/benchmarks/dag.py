@@ -13,10 +13,27 @@ from tests.benchmarks.sandbox import link_project, make
 
 SAMPLES = 15_000
 REPEATS = 5
-LOG_COLUMNS = (
-    "sample_id time_utc sensor_id gel_id indenter x0_mm y0_mm z0_mm dx_mm dy_mm dz_mm rot_deg "
-    "fx_n fy_n fz_n mx_nm my_nm mz_nm image"
-).split()
+LOG_COLUMNS = [
+    "sample_id",
+    "time_utc",
+    "sensor_id",
+    "gel_id",
+    "indenter",
+    "x0_mm",
+    "y0_mm",
+    "z0_mm",
+    "dx_mm",
+    "dy_mm",
+    "dz_mm",
+    "rot_deg",
+    "fx_n",
+    "fy_n",
+    "fz_n",
+    "mx_nm",
+    "my_nm",
+    "mz_nm",
+    "image",
+]
 FEA_COLUMNS = ["sample_id", "status", "reason", "fidelity", "mesh", "file"]
 
 

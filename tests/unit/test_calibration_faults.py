@@ -113,7 +113,7 @@ def test_walkers_stuck_in_two_modes_are_named(seed, few):
     model, figures = Model("coulomb", {"offset": wide, "nu": wide}, {}), judge(chain, 0.3)
     assert not figures.meets(RULES)
     names = rf"stuck in two modes: {few} walkers near offset = -\d.* and {32 - few} walkers near offset = \d"
-    assert re.search(names, complaint(model, chain, None, figures, RULES))
+    assert re.search(names, complaint(model, chain, figures, RULES))
 
 
 def test_one_broad_mode_is_not_two():

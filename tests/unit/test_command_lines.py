@@ -14,7 +14,7 @@ PROGRAMS = [
     module.name
     for package in (gelforge.stages, gelforge.commands)
     for module in pkgutil.iter_modules(package.__path__, f"{package.__name__}.")
-    if module.name != "gelforge.commands.gelforge"
+    if module.name not in ("gelforge.commands.gelforge", "gelforge.commands.live_readings")  # dispatcher; no program
 ]
 
 

@@ -12,6 +12,7 @@ import pytest
 
 from gelforge.errors import BadInput
 from gelforge.geometry import triangles
+from gelforge.geometry.cropping import cropped
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue
 from gelforge.mechanics.scene import Press
@@ -237,7 +238,7 @@ def test_nearest_sees_a_touch_that_only_the_shear_brings(root):
 
 def test_cropped_is_closed_and_ends_where_asked(root):
     for name, body in load_catalogue(root / "workflow" / "indenters.toml", ["zelda_15", "pyramid_10"]).items():
-        vertices, faces = poses.cropped(body, 1.5)
+        vertices, faces = cropped(body, 1.5)
         assert triangles.is_watertight(faces), name
         assert vertices[:, 2].max() == pytest.approx(1.5, abs=1e-9)
         whole = body.surface()

@@ -178,7 +178,7 @@ def sample(posterior, rules: Rules, path=None, say=None) -> Chain:
     figures = judge(chain, float(accepted.mean() / len(chain))) if len(chain) else None
     while figures is None or not figures.meets(rules):
         if len(chain) >= rules.max_steps:
-            raise NotConverged(complaint(posterior.model, chain, score, figures, rules))
+            raise NotConverged(complaint(posterior.model, chain, figures, rules))
         learning = len(chain) < LEARN
         moves = learning_moves() if learning else learnt_moves(chain[LEARN // 2 : LEARN])
         sampler = emcee.EnsembleSampler(rules.walkers, size, posterior, vectorize=True, moves=moves)
@@ -221,7 +221,7 @@ def find_modes(chain: np.ndarray) -> list[dict]:
     return best
 
 
-def complaint(model, chain, score, figures: Figures, rules: Rules) -> str:
+def complaint(model, chain, figures: Figures, rules: Rules) -> str:
     """The sentence of a chain that did not converge: figures, cause where one is seen, remedy."""
     low, high = rules.acceptance
     text = (

@@ -93,7 +93,7 @@ def meshes(results: Path) -> Cost:
 def told(params: Path, resolution: str) -> list[Cost]:
     """What the stages after the labels take, from other datasets."""
     report = read_json(params / "report.json")["report"]
-    cells = 4 * 3 * int(resolution.split("x")[0]) * int(resolution.split("x")[1])
+    cells = 4 * 3 * int(resolution.split("x", maxsplit=1)[0]) * int(resolution.split("x")[1])
     found = [Cost("60_dataset", 2e-3, START, IMAGE_BYTES + cells)]
     if report["model"] != "shipped":
         epochs = read_json(params / "train.json")["train"]["epochs"]

@@ -62,7 +62,7 @@ def stages(data: Path, results: Path, work: Path, resolution: str) -> list[tuple
     option("--id", help="sample_id in the raw log"),
     option("--resolution", default="24x32"),
 )
-def main(args: Namespace) -> int | None:
+def main(args: Namespace) -> int:
     import importlib
 
     if not args.id:
@@ -81,6 +81,7 @@ def main(args: Namespace) -> int | None:
         if Path(arguments[-1]).suffix == ".csv":
             print(Path(arguments[-1]).read_text(encoding="utf-8"))
     print(f"everything of {args.id} lies in {work}")
+    return 0
 
 
 if __name__ == "__main__":

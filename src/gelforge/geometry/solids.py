@@ -195,9 +195,9 @@ class RoundedPolyhedron(Body):
         from scipy.spatial import ConvexHull
 
         points = []
-        for index, corner in enumerate(self.core):
+        for corner in self.core:
             faces = np.flatnonzero(np.abs(self._normals @ corner - self._levels) < 1e-7)
-            points.append(corner + self.fillet * self._fan(index, self._normals[faces]))
+            points.append(corner + self.fillet * self._fan(self._normals[faces]))
         points = np.unique(np.round(np.concatenate(points), 9), axis=0)
         hull = ConvexHull(points)
         a, b, c = points[hull.simplices].transpose(1, 0, 2)
@@ -206,7 +206,7 @@ class RoundedPolyhedron(Body):
         used, faces = np.unique(faces, return_inverse=True)
         return points[used], faces.reshape(-1, 3)
 
-    def _fan(self, index, normals):
+    def _fan(self, normals):
         """Directions in which the ball at one corner of the core shows on the surface."""
         level = normals[:, 2] > 1.0 - 1e-9
         steps = arc_steps(self.fillet, np.pi / 2.0)

@@ -122,7 +122,7 @@ def _tile(x, y, colour):
     return Rectangle((x - 0.5, y - 0.5), 1, 1, facecolor=colour, edgecolor="white")
 
 
-def _scatter(axis, row, lines):
+def _scatter(axis, _row, lines):
     """Random combinations over depth and shear; circles hex, squares ccx."""
     for fidelity, shift in (("hex", -0.012), ("ccx", 0.012)):
         own = [line for line in lines if line["fidelity"] == fidelity]

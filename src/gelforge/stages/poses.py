@@ -7,7 +7,6 @@ import json
 import sys
 from argparse import Namespace
 from dataclasses import replace
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +14,7 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish, read_json
 from gelforge.flow.main import command, option
+from gelforge.geometry.cropping import cropped
 from gelforge.geometry.gel import Gel, load_gel
 from gelforge.records.frames import check_frames
 from gelforge.records.image import bad_image
@@ -112,20 +112,6 @@ def geometric_faults(sample: LoggedPress, file: str, body, gel: Gel, params: dic
         remedy = f"it {where} the gel, whose crown is the origin; check x0_mm, y0_mm, z0_mm and dz_mm"
         return [reject(sample, file, "dz_mm", "the indenter never touches the gel", remedy)]
     return []
-
-
-@lru_cache(maxsize=64)
-def cropped(body, height: float) -> tuple[np.ndarray, np.ndarray]:
-    """The closed part of an indenter's surface up to `height` mm above its tip: vertices (v, 3), faces (f, 3)."""
-    from gelforge.geometry.triangles import boolean, stacked
-
-    surface = body.surface()
-    if height >= surface[0][:, 2].max():
-        return surface
-    r = 2.0 * body.radius() + 1.0
-    square = np.array([[-r, -r], [r, -r], [r, r], [-r, r]])
-    box = stacked([np.array([square, square])], np.array([-1.0, height]))
-    return boolean(surface, box, "intersection")
 
 
 def reachable_height(press, params: dict) -> float:

@@ -73,7 +73,7 @@ class Worker:
 
 
 def _start(*arguments):
-    global _worker
+    global _worker  # noqa: PLW0603 - a process of the pool has one worker, made when it starts
     _worker = Worker(*arguments)
 
 

@@ -84,7 +84,7 @@ class Bench:
         force = scale * result.total
         arm = result.mesh.nodes + result.displacement
         moment = scale * np.cross(arm, result.forces).sum(axis=0) * 1e-3
-        log = believed(order, real, height, play, force, truth)
+        log = believed(order, real, play, force, truth)
         return Pressing(
             order, real, log, force, moment, force + load_cell_error(self.plan, order.index) + read_noise,
             moment + moment_noise, result,
@@ -170,7 +170,7 @@ def _path(order: Order, height: float, depth: float, play) -> Press:
     return Press(*map(float, path), order.rot_deg)
 
 
-def believed(order: Order, real: Press, height: float, play, force, truth: Truth) -> Press:
+def believed(order: Order, real: Press, play, force, truth: Truth) -> Press:
     """The path as commanded: the real one plus what frame and gantry gave way under `force`."""
     return Press(
         order.x,

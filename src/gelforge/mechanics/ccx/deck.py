@@ -93,7 +93,7 @@ def spring_lines(rows: Rows, first_node: int, first_element: int) -> tuple[list[
     return model, step
 
 
-def start_lines(mesh: GelMesh, start: np.ndarray) -> list[str]:
+def start_lines(start: np.ndarray) -> list[str]:
     """The displacement (n, 3) mm that Newton's method starts from."""
     lines = ["*INITIAL CONDITIONS, TYPE=DISPLACEMENT"]
     for i, u in enumerate(start.tolist(), 1):
@@ -118,7 +118,7 @@ def press_deck(
     lines += model
     lines += ["*BOUNDARY", "NBASE,1,3"]
     if start is not None:
-        lines += start_lines(mesh, start)
+        lines += start_lines(start)
     lines += ["*STEP, NLGEOM, INC=200", f"*STATIC, SOLVER={solver}", f"{increment:.6g},1.,1e-4,1."]
     lines += ["*CONTROLS, PARAMETERS=TIME INCREMENTATION", "6,20,12,30,15,8,,20,,", "0.25,0.5,0.75,0.85,,,1.5,"]
     lines += ["*CONTROLS, PARAMETERS=FIELD", f"{residual:.3g},1.,,,{residual:.3g},,1e-12"]

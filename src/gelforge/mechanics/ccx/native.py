@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gelforge.geometry.cropping import cropped
 from gelforge.mechanics.ccx.dat import DatError, last_table, read_dat
 from gelforge.mechanics.ccx.deck import material_lines, mesh_include
 from gelforge.mechanics.ccx.program import run_ccx
@@ -28,8 +29,6 @@ _FACE_OF = {tuple(sorted(f)): i + 1 for i, f in enumerate(([0, 1, 2], [0, 3, 1],
 def indenter_tets(indenter, size: float, crop: float = CROP_MM) -> tuple[np.ndarray, np.ndarray]:
     """Linear tetrahedra of the indenter's lowest `crop` mm in its own frame: nodes (n, 3), elements (e, 4)."""
     import pymeshlab
-
-    from gelforge.stages.poses import cropped
 
     vertices, faces = cropped(indenter, crop)
     shapes = pymeshlab.MeshSet()
