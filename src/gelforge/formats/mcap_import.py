@@ -20,6 +20,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -93,7 +94,7 @@ def wrenches(path: Path, topics: Topics) -> tuple[np.ndarray, np.ndarray]:
     """Times (n,) ns and forces with moments (n, 6) in the gel frame, N and N m, in the order of time."""
     times, values = [], []
     for time, said in messages(path, topics.wrench):
-        wrench = getattr(said, "wrench", said)
+        wrench: Any = getattr(said, "wrench", said)  # of the message's own class, known only to the file
         try:
             parts = [[getattr(part, axis) for axis in "xyz"] for part in (wrench.force, wrench.torque)]
         except AttributeError as error:
