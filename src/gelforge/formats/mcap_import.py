@@ -29,7 +29,7 @@ from gelforge.flow.files import write_text
 from gelforge.flow.params import read_toml
 from gelforge.formats.feats_folder import NO_PRESS, new_folder
 from gelforge.records.axes import AXIS_OF_CHANNEL
-from gelforge.records.image import write_png
+from gelforge.records.image import decode, write_png
 from gelforge.records.labelfile import write_labels
 from gelforge.records.log import write_log
 from gelforge.records.press import FORCES, LoggedPress
@@ -128,13 +128,8 @@ def messages(path: Path, topic: str) -> Iterator[tuple[int, object]]:
 
 def picture(said, where: str) -> np.ndarray:
     """An image message as (h, w, 3) uint8 RGB."""
-    import cv2
-
     if hasattr(said, "format"):
-        image = cv2.imdecode(np.frombuffer(bytes(said.data) or b"\0", np.uint8), cv2.IMREAD_COLOR)
-        if image is None:
-            raise BadInput(f"{where}: a picture of format {said.format!r} cannot be decoded; record PNG or JPEG")
-        return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+        return decode(bytes(said.data), f"{where}: a picture of format {said.format!r}", "record PNG or JPEG")
     if getattr(said, "encoding", None) not in ENCODINGS:
         raise BadInput(f"{where}: encoding {getattr(said, 'encoding', None)!r} is none of {', '.join(ENCODINGS)}")
     data = np.frombuffer(bytes(said.data), np.uint8)

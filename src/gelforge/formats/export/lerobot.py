@@ -21,7 +21,7 @@ import numpy as np
 
 from gelforge.flow.files import write_json, write_text
 from gelforge.formats.export.samples import Samples
-from gelforge.records.press import POSE
+from gelforge.records.press import FORCE, POSE
 from gelforge.records.samplefile import DatasetSample
 
 VERSION = "v3.0"
@@ -74,7 +74,7 @@ def features(samples: Samples) -> dict:
         PICTURE: {"dtype": "image", "shape": [height, width, 3], "names": ["height", "width", "channels"]},
         FORCES: {"dtype": "float32", "shape": [cells_of(samples)], "names": None},
         STATE: {"dtype": "float32", "shape": [len(POSE)], "names": list(POSE)},
-        WRENCH: {"dtype": "float32", "shape": [3], "names": ["fx_n", "fy_n", "fz_n"]},
+        WRENCH: {"dtype": "float32", "shape": [3], "names": list(FORCE)},
         **{name: {"dtype": "string", **scalar} for name in NAMES},
         "timestamp": {"dtype": "float32", **scalar},
         **{name: {"dtype": "int64", **scalar} for name in INDICES},

@@ -1,0 +1,43 @@
+"""A fact stands in one room: nobody but the records parses cells, lists their columns or decodes pictures."""
+
+import ast
+from pathlib import Path
+
+import gelforge
+from gelforge.records.press import FORCE, POSE
+
+PACKAGE = Path(gelforge.__file__).parent
+TREES = {
+    str(path.relative_to(PACKAGE)): ast.parse(path.read_text(encoding="utf-8"))
+    for path in PACKAGE.rglob("*.py")
+    if path.parent.name != "records"
+}
+
+
+def calls(tree):
+    """Every call of a module as (name of the function, the call)."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call):
+            function = node.func
+            yield function.attr if isinstance(function, ast.Attribute) else getattr(function, "id", ""), node
+
+
+def texts(node) -> list:
+    """Constants in a literal list or tuple, in order."""
+    return [item.value for item in getattr(node, "elts", []) if isinstance(item, ast.Constant)]
+
+
+def test_pictures_are_decoded_by_the_records_alone():
+    decoders = {"imread", "imdecode", "imwrite"}
+    assert not [name for name, tree in TREES.items() if decoders & {called for called, _ in calls(tree)}]
+
+
+def test_the_columns_of_a_press_are_listed_by_the_records_alone():
+    lists = [(name, texts(node)) for name, tree in TREES.items() for node in ast.walk(tree)]
+    assert not [name for name, held in lists if set(POSE[:5]) <= set(held) or held == list(FORCE)]
+
+
+def test_cells_of_a_press_become_numbers_in_the_parser_alone():
+    read = [(name, call) for name, tree in TREES.items() for called, call in calls(tree) if called == "float"]
+    keys = [(name, node.slice) for name, call in read for node in ast.walk(call) if isinstance(node, ast.Subscript)]
+    assert not [name for name, key in keys if isinstance(key, ast.Constant) and key.value in (*POSE, *FORCE)]
