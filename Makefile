@@ -23,6 +23,7 @@ EXECUTOR ?= local
 STRICT ?=
 JOBS ?= $(shell nproc)
 
+include rules/00_given.mk
 include rules/00_setup.mk
 include rules/00_plan.mk
 include rules/10_poses.mk

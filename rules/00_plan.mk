@@ -2,12 +2,23 @@
 D := results/$(DATASET)
 P := $D/00_plan/params
 DATA := data/$(DATASET)
-PLAN := $D/00_plan/plan.mk
+PLANNED := $D/00_plan/plan.mk
+
+# What a plan is made from, beside the files that it names itself (PLAN_READS: catalogue and shapes).
+PLAN_INPUTS := $(DATA)/log.csv $(DATA)/dataset.toml $(addprefix workflow/,params.toml models.toml scenes.toml sensors.toml) $(CCX_FOUND) $(wildcard src/gelforge/*/*.py src/gelforge/*/*/*.py)
+PLAN_READS :=
+PLAN_STATE :=
 
 # Goals that need no dataset do not read one.
 NO_DATASET := help setup lint format test test-% rig rig-% benchmark-% lock clean-venv feats-import mcap-import projection
 ifneq ($(filter-out $(NO_DATASET),$(or $(MAKECMDGOALS),help)),)
-include $(PLAN)
+include $(PLANNED)
+# The plan holds the time and size of every file that it was made from. They are compared for being the same, not for
+# being newer: a file that an older one replaced is noticed, and one dated in the future is planned once, not for ever.
+ifneq ($(PLAN_STATE),$(if $(PLAN_STATE),$(shell stat -c '%n:%.9Y:%s' $(PLAN_INPUTS) $(PLAN_READS) 2>/dev/null)))
+.PHONY: plan-again
+$(PLANNED): plan-again
+endif
 else
 SHARDS :=
 MESHES :=
@@ -15,8 +26,8 @@ BRANCHES :=
 REPORT_MODEL :=
 endif
 
-$(PLAN): $(DATA)/log.csv $(DATA)/dataset.toml $(wildcard workflow/*.toml) $(wildcard src/gelforge/*/*.py) $(CCX_FOUND) | $(SETUP)
-	@$(PY) -m gelforge.stages.plan --data $(DATA) --ccx "$$(cat $(CCX_FOUND))" --out $@
+$(PLANNED): | $(SETUP) $(CCX_FOUND) $(DATA)/log.csv $(DATA)/dataset.toml
+	@$(PY) -m gelforge.stages.plan --data $(DATA) --ccx "$$(cat $(CCX_FOUND))" --inputs $(PLAN_INPUTS) --out $@
 
 $(DATA)/log.csv $(DATA)/dataset.toml:
 	$(error $@ not found: DATASET=$(DATASET) needs a raw log and a dataset.toml; see README.md, or write one with make rig)

@@ -1,7 +1,7 @@
 # EXECUTOR=slurm: the recipe of an artifact only notes its task; a barrier per stage runs what was noted as job arrays.
 DETACH ?=
 SLURM_PROFILE ?= workflow/slurm.toml
-SLURM_RUN = $(PY) -m gelforge.flow.slurm.run $(1) --results $D --profile $(SLURM_PROFILE)$(if $(DETACH), --detach)
+SLURM_RUN = $(PY) -m gelforge.flow.slurm.run $(1) --results $D --profile $(call given,SLURM_PROFILE)$(if $(DETACH), --detach)
 
 # Stages of many files. The artifacts of all others, and files asked for by name, are jobs of their own.
 COLLECT := $(if $(filter $D/%,$(MAKECMDGOALS)),,10_poses 20_meshes 30_fea 40_forces)

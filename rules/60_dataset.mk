@@ -6,5 +6,5 @@ LABEL_SOURCE := $(if $(IMPORTED),$(DATA)/labels/%.npz,$D/50_labels/%/labels.json
 .PHONY: dataset
 dataset: $(DATASETS)  ## images, labels, split without leaks, normalisation
 
-$(DATASETS): $D/60_dataset/%/dataset.json: $(LABEL_SOURCE) $(DATA)/log.csv $(wildcard $(DATA)/truth/presses.csv $(DATA)/splits.csv $(DATA)/nocontact/*.png) $P/dataset.json $P/indenters.json $P/sensors.json
+$(DATASETS): $D/60_dataset/%/dataset.json: $(LABEL_SOURCE) $(POSES) $(wildcard $(DATA)/truth/presses.csv $(DATA)/splits.csv $(DATA)/nocontact/*.png) $P/dataset.json $P/indenters.json $P/sensors.json | $(call barrier,10_poses)
 	$(call step,gelforge.stages.dataset --data $(DATA) --labels $(if $(IMPORTED),$<,$(<D)) --poses $D/10_poses --shards $D/00_plan/shards --catalogue $P/indenters.json --sensors $P/sensors.json --resolution $* --params $P/dataset.json --out $@.part)

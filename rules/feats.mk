@@ -5,7 +5,7 @@ EXPORTED := $(RES:%=$D/feats/%/normalization_gelforge.npy)
 
 .PHONY: feats-import feats-export
 feats-import: $(SETUP)  ## FEATS' .npy files to data/DATASET: make feats-import FROM=folder DATASET=name SENSOR=name
-	@$(PY) -m gelforge.commands.feats import --from "$(FROM)" --data $(DATA) --sensor $(SENSOR)
+	@$(PY) -m gelforge.commands.feats import --from $(call given,FROM) --data $(DATA) --sensor $(SENSOR)
 
 feats-export: $(EXPORTED)  ## our labels as FEATS' folders, normalisation file included
 

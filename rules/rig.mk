@@ -5,7 +5,7 @@ REFERENCE ?= ../shared/reference
 
 .PHONY: rig rig-check
 rig: $(SETUP)  ## simulate the presses of a plan into data/: make rig PLAN=workflow/rig/train.toml
-	@$(PY) -m gelforge.stages.rig --plan "$(PLAN)" --data data --jobs $(or $(patsubst -j%,%,$(filter -j%,$(MAKEFLAGS))),$(JOBS))
+	@$(PY) -m gelforge.stages.rig --plan $(call given,PLAN) --data data --jobs $(or $(patsubst -j%,%,$(filter -j%,$(MAKEFLAGS))),$(JOBS))
 
 rig-check: $(SETUP)  ## benchmark-rig with a page of the rig's pictures beside real ones: results/rig-check/index.html
-	@$(PY) -m tests.benchmarks.rig --reference "$(REFERENCE)" --page results/rig-check/index.html
+	@$(PY) -m tests.benchmarks.rig --reference $(call given,REFERENCE) --page results/rig-check/index.html

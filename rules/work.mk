@@ -7,8 +7,8 @@ demo: report
 status:  ## samples done, failed with reasons and pending, per stage
 	@$(PY) -m gelforge.commands.status --results $D
 
-sample: $(MESH_FILES)  ## one sample through all stages with its log: make sample ID=…
-	@$(PY) -m gelforge.commands.sample --dataset $(DATASET) --id "$(ID)" --resolution $(RES1)
+sample: $(MESH_FILES) | $(call barrier,20_meshes)  ## one sample through all stages with its log: make sample ID=…
+	@$(PY) -m gelforge.commands.sample --dataset $(DATASET) --id $(call given,ID) --resolution $(RES1)
 
 ID ?=
 
@@ -32,11 +32,11 @@ clean-all:  ## remove everything made of this dataset
 TARGET ?=
 
 why:  ## why a target would be made again: make why TARGET=report
-	@$(PY) -m gelforge.commands.why --target '$(subst ','\'',$(TARGET))' 'DATASET=$(DATASET)' 'RES=$(RES)'
+	@$(PY) -m gelforge.commands.why --target $(call given,TARGET) 'DATASET=$(DATASET)' 'RES=$(RES)'
 
 lineage:  ## every file, parameter and cost behind one label: make lineage ID=…
-	@$(PY) -m gelforge.commands.lineage --results $D --id '$(subst ','\'',$(ID))' --resolution $(RES1)
+	@$(PY) -m gelforge.commands.lineage --results $D --id $(call given,ID) --resolution $(RES1)
 
 # The pilots need the meshes, which the run keeps.
-estimate: $(MESH_FILES)  ## core hours, disk and time of a run before it starts
+estimate: $(MESH_FILES) | $(call barrier,20_meshes)  ## core hours, disk and time of a run before it starts
 	@$(PY) -m gelforge.commands.estimate --data $(DATA) --results $D --resolution $(RES1) --cores $(JOBS)

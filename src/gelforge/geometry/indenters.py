@@ -1,5 +1,6 @@
 """The indenter catalogue: tables of a TOML file become rigid bodies."""
 
+import hashlib
 import json
 import tomllib
 from collections.abc import Callable
@@ -189,6 +190,9 @@ def _stl(t: _Table, **common) -> Body:
     path = t.folder / file
     if not path.is_file():
         t.fail("file", file, f"there is no file {path}; the path starts at the catalogue's folder")
+    planned = t.take("sha256", None)
+    if planned is not None and planned != hashlib.sha256(path.read_bytes()).hexdigest():
+        t.fail("file", file, f"{path} changed while this was planned; run make again")
     return sampled_from_stl(path, scale=scale, spacing=spacing, reach=reach, **common)
 
 

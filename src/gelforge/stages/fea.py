@@ -6,6 +6,7 @@ import json
 import shutil
 import tempfile
 from argparse import Namespace
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from gelforge.flow.progress import progress
 from gelforge.geometry.gel import load_gel
 from gelforge.mechanics.family import MeshFamily, mesh_names
 from gelforge.mechanics.fidelity import FeaSettings, Solvers
+from gelforge.mechanics.hex.solver import quality
 from gelforge.mechanics.scene import Interface, Material, Result, Scene
 from gelforge.records.frames import presses_of
 from gelforge.records.log import read_poses
@@ -37,11 +39,17 @@ def scene_of(press: PosedPress, bodies: dict, sensors: dict, params: dict) -> Sc
     return Scene(gel, material, bodies[press.indenter], press.press, law)
 
 
+# What of an indenter's table says nothing of its shape; a file's name does not either, its content (sha256) does.
+NO_SHAPE = {"seen", "spare", "file"}
+
+
 def sample_key(press: PosedPress, params: dict, tables: dict, family: MeshFamily) -> str:
-    """Digest of everything a sample's solve depends on."""
-    cells = press.cells()
-    parts = [[cells[c] for c in ("indenter", "sensor_id", *POSE)], params, tables["indenters"][press.indenter],
-             tables["sensors"][press.sensor_id]["gel"], family.reports]  # fmt: skip
+    """Digest of everything a sample's solve depends on: content and numbers, no names."""
+    cells, indenter = press.cells(), tables["indenters"][press.indenter]
+    shape = {key: value for key, value in indenter.items() if key not in NO_SHAPE}
+    bricks = asdict(quality(FeaSettings.from_table(params["fea"]).hex_quality))
+    parts = [[cells[c] for c in POSE], params, bricks, shape, tables["sensors"][press.sensor_id]["gel"],
+             family.reports]  # fmt: skip
     return hashlib.sha256(canonical(parts).encode()).hexdigest()
 
 

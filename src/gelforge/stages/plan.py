@@ -4,8 +4,12 @@ Written at parse time of make, so that `make -n` knows all of it. Files change o
 content does.
 """
 
+import hashlib
+import re
 from argparse import Namespace
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 from gelforge.errors import BadInput
 from gelforge.flow import params as config
@@ -15,6 +19,7 @@ from gelforge.records.log import csv_text, read_log, shard_text
 from gelforge.records.press import RawRow
 
 SHARD_DIGITS = 4
+BRANCHES = ("calibrate", "pareto")  # that may be part of a report
 
 
 def assign_shards(
@@ -55,8 +60,8 @@ def planned_shards(folder: Path) -> list[str]:
     return sorted(path.stem for path in folder.glob("*.csv"))
 
 
-def write_shards(log: Path, out: Path, size: int) -> list[str]:
-    """Write one CSV of raw rows per shard and the assignment; return the shards' names in order.
+def write_shards(log: Path, out: Path, size: int, tables: Mapping[str, dict] = MappingProxyType({})) -> list[str]:
+    """Write one CSV of raw rows per shard, what it uses of the catalogues, and the assignment; return the shards' names.
 
     Only what sharding needs is checked here; stage 10 judges the rows.
     """
@@ -73,26 +78,87 @@ def write_shards(log: Path, out: Path, size: int) -> list[str]:
     for shard, members in sorted(by_shard.items()):
         names.append(f"{shard:0{SHARD_DIGITS}d}")
         write_if_changed(out / "shards" / f"{names[-1]}.csv", shard_text(members))
+        # an entry that only other shards use may change without a rerun of this one
+        entries = {kind: used(table, named(members, COLUMN_OF[kind])) for kind, table in tables.items()}
+        write_if_changed(out / "shards" / f"{names[-1]}.json", config.canonical(entries))
     for gone in set(planned_shards(out / "shards")) - set(names):
-        (out / "shards" / f"{gone}.csv").unlink()  # the log lost its rows: no stage may read them again
+        # the log lost its rows: no stage may read them again
+        for suffix in (".csv", ".json"):
+            (out / "shards" / f"{gone}{suffix}").unlink(missing_ok=True)
     lines = [{"sample_id": name, "shard": shard} for name, shard in shards.items()]
     write_if_changed(table, csv_text(["sample_id", "shard"], lines))
     return names
 
 
-def write_slices(params: dict, workflow: Path, out: Path, catalogue: str, scenes: dict) -> None:
-    """Write every stage's slice, and the catalogues without their comments."""
+COLUMN_OF = {"sensors": "sensor_id", "indenters": "indenter"}  # of the log, by catalogue
+
+
+def named(rows: list[RawRow], column: str) -> set[str]:
+    """What rows of the log name in a column."""
+    return {row.cells.get(column, "").strip() for row in rows}
+
+
+def write_slices(params: dict, workflow: Path, out: Path, tables: dict[str, dict], scenes: dict) -> None:
+    """Write every stage's slice, and the catalogues' entries that this dataset uses, without their comments."""
     source = Path(__file__).parent
     for stage in config.SLICES:
         version = config.stage_version(source, stage)
         write_if_changed(out / "params" / f"{stage}.json", config.canonical(config.cut_slice(params, stage, version)))
-    for name, path in (("sensors", "sensors.toml"), ("indenters", catalogue)):
-        write_if_changed(out / "params" / f"{name}.json", config.canonical(config.read_toml(workflow / path)))
+    for name, entries in tables.items():
+        write_if_changed(out / "params" / f"{name}.json", config.canonical(entries))
     # One file per network, so that a new network retrains no other.
     for name, table in config.read_toml(workflow / "models.toml").items():
         write_if_changed(out / "params" / "models" / f"{name}.json", config.canonical({name: table}))
     for name, table in scenes.items():
         write_if_changed(out / "params" / "scenes" / f"{name}.json", config.canonical(table))
+
+
+def used(catalogue: dict, names: set[str]) -> dict:
+    """The entries of a catalogue that a dataset names: another one that is added or edited changes nothing."""
+    return {name: table for name, table in catalogue.items() if name in names}
+
+
+def with_content(indenters: dict, folder: Path) -> tuple[dict, list[Path]]:
+    """Tables of indenters with a digest of each STL file they name, and these files.
+
+    A file that changes under its name is another shape: all that follows depends on what is in it.
+    """
+    found, files = {}, []
+    for name, table in indenters.items():
+        file = table.get("file") if isinstance(table, dict) and table.get("kind") == "stl" else None
+        path = folder / file if isinstance(file, str) else None
+        if path is not None and path.is_file():
+            files.append(path)
+            table = {**table, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+        found[name] = table
+    return found, files
+
+
+# What make takes as one word without reading anything into it.
+_WORD = re.compile(r"[A-Za-z0-9_@+][A-Za-z0-9_.@+/-]*")
+MOST_SHARDS = 20_000
+
+
+def make_list(name: str, values: list[str]) -> str:
+    """A line of make that lists words; one that make would not take as it stands raises BadInput."""
+    for value in values:
+        if not isinstance(value, str) or not _WORD.fullmatch(value):
+            raise BadInput(
+                f"{value!r} cannot be a name in {name}: make reads meaning into such characters; use letters, digits,"
+                " _ - . + @ and / only"
+            )
+    return f"{name} := {' '.join(values)}\n"
+
+
+def state_of(paths: list[Path]) -> str:
+    """Name, time and size of files as `stat -c %n:%.9Y:%s` prints them, to see later whether one was replaced."""
+    told = []
+    for path in paths:
+        if path.exists():
+            found = path.stat()
+            seconds, rest = divmod(found.st_mtime_ns, 10**9)
+            told.append(f"{path}:{seconds}.{rest:09d}:{found.st_size}")
+    return " ".join(told)
 
 
 def reported_model(params: dict, models: dict) -> list[str]:
@@ -105,6 +171,14 @@ def reported_model(params: dict, models: dict) -> list[str]:
     return [name] if name else []
 
 
+def branches(params: dict) -> list[str]:
+    """Branches that the report shows; BadInput for a name that is none."""
+    asked = params["report"]["branches"]
+    if not isinstance(asked, list) or not set(map(str, asked)) <= set(BRANCHES):
+        raise BadInput(f"[report] branches = {asked!r}: give a list of some of {', '.join(BRANCHES)}, or []")
+    return asked
+
+
 def chart_lists(params: dict, scenes: dict) -> dict[str, list[str]]:
     """Names that the rules of the branches pareto and stability need."""
     from gelforge.sweeps.references import all_meshes
@@ -113,35 +187,60 @@ def chart_lists(params: dict, scenes: dict) -> dict[str, list[str]]:
     return {"PARETO_SCENES": list(scenes), "PARETO_QUICK": quick, "PARETO_MESHES": all_meshes(params, scenes)}
 
 
+def read_catalogues(data: Path, workflow: Path, params: dict) -> tuple[dict[str, dict], list[Path]]:
+    """What of the sensors and indenters a dataset and its charts use, by slice, and the files that this depends on."""
+    catalogue = workflow / config.read_toml(data / "dataset.toml").get("catalogue", "indenters.toml")
+    rows = read_log(data / "log.csv")
+    sensors = named(rows, "sensor_id") | {params["pareto"]["sensor"]}
+    indenters = used(config.read_toml(catalogue), named(rows, "indenter"))
+    indenters, shapes = with_content(indenters, workflow)
+    tables = {"sensors": used(config.read_toml(workflow / "sensors.toml"), sensors), "indenters": indenters}
+    return tables, [catalogue, *shapes]
+
+
+def check_count(shards: list[str], size: int) -> None:
+    """Refuse more shards than make can hold."""
+    if len(shards) > MOST_SHARDS:
+        raise BadInput(
+            f"{len(shards)} shards of up to {size} samples are more make targets than the {MOST_SHARDS} that work;"
+            f" delete results/DATASET/00_plan and set [params.plan] shard_size = {size * len(shards) // 2000} or more"
+        )
+
+
 @command(
     option("--data", type=Path, help="data/DATASET"),
     option("--workflow", type=Path, default=Path("workflow")),
     option("--ccx", default="none", help="CalculiX' program, or `none`"),
+    option(
+        "--inputs", type=Path, nargs="*", default=[], help="files whose state the plan keeps, beside those it reads"
+    ),
     option("--out", type=Path, help="results/DATASET/00_plan/plan.mk"),
 )
 def main(args: Namespace) -> None:
     out = args.out.parent
     dataset_toml = args.data / "dataset.toml"
+    before = state_of(args.inputs)  # told before they are read: a change in between is seen next time
     params = config.load_params(args.workflow, dataset_toml)
     if args.ccx == "none" and params["fea"]["fidelity"] != "hex":
         print(
             f"CalculiX (ccx) was not found: fidelity hex is used instead of {params['fea']['fidelity']}.", flush=True
         )
         params["fea"]["fidelity"] = "hex"
+    from gelforge.mechanics.family import required_meshes
     from gelforge.sweeps.scenes import read_tables
 
     scenes = read_tables(args.workflow)
-    write_slices(
-        params, args.workflow, out, config.read_toml(dataset_toml).get("catalogue", "indenters.toml"), scenes
-    )
-    shards = write_shards(args.data / "log.csv", out, params["plan"]["shard_size"])
-    from gelforge.mechanics.family import required_meshes
-
+    tables, read = read_catalogues(args.data, args.workflow, params)
     meshes = required_meshes(params["fea"], params["meshes"])
-    lists = {"SHARDS": shards, "MESHES": meshes, "BRANCHES": params["report"]["branches"]}
-    lists |= chart_lists(params, scenes)
+    lists = {"MESHES": meshes, "BRANCHES": branches(params)} | chart_lists(params, scenes)
     lists["REPORT_MODEL"] = reported_model(params, config.read_toml(args.workflow / "models.toml"))
-    write_text(args.out, "".join(f"{name} := {' '.join(values)}\n" for name, values in lists.items()))
+    lists["PLAN_READS"] = [str(path) for path in read]
+    text = "".join(make_list(name, values) for name, values in lists.items())
+    write_slices(params, args.workflow, out, tables, scenes)
+    shards = write_shards(args.data / "log.csv", out, params["plan"]["shard_size"], tables)
+    check_count(shards, params["plan"]["shard_size"])
+    state = " ".join(filter(None, [before, state_of(read)]))
+    write_text(args.out, f"{make_list('SHARDS', shards)}{text}PLAN_STATE := {state}\n")
 
 
 if __name__ == "__main__":

@@ -1,0 +1,23 @@
+# What people give on the command line: names that become paths are checked, and everything else is quoted for the shell.
+# $(value NAME) is the text as it was given: nothing in it is expanded by make.
+
+# $(call given,NAME) is a variable's text as one quoted word of a shell command.
+given = '$(subst ','\'',$(value $(1)))'
+
+LETTERS := a b c d e f g h i j k l m n o p q r s t u v w x y z A B C D E F G H I J K L M N O P Q R S T U V W X Y Z
+DIGITS := 0 1 2 3 4 5 6 7 8 9
+
+# $(call without,TEXT,WORDS) is the text without any of these words' characters.
+without = $(if $(2),$(call without,$(subst $(firstword $(2)),,$(1)),$(wordlist 2,$(words $(2)),$(2))),$(1))
+
+# Whether a variable's text is one name of letters, digits, _ - and . that starts with none of the last two.
+named = $(if $(or $(call without,$(value $(1)),$(LETTERS) $(DIGITS) _ - .),$(filter .% -%,$(value $(1))),$(filter-out 1,$(words $(value $(1))))),,yes)
+$(foreach v,DATASET SENSOR,$(if $(value $v),$(if $(call named,$v),,$(error $v=$(value $v): give one name of letters, digits, _ - and . that does not start with a dot))))
+
+# RES: words such as 24x32.
+ifneq ($(strip $(call without,$(value RES),$(DIGITS) x))$(filter x% %x,$(value RES))$(foreach w,$(value RES),$(if $(findstring x,$w),,$w)),)
+$(error RES=$(value RES): give resolutions as ROWSxCOLUMNS, such as RES="12x16 24x32")
+endif
+
+# make hands variables of its command line to every program, expanded: $(shell …) inside one would run.
+unexport ID TARGET FROM PLAN POINTS IMAGE LIKE REFERENCE SLURM_PROFILE FORMAT EXPORT

@@ -1,0 +1,133 @@
+"""What a plan depends on: contents and not names, states and not ages; and nothing of it reaches make or a shell."""
+
+import os
+import time
+
+import numpy as np
+import pytest
+
+from gelforge.errors import BadInput
+from gelforge.geometry.triangles import write_stl
+from gelforge.stages.fea import sample_key
+from gelforge.stages.plan import make_list, used, with_content
+from tests.benchmarks.sandbox import link_project, make
+
+from .conftest import lay_dataset
+
+BLOCK = np.array([[x, y, z] for z in (0, 6) for y in (0, 1) for x in (0, 1)], float)
+FACES = [[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4], [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6],
+         [1, 3, 5], [3, 7, 5]]  # fmt: skip
+
+
+def block(path, wide):
+    write_stl(path, (BLOCK - [0.5, 0.5, 0]) * [wide, wide, 1], np.array(FACES))
+
+
+@pytest.fixture(scope="module")
+def labelled(root, tmp_path_factory):
+    """A sandbox with a dataset of two presses, built as far as labels; each test leaves its log as it was."""
+    project = link_project(root, tmp_path_factory.mktemp("planning") / "project")
+    lay_dataset(project, root, "tiny", 2)
+    assert make(project, "labels", "DATASET=tiny").returncode == 0
+    return project
+
+
+@pytest.fixture
+def log(labelled):
+    """The log of that dataset, restored afterwards."""
+    path = labelled / "data/tiny/log.csv"
+    text = path.read_bytes()
+    yield path
+    path.write_bytes(text)
+
+
+@pytest.mark.parametrize(
+    "word", ["$(shell touch x)", "a b", "a\nall: ; touch x", "a:b", "#", "", "%", "a;b", "-n", "`x`"]
+)
+def test_make_reads_no_meaning_into_names(word):
+    with pytest.raises(BadInput, match="cannot be a name in LIST"):
+        make_list("LIST", ["fine-0.4", word])
+
+
+def test_a_shape_that_changes_under_its_name_is_another_shape(tmp_path):
+    """The same key for the same content under another name, another key for other content under the same name."""
+    block(tmp_path / "a.stl", 8.0)
+    (tmp_path / "b.stl").write_bytes((tmp_path / "a.stl").read_bytes())
+    tables = {name: {"kind": "stl", "file": f"{name}.stl", "seen": name == "a"} for name in "ab"}
+    before, files = with_content(tables, tmp_path)
+    assert files == [tmp_path / "a.stl", tmp_path / "b.stl"]
+    block(tmp_path / "a.stl", 4.0)
+    after, _ = with_content(tables, tmp_path)
+
+    class Press:
+        sensor_id, indenter = "s", "a"
+
+        def cells(self):
+            return dict.fromkeys(("x0_mm", "y0_mm", "z0_mm", "dx_mm", "dy_mm", "dz_mm", "rot_deg"), "0")
+
+    class Family:
+        reports = {}
+
+    def key(indenters, name="a", quality="label"):
+        press = Press()
+        press.indenter = name
+        params = {"fea": {"hex_quality": quality}}
+        return sample_key(press, params, {"indenters": indenters, "sensors": {"s": {"gel": "g"}}}, Family())
+
+    assert key(before) == key(before, "b") != key(after)
+    assert key(before) != key(before, quality="draft")
+
+
+def test_only_what_is_named_is_part_of_the_plan():
+    assert used({"a": 1, "b": 2}, {"b", "c"}) == {"b": 2}
+
+
+@pytest.mark.parametrize(
+    ("variable", "value", "message"),
+    [
+        ("DATASET", "../../x", "DATASET=../../x"),
+        ("DATASET", "a;touch pwned", "DATASET="),
+        ("DATASET", "$(shell touch pwned)", "DATASET="),
+        ("SENSOR", "a b", "SENSOR=a b"),
+        ("RES", "24", "RES=24"),
+        ("RES", "24x32;ls", "RES="),
+        ("RES", "x32", "RES=x32"),
+    ],
+)
+def test_what_cannot_be_a_name_is_refused_before_anything_is_made(labelled, variable, value, message):
+    done = make(labelled, "-n", "labels", *(["DATASET=tiny"] if variable != "DATASET" else []), f"{variable}={value}")
+    assert done.returncode and message in done.stdout and not (labelled / "pwned").exists()
+    assert [path.name for path in (labelled / "results").iterdir()] == ["tiny"]
+
+
+@pytest.mark.parametrize("goal", ["sample", "look", "lineage"])
+@pytest.mark.parametrize("value", ["$(shell touch pwned)", "`touch pwned`", "';touch pwned;'", '";touch pwned;"'])
+def test_text_from_the_command_line_is_one_word_of_the_shell(labelled, goal, value):
+    done = make(labelled, goal, "DATASET=tiny", f"ID={value}")
+    assert done.returncode and not (labelled / "pwned").exists()
+
+
+def test_a_plan_is_made_once_of_a_file_dated_in_the_future(labelled, log):
+    ahead = time.time() + 86400
+    os.utime(log, (ahead, ahead))
+    assert make(labelled, "labels", "DATASET=tiny").returncode == 0
+    planned = (labelled / "results/tiny/00_plan/plan.mk").stat().st_mtime_ns
+    done = make(labelled, "labels", "DATASET=tiny")
+    assert done.returncode == 0 and (labelled / "results/tiny/00_plan/plan.mk").stat().st_mtime_ns == planned
+
+
+def test_a_file_that_an_older_one_replaced_is_planned_again(labelled, log):
+    text = log.read_text().splitlines(keepends=True)
+    log.write_text("".join(text[:-1]))
+    os.utime(log, (1e9, 1e9))
+    done = make(labelled, "labels", "DATASET=tiny")
+    assert done.returncode == 0, done.stdout
+    planned = (labelled / "results/tiny/00_plan/shards.csv").read_text()
+    assert text[-1].split(",")[0] not in planned
+
+
+def test_touching_the_log_rebuilds_nothing(labelled, log):
+    assert make(labelled, "labels", "DATASET=tiny").returncode == 0
+    os.utime(log)
+    done = make(labelled, "-n", "labels", "DATASET=tiny")
+    assert "gelforge.flow.step" not in done.stdout
