@@ -20,4 +20,4 @@ $(error RES=$(value RES): give resolutions as ROWSxCOLUMNS, such as RES="12x16 2
 endif
 
 # make hands variables of its command line to every program, expanded: $(shell …) inside one would run.
-unexport ID TARGET FROM PLAN POINTS IMAGE LIKE REFERENCE SLURM_PROFILE FORMAT EXPORT
+unexport ID TARGET FROM PLAN TOPICS POINTS IMAGE LIKE REFERENCE SLURM_PROFILE FORMAT EXPORT

@@ -24,4 +24,4 @@ TOPICS ?=
 
 .PHONY: mcap-import
 mcap-import: $(SETUP)  ## recordings in MCAP to data/DATASET: make mcap-import FROM=folder TOPICS=topics.toml DATASET=name
-	@$(PY) -m gelforge.commands.mcap --from '$(subst ','\'',$(FROM))' --topics '$(subst ','\'',$(TOPICS))' --data $(DATA)
+	@$(PY) -m gelforge.commands.mcap --from $(call given,FROM) --topics $(call given,TOPICS) --data $(DATA)
