@@ -1,3 +1,33 @@
-"""gelforge: contact-force labels for optical tactile sensors, by finite elements."""
+"""gelforge: contact-force labels for optical tactile sensors, by finite elements.
+
+In Python, without make:
+
+    import gelforge
+    press = gelforge.solve({"kind": "sphere", "diameter": 10, "height": 10}, depth=0.5)
+    print(press.total)  # N on the gel along its x, y, z
+    cells = gelforge.label(press, resolution="24x32")  # N, (3, rows, cols)
+    forces, verdict = gelforge.predict(image, untouched=picture)
+
+Importing this loads nothing else; each name is loaded when it is first used.
+"""
+
+from typing import Any
 
 __version__ = "0.1.0"
+__all__ = ["Reader", "Sensor", "label", "predict", "solve"]
+
+_HOMES = {
+    "solve": "gelforge.face",
+    "label": "gelforge.face",
+    "predict": "gelforge.face",
+    "Reader": "gelforge.networks.modelfile",
+    "Sensor": "gelforge.labelling.sensor",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'gelforge' has no attribute {name!r}; it has {', '.join(__all__)}")
+    import importlib
+
+    return getattr(importlib.import_module(_HOMES[name]), name)

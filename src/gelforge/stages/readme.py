@@ -62,7 +62,7 @@ def real(args: Namespace) -> None:
 
     trained, rows = load_for_use(None), []
     for film in args.films:
-        held = {}
+        held: dict[str, object] = {}
 
         def untouched(frame, held=held):
             if not held:  # the first frame is taken for the untouched sensor, as gelforge live does

@@ -1,0 +1,92 @@
+"""What gelforge offers to a Python program: solve a press, label it, read an image."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gelforge.errors import GelforgeError
+from gelforge.geometry.gel import load_gel
+from gelforge.labelling.grid import Grid
+from gelforge.labelling.sensor import Sensor
+from gelforge.mechanics.mesh import GelMesh
+from gelforge.mechanics.scene import REFERENCE_C10, Indenter, Material, Scene
+from gelforge.records.axes import AXIS_OF_CHANNEL
+from gelforge.records.press import Press
+
+
+@dataclass(frozen=True)
+class Solved:
+    """A solved press: forces (n, 3) N on the gel and displacement (n, 3) mm of the nodes of `mesh`."""
+
+    gel: str
+    mesh: GelMesh
+    forces: np.ndarray
+    displacement: np.ndarray
+    evidence: dict[str, Any]
+
+    @property
+    def total(self) -> np.ndarray:
+        """Resultant contact force on the gel along its x, y, z, (3,) N."""
+        return self.forces.sum(axis=0)
+
+
+def solve(
+    indenter: Indenter | dict[str, Any],
+    depth: float,
+    at: tuple[float, float] = (0.0, 0.0),
+    shear: tuple[float, float] = (0.0, 0.0),
+    rot_deg: float = 0.0,
+    gel: str = "gelsight_mini",
+    material: Material | None = None,
+    quality: str = "draft",
+) -> Solved:
+    """Press an indenter into a gel, down by `depth` mm and then sideways by `shear` mm, by finite elements in process.
+
+    indenter: a body, or a table as in workflow/indenters.toml. at: where its tip meets the crown plane, mm.
+    material: 0.0725 MPa and Poisson's ratio 0.475 where None. quality: "label", "draft" or "demo", slow to fast.
+    A press that cannot be solved raises GelforgeError with its reason.
+    """
+    from gelforge.geometry.indenters import build
+    from gelforge.mechanics.hex.solver import HexSolver
+    from gelforge.mechanics.hex.solver import quality as settings
+
+    body: Any = build("indenter", indenter, "gelforge.solve") if isinstance(indenter, dict) else indenter
+    press = Press(at[0], at[1], 0.0, shear[0], shear[1], -depth, rot_deg)
+    scene = Scene(load_gel(gel), material or Material(REFERENCE_C10), body, press)
+    result = HexSolver(settings(quality)).solve(scene)
+    if not result.status.valid or result.bricks is None:
+        raise GelforgeError(f"the press was not solved: {result.evidence.get('reason') or result.status.value}")
+    return Solved(gel, result.bricks.mesh(), result.forces, result.displacement, result.evidence)
+
+
+def label(solved: Solved, resolution: str = "24x32", sensor: Sensor | None = None) -> np.ndarray:
+    """Bin a solved press into force per cell of an image grid, N: (3, rows, cols) in the order of FEATS' channels.
+
+    sensor: how gel and image meet; that of FEATS' GelSight Mini where None. What lies outside its image is left out.
+    """
+    from gelforge.labelling.operator import assemble
+
+    nodes = np.flatnonzero(solved.forces.any(axis=1))
+    operator = assemble(solved.mesh, sensor or feats_mini(), Grid.parse(resolution))
+    cells, _outside = operator.apply([0, len(nodes)], nodes, solved.forces[nodes])
+    return cells[0][list(AXIS_OF_CHANNEL)]
+
+
+def feats_mini() -> Sensor:
+    """The sensor of FEATS' measurements: 14 px/mm, image 320 x 240 (its cropped cuboid; workflow/sensors.toml)."""
+    return Sensor("gelsight_mini", (320, 240), np.array([[0.0, -14.0, 160.0], [-14.0, 0.0, 120.0], [0.0, 0.0, 1.0]]))
+
+
+def predict(
+    image: np.ndarray, untouched: np.ndarray | None = None, model: Any = None
+) -> tuple[np.ndarray, dict[str, Any]]:
+    """Read forces from one image (h, w, 3) uint8 RGB; return (3, rows, cols) N and how far to trust it.
+
+    untouched: a picture of the same sensor while nothing touches it. model: path; the network that ships where None.
+    The verdict's `flag` is True where the image is unlike the training images, and `reason` says in what.
+    """
+    from gelforge.commands.predict import Untouched, load_for_use, predict_one
+
+    _seen, forces, verdict = predict_one(Untouched(load_for_use(model), untouched), image)
+    return forces, verdict

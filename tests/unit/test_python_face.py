@@ -1,0 +1,55 @@
+"""What a Python program uses of gelforge: each example of five lines runs, and importing costs nothing."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import gelforge
+from gelforge.errors import BadInput
+
+BALL = {"kind": "sphere", "diameter": 10, "height": 10}
+
+
+@pytest.fixture(scope="module")
+def press():
+    return gelforge.solve(BALL, depth=0.5, quality="demo")
+
+
+def test_solving_a_press(press):
+    assert press.total[2] < 0.0, "the indenter pushes the gel down"
+    assert np.abs(press.total[:2]).max() < 0.02 * -press.total[2], "a ball on the crown pushes straight down"
+
+
+def test_a_label_holds_the_whole_force(press):
+    cells = gelforge.label(press, resolution="12x16")
+    assert cells.shape == (3, 12, 16)
+    assert cells[2].sum() == pytest.approx(press.total[2], rel=1e-6), "this contact lies inside the image"
+
+
+def test_deeper_is_harder(press):
+    assert gelforge.solve(BALL, depth=0.8, quality="demo").total[2] < press.total[2]
+
+
+def test_reading_an_image():
+    image = np.full((240, 320, 3), 128, np.uint8)
+    forces, verdict = gelforge.predict(image, untouched=image)
+    assert forces.shape[0] == 3 and np.isfinite(forces).all()
+    assert verdict["flag"], "a grey picture is unlike any sensor"
+
+
+def test_a_wrong_table_says_what_to_write():
+    with pytest.raises(BadInput, match="kind"):
+        gelforge.solve({"kind": "teapot"}, depth=0.5)
+
+
+def test_a_name_it_does_not_have_is_refused():
+    with pytest.raises(AttributeError, match="solve"):
+        gelforge.press  # noqa: B018
+
+
+def test_importing_loads_nothing_heavy():
+    code = "import sys, gelforge; print({'numpy', 'torch', 'scipy', 'cv2'} & sys.modules.keys())"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "set()\n"
