@@ -34,8 +34,10 @@ class Progress:
                 f"{self.rate:.2g} a second",
                 f"{duration((self.total - self.solved) / self.rate)} left for solves",
             ]
-        now = ", ".join(self.running[:4]) + (f" and {len(self.running) - 4} more" if len(self.running) > 4 else "")
-        return f"{self.stage or 'idle'}: {', '.join(said)}; now: {now or 'nothing'}"
+        if not self.running:
+            return ", ".join(said)
+        more = f" and {len(self.running) - 4} more" if len(self.running) > 4 else ""
+        return f"{self.stage}: {', '.join(said)}; now: {', '.join(self.running[:4])}{more}"
 
 
 def duration(seconds: float) -> str:

@@ -175,22 +175,33 @@ function sharp(canvas) {
   return [c, width, height];
 }
 const onMap = (i) => [view.left + view.scale * COLUMNS.y0_mm[i], view.top - view.scale * COLUMNS.x0_mm[i]];
+// All points are drawn when their order, colours or the page's width change; a choice only moves the ring over them.
+const POINTS = document.createElement("canvas");
 function drawMap() {
+  drawPoints();
+  const map = el("map");
+  POINTS.width = map.width; POINTS.height = map.height; POINTS.getContext("2d").drawImage(map, 0, 0);
+  drawRing();
+}
+function drawRing() {
+  const map = el("map"), c = map.getContext("2d"), ratio = window.devicePixelRatio || 1;
+  c.setTransform(1, 0, 0, 1, 0, 0); c.clearRect(0, 0, map.width, map.height); c.drawImage(POINTS, 0, 0); c.setTransform(ratio, 0, 0, ratio, 0, 0);
+  const [x, y] = state.at < 0 ? [NAN, NAN] : onMap(state.at);
+  if (Number.isFinite(x + y)) { c.strokeStyle = "#000"; c.lineWidth = 2; c.beginPath(); c.arc(x, y, pointSize() + 4, 0, 7); c.stroke(); }
+}
+const pointSize = () => (COUNT > 3000 ? 2 : COUNT > 500 ? 3 : 5);
+function drawPoints() {
   if (!colourOf) colourOf = colours();
   const [c, width, height] = sharp(el("map")), gel = DATA.shared.gel;
   view.scale = Math.min((width - 20) / gel.length, (height - 40) / gel.width); view.left = width / 2; view.top = (height - 18) / 2;
   const w = gel.length * view.scale, h = gel.width * view.scale;
   c.fillStyle = "#f6f8fa"; c.strokeStyle = "#b9c1ca"; c.beginPath(); c.roundRect(view.left - w / 2, view.top - h / 2, w, h, 1.5 * view.scale); c.fill(); c.stroke();
   c.fillStyle = "#555c66"; c.textAlign = "center"; c.fillText(`where each press first touched; the gel is ${gel.length} mm wide here (y), ${gel.width} mm high (x)`, view.left, height - 6, width - 8);
-  const size = COUNT > 3000 ? 2 : COUNT > 500 ? 3 : 5;
+  const size = pointSize();
   for (let k = state.order.length - 1; k >= 0; k--) {
     const i = state.order[k], [x, y] = onMap(i);
     if (!Number.isFinite(x + y)) continue;
     c.fillStyle = colourOf(i); c.beginPath(); c.arc(x, y, size, 0, 7); c.fill();
-  }
-  if (state.at >= 0) {
-    const [x, y] = onMap(state.at);
-    if (Number.isFinite(x + y)) { c.strokeStyle = "#000"; c.lineWidth = 2; c.beginPath(); c.arc(x, y, size + 4, 0, 7); c.stroke(); }
   }
 }
 function pickOnMap(event) {
@@ -240,7 +251,7 @@ async function unpack(packed) {
 async function choose(i) {
   state.at = i;
   const asked = performance.now();
-  showRow(i); drawMap(); drawRows();
+  showRow(i); drawRing(); drawRows();
   try { history.replaceState(null, "", `#press=${encodeURIComponent(COLUMNS.id[i])}`); } catch { /* some browsers keep files from it */ }
   frame(i);
   let press, arrays;
@@ -407,11 +418,13 @@ async function sharedArrays(name) {
 const DENT = [[226, 232, 238], [250, 214, 137], [224, 104, 62], [110, 22, 66]];
 function gelBody(points, moved) {
   const { rows, columns, height } = DATA.shared.gel, n = rows * columns, at = new Float32Array(3 * n), colour = new Float32Array(3 * n), faces = [];
+  const tint = new THREE.Color();
   let deepest = 1e-6;
   for (let k = 0; k < n; k++) deepest = Math.max(deepest, moved ? -moved[3 * k + 2] : 0);
   for (let k = 0; k < n; k++) {
     for (let c = 0; c < 3; c++) at[3 * k + c] = points[3 * k + c] + (moved ? moved[3 * k + c] : 0);
-    colour.set(new THREE.Color(rgb(ramp(DENT, moved ? -moved[3 * k + 2] / deepest : 0))).toArray(), 3 * k);
+    const [red, green, blue] = ramp(DENT, moved ? -moved[3 * k + 2] / deepest : 0);
+    colour.set(tint.setRGB(red / 255, green / 255, blue / 255, "srgb").toArray(), 3 * k);
   }
   for (let r = 0; r + 1 < rows; r++) for (let k = 0; k + 1 < columns; k++) {
     const a = r * columns + k; faces.push(a, a + columns, a + 1, a + 1, a + columns, a + columns + 1);
