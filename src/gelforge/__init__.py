@@ -17,9 +17,9 @@ __version__ = "0.1.0"
 __all__ = ["Reader", "Sensor", "label", "predict", "solve"]
 
 _HOMES = {
-    "solve": "gelforge.face",
-    "label": "gelforge.face",
-    "predict": "gelforge.face",
+    "solve": "gelforge.api",
+    "label": "gelforge.api",
+    "predict": "gelforge.api",
     "Reader": "gelforge.networks.modelfile",
     "Sensor": "gelforge.labelling.sensor",
 }

@@ -34,7 +34,7 @@ from gelforge.sweeps.isolate import Clock, isolated, peak_mib
 from gelforge.sweeps.methods import REFERENCE, Method, prepare, quality_method
 from gelforge.sweeps.scenes import NamedScene, parse_scene, read_tables
 from gelforge.sweeps.trial import (
-    Bench,
+    ChartBench,
     ensure_meshes,
     kept,
     load_bench,
@@ -109,7 +109,7 @@ def run_deck(reference: Path, work: Path, depth: float, limit_s: float = 36000.0
 # -- the named scenes
 
 
-def solve_scenes(bench: Bench, scenes: dict[str, NamedScene]) -> dict[str, dict]:
+def solve_scenes(bench: ChartBench, scenes: dict[str, NamedScene]) -> dict[str, dict]:
     """Records by scene and method, with errors against the reference under "errors"."""
     fine = [meshes.reference_mesh(bench.params, scene.fine) for scene in scenes.values()]
     names = list(dict.fromkeys([*meshes.label_meshes(bench.params), *fine]))
@@ -192,7 +192,7 @@ def envelope_scene(number: int, catalogue: dict, gel: Gel) -> Scene:
     return Scene(gel, Material(), body, press, Interface())
 
 
-def solve_envelope(bench: Bench, catalogue: dict, folder: Path, count: int) -> list[dict]:
+def solve_envelope(bench: ChartBench, catalogue: dict, folder: Path, count: int) -> list[dict]:
     """Records of the envelope's scenes with `ccx`, kept one by one."""
     ensure_meshes(bench, meshes.label_meshes(bench.params))
     gel, method = load_gel(bench.params["meshes"]["gel"]), Method("ccx-label", "ccx")

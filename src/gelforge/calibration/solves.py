@@ -27,7 +27,7 @@ SOLVER_VERSION = stage_version(Path(__file__).parents[1] / "stages", "fea")
 
 
 @dataclass(frozen=True)
-class Job:
+class SolveJob:
     """One solve: press path, indenter (its name in the catalogue), friction coefficient, Poisson's ratio."""
 
     press: Press
@@ -37,7 +37,7 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Plan:
+class SolvePlan:
     """What the emulator of n presses needs.
 
     top: (n,) deepest depth, mm. depths: (n, k) at which sheared presses are solved (k = 1 where
@@ -49,15 +49,15 @@ class Plan:
     leader: np.ndarray
     fractions: tuple
 
-    def jobs(self, i: int, mu: float, nu: float) -> list[Job]:
+    def jobs(self, i: int, mu: float, nu: float) -> list[SolveJob]:
         r, lead = self.readings, self.leader[i]
         if not r.sheared[i]:
-            return [Job(r.press(lead, float(self.top[lead])), str(r.indenters[lead]), mu, nu)]
+            return [SolveJob(r.press(lead, float(self.top[lead])), str(r.indenters[lead]), mu, nu)]
         depths = [float(self.top[i] * f) for f in self.fractions]
-        return [Job(r.press(i, d), str(r.indenters[i]), mu, nu) for d in depths]
+        return [SolveJob(r.press(i, d), str(r.indenters[i]), mu, nu) for d in depths]
 
 
-def make_plan(readings, reach: float, fractions) -> Plan:
+def make_plan(readings, reach: float, fractions) -> SolvePlan:
     """Plan for readings; straight presses of one indenter at one place share one curve to the deepest.
 
     reach: how far beyond the commanded depth the emulator goes, mm. fractions: of that depth, at which
@@ -74,7 +74,7 @@ def make_plan(readings, reach: float, fractions) -> Plan:
             # CNC tolerance is a quarter micrometre; 5 um sideways move no force that a sensor sees.
             key = (readings.indenters[i], *np.round(readings.pose[i, [0, 1, 6]], 2), round(readings.pose[i, 2], 4))
             leader[i] = groups.setdefault(key, int(i))
-    return Plan(readings, top[leader], leader, fractions)
+    return SolvePlan(readings, top[leader], leader, fractions)
 
 
 def interface_of(mu: float) -> Interface:
@@ -83,7 +83,7 @@ def interface_of(mu: float) -> Interface:
     return Interface("no_slip") if np.isinf(mu) else Interface("coulomb", float(mu))
 
 
-def job_key(job: Job, shape: str, settings: HexSettings, gel: Gel) -> str:
+def job_key(job: SolveJob, shape: str, settings: HexSettings, gel: Gel) -> str:
     """Name of a solve's file: a hash of the scene, the indenter's shape and the settings."""
     parts = {"press": asdict(job.press), "mu": str(job.mu), "nu": job.nu, "gel": asdict(gel)}
     return fingerprint(SOLVER_VERSION, parts, shape, asdict(settings))[:20]
@@ -121,7 +121,7 @@ def usable(result, press: Press) -> bool:
     return result.status.valid or path[-1][0] >= (2.0 if press.dx or press.dy else 1.0) - 1e-9
 
 
-def solve_job(job: Job, indenter, settings: HexSettings, gel: Gel) -> dict:
+def solve_job(job: SolveJob, indenter, settings: HexSettings, gel: Gel) -> dict:
     """Solve one job, with finer load steps where the first try fails; raise SolveFailed where both do.
 
     A solve that walked its whole path and only then could not meet the final tolerance serves with
@@ -159,7 +159,7 @@ class SolveCache:
         self.failed = {}
         self._made, self._shapes, self._used, self._kept = set(), {}, {}, {}
 
-    def path(self, job: Job) -> Path:
+    def path(self, job: SolveJob) -> Path:
         if job.indenter not in self.catalogue:
             known = ", ".join(sorted(self.catalogue))
             raise BadInput(f"indenter {job.indenter!r} is not in the catalogue; known: {known}")
@@ -167,7 +167,7 @@ class SolveCache:
             self._shapes[job.indenter] = shape_hash(self.catalogue[job.indenter])
         return self.folder / f"{job_key(job, self._shapes[job.indenter], self.settings, self.gel)}.json"
 
-    def fill(self, jobs: list[Job], workers: int = 1) -> None:
+    def fill(self, jobs: list[SolveJob], workers: int = 1) -> None:
         """Solve the jobs that have no file yet, on `workers` processes."""
         wanted = {self.path(job): job for job in jobs}
         tasks = [
@@ -196,7 +196,7 @@ class SolveCache:
                 raise BadInput(f"{path}: not a solve ({error}); delete it and run make calibrate again") from error
         return self._kept[path]
 
-    def get(self, job: Job) -> dict:
+    def get(self, job: SolveJob) -> dict:
         """The solve of a job that `fill` made."""
         path = self.path(job)
         solve = self._read(path)
@@ -217,7 +217,7 @@ class SolveCache:
         return {"total": len(laws), **counts, "new": new, "in_vain": len(self._made) - new}
 
 
-def solve_all(plan: Plan, cache: SolveCache, mus, nus, workers: int = 1) -> dict[int, str]:
+def solve_all(plan: SolvePlan, cache: SolveCache, mus, nus, workers: int = 1) -> dict[int, str]:
     """Solve what the planned presses need; return {press: reason} of those that could not be solved."""
     needs = {i: [j for mu in mus for nu in nus for j in plan.jobs(i, mu, nu)] for i in range(len(plan.top))}
     cache.fill([job for jobs in needs.values() for job in jobs], workers)
@@ -225,7 +225,7 @@ def solve_all(plan: Plan, cache: SolveCache, mus, nus, workers: int = 1) -> dict
     return {i: found[0] for i, found in reasons.items() if found}
 
 
-def build_emulator(plan: Plan, cache: SolveCache, mus, nus) -> em.Emulator:
+def build_emulator(plan: SolvePlan, cache: SolveCache, mus, nus) -> em.Emulator:
     """Emulator of the planned presses at friction nodes `mus` and Poisson's ratios `nus`, all of them solved."""
     count = len(plan.top)
     table = np.empty((count, len(nus), em.FRICTIONS, em.DEPTHS, 3))
@@ -237,7 +237,9 @@ def build_emulator(plan: Plan, cache: SolveCache, mus, nus) -> em.Emulator:
     return em.Emulator(table, plan.top, np.asarray(nus, float), group)
 
 
-def refine(emulator: em.Emulator, plan: Plan, coarse: SolveCache, fine: SolveCache, mu: float, nu: float, workers=1):
+def refine(
+    emulator: em.Emulator, plan: SolvePlan, coarse: SolveCache, fine: SolveCache, mu: float, nu: float, workers=1
+):
     """Emulator whose forces are those of a finer mesh, for one fine solve per indenter.
 
     The ratio of fine to coarse force along the depth of one press of an indenter, straight down, is
@@ -246,7 +248,7 @@ def refine(emulator: em.Emulator, plan: Plan, coarse: SolveCache, fine: SolveCac
     leaders = {}
     for i in np.argsort(plan.top, kind="stable"):
         leaders[emulator.group[i]] = int(i)  # the deepest
-    jobs = {g: [Job(plan.readings.press(i, float(plan.top[i]), shear=False), str(plan.readings.indenters[i]), mu, nu)]
+    jobs = {g: [SolveJob(plan.readings.press(i, float(plan.top[i]), shear=False), str(plan.readings.indenters[i]), mu, nu)]
             for g, i in leaders.items()}  # fmt: skip
     fine.fill([job for group in jobs.values() for job in group], workers)
     if fine.failed:
@@ -284,7 +286,7 @@ def press_curve(solve: dict, top: float) -> np.ndarray:
     return em.curve_table(em.Curve(np.array(solve["depth"]), np.array(solve["force"])), float(top))
 
 
-def press_table(plan: Plan, cache: SolveCache, i: int, mu: float, nu: float) -> np.ndarray:
+def press_table(plan: SolvePlan, cache: SolveCache, i: int, mu: float, nu: float) -> np.ndarray:
     """Force (DEPTHS, 3) of press i at one friction coefficient."""
     jobs = plan.jobs(i, mu, nu)
     solves = [cache.get(job) for job in jobs]

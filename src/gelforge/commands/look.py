@@ -24,7 +24,7 @@ INK = "#12181f"
 
 
 @dataclass(frozen=True)
-class Look:
+class Pictured:
     """One sample with its label (3, rows, cols), what fell outside (3,), its image (h, w, 3) or None, its sensor."""
 
     press: PosedPress
@@ -55,7 +55,7 @@ def shard_paths(results: Path, sample_id: str, resolution: str) -> dict[str, Pat
     )
 
 
-def load(data: Path, paths: dict, sample_id: str, sensors: dict, resolution: str) -> Look:
+def load(data: Path, paths: dict, sample_id: str, sensors: dict, resolution: str) -> Pictured:
     """Read a sample's press, label and image."""
     found = read_labels(paths["labels"])
     at = found.index(sample_id)
@@ -66,7 +66,7 @@ def load(data: Path, paths: dict, sample_id: str, sensors: dict, resolution: str
         raise BadInput(f"sample {sample_id} has no valid state ({found.status[at].name}); its log lies in 30_fea")
     sensor = find_sensor(sensors, press.sensor_id, str(paths["poses"]))
     image = read_logged_image(data, press.image, sensor.image) if press.image else None
-    return Look(press, found.label[at].astype(float), found.outside[at], image, sensor, resolution)
+    return Pictured(press, found.label[at].astype(float), found.outside[at], image, sensor, resolution)
 
 
 def export_vtu(path, paths: dict, meshes: Path, sample_id: str) -> None:
@@ -85,7 +85,7 @@ def export_vtu(path, paths: dict, meshes: Path, sample_id: str) -> None:
     write_vtu(path, mesh, fill_inside(mesh, sample.nodes, sample.displacement), force, known)
 
 
-def arrows(look: Look) -> tuple[np.ndarray, np.ndarray]:
+def arrows(look: Pictured) -> tuple[np.ndarray, np.ndarray]:
     """Places (n, 2) px and shear forces (n, 2) N turned into image directions (u, v), in cells merged to be seen.
 
     The direction of a force in the image follows the projection's Jacobian; its length stays in N.
@@ -107,7 +107,7 @@ def arrows(look: Look) -> tuple[np.ndarray, np.ndarray]:
     return place, heading * size[:, None]
 
 
-def draw(look: Look):
+def draw(look: Pictured):
     """Matplotlib figure: the image with pressure and shear arrows, and the three channels over the image."""
     import matplotlib
 

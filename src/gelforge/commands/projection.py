@@ -21,7 +21,7 @@ COLOURS = {"gel": (255, 255, 255), "points": (0, 255, 255), "markers": (0, 220, 
 
 
 @dataclass(frozen=True)
-class Calibration:
+class FittedProjection:
     """What was fitted for a sensor; markers and correspondences are None where they were not given."""
 
     sensor: str
@@ -86,7 +86,7 @@ def grid_pixels(markers: dict, index: np.ndarray) -> np.ndarray:
     return (index[:, ::-1] - middle) * np.array(markers["pitch_px"]) @ turn.T + np.array(markers["centre_px"])
 
 
-def calibrate(name: str, like: Sensor, points=None, image=None, where: str = "") -> Calibration:
+def calibrate(name: str, like: Sensor, points=None, image=None, where: str = "") -> FittedProjection:
     """Fit the projection of the sensor `name`.
 
     points: (gel points, pixels), or None: then the dots of `image` (h, w, 3) RGB are taken to be where
@@ -109,10 +109,10 @@ def calibrate(name: str, like: Sensor, points=None, image=None, where: str = "")
         points = like.unproject(grid_pixels(like.markers, markers.index)), markers.points
     fit = fit_homography(*points, where=where or "correspondences")
     check_projection(fit.homography, where or "correspondences")
-    return Calibration(name, like.image, like.gel, fit, *points, markers)
+    return FittedProjection(name, like.image, like.gel, fit, *points, markers)
 
 
-def describe(found: Calibration) -> dict:
+def describe(found: FittedProjection) -> dict:
     """The calibration as plain numbers."""
     worst = int(found.fit.residual.argmax())
     about = {
@@ -161,7 +161,7 @@ def toml_table(about: dict) -> str:
     return "\n".join(lines) + "\n"
 
 
-def draw(found: Calibration, image) -> np.ndarray:
+def draw(found: FittedProjection, image) -> np.ndarray:
     """Picture (BGR) of the fit: the gel's 5 mm lines, the points used, the dots found and those missing."""
     import cv2
 

@@ -15,7 +15,7 @@ from gelforge.labelling.sensor import load_sensors
 from gelforge.sweeps.deviation import errors, frontier
 from gelforge.sweeps.methods import HALVED, REFERENCE, Method, every_method, quick_methods
 from gelforge.sweeps.scenes import NamedScene, parse_scene
-from gelforge.sweeps.trial import Bench, load_bench, measure
+from gelforge.sweeps.trial import ChartBench, load_bench, measure
 
 VERSION = 3
 GOAL_TOTAL, GOAL_CELLS = 0.02, 0.08  # what a label setting should meet over all scenes
@@ -25,7 +25,7 @@ COLUMNS = ("method", "fidelity", "size_mm", "load_steps", "scenes", "failed", "c
            "frontier_total", "frontier_cells")  # fmt: skip
 
 
-def solve_scene(bench: Bench, scene: NamedScene, methods: list[Method], halved: bool) -> dict:
+def solve_scene(bench: ChartBench, scene: NamedScene, methods: list[Method], halved: bool) -> dict:
     """Every method on one scene, the last of `methods` being the reference; records by method with their errors."""
     if halved:
         methods = [*methods, Method(HALVED, REFERENCE, halved=True)]

@@ -27,7 +27,7 @@ NOT_SOLVER = {"fidelity", "meshes", "fine_meshes", "tolerance", "charted", "time
 
 
 @dataclass(frozen=True)
-class Bench:
+class ChartBench:
     """Where methods are measured: meshes, sensor whose cells are compared, parameters, kept records."""
 
     meshes: Path
@@ -130,7 +130,7 @@ def kept(path: Path, key: str) -> dict | None:
     return record if record.get("key") == key else None
 
 
-def measure(bench: Bench, scene: NamedScene, method: Method) -> dict:
+def measure(bench: ChartBench, scene: NamedScene, method: Method) -> dict:
     """The record of a scene solved by a method: the kept one, or a new one, which is kept.
 
     {"status", "reason", "total" (3,) N, "cells" (3, 24, 32) N, "outside" (3,) N, "seconds", "cpu_seconds"
@@ -155,15 +155,15 @@ def measure(bench: Bench, scene: NamedScene, method: Method) -> dict:
     return record
 
 
-def ensure_meshes(bench: Bench, names: list[str]) -> None:
+def ensure_meshes(bench: ChartBench, names: list[str]) -> None:
     """Build what is missing of the meshes (make builds them as targets; a benchmark may stand alone)."""
     for name in names:
         meshes.need_mesh(name, bench.meshes, bench.params)
 
 
-def load_bench(params: dict, sensors: dict, mesh_folder: Path, records: Path) -> Bench:
+def load_bench(params: dict, sensors: dict, mesh_folder: Path, records: Path) -> ChartBench:
     """A bench that compares cells as the sensor of [pareto] sees them."""
     name = params["pareto"]["sensor"]
     if name not in sensors:
         raise BadInput(f"[pareto] sensor = {name!r} is not in workflow/sensors.toml; it has {', '.join(sensors)}")
-    return Bench(Path(mesh_folder), sensors[name], params, Path(records))
+    return ChartBench(Path(mesh_folder), sensors[name], params, Path(records))

@@ -11,7 +11,7 @@ from gelforge.mechanics.hex.solver import HexResult, HexSettings, HexSolver
 from gelforge.mechanics.scene import REFERENCE_C10, Indenter, Interface, Material, Press, Scene
 from gelforge.records.status import Status
 from gelforge.virtualrig.rigplan import Order, Plan, Truth, generator
-from gelforge.virtualrig.surface import FAR, Body, body_of
+from gelforge.virtualrig.surface import FAR, RoughBody, body_of
 
 # The rig's own mesh, in no ratio to those of the labels: about 40 iterations a press.
 SETTINGS = HexSettings(
@@ -55,9 +55,9 @@ class Bench:
 
     def __init__(self, plan: Plan, indenters: dict[str, Indenter], gel: Gel):
         self.plan, self.indenters, self.gel = plan, indenters, gel
-        self._bodies: dict[str, Body] = {}
+        self._bodies: dict[str, RoughBody] = {}
 
-    def body(self, name: str) -> Body:
+    def body(self, name: str) -> RoughBody:
         """Underside of an indenter with the texture its printing left, the same in every run."""
         if name not in self._bodies:
             rng = np.random.default_rng(zlib.crc32(name.encode()))

@@ -9,7 +9,7 @@ from gelforge.geometry.gel import Gel
 from gelforge.mechanics.scene import Press
 from gelforge.virtualrig.looks import HEIGHT, WIDTH, Look
 from gelforge.virtualrig.paint import MARGIN, printed, sample_position
-from gelforge.virtualrig.surface import FAR, STEP, Body, Field, body_position, unloaded
+from gelforge.virtualrig.surface import FAR, STEP, Field, RoughBody, body_position, unloaded
 
 TOUCH = 0.05  # mm between the computed surface and the body within which the picture lays one on the other
 RIPPLE_MM = 0.2
@@ -20,7 +20,7 @@ RELAXATION, ROUNDS = 0.65, 9
 class Pressed:
     """The body in touch with the gel and where it went."""
 
-    body: Body
+    body: RoughBody
     press: Press
 
 

@@ -92,7 +92,7 @@ def _interpolation(lines: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Body:
+class RoughBody:
     """Underside of an indenter with its printed texture, on a regular grid in its own frame.
 
     height: (n, n) float32 mm above the tip plane, FAR where there is no underside; bare: the same without texture.
@@ -105,7 +105,7 @@ class Body:
     step: float
 
 
-def body_of(indenter: Indenter, texture_mm: float, pitch_mm: float, angle_deg: float) -> Body:
+def body_of(indenter: Indenter, texture_mm: float, pitch_mm: float, angle_deg: float) -> RoughBody:
     """Sample the underside of `indenter` and add the lines a filament printer leaves.
 
     Flat faces carry parallel lines of `pitch_mm` at `angle_deg`, inclined ones the steps of the printed
@@ -127,7 +127,7 @@ def body_of(indenter: Indenter, texture_mm: float, pitch_mm: float, angle_deg: f
     flat = np.exp(-((slope / 0.05) ** 2))
     inclined = np.clip((slope - 0.05) / 0.1, 0, 1) * np.clip((1.2 - slope) / 0.4, 0, 1)
     textured = height + texture_mm * 0.5 * (flat * (lines - 1.0) + 0.5 * inclined * (layers - 1.0))
-    return Body(textured.astype(np.float32), height.astype(np.float32), count * step, step)
+    return RoughBody(textured.astype(np.float32), height.astype(np.float32), count * step, step)
 
 
 def _underside(indenter: Indenter, xy: np.ndarray) -> np.ndarray:
@@ -144,7 +144,7 @@ def _underside(indenter: Indenter, xy: np.ndarray) -> np.ndarray:
     return np.minimum(points[:, 2], FAR)
 
 
-def body_position(body: Body, press: Press, x, y) -> tuple[np.ndarray, np.ndarray, float]:
+def body_position(body: RoughBody, press: Press, x, y) -> tuple[np.ndarray, np.ndarray, float]:
     """Column and row in `body` of gel points (x, y) at the end of the path, and the z of its tip plane."""
     turn, tip = press.pose(1.0, 1.0)
     dx, dy = x - tip[0], y - tip[1]

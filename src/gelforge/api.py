@@ -16,7 +16,7 @@ from gelforge.records.press import Press
 
 
 @dataclass(frozen=True)
-class Solved:
+class SolvedPress:
     """A solved press: forces (n, 3) N on the gel and displacement (n, 3) mm of the nodes of `mesh`."""
 
     gel: str
@@ -40,7 +40,7 @@ def solve(
     gel: str = "gelsight_mini",
     material: Material | None = None,
     quality: str = "draft",
-) -> Solved:
+) -> SolvedPress:
     """Press an indenter into a gel, down by `depth` mm and then sideways by `shear` mm, by finite elements in process.
 
     indenter: a body, or a table as in workflow/indenters.toml. at: where its tip meets the crown plane, mm.
@@ -57,10 +57,10 @@ def solve(
     result = HexSolver(settings(quality)).solve(scene)
     if not result.status.valid or result.bricks is None:
         raise GelforgeError(f"the press was not solved: {result.evidence.get('reason') or result.status.value}")
-    return Solved(gel, result.bricks.mesh(), result.forces, result.displacement, result.evidence)
+    return SolvedPress(gel, result.bricks.mesh(), result.forces, result.displacement, result.evidence)
 
 
-def label(solved: Solved, resolution: str = "24x32", sensor: Sensor | None = None) -> np.ndarray:
+def label(solved: SolvedPress, resolution: str = "24x32", sensor: Sensor | None = None) -> np.ndarray:
     """Bin a solved press into force per cell of an image grid, N: (3, rows, cols) in the order of FEATS' channels.
 
     sensor: how gel and image meet; that of FEATS' GelSight Mini where None. What lies outside its image is left out.
