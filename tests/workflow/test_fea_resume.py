@@ -3,6 +3,7 @@
 import gzip
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -11,6 +12,7 @@ import time
 import numpy as np
 import pytest
 
+from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, write_json
 from gelforge.geometry.gel import GELS
 from gelforge.mechanics.tet.tetmesh import symmetric_block
@@ -73,12 +75,21 @@ def test_killed_run_resumes_and_damage_is_found(folder, ccx):
         # forces scale with C10; the table's are at 0.0725
         np.testing.assert_allclose(found.total[:, 2], [2 * float(r["fz_n"]) for r in rows], rtol=1e-4)
 
+    # what lost bytes, or all of them, is named, and solved again with the next run; the rest is kept
     text = gzip.decompress((out / "s1.dat.gz").read_bytes())
     (out / "s1.dat.gz").write_bytes(gzip.compress(text[: len(text) // 2]))
-    (out / "s2.dat.gz").write_bytes(b"")
-    forces.main(forces_arguments(folder))
+    (out / "s2.dat.gz").unlink()
+    table = folder / "30_fea" / "0000.csv"
+    shutil.copy(f"{table}.part", table)
+    with pytest.raises(BadInput, match=r"s1\.dat\.gz and 1 more: missing, or not as it was written.* run make again"):
+        forces.main(["--fea", str(table), *forces_arguments(folder)[2:]])
+    assert not table.exists()
+    assert fea.main(arguments(folder)) == 0
+    assert (out / "s0.json").stat().st_mtime_ns == first
+    assert forces.main(forces_arguments(folder)) == 0
     with ForceFile(folder / "0000.npz") as found:
-        assert found.status.tolist() == ["OK", "UNREADABLE", "UNREADABLE"]
+        assert found.status.tolist() == ["OK"] * 3
+        np.testing.assert_allclose(found.total[:, 2], [2 * float(r["fz_n"]) for r in rows], rtol=1e-4)
 
     params = json.loads((folder / "params" / "fea.json").read_text())
     params["material"]["nu"] = 0.47

@@ -1,9 +1,11 @@
 """The table of stage 30: how each press of a shard was solved, one row a press."""
 
+import hashlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_csv
@@ -75,3 +77,15 @@ def read_solves(path: str | Path) -> list[Solved]:
         found.append(Solved(**names, status=Status[state], total=(x, y, z), evidence=evidence,
                             press_id=row.get("press_id") or ""))  # fmt: skip
     return found
+
+
+def damaged(folder: Path, record: dict[str, Any]) -> list[Path]:
+    """Files of a sample's record that are gone or do not have the bytes they were written with."""
+    digests = record.get("sha256", {})
+    paths = [folder / name for name in record.get("files", ["missing"])]
+    return [path for path in paths if not path.is_file() or digest_of(path) != digests.get(path.name)]
+
+
+def digest_of(path: Path) -> str:
+    """SHA-256 of a file's content."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()

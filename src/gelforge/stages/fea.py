@@ -24,7 +24,7 @@ from gelforge.mechanics.scene import Interface, Material, Result, Scene
 from gelforge.records.frames import presses_of
 from gelforge.records.log import read_poses
 from gelforge.records.press import POSE, PosedPress
-from gelforge.records.solvetable import Solved, write_solves
+from gelforge.records.solvetable import Solved, damaged, digest_of, write_solves
 from gelforge.records.status import Status
 
 VERSION = 6
@@ -60,8 +60,7 @@ def finished(folder: Path, sample_id: str, key: str) -> dict | None:
         record = read_json(path)
     except (OSError, ValueError):
         return None
-    whole = record.get("key") == key and all((folder / name).exists() for name in record.get("files", ["missing"]))
-    return record if whole else None
+    return record if record.get("key") == key and not damaged(folder, record) else None
 
 
 def publish_solve(sample_id: str, result: Result, solvers: Solvers, key: str, folder: Path) -> dict:
@@ -75,6 +74,7 @@ def publish_solve(sample_id: str, result: Result, solvers: Solvers, key: str, fo
     }  # fmt: skip
     if result.status.valid:
         record["files"] = publish_result(folder, sample_id, result, solvers.family.load(record["mesh"]))
+    record["sha256"] = {name: digest_of(folder / name) for name in record["files"]}
     write_json(folder / f"{sample_id}.json", record)
     return record
 
@@ -100,7 +100,8 @@ def borrow(record: dict, sample_id: str, key: str, folder: Path) -> dict:
     for source, name in zip(record["files"], files, strict=True):
         with publish(folder / name) as part:
             shutil.copyfile(folder / source, part)
-    found = {**record, "key": key, "sample_id": sample_id, "files": files}
+    digests = {name: record["sha256"][source] for source, name in zip(record["files"], files, strict=True)}
+    found = {**record, "key": key, "sample_id": sample_id, "files": files, "sha256": digests}
     write_json(folder / f"{sample_id}.json", found)
     return found
 

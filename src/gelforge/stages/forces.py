@@ -18,7 +18,7 @@ from gelforge.mechanics.family import mesh_loader
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.scene import REFERENCE_C10
 from gelforge.records.forcefile import SampleForces, write_forces
-from gelforge.records.solvetable import Solved, read_solves
+from gelforge.records.solvetable import Solved, damaged, read_solves
 from gelforge.records.status import Status
 
 VERSION = 1
@@ -93,6 +93,28 @@ def material_c10(c10, calibration: Path | None) -> tuple[float, dict]:
         ) from error
 
 
+def refuse_damage(table: Path, solves: list[Solved]) -> None:
+    """Stop where a solved sample's files are gone or changed, after taking the shard's table away.
+
+    Without its table the shard is due again: the next make solves what is damaged and keeps the rest.
+    """
+    folder = table.parent / table.name.split(".")[0]
+    lost = []
+    for solve in solves:
+        if solve.status.valid:
+            try:
+                record = read_json(folder / f"{solve.sample_id}.json")
+            except (OSError, ValueError):
+                record = {}
+            lost += damaged(folder, record)
+    if lost:
+        table.unlink()
+        raise BadInput(
+            f"{lost[0]}{f' and {len(lost) - 1} more' if len(lost) > 1 else ''}: missing, or not as it was written;"
+            f" {table} was removed, so run make again: it solves what is damaged and keeps the rest"
+        )
+
+
 @command(
     option("--fea", type=Path, help="30_fea/NNNN.csv"),
     option("--meshes", type=Path, help="20_meshes"),
@@ -105,7 +127,9 @@ def main(args: Namespace) -> None:
     c10, intervals = material_c10(params["material"]["c10"], args.calibration)
     load = mesh_loader(args.meshes)
     samples, counts = [], {}
-    for solve in read_solves(args.fea):
+    solves = list(read_solves(args.fea))
+    refuse_damage(args.fea, solves)
+    for solve in solves:
         sample, reason = read_sample(solve, args.fea.parent, load, params["forces"])
         if reason:
             print(f"{sample.sample_id}: {sample.status}: {reason}")
