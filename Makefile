@@ -37,6 +37,10 @@ include rules/80_evaluate.mk
 include rules/90_report.mk
 include $(sort $(filter-out rules/0% rules/1% rules/2% rules/3% rules/4% rules/5% rules/6% rules/7% rules/8% rules/9%,$(wildcard rules/*.mk)))
 
+# make hands variables of its command line to every program, expanded: $(shell …) inside one would run. After the
+# rules, because `unexport` defines a name, and `?=` then leaves it empty.
+unexport ID TARGET FROM PLAN TOPICS POINTS IMAGE LIKE REFERENCE SLURM_PROFILE FORMAT EXPORT
+
 .PHONY: help
 help:  ## this list
 	@echo 'make TARGET [DATASET=$(DATASET)] [RES="$(RES)"] [MODEL=$(MODEL)] [EXECUTOR=local|slurm] [SLURM_PROFILE=name] [DETACH=1] [JOBS=n] [STRICT=1]'

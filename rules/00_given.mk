@@ -18,6 +18,3 @@ $(foreach v,DATASET SENSOR,$(if $(value $v),$(if $(call named,$v),,$(error $v=$(
 ifneq ($(strip $(call without,$(value RES),$(DIGITS) x))$(filter x% %x,$(value RES))$(foreach w,$(value RES),$(if $(findstring x,$w),,$w)),)
 $(error RES=$(value RES): give resolutions as ROWSxCOLUMNS, such as RES="12x16 24x32")
 endif
-
-# make hands variables of its command line to every program, expanded: $(shell …) inside one would run.
-unexport ID TARGET FROM PLAN TOPICS POINTS IMAGE LIKE REFERENCE SLURM_PROFILE FORMAT EXPORT

@@ -7,9 +7,6 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish
 
-NODES_PER_FACE = {"hex8": 4, "tet10": 6}
-NODES_PER_ELEMENT = {"hex8": 8, "tet10": 10}
-
 
 @dataclass(frozen=True)
 class GelMesh:

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import read_json, write_json
+from gelforge.flow.files import write_json
 from gelforge.geometry.gel import Gel, load_gel
 from gelforge.mechanics.family import MeshFamily, MeshName, choose_mesh, make_mesh, required_meshes, sizing
 from gelforge.mechanics.mesh import GelMesh
@@ -75,8 +75,3 @@ def density_mesh(scene: Scene, folder: Path, params: dict, size: float) -> str:
     """The mesh of one density that a press would be given among the label regions."""
     names = [f"ccx-{region}-{size}" for region in params["meshes"]["regions"]]
     return choose_mesh(scene, MeshFamily(folder, names))
-
-
-def report_of(folder: Path, name: str) -> dict:
-    """The quality report of a mesh."""
-    return read_json(Path(folder) / f"{name}.json")
