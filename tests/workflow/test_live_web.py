@@ -8,7 +8,6 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 import urllib.error
 import urllib.request
 from pathlib import Path
@@ -26,10 +25,10 @@ LIVE = [sys.executable, "-m", "gelforge.commands.live"]
 
 @pytest.fixture(scope="module")
 def film(root, tmp_path_factory):
-    """Pictures of the demo as a film, forty frames of ten a second."""
+    """Pictures of the demo as a film, two minutes of ten frames a second: longer than a busy machine needs."""
     path = tmp_path_factory.mktemp("film") / "film.avi"
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 10, (320, 240))
-    for k in range(40):
+    for k in range(1200):
         name = "nocontact/mini_a.png" if k < 5 else f"images/demo-{k % 6:06d}.png"
         writer.write(cv2.imread(str(root / "data/demo" / name)))
     writer.release()
@@ -63,11 +62,12 @@ def test_a_person_watches_records_and_replays(served, width):
         )
         driver.find_element("id", "record").click()
         wait_for(driver, "return el('record').textContent === 'Stop recording'")
-        time.sleep(0.6)
+        seen = driver.execute_script("return Number(document.body.dataset.frame)")
+        wait_for(driver, f"return Number(document.body.dataset.frame) > {seen + 3}")
         driver.find_element("id", "record").click()
         name = wait_for(driver, "return el('which').value")
         lines = (folder / f"{name}.jsonl").read_text().splitlines()
-        assert 1 <= len(lines) <= 40 and {"forces", "image", "grid_z_n", "half_width"} <= json.loads(lines[0]).keys()
+        assert lines and {"forces", "image", "grid_z_n", "half_width"} <= json.loads(lines[0]).keys()
         driver.find_element("id", "replay").click()
         wait_for(driver, "return document.body.dataset.ended")
         assert f"ended after {len(lines)} readings" in driver.find_element("id", "state").text
