@@ -9,6 +9,7 @@ of the training sensors by its name, or, where neither is named, the training se
 import tempfile
 from argparse import Namespace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -66,7 +67,7 @@ class Untouched:
                 f"model {trained.about['name']} has no picture of the untouched sensor {sensor or 'of any name'}: give "
                 "one with --untouched"
             )
-        self._readers = {}
+        self._readers: dict[str, Any] = {}
 
     def of(self, image) -> str:
         """Name of the picture for an image (h, w, 3) of the model's size."""

@@ -32,7 +32,7 @@ def shard_sizes(results: Path) -> dict[str, int]:
 
 def poses_state(results: Path, sizes: dict[str, int]) -> tuple[int, Counter]:
     """Good samples and reasons of the rejected ones."""
-    done, failed = 0, Counter()
+    done, failed = 0, Counter[str]()
     for shard in sizes:
         done += len(read_rows(results / "10_poses" / f"{shard}.csv"))
         # A row may be wrong in several columns; it is one rejected sample.
@@ -43,7 +43,7 @@ def poses_state(results: Path, sizes: dict[str, int]) -> tuple[int, Counter]:
 
 def fea_state(results: Path, sizes: dict[str, int]) -> tuple[int, Counter]:
     """Valid solves and reasons of the failed ones; partly done shards count by their sample files."""
-    done, failed = 0, Counter()
+    done, failed = 0, Counter[str]()
     for shard in sizes:
         table = results / "30_fea" / f"{shard}.csv"
         if not table.exists():

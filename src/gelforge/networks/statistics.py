@@ -94,4 +94,4 @@ def judge(model: dict, image, untouched=None) -> dict:
         return {"score": value, "flag": False, "reason": ""}
     off = np.abs(statistics - model["mean"]) / model["spread"]
     groups = {"colour": off[:12].max(), "contrast": off[12:15].max(), "sharpness": off[15], "dots": off[16:].max()}
-    return {"score": value, "flag": True, "reason": max(groups, key=groups.get)}
+    return {"score": value, "flag": True, "reason": max(groups, key=lambda name: groups[name])}

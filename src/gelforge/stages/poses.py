@@ -8,6 +8,7 @@ import sys
 from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -168,7 +169,8 @@ class Bodies:
     """Indenters by name, each built when first asked for; one that cannot be built raises the same BadInput again."""
 
     def __init__(self, catalogue: dict, folder):
-        self.catalogue, self.folder, self.built = catalogue, folder, {}
+        self.catalogue, self.folder = catalogue, folder
+        self.built: dict[str, Any] = {}
 
     def __getitem__(self, name: str):
         from gelforge.geometry.indenters import build

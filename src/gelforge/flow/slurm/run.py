@@ -102,7 +102,7 @@ def submit_array(record: Record, profile: Profile, groups: list[list[int]], opti
         *options,
     ]
     # After a lost answer the job may be there: look before asking again.
-    asked = []
+    asked: list[str] = []
 
     def ask() -> str:
         found = find_job(batch.name) if asked else ""
@@ -181,7 +181,8 @@ def judge(record: Record, profile: Profile, ended: list[tuple], gone: dict) -> l
 
 def settle(record: Record, profile: Profile) -> None:
     """Wait until every task of a record is done or failed, running lost ones again; close the record."""
-    results, gone, interval, answered, said = Results(), {}, FIRST_POLL_S, time.monotonic(), time.monotonic()
+    gone: dict[str, float] = {}
+    results, interval, answered, said = Results(), FIRST_POLL_S, time.monotonic(), time.monotonic()
     while record.open_tasks():
         known, answered = ask_queue(record, answered, profile)
         results.look({os.path.dirname(task.target) for task in record.open_tasks()})
