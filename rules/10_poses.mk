@@ -6,3 +6,8 @@ poses: $(POSES) $(call barrier,10_poses)  ## check the log, put every indenter's
 
 $(POSES): $D/10_poses/%.csv: $D/00_plan/shards/%.csv $D/00_plan/shards/%.json $P/poses.json
 	$(call step,gelforge.stages.poses --data $(DATA) --shard $< --params $P/poses.json $(if $(STRICT),--strict) --out $@.part)
+
+# STRICT=1 after a make without it: shards that rejected a row are judged again, and fail.
+.PHONY: strict
+REJECTING := $(if $(STRICT),$(shell awk 'FNR == 2 {print FILENAME}' $(wildcard $D/10_poses/*.rejected.csv) /dev/null))
+$(REJECTING:%.rejected.csv=%.csv): strict

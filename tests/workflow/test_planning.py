@@ -9,7 +9,7 @@ import pytest
 from gelforge.errors import BadInput
 from gelforge.geometry.triangles import write_stl
 from gelforge.stages.fea import sample_key
-from gelforge.stages.plan import make_list, used, with_content
+from gelforge.stages.plan import branches, check_count, make_list, used, with_content
 from tests.benchmarks.sandbox import link_project, make
 
 from .conftest import lay_dataset
@@ -131,3 +131,39 @@ def test_touching_the_log_rebuilds_nothing(labelled, log):
     os.utime(log)
     done = make(labelled, "-n", "labels", "DATASET=tiny")
     assert "gelforge.flow.step" not in done.stdout
+
+
+def test_a_replaced_picture_reruns_its_own_shard(labelled, log):
+    """The remedy of a rejected picture, to copy the file again, is seen by make; other shards stay as they are."""
+    rows = log.read_text().splitlines()
+    picture = labelled / "data/tiny" / rows[1].split(",")[-1]
+    whole = picture.read_bytes()
+    picture.write_bytes(whole[:100])
+    done = make(labelled, "labels", "DATASET=tiny")
+    assert done.returncode == 0 and "rejected: " in done.stdout
+    assert make(labelled, "poses", "DATASET=tiny", "STRICT=1").returncode  # a plain make before does not hide it
+    picture.write_bytes(whole)
+    done = make(labelled, "labels", "DATASET=tiny", "STRICT=1")
+    assert done.returncode == 0, done.stdout
+    assert "rejected: " not in done.stdout and "10_poses/0000.csv" in done.stdout
+
+
+def test_files_of_odd_names_beside_a_dataset_disturb_nothing(labelled):
+    folder = labelled / "data/tiny/nocontact"
+    folder.mkdir(exist_ok=True)
+    (folder / "mini_a copy.png").write_bytes(b"")
+    (labelled / "workflow" / "x (1).stl").write_bytes(b"") if not (labelled / "workflow").is_symlink() else None
+    done = make(labelled, "-n", "labels", "DATASET=tiny")
+    assert done.returncode == 0, done.stdout
+    assert make(labelled, "-n", "dataset", "DATASET=tiny").returncode == 0
+
+
+def test_more_shards_than_make_can_hold_are_refused():
+    with pytest.raises(BadInput, match=r"125000 shards of up to 8 samples .* shard_size = 500 or more"):
+        check_count(["0"] * 125_000, 8)
+
+
+@pytest.mark.parametrize("asked", [["nope"], "calibrate", [1], ["$(shell x)"]])
+def test_a_branch_that_is_none_is_refused(asked):
+    with pytest.raises(BadInput, match="branches = .*give a list of some of calibrate, pareto"):
+        branches({"report": {"branches": asked}})

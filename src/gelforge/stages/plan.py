@@ -8,17 +8,20 @@ import hashlib
 import re
 from argparse import Namespace
 from collections.abc import Mapping
+from hashlib import blake2b
 from pathlib import Path
+from stat import S_ISREG
 from types import MappingProxyType
 
 from gelforge.errors import BadInput
 from gelforge.flow import params as config
-from gelforge.flow.files import read_csv, write_if_changed, write_text
+from gelforge.flow.files import read_csv, read_json, write_if_changed, write_text
 from gelforge.flow.main import command, option
 from gelforge.records.log import csv_text, read_log, shard_text
 from gelforge.records.press import RawRow
 
 SHARD_DIGITS = 4
+LARGEST_PICTURE = 64 * 2**20  # bytes; stage 10 refuses what is larger
 BRANCHES = ("calibrate", "pareto")  # that may be part of a report
 
 
@@ -74,12 +77,14 @@ def write_shards(log: Path, out: Path, size: int, tables: Mapping[str, dict] = M
     by_shard: dict[int, list[RawRow]] = {}
     for row, name in zip(rows, ids, strict=True):
         by_shard.setdefault(shards[name], []).append(row)
+    pictures = image_digests(log.parent, named(rows, "image"), out / "pictures.json")
     names = []
     for shard, members in sorted(by_shard.items()):
         names.append(f"{shard:0{SHARD_DIGITS}d}")
         write_if_changed(out / "shards" / f"{names[-1]}.csv", shard_text(members))
         # an entry that only other shards use may change without a rerun of this one
         entries = {kind: used(table, named(members, COLUMN_OF[kind])) for kind, table in tables.items()}
+        entries["images"] = {name: pictures[name] for name in sorted(named(members, "image")) if name in pictures}
         write_if_changed(out / "shards" / f"{names[-1]}.json", config.canonical(entries))
     for gone in set(planned_shards(out / "shards")) - set(names):
         # the log lost its rows: no stage may read them again
@@ -96,6 +101,31 @@ COLUMN_OF = {"sensors": "sensor_id", "indenters": "indenter"}  # of the log, by 
 def named(rows: list[RawRow], column: str) -> set[str]:
     """What rows of the log name in a column."""
     return {row.cells.get(column, "").strip() for row in rows}
+
+
+def image_digests(data: Path, names: set[str], kept: Path) -> dict[str, str]:
+    """Digest of each picture that rows name: one that was replaced is another picture, one that was touched is not.
+
+    kept: a JSON file of digests by name, time and size, so that a picture is read once.
+    """
+    known = read_json(kept) if kept.exists() else {}
+    told, found = {}, {}
+    for name in sorted(names):
+        path = Path(name)
+        if not name or path.is_absolute() or ".." in path.parts:
+            continue
+        try:
+            state = (data / path).stat()
+            if not S_ISREG(state.st_mode) or state.st_size > LARGEST_PICTURE:
+                continue
+            old = known.get(name, [None] * 3)
+            same = old[:2] == [state.st_mtime_ns, state.st_size]
+            digest = old[2] if same else blake2b((data / path).read_bytes(), digest_size=8).hexdigest()
+        except (OSError, ValueError):
+            continue
+        told[name], found[name] = [state.st_mtime_ns, state.st_size, digest], digest
+    write_if_changed(kept, config.canonical(told))
+    return found
 
 
 def write_slices(params: dict, workflow: Path, out: Path, tables: dict[str, dict], scenes: dict) -> None:
