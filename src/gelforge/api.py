@@ -86,7 +86,7 @@ def predict(
     untouched: a picture of the same sensor while nothing touches it. model: path; the network that ships where None.
     The verdict's `flag` is True where the image is unlike the training images, and `reason` says in what.
     """
-    from gelforge.commands.predict import Untouched, load_for_use, predict_one
+    from gelforge.networks.use import Untouched, load_for_use, predict_one
 
     _seen, forces, verdict = predict_one(Untouched(load_for_use(model), untouched), image)
     return forces, verdict

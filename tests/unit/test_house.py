@@ -60,6 +60,10 @@ def test_folders_use_only_what_they_may():
     assert wrong == []
 
 
+def test_the_face_of_the_package_stands_on_libraries_alone():
+    assert [path.name for path in PACKAGE.glob("*.py") if folders_used(path) & ON_TOP] == []
+
+
 def test_allowed_arrows_make_no_circle():
     TopologicalSorter(ALLOWED).prepare()
 

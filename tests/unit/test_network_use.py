@@ -16,7 +16,7 @@ from synthetic_presses import SETTINGS, write_dataset
 from gelforge.commands import live, predict
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_json
-from gelforge.networks import statistics
+from gelforge.networks import statistics, use
 from gelforge.networks.card import write_card
 from gelforge.networks.data import open_data
 from gelforge.networks.export import TOLERANCE, export, largest_difference
@@ -138,11 +138,11 @@ def test_predict_finds_the_untouched_sensor(data, models, paths, tmp_path):
     own = data.nocontact["mini0"]
     other = replace(models["pair"], untouched={"bright": np.clip(own.astype(int) + 60, 0, 255).astype(np.uint8)} |
                     models["pair"].untouched)  # fmt: skip
-    assert predict.Untouched(other).of(data.images[0]) == "mini0"
-    assert predict.Untouched(other, sensor="bright").of(data.images[0]) == "bright"
-    assert predict.predict_one(predict.Untouched(other, sensor="bright"), data.images[0])[2]["flag"]
+    assert use.Untouched(other).of(data.images[0]) == "mini0"
+    assert use.Untouched(other, sensor="bright").of(data.images[0]) == "bright"
+    assert use.predict_one(use.Untouched(other, sensor="bright"), data.images[0])[2]["flag"]
     with pytest.raises(BadInput, match="--untouched"):
-        predict.Untouched(other, sensor="mini9")
+        use.Untouched(other, sensor="mini9")
     totals = []
     for more in ([], ["--untouched", str(write_png(tmp_path / "own.png", own))], ["--sensor", "mini0"]):
         predict.main([str(image), "--model", str(paths["pair"]), "--out", str(tmp_path / "out"), *more])
@@ -156,14 +156,14 @@ def test_two_images_of_one_name_keep_apart():
 
 
 def test_unlike_images_are_flagged(data, models):
-    use = predict.Untouched(models["small"])
-    like = [predict.predict_one(use, data.images[row])[2]["flag"] for row in data.splits["test"]]
+    reader = use.Untouched(models["small"])
+    like = [use.predict_one(reader, data.images[row])[2]["flag"] for row in data.splits["test"]]
     assert not any(like)
     black = np.zeros((*IMAGE, 3), np.uint8)
     plain = np.full((*IMAGE, 3), 120, np.uint8)
     larger = cv2.resize(np.asarray(data.images[0]), (128, 96))
     for image, reason in ((black, ""), (plain, ""), (data.images[0][..., ::-1] // 3, ""), (larger, "size")):
-        verdict = predict.predict_one(use, image)[2]
+        verdict = use.predict_one(reader, image)[2]
         assert verdict["flag"] and reason in verdict["reason"]
 
 
@@ -226,7 +226,7 @@ def test_live_takes_the_first_frame_for_the_untouched_sensor(data, models, paths
     seen = [data.nocontact["mini0"], *data.images[:3]]
     video = write_avi(tmp_path / "in.avi", seen)
     live.main(["--video", str(video), "--model", str(paths["pair"]), "--out", str(tmp_path / "o.avi")])
-    overlay = live.Overlay(predict.Untouched(models["pair"], seen[0]))
+    overlay = live.Overlay(use.Untouched(models["pair"], seen[0]))
     wanted = [overlay(cv2.cvtColor(np.asarray(image), cv2.COLOR_RGB2BGR)) for image in seen]
     got = read_frames(tmp_path / "o.avi")
     # the video is compressed twice; the lines that tell times differ

@@ -5,16 +5,17 @@ import csv
 import numpy as np
 
 from gelforge.commands import predict
+from gelforge.networks import use
 from gelforge.networks.modelfile import load_model
 
 LARGEST = 3 * 2**20  # bytes
 
 
 def test_it_is_small_and_its_card_says_where_it_learnt():
-    assert predict.SHIPPED.stat().st_size <= LARGEST
-    card = predict.SHIPPED.with_suffix(".md").read_text(encoding="utf-8")
+    assert use.SHIPPED.stat().st_size <= LARGEST
+    card = use.SHIPPED.with_suffix(".md").read_text(encoding="utf-8")
     assert "learnt from the virtual rig" in card
-    assert f"# Model card: {load_model(predict.SHIPPED).about['name']}" in card
+    assert f"# Model card: {load_model(use.SHIPPED).about['name']}" in card
 
 
 def test_it_reads_presses_it_never_saw(root, tmp_path):

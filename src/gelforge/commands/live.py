@@ -68,7 +68,7 @@ class Overlay:
         """Return the picture (BGR) of a frame (h, w, 3) BGR."""
         import cv2
 
-        from gelforge.commands.predict import predict_one
+        from gelforge.networks.use import predict_one
         from gelforge.reporting.forcemaps import overlay
 
         started = time.perf_counter()
@@ -164,7 +164,7 @@ def main(args: Namespace) -> None:
     import cv2
     import torch
 
-    from gelforge.commands.predict import Untouched, load_for_use
+    from gelforge.networks.use import Untouched, load_for_use
     from gelforge.records.image import read_image
 
     torch.set_num_threads(args.threads)

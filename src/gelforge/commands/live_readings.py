@@ -30,7 +30,7 @@ def readings(untouched, frames, pace_s: float = 0.0) -> Iterator[Reading]:
     """Read frames (h, w, 3) BGR, at most one every `pace_s`."""
     import cv2
 
-    from gelforge.commands.predict import predict_one
+    from gelforge.networks.use import predict_one
 
     half, started = half_width(untouched.trained.about), time.perf_counter()
     for number, frame in enumerate(frames):

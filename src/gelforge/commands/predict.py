@@ -9,98 +9,17 @@ of the training sensors by its name, or, where neither is named, the training se
 import tempfile
 from argparse import Namespace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from gelforge.errors import BadInput, printable
 from gelforge.flow.files import publish, write_csv
 from gelforge.flow.main import command, option, positive
+from gelforge.networks.use import Untouched, load_for_use, predict_one
 from gelforge.records.axes import CHANNELS
 from gelforge.records.image import read_image
 
-SHIPPED = Path(__file__).parents[1] / "networks" / "default.pt"
 COLUMNS = ["image", *(f"{name}_n" for name in CHANNELS), "untouched", "unlike_training", "flagged", "reason"]
-
-
-def load_for_use(path, sensor: str | None = None):
-    """Load a model for prediction and check that it is for `sensor`, where one is named."""
-    from gelforge.networks.modelfile import load_model, require_sensor
-
-    if path is None and not SHIPPED.exists():
-        raise BadInput(
-            "no model came with this copy of gelforge: train one with `make train` and name it with --model"
-        )
-    trained = load_model(path or SHIPPED)
-    if sensor:
-        require_sensor(trained, {sensor})
-    return trained
-
-
-def fit_size(image, size) -> tuple[np.ndarray, str]:
-    """Bring an image to a model's (height, width); the second value says what was done, empty for nothing."""
-    import cv2
-
-    if image.shape[:2] == tuple(size):
-        return image, ""
-    resized = cv2.resize(image, (size[1], size[0]), interpolation=cv2.INTER_AREA)
-    return resized, f"size {image.shape[1]} x {image.shape[0]}, trained on {size[1]} x {size[0]}"
-
-
-class Untouched:
-    """Finds the picture of the untouched sensor that an image is read against.
-
-    picture: (h, w, 3) uint8 RGB of any size, given by the user. sensor: name of a training sensor. With neither,
-    each image is read against the training sensor it is nearest to.
-    """
-
-    def __init__(self, trained, picture: np.ndarray | None = None, sensor: str | None = None):
-        self.trained, self.known = trained, trained.untouched
-        if not trained.needs_untouched:
-            self.known = {"": None}
-        elif picture is not None:
-            self.known = {"given": fit_size(picture, trained.about["image"])[0]}
-        elif sensor in trained.untouched:
-            self.known = {sensor: trained.untouched[sensor]}
-        elif sensor or not trained.untouched:
-            raise BadInput(
-                f"model {trained.about['name']} has no picture of the untouched sensor {sensor or 'of any name'}: give "
-                "one with --untouched"
-            )
-        self._readers: dict[str, Any] = {}
-
-    def of(self, image) -> str:
-        """Name of the picture for an image (h, w, 3) of the model's size."""
-        from gelforge.networks.statistics import distance
-
-        if len(self.known) == 1:
-            return next(iter(self.known))
-        return min(self.known, key=lambda name: distance(image, self.known[name]))
-
-    def reader(self, name: str):
-        """The network for the sensor of that picture."""
-        from gelforge.networks.modelfile import Reader
-
-        if name not in self._readers:
-            self._readers[name] = Reader(self.trained, self.known[name]).eval()
-        return self._readers[name]
-
-
-def predict_one(untouched: Untouched, image) -> tuple[np.ndarray, np.ndarray, dict]:
-    """Predict an image of any size; return it as the network saw it, forces (3, rows, cols), and the judgement.
-
-    The judgement is that of networks.statistics.judge, and `untouched`: what picture the image was read against.
-    """
-    from gelforge.networks.latency import predict_images
-    from gelforge.networks.statistics import judge
-
-    trained = untouched.trained
-    image, resized = fit_size(image, trained.about["image"])
-    name = untouched.of(image)
-    verdict = judge(trained.about["statistics"], image, untouched.known[name]) | {"untouched": name}
-    if resized:
-        verdict = verdict | {"flag": True, "reason": "; ".join(filter(None, [resized, verdict["reason"]]))}
-    return image, predict_images(untouched.reader(name), image[None])[0], verdict
 
 
 def totals_row(name: str, forces, verdict: dict) -> dict:

@@ -41,7 +41,7 @@ def hardest_frames(film: Path, untouched, count: int = SHOWN):
     import cv2
 
     from gelforge.commands.live import frames, open_source
-    from gelforge.commands.predict import predict_one
+    from gelforge.networks.use import predict_one
 
     source, announced = open_source(film, None)
     read = [
@@ -57,7 +57,7 @@ def real(args: Namespace) -> None:
     """Real sensor pictures beside the force maps that the shipped network reads in them."""
     import cv2
 
-    from gelforge.commands.predict import Untouched, load_for_use
+    from gelforge.networks.use import Untouched, load_for_use
     from gelforge.reporting.pictures import new_figure, to_png
 
     trained, rows = load_for_use(None), []
