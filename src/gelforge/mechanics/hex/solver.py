@@ -277,7 +277,7 @@ QUALITIES = {
     ),
     "label": HexSettings(
         size=0.35, across=20, layers=5, layer_ratio=2.0, growth=2.2, largest=4.0, gauss=2, press_steps=4, shear_steps=2,
-        nested=Nested(extrapolation=0.36),
+        nested=Nested(press_steps=10, shear_steps=4, extrapolation=0.36),
     ),
     "fine": HexSettings(size=0.3, across=24, layers=8, gauss=2, press_steps=6, shear_steps=3),
 }  # fmt: skip
