@@ -15,6 +15,6 @@ named = $(if $(or $(call without,$(value $(1)),$(LETTERS) $(DIGITS) _ - .),$(fil
 $(foreach v,DATASET SENSOR,$(if $(value $v),$(if $(call named,$v),,$(error $v=$(value $v): give one name of letters, digits, _ - and . that does not start with a dot))))
 
 # RES: words such as 24x32.
-ifneq ($(strip $(call without,$(value RES),$(DIGITS) x))$(filter x% %x,$(value RES))$(foreach w,$(value RES),$(if $(findstring x,$w),,$w)),)
+ifneq ($(strip $(call without,$(value RES),$(DIGITS) x) $(filter x% %x,$(value RES)) $(foreach w,$(value RES),$(if $(findstring x,$w),,$w))),)
 $(error RES=$(value RES): give resolutions as ROWSxCOLUMNS, such as RES="12x16 24x32")
 endif

@@ -43,6 +43,7 @@ MAKEFLAGS += -j2
 step = @$(wrapped)
 barrier =
 else
+include rules/00_given.mk
 include rules/00_slurm.mk
 endif
 POSES := $(SHARDS:%=$D/10_poses/%.csv)
