@@ -103,6 +103,11 @@ def test_extrapolation_brings_wide_bricks_closer_to_small_ones():
     better = solve_hex(scene, replace(wide, nested=Nested(layers=3, extrapolation=1 / 3)))
     assert abs(np.linalg.norm(better.total) - fine) < 0.5 * abs(np.linalg.norm(plain.total) - fine)
     np.testing.assert_allclose(better.forces, better.evidence["extrapolated"] * plain.forces, rtol=1e-12)
+    end, *force = better.evidence["path"][-1]
+    assert end == 1.0
+    np.testing.assert_allclose(force, better.total, rtol=1e-9, atol=1e-12)
+    pressed = better.contact.weights @ better.contact.traction
+    np.testing.assert_allclose(pressed, better.total, rtol=1e-6, atol=1e-6)
 
 
 def test_friction_walks_the_whole_path_on_the_fine_bricks():

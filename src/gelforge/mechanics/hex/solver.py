@@ -39,7 +39,7 @@ class Nested:
     load steps of the path. extrapolation: what the fine bricks' force is corrected by, as a share of its difference
     from the coarse bricks': 1 / (r^p - 1) for an error that falls with the p-th power of a size r times smaller
     (Richardson 1911, Phil. Trans. R. Soc. A 210, 307-357). One factor on all nodal forces of a press: balance and
-    direction stay as they are.
+    direction stay as they are; displacement is the fine bricks' own, whose base reaction is that much larger.
     """
 
     factor: float = 2.0
@@ -152,12 +152,18 @@ class HexSolver:
             return _result(way, status, started, bricks)
         run = self._run(scene, self.mesh(scene.gel, box), self.settings, box.size)
         result = _result(run, run.arrive(way.trail()), started, bricks)
-        result.evidence["path"] = [*way.curve[:-1], *result.evidence["path"]]
+        # the curve is the coarse bricks' but for its end, which is the fine ones'
+        result.evidence["path"] = [*way.curve[:-1], [float(run.t), *result.total.tolist()]]
         for name, count in (("newton_iterations", way.iterations), ("factorisations", way.factorisations)):
             result.evidence[f"coarse_{name}"] = count
         if result.status is Status.OK:
             factor = _corrected(result.total, way.contact_forces().sum(axis=0), nested.extrapolation)
+            # reactions of the base go with the forces: what was checked for balance stays balanced
             result.forces *= factor
+            run.state.traction *= factor
+            result.evidence["path"] = [
+                [t, *(factor * np.array(force)).tolist()] for t, *force in result.evidence["path"]
+            ]
             result.evidence["extrapolated"] = factor
         return result
 
