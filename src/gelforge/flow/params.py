@@ -1,8 +1,10 @@
 """Parameters: workflow/*.toml and a dataset's own, cut into one canonical slice per stage."""
 
 import json
+import math
 import re
 import tomllib
+from difflib import get_close_matches
 from pathlib import Path
 
 from gelforge.errors import BadInput
@@ -37,28 +39,94 @@ def read_toml(path) -> dict:
         raise BadInput(f"{path}: not valid TOML: {error}") from error
 
 
+# Keys of dataset.toml beside [params].
+DATASET_KEYS = {"sensor", "gel", "catalogue", "params"}
+# Parameters that may be of two kinds.
+MIXED = {"material.c10"}
+# Bounds of numbers whose other values have no meaning: lowest and highest, both allowed.
+SMALLEST = 1e-12
+BOUNDS = {
+    "material.nu": (0.0, 0.4999), "interface.mu": (0.0, 1e3), "plan.shard_size": (1, 1e6), "train.epochs": (1, 1e6),
+    "train.batch": (1, 1e6), "fea.rounds": (1, 1e3), "fea.press_steps": (1, 1e3), "fea.shear_steps": (1, 1e3),
+    "fea.step_mm": (SMALLEST, 1e3), "fea.stiffness": (SMALLEST, 1e9), "fea.tolerance": (SMALLEST, 1.0),
+    "fea.timeout_s": (SMALLEST, 1e9), "poses.deepest_share": (SMALLEST, 1.0), "poses.farthest_shear_mm": (0.0, 1e3),
+    "poses.bulge_mm": (0.0, 1e3), "poses.band_mm": (SMALLEST, 1e3), "dataset.validation": (0.0, 0.9),
+    "dataset.test": (0.0, 0.9), "train.seed": (0, 2**32), "dataset.seed": (0, 2**32), "evaluate.seed": (0, 2**32),
+    "calibrate.seed": (0, 2**32), "stability.seed": (0, 2**32), "train.threads": (1, 1e4), "evaluate.threads": (1, 1e4),
+}  # fmt: skip
+CHOICES = {
+    "fea.fidelity": ("hex", "ccx", "ccx-native", "ccx-fine", "auto"),
+    "fea.hex_quality": ("demo", "draft", "label", "fine"),
+    "interface.law": ("no_slip", "coulomb", "frictionless"),
+    "calibrate.law": ("no_slip", "coulomb", "frictionless"),
+    "train.schedule": ("plateau", "cosine"),
+}
+
+
 def load_params(workflow, dataset_toml=None) -> dict:
     """Read workflow/params.toml with the [params.*] tables of a dataset laid over it.
 
-    A table or key that params.toml does not have is refused, because a misspelt override
-    would otherwise do nothing.
+    A table or key that params.toml does not have is refused, because a misspelt override would otherwise do nothing;
+    so is a value of another kind than the one it replaces, or one that has no meaning.
     """
-    params = read_toml(Path(workflow) / "params.toml")
-    overrides = read_toml(dataset_toml).get("params", {}) if dataset_toml else {}
-    overlay(params, overrides, f"{dataset_toml}: params")
+    file = Path(workflow) / "params.toml"
+    params = read_toml(file)
+    if dataset_toml:
+        given = read_toml(dataset_toml)
+        for key in given.keys() - DATASET_KEYS:
+            raise BadInput(f"{dataset_toml}: {key} is read by nothing{nearest(key, DATASET_KEYS)}")
+        overrides = given.get("params", {})
+        if not isinstance(overrides, dict):
+            raise BadInput(f"{dataset_toml}: params = {overrides!r}; write tables such as [params.fea]")
+        overlay(params, overrides, f"{dataset_toml}: params")
+    check_values(params, dataset_toml or file)
     return params
 
 
-def overlay(base: dict, over: dict, where: str) -> None:
-    """Lay values over parameters; one that `base` does not have is refused, as `where` names it."""
+def nearest(key: str, known) -> str:
+    """The end of a sentence that refuses a name: the known one nearest to it, and all of them."""
+    close = get_close_matches(key, known, 1)
+    return f"; {f'{close[0]} is meant? ' if close else ''}known here: {', '.join(sorted(known))}"
+
+
+def overlay(base: dict, over: dict, where: str, path: str = "") -> None:
+    """Lay values over parameters; one that `base` does not have, or has of another kind, is refused by its name."""
     for key, value in over.items():
+        name = f"{path}.{key}" if path else key
         if key not in base:
-            known = ", ".join(sorted(base))
-            raise BadInput(f"{where}.{key}: no such parameter in workflow/params.toml; known here: {known}")
+            raise BadInput(f"{where}.{key}: no such parameter in workflow/params.toml{nearest(key, base)}")
         if isinstance(base[key], dict) and isinstance(value, dict):
-            overlay(base[key], value, f"{where}.{key}")
+            overlay(base[key], value, f"{where}.{key}", name)
+        elif kind_of(value) != kind_of(base[key]) and name not in MIXED:
+            raise BadInput(f"{where}.{key} = {value!r}: give {kind_of(base[key])}, such as {base[key]!r}")
         else:
             base[key] = value
+
+
+def kind_of(value) -> str:
+    """What a value of TOML is, in words."""
+    kinds = ((bool, "true or false"), (int | float, "a number"), (str, "text"), (list, "a list"), (dict, "a table"))
+    return next((words for kind, words in kinds if isinstance(value, kind)), "a time")
+
+
+def check_values(params: dict, where, path: str = "") -> None:
+    """Refuse numbers that are not finite or out of bounds, and words that are none of the choices."""
+    for key, value in params.items():
+        name = f"{path}.{key}" if path else key
+        if isinstance(value, dict):
+            check_values(value, where, name)
+        for number in value if isinstance(value, list) else [value]:
+            if isinstance(number, float) and not math.isfinite(number):
+                raise BadInput(f"{where}: {name} = {value!r}: give finite numbers")
+        low, high = BOUNDS.get(name, (None, None))
+        if low is not None and (kind_of(value) != "a number" or not low <= value <= high):
+            raise BadInput(f"{where}: {name} = {value!r}: give a number from {low:g} to {high:g}")
+        if name in CHOICES and value not in CHOICES[name]:
+            raise BadInput(f"{where}: {name} = {value!r}: choose one of {', '.join(CHOICES[name])}")
+        if name == "material.c10" and (
+            value != "calibrated" and (kind_of(value) != "a number" or not 0 < value < 100)
+        ):
+            raise BadInput(f'{where}: material.c10 = {value!r}: give MPa, such as 0.0725, or "calibrated"')
 
 
 def stage_version(source, stage: str) -> int:
