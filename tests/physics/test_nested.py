@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
 from gelforge.mechanics.contact import Pose
-from gelforge.mechanics.hex.carry import Trail, carried, surface_motion, touches
+from gelforge.mechanics.hex.carry import Trail, carried, surface_motion, touches, volume_motion
 from gelforge.mechanics.hex.hexmesh import FineBox, build_mesh, dissected, elimination_order
 from gelforge.mechanics.hex.reach import width_of
 from gelforge.mechanics.hex.solver import HexSettings, Nested, solve_hex
@@ -51,6 +51,8 @@ def test_carrying_keeps_trilinear_fields(seed):
     inner = np.all(np.abs(top[:, :2]) < [8.0, 10.0], axis=1)
     moved = surface_motion(COARSE, field(COARSE), top[inner, :2])
     np.testing.assert_allclose(moved, field(FINE)[FINE.surface_nodes][inner], atol=1e-9)
+    everywhere = volume_motion(COARSE, field(COARSE), FINE.nodes[straight], Gel())
+    np.testing.assert_allclose(everywhere, field(FINE)[straight], atol=1e-9)
 
 
 def test_points_that_never_moved_touch_straight_above_them():

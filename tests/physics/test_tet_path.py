@@ -9,12 +9,14 @@ import pytest
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
 from gelforge.mechanics.ccx.solver import CcxSettings, CcxSolver
-from gelforge.mechanics.hex.solver import first_touch
+from gelforge.mechanics.hex.reach import first_touch
+from gelforge.mechanics.hex.solver import HexSettings, HexSolver, Nested
 from gelforge.mechanics.scene import Interface, Material, Press, Scene
 from gelforge.mechanics.tet.face import face_points
-from gelforge.mechanics.tet.kinematics import PathSettings, contact_forces, follow
+from gelforge.mechanics.tet.kinematics import PathSettings, arrive, contact_forces, follow
 from gelforge.mechanics.tet.solid import TetSolid
 from gelforge.mechanics.tet.tetmesh import symmetric_block
+from gelforge.records.status import Status
 
 
 @dataclass(frozen=True)
@@ -99,3 +101,34 @@ def test_where_conjugate_gradients_fail_a_factorisation_follows(mesh, ccx, tmp_p
     assert ["ITERATIVE" in line for line in result.evidence["ladder"]] == [True] * result.evidence["rounds"]
     # both stop at residuals of 1e-5 of the mean nodal force, reached quadratically; the .dat has seven digits
     assert apart(result.forces, whole.forces) < 1e-5
+
+
+def test_a_path_walked_on_bricks_ends_on_the_tetrahedra_as_one_walked_there(mesh, run):
+    """Only where points first touched differs, by what bricks and tetrahedra differ in: a few per cent at this size."""
+    guide = HexSolver(HexSettings(size=0.6, layers=5, layer_ratio=2.0, gauss=2, nested=Nested(layers=3)))
+    whole, _ = run(scene(), PathSettings())
+    found = arrive(scene(), TetSolid(mesh), face_points(mesh), mesh.nodes, guide.walk(scene()), PathSettings())
+    assert found.settled, found.reason
+    ended = contact_forces(found.contact, face_points(mesh), found.displacement, PathSettings().stiffness)
+    assert apart(ended.sum(axis=0), whole.sum(axis=0)) < 0.02
+    assert apart(ended, whole) < 0.15
+    assert found.iterations < 25
+
+
+def test_the_guided_and_the_whole_path_agree_in_calculix(mesh, tmp_path):
+    guide = HexSolver(HexSettings(size=0.6, layers=5, layer_ratio=2.0, gauss=2, nested=Nested(layers=3)))
+    whole = CcxSolver(mesh, tmp_path / "whole").solve(scene())
+    guided = CcxSolver(mesh, tmp_path / "guided", guide=guide).solve(scene())
+    assert guided.status is whole.status is Status.OK
+    assert apart(guided.total, whole.total) < 0.02
+    assert guided.evidence["kinematics_iterations"] < whole.evidence["kinematics_iterations"]
+    assert guided.evidence["base_mismatch"] < 1e-6
+
+
+def test_a_guide_that_finds_no_path_leaves_it_to_the_tetrahedra(mesh, tmp_path):
+    """One load step and no Newton iteration: the bricks say so, and the press is solved all the same."""
+    helpless = HexSettings(size=1.2, layers=2, max_iterations=0, max_cuts=0, nested=Nested())
+    result = CcxSolver(mesh, tmp_path / "press", guide=HexSolver(helpless)).solve(scene())
+    alone = CcxSolver(mesh, tmp_path / "alone").solve(scene())
+    assert result.status is Status.OK
+    np.testing.assert_allclose(result.total, alone.total, rtol=1e-9)

@@ -41,6 +41,7 @@ class Solvers:
     def __init__(self, family: MeshFamily, workdir, settings: FeaSettings = FeaSettings()):
         self.family, self.workdir, self.settings = family, Path(workdir), settings
         self.bricks = quality(settings.hex_quality)
+        self.guide = HexSolver(quality("label"))
         self._ccx, self._hex = {}, {}
 
     def solve(self, scene: Scene, fidelity: str) -> Result:
@@ -83,7 +84,7 @@ class Solvers:
     def _solve_ccx(self, scene, steps=1, rounds=1) -> Result:
         mesh = choose_mesh(scene, self.family)
         if mesh not in self._ccx:
-            self._ccx[mesh] = CcxSolver(self.family.load(mesh), self.workdir / mesh, self.settings.ccx)
+            self._ccx[mesh] = CcxSolver(self.family.load(mesh), self.workdir / mesh, self.settings.ccx, self.guide)
         base = self.settings.ccx
         finer = replace(base, press_steps=steps * base.press_steps, shear_steps=steps * base.shear_steps,
                         step_mm=base.step_mm / steps, rounds=rounds * base.rounds)  # fmt: skip

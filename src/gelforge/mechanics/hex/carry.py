@@ -11,13 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gelforge.geometry.gel import Gel
 from gelforge.mechanics.contact import Pose
 from gelforge.mechanics.hex.hexmesh import HexMesh
 
-# A point has touched that comes so close to the indenter, in widths of a coarse brick: between the points where
-# the coarse contact is held, its faces cut corners.
-TOUCHED = 0.05
-LEFT = 0.1  # and it has left again that is farther away
+LEFT = 0.05  # widths of a coarse brick beyond touch at which a point has left again
 
 
 @dataclass(frozen=True)
@@ -57,16 +55,28 @@ def surface_motion(coarse: HexMesh, u: np.ndarray, xy: np.ndarray) -> np.ndarray
     return np.einsum("pa,pb,pabi->pi", wy, wx, top[iy[:, :, None], ix[:, None, :]])
 
 
+def volume_motion(coarse: HexMesh, u: np.ndarray, points: np.ndarray, gel: Gel) -> np.ndarray:
+    """Displacement (p, 3) of points of the gel by their undeformed places (p, 3), trilinear in x, y and relative height."""
+    grid = u.reshape(coarse.layers + 1, len(coarse.ys), len(coarse.xs), 3)
+    height = (points[:, 2] + gel.height) / (gel.top(points[:, 0], points[:, 1]) + gel.height)
+    lines = (coarse.heights, height), (coarse.ys, points[:, 1]), (coarse.xs, points[:, 0])
+    (wz, iz), (wy, iy), (wx, ix) = (line_weights(line, at) for line, at in lines)
+    near = grid[iz[:, :, None, None], iy[:, None, :, None], ix[:, None, None, :]]
+    return np.einsum("pc,pb,pa,pcbai->pi", wz, wy, wx, near, optimize=True)
+
+
 def touch_fraction(gap_before: np.ndarray, gap_after: np.ndarray) -> np.ndarray:
     """At which fraction of a step points cross the surface, whose gap falls evenly; 1 where it stays open."""
     crosses, open_ = gap_after < 0.0, np.maximum(gap_before, 0.0)
     return np.where(crosses, open_ / np.where(crosses, open_ - gap_after, 1.0), 1.0)
 
 
-def touches(trail: Trail, points: np.ndarray, pose_at: Callable[[float], Pose], gap_of: Callable) -> tuple:
+def touches(
+    trail: Trail, points: np.ndarray, pose_at: Callable[[float], Pose], gap_of: Callable, near: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
     """Which surface points (m, 3) a path has brought into contact (m,), and where each touched (m, 3).
 
-    pose_at(t): the indenter's pose; gap_of(x, pose): signed distances (m,) of places x (m, 3). Places are in the
+    near: how close to the indenter counts as touching, widths of a coarse brick. pose_at(t): the indenter's pose; gap_of(x, pose): signed distances (m,) of places x (m, 3). Places are in the
     indenter's frame. A point that goes on as in the step before crosses the surface at a fraction of the step: that
     place counts. Points that have not touched get the place to which the last step would lead them.
     """
@@ -82,7 +92,7 @@ def touches(trail: Trail, points: np.ndarray, pose_at: Callable[[float], Pose], 
             free = np.flatnonzero(~held)
             fraction = touch_fraction(gap1[free], gap_of(ahead[free], pose))[:, None]
             places[free] = (1.0 - fraction) * pose1.to_indenter(x1[free]) + fraction * pose.to_indenter(x[free])
-            held = (held | (gap < TOUCHED * trail.size)) & (gap < LEFT * trail.size)
+            held = (held | (gap < near * trail.size)) & (gap < (near + LEFT) * trail.size)
             earlier = before
         before = (t, x, pose, gap)
     return held, places

@@ -39,6 +39,9 @@ NOISY = 5e-3
 ROUGH = 1e-3  # residual at which it shows what pulls and what presses
 # Matrix products that a solve may take with an old factorisation (one costs as much as a dozen) and with its own.
 STALE, FRESH = 12, 60
+# What a path on coarse bricks brought so close to the indenter, in widths of a coarse brick, has touched: between the
+# points where the coarse contact is held, its faces cut corners.
+TOUCHED = 0.05
 BEYOND = 1.001  # of its traction is what a slipping point's multiplier wants, or rounding decides which points stick
 ACCEPTED = 1e-7  # residual over contact force that keeps base reactions within 1e-6
 
@@ -109,7 +112,8 @@ class Run:
             if self.law == "frictionless":
                 self._solve_here(pose, ROUGH)
             else:
-                held, places = touches(trail, self.state.reference, partial(path_pose, self.scene), self._gaps)
+                points, pose_at = self.state.reference, partial(path_pose, self.scene)
+                held, places = touches(trail, points, pose_at, self._gaps, TOUCHED)
                 self._glue(np.flatnonzero(held), pose, places[held])
                 self._settle_contact(pose, places)
             return self._settle()

@@ -11,6 +11,7 @@ from gelforge.errors import BadInput
 from gelforge.geometry.gel import Gel
 from gelforge.mechanics.contact import ContactState
 from gelforge.mechanics.hex.bricks import Bricks
+from gelforge.mechanics.hex.carry import Trail
 from gelforge.mechanics.hex.hexmesh import FineBox, HexMesh, build_mesh, interpolate_surface
 from gelforge.mechanics.hex.path import Run, System
 from gelforge.mechanics.hex.reach import fine_box, first_touch
@@ -142,12 +143,29 @@ class HexSolver:
         run = self._run(scene, self.mesh(scene.gel, box), self.settings, box.size)
         return _result(run, run.follow(start), started, bricks)
 
+    def walk(self, scene: Scene) -> Trail | None:
+        """The scene's path on the coarse bricks of a nested setting, for another mesh to arrive at its end.
+
+        None where nothing touches or the path finds no equilibrium.
+        """
+        start = first_touch(scene)
+        if start is None:
+            return None
+        box = self.settings.box or fine_box(scene, self.settings.size, self.settings.across)
+        way, status = self._coarse(scene, start, box)
+        return None if status is Status.DIVERGED else way.trail()
+
+    def _coarse(self, scene, start, box) -> tuple[Run, Status]:
+        """The path walked on bricks wider than those of the fine box."""
+        settings = self.settings.coarse
+        wide = replace(box, size=self.settings.nested.factor * box.size)
+        way = self._run(scene, self._mesh(scene.gel, wide, settings), settings, wide.size)
+        return way, way.follow(start)
+
     def _nested(self, scene, start, box, bricks, started) -> HexResult:
         """The path on coarse bricks, its end on the fine ones, and what both together tell of the error."""
-        nested, settings = self.settings.nested, self.settings.coarse
-        wide = replace(box, size=nested.factor * box.size)
-        way = self._run(scene, self._mesh(scene.gel, wide, settings), settings, wide.size)
-        status = way.follow(start)
+        nested = self.settings.nested
+        way, status = self._coarse(scene, start, box)
         if status is Status.DIVERGED:
             return _result(way, status, started, bricks)
         run = self._run(scene, self.mesh(scene.gel, box), self.settings, box.size)

@@ -6,14 +6,20 @@ go. So every step is a smooth problem but for new touches. CalculiX then solves 
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from gelforge.mechanics.ccx.boundary import FREE, SLIDE, STICK, Contact, gaps, judge
 from gelforge.mechanics.contact import Pose
+from gelforge.mechanics.hex.carry import Trail, touches, volume_motion
+from gelforge.mechanics.hex.reach import path_pose
 from gelforge.mechanics.scene import REFERENCE_C10, Material, Scene
 from gelforge.mechanics.tet.face import FacePoints
 from gelforge.mechanics.tet.solid import TetSolid
+
+# Shares of a displacement carried from bricks that are tried until no element is inside out.
+UNFOLDED = (1.0, 0.95, 0.9, 0.8, 0.6)
 
 _A, _B = np.triu_indices(6)
 
@@ -24,6 +30,7 @@ class PathSettings:
 
     step_mm: no load step of the press is longer. gentle_above: residual above which Newton takes the gentle
     tangent of TetSolid.factorise: it halves the iterations of deep presses and needs no cut steps.
+    arrival_tolerance: residual at which the end of a path walked on bricks shows what pulls and what presses.
     reuse_below: residual below which the last factorisation is tried again, at a tenth of the cost of a new one.
     """
 
@@ -32,6 +39,7 @@ class PathSettings:
     step_mm: float = 0.35
     stiffness: float = 145.0
     step_tolerance: float = 0.2
+    arrival_tolerance: float = 0.1
     final_tolerance: float = 1e-6
     gentle_above: float = 0.5
     reuse_below: float = 0.1
@@ -115,6 +123,25 @@ def follow(scene: Scene, solid: TetSolid, points: FacePoints, start: float, sett
     except NoEquilibrium as error:
         settled, reason = False, str(error)
     return Kinematics(path.contact, path.u, settled, reason, path.iterations, path.steps)
+
+
+def arrive(
+    scene: Scene, solid: TetSolid, points: FacePoints, nodes: np.ndarray, trail: Trail, settings: PathSettings
+) -> Kinematics:
+    """End of a path that was walked on bricks: no slip only. nodes: (n, 3) mm, undeformed.
+
+    Where points are held comes from their own way through that path; what pulls or penetrates there is judged anew.
+    """
+    path = _Path(scene, solid, points, settings)
+    path.at = np.ones(2)
+    u = np.where(solid.free[:, None], volume_motion(trail.mesh, trail.states[-1], nodes, scene.gel), 0.0)
+    try:
+        path.u = path.unfolded(u)
+        settled = path.hold(trail) and path.settle()
+        reason = "" if settled else "the contact set did not settle at the path's end"
+    except NoEquilibrium as error:
+        settled, reason = False, str(error)
+    return Kinematics(path.contact, path.u, settled, reason, path.iterations, len(trail.times) - 1)
 
 
 class _Path:
@@ -284,10 +311,10 @@ class _Path:
         stretch = self.contact.target - self.positions(self.u)
         return self.settings.stiffness * np.einsum("fqk,fqk->fq", stretch, self.contact.normal) * self.contact.held
 
-    def _release(self) -> int:
-        """Let go the held points that pull."""
+    def _release(self, least: float = 0.0) -> int:
+        """Let go the held points that pull by more than a share `least` of the largest pressure; how many."""
         push = self._push()
-        gone = self.contact.held & (push < 0.0)
+        gone = self.contact.held & (push < -least * push.max(initial=0.0))
         self.contact = replace(self.contact, state=np.where(gone, FREE, self.contact.state))
         return int(gone.sum())
 
@@ -346,6 +373,37 @@ class _Path:
         return self.positions(self.u) + self.contact.drag / self.settings.stiffness
 
     # -- the end of the path
+
+    def unfolded(self, u: np.ndarray) -> np.ndarray:
+        """u (n, 3), or as much of it as turns no element inside out: bricks bend in places where tetrahedra do not."""
+        for share in UNFOLDED:
+            if self.solid.forces(share * u, self.shear, self.bulk)[1] > 0.0:
+                return share * u
+        raise NoEquilibrium("an element turned inside out")
+
+    def hold(self, trail: Trail) -> bool:
+        """Hold the points that a path on bricks brought into contact; what pulls is let go, what presses is held.
+
+        Each point changes once either way, or some would for ever. Whether that comes to rest.
+        """
+        pose, spots = self.pose(self.at), self.points.position.reshape(-1, 3)
+        held, places = touches(
+            trail,
+            spots,
+            partial(path_pose, self.scene),
+            lambda x, at: self.scene.indenter.distance(at.to_indenter(x))[0],
+        )
+        held, places = held.reshape(self.contact.state.shape), places.reshape(self.anchor.shape)
+        self._anchor(held, places, pose)
+        for _ in range(self.settings.settle_rounds):
+            self.u, self.contact = self.newton(self.u, self.contact, pose, self.settings.arrival_tolerance)
+            new = (self.contact.state == SLIDE) & ~held
+            held |= new
+            gone = self._release(self.settings.pull_tolerance)
+            self._anchor(new, places, pose)
+            if not gone and not new.any():
+                return True
+        return False
 
     def settle(self) -> bool:
         """Equilibrium at the end of the path in which nothing pulls and nothing new penetrates."""
