@@ -9,11 +9,10 @@ from hypothesis import strategies as st
 
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
-from gelforge.mechanics.contact import Pose
 from gelforge.mechanics.hex.carry import Trail, carried, surface_motion, touches, volume_motion
 from gelforge.mechanics.hex.hexmesh import FineBox, build_mesh, dissected, elimination_order
-from gelforge.mechanics.hex.reach import width_of
-from gelforge.mechanics.hex.solver import HexSettings, Nested, solve_hex
+from gelforge.mechanics.hex.reach import end_of, width_of
+from gelforge.mechanics.hex.solver import HexSettings, HexSolver, Nested, moment_of, solve_hex
 from gelforge.mechanics.linear import symmetric_solver
 from gelforge.mechanics.scene import Interface, Material, Press, Scene
 from gelforge.records.status import Status
@@ -59,16 +58,10 @@ def test_points_that_never_moved_touch_straight_above_them():
     """A ball that comes down on a gel at rest meets each point where the point is, whatever the steps."""
     points = FINE.nodes[FINE.surface_nodes]
     rest, times = np.zeros_like(COARSE.nodes), [0.0, 0.3, 0.7, 1.0]
-    trail = Trail(COARSE, times, [rest] * len(times), 1e-6)
-
-    def pose_at(t):
-        return Pose(np.eye(3), np.array([0.0, 0.0, -1.5 * t]))
-
-    def gap_of(x, pose):
-        return BALL.distance(pose.to_indenter(x))[0]
-
-    held, places = touches(trail, points, pose_at, gap_of)
-    inside = gap_of(points, pose_at(1.0)) < 0.0
+    scene = Scene(Gel(), Material(), BALL, Press(0, 0, 0, 0, 0, -1.5))
+    trail = Trail(scene, COARSE, times, [rest] * len(times), 1e-6)
+    held, places = touches(trail, points)
+    inside = trail.gap(points, trail.pose(1.0)) < 0.0
     assert inside.sum() > 50 and np.array_equal(held, inside)
     np.testing.assert_allclose(places[held][:, :2], points[held][:, :2], atol=1e-12)
     # the gap of a straight way is not straight in time: the place errs by what a step bends it
@@ -157,3 +150,57 @@ def test_an_indefinite_matrix_is_solved_after_a_definite_one():
     for matrix in (definite, saddle, definite):
         solver.factorise(matrix[rows, columns])
         np.testing.assert_allclose(matrix @ solver.solve(b), b, atol=1e-3)
+
+
+FRAMED = HexSettings(
+    size=0.5,
+    across=12,
+    layers=4,
+    layer_ratio=2.0,
+    gauss=2,
+    nested=Nested(layers=3, press_steps=6, extrapolation=0.36),
+)
+
+
+def framed(body, depths, shear=()):
+    presses = [Press(1, -2, 0, 0, 0, -depth) for depth in depths]
+    presses += [Press(1, -2, 0, share * 0.3, share * 0.1, -depths[-1]) for share in shear]
+    return [Scene(Gel(), Material(), body, press) for press in presses]
+
+
+@pytest.mark.parametrize(("body", "shear"), [(BALL, ()), (CUBOID, (0.5, 1.0))])
+def test_frames_of_one_press_are_what_single_presses_to_them_give(body, shear):
+    scenes = framed(body, (0.3, 0.6, 0.9), shear)
+    solver = HexSolver(FRAMED)
+    frames = solver.solve_frames(scenes)
+    for scene, frame in zip(scenes, frames, strict=True):
+        alone = HexSolver(replace(FRAMED, box=frames[-1].bricks.box)).solve(scene)
+        assert frame.status is alone.status is Status.OK
+        assert frame.evidence["base_mismatch"] < 1e-6 and frame.evidence["pulling_fraction"] < 2e-3
+        assert frame.bricks == alone.bricks
+        apart = np.linalg.norm(frame.total - alone.total) / np.linalg.norm(alone.total)
+        assert apart < 0.02  # the coarse path's load steps are not the same
+        end, *force = frame.evidence["path"][-1]
+        assert end == (2.0 if scene.press.dx else 1.0)
+        np.testing.assert_allclose(force, frame.total, rtol=1e-9, atol=1e-12)
+    last = solver.solve(scenes[-1]).total
+    assert np.linalg.norm(frames[-1].total - last) / np.linalg.norm(last) < 5e-3
+
+
+def test_frames_before_the_touch_and_alone_are_told_as_such():
+    above = Scene(Gel(), Material(), BALL, Press(0, 0, 0.5, 0, 0, -0.2))
+    deep = Scene(Gel(), Material(), BALL, Press(0, 0, 0.5, 0, 0, -1.0))
+    first, last = HexSolver(FRAMED).solve_frames([above, deep])
+    assert first.status is Status.NO_CONTACT and not first.forces.any()
+    assert last.status is Status.OK
+
+
+@given(
+    st.lists(st.floats(0.05, 1.0), min_size=1, max_size=6),
+    st.lists(st.floats(0.01, 0.5), max_size=4),
+)
+def test_moments_follow_the_path_in_order(steps, aside):
+    scenes = framed(BALL, list(np.cumsum(steps)), [w / sum(aside) for w in np.cumsum(aside)] if aside else ())
+    times = [moment_of(scene, scenes[-1]) for scene in scenes]
+    assert times == sorted(times) and times[-1] == end_of(scenes[-1])
+    assert all(0.0 < t <= 2.0 for t in times)

@@ -107,7 +107,9 @@ def test_a_path_walked_on_bricks_ends_on_the_tetrahedra_as_one_walked_there(mesh
     """Only where points first touched differs, by what bricks and tetrahedra differ in: a few per cent at this size."""
     guide = HexSolver(HexSettings(size=0.6, layers=5, layer_ratio=2.0, gauss=2, nested=Nested(layers=3)))
     whole, _ = run(scene(), PathSettings())
-    found = arrive(scene(), TetSolid(mesh), face_points(mesh), mesh.nodes, guide.walk(scene()), PathSettings())
+    found = arrive(
+        scene(), TetSolid(mesh), face_points(mesh), mesh.nodes, guide.walk([scene()])[0].trail, PathSettings()
+    )
     assert found.settled, found.reason
     ended = contact_forces(found.contact, face_points(mesh), found.displacement, PathSettings().stiffness)
     assert apart(ended.sum(axis=0), whole.sum(axis=0)) < 0.02
@@ -118,17 +120,19 @@ def test_a_path_walked_on_bricks_ends_on_the_tetrahedra_as_one_walked_there(mesh
 def test_the_guided_and_the_whole_path_agree_in_calculix(mesh, tmp_path):
     guide = HexSolver(HexSettings(size=0.6, layers=5, layer_ratio=2.0, gauss=2, nested=Nested(layers=3)))
     whole = CcxSolver(mesh, tmp_path / "whole").solve(scene())
-    guided = CcxSolver(mesh, tmp_path / "guided", guide=guide).solve(scene())
+    guided = CcxSolver(mesh, tmp_path / "guided").solve(scene(), trail=guide.walk([scene()])[0].trail)
     assert guided.status is whole.status is Status.OK
     assert apart(guided.total, whole.total) < 0.02
     assert guided.evidence["kinematics_iterations"] < whole.evidence["kinematics_iterations"]
     assert guided.evidence["base_mismatch"] < 1e-6
 
 
-def test_a_guide_that_finds_no_path_leaves_it_to_the_tetrahedra(mesh, tmp_path):
-    """One load step and no Newton iteration: the bricks say so, and the press is solved all the same."""
-    helpless = HexSettings(size=1.2, layers=2, max_iterations=0, max_cuts=0, nested=Nested())
-    result = CcxSolver(mesh, tmp_path / "press", guide=HexSolver(helpless)).solve(scene())
+def test_an_end_that_does_not_settle_is_walked_to_on_the_tetrahedra(mesh, tmp_path):
+    """A trail that leads elsewhere, twice as deep with every element folded: the press is solved all the same."""
+    guide = HexSolver(HexSettings(size=0.6, layers=5, layer_ratio=2.0, gauss=2, nested=Nested(layers=3)))
+    trail = guide.walk([scene()])[0].trail
+    folded = replace(trail, states=[20.0 * u for u in trail.states])
+    result = CcxSolver(mesh, tmp_path / "press").solve(scene(), trail=folded)
     alone = CcxSolver(mesh, tmp_path / "alone").solve(scene())
     assert result.status is Status.OK
     np.testing.assert_allclose(result.total, alone.total, rtol=1e-9)

@@ -72,7 +72,7 @@ def test_a_shape_that_changes_under_its_name_is_another_shape(tmp_path):
         press = Press()
         press.indenter = name
         params = {"fea": {"hex_quality": quality}}
-        return sample_key(press, params, {"indenters": indenters, "sensors": {"s": {"gel": "g"}}}, Family())
+        return sample_key(press, [press], params, {"indenters": indenters, "sensors": {"s": {"gel": "g"}}}, Family())
 
     assert key(before) == key(before, "b") != key(after)
     assert key(before) != key(before, quality="draft")

@@ -1,7 +1,8 @@
 """One interface to every way of solving a scene, with the ladder that a failing solve climbs down."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from pathlib import Path
 
 from gelforge.errors import BadInput
@@ -9,6 +10,7 @@ from gelforge.geometry.gel import load_gel
 from gelforge.mechanics.ccx.program import need_ccx
 from gelforge.mechanics.ccx.solver import CcxSettings, CcxSolver
 from gelforge.mechanics.family import MeshFamily, choose_mesh
+from gelforge.mechanics.hex.carry import Trail
 from gelforge.mechanics.hex.solver import HexSolver, quality
 from gelforge.mechanics.scene import Result, Scene
 
@@ -45,15 +47,41 @@ class Solvers:
         self._ccx, self._hex = {}, {}
 
     def solve(self, scene: Scene, fidelity: str) -> Result:
-        """Solve at one fidelity, or the cheapest that is good enough for "auto"; see `solve`."""
+        """Solve at one fidelity, or the cheapest that is good enough for "auto".
+
+        Forces (n, 3) N on the gel and displacement (n, 3) mm are those of the mesh named by evidence["mesh"]. A failed
+        solve is a status with its reason in the evidence; a missing CalculiX or a full disk raises BadInput.
+        """
+        return self.solve_frames([scene], fidelity)[0]
+
+    def solve_frames(self, scenes: Sequence[Scene], fidelity: str) -> list[Result]:
+        """Solve moments of one press, scenes in order of time along one path; one result each, as `solve` gives it.
+
+        Without slip their path is walked once, on coarse bricks, for all of them.
+        """
         if fidelity not in FIDELITIES:
             raise BadInput(f"fidelity {fidelity!r} is unknown; choose one of {', '.join(FIDELITIES)}")
         if fidelity == "auto":
             fidelity = cheapest(self.settings.charted or {}, self.settings.tolerance)
         if fidelity != "hex":
             need_ccx()
+        first = self._first_rung(scenes, fidelity)
+        return [self._climb(scene, fidelity, attempt) for scene, attempt in zip(scenes, first, strict=True)]
+
+    def _first_rung(self, scenes: Sequence[Scene], fidelity: str) -> list[Callable[[Scene], Result]]:
+        """How each scene is solved as asked; where a path serves several of them it is walked here."""
+        if fidelity == "hex":
+            return [lambda _, found=found: found for found in self._solve_hex(scenes)]
+        if fidelity == "ccx":
+            return [partial(self._solve_ccx, trail=way and way.trail) for way in self.guide.walk(scenes)]
+        # a reference owes nothing to the bricks
+        alone = self._solve_native if fidelity == "ccx-native" else self._solve_ccx
+        return [alone] * len(scenes)
+
+    def _climb(self, scene: Scene, fidelity: str, first: Callable[[Scene], Result]) -> Result:
+        """The first valid result of the ladder, else the last one, with what failed before it."""
         climbed = []
-        for rung, attempt in self._ladder(fidelity):
+        for rung, attempt in [(fidelity, first), *self._lower_rungs(fidelity)]:
             result = attempt(scene)
             result.evidence["rung"] = rung
             if result.status.valid:
@@ -63,46 +91,43 @@ class Solvers:
         result.evidence.setdefault("fidelity", fidelity)
         return result
 
-    def solve_frames(self, scenes: Sequence[Scene], fidelity: str) -> list[Result]:
-        """Solve moments of one press, scenes in order of time along one path; one result each, as `solve` gives it."""
-        return [self.solve(scene, fidelity) for scene in scenes]
-
-    def _ladder(self, fidelity):
-        """Attempts in order: as asked, smaller load steps, more contact rounds, another fidelity."""
+    def _lower_rungs(self, fidelity: str) -> list[tuple[str, Callable[[Scene], Result]]]:
+        """What is tried where solving as asked fails: smaller load steps, more contact rounds, another fidelity."""
         if fidelity == "hex":
-            return [("hex", self._solve_hex), ("hex, smaller load steps", lambda s: self._solve_hex(s, 4))]
+            return [("hex, smaller load steps", lambda scene: self._solve_hex([scene], 4)[0])]
         if fidelity == "ccx-native":
-            return [("ccx-native", self._solve_native)]
+            return []
         rungs = [
-            (fidelity, self._solve_ccx),
-            (f"{fidelity}, smaller load steps", lambda s: self._solve_ccx(s, steps=3)),
-            (f"{fidelity}, more contact rounds", lambda s: self._solve_ccx(s, steps=3, rounds=3)),
+            (f"{fidelity}, smaller load steps", partial(self._solve_ccx, steps=3)),
+            (f"{fidelity}, more contact rounds", partial(self._solve_ccx, steps=3, rounds=3)),
         ]
         # a reference is CalculiX' or none
-        return rungs if fidelity == "ccx-fine" else [*rungs, ("hex", self._solve_hex)]
+        return rungs if fidelity == "ccx-fine" else [*rungs, ("hex", lambda scene: self._solve_hex([scene])[0])]
 
-    def _solve_ccx(self, scene, steps=1, rounds=1) -> Result:
+    def _solve_ccx(self, scene: Scene, steps: int = 1, rounds: int = 1, trail: Trail | None = None) -> Result:
         mesh = choose_mesh(scene, self.family)
         if mesh not in self._ccx:
-            self._ccx[mesh] = CcxSolver(self.family.load(mesh), self.workdir / mesh, self.settings.ccx, self.guide)
+            self._ccx[mesh] = CcxSolver(self.family.load(mesh), self.workdir / mesh, self.settings.ccx)
         base = self.settings.ccx
         finer = replace(base, press_steps=steps * base.press_steps, shear_steps=steps * base.shear_steps,
                         step_mm=base.step_mm / steps, rounds=rounds * base.rounds)  # fmt: skip
-        result = self._ccx[mesh].solve(scene, settings=finer)
+        result = self._ccx[mesh].solve(scene, settings=finer, trail=trail)
         result.evidence |= {"mesh": mesh}
         return result
 
-    def _solve_hex(self, scene, steps=1) -> Result:
-        """Solve on bricks that follow the press; the result's mesh is a name that holds all numbers of it."""
-        if load_gel(scene.gel.name) != scene.gel:
-            raise BadInput(f"gel {scene.gel.name!r} of the scene is not the one of that name; give it one of its own")
+    def _solve_hex(self, scenes: Sequence[Scene], steps: int = 1) -> list[Result]:
+        """Solve on bricks that follow the press; a result's mesh is a name that holds all numbers of it."""
+        for gel in {scene.gel for scene in scenes}:
+            if load_gel(gel.name) != gel:
+                raise BadInput(f"gel {gel.name!r} of the scene is not the one of that name; give it one of its own")
         if steps not in self._hex:
             s = self.bricks
             finer = replace(s, press_steps=steps * s.press_steps, shear_steps=steps * s.shear_steps)
             self._hex[steps] = HexSolver(finer)
-        result = self._hex[steps].solve(scene)
-        result.evidence |= {"mesh": result.bricks.name, "fidelity": "hex"}
-        return result
+        results = self._hex[steps].solve_frames(scenes)
+        for result in results:
+            result.evidence |= {"mesh": result.bricks.name, "fidelity": "hex"}
+        return results
 
     def _solve_native(self, scene) -> Result:
         from gelforge.mechanics.ccx.native import solve_native
@@ -122,13 +147,3 @@ def cheapest(charted: dict, tolerance: float) -> str:
     if not meeting:
         raise BadInput(f"no charted fidelity meets tolerance = {tolerance:g}; raise it or name a fidelity in [fea]")
     return min(meeting, key=meeting.get)
-
-
-def solve(scene: Scene, fidelity: str, meshes: MeshFamily, workdir, settings: FeaSettings = FeaSettings()) -> Result:
-    """Solve one press at a fidelity: "hex", "ccx", "ccx-native", "ccx-fine" or "auto".
-
-    Returns nodal forces (n, 3) N on the gel and displacement (n, 3) mm on the mesh named by
-    evidence["mesh"]. A failed solve is a status with its reason in the evidence; a missing CalculiX
-    or a full disk raises BadInput. Many scenes: keep a `Solvers`.
-    """
-    return Solvers(meshes, workdir, settings).solve(scene, fidelity)

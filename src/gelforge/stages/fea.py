@@ -27,7 +27,7 @@ from gelforge.records.press import POSE, PosedPress
 from gelforge.records.solvetable import Solved, damaged, digest_of, write_solves
 from gelforge.records.status import Status
 
-VERSION = 6
+VERSION = 7
 
 
 def scene_of(press: PosedPress, bodies: dict, sensors: dict, params: dict) -> Scene:
@@ -43,13 +43,18 @@ def scene_of(press: PosedPress, bodies: dict, sensors: dict, params: dict) -> Sc
 NO_SHAPE = {"seen", "spare", "file"}
 
 
-def sample_key(press: PosedPress, params: dict, tables: dict, family: MeshFamily) -> str:
-    """Digest of everything a sample's solve depends on: content and numbers, no names."""
+def sample_key(press: PosedPress, frames: list[PosedPress], params: dict, tables: dict, family: MeshFamily) -> str:
+    """Digest of everything a sample's solve depends on: content and numbers, no names.
+
+    frames: the moments of its press, this one among them, which share one path and one mesh.
+    """
     cells, indenter = press.cells(), tables["indenters"][press.indenter]
     shape = {key: value for key, value in indenter.items() if key not in NO_SHAPE}
     bricks = asdict(quality(FeaSettings.from_table(params["fea"]).hex_quality))
     parts = [[cells[c] for c in POSE], params, bricks, shape, tables["sensors"][press.sensor_id]["gel"],
              family.reports]  # fmt: skip
+    if len(frames) > 1:
+        parts.append([[frame.cells()[c] for c in POSE] for frame in frames])
     return hashlib.sha256(canonical(parts).encode()).hexdigest()
 
 
@@ -135,7 +140,7 @@ def run_shard(poses: Path, meshes: Path, params: dict, tables: dict, bodies: dic
     with tempfile.TemporaryDirectory(prefix=".work-", dir=folder) as work:
         solvers = Solvers(family, work, FeaSettings.from_table(params["fea"]))
         for frames in progress(presses_of(presses), f"fea {folder.name}"):
-            keys = [sample_key(press, params, tables, family) for press in frames]
+            keys = [sample_key(press, frames, params, tables, family) for press in frames]
             scenes = [scene_of(press, bodies, tables["sensors"], params) for press in frames]
             try:
                 found = run_press(frames, keys, scenes, solvers, known, folder)
@@ -154,15 +159,16 @@ def run_press(frames: list[PosedPress], keys: list[str], scenes: list[Scene], so
 
     known: record of each scene met in this shard, which grows: several sensors may have seen a press.
     """
-    same = [(scene.gel.name, press.indenter, scene.press) for press, scene in zip(frames, scenes, strict=True)]
+    path = tuple(scene.press for scene in scenes)
+    same = [(scene.gel.name, press.indenter, scene.press, path) for press, scene in zip(frames, scenes, strict=True)]
     records = [finished(folder, press.sample_id, key) for press, key in zip(frames, keys, strict=True)]
     for at, press in enumerate(frames):
         if records[at] is None and same[at] in known:
             records[at] = borrow(known[same[at]], press.sample_id, keys[at], folder)
-    missing = [at for at, record in enumerate(records) if record is None]
-    results = solvers.solve_frames([scenes[at] for at in missing], solvers.settings.fidelity) if missing else []
-    for at, result in zip(missing, results, strict=True):
-        records[at] = publish_solve(frames[at].sample_id, result, solvers, keys[at], folder)
+    if None in records:
+        # all moments again: what a frame is solved from must not depend on which others were there before
+        for at, result in enumerate(solvers.solve_frames(scenes, solvers.settings.fidelity)):
+            records[at] = records[at] or publish_solve(frames[at].sample_id, result, solvers, keys[at], folder)
     known |= dict(zip(same, records, strict=True))
     return records
 

@@ -15,7 +15,7 @@ from gelforge.mechanics.ccx.dat import DatError, last_table, read_dat
 from gelforge.mechanics.ccx.deck import material_lines, mesh_include
 from gelforge.mechanics.ccx.program import run_ccx
 from gelforge.mechanics.ccx.solver import CcxResult
-from gelforge.mechanics.hex.solver import first_touch
+from gelforge.mechanics.hex.reach import first_touch
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.scene import REFERENCE_C10, Material, Scene
 from gelforge.mechanics.tet.solid import TetSolid

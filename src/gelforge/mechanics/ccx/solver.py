@@ -16,8 +16,8 @@ from gelforge.mechanics.ccx import boundary as touch
 from gelforge.mechanics.ccx.dat import DatError, last_table, read_dat, without_set
 from gelforge.mechanics.ccx.deck import DIRECT, ITERATIVE, press_deck, write_include
 from gelforge.mechanics.ccx.program import run_ccx
+from gelforge.mechanics.hex.carry import Trail
 from gelforge.mechanics.hex.reach import first_touch
-from gelforge.mechanics.hex.solver import HexSolver
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.scene import REFERENCE_C10, Result, Scene
 from gelforge.mechanics.tet.face import face_points
@@ -58,20 +58,22 @@ class CcxResult(Result):
 
 
 class CcxSolver:
-    """Solves scenes on one tetrahedral mesh; decks and output live in `folder`.
+    """Solves scenes on one tetrahedral mesh; decks and output live in `folder`."""
 
-    guide: brick solver with nested settings that walks the path without slip, so that only its end is solved on the
-    tetrahedra; None, or with friction: the path is walked on the tetrahedra.
-    """
-
-    def __init__(self, mesh: GelMesh, folder, settings: CcxSettings = CcxSettings(), guide: HexSolver | None = None):
-        self.mesh, self.folder, self.settings, self.guide = mesh, Path(folder), settings, guide
+    def __init__(self, mesh: GelMesh, folder, settings: CcxSettings = CcxSettings()):
+        self.mesh, self.folder, self.settings = mesh, Path(folder), settings
         self.points, self.solid = face_points(mesh), TetSolid(mesh)
         self.folder.mkdir(parents=True, exist_ok=True)
         self.include = write_include(mesh, self.folder / "mesh.inp").name
 
-    def solve(self, scene: Scene, name: str = "press", settings: CcxSettings | None = None) -> CcxResult:
-        """State at the end of the scene's path. Failure is a status, not an exception."""
+    def solve(
+        self, scene: Scene, name: str = "press", settings: CcxSettings | None = None, trail: Trail | None = None
+    ) -> CcxResult:
+        """State at the end of the scene's path. Failure is a status, not an exception.
+
+        trail: the path walked on bricks, without slip; only its end is then solved on the tetrahedra. None, or an end
+        that does not settle: the path is walked on the tetrahedra.
+        """
         began = time.perf_counter()
         s = settings or self.settings
         touch_at = first_touch(scene)
@@ -81,7 +83,7 @@ class CcxSolver:
             s.press_steps, s.shear_steps, s.step_mm, s.stiffness * REFERENCE_C10,
             pull_tolerance=s.pull_tolerance / 2, penetration_mm=s.penetration_mm / 2,
         )  # fmt: skip
-        found = self._guided(scene, path) or follow(scene, self.solid, self.points, touch_at, path)
+        found = self._arrived(scene, trail, path) or follow(scene, self.solid, self.points, touch_at, path)
         kinematics_s = time.perf_counter() - began
         if found.settled:
             result = self._rounds(scene, found, name, s)
@@ -95,10 +97,9 @@ class CcxSolver:
         }  # fmt: skip
         return result
 
-    def _guided(self, scene, path) -> Kinematics | None:
-        """The end of the path from one walked on bricks; None where there is none or it does not settle."""
-        trail = self.guide.walk(scene) if self.guide and scene.interface.law == "no_slip" else None
-        if trail is None:
+    def _arrived(self, scene, trail, path) -> Kinematics | None:
+        """The end of a path that was walked on bricks; None where none was or where it does not settle."""
+        if trail is None or scene.interface.law != "no_slip":
             return None
         found = arrive(scene, self.solid, self.points, self.mesh.nodes, trail, path)
         return found if found.settled else None

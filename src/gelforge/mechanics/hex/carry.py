@@ -6,26 +6,41 @@ each point touched. That is read off the point's own way through the coarse path
 not touched yet; the coarse contact points would tell it at the coarse mesh's resolution only.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gelforge.geometry.gel import Gel
 from gelforge.mechanics.contact import Pose
 from gelforge.mechanics.hex.hexmesh import HexMesh
+from gelforge.mechanics.hex.reach import path_pose
+from gelforge.mechanics.scene import Scene
 
 LEFT = 0.05  # widths of a coarse brick beyond touch at which a point has left again
 
 
 @dataclass(frozen=True)
 class Trail:
-    """The states of a walked path: mesh, path parameters (k,) and displacements (k, n, 3) mm, the first at rest."""
+    """The states of a scene's walked path: mesh, path parameters (k,), displacements (k, n, 3) mm, the first at rest."""
 
+    scene: Scene
     mesh: HexMesh
     times: list[float]
     states: list[np.ndarray]
     size: float
+
+    def until(self, t: float) -> "Trail":
+        """The path up to t, one of its times."""
+        count = self.times.index(t) + 1
+        return replace(self, times=self.times[:count], states=self.states[:count])
+
+    def pose(self, t: float) -> Pose:
+        """The indenter's pose at path parameter t."""
+        return path_pose(self.scene, t)
+
+    def gap(self, x: np.ndarray, pose: Pose) -> np.ndarray:
+        """Signed distances (m,) mm of places x (m, 3) to the indenter at a pose."""
+        return self.scene.indenter.distance(pose.to_indenter(x))[0]
 
 
 def line_weights(lines: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -71,26 +86,24 @@ def touch_fraction(gap_before: np.ndarray, gap_after: np.ndarray) -> np.ndarray:
     return np.where(crosses, open_ / np.where(crosses, open_ - gap_after, 1.0), 1.0)
 
 
-def touches(
-    trail: Trail, points: np.ndarray, pose_at: Callable[[float], Pose], gap_of: Callable, near: float = 0.0
-) -> tuple[np.ndarray, np.ndarray]:
+def touches(trail: Trail, points: np.ndarray, near: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """Which surface points (m, 3) a path has brought into contact (m,), and where each touched (m, 3).
 
-    near: how close to the indenter counts as touching, widths of a coarse brick. pose_at(t): the indenter's pose; gap_of(x, pose): signed distances (m,) of places x (m, 3). Places are in the
-    indenter's frame. A point that goes on as in the step before crosses the surface at a fraction of the step: that
-    place counts. Points that have not touched get the place to which the last step would lead them.
+    near: how close to the indenter counts as touching, widths of a coarse brick. Places are in the indenter's frame.
+    A point that goes on as in the step before crosses the surface at a fraction of the step: that place counts. Points
+    that have not touched get the place to which the last step would lead them.
     """
     held, places = np.zeros(len(points), bool), np.empty_like(points)
     before = earlier = None
     for t, u in zip(trail.times, trail.states, strict=True):
-        pose, x = pose_at(t), points + surface_motion(trail.mesh, u, points[:, :2])
-        gap = gap_of(x, pose)
+        pose, x = trail.pose(t), points + surface_motion(trail.mesh, u, points[:, :2])
+        gap = trail.gap(x, pose)
         if before is not None:
             t1, x1, pose1, gap1 = before
             straight = earlier is not None and not t1 <= 1.0 < t  # the path turns from press to shear at 1
             ahead = x1 + (t - t1) / (t1 - earlier[0]) * (x1 - earlier[1]) if straight else x1
             free = np.flatnonzero(~held)
-            fraction = touch_fraction(gap1[free], gap_of(ahead[free], pose))[:, None]
+            fraction = touch_fraction(gap1[free], trail.gap(ahead[free], pose))[:, None]
             places[free] = (1.0 - fraction) * pose1.to_indenter(x1[free]) + fraction * pose.to_indenter(x[free])
             held = (held | (gap < near * trail.size)) & (gap < (near + LEFT) * trail.size)
             earlier = before

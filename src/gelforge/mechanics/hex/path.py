@@ -1,7 +1,7 @@
 """One scene walked along its path: load steps, Newton's method, and the contact set between them."""
 
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
@@ -20,11 +20,12 @@ from gelforge.mechanics.contact import (
 )
 from gelforge.mechanics.hex.carry import Trail, carried, touch_fraction, touches
 from gelforge.mechanics.hex.hexmesh import HexMesh, elimination_order
-from gelforge.mechanics.hex.reach import path_pose, reachable_faces
+from gelforge.mechanics.hex.reach import end_of, path_pose, reachable_faces
 from gelforge.mechanics.linear import gmres, symmetric_product, symmetric_solver
 from gelforge.mechanics.scene import Scene
 from gelforge.records.status import Status
 
+BETWEEN = 2  # load steps at least between two moments of a press that are asked for
 EASY = 7  # Newton iterations up to which a shortened step may grow again
 SMALLEST_PART = 0.1  # of pending contact changes carried out in one solve
 # Iterations after which a step must lower the residual: the first ones look uphill, though they are right.
@@ -92,28 +93,32 @@ class Run:
 
     # -- the path
 
-    def follow(self, start: float) -> Status:
-        """Walk the path from path parameter `start` (first touch) to its end."""
+    def follow(self, start: float, stops: Sequence[float] = ()) -> Status:
+        """Walk the path from path parameter `start` (first touch) to its end; a load step ends at each of `stops`."""
         self.t = start
         self._walked = [(start, self.u)]
         try:
-            for stop, count in self._legs(start):
-                self._leg(stop, (stop - self.t) / count)
+            for end, count in self._legs(start):
+                step = (end - self.t) / count
+                for stop in (*(t for t in sorted(stops) if self.t < t < end), end):
+                    self._leg(stop, min(step, (stop - self.t) / BETWEEN) if stops else step)
             return self._settle()
         except (NoEquilibrium, SolveFailed):
             return Status.DIVERGED
 
     def arrive(self, trail: Trail) -> Status:
-        """Equilibrium at the end of a path that was walked on coarser bricks: no slip or no friction only."""
-        self.t = trail.times[-1]
+        """Equilibrium at the end of a path that was walked on coarser bricks: no slip or no friction only.
+
+        The path may be the way to this end of a longer one.
+        """
+        self.t = end_of(self.scene)
         pose = path_pose(self.scene, self.t)
         self.u = carried(trail.mesh, trail.states[-1], self.mesh)
         try:
             if self.law == "frictionless":
                 self._solve_here(pose, ROUGH)
             else:
-                points, pose_at = self.state.reference, partial(path_pose, self.scene)
-                held, places = touches(trail, points, pose_at, self._gaps, TOUCHED)
+                held, places = touches(trail, self.state.reference, TOUCHED)
                 self._glue(np.flatnonzero(held), pose, places[held])
                 self._settle_contact(pose, places)
             return self._settle()
@@ -139,10 +144,9 @@ class Run:
                 return
 
     def _legs(self, start):
-        press, s = self.scene.press, self.settings
-        legs = [(1.0, s.press_steps)] if start < 1.0 else []
-        if press.dx or press.dy or start >= 1.0:
-            legs.append((2.0, s.shear_steps))
+        legs = [(1.0, self.settings.press_steps)] if start < 1.0 else []
+        if end_of(self.scene) > 1.0 or start >= 1.0:
+            legs.append((2.0, self.settings.shear_steps))
         return legs
 
     def _leg(self, stop: float, step: float) -> None:
@@ -455,7 +459,7 @@ class Run:
     def trail(self) -> Trail:
         """The walked path, for a finer mesh to arrive at its end."""
         states = [u for _, u in self._walked[:-1]]
-        return Trail(self.mesh, [t for t, _ in self._walked], [*states, self.u], self.settings.size)
+        return Trail(self.scene, self.mesh, [t for t, _ in self._walked], [*states, self.u], self.settings.size)
 
     def contact_forces(self) -> np.ndarray:
         """Nodal contact forces on the gel (n, 3) of the last equilibrium, N."""

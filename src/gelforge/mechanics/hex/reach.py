@@ -16,6 +16,11 @@ def path_pose(scene: Scene, t: float) -> Pose:
     return Pose(*scene.press.pose(min(t, 1.0), max(t - 1.0, 0.0)))
 
 
+def end_of(scene: Scene) -> float:
+    """Path parameter of the end: 2 where the press goes sideways, else 1."""
+    return 2.0 if scene.press.dx or scene.press.dy else 1.0
+
+
 def _surface_grid(scene: Scene, spacing: float) -> tuple[np.ndarray, tuple[int, int]]:
     """Points of the undeformed top surface around the press, (m, 3), and how many along x and y."""
     gel, reach = scene.gel, scene.indenter.radius() + spacing

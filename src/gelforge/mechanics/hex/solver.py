@@ -3,6 +3,7 @@
 import resource
 import time
 from collections import OrderedDict
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -49,6 +50,13 @@ class Nested:
     press_steps: int = 6
     shear_steps: int = 3
     extrapolation: float = 0.0
+
+    def share(self, ratio: float) -> float:
+        """`extrapolation` for coarse bricks `ratio` times as wide as the fine ones, at the same order of the error."""
+        if not self.extrapolation or ratio <= 1.0:
+            return 0.0
+        order = np.log(1.0 + 1.0 / self.extrapolation) / np.log(self.factor)
+        return float(1.0 / (ratio**order - 1.0))
 
 
 @dataclass(frozen=True)
@@ -126,64 +134,77 @@ class HexSolver:
 
     def solve(self, scene: Scene) -> HexResult:
         """State at the end of the scene's path. Failure is a status, not an exception."""
-        started = time.perf_counter()
+        return self.solve_frames([scene])[0]
+
+    def solve_frames(self, scenes: Sequence[Scene]) -> list[HexResult]:
+        """States at moments of one press, scenes in order of time along one path; one result each, all on one mesh.
+
+        With nested settings the path is walked once, and only its moments are solved on fine bricks, each on its own.
+        """
+        if first_touch(scenes[-1]) is None:
+            return [self._untouched(scene, time.perf_counter()) for scene in scenes]
+        box, results = self._box(scenes[-1]), []
+        for scene, way in zip(scenes, self.walk(scenes), strict=True):
+            results.append(self._moment(scene, way, box, time.perf_counter()))
+        return results
+
+    def walk(self, scenes: Sequence[Scene]) -> list["Walked | None"]:
+        """The path of a press on the coarse bricks of nested settings, as it stands at each of its moments.
+
+        None for a moment at which nothing touches yet, and for all where the path finds no equilibrium, where settings
+        are not nested, and with Coulomb friction.
+        """
+        last, none = scenes[-1], [None] * len(scenes)
+        start = first_touch(last)
+        if start is None or not self.settings.nested or last.interface.law == "coulomb" or _below_base(last):
+            return none
+        settings, box = self.settings.coarse, self._box(last)
+        wide = replace(box, size=self.settings.nested.factor * box.size)
+        run = self._run(last, self._mesh(last.gel, wide, settings), settings, wide.size)
+        times = [moment_of(scene, last) for scene in scenes]
+        status = run.follow(start, times)
+        if status is Status.DIVERGED:
+            return none
+        run.curve[-1][1:] = run.contact_forces().sum(axis=0).tolist()
+        trail = run.trail()
+        counts = {"coarse_newton_iterations": run.iterations, "coarse_factorisations": run.factorisations}
+        return [Walked(trail.until(t), _until(run.curve, t), counts) if t > start else None for t in times]
+
+    def _moment(self, scene: Scene, walked: "Walked | None", box: FineBox, started: float) -> HexResult:
+        """State at the end of one scene: from the coarse path where it was walked, else by a path of its own."""
         start = first_touch(scene)
         if start is None:
             return self._untouched(scene, started)
-        box = self.settings.box or fine_box(scene, self.settings.size, self.settings.across)
         bricks = self._bricks(scene.gel, box)
-        lowest = scene.press.z0 + scene.press.dz
-        if lowest <= -scene.gel.height:
-            reason = f"the tip ends at z = {lowest:.3g} mm, at or below the gel's base at {-scene.gel.height:g} mm"
+        if reason := _below_base(scene):
             return _refused(self.mesh(scene.gel, box), bricks, reason, started)
-        if self.settings.nested and scene.interface.law != "coulomb":
-            result = self._nested(scene, start, box, bricks, started)
+        if walked:
+            result = self._arrived(scene, walked, box, bricks, started)
             if result.status.valid or result.status is Status.OUT_OF_RANGE:
                 return result
         run = self._run(scene, self.mesh(scene.gel, box), self.settings, box.size)
         return _result(run, run.follow(start), started, bricks)
 
-    def walk(self, scene: Scene) -> Trail | None:
-        """The scene's path on the coarse bricks of a nested setting, for another mesh to arrive at its end.
-
-        None where nothing touches or the path finds no equilibrium.
-        """
-        start = first_touch(scene)
-        if start is None:
-            return None
-        box = self.settings.box or fine_box(scene, self.settings.size, self.settings.across)
-        way, status = self._coarse(scene, start, box)
-        return None if status is Status.DIVERGED else way.trail()
-
-    def _coarse(self, scene, start, box) -> tuple[Run, Status]:
-        """The path walked on bricks wider than those of the fine box."""
-        settings = self.settings.coarse
-        wide = replace(box, size=self.settings.nested.factor * box.size)
-        way = self._run(scene, self._mesh(scene.gel, wide, settings), settings, wide.size)
-        return way, way.follow(start)
-
-    def _nested(self, scene, start, box, bricks, started) -> HexResult:
-        """The path on coarse bricks, its end on the fine ones, and what both together tell of the error."""
-        nested = self.settings.nested
-        way, status = self._coarse(scene, start, box)
-        if status is Status.DIVERGED:
-            return _result(way, status, started, bricks)
+    def _arrived(self, scene, walked, box, bricks, started) -> HexResult:
+        """The end of a coarse path on the fine bricks, and what both together tell of the error."""
         run = self._run(scene, self.mesh(scene.gel, box), self.settings, box.size)
-        result = _result(run, run.arrive(way.trail()), started, bricks)
+        result = _result(run, run.arrive(walked.trail), started, bricks)
+        result.evidence |= walked.counts
         # the curve is the coarse bricks' but for its end, which is the fine ones'
-        result.evidence["path"] = [*way.curve[:-1], [float(run.t), *result.total.tolist()]]
-        for name, count in (("newton_iterations", way.iterations), ("factorisations", way.factorisations)):
-            result.evidence[f"coarse_{name}"] = count
+        curve = [*walked.curve[:-1], [float(run.t), *result.total.tolist()]]
+        result.evidence["path"] = curve
         if result.status is Status.OK:
-            factor = _corrected(result.total, way.contact_forces().sum(axis=0), nested.extrapolation)
+            share = self.settings.nested.share(walked.trail.size / box.size)
+            factor = _corrected(result.total, np.array(walked.curve[-1][1:]), share)
             # reactions of the base go with the forces: what was checked for balance stays balanced
             result.forces *= factor
             run.state.traction *= factor
-            result.evidence["path"] = [
-                [t, *(factor * np.array(force)).tolist()] for t, *force in result.evidence["path"]
-            ]
+            result.evidence["path"] = [[t, *(factor * np.array(force)).tolist()] for t, *force in curve]
             result.evidence["extrapolated"] = factor
         return result
+
+    def _box(self, scene: Scene) -> FineBox:
+        return self.settings.box or fine_box(scene, self.settings.size, self.settings.across)
 
     def _run(self, scene: Scene, mesh: HexMesh, settings: HexSettings, size: float) -> Run:
         return Run(scene, replace(settings, size=size), mesh, self._system(mesh))
@@ -209,6 +230,43 @@ class HexSolver:
         evidence = _evidence(unknown=0.0)
         evidence["seconds"] = time.perf_counter() - started
         return HexResult(Status.NO_CONTACT, zero, zero.copy(), evidence, mesh, None, self._bricks(gel, box))
+
+
+@dataclass(frozen=True)
+class Walked:
+    """A press on coarse bricks up to one moment.
+
+    trail: its states. curve: converged load steps [path parameter of the moment's own path, fx, fy, fz] in N.
+    counts: iterations and factorisations of the whole path.
+    """
+
+    trail: Trail
+    curve: list[list[float]]
+    counts: dict[str, int]
+
+
+def moment_of(scene: Scene, last: Scene) -> float:
+    """Path parameter at which the press of scene `last` ends where `scene` does."""
+    sideways, whole = (float(np.hypot(s.press.dx, s.press.dy)) for s in (scene, last))
+    if sideways > 0.0:
+        return 1.0 + min(1.0, sideways / whole)
+    return min(1.0, scene.press.dz / last.press.dz)
+
+
+def _until(curve: list[list[float]], t: float) -> list[list[float]]:
+    """The load steps up to t, by the path parameter of a press that ends there."""
+    before = [row for row in curve if row[0] <= t]
+    if t <= 1.0:
+        return [[at / t, *force] for at, *force in before]
+    return [[at if at <= 1.0 else 1.0 + (at - 1.0) / (t - 1.0), *force] for at, *force in before]
+
+
+def _below_base(scene: Scene) -> str | None:
+    """Why a press that ends at or below the gel's base has no solution; None for others."""
+    lowest = scene.press.z0 + scene.press.dz
+    if lowest > -scene.gel.height or first_touch(scene) is None:
+        return None
+    return f"the tip ends at z = {lowest:.3g} mm, at or below the gel's base at {-scene.gel.height:g} mm"
 
 
 class _Kept:

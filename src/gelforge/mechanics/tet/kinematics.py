@@ -6,14 +6,12 @@ go. So every step is a smooth problem but for new touches. CalculiX then solves 
 """
 
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
 from gelforge.mechanics.ccx.boundary import FREE, SLIDE, STICK, Contact, gaps, judge
 from gelforge.mechanics.contact import Pose
 from gelforge.mechanics.hex.carry import Trail, touches, volume_motion
-from gelforge.mechanics.hex.reach import path_pose
 from gelforge.mechanics.scene import REFERENCE_C10, Material, Scene
 from gelforge.mechanics.tet.face import FacePoints
 from gelforge.mechanics.tet.solid import TetSolid
@@ -387,12 +385,7 @@ class _Path:
         Each point changes once either way, or some would for ever. Whether that comes to rest.
         """
         pose, spots = self.pose(self.at), self.points.position.reshape(-1, 3)
-        held, places = touches(
-            trail,
-            spots,
-            partial(path_pose, self.scene),
-            lambda x, at: self.scene.indenter.distance(at.to_indenter(x))[0],
-        )
+        held, places = touches(trail, spots)
         held, places = held.reshape(self.contact.state.shape), places.reshape(self.anchor.shape)
         self._anchor(held, places, pose)
         for _ in range(self.settings.settle_rounds):
