@@ -10,7 +10,7 @@ import os
 import shutil
 import tempfile
 from argparse import Namespace
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -23,8 +23,9 @@ from gelforge.flow.params import canonical
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import Gel, load_gel
 from gelforge.geometry.indenters import build, load_catalogue
-from gelforge.labelling.sensor import load_sensors
+from gelforge.labelling.sensor import Sensor, load_sensors
 from gelforge.mechanics.ccx.program import need_ccx, run_ccx
+from gelforge.mechanics.hex.solver import quality
 from gelforge.mechanics.scene import Interface, Material, Press, Scene
 from gelforge.records.status import Status
 from gelforge.stages import pareto as branch
@@ -42,6 +43,7 @@ from gelforge.sweeps.trial import (
     solve_isolated,
     without_bricks,
 )
+from tests.benchmarks import fea_cost as cost
 from tests.benchmarks.figures import Figure, publish_figures
 
 # Depth of FEATS' deck: scene, and times faster that `ccx` and `hex` at label setting are to be.
@@ -50,8 +52,16 @@ MEDIANS = {"total": 0.8, "cells": 3.7}  # % that half of the scenes may be off b
 METHODS = (quality_method("demo"), quality_method("draft"), Method("hex-label", "hex"), Method("ccx-label", "ccx"),
            Method(REFERENCE, REFERENCE))  # fmt: skip
 ENVELOPE = 200
+FRAMED = (
+    "sphere_1mm",
+    "cuboid_round",
+    "cuboid_shear",
+    "pyramid",
+    "punch",
+    "cylinder",
+)  # of round, flat, sharp, sheared
 HELD_TOTAL, HELD_CELLS = 0.5, 2.0  # % that halving the reference may move it
-PARTS = ("deck", "scenes", "envelope", "laws")
+PARTS = ("deck", "scenes", "envelope", "cost", "laws")
 
 
 # -- FEATS' own deck
@@ -209,16 +219,14 @@ def envelope_scene(number: int, catalogue: dict, gel: Gel) -> Scene:
     return Scene(gel, Material(), body, press, Interface())
 
 
-def solve_envelope(bench: ChartBench, catalogue: dict, folder: Path, count: int) -> list[dict]:
-    """Records of the envelope's scenes with `ccx`, kept one by one."""
+def solve_envelope(bench: ChartBench, catalogue: dict, folder: Path, count: int, method: Method) -> list[dict]:
+    """Records of the envelope's scenes with one engine at label setting, kept one by one."""
     ensure_meshes(bench, meshes.label_meshes(bench.params))
-    gel, method = load_gel(bench.params["meshes"]["gel"]), Method("ccx-label", "ccx")
-    tables = [without_bricks(bench.params["fea"] | {"charted": None}), without_bricks(bench.params["meshes"])]
-    settings = canonical([bench.params["version"], *tables])
-    key = hashlib.sha256(settings.encode()).hexdigest()
-    records, limit = [], bench.params["pareto"]["limit_s"]
-    for number in progress(range(count), "envelope"):
-        path = folder / f"{number:03d}.json"
+    gel, limit = load_gel(bench.params["meshes"]["gel"]), bench.params["pareto"]["limit_s"]
+    key = hashlib.sha256(canonical(envelope_settings(bench.params, method)).encode()).hexdigest()
+    records = []
+    for number in progress(range(count), f"envelope, {method.fidelity}"):
+        path = folder / method.fidelity / f"{number:03d}.json"
         record = kept(path, key)
         if record is None:
             scene = envelope_scene(number, catalogue, gel)
@@ -230,24 +238,64 @@ def solve_envelope(bench: ChartBench, catalogue: dict, folder: Path, count: int)
             asked = {"number": number, "indenter": scene.indenter.name, "press": vars(scene.press)}
             record = {"key": key} | asked | found
             write_json(path, record)
-            print(f"{number:03d} {scene.indenter.name} {record['status']} {record['reason']}"
-                  f" {record.get('cpu_seconds', 0):.1f} s", flush=True)  # fmt: skip
         records.append(record)
     return records
 
 
-def envelope_figures(records: list[dict]) -> list[Figure]:
-    """Share of valid results, of failures with a reason, and how many needed a lower rung."""
+def envelope_settings(params: dict, method: Method) -> list:
+    """What the records of an engine depend on."""
+    if method.fidelity == "hex":
+        return [params["version"], asdict(quality(params["fea"]["hex_quality"]))]
+    return [params["version"], *(without_bricks(t) for t in (params["fea"] | {"charted": None}, params["meshes"]))]
+
+
+def envelope_figures(found: dict[str, list[dict]]) -> list[Figure]:
+    """Share of valid results and of failures with a reason, engine by engine, and how the two agree."""
+    figures = [figure for engine, records in found.items() for figure in _valid_figures(engine, records)]
+    both = [(h, c) for h, c in zip(found["hex"], found["ccx"], strict=True)
+            if h["status"] == c["status"] == "OK" and c["evidence"].get("fidelity") != "hex"]  # fmt: skip
+    apart = {f"{h['number']} {h['indenter']}": 100 * _apart(h["total"], c["total"]) for h, c in both}
+    near = [name for name in apart if apart[name] <= 2.0]
+    worst = sorted(apart, key=apart.get, reverse=True)[:5]
+    note = f"median {np.median(list(apart.values())):.2f} %; worst: " + ", ".join(
+        f"{n} {apart[n]:.1f}" for n in worst
+    )
+    figures.append(Figure("random presses on which hex and ccx agree to 2 %", 100 * len(near) / len(both), ">=", 95.0,
+                          "%", note))  # fmt: skip
+    slow = [r["cpu_seconds"] for r in found["hex"] if r["status"] == "OK"]
+    figures.append(Figure("slowest random press with hex over the median", max(slow) / np.median(slow), "<=", 6.0,
+                          "times", f"{max(slow):.1f} of {np.median(slow):.1f} s"))  # fmt: skip
+    return figures
+
+
+def _apart(one, other) -> float:
+    return float(np.linalg.norm(np.subtract(one, other)) / max(np.linalg.norm(other), 1e-12))
+
+
+def _valid_figures(engine: str, records: list[dict]) -> list[Figure]:
     valid = [r for r in records if r["status"] in ("OK", "NO_CONTACT")]
-    ccx = [r for r in valid if r["evidence"].get("fidelity", "ccx") != "hex"]
+    own = [r for r in valid if r["evidence"].get("fidelity", engine) == engine]
     mute = [r["number"] for r in records if r not in valid and not r["reason"]]
     seconds = np.median([r["cpu_seconds"] for r in valid]) if valid else np.nan
-    told = ", ".join(f"{r['number']} {r['indenter']} {r['status']}" for r in records if r not in ccx)
+    told = ", ".join(f"{r['number']} {r['indenter']} {r['status']}" for r in records if r not in own)
     return [
-        Figure("valid ccx results in the paper's envelope", 100 * len(ccx) / len(records), ">=", 99.0, "%",
+        Figure(f"valid {engine} results in the paper's envelope", 100 * len(own) / len(records), ">=", 99.0, "%",
                f"{len(records)} random scenes, median {seconds:.1f} s{'; not: ' + told if told else ''}"),
-        Figure("failures without a reason", len(mute), "==", 0, "scenes"),
+        Figure(f"failures of {engine} without a reason", len(mute), "==", 0, "scenes"),
     ]  # fmt: skip
+
+
+# -- what labels cost
+
+
+def cost_figures(scenes: dict[str, Scene], sensor: Sensor, folder: Path) -> list[Figure]:
+    """Moments of one press, growth with unknowns and throughput, in process."""
+    framed = {name: scene for name, scene in scenes.items() if name in FRAMED}
+    return [
+        *cost.frame_figures(framed, sensor),
+        *cost.growth_figures(scenes["cuboid_round"], folder),
+        *cost.throughput_figures(list(scenes.values())),
+    ]
 
 
 # -- laws
@@ -347,7 +395,13 @@ def main(args: Namespace) -> None:
             figures += scene_figures(found, decks)
     if "envelope" in parts:
         catalogue = load_catalogue(args.workflow / "indenters.toml")
-        figures += envelope_figures(solve_envelope(bench, catalogue, args.work / "envelope", args.envelope))
+        folder, engines = args.work / "envelope", (Method("hex-label", "hex"), Method("ccx-label", "ccx"))
+        figures += envelope_figures(
+            {m.fidelity: solve_envelope(bench, catalogue, folder, args.envelope, m) for m in engines}
+        )
+    if "cost" in parts:
+        sensor = sensors[params["pareto"]["sensor"]]
+        figures += cost_figures({name: scene.scene for name, scene in scenes.items()}, sensor, args.work)
     if "laws" in parts:
         figures += law_figures(args.work)
     if args.only:

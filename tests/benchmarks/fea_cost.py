@@ -1,0 +1,166 @@
+"""What labels cost in process: moments of one press, growth with the number of unknowns, many presses at once."""
+
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.flow.files import write_json
+from gelforge.labelling.sensor import Sensor
+from gelforge.mechanics.hex.solver import HexSettings, HexSolver, quality
+from gelforge.mechanics.scene import Scene
+from gelforge.records.status import Status
+from gelforge.sweeps.isolate import Clock, isolated, peak_mib
+from gelforge.sweeps.methods import warm_up
+from gelforge.sweeps.trial import cells_of
+from tests.benchmarks.figures import Figure
+
+FRAMES = 6
+# Sizes of bricks under the press and layers, from some 5 000 to some 200 000 unknowns on a 10 mm cuboid.
+GROWTH = ((0.9, 4), (0.6, 4), (0.45, 5), (0.35, 5), (0.25, 6), (0.2, 8), (0.165, 9))
+LIMIT_S = 1800.0
+BATCH = 12  # presses that each of the processes solves at once
+
+
+# -- moments of one press
+
+
+def moments(scene: Scene, count: int = FRAMES) -> list[Scene]:
+    """`count` moments of a press: evenly down, and where it goes sideways the last two of them along that way."""
+    press = scene.press
+    aside = 2 if press.dx or press.dy else 0
+    shares = [(k / (count - aside), 0.0) for k in range(1, count - aside + 1)]
+    shares += [(1.0, k / aside) for k in range(1, aside + 1)]
+    return [replace(scene, press=replace(press, dz=down * press.dz, dx=to * press.dx, dy=to * press.dy))
+            for down, to in shares]  # fmt: skip
+
+
+def frames_of(scene: Scene, sensor: Sensor) -> dict:
+    """Time of all moments over that of the last alone, and each moment's distance from a press solved to it alone."""
+    settings, parts = quality("label"), moments(scene)
+    warm_up()
+    alone, whole = HexSolver(settings), HexSolver(settings)
+    with Clock() as one:
+        last = alone.solve(scene)
+    with Clock() as all_:
+        found = whole.solve_frames(parts)
+    apart = []
+    for part, result in zip(parts, found, strict=True):
+        single = HexSolver(settings).solve(part)
+        size = np.linalg.norm(single.total)
+        cells, other = (cells_of(r.mesh, r.forces, sensor)[0] for r in (result, single))
+        apart.append([float(np.linalg.norm(result.total - single.total) / size),
+                      float(np.linalg.norm(cells - other, axis=0).sum() / size)])  # fmt: skip
+    valid = all(r.status is Status.OK for r in [last, *found])
+    return {"ratio": all_.cpu_seconds / one.cpu_seconds, "apart": apart, "valid": valid}
+
+
+def frame_figures(scenes: dict[str, Scene], sensor: Sensor) -> list[Figure]:
+    """Cost and agreement of moments over the scenes."""
+    found = {name: frames_of(scene, sensor) for name, scene in scenes.items()}
+    ratio = float(np.median([record["ratio"] for record in found.values()]))
+    figures = [
+        Figure(f"a press with {FRAMES} moments against its last alone, median scene", ratio, "<=", 2.0, "times"),
+        Figure("scenes whose moments are all valid", sum(r["valid"] for r in found.values()), ">=", len(found)),
+    ]
+    for k, (what, goal) in enumerate((("total force", 0.3), ("cells", 2.0))):
+        worst = {name: max(100 * moment[k] for moment in record["apart"]) for name, record in found.items()}
+        late = max(100 * record["apart"][at][k] for record in found.values() for at in range(FRAMES // 2, FRAMES))
+        name = max(worst, key=worst.get)
+        note = f"{name}; the later half of the moments {late:.2g}"
+        figures.append(Figure(f"moments against single presses, worst {what}", worst[name], "<=", goal, "%", note))
+    return figures
+
+
+# -- growth with unknowns
+
+
+def grown(scene: Scene, size: float, layers: int) -> dict:
+    """Cost of one solve on bricks of a size, in a process of its own."""
+
+    def child():
+        warm_up()
+        settings = replace(quality("label"), size=size, layers=layers, across=0)
+        solver = HexSolver(settings)
+        with Clock() as clock:
+            result = solver.solve(scene)
+        unknowns = 3 * (len(result.mesh.nodes) - len(result.mesh.base))
+        return {"status": result.status.name, "unknowns": unknowns, "cpu_seconds": clock.cpu_seconds,
+                "peak_mib": peak_mib()}  # fmt: skip
+
+    return isolated(child, LIMIT_S)
+
+
+def exponent(records: list[dict], key: str = "cpu_seconds") -> float:
+    """Slope of log(cost) over log(unknowns), least squares."""
+    x, y = (np.log([record[k] for record in records]) for k in ("unknowns", key))
+    return float(np.polyfit(x, y, 1)[0])
+
+
+def growth_figures(scene: Scene, folder: Path) -> list[Figure]:
+    """Solve the scene on ever smaller bricks; records and chart go to `folder`."""
+    records = [grown(scene, size, layers) for size, layers in GROWTH]
+    write_json(folder / "growth.json", {"records": records})
+    solved = [record for record in records if record["status"] == "OK"]
+    assert all(a["unknowns"] < b["unknowns"] for a, b in pairwise(solved))
+    draw_growth(solved, folder / "growth.png")
+    told = ", ".join(f"{r['unknowns'] / 1000:.0f}k {r['cpu_seconds']:.1f} s {r['peak_mib']:.0f} MiB" for r in solved)
+    return [
+        Figure("solved of the sizes of bricks", len(solved), ">=", len(GROWTH), "", told),
+        Figure("exponent of time over unknowns", exponent(solved), "<=", 2.0, "", "nested dissection in space: 2"),
+        Figure("exponent of memory over unknowns", exponent(solved, "peak_mib"), "<=", 4 / 3, "", "the same: 4/3"),
+    ]
+
+
+def draw_growth(records: list[dict], path: Path) -> None:
+    """Seconds and memory against unknowns, both axes logarithmic."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, left = plt.subplots(figsize=(6.4, 4.2), layout="constrained")
+    right = left.twinx()
+    x = np.array([record["unknowns"] for record in records])
+    for axis, key, colour, label in (
+        (left, "cpu_seconds", "#1f5fa8", "processor time, s"),
+        (right, "peak_mib", "#b5541c", "peak memory, MiB"),
+    ):
+        y = np.array([record[key] for record in records])
+        axis.loglog(x, y, "o-", color=colour)
+        axis.set_ylabel(f"{label} (grows as unknowns to the power {exponent(records, key):.2f})", color=colour)
+    left.set_xlabel("unknowns")
+    left.set_title("Cost of one press in process, 10 mm cuboid")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=130)
+    plt.close(figure)
+
+
+# -- many presses at once
+
+
+def solve_batch(scenes: list[Scene], settings: HexSettings) -> float:
+    """Solve scenes one after another; seconds by the clock, without what starting a process costs."""
+    solver = HexSolver(settings)
+    with Clock() as clock:
+        for scene in scenes:
+            solver.solve(scene)
+    return clock.seconds
+
+
+def presses_an_hour(scenes: list[Scene], processes: int) -> float:
+    """Rate at which so many processes, each with all of the scenes, solve them to label quality."""
+    with ProcessPoolExecutor(processes, initializer=warm_up) as pool:
+        took = list(pool.map(solve_batch, [scenes] * processes, [quality("label")] * processes))
+    return 3600.0 * len(scenes) * processes / max(took)
+
+
+def throughput_figures(scenes: list[Scene], cores: int = 2) -> list[Figure]:
+    """Presses an hour with one process and with two, by the clock: on a machine that does other things, less."""
+    one, many = (presses_an_hour(scenes[:BATCH], count) for count in (1, cores))
+    return [
+        Figure(f"throughput of {cores} processes over that of one", many / one, ">=", 0.9 * cores, "times",
+               f"{one:.0f} and {many:.0f} presses an hour"),
+    ]  # fmt: skip
