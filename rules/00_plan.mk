@@ -18,9 +18,9 @@ include $(PLANNED)
 ifneq ($(PLAN_STATE),$(if $(PLAN_STATE),$(shell stat -c '%n:%.9Y:%s' $(PLAN_INPUTS) $(PLAN_READS) 2>/dev/null)))
 .PHONY: plan-again
 $(PLANNED): plan-again
-# A picture that was replaced: looked for once, or one dated in the future would be found for ever.
-else ifeq ($(MAKE_RESTARTS)$(if $(wildcard $(DATA)/images),,none),)
-ifneq ($(shell find $(DATA)/images -type f -newer $(PLANNED) -print -quit),)
+# A picture that was replaced, by an older one too: the time at which its entry changed tells (-cnewer), not its own.
+else ifeq ($(MAKE_RESTARTS)$(if $(and $(wildcard $(DATA)/images),$(wildcard $(PLANNED))),,none),)
+ifneq ($(shell find $(DATA)/images -type f -cnewer $(PLANNED) -print -quit),)
 .PHONY: plan-again
 $(PLANNED): plan-again
 endif

@@ -94,3 +94,43 @@ def inputs_wrapped(target, source, *command):
         text=True,
     )
     return done.returncode, done.stdout
+
+
+def test_an_input_with_a_changed_bit_is_made_again(tmp_path):
+    first, second = tmp_path / "results/d/30_fea/0000.csv", tmp_path / "results/d/40_forces/0000.npz"
+    assert wrapped(first, "bash", "-c", f"echo whole > {first}.part")[0] == 0
+    first.write_text("Whole\n")  # as many bytes
+    code, said = inputs_wrapped(second, first, "bash", "-c", f"cp {first} {second}.part")
+    assert code == 0 and "making it again" in said
+    assert first.read_text() == second.read_text() == "whole\n"
+
+
+def test_what_cannot_be_made_again_is_never_taken_for_whole(tmp_path):
+    """A command that only an older version of the code knew fails; the damaged file must not serve the next make."""
+    first, second = tmp_path / "results/d/30_fea/0000.csv", tmp_path / "results/d/40_forces/0000.npz"
+    assert wrapped(first, "bash", "-c", f"[ ! -e {tmp_path}/gone ] && echo whole > {first}.part")[0] == 0
+    (tmp_path / "gone").touch()
+    first.write_text("wh")
+    assert inputs_wrapped(second, first, "bash", "-c", f"cp {first} {second}.part")[0]
+    assert not first.exists() and not second.exists()
+
+
+def test_killing_what_started_the_wrapper_ends_wrapper_and_command(tmp_path):
+    """kill -9 of make: nothing goes on to the end of its shard."""
+    target, mark = tmp_path / "results/d/30_fea/0000.csv", tmp_path / "pid"
+    inner = f"echo $$ > {mark}; exec sleep 60"
+    step = f"{sys.executable} -m gelforge.flow.step {target} -- bash -c '{inner}'; true"
+    outer = subprocess.Popen(["bash", "-c", step])
+    deadline = time.monotonic() + 20  # the interpreter starts within seconds even on a busy machine
+    while not (mark.exists() and mark.read_text().strip()) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    command = int(mark.read_text())
+    with open(f"/proc/{command}/stat", encoding="utf-8") as stat:
+        wrapper = int(stat.read().rsplit(")", 1)[1].split()[1])
+    assert wrapper != outer.pid
+    outer.kill()
+    outer.wait()
+    deadline = time.monotonic() + 20
+    while (alive(command) or alive(wrapper)) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not alive(command) and not alive(wrapper) and not target.exists()

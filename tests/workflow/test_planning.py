@@ -148,6 +148,21 @@ def test_a_replaced_picture_reruns_its_own_shard(labelled, log):
     assert "rejected: " not in done.stdout and "10_poses/0000.csv" in done.stdout
 
 
+def test_a_picture_that_an_older_one_replaced_is_seen(labelled, log):
+    rows = log.read_text().splitlines()
+    picture, other = (labelled / "data/tiny" / row.split(",")[-1] for row in rows[1:3])
+    kept = picture.read_bytes()
+    assert "gelforge.flow.step" not in make(labelled, "-n", "poses", "DATASET=tiny").stdout
+    copy = picture.with_name("copy")
+    copy.write_bytes(other.read_bytes())
+    os.utime(copy, (0, 0))
+    copy.replace(picture)
+    try:
+        assert "10_poses/0000.csv" in make(labelled, "-n", "poses", "DATASET=tiny").stdout
+    finally:
+        picture.write_bytes(kept)
+
+
 def test_files_of_odd_names_beside_a_dataset_disturb_nothing(labelled):
     folder = labelled / "data/tiny/nocontact"
     folder.mkdir(exist_ok=True)

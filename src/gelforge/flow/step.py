@@ -6,6 +6,7 @@ success. An input that lost bytes since it was made is made again first, by the 
 
 import ctypes
 import fcntl
+import hashlib
 import os
 import resource
 import shutil
@@ -138,15 +139,31 @@ def report_failure(target: Path, log_path: Path, code: int) -> None:
 
 
 def heal(path: Path) -> int:
-    """Make an input again if it does not have the bytes it was published with; return the exit code."""
+    """Make an input again if it does not have the content it was published with; return the exit code.
+
+    It goes first: where its command fails, or is one that an older version of the code knew, nobody takes the
+    damaged file for a whole one, and the next make finds it missing and makes it by today's rule.
+    """
     metrics = mirror(path, "metrics", ".json")
     if not (metrics.exists() and path.is_file()):
         return 0
     made = read_json(metrics)
-    if made["exit_code"] or path.stat().st_size == made["bytes"]:
+    if made["exit_code"] or whole(path, made):
         return 0
-    print(f"{path}: {path.stat().st_size} bytes, {made['bytes']} when it was made; making it again", flush=True)
+    print(f"{path}: not as it was when it was made; making it again", flush=True)
+    path.unlink()
     return build(path, [Path(name) for name in made["inputs"]], made["command"])
+
+
+def whole(path: Path, made: dict) -> bool:
+    """Whether a file has the bytes that its metrics tell of; metrics of older code tell their number alone."""
+    return path.stat().st_size == made["bytes"] and made.get("sha256") in (None, digest_of(path))
+
+
+def digest_of(path: Path) -> str:
+    """SHA-256 of a file's content."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def build(target: Path, inputs: list[Path], command: list[str]) -> int:
@@ -176,6 +193,8 @@ def make_part(target: Path, inputs: list[Path], command: list[str], log_path: Pa
         code = cost["exit_code"] = 1
     cost["inputs"] = [str(path) for path in inputs]
     cost["bytes"] = part.stat().st_size if code == 0 else 0
+    if code == 0:
+        cost["sha256"] = digest_of(part)
     write_json(mirror(target, "metrics", ".json"), cost)
     if code:
         shutil.rmtree(part, ignore_errors=True) if part.is_dir() else part.unlink(missing_ok=True)
@@ -195,6 +214,7 @@ def main(argv=None) -> int:
         print("usage: python -m gelforge.flow.step TARGET INPUT… -- COMMAND…", file=sys.stderr)
         return 2
     split = argv.index("--")
+    die_with_parent()
     try:
         return build(Path(argv[0]), [Path(name) for name in argv[1:split]], argv[split + 1 :])
     except OSError as error:
