@@ -3,6 +3,12 @@ PY := .venv/bin/python
 # The code of this checkout, whichever one the environment was made in.
 export PYTHONPATH := $(CURDIR)/src
 SETUP := .venv/ready
+# An environment knows the place it was made in: in a clone that was moved or copied its programs start elsewhere. A link
+# is meant to lead to another checkout's.
+VENV_HOME := $(if $(wildcard .venv/pyvenv.cfg),$(shell [ -L .venv ] || sed -n 's/^command = .* //p' .venv/pyvenv.cfg))
+ifneq ($(or $(VENV_HOME),$(CURDIR)/.venv),$(CURDIR)/.venv)
+$(error .venv was made for $(VENV_HOME), not for this folder: it was moved or copied. Run `rm -rf .venv && make setup`)
+endif
 CCX_FOUND := .venv/ccx.path
 
 # One solver thread per job: make's slots are the parallelism.

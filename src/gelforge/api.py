@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from gelforge.errors import GelforgeError
+from gelforge.errors import BadInput, GelforgeError
 from gelforge.geometry.gel import load_gel
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import Sensor
@@ -38,26 +38,30 @@ def solve(
     shear: tuple[float, float] = (0.0, 0.0),
     rot_deg: float = 0.0,
     gel: str = "gelsight_mini",
-    material: Material | None = None,
+    c10: float = REFERENCE_C10,
+    nu: float = 0.475,
     quality: str = "draft",
 ) -> SolvedPress:
     """Press an indenter into a gel, down by `depth` mm and then sideways by `shear` mm, by finite elements in process.
 
     indenter: a body, or a table as in workflow/indenters.toml. at: where its tip meets the crown plane, mm.
-    material: 0.0725 MPa and Poisson's ratio 0.475 where None. quality: "label", "draft" or "demo", slow to fast.
+    c10: stiffness of the gel, MPa. nu: its Poisson's ratio. quality: "label", "draft" or "demo", slow to fast.
     A press that cannot be solved raises GelforgeError with its reason.
     """
+    if not (np.isfinite(c10) and c10 > 0.0 and 0.0 <= nu < 0.5):
+        raise BadInput(f"gelforge.solve: c10 = {c10!r} MPa, nu = {nu!r}: give c10 above 0 and nu from 0 to below 0.5")
     from gelforge.geometry.indenters import build
     from gelforge.mechanics.hex.solver import HexSolver
     from gelforge.mechanics.hex.solver import quality as settings
 
     body: Any = build("indenter", indenter, "gelforge.solve") if isinstance(indenter, dict) else indenter
     press = Press(at[0], at[1], 0.0, shear[0], shear[1], -depth, rot_deg)
-    scene = Scene(load_gel(gel), material or Material(REFERENCE_C10), body, press)
+    scene = Scene(load_gel(gel), Material(nu), body, press)
     result = HexSolver(settings(quality)).solve(scene)
     if not result.status.valid or result.bricks is None:
         raise GelforgeError(f"the press was not solved: {result.evidence.get('reason') or result.status.value}")
-    return SolvedPress(gel, result.bricks.mesh(), result.forces, result.displacement, result.evidence)
+    forces = result.forces * (c10 / REFERENCE_C10)  # exactly so: the solid's stress is proportional to C10
+    return SolvedPress(gel, result.bricks.mesh(), forces, result.displacement, result.evidence)
 
 
 def label(solved: SolvedPress, resolution: str = "24x32", sensor: Sensor | None = None) -> np.ndarray:

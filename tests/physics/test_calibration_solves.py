@@ -34,9 +34,7 @@ def presses(*poses) -> Readings:
 
 
 def solve(catalogue, press, mu=MU):
-    result = solve_hex(
-        Scene(Gel(), Material(REFERENCE_C10, NU), catalogue["sphere_15"], press, interface_of(mu)), SETTINGS
-    )
+    result = solve_hex(Scene(Gel(), Material(NU), catalogue["sphere_15"], press, interface_of(mu)), SETTINGS)
     assert result.status.valid, result.status.value
     return result.total
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gelforge.mechanics.ccx.dat import DatError, last_table, read_dat, without_set
+from gelforge.mechanics.ccx.dat import DatError, Unfinished, last_table, read_dat, without_set
 
 HEAD = "\n displacements (vx,vy,vz) for set NTOP and time  0.{time}000000E+01\n\n"
 ROWS = "         1  1.000000E-01 -2.000000E-01  3.000000E-01\n         7  4.000000E-01  5.000000E-01 -6.000000E-01\n"
@@ -55,3 +55,14 @@ def test_a_set_can_be_left_out():
     text = whole() + FORCES
     assert without_set(text, "NTOP") == "\n" + FORCES.lstrip("\n") or "NTOP" not in without_set(text, "NTOP")
     assert read_dat(without_set(text, "NTOP"))[0].set_name == "NBASE"
+
+
+def test_a_job_that_did_not_finish_is_told_from_a_file_that_cannot_be_read():
+    nodes = np.array([1, 2])
+    with pytest.raises(Unfinished):
+        last_table(read_dat(""), "displacements", "NTOP", nodes)
+    with pytest.raises(Unfinished):
+        last_table(read_dat(whole(time="5")), "displacements", "NTOP", nodes)
+    with pytest.raises(DatError) as damaged:
+        last_table(read_dat(whole()), "displacements", "NTOP", np.array([1, 2, 7]))
+    assert not isinstance(damaged.value, Unfinished)

@@ -21,7 +21,7 @@ from gelforge.networks.inputs import network_input
 from gelforge.networks.latency import predict_images
 from gelforge.networks.modelfile import Reader, load_model, require_fit, save_model
 from gelforge.networks.models import ResNetTotal, UNet, build, parameter_count, strides
-from gelforge.networks.training import Training, fit, loss_of, normalisations, predict_rows
+from gelforge.networks.training import Training, fit, loss_of, normalisations, predict_rows, resume, save_checkpoint
 from gelforge.stages.train import resolve, train
 
 SMALL = {"kind": "grid", "width": 8, "blocks": 1}
@@ -382,3 +382,27 @@ def test_model_of_another_sensor_grid_or_size_is_refused(folder, trained):
         other = type(trained)(trained.net, trained.about | {key: value})
         with pytest.raises(BadInput, match=word):
             require_fit(other, data)
+
+
+@pytest.mark.parametrize("damage", [lambda b: b[: len(b) // 2], lambda b: b"", lambda b: b"no tensors at all"])
+def test_a_damaged_checkpoint_starts_the_training_over(folder, tmp_path, damage, capsys):
+    data, path = open_data(folder), tmp_path / "c.pt"
+    first = Training(SMALL, {**SETTINGS, "epochs": 1}, scales(data, False), IMAGE, GRID, "cpu")
+    fit(first, data, None, "one")
+    save_checkpoint(path, first, "one")
+    path.write_bytes(damage(path.read_bytes()))
+    again = Training(SMALL, {**SETTINGS, "epochs": 1}, scales(data, False), IMAGE, GRID, "cpu")
+    assert not resume(path, again, "one")
+    assert "starting over" in capsys.readouterr().out
+
+
+def test_a_changed_weight_is_noticed(trained, tmp_path):
+    """One bit of one weight: still a file of tensors that fit, but not the network that was trained."""
+    path = tmp_path / "m.pt"
+    save_model(path, trained)
+    content = torch.load(path, weights_only=True)
+    name = max(content["tensors"], key=lambda name: content["tensors"][name].numel())
+    content["tensors"][name].view(-1)[0] += 1e-3
+    torch.save(content, path)
+    with pytest.raises(BadInput, match="weights are not those that were trained"):
+        load_model(path)

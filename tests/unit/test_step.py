@@ -134,3 +134,31 @@ def test_killing_what_started_the_wrapper_ends_wrapper_and_command(tmp_path):
     while (alive(command) or alive(wrapper)) and time.monotonic() < deadline:
         time.sleep(0.05)
     assert not alive(command) and not alive(wrapper) and not target.exists()
+
+
+def test_a_file_that_went_missing_beside_its_table_is_made_again(tmp_path):
+    """A JSON target names what was made with it, with digests; one that is gone or changed makes the step run again."""
+    table, last = tmp_path / "results/d/60_dataset/dataset.json", tmp_path / "results/d/70_train/net.pt"
+    array = table.with_name("labels.npy")
+    making = (
+        f"echo labels > {array}; d=$(sha256sum < {array} | cut -d' ' -f1);"
+        f' echo "{{\\"sha256\\": {{\\"labels.npy\\": \\"$d\\"}}}}" > {table}.part'
+    )
+    assert wrapped(table, "bash", "-c", making)[0] == 0
+    for damage in (array.unlink, lambda: array.write_text("Labels\n")):
+        damage()
+        code, said = inputs_wrapped(last, table, "bash", "-c", f"cp {array} {last}.part")
+        assert code == 0 and f"{array}: not as it was" in said
+        assert last.read_text() == "labels\n"
+        last.unlink()
+    code, said = inputs_wrapped(last, table, "bash", "-c", f"cp {array} {last}.part")
+    assert code == 0 and "making it again" not in said
+
+
+def test_a_full_disk_is_a_sentence_and_leaves_no_part(tmp_path):
+    """Files may grow to 64 KiB only, as if the disk ended there: the command fails, and what it half wrote goes."""
+    target = tmp_path / "results/d/30_fea/0000.csv"
+    step = f"{sys.executable} -m gelforge.flow.step {target} -- bash -c 'head -c 100000 /dev/zero > {target}.part'"
+    done = subprocess.run(["bash", "-c", f"ulimit -f 64; {step}"], capture_output=True, text=True)
+    assert done.returncode and "Traceback" not in done.stdout + done.stderr
+    assert not target.exists() and not target.with_name("0000.csv.part").exists()

@@ -1,6 +1,7 @@
 """What a plan depends on: contents and not names, states and not ages; and nothing of it reaches make or a shell."""
 
 import os
+import shutil
 import time
 
 import numpy as np
@@ -182,3 +183,20 @@ def test_more_shards_than_make_can_hold_are_refused():
 def test_a_branch_that_is_none_is_refused(asked):
     with pytest.raises(BadInput, match="branches = .*give a list of some of calibrate, pareto"):
         branches({"report": {"branches": asked}})
+
+
+def test_an_environment_that_moved_with_its_clone_is_named(labelled):
+    """Its programs start in the place where it was made; make says so before it runs anything of it."""
+    venv = labelled / ".venv"
+    linked = venv.readlink()
+    venv.unlink()
+    venv.mkdir()
+    try:
+        (venv / "pyvenv.cfg").write_text("home = /usr/bin\ncommand = /usr/bin/python3 -m venv /elsewhere/.venv\n")
+        done = make(labelled, "poses", "DATASET=tiny")
+        assert done.returncode and "made for /elsewhere/.venv" in done.stdout and "make setup" in done.stdout
+        (venv / "pyvenv.cfg").write_text(f"home = /usr/bin\ncommand = /usr/bin/python3 -m venv {venv}\n")
+        assert make(labelled, "help").returncode == 0
+    finally:
+        shutil.rmtree(venv)
+        venv.symlink_to(linked)

@@ -19,7 +19,7 @@ from gelforge.flow.params import stage_version
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import Gel
 from gelforge.mechanics.hex.solver import HexSettings, HexSolver
-from gelforge.mechanics.scene import REFERENCE_C10, Interface, Material, Press, Scene
+from gelforge.mechanics.scene import Interface, Material, Press, Scene
 from gelforge.records.status import Status
 
 # Solves made by an older solver are void: stage fea's version is raised when its answers change.
@@ -127,7 +127,7 @@ def solve_job(job: SolveJob, indenter, settings: HexSettings, gel: Gel) -> dict:
     A solve that walked its whole path and only then could not meet the final tolerance serves with
     its last load step, which is in equilibrium to the tolerance of the path: 1e-4 of the force.
     """
-    scene = Scene(gel, Material(REFERENCE_C10, job.nu), indenter, job.press, interface_of(job.mu))
+    scene = Scene(gel, Material(job.nu), indenter, job.press, interface_of(job.mu))
     result = HexSolver(settings).solve(scene)
     if not usable(result, job.press):
         finer = replace(settings, press_steps=2 * settings.press_steps, shear_steps=2 * settings.shear_steps)

@@ -1,10 +1,17 @@
 """Files that are either whole or absent."""
 
 import csv
+import hashlib
 import json
 import os
 from contextlib import contextmanager
 from pathlib import Path
+
+
+def digest_of(path: Path) -> str:
+    """SHA-256 of a file's content."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 @contextmanager

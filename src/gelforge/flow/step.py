@@ -6,7 +6,6 @@ success. An input that lost bytes since it was made is made again first, by the 
 
 import ctypes
 import fcntl
-import hashlib
 import os
 import resource
 import shutil
@@ -18,7 +17,7 @@ import time
 from contextlib import contextmanager
 from pathlib import Path
 
-from gelforge.flow.files import read_json, write_json
+from gelforge.flow.files import digest_of, read_json, write_json
 from gelforge.flow.running import look
 
 PR_SET_PDEATHSIG = 1  # linux/prctl.h
@@ -148,9 +147,12 @@ def heal(path: Path) -> int:
     if not (metrics.exists() and path.is_file()):
         return 0
     made = read_json(metrics)
-    if made["exit_code"] or whole(path, made):
+    if made["exit_code"]:
         return 0
-    print(f"{path}: not as it was when it was made; making it again", flush=True)
+    lost = damaged_beside(path) if whole(path, made) else path.name
+    if lost is None:
+        return 0
+    print(f"{path.with_name(lost)}: not as it was when it was made; making it again", flush=True)
     path.unlink()
     return build(path, [Path(name) for name in made["inputs"]], made["command"])
 
@@ -160,10 +162,14 @@ def whole(path: Path, made: dict) -> bool:
     return path.stat().st_size == made["bytes"] and made.get("sha256") in (None, digest_of(path))
 
 
-def digest_of(path: Path) -> str:
-    """SHA-256 of a file's content."""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
+def damaged_beside(path: Path) -> str | None:
+    """The first of the files beside a JSON target, named with their digests under "sha256" in it, that is not whole."""
+    listed = read_json(path).get("sha256") if path.suffix == ".json" else None
+    for name, digest in (listed or {}).items():
+        beside = path.with_name(name)
+        if not beside.is_file() or digest_of(beside) != digest:
+            return name
+    return None
 
 
 def build(target: Path, inputs: list[Path], command: list[str]) -> int:
@@ -187,6 +193,15 @@ def build(target: Path, inputs: list[Path], command: list[str]) -> int:
 def make_part(target: Path, inputs: list[Path], command: list[str], log_path: Path) -> int:
     """Run the command and publish what it wrote, with its cost; return the exit code."""
     part = Path(f"{target}.part")
+    try:
+        return publish_part(target, part, inputs, command, log_path)
+    finally:
+        # a full disk may stop any of this; what is half written must not stay
+        shutil.rmtree(part, ignore_errors=True) if part.is_dir() else part.unlink(missing_ok=True)
+
+
+def publish_part(target: Path, part: Path, inputs: list[Path], command: list[str], log_path: Path) -> int:
+    """Run the command, write down its cost, and give what it wrote its final name; return the exit code."""
     code, cost = run(command, log_path)
     if code == 0 and not part.exists():
         print(f"{target}: the command succeeded but wrote no {part}")
@@ -197,7 +212,6 @@ def make_part(target: Path, inputs: list[Path], command: list[str], log_path: Pa
         cost["sha256"] = digest_of(part)
     write_json(mirror(target, "metrics", ".json"), cost)
     if code:
-        shutil.rmtree(part, ignore_errors=True) if part.is_dir() else part.unlink(missing_ok=True)
         report_failure(target, log_path, code)
         return code if 0 < code < 126 else 1
     os.replace(part, target)

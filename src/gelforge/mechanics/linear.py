@@ -2,6 +2,7 @@
 
 import contextlib
 import ctypes
+import sys
 from functools import lru_cache
 
 import numpy as np
@@ -21,9 +22,22 @@ def symmetric_solver(indptr: np.ndarray, indices: np.ndarray, order: np.ndarray 
     which unknowns are eliminated, where the caller knows a good one.
     """
     try:
-        return Pardiso(indptr, indices, order)
-    except ImportError:
+        _mkl()
+    except ImportError as error:
+        _tell_of_superlu(str(error))
         return SuperLU(indptr, indices)
+    return Pardiso(indptr, indices, order)
+
+
+@lru_cache(maxsize=1)
+def _tell_of_superlu(why: str) -> None:
+    """Say once a process that solves take several times as long as they would with MKL."""
+    print(
+        f"MKL's PARDISO cannot be loaded ({why}): every solve takes several times as long with SuperLU; install the"
+        " packages pypardiso and mkl of envs/requirements.lock",
+        file=sys.stderr,
+        flush=True,
+    )
 
 
 @lru_cache(maxsize=1)

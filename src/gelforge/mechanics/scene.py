@@ -31,15 +31,15 @@ class Indenter(Protocol):
 class Material:
     """Neo-Hookean solid, W = C10 (I1bar - 3) + (J - 1)^2 / D1 (CalculiX manual, *HYPERELASTIC).
 
-    c10 in MPa; nu is Poisson's ratio at small strain.
+    nu is Poisson's ratio at small strain. C10 is that of every solve, because all forces are proportional to it: what
+    a gel's own C10 makes of them is one factor on the solved ones.
     """
 
-    c10: float = REFERENCE_C10
     nu: float = 0.475
 
     @property
     def shear_modulus(self) -> float:
-        return 2.0 * self.c10
+        return 2.0 * REFERENCE_C10
 
     @property
     def bulk_modulus(self) -> float:

@@ -1,6 +1,7 @@
 """Model files: tensors and one JSON text, read without executing anything."""
 
 import copy
+import hashlib
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -105,9 +106,20 @@ class Reader(nn.Module):
 def save_model(path, trained: Trained) -> None:
     """Write a model to exactly `path`; the caller publishes it."""
     tensors = {name: value.detach().cpu().contiguous() for name, value in trained.net.state_dict().items()}
-    about = json.dumps({"format": FORMAT} | trained.about, sort_keys=True, allow_nan=False)
+    told = {"format": FORMAT, **trained.about, "sha256": tensor_digest(tensors)}
+    about = json.dumps(told, sort_keys=True, allow_nan=False)
     pictures = {name: encode(picture) for name, picture in trained.untouched.items()}
     torch.save({"about": about, "tensors": tensors, "untouched": pictures}, path)
+
+
+def tensor_digest(tensors: dict[str, torch.Tensor]) -> str:
+    """SHA-256 of tensors by name: names, types, shapes and bytes."""
+    digest = hashlib.sha256()
+    for name in sorted(tensors):
+        array = tensors[name].numpy()
+        digest.update(f"{name} {array.dtype} {array.shape}".encode())
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
 
 
 def encode(picture: np.ndarray) -> torch.Tensor:
@@ -136,8 +148,11 @@ def load_model(path) -> Trained:
     if not isinstance(about, dict) or about.get("format") != FORMAT:
         seen = about.get("format") if isinstance(about, dict) else type(about).__name__
         raise BadInput(f"{path}: not a gelforge model of format {FORMAT} (its format is {seen}); train it again")
+    digest = about.pop("sha256", None)  # files of earlier versions have none
     check_about(about, str(path))
     check_tensors(about, tensors, str(path))
+    if digest not in (None, tensor_digest(tensors)):
+        raise BadInput(f"{path}: its weights are not those that were trained; the file is damaged: copy it again")
     untouched = read_pictures(pictures, str(path))
     check_pictures(about, untouched, str(path))
     net = build(about["model"], about["image"], about["grid"])

@@ -225,8 +225,12 @@ def resume(path, training: Training, identity: str) -> bool:
     """Go on from a checkpoint if it belongs to the same training; say so either way."""
     if path is None or not Path(path).exists():
         return False
-    state = read_tensors(path)
-    if state.get("identity") != identity:
+    try:
+        state = read_tensors(path)
+    except BadInput as error:
+        print(f"{error}: starting over", flush=True)
+        return False
+    if not isinstance(state, dict) or state.get("identity") != identity:
         print(f"{path}: of another configuration or dataset, starting over", flush=True)
         return False
     training.restore(state)

@@ -1,6 +1,5 @@
 """The table of stage 30: how each press of a shard was solved, one row a press."""
 
-import hashlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import write_csv
+from gelforge.flow.files import digest_of, write_csv
 from gelforge.records.press import FORCE, parse_number
 from gelforge.records.status import Status
 from gelforge.records.table import read_table
@@ -84,8 +83,3 @@ def damaged(folder: Path, record: dict[str, Any]) -> list[Path]:
     digests = record.get("sha256", {})
     paths = [folder / name for name in record.get("files", ["missing"])]
     return [path for path in paths if not path.is_file() or digest_of(path) != digests.get(path.name)]
-
-
-def digest_of(path: Path) -> str:
-    """SHA-256 of a file's content."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import publish, read_csv, read_json, write_csv, write_json
+from gelforge.flow.files import digest_of, publish, read_csv, read_json, write_csv, write_json
 from gelforge.flow.main import command, option
 from gelforge.flow.progress import progress
 from gelforge.formats.feats import LabelSample, Ranges
@@ -267,7 +267,9 @@ def build(args) -> dict:
 )
 def main(args: Namespace) -> None:
     about = build(args)
-    write_json(args.out, about)
+    beside = [path for path in sorted(args.out.parent.iterdir()) if path.suffix in (".npy", ".csv")]
+    beside.append(args.out.with_name("normalisation.json"))
+    write_json(args.out, about | {"sha256": {path.name: digest_of(path) for path in beside}})
     print(f"{about['samples']} samples: {about['splits']}; left out: {about['left_out'] or 'none'}")
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import publish, read_json, write_json
+from gelforge.flow.files import digest_of, publish, read_json, write_json
 from gelforge.flow.main import command, option
 from gelforge.flow.params import canonical
 from gelforge.flow.progress import progress
@@ -24,7 +24,7 @@ from gelforge.mechanics.scene import Interface, Material, Result, Scene
 from gelforge.records.frames import presses_of
 from gelforge.records.log import read_poses
 from gelforge.records.press import POSE, PosedPress
-from gelforge.records.solvetable import Solved, damaged, digest_of, write_solves
+from gelforge.records.solvetable import Solved, damaged, write_solves
 from gelforge.records.status import Status
 
 VERSION = 7

@@ -13,6 +13,10 @@ class DatError(Exception):
     """A .dat file that does not hold what the deck asked for; the message names the table."""
 
 
+class Unfinished(DatError):
+    """The job printed nothing, or stopped before the end of its step: CalculiX found no equilibrium."""
+
+
 @dataclass(frozen=True)
 class Table:
     """One printed table: quantity ("displacements", "forces"), set name, time, node ids (n,), values (n, 3)."""
@@ -54,10 +58,10 @@ def last_table(tables: list[Table], quantity: str, set_name: str, nodes: np.ndar
     found = [t for t in tables if t.quantity == quantity and t.set_name == set_name]
     where = f"table `{quantity}` of set {set_name}"
     if not found:
-        raise DatError(f"{where} is not in the file: the job printed nothing, its log says why")
+        raise Unfinished(f"{where} is not in the file: the job printed nothing, its log says why")
     table = found[-1]
     if abs(table.time - time) > 1e-6:
-        raise DatError(f"{where} ends at time {table.time:g} of {time:g}: the job stopped early")
+        raise Unfinished(f"{where} ends at time {table.time:g} of {time:g}: the job stopped early")
     order = np.argsort(table.nodes, kind="stable")
     at = np.searchsorted(table.nodes[order], nodes)
     if len(table.nodes) != len(nodes) or not np.array_equal(table.nodes[order][at.clip(max=len(order) - 1)], nodes):

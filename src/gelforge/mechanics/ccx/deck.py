@@ -54,11 +54,10 @@ def write_include(mesh: GelMesh, path) -> Path:
 
 def material_lines(material: Material) -> list[str]:
     """Neo-Hooke at REFERENCE_C10 and the material's Poisson's ratio (CalculiX manual, *HYPERELASTIC)."""
-    reference = Material(REFERENCE_C10, material.nu)
     return [
         f"*MATERIAL, NAME={MATERIAL_NAME}",
         "*HYPERELASTIC, NEO HOOKE",
-        f"{reference.c10:.12g},{reference.d1:.12g}",
+        f"{REFERENCE_C10:.12g},{material.d1:.12g}",
     ]
 
 

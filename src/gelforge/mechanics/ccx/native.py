@@ -17,7 +17,7 @@ from gelforge.mechanics.ccx.program import run_ccx
 from gelforge.mechanics.ccx.solver import CcxResult
 from gelforge.mechanics.hex.reach import first_touch
 from gelforge.mechanics.mesh import GelMesh
-from gelforge.mechanics.scene import REFERENCE_C10, Material, Scene
+from gelforge.mechanics.scene import Scene
 from gelforge.mechanics.tet.solid import TetSolid
 from gelforge.mechanics.tet.tetmesh import FACES, boundary_faces, orient, tetrahedralise
 from gelforge.records.status import Status
@@ -115,7 +115,7 @@ def solve_native(scene: Scene, mesh: GelMesh, folder, timeout_s: float, size: fl
     except DatError as error:
         return CcxResult(Status.DIVERGED, zero, zero.copy(), evidence | {"reason": f"{error}; {job.reason()}"}, deck)
     # Stock CalculiX prints no contact force per node; what the elements bear at the top is what contact exerts.
-    solid, material = TetSolid(mesh), Material(REFERENCE_C10, scene.material.nu)
+    solid, material = TetSolid(mesh), scene.material
     inner, _ = solid.forces(displacement, material.shear_modulus, material.bulk_modulus)
     forces = zero.copy()
     forces[top] = inner[top]

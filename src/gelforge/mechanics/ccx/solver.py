@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.mechanics.ccx import boundary as touch
-from gelforge.mechanics.ccx.dat import DatError, last_table, read_dat, without_set
+from gelforge.mechanics.ccx.dat import DatError, Unfinished, last_table, read_dat, without_set
 from gelforge.mechanics.ccx.deck import DIRECT, ITERATIVE, press_deck, write_include
 from gelforge.mechanics.ccx.program import run_ccx
 from gelforge.mechanics.hex.carry import Trail
@@ -171,9 +171,7 @@ class _Run:
                 self.rounds += 1
                 return answer
             except DatError as error:
-                status = (
-                    Status.DIVERGED if "stopped early" in str(error) or "nothing" in str(error) else Status.UNREADABLE
-                )
+                status = Status.DIVERGED if isinstance(error, Unfinished) else Status.UNREADABLE
                 problem = status, f"{error}; {job.reason()}"
                 self.ladder.append(f"round {self.rounds + 1}, {method}, first increment {increment:g}: {problem[1]}")
         zero = np.zeros_like(mesh.nodes)

@@ -22,7 +22,7 @@ from gelforge.mechanics.hex.carry import Trail, carried, touch_fraction, touches
 from gelforge.mechanics.hex.hexmesh import HexMesh, elimination_order
 from gelforge.mechanics.hex.reach import end_of, path_pose, reachable_faces
 from gelforge.mechanics.linear import gmres, symmetric_product, symmetric_solver
-from gelforge.mechanics.scene import Scene
+from gelforge.mechanics.scene import REFERENCE_C10, Scene
 from gelforge.records.status import Status
 
 BETWEEN = 2  # load steps at least between two moments of a press that are asked for
@@ -75,7 +75,7 @@ class Run:
         self.law, self.mu = scene.interface.law, scene.interface.mu
         if self.law not in ("no_slip", "coulomb", "frictionless"):
             raise BadInput(f"interface law {self.law!r} is unknown; choose no_slip, coulomb or frictionless")
-        scale = scene.material.c10 / settings.size
+        scale = REFERENCE_C10 / settings.size
         mu = self.mu if self.law == "coulomb" else np.inf
         self.contact = Law(settings.penalty * scale, settings.friction_penalty * scale, mu)
         self.sticking = replace(self.contact, mu=1e9)

@@ -293,6 +293,8 @@ def _result(run: Run, status: Status, started: float, bricks: Bricks) -> HexResu
         evidence |= run.checks(forces)
         if evidence["base_mismatch"] > BALANCE:
             status = Status.UNBALANCED
+        elif not forces.any():
+            status = Status.TOO_COARSE
         elif reason := _impossible(evidence):
             status = Status.OUT_OF_RANGE
             evidence["reason"] = f"{reason}; {status.value}"

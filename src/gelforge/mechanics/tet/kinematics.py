@@ -12,7 +12,7 @@ import numpy as np
 from gelforge.mechanics.ccx.boundary import FREE, SLIDE, STICK, Contact, gaps, judge
 from gelforge.mechanics.contact import Pose
 from gelforge.mechanics.hex.carry import Trail, touches, volume_motion
-from gelforge.mechanics.scene import REFERENCE_C10, Material, Scene
+from gelforge.mechanics.scene import Scene
 from gelforge.mechanics.tet.face import FacePoints
 from gelforge.mechanics.tet.solid import TetSolid
 
@@ -146,8 +146,7 @@ class _Path:
     """State along a path: displacement u (n, 3), contact, anchors (f, q, 3) in the indenter's frame."""
 
     def __init__(self, scene: Scene, solid: TetSolid, points: FacePoints, settings: PathSettings):
-        material = Material(REFERENCE_C10, scene.material.nu)
-        self.shear, self.bulk = material.shear_modulus, material.bulk_modulus
+        self.shear, self.bulk = scene.material.shear_modulus, scene.material.bulk_modulus
         self.scene, self.solid, self.points, self.settings = scene, solid, points, settings
         self.u = np.zeros((len(solid.free), 3))
         self.velocity = np.zeros_like(self.u)
