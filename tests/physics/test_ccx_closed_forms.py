@@ -8,7 +8,7 @@ from gelforge.mechanics.ccx.dat import last_table, read_dat
 from gelforge.mechanics.ccx.deck import material_lines, mesh_include
 from gelforge.mechanics.ccx.program import run_ccx
 from gelforge.mechanics.mesh import GelMesh
-from gelforge.mechanics.scene import Material
+from gelforge.mechanics.scene import REFERENCE_C10, Material
 from gelforge.mechanics.tet.solid import TetSolid
 from gelforge.mechanics.tet.tetmesh import boundary_faces, kuhn_grid, second_order
 
@@ -29,7 +29,7 @@ def cube() -> GelMesh:
 def stress(f) -> np.ndarray:
     """First Piola-Kirchhoff stress dW/dF of W = C10 (I1bar - 3) + (J - 1)^2 / D1."""
     j, inv = np.linalg.det(f), np.linalg.inv(f).T
-    isochoric = 2 * MATERIAL.c10 * j ** (-2 / 3) * (f - np.trace(f.T @ f) / 3 * inv)
+    isochoric = 2 * REFERENCE_C10 * j ** (-2 / 3) * (f - np.trace(f.T @ f) / 3 * inv)
     return isochoric + 2 / MATERIAL.d1 * (j - 1) * j * inv
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from gelforge.geometry.gel import Gel
+from gelforge.geometry.indenters import build
 from gelforge.mechanics.ccx.boundary import SLIDE, STICK, Contact, spring_rows
 from gelforge.mechanics.ccx.solver import CcxSettings, CcxSolver
 from gelforge.mechanics.hex.solver import HexSettings, solve_hex
@@ -122,7 +123,8 @@ def test_coulomb_bounds_shear_and_no_slip_exceeds_it(solver):
 
 def test_a_press_that_touches_nothing_runs_nothing(solver):
     press = Press(0, 0, 1.0, 0, 0, -0.5)
-    result = solver.solve(Scene(PAD, Material(), Ball(4.0), press))
+    ball = build("ball", {"kind": "sphere", "diameter": 8, "height": 10})
+    result = solver.solve(Scene(PAD, Material(), ball, press))
     assert result.status is Status.NO_CONTACT
     assert not result.forces.any()
     assert result.evidence["rounds"] == 0

@@ -236,7 +236,8 @@ def test_the_same_scene_gives_the_same_digits():
 
 
 def test_no_contact_is_known_from_geometry(solver):
-    scene = replace(ball(), press=Press(0, 0, 2.0, 0, 0, -1.0))
+    body = build("ball", {"kind": "sphere", "diameter": 8, "height": 10})
+    scene = replace(ball(), indenter=body, press=Press(0, 0, 2.0, 0, 0, -1.0))
     result = solver.solve(scene)
     assert result.status is Status.NO_CONTACT and not result.forces.any()
     assert result.evidence["newton_iterations"] == 0
@@ -322,7 +323,7 @@ def test_a_blade_between_the_points_of_contact_is_no_answer_of_zero():
     """0.2 mm wide, on bricks of 2 mm: it touches, and no contact point sees it. Smaller bricks do."""
     blade = build("blade", {"kind": "cuboid", "size": [0.2, 3.0], "fillet": 0.05, "height": 10})
     scene = Scene(Gel(), Material(), blade, Press(0.45, 0, 0, 0, 0, -0.3))
-    wide = solve_hex(scene, HexSettings(size=2.0, layers=2, gauss=1, press_steps=2))
+    wide = solve_hex(scene, HexSettings(size=2.0, layers=2, gauss=2, press_steps=2))
     assert wide.status is Status.TOO_COARSE and not wide.forces.any()
     small = solve_hex(scene, HexSettings(size=0.3, across=4, layers=3, press_steps=2))
     assert small.status is Status.OK and small.total[2] < 0.0

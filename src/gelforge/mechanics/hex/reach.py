@@ -1,5 +1,7 @@
 """Which part of the path and of the gel a press concerns, from undeformed geometry alone."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from gelforge.mechanics.contact import Pose
@@ -8,6 +10,7 @@ from gelforge.mechanics.scene import Scene
 
 NARROW = 0.8  # of the bricks across a whole contact must lie across its parts
 SMALLEST = 0.15  # mm, of bricks made smaller for a small contact
+EDGE_STEP, MOST_ON_EDGE = 0.1, 200  # mm between points on an indenter's edges, and how many at most
 SHEAR_SAMPLES = (1.0, 1.25, 1.5, 1.75, 2.0)
 
 
@@ -39,24 +42,57 @@ def _gap(scene, points, t):
 
 
 def first_touch(scene: Scene, spacing: float = 0.2) -> float | None:
-    """Path parameter where the indenter first meets the undeformed gel, or None where it never does."""
+    """Path parameter where the indenter first meets the undeformed gel, or None where it never does.
+
+    Looked for at points of the gel's surface; a blade may pass between these, so where none is met the edges of the
+    indenter's own surface are looked at too.
+    """
     points, _ = _surface_grid(scene, spacing)
     if not len(points):
         return None
+    met = _first_below(lambda t: float(_gap(scene, points, t).min()))
+    if met is None:
+        edges = _edge_points(scene)
+        met = _first_below(lambda t: _height(scene, edges, t))
+    return met
+
+
+def _first_below(height: Callable[[float], float]) -> float | None:
+    """Path parameter at which a height first falls below zero; None where it never does."""
     samples = np.concatenate([np.linspace(0.0, 1.0, 5), np.linspace(1.2, 2.0, 5)])
-    lowest = [float(_gap(scene, points, t).min()) for t in samples]
-    inside = np.flatnonzero(np.array(lowest) < 0.0)
+    inside = np.flatnonzero(np.array([height(t) for t in samples]) < 0.0)
     if not len(inside):
         return None
     high = samples[inside[0]]
     low = samples[inside[0] - 1] if inside[0] else -1.0
     for _ in range(30):
         middle = 0.5 * (low + high)
-        if _gap(scene, points, middle).min() < 0.0:
+        if height(middle) < 0.0:
             high = middle
         else:
             low = middle
     return float(low)
+
+
+def _edge_points(scene: Scene) -> np.ndarray:
+    """Points (m, 3) on the edges of the indenter's surface, in its frame, not farther up than the gel is high."""
+    vertices, faces = scene.indenter.surface()
+    edges = np.unique(np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1), axis=0)
+    begin, end = vertices[edges[:, 0]], vertices[edges[:, 1]]
+    low = np.minimum(begin[:, 2], end[:, 2]) < scene.gel.height
+    begin, end = begin[low], end[low]
+    counts = np.clip(np.ceil(np.linalg.norm(end - begin, axis=1) / EDGE_STEP).astype(int), 1, MOST_ON_EDGE)
+    which = np.repeat(np.arange(len(begin)), counts)
+    share = (np.arange(len(which)) - np.repeat(np.cumsum(counts) - counts, counts) + 0.5) / counts[which]
+    return np.concatenate([begin, end, begin[which] + share[:, None] * (end - begin)[which]])
+
+
+def _height(scene: Scene, points: np.ndarray, t: float) -> float:
+    """Least height, mm, of points of the indenter over the undeformed gel below them; 1e9 beside the gel."""
+    gel, pose = scene.gel, path_pose(scene, t)
+    x, y, z = pose.to_gel(points).T
+    over = (np.abs(x) <= gel.width / 2) & (np.abs(y) <= gel.length / 2)
+    return float(np.min(z[over] - gel.top(x[over], y[over]), initial=1e9))
 
 
 def width_of(touched: np.ndarray, spacing: tuple[float, float]) -> float:
