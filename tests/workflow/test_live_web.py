@@ -29,7 +29,7 @@ def film(root, tmp_path_factory):
     path = tmp_path_factory.mktemp("film") / "film.avi"
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 10, (320, 240))
     for k in range(1200):
-        name = "nocontact/mini_a.png" if k < 5 else f"images/demo-{k % 6:06d}.png"
+        name = "nocontact/mini_a.png" if k < 16 else f"images/demo-{k % 6:06d}.png"
         writer.write(cv2.imread(str(root / "data/demo" / name)))
     writer.release()
     return path
@@ -132,14 +132,14 @@ def test_a_camera_that_stops_is_told(tmp_path):
 
 def test_without_a_display_lines_and_rows_are_written(film, tmp_path):
     lines, table = tmp_path / "live.jsonl", tmp_path / "live.csv"
-    command = [*LIVE, "--video", film, "--jsonl", lines, "--csv", table, "--frames", "9"]
+    command = [*LIVE, "--video", film, "--jsonl", lines, "--csv", table, "--frames", "24"]
     subprocess.run(command, check=True, capture_output=True)
     told = [json.loads(line) for line in lines.read_text().splitlines()]
     with table.open() as stream:
         rows = list(csv.DictReader(stream))
-    assert len(told) == len(rows) == 9 and [row["frame"] for row in told] == list(range(9))
+    assert len(told) == len(rows) == 24 and [row["frame"] for row in told] == list(range(24))
     assert [float(row["grid_z_n"]) for row in rows] == [row["grid_z_n"] for row in told]
-    assert min(row["grid_z_n"] for row in told[5:]) < -1.0 < told[0]["grid_z_n"]
+    assert min(row["grid_z_n"] for row in told[16:]) < -1.0 < told[0]["grid_z_n"]
 
 
 def reading(number, flag=False):

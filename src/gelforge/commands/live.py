@@ -1,10 +1,9 @@
 """Force maps over a video or a camera, as it runs: `gelforge live --video FILE | --camera N`.
 
 --web serves a page to this machine, with recording and replay; --jsonl and --csv write what is read, without a display.
-A network that reads differences takes the first frame for the untouched sensor, unless told otherwise.
+A network that reads differences takes the first frames at rest for the untouched sensor, unless told otherwise.
 """
 
-import itertools
 import time
 from argparse import Namespace
 from collections import deque
@@ -127,13 +126,6 @@ def show(pictures) -> int:
     return count
 
 
-def first_and_all(items):
-    """The first of `items`, and an iterator over all of them."""
-    items = iter(items)
-    first = next(items)
-    return first, itertools.chain([first], items)
-
-
 def until_interrupted(items):
     """Yield `items`; an interrupt from the keyboard ends them like the end of the source."""
     try:
@@ -164,6 +156,7 @@ def main(args: Namespace) -> None:
     import cv2
     import torch
 
+    from gelforge.networks.still import find_untouched
     from gelforge.networks.use import Untouched, load_for_use
     from gelforge.records.image import read_image
 
@@ -172,9 +165,10 @@ def main(args: Namespace) -> None:
     picture = read_image(args.untouched) if args.untouched else None
     capture, announced = open_source(args.video, args.camera)
     name = str(args.video) if args.video else f"camera {args.camera}"
-    first, seen = first_and_all(frames(capture, announced, name, args.frames))
-    if picture is None and not args.sensor:
-        picture = cv2.cvtColor(first, cv2.COLOR_BGR2RGB)
+    seen = frames(capture, announced, name, args.frames)
+    if picture is None and not args.sensor and trained.needs_untouched:
+        picture, seen = find_untouched(seen, name)
+        picture = cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
     if args.web or args.jsonl or args.csv:
         from gelforge.commands.live_readings import tell
 

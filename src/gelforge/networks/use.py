@@ -7,6 +7,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 
+LEAST_PULL = 1.0  # N above which a reading that no contact can make is told
 SHIPPED = Path(__file__).parent / "default.pt"
 
 
@@ -55,6 +56,7 @@ class Untouched:
                 "one with --untouched"
             )
         self._readers: dict[str, Any] = {}
+        self._rest: dict[str, np.ndarray] = {}
 
     def of(self, image) -> str:
         """Name of the picture for an image (h, w, 3) of the model's size."""
@@ -72,19 +74,50 @@ class Untouched:
             self._readers[name] = Reader(self.trained, self.known[name]).eval()
         return self._readers[name]
 
+    def rest(self, name: str) -> np.ndarray:
+        """Forces (3, rows, cols) that the network reads in that picture itself: what it is off by where nothing is."""
+        from gelforge.networks.latency import predict_images
+
+        if name not in self._rest:
+            self._rest[name] = predict_images(self.reader(name), self.known[name][None])[0]
+        return self._rest[name]
+
 
 def predict_one(untouched: Untouched, image) -> tuple[np.ndarray, np.ndarray, dict]:
-    """Predict an image of any size; return it as the network saw it, forces (3, rows, cols), and the judgement.
+    """Predict an image of any size; return it in the network's size, forces (3, rows, cols), and the judgement.
 
-    The judgement is that of networks.statistics.judge, and `untouched`: what picture the image was read against.
+    A network that reads differences is given the image under the light of the untouched picture, and what it reads in
+    that picture itself is taken off, as a scale is tared. The judgement is that of networks.statistics.judge, with
+    `untouched`, what picture the image was read against, and `light`, what its light differed by (networks.canonical).
     """
+    from gelforge.networks.canonical import match_light
     from gelforge.networks.latency import predict_images
     from gelforge.networks.statistics import judge
 
     trained = untouched.trained
     image, resized = fit_size(image, trained.about["image"])
     name = untouched.of(image)
-    verdict = judge(trained.about["statistics"], image, untouched.known[name]) | {"untouched": name}
-    if resized:
-        verdict = verdict | {"flag": True, "reason": "; ".join(filter(None, [resized, verdict["reason"]]))}
-    return image, predict_images(untouched.reader(name), image[None])[0], verdict
+    picture, light, lit = untouched.known[name], None, image
+    if picture is not None:
+        light = match_light(image, picture)
+        lit = light.undo(image)
+    verdict = judge(trained.about["statistics"], lit, picture) | {"untouched": name, "light": light}
+    forces = predict_images(untouched.reader(name), lit[None])[0]
+    if picture is not None:
+        forces = forces - untouched.rest(name)
+    faults = [resized, verdict["reason"], light_fault(light), pull_fault(forces)]
+    reason = "; ".join(filter(None, faults))
+    return image, forces, verdict | {"flag": verdict["flag"] or bool(reason), "reason": reason}
+
+
+def light_fault(light) -> str:
+    """What is wrong with a pair of pictures whose light cannot be compared; empty where it can."""
+    return "" if light is None or light.known else "nothing in it has the light of the untouched picture"
+
+
+def pull_fault(forces: np.ndarray) -> str:
+    """What is wrong with a gel that pulls on what touches it; empty where it presses, forces (3, rows, cols) N."""
+    pull = float(forces[2].sum())
+    if pull < LEAST_PULL:
+        return ""
+    return f"the gel seems to pull with {pull:.1f} N: something may have touched it in the untouched picture"

@@ -36,18 +36,19 @@ def outdated(picture: Path) -> list[str]:
     return [name for name, held in known.items() if Path(name).exists() and digest([Path(name)]) != held]
 
 
-def hardest_frames(film: Path, untouched, count: int = SHOWN):
+def hardest_frames(film: Path, trained, count: int = SHOWN):
     """(image, forces) of a film's frames with the largest force, one each third of it."""
     import cv2
 
     from gelforge.commands.live import frames, open_source
-    from gelforge.networks.use import predict_one
+    from gelforge.networks.still import find_untouched
+    from gelforge.networks.use import Untouched, predict_one
 
     source, announced = open_source(film, None)
-    read = [
-        predict_one(untouched(frame), cv2.cvtColor(frame, cv2.COLOR_BGR2RGB))[:2]
-        for frame in frames(source, announced, str(film), None)
-    ]
+    seen = (cv2.cvtColor(frame, cv2.COLOR_BGR2RGB) for frame in frames(source, announced, str(film), None))
+    picture, images = find_untouched(seen, str(film))
+    untouched = Untouched(trained, picture)
+    read = [predict_one(untouched, image)[:2] for image in images]
     parts = np.array_split(np.arange(len(read)), count)
     return [max((read[at] for at in part), key=lambda pair: -pair[1][2].sum()) for part in parts if len(part)]
 
@@ -55,21 +56,12 @@ def hardest_frames(film: Path, untouched, count: int = SHOWN):
 @command(option("films", nargs="+", type=Path), option("--out", type=Path))
 def real(args: Namespace) -> None:
     """Real sensor pictures beside the force maps that the shipped network reads in them."""
-    import cv2
-
-    from gelforge.networks.use import Untouched, load_for_use
+    from gelforge.networks.use import load_for_use
     from gelforge.reporting.pictures import new_figure, to_png
 
     trained, rows = load_for_use(None), []
     for film in args.films:
-        held: dict[str, object] = {}
-
-        def untouched(frame, held=held):
-            if not held:  # the first frame is taken for the untouched sensor, as gelforge live does
-                held["first"] = Untouched(trained, cv2.cvtColor(frame, cv2.COLOR_BGR2RGB))
-            return held["first"]
-
-        rows.append(hardest_frames(film, untouched))
+        rows.append(hardest_frames(film, trained))
     figure, axes = new_figure(len(rows), 2 * SHOWN, 12, 1.6 * len(rows) + 0.3)
     for line, pairs in zip(axes, rows, strict=True):
         for axis in line:

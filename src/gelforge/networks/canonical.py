@@ -1,0 +1,77 @@
+"""The light of a picture brought to that of the untouched sensor's picture.
+
+Light drifts between the two pictures of a pair: lamps warm up, a camera sets its exposure anew, a press shades the whole
+gel. A network that reads differences takes that for force. What does not touch tells the drift: most of the picture
+changes by one gain and one offset a colour, and where something touches it changes otherwise.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+SMALL = (40, 30)  # width and height in px at which light is compared: dots and noise average out
+ROUNDS = 10  # of iteratively reweighted least squares
+LEAST_SCALE = 1.5  # levels that a place may differ by through noise alone
+REACH = (
+    3.0  # scales beyond which a place has no say (Tukey's biweight: Beaton and Tukey 1974, Technometrics 16, 147-185)
+)
+TIED = 4.0  # levels squared of contrast below which a gain is hardly told from an offset, and taken for 1
+LEAST_SHARE = 0.25  # of the picture that must agree, or nothing tells what the light does
+DARK, BRIGHT = 4, 250  # levels between which a camera's answer is believed
+MOST_GAIN = 2.0  # a factor beyond which pictures are not of one sensor under one light
+
+
+@dataclass(frozen=True)
+class Light:
+    """How a picture differs in light from the untouched one: picture = gain * untouched + offset.
+
+    gain (3,), offset (3,) levels, by colour. residual: levels that agreeing places still differ by, root mean square.
+    share: part of the picture that agrees. known: False where too little does; gain is then 1 and offset 0.
+    """
+
+    gain: np.ndarray
+    offset: np.ndarray
+    residual: float
+    share: float
+    known: bool
+
+    def undo(self, image: np.ndarray) -> np.ndarray:
+        """The image (h, w, 3) uint8 as it would be under the light of the untouched one."""
+        import cv2
+
+        if not self.known:
+            return image
+        levels = np.arange(256, dtype=float)[:, None]
+        table = np.clip(np.rint((levels - self.offset) / self.gain), 0, 255).astype(np.uint8)
+        return cv2.LUT(np.ascontiguousarray(image), table[None])
+
+
+def match_light(image: np.ndarray, untouched: np.ndarray) -> Light:
+    """Light of an image against a picture of the untouched sensor, both (h, w, 3) uint8 of one size."""
+    import cv2
+
+    seen, rest = (cv2.resize(a, SMALL, interpolation=cv2.INTER_AREA).reshape(-1, 3).astype(float)
+                  for a in (image, untouched))  # fmt: skip
+    believed = ((seen > DARK) & (seen < BRIGHT) & (rest > DARK) & (rest < BRIGHT)).all(axis=1)
+    none = Light(np.ones(3), np.zeros(3), 0.0, 0.0, False)
+    if believed.mean() < LEAST_SHARE:
+        return none
+    seen, rest = seen[believed], rest[believed]
+    gain, offset = np.median(seen / rest, axis=0), np.zeros(3)
+    for _ in range(ROUNDS):
+        off = np.sqrt(((seen - gain * rest - offset) ** 2).sum(axis=1))
+        scale = max(LEAST_SCALE, 1.4826 * float(np.median(off)))
+        weight = np.clip(1.0 - (off / (REACH * scale)) ** 2, 0.0, None)[:, None] ** 2
+        total = weight.sum()
+        if total <= 0.0:
+            return none
+        mean_rest, mean_seen = (weight * rest).sum(axis=0) / total, (weight * seen).sum(axis=0) / total
+        spread = (weight * (rest - mean_rest) ** 2).sum(axis=0) / total
+        along = (weight * (rest - mean_rest) * (seen - mean_seen)).sum(axis=0) / total
+        gain = (along + TIED) / (spread + TIED)
+        offset = mean_seen - gain * mean_rest
+    share = float(believed.mean() * (weight > 0.5).mean())
+    residual = float(np.sqrt((weight[:, 0] * off**2).sum() / total))
+    if share < LEAST_SHARE or not np.all((gain > 1.0 / MOST_GAIN) & (gain < MOST_GAIN)):
+        return none
+    return Light(gain, offset, residual, share, True)

@@ -1,0 +1,56 @@
+"""The picture of the untouched sensor found in a stream of frames: the first ones in which nothing moves."""
+
+import itertools
+from collections import deque
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.networks.canonical import SMALL
+
+SETTLING = 8  # frames that a camera takes to set its exposure and colours, at least
+STILL = 5  # frames in a row that must be alike
+ALIKE = 0.5  # levels by which each may differ from their mean, on average over the picture
+MOST = 300  # frames within which a sensor is expected to be at rest
+
+
+class StillPicture:
+    """Watches frames until the sensor is at rest; then its picture is their mean, which has less noise than any."""
+
+    def __init__(self) -> None:
+        self._seen = 0
+        self._last: deque[np.ndarray] = deque(maxlen=STILL)
+        self._small: deque[np.ndarray] = deque(maxlen=STILL)
+
+    def offer(self, image: np.ndarray) -> np.ndarray | None:
+        """Take one more frame (h, w, 3) uint8; the picture as soon as there is one, uint8 of the same shape."""
+        import cv2
+
+        self._seen += 1
+        self._last.append(image)
+        self._small.append(cv2.resize(image, SMALL, interpolation=cv2.INTER_AREA).astype(float))
+        if self._seen <= SETTLING or len(self._last) < STILL:
+            return None
+        small = np.array(self._small)
+        if np.abs(small - small.mean(axis=0)).mean(axis=(1, 2, 3)).max() > ALIKE:
+            return None
+        return np.rint(np.mean(self._last, axis=0, dtype=float)).astype(np.uint8)
+
+
+def find_untouched(images: Iterable[np.ndarray], name: str) -> tuple[np.ndarray, Iterator[np.ndarray]]:
+    """The picture of the untouched sensor at the start of a stream, and the stream from its first frame on.
+
+    images: frames (h, w, 3) uint8 that begin while nothing touches the sensor. Raises BadInput where none of the first
+    MOST frames are at rest.
+    """
+    watch, held, rest = StillPicture(), [], iter(images)
+    for image in itertools.islice(rest, MOST):
+        held.append(image)
+        picture = watch.offer(image)
+        if picture is not None:
+            return picture, itertools.chain(held, rest)
+    raise BadInput(
+        f"{name}: no {STILL} frames in a row without movement after the first {SETTLING}, of {len(held)} looked at; let the"
+        " film begin with a second in which nothing touches the sensor, or give that picture with --untouched"
+    )

@@ -1,0 +1,135 @@
+"""The light of a pair of pictures, and the untouched picture found in a film: laws on made and on shipped pictures."""
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gelforge.errors import BadInput
+from gelforge.networks.canonical import match_light
+from gelforge.networks.still import MOST, SETTLING, STILL, find_untouched
+from gelforge.networks.use import Untouched, load_for_use, predict_one
+
+SIZE = (240, 320)
+
+
+def gel(seed: int) -> np.ndarray:
+    """A picture with coloured light from three sides and dark dots, (240, 320, 3) uint8."""
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[-1 : 1 : SIZE[0] * 1j, -1 : 1 : SIZE[1] * 1j]
+    lamps = rng.uniform(-0.3, 0.3, (3, 2))
+    picture = np.stack([110 + 60 * (a * x + b * y) for a, b in lamps], axis=2)
+    for u in range(30, 320, 40):
+        for v in range(30, 240, 40):
+            cv2.circle(picture, (u, v), 5, (40, 35, 45), -1)
+    return np.clip(picture + rng.normal(0, 1.0, picture.shape), 0, 255).astype(np.uint8)
+
+
+def pressed(picture: np.ndarray, share: float, seed: int) -> np.ndarray:
+    """The same with something round pressed into `share` of it: bright on one side, dark on the other."""
+    rng, (h, w) = np.random.default_rng(seed), SIZE
+    radius = np.sqrt(share * h * w / np.pi)
+    u, v = rng.uniform(0.3, 0.7) * w, rng.uniform(0.3, 0.7) * h
+    y, x = np.mgrid[:h, :w]
+    slope = np.where(np.hypot(x - u, y - v) < radius, (x - u) / max(radius, 1e-9), 0.0)
+    inside = np.hypot(x - u, y - v) < radius
+    return np.clip(picture + (60 * slope + 8 * inside)[..., None] * [1.0, -0.5, 0.7], 0, 255).astype(np.uint8)
+
+
+@given(st.integers(0, 999), st.floats(0.8, 1.2), st.floats(-6, 6), st.floats(0.0, 0.3))
+@settings(max_examples=40, deadline=None)
+def test_light_is_found_beside_a_contact(seed, gain, offset, share):
+    """Whatever is pressed into up to three tenths of the picture, gain and offset are those of the rest."""
+    rest = gel(seed)
+    seen = np.clip(np.rint(gain * pressed(rest, share, seed).astype(float) + offset), 0, 255).astype(np.uint8)
+    light = match_light(seen, rest)
+    assert light.known
+    back = light.undo(seen).astype(float)
+    away = np.abs(pressed(rest, share, seed).astype(float) - rest).sum(axis=2) == 0
+    assert abs((back - rest)[away].mean()) < 1.0
+
+
+@given(st.integers(0, 999))
+@settings(max_examples=10, deadline=None)
+def test_equal_light_changes_nothing(seed):
+    rest = gel(seed)
+    light = match_light(rest, rest)
+    np.testing.assert_allclose(light.gain, 1.0, atol=1e-12)
+    np.testing.assert_allclose(light.offset, 0.0, atol=1e-9)
+    np.testing.assert_array_equal(light.undo(rest), rest)
+
+
+@pytest.mark.parametrize("other", [np.zeros, lambda *a: np.full(*a[:1], 255, np.uint8)])
+def test_a_picture_that_shows_nothing_has_no_light(other):
+    light = match_light(other((*SIZE, 3), np.uint8), gel(1))
+    assert not light.known and np.array_equal(light.gain, np.ones(3))
+
+
+def test_another_scene_has_no_light_of_this_one():
+    noise = np.random.default_rng(3).integers(0, 255, (12, 16, 3), dtype=np.uint8)
+    assert not match_light(cv2.resize(noise, SIZE[::-1], interpolation=cv2.INTER_NEAREST), gel(1)).known
+
+
+@pytest.fixture(scope="module")
+def shipped():
+    return load_for_use(None)
+
+
+DRIFTS = {
+    "red two levels down": lambda p: p - [2.0, 0.0, 0.0],
+    "all colours a tenth darker": lambda p: 0.9 * p,
+    "blue a tenth brighter, green three levels up": lambda p: p * [1.0, 1.0, 1.1] + [0.0, 3.0, 0.0],
+}
+
+
+@pytest.mark.parametrize("drift", DRIFTS)
+def test_drifting_light_is_no_force(shipped, drift):
+    """On every sensor that the shipped network knows: below 0.3 N where it read up to 26 N of the bare difference."""
+    for picture in shipped.untouched.values():
+        drifted = np.clip(np.rint(DRIFTS[drift](picture.astype(float))), 0, 255).astype(np.uint8)
+        _, forces, verdict = predict_one(Untouched(shipped, picture), drifted)
+        assert np.abs(forces.sum((1, 2))).max() < 0.3
+        assert verdict["light"].known
+
+
+def test_the_untouched_picture_itself_reads_zero(shipped):
+    for picture in shipped.untouched.values():
+        assert np.array_equal(predict_one(Untouched(shipped, picture), picture)[1], np.zeros((3, 24, 32)))
+
+
+def film(*parts):
+    """Frames: (kind, count) of exposing, rest, moving."""
+    rng, rest, at = np.random.default_rng(5), gel(2).astype(float), 0
+    for kind, count in parts:
+        for k in range(count):
+            level = {"exposing": 1.6 - 0.07 * k, "rest": 1.0, "moving": 1.0}[kind]
+            moved = np.roll(rest, 9 * at if kind == "moving" else 0, axis=1)
+            at += 1
+            yield np.clip(level * moved + rng.normal(0, 2.0, rest.shape), 0, 255).astype(np.uint8)
+
+
+def test_the_untouched_picture_comes_from_frames_at_rest():
+    frames = list(film(("exposing", 8), ("rest", 8), ("moving", 10)))
+    picture, stream = find_untouched(iter(frames), "film")
+    assert np.abs(picture.astype(float) - gel(2)).mean() < 1.5
+    assert [np.array_equal(a, b) for a, b in zip(stream, frames, strict=True)] == [True] * len(frames)
+
+
+@pytest.mark.parametrize("parts", [[("moving", 40)], [("rest", SETTLING)], [("exposing", 8), ("moving", MOST)]])
+def test_a_film_without_rest_is_refused(parts):
+    with pytest.raises(BadInput, match=f"no {STILL} frames in a row"):
+        find_untouched(film(*parts), "film")
+
+
+def test_a_stream_without_end_is_not_read_for_ever():
+    taken = []
+
+    def endless():
+        for image in film(("moving", 10 * MOST)):
+            taken.append(1)
+            yield image
+
+    with pytest.raises(BadInput):
+        find_untouched(endless(), "camera 0")
+    assert len(taken) <= MOST + 1
