@@ -1,0 +1,247 @@
+"""What the shipped network reads in pictures of real sensors that it never saw, where something of the truth is known.
+
+No force was measured beside these pictures. What is known: a released gel bears nothing; two fingers that hold one object
+press it equally; a sideways force moves the dots its way; FEATS published its own maps of 51 presses; a cuboid leaves a
+square. Each figure is given for the network as `gelforge live` and `predict` use it, and in its note for the bare
+network that takes a film's first frame for the untouched sensor.
+"""
+
+import os
+from argparse import Namespace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.flow.main import command, option
+from gelforge.flow.progress import progress
+from gelforge.formats.numpy_pickle import read_npy
+from gelforge.labelling.markers import find_blobs
+from gelforge.networks.latency import predict_images
+from gelforge.networks.modelfile import Trained
+from gelforge.networks.still import SETTLING, find_untouched
+from gelforge.networks.use import Untouched, load_for_use, predict_one
+from gelforge.records.image import read_image
+from tests.benchmarks.figures import Figure, publish_figures
+
+EVERY = 3  # every so manyth frame of a film is read
+RELEASED_PX = 0.6  # nine of ten dots nearer than this to where they are at rest: nothing touches
+HELD_PX = 1.0  # and farther than this: something does
+TRACKED = {"winSize": (21, 21), "maxLevel": 2}
+PANEL = 200  # px of width of each of the four panels of FEATS' film: x, y, normal map, picture
+NAMED = np.s_[:3, :10]  # cells below the panel's name
+# FEATS labels the cuboid's corners in the image, px at 320 x 240, by point_correspondences.csv
+CUBOID_MM, PX_PER_MM = 10.0, 14.0
+
+Way = Callable[[np.ndarray], np.ndarray]  # a picture (h, w, 3) to forces (3, rows, cols) N
+
+
+def frames(path: Path) -> Iterator[np.ndarray]:
+    """Frames (h, w, 3) uint8 RGB of a film."""
+    source = cv2.VideoCapture(str(path))
+    if not source.isOpened():
+        raise BadInput(f"{path}: cannot be opened as a film")
+    while True:
+        good, frame = source.read()
+        if not good:
+            source.release()
+            return
+        yield cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)
+
+
+def as_used(trained: Trained, untouched: np.ndarray) -> Way:
+    """How `predict` and `live` read a picture."""
+    one = Untouched(trained, untouched)
+    return lambda image: predict_one(one, image)[1]
+
+
+def bare(trained: Trained, untouched: np.ndarray) -> Way:
+    """The network alone on the two pictures as they are."""
+    reader = Untouched(trained, untouched).reader("given")
+    return lambda image: predict_images(reader, image[None])[0]
+
+
+# -- films
+
+
+@dataclass(frozen=True)
+class Read:
+    """A film as read: totals (n, 3) N of both ways in the labels' channels, and the dots' motion (n, d, 2) px."""
+
+    used: np.ndarray
+    bare: np.ndarray
+    motion: np.ndarray
+
+    @property
+    def moved(self) -> np.ndarray:
+        """How far nine of ten dots have moved, (n,) px."""
+        return np.nanpercentile(np.hypot(self.motion[..., 0], self.motion[..., 1]), 90, axis=1)
+
+
+def motion_of(dots: np.ndarray, rest: np.ndarray, image: np.ndarray) -> np.ndarray:
+    """How far dots (d, 2) of the picture at rest have moved in another picture, (d, 2) px; NaN where one is lost.
+
+    A dot is lost that, followed back, does not come home.
+    """
+    grey = [cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY) for picture in (rest, image)]
+    start = (dots - 0.5).astype(np.float32).reshape(-1, 1, 2)
+    found, seen, _ = cv2.calcOpticalFlowPyrLK(*grey, start, None, **TRACKED)
+    home, _, _ = cv2.calcOpticalFlowPyrLK(*grey[::-1], found, None, **TRACKED)
+    kept = (seen.ravel() > 0) & (np.hypot(*(home - start).reshape(-1, 2).T) < 1.0)
+    return np.where(kept[:, None], (found - start).reshape(-1, 2), np.nan)
+
+
+def read_film(path: Path, trained: Trained) -> Read:
+    """Read every third frame of a film in both ways, and follow its dots."""
+    images = list(frames(path))
+    rest, _ = find_untouched(iter(images), str(path))
+    dots, ways = find_blobs(rest)[0], (as_used(trained, rest), bare(trained, images[0]))
+    chosen = images[SETTLING::EVERY]  # while a camera sets its exposure nothing is known
+    totals = [np.array([way(image).sum((1, 2)) for image in chosen]) for way in ways]
+    return Read(*totals, np.array([motion_of(dots, rest, image) for image in chosen]))
+
+
+def released_figures(films: dict[str, Read]) -> list[Figure]:
+    """What is read of a gel that nothing touches."""
+    worst, before = {}, {}
+    for name, film in films.items():
+        free = film.moved < RELEASED_PX
+        if free.sum() >= 3:
+            worst[name] = float(np.percentile(np.abs(film.used[free]).max(axis=1), 90))
+            before[name] = float(np.percentile(np.abs(film.bare[free]).max(axis=1), 90))
+    name = max(worst, key=worst.get)
+    note = f"{name}; {len(worst)} films, median {np.median(list(worst.values())):.2f}; bare against the first frame: "
+    note += f"worst {max(before.values()):.1f}, median {np.median(list(before.values())):.1f}"
+    return [Figure("released gels, nine of ten frames of the worst film", worst[name], "<=", 0.3, "N", note)]
+
+
+def finger_figures(films: dict[str, Read]) -> list[Figure]:
+    """Normal forces of two fingers that hold one object, over all frames in which both are touched."""
+    figures = {}
+    for way in ("used", "bare"):
+        factor, likeness = [], []
+        for name, one in films.items():
+            two = films.get(name.removesuffix("camera_0") + "camera_2")
+            if not name.endswith("camera_0") or two is None:
+                continue
+            count = min(len(one.moved), len(two.moved))
+            both = (one.moved[:count] > HELD_PX) & (two.moved[:count] > HELD_PX)
+            left, right = (-getattr(film, way)[:count, 2] for film in (one, two))
+            if both.sum() >= 5 and min(np.median(left[both]), np.median(right[both])) > 0.0:
+                factor.append(abs(np.log(np.median(left[both]) / np.median(right[both]))))
+                likeness.append(np.corrcoef(left, right)[0, 1])
+        figures[way] = len(factor), float(np.exp(np.median(factor))), float(np.median(likeness))
+    count, factor, likeness = figures["used"]
+    return [
+        Figure("two fingers on one object, factor apart, median", factor, "<=", 1.25, "",
+               f"{count} grasps; bare {figures['bare'][1]:.2f}"),
+        Figure("the same over time, correlation, median", likeness, ">=", 0.95, "", f"bare {figures['bare'][2]:.2f}"),
+    ]  # fmt: skip
+
+
+def sideways_figures(films: dict[str, Read]) -> list[Figure]:
+    """Sideways force against the mean motion of the dots: likeness over all films, angle film by film."""
+    found = {}
+    for way in ("used", "bare"):
+        moved, pulled, angles = [], [], []
+        for film in films.values():
+            motion = np.nanmean(film.motion, axis=1)
+            # image columns run against gel y, rows against gel x; the channels hold the forces along these
+            force = -getattr(film, way)[:, :2]
+            held = np.hypot(*motion.T) > HELD_PX
+            if held.sum() < 10:
+                continue
+            moved.append(motion[held])
+            pulled.append(force[held])
+            cross = motion[held, 0] * force[held, 1] - motion[held, 1] * force[held, 0]
+            angles.append(np.median(np.degrees(np.abs(np.arctan2(cross, (motion[held] * force[held]).sum(axis=1))))))
+        motion, force = np.concatenate(moved), np.concatenate(pulled)
+        likeness = min(np.corrcoef(motion[:, k], force[:, k])[0, 1] for k in (0, 1))
+        found[way] = float(likeness), float(np.median(angles)), len(angles)
+    told = f"{found['used'][2]} films; bare {found['bare'][0]:.3f} and {found['bare'][1]:.1f} degrees"
+    return [
+        Figure(
+            "sideways force against dots, correlation, lesser of two axes", found["used"][0], ">=", 0.98, "", told
+        ),
+        Figure("sideways force against dots, angle, median", found["used"][1], "<=", 5.0, "degrees"),
+    ]
+
+
+# -- FEATS' film of its own maps
+
+
+def map_of(panel: np.ndarray, colours: np.ndarray) -> np.ndarray:
+    """Values 0 to 1 (24, 32) of a panel (h, w, 3) that shows cells in a colour map (256, 3)."""
+    cells = cv2.resize(panel.astype(np.float32), (32, 24), interpolation=cv2.INTER_AREA).reshape(-1, 1, 3)
+    return np.argmin(((cells - colours) ** 2).sum(axis=2), axis=1).reshape(24, 32) / 255.0
+
+
+def feats_maps(path: Path, untouched: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Picture and normal map (24, 32), larger where pressed more, of each press; the picture's name is covered."""
+    import matplotlib as mpl
+
+    colours = 255.0 * mpl.colormaps["viridis"](np.arange(256))[:, :3]
+    for image in frames(path):
+        shown = cv2.resize(image[:, 3 * PANEL :], (320, 240), interpolation=cv2.INTER_CUBIC)
+        shown[:32, :82] = untouched[:32, :82]
+        yield shown, 1.0 - map_of(image[:, 2 * PANEL : 3 * PANEL], colours)
+
+
+def gif_figures(reference: Path, trained: Trained, untouched: np.ndarray) -> list[Figure]:
+    """Normal maps against FEATS' own, which are scaled each to itself; so are the totals' ranks."""
+    found, seen = {}, np.ones((24, 32), bool)
+    seen[NAMED] = False
+    for way, make in (("used", as_used), ("bare", bare)):
+        read, likeness, own, theirs = make(trained, untouched), [], [], []
+        for picture, normal in feats_maps(reference / "feats/images/demo.gif", untouched):
+            pressed = -read(picture)[2]
+            likeness.append(np.corrcoef(pressed[seen], normal[seen])[0, 1])
+            own.append(pressed[seen].sum())
+            theirs.append(normal[seen].sum())
+        ranks = [np.argsort(np.argsort(values)) for values in (own, theirs)]
+        found[way] = float(np.median(likeness)), float(np.corrcoef(*ranks)[0, 1]), len(own)
+    told = f"{found['used'][2]} presses; bare {found['bare'][0]:.2f}"
+    return [
+        Figure("normal map against FEATS' maps, correlation, median", found["used"][0], ">=", 0.88, "", told),
+        Figure("totals against the sums of FEATS' maps, rank correlation", found["used"][1], ">=", 0.9, "",
+               f"bare {found['bare'][1]:.2f}"),
+    ]  # fmt: skip
+
+
+def cuboid_figures(reference: Path, trained: Trained, untouched: np.ndarray) -> list[Figure]:
+    """A 10 mm cuboid pressed straight: sideways force beside the normal one, and how wide the contact is read."""
+    image = read_image(reference / "feats/images/cuboid_10-2-284.png")[..., :3]
+    used, plain = as_used(trained, untouched)(image), bare(trained, untouched)(image)
+    normal, sideways = -used[2].sum(), float(np.hypot(*used[:2].sum((1, 2))))
+    pressed = -used[2]
+    area = np.count_nonzero(pressed > 0.5 * np.percentile(pressed, 98)) * (10.0 / PX_PER_MM) ** 2
+    told = f"normal {normal:.1f} N; bare {-plain[2].sum():.1f} N"
+    return [
+        Figure("cuboid pressed straight, sideways over normal force", 100 * sideways / abs(normal), "<=", 3.0, "%", told),
+        Figure("cuboid: side of the square read, off by", abs(float(np.sqrt(area)) - CUBOID_MM), "<=", 10 / PX_PER_MM, "mm"),
+    ]  # fmt: skip
+
+
+@command(
+    option("--reference", type=Path, default=Path(os.environ.get("GELFORGE_REFERENCE", "../shared/reference"))),
+    option("--model", type=Path, default=None, help="model file; the one that ships if not named"),
+    option("--out", type=Path),
+)
+def main(args: Namespace) -> None:
+    if not (args.reference / "gripper_videos").is_dir():
+        raise BadInput(f"{args.reference}: real pictures are not there; set GELFORGE_REFERENCE to their folder")
+    trained = load_for_use(args.model)
+    films = sorted((args.reference / "gripper_videos").glob("*.avi"))
+    read = {path.stem: read_film(path, trained) for path in progress(films, "films", len(films))}
+    untouched = read_npy(args.reference / "feats/images/nocontact_train_sensor.npy")["gs_img"]
+    figures = [*released_figures(read), *finger_figures(read), *sideways_figures(read)]
+    figures += gif_figures(args.reference, trained, untouched)
+    figures += cuboid_figures(args.reference, trained, untouched)
+    publish_figures(args.out, figures)
+
+
+if __name__ == "__main__":
+    main.exit()
