@@ -1,13 +1,13 @@
 """Parameters: workflow/*.toml and a dataset's own, cut into one canonical slice per stage."""
 
 import json
-import math
 import re
 import tomllib
 from difflib import get_close_matches
 from pathlib import Path
 
 from gelforge.errors import BadInput
+from gelforge.flow.schema import TOGETHER, spec_of
 
 # What of params.toml each stage reads. A dotted name is one key of a table. make rebuilds a stage
 # when its slice changes and for no other change of the file.
@@ -43,24 +43,6 @@ def read_toml(path) -> dict:
 DATASET_KEYS = {"sensor", "gel", "catalogue", "params"}
 # Parameters that may be of two kinds.
 MIXED = {"material.c10"}
-# Bounds of numbers whose other values have no meaning: lowest and highest, both allowed.
-SMALLEST = 1e-12
-BOUNDS = {
-    "material.nu": (0.0, 0.4999), "interface.mu": (0.0, 1e3), "plan.shard_size": (1, 1e6), "train.epochs": (1, 1e6),
-    "train.batch": (1, 1e6), "fea.rounds": (1, 1e3), "fea.press_steps": (1, 1e3), "fea.shear_steps": (1, 1e3),
-    "fea.step_mm": (SMALLEST, 1e3), "fea.stiffness": (SMALLEST, 1e9), "fea.tolerance": (SMALLEST, 1.0),
-    "fea.timeout_s": (SMALLEST, 1e9), "poses.deepest_share": (SMALLEST, 1.0), "poses.farthest_shear_mm": (0.0, 1e3),
-    "poses.bulge_mm": (0.0, 1e3), "poses.band_mm": (SMALLEST, 1e3), "dataset.validation": (0.0, 0.9),
-    "dataset.test": (0.0, 0.9), "train.seed": (0, 2**32), "dataset.seed": (0, 2**32), "evaluate.seed": (0, 2**32),
-    "calibrate.seed": (0, 2**32), "stability.seed": (0, 2**32), "train.threads": (1, 1e4), "evaluate.threads": (1, 1e4),
-}  # fmt: skip
-CHOICES = {
-    "fea.fidelity": ("hex", "ccx", "ccx-native", "ccx-fine", "auto"),
-    "fea.hex_quality": ("demo", "draft", "label", "fine"),
-    "interface.law": ("no_slip", "coulomb", "frictionless"),
-    "calibrate.law": ("no_slip", "coulomb", "frictionless"),
-    "train.schedule": ("plateau", "cosine"),
-}
 
 
 def load_params(workflow, dataset_toml=None) -> dict:
@@ -110,23 +92,20 @@ def kind_of(value) -> str:
 
 
 def check_values(params: dict, where, path: str = "") -> None:
-    """Refuse numbers that are not finite or out of bounds, and words that are none of the choices."""
+    """Refuse values that flow.schema does not allow, alone or together with others of their table."""
     for key, value in params.items():
         name = f"{path}.{key}" if path else key
         if isinstance(value, dict):
             check_values(value, where, name)
-        for number in value if isinstance(value, list) else [value]:
-            if isinstance(number, float) and not math.isfinite(number):
-                raise BadInput(f"{where}: {name} = {value!r}: give finite numbers")
-        low, high = BOUNDS.get(name, (None, None))
-        if low is not None and (kind_of(value) != "a number" or not low <= value <= high):
-            raise BadInput(f"{where}: {name} = {value!r}: give a number from {low:g} to {high:g}")
-        if name in CHOICES and value not in CHOICES[name]:
-            raise BadInput(f"{where}: {name} = {value!r}: choose one of {', '.join(CHOICES[name])}")
-        if name == "material.c10" and (
-            value != "calibrated" and (kind_of(value) != "a number" or not 0 < value < 100)
-        ):
-            raise BadInput(f'{where}: material.c10 = {value!r}: give MPa, such as 0.0725, or "calibrated"')
+            for table, holds, sentence in TOGETHER:
+                if name == table and not holds(value):
+                    raise BadInput(f"{where}: [{table}]: {sentence}")
+            continue
+        spec = spec_of(name)
+        if spec is None:
+            raise BadInput(f"{where}: {name} = {value!r}: flow/schema.py does not say what it may be; add it there")
+        if fault := spec.fault(value):
+            raise BadInput(f"{where}: {name} = {value!r}: {fault}")
 
 
 def stage_version(source, stage: str) -> int:
