@@ -12,7 +12,15 @@ without = $(if $(2),$(call without,$(subst $(firstword $(2)),,$(1)),$(wordlist 2
 
 # Whether a variable's text is one name of letters, digits, _ - and . that starts with none of the last two.
 named = $(if $(or $(call without,$(value $(1)),$(LETTERS) $(DIGITS) _ - .),$(filter .% -%,$(value $(1))),$(filter-out 1,$(words $(value $(1))))),,yes)
-$(foreach v,DATASET SENSOR,$(if $(value $v),$(if $(call named,$v),,$(error $v=$(value $v): give one name of letters, digits, _ - and . that does not start with a dot))))
+# Defaults that make works out are no text of others.
+by_hand = $(and $(filter command environment,$(firstword $(origin $(1)))),$(value $(1)))
+$(foreach v,DATASET SENSOR MODEL FORMAT EXECUTOR,$(if $(call by_hand,$v),$(if $(call named,$v),,$(error $v=$(value $v): give one name of letters, digits, _ - and . that does not start with a dot))))
+
+# Lists of names, and of tests.
+$(foreach v,CHARTED TESTS,$(if $(call by_hand,$v),$(if $(strip $(call without,$(value $v),$(LETTERS) $(DIGITS) _ - . / : [ ] ,)),$(error $v=$(value $v): give names with blanks between them))))
+ifneq ($(call without,$(call by_hand,JOBS),$(DIGITS)),)
+$(error JOBS=$(value JOBS): give a number of jobs)
+endif
 
 # RES: words such as 24x32.
 ifneq ($(strip $(call without,$(value RES),$(DIGITS) x) $(filter x% %x,$(value RES)) $(foreach w,$(value RES),$(if $(findstring x,$w),,$w))),)

@@ -217,3 +217,18 @@ def test_ears_cover_a_polygon_with_notches():
 def test_regular_polygon_has_its_side():
     corners = regular_polygon(6, 5.0, 0.0)
     assert np.linalg.norm(corners[0] - corners[1]) == pytest.approx(5.0)
+
+
+def test_a_file_that_claims_more_triangles_than_it_has_is_refused_at_once(tmp_path):
+    """MeshLab would make room for as many as it claims."""
+    (tmp_path / "b.stl").write_bytes(bytes(80) + b"\xff\xff\xff\xff" + bytes(50))
+    with pytest.raises(BadInput, match="4294967295 triangles would take"):
+        build("b", {"kind": "stl", "file": "b.stl"}, tmp_path / "indenters.toml")
+
+
+def test_a_body_beside_the_axis_is_refused(tmp_path):
+    """It would press the gel where no log says, or nothing at all."""
+    vertices, faces = build("c", table("cuboid", size=[4, 4])).surface()
+    triangles.write_stl(tmp_path / "b.stl", vertices + [3.0, 0.0, 0.0], faces)
+    with pytest.raises(BadInput, match="1 mm beside the z axis"):
+        build("b", {"kind": "stl", "file": "b.stl"}, tmp_path / "indenters.toml")

@@ -101,6 +101,13 @@ def test_what_cannot_be_a_name_is_refused_before_anything_is_made(labelled, vari
     assert [path.name for path in (labelled / "results").iterdir()] == ["tiny"]
 
 
+@pytest.mark.parametrize("variable", ["MODEL", "FORMAT", "EXECUTOR", "CHARTED", "TESTS", "JOBS"])
+@pytest.mark.parametrize("value", ["$(shell touch pwned)", "`touch pwned`", "; touch pwned", "a'b"])
+def test_no_variable_of_the_command_line_runs_code(labelled, variable, value):
+    done = make(labelled, "help", f"{variable}={value}")
+    assert done.returncode and f"{variable}=" in done.stdout and not (labelled / "pwned").exists()
+
+
 @pytest.mark.parametrize("goal", ["sample", "look", "lineage"])
 @pytest.mark.parametrize("value", ["$(shell touch pwned)", "`touch pwned`", "';touch pwned;'", '";touch pwned;"'])
 def test_text_from_the_command_line_is_one_word_of_the_shell(labelled, goal, value):

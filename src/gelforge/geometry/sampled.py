@@ -26,6 +26,12 @@ def check_body(vertices: np.ndarray, faces: np.ndarray, what: str) -> tuple[np.n
             f"{what}: the body measures {extent:.4g} mm after scaling, expected 0.5 to {LARGEST_MM:g} mm; "
             "set `scale` in the catalogue (1000 for a file in metres, 25.4 for inches)"
         )
+    aside = np.maximum(vertices.min(axis=0), -vertices.max(axis=0))[:2].max()
+    if aside > 0.0:
+        raise BadInput(
+            f"{what}: the body stands {aside:.4g} mm beside the z axis, on which it is pressed; move it there in the program "
+            "that exported it"
+        )
     enclosed = volume(vertices, faces)
     if abs(enclosed) < 1e-6:
         raise BadInput(f"{what}: the surface encloses {enclosed:.1e} mm^3; export a solid body")
