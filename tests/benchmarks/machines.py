@@ -9,7 +9,9 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 from argparse import Namespace
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -18,11 +20,18 @@ from gelforge.flow import params as config
 from gelforge.flow.files import read_json, write_json
 from gelforge.flow.main import command, option
 from gelforge.labelling.sensor import load_sensors
+from gelforge.mechanics.family import MeshFamily
+from gelforge.mechanics.fidelity import FeaSettings, Solvers
+from gelforge.mechanics.hex.solver import HexSolver, quality
+from gelforge.mechanics.mesh import GelMesh
+from gelforge.mechanics.scene import Result, Scene
+from gelforge.sweeps import references
 from gelforge.sweeps.scenes import parse_scene, read_tables
 from gelforge.sweeps.trial import cells_of
 from tests.benchmarks.figures import Figure, publish_figures
 
 CASES = {
+    "as it is": {},
     "AVX2": {"MKL_CBWR": "AVX2"},
     "AVX512": {"MKL_CBWR": "AVX512"},
     "COMPATIBLE": {"MKL_CBWR": "COMPATIBLE"},
@@ -30,35 +39,65 @@ CASES = {
     "generic": {"MKL_CBWR": "COMPATIBLE", "NUMBA_CPU_NAME": "generic"},
 }
 TOTAL, CELLS = 0.1, 1.0  # % that results may be apart
+WAYS = ("draft", "label", "ccx")  # qualities of `hex`, and CalculiX at label setting
+ONE_THREAD = {"MKL_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 
 
-def solve_scenes(quality: str, names: list[str] | None, workflow: Path) -> dict[str, dict]:
-    """Total force (3,) and cells (3, 24, 32) in N of scenes solved in this process by `hex` at a quality."""
-    from gelforge.mechanics.hex.solver import HexSolver
-    from gelforge.mechanics.hex.solver import quality as settings
+def solver_of(way: str, params: dict, meshes: Path, work: Path) -> Callable[[Scene], tuple[Result, GelMesh]]:
+    """A function that solves a scene in one of WAYS and gives the mesh of the result."""
+    if way != "ccx":
+        bricks = HexSolver(quality(way))
 
+        def solve(scene: Scene) -> tuple[Result, GelMesh]:
+            found = bricks.solve(scene)
+            return found, found.mesh
+
+        return solve
+    names = references.label_meshes(params)
+    for name in names:
+        references.need_mesh(name, meshes, params)
+    solvers = Solvers(MeshFamily(meshes, names), work, FeaSettings.from_table(params["fea"]))
+
+    def solve_ccx(scene: Scene) -> tuple[Result, GelMesh]:
+        found = solvers.solve(scene, "ccx")
+        return found, solvers.family.load(found.evidence["mesh"])
+
+    return solve_ccx
+
+
+def solve_scenes(way: str, names: list[str] | None, workflow: Path, meshes: Path) -> dict[str, dict]:
+    """Status, total force (3,) and cells (3, 24, 32) in N of scenes solved in this process in one of WAYS."""
     params = config.load_params(workflow)
     sensor = load_sensors(workflow / "sensors.toml")[params["pareto"]["sensor"]]
     tables = read_tables(workflow)
     found = {}
-    for name in names or tables:
-        result = HexSolver(settings(quality)).solve(parse_scene(name, tables[name], params["material"]["nu"]).scene)
-        cells, _ = cells_of(result.mesh, result.forces, sensor)
-        found[name] = {"status": result.status.name, "total": result.total.tolist(), "cells": cells.tolist()}
+    with tempfile.TemporaryDirectory() as work:
+        solve = solver_of(way, params, meshes, Path(work))
+        for name in names or tables:
+            result, mesh = solve(parse_scene(name, tables[name], params["material"]["nu"]).scene)
+            cells, _ = cells_of(mesh, result.forces, sensor)
+            found[name] = {"status": result.status.name, "total": result.total.tolist(), "cells": cells.tolist()}
     return found
 
 
-def on_machine(case: str, quality: str, names: list[str] | None, folder: Path, workflow: Path) -> dict[str, dict]:
+def digest_of_all(workflow: Path) -> str:
+    """Digest of the code, parameters, scenes, shapes and sensors that a result may depend on."""
+    code = sorted((Path(__file__).parents[2] / "src" / "gelforge").rglob("*.py"))
+    return hashlib.sha256(
+        b"".join(path.read_bytes() for path in [*code, *sorted(workflow.glob("*.toml"))])
+    ).hexdigest()
+
+
+def on_machine(case: str, way: str, names: list[str] | None, folder: Path, workflow: Path) -> dict[str, dict]:
     """`solve_scenes` in a process whose libraries take the code path of a case; kept in the folder."""
-    source = Path(__file__).parents[2] / "src" / "gelforge" / "mechanics"
-    parts = [path.read_bytes() for path in sorted(source.rglob("*.py"))] + [(workflow / "scenes.toml").read_bytes()]
-    key = hashlib.sha256(b"".join(parts) + json.dumps([case, quality, names]).encode()).hexdigest()[:16]
-    kept = folder / f"{quality}-{case.replace(' ', '-')}-{key}.json"
+    told = json.dumps([digest_of_all(workflow), case, way, names])
+    kept = folder / f"{way}-{case.replace(' ', '-')}-{hashlib.sha256(told.encode()).hexdigest()[:16]}.json"
     if not kept.exists():
-        asked = [sys.executable, "-m", "tests.benchmarks.machines", "--quality", quality, "--workflow", str(workflow)]
-        asked += ["--out", str(kept), *(["--scenes", *names] if names else [])]
+        asked = [sys.executable, "-m", "tests.benchmarks.machines", "--way", way, "--workflow", str(workflow)]
+        asked += ["--meshes", str(folder / "meshes"), "--out", str(kept), *(["--scenes", *names] if names else [])]
         caches = {"NUMBA_CACHE_DIR": str(folder / "numba" / case)} if "NUMBA_CPU_NAME" in CASES[case] else {}
-        subprocess.run(asked, check=True, env={**os.environ, **CASES[case], **caches})
+        free = {k: v for k, v in os.environ.items() if k != "MKL_CBWR"}
+        subprocess.run(asked, check=True, env={**free, **ONE_THREAD, **CASES[case], **caches})
     return read_json(kept)
 
 
@@ -71,38 +110,42 @@ def apart(results: list[dict]) -> tuple[float, float]:
     return 100 * total / size, 100 * cell / size
 
 
-def compare(
-    quality: str, folder: Path, workflow: Path, names: list[str] | None = None
-) -> dict[str, tuple[float, float]]:
-    """Differences between the machines by scene, of one quality."""
-    machines = [on_machine(case, quality, names, folder, workflow) for case in CASES]
-    return {name: apart([found[name] for found in machines]) for name in machines[0]}
+def compare(way: str, folder: Path, workflow: Path, names: list[str] | None = None) -> dict[str, tuple[float, float]]:
+    """Differences between the machines by scene, in one of WAYS; infinite where they end in another status."""
+    machines = [on_machine(case, way, names, folder, workflow) for case in CASES]
+    found = {}
+    for name in machines[0]:
+        results = [machine[name] for machine in machines]
+        alike = len({result["status"] for result in results}) == 1
+        found[name] = apart(results) if alike else (np.inf, np.inf)
+    return found
 
 
-def figures_of(quality: str, differences: dict[str, tuple[float, float]]) -> list[Figure]:
-    """The worst scene's differences of one quality."""
+def figures_of(way: str, differences: dict[str, tuple[float, float]]) -> list[Figure]:
+    """The worst scene's differences in one of WAYS."""
     figures = []
     for place, (what, goal) in enumerate((("total force", TOTAL), ("cells", CELLS))):
         worst = max(differences, key=lambda name, place=place: differences[name][place])
-        figures.append(Figure(f"hex {quality}: {what}, worst of {len(differences)} scenes over {len(CASES)} machines",
+        figures.append(Figure(f"{'ccx label' if way == 'ccx' else f'hex {way}'}: {what}, worst of {len(differences)} scenes over {len(CASES)} machines",
                               differences[worst][place], "<=", goal, "%", worst))  # fmt: skip
     return figures
 
 
 @command(
     option("--workflow", type=Path, default=Path("workflow")),
-    option("--quality", choices=("draft", "label"), default=None, help="solve in this process and write the results"),
+    option("--way", choices=WAYS, default=None, help="solve in this process and write the results"),
+    option("--meshes", type=Path, default=Path("results/benchmarks/machines/meshes"), help="CalculiX' meshes"),
     option("--scenes", nargs="+", default=None, help="only these of workflow/scenes.toml"),
     option("--out", type=Path, help="results/benchmarks/machines.json"),
 )
 def main(args: Namespace) -> None:
-    if args.quality:
-        write_json(args.out, solve_scenes(args.quality, args.scenes, args.workflow))
+    if args.way:
+        write_json(args.out, solve_scenes(args.way, args.scenes, args.workflow, args.meshes))
         return
     folder = args.out.parent / "machines"
     figures = []
-    for quality in ("draft", "label"):
-        figures += figures_of(quality, compare(quality, folder, args.workflow, args.scenes))
+    for way in WAYS:
+        figures += figures_of(way, compare(way, folder, args.workflow, args.scenes))
     publish_figures(args.out, figures)
 
 
