@@ -7,6 +7,7 @@ COMMANDS = {
     "predict": "force maps and totals from images",
     "live": "force maps over a video or a camera, as it runs",
     "rig": "simulate presses and write a raw log with images",
+    "sensor": "a profile of one's own sensor, from a picture and weighed presses",
     "status": "what of a dataset is done, failed, pending",
     "sample": "one sample through all stages, with its log",
     "projection": "fit a sensor's projection",

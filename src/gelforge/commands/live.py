@@ -140,6 +140,7 @@ def until_interrupted(items):
     option("--model", type=Path, help="model file; the one that came with gelforge if not named", default=None),
     option("--sensor", help="the sensor that films; refused if the model is for another one", default=None),
     option("--untouched", type=Path, metavar="IMAGE", help="the sensor while nothing touches it", default=None),
+    option("--profile", type=Path, help="the sensor's profile, of gelforge sensor", default=None),
     option("--frames", type=int, help="stop after so many", default=None),
     option("--threads", type=positive, default=1),
     option("--web", action="store_true", help="serve a page that shows it all"),
@@ -156,6 +157,7 @@ def main(args: Namespace) -> None:
     import cv2
     import torch
 
+    from gelforge.commands.predict import with_profile
     from gelforge.networks.still import find_untouched
     from gelforge.networks.use import Untouched, load_for_use
     from gelforge.records.image import read_image
@@ -169,12 +171,14 @@ def main(args: Namespace) -> None:
     if picture is None and not args.sensor and trained.needs_untouched:
         picture, seen = find_untouched(seen, name)
         picture = cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
+    picture, gain = with_profile(args.profile, picture)
+    untouched = Untouched(trained, picture, args.sensor, gain)
     if args.web or args.jsonl or args.csv:
         from gelforge.commands.live_readings import tell
 
-        tell(args, Untouched(trained, picture, args.sensor), until_interrupted(seen), capture, name)
+        tell(args, untouched, until_interrupted(seen), capture, name)
         return
-    overlay = Overlay(Untouched(trained, picture, args.sensor))
+    overlay = Overlay(untouched)
     pictures = (overlay(frame) for frame in until_interrupted(seen))
     started = time.perf_counter()
     try:

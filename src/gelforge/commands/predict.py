@@ -15,6 +15,8 @@ import numpy as np
 from gelforge.errors import BadInput, printable
 from gelforge.flow.files import publish, write_csv
 from gelforge.flow.main import command, option, positive
+from gelforge.labelling.markers import pitch_of
+from gelforge.networks.profile import check_same_sensor, read_profile
 from gelforge.networks.use import Untouched, load_for_use, predict_one
 from gelforge.records.axes import CHANNELS
 from gelforge.records.image import read_image
@@ -79,11 +81,23 @@ def predict_files(paths, untouched: Untouched, out: Path) -> list[dict]:
     return rows
 
 
+def with_profile(path: Path | None, picture: np.ndarray | None) -> tuple[np.ndarray | None, float]:
+    """The untouched picture, the given one or the profile's, and the profile's factor on forces; 1 without a profile."""
+    if path is None:
+        return picture, 1.0
+    profile = read_profile(path)
+    if picture is None:
+        return profile.untouched, profile.gain.value
+    check_same_sensor(profile, pitch_of(picture))
+    return picture, profile.gain.value
+
+
 @command(
     option("images", nargs="+", type=Path, metavar="IMAGE"),
     option("--model", type=Path, help="model file; the one that came with gelforge if not named", default=None),
     option("--sensor", help="the sensor of the images; refused if the model is for another one", default=None),
     option("--untouched", type=Path, metavar="IMAGE", help="the sensor while nothing touches it", default=None),
+    option("--profile", type=Path, help="the sensor's profile, of gelforge sensor", default=None),
     option("--out", type=Path, default=Path("predictions"), help="folder (default: %(default)s)"),
     option("--threads", type=positive, default=1),
 )
@@ -92,7 +106,8 @@ def main(args: Namespace) -> None:
 
     torch.set_num_threads(args.threads)
     picture = read_image(args.untouched) if args.untouched else None
-    untouched = Untouched(load_for_use(args.model, args.sensor), picture, args.sensor)
+    picture, gain = with_profile(args.profile, picture)
+    untouched = Untouched(load_for_use(args.model, args.sensor), picture, args.sensor, gain)
     rows = predict_files(args.images, untouched, args.out)
     for row in rows:
         warning = f"  UNLIKE TRAINING ({row['unlike_training']}): {row['reason']}" if row["flagged"] else ""

@@ -106,6 +106,16 @@ def _blob(label, dark, number, stats):
     return (u * weight).sum() / weight.sum(), (v * weight).sum() / weight.sum(), 2.0 * np.sqrt(area / np.pi)
 
 
+def pitch_of(picture: np.ndarray) -> float:
+    """Median distance in px of a dot to its nearest neighbour, 0 where fewer than four dots are seen."""
+    dots, _ = find_blobs(picture)
+    if len(dots) < 4:
+        return 0.0
+    apart = np.hypot(*(dots[:, None] - dots[None]).transpose(2, 0, 1))
+    np.fill_diagonal(apart, np.inf)
+    return float(np.median(apart.min(axis=1)))
+
+
 def _steps(points) -> np.ndarray:
     """The lattice's two steps (2, 2): typical displacement to the nearest neighbour along u, and along v."""
     apart = points[None] - points[:, None]

@@ -39,11 +39,12 @@ class Untouched:
     """Finds the picture of the untouched sensor that an image is read against.
 
     picture: (h, w, 3) uint8 RGB of any size, given by the user. sensor: name of a training sensor. With neither,
-    each image is read against the training sensor it is nearest to.
+    each image is read against the training sensor it is nearest to. gain: what all forces are multiplied by
+    (networks.profile).
     """
 
-    def __init__(self, trained, picture: np.ndarray | None = None, sensor: str | None = None):
-        self.trained, self.known = trained, trained.untouched
+    def __init__(self, trained, picture: np.ndarray | None = None, sensor: str | None = None, gain: float = 1.0):
+        self.trained, self.known, self.gain = trained, trained.untouched, gain
         if not trained.needs_untouched:
             self.known = {"": None}
         elif picture is not None:
@@ -105,6 +106,7 @@ def predict_one(untouched: Untouched, image) -> tuple[np.ndarray, np.ndarray, di
     forces = predict_images(untouched.reader(name), lit[None])[0]
     if picture is not None:
         forces = forces - untouched.rest(name)
+    forces = forces * np.float32(untouched.gain)
     faults = [resized, verdict["reason"], light_fault(light), pull_fault(forces)]
     reason = "; ".join(filter(None, faults))
     return image, forces, verdict | {"flag": verdict["flag"] or bool(reason), "reason": reason}

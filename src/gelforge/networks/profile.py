@@ -1,0 +1,137 @@
+"""What is known of one sensor: its untouched picture, the distance of its dots, and a factor on what is read.
+
+A network learnt how gels of one stiffness look under force. Force is proportional to the stiffness of the gel, so what a
+softer, harder or thicker gel makes wrong is, to first order, one factor, and a few readings of a kitchen scale or a force
+sensor tell it.
+"""
+
+import datetime
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.flow.files import publish, write_text
+from gelforge.flow.params import read_toml
+from gelforge.records.image import read_image, write_png
+
+SPREAD = 0.3  # of a factor's logarithm before any reading: gels, prints and cameras differ by a third
+SCATTER, KNOWN = 0.15, 2.0  # of one reading's logarithm, as two readings would tell it before any is made
+WEAK_N = 1.0  # forces of about this size and below say little of a factor
+LEAST_N = 0.5  # read by the network: below, nothing touches
+FARTHEST = 5.0  # times that a reading may differ from what the network reads
+SHARE = 0.9  # of the probability that an interval holds
+APART = 0.03  # share by which the dots' distance may differ from the profile's
+
+
+@dataclass(frozen=True)
+class Gain:
+    """Factor on all forces of a sensor, an interval that holds it with probability 0.9, and the readings behind it."""
+
+    value: float = 1.0
+    low: float = math.exp(-1.645 * SPREAD)
+    high: float = math.exp(1.645 * SPREAD)
+    readings: int = 0
+
+
+@dataclass(frozen=True)
+class SensorProfile:
+    """One sensor: name, date of the profile, picture (h, w, 3) uint8 RGB of it untouched, distance of its dots, gain.
+
+    pitch: px between neighbouring dots, 0 where the gel has none. model: name of the network whose readings were compared.
+    """
+
+    name: str
+    date: str
+    untouched: np.ndarray
+    pitch: float
+    gain: Gain
+    model: str
+
+
+def fit_gain(measured: np.ndarray, read: np.ndarray) -> Gain:
+    """Factor from normal forces (n,) N measured and read by the network, both larger where pressed more.
+
+    Normal posterior of the factor's logarithm under a normal prior, its scatter estimated from the readings and a prior of
+    two (Gelman et al., Bayesian Data Analysis, 3rd ed., sections 2.5 and 2.6), interval by Student's t.
+    """
+    from scipy.stats import t as student
+
+    if not len(measured):
+        return Gain()
+    ratio = np.log(np.asarray(measured, float) / read)
+    weight = read**2 / (read**2 + WEAK_N**2)
+    centre = float(weight @ ratio / weight.sum())
+    freedom = KNOWN + len(ratio) - 1
+    scatter = (KNOWN * SCATTER**2 + float(weight @ (ratio - centre) ** 2)) / freedom
+    precision = 1.0 / SPREAD**2 + weight.sum() / scatter
+    mean = float(weight @ ratio) / scatter / precision
+    half = float(student.ppf(0.5 + SHARE / 2, freedom)) / math.sqrt(precision)
+    return Gain(math.exp(mean), math.exp(mean - half), math.exp(mean + half), len(ratio))
+
+
+def check_readings(names: list[str], measured: np.ndarray, read: np.ndarray) -> None:
+    """Raise BadInput for readings that cannot be of this sensor under these forces."""
+    for name, force, seen in zip(names, measured, read, strict=True):
+        if not (math.isfinite(force) and force > 0.0):
+            raise BadInput(f"{name}: force_n = {force:g}: give the force that presses, above 0 N")
+        if seen < LEAST_N:
+            raise BadInput(
+                f"{name}: {force:g} N were measured, but the picture shows no contact ({seen:.1f} N are read)"
+            )
+        if not 1.0 / FARTHEST < force / seen < FARTHEST:
+            raise BadInput(
+                f"{name}: {force:g} N were measured where about {seen:.1f} N are read; are they newtons? (100 g are 1 N)"
+            )
+
+
+def make_profile(name: str, untouched: np.ndarray, pitch: float, gain: Gain, model: str) -> SensorProfile:
+    """The profile of a sensor, dated today."""
+    today = datetime.datetime.now(datetime.UTC).date().isoformat()
+    return SensorProfile(name, today, untouched, pitch, gain, model)
+
+
+def write_profile(path: Path, profile: SensorProfile) -> None:
+    """Write a profile as TOML, and its picture beside it as PNG of the same name."""
+    picture = path.with_suffix(".png")
+    with publish(picture) as part:
+        write_png(part, profile.untouched)
+    gain = profile.gain
+    write_text(path, "\n".join([
+        f"name = {json.dumps(profile.name)}", f"date = {profile.date}", f"model = {json.dumps(profile.model)}",
+        f"untouched = {json.dumps(picture.name)}", f"pitch_px = {profile.pitch:.3f}", "",
+        "# What forces are multiplied by, between `low` and `high` with probability 0.9.",
+        "[gain]", f"value = {gain.value:.6f}", f"low = {gain.low:.6f}", f"high = {gain.high:.6f}", f"readings = {gain.readings}", "",
+    ]))  # fmt: skip
+
+
+def read_profile(path: Path) -> SensorProfile:
+    """Read a profile and its picture; BadInput names what is missing or has no meaning."""
+    table = read_toml(path)
+    gain = table.get("gain")
+    gain = gain if isinstance(gain, dict) else {}
+    good = all(
+        isinstance(gain.get(key), int | float) and not isinstance(gain.get(key), bool) and 0 < gain[key] < 1e3
+        for key in ("value", "low", "high")
+    )
+    words = all(isinstance(table.get(key), str) for key in ("name", "model", "untouched"))
+    pitch = table.get("pitch_px")
+    if not (good and words and isinstance(pitch, int | float)):
+        raise BadInput(f"{path}: not a sensor's profile; make it with `gelforge sensor`")
+    if Path(table["untouched"]).name != table["untouched"]:
+        raise BadInput(f"{path}: untouched = {table['untouched']!r}: name a picture that lies beside the profile")
+    picture = read_image(path.with_name(table["untouched"]), remedy="make the profile again")
+    found = Gain(float(gain["value"]), float(gain["low"]), float(gain["high"]), int(gain.get("readings", 0)))
+    return SensorProfile(table["name"], str(table.get("date", "")), picture, float(pitch), found, table["model"])
+
+
+def check_same_sensor(profile: SensorProfile, pitch: float) -> None:
+    """Raise BadInput where dots `pitch` px apart in an untouched picture are not those of the profile."""
+    if abs(pitch - profile.pitch) > APART * profile.pitch:
+        raise BadInput(
+            f"the dots of the untouched picture stand {pitch:.1f} px apart, those of profile {profile.name} {profile.pitch:.1f}:"
+            " it is of another sensor, or cropped or scaled otherwise; make a profile of this one with `gelforge sensor`"
+        )

@@ -1,0 +1,155 @@
+"""A sensor's profile: the factor that readings tell, files that come back, and what is refused."""
+
+import csv
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gelforge.commands import predict, sensor
+from gelforge.errors import BadInput
+from gelforge.labelling.markers import pitch_of
+from gelforge.networks.profile import Gain, check_same_sensor, fit_gain, make_profile, read_profile, write_profile
+from gelforge.networks.use import load_for_use
+
+
+@given(st.floats(0.5, 2.0), st.integers(1, 20), st.integers(0, 2**32 - 1))
+@settings(max_examples=50, deadline=None)
+def test_units_and_sign_of_a_factor(factor, count, seed):
+    """Forces measured `factor` times as large move the estimate by as much, but for the prior's pull towards 1."""
+    read = np.random.default_rng(seed).uniform(3.0, 30.0, count)
+    gain = fit_gain(factor * read, read)
+    assert gain.low < gain.value < gain.high and gain.readings == count
+    assert abs(np.log(gain.value) - np.log(factor)) <= abs(np.log(factor)) / (1 + 3 * count) + 1e-9
+
+
+@pytest.mark.parametrize("scatter", [0.03, 0.1, 0.2])
+def test_the_interval_holds_what_it_says(scatter):
+    """Over 600 made sensors of 15 % softer to harder gels and 5 readings each: nine in ten, within chance; too wide is safe."""
+    rng, inside, left = np.random.default_rng(3), 0, []
+    for _ in range(600):
+        truth = np.exp(rng.normal(0.0, 0.15))
+        read = rng.uniform(3.0, 30.0, 5)
+        gain = fit_gain(truth * read * np.exp(rng.normal(0.0, scatter, 5)), read)
+        inside += gain.low <= truth <= gain.high
+        left.append(abs(np.log(gain.value / truth)))
+    assert inside / 600 >= 0.86
+    assert np.median(left) < 1.2 * 0.6745 * np.hypot(scatter / np.sqrt(5), 0.02)
+
+
+def test_more_readings_narrow_the_interval():
+    rng = np.random.default_rng(1)
+    widths = []
+    for count in (0, 1, 2, 5, 10, 20):
+        read = rng.uniform(5.0, 30.0, count)
+        gain = fit_gain(1.1 * read, read)
+        widths.append(np.log(gain.high / gain.low))
+    assert widths == sorted(widths, reverse=True) and widths[-1] < 0.3 * widths[0]
+
+
+@pytest.fixture(scope="module")
+def shipped():
+    return load_for_use(None)
+
+
+def test_a_profile_comes_back_from_its_file(shipped, tmp_path):
+    picture = shipped.untouched["mini_a"]
+    profile = make_profile("mine", picture, pitch_of(picture), Gain(1.2, 1.1, 1.3, 5), "net")
+    write_profile(tmp_path / "mine.toml", profile)
+    found = read_profile(tmp_path / "mine.toml")
+    np.testing.assert_array_equal(found.untouched, picture)
+    assert (found.name, found.date, found.gain, found.model) == ("mine", profile.date, profile.gain, "net")
+    assert found.pitch == pytest.approx(profile.pitch, abs=1e-3) and 25 < found.pitch < 40
+    check_same_sensor(found, found.pitch)
+    larger = cv2.resize(picture, None, fx=1.2, fy=1.2)[24:264, 32:352]
+    with pytest.raises(BadInput, match="another sensor, or cropped or scaled"):
+        check_same_sensor(found, pitch_of(larger))
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "name = 3", 'name = "a"\nmodel = "m"\nuntouched = "a.png"\npitch_px = 1', "[gain]\nvalue = -1",
+     'name = "a"\nmodel = "m"\nuntouched = "../a.png"\npitch_px = 1.0\n[gain]\nvalue = 1\nlow = 1\nhigh = 1'],
+)  # fmt: skip
+def test_what_is_no_profile_is_refused(tmp_path, text):
+    (tmp_path / "p.toml").write_text(text)
+    with pytest.raises(BadInput, match=r"not a sensor's profile|lies beside"):
+        read_profile(tmp_path / "p.toml")
+
+
+@pytest.fixture
+def weighed(root, tmp_path, shipped):
+    """Presses of the demo as if they had been weighed on a sensor whose gel is a fifth stiffer; (folder, table's rows)."""
+    rows = []
+    with (root / "data/demo/log.csv").open() as stream:
+        for row in list(csv.DictReader(stream))[:6]:
+            if row["sensor_id"] == "mini_a" and float(row["fz_n"]) < -2.0:
+                (tmp_path / row["sample_id"]).with_suffix(".png").write_bytes(
+                    (root / "data/demo" / row["image"]).read_bytes()
+                )
+                rows.append([f"{row['sample_id']}.png", f"{-1.2 * float(row['fz_n']):.3f}"])
+    cv2.imwrite(str(tmp_path / "rest.png"), cv2.cvtColor(shipped.untouched["mini_a"], cv2.COLOR_RGB2BGR))
+    assert len(rows) >= 3
+    return tmp_path, rows
+
+
+def table(path, rows):
+    path.write_text("\n".join(["image,force_n", *(",".join(row) for row in rows)]) + "\n")
+    return path
+
+
+def make(folder, rows, *more):
+    words = [
+        "--name",
+        "mine",
+        "--untouched",
+        str(folder / "rest.png"),
+        "--readings",
+        str(table(folder / "r.csv", rows)),
+    ]
+    return sensor.main([*words, "--out", str(folder / "mine.toml"), *more])
+
+
+def test_weighed_presses_make_a_profile_that_predict_uses(weighed, capsys):
+    folder, rows = weighed
+    assert make(folder, rows) == 0
+    gain = read_profile(folder / "mine.toml").gain
+    assert gain.readings == len(rows)
+    predict.main(
+        [
+            *(str(folder / row[0]) for row in rows),
+            "--out",
+            str(folder / "all"),
+            "--untouched",
+            str(folder / "rest.png"),
+        ]
+    )
+    with (folder / "all/totals.csv").open() as stream:
+        read = [-float(row["grid_z_n"]) for row in csv.DictReader(stream)]
+    assert gain.low < np.median([float(row[1]) for row in rows] / np.array(read)) < gain.high
+    totals = []
+    for more in (["--untouched", str(folder / "rest.png")], ["--profile", str(folder / "mine.toml")]):
+        predict.main([str(folder / rows[0][0]), "--out", str(folder / "out"), *more])
+        with (folder / "out/totals.csv").open() as stream:
+            totals.append(float(next(csv.DictReader(stream))["grid_z_n"]))
+    assert totals[1] / totals[0] == pytest.approx(gain.value, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda rows: [[rows[0][0], f"-{rows[0][1]}"]], "above 0 N"),
+        (lambda rows: [["rest.png", "5.0"]], "shows no contact"),
+        (lambda rows: [[rows[0][0], f"{102 * float(rows[0][1]):.1f}"]], "are they newtons"),
+        (lambda rows: [[rows[0][0], "much"]], "above 0 N"),
+        (lambda rows: [["gone.png", "5.0"]], "gone.png"),
+        (lambda rows: [], "no readings"),
+    ],
+)
+def test_readings_that_cannot_be_are_refused(weighed, change, says):
+    folder, rows = weighed
+    with pytest.raises(BadInput, match=says):
+        make(folder, change(rows))
+    assert not (folder / "mine.toml").exists()
