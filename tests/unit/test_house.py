@@ -27,10 +27,6 @@ ON_TOP = {"stages", "commands"}  # thin mains, which may use all of the above
 LOOSENED = 54  # modules that mypy passes over; lower it as they are mended, never raise it
 
 
-# Public classes of one name in two modules, still to be told apart.
-DOUBLES = {"Bricks", "NoEquilibrium"}
-
-
 def imports(path: Path) -> set[str]:
     """Modules that a file imports anywhere in it, also inside functions."""
     found = set()
@@ -86,4 +82,4 @@ def test_no_two_public_classes_have_one_name():
         for node in ast.parse(path.read_text(encoding="utf-8")).body:
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 homes.setdefault(node.name, []).append(str(path.relative_to(PACKAGE)))
-    assert {name: where for name, where in homes.items() if len(where) > 1 and name not in DOUBLES} == {}
+    assert {name: where for name, where in homes.items() if len(where) > 1} == {}

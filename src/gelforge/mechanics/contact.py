@@ -150,6 +150,10 @@ class Springs:
     slip: Skew
 
 
+class NoEquilibrium(Exception):
+    """Newton's method stopped without a state; the load stepping answers with a shorter step."""
+
+
 @dataclass(frozen=True)
 class Law:
     """Contact stiffness, MPa per mm of gap (penalty) and of elastic slip (friction); mu inf: no slip."""

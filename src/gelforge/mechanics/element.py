@@ -22,7 +22,7 @@ _FAST = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": {"con
 
 
 @dataclass(frozen=True)
-class Bricks:
+class BrickGeometry:
     """Reference geometry of e bricks: gradients (e, 8 points, 8 nodes, 3), weights (e, 8) mm^3."""
 
     elements: np.ndarray
@@ -30,7 +30,7 @@ class Bricks:
     weights: np.ndarray
 
 
-def bricks(nodes: np.ndarray, elements: np.ndarray) -> Bricks:
+def bricks(nodes: np.ndarray, elements: np.ndarray) -> BrickGeometry:
     """Gradients and weights of hex8 elements (e, 8) on nodes (n, 3); an inverted one raises ValueError."""
     points = CORNERS / np.sqrt(3.0)
     local = np.empty((8, 8, 3))
@@ -46,7 +46,7 @@ def bricks(nodes: np.ndarray, elements: np.ndarray) -> Bricks:
     gradients, weights = _geometry(np.ascontiguousarray(nodes, np.float64), elements, local)
     if weights.min() <= 0.0:
         raise ValueError(f"{int((weights.min(axis=1) <= 0).sum())} bricks are inverted")
-    return Bricks(elements, gradients, weights)
+    return BrickGeometry(elements, gradients, weights)
 
 
 @njit(cache=True, nogil=True)

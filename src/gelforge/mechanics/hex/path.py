@@ -12,6 +12,7 @@ from gelforge.mechanics.contact import (
     TOUCHING,
     FacePlaces,
     Law,
+    NoEquilibrium,
     Pose,
     contact_points,
     contact_springs,
@@ -45,10 +46,6 @@ STALE, FRESH = 12, 60
 TOUCHED = 0.05
 BEYOND = 1.001  # of its traction is what a slipping point's multiplier wants, or rounding decides which points stick
 ACCEPTED = 1e-7  # residual over contact force that keeps base reactions within 1e-6
-
-
-class NoEquilibrium(Exception):
-    """Newton's method stopped without a state; the load stepping answers with a shorter step."""
 
 
 class System:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gelforge.mechanics.ccx.boundary import FREE, SLIDE, STICK, Contact, gaps, judge
-from gelforge.mechanics.contact import Pose
+from gelforge.mechanics.contact import NoEquilibrium, Pose
 from gelforge.mechanics.hex.carry import Trail, touches, volume_motion
 from gelforge.mechanics.scene import Scene
 from gelforge.mechanics.tet.face import FacePoints
@@ -73,10 +73,6 @@ class _State:
     residual: np.ndarray
     size: float
     smallest: float
-
-
-class NoEquilibrium(Exception):
-    """Newton's method stopped without a state; internal to the load stepping."""
 
 
 def contact_forces(contact: Contact, points: FacePoints, u: np.ndarray, stiffness: float) -> np.ndarray:
