@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gelforge.flow.estimate import Cost, pilots, size, table, wall_seconds
+from gelforge.flow.estimate import Cost, pilots, presses_an_hour, size, table, wall_seconds
 
 COSTS = [
     Cost("10_poses", 0.1, bytes_each=10.0),
@@ -37,3 +37,11 @@ def test_the_table_sums_its_stages():
     text = table(COSTS, 100)
     assert text[-1].split() == ["all", f"{(50 + 710) / 3600:.3f}", "1", "MB"]
     assert [size(n) for n in (0, 999, 2.5e9)] == ["0 B", "999 B", "2.5 GB"]
+
+
+def test_presses_an_hour_fall_with_what_each_takes_and_rise_with_the_cores():
+    """What is spent once, or after the label, has no part in it."""
+    costs = [Cost("30_fea", 3.0, 100.0), Cost("50_labels", 1.0), Cost("70_train", 50.0)]
+    assert presses_an_hour(costs, 2) == 2 * 900.0
+    assert presses_an_hour([*costs, Cost("10_poses", 4.0)], 2) == 900.0
+    assert presses_an_hour([], 1) == float("inf")

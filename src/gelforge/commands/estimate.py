@@ -14,7 +14,7 @@ from pathlib import Path
 
 from gelforge.commands.sample import stages
 from gelforge.errors import BadInput
-from gelforge.flow.estimate import Cost, pilots, table, wall_seconds
+from gelforge.flow.estimate import Cost, pilots, presses_an_hour, table, wall_seconds
 from gelforge.flow.files import read_json, write_text
 from gelforge.flow.main import command, option
 from gelforge.flow.running import duration
@@ -127,6 +127,7 @@ def main(args: Namespace) -> None:
     costs += told(args.results / "00_plan" / "params", args.resolution)
     shards = len(list((args.results / "00_plan" / "shards").glob("*.csv")))
     print("\n".join(table(costs, len(rows))))
+    print(f"{presses_an_hour(costs, args.cores):.0f} presses an hour become labels on {args.cores} cores like these")
     print(f"about {duration(wall_seconds(costs, len(rows), args.cores, shards))} on {args.cores} cores like these")
 
 

@@ -47,6 +47,15 @@ def wall_seconds(costs: list[Cost], presses: int, cores: int, shards: int) -> fl
     )
 
 
+LABELLED = ("10_poses", "30_fea", "40_forces", "50_labels")
+
+
+def presses_an_hour(costs: list[Cost], cores: int) -> float:
+    """Presses that so many cores bring from the log to a label in an hour, once the meshes are there."""
+    each = sum(cost.cpu_each for cost in costs if cost.stage in LABELLED)
+    return 3600.0 * cores / each if each > 0.0 else math.inf
+
+
 def table(costs: list[Cost], presses: int) -> list[str]:
     """The estimate as text."""
     text = [f"{'stage':20s} {'core hours':>12s} {'disk':>10s}"]
