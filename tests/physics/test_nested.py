@@ -187,6 +187,21 @@ def test_frames_of_one_press_are_what_single_presses_to_them_give(body, shear):
     assert np.linalg.norm(frames[-1].total - last) / np.linalg.norm(last) < 5e-3
 
 
+@pytest.mark.parametrize("law", [Interface("coulomb", 0.5), Interface("no_slip"), Interface("frictionless")])
+def test_moments_that_a_whole_path_passes_are_ends_of_shorter_ones(law):
+    """Not nested: each moment is settled where the path passes it, and the path goes on as if nobody had looked."""
+    settings = replace(PATH, size=0.8)
+    scenes = [replace(scene, interface=law) for scene in framed(CUBOID, (0.3, 0.6, 0.9), (0.5, 1.0))]
+    frames = HexSolver(settings).solve_frames(scenes)
+    for scene, frame in zip(scenes, frames, strict=True):
+        alone = solve_hex(scene, replace(settings, box=frames[-1].bricks.box))
+        assert frame.status.valid and alone.status.valid
+        assert frame.evidence["base_mismatch"] < 1e-6
+        assert np.linalg.norm(frame.total - alone.total) / np.linalg.norm(alone.total) < 0.02
+        assert frame.evidence["path"][-1][0] == pytest.approx(2.0 if scene.press.dx else 1.0)
+    assert len({id(frame.contact) for frame in frames}) == len(frames)
+
+
 def test_frames_before_the_touch_and_alone_are_told_as_such():
     above = Scene(Gel(), Material(), BALL, Press(0, 0, 0.5, 0, 0, -0.2))
     deep = Scene(Gel(), Material(), BALL, Press(0, 0, 0.5, 0, 0, -1.0))

@@ -1,6 +1,7 @@
 """One scene walked along its path: load steps, Newton's method, and the contact set between them."""
 
-from collections.abc import Sequence
+import copy
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -90,8 +91,13 @@ class Run:
 
     # -- the path
 
-    def follow(self, start: float, stops: Sequence[float] = ()) -> Status:
-        """Walk the path from path parameter `start` (first touch) to its end; a load step ends at each of `stops`."""
+    def follow(
+        self, start: float, stops: Sequence[float] = (), at_stop: Callable[["Run", Status], None] | None = None
+    ) -> Status:
+        """Walk the path from path parameter `start` (first touch) to its end; a load step ends at each of `stops`.
+
+        at_stop: given at each of them a run that was settled there as at an end, while this one goes on.
+        """
         self.t = start
         self._walked = [(start, self.u)]
         try:
@@ -99,6 +105,9 @@ class Run:
                 step = (end - self.t) / count
                 for stop in (*(t for t in sorted(stops) if self.t < t < end), end):
                     self._leg(stop, min(step, (stop - self.t) / BETWEEN) if stops else step)
+                    if at_stop and stop in stops and stop < end_of(self.scene):
+                        ended = self._branch()
+                        at_stop(ended, ended._settle())
             return self._settle()
         except (NoEquilibrium, SolveFailed):
             return Status.DIVERGED
@@ -140,6 +149,12 @@ class Run:
             if not gone and not len(new):
                 return
 
+    def _branch(self) -> "Run":
+        """A run that goes on from here by itself; both share mesh and factorisation."""
+        other = copy.copy(self)
+        other.state, other.curve, other._walked = copy.deepcopy(self.state), list(self.curve), list(self._walked)
+        return other
+
     def _legs(self, start):
         legs = [(1.0, self.settings.press_steps)] if start < 1.0 else []
         if end_of(self.scene) > 1.0 or start >= 1.0:
@@ -151,10 +166,12 @@ class Run:
         largest, pending = step, step
         while stop - self.t > 1e-9:
             ahead = min(step, stop - self.t)
-            if stop - self.t - ahead < 0.3 * ahead:
+            last = stop - self.t - ahead < 0.3 * ahead
+            if last:
                 ahead = stop - self.t
             try:
-                used = self._advance(self.t + ahead, min(1.0, ahead / pending))
+                # exactly the stop: it is looked up by its value
+                used = self._advance(stop if last else self.t + ahead, min(1.0, ahead / pending))
                 pending = step
             except NoEquilibrium:
                 self.cuts += 1

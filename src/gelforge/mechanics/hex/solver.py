@@ -139,13 +139,47 @@ class HexSolver:
     def solve_frames(self, scenes: Sequence[Scene]) -> list[HexResult]:
         """States at moments of one press, scenes in order of time along one path; one result each, all on one mesh.
 
-        With nested settings the path is walked once, and only its moments are solved on fine bricks, each on its own.
+        The path is walked once. With nested settings that is on coarse bricks, and only its moments are solved on fine
+        ones; else each moment is settled where the path passes it.
         """
-        if first_touch(scenes[-1]) is None:
-            return [self._untouched(scene, time.perf_counter()) for scene in scenes]
-        box, results = self._box(scenes[-1]), []
-        for scene, way in zip(scenes, self.walk(scenes), strict=True):
-            results.append(self._moment(scene, way, box, time.perf_counter()))
+        began, start = time.perf_counter(), first_touch(scenes[-1])
+        if start is None:
+            return [self._untouched(scene, began) for scene in scenes]
+        box = self._box(scenes[-1])
+        if len(scenes) > 1 and not self._walks_coarse(scenes[-1]) and not _below_base(scenes[-1]):
+            return self._passed(scenes, start, box)
+        walked, results = self.walk(scenes), []
+        share = (time.perf_counter() - began) / len(scenes)
+        for scene, way in zip(scenes, walked, strict=True):
+            results.append(self._moment(scene, way, box, time.perf_counter() - share))
+        return results
+
+    def _walks_coarse(self, scene: Scene) -> bool:
+        """Whether a path is walked on coarse bricks: with Coulomb friction a point's force depends on all of its slip."""
+        return self.settings.nested is not None and scene.interface.law != "coulomb"
+
+    def _passed(self, scenes: Sequence[Scene], start: float, box: FineBox) -> list[HexResult]:
+        """States at moments of one press, each settled where the path on these bricks passes it."""
+        last, bricks = scenes[-1], self._bricks(scenes[-1].gel, box)
+        run = self._run(last, self.mesh(last.gel, box), self.settings, box.size)
+        times = [moment_of(scene, last) for scene in scenes]
+        found: dict[float, HexResult] = {}
+
+        def keep(ended: Run, status: Status) -> None:
+            found[ended.t] = _result(ended, status, time.perf_counter(), bricks)
+
+        began = time.perf_counter()
+        status = run.follow(start, times, keep)
+        end = _result(run, status, began, bricks)
+        results = []
+        for scene, t in zip(scenes, times, strict=True):
+            if t <= start:
+                results.append(self._untouched(scene, time.perf_counter()))
+                continue
+            result = end if t == times[-1] else found.get(t, end)
+            result.evidence |= {"path": _until(result.evidence["path"], t)} if result is not end else {}
+            result.evidence["seconds"] = (time.perf_counter() - began) / len(scenes)
+            results.append(result)
         return results
 
     def walk(self, scenes: Sequence[Scene]) -> list["Walked | None"]:
@@ -156,7 +190,7 @@ class HexSolver:
         """
         last, none = scenes[-1], [None] * len(scenes)
         start = first_touch(last)
-        if start is None or not self.settings.nested or last.interface.law == "coulomb" or _below_base(last):
+        if start is None or not self._walks_coarse(last) or _below_base(last):
             return none
         settings, box = self.settings.coarse, self._box(last)
         wide = replace(box, size=self.settings.nested.factor * box.size)
@@ -246,11 +280,11 @@ class Walked:
 
 
 def moment_of(scene: Scene, last: Scene) -> float:
-    """Path parameter at which the press of scene `last` ends where `scene` does."""
+    """Path parameter at which the press of scene `last` ends where `scene` does; its start may have been logged apart."""
     sideways, whole = (float(np.hypot(s.press.dx, s.press.dy)) for s in (scene, last))
     if sideways > 0.0:
         return 1.0 + min(1.0, sideways / whole)
-    return min(1.0, scene.press.dz / last.press.dz)
+    return float(np.clip((scene.press.z0 + scene.press.dz - last.press.z0) / last.press.dz, 1e-9, 1.0))
 
 
 def _until(curve: list[list[float]], t: float) -> list[list[float]]:
