@@ -16,7 +16,7 @@ pareto-quick: $D/pareto/quick.json  ## the report's small chart: three scenes, f
 pareto-meshes: $(PARETO_MESH_FILES)
 
 $(PARETO_MESH_FILES): $D/pareto/meshes/%.npz: $P/pareto_meshes.json
-	$(call step,gelforge.stages.pareto_meshes --name $* --params $< --out $@.part)
+	$(call step,gelforge.stages.pareto mesh --name $* --params $< --out $@.part)
 
 $(PARETO_FILES): $D/pareto/scenes/%.json: $P/scenes/%.json $P/pareto.json $P/sensors.json $(PARETO_MESH_FILES)
 	$(call step,$(PARETO_SCENE) --meshes $D/pareto/meshes --out $@.part)

@@ -1,20 +1,18 @@
 """A smooth force law in place of finite element curves, for tests of the inference alone."""
 
-import tomllib
-from pathlib import Path
-
 import numpy as np
+from parameters import parameters
 
 from gelforge.calibration.emulator import Curve, Emulator, curve_table, friction_table
 from gelforge.calibration.friction import friction_axis
-from gelforge.calibration.parameters import make_model
+from gelforge.calibration.parameters import make_model, with_nu
 from gelforge.calibration.posterior import Posterior
 from gelforge.calibration.readings import Readings
 from gelforge.mechanics.scene import REFERENCE_C10
 
 TOP = 2.4
 MUS = (0.0, 0.4, np.inf)
-PARAMS = tomllib.loads((Path(__file__).parent.parent / "workflow" / "params.toml").read_text())["calibrate"]
+PARAMS = with_nu(parameters().calibrate, 0.475)
 TRUTH = {"c10": 0.085, "offset": 0.03, "compliance": 0.006, "mu": 0.7, "nu": 0.475, "discretisation": 0.0}
 
 
@@ -65,8 +63,7 @@ def law_posterior(rng, depth, stiffness=None, law="coulomb", noise=0.03, without
     forces, _, _ = emulator.forces(depth, true_values(**truth))
     observed = np.full((len(depth), 3), np.nan)
     observed[:, 2] = forces[0, :, 2] + noise * rng.standard_normal(len(depth))
-    params = {**PARAMS, "priors": {**PARAMS["priors"], "nu": {**PARAMS["priors"]["nu"], "fixed": 0.475}}}
-    return Posterior(emulator, make_model(params, law, without), depth, observed, 4.0)
+    return Posterior(emulator, make_model(PARAMS, law, without), depth, observed, 4.0)
 
 
 __all__ = [

@@ -1,11 +1,12 @@
 """A small dataset as stages 00 to 40 leave it: a real gel mesh, forces of known tractions, images, poses."""
 
-import json
 from pathlib import Path
 
 import numpy as np
+from parameters import parameters, with_values, write_slice
 
 from gelforge.flow.files import write_csv, write_json
+from gelforge.flow.params import plain
 from gelforge.geometry.gel import Gel
 from gelforge.labelling.patch import consistent_loads
 from gelforge.mechanics.hex.hexmesh import FineBox, build_mesh
@@ -13,22 +14,7 @@ from gelforge.records.forcefile import SampleForces, write_forces
 from gelforge.records.press import COLUMNS
 
 ROOT = Path(__file__).resolve().parent.parent
-PARAMS = {
-    "labels": {"version": 1, "labels": {"channels": ["force"], "largest_outside_share": 0.02}},
-    "dataset": {
-        "version": 1,
-        "dataset": {
-            "validation": 0.1,
-            "test": 0.2,
-            "unseen_indenters": [],
-            "unseen_sensors": [],
-            "force_edges": [1.0, 3.0, 6.0],
-            "same_press_mm": 0.05,
-            "same_press_deg": 0.5,
-            "seed": 1,
-        },
-    },
-}
+SETTINGS = with_values(parameters().dataset, validation=0.1, test=0.2, force_edges=[1.0, 3.0, 6.0])
 CATALOGUE = {"sphere_10": {"kind": "sphere"}, "cuboid_7": {"kind": "cuboid"}, "triangle_8": {"seen": False}}
 
 
@@ -96,8 +82,8 @@ def write_pressed(
         ["sample_id", "shard"],
         [{"sample_id": row["sample_id"], "shard": at // shard_size} for at, row in enumerate(rows)],
     )
-    for stage, params in PARAMS.items():
-        write_json(results / "00_plan/params" / f"{stage}.json", params)
+    write_slice(results / "00_plan/params", "labels")
+    write_slice(results / "00_plan/params", "dataset", dataset=plain(SETTINGS))
     write_json(results / "00_plan/params/indenters.json", CATALOGUE)
     return {"folder": folder, "data": data, "results": results, "mesh": mesh, "loads": loads, "rows": rows}
 
@@ -130,13 +116,13 @@ def label(made: dict, resolution: str, sensors=ROOT / "workflow/sensors.toml") -
     return out.parent
 
 
-def collect(made: dict, resolution: str, params=None) -> Path:
-    """Run stage 60; return the dataset's folder."""
+def collect(made: dict, resolution: str, **settings) -> Path:
+    """Run stage 60, with some of its settings changed; return the dataset's folder."""
     from gelforge.stages import dataset
 
     results, out = made["results"], made["results"] / "60_dataset" / resolution / "dataset.json"
-    if params:
-        (results / "00_plan/params/dataset.json").write_text(json.dumps(params))
+    if settings:
+        write_slice(results / "00_plan/params", "dataset", dataset=plain(SETTINGS) | settings)
     source = made["data"] / "labels" / f"{resolution}.npz"
     folder = source if source.exists() else results / "50_labels" / resolution
     dataset.main(

@@ -3,8 +3,11 @@
 from pathlib import Path
 
 import numpy as np
+from parameters import parameters
 
 from gelforge.flow.files import write_csv, write_json
+from gelforge.flow.params.slices import narrowed
+from gelforge.flow.params.tables import TrainingTable
 
 SPLITS = ("train", "val", "test", "test_unseen_indenter", "test_unseen_sensor")
 
@@ -73,31 +76,12 @@ def write_dataset(folder, n=48, image=(240, 320), grid=(24, 32), seed=0) -> Path
     return folder
 
 
-SETTINGS = {
-    "epochs": 4,
-    "epochs_of": {},
-    "batch": 8,
-    "learning_rate": 1e-3,
-    "schedule": "plateau",
-    "plateau_factor": 0.3,
-    "plateau_patience": 15,
-    "least_rate": 1e-5,
-    "total_weight": 0.3,
-    "total_huber": 0.0,
-    "settle_images": 128,
-    "frozen_share": 0.25,
-    "seed": 1,
-    "threads": 1,
-    "mixed_precision": True,
-    "checkpoint_seconds": 0.0,
-    "shift_cells": 1,
-    "mirrored_share": 0.0,
-    "augment": {
-        "probability": 0.5,
-        "noise": 0.05,
-        "brightness": 0.25,
-        "contrast": 0.25,
-        "saturation": 0.25,
-        "hue": 0.1,
-    },
-}
+SETTINGS = narrowed(
+    parameters(
+        train={
+            "epochs": 4, "total_weight": 0.3, "settle_images": 128, "checkpoint_seconds": 0.0, "shift_cells": 1,
+            "augment": {"probability": 0.5},
+        },
+    ).train,
+    TrainingTable,
+)  # fmt: skip

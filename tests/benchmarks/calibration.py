@@ -18,7 +18,7 @@ import numpy as np
 
 from gelforge.calibration.emulator import Emulator
 from gelforge.calibration.floor import least_error
-from gelforge.calibration.parameters import LAWS, make_model
+from gelforge.calibration.parameters import LAWS, make_model, with_nu
 from gelforge.calibration.posterior import Posterior
 from gelforge.calibration.readings import Readings, read_readings
 from gelforge.calibration.sampling import fingerprint, sample
@@ -28,6 +28,8 @@ from gelforge.errors import SolveFailed
 from gelforge.flow import params as config
 from gelforge.flow.files import read_json, write_json
 from gelforge.flow.main import command, option
+from gelforge.flow.params.slices import ForCalibrate
+from gelforge.flow.params.tables import CalibrateTable
 from gelforge.flow.progress import progress
 from gelforge.geometry.indenters import load_catalogue
 from gelforge.mechanics.hex.solver import HexSettings
@@ -69,10 +71,12 @@ def rig_meshes() -> list[HexSettings]:
     return [replace(mesh, press_steps=10, shear_steps=3) for mesh in meshes]
 
 
-def rig_emulator(readings: Readings, catalogue, params: dict, mesh: HexSettings, folder: Path, jobs: int) -> Emulator:
+def rig_emulator(
+    readings: Readings, catalogue, params: CalibrateTable, mesh: HexSettings, folder: Path, jobs: int
+) -> Emulator:
     """The rig's forces on one mesh, at four friction coefficients."""
     cache = SolveCache(folder, catalogue, mesh)
-    plan = make_plan(readings, params["reach_mm"], (1.0, 0.7))
+    plan = make_plan(readings, params.reach_mm, (1.0, 0.7))
     failed = solve_all(plan, cache, RIG_MUS, [NU], jobs)
     if failed:
         raise SolveFailed(f"the rig's own solves failed: {failed}")
@@ -109,7 +113,7 @@ def recover(task) -> dict:
     return {"truth": truth, **describe(posterior.model.values(chain.flat())["c10"])}
 
 
-def all_emulators(params: dict, folder: Path, jobs: int) -> tuple[Readings, Emulator, list[Emulator]]:
+def all_emulators(params: CalibrateTable, folder: Path, jobs: int) -> tuple[Readings, Emulator, list[Emulator]]:
     """The design's readings with the emulator of the stage and those of the rig."""
     readings = design()
     catalogue = load_catalogue("workflow/indenters.toml", sorted(set(readings.indenters.tolist())))
@@ -118,11 +122,10 @@ def all_emulators(params: dict, folder: Path, jobs: int) -> tuple[Readings, Emul
     return readings, own, rigs
 
 
-def synthetic_tasks(params: dict, folder: Path, jobs: int, count: int) -> list:
+def synthetic_tasks(params: CalibrateTable, folder: Path, jobs: int, count: int) -> list:
     """Tasks of `recover` for truths drawn from the priors."""
     readings, own, rigs = all_emulators(params, folder, jobs)
-    priors = {**params["priors"], "nu": {"fixed": NU, **params["priors"]["nu"]}}
-    model = make_model({**params, "priors": priors}, "coulomb", (), np.unique(readings.indenters).tolist())
+    model = make_model(with_nu(params, NU), "coulomb", (), np.unique(readings.indenters).tolist())
     rng = np.random.default_rng(2026)
     tasks = []
     for k, truth in enumerate(draw_truths(model, count, rng)):
@@ -130,11 +133,11 @@ def synthetic_tasks(params: dict, folder: Path, jobs: int, count: int) -> list:
         observed = stage.served(replace(readings, force=force), params)
         rules = replace(stage.sampling_rules(params), seed=k)
         c10 = float(model.values(truth)["c10"][0])
-        tasks.append((Posterior(own, model, readings.depth, observed, params["tail"]), rules, c10))
+        tasks.append((Posterior(own, model, readings.depth, observed, params.tail), rules, c10))
     return tasks
 
 
-def coverage(params: dict, folder: Path, jobs: int, count: int, key: str) -> list[dict]:
+def coverage(params: CalibrateTable, folder: Path, jobs: int, count: int, key: str) -> list[dict]:
     """Synthetic calibrations of truths drawn from the priors; those kept under `key` are not made again."""
     tasks = synthetic_tasks(params, folder, jobs, count)
     runs = kept(folder / "runs.json", key, [])
@@ -181,7 +184,7 @@ def run_stage(dataset: str, folder: Path, jobs: int) -> tuple[dict, list[Figure]
     """
     work = folder / dataset
     params = config.load_params("workflow", Path("data") / dataset / "dataset.toml")
-    write_json(work / "params.json", config.cut_slice(params, "calibrate", stage.VERSION))
+    write_json(work / "params.json", config.plain(config.cut_slice(params, ForCalibrate, stage.VERSION)))
     places = {
         "--data": Path("data") / dataset,
         "--poses": Path("results") / dataset / "10_poses",
@@ -210,14 +213,14 @@ def solves_of(dataset: str) -> Path:
 
 def floors(dataset: str, jobs: int) -> dict:
     """Least mean absolute error of any parameters, priors aside, per interface law; see calibration.floor."""
-    params = config.load_params("workflow", Path("data") / dataset / "dataset.toml")["calibrate"]
+    params = config.load_params("workflow", Path("data") / dataset / "dataset.toml").calibrate
     readings = read_readings(Path("data") / dataset / "log.csv")
     catalogue = load_catalogue("workflow/indenters.toml", sorted(set(readings.indenters.tolist())))
     readings, emulator, _ = stage.emulate(readings, catalogue, params, NU, solves_of(dataset), jobs)
-    params = {**params, "priors": {**params["priors"], "nu": {"fixed": NU, **params["priors"]["nu"]}}}
+    params = with_nu(params, NU)
     observed = stage.served(readings, params)
     return {
-        law: least_error(Posterior(emulator, make_model(params, law), readings.depth, observed, params["tail"])).error
+        law: least_error(Posterior(emulator, make_model(params, law), readings.depth, observed, params.tail)).error
         for law in LAWS
     }
 
@@ -265,7 +268,7 @@ def part_key(part: str, count: int) -> str:
     files = (Path(__file__), here / "stages" / "calibrate.py", *sorted(here.glob("calibration/*.py")))
     code = [file.read_text() for file in files]
     parameters = config.load_params("workflow")
-    tables = [parameters["calibrate"], parameters["material"]]
+    tables = [config.plain(parameters.calibrate), config.plain(parameters.material)]
     if part == "coverage":
         return fingerprint(code, tables, SOLVER_VERSION, count)
     data = Path("data") / {"points": "feats_sphere15", "demo": "demo"}[part]
@@ -286,7 +289,7 @@ def figures_of(part: str, folder: Path, jobs: int, count: int) -> list[Figure]:
     if made is not None:
         return [Figure(**figure) for figure in made]
     if part == "coverage":
-        figures = coverage_figures(coverage(config.load_params("workflow")["calibrate"], folder, jobs, count, key))
+        figures = coverage_figures(coverage(config.load_params("workflow").calibrate, folder, jobs, count, key))
     else:
         figures = {"points": four_point_figures, "demo": demo_figures}[part](folder, jobs)
     content = [{**asdict(figure), "value": float(figure.value)} for figure in figures]

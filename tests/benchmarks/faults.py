@@ -117,12 +117,11 @@ NOT_NUMBERS = ("'8'", "true", "[]", "nan", "-inf", "{}")
 
 def settings_cases() -> Iterator[Case]:
     """Every parameter with values that mean nothing for it, and datasets' files of a wrong form."""
-    from gelforge.flow.params import load_params
-    from gelforge.flow.schema import Number, spec_of
+    from gelforge.flow.params import load_params, plain
 
     def leaves(table, path=()):
         for key, value in table.items():
-            yield from leaves(value, (*path, key)) if isinstance(value, dict) else [(*path, key)]
+            yield from leaves(value, (*path, key)) if isinstance(value, dict) else [((*path, key), value)]
 
     def loading(text):
         def run(folder):
@@ -132,10 +131,10 @@ def settings_cases() -> Iterator[Case]:
 
         return run
 
-    for path in leaves(load_params(ROOT / "workflow")):
+    for path, given in leaves(plain(load_params(ROOT / "workflow"))):
         name = ".".join(path)
         quoted = "".join(f'."{part}"' for part in path)
-        number = isinstance(spec_of(name), Number)
+        number = isinstance(given, int | float) and not isinstance(given, bool)
         for value in NOT_NUMBERS[:3] if number else (f'"{INJECTED[0]}\\u0001"', "-3.5"):
             yield Case("settings", f"{name} = {value}", loading(f"params{quoted} = {value}\n"))
         if number:
@@ -397,7 +396,7 @@ def key_cases() -> Iterator[Case]:
     from gelforge.stages.fea import VERSION, sample_key
     from tests.press_records import press_record
 
-    params = config.cut_slice(config.load_params(ROOT / "workflow"), "fea", VERSION)
+    params = config.cut_slice(config.load_params(ROOT / "workflow"), config.SLICES["fea"].kind, VERSION)
     tables = {
         "indenters": {"sphere_15": {"kind": "sphere", "diameter": 15, "height": 10}},
         "sensors": {"gelsight_mini": {"gel": "gelsight_mini"}},
@@ -415,9 +414,9 @@ def key_cases() -> Iterator[Case]:
     for column in ("x0_mm", "y0_mm", "z0_mm", "dx_mm", "dy_mm", "dz_mm", "rot_deg"):
         moved = replace(press, **{column: getattr(press, column) + 1e-9})
         yield Case("keys", column, differs(lambda m=moved: key(p=m)), "another")
-    for name, value in params["fea"].items():
+    for name, value in config.plain(params.fea).items():
         if isinstance(value, int | float) and not isinstance(value, bool):
-            changed = {**params, "fea": {**params["fea"], name: value * 2}}
+            changed = replace(params, fea=replace(params.fea, **{name: value * 2}))
             yield Case("keys", f"fea.{name}", differs(lambda c=changed: key(q=c)), "another")
     for name, value in (
         ("interface.law", "frictionless"),
@@ -426,7 +425,7 @@ def key_cases() -> Iterator[Case]:
         ("fea.hex_quality", "demo"),
     ):
         table, _, field = name.partition(".")
-        changed = {**params, table: {**params[table], field: value}}
+        changed = replace(params, **{table: replace(getattr(params, table), **{field: value})})
         yield Case("keys", name, differs(lambda c=changed: key(q=c)), "another")
     for name, change in (
         ("diameter", {"diameter": 15.001}),

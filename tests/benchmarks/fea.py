@@ -20,6 +20,7 @@ from gelforge.flow import params as config
 from gelforge.flow.files import read_json, write_json
 from gelforge.flow.main import command, option
 from gelforge.flow.params import canonical
+from gelforge.flow.params.slices import ForPareto
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import Gel, load_gel
 from gelforge.geometry.indenters import build, load_catalogue
@@ -222,7 +223,7 @@ def envelope_scene(number: int, catalogue: dict, gel: Gel) -> Scene:
 def solve_envelope(bench: ChartBench, catalogue: dict, folder: Path, count: int, method: Method) -> list[dict]:
     """Records of the envelope's scenes with one engine at label setting, kept one by one."""
     ensure_meshes(bench, meshes.label_meshes(bench.params))
-    gel, limit = load_gel(bench.params["meshes"]["gel"]), bench.params["pareto"]["limit_s"]
+    gel, limit = load_gel(bench.params.meshes.gel), bench.params.pareto.limit_s
     key = hashlib.sha256(canonical(envelope_settings(bench.params, method)).encode()).hexdigest()
     records = []
     for number in progress(range(count), f"envelope, {method.fidelity}"):
@@ -242,11 +243,11 @@ def solve_envelope(bench: ChartBench, catalogue: dict, folder: Path, count: int,
     return records
 
 
-def envelope_settings(params: dict, method: Method) -> list:
+def envelope_settings(params: ForPareto, method: Method) -> list:
     """What the records of an engine depend on."""
     if method.fidelity == "hex":
-        return [params["version"], asdict(quality(params["fea"]["hex_quality"]))]
-    return [params["version"], *(without_bricks(t) for t in (params["fea"] | {"charted": None}, params["meshes"]))]
+        return [params.version, asdict(quality(params.fea.hex_quality))]
+    return [params.version, without_bricks(params.fea) | {"charted": None}, without_bricks(params.meshes)]
 
 
 def envelope_figures(found: dict[str, list[dict]]) -> list[Figure]:
@@ -379,11 +380,11 @@ def law_figures(work: Path) -> list[Figure]:
 )
 def main(args: Namespace) -> None:
     need_ccx()
-    params = config.cut_slice(config.load_params(args.workflow), "pareto", branch.VERSION)
+    params = config.cut_slice(config.load_params(args.workflow), ForPareto, branch.VERSION)
     sensors = load_sensors(args.workflow / "sensors.toml")
     bench = load_bench(params, sensors, args.pareto / "meshes", args.pareto / "scenes")
     tables = read_tables(args.workflow)
-    scenes = {n: parse_scene(n, t, params["material"]["nu"]) for n, t in tables.items()
+    scenes = {n: parse_scene(n, t, params.material.nu) for n, t in tables.items()
               if not args.scenes or n in args.scenes}  # fmt: skip
     parts = (args.only,) if args.only else PARTS
     figures, decks = [], {}
@@ -400,7 +401,7 @@ def main(args: Namespace) -> None:
             {m.fidelity: solve_envelope(bench, catalogue, folder, args.envelope, m) for m in engines}
         )
     if "cost" in parts:
-        sensor = sensors[params["pareto"]["sensor"]]
+        sensor = sensors[params.pareto.sensor]
         figures += cost_figures({name: scene.scene for name, scene in scenes.items()}, sensor, args.work)
     if "laws" in parts:
         figures += law_figures(args.work)

@@ -13,7 +13,7 @@ import numpy as np
 
 from gelforge.commands.projection import read_points
 from gelforge.errors import BadInput
-from gelforge.flow.files import read_json, write_csv, write_json
+from gelforge.flow.files import read_json, write_csv
 from gelforge.flow.main import command, option
 from gelforge.formats.numpy_pickle import read_npy
 from gelforge.labelling.grid import Grid
@@ -25,6 +25,7 @@ from gelforge.records.forcefile import SampleForces, write_forces
 from gelforge.records.labelfile import read_labels, to_float32
 from gelforge.records.press import POSE
 from tests.benchmarks.figures import Figure, publish_figures
+from tests.parameters import write_slice
 
 SENSORS = Path("workflow/sensors.toml")
 GRIDS = ("12x16", "24x32", "48x64", "96x128")
@@ -217,7 +218,7 @@ def write_shards(folder: Path, rng) -> None:
         rows = [{"sample_id": name, **pose} for name in names]
         write_csv(folder / "10_poses" / f"{shard:04d}.csv", list(rows[0]), rows)
         (folder / "shards" / f"{shard:04d}.csv").touch()
-    write_json(folder / "labels.json", {"version": 1, "labels": {"largest_outside_share": 1.0}})
+    write_slice(folder, "labels", labels={"largest_outside_share": 1.0})
 
 
 def whole_dataset(rng) -> list[Figure]:

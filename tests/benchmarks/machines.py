@@ -43,7 +43,7 @@ WAYS = ("draft", "label", "ccx")  # qualities of `hex`, and CalculiX at label se
 ONE_THREAD = {"MKL_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 
 
-def solver_of(way: str, params: dict, meshes: Path, work: Path) -> Callable[[Scene], tuple[Result, GelMesh]]:
+def solver_of(way: str, params: config.Params, meshes: Path, work: Path) -> Callable[[Scene], tuple[Result, GelMesh]]:
     """A function that solves a scene in one of WAYS and gives the mesh of the result."""
     if way != "ccx":
         bricks = HexSolver(quality(way))
@@ -56,7 +56,7 @@ def solver_of(way: str, params: dict, meshes: Path, work: Path) -> Callable[[Sce
     names = references.label_meshes(params)
     for name in names:
         references.need_mesh(name, meshes, params)
-    solvers = Solvers(MeshFamily(meshes, names), work, FeaSettings.from_table(params["fea"]))
+    solvers = Solvers(MeshFamily(meshes, names), work, FeaSettings.from_table(params.fea))
 
     def solve_ccx(scene: Scene) -> tuple[Result, GelMesh]:
         found = solvers.solve(scene, "ccx")
@@ -68,13 +68,13 @@ def solver_of(way: str, params: dict, meshes: Path, work: Path) -> Callable[[Sce
 def solve_scenes(way: str, names: list[str] | None, workflow: Path, meshes: Path) -> dict[str, dict]:
     """Status, total force (3,) and cells (3, 24, 32) in N of scenes solved in this process in one of WAYS."""
     params = config.load_params(workflow)
-    sensor = load_sensors(workflow / "sensors.toml")[params["pareto"]["sensor"]]
+    sensor = load_sensors(workflow / "sensors.toml")[params.pareto.sensor]
     tables = read_tables(workflow)
     found = {}
     with tempfile.TemporaryDirectory() as work:
         solve = solver_of(way, params, meshes, Path(work))
         for name in names or tables:
-            result, mesh = solve(parse_scene(name, tables[name], params["material"]["nu"]).scene)
+            result, mesh = solve(parse_scene(name, tables[name], params.material.nu).scene)
             cells, _ = cells_of(mesh, result.forces, sensor)
             found[name] = {"status": result.status.name, "total": result.total.tolist(), "cells": cells.tolist()}
     return found

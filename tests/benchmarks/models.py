@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tempfile
 from argparse import Namespace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,9 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_json, write_csv, write_json
 from gelforge.flow.main import command, option
+from gelforge.flow.params import load_params, plain, read_toml
+from gelforge.flow.params.slices import ForTrain
+from gelforge.flow.params.tables import TrainTable
 from gelforge.records.axes import CHANNELS
 from tests.benchmarks.figures import Figure, publish_figures
 
@@ -44,11 +48,9 @@ def write_made_up(folder: Path) -> Path:
     return folder
 
 
-def load_workflow() -> tuple[dict, dict]:
+def load_workflow() -> tuple[dict, TrainTable]:
     """The model table and the [train] table of the working tree."""
-    from gelforge.flow.params import read_toml
-
-    return read_toml("workflow/models.toml"), read_toml("workflow/params.toml")["train"]
+    return read_toml("workflow/models.toml"), load_params("workflow").train
 
 
 def speed_figures(models: dict, seconds: float) -> list[Figure]:
@@ -87,12 +89,12 @@ def untrained_reader(model: dict):
     return Reader(trained, np.zeros((*IMAGE, 3), np.uint8))
 
 
-def train_apart(dataset: Path, name: str, settings: dict, folder: Path):
+def train_apart(dataset: Path, name: str, settings: TrainTable, folder: Path):
     """Train in a process of its own, so that its peak memory is its own; return the model."""
     from gelforge.networks.modelfile import load_model
 
     params = folder / f"{name}.json"
-    write_json(params, {"train": settings})
+    write_json(params, plain(ForTrain(version=1, train=settings)))
     out = folder / f"{name}.pt"
     subprocess.run(
         [
@@ -115,17 +117,17 @@ def train_apart(dataset: Path, name: str, settings: dict, folder: Path):
     return load_model(out)
 
 
-def training_figures(settings: dict, folder: Path, dataset: Path) -> list[Figure]:
+def training_figures(settings: TrainTable, folder: Path, dataset: Path) -> list[Figure]:
     """Peak memory, waiting for data and the ONNX form, for the U-net and the light net."""
     from gelforge.networks.export import export, largest_difference
 
     images = np.load(dataset / "images.npy")[:2]
     figures = []
     for name, epochs in ((BASELINE, 1), (LIGHT, 6)):
-        trained = train_apart(dataset, name, settings | {"epochs": epochs}, folder)
+        trained = train_apart(dataset, name, replace(settings, epochs=epochs), folder)
         cost = trained.about["cost"]
         figures.append(
-            Figure(f"peak memory of training `{name}`, batch {settings['batch']}", cost["peak_gib"], "<=", 4.0, "GiB")
+            Figure(f"peak memory of training `{name}`, batch {settings.batch}", cost["peak_gib"], "<=", 4.0, "GiB")
         )
         figures.append(
             Figure(
@@ -143,7 +145,7 @@ def training_figures(settings: dict, folder: Path, dataset: Path) -> list[Figure
     return figures
 
 
-def resume_figure(models: dict, settings: dict, folder: Path, dataset: Path) -> Figure:
+def resume_figure(models: dict, settings: TrainTable, folder: Path, dataset: Path) -> Figure:
     """Difference between the validation curves of a whole training and one that stopped and went on."""
     import torch
 
@@ -151,9 +153,9 @@ def resume_figure(models: dict, settings: dict, folder: Path, dataset: Path) -> 
     from gelforge.networks.training import Training, fit
     from gelforge.stages.train import resolve
 
-    torch.set_num_threads(settings["threads"])
+    torch.set_num_threads(settings.threads)
     data = open_data(dataset)
-    model, settings = resolve(models, LIGHT, settings | {"epochs": 4, "checkpoint_seconds": 0.0})
+    model, settings = resolve(models, LIGHT, replace(settings, epochs=4, checkpoint_seconds=0.0))
     norm = scales(data, False, model["reads"])
     whole, cut, rest = (Training(model, settings, norm, IMAGE, GRID, "cpu") for _ in range(3))
     fit(whole, data)

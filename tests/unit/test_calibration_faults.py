@@ -8,11 +8,13 @@ import pytest
 from calibration_law import PARAMS, law_posterior, make_readings
 from press_records import log_line, write_lines
 
-from gelforge.calibration.parameters import Model, Prior, make_model, read_prior
+from gelforge.calibration.parameters import Model, Prior, make_model
 from gelforge.calibration.readings import check_enough, check_readings, read_readings
 from gelforge.calibration.sampling import LEARN, Chain, NotConverged, Rules, complaint, find_modes, judge, sample
 from gelforge.calibration.solves import refuse_untouched
 from gelforge.errors import BadInput
+from gelforge.flow.params.schema import Place, parse
+from gelforge.flow.params.tables import PriorTable
 from gelforge.records.press import COLUMNS
 from gelforge.stages.calibrate import load_rejected, refuse_beyond
 
@@ -95,8 +97,7 @@ def test_posterior_deeper_than_the_solves_is_named():
 
 
 def test_fewer_readings_than_vague_parameters():
-    params = {**PARAMS, "priors": {**PARAMS["priors"], "nu": {**PARAMS["priors"]["nu"], "fixed": 0.475}}}
-    model = make_model(params, "coulomb")
+    model = make_model(PARAMS, "coulomb")
     check_enough(1, model)  # every prior is informative
     flat = {name: Prior("uniform", 0.0, 1.0) for name in ("c10", "offset", "mu")}
     with pytest.raises(BadInput, match=r"2 force readings cannot determine 3 parameters with flat priors \(c10"):
@@ -147,8 +148,8 @@ def test_unreadable_logs(tmp_path, text, message):
 @pytest.mark.parametrize(
     ("table", "message"),
     [
-        ({"kind": "gauss"}, "kind is 'gauss'"),
-        ({"kind": "normal", "mean": 0.0}, "needs the numbers"),
+        ({"kind": "gauss"}, "kind = 'gauss': give"),
+        ({"kind": "normal", "mean": 0.0}, "spread is missing: a prior of kind"),
         ({"kind": "normal", "mean": 0.0, "spread": 0.0}, "has no width"),
         ({"kind": "uniform", "low": 1.0, "high": 1.0}, "has no width"),
         ({"kind": "lognormal", "median": -1.0, "spread": 1.0}, "needs a positive one"),
@@ -156,7 +157,7 @@ def test_unreadable_logs(tmp_path, text, message):
 )
 def test_unusable_priors(table, message):
     with pytest.raises(BadInput, match=message):
-        read_prior("c10", table)
+        parse(PriorTable, table, Place("a test", ("calibrate", "priors", "c10")))
 
 
 def test_too_few_walkers():

@@ -3,18 +3,19 @@
 import os
 import signal
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from parameters import parameters, slice_of
 
 from gelforge.errors import BadInput
-from gelforge.flow import params as config
 from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.family import footprint
-from gelforge.stages import pareto, stability
+from gelforge.stages import stability
 from gelforge.sweeps import cases
 from gelforge.sweeps.deviation import cell_error, errors, frontier, total_error
 from gelforge.sweeps.isolate import Clock, isolated
@@ -28,12 +29,12 @@ CELLS = arrays(float, (3, 4, 5), elements=NUMBERS)
 
 @pytest.fixture(scope="module")
 def params():
-    return config.cut_slice(config.load_params("workflow"), "pareto", pareto.VERSION)
+    return slice_of("pareto")
 
 
 @pytest.fixture(scope="module")
 def scenes(params):
-    nu = params["material"]["nu"]
+    nu = params.material.nu
     return {name: parse_scene(name, table, nu) for name, table in read_tables("workflow").items()}
 
 
@@ -72,7 +73,7 @@ def test_scenes_are_many_shapes_inside_their_reference_mesh(scenes, params):
     assert len(scenes) >= 12
     assert len({str(scene.table["indenter"]) for scene in scenes.values()}) >= 10
     for name, scene in scenes.items():
-        x_min, x_max, y_min, y_max = params["pareto"]["regions"][scene.fine]["box"]
+        x_min, x_max, y_min, y_max = params.pareto.regions[scene.fine].box
         # the footprint is |x|, |y| of the touched points, so off-centre boxes are asked for their far side
         reach = footprint(scene.scene)
         assert np.all(reach <= np.array([max(-x_min, x_max), max(-y_min, y_max)])), name
@@ -89,7 +90,7 @@ def test_a_scene_that_is_wrong_is_named(change, named):
 
 
 def test_the_chart_holds_what_was_asked(params):
-    methods = every_method(params["pareto"], params["fea"]["hex_quality"])
+    methods = every_method(params.pareto, params.fea.hex_quality)
     assert len({m.name for m in methods}) == len(methods)
     for fidelity in ("hex", "ccx"):
         own = [m for m in methods if m.fidelity == fidelity and m.size]
@@ -97,24 +98,24 @@ def test_the_chart_holds_what_was_asked(params):
         assert len({m.size for m in own}) >= 4 and len({m.steps for m in own}) >= 3
         assert len(own) == len({m.size for m in own}) + len({m.steps for m in own}) - 1
     assert {"hex", "ccx", "ccx-native", "auto", "ccx-fine"} <= {m.fidelity for m in methods}
-    assert all(m.fidelity == "hex" for m in quick_methods(params["pareto"]["quick"], with_ccx=False))
+    assert all(m.fidelity == "hex" for m in quick_methods(params.pareto.quick, with_ccx=False))
 
 
 def test_a_key_follows_what_the_method_depends_on_and_nothing_else(params, scenes, tmp_path):
     def key(method, **changed):
-        bench = load_bench(params | changed, load_sensors("workflow/sensors.toml"), tmp_path, tmp_path)
+        bench = load_bench(replace(params, **changed), load_sensors("workflow/sensors.toml"), tmp_path, tmp_path)
         return bench.key(scenes["punch"], method)
 
-    stiffer = params["fea"] | {"stiffness": 1.0}
-    charted = params["fea"] | {"charted": {}, "tolerance": 0.5}
+    stiffer = replace(params.fea, stiffness=1.0)
+    charted = replace(params.fea, charted={}, tolerance=0.5)
     brick, ccx = Method("hex-1-8", "hex", 1.0, 4, 8), Method("ccx-1-8", "ccx", 1.0, steps=8)
     auto, label, tets = Method("auto-label", "auto"), Method("hex-label", "hex"), Method("ccx-label", "ccx")
-    rough = params["fea"] | {"hex_quality": "demo"}
+    rough = replace(params.fea, hex_quality="demo")
     assert key(brick) == key(brick, fea=stiffer)
     assert key(ccx) != key(ccx, fea=stiffer)
     assert key(ccx) == key(ccx, fea=charted)
     assert key(auto) != key(auto, fea=charted)
-    assert key(brick) != key(brick, material={"nu": 0.49})
+    assert key(brick) != key(brick, material=replace(params.material, nu=0.49))
     assert key(label) != key(label, fea=rough)
     assert key(tets) == key(tets, fea=rough) and key(brick) == key(brick, fea=rough)
 
@@ -154,17 +155,17 @@ def test_verdicts_against_the_finest_of_the_row():
     base = cases.Case("hex", "round", 1.0, 0.0, "centre", 0.475, 1.0, 8)
     sizes = [cases.Case(**(base.describe() | {"size": size})) for size in (1.4, 1.0, 0.5)]
     records = [_record(sizes[0], fz=-6.0), _record(sizes[1], fz=-5.1), _record(sizes[2])]
-    judged = stability.judge_row("size", records, {"stability": {"drift": 0.05}})
+    judged = stability.judge_row("size", records, slice_of("stability", stability={"drift": 0.05}))
     assert [line["verdict"] for line in judged] == ["drifts", "good", "good"]
     assert judged[0]["drift"] == pytest.approx(0.2)
     records[0] = _record(sizes[0], "DIVERGED", 0.0)
-    judged = stability.judge_row("size", records, {"stability": {"drift": 0.05}})
+    judged = stability.judge_row("size", records, slice_of("stability", stability={"drift": 0.05}))
     assert judged[0]["verdict"] == "failed" and judged[0]["reason"] == "why"
     assert "DIVERGED" in "\n".join(stability.reading(judged))
 
 
 def test_the_map_covers_what_was_asked():
-    table = config.load_params("workflow")["stability"]
+    table = parameters().stability
     rows = {row: cases.row_cases(table, row) for row in (*cases.FACTORS, "random", "native")}
     every = [case for row in rows.values() for case in row]
     assert {case.kind for case in every} == {"round", "flat", "sharp", "several"}

@@ -9,15 +9,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from parameters import with_values
 from press_records import press_record
-from pressed_dataset import PARAMS, collect, label, write_pressed
+from pressed_dataset import SETTINGS, collect, label, write_pressed
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, read_json
 from gelforge.networks.data import open_data
 from gelforge.networks.split import group_presses, split_presses
-
-SETTINGS = PARAMS["dataset"]["dataset"]
 
 
 def presses(count, seed, touches=None, indenters=4, sensors=2):
@@ -41,7 +40,7 @@ def presses(count, seed, touches=None, indenters=4, sensors=2):
 @given(st.integers(1, 200), st.integers(1, 80), st.integers(0, 999), st.integers(1, 5))
 def test_no_press_is_on_two_sides(count, touches, seed, kinds):
     rows, force = presses(count, seed, touches, kinds)
-    split, group = split_presses(rows, force, {"i1"}, {**SETTINGS, "unseen_sensors": ["c1"], "seed": seed})
+    split, group = split_presses(rows, force, {"i1"}, with_values(SETTINGS, unseen_sensors=["c1"], seed=seed))
     for row, name in zip(rows, split, strict=True):
         unseen = row.indenter == "i1", row.sensor_id == "c1"
         expected = {(1, 0): "test_unseen_indenter", (0, 1): "test_unseen_sensor", (1, 1): "test_unseen_both"}
@@ -59,7 +58,7 @@ def test_shares_and_strata_hold():
     for name, share in (("train", 0.7), ("val", 0.1), ("test", 0.2)):
         chosen = split == name
         assert chosen.mean() == pytest.approx(share, abs=0.005)  # what 4000 can be dealt to
-        for low, high in zip([0, *SETTINGS["force_edges"]], [*SETTINGS["force_edges"], 99], strict=True):
+        for low, high in zip([0, *SETTINGS.force_edges], [*SETTINGS.force_edges, 99], strict=True):
             stratum = (force >= low) & (force < high)
             assert (chosen & stratum).sum() / stratum.sum() == pytest.approx(share, abs=0.03)
         for indenter in ("i0", "i3"):
@@ -70,14 +69,14 @@ def test_shares_and_strata_hold():
 def test_the_seed_decides():
     rows, force = presses(300, 2)
     first, again = (split_presses(rows, force, set(), SETTINGS)[0] for _ in range(2))
-    other = split_presses(rows, force, set(), {**SETTINGS, "seed": 2})[0]
+    other = split_presses(rows, force, set(), with_values(SETTINGS, seed=2))[0]
     assert (first == again).all() and (first != other).any()
 
 
 @pytest.mark.parametrize("count", [8, 12, 20, 40])
 def test_small_datasets_still_validate_and_test(count):
     rows, force = presses(count, 3)
-    split, _ = split_presses(rows, force, set(), {**SETTINGS, "validation": 0.05, "test": 0.1})
+    split, _ = split_presses(rows, force, set(), with_values(SETTINGS, validation=0.05, test=0.1))
     assert {"train", "val", "test"} <= set(split) and (split == "train").sum() > count / 2
 
 
@@ -161,8 +160,7 @@ def test_normalisation_covers_the_training_split(made):
 
 
 def test_an_unseen_sensor_has_its_own_test(made):
-    params = {**PARAMS["dataset"], "dataset": {**SETTINGS, "unseen_sensors": ["mini_b"]}}
-    data = open_data(collect(made, "24x32", params))
+    data = open_data(collect(made, "24x32", unseen_sensors=["mini_b"]))
     for each in data.table:
         assert (each.press.sensor_id == "mini_b") == (each.split in ("test_unseen_sensor", "test_unseen_both"))
 
@@ -172,7 +170,7 @@ def spoil(tmp_path, breaking, **params):
     label(made, "4x4")
     breaking(made)
     with pytest.raises(BadInput) as error:
-        collect(made, "4x4", {**PARAMS["dataset"], "dataset": {**SETTINGS, **params}})
+        collect(made, "4x4", **params)
     assert not (made["results"] / "60_dataset/4x4/dataset.json").exists()
     assert not list((made["results"] / "60_dataset").rglob(".*.part*"))
     return str(error.value)

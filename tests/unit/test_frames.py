@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from press_records import log_line, press_record, write_lines
-from pressed_dataset import PARAMS, collect, label, write_pressed
+from pressed_dataset import SETTINGS, collect, label, write_pressed
 
 from gelforge.flow.files import read_csv, write_csv
 from gelforge.networks.split import group_presses, split_presses
@@ -117,7 +117,7 @@ def test_the_plan_keeps_frames_together(tmp_path):
     ids = ["a", "b", "a", "c", "a", "b"]
     lines = [log_line(WITH_ID, sample_id=f"s{k}", press_id=press) for k, press in enumerate(ids)]
     path = write_lines(tmp_path / "log.csv", *lines, columns=WITH_ID)
-    names = write_shards(path, tmp_path, 2)
+    names = write_shards(tmp_path, log.read_log(path), tmp_path, 2)
     held = [{row.cells["press_id"] for row in log.read_shard(tmp_path / f"shards/{name}.csv")} for name in names]
     assert sum(map(len, held)) == 3
 
@@ -127,7 +127,7 @@ def test_no_press_is_on_two_sides_of_a_split():
     rng = np.random.default_rng(3)
     presses = [press_record(sample_id=f"s{k}", press_id=f"p{k // 6}", x0_mm=rng.uniform(-9, 9), y0_mm=rng.uniform(-9, 9))
                for k in range(300)]  # fmt: skip
-    settings = PARAMS["dataset"]["dataset"]
+    settings = SETTINGS
     split, group = split_presses(presses, rng.uniform(0, 9, 300), set(), settings)
     for k in range(0, 300, 6):
         assert len(set(split[k : k + 6])) == len(set(group[k : k + 6])) == 1

@@ -5,7 +5,7 @@ import os
 
 import numpy as np
 import pytest
-from pressed_dataset import PARAMS, bump, label, make_mesh, write_pressed
+from pressed_dataset import bump, label, make_mesh, write_pressed
 
 from gelforge.errors import BadInput
 from gelforge.labelling.grid import Grid
@@ -235,14 +235,6 @@ def test_forces_that_are_none_are_refused(tmp_path, change, reason):
     with pytest.raises(BadInput, match=reason):
         write_forces(tmp_path / "f.npz", [SampleForces(**{**good, **change})], 0.07)
     assert not list(tmp_path.iterdir())
-
-
-def test_the_parameters_are_those_of_the_project(root):
-    import tomllib
-
-    table = tomllib.loads((root / "workflow/params.toml").read_text())
-    for stage, params in PARAMS.items():
-        assert set(table[stage]) == set(params[stage])
 
 
 def test_meshes_survive(tmp_path):

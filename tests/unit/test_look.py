@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-from pressed_dataset import PARAMS, label, write_pressed
+from pressed_dataset import label, write_pressed
 
 from gelforge.commands import look
 from gelforge.errors import BadInput
@@ -15,7 +15,6 @@ def made(tmp_path_factory, root):
 
     os.chdir(root)
     made = write_pressed(tmp_path_factory.mktemp("made"), count=6, failed=(2,))
-    assert PARAMS
     label(made, "24x32")
     label(made, "48x64")
     return made

@@ -1,7 +1,10 @@
 """Gel meshes: what a name means, which one a press takes, and what pytetwild must keep."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from parameters import parameters, with_values
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_json
@@ -22,7 +25,10 @@ from gelforge.mechanics.tet.tetmesh import (
 )
 
 GEL = GELS["gelsight_mini"]
-TABLE = {"growth": 0.4, "coarsest_mm": 4.0, "fine_depth_mm": 0.6, "regions": {"centre": [4.0, 4.0], "wide": [9, 11]}}
+TABLE = replace(
+    parameters().meshes, growth=0.4, coarsest_mm=4.0, fine_depth_mm=0.6, hold={},
+    regions={"centre": (4.0, 4.0), "wide": (9, 11)},
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -99,13 +105,11 @@ def test_names_that_mean_nothing_are_refused(name):
 
 
 def test_required_meshes_need_known_regions():
-    fea = {"fidelity": "ccx", "meshes": ["centre-0.7", "wide-1.0"]}
+    fea = with_values(parameters().fea, fidelity="ccx", meshes=["centre-0.7", "wide-1.0"])
     assert required_meshes(fea, TABLE) == ["ccx-centre-0.7", "ccx-wide-1.0"]
-    assert required_meshes(fea | {"fidelity": "hex"}, TABLE) == []
+    assert required_meshes(with_values(fea, fidelity="hex"), TABLE) == []
     with pytest.raises(BadInput, match="edge"):
-        required_meshes(fea | {"meshes": ["edge-1.0"]}, TABLE)
-    with pytest.raises(BadInput, match="fidelity"):
-        required_meshes(fea | {"fidelity": "abaqus"}, TABLE)
+        required_meshes(with_values(fea, meshes=["edge-1.0"]), TABLE)
 
 
 def test_a_press_takes_the_finest_mesh_that_holds_its_footprint(tmp_path, mesh):

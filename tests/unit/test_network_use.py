@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from parameters import parameters, with_values
 from synthetic_presses import SETTINGS, write_dataset
 
 from gelforge.commands import live, predict
@@ -35,7 +36,7 @@ MODELS = {
     "pair": {"kind": "grid", "width": 8, "blocks": 1, "reads": "pair"},
     "resnet": {"kind": "resnet", "blocks": [1, 1], "widths": [4, 8]},
 }
-EVALUATE = {"force_edges": [0.0, 5.0, 20.0], "bootstrap": 50, "seed": 1, "threads": 1}
+EVALUATE = with_values(parameters().evaluate, force_edges=[0.0, 5.0, 20.0], bootstrap=50)
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +46,7 @@ def data(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def models(data):
-    return {name: train(data, name, model, {**SETTINGS, "epochs": 2}) for name, model in MODELS.items()}
+    return {name: train(data, name, model, with_values(SETTINGS, epochs=2)) for name, model in MODELS.items()}
 
 
 @pytest.fixture(scope="module")

@@ -11,6 +11,7 @@ import pytest
 import torch
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from parameters import parameters, with_values
 from synthetic_presses import SETTINGS, write_dataset
 
 from gelforge.errors import BadInput
@@ -36,7 +37,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def trained(folder):
-    return train(open_data(folder), "small", SMALL, {**SETTINGS, **LEARNING})
+    return train(open_data(folder), "small", SMALL, with_values(SETTINGS, **LEARNING))
 
 
 def test_unet_is_the_papers():
@@ -68,20 +69,19 @@ def test_every_network_of_the_table_builds(root):
     from gelforge.flow.params import read_toml
 
     models = read_toml(root / "workflow" / "models.toml")
-    settings = read_toml(root / "workflow" / "params.toml")["train"]
+    settings = parameters().train
     assert len(models) >= 10
     for name in models:
         model, own = resolve(models, name, settings)
         assert build(model, (240, 320), (24, 32)) is not None
-        assert own.keys() == settings.keys() - {"epochs_of"}
-        assert own["epochs"] == settings["epochs"]
+        assert own.epochs == settings.epochs
 
 
 def test_a_kind_may_get_epochs_of_its_own():
-    settings = {**SETTINGS, "epochs_of": {"resnet": 7, "grid": 0}}
-    assert resolve({"small": SMALL}, "small", settings)[1]["epochs"] == SETTINGS["epochs"]
-    assert resolve({"total": {"kind": "resnet"}}, "total", settings)[1]["epochs"] == 7
-    assert resolve({"total": {"kind": "resnet", "train": {"epochs": 9}}}, "total", settings)[1]["epochs"] == 9
+    settings = parameters(train={"epochs_of": {"resnet": 7}}).train
+    assert resolve({"small": SMALL}, "small", settings)[1].epochs == settings.epochs
+    assert resolve({"total": {"kind": "resnet"}}, "total", settings)[1].epochs == 7
+    assert resolve({"total": {"kind": "resnet", "train": {"epochs": 9}}}, "total", settings)[1].epochs == 9
 
 
 @pytest.mark.parametrize("image, grid", [((240, 320), (7, 9)), ((240, 320), (24, 24)), ((24, 32), (24, 32))])
@@ -96,9 +96,9 @@ def test_unknown_kind_and_wrong_size_are_named():
     with pytest.raises(BadInput, match="depth"):
         build({"kind": "grid", "depth": 3}, IMAGE, GRID)
     with pytest.raises(BadInput, match="MODEL=nothing"):
-        resolve({"grid": SMALL}, "nothing", SETTINGS)
-    with pytest.raises(BadInput, match="epoch"):
-        resolve({"grid": {**SMALL, "train": {"epoch": 3}}}, "grid", SETTINGS)
+        resolve({"grid": SMALL}, "nothing", parameters().train)
+    with pytest.raises(BadInput, match=r"models.toml: \[grid.train\] epoch: is read by nothing; epochs is meant"):
+        resolve({"grid": {**SMALL, "train": {"epoch": 3}}}, "grid", parameters().train)
 
 
 def test_colours_keep_luma_and_grey():
@@ -146,7 +146,7 @@ def test_a_shift_needs_cells_of_whole_pixels():
 
 def test_the_untouched_sensor_is_coloured_as_its_image():
     image = 0.3 + 0.3 * torch.rand(4, 3, 8, 8, generator=torch.Generator().manual_seed(1))
-    settings = {**SETTINGS["augment"], "probability": 1.0, "noise": 0.0, "hue": 0.02}
+    settings = replace(SETTINGS.augment, probability=1.0, noise=0.0, hue=0.02)
     changed = augment(torch.cat([image, image], 1), settings, torch.Generator().manual_seed(2))
     assert torch.equal(changed[:, :3], changed[:, 3:]) and not torch.equal(changed[:, :3], image)
     torch.testing.assert_close(changed[:, :3], augment(image, settings, torch.Generator().manual_seed(2)))
@@ -159,9 +159,9 @@ def test_augmentation_leaves_alone_what_it_must():
     still = dict.fromkeys(("noise", "brightness", "contrast", "saturation", "hue"), 0.0)
     one = augment(images, {**still, "probability": 1.0}, torch.Generator().manual_seed(2))
     torch.testing.assert_close(one, images, atol=1e-5, rtol=0)  # a matrix and its inverse in single precision
-    none = augment(images, {**SETTINGS["augment"], "probability": 0.0}, torch.Generator().manual_seed(2))
+    none = augment(images, replace(SETTINGS.augment, probability=0.0), torch.Generator().manual_seed(2))
     assert torch.equal(none, images)
-    changed = augment(images, {**SETTINGS["augment"], "probability": 1.0}, torch.Generator().manual_seed(2))
+    changed = augment(images, replace(SETTINGS.augment, probability=1.0), torch.Generator().manual_seed(2))
     assert (changed != images).flatten(1).any(1).all() and changed.min() >= 0 and changed.max() <= 1
 
 
@@ -212,7 +212,7 @@ def test_training_learns(folder, trained):
 def test_same_seed_same_curve_other_seed_other_curve(folder):
     data = open_data(folder)
     curves = [
-        train(data, "small", SMALL, {**SETTINGS, "epochs": 2, "seed": seed}).about["curve"] for seed in (5, 5, 6)
+        train(data, "small", SMALL, with_values(SETTINGS, epochs=2, seed=seed)).about["curve"] for seed in (5, 5, 6)
     ]
     assert curves[0] == curves[1] != curves[2]
 
@@ -231,7 +231,7 @@ def test_resumed_training_has_the_same_curve_and_weights(folder, tmp_path, kind,
     grid = (1, 1) if kind == "resnet" else GRID
 
     def start():
-        settings = {**SETTINGS, "epochs": 5, "schedule": schedule, "mirrored_share": 0.8}
+        settings = with_values(SETTINGS, epochs=5, schedule=schedule, mirrored_share=0.8)
         return Training(model, settings, norm, IMAGE, grid, "cpu")
 
     whole, cut, rest = start(), start(), start()
@@ -247,7 +247,7 @@ def test_resumed_training_has_the_same_curve_and_weights(folder, tmp_path, kind,
 def test_the_last_epochs_train_the_network_that_is_used(folder, share, monkeypatch):
     """Frozen statistics stay, the weights go on; before, each epoch has its own."""
     data = open_data(folder)
-    settings = {**SETTINGS, "epochs": 4, "frozen_share": share}
+    settings = with_values(SETTINGS, epochs=4, frozen_share=share)
     frozen = [False, False, True, True] if share == 0.5 else [False, False, False, True]
     settled = []
     monkeypatch.setattr(
@@ -267,7 +267,7 @@ def test_the_last_epochs_train_the_network_that_is_used(folder, share, monkeypat
 def test_checkpoint_of_another_training_is_not_used(folder, tmp_path):
     data = open_data(folder)
     for name in ("one", "other"):
-        training = Training(SMALL, {**SETTINGS, "epochs": 1}, scales(data, False), IMAGE, GRID, "cpu")
+        training = Training(SMALL, with_values(SETTINGS, epochs=1), scales(data, False), IMAGE, GRID, "cpu")
         fit(training, data, tmp_path / "c.pt", name)
         assert training.cost["resumed"] == 0
 
@@ -283,7 +283,7 @@ def test_model_file_round_trip(trained, tmp_path):
 
 def test_model_file_keeps_the_untouched_sensors(folder, tmp_path):
     data = open_data(folder)
-    pair = train(data, "pair", {**SMALL, "reads": "pair"}, {**SETTINGS, "epochs": 1})
+    pair = train(data, "pair", {**SMALL, "reads": "pair"}, with_values(SETTINGS, epochs=1))
     save_model(tmp_path / "m.pt", pair)
     again = load_model(tmp_path / "m.pt")
     assert again.untouched.keys() == {"mini0"}
@@ -308,7 +308,7 @@ def test_model_file_keeps_the_untouched_sensors(folder, tmp_path):
 def test_a_reader_is_the_network_it_was_trained_as(folder, model, reads):
     data = open_data(folder)
     rows = data.splits["test"]
-    trained = train(data, reads, {**model, "reads": reads}, {**SETTINGS, "epochs": 1})
+    trained = train(data, reads, {**model, "reads": reads}, with_values(SETTINGS, epochs=1))
     wanted = predict_rows(trained.net, data, rows, trained.about["normalisation"])
     reader = Reader(trained, data.nocontact["mini0"]).eval()
     assert not normalisations(reader)  # in the convolutions before them
@@ -331,7 +331,7 @@ def test_differences_forget_the_picture_they_are_taken_from():
 def test_a_dataset_without_the_untouched_sensor_is_named(folder):
     data = replace(open_data(folder), nocontact={})
     with pytest.raises(BadInput, match="nocontact/mini0.png"):
-        train(data, "pair", {**SMALL, "reads": "pair"}, {**SETTINGS, "epochs": 1})
+        train(data, "pair", {**SMALL, "reads": "pair"}, with_values(SETTINGS, epochs=1))
 
 
 def test_damaged_and_foreign_model_files_are_refused(trained, tmp_path):
@@ -390,11 +390,11 @@ def test_model_of_another_sensor_grid_or_size_is_refused(folder, trained):
 @pytest.mark.parametrize("damage", [lambda b: b[: len(b) // 2], lambda b: b"", lambda b: b"no tensors at all"])
 def test_a_damaged_checkpoint_starts_the_training_over(folder, tmp_path, damage, capsys):
     data, path = open_data(folder), tmp_path / "c.pt"
-    first = Training(SMALL, {**SETTINGS, "epochs": 1}, scales(data, False), IMAGE, GRID, "cpu")
+    first = Training(SMALL, with_values(SETTINGS, epochs=1), scales(data, False), IMAGE, GRID, "cpu")
     fit(first, data, None, "one")
     save_checkpoint(path, first, "one")
     path.write_bytes(damage(path.read_bytes()))
-    again = Training(SMALL, {**SETTINGS, "epochs": 1}, scales(data, False), IMAGE, GRID, "cpu")
+    again = Training(SMALL, with_values(SETTINGS, epochs=1), scales(data, False), IMAGE, GRID, "cpu")
     assert not resume(path, again, "one")
     assert "starting over" in capsys.readouterr().out
 

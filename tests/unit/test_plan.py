@@ -3,11 +3,16 @@
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from parameters import parameters
 
 from gelforge.errors import BadInput
 from gelforge.flow import params as config
 from gelforge.flow.files import write_if_changed
-from gelforge.stages.plan import assign_shards, write_shards
+from gelforge.flow.params.slices import ForPoses
+from gelforge.geometry.gel import GELS
+from gelforge.records.log import read_shard
+from gelforge.stages import plan
+from gelforge.stages.plan import assign_shards, logged_rows, write_shards
 
 NAMES = st.lists(st.integers(0, 200).map(str), unique=True, max_size=60)
 
@@ -36,10 +41,10 @@ def write_log(path, ids):
 def test_appending_rewrites_only_the_last_shard(tmp_path):
     log = tmp_path / "log.csv"
     write_log(log, range(10))
-    assert write_shards(log, tmp_path, 4) == ["0000", "0001", "0002"]
+    assert write_shards(log.parent, logged_rows(log, None), tmp_path, 4) == ["0000", "0001", "0002"]
     before = {p.name: p.stat().st_mtime_ns for p in (tmp_path / "shards").glob("*.csv")}
     write_log(log, range(13))
-    assert write_shards(log, tmp_path, 4) == ["0000", "0001", "0002", "0003"]
+    assert write_shards(log.parent, logged_rows(log, None), tmp_path, 4) == ["0000", "0001", "0002", "0003"]
     after = {p.name: p.stat().st_mtime_ns for p in (tmp_path / "shards").glob("*.csv")}
     assert [name for name in before if after[name] != before[name]] == ["0002.csv"]
 
@@ -47,9 +52,9 @@ def test_appending_rewrites_only_the_last_shard(tmp_path):
 def test_a_log_that_lost_rows_leaves_no_shard_behind(tmp_path):
     log = tmp_path / "log.csv"
     write_log(log, range(10))
-    write_shards(log, tmp_path, 4)
+    write_shards(log.parent, logged_rows(log, None), tmp_path, 4)
     write_log(log, range(4))
-    assert write_shards(log, tmp_path, 4) == ["0000"]
+    assert write_shards(log.parent, logged_rows(log, None), tmp_path, 4) == ["0000"]
     assert [path.name for path in (tmp_path / "shards").glob("*.csv")] == ["0000.csv"]
 
 
@@ -61,27 +66,73 @@ def test_a_log_that_cannot_be_sharded_is_refused(tmp_path, text, named):
     log = tmp_path / "log.csv"
     log.write_text(text, encoding="utf-8")
     with pytest.raises(BadInput, match=named):
-        write_shards(log, tmp_path, 4)
+        write_shards(log.parent, logged_rows(log, None), tmp_path, 4)
 
 
 def test_a_log_that_is_not_text_is_refused(tmp_path):
     log = tmp_path / "log.csv"
     log.write_bytes(b"sample_id\n\xff\xfe\x00")
     with pytest.raises(BadInput, match="UTF-8"):
-        write_shards(log, tmp_path, 4)
+        write_shards(log.parent, logged_rows(log, None), tmp_path, 4)
 
 
-def test_a_misspelt_override_is_refused(tmp_path):
-    (tmp_path / "params.toml").write_text("[fea]\nfidelity = 'hex'\n")
+def test_a_misspelt_override_is_refused(tmp_path, root):
     dataset = tmp_path / "dataset.toml"
     dataset.write_text("[params.fea]\nfidelty = 'ccx'\n")
     with pytest.raises(BadInput, match="fidelty"):
-        config.load_params(tmp_path, dataset)
+        config.load_params(root / "workflow", dataset)
+
+
+LOG = "sample_id,sensor_id,indenter\ns1,{},sphere_15\ns2,mini_b,sphere_15\n"
+
+
+def planned(tmp_path, text, sensor="mini_a"):
+    """Plan a log of two rows under a dataset.toml; the sensors of the rows as the shard has them."""
+    (tmp_path / "dataset.toml").write_text(text)
+    (tmp_path / "log.csv").write_text(LOG.format(sensor))
+    plan.main(["--data", str(tmp_path), "--out", str(tmp_path / "00_plan" / "plan.mk")])
+    return [row.cells["sensor_id"] for row in read_shard(tmp_path / "00_plan" / "shards" / "0000.csv")]
+
+
+def test_rows_that_name_no_sensor_are_of_the_datasets(tmp_path):
+    assert planned(tmp_path, 'sensor = "mini_c"\ngel = "gelsight_mini"\n', "") == ["mini_c", "mini_b"]
+    assert planned(tmp_path, 'sensor = "mini_c"\n', "mini_a") == ["mini_a", "mini_b"]
+    assert planned(tmp_path, "", "") == ["", "mini_b"]
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ('sensor = "mini_x"', r"dataset\.toml: sensor: 'mini_x' is unknown; mini_e is meant\?|sensor: 'mini_x'"),
+        ('gel = "digit"', r"gel = 'digit', but \[meshes\] gel = 'gelsight_mini'"),
+        ('[params.meshes]\ngel = "digit"', "gel 'digit' is unknown"),
+        ('gel = "soft"', r"gel = 'soft', but"),
+        ('[params.meshes]\ngel = "soft"', "sensor 'mini_a' of the log sits on gel 'gelsight_mini'"),
+        ('[params.dataset]\nunseen_sensors = ["mini_f"]', "unseen_sensors: 'mini_f' is unknown"),
+        (
+            '[params.dataset]\nunseen_indenters = ["spere_15"]',
+            "unseen_indenters: 'spere_15' is unknown; sphere_15 is",
+        ),
+        ('[params.pareto]\nhalved = ["sphere"]', r"\[pareto\] halved: 'sphere' is unknown"),
+        ('[params.pareto.quick]\nscenes = ["none"]', r"\[pareto.quick\] scenes: 'none' is unknown"),
+        ('[params.pareto]\nsensor = "none"', r"\[pareto\] sensor: 'none' is unknown"),
+        ('[params.report]\nmodel = "best"', r"\[report\] model = 'best'"),
+        ('[params.fea]\nfidelity = "hex"\n[params.stability]\nseed = -1', "seed = -1"),
+        ('catalogue = "none.toml"', "none.toml: not found"),
+    ],
+)
+def test_names_that_are_none_are_refused_at_the_plan(tmp_path, monkeypatch, text, named):
+    monkeypatch.setitem(GELS, "soft", GELS["gelsight_mini"])
+    with pytest.raises(BadInput, match=named):
+        planned(tmp_path, text)
 
 
 def test_a_comment_does_not_touch_a_slice(tmp_path):
-    params = {"poses": {"a": 1}}
     path = tmp_path / "poses.json"
-    assert write_if_changed(path, config.canonical(config.cut_slice(params, "poses", 1)))
-    assert not write_if_changed(path, config.canonical(config.cut_slice(dict(params), "poses", 1)))
-    assert write_if_changed(path, config.canonical(config.cut_slice(params, "poses", 2)))
+
+    def text(version):
+        return config.canonical(config.plain(config.cut_slice(parameters(), ForPoses, version)))
+
+    assert write_if_changed(path, text(1))
+    assert not write_if_changed(path, text(1))
+    assert write_if_changed(path, text(2))

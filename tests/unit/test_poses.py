@@ -5,10 +5,12 @@ import json
 import subprocess
 import sys
 import tomllib
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
+from parameters import parameters, write_slice
 
 from gelforge.errors import BadInput
 from gelforge.geometry import triangles
@@ -30,8 +32,7 @@ def lab(tmp_path, root):
     for name in ("sensors", "indenters"):
         table = tomllib.loads((root / "workflow" / f"{name}.toml").read_text())
         (tmp_path / "params" / f"{name}.json").write_text(json.dumps(table))
-    params = tomllib.loads((root / "workflow" / "params.toml").read_text())["poses"]
-    (tmp_path / "params" / "poses.json").write_text(json.dumps({"version": 1, "poses": params}))
+    write_slice(tmp_path / "params", "poses")
 
     def run(rows, *flags):
         shard = tmp_path / "0000.csv"
@@ -146,10 +147,7 @@ def test_strict_run_can_be_followed_by_a_good_one(lab):
 
 
 def test_a_log_without_images_can_be_allowed(lab, tmp_path):
-    path = tmp_path / "params" / "poses.json"
-    params = json.loads(path.read_text())
-    params["poses"]["images"] = False
-    path.write_text(json.dumps(params))
+    write_slice(tmp_path / "params", "poses", poses={"images": False})
     table, rejected, _ = lab([sample("a", image="")])
     assert len(table) == 1
     assert not rejected
@@ -245,7 +243,8 @@ def test_cropped_is_closed_and_ends_where_asked(root):
         assert 0.0 < triangles.volume(vertices, faces) < triangles.volume(*whole)
 
 
-YIELDING = {"touch_offset_mm": 0.0, "compliance_mm_per_n": 0.01, "shear_compliance_mm_per_n": 0.02}
+RIGID = replace(parameters().poses, touch_offset_mm=0.0, compliance_mm_per_n=0.0, shear_compliance_mm_per_n=0.0)
+YIELDING = replace(RIGID, compliance_mm_per_n=0.01, shear_compliance_mm_per_n=0.02)
 
 
 def test_the_paths_of_a_yielding_bench_are_those_the_tip_took(root):
@@ -253,11 +252,12 @@ def test_the_paths_of_a_yielding_bench_are_those_the_tip_took(root):
     bench = json.loads((root / "data/demo/truth/truth.json").read_text())["truth"]
     params = {name: bench[name] for name in ("compliance_mm_per_n", "shear_compliance_mm_per_n")}
     params["touch_offset_mm"] = -bench["touch_offset_mm"]  # the rig counts heights, [poses] depths
+    table = replace(parameters().poses, **params)
     real = {row["sample_id"]: row for row in read(root / "data/demo/truth/presses.csv")}
     off, uncorrected = [], []
     for row in log.read_log(root / "data/demo/log.csv"):
         logged, _ = parse(row, "log.csv")
-        path, wrong = poses.yielded(logged, "log.csv", params)
+        path, wrong = poses.yielded(logged, "log.csv", table)
         assert not wrong
         true = real[path.sample_id]
         away = [getattr(path, name) - float(true[name]) for name in ("dx_mm", "dy_mm")]
@@ -270,9 +270,8 @@ def test_the_paths_of_a_yielding_bench_are_those_the_tip_took(root):
 
 
 def test_a_rigid_bench_moves_nothing():
-    rigid = dict.fromkeys(YIELDING, 0.0)
     press = sample(dx_mm=0.1, fx_n=3.0, fz_n=-20.0)
-    assert poses.yielded(press, "log.csv", rigid) == (press, [])
+    assert poses.yielded(press, "log.csv", RIGID) == (press, [])
 
 
 @pytest.mark.parametrize(("column", "readings"), [("fz_n", {"fx_n": 1.0, "fy_n": 1.0}), ("fx_n", {"fz_n": -9.0})])
@@ -283,7 +282,7 @@ def test_a_press_without_the_reading_that_compliance_takes_is_rejected(column, r
 
 
 def test_a_touch_found_too_high_is_a_deeper_press():
-    path, _ = poses.yielded(sample(), "log.csv", dict.fromkeys(YIELDING, 0.0) | {"touch_offset_mm": 0.05})
+    path, _ = poses.yielded(sample(), "log.csv", replace(RIGID, touch_offset_mm=0.05))
     assert (path.z0_mm, path.dz_mm) == (-0.05, -1.0)
 
 

@@ -52,7 +52,11 @@ def changed(tmp_path, *changes) -> Path:
         ('gel = "gelsight_mini"', 'gel = "digit"', "gel = 'digit' is unknown"),
         ("2026-01-12T09:00:00Z", "yesterday", "is no time"),
         ("nu = 0.475", "nu = 0.5", "0 < nu < 0.5"),
-        ("[params.train]\nepochs", "[params.train]\nepoks", "params.train.epoks: no such parameter"),
+        (
+            "[params.train]\nepochs",
+            "[params.train]\nepoks",
+            r"\[params.train\] epoks: is read by nothing; epochs is meant",
+        ),
     ],
 )
 def test_bad_plan_is_refused_by_name_before_anything_is_written(tmp_path, old, new, says):

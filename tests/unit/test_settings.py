@@ -1,10 +1,19 @@
-"""Settings of a dataset: what has no meaning is refused in a sentence that names it."""
+"""Settings of a dataset: what has no meaning is refused in a sentence that names table, key, value, remedy and file."""
+
+import json
+import tomllib
+from dataclasses import fields
+from typing import Annotated, Any, get_args, get_origin
 
 import pytest
+from parameters import parameters
 
 from gelforge.errors import BadInput
-from gelforge.flow.params import load_params
-from gelforge.flow.schema import SCHEMA, spec_of
+from gelforge.flow.params import SLICES, canonical, cut_slice, load_params, plain, read_dataset_file, read_slice
+from gelforge.flow.params import tables as t
+from gelforge.flow.params.schema import OneOf, ParameterTable, Within, bare, kinds_of
+from gelforge.mechanics.fidelity import FIDELITIES, FeaSettings
+from gelforge.mechanics.hex.solver import QUALITIES
 
 
 def load(root, tmp_path, text):
@@ -13,104 +22,218 @@ def load(root, tmp_path, text):
     return load_params(root / "workflow", path)
 
 
+def raw(root):
+    return tomllib.loads((root / "workflow" / "params.toml").read_text(encoding="utf-8"))
+
+
+def test_the_schema_and_params_toml_hold_the_same_keys(root):
+    """In step both ways, and no second default: every key stands in params.toml but those that may be left out."""
+
+    def compare(kind, table, name):
+        known = kinds_of(kind)
+        assert not table.keys() - known.keys(), name
+        for key, hint in known.items():
+            may_miss = type(None) in get_args(bare(hint))
+            assert key in table or may_miss, f"{name}.{key}"
+            inner = bare(hint)
+            if key in table and isinstance(inner, type) and issubclass(inner, ParameterTable):
+                compare(inner, table[key], f"{name}.{key}")
+
+    compare(t.Params, raw(root), "params")
+
+
+def test_a_value_is_kept_digit_for_digit(root):
+    """Keys of solves are digests of what stages are given: it is what the file holds, whole numbers whole."""
+    assert canonical(plain(load_params(root / "workflow"))) == canonical(raw(root))
+    odd = parameters(material={"nu": 0}, interface={"mu": 2}, poses={"touch_offset_mm": 1e-2})
+    assert canonical(plain(cut_slice(odd, SLICES["fea"].kind, 7))) == canonical(
+        {"version": 7, "fea": raw(root)["fea"], "interface": {"law": "no_slip", "mu": 2}, "material": {"nu": 0}}
+    )
+
+
+@pytest.mark.parametrize("stage", SLICES)
+def test_a_slice_reads_back_as_it_was(stage, tmp_path):
+    made = cut_slice(parameters(), SLICES[stage].kind, 3)
+    path = tmp_path / f"{stage}.json"
+    path.write_text(canonical(plain(made)))
+    assert read_slice(path, SLICES[stage].kind) == made
+    path.write_text(json.dumps(plain(made) | {"more": 1}))
+    with pytest.raises(BadInput, match="more: is read by nothing"):
+        read_slice(path, SLICES[stage].kind)
+
+
+def test_a_slice_that_cannot_be_read_names_its_file(tmp_path):
+    (tmp_path / "fea.json").write_text("{")
+    with pytest.raises(BadInput, match=r"fea\.json: cannot be read .* run make again"):
+        read_slice(tmp_path / "fea.json", SLICES["fea"].kind)
+
+
+def leaves(kind: type[ParameterTable], path: tuple[str, ...] = ()) -> list[tuple[tuple[str, ...], Any]]:
+    """Every key of every table with its kind."""
+    found = []
+    for key, hint in kinds_of(kind).items():
+        inner = bare(hint)
+        if isinstance(inner, type) and issubclass(inner, ParameterTable):
+            found += leaves(inner, (*path, key))
+        else:
+            found.append(((*path, key), hint))
+    return found
+
+
+def meaningless(hint: Any) -> list[Any]:
+    """Values that no key of this kind can take."""
+    rules = get_args(hint)[1:] if get_origin(hint) is Annotated else ()
+    kind = bare(hint)
+    if type(None) in get_args(kind):
+        kind = bare(next(each for each in get_args(kind) if each is not type(None)))
+        rules = ()
+    always: list[Any] = [{"a": 1}] if get_origin(kind) is not dict else [3, "text", []]
+    bounds = [value for rule in rules if isinstance(rule, Within)
+              for value in (rule.low - 1 - abs(rule.low), rule.high * 2 + 1)]  # fmt: skip
+    if kind is bool:
+        return [*always, "no", 3, []]
+    if kind is int:
+        return [*always, True, "8", 1.5, float("nan"), float("inf"), [], *bounds]
+    if kind is float:
+        return [*always, True, "0.4", float("nan"), float("-inf"), [], *bounds]
+    if kind is str:
+        return [*always, 3, True, [], *(["no such word"] if any(isinstance(rule, OneOf) for rule in rules) else [])]
+    if get_origin(kind) is tuple:
+        return [*always, 3, "text", True, [[]], [{}], [True], [None]]
+    if get_origin(kind) is dict:
+        return [*always, {"a": "text"}, {"a": {}}, {"hex": True}]
+    return [*always, True, "soft", -1.0, 0, []]
+
+
+CASES = [(path, value) for path, hint in leaves(t.Params) for value in meaningless(hint)]
+
+
+def test_there_are_more_cases_than_were_once_tried():
+    assert len(CASES) > 800 and len({path for path, _ in CASES}) > 130
+
+
+@pytest.mark.parametrize(("path", "value"), CASES, ids=lambda each: str(each)[:60])
+def test_every_key_refuses_what_has_no_meaning(root, tmp_path, path, value):
+    """In one sentence: file, table, key, what was given, what is allowed."""
+    (tmp_path / "dataset.toml").write_text(toml_of(path, value))
+    with pytest.raises(BadInput) as error:
+        load_params(root / "workflow", tmp_path / "dataset.toml")
+    said = str(error.value)
+    assert said.startswith(f"{tmp_path}/dataset.toml: [params.") and "\n" not in said
+    assert path[-1] in said and path[0] in said
+    assert any(word in said for word in ("give", "is read by nothing", "is no name here", "is missing"))
+
+
+def toml_of(path, value) -> str:
+    """A dataset.toml that lays one value over the parameters."""
+    return f"[params.{'.'.join(path[:-1])}]\n{path[-1]} = {toml(value)}\n"
+
+
+def toml(value) -> str:
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key} = {toml(each)}" for key, each in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(toml, value)) + "]"
+    if isinstance(value, float):
+        return repr(value)
+    return '""' if value is None else json.dumps(value)
+
+
 @pytest.mark.parametrize(
     ("text", "named"),
     [
-        ("[params.fea]\nrounds = '8'", "rounds = '8': give a number"),
-        ("[params.fea]\npress_steps = -3", "fea.press_steps = -3"),
-        ("[params.fea]\npress_steps = true", "press_steps = True: give a number"),
-        ("[params.fea]\nfidelity = 'cxx'", "fea.fidelity = 'cxx': choose one of hex, ccx"),
-        ("[params.fea]\nfidelty = 'ccx'", "fidelity is meant"),
-        ("[params]\nposes = 7", "poses = 7: give a table"),
-        ("params = 5", "params = 5"),
+        ("[params.fea]\nrounds = '8'", r"\[params.fea\] rounds = '8': give a whole number from 1 to 1000"),
+        ("[params.fea]\nrounds = 8.0", r"rounds = 8.0: give a whole number"),
+        ("[params.fea]\nfidelity = 'cxx'", r"fidelity = 'cxx': give \"hex\", \"ccx\""),
+        ("[params.fea]\nfidelty = 'ccx'", r"\[params.fea\] fidelty: is read by nothing; fidelity is meant"),
+        ("[params.fea]\nmeshes = []", "meshes = .*: give a list of 1 or more"),
+        ("[params.fae]\nrounds = 8", "fae: is read by nothing; fea is meant"),
+        ("[params]\nposes = 7", r"\[params\] poses = 7: give a table"),
+        ("[params]\nfea = 'hex'", "fea = 'hex': give a table"),
+        ("[[params]]", "params = .*: give tables"),
+        ("params = 5", "params = 5: give tables"),
         ("[param.fea]\nrounds = 8", "param is read by nothing; params is meant"),
         ("catalog = 'x.toml'", "catalogue is meant"),
-        ("[params.train]\nepochs = 0", "train.epochs = 0"),
-        ("[params.train]\nbatch = 0", "train.batch = 0"),
-        ("[params.train]\nseed = -1", "train.seed = -1"),
-        ("[params.plan]\nshard_size = '8'", "shard_size = '8': give a number"),
-        ("[params.plan]\nshard_size = -3", "plan.shard_size = -3"),
-        ("[params.material]\nnu = 0.5", "material.nu = 0.5"),
-        ("[params.material]\nnu = -1", "material.nu = -1"),
-        ("[params.material]\nc10 = true", "material.c10 = True"),
-        ("[params.material]\nc10 = 0", "material.c10 = 0"),
-        ("[params.material]\nc10 = 'soft'", "material.c10 = 'soft'"),
-        ("[params.interface]\nlaw = 'coulomb'\nmu = inf", "interface.mu = inf"),
-        ("[params.interface]\nmu = nan", "interface.mu = nan"),
-        ("[params.poses]\ndeepest_share = nan", "poses.deepest_share = nan"),
+        ("catalogue = 5", "catalogue = 5: give text"),
+        ("catalogue = '.'", r"catalogue = '\.': give the name of a \.toml file"),
+        ("catalogue = '../indenters.toml'", "catalogue = .*: give the name"),
+        ("sensor = 4", "sensor = 4: give text"),
+        ("gel = []", r"gel = \[\]: give text"),
+        ("meshes = 4", "meshes is read by nothing"),
+        ("[params.material]\nnu = 0.5", "nu = 0.5: give a number from 0 to 0.4999"),
+        ("[params.material]\nc10 = true", "c10 = True: give a number from 1e-06 to 99 MPa or \"calibrated\""),
+        ("[params.material]\nc10 = 'soft'", "c10 = 'soft'"),
+        ("[params.interface]\nlaw = 'coulomb'\nmu = inf", "mu = inf: give a number from 0 to 1000"),
+        ("[params.poses]\nband_mm = 0", "band_mm = 0: give a number from 0.001"),
         ("[params.poses]\nimages = 'no'", "images = 'no': give true or false"),
-        ("[params.poses]\ntouch_offset_mm = []", "touch_offset_mm = \\[\\]: give a number"),
-        ("[params.report]\nbranches = 'pareto'", "branches = 'pareto': give a list"),
-        ("[params.evaluate]\nforce_edges = [0.0, inf]", "evaluate.force_edges = .* finite"),
+        ("[params.report]\nbranches = ['nope']", "branches = .*: give a list of 0 or more, each \"calibrate\" or"),
+        ("[params.evaluate]\nforce_edges = [2.0, 1.0]", "force_edges = .*: give a list of 2 or more, .* rising"),
+        ("[params.evaluate]\nforce_edges = [0.0, inf]", "force_edges = "),
+        ("[params.dataset]\nvalidation = 0.6\ntest = 0.5", "validation = 0.6 and test = 0.5"),
+        ("[params.labels]\nchannels = ['traction']", "channels = .*\"force\" first"),
+        ("[params.labels]\nchannels = []", "channels = "),
+        ("[params.meshes]\nregions = {spot = [1.0]}", r"\[params.meshes.regions\] spot = \[1.0\]: give a list of 2"),
+        ("[params.meshes.hold]\nspt = 1.0", "hold.spt: is no region"),
+        ("[params.pareto.regions.spot]\nbox = [1, 0, 0, 1]", "box = .* rising"),
+        ("[params.pareto]\nhex_layers = [3]", "hex_sizes_mm has 5 sizes and hex_layers 1"),
+        ("[params.stability.sizes]\nhx = [1.0]", "hx: is no name here; hex is meant"),
+        ("[params.stability]\nlayers = {}\nsizes = {hex = [2.0, 1.0, 0.7, 0.5]}", "layers has no \"2.0\""),
+        ("[params.calibrate]\nacceptance = [0.6, 0.15]", "acceptance = .* rising"),
+        ("[params.calibrate.refine]\nsize = 0", r"\[params.calibrate.refine\] size = 0"),
+        ("[params.calibrate.priors.c10]\nkind = 'uniform'", "low is missing: a prior of kind \"uniform\""),
+        ("[params.calibrate.priors.c10]\nspread = 0", "has no width"),
+        ("[params.calibrate.priors.c10]\nmedian = -1", "needs a positive one"),
+        ("[params.calibrate.priors.c10]\nfree = false", "c10: free = false needs `fixed`"),
+        ("[params.calibrate]\nwalkers = 33", "walkers = 33: give an even number"),
+        ("[params.train]\nleast_rate = 1.0", "least_rate = 1.0 is above learning_rate"),
+        ("[params.report]\nmodel = '$(shell touch x)'", "model = .*: give a name of letters"),
+        ("[params.train.epochs_of]\nuet = 3", "uet: is read by nothing; unet is meant"),
     ],
-)
+)  # fmt: skip
 def test_what_has_no_meaning_is_refused(root, tmp_path, text, named):
     with pytest.raises(BadInput, match=named):
         load(root, tmp_path, text)
 
 
+def test_a_bad_value_of_the_project_blames_its_own_file(root, tmp_path):
+    text = (root / "workflow" / "params.toml").read_text().replace("shard_size = 8", "shard_size = 0")
+    (tmp_path / "params.toml").write_text(text)
+    with pytest.raises(BadInput, match=r"params\.toml: \[plan\] shard_size = 0: give a whole number from 1"):
+        load_params(tmp_path)
+    (tmp_path / "params.toml").write_text(text.replace("shard_size = 0", ""))
+    with pytest.raises(BadInput, match=r"params\.toml: \[plan\] shard_size is missing"):
+        load_params(tmp_path)
+
+
 def test_settings_that_mean_something_are_taken(root, tmp_path):
     params = load(
-        root, tmp_path, "[params.material]\nc10 = 'calibrated'\nnu = 0\n[params.interface]\nlaw = 'coulomb'\nmu = 2"
-    )
-    assert params["material"] == {"c10": "calibrated", "nu": 0} and params["interface"]["mu"] == 2
+        root, tmp_path, "[params.material]\nc10 = 'calibrated'\nnu = 0\n[params.interface]\nlaw = 'coulomb'\nmu = 2\n"
+        "[params.meshes.regions]\nmine = [3, 4.0]\n[params.calibrate.priors.c10]\nkind = 'uniform'\nlow = 0.01\nhigh = 1",
+    )  # fmt: skip
+    assert plain(params.material) == {"c10": "calibrated", "nu": 0} and params.interface.mu == 2
+    assert params.meshes.regions["mine"] == (3, 4.0) and params.meshes.regions["wide"] == (9.4, 11.6)
+    assert params.calibrate.priors.c10.numbers == {"low": 0.01, "high": 1}
 
 
 @pytest.mark.parametrize("name", ["demo", "feats_sphere15"])
 def test_the_datasets_that_come_along_are_sound(root, name):
     assert load_params(root / "workflow", root / "data" / name / "dataset.toml")
+    assert read_dataset_file(root / "data" / name / "dataset.toml").catalogue == "indenters.toml"
 
 
-def leaves(table, path=""):
-    for key, value in table.items():
-        name = f"{path}.{key}" if path else key
-        yield from leaves(value, name) if isinstance(value, dict) else [(name, value)]
+def test_words_of_the_schema_are_those_of_the_code():
+    from gelforge.calibration.parameters import LAWS, NAMES
+    from gelforge.records.labelfile import FIELDS
+
+    assert set(t.QUALITIES) == set(QUALITIES) and FIDELITIES is t.FIDELITIES
+    assert set(LAWS) == set(get_args(t.Law)[1].words)
+    assert set(NAMES) | {"indenter"} == set(t.PRIOR_NAMES) == {field.name for field in fields(t.PriorsTable)}
+    assert set(t.CHANNELS) - {"force"} <= set(FIELDS)
 
 
-def test_the_schema_and_the_defaults_tell_of_the_same_parameters(root):
-    """Every default has a specification that allows it, and every specification stands for a default."""
-    defaults = dict(leaves(load_params(root / "workflow")))
-    used = set()
-    for name, value in defaults.items():
-        spec = spec_of(name)
-        assert spec is not None and spec.fault(value) is None, name
-        used |= {
-            pattern for pattern, other in SCHEMA.items() if other is spec and (pattern == name or "*" in pattern)
-        }
-    assert set(SCHEMA) - used == set()
-
-
-NONSENSE = ("text with; $(shell x)", "", True, -1e30, 1e30, [], [[]], ["$(shell x)\n"], {}, 0.5, -3)
-
-
-def test_a_wrong_kind_is_refused_everywhere(root):
-    """No parameter takes a value of every kind: what is nonsense for it is told, and how to mend it."""
-    for name, _ in leaves(load_params(root / "workflow")):
-        faults = [fault for value in NONSENSE if (fault := spec_of(name).fault(value))]
-        assert len(faults) >= 5, name
-        assert all(fault.startswith(("give", "choose", "in the list")) for fault in faults)
-
-
-@pytest.mark.parametrize("number", [float("nan"), float("inf"), -float("inf")])
-def test_no_parameter_takes_what_is_not_finite(root, number):
-    for name, value in leaves(load_params(root / "workflow")):
-        given = [number] * len(value) if isinstance(value, list) and value else number
-        assert spec_of(name).fault(given), name
-
-
-@pytest.mark.parametrize(
-    ("text", "named"),
-    [
-        ("[params.dataset]\nvalidation = 0.5\ntest = 0.5", "leave presses to train on"),
-        ("[params.pareto]\nhex_layers = [3]", "of one length"),
-        ("[params.calibrate]\nwalkers = 33", "even"),
-        ("[params.train]\nleast_rate = 1.0", "not be above"),
-        ("[params.calibrate]\nacceptance = [0.6, 0.15]", "larger than the one before"),
-        ("[params.report]\nmodel = '$(shell touch x)'", "give a name"),
-        ("[params.meshes.regions]\nspot = [2.0]", "a list of 2"),
-        ("[params.fea]\npress_steps = 1.5", "a whole number"),
-    ],
-)
-def test_what_does_not_go_together_is_refused(root, tmp_path, text, named):
-    with pytest.raises(BadInput, match=named):
-        load(root, tmp_path, text)
+def test_the_solver_of_a_library_user_is_that_of_the_flow():
+    """FeaSettings() without a table: what params.toml says, but for the errors that a chart found."""
+    usual, table = FeaSettings(), parameters().fea
+    assert {
+        f.name: getattr(usual, f.name) for f in fields(usual) if hasattr(table, f.name) and f.name != "charted"
+    } == {f.name: getattr(table, f.name) for f in fields(usual) if hasattr(table, f.name) and f.name != "charted"}

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from pressed_dataset import PARAMS, collect, label, write_pressed
+from parameters import parameters, write_slice
+from pressed_dataset import collect, label, write_pressed
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import write_json
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import assemble
 from gelforge.labelling.patch import consistent_loads, irregular_surface
@@ -89,8 +89,7 @@ def made(tmp_path_factory, root):
 
     os.chdir(root)
     made = write_pressed(tmp_path_factory.mktemp("made"), count=8, failed=(3,))
-    params = {"version": 1, "labels": {**PARAMS["labels"]["labels"], "channels": EVERYTHING}}
-    write_json(made["results"] / "00_plan/params/labels.json", params)
+    write_slice(made["results"] / "00_plan/params", "labels", labels={"channels": EVERYTHING})
     return made
 
 
@@ -125,7 +124,5 @@ def test_other_files_stay_as_they_were(made, tmp_path):
 
 @pytest.mark.parametrize("channels", [["displacement"], ["force", "depth"], "force", ["force", "force"], 3])
 def test_unknown_channels_are_refused(made, tmp_path, channels):
-    from gelforge.stages.labels import check_channels
-
     with pytest.raises(BadInput, match=r"\[labels\] channels"):
-        check_channels(channels)
+        parameters(labels={"channels": channels})

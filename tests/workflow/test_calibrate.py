@@ -2,10 +2,10 @@
 
 import json
 import shutil
-import tomllib
 
 import numpy as np
 import pytest
+from parameters import parameters, write_slice
 
 from gelforge.errors import BadInput
 from gelforge.stages import calibrate
@@ -22,12 +22,11 @@ SOLVER = {
 
 def stage_args(root, folder, **changes):
     """Arguments of the stage in a folder of its own, and the parameters it gets."""
-    params = tomllib.loads((root / "workflow" / "params.toml").read_text())["calibrate"]
-    params |= {"solver": SOLVER, "compare": False, "refine": {"on": False}, "friction_nodes": []} | changes
-    (folder / "params.json").write_text(json.dumps({"version": 1, "calibrate": params, "material": {"nu": 0.475}}))
+    usual = {"solver": SOLVER, "compare": False, "refine": {"on": False}, "friction_nodes": []}
+    write_slice(folder, "calibrate", calibrate=usual | changes)
     if not (folder / "data").exists():
         shutil.copytree(root / "data" / "feats_sphere15", folder / "data")
-    names = {"data": "data", "params": "params.json", "work": "work", "out": "work/summary.json"}
+    names = {"data": "data", "params": "calibrate.json", "work": "work", "out": "work/summary.json"}
     args = [text for key, name in names.items() for text in (f"--{key}", str(folder / name))]
     return [*args, "--workflow", str(root / "workflow"), "--jobs", "1"]
 
@@ -106,6 +105,6 @@ def test_wrong_sign_leaves_no_summary(root, tmp_path):
     assert not (tmp_path / "work" / "summary.json").exists()
 
 
-def test_unknown_solver_setting_is_named(root, tmp_path):
-    with pytest.raises(BadInput, match="unexpected keyword argument 'sizes'"):
-        calibrate.main(stage_args(root, tmp_path, solver={"sizes": 1.0}))
+def test_unknown_solver_setting_is_named():
+    with pytest.raises(BadInput, match=r"\[calibrate.solver\] sizes: is read by nothing; size is meant"):
+        parameters(calibrate={"solver": {"sizes": 1.0}})

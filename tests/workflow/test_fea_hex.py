@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from parameters import write_slice
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, write_csv, write_json
@@ -32,14 +33,9 @@ def made(tmp_path_factory):
     rows = [dict(zip(COLUMNS, (name, SENSOR, *press), strict=True)) for name, press in PRESSES.items()]
     write_csv(folder / "10_poses" / "0000.csv", COLUMNS, rows)
     params = folder / "params"
-    table = {"fidelity": "hex", "hex_quality": "demo"}
-    write_json(
-        params / "fea.json", {"fea": table, "interface": {"law": "no_slip", "mu": 0}, "material": {"nu": 0.475}}
-    )
-    write_json(
-        params / "forces.json", {"forces": {"noise": 1e-6, "base_mismatch": 1e-6}, "material": {"c10": 0.0725}}
-    )
-    write_json(params / "labels.json", {"labels": {"largest_outside_share": 0.02}})
+    write_slice(params, "fea", fea={"fidelity": "hex", "hex_quality": "demo"})
+    write_slice(params, "forces")
+    write_slice(params, "labels")
     write_json(params / "sensors.json", {SENSOR: {"gel": SENSOR}})
     write_json(params / "indenters.json", {"ball": BALL})
     for module, *arguments in (

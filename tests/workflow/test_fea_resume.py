@@ -11,6 +11,7 @@ import time
 
 import numpy as np
 import pytest
+from parameters import write_slice
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, write_json
@@ -34,8 +35,8 @@ def folder(tmp_path):
     report = {"engine": "ccx", "region": "wide", "size": 2.6, "half_mm": [10, 12], "nodes": len(mesh.nodes)}
     write_json(tmp_path / "20_meshes" / "ccx-wide-2.6.json", report)
     params = tmp_path / "params"
-    write_json(params / "fea.json", {"fea": FEA, "interface": {"law": "no_slip", "mu": 0}, "material": {"nu": 0.475}})
-    write_json(params / "forces.json", {"forces": {"noise": 1e-6, "base_mismatch": 1e-6}, "material": {"c10": 0.145}})
+    write_slice(params, "fea", fea=FEA)
+    write_slice(params, "forces", material={"c10": 0.145})
     write_json(params / "sensors.json", {"cam": {"gel": GEL.name}})
     write_json(params / "indenters.json", {"ball": {"kind": "sphere", "diameter": 15, "height": 10}})
     (tmp_path / "10_poses").mkdir()

@@ -5,6 +5,7 @@ import json
 import cv2
 import numpy as np
 import pytest
+from parameters import write_slice
 
 from gelforge.commands.mcap import main as mcap_import
 from gelforge.errors import BadInput
@@ -107,9 +108,7 @@ def test_the_dataset_trains_on_totals(tmp_path, sensor, root):
     import_recordings(tmp_path / "in", tmp_path / "lab", topics(tmp_path), sensor)
     out = tmp_path / "60_dataset" / "1x1" / "dataset.json"
     write_json(tmp_path / "indenters.json", {})
-    settings = {"validation": 0.2, "test": 0.2, "unseen_indenters": [], "unseen_sensors": [], "force_edges": [1.0, 3.0],
-                "same_press_mm": 0.05, "same_press_deg": 0.5, "seed": 1}  # fmt: skip
-    write_json(tmp_path / "dataset.json", {"dataset": settings})
+    write_slice(tmp_path, "dataset", dataset={"validation": 0.2, "test": 0.2, "force_edges": [1.0, 3.0]})
     import tomllib
 
     write_json(tmp_path / "sensors.json", tomllib.loads((root / "workflow/sensors.toml").read_text()))

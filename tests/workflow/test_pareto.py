@@ -9,9 +9,11 @@ from multiprocessing import get_context
 
 import numpy as np
 import pytest
+from parameters import slice_of
 
 from gelforge.errors import BadInput
-from gelforge.flow import params as config
+from gelforge.flow.files import write_json
+from gelforge.flow.params import plain
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue
 from gelforge.labelling.sensor import load_sensors
@@ -27,21 +29,24 @@ METHODS = [hex_method(2.0, 2, 1), hex_method(1.4, 3, 2), hex_method(1.0, 4, 4)]
 
 @pytest.fixture
 def bench(tmp_path):
-    params = config.cut_slice(config.load_params("workflow"), "pareto", pareto.VERSION)
-    return load_bench(params, load_sensors("workflow/sensors.toml"), tmp_path / "meshes", tmp_path / "records")
+    return load_bench(
+        slice_of("pareto"), load_sensors("workflow/sensors.toml"), tmp_path / "meshes", tmp_path / "records"
+    )
 
 
 @pytest.fixture(scope="module")
 def coarse(tmp_path_factory):
     """The parameters of the stability branch, nothing more, and one coarse mesh to solve its cases on."""
-    params = config.cut_slice(config.load_params("workflow"), "stability", stability.VERSION)
-    params["meshes"]["regions"] = {"wide": params["meshes"]["regions"]["wide"]}
+    params = slice_of("stability")
+    wide = replace(params.meshes, hold={}, regions={"wide": params.meshes.regions["wide"]})
+    params = replace(params, meshes=wide)
     folder = tmp_path_factory.mktemp("meshes")
-    (folder / "params.json").write_text(json.dumps(params))
+    write_json(folder / "params.json", plain(replace(slice_of("pareto_meshes"), meshes=wide)))
     command = [
         sys.executable,
         "-m",
-        "gelforge.stages.pareto_meshes",
+        "gelforge.stages.pareto",
+        "mesh",
         "--name",
         "ccx-wide-3.0",
         "--params",
@@ -94,7 +99,7 @@ def test_a_scene_that_cannot_be_solved_is_listed_with_its_reason(bench, tmp_path
 def test_every_fidelity_of_the_map_solves_with_what_its_branch_is_given(fidelity, ccx, coarse, tmp_path):
     params, folder = coarse
     size = 0.7 if fidelity == "hex" else 3.0
-    case = replace(cases.centre(params["stability"], fidelity, "round"), depth=0.2, size=size, steps=2)
+    case = replace(cases.centre(params.stability, fidelity, "round"), depth=0.2, size=size, steps=2)
     # a fresh process, as make's: in one that has meshed before, pytetwild's threads do not survive the fork of a solve
     with ProcessPoolExecutor(1, get_context("spawn")) as fresh:
         record = fresh.submit(stability.solve_case, case, params, folder, tmp_path).result()

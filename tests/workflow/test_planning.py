@@ -6,11 +6,12 @@ import time
 
 import numpy as np
 import pytest
+from parameters import parameters, slice_of
 
 from gelforge.errors import BadInput
 from gelforge.geometry.triangles import write_stl
 from gelforge.stages.fea import sample_key
-from gelforge.stages.plan import branches, check_count, make_list, used, with_content
+from gelforge.stages.plan import check_count, make_list, used, with_content
 from tests.benchmarks.sandbox import link_project, make
 
 from .conftest import lay_dataset
@@ -72,7 +73,7 @@ def test_a_shape_that_changes_under_its_name_is_another_shape(tmp_path):
     def key(indenters, name="a", quality="label"):
         press = Press()
         press.indenter = name
-        params = {"fea": {"hex_quality": quality}}
+        params = slice_of("fea", fea={"hex_quality": quality})
         return sample_key(press, [press], params, {"indenters": indenters, "sensors": {"s": {"gel": "g"}}}, Family())
 
     assert key(before) == key(before, "b") != key(after)
@@ -188,8 +189,8 @@ def test_more_shards_than_make_can_hold_are_refused():
 
 @pytest.mark.parametrize("asked", [["nope"], "calibrate", [1], ["$(shell x)"]])
 def test_a_branch_that_is_none_is_refused(asked):
-    with pytest.raises(BadInput, match="branches = .*give a list of some of calibrate, pareto"):
-        branches({"report": {"branches": asked}})
+    with pytest.raises(BadInput, match=r'\[report\] branches = .*: give a list of .*"calibrate" or "pareto"'):
+        parameters(report={"branches": asked})
 
 
 def test_an_environment_that_moved_with_its_clone_is_named(labelled):

@@ -10,9 +10,11 @@ from pathlib import Path
 import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from parameters import write_slice
 from synthetic_presses import SETTINGS, write_dataset
 
 from gelforge.flow.files import read_json, write_json
+from gelforge.flow.params import plain
 from gelforge.networks.modelfile import load_model
 
 EPOCHS = 20
@@ -26,13 +28,8 @@ def command(module, *arguments) -> list[str]:
 def place(tmp_path_factory):
     folder = tmp_path_factory.mktemp("training")
     write_dataset(folder / "6x8", 48, (48, 64), (6, 8))
-    write_json(
-        folder / "params.json",
-        {
-            "train": {**SETTINGS, "epochs": EPOCHS},
-            "evaluate": {"force_edges": [0.0, 10.0], "bootstrap": 50, "seed": 1, "threads": 1},
-        },
-    )
+    write_slice(folder, "train", train={**plain(SETTINGS), "epochs": EPOCHS})
+    write_slice(folder, "evaluate", evaluate={"force_edges": [0.0, 10.0], "bootstrap": 50})
     write_json(folder / "models.json", {"small": {"kind": "grid", "width": 8, "blocks": 1}})
     return folder
 
@@ -47,7 +44,7 @@ def train_command(place, out) -> list[str]:
         "--models",
         place / "models.json",
         "--params",
-        place / "params.json",
+        place / "train.json",
         "--out",
         out,
     )
@@ -87,7 +84,7 @@ def test_command_writes_what_it_says(place, whole):
             "--model",
             place / "whole.pt.part",
             "--params",
-            place / "params.json",
+            place / "evaluate.json",
             "--out",
             f"{out}.part",
         ),
@@ -108,7 +105,7 @@ def test_unusable_dataset_is_one_line_and_leaves_nothing(place, tmp_path):
             "--models",
             place / "models.json",
             "--params",
-            place / "params.json",
+            place / "train.json",
             "--out",
             tmp_path / "x.pt.part",
         ),

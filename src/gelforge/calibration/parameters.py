@@ -1,11 +1,12 @@
 """Parameters of the calibration, their priors, and the interface and rig models compared."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gelforge.calibration.friction import HALF_MU, friction_axis, friction_of
 from gelforge.errors import BadInput
+from gelforge.flow.params.tables import CalibrateTable, PriorTable
 
 NAMES = ("c10", "offset", "compliance", "mu", "noise", "scatter", "discretisation", "nu")
 LABELS = {
@@ -98,32 +99,18 @@ class FrictionPrior(Prior):
         return friction_axis(super().value(super().quantile(u)))
 
 
-# kind -> the two keys of its table; a halfnormal has no first number.
-KEYS = {
-    "normal": ("mean", "spread"),
-    "lognormal": ("median", "spread"),
-    "halfnormal": (None, "spread"),
-    "uniform": ("low", "high"),
-    "loguniform": ("low", "high"),
-}
+def prior_of(name: str, table: PriorTable) -> Prior:
+    """The prior of a parameter, from its table [calibrate.priors.NAME]."""
+    numbers = [float(value) for value in table.numbers.values()]
+    a, b = numbers if len(numbers) == 2 else (0.0, numbers[0])  # a halfnormal has no first number
+    return FrictionPrior(table.kind, a, b) if name == "mu" else Prior(table.kind, a, b)
 
 
-def read_prior(name: str, table: dict) -> Prior:
-    """Prior from its table [calibrate.priors.NAME]; a wrong kind, key or number raises BadInput."""
-    where = f"workflow/params.toml: [calibrate.priors.{name}]"
-    kind = table.get("kind")
-    if kind not in KEYS:
-        raise BadInput(f"{where}: kind is {kind!r}; use one of {', '.join(KEYS)}")
-    try:
-        a, b = (float(table[key]) if key else 0.0 for key in KEYS[kind])
-    except (KeyError, TypeError, ValueError) as error:
-        raise BadInput(f"{where}: a {kind} prior needs the numbers {KEYS[kind]}; seen {table}") from error
-    bounded = kind in ("uniform", "loguniform")
-    if not np.isfinite([a, b]).all() or (bounded and a >= b) or (not bounded and b <= 0):
-        raise BadInput(f"{where}: {table} has no width; raise `{KEYS[kind][1]}`")
-    if kind in ("lognormal", "loguniform") and a <= 0:
-        raise BadInput(f"{where}: `{KEYS[kind][0]}` is {a}; a logarithmic prior needs a positive one")
-    return FrictionPrior(kind, a, b) if name == "mu" else Prior(kind, a, b)
+def with_nu(table: CalibrateTable, nu: float) -> CalibrateTable:
+    """The table [calibrate] with Poisson's ratio held at `nu` where its prior is not free and says no other value."""
+    held = table.priors.nu
+    fixed = nu if held.fixed is None else held.fixed
+    return replace(table, priors=replace(table.priors, nu=replace(held, fixed=fixed)))
 
 
 @dataclass(frozen=True)
@@ -167,31 +154,27 @@ class Model:
         return np.stack([prior.draw(rng, size) for prior in self.free.values()], axis=1)
 
 
-def make_model(params: dict, law: str, without=(), indenters=()) -> Model:
+def make_model(params: CalibrateTable, law: str, without=(), indenters=()) -> Model:
     """Model of `law` from the table [calibrate]; parameters named in `without` are held at no effect.
 
     A parameter is free where its prior's `free` is true; otherwise it stays at `fixed`. Several
     indenters get a scale each, with the prior `indenter`.
     """
-    if law not in LAWS:
-        raise BadInput(f"workflow/params.toml: [calibrate] law is {law!r}; use one of {', '.join(LAWS)}")
     free, fixed = {}, {}
     for name in NAMES:
-        table = params["priors"].get(name)
-        if table is None:
-            raise BadInput(f"workflow/params.toml: table [calibrate.priors.{name}] is missing")
+        table = getattr(params.priors, name)
         if name == "mu" and law != "coulomb":
             fixed[name] = 0.0 if law == "frictionless" else np.inf
         elif name in without:
             fixed[name] = 0.0
-        elif table.get("free", True):
-            free[name] = read_prior(name, table)
-        elif "fixed" in table:
-            fixed[name] = float(table["fixed"])
+        elif table.free is not False:
+            free[name] = prior_of(name, table)
+        elif table.fixed is not None:
+            fixed[name] = float(table.fixed)
         else:
             raise BadInput(f"[calibrate.priors.{name}]: free = false needs `fixed`, the value it is held at")
-    if len(indenters) > 1 and params["priors"]["indenter"].get("free", True):
-        prior = read_prior("indenter", params["priors"]["indenter"])
+    if len(indenters) > 1 and params.priors.indenter.free is not False:
+        prior = prior_of("indenter", params.priors.indenter)
         free.update({f"scale of {name}": prior for name in indenters})
     return Model(law, free, fixed, tuple(indenters))
 
@@ -201,7 +184,7 @@ def label_of(name: str) -> str:
     return LABELS.get(name, name.replace("scale of ", "ln of scale, "))
 
 
-def compared_models(params: dict, indenters=()) -> list[Model]:
+def compared_models(params: CalibrateTable, indenters=()) -> list[Model]:
     """Every law with and without touch offset and compliance."""
     rigs = [(), ("compliance",), ("offset",), ("offset", "compliance")]
     models = [make_model(params, law, without, indenters) for law in LAWS for without in rigs]

@@ -15,7 +15,7 @@ from gelforge.calibration import emulator as em
 from gelforge.calibration.sampling import fingerprint
 from gelforge.errors import BadInput, SolveFailed
 from gelforge.flow.files import read_json, write_json
-from gelforge.flow.params import stage_version
+from gelforge.flow.params import SLICES, stage_version
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import Gel
 from gelforge.mechanics.hex.solver import HexSettings, HexSolver
@@ -23,7 +23,7 @@ from gelforge.mechanics.scene import Interface, Material, Press, Scene
 from gelforge.records.status import Status
 
 # Solves made by an older solver are void: stage fea's version is raised when its answers change.
-SOLVER_VERSION = stage_version(Path(__file__).parents[1] / "stages", "fea")
+SOLVER_VERSION = stage_version(Path(__file__).parents[1] / "stages", SLICES["fea"])
 
 
 @dataclass(frozen=True)

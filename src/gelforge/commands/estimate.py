@@ -17,6 +17,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.estimate import Cost, pilots, presses_an_hour, table, wall_seconds
 from gelforge.flow.files import read_json, write_text
 from gelforge.flow.main import command, option
+from gelforge.flow.params.slices import ForCalibrate, ForPareto, ForReport, ForTrain, read_slice
 from gelforge.flow.running import duration
 from gelforge.records.log import read_shard, shard_text
 from gelforge.records.press import RawRow, parse
@@ -92,18 +93,18 @@ def meshes(results: Path) -> Cost:
 
 def told(params: Path, resolution: str) -> list[Cost]:
     """What the stages after the labels take, from other datasets."""
-    report = read_json(params / "report.json")["report"]
+    report = read_slice(params / "report.json", ForReport).report
     cells = 4 * 3 * int(resolution.split("x", maxsplit=1)[0]) * int(resolution.split("x")[1])
     found = [Cost("60_dataset", 2e-3, START, IMAGE_BYTES + cells)]
-    if report["model"] != "shipped":
-        epochs = read_json(params / "train.json")["train"]["epochs"]
+    if report.model != "shipped":
+        epochs = read_slice(params / "train.json", ForTrain).train.epochs
         found.append(Cost("70_train", TRAIN_EACH * epochs, START, bytes_once=3e6))
     found.append(Cost("80_evaluate", EVALUATE_EACH, START, cells / 2))
-    if "calibrate" in report["branches"]:
-        presses = read_json(params / "calibrate.json")["calibrate"]["max_presses"]
+    if "calibrate" in report.branches:
+        presses = read_slice(params / "calibrate.json", ForCalibrate).calibrate.max_presses
         found.append(Cost("calibrate", cpu_once=CALIBRATE_EACH * presses, bytes_once=2e7))
-    if "pareto" in report["branches"]:
-        scenes = read_json(params / "pareto.json")["pareto"]["quick"]["scenes"]
+    if "pareto" in report.branches:
+        scenes = read_slice(params / "pareto.json", ForPareto).pareto.quick.scenes
         found.append(Cost("pareto", cpu_once=CHART_EACH * len(scenes), bytes_once=3e7))
     return [*found, Cost("90_report", REPORT_EACH, START, 4e4, 3e6)]
 

@@ -10,14 +10,21 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_json
+from gelforge.flow.params.tables import FeaTable, MeshesTable
 from gelforge.geometry.gel import Gel
 from gelforge.mechanics.hex.bricks import Bricks, is_bricks
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.scene import Scene
 
 _NAME = re.compile(r"(ccx)-([a-z]+)-(\d+(?:\.\d+)?)")
-# Key of [fea] that lists a fidelity's meshes; bricks are built where they are needed, from their name.
-LISTS = {"ccx": "meshes", "ccx-fine": "fine_meshes", "ccx-native": "meshes", "hex": None, "auto": "meshes"}
+# What of [fea] lists a fidelity's meshes; bricks are built where they are needed, from their name.
+LISTS: dict[str, Callable[[FeaTable], tuple[str, ...]]] = {
+    "ccx": lambda fea: fea.meshes,
+    "ccx-fine": lambda fea: fea.fine_meshes,
+    "ccx-native": lambda fea: fea.meshes,
+    "hex": lambda fea: (),
+    "auto": lambda fea: fea.meshes,
+}
 
 
 @dataclass(frozen=True)
@@ -39,15 +46,13 @@ class MeshName:
         return cls(match[1], match[2], float(match[3]))
 
 
-def mesh_names(fea: dict) -> list[str]:
+def mesh_names(fea: FeaTable) -> list[str]:
     """Names of the meshes that the [fea] table asks for, in its order."""
-    if fea["fidelity"] not in LISTS:
-        raise BadInput(f"[fea] fidelity = {fea['fidelity']!r} is unknown; choose one of {', '.join(LISTS)}")
-    key = LISTS[fea["fidelity"]]
-    return [f"ccx-{kind}" for kind in fea[key]] if key else []
+    kinds = LISTS[fea.fidelity](fea)
+    return [f"ccx-{kind}" for kind in kinds]
 
 
-def required_meshes(fea: dict, meshes: dict) -> list[str]:
+def required_meshes(fea: FeaTable, meshes: MeshesTable) -> list[str]:
     """`mesh_names` of the [fea] table, whose regions [meshes] must know."""
     names = mesh_names(fea)
     for name in names:
@@ -55,35 +60,32 @@ def required_meshes(fea: dict, meshes: dict) -> list[str]:
     return names
 
 
-def region(name: MeshName, meshes: dict) -> tuple[float, float]:
+def region(name: MeshName, meshes: MeshesTable) -> tuple[float, float]:
     """Half extents (x, y) in mm of a mesh's fine region."""
-    regions = meshes["regions"]
-    if name.region not in regions:
-        raise BadInput(f"mesh region {name.region!r} is unknown; [meshes.regions] has {', '.join(regions)}")
-    half = regions[name.region]
-    if len(half) != 2 or not all(h > 0 for h in half):
-        raise BadInput(f"[meshes.regions] {name.region} = {half}; give two positive half extents in mm, x then y")
+    if name.region not in meshes.regions:
+        raise BadInput(f"mesh region {name.region!r} is unknown; [meshes.regions] has {', '.join(meshes.regions)}")
+    half = meshes.regions[name.region]
     return float(half[0]), float(half[1])
 
 
-def sizing(half: tuple[float, float], size: float, meshes: dict):
+def sizing(half: tuple[float, float], size: float, meshes: MeshesTable):
     """Edge length (n,) mm wanted at points (n, 3) of the flat pad: `size` in the region, growing away from it."""
 
     def at(points):
         out = np.maximum(np.abs(points[:, :2]) - half, 0.0)
-        below = np.maximum(-points[:, 2] - meshes["fine_depth_mm"], 0.0)
+        below = np.maximum(-points[:, 2] - meshes.fine_depth_mm, 0.0)
         away = np.sqrt((out**2).sum(axis=1) + below**2)
-        return np.clip(size + meshes["growth"] * away, size, max(size, meshes["coarsest_mm"]))
+        return np.clip(size + meshes.growth * away, size, max(size, meshes.coarsest_mm))
 
     return at
 
 
-def make_mesh(name: MeshName, gel: Gel, meshes: dict) -> tuple[GelMesh, dict]:
+def make_mesh(name: MeshName, gel: Gel, meshes: MeshesTable) -> tuple[GelMesh, dict]:
     """Build one mesh and its report."""
     from gelforge.mechanics.tet.tetmesh import gel_mesh, quality
 
     half = region(name, meshes)
-    mesh = gel_mesh(gel, sizing(half, name.size, meshes), hold=meshes["hold"].get(name.region, 0.0))
+    mesh = gel_mesh(gel, sizing(half, name.size, meshes), hold=meshes.hold.get(name.region, 0.0))
     return mesh, asdict(name) | {"half_mm": list(half), "gel": gel.name} | quality(mesh, gel)
 
 

@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 
 from gelforge.errors import BadInput
+from gelforge.flow.params.tables import FIDELITIES, FeaTable
 from gelforge.geometry.gel import load_gel
 from gelforge.mechanics.ccx.program import need_ccx
 from gelforge.mechanics.ccx.solver import CcxSettings, CcxSolver
@@ -13,8 +14,6 @@ from gelforge.mechanics.family import MeshFamily, choose_mesh
 from gelforge.mechanics.hex.carry import Trail
 from gelforge.mechanics.hex.solver import HexSolver, quality
 from gelforge.mechanics.scene import Result, Scene
-
-FIDELITIES = ("hex", "ccx", "ccx-native", "ccx-fine", "auto")
 
 
 @dataclass(frozen=True)
@@ -27,10 +26,9 @@ class FeaSettings(CcxSettings):
     charted: dict | None = None
 
     @classmethod
-    def from_table(cls, table: dict) -> "FeaSettings":
+    def from_table(cls, table: FeaTable) -> "FeaSettings":
         """Take what the table holds of these; mesh names are not for the solver."""
-        names = {f.name for f in fields(cls)}
-        return cls(**{k: v for k, v in table.items() if k in names})
+        return cls(**{field.name: getattr(table, field.name) for field in fields(cls)})
 
     @property
     def ccx(self) -> CcxSettings:

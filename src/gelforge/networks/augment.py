@@ -5,6 +5,7 @@ import math
 import numpy as np
 import torch
 
+from gelforge.flow.params.tables import AugmentTable
 from gelforge.networks.inputs import cell_pixels
 
 # Luma, and the two chroma axes of YIQ (NTSC 1953): hue turns the chroma plane, saturation scales it.
@@ -28,7 +29,7 @@ def colour_matrices(saturation, hue_turns):
     return YIQ_TO_RGB @ turn @ RGB_TO_YIQ
 
 
-def augment(images, settings: dict, generator):
+def augment(images, settings: AugmentTable, generator):
     """Vary noise, brightness, contrast, saturation and hue of images (n, 3, h, w) in 0..1; a chosen share of them.
 
     The order is the paper's; brightness, contrast, saturation and hue are linear in RGB, so they are one
@@ -37,16 +38,16 @@ def augment(images, settings: dict, generator):
     second half is the untouched sensor: its colours vary as the image's do, and it gets no noise.
     """
     n = len(images)
-    chosen = torch.rand(n, generator=generator) < settings["probability"]
+    chosen = torch.rand(n, generator=generator) < settings.probability
     brightness, contrast, saturation = (
-        1 + uniform(n, settings[key], generator) for key in ("brightness", "contrast", "saturation")
+        1 + uniform(n, width, generator) for width in (settings.brightness, settings.contrast, settings.saturation)
     )
-    matrices = colour_matrices(saturation, uniform(n, settings["hue"], generator))
+    matrices = colour_matrices(saturation, uniform(n, settings.hue, generator))
     where = torch.nonzero(chosen).flatten()
     if len(where) == 0:
         return images
     part = images[where].unflatten(1, (-1, 3))
-    noise = torch.empty_like(part[:, 0]).normal_(0, 1, generator=generator).mul_(settings["noise"])
+    noise = torch.empty_like(part[:, 0]).normal_(0, 1, generator=generator).mul_(settings.noise)
     part[:, 0] += noise
     part.mul_(brightness[where, None, None, None, None])
     luma = torch.einsum("c,nchw->n", RGB_TO_YIQ[0], part[:, 0]) / (part.shape[3] * part.shape[4])

@@ -7,6 +7,7 @@ import time
 import numpy as np
 import torch
 
+from gelforge.flow.params.tables import TrainingTable
 from gelforge.networks.augment import augment, mirror_together, shift_together
 from gelforge.networks.inputs import network_input
 
@@ -44,20 +45,20 @@ def target(labels, norm: dict, total_only: bool) -> torch.Tensor:
     )
 
 
-def training_batches(data, norm: dict, settings: dict, epoch: int, total_only: bool):
+def training_batches(data, norm: dict, settings: TrainingTable, epoch: int, total_only: bool):
     """Yield (input, target) of one epoch, augmented, both in the network's units."""
-    order = epoch_order(data.splits["train"], settings["seed"], epoch)
-    draw, place, turn = (generator(settings["seed"], stream, epoch) for stream in ("augment", "shift", "mirror"))
-    mirrors = epoch < settings["mirrored_share"] * settings["epochs"]
-    for start in range(0, len(order), settings["batch"]):
+    order = epoch_order(data.splits["train"], settings.seed, epoch)
+    draw, place, turn = (generator(settings.seed, stream, epoch) for stream in ("augment", "shift", "mirror"))
+    mirrors = epoch < settings.mirrored_share * settings.epochs
+    for start in range(0, len(order), settings.batch):
         # Sorted rows read the mapped file forwards; the order inside a batch changes nothing but rounding.
-        rows = np.sort(order[start : start + settings["batch"]])
+        rows = np.sort(order[start : start + settings.batch])
         pictures, labels = data.seen(rows, norm["reads"]), data.labels[rows]
-        if settings["shift_cells"]:
-            pictures, labels = shift_together(pictures, labels, settings["shift_cells"], place)
+        if settings.shift_cells:
+            pictures, labels = shift_together(pictures, labels, settings.shift_cells, place)
         if mirrors:
             pictures, labels = mirror_together(pictures, labels, turn)
-        pictures = augment(images_to_tensor(pictures), settings["augment"], draw)
+        pictures = augment(images_to_tensor(pictures), settings.augment, draw)
         yield network_input(pictures, norm), target(labels, norm, total_only)
 
 

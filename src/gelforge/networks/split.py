@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from gelforge.flow.params.tables import DatasetTable
 from gelforge.records.press import PressRecord
 
 UNSEEN_INDENTER, UNSEEN_SENSOR, UNSEEN_BOTH = "test_unseen_indenter", "test_unseen_sensor", "test_unseen_both"
@@ -48,23 +49,23 @@ def _clusters(count: int, pairs: np.ndarray) -> np.ndarray:
 
 
 def split_presses(
-    presses: Sequence[PressRecord], force, unseen_indenters, settings: dict
+    presses: Sequence[PressRecord], force, unseen_indenters, settings: DatasetTable
 ) -> tuple[np.ndarray, np.ndarray]:
     """Split name (n,) and group (n,) of samples.
 
-    force (n,) N decides the stratum by settings["force_edges"]. Unseen indenters and sensors make their
+    force (n,) N decides the stratum by settings.force_edges. Unseen indenters and sensors make their
     own tests; the groups of the others, ordered by force range and indenter with ties shuffled by
-    settings["seed"], go one by one to the split that is furthest behind its share of samples.
+    settings.seed, go one by one to the split that is furthest behind its share of samples.
     """
-    group = group_presses(presses, settings["same_press_mm"], settings["same_press_deg"])
+    group = group_presses(presses, settings.same_press_mm, settings.same_press_deg)
     split = np.array(
-        [_kept_apart(press, unseen_indenters, settings["unseen_sensors"]) for press in presses], dtype=object
+        [_kept_apart(press, unseen_indenters, settings.unseen_sensors) for press in presses], dtype=object
     )
     known = np.flatnonzero(split == "")
     shares = {
-        "train": 1.0 - settings["validation"] - settings["test"],
-        "val": settings["validation"],
-        "test": settings["test"],
+        "train": 1.0 - settings.validation - settings.test,
+        "val": settings.validation,
+        "test": settings.test,
     }
     order = _order(presses, np.asarray(force), group, known, settings)
     chosen = dict(zip(order, _deal([int((group[known] == g).sum()) for g in order], shares), strict=True))
@@ -82,14 +83,14 @@ def _kept_apart(press, unseen_indenters, unseen_sensors) -> str:
 
 def _order(presses, force, group, known, settings) -> list[int]:
     """Groups of the known samples by force range, then indenter, ties in random order."""
-    rng = np.random.default_rng(settings["seed"])
+    rng = np.random.default_rng(settings.seed)
     strongest, name = {}, {}
     for at in known:
         strongest[group[at]] = max(strongest.get(group[at], 0.0), abs(force[at]))
         name[group[at]] = presses[at].indenter
     groups = sorted(strongest)
     tie = rng.permutation(len(groups))
-    stratum = {g: int(np.searchsorted(settings["force_edges"], strongest[g])) for g in groups}
+    stratum = {g: int(np.searchsorted(settings.force_edges, strongest[g])) for g in groups}
     return [g for _, _, _, g in sorted((stratum[g], name[g], tie[k], g) for k, g in enumerate(groups))]
 
 

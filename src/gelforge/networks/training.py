@@ -12,6 +12,7 @@ from torch.nn import functional as F
 
 from gelforge.errors import BadInput, GelforgeError
 from gelforge.flow.files import publish
+from gelforge.flow.params.tables import TrainingTable
 from gelforge.flow.progress import progress
 from gelforge.networks.batches import Ahead, generator, images_to_tensor, training_batches
 from gelforge.networks.inputs import network_input
@@ -27,7 +28,7 @@ def initial_net(model: dict, image, grid, seed: int):
         return build(model, image, grid)
 
 
-def loss_of(output, wanted, scale, total_scale, settings: dict):
+def loss_of(output, wanted, scale, total_scale, settings: TrainingTable):
     """Mean square error per cell, plus `total_weight` times that of total force, both in units of their own scale.
 
     Beyond `total_huber` scales an error of total force counts linearly (smooth L1: Girshick 2015, equation 3, its
@@ -35,11 +36,11 @@ def loss_of(output, wanted, scale, total_scale, settings: dict):
     output, wanted: (n, 3, rows, cols) in training units; scale, total_scale: (3,) N.
     """
     loss = F.mse_loss(output, wanted)
-    if settings["total_weight"] > 0 and output.shape[2:] != (1, 1):
+    if settings.total_weight > 0 and output.shape[2:] != (1, 1):
         error = (output - wanted).sum((2, 3)) * (scale / total_scale)
-        corner = settings["total_huber"]
+        corner = settings.total_huber
         total = F.smooth_l1_loss(error, torch.zeros_like(error), beta=corner) if corner > 0 else (error**2).mean()
-        loss = loss + settings["total_weight"] * total
+        loss = loss + settings.total_weight * total
     return loss
 
 
@@ -70,18 +71,16 @@ def cosine(epoch: int, epochs: int) -> float:
     return 0.5 * (1 + math.cos(math.pi * epoch / epochs))
 
 
-def make_schedule(optimiser, settings: dict):
+def make_schedule(optimiser, settings: TrainingTable):
     """The schedule of the learning rate, and whether its step wants the validation error."""
-    if settings["schedule"] == "plateau":
+    if settings.schedule == "plateau":
         return torch.optim.lr_scheduler.ReduceLROnPlateau(
             optimiser,
-            factor=settings["plateau_factor"],
-            patience=settings["plateau_patience"],
-            min_lr=settings["least_rate"],
+            factor=settings.plateau_factor,
+            patience=settings.plateau_patience,
+            min_lr=settings.least_rate,
         ), True
-    if settings["schedule"] == "cosine":
-        return torch.optim.lr_scheduler.LambdaLR(optimiser, lambda n: cosine(n, settings["epochs"])), False
-    raise BadInput(f'[train] schedule = {settings["schedule"]!r}: use "plateau" or "cosine"')
+    return torch.optim.lr_scheduler.LambdaLR(optimiser, lambda n: cosine(n, settings.epochs)), False
 
 
 def normalisations(net) -> list[torch.nn.BatchNorm2d]:
@@ -89,7 +88,7 @@ def normalisations(net) -> list[torch.nn.BatchNorm2d]:
     return [layer for layer in net.modules() if isinstance(layer, torch.nn.BatchNorm2d)]
 
 
-def settle_batch_norm(net, data, norm: dict, settings: dict, device: str) -> None:
+def settle_batch_norm(net, data, norm: dict, settings: TrainingTable, device: str) -> None:
     """Replace the running statistics of batch normalisation by those of clean training images.
 
     While it trains, a network sees augmented images and its weights move faster than running means
@@ -97,35 +96,35 @@ def settle_batch_norm(net, data, norm: dict, settings: dict, device: str) -> Non
     `settle_images` images, evenly picked, in batches (precise batch normalisation, Wu and Johnson 2021).
     """
     layers = normalisations(net)
-    if not layers or settings["settle_images"] == 0:
+    if not layers or settings.settle_images == 0:
         return
     rows = data.splits["train"]
-    rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), settings["settle_images"])).astype(int)]
+    rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), settings.settle_images)).astype(int)]
     for layer in layers:
         layer.reset_running_stats()
         layer.momentum = None  # a plain average over the batches
     net.train()
     with torch.no_grad():
-        for part in np.array_split(rows, max(1, len(rows) // settings["batch"])):
+        for part in np.array_split(rows, max(1, len(rows) // settings.batch)):
             net(network_input(images_to_tensor(data.seen(part, norm["reads"])).to(device), norm))
 
 
-def mixes_precision(settings: dict, device: str) -> bool:
+def mixes_precision(settings: TrainingTable, device: str) -> bool:
     """Whether steps run in bfloat16: if asked for, and done in hardware; emulated, it is slower than float32."""
     able = torch.cpu.get_capabilities()
     hardware = device == "cuda" or able.get("avx512_bf16") or able.get("amx_bf16")
-    return bool(settings["mixed_precision"] and hardware)
+    return bool(settings.mixed_precision and hardware)
 
 
 class Training:
     """A network with everything that its training needs to go on where it stopped."""
 
-    def __init__(self, model: dict, settings: dict, norm: dict, image, grid, device: str):
+    def __init__(self, model: dict, settings: TrainingTable, norm: dict, image, grid, device: str):
         self.settings, self.norm, self.device = settings, norm, device
         self.total_only = model["kind"] == "resnet"
         # pixels side by side with their channels: convolutions on a CPU are a third faster
-        self.net = initial_net(model, image, grid, settings["seed"]).to(device, memory_format=torch.channels_last)
-        self.optimiser = torch.optim.Adam(self.net.parameters(), lr=settings["learning_rate"])
+        self.net = initial_net(model, image, grid, settings.seed).to(device, memory_format=torch.channels_last)
+        self.optimiser = torch.optim.Adam(self.net.parameters(), lr=settings.learning_rate)
         self.schedule, self.by_validation = make_schedule(self.optimiser, settings)
         self.mixed = mixes_precision(settings, device)
         self.epochs_done = 0
@@ -168,7 +167,7 @@ class Training:
 
     def freezes(self, epoch: int) -> bool:
         """Whether an epoch (from 0) is one of the last, in which batch normalisation keeps its statistics."""
-        return epoch >= (1 - self.settings["frozen_share"]) * self.settings["epochs"]
+        return epoch >= (1 - self.settings.frozen_share) * self.settings.epochs
 
     def batches(self, data) -> Ahead:
         """Start preparing the batches of the next epoch."""
@@ -190,7 +189,7 @@ class Training:
         if not np.isfinite(losses).all():
             raise GelforgeError(
                 f"training diverged in epoch {self.epochs_done}: a loss is not finite; lower "
-                f"[train] learning_rate, now {self.settings['learning_rate']:g} at its start"
+                f"[train] learning_rate, now {self.settings.learning_rate:g} at its start"
             )
         return float(np.mean(losses))
 
@@ -202,7 +201,7 @@ class Training:
             "epoch": self.epochs_done,
             "learning_rate": self.optimiser.param_groups[0]["lr"],
             "loss": loss,
-            **validate(self.net, data, self.norm, self.settings["batch"], self.device),
+            **validate(self.net, data, self.norm, self.settings.batch, self.device),
         }
         self.schedule.step(*[row["val_total"]] if self.by_validation else [])
         self.curve.append(row)
@@ -245,7 +244,7 @@ def fit(training: Training, data, checkpoint=None, identity: str = "", epochs: i
     :param identity: text that tells one training from another; a checkpoint of another one is not used.
     """
     resume(checkpoint, training, identity)
-    planned = training.settings["epochs"]
+    planned = training.settings.epochs
     epochs = planned if epochs is None else epochs
     saved = time.monotonic()
     batches = training.batches(data)
@@ -261,7 +260,7 @@ def fit(training: Training, data, checkpoint=None, identity: str = "", epochs: i
                     f"epoch {row['epoch']}: loss {loss:.4g}, validation {errors} N, rate {row['learning_rate']:.2g}",
                     flush=True,
                 )
-            if checkpoint and time.monotonic() - saved >= training.settings["checkpoint_seconds"]:
+            if checkpoint and time.monotonic() - saved >= training.settings.checkpoint_seconds:
                 save_checkpoint(checkpoint, training, identity)
                 saved = time.monotonic()
     finally:

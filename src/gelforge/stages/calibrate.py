@@ -4,21 +4,23 @@ import os
 import sys
 from argparse import Namespace
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from gelforge.calibration import scores, summary
 from gelforge.calibration.floor import least_error
-from gelforge.calibration.parameters import Model, compared_models, make_model, read_prior
+from gelforge.calibration.parameters import Model, compared_models, make_model, prior_of, with_nu
 from gelforge.calibration.posterior import LeaveOneOut, Posterior
 from gelforge.calibration.readings import Readings, check_enough, check_readings, choose_presses, read_readings
 from gelforge.calibration.sampling import Chain, Rules, sample
 from gelforge.errors import BadInput
-from gelforge.flow.files import read_json, write_json
+from gelforge.flow.files import write_json
 from gelforge.flow.main import command, option
-from gelforge.flow.params import read_toml
+from gelforge.flow.params import plain, read_dataset_file
+from gelforge.flow.params.slices import ForCalibrate, read_slice
+from gelforge.flow.params.tables import CalibrateSolverTable, CalibrateTable
 from gelforge.flow.progress import progress
 from gelforge.records.log import rejected_rows
 from gelforge.reporting import posterior as plots
@@ -40,38 +42,33 @@ class Calibration:
     compared: list
 
 
-def sampling_rules(params: dict) -> Rules:
+def sampling_rules(params: CalibrateTable) -> Rules:
     """Rules from the table [calibrate]."""
-    low, high = params["acceptance"]
+    low, high = params.acceptance
     return Rules(
-        params["walkers"], params["seed"], params["autocorrelation_times"], (low, high), params["split_rhat"],
-        params["max_steps"],
+        params.walkers, params.seed, params.autocorrelation_times, (low, high), params.split_rhat,
+        params.max_steps,
     )  # fmt: skip
 
 
-def friction_nodes(params: dict) -> list[float]:
+def friction_nodes(params: CalibrateTable) -> list[float]:
     """Friction coefficients that are solved: frictionless, those of the table, no slip."""
-    inner = sorted(float(mu) for mu in params["friction_nodes"])
-    if any(not 0.0 < mu < np.inf for mu in inner):
-        raise BadInput(
-            f"[calibrate] friction_nodes is {inner}; give positive coefficients (0 and no slip are implied)"
-        )
-    return [0.0, *inner, np.inf]
+    return [0.0, *sorted(float(mu) for mu in params.friction_nodes), np.inf]
 
 
-def poisson_nodes(params: dict, nu: float) -> list[float]:
+def poisson_nodes(params: CalibrateTable, nu: float) -> list[float]:
     """Poisson's ratios that are solved: one, or three over the prior where it is free."""
-    table = params["priors"]["nu"]
-    if not table["free"]:
+    table = params.priors.nu
+    if table.free is False:
         return [nu]
-    low, middle, high = read_prior("nu", table).quantile(np.array([0.01, 0.5, 0.99]))
+    low, middle, high = prior_of("nu", table).quantile(np.array([0.01, 0.5, 0.99]))
     return [float(min(v, 0.4995)) for v in (low, middle, high)]
 
 
-def served(readings: Readings, params: dict) -> np.ndarray:
+def served(readings: Readings, params: CalibrateTable) -> np.ndarray:
     """Force components that serve, (n, 3) N: sideways ones of sheared presses only where wanted, else nan."""
     observed = readings.force.copy()
-    if not params["shear"]:
+    if not params.shear:
         observed[:, :2] = np.nan
     else:
         observed[~readings.sheared, :2] = np.nan
@@ -103,22 +100,22 @@ def compare(tasks: list, jobs: int) -> list:
 
 
 def calibrate(
-    readings: Readings, emulator, params: dict, nu: float, chain_path=None, say=None, jobs=1
+    readings: Readings, emulator, params: CalibrateTable, nu: float, chain_path=None, say=None, jobs=1
 ) -> Calibration:
     """Sample the chosen model, then all compared ones on the same readings."""
-    params = {**params, "priors": {**params["priors"], "nu": {"fixed": nu, **params["priors"]["nu"]}}}
+    params = with_nu(params, nu)
     rules, observed = sampling_rules(params), served(readings, params)
 
     def posterior_of(model: Model) -> Posterior:
-        return Posterior(emulator, model, readings.depth, observed, params["tail"])
+        return Posterior(emulator, model, readings.depth, observed, params.tail)
 
     indenters = np.unique(readings.indenters).tolist()
-    headline = posterior_of(make_model(params, params["law"], (), indenters))
+    headline = posterior_of(make_model(params, params.law, (), indenters))
     check_enough(int(np.isfinite(observed).sum()), headline.model)
     chain = sample(headline, rules, chain_path, say)
     refuse_beyond(headline, chain)
     tasks = [(headline, chain, rules)]
-    if params["compare"]:
+    if params.compare:
         others = (model for model in compared_models(params, indenters) if model.name != headline.model.name)
         tasks += [(posterior_of(model), None, rules) for model in others]
     return Calibration(readings, headline, chain, compare(tasks, jobs))
@@ -136,7 +133,7 @@ def refuse_beyond(posterior: Posterior, chain: Chain) -> None:
         )
 
 
-def summarise(done: Calibration, params: dict) -> dict:
+def summarise(done: Calibration, params: CalibrateTable) -> dict:
     """Everything that summary.json holds but the solves and the plots."""
     posterior, chain = done.posterior, done.chain
     parameters = summary.parameter_table(chain, posterior.model)
@@ -144,7 +141,8 @@ def summarise(done: Calibration, params: dict) -> dict:
     mean, scale = summary.predictions(chain, posterior)
     models = summary.score_models(done.compared)
     for name, row in parameters.items():
-        row["reason"] = params["priors"]["indenter" if name.startswith("scale of ") else name].get("reason", "")
+        prior = getattr(params.priors, "indenter" if name.startswith("scale of ") else name)
+        row["reason"] = prior.reason or ""
     repeated = summary.predictive_error(mean, posterior.observed)
     own = summary.predictive_error(summary.own_forces(chain, posterior), posterior.observed)
     # Several indenters have scales of their own, and shear a mean over components: there it says little.
@@ -165,7 +163,7 @@ def summarise(done: Calibration, params: dict) -> dict:
         "predictive_mae_n": repeated,
         "own_touch_mae_n": own,
         "least_mae_n": least,
-        "outliers": summary.find_outliers(done.readings, mean, scale, posterior.observed, params["outlier_scales"]),
+        "outliers": summary.find_outliers(done.readings, mean, scale, posterior.observed, params.outlier_scales),
         "sentences": said,
         "sentence": said[0],
         "comparison": " ".join(said[1:]),
@@ -217,17 +215,14 @@ def say_figures(figures) -> None:
     )  # fmt: skip
 
 
-def hex_settings(table: dict):
+def hex_settings(table: CalibrateSolverTable):
     """Settings of the solver behind the emulator, from [calibrate.solver]."""
     from gelforge.mechanics.hex.solver import HexSettings
 
-    try:
-        return HexSettings(**table)
-    except TypeError as error:
-        raise BadInput(f"workflow/params.toml: [calibrate.solver] {table}: {error}; see HexSettings") from error
+    return HexSettings(**plain(table))
 
 
-def emulate(readings: Readings, catalogue: dict, params: dict, nu: float, folder: Path, jobs: int) -> tuple:
+def emulate(readings: Readings, catalogue: dict, params: CalibrateTable, nu: float, folder: Path, jobs: int) -> tuple:
     """Readings that could be solved, their emulator, and the solves it took.
 
     Counts: total, per interface law, fine, new, in_vain (SolveCache.spent), and the list `unsolved` of presses
@@ -235,9 +230,9 @@ def emulate(readings: Readings, catalogue: dict, params: dict, nu: float, folder
     """
     from gelforge.calibration.solves import SolveCache, build_emulator, make_plan, refine, solve_all
 
-    cache = SolveCache(folder, catalogue, hex_settings(params["solver"]))
+    cache = SolveCache(folder, catalogue, hex_settings(params.solver))
     mus, nus = friction_nodes(params), poisson_nodes(params, nu)
-    plan = make_plan(readings, params["reach_mm"], params["shear_depths"])
+    plan = make_plan(readings, params.reach_mm, params.shear_depths)
     failed = solve_all(plan, cache, mus, nus, jobs)
     unsolved = [{"sample_id": str(readings.ids[i]), "reason": reason} for i, reason in failed.items()]
     if len(failed) > len(readings) / 2:
@@ -247,13 +242,13 @@ def emulate(readings: Readings, catalogue: dict, params: dict, nu: float, folder
         )
     if failed:
         readings = readings.take(np.setdiff1d(np.arange(len(readings)), list(failed)))
-        plan = make_plan(readings, params["reach_mm"], params["shear_depths"])
+        plan = make_plan(readings, params.reach_mm, params.shear_depths)
         solve_all(plan, cache, mus, nus, jobs)
     emulator = build_emulator(plan, cache, mus, nus)
     spent = cache.spent
-    if params["refine"]["on"]:
-        finer = {key: value for key, value in params["refine"].items() if key != "on"}
-        fine = SolveCache(folder, catalogue, hex_settings({**params["solver"], **finer}))
+    if params.refine.on:
+        finer = {key: value for key, value in plain(params.refine).items() if key != "on"}
+        fine = SolveCache(folder, catalogue, hex_settings(replace(params.solver, **finer)))
         emulator = refine(emulator, plan, cache, fine, np.inf, nus[len(nus) // 2], jobs)
         more = {key: spent[key] + fine.spent[key] for key in ("total", "new", "in_vain")}
         spent = {**spent, **more, "fine": fine.spent["total"]}
@@ -290,14 +285,14 @@ def main(args: Namespace) -> None:
 
     if (args.poses is None) != (args.shards is None):
         raise BadInput("--poses and --shards go together: the plan tells which tables of --poses are of today's log")
-    tables = read_json(args.params)
-    params, nu = tables["calibrate"], float(tables["material"]["nu"])
+    tables = read_slice(args.params, ForCalibrate)
+    params, nu = tables.calibrate, float(tables.material.nu)
 
     rejected = load_rejected(args.poses, planned_shards(args.shards)) if args.poses else set()
     logged = read_readings(args.data / "log.csv", rejected)
     check_readings(logged)
-    readings = logged.take(choose_presses(logged, params["max_presses"]))
-    file = args.workflow / read_toml(args.data / "dataset.toml").get("catalogue", "indenters.toml")
+    readings = logged.take(choose_presses(logged, params.max_presses))
+    file = args.workflow / read_dataset_file(args.data / "dataset.toml").catalogue
     catalogue = load_catalogue(file, sorted(set(readings.indenters.tolist())))
     solves = args.solves or args.work / "solves"
     readings, emulator, spent = emulate(readings, catalogue, params, nu, solves, args.jobs)

@@ -12,6 +12,8 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.files import digest_of, publish, read_csv, read_json, write_csv, write_json
 from gelforge.flow.main import command, option
+from gelforge.flow.params.slices import ForDataset, read_slice
+from gelforge.flow.params.tables import DatasetTable
 from gelforge.flow.progress import progress
 from gelforge.formats.feats import LabelSample, Ranges
 from gelforge.labelling.grid import Grid
@@ -67,24 +69,10 @@ def read_truth(data: Path) -> dict:
     return {row["sample_id"]: row for row in read_csv(path)} if path.exists() else {}
 
 
-def unseen_indenters(catalogue: dict, settings: dict) -> set[str]:
+def unseen_indenters(catalogue: dict, settings: DatasetTable) -> set[str]:
     """Indenters kept out of training: marked `seen = false` in the catalogue, or named in the parameters."""
     marked = {name for name, table in catalogue.items() if isinstance(table, dict) and table.get("seen") is False}
-    return marked | set(settings["unseen_indenters"])
-
-
-def check_settings(settings: dict) -> None:
-    """Raise BadInput for shares that are none, and for force edges that do not rise."""
-    shares = settings["validation"], settings["test"]
-    if not all(0 <= share < 1 for share in shares) or sum(shares) >= 1:
-        raise BadInput(
-            f"[dataset] validation = {shares[0]} and test = {shares[1]}: shares from 0 that leave some to train"
-        )
-    edges = settings["force_edges"]
-    if list(edges) != sorted(set(edges)):
-        raise BadInput(f"[dataset] force_edges = {edges}: write rising numbers of newtons")
-    if not (settings["same_press_mm"] > 0 and settings["same_press_deg"] > 0):
-        raise BadInput("[dataset] same_press_mm and same_press_deg must be above 0")
+    return marked | set(settings.unseen_indenters)
 
 
 def write_image_array(path, data: Path, presses: list[PressRecord], size: tuple[int, int]) -> None:
@@ -225,8 +213,7 @@ def published_splits(data: Path, presses: list, splits: np.ndarray) -> np.ndarra
 
 def build(args) -> dict:
     """Write the arrays and tables of one resolution beside args.out; return the contents of dataset.json."""
-    grid, settings = Grid.parse(args.resolution), read_json(args.params)["dataset"]
-    check_settings(settings)
+    grid, settings = Grid.parse(args.resolution), read_slice(args.params, ForDataset).dataset
     shards = list_shards(args)
     found, places, left_out, material = collect(shards, read_truth(args.data))
     if not found:

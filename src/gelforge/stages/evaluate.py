@@ -6,8 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import publish, read_json, write_json
+from gelforge.flow.files import publish, write_json
 from gelforge.flow.main import command, option
+from gelforge.flow.params.slices import ForEvaluate, read_slice
+from gelforge.flow.params.tables import EvaluateTable
 from gelforge.networks import metrics
 from gelforge.networks.tables import draw_predictions, tables
 from gelforge.records.axes import CHANNELS, FORCE_OF_CHANNEL
@@ -50,7 +52,7 @@ def controls(data, rows, predicted_totals, rng) -> dict:
     }
 
 
-def evaluate_split(data, rows, predicted, settings: dict, force_range, rng) -> dict:
+def evaluate_split(data, rows, predicted, settings: EvaluateTable, force_range, rng) -> dict:
     """All tables of one split; `predicted` is (k, 3, rows, cols) in N per cell."""
     wanted = data.totals(rows)
     totals = predicted.sum((2, 3), dtype=np.float64)
@@ -59,10 +61,10 @@ def evaluate_split(data, rows, predicted, settings: dict, force_range, rng) -> d
     result = {
         "n": len(rows),
         "presses": len(np.unique(press)),
-        "total": metrics.error_table(error, rng, settings["bootstrap"], force_range, press),
+        "total": metrics.error_table(error, rng, settings.bootstrap, force_range, press),
         "cell": metrics.cell_table(predicted, data.labels[rows]) if predicted.shape[2:] == data.grid else None,
         "per_indenter": metrics.by_group(error, data.names("indenter")[rows]),
-        "per_force": metrics.by_group(error, metrics.force_bins(wanted[:, 2], settings["force_edges"])),
+        "per_force": metrics.by_group(error, metrics.force_bins(wanted[:, 2], settings.force_edges)),
         "per_sensor": metrics.by_group(error, data.names("sensor_id")[rows]),
         "controls": {
             name: {axis: float(np.abs(guess - wanted).mean(0)[i]) for i, axis in enumerate(CHANNELS)}
@@ -77,13 +79,13 @@ def evaluate_split(data, rows, predicted, settings: dict, force_range, rng) -> d
             mine, labels = totals[known] - reference[rows][known], wanted[known] - reference[rows][known]
             result["against"][kind] = {
                 "n": int(known.sum()),
-                "network": metrics.error_table(mine, rng, settings["bootstrap"], press=press[known]),
-                "labels": metrics.error_table(labels, rng, settings["bootstrap"], press=press[known]),
+                "network": metrics.error_table(mine, rng, settings.bootstrap, press=press[known]),
+                "labels": metrics.error_table(labels, rng, settings.bootstrap, press=press[known]),
             }
     return result
 
 
-def evaluate(data, trained, settings: dict) -> tuple[dict, dict]:
+def evaluate(data, trained, settings: EvaluateTable) -> tuple[dict, dict]:
     """Evaluate a model on every split of a dataset but the one it was fitted to.
 
     :param data: networks.data.Data. :param trained: networks.modelfile.Trained.
@@ -95,14 +97,14 @@ def evaluate(data, trained, settings: dict) -> tuple[dict, dict]:
     from gelforge.networks.training import predict_rows
 
     require_fit(trained, data)
-    torch.set_num_threads(settings["threads"])
+    torch.set_num_threads(settings.threads)
     splits = {name: rows for name, rows in data.splits.items() if name != "train" and len(rows)}
     if "train" not in data.splits or not splits:
         raise BadInput(
             f"{data.folder}: has splits {', '.join(data.splits) or 'none'}; an evaluation needs `train` "
             "for its controls and one other; make the dataset again"
         )
-    rng = np.random.default_rng(settings["seed"])
+    rng = np.random.default_rng(settings.seed)
     train_totals = data.totals(data.splits["train"])
     force_range = train_totals.max(0) - train_totals.min(0)
     about = trained.about
@@ -166,7 +168,7 @@ def main(args: Namespace) -> None:
 
     data = open_data(args.dataset)
     trained = load_model(args.model)
-    result, predictions = evaluate(data, trained, read_json(args.params)["evaluate"])
+    result, predictions = evaluate(data, trained, read_slice(args.params, ForEvaluate).evaluate)
     print(paper_table(result))
     stem = args.out.name.removesuffix(".part").removesuffix(".json")
     with publish(args.out.with_name(f"{stem}.png")) as part:

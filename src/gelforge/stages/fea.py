@@ -14,7 +14,8 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.files import digest_of, publish, read_json, write_json
 from gelforge.flow.main import command, option
-from gelforge.flow.params import canonical
+from gelforge.flow.params import canonical, plain
+from gelforge.flow.params.slices import ForFea, read_slice
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import load_gel
 from gelforge.mechanics.family import MeshFamily, mesh_names
@@ -30,12 +31,12 @@ from gelforge.records.status import Status
 VERSION = 7
 
 
-def scene_of(press: PosedPress, bodies: dict, sensors: dict, params: dict) -> Scene:
+def scene_of(press: PosedPress, bodies: dict, sensors: dict, params: ForFea) -> Scene:
     """The scene of one press of a pose table."""
-    interface = params["interface"]
-    law = Interface(interface["law"], interface["mu"] if interface["law"] == "coulomb" else 0.0)
+    interface = params.interface
+    law = Interface(interface.law, interface.mu if interface.law == "coulomb" else 0.0)
     gel = load_gel(sensors[press.sensor_id]["gel"])
-    material = Material(nu=params["material"]["nu"])
+    material = Material(nu=params.material.nu)
     return Scene(gel, material, bodies[press.indenter], press.press, law)
 
 
@@ -43,15 +44,15 @@ def scene_of(press: PosedPress, bodies: dict, sensors: dict, params: dict) -> Sc
 NO_SHAPE = {"seen", "spare", "file"}
 
 
-def sample_key(press: PosedPress, frames: list[PosedPress], params: dict, tables: dict, family: MeshFamily) -> str:
+def sample_key(press: PosedPress, frames: list[PosedPress], params: ForFea, tables: dict, family: MeshFamily) -> str:
     """Digest of everything a sample's solve depends on: content and numbers, no names.
 
     frames: the moments of its press, this one among them, which share one path and one mesh.
     """
     cells, indenter = press.cells(), tables["indenters"][press.indenter]
     shape = {key: value for key, value in indenter.items() if key not in NO_SHAPE}
-    bricks = asdict(quality(FeaSettings.from_table(params["fea"]).hex_quality))
-    parts = [[cells[c] for c in POSE], params, bricks, shape, tables["sensors"][press.sensor_id]["gel"],
+    bricks = asdict(quality(params.fea.hex_quality))
+    parts = [[cells[c] for c in POSE], plain(params), bricks, shape, tables["sensors"][press.sensor_id]["gel"],
              family.reports]  # fmt: skip
     if len(frames) > 1:
         parts.append([[frame.cells()[c] for c in POSE] for frame in frames])
@@ -128,17 +129,17 @@ def solved(record: dict, press: PosedPress, folder: Path) -> Solved:
     )  # fmt: skip
 
 
-def run_shard(poses: Path, meshes: Path, params: dict, tables: dict, bodies: dict, folder: Path) -> list[Solved]:
+def run_shard(poses: Path, meshes: Path, params: ForFea, tables: dict, bodies: dict, folder: Path) -> list[Solved]:
     """Solve what is missing of a shard, frames of a press together; rows in the order of the pose table."""
     presses = read_poses(poses)
     # only the meshes asked for: one that another setting left behind must not be chosen
-    family = MeshFamily(meshes, mesh_names(params["fea"]))
+    family = MeshFamily(meshes, mesh_names(params.fea))
     folder.mkdir(parents=True, exist_ok=True)
     for stale in folder.glob(".work-*"):
         shutil.rmtree(stale, ignore_errors=True)
     records, known = {}, {}
     with tempfile.TemporaryDirectory(prefix=".work-", dir=folder) as work:
-        solvers = Solvers(family, work, FeaSettings.from_table(params["fea"]))
+        solvers = Solvers(family, work, FeaSettings.from_table(params.fea))
         for frames in progress(presses_of(presses), f"fea {folder.name}"):
             keys = [sample_key(press, frames, params, tables, family) for press in frames]
             scenes = [scene_of(press, bodies, tables["sensors"], params) for press in frames]
@@ -183,7 +184,7 @@ def run_press(frames: list[PosedPress], keys: list[str], scenes: list[Scene], so
 def main(args: Namespace) -> None:
     from gelforge.geometry.indenters import build
 
-    params = read_json(args.params)
+    params = read_slice(args.params, ForFea)
     tables = {name: read_json(args.params.parent / f"{name}.json") for name in ("sensors", "indenters")}
     wanted = {press.indenter for press in read_poses(args.poses)}
     bodies = {

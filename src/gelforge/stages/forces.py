@@ -13,6 +13,8 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_json
 from gelforge.flow.main import command, option
+from gelforge.flow.params.slices import ForForces, read_slice
+from gelforge.flow.params.tables import ForcesTable
 from gelforge.mechanics.ccx.dat import DatError, last_table, read_dat
 from gelforge.mechanics.family import mesh_loader
 from gelforge.mechanics.mesh import GelMesh
@@ -49,7 +51,9 @@ def dat_forces(text: str, mesh: GelMesh, noise: float, mismatch: float) -> tuple
     return Status.OK, "", forces, displacement
 
 
-def read_sample(solve: Solved, folder: Path, load: Callable[[str], GelMesh], table: dict) -> tuple[SampleForces, str]:
+def read_sample(
+    solve: Solved, folder: Path, load: Callable[[str], GelMesh], table: ForcesTable
+) -> tuple[SampleForces, str]:
     """Forces of one row of 30_fea's table at the reference C10, and the reason where there are none.
 
     load: gives the mesh of a name.
@@ -63,7 +67,7 @@ def read_sample(solve: Solved, folder: Path, load: Callable[[str], GelMesh], tab
     try:
         if path.suffix == ".gz":
             text = gzip.decompress(path.read_bytes()).decode("ascii", errors="replace")
-            status, reason, force, displacement = dat_forces(text, mesh, table["noise"], table["base_mismatch"])
+            status, reason, force, displacement = dat_forces(text, mesh, table.noise, table.base_mismatch)
         else:
             with np.load(path, allow_pickle=False) as file:
                 force, displacement = file["force"], file["displacement"]
@@ -75,11 +79,9 @@ def read_sample(solve: Solved, folder: Path, load: Callable[[str], GelMesh], tab
     return SampleForces(solve.sample_id, status.name, solve.mesh, top, force, displacement, solve.press_id), ""
 
 
-def material_c10(c10, calibration: Path | None) -> tuple[float, dict]:
+def material_c10(c10: float | str, calibration: Path | None) -> tuple[float, dict]:
     """C10 in MPa and its intervals, from [material] c10: a number, or "calibrated" with a summary file."""
-    if c10 != "calibrated":
-        if not isinstance(c10, int | float) or not 0 < c10 < 100:
-            raise BadInput(f'[material] c10 = {c10!r}; give MPa, such as 0.0725, or "calibrated"')
+    if not isinstance(c10, str):
         return float(c10), {}
     if calibration is None:
         raise BadInput('[material] c10 = "calibrated" needs --calibration FILE; run `make calibrate` first')
@@ -123,14 +125,14 @@ def refuse_damage(table: Path, solves: list[Solved]) -> None:
     option("--out", type=Path, help="40_forces/NNNN.npz"),
 )
 def main(args: Namespace) -> None:
-    params = read_json(args.params)
-    c10, intervals = material_c10(params["material"]["c10"], args.calibration)
+    params = read_slice(args.params, ForForces)
+    c10, intervals = material_c10(params.material.c10, args.calibration)
     load = mesh_loader(args.meshes)
     samples, counts = [], {}
     solves = list(read_solves(args.fea))
     refuse_damage(args.fea, solves)
     for solve in solves:
-        sample, reason = read_sample(solve, args.fea.parent, load, params["forces"])
+        sample, reason = read_sample(solve, args.fea.parent, load, params.forces)
         if reason:
             print(f"{sample.sample_id}: {sample.status}: {reason}")
         # At a fixed Poisson's ratio and prescribed motion every force is proportional to C10.

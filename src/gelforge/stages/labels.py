@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import read_json, write_json
+from gelforge.flow.files import write_json
 from gelforge.flow.main import command, option
+from gelforge.flow.params.slices import ForLabels, read_slice
 from gelforge.flow.progress import progress
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import Operator, assemble, cached
@@ -25,7 +26,6 @@ from gelforge.records.status import Status
 from gelforge.stages.plan import planned_shards
 
 VERSION = 1
-CHANNELS = ("force", "displacement", "traction", "traction_deformed")  # of [labels] channels
 KEPT = 64  # operators in memory
 BLOCK_BYTES = 64 * 2**20  # of float64 cells held at a time
 
@@ -131,16 +131,6 @@ def field_streams(forces: ForceFile, find_maps: list, grid: Grid, channels) -> d
     }
     wanted = {name: how for channel in channels if channel != "force" for name, how in made[channel].items()}
     return {name: ((n, *shape, *grid.shape), each(shape, of)) for name, (shape, of) in wanted.items()}
-
-
-def check_channels(channels) -> tuple[str, ...]:
-    """[labels] channels as a tuple; an unknown one, or a list without force, raises BadInput."""
-    known = isinstance(channels, list) and all(channel in CHANNELS for channel in channels)
-    if not known or "force" not in channels or len(set(channels)) < len(channels):
-        raise BadInput(
-            f'[labels] channels = {channels!r}; write a list of "force" and any of {", ".join(CHANNELS[1:])}'
-        )
-    return tuple(channels)
 
 
 def label_shard(forces_path, poses_path, find: Finder, grid: Grid, out, channels=("force",)) -> dict:
@@ -260,15 +250,15 @@ def report(summary: dict, largest_share: float) -> None:
 )
 def main(args: Namespace) -> None:
     grid, sensors = Grid.parse(args.resolution), load_sensors(args.sensors)
-    params = read_json(args.params)["labels"]
-    channels = check_channels(params.get("channels", ["force"]))
+    params = read_slice(args.params, ForLabels).labels
+    channels = params.channels
     if args.shards:
         summary = label_folder(args, grid, sensors, channels)
         write_json(args.out, summary)
     else:
         find = Finder(args.meshes, sensors, grid, args.out.parent / "operators", str(args.poses))
         summary = {"resolution": str(grid), **label_shard(args.forces, args.poses, find, grid, args.out, channels)}
-    report(summary, params["largest_outside_share"])
+    report(summary, params.largest_outside_share)
 
 
 if __name__ == "__main__":

@@ -5,8 +5,9 @@ import sys
 from argparse import Namespace
 from pathlib import Path
 
-from gelforge.flow.files import read_json, write_json
+from gelforge.flow.files import write_json
 from gelforge.flow.main import command, option
+from gelforge.flow.params.slices import ForMeshes, read_slice
 from gelforge.geometry.gel import load_gel
 from gelforge.mechanics.family import MeshName, make_mesh
 from gelforge.mechanics.mesh import GelMesh
@@ -29,8 +30,8 @@ def publish_mesh(name: str, mesh: GelMesh, report: dict, out: Path) -> None:
     option("--out", type=Path, help="20_meshes/NAME.npz; NAME.json is written beside it"),
 )
 def main(args: Namespace) -> None:
-    table = read_json(args.params)["meshes"]
-    mesh, report = make_mesh(MeshName.parse(args.name), load_gel(table["gel"]), table)
+    table = read_slice(args.params, ForMeshes).meshes
+    mesh, report = make_mesh(MeshName.parse(args.name), load_gel(table.gel), table)
     publish_mesh(args.name, mesh, report, args.out)
 
 

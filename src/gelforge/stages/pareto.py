@@ -1,6 +1,6 @@
 """Branch pareto: seconds of a solve against its error, for every fidelity, mesh density and load-step count.
 
-`scene` solves one scene by every method, `chart` draws.
+`mesh` makes one of its meshes, `scene` solves one scene by every method, `chart` draws.
 """
 
 from argparse import Namespace
@@ -10,14 +10,19 @@ from pathlib import Path
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish, read_json, write_csv, write_json
 from gelforge.flow.main import command, group, option
+from gelforge.flow.params.slices import ForPareto, ForParetoMeshes, read_slice
 from gelforge.flow.progress import progress
+from gelforge.geometry.gel import load_gel
 from gelforge.labelling.sensor import load_sensors
+from gelforge.stages.meshes import publish_mesh
 from gelforge.sweeps.deviation import errors, frontier
 from gelforge.sweeps.methods import HALVED, REFERENCE, Method, every_method, quick_methods
+from gelforge.sweeps.references import build_mesh
 from gelforge.sweeps.scenes import NamedScene, parse_scene
 from gelforge.sweeps.trial import ChartBench, load_bench, measure
 
 VERSION = 3
+MESH_VERSION = 2
 GOAL_TOTAL, GOAL_CELLS = 0.02, 0.08  # what a label setting should meet over all scenes
 COLUMNS = ("method", "fidelity", "size_mm", "load_steps", "scenes", "failed", "cpu_seconds_median",
            "cpu_seconds_worst",
@@ -158,18 +163,18 @@ def _brief(record: dict) -> dict:
 )
 def solve(args: Namespace) -> None:
     """Solve one scene by every method; a rerun resumes."""
-    params = read_json(args.params)
-    scene = parse_scene(args.name, read_json(args.scene), params["material"]["nu"])
+    params = read_slice(args.params, ForPareto)
+    scene = parse_scene(args.name, read_json(args.scene), params.material.nu)
     bench = load_bench(params, load_sensors(args.sensors), args.meshes, args.out.parent)
     if args.set == "quick":
-        with_ccx = params["fea"]["fidelity"] != "hex"
-        methods, halved = quick_methods(params["pareto"]["quick"], with_ccx), False
+        with_ccx = params.fea.fidelity != "hex"
+        methods, halved = quick_methods(params.pareto.quick, with_ccx), False
     else:
         from gelforge.mechanics.ccx.program import need_ccx
 
         need_ccx()
-        methods = every_method(params["pareto"], params["fea"]["hex_quality"])
-        halved = args.name in params["pareto"]["halved"]
+        methods = every_method(params.pareto, params.fea.hex_quality)
+        halved = args.name in params.pareto.halved
     write_json(args.out, solve_scene(bench, scene, methods, halved))
 
 
@@ -188,7 +193,19 @@ def draw(args: Namespace) -> None:
     print("\n".join(found["reading"]))
 
 
-main = group(scene=solve, chart=draw)
+@command(
+    option("--name", help="ccx-REGION-SIZE or fine-REGION-SIZE"),
+    option("--params", type=Path, help="pareto_meshes.json"),
+    option("--out", type=Path, help="NAME.npz; NAME.json is written beside it"),
+)
+def mesh(args: Namespace) -> None:
+    """Make one mesh: a label region at a density of the chart, or a tight fine one for the reference."""
+    params = read_slice(args.params, ForParetoMeshes)
+    made, report = build_mesh(args.name, load_gel(params.meshes.gel), params)
+    publish_mesh(args.name, made, report, args.out)
+
+
+main = group(mesh=mesh, scene=solve, chart=draw)
 
 
 if __name__ == "__main__":

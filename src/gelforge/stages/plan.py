@@ -7,7 +7,8 @@ content does.
 import hashlib
 import re
 from argparse import Namespace
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from hashlib import blake2b
 from pathlib import Path
 from stat import S_ISREG
@@ -17,12 +18,12 @@ from gelforge.errors import BadInput
 from gelforge.flow import params as config
 from gelforge.flow.files import read_csv, read_json, write_if_changed, write_text
 from gelforge.flow.main import command, option
+from gelforge.flow.params import DatasetFile, Params
 from gelforge.records.log import csv_text, read_log, shard_text
 from gelforge.records.press import RawRow
 
 SHARD_DIGITS = 4
 LARGEST_PICTURE = 64 * 2**20  # bytes; stage 10 refuses what is larger
-BRANCHES = ("calibrate", "pareto")  # that may be part of a report
 
 
 def assign_shards(
@@ -63,12 +64,26 @@ def planned_shards(folder: Path) -> list[str]:
     return sorted(path.stem for path in folder.glob("*.csv"))
 
 
-def write_shards(log: Path, out: Path, size: int, tables: Mapping[str, dict] = MappingProxyType({})) -> list[str]:
+def logged_rows(log: Path, sensor: str | None) -> list[RawRow]:
+    """Raw rows of a log; those that name no sensor are of the dataset's, where it names one."""
+    rows = read_log(log)
+    if sensor is None:
+        return rows
+    named_one = (row.cells.get("sensor_id", "").strip() for row in rows)
+    return [
+        row if name else replace(row, cells={**row.cells, "sensor_id": sensor})
+        for row, name in zip(rows, named_one, strict=True)
+    ]
+
+
+def write_shards(
+    data: Path, rows: list[RawRow], out: Path, size: int, tables: Mapping[str, dict] = MappingProxyType({})
+) -> list[str]:
     """Write one CSV of raw rows per shard, what it uses of the catalogues, and the assignment; return the shards' names.
 
-    Only what sharding needs is checked here; stage 10 judges the rows.
+    data: folder that the rows' pictures are named from. Only what sharding needs is checked here; stage 10 judges the
+    rows.
     """
-    rows = read_log(log)
     table = out / "shards.csv"
     known = {row["sample_id"]: int(row["shard"]) for row in read_csv(table)} if table.exists() else {}
     ids = [row.cells["sample_id"] for row in rows]
@@ -77,7 +92,7 @@ def write_shards(log: Path, out: Path, size: int, tables: Mapping[str, dict] = M
     by_shard: dict[int, list[RawRow]] = {}
     for row, name in zip(rows, ids, strict=True):
         by_shard.setdefault(shards[name], []).append(row)
-    pictures = image_digests(log.parent, named(rows, "image"), out / "pictures.json")
+    pictures = image_digests(data, named(rows, "image"), out / "pictures.json")
     names = []
     for shard, members in sorted(by_shard.items()):
         names.append(f"{shard:0{SHARD_DIGITS}d}")
@@ -128,12 +143,12 @@ def image_digests(data: Path, names: set[str], kept: Path) -> dict[str, str]:
     return found
 
 
-def write_slices(params: dict, workflow: Path, out: Path, tables: dict[str, dict], scenes: dict) -> None:
+def write_slices(params: Params, workflow: Path, out: Path, tables: dict[str, dict], scenes: dict) -> None:
     """Write every stage's slice, and the catalogues' entries that this dataset uses, without their comments."""
     source = Path(__file__).parent
-    for stage in config.SLICES:
-        version = config.stage_version(source, stage)
-        write_if_changed(out / "params" / f"{stage}.json", config.canonical(config.cut_slice(params, stage, version)))
+    for name, of in config.SLICES.items():
+        made = config.cut_slice(params, of.kind, config.stage_version(source, of))
+        write_if_changed(out / "params" / f"{name}.json", config.canonical(config.plain(made)))
     for name, entries in tables.items():
         write_if_changed(out / "params" / f"{name}.json", config.canonical(entries))
     # One file per network, so that a new network retrains no other.
@@ -191,9 +206,9 @@ def state_of(paths: list[Path]) -> str:
     return " ".join(told)
 
 
-def reported_model(params: dict, models: dict) -> list[str]:
+def reported_model(params: Params, models: dict) -> list[str]:
     """The network that the report shows, as a list of one or none; BadInput for a name that is none."""
-    name = params["report"]["model"]
+    name = params.report.model
     if name and name not in {*models, "shipped"}:
         raise BadInput(
             f"[report] model = {name!r}: choose shipped, nothing, or one of {', '.join(models)} (models.toml)"
@@ -201,31 +216,66 @@ def reported_model(params: dict, models: dict) -> list[str]:
     return [name] if name else []
 
 
-def branches(params: dict) -> list[str]:
-    """Branches that the report shows; BadInput for a name that is none."""
-    asked = params["report"]["branches"]
-    if not isinstance(asked, list) or not set(map(str, asked)) <= set(BRANCHES):
-        raise BadInput(f"[report] branches = {asked!r}: give a list of some of {', '.join(BRANCHES)}, or []")
-    return asked
+def check_names(setting: str, names: Iterable[str], known: Mapping[str, object]) -> None:
+    """Refuse a name that is none of those known: misspelt, it would do nothing."""
+    for name in names:
+        if name not in known:
+            raise BadInput(f"{setting}: {name!r} is unknown{config.nearest(name, known)}")
 
 
-def chart_lists(params: dict, scenes: dict) -> dict[str, list[str]]:
+def chart_lists(params: Params, scenes: dict) -> dict[str, list[str]]:
     """Names that the rules of the branches pareto and stability need."""
     from gelforge.sweeps.references import all_meshes
 
-    quick = params["pareto"]["quick"]["scenes"]
+    quick = list(params.pareto.quick.scenes)
+    check_names("[pareto.quick] scenes", quick, scenes)
+    check_names("[pareto] halved", params.pareto.halved, scenes)
     return {"PARETO_SCENES": list(scenes), "PARETO_QUICK": quick, "PARETO_MESHES": all_meshes(params, scenes)}
 
 
-def read_catalogues(data: Path, workflow: Path, params: dict) -> tuple[dict[str, dict], list[Path]]:
+def read_catalogues(
+    rows: list[RawRow], catalogue: Path, workflow: Path, params: Params
+) -> tuple[dict[str, dict], list[Path]]:
     """What of the sensors and indenters a dataset and its charts use, by slice, and the files that this depends on."""
-    catalogue = workflow / config.read_toml(data / "dataset.toml").get("catalogue", "indenters.toml")
-    rows = read_log(data / "log.csv")
-    sensors = named(rows, "sensor_id") | {params["pareto"]["sensor"]}
+    sensors = named(rows, "sensor_id") | {params.pareto.sensor}
     indenters = used(config.read_toml(catalogue), named(rows, "indenter"))
     indenters, shapes = with_content(indenters, workflow)
     tables = {"sensors": used(config.read_toml(workflow / "sensors.toml"), sensors), "indenters": indenters}
     return tables, [catalogue, *shapes]
+
+
+def check_gel(file: Path, of: DatasetFile, mesh_gel: str, sensors: dict[str, dict]) -> None:
+    """Refuse a dataset whose gel is not one throughout: in its file, in [meshes], and on the sensors of its log.
+
+    sensors: tables of those that the log names. A gel that is none is left to stage 10, which rejects its rows.
+    """
+    from gelforge.geometry.gel import GELS, load_gel
+
+    load_gel(mesh_gel)
+    if of.gel is not None and of.gel != mesh_gel:
+        raise BadInput(
+            f"{file}: gel = {of.gel!r}, but [meshes] gel = {mesh_gel!r}, on which presses are solved; name one gel"
+        )
+    for name, table in sorted(sensors.items()):
+        gel = table.get("gel") if isinstance(table, dict) else None
+        if gel in GELS and gel != mesh_gel:
+            raise BadInput(
+                f"{file}: sensor {name!r} of the log sits on gel {gel!r} (workflow/sensors.toml), but [meshes] gel ="
+                f" {mesh_gel!r}: set [params.meshes] gel, and keep presses on different gels in datasets of their own"
+            )
+
+
+def check_dataset(file: Path, of: DatasetFile, params: Params, rows: list[RawRow], workflow: Path) -> None:
+    """Refuse settings that name a sensor, an indenter or a gel that there is not, or that is not the log's."""
+    sensors = config.read_toml(workflow / "sensors.toml")
+    where = f"{file}: [params.dataset]"
+    check_names(
+        f"{where} unseen_indenters", params.dataset.unseen_indenters, config.read_toml(workflow / of.catalogue)
+    )
+    check_names(f"{where} unseen_sensors", params.dataset.unseen_sensors, sensors)
+    check_names(f"{file}: sensor", [of.sensor] if of.sensor is not None else [], sensors)
+    check_names("[pareto] sensor", [params.pareto.sensor], sensors)
+    check_gel(file, of, params.meshes.gel, used(sensors, named(rows, "sensor_id")))
 
 
 def check_count(shards: list[str], size: int) -> None:
@@ -251,24 +301,25 @@ def main(args: Namespace) -> None:
     dataset_toml = args.data / "dataset.toml"
     before = state_of(args.inputs)  # told before they are read: a change in between is seen next time
     params = config.load_params(args.workflow, dataset_toml)
-    if args.ccx == "none" and params["fea"]["fidelity"] != "hex":
-        print(
-            f"CalculiX (ccx) was not found: fidelity hex is used instead of {params['fea']['fidelity']}.", flush=True
-        )
-        params["fea"]["fidelity"] = "hex"
+    if args.ccx == "none" and params.fea.fidelity != "hex":
+        print(f"CalculiX (ccx) was not found: fidelity hex is used instead of {params.fea.fidelity}.", flush=True)
+        params = replace(params, fea=replace(params.fea, fidelity="hex"))
     from gelforge.mechanics.family import required_meshes
     from gelforge.sweeps.scenes import read_tables
 
     scenes = read_tables(args.workflow)
-    tables, read = read_catalogues(args.data, args.workflow, params)
-    meshes = required_meshes(params["fea"], params["meshes"])
-    lists = {"MESHES": meshes, "BRANCHES": branches(params)} | chart_lists(params, scenes)
+    of = config.read_dataset_file(dataset_toml)
+    rows = logged_rows(args.data / "log.csv", of.sensor)
+    tables, read = read_catalogues(rows, args.workflow / of.catalogue, args.workflow, params)
+    check_dataset(dataset_toml, of, params, rows, args.workflow)
+    meshes = required_meshes(params.fea, params.meshes)
+    lists = {"MESHES": meshes, "BRANCHES": list(params.report.branches)} | chart_lists(params, scenes)
     lists["REPORT_MODEL"] = reported_model(params, config.read_toml(args.workflow / "models.toml"))
     lists["PLAN_READS"] = [str(path) for path in read]
     text = "".join(make_list(name, values) for name, values in lists.items())
     write_slices(params, args.workflow, out, tables, scenes)
-    shards = write_shards(args.data / "log.csv", out, params["plan"]["shard_size"], tables)
-    check_count(shards, params["plan"]["shard_size"])
+    shards = write_shards(args.data, rows, out, params.plan.shard_size, tables)
+    check_count(shards, params.plan.shard_size)
     state = " ".join(filter(None, [before, state_of(read)]))
     write_text(args.out, f"{make_list('SHARDS', shards)}{text}PLAN_STATE := {state}\n")
 

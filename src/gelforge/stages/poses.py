@@ -15,6 +15,8 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish, read_json
 from gelforge.flow.main import command, option
+from gelforge.flow.params.slices import ForPoses, read_slice
+from gelforge.flow.params.tables import PosesTable
 from gelforge.geometry.cropping import cropped
 from gelforge.geometry.gel import Gel, load_gel
 from gelforge.records.frames import check_frames
@@ -31,14 +33,14 @@ from gelforge.records.press import LoggedPress, PosedPress, RawRow, Rejection, p
 VERSION = 1
 
 
-def yielded(sample: LoggedPress, file: str, params: dict) -> tuple[LoggedPress, list[Rejection]]:
+def yielded(sample: LoggedPress, file: str, params: PosesTable) -> tuple[LoggedPress, list[Rejection]]:
     """The sample with the path that its tip took against the gel, in place of the commanded one.
 
     Frame and gantry give way in proportion to the force read, and touch was found too high or too low: parameters
     `compliance_mm_per_n`, `shear_compliance_mm_per_n` and `touch_offset_mm` (positive: deeper), as calibrate infers
     them from the commanded path. A sample without the reading that this takes is rejected.
     """
-    normal, sideways = params["compliance_mm_per_n"], params["shear_compliance_mm_per_n"]
+    normal, sideways = params.compliance_mm_per_n, params.shear_compliance_mm_per_n
     needed = {"fx_n": sideways, "fy_n": sideways, "fz_n": normal}
     for column, compliance in needed.items():
         if compliance and getattr(sample, column) is None:
@@ -48,8 +50,8 @@ def yielded(sample: LoggedPress, file: str, params: dict) -> tuple[LoggedPress, 
     way = {name: c * (getattr(sample, f"f{name[1]}_n") or 0.0)
            for name, c in (("dx_mm", sideways), ("dy_mm", sideways), ("dz_mm", normal))}  # fmt: skip
     moved = {name: getattr(sample, name) - shift for name, shift in way.items() if shift}
-    if params["touch_offset_mm"]:
-        moved["z0_mm"] = sample.z0_mm - params["touch_offset_mm"]
+    if params.touch_offset_mm:
+        moved["z0_mm"] = sample.z0_mm - params.touch_offset_mm
     if moved.get("dz_mm", sample.dz_mm) >= 0.0:
         remedy = f"check fz_n, or compliance_mm_per_n = {normal:g} in [poses]"
         return sample, [reject(sample, file, "dz_mm", "the bench gives way by more than the press", remedy)]
@@ -94,16 +96,16 @@ def _top_points(gel, low, high, step):
     return np.column_stack([x, y, gel.top(x, y)])
 
 
-def geometric_faults(sample: LoggedPress, file: str, body, gel: Gel, params: dict) -> list[Rejection]:
+def geometric_faults(sample: LoggedPress, file: str, body, gel: Gel, params: PosesTable) -> list[Rejection]:
     """Rejections of a press that never touches the gel or leaves what it can represent."""
     press = sample.press
     # Reasons stay the same words for every sample, so that they can be counted; the numbers go into the remedy.
-    sideways, farthest = float(np.hypot(press.dx, press.dy)), params["farthest_shear_mm"]
+    sideways, farthest = float(np.hypot(press.dx, press.dy)), params.farthest_shear_mm
     if sideways > farthest:
         column = "dx_mm" if abs(press.dx) >= abs(press.dy) else "dy_mm"
         remedy = f"it moves {sideways:.3g} mm; check the unit, or raise farthest_shear_mm = {farthest:g} in [poses]"
         return [reject(sample, file, column, "the indenter moves too far sideways", remedy)]
-    depth, limit = -(press.z0 + press.dz), params["deepest_share"] * gel.height
+    depth, limit = -(press.z0 + press.dz), params.deepest_share * gel.height
     if depth > limit:
         remedy = f"the tip ends {depth:.3g} mm below the crown, {limit:.3g} are allowed; check z0_mm and dz_mm"
         return [reject(sample, file, "dz_mm", "the press is deeper than the gel allows", remedy)]
@@ -115,13 +117,13 @@ def geometric_faults(sample: LoggedPress, file: str, body, gel: Gel, params: dic
     return []
 
 
-def reachable_height(press, params: dict) -> float:
+def reachable_height(press, params: PosesTable) -> float:
     """Height above the tip, mm, up to which the gel can meet the indenter; rounded up, so that crops are shared."""
-    reach = -(press.z0 + press.dz) + params["bulge_mm"]
-    return float(max(1, np.ceil(reach / params["band_mm"])) * params["band_mm"])
+    reach = -(press.z0 + press.dz) + params.bulge_mm
+    return float(max(1, np.ceil(reach / params.band_mm)) * params.band_mm)
 
 
-def write_posed(path, body, press, params: dict) -> None:
+def write_posed(path, body, press, params: PosesTable) -> None:
     """Write the reachable part of an indenter at the first position of its path as STL in the gel frame."""
     from gelforge.geometry.triangles import write_stl
 
@@ -140,7 +142,7 @@ def sensor_facts(name: str, table: dict) -> tuple[Gel, tuple[int, int]]:
     return load_gel(table["gel"]), tuple(size)
 
 
-def judge(rows: list[RawRow], file: str, data: Path, tables: dict, params: dict):
+def judge(rows: list[RawRow], file: str, data: Path, tables: dict, params: PosesTable):
     """Good samples with body and gel, and rejections, of raw rows.
 
     tables: "sensors" and "indenters" as dicts of catalogue tables, "folder" that STL files are named from.
@@ -185,7 +187,9 @@ class Bodies:
         return self.built[name]
 
 
-def place_faults(sample: LoggedPress, file: str, data: Path, sensor: dict, bodies, params: dict) -> list[Rejection]:
+def place_faults(
+    sample: LoggedPress, file: str, data: Path, sensor: dict, bodies, params: PosesTable
+) -> list[Rejection]:
     """Rejections of a press by its sensor's table, its indenter's shape, where it lies and its image."""
     try:
         gel, image_size = sensor_facts(sample.sensor_id, sensor)
@@ -196,11 +200,11 @@ def place_faults(sample: LoggedPress, file: str, data: Path, sensor: dict, bodie
     except BadInput as error:
         return [reject(sample, file, "indenter", "its shape cannot be used", str(error))]
     wrong = geometric_faults(sample, file, body, gel, params)
-    fault = bad_image(sample, file, data, image_size) if params["images"] else None
+    fault = bad_image(sample, file, data, image_size) if params.images else None
     return [*wrong, fault] if fault else wrong
 
 
-def write_shard(good, rejections, out: Path, params: dict) -> None:
+def write_shard(good, rejections, out: Path, params: PosesTable) -> None:
     """Write a shard's surfaces, its rejections, and last its pose table to exactly `out`."""
     shard = out.name.removesuffix(".part").removesuffix(".csv")
     folder = out.parent / shard
@@ -228,7 +232,7 @@ def write_shard(good, rejections, out: Path, params: dict) -> None:
     option("--out", type=Path, help="pose table, 10_poses/NNNN.csv"),
 )
 def main(args: Namespace) -> None:
-    params = read_json(args.params)["poses"]
+    params = read_slice(args.params, ForPoses).poses
     tables = {name: read_json(args.params.parent / f"{name}.json") for name in ("sensors", "indenters")}
     rows = read_shard(args.shard)
     good, rejections = judge(rows, str(args.data / "log.csv"), args.data, {**tables, "folder": args.workflow}, params)

@@ -10,6 +10,7 @@ import numpy as np
 
 from gelforge.flow.files import read_csv, read_json, write_text
 from gelforge.flow.main import command, option
+from gelforge.flow.params.slices import ForEvaluate, ForReport, read_slice
 from gelforge.flow.progress import progress
 from gelforge.labelling.grid import Grid
 from gelforge.records.log import read_poses
@@ -220,7 +221,7 @@ def about(results: Path, dataset: str, resolution: str, model: str, params: Path
         "model": model,
         "learnt_here": model != SHIPPED_MODEL,
         "grid": list(Grid.parse(resolution).shape),
-        "force_edges": read_json(params / "evaluate.json")["evaluate"]["force_edges"],
+        "force_edges": list(read_slice(params / "evaluate.json", ForEvaluate).evaluate.force_edges),
         "controls": {name: {"n": split["n"], "controls": split["controls"]} for name, split in splits.items()},
     }
 
@@ -288,7 +289,7 @@ def main(args: Namespace) -> None:
     solved = read_solved(args.results)
     explorer = open_explorer(args.results, args.resolution, args.model, solved)
     known = about(args.results, args.data.name, args.resolution, args.model, args.params.parent)
-    limit = read_json(args.params)["report"]["embed_mb"] * 1e6
+    limit = read_slice(args.params, ForReport).report.embed_mb * 1e6
     folder, embedded = place_parts(
         args.out.parent, in_parts(progress(explorer.presses(), "presses", len(explorer.rows))), limit
     )

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from gelforge.errors import BadInput
 from gelforge.flow.main import command, option
-from gelforge.flow.params import load_params, overlay
+from gelforge.flow.params import overlaid
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue, read_catalogue
@@ -123,7 +123,7 @@ def check(plan_path, workflow: Path) -> Plan:
     looks = read_looks(workflow / "rig" / "sensors.toml")
     check_names(plan, read_catalogue(workflow / plan.catalogue), sensors, looks, plan_path)
     load_catalogue(workflow / plan.catalogue, plan.indenters)
-    overlay(load_params(workflow), plan.params, f"{plan_path}: params")
+    overlaid(workflow, plan.params, str(plan_path))
     return plan
 
 

@@ -14,12 +14,13 @@ import numpy as np
 from gelforge.flow.files import publish, read_json, write_csv, write_json
 from gelforge.flow.main import command, group, option
 from gelforge.flow.params import canonical
+from gelforge.flow.params.slices import ForStability, read_slice
 from gelforge.flow.progress import progress
 from gelforge.mechanics.ccx.program import need_ccx
 from gelforge.sweeps.cases import FACTORS, Case, row_cases
 from gelforge.sweeps.deviation import total_error
 from gelforge.sweeps.methods import Method, hex_settings, prepare
-from gelforge.sweeps.trial import ccx_settings, kept, solve_isolated
+from gelforge.sweeps.trial import ccx_settings, kept, limit_of, solve_isolated
 
 VERSION = 3
 NOT_RUN = "NOT_RUN"
@@ -28,36 +29,36 @@ COLUMNS = ("row", "fidelity", "kind", "depth", "shear", "place", "nu", "size", "
            "against", "fx_n", "fy_n", "fz_n", "cpu_seconds", "reason")  # fmt: skip
 
 
-def case_key(case: Case, params: dict) -> str:
+def case_key(case: Case, params: ForStability) -> str:
     """Digest of all that a case's result depends on."""
-    parts = [case.describe(), params["version"]]
+    parts = [case.describe(), params.version]
     if case.fidelity == "hex":
-        parts.append(asdict(hex_settings(case_method(case, params), params["fea"])))
+        parts.append(asdict(hex_settings(case_method(case, params), params.fea)))
     else:
         parts += ccx_settings(params)
     return hashlib.sha256(canonical(parts).encode()).hexdigest()
 
 
-def case_method(case: Case, params: dict) -> Method:
+def case_method(case: Case, params: ForStability) -> Method:
     """How a case is solved."""
-    layers = params["stability"]["layers"].get(str(case.size), 6)
+    layers = params.stability.layers.get(str(case.size), 6)
     return Method("case", case.fidelity, case.size, layers, case.steps)
 
 
-def case_file(case: Case, params: dict, folder: Path) -> tuple[Path, str]:
+def case_file(case: Case, params: ForStability, folder: Path) -> tuple[Path, str]:
     """Where a case's record is kept, and its key."""
     key = case_key(case, params)
     return folder / f"{key[:24]}.json", key
 
 
-def solve_case(case: Case, params: dict, meshes: Path, folder: Path) -> dict:
+def solve_case(case: Case, params: ForStability, meshes: Path, folder: Path) -> dict:
     """Record of one case, the kept one or a new one."""
     path, key = case_file(case, params, folder)
     record = kept(path, key)
     if record is None:
         method = case_method(case, params)
         scene = case.scene
-        limit = params["stability"]["native_limit_s" if case.fidelity == "ccx-native" else "limit_s"]
+        limit = limit_of(params.stability, case.fidelity)
 
         def make(work):
             return prepare(method, scene, "", meshes, params, work, limit)
@@ -69,11 +70,11 @@ def solve_case(case: Case, params: dict, meshes: Path, folder: Path) -> dict:
     return record
 
 
-def solve_row(row: str, params: dict, meshes: Path, folder: Path) -> list[dict]:
+def solve_row(row: str, params: ForStability, meshes: Path, folder: Path) -> list[dict]:
     """Records of a row, those beyond its time marked NOT_RUN; a rerun resumes at them."""
-    end = time.monotonic() + 60.0 * params["stability"]["minutes"]
+    end = time.monotonic() + 60.0 * params.stability.minutes
     records = []
-    for case in progress(row_cases(params["stability"], row), f"stability {row}"):
+    for case in progress(row_cases(params.stability, row), f"stability {row}"):
         if time.monotonic() > end and kept(*case_file(case, params, folder)) is None:
             reason = "the row's time was over; raise [stability] minutes, it resumes here"
             records.append({"case": case.describe(), "status": NOT_RUN, "reason": reason})
@@ -82,13 +83,13 @@ def solve_row(row: str, params: dict, meshes: Path, folder: Path) -> list[dict]:
     return records
 
 
-def judge_row(row: str, records: list[dict], params: dict) -> list[dict]:
+def judge_row(row: str, records: list[dict], params: ForStability) -> list[dict]:
     """Rows of the table: each case with its verdict "good", "drifts", "failed" or "not run".
 
     In the rows of mesh and load steps a case is held against the finest of the same press and
     fidelity; elsewhere the in-process solve and CalculiX' of the same press against each other.
     """
-    limit = params["stability"]["drift"]
+    limit = params.stability.drift
     cases = [Case(**record["case"]) for record in records]
     judged = []
     for case, record in zip(cases, records, strict=True):
@@ -152,7 +153,7 @@ def _name_bad(line: dict, factor: str) -> str:
 )
 def solve(args: Namespace) -> None:
     """Solve the cases of one row; a rerun resumes."""
-    params = read_json(args.params)
+    params = read_slice(args.params, ForStability)
     need_ccx()
     records = solve_row(args.row, params, args.meshes, args.cases)
     judged = judge_row(args.row, records, params)

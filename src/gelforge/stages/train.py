@@ -10,6 +10,10 @@ from pathlib import Path
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish, read_json, write_csv
 from gelforge.flow.main import command, option
+from gelforge.flow.params import laid_over, plain
+from gelforge.flow.params.schema import Place, parse
+from gelforge.flow.params.slices import ForTrain, read_slice
+from gelforge.flow.params.tables import TrainingTable, TrainTable
 
 VERSION = 5
 
@@ -21,20 +25,18 @@ def read_models(path) -> dict:
     return read_json(path) if Path(path).suffix == ".json" else read_toml(path)
 
 
-def resolve(models: dict, name: str, train: dict) -> tuple[dict, dict]:
+def resolve(models: dict, name: str, train: TrainTable) -> tuple[dict, TrainingTable]:
     """Return the table of model `name` and the training settings with those of its kind and its own laid over them."""
     if name not in models:
         raise BadInput(f"MODEL={name}: no such model in workflow/models.toml; known: {', '.join(sorted(models))}")
     model = dict(models[name])
     own = model.pop("train", {})
-    train = dict(train)
-    of_kind = train.pop("epochs_of").get(model.get("kind"), 0)
-    train["epochs"] = of_kind or train["epochs"]
-    unknown = sorted(set(own) - set(train))
-    if unknown:
-        raise BadInput(f"workflow/models.toml [{name}.train]: no such setting in [train]: {', '.join(unknown)}")
+    values = plain(train)
+    of_kind = values.pop("epochs_of").get(model.get("kind"), 0)
+    values["epochs"] = of_kind or train.epochs
     model.pop("note", None)
-    return model, {**train, **own}
+    place = Place("workflow/models.toml", (name, "train"))
+    return model, parse(TrainingTable, laid_over(values, own), place)
 
 
 def identity(about: dict) -> str:
@@ -43,7 +45,7 @@ def identity(about: dict) -> str:
     return json.dumps({key: about[key] for key in keys}, sort_keys=True)
 
 
-def describe(data, name: str, model: dict, settings: dict, device: str) -> dict:
+def describe(data, name: str, model: dict, settings: TrainingTable, device: str) -> dict:
     """What a model file says about where its network comes from."""
     import numpy as np
     import torch
@@ -55,7 +57,7 @@ def describe(data, name: str, model: dict, settings: dict, device: str) -> dict:
     return {
         "name": name,
         "model": model,
-        "train": settings,
+        "train": plain(settings),
         "version": VERSION,
         "torch": torch.__version__,
         "image": list(data.image_size),
@@ -75,7 +77,7 @@ def describe(data, name: str, model: dict, settings: dict, device: str) -> dict:
     }
 
 
-def train(data, name: str, model: dict, settings: dict, checkpoint=None):
+def train(data, name: str, model: dict, settings: TrainingTable, checkpoint=None):
     """Train a network; return it with its description, curve and cost inside.
 
     :param data: networks.data.Data. :param checkpoint: file for resuming, or None.
@@ -90,7 +92,7 @@ def train(data, name: str, model: dict, settings: dict, checkpoint=None):
     from gelforge.networks.training import Training, fit, peak_memory_gib
 
     require_splits(data)
-    torch.set_num_threads(settings["threads"])
+    torch.set_num_threads(settings.threads)
     device = "cuda" if torch.cuda.is_available() else "cpu"
     about = describe(data, name, model, settings, device)
     norm = scales(data, model["kind"] == "resnet", model.get("reads", "image"))
@@ -124,8 +126,7 @@ def main(args: Namespace) -> None:
     from gelforge.networks.modelfile import save_model
     from gelforge.networks.tables import draw_curve
 
-    settings = read_json(args.params)["train"]
-    model, settings = resolve(read_models(args.models), args.model, settings)
+    model, settings = resolve(read_models(args.models), args.model, read_slice(args.params, ForTrain).train)
     stem = args.out.with_name(args.out.name.removesuffix(".part").removesuffix(".pt"))
     checkpoint = stem.with_name(stem.name + ".checkpoint.pt")
     trained = train(open_data(args.dataset), args.model, model, settings, checkpoint)

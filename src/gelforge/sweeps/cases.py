@@ -4,6 +4,7 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
+from gelforge.flow.params.tables import StabilityTable
 from gelforge.geometry.gel import load_gel
 from gelforge.geometry.indenters import build
 from gelforge.mechanics.scene import Interface, Material, Press, Scene
@@ -56,44 +57,44 @@ class Case:
         return asdict(self)
 
 
-def centre(table: dict, fidelity: str, kind: str) -> Case:
+def centre(table: StabilityTable, fidelity: str, kind: str) -> Case:
     """The case that rows vary one factor of."""
-    size = table["sizes"][fidelity][-1] if fidelity == "ccx-native" else table["size"][fidelity]
-    return Case(fidelity, kind, table["depth_mm"], 0.0, "centre", table["nu"], size, table["steps"])
+    size = table.sizes[fidelity][-1] if fidelity == "ccx-native" else table.size[fidelity]
+    return Case(fidelity, kind, table.depth_mm, 0.0, "centre", table.nu, size, table.steps)
 
 
-def row_cases(table: dict, row: str) -> list[Case]:
+def row_cases(table: StabilityTable, row: str) -> list[Case]:
     """Cases of one row: a factor, "random", or "native" (CalculiX' own contact and, to hold it against, hex)."""
     if row == "random":
         return random_cases(table)
     if row == "native":
         around = [centre(table, fidelity, kind) for fidelity in ("ccx-native", "hex") for kind in ("round", "flat")]
-        return [replace(case, depth=depth) for case in around for depth in table["native_depths_mm"]]
+        return [replace(case, depth=depth) for case in around for depth in table.native_depths_mm]
     around = [centre(table, fidelity, kind) for fidelity in ("hex", "ccx") for kind in BODIES]
     return [replace(case, **{row: level}) for case in around for level in levels(table, row, case.fidelity)]
 
 
-def levels(table: dict, row: str, fidelity: str) -> list:
+def levels(table: StabilityTable, row: str, fidelity: str) -> list:
     """Values that a row takes."""
     if row == "place":
         return list(PLACES)
     if row == "size":
-        return table["sizes"][fidelity]
-    return table["levels"][row]
+        return list(table.sizes[fidelity])
+    return list(getattr(table.levels, row))
 
 
-def random_cases(table: dict) -> list[Case]:
+def random_cases(table: StabilityTable) -> list[Case]:
     """Random combinations of all factors within their ranges, each by both fidelities."""
-    rng = np.random.default_rng(table["seed"])
-    reach = {factor: (min(values), max(values)) for factor, values in table["levels"].items()}
+    rng = np.random.default_rng(table.seed)
+    reach = {factor: (min(values), max(values)) for factor, values in vars(table.levels).items()}
     cases = []
-    for _ in range(table["random"]):
+    for _ in range(table.random):
         depth = float(np.round(rng.uniform(*reach["depth"]), 3))
         shear = float(np.round(rng.uniform(*reach["shear"]), 3))
         nu = float(np.round(rng.uniform(*reach["nu"]), 4))
         place, kind = str(rng.choice(list(PLACES))), str(rng.choice(list(BODIES)))
-        steps = int(rng.choice(table["levels"]["steps"]))
-        at = int(rng.integers(len(table["sizes"]["ccx"])))
-        cases += [Case(fidelity, kind, depth, shear, place, nu, table["sizes"][fidelity][at], steps)
+        steps = int(rng.choice(table.levels.steps))
+        at = int(rng.integers(len(table.sizes["ccx"])))
+        cases += [Case(fidelity, kind, depth, shear, place, nu, table.sizes[fidelity][at], steps)
                   for fidelity in ("hex", "ccx")]  # fmt: skip
     return cases

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from gelforge.flow.params.slices import ForPareto, ForStability
+from gelforge.flow.params.tables import FeaTable, ParetoTable, QuickTable
 from gelforge.mechanics.family import MeshFamily
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.scene import Result, Scene
@@ -40,7 +42,7 @@ def quality_method(quality: str) -> Method:
     return Method(f"hex-{quality}-quality", "hex")
 
 
-def every_method(pareto: dict, hex_quality: str) -> list[Method]:
+def every_method(pareto: ParetoTable, hex_quality: str) -> list[Method]:
     """The methods of the whole chart, cheap ones first, the reference last.
 
     Mesh density is varied at the first of `load_steps`, load steps at the first of each engine's sizes. The quality
@@ -48,25 +50,25 @@ def every_method(pareto: dict, hex_quality: str) -> list[Method]:
     """
     from gelforge.mechanics.hex.solver import QUALITIES
 
-    usual, *others = pareto["load_steps"]
+    usual, *others = pareto.load_steps
     label = [Method(f"{name}-label", name) for name in LABEL_METHODS]
-    sizes = list(zip(pareto["hex_sizes_mm"], pareto["hex_layers"], strict=True))
+    sizes = list(zip(pareto.hex_sizes_mm, pareto.hex_layers, strict=True))
     bricks = [hex_method(size, layers, usual) for size, layers in sizes]
     bricks += [hex_method(*sizes[0], n) for n in others]
-    varied = [(size, usual) for size in pareto["ccx_sizes_mm"]] + [(pareto["ccx_sizes_mm"][0], n) for n in others]
+    varied = [(size, usual) for size in pareto.ccx_sizes_mm] + [(pareto.ccx_sizes_mm[0], n) for n in others]
     tets = [Method(f"ccx-{size:g}-{n}", "ccx", size, steps=n) for size, n in varied]
-    native = [Method(f"ccx-native-{size:g}", "ccx-native", size) for size in pareto["native_sizes_mm"]]
+    native = [Method(f"ccx-native-{size:g}", "ccx-native", size) for size in pareto.native_sizes_mm]
     qualities = [quality_method(quality) for quality in QUALITIES if quality != hex_quality]
     return [*qualities, *label, *bricks, *tets, *native, Method(REFERENCE, REFERENCE)]
 
 
-def quick_methods(quick: dict, with_ccx: bool) -> list[Method]:
+def quick_methods(quick: QuickTable, with_ccx: bool) -> list[Method]:
     """Methods of the small chart; its reference is the last."""
-    steps, fine = quick["steps"], quick["reference"]
-    sizes = zip(quick["hex_sizes_mm"], quick["hex_layers"], strict=True)
+    steps, fine = quick.steps, quick.reference
+    sizes = zip(quick.hex_sizes_mm, quick.hex_layers, strict=True)
     found = [hex_method(size, layers, steps) for size, layers in sizes]
     found += [Method(f"{name}-label", name) for name in (("hex", "ccx") if with_ccx else ("hex",))]
-    return [*found, hex_method(fine["size"], fine["layers"], fine["press_steps"])]
+    return [*found, hex_method(fine.size, fine.layers, fine.press_steps)]
 
 
 def warm_up() -> None:
@@ -82,7 +84,13 @@ def warm_up() -> None:
 
 
 def prepare(
-    method: Method, scene: Scene, fine: str, folder: Path, params: dict, work: Path, limit_s: float
+    method: Method,
+    scene: Scene,
+    fine: str,
+    folder: Path,
+    params: ForPareto | ForStability,
+    work: Path,
+    limit_s: float,
 ) -> Callable[[], tuple[Result, GelMesh]]:
     """Read meshes and set up solvers, which many presses share; the function returned solves the scene.
 
@@ -90,7 +98,7 @@ def prepare(
     whole solve is stopped from outside; CalculiX' own contact gives up before, so that it can say how far it came.
     """
     if method.fidelity == "hex" and method.name != "hex-label":
-        return _prepare_hex(method, scene, params["fea"])
+        return _prepare_hex(method, scene, params.fea)
     if method.size is None and method.fidelity in LABEL_METHODS:
         return _prepare_label(method, scene, folder, params, work)
     if method.fidelity == "ccx-native":
@@ -98,13 +106,13 @@ def prepare(
     return _prepare_ccx(method, scene, fine, folder, params, work)
 
 
-def hex_settings(method: Method, fea: dict):
+def hex_settings(method: Method, fea: FeaTable):
     """Settings of a method that runs the in-process solver; `fea` is the table of the fea stage."""
     from gelforge.mechanics.hex import solver as engine
 
     if method.size is None:
         named = method.name.removeprefix("hex-").removesuffix("-quality")
-        return engine.quality(fea["hex_quality"] if method.name == "hex-label" else named)
+        return engine.quality(fea.hex_quality if method.name == "hex-label" else named)
     # `across` would shrink the bricks under small contacts: a density series holds their size
     return engine.HexSettings(size=method.size, layers=method.layers, press_steps=method.steps,
                               shear_steps=(method.steps + 1) // 2, across=0)  # fmt: skip
@@ -126,7 +134,7 @@ def _prepare_label(method, scene, folder, params, work):
     from gelforge.mechanics.fidelity import FeaSettings, Solvers
 
     names = [] if method.fidelity == "hex" else meshes.label_meshes(params)
-    solvers = Solvers(MeshFamily(folder, names), work, FeaSettings.from_table(params["fea"]))
+    solvers = Solvers(MeshFamily(folder, names), work, FeaSettings.from_table(params.fea))
 
     def run():
         result = solvers.solve(scene, method.fidelity)
@@ -147,12 +155,12 @@ def _prepare_ccx(method, scene, fine, folder, params, work):
     from gelforge.mechanics.fidelity import FeaSettings
 
     if method.fidelity == REFERENCE:
-        table, factor = params["pareto"]["reference"], 2 if method.halved else 1
+        table, factor = params.pareto.reference, 2 if method.halved else 1
         name = meshes.reference_mesh(params, fine, method.halved)
-        steps = {key: factor * table[key] for key in ("press_steps", "shear_steps")}
+        steps = {"press_steps": factor * table.press_steps, "shear_steps": factor * table.shear_steps}
     else:
         name = meshes.density_mesh(scene, folder, params, method.size)
         steps = {"press_steps": method.steps, "shear_steps": (method.steps + 1) // 2}
-    settings = replace(FeaSettings.from_table(params["fea"]).ccx, **steps, step_mm=np.inf)
+    settings = replace(FeaSettings.from_table(params.fea).ccx, **steps, step_mm=np.inf)
     solver = CcxSolver(GelMesh.load(Path(folder) / f"{name}.npz"), work, settings)
     return lambda: (solver.solve(scene), solver.mesh)

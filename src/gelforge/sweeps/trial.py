@@ -12,7 +12,10 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_json, write_json
-from gelforge.flow.params import canonical
+from gelforge.flow.params import canonical, plain
+from gelforge.flow.params.schema import ParameterTable
+from gelforge.flow.params.slices import ForPareto, ForStability
+from gelforge.flow.params.tables import ParetoTable, StabilityTable
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import assemble
 from gelforge.labelling.sensor import Sensor
@@ -32,7 +35,7 @@ class ChartBench:
 
     meshes: Path
     sensor: Sensor
-    params: dict
+    params: ForPareto
     records: Path
 
     def record_path(self, scene: NamedScene, method: Method) -> Path:
@@ -40,34 +43,33 @@ class ChartBench:
 
     def key(self, scene: NamedScene, method: Method) -> str:
         """Digest of all that a record depends on."""
-        parts = [scene.table, asdict(method), self.params["version"], self.params["material"]["nu"],
+        parts = [scene.table, asdict(method), self.params.version, self.params.material.nu,
                  self.sensor.projection.tolist(), self._settings(scene, method)]  # fmt: skip
         return hashlib.sha256(canonical(parts).encode()).hexdigest()
 
     def _settings(self, scene, method) -> list:
         p = self.params
         if method.fidelity == "hex":
-            return [asdict(hex_settings(method, p["fea"]))]
+            return [asdict(hex_settings(method, p.fea))]
         if method.fidelity == REFERENCE:
-            steps = {key: p["pareto"]["reference"][key] for key in ("press_steps", "shear_steps")}
-            mesh = [p["pareto"]["regions"].get(scene.fine), p["pareto"]["grading"]]
-            return [steps, *mesh, *ccx_settings(p)]
+            mesh = [plain(p.pareto.regions.get(scene.fine)), plain(p.pareto.grading)]
+            return [plain(p.pareto.reference), *mesh, *ccx_settings(p)]
         if method.name == "auto-label":
-            return [p["fea"], p["meshes"], asdict(quality(p["fea"]["hex_quality"]))]
+            return [plain(p.fea), plain(p.meshes), asdict(quality(p.fea.hex_quality))]
         if method.size is None:
-            return [p["fea"]["meshes"], *ccx_settings(p)]
+            return [list(p.fea.meshes), *ccx_settings(p)]
         return ccx_settings(p)
 
 
-def ccx_settings(params: dict) -> list[dict]:
+def ccx_settings(params: ForPareto | ForStability) -> list[dict]:
     """What of [meshes] and [fea] changes a solve with CalculiX, whichever fidelity is chosen; bricks do not."""
-    return [without_bricks(params["meshes"]),
-            {k: v for k, v in without_bricks(params["fea"]).items() if k not in NOT_SOLVER}]  # fmt: skip
+    fea = {key: value for key, value in without_bricks(params.fea).items() if key not in NOT_SOLVER}
+    return [without_bricks(params.meshes), fea]
 
 
-def without_bricks(table: dict) -> dict:
-    """A table of parameters without those of the in-process solver, hex_*."""
-    return {key: value for key, value in table.items() if not key.startswith("hex_")}
+def without_bricks(table: ParameterTable) -> dict:
+    """A table of parameters, as a dictionary, without those of the in-process solver, hex_*."""
+    return {key: value for key, value in plain(table).items() if not key.startswith("hex_")}
 
 
 def cells_of(mesh, forces: np.ndarray, sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
@@ -77,7 +79,7 @@ def cells_of(mesh, forces: np.ndarray, sensor: Sensor) -> tuple[np.ndarray, np.n
     return cells[0], outside[0]
 
 
-def plain(evidence: dict) -> dict:
+def jsonable(evidence: dict) -> dict:
     """What of the evidence JSON can hold; numbers that are not finite are left out."""
     kept = {}
     for key, value in evidence.items():
@@ -93,7 +95,7 @@ def plain(evidence: dict) -> dict:
 def outcome(result, mesh, sensor: Sensor | None) -> dict:
     """The part of a record that the result itself tells."""
     found = {"status": result.status.name, "total": result.total.tolist(), "nodes": len(mesh.nodes),
-             "evidence": plain(result.evidence), "reason": ""}  # fmt: skip
+             "evidence": jsonable(result.evidence), "reason": ""}  # fmt: skip
     if not result.status.valid:
         found["reason"] = str(result.evidence.get("reason") or result.status.value)
     elif sensor is not None:
@@ -130,6 +132,11 @@ def kept(path: Path, key: str) -> dict | None:
     return record if record.get("key") == key else None
 
 
+def limit_of(table: ParetoTable | StabilityTable, fidelity: str) -> float:
+    """Seconds that one solve may take; CalculiX' own contact has a limit of its own."""
+    return table.native_limit_s if fidelity == "ccx-native" else table.limit_s
+
+
 def measure(bench: ChartBench, scene: NamedScene, method: Method) -> dict:
     """The record of a scene solved by a method: the kept one, or a new one, which is kept.
 
@@ -142,7 +149,7 @@ def measure(bench: ChartBench, scene: NamedScene, method: Method) -> dict:
         for stale in path.parent.glob(".work-*"):
             shutil.rmtree(stale, ignore_errors=True)
 
-        limit = bench.params["pareto"]["native_limit_s" if method.fidelity == "ccx-native" else "limit_s"]
+        limit = limit_of(bench.params.pareto, method.fidelity)
 
         def make(folder):
             return prepare(method, scene.scene, scene.fine, bench.meshes, bench.params, folder, limit)
@@ -161,9 +168,9 @@ def ensure_meshes(bench: ChartBench, names: list[str]) -> None:
         meshes.need_mesh(name, bench.meshes, bench.params)
 
 
-def load_bench(params: dict, sensors: dict, mesh_folder: Path, records: Path) -> ChartBench:
+def load_bench(params: ForPareto, sensors: dict, mesh_folder: Path, records: Path) -> ChartBench:
     """A bench that compares cells as the sensor of [pareto] sees them."""
-    name = params["pareto"]["sensor"]
+    name = params.pareto.sensor
     if name not in sensors:
         raise BadInput(f"[pareto] sensor = {name!r} is not in workflow/sensors.toml; it has {', '.join(sensors)}")
     return ChartBench(Path(mesh_folder), sensors[name], params, Path(records))

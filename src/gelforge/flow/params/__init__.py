@@ -1,0 +1,94 @@
+"""Parameters: workflow/params.toml with a dataset's own values laid over it, as typed tables.
+
+`tables` says what each table holds, `schema` reads a table and refuses what has no meaning, `slices` gives each stage
+its own part.
+"""
+
+import json
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from gelforge.errors import BadInput
+from gelforge.flow.params.schema import Place, nearest, parse, plain
+from gelforge.flow.params.slices import SLICES, cut_slice, read_slice, stage_version
+from gelforge.flow.params.tables import Params
+
+__all__ = [
+    "SLICES", "DatasetFile", "Params", "canonical", "cut_slice", "load_params", "nearest", "overlaid", "plain",
+    "read_dataset_file", "read_slice", "read_toml", "stage_version",
+]  # fmt: skip
+
+
+def read_toml(path: Path | str) -> dict[str, Any]:
+    """Read a TOML file; a syntax error names file and place."""
+    path = Path(path)
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise BadInput(f"{path}: not found; see README.md for what a dataset and workflow/ must hold") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise BadInput(f"{path}: not valid TOML: {error}") from error
+
+
+def load_params(workflow: Path | str, dataset_toml: Path | str | None = None) -> Params:
+    """Read workflow/params.toml with the [params.*] tables of a dataset laid over it.
+
+    What has no meaning raises BadInput: a table or key that there is not, another kind of value, a number out of its
+    bounds or not finite, a word that is none of the choices, values that cannot go together.
+    """
+    given = read_dataset_file(dataset_toml).params if dataset_toml else {}
+    return overlaid(workflow, given, str(dataset_toml or ""))
+
+
+def overlaid(workflow: Path | str, given: dict[str, Any], where: str) -> Params:
+    """Parameters with tables of `where` laid over them; the file that is at fault is the one that is named."""
+    file = Path(workflow) / "params.toml"
+    base = read_toml(file)
+    params = parse(Params, base, Place(str(file)))
+    return parse(Params, laid_over(base, given), Place(where, ("params",))) if given else params
+
+
+def laid_over(base: Any, over: Any) -> Any:
+    """A table with the values of another one in place of its own."""
+    if not isinstance(base, dict) or not isinstance(over, dict):
+        return over
+    return base | {key: laid_over(base.get(key), value) for key, value in over.items()}
+
+
+@dataclass(frozen=True)
+class DatasetFile:
+    """data/DATASET/dataset.toml.
+
+    sensor: of rows of the log that name none. gel: on which all presses were made; the sensors' own say the same.
+    catalogue: the indenters' file in workflow/. params: tables laid over those of workflow/params.toml.
+    """
+
+    sensor: str | None
+    gel: str | None
+    catalogue: str
+    params: dict[str, Any]
+
+
+DATASET_KINDS = {"sensor": str, "gel": str, "catalogue": str, "params": dict}
+
+
+def read_dataset_file(path: Path | str) -> DatasetFile:
+    """Read data/DATASET/dataset.toml; a key that nothing reads, or of another kind, raises BadInput."""
+    given = read_toml(path)
+    for key, value in given.items():
+        if key not in DATASET_KINDS:
+            raise BadInput(f"{path}: {key} is read by nothing{nearest(key, DATASET_KINDS)}")
+        if not isinstance(value, DATASET_KINDS[key]):
+            what = "text" if DATASET_KINDS[key] is str else "tables such as [params.fea]"
+            raise BadInput(f"{path}: {key} = {value!r}: give {what}")
+    catalogue = given.get("catalogue", "indenters.toml")
+    if Path(catalogue).is_absolute() or ".." in Path(catalogue).parts or not catalogue.endswith(".toml"):
+        raise BadInput(f"{path}: catalogue = {catalogue!r}: give the name of a .toml file in workflow/")
+    return DatasetFile(given.get("sensor"), given.get("gel"), catalogue, given.get("params", {}))
+
+
+def canonical(value: Any) -> str:
+    """One text per value: sorted keys, no comments, exact floats."""
+    return json.dumps(value, indent=1, sort_keys=True, ensure_ascii=False) + "\n"

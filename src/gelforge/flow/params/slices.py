@@ -1,0 +1,205 @@
+"""What of the parameters each stage reads, as a file of its own.
+
+make makes a stage again when its file changes, and for no other change of workflow/params.toml. Keys of solves are
+digests of these files' content, so a value is written as it was given: 2 stays 2, and 2.0 stays 2.0.
+"""
+
+import re
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Annotated, TypeVar
+
+from gelforge.errors import BadInput
+from gelforge.flow.files import read_json
+from gelforge.flow.params.schema import ParameterTable, Place, Within, kinds_of, parse
+from gelforge.flow.params.tables import (
+    CalibrateTable,
+    DatasetTable,
+    EvaluateTable,
+    FeaTable,
+    ForcesTable,
+    InterfaceTable,
+    LabelsTable,
+    MaterialTable,
+    MeshesTable,
+    Params,
+    ParetoMeshesTable,
+    ParetoTable,
+    PoissonTable,
+    PosesTable,
+    ReportTable,
+    StabilityTable,
+    TrainTable,
+)
+
+
+@dataclass(frozen=True)
+class Slice(ParameterTable):
+    """Tables of one stage, and the version of its results."""
+
+    version: Annotated[int, Within(0, 1e6)]
+
+
+@dataclass(frozen=True)
+class ForPoses(Slice):
+    """What stage 10 reads."""
+
+    poses: PosesTable
+
+
+@dataclass(frozen=True)
+class ForMeshes(Slice):
+    """What stage 20 reads."""
+
+    meshes: MeshesTable
+
+
+@dataclass(frozen=True)
+class ForFea(Slice):
+    """What stage 30 reads."""
+
+    fea: FeaTable
+    interface: InterfaceTable
+    material: PoissonTable
+
+
+@dataclass(frozen=True)
+class ForForces(Slice):
+    """What stage 40 reads."""
+
+    forces: ForcesTable
+    material: MaterialTable
+
+
+@dataclass(frozen=True)
+class ForLabels(Slice):
+    """What stage 50 reads."""
+
+    labels: LabelsTable
+
+
+@dataclass(frozen=True)
+class ForDataset(Slice):
+    """What stage 60 reads."""
+
+    dataset: DatasetTable
+
+
+@dataclass(frozen=True)
+class ForTrain(Slice):
+    """What stage 70 reads."""
+
+    train: TrainTable
+
+
+@dataclass(frozen=True)
+class ForEvaluate(Slice):
+    """What stage 80 reads."""
+
+    evaluate: EvaluateTable
+
+
+@dataclass(frozen=True)
+class ForReport(Slice):
+    """What stage 90 reads."""
+
+    report: ReportTable
+
+
+@dataclass(frozen=True)
+class ForCalibrate(Slice):
+    """What branch calibrate reads."""
+
+    calibrate: CalibrateTable
+    material: PoissonTable
+
+
+@dataclass(frozen=True)
+class ForPareto(Slice):
+    """What branch pareto reads."""
+
+    pareto: ParetoTable
+    fea: FeaTable
+    meshes: MeshesTable
+    material: PoissonTable
+
+
+@dataclass(frozen=True)
+class ForParetoMeshes(Slice):
+    """What the meshes of branch pareto depend on."""
+
+    pareto: ParetoMeshesTable
+    meshes: MeshesTable
+
+
+@dataclass(frozen=True)
+class ForStability(Slice):
+    """What branch stability reads."""
+
+    stability: StabilityTable
+    fea: FeaTable
+    meshes: MeshesTable
+
+
+@dataclass(frozen=True)
+class Source:
+    """A slice's type, and where its version stands: a module of gelforge.stages and a constant of it."""
+
+    kind: type[Slice]
+    module: str
+    constant: str = "VERSION"
+
+
+# By the name of the file, 00_plan/params/NAME.json.
+SLICES = {
+    "poses": Source(ForPoses, "poses"),
+    "meshes": Source(ForMeshes, "meshes"),
+    "fea": Source(ForFea, "fea"),
+    "forces": Source(ForForces, "forces"),
+    "labels": Source(ForLabels, "labels"),
+    "dataset": Source(ForDataset, "dataset"),
+    "train": Source(ForTrain, "train"),
+    "evaluate": Source(ForEvaluate, "evaluate"),
+    "report": Source(ForReport, "report"),
+    "calibrate": Source(ForCalibrate, "calibrate"),
+    "pareto": Source(ForPareto, "pareto"),
+    "pareto_meshes": Source(ForParetoMeshes, "pareto", "MESH_VERSION"),
+    "stability": Source(ForStability, "stability"),
+}
+
+S = TypeVar("S", bound=Slice)
+
+
+def stage_version(folder: Path, source: Source) -> int:
+    """The version of a stage's results, read from its module's text so that nothing heavy is imported."""
+    path = folder / f"{source.module}.py"
+    found = re.search(rf"^{source.constant} = (\d+)$", path.read_text(encoding="utf-8"), re.MULTILINE)
+    if not found:
+        raise BadInput(
+            f"{path}: has no line `{source.constant} = n`; a stage needs one, raised when its results change"
+        )
+    return int(found.group(1))
+
+
+def cut_slice(params: Params, kind: type[S], version: int) -> S:
+    """What a stage reads of the parameters, with the version of its results."""
+    tables = {
+        name: narrowed(getattr(params, name), table) for name, table in kinds_of(kind).items() if name != "version"
+    }
+    return kind(version=version, **tables)
+
+
+def narrowed(table: ParameterTable, kind: type[ParameterTable]) -> ParameterTable:
+    """A table with only the keys of `kind`, which it or a class it is made from has."""
+    if type(table) is kind:
+        return table
+    return kind(**{field.name: getattr(table, field.name) for field in fields(kind)})
+
+
+def read_slice(path: Path, kind: type[S]) -> S:
+    """Read what `make` wrote for a stage, checked as parameters are."""
+    try:
+        given = read_json(path)
+    except (OSError, ValueError) as error:
+        raise BadInput(f"{path}: cannot be read ({error}); run make again, the plan writes it anew") from error
+    return parse(kind, given, Place(str(path)))

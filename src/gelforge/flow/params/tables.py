@@ -1,0 +1,531 @@
+"""The tables of workflow/params.toml, key by key: kinds, units and the values that have a meaning.
+
+What each value is for, and why it is what it is, stands beside it in workflow/params.toml; a test holds the two in step.
+"""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from gelforge.flow.params.schema import Named, OneLine, OneOf, ParameterTable, Rising, Some, Within
+
+TINY = 1e-12  # for what must be above 0
+Share = Annotated[float, Within(0.0, 1.0)]
+Count = Annotated[int, Within(1, 1e6)]
+Whole = Annotated[int, Within(0, 1e6)]
+Seed = Annotated[int, Within(0, 2**32)]
+Steps = Annotated[int, Within(1, 1000)]
+Length = Annotated[float, Within(TINY, 1e3, "mm")]
+Size = Annotated[float, Within(0.1, 10.0, "mm")]
+Seconds = Annotated[float, Within(TINY, 1e9, "s")]
+Number = Annotated[float, Within(-1e6, 1e6)]
+Positive = Annotated[float, Within(TINY, 1e9)]
+Nu = Annotated[float, Within(0.0, 0.4999)]
+Names = Annotated[tuple[str, ...], Named()]
+Half = Annotated[tuple[float, float], Within(TINY, 1e3, "mm")]
+Law = Annotated[str, OneOf("no_slip", "coulomb", "frictionless")]
+FIDELITIES = ("hex", "ccx", "ccx-native", "ccx-fine", "auto")
+QUALITIES = ("demo", "draft", "label", "fine")
+BRANCHES = ("calibrate", "pareto")
+CHANNELS = ("force", "displacement", "traction", "traction_deformed")
+
+
+@dataclass(frozen=True)
+class PlanTable(ParameterTable):
+    """[plan]: how a dataset is cut into shards."""
+
+    shard_size: Count
+
+
+@dataclass(frozen=True)
+class ReportTable(ParameterTable):
+    """[report]: what the page holds."""
+
+    embed_mb: Annotated[float, Within(0.0, 1e6, "MB")]
+    model: Annotated[str, Named(empty=True)]
+    branches: Annotated[tuple[str, ...], OneOf(*BRANCHES)]
+
+
+@dataclass(frozen=True)
+class AugmentTable(ParameterTable):
+    """[train.augment]: how the colours of training images vary."""
+
+    probability: Share
+    noise: Annotated[float, Within(0.0, 1.0)]
+    brightness: Share
+    contrast: Share
+    saturation: Share
+    hue: Annotated[float, Within(0.0, 0.5, "turns")]
+
+
+@dataclass(frozen=True)
+class EpochsTable(ParameterTable):
+    """[train.epochs_of]: epochs by kind of network, 0 for [train] epochs."""
+
+    unet: Whole
+    unet_single: Whole
+    resnet: Whole
+
+
+@dataclass(frozen=True)
+class TrainingTable(ParameterTable):
+    """What one network is trained with: [train] with its model's own values laid over it."""
+
+    epochs: Count
+    batch: Count
+    learning_rate: Annotated[float, Within(TINY, 1e3)]
+    schedule: Annotated[str, OneOf("plateau", "cosine")]
+    plateau_factor: Annotated[float, Within(TINY, 0.999999)]
+    plateau_patience: Whole
+    least_rate: Annotated[float, Within(0.0, 1e3)]
+    total_weight: Annotated[float, Within(0.0, 1e9)]
+    total_huber: Annotated[float, Within(0.0, 1e9)]
+    shift_cells: Annotated[int, Within(0, 1000)]
+    mirrored_share: Share
+    settle_images: Whole
+    frozen_share: Share
+    seed: Seed
+    threads: Annotated[int, Within(1, 1e4)]
+    mixed_precision: bool
+    checkpoint_seconds: Annotated[float, Within(0.0, 1e9, "s")]
+    augment: AugmentTable
+
+    def fault(self) -> str | None:
+        """A learning rate that starts below where it ends."""
+        if self.schedule == "plateau" and self.least_rate > self.learning_rate:
+            return (
+                f"least_rate = {self.least_rate} is above learning_rate = {self.learning_rate}: give it a lower one"
+            )
+        return None
+
+
+@dataclass(frozen=True)
+class TrainTable(TrainingTable):
+    """[train]: training of networks."""
+
+    epochs_of: EpochsTable
+
+
+@dataclass(frozen=True)
+class EvaluateTable(ParameterTable):
+    """[evaluate]: errors of networks."""
+
+    force_edges: Annotated[tuple[float, ...], Within(0.0, 1e6, "N"), Rising(2)]
+    bootstrap: Annotated[int, Within(1, 1e7)]
+    seed: Seed
+    threads: Annotated[int, Within(1, 1e4)]
+
+
+@dataclass(frozen=True)
+class LabelsTable(ParameterTable):
+    """[labels]: what a label holds."""
+
+    channels: Annotated[tuple[str, ...], OneOf(*CHANNELS), Some()]
+    largest_outside_share: Share
+
+    def fault(self) -> str | None:
+        """Labels without forces, and a channel named twice."""
+        if self.channels[0] != "force" or len(set(self.channels)) < len(self.channels):
+            return f'channels = {list(self.channels)}: name each once, and "force" first'
+        return None
+
+
+@dataclass(frozen=True)
+class DatasetTable(ParameterTable):
+    """[dataset]: which presses train, validate and test."""
+
+    validation: Annotated[float, Within(0.0, 0.9)]
+    test: Annotated[float, Within(0.0, 0.9)]
+    unseen_indenters: Names
+    unseen_sensors: Names
+    force_edges: Annotated[tuple[float, ...], Within(0.0, 1e6, "N"), Rising(0)]
+    same_press_mm: Length
+    same_press_deg: Annotated[float, Within(TINY, 360.0, "degrees")]
+    seed: Seed
+
+    def fault(self) -> str | None:
+        """Shares that leave nothing to train on."""
+        if self.validation + self.test >= 1.0:
+            return f"validation = {self.validation} and test = {self.test}: give shares whose sum is below 1"
+        return None
+
+
+@dataclass(frozen=True)
+class CalibrateSolverTable(ParameterTable):
+    """[calibrate.solver]: bricks and load steps of the solves behind the emulator."""
+
+    size: Size
+    layers: Annotated[int, Within(1, 100)]
+    press_steps: Steps
+    shear_steps: Steps
+    final_tolerance: Annotated[float, Within(TINY, 1.0)]
+
+
+@dataclass(frozen=True)
+class RefineTable(ParameterTable):
+    """[calibrate.refine]: the finer bricks whose force corrects the emulator's."""
+
+    on: bool
+    size: Size | None = None
+    layers: Annotated[int, Within(1, 100)] | None = None
+
+    def fault(self) -> str | None:
+        """A refinement without its bricks."""
+        if self.on and (self.size is None or self.layers is None):
+            return "on = true needs size (mm) and layers"
+        return None
+
+
+PRIOR_NAMES = ("c10", "offset", "compliance", "mu", "noise", "scatter", "discretisation", "indenter", "nu")
+# Keys that each kind of prior is given by.
+PRIOR_KEYS = {
+    "normal": ("mean", "spread"),
+    "lognormal": ("median", "spread"),
+    "halfnormal": ("spread",),
+    "uniform": ("low", "high"),
+    "loguniform": ("low", "high"),
+}
+
+
+@dataclass(frozen=True)
+class PriorTable(ParameterTable):
+    """One table of [calibrate.priors]: the kind of a prior and its numbers, or the value a parameter is held at."""
+
+    kind: Annotated[str, OneOf(*PRIOR_KEYS)]
+    free: bool | None = None
+    fixed: Number | None = None
+    mean: Number | None = None
+    median: Number | None = None
+    spread: Number | None = None
+    low: Number | None = None
+    high: Number | None = None
+    reason: Annotated[str, OneLine()] | None = None
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """The numbers of its kind that are given, by key."""
+        given = {key: getattr(self, key) for key in PRIOR_KEYS[self.kind]}
+        return {key: value for key, value in given.items() if value is not None}
+
+    def fault(self) -> str | None:
+        """Numbers that are missing, that leave no width, or a logarithm of what is not positive."""
+        if self.free is False:
+            return None
+        keys, given = PRIOR_KEYS[self.kind], self.numbers
+        missing = [key for key in keys if key not in given]
+        if missing:
+            return f'{missing[0]} is missing: a prior of kind "{self.kind}" needs {" and ".join(keys)}'
+        if given.get("spread", 1.0) <= 0.0 or given.get("low", 0.0) >= given.get("high", 1.0):
+            said = ", ".join(f"{key} = {value}" for key, value in given.items())
+            return f"{said}: has no width; raise `{keys[-1]}`"
+        if self.kind.startswith("log") and given[keys[0]] <= 0.0:
+            return f"{keys[0]} = {given[keys[0]]}: a logarithmic prior needs a positive one"
+        return None
+
+
+@dataclass(frozen=True)
+class PriorsTable(ParameterTable):
+    """[calibrate.priors]: what is known before the readings."""
+
+    c10: PriorTable
+    offset: PriorTable
+    compliance: PriorTable
+    mu: PriorTable
+    noise: PriorTable
+    scatter: PriorTable
+    discretisation: PriorTable
+    indenter: PriorTable
+    nu: PriorTable
+
+    def fault(self) -> str | None:
+        """A parameter that is held, and nothing says at what; Poisson's ratio is held at [material] nu."""
+        for name in PRIOR_NAMES:
+            prior = getattr(self, name)
+            if prior.free is False and prior.fixed is None and name not in ("nu", "indenter"):
+                return f"{name}: free = false needs `fixed`, the value it is held at"
+        return None
+
+
+@dataclass(frozen=True)
+class CalibrateTable(ParameterTable):
+    """[calibrate]: the posterior from a log's forces."""
+
+    law: Law
+    compare: bool
+    max_presses: Count
+    shear: bool
+    friction_nodes: Annotated[tuple[float, ...], Within(TINY, 1e3)]
+    reach_mm: Annotated[float, Within(0.0, 10.0, "mm")]
+    shear_depths: Annotated[tuple[float, ...], Within(TINY, 1.0), Some()]
+    tail: Annotated[float, Within(TINY, 1e6)]
+    outlier_scales: Positive
+    walkers: Annotated[int, Within(4, 1e5)]
+    seed: Seed
+    autocorrelation_times: Count
+    acceptance: Annotated[tuple[float, float], Within(0.0, 1.0), Rising()]
+    split_rhat: Annotated[float, Within(1.0, 100.0)]
+    max_steps: Annotated[int, Within(1, 1e9)]
+    solver: CalibrateSolverTable
+    refine: RefineTable
+    priors: PriorsTable
+
+    def fault(self) -> str | None:
+        """Walkers that cannot be halved, as the moves do."""
+        if self.walkers % 2:
+            return f"walkers = {self.walkers}: give an even number"
+        return None
+
+
+@dataclass(frozen=True)
+class PosesTable(ParameterTable):
+    """[poses]: from commanded paths to those of the tip against the gel."""
+
+    touch_offset_mm: Annotated[float, Within(-10.0, 10.0, "mm")]
+    compliance_mm_per_n: Annotated[float, Within(0.0, 1.0, "mm/N")]
+    shear_compliance_mm_per_n: Annotated[float, Within(0.0, 1.0, "mm/N")]
+    images: bool
+    deepest_share: Annotated[float, Within(TINY, 1.0)]
+    farthest_shear_mm: Annotated[float, Within(0.0, 1e3, "mm")]
+    bulge_mm: Annotated[float, Within(0.0, 1e3, "mm")]
+    band_mm: Annotated[float, Within(1e-3, 1e3, "mm")]
+
+
+@dataclass(frozen=True)
+class PoissonTable(ParameterTable):
+    """What of [material] changes a solve: Poisson's ratio."""
+
+    nu: Nu
+
+
+@dataclass(frozen=True)
+class MaterialTable(PoissonTable):
+    """[material]: the gel, in MPa."""
+
+    c10: Annotated[float, Within(1e-6, 99.0, "MPa")] | Annotated[str, OneOf("calibrated")]
+
+
+@dataclass(frozen=True)
+class InterfaceTable(ParameterTable):
+    """[interface]: what holds sideways between indenter and gel."""
+
+    law: Law
+    mu: Annotated[float, Within(0.0, 1e3)]
+
+
+@dataclass(frozen=True)
+class MeshesTable(ParameterTable):
+    """[meshes]: the gel and how its tetrahedra coarsen away from the press."""
+
+    gel: Annotated[str, Named()]
+    growth: Annotated[float, Within(0.0, 1e3)]
+    coarsest_mm: Annotated[float, Within(0.1, 1e3, "mm")]
+    fine_depth_mm: Annotated[float, Within(0.0, 1e3, "mm")]
+    hold: Annotated[dict[str, float], Within(0.0, 1e3)]
+    regions: dict[str, Half]
+
+    def fault(self) -> str | None:
+        """No region at all, or edges held in one that there is not."""
+        if not self.regions:
+            return "regions is empty: give at least one, as NAME = [half extent along x, along y] in mm"
+        stray = [name for name in self.hold if name not in self.regions]
+        if stray:
+            return f"hold.{stray[0]}: is no region; [meshes.regions] has {', '.join(self.regions)}"
+        return None
+
+
+@dataclass(frozen=True)
+class FeaTable(ParameterTable):
+    """[fea]: finite element solves of presses."""
+
+    fidelity: Annotated[str, OneOf(*FIDELITIES)]
+    meshes: Annotated[tuple[str, ...], Named(), Some()]
+    fine_meshes: Annotated[tuple[str, ...], Named(), Some()]
+    tolerance: Annotated[float, Within(TINY, 1.0)]
+    charted: Annotated[
+        dict[str, Annotated[tuple[float, float], Within(0.0, 1e9)]], OneOf("hex", "ccx", "ccx-native", "ccx-fine")
+    ]
+    hex_quality: Annotated[str, OneOf(*QUALITIES)]
+    press_steps: Steps
+    shear_steps: Steps
+    step_mm: Length
+    stiffness: Positive
+    rounds: Steps
+    pull_tolerance: Annotated[float, Within(TINY, 1.0)]
+    penetration_mm: Annotated[float, Within(TINY, 1.0, "mm")]
+    residual: Annotated[float, Within(TINY, 1.0)]
+    timeout_s: Seconds
+
+    def fault(self) -> str | None:
+        """Nothing to choose from where the fidelity is chosen by its charted error."""
+        if self.fidelity == "auto" and not self.charted:
+            return 'fidelity = "auto": chooses by charted, which is empty; run make pareto, or name a fidelity'
+        return None
+
+
+@dataclass(frozen=True)
+class ForcesTable(ParameterTable):
+    """[forces]: nodal forces out of the solvers' output."""
+
+    noise: Annotated[float, Within(0.0, 0.5)]
+    base_mismatch: Annotated[float, Within(TINY, 1.0)]
+
+
+@dataclass(frozen=True)
+class GradingTable(ParameterTable):
+    """[pareto.grading]: how the reference's meshes coarsen."""
+
+    growth: Annotated[float, Within(0.0, 1e3)]
+    fine_depth_mm: Annotated[float, Within(0.0, 1e3, "mm")]
+
+
+@dataclass(frozen=True)
+class RegionTable(ParameterTable):
+    """One entry of [pareto.regions]: the fine part of a reference mesh."""
+
+    box: Annotated[tuple[float, float, float, float], Within(-1e3, 1e3, "mm")]
+    size: Size
+    hold: Annotated[float, Within(0.0, 1e3)] | None = None
+
+    def fault(self) -> str | None:
+        """A box without a width."""
+        if self.box[0] >= self.box[1] or self.box[2] >= self.box[3]:
+            return f"box = {list(self.box)}: give [x_min, x_max, y_min, y_max] in mm, each pair rising"
+        return None
+
+
+@dataclass(frozen=True)
+class ReferenceTable(ParameterTable):
+    """[pareto.reference]: load steps of the reference."""
+
+    press_steps: Steps
+    shear_steps: Steps
+
+
+@dataclass(frozen=True)
+class BrickReferenceTable(ParameterTable):
+    """[pareto.quick] reference: the bricks that the small chart is held against."""
+
+    size: Size
+    layers: Annotated[int, Within(1, 100)]
+    press_steps: Steps
+
+
+Sizes = Annotated[tuple[float, ...], Within(0.1, 10.0, "mm"), Some()]
+Layers = Annotated[tuple[int, ...], Within(1, 100), Some()]
+
+
+def uneven(sizes: tuple[float, ...], layers: tuple[int, ...]) -> str | None:
+    """What is wrong where not every brick size has its layers."""
+    if len(sizes) != len(layers):
+        return f"hex_sizes_mm has {len(sizes)} sizes and hex_layers {len(layers)}: give each size its layers"
+    return None
+
+
+@dataclass(frozen=True)
+class QuickTable(ParameterTable):
+    """[pareto.quick]: the report's small chart."""
+
+    scenes: Annotated[tuple[str, ...], Named(), Some()]
+    hex_sizes_mm: Sizes
+    hex_layers: Layers
+    steps: Steps
+    reference: BrickReferenceTable
+
+    def fault(self) -> str | None:
+        """Sizes without layers."""
+        return uneven(self.hex_sizes_mm, self.hex_layers)
+
+
+@dataclass(frozen=True)
+class ParetoMeshesTable(ParameterTable):
+    """What of [pareto] its meshes depend on."""
+
+    grading: GradingTable
+    regions: dict[str, RegionTable]
+
+
+@dataclass(frozen=True)
+class ParetoTable(ParetoMeshesTable):
+    """[pareto]: the chart of speed against accuracy."""
+
+    sensor: Annotated[str, Named()]
+    hex_sizes_mm: Sizes
+    hex_layers: Layers
+    ccx_sizes_mm: Sizes
+    load_steps: Annotated[tuple[int, ...], Within(1, 1000), Some()]
+    native_sizes_mm: Annotated[tuple[float, ...], Within(0.1, 10.0, "mm")]
+    native_limit_s: Seconds
+    halved: Names
+    limit_s: Seconds
+    reference: ReferenceTable
+    quick: QuickTable
+
+    def fault(self) -> str | None:
+        """Sizes without layers."""
+        return uneven(self.hex_sizes_mm, self.hex_layers)
+
+
+ENGINES = OneOf("hex", "ccx", "ccx-native")
+
+
+@dataclass(frozen=True)
+class LevelsTable(ParameterTable):
+    """[stability.levels]: values of each factor that is varied."""
+
+    depth: Annotated[tuple[float, ...], Within(TINY, 4.0, "mm"), Some()]
+    shear: Annotated[tuple[float, ...], Within(0.0, 10.0), Some()]
+    nu: Annotated[tuple[float, ...], Within(0.0, 0.4999), Some()]
+    steps: Annotated[tuple[int, ...], Within(1, 1000), Some()]
+
+
+@dataclass(frozen=True)
+class StabilityTable(ParameterTable):
+    """[stability]: the map of where solves converge."""
+
+    depth_mm: Annotated[float, Within(TINY, 4.0, "mm")]
+    nu: Nu
+    steps: Steps
+    size: Annotated[dict[str, Size], ENGINES]
+    sizes: Annotated[dict[str, Sizes], ENGINES]
+    layers: dict[str, Annotated[int, Within(1, 100)]]
+    native_depths_mm: Annotated[tuple[float, ...], Within(TINY, 4.0, "mm"), Some()]
+    random: Whole
+    seed: Seed
+    drift: Annotated[float, Within(TINY, 1e3)]
+    limit_s: Seconds
+    native_limit_s: Seconds
+    minutes: Annotated[float, Within(0.0, 1e6, "minutes")]
+    levels: LevelsTable
+
+    def fault(self) -> str | None:
+        """Engines without their sizes, sizes without layers, and random cases that pair sizes of unequal lists."""
+        for name, needed in (("size", ("hex", "ccx")), ("sizes", ("hex", "ccx", "ccx-native"))):
+            lost = [engine for engine in needed if engine not in getattr(self, name)]
+            if lost:
+                return f"{name}.{lost[0]} is missing: give an element size in mm for {', '.join(needed)}"
+        if len(self.sizes["hex"]) < len(self.sizes["ccx"]):
+            return f"sizes.hex has fewer sizes than sizes.ccx ({len(self.sizes['ccx'])}): give each its counterpart"
+        bare = [size for size in (*self.sizes["hex"], self.size["hex"]) if str(size) not in self.layers]
+        if bare:
+            return f'layers has no "{bare[0]}": give the layers of each size of bricks'
+        return None
+
+
+@dataclass(frozen=True)
+class Params(ParameterTable):
+    """All tables of workflow/params.toml."""
+
+    plan: PlanTable
+    report: ReportTable
+    train: TrainTable
+    evaluate: EvaluateTable
+    labels: LabelsTable
+    dataset: DatasetTable
+    calibrate: CalibrateTable
+    poses: PosesTable
+    material: MaterialTable
+    interface: InterfaceTable
+    meshes: MeshesTable
+    fea: FeaTable
+    forces: ForcesTable
+    pareto: ParetoTable
+    stability: StabilityTable
