@@ -28,7 +28,8 @@ class FeaSettings(CcxSettings):
     @classmethod
     def from_table(cls, table: FeaTable) -> "FeaSettings":
         """Take what the table holds of these; mesh names are not for the solver."""
-        return cls(**{field.name: getattr(table, field.name) for field in fields(cls)})
+        held = {field.name for field in fields(table)}
+        return cls(**{f.name: getattr(table, f.name) for f in fields(cls) if f.name in held})
 
     @property
     def ccx(self) -> CcxSettings:
