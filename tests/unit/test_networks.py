@@ -150,14 +150,14 @@ def test_the_untouched_sensor_is_coloured_as_its_image():
     changed = augment(torch.cat([image, image], 1), settings, torch.Generator().manual_seed(2))
     assert torch.equal(changed[:, :3], changed[:, 3:]) and not torch.equal(changed[:, :3], image)
     torch.testing.assert_close(changed[:, :3], augment(image, settings, torch.Generator().manual_seed(2)))
-    noisy = augment(torch.cat([image, image], 1), settings | {"noise": 0.1}, torch.Generator().manual_seed(2))
+    noisy = augment(torch.cat([image, image], 1), replace(settings, noise=0.1), torch.Generator().manual_seed(2))
     assert not torch.equal(noisy[:, :3], noisy[:, 3:])
 
 
 def test_augmentation_leaves_alone_what_it_must():
     images = torch.rand(6, 3, 8, 8, generator=torch.Generator().manual_seed(1))
     still = dict.fromkeys(("noise", "brightness", "contrast", "saturation", "hue"), 0.0)
-    one = augment(images, {**still, "probability": 1.0}, torch.Generator().manual_seed(2))
+    one = augment(images, replace(SETTINGS.augment, **still, probability=1.0), torch.Generator().manual_seed(2))
     torch.testing.assert_close(one, images, atol=1e-5, rtol=0)  # a matrix and its inverse in single precision
     none = augment(images, replace(SETTINGS.augment, probability=0.0), torch.Generator().manual_seed(2))
     assert torch.equal(none, images)
@@ -170,7 +170,9 @@ def test_total_force_loss_is_blind_to_where_the_force_is():
     wanted[0, :, 0, 0] = 1
     moved = wanted.roll(1, 3)
     scale = torch.ones(3)
-    off, square, linear = ({"total_weight": w, "total_huber": h} for w, h in ((0.0, 0.0), (1.0, 0.0), (1.0, 0.1)))
+    off, square, linear = (
+        replace(SETTINGS, total_weight=w, total_huber=h) for w, h in ((0.0, 0.0), (1.0, 0.0), (1.0, 0.1))
+    )
     only_cells = loss_of(moved, wanted, scale, scale, off)
     assert loss_of(moved, wanted, scale, scale, square) == only_cells == 0.5
     assert loss_of(moved, wanted, scale, scale, linear) == 0.5

@@ -319,7 +319,7 @@ class MeshesTable(ParameterTable):
     growth: Annotated[float, Within(0.0, 1e3)]
     coarsest_mm: Annotated[float, Within(0.1, 1e3, "mm")]
     fine_depth_mm: Annotated[float, Within(0.0, 1e3, "mm")]
-    hold: Annotated[dict[str, float], Within(0.0, 1e3)]
+    hold: dict[str, Annotated[float, Within(0.0, 1e3)]]
     regions: dict[str, Half]
 
     def fault(self) -> str | None:
