@@ -59,7 +59,7 @@ class Rig:
     @cached_property
     def cuboid(self) -> Pressing:
         """The press of the real cuboid picture."""
-        return self.bench.press(CUBOID)
+        return self.bench.press(CUBOID)[-1]
 
     def view(self, pressing: Pressing):
         """Displacement field and body of a press, as cameras want them."""
@@ -78,11 +78,11 @@ def pressed(rig: Rig, count: int = 24) -> tuple[list[Pressing], list[float]]:
     some = [order for order in orders(rig.plan) if order.unit == 0][7 :: max(1, rig.plan.presses // count)][:count]
     for order in some:
         rig.bench.body(order.indenter)
-    rig.picture(rig.bench.press(some[0]))  # compiles what numba compiles
+    rig.picture(rig.bench.press(some[0])[-1])  # compiles what numba compiles
     pressings, seconds = [], []
     for order in progress(some, "presses"):
         start = time.process_time()
-        pressings.append(rig.bench.press(order))
+        pressings.append(rig.bench.press(order)[-1])
         rig.picture(pressings[-1])
         seconds.append(time.process_time() - start)
     return pressings, seconds

@@ -83,7 +83,7 @@ def beside_real(rig: Rig, reference: Path) -> list[Section]:
     for number, (name, (sensor, indenter, depth, path)) in enumerate(VIDEOS.items()):
         seen = frames(reference / "slip_videos" / f"{name}.avi")
         order = Order(10_000 + number, name, "", sensor, indenter, -0.5, 1.0, depth, path, 20.0, 60.0)
-        images = most_changed(seen), seen[-1], rig.picture(rig.bench.press(order))
+        images = most_changed(seen), seen[-1], rig.picture(rig.bench.press(order)[-1])
         caption = f"{name}: touched, after release; right: the rig's {sensor} with {indenter}, {depth} mm."
         videos.picture(png(*images), caption)
     return [still, pressed, videos]

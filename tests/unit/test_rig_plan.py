@@ -174,3 +174,24 @@ def test_load_cell_drifts_slowly_about_its_bias():
     assert np.abs(error - bias).max() <= np.sqrt(3.0) * plan.truth.drift_n + 1e-12
     # the fastest wave takes 80 presses, so no step is larger than 2 pi / 80 of the whole
     assert np.abs(np.diff(error, axis=0)).max() < 2 * np.pi / 80 * np.sqrt(3.0) * plan.truth.drift_n
+
+
+@pytest.mark.parametrize("frames", [0, -1, 100, 2.5])
+def test_impossible_counts_of_moments_are_refused(root, tmp_path, frames):
+    text = (root / "workflow/rig/demo.toml").read_text(encoding="utf-8")
+    (tmp_path / "p.toml").write_text(f"frames = {frames}\n{text}")
+    with pytest.raises(BadInput, match="frames"):
+        read_plan(tmp_path / "p.toml")
+
+
+def test_a_plan_without_moments_is_the_one_it_was(root, tmp_path):
+    """Datasets written before presses had moments still belong to their plan, and its orders are the same."""
+    text = (root / "workflow/rig/demo.toml").read_text(encoding="utf-8")
+    (tmp_path / "p.toml").write_text(f"frames = 1\n{text}")
+    one, other = read_plan(root / "workflow/rig/demo.toml"), read_plan(tmp_path / "p.toml")
+    assert one.identity() == other.identity() and "frames" not in one.identity()
+    assert orders(one) == orders(other) and not any(order.film_id for order in orders(one))
+    (tmp_path / "p.toml").write_text(f"frames = 3\n{text}")
+    filmed = read_plan(tmp_path / "p.toml")
+    assert filmed.identity() != one.identity() and len(orders(filmed)) == 3 * len(orders(one))
+    assert len({order.sample_id for order in orders(filmed)}) == len(orders(filmed))

@@ -6,7 +6,8 @@ import pytest
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, read_json
-from gelforge.records.log import read_log
+from gelforge.records.frames import check_frames, presses_of
+from gelforge.records.log import read_log, read_presses
 from gelforge.records.press import parse
 from gelforge.stages.rig import main, run
 from tests.conftest import ROOT
@@ -55,6 +56,33 @@ def test_one_press_seen_by_two_sensors_is_carried_out_once(tmp_path):
     assert one.pop("sample_id") != other.pop("sample_id")
     assert one == other
     assert len(list((data / "truth" / "surfaces").iterdir())) == 1
+
+
+def test_the_moments_of_a_press_are_frames_of_one_path_at_little_more_than_its_price(two, tmp_path):
+    """Six moments: rows that belong together, forces that grow, each with its own picture; the last is the press alone."""
+    data = run(
+        plan_of(tmp_path, 2, ('dataset = "demo"', 'dataset = "demo"\nframes = 6')),
+        tmp_path / "data",
+        ROOT / "workflow",
+    )
+    presses = read_presses(data / "log.csv")
+    films = presses_of(presses)
+    assert check_frames(presses, "log.csv") == [] and [len(film) for film in films] == [6, 6]
+    assert len({(data / press.image).read_bytes() for press in presses}) == 12
+    singles, truth = read_presses(two / "log.csv"), read_csv(data / "truth" / "presses.csv")
+    iterations = {row["sample_id"]: int(row["newton_iterations"]) for row in truth}
+    for film, single in zip(films, singles, strict=True):
+        assert np.linalg.norm(film[-1].force - single.force) < 0.02 * np.linalg.norm(single.force) + 0.05
+        assert all(later.fz_n < before.fz_n + 0.2 for before, later in zip(film, film[1:], strict=False))
+        assert film[0].fz_n > 0.6 * film[-1].fz_n
+        # counted along one path, from its touch to each moment
+        counted = [iterations[press.sample_id] for press in film]
+        assert counted == sorted(counted)
+    lost = data / presses[3].image
+    kept = lost.read_bytes()
+    lost.unlink()
+    run(tmp_path / "plan.toml", tmp_path / "data", ROOT / "workflow")
+    assert lost.read_bytes() == kept
 
 
 def test_log_hides_what_the_truth_knows(two):

@@ -10,6 +10,8 @@ from gelforge.records.press import PressRecord, Rejection, reject
 # A bench that films reads its axes while they move: what lies nearer than its resolution is the same place.
 NEAR_MM = 0.01
 NEAR_DEG = 0.05
+# A frame that gives way moves by some hundredths while a press goes sideways.
+NEAR_DEPTH_MM = 0.05
 SAME = ("indenter", "sensor_id", "gel_id")
 PLACE = {"x0_mm": NEAR_MM, "y0_mm": NEAR_MM, "z0_mm": NEAR_MM, "rot_deg": NEAR_DEG}
 
@@ -68,9 +70,10 @@ def _goes_back(last: PressRecord, frame: PressRecord) -> tuple[str, str] | None:
     before, now = (np.array([r.dx_mm, r.dy_mm]) for r in (last, frame))
     moved, goes = np.hypot(*before), np.hypot(*now)
     column = "dx_mm" if abs(now[0] - before[0]) >= abs(now[1] - before[1]) else "dy_mm"
-    if frame.dz_mm > last.dz_mm + NEAR_MM:
+    near = NEAR_DEPTH_MM if goes > NEAR_MM else NEAR_MM
+    if frame.dz_mm > last.dz_mm + near:
         return "dz_mm", "rises within its press: a press goes down, then sideways"
-    if moved > NEAR_MM and frame.dz_mm < last.dz_mm - NEAR_MM:
+    if moved > NEAR_MM and frame.dz_mm < last.dz_mm - near:
         return "dz_mm", "goes deeper after the press moved sideways: a press goes down, then sideways"
     if goes < moved - NEAR_MM:
         return column, "goes back within its press: a press moves sideways in one direction"

@@ -21,6 +21,7 @@ from gelforge.virtualrig.writer import Dataset, image_name, logged, save_image, 
 
 VERSION = 2
 CAMERA = 2  # purpose of a generator: noise of the first camera that sees a press; the others follow
+MOMENTS = 1000  # further on are the generators of later moments
 
 _worker = None  # the bench and cameras of this process; building them costs more than a press
 
@@ -42,25 +43,33 @@ class Worker:
         self.cameras = {name: Renderer(looks[name], sensors[name].projection, gel) for name in plan.sensors}
 
     def carry_out(self, orders: list[Order], solved: bool) -> list[tuple]:
-        """Press once and take every picture of `orders`, which are of one press.
+        """Press once and take every picture of `orders`, which are of one press and its moments.
 
         Returns (order, row of the log or None, row of the truth) of each; none where the press is `solved` and only
         pictures are drawn from the surface kept then.
         """
         from gelforge.virtualrig.surface import Surface, surface_of
 
-        kept = self.folder / surface_name(orders[0])
+        by_moment: dict[int, list[Order]] = {}
+        for order in orders:
+            by_moment.setdefault(order.moment, []).append(order)
         if solved:
-            self._take_pictures(orders, Surface.load(kept))
+            for seen in by_moment.values():
+                self._take_pictures(seen, Surface.load(self.folder / surface_name(seen[0])))
             return []
-        pressing = self.bench.press(orders[0])
-        of_each = [(order, replace(pressing, order=order)) for order in orders]
-        if not pressing.result.status.valid:
-            return [(order, None, truth_row(seen)) for order, seen in of_each]
-        surface = surface_of(pressing.result.mesh, pressing.result.displacement, pressing.real)
-        surface.save(kept)
-        self._take_pictures(orders, surface)
-        return [(order, logged(seen, self.plan.gel), truth_row(seen)) for order, seen in of_each]
+        pressings = self.bench.press(orders[0])
+        for moment, seen in by_moment.items():
+            pressing = pressings[moment]
+            if not pressing.result.status.valid:
+                continue
+            surface = surface_of(pressing.result.mesh, pressing.result.displacement, pressing.real)
+            surface.save(self.folder / surface_name(seen[0]))
+            self._take_pictures(seen, surface)
+        of_each = [(order, replace(pressings[order.moment], order=order)) for order in orders]
+        return [
+            (order, logged(seen, self.plan.gel) if seen.result.status.valid else None, truth_row(seen))
+            for order, seen in of_each
+        ]
 
     def _take_pictures(self, orders: list[Order], surface) -> None:
         from gelforge.virtualrig.render import Pressed
@@ -68,7 +77,7 @@ class Worker:
 
         body, field = Pressed(self.bench.body(orders[0].indenter), surface.press), field_of(self.gel, surface)
         for order in orders:
-            noise = generator(self.plan, order.index, CAMERA + order.unit)
+            noise = generator(self.plan, order.index, CAMERA + order.unit + MOMENTS * order.moment)
             save_image(self.folder / image_name(order), self.cameras[order.sensor].image(field, body, noise))
 
 

@@ -29,6 +29,7 @@ MOST_BRICKS = 500  # under a footprint: keeps the widest bars within seconds
 # A bench never diverges: where the steps were too long it takes shorter ones, and at last a less deep press,
 # which the log then reports.
 FINER = replace(SETTINGS, press_steps=10, shear_steps=6, max_cuts=10)
+MOMENT_NOISE = 10_000  # purpose of a generator: what the load cell adds at moments before a press's end
 ATTEMPTS = ((SETTINGS, 1.0), (FINER, 1.0), (FINER, 0.8))
 
 
@@ -67,8 +68,11 @@ class Bench:
             )
         return self._bodies[name]
 
-    def press(self, order: Order) -> Pressing:
-        """Carry out one order; a state that no attempt could reach has a status that is not valid."""
+    def press(self, order: Order) -> list[Pressing]:
+        """Carry out one order, the moments of its press in order of time; all of them from one walked path.
+
+        A state that no attempt could reach has a status that is not valid; so may a moment on the way.
+        """
         truth, rng = self.plan.truth, generator(self.plan, order.index, 1)
         play = rng.uniform(-1.0, 1.0, size=6) * truth.cnc_um * 1e-3
         height = truth.touch_offset_mm + rng.normal(scale=truth.touch_scatter_mm)
@@ -77,27 +81,44 @@ class Bench:
         depth = self._reached(order, height)
         for settings, share in ATTEMPTS:
             real = _path(order, height, share * depth, play)
-            result = self._solve(order, real, settings)
-            if result.status.valid:
+            results = self._solve(order, real, settings)
+            if results[-1].status.valid:
                 break
+        noises = [self._later_noise(order, k) for k in range(len(results) - 1)] + [(read_noise, moment_noise)]
+        ways = moments(real, self.plan.frames)
+        return [
+            self._reported(order, replace(real, **way), result, _part(play, real, way), noise)
+            for way, result, noise in zip(ways, results, noises, strict=True)
+        ]
+
+    def _later_noise(self, order: Order, moment: int) -> tuple[np.ndarray, np.ndarray]:
+        """Noise of force and moment that the load cell reads at a moment before the last."""
+        rng = generator(self.plan, order.index, MOMENT_NOISE + moment)
+        truth = self.plan.truth
+        return rng.normal(scale=truth.force_noise_n, size=3), rng.normal(scale=truth.moment_noise_nm, size=3)
+
+    def _reported(self, order: Order, real: Press, result: HexResult, play, noise) -> Pressing:
+        """What the bench reports of one solved moment."""
+        truth = self.plan.truth
         scale = truth.c10_mpa / REFERENCE_C10
         force = scale * result.total
         arm = result.mesh.nodes + result.displacement
         moment = scale * np.cross(arm, result.forces).sum(axis=0) * 1e-3
         log = believed(order, real, play, force, truth)
-        return Pressing(
-            order, real, log, force, moment, force + load_cell_error(self.plan, order.index) + read_noise,
-            moment + moment_noise, result,
-        )  # fmt: skip
+        read = force + load_cell_error(self.plan, order.index) + noise[0]
+        return Pressing(order, real, log, force, moment, read, moment + noise[1], result)
 
-    def _solve(self, order: Order, real: Press, settings: HexSettings) -> HexResult:
+    def _solve(self, order: Order, real: Press, settings: HexSettings) -> list[HexResult]:
         truth = self.plan.truth
         law = Interface("coulomb", truth.friction) if truth.friction > 0 else Interface("frictionless")
-        scene = Scene(self.gel, Material(nu=truth.nu), self.indenters[order.indenter], real, law)
-        result = HexSolver(replace(settings, box=self.fine_box(order.indenter, real, settings.size))).solve(scene)
-        if result.status is Status.UNSETTLED and result.evidence.get("pulling_fraction", 1.0) < 0.01:
-            result.status = Status.OK  # sticking and sliding still trade under 1 % of the force
-        return result
+        body, gel = self.indenters[order.indenter], Material(nu=truth.nu)
+        scenes = [Scene(self.gel, gel, body, replace(real, **way), law) for way in moments(real, self.plan.frames)]
+        box = self.fine_box(order.indenter, real, settings.size)
+        results = HexSolver(replace(settings, box=box)).solve_frames(scenes)
+        for result in results:
+            if result.status is Status.UNSETTLED and result.evidence.get("pulling_fraction", 1.0) < 0.01:
+                result.status = Status.OK  # sticking and sliding still trade under 1 % of the force
+        return results
 
     def _reached(self, order: Order, height: float) -> float:
         """Depth that is left of the ordered one when the frame has given way and the load limit was kept.
@@ -168,6 +189,23 @@ def _path(order: Order, height: float, depth: float, play) -> Press:
     dx, dy = order.shear[0] * share, order.shear[1] * share
     path = order.x + play[0], order.y + play[1], height + play[2], dx + play[3], dy + play[4], -depth + play[5]
     return Press(*map(float, path), order.rot_deg)
+
+
+def moments(real: Press, count: int) -> list[dict[str, float]]:
+    """How far down and sideways (dx, dy, dz in mm) a press is at `count` moments, evenly along its path, the last its end."""
+    end = 2.0 if real.dx or real.dy else 1.0
+    times = [end * (k + 1) / count for k in range(count)]
+    return [
+        {"dx": max(t - 1.0, 0.0) * real.dx, "dy": max(t - 1.0, 0.0) * real.dy, "dz": min(t, 1.0) * real.dz}
+        for t in times
+    ]
+
+
+def _part(play: np.ndarray, real: Press, way: dict[str, float]) -> np.ndarray:
+    """The axes' errors (6,) at a moment: those of the travel grow with it."""
+    down = way["dz"] / real.dz
+    aside = (way["dx"] / real.dx if real.dx else way["dy"] / real.dy) if real.dx or real.dy else 1.0
+    return play * [1.0, 1.0, 1.0, aside, aside, down]
 
 
 def believed(order: Order, real: Press, play, force, truth: Truth) -> Press:

@@ -1,7 +1,7 @@
 """Plans of the virtual rig: what is pressed where, how often, and what the bench hides."""
 
 import json
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import MISSING, asdict, dataclass, fields, replace
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -12,6 +12,7 @@ from gelforge.flow.params import read_toml
 from gelforge.geometry.gel import Gel
 
 EDGE = 2.0  # mm that the tip keeps from the gel's outline
+MOST_FRAMES = 99
 DEEPEST = 0.7  # share of the gel's height that a press may take
 
 
@@ -63,7 +64,10 @@ class Kind:
 
 @dataclass(frozen=True)
 class Plan:
-    """A whole plan; `presses` may grow, everything else but `params` makes it another plan."""
+    """A whole plan; `presses` may grow, everything else but `params` makes it another plan.
+
+    frames: moments of each press that are recorded, evenly along its way down and then sideways, the last at its end.
+    """
 
     dataset: str
     seed: int
@@ -76,10 +80,13 @@ class Plan:
     truth: Truth
     kinds: tuple[Kind, ...]
     params: dict  # [params.TABLE] of the plan: parameters of the stages, written to dataset.toml
+    frames: int = 1
 
     def identity(self) -> str:
         """Canonical text of everything that a press depends on but the number of presses."""
         told = {key: value for key, value in asdict(self).items() if key != "params"}
+        if self.frames == 1:
+            del told["frames"]  # as plans were told apart before presses had moments
         return json.dumps({**told, "presses": None}, sort_keys=True)
 
     @property
@@ -96,6 +103,7 @@ class Order:
     """One press as ordered, seen by one sensor: what the bench is told to do, and its place in the plan.
 
     index: of the press, unit: of the sensor among those that see it. press_id: what orders of one press share.
+    moment: which of its moments, 0 the first. film_id: what the moments that one sensor sees share; empty for a single one.
     """
 
     index: int
@@ -111,6 +119,8 @@ class Order:
     max_force_n: float
     unit: int = 0
     press_id: str = ""
+    moment: int = 0
+    film_id: str = ""
 
 
 def read_plan(path) -> Plan:
@@ -129,7 +139,8 @@ def read_plan(path) -> Plan:
 
 def _record(cls, table: dict, where: str):
     known = {f.name: f.type for f in fields(cls)}
-    unknown, missing = sorted(set(table) - set(known)), sorted(set(known) - set(table))
+    needed = {f.name for f in fields(cls) if f.default is MISSING}
+    unknown, missing = sorted(set(table) - set(known)), sorted(needed - set(table))
     if unknown or missing:
         raise BadInput(
             f"{where}: unknown keys {unknown or 'none'}, missing keys {missing or 'none'}; "
@@ -172,6 +183,8 @@ def _number(value) -> bool:
 def _check_values(plan: Plan, path) -> None:
     if not plan.dataset.replace("_", "").replace("-", "").isalnum():
         raise BadInput(f"{path}: dataset = {plan.dataset!r}; use letters, digits, - and _ only, it names a folder")
+    if not 1 <= plan.frames <= MOST_FRAMES:
+        raise BadInput(f"{path}: frames = {plan.frames}; give 1 to {MOST_FRAMES} moments of each press")
     if plan.presses < 1:
         raise BadInput(f"{path}: presses = {plan.presses}; give at least 1")
     if plan.gel != Gel().name:
@@ -269,11 +282,18 @@ def orders(plan: Plan) -> list[Order]:
 
 def _orders_of_press(plan: Plan, index: int, kind: Kind, number: int) -> list[Order]:
     order = _order(plan, index, kind, number)
-    if not kind.each_sensor:
-        return [order]
+    seen = [order]
+    if kind.each_sensor:
+        seen = [
+            replace(order, sample_id=f"{order.press_id}-{unit + 1}", sensor=sensor, unit=unit)
+            for unit, sensor in enumerate(kind.sensors)
+        ]
+    if plan.frames == 1:
+        return seen
     return [
-        replace(order, sample_id=f"{order.press_id}-{unit + 1}", sensor=sensor, unit=unit)
-        for unit, sensor in enumerate(kind.sensors)
+        replace(one, sample_id=f"{one.sample_id}-f{k + 1:02d}", film_id=one.sample_id, moment=k)
+        for one in seen
+        for k in range(plan.frames)
     ]
 
 

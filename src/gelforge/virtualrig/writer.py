@@ -94,7 +94,8 @@ def image_name(order: Order) -> str:
 
 def surface_name(order: Order) -> str:
     """Path of a press's surface below the dataset's folder: from it its pictures can be drawn again."""
-    return f"truth/surfaces/{order.press_id}.npz"
+    moment = f"-f{order.moment + 1:02d}" if order.film_id else ""
+    return f"truth/surfaces/{order.press_id}{moment}.npz"
 
 
 def save_image(path, image: np.ndarray) -> None:
@@ -109,7 +110,7 @@ def logged(pressing: Pressing, gel_id: str) -> LoggedPress:
     values = dict(zip((*POSE, *FORCES), (*path, *pressing.read_force, *pressing.read_moment), strict=True))
     return LoggedPress(
         row=0, sample_id=order.sample_id, time_utc=order.time_utc, sensor_id=order.sensor, gel_id=gel_id,
-        indenter=order.indenter, image=image_name(order), **{name: float(value) for name, value in values.items()},
+        indenter=order.indenter, image=image_name(order), press_id=order.film_id, **{name: float(value) for name, value in values.items()},
     )  # fmt: skip
 
 

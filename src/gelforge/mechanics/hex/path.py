@@ -107,7 +107,14 @@ class Run:
                     self._leg(stop, min(step, (stop - self.t) / BETWEEN) if stops else step)
                     if at_stop and stop in stops and stop < end_of(self.scene):
                         ended = self._branch()
-                        at_stop(ended, ended._settle())
+                        at_stop(ended, ended._end())
+        except (NoEquilibrium, SolveFailed):
+            return Status.DIVERGED
+        return self._end()
+
+    def _end(self) -> Status:
+        """Settle here, where a path or one of its moments ends."""
+        try:
             return self._settle()
         except (NoEquilibrium, SolveFailed):
             return Status.DIVERGED
