@@ -11,7 +11,15 @@ from hypothesis import strategies as st
 from gelforge.commands import predict, sensor
 from gelforge.errors import BadInput
 from gelforge.labelling.markers import pitch_of
-from gelforge.networks.profile import Gain, check_same_sensor, fit_gain, make_profile, read_profile, write_profile
+from gelforge.networks.profile import (
+    Gain,
+    check_same_sensor,
+    fit_gain,
+    make_profile,
+    read_profile,
+    student_quantile,
+    write_profile,
+)
 from gelforge.networks.use import load_for_use
 
 
@@ -153,3 +161,11 @@ def test_readings_that_cannot_be_are_refused(weighed, change, says):
     with pytest.raises(BadInput, match=says):
         make(folder, change(rows))
     assert not (folder / "mine.toml").exists()
+
+
+@pytest.mark.parametrize("freedom", [2, 3, 6, 20, 200])
+def test_quantiles_are_students(freedom):
+    from scipy.stats import t
+
+    for share in (0.6, 0.9, 0.95):
+        assert student_quantile(share, freedom) == pytest.approx(t.ppf(share, freedom), rel=0.012)
