@@ -7,7 +7,7 @@ import subprocess
 import sys
 import time
 
-from gelforge.flow.step import mirror
+from gelforge.flow.layout import mirror
 
 
 def start(target, *command):

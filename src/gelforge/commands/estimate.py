@@ -14,15 +14,17 @@ from pathlib import Path
 
 from gelforge.commands.sample import stages
 from gelforge.errors import BadInput
+from gelforge.flow import layout
 from gelforge.flow.estimate import Cost, pilots, presses_an_hour, table, wall_seconds
 from gelforge.flow.files import read_json, write_text
+from gelforge.flow.layout import Layout, shard_name
 from gelforge.flow.main import command, option
 from gelforge.flow.params.slices import ForCalibrate, ForPareto, ForReport, ForTrain, read_slice
 from gelforge.flow.running import duration
 from gelforge.records.log import read_shard, shard_text
 from gelforge.records.press import RawRow, parse
 
-STAGES = {"poses": "10_poses", "fea": "30_fea", "forces": "40_forces", "labels": "50_labels"}
+STAGES = {"poses": layout.POSES, "fea": layout.FEA, "forces": layout.FORCES, "labels": layout.LABELS}
 # Measured on the demo, processor seconds: an image through a light net in one epoch of training, and through an
 # evaluation with its start; a press in the report; a press of a calibration; a scene of the quick chart.
 TRAIN_EACH, EVALUATE_EACH, REPORT_EACH, CALIBRATE_EACH, CHART_EACH = 5e-3, 5e-3, 0.02, 24.0, 22.0
@@ -32,7 +34,7 @@ IMAGE_BYTES = 240 * 320 * 3
 
 def planned_rows(results: Path) -> list[RawRow]:
     """Rows of all planned shards."""
-    return [row for path in sorted((results / "00_plan" / "shards").glob("*.csv")) for row in read_shard(path)]
+    return [row for name in Layout(results).names() for row in read_shard(Layout(results).shard(name))]
 
 
 def depth(row: RawRow) -> float:
@@ -61,7 +63,7 @@ def folder_bytes(folder: Path) -> int:
 def pilot(data: Path, results: Path, work: Path, rows: list[RawRow], resolution: str) -> dict[str, tuple[float, int]]:
     """Processor seconds and bytes of each stage for a shard of the rows given."""
     shutil.rmtree(work, ignore_errors=True)
-    write_text(work / "00_plan" / "shards" / "0000.csv", shard_text(rows))
+    write_text(Layout(work).shard(shard_name(0)), shard_text(rows))
     found = {}
     for module, arguments in stages(data, results, work, resolution):
         out = Path(arguments[-1])
@@ -74,7 +76,7 @@ def pilot(data: Path, results: Path, work: Path, rows: list[RawRow], resolution:
 def measured(data: Path, results: Path, resolution: str, rows: list[RawRow]) -> list[Cost]:
     """What stages 10 to 50 take of each press, from a shard of pilots."""
     chosen = [rows[k] for k in pilots([depth(row) for row in rows])]
-    work = results / "estimate"
+    work = results / layout.ESTIMATE
     try:
         found = pilot(data, results, work, chosen, resolution)
     finally:
@@ -86,27 +88,27 @@ def measured(data: Path, results: Path, resolution: str, rows: list[RawRow]) -> 
 
 def meshes(results: Path) -> Cost:
     """What the meshes took, which the pilots needed and the run keeps."""
-    records = [read_json(path) for path in (results / "metrics" / "20_meshes").glob("*.json")]
-    written = folder_bytes(results / "20_meshes")
-    return Cost("20_meshes", cpu_once=sum(record["cpu_seconds"] for record in records), bytes_once=written)
+    records = [read_json(path) for path in (Layout(results).metrics / layout.MESHES).glob("*.json")]
+    written = folder_bytes(Layout(results).meshes)
+    return Cost(layout.MESHES, cpu_once=sum(record["cpu_seconds"] for record in records), bytes_once=written)
 
 
 def told(params: Path, resolution: str) -> list[Cost]:
     """What the stages after the labels take, from other datasets."""
     report = read_slice(params / "report.json", ForReport).report
     cells = 4 * 3 * int(resolution.split("x", maxsplit=1)[0]) * int(resolution.split("x")[1])
-    found = [Cost("60_dataset", 2e-3, START, IMAGE_BYTES + cells)]
+    found = [Cost(layout.DATASET, 2e-3, START, IMAGE_BYTES + cells)]
     if report.model != "shipped":
         epochs = read_slice(params / "train.json", ForTrain).train.epochs
-        found.append(Cost("70_train", TRAIN_EACH * epochs, START, bytes_once=3e6))
-    found.append(Cost("80_evaluate", EVALUATE_EACH, START, cells / 2))
+        found.append(Cost(layout.TRAIN, TRAIN_EACH * epochs, START, bytes_once=3e6))
+    found.append(Cost(layout.EVALUATE, EVALUATE_EACH, START, cells / 2))
     if "calibrate" in report.branches:
         presses = read_slice(params / "calibrate.json", ForCalibrate).calibrate.max_presses
-        found.append(Cost("calibrate", cpu_once=CALIBRATE_EACH * presses, bytes_once=2e7))
+        found.append(Cost(layout.CALIBRATE, cpu_once=CALIBRATE_EACH * presses, bytes_once=2e7))
     if "pareto" in report.branches:
         scenes = read_slice(params / "pareto.json", ForPareto).pareto.quick.scenes
-        found.append(Cost("pareto", cpu_once=CHART_EACH * len(scenes), bytes_once=3e7))
-    return [*found, Cost("90_report", REPORT_EACH, START, 4e4, 3e6)]
+        found.append(Cost(layout.PARETO, cpu_once=CHART_EACH * len(scenes), bytes_once=3e7))
+    return [*found, Cost(layout.REPORT, REPORT_EACH, START, 4e4, 3e6)]
 
 
 @command(
@@ -125,8 +127,8 @@ def main(args: Namespace) -> None:
     )
     costs = [*measured(args.data, args.results, args.resolution, rows)]
     costs.insert(1, meshes(args.results))
-    costs += told(args.results / "00_plan" / "params", args.resolution)
-    shards = len(list((args.results / "00_plan" / "shards").glob("*.csv")))
+    costs += told(Layout(args.results).params, args.resolution)
+    shards = len(Layout(args.results).names())
     print("\n".join(table(costs, len(rows))))
     print(f"{presses_an_hour(costs, args.cores):.0f} presses an hour become labels on {args.cores} cores like these")
     print(f"about {duration(wall_seconds(costs, len(rows), args.cores, shards))} on {args.cores} cores like these")

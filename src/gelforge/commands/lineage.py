@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from gelforge.errors import BadInput
+from gelforge.flow.layout import FEA, Layout
 from gelforge.flow.lineage import Step, concerning, pose_of, read_record, shard_of, steps_to
 from gelforge.flow.main import command, option
 
@@ -29,18 +30,15 @@ def versions() -> dict[str, str]:
 def lineage(results: Path, sample_id: str, resolution: str) -> dict:
     """All that is known of a label: its sample's solve, and the steps that led to it, first one first."""
     shard = shard_of(results, sample_id)
-    label = results / "50_labels" / resolution / "labels.json"
+    of = Layout(results)
+    label = of.labelled(resolution)
     steps = list(steps_to(results, str(label), shard))
     if not steps:  # no label yet: what there is
-        last = [
-            results / "40_forces" / f"{shard}.npz",
-            results / "30_fea" / f"{shard}.csv",
-            results / "10_poses" / f"{shard}.csv",
-        ]
+        last = [of.forces(shard), of.fea(shard), of.poses(shard)]
         steps = next((found for path in last if (found := list(steps_to(results, str(path), shard)))), [])
     pose = pose_of(results, shard, sample_id)
     steps = [replace(step, parameters=concerning(step.parameters, pose)) for step in steps]
-    solve = read_record(results / "30_fea" / shard / f"{sample_id}.json")
+    solve = read_record(of.solve(shard, sample_id))
     return {
         "sample_id": sample_id,
         "shard": shard,
@@ -59,9 +57,9 @@ def lines(found: dict, results: Path) -> list[str]:
             f"{step.target}: made {when} UTC in {step.seconds:.1f} s, {step.cpu_seconds:.1f} s of processor time,"
             f" {step.peak_mib:.0f} MiB"
         )
-        text += [f"    reads {path}" for path in step.inputs if "00_plan/params" not in path]
+        text += [f"    reads {path}" for path in step.inputs if not Path(path).is_relative_to(Layout(results).params)]
         text += [f"    parameters {name} {json.dumps(values)}" for name, values in step.parameters.items()]
-        if "/30_fea/" in step.target and found["solve"]:
+        if Path(step.target).is_relative_to(Layout(results).folder(FEA)) and found["solve"]:
             text += solve_lines(found["solve"], step.target)
     if not found["steps"]:
         text.append("nothing was made of it yet")

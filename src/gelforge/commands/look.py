@@ -8,6 +8,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish, read_csv
+from gelforge.flow.layout import Layout, shard_name
 from gelforge.flow.main import command, option
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import Sensor, find_sensor, load_sensors, transform
@@ -37,15 +38,17 @@ class Pictured:
 
 def shard_paths(results: Path, sample_id: str, resolution: str) -> dict[str, Path]:
     """Files of the shard that holds a sample; those of `make sample` where the shard has no label yet."""
-    table = results / "00_plan" / "shards.csv"
-    shards = {row["sample_id"]: int(row["shard"]) for row in read_csv(table)} if table.exists() else {}
+    of = Layout(results)
+    shards = (
+        {row["sample_id"]: int(row["shard"]) for row in read_csv(of.shard_table)} if of.shard_table.exists() else {}
+    )
     if sample_id not in shards:
         raise BadInput(f"sample {sample_id!r} is not in the log of {results.name}; say make look ID=SAMPLE_ID")
-    for folder, name in ((results, f"{shards[sample_id]:04d}"), (results / "samples" / sample_id, "0000")):
+    for own, name in ((of, shard_name(shards[sample_id])), (of.sample(sample_id), shard_name(0))):
         paths = {
-            "poses": folder / "10_poses" / f"{name}.csv",
-            "forces": folder / "40_forces" / f"{name}.npz",
-            "labels": folder / "50_labels" / resolution / f"{name}.npz",
+            "poses": own.poses(name),
+            "forces": own.forces(name),
+            "labels": own.labels(resolution, name),
         }
         if paths["labels"].exists() and paths["forces"].exists():
             return paths
@@ -217,7 +220,7 @@ def main(args: Namespace) -> None:
         look = load(args.data, paths, args.id, sensors, resolution)
         write_figure(out / f"{args.id}-{resolution}.png", draw(look))
         print(out / f"{args.id}-{resolution}.png")
-    export_vtu(out / f"{args.id}.vtu", paths, args.results / "20_meshes", args.id)
+    export_vtu(out / f"{args.id}.vtu", paths, Layout(args.results).meshes, args.id)
     print(out / f"{args.id}.vtu")
 
 

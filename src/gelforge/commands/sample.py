@@ -6,6 +6,7 @@ from pathlib import Path
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_text
+from gelforge.flow.layout import Layout, shard_name
 from gelforge.flow.main import command, option
 from gelforge.records.log import read_poses, read_shard, shard_text
 from gelforge.records.press import RawRow, check_id
@@ -13,8 +14,9 @@ from gelforge.records.press import RawRow, check_id
 
 def find_row(results: Path, sample_id: str) -> RawRow:
     """The raw row of a sample in the planned shards."""
-    for path in sorted((results / "00_plan" / "shards").glob("*.csv")):
-        for row in read_shard(path):
+    of = Layout(results)
+    for name in of.names():
+        for row in read_shard(of.shard(name)):
             if row.cells["sample_id"] == sample_id:
                 return row
     raise BadInput(f"sample {sample_id!r} is not in the log of {results.name}; make sample ID=… takes a sample_id")
@@ -22,13 +24,10 @@ def find_row(results: Path, sample_id: str) -> RawRow:
 
 def stages(data: Path, results: Path, work: Path, resolution: str) -> list[tuple[str, list]]:
     """The stages' modules and arguments for a shard of one sample in the folder `work`; the last argument is the output."""
-    params = results / "00_plan" / "params"
-    meshes = results / "20_meshes"
-    shard, poses, fea, forces = (
-        work / name
-        for name in ("00_plan/shards/0000.csv", "10_poses/0000.csv", "30_fea/0000.csv", "40_forces/0000.npz")
-    )
-    labels = work / "50_labels" / resolution / "labels.json"
+    params, meshes = Layout(results).params, Layout(results).meshes
+    own, only = Layout(work), shard_name(0)
+    shard, poses, fea, forces = own.shard(only), own.poses(only), own.fea(only), own.forces(only)
+    labels = own.labelled(resolution)
     return [
         ("poses", ["--data", data, "--shard", shard, "--params", params / "poses.json", "--out", poses]),
         ("fea", ["--poses", poses, "--meshes", meshes, "--params", params / "fea.json", "--out", fea]),
@@ -68,8 +67,8 @@ def main(args: Namespace) -> int:
     if not args.id:
         raise BadInput("no sample named; say make sample ID=SAMPLE_ID")
     data, results = Path("data") / args.dataset, Path("results") / args.dataset
-    work = results / "samples" / check_id(args.id)
-    write_text(work / "00_plan" / "shards" / "0000.csv", shard_text([find_row(results, args.id)]))
+    work = Layout(results).sample(check_id(args.id)).root
+    write_text(Layout(work).shard(shard_name(0)), shard_text([find_row(results, args.id)]))
     for stage, arguments in stages(data, results, work, args.resolution):
         Path(arguments[-1]).parent.mkdir(parents=True, exist_ok=True)
         print(f"== {stage}", file=sys.stderr, flush=True)

@@ -7,6 +7,8 @@ from collections import Counter
 from pathlib import Path
 
 from gelforge.errors import printable
+from gelforge.flow import layout
+from gelforge.flow.layout import Layout, shard_name
 from gelforge.flow.main import command, option
 from gelforge.flow.running import duration, look
 
@@ -23,20 +25,19 @@ def read_rows(path: Path) -> list[dict]:
 
 def shard_sizes(results: Path) -> dict[str, int]:
     """Samples per shard as planned."""
-    rows = read_rows(results / "00_plan" / "shards.csv")
+    rows = read_rows(Layout(results).shard_table)
     if not rows:
         return {}
-    digits = max(4, len(rows[-1]["shard"]))
-    return Counter(f"{int(row['shard']):0{digits}d}" for row in rows)
+    return Counter(shard_name(int(row["shard"])) for row in rows)
 
 
 def poses_state(results: Path, sizes: dict[str, int]) -> tuple[int, Counter]:
     """Good samples and reasons of the rejected ones."""
     done, failed = 0, Counter[str]()
     for shard in sizes:
-        done += len(read_rows(results / "10_poses" / f"{shard}.csv"))
+        done += len(read_rows(Layout(results).poses(shard)))
         # A row may be wrong in several columns; it is one rejected sample.
-        rejected = {row["row"]: row for row in read_rows(results / "10_poses" / f"{shard}.rejected.csv")}
+        rejected = {row["row"]: row for row in read_rows(Layout(results).rejected(shard))}
         failed.update(f"{row['column']}: {row['reason']}" for row in rejected.values())
     return done, failed
 
@@ -45,9 +46,9 @@ def fea_state(results: Path, sizes: dict[str, int]) -> tuple[int, Counter]:
     """Valid solves and reasons of the failed ones; partly done shards count by their sample files."""
     done, failed = 0, Counter[str]()
     for shard in sizes:
-        table = results / "30_fea" / f"{shard}.csv"
+        table = Layout(results).fea(shard)
         if not table.exists():
-            done += sum(1 for _ in (results / "30_fea" / shard).glob("*.json"))
+            done += sum(1 for _ in Layout(results).solves(shard).glob("*.json"))
         for row in read_rows(table):
             if row["status"] in ("OK", "NO_CONTACT"):
                 done += 1
@@ -69,10 +70,11 @@ def lines(results: Path) -> list[str]:
         return [f"{results}: nothing planned yet; run make poses"]
     good, rejected = poses_state(results, sizes)
     solved, diverged = fea_state(results, sizes)
-    stages = [("10_poses", good, rejected), ("30_fea", solved, diverged)]
-    stages.append(("40_forces", shard_state(results / "40_forces", sizes), Counter()))
+    stages = [(layout.POSES, good, rejected), (layout.FEA, solved, diverged)]
+    stages.append((layout.FORCES, shard_state(results / layout.FORCES, sizes), Counter()))
     stages += [
-        (f"50_labels {f.name}", shard_state(f, sizes), Counter()) for f in sorted(results.glob("50_labels/*x*"))
+        (f"{layout.LABELS} {f.name}", shard_state(f, sizes), Counter())
+        for f in sorted((results / layout.LABELS).glob("*x*"))
     ]
     text = [
         f"{results.name}: {total} samples in {len(sizes)} shards",
@@ -80,16 +82,16 @@ def lines(results: Path) -> list[str]:
     ]
     for name, done, failed in stages:
         bad = failed.total()
-        lost = 0 if name == "10_poses" else rejected.total()
+        lost = 0 if name == layout.POSES else rejected.total()
         text.append(f"{name:20s} {done:7d} {bad:7d} {max(total - done - bad - lost, 0):7d}")
         text += [f"    {count:6d} x {reason}" for reason, count in failed.most_common()]
     for kind, pattern in (
-        ("60_dataset", "*/dataset.json"),
-        ("70_train", "*/*.pt"),
-        ("80_evaluate", "*/*.json"),
-        ("90_report", "index.html"),
-        ("calibrate", "summary.json"),
-        ("pareto", "pareto.json"),
+        (layout.DATASET, "*/dataset.json"),
+        (layout.TRAIN, "*/*.pt"),
+        (layout.EVALUATE, "*/*.json"),
+        (layout.REPORT, "index.html"),
+        (layout.CALIBRATE, "summary.json"),
+        (layout.PARETO, "pareto.json"),
     ):
         found = sorted(str(p.relative_to(results / kind)) for p in (results / kind).glob(pattern))
         text.append(f"{kind:20s} {', '.join(found) or 'pending'}")
@@ -99,13 +101,13 @@ def lines(results: Path) -> list[str]:
 def stage_costs(results: Path) -> dict[str, tuple[float, float]]:
     """Processor seconds of all targets of each stage, and the largest memory of one, MiB."""
     costs: dict[str, tuple[float, float]] = {}
-    for path in (results / "metrics").rglob("*.json"):
+    for path in Layout(results).metrics.rglob("*.json"):
         try:
             record = json.loads(path.read_bytes())
             cpu, peak = float(record["cpu_seconds"]), float(record["peak_mib"])
         except (OSError, ValueError, KeyError, TypeError):
             continue  # one that is being written
-        stage = path.relative_to(results / "metrics").parts[0]
+        stage = path.relative_to(Layout(results).metrics).parts[0]
         before = costs.get(stage, (0.0, 0.0))
         costs[stage] = (before[0] + cpu, max(before[1], peak))
     return costs

@@ -7,6 +7,7 @@ from argparse import Namespace
 from pathlib import Path
 
 from gelforge.errors import BadInput
+from gelforge.flow.layout import PLAN
 from gelforge.flow.main import command, option
 
 # What GNU make says under -n --debug=b,v.
@@ -50,9 +51,9 @@ def reasons(said: str) -> dict[str, list[str]]:
 def in_words(path: str) -> str:
     """Why a changed prerequisite matters."""
     name = Path(path).stem
-    if "00_plan/params" in path:
+    if f"/{PLAN}/params/" in path:
         return f"parameters of {name} changed since ({path}, from workflow/ and dataset.toml, or a new version of the stage)"
-    if "00_plan/shards" in path:
+    if f"/{PLAN}/shards/" in path:
         return f"rows of the log in shard {name} changed since ({path})"
     return f"{path} changed since"
 

@@ -3,6 +3,8 @@
 import math
 from dataclasses import dataclass
 
+from gelforge.flow.layout import CALIBRATE, FEA, FORCES, LABELS, MESHES, PARETO, POSES
+
 PILOTS = 5
 
 
@@ -36,7 +38,7 @@ def pilots(strength: list[float], count: int = PILOTS) -> list[int]:
 
 
 # Stages of many targets, and branches that run beside others.
-PARALLEL = ("10_poses", "20_meshes", "30_fea", "40_forces", "calibrate", "pareto")
+PARALLEL = (POSES, MESHES, FEA, FORCES, CALIBRATE, PARETO)
 
 
 def wall_seconds(costs: list[Cost], presses: int, cores: int, shards: int) -> float:
@@ -47,7 +49,7 @@ def wall_seconds(costs: list[Cost], presses: int, cores: int, shards: int) -> fl
     )
 
 
-LABELLED = ("10_poses", "30_fea", "40_forces", "50_labels")
+LABELLED = (POSES, FEA, FORCES, LABELS)
 
 
 def presses_an_hour(costs: list[Cost], cores: int) -> float:

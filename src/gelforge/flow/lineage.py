@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gelforge.errors import BadInput
+from gelforge.flow.layout import Layout
 
 
 @dataclass(frozen=True)
@@ -27,14 +28,14 @@ class Step:
 
 def shard_of(results: Path, sample_id: str) -> str:
     """Name of the shard that holds a sample; BadInput where the log has no such sample."""
-    table = results / "00_plan" / "shards.csv"
+    table = Layout(results).shard_table
     if not table.exists():
         raise BadInput(f"{table}: not there, so nothing was planned; run make poses DATASET={results.name}")
     with table.open(newline="", encoding="utf-8") as stream:
         found = next((row["shard"] for row in csv.DictReader(stream) if row["sample_id"] == sample_id), None)
     if found is None:
         raise BadInput(f"sample {sample_id!r} is not in the log of {results.name}; say make lineage ID=SAMPLE_ID")
-    names = {int(path.stem): path.stem for path in (results / "00_plan" / "shards").glob("*.csv")}
+    names = {int(name): name for name in Layout(results).names()}
     if int(found) not in names:
         raise BadInput(f"sample {sample_id!r}: its shard {found} is no longer planned; run make status")
     return names[int(found)]
@@ -50,7 +51,7 @@ def read_record(path: Path) -> dict:
 
 def record_path(results: Path, target: str) -> Path:
     """Where the record of a target lies."""
-    return results / "metrics" / Path(target).relative_to(results).with_suffix(".json")
+    return Layout(results).metrics / Path(target).relative_to(results).with_suffix(".json")
 
 
 def belongs(path: str, results: Path, shards: set[str], shard: str) -> bool:
@@ -61,7 +62,7 @@ def belongs(path: str, results: Path, shards: set[str], shard: str) -> bool:
 
 def pose_of(results: Path, shard: str, sample_id: str) -> dict:
     """The sample's row of the pose table, empty where there is none."""
-    table = results / "10_poses" / f"{shard}.csv"
+    table = Layout(results).poses(shard)
     if not table.exists():
         return {}
     with table.open(newline="", encoding="utf-8") as stream:
@@ -78,7 +79,7 @@ def concerning(slices: dict[str, dict], pose: dict) -> dict[str, dict]:
 
 def steps_to(results: Path, target: str, shard: str) -> Iterator[Step]:
     """Targets on the way to `target` that concern a shard's samples, prerequisites first, each once."""
-    shards = {path.stem for path in (results / "00_plan" / "shards").glob("*.csv")}
+    shards, params = set(Layout(results).names()), Layout(results).params
     seen: set[str] = set()
 
     def walk(name: str) -> Iterator[Step]:
@@ -91,7 +92,7 @@ def steps_to(results: Path, target: str, shard: str) -> Iterator[Step]:
         inputs = [path for path in record.get("inputs", []) if belongs(path, results, shards, shard)]
         for path in inputs:
             yield from walk(path)
-        slices = {Path(path).stem: read_record(Path(path)) for path in inputs if "00_plan/params" in path}
+        slices = {Path(path).stem: read_record(Path(path)) for path in inputs if Path(path).is_relative_to(params)}
         costs = (record.get(key, 0.0) for key in ("seconds", "cpu_seconds", "peak_mib", "started"))
         yield Step(name, inputs, *costs, slices)
 

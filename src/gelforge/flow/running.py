@@ -3,14 +3,14 @@
 Only the standard library, because every step of a run asks for it.
 """
 
-import csv
 import fcntl
 import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from gelforge.flow.layout import FEA, Layout
+
 RATE_OVER_S = 600.0
-SOLVES = "30_fea"
 
 
 @dataclass(frozen=True)
@@ -47,30 +47,18 @@ def duration(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
-def planned(results: Path) -> dict[str, int]:
-    """Samples of each planned shard."""
-    table = results / "00_plan" / "shards.csv"
-    if not table.exists():
-        return {}
-    names = {int(path.stem): path.stem for path in (results / "00_plan" / "shards").glob("*.csv")}
-    sizes = dict.fromkeys(names.values(), 0)
-    with table.open(newline="", encoding="utf-8") as stream:
-        for row in csv.DictReader(stream):
-            if int(row["shard"]) in names:
-                sizes[names[int(row["shard"])]] += 1
-    return sizes
-
-
 def running_targets(results: Path) -> list[str]:
     """Targets that a step holds the lock of, below results/DATASET without suffix."""
     found = []
-    for path in sorted((results / "logs").rglob("*.lock")):
-        record = results / "metrics" / path.relative_to(results / "logs").with_suffix(".json")
+    of = Layout(results)
+    for path in sorted(of.logs.rglob("*.lock")):
+        target = path.relative_to(of.logs).with_suffix("")
+        record = (of.metrics / target).with_suffix(".json")
         # Most locks are of targets made long ago: a record that is newer than the lock says so without opening it.
         if record.exists() and record.stat().st_mtime >= path.stat().st_mtime:
             continue
         if is_held(path):
-            found.append(str(path.relative_to(results / "logs").with_suffix("")))
+            found.append(str(target))
     return found
 
 
@@ -88,19 +76,19 @@ def is_held(path: Path) -> bool:
 
 def look(results: Path, now: float | None = None) -> Progress:
     """The state of a dataset's run."""
-    now = time.time() if now is None else now
-    sizes, solved, lately = planned(results), 0, []
+    now, of = time.time() if now is None else now, Layout(results)
+    sizes, solved, lately = of.sizes(), 0, []
     running = running_targets(results)
-    busy = {target.split("/")[1] for target in running if target.startswith(f"{SOLVES}/")}
+    busy = {target.split("/")[1] for target in running if target.startswith(f"{FEA}/")}
     for shard, size in sizes.items():
-        folder = results / SOLVES / shard
-        if shard not in busy and (results / SOLVES / f"{shard}.csv").exists():
+        folder = of.solves(shard)
+        if shard not in busy and (of.fea(shard)).exists():
             solved += size
-            made = (results / SOLVES / f"{shard}.csv").stat().st_mtime
+            made = (of.fea(shard)).stat().st_mtime
             if now - made > RATE_OVER_S:
                 continue
         times = [path.stat().st_mtime for path in folder.glob("*.json")] if folder.exists() else []
-        if shard in busy or not (results / SOLVES / f"{shard}.csv").exists():
+        if shard in busy or not (of.fea(shard)).exists():
             solved += len(times)
         lately += [made for made in times if now - made <= RATE_OVER_S]
     span = now - min(lately) if lately else 0.0

@@ -18,23 +18,13 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from gelforge.flow.files import digest_of, read_json, write_json
+from gelforge.flow.layout import log_of, metrics_of
 from gelforge.flow.running import look
 
 PR_SET_PDEATHSIG = 1  # linux/prctl.h
 TAIL_LINES = 20
 LIVE_EVERY_S = 1.0
 NOTICES = ("rejected: ", "failed: ")  # lines of a log that a person must see although the step succeeded
-
-
-def mirror(target: Path, kind: str, suffix: str) -> Path:
-    """Where the log or the metrics of a target lie: results/DATASET/kind/STAGE/stem.suffix."""
-    parts = target.parts
-    at = (
-        parts.index("results") + 2
-        if "results" in parts and len(parts) > parts.index("results") + 3
-        else len(parts) - 1
-    )
-    return Path(*parts[:at], kind, *parts[at:]).with_suffix(suffix)
 
 
 def die_with_parent() -> None:
@@ -143,7 +133,7 @@ def heal(path: Path) -> int:
     It goes first: where its command fails, or is one that an older version of the code knew, nobody takes the
     damaged file for a whole one, and the next make finds it missing and makes it by today's rule.
     """
-    metrics = mirror(path, "metrics", ".json")
+    metrics = metrics_of(path)
     if not (metrics.exists() and path.is_file()):
         return 0
     made = read_json(metrics)
@@ -179,7 +169,7 @@ def build(target: Path, inputs: list[Path], command: list[str]) -> int:
         code = heal(path)
         if code:
             return code
-    log_path = mirror(target, "logs", ".log")
+    log_path = log_of(target)
     for folder in (target.parent, log_path.parent):
         folder.mkdir(parents=True, exist_ok=True)
     with log_path.with_suffix(".lock").open("w") as lock:
@@ -210,7 +200,7 @@ def publish_part(target: Path, part: Path, inputs: list[Path], command: list[str
     cost["bytes"] = part.stat().st_size if code == 0 else 0
     if code == 0:
         cost["sha256"] = digest_of(part)
-    write_json(mirror(target, "metrics", ".json"), cost)
+    write_json(metrics_of(target), cost)
     if code:
         report_failure(target, log_path, code)
         return code if 0 < code < 126 else 1

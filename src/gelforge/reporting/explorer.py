@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gelforge.flow.layout import POSES, Layout
 from gelforge.geometry.gel import Gel, load_gel
 from gelforge.geometry.triangles import read_stl
 from gelforge.mechanics.family import mesh_loader
@@ -37,13 +38,13 @@ class Explorer:
     def images(self) -> np.ndarray:
         """Pictures (n, height, width, 3) uint8 of the dataset, mapped from disk."""
         return np.load(
-            self.results / "60_dataset" / self.resolution / "images.npy", mmap_mode="r", allow_pickle=False
+            Layout(self.results).dataset(self.resolution) / "images.npy", mmap_mode="r", allow_pickle=False
         )
 
     @cached_property
     def resampler(self):
         """`Resampler` by mesh name; those last used are kept."""
-        load = mesh_loader(self.results / "20_meshes")
+        load = mesh_loader(Layout(self.results).meshes)
         return lru_cache(maxsize=16)(lambda name: Resampler(load(name), self.gel))
 
     @cached_property
@@ -97,7 +98,7 @@ class Explorer:
 
     def indenter(self, row: dict) -> dict:
         """Surface of the indenter of a press in its own frame, of few faces: points and faces to pack."""
-        points, faces = few_faces(*read_stl(self.results / "10_poses" / row["stl"]))
+        points, faces = few_faces(*read_stl(Layout(self.results).folder(POSES) / row["stl"]))
         turn = -np.deg2rad(row["rot_deg"])
         c, s = np.cos(turn), np.sin(turn)
         away = points - [row["x0_mm"], row["y0_mm"], row["z0_mm"]]
@@ -127,8 +128,9 @@ class Shard:
     @classmethod
     def read(cls, results: Path, resolution: str, shard: str) -> "Shard":
         """Read what stages 40 and 50 made of a shard."""
-        labels, forces, gels = {}, results / "40_forces" / f"{shard}.npz", {}
-        path = results / "50_labels" / resolution / f"{shard}.npz"
+        of = Layout(results)
+        labels, forces, gels = {}, of.forces(shard), {}
+        path = of.labels(resolution, shard)
         if path.exists():
             found = read_labels(path)
             each = zip(found.sample_id.tolist(), found.label, found.status, strict=True)

@@ -3,13 +3,14 @@
 from pathlib import Path
 
 from gelforge.flow.files import read_json
+from gelforge.flow.layout import PLAN, Layout
 
 COST = ("seconds", "cpu_seconds", "peak_mib")
 
 
 def target_costs(results: Path) -> dict[str, dict]:
     """Record of every target that was made, by its path below results/DATASET (without suffix)."""
-    folder = results / "metrics"
+    folder = Layout(results).metrics
     return {str(path.relative_to(folder).with_suffix("")): read_json(path) for path in sorted(folder.rglob("*.json"))}
 
 
@@ -19,7 +20,7 @@ def stage_of(path: str, results: Path) -> str:
         parts = Path(path).resolve().relative_to(results.resolve()).parts
     except ValueError:
         return ""
-    return parts[0] if len(parts) > 1 and parts[0] != "00_plan" else ""
+    return parts[0] if len(parts) > 1 and parts[0] != PLAN else ""
 
 
 def stages(results: Path, costs: dict[str, dict]) -> list[dict]:

@@ -17,6 +17,7 @@ from gelforge.calibration.readings import Readings, check_enough, check_readings
 from gelforge.calibration.sampling import Chain, Rules, sample
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_json
+from gelforge.flow.layout import planned_shards
 from gelforge.flow.main import command, option
 from gelforge.flow.params import plain, read_dataset_file
 from gelforge.flow.params.slices import ForCalibrate, read_slice
@@ -24,7 +25,6 @@ from gelforge.flow.params.tables import CalibrateSolverTable, CalibrateTable
 from gelforge.flow.progress import progress
 from gelforge.records.log import rejected_rows
 from gelforge.reporting import posterior as plots
-from gelforge.stages.plan import planned_shards
 
 VERSION = 2
 

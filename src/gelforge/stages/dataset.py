@@ -11,6 +11,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import digest_of, publish, read_csv, read_json, write_csv, write_json
+from gelforge.flow.layout import planned_shards
 from gelforge.flow.main import command, option
 from gelforge.flow.params.slices import ForDataset, read_slice
 from gelforge.flow.params.tables import DatasetTable
@@ -26,7 +27,6 @@ from gelforge.records.log import read_log, read_poses, without_duplicates
 from gelforge.records.press import PressRecord, check_id, parse
 from gelforge.records.samplefile import DatasetSample, write_samples
 from gelforge.records.status import Status
-from gelforge.stages.plan import planned_shards
 
 VERSION = 2
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_json
+from gelforge.flow.layout import planned_shards
 from gelforge.flow.main import command, option
 from gelforge.flow.params.slices import ForLabels, read_slice
 from gelforge.flow.progress import progress
@@ -23,7 +24,6 @@ from gelforge.records.forcefile import ForceFile
 from gelforge.records.labelfile import Stream, open_labels, to_float32, write_labels
 from gelforge.records.log import read_poses
 from gelforge.records.status import Status
-from gelforge.stages.plan import planned_shards
 
 VERSION = 1
 KEPT = 64  # operators in memory

@@ -17,12 +17,12 @@ from types import MappingProxyType
 from gelforge.errors import BadInput
 from gelforge.flow import params as config
 from gelforge.flow.files import read_csv, read_json, write_if_changed, write_text
+from gelforge.flow.layout import planned_shards, shard_name
 from gelforge.flow.main import command, option
 from gelforge.flow.params import DatasetFile, Params
 from gelforge.records.log import csv_text, read_log, shard_text
 from gelforge.records.press import RawRow
 
-SHARD_DIGITS = 4
 LARGEST_PICTURE = 64 * 2**20  # bytes; stage 10 refuses what is larger
 
 
@@ -59,11 +59,6 @@ def assign_shards(
     return shards
 
 
-def planned_shards(folder: Path) -> list[str]:
-    """Names of the shards that are planned today, in order, from the folder 00_plan/shards."""
-    return sorted(path.stem for path in folder.glob("*.csv"))
-
-
 def logged_rows(log: Path, sensor: str | None) -> list[RawRow]:
     """Raw rows of a log; those that name no sensor are of the dataset's, where it names one."""
     rows = read_log(log)
@@ -95,7 +90,7 @@ def write_shards(
     pictures = image_digests(data, named(rows, "image"), out / "pictures.json")
     names = []
     for shard, members in sorted(by_shard.items()):
-        names.append(f"{shard:0{SHARD_DIGITS}d}")
+        names.append(shard_name(shard))
         write_if_changed(out / "shards" / f"{names[-1]}.csv", shard_text(members))
         # an entry that only other shards use may change without a rerun of this one
         entries = {kind: used(table, named(members, COLUMN_OF[kind])) for kind, table in tables.items()}

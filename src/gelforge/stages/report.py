@@ -4,11 +4,13 @@ import importlib.metadata
 import json
 import subprocess
 from argparse import Namespace
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from gelforge.flow.files import read_csv, read_json, write_text
+from gelforge.flow.layout import PARETO, Layout
 from gelforge.flow.main import command, option
 from gelforge.flow.params.slices import ForEvaluate, ForReport, read_slice
 from gelforge.flow.progress import progress
@@ -23,28 +25,29 @@ from gelforge.reporting.page import Explored, Section, render
 from gelforge.reporting.parts import PART, forget_parts, in_parts, place_parts
 from gelforge.reporting.presses import as_columns, press_rows
 from gelforge.reporting.provenance import COST, stages, target_costs
-from gelforge.stages.plan import planned_shards
 
 VERSION = 2
 SHIPPED_MODEL = "shipped"
 PACKAGES = ("numpy", "scipy", "torch", "pymeshlab", "pytetwild", "pyvista", "emcee", "opencv-contrib-python-headless")
 
 
-def read_tables(results: Path, stage: str, suffix: str = "") -> list[dict]:
-    """Rows of a stage's tables of the planned shards, each with its `shard`; a stage may not have made all of them."""
-    paths = {name: results / stage / f"{name}{suffix}.csv" for name in planned_shards(results / "00_plan" / "shards")}
+def read_tables(results: Layout, path_of: Callable[[str], Path]) -> list[dict]:
+    """Rows of the tables of the planned shards, each with its `shard`; a stage may not have made all of them."""
+    paths = {name: path_of(name) for name in results.names()}
     return [{**row, "shard": name} for name, path in paths.items() if path.exists() for row in read_csv(path)]
 
 
 def read_presses(results: Path) -> list[tuple[str, PosedPress]]:
     """Good presses of the planned shards whose pose tables are there, each with its shard."""
-    paths = {name: results / "10_poses" / f"{name}.csv" for name in planned_shards(results / "00_plan" / "shards")}
+    of = Layout(results)
+    paths = {name: of.poses(name) for name in of.names()}
     return [(name, press) for name, path in paths.items() if path.exists() for press in read_poses(path)]
 
 
 def read_solved(results: Path) -> dict[str, Solved]:
     """Solves of the planned shards whose tables are there, by sample_id."""
-    paths = [results / "30_fea" / f"{name}.csv" for name in planned_shards(results / "00_plan" / "shards")]
+    of = Layout(results)
+    paths = [of.fea(name) for name in of.names()]
     return {solve.sample_id: solve for path in paths if path.exists() for solve in read_solves(path)}
 
 
@@ -74,7 +77,7 @@ def compared_models(models: list[dict]) -> tuple[list[str], list[list]]:
 def calibration_section(results: Path) -> Section:
     """Posterior of the material."""
     section = Section("Calibration")
-    path = results / "calibrate" / "summary.json"
+    path = Layout(results).calibration
     if not path.exists():
         return section.text("Not made: make calibrate (needs force readings in the log).", absent=True)
     summary = read_json(path)
@@ -103,7 +106,7 @@ def calibration_section(results: Path) -> Section:
         "autocorrelation.png": "Autocorrelation of the chain.",
         "trace.png": "Walkers of the chain.",
     }
-    return add_pictures(section, results / "calibrate", captions)
+    return add_pictures(section, path.parent, captions)
 
 
 def add_pictures(section: Section, folder: Path, captions: dict[str, str]) -> Section:
@@ -117,7 +120,7 @@ def add_pictures(section: Section, folder: Path, captions: dict[str, str]) -> Se
 def failures_section(results: Path, solved: dict[str, Solved]) -> Section:
     """Everything that did not become a label, with its reason."""
     section = Section("Failures")
-    rejected = read_tables(results, "10_poses", ".rejected")
+    rejected = read_tables(Layout(results), Layout(results).rejected)
     failed = [solve for solve in solved.values() if not solve.status.valid]
     if not rejected and not failed:
         return section.text("None: every row of the log became a label.")
@@ -160,18 +163,17 @@ def branch_section(results: Path, title: str, folder: str, what: str) -> Section
 def network_section(results: Path, resolution: str, model: str) -> Section:
     """Errors of the trained network, and how it learnt."""
     section = Section("Network")
-    path = results / "80_evaluate" / resolution / f"{model}.json"
+    path = Layout(results).evaluation(resolution, model)
     if not path.exists():
         return section.text("Not made: make evaluate.", absent=True)
     metrics = read_json(path)
     section.text(learnt_from(metrics, model))
     for title, columns, rows in evaluation_tables(metrics):
         section.table(columns, rows, folded=title)
-    captions = {
-        f"70_train/{resolution}/{model}.curve.png": "Loss, learning rate and validation error while it learnt.",
-        f"80_evaluate/{resolution}/{model}.png": "Predicted against labelled total force, and f_z of some presses.",
-    }
-    return add_pictures(section, results, captions)
+    curve, picture = Layout(results).curve(resolution, model), path.with_suffix(".png")
+    learning = {curve.name: "Loss, learning rate and validation error while it learnt."}
+    predicted = {picture.name: "Predicted against labelled total force, and f_z of some presses."}
+    return add_pictures(add_pictures(section, curve.parent, learning), picture.parent, predicted)
 
 
 def learnt_from(metrics: dict, model: str) -> str:
@@ -206,14 +208,14 @@ def versions_section(results: Path) -> Section:
     except FileNotFoundError:
         rows.append(["CalculiX", "not installed"])
     section.table(["program", "version"], rows, folded="programs")
-    for path in sorted((results / "00_plan" / "params").glob("*.json")):
+    for path in sorted(Layout(results).params.glob("*.json")):
         section.code(json.dumps(read_json(path), indent=1), f"parameters of {path.stem}")
     return section
 
 
 def about(results: Path, dataset: str, resolution: str, model: str, params: Path) -> dict:
     """What the page's charts and provenance must know beside the presses."""
-    path = results / "80_evaluate" / resolution / f"{model}.json"
+    path = Layout(results).evaluation(resolution, model)
     splits = read_json(path)["splits"] if path.exists() else {}
     return {
         "dataset": dataset,
@@ -228,16 +230,16 @@ def about(results: Path, dataset: str, resolution: str, model: str, params: Path
 
 def open_explorer(results: Path, resolution: str, model: str, solved: dict[str, Solved]) -> Explorer:
     """The table of presses with what the network read of them."""
-    path = results / "80_evaluate" / resolution / f"{model}.predictions.npz"
+    path = Layout(results).evaluation(resolution, model).with_suffix(".predictions.npz")
     predictions = read_predictions(path) if path.exists() else None
     totals = (
         dict(zip(predictions["sample_id"].tolist(), predictions["total"].tolist(), strict=True))
         if predictions
         else {}
     )
-    table = results / "60_dataset" / resolution / "samples.csv"
+    table = Layout(results).dataset(resolution) / "samples.csv"
     samples = {each.press.sample_id: each for each in (read_samples(table) if table.exists() else [])}
-    rejected = read_tables(results, "10_poses", ".rejected")
+    rejected = read_tables(Layout(results), Layout(results).rejected)
     rows = press_rows(read_presses(results), rejected, solved, samples, totals)
     return Explorer(results, resolution, rows, {name: at for at, name in enumerate(samples)}, predictions)
 
@@ -262,7 +264,7 @@ def sections_of(results: Path, resolution: str, model: str, solved: dict[str, So
         branch_section(
             results,
             "Speed against accuracy",
-            "pareto",
+            PARETO,
             "Seconds of a solve against its error, each point one fidelity and mesh.",
         ),
         failures_section(results, solved),

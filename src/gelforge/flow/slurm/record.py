@@ -10,7 +10,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from gelforge.flow.files import read_csv, read_json, write_json
-from gelforge.flow.step import TAIL_LINES, mirror
+from gelforge.flow.layout import Layout, log_of, metrics_of
+from gelforge.flow.step import TAIL_LINES
 
 
 @dataclass
@@ -102,7 +103,7 @@ class Results:
         if name not in self.names.get(folder, ()):
             return False
         try:
-            made = read_json(mirror(Path(target), "metrics", ".json"))
+            made = read_json(metrics_of(Path(target)))
             return 0 < os.stat(target).st_size == made.get("bytes")
         except (FileNotFoundError, ValueError):
             return False
@@ -148,7 +149,7 @@ def show(record: Record, said: float, silent: bool, every_s: float = 30.0) -> fl
 
 def unfinished_samples(target: Path) -> list[str]:
     """Samples of a shard that have no file of their own yet, where a stage writes one per sample."""
-    folder, shard = target.with_suffix(""), target.parents[1] / "00_plan" / "shards" / f"{target.stem}.csv"
+    folder, shard = target.with_suffix(""), Layout(target.parents[1]).shard(target.stem)
     if not folder.is_dir() or not shard.exists():
         return []
     there = {name.partition(".")[0] for name in os.listdir(folder)}
@@ -162,7 +163,7 @@ def report(record: Record, most: int = 5) -> int:
     for task in failed[:most]:
         name, _, index = task.where.rpartition("/")
         job = next((batch.job for batch in record.batches if batch.name == name), "")
-        output, log = record.folder / name / f"{index}.out", mirror(Path(task.target), "logs", ".log")
+        output, log = record.folder / name / f"{index}.out", log_of(Path(task.target))
         print(f"FAILED {task.target}: {task.reason}; Slurm job {job}_{index}, run {task.runs}")
         samples = unfinished_samples(Path(task.target))
         if samples:

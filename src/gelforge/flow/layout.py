@@ -1,0 +1,166 @@
+"""Where everything of results/DATASET lies: every folder and every name of a file that more than one module knows.
+
+make needs targets by name, so rules/*.mk spell them too; a test holds each folder there to be one of these. Only the
+standard library, because every step of a run asks for it.
+"""
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+
+PLAN, POSES, MESHES, FEA, FORCES = "00_plan", "10_poses", "20_meshes", "30_fea", "40_forces"
+LABELS, DATASET, TRAIN, EVALUATE, REPORT = "50_labels", "60_dataset", "70_train", "80_evaluate", "90_report"
+CALIBRATE, PARETO, PARETO_MODELS, STABILITY = "calibrate", "pareto", "pareto_models", "stability"
+LOGS, METRICS = "logs", "metrics"
+SAMPLES, ESTIMATE, EXPORT, FEATS, LOOK = "samples", "estimate", "export", "feats", "look"
+STAGES = (
+    PLAN, POSES, MESHES, FEA, FORCES, LABELS, DATASET, TRAIN, EVALUATE, REPORT, CALIBRATE, PARETO, PARETO_MODELS,
+    STABILITY,
+)  # fmt: skip
+FOLDERS = (*STAGES, LOGS, METRICS, SAMPLES, ESTIMATE, EXPORT, FEATS, LOOK)
+SHARD_DIGITS = 4
+
+
+def shard_name(number: int) -> str:
+    """The name of a shard's files by its number, such as 0001."""
+    return f"{number:0{SHARD_DIGITS}d}"
+
+
+def planned_shards(folder: Path) -> list[str]:
+    """Names of the shards that are planned today, in order, from the folder 00_plan/shards."""
+    return sorted(path.stem for path in folder.glob("*.csv"))
+
+
+def mirror(target: Path, kind: str, suffix: str) -> Path:
+    """Where the log or the metrics of a target lie: results/DATASET/KIND/STAGE/stem.suffix."""
+    parts = target.parts
+    at = (
+        parts.index("results") + 2
+        if "results" in parts and len(parts) > parts.index("results") + 3
+        else len(parts) - 1
+    )
+    return Path(*parts[:at], kind, *parts[at:]).with_suffix(suffix)
+
+
+def log_of(target: Path) -> Path:
+    """The log of a target."""
+    return mirror(target, LOGS, ".log")
+
+
+def metrics_of(target: Path) -> Path:
+    """The record of a target: what it read and what it cost."""
+    return mirror(target, METRICS, ".json")
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Paths below one folder results/DATASET."""
+
+    root: Path
+
+    def folder(self, stage: str) -> Path:
+        """A stage's folder, by one of STAGES."""
+        return self.root / stage
+
+    @property
+    def params(self) -> Path:
+        """Folder of what each stage reads of the parameters, NAME.json."""
+        return self.root / PLAN / "params"
+
+    @property
+    def shards(self) -> Path:
+        """Folder of the planned shards' raw rows."""
+        return self.root / PLAN / "shards"
+
+    @property
+    def shard_table(self) -> Path:
+        """Table of the shard of every sample."""
+        return self.root / PLAN / "shards.csv"
+
+    @property
+    def meshes(self) -> Path:
+        """Folder of the gel's meshes."""
+        return self.root / MESHES
+
+    def shard(self, name: str) -> Path:
+        """Raw rows of a shard."""
+        return self.shards / f"{name}.csv"
+
+    def poses(self, shard: str) -> Path:
+        """Pose table of a shard."""
+        return self.root / POSES / f"{shard}.csv"
+
+    def rejected(self, shard: str) -> Path:
+        """Rows of a shard that stage 10 rejected."""
+        return self.root / POSES / f"{shard}.rejected.csv"
+
+    def fea(self, shard: str) -> Path:
+        """Table of a shard's solves."""
+        return self.root / FEA / f"{shard}.csv"
+
+    def solves(self, shard: str) -> Path:
+        """Folder of a shard's solves."""
+        return self.root / FEA / shard
+
+    def solve(self, shard: str, sample_id: str) -> Path:
+        """Record of one solve."""
+        return self.solves(shard) / f"{sample_id}.json"
+
+    def forces(self, shard: str) -> Path:
+        """Nodal forces of a shard."""
+        return self.root / FORCES / f"{shard}.npz"
+
+    def labels(self, resolution: str, shard: str) -> Path:
+        """Labels of a shard."""
+        return self.root / LABELS / resolution / f"{shard}.npz"
+
+    def labelled(self, resolution: str) -> Path:
+        """What is written when all shards are labelled."""
+        return self.root / LABELS / resolution / "labels.json"
+
+    def dataset(self, resolution: str) -> Path:
+        """Folder of the arrays to train on."""
+        return self.root / DATASET / resolution
+
+    def evaluation(self, resolution: str, model: str) -> Path:
+        """Figures of a network; pictures, card and predictions lie beside it by the same stem."""
+        return self.root / EVALUATE / resolution / f"{model}.json"
+
+    def curve(self, resolution: str, model: str) -> Path:
+        """Picture of how a network learnt."""
+        return self.root / TRAIN / resolution / f"{model}.curve.png"
+
+    @property
+    def calibration(self) -> Path:
+        """Summary of the posterior."""
+        return self.root / CALIBRATE / "summary.json"
+
+    @property
+    def logs(self) -> Path:
+        """Folder of all logs."""
+        return self.root / LOGS
+
+    @property
+    def metrics(self) -> Path:
+        """Folder of all records."""
+        return self.root / METRICS
+
+    def names(self) -> list[str]:
+        """Names of the shards that are planned today, in order."""
+        return planned_shards(self.shards)
+
+    def sizes(self) -> dict[str, int]:
+        """Samples of each planned shard; nothing where nothing is planned."""
+        if not self.shard_table.exists():
+            return {}
+        names = {int(name): name for name in self.names()}
+        found = dict.fromkeys(names.values(), 0)
+        with self.shard_table.open(newline="", encoding="utf-8") as stream:
+            for row in csv.DictReader(stream):
+                if int(row["shard"]) in names:
+                    found[names[int(row["shard"])]] += 1
+        return found
+
+    def sample(self, sample_id: str) -> "Layout":
+        """The layout of one sample that `make sample` took through all stages."""
+        return Layout(self.root / SAMPLES / sample_id)

@@ -1,0 +1,72 @@
+"""Where results lie is said in one place: flow.layout; make's rules spell folders of it and no others."""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+import gelforge
+from gelforge.flow import layout
+from gelforge.flow.layout import FOLDERS, STAGES, Layout, log_of, metrics_of, shard_name
+
+PACKAGE = Path(gelforge.__file__).parent
+NUMBERED = [name for name in FOLDERS if name[0].isdigit()]
+SPELT = re.compile(rf"[^\s]*(?<![\w])({'|'.join(NUMBERED)})(?![\w])[^\s]*")
+
+
+def spelt(tree: ast.Module) -> list[str]:
+    """Texts of a module that are a path with a stage's folder: no docstring, no sentence, no help of an option."""
+    told = {id(word.value) for node in ast.walk(tree) if isinstance(node, ast.Call)
+            for word in node.keywords if word.arg == "help"}  # fmt: skip
+    return [
+        node.value
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in told
+        if SPELT.fullmatch(node.value)
+    ]
+
+
+def test_no_other_module_spells_a_folder_of_results():
+    modules = [path for path in PACKAGE.rglob("*.py") if path.name != "layout.py"]
+    found = {path.name: names for path in modules if (names := spelt(ast.parse(path.read_text(encoding="utf-8"))))}
+    assert len(modules) > 150 and found == {}
+    assert spelt(ast.parse('x = root / "30_fea" / name\ny = f"10_poses/{name}.csv"')) == ["30_fea", "10_poses/"]
+
+
+def test_every_folder_that_make_spells_is_one_of_the_layout(root):
+    texts = [path.read_text(encoding="utf-8") for path in (*root.glob("rules/*.mk"), root / "Makefile")]
+    found = {name for text in texts for name in re.findall(r"\$D/([A-Za-z0-9_-]+)", text)}
+    assert len(found) > 10 and found <= set(FOLDERS)
+    cleaned = re.search(r"STAGES := ((?:.*\\\n)*.*)", (root / "rules/work.mk").read_text(encoding="utf-8"))
+    assert cleaned and {word.split(":")[1] for word in cleaned[1].replace("\\", "").split()} <= set(STAGES)
+
+
+def test_rules_are_named_after_their_stages(root):
+    rules = {path.stem for path in root.glob("rules/*.mk")}
+    assert {name for name in STAGES if name in rules or name[0].isdigit()} <= rules
+
+
+def test_paths_are_those_that_make_writes():
+    of = Layout(Path("results/demo"))
+    assert str(of.labels("24x32", shard_name(7))) == "results/demo/50_labels/24x32/0007.npz"
+    assert str(of.solve("0000", "s1")) == "results/demo/30_fea/0000/s1.json"
+    assert str(of.sample("s1").poses("0000")) == "results/demo/samples/s1/10_poses/0000.csv"
+    assert str(log_of(of.fea("0001"))) == "results/demo/logs/30_fea/0001.log"
+    assert str(metrics_of(of.evaluation("24x32", "grid"))) == "results/demo/metrics/80_evaluate/24x32/grid.json"
+
+
+@pytest.mark.parametrize("rows", [[], ["a,0", "b,0", "c,1", "gone,7"]])
+def test_sizes_are_of_what_is_planned(tmp_path, rows):
+    of = Layout(tmp_path)
+    assert of.sizes() == {} and of.names() == []
+    of.shards.mkdir(parents=True)
+    for name in ("0000", "0001"):
+        of.shard(name).touch()
+    of.shard_table.write_text("\n".join(["sample_id,shard", *rows]))
+    assert of.sizes() == ({"0000": 2, "0001": 1} if rows else {"0000": 0, "0001": 0})
+
+
+def test_folders_are_said_once():
+    assert len(set(FOLDERS)) == len(FOLDERS) and set(STAGES) <= set(FOLDERS)
+    assert len(shard_name(0)) == layout.SHARD_DIGITS
