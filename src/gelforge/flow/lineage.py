@@ -93,7 +93,7 @@ def steps_to(results: Path, target: str, shard: str) -> Iterator[Step]:
         for path in inputs:
             yield from walk(path)
         slices = {Path(path).stem: read_record(Path(path)) for path in inputs if Path(path).is_relative_to(params)}
-        costs = (record.get(key, 0.0) for key in ("seconds", "cpu_seconds", "peak_mib", "started"))
-        yield Step(name, inputs, *costs, slices)
+        costs = {key: record.get(key, 0.0) for key in ("seconds", "cpu_seconds", "peak_mib", "started")}
+        yield Step(name, inputs, **costs, parameters=slices)
 
     yield from walk(target)

@@ -114,7 +114,7 @@ def calibrate(
     check_enough(int(np.isfinite(observed).sum()), headline.model)
     chain = sample(headline, rules, chain_path, say)
     refuse_beyond(headline, chain)
-    tasks = [(headline, chain, rules)]
+    tasks: list[tuple[Posterior, Chain | None, Rules]] = [(headline, chain, rules)]
     if params.compare:
         others = (model for model in compared_models(params, indenters) if model.name != headline.model.name)
         tasks += [(posterior_of(model), None, rules) for model in others]

@@ -137,7 +137,8 @@ def run_shard(poses: Path, meshes: Path, params: ForFea, tables: dict, bodies: d
     folder.mkdir(parents=True, exist_ok=True)
     for stale in folder.glob(".work-*"):
         shutil.rmtree(stale, ignore_errors=True)
-    records, known = {}, {}
+    records: dict[str, dict] = {}
+    known: dict[tuple, dict] = {}
     with tempfile.TemporaryDirectory(prefix=".work-", dir=folder) as work:
         solvers = Solvers(family, work, FeaSettings.from_table(params.fea))
         for frames in progress(presses_of(presses), f"fea {folder.name}"):
@@ -170,8 +171,9 @@ def run_press(frames: list[PosedPress], keys: list[str], scenes: list[Scene], so
         # all moments again: what a frame is solved from must not depend on which others were there before
         for at, result in enumerate(solvers.solve_frames(scenes, solvers.settings.fidelity)):
             records[at] = records[at] or publish_solve(frames[at].sample_id, result, solvers, keys[at], folder)
-    known |= dict(zip(same, records, strict=True))
-    return records
+    found = [record for record in records if record is not None]
+    known |= dict(zip(same, found, strict=True))
+    return found
 
 
 @command(

@@ -44,7 +44,7 @@ def dat_forces(text: str, mesh: GelMesh, noise: float, mismatch: float) -> tuple
     size = np.linalg.norm(forces, axis=1)
     forces[size < noise * size.max(initial=0.0)] = 0.0
     total = forces.sum(axis=0)
-    imbalance = np.linalg.norm(total + reaction) / max(np.linalg.norm(total), 1e-12)
+    imbalance = np.linalg.norm(total + reaction) / max(float(np.linalg.norm(total)), 1e-12)
     if imbalance > mismatch:
         reason = f"contact forces and base reactions differ by {imbalance:.2g} of their size, {mismatch:g} is allowed"
         return Status.UNBALANCED, reason, empty, empty
@@ -128,7 +128,8 @@ def main(args: Namespace) -> None:
     params = read_slice(args.params, ForForces)
     c10, intervals = material_c10(params.material.c10, args.calibration)
     load = mesh_loader(args.meshes)
-    samples, counts = [], {}
+    samples: list[SampleForces] = []
+    counts: dict[str, int] = {}
     solves = list(read_solves(args.fea))
     refuse_damage(args.fea, solves)
     for solve in solves:

@@ -36,11 +36,12 @@ def solve_scene(bench: ChartBench, scene: NamedScene, methods: list[Method], hal
         methods = [*methods, Method(HALVED, REFERENCE, halved=True)]
     records = {m.name: measure(bench, scene, m) for m in progress(methods, scene.name)}
     reference = methods[-2 if halved else -1].name
-    found = {"scene": scene.name, "table": scene.table, "reference": reference, "methods": {}}
+    compared: dict[str, dict] = {}
     for method in methods:
         record = records[method.name] | {"method": asdict(method)}
         against = HALVED if method.name == reference and halved else reference
-        found["methods"][method.name] = record | {"errors": errors(record, records[against])}
+        compared[method.name] = record | {"errors": errors(record, records[against])}
+    found: dict = {"scene": scene.name, "table": scene.table, "reference": reference, "methods": compared}
     if halved:
         found["reference_check"] = errors(records[reference], records[HALVED])
     return found
@@ -71,7 +72,7 @@ def _row(name: str, scenes: list[dict]) -> dict:
     row |= {"cpu_seconds_median": _median(seconds), "cpu_seconds_worst": max(seconds, default=None)}
     for kind in ("total", "cells"):
         found = {scene: record["errors"][kind] for scene, record in good.items()}
-        worst = max(found, key=found.get, default=None)
+        worst = max(found, key=lambda scene: found[scene], default=None)
         row |= {f"{kind}_median": _median(list(found.values())), f"{kind}_worst": found.get(worst),
                 f"{kind}_worst_scene": worst}  # fmt: skip
     return row

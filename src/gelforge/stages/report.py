@@ -51,7 +51,7 @@ def read_solved(results: Path) -> dict[str, Solved]:
     return {solve.sample_id: solve for path in paths if path.exists() for solve in read_solves(path)}
 
 
-def flatten(value, prefix: str = "") -> list[tuple[str, float]]:
+def flatten(value, prefix: str = "") -> list[tuple[str, float | str]]:
     """Leaves of nested dicts of numbers as (dotted name, number)."""
     if isinstance(value, dict):
         return [leaf for key, inner in value.items() for leaf in flatten(inner, f"{prefix}{key}.")]

@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any, get_type_hints
 
 from gelforge.errors import BadInput
 from gelforge.flow.params import read_toml
@@ -68,11 +69,11 @@ LEAST = {
 
 def checked(table: dict, where: str) -> dict:
     """Return `table` if every key is a field of Profile with a value of its kind; BadInput otherwise."""
-    known = {field.name: field.type for field in fields(Profile)}
+    known: dict[str, type] = get_type_hints(Profile)
     for key, value in table.items():
         if key not in known:
             raise BadInput(f"{where}.{key}: no such setting; known: {', '.join(known)}")
-        kinds = (int, float) if known[key] is float else known[key]
+        kinds: Any = (int, float) if known[key] is float else known[key]
         if not isinstance(value, kinds) or isinstance(value, bool):
             raise BadInput(f"{where}.{key} = {value!r}: {KINDS[known[key]]} is needed")
         if known[key] is list and not all(isinstance(line, str) for line in value):

@@ -102,7 +102,7 @@ def submit_array(record: Record, profile: Profile, groups: list[list[int]], opti
         *options,
     ]
     # After a lost answer the job may be there: look before asking again.
-    asked: list[str] = []
+    asked: list[bool] = []
 
     def ask() -> str:
         found = find_job(batch.name) if asked else ""
