@@ -45,7 +45,7 @@ def test_every_reader_of_a_log_counts_its_lines(tmp_path):
     lines = [log_line(sample_id="s1", fz_n=-1), "", log_line(sample_id="s2", fz_n=-2, dz_mm="deep"),
              log_line(sample_id="s3", fz_n=-3)]  # fmt: skip
     path = write_lines(tmp_path / "log.csv", *lines)
-    write_shards(path, tmp_path / "plan", 8)
+    write_shards(tmp_path, log.read_log(path), tmp_path / "plan", 8)
     rows = log.read_shard(tmp_path / "plan/shards/0000.csv")
     assert [(row.row, row.cells["sample_id"]) for row in rows] == [(2, "s1"), (4, "s2"), (5, "s3")]
     wrong = [r for row in rows for r in parse(row, "log.csv")[1]]
@@ -59,7 +59,7 @@ def test_ids_that_differ_by_blanks_are_one(tmp_path):
     path = write_lines(
         tmp_path / "log.csv", log_line(sample_id="a"), log_line(sample_id="b"), log_line(sample_id="a ")
     )
-    assert write_shards(path, tmp_path / "plan", 2) == ["0000"]
+    assert write_shards(tmp_path, log.read_log(path), tmp_path / "plan", 2) == ["0000"]
     assert judged(path) == (["a", "b"], [(4, "an earlier row has the same sample_id")])
 
 
@@ -75,7 +75,7 @@ def test_columns_of_other_names_are_not_read(tmp_path):
     columns = ("row", *COLUMNS, "fault", "", "")
     line = ",".join(["seven", log_line(), "none", "", ""])
     path = write_lines(tmp_path / "log.csv", line, columns=columns)
-    write_shards(path, tmp_path / "plan", 8)
+    write_shards(tmp_path, log.read_log(path), tmp_path / "plan", 8)
     row = log.read_shard(tmp_path / "plan/shards/0000.csv")[0]
     assert (row.row, row.fault) == (2, "") and parse(row, "log.csv")[0] is not None
 
@@ -113,7 +113,7 @@ def test_a_cell_of_a_book_keeps_out_its_own_row_alone(tmp_path):
     path = write_lines(tmp_path / "log.csv", *lines)
     good, wrong = judged(path)
     assert good == ["a", "c"] and [row for row, _ in wrong] == [3] and "131072" in wrong[0][1]
-    write_shards(path, tmp_path / "plan", 8)
+    write_shards(tmp_path, log.read_log(path), tmp_path / "plan", 8)
     assert log.read_shard(tmp_path / "plan/shards/0000.csv")[1].fault == "long_cell"
 
 
