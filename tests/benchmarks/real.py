@@ -8,13 +8,14 @@ network that takes a film's first frame for the untouched sensor.
 
 import os
 from argparse import Namespace
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 
+from gelforge.commands.predict import place_sitting
 from gelforge.errors import BadInput
 from gelforge.flow.main import command, option
 from gelforge.flow.progress import progress
@@ -52,13 +53,14 @@ def frames(path: Path) -> Iterator[np.ndarray]:
         yield cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)
 
 
-def as_used(trained: Trained, untouched: np.ndarray) -> Way:
-    """How `predict` and `live` read a picture."""
+def as_used(trained: Trained, untouched: np.ndarray, sitting: Sequence[np.ndarray] = ()) -> Way:
+    """How `predict` reads the pictures of a sitting, or, where none are named, `live` reads a frame."""
     one = Untouched(trained, untouched)
-    return lambda image: predict_one(one, image)[1]
+    placement = place_sitting(one, sitting)
+    return lambda image: predict_one(one, image, placement)[1]
 
 
-def bare(trained: Trained, untouched: np.ndarray) -> Way:
+def bare(trained: Trained, untouched: np.ndarray, _sitting: Sequence[np.ndarray] = ()) -> Way:
     """The network alone on the two pictures as they are."""
     reader = Untouched(trained, untouched).reader("given")
     return lambda image: predict_images(reader, image[None])[0]
@@ -194,9 +196,10 @@ def gif_figures(reference: Path, trained: Trained, untouched: np.ndarray) -> lis
     """Normal maps against FEATS' own, which are scaled each to itself; so are the totals' ranks."""
     found, seen = {}, np.ones((24, 32), bool)
     seen[NAMED] = False
+    presses = list(feats_maps(reference / "feats/images/demo.gif", untouched))
     for way, make in (("used", as_used), ("bare", bare)):
-        read, likeness, own, theirs = make(trained, untouched), [], [], []
-        for picture, normal in feats_maps(reference / "feats/images/demo.gif", untouched):
+        read, likeness, own, theirs = make(trained, untouched, [picture for picture, _ in presses]), [], [], []
+        for picture, normal in presses:
             pressed = -read(picture)[2]
             likeness.append(np.corrcoef(pressed[seen], normal[seen])[0, 1])
             own.append(pressed[seen].sum())
@@ -214,7 +217,7 @@ def gif_figures(reference: Path, trained: Trained, untouched: np.ndarray) -> lis
 def cuboid_figures(reference: Path, trained: Trained, untouched: np.ndarray) -> list[Figure]:
     """A 10 mm cuboid pressed straight: sideways force beside the normal one, and how wide the contact is read."""
     image = read_image(reference / "feats/images/cuboid_10-2-284.png")[..., :3]
-    used, plain = as_used(trained, untouched)(image), bare(trained, untouched)(image)
+    used, plain = as_used(trained, untouched, [image])(image), bare(trained, untouched)(image)
     normal, sideways = -used[2].sum(), float(np.hypot(*used[:2].sum((1, 2))))
     pressed = -used[2]
     area = np.count_nonzero(pressed > 0.5 * np.percentile(pressed, 98)) * (10.0 / PX_PER_MM) ** 2

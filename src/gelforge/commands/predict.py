@@ -4,6 +4,8 @@ For every image a picture and the map as .npy, float32 (3, rows, cols) in N per 
 Columns grid_x_n, grid_y_n, grid_z_n are FEATS' channels: force along gel y, along gel x, along the normal.
 A network that reads differences needs a picture of the sensor while nothing touches it: --untouched FILE, or one
 of the training sensors by its name, or, where neither is named, the training sensor that the image is nearest to.
+All images of one call are taken for one sitting: where their dots tell that the gel moved in its holder since that
+picture was taken, or that it is cropped otherwise, they are laid onto it first.
 """
 
 import tempfile
@@ -15,9 +17,11 @@ import numpy as np
 from gelforge.errors import BadInput, printable
 from gelforge.flow.files import publish, write_csv
 from gelforge.flow.main import command, option, positive
-from gelforge.labelling.markers import pitch_of
+from gelforge.labelling.markers import find_blobs, pitch_of
+from gelforge.networks.canonical import match_light
+from gelforge.networks.placement import Placement, RestingDots
 from gelforge.networks.profile import check_same_sensor, read_profile
-from gelforge.networks.use import Untouched, load_for_use, predict_one
+from gelforge.networks.use import Untouched, fit_size, load_for_use, predict_one
 from gelforge.records.axes import CHANNELS
 from gelforge.records.image import read_image
 
@@ -58,6 +62,16 @@ def need_folder(out: Path) -> None:
         raise BadInput(f"--out {out}: cannot be written into ({error.strerror}); name another folder") from error
 
 
+def place_sitting(untouched: Untouched, images) -> Placement | None:
+    """How pictures of one sitting, of any size, lie on the untouched one a user gave; None where none was given."""
+    picture = untouched.known.get("given")
+    if picture is None:
+        return None
+    sized = [fit_size(image, untouched.trained.about["image"])[0] for image in images]
+    lit = [match_light(image, picture).undo(image) for image in sized]
+    return RestingDots(picture, find_blobs(picture)[0], pitch_of(picture)).place(lit)
+
+
 def predict_files(paths, untouched: Untouched, out: Path) -> list[dict]:
     """Predict image files and write their maps and totals.csv below `out`; return the rows of totals.csv.
 
@@ -67,9 +81,12 @@ def predict_files(paths, untouched: Untouched, out: Path) -> list[dict]:
 
     images = [read_image(path) for path in paths]
     need_folder(out)
+    placement = place_sitting(untouched, images)
+    if placement is not None and placement.told:
+        print(f"the pictures lie otherwise on the untouched one, which is put right: {placement.told}")
     rows = []
     for path, name, image in zip(paths, output_names(paths), images):
-        image, forces, verdict = predict_one(untouched, image)
+        image, forces, verdict = predict_one(untouched, image, placement)
         row = totals_row(str(path), forces, verdict)
         with publish(out / f"{name}.npy") as part:
             np.save(part, forces)

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.networks.placement import Placement
 
 LEAST_PULL = 1.0  # N above which a reading that no contact can make is told
 SHIPPED = Path(__file__).parent / "default.pt"
@@ -84,10 +85,13 @@ class Untouched:
         return self._rest[name]
 
 
-def predict_one(untouched: Untouched, image) -> tuple[np.ndarray, np.ndarray, dict]:
+def predict_one(
+    untouched: Untouched, image, placement: Placement | None = None
+) -> tuple[np.ndarray, np.ndarray, dict]:
     """Predict an image of any size; return it in the network's size, forces (3, rows, cols), and the judgement.
 
-    A network that reads differences is given the image under the light of the untouched picture, and what it reads in
+    A network that reads differences is given the image laid onto the untouched picture by `placement` (None: as it is)
+    and under its light, and what it reads in
     that picture itself is taken off, as a scale is tared. The judgement is that of networks.statistics.judge, with
     `untouched`, what picture the image was read against, and `light`, what its light differed by (networks.canonical).
     """
@@ -100,8 +104,9 @@ def predict_one(untouched: Untouched, image) -> tuple[np.ndarray, np.ndarray, di
     name = untouched.of(image)
     picture, light, lit = untouched.known[name], None, image
     if picture is not None:
-        light = match_light(image, picture)
-        lit = light.undo(image)
+        laid = image if placement is None else placement.undo(image)
+        light = match_light(laid, picture)
+        lit = light.undo(laid)
     verdict = judge(trained.about["statistics"], lit, picture) | {"untouched": name, "light": light}
     forces = predict_images(untouched.reader(name), lit[None])[0]
     if picture is not None:
