@@ -40,6 +40,7 @@ def scene_of(press: PosedPress, bodies: dict, sensors: dict, params: ForFea) -> 
     return Scene(gel, material, bodies[press.indenter], press.press, law)
 
 
+CHOOSING = {"charted", "tolerance"}  # settings by which "auto" chooses a fidelity
 # What of an indenter's table says nothing of its shape; a file's name does not either, its content (sha256) does.
 NO_SHAPE = {"seen", "spare", "file"}
 
@@ -51,8 +52,11 @@ def sample_key(press: PosedPress, frames: list[PosedPress], params: ForFea, tabl
     """
     cells, indenter = press.cells(), tables["indenters"][press.indenter]
     shape = {key: value for key, value in indenter.items() if key not in NO_SHAPE}
-    bricks = asdict(quality(params.fea.hex_quality))
-    parts = [[cells[c] for c in POSE], plain(params), bricks, shape, tables["sensors"][press.sensor_id]["gel"],
+    bricks, settings = asdict(quality(params.fea.hex_quality)), plain(params)
+    if params.fea.fidelity != "auto":
+        # they choose among fidelities: a chart that is drawn anew leaves solves as they are
+        settings["fea"] = {key: value for key, value in settings["fea"].items() if key not in CHOOSING}
+    parts = [[cells[c] for c in POSE], settings, bricks, shape, tables["sensors"][press.sensor_id]["gel"],
              family.reports]  # fmt: skip
     if len(frames) > 1:
         parts.append([[frame.cells()[c] for c in POSE] for frame in frames])

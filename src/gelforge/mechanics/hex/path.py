@@ -367,7 +367,7 @@ class Run:
         """
         begin = before.to_indenter(x[new])
         end = pose.to_indenter(self._points(self.u)[new])
-        if self.settings.anchoring == "end" or not len(new):
+        if not len(new):
             return end
         gap_before, gap_after = gap[new], self._gaps(expected[new], pose)
         fraction = touch_fraction(gap_before, gap_after)

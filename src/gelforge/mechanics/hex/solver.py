@@ -92,7 +92,6 @@ class HexSettings:
     max_cuts: int = 8
     settle_rounds: int = 6
     pull_tolerance: float = 1e-3
-    anchoring: str = "crossing"
     box: FineBox | None = None
     nested: Nested | None = None
 
