@@ -25,6 +25,8 @@ from gelforge.networks.use import Untouched, fit_size, load_for_use, predict_one
 from gelforge.records.axes import CHANNELS
 from gelforge.records.image import read_image
 
+# Pictures that tell how a gel sits: a single press may drag the whole rim, and would lose true sideways force.
+LEAST_SITTING = 4
 COLUMNS = ["image", *(f"{name}_n" for name in CHANNELS), "untouched", "unlike_training", "flagged", "reason"]
 
 
@@ -81,7 +83,7 @@ def predict_files(paths, untouched: Untouched, out: Path) -> list[dict]:
 
     images = [read_image(path) for path in paths]
     need_folder(out)
-    placement = place_sitting(untouched, images)
+    placement = place_sitting(untouched, images) if len(images) >= LEAST_SITTING else None
     if placement is not None and placement.told:
         print(f"the pictures lie otherwise on the untouched one, which is put right: {placement.told}")
     rows = []

@@ -9,10 +9,11 @@ sitting, what contact does is not: the middle of what each dot does over many pi
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-TRACKED = {"winSize": (21, 21), "maxLevel": 3}  # reaches about 40 px
+WINDOW, LEVELS = (21, 21), 3  # of the pyramid in which dots are followed: it reaches about 40 px
 HOME = 0.5  # px by which a dot that is followed there and back may miss its start
 RIM = 0.8  # pitches from the outermost dots inwards that still are the rim
 AGREES = 1.2  # px by which a rim dot may stand off the common motion
@@ -101,9 +102,10 @@ class RestingDots:
         import cv2
 
         grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+        nothing: Any = None  # no guess; OpenCV's types know no None here
         start = (self.dots - 0.5).astype(np.float32).reshape(-1, 1, 2)
-        found, seen, _ = cv2.calcOpticalFlowPyrLK(self.grey, grey, start, None, **TRACKED)
-        back, _, _ = cv2.calcOpticalFlowPyrLK(grey, self.grey, found, None, **TRACKED)
+        found, seen, _ = cv2.calcOpticalFlowPyrLK(self.grey, grey, start, nothing, winSize=WINDOW, maxLevel=LEVELS)
+        back, _, _ = cv2.calcOpticalFlowPyrLK(grey, self.grey, found, nothing, winSize=WINDOW, maxLevel=LEVELS)
         kept = (seen.ravel() > 0) & (np.hypot(*(back - start).reshape(-1, 2).T) < HOME)
         return np.where(kept[:, None], found.reshape(-1, 2).astype(float), np.nan)
 
