@@ -7,6 +7,7 @@ pressure, both of the same iterate (return mapping).
 """
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -43,8 +44,8 @@ class ContactState:
     fading: np.ndarray
     multiplier: np.ndarray
     carried: np.ndarray
-    position: np.ndarray = field(default=None)
-    traction: np.ndarray = field(default=None)
+    position: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
+    traction: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
 
     def snapshot(self) -> dict:
         """Copies of all that changes along a path, for `restore`."""
@@ -174,8 +175,8 @@ def contact_springs(state: ContactState, x: np.ndarray, pose: Pose, indenter, la
         inside = distance < 0.0
         pressed, slip = _pressed(state, x, pose, law, probe[inside], distance[inside], normal[inside])
         parts.append(pressed)
-    joined = [np.concatenate(arrays) for arrays in zip(*parts)]
-    return Springs(*joined, slip)
+    joined: Any = (*(np.concatenate(arrays) for arrays in zip(*parts)), slip)
+    return Springs(*joined)
 
 
 def curved(springs: Springs, state, x, pose, indenter, law, candidates, h: float = 1e-6) -> Skew:

@@ -43,7 +43,8 @@ class Solvers:
         self.family, self.workdir, self.settings = family, Path(workdir), settings
         self.bricks = quality(settings.hex_quality)
         self.guide = HexSolver(quality("label"))
-        self._ccx, self._hex = {}, {}
+        self._ccx: dict[str, CcxSolver] = {}
+        self._hex: dict[int, HexSolver] = {}
 
     def solve(self, scene: Scene, fidelity: str) -> Result:
         """Solve at one fidelity, or the cheapest that is good enough for "auto".
@@ -70,9 +71,9 @@ class Solvers:
     def _first_rung(self, scenes: Sequence[Scene], fidelity: str) -> list[Callable[[Scene], Result]]:
         """How each scene is solved as asked; where a path serves several of them it is walked here."""
         if fidelity == "hex":
-            return [lambda _, found=found: found for found in self._solve_hex(scenes)]
+            return [_answer(found) for found in self._solve_hex(scenes)]
         if fidelity == "ccx":
-            return [partial(self._solve_ccx, trail=way and way.trail) for way in self.guide.walk(scenes)]
+            return [partial(self._solve_ccx, trail=way.trail if way else None) for way in self.guide.walk(scenes)]
         # a reference owes nothing to the bricks
         alone = self._solve_native if fidelity == "ccx-native" else self._solve_ccx
         return [alone] * len(scenes)
@@ -96,7 +97,7 @@ class Solvers:
             return [("hex, smaller load steps", lambda scene: self._solve_hex([scene], 4)[0])]
         if fidelity == "ccx-native":
             return []
-        rungs = [
+        rungs: list[tuple[str, Callable[[Scene], Result]]] = [
             (f"{fidelity}, smaller load steps", partial(self._solve_ccx, steps=3)),
             (f"{fidelity}, more contact rounds", partial(self._solve_ccx, steps=3, rounds=3)),
         ]
@@ -125,8 +126,8 @@ class Solvers:
             self._hex[steps] = HexSolver(finer)
         results = self._hex[steps].solve_frames(scenes)
         for result in results:
-            result.evidence |= {"mesh": result.bricks.name, "fidelity": "hex"}
-        return results
+            result.evidence |= {"mesh": result.bricks.name if result.bricks else "", "fidelity": "hex"}
+        return list(results)
 
     def _solve_native(self, scene) -> Result:
         from gelforge.mechanics.ccx.native import solve_native
@@ -137,6 +138,11 @@ class Solvers:
         return result
 
 
+def _answer(found: Result) -> Callable[[Scene], Result]:
+    """What was solved already, as a way of solving it."""
+    return lambda scene: found
+
+
 def cheapest(charted: dict, tolerance: float) -> str:
     """The cheapest fidelity whose charted worst error in total force meets `tolerance`.
 
@@ -145,4 +151,4 @@ def cheapest(charted: dict, tolerance: float) -> str:
     meeting = {name: cost for name, (error, cost) in charted.items() if error <= tolerance}
     if not meeting:
         raise BadInput(f"no charted fidelity meets tolerance = {tolerance:g}; raise it or name a fidelity in [fea]")
-    return min(meeting, key=meeting.get)
+    return min(meeting, key=lambda name: meeting[name])

@@ -87,6 +87,8 @@ class Pardiso:
         """Solution x (n,) of the system factorised last."""
         b = np.asarray(b, np.float64)
         scale = float(np.abs(b).max(initial=0.0)) or 1.0
+        if self._current is None:
+            raise SolveFailed("nothing was factorised yet")
         x = self._current.solve(np.ascontiguousarray(b / scale, np.float32))
         return x.astype(np.float64) * scale
 

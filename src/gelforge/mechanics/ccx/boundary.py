@@ -1,6 +1,7 @@
 """Contact at the face points of a tetrahedral gel: held by springs, judged, corrected in rounds."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -77,8 +78,9 @@ def spring_rows(contact: Contact, points: FacePoints, stiffness: float) -> Rows:
             coefficient.append(full[j, term])
             target.append(aims)
             count += len(aims)
-    join = [np.concatenate(x) if x else np.empty(0) for x in (row, node, axis, coefficient, target)]
-    return Rows(*(x.astype(int) for x in join[:3]), join[3], join[4], stiffness)
+    join: list[Any] = [np.concatenate(x) if x else np.empty(0) for x in (row, node, axis, coefficient, target)]
+    parts: Any = (*(x.astype(int) for x in join[:3]), join[3], join[4], stiffness)
+    return Rows(*parts)
 
 
 def drag_loads(contact: Contact, points: FacePoints, nodes: int) -> np.ndarray:

@@ -7,6 +7,7 @@ indenter's top led by prescribed displacements. It is the baseline of the chart,
 
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -93,7 +94,7 @@ def solve_native(scene: Scene, mesh: GelMesh, folder, timeout_s: float, size: fl
     zero = np.zeros_like(mesh.nodes)
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    evidence = {"rounds": 1, "load_steps": 0, "penetration_mm": None, "pulling_fraction": None}
+    evidence: dict[str, Any] = {"rounds": 1, "load_steps": 0, "penetration_mm": None, "pulling_fraction": None}
     if first_touch(scene) is None:
         return CcxResult(Status.NO_CONTACT, zero, zero.copy(), evidence)
     deck = native_deck(scene, mesh, *indenter_tets(scene.indenter, size))
@@ -120,6 +121,6 @@ def solve_native(scene: Scene, mesh: GelMesh, folder, timeout_s: float, size: fl
     forces = zero.copy()
     forces[top] = inner[top]
     total = forces.sum(axis=0)
-    evidence["base_mismatch"] = float(np.linalg.norm(total + base) / max(np.linalg.norm(total), 1e-12))
+    evidence["base_mismatch"] = float(np.linalg.norm(total + base)) / max(float(np.linalg.norm(total)), 1e-12)
     evidence["equilibrium_residual"] = evidence["base_mismatch"]
     return CcxResult(Status.OK, forces, displacement, evidence, deck)

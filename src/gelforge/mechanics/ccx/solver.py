@@ -147,7 +147,8 @@ class _Run:
         self.stiffness = settings.stiffness * REFERENCE_C10
         self.iterations = self.rounds = 0
         self.seconds = self.peak = 0.0
-        self.ladder, self.history = [], []
+        self.ladder: list[str] = []
+        self.history: list[list[float]] = []
 
     def solve(self, contact, start):
         """One round: from the start, else in increments from rest; an Answer, or a failed CcxResult."""
@@ -184,7 +185,7 @@ class _Run:
         top = mesh.surface_nodes
         forces[top] = np.where(np.isin(top, touched)[:, None], answer.top, 0.0)
         total = forces.sum(axis=0)
-        mismatch = np.linalg.norm(total + answer.base.sum(axis=0)) / max(np.linalg.norm(total), 1e-12)
+        mismatch = float(np.linalg.norm(total + answer.base.sum(axis=0))) / max(float(np.linalg.norm(total)), 1e-12)
         if status is Status.OK and mismatch > 1e-6:
             status = Status.UNBALANCED
         free = np.abs(answer.top[~np.isin(top, touched)]).max(initial=0.0)
@@ -214,4 +215,4 @@ def read_answer(path: Path, mesh: GelMesh, deck: str) -> Answer:
 
 
 def _difference(one, other) -> float:
-    return float(np.linalg.norm(one - other) / max(np.linalg.norm(one), 1e-12))
+    return float(np.linalg.norm(one - other)) / max(float(np.linalg.norm(one)), 1e-12)

@@ -94,14 +94,16 @@ def touches(trail: Trail, points: np.ndarray, near: float = 0.0) -> tuple[np.nda
     that have not touched get the place to which the last step would lead them.
     """
     held, places = np.zeros(len(points), bool), np.empty_like(points)
-    before = earlier = None
+    before: tuple[float, np.ndarray, Pose, np.ndarray] | None = None
+    earlier: tuple[float, np.ndarray, Pose, np.ndarray] | None = None
     for t, u in zip(trail.times, trail.states, strict=True):
         pose, x = trail.pose(t), points + surface_motion(trail.mesh, u, points[:, :2])
         gap = trail.gap(x, pose)
         if before is not None:
             t1, x1, pose1, gap1 = before
-            straight = earlier is not None and not t1 <= 1.0 < t  # the path turns from press to shear at 1
-            ahead = x1 + (t - t1) / (t1 - earlier[0]) * (x1 - earlier[1]) if straight else x1
+            ahead = x1
+            if earlier is not None and not t1 <= 1.0 < t:  # the path turns from press to shear at 1
+                ahead = x1 + (t - t1) / (t1 - earlier[0]) * (x1 - earlier[1])
             free = np.flatnonzero(~held)
             fraction = touch_fraction(gap1[free], trail.gap(ahead[free], pose))[:, None]
             places[free] = (1.0 - fraction) * pose1.to_indenter(x1[free]) + fraction * pose.to_indenter(x[free])

@@ -3,6 +3,7 @@
 import copy
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -82,11 +83,13 @@ class Run:
         self.state = contact_points(mesh, settings.gauss, reachable_faces(scene, mesh))
         self.nodes = np.ascontiguousarray(mesh.faces[self.state.face])
         self.u = np.zeros_like(mesh.nodes)
-        self.t, self.candidates, self.springs = 0.0, np.empty(0, np.int64), None
+        self.t, self.candidates = 0.0, np.empty(0, np.int64)
+        self.springs: Any = None  # Springs of the last equilibrium
         self.factorisations = self.products = 0
         self.iterations = self.rounds = self.steps = self.cuts = 0
         self.residual, self.factored = np.inf, False
-        self.history, self.curve = [], []
+        self.history: list[tuple[float, np.ndarray]] = []
+        self.curve: list[list[float]] = []
         self._walked = [(0.0, self.u)]
 
     # -- the path

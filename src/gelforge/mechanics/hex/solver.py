@@ -98,7 +98,7 @@ class HexSettings:
     @property
     def coarse(self) -> "HexSettings":
         """Settings of the path on coarser bricks."""
-        n = self.nested
+        n = self.nested or Nested()
         return replace(
             self, size=n.factor * self.size, layers=n.layers, growth=n.growth, nested=None, tolerance=COARSE_TOLERANCE,
             final_tolerance=COARSE_TOLERANCE, press_steps=n.press_steps, shear_steps=n.shear_steps,
@@ -187,12 +187,14 @@ class HexSolver:
         None for a moment at which nothing touches yet, and for all where the path finds no equilibrium, where settings
         are not nested, and with Coulomb friction.
         """
-        last, none = scenes[-1], [None] * len(scenes)
+        last = scenes[-1]
+        none: list[Walked | None] = [None] * len(scenes)
         start = first_touch(last)
-        if start is None or not self._walks_coarse(last) or _below_base(last):
+        nested = self.settings.nested
+        if start is None or nested is None or not self._walks_coarse(last) or _below_base(last):
             return none
         settings, box = self.settings.coarse, self._box(last)
-        wide = replace(box, size=self.settings.nested.factor * box.size)
+        wide = replace(box, size=nested.factor * box.size)
         run = self._run(last, self._mesh(last.gel, wide, settings), settings, wide.size)
         times = [moment_of(scene, last) for scene in scenes]
         status = run.follow(start, times)
@@ -227,7 +229,7 @@ class HexSolver:
         curve = [*walked.curve[:-1], [float(run.t), *result.total.tolist()]]
         result.evidence["path"] = curve
         if result.status is Status.OK:
-            share = self.settings.nested.share(walked.trail.size / box.size)
+            share = (self.settings.nested or Nested()).share(walked.trail.size / box.size)
             factor = _corrected(result.total, np.array(walked.curve[-1][1:]), share)
             # reactions of the base go with the forces: what was checked for balance stays balanced
             result.forces *= factor

@@ -235,7 +235,7 @@ class _Path:
         contact, changed = self._touch(u, contact, pose, keep)
         outer = contact_forces(contact, self.points, u, self.settings.stiffness)
         residual = np.where(self.solid.free[:, None], outer - inner, 0.0)
-        size = np.linalg.norm(residual) / max(np.linalg.norm(outer), 1e-12)
+        size = float(np.linalg.norm(residual)) / max(float(np.linalg.norm(outer)), 1e-12)
         return _State(u, contact, changed, residual, size, smallest)
 
     def _cheap_steps(self, state, pose, keep, tolerance) -> "_State | None":

@@ -3,6 +3,7 @@
 import contextlib
 import itertools
 import tempfile
+from typing import Any
 
 import numpy as np
 
@@ -64,14 +65,14 @@ def sizing_grid(gel: Gel, size, step: float = SIZING_STEP_MM) -> tuple[np.ndarra
 def kuhn_grid(axes) -> tuple[np.ndarray, np.ndarray]:
     """Nodes (n, 3) and tetrahedra (e, 4) of a grid with lines `axes` (x, y, z), six to a cell (Kuhn 1960)."""
     points = np.stack(np.meshgrid(*axes, indexing="ij"), -1)
-    index = np.arange(points[..., 0].size).reshape(points.shape[:3])
-    corner = {
+    index: Any = np.arange(points[..., 0].size).reshape(points.shape[:3])
+    corner: dict[tuple[int, ...], Any] = {
         (i, j, k): index[i : index.shape[0] - 1 + i, j : index.shape[1] - 1 + j, k : index.shape[2] - 1 + k].ravel()
         for i, j, k in itertools.product((0, 1), repeat=3)
     }
     tets = []
     for order in itertools.permutations(range(3)):
-        path = [(0, 0, 0)]
+        path: list[tuple[int, ...]] = [(0, 0, 0)]
         for axis in order:
             path.append(tuple(1 if a == axis else v for a, v in enumerate(path[-1])))
         tets.append(np.column_stack([corner[p] for p in path]))
@@ -182,8 +183,8 @@ def tetrahedralise(vertices: np.ndarray, faces: np.ndarray, **options) -> tuple[
     # It leaves a file in the folder it runs in.
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
         nodes, tets = pytetwild.tetrahedralize(vertices, faces, **options)
-    used, tets = np.unique(tets, return_inverse=True)
-    return nodes[used], tets.reshape(-1, 4)
+    used, numbered = np.unique(tets, return_inverse=True)
+    return nodes[used], numbered.reshape(-1, 4)
 
 
 def from_flat(gel: Gel, nodes: np.ndarray, tets: np.ndarray) -> GelMesh:
@@ -277,7 +278,7 @@ def quality(mesh: GelMesh, gel: Gel) -> dict:
         "max_edge": float(edges.max()), "face_edge_median": float(np.median(face_edges)),
         "volume": volume, "exact_volume": exact, "volume_error": volume / exact - 1,
     }  # fmt: skip
-    if report["min_scaled_jacobian"] <= 0 or report["min_volume"] <= 0:
+    if float(scaled.min()) <= 0 or float(volumes.min()) <= 0:
         raise BadInput(f"the mesh has an inverted element (scaled Jacobian {report['min_scaled_jacobian']:.3g});"
                        " choose another element size in [meshes]")  # fmt: skip
     return report
