@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from gelforge.geometry.gel import Gel
-from gelforge.geometry.indenters import build
+from gelforge.geometry.indenters import build, load_catalogue
 from gelforge.mechanics.contact import GLUED
 from gelforge.mechanics.hex.hexmesh import FineBox, HexMesh, mesh_on_lines
 from gelforge.mechanics.hex.reach import path_pose
-from gelforge.mechanics.hex.solver import MOST_BELOW_MM, MOST_INSIDE_MM, HexSettings, HexSolver, solve_hex
+from gelforge.mechanics.hex.solver import MOST_BELOW_MM, MOST_INSIDE_MM, HexSettings, HexSolver, quality, solve_hex
 from gelforge.mechanics.scene import Interface, Material, Press, Scene
 from gelforge.records.status import Status
 
@@ -327,3 +327,14 @@ def test_a_blade_between_the_points_of_contact_is_no_answer_of_zero():
     assert wide.status is Status.TOO_COARSE and not wide.forces.any()
     small = solve_hex(scene, HexSettings(size=0.3, across=4, layers=3, press_steps=2))
     assert small.status is Status.OK and small.total[2] < 0.0
+
+
+def test_flanks_that_hang_beside_the_base_are_no_gel_pressed_through_it(root):
+    """A wide bar across the gel squeezes its flanks out over the base's edge, where they hang lower: a sound press."""
+    bar = load_catalogue(root / "workflow/indenters.toml", ["bar_15"])["bar_15"]
+    scene = Scene(Gel(), Material(), bar, Press(1.7, -3.6, 0, 0.35, 0.1, -1.54, 249.0))
+    result = solve_hex(scene, quality("draft"))
+    x = result.mesh.nodes + result.displacement
+    assert x[:, 2].min() < -Gel().height - 0.05  # they do hang lower
+    assert result.status is Status.OK and result.evidence["below_base_mm"] == 0.0
+    assert result.evidence["base_mismatch"] < 1e-6

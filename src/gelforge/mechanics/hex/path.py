@@ -500,10 +500,16 @@ class Run:
         gap = self._gaps(self._points(self.u), pose)
         return {
             "penetration_mm": float(max(0.0, -gap.min(initial=0.0))),
-            "below_base_mm": float(max(0.0, -self.scene.gel.height - (self.mesh.nodes + self.u)[:, 2].min())),
+            "below_base_mm": self._below_base(),
             "pulling_fraction": float(self.state.weights[point] @ np.maximum(-push, 0.0)) / size,
             "base_mismatch": float(np.linalg.norm(base + total)) / size,
         }
+
+    def _below_base(self) -> float:
+        """How deep a node lies below the base that the gel is bonded to, mm; beside it the gel's flanks may hang lower."""
+        gel, x = self.scene.gel, self.mesh.nodes + self.u
+        over = (np.abs(x[:, 0]) < gel.width / 2) & (np.abs(x[:, 1]) < gel.length / 2)
+        return float(max(0.0, -gel.height - x[over, 2].min(initial=np.inf)))
 
     def record(self) -> None:
         """Write final positions and tractions into the contact state."""
