@@ -88,6 +88,14 @@ def digest_of_all(workflow: Path) -> str:
     ).hexdigest()
 
 
+def environment(case: str, folder: Path) -> dict[str, str]:
+    """Environment of a process whose libraries take the code path of a case; numba's code for another processor is
+    kept apart, in the folder."""
+    free = {k: v for k, v in os.environ.items() if k != "MKL_CBWR"}
+    caches = {"NUMBA_CACHE_DIR": str((folder / "numba" / case).resolve())} if "NUMBA_CPU_NAME" in CASES[case] else {}
+    return {**free, **ONE_THREAD, **CASES[case], **caches}
+
+
 def on_machine(case: str, way: str, names: list[str] | None, folder: Path, workflow: Path) -> dict[str, dict]:
     """`solve_scenes` in a process whose libraries take the code path of a case; kept in the folder."""
     told = json.dumps([digest_of_all(workflow), case, way, names])
@@ -95,9 +103,7 @@ def on_machine(case: str, way: str, names: list[str] | None, folder: Path, workf
     if not kept.exists():
         asked = [sys.executable, "-m", "tests.benchmarks.machines", "--way", way, "--workflow", str(workflow)]
         asked += ["--meshes", str(folder / "meshes"), "--out", str(kept), *(["--scenes", *names] if names else [])]
-        caches = {"NUMBA_CACHE_DIR": str(folder / "numba" / case)} if "NUMBA_CPU_NAME" in CASES[case] else {}
-        free = {k: v for k, v in os.environ.items() if k != "MKL_CBWR"}
-        subprocess.run(asked, check=True, env={**free, **ONE_THREAD, **CASES[case], **caches})
+        subprocess.run(asked, check=True, env=environment(case, folder))
     return read_json(kept)
 
 
