@@ -159,7 +159,9 @@ def test_normalisation_covers_the_training_split(made):
     assert ranges["gs_img"] == {"min": 0, "max": 254}
 
 
-def test_an_unseen_sensor_has_its_own_test(made):
+def test_an_unseen_sensor_has_its_own_test(tmp_path):
+    made = write_pressed(tmp_path, sensors=("mini_a", "mini_b"))
+    label(made, "24x32")
     data = open_data(collect(made, "24x32", unseen_sensors=["mini_b"]))
     for each in data.table:
         assert (each.press.sensor_id == "mini_b") == (each.split in ("test_unseen_sensor", "test_unseen_both"))

@@ -47,7 +47,7 @@ def overdue(tmp_path_factory):
 def project(tmp_path, lab):
     """A project of four shards; afterwards nothing of it may be left in the queue."""
     yield lay_project(tmp_path / "p", visible_seconds=3)
-    await_true(lambda: lab.ask("squeue", "-h") == "", 20)
+    await_true(lambda: lab.ask("squeue", "-h") == "")
 
 
 def fault(project: Path, name: str, code: str) -> None:
@@ -232,7 +232,7 @@ def test_interrupted_make_cancels(project, lab, how):
     (os.killpg if how == signal.SIGINT else os.kill)(process.pid, how)
     text, _ = process.communicate(timeout=30)
     assert process.returncode != 0
-    await_true(lambda: lab.ask("squeue", "-h") == "", 20)
+    await_true(lambda: lab.ask("squeue", "-h") == "")
     assert there(project) == ["0", "1", "2"]
     code, text = make(project, lab, "poses")
     assert code == 0, text

@@ -222,6 +222,25 @@ def internal_forces(u, elements, gradients, weights, shear, bulk, forces):
     return smallest
 
 
+def smallest_ratios(u: np.ndarray, geometry: BrickGeometry) -> np.ndarray:
+    """The smallest volume ratio J within each brick (e,) at nodal displacements u (n, 3) mm; below 0 it is inside out."""
+    smallest = np.empty(len(geometry.elements))
+    _smallest_ratios(u, geometry.elements, geometry.gradients, smallest)
+    return smallest
+
+
+@njit(**_FAST)
+def _smallest_ratios(u, elements, gradients, smallest):
+    f = np.empty((3, 3))
+    spatial = np.empty((8, 8, 3))
+    for e in range(elements.shape[0]):
+        smallest[e] = 1e30
+        for g in range(8):
+            _deformation(u, elements, gradients, e, g, f)
+            j, _ = _spatial(f, gradients, e, g, spatial)
+            smallest[e] = min(smallest[e], j)
+
+
 @njit(inline="always")
 def _deformation(u, elements, gradients, e, g, f):
     for i in range(3):

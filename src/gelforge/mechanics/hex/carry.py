@@ -11,11 +11,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gelforge.geometry.gel import Gel
-from gelforge.mechanics.contact import Pose
+from gelforge.mechanics.contact import NoEquilibrium, Pose
+from gelforge.mechanics.element import BrickGeometry, smallest_ratios
 from gelforge.mechanics.hex.hexmesh import HexMesh
 from gelforge.mechanics.hex.reach import path_pose
 from gelforge.mechanics.scene import Scene
 
+FLAT = 0.2  # volume ratio below which a brick is nearly inside out: Newton's first steps would turn it over
+SMOOTHINGS = 40
 LEFT = 0.05  # widths of a coarse brick beyond touch at which a point has left again
 
 
@@ -61,6 +64,36 @@ def carried(coarse: HexMesh, u: np.ndarray, fine: HexMesh) -> np.ndarray:
         low, high = (np.take(grid, index[:, k], axis=axis) * weights[:, k].reshape(shape) for k in (0, 1))
         grid = low + high
     return np.ascontiguousarray(grid.reshape(-1, 3))
+
+
+def untangled(mesh: HexMesh, bricks: BrickGeometry, u: np.ndarray) -> np.ndarray:
+    """Displacement (n, 3) with no brick (nearly) inside out: nodes of those that are move towards their neighbours' mean.
+
+    What is carried over may turn small bricks over where a wide one, sound on the whole, is bent round an edge.
+    NoEquilibrium where `SMOOTHINGS` are not enough.
+    """
+    fixed = np.zeros(len(u), bool)
+    fixed[mesh.base] = True
+    for _ in range(SMOOTHINGS):
+        flat = smallest_ratios(u, bricks) < FLAT
+        if not flat.any():
+            return u
+        moved = np.unique(bricks.elements[flat])
+        moved = moved[~fixed[moved]]
+        u = u.copy()
+        u[moved] = 0.5 * (u[moved] + _mean_of_neighbours(mesh, u)[moved])
+    raise NoEquilibrium
+
+
+def _mean_of_neighbours(mesh: HexMesh, u: np.ndarray) -> np.ndarray:
+    """Mean (n, 3) of u (n, 3) over the six neighbours of each node; past the rim a node stands for its own."""
+    grid = np.pad(u.reshape(mesh.layers + 1, len(mesh.ys), len(mesh.xs), 3), ((1, 1), (1, 1), (1, 1), (0, 0)), "edge")
+    inner = slice(1, -1)
+    sides = [
+        grid[:-2, inner, inner], grid[2:, inner, inner], grid[inner, :-2, inner],
+        grid[inner, 2:, inner], grid[inner, inner, :-2], grid[inner, inner, 2:],
+    ]  # fmt: skip
+    return np.mean(sides, axis=0).reshape(-1, 3)
 
 
 def surface_motion(coarse: HexMesh, u: np.ndarray, xy: np.ndarray) -> np.ndarray:

@@ -21,7 +21,7 @@ from gelforge.mechanics.contact import (
     curved,
     positions,
 )
-from gelforge.mechanics.hex.carry import Trail, carried, touch_fraction, touches
+from gelforge.mechanics.hex.carry import Trail, carried, touch_fraction, touches, untangled
 from gelforge.mechanics.hex.hexmesh import HexMesh, elimination_order
 from gelforge.mechanics.hex.reach import end_of, path_pose, reachable_faces
 from gelforge.mechanics.linear import gmres, symmetric_product, symmetric_solver
@@ -129,8 +129,8 @@ class Run:
         """
         self.t = end_of(self.scene)
         pose = path_pose(self.scene, self.t)
-        self.u = carried(trail.mesh, trail.states[-1], self.mesh)
         try:
+            self.u = untangled(self.mesh, self.bricks, carried(trail.mesh, trail.states[-1], self.mesh))
             if self.law == "frictionless":
                 self._solve_here(pose, ROUGH)
             else:
