@@ -8,11 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gelforge.geometry.gel import Gel
-from gelforge.geometry.indenters import build
-from gelforge.mechanics.hex.carry import Trail, carried, surface_motion, touches, volume_motion
+from gelforge.geometry.indenters import build, load_catalogue
+from gelforge.mechanics.element import bricks, smallest_ratios
+from gelforge.mechanics.hex.carry import FLAT, Trail, carried, surface_motion, touches, untangled, volume_motion
 from gelforge.mechanics.hex.hexmesh import FineBox, build_mesh, dissected, elimination_order
 from gelforge.mechanics.hex.reach import end_of, width_of
-from gelforge.mechanics.hex.solver import HexSettings, HexSolver, Nested, moment_of, solve_hex
+from gelforge.mechanics.hex.solver import QUALITIES, HexSettings, HexSolver, Nested, moment_of, solve_hex
 from gelforge.mechanics.linear import symmetric_solver
 from gelforge.mechanics.scene import Interface, Material, Press, Scene
 from gelforge.records.status import Status
@@ -52,6 +53,44 @@ def test_carrying_keeps_trilinear_fields(seed):
     np.testing.assert_allclose(moved, field(FINE)[FINE.surface_nodes][inner], atol=1e-9)
     everywhere = volume_motion(COARSE, field(COARSE), FINE.nodes[straight], Gel())
     np.testing.assert_allclose(everywhere, field(FINE)[straight], atol=1e-9)
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.1, 0.6))
+@settings(max_examples=20, deadline=None)
+def test_what_is_tangled_is_made_sound_and_what_is_sound_stays(seed, size):
+    """Nodes thrown out of place turn bricks over; afterwards none is, the base holds, and the rest has not moved."""
+    rng, geometry = np.random.default_rng(seed), bricks(FINE.nodes, FINE.elements)
+    at_rest = np.zeros_like(FINE.nodes)
+    assert untangled(FINE, geometry, at_rest) is at_rest
+    u = at_rest.copy()
+    free = np.setdiff1d(np.arange(len(u)), FINE.base)
+    thrown = rng.choice(free, 8, replace=False)
+    u[thrown] = rng.uniform(-size, size, (8, 3))
+    found = untangled(FINE, geometry, u)
+    assert smallest_ratios(found, geometry).min() >= FLAT
+    assert not found[FINE.base].any()
+    flat = np.unique(FINE.elements[smallest_ratios(u, geometry) < FLAT])
+    kept = np.setdiff1d(np.arange(len(u)), flat)
+    np.testing.assert_array_equal(found[kept], u[kept])
+
+
+@pytest.mark.parametrize("name", ["cuboid_10", "triangle_8", "cross_15_10_3"])
+def test_deep_presses_of_wide_shapes_take_the_short_way(name, root):
+    """The gel bends round an edge within one wide brick: what is carried over would turn small ones over."""
+    found = solve_hex(deep_press(name, root), QUALITIES["draft"])
+    assert found.status is Status.OK and "extrapolated" in found.evidence
+
+
+def test_a_deep_press_is_what_its_whole_path_gives(root):
+    plain = replace(QUALITIES["draft"], nested=replace(QUALITIES["draft"].nested, extrapolation=0.0))
+    short = solve_hex(deep_press("triangle_8", root), plain)
+    whole = solve_hex(deep_press("triangle_8", root), replace(plain, nested=None, press_steps=10, shear_steps=4))
+    assert np.linalg.norm(short.total - whole.total) < 0.005 * np.linalg.norm(whole.total)
+
+
+def deep_press(name, root):
+    body = load_catalogue(root / "workflow" / "indenters.toml")[name]
+    return Scene(Gel(), Material(), body, Press(0.3, -0.5, 0, 0.1, 0.1, -1.9, 10))
 
 
 def test_points_that_never_moved_touch_straight_above_them():

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 
 import pytest
 from pressed_dataset import write_pressed
@@ -13,14 +14,20 @@ DATASET = 'sensor = "mini_a"\ngel = "gelsight_mini"\ncatalogue = "indenters.toml
 
 
 @pytest.fixture(scope="module")
-def made(root, tmp_path_factory):
-    """A sandbox whose stages up to 40 are done."""
+def pressed(root, tmp_path_factory):
+    """A sandbox whose stages up to 40 are done, which tests copy and leave as it is."""
     project = link_project(root, tmp_path_factory.mktemp("labels") / "project")
     made = write_pressed(project, count=16)
     (made["data"] / "dataset.toml").write_text(DATASET)
     (made["results"] / "30_fea").mkdir()
     run(project, "-t", "forces")
-    return made
+    return project
+
+
+@pytest.fixture
+def folder(pressed, tmp_path):
+    """A sandbox whose stages up to 40 are done."""
+    return shutil.copytree(pressed, tmp_path / "project", symlinks=True)
 
 
 def run(project, *arguments) -> str:
@@ -34,8 +41,7 @@ def built(text) -> set[str]:
     return set(re.findall(r"^(results/\S+)  [0-9.]+ s", text, re.MULTILINE))
 
 
-def test_resolutions_are_built_beside_each_other(made):
-    folder = made["folder"]
+def test_resolutions_are_built_beside_each_other(folder):
     targets = {name: f"results/made/50_labels/{name}/labels.json" for name in ("6x8", "12x16", "24x32")}
     assert built(run(folder, "labels", "RES=6x8 12x16")) == {targets["6x8"], targets["12x16"]}
     assert built(run(folder, "labels", "RES=6x8 12x16 24x32")) == {targets["24x32"]}
@@ -46,8 +52,7 @@ def test_resolutions_are_built_beside_each_other(made):
         assert read_labels((folder / target).parent / "0001.npz").label.shape == (8, 3, rows, cols)
 
 
-def test_dataset_export_and_pictures_follow(made):
-    folder = made["folder"]
+def test_dataset_export_and_pictures_follow(folder):
     text = run(folder, "feats-export", "RES=4x4")
     assert built(text) == {f"results/made/{name}" for name in (
         "50_labels/4x4/labels.json", "60_dataset/4x4/dataset.json", "feats/4x4/normalization_gelforge.npy")}  # fmt: skip
@@ -60,14 +65,13 @@ def test_dataset_export_and_pictures_follow(made):
     )
 
 
-def test_a_bad_resolution_fails_and_leaves_nothing(made):
-    done = make(made["folder"], "DATASET=made", "labels", "RES=24by32")
+def test_a_bad_resolution_fails_and_leaves_nothing(folder):
+    done = make(folder, "DATASET=made", "labels", "RES=24by32")
     assert done.returncode != 0 and "RES=24by32: give resolutions as ROWSxCOLUMNS" in done.stdout
-    assert not (made["results"] / "50_labels/24by32").exists()
+    assert not (folder / "results/made/50_labels/24by32").exists()
 
 
-def test_a_deleted_shard_is_made_again(made):
-    folder = made["folder"]
+def test_a_deleted_shard_is_made_again(folder):
     run(folder, "labels", "RES=6x8")
     shards = [folder / f"results/made/50_labels/6x8/{name}.npz" for name in ("0000", "0001")]
     kept, stamp = shards[0].read_bytes(), shards[1].stat().st_mtime_ns
@@ -77,8 +81,7 @@ def test_a_deleted_shard_is_made_again(made):
     assert not built(run(folder, "labels", "RES=6x8"))
 
 
-def test_a_changed_value_remakes_labels_only(made):
-    folder = made["folder"]
+def test_a_changed_value_remakes_labels_only(folder):
     run(folder, "labels", "RES=6x8")
     params = folder / "workflow/params.toml"
     params.write_text(params.read_text().replace("largest_outside_share = 0.02", "largest_outside_share = 0.03"))

@@ -1,5 +1,7 @@
 """A tiny plan through the real bench: resume, growth, repetition, another plan in the same folder."""
 
+import shutil
+
 import cv2
 import numpy as np
 import pytest
@@ -28,10 +30,16 @@ def plan_of(folder, presses: int, *changes):
 
 
 @pytest.fixture(scope="module")
-def two(tmp_path_factory):
-    """A dataset of two presses."""
+def pressed(tmp_path_factory):
+    """A dataset of two presses, which tests copy and leave as it is."""
     folder = tmp_path_factory.mktemp("rig")
     return run(plan_of(folder, 2), folder / "data", ROOT / "workflow")
+
+
+@pytest.fixture
+def two(pressed, tmp_path):
+    """A dataset of two presses."""
+    return shutil.copytree(pressed, tmp_path / "two" / pressed.name)
 
 
 def test_log_and_images_are_what_the_importer_expects(two):

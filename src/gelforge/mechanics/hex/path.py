@@ -37,9 +37,9 @@ WARY = 3
 FORCING = 3e-2
 # Residual below which the tangent is exact; farther away the curvature of fillets leads astray.
 CLOSE = 1e-3
-# Residual above which the pressure's geometric stiffness is left out: an interpolated state has noise in its volume
-# ratio, so large pressures of both signs, and a tangent that is indefinite with them.
-NOISY = 5e-3
+# Residual above which the pressure's geometric stiffness is left out, on a walked path and at an interpolated state:
+# that one has noise in its volume ratio, so large pressures of both signs, and a tangent that is indefinite with them.
+NOISY, NOISY_INTERPOLATED = 5e-3, 1e-3
 ROUGH = 1e-3  # residual at which it shows what pulls and what presses
 # Matrix products that a solve may take with an old factorisation (one costs as much as a dozen) and with its own.
 STALE, FRESH = 12, 60
@@ -91,6 +91,7 @@ class Run:
         self.history: list[tuple[float, np.ndarray]] = []
         self.curve: list[list[float]] = []
         self._walked = [(0.0, self.u)]
+        self._noisy = NOISY
 
     # -- the path
 
@@ -127,7 +128,7 @@ class Run:
 
         The path may be the way to this end of a longer one.
         """
-        self.t = end_of(self.scene)
+        self.t, self._noisy = end_of(self.scene), NOISY_INTERPOLATED
         pose = path_pose(self.scene, self.t)
         try:
             self.u = untangled(self.mesh, self.bricks, carried(trail.mesh, trail.states[-1], self.mesh))
@@ -304,7 +305,7 @@ class Run:
         """Newton's step, to FORCING of the residual; a factorisation serves as long as GMRES is quick with it."""
         system, b = self.system, self.bricks
         system.values[:] = 0.0
-        pressed = float(self.residual <= NOISY)
+        pressed = float(self.residual <= self._noisy)
         element.tangent(
             u, b.elements, b.gradients, b.weights, *self.moduli, pressed, system.base, system.width, system.values
         )
