@@ -45,7 +45,6 @@ include rules/pareto_models.mk
 include rules/projection.mk
 include rules/rig.mk
 include rules/showcase.mk
-include rules/slurm.mk
 include rules/stability.mk
 include rules/test.mk
 include rules/work.mk

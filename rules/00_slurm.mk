@@ -17,8 +17,20 @@ alone = $(if $(SLURM_DRY),$(wrapped),$(call SLURM_RUN,run) --target $@ -- $(wrap
 noted = $(eval COLLECTED := $(sort $(COLLECTED) $(SLURM_STAGE)))$(if $(SLURM_DRY),$(wrapped),$(note)$(if $(wildcard $@),rm -f $@))
 note = $(file >>$D/.slurm/$(SLURM_STAGE).tasks,$@	$(wrapped))
 
-# $(call barrier,STAGE…) as an order-only prerequisite: wait until those stages' tasks have run.
+# $(call barrier,STAGE…) as an order-only prerequisite: wait until those stages' tasks have run. What a barrier waits for
+# is known once the stages' rules are read, hence the second expansion.
 barrier = $(addprefix barrier-,$(filter $(1),$(COLLECT)))
+BARRIERS := $(COLLECT:%=barrier-%)
+.PHONY: $(BARRIERS)
+.SECONDEXPANSION:
+ifneq ($(BARRIERS),)
+barrier-10_poses: $$(POSES)
+barrier-20_meshes: $$(MESH_FILES)
+barrier-30_fea: $$(FEA)
+barrier-40_forces: $$(FORCES)
+$(BARRIERS): barrier-%:
+	@$(if $(filter $*,$(COLLECTED)),$(call SLURM_RUN,flush) --stage $*)
+endif
 
 # One make at a time, after what an earlier one left running: held until this make ends.
 ifeq ($(or $(SLURM_DRY),$(if $(wildcard $(SETUP)),,bare)),)

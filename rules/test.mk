@@ -1,19 +1,31 @@
 # Tests, and benchmarks of what was promised.
 TESTS ?= tests
 
-# Tests of pages need a browser; installed after CalculiX, because two installs at once would fight for apt's lock.
+# Tests of pages need a browser.
 CHROMIUM_FOUND := .venv/chromium.found
+
+# Tests of EXECUTOR=slurm need a real cluster of one node; installed after CalculiX, because two installs at once would
+# fight for apt's lock.
+SLURM_FOUND := .venv/slurm.found
+
+$(SLURM_FOUND): envs/slurm.sh | $(SETUP) $(CCX_FOUND)
+	@envs/slurm.sh $@
+
+test benchmark-slurm: $(SLURM_FOUND)
 
 $(CHROMIUM_FOUND): envs/chromium.sh | $(SETUP) $(CCX_FOUND) $(SLURM_FOUND)
 	@envs/chromium.sh $@
 
 test benchmark-face: $(CHROMIUM_FOUND)
 
-.PHONY: test lint format lock
+.PHONY: test test-slurm lint format lock
 test: $(SETUP) $(CCX_FOUND)  ## all tests, those of the mechanics on a second code path too
 	@$(PY) -m pytest -n $(JOBS) --dist loadfile $(TESTS)
 # MKL takes other code paths on other processors, which differ in the last bits: what is tested must hold on each.
 	$(if $(filter-out tests,$(TESTS)),,@MKL_CBWR=COMPATIBLE $(PY) -m pytest -q -n $(JOBS) --dist loadfile tests/physics)
+
+test-slurm: $(SETUP) $(SLURM_FOUND)  ## tests of EXECUTOR=slurm on a real cluster of one node, started and stopped here
+	@$(PY) -m pytest tests/workflow/test_slurm.py tests/workflow/test_slurm_parts.py
 
 lint: $(SETUP)  ## style, names and types of the code, as CI asks for them
 	@$(PY) -m ruff check
@@ -27,7 +39,7 @@ format: $(SETUP)  ## write the code in the project's form
 lock: $(SETUP)  ## write envs/requirements.lock from what is installed
 	@$(PY) -m pip freeze --exclude-editable | sed 's/+cpu$$//' > envs/requirements.lock
 
-BENCHMARKS := $(patsubst tests/benchmarks/%.py,benchmark-%,$(filter-out %/__init__.py %/figures.py %/sandbox.py %/rig_page.py %/fea_cost.py,$(wildcard tests/benchmarks/*.py)))
+BENCHMARKS := $(patsubst tests/benchmarks/%.py,benchmark-%,$(filter-out %/__init__.py %/figures.py %/sandbox.py %/rig_page.py %/fea_cost.py %/attempts.py %/flow_faults.py,$(wildcard tests/benchmarks/*.py)))
 .PHONY: $(BENCHMARKS)
 $(BENCHMARKS): benchmark-%: $(SETUP) $(CCX_FOUND)
 	@$(PY) -m tests.benchmarks.$* --out results/benchmarks/$*.json

@@ -1,5 +1,5 @@
 # What people type while they work: the whole flow, its state, one sample, clean-up.
-.PHONY: demo status sample
+.PHONY: demo status sample slurm-cancel
 demo:  ## the whole flow on the demo dataset: labels, network, calibration, chart, report
 demo: report
 	@echo "report: $D/90_report/index.html"
@@ -9,6 +9,9 @@ status:  ## samples done, failed with reasons and pending, per stage
 
 sample: $(MESH_FILES) | $(call barrier,20_meshes)  ## one sample through all stages with its log: make sample ID=…
 	@$(PY) -m gelforge.commands.sample --dataset $(DATASET) --id $(call given,ID) --resolution $(RES1)
+
+slurm-cancel:  ## cancel what was left running on Slurm (DETACH=1)
+	@$(PY) -m gelforge.flow.slurm.run cancel --results $D
 
 ID ?=
 

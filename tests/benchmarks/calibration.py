@@ -32,7 +32,7 @@ from gelforge.flow.params.slices import ForCalibrate
 from gelforge.flow.params.tables import CalibrateTable
 from gelforge.flow.progress import progress
 from gelforge.geometry.indenters import load_catalogue
-from gelforge.mechanics.hex.solver import HexSettings
+from gelforge.mechanics.hex.settings import HexSettings
 from gelforge.stages import calibrate as stage
 from tests.benchmarks.figures import Figure, publish_figures, table
 
@@ -63,7 +63,7 @@ def rig_meshes() -> list[HexSettings]:
     A mesh's error is the same in every reading taken with it. The posterior allows for such errors, so truths must
     come from many meshes: from one alone, intervals hold them too often or too seldom.
     """
-    from gelforge.mechanics.hex.solver import QUALITIES
+    from gelforge.mechanics.hex.settings import QUALITIES
     from gelforge.virtualrig.bench import SETTINGS
 
     middle = replace(QUALITIES["demo"], size=0.6, layers=5, gauss=3)

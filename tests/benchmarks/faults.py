@@ -1,4 +1,4 @@
-"""Hostile and damaged input of every kind: how much of it is refused in a sentence, or harms nothing.
+"""Hostile and damaged input of every kind, and a flow that is disturbed: how much is refused in a sentence, or harms nothing.
 
 A case gives one thing to one part of the product, in a process and a folder of its own. It holds where that part refuses
 it in one printable sentence, or gives the answer that a clean input gives; a traceback, a hang, memory without bounds, a
@@ -7,14 +7,12 @@ file outside the folder, foreign code that ran, or another answer in silence doe
 
 import json
 import os
-import resource
-import shutil
 import struct
 import tempfile
 from argparse import Namespace
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -24,15 +22,12 @@ from gelforge.errors import GelforgeError
 from gelforge.flow.files import write_json
 from gelforge.flow.main import command, option
 from gelforge.flow.progress import progress
-from gelforge.sweeps.isolate import isolated
+from tests.benchmarks.attempts import CANARY, ROOT, Case, judge
 from tests.benchmarks.figures import Figure, publish_figures
+from tests.benchmarks.flow_faults import flow_cases
 from tests.benchmarks.sandbox import link_project, make
 from tests.press_records import COLUMNS, log_line, write_lines
 
-ROOT = Path(__file__).resolve().parents[2]
-LIMIT_S = 60.0
-MEMORY = 8 * 2**30  # of address space that a case may take
-CANARY = "pwned"  # what foreign code would leave behind
 INJECTED = (
     f"$(shell touch {CANARY})",
     f"$(touch {CANARY})",
@@ -40,73 +35,6 @@ INJECTED = (
     f"; touch {CANARY}",
     f"a\nb: ; touch {CANARY}",
 )
-
-
-@dataclass(frozen=True)
-class Case:
-    """One thing to try. run(folder) returns what was answered; wanted: that answer of clean input, None: a refusal.
-
-    strict: nothing but the wanted answer will do, as where bad input must not stop the good.
-    """
-
-    area: str
-    name: str
-    run: Callable[[Path], object]
-    wanted: object = None
-    strict: bool = False
-
-
-# -- judging
-
-
-def attempt(case: Case, folder: Path) -> dict:
-    """Run a case in a process of its own; what came of it."""
-
-    def child() -> dict:
-        resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
-        os.chdir(folder)
-        try:
-            return {"status": "answered", "answer": case.run(folder)}
-        except GelforgeError as error:
-            return {"status": "refused", "reason": str(error)}
-        except SystemExit as error:
-            return {"status": "refused", "reason": str(error)}
-
-    return isolated(child, LIMIT_S)
-
-
-def verdict(case: Case, found: dict, strangers: list[str]) -> str:
-    """Why a case does not hold; empty where it does."""
-    if strangers:
-        return f"left {', '.join(strangers)}"
-    if found["status"] == "refused":
-        reason = found["reason"]
-        if case.strict:
-            return f"refused, though it is good: {reason[:200]}"
-        if not reason.strip() or len(reason) > 2000 or any(not (c.isprintable() or c == "\n") for c in reason):
-            return f"refused, but not in a sentence: {reason[:200]!r}"
-        return ""
-    if found["status"] != "answered":
-        return f"{found['status']}: {found.get('reason', '')[:300]}"
-    if case.wanted is None:
-        return f"accepted: {str(found['answer'])[:200]}"
-    return "" if found["answer"] == case.wanted else f"another answer: {str(found['answer'])[:200]}"
-
-
-def judge(case: Case, work: Path) -> dict:
-    """Try one case; a record of it."""
-    outer = Path(tempfile.mkdtemp(dir=work))
-    folder = outer / "inside" / "deep"
-    folder.mkdir(parents=True)
-    try:
-        found = attempt(case, folder)
-        beside = [
-            p.name for place in (outer, outer / "inside") for p in place.iterdir() if p.name not in ("inside", "deep")
-        ]
-        strangers = beside + [str(p) for p in folder.rglob(CANARY)]
-        return {"area": case.area, "case": case.name, "fault": verdict(case, found, strangers)}
-    finally:
-        shutil.rmtree(outer, ignore_errors=True)
 
 
 # -- settings
@@ -459,6 +387,7 @@ AREAS: dict[str, Callable[[Path], Iterator[Case]]] = {
     "arrays": array_cases,
     "names": lambda folder: name_cases(),
     "keys": lambda folder: key_cases(),
+    "flow": flow_cases,
 }
 
 

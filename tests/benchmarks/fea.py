@@ -26,7 +26,7 @@ from gelforge.geometry.gel import Gel, load_gel
 from gelforge.geometry.indenters import build, load_catalogue
 from gelforge.labelling.sensor import Sensor, load_sensors
 from gelforge.mechanics.ccx.program import need_ccx, run_ccx
-from gelforge.mechanics.hex.solver import quality
+from gelforge.mechanics.hex.settings import quality
 from gelforge.mechanics.scene import Interface, Material, Press, Scene
 from gelforge.records.status import Status
 from gelforge.stages import pareto as branch
@@ -332,7 +332,8 @@ class SlideThenPress(Press):
 def block_shear(folder: Path) -> dict[str, float]:
     """Sideways over normal force by engine, of a plate and of a sphere that slide before they touch."""
     from gelforge.mechanics.ccx.solver import CcxSolver
-    from gelforge.mechanics.hex.solver import HexSettings, HexSolver
+    from gelforge.mechanics.hex.settings import HexSettings
+    from gelforge.mechanics.hex.solver import HexSolver
     from gelforge.mechanics.tet.tetmesh import symmetric_block
 
     gel = Block()

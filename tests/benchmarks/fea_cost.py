@@ -9,7 +9,8 @@ import numpy as np
 
 from gelforge.flow.files import write_json
 from gelforge.labelling.sensor import Sensor
-from gelforge.mechanics.hex.solver import HexSettings, HexSolver, quality
+from gelforge.mechanics.hex.settings import HexSettings, quality
+from gelforge.mechanics.hex.solver import HexSolver
 from gelforge.mechanics.scene import Scene
 from gelforge.records.status import Status
 from gelforge.sweeps.isolate import Clock, isolated, peak_mib

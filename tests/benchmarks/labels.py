@@ -272,7 +272,8 @@ def cuboid_outline(sensors, reference: Path) -> list[Figure]:
     """Outline of a computed cuboid label against the four corners marked in the real image."""
     from gelforge.geometry.gel import Gel
     from gelforge.geometry.indenters import load_catalogue
-    from gelforge.mechanics.hex.solver import HexSettings, solve_hex
+    from gelforge.mechanics.hex.settings import HexSettings
+    from gelforge.mechanics.hex.solver import solve_hex
     from gelforge.mechanics.scene import Material, Press, Scene
 
     cuboid = load_catalogue("workflow/indenters.toml")["cuboid_10"]

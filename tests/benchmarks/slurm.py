@@ -65,7 +65,6 @@ $(FORCES): $D/40_forces/%.npz: $D/30_fea/%.csv | $(call barrier,30_fea)
 	$(call step,work --name forces-$* --out $@.part $<)
 $D/70_train/whole.pt: $(FORCES) | $(call barrier,40_forces)
 	$(call step,work --name whole --out $@.part $^)
-include rules/slurm.mk
 """
 
 WORK = """

@@ -13,7 +13,7 @@ from gelforge.flow.params import SLICES, canonical, cut_slice, load_params, plai
 from gelforge.flow.params import tables as t
 from gelforge.flow.params.schema import OneOf, ParameterTable, Within, bare, kinds_of
 from gelforge.mechanics.fidelity import FIDELITIES, FeaSettings
-from gelforge.mechanics.hex.solver import QUALITIES
+from gelforge.mechanics.hex.settings import QUALITIES
 
 
 def load(root, tmp_path, text):

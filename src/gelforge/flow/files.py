@@ -4,8 +4,10 @@ import csv
 import hashlib
 import json
 import os
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 
 def digest_of(path: Path) -> str:
@@ -15,7 +17,7 @@ def digest_of(path: Path) -> str:
 
 
 @contextmanager
-def publish(path):
+def publish(path: Path | str) -> Iterator[Path]:
     """Yield a temporary path beside `path`; rename it to `path` if the block succeeds.
 
     A killed or failing writer leaves nothing under the final name. The temporary name keeps
@@ -31,13 +33,13 @@ def publish(path):
         part.unlink(missing_ok=True)
 
 
-def write_text(path, text: str) -> None:
+def write_text(path: Path | str, text: str) -> None:
     """Write `text` to `path`, whole or not at all."""
     with publish(path) as part:
         part.write_text(text, encoding="utf-8")
 
 
-def write_if_changed(path, text: str) -> bool:
+def write_if_changed(path: Path | str, text: str) -> bool:
     """Write `text` to `path` only where it differs; return whether it was written.
 
     An unchanged file keeps its time stamp, so make sees no reason to rebuild what follows.
@@ -49,17 +51,17 @@ def write_if_changed(path, text: str) -> bool:
     return True
 
 
-def write_json(path, value) -> None:
+def write_json(path: Path | str, value: Any) -> None:
     """Write `value` as indented JSON, whole or not at all."""
     write_text(path, json.dumps(value, indent=1, sort_keys=True, allow_nan=False) + "\n")
 
 
-def read_json(path):
+def read_json(path: Path | str) -> Any:
     """Read a JSON file."""
     return json.loads(Path(path).read_text(encoding="utf-8"))
 
 
-def write_csv(path, columns, rows) -> None:
+def write_csv(path: Path | str, columns: Collection[str], rows: Iterable[Mapping[str, Any]]) -> None:
     """Write dict `rows` under `columns` as CSV, whole or not at all."""
     with publish(path) as part, part.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, columns, lineterminator="\n")
@@ -67,7 +69,7 @@ def write_csv(path, columns, rows) -> None:
         writer.writerows(rows)
 
 
-def read_csv(path) -> list[dict]:
+def read_csv(path: Path | str) -> list[dict]:
     """Read a CSV file with a header as a list of dicts of strings."""
     with Path(path).open(newline="", encoding="utf-8-sig") as stream:
         return list(csv.DictReader(stream))

@@ -2,15 +2,22 @@
 
 import sys
 import time
+from collections.abc import Collection, Iterable, Iterator
+from typing import TypeVar
+
+Item = TypeVar("Item")
 
 
-def progress(items, what: str, total: int | None = None, every_s: float = 10.0):
+def progress(items: Iterable[Item], what: str, total: int | None = None, every_s: float = 10.0) -> Iterator[Item]:
     """Yield `items`, showing how far the work named `what` has come.
 
     On a terminal this is tqdm's bar. Elsewhere it prints a line with the count, the rate and
     the time left at most every `every_s` seconds, which reads well in a log file.
     """
-    total = len(items) if total is None else total
+    if total is None:
+        if not isinstance(items, Collection):
+            raise TypeError(f"progress of {what}: say how many there are (total), they cannot be counted")
+        total = len(items)
     if sys.stderr.isatty():
         from tqdm import tqdm
 

@@ -14,8 +14,10 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import IO
 
 from gelforge.flow.files import digest_of, read_json, write_json
 from gelforge.flow.layout import log_of, metrics_of
@@ -32,7 +34,7 @@ def die_with_parent() -> None:
     ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
-def follow(stream, log) -> None:
+def follow(stream: Iterable[str], log: IO[str]) -> None:
     """Copy a child's output to its log."""
     for line in stream:
         log.write(line)
@@ -48,7 +50,7 @@ def dataset_folder(path: Path) -> Path | None:
 
 
 @contextmanager
-def live_line(log_path: Path):
+def live_line(log_path: Path) -> Iterator[None]:
     """While the block runs, keep one line on a person's terminal: how far the whole run has come, and what runs now."""
     # make names the terminal it writes to here, or says `true` where it cannot tell.
     name, results = os.environ.get("MAKE_TERMERR", ""), dataset_folder(log_path)
@@ -100,7 +102,7 @@ def run(command: list[str], log_path: Path) -> tuple[int, dict]:
         for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(name, lambda number, frame: child.send_signal(number))
         with live_line(log_path):  # after the fork, which must not meet a second thread
-            follow(child.stdout, log)
+            follow(child.stdout or (), log)
             code = child.wait()
     usage = resource.getrusage(resource.RUSAGE_CHILDREN)
     cost = {
@@ -212,8 +214,8 @@ def publish_part(target: Path, part: Path, inputs: list[Path], command: list[str
     return 0
 
 
-def main(argv=None) -> int:
-    argv = sys.argv[1:] if argv is None else argv
+def main(argv: Sequence[str] | None = None) -> int:
+    argv = sys.argv[1:] if argv is None else list(argv)
     if "--" not in argv[1:-1]:
         print("usage: python -m gelforge.flow.step TARGET INPUT… -- COMMAND…", file=sys.stderr)
         return 2

@@ -6,6 +6,7 @@ but for new touches. Coulomb's law cuts the tangential force of a glued point of
 pressure, both of the same iterate (return mapping).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,6 +15,7 @@ from numba import njit
 
 from gelforge.mechanics.element import Pattern, add_block, block_places
 from gelforge.mechanics.mesh import GelMesh
+from gelforge.mechanics.scene import Indenter
 
 FREE, TOUCHING, GLUED = 0, 1, 2
 _CHANGING = ("status", "anchor", "normal", "goal", "fading", "multiplier", "carried")
@@ -63,7 +65,7 @@ class ContactState:
         self.multiplier += part * (self.carried - self.multiplier)
         self.fading *= 1.0 - part
 
-    def let_go(self, points, traction) -> None:
+    def let_go(self, points: np.ndarray, traction: np.ndarray) -> None:
         """Free glued points; their traction fades as changes are carried out."""
         self.status[points] = FREE
         self.anchor[points] = self.goal[points] = np.nan
@@ -83,13 +85,13 @@ class Pose:
     rotation: np.ndarray
     translation: np.ndarray
 
-    def to_indenter(self, points):
+    def to_indenter(self, points: np.ndarray) -> np.ndarray:
         return (points - self.translation) @ self.rotation
 
-    def to_gel(self, points):
+    def to_gel(self, points: np.ndarray) -> np.ndarray:
         return points @ self.rotation.T + self.translation
 
-    def turn(self, vectors):
+    def turn(self, vectors: np.ndarray) -> np.ndarray:
         """Vectors of the indenter's frame in the gel's."""
         return vectors @ self.rotation.T
 
@@ -164,7 +166,13 @@ class Law:
     mu: float = np.inf
 
 
-def contact_springs(state: ContactState, x: np.ndarray, pose: Pose, indenter, law: Law, candidates) -> Springs:
+# Springs of some points: index (p,), traction (p, 3), stiffness (p, 3, 3), gap (p,).
+_Parts = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
+def contact_springs(
+    state: ContactState, x: np.ndarray, pose: Pose, indenter: Indenter, law: Law, candidates: np.ndarray
+) -> Springs:
     """Penalty tractions at deformed positions x (m, 3); `candidates` (c,) are the free points within reach."""
     glued = np.flatnonzero(state.status == GLUED)
     stuck, sliding = (glued, glued[:0]) if np.isinf(law.mu) else (glued[:0], glued)
@@ -179,7 +187,16 @@ def contact_springs(state: ContactState, x: np.ndarray, pose: Pose, indenter, la
     return Springs(*joined)
 
 
-def curved(springs: Springs, state, x, pose, indenter, law, candidates, h: float = 1e-6) -> Skew:
+def curved(
+    springs: Springs,
+    state: ContactState,
+    x: np.ndarray,
+    pose: Pose,
+    indenter: Indenter,
+    law: Law,
+    candidates: np.ndarray,
+    h: float = 1e-6,
+) -> Skew:
     """What `springs` lack of the exact stiffness, by differences over h mm: friction and the indenter's curvature."""
     point = springs.point
     here = _scattered(springs, len(x))
@@ -193,26 +210,34 @@ def curved(springs: Springs, state, x, pose, indenter, law, candidates, h: float
     return Skew(point, (block - known)[point])
 
 
-def _scattered(springs, count):
+def _scattered(springs: Springs, count: int) -> np.ndarray:
     traction = np.zeros((count, 3))
     np.add.at(traction, springs.point, springs.traction)
     return traction
 
 
-def _held(state, x, pose, penalty, points):
+def _held(state: ContactState, x: np.ndarray, pose: Pose, penalty: float, points: np.ndarray) -> _Parts:
     """Springs in all directions to the anchors."""
     traction = penalty * (pose.to_gel(state.anchor[points]) - x[points])
     stiffness = np.broadcast_to(penalty * np.eye(3), (len(points), 3, 3))
     return points, traction, stiffness, np.full(len(points), np.nan)
 
 
-def _faded(state):
+def _faded(state: ContactState) -> _Parts:
     """Dead loads that are left of points let go."""
     points = np.flatnonzero(np.any(state.fading, axis=1))
     return points, state.fading[points], np.zeros((len(points), 3, 3)), np.full(len(points), np.nan)
 
 
-def _pressed(state, x, pose, law, points, distance, normal):
+def _pressed(
+    state: ContactState,
+    x: np.ndarray,
+    pose: Pose,
+    law: Law,
+    points: np.ndarray,
+    distance: np.ndarray,
+    normal: np.ndarray,
+) -> tuple[_Parts, Skew]:
     """Normal penalty, and for glued points a tangential spring that yields at mu times the pressure.
 
     The indenter's curvature is left out of the stiffness (see `curved`): far from equilibrium it costs more
@@ -228,7 +253,9 @@ def _pressed(state, x, pose, law, points, distance, normal):
     return (points, traction, stiffness, distance), slip
 
 
-def _friction(state, x, pose, law, points, distance, n):
+def _friction(
+    state: ContactState, x: np.ndarray, pose: Pose, law: Law, points: np.ndarray, distance: np.ndarray, n: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, Skew]:
     """Tangential traction of springs that yield at the cone, its symmetric slope, and the slip.
 
     Augmented Lagrangian (Simo, Laursen 1992, Comput. Struct. 42, 97-116): multipliers take over what the
@@ -257,13 +284,13 @@ class FacePlaces:
         self.rows = np.ascontiguousarray(pattern.first_row[mesh.faces], np.int64)
         self.base, self.width = block_places(pattern, mesh.faces)
 
-    def add_forces(self, state: ContactState, springs: Springs, forces) -> None:
+    def add_forces(self, state: ContactState, springs: Springs, forces: np.ndarray) -> None:
         """Subtract contact forces from `forces` (n, 3)."""
         points = springs.point
         nodes = self.nodes[state.face[points]]
         _add_forces(nodes, state.shape[points], state.weights[points], springs.traction, forces)
 
-    def add_stiffness(self, state: ContactState, springs: Springs, values) -> None:
+    def add_stiffness(self, state: ContactState, springs: Springs, values: np.ndarray) -> None:
         """Add the contact stiffness to the matrix values."""
         points = springs.point
         face = state.face[points]
@@ -272,7 +299,7 @@ class FacePlaces:
             self.base[face], self.width[face], state.shape[points], state.weights[points], stiffness, values
         )
 
-    def skew_product(self, state: ContactState, skew: Skew):
+    def skew_product(self, state: ContactState, skew: Skew) -> Callable[[np.ndarray, np.ndarray], None]:
         """Function that adds the matrix of `skew` times x (unknowns,) to y (unknowns,)."""
         rows = self.rows[state.face[skew.point]]
         shape, block = state.shape[skew.point], skew.block * state.weights[skew.point, None, None]
@@ -280,7 +307,7 @@ class FacePlaces:
 
 
 @njit(cache=True, nogil=True)
-def _add_skew(rows, shape, block, x, y):
+def _add_skew(rows: np.ndarray, shape: np.ndarray, block: np.ndarray, x: np.ndarray, y: np.ndarray) -> None:
     moved = np.empty(3)
     for p in range(len(shape)):
         moved[:] = 0.0
@@ -296,7 +323,9 @@ def _add_skew(rows, shape, block, x, y):
 
 
 @njit(cache=True, nogil=True)
-def _add_forces(nodes, shape, weights, traction, forces):
+def _add_forces(
+    nodes: np.ndarray, shape: np.ndarray, weights: np.ndarray, traction: np.ndarray, forces: np.ndarray
+) -> None:
     for p in range(len(weights)):
         for a in range(4):
             factor = shape[p, a] * weights[p]
@@ -305,7 +334,14 @@ def _add_forces(nodes, shape, weights, traction, forces):
 
 
 @njit(cache=True, nogil=True)
-def _add_stiffness(base, width, shape, weights, stiffness, values):
+def _add_stiffness(
+    base: np.ndarray,
+    width: np.ndarray,
+    shape: np.ndarray,
+    weights: np.ndarray,
+    stiffness: np.ndarray,
+    values: np.ndarray,
+) -> None:
     block = np.empty((3, 3))
     for p in range(len(weights)):
         pair = 0
@@ -320,7 +356,7 @@ def _add_stiffness(base, width, shape, weights, stiffness, values):
 
 
 @njit(cache=True, nogil=True)
-def positions(shape, nodes, x):
+def positions(shape: np.ndarray, nodes: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Interpolated points (m, 3) from shape (m, 4), nodes (m, 4) and nodal positions x (n, 3)."""
     out = np.empty((len(shape), 3))
     for p in range(len(shape)):

@@ -56,7 +56,7 @@ def bricks(nodes: np.ndarray, elements: np.ndarray) -> BrickGeometry:
 
 
 @njit(cache=True, nogil=True)
-def _geometry(nodes, elements, local):
+def _geometry(nodes: np.ndarray, elements: np.ndarray, local: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Gradients (e, 8, 8, 3) of the shape functions and weights (e, 8): the Jacobian's determinant."""
     count = len(elements)
     gradients, weights = np.empty((count, 8, 8, 3)), np.empty((count, 8))
@@ -122,7 +122,7 @@ def build_pattern(elements: np.ndarray, n_nodes: int, fixed: np.ndarray) -> Patt
 
 
 @njit(cache=True)
-def _expand(rows, columns):
+def _expand(rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     n = len(rows) - 1
     indptr = np.empty(3 * n + 1, np.int32)
     indices = np.empty(9 * len(columns) - 3 * n, np.int32)
@@ -156,7 +156,14 @@ def block_places(pattern: Pattern, cells: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 @njit(cache=True)
-def _block_places(cells, first_row, start, width, rows, columns):
+def _block_places(
+    cells: np.ndarray,
+    first_row: np.ndarray,
+    start: np.ndarray,
+    width: np.ndarray,
+    rows: np.ndarray,
+    columns: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
     count, k = cells.shape
     base = np.empty((count, k * (k + 1) // 2), np.int32)
     widths = np.empty((count, k * (k + 1) // 2), np.int32)
@@ -181,7 +188,15 @@ def _block_places(cells, first_row, start, width, rows, columns):
 
 
 @njit(**_FAST)
-def internal_forces(u, elements, gradients, weights, shear, bulk, forces):
+def internal_forces(
+    u: np.ndarray,
+    elements: np.ndarray,
+    gradients: np.ndarray,
+    weights: np.ndarray,
+    shear: float,
+    bulk: float,
+    forces: np.ndarray,
+) -> float:
     """Add the nodal forces dE/du to `forces` (n, 3); returns the smallest J (negative: inverted).
 
     u: (n, 3) displacement mm. shear, bulk: moduli MPa (2 C10 and 2 / D1).
@@ -230,7 +245,7 @@ def smallest_ratios(u: np.ndarray, geometry: BrickGeometry) -> np.ndarray:
 
 
 @njit(**_FAST)
-def _smallest_ratios(u, elements, gradients, smallest):
+def _smallest_ratios(u: np.ndarray, elements: np.ndarray, gradients: np.ndarray, smallest: np.ndarray) -> None:
     f = np.empty((3, 3))
     spatial = np.empty((8, 8, 3))
     for e in range(elements.shape[0]):
@@ -242,7 +257,7 @@ def _smallest_ratios(u, elements, gradients, smallest):
 
 
 @njit(inline="always")
-def _deformation(u, elements, gradients, e, g, f):
+def _deformation(u: np.ndarray, elements: np.ndarray, gradients: np.ndarray, e: int, g: int, f: np.ndarray) -> None:
     for i in range(3):
         for k in range(3):
             f[i, k] = 0.0
@@ -256,7 +271,7 @@ def _deformation(u, elements, gradients, e, g, f):
 
 
 @njit(inline="always")
-def _spatial(f, gradients, e, g, spatial):
+def _spatial(f: np.ndarray, gradients: np.ndarray, e: int, g: int, spatial: np.ndarray) -> tuple[float, float]:
     c00 = f[1, 1] * f[2, 2] - f[1, 2] * f[2, 1]
     c01 = f[1, 2] * f[2, 0] - f[1, 0] * f[2, 2]
     c02 = f[1, 0] * f[2, 1] - f[1, 1] * f[2, 0]
@@ -281,7 +296,18 @@ def _spatial(f, gradients, e, g, spatial):
 
 
 @njit(**_FAST)
-def tangent(u, elements, gradients, weights, shear, bulk, pressed, base, width, values):
+def tangent(
+    u: np.ndarray,
+    elements: np.ndarray,
+    gradients: np.ndarray,
+    weights: np.ndarray,
+    shear: float,
+    bulk: float,
+    pressed: float,
+    base: np.ndarray,
+    width: np.ndarray,
+    values: np.ndarray,
+) -> None:
     """Add d2E/du2 to the upper-triangle `values` at the places of `block_places`.
 
     Block (a, b) of a point, with alpha = 2 C10 J^(-2/3) w, G reference and g spatial gradients:
@@ -364,7 +390,7 @@ def tangent(u, elements, gradients, weights, shear, bulk, pressed, base, width, 
 
 
 @njit(cache=True, inline="always")
-def add_block(values, base, width, block, diagonal):
+def add_block(values: np.ndarray, base: int, width: int, block: np.ndarray, diagonal: bool) -> None:
     """Add a 3 x 3 block at a place given by `block_places`."""
     if base < 0:
         return

@@ -68,10 +68,10 @@ def region(name: MeshName, meshes: MeshesTable) -> tuple[float, float]:
     return float(half[0]), float(half[1])
 
 
-def sizing(half: tuple[float, float], size: float, meshes: MeshesTable):
+def sizing(half: tuple[float, float], size: float, meshes: MeshesTable) -> Callable[[np.ndarray], np.ndarray]:
     """Edge length (n,) mm wanted at points (n, 3) of the flat pad: `size` in the region, growing away from it."""
 
-    def at(points):
+    def at(points: np.ndarray) -> np.ndarray:
         out = np.maximum(np.abs(points[:, :2]) - half, 0.0)
         below = np.maximum(-points[:, 2] - meshes.fine_depth_mm, 0.0)
         away = np.sqrt((out**2).sum(axis=1) + below**2)
@@ -89,7 +89,7 @@ def make_mesh(name: MeshName, gel: Gel, meshes: MeshesTable) -> tuple[GelMesh, d
     return mesh, asdict(name) | {"half_mm": list(half), "gel": gel.name} | quality(mesh, gel)
 
 
-def load_mesh(folder, name: str) -> GelMesh:
+def load_mesh(folder: Path | str, name: str) -> GelMesh:
     """The mesh of that name: rebuilt where it is of bricks, else read from the folder 20_meshes.
 
     Every reader of meshes by name comes here. A name that means nothing or whose file is missing raises BadInput.
@@ -99,7 +99,7 @@ def load_mesh(folder, name: str) -> GelMesh:
     return GelMesh.load(mesh_file(folder, name))
 
 
-def mesh_file(folder, name: str) -> Path:
+def mesh_file(folder: Path | str, name: str) -> Path:
     """Path of a mesh of stage 20; one that is not there raises BadInput."""
     path = Path(folder) / f"{name}.npz"
     if not path.exists():
@@ -107,7 +107,7 @@ def mesh_file(folder, name: str) -> Path:
     return path
 
 
-def mesh_loader(folder, kept: int = 8) -> Callable[[str], GelMesh]:
+def mesh_loader(folder: Path | str, kept: int = 8) -> Callable[[str], GelMesh]:
     """`load_mesh` of one folder, which keeps the `kept` meshes last used."""
     return lru_cache(maxsize=kept)(partial(load_mesh, folder))
 
@@ -115,7 +115,7 @@ def mesh_loader(folder, kept: int = 8) -> Callable[[str], GelMesh]:
 class MeshFamily:
     """The named tetrahedral meshes of a folder 20_meshes; each is read when first asked for."""
 
-    def __init__(self, folder, names: list[str]):
+    def __init__(self, folder: Path | str, names: list[str]) -> None:
         self.folder = Path(folder)
         self.reports = {}
         for name in names:

@@ -12,7 +12,8 @@ from gelforge.mechanics.ccx.program import need_ccx
 from gelforge.mechanics.ccx.solver import CcxSettings, CcxSolver
 from gelforge.mechanics.family import MeshFamily, choose_mesh
 from gelforge.mechanics.hex.carry import Trail
-from gelforge.mechanics.hex.solver import HexSolver, quality
+from gelforge.mechanics.hex.settings import quality
+from gelforge.mechanics.hex.solver import HexSolver
 from gelforge.mechanics.scene import Result, Scene
 
 
@@ -39,7 +40,7 @@ class FeaSettings(CcxSettings):
 class Solvers:
     """Solvers of one family of tetrahedral meshes, kept between scenes; files of a solve lie in `workdir`."""
 
-    def __init__(self, family: MeshFamily, workdir, settings: FeaSettings = FeaSettings()):
+    def __init__(self, family: MeshFamily, workdir: Path | str, settings: FeaSettings = FeaSettings()) -> None:
         self.family, self.workdir, self.settings = family, Path(workdir), settings
         self.bricks = quality(settings.hex_quality)
         self.guide = HexSolver(quality("label"))
@@ -129,7 +130,7 @@ class Solvers:
             result.evidence |= {"mesh": result.bricks.name if result.bricks else "", "fidelity": "hex"}
         return list(results)
 
-    def _solve_native(self, scene) -> Result:
+    def _solve_native(self, scene: Scene) -> Result:
         from gelforge.mechanics.ccx.native import solve_native
 
         mesh = choose_mesh(scene, self.family)

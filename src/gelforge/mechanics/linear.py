@@ -3,7 +3,9 @@
 import contextlib
 import ctypes
 import sys
+from collections.abc import Callable
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -15,7 +17,7 @@ _POSITIVE_DEFINITE, _INDEFINITE = 2, -2
 _NOT_POSITIVE = -4  # PARDISO's word for a pivot that is zero or, in a Cholesky factorisation, negative
 
 
-def symmetric_solver(indptr: np.ndarray, indices: np.ndarray, order: np.ndarray | None = None):
+def symmetric_solver(indptr: np.ndarray, indices: np.ndarray, order: np.ndarray | None = None) -> "Pardiso | SuperLU":
     """Solver for the pattern of an upper triangle in CSR form: MKL PARDISO, or SuperLU where MKL is missing.
 
     indptr: (n + 1,), indices: (nnz,), sorted columns, diagonal first in each row, counting from 0. order: (n,) in
@@ -41,7 +43,7 @@ def _tell_of_superlu(why: str) -> None:
 
 
 @lru_cache(maxsize=1)
-def _mkl():
+def _mkl() -> Any:
     """PARDISO's entry in mkl_rt; finding the library takes tenths of a second, so once a process."""
     from pypardiso.pardiso_wrapper import PyPardisoSolver
 
@@ -61,7 +63,7 @@ class Pardiso:
 
     name = "pardiso"
 
-    def __init__(self, indptr, indices, order=None):
+    def __init__(self, indptr: np.ndarray, indices: np.ndarray, order: np.ndarray | None = None) -> None:
         self.size = len(indptr) - 1
         self._indptr = np.ascontiguousarray(indptr, np.int32)
         self._indices = np.ascontiguousarray(indices, np.int32)
@@ -96,7 +98,7 @@ class Pardiso:
 class _Factor:
     """One kind of factorisation of one pattern, and the memory that the library holds for it."""
 
-    def __init__(self, kind: int, indptr, indices, order):
+    def __init__(self, kind: int, indptr: np.ndarray, indices: np.ndarray, order: np.ndarray | None) -> None:
         self._library, self._kind = _mkl(), kind
         self._indptr, self._indices = indptr, indices
         self._handle = np.zeros(64, np.int64)
@@ -107,7 +109,7 @@ class _Factor:
         self._data = np.zeros(len(indices), np.float32)
         self._analysed = False
 
-    def factorise(self, data) -> int:
+    def factorise(self, data: np.ndarray) -> int:
         """The library's error code, 0 where all went well."""
         self._data[:] = data
         if not self._analysed:
@@ -117,14 +119,14 @@ class _Factor:
             self._analysed = True
         return self._call(_FACTORISE, self._none, self._none)
 
-    def solve(self, b):
+    def solve(self, b: np.ndarray) -> np.ndarray:
         x = np.empty_like(b)
         error = self._call(_SOLVE, b, x)
         if error:
             raise SolveFailed(f"PARDISO cannot solve, error {error}", {"pardiso_error": error})
         return x
 
-    def _call(self, phase, b, x) -> int:
+    def _call(self, phase: int, b: np.ndarray, x: np.ndarray) -> int:
         integer = ctypes.c_int32
         error = integer(0)
         as_int = ctypes.POINTER(integer)
@@ -137,7 +139,7 @@ class _Factor:
         )  # fmt: skip
         return error.value
 
-    def __del__(self):
+    def __del__(self) -> None:
         if getattr(self, "_analysed", False):
             # the interpreter may be half gone; nothing is lost but memory that goes with it
             with contextlib.suppress(Exception):
@@ -163,12 +165,12 @@ class SuperLU:
 
     name = "superlu"
 
-    def __init__(self, indptr, indices):
+    def __init__(self, indptr: np.ndarray, indices: np.ndarray) -> None:
         self._indptr, self._indices = indptr, indices
         self.size = len(indptr) - 1
-        self._lu = None
+        self._lu: Any = None
 
-    def factorise(self, data):
+    def factorise(self, data: np.ndarray) -> None:
         import scipy.sparse as sp
         from scipy.sparse.linalg import splu
 
@@ -179,12 +181,12 @@ class SuperLU:
         except RuntimeError as error:
             raise SolveFailed(f"SuperLU failed: {error}") from error
 
-    def solve(self, b):
+    def solve(self, b: np.ndarray) -> np.ndarray:
         return self._lu.solve(b)
 
 
 @njit(cache=True, nogil=True)
-def symmetric_product(indptr, indices, values, x):
+def symmetric_product(indptr: np.ndarray, indices: np.ndarray, values: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Product (n,) of a symmetric matrix, given by its upper triangle in CSR form (diagonal first), with x (n,)."""
     y = np.zeros(len(x))
     for i in range(len(x)):
@@ -199,7 +201,13 @@ def symmetric_product(indptr, indices, values, x):
     return y
 
 
-def gmres(apply, precondition, b: np.ndarray, tolerance: float, limit: int):
+def gmres(
+    apply: Callable[[np.ndarray], np.ndarray],
+    precondition: Callable[[np.ndarray], np.ndarray],
+    b: np.ndarray,
+    tolerance: float,
+    limit: int,
+) -> np.ndarray | None:
     """Flexible GMRES (Saad 1993, SIAM J. Sci. Comput. 14, 461-469) without restart, from zero.
 
     apply, precondition: functions (n,) -> (n,). Returns x (n,) with |b - A x| <= tolerance |b|, or None as

@@ -1,6 +1,7 @@
 """A volume mesh of the gel, with the parts that contact and labels need."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -25,7 +26,7 @@ class GelMesh:
     faces: np.ndarray
     base: np.ndarray
 
-    def save(self, path) -> None:
+    def save(self, path: Path | str) -> None:
         """Write to an .npz file, whole or not at all."""
         with publish(path) as part:
             np.savez_compressed(
@@ -33,7 +34,7 @@ class GelMesh:
             )
 
     @classmethod
-    def load(cls, path) -> "GelMesh":
+    def load(cls, path: Path | str) -> "GelMesh":
         """Read what `save` wrote; a file that is no mesh raises BadInput."""
         try:
             with np.load(path, allow_pickle=False) as file:

@@ -23,6 +23,9 @@ class Indenter(Protocol):
     def surface(self) -> tuple[np.ndarray, np.ndarray]:
         """Watertight triangles: vertices (v, 3) float64 and faces (f, 3) int, outward orientation."""
 
+    def __hash__(self) -> int:
+        """Equal bodies are one: what is costly to make of them is kept."""
+
     def radius(self) -> float:
         """Largest horizontal distance from the z axis of any point of the body, mm."""
 

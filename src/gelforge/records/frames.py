@@ -2,10 +2,13 @@
 
 from collections.abc import Sequence
 from datetime import datetime
+from typing import TypeVar
 
 import numpy as np
 
 from gelforge.records.press import PressRecord, Rejection, reject
+
+Record = TypeVar("Record", bound=PressRecord)
 
 # A bench that films reads its axes while they move: what lies nearer than its resolution is the same place.
 NEAR_MM = 0.01
@@ -16,9 +19,9 @@ SAME = ("indenter", "sensor_id", "gel_id")
 PLACE = {"x0_mm": NEAR_MM, "y0_mm": NEAR_MM, "z0_mm": NEAR_MM, "rot_deg": NEAR_DEG}
 
 
-def presses_of(records: Sequence[PressRecord]) -> list[list[PressRecord]]:
+def presses_of(records: Sequence[Record]) -> list[list[Record]]:
     """Records grouped by press_id, in the order of their first rows; a record without one is a press of its own."""
-    found: dict[str, list[PressRecord]] = {}
+    found: dict[str, list[Record]] = {}
     for at, record in enumerate(records):
         found.setdefault(f"id {record.press_id}" if record.press_id else f"at {at}", []).append(record)
     return list(found.values())

@@ -217,7 +217,7 @@ def say_figures(figures) -> None:
 
 def hex_settings(table: CalibrateSolverTable):
     """Settings of the solver behind the emulator, from [calibrate.solver]."""
-    from gelforge.mechanics.hex.solver import HexSettings
+    from gelforge.mechanics.hex.settings import HexSettings
 
     return HexSettings(**plain(table))
 

@@ -20,7 +20,7 @@ from gelforge.flow.progress import progress
 from gelforge.geometry.gel import load_gel
 from gelforge.mechanics.family import MeshFamily, mesh_names
 from gelforge.mechanics.fidelity import FeaSettings, Solvers
-from gelforge.mechanics.hex.solver import quality
+from gelforge.mechanics.hex.settings import quality
 from gelforge.mechanics.scene import Interface, Material, Result, Scene
 from gelforge.records.frames import presses_of
 from gelforge.records.log import read_poses

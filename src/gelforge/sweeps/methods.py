@@ -48,7 +48,7 @@ def every_method(pareto: ParetoTable, hex_quality: str) -> list[Method]:
     Mesh density is varied at the first of `load_steps`, load steps at the first of each engine's sizes. The quality
     of [fea] is the method hex-label.
     """
-    from gelforge.mechanics.hex.solver import QUALITIES
+    from gelforge.mechanics.hex.settings import QUALITIES
 
     usual, *others = pareto.load_steps
     label = [Method(f"{name}-label", name) for name in LABEL_METHODS]
@@ -75,7 +75,8 @@ def warm_up() -> None:
     """Compile or load kernels before the clock runs: a solve of one process of many pays that once."""
     from gelforge.geometry.gel import Gel
     from gelforge.geometry.indenters import build
-    from gelforge.mechanics.hex.solver import HexSettings, solve_hex
+    from gelforge.mechanics.hex.settings import HexSettings
+    from gelforge.mechanics.hex.solver import solve_hex
     from gelforge.mechanics.scene import Material, Press
 
     ball = build("ball", {"kind": "sphere", "diameter": 15, "height": 10})

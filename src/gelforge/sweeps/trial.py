@@ -19,7 +19,7 @@ from gelforge.flow.params.tables import ParetoTable, StabilityTable
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import assemble
 from gelforge.labelling.sensor import Sensor
-from gelforge.mechanics.hex.solver import quality
+from gelforge.mechanics.hex.settings import quality
 from gelforge.sweeps import references as meshes
 from gelforge.sweeps.isolate import Clock, isolated, peak_mib
 from gelforge.sweeps.methods import REFERENCE, Method, hex_settings, prepare, warm_up

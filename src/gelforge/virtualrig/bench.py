@@ -7,7 +7,8 @@ import numpy as np
 
 from gelforge.geometry.gel import Gel
 from gelforge.mechanics.hex.hexmesh import FineBox
-from gelforge.mechanics.hex.solver import HexResult, HexSettings, HexSolver
+from gelforge.mechanics.hex.settings import HexSettings
+from gelforge.mechanics.hex.solver import HexResult, HexSolver
 from gelforge.mechanics.scene import REFERENCE_C10, Indenter, Interface, Material, Press, Scene
 from gelforge.records.status import Status
 from gelforge.virtualrig.rigplan import Order, Plan, Truth, generator

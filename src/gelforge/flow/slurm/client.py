@@ -5,6 +5,8 @@ import re
 import signal
 import subprocess
 import time
+from collections.abc import Callable
+from typing import TypeVar
 
 from gelforge.errors import GelforgeError
 from gelforge.flow.slurm.profile import Profile
@@ -19,6 +21,9 @@ WAITING = {"PENDING", "REQUEUED", "REQUEUE_HOLD", "REQUEUE_FED", "SPECIAL_EXIT",
 HELD = "launch failed"  # a task that Slurm could not start and holds back for ever
 NODE_LOST = {"NODE_FAIL", "BOOT_FAIL", "PREEMPTED"}
 FINAL = NODE_LOST | {"COMPLETED", "FAILED", "TIMEOUT", "DEADLINE", "OUT_OF_MEMORY", "CANCELLED"}
+
+
+Answer = TypeVar("Answer")
 
 
 class SlurmRefused(GelforgeError):
@@ -79,7 +84,7 @@ def find_job(name: str) -> str:
     return next(iter(call("squeue", "-h", "-t", "all", "-n", name, "-o", "%F").split()), "")
 
 
-def patient(profile: Profile, ask):
+def patient(profile: Profile, ask: Callable[[], Answer]) -> Answer:
     """Return ask(), trying again while the controller is busy or away, for as long as the profile allows."""
     until = time.monotonic() + profile.submit_seconds
     while True:

@@ -6,14 +6,16 @@ import select
 import signal
 import sys
 import time
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import IO
 
 from gelforge.errors import BadInput
 from gelforge.flow.slurm.client import STOP
 
 
-def take(lock, kind: int) -> None:
+def take(lock: IO[str], kind: int) -> None:
     """Take a lock; BadInput where the file system has none."""
     try:
         fcntl.flock(lock, kind)
@@ -26,14 +28,14 @@ def take(lock, kind: int) -> None:
 
 
 @contextmanager
-def at_work(results: Path, kind: int = fcntl.LOCK_SH):
+def at_work(results: Path, kind: int = fcntl.LOCK_SH) -> Iterator[None]:
     """Hold the lock that every process at work for a make shares."""
     with (results / ".slurm" / "work").open("a") as lock:
         take(lock, kind)
         yield
 
 
-def become_only_make(results: Path, make: int):
+def become_only_make(results: Path, make: int) -> IO[str] | None:
     """Return the open lock file of these results once no other make holds it; None if `make` holds it already.
 
     From then on the signals that stop make are blocked: they are received while waiting, see `pause`.
@@ -58,7 +60,7 @@ def become_only_make(results: Path, make: int):
     return lock
 
 
-def hold(lock, make: int) -> None:
+def hold(lock: IO[str], make: int) -> None:
     """Keep `lock` in a process of its own until the process `make` ends."""
     if os.fork():
         return

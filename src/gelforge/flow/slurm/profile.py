@@ -83,7 +83,7 @@ def checked(table: dict, where: str) -> dict:
     return table
 
 
-def read_profile(path, stage: str) -> Profile:
+def read_profile(path: Path | str, stage: str) -> Profile:
     """Return the profile of `stage`: `30_fea` reads [default], then [fea]; BadInput names what is wrong.
 
     A file of one's own says only what differs from PUBLISHED.

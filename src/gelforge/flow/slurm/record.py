@@ -85,8 +85,8 @@ def records(results: Path) -> list[Record]:
 class Results:
     """Which targets are there, by listing folders: that refreshes a network file system's cache."""
 
-    def __init__(self):
-        self.names = {}
+    def __init__(self) -> None:
+        self.names: dict[str, set[str]] = {}
 
     def look(self, folders: set[str]) -> None:
         """List folders anew."""

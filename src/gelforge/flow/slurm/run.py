@@ -14,6 +14,7 @@ import shutil
 import signal
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from gelforge.flow.files import write_text
@@ -289,7 +290,7 @@ def start(results: Path, key: str, stage: str, tasks: list[tuple[str, str]], pro
     return record
 
 
-def flush(args) -> int:
+def flush(args: argparse.Namespace) -> int:
     """Run what make collected for a stage."""
     path = args.results / ".slurm" / f"{args.stage}.tasks"
     profile = read_profile(args.profile, args.stage)
@@ -299,7 +300,7 @@ def flush(args) -> int:
     return work(record, profile, args.detach, submitting=True)
 
 
-def run(args) -> int:
+def run(args: argparse.Namespace) -> int:
     """Run one target by itself: of a stage that makes few files, or a file asked for by its name."""
     inside = args.target.relative_to(args.results)
     stage, key = inside.parts[0], "-".join(inside.parts)
@@ -309,7 +310,7 @@ def run(args) -> int:
     return work(record, profile, args.detach, submitting=True)
 
 
-def attend(args) -> int:
+def attend(args: argparse.Namespace) -> int:
     """Become the only make at work on these results, then await what an earlier one left running."""
     lock = become_only_make(args.results, args.make)
     if lock is None:
@@ -329,7 +330,7 @@ def attend(args) -> int:
     return code
 
 
-def give_up(args) -> int:
+def give_up(args: argparse.Namespace) -> int:
     """Cancel all work that was left running."""
     for record in records(args.results):
         if not record.closed:
@@ -361,7 +362,7 @@ def overview(results: Path) -> list[str]:
     return lines
 
 
-def main(argv=None) -> int:
+def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="gelforge.flow.slurm.run", description=__doc__.splitlines()[0])
     parser.add_argument("action", choices=["attend", "flush", "run", "cancel"])
     parser.add_argument("--results", type=Path, required=True, help="results/DATASET")
@@ -370,7 +371,7 @@ def main(argv=None) -> int:
     parser.add_argument("--make", type=int, default=0, help="attend: process id of make")
     parser.add_argument("--detach", action="store_true", help="an interrupt leaves work running")
     parser.add_argument("--target", type=Path, help="run: what the command after -- makes")
-    argv = sys.argv[1:] if argv is None else argv
+    argv = sys.argv[1:] if argv is None else list(argv)
     split = argv.index("--") if "--" in argv else len(argv)
     args = parser.parse_args(argv[:split])
     args.command = argv[split + 1 :]

@@ -35,7 +35,7 @@ def read_dat(text: str) -> list[Table]:
     return [_table(head, text[head.end() : end]) for head, end in zip(heads, ends, strict=True)]
 
 
-def _table(head, body) -> Table:
+def _table(head: re.Match[str], body: str) -> Table:
     quantity, set_name = head[1].strip(), head[2]
     words = _SHORT_EXPONENT.sub(r"\1E\2", body).split()
     where = f"table `{quantity}` of set {set_name} at time {head[3]}"

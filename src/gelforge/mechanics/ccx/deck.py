@@ -46,7 +46,7 @@ def mesh_include(mesh: GelMesh) -> str:
     return "\n".join(lines) + "\n"
 
 
-def write_include(mesh: GelMesh, path) -> Path:
+def write_include(mesh: GelMesh, path: Path | str) -> Path:
     """Write `mesh_include` to `path`; a file of another mesh that lies there is replaced."""
     write_if_changed(path, mesh_include(mesh))
     return Path(path)

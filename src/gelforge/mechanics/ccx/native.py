@@ -18,7 +18,7 @@ from gelforge.mechanics.ccx.program import run_ccx
 from gelforge.mechanics.ccx.solver import CcxResult
 from gelforge.mechanics.hex.reach import first_touch
 from gelforge.mechanics.mesh import GelMesh
-from gelforge.mechanics.scene import Scene
+from gelforge.mechanics.scene import Indenter, Scene
 from gelforge.mechanics.tet.solid import TetSolid
 from gelforge.mechanics.tet.tetmesh import FACES, boundary_faces, orient, tetrahedralise
 from gelforge.records.status import Status
@@ -27,7 +27,7 @@ CROP_MM = 3.0  # height of the indenter that is meshed, above its tip: more than
 _FACE_OF = {tuple(sorted(f)): i + 1 for i, f in enumerate(([0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]))}  # S1 to S4
 
 
-def indenter_tets(indenter, size: float, crop: float = CROP_MM) -> tuple[np.ndarray, np.ndarray]:
+def indenter_tets(indenter: Indenter, size: float, crop: float = CROP_MM) -> tuple[np.ndarray, np.ndarray]:
     """Linear tetrahedra of the indenter's lowest `crop` mm in its own frame: nodes (n, 3), elements (e, 4)."""
     import pymeshlab
 
@@ -88,7 +88,7 @@ def native_deck(scene: Scene, mesh: GelMesh, nodes: np.ndarray, tets: np.ndarray
     return "\n".join(lines) + "\n"
 
 
-def solve_native(scene: Scene, mesh: GelMesh, folder, timeout_s: float, size: float = 0.7) -> CcxResult:
+def solve_native(scene: Scene, mesh: GelMesh, folder: Path | str, timeout_s: float, size: float = 0.7) -> CcxResult:
     """Solve a scene with FEATS' formulation on a gel mesh; indenter elements of `size` mm. Failure is a status."""
     began = time.perf_counter()
     zero = np.zeros_like(mesh.nodes)

@@ -54,11 +54,11 @@ class Job:
         return f"exit code {self.returncode} without a message"
 
 
-def _die_with_parent():
+def _die_with_parent() -> None:
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
-def run_ccx(name: str, folder, timeout_s: float) -> Job:
+def run_ccx(name: str, folder: Path | str, timeout_s: float) -> Job:
     """Run the deck `name`.inp in `folder` with one thread; a run past `timeout_s` is stopped.
 
     A full disk raises BadInput, because every other sample would fail for it too.

@@ -9,6 +9,7 @@ is integrated at twelve points of each face, because at nodes a footprint's edge
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -60,7 +61,7 @@ class CcxResult(Result):
 class CcxSolver:
     """Solves scenes on one tetrahedral mesh; decks and output live in `folder`."""
 
-    def __init__(self, mesh: GelMesh, folder, settings: CcxSettings = CcxSettings()):
+    def __init__(self, mesh: GelMesh, folder: Path | str, settings: CcxSettings = CcxSettings()) -> None:
         self.mesh, self.folder, self.settings = mesh, Path(folder), settings
         self.points, self.solid = face_points(mesh), TetSolid(mesh)
         self.folder.mkdir(parents=True, exist_ok=True)
@@ -97,21 +98,23 @@ class CcxSolver:
         }  # fmt: skip
         return result
 
-    def _arrived(self, scene, trail, path) -> Kinematics | None:
+    def _arrived(self, scene: Scene, trail: Trail | None, path: PathSettings) -> Kinematics | None:
         """The end of a path that was walked on bricks; None where none was or where it does not settle."""
         if trail is None or scene.interface.law != "no_slip":
             return None
         found = arrive(scene, self.solid, self.points, self.mesh.nodes, trail, path)
         return found if found.settled else None
 
-    def _empty(self, status, reason, began) -> CcxResult:
+    def _empty(self, status: Status, reason: str, began: float) -> CcxResult:
         zero = np.zeros_like(self.mesh.nodes)
-        evidence = dict.fromkeys(("equilibrium_residual", "penetration_mm", "pulling_fraction", "base_mismatch"), 0.0)
+        evidence: dict[str, Any] = dict.fromkeys(
+            ("equilibrium_residual", "penetration_mm", "pulling_fraction", "base_mismatch"), 0.0
+        )
         evidence |= dict.fromkeys(("newton_iterations", "rounds", "load_steps"), 0)
         evidence |= {"reason": reason, "seconds": time.perf_counter() - began, "peak_mib": 0.0}
         return CcxResult(status, zero, zero.copy(), evidence)
 
-    def _rounds(self, scene, found, name, s) -> CcxResult:
+    def _rounds(self, scene: Scene, found: Kinematics, name: str, s: CcxSettings) -> CcxResult:
         stiffness = s.stiffness * REFERENCE_C10
         contact, start = found.contact, found.displacement
         run = _Run(self, scene, name, s)
@@ -150,7 +153,7 @@ class _Run:
         self.ladder: list[str] = []
         self.history: list[list[float]] = []
 
-    def solve(self, contact, start):
+    def solve(self, contact: touch.Contact, start: np.ndarray | None) -> "Answer | CcxResult":
         """One round: from the start, else in increments from rest; an Answer, or a failed CcxResult."""
         mesh, s = self.solver.mesh, self.settings
         rows = touch.spring_rows(contact, self.solver.points, self.stiffness)
@@ -178,7 +181,7 @@ class _Run:
         zero = np.zeros_like(mesh.nodes)
         return CcxResult(problem[0], zero, zero.copy(), self._evidence() | {"reason": problem[1]}, deck=None)
 
-    def result(self, status, answer, contact, verdict) -> CcxResult:
+    def result(self, status: Status, answer: Answer, contact: touch.Contact, verdict: touch.Verdict) -> CcxResult:
         mesh = self.solver.mesh
         forces = np.zeros_like(mesh.nodes)
         touched = np.unique(mesh.faces[contact.held.any(axis=1)])
@@ -214,5 +217,5 @@ def read_answer(path: Path, mesh: GelMesh, deck: str) -> Answer:
     )  # fmt: skip
 
 
-def _difference(one, other) -> float:
+def _difference(one: np.ndarray, other: np.ndarray) -> float:
     return float(np.linalg.norm(one - other)) / max(float(np.linalg.norm(one)), 1e-12)

@@ -62,7 +62,7 @@ def is_bricks(name: str) -> bool:
     return name.startswith(PREFIX)
 
 
-def _text(number) -> str:
+def _text(number: float) -> str:
     # no minus before zero: equal meshes have one name
     return repr(float(number) + 0.0).removesuffix(".0")
 

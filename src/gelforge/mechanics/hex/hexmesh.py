@@ -45,7 +45,9 @@ class FineBox:
     size: float
 
 
-def graded_lines(low: float, high: float, fine_low: float, fine_high: float, size: float, growth=1.5, largest=2.0):
+def graded_lines(
+    low: float, high: float, fine_low: float, fine_high: float, size: float, growth: float = 1.5, largest: float = 2.0
+) -> np.ndarray:
     """Mesh lines on [low, high]: cells of about `size` on the fine part, growing outwards, (n + 1,)."""
     fine_low, fine_high = max(low, fine_low), min(high, fine_high)
     if not fine_high > fine_low:
@@ -58,11 +60,11 @@ def graded_lines(low: float, high: float, fine_low: float, fine_high: float, siz
     return np.concatenate([left, middle, right])
 
 
-def _outward(distance, size, growth, largest):
+def _outward(distance: float, size: float, growth: float, largest: float) -> np.ndarray:
     """Growing offsets that end exactly at `distance`."""
     if distance < 0.5 * size:
         return np.array([distance]) if distance > 1e-9 else np.empty(0)
-    sizes = []
+    sizes: list[float] = []
     while sum(sizes) < distance:
         size = min(size * growth, largest)
         sizes.append(size)
@@ -77,7 +79,7 @@ def dissected(nx: int, ny: int, smallest: int = 3) -> np.ndarray:
     George 1973, SIAM J. Numer. Anal. 10, 345-363: both halves before the line that parts them.
     """
 
-    def part(x0, x1, y0, y1):
+    def part(x0: int, x1: int, y0: int, y1: int) -> list[np.ndarray]:
         if min(x1 - x0, y1 - y0) <= 0:
             return []
         if max(x1 - x0, y1 - y0) <= smallest:
@@ -108,7 +110,9 @@ def layer_heights(layers: int, ratio: float) -> np.ndarray:
     return np.concatenate([[0.0], np.cumsum(thickness)]) / thickness.sum()
 
 
-def build_mesh(gel: Gel, box: FineBox, layers: int, layer_ratio=3.0, growth=1.5, largest=2.0) -> HexMesh:
+def build_mesh(
+    gel: Gel, box: FineBox, layers: int, layer_ratio: float = 3.0, growth: float = 1.5, largest: float = 2.0
+) -> HexMesh:
     """Brick mesh of the gel, fine in `box`."""
     half = gel.width / 2, gel.length / 2
     xs = graded_lines(-half[0], half[0], box.x_min, box.x_max, box.size, growth, largest)
@@ -116,7 +120,7 @@ def build_mesh(gel: Gel, box: FineBox, layers: int, layer_ratio=3.0, growth=1.5,
     return mesh_on_lines(gel, xs, ys, layer_heights(layers, layer_ratio))
 
 
-def mesh_on_lines(gel: Gel, xs, ys, heights) -> HexMesh:
+def mesh_on_lines(gel: Gel, xs: np.ndarray, ys: np.ndarray, heights: np.ndarray) -> HexMesh:
     """Brick mesh on given lines: xs, ys in mm, heights relative from 0 at the base to 1 at the top."""
     x, y = np.meshgrid(xs, ys, indexing="xy")
     x, y = round_corners(x, y, gel.width / 2, gel.length / 2, gel.corner_radius)
@@ -135,7 +139,9 @@ def mesh_on_lines(gel: Gel, xs, ys, heights) -> HexMesh:
     )
 
 
-def round_corners(x, y, half_x, half_y, radius):
+def round_corners(
+    x: np.ndarray, y: np.ndarray, half_x: float, half_y: float, radius: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Map a rectangle smoothly onto one with rounded corners (identity but for the corner squares).
 
     The elliptical map of the unit square onto a quarter disc, u = s sqrt(1 - t^2 / 2).

@@ -16,6 +16,8 @@ from gelforge.mechanics.contact import (
     Law,
     NoEquilibrium,
     Pose,
+    Skew,
+    Springs,
     contact_points,
     contact_springs,
     curved,
@@ -24,6 +26,7 @@ from gelforge.mechanics.contact import (
 from gelforge.mechanics.hex.carry import Trail, carried, touch_fraction, touches, untangled
 from gelforge.mechanics.hex.hexmesh import HexMesh, elimination_order
 from gelforge.mechanics.hex.reach import end_of, path_pose, reachable_faces
+from gelforge.mechanics.hex.settings import HexSettings
 from gelforge.mechanics.linear import gmres, symmetric_product, symmetric_solver
 from gelforge.mechanics.scene import REFERENCE_C10, Scene
 from gelforge.records.status import Status
@@ -69,7 +72,7 @@ class Run:
     equilibrium) and the counters hold the end of the path, or the last equilibrium before a failure.
     """
 
-    def __init__(self, scene: Scene, settings, mesh: HexMesh, system: System):
+    def __init__(self, scene: Scene, settings: HexSettings, mesh: HexMesh, system: System) -> None:
         self.scene, self.settings, self.mesh, self.system = scene, settings, mesh, system
         self.law, self.mu = scene.interface.law, scene.interface.mu
         if self.law not in ("no_slip", "coulomb", "frictionless"):
@@ -142,7 +145,7 @@ class Run:
         except (NoEquilibrium, SolveFailed):
             return Status.DIVERGED
 
-    def _settle_contact(self, pose, places) -> None:
+    def _settle_contact(self, pose: Pose, places: np.ndarray) -> None:
         """Let go what pulls and hold what presses, each point once, until neither remains.
 
         A point that was let go and presses again stays loose: it would change for ever.
@@ -166,7 +169,7 @@ class Run:
         other.state, other.curve, other._walked = copy.deepcopy(self.state), list(self.curve), list(self._walked)
         return other
 
-    def _legs(self, start):
+    def _legs(self, start: float) -> list[tuple[float, int]]:
         legs = [(1.0, self.settings.press_steps)] if start < 1.0 else []
         if end_of(self.scene) > 1.0 or start >= 1.0:
             legs.append((2.0, self.settings.shear_steps))
@@ -220,7 +223,7 @@ class Run:
         self._walked.append((t, self.u))
         return used
 
-    def _predict(self, t):
+    def _predict(self, t: float) -> np.ndarray | None:
         """Displacement at t if it went on as in the step before; None where the path turns."""
         if not self.history:
             return None
@@ -229,15 +232,15 @@ class Run:
             return None
         return u1 + (t - t1) / (t1 - t0) * (u1 - u0)
 
-    def _points(self, u):
+    def _points(self, u: np.ndarray) -> np.ndarray:
         return positions(self.state.shape, self.nodes, self.mesh.nodes + u)
 
-    def _gaps(self, x, pose):
+    def _gaps(self, x: np.ndarray, pose: Pose) -> np.ndarray:
         return self.scene.indenter.distance(pose.to_indenter(x))[0]
 
     # -- equilibrium
 
-    def _newton_from(self, guesses, pose):
+    def _newton_from(self, guesses: list[np.ndarray], pose: Pose) -> tuple[np.ndarray, int]:
         for guess in guesses:
             try:
                 return self._newton(guess, pose, self.settings.tolerance)
@@ -245,7 +248,7 @@ class Run:
                 continue
         raise NoEquilibrium
 
-    def _newton(self, u, pose: Pose, tolerance: float, still: bool = False) -> tuple[np.ndarray, int]:
+    def _newton(self, u: np.ndarray, pose: Pose, tolerance: float, still: bool = False) -> tuple[np.ndarray, int]:
         """Newton steps from u until the residual is below tolerance times the contact force.
 
         With friction the first step holds every glued point (but where the indenter stands `still`):
@@ -263,7 +266,9 @@ class Run:
                 u, state = self._step(u, step, pose, laws[0], self.residual if iteration >= WARY else np.inf)
         raise NoEquilibrium
 
-    def _step(self, u, step, pose, law, before):
+    def _step(
+        self, u: np.ndarray, step: np.ndarray, pose: Pose, law: Law, before: float
+    ) -> tuple[np.ndarray, tuple[np.ndarray, Springs]]:
         """u less the step, or less a part of it where that inverts bricks or leaves the residual above `before`."""
         free, best = self.system.free, None
         for part in (1.0, 0.5, 0.25):
@@ -282,7 +287,7 @@ class Run:
         self.residual = best[0]
         return best[1:]
 
-    def _out_of_balance(self, u, pose, law):
+    def _out_of_balance(self, u: np.ndarray, pose: Pose, law: Law) -> tuple[np.ndarray, Springs]:
         """Nodal residual (n, 3) and contact springs; sets `residual` relative to the contact force."""
         forces = self._internal(u)
         x, indenter = self._points(u), self.scene.indenter
@@ -294,14 +299,14 @@ class Run:
             raise NoEquilibrium
         return forces, springs
 
-    def _internal(self, u):
+    def _internal(self, u: np.ndarray) -> np.ndarray:
         b, forces = self.bricks, np.zeros_like(u)
         smallest = element.internal_forces(u, b.elements, b.gradients, b.weights, *self.moduli, forces)
         if not smallest > 0.0:
             raise NoEquilibrium
         return forces
 
-    def _direction(self, u, pose, forces, springs):
+    def _direction(self, u: np.ndarray, pose: Pose, forces: np.ndarray, springs: Springs) -> np.ndarray:
         """Newton's step, to FORCING of the residual; a factorisation serves as long as GMRES is quick with it."""
         system, b = self.system, self.bricks
         system.values[:] = 0.0
@@ -325,19 +330,19 @@ class Run:
             raise NoEquilibrium
         return step.reshape(-1, 3)
 
-    def _skew(self, u, pose, springs):
+    def _skew(self, u: np.ndarray, pose: Pose, springs: Springs) -> Skew:
         """The stiffness beyond the symmetric one; exact close to equilibrium, where it makes Newton quadratic."""
         if self.residual > CLOSE:
             return springs.slip
         x = self._points(u)
         return curved(springs, self.state, x, pose, self.scene.indenter, self.contact, self.candidates)
 
-    def _product(self, skew):
+    def _product(self, skew: Skew) -> Callable[[np.ndarray], np.ndarray]:
         system = self.system
         pattern, values = system.pattern, system.values
         add = system.faces.skew_product(self.state, skew)
 
-        def apply(x):
+        def apply(x: np.ndarray) -> np.ndarray:
             y = symmetric_product(pattern.indptr, pattern.indices, values, x)
             add(x, y)
             self.products += 1
@@ -347,12 +352,12 @@ class Run:
 
     # -- the contact set at the end of a step
 
-    def _touching(self):
+    def _touching(self) -> np.ndarray:
         """Points that press in the last equilibrium and are not glued."""
         point = self.springs.point[self.springs.gap < 0.0]
         return point[self.state.status[point] != GLUED]
 
-    def _end_step(self, pose, start) -> None:
+    def _end_step(self, pose: Pose, start: tuple[np.ndarray, Pose, np.ndarray, np.ndarray]) -> None:
         """Let go what pulls; hold what touched for the first time in this step where it touched."""
         if self.law == "frictionless":
             return
@@ -363,7 +368,9 @@ class Run:
         new = self._touching()
         self._glue(new, pose, self._touch_places(new, pose, *start))
 
-    def _touch_places(self, new, pose, x, before, gap, expected):
+    def _touch_places(
+        self, new: np.ndarray, pose: Pose, x: np.ndarray, before: Pose, gap: np.ndarray, expected: np.ndarray
+    ) -> np.ndarray:
         """Where new points first touched, in the indenter's frame (p, 3): second-order anchoring.
 
         A point that goes on as in the step before crosses the surface at a fraction of the step; it is
@@ -377,7 +384,7 @@ class Run:
         fraction = touch_fraction(gap_before, gap_after)
         return begin + fraction[:, None] * (end - begin)
 
-    def _glue(self, points, pose, places) -> None:
+    def _glue(self, points: np.ndarray, pose: Pose, places: np.ndarray) -> None:
         """Hold points where they are, bound for `places` of the indenter's frame moved onto its surface."""
         if not len(points):
             return
@@ -387,13 +394,13 @@ class Run:
         goal, state.normal[points] = self._on_surface(places)
         state.anchor[points], state.goal[points] = here, goal
 
-    def _on_surface(self, places):
+    def _on_surface(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         for _ in range(2):
             distance, normal = self.scene.indenter.distance(places)
             places = places - distance[:, None] * normal
         return places, normal
 
-    def _pressing(self, pose):
+    def _pressing(self, pose: Pose) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Index (p,), traction (p, 3) and pressing part (p,) of glued points; below zero they pull."""
         springs, state = self.springs, self.state
         held = (state.status[springs.point] == GLUED) & np.isnan(springs.gap)
@@ -401,7 +408,7 @@ class Run:
         push = np.einsum("pi,pi->p", springs.traction[held], pose.turn(state.normal[point]))
         return point, springs.traction[held], push
 
-    def _release(self, pose) -> int:
+    def _release(self, pose: Pose) -> int:
         """Let go of what pulls: its traction fades with the next changes. Returns how many."""
         point, traction, push = self._pressing(pose)
         gone = push < -self.settings.pull_tolerance * push.max(initial=0.0)
@@ -410,7 +417,7 @@ class Run:
 
     # -- Coulomb's law
 
-    def _slide(self, pose) -> None:
+    def _slide(self, pose: Pose) -> None:
         """Anchors follow points that slip, multipliers the tractions; points that lost contact are let go."""
         state, springs = self.state, self.springs
         pressed = np.zeros(len(state.status), bool)
@@ -449,7 +456,7 @@ class Run:
         self.state.status[self._touching()] = TOUCHING
         return status
 
-    def _carry_out(self, pose) -> None:
+    def _carry_out(self, pose: Pose) -> None:
         """Carry out all pending contact changes at a fixed pose, in parts where one go fails."""
         left, share = 1.0, 1.0
         while left > 0.0:
@@ -465,7 +472,7 @@ class Run:
                 if share < SMALLEST_PART:
                     raise
 
-    def _polish(self, pose) -> None:
+    def _polish(self, pose: Pose) -> None:
         """Tight equilibrium; a point that flips in rounding noise may leave it at the accepted residual."""
         for tolerance in (self.settings.final_tolerance, ACCEPTED):
             try:
@@ -474,7 +481,7 @@ class Run:
                 continue
         raise NoEquilibrium
 
-    def _solve_here(self, pose, tolerance) -> None:
+    def _solve_here(self, pose: Pose, tolerance: float) -> None:
         gap = self._gaps(self._points(self.u), pose)
         self.candidates = np.flatnonzero((self.state.status != GLUED) & (gap < self.settings.size))
         self.u, _ = self._newton(self.u, pose, tolerance, True)

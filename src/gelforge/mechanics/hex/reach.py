@@ -37,7 +37,7 @@ def _surface_grid(scene: Scene, spacing: float) -> tuple[np.ndarray, tuple[int, 
     return np.stack([x.ravel(), y.ravel(), np.asarray(gel.top(x, y), float).ravel()], axis=1), (counts[0], counts[1])
 
 
-def _gap(scene, points, t):
+def _gap(scene: Scene, points: np.ndarray, t: float) -> np.ndarray:
     return scene.indenter.distance(path_pose(scene, t).to_indenter(points))[0]
 
 

@@ -3,12 +3,12 @@
 import resource
 import time
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from gelforge.errors import BadInput
 from gelforge.geometry.gel import Gel
 from gelforge.mechanics.contact import ContactState
 from gelforge.mechanics.hex.bricks import Bricks
@@ -16,6 +16,7 @@ from gelforge.mechanics.hex.carry import Trail
 from gelforge.mechanics.hex.hexmesh import FineBox, HexMesh, build_mesh, interpolate_surface
 from gelforge.mechanics.hex.path import Run, System
 from gelforge.mechanics.hex.reach import fine_box, first_touch
+from gelforge.mechanics.hex.settings import HexSettings, Nested
 from gelforge.mechanics.scene import Result, Scene
 from gelforge.records.status import Status
 
@@ -23,86 +24,13 @@ BALANCE = 1e-6  # largest base reaction against contact sum of a valid result
 # Contact springs give way by 0.02 mm at most on the scenes of the chart, by half a millimetre and more where the gel
 # is pressed through: that state is in equilibrium, but not one of the press.
 MOST_INSIDE_MM = 0.1
-COARSE_TOLERANCE = 1e-4  # residual over contact force of a path that only leads to the fine bricks
 MOST_BELOW_MM = 1e-3  # that a node may end below the base the gel is bonded to
 
-__all__ = ["QUALITIES", "HexResult", "HexSettings", "HexSolver", "interpolate_surface", "quality", "solve_hex"]
+__all__ = ["HexResult", "HexSolver", "interpolate_surface", "solve_hex"]
 
 
 # A correction beyond this share is no small one: then the coarse bricks are too coarse to tell anything.
 MOST_CORRECTED = 0.05
-
-
-@dataclass(frozen=True)
-class Nested:
-    """How the path is walked on coarser bricks, of which only the end is solved on the fine ones.
-
-    factor: their size in that of the fine ones. layers, growth: theirs (see HexSettings). press_steps, shear_steps:
-    load steps of the path. extrapolation: what the fine bricks' force is corrected by, as a share of its difference
-    from the coarse bricks': 1 / (r^p - 1) for an error that falls with the p-th power of a size r times smaller
-    (Richardson 1911, Phil. Trans. R. Soc. A 210, 307-357). One factor on all nodal forces of a press: balance and
-    direction stay as they are; displacement is the fine bricks' own, whose base reaction is that much larger.
-    """
-
-    factor: float = 2.0
-    layers: int = 3
-    growth: float = 2.5
-    press_steps: int = 6
-    shear_steps: int = 3
-    extrapolation: float = 0.0
-
-    def share(self, ratio: float) -> float:
-        """`extrapolation` for coarse bricks `ratio` times as wide as the fine ones, at the same order of the error."""
-        if not self.extrapolation or ratio <= 1.0:
-            return 0.0
-        order = np.log(1.0 + 1.0 / self.extrapolation) / np.log(self.factor)
-        return float(1.0 / (ratio**order - 1.0))
-
-
-@dataclass(frozen=True)
-class HexSettings:
-    """How finely a scene is solved.
-
-    size: side of the bricks under the press, mm; smaller where the contact is under `across` of them
-    wide (0: never). layers, layer_ratio: bricks through the height and
-    how much thicker the lowest is. growth, largest: coarsening away from the press, mm.
-    press_steps, shear_steps: load steps of the two legs (more where Newton asks for it).
-    gauss: order of the contact rule on a face. penalty, friction_penalty: contact stiffness along the
-    normal and along the surface (Coulomb) times size / C10.
-    tolerance, final_tolerance: residual over contact force, within the path and at its end.
-    box: fixed fine part (FineBox) in place of one that follows the press.
-    nested: how the path is walked on coarser bricks first; None: on these. With Coulomb friction it is always on these,
-    because a point's force depends on all of its slip.
-    """
-
-    size: float = 0.7
-    across: int = 0
-    layers: int = 6
-    layer_ratio: float = 3.0
-    growth: float = 1.5
-    largest: float = 2.0
-    press_steps: int = 6
-    shear_steps: int = 3
-    gauss: int = 3
-    penalty: float = 1000.0
-    friction_penalty: float = 100.0
-    tolerance: float = 1e-4
-    final_tolerance: float = 1e-9
-    max_iterations: int = 14
-    max_cuts: int = 8
-    settle_rounds: int = 6
-    pull_tolerance: float = 1e-3
-    box: FineBox | None = None
-    nested: Nested | None = None
-
-    @property
-    def coarse(self) -> "HexSettings":
-        """Settings of the path on coarser bricks."""
-        n = self.nested or Nested()
-        return replace(
-            self, size=n.factor * self.size, layers=n.layers, growth=n.growth, nested=None, tolerance=COARSE_TOLERANCE,
-            final_tolerance=COARSE_TOLERANCE, press_steps=n.press_steps, shear_steps=n.shear_steps,
-        )  # fmt: skip
 
 
 @dataclass
@@ -220,7 +148,7 @@ class HexSolver:
         run = self._run(scene, self.mesh(scene.gel, box), self.settings, box.size)
         return _result(run, run.follow(start), started, bricks)
 
-    def _arrived(self, scene, walked, box, bricks, started) -> HexResult:
+    def _arrived(self, scene: Scene, walked: "Walked", box: FineBox, bricks: Bricks, started: float) -> HexResult:
         """The end of a coarse path on the fine bricks, and what both together tell of the error."""
         run = self._run(scene, self.mesh(scene.gel, box), self.settings, box.size)
         result = _result(run, run.arrive(walked.trail), started, bricks)
@@ -256,7 +184,7 @@ class HexSolver:
         """Matrix and factorisation: they depend on the numbers of bricks only."""
         return self._systems.get(mesh.shape, lambda: System(mesh))
 
-    def _untouched(self, scene, started) -> HexResult:
+    def _untouched(self, scene: Scene, started: float) -> HexResult:
         gel = scene.gel
         s = self.settings
         box = s.box or FineBox(-gel.width / 4, gel.width / 4, -gel.length / 4, gel.length / 4, 2 * s.size)
@@ -307,10 +235,11 @@ def _below_base(scene: Scene) -> str | None:
 class _Kept:
     """The most recently used few of what is costly to make."""
 
-    def __init__(self, size):
-        self._size, self._items = size, OrderedDict()
+    def __init__(self, size: int) -> None:
+        self._size = size
+        self._items: OrderedDict[Hashable, Any] = OrderedDict()
 
-    def get(self, key, make):
+    def get(self, key: Hashable, make: Callable[[], Any]) -> Any:
         if key not in self._items:
             self._items[key] = make()
         self._items.move_to_end(key)
@@ -370,7 +299,9 @@ def _refused(mesh: HexMesh, bricks: Bricks, reason: str, started: float) -> HexR
     return HexResult(Status.OUT_OF_RANGE, zero, zero.copy(), evidence, mesh, None, bricks)
 
 
-def _evidence(residual=0.0, iterations=0, rounds=0, steps=0, unknown=np.nan) -> dict:
+def _evidence(
+    residual: float = 0.0, iterations: int = 0, rounds: int = 0, steps: int = 0, unknown: float = np.nan
+) -> dict:
     return {
         "equilibrium_residual": float(residual),
         "penetration_mm": unknown,
@@ -382,28 +313,3 @@ def _evidence(residual=0.0, iterations=0, rounds=0, steps=0, unknown=np.nan) -> 
         "load_steps": int(steps),
         "peak_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
     }
-
-
-# Chosen on the 16 scenes of workflow/scenes.toml, by error against CalculiX on fine tetrahedra. Layers of nearly equal
-# height (ratio 2) are better than a thin top one: at five layers a ratio of 6 errs by 2 to 3 % in total force, 2 by
-# 1 to 2 %. A brick's face bends too little for 3 x 3 points to be held: 2 x 2 halve the error of flat and sharp indenters.
-# Three press steps cost under 0.6 % of the force with anchors at first touch (12 % where a step ends, one step).
-QUALITIES = {
-    "demo": HexSettings(size=1.0, layers=4, gauss=2, press_steps=3, shear_steps=2),
-    "draft": HexSettings(
-        size=0.45, across=15, layers=5, layer_ratio=2.0, growth=2.2, largest=4.0, gauss=2, press_steps=3, shear_steps=2,
-        nested=Nested(press_steps=4, shear_steps=2, extrapolation=0.3),
-    ),
-    "label": HexSettings(
-        size=0.35, across=20, layers=5, layer_ratio=2.0, growth=2.2, largest=4.0, gauss=2, press_steps=4, shear_steps=2,
-        nested=Nested(press_steps=10, shear_steps=4, extrapolation=0.36),
-    ),
-    "fine": HexSettings(size=0.3, across=24, layers=8, gauss=2, press_steps=6, shear_steps=3),
-}  # fmt: skip
-
-
-def quality(name: str) -> HexSettings:
-    """The settings of that name; an unknown one raises BadInput."""
-    if name not in QUALITIES:
-        raise BadInput(f"[fea] hex_quality = {name!r} is unknown; choose one of {', '.join(QUALITIES)}")
-    return QUALITIES[name]

@@ -152,10 +152,10 @@ class _Path:
         self.anchor, self.anchor_normal = zero.copy(), zero.copy()
         self.iterations = self.steps = 0
 
-    def pose(self, at) -> Pose:
+    def pose(self, at: np.ndarray) -> Pose:
         return Pose(*self.scene.press.pose(*at))
 
-    def positions(self, u):
+    def positions(self, u: np.ndarray) -> np.ndarray:
         return self.points.position + self.points.at(u)
 
     def press_steps(self) -> int:
@@ -165,7 +165,7 @@ class _Path:
 
     # -- one load step
 
-    def advance(self, goal) -> None:
+    def advance(self, goal: np.ndarray) -> None:
         """Go to `goal` (press, shear fractions), in shorter steps where Newton asks for it."""
         origin, done, length, cuts = self.at, 0.0, 1.0, 0
         while done < 1.0:
@@ -180,7 +180,7 @@ class _Path:
                 if cuts > self.settings.most_cuts:
                     raise
 
-    def _step(self, aim) -> None:
+    def _step(self, aim: np.ndarray) -> None:
         s, before, start = self.settings, self.at, self.u
         pose = self.pose(aim)
         gap0, _ = gaps(self.scene, self.pose(before), self.positions(start))
@@ -194,12 +194,12 @@ class _Path:
         self.velocity, self.at = (self.u - start) / length, aim
         self.steps += 1
 
-    def _ahead(self, u, length) -> np.ndarray:
+    def _ahead(self, u: np.ndarray, length: float) -> np.ndarray:
         """Where the last step's motion would lead, if that inverts no element."""
         ahead = u + length * self.velocity
         return ahead if self.solid.forces(ahead, self.shear, self.bulk)[1] > 0.2 else u
 
-    def _lead(self, pose) -> Contact:
+    def _lead(self, pose: Pose) -> Contact:
         """The contact as the step begins: held points travel with the indenter."""
         stick = self.contact.state == STICK
         c = self.contact
@@ -207,7 +207,7 @@ class _Path:
         normal = np.where(stick[..., None], pose.turn(self.anchor_normal), c.normal)
         return Contact(c.state, target, normal, c.drag)
 
-    def newton(self, u, contact, pose, tolerance) -> tuple[np.ndarray, Contact]:
+    def newton(self, u: np.ndarray, contact: Contact, pose: Pose, tolerance: float) -> tuple[np.ndarray, Contact]:
         """Equilibrium at a fixed pose; points that no anchor holds touch where they would penetrate."""
         s = self.settings
         if self.iterations > s.most_in_all:
@@ -227,7 +227,7 @@ class _Path:
             f"no equilibrium in {s.most_iterations} Newton iterations, residual {state.size:.1e} of the force"
         )
 
-    def _evaluate(self, u, contact, pose, keep) -> "_State":
+    def _evaluate(self, u: np.ndarray, contact: Contact, pose: Pose, keep: bool) -> "_State":
         """Contact and residual at displacement u."""
         inner, smallest = self.solid.forces(u, self.shear, self.bulk)
         if smallest <= 0.0:
@@ -238,7 +238,7 @@ class _Path:
         size = float(np.linalg.norm(residual)) / max(float(np.linalg.norm(outer)), 1e-12)
         return _State(u, contact, changed, residual, size, smallest)
 
-    def _cheap_steps(self, state, pose, keep, tolerance) -> "_State | None":
+    def _cheap_steps(self, state: "_State", pose: Pose, keep: bool, tolerance: float) -> "_State | None":
         """Steps with the last factorisation as long as each takes away most of the residual; None if none does."""
         found = None
         while state.size >= tolerance or state.changed:
@@ -248,7 +248,7 @@ class _Path:
             found = state = trial
         return found
 
-    def _newton_step(self, state, pose, keep) -> "_State":
+    def _newton_step(self, state: "_State", pose: Pose, keep: bool) -> "_State":
         springs = contact_blocks(state.contact, self.points, self.settings.stiffness)
         gentle = state.size > self.settings.gentle_above
         ways = [(1.0, 0.0), (1.0, 1.0)] if gentle else [(0.0, 0.0), (0.5, 0.0), (1.0, 0.0), (1.0, 1.0)]
@@ -261,7 +261,7 @@ class _Path:
                 return found
         raise NoEquilibrium("an element turned inside out")
 
-    def _search(self, state, step, pose, keep, tries) -> "_State | None":
+    def _search(self, state: "_State", step: np.ndarray, pose: Pose, keep: bool, tries: int) -> "_State | None":
         """State along a step, where the energy does not rise more steeply than it fell at the start; None if none.
 
         An indefinite tangent's step may lead uphill: it is taken only where it shrinks the residual.
@@ -281,7 +281,7 @@ class _Path:
             length *= max(0.2, slope / (slope - now))
         return found
 
-    def _touch(self, u, contact, pose, keep) -> tuple[Contact, int]:
+    def _touch(self, u: np.ndarray, contact: Contact, pose: Pose, keep: bool) -> tuple[Contact, int]:
         """Set of touching points for the next iteration, and how many points came or went.
 
         keep: none goes, so that a set that flickers comes to rest; `_release` lets go what pulls.
@@ -311,7 +311,7 @@ class _Path:
         self.contact = replace(self.contact, state=np.where(gone, FREE, self.contact.state))
         return int(gone.sum())
 
-    def _glue(self, start, before, aim, gap0) -> None:
+    def _glue(self, start: np.ndarray, before: np.ndarray, aim: np.ndarray, gap0: np.ndarray) -> None:
         """Hold new points where they first touched, let go what pulls."""
         self._release()
         new = self.contact.state == SLIDE
@@ -323,7 +323,7 @@ class _Path:
         last = self.pose(aim).to_indenter(self.positions(self.u))
         self._anchor(new, first + fraction * (last - first), self.pose(aim))
 
-    def _anchor(self, new, places, pose) -> None:
+    def _anchor(self, new: np.ndarray, places: np.ndarray, pose: Pose) -> None:
         """Hold points at places of the indenter's frame, moved onto its surface."""
         if not new.any():
             return
@@ -335,7 +335,7 @@ class _Path:
         self.contact = replace(self.contact, state=np.where(new, STICK, self.contact.state))
         self.contact = self._lead(pose)
 
-    def _rub(self, pose) -> None:
+    def _rub(self, pose: Pose) -> None:
         """Coulomb's law at the end of a step: what exceeds mu times the pressure slides under that drag."""
         mu, stiffness = self.scene.interface.mu, self.settings.stiffness
         self._anchor(self.contact.state == SLIDE, pose.to_indenter(self._carried()), pose)
@@ -361,7 +361,7 @@ class _Path:
             if not over.any() and moved < 0.02:
                 break
 
-    def _carried(self):
+    def _carried(self) -> np.ndarray:
         """Where sliding points would be held by springs that carry their drag."""
         return self.positions(self.u) + self.contact.drag / self.settings.stiffness
 

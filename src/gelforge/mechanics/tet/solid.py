@@ -39,7 +39,16 @@ class TetSolid:
         smallest = _forces(u, self.elements, self.gradients, self.weights, shear, bulk, forces)
         return forces, smallest
 
-    def factorise(self, u, shear, bulk, faces, stiffness, gentle=0.0, firm=0.0) -> None:
+    def factorise(
+        self,
+        u: np.ndarray,
+        shear: float,
+        bulk: float,
+        faces: np.ndarray,
+        stiffness: np.ndarray,
+        gentle: float = 0.0,
+        firm: float = 0.0,
+    ) -> None:
         """Factorise the tangent at u with blocks `stiffness` (f, 21, 3, 3) N/mm on node pairs of `faces` (f,).
 
         gentle: leave out this share of what the bulk pressure adds to the stiffness (all of it: Gauss and
@@ -64,7 +73,16 @@ class TetSolid:
 
 
 @njit(inline="always")
-def _kinematics(u, elements, gradients, e, q, f, g, h):
+def _kinematics(
+    u: np.ndarray,
+    elements: np.ndarray,
+    gradients: np.ndarray,
+    e: int,
+    q: int,
+    f: np.ndarray,
+    g: np.ndarray,
+    h: np.ndarray,
+) -> tuple[float, float]:
     for i in range(3):
         for k in range(3):
             f[i, k] = 1.0 if i == k else 0.0
@@ -102,7 +120,15 @@ def _kinematics(u, elements, gradients, e, q, f, g, h):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _forces(u, elements, gradients, weights, shear, bulk, forces):
+def _forces(
+    u: np.ndarray,
+    elements: np.ndarray,
+    gradients: np.ndarray,
+    weights: np.ndarray,
+    shear: float,
+    bulk: float,
+    forces: np.ndarray,
+) -> float:
     f, g, h = np.empty((3, 3)), np.empty((10, 3)), np.empty((10, 3))
     smallest = 1e30
     for e in range(elements.shape[0]):
@@ -121,7 +147,18 @@ def _forces(u, elements, gradients, weights, shear, bulk, forces):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _tangent(u, elements, gradients, weights, shear, bulk, pressed, base, width, values):
+def _tangent(
+    u: np.ndarray,
+    elements: np.ndarray,
+    gradients: np.ndarray,
+    weights: np.ndarray,
+    shear: float,
+    bulk: float,
+    pressed: float,
+    base: np.ndarray,
+    width: np.ndarray,
+    values: np.ndarray,
+) -> None:
     f, g, h = np.empty((3, 3)), np.empty((10, 3)), np.empty((10, 3))
     block = np.empty((55, 3, 3))
     for e in range(elements.shape[0]):
@@ -156,7 +193,7 @@ def _tangent(u, elements, gradients, weights, shear, bulk, pressed, base, width,
 
 
 @njit(cache=True, nogil=True)
-def _add_faces(base, width, stiffness, values):
+def _add_faces(base: np.ndarray, width: np.ndarray, stiffness: np.ndarray, values: np.ndarray) -> None:
     for e in range(base.shape[0]):
         pair = 0
         for a in range(6):

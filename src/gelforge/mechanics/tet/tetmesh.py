@@ -3,6 +3,7 @@
 import contextlib
 import itertools
 import tempfile
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -50,7 +51,9 @@ def prism(polygon: np.ndarray, height: float) -> tuple[np.ndarray, np.ndarray]:
     return vertices, np.concatenate(faces).astype(np.int32)
 
 
-def sizing_grid(gel: Gel, size, step: float = SIZING_STEP_MM) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def sizing_grid(
+    gel: Gel, size: Callable[[np.ndarray], np.ndarray], step: float = SIZING_STEP_MM
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Background tetrahedra for pytetwild: vertices, tets and edge lengths from size(points) -> mm."""
     margin = step
     axes = [
@@ -62,7 +65,7 @@ def sizing_grid(gel: Gel, size, step: float = SIZING_STEP_MM) -> tuple[np.ndarra
     return vertices, tets.astype(np.int32), size(vertices)
 
 
-def kuhn_grid(axes) -> tuple[np.ndarray, np.ndarray]:
+def kuhn_grid(axes: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Nodes (n, 3) and tetrahedra (e, 4) of a grid with lines `axes` (x, y, z), six to a cell (Kuhn 1960)."""
     points = np.stack(np.meshgrid(*axes, indexing="ij"), -1)
     index: Any = np.arange(points[..., 0].size).reshape(points.shape[:3])
@@ -127,7 +130,13 @@ def second_order(nodes: np.ndarray, tets: np.ndarray) -> tuple[np.ndarray, np.nd
     return np.concatenate([nodes, middles]), elements, midside
 
 
-def gel_mesh(gel: Gel, size, threads: int = 1, step: float = SIZING_STEP_MM, hold: float = 0.0) -> GelMesh:
+def gel_mesh(
+    gel: Gel,
+    size: Callable[[np.ndarray], np.ndarray],
+    threads: int = 1,
+    step: float = SIZING_STEP_MM,
+    hold: float = 0.0,
+) -> GelMesh:
     """Mesh the gel with second-order tetrahedra.
 
     gel: the pad. size: points (n, 3) mm -> edge lengths (n,) mm, on the flat pad (top at z = 0). step:
@@ -148,7 +157,9 @@ def gel_mesh(gel: Gel, size, threads: int = 1, step: float = SIZING_STEP_MM, hol
     return from_flat(gel, nodes, tets)
 
 
-def split_long_edges(nodes: np.ndarray, tets: np.ndarray, longest) -> tuple[np.ndarray, np.ndarray]:
+def split_long_edges(
+    nodes: np.ndarray, tets: np.ndarray, longest: Callable[[np.ndarray], np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
     """Halve edges longer than longest(points (n, 3)) -> (n,) mm at their midpoints, until none is left.
 
     An edge is halved in all elements (e, 4) around it at once, so that the mesh stays conforming, and only where it
@@ -176,7 +187,7 @@ def split_long_edges(nodes: np.ndarray, tets: np.ndarray, longest) -> tuple[np.n
         tets = np.concatenate([tets[~cut], *halves])
 
 
-def tetrahedralise(vertices: np.ndarray, faces: np.ndarray, **options) -> tuple[np.ndarray, np.ndarray]:
+def tetrahedralise(vertices: np.ndarray, faces: np.ndarray, **options: Any) -> tuple[np.ndarray, np.ndarray]:
     """Linear tetrahedra inside closed triangles: the nodes (n, 3) in use and elements (e, 4)."""
     import pytetwild
 
@@ -203,7 +214,7 @@ def from_flat(gel: Gel, nodes: np.ndarray, tets: np.ndarray) -> GelMesh:
     nodes, elements, midside = second_order(nodes, tets)
     nodes[:, 2] = bend(gel, nodes)
 
-    def whole(corners):
+    def whole(corners: np.ndarray) -> np.ndarray:
         middles = [[midside[min(a, b), max(a, b)] for a, b in ((f[0], f[1]), (f[1], f[2]), (f[2], f[0]))]
                    for f in corners.tolist()]  # fmt: skip
         return np.concatenate([corners, np.array(middles)], axis=1).astype(np.int32)
