@@ -27,7 +27,7 @@ MAKEFLAGS += -rR --warn-undefined-variables --output-sync=target
 .DELETE_ON_ERROR:
 SHELL := bash
 .SHELLFLAGS := -euo pipefail -c
-export PYTHONPATH := $(CURDIR)
+export PYTHONPATH := $(CURDIR):$(CURDIR)/src
 EXECUTOR ?= slurm
 DATASET ?= lab
 SHARDS ?= 0 1 2 3
@@ -123,7 +123,7 @@ def lay_project(folder: Path, **settings) -> Path:
     """Lay a small project with the flow's Slurm rules over trivial work; `settings` change [default] of its profile."""
     for name in ("runs", "faults", "workflow"):
         (folder / name).mkdir(parents=True)
-    for name in ("rules", ".venv"):
+    for name in ("rules", "src", ".venv"):
         (folder / name).symlink_to(ROOT / name)
     write_text(folder / "Makefile", MAKEFILE)
     write_text(folder / "work.py", WORK)
@@ -194,7 +194,7 @@ def bare_seconds(folder: Path, count: int) -> float:
         "log.csv",
     ]
     started = time.monotonic()
-    environment = {**clean_environment(), "PYTHONPATH": str(folder)}
+    environment = {**clean_environment(), "PYTHONPATH": f"{folder}:{folder / 'src'}"}
     subprocess.run(command, input=names, text=True, cwd=folder, env=environment, check=True)
     return time.monotonic() - started
 

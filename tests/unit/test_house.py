@@ -12,7 +12,7 @@ PACKAGE = ROOT / "src" / "gelforge"
 ALLOWED = {
     "flow": set(),
     "records": {"flow"},
-    "geometry": {"flow"},
+    "geometry": {"flow", "records"},
     "mechanics": {"flow", "geometry", "records"},
     "labelling": {"flow", "geometry", "records", "mechanics"},
     "formats": {"flow", "records", "labelling", "mechanics"},

@@ -13,7 +13,7 @@ import pytest
 from parameters import parameters, write_slice
 
 from gelforge.errors import BadInput
-from gelforge.geometry import triangles
+from gelforge.geometry import touch, triangles
 from gelforge.geometry.cropping import cropped
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue
@@ -223,15 +223,15 @@ def test_nearest_finds_a_grazing_touch(root):
     # at the crown the tip is the only point to touch; the finer samples miss it by 0.0125 mm at most, which is
     # 2e-5 mm of height
     for depth in (-0.01, -0.001):
-        assert poses.nearest(sphere, Press(0.07, 0.11, 0.0, 0, 0, depth - 0.001), Gel()) < 0.0
-    assert poses.nearest(sphere, Press(0.0, 0.0, 0.02, 0, 0, -0.01), Gel()) == pytest.approx(0.01, abs=1e-4)
+        assert touch.nearest(Gel(), sphere, Press(0.07, 0.11, 0.0, 0, 0, depth - 0.001)) < 0.0
+    assert touch.nearest(Gel(), sphere, Press(0.0, 0.0, 0.02, 0, 0, -0.01)) == pytest.approx(0.01, abs=1e-4)
 
 
 def test_nearest_sees_a_touch_that_only_the_shear_brings(root):
     bar = load_catalogue(root / "workflow" / "indenters.toml", ["bar_5"])["bar_5"]
     aside = Press(0.0, 15.5, 0.0, 0.0, -3.0, -1.5)
-    assert poses.nearest(bar, Press(0.0, 15.5, 0.0, 0.0, 0.0, -1.5), Gel()) > 0.0
-    assert poses.nearest(bar, aside, Gel()) < 0.0
+    assert touch.nearest(Gel(), bar, Press(0.0, 15.5, 0.0, 0.0, 0.0, -1.5)) > 0.0
+    assert touch.nearest(Gel(), bar, aside) < 0.0
 
 
 def test_cropped_is_closed_and_ends_where_asked(root):

@@ -4,6 +4,7 @@ Every body stands in its own frame: lowest point on the plane z = 0, body above,
 """
 
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 
@@ -28,6 +29,24 @@ def _with_flat_top(z, height, side, side_gradient, below, below_normal):
     normal[rim, :2] = side_gradient[rim] * (side[rim] / value[rim])[:, None]
     normal[rim, 2] = up[rim] / value[rim]
     return value, normal
+
+
+class Indenter(Protocol):
+    """A rigid body in its own frame: tip on the plane z = 0, body above it, mm."""
+
+    name: str
+
+    def distance(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Signed distance (n,) (negative inside) and unit outward normal (n, 3) at points (n, 3)."""
+
+    def surface(self) -> tuple[np.ndarray, np.ndarray]:
+        """Watertight triangles: vertices (v, 3) float64 and faces (f, 3) int, outward orientation."""
+
+    def __hash__(self) -> int:
+        """Equal bodies are one: what is costly to make of them is kept."""
+
+    def radius(self) -> float:
+        """Largest horizontal distance from the z axis of any point of the body, mm."""
 
 
 class Body:

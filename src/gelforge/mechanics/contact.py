@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from gelforge.geometry.solids import Indenter
 from gelforge.mechanics.element import Pattern, add_block, block_places
 from gelforge.mechanics.mesh import GelMesh
-from gelforge.mechanics.scene import Indenter
 
 FREE, TOUCHING, GLUED = 0, 1, 2
 _CHANGING = ("status", "anchor", "normal", "goal", "fading", "multiplier", "carried")

@@ -11,6 +11,7 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_json
 from gelforge.flow.params.tables import FeaTable, MeshesTable
+from gelforge.geometry import touch
 from gelforge.geometry.gel import Gel
 from gelforge.mechanics.hex.bricks import Bricks, is_bricks
 from gelforge.mechanics.mesh import GelMesh
@@ -127,16 +128,9 @@ class MeshFamily:
 
 def footprint(scene: Scene, spacing: float = 0.25, reach: float = 0.05) -> np.ndarray | None:
     """Largest |x|, |y| (mm) of the undeformed top within `reach` of the indenter on its path; None if none."""
-    gel = scene.gel
-    x = np.arange(-gel.width / 2, gel.width / 2 + spacing, spacing)
-    y = np.arange(-gel.length / 2, gel.length / 2 + spacing, spacing)
-    xx, yy = (a.ravel() for a in np.meshgrid(x, y))
-    points = np.column_stack([xx, yy, gel.top(xx, yy)])
-    touched = np.zeros(len(points), bool)
-    for shear in (0.0, 1.0):
-        rotation, shift = scene.press.pose(1.0, shear)
-        touched |= scene.indenter.distance((points - shift) @ rotation)[0] < reach
-    return np.abs(points[touched, :2]).max(axis=0) if touched.any() else None
+    points, _ = touch.under_path(scene.gel, scene.indenter, scene.press, spacing)
+    met = touch.touched(scene.indenter, scene.press, points, reach)
+    return np.abs(points[met, :2]).max(axis=0) if met.any() else None
 
 
 def choose_mesh(scene: Scene, family: MeshFamily) -> str:

@@ -1,33 +1,15 @@
 """What a fidelity is asked (`Scene`) and what it answers (`Result`)."""
 
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 
 from gelforge.geometry.gel import Gel
+from gelforge.geometry.solids import Indenter
 from gelforge.records.press import Press
 from gelforge.records.status import Status
 
 REFERENCE_C10 = 0.0725  # MPa; every solve runs at this value, forces scale with C10 at fixed Poisson's ratio
-
-
-class Indenter(Protocol):
-    """A rigid body in its own frame: tip on the plane z = 0, body above it, mm."""
-
-    name: str
-
-    def distance(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Signed distance (n,) (negative inside) and unit outward normal (n, 3) at points (n, 3)."""
-
-    def surface(self) -> tuple[np.ndarray, np.ndarray]:
-        """Watertight triangles: vertices (v, 3) float64 and faces (f, 3) int, outward orientation."""
-
-    def __hash__(self) -> int:
-        """Equal bodies are one: what is costly to make of them is kept."""
-
-    def radius(self) -> float:
-        """Largest horizontal distance from the z axis of any point of the body, mm."""
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from gelforge.flow.files import publish, read_json
 from gelforge.flow.main import command, option
 from gelforge.flow.params.slices import ForPoses, read_slice
 from gelforge.flow.params.tables import PosesTable
+from gelforge.geometry import touch
 from gelforge.geometry.cropping import cropped
 from gelforge.geometry.gel import Gel, load_gel
 from gelforge.records.frames import check_frames
@@ -64,38 +65,6 @@ def posed_points(press, points: np.ndarray, fraction: tuple[float, float] = (0.0
     return points @ rotation.T + shift
 
 
-def nearest(body, press, gel: Gel, spacing: float = 0.25) -> float:
-    """Least signed distance, mm, of the undeformed gel's top from the indenter along its path; negative: it touches.
-
-    The top is sampled every `spacing` mm, at the end of the press and along the shear, then ten times finer around
-    the nearest sample; infinite where the indenter is never above the gel.
-    """
-    r = body.radius() + spacing
-    least = np.inf
-    for shear in (0.0, 0.5, 1.0):
-        rotation, shift = press.pose(1.0, shear)
-        low = np.maximum(shift[:2] - r, [-gel.width / 2.0, -gel.length / 2.0])
-        high = np.minimum(shift[:2] + r, [gel.width / 2.0, gel.length / 2.0])
-        for step in (spacing, spacing / 10.0):
-            if np.any(high <= low):
-                break
-            points = _top_points(gel, low, high, step)
-            value = body.distance((points - shift) @ rotation)[0]
-            best = value.argmin()
-            least = min(least, value[best])
-            low = np.maximum(points[best, :2] - step, low)
-            high = np.minimum(points[best, :2] + step, high)
-    return float(least)
-
-
-def _top_points(gel, low, high, step):
-    x, y = (np.linspace(a, b, int(np.ceil((b - a) / step)) + 1) for a, b in zip(low, high, strict=True))
-    x, y = (m.ravel() for m in np.meshgrid(x, y))
-    keep = gel.inside(x, y)
-    x, y = (x[keep], y[keep]) if keep.any() else (x, y)
-    return np.column_stack([x, y, gel.top(x, y)])
-
-
 def geometric_faults(sample: LoggedPress, file: str, body, gel: Gel, params: PosesTable) -> list[Rejection]:
     """Rejections of a press that never touches the gel or leaves what it can represent."""
     press = sample.press
@@ -109,7 +78,7 @@ def geometric_faults(sample: LoggedPress, file: str, body, gel: Gel, params: Pos
     if depth > limit:
         remedy = f"the tip ends {depth:.3g} mm below the crown, {limit:.3g} are allowed; check z0_mm and dz_mm"
         return [reject(sample, file, "dz_mm", "the press is deeper than the gel allows", remedy)]
-    clear = nearest(body, press, gel)
+    clear = touch.nearest(gel, body, press)
     if clear >= 0.0:
         where = f"stays {clear:.3g} mm clear of" if np.isfinite(clear) else "is never above"
         remedy = f"it {where} the gel, whose crown is the origin; check x0_mm, y0_mm, z0_mm and dz_mm"

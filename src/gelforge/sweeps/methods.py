@@ -9,6 +9,7 @@ import numpy as np
 from gelforge.flow.params.slices import ForPareto, ForStability
 from gelforge.flow.params.tables import FeaTable, ParetoTable, QuickTable
 from gelforge.mechanics.family import MeshFamily
+from gelforge.mechanics.hex.settings import HexSettings, quality
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.scene import Result, Scene
 from gelforge.sweeps import references as meshes
@@ -107,15 +108,13 @@ def prepare(
     return _prepare_ccx(method, scene, fine, folder, params, work)
 
 
-def hex_settings(method: Method, fea: FeaTable):
+def hex_settings(method: Method, fea: FeaTable) -> HexSettings:
     """Settings of a method that runs the in-process solver; `fea` is the table of the fea stage."""
-    from gelforge.mechanics.hex import solver as engine
-
     if method.size is None:
         named = method.name.removeprefix("hex-").removesuffix("-quality")
-        return engine.quality(fea.hex_quality if method.name == "hex-label" else named)
+        return quality(fea.hex_quality if method.name == "hex-label" else named)
     # `across` would shrink the bricks under small contacts: a density series holds their size
-    return engine.HexSettings(size=method.size, layers=method.layers, press_steps=method.steps,
+    return HexSettings(size=method.size, layers=method.layers, press_steps=method.steps,
                               shear_steps=(method.steps + 1) // 2, across=0)  # fmt: skip
 
 

@@ -1,0 +1,155 @@
+"""Whether, when and where an indenter meets the undeformed gel on its path: the one place that looks.
+
+Path parameter: 0 to 1 the press, 1 to 2 the way sideways; below 0 the press goes on upwards.
+"""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from gelforge.geometry.gel import Gel
+from gelforge.geometry.solids import Indenter
+from gelforge.records.press import Press
+
+PRESSED = (1.0, 1.25, 1.5, 1.75, 2.0)  # where a path is looked at once it is at its depth
+ON_THE_WAY = (0.0, 0.5, 1.0, 1.5, 2.0)
+EDGE_STEP, MOST_ON_EDGE = 0.1, 200  # mm between points on an indenter's edges, and how many at most
+CLOSER = 10.0  # how much finer the nearest place is looked at
+
+
+def pose_at(press: Press, t: float) -> tuple[np.ndarray, np.ndarray]:
+    """Rotation (3, 3) and translation (3,) mm of the indenter at path parameter t."""
+    return press.pose(min(t, 1.0), max(t - 1.0, 0.0))
+
+
+def gap(indenter: Indenter, press: Press, points: np.ndarray, t: float) -> np.ndarray:
+    """Signed distance (m,) mm of points (m, 3) to the indenter at path parameter t."""
+    rotation, translation = pose_at(press, t)
+    return indenter.distance((points - translation) @ rotation)[0]
+
+
+def top_points(gel: Gel, low: np.ndarray, high: np.ndarray, spacing: float) -> tuple[np.ndarray, tuple[int, int]]:
+    """Points (m, 3) of the undeformed top in a rectangle low (2,) to high (2,), and how many along x and y.
+
+    They are `spacing` mm apart or a little less. The rectangle is cut to the gel's; none where they do not meet.
+    """
+    half = np.array([gel.width, gel.length]) / 2.0
+    low, high = np.maximum(low, -half), np.minimum(high, half)
+    if np.any(high <= low):
+        return np.empty((0, 3)), (0, 0)
+    counts = np.maximum(2, np.ceil((high - low) / spacing).astype(int))
+    x, y = np.meshgrid(*(np.linspace(low[i], high[i], counts[i]) for i in range(2)), indexing="ij")
+    return np.stack([x.ravel(), y.ravel(), np.asarray(gel.top(x, y), float).ravel()], axis=1), (counts[0], counts[1])
+
+
+def under_path(
+    gel: Gel, indenter: Indenter, press: Press, spacing: float, times: Sequence[float] = ON_THE_WAY
+) -> tuple[np.ndarray, tuple[int, int]]:
+    """`top_points` below and around the indenter on its path, as far as its radius reaches."""
+    reach = indenter.radius() + spacing
+    places = np.array([pose_at(press, t)[1][:2] for t in times])
+    return top_points(gel, places.min(axis=0) - reach, places.max(axis=0) + reach, spacing)
+
+
+def touched(
+    indenter: Indenter,
+    press: Press,
+    points: np.ndarray,
+    reach: float | np.ndarray = 0.0,
+    times: Sequence[float] = PRESSED,
+) -> np.ndarray:
+    """Which points (m, 3) come within `reach` mm of the indenter somewhere on the path, (m,) bool."""
+    near = np.zeros(len(points), bool)
+    for t in times:
+        near |= gap(indenter, press, points, t) < reach
+    return near
+
+
+def nearest(gel: Gel, indenter: Indenter, press: Press, spacing: float = 0.25) -> float:
+    """Least signed distance, mm, of the undeformed top from the indenter at its depth; negative: it touches.
+
+    The top is looked at every `spacing` mm, then ten times finer around the nearest point; infinite where the indenter
+    is never above the gel.
+    """
+    least = np.inf
+    for t in PRESSED:
+        points = _on_outline(gel, under_path(gel, indenter, press, spacing, (t,))[0])
+        if not len(points):
+            continue
+        value = gap(indenter, press, points, t)
+        best = points[value.argmin(), :2]
+        closer = _on_outline(gel, top_points(gel, best - spacing, best + spacing, spacing / CLOSER)[0])
+        least = min(least, value.min(), gap(indenter, press, closer, t).min(initial=np.inf))
+    return float(least)
+
+
+def _on_outline(gel: Gel, points: np.ndarray) -> np.ndarray:
+    """The points that lie on the gel, whose corners are rounded; all of them where none does."""
+    keep = gel.inside(points[:, 0], points[:, 1])
+    return points[keep] if keep.any() else points
+
+
+def first_touch(gel: Gel, indenter: Indenter, press: Press, spacing: float = 0.2) -> float | None:
+    """Path parameter where the indenter first meets the undeformed gel, or None where it never does.
+
+    Looked for at points of the gel's surface; a blade may pass between these, so where none is met the edges of the
+    indenter's own surface are looked at too.
+    """
+    points, _ = under_path(gel, indenter, press, spacing)
+    if not len(points):
+        return None
+    met = _first_below(lambda t: float(gap(indenter, press, points, t).min()))
+    if met is None:
+        edges = _edge_points(indenter, gel.height)
+        met = _first_below(lambda t: _height(gel, press, edges, t))
+    return met
+
+
+def _first_below(height: Callable[[float], float]) -> float | None:
+    """Path parameter at which a height first falls below zero; None where it never does."""
+    samples = np.concatenate([np.linspace(0.0, 1.0, 5), np.linspace(1.2, 2.0, 5)])
+    inside = np.flatnonzero(np.array([height(t) for t in samples]) < 0.0)
+    if not len(inside):
+        return None
+    high = samples[inside[0]]
+    low = samples[inside[0] - 1] if inside[0] else -1.0
+    for _ in range(30):
+        middle = 0.5 * (low + high)
+        if height(middle) < 0.0:
+            high = middle
+        else:
+            low = middle
+    return float(low)
+
+
+def _edge_points(indenter: Indenter, below: float) -> np.ndarray:
+    """Points (m, 3) on the edges of the indenter's surface, in its frame, on edges that begin lower than `below` mm."""
+    vertices, faces = indenter.surface()
+    edges = np.unique(np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1), axis=0)
+    begin, end = vertices[edges[:, 0]], vertices[edges[:, 1]]
+    low = np.minimum(begin[:, 2], end[:, 2]) < below
+    begin, end = begin[low], end[low]
+    counts = np.clip(np.ceil(np.linalg.norm(end - begin, axis=1) / EDGE_STEP).astype(int), 1, MOST_ON_EDGE)
+    which = np.repeat(np.arange(len(begin)), counts)
+    share = (np.arange(len(which)) - np.repeat(np.cumsum(counts) - counts, counts) + 0.5) / counts[which]
+    return np.concatenate([begin, end, begin[which] + share[:, None] * (end - begin)[which]])
+
+
+def _height(gel: Gel, press: Press, points: np.ndarray, t: float) -> float:
+    """Least height, mm, of points of the indenter over the undeformed gel below them; 1e9 beside the gel."""
+    rotation, translation = pose_at(press, t)
+    x, y, z = (points @ rotation.T + translation).T
+    over = (np.abs(x) <= gel.width / 2) & (np.abs(y) <= gel.length / 2)
+    return float(np.min(z[over] - gel.top(x[over], y[over]), initial=1e9))
+
+
+def width_of(touched: np.ndarray, spacing: tuple[float, float]) -> float:
+    """Width in mm of a figure on a grid, touched (nx, ny) bool, cells of spacing mm: four times area over perimeter.
+
+    The diameter of a disc, the side of a square, twice the wall of a thin ring; perimeters of slanted edges count
+    4 / pi times too long on average, which is taken back.
+    """
+    padded = np.pad(touched, 1)
+    along = [np.count_nonzero(np.diff(padded.astype(np.int8), axis=axis)) for axis in (0, 1)]
+    perimeter = (along[0] * spacing[1] + along[1] * spacing[0]) * np.pi / 4.0
+    return 4.0 * np.count_nonzero(touched) * spacing[0] * spacing[1] / perimeter
