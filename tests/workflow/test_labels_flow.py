@@ -81,6 +81,18 @@ def test_a_deleted_shard_is_made_again(folder):
     assert not built(run(folder, "labels", "RES=6x8"))
 
 
+@pytest.mark.parametrize(
+    "damage", [lambda data: b"", lambda data: data[: len(data) // 2], lambda data: data[:-9] + b"!" + data[-8:]]
+)
+def test_a_damaged_shard_is_made_again_by_who_reads_it(folder, damage):
+    run(folder, "labels", "RES=6x8")
+    shard = folder / "results/made/50_labels/6x8/0000.npz"
+    kept = shard.read_bytes()
+    shard.write_bytes(damage(kept))
+    assert "0000.npz: not as it was when it was made; making it again" in run(folder, "dataset", "RES=6x8")
+    assert shard.read_bytes() == kept
+
+
 def test_a_changed_value_remakes_labels_only(folder):
     run(folder, "labels", "RES=6x8")
     params = folder / "workflow/params.toml"

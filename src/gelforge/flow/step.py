@@ -144,8 +144,10 @@ def heal(path: Path) -> int:
     lost = damaged_beside(path) if whole(path, made) else path.name
     if lost is None:
         return 0
-    print(f"{path.with_name(lost)}: not as it was when it was made; making it again", flush=True)
-    path.unlink()
+    damaged = path.with_name(lost)
+    print(f"{damaged}: not as it was when it was made; making it again", flush=True)
+    for gone in (damaged, path):
+        shutil.rmtree(gone) if gone.is_dir() else gone.unlink(missing_ok=True)
     return build(path, [Path(name) for name in made["inputs"]], made["command"])
 
 

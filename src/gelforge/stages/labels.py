@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import write_json
+from gelforge.flow.files import digest_of, write_json
 from gelforge.flow.layout import planned_shards
 from gelforge.flow.main import command, option
 from gelforge.flow.params.slices import ForLabels, read_slice
@@ -210,7 +210,8 @@ def label_folder(args, grid: Grid, sensors: dict, channels) -> dict:
             "failed": totals["failed"] + found["failed"],
         }
         worst = max(worst, found, key=lambda s: s["worst_outside_share"])
-    return {**totals, **{key: worst[key] for key in ("worst_sample", "worst_outside_share")}}
+    digests = {f"{shard}.npz": digest_of(folder / f"{shard}.npz") for shard in shards}
+    return {**totals, **{key: worst[key] for key in ("worst_sample", "worst_outside_share")}, "sha256": digests}
 
 
 def up_to_date(out: Path, *sources) -> bool:
