@@ -21,10 +21,9 @@ from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue
 from gelforge.geometry.published import compare_indenter, step_file
 from gelforge.labelling.markers import find_markers
-from gelforge.labelling.sensor import load_sensors
+from gelforge.stages.rig import units_of
 from gelforge.virtualrig import likeness as measure
 from gelforge.virtualrig.bench import Bench, Pressing
-from gelforge.virtualrig.looks import read_looks
 from gelforge.virtualrig.render import Pressed, Renderer
 from gelforge.virtualrig.rigplan import Order, Plan, generator, orders, read_plan
 from gelforge.virtualrig.surface import field_of, surface_of
@@ -47,11 +46,7 @@ class Rig:
     @classmethod
     def of(cls, plan_path, workflow: Path) -> "Rig":
         plan = read_plan(plan_path)
-        gel, sensors, looks = (
-            Gel(),
-            load_sensors(workflow / "sensors.toml"),
-            read_looks(workflow / "rig" / "sensors.toml"),
-        )
+        gel, (looks, sensors) = Gel(), units_of(plan, workflow)
         names = dict.fromkeys([REFERENCE_UNIT, *plan.sensors])
         cameras = {name: Renderer(looks[name], sensors[name].projection, gel) for name in names}
         return cls(plan, Bench(plan, load_catalogue(workflow / plan.catalogue), gel), cameras)

@@ -15,6 +15,7 @@ from pressed_dataset import SETTINGS, collect, label, write_pressed
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, read_json
+from gelforge.networks.canonical import match_light
 from gelforge.networks.data import open_data
 from gelforge.networks.split import group_presses, split_presses
 
@@ -126,7 +127,8 @@ def test_untouched_sensors_come_along_where_they_were_photographed(tmp_path, roo
     photographed, other = ([i for i, s in enumerate(data.table) if s.press.sensor_id == name] for name in
                            ("mini_b", "mini_a"))  # fmt: skip
     seen = data.seen(photographed, "pair")
-    assert np.array_equal(seen[..., :3], data.images[photographed])
+    lit = [match_light(data.images[i], picture[..., ::-1]).undo(data.images[i]) for i in photographed]
+    assert np.array_equal(seen[..., :3], lit)
     assert (seen[..., 3:] == picture[..., ::-1]).all()
     assert np.array_equal(data.seen(other, "image"), data.images[other])
     with pytest.raises(BadInput, match="nocontact/mini_a.png"):

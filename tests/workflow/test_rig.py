@@ -55,7 +55,7 @@ def test_log_and_images_are_what_the_importer_expects(two):
 
 
 def test_one_press_seen_by_two_sensors_is_carried_out_once(tmp_path):
-    both = 'sensors = ["mini_a"]\neach_sensor = false', 'sensors = ["mini_a", "mini_e"]\neach_sensor = true'
+    both = 'sensors = ["mini_a"]', 'sensors = ["mini_a", "mini_e"]\nseen_by = 2'
     data = run(plan_of(tmp_path, 1, both), tmp_path / "data", ROOT / "workflow")
     one, other = read_csv(data / "log.csv")
     assert [one.pop("sensor_id"), other.pop("sensor_id")] == ["mini_a", "mini_e"]

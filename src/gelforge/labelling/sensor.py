@@ -81,7 +81,12 @@ def load_sensors(path) -> dict[str, Sensor]:
         tables = json.loads(text) if Path(path).suffix == ".json" else tomllib.loads(text)
     except (OSError, ValueError) as error:
         raise BadInput(f"{path}: cannot be read as sensors ({error}); correct it") from error
-    return {name: _sensor(path, name, table) for name, table in tables.items()}
+    return sensors_of(tables, str(path))
+
+
+def sensors_of(tables: dict, where: str) -> dict[str, Sensor]:
+    """Sensors of tables by name; BadInput names a bad entry of file `where` and its field."""
+    return {name: _sensor(where, name, table) for name, table in tables.items()}
 
 
 def find_sensor(sensors: dict, name: str, where: str) -> Sensor:

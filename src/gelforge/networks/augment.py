@@ -6,6 +6,7 @@ import numpy as np
 import torch
 
 from gelforge.flow.params.tables import AugmentTable
+from gelforge.networks.canonical import hidden
 from gelforge.networks.inputs import cell_pixels
 
 # Luma, and the two chroma axes of YIQ (NTSC 1953): hue turns the chroma plane, saturation scales it.
@@ -72,6 +73,49 @@ def shift_together(images, labels, cells: int, generator) -> tuple[np.ndarray, n
     pairs = [(np.roll(image, (pixels * v, pixels * u), (0, 1)), np.roll(label, (v, u), (1, 2)))
              for image, label, (v, u) in moved]  # fmt: skip
     return np.stack([image for image, _ in pairs]), np.stack([label for _, label in pairs])
+
+
+def misplace_untouched(pairs: np.ndarray, settings: AugmentTable, generator) -> np.ndarray:
+    """Shift, turn and zoom the untouched picture of a share of the pairs (n, h, w, 6) uint8, as if the gel sat otherwise.
+
+    Where the gel is held its dots stand still under any force, so these tell the network what to take back.
+    """
+    import cv2
+
+    pairs, (h, w) = np.array(pairs), pairs.shape[1:3]
+    chosen = torch.rand(len(pairs), generator=generator) < settings.misplaced_share
+    drawn = torch.stack([uniform(len(pairs), width, generator) for width in (
+        settings.misplaced_px, settings.misplaced_px, settings.misplaced_deg, settings.misplaced_zoom)], 1)  # fmt: skip
+    for k in torch.nonzero(chosen).flatten().tolist():
+        right, down, turn, zoom = drawn[k].tolist()
+        matrix = cv2.getRotationMatrix2D((w / 2, h / 2), turn, 1.0 + zoom)
+        matrix[:, 2] += right, down
+        behind = np.ascontiguousarray(pairs[k, ..., 3:])
+        pairs[k, ..., 3:] = cv2.warpAffine(behind, matrix, (w, h), borderMode=cv2.BORDER_REPLICATE)
+    return pairs
+
+
+def narrow_views(pairs, labels, settings: AugmentTable, generator) -> tuple[np.ndarray, np.ndarray]:
+    """Hide the rim of a share of the pairs (n, h, w, 6) uint8 and of their labels (n, 3, rows, cols), up to `narrowed`.
+
+    So look pictures of a camera that sees less of the gel once they are brought to the scale of the others: what it does
+    not see is even, and no force is read there.
+    """
+    pairs, labels = np.array(pairs), np.array(labels)
+    cell = cell_pixels(pairs.shape[1:3], labels.shape[2:], "[train.augment] narrowed")
+    rows, cols = labels.shape[2:]
+    chosen = torch.rand(len(pairs), generator=generator) < settings.narrowed_share
+    shares = torch.rand(len(pairs), generator=generator) * settings.narrowed
+    for k in torch.nonzero(chosen).flatten().tolist():
+        v, u = (round(float(shares[k]) * count / 2) for count in (rows, cols))
+        inner = np.s_[v : rows - v, u : cols - u]
+        pixels = np.s_[cell * v : cell * (rows - v), cell * u : cell * (cols - u)]
+        shown, force = pairs[k][pixels].copy(), labels[k][(slice(None), *inner)].copy()
+        pairs[k] = hidden(shown)
+        labels[k] = 0.0
+        pairs[k][pixels] = shown
+        labels[k][(slice(None), *inner)] = force
+    return pairs, labels
 
 
 def mirror_together(images, labels, generator) -> tuple[np.ndarray, np.ndarray]:

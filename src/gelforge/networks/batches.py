@@ -8,10 +8,10 @@ import numpy as np
 import torch
 
 from gelforge.flow.params.tables import TrainingTable
-from gelforge.networks.augment import augment, mirror_together, shift_together
-from gelforge.networks.inputs import network_input
+from gelforge.networks.augment import augment, mirror_together, misplace_untouched, narrow_views, shift_together
+from gelforge.networks.inputs import needs_untouched, network_input
 
-STREAMS = {"order": 0, "augment": 1, "weights": 2, "shift": 3, "mirror": 4}
+STREAMS = {"order": 0, "augment": 1, "weights": 2, "shift": 3, "mirror": 4, "seat": 5, "view": 6}
 
 
 def generator(seed: int, stream: str, *numbers: int) -> torch.Generator:
@@ -48,12 +48,17 @@ def target(labels, norm: dict, total_only: bool) -> torch.Tensor:
 def training_batches(data, norm: dict, settings: TrainingTable, epoch: int, total_only: bool):
     """Yield (input, target) of one epoch, augmented, both in the network's units."""
     order = epoch_order(data.splits["train"], settings.seed, epoch)
-    draw, place, turn = (generator(settings.seed, stream, epoch) for stream in ("augment", "shift", "mirror"))
+    draw, place, turn, seat, view = (
+        generator(settings.seed, stream, epoch) for stream in ("augment", "shift", "mirror", "seat", "view")
+    )
     mirrors = epoch < settings.mirrored_share * settings.epochs
     for start in range(0, len(order), settings.batch):
         # Sorted rows read the mapped file forwards; the order inside a batch changes nothing but rounding.
         rows = np.sort(order[start : start + settings.batch])
         pictures, labels = data.seen(rows, norm["reads"]), data.labels[rows]
+        if needs_untouched(norm["reads"]):
+            pictures = misplace_untouched(pictures, settings.augment, seat)
+            pictures, labels = narrow_views(pictures, labels, settings.augment, view)
         if settings.shift_cells:
             pictures, labels = shift_together(pictures, labels, settings.shift_cells, place)
         if mirrors:

@@ -46,6 +46,17 @@ class Light:
         return cv2.LUT(np.ascontiguousarray(image), table[None])
 
 
+def canonical_pair(image: np.ndarray, untouched: np.ndarray) -> np.ndarray:
+    """An image under the light of the untouched picture, both (h, w, 3) uint8, and that picture behind it, (h, w, 6)."""
+    return np.concatenate([match_light(image, untouched).undo(image), untouched], axis=2)
+
+
+def hidden(shown: np.ndarray) -> np.ndarray:
+    """What stands where a pair (h, w, 6) uint8 shows nothing: the untouched picture's mean colour in both, (6,) uint8."""
+    mean = np.rint(shown[..., 3:].mean(axis=(0, 1))).astype(np.uint8)
+    return np.concatenate([mean, mean])
+
+
 def match_light(image: np.ndarray, untouched: np.ndarray) -> Light:
     """Light of an image against a picture of the untouched sensor, both (h, w, 3) uint8 of one size."""
     import cv2
@@ -57,21 +68,21 @@ def match_light(image: np.ndarray, untouched: np.ndarray) -> Light:
     if believed.mean() < LEAST_SHARE:
         return none
     seen, rest = seen[believed], rest[believed]
+    products = np.hstack([rest, seen, rest * rest, rest * seen])  # what weighted sums are taken of, (n, 12)
     gain, offset = np.median(seen / rest, axis=0), np.zeros(3)
     for _ in range(ROUNDS):
-        off = np.sqrt(((seen - gain * rest - offset) ** 2).sum(axis=1))
-        scale = max(LEAST_SCALE, 1.4826 * float(np.median(off)))
-        weight = np.clip(1.0 - (off / (REACH * scale)) ** 2, 0.0, None)[:, None] ** 2
-        total = weight.sum()
+        off = seen - gain * rest - offset
+        squared = np.einsum("ij,ij->i", off, off)
+        scale = max(LEAST_SCALE, 1.4826 * float(np.sqrt(np.median(squared))))
+        weight = np.maximum(1.0 - squared / (REACH * scale) ** 2, 0.0) ** 2
+        total = float(weight.sum())
         if total <= 0.0:
             return none
-        mean_rest, mean_seen = (weight * rest).sum(axis=0) / total, (weight * seen).sum(axis=0) / total
-        spread = (weight * (rest - mean_rest) ** 2).sum(axis=0) / total
-        along = (weight * (rest - mean_rest) * (seen - mean_seen)).sum(axis=0) / total
-        gain = (along + TIED) / (spread + TIED)
+        mean_rest, mean_seen, squares, crossed = (weight @ products / total).reshape(4, 3)
+        gain = (crossed - mean_rest * mean_seen + TIED) / (squares - mean_rest**2 + TIED)
         offset = mean_seen - gain * mean_rest
     share = float(believed.mean() * (weight > 0.5).mean())
-    residual = float(np.sqrt((weight[:, 0] * off**2).sum() / total))
+    residual = float(np.sqrt(weight @ squared / total))
     if share < LEAST_SHARE or not np.all((gain > 1.0 / MOST_GAIN) & (gain < MOST_GAIN)):
         return none
     return Light(gain, offset, residual, share, True)

@@ -8,6 +8,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_json
+from gelforge.networks.canonical import canonical_pair
 from gelforge.networks.inputs import needs_untouched
 from gelforge.records.samplefile import DatasetSample, read_samples
 
@@ -67,11 +68,12 @@ class Data:
     def seen(self, rows, reads: str) -> np.ndarray:
         """What a network with `reads` (networks.inputs) is given of some rows, uint8 (k, height, width, 3).
 
-        Or (k, height, width, 6), where the untouched sensor stands behind each image.
+        Or (k, height, width, 6), where the untouched sensor stands behind each image, which is brought to its light.
         """
         if not needs_untouched(reads):
             return self.images[rows]
-        return np.concatenate([self.images[rows], self.untouched(rows)], axis=3)
+        pairs = zip(self.images[rows], self.untouched(rows), strict=True)
+        return np.stack([canonical_pair(image, untouched) for image, untouched in pairs])
 
     def presses(self, rows) -> np.ndarray:
         """What tells the presses of some rows apart, (k,): several images may show one; where unknown, none does."""

@@ -114,6 +114,14 @@ def write_png(path: str | Path, image: np.ndarray, compression: int | None = Non
         ) from error
 
 
+def as_jpeg(image: np.ndarray, quality: int) -> np.ndarray:
+    """An image (h, w, 3) uint8 RGB as it comes back from JPEG of a quality from 1 to 100."""
+    import cv2
+
+    _, coded = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return decode(coded.tobytes(), "an image just coded")
+
+
 def bad_image(press: PressRecord, file: str, folder: str | Path, size: tuple[int, int]) -> Rejection | None:
     """Why a press's image cannot be used; `folder` is the dataset's, `size` the sensor's width and height."""
 

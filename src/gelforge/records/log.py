@@ -218,7 +218,7 @@ def unknown_names(press: PressRecord, file: str, sensors: Iterable[str], indente
     """Rejections of a sensor or an indenter that its catalogue does not have."""
     wrong = []
     for column, name, known, where in (
-        ("sensor_id", press.sensor_id, list(sensors), "no such sensor in workflow/sensors.toml"),
+        ("sensor_id", press.sensor_id, list(sensors), "no such sensor in workflow/sensors.toml or the dataset's own"),
         ("indenter", press.indenter, list(indenters), "no such indenter in the dataset's catalogue"),
     ):
         if name not in known:

@@ -229,13 +229,13 @@ def chart_lists(params: Params, scenes: dict) -> dict[str, list[str]]:
 
 
 def read_catalogues(
-    rows: list[RawRow], catalogue: Path, workflow: Path, params: Params
+    rows: list[RawRow], catalogue: Path, workflow: Path, known: dict, params: Params
 ) -> tuple[dict[str, dict], list[Path]]:
-    """What of the sensors and indenters a dataset and its charts use, by slice, and the files that this depends on."""
+    """What of the `known` sensors and the indenters a dataset and its charts use, by slice, and files this depends on."""
     sensors = named(rows, "sensor_id") | {params.pareto.sensor}
     indenters = used(config.read_toml(catalogue), named(rows, "indenter"))
     indenters, shapes = with_content(indenters, workflow)
-    tables = {"sensors": used(config.read_toml(workflow / "sensors.toml"), sensors), "indenters": indenters}
+    tables = {"sensors": used(known, sensors), "indenters": indenters}
     return tables, [catalogue, *shapes]
 
 
@@ -260,9 +260,10 @@ def check_gel(file: Path, of: DatasetFile, mesh_gel: str, sensors: dict[str, dic
             )
 
 
-def check_dataset(file: Path, of: DatasetFile, params: Params, rows: list[RawRow], workflow: Path) -> None:
+def check_dataset(
+    file: Path, of: DatasetFile, params: Params, rows: list[RawRow], workflow: Path, sensors: dict
+) -> None:
     """Refuse settings that name a sensor, an indenter or a gel that there is not, or that is not the log's."""
-    sensors = config.read_toml(workflow / "sensors.toml")
     where = f"{file}: [params.dataset]"
     check_names(
         f"{where} unseen_indenters", params.dataset.unseen_indenters, config.read_toml(workflow / of.catalogue)
@@ -305,8 +306,9 @@ def main(args: Namespace) -> None:
     scenes = read_tables(args.workflow)
     of = config.read_dataset_file(dataset_toml)
     rows = logged_rows(args.data / "log.csv", of.sensor)
-    tables, read = read_catalogues(rows, args.workflow / of.catalogue, args.workflow, params)
-    check_dataset(dataset_toml, of, params, rows, args.workflow)
+    sensors = config.read_sensor_tables(args.workflow, args.data)
+    tables, read = read_catalogues(rows, args.workflow / of.catalogue, args.workflow, sensors, params)
+    check_dataset(dataset_toml, of, params, rows, args.workflow, sensors)
     meshes = required_meshes(params.fea, params.meshes)
     lists = {"MESHES": meshes, "BRANCHES": list(params.report.branches)} | chart_lists(params, scenes)
     lists["REPORT_MODEL"] = reported_model(params, config.read_toml(args.workflow / "models.toml"))

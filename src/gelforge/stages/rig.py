@@ -14,10 +14,19 @@ from gelforge.flow.params import overlaid
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue, read_catalogue
-from gelforge.labelling.sensor import load_sensors
-from gelforge.virtualrig.looks import read_looks
+from gelforge.labelling.sensor import Sensor, load_sensors
+from gelforge.virtualrig.looks import Look, read_looks
 from gelforge.virtualrig.rigplan import Order, Plan, check_names, generator, orders, read_plan
-from gelforge.virtualrig.writer import Dataset, image_name, logged, save_image, surface_name, truth_row
+from gelforge.virtualrig.units import draw_units
+from gelforge.virtualrig.writer import (
+    Dataset,
+    image_name,
+    logged,
+    save_image,
+    surface_name,
+    truth_row,
+    write_sensors,
+)
 
 VERSION = 2
 CAMERA = 2  # purpose of a generator: noise of the first camera that sees a press; the others follow
@@ -39,7 +48,7 @@ class Worker:
         gel = Gel()
         self.plan, self.folder, self.gel = plan, folder, gel
         self.bench = Bench(plan, load_catalogue(workflow / plan.catalogue, plan.indenters), gel)
-        sensors, looks = load_sensors(workflow / "sensors.toml"), read_looks(workflow / "rig" / "sensors.toml")
+        looks, sensors = units_of(plan, workflow)
         self.cameras = {name: Renderer(looks[name], sensors[name].projection, gel) for name in plan.sensors}
 
     def carry_out(self, orders: list[Order], solved: bool) -> list[tuple]:
@@ -98,6 +107,9 @@ def run(plan_path, data="data", workflow="workflow", jobs: int = 1) -> Path:
     dataset = Dataset(folder, plan)
     dataset.check_same_plan()
     dataset.begin()
+    if plan.units is not None:
+        _, sensors = draw_units(plan.units, workflow / "rig", plan.seed)
+        write_sensors(folder / "sensors.toml", sensors)
     _no_contact_images(plan, workflow, folder)
     todo = _by_press(dataset, orders(plan))
     new, drawn, failed = 0, 0, []
@@ -128,12 +140,20 @@ def _by_press(dataset: Dataset, every: list[Order]) -> list[tuple[list[Order], b
 def check(plan_path, workflow: Path) -> Plan:
     """Everything that can be refused before a file is written."""
     plan = read_plan(plan_path)
-    sensors = load_sensors(workflow / "sensors.toml")
-    looks = read_looks(workflow / "rig" / "sensors.toml")
+    looks, sensors = units_of(plan, workflow)
     check_names(plan, read_catalogue(workflow / plan.catalogue), sensors, looks, plan_path)
     load_catalogue(workflow / plan.catalogue, plan.indenters)
     overlaid(workflow, plan.params, str(plan_path))
     return plan
+
+
+def units_of(plan: Plan, workflow: Path) -> tuple[dict[str, Look], dict[str, Sensor]]:
+    """Looks and sensors by name: those of workflow/, and those that the plan draws."""
+    looks, sensors = read_looks(workflow / "rig" / "sensors.toml"), load_sensors(workflow / "sensors.toml")
+    if plan.units is None:
+        return looks, sensors
+    drawn_looks, drawn_sensors = draw_units(plan.units, workflow / "rig", plan.seed)
+    return looks | drawn_looks, sensors | drawn_sensors
 
 
 def _pool(jobs: int, plan, workflow, folder):
@@ -172,7 +192,7 @@ def _no_contact_images(plan, workflow, folder) -> None:
 
     from gelforge.virtualrig.render import Renderer
 
-    sensors, looks = load_sensors(workflow / "sensors.toml"), read_looks(workflow / "rig" / "sensors.toml")
+    looks, sensors = units_of(plan, workflow)
     for name in missing:
         camera = Renderer(looks[name], sensors[name].projection, Gel())
         save_image(

@@ -15,6 +15,18 @@ TERMS = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]
 
 
 @dataclass(frozen=True)
+class Drift:
+    """How a unit's light differs from picture to picture, each drawn evenly between two bounds.
+
+    gain: relative, and offset: grey levels, of each colour; field: relative change towards the image's sides.
+    """
+
+    gain: tuple[float, float]
+    offset: tuple[float, float]
+    field: tuple[float, float]
+
+
+@dataclass(frozen=True)
 class Look:
     """Appearance of one sensor; lengths in px unless named mm, colours in the order red, green, blue.
 
@@ -26,7 +38,9 @@ class Look:
     dots: (n, 2) centres, counted from the image's corner like projections. ink: (3,) what an ink dot still
     reflects; flecks: (3,) how much brighter its bare spots are. shadow_depth and shadow_length: the coloured
     penumbra beside each dot. noise: (3,) standard deviation in grey levels. camera_mm: height of the pinhole
-    below the gel's crown, which sets how much a pressed part looks larger.
+    below the gel's crown, which sets how much a pressed part looks larger. specks: marks of dust and scratches.
+    drift: of the light from picture to picture. shade: (3,) relative change of each colour's light per mm by which the
+    gel is pressed in on average. jpeg: quality of a camera that compresses, 0 for one that does not.
     """
 
     name: str
@@ -51,6 +65,10 @@ class Look:
     shadow_depth: float
     shadow_length: np.ndarray
     seed: int
+    specks: int = 0
+    drift: Drift | None = None
+    shade: np.ndarray | None = None
+    jpeg: int = 0
 
     def light_field(self) -> np.ndarray:
         """Image of the evenly lit, dotless, unloaded gel, (240, 320, 3) float32 grey levels."""

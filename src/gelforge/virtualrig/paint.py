@@ -24,6 +24,8 @@ def printed(look: Look, rng: np.random.Generator) -> np.ndarray:
         shadow = look.shadow_depth * _smeared(cover, -look.light[colour], look.shadow_length[colour] * SUPER)
         ink = (1.0 - look.ink[colour] - look.flecks[colour] * fleck) * cover
         out[..., colour] = 1.0 - np.maximum(ink, shadow * (1.0 - look.ink[colour]) * (1.0 - cover))
+    for _ in range(look.specks):
+        _add_speck(out, rng)
     return cv2.GaussianBlur(out, (0, 0), look.blur * SUPER) if look.blur > 0 else out
 
 
@@ -55,6 +57,18 @@ def _print_dot(cover, fleck, centre, look: Look, rng: np.random.Generator) -> No
     cover[window] = np.maximum(cover[window], inside)
     bright = np.clip(spots[y0 - top : y1 - top, x0 - left : x1 - left] / (spots.std() + 1e-9) - 0.8, 0.0, 1.5)
     fleck[window] = np.maximum(fleck[window], bright)
+
+
+def _add_speck(out: np.ndarray, rng: np.random.Generator) -> None:
+    """A grain of dust or a short scratch, darker or brighter than the gel around it."""
+    middle = rng.uniform((0, 0), out.shape[1::-1])
+    angle = rng.uniform(0, np.pi)
+    half = rng.uniform(0.2, 3.0) * SUPER * np.array([np.cos(angle), np.sin(angle)])
+    start, end = (np.rint(middle + sign * half).astype(int).tolist() for sign in (-1, 1))
+    mark = cv2.line(
+        np.zeros(out.shape[:2], np.float32), start, end, 1.0, int(rng.uniform(0.5, 2.0) * SUPER), cv2.LINE_AA
+    )
+    out *= (1.0 + rng.uniform(-0.5, 0.25) * mark)[..., None]
 
 
 def _smeared(cover: np.ndarray, direction: np.ndarray, length: float) -> np.ndarray:

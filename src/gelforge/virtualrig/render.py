@@ -7,7 +7,8 @@ import numpy as np
 
 from gelforge.geometry.gel import Gel
 from gelforge.mechanics.scene import Press
-from gelforge.virtualrig.looks import HEIGHT, WIDTH, Look
+from gelforge.records.image import as_jpeg
+from gelforge.virtualrig.looks import HEIGHT, WIDTH, Drift, Look, normalised_pixels
 from gelforge.virtualrig.paint import MARGIN, printed, sample_position
 from gelforge.virtualrig.surface import FAR, STEP, Field, RoughBody, body_position, unloaded
 
@@ -42,14 +43,13 @@ class Renderer:
         self.axis = np.array(project(self.projection, 0.0, 0.0))
         self.scale = pixels_per_mm(self.projection)
         inner = np.s_[MARGIN : MARGIN + HEIGHT, MARGIN : MARGIN + WIDTH]
-        self.inner_xy = x[inner], y[inner]
-        self.flat_shade = self._shade(self.top[inner].copy())
+        self.inner_xy, self.inner_top = (x[inner], y[inner]), self.top[inner].copy()
+        self.flat_shade = self._shade(self.inner_top)
 
     def image(self, field: Field | None = None, pressed: Pressed | None = None, rng=None) -> np.ndarray:
         """Picture of the deformed gel, (240, 320, 3) uint8 RGB; without `rng` it is free of noise."""
         if field is None:
-            inner = np.s_[MARGIN : MARGIN + HEIGHT, MARGIN : MARGIN + WIDTH]
-            source_u, source_v, height = self.pixel_u, self.pixel_v, self.top[inner].copy()
+            source_u, source_v, height = self.pixel_u, self.pixel_v, self.inner_top
         else:
             source_u, source_v, height = self._trace(field)
         if pressed is not None:
@@ -63,9 +63,15 @@ class Renderer:
         )
         picture = self.light * (self._shade(height) / self.flat_shade)
         picture *= ink
+        if self.look.shade is not None:
+            sunk = float(np.maximum(self.inner_top - height, 0.0).mean())
+            picture *= (1.0 + self.look.shade * sunk).astype(np.float32)
         if rng is not None:
+            if self.look.drift is not None:
+                picture = drifted(picture, self.look.drift, rng)
             picture += self._noise(rng)
-        return np.clip(np.rint(picture, out=picture), 0, 255, out=picture).astype(np.uint8)
+        taken = np.clip(np.rint(picture, out=picture), 0, 255, out=picture).astype(np.uint8)
+        return as_jpeg(taken, self.look.jpeg) if self.look.jpeg else taken
 
     def seen(self, xy: np.ndarray, moved: np.ndarray) -> np.ndarray:
         """Pixels (n, 2) at which gel points xy (n, 2) mm appear that have moved by (n, 3) mm."""
@@ -153,6 +159,15 @@ class Renderer:
             noise = cv2.GaussianBlur(noise, (0, 0), sigma)
             noise *= np.float32(1.0 / _blur_gain(sigma))
         return noise * self.look.noise.astype(np.float32)
+
+
+def drifted(picture: np.ndarray, drift: Drift, rng: np.random.Generator) -> np.ndarray:
+    """A picture (h, w, 3) under light that differs by a gain, an offset and a smooth field of each colour."""
+    gain, offset, field = (rng.uniform(*bounds, shape) for bounds, shape in (
+        (drift.gain, 3), (drift.offset, 3), (drift.field, (5, 3))))  # fmt: skip
+    s, t = normalised_pixels()
+    shapes = np.stack([s, t, s * t, s**2, t**2], axis=-1) @ field
+    return picture * (1.0 + gain + shapes).astype(np.float32) + offset.astype(np.float32)
 
 
 def _pixels(margin: int) -> tuple[np.ndarray, np.ndarray]:

@@ -1,5 +1,6 @@
 """Plans of the virtual rig: what is pressed where, how often, and what the bench hides."""
 
+import fnmatch
 import json
 from dataclasses import MISSING, asdict, dataclass, fields, replace
 from datetime import datetime, timedelta
@@ -13,6 +14,7 @@ from gelforge.geometry.gel import Gel
 
 EDGE = 2.0  # mm that the tip keeps from the gel's outline
 MOST_FRAMES = 99
+WHO_SEES = 20_000  # purpose of a generator: which sensors see a press
 DEEPEST = 0.7  # share of the gel's height that a press may take
 
 
@@ -44,8 +46,8 @@ class Truth:
 class Kind:
     """One kind of press: `weight` of all presses, drawn evenly from these ranges.
 
-    each_sensor: whether a press is seen by each of `sensors`, a row of the log each, or by one of them. A press takes
-    a second, a further picture of it a hundredth.
+    seen_by: how many of `sensors` see a press, a row of the log each; which ones is drawn anew for every press unless
+    all do. A press takes a second, a further picture of it a hundredth.
     shear: range of the sideways path as a share of the depth. max_force_n: depth is cut where the
     estimated normal force would pass it, as a bench with a load limit does.
     """
@@ -53,13 +55,29 @@ class Kind:
     weight: float
     indenters: tuple[str, ...]
     sensors: tuple[str, ...]
-    each_sensor: bool
     x_mm: tuple[float, float]
     y_mm: tuple[float, float]
     depth_mm: tuple[float, float]
     shear: tuple[float, float]
     rot_deg: tuple[float, float]
     max_force_n: float
+    seen_by: int = 1
+
+
+@dataclass(frozen=True)
+class DrawnUnits:
+    """Virtual sensors drawn from ranges: `known` ones, known_01 and on, and as many `unseen` ones, unseen_01 and on.
+
+    ranges: file in workflow/rig. `sensors` of a kind may name them by a pattern: "known_*" is all known ones.
+    """
+
+    ranges: str
+    known: int
+    unseen: int
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(f"{group}_{k + 1:02d}" for group in ("known", "unseen") for k in range(getattr(self, group)))
 
 
 @dataclass(frozen=True)
@@ -81,12 +99,19 @@ class Plan:
     kinds: tuple[Kind, ...]
     params: dict  # [params.TABLE] of the plan: parameters of the stages, written to dataset.toml
     frames: int = 1
+    units: DrawnUnits | None = None
 
     def identity(self) -> str:
         """Canonical text of everything that a press depends on but the number of presses."""
         told = {key: value for key, value in asdict(self).items() if key != "params"}
+        # as plans were told apart before presses had moments, and sensors could be drawn
         if self.frames == 1:
-            del told["frames"]  # as plans were told apart before presses had moments
+            del told["frames"]
+        if self.units is None:
+            del told["units"]
+        for kind in told["kinds"]:
+            seen_by = kind.pop("seen_by")
+            kind["each_sensor"] = seen_by if 1 < seen_by < len(kind["sensors"]) else seen_by > 1
         return json.dumps({**told, "presses": None}, sort_keys=True)
 
     @property
@@ -127,17 +152,27 @@ def read_plan(path) -> Plan:
     """Read and check a plan's own values; names are checked by `check_names`."""
     path = Path(path)
     raw = read_toml(path)
-    truth = _record(Truth, raw.pop("truth", {}), f"{path}: [truth]")
+    truth = read_record(Truth, raw.pop("truth", {}), f"{path}: [truth]")
     kinds, params = raw.pop("kind", []), raw.pop("params", {})
     if not isinstance(kinds, list) or not kinds:
         raise BadInput(f"{path}: no [[kind]] table; write at least one with indenters, sensors and ranges")
-    made = tuple(_record(Kind, kind, f"{path}: [[kind]] {k + 1}") for k, kind in enumerate(kinds))
-    plan = _record(Plan, {**raw, "truth": truth, "kinds": made, "params": params}, str(path))
+    units = read_record(DrawnUnits, raw.pop("units"), f"{path}: [units]") if "units" in raw else None
+    drawn = units.names if units else ()
+    named = [read_record(Kind, kind, f"{path}: [[kind]] {k + 1}") for k, kind in enumerate(kinds)]
+    made = tuple(replace(kind, sensors=_matching(kind.sensors, drawn)) for kind in named)
+    plan = read_record(Plan, {**raw, "truth": truth, "kinds": made, "params": params, "units": units}, str(path))
+    plan = replace(plan, held_out_sensors=_matching(plan.held_out_sensors, drawn))
     _check_values(plan, path)
     return plan
 
 
-def _record(cls, table: dict, where: str):
+def _matching(asked: tuple[str, ...], drawn: tuple[str, ...]) -> tuple[str, ...]:
+    """Names of sensors, a pattern such as "known_*" replaced by the drawn ones that it matches."""
+    found = [fnmatch.filter(drawn, name) or [name] for name in asked]
+    return tuple(dict.fromkeys(name for names in found for name in names))
+
+
+def read_record(cls, table: dict, where: str):
     known = {f.name: f.type for f in fields(cls)}
     needed = {f.name for f in fields(cls) if f.default is MISSING}
     unknown, missing = sorted(set(table) - set(known)), sorted(needed - set(table))
@@ -208,6 +243,10 @@ def _check_kind(kind: Kind, gel: Gel, where: str) -> None:
         raise BadInput(f"{where}: indenters and sensors must each name at least one")
     if kind.weight <= 0 or kind.max_force_n <= 0:
         raise BadInput(f"{where}: weight {kind.weight} and max_force_n {kind.max_force_n} must be above 0")
+    if not 1 <= kind.seen_by <= len(kind.sensors):
+        raise BadInput(
+            f"{where}: seen_by = {kind.seen_by}: give 1 to {len(kind.sensors)}, as many sensors as it names"
+        )
     for name in ("x_mm", "y_mm", "depth_mm", "shear", "rot_deg"):
         low, high = getattr(kind, name)
         if low > high:
@@ -283,10 +322,10 @@ def orders(plan: Plan) -> list[Order]:
 def _orders_of_press(plan: Plan, index: int, kind: Kind, number: int) -> list[Order]:
     order = _order(plan, index, kind, number)
     seen = [order]
-    if kind.each_sensor:
+    if kind.seen_by > 1:
         seen = [
             replace(order, sample_id=f"{order.press_id}-{unit + 1}", sensor=sensor, unit=unit)
-            for unit, sensor in enumerate(kind.sensors)
+            for unit, sensor in enumerate(_sensors_of_press(plan, index, kind))
         ]
     if plan.frames == 1:
         return seen
@@ -295,6 +334,12 @@ def _orders_of_press(plan: Plan, index: int, kind: Kind, number: int) -> list[Or
         for one in seen
         for k in range(plan.frames)
     ]
+
+
+def _sensors_of_press(plan: Plan, index: int, kind: Kind) -> tuple[str, ...]:
+    """The sensors that see a press, in the order in which the plan names them."""
+    drawn = generator(plan, index, WHO_SEES).choice(len(kind.sensors), kind.seen_by, replace=False)
+    return tuple(kind.sensors[k] for k in sorted(drawn))
 
 
 def _order(plan: Plan, index: int, kind: Kind, number: int) -> Order:

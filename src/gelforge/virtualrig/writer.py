@@ -8,6 +8,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, read_json, write_csv, write_json, write_text
+from gelforge.labelling.sensor import Sensor
 from gelforge.records.image import write_png
 from gelforge.records.log import fixed, read_presses, write_log
 from gelforge.records.press import FORCE, FORCES, MOMENT, POSE, LoggedPress
@@ -100,7 +101,7 @@ def surface_name(order: Order) -> str:
 
 def save_image(path, image: np.ndarray) -> None:
     """Write an RGB image as PNG, whole or not at all."""
-    write_png(path, image, compression=9)
+    write_png(path, image, compression=4)
 
 
 def logged(pressing: Pressing, gel_id: str) -> LoggedPress:
@@ -136,6 +137,16 @@ def describe(plan: Plan) -> str:
     if plan.held_out_sensors:
         params["dataset"] = {"unseen_sensors": list(plan.held_out_sensors)} | params.get("dataset", {})
     return "\n".join(lines + _tables("params", params)) + "\n"
+
+
+def write_sensors(path: Path, sensors: dict[str, Sensor]) -> None:
+    """Write a dataset's own sensors as tables of a sensors.toml."""
+    lines = ["# Virtual units drawn by the rig."]
+    for name, sensor in sensors.items():
+        projection = [[float(f"{value:.9g}") for value in row] for row in sensor.projection]
+        table = {"gel": sensor.gel, "image": list(sensor.image), "projection": projection, "markers": sensor.markers}
+        lines += _tables(name, table)
+    write_text(path, "\n".join(lines) + "\n")
 
 
 def _tables(name: str, table: dict) -> list[str]:

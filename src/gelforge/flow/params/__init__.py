@@ -17,7 +17,7 @@ from gelforge.flow.params.tables import Params
 
 __all__ = [
     "SLICES", "DatasetFile", "Params", "canonical", "cut_slice", "load_params", "nearest", "overlaid", "plain",
-    "read_dataset_file", "read_slice", "read_toml", "stage_version",
+    "read_dataset_file", "read_sensor_tables", "read_slice", "read_toml", "stage_version",
 ]  # fmt: skip
 
 
@@ -55,6 +55,20 @@ def laid_over(base: Any, over: Any) -> Any:
     if not isinstance(base, dict) or not isinstance(over, dict):
         return over
     return base | {key: laid_over(base.get(key), value) for key, value in over.items()}
+
+
+def read_sensor_tables(workflow: Path | str, data: Path | str) -> dict[str, Any]:
+    """Tables of workflow/sensors.toml, and those of data/DATASET/sensors.toml where a dataset brings sensors of its own.
+
+    A sensor that both name raises BadInput: what is known of it stands in one place.
+    """
+    common, own = Path(workflow) / "sensors.toml", Path(data) / "sensors.toml"
+    tables = read_toml(common)
+    brought = read_toml(own) if own.exists() else {}
+    twice = sorted(set(tables) & set(brought))
+    if twice:
+        raise BadInput(f"{own}: {', '.join(twice)} stands in {common}, too; remove one of the two tables")
+    return tables | brought
 
 
 @dataclass(frozen=True)

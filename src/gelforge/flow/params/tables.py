@@ -47,7 +47,7 @@ class ReportTable(ParameterTable):
 
 @dataclass(frozen=True)
 class AugmentTable(ParameterTable):
-    """[train.augment]: how the colours of training images vary."""
+    """[train.augment]: how training images vary."""
 
     probability: Share
     noise: Annotated[float, Within(0.0, 1.0)]
@@ -55,6 +55,12 @@ class AugmentTable(ParameterTable):
     contrast: Share
     saturation: Share
     hue: Annotated[float, Within(0.0, 0.5, "turns")]
+    misplaced_share: Share
+    misplaced_px: Annotated[float, Within(0.0, 1000.0, "px")]
+    misplaced_deg: Annotated[float, Within(0.0, 45.0, "degrees")]
+    misplaced_zoom: Share
+    narrowed_share: Share
+    narrowed: Share
 
 
 @dataclass(frozen=True)

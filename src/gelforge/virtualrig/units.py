@@ -1,0 +1,176 @@
+"""Virtual sensors drawn at random from ranges, so that a network learns what all of them share."""
+
+import zlib
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.flow.params import read_toml
+from gelforge.labelling.sensor import Sensor
+from gelforge.virtualrig.looks import HEIGHT, WIDTH, Drift, Look, dot_centres, read_looks
+from gelforge.virtualrig.rigplan import DrawnUnits, read_record
+
+Range = tuple[float, float]
+ROWS, COLS = 7, 9  # of the dots that a whole view shows
+AZIMUTH = np.array([90.0, 0.0, 270.0])  # degrees of the red, green and blue light
+
+
+@dataclass(frozen=True)
+class UnitRanges:
+    """What differs between units, each drawn evenly between two bounds; the file says where each range comes from.
+
+    Lengths are px unless named mm, light is in grey levels of 255, angles in degrees. Names are those of `looks.Look` and
+    of workflow/rig/sensors.toml. backgrounds: looks whose light is mixed. pitch_mm: distance of the dots on the gel.
+    contrast: of all colours together, drawn evenly in its logarithm; colour_contrast: of each besides.
+    jpeg_share: of the units whose camera compresses, with jpeg_quality.
+    """
+
+    backgrounds: tuple[str, ...]
+    background_scatter: Range
+    tilt: Range
+    azimuth_deg: Range
+    contrast: Range
+    colour_contrast: Range
+    slope_limit: Range
+    brightening: Range
+    camera_mm: Range
+    gain: Range
+    white_balance: Range
+    vignette: Range
+    blur_px: Range
+    noise: Range
+    noise_blur_px: Range
+    scale_px_per_mm: Range
+    perspective: Range
+    rotation_deg: Range
+    shift_px: Range
+    pitch_mm: Range
+    print_shift_px: Range
+    print_turn_deg: Range
+    spread: Range
+    misprint_px: Range
+    diameter_px: Range
+    raggedness: Range
+    ink: Range
+    flecks: Range
+    shadow_depth: Range
+    shadow_px: Range
+    missing_dots: Range
+    specks: Range
+    drift_gain: Range
+    drift_offset: Range
+    drift_field: Range
+    shade_per_mm: Range
+    jpeg_share: float
+    jpeg_quality: Range
+
+
+def draw_units(units: DrawnUnits, rig: Path, seed: int) -> tuple[dict[str, Look], dict[str, Sensor]]:
+    """Looks and sensors of a plan's drawn units, by name; each depends on the seed and its own name alone.
+
+    rig: folder workflow/rig with the ranges and with sensors.toml, whose backgrounds are mixed.
+    """
+    path = rig / units.ranges
+    ranges, known = read_ranges(path), read_looks(rig / "sensors.toml")
+    unknown = [name for name in ranges.backgrounds if name not in known]
+    if unknown:
+        raise BadInput(f"{path}: backgrounds: no look {', '.join(unknown)} in {rig / 'sensors.toml'}")
+    bases = np.array([known[name].background for name in ranges.backgrounds])
+    looks, sensors = {}, {}
+    for name in units.names:
+        draw = Draw(np.random.default_rng([seed, zlib.crc32(name.encode())]), ranges)
+        sensors[name] = draw.sensor(name)
+        looks[name] = draw.look(name, bases, sensors[name])
+    return looks, sensors
+
+
+def read_ranges(path: Path) -> UnitRanges:
+    """Read a file of ranges; one that is incomplete, unknown or runs backwards raises BadInput."""
+    ranges = read_record(UnitRanges, read_toml(path), str(path))
+    for field in fields(ranges):
+        bounds = getattr(ranges, field.name)
+        if field.type == Range and bounds[0] > bounds[1]:
+            raise BadInput(f"{path}: {field.name} = {list(bounds)} runs backwards; write [low, high]")
+    if ranges.contrast[0] <= 0 or ranges.scale_px_per_mm[0] <= 0 or not ranges.backgrounds:
+        raise BadInput(f"{path}: contrast and scale_px_per_mm must be above 0, and backgrounds name a look at least")
+    return ranges
+
+
+class Draw:
+    """One unit's values; each asked for by name, in a fixed order."""
+
+    def __init__(self, rng: np.random.Generator, ranges: UnitRanges):
+        self.rng, self.ranges = rng, ranges
+
+    def of(self, name: str, shape=None):
+        """Values between the bounds of a range."""
+        low, high = getattr(self.ranges, name)
+        return self.rng.uniform(low, high, shape)
+
+    def whole(self, name: str) -> int:
+        """A whole number between the bounds, both included."""
+        low, high = getattr(self.ranges, name)
+        return int(self.rng.integers(round(low), round(high) + 1))
+
+    def sensor(self, name: str) -> Sensor:
+        """Where the camera sees the gel, and the dots that are printed on it."""
+        scale, angle = self.of("scale_px_per_mm"), np.deg2rad(self.of("rotation_deg"))
+        centre = np.array([WIDTH, HEIGHT]) / 2 + self.of("shift_px", 2)
+        cos, sin = scale * np.cos(angle), scale * np.sin(angle)
+        tilt = self.of("perspective", 2)
+        projection = np.array([[sin, -cos, centre[0]], [-cos, -sin, centre[1]], [0.0, 0.0, 1.0]])
+        projection[:2, :2] += np.outer(centre, tilt)  # the crown stays where it is
+        projection[2, :2] = tilt
+        markers = {
+            "rows": ROWS,
+            "cols": COLS,
+            "pitch_px": [float(round(scale * self.of("pitch_mm"), 3)) for _ in range(2)],
+            "centre_px": [float(round(value, 3)) for value in centre + self.of("print_shift_px", 2)],
+            "rotation_deg": float(round(np.rad2deg(angle) + self.of("print_turn_deg"), 3)),
+            "diameter_px": float(round(self.of("diameter_px"), 3)),
+        }
+        return Sensor(name, (WIDTH, HEIGHT), projection, markers=markers)
+
+    def look(self, name: str, bases: np.ndarray, sensor: Sensor) -> Look:
+        """How the unit looks: light, camera, ink; bases: (k, 15, 3) backgrounds to mix."""
+        share = self.rng.dirichlet(np.ones(len(bases)))
+        background = np.einsum("k,kij->ij", share, bases) * (1.0 + self.of("background_scatter", bases[0].shape))
+        angle = np.deg2rad(AZIMUTH + self.of("azimuth_deg") + self.of("azimuth_deg", 3))
+        weakest, strongest = np.log(self.ranges.contrast)
+        contrast = np.exp(self.rng.uniform(weakest, strongest))
+        dots = dict(sensor.markers) | {
+            "spread": self.of("spread", 2),
+            "jitter_px": self.of("misprint_px"),
+            "seed": self.rng.integers(2**31),
+            "missing": self.rng.choice(ROWS * COLS, self.whole("missing_dots"), replace=False),
+        }
+        return Look(
+            name=name,
+            background=background,
+            tilt=self.of("tilt", (3, 2)),
+            white_balance=self.of("white_balance", 3),
+            gain=self.of("gain"),
+            vignette=self.of("vignette"),
+            light=np.stack([np.cos(angle), -np.sin(angle)], axis=1),
+            slope_gain=contrast * self.of("colour_contrast", 3),
+            slope_limit=self.of("slope_limit"),
+            brightening=self.of("brightening", 3),
+            camera_mm=self.of("camera_mm"),
+            blur=self.of("blur_px"),
+            noise=self.of("noise", 3),
+            noise_blur=self.of("noise_blur_px"),
+            dots=dot_centres(dots),
+            diameter=sensor.markers["diameter_px"],
+            raggedness=self.of("raggedness"),
+            ink=self.of("ink", 3),
+            flecks=self.of("flecks", 3),
+            shadow_depth=self.of("shadow_depth"),
+            shadow_length=self.of("shadow_px", 3),
+            seed=int(self.rng.integers(2**31)),
+            specks=self.whole("specks"),
+            drift=Drift(*(getattr(self.ranges, f"drift_{part}") for part in ("gain", "offset", "field"))),
+            shade=self.of("shade_per_mm", 3),
+            jpeg=self.whole("jpeg_quality") if self.rng.random() < self.ranges.jpeg_share else 0,
+        )

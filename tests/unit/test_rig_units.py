@@ -1,0 +1,125 @@
+"""Virtual units that a plan draws from ranges."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gelforge.errors import BadInput
+from gelforge.flow.params import read_sensor_tables
+from gelforge.geometry.gel import Gel
+from gelforge.labelling.markers import find_markers
+from gelforge.labelling.sensor import check_projection, sensors_of
+from gelforge.networks.canonical import match_light
+from gelforge.virtualrig.looks import read_looks
+from gelforge.virtualrig.render import Renderer
+from gelforge.virtualrig.rigplan import DrawnUnits, orders, read_plan
+from gelforge.virtualrig.units import draw_units, read_ranges
+from gelforge.virtualrig.writer import write_sensors
+from tests.conftest import ROOT
+
+RIG = ROOT / "workflow" / "rig"
+SOME = DrawnUnits("units.toml", known=6, unseen=2)
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    return draw_units(SOME, RIG, seed=5)
+
+
+def test_a_unit_depends_on_the_seed_and_its_name_alone(drawn):
+    looks, sensors = drawn
+    more, _ = draw_units(replace(SOME, known=9, unseen=3), RIG, seed=5)
+    other, _ = draw_units(SOME, RIG, seed=6)
+    for name, look in looks.items():
+        assert np.array_equal(look.background, more[name].background) and look.seed == more[name].seed
+        assert not np.array_equal(look.background, other[name].background)
+    assert len({look.gain for look in looks.values()}) == len(looks)
+    assert list(looks) == list(sensors) == list(SOME.names)
+
+
+def test_values_lie_in_their_ranges(drawn):
+    ranges = read_ranges(RIG / "units.toml")
+    for look in drawn[0].values():
+        for name, value in {"slope_limit": look.slope_limit, "gain": look.gain, "ink": look.ink, "shade_per_mm": look.shade,
+                            "noise": look.noise, "specks": look.specks, "brightening": look.brightening}.items():  # fmt: skip
+            low, high = getattr(ranges, name)
+            assert np.all((low <= np.asarray(value)) & (np.asarray(value) <= high)), name
+        assert look.jpeg == 0 or ranges.jpeg_quality[0] <= look.jpeg <= ranges.jpeg_quality[1]
+
+
+def test_dots_are_found_where_the_sensor_has_them(drawn):
+    """What the camera shows is what the sensor's table says: a unit can be calibrated from its untouched picture."""
+    looks, sensors = drawn
+    for name, look in looks.items():
+        sensor = sensors[name]
+        check_projection(sensor.projection, name)
+        picture = Renderer(look, sensor.projection, Gel()).image(rng=np.random.default_rng(1))
+        found = find_markers(picture, sensor.markers["rows"], sensor.markers["cols"], name)
+        whole = {tuple(index) for index in found.index.tolist()}
+        assert found.count >= 0.85 * len(look.dots) and len(whole) == found.count
+        nearest = np.sqrt(((found.points[:, None] - look.dots[None]) ** 2).sum(axis=2)).min(axis=1)
+        assert np.median(nearest) < 0.5, name
+
+
+def test_only_drawn_units_differ_in_light_from_picture_to_picture(drawn):
+    looks, sensors = drawn
+    name = SOME.names[0]
+    calm = replace(looks[name], noise=np.zeros(3), jpeg=0)
+    camera = Renderer(calm, sensors[name].projection, Gel())
+    one, other = (camera.image(rng=np.random.default_rng(k)) for k in (1, 2))
+    assert np.abs(one.astype(int) - other).mean() > 1.0
+    light = match_light(one, other)
+    assert light.known
+    # one gain and one offset a colour take back all but the smooth field
+    assert np.abs(light.undo(one).astype(int) - other).mean() < 0.5 * np.abs(one.astype(int) - other).mean()
+    still = Renderer(replace(calm, drift=None), sensors[name].projection, Gel())
+    assert np.array_equal(*(still.image(rng=np.random.default_rng(k)) for k in (1, 2)))
+    assert all(look.drift is None for look in read_looks(RIG / "sensors.toml").values())
+
+
+def test_sensors_of_a_dataset_are_read_as_they_were_drawn(drawn, tmp_path):
+    (tmp_path / "data").mkdir()
+    write_sensors(tmp_path / "data/sensors.toml", drawn[1])
+    tables = read_sensor_tables(ROOT / "workflow", tmp_path / "data")
+    assert "mini_a" in tables
+    read = sensors_of({name: tables[name] for name in drawn[1]}, "sensors.toml")
+    for name, sensor in drawn[1].items():
+        np.testing.assert_allclose(read[name].projection, sensor.projection, rtol=1e-8)
+        assert read[name].markers == sensor.markers
+    (tmp_path / "data/sensors.toml").write_text("[mini_a]\nimage = [320, 240]\n")
+    with pytest.raises(BadInput, match="mini_a stands in .*sensors.toml, too"):
+        read_sensor_tables(ROOT / "workflow", tmp_path / "data")
+
+
+@pytest.mark.parametrize("old, new, says", [
+    ("scale_px_per_mm = [13.5, 14.5]", "scale_px_per_mm = [14.5, 13.5]", "runs backwards"),
+    ("scale_px_per_mm = [13.5, 14.5]", "scale_px_per_mm = [0, 14.5]", "must be above 0"),
+    ("contrast = [0.32, 1.6]", "contrasts = [0.32, 1.6]", "unknown keys"),
+    ('"mini_d", "mini_e"]', '"mini_d", "mini_z"]', "no look mini_z"),
+    ("noise = [0.8, 2.3]", 'noise = ["a", "b"]', "noise"),
+])  # fmt: skip
+def test_ranges_without_meaning_are_refused(tmp_path, old, new, says):
+    text = (RIG / "units.toml").read_text(encoding="utf-8")
+    assert old in text
+    (tmp_path / "units.toml").write_text(text.replace(old, new), encoding="utf-8")
+    (tmp_path / "sensors.toml").write_text((RIG / "sensors.toml").read_text(encoding="utf-8"), encoding="utf-8")
+    with pytest.raises(BadInput, match=says):
+        draw_units(SOME, tmp_path, seed=1)
+
+
+def test_each_press_is_seen_by_as_many_units_as_asked_for(root):
+    plan = read_plan(RIG / "train.toml")
+    plan = replace(plan, presses=60)
+    seen = {}
+    for order in orders(plan):
+        seen.setdefault(order.press_id, []).append(order.sensor)
+    counts = {len(names) for names in seen.values()}
+    assert counts == {kind.seen_by for kind in plan.kinds}
+    assert all(len(set(names)) == len(names) for names in seen.values())
+    # what is pressed where does not depend on who looks
+    alone = replace(plan, kinds=tuple(replace(kind, seen_by=1) for kind in plan.kinds))
+    places = {order.press_id: (order.x, order.depth) for order in orders(plan)}
+    assert places == {order.press_id: (order.x, order.depth) for order in orders(alone)}
+    with_more = replace(plan, kinds=tuple(replace(kind, seen_by=len(kind.sensors) + 1) for kind in plan.kinds))
+    assert with_more.identity() != plan.identity()
