@@ -17,12 +17,12 @@ from gelforge.flow.files import read_json, write_csv
 from gelforge.flow.main import command, option
 from gelforge.formats.numpy_pickle import read_npy
 from gelforge.labelling.grid import Grid
-from gelforge.labelling.markers import find_markers
 from gelforge.labelling.operator import CORNERS, assemble
 from gelforge.labelling.patch import consistent_loads, exact_cells, irregular_surface
 from gelforge.labelling.sensor import load_sensors
 from gelforge.records.forcefile import SampleForces, write_forces
 from gelforge.records.labelfile import read_labels, to_float32
+from gelforge.records.markers import find_markers
 from gelforge.records.press import POSE
 from tests.benchmarks.figures import Figure, publish_figures
 from tests.parameters import write_slice

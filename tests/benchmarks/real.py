@@ -20,12 +20,12 @@ from gelforge.errors import BadInput
 from gelforge.flow.main import command, option
 from gelforge.flow.progress import progress
 from gelforge.formats.numpy_pickle import read_npy
-from gelforge.labelling.markers import find_blobs
 from gelforge.networks.latency import predict_images
 from gelforge.networks.modelfile import Trained
 from gelforge.networks.still import SETTLING, find_untouched
 from gelforge.networks.use import Untouched, load_for_use, predict_one
 from gelforge.records.image import read_image
+from gelforge.records.markers import find_blobs
 from tests.benchmarks.figures import Figure, publish_figures
 
 EVERY = 3  # every so manyth frame of a film is read

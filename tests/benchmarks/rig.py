@@ -20,7 +20,7 @@ from gelforge.formats.feats import read_sample
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue
 from gelforge.geometry.published import compare_indenter, step_file
-from gelforge.labelling.markers import find_markers
+from gelforge.records.markers import find_markers
 from gelforge.stages.rig import units_of
 from gelforge.virtualrig import likeness as measure
 from gelforge.virtualrig.bench import Bench, Pressing

@@ -24,7 +24,7 @@ ALLOWED = {
 }
 ON_TOP = {"stages", "commands"}  # thin mains, which may use all of the above
 
-LOOSENED = 44  # modules that mypy passes over; lower it as they are mended, never raise it
+LOOSENED = 32  # modules that mypy passes over; lower it as they are mended, never raise it
 
 
 def imports(path: Path) -> set[str]:

@@ -9,11 +9,11 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from gelforge.commands.predict import place_sitting
-from gelforge.labelling.markers import find_blobs, pitch_of
 from gelforge.networks.canonical import match_light
 from gelforge.networks.placement import LEAST_SHIFT, LEAST_TURN, LEAST_ZOOM, RestingDots, common_motion
 from gelforge.networks.use import Untouched, load_for_use, predict_one
 from gelforge.records.image import read_image
+from gelforge.records.markers import find_blobs, pitch_of
 
 SENSORS = ("mini_a", "mini_e")
 INSIDE = 12.0  # px from the edge, a dot and its neighbourhood, where it can still be followed

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from gelforge.commands import predict, sensor
 from gelforge.errors import BadInput
-from gelforge.labelling.markers import pitch_of
 from gelforge.networks.profile import (
     Gain,
     check_same_sensor,
@@ -21,6 +20,7 @@ from gelforge.networks.profile import (
     write_profile,
 )
 from gelforge.networks.use import load_for_use
+from gelforge.records.markers import pitch_of
 
 
 @given(st.floats(0.5, 2.0), st.integers(1, 20), st.integers(0, 2**32 - 1))

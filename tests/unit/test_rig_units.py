@@ -8,9 +8,9 @@ import pytest
 from gelforge.errors import BadInput
 from gelforge.flow.params import read_sensor_tables
 from gelforge.geometry.gel import Gel
-from gelforge.labelling.markers import find_markers
 from gelforge.labelling.sensor import check_projection, sensors_of
 from gelforge.networks.canonical import match_light
+from gelforge.records.markers import find_markers
 from gelforge.virtualrig.looks import read_looks
 from gelforge.virtualrig.render import Renderer
 from gelforge.virtualrig.rigplan import DrawnUnits, orders, read_plan

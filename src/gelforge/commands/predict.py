@@ -17,13 +17,12 @@ import numpy as np
 from gelforge.errors import BadInput, printable
 from gelforge.flow.files import publish, write_csv
 from gelforge.flow.main import command, option, positive
-from gelforge.labelling.markers import find_blobs, pitch_of
-from gelforge.networks.canonical import match_light
 from gelforge.networks.placement import Placement, RestingDots
 from gelforge.networks.profile import check_same_sensor, read_profile
 from gelforge.networks.use import Untouched, fit_size, load_for_use, predict_one
 from gelforge.records.axes import CHANNELS
 from gelforge.records.image import read_image
+from gelforge.records.markers import find_blobs, pitch_of
 
 # Pictures that tell how a gel sits: a single press may drag the whole rim, and would lose true sideways force.
 LEAST_SITTING = 4
@@ -66,11 +65,11 @@ def need_folder(out: Path) -> None:
 
 def place_sitting(untouched: Untouched, images) -> Placement | None:
     """How pictures of one sitting, of any size, lie on the untouched one a user gave; None where none was given."""
-    picture = untouched.known.get("given")
-    if picture is None:
+    if untouched.known.get("given") is None:
         return None
+    picture = untouched.picture("given")
     sized = [fit_size(image, untouched.trained.about["image"])[0] for image in images]
-    lit = [match_light(image, picture).undo(image) for image in sized]
+    lit = [untouched.canonical(image, "given")[0] for image in sized]
     return RestingDots(picture, find_blobs(picture)[0], pitch_of(picture)).place(lit)
 
 

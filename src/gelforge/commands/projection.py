@@ -11,9 +11,9 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import write_json
 from gelforge.flow.main import command, option
 from gelforge.labelling.homography import Fit, fit_homography
-from gelforge.labelling.markers import MarkerGrid, find_markers
 from gelforge.labelling.sensor import Sensor, check_projection, find_sensor, load_sensors, transform
 from gelforge.records.image import read_image, write_png
+from gelforge.records.markers import MarkerGrid, find_markers
 
 POINT_COLUMNS = ["x_mm", "y_mm", "u_px", "v_px"]
 ZOOM = 3  # of the picture, so that lines stay thin beside the pixels

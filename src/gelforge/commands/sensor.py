@@ -12,10 +12,10 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.main import command, option
-from gelforge.labelling.markers import pitch_of
 from gelforge.networks.profile import Gain, check_readings, fit_gain, make_profile, write_profile
 from gelforge.networks.use import Untouched, load_for_use, predict_one
 from gelforge.records.image import read_image
+from gelforge.records.markers import pitch_of
 from gelforge.records.press import check_id, parse_number
 from gelforge.records.table import read_table
 

@@ -1,13 +1,16 @@
-"""The light of a picture brought to that of the untouched sensor's picture.
+"""A pair of pictures as networks read it: under one light, and at the scale of those that they learnt from.
 
 Light drifts between the two pictures of a pair: lamps warm up, a camera sets its exposure anew, a press shades the whole
 gel. A network that reads differences takes that for force. What does not touch tells the drift: most of the picture
 changes by one gain and one offset a colour, and where something touches it changes otherwise.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
+
+from gelforge.errors import BadInput
 
 SMALL = (40, 30)  # width and height in px at which light is compared: dots and noise average out
 ROUNDS = 10  # of iteratively reweighted least squares
@@ -19,6 +22,8 @@ TIED = 4.0  # levels squared of contrast below which a gain is hardly told from 
 LEAST_SHARE = 0.25  # of the picture that must agree, or nothing tells what the light does
 DARK, BRIGHT = 4, 250  # levels between which a camera's answer is believed
 MOST_GAIN = 2.0  # a factor beyond which pictures are not of one sensor under one light
+ZOOMS = (0.5, 1.6)  # between which a picture still shows what a network looks for
+SLACK = 0.02  # of the dots' distance: how well a picture tells it
 
 
 @dataclass(frozen=True)
@@ -44,6 +49,62 @@ class Light:
         levels = np.arange(256, dtype=float)[:, None]
         table = np.clip(np.rint((levels - self.offset) / self.gain), 0, 255).astype(np.uint8)
         return cv2.LUT(np.ascontiguousarray(image), table[None])
+
+
+@dataclass(frozen=True)
+class View:
+    """How pictures of a sensor are scaled about their middle; what such a picture then does not show is `fill`, (3,)."""
+
+    zoom: float
+    fill: tuple[float, float, float]
+
+    def of(self, image: np.ndarray) -> np.ndarray:
+        """The image (h, w, 3) uint8 as a sensor would show it that sees the gel at the network's scale."""
+        import cv2
+
+        if self.zoom == 1.0:
+            return image
+        size = image.shape[1::-1]
+        matrix = np.array([[self.zoom, 0.0, 0.0], [0.0, self.zoom, 0.0]])
+        matrix[:, 2] = (1.0 - self.zoom) * (np.array(size) - 1) / 2
+        return cv2.warpAffine(image, matrix, size, borderMode=cv2.BORDER_CONSTANT, borderValue=self.fill)
+
+    def shown(self, shape: tuple[int, ...]) -> tuple[slice, slice]:
+        """Rows and columns of such a picture (h, w, ...) that show something."""
+        rows, cols = (slice(margin, size - margin) for size, margin in (
+            (size, max(0, math.ceil((1.0 - self.zoom) * size / 2))) for size in shape[:2]))  # fmt: skip
+        return rows, cols
+
+    def match(self, image: np.ndarray, untouched: np.ndarray) -> tuple[np.ndarray, "Light"]:
+        """An image under the light of the untouched picture, both (h, w, 3) uint8 of this view, and what its light was."""
+        inner = self.shown(image.shape)
+        light = match_light(image[inner], untouched[inner])
+        lit = untouched.copy()  # what neither shows is the same in both
+        lit[inner] = light.undo(image[inner])
+        return lit, light
+
+
+WHOLE = View(1.0, (0.0, 0.0, 0.0))
+
+
+def view_of(untouched: np.ndarray, pitch: float, learnt: tuple[float, float]) -> View:
+    """The view of a sensor by its untouched picture (h, w, 3) uint8, whose dots stand `pitch` px apart.
+
+    learnt: least and largest distance of dots in the pictures that the network learnt from. Gels are printed alike, so a
+    camera whose dots stand closer or farther apart sees more or less of the gel. A picture without dots (pitch 0) is
+    left as it is; one that no scale brings near enough raises BadInput.
+    """
+    red, green, blue = np.rint(untouched.mean(axis=(0, 1))).tolist()
+    fill = red, green, blue
+    if pitch == 0.0 or (1 - SLACK) * learnt[0] <= pitch <= (1 + SLACK) * learnt[1]:
+        return View(1.0, fill)
+    zoom = sum(learnt) / 2 / pitch
+    if not ZOOMS[0] <= zoom <= ZOOMS[1]:
+        raise BadInput(
+            f"the dots of the untouched picture stand {pitch:.1f} px apart, the network learnt from {learnt[0]:.0f} to"
+            f" {learnt[1]:.0f}: crop or scale all pictures of this sensor so that its dots stand about as far apart"
+        )
+    return View(zoom, fill)
 
 
 def canonical_pair(image: np.ndarray, untouched: np.ndarray) -> np.ndarray:

@@ -58,12 +58,12 @@ def score(model: dict, statistics: np.ndarray) -> float:
     return float(np.sqrt(scaled @ np.asarray(model["inverse"]) @ scaled / len(scaled)))
 
 
-def fit_to_images(images, train_rows, held_out_rows, most: int = 500) -> dict:
-    """Fit `score`'s reference to at most `most` training and held-out rows of images (n, h, w, 3), evenly picked."""
+def fit_to_images(see, train_rows, held_out_rows, most: int = 500) -> dict:
+    """Fit `score`'s reference to at most `most` training and held-out rows, evenly picked; see(row): (h, w, 3) uint8."""
 
     def described(rows):
         picked = rows[np.linspace(0, len(rows) - 1, min(most, len(rows))).astype(int)]
-        return np.stack([describe(images[row]) for row in picked])
+        return np.stack([describe(see(int(row))) for row in picked])
 
     return fit(described(train_rows), described(held_out_rows))
 

@@ -6,7 +6,9 @@ from typing import Any
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.networks.canonical import WHOLE, Light, view_of
 from gelforge.networks.placement import Placement
+from gelforge.records.markers import pitch_of
 
 LEAST_PULL = 1.0  # N above which a reading that no contact can make is told
 SHIPPED = Path(__file__).parent / "default.pt"
@@ -41,15 +43,19 @@ class Untouched:
 
     picture: (h, w, 3) uint8 RGB of any size, given by the user. sensor: name of a training sensor. With neither,
     each image is read against the training sensor it is nearest to. gain: what all forces are multiplied by
-    (networks.profile).
+    (networks.profile). view: how pictures of the sensor are scaled; those of training sensors are at the right scale.
     """
 
     def __init__(self, trained, picture: np.ndarray | None = None, sensor: str | None = None, gain: float = 1.0):
         self.trained, self.known, self.gain = trained, trained.untouched, gain
+        self.view = WHOLE
         if not trained.needs_untouched:
             self.known = {"": None}
         elif picture is not None:
-            self.known = {"given": fit_size(picture, trained.about["image"])[0]}
+            sized = fit_size(picture, trained.about["image"])[0]
+            self.known = {"given": sized}
+            if "pitch_px" in trained.about:
+                self.view = view_of(sized, pitch_of(sized), trained.about["pitch_px"])
         elif sensor in trained.untouched:
             self.known = {sensor: trained.untouched[sensor]}
         elif sensor or not trained.untouched:
@@ -68,12 +74,22 @@ class Untouched:
             return next(iter(self.known))
         return min(self.known, key=lambda name: distance(image, self.known[name]))
 
+    def picture(self, name: str) -> np.ndarray:
+        """The untouched picture of that name at the network's scale."""
+        return self.view.of(self.known[name])
+
+    def canonical(self, image, name: str, placement: Placement | None = None) -> tuple[np.ndarray, Light]:
+        """An image as the network reads it against the picture of that name, and what its light was."""
+        seen = self.view.of(image)
+        return self.view.match(seen if placement is None else placement.undo(seen), self.picture(name))
+
     def reader(self, name: str):
         """The network for the sensor of that picture."""
         from gelforge.networks.modelfile import Reader
 
         if name not in self._readers:
-            self._readers[name] = Reader(self.trained, self.known[name]).eval()
+            picture = None if self.known[name] is None else self.picture(name)
+            self._readers[name] = Reader(self.trained, picture).eval()
         return self._readers[name]
 
     def rest(self, name: str) -> np.ndarray:
@@ -81,40 +97,38 @@ class Untouched:
         from gelforge.networks.latency import predict_images
 
         if name not in self._rest:
-            self._rest[name] = predict_images(self.reader(name), self.known[name][None])[0]
+            self._rest[name] = predict_images(self.reader(name), self.picture(name)[None])[0]
         return self._rest[name]
 
 
 def predict_one(
     untouched: Untouched, image, placement: Placement | None = None
 ) -> tuple[np.ndarray, np.ndarray, dict]:
-    """Predict an image of any size; return it in the network's size, forces (3, rows, cols), and the judgement.
+    """Predict an image of any size; return it as the network sees it, forces (3, rows, cols), and the judgement.
 
-    A network that reads differences is given the image laid onto the untouched picture by `placement` (None: as it is)
-    and under its light, and what it reads in
-    that picture itself is taken off, as a scale is tared. The judgement is that of networks.statistics.judge, with
-    `untouched`, what picture the image was read against, and `light`, what its light differed by (networks.canonical).
+    A network that reads differences is given the image under the light of the untouched picture, at the scale it learnt,
+    and laid onto that picture by `placement` (None: as it is); what it reads in that picture itself is taken off, as a
+    scale is tared. The judgement is that of networks.statistics.judge, with `untouched`, what picture the image was read
+    against, and `light`, what its light differed by (networks.canonical).
     """
-    from gelforge.networks.canonical import match_light
     from gelforge.networks.latency import predict_images
     from gelforge.networks.statistics import judge
 
     trained = untouched.trained
     image, resized = fit_size(image, trained.about["image"])
     name = untouched.of(image)
-    picture, light, lit = untouched.known[name], None, image
-    if picture is not None:
-        laid = image if placement is None else placement.undo(image)
-        light = match_light(laid, picture)
-        lit = light.undo(laid)
+    picture, light, lit = None, None, image
+    if trained.needs_untouched:
+        picture = untouched.picture(name)
+        lit, light = untouched.canonical(image, name, placement)
     verdict = judge(trained.about["statistics"], lit, picture) | {"untouched": name, "light": light}
     forces = predict_images(untouched.reader(name), lit[None])[0]
-    if picture is not None:
+    if trained.needs_untouched:
         forces = forces - untouched.rest(name)
     forces = forces * np.float32(untouched.gain)
     faults = [resized, verdict["reason"], light_fault(light), pull_fault(forces)]
     reason = "; ".join(filter(None, faults))
-    return image, forces, verdict | {"flag": verdict["flag"] or bool(reason), "reason": reason}
+    return untouched.view.of(image), forces, verdict | {"flag": verdict["flag"] or bool(reason), "reason": reason}
 
 
 def light_fault(light) -> str:

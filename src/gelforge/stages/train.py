@@ -5,7 +5,11 @@ The curve lies inside the model file and, as a table, beside it.
 
 import json
 from argparse import Namespace
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish, read_json, write_csv
@@ -15,7 +19,9 @@ from gelforge.flow.params.schema import Place, parse
 from gelforge.flow.params.slices import ForTrain, read_slice
 from gelforge.flow.params.tables import TrainingTable, TrainTable
 
-VERSION = 5
+VERSION = 6
+# A network that learnt from more sensors is for those that it never saw: their users have untouched pictures of their own.
+MOST_PICTURES = 8
 
 
 def read_models(path) -> dict:
@@ -47,7 +53,6 @@ def identity(about: dict) -> str:
 
 def describe(data, name: str, model: dict, settings: TrainingTable, device: str) -> dict:
     """What a model file says about where its network comes from."""
-    import numpy as np
     import torch
 
     from gelforge.networks.data import data_version
@@ -98,7 +103,7 @@ def train(data, name: str, model: dict, settings: TrainingTable, checkpoint=None
     norm = scales(data, model["kind"] == "resnet", model.get("reads", "image"))
     training = Training(model, settings, norm, about["image"], about["grid"], device)
     fit(training, data, checkpoint, identity(about))
-    statistics = fit_to_images(data.images, data.splits["train"], data.splits["val"])
+    statistics = fit_to_images(sights(data, norm["reads"], settings), data.splits["train"], data.splits["val"])
     if needs_untouched(norm["reads"]):
         pairs = (data.seen([row], norm["reads"])[0] for row in data.splits["val"])
         statistics |= {"largest_distance": largest_distance(pairs)}
@@ -111,7 +116,36 @@ def train(data, name: str, model: dict, settings: TrainingTable, checkpoint=None
         "best_epoch": training.best["epoch"],
         "parameters": parameter_count(training.net),
     }
-    return Trained(training.net.cpu(), about, data.nocontact if needs_untouched(norm["reads"]) else {})
+    if not needs_untouched(norm["reads"]):
+        return Trained(training.net.cpu(), about)
+    about |= learnt_pitch(data)
+    return Trained(training.net.cpu(), about, data.nocontact if len(data.nocontact) <= MOST_PICTURES else {})
+
+
+def sights(data, reads: str, settings: TrainingTable) -> Callable[[int], np.ndarray]:
+    """What a picture that the network reads may look like, by row, (h, w, 3) uint8: every other one of a narrow view."""
+    from gelforge.networks.augment import narrow_views
+    from gelforge.networks.batches import generator
+    from gelforge.networks.inputs import needs_untouched
+
+    narrow = replace(settings.augment, narrowed_share=0.5 if settings.augment.narrowed_share else 0.0)
+
+    def see(row: int) -> np.ndarray:
+        pair = data.seen([row], reads)
+        if needs_untouched(reads):
+            pair, _ = narrow_views(pair, data.labels[[row]], narrow, generator(settings.seed, "view", 0, row))
+        return pair[0, ..., :3]
+
+    return see
+
+
+def learnt_pitch(data) -> dict[str, list[float]]:
+    """Least and largest distance in px of the dots on the untouched sensors that training saw; nothing where none has dots."""
+    from gelforge.records.markers import pitch_of
+
+    names = set(data.names("sensor_id")[data.splits["train"]].tolist())
+    pitches = [pitch for pitch in (pitch_of(data.nocontact[name]) for name in sorted(names)) if pitch]
+    return {"pitch_px": [min(pitches), max(pitches)]} if pitches else {}
 
 
 @command(

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from gelforge.labelling.markers import MarkerGrid, find_markers
 from gelforge.mechanics.hex.hexmesh import interpolate_surface
+from gelforge.records.markers import MarkerGrid, find_markers
 from gelforge.virtualrig.background import dot_free, dot_spots
 from gelforge.virtualrig.looks import HEIGHT, WIDTH
 

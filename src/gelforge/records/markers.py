@@ -84,15 +84,15 @@ def find_blobs(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     level = cv2.threshold((255 * dark).astype(np.uint8), 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU)[0] / 255
     mask = cv2.morphologyEx((dark > level).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     number, label, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
-    found = [_blob(label, dark, k, stats[k]) for k in range(1, number)]
-    found = np.array([blob for blob in found if blob is not None]).reshape(-1, 3)
+    blobs = [_blob(label, dark, k, stats[k]) for k in range(1, number)]
+    found = np.array([blob for blob in blobs if blob is not None]).reshape(-1, 3)
     if len(found):
         typical = np.median(found[:, 2])
         found = found[(found[:, 2] > 0.5 * typical) & (found[:, 2] < 1.7 * typical)]
     return found[:, :2], found[:, 2]
 
 
-def _blob(label, dark, number, stats):
+def _blob(label: np.ndarray, dark: np.ndarray, number: int, stats: np.ndarray) -> tuple[float, float, float] | None:
     """Centre, weighted by darkness, and diameter of a component; None where it is no dot.
 
     Coordinates run from the image's edge, as those of label cells do: a pixel's centre is half a pixel in.
@@ -116,7 +116,7 @@ def pitch_of(picture: np.ndarray) -> float:
     return float(np.median(apart.min(axis=1)))
 
 
-def _steps(points) -> np.ndarray:
+def _steps(points: np.ndarray) -> np.ndarray:
     """The lattice's two steps (2, 2): typical displacement to the nearest neighbour along u, and along v."""
     apart = points[None] - points[:, None]
     distance = np.hypot(*apart.T).T
@@ -133,13 +133,15 @@ def _steps(points) -> np.ndarray:
     return np.array(steps)
 
 
-def _walk(points) -> tuple[np.ndarray, np.ndarray]:
+def _walk(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Walk from dot to dot along the lattice from every start; keep the largest patch: index (n, 2), dot (n,)."""
-    steps, best = _steps(points), {}
+    steps = _steps(points)
+    best: dict[tuple[int, int], int] = {}
     reach = REACH * np.hypot(*steps.T).min()
     unseen = set(range(len(points)))
     while unseen:
-        patch, queue = {}, [(min(unseen), (0, 0))]
+        patch: dict[tuple[int, int], int] = {}
+        queue = [(min(unseen), (0, 0))]
         while queue:
             dot, at = queue.pop()
             if at in patch or dot in patch.values():
@@ -155,13 +157,13 @@ def _walk(points) -> tuple[np.ndarray, np.ndarray]:
     return np.array(list(best)), np.array(list(best.values()))
 
 
-def _model(index, points) -> np.ndarray:
+def _model(index: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Least-squares affine map (3, 2) from (1, col, row) to pixels."""
     design = np.column_stack([np.ones(len(index)), index[:, 1], index[:, 0]])
     return np.linalg.lstsq(design, points, rcond=None)[0]
 
 
-def _complete(points, index, used) -> tuple[np.ndarray, np.ndarray]:
+def _complete(points: np.ndarray, index: np.ndarray, used: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Give the dots that a gap cut off their place on the lattice; drop those that stand off it."""
     for _ in range(3):
         if len(used) < 4 or min(np.ptp(index, axis=0)) < 1:
@@ -170,8 +172,8 @@ def _complete(points, index, used) -> tuple[np.ndarray, np.ndarray]:
         place = (points - model[0]) @ np.linalg.inv(model[1:])
         nearest = np.rint(place).astype(int)
         off = np.abs(place - nearest).max(axis=1)
-        best = {}
-        for dot in np.flatnonzero(off < REACH):
+        best: dict[tuple[int, int], int] = {}
+        for dot in np.flatnonzero(off < REACH).tolist():
             at = nearest[dot, 1], nearest[dot, 0]
             if at not in best or off[dot] < off[best[at]]:
                 best[at] = dot
@@ -179,9 +181,9 @@ def _complete(points, index, used) -> tuple[np.ndarray, np.ndarray]:
     return index, used
 
 
-def _window(index, used, rows, cols) -> tuple[np.ndarray, np.ndarray]:
+def _window(index: np.ndarray, used: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
     """The `rows` x `cols` part of the lattice that holds most dots, counted from its top left dot."""
-    best = np.zeros(len(index), bool)
+    best: np.ndarray = np.zeros(len(index), bool)
     corner = index.min(axis=0)
     for top in range(index[:, 0].min(), max(index[:, 0].max() - rows + 1, index[:, 0].min()) + 1):
         for left in range(index[:, 1].min(), max(index[:, 1].max() - cols + 1, index[:, 1].min()) + 1):
@@ -191,7 +193,7 @@ def _window(index, used, rows, cols) -> tuple[np.ndarray, np.ndarray]:
     return index[best] - corner, used[best]
 
 
-def _measure(rows, cols, index, points, widths) -> MarkerGrid:
+def _measure(rows: int, cols: int, index: np.ndarray, points: np.ndarray, widths: np.ndarray) -> MarkerGrid:
     model = _model(index, points)
     right, down = model[1], model[2]
     fitted = model[0] + index[:, 1:] * right + index[:, :1] * down
@@ -205,7 +207,7 @@ def _measure(rows, cols, index, points, widths) -> MarkerGrid:
     )
 
 
-def _spacing(index, points, axis) -> float:
+def _spacing(index: np.ndarray, points: np.ndarray, axis: int) -> float:
     """Mean distance of dots that are neighbours along rows (axis 1) or columns (axis 0)."""
     at = {tuple(i): k for k, i in enumerate(index.tolist())}
     step = (0, 1) if axis else (1, 0)
