@@ -183,12 +183,12 @@ def _complete(points: np.ndarray, index: np.ndarray, used: np.ndarray) -> tuple[
 
 def _window(index: np.ndarray, used: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
     """The `rows` x `cols` part of the lattice that holds most dots, counted from its top left dot."""
-    best: np.ndarray = np.zeros(len(index), bool)
+    best = np.zeros(0, int)
     corner = index.min(axis=0)
     for top in range(index[:, 0].min(), max(index[:, 0].max() - rows + 1, index[:, 0].min()) + 1):
         for left in range(index[:, 1].min(), max(index[:, 1].max() - cols + 1, index[:, 1].min()) + 1):
-            inside = ((index >= (top, left)) & (index < (top + rows, left + cols))).all(axis=1)
-            if inside.sum() > best.sum():
+            inside = np.flatnonzero(((index >= (top, left)) & (index < (top + rows, left + cols))).all(axis=1))
+            if len(inside) > len(best):
                 best, corner = inside, np.array([top, left])
     return index[best] - corner, used[best]
 
