@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gelforge.errors import BadInput
-from gelforge.networks.canonical import match_light
+from gelforge.networks.canonical import match_light, view_of
 from gelforge.networks.still import MOST, SETTLING, STILL, find_untouched
 from gelforge.networks.use import Untouched, load_for_use, predict_one
 
@@ -133,3 +133,50 @@ def test_a_stream_without_end_is_not_read_for_ever():
     with pytest.raises(BadInput):
         find_untouched(endless(), "camera 0")
     assert len(taken) <= MOST + 1
+
+
+def smooth(seed: int) -> np.ndarray:
+    """A picture without sharp rims, which survives being scaled there and back, (240, 320, 3) uint8."""
+    return cv2.GaussianBlur(gel(seed), (0, 0), 3.0)
+
+
+@given(st.integers(0, 99), st.floats(0.55, 0.95))
+@settings(max_examples=15, deadline=None)
+def test_a_camera_that_sees_less_shows_the_same_where_it_sees(seed, zoom):
+    """A part cut out and enlarged, as a driver that crops does, comes back to where it was; beside it all is even."""
+    whole = smooth(seed)
+    matrix = np.array([[1 / zoom, 0, (1 - 1 / zoom) * 159.5], [0, 1 / zoom, (1 - 1 / zoom) * 119.5]])
+    cropped = cv2.warpAffine(whole, matrix, SIZE[::-1], flags=cv2.INTER_CUBIC)
+    view = view_of(cropped, 32.0 / zoom, (31.0, 33.0))
+    assert view.zoom == pytest.approx(zoom)
+    back, inner = view.of(cropped), view.shown(SIZE)
+    assert np.abs(back[inner].astype(int) - whole[inner])[2:-2, 2:-2].max() <= 4
+    hidden = np.ones(SIZE, bool)
+    hidden[inner] = False
+    hidden = cv2.erode(hidden.astype(np.uint8), np.ones((5, 5), np.uint8)).astype(bool)
+    assert hidden.any() and (back[hidden] == np.rint(cropped.mean(axis=(0, 1)))).all()
+
+
+def test_a_camera_of_the_learnt_scale_or_without_dots_is_left_as_it_is():
+    for pitch in (31.0, 32.0, 33.0, 33.5, 0.0):
+        view = view_of(gel(0), pitch, (31.0, 33.0))
+        assert view.zoom == 1.0 and view.of(gel(1)) is not None
+        assert np.array_equal(view.of(gel(1)), gel(1)) and view.shown(SIZE) == (slice(0, 240), slice(0, 320))
+    for pitch in (15.0, 80.0):
+        with pytest.raises(BadInput, match=f"stand {pitch:.1f} px apart, the network learnt from 31 to 33"):
+            view_of(gel(0), pitch, (31.0, 33.0))
+
+
+@given(st.integers(0, 99), st.floats(0.8, 1.2), st.floats(-6, 6))
+@settings(max_examples=15, deadline=None)
+def test_light_is_found_in_what_a_narrow_view_shows(seed, gain, offset):
+    """The even rim is no evidence of equal light, and stays even whatever the light does."""
+    view = view_of(gel(seed), 44.0, (31.0, 33.0))
+    rest = view.of(gel(seed))
+    seen = view.of(np.clip(np.rint(gain * gel(seed).astype(float) + offset), 0, 255).astype(np.uint8))
+    lit, light = view.match(seen, rest)
+    assert light.known and np.abs(light.gain - gain).max() < 0.03
+    assert np.abs(lit.astype(float) - rest).mean() < 1.0
+    outside = np.ones(SIZE, bool)
+    outside[view.shown(SIZE)] = False
+    assert np.array_equal(lit[outside], rest[outside])

@@ -15,7 +15,15 @@ from parameters import parameters, with_values
 from synthetic_presses import SETTINGS, write_dataset
 
 from gelforge.errors import BadInput
-from gelforge.networks.augment import RGB_TO_YIQ, augment, colour_matrices, mirror_together, shift_together
+from gelforge.networks.augment import (
+    RGB_TO_YIQ,
+    augment,
+    colour_matrices,
+    mirror_together,
+    misplace_untouched,
+    narrow_views,
+    shift_together,
+)
 from gelforge.networks.batches import Ahead, epoch_order
 from gelforge.networks.data import open_data, scales
 from gelforge.networks.inputs import network_input
@@ -152,6 +160,39 @@ def test_the_untouched_sensor_is_coloured_as_its_image():
     torch.testing.assert_close(changed[:, :3], augment(image, settings, torch.Generator().manual_seed(2)))
     noisy = augment(torch.cat([image, image], 1), replace(settings, noise=0.1), torch.Generator().manual_seed(2))
     assert not torch.equal(noisy[:, :3], noisy[:, 3:])
+
+
+def test_a_misplaced_untouched_picture_leaves_the_image_alone():
+    pairs = np.random.default_rng(0).integers(0, 255, (6, 24, 32, 6), np.uint8)
+    still = replace(SETTINGS.augment, misplaced_share=0.0)
+    assert np.array_equal(misplace_untouched(pairs, still, torch.Generator().manual_seed(1)), pairs)
+    moved = misplace_untouched(pairs, replace(still, misplaced_share=1.0), torch.Generator().manual_seed(1))
+    assert np.array_equal(moved[..., :3], pairs[..., :3])
+    assert all((one != other).any() for one, other in zip(moved[..., 3:], pairs[..., 3:], strict=True))
+    aside = replace(still, misplaced_share=1.0, misplaced_px=2.0, misplaced_deg=0.0, misplaced_zoom=0.0)
+    dot = np.zeros((40, 24, 32, 6), np.uint8)
+    dot[:, 12, 16] = 255
+    moved = misplace_untouched(dot, aside, torch.Generator().manual_seed(1))[..., 3].astype(float)
+    v, u = np.mgrid[:24, :32]
+    places = np.array([[(w * u).sum() / w.sum(), (w * v).sum() / w.sum()] for w in moved]) - [16, 12]
+    assert np.abs(places).max() <= 2.01 and np.ptp(places, axis=0).min() > 3.0
+
+
+def test_a_narrow_view_shows_no_force_and_no_difference_at_its_rim():
+    rng = np.random.default_rng(0)
+    pairs = rng.integers(0, 255, (30, 24, 32, 6), np.uint8)
+    labels = rng.normal(size=(30, 3, 6, 8)).astype(np.float32)
+    settings = replace(SETTINGS.augment, narrowed_share=1.0, narrowed=0.6)
+    seen, wanted = narrow_views(pairs, labels, settings, torch.Generator().manual_seed(1))
+    hidden_cells = (wanted == 0).all(axis=1)
+    assert 5 < hidden_cells.any(axis=(1, 2)).sum() <= 30
+    for k in range(30):
+        hidden_pixels = np.kron(hidden_cells[k], np.ones((4, 4), bool))
+        assert np.array_equal(seen[k][~hidden_pixels], pairs[k][~hidden_pixels])
+        assert (seen[k][hidden_pixels][:, :3] == seen[k][hidden_pixels][:, 3:]).all()
+        assert np.array_equal(wanted[k][:, ~hidden_cells[k]], labels[k][:, ~hidden_cells[k]])
+    none = narrow_views(pairs, labels, replace(settings, narrowed_share=0.0), torch.Generator().manual_seed(1))
+    assert np.array_equal(none[0], pairs) and np.array_equal(none[1], labels)
 
 
 def test_augmentation_leaves_alone_what_it_must():
