@@ -52,6 +52,7 @@ PARTS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "normalisation.image_mean": ("three numbers", lambda v: _numbers(v, 3)),
     "normalisation.image_std": ("three numbers above 0", lambda v: _numbers(v, 3, 0)),
     "normalisation.label": ("three numbers above 0", lambda v: _numbers(v, 3, 0)),
+    "pitch_px": ("two numbers above 0, the larger last", lambda v: v is None or (_numbers(v, 2, 0) and v[0] <= v[1])),
     "statistics": ("a table", lambda v: isinstance(v, dict)),
     "statistics.inverse": ("a square of numbers", _square),
     "statistics.threshold": ("a number", lambda v: _numbers([v], 1)),

@@ -121,7 +121,7 @@ def predict_one(
     if trained.needs_untouched:
         picture = untouched.picture(name)
         lit, light = untouched.canonical(image, name, placement)
-    verdict = judge(trained.about["statistics"], lit, picture) | {"untouched": name, "light": light}
+    verdict = judge(trained.about["statistics"], lit, picture, light) | {"untouched": name, "light": light}
     forces = predict_images(untouched.reader(name), lit[None])[0]
     if trained.needs_untouched:
         forces = forces - untouched.rest(name)

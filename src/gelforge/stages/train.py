@@ -93,7 +93,7 @@ def train(data, name: str, model: dict, settings: TrainingTable, checkpoint=None
     from gelforge.networks.inputs import needs_untouched
     from gelforge.networks.modelfile import Trained
     from gelforge.networks.models import parameter_count
-    from gelforge.networks.statistics import fit_to_images, largest_distance
+    from gelforge.networks.statistics import fit_to_images, pair_limits
     from gelforge.networks.training import Training, fit, peak_memory_gib
 
     require_splits(data)
@@ -105,8 +105,10 @@ def train(data, name: str, model: dict, settings: TrainingTable, checkpoint=None
     fit(training, data, checkpoint, identity(about))
     statistics = fit_to_images(sights(data, norm["reads"], settings), data.splits["train"], data.splits["val"])
     if needs_untouched(norm["reads"]):
-        pairs = (data.seen([row], norm["reads"])[0] for row in data.splits["val"])
-        statistics |= {"largest_distance": largest_distance(pairs)}
+        rows = data.splits["val"]
+        pairs = (np.concatenate([image, untouched], axis=2) for image, untouched in zip(
+            data.images[rows], data.untouched(rows), strict=True))  # fmt: skip
+        statistics |= pair_limits(pairs)
     cost = training.cost | {"peak_gib": peak_memory_gib()}
     about |= {
         "normalisation": norm,
