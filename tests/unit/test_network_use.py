@@ -18,12 +18,14 @@ from gelforge.commands import live, predict
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_json
 from gelforge.networks import statistics, use
+from gelforge.networks.canonical import WHOLE, view_of
 from gelforge.networks.card import write_card
 from gelforge.networks.data import open_data
-from gelforge.networks.export import TOLERANCE, export, largest_difference
+from gelforge.networks.export import TOLERANCE, export, largest_difference, run_onnx
 from gelforge.networks.modelfile import save_model
 from gelforge.networks.tables import draw_curve, draw_predictions
 from gelforge.records.axes import CHANNELS
+from gelforge.records.markers import pitch_of
 from gelforge.stages import pareto_models
 from gelforge.stages.evaluate import another_of_each, evaluate
 from gelforge.stages.train import train
@@ -121,6 +123,23 @@ def test_predict_writes_maps_and_totals(data, models, paths, tmp_path, capsys):
         assert float(row["grid_z_n"]) == pytest.approx(forces[2].sum(), abs=1e-3)
         assert row["flagged"] == "0"
         assert (tmp_path / "out" / f"{i}.png").exists()
+
+
+def test_the_documented_steps_around_an_onnx_graph_give_what_predict_gives(models, data, tmp_path):
+    """Light, scale, tare and factor outside, the network inside: what someone without torch would write."""
+    trained, gain = models["pair"], 1.2
+    rest = np.asarray(data.nocontact["mini0"])
+    image = np.clip(np.rint(0.93 * np.asarray(data.images[3]).astype(float) + 3), 0, 255).astype(np.uint8)
+    _, wanted, verdict = use.predict_one(use.Untouched(trained, rest, gain=gain), image)
+    assert verdict["light"].known and verdict["light"].gain.min() < 0.97
+    export(trained, tmp_path / "m.onnx")
+    learnt = trained.about.get("pitch_px")
+    view = view_of(rest, pitch_of(rest), tuple(learnt)) if learnt else WHOLE
+    picture = view.of(rest)
+    lit, _ = view.match(view.of(image), picture)
+    tensors = np.stack([lit, picture]).transpose(0, 3, 1, 2).astype(np.float32)
+    for read in run_onnx(tmp_path / "m.onnx", tensors, tensors[1:]).values():
+        np.testing.assert_allclose(gain * (read[0] - read[1]), wanted, atol=2e-5 * np.abs(wanted).max())
 
 
 def test_predict_refuses_before_it_writes(data, paths, tmp_path):
