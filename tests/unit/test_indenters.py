@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from gelforge.errors import BadInput
 from gelforge.geometry import triangles
@@ -42,6 +44,28 @@ def test_surface_stays_within_a_hundredth_of_the_distance(catalogue):
         # corners lie on the body; only a boolean cut puts corners on chords
         assert np.abs(body.distance(vertices)[0]).max() < 0.005, name
         assert np.abs(body.distance(inside_faces)[0]).max() < 0.01, name
+
+
+@given(st.integers(0, 10**6), st.floats(5.0, 16.0), st.floats(0.0, 45.0), st.floats(0.1, 0.4))
+@settings(max_examples=60, deadline=None)
+def test_every_random_solid_is_a_body(seed, size, slope, fillet):
+    """Closed, on its tip, as large as asked for at most, and its surface where its distance is 0."""
+    table = {
+        "kind": "random_solid",
+        "seed": seed,
+        "size": size,
+        "slope_deg": max(slope, 0.1),
+        "fillet": fillet,
+        "height": 9,
+    }
+    body = build("solid", table)
+    vertices, faces = body.surface()
+    assert triangles.is_watertight(faces) and triangles.volume(vertices, faces) > 0.0
+    assert 0.0 <= vertices[:, 2].min() < 0.01 and np.hypot(*vertices[:, :2].T).max() <= size / 2 + 1e-6
+    assert np.abs(body.distance(vertices)[0]).max() < 0.005
+    assert np.abs(body.distance(vertices[faces].mean(axis=1))[0]).max() < 0.01
+    again, _ = build("again", table).surface()
+    assert np.array_equal(again, vertices)
 
 
 def test_sphere_is_a_sphere(catalogue):

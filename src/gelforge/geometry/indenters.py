@@ -19,6 +19,7 @@ from gelforge.geometry.profiles import (
     crosses_itself,
     rectangle,
     regular_polygon,
+    unit,
 )
 from gelforge.geometry.solids import Body, Extrusion, LyingCylinder, RoundedPolyhedron
 
@@ -180,6 +181,28 @@ def _pyramid(t: _Table, **common) -> Body:
     )
 
 
+def _random_solid(t: _Table, **common) -> Body:
+    """A convex block of `size` mm at most, its lower side cut by up to four planes that tilt by up to `slope_deg`."""
+    size, slope = t.number("size"), t.number("slope_deg", 30.0, high=80.0)
+    rng = np.random.default_rng(int(t.number("seed", low=-1.0, high=2**31)))
+    walls = int(rng.integers(3, 8))
+    turns = (np.arange(walls) + rng.uniform(-0.3, 0.3, walls) + rng.uniform(0, walls)) * 2 * np.pi / walls
+    corners = size / 2.0 * np.column_stack([np.cos(turns), rng.uniform(0.5, 1.0) * np.sin(turns)])  # on an ellipse
+    heading, tilt = rng.uniform(0, 2 * np.pi, rng.integers(1, 5)), np.tan(np.deg2rad(slope))
+    tilts = tilt * rng.uniform(0.0, 1.0, len(heading))
+    normals = unit(-np.column_stack([tilts * np.cos(heading), tilts * np.sin(heading), np.ones(len(heading))]))
+    through = np.column_stack(
+        [rng.uniform(-0.2, 0.2, (len(heading), 2)) * size, rng.uniform(-0.3, 0.0, len(heading))]
+    )
+    return RoundedPolyhedron(
+        outline=corners,
+        planes=(normals, np.einsum("ij,ij->i", normals, through)),
+        fillet=t.number("fillet"),
+        height=t.number("height"),
+        **common,
+    )
+
+
 def _stl(t: _Table, **common) -> Body:
     from gelforge.geometry.sampled import sampled_from_stl
 
@@ -209,6 +232,7 @@ KINDS: dict[str, Callable] = {
     "lying_cylinder": _lying_cylinder,
     "sloping_cuboid": _sloping_cuboid,
     "pyramid": _pyramid,
+    "random_solid": _random_solid,
     "stl": _stl,
 }
 
