@@ -11,7 +11,7 @@ from gelforge.reporting.explorer import Explorer
 from gelforge.reporting.page import Explored, render
 from gelforge.reporting.parts import MICRON, PART, arrows, in_parts, jpeg, pack, place_parts
 from gelforge.reporting.presses import as_columns, press_rows
-from gelforge.reporting.surface import grid_points
+from gelforge.reporting.surfacegrid import grid_points
 from tests.press_records import press_record
 
 GRID = (24, 32)

@@ -8,10 +8,10 @@ from parameters import parameters, with_values, write_slice
 from gelforge.flow.files import write_csv, write_json
 from gelforge.flow.params import plain
 from gelforge.geometry.gel import Gel
-from gelforge.labelling.patch import consistent_loads
 from gelforge.mechanics.hex.hexmesh import FineBox, build_mesh
 from gelforge.records.forcefile import SampleForces, write_forces
 from gelforge.records.press import COLUMNS
+from tests.patch import consistent_loads
 
 ROOT = Path(__file__).resolve().parent.parent
 SETTINGS = with_values(parameters().dataset, validation=0.1, test=0.2, force_edges=[1.0, 3.0, 6.0])

@@ -51,8 +51,8 @@ def solve(
     if not (np.isfinite(c10) and c10 > 0.0 and 0.0 <= nu < 0.5):
         raise BadInput(f"gelforge.solve: c10 = {c10!r} MPa, nu = {nu!r}: give c10 above 0 and nu from 0 to below 0.5")
     from gelforge.geometry.indenters import build
+    from gelforge.mechanics.hex.hexsolver import HexSolver
     from gelforge.mechanics.hex.settings import quality as settings
-    from gelforge.mechanics.hex.solver import HexSolver
 
     body: Any = build("indenter", indenter, "gelforge.solve") if isinstance(indenter, dict) else indenter
     press = Press(at[0], at[1], 0.0, shear[0], shear[1], -depth, rot_deg)

@@ -331,9 +331,9 @@ class SlideThenPress(Press):
 
 def block_shear(folder: Path) -> dict[str, float]:
     """Sideways over normal force by engine, of a plate and of a sphere that slide before they touch."""
-    from gelforge.mechanics.ccx.solver import CcxSolver
+    from gelforge.mechanics.ccx.ccxsolver import CcxSolver
+    from gelforge.mechanics.hex.hexsolver import HexSolver
     from gelforge.mechanics.hex.settings import HexSettings
-    from gelforge.mechanics.hex.solver import HexSolver
     from gelforge.mechanics.tet.tetmesh import symmetric_block
 
     gel = Block()

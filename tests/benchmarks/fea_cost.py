@@ -9,10 +9,11 @@ import numpy as np
 
 from gelforge.flow.files import write_json
 from gelforge.labelling.sensor import Sensor
+from gelforge.mechanics.hex.hexsolver import HexSolver
 from gelforge.mechanics.hex.settings import HexSettings, quality
-from gelforge.mechanics.hex.solver import HexSolver
 from gelforge.mechanics.scene import Scene
 from gelforge.records.status import Status
+from gelforge.reporting.canvas import canvas, save_png
 from gelforge.sweeps.isolate import Clock, isolated, peak_mib
 from gelforge.sweeps.methods import warm_up
 from gelforge.sweeps.trial import cells_of
@@ -117,12 +118,8 @@ def growth_figures(scene: Scene, folder: Path) -> list[Figure]:
 
 def draw_growth(records: list[dict], path: Path) -> None:
     """Seconds and memory against unknowns, both axes logarithmic."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, left = plt.subplots(figsize=(6.4, 4.2), layout="constrained")
+    figure = canvas(6.4, 4.2)
+    left = figure.subplots()
     right = left.twinx()
     x = np.array([record["unknowns"] for record in records])
     for axis, key, colour, label in (
@@ -135,8 +132,7 @@ def draw_growth(records: list[dict], path: Path) -> None:
     left.set_xlabel("unknowns")
     left.set_title("Cost of one press in process, 10 mm cuboid")
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=130)
-    plt.close(figure)
+    save_png(path, figure)
 
 
 # -- many presses at once

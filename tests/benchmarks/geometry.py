@@ -12,8 +12,8 @@ from gelforge.flow.main import command, option
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue
-from gelforge.geometry.published import compare_gel_top, compare_indenter, step_file
 from tests.benchmarks.figures import Figure, publish_figures
+from tests.published import compare_gel_top, compare_indenter, step_file
 
 
 def solid_figures(catalogue: dict, reference: Path) -> list[Figure]:

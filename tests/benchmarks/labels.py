@@ -18,7 +18,6 @@ from gelforge.flow.main import command, option
 from gelforge.formats.numpy_pickle import read_npy
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import CORNERS, assemble
-from gelforge.labelling.patch import consistent_loads, exact_cells, irregular_surface
 from gelforge.labelling.sensor import load_sensors
 from gelforge.records.forcefile import SampleForces, write_forces
 from gelforge.records.labelfile import read_labels, to_float32
@@ -26,6 +25,7 @@ from gelforge.records.markers import find_markers
 from gelforge.records.press import POSE
 from tests.benchmarks.figures import Figure, publish_figures
 from tests.parameters import write_slice
+from tests.patch import consistent_loads, exact_cells, irregular_surface
 
 SENSORS = Path("workflow/sensors.toml")
 GRIDS = ("12x16", "24x32", "48x64", "96x128")
@@ -272,8 +272,8 @@ def cuboid_outline(sensors, reference: Path) -> list[Figure]:
     """Outline of a computed cuboid label against the four corners marked in the real image."""
     from gelforge.geometry.gel import Gel
     from gelforge.geometry.indenters import load_catalogue
+    from gelforge.mechanics.hex.hexsolver import solve_hex
     from gelforge.mechanics.hex.settings import HexSettings
-    from gelforge.mechanics.hex.solver import solve_hex
     from gelforge.mechanics.scene import Material, Press, Scene
 
     cuboid = load_catalogue("workflow/indenters.toml")["cuboid_10"]

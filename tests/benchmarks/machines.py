@@ -22,8 +22,8 @@ from gelforge.flow.main import command, option
 from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.family import MeshFamily
 from gelforge.mechanics.fidelity import FeaSettings, Solvers
+from gelforge.mechanics.hex.hexsolver import HexSolver
 from gelforge.mechanics.hex.settings import quality
-from gelforge.mechanics.hex.solver import HexSolver
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.scene import Result, Scene
 from gelforge.sweeps import references

@@ -119,7 +119,7 @@ def train_apart(dataset: Path, name: str, settings: TrainTable, folder: Path):
 
 def training_figures(settings: TrainTable, folder: Path, dataset: Path) -> list[Figure]:
     """Peak memory, waiting for data and the ONNX form, for the U-net and the light net."""
-    from gelforge.networks.export import export, largest_difference
+    from gelforge.networks.onnxgraph import export, largest_difference
 
     images = np.load(dataset / "images.npy")[:2]
     figures = []

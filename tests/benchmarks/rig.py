@@ -16,18 +16,18 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv
 from gelforge.flow.main import command, option
 from gelforge.flow.progress import progress
-from gelforge.formats.feats import read_sample
+from gelforge.formats.featsfile import read_sample
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue
-from gelforge.geometry.published import compare_indenter, step_file
 from gelforge.records.markers import find_markers
 from gelforge.stages.rig import units_of
-from gelforge.virtualrig import likeness as measure
 from gelforge.virtualrig.bench import Bench, Pressing
+from gelforge.virtualrig.fields import field_of, surface_of
 from gelforge.virtualrig.render import Pressed, Renderer
 from gelforge.virtualrig.rigplan import Order, Plan, generator, orders, read_plan
-from gelforge.virtualrig.surface import field_of, surface_of
+from tests import likeness as measure
 from tests.benchmarks.figures import Figure, publish_figures
+from tests.published import compare_indenter, step_file
 
 REFERENCE_UNIT = "mini_a"
 # The real cuboid's log is not published: depth and corners are; the sideways path is read off its dots (3 px in u).

@@ -15,14 +15,14 @@ from gelforge.flow.main import command, option
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue
-from gelforge.networks.profile import fit_gain
+from gelforge.networks.sensorprofile import fit_gain
 from gelforge.networks.use import Untouched, load_for_use, predict_one
 from gelforge.records.axes import AXIS_OF_CHANNEL, CHANNELS
 from gelforge.stages.rig import units_of
 from gelforge.virtualrig.bench import Bench
+from gelforge.virtualrig.fields import field_of, surface_of
 from gelforge.virtualrig.render import Pressed, Renderer
 from gelforge.virtualrig.rigplan import generator, orders, read_plan
-from gelforge.virtualrig.surface import field_of, surface_of
 from tests.benchmarks.figures import Figure, publish_figures
 
 RANGE = {"grid_x": 10.0, "grid_y": 10.0, "grid_z": 40.0}  # N, of the FEATS paper

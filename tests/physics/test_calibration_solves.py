@@ -11,8 +11,8 @@ from gelforge.calibration.solves import SolveCache, build_emulator, interface_of
 from gelforge.errors import BadInput, SolveFailed
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue
+from gelforge.mechanics.hex.hexsolver import solve_hex
 from gelforge.mechanics.hex.settings import HexSettings
-from gelforge.mechanics.hex.solver import solve_hex
 from gelforge.mechanics.scene import REFERENCE_C10, Material, Scene
 from gelforge.records.press import POSE
 

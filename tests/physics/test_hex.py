@@ -9,9 +9,9 @@ from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build, load_catalogue
 from gelforge.mechanics.contact import GLUED
 from gelforge.mechanics.hex.hexmesh import FineBox, HexMesh, mesh_on_lines
+from gelforge.mechanics.hex.hexsolver import MOST_BELOW_MM, MOST_INSIDE_MM, HexSolver, solve_hex
 from gelforge.mechanics.hex.reach import path_pose
 from gelforge.mechanics.hex.settings import HexSettings, quality
-from gelforge.mechanics.hex.solver import MOST_BELOW_MM, MOST_INSIDE_MM, HexSolver, solve_hex
 from gelforge.mechanics.scene import Interface, Material, Press, Scene
 from gelforge.records.status import Status
 

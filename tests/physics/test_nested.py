@@ -13,9 +13,9 @@ from gelforge.geometry.touch import width_of
 from gelforge.mechanics.element import bricks, smallest_ratios
 from gelforge.mechanics.hex.carry import FLAT, Trail, carried, surface_motion, touches, untangled, volume_motion
 from gelforge.mechanics.hex.hexmesh import FineBox, build_mesh, dissected, elimination_order
+from gelforge.mechanics.hex.hexsolver import HexSolver, moment_of, solve_hex
 from gelforge.mechanics.hex.reach import end_of
 from gelforge.mechanics.hex.settings import QUALITIES, HexSettings, Nested
-from gelforge.mechanics.hex.solver import HexSolver, moment_of, solve_hex
 from gelforge.mechanics.linear import symmetric_solver
 from gelforge.mechanics.scene import Interface, Material, Press, Scene
 from gelforge.records.status import Status

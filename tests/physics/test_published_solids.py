@@ -4,8 +4,8 @@ import pytest
 
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue, read_catalogue
-from gelforge.geometry.published import compare_gel_top, compare_indenter, step_file
 from tests.conftest import ROOT
+from tests.published import compare_gel_top, compare_indenter, step_file
 
 pytest.importorskip(
     "gmsh",

@@ -3,7 +3,7 @@
 import numpy as np
 
 from gelforge.geometry.gel import Gel
-from gelforge.virtualrig.surface import STEP, unloaded
+from gelforge.virtualrig.fields import STEP, unloaded
 from tests.benchmarks.rig import Rig, likeness
 from tests.conftest import ROOT
 

@@ -8,10 +8,10 @@ import pytest
 
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
-from gelforge.mechanics.ccx.solver import CcxSettings, CcxSolver
+from gelforge.mechanics.ccx.ccxsolver import CcxSettings, CcxSolver
+from gelforge.mechanics.hex.hexsolver import HexSolver
 from gelforge.mechanics.hex.reach import first_touch
 from gelforge.mechanics.hex.settings import HexSettings, Nested
-from gelforge.mechanics.hex.solver import HexSolver
 from gelforge.mechanics.scene import Interface, Material, Press, Scene
 from gelforge.mechanics.tet.face import face_points
 from gelforge.mechanics.tet.kinematics import PathSettings, arrive, contact_forces, follow

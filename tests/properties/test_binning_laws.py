@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from gelforge.labelling.clip import clip_to_grid, polygon_area
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import assemble
-from gelforge.labelling.patch import consistent_loads, irregular_surface
 from gelforge.labelling.sensor import Sensor, load_sensors
 from gelforge.records.labelfile import to_float32
+from tests.patch import consistent_loads, irregular_surface
 
 ROUNDING = 1e-12  # relative; sums of some thousand float64 terms
 MESHES = {kind: irregular_surface(kind, 1.5, np.random.default_rng(2)) for kind in ("tet10", "hex8")}

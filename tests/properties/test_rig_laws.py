@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 
 from gelforge.geometry.gel import Gel
 from gelforge.labelling.sensor import load_sensors
-from gelforge.virtualrig.background import dot_spots
-from gelforge.virtualrig.likeness import inside_image
+from gelforge.virtualrig.fields import STEP, unloaded
+from gelforge.virtualrig.lightfit import dot_spots
 from gelforge.virtualrig.looks import TERMS, Look, read_looks
 from gelforge.virtualrig.render import Renderer
 from gelforge.virtualrig.rigplan import kind_of, orders, read_plan
-from gelforge.virtualrig.surface import STEP, unloaded
 from tests.conftest import ROOT
+from tests.likeness import inside_image
 
 PLAN = ROOT / "workflow" / "rig" / "train.toml"
 UNITS = ("mini_a", "mini_b", "mini_c", "mini_d", "mini_e")

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gelforge.flow.estimate import Cost, pilots, presses_an_hour, size, table, wall_seconds
+from gelforge.flow.forecast import Cost, pilots, presses_an_hour, size, table, wall_seconds
 
 COSTS = [
     Cost("10_poses", 0.1, bytes_each=10.0),

@@ -14,7 +14,8 @@ from pressed_dataset import collect, label, write_pressed
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv
-from gelforge.formats.feats import (
+from gelforge.formats.feats_folder import export_dataset, import_folder
+from gelforge.formats.featsfile import (
     LabelSample,
     RawSample,
     read_normalisation,
@@ -22,7 +23,6 @@ from gelforge.formats.feats import (
     write_label,
     write_normalisation,
 )
-from gelforge.formats.feats_folder import export_dataset, import_folder
 from gelforge.labelling.sensor import load_sensors
 from gelforge.networks.data import open_data
 from gelforge.records.labelfile import read_labels

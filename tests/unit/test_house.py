@@ -24,7 +24,7 @@ ALLOWED = {
 }
 ON_TOP = {"stages", "commands"}  # thin mains, which may use all of the above
 
-LOOSENED = 32  # modules that mypy passes over; lower it as they are mended, never raise it
+LOOSENED = 29  # modules that mypy passes over; lower it as they are mended, never raise it
 
 
 def imports(path: Path) -> set[str]:
@@ -83,3 +83,19 @@ def test_no_two_public_classes_have_one_name():
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 homes.setdefault(node.name, []).append(str(path.relative_to(PACKAGE)))
     assert {name: where for name, where in homes.items() if len(where) > 1} == {}
+
+
+def test_no_two_libraries_have_one_name():
+    """Commands and stages have the names that people type; what they call is named by what it is."""
+    homes: dict[str, list[str]] = {}
+    for path in PACKAGE.rglob("*.py"):
+        folder = path.relative_to(PACKAGE).parts[0]
+        if folder not in ON_TOP and path.name != "__init__.py":
+            homes.setdefault(path.stem, []).append(str(path.relative_to(PACKAGE)))
+    assert {name: where for name, where in homes.items() if len(where) > 1} == {}
+
+
+def test_pictures_are_drawn_on_one_canvas():
+    drawing = {"matplotlib.pyplot", "matplotlib.figure.Figure", "matplotlib.backends.backend_agg"}
+    found = [str(path.relative_to(PACKAGE)) for path in PACKAGE.rglob("*.py") if imports(path) & drawing]
+    assert found == ["reporting/canvas.py"]

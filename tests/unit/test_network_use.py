@@ -19,13 +19,13 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import write_json
 from gelforge.networks import statistics, use
 from gelforge.networks.canonical import WHOLE, view_of
-from gelforge.networks.card import write_card
 from gelforge.networks.data import open_data
-from gelforge.networks.export import TOLERANCE, export, largest_difference, run_onnx
+from gelforge.networks.modelcard import write_card
 from gelforge.networks.modelfile import save_model
-from gelforge.networks.tables import draw_curve, draw_predictions
+from gelforge.networks.onnxgraph import TOLERANCE, export, largest_difference, run_onnx
 from gelforge.records.axes import CHANNELS
 from gelforge.records.markers import pitch_of
+from gelforge.reporting.networkcharts import draw_curve, draw_predictions
 from gelforge.stages import pareto_models
 from gelforge.stages.evaluate import another_of_each, evaluate
 from gelforge.stages.train import train

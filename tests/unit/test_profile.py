@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from gelforge.commands import predict, sensor
 from gelforge.errors import BadInput
-from gelforge.networks.profile import (
+from gelforge.networks.sensorprofile import (
     Gain,
     check_same_sensor,
     fit_gain,

@@ -12,9 +12,9 @@ from gelforge.formats.numpy_pickle import read_npy
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.homography import fit_homography
 from gelforge.labelling.operator import assemble
-from gelforge.labelling.patch import irregular_surface
 from gelforge.labelling.sensor import check_projection, find_sensor, load_sensors, transform
 from gelforge.records.markers import find_markers
+from tests.patch import irregular_surface
 
 SQUARE = np.array([[-5.0, 5], [5, 5], [-5, -5], [5, -5]])
 GOOD = np.array([[0.0, -14, 160], [-14, 0, 120], [0, 0, 1]])

@@ -16,7 +16,7 @@ from gelforge.reporting.page import Section, render
 from gelforge.reporting.parts import forget_parts, pack, place_parts, script_json
 from gelforge.reporting.presses import as_columns, press_rows
 from gelforge.reporting.provenance import stages
-from gelforge.reporting.surface import Resampler, grid_points
+from gelforge.reporting.surfacegrid import Resampler, grid_points
 from gelforge.stages.report import failures_section, flatten
 from tests.explored import tables, write_page
 

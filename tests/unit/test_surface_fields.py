@@ -6,12 +6,12 @@ from parameters import parameters, write_slice
 from pressed_dataset import collect, label, write_pressed
 
 from gelforge.errors import BadInput
+from gelforge.labelling.cellsurface import surface_map, traction
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import assemble
-from gelforge.labelling.patch import consistent_loads, irregular_surface
 from gelforge.labelling.sensor import load_sensors, transform
-from gelforge.labelling.surface import surface_map, traction
 from gelforge.records.labelfile import read_labels
+from tests.patch import consistent_loads, irregular_surface
 
 GRIDS = ("6x8", "24x32", "48x64")
 EVERYTHING = ["force", "displacement", "traction", "traction_deformed"]

@@ -11,8 +11,8 @@ from gelforge.commands.mcap import main as mcap_import
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, write_json, write_text
 from gelforge.formats.export import ros
-from gelforge.formats.feats import LabelSample, write_label
 from gelforge.formats.feats_folder import SPLITS, import_folder
+from gelforge.formats.featsfile import LabelSample, write_label
 from gelforge.formats.mcap_import import Topics, import_recordings, nearest
 from gelforge.labelling.sensor import load_sensors
 from gelforge.records.labelfile import read_labels

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from gelforge.errors import BadInput
-from gelforge.reporting.live import Hub, Reading, Recorder, Server, paced
+from gelforge.reporting.livepage import Hub, Reading, Recorder, Server, paced
 from tests.browser import WIDTHS, browser, console_errors, needs_browser, wait_for
 
 LIVE = [sys.executable, "-m", "gelforge.commands.live"]

@@ -11,7 +11,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import write_json, write_text
 from gelforge.flow.slurm import run as slurm
 from gelforge.flow.slurm.client import cause_of
-from gelforge.flow.slurm.profile import read_profile
+from gelforge.flow.slurm.cluster import read_profile
 from gelforge.flow.slurm.record import Batch, Record, Results, Task
 from tests.benchmarks.sandbox import link_project, make
 

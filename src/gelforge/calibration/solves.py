@@ -18,8 +18,8 @@ from gelforge.flow.files import read_json, write_json
 from gelforge.flow.params import SLICES, stage_version
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import Gel
+from gelforge.mechanics.hex.hexsolver import HexSolver
 from gelforge.mechanics.hex.settings import HexSettings
-from gelforge.mechanics.hex.solver import HexSolver
 from gelforge.mechanics.scene import Interface, Material, Press, Scene
 from gelforge.records.status import Status
 

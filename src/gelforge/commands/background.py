@@ -4,7 +4,7 @@ from argparse import Namespace
 
 from gelforge.flow.main import command, option
 from gelforge.records.image import read_image
-from gelforge.virtualrig.background import fit_background
+from gelforge.virtualrig.lightfit import fit_background
 from gelforge.virtualrig.looks import COLOURS
 
 

@@ -15,8 +15,8 @@ from pathlib import Path
 from gelforge.commands.sample import stages
 from gelforge.errors import BadInput
 from gelforge.flow import layout
-from gelforge.flow.estimate import Cost, pilots, presses_an_hour, table, wall_seconds
 from gelforge.flow.files import read_json, write_text
+from gelforge.flow.forecast import Cost, pilots, presses_an_hour, table, wall_seconds
 from gelforge.flow.layout import Layout, shard_name
 from gelforge.flow.main import command, option
 from gelforge.flow.params.slices import ForCalibrate, ForPareto, ForReport, ForTrain, read_slice

@@ -5,8 +5,8 @@ from pathlib import Path
 
 from gelforge.errors import BadInput
 from gelforge.flow.main import command, group, option
-from gelforge.formats.feats import write_normalisation
 from gelforge.formats.feats_folder import export_dataset, import_folder
+from gelforge.formats.featsfile import write_normalisation
 from gelforge.labelling.sensor import find_sensor, load_sensors
 
 

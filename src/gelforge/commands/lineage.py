@@ -7,8 +7,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from gelforge.errors import BadInput
+from gelforge.flow.ancestry import Step, concerning, pose_of, read_record, shard_of, steps_to
 from gelforge.flow.layout import FEA, Layout
-from gelforge.flow.lineage import Step, concerning, pose_of, read_record, shard_of, steps_to
 from gelforge.flow.main import command, option
 
 PROGRAMS = ("gelforge", "numpy", "scipy", "numba", "torch")

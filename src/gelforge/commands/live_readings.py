@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.reporting.live import Hub, Reading, Recorder, Server, serve, write_lines
+from gelforge.reporting.livepage import Hub, Reading, Recorder, Server, serve, write_lines
 
 # Half of an interval that holds 95 % of normal errors, in units of their mean size.
 HALF_OF_MEAN_ERROR = 1.96 * float(np.sqrt(np.pi / 2))

@@ -112,13 +112,10 @@ def arrows(look: Pictured) -> tuple[np.ndarray, np.ndarray]:
 
 def draw(look: Pictured):
     """Matplotlib figure: the image with pressure and shear arrows, and the three channels over the image."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+    from gelforge.reporting.canvas import canvas_with_axes
 
     width, height = look.sensor.image
-    figure, axes = plt.subplots(2, 2, figsize=(12.4, 9.2), layout="constrained")
+    figure, axes = canvas_with_axes(2, 2, 12.4, 9.2)
     extent = (0, width, height, 0)
     _draw_image(axes[0, 0], look, extent)
     for channel, axis in enumerate((axes[0, 1], axes[1, 0], axes[1, 1])):
@@ -193,12 +190,11 @@ def _draw_image(axis, look, extent):
 
 
 def write_figure(path, figure) -> None:
-    """Write a matplotlib figure as PNG, whole or not at all, and close it."""
-    import matplotlib.pyplot as plt
+    """Write a matplotlib figure as PNG, whole or not at all."""
+    from gelforge.reporting.canvas import save_png
 
     with publish(path) as part:
-        figure.savefig(part, format="png", dpi=110)
-    plt.close(figure)
+        save_png(part, figure)
 
 
 @command(

@@ -18,7 +18,7 @@ from gelforge.errors import BadInput, printable
 from gelforge.flow.files import publish, write_csv
 from gelforge.flow.main import command, option, positive
 from gelforge.networks.placement import Placement, RestingDots
-from gelforge.networks.profile import check_same_sensor, read_profile
+from gelforge.networks.sensorprofile import check_same_sensor, read_profile
 from gelforge.networks.use import Untouched, fit_size, load_for_use, predict_one
 from gelforge.records.axes import CHANNELS
 from gelforge.records.image import read_image

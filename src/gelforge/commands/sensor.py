@@ -12,7 +12,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.main import command, option
-from gelforge.networks.profile import Gain, check_readings, fit_gain, make_profile, write_profile
+from gelforge.networks.sensorprofile import Gain, check_readings, fit_gain, make_profile, write_profile
 from gelforge.networks.use import Untouched, load_for_use, predict_one
 from gelforge.records.image import read_image
 from gelforge.records.markers import pitch_of

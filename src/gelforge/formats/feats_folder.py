@@ -13,7 +13,7 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_csv, write_json, write_text
 from gelforge.flow.progress import progress
-from gelforge.formats.feats import (
+from gelforge.formats.featsfile import (
     LabelSample,
     Ranges,
     RawSample,

@@ -8,12 +8,12 @@ from pathlib import Path
 from gelforge.errors import BadInput
 from gelforge.flow.params.tables import FIDELITIES, FeaTable
 from gelforge.geometry.gel import load_gel
+from gelforge.mechanics.ccx.ccxsolver import CcxSettings, CcxSolver
 from gelforge.mechanics.ccx.program import need_ccx
-from gelforge.mechanics.ccx.solver import CcxSettings, CcxSolver
 from gelforge.mechanics.family import MeshFamily, choose_mesh
 from gelforge.mechanics.hex.carry import Trail
+from gelforge.mechanics.hex.hexsolver import HexSolver
 from gelforge.mechanics.hex.settings import quality
-from gelforge.mechanics.hex.solver import HexSolver
 from gelforge.mechanics.scene import Result, Scene
 
 

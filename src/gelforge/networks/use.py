@@ -43,7 +43,7 @@ class Untouched:
 
     picture: (h, w, 3) uint8 RGB of any size, given by the user. sensor: name of a training sensor. With neither,
     each image is read against the training sensor it is nearest to. gain: what all forces are multiplied by
-    (networks.profile). view: how pictures of the sensor are scaled; those of training sensors are at the right scale.
+    (networks.sensorprofile). view: how pictures of the sensor are scaled; those of training sensors are at the right scale.
     """
 
     def __init__(self, trained, picture: np.ndarray | None = None, sensor: str | None = None, gain: float = 1.0):

@@ -1,6 +1,6 @@
 """Charts of pareto and stability, as PNG bytes."""
 
-from gelforge.reporting.pictures import new_figure, to_png
+from gelforge.reporting.canvas import canvas_with_axes, to_png
 
 COLOURS = {"hex": "#2a7f9e", "ccx": "#d1603d", "ccx-native": "#7a7a7a", "auto": "#6a4c93"}
 MARKERS = {"hex": "o", "ccx": "s", "ccx-native": "D", "auto": "*"}
@@ -55,7 +55,7 @@ def pareto_chart(rows: list[dict], scenes: list[dict], note: str) -> bytes:
     from matplotlib.lines import Line2D
 
     usable = [row for row in rows if row["total_median"] is not None]
-    figure, axes = new_figure(1, 2, 12, 5.2)
+    figure, axes = canvas_with_axes(1, 2, 12, 5.2)
     for axis, (kind, label) in zip(axes[0], KINDS.items(), strict=True):
         for row in usable:
             _spot(axis, row, kind)
@@ -84,7 +84,7 @@ def stability_map(table: list[dict]) -> bytes:
     rows = list(dict.fromkeys(line["row"] for line in table))
     columns = 2
     height = -(-len(rows) // columns)
-    figure, axes = new_figure(height, columns, 15, 3.6 * height)
+    figure, axes = canvas_with_axes(height, columns, 15, 3.6 * height)
     for axis, row in zip(axes.ravel(), rows, strict=False):
         lines = [line for line in table if line["row"] == row]
         (_scatter if row == "random" else _grid)(axis, row, lines)

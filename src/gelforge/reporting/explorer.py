@@ -14,7 +14,7 @@ from gelforge.mechanics.family import mesh_loader
 from gelforge.records.forcefile import ForceFile
 from gelforge.records.labelfile import read_labels
 from gelforge.reporting.parts import MICRON, arrows, jpeg, pack
-from gelforge.reporting.surface import Resampler, grid_points
+from gelforge.reporting.surfacegrid import Resampler, grid_points
 
 MOST_FACES = 1500  # of an indenter in the page
 

@@ -11,11 +11,9 @@ HEAT_AT_LEAST_N = 0.03  # full colour of the heat map stands for at least this n
 
 def write_maps(path, image, forces, title: str) -> None:
     """Write a PNG of an image (h, w, 3) RGB beside its force maps (3, rows, cols) in N per cell."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    from gelforge.reporting.canvas import canvas, save_png
 
-    figure = Figure(figsize=(13, 2.9), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = canvas(13, 2.9)
     axes = figure.subplots(1, 4)
     axes[0].imshow(image)
     axes[0].set_title(textwrap.fill(title, 36), fontsize=8)  # no wider than the image
@@ -27,7 +25,7 @@ def write_maps(path, image, forces, title: str) -> None:
         figure.colorbar(shown, ax=axis, label="N per cell")
     for axis in axes:
         axis.set_axis_off()
-    figure.savefig(path, dpi=110)
+    save_png(path, figure)
 
 
 def overlay(image, forces, lines: list[str], warning: str = "", zoom: int = 2) -> np.ndarray:

@@ -24,7 +24,7 @@ from gelforge.flow.params.slices import ForCalibrate, read_slice
 from gelforge.flow.params.tables import CalibrateSolverTable, CalibrateTable
 from gelforge.flow.progress import progress
 from gelforge.records.log import rejected_rows
-from gelforge.reporting import posterior as plots
+from gelforge.reporting import cornerplots as plots
 
 VERSION = 2
 

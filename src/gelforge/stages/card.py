@@ -5,7 +5,7 @@ from pathlib import Path
 
 from gelforge.flow.files import read_json, write_text
 from gelforge.flow.main import command, option
-from gelforge.networks.card import write_card
+from gelforge.networks.modelcard import write_card
 
 
 @command(

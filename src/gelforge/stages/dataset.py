@@ -16,7 +16,7 @@ from gelforge.flow.main import command, option
 from gelforge.flow.params.slices import ForDataset, read_slice
 from gelforge.flow.params.tables import DatasetTable
 from gelforge.flow.progress import progress
-from gelforge.formats.feats import LabelSample, Ranges
+from gelforge.formats.featsfile import LabelSample, Ranges
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import find_sensor, load_sensors
 from gelforge.networks.split import split_presses

@@ -11,9 +11,10 @@ from gelforge.flow.main import command, option
 from gelforge.flow.params.slices import ForEvaluate, read_slice
 from gelforge.flow.params.tables import EvaluateTable
 from gelforge.networks import metrics
-from gelforge.networks.tables import draw_predictions, tables
+from gelforge.networks.errortables import tables
 from gelforge.records.axes import CHANNELS, FORCE_OF_CHANNEL
 from gelforge.records.predictionfile import write_predictions
+from gelforge.reporting.networkcharts import draw_predictions
 
 VERSION = 5
 # Where a dataset has them, total forces (samples.csv, gel frame: x short side) that did not come from

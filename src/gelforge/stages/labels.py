@@ -12,10 +12,10 @@ from gelforge.flow.layout import planned_shards
 from gelforge.flow.main import command, option
 from gelforge.flow.params.slices import ForLabels, read_slice
 from gelforge.flow.progress import progress
+from gelforge.labelling.cellsurface import SurfaceMap, surface_map, traction
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import Operator, assemble, cached
 from gelforge.labelling.sensor import find_sensor, load_sensors
-from gelforge.labelling.surface import SurfaceMap, surface_map, traction
 from gelforge.mechanics.family import load_mesh, mesh_file
 from gelforge.mechanics.hex.bricks import is_bricks
 from gelforge.mechanics.mesh import GelMesh

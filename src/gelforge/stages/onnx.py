@@ -5,7 +5,7 @@ from pathlib import Path
 
 from gelforge.errors import GelforgeError
 from gelforge.flow.main import command, option
-from gelforge.networks.export import TOLERANCE, export, largest_difference, sample_images
+from gelforge.networks.onnxgraph import TOLERANCE, export, largest_difference, sample_images
 
 
 @command(

@@ -92,11 +92,9 @@ def measure(models: dict, image, seconds: float) -> dict[str, dict[str, dict]]:
 
 def draw_chart(path, rows: list[dict], split: str, chosen: str | None) -> None:
     """Write the chart: total error and error per cell against latency with one thread."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    from gelforge.reporting.canvas import canvas, save_png
 
-    figure = Figure(figsize=(11, 4.6), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = canvas(11, 4.6)
     panels = (
         ("percent", "total force, mean of components (% of range)"),
         ("cell_grid_z", "normal force per cell (N)"),
@@ -137,7 +135,7 @@ def draw_chart(path, rows: list[dict], split: str, chosen: str | None) -> None:
         axis.margins(x=0.2, y=0.12)
         axis.grid(alpha=0.3, which="both")
     figure.suptitle(f"Networks on split {split}: line is the front, star the chosen one", fontsize=10)
-    figure.savefig(path, dpi=130)
+    save_png(path, figure)
 
 
 @command(

@@ -57,12 +57,12 @@ def hardest_frames(film: Path, trained, count: int = SHOWN):
 def real(args: Namespace) -> None:
     """Real sensor pictures beside the force maps that the shipped network reads in them."""
     from gelforge.networks.use import load_for_use
-    from gelforge.reporting.pictures import new_figure, to_png
+    from gelforge.reporting.canvas import canvas_with_axes, to_png
 
     trained, rows = load_for_use(None), []
     for film in args.films:
         rows.append(hardest_frames(film, trained))
-    figure, axes = new_figure(len(rows), 2 * SHOWN, 12, 1.6 * len(rows) + 0.3)
+    figure, axes = canvas_with_axes(len(rows), 2 * SHOWN, 12, 1.6 * len(rows) + 0.3)
     for line, pairs in zip(axes, rows, strict=True):
         for axis in line:
             axis.set_axis_off()

@@ -57,7 +57,7 @@ class Worker:
         Returns (order, row of the log or None, row of the truth) of each; none where the press is `solved` and only
         pictures are drawn from the surface kept then.
         """
-        from gelforge.virtualrig.surface import Surface, surface_of
+        from gelforge.virtualrig.fields import Surface, surface_of
 
         by_moment: dict[int, list[Order]] = {}
         for order in orders:
@@ -81,8 +81,8 @@ class Worker:
         ]
 
     def _take_pictures(self, orders: list[Order], surface) -> None:
+        from gelforge.virtualrig.fields import field_of
         from gelforge.virtualrig.render import Pressed
-        from gelforge.virtualrig.surface import field_of
 
         body, field = Pressed(self.bench.body(orders[0].indenter), surface.press), field_of(self.gel, surface)
         for order in orders:

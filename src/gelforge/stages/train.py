@@ -160,7 +160,7 @@ def learnt_pitch(data) -> dict[str, list[float]]:
 def main(args: Namespace) -> None:
     from gelforge.networks.data import open_data
     from gelforge.networks.modelfile import save_model
-    from gelforge.networks.tables import draw_curve
+    from gelforge.reporting.networkcharts import draw_curve
 
     model, settings = resolve(read_models(args.models), args.model, read_slice(args.params, ForTrain).train)
     stem = args.out.with_name(args.out.name.removesuffix(".part").removesuffix(".pt"))

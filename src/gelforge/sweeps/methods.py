@@ -76,8 +76,8 @@ def warm_up() -> None:
     """Compile or load kernels before the clock runs: a solve of one process of many pays that once."""
     from gelforge.geometry.gel import Gel
     from gelforge.geometry.indenters import build
+    from gelforge.mechanics.hex.hexsolver import solve_hex
     from gelforge.mechanics.hex.settings import HexSettings
-    from gelforge.mechanics.hex.solver import solve_hex
     from gelforge.mechanics.scene import Material, Press
 
     ball = build("ball", {"kind": "sphere", "diameter": 15, "height": 10})
@@ -119,7 +119,7 @@ def hex_settings(method: Method, fea: FeaTable) -> HexSettings:
 
 
 def _prepare_hex(method, scene, fea):
-    from gelforge.mechanics.hex.solver import HexSolver
+    from gelforge.mechanics.hex.hexsolver import HexSolver
 
     solver = HexSolver(hex_settings(method, fea))
 
@@ -151,7 +151,7 @@ def _prepare_native(method, scene, folder, params, work, limit_s):
 
 
 def _prepare_ccx(method, scene, fine, folder, params, work):
-    from gelforge.mechanics.ccx.solver import CcxSolver
+    from gelforge.mechanics.ccx.ccxsolver import CcxSolver
     from gelforge.mechanics.fidelity import FeaSettings
 
     if method.fidelity == REFERENCE:

@@ -7,12 +7,12 @@ import numpy as np
 
 from gelforge.geometry.gel import Gel
 from gelforge.mechanics.hex.hexmesh import FineBox
+from gelforge.mechanics.hex.hexsolver import HexResult, HexSolver
 from gelforge.mechanics.hex.settings import HexSettings
-from gelforge.mechanics.hex.solver import HexResult, HexSolver
 from gelforge.mechanics.scene import REFERENCE_C10, Indenter, Interface, Material, Press, Scene
 from gelforge.records.status import Status
+from gelforge.virtualrig.fields import FAR, RoughBody, body_of
 from gelforge.virtualrig.rigplan import Order, Plan, Truth, generator
-from gelforge.virtualrig.surface import FAR, RoughBody, body_of
 
 # The rig's own mesh, in no ratio to those of the labels: about 40 iterations a press.
 SETTINGS = HexSettings(

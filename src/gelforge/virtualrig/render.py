@@ -8,9 +8,9 @@ import numpy as np
 from gelforge.geometry.gel import Gel
 from gelforge.mechanics.scene import Press
 from gelforge.records.image import as_jpeg
+from gelforge.virtualrig.fields import FAR, STEP, Field, RoughBody, body_position, unloaded
 from gelforge.virtualrig.looks import HEIGHT, WIDTH, Drift, Look, normalised_pixels
 from gelforge.virtualrig.paint import MARGIN, printed, sample_position
-from gelforge.virtualrig.surface import FAR, STEP, Field, RoughBody, body_position, unloaded
 
 TOUCH = 0.05  # mm between the computed surface and the body within which the picture lays one on the other
 RIPPLE_MM = 0.2

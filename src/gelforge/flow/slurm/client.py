@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from gelforge.errors import GelforgeError
-from gelforge.flow.slurm.profile import Profile
+from gelforge.flow.slurm.cluster import Profile
 
 STOP = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 TRANSIENT = re.compile(

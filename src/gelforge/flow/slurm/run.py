@@ -34,8 +34,8 @@ from gelforge.flow.slurm.client import (
     pause,
     queue,
 )
+from gelforge.flow.slurm.cluster import PUBLISHED, Profile, read_profile
 from gelforge.flow.slurm.lock import at_work, become_only_make, hold
-from gelforge.flow.slurm.profile import PUBLISHED, Profile, read_profile
 from gelforge.flow.slurm.record import Batch, Record, Results, Task, counted, records, report, show, tail
 from gelforge.flow.step import die_with_parent
 

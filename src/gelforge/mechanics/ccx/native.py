@@ -13,10 +13,10 @@ import numpy as np
 
 from gelforge.geometry.cropping import cropped
 from gelforge.geometry.solids import Indenter
+from gelforge.mechanics.ccx.ccxsolver import CcxResult
 from gelforge.mechanics.ccx.dat import DatError, last_table, read_dat
 from gelforge.mechanics.ccx.deck import material_lines, mesh_include
 from gelforge.mechanics.ccx.program import run_ccx
-from gelforge.mechanics.ccx.solver import CcxResult
 from gelforge.mechanics.hex.reach import first_touch
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.scene import Scene

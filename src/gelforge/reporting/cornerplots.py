@@ -1,24 +1,21 @@
 """Pictures of a posterior."""
 
+from pathlib import Path
+
 import numpy as np
 
 from gelforge.calibration.parameters import label_of
 from gelforge.flow.files import publish
+from gelforge.reporting.canvas import canvas, save_png, to_png
 
 BAND = "#3b6ea5"
 READABLE = 8  # parameters in one corner plot
 FAR = 3.0  # standard deviations beyond which a reading is named
 
 
-def _figure(size):
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=size, layout="constrained")
-
-
 def _save(figure, path) -> None:
     with publish(path) as part:
-        figure.savefig(part, dpi=110)
+        save_png(part, figure)
 
 
 def corner_names(names) -> list[str]:
@@ -32,13 +29,12 @@ def corner_plot(path, chain, model) -> None:
     The outermost half per cent of the draws is not shown, or one draw in a long tail would set the axes.
     """
     import corner
-    from matplotlib.figure import Figure
 
     names = corner_names(model.names)
     values = model.values(chain.flat(20000))
     data = np.stack([values[name] for name in names], axis=1)
     labels = [label_of(name).replace(" (", "\n(").replace(", ", ",\n") for name in names]
-    figure = Figure(figsize=(1.9 * len(names),) * 2)
+    figure = canvas(1.9 * len(names), 1.9 * len(names), None)
     corner.corner(
         data, labels=labels, quantiles=[0.16, 0.5, 0.84], label_kwargs={"fontsize": 9}, color=BAND, fig=figure,
         range=[0.995] * len(names), labelpad=0.15, max_n_ticks=4,
@@ -52,12 +48,12 @@ def corner_plot(path, chain, model) -> None:
     if hidden:
         figure.text(0.6, 0.9, f"{hidden} scales of single indenters: see the trace", fontsize=11)
     with publish(path) as part:
-        figure.savefig(part, dpi=90, bbox_inches="tight")
+        Path(part).write_bytes(to_png(figure))
 
 
 def trace_plot(path, coordinates, burn: int, model) -> None:
     """Every walker's path (steps, walkers, k), thinned, the burn-in shaded."""
-    figure = _figure((9, 1.5 * len(model.names)))
+    figure = canvas(9, 1.5 * len(model.names))
     axes = np.atleast_1d(figure.subplots(len(model.names), 1, sharex=True))
     thin = max(1, len(coordinates) // 1500)
     steps = np.arange(0, len(coordinates), thin)
@@ -74,7 +70,7 @@ def autocorrelation_plot(path, chain, model) -> None:
     """Autocorrelation of every parameter, averaged over walkers, against lag."""
     from emcee.autocorr import function_1d
 
-    figure = _figure((7, 4))
+    figure = canvas(7, 4)
     axis = figure.subplots()
     lags = min(len(chain.coordinates) // 2, int(8 * chain.figures.tau))
     for column, name in enumerate(model.names):
@@ -94,7 +90,7 @@ def predictive_plot(path, bands, observed, mean, scale, ids) -> None:
     bands: list of (name, depth (g,), force quantiles (5, g) at 2.5, 16, 50, 84, 97.5 %, N, measured
     depths, measured forces), normal force as compression. ids: (n,) str. Others as in summary.predictions.
     """
-    figure = _figure((11, 4.6))
+    figure = canvas(11, 4.6)
     left, right = figure.subplots(1, 2)
     for number, (name, grid, quantiles, at, measured) in enumerate(bands):
         colour = f"C{number % 10}"

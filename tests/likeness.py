@@ -7,7 +7,7 @@ import numpy as np
 
 from gelforge.mechanics.hex.hexmesh import interpolate_surface
 from gelforge.records.markers import MarkerGrid, find_markers
-from gelforge.virtualrig.background import dot_free, dot_spots
+from gelforge.virtualrig.lightfit import dot_free, dot_spots
 from gelforge.virtualrig.looks import HEIGHT, WIDTH
 
 

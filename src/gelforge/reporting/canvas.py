@@ -1,0 +1,36 @@
+"""Figures that need no screen, and their PNG: what every picture of the project is drawn on."""
+
+import io
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+DPI = 110
+
+
+def canvas(width: float, height: float, layout: Literal["constrained"] | None = "constrained") -> Figure:
+    """An empty figure of a size in inches; layout None is for who places its parts."""
+    figure = Figure(figsize=(width, height), layout=layout)
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def canvas_with_axes(rows: int, columns: int, width: float, height: float) -> tuple[Figure, np.ndarray]:
+    """A figure of a size in inches and its axes, (rows, columns)."""
+    figure = canvas(width, height)
+    return figure, figure.subplots(rows, columns, squeeze=False)
+
+
+def save_png(path: Path | str, figure: Figure) -> None:
+    """Write a figure as PNG to exactly `path`; who publishes it sees to it that it is whole."""
+    figure.savefig(path, format="png", dpi=DPI)
+
+
+def to_png(figure: Figure) -> bytes:
+    """A figure as PNG bytes, trimmed to what is drawn."""
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=DPI, bbox_inches="tight")
+    return stream.getvalue()

@@ -1,0 +1,61 @@
+"""Pictures of a network: its training curve, and what it predicts beside the labels."""
+
+import numpy as np
+
+from gelforge.records.axes import CHANNELS
+from gelforge.reporting.canvas import canvas, save_png
+
+SHOWN_PRESSES = 4
+
+
+def draw_curve(path, curve: list[dict], best_epoch: int, name: str) -> None:
+    """Write the training curve: loss, and validation errors of total force in N."""
+    figure = canvas(9, 3)
+    left, right = figure.subplots(1, 2)
+    epochs = [row["epoch"] for row in curve]
+    left.semilogy(epochs, [row["loss"] for row in curve], color="tab:blue")
+    left.set(xlabel="epoch", ylabel="training loss", title=name)
+    rate = left.twinx()
+    rate.semilogy(epochs, [row["learning_rate"] for row in curve], color="0.7")
+    rate.set_ylabel("learning rate", color="0.5")
+    for axis in CHANNELS:
+        right.semilogy(epochs, [row[f"val_{axis}"] for row in curve], label=axis)
+    right.axvline(best_epoch, color="0.6", linestyle=":", label="best")
+    right.set(xlabel="epoch", ylabel="validation MAE of total force (N)")
+    right.legend(fontsize=8)
+    save_png(path, figure)
+
+
+def draw_predictions(path, data, predictions: dict) -> None:
+    """Write predicted against labelled totals, and normal-force maps of a few presses.
+
+    :param predictions: split name to (rows of the dataset, forces (k, 3, rows, cols) in N).
+    """
+    has_cells = next(iter(predictions.values()))[1].shape[2:] == data.grid
+    figure = canvas(11, 6.4 if has_cells else 3.4)
+    parts = figure.subfigures(1 + has_cells, 1, squeeze=False)
+    scatter, *maps = parts.ravel()
+    for i, axis in enumerate(scatter.subplots(1, 3)):
+        for name, (rows, forces) in predictions.items():
+            axis.plot(data.totals(rows)[:, i], forces.sum((2, 3))[:, i], ".", markersize=4, label=name)
+        low, high = np.array([axis.get_xlim(), axis.get_ylim()]).T
+        axis.plot([low.min(), high.max()], [low.min(), high.max()], color="0.7", linewidth=0.8, zorder=0)
+        axis.set(xlabel=f"label {CHANNELS[i]} (N)", ylabel=f"predicted {CHANNELS[i]} (N)")
+    axis.legend(fontsize=7)
+    if has_cells:
+        draw_maps(maps[0], data, *predictions.get("test", next(iter(predictions.values()))))
+    save_png(path, figure)
+
+
+def draw_maps(figure, data, rows, forces) -> None:
+    """Draw label and prediction of normal force for some presses, from weak to strong, into a (sub)figure."""
+    order = np.argsort(np.abs(data.totals(rows)[:, 2]))
+    picked = order[np.linspace(0, len(order) - 1, min(SHOWN_PRESSES, len(order))).astype(int)]
+    axes = figure.subplots(2, len(picked), squeeze=False)
+    for column, k in enumerate(picked):
+        pair = (data.labels[rows[k], 2], forces[k, 2])
+        low = min(float(part.min()) for part in pair)
+        for axis, part, what in zip(axes[:, column], pair, ("label", "network")):
+            axis.imshow(part, cmap="inferno_r", vmin=low, vmax=0)
+            axis.set_title(f"{what}: {part.sum():.1f} N", fontsize=8)
+            axis.set_axis_off()
