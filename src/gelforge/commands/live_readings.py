@@ -9,21 +9,8 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-import numpy as np
-
 from gelforge.errors import BadInput
 from gelforge.reporting.livepage import Hub, Reading, Recorder, Server, serve, write_lines
-
-# Half of an interval that holds 95 % of normal errors, in units of their mean size.
-HALF_OF_MEAN_ERROR = 1.96 * float(np.sqrt(np.pi / 2))
-
-
-def half_width(about: dict) -> np.ndarray | None:
-    """Half of the 95 % interval of total force (3,) N, from the errors that the network had on validation images."""
-    best = next((row for row in about.get("curve", []) if row.get("epoch") == about.get("best_epoch")), None)
-    if best is None:
-        return None
-    return HALF_OF_MEAN_ERROR * np.array([best["val_fx"], best["val_fy"], best["val_fz"]])
 
 
 def readings(untouched, frames, pace_s: float = 0.0) -> Iterator[Reading]:
@@ -32,13 +19,14 @@ def readings(untouched, frames, pace_s: float = 0.0) -> Iterator[Reading]:
 
     from gelforge.networks.use import predict_one
 
-    half, started = half_width(untouched.trained.about), time.perf_counter()
+    started = time.perf_counter()
     for number, frame in enumerate(frames):
         time.sleep(max(0.0, started + number * pace_s - time.perf_counter()))
         now = time.perf_counter()
         image, forces, verdict = predict_one(untouched, cv2.cvtColor(frame, cv2.COLOR_BGR2RGB))
         took = 1e3 * (time.perf_counter() - now)
-        yield Reading(number, now - started, image, forces, bool(verdict["flag"]), verdict["reason"], took, half)
+        flag, half = bool(verdict["flag"]), verdict["half_width"]
+        yield Reading(number, now - started, image, forces, flag, verdict["reason"], took, half)
 
 
 def ended(name: str, camera: bool, count: int) -> str:

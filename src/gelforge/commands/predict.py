@@ -2,6 +2,7 @@
 
 For every image a picture and the map as .npy, float32 (3, rows, cols) in N per cell, and one totals.csv.
 Columns grid_x_n, grid_y_n, grid_z_n are FEATS' channels: force along gel y, along gel x, along the normal.
+..._half_width_n: nine of ten forces on sensors that training never saw, of gels as stiff as those it saw, were nearer.
 A network that reads differences needs a picture of the sensor while nothing touches it: --untouched FILE, or one
 of the training sensors by its name, or, where neither is named, the training sensor that the image is nearest to.
 All images of one call are taken for one sitting: where their dots tell that the gel moved in its holder since that
@@ -26,20 +27,34 @@ from gelforge.records.markers import find_blobs, pitch_of
 
 # Pictures that tell how a gel sits: a single press may drag the whole rim, and would lose true sideways force.
 LEAST_SITTING = 4
-COLUMNS = ["image", *(f"{name}_n" for name in CHANNELS), "untouched", "unlike_training", "flagged", "reason"]
+COLUMNS = [
+    "image",
+    *(f"{name}_n" for name in CHANNELS),
+    *(f"{name}_half_width_n" for name in CHANNELS),
+    "untouched",
+    "unlike_training",
+    "flagged",
+    "reason",
+]
 
 
 def totals_row(name: str, forces, verdict: dict) -> dict:
     """One row of totals.csv."""
-    total = forces.sum((1, 2), dtype=np.float64)
+    total, half = forces.sum((1, 2), dtype=np.float64), verdict["half_width"]
     return {
         "image": name,
         **{f"{channel}_n": f"{value:.4f}" for channel, value in zip(CHANNELS, total, strict=True)},
+        **{f"{channel}_half_width_n": "" if half is None else f"{half[k]:.4f}" for k, channel in enumerate(CHANNELS)},
         "untouched": verdict["untouched"],
         "unlike_training": f"{verdict['score']:.2f}",
         "flagged": int(verdict["flag"]),
         "reason": verdict["reason"],
     }
+
+
+def within(half_width: str) -> str:
+    """An interval as it stands behind a force."""
+    return f" +- {half_width}" if half_width else ""
 
 
 def output_names(paths) -> list[str]:
@@ -130,7 +145,9 @@ def main(args: Namespace) -> None:
     for row in rows:
         warning = f"  UNLIKE TRAINING ({row['unlike_training']}): {row['reason']}" if row["flagged"] else ""
         against = f" against {row['untouched']}" if row["untouched"] else ""
-        forces = ", ".join(f"{channel} {row[f'{channel}_n']}" for channel in CHANNELS)
+        forces = ", ".join(
+            f"{channel} {row[f'{channel}_n']}{within(row[f'{channel}_half_width_n'])}" for channel in CHANNELS
+        )
         print(printable(f"{row['image']}: {forces} N{against}{warning}"))
     print(f"maps and totals.csv in {args.out}")
 

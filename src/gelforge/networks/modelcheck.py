@@ -10,6 +10,7 @@ import torch
 from gelforge.errors import BadInput
 from gelforge.networks.inputs import INPUT_CHANNELS
 from gelforge.networks.models import build
+from gelforge.records.axes import CHANNELS
 
 MOST_WIDTH, MOST_BLOCKS, MOST_LEVELS, MOST_SIDE = 4096, 64, 16, 4096
 
@@ -34,6 +35,18 @@ def _square(value: Any) -> bool:
     return isinstance(value, list) and all(_numbers(row, len(value)) for row in value)
 
 
+def _intervals(value: Any) -> bool:
+    if value is None or value == {}:
+        return True
+    tables = [value.get(what) for what in ("total", "cell") if value.get(what)] if isinstance(value, dict) else [None]
+    return all(
+        isinstance(table, dict)
+        and set(table) == set(CHANNELS)
+        and all(_numbers(pair, 2, -1e-300) for pair in table.values())
+        for table in tables
+    )
+
+
 # Every part of a model's description that use relies on, and what it must be.
 PARTS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "name": ("a name", lambda v: isinstance(v, str) and 0 < len(v) <= 200),
@@ -53,6 +66,7 @@ PARTS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "normalisation.image_std": ("three numbers above 0", lambda v: _numbers(v, 3, 0)),
     "normalisation.label": ("three numbers above 0", lambda v: _numbers(v, 3, 0)),
     "pitch_px": ("two numbers above 0, the larger last", lambda v: v is None or (_numbers(v, 2, 0) and v[0] <= v[1])),
+    "intervals": ("a table of pairs of numbers from 0 on, by component", _intervals),
     "statistics": ("a table", lambda v: isinstance(v, dict)),
     "statistics.inverse": ("a square of numbers", _square),
     "statistics.threshold": ("a number", lambda v: _numbers([v], 1)),

@@ -7,6 +7,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.networks.canonical import WHOLE, Light, view_of
+from gelforge.networks.intervals import half_widths
 from gelforge.networks.placement import Placement
 from gelforge.records.markers import pitch_of
 
@@ -109,7 +110,8 @@ def predict_one(
     A network that reads differences is given the image under the light of the untouched picture, at the scale it learnt,
     and laid onto that picture by `placement` (None: as it is); what it reads in that picture itself is taken off, as a
     scale is tared. The judgement is that of networks.statistics.judge, with `untouched`, what picture the image was read
-    against, and `light`, what its light differed by (networks.canonical).
+    against, `light`, what its light differed by (networks.canonical), and `half_width` (3,) N of the totals' intervals
+    (networks.intervals; None where the model knows none).
     """
     from gelforge.networks.latency import predict_images
     from gelforge.networks.statistics import judge
@@ -126,6 +128,7 @@ def predict_one(
     if trained.needs_untouched:
         forces = forces - untouched.rest(name)
     forces = forces * np.float32(untouched.gain)
+    verdict["half_width"] = half_widths(trained.about, "total", forces.sum((1, 2), dtype=float), untouched.gain)
     faults = [resized, verdict["reason"], light_fault(light), pull_fault(forces)]
     reason = "; ".join(filter(None, faults))
     return untouched.view.of(image), forces, verdict | {"flag": verdict["flag"] or bool(reason), "reason": reason}

@@ -29,7 +29,7 @@ QUIET_S = 5.0  # without a reading a page is sent a comment, so that one that le
 class Reading:
     """One frame: image (h, w, 3) uint8 RGB, forces (3, rows, cols) N per cell, how unlike training it is, and its cost.
 
-    half_width: (3,) N, half of the 95 % interval of the totals, or none where it is not known.
+    half_width: (3,) N, half of the 90 % interval of the totals, or none where it is not known.
     """
 
     frame: int

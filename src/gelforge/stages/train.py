@@ -120,7 +120,7 @@ def train(data, name: str, model: dict, settings: TrainingTable, checkpoint=None
     }
     if not needs_untouched(norm["reads"]):
         return Trained(training.net.cpu(), about)
-    about |= learnt_pitch(data)
+    about |= learnt_pitch(data) | {"intervals": unseen_intervals(training.net, data, norm)}
     return Trained(training.net.cpu(), about, data.nocontact if len(data.nocontact) <= MOST_PICTURES else {})
 
 
@@ -139,6 +139,24 @@ def sights(data, reads: str, settings: TrainingTable) -> Callable[[int], np.ndar
         return pair[0, ..., :3]
 
     return see
+
+
+def unseen_intervals(net, data, norm: dict) -> dict:
+    """How far forces are off on sensors that training did not see, or on validation's pictures where it saw all.
+
+    Only the first half of the unseen sensors is looked at, so that the other half can tell whether the intervals hold.
+    """
+    from gelforge.networks.intervals import fit_intervals
+    from gelforge.networks.training import predict_rows
+
+    rows = np.concatenate([data.splits.get(f"test_unseen_{which}", np.zeros(0, int)) for which in ("sensor", "both")])
+    names = data.names("sensor_id")
+    known = sorted(set(names[rows].tolist()))
+    rows = np.sort(rows[np.isin(names[rows], known[: (len(known) + 1) // 2])]) if known else data.splits["val"]
+    predicted = predict_rows(net, data, rows, norm)
+    if predicted.shape[2:] != data.grid:
+        return {}
+    return fit_intervals(predicted, data.labels[rows]) | {"sensors": sorted(set(names[rows].tolist()))}
 
 
 def learnt_pitch(data) -> dict[str, list[float]]:

@@ -60,7 +60,7 @@ async function draw(event) {
   el("rate").textContent = span > 0 ? fixed((recent.length - 1) / span, 1) : "–";
   el("flag").className = event.flag ? "on" : "";
   el("flag").textContent = event.flag ? `unlike the training pictures: ${event.reason}` : "like the training pictures";
-  el("band").textContent = event.half_width ? "band: where 95 % of the readings of known sensors lie" : "";
+  el("band").textContent = event.half_width ? "band: where 90 % of the forces on unseen sensors lie" : "";
   el("state").textContent = `frame ${event.frame}, ${fixed(event.time_s, 1)} s, ${fixed(event.ms, 1)} ms a frame`;
   if (event.recording !== undefined) el("record").setAttribute("aria-pressed", event.recording);
   if (el("record").textContent !== "Starting") el("record").textContent = event.recording ? "Stop recording" : "Record";
