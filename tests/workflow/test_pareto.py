@@ -98,6 +98,8 @@ def test_a_scene_that_cannot_be_solved_is_listed_with_its_reason(bench, tmp_path
 @pytest.mark.parametrize("fidelity", ["hex", "ccx", "ccx-native"])
 def test_every_fidelity_of_the_map_solves_with_what_its_branch_is_given(fidelity, ccx, coarse, tmp_path):
     params, folder = coarse
+    # how long a case may take is the chart's matter: a loaded machine is no fault
+    params = replace(params, stability=replace(params.stability, limit_s=3000.0, native_limit_s=3000.0))
     size = 0.7 if fidelity == "hex" else 3.0
     case = replace(cases.centre(params.stability, fidelity, "round"), depth=0.2, size=size, steps=2)
     # a fresh process, as make's: in one that has meshed before, pytetwild's threads do not survive the fork of a solve
