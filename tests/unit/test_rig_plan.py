@@ -20,6 +20,7 @@ from tests.conftest import ROOT
 
 DEMO = ROOT / "workflow" / "rig" / "demo.toml"
 TRAIN = ROOT / "workflow" / "rig" / "train.toml"
+PAPER = ROOT / "workflow" / "rig" / "paper.toml"
 
 
 def changed(tmp_path, *changes) -> Path:
@@ -95,7 +96,7 @@ def test_bad_stl_is_refused_before_anything_is_written(tmp_path, make, says):
     assert not (tmp_path / "data").exists()
 
 
-@pytest.mark.parametrize("path", [DEMO, TRAIN])
+@pytest.mark.parametrize("path", [DEMO, TRAIN, PAPER])
 def test_plans_that_travel_with_the_project_are_good(path):
     check(path, ROOT / "workflow")
 
