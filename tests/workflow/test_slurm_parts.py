@@ -139,17 +139,17 @@ def test_a_stage_overrides_the_default_and_an_own_file_the_published_one(own):
     assert "--gres=gpu:1" in train.options and train.cores == 4
     assert read_profile(path, "calibrate") == read_profile(path, "40_forces")
     local = read_profile(ROOT / "envs" / "slurm-cluster.toml", "70_train")
-    assert local.options == [] and local.cores == 1
+    assert local.options == () and local.cores == 1
 
 
 @pytest.mark.parametrize(
     ("line", "words"),
     [
-        ("memory = 3", "memory: no such setting"),
-        ("cores = 0", "at least 1"),
-        ("cores = '1'", "a whole number is needed"),
-        ("options = [1]", "list of texts"),
-        ("poll_seconds = true", "a number is needed"),
+        ("memory = 3", "[labels] memory: is read by nothing; memory_mb is meant?"),
+        ("cores = 0", "[labels] cores = 0: give a whole number from 1"),
+        ("cores = '1'", "give a whole number"),
+        ("options = [1]", "give a list"),
+        ("poll_seconds = true", "give a number from 0.1"),
     ],
 )
 def test_a_wrong_profile_is_named(own, line, words):

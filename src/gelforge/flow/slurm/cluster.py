@@ -1,40 +1,46 @@
 """What a cluster is asked for: workflow/slurm.toml, one profile per stage."""
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Annotated, Any
 
-from gelforge.errors import BadInput
 from gelforge.flow.params import read_toml
+from gelforge.flow.params.schema import OneLine, ParameterTable, Place, Within, parse
 
 PUBLISHED = Path("workflow/slurm.toml")
 
+Text = Annotated[str, OneLine()]
+FromNone = Annotated[int, Within(0, 1e9)]
+FromOne = Annotated[int, Within(1, 1e9)]
+Factor = Annotated[float, Within(1.0, 1e3)]
+Pause = Annotated[float, Within(0.0, 1e9, "s")]
+
 
 @dataclass(frozen=True)
-class Profile:
+class Profile(ParameterTable):
     """What one task of a stage may use, and how long to be patient; workflow/slurm.toml explains every field."""
 
-    partition: str
-    account: str
-    constraint: str
-    time_minutes: int
-    memory_mb: int
-    cores: int
-    shards_per_task: int
-    array_limit: int
-    concurrent: int
-    options: list
-    setup: list
-    retries: int
-    memory_factor: float
-    memory_max_mb: int
-    time_factor: float
-    time_max_minutes: int
-    poll_seconds: float
-    visible_seconds: float
-    submit_seconds: float
-    silence_seconds: float
+    partition: Text
+    account: Text
+    constraint: Text
+    time_minutes: FromOne
+    memory_mb: FromOne
+    cores: FromOne
+    shards_per_task: FromOne
+    array_limit: FromNone
+    concurrent: FromNone
+    options: Annotated[tuple[str, ...], OneLine()]
+    setup: Annotated[tuple[str, ...], OneLine()]
+    retries: FromNone
+    memory_factor: Factor
+    memory_max_mb: FromOne
+    time_factor: Factor
+    time_max_minutes: FromOne
+    poll_seconds: Annotated[float, Within(0.1, 1e9, "s")]
+    visible_seconds: Pause
+    submit_seconds: Pause
+    silence_seconds: Pause
 
     def more_memory(self, memory_mb: int) -> int:
         """Memory of the next run of a task that needed more than `memory_mb`; no more than that if at the limit."""
@@ -52,49 +58,17 @@ class Profile:
         return [*asked, f"--mem={memory_mb}M", f"--time={minutes}", *self.options]
 
 
-KINDS = {str: "a text", int: "a whole number", float: "a number", list: "a list of texts"}
-# The least value of each number; 0 means "no limit" or "at once" where it is allowed.
-LEAST = {
-    "time_minutes": 1,
-    "memory_mb": 1,
-    "cores": 1,
-    "shards_per_task": 1,
-    "memory_factor": 1.0,
-    "time_factor": 1.0,
-    "memory_max_mb": 1,
-    "time_max_minutes": 1,
-    "poll_seconds": 0.1,
-}
-
-
-def checked(table: dict, where: str) -> dict:
-    """Return `table` if every key is a field of Profile with a value of its kind; BadInput otherwise."""
-    known: dict[str, type] = get_type_hints(Profile)
-    for key, value in table.items():
-        if key not in known:
-            raise BadInput(f"{where}.{key}: no such setting; known: {', '.join(known)}")
-        kinds: Any = (int, float) if known[key] is float else known[key]
-        if not isinstance(value, kinds) or isinstance(value, bool):
-            raise BadInput(f"{where}.{key} = {value!r}: {KINDS[known[key]]} is needed")
-        if known[key] is list and not all(isinstance(line, str) for line in value):
-            raise BadInput(f"{where}.{key} = {value!r}: {KINDS[list]} is needed")
-        if known[key] in (int, float) and value < LEAST.get(key, 0):
-            raise BadInput(f"{where}.{key} = {value!r}: must be at least {LEAST.get(key, 0)}")
-    return table
-
-
 def read_profile(path: Path | str, stage: str) -> Profile:
-    """Return the profile of `stage`: `30_fea` reads [default], then [fea]; BadInput names what is wrong.
+    """Return the profile of `stage`: `30_fea` reads [default], then [fea]; BadInput names what is wrong and its file.
 
     A file of one's own says only what differs from PUBLISHED.
     """
-    name, values = stage.lstrip("0123456789_"), {}
     files = dict.fromkeys([PUBLISHED, Path(path)])
     tables = {file: read_toml(file) for file in files}
-    for table in ("default", name):
+    values: dict[str, Any] = {}
+    for table in ("default", stage.lstrip("0123456789_")):
         for file in files:
-            values.update(checked(tables[file].get(table, {}), f"{file}: {table}"))
-    missing = [field.name for field in fields(Profile) if field.name not in values]
-    if missing:
-        raise BadInput(f"{PUBLISHED}: [default] lacks {', '.join(missing)}; take them from the published file")
-    return Profile(**values)
+            own = tables[file].get(table, {})
+            values |= own if isinstance(own, dict) else {table: own}
+            profile = parse(Profile, values, Place(str(file), (table,)))
+    return profile
