@@ -10,7 +10,7 @@ PLAN_READS :=
 PLAN_STATE :=
 
 # Goals that need no dataset do not read one.
-NO_DATASET := help setup lint format test test-% rig rig-% benchmark-% lock clean-venv feats-import mcap-import projection
+NO_DATASET := help setup lint format test test-% rig rig-% benchmark-% lock clean-venv feats-import mcap-import projection real-check
 ifneq ($(filter-out $(NO_DATASET),$(or $(MAKECMDGOALS),help)),)
 include $(PLANNED)
 # The plan holds the time and size of every file that it was made from. They are compared for being the same, not for

@@ -22,6 +22,7 @@ $(READ:.json=.card.md): $(SHIPPED).pt $(READ)
 $(EVALUATED:.json=.card.md): $D/80_evaluate/$(RES1)/%.card.md: $D/70_train/$(RES1)/%.pt $D/80_evaluate/$(RES1)/%.json
 	$(call step,gelforge.stages.card --model $< --evaluation $(word 2,$^) --out $@.part)
 
-ship: $D/70_train/$(RES1)/$(LEARNT).pt $D/80_evaluate/$(RES1)/$(LEARNT).card.md  ## makes a network the one that predict and live use where none is named
+# What benchmark-unseen and benchmark-real measured of this very network goes into the card.
+ship: $D/70_train/$(RES1)/$(LEARNT).pt $D/80_evaluate/$(RES1)/$(LEARNT).json  ## makes a network the one that predict and live use where none is named
 	cp $< $(SHIPPED).pt
-	cp $(word 2,$^) $(SHIPPED).md
+	@$(PY) -m gelforge.stages.card --model $< --evaluation $(word 2,$^) --measured $(wildcard results/benchmarks/unseen.json results/benchmarks/real.json) --out $(SHIPPED).md

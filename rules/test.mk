@@ -39,10 +39,14 @@ format: $(SETUP)  ## write the code in the project's form
 lock: $(SETUP)  ## write envs/requirements.lock from what is installed
 	@$(PY) -m pip freeze --exclude-editable | sed 's/+cpu$$//' > envs/requirements.lock
 
-BENCHMARKS := $(patsubst tests/benchmarks/%.py,benchmark-%,$(filter-out %/__init__.py %/figures.py %/sandbox.py %/rig_page.py %/fea_cost.py %/attempts.py %/flow_faults.py,$(wildcard tests/benchmarks/*.py)))
+BENCHMARKS := $(patsubst tests/benchmarks/%.py,benchmark-%,$(filter-out %/__init__.py %/figures.py %/sandbox.py %/rig_page.py %/real_page.py %/fea_cost.py %/attempts.py %/flow_faults.py,$(wildcard tests/benchmarks/*.py)))
 .PHONY: $(BENCHMARKS)
 $(BENCHMARKS): benchmark-%: $(SETUP) $(CCX_FOUND)
 	@$(PY) -m tests.benchmarks.$* --out results/benchmarks/$*.json
+
+.PHONY: real-check
+real-check: $(SETUP)  ## benchmark-real with a page of real pictures and what is read in them: results/real-check/index.html
+	@$(PY) -m tests.benchmarks.real --reference $(call given,REFERENCE) --out results/benchmarks/real.json --page results/real-check/index.html
 
 .PHONY: benchmark-X
 benchmark-X:  ## measure what was promised; X is one of those listed by make benchmark-X

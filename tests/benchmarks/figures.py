@@ -51,8 +51,8 @@ def table(figures: list[Figure]) -> str:
     )
 
 
-def publish_figures(path, figures: list[Figure]) -> None:
-    """Write the figures to `path` (JSON) and print them as a table."""
+def publish_figures(path, figures: list[Figure], model: str = "") -> None:
+    """Write the figures to `path` (JSON) and print them as a table; model: digest of the network that they are of."""
     as_dicts = [{**asdict(f), "value": float(f.value), "goal": float(f.goal), "met": f.met} for f in figures]
-    write_json(path, {"figures": as_dicts, "commit": commit(), "machine": machine()})
+    write_json(path, {"figures": as_dicts, "commit": commit(), "machine": machine(), "model": model})
     print(table(figures), flush=True)

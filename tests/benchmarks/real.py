@@ -231,7 +231,8 @@ def cuboid_figures(reference: Path, trained: Trained, untouched: np.ndarray) -> 
 @command(
     option("--reference", type=Path, default=Path(os.environ.get("GELFORGE_REFERENCE", "../shared/reference"))),
     option("--model", type=Path, default=None, help="model file; the one that ships if not named"),
-    option("--out", type=Path),
+    option("--out", type=Path, default=Path("results/benchmarks/real.json")),
+    option("--page", type=Path, default=None, help="write the pictures and what is read in them to this page"),
 )
 def main(args: Namespace) -> None:
     if not (args.reference / "gripper_videos").is_dir():
@@ -243,7 +244,11 @@ def main(args: Namespace) -> None:
     figures = [*released_figures(read), *finger_figures(read), *sideways_figures(read)]
     figures += gif_figures(args.reference, trained, untouched)
     figures += cuboid_figures(args.reference, trained, untouched)
-    publish_figures(args.out, figures)
+    publish_figures(args.out, figures, trained.about["sha256"])
+    if args.page:
+        from tests.benchmarks.real_page import write_page
+
+        write_page(args.page, trained, args.reference, films, figures)
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 from gelforge.networks.inputs import needs_untouched
 from gelforge.records.axes import CHANNELS
 
+FEW = 12  # sensors that are named one by one
 AXIS_NOTE = (
     "Forces act on the gel, compression is negative z. Channels are FEATS': grid_x is the force along the "
     "image's columns (gel y, the long side), grid_y along its rows (gel x), grid_z along the gel's normal."
@@ -20,6 +21,22 @@ def listing(values: dict) -> str:
         f"{key} ({listing(value)})" if isinstance(value, dict) else f"{key} {value}" for key, value in values.items()
     )
     return ", ".join(parts)
+
+
+def named(sensors: list[str]) -> str:
+    """Names of sensors, or of many how many, the first and the last."""
+    return ", ".join(sensors) if len(sensors) <= FEW else f"{len(sensors)} from {sensors[0]} to {sensors[-1]}"
+
+
+def interval_lines(about: dict) -> list[str]:
+    """How wide intervals are, where the model knows any."""
+    known = about.get("intervals", {})
+    if "total" not in known:
+        return []
+    widths = ", ".join(f"{name} {base:.2f} N + {100 * share:.0f} %" for name, (base, share) in known["total"].items())
+    return [
+        f"- Intervals of total force that hold nine of ten, set on {named(known['sensors'])}, of the force: +- {widths}.",
+    ]
 
 
 def error_rows(evaluation: dict) -> list[list[str]]:
@@ -44,8 +61,20 @@ def control_rows(evaluation: dict) -> list[list[str]]:
     ]
 
 
-def write_card(about: dict, evaluation: dict) -> str:
-    """Return the card of a model as Markdown, from its file's `about` and its evaluation."""
+def measured_rows(figures: list[dict]) -> list[str]:
+    """Figures of benchmarks as lines, none where nothing was measured."""
+    if not figures:
+        return []
+    rows = [
+        [f["name"], f"{f['value']:.3g} {f['unit']}".strip(), f"{f['compare']} {f['goal']:g}", f["note"]]
+        for f in figures
+    ]
+    title = ["## Elsewhere: units of the rig that it never saw, and real sensors", ""]
+    return [*title, *table(["figure", "measured", "aim", "note"], rows), ""]
+
+
+def write_card(about: dict, evaluation: dict, figures: list[dict] | None = None) -> str:
+    """Return the card of a model as Markdown, from its file's `about`, its evaluation, and figures of benchmarks."""
     data = about["data"]
     origin = (
         "**It learnt from the virtual rig: simulated presses and rendered images, no real sensor.** Expect larger "
@@ -65,10 +94,11 @@ def write_card(about: dict, evaluation: dict) -> str:
         f"{origin}",
         "",
         f"- Network: {listing(about['model'])}; {about['parameters']} parameters.",
-        f"- Sensors seen: {', '.join(about['sensors'])}; in its dataset: {', '.join(about['known_sensors'])}.",
+        f"- Sensors seen: {named(about['sensors'])}; in its dataset: {named(about['known_sensors'])}.",
         f"- Indenters seen: {', '.join(about['indenters'])}.",
         f"- Data: {data['name']}, version {data['version']}; images: {samples}.",
         f"- Training: best of {len(about['curve'])} epochs was {about['best_epoch']}; {listing(about['train'])}.",
+        *interval_lines(about),
         f"- {AXIS_NOTE}",
         "",
         "## Error of total force (mean absolute, N; 95 % interval over presses) and per cell",
@@ -79,6 +109,7 @@ def write_card(about: dict, evaluation: dict) -> str:
         "",
         *table(["split", "control", *CHANNELS], control_rows(evaluation)),
         "",
+        *measured_rows(figures or []),
         "## Limits",
         "",
         f"- An image whose statistics lie further than {about['statistics']['threshold']:.2f} from the training "

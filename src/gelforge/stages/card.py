@@ -11,12 +11,22 @@ from gelforge.networks.modelcard import write_card
 @command(
     option("--model", type=Path),
     option("--evaluation", type=Path),
+    option(
+        "--measured",
+        type=Path,
+        nargs="*",
+        default=[],
+        help="figures of benchmarks; those of other networks are left out",
+    ),
     option("--out", type=Path),
 )
 def main(args: Namespace) -> None:
     from gelforge.networks.modelfile import load_model
 
-    write_text(args.out, write_card(load_model(args.model).about, read_json(args.evaluation)))
+    about = load_model(args.model).about
+    measured = [read_json(path) for path in args.measured]
+    figures = [figure for found in measured if found.get("model") == about["sha256"] for figure in found["figures"]]
+    write_text(args.out, write_card(about, read_json(args.evaluation), figures))
 
 
 if __name__ == "__main__":

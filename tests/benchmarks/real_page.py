@@ -1,0 +1,92 @@
+"""One page with pictures of real sensors, what the network reads in them and how sure it is, and the figures."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from gelforge.flow.files import write_text
+from gelforge.formats.numpy_pickle import read_npy
+from gelforge.networks.modelfile import Trained
+from gelforge.networks.still import find_untouched
+from gelforge.networks.use import Untouched, predict_one
+from gelforge.records.image import encode_png, read_image
+from gelforge.reporting.forcemaps import overlay
+from gelforge.reporting.page import Section, render
+from tests.benchmarks.figures import Figure
+from tests.benchmarks.real import feats_maps, frames
+from tests.benchmarks.rig_page import figure_table
+
+A_ROW = 4  # pictures side by side
+OF_THE_GIF = 12  # of FEATS' 51 presses
+
+
+def read_over(untouched: Untouched, image: np.ndarray) -> np.ndarray:
+    """An image (h, w, 3) RGB with its force map, totals and their intervals on it, and why it is flagged."""
+    seen, forces, verdict = predict_one(untouched, image)
+    total, half = forces.sum((1, 2), dtype=float), verdict["half_width"]
+    within = [""] * 3 if half is None else [f" +- {value:.1f}" for value in half]
+    lines = [f"z {total[2]:+.1f}{within[2]} N", f"x {total[0]:+.2f}{within[0]}  y {total[1]:+.2f}{within[1]} N"]
+    drawn = overlay(
+        cv2.cvtColor(seen, cv2.COLOR_RGB2BGR), forces, lines, verdict["reason"] if verdict["flag"] else "", 1
+    )
+    return cv2.cvtColor(drawn, cv2.COLOR_BGR2RGB)
+
+
+def strip(pictures: Sequence[np.ndarray]) -> bytes:
+    """RGB pictures side by side as PNG."""
+    height = max(len(picture) for picture in pictures)
+    padded = [np.pad(p, ((0, height - len(p)), (0, 6), (0, 0)), constant_values=255) for p in pictures]
+    return encode_png(np.hstack(padded))
+
+
+def rows_of(pictures: list[np.ndarray]) -> Iterator[bytes]:
+    """Pictures in rows, as PNG."""
+    for start in range(0, len(pictures), A_ROW):
+        yield strip(pictures[start : start + A_ROW])
+
+
+def film_section(trained: Trained, films: Sequence[Path]) -> Section:
+    """Of each film its untouched picture and the frame that is least like it."""
+    section = Section("Films of grippers").text(
+        "Left: the first frames at rest. Right: the frame that is least like them, with the normal force as heat, the"
+        " sideways force as arrows, and totals with the intervals that hold nine of ten on unseen units of the rig."
+    )
+    pictures = []
+    for path in films:
+        images = list(frames(path))
+        rest, _ = find_untouched(iter(images), str(path))
+        hardest = max(images, key=lambda image: float(np.abs(image.astype(np.int16) - rest).mean()))
+        untouched = Untouched(trained, rest)
+        pictures += [read_over(untouched, rest), read_over(untouched, hardest)]
+    for k, row in enumerate(rows_of(pictures)):
+        section.picture(row, ", ".join(path.stem for path in films[k * A_ROW // 2 : (k + 1) * A_ROW // 2]))
+    return section
+
+
+def feats_sections(trained: Trained, reference: Path) -> list[Section]:
+    """FEATS' cuboid, and presses of its film beside FEATS' own normal maps."""
+    rest = read_npy(reference / "feats/images/nocontact_train_sensor.npy")["gs_img"]
+    untouched = Untouched(trained, rest)
+    cuboid = read_image(reference / "feats/images/cuboid_10-2-284.png")[..., :3]
+    one = Section("FEATS' 10 mm cuboid").picture(
+        strip([rest, cuboid, read_over(untouched, cuboid)]),
+        "Untouched on another day, pressed 2.3 mm, and as it is read.",
+    )
+    presses = list(feats_maps(reference / "feats/images/demo.gif", rest))
+    pictures = []
+    for image, normal in presses[:: max(1, len(presses) // OF_THE_GIF)][:OF_THE_GIF]:
+        theirs = cv2.applyColorMap(np.uint8(255 * normal), cv2.COLORMAP_INFERNO)[..., ::-1]
+        pictures += [cv2.resize(theirs, (320, 240), interpolation=cv2.INTER_NEAREST), read_over(untouched, image)]
+    section = Section("FEATS' film").text("Left: its own normal map, scaled to itself. Right: what is read here.")
+    for row in rows_of(pictures):
+        section.picture(row, "")
+    return [one, section]
+
+
+def write_page(path: Path, trained: Trained, reference: Path, films: Sequence[Path], figures: list[Figure]) -> None:
+    """Write the page."""
+    sections = [figure_table(figures), film_section(trained, films), *feats_sections(trained, reference)]
+    lead = "No force was measured beside these pictures. The network learnt from the virtual rig alone."
+    write_text(path, render("real sensors", lead, sections))
