@@ -244,7 +244,7 @@ def main(args: Namespace) -> None:
     figures = [*released_figures(read), *finger_figures(read), *sideways_figures(read)]
     figures += gif_figures(args.reference, trained, untouched)
     figures += cuboid_figures(args.reference, trained, untouched)
-    publish_figures(args.out, figures, trained.about["sha256"])
+    publish_figures(args.out, figures, trained.about.get("sha256", ""))
     if args.page:
         from tests.benchmarks.real_page import write_page
 

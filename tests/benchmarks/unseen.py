@@ -251,7 +251,7 @@ def main(args: Namespace) -> None:
     read = np.array([totals(readers[seen.unit], seen.image) for seen in units.seen])
     figures = error_figures(units, read) + sensitivity_figures(units, readers, read)
     figures += [drift_figure(units, readers), *gain_figures(units, read), *flag_figures(units, trained)]
-    publish_figures(args.out, figures, trained.about["sha256"])
+    publish_figures(args.out, figures, trained.about.get("sha256", ""))
 
 
 if __name__ == "__main__":

@@ -148,7 +148,7 @@ def load_model(path) -> Trained:
     if not isinstance(about, dict) or about.get("format") != FORMAT:
         seen = about.get("format") if isinstance(about, dict) else type(about).__name__
         raise BadInput(f"{path}: not a gelforge model of format {FORMAT} (its format is {seen}); train it again")
-    digest = about.pop("sha256", None)  # files of earlier versions have none
+    digest = about.get("sha256")  # files of earlier versions have none
     check_about(about, str(path))
     check_tensors(about, tensors, str(path))
     if digest not in (None, tensor_digest(tensors)):

@@ -25,7 +25,12 @@ def main(args: Namespace) -> None:
 
     about = load_model(args.model).about
     measured = [read_json(path) for path in args.measured]
-    figures = [figure for found in measured if found.get("model") == about["sha256"] for figure in found["figures"]]
+    figures = [
+        figure
+        for found in measured
+        if found.get("model") and found["model"] == about.get("sha256")
+        for figure in found["figures"]
+    ]
     write_text(args.out, write_card(about, read_json(args.evaluation), figures))
 
 
