@@ -10,6 +10,7 @@ from gelforge.errors import BadInput
 from gelforge.networks.canonical import match_light, view_of
 from gelforge.networks.still import MOST, SETTLING, STILL, find_untouched
 from gelforge.networks.use import Untouched, load_for_use, predict_one
+from gelforge.records.markers import pitch_of
 
 SIZE = (240, 320)
 
@@ -180,3 +181,13 @@ def test_light_is_found_in_what_a_narrow_view_shows(seed, gain, offset):
     outside = np.ones(SIZE, bool)
     outside[view.shown(SIZE)] = False
     assert np.array_equal(lit[outside], rest[outside])
+
+
+def test_specks_are_no_print():
+    """Dust on a gel without dots says nothing of the camera's scale."""
+    rng = np.random.default_rng(4)
+    picture = np.full((*SIZE, 3), 130, np.uint8)
+    for u, v in zip(rng.uniform(10, 310, 25), rng.uniform(10, 230, 25), strict=True):
+        cv2.circle(picture, (int(u), int(v)), 4, (40, 40, 40), -1)
+    assert pitch_of(picture) == 0.0
+    assert pitch_of(gel(1)) == pytest.approx(40.0, abs=0.5)

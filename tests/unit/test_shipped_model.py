@@ -23,7 +23,8 @@ def test_it_reads_presses_it_never_saw(root, tmp_path):
     log = [row for row in csv.DictReader((root / "data/demo/log.csv").open()) if row["sensor_id"] == "mini_a"]
     truth = {row["sample_id"]: row for row in csv.DictReader((root / "data/demo/truth/presses.csv").open())}
     images = [str(root / "data/demo" / row["image"]) for row in log]
-    assert predict.main([*images, "--out", str(tmp_path)]) == 0
+    rest = str(root / "data/demo/nocontact/mini_a.png")
+    assert predict.main([*images, "--untouched", rest, "--out", str(tmp_path)]) == 0
     rows = list(csv.DictReader((tmp_path / "totals.csv").open()))
     assert not any(int(row["flagged"]) for row in rows)
     read = np.array([float(row["grid_z_n"]) for row in rows])

@@ -64,6 +64,7 @@ class Untouched:
                 f"model {trained.about['name']} has no picture of the untouched sensor {sensor or 'of any name'}: give "
                 "one with --untouched"
             )
+        self._pictures: dict[str, np.ndarray] = {}
         self._readers: dict[str, Any] = {}
         self._rest: dict[str, np.ndarray] = {}
 
@@ -77,7 +78,9 @@ class Untouched:
 
     def picture(self, name: str) -> np.ndarray:
         """The untouched picture of that name at the network's scale."""
-        return self.view.of(self.known[name])
+        if name not in self._pictures:
+            self._pictures[name] = self.view.of(self.known[name])
+        return self._pictures[name]
 
     def canonical(self, image, name: str, placement: Placement | None = None) -> tuple[np.ndarray, Light]:
         """An image as the network reads it against the picture of that name, and what its light was."""

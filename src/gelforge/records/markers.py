@@ -11,6 +11,8 @@ LARGEST_TURN = 25.0  # degrees a gel can sit turned in its holder and still be t
 REACH = 0.3  # of the pitch: how far from its expected place a dot is still that dot
 LIT = 0.3  # of the brightest colour's background: below, a colour tells noise from ink no more
 LEAST_SHARE = 0.5  # of the dots must be found for a grid to be believed
+LEAST_PRINT = 8  # dots that tell how far apart they are printed
+UNEVEN = 0.15  # share by which such distances differ in one print
 
 
 @dataclass(frozen=True)
@@ -107,13 +109,16 @@ def _blob(label: np.ndarray, dark: np.ndarray, number: int, stats: np.ndarray) -
 
 
 def pitch_of(picture: np.ndarray) -> float:
-    """Median distance in px of a dot to its nearest neighbour, 0 where fewer than four dots are seen."""
+    """Median distance in px of a dot to its nearest neighbour; 0 where what is dark and round is no even print."""
     dots, _ = find_blobs(picture)
-    if len(dots) < 4:
+    if len(dots) < LEAST_PRINT:
         return 0.0
     apart = np.hypot(*(dots[:, None] - dots[None]).transpose(2, 0, 1))
     np.fill_diagonal(apart, np.inf)
-    return float(np.median(apart.min(axis=1)))
+    nearest = apart.min(axis=1)
+    pitch = float(np.median(nearest))
+    even = np.abs(nearest - pitch) < UNEVEN * pitch
+    return pitch if even.mean() >= LEAST_SHARE else 0.0
 
 
 def _steps(points: np.ndarray) -> np.ndarray:
