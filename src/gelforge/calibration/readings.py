@@ -72,7 +72,8 @@ def read_readings(log, known_bad: Collection[int] = ()) -> Readings:
     missing = [column for column in ("indenter", *POSE, "fz_n") if column not in rows[0].cells]
     if missing:
         raise BadInput(f"{log}: column {missing[0]} is missing; seen: {', '.join(rows[0].cells)}")
-    presses, seen_by = [], {}
+    presses: list = []
+    seen_by: dict = {}
     for raw in rows:
         if raw.row in known_bad or not raw.cells["fz_n"]:
             continue
@@ -165,7 +166,7 @@ def choose_presses(readings: Readings, most: int) -> np.ndarray:
         members = np.flatnonzero(readings.indenters == name)
         members = members[np.argsort(readings.depth[members], kind="stable")]
         queues.append([int(members[k]) for k in bisection_order(len(members))])
-    chosen = []
+    chosen: list[int] = []
     for turn in range(max(map(len, queues))):
         chosen.extend(queue[turn] for queue in queues if turn < len(queue))
     return np.sort(chosen[:most])

@@ -177,7 +177,7 @@ def sample(posterior, rules: Rules, path=None, say=None) -> Chain:
         state = emcee.State(start_points(posterior, rules, rng), random_state=seeded)
     figures = judge(chain, float(accepted.mean() / len(chain))) if len(chain) else None
     while figures is None or not figures.meets(rules):
-        if len(chain) >= rules.max_steps:
+        if figures is not None and len(chain) >= rules.max_steps:
             raise NotConverged(complaint(posterior.model, chain, figures, rules))
         learning = len(chain) < LEARN
         moves = learning_moves() if learning else learnt_moves(chain[LEARN // 2 : LEARN])

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.calibration import emulator as em
+from gelforge.calibration.readings import Readings
 from gelforge.calibration.sampling import fingerprint
 from gelforge.errors import BadInput, SolveFailed
 from gelforge.flow.files import read_json, write_json
@@ -45,7 +46,7 @@ class SolvePlan:
     straight). straight: {group: job} is not kept; jobs(i, mu, nu) lists the jobs of press i, deepest first.
     """
 
-    readings: object
+    readings: Readings
     top: np.ndarray
     leader: np.ndarray
     fractions: tuple
@@ -157,8 +158,11 @@ class SolveCache:
 
     def __init__(self, folder, catalogue: dict, settings: HexSettings, gel: Gel | None = None):
         self.folder, self.catalogue, self.settings, self.gel = Path(folder), catalogue, settings, gel or Gel()
-        self.failed = {}
-        self._made, self._shapes, self._used, self._kept = set(), {}, {}, {}
+        self.failed: dict[Path, str] = {}
+        self._made: set[Path] = set()
+        self._shapes: dict[str, str] = {}
+        self._used: dict = {}
+        self._kept: dict = {}
 
     def path(self, job: SolveJob) -> Path:
         if job.indenter not in self.catalogue:

@@ -24,7 +24,7 @@ def open_source(video: Path | None, camera: int | None):
 
     if video is not None and not video.is_file():
         raise BadInput(f"{video}: no such video")
-    source = cv2.VideoCapture(str(video) if video is not None else camera)
+    source = cv2.VideoCapture(str(video)) if camera is None else cv2.VideoCapture(camera)
     if not source.isOpened():
         what = (
             f"{video}: cannot be opened as a video; convert it to AVI or MP4"
@@ -96,7 +96,7 @@ def write_video(pictures, path, rate: float) -> int:
             for picture in pictures:
                 if writer is None:
                     writer = cv2.VideoWriter(
-                        str(part), cv2.VideoWriter_fourcc(*"MJPG"), rate, (picture.shape[1], picture.shape[0])
+                        str(part), cv2.VideoWriter.fourcc(*"MJPG"), rate, (picture.shape[1], picture.shape[0])
                     )
                     if not writer.isOpened():
                         raise BadInput(f"{path}: cannot be written as a video; give a name that ends in .avi")

@@ -107,9 +107,10 @@ def calibrate(name: str, like: Sensor, points=None, image=None, where: str = "")
                 "give POINTS=points.csv, or IMAGE=nocontact.png, or both: make projection SENSOR=name POINTS=…"
             )
         points = like.unproject(grid_pixels(like.markers, markers.index)), markers.points
-    fit = fit_homography(*points, where=where or "correspondences")
+    on_gel, pixels = points
+    fit = fit_homography(on_gel, pixels, where=where or "correspondences")
     check_projection(fit.homography, where or "correspondences")
-    return FittedProjection(name, like.image, like.gel, fit, *points, markers)
+    return FittedProjection(name, like.image, like.gel, fit, on_gel, pixels, markers)
 
 
 def describe(found: FittedProjection) -> dict:

@@ -66,7 +66,9 @@ def import_folder(source: Path, data: Path, sensor, gel_id: str = "feats") -> di
     if not files:
         raise BadInput(f"{source}: holds no .npy files; give FEATS' folder of samples or labels as FROM=...")
     with new_folder(data) as part:
-        presses, labels, ranges = {}, {}, None
+        presses: dict[str, dict] = {}
+        labels: dict[tuple[int, int], list] = {}
+        ranges = None
         for path in progress(files, "import"):
             if is_normalisation(path):
                 ranges = read_normalisation(path)
@@ -116,7 +118,7 @@ def _take(path, sample, sensor, part, presses, labels) -> None:
             f"{path}: field gs_img is {width} x {height} pixels, sensor {sensor.name} has"
             f" {sensor.image[0]} x {sensor.image[1]}; import it with its own SENSOR, or resize it"
         )
-    key = hashlib.sha256(np.ascontiguousarray(sample.image)).hexdigest()
+    key = hashlib.sha256(np.ascontiguousarray(sample.image).tobytes()).hexdigest()
     if key not in presses:
         name = re.sub(r"[^A-Za-z0-9_-]", "_", path.stem)[:100].lstrip("_-") or "sample"
         presses[key] = {"path": path, "row": {"sample_id": name, "image": f"images/{name}.png"}, "raw": False}
@@ -155,7 +157,7 @@ def _time(stem: str) -> str:
 
 
 def _check_ids(presses, source) -> None:
-    seen = {}
+    seen: dict[str, str] = {}
     for press in presses.values():
         name = press["row"]["sample_id"]
         if name in seen:

@@ -145,7 +145,7 @@ def is_normalisation(path) -> bool:
 
 def _save(path, value: dict) -> None:
     with publish(path) as part, part.open("wb") as stream:
-        np.save(stream, value, allow_pickle=True)
+        np.save(stream, np.array(value, object), allow_pickle=True)
 
 
 class Ranges:

@@ -59,7 +59,7 @@ class _Type:
     def finish(self) -> np.dtype:
         if not PLAIN_TYPE.fullmatch(self.code):
             raise Refused(f"an array of type {self.code[:40]!r}; only numbers and text are read")
-        return np.dtype(self.code).newbyteorder(self.order if self.order in "<>" else "=")
+        return np.dtype(self.code).newbyteorder("<" if self.order == "<" else ">" if self.order == ">" else "=")
 
 
 @dataclass(eq=False)

@@ -64,10 +64,10 @@ class Gel:
             steps = int(np.ceil(straight / size_mm))
             ahead = np.array([-np.sin(phi[-1]), np.cos(phi[-1])])
             points += [arc, arc[-1] + straight * np.arange(1, steps)[:, None] / steps * ahead]
-        points = np.concatenate(points)
+        outline = np.concatenate(points)
         # straight runs are set exactly, so that a triangulation of the outline has no slivers on them
-        near = np.abs(np.abs(points) - [w, h]) < 1e-9
-        return np.where(near, np.copysign([w, h], points), points)
+        near = np.abs(np.abs(outline) - [w, h]) < 1e-9
+        return np.where(near, np.copysign([w, h], outline), outline)
 
     def surface(self, size_mm: float) -> tuple[np.ndarray, np.ndarray]:
         """Watertight triangles of the undeformed gel, about `size_mm` wide: vertices (v, 3) mm, faces (f, 3)."""

@@ -41,6 +41,9 @@ class _Table:
             self.fail(key, None, f"this kind of indenter needs `{key}`")
         return self._left.pop(key, default)
 
+    def has(self, key) -> bool:
+        return key in self._left
+
     def flag(self, key, default) -> bool:
         value = self.take(key, default)
         if not isinstance(value, bool):
@@ -53,10 +56,8 @@ class _Table:
             self.fail(key, value, f"give a number above {low:g} and below {high:g} (mm or degrees)")
         return float(value)
 
-    def pair(self, key, default=DEFAULT) -> tuple[float, float] | None:
-        value = self.take(key, default)
-        if value is None:
-            return None
+    def pair(self, key) -> tuple[float, float]:
+        value = self.take(key)
         fits = isinstance(value, list) and len(value) == 2
         if not fits or not all(isinstance(v, int | float) and 0 < v < 1000 for v in value):
             self.fail(key, value, "give two positive numbers [along x, along y] in mm")
@@ -135,18 +136,19 @@ def _triple_triangle(t: _Table, **common) -> Body:
 
 
 def _ellipse(t: _Table, **common) -> Body:
-    size, hole = t.pair("size"), t.pair("hole", None)
-    profile = Ellipse(size[0] / 2.0, size[1] / 2.0)
-    if hole is not None:
-        profile = Annulus(profile, Ellipse(hole[0] / 2.0, hole[1] / 2.0))
+    size = t.pair("size")
+    outer = Ellipse(size[0] / 2.0, size[1] / 2.0)
+    profile: Ellipse | Annulus = outer
+    if t.has("hole"):
+        hole = t.pair("hole")
+        profile = Annulus(outer, Ellipse(hole[0] / 2.0, hole[1] / 2.0))
     return Extrusion(profile=profile, fillet=t.number("fillet"), height=t.number("height"), **common)
 
 
 def _cylinder(t: _Table, **common) -> Body:
     radius, hole = t.number("diameter") / 2.0, t.number("hole", 0.0, low=-1e-9) / 2.0
-    profile = Ellipse(radius, radius)
-    if hole > 0.0:
-        profile = Annulus(profile, Ellipse(hole, hole))
+    outer = Ellipse(radius, radius)
+    profile = Annulus(outer, Ellipse(hole, hole)) if hole > 0.0 else outer
     return Extrusion(profile=profile, fillet=t.number("fillet"), height=t.number("height"), **common)
 
 

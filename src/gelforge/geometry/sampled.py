@@ -111,7 +111,8 @@ class Sampled(Body):
         gradient[flat], length[flat] = [0.0, 0.0, 1.0], 1.0
         return value + far, gradient / length[:, None]
 
-    def surface(self) -> tuple[np.ndarray, np.ndarray]:
+    @property
+    def _surface(self) -> tuple[np.ndarray, np.ndarray]:
         """The file's own triangles, lowest point on z = 0: vertices (v, 3) mm and faces (f, 3)."""
         return self.vertices, self.faces
 

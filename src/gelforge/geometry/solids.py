@@ -3,6 +3,7 @@
 Every body stands in its own frame: lowest point on the plane z = 0, body above, cut flat at `height`.
 """
 
+from abc import ABC, abstractmethod
 from functools import cached_property
 from typing import Protocol
 
@@ -49,8 +50,8 @@ class Indenter(Protocol):
         """Largest horizontal distance from the z axis of any point of the body, mm."""
 
 
-class Body:
-    """What all indenters share: a name, whether training sees it, and a cached surface."""
+class Body(ABC):
+    """What all indenters share: a name, whether training sees it, and a cached surface. It is an `Indenter`."""
 
     def __init__(self, name: str, height: float, seen: bool = True, spare: bool = False):
         self.name, self.height, self.seen, self.spare = name, float(height), seen, spare
@@ -58,6 +59,19 @@ class Body:
     def surface(self) -> tuple[np.ndarray, np.ndarray]:
         """Watertight triangles: vertices (v, 3) mm and faces (f, 3), outward; chords within 0.01 mm at fillets."""
         return self._surface
+
+    @property
+    @abstractmethod
+    def _surface(self) -> tuple[np.ndarray, np.ndarray]:
+        """What `surface` returns."""
+
+    @abstractmethod
+    def distance(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Signed distance (n,) and unit outward normal (n, 3) at points (n, 3)."""
+
+    @abstractmethod
+    def radius(self) -> float:
+        """Largest horizontal distance from the z axis, mm."""
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.name!r})"

@@ -5,6 +5,7 @@ import hashlib
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -67,7 +68,7 @@ def fold_normalisation(net: nn.Module) -> None:
     for module in list(net.modules()):
         children = list(module.named_children())
         for (before, convolution), (name, norm) in zip(children, children[1:]):
-            if isinstance(norm, nn.BatchNorm2d):
+            if isinstance(norm, nn.BatchNorm2d) and isinstance(convolution, nn.Conv2d):
                 setattr(module, before, fuse_conv_bn_eval(convolution, norm))
                 setattr(module, name, nn.Identity())
 
@@ -87,15 +88,17 @@ class Reader(nn.Module):
             )
         norm = trained.about["normalisation"]
         gain = 1 / (255 * torch.tensor(norm["image_std"]).float())
-        self.net = copy.deepcopy(trained.net)
-        fold_normalisation(self.net)
-        self.net.to(memory_format=torch.channels_last)  # a third faster on a CPU
+        net: Any = copy.deepcopy(
+            trained.net
+        )  # torch's types know neither memory formats nor what families have of their own
+        fold_normalisation(net)
+        self.net = net.to(memory_format=torch.channels_last)  # a third faster on a CPU
         # the input of a black image is all that does not depend on the image
         black = np.zeros((*trained.about["image"], 3), np.uint8)
         pictures = np.concatenate([black, untouched], axis=2) if trained.needs_untouched else black
         with torch.no_grad():
             constant = network_input(images_to_tensor(pictures[None]), norm)
-            for module, name in self.net.entries():
+            for module, name in net.entries():
                 setattr(module, name, Entry(getattr(module, name), gain, constant))
         self.register_buffer("scale", torch.tensor(norm["label"]).float().view(1, 3, 1, 1))
 
@@ -142,12 +145,13 @@ def load_model(path) -> Trained:
     content = read_tensors(path)
     about, tensors, pictures = (content.get(name) if isinstance(content, dict) else None for name in PARTS_OF_FILE)
     try:
-        about = json.loads(about)
+        about = json.loads("" if about is None else about)
     except (TypeError, ValueError, RecursionError) as error:
         raise BadInput(f"{path}: not a gelforge model of format {FORMAT} ({error}); train it again") from None
     if not isinstance(about, dict) or about.get("format") != FORMAT:
         seen = about.get("format") if isinstance(about, dict) else type(about).__name__
         raise BadInput(f"{path}: not a gelforge model of format {FORMAT} (its format is {seen}); train it again")
+    tensors = tensors if isinstance(tensors, dict) else {}
     digest = about.get("sha256")  # files of earlier versions have none
     check_about(about, str(path))
     check_tensors(about, tensors, str(path))

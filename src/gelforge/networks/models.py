@@ -78,7 +78,7 @@ class SingleChannelUNets(nn.Module):
         self.nets = nn.ModuleList(UNet(grid, widths, channels, outputs=1) for _ in range(COMPONENTS))
 
     def entries(self) -> list[tuple[nn.Module, str]]:
-        return [entry for net in self.nets for entry in net.entries()]
+        return [entry for net in self.nets if isinstance(net, UNet) for entry in net.entries()]
 
     def forward(self, x):
         return torch.cat([net(x) for net in self.nets], dim=1)

@@ -17,7 +17,8 @@ def group_presses(presses: Sequence[PressRecord], same_mm: float, same_deg: floa
     some trained on and others tested on, the test would be too easy. Closeness chains. Samples without
     a pose and a press_id stand alone.
     """
-    by_indenter, by_press = {}, {}
+    by_indenter: dict[str, list[int]] = {}
+    by_press: dict[str, list[int]] = {}
     for at, press in enumerate(presses):
         if press.posed:
             by_indenter.setdefault(press.indenter, []).append(at)
@@ -84,7 +85,8 @@ def _kept_apart(press, unseen_indenters, unseen_sensors) -> str:
 def _order(presses, force, group, known, settings) -> list[int]:
     """Groups of the known samples by force range, then indenter, ties in random order."""
     rng = np.random.default_rng(settings.seed)
-    strongest, name = {}, {}
+    strongest: dict[int, float] = {}
+    name: dict[int, str] = {}
     for at in known:
         strongest[group[at]] = max(strongest.get(group[at], 0.0), abs(force[at]))
         name[group[at]] = presses[at].indenter

@@ -66,7 +66,7 @@ class Explorer:
         packed = {}
         if row["id"] in shard.labels:
             packed["label"] = shard.labels[row["id"]]
-        if row["id"] in self.predicted:
+        if self.predictions is not None and row["id"] in self.predicted:
             packed["network"] = self.predictions["forces"][self.predicted[row["id"]]].astype(np.float32)
         if row["id"] in shard.gels and row["mesh"]:
             resampler = self.resampler(row["mesh"])
@@ -145,4 +145,6 @@ class Shard:
 
     def sample(self, name: str, nodes: np.ndarray):
         """Forces and displacements of one sample."""
+        if self.forces is None:
+            raise ValueError("no forces were read of this shard")
         return self.forces.sample(self.gels[name], nodes)

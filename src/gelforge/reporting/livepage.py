@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 
@@ -83,7 +84,8 @@ class Recorder:
     def __init__(self, folder: Path):
         self.folder = folder
         self.lock = threading.Lock()
-        self.stream, self.name, self.count = None, "", 0
+        self.stream: TextIO | None = None
+        self.name, self.count = "", 0
 
     @property
     def on(self) -> bool:
@@ -113,7 +115,7 @@ class Recorder:
     def add(self, event: dict) -> None:
         """Record an event, if a recording runs; a full disk ends and removes it with BadInput."""
         with self.lock:
-            if not self.on:
+            if self.stream is None:
                 return
             try:
                 self.stream.write(json.dumps(event) + "\n")
@@ -129,7 +131,8 @@ class Recorder:
         """Give up what was recorded so far."""
         stream, self.stream = self.stream, None
         try:
-            stream.close()
+            if stream is not None:
+                stream.close()
         except OSError:
             pass  # what could not be written is not wanted
         self.part().unlink(missing_ok=True)
@@ -137,7 +140,7 @@ class Recorder:
     def stop(self) -> int:
         """End a recording and publish it; return how many readings it has. One without any is not kept."""
         with self.lock:
-            if not self.on:
+            if self.stream is None:
                 return 0
             if not self.count:
                 self.drop()
@@ -177,7 +180,8 @@ class Server(ThreadingHTTPServer):
 
     @property
     def url(self) -> str:
-        return f"http://{self.server_address[0]}:{self.server_address[1]}/"
+        host, port = self.server_address[:2]
+        return f"http://{host if isinstance(host, str) else host.decode()}:{port}/"
 
     def start(self) -> None:
         """Serve until `shutdown`."""

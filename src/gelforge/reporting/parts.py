@@ -49,7 +49,7 @@ def jpeg(image: np.ndarray) -> str:
     _, content = cv2.imencode(
         ".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
     )
-    return base64.b64encode(content).decode()
+    return base64.b64encode(content.tobytes()).decode()
 
 
 def arrows(points: np.ndarray, force: np.ndarray) -> dict:

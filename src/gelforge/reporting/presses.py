@@ -1,5 +1,7 @@
 """All presses of a dataset as one table of columns, which the page filters, sorts and draws."""
 
+from typing import Any
+
 import numpy as np
 
 from gelforge.records.axes import CHANNEL_OF_AXIS
@@ -46,7 +48,12 @@ def press_rows(
 
 
 def _press(shard: str, press: PosedPress, solve: Solved | None, sample: DatasetSample | None, total) -> dict:
-    row = {"id": press.sample_id, "indenter": press.indenter, "sensor": press.sensor_id, "shard": shard}
+    row: dict[str, Any] = {
+        "id": press.sample_id,
+        "indenter": press.indenter,
+        "sensor": press.sensor_id,
+        "shard": shard,
+    }
     row |= {"split": sample.split, "group": sample.group} if sample else {}
     row |= {"status": solve.status.name if solve else "PENDING"}
     if solve:
@@ -63,13 +70,13 @@ def _press(shard: str, press: PosedPress, solve: Solved | None, sample: DatasetS
 
 def as_columns(rows: list[dict]) -> dict:
     """The table by columns: `id` as text, NUMBERS as lists with None where unknown, TEXTS as (names, at)."""
-    table = {"id": [row["id"] for row in rows]}
+    table: dict[str, Any] = {"id": [row["id"] for row in rows]}
     for name in NUMBERS:
         values = np.round([row.get(name, np.nan) for row in rows], DIGITS)
         table[name] = [None if np.isnan(value) else value for value in values.tolist()]
     for name in TEXTS:
-        values = [row.get(name) or "" for row in rows]
-        names = sorted(set(values))
-        place = {value: at for at, value in enumerate(names)}
-        table[name] = {"names": names, "at": [place[value] for value in values]}
+        texts = [row.get(name) or "" for row in rows]
+        names = sorted(set(texts))
+        place = {text: at for at, text in enumerate(names)}
+        table[name] = {"names": names, "at": [place[text] for text in texts]}
     return table

@@ -37,7 +37,10 @@ def collect(shards: list[tuple[Path, list]], truth: dict) -> tuple[list[DatasetS
     shards: label files with the presses of their samples (a pose table or a log). Places are (file number, index in
     it); what was left out is counted by its reason.
     """
-    found, places, left_out, material = [], [], {}, {}
+    found: list[DatasetSample] = []
+    places: list[tuple[int, int]] = []
+    left_out: dict[str, int] = {}
+    material: dict = {}
     for number, (path, presses) in enumerate(shards):
         by_id = {press.sample_id: press for press in presses}
         labels = read_labels(path)
@@ -46,7 +49,7 @@ def collect(shards: list[tuple[Path, list]], truth: dict) -> tuple[list[DatasetS
         for at, (name, status) in enumerate(zip(labels.sample_id.tolist(), labels.status, strict=True)):
             press = by_id.get(name)
             reason = _reason(press, status)
-            if reason:
+            if reason or press is None:
                 left_out[reason] = left_out.get(reason, 0) + 1
                 continue
             total, outside = totals[at][list(CHANNEL_OF_AXIS)], labels.outside[at][list(CHANNEL_OF_AXIS)]
@@ -119,12 +122,12 @@ def share_images(folder: Path, data: Path, presses: list[PressRecord], size) -> 
 def write_label_array(path, shards, places, grid: Grid, name: str = "label") -> None:
     """Write the labels at `places`, or a field beside them, as float32 (n, …, rows, cols), whole or not at all."""
     with publish(path) as part:
-        opened, array, written = None, None, None
+        opened = places[0][0]
+        array = _read_array(shards[opened][0], name, grid)
+        written = np.lib.format.open_memmap(part, "w+", np.float32, (len(places), *array.shape[1:]))
         for at, (number, index) in enumerate(places):
             if number != opened:
                 opened, array = number, _read_array(shards[number][0], name, grid)
-            if written is None:
-                written = np.lib.format.open_memmap(part, "w+", np.float32, (len(places), *array.shape[1:]))
             written[at] = array[index]
         written.flush()
 
@@ -159,9 +162,10 @@ def training_ranges(folder: Path, splits: np.ndarray) -> dict:
 
 def image_size(presses: list[PressRecord], sensors: dict, where: str) -> tuple[int, int]:
     """The one image size of all samples' sensors; several raise BadInput."""
-    sizes = {}
+    sizes: dict[tuple[int, int], str] = {}
     for name in sorted({press.sensor_id for press in presses}):
-        sizes.setdefault(tuple(find_sensor(sensors, name, where).image), name)
+        width, height = find_sensor(sensors, name, where).image
+        sizes.setdefault((width, height), name)
     if len(sizes) > 1:
         seen = ", ".join(f"{name} {w} x {h}" for (w, h), name in sizes.items())
         raise BadInput(f"{where}: sensors with images of several sizes ({seen}); make one dataset for each size")

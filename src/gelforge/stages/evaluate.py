@@ -59,6 +59,7 @@ def evaluate_split(data, rows, predicted, settings: EvaluateTable, force_range, 
     totals = predicted.sum((2, 3), dtype=np.float64)
     error = totals - wanted
     press = data.presses(rows)
+    against: dict[str, dict] = {}
     result = {
         "n": len(rows),
         "presses": len(np.unique(press)),
@@ -71,14 +72,16 @@ def evaluate_split(data, rows, predicted, settings: EvaluateTable, force_range, 
             name: {axis: float(np.abs(guess - wanted).mean(0)[i]) for i, axis in enumerate(CHANNELS)}
             for name, guess in controls(data, rows, totals, rng).items()
         },
-        "against": {},
+        "against": against,
     }
     for kind in REFERENCES:
         reference = reference_totals(data, kind)
-        known = np.isfinite(reference[rows]).all(1) if reference is not None else np.zeros(0, bool)
+        if reference is None:
+            continue
+        known = np.isfinite(reference[rows]).all(1)
         if known.any():
             mine, labels = totals[known] - reference[rows][known], wanted[known] - reference[rows][known]
-            result["against"][kind] = {
+            against[kind] = {
                 "n": int(known.sum()),
                 "network": metrics.error_table(mine, rng, settings.bootstrap, press=press[known]),
                 "labels": metrics.error_table(labels, rng, settings.bootstrap, press=press[known]),

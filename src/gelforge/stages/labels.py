@@ -1,8 +1,10 @@
 """Stage 50: nodal forces of a shard to force per cell of an image grid."""
 
 from argparse import Namespace
+from collections.abc import Callable
 from functools import lru_cache, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -64,7 +66,7 @@ def label_blocks(forces: ForceFile, operators: list, grid: Grid, outside: np.nda
         block = range(start, min(start + size, len(forces)))
         label = np.zeros((len(block), 3, *grid.shape), np.float32)
         label[np.isnan(outside[block.start : block.stop, 0])] = np.nan
-        groups = {}
+        groups: dict[int, list[int]] = {}
         for sample in block:
             if operators[sample] is not None:
                 groups.setdefault(id(operators[sample]), []).append(sample)
@@ -118,7 +120,7 @@ def field_streams(forces: ForceFile, find_maps: list, grid: Grid, channels) -> d
             yield of_sample(surface, moved, force).astype(np.float32)[None]
 
     order = list(AXIS_OF_CHANNEL)
-    made = {
+    made: dict[str, dict[str, tuple[tuple[int, ...], Callable]]] = {
         "displacement": {"displacement": ((3,), lambda s, moved, force: s.displacement(moved)[order])},
         "traction": {
             "traction": ((3,), lambda s, moved, force: traction(force, s.area())[order]),
@@ -196,8 +198,8 @@ def label_folder(args, grid: Grid, sensors: dict, channels) -> dict:
     shards = planned_shards(args.shards)
     if not shards:
         raise BadInput(f"{args.shards}: holds no shards; run make, which plans them")
-    totals = {"resolution": str(grid), "shards": len(shards), "samples": 0, "failed": 0}
-    worst = {"worst_sample": "", "worst_outside_share": 0.0}
+    totals: dict[str, Any] = {"resolution": str(grid), "shards": len(shards), "samples": 0, "failed": 0}
+    worst: dict[str, Any] = {"worst_sample": "", "worst_outside_share": 0.0}
     for shard in progress(shards, f"labels {grid}"):
         forces, poses, out = args.forces / f"{shard}.npz", args.poses / f"{shard}.csv", folder / f"{shard}.npz"
         if up_to_date(out, forces, poses, args.sensors, args.params):

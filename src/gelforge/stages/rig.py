@@ -14,6 +14,7 @@ from gelforge.flow.params import overlaid
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue, read_catalogue
+from gelforge.geometry.solids import Indenter
 from gelforge.labelling.sensor import Sensor, load_sensors
 from gelforge.virtualrig.looks import Look, read_looks
 from gelforge.virtualrig.rigplan import Order, Plan, check_names, generator, orders, read_plan
@@ -47,7 +48,8 @@ class Worker:
         cv2.setNumThreads(1)
         gel = Gel()
         self.plan, self.folder, self.gel = plan, folder, gel
-        self.bench = Bench(plan, load_catalogue(workflow / plan.catalogue, plan.indenters), gel)
+        bodies: dict[str, Indenter] = dict(load_catalogue(workflow / plan.catalogue, plan.indenters))
+        self.bench = Bench(plan, bodies, gel)
         looks, sensors = units_of(plan, workflow)
         self.cameras = {name: Renderer(looks[name], sensors[name].projection, gel) for name in plan.sensors}
 
@@ -71,7 +73,7 @@ class Worker:
             pressing = pressings[moment]
             if not pressing.result.status.valid:
                 continue
-            surface = surface_of(pressing.result.mesh, pressing.result.displacement, pressing.real)
+            surface = surface_of(pressing.result.walked, pressing.result.displacement, pressing.real)
             surface.save(self.folder / surface_name(seen[0]))
             self._take_pictures(seen, surface)
         of_each = [(order, replace(pressings[order.moment], order=order)) for order in orders]
@@ -131,7 +133,7 @@ def run(plan_path, data="data", workflow="workflow", jobs: int = 1) -> Path:
 
 def _by_press(dataset: Dataset, every: list[Order]) -> list[tuple[list[Order], bool]]:
     """What is missing: the orders of each press, and whether only their pictures are."""
-    found = {}
+    found: dict[tuple[int, bool], list[Order]] = {}
     for order in dataset.missing(every):
         found.setdefault((order.index, dataset.solved(order)), []).append(order)
     return [(of_press, solved) for (_, solved), of_press in found.items()]

@@ -114,6 +114,8 @@ def hex_settings(method: Method, fea: FeaTable) -> HexSettings:
         named = method.name.removeprefix("hex-").removesuffix("-quality")
         return quality(fea.hex_quality if method.name == "hex-label" else named)
     # `across` would shrink the bricks under small contacts: a density series holds their size
+    if method.layers is None or method.steps is None:
+        raise ValueError(f"{method.name}: bricks of {method.size} mm without their layers and steps")
     return HexSettings(size=method.size, layers=method.layers, press_steps=method.steps,
                               shear_steps=(method.steps + 1) // 2, across=0)  # fmt: skip
 

@@ -103,7 +103,7 @@ class Bench:
         truth = self.plan.truth
         scale = truth.c10_mpa / REFERENCE_C10
         force = scale * result.total
-        arm = result.mesh.nodes + result.displacement
+        arm = result.walked.nodes + result.displacement
         moment = scale * np.cross(arm, result.forces).sum(axis=0) * 1e-3
         log = believed(order, real, play, force, truth)
         read = force + load_cell_error(self.plan, order.index) + noise[0]
@@ -189,7 +189,8 @@ def _path(order: Order, height: float, depth: float, play) -> Press:
     share = depth / order.depth
     dx, dy = order.shear[0] * share, order.shear[1] * share
     path = order.x + play[0], order.y + play[1], height + play[2], dx + play[3], dy + play[4], -depth + play[5]
-    return Press(*map(float, path), order.rot_deg)
+    x0, y0, z0, dx, dy, dz = map(float, path)
+    return Press(x0, y0, z0, dx, dy, dz, order.rot_deg)
 
 
 def moments(real: Press, count: int) -> list[dict[str, float]]:

@@ -1,6 +1,7 @@
 """From a displacement field to the picture the sensor's camera takes."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -101,14 +102,15 @@ class Renderer:
         shift = np.stack([seen_u - wide_u, seen_v - wide_v], axis=-1).astype(np.float32)
         source = np.stack([self.pixel_u, self.pixel_v], axis=-1)
         target = source.copy()
+        nothing: Any = None  # maps of pairs need no second one; OpenCV's types know no None here
         index = np.float32(MARGIN - 0.5)  # of the first pixel's corner in the painted surroundings
         for _ in range(ROUNDS):
-            at = cv2.remap(shift, source + index, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            at = cv2.remap(shift, source + index, nothing, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
             source += np.float32(RELAXATION) * (target - at - source)
         height = cv2.remap(
             self.top + moved[..., 2],
             source + index,
-            None,
+            nothing,
             cv2.INTER_LINEAR,
             borderMode=cv2.BORDER_REPLICATE,
         )
@@ -153,11 +155,11 @@ class Renderer:
         return shade
 
     def _noise(self, rng: np.random.Generator) -> np.ndarray:
-        noise = rng.standard_normal((HEIGHT, WIDTH, 3), dtype=np.float32)
+        noise: np.ndarray = rng.standard_normal((HEIGHT, WIDTH, 3), dtype=np.float32)
         sigma = self.look.noise_blur
         if sigma > 0:
             noise = cv2.GaussianBlur(noise, (0, 0), sigma)
-            noise *= np.float32(1.0 / _blur_gain(sigma))
+            noise = noise * np.float32(1.0 / _blur_gain(sigma))
         return noise * self.look.noise.astype(np.float32)
 
 

@@ -16,6 +16,7 @@ Forces are flat, because readers of the layout other than LeRobot's own take fea
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -135,7 +136,9 @@ def write_data(folder: Path, samples: Samples, episodes: list[list[int]]) -> lis
     """Write the data files, whole episodes in each; return (chunk, file) of every episode."""
     import pyarrow.parquet as pq
 
-    form, placed, index, number, held, size = schema(samples), [], 0, 0, [], 0
+    form, index, number, size = schema(samples), 0, 0, 0
+    placed: list[tuple[int, int]] = []
+    held: list = []
 
     def flush() -> None:
         nonlocal held, size, number
@@ -260,7 +263,7 @@ def stats(samples: Samples) -> dict:
 
 def ranges(values: np.ndarray) -> dict:
     """Smallest, largest, mean and deviation of each column."""
-    found = {"min": np.nanmin, "max": np.nanmax, "mean": np.nanmean, "std": np.nanstd}
+    found: dict[str, Any] = {"min": np.nanmin, "max": np.nanmax, "mean": np.nanmean, "std": np.nanstd}
     return {name: of(values, axis=0).tolist() for name, of in found.items()}
 
 

@@ -30,7 +30,7 @@ def messages(sample: Sample, time: int) -> list[tuple[str, str, dict]]:
     top, frame = f"/{sample.row['sensor_id']}", f"{sample.row['sensor_id']}_gel"
     stamp = ros.header(time, frame)
     force = dict(zip("xyz", sample.total(), strict=True))
-    found = [
+    found: list[tuple[str, str, dict]] = [
         (f"{top}/image/compressed", "sensor_msgs/msg/CompressedImage",
          {"header": stamp, "format": sample.media_type.removeprefix("image/"), "data": sample.picture}),
         (f"{top}/wrench", "geometry_msgs/msg/WrenchStamped",

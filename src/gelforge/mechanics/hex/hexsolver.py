@@ -41,6 +41,13 @@ class HexResult(Result):
     contact: ContactState | None = None
     bricks: Bricks | None = None
 
+    @property
+    def walked(self) -> HexMesh:
+        """The mesh of a press that was solved."""
+        if self.mesh is None:
+            raise ValueError(f"nothing was solved: {self.status.value}")
+        return self.mesh
+
 
 def solve_hex(scene: Scene, settings: HexSettings = HexSettings()) -> HexResult:
     """Solve one scene with a solver of its own."""
