@@ -5,17 +5,23 @@ import json
 from dataclasses import MISSING, asdict, dataclass, fields, replace
 from datetime import datetime, timedelta
 from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.params import read_toml
+from gelforge.flow.params.schema import Named, Place, Some, Within, kinds_of, nearest, read_value
 from gelforge.geometry.gel import Gel
 
 EDGE = 2.0  # mm that the tip keeps from the gel's outline
 MOST_FRAMES = 99
 WHO_SEES = 20_000  # purpose of a generator: which sensors see a press
+TINY = 1e-9
 DEEPEST = 0.7  # share of the gel's height that a press may take
+
+Span = tuple[float, float]  # what values are drawn evenly between
+FromNone = Annotated[float, Within(0.0, 1e9)]
 
 
 @dataclass(frozen=True)
@@ -28,18 +34,18 @@ class Truth:
     force_bias_n, drift_n: constant error of the load cell and how far it wanders over a day.
     """
 
-    c10_mpa: float
-    nu: float
-    friction: float
-    compliance_mm_per_n: float
-    shear_compliance_mm_per_n: float
+    c10_mpa: Annotated[float, Within(TINY, 1e3, "MPa")]
+    nu: Annotated[float, Within(TINY, 0.4999)]
+    friction: FromNone
+    compliance_mm_per_n: FromNone
+    shear_compliance_mm_per_n: FromNone
     touch_offset_mm: float
-    touch_scatter_mm: float
-    force_noise_n: float
+    touch_scatter_mm: FromNone
+    force_noise_n: FromNone
     force_bias_n: tuple[float, float, float]
-    drift_n: float
-    moment_noise_nm: float
-    cnc_um: float
+    drift_n: FromNone
+    moment_noise_nm: FromNone
+    cnc_um: FromNone
 
 
 @dataclass(frozen=True)
@@ -52,16 +58,16 @@ class Kind:
     estimated normal force would pass it, as a bench with a load limit does.
     """
 
-    weight: float
-    indenters: tuple[str, ...]
-    sensors: tuple[str, ...]
-    x_mm: tuple[float, float]
-    y_mm: tuple[float, float]
-    depth_mm: tuple[float, float]
-    shear: tuple[float, float]
-    rot_deg: tuple[float, float]
-    max_force_n: float
-    seen_by: int = 1
+    weight: Annotated[float, Within(TINY, 1e9)]
+    indenters: Annotated[tuple[str, ...], Some()]
+    sensors: Annotated[tuple[str, ...], Some()]
+    x_mm: Span
+    y_mm: Span
+    depth_mm: Annotated[Span, Within(TINY, 1e3, "mm")]
+    shear: Annotated[Span, Within(0.0, 1e3)]
+    rot_deg: Span
+    max_force_n: Annotated[float, Within(TINY, 1e9, "N")]
+    seen_by: Annotated[int, Within(1, 1e6)] = 1
 
 
 @dataclass(frozen=True)
@@ -72,8 +78,8 @@ class DrawnUnits:
     """
 
     ranges: str
-    known: int
-    unseen: int
+    known: Annotated[int, Within(0, 99)]
+    unseen: Annotated[int, Within(0, 99)]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -87,18 +93,18 @@ class Plan:
     frames: moments of each press that are recorded, evenly along its way down and then sideways, the last at its end.
     """
 
-    dataset: str
-    seed: int
-    presses: int
+    dataset: Annotated[str, Named()]
+    seed: Annotated[int, Within(0, 2**63)]
+    presses: Annotated[int, Within(1, 1e7)]
     gel: str
     catalogue: str
     start_utc: str
-    seconds_per_press: float
+    seconds_per_press: FromNone
     held_out_sensors: tuple[str, ...]  # written to dataset.toml as those that training must not see
     truth: Truth
     kinds: tuple[Kind, ...]
     params: dict  # [params.TABLE] of the plan: parameters of the stages, written to dataset.toml
-    frames: int = 1
+    frames: Annotated[int, Within(1, MOST_FRAMES)] = 1
     units: DrawnUnits | None = None
 
     def identity(self) -> str:
@@ -151,16 +157,16 @@ class Order:
 def read_plan(path) -> Plan:
     """Read and check a plan's own values; names are checked by `check_names`."""
     path = Path(path)
-    raw = read_toml(path)
-    truth = read_record(Truth, raw.pop("truth", {}), f"{path}: [truth]")
+    raw, whole = read_toml(path), Place(str(path))
+    truth = read_record(Truth, raw.pop("truth", {}), whole.key("truth"))
     kinds, params = raw.pop("kind", []), raw.pop("params", {})
     if not isinstance(kinds, list) or not kinds:
         raise BadInput(f"{path}: no [[kind]] table; write at least one with indenters, sensors and ranges")
-    units = read_record(DrawnUnits, raw.pop("units"), f"{path}: [units]") if "units" in raw else None
+    units = read_record(DrawnUnits, raw.pop("units"), whole.key("units")) if "units" in raw else None
     drawn = units.names if units else ()
-    named = [read_record(Kind, kind, f"{path}: [[kind]] {k + 1}") for k, kind in enumerate(kinds)]
+    named = [read_record(Kind, kind, whole.key(f"kind {k + 1}")) for k, kind in enumerate(kinds)]
     made = tuple(replace(kind, sensors=_matching(kind.sensors, drawn)) for kind in named)
-    plan = read_record(Plan, {**raw, "truth": truth, "kinds": made, "params": params, "units": units}, str(path))
+    plan = read_record(Plan, raw, whole, truth=truth, kinds=made, params=params, units=units)
     plan = replace(plan, held_out_sensors=_matching(plan.held_out_sensors, drawn))
     _check_values(plan, path)
     return plan
@@ -172,77 +178,35 @@ def _matching(asked: tuple[str, ...], drawn: tuple[str, ...]) -> tuple[str, ...]
     return tuple(dict.fromkeys(name for names in found for name in names))
 
 
-def read_record(cls, table: dict, where: str):
-    known = {f.name: f.type for f in fields(cls)}
-    needed = {f.name for f in fields(cls) if f.default is MISSING}
-    unknown, missing = sorted(set(table) - set(known)), sorted(needed - set(table))
-    if unknown or missing:
-        raise BadInput(
-            f"{where}: unknown keys {unknown or 'none'}, missing keys {missing or 'none'}; "
-            f"it needs exactly {', '.join(sorted(known))}"
-        )
-    values = {}
-    for name, value in table.items():
-        if isinstance(value, list):
-            value = tuple(value)
-        wanted = known[name]
-        if not _fits(value, wanted):
-            raise BadInput(f"{where}: {name} = {value!r} is not a finite {getattr(wanted, '__name__', wanted)}")
-        values[name] = value
-    return cls(**values)
+def read_record(cls: Any, table: Any, place: Place, **made: Any) -> Any:
+    """A record of a table of TOML by its kinds (flow.params.schema); fields with a default may be left out.
 
-
-def _fits(value, wanted) -> bool:
-    if wanted is str or wanted == tuple[str, ...]:
-        return isinstance(value, str) if wanted is str else _strings(value)
-    if wanted is bool:
-        return isinstance(value, bool)
-    if wanted is int:
-        return isinstance(value, int) and not isinstance(value, bool)
-    if wanted is float:
-        return _number(value)
-    arguments = getattr(wanted, "__args__", ())
-    if arguments and arguments[0] is float:
-        return isinstance(value, tuple) and len(value) == len(arguments) and all(map(_number, value))
-    return True
-
-
-def _strings(value) -> bool:
-    return isinstance(value, tuple) and all(isinstance(item, str) for item in value)
-
-
-def _number(value) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
+    made: fields that are no keys of the table. Unknown, missing and meaningless keys raise BadInput.
+    """
+    kinds = {name: kind for name, kind in kinds_of(cls).items() if name not in made}
+    if not isinstance(table, dict):
+        raise BadInput(f"{place.table}: {table!r} is no table; it needs the keys {', '.join(kinds)}")
+    for key in table:
+        if key not in kinds:
+            raise BadInput(f"{place.table} {key}: is read by nothing{nearest(key, kinds)}")
+    missing = [f.name for f in fields(cls) if f.name in kinds and f.name not in table and f.default is MISSING]
+    if missing:
+        raise BadInput(f"{place.table}: lacks {', '.join(missing)}; it needs {', '.join(kinds)}")
+    return cls(**{key: read_value(kinds[key], value, place.key(key)) for key, value in table.items()}, **made)
 
 
 def _check_values(plan: Plan, path) -> None:
-    if not plan.dataset.replace("_", "").replace("-", "").isalnum():
-        raise BadInput(f"{path}: dataset = {plan.dataset!r}; use letters, digits, - and _ only, it names a folder")
-    if not 1 <= plan.frames <= MOST_FRAMES:
-        raise BadInput(f"{path}: frames = {plan.frames}; give 1 to {MOST_FRAMES} moments of each press")
-    if plan.presses < 1:
-        raise BadInput(f"{path}: presses = {plan.presses}; give at least 1")
     if plan.gel != Gel().name:
         raise BadInput(f"{path}: gel = {plan.gel!r} is unknown; known: {Gel().name}")
     try:
         start_time(plan)
     except ValueError as error:
         raise BadInput(f"{path}: start_utc = {plan.start_utc!r} is no time; write 2026-01-12T09:00:00Z") from error
-    truth = plan.truth
-    if not (truth.c10_mpa > 0 and 0.0 < truth.nu < 0.5 and truth.friction >= 0):
-        raise BadInput(f"{path}: [truth] needs c10_mpa > 0, 0 < nu < 0.5, friction >= 0; seen {truth}")
-    for name in ("compliance_mm_per_n", "shear_compliance_mm_per_n", "touch_scatter_mm", "force_noise_n", "cnc_um"):
-        if getattr(truth, name) < 0:
-            raise BadInput(f"{path}: [truth] {name} = {getattr(truth, name)} must not be negative")
     for k, kind in enumerate(plan.kinds, 1):
         _check_kind(kind, Gel(), f"{path}: [[kind]] {k}")
 
 
 def _check_kind(kind: Kind, gel: Gel, where: str) -> None:
-    if not kind.indenters or not kind.sensors:
-        raise BadInput(f"{where}: indenters and sensors must each name at least one")
-    if kind.weight <= 0 or kind.max_force_n <= 0:
-        raise BadInput(f"{where}: weight {kind.weight} and max_force_n {kind.max_force_n} must be above 0")
     if not 1 <= kind.seen_by <= len(kind.sensors):
         raise BadInput(
             f"{where}: seen_by = {kind.seen_by}: give 1 to {len(kind.sensors)}, as many sensors as it names"
@@ -251,8 +215,6 @@ def _check_kind(kind: Kind, gel: Gel, where: str) -> None:
         low, high = getattr(kind, name)
         if low > high:
             raise BadInput(f"{where}: {name} = [{low}, {high}] runs backwards; write [low, high]")
-    if kind.depth_mm[0] <= 0 or kind.shear[0] < 0:
-        raise BadInput(f"{where}: depth_mm {kind.depth_mm} must start above 0 and shear {kind.shear} at 0 or above")
     deepest = DEEPEST * gel.height
     if kind.depth_mm[1] > deepest:
         raise BadInput(

@@ -8,11 +8,11 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.params import read_toml
+from gelforge.flow.params.schema import Place
 from gelforge.labelling.sensor import Sensor
 from gelforge.virtualrig.looks import HEIGHT, WIDTH, Drift, Look, dot_centres, read_looks
-from gelforge.virtualrig.rigplan import DrawnUnits, read_record
+from gelforge.virtualrig.rigplan import DrawnUnits, Span, read_record
 
-Range = tuple[float, float]
 ROWS, COLS = 7, 9  # of the dots that a whole view shows
 AZIMUTH = np.array([90.0, 0.0, 270.0])  # degrees of the red, green and blue light
 
@@ -28,43 +28,43 @@ class UnitRanges:
     """
 
     backgrounds: tuple[str, ...]
-    background_scatter: Range
-    tilt: Range
-    azimuth_deg: Range
-    contrast: Range
-    colour_contrast: Range
-    slope_limit: Range
-    brightening: Range
-    camera_mm: Range
-    gain: Range
-    white_balance: Range
-    vignette: Range
-    blur_px: Range
-    noise: Range
-    noise_blur_px: Range
-    scale_px_per_mm: Range
-    perspective: Range
-    rotation_deg: Range
-    shift_px: Range
-    pitch_mm: Range
-    print_shift_px: Range
-    print_turn_deg: Range
-    spread: Range
-    misprint_px: Range
-    diameter_px: Range
-    raggedness: Range
-    ink: Range
-    flecks: Range
-    shadow_depth: Range
-    shadow_px: Range
-    missing_dots: Range
-    specks: Range
-    drift_gain: Range
-    drift_offset: Range
-    drift_field: Range
-    shade_per_mm: Range
+    background_scatter: Span
+    tilt: Span
+    azimuth_deg: Span
+    contrast: Span
+    colour_contrast: Span
+    slope_limit: Span
+    brightening: Span
+    camera_mm: Span
+    gain: Span
+    white_balance: Span
+    vignette: Span
+    blur_px: Span
+    noise: Span
+    noise_blur_px: Span
+    scale_px_per_mm: Span
+    perspective: Span
+    rotation_deg: Span
+    shift_px: Span
+    pitch_mm: Span
+    print_shift_px: Span
+    print_turn_deg: Span
+    spread: Span
+    misprint_px: Span
+    diameter_px: Span
+    raggedness: Span
+    ink: Span
+    flecks: Span
+    shadow_depth: Span
+    shadow_px: Span
+    missing_dots: Span
+    specks: Span
+    drift_gain: Span
+    drift_offset: Span
+    drift_field: Span
+    shade_per_mm: Span
     jpeg_share: float
-    jpeg_quality: Range
+    jpeg_quality: Span
 
 
 def draw_units(units: DrawnUnits, rig: Path, seed: int) -> tuple[dict[str, Look], dict[str, Sensor]]:
@@ -88,10 +88,10 @@ def draw_units(units: DrawnUnits, rig: Path, seed: int) -> tuple[dict[str, Look]
 
 def read_ranges(path: Path) -> UnitRanges:
     """Read a file of ranges; one that is incomplete, unknown or runs backwards raises BadInput."""
-    ranges = read_record(UnitRanges, read_toml(path), str(path))
+    ranges = read_record(UnitRanges, read_toml(path), Place(str(path)))
     for field in fields(ranges):
         bounds = getattr(ranges, field.name)
-        if field.type == Range and bounds[0] > bounds[1]:
+        if field.type == Span and bounds[0] > bounds[1]:
             raise BadInput(f"{path}: {field.name} = {list(bounds)} runs backwards; write [low, high]")
     if ranges.contrast[0] <= 0 or ranges.scale_px_per_mm[0] <= 0 or not ranges.backgrounds:
         raise BadInput(f"{path}: contrast and scale_px_per_mm must be above 0, and backgrounds name a look at least")

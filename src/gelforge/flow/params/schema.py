@@ -93,7 +93,7 @@ class Place:
 
     def __str__(self) -> str:
         if len(self.keys) < 2:
-            return f"{self.file}: [{self.keys[0]}]" if self.keys else self.file
+            return ": ".join((self.file, *self.keys))
         return f"{self.file}: [{'.'.join(self.keys[:-1])}] {self.keys[-1]}"
 
     @property
@@ -114,8 +114,8 @@ def nearest(key: str, known: Iterable[str]) -> str:
     return f"; {f'{close[0]} is meant? ' if close else ''}known here: {', '.join(known)}"
 
 
-def kinds_of(table: type[ParameterTable]) -> dict[str, Any]:
-    """Kind of each key of a table, with its annotations."""
+def kinds_of(table: Any) -> dict[str, Any]:
+    """Kind of each key of a table, which is a dataclass, with its annotations."""
     hints = get_type_hints(table, include_extras=True)
     return {field.name: hints[field.name] for field in fields(table)}
 
