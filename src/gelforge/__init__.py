@@ -8,6 +8,9 @@ In Python, without make:
     cells = gelforge.label(press, resolution="24x32")  # N, (3, rows, cols)
     forces, verdict = gelforge.predict(image, untouched=picture)
 
+    read = gelforge.Reader(untouched=picture)  # many images of one sensor
+    found = read(image)  # found.total +- found.half_width N, found.cells, found.flag
+
 Importing this loads nothing else; each name is loaded when it is first used.
 """
 
@@ -20,7 +23,7 @@ _HOMES = {
     "solve": "gelforge.api",
     "label": "gelforge.api",
     "predict": "gelforge.api",
-    "Reader": "gelforge.networks.modelfile",
+    "Reader": "gelforge.api",
     "Sensor": "gelforge.labelling.sensor",
 }
 

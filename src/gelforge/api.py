@@ -1,6 +1,7 @@
-"""What gelforge offers to a Python program: solve a press, label it, read an image."""
+"""What gelforge offers to a Python program: solve a press, label it, read images."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -94,3 +95,57 @@ def predict(
 
     _seen, forces, verdict = predict_one(Untouched(load_for_use(model), untouched), image)
     return forces, verdict
+
+
+@dataclass(frozen=True)
+class ForceReading:
+    """What was read in one image, forces on the gel in N.
+
+    cells: (3, rows, cols) along the image's columns, its rows and the gel's normal (FEATS' channels; pressing is
+    negative). total: (3,), their sums. half_width: (3,) of intervals that hold nine of ten totals on sensors that the
+    network never saw, of gels as stiff as those it learnt from; None where the model knows none. flag: True where
+    something is wrong with the pictures, and `reason` says what.
+    """
+
+    cells: np.ndarray
+    total: np.ndarray
+    half_width: np.ndarray | None
+    flag: bool
+    reason: str
+
+
+class Reader:
+    """Reads forces from images of one sensor, NumPy in and out.
+
+    untouched: picture (h, w, 3) uint8 RGB of the sensor while nothing touches it; may be left out with a profile, which
+    holds one. profile: path of a profile that `gelforge sensor` wrote, whose factor the forces are multiplied by. model:
+    path of a model; the network that ships where None. Raises BadInput for pictures that are none of this sensor.
+    """
+
+    def __init__(self, untouched: np.ndarray | None = None, profile: Path | str | None = None, model: Any = None):
+        from gelforge.networks.sensorprofile import untouched_of
+        from gelforge.networks.use import Untouched, load_for_use
+
+        path = None if profile is None else Path(profile)
+        picture, gain = untouched_of(path, None if untouched is None else check_image(untouched))
+        self._untouched = Untouched(load_for_use(model), picture, gain=gain)
+
+    def __call__(self, image: np.ndarray) -> ForceReading:
+        """Read one image (h, w, 3) uint8 RGB."""
+        from gelforge.networks.use import predict_one
+
+        _seen, cells, verdict = predict_one(self._untouched, check_image(image))
+        total = cells.sum(axis=(1, 2), dtype=float)
+        return ForceReading(cells, total, verdict["half_width"], bool(verdict["flag"]), verdict["reason"])
+
+    def batch(self, images: np.ndarray) -> list[ForceReading]:
+        """Read images (n, h, w, 3) uint8 RGB, one reading each."""
+        return [self(image) for image in images]
+
+
+def check_image(image: np.ndarray) -> np.ndarray:
+    """An image (h, w, 3) uint8; anything else raises BadInput."""
+    image = np.asarray(image)
+    if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
+        raise BadInput(f"an image of shape {image.shape} and type {image.dtype}: give (height, width, 3) uint8 RGB")
+    return image

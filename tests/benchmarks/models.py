@@ -79,14 +79,14 @@ def speed_figures(models: dict, seconds: float) -> list[Figure]:
 
 def untrained_reader(model: dict):
     """A network with fresh weights and unit scales, for timing."""
-    from gelforge.networks.modelfile import Reader, Trained
+    from gelforge.networks.modelfile import SensorNet, Trained
     from gelforge.networks.models import build
 
     norm = dict.fromkeys(("image_mean", "image_std", "label"), [1.0, 1.0, 1.0]) | {
         "reads": model.get("reads", "image")
     }
     trained = Trained(build(model, IMAGE, GRID).eval(), {"normalisation": norm, "image": IMAGE})
-    return Reader(trained, np.zeros((*IMAGE, 3), np.uint8))
+    return SensorNet(trained, np.zeros((*IMAGE, 3), np.uint8))
 
 
 def train_apart(dataset: Path, name: str, settings: TrainTable, folder: Path):

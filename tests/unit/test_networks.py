@@ -28,7 +28,7 @@ from gelforge.networks.batches import Ahead, epoch_order
 from gelforge.networks.data import open_data, scales
 from gelforge.networks.inputs import network_input
 from gelforge.networks.latency import predict_images
-from gelforge.networks.modelfile import Reader, load_model, require_fit, save_model
+from gelforge.networks.modelfile import SensorNet, load_model, require_fit, save_model
 from gelforge.networks.models import ResNetTotal, UNet, build, parameter_count, strides
 from gelforge.networks.training import Training, fit, loss_of, normalisations, predict_rows, resume, save_checkpoint
 from gelforge.stages.train import resolve, train
@@ -322,7 +322,7 @@ def test_model_file_round_trip(trained, tmp_path):
     assert len(digest) == 64 and again.about == json.loads(json.dumps({"format": 2} | trained.about))
     x = torch.rand(2, 3, *IMAGE, generator=torch.Generator().manual_seed(0)) * 255
     with torch.inference_mode():
-        assert torch.equal(Reader(again)(x), Reader(trained)(x))
+        assert torch.equal(SensorNet(again)(x), SensorNet(trained)(x))
 
 
 def test_model_file_keeps_the_untouched_sensors(folder, tmp_path):
@@ -354,7 +354,7 @@ def test_a_reader_is_the_network_it_was_trained_as(folder, model, reads):
     rows = data.splits["test"]
     trained = train(data, reads, {**model, "reads": reads}, with_values(SETTINGS, epochs=1))
     wanted = predict_rows(trained.net, data, rows, trained.about["normalisation"])
-    reader = Reader(trained, data.nocontact["mini0"]).eval()
+    reader = SensorNet(trained, data.nocontact["mini0"]).eval()
     assert not normalisations(reader)  # in the convolutions before them
     got = predict_images(reader, data.seen(rows, reads)[..., :3])  # under the light of the untouched picture
     np.testing.assert_allclose(got, wanted, atol=1e-5 * np.abs(wanted).max())

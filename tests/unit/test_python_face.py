@@ -10,6 +10,9 @@ import pytest
 
 import gelforge
 from gelforge.errors import BadInput
+from gelforge.networks.sensorprofile import Gain, make_profile, write_profile
+from gelforge.records.image import read_image
+from gelforge.records.markers import pitch_of
 
 BALL = {"kind": "sphere", "diameter": 10, "height": 10}
 
@@ -39,6 +42,34 @@ def test_reading_an_image():
     forces, verdict = gelforge.predict(image, untouched=image)
     assert forces.shape[0] == 3 and np.isfinite(forces).all()
     assert verdict["flag"], "a grey picture is unlike any sensor"
+
+
+def test_reading_many_images_of_one_sensor(root):
+    """One object for a sensor: totals, cells, intervals; the same as the function, and as many readings as images."""
+    folder = root / "data/demo"
+    rest, *images = (
+        read_image(path) for path in [folder / "nocontact/mini_a.png", *sorted(folder.glob("images/*.png"))[:2]]
+    )
+    read = gelforge.Reader(untouched=rest)
+    found = read.batch(np.stack(images))
+    assert len(found) == 2
+    for image, one in zip(images, found, strict=True):
+        np.testing.assert_array_equal(one.cells, gelforge.predict(image, untouched=rest)[0])
+        np.testing.assert_allclose(one.total, one.cells.sum((1, 2)), rtol=1e-5)
+        assert one.half_width is None or (one.half_width > 0.0).all()
+    calm = read(rest)
+    assert np.abs(calm.total).max() == 0.0 and calm.reason == ""
+    for wrong in (rest[..., 0], rest.astype(float), np.zeros((2, 2, 4), np.uint8)):
+        with pytest.raises(BadInput, match="uint8 RGB"):
+            read(wrong)
+
+
+def test_a_profile_scales_what_is_read(root, tmp_path):
+    rest = read_image(root / "data/demo/nocontact/mini_a.png")
+    image = read_image(sorted(root.glob("data/demo/images/*.png"))[3])
+    write_profile(tmp_path / "mine.toml", make_profile("mine", rest, pitch_of(rest), Gain(1.25, 1.1, 1.4, 3), "any"))
+    plain, scaled = gelforge.Reader(untouched=rest)(image), gelforge.Reader(profile=tmp_path / "mine.toml")(image)
+    np.testing.assert_allclose(scaled.cells, 1.25 * plain.cells, rtol=1e-6)
 
 
 def test_a_wrong_table_says_what_to_write():

@@ -157,7 +157,7 @@ def main(args: Namespace) -> None:
     import cv2
     import torch
 
-    from gelforge.commands.predict import with_profile
+    from gelforge.networks.sensorprofile import untouched_of
     from gelforge.networks.still import find_untouched
     from gelforge.networks.use import Untouched, load_for_use
     from gelforge.records.image import read_image
@@ -171,7 +171,7 @@ def main(args: Namespace) -> None:
     if picture is None and not args.sensor and trained.needs_untouched:
         picture, seen = find_untouched(seen, name)
         picture = cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
-    picture, gain = with_profile(args.profile, picture)
+    picture, gain = untouched_of(args.profile, picture)
     untouched = Untouched(trained, picture, args.sensor, gain)
     if args.web or args.jsonl or args.csv:
         from gelforge.commands.live_readings import tell

@@ -19,7 +19,7 @@ from gelforge.errors import BadInput, printable
 from gelforge.flow.files import publish, write_csv
 from gelforge.flow.main import command, option, positive
 from gelforge.networks.placement import Placement, RestingDots
-from gelforge.networks.sensorprofile import check_same_sensor, read_profile
+from gelforge.networks.sensorprofile import untouched_of
 from gelforge.networks.use import Untouched, fit_size, load_for_use, predict_one
 from gelforge.records.axes import CHANNELS
 from gelforge.records.image import read_image
@@ -114,17 +114,6 @@ def predict_files(paths, untouched: Untouched, out: Path) -> list[dict]:
     return rows
 
 
-def with_profile(path: Path | None, picture: np.ndarray | None) -> tuple[np.ndarray | None, float]:
-    """The untouched picture, the given one or the profile's, and the profile's factor on forces; 1 without a profile."""
-    if path is None:
-        return picture, 1.0
-    profile = read_profile(path)
-    if picture is None:
-        return profile.untouched, profile.gain.value
-    check_same_sensor(profile, pitch_of(picture))
-    return picture, profile.gain.value
-
-
 @command(
     option("images", nargs="+", type=Path, metavar="IMAGE"),
     option("--model", type=Path, help="model file; the one that came with gelforge if not named", default=None),
@@ -139,7 +128,7 @@ def main(args: Namespace) -> None:
 
     torch.set_num_threads(args.threads)
     picture = read_image(args.untouched) if args.untouched else None
-    picture, gain = with_profile(args.profile, picture)
+    picture, gain = untouched_of(args.profile, picture)
     untouched = Untouched(load_for_use(args.model, args.sensor), picture, args.sensor, gain)
     rows = predict_files(args.images, untouched, args.out)
     for row in rows:

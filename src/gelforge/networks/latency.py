@@ -5,12 +5,12 @@ import time
 import numpy as np
 import torch
 
-from gelforge.networks.modelfile import Reader
+from gelforge.networks.modelfile import SensorNet
 
 WARM_UP = 5
 
 
-def predict_images(reader: Reader, images, device: str = "cpu") -> np.ndarray:
+def predict_images(reader: SensorNet, images, device: str = "cpu") -> np.ndarray:
     """Forces (n, 3, rows, cols) in N per cell of images (n, h, w, 3) uint8 RGB."""
     with torch.inference_mode():
         # channels stay behind each pixel, as a camera gives them and convolutions on a CPU like them
@@ -18,7 +18,7 @@ def predict_images(reader: Reader, images, device: str = "cpu") -> np.ndarray:
         return reader(tensor.float()).cpu().numpy()
 
 
-def time_models(readers: dict[str, Reader], image, threads: int, seconds: float, device: str = "cpu") -> dict:
+def time_models(readers: dict[str, SensorNet], image, threads: int, seconds: float, device: str = "cpu") -> dict:
     """Latency of a batch of one for several models, in ms: median, 10th and 90th percentile, runs.
 
     Conversion and transfers count. The models take turns until each has had `seconds`, so that a

@@ -73,7 +73,7 @@ def fold_normalisation(net: nn.Module) -> None:
                 setattr(module, name, nn.Identity())
 
 
-class Reader(nn.Module):
+class SensorNet(nn.Module):
     """A network for one sensor, scales inside: images (n, 3, h, w) in 0..255 to forces (n, 3, rows, cols), N per cell.
 
     :param untouched: picture (h, w, 3) uint8 RGB of that sensor, where the network reads differences.

@@ -90,9 +90,9 @@ def largest_difference(trained, path, images) -> dict[str, float]:
     The last image serves as the untouched sensor, where the network reads differences.
     """
     from gelforge.networks.latency import predict_images
-    from gelforge.networks.modelfile import Reader
+    from gelforge.networks.modelfile import SensorNet
 
-    wanted = predict_images(Reader(trained, images[-1]).eval(), images)
+    wanted = predict_images(SensorNet(trained, images[-1]).eval(), images)
     span = float(np.ptp(wanted)) or 1.0
     tensors = np.ascontiguousarray(images.transpose(0, 3, 1, 2)).astype(np.float32)
     found = run_onnx(path, tensors, tensors[-1:] if trained.needs_untouched else None)

@@ -18,6 +18,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import publish, write_text
 from gelforge.flow.params import read_toml
 from gelforge.records.image import read_image, write_png
+from gelforge.records.markers import pitch_of
 
 SPREAD = 0.3  # of a factor's logarithm before any reading: gels, prints and cameras differ by a third
 SCATTER, KNOWN = 0.15, 2.0  # of one reading's logarithm, as two readings would tell it before any is made
@@ -140,6 +141,17 @@ def read_profile(path: Path) -> SensorProfile:
     picture = read_image(path.with_name(table["untouched"]), remedy="make the profile again")
     found = Gain(float(gain["value"]), float(gain["low"]), float(gain["high"]), int(gain.get("readings", 0)))
     return SensorProfile(table["name"], str(table.get("date", "")), picture, float(pitch), found, table["model"])
+
+
+def untouched_of(path: Path | None, picture: np.ndarray | None) -> tuple[np.ndarray | None, float]:
+    """The untouched picture, the given one or the profile's, and the profile's factor on forces; 1 without a profile."""
+    if path is None:
+        return picture, 1.0
+    profile = read_profile(path)
+    if picture is None:
+        return profile.untouched, profile.gain.value
+    check_same_sensor(profile, pitch_of(picture))
+    return picture, profile.gain.value
 
 
 def check_same_sensor(profile: SensorProfile, pitch: float) -> None:

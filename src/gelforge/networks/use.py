@@ -89,11 +89,11 @@ class Untouched:
 
     def reader(self, name: str):
         """The network for the sensor of that picture."""
-        from gelforge.networks.modelfile import Reader
+        from gelforge.networks.modelfile import SensorNet
 
         if name not in self._readers:
             picture = None if self.known[name] is None else self.picture(name)
-            self._readers[name] = Reader(self.trained, picture).eval()
+            self._readers[name] = SensorNet(self.trained, picture).eval()
         return self._readers[name]
 
     def rest(self, name: str) -> np.ndarray:

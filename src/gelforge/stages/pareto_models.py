@@ -80,9 +80,9 @@ def measure(models: dict, image, seconds: float) -> dict[str, dict[str, dict]]:
     import torch
 
     from gelforge.networks.latency import time_models
-    from gelforge.networks.modelfile import Reader
+    from gelforge.networks.modelfile import SensorNet
 
-    readers = {name: Reader(trained, image) for name, trained in models.items()}
+    readers = {name: SensorNet(trained, image) for name, trained in models.items()}
     ways = {"cpu1": (1, "cpu"), "cpu2": (2, "cpu")}
     if torch.cuda.is_available():
         ways["cuda"] = (1, "cuda")
