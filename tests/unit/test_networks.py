@@ -163,16 +163,18 @@ def test_the_untouched_sensor_is_coloured_as_its_image():
 
 
 def test_a_misplaced_untouched_picture_leaves_the_image_alone():
-    pairs = np.random.default_rng(0).integers(0, 255, (6, 24, 32, 6), np.uint8)
+    pairs, none = np.random.default_rng(0).integers(0, 255, (6, 24, 32, 6), np.uint8), np.zeros(6, bool)
+    every = replace(SETTINGS.augment, misplaced_share=1.0)
+    assert np.array_equal(misplace_untouched(pairs, ~none, every, torch.Generator().manual_seed(1)), pairs)
     still = replace(SETTINGS.augment, misplaced_share=0.0)
-    assert np.array_equal(misplace_untouched(pairs, still, torch.Generator().manual_seed(1)), pairs)
-    moved = misplace_untouched(pairs, replace(still, misplaced_share=1.0), torch.Generator().manual_seed(1))
+    assert np.array_equal(misplace_untouched(pairs, none, still, torch.Generator().manual_seed(1)), pairs)
+    moved = misplace_untouched(pairs, none, replace(still, misplaced_share=1.0), torch.Generator().manual_seed(1))
     assert np.array_equal(moved[..., :3], pairs[..., :3])
     assert all((one != other).any() for one, other in zip(moved[..., 3:], pairs[..., 3:], strict=True))
     aside = replace(still, misplaced_share=1.0, misplaced_px=2.0, misplaced_deg=0.0, misplaced_zoom=0.0)
     dot = np.zeros((40, 24, 32, 6), np.uint8)
     dot[:, 12, 16] = 255
-    moved = misplace_untouched(dot, aside, torch.Generator().manual_seed(1))[..., 3].astype(float)
+    moved = misplace_untouched(dot, np.zeros(40, bool), aside, torch.Generator().manual_seed(1))[..., 3].astype(float)
     v, u = np.mgrid[:24, :32]
     places = np.array([[(w * u).sum() / w.sum(), (w * v).sum() / w.sum()] for w in moved]) - [16, 12]
     assert np.abs(places).max() <= 2.01 and np.ptp(places, axis=0).min() > 3.0
@@ -183,9 +185,10 @@ def test_a_narrow_view_shows_no_force_and_no_difference_at_its_rim():
     pairs = rng.integers(0, 255, (30, 24, 32, 6), np.uint8)
     labels = rng.normal(size=(30, 3, 6, 8)).astype(np.float32)
     settings = replace(SETTINGS.augment, narrowed_share=1.0, narrowed=0.6)
-    seen, wanted = narrow_views(pairs, labels, settings, torch.Generator().manual_seed(1))
+    seen, wanted, chosen = narrow_views(pairs, labels, settings, torch.Generator().manual_seed(1))
     hidden_cells = (wanted == 0).all(axis=1)
     assert 5 < hidden_cells.any(axis=(1, 2)).sum() <= 30
+    assert chosen.all()
     for k in range(30):
         hidden_pixels = np.kron(hidden_cells[k], np.ones((4, 4), bool))
         assert np.array_equal(seen[k][~hidden_pixels], pairs[k][~hidden_pixels])

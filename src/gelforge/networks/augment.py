@@ -75,15 +75,16 @@ def shift_together(images, labels, cells: int, generator) -> tuple[np.ndarray, n
     return np.stack([image for image, _ in pairs]), np.stack([label for _, label in pairs])
 
 
-def misplace_untouched(pairs: np.ndarray, settings: AugmentTable, generator) -> np.ndarray:
+def misplace_untouched(pairs: np.ndarray, narrow: np.ndarray, settings: AugmentTable, generator) -> np.ndarray:
     """Shift, turn and zoom the untouched picture of a share of the pairs (n, h, w, 6) uint8, as if the gel sat otherwise.
 
-    Where the gel is held its dots stand still under any force, so these tell the network what to take back.
+    Where the gel is held its dots stand still under any force, so these tell the network what to take back. narrow: (n,)
+    pairs that are left alone because they do not show these dots: there a common motion is sideways force.
     """
     import cv2
 
     pairs, (h, w) = np.array(pairs), pairs.shape[1:3]
-    chosen = torch.rand(len(pairs), generator=generator) < settings.misplaced_share
+    chosen = (torch.rand(len(pairs), generator=generator) < settings.misplaced_share) & ~torch.from_numpy(narrow)
     drawn = torch.stack([uniform(len(pairs), width, generator) for width in (
         settings.misplaced_px, settings.misplaced_px, settings.misplaced_deg, settings.misplaced_zoom)], 1)  # fmt: skip
     for k in torch.nonzero(chosen).flatten().tolist():
@@ -95,10 +96,10 @@ def misplace_untouched(pairs: np.ndarray, settings: AugmentTable, generator) -> 
     return pairs
 
 
-def narrow_views(pairs, labels, settings: AugmentTable, generator) -> tuple[np.ndarray, np.ndarray]:
+def narrow_views(pairs, labels, settings: AugmentTable, generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Hide the rim of a share of the pairs (n, h, w, 6) uint8 and of their labels (n, 3, rows, cols), up to `narrowed`.
 
-    So look pictures of a camera that sees less of the gel once they are brought to the scale of the others: what it does
+    Returns both and which were chosen, (n,) bool. So look pictures of a camera that sees less of the gel once they are brought to the scale of the others: what it does
     not see is even, and no force is read there.
     """
     pairs, labels = np.array(pairs), np.array(labels)
@@ -115,7 +116,7 @@ def narrow_views(pairs, labels, settings: AugmentTable, generator) -> tuple[np.n
         labels[k] = 0.0
         pairs[k][pixels] = shown
         labels[k][(slice(None), *inner)] = force
-    return pairs, labels
+    return pairs, labels, chosen.numpy()
 
 
 def mirror_together(images, labels, generator) -> tuple[np.ndarray, np.ndarray]:

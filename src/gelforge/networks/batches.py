@@ -57,8 +57,8 @@ def training_batches(data, norm: dict, settings: TrainingTable, epoch: int, tota
         rows = np.sort(order[start : start + settings.batch])
         pictures, labels = data.seen(rows, norm["reads"]), data.labels[rows]
         if needs_untouched(norm["reads"]):
-            pictures = misplace_untouched(pictures, settings.augment, seat)
-            pictures, labels = narrow_views(pictures, labels, settings.augment, view)
+            pictures, labels, narrow = narrow_views(pictures, labels, settings.augment, view)
+            pictures = misplace_untouched(pictures, narrow, settings.augment, seat)
         if settings.shift_cells:
             pictures, labels = shift_together(pictures, labels, settings.shift_cells, place)
         if mirrors:

@@ -135,7 +135,7 @@ def sights(data, reads: str, settings: TrainingTable) -> Callable[[int], np.ndar
     def see(row: int) -> np.ndarray:
         pair = data.seen([row], reads)
         if needs_untouched(reads):
-            pair, _ = narrow_views(pair, data.labels[[row]], narrow, generator(settings.seed, "view", 0, row))
+            pair, _, _ = narrow_views(pair, data.labels[[row]], narrow, generator(settings.seed, "view", 0, row))
         return pair[0, ..., :3]
 
     return see
