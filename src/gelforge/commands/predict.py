@@ -23,7 +23,6 @@ from gelforge.networks.sensorprofile import untouched_of
 from gelforge.networks.use import Untouched, fit_size, load_for_use, predict_one
 from gelforge.records.axes import CHANNELS
 from gelforge.records.image import read_image
-from gelforge.records.markers import find_blobs, pitch_of
 
 # Pictures that tell how a gel sits: a single press may drag the whole rim, and would lose true sideways force.
 LEAST_SITTING = 4
@@ -85,7 +84,7 @@ def place_sitting(untouched: Untouched, images) -> Placement | None:
     picture = untouched.picture("given")
     sized = [fit_size(image, untouched.trained.about["image"])[0] for image in images]
     lit = [untouched.canonical(image, "given")[0] for image in sized]
-    return RestingDots(picture, find_blobs(picture)[0], pitch_of(picture)).place(lit)
+    return RestingDots.of(picture).place(lit)
 
 
 def predict_files(paths, untouched: Untouched, out: Path) -> list[dict]:

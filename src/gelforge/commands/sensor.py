@@ -45,7 +45,10 @@ def main(args: Namespace) -> None:
     if out.suffix != ".toml":
         raise BadInput(f"--out {out}: give a name that ends in .toml")
     trained, picture = load_for_use(args.model), read_image(args.untouched)
-    gain = gain_of(args.readings, Untouched(trained, picture)) if args.readings else Gain()
+    untouched = Untouched(trained, picture)
+    if untouched.fault:
+        raise BadInput(f"{args.untouched}: {untouched.fault}; take one while nothing touches the sensor")
+    gain = gain_of(args.readings, untouched) if args.readings else Gain()
     profile = make_profile(name, picture, pitch_of(picture), gain, trained.about["name"])
     write_profile(out, profile)
     print(f"{out}: forces times {gain.value:.3f} ({gain.low:.3f} to {gain.high:.3f}), from {gain.readings} readings;"

@@ -13,7 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from gelforge.records.markers import find_blobs, pitch_of
+
 WINDOW, LEVELS = (21, 21), 3  # of the pyramid in which dots are followed: it reaches about 40 px
+GLANCE = (15, 15)  # px around a dot that are looked for in a hurry
+UNLIKE = 12.0  # levels by which these may differ on average
 HOME = 0.5  # px by which a dot that is followed there and back may miss its start
 RIM = 0.8  # pitches from the outermost dots inwards that still are the rim
 AGREES = 1.2  # px by which a rim dot may stand off the common motion
@@ -86,6 +90,11 @@ class RestingDots:
         rim = self.sides.any(axis=1)
         self.dots, self.sides = dots[rim], self.sides[rim]
 
+    @classmethod
+    def of(cls, untouched: np.ndarray) -> "RestingDots":
+        """The rim dots of an untouched picture (h, w, 3) uint8."""
+        return cls(untouched, find_blobs(untouched)[0], pitch_of(untouched))
+
     def place(self, images: Sequence[np.ndarray]) -> Placement:
         """Placement of pictures (h, w, 3) uint8 of one sitting, in light and size like the untouched one."""
         if not images or self.sides.sum(axis=0).min(initial=LEAST_A_SIDE) < LEAST_A_SIDE:
@@ -96,6 +105,23 @@ class RestingDots:
         end[kept] = np.nanmedian(ends[:, kept], axis=0)
         middle = np.array(self.grey.shape[::-1]) / 2
         return common_motion(self.dots - 0.5, end, kept, self.sides, middle)
+
+    def glance(self, image: np.ndarray) -> tuple[float, float]:
+        """How far half of the rim's dots have moved at least in a picture, px, and what share of them it does not show.
+
+        Quick and rough: a dot counts as lost where its surroundings do not look as they did.
+        """
+        import cv2
+
+        if not len(self.dots):
+            return 0.0, 0.0
+        nothing: Any = None
+        grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+        start = (self.dots - 0.5).astype(np.float32).reshape(-1, 1, 2)
+        found, seen, unlike = cv2.calcOpticalFlowPyrLK(self.grey, grey, start, nothing, winSize=GLANCE, maxLevel=1)
+        moved = np.hypot(*(found - start).reshape(-1, 2).T)
+        lost = (seen.ravel() == 0) | (unlike.ravel() > UNLIKE)
+        return float(np.median(moved)), float(lost.mean())
 
     def follow(self, image: np.ndarray) -> np.ndarray:
         """Where the rim's dots are in a picture, (n, 2) px; NaN for one that, followed back, does not come home."""

@@ -1,8 +1,13 @@
 """How unlike its training images an image is, from a few statistics of the picture."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
 from gelforge.networks.canonical import Light, match_light
+from gelforge.networks.placement import RestingDots
+from gelforge.records.markers import find_blobs
 
 # Smallest standard deviation that a statistic is given, so that a uniform training set does not flag
 # what no eye could tell apart: grey levels for the colours, a dot or two for the count.
@@ -12,6 +17,9 @@ DOT_DEPTH = 18  # grey levels below their surroundings
 SHRINKAGE = 0.2
 LEAST_THRESHOLD = 3.0
 MARGIN = 1.5
+RELIEF_SIZE = (160, 120)  # px at which the relief of a picture is looked at
+RELIEF_MARGIN = 1.25
+USUAL = 99.0  # per cent of good pairs that the limits are set by: the worst of many are odd ones
 
 
 def grey_of(image) -> np.ndarray:
@@ -89,41 +97,100 @@ def distance(image, untouched) -> float:
     return float(np.median(apart.astype(np.float32).mean(axis=2)))
 
 
-def pair_limits(pairs) -> dict[str, float]:
-    """What good pairs (h, w, 6) of an image and the untouched sensor stay within: beyond, a pair does not belong together.
+def relief(untouched) -> float:
+    """How uneven the light of an untouched picture (h, w, 3) uint8 is between its dots, levels of the three colours together.
 
-    largest_distance: `distance`; largest_residual, least_share: of the light that tells one from the other.
+    What touches a gel shades it within a few dots' distance; the gel's own light changes over the whole picture.
     """
-    apart, lights = [], []
-    for pair in pairs:
-        image, untouched = pair[..., :3], np.ascontiguousarray(pair[..., 3:])
-        light = match_light(image, untouched)
-        apart.append(distance(light.undo(image), untouched))
-        lights.append(light)
+    import cv2
+
+    dots, widths = find_blobs(untouched)
+    gel = np.ones(untouched.shape[:2], np.uint8)
+    for u, v in dots.astype(int).tolist():
+        cv2.circle(gel, (u, v), int(0.9 * np.median(widths)) + 3, 0, -1)
+    small = cv2.resize(untouched, RELIEF_SIZE, interpolation=cv2.INTER_AREA).astype(np.float32)
+    weight = cv2.resize(gel, RELIEF_SIZE, interpolation=cv2.INTER_NEAREST).astype(np.float32)
+
+    def smooth(width: float) -> np.ndarray:
+        around = cv2.GaussianBlur(weight, (0, 0), width)[..., None] + 1e-3
+        return cv2.GaussianBlur(small * weight[..., None], (0, 0), width) / around
+
+    uneven = np.abs(smooth(1.5) - smooth(8.0)).sum(axis=2)
+    inner = np.s_[6:-6, 6:-6]
+    shown = weight[inner] > 0
+    return float(np.percentile(uneven[inner][shown], 99.5)) if shown.any() else 0.0
+
+
+def relief_fault(limits: dict, value: float) -> str:
+    """What tells that something touches a sensor in its untouched picture; empty where nothing does."""
+    most = limits.get("largest_relief", np.inf)
+    if value <= most:
+        return ""
+    return f"something seems to touch the gel in the untouched picture: its light is uneven by {value:.0f} levels, {most:.0f} are usual"
+
+
+@dataclass(frozen=True)
+class PairEvidence:
+    """What tells whether an image and an untouched picture are of one sensor that sat alike.
+
+    distance: of the image, brought to the other's light, levels. light: what was taken back. rim_px, rim_lost: how far half
+    of the rim's dots moved at least, and the share that is not found (networks.placement); 0 where no rim is shown.
+    """
+
+    distance: float
+    light: Light
+    rim_px: float = 0.0
+    rim_lost: float = 0.0
+
+
+def pair_evidence(image, untouched, dots: RestingDots | None) -> PairEvidence:
+    """Evidence of a pair of pictures (h, w, 3) uint8 as a camera gave them; dots: of the untouched one."""
+    light = match_light(image, untouched)
+    lit = light.undo(image)
+    return PairEvidence(distance(lit, untouched), light, *(dots.glance(lit) if dots else (0.0, 0.0)))
+
+
+def pair_limits(found: Sequence[PairEvidence]) -> dict[str, float]:
+    """What good pairs stay within, from such ones: beyond, a pair does not belong together."""
+    most = {
+        name: float(np.percentile([getattr(one, name) for one in found], USUAL))
+        for name in ("distance", "rim_px", "rim_lost")
+    }
     return {
-        "largest_distance": MARGIN * max(apart),
-        "largest_residual": MARGIN * max(light.residual for light in lights),
-        "least_share": min(light.share for light in lights) / MARGIN,
+        "largest_distance": MARGIN * most["distance"],
+        "largest_residual": MARGIN * float(np.percentile([one.light.residual for one in found], USUAL)),
+        "least_share": float(np.percentile([one.light.share for one in found], 100.0 - USUAL)) / MARGIN,
+        "largest_rim_px": 1.0 + most["rim_px"],
+        "largest_rim_lost": 0.15 + most["rim_lost"],
     }
 
 
-def pair_fault(limits: dict, image, untouched, light: Light) -> str:
-    """What tells that an image, brought to the light of the untouched picture, is not of its sensor; empty if nothing."""
-    if distance(image, untouched) > limits["largest_distance"]:
-        return "another sensor than the untouched one"
+def pair_fault(limits: dict, pair: PairEvidence) -> str:
+    """What tells that the pictures of a pair do not belong together; empty where nothing does."""
+    light = pair.light
     unlike = light.residual > limits.get("largest_residual", np.inf) or light.share < limits.get("least_share", 0.0)
-    return "too little of it looks like the untouched picture" if light.known and unlike else ""
+    faults = {
+        "another sensor than the untouched one": pair.distance > limits["largest_distance"],
+        "too little of it looks like the untouched picture": light.known and unlike,
+        f"the rim of the gel moved by {pair.rim_px:.1f} px since the untouched picture": (
+            pair.rim_px > limits.get("largest_rim_px", np.inf)
+        ),
+        "the dots at the rim are not those of the untouched picture, or blurred": (
+            pair.rim_lost > limits.get("largest_rim_lost", np.inf)
+        ),
+    }
+    return next((fault for fault, seen in faults.items() if seen), "")
 
 
-def judge(model: dict, image, untouched=None, light: Light | None = None) -> dict:
+def judge(model: dict, image, pair: PairEvidence | None = None) -> dict:
     """Score one image and say whether it is unlike the training images, and in what: `score`, `flag`, `reason`.
 
-    `untouched` is the picture of its sensor and `light` what was taken back, where the network reads differences.
+    pair: where the network reads differences, what tells whether the untouched picture is of the same sensor.
     """
     statistics = describe(image)
     value = score(model, statistics)
     if value <= model["threshold"]:
-        fault = pair_fault(model, image, untouched, light) if untouched is not None and light is not None else ""
+        fault = "" if pair is None else pair_fault(model, pair)
         return {"score": value, "flag": bool(fault), "reason": fault}
     off = np.abs(statistics - model["mean"]) / model["spread"]
     groups = {"colour": off[:12].max(), "contrast": off[12:15].max(), "sharpness": off[15], "dots": off[16:].max()}

@@ -8,7 +8,8 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.networks.canonical import WHOLE, Light, view_of
 from gelforge.networks.intervals import half_widths
-from gelforge.networks.placement import Placement
+from gelforge.networks.placement import Placement, RestingDots
+from gelforge.networks.statistics import PairEvidence, distance, judge, relief, relief_fault
 from gelforge.records.markers import pitch_of
 
 LEAST_PULL = 1.0  # N above which a reading that no contact can make is told
@@ -44,7 +45,7 @@ class Untouched:
 
     picture: (h, w, 3) uint8 RGB of any size, given by the user. sensor: name of a training sensor. With neither,
     each image is read against the training sensor it is nearest to. gain: what all forces are multiplied by
-    (networks.sensorprofile). view: how pictures of the sensor are scaled; those of training sensors are at the right scale.
+    (networks.sensorprofile). fault: what is wrong with the given picture, empty if nothing. view: how pictures of the sensor are scaled; those of training sensors are at the right scale.
     """
 
     def __init__(self, trained, picture: np.ndarray | None = None, sensor: str | None = None, gain: float = 1.0):
@@ -64,14 +65,16 @@ class Untouched:
                 f"model {trained.about['name']} has no picture of the untouched sensor {sensor or 'of any name'}: give "
                 "one with --untouched"
             )
+        self.fault = (
+            relief_fault(trained.about["statistics"], relief(self.known["given"])) if "given" in self.known else ""
+        )
         self._pictures: dict[str, np.ndarray] = {}
+        self._dots: dict[str, RestingDots | None] = {}
         self._readers: dict[str, Any] = {}
         self._rest: dict[str, np.ndarray] = {}
 
     def of(self, image) -> str:
         """Name of the picture for an image (h, w, 3) of the model's size."""
-        from gelforge.networks.statistics import distance
-
         if len(self.known) == 1:
             return next(iter(self.known))
         return min(self.known, key=lambda name: distance(image, self.known[name]))
@@ -86,6 +89,13 @@ class Untouched:
         """An image as the network reads it against the picture of that name, and what its light was."""
         seen = self.view.of(image)
         return self.view.match(seen if placement is None else placement.undo(seen), self.picture(name))
+
+    def evidence(self, lit: np.ndarray, light: Light, name: str) -> PairEvidence:
+        """What tells whether a canonical image and the picture of that name belong together."""
+        if name not in self._dots:  # a view that does not show the gel's rim has none
+            self._dots[name] = RestingDots.of(self.known[name]) if self.view.zoom == 1.0 else None
+        dots = self._dots[name]
+        return PairEvidence(distance(lit, self.picture(name)), light, *(dots.glance(lit) if dots else (0.0, 0.0)))
 
     def reader(self, name: str):
         """The network for the sensor of that picture."""
@@ -117,22 +127,21 @@ def predict_one(
     (networks.intervals; None where the model knows none).
     """
     from gelforge.networks.latency import predict_images
-    from gelforge.networks.statistics import judge
 
     trained = untouched.trained
     image, resized = fit_size(image, trained.about["image"])
     name = untouched.of(image)
-    picture, light, lit = None, None, image
+    pair, light, lit = None, None, image
     if trained.needs_untouched:
-        picture = untouched.picture(name)
         lit, light = untouched.canonical(image, name, placement)
-    verdict = judge(trained.about["statistics"], lit, picture, light) | {"untouched": name, "light": light}
+        pair = untouched.evidence(lit, light, name)
+    verdict = judge(trained.about["statistics"], lit, pair) | {"untouched": name, "light": light}
     forces = predict_images(untouched.reader(name), lit[None])[0]
     if trained.needs_untouched:
         forces = forces - untouched.rest(name)
     forces = forces * np.float32(untouched.gain)
     verdict["half_width"] = half_widths(trained.about, "total", forces.sum((1, 2), dtype=float), untouched.gain)
-    faults = [resized, verdict["reason"], light_fault(light), pull_fault(forces)]
+    faults = [resized, untouched.fault, verdict["reason"], light_fault(light), pull_fault(forces)]
     reason = "; ".join(filter(None, faults))
     return untouched.view.of(image), forces, verdict | {"flag": verdict["flag"] or bool(reason), "reason": reason}
 

@@ -93,7 +93,7 @@ def train(data, name: str, model: dict, settings: TrainingTable, checkpoint=None
     from gelforge.networks.inputs import needs_untouched
     from gelforge.networks.modelfile import Trained
     from gelforge.networks.models import parameter_count
-    from gelforge.networks.statistics import fit_to_images, pair_limits
+    from gelforge.networks.statistics import fit_to_images
     from gelforge.networks.training import Training, fit, peak_memory_gib
 
     require_splits(data)
@@ -105,10 +105,7 @@ def train(data, name: str, model: dict, settings: TrainingTable, checkpoint=None
     fit(training, data, checkpoint, identity(about))
     statistics = fit_to_images(sights(data, norm["reads"], settings), data.splits["train"], data.splits["val"])
     if needs_untouched(norm["reads"]):
-        rows = data.splits["val"]
-        pairs = (np.concatenate([image, untouched], axis=2) for image, untouched in zip(
-            data.images[rows], data.untouched(rows), strict=True))  # fmt: skip
-        statistics |= pair_limits(pairs)
+        statistics |= good_pairs(data)
     cost = training.cost | {"peak_gib": peak_memory_gib()}
     about |= {
         "normalisation": norm,
@@ -139,6 +136,21 @@ def sights(data, reads: str, settings: TrainingTable) -> Callable[[int], np.ndar
         return pair[0, ..., :3]
 
     return see
+
+
+def good_pairs(data) -> dict[str, float]:
+    """Limits of what validation's pairs are like (networks.statistics)."""
+    from gelforge.networks.placement import RestingDots
+    from gelforge.networks.statistics import RELIEF_MARGIN, pair_evidence, pair_limits, relief
+
+    rows = data.splits["val"]
+    names = data.names("sensor_id")[rows]
+    dots = {name: RestingDots.of(data.nocontact[name]) for name in sorted(set(names.tolist()))}
+    pairs = [
+        pair_evidence(np.ascontiguousarray(data.images[row]), data.nocontact[name], dots[name])
+        for row, name in zip(rows, names, strict=True)
+    ]
+    return pair_limits(pairs) | {"largest_relief": RELIEF_MARGIN * max(relief(data.nocontact[name]) for name in dots)}
 
 
 def unseen_intervals(net, data, norm: dict) -> dict:

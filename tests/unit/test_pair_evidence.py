@@ -1,0 +1,95 @@
+"""What tells that an image and an untouched picture do not belong together: on the demo's pictures, damaged one by one."""
+
+import cv2
+import numpy as np
+import pytest
+
+from gelforge.networks.placement import RestingDots
+from gelforge.networks.statistics import MARGIN, pair_evidence, pair_fault, pair_limits, relief, relief_fault
+from gelforge.records.image import read_image
+from gelforge.records.log import read_presses
+
+
+@pytest.fixture(scope="module")
+def rest(root):
+    return {path.stem: read_image(path) for path in sorted((root / "data/demo/nocontact").glob("*.png"))}
+
+
+@pytest.fixture(scope="module")
+def presses(root):
+    """Sensor, picture and normal force of every press of the demo."""
+    folder = root / "data/demo"
+    return [(p.sensor_id, read_image(folder / p.image), -p.fz_n) for p in read_presses(folder / "log.csv")]
+
+
+@pytest.fixture(scope="module")
+def limits(rest, presses):
+    dots = {name: RestingDots.of(picture) for name, picture in rest.items()}
+    return pair_limits([pair_evidence(image, rest[name], dots[name]) for name, image, _ in presses])
+
+
+def moved(image, right=0.0, down=0.0, zoom=1.0, turn=0.0):
+    matrix = cv2.getRotationMatrix2D((160, 120), turn, zoom)
+    matrix[:, 2] += right, down
+    return cv2.warpAffine(image, matrix, (320, 240), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+
+
+DAMAGE = {
+    "a shift": (lambda image: moved(image, 7.0, 5.0), "rim"),
+    "a turn": (lambda image: moved(image, turn=4.5), "rim"),
+    "a zoom": (lambda image: moved(image, zoom=1.12), "rim|dots|untouched"),
+    "out of focus": (lambda image: cv2.GaussianBlur(image, (0, 0), 6.0), "dots at the rim"),
+}
+
+
+def test_good_pairs_are_good(rest, presses, limits):
+    faults = [
+        pair_fault(limits, pair_evidence(image, rest[name], RestingDots.of(rest[name]))) for name, image, _ in presses
+    ]
+    assert sum(map(bool, faults)) <= 0.05 * len(faults)
+
+
+@pytest.mark.parametrize("what", DAMAGE)
+def test_what_happened_to_a_picture_is_named(rest, presses, limits, what):
+    damage, named = DAMAGE[what]
+    faults = [
+        pair_fault(limits, pair_evidence(damage(image), rest[name], RestingDots.of(rest[name])))
+        for name, image, _ in presses
+    ]
+    seen = [fault for fault in faults if fault]
+    assert len(seen) >= 0.85 * len(faults)
+    assert any(any(word in fault for word in named.split("|")) for fault in seen)
+
+
+def test_the_picture_of_another_unit_is_no_untouched_picture(rest, presses, limits):
+    other = {"mini_a": "mini_e", "mini_e": "mini_a"}
+    faults = [
+        pair_fault(limits, pair_evidence(image, rest[other[name]], RestingDots.of(rest[other[name]])))
+        for name, image, _ in presses
+    ]
+    assert sum(map(bool, faults)) >= 0.9 * len(faults)
+
+
+def test_contact_shows_in_the_relief_and_untouched_gels_have_little(rest, presses):
+    calm = max(relief(picture) for picture in rest.values())
+    strong = [relief(image) for _, image, force in presses if force > 5.0]
+    assert np.mean(np.array(strong) > 1.25 * calm) >= 0.5
+    known = {"largest_relief": 1.25 * calm}
+    assert all(relief_fault(known, relief(picture)) == "" for picture in rest.values())
+    assert "something seems to touch" in relief_fault(known, max(strong)) and relief_fault({}, max(strong)) == ""
+
+
+def test_light_alone_is_no_relief_and_no_fault(rest, presses, limits):
+    """Twice the contrast between the sides, or a tenth less of everything, is light, not contact."""
+    for picture in rest.values():
+        dimmer = np.clip(np.rint(0.9 * picture), 0, 255).astype(np.uint8)
+        assert relief(dimmer) == pytest.approx(0.9 * relief(picture), rel=0.1)
+    name, image, _ = presses[0]
+    dimmer = np.clip(np.rint(0.93 * image), 0, 255).astype(np.uint8)
+    assert pair_fault(limits, pair_evidence(dimmer, rest[name], RestingDots.of(rest[name]))) == ""
+
+
+def test_a_picture_without_dots_has_no_rim_to_look_at():
+    grey = np.full((240, 320, 3), 128, np.uint8)
+    assert RestingDots.of(grey).glance(grey) == (0.0, 0.0)
+    assert relief(grey) < 1.0 and MARGIN > 1.0
