@@ -163,3 +163,15 @@ def test_a_log_from_elsewhere_is_left_alone(tmp_path):
     with pytest.raises(BadInput, match="was not written by the virtual rig"):
         run(plan_of(tmp_path, 1), tmp_path / "data", ROOT / "workflow")
     assert log.read_text() == "sample_id\nmine\n"
+
+
+def test_parameters_of_a_plan_that_were_changed_since_are_told(two, tmp_path, capsys):
+    """dataset.toml may hold a user's own values: it stays, and is not silently something else than the plan says."""
+    (two / "dataset.toml").write_text(
+        (two / "dataset.toml").read_text() + "\n[params.labels]\nlargest_outside_share = 0.5\n"
+    )
+    shutil.copytree(two, tmp_path / "data" / two.name)
+    capsys.readouterr()
+    run(plan_of(tmp_path, 2), tmp_path / "data", ROOT / "workflow")
+    assert "dataset.toml is not what the plan would write and stays as it is" in capsys.readouterr().out
+    assert "largest_outside_share" in (tmp_path / "data" / two.name / "dataset.toml").read_text()

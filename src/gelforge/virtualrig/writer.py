@@ -56,6 +56,8 @@ class Dataset:
         description = self.folder / "dataset.toml"
         if not description.exists():
             write_text(description, describe(self.plan))
+        elif description.read_text(encoding="utf-8") != describe(self.plan):
+            print(f"{description} is not what the plan would write and stays as it is; remove it to have the plan's")
 
     def missing(self, orders: list[Order]) -> list[Order]:
         """Orders that are not yet carried out, or whose image is gone."""
