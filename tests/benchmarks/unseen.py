@@ -15,6 +15,7 @@ from gelforge.flow.main import command, option
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue
+from gelforge.networks.intervals import half_widths
 from gelforge.networks.sensorprofile import fit_gain
 from gelforge.networks.use import Untouched, load_for_use, predict_one
 from gelforge.records.axes import AXIS_OF_CHANNEL, CHANNELS
@@ -91,6 +92,20 @@ def error_figures(units: Units, read: np.ndarray) -> list[Figure]:
                "% of range", f"{value:.2f} N of {RANGE[name]:g}; {told}")
         for name, value in zip(CHANNELS, mae, strict=True)
     ]  # fmt: skip
+
+
+def interval_figure(units: Units, trained, read: np.ndarray) -> list[Figure]:
+    """Share of totals that their intervals hold, on units that these were not set on."""
+    known = trained.about.get("intervals", {})
+    if "total" not in known:
+        return []
+    others = np.array([seen.unit not in known.get("sensors", []) for seen in units.seen])
+    true = np.array([seen.total for seen in units.seen])
+    half = np.array([half_widths(trained.about, "total", one) for one in read])
+    held = 100 * (np.abs(read - true) <= half)[others].mean(axis=0)
+    told = ", ".join(f"{name} {value:.0f}" for name, value in zip(CHANNELS, held, strict=True))
+    return [Figure("totals that their 90 % intervals hold, farthest from it", float(held[np.abs(held - 90).argmax()]), ">=", 87.0,
+                   "%", f"{told}; {others.sum()} pictures of other units than the intervals were set on")]  # fmt: skip
 
 
 # -- what a pair may suffer
@@ -249,7 +264,9 @@ def main(args: Namespace) -> None:
     trained, units = load_for_use(args.model), press_units(args.plan, args.presses)
     readers = {name: Untouched(trained, picture) for name, picture in units.untouched.items()}
     read = np.array([totals(readers[seen.unit], seen.image) for seen in units.seen])
-    figures = error_figures(units, read) + sensitivity_figures(units, readers, read)
+    figures = (
+        error_figures(units, read) + interval_figure(units, trained, read) + sensitivity_figures(units, readers, read)
+    )
     figures += [drift_figure(units, readers), *gain_figures(units, read), *flag_figures(units, trained)]
     publish_figures(args.out, figures, trained.about.get("sha256", ""))
 

@@ -20,6 +20,7 @@ from gelforge.networks.sensorprofile import (
     write_profile,
 )
 from gelforge.networks.use import load_for_use
+from gelforge.records.image import read_image
 from gelforge.records.markers import pitch_of
 
 
@@ -62,8 +63,8 @@ def shipped():
     return load_for_use(None)
 
 
-def test_a_profile_comes_back_from_its_file(shipped, tmp_path):
-    picture = shipped.untouched["mini_a"]
+def test_a_profile_comes_back_from_its_file(root, tmp_path):
+    picture = read_image(root / "data/demo/nocontact/mini_a.png")
     profile = make_profile("mine", picture, pitch_of(picture), Gain(1.2, 1.1, 1.3, 5), "net")
     write_profile(tmp_path / "mine.toml", profile)
     found = read_profile(tmp_path / "mine.toml")
@@ -88,7 +89,7 @@ def test_what_is_no_profile_is_refused(tmp_path, text):
 
 
 @pytest.fixture
-def weighed(root, tmp_path, shipped):
+def weighed(root, tmp_path):
     """Presses of the demo as if they had been weighed on a sensor whose gel is a fifth stiffer; (folder, table's rows)."""
     rows = []
     with (root / "data/demo/log.csv").open() as stream:
@@ -98,7 +99,7 @@ def weighed(root, tmp_path, shipped):
                     (root / "data/demo" / row["image"]).read_bytes()
                 )
                 rows.append([f"{row['sample_id']}.png", f"{-1.2 * float(row['fz_n']):.3f}"])
-    cv2.imwrite(str(tmp_path / "rest.png"), cv2.cvtColor(shipped.untouched["mini_a"], cv2.COLOR_RGB2BGR))
+    (tmp_path / "rest.png").write_bytes((root / "data/demo/nocontact/mini_a.png").read_bytes())
     assert len(rows) >= 3
     return tmp_path, rows
 
