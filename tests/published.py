@@ -4,9 +4,18 @@ from pathlib import Path
 
 import numpy as np
 
+from gelforge.geometry.indenters import read_catalogue
+
 # FEATS' set-up files turn these by 180 degrees about z for its 0 degrees (indenterRotZ).
 HALF_TURN = ("triangle_10", "triangle_15", "triangle_20")
+# Shapes of the catalogue that are our own, beside the random solids.
+OWN = {"wire_2", "blade_14", "coin_16", "washer_12", "bolt_head", "key", "two_pegs"}
 CONTACT_MM = 3.0  # above the tip: presses go 2 mm deep
+
+
+def published_names(catalogue: Path) -> set[str]:
+    """Names of a catalogue's indenters that are meant to be published ones."""
+    return {name for name, table in read_catalogue(catalogue).items() if table.get("kind") != "random_solid"} - OWN
 
 
 def read_step(path, size_mm: float, per_turn: int = 32) -> dict:

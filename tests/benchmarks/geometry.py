@@ -13,7 +13,7 @@ from gelforge.flow.progress import progress
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue
 from tests.benchmarks.figures import Figure, publish_figures
-from tests.published import compare_gel_top, compare_indenter, step_file
+from tests.published import compare_gel_top, compare_indenter, published_names, step_file
 
 
 def solid_figures(catalogue: dict, reference: Path) -> list[Figure]:
@@ -76,7 +76,8 @@ def _timed(function, argument) -> float:
 )
 def main(args: Namespace) -> None:
     catalogue = load_catalogue(args.catalogue)
-    publish_figures(args.out, [*solid_figures(catalogue, args.reference), *speed_figures(catalogue)])
+    published = {name: catalogue[name] for name in sorted(published_names(args.catalogue))}
+    publish_figures(args.out, [*solid_figures(published, args.reference), *speed_figures(catalogue)])
 
 
 if __name__ == "__main__":

@@ -3,9 +3,9 @@
 import pytest
 
 from gelforge.geometry.gel import Gel
-from gelforge.geometry.indenters import load_catalogue, read_catalogue
+from gelforge.geometry.indenters import load_catalogue
 from tests.conftest import ROOT
-from tests.published import compare_gel_top, compare_indenter, step_file
+from tests.published import compare_gel_top, compare_indenter, published_names, step_file
 
 pytest.importorskip(
     "gmsh",
@@ -15,7 +15,7 @@ pytest.importorskip(
 CATALOGUE = ROOT / "workflow" / "indenters.toml"
 
 
-@pytest.mark.parametrize("name", sorted(read_catalogue(CATALOGUE)))
+@pytest.mark.parametrize("name", sorted(published_names(CATALOGUE)))
 def test_indenter_is_the_published_one(reference, name):
     found = compare_indenter(load_catalogue(CATALOGUE, [name])[name], step_file(reference, name))
     assert abs(found["volume_error"]) < 0.02
@@ -24,7 +24,7 @@ def test_indenter_is_the_published_one(reference, name):
 
 def test_every_published_indenter_is_in_the_catalogue(reference):
     published = {path.stem for path in (reference / "feats" / "indenters").glob("*.step")}
-    assert published == set(read_catalogue(CATALOGUE))
+    assert published == published_names(CATALOGUE)
 
 
 def test_gel_top_is_the_published_one(reference):

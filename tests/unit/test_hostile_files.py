@@ -212,7 +212,8 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path):
     (tmp_path / "file").write_text("in the way")
     cv2.imwrite(str(tmp_path / "a.png"), np.zeros((240, 320, 3), np.uint8))
     with pytest.raises(BadInput, match=r"--out .*file/out: cannot be written into"):
-        predict.main([str(tmp_path / "a.png"), "--out", str(tmp_path / "file/out")])
+        image = str(tmp_path / "a.png")
+        predict.main([image, "--untouched", image, "--out", str(tmp_path / "file/out")])
 
 
 def npy(path, body: bytes):
