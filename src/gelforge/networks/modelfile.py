@@ -41,6 +41,11 @@ class Trained:
     def needs_untouched(self) -> bool:
         return needs_untouched(self.about["normalisation"]["reads"])
 
+    @property
+    def for_any_sensor(self) -> bool:
+        """Whether it learnt from so many sensors that it keeps no picture of any: a new one brings its own."""
+        return self.needs_untouched and not self.untouched
+
 
 class Entry(nn.Module):
     """A network's first convolution, made to read images (n, 3, h, w) in 0..255 as they come from a camera.
@@ -207,6 +212,8 @@ def require_fit(trained: Trained, data) -> None:
 
 def require_sensor(trained: Trained, wanted: set[str]) -> None:
     """Raise BadInput if none of the sensors `wanted` belongs to the dataset that a model comes from."""
+    if trained.for_any_sensor:
+        return
     known = trained.about["known_sensors"]
     if wanted.isdisjoint(known):
         raise BadInput(
