@@ -1,12 +1,15 @@
 """The network that comes with gelforge: it reads pictures as soon as the set-up is done."""
 
 import csv
+from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from gelforge.commands import predict
+from gelforge.errors import BadInput
 from gelforge.networks import use
-from gelforge.networks.modelfile import load_model
+from gelforge.networks.modelfile import load_model, require_sensor
 
 LARGEST = 3 * 2**20  # bytes
 
@@ -31,3 +34,15 @@ def test_it_reads_presses_it_never_saw(root, tmp_path):
     real = np.array([float(truth[row["sample_id"]]["fz_n"]) for row in log])
     assert 3 * np.abs(read - real).mean() < np.abs(np.median(real) - real).mean()
     assert np.load(tmp_path / f"{log[0]['sample_id']}.npy").shape == (3, 24, 32)
+
+
+def test_it_is_for_any_sensor_that_brings_its_untouched_picture(root):
+    """It learnt from too many units to be one of theirs: the demo's report reads units of other names with it."""
+    trained = load_model(use.SHIPPED)
+    assert trained.for_any_sensor and len(trained.about["sensors"]) > 8
+    require_sensor(trained, {"any name"})
+    with pytest.raises(BadInput, match="give one with --untouched"):
+        use.Untouched(trained)
+    kept = replace(trained, untouched={"known_01": np.zeros((240, 320, 3), np.uint8)})
+    with pytest.raises(BadInput, match="was made for sensors"):
+        require_sensor(kept, {"any name"})
