@@ -25,6 +25,7 @@ from gelforge.virtualrig.fields import field_of, surface_of
 from gelforge.virtualrig.render import Pressed, Renderer
 from gelforge.virtualrig.rigplan import generator, orders, read_plan
 from tests.benchmarks.figures import Figure, publish_figures
+from tests.pictures import moved
 
 RANGE = {"grid_x": 10.0, "grid_y": 10.0, "grid_z": 40.0}  # N, of the FEATS paper
 SOFTER_HARDER = 0.15  # share by which gels of one kind differ in stiffness
@@ -121,20 +122,10 @@ def redder(image: np.ndarray) -> np.ndarray:
     return np.clip(image.astype(int) - [2, 0, 0], 0, 255).astype(np.uint8)
 
 
-def moved(
-    image: np.ndarray, right: float = 0.0, down: float = 0.0, zoom: float = 1.0, turn: float = 0.0
-) -> np.ndarray:
-    """A picture shifted by px, zoomed and turned by degrees about its middle."""
-    height, width = image.shape[:2]
-    matrix = cv2.getRotationMatrix2D((width / 2, height / 2), turn, zoom)
-    matrix[:, 2] += right, down
-    return cv2.warpAffine(image, matrix, (width, height), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-
-
 SUFFERED: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "red -2 levels": redder,
     "all x 0.90": lambda image: scaled(image, 0.9),
-    "a shift of 2 px": lambda image: moved(image, 1.6, 1.2),
+    "a shift of 2 px": lambda image: moved(image, (1.6, 1.2)),
     "a zoom of 3 %": lambda image: moved(image, zoom=1.03),
 }
 
@@ -225,8 +216,8 @@ def faulty_pairs(units: Units) -> Iterator[tuple[str, np.ndarray, np.ndarray, np
         yield "none", rest, seen.image, seen.total
         yield "another unit's untouched picture", other, seen.image, seen.total
         yield "contact in the untouched picture", touched, seen.image, seen.total
-        yield "a shift of 8 px", rest, moved(seen.image, 6.4, 4.8), seen.total
-        yield "a turn of 4 degrees", rest, moved(seen.image, turn=4.0), seen.total
+        yield "a shift of 8 px", rest, moved(seen.image, (6.4, 4.8)), seen.total
+        yield "a turn of 4 degrees", rest, moved(seen.image, turn=-4.0), seen.total
         yield "a zoom of 10 %", rest, moved(seen.image, zoom=1.1), seen.total
         yield "colours in reverse order", rest, seen.image[..., ::-1], seen.total
         yield "dark", rest, scaled(seen.image, 0.4), seen.total

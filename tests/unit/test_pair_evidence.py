@@ -8,6 +8,7 @@ from gelforge.networks.placement import RestingDots
 from gelforge.networks.statistics import MARGIN, pair_evidence, pair_fault, pair_limits, relief, relief_fault
 from gelforge.records.image import read_image
 from gelforge.records.log import read_presses
+from tests.pictures import moved
 
 
 @pytest.fixture(scope="module")
@@ -24,19 +25,13 @@ def presses(root):
 
 @pytest.fixture(scope="module")
 def limits(rest, presses):
-    dots = {name: RestingDots.of(picture) for name, picture in rest.items()}
+    dots = {name: RestingDots(picture) for name, picture in rest.items()}
     return pair_limits([pair_evidence(image, rest[name], dots[name]) for name, image, _ in presses])
 
 
-def moved(image, right=0.0, down=0.0, zoom=1.0, turn=0.0):
-    matrix = cv2.getRotationMatrix2D((160, 120), turn, zoom)
-    matrix[:, 2] += right, down
-    return cv2.warpAffine(image, matrix, (320, 240), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-
-
 DAMAGE = {
-    "a shift": (lambda image: moved(image, 7.0, 5.0), "rim"),
-    "a turn": (lambda image: moved(image, turn=4.5), "rim"),
+    "a shift": (lambda image: moved(image, (7.0, 5.0)), "rim"),
+    "a turn": (lambda image: moved(image, turn=-4.5), "rim"),
     "a zoom": (lambda image: moved(image, zoom=1.12), "rim|dots|untouched"),
     "out of focus": (lambda image: cv2.GaussianBlur(image, (0, 0), 6.0), "dots at the rim"),
 }
@@ -44,7 +39,7 @@ DAMAGE = {
 
 def test_good_pairs_are_good(rest, presses, limits):
     faults = [
-        pair_fault(limits, pair_evidence(image, rest[name], RestingDots.of(rest[name]))) for name, image, _ in presses
+        pair_fault(limits, pair_evidence(image, rest[name], RestingDots(rest[name]))) for name, image, _ in presses
     ]
     assert sum(map(bool, faults)) <= 0.05 * len(faults)
 
@@ -53,7 +48,7 @@ def test_good_pairs_are_good(rest, presses, limits):
 def test_what_happened_to_a_picture_is_named(rest, presses, limits, what):
     damage, named = DAMAGE[what]
     faults = [
-        pair_fault(limits, pair_evidence(damage(image), rest[name], RestingDots.of(rest[name])))
+        pair_fault(limits, pair_evidence(damage(image), rest[name], RestingDots(rest[name])))
         for name, image, _ in presses
     ]
     seen = [fault for fault in faults if fault]
@@ -64,7 +59,7 @@ def test_what_happened_to_a_picture_is_named(rest, presses, limits, what):
 def test_the_picture_of_another_unit_is_no_untouched_picture(rest, presses, limits):
     other = {"mini_a": "mini_e", "mini_e": "mini_a"}
     faults = [
-        pair_fault(limits, pair_evidence(image, rest[other[name]], RestingDots.of(rest[other[name]])))
+        pair_fault(limits, pair_evidence(image, rest[other[name]], RestingDots(rest[other[name]])))
         for name, image, _ in presses
     ]
     assert sum(map(bool, faults)) >= 0.9 * len(faults)
@@ -86,10 +81,10 @@ def test_light_alone_is_no_relief_and_no_fault(rest, presses, limits):
         assert relief(dimmer) == pytest.approx(0.9 * relief(picture), rel=0.1)
     name, image, _ = presses[0]
     dimmer = np.clip(np.rint(0.93 * image), 0, 255).astype(np.uint8)
-    assert pair_fault(limits, pair_evidence(dimmer, rest[name], RestingDots.of(rest[name]))) == ""
+    assert pair_fault(limits, pair_evidence(dimmer, rest[name], RestingDots(rest[name]))) == ""
 
 
 def test_a_picture_without_dots_has_no_rim_to_look_at():
     grey = np.full((240, 320, 3), 128, np.uint8)
-    assert RestingDots.of(grey).glance(grey) == (0.0, 0.0)
+    assert RestingDots(grey).glance(grey) == (0.0, 0.0)
     assert relief(grey) < 1.0 and MARGIN > 1.0

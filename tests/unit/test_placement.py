@@ -13,22 +13,10 @@ from gelforge.networks.canonical import match_light
 from gelforge.networks.placement import LEAST_SHIFT, LEAST_TURN, LEAST_ZOOM, RestingDots, common_motion
 from gelforge.networks.use import Untouched, load_for_use, predict_one
 from gelforge.records.image import read_image
-from gelforge.records.markers import find_blobs, pitch_of
+from tests.pictures import moved
 
 SENSORS = ("mini_a", "mini_e")
 INSIDE = 12.0  # px from the edge, a dot and its neighbourhood, where it can still be followed
-
-
-def resting(picture: np.ndarray) -> RestingDots:
-    return RestingDots(picture, find_blobs(picture)[0], pitch_of(picture))
-
-
-def moved(image: np.ndarray, shift=(0.0, 0.0), turn=0.0, zoom=1.0) -> np.ndarray:
-    """The picture with every point moved about its middle; turn in degrees, positive from u towards v."""
-    h, w = image.shape[:2]
-    matrix = cv2.getRotationMatrix2D((w / 2, h / 2), -turn, zoom)
-    matrix[:, 2] += shift
-    return cv2.warpAffine(image, matrix, (w, h), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
 
 
 @pytest.fixture(scope="module")
@@ -53,9 +41,9 @@ def test_what_was_moved_is_found(presses, name, u, v, turn, zoom):
     rest = presses[0][name]
     middle = np.array(rest.shape[1::-1]) / 2
     rotation = np.exp(1j * np.radians(turn)) * zoom
-    points = (resting(rest).dots - middle) @ np.array([1.0, 1j]) * rotation + complex(u, v)
+    points = (RestingDots(rest).dots - middle) @ np.array([1.0, 1j]) * rotation + complex(u, v)
     assume((np.abs(np.column_stack([points.real, points.imag])) < middle - INSIDE).all())
-    placed = resting(rest).place([moved(rest, (u, v), turn, zoom)])
+    placed = RestingDots(rest).place([moved(rest, (u, v), turn, zoom)])
     assert placed.known
     if np.hypot(u, v) > 1.2 * LEAST_SHIFT:
         assert np.hypot(*(placed.shift - (u, v))) < 0.2
@@ -68,7 +56,7 @@ def test_what_was_moved_is_found(presses, name, u, v, turn, zoom):
 def test_contact_alone_moves_no_picture(presses):
     """No press of a gel that sat still is taken for a gel that moved, so its forces stay what they were."""
     rest, pictures = presses
-    dots = {name: resting(picture) for name, picture in rest.items()}
+    dots = {name: RestingDots(picture) for name, picture in rest.items()}
     for name, picture in pictures:
         assert dots[name].place([picture]).undo(picture) is picture
 
@@ -76,7 +64,7 @@ def test_contact_alone_moves_no_picture(presses):
 def test_a_shift_is_found_beside_contact(presses):
     """Where the rim tells it, as for most presses, a shift is found as well as contact at the rim lets it."""
     rest, pictures = presses
-    dots = {name: resting(picture) for name, picture in rest.items()}
+    dots = {name: RestingDots(picture) for name, picture in rest.items()}
     found = [dots[name].place([moved(picture, (4.0, -3.0))]) for name, picture in pictures]
     told = [placed for placed in found if placed.known]
     assert len(told) > 0.7 * len(found)
@@ -87,7 +75,7 @@ def test_a_sitting_tells_more_than_a_press(presses):
     """Over all presses of a sensor the shift is found to half of what the worst single one tells."""
     rest, pictures = presses
     for name, untouched in rest.items():
-        dots = resting(untouched)
+        dots = RestingDots(untouched)
         seen = [moved(picture, (4.0, -3.0)) for sensor, picture in pictures if sensor == name]
         together = dots.place(seen)
         alone = [np.hypot(*(one.shift - (4.0, -3.0))) for one in (dots.place([image]) for image in seen) if one.known]
@@ -150,5 +138,5 @@ def test_a_picture_with_too_few_dots_is_left_as_it_is(few):
     picture = np.full((240, 320, 3), 120, np.uint8)
     for k in range(few):
         cv2.circle(picture, (60 + 80 * k, 120), 5, (30, 30, 30), -1)
-    placed = resting(picture).place([picture])
+    placed = RestingDots(picture).place([picture])
     assert not placed.known and placed.undo(picture) is picture

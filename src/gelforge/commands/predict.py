@@ -84,7 +84,7 @@ def place_sitting(untouched: Untouched, images) -> Placement | None:
     picture = untouched.picture("given")
     sized = [fit_size(image, untouched.trained.about["image"])[0] for image in images]
     lit = [untouched.canonical(image, "given")[0] for image in sized]
-    return RestingDots.of(picture).place(lit)
+    return RestingDots(picture).place(lit)
 
 
 def predict_files(paths, untouched: Untouched, out: Path) -> list[dict]:

@@ -93,9 +93,8 @@ class SensorNet(nn.Module):
             )
         norm = trained.about["normalisation"]
         gain = 1 / (255 * torch.tensor(norm["image_std"]).float())
-        net: Any = copy.deepcopy(
-            trained.net
-        )  # torch's types know neither memory formats nor what families have of their own
+        # torch's types know neither memory formats nor what families have of their own
+        net: Any = copy.deepcopy(trained.net)
         fold_normalisation(net)
         self.net = net.to(memory_format=torch.channels_last)  # a third faster on a CPU
         # the input of a black image is all that does not depend on the image

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from gelforge.records.markers import find_blobs, pitch_of
+from gelforge.records.markers import find_blobs, print_pitch
 
 WINDOW, LEVELS = (21, 21), 3  # of the pyramid in which dots are followed: it reaches about 40 px
 GLANCE = (15, 15)  # px around a dot that are looked for in a hurry
@@ -78,22 +78,18 @@ def unmoved(residual: float, agreeing: int, known: bool) -> Placement:
 
 
 class RestingDots:
-    """Rim dots of an untouched picture (h, w, 3) uint8: of its dots (n, 2), (u, v) from the edge, `pitch` px apart."""
+    """Rim dots of an untouched picture (h, w, 3) uint8."""
 
-    def __init__(self, untouched: np.ndarray, dots: np.ndarray, pitch: float):
+    def __init__(self, untouched: np.ndarray):
         import cv2
 
+        dots, _ = find_blobs(untouched)
         self.grey = cv2.cvtColor(untouched, cv2.COLOR_RGB2GRAY)
         low, high = (dots.min(axis=0), dots.max(axis=0)) if len(dots) else (np.zeros(2), np.zeros(2))
-        reach = RIM * pitch
+        reach = RIM * print_pitch(dots)
         self.sides = np.column_stack([dots < low + reach, dots > high - reach])
         rim = self.sides.any(axis=1)
         self.dots, self.sides = dots[rim], self.sides[rim]
-
-    @classmethod
-    def of(cls, untouched: np.ndarray) -> "RestingDots":
-        """The rim dots of an untouched picture (h, w, 3) uint8."""
-        return cls(untouched, find_blobs(untouched)[0], pitch_of(untouched))
 
     def place(self, images: Sequence[np.ndarray]) -> Placement:
         """Placement of pictures (h, w, 3) uint8 of one sitting, in light and size like the untouched one."""

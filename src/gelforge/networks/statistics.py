@@ -146,7 +146,11 @@ class PairEvidence:
 def pair_evidence(image, untouched, dots: RestingDots | None) -> PairEvidence:
     """Evidence of a pair of pictures (h, w, 3) uint8 as a camera gave them; dots: of the untouched one."""
     light = match_light(image, untouched)
-    lit = light.undo(image)
+    return evidence_of(light.undo(image), light, untouched, dots)
+
+
+def evidence_of(lit, light: Light, untouched, dots: RestingDots | None) -> PairEvidence:
+    """The same of an image that was brought to the light of the untouched picture, and what was taken back."""
     return PairEvidence(distance(lit, untouched), light, *(dots.glance(lit) if dots else (0.0, 0.0)))
 
 

@@ -9,7 +9,7 @@ from gelforge.errors import BadInput
 from gelforge.networks.canonical import WHOLE, Light, view_of
 from gelforge.networks.intervals import half_widths
 from gelforge.networks.placement import Placement, RestingDots
-from gelforge.networks.statistics import PairEvidence, distance, judge, relief, relief_fault
+from gelforge.networks.statistics import PairEvidence, distance, evidence_of, judge, relief, relief_fault
 from gelforge.records.markers import pitch_of
 
 LEAST_PULL = 1.0  # N above which a reading that no contact can make is told
@@ -93,9 +93,8 @@ class Untouched:
     def evidence(self, lit: np.ndarray, light: Light, name: str) -> PairEvidence:
         """What tells whether a canonical image and the picture of that name belong together."""
         if name not in self._dots:  # a view that does not show the gel's rim has none
-            self._dots[name] = RestingDots.of(self.known[name]) if self.view.zoom == 1.0 else None
-        dots = self._dots[name]
-        return PairEvidence(distance(lit, self.picture(name)), light, *(dots.glance(lit) if dots else (0.0, 0.0)))
+            self._dots[name] = RestingDots(self.known[name]) if self.view.zoom == 1.0 else None
+        return evidence_of(lit, light, self.picture(name), self._dots[name])
 
     def reader(self, name: str):
         """The network for the sensor of that picture."""

@@ -109,8 +109,12 @@ def _blob(label: np.ndarray, dark: np.ndarray, number: int, stats: np.ndarray) -
 
 
 def pitch_of(picture: np.ndarray) -> float:
-    """Median distance in px of a dot to its nearest neighbour; 0 where what is dark and round is no even print."""
-    dots, _ = find_blobs(picture)
+    """`print_pitch` of a picture (h, w, 3) uint8 of an untouched sensor."""
+    return print_pitch(find_blobs(picture)[0])
+
+
+def print_pitch(dots: np.ndarray) -> float:
+    """Median distance in px of dots (n, 2) to their nearest neighbours; 0 where they are no even print."""
     if len(dots) < LEAST_PRINT:
         return 0.0
     apart = np.hypot(*(dots[:, None] - dots[None]).transpose(2, 0, 1))

@@ -145,7 +145,7 @@ def good_pairs(data) -> dict[str, float]:
 
     rows = data.splits["val"]
     names = data.names("sensor_id")[rows]
-    dots = {name: RestingDots.of(data.nocontact[name]) for name in sorted(set(names.tolist()))}
+    dots = {name: RestingDots(data.nocontact[name]) for name in sorted(set(names.tolist()))}
     pairs = [
         pair_evidence(np.ascontiguousarray(data.images[row]), data.nocontact[name], dots[name])
         for row, name in zip(rows, names, strict=True)

@@ -1,0 +1,12 @@
+"""Pictures of a sensor seen otherwise, for tests and benchmarks."""
+
+import cv2
+import numpy as np
+
+
+def moved(image: np.ndarray, shift=(0.0, 0.0), turn: float = 0.0, zoom: float = 1.0) -> np.ndarray:
+    """The picture (h, w, 3) with every point moved about its middle; turn in degrees, positive from u towards v."""
+    h, w = image.shape[:2]
+    matrix = cv2.getRotationMatrix2D((w / 2, h / 2), -turn, zoom)
+    matrix[:, 2] += shift
+    return cv2.warpAffine(image, matrix, (w, h), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
