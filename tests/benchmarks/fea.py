@@ -21,6 +21,7 @@ from gelforge.flow.files import read_json, write_json
 from gelforge.flow.main import command, option
 from gelforge.flow.params import canonical
 from gelforge.flow.params.slices import ForPareto
+from gelforge.flow.params.tables import FeaTable
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import Gel, load_gel
 from gelforge.geometry.indenters import build, load_catalogue
@@ -329,9 +330,9 @@ class SlideThenPress(Press):
         return rotation, np.array([self.slide * min(2 * press, 1.0) - self.slide, 0.0, down])
 
 
-def block_shear(folder: Path) -> dict[str, float]:
+def block_shear(folder: Path, table: FeaTable) -> dict[str, float]:
     """Sideways over normal force by engine, of a plate and of a sphere that slide before they touch."""
-    from gelforge.mechanics.ccx.ccxsolver import CcxSolver
+    from gelforge.mechanics.ccx.ccxsolver import CcxSettings, CcxSolver
     from gelforge.mechanics.hex.hexsolver import HexSolver
     from gelforge.mechanics.hex.settings import HexSettings
     from gelforge.mechanics.tet.tetmesh import symmetric_block
@@ -339,7 +340,7 @@ def block_shear(folder: Path) -> dict[str, float]:
     gel = Block()
     bodies = {"plate": {"kind": "cuboid", "size": [12, 12], "fillet": 0.5, "height": 10},
               "sphere": {"kind": "sphere", "diameter": 15, "height": 10}}  # fmt: skip
-    tets = CcxSolver(symmetric_block(gel, 1.0, 4), folder)
+    tets = CcxSolver(symmetric_block(gel, 1.0, 4), folder, CcxSettings.of(table))
     solvers = {"hex": HexSolver(HexSettings(size=0.8, layers=4)), "ccx": tets}
     found = {}
     for shape, table in bodies.items():
@@ -353,11 +354,11 @@ def block_shear(folder: Path) -> dict[str, float]:
     return found
 
 
-def law_figures(work: Path) -> list[Figure]:
+def law_figures(work: Path, table: FeaTable) -> list[Figure]:
     """The frictional block: what moves before it touches leaves no shear."""
     work.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=work) as folder:
-        found = block_shear(Path(folder))
+        found = block_shear(Path(folder), table)
     worst = max(found, key=found.get)
     return [Figure("frictional block, shear of motion before touch", 100 * found[worst], "<=", 0.1, "% of f_z",
                    f"worst: {worst}; CalculiX' own contact has 94 %")]  # fmt: skip
@@ -405,7 +406,7 @@ def main(args: Namespace) -> None:
         sensor = sensors[params.pareto.sensor]
         figures += cost_figures({name: scene.scene for name, scene in scenes.items()}, sensor, args.work)
     if "laws" in parts:
-        figures += law_figures(args.work)
+        figures += law_figures(args.work, params.fea)
     if args.only:
         figures += scene_figures(found, kept_decks(args.work)) if args.only == "scenes" else []
         print("\n".join(str(figure) for figure in figures))

@@ -21,7 +21,7 @@ from gelforge.flow.files import read_json, write_json
 from gelforge.flow.main import command, option
 from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.family import MeshFamily
-from gelforge.mechanics.fidelity import FeaSettings, Solvers
+from gelforge.mechanics.fidelity import Solvers
 from gelforge.mechanics.hex.hexsolver import HexSolver
 from gelforge.mechanics.hex.settings import quality
 from gelforge.mechanics.mesh import GelMesh
@@ -57,7 +57,7 @@ def solver_of(way: str, params: config.Params, meshes: Path, work: Path) -> Call
     names = references.label_meshes(params)
     for name in names:
         references.need_mesh(name, meshes, params)
-    solvers = Solvers(MeshFamily(meshes, names), work, FeaSettings.from_table(params.fea))
+    solvers = Solvers(MeshFamily(meshes, names), work, params.fea)
 
     def solve_ccx(scene: Scene) -> tuple[Result, GelMesh]:
         found = solvers.solve(scene, "ccx")

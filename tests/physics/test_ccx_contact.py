@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from parameters import parameters
 
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
@@ -52,7 +53,9 @@ def scene(law, dx=0.0, depth=0.5):
 @pytest.fixture(scope="module")
 def solver(ccx, tmp_path_factory):
     return CcxSolver(
-        symmetric_block(PAD, 1.0, 3), tmp_path_factory.mktemp("ccx"), CcxSettings(press_steps=3, shear_steps=2)
+        symmetric_block(PAD, 1.0, 3),
+        tmp_path_factory.mktemp("ccx"),
+        CcxSettings.of(parameters(fea={"press_steps": 3, "shear_steps": 2}).fea),
     )
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from parameters import parameters
 
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
@@ -28,6 +29,7 @@ class FlatPad(Gel):
         return np.zeros(np.broadcast(x, y).shape)
 
 
+CCX = CcxSettings.of(parameters().fea)
 PAD = FlatPad(name="pad", width=7.0, length=7.0, corner_radius=0.0, height=4.0)
 # every step solved to the end, and no point kept longer than it touches, so that only the way there differs
 TIGHT = PathSettings(
@@ -90,7 +92,7 @@ def test_no_step_of_the_press_is_longer_than_asked(run, longest, steps):
 
 def test_where_conjugate_gradients_fail_a_factorisation_follows(mesh, ccx, tmp_path, monkeypatch):
     """The failed attempt stays on record, and the forces are those that the first solver would have found."""
-    settings = CcxSettings(press_steps=2, shear_steps=1)
+    settings = CcxSettings.of(parameters(fea={"press_steps": 2, "shear_steps": 1}).fea)
     whole = CcxSolver(mesh, tmp_path / "whole", settings).solve(scene())
     assert whole.status.valid and not whole.evidence["ladder"]
     broken = tmp_path / "ccx"
@@ -120,8 +122,8 @@ def test_a_path_walked_on_bricks_ends_on_the_tetrahedra_as_one_walked_there(mesh
 
 def test_the_guided_and_the_whole_path_agree_in_calculix(mesh, tmp_path):
     guide = HexSolver(HexSettings(size=0.6, layers=5, layer_ratio=2.0, gauss=2, nested=Nested(layers=3)))
-    whole = CcxSolver(mesh, tmp_path / "whole").solve(scene())
-    guided = CcxSolver(mesh, tmp_path / "guided").solve(scene(), trail=guide.walk([scene()])[0].trail)
+    whole = CcxSolver(mesh, tmp_path / "whole", CCX).solve(scene())
+    guided = CcxSolver(mesh, tmp_path / "guided", CCX).solve(scene(), trail=guide.walk([scene()])[0].trail)
     assert guided.status is whole.status is Status.OK
     assert apart(guided.total, whole.total) < 0.02
     assert guided.evidence["kinematics_iterations"] < whole.evidence["kinematics_iterations"]
@@ -133,7 +135,7 @@ def test_an_end_that_does_not_settle_is_walked_to_on_the_tetrahedra(mesh, tmp_pa
     guide = HexSolver(HexSettings(size=0.6, layers=5, layer_ratio=2.0, gauss=2, nested=Nested(layers=3)))
     trail = guide.walk([scene()])[0].trail
     folded = replace(trail, states=[20.0 * u for u in trail.states])
-    result = CcxSolver(mesh, tmp_path / "press").solve(scene(), trail=folded)
-    alone = CcxSolver(mesh, tmp_path / "alone").solve(scene())
+    result = CcxSolver(mesh, tmp_path / "press", CCX).solve(scene(), trail=folded)
+    alone = CcxSolver(mesh, tmp_path / "alone", CCX).solve(scene())
     assert result.status is Status.OK
     np.testing.assert_allclose(result.total, alone.total, rtol=1e-9)

@@ -103,10 +103,12 @@ def test_plans_that_travel_with_the_project_are_good(path):
 
 def test_training_plan_covers_the_papers_envelope():
     plan = read_plan(TRAIN)
-    known, unseen, unit = plan.kinds
+    known, solids, broad, unseen, others, unit = plan.kinds
     assert len(known.indenters) == 19
     assert len(unseen.indenters) == 5
-    assert not set(known.indenters) & set(unseen.indenters)
+    trained = {name for kind in (known, solids, broad) for name in kind.indenters}
+    assert not trained & {*unseen.indenters, *others.indenters}
+    assert {unit for kind in (known, solids, broad) for unit in kind.sensors} == set(known.sensors)
     assert len(known.sensors) >= 48 and len(unit.sensors) >= 12
     assert set(unit.sensors) == set(plan.held_out_sensors)
     assert not set(known.sensors) & set(unit.sensors)

@@ -12,7 +12,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.params import SLICES, canonical, cut_slice, load_params, plain, read_dataset_file, read_slice
 from gelforge.flow.params import tables as t
 from gelforge.flow.params.schema import OneOf, ParameterTable, Within, bare, kinds_of
-from gelforge.mechanics.fidelity import FIDELITIES, FeaSettings
+from gelforge.mechanics.fidelity import FIDELITIES
 from gelforge.mechanics.hex.settings import QUALITIES
 
 
@@ -229,11 +229,3 @@ def test_words_of_the_schema_are_those_of_the_code():
     assert set(LAWS) == set(get_args(t.Law)[1].words)
     assert set(NAMES) | {"indenter"} == set(t.PRIOR_NAMES) == {field.name for field in fields(t.PriorsTable)}
     assert set(t.CHANNELS) - {"force"} <= set(FIELDS)
-
-
-def test_the_solver_of_a_library_user_is_that_of_the_flow():
-    """FeaSettings() without a table: what params.toml says, but for the errors that a chart found."""
-    usual, table = FeaSettings(), parameters().fea
-    assert {
-        f.name: getattr(usual, f.name) for f in fields(usual) if hasattr(table, f.name) and f.name != "charted"
-    } == {f.name: getattr(table, f.name) for f in fields(usual) if hasattr(table, f.name) and f.name != "charted"}

@@ -1,15 +1,17 @@
 """Stages 30 to 50 in process: every press has bricks of its own and no mesh file."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from parameters import write_slice
+from parameters import parameters, write_slice
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, write_csv, write_json
 from gelforge.geometry.gel import GELS, Gel
 from gelforge.geometry.indenters import build
 from gelforge.mechanics.family import MeshFamily, load_mesh
-from gelforge.mechanics.fidelity import FeaSettings, Solvers
+from gelforge.mechanics.fidelity import Solvers
 from gelforge.mechanics.scene import Material, Press, Scene
 from gelforge.records.forcefile import ForceFile
 from gelforge.records.labelfile import read_labels
@@ -80,7 +82,7 @@ def test_force_is_kept_from_solve_to_label(made):
 
 @pytest.mark.parametrize("press", [Press(0, 0, 0, 0.1, 0, -0.6), Press(1.3, -9.7, -0.6, 0, 0, -0.4, 30)])
 def test_the_mesh_of_a_name_is_the_one_that_was_solved(tmp_path, press):
-    solvers = Solvers(MeshFamily(tmp_path, []), tmp_path, FeaSettings(hex_quality="demo"))
+    solvers = Solvers(MeshFamily(tmp_path, []), tmp_path, parameters(fea={"hex_quality": "demo"}).fea)
     result = solvers.solve(Scene(GELS[SENSOR], Material(), build("ball", BALL), press), "hex")
     again = load_mesh(tmp_path, result.evidence["mesh"])
     assert result.status.valid
@@ -89,9 +91,9 @@ def test_the_mesh_of_a_name_is_the_one_that_was_solved(tmp_path, press):
 
 
 def test_a_gel_or_quality_that_no_name_can_tell_is_refused(tmp_path):
-    solvers = Solvers(MeshFamily(tmp_path, []), tmp_path, FeaSettings(hex_quality="demo"))
+    solvers = Solvers(MeshFamily(tmp_path, []), tmp_path, parameters(fea={"hex_quality": "demo"}).fea)
     scene = Scene(Gel(height=5.0), Material(), build("ball", BALL), Press(0, 0, 0, 0, 0, -0.5))
     with pytest.raises(BadInput, match="gelsight_mini"):
         solvers.solve(scene, "hex")
     with pytest.raises(BadInput, match="demo, draft, label, fine"):
-        Solvers(MeshFamily(tmp_path, []), tmp_path, FeaSettings(hex_quality="best"))
+        Solvers(MeshFamily(tmp_path, []), tmp_path, replace(solvers.settings, hex_quality="best"))

@@ -1,7 +1,7 @@
 """One interface to every way of solving a scene, with the ladder that a failing solve climbs down."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -17,32 +17,12 @@ from gelforge.mechanics.hex.settings import quality
 from gelforge.mechanics.scene import Result, Scene
 
 
-@dataclass(frozen=True)
-class FeaSettings(CcxSettings):
-    """The [fea] table: see workflow/params.toml for the reasons of its values."""
-
-    fidelity: str = "ccx"
-    tolerance: float = 0.02
-    hex_quality: str = "label"
-    charted: dict | None = None
-
-    @classmethod
-    def from_table(cls, table: FeaTable) -> "FeaSettings":
-        """Take what the table holds of these; mesh names are not for the solver."""
-        held = {field.name for field in fields(table)}
-        return cls(**{f.name: getattr(table, f.name) for f in fields(cls) if f.name in held})
-
-    @property
-    def ccx(self) -> CcxSettings:
-        return CcxSettings(**{f.name: getattr(self, f.name) for f in fields(CcxSettings)})
-
-
 class Solvers:
-    """Solvers of one family of tetrahedral meshes, kept between scenes; files of a solve lie in `workdir`."""
+    """Solvers of one family of tetrahedral meshes, kept between scenes; files of a solve lie in `workdir`, settings: [fea]."""
 
-    def __init__(self, family: MeshFamily, workdir: Path | str, settings: FeaSettings = FeaSettings()) -> None:
+    def __init__(self, family: MeshFamily, workdir: Path | str, settings: FeaTable) -> None:
         self.family, self.workdir, self.settings = family, Path(workdir), settings
-        self.bricks = quality(settings.hex_quality)
+        self.bricks, self.ccx = quality(settings.hex_quality), CcxSettings.of(settings)
         self.guide = HexSolver(quality("label"))
         self._ccx: dict[str, CcxSolver] = {}
         self._hex: dict[int, HexSolver] = {}
@@ -63,7 +43,7 @@ class Solvers:
         if fidelity not in FIDELITIES:
             raise BadInput(f"fidelity {fidelity!r} is unknown; choose one of {', '.join(FIDELITIES)}")
         if fidelity == "auto":
-            fidelity = cheapest(self.settings.charted or {}, self.settings.tolerance)
+            fidelity = cheapest(self.settings.charted, self.settings.tolerance)
         if fidelity != "hex":
             need_ccx()
         first = self._first_rung(scenes, fidelity)
@@ -108,8 +88,8 @@ class Solvers:
     def _solve_ccx(self, scene: Scene, steps: int = 1, rounds: int = 1, trail: Trail | None = None) -> Result:
         mesh = choose_mesh(scene, self.family)
         if mesh not in self._ccx:
-            self._ccx[mesh] = CcxSolver(self.family.load(mesh), self.workdir / mesh, self.settings.ccx)
-        base = self.settings.ccx
+            self._ccx[mesh] = CcxSolver(self.family.load(mesh), self.workdir / mesh, self.ccx)
+        base = self.ccx
         finer = replace(base, press_steps=steps * base.press_steps, shear_steps=steps * base.shear_steps,
                         step_mm=base.step_mm / steps, rounds=rounds * base.rounds)  # fmt: skip
         result = self._ccx[mesh].solve(scene, settings=finer, trail=trail)

@@ -19,7 +19,7 @@ from gelforge.flow.params.slices import ForFea, read_slice
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import load_gel
 from gelforge.mechanics.family import MeshFamily, mesh_names
-from gelforge.mechanics.fidelity import FeaSettings, Solvers
+from gelforge.mechanics.fidelity import Solvers
 from gelforge.mechanics.hex.settings import quality
 from gelforge.mechanics.scene import Interface, Material, Result, Scene
 from gelforge.records.frames import presses_of
@@ -144,7 +144,7 @@ def run_shard(poses: Path, meshes: Path, params: ForFea, tables: dict, bodies: d
     records: dict[str, dict] = {}
     known: dict[tuple, dict] = {}
     with tempfile.TemporaryDirectory(prefix=".work-", dir=folder) as work:
-        solvers = Solvers(family, work, FeaSettings.from_table(params.fea))
+        solvers = Solvers(family, work, params.fea)
         for frames in progress(presses_of(presses), f"fea {folder.name}"):
             keys = [sample_key(press, frames, params, tables, family) for press in frames]
             scenes = [scene_of(press, bodies, tables["sensors"], params) for press in frames]

@@ -109,10 +109,10 @@ def run(plan_path, data="data", workflow="workflow", jobs: int = 1) -> Path:
     dataset = Dataset(folder, plan)
     dataset.check_same_plan()
     dataset.begin()
+    looks, sensors = units_of(plan, workflow)
     if plan.units is not None:
-        _, sensors = draw_units(plan.units, workflow / "rig", plan.seed)
-        write_sensors(folder / "sensors.toml", sensors)
-    _no_contact_images(plan, workflow, folder)
+        write_sensors(folder / "sensors.toml", {name: sensors[name] for name in plan.units.names})
+    _no_contact_images(plan, looks, sensors, folder)
     todo = _by_press(dataset, orders(plan))
     new, drawn, failed = 0, 0, []
     with _pool(min(jobs, len(todo)), plan, workflow, folder) as carried_out:
@@ -185,7 +185,7 @@ class _Processes:
         self.executor.shutdown(cancel_futures=True)
 
 
-def _no_contact_images(plan, workflow, folder) -> None:
+def _no_contact_images(plan: Plan, looks: dict[str, Look], sensors: dict[str, Sensor], folder: Path) -> None:
     """A picture of every untouched unit, from which its markers and projection can be found."""
     missing = [name for name in plan.sensors if not (folder / "nocontact" / f"{name}.png").exists()]
     if not missing:
@@ -194,7 +194,6 @@ def _no_contact_images(plan, workflow, folder) -> None:
 
     from gelforge.virtualrig.render import Renderer
 
-    looks, sensors = units_of(plan, workflow)
     for name in missing:
         camera = Renderer(looks[name], sensors[name].projection, Gel())
         save_image(

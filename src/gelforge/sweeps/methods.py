@@ -133,10 +133,10 @@ def _prepare_hex(method, scene, fea):
 
 
 def _prepare_label(method, scene, folder, params, work):
-    from gelforge.mechanics.fidelity import FeaSettings, Solvers
+    from gelforge.mechanics.fidelity import Solvers
 
     names = [] if method.fidelity == "hex" else meshes.label_meshes(params)
-    solvers = Solvers(MeshFamily(folder, names), work, FeaSettings.from_table(params.fea))
+    solvers = Solvers(MeshFamily(folder, names), work, params.fea)
 
     def run():
         result = solvers.solve(scene, method.fidelity)
@@ -153,8 +153,7 @@ def _prepare_native(method, scene, folder, params, work, limit_s):
 
 
 def _prepare_ccx(method, scene, fine, folder, params, work):
-    from gelforge.mechanics.ccx.ccxsolver import CcxSolver
-    from gelforge.mechanics.fidelity import FeaSettings
+    from gelforge.mechanics.ccx.ccxsolver import CcxSettings, CcxSolver
 
     if method.fidelity == REFERENCE:
         table, factor = params.pareto.reference, 2 if method.halved else 1
@@ -163,6 +162,6 @@ def _prepare_ccx(method, scene, fine, folder, params, work):
     else:
         name = meshes.density_mesh(scene, folder, params, method.size)
         steps = {"press_steps": method.steps, "shear_steps": (method.steps + 1) // 2}
-    settings = replace(FeaSettings.from_table(params.fea).ccx, **steps, step_mm=np.inf)
+    settings = replace(CcxSettings.of(params.fea), **steps, step_mm=np.inf)
     solver = CcxSolver(GelMesh.load(Path(folder) / f"{name}.npz"), work, settings)
     return lambda: (solver.solve(scene), solver.mesh)

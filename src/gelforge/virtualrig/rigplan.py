@@ -2,16 +2,16 @@
 
 import fnmatch
 import json
-from dataclasses import MISSING, asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.params import read_toml
-from gelforge.flow.params.schema import Named, Place, Some, Within, kinds_of, nearest, read_value
+from gelforge.flow.params.schema import Named, ParameterTable, Place, Some, Within, parse
 from gelforge.geometry.gel import Gel
 
 EDGE = 2.0  # mm that the tip keeps from the gel's outline
@@ -25,7 +25,14 @@ FromNone = Annotated[float, Within(0.0, 1e9)]
 
 
 @dataclass(frozen=True)
-class Truth:
+class RigTable(ParameterTable):
+    """A table of a plan."""
+
+    example = "workflow/rig/train.toml"
+
+
+@dataclass(frozen=True)
+class Truth(RigTable):
     """What the bench does to a press and nobody may read from the log; MPa, mm, N, N m, micrometres.
 
     touch_offset_mm: real height of the tip above the logged one when the log says "touch" (negative: deeper).
@@ -49,7 +56,7 @@ class Truth:
 
 
 @dataclass(frozen=True)
-class Kind:
+class Kind(RigTable):
     """One kind of press: `weight` of all presses, drawn evenly from these ranges.
 
     seen_by: how many of `sensors` see a press, a row of the log each; which ones is drawn anew for every press unless
@@ -71,7 +78,7 @@ class Kind:
 
 
 @dataclass(frozen=True)
-class DrawnUnits:
+class DrawnUnits(RigTable):
     """Virtual sensors drawn from ranges: `known` ones, known_01 and on, and as many `unseen` ones, unseen_01 and on.
 
     ranges: file in workflow/rig. `sensors` of a kind may name them by a pattern: "known_*" is all known ones.
@@ -87,7 +94,7 @@ class DrawnUnits:
 
 
 @dataclass(frozen=True)
-class Plan:
+class Plan(RigTable):
     """A whole plan; `presses` may grow, everything else but `params` makes it another plan.
 
     frames: moments of each press that are recorded, evenly along its way down and then sideways, the last at its end.
@@ -158,15 +165,15 @@ def read_plan(path) -> Plan:
     """Read and check a plan's own values; names are checked by `check_names`."""
     path = Path(path)
     raw, whole = read_toml(path), Place(str(path))
-    truth = read_record(Truth, raw.pop("truth", {}), whole.key("truth"))
+    truth = parse(Truth, raw.pop("truth", {}), whole.key("truth"))
     kinds, params = raw.pop("kind", []), raw.pop("params", {})
     if not isinstance(kinds, list) or not kinds:
         raise BadInput(f"{path}: no [[kind]] table; write at least one with indenters, sensors and ranges")
-    units = read_record(DrawnUnits, raw.pop("units"), whole.key("units")) if "units" in raw else None
+    units = parse(DrawnUnits, raw.pop("units"), whole.key("units")) if "units" in raw else None
     drawn = units.names if units else ()
-    named = [read_record(Kind, kind, whole.key(f"kind {k + 1}")) for k, kind in enumerate(kinds)]
+    named = [parse(Kind, kind, whole.key(f"kind {k + 1}")) for k, kind in enumerate(kinds)]
     made = tuple(replace(kind, sensors=_matching(kind.sensors, drawn)) for kind in named)
-    plan = read_record(Plan, raw, whole, truth=truth, kinds=made, params=params, units=units)
+    plan = parse(Plan, raw, whole, truth=truth, kinds=made, params=params, units=units)
     plan = replace(plan, held_out_sensors=_matching(plan.held_out_sensors, drawn))
     _check_values(plan, path)
     return plan
@@ -176,23 +183,6 @@ def _matching(asked: tuple[str, ...], drawn: tuple[str, ...]) -> tuple[str, ...]
     """Names of sensors, a pattern such as "known_*" replaced by the drawn ones that it matches."""
     found = [fnmatch.filter(drawn, name) or [name] for name in asked]
     return tuple(dict.fromkeys(name for names in found for name in names))
-
-
-def read_record(cls: Any, table: Any, place: Place, **made: Any) -> Any:
-    """A record of a table of TOML by its kinds (flow.params.schema); fields with a default may be left out.
-
-    made: fields that are no keys of the table. Unknown, missing and meaningless keys raise BadInput.
-    """
-    kinds = {name: kind for name, kind in kinds_of(cls).items() if name not in made}
-    if not isinstance(table, dict):
-        raise BadInput(f"{place.table}: {table!r} is no table; it needs the keys {', '.join(kinds)}")
-    for key in table:
-        if key not in kinds:
-            raise BadInput(f"{place.table} {key}: is read by nothing{nearest(key, kinds)}")
-    missing = [f.name for f in fields(cls) if f.name in kinds and f.name not in table and f.default is MISSING]
-    if missing:
-        raise BadInput(f"{place.table}: lacks {', '.join(missing)}; it needs {', '.join(kinds)}")
-    return cls(**{key: read_value(kinds[key], value, place.key(key)) for key, value in table.items()}, **made)
 
 
 def _check_values(plan: Plan, path) -> None:

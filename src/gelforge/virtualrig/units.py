@@ -8,17 +8,17 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.params import read_toml
-from gelforge.flow.params.schema import Place
+from gelforge.flow.params.schema import ParameterTable, Place, parse
 from gelforge.labelling.sensor import Sensor
 from gelforge.virtualrig.looks import HEIGHT, WIDTH, Drift, Look, dot_centres, read_looks
-from gelforge.virtualrig.rigplan import DrawnUnits, Span, read_record
+from gelforge.virtualrig.rigplan import DrawnUnits, Span
 
 ROWS, COLS = 7, 9  # of the dots that a whole view shows
 AZIMUTH = np.array([90.0, 0.0, 270.0])  # degrees of the red, green and blue light
 
 
 @dataclass(frozen=True)
-class UnitRanges:
+class UnitRanges(ParameterTable):
     """What differs between units, each drawn evenly between two bounds; the file says where each range comes from.
 
     Lengths are px unless named mm, light is in grey levels of 255, angles in degrees. Names are those of `looks.Look` and
@@ -26,6 +26,8 @@ class UnitRanges:
     contrast: of all colours together, drawn evenly in its logarithm; colour_contrast: of each besides.
     jpeg_share: of the units whose camera compresses, with jpeg_quality.
     """
+
+    example = "workflow/rig/units.toml"
 
     backgrounds: tuple[str, ...]
     background_scatter: Span
@@ -88,7 +90,7 @@ def draw_units(units: DrawnUnits, rig: Path, seed: int) -> tuple[dict[str, Look]
 
 def read_ranges(path: Path) -> UnitRanges:
     """Read a file of ranges; one that is incomplete, unknown or runs backwards raises BadInput."""
-    ranges = read_record(UnitRanges, read_toml(path), Place(str(path)))
+    ranges = parse(UnitRanges, read_toml(path), Place(str(path)))
     for field in fields(ranges):
         bounds = getattr(ranges, field.name)
         if field.type == Span and bounds[0] > bounds[1]:

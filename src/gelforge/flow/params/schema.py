@@ -9,16 +9,17 @@ A field's type says what kind of value it takes, and its annotation which values
         law: Annotated[str, OneOf("no_slip", "coulomb")]
 
 Kinds: bool, int, float (whole numbers pass as they are), str, tuples of these, dictionaries of them by name, other
-tables, and any of them `| None` for a key that may be left out. Defaults stand in workflow/params.toml alone.
+tables, and any of them `| None` for a key that may be left out, as may one whose field has a default. Parameters of the
+stages have none: theirs stand in workflow/params.toml alone.
 """
 
 import math
 import re
 import types
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, Field, dataclass, fields
 from difflib import get_close_matches
-from typing import Annotated, Any, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, ClassVar, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from gelforge.errors import BadInput
 
@@ -69,7 +70,9 @@ class Some:
 
 @dataclass(frozen=True)
 class ParameterTable:
-    """A table of parameters: a frozen dataclass whose fields are its keys."""
+    """A table of parameters: a frozen dataclass whose fields are its keys. example: a file that has all of them."""
+
+    example: ClassVar[str] = "workflow/params.toml"
 
     def fault(self) -> str | None:
         """What is wrong with values that are sound one by one, as a sentence about keys; None where nothing is."""
@@ -77,7 +80,6 @@ class ParameterTable:
 
 
 T = TypeVar("T", bound=ParameterTable)
-MISSING = object()
 
 
 @dataclass(frozen=True)
@@ -120,30 +122,35 @@ def kinds_of(table: Any) -> dict[str, Any]:
     return {field.name: hints[field.name] for field in fields(table)}
 
 
-def parse(kind: type[T], given: Any, place: Place) -> T:
-    """Read a table; unknown, missing or meaningless keys raise BadInput, one sentence with place, value and remedy."""
+def parse(kind: type[T], given: Any, place: Place, **made: Any) -> T:
+    """Read a table; unknown, missing or meaningless keys raise BadInput, one sentence with place, value and remedy.
+
+    made: values of fields that are no keys of the table.
+    """
+    known = {name: hint for name, hint in kinds_of(kind).items() if name not in made}
     if not isinstance(given, dict):
-        raise refuse(given, place, f"a table, with the keys {', '.join(kinds_of(kind))}")
-    known = kinds_of(kind)
+        raise refuse(given, place, f"a table, with the keys {', '.join(known)}")
     for key in given:
         if key not in known:
             raise BadInput(f"{place.table} {key}: is read by nothing{nearest(key, known)}")
-    values = {key: read_key(hint, given.get(key, MISSING), place.key(key)) for key, hint in known.items()}
-    made = kind(**values)
-    fault = made.fault()
+    absent = {
+        field.name: left_out(kind, field, place) for field in fields(kind) if field.name in known.keys() - given
+    }
+    values = {key: read_value(known[key], value, place.key(key)) for key, value in given.items()}
+    table = kind(**made, **absent, **values)
+    fault = table.fault()
     if fault:
         raise BadInput(f"{place.table} {fault}")
-    return made
+    return table
 
 
-def read_key(hint: Any, given: Any, place: Place) -> Any:
-    """The value of a key by its kind; one that is absent is None where it may be, else refused."""
-    optional = type(None) in get_args(bare(hint))
-    if given is MISSING and optional:
+def left_out(kind: type[ParameterTable], field: Field, place: Place) -> Any:
+    """The value of a key that a table does not have: its default, None where it may be, else it is refused."""
+    if field.default is not MISSING:
+        return field.default
+    if type(None) in get_args(bare(kinds_of(kind)[field.name])):
         return None
-    if given is MISSING:
-        raise BadInput(f"{place} is missing; write it as in workflow/params.toml")
-    return read_value(hint, given, place)
+    raise BadInput(f"{place.key(field.name)} is missing; write it as in {kind.example}")
 
 
 def bare(hint: Any) -> Any:

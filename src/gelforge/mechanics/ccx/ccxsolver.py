@@ -7,12 +7,13 @@ is integrated at twelve points of each face, because at nodes a footprint's edge
 """
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from gelforge.flow.params.tables import FeaTable
 from gelforge.mechanics.ccx import boundary as touch
 from gelforge.mechanics.ccx.dat import DatError, Unfinished, last_table, read_dat, without_set
 from gelforge.mechanics.ccx.deck import DIRECT, ITERATIVE, press_deck, write_include
@@ -26,28 +27,33 @@ from gelforge.mechanics.tet.kinematics import Kinematics, PathSettings, arrive, 
 from gelforge.mechanics.tet.solid import TetSolid
 from gelforge.records.status import Status
 
+INCREMENT = 0.25  # of the load, the first where a start from the kinematics fails
+
 
 @dataclass(frozen=True)
 class CcxSettings:
-    """How `ccx` works.
+    """How `ccx` works: the numbers of [fea] that concern it, with the reasons for them in workflow/params.toml.
 
     press_steps, shear_steps: load steps of the kinematics, at least. step_mm: none of the press is longer.
     stiffness: contact springs, multiples of C10 per mm. rounds: at most so many solves. pull_tolerance: share
     of the normal force that may pull in a valid state. penetration_mm: depth that counts as touching. residual:
-    largest nodal residual over the mean nodal force. increment: first load increment when the start from the
-    kinematics fails.
+    largest nodal residual over the mean nodal force.
     """
 
-    press_steps: int = 4
-    shear_steps: int = 3
-    step_mm: float = 0.35
-    stiffness: float = 2000.0
-    rounds: int = 8
-    pull_tolerance: float = 2e-3
-    penetration_mm: float = 2e-3
-    residual: float = 1e-5
-    increment: float = 0.25
-    timeout_s: float = 1800.0
+    press_steps: int
+    shear_steps: int
+    step_mm: float
+    stiffness: float
+    rounds: int
+    pull_tolerance: float
+    penetration_mm: float
+    residual: float
+    timeout_s: float
+
+    @classmethod
+    def of(cls, table: FeaTable) -> "CcxSettings":
+        """What [fea] says."""
+        return cls(**{field.name: getattr(table, field.name) for field in fields(cls)})
 
 
 @dataclass
@@ -61,7 +67,7 @@ class CcxResult(Result):
 class CcxSolver:
     """Solves scenes on one tetrahedral mesh; decks and output live in `folder`."""
 
-    def __init__(self, mesh: GelMesh, folder: Path | str, settings: CcxSettings = CcxSettings()) -> None:
+    def __init__(self, mesh: GelMesh, folder: Path | str, settings: CcxSettings) -> None:
         self.mesh, self.folder, self.settings = mesh, Path(folder), settings
         self.points, self.solid = face_points(mesh), TetSolid(mesh)
         self.folder.mkdir(parents=True, exist_ok=True)
@@ -160,7 +166,7 @@ class _Run:
         loads = touch.drag_loads(contact, self.solver.points, len(mesh.nodes))
         problem = Status.DIVERGED, "no point touches"
         attempts = [(start, 1.0, ITERATIVE), (start, 1.0, DIRECT)]
-        attempts += [(None, s.increment, DIRECT), (None, s.increment / 10, DIRECT)]
+        attempts += [(None, INCREMENT, DIRECT), (None, INCREMENT / 10, DIRECT)]
         for begin, increment, method in attempts if len(rows.target) else []:
             deck = press_deck(
                 mesh, self.solver.include, self.scene.material, rows, loads, begin, increment, s.residual, method
