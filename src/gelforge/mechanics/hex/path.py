@@ -1,51 +1,24 @@
-"""One scene walked along its path: load steps, Newton's method, and the contact set between them."""
+"""One scene walked along its path: load steps, and the contact set between them."""
 
 import copy
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
-from gelforge.errors import BadInput, SolveFailed
-from gelforge.mechanics import element
-from gelforge.mechanics.contact import (
-    GLUED,
-    TOUCHING,
-    FacePlaces,
-    Law,
-    NoEquilibrium,
-    Pose,
-    Skew,
-    Springs,
-    contact_points,
-    contact_springs,
-    curved,
-    positions,
-)
+from gelforge.errors import SolveFailed
+from gelforge.mechanics.contact import GLUED, TOUCHING, NoEquilibrium, Pose
 from gelforge.mechanics.hex.carry import Trail, carried, touch_fraction, touches, untangled
-from gelforge.mechanics.hex.hexmesh import HexMesh, elimination_order
-from gelforge.mechanics.hex.reach import end_of, path_pose, reachable_faces
+from gelforge.mechanics.hex.equilibrium import NOISY_INTERPOLATED, Equilibrium, System
+from gelforge.mechanics.hex.hexmesh import HexMesh
+from gelforge.mechanics.hex.reach import end_of, path_pose
 from gelforge.mechanics.hex.settings import HexSettings
-from gelforge.mechanics.linear import gmres, symmetric_product, symmetric_solver
-from gelforge.mechanics.scene import REFERENCE_C10, Scene
+from gelforge.mechanics.scene import Scene
 from gelforge.records.status import Status
 
 BETWEEN = 2  # load steps at least between two moments of a press that are asked for
 EASY = 7  # Newton iterations up to which a shortened step may grow again
 SMALLEST_PART = 0.1  # of pending contact changes carried out in one solve
-# Iterations after which a step must lower the residual: the first ones look uphill, though they are right.
-WARY = 3
-# Share of the residual that is left of a linear solve: Newton hardly loses by it.
-FORCING = 3e-2
-# Residual below which the tangent is exact; farther away the curvature of fillets leads astray.
-CLOSE = 1e-3
-# Residual above which the pressure's geometric stiffness is left out, on a walked path and at an interpolated state:
-# that one has noise in its volume ratio, so large pressures of both signs, and a tangent that is indefinite with them.
-NOISY, NOISY_INTERPOLATED = 5e-3, 1e-3
 ROUGH = 1e-3  # residual at which it shows what pulls and what presses
-# Matrix products that a solve may take with an old factorisation (one costs as much as a dozen) and with its own.
-STALE, FRESH = 12, 60
 # What a path on coarse bricks brought so close to the indenter, in widths of a coarse brick, has touched: between the
 # points where the coarse contact is held, its faces cut corners.
 TOUCHED = 0.05
@@ -53,19 +26,7 @@ BEYOND = 1.001  # of its traction is what a slipping point's multiplier wants, o
 ACCEPTED = 1e-7  # residual over contact force that keeps base reactions within 1e-6
 
 
-class System:
-    """Sparsity pattern, assembly places and symbolic factorisation: they depend on the numbers of bricks only."""
-
-    def __init__(self, mesh: HexMesh):
-        self.pattern = element.build_pattern(mesh.elements, len(mesh.nodes), mesh.base)
-        self.base, self.width = element.block_places(self.pattern, mesh.elements)
-        self.faces = FacePlaces(mesh, self.pattern)
-        self.linear = symmetric_solver(self.pattern.indptr, self.pattern.indices, elimination_order(mesh))
-        self.free = np.flatnonzero(self.pattern.first_row >= 0)
-        self.values = np.zeros(len(self.pattern.indices))
-
-
-class Run:
+class Run(Equilibrium):
     """State of one scene on one mesh while its path is walked.
 
     `follow` does it all; afterwards u (n, 3), state (ContactState), springs (those of the last
@@ -73,28 +34,11 @@ class Run:
     """
 
     def __init__(self, scene: Scene, settings: HexSettings, mesh: HexMesh, system: System) -> None:
-        self.scene, self.settings, self.mesh, self.system = scene, settings, mesh, system
-        self.law, self.mu = scene.interface.law, scene.interface.mu
-        if self.law not in ("no_slip", "coulomb", "frictionless"):
-            raise BadInput(f"interface law {self.law!r} is unknown; choose no_slip, coulomb or frictionless")
-        scale = REFERENCE_C10 / settings.size
-        mu = self.mu if self.law == "coulomb" else np.inf
-        self.contact = Law(settings.penalty * scale, settings.friction_penalty * scale, mu)
-        self.sticking = replace(self.contact, mu=1e9)
-        self.moduli = scene.material.shear_modulus, scene.material.bulk_modulus
-        self.bricks = element.bricks(mesh.nodes, mesh.elements)
-        self.state = contact_points(mesh, settings.gauss, reachable_faces(scene, mesh))
-        self.nodes = np.ascontiguousarray(mesh.faces[self.state.face])
-        self.u = np.zeros_like(mesh.nodes)
-        self.t, self.candidates = 0.0, np.empty(0, np.int64)
-        self.springs: Any = None  # Springs of the last equilibrium
-        self.factorisations = self.products = 0
-        self.iterations = self.rounds = self.steps = self.cuts = 0
-        self.residual, self.factored = np.inf, False
+        super().__init__(scene, settings, mesh, system)
+        self.t, self.rounds, self.steps, self.cuts = 0.0, 0, 0, 0
         self.history: list[tuple[float, np.ndarray]] = []
         self.curve: list[list[float]] = []
         self._walked = [(0.0, self.u)]
-        self._noisy = NOISY
 
     # -- the path
 
@@ -131,12 +75,12 @@ class Run:
 
         The path may be the way to this end of a longer one.
         """
-        self.t, self._noisy = end_of(self.scene), NOISY_INTERPOLATED
+        self.t, self.noisy = end_of(self.scene), NOISY_INTERPOLATED
         pose = path_pose(self.scene, self.t)
         try:
             self.u = untangled(self.mesh, self.bricks, carried(trail.mesh, trail.states[-1], self.mesh))
             if self.law == "frictionless":
-                self._solve_here(pose, ROUGH)
+                self.solve_here(pose, ROUGH)
             else:
                 held, places = touches(trail, self.state.reference, TOUCHED)
                 self._glue(np.flatnonzero(held), pose, places[held])
@@ -153,7 +97,7 @@ class Run:
         held = self.state.status == GLUED
         for _ in range(self.settings.settle_rounds):
             self.state.go(1.0)
-            self._solve_here(pose, ROUGH)
+            self.solve_here(pose, ROUGH)
             self.rounds += 1
             new = self._touching()
             new = new[~held[new]]
@@ -200,16 +144,16 @@ class Run:
     def _advance(self, t: float, part: float) -> int:
         """One load step to t with `part` of the pending contact changes; raises NoEquilibrium, changing nothing."""
         before, after = path_pose(self.scene, self.t), path_pose(self.scene, t)
-        x = self._points(self.u)
-        gap = self._gaps(x, before)
+        x = self.points(self.u)
+        gap = self.gaps(x, before)
         reach = 1.5 * np.linalg.norm(after.translation - before.translation) + self.settings.size
         self.candidates = np.flatnonzero((self.state.status != GLUED) & (gap < reach))
         guess = self._predict(t)
-        expected = self._points(self.u if guess is None else guess)
+        expected = self.points(self.u if guess is None else guess)
         kept, previous = self.state.snapshot(), (self.t, self.u)
         try:
             self.state.go(part)
-            self.u, used = self._newton_from([self.u] if guess is None else [guess, self.u], after)
+            self.u, used = self.newton_from([self.u] if guess is None else [guess, self.u], after)
             total = self.state.weights[self.springs.point] @ self.springs.traction
             self._end_step(after, (x, before, gap, expected))
         except NoEquilibrium:
@@ -231,124 +175,6 @@ class Run:
         if t1 <= 1.0 < t:
             return None
         return u1 + (t - t1) / (t1 - t0) * (u1 - u0)
-
-    def _points(self, u: np.ndarray) -> np.ndarray:
-        return positions(self.state.shape, self.nodes, self.mesh.nodes + u)
-
-    def _gaps(self, x: np.ndarray, pose: Pose) -> np.ndarray:
-        return self.scene.indenter.distance(pose.to_indenter(x))[0]
-
-    # -- equilibrium
-
-    def _newton_from(self, guesses: list[np.ndarray], pose: Pose) -> tuple[np.ndarray, int]:
-        for guess in guesses:
-            try:
-                return self._newton(guess, pose, self.settings.tolerance)
-            except NoEquilibrium:
-                continue
-        raise NoEquilibrium
-
-    def _newton(self, u: np.ndarray, pose: Pose, tolerance: float, still: bool = False) -> tuple[np.ndarray, int]:
-        """Newton steps from u until the residual is below tolerance times the contact force.
-
-        With friction the first step holds every glued point (but where the indenter stands `still`):
-        points that slip from a poor guess drag others along, and Newton loses its way.
-        """
-        laws = [self.contact] if still or self.law != "coulomb" else [self.sticking, self.contact]
-        state = self._out_of_balance(u, pose, laws[0])
-        for iteration in range(self.settings.max_iterations + 1):
-            if len(laws) == 1 and self.residual <= tolerance:
-                self.springs = state[1]
-                return u, iteration
-            if iteration < self.settings.max_iterations:
-                step = self._direction(u, pose, *state)
-                laws = laws[-1:]
-                u, state = self._step(u, step, pose, laws[0], self.residual if iteration >= WARY else np.inf)
-        raise NoEquilibrium
-
-    def _step(
-        self, u: np.ndarray, step: np.ndarray, pose: Pose, law: Law, before: float
-    ) -> tuple[np.ndarray, tuple[np.ndarray, Springs]]:
-        """u less the step, or less a part of it where that inverts bricks or leaves the residual above `before`."""
-        free, best = self.system.free, None
-        for part in (1.0, 0.5, 0.25):
-            trial = u.copy()
-            trial[free] -= part * step
-            try:
-                state = self._out_of_balance(trial, pose, law)
-            except NoEquilibrium:
-                continue
-            if best is None or self.residual < best[0]:
-                best = self.residual, trial, state
-            if self.residual < before:
-                break
-        if best is None:
-            raise NoEquilibrium
-        self.residual = best[0]
-        return best[1:]
-
-    def _out_of_balance(self, u: np.ndarray, pose: Pose, law: Law) -> tuple[np.ndarray, Springs]:
-        """Nodal residual (n, 3) and contact springs; sets `residual` relative to the contact force."""
-        forces = self._internal(u)
-        x, indenter = self._points(u), self.scene.indenter
-        springs = contact_springs(self.state, x, pose, indenter, law, self.candidates)
-        self.system.faces.add_forces(self.state, springs, forces)
-        scale = float(self.state.weights[springs.point] @ np.linalg.norm(springs.traction, axis=1))
-        self.residual = float(np.linalg.norm(forces[self.system.free])) / max(scale, 1e-9 * self.moduli[0])
-        if not np.isfinite(self.residual):
-            raise NoEquilibrium
-        return forces, springs
-
-    def _internal(self, u: np.ndarray) -> np.ndarray:
-        b, forces = self.bricks, np.zeros_like(u)
-        smallest = element.internal_forces(u, b.elements, b.gradients, b.weights, *self.moduli, forces)
-        if not smallest > 0.0:
-            raise NoEquilibrium
-        return forces
-
-    def _direction(self, u: np.ndarray, pose: Pose, forces: np.ndarray, springs: Springs) -> np.ndarray:
-        """Newton's step, to FORCING of the residual; a factorisation serves as long as GMRES is quick with it."""
-        system, b = self.system, self.bricks
-        system.values[:] = 0.0
-        pressed = float(self.residual <= self._noisy)
-        element.tangent(
-            u, b.elements, b.gradients, b.weights, *self.moduli, pressed, system.base, system.width, system.values
-        )
-        system.faces.add_stiffness(self.state, springs, system.values)
-        self.iterations += 1
-        apply = self._product(self._skew(u, pose, springs))
-        right = forces[system.free].ravel()
-        if self.factored:
-            step = gmres(apply, system.linear.solve, right, FORCING, STALE)
-            if step is not None:
-                return step.reshape(-1, 3)
-        system.linear.factorise(system.values)
-        self.factored = True
-        self.factorisations += 1
-        step = gmres(apply, system.linear.solve, right, FORCING, FRESH)
-        if step is None:
-            raise NoEquilibrium
-        return step.reshape(-1, 3)
-
-    def _skew(self, u: np.ndarray, pose: Pose, springs: Springs) -> Skew:
-        """The stiffness beyond the symmetric one; exact close to equilibrium, where it makes Newton quadratic."""
-        if self.residual > CLOSE:
-            return springs.slip
-        x = self._points(u)
-        return curved(springs, self.state, x, pose, self.scene.indenter, self.contact, self.candidates)
-
-    def _product(self, skew: Skew) -> Callable[[np.ndarray], np.ndarray]:
-        system = self.system
-        pattern, values = system.pattern, system.values
-        add = system.faces.skew_product(self.state, skew)
-
-        def apply(x: np.ndarray) -> np.ndarray:
-            y = symmetric_product(pattern.indptr, pattern.indices, values, x)
-            add(x, y)
-            self.products += 1
-            return y
-
-        return apply
 
     # -- the contact set at the end of a step
 
@@ -377,10 +203,10 @@ class Run:
         held where it was then on its way from the step's start to its end, not where the step left it.
         """
         begin = before.to_indenter(x[new])
-        end = pose.to_indenter(self._points(self.u)[new])
+        end = pose.to_indenter(self.points(self.u)[new])
         if not len(new):
             return end
-        gap_before, gap_after = gap[new], self._gaps(expected[new], pose)
+        gap_before, gap_after = gap[new], self.gaps(expected[new], pose)
         fraction = touch_fraction(gap_before, gap_after)
         return begin + fraction[:, None] * (end - begin)
 
@@ -390,7 +216,7 @@ class Run:
             return
         state = self.state
         state.status[points] = GLUED
-        here, _ = self._on_surface(pose.to_indenter(self._points(self.u)[points]))
+        here, _ = self._on_surface(pose.to_indenter(self.points(self.u)[points]))
         goal, state.normal[points] = self._on_surface(places)
         state.anchor[points], state.goal[points] = here, goal
 
@@ -426,7 +252,7 @@ class Run:
         state.let_go(gone, np.zeros((len(gone), 3)))
         at = np.flatnonzero((state.status[springs.point] == GLUED) & (springs.gap < 0.0))
         point = springs.point[at]
-        places = pose.to_indenter(self._points(self.u)[point])
+        places = pose.to_indenter(self.points(self.u)[point])
         _, normal = self.scene.indenter.distance(places)
         n = pose.turn(normal)
         traction = springs.traction[at]
@@ -464,7 +290,7 @@ class Run:
             kept = self.state.snapshot()
             try:
                 self.state.go(share / left)
-                self._solve_here(pose, self.settings.tolerance)
+                self.solve_here(pose, self.settings.tolerance)
                 left -= share
             except NoEquilibrium:
                 self.state.restore(kept)
@@ -476,15 +302,10 @@ class Run:
         """Tight equilibrium; a point that flips in rounding noise may leave it at the accepted residual."""
         for tolerance in (self.settings.final_tolerance, ACCEPTED):
             try:
-                return self._solve_here(pose, tolerance)
+                return self.solve_here(pose, tolerance)
             except NoEquilibrium:
                 continue
         raise NoEquilibrium
-
-    def _solve_here(self, pose: Pose, tolerance: float) -> None:
-        gap = self._gaps(self._points(self.u), pose)
-        self.candidates = np.flatnonzero((self.state.status != GLUED) & (gap < self.settings.size))
-        self.u, _ = self._newton(self.u, pose, tolerance, True)
 
     # -- evidence
 
@@ -493,19 +314,13 @@ class Run:
         states = [u for _, u in self._walked[:-1]]
         return Trail(self.scene, self.mesh, [t for t, _ in self._walked], [*states, self.u], self.settings.size)
 
-    def contact_forces(self) -> np.ndarray:
-        """Nodal contact forces on the gel (n, 3) of the last equilibrium, N."""
-        forces = np.zeros_like(self.u)
-        self.system.faces.add_forces(self.state, self.springs, forces)
-        return -forces
-
     def checks(self, forces: np.ndarray) -> dict:
         """Penetration, pull and balance of the final state."""
         pose, total = path_pose(self.scene, self.t), forces.sum(axis=0)
         point, _, push = self._pressing(pose)
         size = max(float(np.linalg.norm(total)), 1e-300)
-        base = self._internal(self.u)[self.mesh.base].sum(axis=0)
-        gap = self._gaps(self._points(self.u), pose)
+        base = self.internal(self.u)[self.mesh.base].sum(axis=0)
+        gap = self.gaps(self.points(self.u), pose)
         return {
             "penetration_mm": float(max(0.0, -gap.min(initial=0.0))),
             "below_base_mm": self._below_base(),
@@ -521,7 +336,7 @@ class Run:
 
     def record(self) -> None:
         """Write final positions and tractions into the contact state."""
-        self.state.position = self._points(self.u)
+        self.state.position = self.points(self.u)
         self.state.traction = np.zeros_like(self.state.position)
         if self.springs is not None:
             np.add.at(self.state.traction, self.springs.point, self.springs.traction)

@@ -1,0 +1,207 @@
+"""Equilibrium of one scene on bricks while the indenter stands: Newton's method with a factorisation kept as long as it serves."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.mechanics import element
+from gelforge.mechanics.contact import (
+    GLUED,
+    FacePlaces,
+    Law,
+    NoEquilibrium,
+    Pose,
+    Skew,
+    Springs,
+    contact_points,
+    contact_springs,
+    curved,
+    positions,
+)
+from gelforge.mechanics.hex.hexmesh import HexMesh, elimination_order
+from gelforge.mechanics.hex.reach import reachable_faces
+from gelforge.mechanics.hex.settings import HexSettings
+from gelforge.mechanics.linear import gmres, symmetric_product, symmetric_solver
+from gelforge.mechanics.scene import REFERENCE_C10, Scene
+
+# Iterations after which a step must lower the residual: the first ones look uphill, though they are right.
+WARY = 3
+# Share of the residual that is left of a linear solve: Newton hardly loses by it.
+FORCING = 3e-2
+# Residual below which the tangent is exact; farther away the curvature of fillets leads astray.
+CLOSE = 1e-3
+# Residual above which the pressure's geometric stiffness is left out, on a walked path and at an interpolated state:
+# that one has noise in its volume ratio, so large pressures of both signs, and a tangent that is indefinite with them.
+NOISY, NOISY_INTERPOLATED = 5e-3, 1e-3
+# Matrix products that a solve may take with an old factorisation (one costs as much as a dozen) and with its own.
+STALE, FRESH = 12, 60
+
+
+class System:
+    """Sparsity pattern, assembly places and symbolic factorisation: they depend on the numbers of bricks only."""
+
+    def __init__(self, mesh: HexMesh):
+        self.pattern = element.build_pattern(mesh.elements, len(mesh.nodes), mesh.base)
+        self.base, self.width = element.block_places(self.pattern, mesh.elements)
+        self.faces = FacePlaces(mesh, self.pattern)
+        self.linear = symmetric_solver(self.pattern.indptr, self.pattern.indices, elimination_order(mesh))
+        self.free = np.flatnonzero(self.pattern.first_row >= 0)
+        self.values = np.zeros(len(self.pattern.indices))
+
+
+class Equilibrium:
+    """One scene on one mesh, and where it stands.
+
+    u: (n, 3) mm. state: ContactState. springs: those of the last equilibrium. candidates: points that are no part of the
+    held contact and may come to touch. residual: out of balance over contact force. noisy: residual above which the
+    tangent leaves out the pressure's geometric stiffness. The counters hold what all solves together took.
+    """
+
+    def __init__(self, scene: Scene, settings: HexSettings, mesh: HexMesh, system: System) -> None:
+        self.scene, self.settings, self.mesh, self.system = scene, settings, mesh, system
+        self.law = scene.interface.law
+        if self.law not in ("no_slip", "coulomb", "frictionless"):
+            raise BadInput(f"interface law {self.law!r} is unknown; choose no_slip, coulomb or frictionless")
+        scale = REFERENCE_C10 / settings.size
+        mu = scene.interface.mu if self.law == "coulomb" else np.inf
+        self.contact = Law(settings.penalty * scale, settings.friction_penalty * scale, mu)
+        self.sticking = replace(self.contact, mu=1e9)
+        self.moduli = scene.material.shear_modulus, scene.material.bulk_modulus
+        self.bricks = element.bricks(mesh.nodes, mesh.elements)
+        self.state = contact_points(mesh, settings.gauss, reachable_faces(scene, mesh))
+        self.nodes = np.ascontiguousarray(mesh.faces[self.state.face])
+        self.u, self.candidates = np.zeros_like(mesh.nodes), np.empty(0, np.int64)
+        self.springs: Any = None  # Springs of the last equilibrium
+        self.factorisations = self.products = self.iterations = 0
+        self.residual, self.factored = np.inf, False
+        self.noisy = NOISY
+
+    def points(self, u: np.ndarray) -> np.ndarray:
+        return positions(self.state.shape, self.nodes, self.mesh.nodes + u)
+
+    def gaps(self, x: np.ndarray, pose: Pose) -> np.ndarray:
+        return self.scene.indenter.distance(pose.to_indenter(x))[0]
+
+    def newton_from(self, guesses: list[np.ndarray], pose: Pose) -> tuple[np.ndarray, int]:
+        for guess in guesses:
+            try:
+                return self.newton(guess, pose, self.settings.tolerance)
+            except NoEquilibrium:
+                continue
+        raise NoEquilibrium
+
+    def newton(self, u: np.ndarray, pose: Pose, tolerance: float, still: bool = False) -> tuple[np.ndarray, int]:
+        """Newton steps from u until the residual is below tolerance times the contact force.
+
+        With friction the first step holds every glued point (but where the indenter stands `still`):
+        points that slip from a poor guess drag others along, and Newton loses its way.
+        """
+        laws = [self.contact] if still or self.law != "coulomb" else [self.sticking, self.contact]
+        state = self._out_of_balance(u, pose, laws[0])
+        for iteration in range(self.settings.max_iterations + 1):
+            if len(laws) == 1 and self.residual <= tolerance:
+                self.springs = state[1]
+                return u, iteration
+            if iteration < self.settings.max_iterations:
+                step = self._direction(u, pose, *state)
+                laws = laws[-1:]
+                u, state = self._step(u, step, pose, laws[0], self.residual if iteration >= WARY else np.inf)
+        raise NoEquilibrium
+
+    def _step(
+        self, u: np.ndarray, step: np.ndarray, pose: Pose, law: Law, before: float
+    ) -> tuple[np.ndarray, tuple[np.ndarray, Springs]]:
+        """u less the step, or less a part of it where that inverts bricks or leaves the residual above `before`."""
+        free, best = self.system.free, None
+        for part in (1.0, 0.5, 0.25):
+            trial = u.copy()
+            trial[free] -= part * step
+            try:
+                state = self._out_of_balance(trial, pose, law)
+            except NoEquilibrium:
+                continue
+            if best is None or self.residual < best[0]:
+                best = self.residual, trial, state
+            if self.residual < before:
+                break
+        if best is None:
+            raise NoEquilibrium
+        self.residual = best[0]
+        return best[1:]
+
+    def _out_of_balance(self, u: np.ndarray, pose: Pose, law: Law) -> tuple[np.ndarray, Springs]:
+        """Nodal residual (n, 3) and contact springs; sets `residual` relative to the contact force."""
+        forces = self.internal(u)
+        x, indenter = self.points(u), self.scene.indenter
+        springs = contact_springs(self.state, x, pose, indenter, law, self.candidates)
+        self.system.faces.add_forces(self.state, springs, forces)
+        scale = float(self.state.weights[springs.point] @ np.linalg.norm(springs.traction, axis=1))
+        self.residual = float(np.linalg.norm(forces[self.system.free])) / max(scale, 1e-9 * self.moduli[0])
+        if not np.isfinite(self.residual):
+            raise NoEquilibrium
+        return forces, springs
+
+    def internal(self, u: np.ndarray) -> np.ndarray:
+        b, forces = self.bricks, np.zeros_like(u)
+        smallest = element.internal_forces(u, b.elements, b.gradients, b.weights, *self.moduli, forces)
+        if not smallest > 0.0:
+            raise NoEquilibrium
+        return forces
+
+    def _direction(self, u: np.ndarray, pose: Pose, forces: np.ndarray, springs: Springs) -> np.ndarray:
+        """Newton's step, to FORCING of the residual; a factorisation serves as long as GMRES is quick with it."""
+        system, b = self.system, self.bricks
+        system.values[:] = 0.0
+        pressed = float(self.residual <= self.noisy)
+        element.tangent(
+            u, b.elements, b.gradients, b.weights, *self.moduli, pressed, system.base, system.width, system.values
+        )
+        system.faces.add_stiffness(self.state, springs, system.values)
+        self.iterations += 1
+        apply = self._product(self._skew(u, pose, springs))
+        right = forces[system.free].ravel()
+        if self.factored:
+            step = gmres(apply, system.linear.solve, right, FORCING, STALE)
+            if step is not None:
+                return step.reshape(-1, 3)
+        system.linear.factorise(system.values)
+        self.factored = True
+        self.factorisations += 1
+        step = gmres(apply, system.linear.solve, right, FORCING, FRESH)
+        if step is None:
+            raise NoEquilibrium
+        return step.reshape(-1, 3)
+
+    def _skew(self, u: np.ndarray, pose: Pose, springs: Springs) -> Skew:
+        """The stiffness beyond the symmetric one; exact close to equilibrium, where it makes Newton quadratic."""
+        if self.residual > CLOSE:
+            return springs.slip
+        x = self.points(u)
+        return curved(springs, self.state, x, pose, self.scene.indenter, self.contact, self.candidates)
+
+    def _product(self, skew: Skew) -> Callable[[np.ndarray], np.ndarray]:
+        system = self.system
+        pattern, values = system.pattern, system.values
+        add = system.faces.skew_product(self.state, skew)
+
+        def apply(x: np.ndarray) -> np.ndarray:
+            y = symmetric_product(pattern.indptr, pattern.indices, values, x)
+            add(x, y)
+            self.products += 1
+            return y
+
+        return apply
+
+    def solve_here(self, pose: Pose, tolerance: float) -> None:
+        gap = self.gaps(self.points(self.u), pose)
+        self.candidates = np.flatnonzero((self.state.status != GLUED) & (gap < self.settings.size))
+        self.u, _ = self.newton(self.u, pose, tolerance, True)
+
+    def contact_forces(self) -> np.ndarray:
+        """Nodal contact forces on the gel (n, 3) of the last equilibrium, N."""
+        forces = np.zeros_like(self.u)
+        self.system.faces.add_forces(self.state, self.springs, forces)
+        return -forces
