@@ -34,6 +34,7 @@ COLUMNS = [
     "unlike_training",
     "flagged",
     "reason",
+    "put_right",
 ]
 
 
@@ -48,6 +49,7 @@ def totals_row(name: str, forces, verdict: dict) -> dict:
         "unlike_training": f"{verdict['score']:.2f}",
         "flagged": int(verdict["flag"]),
         "reason": verdict["reason"],
+        "put_right": verdict["placed"],
     }
 
 
@@ -133,6 +135,7 @@ def main(args: Namespace) -> None:
     for row in rows:
         warning = f"  UNLIKE TRAINING ({row['unlike_training']}): {row['reason']}" if row["flagged"] else ""
         against = f" against {row['untouched']}" if row["untouched"] else ""
+        against += f", put right: {row['put_right']}" if row["put_right"] else ""
         forces = ", ".join(
             f"{channel} {row[f'{channel}_n']}{within(row[f'{channel}_half_width_n'])}" for channel in CHANNELS
         )

@@ -99,14 +99,15 @@ def misplace_untouched(pairs: np.ndarray, narrow: np.ndarray, settings: AugmentT
 def narrow_views(pairs, labels, settings: AugmentTable, generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Hide the rim of a share of the pairs (n, h, w, 6) uint8 and of their labels (n, 3, rows, cols), up to `narrowed`.
 
-    Returns both and which were chosen, (n,) bool. So look pictures of a camera that sees less of the gel once they are brought to the scale of the others: what it does
-    not see is even, and no force is read there.
+    Returns both and which were chosen, (n,) bool. So look pictures of a camera that sees less of the gel once they are
+    brought to the scale of the others: what it does not see is even, and no force is read there. Wide borders are drawn
+    more often than narrow ones, because it is them that take away what a network could hold on to.
     """
     pairs, labels = np.array(pairs), np.array(labels)
     cell = cell_pixels(pairs.shape[1:3], labels.shape[2:], "[train.augment] narrowed")
     rows, cols = labels.shape[2:]
     chosen = torch.rand(len(pairs), generator=generator) < settings.narrowed_share
-    shares = torch.rand(len(pairs), generator=generator) * settings.narrowed
+    shares = torch.sqrt(torch.rand(len(pairs), generator=generator)) * settings.narrowed
     for k in torch.nonzero(chosen).flatten().tolist():
         v, u = (round(float(shares[k]) * count / 2) for count in (rows, cols))
         inner = np.s_[v : rows - v, u : cols - u]

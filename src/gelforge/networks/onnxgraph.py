@@ -3,8 +3,9 @@
 The graph takes `image` (n, 3, height, width) float32 RGB in 0..255 and gives `forces`, N per cell; the scales are
 inside. That of a network that reads differences also takes `untouched`, as many pictures in the same units. What stands
 before the graph is not in it: bring both pictures to the network's scale and the image to the untouched one's light, as
-`networks.canonical` does with numpy and OpenCV alone (`view_of`, `View.of`, `View.match`); then take off what the graph
-reads in the untouched picture itself, and multiply by the factor of the sensor's profile.
+`networks.canonical` does with numpy and OpenCV alone (`view_of`, `View.of`, `View.match`), and lay it onto the untouched
+one where the gel sits otherwise (`networks.placement`); then take off what the graph reads in the untouched picture
+itself, and multiply by the factor of the sensor's profile.
 """
 
 import importlib.util

@@ -8,10 +8,11 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.networks.canonical import WHOLE, Light, view_of
 from gelforge.networks.intervals import half_widths
-from gelforge.networks.placement import Placement, RestingDots
+from gelforge.networks.placement import LEAST_SHIFT, Placement, RestingDots, unmoved
 from gelforge.networks.statistics import PairEvidence, distance, evidence_of, judge, relief, relief_fault
 from gelforge.records.markers import pitch_of
 
+UNPLACED = unmoved(0.0, 0, True)
 LEAST_PULL = 1.0  # N above which a reading that no contact can make is told
 SHIPPED = Path(__file__).parent / "default.pt"
 
@@ -90,11 +91,29 @@ class Untouched:
         seen = self.view.of(image)
         return self.view.match(seen if placement is None else placement.undo(seen), self.picture(name))
 
-    def evidence(self, lit: np.ndarray, light: Light, name: str) -> PairEvidence:
-        """What tells whether a canonical image and the picture of that name belong together."""
-        if name not in self._dots:  # a view that does not show the gel's rim has none
+    def dots(self, name: str) -> RestingDots | None:
+        """Rim dots of the picture of that name; None in a view that does not show the gel's rim."""
+        if name not in self._dots:
             self._dots[name] = RestingDots(self.known[name]) if self.view.zoom == 1.0 else None
-        return evidence_of(lit, light, self.picture(name), self._dots[name])
+        return self._dots[name]
+
+    def pair(
+        self, image, name: str, placement: Placement | None = None
+    ) -> tuple[np.ndarray, PairEvidence, Placement]:
+        """A canonical image, what tells whether it and the picture of that name belong together, and how it was laid on it.
+
+        placement: as its sitting tells it; None: as the image alone does, where its rim moved and nearly all of it alike.
+        """
+        lit, light = self.canonical(image, name, placement)
+        dots = self.dots(name)
+        found = evidence_of(lit, light, self.picture(name), dots)
+        if placement is not None or dots is None or found.rim_px <= LEAST_SHIFT:
+            return lit, found, placement or UNPLACED
+        placement = dots.place_alone(lit)
+        if not placement.told:
+            return lit, found, UNPLACED
+        lit, light = self.canonical(image, name, placement)  # dots that lay beside each other told of light, too
+        return lit, evidence_of(lit, light, self.picture(name), dots), placement
 
     def reader(self, name: str):
         """The network for the sensor of that picture."""
@@ -120,21 +139,23 @@ def predict_one(
     """Predict an image of any size; return it as the network sees it, forces (3, rows, cols), and the judgement.
 
     A network that reads differences is given the image under the light of the untouched picture, at the scale it learnt,
-    and laid onto that picture by `placement` (None: as it is); what it reads in that picture itself is taken off, as a
-    scale is tared. The judgement is that of networks.statistics.judge, with `untouched`, what picture the image was read
-    against, `light`, what its light differed by (networks.canonical), and `half_width` (3,) N of the totals' intervals
-    (networks.intervals; None where the model knows none).
+    and laid onto that picture by `placement` (None: by what the image's own rim tells); what it reads in that picture
+    itself is taken off, as a scale is tared. The judgement is that of networks.statistics.judge, with `untouched`, what
+    picture the image was read against, `light`, what its light differed by (networks.canonical), `placed`, what was put
+    right in how it lay (empty for nothing), and `half_width` (3,) N of the totals' intervals (networks.intervals; None
+    where the model knows none).
     """
     from gelforge.networks.latency import predict_images
 
     trained = untouched.trained
     image, resized = fit_size(image, trained.about["image"])
     name = untouched.of(image)
-    pair, light, lit = None, None, image
+    pair, placed, lit = None, UNPLACED, image
     if trained.needs_untouched:
-        lit, light = untouched.canonical(image, name, placement)
-        pair = untouched.evidence(lit, light, name)
-    verdict = judge(trained.about["statistics"], lit, pair) | {"untouched": name, "light": light}
+        lit, pair, placed = untouched.pair(image, name, placement)
+    light = pair.light if pair else None
+    verdict = judge(trained.about["statistics"], lit, pair)
+    verdict |= {"untouched": name, "light": light, "placed": placed.told}
     forces = predict_images(untouched.reader(name), lit[None])[0]
     if trained.needs_untouched:
         forces = forces - untouched.rest(name)
