@@ -10,7 +10,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_json
-from gelforge.flow.params.tables import FeaTable, MeshesTable
+from gelforge.flow.params.tables import IN_PROCESS, FeaTable, MeshesTable
 from gelforge.geometry import touch
 from gelforge.geometry.gel import Gel
 from gelforge.mechanics.hex.bricks import Bricks, is_bricks
@@ -18,14 +18,6 @@ from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.scene import Scene
 
 _NAME = re.compile(r"(ccx)-([a-z]+)-(\d+(?:\.\d+)?)")
-# What of [fea] lists a fidelity's meshes; bricks are built where they are needed, from their name.
-LISTS: dict[str, Callable[[FeaTable], tuple[str, ...]]] = {
-    "ccx": lambda fea: fea.meshes,
-    "ccx-fine": lambda fea: fea.fine_meshes,
-    "ccx-native": lambda fea: fea.meshes,
-    "hex": lambda fea: (),
-    "auto": lambda fea: fea.meshes,
-}
 
 
 @dataclass(frozen=True)
@@ -48,9 +40,10 @@ class MeshName:
 
 
 def mesh_names(fea: FeaTable) -> list[str]:
-    """Names of the meshes that the [fea] table asks for, in its order."""
-    kinds = LISTS[fea.fidelity](fea)
-    return [f"ccx-{kind}" for kind in kinds]
+    """Names of the meshes that the [fea] table asks for, in its order; bricks are built where they are needed."""
+    if fea.fidelity in IN_PROCESS:
+        return []
+    return [f"ccx-{kind}" for kind in (fea.fine_meshes if fea.fidelity == "ccx-fine" else fea.meshes)]
 
 
 def required_meshes(fea: FeaTable, meshes: MeshesTable) -> list[str]:

@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 
 from gelforge.errors import BadInput
-from gelforge.flow.params.tables import FIDELITIES, FeaTable
+from gelforge.flow.params.tables import FIDELITIES, IN_PROCESS, FeaTable
 from gelforge.geometry.gel import load_gel
 from gelforge.mechanics.ccx.ccxsolver import CcxSettings, CcxSolver
 from gelforge.mechanics.ccx.program import need_ccx
@@ -44,7 +44,7 @@ class Solvers:
             raise BadInput(f"fidelity {fidelity!r} is unknown; choose one of {', '.join(FIDELITIES)}")
         if fidelity == "auto":
             fidelity = cheapest(self.settings.charted, self.settings.tolerance)
-        if fidelity != "hex":
+        if fidelity not in IN_PROCESS:
             need_ccx()
         first = self._first_rung(scenes, fidelity)
         return [self._climb(scene, fidelity, attempt) for scene, attempt in zip(scenes, first, strict=True)]

@@ -11,6 +11,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import publish, read_json, write_csv, write_json
 from gelforge.flow.main import command, group, option
 from gelforge.flow.params.slices import ForPareto, ForParetoMeshes, read_slice
+from gelforge.flow.params.tables import IN_PROCESS
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import load_gel
 from gelforge.labelling.sensor import load_sensors
@@ -168,7 +169,7 @@ def solve(args: Namespace) -> None:
     scene = parse_scene(args.name, read_json(args.scene), params.material.nu)
     bench = load_bench(params, load_sensors(args.sensors), args.meshes, args.out.parent)
     if args.set == "quick":
-        with_ccx = params.fea.fidelity != "hex"
+        with_ccx = params.fea.fidelity not in IN_PROCESS
         methods, halved = quick_methods(params.pareto.quick, with_ccx), False
     else:
         from gelforge.mechanics.ccx.program import need_ccx

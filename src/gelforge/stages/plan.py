@@ -20,6 +20,7 @@ from gelforge.flow.files import read_csv, read_json, write_if_changed, write_tex
 from gelforge.flow.layout import planned_shards, shard_name
 from gelforge.flow.main import command, option
 from gelforge.flow.params import DatasetFile, Params
+from gelforge.flow.params.tables import IN_PROCESS
 from gelforge.records.log import csv_text, read_log, shard_text
 from gelforge.records.press import RawRow
 
@@ -297,7 +298,7 @@ def main(args: Namespace) -> None:
     dataset_toml = args.data / "dataset.toml"
     before = state_of(args.inputs)  # told before they are read: a change in between is seen next time
     params = config.load_params(args.workflow, dataset_toml)
-    if args.ccx == "none" and params.fea.fidelity != "hex":
+    if args.ccx == "none" and params.fea.fidelity not in IN_PROCESS:
         print(f"CalculiX (ccx) was not found: fidelity hex is used instead of {params.fea.fidelity}.", flush=True)
         params = replace(params, fea=replace(params.fea, fidelity="hex"))
     from gelforge.mechanics.family import required_meshes

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.flow.params.slices import ForPareto, ForStability
-from gelforge.flow.params.tables import FeaTable, ParetoTable, QuickTable
+from gelforge.flow.params.tables import IN_PROCESS, FeaTable, ParetoTable, QuickTable
 from gelforge.mechanics.family import MeshFamily
 from gelforge.mechanics.hex.settings import HexSettings, quality
 from gelforge.mechanics.mesh import GelMesh
@@ -135,7 +135,7 @@ def _prepare_hex(method, scene, fea):
 def _prepare_label(method, scene, folder, params, work):
     from gelforge.mechanics.fidelity import Solvers
 
-    names = [] if method.fidelity == "hex" else meshes.label_meshes(params)
+    names = [] if method.fidelity in IN_PROCESS else meshes.label_meshes(params)
     solvers = Solvers(MeshFamily(folder, names), work, params.fea)
 
     def run():

@@ -24,6 +24,7 @@ Names = Annotated[tuple[str, ...], Named()]
 Half = Annotated[tuple[float, float], Within(TINY, 1e3, "mm")]
 Law = Annotated[str, OneOf("no_slip", "coulomb", "frictionless")]
 FIDELITIES = ("hex", "ccx", "ccx-native", "ccx-fine", "auto")
+IN_PROCESS = ("hex",)  # those that need neither CalculiX nor tetrahedral meshes
 QUALITIES = ("demo", "draft", "label", "fine")
 BRANCHES = ("calibrate", "pareto")
 CHANNELS = ("force", "displacement", "traction", "traction_deformed")
