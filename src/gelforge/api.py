@@ -104,7 +104,8 @@ class ForceReading:
     cells: (3, rows, cols) along the image's columns, its rows and the gel's normal (FEATS' channels; pressing is
     negative). total: (3,), their sums. half_width: (3,) of intervals that hold nine of ten totals on sensors that the
     network never saw, of gels as stiff as those it learnt from; None where the model knows none. flag: True where
-    something is wrong with the pictures, and `reason` says what.
+    something is wrong with the pictures, and `reason` says what. by_dots: (3,) what the motion of the printed dots tells
+    by itself, whatever the light; None where the gel has none, or the network no reader of them.
     """
 
     cells: np.ndarray
@@ -112,6 +113,7 @@ class ForceReading:
     half_width: np.ndarray | None
     flag: bool
     reason: str
+    by_dots: np.ndarray | None = None
 
 
 class Reader:
@@ -136,7 +138,8 @@ class Reader:
 
         _seen, cells, verdict = predict_one(self._untouched, check_image(image))
         total = cells.sum(axis=(1, 2), dtype=float)
-        return ForceReading(cells, total, verdict["half_width"], bool(verdict["flag"]), verdict["reason"])
+        flag, reason = bool(verdict["flag"]), verdict["reason"]
+        return ForceReading(cells, total, verdict["half_width"], flag, reason, verdict["by_dots"])
 
     def batch(self, images: np.ndarray) -> list[ForceReading]:
         """Read images (n, h, w, 3) uint8 RGB, one reading each."""

@@ -15,10 +15,13 @@ from gelforge.flow.main import command, option
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue
+from gelforge.networks.canonical import match_light
 from gelforge.networks.intervals import half_widths
+from gelforge.networks.placement import follow_dots
 from gelforge.networks.sensorprofile import fit_gain
 from gelforge.networks.use import Untouched, load_for_use, predict_one
 from gelforge.records.axes import AXIS_OF_CHANNEL, CHANNELS
+from gelforge.records.markers import find_blobs
 from gelforge.stages.rig import units_of
 from gelforge.virtualrig.bench import Bench
 from gelforge.virtualrig.fields import field_of, surface_of
@@ -33,6 +36,7 @@ READ_NOISE = 0.03  # N, of a force sensor
 COUNTS = (0, 1, 2, 5, 10, 20)  # readings of a force sensor
 DRAWS = 40  # of which readings are made, on each unit
 WRONG = 0.15  # of the range: a reading that is off by more must be flagged
+WORN = 10  # dots of 63
 HOUR = 360  # frames: one between each two presses
 
 
@@ -107,6 +111,42 @@ def interval_figure(units: Units, trained, read: np.ndarray) -> list[Figure]:
     told = ", ".join(f"{name} {value:.0f}" for name, value in zip(CHANNELS, held, strict=True))
     return [Figure("totals that their 90 % intervals hold, farthest from it", float(held[np.abs(held - 90).argmax()]), ">=", 87.0,
                    "%", f"{told}; {others.sum()} pictures of other units than the intervals were set on")]  # fmt: skip
+
+
+def by_dots_figures(units: Units, trained) -> list[Figure]:
+    """The reader of dots alone, and what ten worn dots cost both readers together."""
+    rng, alone, whole, worn = np.random.default_rng([5, 1]), [], [], []
+    true = np.array([seen.total for seen in units.seen])
+    for seen in units.seen:
+        rest = units.untouched[seen.unit]
+        dots = find_blobs(rest)[0]
+        lost = dots[rng.permutation(len(dots))[:WORN]]
+        grey = cv2.cvtColor(rest, cv2.COLOR_RGB2GRAY)
+        there = follow_dots(grey, lost, match_light(seen.image, rest).undo(seen.image)) + 0.5
+        verdict = predict_one(Untouched(trained, rest), seen.image)
+        alone.append(verdict[2]["by_dots"] if verdict[2]["by_dots"] is not None else np.full(3, np.nan))
+        whole.append(verdict[1].sum((1, 2), dtype=float))
+        bare = Untouched(trained, wiped(rest, lost))
+        worn.append(totals(bare, wiped(seen.image, np.where(np.isfinite(there), there, lost))))
+    off, with_all, without = (np.abs(np.array(read) - true).mean(axis=0) for read in (alone, whole, worn))
+    told = ", ".join(f"{name} {value:.2f}" for name, value in zip(CHANNELS, off, strict=True))
+    figures = [] if np.isnan(off).any() else [
+        Figure("unseen units, total grid_z by dots alone", 100 * off[2] / RANGE["grid_z"], "<=", 1.8, "% of range", f"N: {told}")
+    ]  # fmt: skip
+    more = 100 * (without / with_all - 1)
+    told = ", ".join(f"{name} {value:.0f}" for name, value in zip(CHANNELS, more, strict=True))
+    return [
+        *figures,
+        Figure(f"{WORN} of the dots worn, error of total grid_z grows by", more[2], "<=", 20.0, "%", told),
+    ]
+
+
+def wiped(image: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """An image (h, w, 3) uint8 without the dots at some places (n, 2) px: their surroundings go on there."""
+    mask = np.zeros(image.shape[:2], np.uint8)
+    for u, v in np.rint(places).astype(int).tolist():
+        cv2.circle(mask, (u, v), 10, 255, -1)
+    return cv2.inpaint(image, mask, 3, cv2.INPAINT_TELEA)
 
 
 # -- what a pair may suffer
@@ -255,9 +295,8 @@ def main(args: Namespace) -> None:
     trained, units = load_for_use(args.model), press_units(args.plan, args.presses)
     readers = {name: Untouched(trained, picture) for name, picture in units.untouched.items()}
     read = np.array([totals(readers[seen.unit], seen.image) for seen in units.seen])
-    figures = (
-        error_figures(units, read) + interval_figure(units, trained, read) + sensitivity_figures(units, readers, read)
-    )
+    figures = error_figures(units, read) + by_dots_figures(units, trained) + interval_figure(units, trained, read)
+    figures += sensitivity_figures(units, readers, read)
     figures += [drift_figure(units, readers), *gain_figures(units, read), *flag_figures(units, trained)]
     publish_figures(args.out, figures, trained.about.get("sha256", ""))
 

@@ -30,6 +30,7 @@ COLUMNS = [
     "image",
     *(f"{name}_n" for name in CHANNELS),
     *(f"{name}_half_width_n" for name in CHANNELS),
+    *(f"{name}_by_dots_n" for name in CHANNELS),
     "untouched",
     "unlike_training",
     "flagged",
@@ -40,11 +41,15 @@ COLUMNS = [
 
 def totals_row(name: str, forces, verdict: dict) -> dict:
     """One row of totals.csv."""
-    total, half = forces.sum((1, 2), dtype=np.float64), verdict["half_width"]
+    columns = {"n": forces.sum((1, 2), dtype=np.float64), "half_width_n": verdict["half_width"]}
+    columns["by_dots_n"] = verdict["by_dots"]
     return {
         "image": name,
-        **{f"{channel}_n": f"{value:.4f}" for channel, value in zip(CHANNELS, total, strict=True)},
-        **{f"{channel}_half_width_n": "" if half is None else f"{half[k]:.4f}" for k, channel in enumerate(CHANNELS)},
+        **{
+            f"{channel}_{what}": "" if values is None else f"{values[k]:.4f}"
+            for what, values in columns.items()
+            for k, channel in enumerate(CHANNELS)
+        },
         "untouched": verdict["untouched"],
         "unlike_training": f"{verdict['score']:.2f}",
         "flagged": int(verdict["flag"]),

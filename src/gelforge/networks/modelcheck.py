@@ -9,7 +9,6 @@ import torch
 
 from gelforge.errors import BadInput
 from gelforge.networks.inputs import INPUT_CHANNELS
-from gelforge.networks.models import build
 from gelforge.records.axes import CHANNELS
 
 MOST_WIDTH, MOST_BLOCKS, MOST_LEVELS, MOST_SIDE = 4096, 64, 16, 4096
@@ -47,6 +46,18 @@ def _intervals(value: Any) -> bool:
     )
 
 
+def _dots(value: Any) -> bool:
+    if value is None:
+        return True
+    return (
+        isinstance(value, dict)
+        and _numbers(value.get("weight"), 3, -1e-300)
+        and max(value["weight"]) <= 1
+        and isinstance(value.get("sha256"), str)
+        and _intervals({"total": value.get("apart")})
+    )
+
+
 # Every part of a model's description that use relies on, and what it must be.
 PARTS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "name": ("a name", lambda v: isinstance(v, str) and 0 < len(v) <= 200),
@@ -67,6 +78,7 @@ PARTS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "normalisation.label": ("three numbers above 0", lambda v: _numbers(v, 3, 0)),
     "pitch_px": ("two numbers above 0, the larger last", lambda v: v is None or (_numbers(v, 2, 0) and v[0] <= v[1])),
     "intervals": ("a table of pairs of numbers from 0 on, by component", _intervals),
+    "dots": ("a table of weights from 0 to 1, pairs of numbers by component, and a digest", _dots),
     "statistics": ("a table", lambda v: isinstance(v, dict)),
     "statistics.inverse": ("a square of numbers", _square),
     "statistics.threshold": ("a number", lambda v: _numbers([v], 1)),
@@ -94,10 +106,10 @@ def _check_sizes(model: dict[str, Any], where: str) -> None:
             )
 
 
-def check_tensors(about: dict[str, Any], tensors: Any, where: str) -> None:
-    """Raise BadInput unless the tensors are finite and those of the described network, which costs no memory yet."""
+def check_tensors(make: Callable[[], torch.nn.Module], tensors: Any, where: str) -> None:
+    """Raise BadInput unless the tensors are finite and those of the network that `make` makes, which costs no memory yet."""
     with torch.device("meta"):
-        wanted = build(about["model"], about["image"], about["grid"]).state_dict()
+        wanted = make().state_dict()
     if not isinstance(tensors, dict) or set(tensors) != set(wanted):
         seen: Iterable[Any] = tensors if isinstance(tensors, dict) else ()
         odd = sorted(map(str, set(wanted) ^ set(seen)))[:3]

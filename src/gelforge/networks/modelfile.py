@@ -3,9 +3,10 @@
 import copy
 import hashlib
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -15,6 +16,7 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from gelforge.errors import BadInput
 from gelforge.networks.batches import images_to_tensor
+from gelforge.networks.dotreader import DotReader
 from gelforge.networks.inputs import needs_untouched, network_input
 from gelforge.networks.modelcheck import check_about, check_pictures, check_tensors
 from gelforge.networks.models import build
@@ -22,8 +24,9 @@ from gelforge.records.image import decode, encode_png
 from gelforge.records.regular import file_fault
 
 FORMAT = 2
-PARTS_OF_FILE = ("about", "tensors", "untouched")
+PARTS_OF_FILE = ("about", "tensors", "untouched", "dots")
 MOST_BYTES = 2**31
+Net = TypeVar("Net", bound=nn.Module)
 
 
 @dataclass(frozen=True)
@@ -31,11 +34,13 @@ class Trained:
     """A trained network and all that is known about it (`about`, the JSON part of the file).
 
     untouched: pictures (h, w, 3) uint8 RGB by sensor of its dataset's untouched sensors, where it reads differences.
+    dots: the reader of dots beside it, where it has one; about["dots"] says how their totals meet (networks.dotreader).
     """
 
     net: nn.Module
     about: dict
     untouched: dict[str, np.ndarray] = field(default_factory=dict)
+    dots: DotReader | None = None
 
     @property
     def needs_untouched(self) -> bool:
@@ -112,11 +117,19 @@ class SensorNet(nn.Module):
 
 def save_model(path, trained: Trained) -> None:
     """Write a model to exactly `path`; the caller publishes it."""
-    tensors = {name: value.detach().cpu().contiguous() for name, value in trained.net.state_dict().items()}
+    tensors = tensors_of(trained.net)
     told = {"format": FORMAT, **trained.about, "sha256": tensor_digest(tensors)}
-    about = json.dumps(told, sort_keys=True, allow_nan=False)
-    pictures = {name: encode(picture) for name, picture in trained.untouched.items()}
-    torch.save({"about": about, "tensors": tensors, "untouched": pictures}, path)
+    parts: dict[str, Any] = {"tensors": tensors}
+    if trained.dots:
+        parts["dots"] = tensors_of(trained.dots)
+        told["dots"] = trained.about["dots"] | {"sha256": tensor_digest(parts["dots"])}
+    parts["untouched"] = {name: encode(picture) for name, picture in trained.untouched.items()}
+    torch.save({"about": json.dumps(told, sort_keys=True, allow_nan=False), **parts}, path)
+
+
+def tensors_of(net: nn.Module) -> dict[str, torch.Tensor]:
+    """A network's tensors by name, as a file keeps them."""
+    return {name: value.detach().cpu().contiguous() for name, value in net.state_dict().items()}
 
 
 def tensor_digest(tensors: dict[str, torch.Tensor]) -> str:
@@ -147,7 +160,9 @@ def load_model(path) -> Trained:
     if fault:
         raise BadInput(f"{path}: not a model ({fault}); name the file that make train wrote")
     content = read_tensors(path)
-    about, tensors, pictures = (content.get(name) if isinstance(content, dict) else None for name in PARTS_OF_FILE)
+    about, tensors, pictures, dots = (
+        content.get(name) if isinstance(content, dict) else None for name in PARTS_OF_FILE
+    )
     try:
         about = json.loads("" if about is None else about)
     except (TypeError, ValueError, RecursionError) as error:
@@ -158,14 +173,21 @@ def load_model(path) -> Trained:
     tensors = tensors if isinstance(tensors, dict) else {}
     digest = about.get("sha256")  # files of earlier versions have none
     check_about(about, str(path))
-    check_tensors(about, tensors, str(path))
-    if digest not in (None, tensor_digest(tensors)):
-        raise BadInput(f"{path}: its weights are not those that were trained; the file is damaged: copy it again")
+    net = restored(lambda: build(about["model"], about["image"], about["grid"]), tensors, digest, str(path))
+    reader = restored(DotReader, dots, about["dots"]["sha256"], f"{path}: dots") if about.get("dots") else None
     untouched = read_pictures(pictures, str(path))
     check_pictures(about, untouched, str(path))
-    net = build(about["model"], about["image"], about["grid"])
+    return Trained(net, about, untouched, reader)
+
+
+def restored(make: Callable[[], Net], tensors: Any, digest: str | None, where: str) -> Net:
+    """The network that `make` makes with its tensors, in evaluation mode; BadInput where they are not those of `digest`."""
+    check_tensors(make, tensors, where)
+    if digest not in (None, tensor_digest(tensors)):
+        raise BadInput(f"{where}: its weights are not those that were trained; the file is damaged: copy it again")
+    net = make()
     net.load_state_dict(tensors)
-    return Trained(net.eval(), about, untouched)
+    return net.eval()
 
 
 def read_pictures(pictures, where: str) -> dict[str, np.ndarray]:

@@ -5,7 +5,8 @@ inside. That of a network that reads differences also takes `untouched`, as many
 before the graph is not in it: bring both pictures to the network's scale and the image to the untouched one's light, as
 `networks.canonical` does with numpy and OpenCV alone (`view_of`, `View.of`, `View.match`), and lay it onto the untouched
 one where the gel sits otherwise (`networks.placement`); then take off what the graph reads in the untouched picture
-itself, and multiply by the factor of the sensor's profile.
+itself, and multiply by the factor of the sensor's profile. The reader of dots that stands beside some networks is not in
+it, so totals differ from those of `predict` by what it has to say.
 """
 
 import importlib.util

@@ -99,7 +99,7 @@ class RestingDots:
         """Placement of pictures (h, w, 3) uint8 of one sitting, in light and size like the untouched one."""
         if not images or self.sides.sum(axis=0).min(initial=LEAST_A_SIDE) < LEAST_A_SIDE:
             return unmoved(0.0, 0, False)
-        ends = np.array([self.follow(image) for image in images])
+        ends = np.array([follow_dots(self.grey, self.dots, image) for image in images])
         kept = np.isfinite(ends[..., 0]).mean(axis=0) >= LEAST_SEEN
         end = np.full(self.dots.shape, np.nan)
         end[kept] = np.nanmedian(ends[:, kept], axis=0)
@@ -129,17 +129,21 @@ class RestingDots:
         lost = (seen.ravel() == 0) | (unlike.ravel() > UNLIKE)
         return float(np.median(moved)), float(lost.mean())
 
-    def follow(self, image: np.ndarray) -> np.ndarray:
-        """Where the rim's dots are in a picture, (n, 2) px; NaN for one that, followed back, does not come home."""
-        import cv2
 
-        grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-        nothing: Any = None  # no guess; OpenCV's types know no None here
-        start = (self.dots - 0.5).astype(np.float32).reshape(-1, 1, 2)
-        found, seen, _ = cv2.calcOpticalFlowPyrLK(self.grey, grey, start, nothing, winSize=WINDOW, maxLevel=LEVELS)
-        back, _, _ = cv2.calcOpticalFlowPyrLK(grey, self.grey, found, nothing, winSize=WINDOW, maxLevel=LEVELS)
-        kept = (seen.ravel() > 0) & (np.hypot(*(back - start).reshape(-1, 2).T) < HOME)
-        return np.where(kept[:, None], found.reshape(-1, 2).astype(float), np.nan)
+def follow_dots(rest: np.ndarray, dots: np.ndarray, image: np.ndarray) -> np.ndarray:
+    """Where dots (n, 2) px of a grey picture at rest are in an image (h, w, 3) uint8, (n, 2) px as OpenCV counts them.
+
+    NaN for one that, followed back, does not come home.
+    """
+    import cv2
+
+    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    nothing: Any = None  # no guess; OpenCV's types know no None here
+    start = (dots - 0.5).astype(np.float32).reshape(-1, 1, 2)
+    found, seen, _ = cv2.calcOpticalFlowPyrLK(rest, grey, start, nothing, winSize=WINDOW, maxLevel=LEVELS)
+    back, _, _ = cv2.calcOpticalFlowPyrLK(grey, rest, found, nothing, winSize=WINDOW, maxLevel=LEVELS)
+    kept = (seen.ravel() > 0) & (np.hypot(*(back - start).reshape(-1, 2).T) < HOME)
+    return np.where(kept[:, None], found.reshape(-1, 2).astype(float), np.nan)
 
 
 def common_motion(start, end, kept, sides, middle) -> Placement:

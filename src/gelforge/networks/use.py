@@ -6,7 +6,9 @@ from typing import Any
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.networks.agreement import dots_fault, settle
 from gelforge.networks.canonical import WHOLE, Light, view_of
+from gelforge.networks.dots import PrintedDots
 from gelforge.networks.intervals import half_widths
 from gelforge.networks.placement import LEAST_SHIFT, Placement, RestingDots, unmoved
 from gelforge.networks.statistics import PairEvidence, distance, evidence_of, judge, relief, relief_fault
@@ -71,6 +73,7 @@ class Untouched:
         )
         self._pictures: dict[str, np.ndarray] = {}
         self._dots: dict[str, RestingDots | None] = {}
+        self._printed: dict[str, PrintedDots] = {}
         self._readers: dict[str, Any] = {}
         self._rest: dict[str, np.ndarray] = {}
 
@@ -115,6 +118,15 @@ class Untouched:
         lit, light = self.canonical(image, name, placement)  # dots that lay beside each other told of light, too
         return lit, evidence_of(lit, light, self.picture(name), dots), placement
 
+    def by_dots(self, lit: np.ndarray, name: str) -> np.ndarray | None:
+        """Total force (3,) N that the dots of a canonical image tell by themselves; None where nothing reads them."""
+        if self.trained.dots is None:
+            return None
+        if name not in self._printed:
+            self._printed[name] = PrintedDots(self.picture(name))
+        dots = self._printed[name]
+        return self.trained.dots.totals(dots.motion(lit)[None])[0] if dots.known else None
+
     def reader(self, name: str):
         """The network for the sensor of that picture."""
         from gelforge.networks.modelfile import SensorNet
@@ -142,8 +154,9 @@ def predict_one(
     and laid onto that picture by `placement` (None: by what the image's own rim tells); what it reads in that picture
     itself is taken off, as a scale is tared. The judgement is that of networks.statistics.judge, with `untouched`, what
     picture the image was read against, `light`, what its light differed by (networks.canonical), `placed`, what was put
-    right in how it lay (empty for nothing), and `half_width` (3,) N of the totals' intervals (networks.intervals; None
-    where the model knows none).
+    right in how it lay (empty for nothing), `by_dots`, the totals (3,) N that the dots tell by themselves (None where
+    nothing reads them; else the forces' totals are the mean of both), and `half_width` (3,) N of the totals' intervals
+    (networks.intervals; None where the model knows none).
     """
     from gelforge.networks.latency import predict_images
 
@@ -159,9 +172,14 @@ def predict_one(
     forces = predict_images(untouched.reader(name), lit[None])[0]
     if trained.needs_untouched:
         forces = forces - untouched.rest(name)
+    by_dots, contradicted = untouched.by_dots(lit, name), ""
+    if by_dots is not None:
+        contradicted = dots_fault(trained.about["dots"]["apart"], forces.sum((1, 2), dtype=float), by_dots)
+        forces = settle(forces, by_dots, trained.about["dots"]["weight"])
     forces = forces * np.float32(untouched.gain)
+    verdict["by_dots"] = None if by_dots is None else untouched.gain * by_dots
     verdict["half_width"] = half_widths(trained.about, "total", forces.sum((1, 2), dtype=float), untouched.gain)
-    faults = [resized, untouched.fault, verdict["reason"], light_fault(light), pull_fault(forces)]
+    faults = [resized, untouched.fault, verdict["reason"], light_fault(light), pull_fault(forces), contradicted]
     reason = "; ".join(filter(None, faults))
     return untouched.view.of(image), forces, verdict | {"flag": verdict["flag"] or bool(reason), "reason": reason}
 

@@ -55,15 +55,22 @@ def find_markers(image: np.ndarray, rows: int, cols: int, where: str = "image") 
             f"{where}: {len(points)} dark dots found, a grid of {rows} x {cols} is expected; use a sharp image"
             " without contact, and check `markers` in workflow/sensors.toml"
         )
-    index, used = _walk(points)
-    index, used = _complete(points, index, used)
-    index, used = _window(index, used, rows, cols)
+    index, used = _window(*lattice_of(points), rows, cols)
     if len(used) < LEAST_SHARE * rows * cols:
         raise BadInput(
             f"{where}: only {len(used)} of {rows} x {cols} dots stand on one grid; use an image without contact,"
             " and check `markers` in workflow/sensors.toml"
         )
     return _measure(rows, cols, index, points[used], widths[used])
+
+
+def lattice_of(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Row and column (n, 2) of the points (m, 2) px that stand on one lattice, and which points these are, (n,).
+
+    Raises BadInput where none do.
+    """
+    index, used = _walk(points)
+    return _complete(points, index, used)
 
 
 def find_blobs(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -6,7 +6,7 @@ The curve lies inside the model file and, as a table, beside it.
 import json
 from argparse import Namespace
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +19,7 @@ from gelforge.flow.params.schema import Place, parse
 from gelforge.flow.params.slices import ForTrain, read_slice
 from gelforge.flow.params.tables import TrainingTable, TrainTable
 
-VERSION = 6
+VERSION = 7
 # A network that learnt from more sensors is for those that it never saw: their users have untouched pictures of their own.
 MOST_PICTURES = 8
 
@@ -117,8 +117,11 @@ def train(data, name: str, model: dict, settings: TrainingTable, checkpoint=None
     }
     if not needs_untouched(norm["reads"]):
         return Trained(training.net.cpu(), about)
-    about |= learnt_pitch(data) | {"intervals": unseen_intervals(training.net, data, norm)}
-    return Trained(training.net.cpu(), about, data.nocontact if len(data.nocontact) <= MOST_PICTURES else {})
+    dots, predicted = None, unseen_predictions(training.net, data, norm)
+    if settings.dot_epochs and any_dots(data) and predicted.maps:
+        dots, about["dots"], predicted = beside_dots(data, settings, predicted)
+    about |= learnt_pitch(data) | {"intervals": predicted.intervals()}
+    return Trained(training.net.cpu(), about, data.nocontact if len(data.nocontact) <= MOST_PICTURES else {}, dots)
 
 
 def sights(data, reads: str, settings: TrainingTable) -> Callable[[int], np.ndarray]:
@@ -153,22 +156,59 @@ def good_pairs(data) -> dict[str, float]:
     return pair_limits(pairs) | {"largest_relief": RELIEF_MARGIN * max(relief(data.nocontact[name]) for name in dots)}
 
 
-def unseen_intervals(net, data, norm: dict) -> dict:
-    """How far forces are off on sensors that training did not see, or on validation's pictures where it saw all.
+@dataclass(frozen=True)
+class Unseen:
+    """What a network made of pictures that training did not see: rows, forces and labels (n, 3, rows, cols) N, sensors."""
 
-    Only the first half of the unseen sensors is looked at, so that the other half can tell whether the intervals hold.
+    rows: np.ndarray
+    forces: np.ndarray
+    labels: np.ndarray
+    sensors: list[str]
+
+    @property
+    def maps(self) -> bool:
+        """Whether they are force maps, and any."""
+        return len(self.rows) > 0 and self.forces.shape[2:] == self.labels.shape[2:]
+
+    def intervals(self) -> dict:
+        """How far forces are off (networks.intervals); empty where the network only knows totals."""
+        from gelforge.networks.intervals import fit_intervals
+
+        return fit_intervals(self.forces, self.labels) | {"sensors": self.sensors} if self.maps else {}
+
+
+def unseen_predictions(net, data, norm: dict) -> Unseen:
+    """Forces on sensors that training did not see, or on validation's pictures where it saw all.
+
+    Only the first half of the unseen sensors is looked at, so that the other half can tell whether intervals hold.
     """
-    from gelforge.networks.intervals import fit_intervals
     from gelforge.networks.training import predict_rows
 
     rows = np.concatenate([data.splits.get(f"test_unseen_{which}", np.zeros(0, int)) for which in ("sensor", "both")])
     names = data.names("sensor_id")
     known = sorted(set(names[rows].tolist()))
     rows = np.sort(rows[np.isin(names[rows], known[: (len(known) + 1) // 2])]) if known else data.splits["val"]
-    predicted = predict_rows(net, data, rows, norm)
-    if predicted.shape[2:] != data.grid:
-        return {}
-    return fit_intervals(predicted, data.labels[rows]) | {"sensors": sorted(set(names[rows].tolist()))}
+    return Unseen(rows, predict_rows(net, data, rows, norm), data.labels[rows], sorted(set(names[rows].tolist())))
+
+
+def any_dots(data) -> bool:
+    """Whether each untouched sensor of a dataset shows a print of dots."""
+    from gelforge.networks.dots import PrintedDots
+
+    return all(PrintedDots(picture).known for picture in data.nocontact.values())
+
+
+def beside_dots(data, settings: TrainingTable, predicted: Unseen):
+    """A reader of dots, what a model's description says of it, and forces whose totals it had a say in."""
+    from gelforge.networks.agreement import meet, settle
+    from gelforge.networks.dotreader import dot_presses, motions, train_dot_reader
+
+    reader = train_dot_reader(dot_presses(data, data.splits["train"]), settings.dot_epochs, settings.seed)
+    by_dots = reader.totals(motions(data, predicted.rows))
+    told = meet(predicted.forces.sum((2, 3), dtype=float), by_dots, predicted.labels.sum((2, 3), dtype=float))
+    pairs = zip(predicted.forces, by_dots, strict=True)
+    settled = np.stack([settle(forces, dots, told["weight"]) for forces, dots in pairs])
+    return reader, told, replace(predicted, forces=settled)
 
 
 def learnt_pitch(data) -> dict[str, list[float]]:

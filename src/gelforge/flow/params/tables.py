@@ -88,6 +88,7 @@ class TrainingTable(ParameterTable):
     total_huber: Annotated[float, Within(0.0, 1e9)]
     shift_cells: Annotated[int, Within(0, 1000)]
     mirrored_share: Share
+    dot_epochs: Whole
     settle_images: Whole
     frozen_share: Share
     seed: Seed

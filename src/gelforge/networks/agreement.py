@@ -1,0 +1,51 @@
+"""Two readers of one picture: the network of its brightness and that of its dots, their mean, and where they contradict."""
+
+import numpy as np
+
+from gelforge.networks.intervals import HalfWidth, fit_half_width
+from gelforge.records.axes import CHANNELS
+
+WEIGHTS = np.linspace(0.0, 1.0, 21)  # of the dots' total in both readers' mean, that are tried
+APART = 2.5  # half widths of what the two readers usually differ by, beyond which one of them is wrong
+LEAST_PRESS = 0.2  # N of normal force below which a map has no shape that a total could be laid on
+MOST_FACTOR = 2.0  # by which a map is scaled at most
+
+
+def meet(by_picture: np.ndarray, by_dots: np.ndarray, true: np.ndarray) -> dict:
+    """How the totals (n, 3) N of both readers meet best, from presses whose true totals are known.
+
+    weight: of the dots' total in their mean, by component, that leaves the least mean error. apart: half widths, [N,
+    share of the force] by component, of what nine of ten of the readers' differences stay within.
+    """
+    errors = [np.abs((1 - w) * by_picture + w * by_dots - true).mean(axis=0) for w in WEIGHTS]
+    weight = WEIGHTS[np.argmin(errors, axis=0)].tolist()
+    mean = (1 - np.array(weight)) * by_picture + np.array(weight) * by_dots
+    apart = {}
+    for k, name in enumerate(CHANNELS):
+        width = fit_half_width(mean[:, k], by_picture[:, k] - by_dots[:, k])
+        apart[name] = [width.base, width.share]
+    return {"weight": weight, "apart": apart}
+
+
+def settle(forces: np.ndarray, by_dots: np.ndarray, weight: list[float]) -> np.ndarray:
+    """Forces (3, rows, cols) N of the pictures' network, whose totals are moved towards those of the dots (3,) N.
+
+    The normal map is scaled; sideways force is added where the gel is pressed, as the pressure is spread there.
+    """
+    total = forces.sum((1, 2), dtype=float)
+    wanted = total + np.array(weight) * (by_dots - total)
+    pressed = np.maximum(-forces[2], 0.0)
+    if total[2] > -LEAST_PRESS or pressed.sum() < LEAST_PRESS:
+        return forces
+    found = forces.copy()
+    found[2] *= np.float32(np.clip(wanted[2] / total[2], 1 / MOST_FACTOR, MOST_FACTOR))
+    found[:2] += ((wanted - total)[:2, None, None] * (pressed / pressed.sum())).astype(np.float32)
+    return found
+
+
+def dots_fault(apart: dict, total: np.ndarray, by_dots: np.ndarray) -> str:
+    """What tells that a picture and its dots contradict each other, totals (3,) N; empty where they agree."""
+    for k, name in enumerate(CHANNELS):
+        if abs(total[k] - by_dots[k]) > APART * HalfWidth(*apart[name]).of(max(abs(total[k]), abs(by_dots[k]))):
+            return f"its dots tell {name} {by_dots[k]:.1f} N, its brightness {total[k]:.1f} N"
+    return ""

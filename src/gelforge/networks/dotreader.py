@@ -1,0 +1,125 @@
+"""A small network that reads total force from the motion of the printed dots alone."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import nn
+from torch.nn import functional as F
+
+from gelforge.networks.batches import generator
+from gelforge.networks.dots import COLS, ROWS, PrintedDots
+from gelforge.networks.inputs import cell_pixels
+
+WIDTH, HIDDEN = 32, 128
+VIEWS = (0.0, 0.1, 0.2, 0.3)  # parts of height and width that a camera may not show; each press is learnt from all
+LOST = 0.25  # most of the dots that are taken away at random: worn, covered, or not followed
+BATCH, RATE, HUBER = 64, 2e-3, 0.05
+
+
+class DotReader(nn.Module):
+    """Motion of dots (n, 3, ROWS, COLS) (networks.dots) to total force (n, 3) N; dots that did not move tell none."""
+
+    scale: torch.Tensor  # (3,) N
+
+    def __init__(self) -> None:
+        super().__init__()
+        widths = (3, WIDTH, WIDTH, 2 * WIDTH, 2 * WIDTH)
+        strides = (1, 1, 2, 1)
+        self.convolutions = nn.ModuleList(
+            nn.Conv2d(a, b, 3, stride, 1) for a, b, stride in zip(widths, widths[1:], strides, strict=False)
+        )
+        cells = 2 * WIDTH * ((ROWS + 1) // 2) * ((COLS + 1) // 2)
+        self.inner, self.outer = nn.Linear(cells, HIDDEN), nn.Linear(HIDDEN, 3)
+        self.register_buffer("scale", torch.ones(3))
+
+    def read(self, motion: torch.Tensor) -> torch.Tensor:
+        """What the layers make of it, (n, 3) in units of `scale`."""
+        for convolution in self.convolutions:
+            motion = F.relu(convolution(motion))
+        return self.outer(F.relu(self.inner(motion.flatten(1))))
+
+    def forward(self, motion: torch.Tensor) -> torch.Tensor:
+        still = motion * torch.tensor([0.0, 0.0, 1.0]).view(1, 3, 1, 1)
+        return (self.read(motion) - self.read(still)) * self.scale
+
+    def totals(self, motion: np.ndarray) -> np.ndarray:
+        """Total force (n, 3) float64 N of motions (n, 3, ROWS, COLS)."""
+        with torch.no_grad():
+            parts = [self(part) for part in torch.from_numpy(np.ascontiguousarray(motion)).split(1024)]
+        return torch.cat(parts).double().numpy() if parts else np.zeros((0, 3))
+
+
+@dataclass(frozen=True)
+class DotPresses:
+    """Presses as dots show them: motion (n, 3, ROWS, COLS); shown (n, views, ROWS, COLS) bool and totals (n, views, 3) N.
+
+    The views are those of VIEWS: which dots a camera shows, and the force in what it shows.
+    """
+
+    motion: np.ndarray
+    shown: np.ndarray
+    totals: np.ndarray
+
+
+def motions(data, rows: np.ndarray) -> np.ndarray:
+    """Motion of the dots (k, 3, ROWS, COLS) in the pictures of some rows of a dataset (networks.data.Data)."""
+    dots = {name: PrintedDots(picture) for name, picture in data.nocontact.items()}
+    names = data.names("sensor_id")[rows]
+    return np.stack(
+        [
+            dots[name].motion(np.ascontiguousarray(data.seen([row], "pair")[0, ..., :3]))
+            for row, name in zip(rows, names, strict=True)
+        ]
+    )
+
+
+def dot_presses(data, rows: np.ndarray) -> DotPresses:
+    """The presses of some rows of a dataset in all VIEWS."""
+    height, width = data.image_size
+    cell = cell_pixels(data.image_size, data.grid, "the reader of dots")
+    margins = [tuple(round(share * count / 2) for count in data.grid) for share in VIEWS]
+    windows = [(slice(cell * v, height - cell * v), slice(cell * u, width - cell * u)) for v, u in margins]
+    dots = {name: PrintedDots(picture) for name, picture in data.nocontact.items()}
+    shown = {name: np.stack([one.within(*window) for window in windows]) for name, one in dots.items()}
+    labels = data.labels[rows]
+    totals = [labels[:, :, v : data.grid[0] - v, u : data.grid[1] - u].sum((2, 3)) for v, u in margins]
+    names = data.names("sensor_id")[rows]
+    return DotPresses(motions(data, rows), np.stack([shown[name] for name in names]), np.stack(totals, axis=1))
+
+
+def varied(presses: DotPresses, rows: torch.Tensor, draw: torch.Generator) -> tuple[torch.Tensor, torch.Tensor]:
+    """Motions and totals of some presses, each in a view of its own, mirrored either way, some of its dots lost."""
+    count, at = len(rows), rows.numpy()
+    view = torch.randint(len(VIEWS), (count,), generator=draw)
+    view[torch.rand(count, generator=draw) < 0.5] = 0
+    kept = torch.from_numpy(presses.shown[at, view.numpy()])
+    kept &= torch.rand(kept.shape, generator=draw) >= LOST * torch.rand(count, 1, 1, generator=draw)
+    motion = torch.from_numpy(presses.motion[at]) * kept[:, None]
+    totals = torch.from_numpy(presses.totals[at, view.numpy()]).float()
+    for axis, component in ((3, 0), (2, 1)):
+        flip = torch.rand(count, generator=draw) < 0.5
+        sign = torch.where(flip, -1.0, 1.0)
+        motion = torch.where(flip[:, None, None, None], motion.flip(axis), motion)
+        motion[:, component] *= sign[:, None, None]
+        totals[:, component] *= sign
+    return motion, totals
+
+
+def train_dot_reader(presses: DotPresses, epochs: int, seed: int) -> DotReader:
+    """A reader of dots trained on presses; the same seed gives the same one."""
+    torch.manual_seed(seed)
+    reader, count = DotReader(), len(presses.motion)
+    reader.scale = torch.from_numpy(np.sqrt((presses.totals[:, 0] ** 2).mean(axis=0))).float().clamp(min=1e-6)
+    optimiser = torch.optim.Adam(reader.parameters(), lr=RATE)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, epochs)
+    for epoch in range(epochs):
+        draw = generator(seed, "dots", epoch)
+        for rows in torch.randperm(count, generator=draw).split(BATCH):
+            motion, totals = varied(presses, rows, draw)
+            loss = F.smooth_l1_loss(reader(motion) / reader.scale, totals / reader.scale, beta=HUBER)
+            optimiser.zero_grad()
+            loss.backward()
+            optimiser.step()
+        schedule.step()
+    return reader.eval()

@@ -1,0 +1,185 @@
+"""The reader of dots: what it is given, what it makes of it, and how its totals meet those of the pictures' network."""
+
+import csv
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gelforge.errors import BadInput
+from gelforge.networks.agreement import dots_fault, meet, settle
+from gelforge.networks.canonical import match_light
+from gelforge.networks.dotreader import VIEWS, DotPresses, DotReader, train_dot_reader
+from gelforge.networks.dots import COLS, ROWS, PrintedDots
+from gelforge.networks.modelfile import Trained, load_model, save_model
+from gelforge.networks.use import load_for_use
+from gelforge.records.axes import CHANNELS
+from gelforge.records.image import read_image
+from tests.pictures import moved
+
+
+@pytest.fixture(scope="module")
+def rest(root):
+    return read_image(root / "data/demo/nocontact/mini_a.png")[..., :3]
+
+
+@pytest.fixture(scope="module")
+def presses(root, rest):
+    """Pictures of mini_a in its untouched picture's light, and their forces (3,) N along the gel."""
+    with (root / "data/demo/log.csv").open() as stream:
+        rows = [row for row in csv.DictReader(stream) if row["sensor_id"] == "mini_a"][::4]
+    pictures = [read_image(root / "data/demo" / row["image"])[..., :3] for row in rows]
+    return [match_light(picture, rest).undo(picture) for picture in pictures]
+
+
+def test_dots_at_rest_have_not_moved(rest):
+    dots = PrintedDots(rest)
+    motion = dots.motion(rest)
+    assert dots.known and motion[2].sum() == len(dots.points) >= 60
+    assert np.abs(motion[:2]).max() < 1e-3
+
+
+@given(u=st.floats(-6, 6), v=st.floats(-6, 6))
+@settings(max_examples=20, deadline=None)
+def test_all_dots_of_a_moved_picture_have_moved_as_it_did(rest, u, v):
+    motion = PrintedDots(rest).motion(moved(rest, (u, v)))
+    seen = motion[2] > 0
+    assert seen.sum() >= 45  # a picture that moved does not show them all
+    assert np.median(np.hypot(motion[0][seen] - u, motion[1][seen] - v)) < 0.2
+
+
+def test_a_covered_dot_is_not_seen_and_the_others_stay(rest):
+    dots = PrintedDots(rest)
+    covered, (u, v) = rest.copy(), dots.points[len(dots.points) // 2].astype(int)
+    covered[v - 14 : v + 14, u - 14 : u + 14] = np.random.default_rng(0).integers(0, 255, (28, 28, 3))
+    motion = dots.motion(covered)
+    row, col = dots.at[len(dots.points) // 2]
+    assert motion[2, row, col] == 0 or np.hypot(*motion[:2, row, col]) > 0.5
+    assert (motion[2] > 0).sum() >= len(dots.points) - 3
+
+
+def test_light_moves_no_dot(rest, presses):
+    """A picture at eight tenths of its light, brought back to that of the untouched one, shows the same motion."""
+    dots = PrintedDots(rest)
+    for picture in presses:
+        dark = np.rint(picture * 0.8).astype(np.uint8)
+        motion, again = dots.motion(picture), dots.motion(match_light(dark, rest).undo(dark))
+        both = (motion[2] > 0) & (again[2] > 0)
+        assert both.sum() > 0.9 * motion[2].sum()
+        assert np.abs(motion[:2] - again[:2])[:, both].mean() < 0.05
+
+
+@pytest.mark.parametrize("picture", [np.zeros((240, 320, 3), np.uint8), np.full((240, 320, 3), 130, np.uint8)])
+def test_a_gel_without_print_has_no_dots(picture):
+    dots = PrintedDots(picture)
+    assert not dots.known and not dots.motion(picture).any()
+
+
+def law(motion: np.ndarray) -> np.ndarray:
+    """Totals that dots tell: sideways by their mean motion, along the normal by how far they spread from the middle."""
+    col, row = np.meshgrid(np.arange(COLS) - COLS // 2, np.arange(ROWS) - ROWS // 2)
+    spread = (motion[:, 0] * col + motion[:, 1] * row).mean(axis=(1, 2))
+    return np.column_stack([motion[:, 0].mean((1, 2)), motion[:, 1].mean((1, 2)), -5.0 * spread])
+
+
+@pytest.fixture(scope="module")
+def lawful():
+    rng = np.random.default_rng(3)
+    col, row = np.meshgrid(np.arange(COLS) - COLS // 2, np.arange(ROWS) - ROWS // 2)
+    drag, spread = rng.normal(0, 1, (400, 2, 1, 1)), rng.uniform(0, 0.5, (400, 1, 1))
+    motion = np.stack([drag[:, 0] + spread * col, drag[:, 1] + spread * row, np.ones((400, ROWS, COLS))], axis=1)
+    motion = motion.astype(np.float32)
+    totals = np.repeat(law(motion)[:, None], len(VIEWS), axis=1)
+    return DotPresses(motion, np.ones((400, len(VIEWS), ROWS, COLS), bool), totals)
+
+
+def test_a_reader_learns_what_dots_tell(lawful):
+    reader = train_dot_reader(lawful, 25, 0)
+    off = np.abs(reader.totals(lawful.motion) - lawful.totals[:, 0]).mean(axis=0)
+    assert (off < 0.15 * np.abs(lawful.totals[:, 0]).mean(axis=0)).all()
+
+
+def test_the_same_seed_trains_the_same_reader(lawful):
+    one, two, other = (train_dot_reader(lawful, 1, seed) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(one.totals(lawful.motion), two.totals(lawful.motion))
+    assert np.abs(one.totals(lawful.motion) - other.totals(lawful.motion)).max() > 1e-3
+
+
+def test_dots_that_did_not_move_tell_no_force():
+    """Whatever its weights, and whichever dots are found."""
+    motion = np.zeros((20, 3, ROWS, COLS), np.float32)
+    motion[:, 2] = np.random.default_rng(0).random((20, ROWS, COLS)) < 0.6
+    torch.manual_seed(5)
+    assert not DotReader().totals(motion).any()
+
+
+# -- both readers
+
+
+@given(seed=st.integers(0, 2**31), weight=st.lists(st.floats(0, 1), min_size=3, max_size=3))
+@settings(max_examples=50, deadline=None)
+def test_totals_meet_at_their_weighted_mean(seed, weight):
+    rng = np.random.default_rng(seed)
+    forces = rng.normal(0, 0.01, (3, 24, 32)).astype(np.float32)
+    forces[2, 6:18, 8:24] -= 0.1
+    total = forces.sum((1, 2), dtype=float)
+    by_dots = total * rng.uniform(0.7, 1.4, 3)
+    settled = settle(forces, by_dots, weight)
+    np.testing.assert_allclose(
+        settled.sum((1, 2), dtype=float), total + weight * (by_dots - total), rtol=1e-4, atol=1e-4
+    )
+    assert np.corrcoef(settled[2].ravel(), forces[2].ravel())[0, 1] > 0.9999  # the normal map keeps its shape
+
+
+def test_without_a_press_a_map_stays_what_it_is():
+    forces = np.full((3, 24, 32), 1e-5, np.float32)
+    assert settle(forces, np.array([1.0, 1.0, -5.0]), [0.5, 0.5, 0.5]) is forces
+
+
+def test_the_better_reader_has_more_say_and_a_contradiction_is_told():
+    rng = np.random.default_rng(2)
+    true = rng.uniform(-1, 1, (400, 3)) * [2, 2, 30]
+    good, poor = true + rng.normal(0, 0.1, true.shape), true + rng.normal(0, 0.5, true.shape)
+    told = meet(poor, good, true)
+    assert min(told["weight"]) > 0.8 > 0.2 > max(meet(good, poor, true)["weight"])
+    assert set(told["apart"]) == set(CHANNELS)
+    usual = [dots_fault(told["apart"], a, b) for a, b in zip(poor, good, strict=True)]
+    assert np.mean([bool(fault) for fault in usual]) < 0.01
+    fault = dots_fault(told["apart"], np.array([0.0, 0.0, -20.0]), np.array([0.0, 0.0, -5.0]))
+    assert fault == "its dots tell grid_z -5.0 N, its brightness -20.0 N"
+
+
+@pytest.fixture(scope="module")
+def with_dots():
+    shipped = load_for_use(None)
+    torch.manual_seed(0)
+    about = shipped.about | {"dots": {"weight": [0.5] * 3, "apart": {name: [0.1, 0.1] for name in CHANNELS}}}
+    return Trained(shipped.net, about, shipped.untouched, DotReader().eval())
+
+
+def test_a_model_file_keeps_its_reader_of_dots(with_dots, lawful, tmp_path):
+    save_model(tmp_path / "m.pt", with_dots)
+    again = load_model(tmp_path / "m.pt")
+    np.testing.assert_array_equal(again.dots.totals(lawful.motion), with_dots.dots.totals(lawful.motion))
+    assert again.about["dots"]["weight"] == [0.5] * 3
+
+
+@pytest.mark.parametrize(
+    ("spoil", "told"),
+    [
+        (lambda parts: parts["dots"].pop("scale"), "the tensors do not fit"),
+        (lambda parts: parts["dots"]["scale"].fill_(2.0), "not those that were trained"),
+        (lambda parts: parts["dots"]["scale"].fill_(float("nan")), "holds NaN or infinity"),
+        (lambda parts: parts.pop("dots"), "the tensors do not fit"),
+    ],
+)
+def test_a_damaged_reader_of_dots_is_refused(with_dots, tmp_path, spoil, told):
+    path = tmp_path / "m.pt"
+    save_model(path, with_dots)
+    parts = torch.load(path, weights_only=True)
+    spoil(parts)
+    torch.save(parts, path)
+    with pytest.raises(BadInput, match=f"dots: .*{told}"):
+        load_model(path)
