@@ -54,6 +54,11 @@ def test_folders_use_only_what_they_may():
     assert wrong == []
 
 
+def test_no_stage_uses_a_command():
+    """What both need is a library."""
+    assert [path.name for path in (PACKAGE / "stages").rglob("*.py") if "commands" in folders_used(path)] == []
+
+
 def test_the_face_of_the_package_stands_on_libraries_alone():
     assert [path.name for path in PACKAGE.glob("*.py") if folders_used(path) & ON_TOP] == []
 

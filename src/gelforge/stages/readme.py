@@ -40,9 +40,9 @@ def hardest_frames(film: Path, trained, count: int = SHOWN):
     """(image, forces) of a film's frames with the largest force, one each third of it."""
     import cv2
 
-    from gelforge.commands.live import frames, open_source
     from gelforge.networks.still import find_untouched
     from gelforge.networks.use import Untouched, predict_one
+    from gelforge.records.film import frames, open_source
 
     source, announced = open_source(film, None)
     seen = (cv2.cvtColor(frame, cv2.COLOR_BGR2RGB) for frame in frames(source, announced, str(film), None))

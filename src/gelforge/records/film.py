@@ -1,0 +1,45 @@
+"""Frames of a camera or a video file."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gelforge.errors import BadInput
+
+
+def open_source(video: Path | None, camera: int | None) -> tuple[Any, int]:
+    """Open a video file or a camera; return OpenCV's capture and the frames announced, 0 if unknown."""
+    import cv2
+
+    if video is not None and not video.is_file():
+        raise BadInput(f"{video}: no such video")
+    source = cv2.VideoCapture(str(video)) if camera is None else cv2.VideoCapture(camera)
+    if not source.isOpened():
+        what = (
+            f"{video}: cannot be opened as a video; convert it to AVI or MP4"
+            if video is not None
+            else (f"camera {camera} cannot be opened; `ls /dev/video*` lists those there are")
+        )
+        raise BadInput(what)
+    return source, int(max(0, source.get(cv2.CAP_PROP_FRAME_COUNT))) if video is not None else 0
+
+
+def frames(source: Any, announced: int, name: str, limit: int | None) -> Iterator[np.ndarray]:
+    """Yield frames (h, w, 3) BGR until the source or `limit` ends; BadInput if it ends before it should."""
+    count = 0
+    while limit is None or count < limit:
+        good, frame = source.read()
+        if not good:
+            break
+        count += 1
+        yield frame
+    expected = min(announced, limit) if limit is not None else announced
+    if count == 0 or count < expected:
+        raise BadInput(
+            f"{name}: ended after {count} of {expected or 'an unknown number of'} frames; the file is cut "
+            f"short or damaged: use --frames {count} to take what there is"
+            if count
+            else f"{name}: holds no frame that can be decoded"
+        )
