@@ -13,6 +13,7 @@ from gelforge.networks.agreement import dots_fault, meet, settle
 from gelforge.networks.canonical import match_light
 from gelforge.networks.dotreader import VIEWS, DotPresses, DotReader, train_dot_reader
 from gelforge.networks.dots import COLS, ROWS, PrintedDots
+from gelforge.networks.modelcard import dot_lines
 from gelforge.networks.modelfile import Trained, load_model, save_model
 from gelforge.networks.use import load_for_use
 from gelforge.records.axes import CHANNELS
@@ -183,3 +184,8 @@ def test_a_damaged_reader_of_dots_is_refused(with_dots, tmp_path, spoil, told):
     torch.save(parts, path)
     with pytest.raises(BadInput, match=f"dots: .*{told}"):
         load_model(path)
+
+
+def test_the_card_says_how_much_dots_have_to_say():
+    assert "50 % / 25 % / 100 % (grid_x / grid_y / grid_z)" in dot_lines({"dots": {"weight": [0.5, 0.25, 1.0]}})[0]
+    assert dot_lines({}) == []

@@ -39,6 +39,18 @@ def interval_lines(about: dict) -> list[str]:
     ]
 
 
+def dot_lines(about: dict) -> list[str]:
+    """How much the reader of dots has to say, where the model has one."""
+    if not about.get("dots"):
+        return []
+    shares = " / ".join(f"{100 * weight:.0f} %" for weight in about["dots"]["weight"])
+    return [
+        "- A second network reads total force from the motion of the printed dots alone, which light cannot move. In `predict`,"
+        f" `live` and `gelforge.Reader` totals are the mean of both, in which it has {shares} ({' / '.join(CHANNELS)}); the"
+        " tables of splits below are of the first network alone.",
+    ]
+
+
 def error_rows(evaluation: dict) -> list[list[str]]:
     """One row per split: count, total MAE with its interval and per-cell MAE."""
     rows = []
@@ -99,6 +111,7 @@ def write_card(about: dict, evaluation: dict, figures: list[dict] | None = None)
         f"- Data: {data['name']}, version {data['version']}; images: {samples}.",
         f"- Training: best of {len(about['curve'])} epochs was {about['best_epoch']}; {listing(about['train'])}.",
         *interval_lines(about),
+        *dot_lines(about),
         f"- {AXIS_NOTE}",
         "",
         "## Error of total force (mean absolute, N; 95 % interval over presses) and per cell",
