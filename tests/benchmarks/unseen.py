@@ -21,12 +21,11 @@ from gelforge.mechanics.hex.hexsolver import HexSolver
 from gelforge.mechanics.hex.settings import quality
 from gelforge.mechanics.scene import REFERENCE_C10, Interface, Material, Scene
 from gelforge.networks.canonical import match_light
+from gelforge.networks.dots import PrintedDots
 from gelforge.networks.intervals import half_widths
-from gelforge.networks.placement import follow_dots
 from gelforge.networks.sensorprofile import fit_gain
 from gelforge.networks.use import Untouched, load_for_use, predict_one
 from gelforge.records.axes import AXIS_OF_CHANNEL, CHANNELS
-from gelforge.records.markers import find_blobs
 from gelforge.stages.rig import units_of
 from gelforge.virtualrig.bench import Bench
 from gelforge.virtualrig.fields import field_of, surface_of
@@ -132,15 +131,15 @@ def by_dots_figures(units: Units, trained) -> list[Figure]:
     true = np.array([seen.total for seen in units.seen])
     for seen in units.seen:
         rest = units.untouched[seen.unit]
-        dots = find_blobs(rest)[0]
-        lost = dots[rng.permutation(len(dots))[:WORN]]
-        grey = cv2.cvtColor(rest, cv2.COLOR_RGB2GRAY)
-        there = follow_dots(grey, lost, match_light(seen.image, rest).undo(seen.image)) + 0.5
+        dots = PrintedDots(rest)
+        lost = rng.permutation(len(dots.points))[:WORN]
+        motion = dots.follow(match_light(seen.image, rest).undo(seen.image)).motion[lost]
+        there = dots.points[lost] + np.where(np.isfinite(motion), motion, 0.0)
         verdict = predict_one(Untouched(trained, rest), seen.image)
         alone.append(verdict[2]["by_dots"] if verdict[2]["by_dots"] is not None else np.full(3, np.nan))
         whole.append(verdict[1].sum((1, 2), dtype=float))
-        bare = Untouched(trained, wiped(rest, lost))
-        worn.append(totals(bare, wiped(seen.image, np.where(np.isfinite(there), there, lost))))
+        bare = Untouched(trained, wiped(rest, dots.points[lost]))
+        worn.append(totals(bare, wiped(seen.image, there)))
     off, with_all, without = (np.abs(np.array(read) - true).mean(axis=0) for read in (alone, whole, worn))
     told = ", ".join(f"{name} {value:.2f}" for name, value in zip(CHANNELS, off, strict=True))
     figures = [] if np.isnan(off).any() else [

@@ -4,8 +4,16 @@ import cv2
 import numpy as np
 import pytest
 
-from gelforge.networks.placement import RestingDots
-from gelforge.networks.statistics import MARGIN, pair_evidence, pair_fault, pair_limits, relief, relief_fault
+from gelforge.networks.dots import PrintedDots
+from gelforge.networks.statistics import (
+    MARGIN,
+    pair_evidence,
+    pair_fault,
+    pair_limits,
+    relief,
+    relief_fault,
+    rim_evidence,
+)
 from gelforge.records.image import read_image
 from gelforge.records.log import read_presses
 from tests.pictures import moved
@@ -25,7 +33,7 @@ def presses(root):
 
 @pytest.fixture(scope="module")
 def limits(rest, presses):
-    dots = {name: RestingDots(picture) for name, picture in rest.items()}
+    dots = {name: PrintedDots(picture) for name, picture in rest.items()}
     return pair_limits([pair_evidence(image, rest[name], dots[name]) for name, image, _ in presses])
 
 
@@ -39,7 +47,7 @@ DAMAGE = {
 
 def test_good_pairs_are_good(rest, presses, limits):
     faults = [
-        pair_fault(limits, pair_evidence(image, rest[name], RestingDots(rest[name]))) for name, image, _ in presses
+        pair_fault(limits, pair_evidence(image, rest[name], PrintedDots(rest[name]))) for name, image, _ in presses
     ]
     assert sum(map(bool, faults)) <= 0.05 * len(faults)
 
@@ -48,7 +56,7 @@ def test_good_pairs_are_good(rest, presses, limits):
 def test_what_happened_to_a_picture_is_named(rest, presses, limits, what):
     damage, named = DAMAGE[what]
     faults = [
-        pair_fault(limits, pair_evidence(damage(image), rest[name], RestingDots(rest[name])))
+        pair_fault(limits, pair_evidence(damage(image), rest[name], PrintedDots(rest[name])))
         for name, image, _ in presses
     ]
     seen = [fault for fault in faults if fault]
@@ -59,7 +67,7 @@ def test_what_happened_to_a_picture_is_named(rest, presses, limits, what):
 def test_the_picture_of_another_unit_is_no_untouched_picture(rest, presses, limits):
     other = {"mini_a": "mini_e", "mini_e": "mini_a"}
     faults = [
-        pair_fault(limits, pair_evidence(image, rest[other[name]], RestingDots(rest[other[name]])))
+        pair_fault(limits, pair_evidence(image, rest[other[name]], PrintedDots(rest[other[name]])))
         for name, image, _ in presses
     ]
     assert sum(map(bool, faults)) >= 0.9 * len(faults)
@@ -81,10 +89,10 @@ def test_light_alone_is_no_relief_and_no_fault(rest, presses, limits):
         assert relief(dimmer) == pytest.approx(0.9 * relief(picture), rel=0.1)
     name, image, _ = presses[0]
     dimmer = np.clip(np.rint(0.93 * image), 0, 255).astype(np.uint8)
-    assert pair_fault(limits, pair_evidence(dimmer, rest[name], RestingDots(rest[name]))) == ""
+    assert pair_fault(limits, pair_evidence(dimmer, rest[name], PrintedDots(rest[name]))) == ""
 
 
 def test_a_picture_without_dots_has_no_rim_to_look_at():
     grey = np.full((240, 320, 3), 128, np.uint8)
-    assert RestingDots(grey).glance(grey) == (0.0, 0.0)
+    assert rim_evidence(PrintedDots(grey), PrintedDots(grey).follow(grey)) == (0.0, 0.0)
     assert relief(grey) < 1.0 and MARGIN > 1.0

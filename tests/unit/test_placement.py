@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from gelforge.commands.predict import place_sitting
 from gelforge.networks.canonical import match_light
-from gelforge.networks.placement import LEAST_SHIFT, LEAST_TURN, LEAST_ZOOM, RestingDots, common_motion
+from gelforge.networks.dots import PrintedDots
+from gelforge.networks.placement import LEAST_SHIFT, LEAST_TURN, LEAST_ZOOM, common_motion, place, place_alone
 from gelforge.networks.use import UNPLACED, Untouched, load_for_use, predict_one
 from gelforge.records.image import read_image
 from tests.pictures import moved
@@ -34,16 +35,26 @@ def presses(root):
     return rest, [(name, match_light(image, rest[name]).undo(image)) for name, image in rows]
 
 
+def put(dots, *images):
+    """Placement of pictures of one sitting."""
+    return place(dots, [dots.follow(image) for image in images])
+
+
+def put_alone(dots, image):
+    """Placement of a picture by itself."""
+    return place_alone(dots, dots.follow(image))
+
+
 @given(st.sampled_from(SENSORS), st.floats(-10, 10), st.floats(-10, 10), st.floats(-3, 3), st.floats(0.94, 1.06))
 @settings(max_examples=30, deadline=None)
 def test_what_was_moved_is_found(presses, name, u, v, turn, zoom):
     """On an untouched gel, wherever the dots stay in the picture, each part beyond what contact makes is found."""
     rest = presses[0][name]
-    middle = np.array(rest.shape[1::-1]) / 2
+    resting, middle = PrintedDots(rest), np.array(rest.shape[1::-1]) / 2
     rotation = np.exp(1j * np.radians(turn)) * zoom
-    points = (RestingDots(rest).dots - middle) @ np.array([1.0, 1j]) * rotation + complex(u, v)
+    points = (resting.points[resting.rim] - middle) @ np.array([1.0, 1j]) * rotation + complex(u, v)
     assume((np.abs(np.column_stack([points.real, points.imag])) < middle - INSIDE).all())
-    placed = RestingDots(rest).place([moved(rest, (u, v), turn, zoom)])
+    placed = put(resting, moved(rest, (u, v), turn, zoom))
     assert placed.known
     if np.hypot(u, v) > 1.2 * LEAST_SHIFT:
         assert np.hypot(*(placed.shift - (u, v))) < 0.2
@@ -56,27 +67,27 @@ def test_what_was_moved_is_found(presses, name, u, v, turn, zoom):
 def test_contact_alone_moves_no_picture(presses):
     """No press of a gel that sat still is taken for a gel that moved, so its forces stay what they were."""
     rest, pictures = presses
-    dots = {name: RestingDots(picture) for name, picture in rest.items()}
+    dots = {name: PrintedDots(picture) for name, picture in rest.items()}
     for name, picture in pictures:
-        assert dots[name].place([picture]).undo(picture) is picture
+        assert put(dots[name], picture).undo(picture) is picture
 
 
 def test_a_single_picture_is_moved_where_it_is_beyond_doubt(presses):
     """Of presses shifted by 5 px some are found by themselves, and those are found well; none that sat still is moved."""
     rest, pictures = presses
-    dots = {name: RestingDots(picture) for name, picture in rest.items()}
-    found = [dots[name].place_alone(moved(picture, (4.0, -3.0))) for name, picture in pictures]
+    dots = {name: PrintedDots(picture) for name, picture in rest.items()}
+    found = [put_alone(dots[name], moved(picture, (4.0, -3.0))) for name, picture in pictures]
     told = [placed for placed in found if placed.told]
     assert 0.3 * len(found) < len(told)
     assert max(np.hypot(*(placed.shift - (4.0, -3.0))) for placed in told) < 0.7 * LEAST_SHIFT
-    assert not any(dots[name].place_alone(picture).told for name, picture in pictures)
+    assert not any(put_alone(dots[name], picture).told for name, picture in pictures)
 
 
 def test_a_shift_is_found_beside_contact(presses):
     """Where the rim tells it, as for most presses, a shift is found as well as contact at the rim lets it."""
     rest, pictures = presses
-    dots = {name: RestingDots(picture) for name, picture in rest.items()}
-    found = [dots[name].place([moved(picture, (4.0, -3.0))]) for name, picture in pictures]
+    dots = {name: PrintedDots(picture) for name, picture in rest.items()}
+    found = [put(dots[name], moved(picture, (4.0, -3.0))) for name, picture in pictures]
     told = [placed for placed in found if placed.known]
     assert len(told) > 0.7 * len(found)
     assert max(np.hypot(*(placed.shift - (4.0, -3.0))) for placed in told) < LEAST_SHIFT
@@ -86,10 +97,10 @@ def test_a_sitting_tells_more_than_a_press(presses):
     """Over all presses of a sensor the shift is found to half of what the worst single one tells."""
     rest, pictures = presses
     for name, untouched in rest.items():
-        dots = RestingDots(untouched)
+        dots = PrintedDots(untouched)
         seen = [moved(picture, (4.0, -3.0)) for sensor, picture in pictures if sensor == name]
-        together = dots.place(seen)
-        alone = [np.hypot(*(one.shift - (4.0, -3.0))) for one in (dots.place([image]) for image in seen) if one.known]
+        together = put(dots, *seen)
+        alone = [np.hypot(*(one.shift - (4.0, -3.0))) for one in (put(dots, image) for image in seen) if one.known]
         assert together.known
         assert np.hypot(*(together.shift - (4.0, -3.0))) < 0.5 * max(alone)
 
@@ -151,5 +162,5 @@ def test_a_picture_with_too_few_dots_is_left_as_it_is(few):
     picture = np.full((240, 320, 3), 120, np.uint8)
     for k in range(few):
         cv2.circle(picture, (60 + 80 * k, 120), 5, (30, 30, 30), -1)
-    placed = RestingDots(picture).place([picture])
+    placed = put(PrintedDots(picture), picture)
     assert not placed.known and placed.undo(picture) is picture

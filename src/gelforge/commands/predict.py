@@ -18,7 +18,7 @@ import numpy as np
 from gelforge.errors import BadInput, printable
 from gelforge.flow.files import publish, write_csv
 from gelforge.flow.main import command, option, positive
-from gelforge.networks.placement import Placement, RestingDots
+from gelforge.networks.placement import Placement, place
 from gelforge.networks.sensorprofile import untouched_of
 from gelforge.networks.use import Untouched, fit_size, load_for_use, predict_one
 from gelforge.records.axes import CHANNELS
@@ -88,10 +88,9 @@ def place_sitting(untouched: Untouched, images) -> Placement | None:
     """How pictures of one sitting, of any size, lie on the untouched one a user gave; None where none was given."""
     if untouched.known.get("given") is None:
         return None
-    picture = untouched.picture("given")
+    dots = untouched.dots("given")
     sized = [fit_size(image, untouched.trained.about["image"])[0] for image in images]
-    lit = [untouched.canonical(image, "given")[0] for image in sized]
-    return RestingDots(picture).place(lit)
+    return place(dots, [dots.follow(untouched.canonical(image, "given")[0]) for image in sized])
 
 
 def predict_files(paths, untouched: Untouched, out: Path) -> list[dict]:

@@ -66,12 +66,8 @@ def motions(data, rows: np.ndarray) -> np.ndarray:
     """Motion of the dots (k, 3, ROWS, COLS) in the pictures of some rows of a dataset (networks.data.Data)."""
     dots = {name: PrintedDots(picture) for name, picture in data.nocontact.items()}
     names = data.names("sensor_id")[rows]
-    return np.stack(
-        [
-            dots[name].motion(np.ascontiguousarray(data.seen([row], "pair")[0, ..., :3]))
-            for row, name in zip(rows, names, strict=True)
-        ]
-    )
+    lit = (np.ascontiguousarray(data.seen([row], "pair")[0, ..., :3]) for row in rows)
+    return np.stack([dots[name].on_lattice(dots[name].follow(image)) for image, name in zip(lit, names, strict=True)])
 
 
 def dot_presses(data, rows: np.ndarray) -> DotPresses:

@@ -10,17 +10,11 @@ but each by something else, and what is taken back of that is sideways force.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from gelforge.records.markers import find_blobs, print_pitch
+from gelforge.networks.dots import Followed, PrintedDots
 
-WINDOW, LEVELS = (21, 21), 3  # of the pyramid in which dots are followed: it reaches about 40 px
-GLANCE = (15, 15)  # px around a dot that are looked for in a hurry
-UNLIKE = 12.0  # levels by which these may differ on average
-HOME = 0.5  # px by which a dot that is followed there and back may miss its start
-RIM = 0.8  # pitches from the outermost dots inwards that still are the rim
 AGREES = 1.2  # px by which a rim dot may stand off the common motion
 LEAST_A_SIDE = 2  # dots that must agree on each of the four sides
 LEAST_SEEN = 0.5  # of the pictures of a sitting in which a dot must be found
@@ -81,69 +75,24 @@ def unmoved(residual: float, agreeing: int, known: bool) -> Placement:
     return Placement(UNMOVED, np.zeros(2), 0.0, 1.0, residual, agreeing, known)
 
 
-class RestingDots:
-    """Rim dots of an untouched picture (h, w, 3) uint8."""
-
-    def __init__(self, untouched: np.ndarray):
-        import cv2
-
-        dots, _ = find_blobs(untouched)
-        self.grey = cv2.cvtColor(untouched, cv2.COLOR_RGB2GRAY)
-        low, high = (dots.min(axis=0), dots.max(axis=0)) if len(dots) else (np.zeros(2), np.zeros(2))
-        reach = RIM * print_pitch(dots)
-        self.sides = np.column_stack([dots < low + reach, dots > high - reach])
-        rim = self.sides.any(axis=1)
-        self.dots, self.sides = dots[rim], self.sides[rim]
-
-    def place(self, images: Sequence[np.ndarray]) -> Placement:
-        """Placement of pictures (h, w, 3) uint8 of one sitting, in light and size like the untouched one."""
-        if not images or self.sides.sum(axis=0).min(initial=LEAST_A_SIDE) < LEAST_A_SIDE:
-            return unmoved(0.0, 0, False)
-        ends = np.array([follow_dots(self.grey, self.dots, image) for image in images])
-        kept = np.isfinite(ends[..., 0]).mean(axis=0) >= LEAST_SEEN
-        end = np.full(self.dots.shape, np.nan)
-        end[kept] = np.nanmedian(ends[:, kept], axis=0)
-        middle = np.array(self.grey.shape[::-1]) / 2
-        return common_motion(self.dots - 0.5, end, kept, self.sides, middle)
-
-    def place_alone(self, image: np.ndarray) -> Placement:
-        """Placement of a single picture (h, w, 3) uint8, in light and size like the untouched one, where it is beyond doubt."""
-        found = self.place([image])
-        sure = found.agreeing >= SURE_SHARE * len(self.dots) and found.residual < SURE_RESIDUAL
-        return found if sure else unmoved(found.residual, found.agreeing, False)
-
-    def glance(self, image: np.ndarray) -> tuple[float, float]:
-        """How far half of the rim's dots have moved at least in a picture, px, and what share of them it does not show.
-
-        Quick and rough: a dot counts as lost where its surroundings do not look as they did.
-        """
-        import cv2
-
-        if not len(self.dots):
-            return 0.0, 0.0
-        nothing: Any = None
-        grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-        start = (self.dots - 0.5).astype(np.float32).reshape(-1, 1, 2)
-        found, seen, unlike = cv2.calcOpticalFlowPyrLK(self.grey, grey, start, nothing, winSize=GLANCE, maxLevel=1)
-        moved = np.hypot(*(found - start).reshape(-1, 2).T)
-        lost = (seen.ravel() == 0) | (unlike.ravel() > UNLIKE)
-        return float(np.median(moved)), float(lost.mean())
+def place(dots: PrintedDots, sitting: Sequence[Followed]) -> Placement:
+    """Placement of pictures of one sitting on the untouched one, by what its dots did in each of them."""
+    rim = dots.rim
+    if not sitting or dots.sides.sum(axis=0).min(initial=LEAST_A_SIDE) < LEAST_A_SIDE:
+        return unmoved(0.0, 0, False)
+    motion = np.array([followed.motion[rim] for followed in sitting])
+    kept = np.isfinite(motion[..., 0]).mean(axis=0) >= LEAST_SEEN
+    end = np.full((int(rim.sum()), 2), np.nan)
+    end[kept] = dots.points[rim][kept] + np.nanmedian(motion[:, kept], axis=0)
+    middle = np.array(dots.grey.shape[::-1]) / 2
+    return common_motion(dots.points[rim], end, kept, dots.sides[rim], middle)
 
 
-def follow_dots(rest: np.ndarray, dots: np.ndarray, image: np.ndarray) -> np.ndarray:
-    """Where dots (n, 2) px of a grey picture at rest are in an image (h, w, 3) uint8, (n, 2) px as OpenCV counts them.
-
-    NaN for one that, followed back, does not come home.
-    """
-    import cv2
-
-    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-    nothing: Any = None  # no guess; OpenCV's types know no None here
-    start = (dots - 0.5).astype(np.float32).reshape(-1, 1, 2)
-    found, seen, _ = cv2.calcOpticalFlowPyrLK(rest, grey, start, nothing, winSize=WINDOW, maxLevel=LEVELS)
-    back, _, _ = cv2.calcOpticalFlowPyrLK(grey, rest, found, nothing, winSize=WINDOW, maxLevel=LEVELS)
-    kept = (seen.ravel() > 0) & (np.hypot(*(back - start).reshape(-1, 2).T) < HOME)
-    return np.where(kept[:, None], found.reshape(-1, 2).astype(float), np.nan)
+def place_alone(dots: PrintedDots, followed: Followed) -> Placement:
+    """Placement of a single picture, where it is beyond doubt."""
+    found = place(dots, [followed])
+    sure = found.agreeing >= SURE_SHARE * dots.rim.sum() and found.residual < SURE_RESIDUAL
+    return found if sure else unmoved(found.residual, found.agreeing, False)
 
 
 def common_motion(start, end, kept, sides, middle) -> Placement:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gelforge.networks.canonical import Light, match_light
-from gelforge.networks.placement import RestingDots
+from gelforge.networks.dots import Followed, PrintedDots
 from gelforge.records.markers import find_blobs
 
 # Smallest standard deviation that a statistic is given, so that a uniform training set does not flag
@@ -143,15 +143,25 @@ class PairEvidence:
     rim_lost: float = 0.0
 
 
-def pair_evidence(image, untouched, dots: RestingDots | None) -> PairEvidence:
+def pair_evidence(image, untouched, dots: PrintedDots | None) -> PairEvidence:
     """Evidence of a pair of pictures (h, w, 3) uint8 as a camera gave them; dots: of the untouched one."""
     light = match_light(image, untouched)
-    return evidence_of(light.undo(image), light, untouched, dots)
+    lit = light.undo(image)
+    return evidence_of(lit, light, untouched, *rim_evidence(dots, dots.follow(lit)) if dots else ())
 
 
-def evidence_of(lit, light: Light, untouched, dots: RestingDots | None) -> PairEvidence:
-    """The same of an image that was brought to the light of the untouched picture, and what was taken back."""
-    return PairEvidence(distance(lit, untouched), light, *(dots.glance(lit) if dots else (0.0, 0.0)))
+def evidence_of(lit, light: Light, untouched, rim_px: float = 0.0, rim_lost: float = 0.0) -> PairEvidence:
+    """The same of an image that was brought to the light of the untouched picture, and what its rim did."""
+    return PairEvidence(distance(lit, untouched), light, rim_px, rim_lost)
+
+
+def rim_evidence(dots: PrintedDots, followed: Followed) -> tuple[float, float]:
+    """How far half of the rim's dots have moved at least, px, and what share of them does not look as it did."""
+    rim = dots.rim
+    if not rim.any():
+        return 0.0, 0.0
+    moved = np.hypot(*followed.motion[rim & followed.found].T)
+    return float(np.median(moved)) if len(moved) else 0.0, float(followed.unlike[rim].mean())
 
 
 def pair_limits(found: Sequence[PairEvidence]) -> dict[str, float]:

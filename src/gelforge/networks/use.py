@@ -1,5 +1,6 @@
 """A trained network at work on one image: the model, the untouched sensor beside it, forces and a judgement."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -8,10 +9,18 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.networks.agreement import dots_fault, settle
 from gelforge.networks.canonical import WHOLE, Light, view_of
-from gelforge.networks.dots import PrintedDots
+from gelforge.networks.dots import Followed, PrintedDots
 from gelforge.networks.intervals import half_widths
-from gelforge.networks.placement import LEAST_SHIFT, Placement, RestingDots, unmoved
-from gelforge.networks.statistics import PairEvidence, distance, evidence_of, judge, relief, relief_fault
+from gelforge.networks.placement import LEAST_SHIFT, Placement, place_alone, unmoved
+from gelforge.networks.statistics import (
+    PairEvidence,
+    distance,
+    evidence_of,
+    judge,
+    relief,
+    relief_fault,
+    rim_evidence,
+)
 from gelforge.records.markers import pitch_of
 
 UNPLACED = unmoved(0.0, 0, True)
@@ -72,8 +81,7 @@ class Untouched:
             relief_fault(trained.about["statistics"], relief(self.known["given"])) if "given" in self.known else ""
         )
         self._pictures: dict[str, np.ndarray] = {}
-        self._dots: dict[str, RestingDots | None] = {}
-        self._printed: dict[str, PrintedDots] = {}
+        self._dots: dict[str, PrintedDots] = {}
         self._readers: dict[str, Any] = {}
         self._rest: dict[str, np.ndarray] = {}
 
@@ -94,38 +102,32 @@ class Untouched:
         seen = self.view.of(image)
         return self.view.match(seen if placement is None else placement.undo(seen), self.picture(name))
 
-    def dots(self, name: str) -> RestingDots | None:
-        """Rim dots of the picture of that name; None in a view that does not show the gel's rim."""
+    def dots(self, name: str) -> PrintedDots:
+        """Dots of the picture of that name at the network's scale."""
         if name not in self._dots:
-            self._dots[name] = RestingDots(self.known[name]) if self.view.zoom == 1.0 else None
+            self._dots[name] = PrintedDots(self.picture(name))
         return self._dots[name]
 
-    def pair(
-        self, image, name: str, placement: Placement | None = None
-    ) -> tuple[np.ndarray, PairEvidence, Placement]:
-        """A canonical image, what tells whether it and the picture of that name belong together, and how it was laid on it.
+    def pair(self, image, name: str, placement: Placement | None = None) -> "CanonicalPair":
+        """An image as the network reads it against the picture of that name.
 
-        placement: as its sitting tells it; None: as the image alone does, where its rim moved and nearly all of it alike.
+        placement: how it lies on that picture, as its sitting tells it; None: as the image alone does, where its rim moved
+        and nearly all of it alike. A view that does not show the gel's rim tells nothing of it.
         """
         lit, light = self.canonical(image, name, placement)
-        dots = self.dots(name)
-        found = evidence_of(lit, light, self.picture(name), dots)
-        if placement is not None or dots is None or found.rim_px <= LEAST_SHIFT:
-            return lit, found, placement or UNPLACED
-        placement = dots.place_alone(lit)
-        if not placement.told:
-            return lit, found, UNPLACED
-        lit, light = self.canonical(image, name, placement)  # dots that lay beside each other told of light, too
-        return lit, evidence_of(lit, light, self.picture(name), dots), placement
-
-    def by_dots(self, lit: np.ndarray, name: str) -> np.ndarray | None:
-        """Total force (3,) N that the dots of a canonical image tell by themselves; None where nothing reads them."""
-        if self.trained.dots is None:
-            return None
-        if name not in self._printed:
-            self._printed[name] = PrintedDots(self.picture(name))
-        dots = self._printed[name]
-        return self.trained.dots.totals(dots.motion(lit)[None])[0] if dots.known else None
+        dots, rest = self.dots(name), self.picture(name)
+        followed = dots.follow(lit)
+        if self.view.zoom != 1.0:
+            return CanonicalPair(lit, evidence_of(lit, light, rest), dots, followed, placement or UNPLACED)
+        rim = rim_evidence(dots, followed)
+        if placement is None and rim[0] > LEAST_SHIFT:
+            placement = place_alone(dots, followed)
+            if placement.told:
+                # dots that lay beside each other told of light, too
+                lit, light = self.canonical(image, name, placement)
+                followed = dots.follow(lit)
+                rim = rim_evidence(dots, followed)
+        return CanonicalPair(lit, evidence_of(lit, light, rest, *rim), dots, followed, placement or UNPLACED)
 
     def reader(self, name: str):
         """The network for the sensor of that picture."""
@@ -143,6 +145,27 @@ class Untouched:
         if name not in self._rest:
             self._rest[name] = predict_images(self.reader(name), self.picture(name)[None])[0]
         return self._rest[name]
+
+
+@dataclass(frozen=True)
+class CanonicalPair:
+    """An image as the network reads it beside an untouched picture, and what is known of how they belong together.
+
+    lit: (h, w, 3) uint8 in the light, at the scale and in the place of the untouched one. dots: of the untouched one, and
+    where the image has them. placement: what was put right in how the image lay.
+    """
+
+    lit: np.ndarray
+    evidence: PairEvidence
+    dots: PrintedDots
+    followed: Followed
+    placement: Placement
+
+    def by_dots(self, reader) -> np.ndarray | None:
+        """Total force (3,) N that the dots tell by themselves (networks.dotreader); None where nothing reads them."""
+        if reader is None or not self.dots.known:
+            return None
+        return reader.totals(self.dots.on_lattice(self.followed)[None])[0]
 
 
 def predict_one(
@@ -163,16 +186,15 @@ def predict_one(
     trained = untouched.trained
     image, resized = fit_size(image, trained.about["image"])
     name = untouched.of(image)
-    pair, placed, lit = None, UNPLACED, image
-    if trained.needs_untouched:
-        lit, pair, placed = untouched.pair(image, name, placement)
-    light = pair.light if pair else None
-    verdict = judge(trained.about["statistics"], lit, pair)
-    verdict |= {"untouched": name, "light": light, "placed": placed.told}
+    pair = untouched.pair(image, name, placement) if trained.needs_untouched else None
+    lit = pair.lit if pair else image
+    light = pair.evidence.light if pair else None
+    verdict = judge(trained.about["statistics"], lit, pair.evidence if pair else None)
+    verdict |= {"untouched": name, "light": light, "placed": pair.placement.told if pair else ""}
     forces = predict_images(untouched.reader(name), lit[None])[0]
     if trained.needs_untouched:
         forces = forces - untouched.rest(name)
-    by_dots, contradicted = untouched.by_dots(lit, name), ""
+    by_dots, contradicted = pair.by_dots(trained.dots) if pair else None, ""
     if by_dots is not None:
         contradicted = dots_fault(trained.about["dots"]["apart"], forces.sum((1, 2), dtype=float), by_dots)
         forces = settle(forces, by_dots, trained.about["dots"]["weight"])

@@ -143,12 +143,12 @@ def sights(data, reads: str, settings: TrainingTable) -> Callable[[int], np.ndar
 
 def good_pairs(data) -> dict[str, float]:
     """Limits of what validation's pairs are like (networks.statistics)."""
-    from gelforge.networks.placement import RestingDots
+    from gelforge.networks.dots import PrintedDots
     from gelforge.networks.statistics import RELIEF_MARGIN, pair_evidence, pair_limits, relief
 
     rows = data.splits["val"]
     names = data.names("sensor_id")[rows]
-    dots = {name: RestingDots(data.nocontact[name]) for name in sorted(set(names.tolist()))}
+    dots = {name: PrintedDots(data.nocontact[name]) for name in sorted(set(names.tolist()))}
     pairs = [
         pair_evidence(np.ascontiguousarray(data.images[row]), data.nocontact[name], dots[name])
         for row, name in zip(rows, names, strict=True)
