@@ -9,7 +9,19 @@ from gelforge.geometry.indenters import read_catalogue
 # FEATS' set-up files turn these by 180 degrees about z for its 0 degrees (indenterRotZ).
 HALF_TURN = ("triangle_10", "triangle_15", "triangle_20")
 # Shapes of the catalogue that are our own, beside the random solids.
-OWN = {"wire_2", "blade_14", "coin_16", "washer_12", "bolt_head", "key", "two_pegs"}
+OWN = {
+    "wire_2",
+    "blade_14",
+    "coin_16",
+    "washer_12",
+    "bolt_head",
+    "key",
+    "two_pegs",
+    "ball_40",
+    "ball_60",
+    "rod_30",
+    "rod_60",
+}
 CONTACT_MM = 3.0  # above the tip: presses go 2 mm deep
 
 
