@@ -18,6 +18,7 @@ from gelforge.networks.modelfile import Trained, load_model, save_model
 from gelforge.networks.use import load_for_use
 from gelforge.records.axes import CHANNELS
 from gelforge.records.image import read_image
+from gelforge.records.totals import TOTAL_COLUMNS, total_columns
 from tests.pictures import moved
 
 
@@ -193,3 +194,12 @@ def test_a_damaged_reader_of_dots_is_refused(with_dots, tmp_path, spoil, told):
 def test_the_card_says_how_much_dots_have_to_say():
     assert "50 % / 25 % / 100 % (grid_x / grid_y / grid_z)" in dot_lines({"dots": {"weight": [0.5, 0.25, 1.0]}})[0]
     assert dot_lines({}) == []
+
+
+def test_totals_are_written_with_what_is_known_of_them():
+    forces = np.zeros((3, 24, 32))
+    forces[:, 3, 4] = 0.5, -0.25, -7.0
+    row = total_columns(forces, np.array([0.1, 0.2, 0.3]), None)
+    assert tuple(row) == TOTAL_COLUMNS
+    assert [row[f"{name}_n"] for name in CHANNELS] == [0.5, -0.25, -7.0]
+    assert row["grid_z_half_width_n"] == 0.3 and row["grid_z_by_dots_n"] is None

@@ -26,7 +26,7 @@ def readings(untouched, frames, pace_s: float = 0.0) -> Iterator[Reading]:
         image, forces, verdict = predict_one(untouched, cv2.cvtColor(frame, cv2.COLOR_BGR2RGB))
         took = 1e3 * (time.perf_counter() - now)
         flag, half = bool(verdict["flag"]), verdict["half_width"]
-        yield Reading(number, now - started, image, forces, flag, verdict["reason"], took, half)
+        yield Reading(number, now - started, image, forces, flag, verdict["reason"], took, half, verdict["by_dots"])
 
 
 def ended(name: str, camera: bool, count: int) -> str:

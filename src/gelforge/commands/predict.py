@@ -23,14 +23,13 @@ from gelforge.networks.sensorprofile import untouched_of
 from gelforge.networks.use import Untouched, fit_size, load_for_use, predict_one
 from gelforge.records.axes import CHANNELS
 from gelforge.records.image import read_image
+from gelforge.records.totals import TOTAL_COLUMNS, total_columns
 
 # Pictures that tell how a gel sits: a single press may drag the whole rim, and would lose true sideways force.
 LEAST_SITTING = 4
 COLUMNS = [
     "image",
-    *(f"{name}_n" for name in CHANNELS),
-    *(f"{name}_half_width_n" for name in CHANNELS),
-    *(f"{name}_by_dots_n" for name in CHANNELS),
+    *TOTAL_COLUMNS,
     "untouched",
     "unlike_training",
     "flagged",
@@ -41,15 +40,10 @@ COLUMNS = [
 
 def totals_row(name: str, forces, verdict: dict) -> dict:
     """One row of totals.csv."""
-    columns = {"n": forces.sum((1, 2), dtype=np.float64), "half_width_n": verdict["half_width"]}
-    columns["by_dots_n"] = verdict["by_dots"]
+    totals = total_columns(forces, verdict["half_width"], verdict["by_dots"])
     return {
         "image": name,
-        **{
-            f"{channel}_{what}": "" if values is None else f"{values[k]:.4f}"
-            for what, values in columns.items()
-            for k, channel in enumerate(CHANNELS)
-        },
+        **{column: "" if value is None else f"{value:.4f}" for column, value in totals.items()},
         "untouched": verdict["untouched"],
         "unlike_training": f"{verdict['score']:.2f}",
         "flagged": int(verdict["flag"]),

@@ -15,12 +15,11 @@ from typing import TextIO
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.records.axes import CHANNELS
+from gelforge.records.totals import TOTAL_COLUMNS, total_columns
 from gelforge.reporting.parts import jpeg, pack
 
 WEB = Path(__file__).parent / "web"
-TOTALS = tuple(f"{channel}_n" for channel in CHANNELS)
-COLUMNS = ("frame", "time_s", *TOTALS, "flag", "reason", "ms")
+COLUMNS = ("frame", "time_s", *TOTAL_COLUMNS, "flag", "reason", "ms")
 NAME = re.compile(r"[0-9]{8}-[0-9]{6}(-[0-9]+)?")
 LOCAL = ("127.0.0.1", "localhost", "[::1]")
 QUIET_S = 5.0  # without a reading a page is sent a comment, so that one that left is noticed
@@ -30,7 +29,8 @@ QUIET_S = 5.0  # without a reading a page is sent a comment, so that one that le
 class Reading:
     """One frame: image (h, w, 3) uint8 RGB, forces (3, rows, cols) N per cell, how unlike training it is, and its cost.
 
-    half_width: (3,) N, half of the 90 % interval of the totals, or none where it is not known.
+    half_width: (3,) N, half of the 90 % interval of the totals; by_dots: (3,) N, what the dots tell by themselves; none
+    where it is not known.
     """
 
     frame: int
@@ -41,13 +41,13 @@ class Reading:
     reason: str
     ms: float
     half_width: np.ndarray | None = None
+    by_dots: np.ndarray | None = None
 
     def row(self) -> dict:
         """Totals and judgement as one row."""
-        totals = self.forces.sum((1, 2), dtype=np.float64)
         return {
             "frame": self.frame, "time_s": round(self.time_s, 4),
-            **{name: round(float(total), 4) for name, total in zip(TOTALS, totals, strict=True)},
+            **total_columns(self.forces, self.half_width, self.by_dots),
             "flag": bool(self.flag), "reason": self.reason, "ms": round(self.ms, 2),
         }  # fmt: skip
 
