@@ -1,24 +1,29 @@
 """The reader of dots: what it is given, what it makes of it, and how its totals meet those of the pictures' network."""
 
 import csv
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from parameters import with_values
+from synthetic_presses import SETTINGS, write_dataset
 
 from gelforge.errors import BadInput
 from gelforge.networks.agreement import dots_fault, meet, settle
 from gelforge.networks.canonical import match_light
+from gelforge.networks.data import open_data
 from gelforge.networks.dotreader import VIEWS, DotPresses, DotReader, train_dot_reader
 from gelforge.networks.dots import COLS, ROWS, PrintedDots
 from gelforge.networks.modelcard import dot_lines
 from gelforge.networks.modelfile import Trained, load_model, save_model
-from gelforge.networks.use import load_for_use
+from gelforge.networks.use import Untouched, load_for_use, predict_one
 from gelforge.records.axes import CHANNELS
 from gelforge.records.image import read_image
 from gelforge.records.totals import TOTAL_COLUMNS, total_columns
+from gelforge.stages.train import train
 from tests.pictures import moved
 
 
@@ -203,3 +208,32 @@ def test_totals_are_written_with_what_is_known_of_them():
     assert tuple(row) == TOTAL_COLUMNS
     assert [row[f"{name}_n"] for name in CHANNELS] == [0.5, -0.25, -7.0]
     assert row["grid_z_half_width_n"] == 0.3 and row["grid_z_by_dots_n"] is None
+
+
+@pytest.fixture(scope="module")
+def trained(rest, presses, tmp_path_factory):
+    """A network of pairs and its reader of dots, after hardly any training on pictures that have dots."""
+    data = open_data(write_dataset(tmp_path_factory.mktemp("dataset") / "24x32", 24, rest.shape[:2], (24, 32)))
+    pictures = np.stack([presses[k % len(presses)] for k in range(len(data.images))])
+    seen = replace(data, images=pictures, nocontact=dict.fromkeys(data.nocontact, rest))
+    settings_ = with_values(SETTINGS, epochs=1, dot_epochs=2)
+    return train(seen, "pair", {"kind": "grid", "width": 8, "blocks": 1, "reads": "pair"}, settings_)
+
+
+def test_training_leaves_a_reader_of_dots_beside_the_network(trained, rest, presses):
+    assert trained.dots is not None
+    weight = np.array(trained.about["dots"]["weight"])
+    for picture in presses[:3]:
+        untouched = Untouched(trained, rest)
+        _, forces, verdict = predict_one(untouched, picture)
+        alone = Untouched(replace(trained, dots=None), rest)
+        _, bare, _ = predict_one(alone, picture)
+        wanted = settle(bare, verdict["by_dots"], weight.tolist())
+        np.testing.assert_allclose(forces, wanted, rtol=1e-5, atol=1e-7)
+
+
+def test_no_reader_of_dots_is_trained_where_there_are_none(tmp_path):
+    data = open_data(write_dataset(tmp_path / "6x8", 24, (48, 64), (6, 8)))
+    data = replace(data, nocontact=dict.fromkeys(data.nocontact, np.full((48, 64, 3), 120, np.uint8)))
+    model = {"kind": "grid", "width": 8, "blocks": 1, "reads": "pair"}
+    assert train(data, "pair", model, with_values(SETTINGS, epochs=1, dot_epochs=2)).dots is None
