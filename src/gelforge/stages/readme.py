@@ -37,7 +37,7 @@ def outdated(picture: Path) -> list[str]:
 
 
 def hardest_frames(film: Path, trained, count: int = SHOWN):
-    """(image, forces) of a film's frames with the largest force, one each third of it."""
+    """(image, forces) of a film's frames with the largest force, one each third of it, as far as the camera sees."""
     import cv2
 
     from gelforge.networks.still import find_untouched
@@ -50,7 +50,18 @@ def hardest_frames(film: Path, trained, count: int = SHOWN):
     untouched = Untouched(trained, picture)
     read = [predict_one(untouched, image)[:2] for image in images]
     parts = np.array_split(np.arange(len(read)), count)
-    return [max((read[at] for at in part), key=lambda pair: -pair[1][2].sum()) for part in parts if len(part)]
+    hardest = [max((read[at] for at in part), key=lambda pair: -pair[1][2].sum()) for part in parts if len(part)]
+    return [shown(image, forces, untouched.view) for image, forces in hardest]
+
+
+def shown(image: np.ndarray, forces: np.ndarray, view) -> tuple[np.ndarray, np.ndarray]:
+    """The part of an image (h, w, 3) and of its forces (3, rows, cols) that a view shows (networks.canonical.View)."""
+    pixels = view.shown(image.shape)
+    cells = tuple(
+        slice(round(part.start * count / size), round(part.stop * count / size))
+        for part, count, size in zip(pixels, forces.shape[1:], image.shape, strict=False)
+    )
+    return image[pixels], forces[(slice(None), *cells)]
 
 
 @command(option("films", nargs="+", type=Path), option("--out", type=Path))
@@ -64,11 +75,12 @@ def real(args: Namespace) -> None:
         rows.append(hardest_frames(film, trained))
     figure, axes = canvas_with_axes(len(rows), 2 * SHOWN, 12, 1.6 * len(rows) + 0.3)
     for line, pairs in zip(axes, rows, strict=True):
+        most = max(float(-forces[2].min()) for _, forces in pairs)  # one scale for the frames of a film
         for axis in line:
             axis.set_axis_off()
         for k, (image, forces) in enumerate(pairs):
             line[2 * k].imshow(image)
-            line[2 * k + 1].imshow(-forces[2], cmap="inferno", vmin=0)
+            line[2 * k + 1].imshow(-forces[2], cmap="inferno", vmin=0, vmax=most)
             line[2 * k + 1].set_title(f"{-forces[2].sum():.1f} N", fontsize=9)
     publish_picture(args.out, to_png(figure), [SHIPPED, *args.films])
 
