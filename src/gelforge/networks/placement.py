@@ -15,15 +15,27 @@ import numpy as np
 
 from gelforge.networks.dots import Followed, PrintedDots
 
-AGREES = 1.2  # px by which a rim dot may stand off the common motion
 LEAST_A_SIDE = 2  # dots that must agree on each of the four sides
 LEAST_SEEN = 0.5  # of the pictures of a sitting in which a dot must be found
-LEAST_SHARE = 0.5  # of the rim's dots that must agree
 # What contact alone makes of the rim: over the 48 presses of the demo, whose gel never moved in its holder, at most
 # 0.85 px of shift and 2.3 % of zoom. Less than these cannot be told from contact and is left as it is.
 LEAST_SHIFT = 1.0  # px
 LEAST_TURN = 0.5  # degrees
 LEAST_ZOOM = 0.025
+
+
+@dataclass(frozen=True)
+class Consent:
+    """How alike rim dots must move to be believed: `share` of them to `agrees` px, and by `beyond` times what contact makes."""
+
+    agrees: float
+    share: float
+    beyond: float
+
+
+# A picture of another gel of the same kind, or of another day, agrees less well: its print and its lens are others. It is
+# believed where nearly all dots move much farther than contact moves them.
+CONSENTS = (Consent(1.2, 0.5, 1.0), Consent(2.0, 0.88, 4.0))
 # A single picture: of 500 presses of the rig whose gels sat still, a quarter of them by things larger than the view, 6 %
 # moved half of the rim alike, 1.2 % did so within these; of the same pictures shifted by 2 px 58 % are put right.
 SURE_SHARE, SURE_RESIDUAL = 0.6, 0.6  # of the rim's dots; px
@@ -91,7 +103,10 @@ def place(dots: PrintedDots, sitting: Sequence[Followed]) -> Placement:
 def place_alone(dots: PrintedDots, followed: Followed) -> Placement:
     """Placement of a single picture, where it is beyond doubt."""
     found = place(dots, [followed])
-    sure = found.agreeing >= SURE_SHARE * dots.rim.sum() and found.residual < SURE_RESIDUAL
+    count, far = dots.rim.sum(), CONSENTS[-1]
+    alike = found.agreeing >= SURE_SHARE * count and found.residual < SURE_RESIDUAL
+    most = found.agreeing >= far.share * count and np.hypot(*found.shift) > far.beyond * LEAST_SHIFT
+    sure = alike or most
     return found if sure else unmoved(found.residual, found.agreeing, False)
 
 
@@ -107,33 +122,48 @@ def common_motion(start, end, kept, sides, middle) -> Placement:
     z, w = (np.asarray(points)[which] @ np.array([1.0, 1j]) for points in (start, end))
     z = z - complex(*middle)
     w = w - complex(*middle)
-    if len(z) < LEAST_SHARE * len(kept):
-        return unmoved(0.0, 0, False)
+    best = unmoved(0.0, 0, False)
+    if len(z) < min(consent.share for consent in CONSENTS) * len(kept):
+        return best
+    for consent in CONSENTS:
+        a, b, agree = most_agree(z, w, consent.agrees)
+        if agree.sum() < LEAST_A_SIDE:
+            continue
+        residual = float(np.sqrt((np.abs(a * z + b - w)[agree] ** 2).mean()))
+        enough = agree.sum() >= consent.share * len(kept)
+        if enough and sides[which[agree]].sum(axis=0).min() >= LEAST_A_SIDE:
+            return beyond_contact(a, b, residual, int(agree.sum()), middle, consent.beyond)
+        best = max(best, unmoved(residual, int(agree.sum()), False), key=lambda one: one.agreeing)
+    return best
+
+
+def most_agree(z: np.ndarray, w: np.ndarray, agrees: float) -> tuple[complex, complex, np.ndarray]:
+    """a and b of z -> a z + b that takes most of z (n,) to within `agrees` of w (n,), all complex, and which these are."""
     first, second = np.random.default_rng(0).integers(0, len(z), (2, TRIES))
     far = np.abs(z[first] - z[second]) > np.ptp(z.real) / 2
     first, second = first[far], second[far]
     a = (w[first] - w[second]) / (z[first] - z[second])
     b = w[first] - a * z[first]
     off = np.abs(a[:, None] * z + b[:, None] - w)
-    agree = off[(off < AGREES).sum(axis=1).argmax()] < AGREES
+    most = (off < agrees).sum(axis=1).argmax()
+    agree = off[most] < agrees
+    found = complex(a[most]), complex(b[most])
     for _ in range(3):
-        a, b = fit_similarity(z[agree], w[agree])
-        agree = np.abs(a * z + b - w) < AGREES
-        if agree.sum() < 2:
-            return unmoved(0.0, 0, False)
-    residual = float(np.sqrt((np.abs(a * z + b - w)[agree] ** 2).mean()))
-    enough = agree.sum() >= LEAST_SHARE * len(kept) and sides[which[agree]].sum(axis=0).min() >= LEAST_A_SIDE
-    if not enough:
-        return unmoved(residual, int(agree.sum()), False)
-    return beyond_contact(a, b, residual, int(agree.sum()), middle)
+        if agree.sum() < LEAST_A_SIDE:
+            break
+        found = fit_similarity(z[agree], w[agree])
+        agree = np.abs(found[0] * z + found[1] - w) < agrees
+    return *found, agree
 
 
-def beyond_contact(a: complex, b: complex, residual: float, agreeing: int, middle: np.ndarray) -> Placement:
-    """The placement of z -> a z + b about the picture's middle, without the parts that contact could have made."""
-    shift = np.array([b.real, b.imag]) if abs(b) > LEAST_SHIFT else np.zeros(2)
+def beyond_contact(
+    a: complex, b: complex, residual: float, agreeing: int, middle: np.ndarray, beyond: float
+) -> Placement:
+    """The placement of z -> a z + b about the picture's middle, without the parts that are not `beyond` times contact's."""
+    shift = np.array([b.real, b.imag]) if abs(b) > beyond * LEAST_SHIFT else np.zeros(2)
     turn = float(np.degrees(np.angle(a)))
-    turn = turn if abs(turn) > LEAST_TURN else 0.0
-    zoom = abs(a) if abs(abs(a) - 1.0) > LEAST_ZOOM else 1.0
+    turn = turn if abs(turn) > beyond * LEAST_TURN else 0.0
+    zoom = abs(a) if abs(abs(a) - 1.0) > beyond * LEAST_ZOOM else 1.0
     cos, sin = zoom * np.cos(np.radians(turn)), zoom * np.sin(np.radians(turn))
     linear = np.array([[cos, -sin], [sin, cos]])
     matrix = np.column_stack([linear, middle - linear @ middle + shift])
