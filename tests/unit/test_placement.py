@@ -79,7 +79,7 @@ def test_a_single_picture_is_moved_where_it_is_beyond_doubt(presses):
     found = [put_alone(dots[name], moved(picture, (4.0, -3.0))) for name, picture in pictures]
     told = [placed for placed in found if placed.told]
     assert 0.3 * len(found) < len(told)
-    assert max(np.hypot(*(placed.shift - (4.0, -3.0))) for placed in told) < 0.7 * LEAST_SHIFT
+    assert max(np.hypot(*(placed.shift - (4.0, -3.0))) for placed in told) < 0.25 * np.hypot(4.0, 3.0)
     assert not any(put_alone(dots[name], picture).told for name, picture in pictures)
 
 
