@@ -227,11 +227,12 @@ class RoundedPolyhedron(Body):
         """Hull of the core's corners grown by the fillet, with every arc sampled at the promised chord."""
         from scipy.spatial import ConvexHull
 
-        points = []
-        for corner in self.core:
-            faces = np.flatnonzero(np.abs(self._normals @ corner - self._levels) < 1e-7)
-            points.append(corner + self.fillet * self._fan(self._normals[faces]))
-        points = np.unique(np.round(np.concatenate(points), 9), axis=0)
+        meeting = [np.abs(self._normals @ corner - self._levels) < 1e-7 for corner in self.core]
+        rings = [_ring(self._normals[faces]) for faces in meeting]
+        # one number of steps for all arcs, those of the widest: normals of a sharp edge stand more than 90 degrees apart
+        steps = arc_steps(self.fillet, max(np.pi / 2.0, *(_widest(ring) for ring in rings)))
+        fans = [corner + self.fillet * _fan(ring, steps) for corner, ring in zip(self.core, rings, strict=True)]
+        points = np.unique(np.round(np.concatenate(fans), 9), axis=0)
         hull = ConvexHull(points)
         a, b, c = points[hull.simplices].transpose(1, 0, 2)
         flip = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0.0
@@ -239,20 +240,28 @@ class RoundedPolyhedron(Body):
         used, faces = np.unique(faces, return_inverse=True)
         return points[used], faces.reshape(-1, 3)
 
-    def _fan(self, normals):
-        """Directions in which the ball at one corner of the core shows on the surface."""
-        level = normals[:, 2] > 1.0 - 1e-9
-        steps = arc_steps(self.fillet, np.pi / 2.0)
-        if level.any():
-            a, b = normals[~level][:2]
-            return _arc(a, b, steps)
-        centre = unit(normals.mean(axis=0))
-        order = np.argsort(_angle_about(centre, normals))
-        ring = np.concatenate(
-            [_arc(normals[i], normals[j], steps) for i, j in zip(order, np.roll(order, -1), strict=True)]
-        )
-        weights = np.linspace(0.0, 1.0, steps + 1)[:, None, None]
-        return unit(weights * ring + (1.0 - weights) * centre).reshape(-1, 3)
+
+def _ring(normals):
+    """The normals (n, 3) that meet at a corner in turn, or the two (2, 3) of a corner at the level top."""
+    level = normals[:, 2] > 1.0 - 1e-9
+    if level.any():
+        return normals[~level][:2]
+    return normals[np.argsort(_angle_about(unit(normals.mean(axis=0)), normals))]
+
+
+def _widest(ring):
+    """The widest angle between two normals of a ring that follow each other, rad."""
+    return float(np.arccos(np.clip(np.einsum("ij,ij->i", ring, np.roll(ring, -1, axis=0)), -1.0, 1.0)).max())
+
+
+def _fan(ring, steps):
+    """Directions in which the ball at one corner of the core shows on the surface."""
+    if len(ring) == 2:
+        return _arc(*ring, steps)
+    centre = unit(ring.mean(axis=0))
+    arcs = np.concatenate([_arc(a, b, steps) for a, b in zip(ring, np.roll(ring, -1, axis=0), strict=True)])
+    weights = np.linspace(0.0, 1.0, steps + 1)[:, None, None]
+    return unit(weights * arcs + (1.0 - weights) * centre).reshape(-1, 3)
 
 
 def _arc(a, b, steps):
