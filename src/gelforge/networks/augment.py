@@ -7,7 +7,7 @@ import torch
 
 from gelforge.flow.params.tables import AugmentTable
 from gelforge.networks.canonical import hidden
-from gelforge.networks.inputs import cell_pixels
+from gelforge.networks.inputs import cell_pixels, inner_part
 
 # Luma, and the two chroma axes of YIQ (NTSC 1953): hue turns the chroma plane, saturation scales it.
 RGB_TO_YIQ = torch.tensor([[0.299, 0.587, 0.114], [0.5959, -0.2746, -0.3213], [0.2115, -0.5227, 0.3112]])
@@ -104,14 +104,10 @@ def narrow_views(pairs, labels, settings: AugmentTable, generator) -> tuple[np.n
     more often than narrow ones, because it is them that take away what a network could hold on to.
     """
     pairs, labels = np.array(pairs), np.array(labels)
-    cell = cell_pixels(pairs.shape[1:3], labels.shape[2:], "[train.augment] narrowed")
-    rows, cols = labels.shape[2:]
     chosen = torch.rand(len(pairs), generator=generator) < settings.narrowed_share
     shares = torch.sqrt(torch.rand(len(pairs), generator=generator)) * settings.narrowed
     for k in torch.nonzero(chosen).flatten().tolist():
-        v, u = (round(float(shares[k]) * count / 2) for count in (rows, cols))
-        inner = np.s_[v : rows - v, u : cols - u]
-        pixels = np.s_[cell * v : cell * (rows - v), cell * u : cell * (cols - u)]
+        pixels, inner = inner_part(float(shares[k]), pairs.shape[1:3], labels.shape[2:], "[train.augment] narrowed")
         shown, force = pairs[k][pixels].copy(), labels[k][(slice(None), *inner)].copy()
         pairs[k] = hidden(shown)
         labels[k] = 0.0

@@ -1,5 +1,6 @@
 """A small network that reads total force from the motion of the printed dots alone."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +10,7 @@ from torch.nn import functional as F
 
 from gelforge.networks.batches import generator
 from gelforge.networks.dots import COLS, ROWS, PrintedDots
-from gelforge.networks.inputs import cell_pixels
+from gelforge.networks.inputs import inner_part
 
 WIDTH, HIDDEN = 32, 128
 VIEWS = (0.0, 0.1, 0.2, 0.3)  # parts of height and width that a camera may not show; each press is learnt from all
@@ -62,26 +63,24 @@ class DotPresses:
     totals: np.ndarray
 
 
-def motions(data, rows: np.ndarray) -> np.ndarray:
-    """Motion of the dots (k, 3, ROWS, COLS) in the pictures of some rows of a dataset (networks.data.Data)."""
-    dots = {name: PrintedDots(picture) for name, picture in data.nocontact.items()}
+def motions(data, rows: np.ndarray, dots: Mapping[str, PrintedDots]) -> np.ndarray:
+    """Motion of the dots (k, 3, ROWS, COLS) in the pictures of some rows of a dataset (networks.data.Data).
+
+    dots: of each untouched sensor.
+    """
     names = data.names("sensor_id")[rows]
     lit = (np.ascontiguousarray(data.seen([row], "pair")[0, ..., :3]) for row in rows)
     return np.stack([dots[name].on_lattice(dots[name].follow(image)) for image, name in zip(lit, names, strict=True)])
 
 
-def dot_presses(data, rows: np.ndarray) -> DotPresses:
-    """The presses of some rows of a dataset in all VIEWS."""
-    height, width = data.image_size
-    cell = cell_pixels(data.image_size, data.grid, "the reader of dots")
-    margins = [tuple(round(share * count / 2) for count in data.grid) for share in VIEWS]
-    windows = [(slice(cell * v, height - cell * v), slice(cell * u, width - cell * u)) for v, u in margins]
-    dots = {name: PrintedDots(picture) for name, picture in data.nocontact.items()}
-    shown = {name: np.stack([one.within(*window) for window in windows]) for name, one in dots.items()}
+def dot_presses(data, rows: np.ndarray, dots: Mapping[str, PrintedDots]) -> DotPresses:
+    """The presses of some rows of a dataset in all VIEWS; dots: of each untouched sensor."""
+    parts = [inner_part(share, data.image_size, data.grid, "the reader of dots") for share in VIEWS]
+    shown = {name: np.stack([one.within(*pixels) for pixels, _ in parts]) for name, one in dots.items()}
     labels = data.labels[rows]
-    totals = [labels[:, :, v : data.grid[0] - v, u : data.grid[1] - u].sum((2, 3)) for v, u in margins]
+    totals = [labels[(slice(None), slice(None), *cells)].sum((2, 3)) for _, cells in parts]
     names = data.names("sensor_id")[rows]
-    return DotPresses(motions(data, rows), np.stack([shown[name] for name in names]), np.stack(totals, axis=1))
+    return DotPresses(motions(data, rows, dots), np.stack([shown[name] for name in names]), np.stack(totals, axis=1))
 
 
 def varied(presses: DotPresses, rows: torch.Tensor, draw: torch.Generator) -> tuple[torch.Tensor, torch.Tensor]:

@@ -37,6 +37,13 @@ def cell_pixels(image, grid, who: str) -> int:
     return height // rows
 
 
+def inner_part(share: float, image, grid, who: str) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+    """Pixels and cells, rows and columns of each, that are left where the border of an image hides a share of both sides."""
+    cell = cell_pixels(image, grid, who)
+    rows, cols = (slice(margin, count - margin) for margin, count in ((round(share * n / 2), n) for n in grid))
+    return (slice(cell * rows.start, cell * rows.stop), slice(cell * cols.start, cell * cols.stop)), (rows, cols)
+
+
 def network_input(pictures: torch.Tensor, norm: dict) -> torch.Tensor:
     """Input (n, 3 or 6, h, w) of a network in its own units.
 

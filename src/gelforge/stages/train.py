@@ -117,11 +117,11 @@ def train(data, name: str, model: dict, settings: TrainingTable, checkpoint=None
     }
     if not needs_untouched(norm["reads"]):
         return Trained(training.net.cpu(), about)
-    dots, predicted = None, unseen_predictions(training.net, data, norm)
-    if settings.dot_epochs and any_dots(data) and predicted.maps:
-        dots, about["dots"], predicted = beside_dots(data, settings, predicted)
+    reader, predicted = None, unseen_predictions(training.net, data, norm)
+    if settings.dot_epochs and predicted.maps and (dots := printed_dots(data)):
+        reader, about["dots"], predicted = beside_dots(data, settings, predicted, dots)
     about |= learnt_pitch(data) | {"intervals": predicted.intervals()}
-    return Trained(training.net.cpu(), about, data.nocontact if len(data.nocontact) <= MOST_PICTURES else {}, dots)
+    return Trained(training.net.cpu(), about, data.nocontact if len(data.nocontact) <= MOST_PICTURES else {}, reader)
 
 
 def sights(data, reads: str, settings: TrainingTable) -> Callable[[int], np.ndarray]:
@@ -191,23 +191,24 @@ def unseen_predictions(net, data, norm: dict) -> Unseen:
     return Unseen(rows, predict_rows(net, data, rows, norm), data.labels[rows], sorted(set(names[rows].tolist())))
 
 
-def any_dots(data) -> bool:
-    """Whether each untouched sensor of a dataset shows a print of dots."""
+def printed_dots(data) -> dict:
+    """Dots of each untouched sensor of a dataset (networks.dots); empty where one of them shows no print."""
     from gelforge.networks.dots import PrintedDots
 
-    return all(PrintedDots(picture).known for picture in data.nocontact.values())
+    dots = {name: PrintedDots(picture) for name, picture in data.nocontact.items()}
+    return dots if all(one.known for one in dots.values()) else {}
 
 
-def beside_dots(data, settings: TrainingTable, predicted: Unseen):
+def beside_dots(data, settings: TrainingTable, predicted: Unseen, dots: dict):
     """A reader of dots, what a model's description says of it, and forces whose totals it had a say in."""
     from gelforge.networks.agreement import meet, settle
     from gelforge.networks.dotreader import dot_presses, motions, train_dot_reader
 
-    reader = train_dot_reader(dot_presses(data, data.splits["train"]), settings.dot_epochs, settings.seed)
-    by_dots = reader.totals(motions(data, predicted.rows))
+    reader = train_dot_reader(dot_presses(data, data.splits["train"], dots), settings.dot_epochs, settings.seed)
+    by_dots = reader.totals(motions(data, predicted.rows, dots))
     told = meet(predicted.forces.sum((2, 3), dtype=float), by_dots, predicted.labels.sum((2, 3), dtype=float))
     pairs = zip(predicted.forces, by_dots, strict=True)
-    settled = np.stack([settle(forces, dots, told["weight"]) for forces, dots in pairs])
+    settled = np.stack([settle(forces, totals, told["weight"]) for forces, totals in pairs])
     return reader, told, replace(predicted, forces=settled)
 
 
