@@ -179,7 +179,7 @@ def toml(value) -> str:
         ("[params.stability.sizes]\nhx = [1.0]", "hx: is no name here; hex is meant"),
         ("[params.stability]\nlayers = {}\nsizes = {hex = [2.0, 1.0, 0.7, 0.5]}", "layers has no \"2.0\""),
         ("[params.calibrate]\nacceptance = [0.6, 0.15]", "acceptance = .* rising"),
-        ("[params.calibrate.refine]\nsize = 0", r"\[params.calibrate.refine\] size = 0"),
+        ("[params.calibrate]\nrefine = 'lable'", "refine = 'lable'.*label"),
         ("[params.calibrate.priors.c10]\nkind = 'uniform'", "low is missing: a prior of kind \"uniform\""),
         ("[params.calibrate.priors.c10]\nspread = 0", "has no width"),
         ("[params.calibrate.priors.c10]\nmedian = -1", "needs a positive one"),

@@ -22,7 +22,7 @@ SOLVER = {
 
 def stage_args(root, folder, **changes):
     """Arguments of the stage in a folder of its own, and the parameters it gets."""
-    usual = {"solver": SOLVER, "compare": False, "refine": {"on": False}, "friction_nodes": []}
+    usual = {"solver": SOLVER, "compare": False, "refine": "none", "friction_nodes": []}
     write_slice(folder, "calibrate", calibrate=usual | changes)
     if not (folder / "data").exists():
         shutil.copytree(root / "data" / "feats_sphere15", folder / "data")

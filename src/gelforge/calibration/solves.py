@@ -27,6 +27,10 @@ from gelforge.records.status import Status
 # Solves made by an older solver are void: stage fea's version is raised when its answers change.
 SOLVER_VERSION = stage_version(Path(__file__).parents[1] / "stages", SLICES["fea"])
 
+# Shares of an indenter's deepest press at which fine bricks tell what coarse ones add. Shallower, few contact points carry
+# the force and the ratio is noise.
+REFINED = (1.0, 0.65, 0.35)
+
 
 @dataclass(frozen=True)
 class SolveJob:
@@ -245,43 +249,52 @@ def build_emulator(plan: SolvePlan, cache: SolveCache, mus, nus) -> em.Emulator:
 def refine(
     emulator: em.Emulator, plan: SolvePlan, coarse: SolveCache, fine: SolveCache, mu: float, nu: float, workers=1
 ):
-    """Emulator whose forces are those of a finer mesh, for one fine solve per indenter.
+    """Emulator whose forces are those of a finer mesh, for a few fine solves per indenter.
 
-    The ratio of fine to coarse force along the depth of one press of an indenter, straight down, is
-    applied to all its presses: what a mesh adds to a force belongs to the shape of the footprint.
+    The ratio of fine to coarse normal force at REFINED of the depth of one press of an indenter, straight down, is
+    applied to all its presses: what a mesh adds to a force belongs to the shape of the footprint. Each of these depths
+    is a solve of its own, because fine bricks may be walked to on coarser ones, whose path is not theirs.
     """
     leaders = {}
     for i in np.argsort(plan.top, kind="stable"):
         leaders[emulator.group[i]] = int(i)  # the deepest
-    jobs = {g: [SolveJob(plan.readings.press(i, float(plan.top[i]), shear=False), str(plan.readings.indenters[i]), mu, nu)]
-            for g, i in leaders.items()}  # fmt: skip
+    jobs = {g: refining_jobs(plan, i, mu, nu) for g, i in leaders.items()}
     fine.fill([job for group in jobs.values() for job in group], workers)
     if fine.failed:
         raise SolveFailed(
-            f"a refined solve failed ({next(iter(fine.failed.values()))}); set [calibrate.refine] on = false"
+            f'a refining solve failed ({next(iter(fine.failed.values()))}); set [calibrate] refine = "none"'
         )
     table = emulator.table.copy()
-    for g, (job,) in jobs.items():
+    for g, group in jobs.items():
         i = leaders[g]
         rough = press_curve(coarse.get(plan.jobs(i, mu, nu)[0]), plan.top[i])
-        ratio = mesh_ratio(rough, press_curve(fine.get(job), plan.top[i]))
-        members = np.flatnonzero(emulator.group == g)
-        for p in members:
+        depths, ratio = mesh_ratio(rough, plan.top[i], [(-job.press.dz, fine.get(job)["end"]) for job in group])
+        for p in np.flatnonzero(emulator.group == g):
             at = np.linspace(0.0, plan.top[p], em.DEPTHS)
-            table[p] *= np.interp(at, np.linspace(0.0, plan.top[i], em.DEPTHS), ratio)[:, None]
+            table[p] *= np.interp(at, depths, ratio)[:, None]
     return em.Emulator(table, emulator.top, emulator.nu, emulator.group)
 
 
-def mesh_ratio(coarse: np.ndarray, fine: np.ndarray, shallow: float = 0.3) -> np.ndarray:
-    """Normal force of `fine` over `coarse`, both (DEPTHS, 3); constant below `shallow` of the depth.
+def refining_jobs(plan: SolvePlan, i: int, mu: float, nu: float) -> list[SolveJob]:
+    """Straight presses at the place of press i, to REFINED of its depth."""
+    r = plan.readings
+    depths = [round(float(share * plan.top[i]), 4) for share in REFINED]
+    return [SolveJob(r.press(i, depth, shear=False), str(r.indenters[i]), mu, nu) for depth in depths]
 
-    Close to first touch few contact points carry the force and the ratio is noise.
+
+def mesh_ratio(
+    coarse: np.ndarray, top: float, fine: list[tuple[float, list[float]]]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Depths (k,) mm, rising, and there the normal force of `fine` over `coarse`; only where both touch.
+
+    coarse: (DEPTHS, 3) N from depth 0 to `top`. fine: depth and force (3,) of each fine solve.
     """
-    start = int(shallow * (len(coarse) - 1))
-    ratio = np.ones(len(coarse))
-    ratio[start:] = fine[start:, 2] / coarse[start:, 2]
-    ratio[:start] = ratio[start]
-    return ratio
+    depth, normal = np.array(sorted((depth, force[2]) for depth, force in fine)).T
+    rough = np.interp(depth, np.linspace(0.0, top, len(coarse)), coarse[:, 2])
+    both = (rough < 0) & (normal < 0)
+    if not both.any():
+        return np.array([0.0]), np.array([1.0])
+    return depth[both], normal[both] / rough[both]
 
 
 def press_curve(solve: dict, top: float) -> np.ndarray:

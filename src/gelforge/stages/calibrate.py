@@ -4,7 +4,7 @@ import os
 import sys
 from argparse import Namespace
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +26,7 @@ from gelforge.flow.progress import progress
 from gelforge.records.log import rejected_rows
 from gelforge.reporting import cornerplots as plots
 
-VERSION = 2
+VERSION = 3
 
 
 @dataclass(frozen=True)
@@ -229,6 +229,7 @@ def emulate(readings: Readings, catalogue: dict, params: CalibrateTable, nu: flo
     left out with the reason. More than half of them unsolved raises BadInput.
     """
     from gelforge.calibration.solves import SolveCache, build_emulator, make_plan, refine, solve_all
+    from gelforge.mechanics.hex.settings import quality
 
     cache = SolveCache(folder, catalogue, hex_settings(params.solver))
     mus, nus = friction_nodes(params), poisson_nodes(params, nu)
@@ -246,9 +247,8 @@ def emulate(readings: Readings, catalogue: dict, params: CalibrateTable, nu: flo
         solve_all(plan, cache, mus, nus, jobs)
     emulator = build_emulator(plan, cache, mus, nus)
     spent = cache.spent
-    if params.refine.on:
-        finer = {key: value for key, value in plain(params.refine).items() if key != "on"}
-        fine = SolveCache(folder, catalogue, hex_settings(replace(params.solver, **finer)))
+    if params.refine != "none":
+        fine = SolveCache(folder, catalogue, quality(params.refine))
         emulator = refine(emulator, plan, cache, fine, np.inf, nus[len(nus) // 2], jobs)
         more = {key: spent[key] + fine.spent[key] for key in ("total", "new", "in_vain")}
         spent = {**spent, **more, "fine": fine.spent["total"]}

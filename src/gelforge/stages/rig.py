@@ -29,7 +29,7 @@ from gelforge.virtualrig.writer import (
     write_sensors,
 )
 
-VERSION = 2
+VERSION = 3
 CAMERA = 2  # purpose of a generator: noise of the first camera that sees a press; the others follow
 MOMENTS = 1000  # further on are the generators of later moments
 

@@ -11,6 +11,7 @@ from gelforge.mechanics.hex.hexsolver import HexResult, HexSolver
 from gelforge.mechanics.hex.settings import HexSettings
 from gelforge.mechanics.scene import REFERENCE_C10, Indenter, Interface, Material, Press, Scene
 from gelforge.records.status import Status
+from gelforge.virtualrig.excess import ForceFactor, force_factor
 from gelforge.virtualrig.fields import FAR, RoughBody, body_of
 from gelforge.virtualrig.rigplan import Order, Plan, Truth, generator
 
@@ -53,11 +54,12 @@ class Pressing:
 
 
 class Bench:
-    """Presses indenters as a plan's truth has it; keeps the bodies between presses."""
+    """Presses indenters as a plan's truth has it; keeps bodies and their force factors between presses."""
 
     def __init__(self, plan: Plan, indenters: dict[str, Indenter], gel: Gel):
         self.plan, self.indenters, self.gel = plan, indenters, gel
         self._bodies: dict[str, RoughBody] = {}
+        self._factors: dict[str, ForceFactor] = {}
 
     def body(self, name: str) -> RoughBody:
         """Underside of an indenter with the texture its printing left, the same in every run."""
@@ -68,6 +70,17 @@ class Bench:
                 self.indenters[name], rng.uniform(0.025, 0.045), rng.uniform(0.55, 0.75), angle
             )
         return self._bodies[name]
+
+    def factor(self, name: str) -> ForceFactor:
+        """What the forces of an indenter are multiplied by, because the bench's bricks are a little too stiff."""
+        if name not in self._factors:
+            truth = self.plan.truth
+            law = Interface("no_slip" if truth.friction > 0 else "frictionless")
+            self._factors[name] = force_factor(
+                self.gel, Material(nu=truth.nu), self.indenters[name], law, SETTINGS,
+                lambda press: self.fine_box(name, press, SETTINGS.size),
+            )  # fmt: skip
+        return self._factors[name]
 
     def press(self, order: Order) -> list[Pressing]:
         """Carry out one order, the moments of its press in order of time; all of them from one walked path.
@@ -101,7 +114,8 @@ class Bench:
     def _reported(self, order: Order, real: Press, result: HexResult, play, noise) -> Pressing:
         """What the bench reports of one solved moment."""
         truth = self.plan.truth
-        scale = truth.c10_mpa / REFERENCE_C10
+        depth = float(self.gel.top(real.x0, real.y0)) - (real.z0 + real.dz)
+        scale = truth.c10_mpa / REFERENCE_C10 * self.factor(order.indenter).at(depth)
         force = scale * result.total
         arm = result.walked.nodes + result.displacement
         moment = scale * np.cross(arm, result.forces).sum(axis=0) * 1e-3

@@ -168,21 +168,6 @@ class CalibrateSolverTable(ParameterTable):
     final_tolerance: Annotated[float, Within(TINY, 1.0)]
 
 
-@dataclass(frozen=True)
-class RefineTable(ParameterTable):
-    """[calibrate.refine]: the finer bricks whose force corrects the emulator's."""
-
-    on: bool
-    size: Size | None = None
-    layers: Annotated[int, Within(1, 100)] | None = None
-
-    def fault(self) -> str | None:
-        """A refinement without its bricks."""
-        if self.on and (self.size is None or self.layers is None):
-            return "on = true needs size (mm) and layers"
-        return None
-
-
 PRIOR_NAMES = ("c10", "offset", "compliance", "mu", "noise", "scatter", "discretisation", "indenter", "nu")
 # Keys that each kind of prior is given by.
 PRIOR_KEYS = {
@@ -272,8 +257,8 @@ class CalibrateTable(ParameterTable):
     acceptance: Annotated[tuple[float, float], Within(0.0, 1.0), Rising()]
     split_rhat: Annotated[float, Within(1.0, 100.0)]
     max_steps: Annotated[int, Within(1, 1e9)]
+    refine: Annotated[str, OneOf("none", *QUALITIES)]
     solver: CalibrateSolverTable
-    refine: RefineTable
     priors: PriorsTable
 
     def fault(self) -> str | None:
