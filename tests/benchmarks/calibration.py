@@ -22,7 +22,7 @@ from gelforge.calibration.parameters import LAWS, make_model, with_nu
 from gelforge.calibration.posterior import Posterior
 from gelforge.calibration.readings import Readings, read_readings
 from gelforge.calibration.sampling import fingerprint, sample
-from gelforge.calibration.solves import SOLVER_VERSION, SolveCache, build_emulator, make_plan, solve_all
+from gelforge.calibration.solves import SOLVER_VERSION, SolveCache, build_emulator, make_plan, refine, solve_all
 from gelforge.calibration.summary import describe
 from gelforge.errors import SolveFailed
 from gelforge.flow import params as config
@@ -32,7 +32,7 @@ from gelforge.flow.params.slices import ForCalibrate
 from gelforge.flow.params.tables import CalibrateTable
 from gelforge.flow.progress import progress
 from gelforge.geometry.indenters import load_catalogue
-from gelforge.mechanics.hex.settings import HexSettings
+from gelforge.mechanics.hex.settings import HexSettings, quality
 from gelforge.stages import calibrate as stage
 from tests.benchmarks.figures import Figure, publish_figures, table
 
@@ -57,30 +57,31 @@ def design() -> Readings:
     return Readings("synthetic", np.arange(2, n + 2), ids, names, poses, np.full((n, 3), np.nan))
 
 
-def rig_meshes() -> list[HexSettings]:
-    """Bricks of the benches that the truths are read at, coarse to fine, the virtual rig's own among them.
+def rig_meshes() -> list[tuple[HexSettings, str]]:
+    """Bricks of the benches that the truths are read at, each with the quality that corrects its forces.
 
-    A mesh's error is the same in every reading taken with it. The posterior allows for such errors, so truths must
-    come from many meshes: from one alone, intervals hold them too often or too seldom.
+    A mesh's error is the same in every reading taken with it. The posterior allows for the percent by which accurate
+    meshes differ, so truths must come from several of them: from one alone, intervals hold them too often or too seldom.
     """
     from gelforge.mechanics.hex.settings import QUALITIES
     from gelforge.virtualrig.bench import SETTINGS
 
     middle = replace(QUALITIES["demo"], size=0.6, layers=5, gauss=3)
-    meshes = [QUALITIES["demo"], SETTINGS, middle, QUALITIES["draft"], QUALITIES["label"]]
-    return [replace(mesh, press_steps=10, shear_steps=3) for mesh in meshes]
+    meshes = [(SETTINGS, "draft"), (middle, "fine"), (QUALITIES["label"], "label")]
+    return [(replace(mesh, press_steps=10, shear_steps=3), better) for mesh, better in meshes]
 
 
 def rig_emulator(
-    readings: Readings, catalogue, params: CalibrateTable, mesh: HexSettings, folder: Path, jobs: int
+    readings: Readings, catalogue, params: CalibrateTable, mesh: HexSettings, better: str, folder: Path, jobs: int
 ) -> Emulator:
-    """The rig's forces on one mesh, at four friction coefficients."""
+    """The rig's forces on one mesh, corrected by that of quality `better`, at four friction coefficients."""
     cache = SolveCache(folder, catalogue, mesh)
     plan = make_plan(readings, params.reach_mm, (1.0, 0.7))
     failed = solve_all(plan, cache, RIG_MUS, [NU], jobs)
     if failed:
         raise SolveFailed(f"the rig's own solves failed: {failed}")
-    return build_emulator(plan, cache, RIG_MUS, [NU])
+    fine = SolveCache(folder, catalogue, quality(better))
+    return refine(build_emulator(plan, cache, RIG_MUS, [NU]), plan, cache, fine, np.inf, NU, jobs)
 
 
 def draw_truths(model, count: int, rng: np.random.Generator) -> np.ndarray:
@@ -118,7 +119,7 @@ def all_emulators(params: CalibrateTable, folder: Path, jobs: int) -> tuple[Read
     readings = design()
     catalogue = load_catalogue("workflow/indenters.toml", sorted(set(readings.indenters.tolist())))
     readings, own, _ = stage.emulate(readings, catalogue, params, NU, folder / "solves", jobs)
-    rigs = [rig_emulator(readings, catalogue, params, mesh, folder / "rig", jobs) for mesh in rig_meshes()]
+    rigs = [rig_emulator(readings, catalogue, params, *mesh, folder / "rig", jobs) for mesh in rig_meshes()]
     return readings, own, rigs
 
 
