@@ -259,15 +259,17 @@ def refine(
     for i in np.argsort(plan.top, kind="stable"):
         leaders[emulator.group[i]] = int(i)  # the deepest
     jobs = {g: refining_jobs(plan, i, mu, nu) for g, i in leaders.items()}
+    deepest = [group[0] for group in jobs.values()]
+    coarse.fill(deepest, workers)
     fine.fill([job for group in jobs.values() for job in group], workers)
-    if fine.failed:
-        raise SolveFailed(
-            f'a refining solve failed ({next(iter(fine.failed.values()))}); set [calibrate] refine = "none"'
-        )
+    unsolved = [path for path in map(coarse.path, deepest) if path in coarse.failed]
+    if fine.failed or unsolved:
+        why = coarse.failed[unsolved[0]] if unsolved else next(iter(fine.failed.values()))
+        raise SolveFailed(f'a refining solve failed ({why}); set [calibrate] refine = "none"')
     table = emulator.table.copy()
     for g, group in jobs.items():
         i = leaders[g]
-        rough = press_curve(coarse.get(plan.jobs(i, mu, nu)[0]), plan.top[i])
+        rough = press_curve(coarse.get(group[0]), plan.top[i])
         depths, ratio = mesh_ratio(rough, plan.top[i], [(-job.press.dz, fine.get(job)["end"]) for job in group])
         for p in np.flatnonzero(emulator.group == g):
             at = np.linspace(0.0, plan.top[p], em.DEPTHS)
@@ -276,7 +278,10 @@ def refine(
 
 
 def refining_jobs(plan: SolvePlan, i: int, mu: float, nu: float) -> list[SolveJob]:
-    """Straight presses at the place of press i, to REFINED of its depth."""
+    """Straight presses at the place of press i, to REFINED of its depth, the deepest first.
+
+    Straight ones, because only their curve is brought to the settled state at its end (`path_curve`).
+    """
     r = plan.readings
     depths = [round(float(share * plan.top[i]), 4) for share in REFINED]
     return [SolveJob(r.press(i, depth, shear=False), str(r.indenters[i]), mu, nu) for depth in depths]
