@@ -27,9 +27,9 @@ from gelforge.records.status import Status
 # Solves made by an older solver are void: stage fea's version is raised when its answers change.
 SOLVER_VERSION = stage_version(Path(__file__).parents[1] / "stages", SLICES["fea"])
 
-# Shares of an indenter's deepest press at which fine bricks tell what coarse ones add. Shallower, few contact points carry
-# the force and the ratio is noise.
-REFINED = (1.0, 0.65, 0.35)
+# Shares of a straight press at which fine bricks tell what coarse ones add. Shallower, few contact points carry the force
+# and the ratio is noise.
+REFINED = (1.0, 0.5)
 
 
 @dataclass(frozen=True)
@@ -249,57 +249,57 @@ def build_emulator(plan: SolvePlan, cache: SolveCache, mus, nus) -> em.Emulator:
 def refine(
     emulator: em.Emulator, plan: SolvePlan, coarse: SolveCache, fine: SolveCache, mu: float, nu: float, workers=1
 ):
-    """Emulator whose forces are those of a finer mesh, for a few fine solves per indenter.
+    """Emulator whose forces are those of a finer mesh, for two fine solves of each path that was solved.
 
-    The ratio of fine to coarse normal force at REFINED of the depth of one press of an indenter, straight down, is
-    applied to all its presses: what a mesh adds to a force belongs to the shape of the footprint. Each of these depths
-    is a solve of its own, because fine bricks may be walked to on coarser ones, whose path is not theirs.
+    What a mesh adds to a force belongs to the shape and place of the footprint and hardly to friction: the ratio of fine
+    to coarse normal force at one friction coefficient, along the depth of a path, is applied to all that its presses
+    are told.
     """
-    leaders = {}
-    for i in np.argsort(plan.top, kind="stable"):
-        leaders[emulator.group[i]] = int(i)  # the deepest
-    jobs = {g: refining_jobs(plan, i, mu, nu) for g, i in leaders.items()}
-    deepest = [group[0] for group in jobs.values()]
-    coarse.fill(deepest, workers)
-    fine.fill([job for group in jobs.values() for job in group], workers)
-    unsolved = [path for path in map(coarse.path, deepest) if path in coarse.failed]
-    if fine.failed or unsolved:
-        why = coarse.failed[unsolved[0]] if unsolved else next(iter(fine.failed.values()))
-        raise SolveFailed(f'a refining solve failed ({why}); set [calibrate] refine = "none"')
+    jobs = [refining_jobs(plan, i, mu, nu) for i in range(len(plan.top))]
+    fine.fill([job for group in jobs for job in group], workers)
+    if fine.failed:
+        raise SolveFailed(
+            f'a refining solve failed ({next(iter(fine.failed.values()))}); set [calibrate] refine = "none"'
+        )
     table = emulator.table.copy()
-    for g, group in jobs.items():
-        i = leaders[g]
-        rough = press_curve(coarse.get(group[0]), plan.top[i])
-        depths, ratio = mesh_ratio(rough, plan.top[i], [(-job.press.dz, fine.get(job)["end"]) for job in group])
-        for p in np.flatnonzero(emulator.group == g):
-            at = np.linspace(0.0, plan.top[p], em.DEPTHS)
-            table[p] *= np.interp(at, depths, ratio)[:, None]
+    for i, group in enumerate(jobs):
+        depth = np.array([-job.press.dz for job in group])
+        normal = np.array([fine.get(job)["end"][2] for job in group])
+        depth, ratio = mesh_ratio(depth, coarse_normal(plan, coarse, i, mu, nu, depth), normal)
+        table[i] *= np.interp(np.linspace(0.0, plan.top[i], em.DEPTHS), depth, ratio)[:, None]
     return em.Emulator(table, emulator.top, emulator.nu, emulator.group)
 
 
 def refining_jobs(plan: SolvePlan, i: int, mu: float, nu: float) -> list[SolveJob]:
-    """Straight presses at the place of press i, to REFINED of its depth, the deepest first.
+    """What fine bricks solve of the path of press i: a sheared one at its depths, a straight one at REFINED of its depth.
 
-    Straight ones, because only their curve is brought to the settled state at its end (`path_curve`).
+    Each depth is a solve of its own, because fine bricks may be walked to on coarser ones, whose path is not theirs.
     """
-    r = plan.readings
-    depths = [round(float(share * plan.top[i]), 4) for share in REFINED]
-    return [SolveJob(r.press(i, depth, shear=False), str(r.indenters[i]), mu, nu) for depth in depths]
+    deepest, *others = plan.jobs(i, mu, nu)
+    if plan.readings.sheared[i]:
+        return [deepest, *others]
+    return [
+        replace(deepest, press=replace(deepest.press, dz=round(share * deepest.press.dz, 4))) for share in REFINED
+    ]
 
 
-def mesh_ratio(
-    coarse: np.ndarray, top: float, fine: list[tuple[float, list[float]]]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Depths (k,) mm, rising, and there the normal force of `fine` over `coarse`; only where both touch.
+def coarse_normal(plan: SolvePlan, cache: SolveCache, i: int, mu: float, nu: float, depth: np.ndarray) -> np.ndarray:
+    """Normal forces (k,) N at the depths (k,) mm of `refining_jobs`, of the solves behind the emulator."""
+    jobs = plan.jobs(i, mu, nu)
+    if plan.readings.sheared[i]:
+        return np.array([cache.get(job)["end"][2] for job in jobs])
+    return np.interp(
+        depth, np.linspace(0.0, plan.top[i], em.DEPTHS), press_curve(cache.get(jobs[0]), plan.top[i])[:, 2]
+    )
 
-    coarse: (DEPTHS, 3) N from depth 0 to `top`. fine: depth and force (3,) of each fine solve.
-    """
-    depth, normal = np.array(sorted((depth, force[2]) for depth, force in fine)).T
-    rough = np.interp(depth, np.linspace(0.0, top, len(coarse)), coarse[:, 2])
-    both = (rough < 0) & (normal < 0)
+
+def mesh_ratio(depth: np.ndarray, coarse: np.ndarray, fine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Depths (k,) mm, rising, and there the normal force (k,) of `fine` over `coarse`; only where both touch, else 1 at 0."""
+    both = (coarse < 0) & (fine < 0)
     if not both.any():
-        return np.array([0.0]), np.array([1.0])
-    return depth[both], normal[both] / rough[both]
+        return np.zeros(1), np.ones(1)
+    order = np.argsort(depth[both])
+    return depth[both][order], (fine[both] / coarse[both])[order]
 
 
 def press_curve(solve: dict, top: float) -> np.ndarray:
