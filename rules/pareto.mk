@@ -29,3 +29,16 @@ $D/pareto/pareto.json: $(PARETO_FILES)
 
 $D/pareto/quick.json: $(PARETO_QUICK_FILES)
 	$(call step,gelforge.stages.pareto chart --scenes $^ --note "a small chart; the reference is in process; make pareto draws the large one" --out $@.part)
+
+# The scenes and their references as plain files. References are kept in data/, because a chart is hours of solves.
+REFERENCES := data/fea_challenge
+CHALLENGE := results/fea_challenge/challenge.json
+
+.PHONY: fea-challenge fea-references
+fea-challenge: $(CHALLENGE)  ## the scenes as an open benchmark for any simulator: results/fea_challenge
+
+$(CHALLENGE): workflow/scenes.toml workflow/indenters.toml workflow/sensors.toml $(wildcard $(REFERENCES)/*.csv src/gelforge/sweeps/fea_challenge/*) | $(SETUP)
+	@$(PY) -m gelforge.stages.challenge write --references $(REFERENCES) --out $(@D)
+
+fea-references: $(PARETO_FILES)  ## the benchmark's references anew from the large chart (hours)
+	@$(PY) -m gelforge.stages.challenge references --scenes $^ --references $(REFERENCES)

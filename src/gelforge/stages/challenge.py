@@ -1,0 +1,46 @@
+"""Branch pareto: the scenes of the chart and their references as a folder of plain files, a benchmark for any simulator."""
+
+from argparse import Namespace
+from pathlib import Path
+
+from gelforge.errors import BadInput
+from gelforge.flow.files import read_json
+from gelforge.flow.main import command, group, option
+from gelforge.flow.params import load_params
+from gelforge.labelling.sensor import load_sensors
+from gelforge.sweeps.challenge import collect, write_challenge
+from gelforge.sweeps.scenes import parse_scene, read_tables
+
+
+@command(
+    option("--scenes", type=Path, nargs="+", help="results/DATASET/pareto/scenes/*.json"),
+    option("--references", type=Path, help="folder of the references"),
+)
+def references(args: Namespace) -> None:
+    """Take the references from a finished chart."""
+    args.references.mkdir(parents=True, exist_ok=True)
+    collect((read_json(path) for path in args.scenes), args.references)
+
+
+@command(
+    option("--workflow", type=Path, default=Path("workflow")),
+    option("--references", type=Path, help="folder of the references"),
+    option("--out", type=Path, help="folder to write"),
+)
+def write(args: Namespace) -> None:
+    """Write the folder that others download."""
+    params, sensors = load_params(args.workflow), load_sensors(args.workflow / "sensors.toml")
+    name = params.pareto.sensor
+    if name not in sensors:
+        raise BadInput(f"[pareto] sensor = {name!r} is not in {args.workflow}/sensors.toml")
+    scenes = [parse_scene(key, table, params.material.nu) for key, table in read_tables(args.workflow).items()]
+    args.out.mkdir(parents=True, exist_ok=True)
+    write_challenge(scenes, sensors[name], args.references, args.out)
+    print(f"{args.out}: {len(scenes)} scenes; read {args.out}/README.md")
+
+
+main = group(references=references, write=write)
+
+
+if __name__ == "__main__":
+    main.exit()

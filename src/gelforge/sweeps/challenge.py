@@ -1,0 +1,98 @@
+"""The scenes of the chart as an open benchmark of plain files, which any simulator can be held against.
+
+Nothing in the folder needs gelforge: scenes are JSON and STL, references are CSV, and the script that scores is NumPy's.
+"""
+
+import math
+import shutil
+from collections.abc import Iterable
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.flow.files import write_csv, write_json
+from gelforge.geometry.triangles import write_stl
+from gelforge.labelling.sensor import Sensor
+from gelforge.mechanics.scene import REFERENCE_C10
+from gelforge.sweeps.methods import REFERENCE
+from gelforge.sweeps.scenes import NamedScene
+from gelforge.sweeps.trial import GRID
+
+TEXTS = Path(__file__).parent / "fea_challenge"  # what the folder holds as it stands: how to take part, the script
+COLUMNS = ("row", "column", "fx_n", "fy_n", "fz_n")
+OUTSIDE = -1  # row and column of what acts outside of the picture
+LEAST_N = 5e-8  # less in a cell is written as none
+GEL_SIZE_MM = 0.5  # of the triangles of gel.stl
+
+
+def reference_rows(record: dict) -> list[dict]:
+    """Rows of a scene's reference: force in N of each cell that has one, and what acts outside of the picture."""
+    if record["status"] != "OK":
+        raise BadInput(
+            f"the reference of {record['scene']} is {record['status']}: {record['reason']}; run make pareto"
+        )
+    cells = np.array(record["cells"])
+    held = np.argwhere(np.abs(cells).max(axis=0) > LEAST_N)
+    rows = [_row(int(r), int(c), cells[:, r, c]) for r, c in held]
+    return [*rows, _row(OUTSIDE, OUTSIDE, np.array(record["outside"]))]
+
+
+def _row(row: int, column: int, force: np.ndarray) -> dict:
+    return dict(zip(COLUMNS, (row, column, *(f"{value:.7f}" for value in force)), strict=True))
+
+
+def collect(charted: Iterable[dict], folder: Path) -> None:
+    """Write references from scenes of the chart (pareto/scenes/*.json), one file each."""
+    for scene in charted:
+        record = scene["methods"].get(REFERENCE)
+        if record is None:
+            raise BadInput(
+                f"the chart of {scene['scene']} has no {REFERENCE}; the small chart's reference is none here"
+            )
+        write_csv(folder / f"{scene['scene']}.csv", COLUMNS, reference_rows(record))
+
+
+def write_challenge(scenes: list[NamedScene], sensor: Sensor, references: Path, out: Path) -> None:
+    """Write the whole folder, challenge.json last; a scene without a reference, or one too many, raises BadInput."""
+    names, held = {scene.name for scene in scenes}, {path.stem for path in references.glob("*.csv")}
+    if names != held:
+        raise BadInput(
+            f"{references}: has references of {', '.join(sorted(held))} and the scenes are {', '.join(sorted(names))}; "
+            "run make fea-references"
+        )
+    for text in TEXTS.iterdir():
+        if text.is_file():
+            shutil.copyfile(text, out / text.name)
+    shutil.copytree(references, out / "references", dirs_exist_ok=True)
+    first = scenes[0].scene
+    write_stl(out / "gel.stl", *first.gel.surface(GEL_SIZE_MM))
+    for scene in scenes:
+        write_scene(scene, out / "scenes" / scene.name)
+    write_json(out / "challenge.json", {
+        "gel": asdict(first.gel), "c10_mpa": REFERENCE_C10, "nu": first.material.nu, "d1_per_mpa": first.material.d1,
+        "cells": list(GRID.shape), "image": list(sensor.image), "projection": sensor.projection.tolist(),
+        "scenes": sorted(names),
+    })  # fmt: skip
+
+
+def write_scene(named: NamedScene, folder: Path) -> None:
+    """Write one scene: its path as numbers, its indenter as a surface at the pose it starts from, tip on the path's start."""
+    scene = named.scene
+    if scene.interface.law != "no_slip":
+        raise BadInput(
+            f"{named.name}: the challenge is about presses without slip, this one is {scene.interface.law}"
+        )
+    press, turn = scene.press, math.radians(scene.press.rot_deg)
+    rotation = np.array(
+        [[math.cos(turn), -math.sin(turn), 0.0], [math.sin(turn), math.cos(turn), 0.0], [0.0, 0.0, 1.0]]
+    )
+    vertices, faces = scene.indenter.surface()
+    start = np.array([press.x0, press.y0, press.z0])
+    folder.mkdir(parents=True, exist_ok=True)
+    write_stl(folder / "indenter.stl", np.asarray(vertices) @ rotation.T + start, faces)
+    write_json(folder / "scene.json", {
+        "scene": named.name, "indenter": named.table["indenter"], "start_mm": start.tolist(), "rot_deg": press.rot_deg,
+        "legs_mm": [[0.0, 0.0, press.dz], [press.dx, press.dy, 0.0]], "interface": "no slip",
+    })  # fmt: skip

@@ -1,0 +1,144 @@
+"""The open benchmark of scenes: what it holds, and that its script scores as the chart does, without gelforge."""
+
+import csv
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from gelforge.errors import BadInput
+from gelforge.flow.files import read_json
+from gelforge.geometry.triangles import read_stl
+from gelforge.labelling.sensor import load_sensors
+from gelforge.stages import challenge as stage
+from gelforge.sweeps.challenge import COLUMNS, reference_rows, write_challenge
+from gelforge.sweeps.deviation import errors
+from gelforge.sweeps.scenes import parse_scene, read_tables
+
+
+@pytest.fixture(scope="module")
+def folder(root, tmp_path_factory):
+    out = tmp_path_factory.mktemp("challenge") / "out"
+    given = ["write", "--workflow", str(root / "workflow"), "--references", str(root / "data" / "fea_challenge")]
+    assert stage.main([*given, "--out", str(out)]) == 0
+    return out
+
+
+def score(folder, submission):
+    """The script in an interpreter that sees neither gelforge nor this test's folders."""
+    done = subprocess.run(
+        [sys.executable, "-I", str(folder / "score.py"), str(submission), "--out", str(submission / "score.json")],
+        capture_output=True, text=True, check=False, cwd=folder,
+    )  # fmt: skip
+    return done, (read_json(submission / "score.json") if done.returncode == 0 else None)
+
+
+def record(folder, name) -> dict:
+    """The reference of a scene as a record of the chart."""
+    cells, outside = np.zeros((3, 24, 32)), np.zeros(3)
+    for row in csv.DictReader((folder / "references" / f"{name}.csv").open()):
+        at, force = (int(row["row"]), int(row["column"])), [float(row[key]) for key in COLUMNS[2:]]
+        if at == (-1, -1):
+            outside[:] = force
+        else:
+            cells[:, *at] = force
+    return {
+        "cells": cells,
+        "outside": outside,
+        "total": cells.sum(axis=(1, 2)) + outside,
+        "status": "OK",
+        "scene": name,
+    }
+
+
+def submit(folder, rows, columns=COLUMNS):
+    folder.mkdir(exist_ok=True)
+    with (folder / "bar.csv").open("w", newline="") as stream:
+        csv.writer(stream).writerows([columns, *rows])
+    return folder
+
+
+def test_the_folder_holds_every_scene_and_reads_back(folder, root):
+    challenge = read_json(folder / "challenge.json")
+    tables = read_tables(root / "workflow")
+    assert challenge["scenes"] == sorted(tables)
+    assert {path.stem for path in (folder / "references").glob("*.csv")} == set(tables)
+    for name, table in tables.items():
+        press = parse_scene(name, table, 0.475).scene.press
+        told = read_json(folder / "scenes" / name / "scene.json")
+        assert np.sum(told["legs_mm"], axis=0) == pytest.approx([press.dx, press.dy, press.dz])
+        vertices, _ = read_stl(folder / "scenes" / name / "indenter.stl")
+        assert vertices[:, 2].min() == pytest.approx(press.z0, abs=0.02)  # the tip is where the path starts
+
+
+def test_references_score_nothing_against_themselves(folder, tmp_path):
+    found, told = score(folder, folder / "references")
+    assert found.returncode == 0 and told["total_worst"] == told["cells_worst"] == 0.0 and told["missing"] == []
+
+
+def test_the_script_gives_the_errors_of_the_chart(folder, tmp_path):
+    right = record(folder, "bar")
+    rng = np.random.default_rng(3)
+    cells = right["cells"] * rng.uniform(0.9, 1.1, right["cells"].shape)
+    wrong = right | {"cells": cells, "total": cells.sum(axis=(1, 2)) + right["outside"]}
+    done, told = score(folder, submit(tmp_path / "mine", [[*row.values()] for row in reference_rows(wrong)]))
+    assert done.returncode == 0, done.stderr
+    expected = errors(wrong, right)
+    assert told["scenes"]["bar"]["total"] == pytest.approx(expected["total"], abs=1e-6)
+    assert told["scenes"]["bar"]["cells"] == pytest.approx(expected["cells"], abs=1e-5)
+
+
+def test_points_count_for_the_cell_they_lie_in(folder, root, tmp_path):
+    """Points in the middles of the cells, and one outside of the picture, are the cells themselves."""
+    right = record(folder, "bar")
+    sensor = load_sensors(root / "workflow" / "sensors.toml")["gelsight_mini"]
+    held = np.argwhere(np.abs(right["cells"]).max(axis=0) > 0)
+    points = sensor.unproject(10.0 * (held[:, ::-1] + 0.5))
+    rows = [[*at, *right["cells"][:, *cell]] for at, cell in zip(points, held, strict=True)]
+    rows.append([0.0, 12.6, *right["outside"]])
+    done, told = score(folder, submit(tmp_path / "points", rows, ("x_mm", "y_mm", *COLUMNS[2:])))
+    assert done.returncode == 0, done.stderr
+    assert told["scenes"]["bar"]["cells"] == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("columns", "rows", "says"),
+    [
+        (("x", "y"), [], "columns are"),
+        (COLUMNS, [[1, 2, 0.1, 0.2, "much"]], "line 2: not five numbers"),
+        (COLUMNS, [[1, 2, 0.1, 0.2, "nan"]], "NaN or infinity"),
+        (COLUMNS, [[1.5, 2, 0.1, 0.2, 0.3]], "whole numbers"),
+        (COLUMNS, [[24, 0, 0.1, 0.2, 0.3]], "outside of 24 x 32"),
+    ],
+)
+def test_what_cannot_be_scored_is_named(folder, tmp_path, columns, rows, says):
+    done, _ = score(folder, submit(tmp_path / "bad", rows, columns))
+    assert done.returncode == 2 and says in done.stderr and "Traceback" not in done.stderr
+
+
+def test_an_empty_submission_is_named(folder, tmp_path):
+    done, _ = score(folder, tmp_path)
+    assert done.returncode == 2 and "no SCENE.csv" in done.stderr
+
+
+def test_scenes_without_reference_are_refused(root, tmp_path):
+    tables = read_tables(root / "workflow")
+    scenes = [parse_scene(name, tables[name], 0.475) for name in ("bar", "punch")]
+    sensor = load_sensors(root / "workflow" / "sensors.toml")["gelsight_mini"]
+    (tmp_path / "bar.csv").touch()
+    with pytest.raises(BadInput, match="references of bar and the scenes are bar, punch; run make fea-references"):
+        write_challenge(scenes, sensor, tmp_path, tmp_path / "out")
+    assert not (tmp_path / "out" / "challenge.json").exists()
+
+
+def test_a_failed_reference_is_refused():
+    with pytest.raises(BadInput, match="reference of bar is DIVERGED"):
+        reference_rows({"scene": "bar", "status": "DIVERGED", "reason": "no equilibrium"})
+
+
+def test_the_gel_is_told_as_numbers(folder):
+    told = json.loads((folder / "challenge.json").read_text())
+    assert told["d1_per_mpa"] == pytest.approx(2 / (4 * 0.0725 * 1.475 / (3 * 0.05)))
+    assert (told["gel"]["width"], told["gel"]["length"]) == (20.75, 25.25)
