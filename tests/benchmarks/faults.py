@@ -345,9 +345,8 @@ def key_cases() -> Iterator[Case]:
     for name, value in config.plain(params.fea).items():
         if isinstance(value, int | float) and not isinstance(value, bool):
             changed = replace(params, fea=replace(params.fea, **{name: value * 2}))
-            wanted = (
-                "the same key" if name == "tolerance" else "another"
-            )  # it chooses a fidelity, no solve depends on it
+            # the tolerances choose a fidelity where one is to be chosen, no other solve depends on them
+            wanted = "the same key" if name in ("tolerance", "cell_tolerance") else "another"
             yield Case("keys", f"fea.{name}", differs(lambda c=changed: key(q=c)), wanted)
     for name, value in (
         ("interface.law", "frictionless"),

@@ -1,15 +1,18 @@
 """One interface to every way of solving a scene, with the ladder that a failing solve climbs down."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+
 from gelforge.errors import BadInput
-from gelforge.flow.params.tables import FIDELITIES, IN_PROCESS, FeaTable
+from gelforge.flow.params.tables import FIDELITIES, IN_PROCESS, WAYS, FeaTable
 from gelforge.geometry.gel import load_gel
 from gelforge.mechanics.ccx.ccxsolver import CcxSettings, CcxSolver
 from gelforge.mechanics.ccx.program import need_ccx
+from gelforge.mechanics.contactclass import contact_class
 from gelforge.mechanics.family import MeshFamily, choose_mesh
 from gelforge.mechanics.hex.carry import Trail
 from gelforge.mechanics.hex.hexsolver import HexSolver
@@ -17,15 +20,25 @@ from gelforge.mechanics.hex.settings import quality
 from gelforge.mechanics.scene import Result, Scene
 
 
+@dataclass(frozen=True)
+class Way:
+    """How a press is solved: a fidelity, the quality of bricks where it uses them, and why they were chosen."""
+
+    fidelity: str
+    bricks: str
+    why: dict[str, str] = field(default_factory=dict)
+
+
 class Solvers:
     """Solvers of one family of tetrahedral meshes, kept between scenes; files of a solve lie in `workdir`, settings: [fea]."""
 
     def __init__(self, family: MeshFamily, workdir: Path | str, settings: FeaTable) -> None:
         self.family, self.workdir, self.settings = family, Path(workdir), settings
-        self.bricks, self.ccx = quality(settings.hex_quality), CcxSettings.of(settings)
+        self.ccx = CcxSettings.of(settings)
+        quality(settings.hex_quality)  # a name that is none is refused before anything is solved
         self.guide = HexSolver(quality("label"))
         self._ccx: dict[str, CcxSolver] = {}
-        self._hex: dict[int, HexSolver] = {}
+        self._hex: dict[tuple[str, int], HexSolver] = {}
 
     def solve(self, scene: Scene, fidelity: str) -> Result:
         """Solve at one fidelity, or the cheapest that is good enough for "auto".
@@ -42,40 +55,52 @@ class Solvers:
         """
         if fidelity not in FIDELITIES:
             raise BadInput(f"fidelity {fidelity!r} is unknown; choose one of {', '.join(FIDELITIES)}")
-        if fidelity == "auto":
-            fidelity = cheapest(self.settings.charted, self.settings.tolerance)
-        if fidelity not in IN_PROCESS:
+        way = self._way(scenes[-1], fidelity)
+        if way.fidelity not in IN_PROCESS:
             need_ccx()
-        first = self._first_rung(scenes, fidelity)
-        return [self._climb(scene, fidelity, attempt) for scene, attempt in zip(scenes, first, strict=True)]
+        first = self._first_rung(scenes, way)
+        results = [self._climb(scene, way, attempt) for scene, attempt in zip(scenes, first, strict=True)]
+        for result in results:
+            result.evidence |= way.why
+        return results
 
-    def _first_rung(self, scenes: Sequence[Scene], fidelity: str) -> list[Callable[[Scene], Result]]:
+    def _way(self, scene: Scene, fidelity: str) -> "Way":
+        """How a press that ends in `scene` is solved."""
+        if fidelity != "auto":
+            return Way(fidelity, self.settings.hex_quality)
+        kind = contact_class(scene)
+        name = cheapest(kind, self.settings)
+        engine, _, bricks = name.partition("-")
+        return Way(engine, bricks or self.settings.hex_quality, {"class": kind or "no contact", "way": name})
+
+    def _first_rung(self, scenes: Sequence[Scene], way: "Way") -> list[Callable[[Scene], Result]]:
         """How each scene is solved as asked; where a path serves several of them it is walked here."""
-        if fidelity == "hex":
-            return [_answer(found) for found in self._solve_hex(scenes)]
-        if fidelity == "ccx":
-            return [partial(self._solve_ccx, trail=way.trail if way else None) for way in self.guide.walk(scenes)]
+        if way.fidelity == "hex":
+            return [_answer(found) for found in self._solve_hex(scenes, way.bricks)]
+        if way.fidelity == "ccx":
+            walks = self.guide.walk(scenes)
+            return [partial(self._solve_ccx, trail=walk.trail if walk else None) for walk in walks]
         # a reference owes nothing to the bricks
-        alone = self._solve_native if fidelity == "ccx-native" else self._solve_ccx
+        alone = self._solve_native if way.fidelity == "ccx-native" else self._solve_ccx
         return [alone] * len(scenes)
 
-    def _climb(self, scene: Scene, fidelity: str, first: Callable[[Scene], Result]) -> Result:
+    def _climb(self, scene: Scene, way: "Way", first: Callable[[Scene], Result]) -> Result:
         """The first valid result of the ladder, else the last one, with what failed before it."""
         climbed = []
-        for rung, attempt in [(fidelity, first), *self._lower_rungs(fidelity)]:
+        for rung, attempt in [(way.fidelity, first), *self._lower_rungs(way.fidelity, way.bricks)]:
             result = attempt(scene)
             result.evidence["rung"] = rung
             if result.status.valid:
                 break
             climbed.append(f"{rung}: {result.status.name}, {result.evidence.get('reason') or result.status.value}")
         result.evidence["ladder"] = climbed + result.evidence.get("ladder", [])
-        result.evidence.setdefault("fidelity", fidelity)
+        result.evidence.setdefault("fidelity", way.fidelity)
         return result
 
-    def _lower_rungs(self, fidelity: str) -> list[tuple[str, Callable[[Scene], Result]]]:
+    def _lower_rungs(self, fidelity: str, bricks: str) -> list[tuple[str, Callable[[Scene], Result]]]:
         """What is tried where solving as asked fails: smaller load steps, more contact rounds, another fidelity."""
         if fidelity == "hex":
-            return [("hex, smaller load steps", lambda scene: self._solve_hex([scene], 4)[0])]
+            return [("hex, smaller load steps", lambda scene: self._solve_hex([scene], bricks, 4)[0])]
         if fidelity == "ccx-native":
             return []
         rungs: list[tuple[str, Callable[[Scene], Result]]] = [
@@ -83,7 +108,9 @@ class Solvers:
             (f"{fidelity}, more contact rounds", partial(self._solve_ccx, steps=3, rounds=3)),
         ]
         # a reference is CalculiX' or none
-        return rungs if fidelity == "ccx-fine" else [*rungs, ("hex", lambda scene: self._solve_hex([scene])[0])]
+        return (
+            rungs if fidelity == "ccx-fine" else [*rungs, ("hex", lambda scene: self._solve_hex([scene], bricks)[0])]
+        )
 
     def _solve_ccx(self, scene: Scene, steps: int = 1, rounds: int = 1, trail: Trail | None = None) -> Result:
         mesh = choose_mesh(scene, self.family)
@@ -96,16 +123,16 @@ class Solvers:
         result.evidence |= {"mesh": mesh}
         return result
 
-    def _solve_hex(self, scenes: Sequence[Scene], steps: int = 1) -> list[Result]:
+    def _solve_hex(self, scenes: Sequence[Scene], bricks: str, steps: int = 1) -> list[Result]:
         """Solve on bricks that follow the press; a result's mesh is a name that holds all numbers of it."""
         for gel in {scene.gel for scene in scenes}:
             if load_gel(gel.name) != gel:
                 raise BadInput(f"gel {gel.name!r} of the scene is not the one of that name; give it one of its own")
-        if steps not in self._hex:
-            s = self.bricks
+        if (bricks, steps) not in self._hex:
+            s = quality(bricks)
             finer = replace(s, press_steps=steps * s.press_steps, shear_steps=steps * s.shear_steps)
-            self._hex[steps] = HexSolver(finer)
-        results = self._hex[steps].solve_frames(scenes)
+            self._hex[bricks, steps] = HexSolver(finer)
+        results = self._hex[bricks, steps].solve_frames(scenes)
         for result in results:
             result.evidence |= {"mesh": result.bricks.name if result.bricks else "", "fidelity": "hex"}
         return list(results)
@@ -124,12 +151,23 @@ def _answer(found: Result) -> Callable[[Scene], Result]:
     return lambda scene: found
 
 
-def cheapest(charted: dict, tolerance: float) -> str:
-    """The cheapest fidelity whose charted worst error in total force meets `tolerance`.
+def cheapest(kind: str | None, settings: FeaTable) -> str:
+    """The cheapest of WAYS whose charted worst errors, on scenes of this class of contact, meet both tolerances.
 
-    charted: fidelity -> [error, relative seconds], from the speed-accuracy chart.
+    A class that was never charted counts as the worst of all classes of its shape, or of all there are. None: nothing
+    touches, and the cheapest will say so.
     """
-    meeting = {name: cost for name, (error, cost) in charted.items() if error <= tolerance}
+    if kind is None:
+        return WAYS[0]
+    charted = settings.charted
+    alike = [name for name in charted if name.split("_")[0] == kind.split("_")[0]]
+    rows = [charted[name] for name in ([kind] if kind in charted else alike or charted)]
+    limits = np.array([settings.tolerance, settings.cell_tolerance])
+    worst = {way: np.max([row[way] for row in rows], axis=0) for way in WAYS if all(way in row for row in rows)}
+    meeting = {way: found[2] for way, found in worst.items() if (found[:2] <= limits).all()}
     if not meeting:
-        raise BadInput(f"no charted fidelity meets tolerance = {tolerance:g}; raise it or name a fidelity in [fea]")
-    return min(meeting, key=lambda name: meeting[name])
+        raise BadInput(
+            f"no charted way of solving meets tolerance = {limits[0]:g} and cell_tolerance = {limits[1]:g} on contacts "
+            f"of class {kind}; raise them or name a fidelity in [fea]"
+        )
+    return min(meeting, key=lambda way: meeting[way])

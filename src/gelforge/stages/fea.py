@@ -20,7 +20,7 @@ from gelforge.flow.progress import progress
 from gelforge.geometry.gel import load_gel
 from gelforge.mechanics.family import MeshFamily, mesh_names
 from gelforge.mechanics.fidelity import Solvers
-from gelforge.mechanics.hex.settings import quality
+from gelforge.mechanics.hex.settings import QUALITIES, quality
 from gelforge.mechanics.scene import Interface, Material, Result, Scene
 from gelforge.records.frames import presses_of
 from gelforge.records.log import read_poses
@@ -40,7 +40,7 @@ def scene_of(press: PosedPress, bodies: dict, sensors: dict, params: ForFea) -> 
     return Scene(gel, material, bodies[press.indenter], press.press, law)
 
 
-CHOOSING = {"charted", "tolerance"}  # settings by which "auto" chooses a fidelity
+CHOOSING = {"charted", "tolerance", "cell_tolerance"}  # settings by which "auto" chooses a fidelity
 # What of an indenter's table says nothing of its shape; a file's name does not either, its content (sha256) does.
 NO_SHAPE = {"seen", "spare", "file"}
 
@@ -53,7 +53,9 @@ def sample_key(press: PosedPress, frames: list[PosedPress], params: ForFea, tabl
     cells, indenter = press.cells(), tables["indenters"][press.indenter]
     shape = {key: value for key, value in indenter.items() if key not in NO_SHAPE}
     bricks, settings = asdict(quality(params.fea.hex_quality)), plain(params)
-    if params.fea.fidelity != "auto":
+    if params.fea.fidelity == "auto":
+        bricks |= {name: asdict(quality(name)) for name in QUALITIES}  # which of them serves, a solve decides
+    else:
         # they choose among fidelities: a chart that is drawn anew leaves solves as they are
         settings["fea"] = {key: value for key, value in settings["fea"].items() if key not in CHOOSING}
     parts = [[cells[c] for c in POSE], settings, bricks, shape, tables["sensors"][press.sensor_id]["gel"],

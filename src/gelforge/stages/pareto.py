@@ -6,15 +6,17 @@
 from argparse import Namespace
 from dataclasses import asdict
 from pathlib import Path
+from statistics import median
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish, read_json, write_csv, write_json
 from gelforge.flow.main import command, group, option
 from gelforge.flow.params.slices import ForPareto, ForParetoMeshes, read_slice
-from gelforge.flow.params.tables import IN_PROCESS
+from gelforge.flow.params.tables import CLASSES, IN_PROCESS
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import load_gel
 from gelforge.labelling.sensor import load_sensors
+from gelforge.mechanics.contactclass import contact_class
 from gelforge.stages.meshes import publish_mesh
 from gelforge.sweeps.deviation import errors, frontier
 from gelforge.sweeps.methods import HALVED, REFERENCE, Method, every_method, quick_methods
@@ -25,6 +27,8 @@ from gelforge.sweeps.trial import ChartBench, load_bench, measure
 VERSION = 3
 MESH_VERSION = 2
 GOAL_TOTAL, GOAL_CELLS = 0.02, 0.08  # what a label setting should meet over all scenes
+# By what names the chart has the ways among which fidelity "auto" chooses, where [fea] hex_quality is "label".
+CHARTED_AS = {"hex-draft": "hex-draft-quality", "hex-label": "hex-label", "ccx": "ccx-label"}
 COLUMNS = ("method", "fidelity", "size_mm", "load_steps", "scenes", "failed", "cpu_seconds_median",
            "cpu_seconds_worst",
            "total_median", "total_worst", "total_worst_scene", "cells_median", "cells_worst", "cells_worst_scene",
@@ -42,7 +46,8 @@ def solve_scene(bench: ChartBench, scene: NamedScene, methods: list[Method], hal
         record = records[method.name] | {"method": asdict(method)}
         against = HALVED if method.name == reference and halved else reference
         compared[method.name] = record | {"errors": errors(record, records[against])}
-    found: dict = {"scene": scene.name, "table": scene.table, "reference": reference, "methods": compared}
+    found: dict = {"scene": scene.name, "class": contact_class(scene.scene), "table": scene.table}
+    found |= {"reference": reference, "methods": compared}
     if halved:
         found["reference_check"] = errors(records[reference], records[HALVED])
     return found
@@ -80,8 +85,6 @@ def _row(name: str, scenes: list[dict]) -> dict:
 
 
 def _median(values: list[float]) -> float | None:
-    from statistics import median
-
     return median(values) if values else None
 
 
@@ -92,14 +95,29 @@ def failures(scenes: list[dict]) -> list[dict]:
             if record.get("cells") is None]  # fmt: skip
 
 
-def charted(rows: list[dict]) -> dict:
-    """What [fea] charted should say: worst error in total force and relative cost of the label settings."""
-    labels = {row["fidelity"]: row for row in rows if row["method"] in ("hex-label", "ccx-label")}
-    if "hex" not in labels or any(row["total_worst"] is None for row in labels.values()):
+def charted(scenes: list[dict]) -> dict[str, dict[str, list[float]]]:
+    """What [fea.charted] should say: by class of contact and way, worst errors in total force and cells, and cost.
+
+    Cost is the median of processor seconds over that of hex-label on all scenes. Empty where a way was not charted.
+    """
+    found = [scene for scene in scenes if scene.get("class") and set(CHARTED_AS.values()) <= scene["methods"].keys()]
+    if not found or any(not s["methods"][name]["errors"] for s in found for name in CHARTED_AS.values()):
         return {}
-    base = labels["hex"]["cpu_seconds_median"]
-    return {name: [round(row["total_worst"], 4), round(row["cpu_seconds_median"] / base, 2)]
-            for name, row in labels.items()}  # fmt: skip
+    base = median([scene["methods"]["hex-label"]["cpu_seconds"] for scene in found])
+    classes = {scene["class"] for scene in found}
+    return {
+        kind: {
+            way: _class_row([s["methods"][name] for s in found if s["class"] == kind], base)
+            for way, name in CHARTED_AS.items()
+        }
+        for kind in CLASSES
+        if kind in classes
+    }
+
+
+def _class_row(records: list[dict], base: float) -> list[float]:
+    worst = [max(record["errors"][kind] for record in records) for kind in ("total", "cells")]
+    return [*(round(value, 4) for value in worst), round(median([r["cpu_seconds"] for r in records]) / base, 2)]
 
 
 def reading(rows: list[dict], scenes: list[dict], fails: list[dict]) -> list[str]:
@@ -141,7 +159,7 @@ def publish_chart(out: Path, scenes: list[dict], note: str) -> dict:
     with publish(stem.with_suffix(".png")) as part:
         part.write_bytes(pareto_chart(rows, scenes, note))
     found = {
-        "reading": reading(rows, scenes, fails), "rows": rows, "failures": fails, "charted": charted(rows),
+        "reading": reading(rows, scenes, fails), "rows": rows, "failures": fails, "charted": charted(scenes),
         "reference_check": {s["scene"]: s["reference_check"] for s in scenes if "reference_check" in s},
         "scenes": {s["scene"]: {name: _brief(r) for name, r in s["methods"].items()} for s in scenes},
     }  # fmt: skip

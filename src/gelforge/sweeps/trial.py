@@ -19,14 +19,14 @@ from gelforge.flow.params.tables import ParetoTable, StabilityTable
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import assemble
 from gelforge.labelling.sensor import Sensor
-from gelforge.mechanics.hex.settings import quality
+from gelforge.mechanics.hex.settings import QUALITIES, quality
 from gelforge.sweeps import references as meshes
 from gelforge.sweeps.isolate import Clock, isolated, peak_mib
 from gelforge.sweeps.methods import REFERENCE, Method, hex_settings, prepare, warm_up
 from gelforge.sweeps.scenes import NamedScene
 
 GRID = Grid(24, 32)  # of FEATS' labels
-NOT_SOLVER = {"fidelity", "meshes", "fine_meshes", "tolerance", "charted", "timeout_s"}
+NOT_SOLVER = {"fidelity", "meshes", "fine_meshes", "tolerance", "cell_tolerance", "charted", "timeout_s"}
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class ChartBench:
             mesh = [plain(p.pareto.regions.get(scene.fine)), plain(p.pareto.grading)]
             return [plain(p.pareto.reference), *mesh, *ccx_settings(p)]
         if method.name == "auto-label":
-            return [plain(p.fea), plain(p.meshes), asdict(quality(p.fea.hex_quality))]
+            return [plain(p.fea), plain(p.meshes), *(asdict(quality(name)) for name in QUALITIES)]
         if method.size is None:
             return [list(p.fea.meshes), *ccx_settings(p)]
         return ccx_settings(p)

@@ -26,6 +26,10 @@ Law = Annotated[str, OneOf("no_slip", "coulomb", "frictionless")]
 FIDELITIES = ("hex", "ccx", "ccx-native", "ccx-fine", "auto")
 IN_PROCESS = ("hex",)  # those that need neither CalculiX nor tetrahedral meshes
 QUALITIES = ("demo", "draft", "label", "fine")
+# Among what fidelity "auto" chooses, and the classes of contact by which errors are charted (mechanics.contactclass).
+WAYS = ("hex-draft", "hex-label", "ccx")
+CLASSES = ("flat_shallow", "flat_deep", "curved_shallow", "curved_deep", "pointed_shallow", "pointed_deep")
+Charted = dict[str, Annotated[dict[str, Annotated[tuple[float, float, float], Within(0.0, 1e9)]], OneOf(*WAYS)]]
 BRANCHES = ("calibrate", "pareto")
 CHANNELS = ("force", "displacement", "traction", "traction_deformed")
 
@@ -333,9 +337,8 @@ class FeaTable(ParameterTable):
     meshes: Annotated[tuple[str, ...], Named(), Some()]
     fine_meshes: Annotated[tuple[str, ...], Named(), Some()]
     tolerance: Annotated[float, Within(TINY, 1.0)]
-    charted: Annotated[
-        dict[str, Annotated[tuple[float, float], Within(0.0, 1e9)]], OneOf("hex", "ccx", "ccx-native", "ccx-fine")
-    ]
+    cell_tolerance: Annotated[float, Within(TINY, 1.0)]
+    charted: Annotated[Charted, OneOf(*CLASSES)]
     hex_quality: Annotated[str, OneOf(*QUALITIES)]
     press_steps: Steps
     shear_steps: Steps

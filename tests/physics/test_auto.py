@@ -1,0 +1,80 @@
+"""Fidelity "auto": the class of a contact, the cheapest way for it, and solves that follow the choice."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from parameters import parameters
+
+from gelforge.errors import BadInput
+from gelforge.flow.params.tables import CLASSES, WAYS
+from gelforge.geometry.gel import Gel
+from gelforge.geometry.indenters import build
+from gelforge.mechanics.contactclass import contact_class
+from gelforge.mechanics.family import MeshFamily
+from gelforge.mechanics.fidelity import Solvers, cheapest
+from gelforge.mechanics.scene import Material, Press, Scene
+
+BODIES = {
+    "curved": build("ball", {"kind": "sphere", "diameter": 15, "height": 10}),
+    "flat": build("block", {"kind": "cuboid", "size": [7, 7], "fillet": 0.5, "height": 10}),
+    "pointed": build("tip", {"kind": "pyramid", "size": [10, 10], "slope_deg": 30, "fillet": 0.2, "height": 10}),
+}
+
+
+def scene(shape: str, depth: float, x: float = 0.0, y: float = 0.0, turn: float = 0.0, lift: float = 0.0) -> Scene:
+    return Scene(Gel(), Material(), BODIES[shape], Press(x, y, lift, 0.0, 0.0, -depth - lift, turn))
+
+
+@given(
+    st.sampled_from(sorted(BODIES)), st.floats(0.3, 1.4), st.floats(-1, 1), st.floats(-1, 1), st.floats(0, 360),
+    st.floats(0, 5),
+)  # fmt: skip
+def test_the_class_is_that_of_the_body_wherever_it_presses(shape, depth, x, y, turn, lift):
+    """Near the crown, at any turn and from any height; between 0.7 and 0.85 mm the dome decides whether it is deep."""
+    found = contact_class(scene(shape, depth, x, y, turn, lift))
+    if shape == "flat" and depth < 0.6:
+        return  # a shallow block touches the dome as a ball would
+    assert found.split("_")[0] == shape and found in CLASSES
+    if not 0.7 < depth < 0.85:
+        assert found.endswith("deep" if depth > 0.75 else "shallow")
+
+
+def test_what_touches_nothing_has_no_class():
+    assert contact_class(replace(scene("curved", 0.5), press=Press(0, 0, 3.0, 0, 0, -0.5))) is None
+
+
+@given(st.sampled_from(CLASSES), st.floats(0.02, 0.2), st.floats(0.1, 0.5), st.floats(0.0, 0.5))
+def test_the_choice_meets_what_was_asked_and_more_tolerance_never_costs_more(kind, total, cells, more):
+    fea = replace(parameters().fea, tolerance=total, cell_tolerance=cells)
+    way, looser = cheapest(kind, fea), cheapest(kind, replace(fea, tolerance=total + more))
+    rows = [fea.charted[kind]] if kind in fea.charted else [fea.charted["pointed_deep"]]
+    assert rows[0][way][0] <= total and rows[0][way][1] <= cells
+    assert rows[0][looser][2] <= rows[0][way][2]
+
+
+def test_a_class_of_a_shape_never_charted_counts_as_the_worst_there_is():
+    fea = parameters().fea
+    without = {name: rows for name, rows in fea.charted.items() if not name.startswith("pointed")}
+    worst = {way: np.max([rows[way][:2] for rows in without.values()], axis=0) for way in WAYS}
+    way = cheapest("pointed_shallow", replace(fea, charted=without))
+    assert (worst[way] <= [fea.tolerance, fea.cell_tolerance]).all()
+
+
+def test_more_than_any_way_can_do_is_refused():
+    with pytest.raises(BadInput, match="no charted way .* tolerance = 0.0001 .* class flat_deep; raise them"):
+        cheapest("flat_deep", replace(parameters().fea, tolerance=1e-4))
+
+
+@pytest.mark.parametrize(("shape", "way"), [("curved", "hex-draft"), ("flat", "hex-label")])
+def test_each_press_is_solved_as_its_class_asks(tmp_path, shape, way):
+    solvers = Solvers(MeshFamily(tmp_path, []), tmp_path, parameters(fea={"fidelity": "auto"}).fea)
+    press = scene(shape, 0.8)
+    result = solvers.solve(press, "auto")
+    assert result.status.valid and result.evidence["way"] == way and result.evidence["class"] == f"{shape}_deep"
+    alone = Solvers(
+        MeshFamily(tmp_path, []), tmp_path, replace(solvers.settings, hex_quality=way.removeprefix("hex-"))
+    )
+    np.testing.assert_array_equal(alone.solve(press, "hex").forces, result.forces)
