@@ -16,12 +16,13 @@ from gelforge.flow.files import write_csv, write_json
 from gelforge.geometry.triangles import write_stl
 from gelforge.labelling.sensor import Sensor
 from gelforge.mechanics.scene import REFERENCE_C10
+from gelforge.records.press import FORCE
 from gelforge.sweeps.methods import REFERENCE
 from gelforge.sweeps.scenes import NamedScene
 from gelforge.sweeps.trial import GRID
 
 TEXTS = Path(__file__).parent / "fea_challenge"  # what the folder holds as it stands: how to take part, the script
-COLUMNS = ("row", "column", "fx_n", "fy_n", "fz_n")
+COLUMNS = ("row", "column", *FORCE)
 OUTSIDE = -1  # row and column of what acts outside of the picture
 LEAST_N = 5e-8  # less in a cell is written as none
 GEL_SIZE_MM = 0.5  # of the triangles of gel.stl
