@@ -119,6 +119,18 @@ def test_a_full_disk_is_a_sentence_and_nothing_half_written(tmp_path, form):
         subprocess.run(["umount", disk], check=True)
 
 
+@pytest.mark.parametrize("form", FORMATS)
+def test_a_disk_that_fills_while_writing_is_a_sentence_too(tmp_path, form):
+    """Enough room when the export begins, none later: the limit is on the file, not on the disk."""
+    samples, out = lay(tmp_path, 60), tmp_path / "out"
+    command = ["-m", "gelforge.commands.export", "--data", samples.data, "--dataset", samples.dataset, "--sensors",
+               tmp_path / "sensors.json", "--format", form, "--out", out / "x"]  # fmt: skip
+    asked = " ".join(map(str, [sys.executable, *command]))
+    ran = subprocess.run(["bash", "-c", f"ulimit -f 32; {asked}"], capture_output=True, text=True, check=False)
+    assert ran.returncode == 2 and "error: " in ran.stderr and "free space" in ran.stderr, ran.stderr
+    assert "Traceback" not in ran.stderr and not list(out.iterdir())
+
+
 def test_an_unknown_format_is_one_sentence(tmp_path):
     with pytest.raises(BadInput, match="choose one of mcap"):
         export(lay(tmp_path, 4), "xml", tmp_path / "out")

@@ -5,6 +5,9 @@
 """
 
 import json
+import multiprocessing
+import os
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +18,39 @@ BLOCK = 256
 
 
 def write(path: Path, samples: Samples) -> None:
+    """Write one file, in a process of its own: where it cannot write on, HDF5 ends its process (h5py issue 914)."""
+    context = multiprocessing.get_context("fork")
+    here, there = context.Pipe(duplex=False)
+    child = context.Process(target=_write_apart, args=(path, samples, there))
+    child.start()
+    there.close()
+    try:
+        failed = here.recv()
+    except EOFError:
+        failed = OSError("HDF5 broke off, as it does where a disk is full")
+    child.join()
+    if failed is not None:
+        raise failed
+
+
+def _write_apart(path: Path, samples: Samples, pipe: Connection) -> None:
+    """Write, send what went wrong or None, and end at once: HDF5 would try to write again what it could not."""
+    failed: Exception | None = None
+    os.dup2(
+        os.open(os.devnull, os.O_WRONLY), 2
+    )  # h5py reports there what it cannot close; what matters goes by the pipe
+    try:
+        write_here(path, samples)
+    except RuntimeError as error:  # h5py's word for a file that cannot be closed
+        failed = OSError(str(error))
+    except Exception as error:
+        failed = error
+    pipe.send(failed)
+    pipe.close()
+    os._exit(0)
+
+
+def write_here(path: Path, samples: Samples) -> None:
     """Write one file."""
     import h5py
 

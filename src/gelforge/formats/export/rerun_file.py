@@ -29,7 +29,10 @@ def write(path: Path, samples: Samples) -> None:
     for sensor, rows in by_sensor.items():
         for start in range(0, len(rows), BLOCK):
             send(recording, sensor, rows[start : start + BLOCK], samples)
-    recording.flush()
+    try:
+        recording.flush()
+    except RuntimeError as error:  # its writer stopped, which it does where a disk is full
+        raise OSError(str(error)) from error
     recording.disconnect()
 
 
