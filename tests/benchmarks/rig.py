@@ -49,7 +49,8 @@ class Rig:
         gel, (looks, sensors) = Gel(), units_of(plan, workflow)
         names = dict.fromkeys([REFERENCE_UNIT, *plan.sensors])
         cameras = {name: Renderer(looks[name], sensors[name].projection, gel) for name in names}
-        return cls(plan, Bench(plan, load_catalogue(workflow / plan.catalogue), gel), cameras)
+        kept = Path(tempfile.mkdtemp(prefix="factors-"))
+        return cls(plan, Bench(plan, load_catalogue(workflow / plan.catalogue), gel, kept), cameras)
 
     @cached_property
     def cuboid(self) -> Pressing:
@@ -68,22 +69,25 @@ class Rig:
         return self.cameras[pressing.order.sensor].image(*self.view(pressing), noise)
 
 
-def pressed(rig: Rig, count: int = 24) -> tuple[list[Pressing], list[float]]:
-    """Presses spread over the whole plan, and the processor seconds of simulating and rendering each."""
+def pressed(rig: Rig, count: int = 24) -> tuple[list[Pressing], list[float], list[float]]:
+    """Presses spread over the whole plan, processor seconds of simulating and rendering each, and of each new indenter."""
     some = [order for order in orders(rig.plan) if order.unit == 0][7 :: max(1, rig.plan.presses // count)][:count]
-    for order in some:
-        rig.bench.body(order.indenter)
     rig.picture(rig.bench.press(some[0])[-1])  # compiles what numba compiles
-    pressings, seconds = [], []
+    pressings, seconds, firsts = [], [], []
+    for name in progress(dict.fromkeys(order.indenter for order in some[1:]), "indenters"):
+        rig.bench.body(name)
+        start = time.process_time()
+        rig.bench.factor(name)
+        firsts.append(time.process_time() - start)
     for order in progress(some, "presses"):
         start = time.process_time()
         pressings.append(rig.bench.press(order)[-1])
         rig.picture(pressings[-1])
         seconds.append(time.process_time() - start)
-    return pressings, seconds
+    return pressings, seconds, firsts
 
 
-def speed(rig: Rig, pressings: list[Pressing], seconds: list[float]) -> list[Figure]:
+def speed(rig: Rig, pressings: list[Pressing], seconds: list[float], firsts: list[float]) -> list[Figure]:
     """How long presses take, and pictures a second."""
     worst = pressings[int(np.argmax(seconds))]
     note = f"processor time on one core, {len(seconds)} presses of {rig.plan.dataset}.toml, "
@@ -97,6 +101,8 @@ def speed(rig: Rig, pressings: list[Pressing], seconds: list[float]) -> list[Fig
         Figure("one press simulated and rendered, mean", float(np.mean(seconds)), "<=", 3.0, "s",
                note + f"median {np.median(seconds):.2f} s"),
         Figure("one press simulated and rendered, slowest", max(seconds), "<=", 3.0, "s", note + slowest),
+        Figure("a new indenter's force factor, once for all its presses, without a goal", float(np.median(firsts)), ">=", 0.0,
+               "s", f"median of {len(firsts)}"),
         Figure("rendering alone", rate, ">=", 50.0, "images/s", "displacement field to 8-bit image"),
     ]  # fmt: skip
 
@@ -296,8 +302,8 @@ def main(given: Namespace) -> None:
         raise BadInput(f"{given.reference}: no reference data there; name their folder with --reference")
     cv2.setNumThreads(1)
     rig = Rig.of(given.plan, given.workflow)
-    pressings, seconds = pressed(rig)
-    figures = speed(rig, pressings, seconds) + likeness(rig, given.reference) + cuboid(rig, given.reference)
+    pressings, seconds, firsts = pressed(rig)
+    figures = speed(rig, pressings, seconds, firsts) + likeness(rig, given.reference) + cuboid(rig, given.reference)
     figures += tracking(rig, pressings) + indenters(rig, given.reference) + repetition(given.plan, given.workflow)
     publish_figures(given.out, figures)
     if given.page:

@@ -5,6 +5,7 @@ The true force of a press is that of `hex` at label quality on the path that it 
 are twice as wide: on edged shapes they are up to a tenth too stiff, and 3 % in the mean.
 """
 
+import tempfile
 from argparse import Namespace
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -75,7 +76,8 @@ def press_units(plan_path: Path, count: int) -> Units:
     }
     fresh = replace(plan, seed=plan.seed + 1, kinds=plan.kinds[-1:], presses=count)
     bodies = load_catalogue(plan_path.parents[1] / plan.catalogue, fresh.indenters)
-    bench, solver = Bench(fresh, bodies, gel), HexSolver(quality("label"))
+    bench = Bench(fresh, bodies, gel, Path(tempfile.mkdtemp(prefix="factors-")))
+    solver = HexSolver(quality("label"))
     stiffness, seen = plan.truth.c10_mpa / REFERENCE_C10, []
     for order in progress([order for order in orders(fresh) if order.unit == 0], "presses", count):
         pressing = bench.press(order)[-1]

@@ -30,6 +30,7 @@ from gelforge.virtualrig.writer import (
 )
 
 VERSION = 3
+FACTORS = "truth/factors"  # of forces, by indenter; the same for all presses of it
 CAMERA = 2  # purpose of a generator: noise of the first camera that sees a press; the others follow
 MOMENTS = 1000  # further on are the generators of later moments
 
@@ -49,7 +50,7 @@ class Worker:
         gel = Gel()
         self.plan, self.folder, self.gel = plan, folder, gel
         bodies: dict[str, Indenter] = dict(load_catalogue(workflow / plan.catalogue, plan.indenters))
-        self.bench = Bench(plan, bodies, gel)
+        self.bench = Bench(plan, bodies, gel, folder / FACTORS)
         looks, sensors = units_of(plan, workflow)
         self.cameras = {name: Renderer(looks[name], sensors[name].projection, gel) for name in plan.sensors}
 

@@ -2,6 +2,7 @@
 
 import zlib
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from gelforge.mechanics.hex.hexsolver import HexResult, HexSolver
 from gelforge.mechanics.hex.settings import HexSettings
 from gelforge.mechanics.scene import REFERENCE_C10, Indenter, Interface, Material, Press, Scene
 from gelforge.records.status import Status
-from gelforge.virtualrig.excess import ForceFactor, force_factor
+from gelforge.virtualrig.excess import ForceFactor, force_factor, kept_factor, name_of
 from gelforge.virtualrig.fields import FAR, RoughBody, body_of
 from gelforge.virtualrig.rigplan import Order, Plan, Truth, generator
 
@@ -54,10 +55,10 @@ class Pressing:
 
 
 class Bench:
-    """Presses indenters as a plan's truth has it; keeps bodies and their force factors between presses."""
+    """Presses indenters as a plan's truth has it; keeps bodies between presses, and force factors in a folder."""
 
-    def __init__(self, plan: Plan, indenters: dict[str, Indenter], gel: Gel):
-        self.plan, self.indenters, self.gel = plan, indenters, gel
+    def __init__(self, plan: Plan, indenters: dict[str, Indenter], gel: Gel, kept: Path):
+        self.plan, self.indenters, self.gel, self.kept = plan, indenters, gel, kept
         self._bodies: dict[str, RoughBody] = {}
         self._factors: dict[str, ForceFactor] = {}
 
@@ -74,12 +75,14 @@ class Bench:
     def factor(self, name: str) -> ForceFactor:
         """What the forces of an indenter are multiplied by, because the bench's bricks are a little too stiff."""
         if name not in self._factors:
-            truth = self.plan.truth
+            truth, body = self.plan.truth, self.indenters[name]
             law = Interface("no_slip" if truth.friction > 0 else "frictionless")
-            self._factors[name] = force_factor(
-                self.gel, Material(nu=truth.nu), self.indenters[name], law, SETTINGS,
-                lambda press: self.fine_box(name, press, SETTINGS.size),
-            )  # fmt: skip
+            scene = self.gel, Material(nu=truth.nu), body, law, SETTINGS
+
+            def make() -> ForceFactor:
+                return force_factor(*scene, lambda press: self.fine_box(name, press, SETTINGS.size))
+
+            self._factors[name] = kept_factor(self.kept, name_of(*scene), make)
         return self._factors[name]
 
     def press(self, order: Order) -> list[Pressing]:

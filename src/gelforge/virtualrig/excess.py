@@ -6,12 +6,16 @@ hardly to friction or place, so the force without slip of the bricks that labels
 bench's own, tells it for all presses of an indenter.
 """
 
+import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
 from gelforge.errors import SolveFailed
+from gelforge.flow.files import read_json, write_json
+from gelforge.flow.params import canonical
 from gelforge.geometry.gel import Gel
 from gelforge.mechanics.hex.hexmesh import FineBox
 from gelforge.mechanics.hex.hexsolver import HexSolver
@@ -34,6 +38,35 @@ class ForceFactor:
     def at(self, depth: float) -> float:
         """The factor at a depth in mm."""
         return float(np.interp(depth, self.depth, self.factor))
+
+
+def kept_factor(folder: Path, named: str, make: Callable[[], ForceFactor]) -> ForceFactor:
+    """The factor kept in `folder` under a name of `name_of`, or a new one, which is kept; processes may share a folder."""
+    path = folder / f"{named}.json"
+    try:
+        held = read_json(path)
+        return ForceFactor(np.array(held["depth"], float), np.array(held["factor"], float))
+    except (OSError, ValueError, KeyError, TypeError):
+        found = make()
+        write_json(path, {"depth": found.depth.tolist(), "factor": found.factor.tolist()})
+        return found
+
+
+def name_of(gel: Gel, material: Material, body: Indenter, interface: Interface, settings: HexSettings) -> str:
+    """Name of what a factor depends on; of the indenter that is its surface."""
+    vertices, faces = body.surface()
+    told = [
+        asdict(gel),
+        asdict(material),
+        asdict(interface),
+        asdict(settings),
+        asdict(quality(FINE)),
+        MOMENTS,
+        DEPTHS,
+    ]
+    digest = hashlib.sha256(canonical(told).encode())
+    digest.update(np.round(np.asarray(vertices, float), 6).tobytes() + np.asarray(faces, np.int64).tobytes())
+    return f"{body.name}-{digest.hexdigest()[:16]}"
 
 
 def force_factor(
