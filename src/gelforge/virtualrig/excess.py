@@ -43,13 +43,20 @@ class ForceFactor:
 def kept_factor(folder: Path, named: str, make: Callable[[], ForceFactor]) -> ForceFactor:
     """The factor kept in `folder` under a name of `name_of`, or a new one, which is kept; processes may share a folder."""
     path = folder / f"{named}.json"
+    found = _read(path)
+    if found is None:
+        found = make()
+        write_json(path, {"depth": found.depth.tolist(), "factor": found.factor.tolist()})
+    return found
+
+
+def _read(path: Path) -> ForceFactor | None:
+    """The factor of a file; None where there is none or it is broken."""
     try:
         held = read_json(path)
         return ForceFactor(np.array(held["depth"], float), np.array(held["factor"], float))
     except (OSError, ValueError, KeyError, TypeError):
-        found = make()
-        write_json(path, {"depth": found.depth.tolist(), "factor": found.factor.tolist()})
-        return found
+        return None
 
 
 def name_of(gel: Gel, material: Material, body: Indenter, interface: Interface, settings: HexSettings) -> str:
