@@ -1,4 +1,8 @@
-"""A small network that reads total force from the motion of the printed dots alone."""
+"""A few small networks that read total force from the motion of the printed dots alone, and tell their mean.
+
+What one of them makes of pictures unlike those it learnt from depends on the weights it began with: on films of real
+sensors, normal forces of networks that differ in nothing else lie a third apart.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,37 +16,48 @@ from gelforge.networks.batches import generator
 from gelforge.networks.dots import COLS, ROWS, PrintedDots
 from gelforge.networks.inputs import inner_part
 
-WIDTH, HIDDEN = 32, 128
+MEMBERS = 4  # networks, each from weights of its own
+WIDTH, LAST, HIDDEN = 32, 48, 64
 VIEWS = (0.0, 0.1, 0.2, 0.3)  # parts of height and width that a camera may not show; each press is learnt from all
 LOST = 0.25  # most of the dots that are taken away at random: worn, covered, or not followed
 BATCH, RATE, HUBER = 64, 2e-3, 0.05
 
 
 class DotReader(nn.Module):
-    """Motion of dots (n, 3, ROWS, COLS) (networks.dots) to total force (n, 3) N; dots that did not move tell none."""
+    """Motion of dots (n, 3, ROWS, COLS) (networks.dots) to total force (n, 3) N; dots that did not move tell none.
+
+    The members stand side by side as groups of channels, so that they are read in one go.
+    """
 
     scale: torch.Tensor  # (3,) N
 
     def __init__(self) -> None:
         super().__init__()
-        widths = (3, WIDTH, WIDTH, 2 * WIDTH, 2 * WIDTH)
-        strides = (1, 1, 2, 1)
+        widths, strides = (3, WIDTH, WIDTH, LAST, LAST), (1, 1, 2, 1)
         self.convolutions = nn.ModuleList(
-            nn.Conv2d(a, b, 3, stride, 1) for a, b, stride in zip(widths, widths[1:], strides, strict=False)
+            nn.Conv2d(MEMBERS * a, MEMBERS * b, 3, stride, 1, groups=MEMBERS)
+            for a, b, stride in zip(widths, widths[1:], strides, strict=False)
         )
-        cells = 2 * WIDTH * ((ROWS + 1) // 2) * ((COLS + 1) // 2)
-        self.inner, self.outer = nn.Linear(cells, HIDDEN), nn.Linear(HIDDEN, 3)
+        whole = ((ROWS + 1) // 2, (COLS + 1) // 2)
+        self.inner = nn.Conv2d(MEMBERS * LAST, MEMBERS * HIDDEN, whole, groups=MEMBERS)
+        self.outer = nn.Conv2d(MEMBERS * HIDDEN, MEMBERS * 3, 1, groups=MEMBERS)
         self.register_buffer("scale", torch.ones(3))
 
     def read(self, motion: torch.Tensor) -> torch.Tensor:
-        """What the layers make of it, (n, 3) in units of `scale`."""
+        """What the members' layers make of it, (n, MEMBERS, 3) in units of `scale`."""
+        motion = motion.repeat(1, MEMBERS, 1, 1)
         for convolution in self.convolutions:
             motion = F.relu(convolution(motion))
-        return self.outer(F.relu(self.inner(motion.flatten(1))))
+        return self.outer(F.relu(self.inner(motion))).view(-1, MEMBERS, 3)
+
+    def each(self, motion: torch.Tensor) -> torch.Tensor:
+        """Total force (n, MEMBERS, 3) N that each member tells."""
+        still = motion * torch.tensor([0.0, 0.0, 1.0]).view(1, 3, 1, 1)
+        moved, unmoved = self.read(torch.cat([motion, still])).chunk(2)
+        return (moved - unmoved) * self.scale
 
     def forward(self, motion: torch.Tensor) -> torch.Tensor:
-        still = motion * torch.tensor([0.0, 0.0, 1.0]).view(1, 3, 1, 1)
-        return (self.read(motion) - self.read(still)) * self.scale
+        return self.each(motion).mean(dim=1)
 
     def totals(self, motion: np.ndarray) -> np.ndarray:
         """Total force (n, 3) float64 N of motions (n, 3, ROWS, COLS)."""
@@ -102,7 +117,7 @@ def varied(presses: DotPresses, rows: torch.Tensor, draw: torch.Generator) -> tu
 
 
 def train_dot_reader(presses: DotPresses, epochs: int, seed: int) -> DotReader:
-    """A reader of dots trained on presses; the same seed gives the same one."""
+    """A reader of dots trained on presses, each member as if alone; the same seed gives the same one."""
     torch.manual_seed(seed)
     reader, count = DotReader(), len(presses.motion)
     reader.scale = torch.from_numpy(np.sqrt((presses.totals[:, 0] ** 2).mean(axis=0))).float().clamp(min=1e-6)
@@ -112,7 +127,8 @@ def train_dot_reader(presses: DotPresses, epochs: int, seed: int) -> DotReader:
         draw = generator(seed, "dots", epoch)
         for rows in torch.randperm(count, generator=draw).split(BATCH):
             motion, totals = varied(presses, rows, draw)
-            loss = F.smooth_l1_loss(reader(motion) / reader.scale, totals / reader.scale, beta=HUBER)
+            told = reader.each(motion) / reader.scale
+            loss = F.smooth_l1_loss(told, (totals / reader.scale)[:, None].expand_as(told), beta=HUBER)
             optimiser.zero_grad()
             loss.backward()
             optimiser.step()

@@ -1,5 +1,6 @@
 """Model card: what a network is, what it learnt from, and how wrong it is, in Markdown."""
 
+from gelforge.networks.dotreader import MEMBERS
 from gelforge.networks.inputs import needs_untouched
 from gelforge.records.axes import CHANNELS
 
@@ -45,9 +46,9 @@ def dot_lines(about: dict) -> list[str]:
         return []
     shares = " / ".join(f"{100 * weight:.0f} %" for weight in about["dots"]["weight"])
     return [
-        "- A second network reads total force from the motion of the printed dots alone, which light cannot move. In `predict`,"
-        f" `live` and `gelforge.Reader` totals are the mean of both, in which it has {shares} ({' / '.join(CHANNELS)}); the"
-        " tables of splits below are of the first network alone.",
+        f"- Beside it {MEMBERS} small networks read total force from the motion of the printed dots alone, which light cannot"
+        f" move. In `predict`, `live` and `gelforge.Reader` totals are a mean in which theirs has {shares}"
+        f" ({' / '.join(CHANNELS)}); the tables of splits below are of the first network alone.",
     ]
 
 
