@@ -18,21 +18,36 @@ def contact_class(scene: Scene) -> str | None:
     start = touch.first_touch(scene.gel, scene.indenter, scene.press)
     if start is None or start >= 1.0:
         return None
-    growth = overlap_growth(scene, start)
+    points = _under_overlap(scene)
+    if not len(points):  # an edge between the points that were looked at: as narrow at any depth
+        return "flat_deep" if (1.0 - start) * -scene.press.dz > DEEP_MM else "flat_shallow"
+    start = _first_met(scene, points)
+    half, whole = (_inside(scene, points, t) for t in ((start + 1.0) / 2.0, 1.0))
+    growth = whole / max(half, 1)
     shape = "pointed" if growth > POINTED else "curved" if growth > CURVED else "flat"
     overlap = (1.0 - start) * -scene.press.dz
     return f"{shape}_{'deep' if overlap > DEEP_MM else 'shallow'}"
 
 
-def overlap_growth(scene: Scene, start: float) -> float:
-    """Area of the overlap at the end of the press over that half-way from first touch, at path parameter `start`."""
+def _under_overlap(scene: Scene) -> np.ndarray:
+    """Points (m, 3) of the gel's top, ACROSS them each way, where body and untouched gel overlap at the end of the press."""
     points, _ = touch.under_path(scene.gel, scene.indenter, scene.press, SPACING, times=(1.0,))
     met = points[touch.touched(scene.indenter, scene.press, points, times=(1.0,))]
     if not len(met):
-        return 1.0  # an edge between the points: as narrow at any depth
+        return met
     low, high = met[:, :2].min(axis=0) - SPACING, met[:, :2].max(axis=0) + SPACING
-    points, _ = touch.top_points(scene.gel, low, high, float((high - low).max()) / ACROSS)
-    half, whole = (
-        touch.touched(scene.indenter, scene.press, points, times=(t,)).sum() for t in ((start + 1.0) / 2.0, 1.0)
-    )
-    return float(whole / np.maximum(half, 1))
+    return touch.top_points(scene.gel, low, high, float((high - low).max()) / ACROSS)[0]
+
+
+def _inside(scene: Scene, points: np.ndarray, t: float) -> int:
+    """How many of the points (m, 3) lie in the body at path parameter t."""
+    return int(touch.touched(scene.indenter, scene.press, points, times=(t,)).sum())
+
+
+def _first_met(scene: Scene, points: np.ndarray) -> float:
+    """Path parameter, to a thousandth, at which the body first meets one of the points (m, 3), which it does before 1."""
+    apart, met = -1.0, 1.0
+    while met - apart > 1e-3:
+        middle = (apart + met) / 2.0
+        apart, met = (apart, middle) if _inside(scene, points, middle) else (middle, met)
+    return met
