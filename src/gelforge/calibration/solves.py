@@ -275,12 +275,11 @@ def refining_jobs(plan: SolvePlan, i: int, mu: float, nu: float) -> list[SolveJo
 
     Each depth is a solve of its own, because fine bricks may be walked to on coarser ones, whose path is not theirs.
     """
-    deepest, *others = plan.jobs(i, mu, nu)
+    jobs = plan.jobs(i, mu, nu)
     if plan.readings.sheared[i]:
-        return [deepest, *others]
-    return [
-        replace(deepest, press=replace(deepest.press, dz=round(share * deepest.press.dz, 4))) for share in REFINED
-    ]
+        return jobs
+    press = jobs[0].press
+    return [replace(jobs[0], press=replace(press, dz=round(share * press.dz, 4))) for share in REFINED]
 
 
 def coarse_normal(plan: SolvePlan, cache: SolveCache, i: int, mu: float, nu: float, depth: np.ndarray) -> np.ndarray:

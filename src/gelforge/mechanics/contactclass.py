@@ -18,12 +18,11 @@ def contact_class(scene: Scene) -> str | None:
     start = touch.first_touch(scene.gel, scene.indenter, scene.press)
     if start is None or start >= 1.0:
         return None
-    points = _under_overlap(scene)
-    if not len(points):  # an edge between the points that were looked at: as narrow at any depth
-        return "flat_deep" if (1.0 - start) * -scene.press.dz > DEEP_MM else "flat_shallow"
-    start = _first_met(scene, points)
-    half, whole = (_inside(scene, points, t) for t in ((start + 1.0) / 2.0, 1.0))
-    growth = whole / max(half, 1)
+    points, growth = _under_overlap(scene), 1.0
+    if len(points):  # else an edge between the points that were looked at: as narrow at any depth
+        start = _first_met(scene, points)
+        half, whole = (_inside(scene, points, t) for t in ((start + 1.0) / 2.0, 1.0))
+        growth = whole / max(half, 1)
     shape = "pointed" if growth > POINTED else "curved" if growth > CURVED else "flat"
     overlap = (1.0 - start) * -scene.press.dz
     return f"{shape}_{'deep' if overlap > DEEP_MM else 'shallow'}"

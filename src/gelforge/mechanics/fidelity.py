@@ -64,7 +64,7 @@ class Solvers:
             result.evidence |= way.why
         return results
 
-    def _way(self, scene: Scene, fidelity: str) -> "Way":
+    def _way(self, scene: Scene, fidelity: str) -> Way:
         """How a press that ends in `scene` is solved."""
         if fidelity != "auto":
             return Way(fidelity, self.settings.hex_quality)
@@ -73,7 +73,7 @@ class Solvers:
         engine, _, bricks = name.partition("-")
         return Way(engine, bricks or self.settings.hex_quality, {"class": kind or "no contact", "way": name})
 
-    def _first_rung(self, scenes: Sequence[Scene], way: "Way") -> list[Callable[[Scene], Result]]:
+    def _first_rung(self, scenes: Sequence[Scene], way: Way) -> list[Callable[[Scene], Result]]:
         """How each scene is solved as asked; where a path serves several of them it is walked here."""
         if way.fidelity == "hex":
             return [_answer(found) for found in self._solve_hex(scenes, way.bricks)]
@@ -84,7 +84,7 @@ class Solvers:
         alone = self._solve_native if way.fidelity == "ccx-native" else self._solve_ccx
         return [alone] * len(scenes)
 
-    def _climb(self, scene: Scene, way: "Way", first: Callable[[Scene], Result]) -> Result:
+    def _climb(self, scene: Scene, way: Way, first: Callable[[Scene], Result]) -> Result:
         """The first valid result of the ladder, else the last one, with what failed before it."""
         climbed = []
         for rung, attempt in [(way.fidelity, first), *self._lower_rungs(way.fidelity, way.bricks)]:

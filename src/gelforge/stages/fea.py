@@ -16,6 +16,7 @@ from gelforge.flow.files import digest_of, publish, read_json, write_json
 from gelforge.flow.main import command, option
 from gelforge.flow.params import canonical, plain
 from gelforge.flow.params.slices import ForFea, read_slice
+from gelforge.flow.params.tables import CHOOSING
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import load_gel
 from gelforge.mechanics.family import MeshFamily, mesh_names
@@ -40,7 +41,6 @@ def scene_of(press: PosedPress, bodies: dict, sensors: dict, params: ForFea) -> 
     return Scene(gel, material, bodies[press.indenter], press.press, law)
 
 
-CHOOSING = {"charted", "tolerance", "cell_tolerance"}  # settings by which "auto" chooses a fidelity
 # What of an indenter's table says nothing of its shape; a file's name does not either, its content (sha256) does.
 NO_SHAPE = {"seen", "spare", "file"}
 

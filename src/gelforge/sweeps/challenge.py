@@ -3,7 +3,6 @@
 Nothing in the folder needs gelforge: scenes are JSON and STL, references are CSV, and the script that scores is NumPy's.
 """
 
-import math
 import shutil
 from collections.abc import Iterable
 from dataclasses import asdict
@@ -85,12 +84,9 @@ def write_scene(named: NamedScene, folder: Path) -> None:
         raise BadInput(
             f"{named.name}: the challenge is about presses without slip, this one is {scene.interface.law}"
         )
-    press, turn = scene.press, math.radians(scene.press.rot_deg)
-    rotation = np.array(
-        [[math.cos(turn), -math.sin(turn), 0.0], [math.sin(turn), math.cos(turn), 0.0], [0.0, 0.0, 1.0]]
-    )
+    press = scene.press
+    rotation, start = press.pose(0.0, 0.0)
     vertices, faces = scene.indenter.surface()
-    start = np.array([press.x0, press.y0, press.z0])
     folder.mkdir(parents=True, exist_ok=True)
     write_stl(folder / "indenter.stl", np.asarray(vertices) @ rotation.T + start, faces)
     write_json(folder / "scene.json", {

@@ -15,7 +15,7 @@ from gelforge.flow.files import read_json, write_json
 from gelforge.flow.params import canonical, plain
 from gelforge.flow.params.schema import ParameterTable
 from gelforge.flow.params.slices import ForPareto, ForStability
-from gelforge.flow.params.tables import ParetoTable, StabilityTable
+from gelforge.flow.params.tables import CHOOSING, ParetoTable, StabilityTable
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import assemble
 from gelforge.labelling.sensor import Sensor
@@ -26,7 +26,7 @@ from gelforge.sweeps.methods import REFERENCE, Method, hex_settings, prepare, wa
 from gelforge.sweeps.scenes import NamedScene
 
 GRID = Grid(24, 32)  # of FEATS' labels
-NOT_SOLVER = {"fidelity", "meshes", "fine_meshes", "tolerance", "cell_tolerance", "charted", "timeout_s"}
+NOT_SOLVER = CHOOSING | {"fidelity", "meshes", "fine_meshes", "timeout_s"}
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,9 @@ QUALITIES = ("demo", "draft", "label", "fine")
 WAYS = ("hex-draft", "hex-label", "ccx")
 CLASSES = ("flat_shallow", "flat_deep", "curved_shallow", "curved_deep", "pointed_shallow", "pointed_deep")
 Charted = dict[str, Annotated[dict[str, Annotated[tuple[float, float, float], Within(0.0, 1e9)]], OneOf(*WAYS)]]
+CHOOSING = frozenset(
+    {"charted", "tolerance", "cell_tolerance"}
+)  # of [fea]: by these "auto" chooses, nothing else reads them
 BRANCHES = ("calibrate", "pareto")
 CHANNELS = ("force", "displacement", "traction", "traction_deformed")
 

@@ -36,9 +36,8 @@ def write(path: Path, samples: Samples) -> None:
 def _write_apart(path: Path, samples: Samples, pipe: Connection) -> None:
     """Write, send what went wrong or None, and end at once: HDF5 would try to write again what it could not."""
     failed: Exception | None = None
-    os.dup2(
-        os.open(os.devnull, os.O_WRONLY), 2
-    )  # h5py reports there what it cannot close; what matters goes by the pipe
+    # h5py reports on the error stream what it cannot close; what matters goes by the pipe
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     try:
         write_here(path, samples)
     except RuntimeError as error:  # h5py's word for a file that cannot be closed
