@@ -27,8 +27,8 @@ export PIP_ROOT_USER_ACTION=ignore PIP_NO_WARN_SCRIPT_LOCATION=1 PIP_DISABLE_PIP
 # Debian keeps ensurepip in a package of its own.
 "$python" -c 'import ensurepip' 2>/dev/null || apt_install python3-venv
 [ -x "$venv/bin/python" ] || "$python" -m venv "$venv"
-"$venv/bin/python" -m pip install --quiet -r envs/requirements.lock
-"$venv/bin/python" -m pip install --quiet --no-deps -e .
+"$venv/bin/python" -m pip install --quiet --quiet -r envs/requirements.lock
+"$venv/bin/python" -m pip install --quiet --quiet --no-deps -e .
 # Mesh and picture libraries load these at import; a minimal system lacks them.
 if ! "$venv/bin/python" -c 'import pymeshlab, vtkmodules.vtkRenderingOpenGL2' 2>/dev/null; then
     apt_install libgl1 libopengl0 libegl1 libglu1-mesa libxrender1 libgomp1

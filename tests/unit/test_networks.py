@@ -2,6 +2,7 @@
 
 import json
 import pickle
+import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -29,7 +30,7 @@ from gelforge.networks.data import open_data, scales
 from gelforge.networks.inputs import network_input
 from gelforge.networks.latency import predict_images
 from gelforge.networks.modelfile import SensorNet, load_model, require_fit, save_model
-from gelforge.networks.models import ResNetTotal, UNet, build, parameter_count, strides
+from gelforge.networks.models import BasicBlock, ResNetTotal, UNet, build, parameter_count, strides
 from gelforge.networks.training import Training, fit, loss_of, normalisations, predict_rows, resume, save_checkpoint
 from gelforge.stages.train import resolve, train
 
@@ -71,6 +72,33 @@ def test_resnet34_has_its_known_size():
 def test_grid_net_writes_any_grid_that_divides_the_image(grid):
     with torch.inference_mode():
         assert build(SMALL, (240, 320), grid).eval()(torch.zeros(1, 3, 240, 320)).shape == (1, 3, *grid)
+
+
+def test_a_thinned_shortcut_is_the_strided_convolution():
+    block, x = BasicBlock(6, 10, stride=2).eval(), torch.randn(3, 6, 11, 14)
+    convolution, norm = block.shortcut
+    strided = norm(torch.nn.functional.conv2d(x, convolution.weight, stride=2))
+    rest = torch.relu(block.first_norm(block.first(x)))
+    wanted = torch.relu(block.second_norm(block.second(rest)) + strided)
+    torch.testing.assert_close(block(x), wanted, rtol=1e-5, atol=1e-6)
+
+
+NARROW = """
+import torch
+from gelforge.networks.models import BasicBlock
+
+for before in (3, 4, 8):
+    block = BasicBlock(before, 2 * before, stride=2).to(memory_format=torch.channels_last)
+    for step in range(40):
+        x = torch.randn(8, before, 48, 64).to(memory_format=torch.channels_last).requires_grad_()
+        block(x).square().sum().backward()
+        beside = [torch.randn(7, step + 1) for _ in range(5)]
+"""
+
+
+def test_narrow_networks_train_without_corrupting_memory():
+    ran = subprocess.run([sys.executable, "-c", NARROW], capture_output=True, text=True, check=False)
+    assert ran.returncode == 0, ran.stderr[-500:]
 
 
 def test_every_network_of_the_table_builds(root):
