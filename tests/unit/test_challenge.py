@@ -4,18 +4,24 @@ import csv
 import json
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from parameters import slice_of
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_json
 from gelforge.geometry.triangles import read_stl
 from gelforge.labelling.sensor import load_sensors
 from gelforge.stages import challenge as stage
-from gelforge.sweeps.challenge import COLUMNS, reference_rows, write_challenge
+from gelforge.stages import pareto
+from gelforge.sweeps.challenge import write_challenge
 from gelforge.sweeps.deviation import errors
+from gelforge.sweeps.keptreferences import COLUMNS, KEYS, keep_references, kept_reference, reference_rows
+from gelforge.sweeps.methods import REFERENCE, Method
 from gelforge.sweeps.scenes import parse_scene, read_tables
+from gelforge.sweeps.trial import GRID, load_bench, measure
 
 
 @pytest.fixture(scope="module")
@@ -142,3 +148,38 @@ def test_the_gel_is_told_as_numbers(folder):
     told = json.loads((folder / "challenge.json").read_text())
     assert told["d1_per_mpa"] == pytest.approx(2 / (4 * 0.0725 * 1.475 / (3 * 0.05)))
     assert (told["gel"]["width"], told["gel"]["length"]) == (20.75, 25.25)
+
+
+@pytest.fixture
+def bench(root, tmp_path):
+    """A bench that has no mesh to solve a reference on, only those that are kept."""
+    sensors, kept = load_sensors(root / "workflow" / "sensors.toml"), root / "data" / "fea_challenge"
+    params = replace(slice_of("pareto"), version=pareto.VERSION)
+    return load_bench(params, sensors, tmp_path / "meshes", tmp_path / "records", kept)
+
+
+def test_the_references_that_are_kept_are_those_of_todays_scenes_and_settings(bench, root):
+    """Where this fails, `make fea-references` solves them anew, or what changed did not mean to change them."""
+    keys = read_json(bench.references / KEYS)
+    for name, table in read_tables(root / "workflow").items():
+        scene = parse_scene(name, table, bench.params.material.nu)
+        assert keys[name] == bench.key(scene, Method(REFERENCE, REFERENCE)), name
+
+
+def test_a_kept_reference_is_not_solved_again_and_is_none_under_other_settings(bench, root):
+    scene = parse_scene("bar", read_tables(root / "workflow")["bar"], bench.params.material.nu)
+    found = measure(bench, scene, Method(REFERENCE, REFERENCE))
+    assert found["status"] == "OK" and found["total"] == pytest.approx([0.0, 0.0, -17.015], abs=0.005)
+    assert np.array(found["cells"]).sum(axis=(1, 2)) + found["outside"] == pytest.approx(found["total"])
+    assert measure(bench, scene, Method(REFERENCE, REFERENCE)) == found
+    assert kept_reference(bench.references, "bar", "another key", GRID.shape) is None
+    assert kept_reference(bench.references, "nothing", "", GRID.shape) is None
+
+
+def test_references_come_back_as_they_were_kept(folder, tmp_path):
+    one = {**record(folder, "cross"), "key": "k"}
+    plain = {**one, "cells": one["cells"].tolist(), "outside": one["outside"].tolist()}
+    keep_references([{"scene": "cross", "methods": {REFERENCE: plain}}], tmp_path)
+    again = kept_reference(tmp_path, "cross", "k", GRID.shape)
+    np.testing.assert_allclose(again["cells"], one["cells"], atol=1e-7)
+    np.testing.assert_allclose(again["total"], one["total"], atol=1e-5)

@@ -8,7 +8,8 @@ from gelforge.flow.files import read_json
 from gelforge.flow.main import command, group, option
 from gelforge.flow.params import load_params
 from gelforge.labelling.sensor import load_sensors
-from gelforge.sweeps.challenge import collect, write_challenge
+from gelforge.sweeps.challenge import write_challenge
+from gelforge.sweeps.keptreferences import keep_references
 from gelforge.sweeps.scenes import parse_scene, read_tables
 
 
@@ -19,7 +20,7 @@ from gelforge.sweeps.scenes import parse_scene, read_tables
 def references(args: Namespace) -> None:
     """Take the references from a finished chart."""
     args.references.mkdir(parents=True, exist_ok=True)
-    collect((read_json(path) for path in args.scenes), args.references)
+    keep_references((read_json(path) for path in args.scenes), args.references)
 
 
 @command(

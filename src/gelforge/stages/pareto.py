@@ -179,13 +179,19 @@ def _brief(record: dict) -> dict:
     option("--params", type=Path),
     option("--sensors", type=Path),
     option("--meshes", type=Path),
+    option(
+        "--references",
+        type=Path,
+        help="folder of references solved before, that need not be solved again",
+        default=None,
+    ),
     option("--out", type=Path),
 )
 def solve(args: Namespace) -> None:
     """Solve one scene by every method; a rerun resumes."""
     params = read_slice(args.params, ForPareto)
     scene = parse_scene(args.name, read_json(args.scene), params.material.nu)
-    bench = load_bench(params, load_sensors(args.sensors), args.meshes, args.out.parent)
+    bench = load_bench(params, load_sensors(args.sensors), args.meshes, args.out.parent, args.references)
     if args.set == "quick":
         with_ccx = params.fea.fidelity not in IN_PROCESS
         methods, halved = quick_methods(params.pareto.quick, with_ccx), False

@@ -4,54 +4,22 @@ Nothing in the folder needs gelforge: scenes are JSON and STL, references are CS
 """
 
 import shutil
-from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import write_csv, write_json
+from gelforge.flow.files import write_json
 from gelforge.geometry.triangles import write_stl
 from gelforge.labelling.sensor import Sensor
 from gelforge.mechanics.scene import REFERENCE_C10
-from gelforge.records.press import FORCE
-from gelforge.sweeps.methods import REFERENCE
+from gelforge.sweeps.keptreferences import KEYS
 from gelforge.sweeps.scenes import NamedScene
 from gelforge.sweeps.trial import GRID
 
 TEXTS = Path(__file__).parent / "fea_challenge"  # what the folder holds as it stands: how to take part, the script
-COLUMNS = ("row", "column", *FORCE)
-OUTSIDE = -1  # row and column of what acts outside of the picture
-LEAST_N = 5e-8  # less in a cell is written as none
 GEL_SIZE_MM = 0.5  # of the triangles of gel.stl
-
-
-def reference_rows(record: dict) -> list[dict]:
-    """Rows of a scene's reference: force in N of each cell that has one, and what acts outside of the picture."""
-    if record["status"] != "OK":
-        raise BadInput(
-            f"the reference of {record['scene']} is {record['status']}: {record['reason']}; run make pareto"
-        )
-    cells = np.array(record["cells"])
-    held = np.argwhere(np.abs(cells).max(axis=0) > LEAST_N)
-    rows = [_row(int(r), int(c), cells[:, r, c]) for r, c in held]
-    return [*rows, _row(OUTSIDE, OUTSIDE, np.array(record["outside"]))]
-
-
-def _row(row: int, column: int, force: np.ndarray) -> dict:
-    return dict(zip(COLUMNS, (row, column, *(f"{value:.7f}" for value in force)), strict=True))
-
-
-def collect(charted: Iterable[dict], folder: Path) -> None:
-    """Write references from scenes of the chart (pareto/scenes/*.json), one file each."""
-    for scene in charted:
-        record = scene["methods"].get(REFERENCE)
-        if record is None:
-            raise BadInput(
-                f"the chart of {scene['scene']} has no {REFERENCE}; the small chart's reference is none here"
-            )
-        write_csv(folder / f"{scene['scene']}.csv", COLUMNS, reference_rows(record))
 
 
 def write_challenge(scenes: list[NamedScene], sensor: Sensor, references: Path, out: Path) -> None:
@@ -65,7 +33,7 @@ def write_challenge(scenes: list[NamedScene], sensor: Sensor, references: Path, 
     for text in TEXTS.iterdir():
         if text.is_file():
             shutil.copyfile(text, out / text.name)
-    shutil.copytree(references, out / "references", dirs_exist_ok=True)
+    shutil.copytree(references, out / "references", ignore=shutil.ignore_patterns(KEYS), dirs_exist_ok=True)
     first = scenes[0].scene
     write_stl(out / "gel.stl", *first.gel.surface(GEL_SIZE_MM))
     for scene in scenes:

@@ -22,6 +22,7 @@ from gelforge.labelling.sensor import Sensor
 from gelforge.mechanics.hex.settings import QUALITIES, quality
 from gelforge.sweeps import references as meshes
 from gelforge.sweeps.isolate import Clock, isolated, peak_mib
+from gelforge.sweeps.keptreferences import kept_reference
 from gelforge.sweeps.methods import REFERENCE, Method, hex_settings, prepare, warm_up
 from gelforge.sweeps.scenes import NamedScene
 
@@ -31,12 +32,16 @@ NOT_SOLVER = CHOOSING | {"fidelity", "meshes", "fine_meshes", "timeout_s"}
 
 @dataclass(frozen=True)
 class ChartBench:
-    """Where methods are measured: meshes, sensor whose cells are compared, parameters, kept records."""
+    """Where methods are measured: meshes, sensor whose cells are compared, parameters, kept records.
+
+    references: folder of references that were solved elsewhere (sweeps.keptreferences); None: all are solved here.
+    """
 
     meshes: Path
     sensor: Sensor
     params: ForPareto
     records: Path
+    references: Path | None = None
 
     def record_path(self, scene: NamedScene, method: Method) -> Path:
         return self.records / scene.name / f"{method.name}.json"
@@ -141,7 +146,8 @@ def measure(bench: ChartBench, scene: NamedScene, method: Method) -> dict:
     """The record of a scene solved by a method: the kept one, or a new one, which is kept.
 
     {"status", "reason", "total" (3,) N, "cells" (3, 24, 32) N, "outside" (3,) N, "seconds", "cpu_seconds"
-    (the solve alone, on one thread), "peak_mib", "nodes", "evidence"}; what failed has no cells.
+    (the solve alone, on one thread), "peak_mib", "nodes", "evidence"}; what failed has no cells, a reference that was
+    solved elsewhere no cost.
     """
     path, key = bench.record_path(scene, method), bench.key(scene, method)
     record = kept(path, key)
@@ -149,17 +155,29 @@ def measure(bench: ChartBench, scene: NamedScene, method: Method) -> dict:
         for stale in path.parent.glob(".work-*"):
             shutil.rmtree(stale, ignore_errors=True)
 
-        limit = limit_of(bench.params.pareto, method.fidelity)
-
-        def make(folder):
-            return prepare(method, scene.scene, scene.fine, bench.meshes, bench.params, folder, limit)
-
-        found = solve_isolated(make, bench.sensor, limit, path.parent)
+        found = given_reference(bench, scene, method, key) or solve_method(bench, scene, method, path.parent)
         record = {"key": key, "scene": scene.name, "method": method.name, "fidelity": method.fidelity} | found
         write_json(path, record)
         print(f"{scene.name} {method.name}: {record['status']} {record.get('cpu_seconds', float('nan')):.1f} s"
               f" {np.round(record.get('total', []), 4).tolist()} {record['reason']}", flush=True)  # fmt: skip
     return record
+
+
+def given_reference(bench: ChartBench, scene: NamedScene, method: Method, key: str) -> dict | None:
+    """The reference of a scene where it was solved before, elsewhere, under the same key."""
+    if bench.references is None or method != Method(REFERENCE, REFERENCE):
+        return None
+    return kept_reference(bench.references, scene.name, key, GRID.shape)
+
+
+def solve_method(bench: ChartBench, scene: NamedScene, method: Method, work: Path) -> dict:
+    """The record of a scene solved now, in a process of its own."""
+    limit = limit_of(bench.params.pareto, method.fidelity)
+
+    def make(folder):
+        return prepare(method, scene.scene, scene.fine, bench.meshes, bench.params, folder, limit)
+
+    return solve_isolated(make, bench.sensor, limit, work)
 
 
 def ensure_meshes(bench: ChartBench, names: list[str]) -> None:
@@ -168,9 +186,11 @@ def ensure_meshes(bench: ChartBench, names: list[str]) -> None:
         meshes.need_mesh(name, bench.meshes, bench.params)
 
 
-def load_bench(params: ForPareto, sensors: dict, mesh_folder: Path, records: Path) -> ChartBench:
+def load_bench(
+    params: ForPareto, sensors: dict, mesh_folder: Path, records: Path, references: Path | None = None
+) -> ChartBench:
     """A bench that compares cells as the sensor of [pareto] sees them."""
     name = params.pareto.sensor
     if name not in sensors:
         raise BadInput(f"[pareto] sensor = {name!r} is not in workflow/sensors.toml; it has {', '.join(sensors)}")
-    return ChartBench(Path(mesh_folder), sensors[name], params, Path(records))
+    return ChartBench(Path(mesh_folder), sensors[name], params, Path(records), references)

@@ -1,0 +1,75 @@
+"""References of the chart's scenes kept as plain files, so that nobody has to solve them again: hours on fine tetrahedra.
+
+A file for each scene holds its force in every cell; one beside them says by a digest what each was solved with. Where
+scene, solver or parameters have changed since, a reference is none any more and is solved anew.
+"""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.flow.files import read_csv, read_json, write_csv, write_json
+from gelforge.records.press import FORCE
+from gelforge.sweeps.methods import REFERENCE
+
+KEYS = "keys.json"
+COLUMNS = ("row", "column", *FORCE)
+OUTSIDE = -1  # row and column of what acts outside of the picture
+LEAST_N = 5e-8  # less in a cell is written as none
+
+
+def reference_rows(record: dict) -> list[dict]:
+    """Rows of a scene's reference: force in N of each cell that has one, and what acts outside of the picture."""
+    if record["status"] != "OK":
+        raise BadInput(
+            f"the reference of {record['scene']} is {record['status']}: {record['reason']}; run make pareto"
+        )
+    cells = np.array(record["cells"])
+    held = np.argwhere(np.abs(cells).max(axis=0) > LEAST_N)
+    rows = [_row(int(r), int(c), cells[:, r, c]) for r, c in held]
+    return [*rows, _row(OUTSIDE, OUTSIDE, np.array(record["outside"]))]
+
+
+def _row(row: int, column: int, force: np.ndarray) -> dict:
+    return dict(zip(COLUMNS, (row, column, *(f"{value:.7f}" for value in force)), strict=True))
+
+
+def keep_references(charted: Iterable[dict], folder: Path) -> None:
+    """Write references from scenes of the chart (pareto/scenes/*.json), one file each."""
+    keys = {}
+    for scene in charted:
+        record = scene["methods"].get(REFERENCE)
+        if record is None:
+            raise BadInput(
+                f"the chart of {scene['scene']} has no {REFERENCE}; the small chart's reference is none here"
+            )
+        write_csv(folder / f"{scene['scene']}.csv", COLUMNS, reference_rows(record))
+        keys[scene["scene"]] = record["key"]
+    write_json(folder / KEYS, keys)
+
+
+def kept_reference(folder: Path, scene: str, key: str, shape: tuple[int, int]) -> dict | None:
+    """The reference of a scene that was solved under the same key, as a record of the chart; else None.
+
+    shape: rows and columns of its cells. The record has no cost: it was spent elsewhere.
+    """
+    path = folder / f"{scene}.csv"
+    if not path.exists() or not (folder / KEYS).exists() or read_json(folder / KEYS).get(scene) != key:
+        return None
+    cells, outside = np.zeros((3, *shape)), np.zeros(3)
+    for row in read_csv(path):
+        at, force = (int(row["row"]), int(row["column"])), np.array([float(row[name]) for name in FORCE])
+        if at[0] == OUTSIDE:
+            outside = force
+        else:
+            cells[:, at[0], at[1]] = force
+    total = cells.sum(axis=(1, 2)) + outside
+    return {
+        "status": "OK",
+        "reason": "",
+        "total": total.tolist(),
+        "cells": cells.tolist(),
+        "outside": outside.tolist(),
+    }
