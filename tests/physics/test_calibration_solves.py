@@ -86,6 +86,17 @@ def test_shear_between_two_solved_depths(built, catalogue):
     assert abs(direct[0]) > 0.1  # there is shear to compare
 
 
+def test_without_friction_only_the_end_of_a_path_counts(catalogue, tmp_path):
+    readings = presses((1.0, 1.0, 0, 0.3, 0.1, -1.3, 0))
+    plan, cache = make_plan(readings, 0.15, (1.0, 0.65)), SolveCache(tmp_path, catalogue, SETTINGS)
+    assert not solve_all(plan, cache, [0.0], [NU]) and cache.spent["total"] == 0
+    emulator = build_emulator(plan, cache, [0.0], [NU])
+    assert cache.spent["frictionless"] == 1
+    values = true_values(c10=REFERENCE_C10, offset=0.0, compliance=0.0, mu=0.0)
+    dragged = solve(catalogue, readings.press(0, 1.3), mu=0.0)
+    np.testing.assert_allclose(emulator.forces(readings.depth, values)[0][0, 0], dragged, atol=0.01 * abs(dragged[2]))
+
+
 def test_cached_solves_are_found_and_settings_name_them(built, catalogue):
     _, plan, cache, emulator = built
     again = SolveCache(cache.folder, catalogue, SETTINGS)

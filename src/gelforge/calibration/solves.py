@@ -2,7 +2,8 @@
 
 One solve follows the whole path in load steps, and each converged step is a point of the curve of
 force against depth. So a press straight down needs one solve per friction coefficient; a press with
-shear needs one per depth at which its shear is wanted.
+shear needs one per depth at which its shear is wanted. Without friction nothing tells by which way a
+pose was reached: there a press with shear is one straight down to where it ends.
 """
 
 from concurrent.futures import ProcessPoolExecutor
@@ -59,6 +60,8 @@ class SolvePlan:
         r, lead = self.readings, self.leader[i]
         if not r.sheared[i]:
             return [SolveJob(r.press(lead, float(self.top[lead])), str(r.indenters[lead]), mu, nu)]
+        if mu == 0.0:
+            return [SolveJob(r.press(i, float(self.top[i])).straight_there, str(r.indenters[i]), mu, nu)]
         depths = [float(self.top[i] * f) for f in self.fractions]
         return [SolveJob(r.press(i, d), str(r.indenters[i]), mu, nu) for d in depths]
 
@@ -309,11 +312,11 @@ def press_curve(solve: dict, top: float) -> np.ndarray:
 
 
 def press_table(plan: SolvePlan, cache: SolveCache, i: int, mu: float, nu: float) -> np.ndarray:
-    """Force (DEPTHS, 3) of press i at one friction coefficient."""
+    """Force (DEPTHS, 3) of press i, after its shear, at one friction coefficient."""
     jobs = plan.jobs(i, mu, nu)
     solves = [cache.get(job) for job in jobs]
     press = press_curve(solves[0], plan.top[i])
-    if not plan.readings.sheared[i] or not press.any():
+    if mu == 0.0 or not plan.readings.sheared[i] or not press.any():
         return press
     reached = [(-job.press.dz, solve["end"]) for job, solve in zip(jobs, solves, strict=True) if solve["depth"]]
     return em.sheared_table(press, float(plan.top[i]), *zip(*reached, strict=True))

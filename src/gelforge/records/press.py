@@ -7,7 +7,7 @@ degrees, forces N, moments N m. A row's number is its line in the log as an edit
 import math
 import re
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Any
 
@@ -71,6 +71,11 @@ class Press:
         rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         travel = np.array([shear * self.dx, shear * self.dy, press * self.dz])
         return rotation, np.array([self.x0, self.y0, self.z0]) + travel
+
+    @property
+    def straight_there(self) -> "Press":
+        """The press straight down that ends in the pose in which this one ends."""
+        return replace(self, x0=self.x0 + self.dx, y0=self.y0 + self.dy, dx=0.0, dy=0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
