@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -72,8 +73,9 @@ def quick_methods(quick: QuickTable, with_ccx: bool) -> list[Method]:
     return [*found, hex_method(fine.size, fine.layers, fine.press_steps)]
 
 
+@cache
 def warm_up() -> None:
-    """Compile or load kernels before the clock runs: a solve of one process of many pays that once."""
+    """Compile or load kernels before the clock runs, once a process: those that it forks have them."""
     from gelforge.geometry.gel import Gel
     from gelforge.geometry.indenters import build
     from gelforge.mechanics.hex.hexsolver import solve_hex

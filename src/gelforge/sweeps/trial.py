@@ -112,8 +112,9 @@ def outcome(result, mesh, sensor: Sensor | None) -> dict:
 def solve_isolated(make: Callable[[Path], Callable], sensor: Sensor | None, limit_s: float, work: Path) -> dict:
     """Run `make(folder)()`, a prepared solve, in a process of its own; its record with what it cost."""
 
+    warm_up()
+
     def child():
-        warm_up()
         solve = make(folder)
         with Clock() as clock:
             result, mesh = solve()
