@@ -10,7 +10,7 @@ from gelforge.geometry.indenters import build, load_catalogue
 from gelforge.mechanics.contact import GLUED
 from gelforge.mechanics.hex.hexmesh import FineBox, HexMesh, mesh_on_lines
 from gelforge.mechanics.hex.hexsolver import MOST_BELOW_MM, MOST_INSIDE_MM, HexSolver, solve_hex
-from gelforge.mechanics.hex.reach import path_pose
+from gelforge.mechanics.hex.reach import fine_box, path_pose
 from gelforge.mechanics.hex.settings import HexSettings, quality
 from gelforge.mechanics.scene import Interface, Material, Press, Scene
 from gelforge.records.status import Status
@@ -205,6 +205,21 @@ def test_friction_with_a_large_coefficient_is_no_slip():
     held, rough = solve_hex(dragged("no_slip", far=0.3), WHOLE), solve_hex(dragged("coulomb", 5.0, far=0.3), WHOLE)
     # friction springs are a tenth of the penalty; multipliers leave 1 % of what they give way
     assert np.allclose(rough.total, held.total, rtol=0.01, atol=0.01)
+
+
+@pytest.mark.parametrize(
+    "body", [Sphere(15.0), build("bar", {"kind": "cuboid", "size": [30, 5], "fillet": 1, "height": 10})]
+)
+def test_without_friction_only_the_end_of_a_path_counts(body):
+    """Dragged load step by load step and pressed straight down there, on the same bricks."""
+    dragged = Scene(Gel(), Material(), body, Press(0.3, 0.2, 0.0, 0.16, 0.08, -0.6, 20.0), Interface("frictionless"))
+    settings = replace(COARSE, box=fine_box(dragged, COARSE.size))
+    slow, fast = HexSolver(settings).solve_frames([dragged])[0], solve_hex(dragged, settings)
+    assert slow.status.valid and fast.status is Status.OK
+    assert fast.evidence["path"][-1][0] == 1.0 and slow.evidence["path"][-1][0] == 2.0
+    np.testing.assert_allclose(fast.total, slow.total, atol=1e-3 * np.linalg.norm(slow.total))
+    apart = np.linalg.norm(fast.forces - slow.forces, axis=1).sum()
+    assert apart < 0.02 * np.linalg.norm(slow.total)
 
 
 def test_friction_without_a_coefficient_is_frictionless():

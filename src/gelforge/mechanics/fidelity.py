@@ -55,6 +55,8 @@ class Solvers:
         """
         if fidelity not in FIDELITIES:
             raise BadInput(f"fidelity {fidelity!r} is unknown; choose one of {', '.join(FIDELITIES)}")
+        if len(scenes) == 1:
+            scenes = [scenes[0].direct]
         way = self._way(scenes[-1], fidelity)
         if way.fidelity not in IN_PROCESS:
             need_ccx()

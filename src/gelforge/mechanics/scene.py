@@ -1,6 +1,6 @@
 """What a fidelity is asked (`Scene`) and what it answers (`Result`)."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -52,6 +52,15 @@ class Scene:
     indenter: Indenter
     press: Press
     interface: Interface = Interface()
+
+    @property
+    def direct(self) -> "Scene":
+        """A scene with the same end that is reached straight down, where nothing tells by which way: without friction.
+
+        Flat bodies that are dragged without friction stick in load steps in which the points at their edges come and go.
+        """
+        straight = replace(self, press=self.press.straight_there)
+        return straight if self.interface.law == "frictionless" else self
 
 
 @dataclass

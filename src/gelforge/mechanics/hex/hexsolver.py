@@ -69,7 +69,7 @@ class HexSolver:
 
     def solve(self, scene: Scene) -> HexResult:
         """State at the end of the scene's path. Failure is a status, not an exception."""
-        return self.solve_frames([scene])[0]
+        return self.solve_frames([scene.direct])[0]
 
     def solve_frames(self, scenes: Sequence[Scene]) -> list[HexResult]:
         """States at moments of one press, scenes in order of time along one path; one result each, all on one mesh.
