@@ -2,13 +2,14 @@
 # workflow/scenes.toml. A full chart is hours of solves; a scene that is cut short resumes at its next method.
 # References are kept in data/, because they are hours of solves; one whose scene or settings changed is solved anew.
 REFERENCES := data/fea_challenge
+KEPT := $(wildcard $(REFERENCES)/keys.json)
 PARETO_SCENES ?=
 PARETO_QUICK ?=
 PARETO_MESHES ?=
 PARETO_MESH_FILES := $(PARETO_MESHES:%=$D/pareto/meshes/%.npz)
 PARETO_FILES := $(PARETO_SCENES:%=$D/pareto/scenes/%.json)
 PARETO_QUICK_FILES := $(PARETO_QUICK:%=$D/pareto/quick/%.json)
-PARETO_SCENE = gelforge.stages.pareto scene --name $* --scene $< --params $P/pareto.json --sensors $P/sensors.json
+PARETO_SCENE = gelforge.stages.pareto scene --name $* --scene $< --params $P/pareto.json --sensors $P/sensors.json --references $(REFERENCES)
 
 .PHONY: pareto pareto-quick pareto-meshes
 pareto: $D/pareto/pareto.json  ## speed against accuracy of the mechanics: chart, CSV, JSON (hours; resumes)
@@ -20,17 +21,18 @@ pareto-meshes: $(PARETO_MESH_FILES)
 $(PARETO_MESH_FILES): $D/pareto/meshes/%.npz: $P/pareto_meshes.json
 	$(call step,gelforge.stages.pareto mesh --name $* --params $< --out $@.part)
 
-$(PARETO_FILES): $D/pareto/scenes/%.json: $P/scenes/%.json $P/pareto.json $P/sensors.json $(PARETO_MESH_FILES)
-	$(call step,$(PARETO_SCENE) --meshes $D/pareto/meshes --references $(REFERENCES) --out $@.part)
+$(PARETO_FILES): $D/pareto/scenes/%.json: $P/scenes/%.json $P/pareto.json $P/sensors.json $(KEPT) $(PARETO_MESH_FILES)
+	$(call step,$(PARETO_SCENE) --meshes $D/pareto/meshes --out $@.part)
 
-$(PARETO_QUICK_FILES): $D/pareto/quick/%.json: $P/scenes/%.json $P/pareto.json $P/sensors.json $(MESH_FILES) | $(call barrier,20_meshes)
+# Which reference the small chart has is told by all of its scenes.
+$(PARETO_QUICK_FILES): $D/pareto/quick/%.json: $P/scenes/%.json $(PARETO_QUICK:%=$P/scenes/%.json) $P/pareto.json $P/sensors.json $(KEPT) $(MESH_FILES) | $(call barrier,20_meshes)
 	$(call step,$(PARETO_SCENE) --set quick --meshes $D/20_meshes --out $@.part)
 
 $D/pareto/pareto.json: $(PARETO_FILES)
 	$(call step,gelforge.stages.pareto chart --scenes $^ --out $@.part)
 
 $D/pareto/quick.json: $(PARETO_QUICK_FILES)
-	$(call step,gelforge.stages.pareto chart --scenes $^ --note "a small chart; the reference is in process; make pareto draws the large one" --out $@.part)
+	$(call step,gelforge.stages.pareto chart --scenes $^ --note "a small chart; make pareto draws the large one" --out $@.part)
 
 # The scenes and their references as plain files.
 CHALLENGE := results/fea_challenge/challenge.json

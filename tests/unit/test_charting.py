@@ -98,7 +98,9 @@ def test_the_chart_holds_what_was_asked(params):
         assert len({m.size for m in own}) >= 4 and len({m.steps for m in own}) >= 3
         assert len(own) == len({m.size for m in own}) + len({m.steps for m in own}) - 1
     assert {"hex", "ccx", "ccx-native", "auto", "ccx-fine"} <= {m.fidelity for m in methods}
-    assert all(m.fidelity == "hex" for m in quick_methods(params.pareto.quick, with_ccx=False))
+    quick = params.pareto.quick
+    assert all(m.fidelity == "hex" for m in quick_methods(quick, with_ccx=False, reference_kept=False))
+    assert quick_methods(quick, with_ccx=True, reference_kept=True)[-1].fidelity == "ccx-fine"
 
 
 def test_a_key_follows_what_the_method_depends_on_and_nothing_else(params, scenes, tmp_path):

@@ -22,7 +22,7 @@ from gelforge.sweeps.deviation import errors, frontier
 from gelforge.sweeps.methods import HALVED, REFERENCE, Method, every_method, quick_methods
 from gelforge.sweeps.references import build_mesh
 from gelforge.sweeps.scenes import NamedScene, parse_scene
-from gelforge.sweeps.trial import ChartBench, load_bench, measure
+from gelforge.sweeps.trial import ChartBench, given_reference, load_bench, measure
 
 VERSION = 3
 MESH_VERSION = 2
@@ -194,7 +194,11 @@ def solve(args: Namespace) -> None:
     bench = load_bench(params, load_sensors(args.sensors), args.meshes, args.out.parent, args.references)
     if args.set == "quick":
         with_ccx = params.fea.fidelity not in IN_PROCESS
-        methods, halved = quick_methods(params.pareto.quick, with_ccx), False
+        every = {name: read_json(args.scene.with_name(f"{name}.json")) for name in params.pareto.quick.scenes}
+        scenes = [parse_scene(name, table, params.material.nu) for name, table in every.items()]
+        # one chart, one reference
+        reference_kept = all(given_reference(bench, other) for other in scenes)
+        methods, halved = quick_methods(params.pareto.quick, with_ccx, reference_kept), False
     else:
         from gelforge.mechanics.ccx.program import need_ccx
 

@@ -64,13 +64,14 @@ def every_method(pareto: ParetoTable, hex_quality: str) -> list[Method]:
     return [*qualities, *label, *bricks, *tets, *native, Method(REFERENCE, REFERENCE)]
 
 
-def quick_methods(quick: QuickTable, with_ccx: bool) -> list[Method]:
-    """Methods of the small chart; its reference is the last."""
+def quick_methods(quick: QuickTable, with_ccx: bool, reference_kept: bool) -> list[Method]:
+    """Methods of the small chart; its reference is the last: the large chart's where it is kept, else fine bricks."""
     steps, fine = quick.steps, quick.reference
     sizes = zip(quick.hex_sizes_mm, quick.hex_layers, strict=True)
     found = [hex_method(size, layers, steps) for size, layers in sizes]
     found += [Method(f"{name}-label", name) for name in (("hex", "ccx") if with_ccx else ("hex",))]
-    return [*found, hex_method(fine.size, fine.layers, fine.press_steps)]
+    bricks = hex_method(fine.size, fine.layers, fine.press_steps)
+    return [*found, Method(REFERENCE, REFERENCE) if reference_kept else bricks]
 
 
 @cache

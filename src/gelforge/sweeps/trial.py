@@ -27,6 +27,7 @@ from gelforge.sweeps.methods import REFERENCE, Method, hex_settings, prepare, wa
 from gelforge.sweeps.scenes import NamedScene
 
 GRID = Grid(24, 32)  # of FEATS' labels
+LARGE_REFERENCE = Method(REFERENCE, REFERENCE)
 NOT_SOLVER = CHOOSING | {"fidelity", "meshes", "fine_meshes", "timeout_s"}
 
 
@@ -111,7 +112,6 @@ def outcome(result, mesh, sensor: Sensor | None) -> dict:
 
 def solve_isolated(make: Callable[[Path], Callable], sensor: Sensor | None, limit_s: float, work: Path) -> dict:
     """Run `make(folder)()`, a prepared solve, in a process of its own; its record with what it cost."""
-
     warm_up()
 
     def child():
@@ -156,7 +156,8 @@ def measure(bench: ChartBench, scene: NamedScene, method: Method) -> dict:
         for stale in path.parent.glob(".work-*"):
             shutil.rmtree(stale, ignore_errors=True)
 
-        found = given_reference(bench, scene, method, key) or solve_method(bench, scene, method, path.parent)
+        given = given_reference(bench, scene) if method == LARGE_REFERENCE else None
+        found = given or solve_method(bench, scene, method, path.parent)
         record = {"key": key, "scene": scene.name, "method": method.name, "fidelity": method.fidelity} | found
         write_json(path, record)
         print(f"{scene.name} {method.name}: {record['status']} {record.get('cpu_seconds', float('nan')):.1f} s"
@@ -164,11 +165,11 @@ def measure(bench: ChartBench, scene: NamedScene, method: Method) -> dict:
     return record
 
 
-def given_reference(bench: ChartBench, scene: NamedScene, method: Method, key: str) -> dict | None:
+def given_reference(bench: ChartBench, scene: NamedScene) -> dict | None:
     """The reference of a scene where it was solved before, elsewhere, under the same key."""
-    if bench.references is None or method != Method(REFERENCE, REFERENCE):
+    if bench.references is None:
         return None
-    return kept_reference(bench.references, scene.name, key, GRID.shape)
+    return kept_reference(bench.references, scene.name, bench.key(scene, LARGE_REFERENCE), GRID.shape)
 
 
 def solve_method(bench: ChartBench, scene: NamedScene, method: Method, work: Path) -> dict:
