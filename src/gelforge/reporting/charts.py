@@ -47,7 +47,7 @@ def _plain_ticks(axis):
         side.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         side.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         side.set_minor_formatter(NullFormatter())
-    axis.margins(x=0.12, y=0.08)
+    axis.margins(x=0.18, y=0.08)
 
 
 def pareto_chart(rows: list[dict], scenes: list[dict], note: str) -> bytes:

@@ -116,14 +116,20 @@ def run(plan_path, data="data", workflow="workflow", jobs: int = 1) -> Path:
     _no_contact_images(plan, looks, sensors, folder)
     todo = _by_press(dataset, orders(plan))
     new, drawn, failed = 0, 0, []
-    with _pool(min(jobs, len(todo)), plan, workflow, folder) as carried_out:
-        for (of_press, solved), rows in zip(todo, progress(carried_out(todo), "rig", total=len(todo)), strict=True):
-            if solved:
-                drawn += len(of_press)
-                continue
-            new += len(of_press)
-            dataset.add(rows)
-            failed += [(order, truth["status"]) for order, log, truth in rows if log is None]
+    try:
+        with _pool(min(jobs, len(todo)), plan, workflow, folder) as carried_out:
+            for (of_press, solved), rows in zip(
+                todo, progress(carried_out(todo), "rig", total=len(todo)), strict=True
+            ):
+                if solved:
+                    drawn += len(of_press)
+                    continue
+                new += len(of_press)
+                dataset.add(rows)
+                failed += [(order, truth["status"]) for order, log, truth in rows if log is None]
+    finally:
+        if new:
+            dataset.publish()
     counts = {"new": new, "only drawn again": drawn, "failed": len(failed)}
     told = "".join(f", {count} {what}" for what, count in counts.items() if count or what == "new")
     print(f"{folder}: {len(dataset.log)} samples{told}")

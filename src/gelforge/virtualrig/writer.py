@@ -1,6 +1,8 @@
 """data/DATASET as a bench writes it, row by row, and the truth beside it that only the rig's checks read."""
 
 import json
+import math
+import time
 from dataclasses import asdict
 from pathlib import Path
 
@@ -17,6 +19,7 @@ from gelforge.virtualrig.rigplan import Order, Plan
 
 # Lengths to 0.1 micrometre, forces to 0.1 mN, moments to 1 mN mm.
 DECIMALS = {**dict.fromkeys((*POSE, *FORCE), 4), **dict.fromkeys(MOMENT, 6)}
+PUBLISHED_EVERY_S = 10.0  # at most so much is pressed anew after a run was killed
 TRUTH_COLUMNS = ("sample_id", "status", *POSE, *FORCES, "newton_iterations", "load_steps")
 
 
@@ -31,6 +34,7 @@ class Dataset:
         presses = read_presses(self.log_path) if ours else []
         self.log = {press.sample_id: press for press in presses}
         self.truth = self._rows(self.truth_path)
+        self._published = -math.inf
 
     def _rows(self, path) -> dict[str, dict]:
         return {row["sample_id"]: row for row in read_csv(path)} if path.exists() else {}
@@ -76,14 +80,20 @@ class Dataset:
         return order.sample_id in self.log and (self.folder / surface_name(order)).is_file()
 
     def add(self, rows: list[tuple[Order, LoggedPress | None, dict]]) -> None:
-        """Publish one press, (order, record of the log or None, row of the truth) of each sensor that saw it.
+        """Take in one press, (order, record of the log or None, row of the truth) of each sensor that saw it.
 
-        The truth comes first, then the rows that make it count.
+        What was taken in is published every few seconds, because both tables are written whole; the rest by `publish`.
         """
         self.truth |= {order.sample_id: truth for order, _, truth in rows}
-        write_csv(self.truth_path, TRUTH_COLUMNS, _ordered(self.truth))
         self.log |= {order.sample_id: log for order, log, _ in rows if log is not None}
+        if time.monotonic() > self._published + PUBLISHED_EVERY_S:
+            self.publish()
+
+    def publish(self) -> None:
+        """Write what was taken in: the truth first, then the rows that make it count."""
+        write_csv(self.truth_path, TRUTH_COLUMNS, _ordered(self.truth))
         write_log(self.log_path, _ordered(self.log), DECIMALS)
+        self._published = time.monotonic()
 
 
 def _ordered(rows: dict) -> list:
