@@ -22,6 +22,7 @@ from gelforge.flow.progress import progress
 from gelforge.formats.numpy_pickle import read_npy
 from gelforge.networks.latency import predict_images
 from gelforge.networks.modelfile import Trained
+from gelforge.networks.sensorprofile import Gain, fit_opposite
 from gelforge.networks.still import SETTLING, find_untouched
 from gelforge.networks.use import Untouched, load_for_use, predict_one
 from gelforge.records.image import read_image
@@ -120,27 +121,36 @@ def released_figures(films: dict[str, Read]) -> list[Figure]:
     return [Figure("released gels, nine of ten frames of the worst film", worst[name], "<=", 0.3, "N", note)]
 
 
+def grasps_of(films: dict[str, Read], way: str) -> list[tuple[float, float, float]]:
+    """Median normal force in N of either finger while both are touched, and their correlation over time, of each grasp."""
+    found = []
+    for name, one in films.items():
+        two = films.get(name.removesuffix("camera_0") + "camera_2")
+        if not name.endswith("camera_0") or two is None:
+            continue
+        count = min(len(one.moved), len(two.moved))
+        both = (one.moved[:count] > HELD_PX) & (two.moved[:count] > HELD_PX)
+        left, right = (-getattr(film, way)[:count, 2] for film in (one, two))
+        if both.sum() >= 5 and min(np.median(left[both]), np.median(right[both])) > 0.0:
+            likeness = float(np.corrcoef(left, right)[0, 1])
+            found.append((float(np.median(left[both])), float(np.median(right[both])), likeness))
+    return found
+
+
 def finger_figures(films: dict[str, Read]) -> list[Figure]:
     """Normal forces of two fingers that hold one object, over all frames in which both are touched."""
-    figures = {}
-    for way in ("used", "bare"):
-        factor, likeness = [], []
-        for name, one in films.items():
-            two = films.get(name.removesuffix("camera_0") + "camera_2")
-            if not name.endswith("camera_0") or two is None:
-                continue
-            count = min(len(one.moved), len(two.moved))
-            both = (one.moved[:count] > HELD_PX) & (two.moved[:count] > HELD_PX)
-            left, right = (-getattr(film, way)[:count, 2] for film in (one, two))
-            if both.sum() >= 5 and min(np.median(left[both]), np.median(right[both])) > 0.0:
-                factor.append(abs(np.log(np.median(left[both]) / np.median(right[both]))))
-                likeness.append(np.corrcoef(left, right)[0, 1])
-        figures[way] = len(factor), float(np.exp(np.median(factor))), float(np.median(likeness))
-    count, factor, likeness = figures["used"]
+    used, bare = (np.array(grasps_of(films, way)) for way in ("used", "bare"))
+    apart = [float(np.exp(np.median(np.abs(np.log(g[:, 0] / g[:, 1]))))) for g in (used, bare)]
+    others = [np.delete(used, k, axis=0) for k in range(len(used))]
+    gains = [fit_opposite(rest[:, 0], rest[:, 1], Gain()).value for rest in others]
+    balanced = float(np.exp(np.median(np.abs(np.log(used[:, 0] / (gains * used[:, 1]))))))
     return [
-        Figure("two fingers on one object, factor apart, median", factor, "<=", 1.25, "",
-               f"{count} grasps; bare {figures['bare'][1]:.2f}"),
-        Figure("the same over time, correlation, median", likeness, ">=", 0.95, "", f"bare {figures['bare'][2]:.2f}"),
+        Figure("two fingers on one object, factor apart, median", apart[0], "<=", 1.25, "",
+               f"{len(used)} grasps; bare {apart[1]:.2f}"),
+        Figure("the same once the other grasps brought one finger to the other", balanced, "<=", 1.25, "",
+               f"as `gelforge sensor --opposite` does; a factor of {np.median(gains):.2f} in the median"),
+        Figure("the same over time, correlation, median", float(np.median(used[:, 2])), ">=", 0.95, "",
+               f"bare {np.median(bare[:, 2]):.2f}"),
     ]  # fmt: skip
 
 

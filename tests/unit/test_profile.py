@@ -14,6 +14,7 @@ from gelforge.networks.sensorprofile import (
     Gain,
     check_same_sensor,
     fit_gain,
+    fit_opposite,
     make_profile,
     read_profile,
     student_quantile,
@@ -56,6 +57,27 @@ def test_more_readings_narrow_the_interval():
         gain = fit_gain(1.1 * read, read)
         widths.append(np.log(gain.high / gain.low))
     assert widths == sorted(widths, reverse=True) and widths[-1] < 0.3 * widths[0]
+
+
+@given(st.floats(0.3, 3.0), st.integers(3, 30), st.integers(0, 2**32 - 1))
+@settings(max_examples=50, deadline=None)
+def test_grasps_bring_one_finger_to_the_other(factor, count, seed):
+    """A third of the grasps, of which one finger sees hardly anything, move the factor little; weak ones do not count."""
+    rng = np.random.default_rng(seed)
+    read = rng.uniform(4.0, 20.0, count)
+    opposite = np.where(np.arange(count) % 3 == 2, 20.0, factor) * read
+    gain = fit_opposite(np.append(opposite, 0.1), np.append(read, 5.0), Gain(1.0, 0.95, 1.05, 20))
+    assert gain.low < gain.value < gain.high and gain.readings == count
+    assert abs(np.log(gain.value / factor)) <= abs(np.log(factor)) / (1 + count) + 1e-9
+
+
+def test_what_is_not_known_of_the_other_finger_is_not_known_of_this_one():
+    read = np.linspace(3.0, 10.0, 8)
+    known, unknown = (fit_opposite(1.4 * read, read, other) for other in (Gain(1.0, 0.98, 1.02, 9), Gain()))
+    assert known.value == unknown.value == pytest.approx(1.4, rel=0.1)
+    assert np.log(unknown.high / unknown.low) > np.log(Gain().high / Gain().low) > np.log(known.high / known.low)
+    with pytest.raises(BadInput, match="none of 2 grasps is felt by both"):
+        fit_opposite(np.array([0.2, 9.0]), np.array([7.0, -1.0]), Gain())
 
 
 @pytest.fixture(scope="module")
@@ -170,3 +192,26 @@ def test_quantiles_are_students(freedom):
 
     for share in (0.6, 0.9, 0.95):
         assert student_quantile(share, freedom) == pytest.approx(t.ppf(share, freedom), rel=0.012)
+
+
+def test_fingers_that_grasp_one_object_read_alike_with_their_profiles(weighed):
+    """The same pictures of both fingers, one of which has a factor: the other gets nearly as much."""
+    folder, rows = weighed
+    left = make_profile("left", read_image(folder / "rest.png"), 0.0, Gain(1.3, 1.25, 1.35, 9), "net")
+    write_profile(folder / "left.toml", left)
+    grasps = folder / "grasps.csv"
+    grasps.write_text("\n".join(["image,opposite", *(f"{row[0]},{row[0]}" for row in rows)]) + "\n")
+    asked = ["--name", "right", "--untouched", str(folder / "rest.png"), "--out", str(folder / "right.toml")]
+    assert sensor.main([*asked, "--opposite", str(folder / "left.toml"), "--grasps", str(grasps)]) == 0
+    assert read_profile(folder / "right.toml").gain.value == pytest.approx(1.3, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    "more, told",
+    [(["--grasps", "g.csv"], "--opposite and --grasps go together"),
+     (["--opposite", "l.toml", "--grasps", "g.csv", "--readings", "r.csv"], "either --readings or --grasps")],
+)  # fmt: skip
+def test_half_of_what_grasps_need_is_refused(weighed, more, told):
+    folder, _ = weighed
+    with pytest.raises(BadInput, match=told):
+        sensor.main(["--name", "a", "--untouched", str(folder / "rest.png"), *more])

@@ -3,6 +3,10 @@
 readings.csv has a row for each press that was weighed: `image`, a picture (its path starts at the table's folder), and
 `force_n`, the force that pressed, in newtons (a kitchen scale's grams over 102). Without readings the profile holds the
 untouched picture alone. `gelforge predict` and `gelforge live` take the profile with --profile.
+
+Two sensors of a gripper need no scale to agree: --opposite LEFT.toml --grasps grasps.csv brings this one to the profile
+of the other by pictures of both at the same moments, columns `image` and `opposite`, since the two fingers that hold
+one object press alike. Which of them is right in newtons only readings tell.
 """
 
 from argparse import Namespace
@@ -12,7 +16,15 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.main import command, option
-from gelforge.networks.sensorprofile import Gain, check_readings, fit_gain, make_profile, write_profile
+from gelforge.networks.sensorprofile import (
+    Gain,
+    check_readings,
+    fit_gain,
+    fit_opposite,
+    make_profile,
+    read_profile,
+    write_profile,
+)
 from gelforge.networks.use import Untouched, load_for_use, predict_one
 from gelforge.records.image import read_image
 from gelforge.records.markers import pitch_of
@@ -27,16 +39,34 @@ def gain_of(readings: Path, untouched: Untouched) -> Gain:
         raise BadInput(f"{readings}: holds no readings; give the columns image and force_n, a row for each press")
     names = [f"{readings} line {number}: {row['image']}" for number, row in enumerate(rows, 2)]
     measured = np.array([parse_number(row["force_n"]) or np.nan for row in rows])
-    images = [read_image(readings.parent / row["image"]) for row in rows]
-    read = np.array([-predict_one(untouched, image)[1][2].sum() for image in images], dtype=float)
+    read = np.array([_normal(untouched, readings.parent / row["image"]) for row in rows])
     check_readings(names, measured, read)
     return fit_gain(measured, read)
+
+
+def gain_beside(grasps: Path, untouched: Untouched, opposite: Path) -> Gain:
+    """The factor by which grasps bring this sensor to the profile of the finger opposite."""
+    rows = read_table(grasps, "give the columns image and opposite")
+    if not rows or {"image", "opposite"} - rows[0].keys():
+        raise BadInput(f"{grasps}: holds no grasps; give the columns image and opposite, a row for each moment")
+    other = read_profile(opposite)
+    facing = Untouched(untouched.trained, other.untouched, gain=other.gain.value)
+    read = [_normal(untouched, grasps.parent / row["image"]) for row in rows]
+    felt = [_normal(facing, grasps.parent / row["opposite"]) for row in rows]
+    return fit_opposite(np.array(felt), np.array(read), other.gain)
+
+
+def _normal(untouched: Untouched, image: Path) -> float:
+    """Normal force in N that is read in a picture, above 0 where something presses."""
+    return -float(predict_one(untouched, read_image(image))[1][2].sum())
 
 
 @command(
     option("--name", help="of the sensor"),
     option("--untouched", type=Path, metavar="IMAGE", help="the sensor while nothing touches it"),
     option("--readings", type=Path, help="table of pictures and the forces that pressed", default=None),
+    option("--opposite", type=Path, help="profile of the sensor on the other finger", default=None),
+    option("--grasps", type=Path, help="table of pictures of both fingers while they hold one object", default=None),
     option("--model", type=Path, help="model file; the one that came with gelforge if not named", default=None),
     option("--out", type=Path, help="the profile, .toml", default=None),
 )
@@ -44,11 +74,21 @@ def main(args: Namespace) -> None:
     name, out = check_id(args.name), args.out or Path(f"{args.name}.toml")
     if out.suffix != ".toml":
         raise BadInput(f"--out {out}: give a name that ends in .toml")
+    if (args.opposite is None) != (args.grasps is None):
+        raise BadInput("--opposite and --grasps go together: a profile of the other finger, and pictures of both")
+    if args.readings and args.grasps:
+        raise BadInput(
+            "give either --readings or --grasps: what was weighed says more than what another finger reads"
+        )
     trained, picture = load_for_use(args.model), read_image(args.untouched)
     untouched = Untouched(trained, picture)
     if untouched.fault:
         raise BadInput(f"{args.untouched}: {untouched.fault}; take one while nothing touches the sensor")
-    gain = gain_of(args.readings, untouched) if args.readings else Gain()
+    gain = Gain()
+    if args.readings:
+        gain = gain_of(args.readings, untouched)
+    elif args.grasps:
+        gain = gain_beside(args.grasps, untouched, args.opposite)
     profile = make_profile(name, picture, pitch_of(picture), gain, trained.about["name"])
     write_profile(out, profile)
     print(f"{out}: forces times {gain.value:.3f} ({gain.low:.3f} to {gain.high:.3f}), from {gain.readings} readings;"

@@ -25,6 +25,7 @@ SCATTER, KNOWN = 0.15, 2.0  # of one reading's logarithm, as two readings would 
 WEAK_N = 1.0  # forces of about this size and below say little of a factor
 LEAST_N = 0.5  # read by the network: below, nothing touches
 FARTHEST = 5.0  # times that a reading may differ from what the network reads
+GRASP_SCATTER = 0.35  # of one grasp's logarithm: fingers see different parts of what they hold
 SHARE = 0.9  # of the probability that an interval holds
 APART = 0.03  # share by which the dots' distance may differ from the profile's
 
@@ -71,6 +72,30 @@ def fit_gain(measured: np.ndarray, read: np.ndarray) -> Gain:
     mean = float(weight @ ratio) / scatter / precision
     half = student_quantile(0.5 + SHARE / 2, freedom) / math.sqrt(precision)
     return Gain(math.exp(mean), math.exp(mean - half), math.exp(mean + half), len(ratio))
+
+
+def fit_opposite(opposite: np.ndarray, read: np.ndarray, other: Gain) -> Gain:
+    """Factor from grasps (n,) of one object by two fingers, whose normal forces are equal (Newton's third law).
+
+    opposite: N, read by the other finger with its own factor `other`; read: by this one without any. The median of their
+    ratios' logarithms, because in some grasps one finger hardly sees what it holds, under a normal prior; what is not
+    known of the other finger's factor widens the interval. Raises BadInput where no grasp is felt by both.
+    """
+    felt = (opposite >= WEAK_N) & (read >= WEAK_N)
+    if not felt.any():
+        raise BadInput(
+            f"none of {len(read)} grasps is felt by both fingers ({WEAK_N:g} N and more); give pictures of firmer ones"
+        )
+    ratio = np.log(opposite[felt] / read[felt])
+    centre, count = float(np.median(ratio)), len(ratio)
+    freedom = KNOWN + count - 1
+    spread = 1.4826 * float(np.median(np.abs(ratio - centre)))
+    scatter = (KNOWN * GRASP_SCATTER**2 + (count - 1) * spread**2) / freedom
+    told, before = count / (math.pi / 2 * scatter), 1.0 / (2 * SPREAD**2)
+    mean = (told * centre + before * math.log(other.value)) / (told + before)
+    known = math.log(other.high / other.low) / (2 * NormalDist().inv_cdf(0.5 + SHARE / 2))
+    half = student_quantile(0.5 + SHARE / 2, freedom) * math.sqrt(1.0 / (told + before) + known**2)
+    return Gain(math.exp(mean), math.exp(mean - half), math.exp(mean + half), count)
 
 
 def student_quantile(share: float, freedom: float) -> float:
