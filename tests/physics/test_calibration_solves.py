@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from calibration_law import true_values
+from parameters import parameters
 
 from gelforge.calibration.readings import Readings
 from gelforge.calibration.solves import SolveCache, build_emulator, interface_of, make_plan, refine, solve_all
@@ -95,6 +96,21 @@ def test_without_friction_only_the_end_of_a_path_counts(catalogue, tmp_path):
     values = true_values(c10=REFERENCE_C10, offset=0.0, compliance=0.0, mu=0.0)
     dragged = solve(catalogue, readings.press(0, 1.3), mu=0.0)
     np.testing.assert_allclose(emulator.forces(readings.depth, values)[0][0, 0], dragged, atol=0.01 * abs(dragged[2]))
+
+
+def test_forces_between_the_friction_nodes_are_those_of_solves(root, tmp_path):
+    """Under a flat body friction hardly matters from 0.7 on, which nodes of 0 and 0.4 alone would not tell."""
+    flat = load_catalogue(root / "workflow" / "indenters.toml", ["cylinder_8"])
+    readings = replace(presses((1.0, 1.0, 0, 0, 0, -1.0, 0)), indenters=np.array(["cylinder_8"]))
+    plan, cache = make_plan(readings, 0.15, (1.0,)), SolveCache(tmp_path, flat, SETTINGS)
+    nodes = [0.0, *parameters().calibrate.friction_nodes, np.inf]
+    assert not solve_all(plan, cache, nodes, [NU])
+    emulator = build_emulator(plan, cache, nodes, [NU])
+    for mu in (0.5, 0.8, 1.2):
+        scene = Scene(Gel(), Material(NU), flat["cylinder_8"], readings.press(0, 1.0), interface_of(mu))
+        direct = solve_hex(scene, SETTINGS).total[2]
+        values = true_values(c10=REFERENCE_C10, offset=0.0, compliance=0.0, mu=mu)
+        assert emulator.forces(readings.depth, values)[0][0, 0, 2] == pytest.approx(direct, rel=0.012)
 
 
 def test_cached_solves_are_found_and_settings_name_them(built, catalogue):
