@@ -163,7 +163,7 @@ def test_the_references_that_are_kept_are_those_of_todays_scenes_and_settings(be
     keys = read_json(bench.references / KEYS)
     for name, table in read_tables(root / "workflow").items():
         scene = parse_scene(name, table, bench.params.material.nu)
-        assert keys[name] == bench.key(scene, Method(REFERENCE, REFERENCE)), name
+        assert keys[name]["key"] == bench.key(scene, Method(REFERENCE, REFERENCE)), name
 
 
 def test_a_kept_reference_is_not_solved_again_and_is_none_under_other_settings(bench, root):
@@ -183,3 +183,13 @@ def test_references_come_back_as_they_were_kept(folder, tmp_path):
     again = kept_reference(tmp_path, "cross", "k", GRID.shape)
     np.testing.assert_allclose(again["cells"], one["cells"], atol=1e-7)
     np.testing.assert_allclose(again["total"], one["total"], atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "name, text", [("cross.csv", "row,column,fx_n,fy_n,fz_n\n99,1,0,0,-1\n"), ("keys.json", "{"), ("keys.json", "[]")]
+)
+def test_a_damaged_reference_is_none(folder, tmp_path, name, text):
+    one = {**record(folder, "cross"), "key": "k"}
+    keep_references([{"scene": "cross", "methods": {REFERENCE: one}}], tmp_path)
+    (tmp_path / name).write_text(text)
+    assert kept_reference(tmp_path, "cross", "k", GRID.shape) is None

@@ -1,7 +1,8 @@
 """References of the chart's scenes kept as plain files, so that nobody has to solve them again: hours on fine tetrahedra.
 
-A file for each scene holds its force in every cell; one beside them says by a digest what each was solved with. Where
-scene, solver or parameters have changed since, a reference is none any more and is solved anew.
+A file for each scene holds its force in every cell; one beside them says by a digest what each was solved with, and by
+another what it holds. Where scene, solver, parameters or the file itself have changed since, a reference is none any
+more and is solved anew.
 """
 
 from collections.abc import Iterable
@@ -10,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import read_csv, read_json, write_csv, write_json
+from gelforge.flow.files import digest_of, read_csv, read_json, write_csv, write_json
 from gelforge.records.press import FORCE
 from gelforge.sweeps.methods import REFERENCE
 
@@ -45,8 +46,9 @@ def keep_references(charted: Iterable[dict], folder: Path) -> None:
             raise BadInput(
                 f"the chart of {scene['scene']} has no {REFERENCE}; the small chart's reference is none here"
             )
-        write_csv(folder / f"{scene['scene']}.csv", COLUMNS, reference_rows(record))
-        keys[scene["scene"]] = record["key"]
+        path = folder / f"{scene['scene']}.csv"
+        write_csv(path, COLUMNS, reference_rows(record))
+        keys[scene["scene"]] = {"key": record["key"], "sha256": digest_of(path)}
     write_json(folder / KEYS, keys)
 
 
@@ -56,7 +58,10 @@ def kept_reference(folder: Path, scene: str, key: str, shape: tuple[int, int]) -
     shape: rows and columns of its cells. The record has no cost: it was spent elsewhere.
     """
     path = folder / f"{scene}.csv"
-    if not path.exists() or not (folder / KEYS).exists() or read_json(folder / KEYS).get(scene) != key:
+    try:
+        if read_json(folder / KEYS).get(scene) != {"key": key, "sha256": digest_of(path)}:
+            return None
+    except (OSError, ValueError, AttributeError):
         return None
     cells, outside = np.zeros((3, *shape)), np.zeros(3)
     for row in read_csv(path):
