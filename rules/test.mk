@@ -1,5 +1,7 @@
 # Tests, and benchmarks of what was promised.
 TESTS ?= tests
+# A process of tests that dies is not started again: with --dist loadfile the others would wait for it for ever.
+SIDE_BY_SIDE = -n $(JOBS) --dist loadfile --max-worker-restart=0
 
 # Tests of pages need a browser.
 CHROMIUM_FOUND := .venv/chromium.found
@@ -20,9 +22,9 @@ test benchmark-face: $(CHROMIUM_FOUND)
 
 .PHONY: test test-slurm lint format lock
 test: $(SETUP) $(CCX_FOUND)  ## all tests, those of the mechanics on a second code path too
-	@$(PY) -m pytest -n $(JOBS) --dist loadfile $(TESTS)
+	@$(PY) -m pytest $(SIDE_BY_SIDE) $(TESTS)
 # MKL takes other code paths on other processors, which differ in the last bits: what is tested must hold on each.
-	$(if $(filter-out tests,$(TESTS)),,@MKL_CBWR=COMPATIBLE $(PY) -m pytest -q -n $(JOBS) --dist loadfile tests/physics)
+	$(if $(filter-out tests,$(TESTS)),,@MKL_CBWR=COMPATIBLE $(PY) -m pytest -q $(SIDE_BY_SIDE) tests/physics)
 
 test-slurm: $(SETUP) $(SLURM_FOUND)  ## tests of EXECUTOR=slurm on a real cluster of one node, started and stopped here
 	@$(PY) -m pytest tests/workflow/test_slurm.py tests/workflow/test_slurm_parts.py

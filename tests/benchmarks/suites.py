@@ -64,6 +64,7 @@ def run_once(number: int, tests: list[str], folder: Path, jobs: int) -> dict:
             str(jobs),
             "--dist",
             "loadfile",
+            "--max-worker-restart=0",
             "-p",
             "no:cacheprovider",
         ]
