@@ -91,7 +91,8 @@ def main(args: Namespace) -> None:
         gain = gain_beside(args.grasps, untouched, args.opposite)
     profile = make_profile(name, picture, pitch_of(picture), gain, trained.about["name"])
     write_profile(out, profile)
-    print(f"{out}: forces times {gain.value:.3f} ({gain.low:.3f} to {gain.high:.3f}), from {gain.readings} readings;"
+    what = "grasps" if args.grasps else "readings"
+    print(f"{out}: forces times {gain.value:.3f} ({gain.low:.3f} to {gain.high:.3f}), from {gain.readings} {what};"
           f" dots {profile.pitch:.1f} px apart")  # fmt: skip
 
 
