@@ -19,7 +19,7 @@ from gelforge.stages import pareto
 from gelforge.sweeps.challenge import write_challenge
 from gelforge.sweeps.deviation import errors
 from gelforge.sweeps.keptreferences import COLUMNS, KEYS, keep_references, kept_reference, reference_rows
-from gelforge.sweeps.methods import REFERENCE, Method
+from gelforge.sweeps.methods import LARGE_REFERENCE, REFERENCE
 from gelforge.sweeps.scenes import parse_scene, read_tables
 from gelforge.sweeps.trial import GRID, load_bench, measure
 
@@ -163,15 +163,15 @@ def test_the_references_that_are_kept_are_those_of_todays_scenes_and_settings(be
     keys = read_json(bench.references / KEYS)
     for name, table in read_tables(root / "workflow").items():
         scene = parse_scene(name, table, bench.params.material.nu)
-        assert keys[name]["key"] == bench.key(scene, Method(REFERENCE, REFERENCE)), name
+        assert keys[name]["key"] == bench.key(scene, LARGE_REFERENCE), name
 
 
 def test_a_kept_reference_is_not_solved_again_and_is_none_under_other_settings(bench, root):
     scene = parse_scene("bar", read_tables(root / "workflow")["bar"], bench.params.material.nu)
-    found = measure(bench, scene, Method(REFERENCE, REFERENCE))
+    found = measure(bench, scene, LARGE_REFERENCE)
     assert found["status"] == "OK" and found["total"] == pytest.approx([0.0, 0.0, -17.015], abs=0.005)
     assert np.array(found["cells"]).sum(axis=(1, 2)) + found["outside"] == pytest.approx(found["total"])
-    assert measure(bench, scene, Method(REFERENCE, REFERENCE)) == found
+    assert measure(bench, scene, LARGE_REFERENCE) == found
     assert kept_reference(bench.references, "bar", "another key", GRID.shape) is None
     assert kept_reference(bench.references, "nothing", "", GRID.shape) is None
 

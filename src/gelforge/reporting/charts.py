@@ -55,10 +55,11 @@ def pareto_chart(rows: list[dict], scenes: list[dict], note: str) -> bytes:
     from matplotlib.lines import Line2D
 
     usable = [row for row in rows if row["total_median"] is not None]
+    slowest = max((row["cpu_seconds_median"] for row in usable), default=0.0)
     figure, axes = canvas_with_axes(1, 2, 12, 5.2)
     for axis, (kind, label) in zip(axes[0], KINDS.items(), strict=True):
         for row in usable:
-            _spot(axis, row, kind, max(other["cpu_seconds_median"] for other in usable))
+            _spot(axis, row, kind, slowest)
         _frontier(axis, usable, kind)
         _plain_ticks(axis)
         axis.set(xlabel="processor seconds per press, one thread (median over scenes)", ylabel=f"{label}, %")

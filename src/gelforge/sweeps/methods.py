@@ -35,6 +35,9 @@ class Method:
     halved: bool = False
 
 
+LARGE_REFERENCE = Method(REFERENCE, REFERENCE)  # what the large chart stands against
+
+
 def hex_method(size: float, layers: int, steps: int) -> Method:
     return Method(f"hex-{size:g}-{steps}", "hex", size, layers, steps)
 
@@ -61,7 +64,7 @@ def every_method(pareto: ParetoTable, hex_quality: str) -> list[Method]:
     tets = [Method(f"ccx-{size:g}-{n}", "ccx", size, steps=n) for size, n in varied]
     native = [Method(f"ccx-native-{size:g}", "ccx-native", size) for size in pareto.native_sizes_mm]
     qualities = [quality_method(quality) for quality in QUALITIES if quality != hex_quality]
-    return [*qualities, *label, *bricks, *tets, *native, Method(REFERENCE, REFERENCE)]
+    return [*qualities, *label, *bricks, *tets, *native, LARGE_REFERENCE]
 
 
 def quick_methods(quick: QuickTable, with_ccx: bool, reference_kept: bool) -> list[Method]:
@@ -71,7 +74,7 @@ def quick_methods(quick: QuickTable, with_ccx: bool, reference_kept: bool) -> li
     found = [hex_method(size, layers, steps) for size, layers in sizes]
     found += [Method(f"{name}-label", name) for name in (("hex", "ccx") if with_ccx else ("hex",))]
     bricks = hex_method(fine.size, fine.layers, fine.press_steps)
-    return [*found, Method(REFERENCE, REFERENCE) if reference_kept else bricks]
+    return [*found, LARGE_REFERENCE if reference_kept else bricks]
 
 
 @cache

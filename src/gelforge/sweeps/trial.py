@@ -23,11 +23,10 @@ from gelforge.mechanics.hex.settings import QUALITIES, quality
 from gelforge.sweeps import references as meshes
 from gelforge.sweeps.isolate import Clock, isolated, peak_mib
 from gelforge.sweeps.keptreferences import kept_reference
-from gelforge.sweeps.methods import REFERENCE, Method, hex_settings, prepare, warm_up
+from gelforge.sweeps.methods import LARGE_REFERENCE, REFERENCE, Method, hex_settings, prepare, warm_up
 from gelforge.sweeps.scenes import NamedScene
 
 GRID = Grid(24, 32)  # of FEATS' labels
-LARGE_REFERENCE = Method(REFERENCE, REFERENCE)
 NOT_SOLVER = CHOOSING | {"fidelity", "meshes", "fine_meshes", "timeout_s"}
 
 
