@@ -7,7 +7,6 @@ import pytest
 
 from gelforge.geometry.gel import Gel
 from gelforge.mechanics.contact import GLUED, FacePlaces, Law, Pose, contact_points, contact_springs, curved
-from gelforge.mechanics.element import build_pattern
 from gelforge.mechanics.hex.hexmesh import (
     FineBox,
     build_mesh,
@@ -16,6 +15,7 @@ from gelforge.mechanics.hex.hexmesh import (
     layer_heights,
     surface_lines,
 )
+from gelforge.mechanics.pattern import build_pattern
 
 LAW = Law(penalty=50.0, friction=5.0)
 HERE = Pose(np.eye(3), np.zeros(3))

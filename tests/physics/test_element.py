@@ -5,6 +5,7 @@ import pytest
 
 from gelforge.mechanics import element
 from gelforge.mechanics.linear import SuperLU, symmetric_solver
+from gelforge.mechanics.pattern import block_places, build_pattern, symmetric_product
 from gelforge.mechanics.scene import Material
 
 EXACT = 1e-10  # relative; homogeneous fields lie in the element's space, so only rounding is left
@@ -27,21 +28,17 @@ def forces_of(nodes, elements, u, material):
     """Nodal forces dE/du (n, 3)."""
     b = element.bricks(nodes, elements)
     out = np.zeros_like(u)
-    smallest = element.internal_forces(
-        u, b.elements, b.gradients, b.weights, material.shear_modulus, material.bulk_modulus, out
-    )
+    smallest = element.internal_forces(u, b, material.shear_modulus, material.bulk_modulus, out)
     assert smallest > 0
     return out
 
 
 def matrix_of(nodes, elements, u, material, fixed=np.empty(0, int)):
     """Upper-triangle values and pattern of the tangent."""
-    b, pattern = element.bricks(nodes, elements), element.build_pattern(elements, len(nodes), fixed)
-    base, width = element.block_places(pattern, elements)
+    b, pattern = element.bricks(nodes, elements), build_pattern(elements, len(nodes), fixed)
+    base, width = block_places(pattern, elements)
     values = np.zeros(len(pattern.indices))
-    element.tangent(
-        u, b.elements, b.gradients, b.weights, material.shear_modulus, material.bulk_modulus, 1.0, base, width, values
-    )
+    element.tangent(u, b, material.shear_modulus, material.bulk_modulus, 1.0, base, width, values)
     return values, pattern
 
 
@@ -75,6 +72,30 @@ def solve_inner(nodes, elements, u, fixed, material):
         u = u.copy()
         u[free] -= solver.solve(residual.ravel()).reshape(-1, 3)
     return u, norms
+
+
+def test_products_are_those_of_the_whole_matrix():
+    nodes, elements, boundary = distorted_block()
+    rng = np.random.default_rng(0)
+    values, pattern = matrix_of(
+        nodes, elements, 0.01 * rng.normal(size=nodes.shape), Material(), np.flatnonzero(boundary)[:9]
+    )
+    x = rng.normal(size=len(pattern.indptr) - 1)
+    np.testing.assert_allclose(symmetric_product(pattern, values, x), dense(values, pattern) @ x, rtol=0, atol=1e-12)
+
+
+def test_bricks_are_the_same_in_any_company():
+    """They are worked on in batches, of which the last is not full."""
+    nodes, elements, _ = distorted_block(5)
+    assert len(elements) % element.LANES
+    u, material = 0.01 * np.random.default_rng(0).normal(size=nodes.shape), Material()
+    alone = [forces_of(nodes, elements[e : e + 1], u, material) for e in range(len(elements))]
+    np.testing.assert_allclose(forces_of(nodes, elements, u, material), np.sum(alone, axis=0), rtol=0, atol=1e-12)
+    ratios = element.smallest_ratios(u, element.bricks(nodes, elements))
+    single = [element.smallest_ratios(u, element.bricks(nodes, elements[e : e + 1]))[0] for e in range(len(elements))]
+    np.testing.assert_allclose(ratios, single, rtol=1e-12)
+    whole, turned = (dense(*matrix_of(nodes, some, u, material)) for some in (elements, elements[::-1]))
+    np.testing.assert_allclose(whole, turned, rtol=0, atol=1e-6 * np.abs(whole).max())
 
 
 DEFORMATIONS = {

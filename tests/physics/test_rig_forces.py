@@ -9,8 +9,8 @@ from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue
 from gelforge.mechanics.hex.hexsolver import HexSolver
 from gelforge.mechanics.hex.settings import quality
-from gelforge.mechanics.scene import REFERENCE_C10, Interface, Material, Scene
-from gelforge.virtualrig.bench import SETTINGS, Bench
+from gelforge.mechanics.scene import REFERENCE_C10, Interface, Material, Press, Scene
+from gelforge.virtualrig.bench import SETTINGS, Bench, moments
 from gelforge.virtualrig.excess import ForceFactor, kept_factor, name_of
 from gelforge.virtualrig.rigplan import orders, read_plan
 
@@ -59,3 +59,18 @@ def test_a_kept_factor_is_that_of_its_shape_and_a_broken_one_is_made_again(plan,
 def test_a_factor_is_constant_beyond_the_depths_it_was_found_at():
     factor = ForceFactor(np.array([0.4, 0.8]), np.array([0.9, 1.0]))
     assert [factor.at(depth) for depth in (-1.0, 0.4, 0.6, 0.8, 3.0)] == pytest.approx([0.9, 0.9, 0.95, 1.0, 1.0])
+
+
+@pytest.mark.parametrize("turn_deg", [20.0, 65.0])
+def test_a_flat_body_with_friction_settles_at_every_moment(plan, root, turn_deg):
+    """What the last step left pending is carried out where the body stands, with all points held at first.
+
+    Where points may slip at once they drag others along: under flat bodies no equilibrium was found then.
+    """
+    body = load_catalogue(root / "workflow" / "indenters.toml", ["block_07"])["block_07"]
+    press, law = Press(0.5, -1.0, 0.0, 0.15, 0.1, -1.2, turn_deg), Interface("coulomb", 0.8)
+    scenes = [Scene(Gel(), Material(), body, replace(press, **way), law) for way in moments(press, 5)]
+    results = HexSolver(SETTINGS).solve_frames(scenes)
+    assert all(result.status.valid for result in results)
+    assert all(result.evidence["base_mismatch"] < 1e-6 for result in results)
+    assert all(np.diff([-result.total[2] for result in results[:3]]) > 0)

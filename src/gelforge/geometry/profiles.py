@@ -76,31 +76,13 @@ class Outline:
 
     def distance(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Signed distance (n,) and outward unit gradient (n, 2) at points (n, 2)."""
-        px, py = np.ascontiguousarray(p[:, 0]), np.ascontiguousarray(p[:, 1])
-        best = np.full(len(p), np.inf)
-        nearest_x, nearest_y, which = np.empty_like(px), np.empty_like(px), np.zeros(len(p), np.int8)
-        inside = np.zeros(len(p), bool)
-        ends = np.roll(self.core, -1, axis=0)
-        for k, ((cx, cy), (_, ey), (ux, uy)) in enumerate(zip(self.core, ends, self._edge, strict=True)):
-            rx, ry = px - cx, py - cy
-            square = ux * ux + uy * uy
-            t = np.clip(rx * (ux / square) + ry * (uy / square), 0.0, 1.0)
-            dx, dy = rx - t * ux, ry - t * uy
-            far = dx * dx + dy * dy
-            closer = far < best
-            for keep, new in ((best, far), (nearest_x, dx), (nearest_y, dy), (which, k)):
-                np.copyto(keep, new, where=closer)
-            # both ends exactly as the neighbours see them, or a level edge would count once too often
-            crosses = (py >= cy) != (py >= ey)
-            if crosses.any():
-                inside ^= crosses & (rx < ux / uy * ry)
-        length = np.sqrt(best)
+        from gelforge.geometry import nearest
+
+        way, length, which, inside = nearest.of_outline(np.asarray(p, float), self.core, self._edge)
         signed = np.where(inside, -length, length)
         gradient = self._normal[which]
         far = length > 1e-12
-        inverse = np.divide(1.0, signed, where=far, out=np.zeros_like(signed))
-        np.copyto(gradient[:, 0], nearest_x * inverse, where=far)
-        np.copyto(gradient[:, 1], nearest_y * inverse, where=far)
+        gradient[far] = way[far] / signed[far, None]
         return signed - self.radius, gradient
 
     def loops(self, offsets: np.ndarray) -> list[np.ndarray]:

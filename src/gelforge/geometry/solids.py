@@ -178,7 +178,8 @@ class RoundedPolyhedron(Body):
                 edges.setdefault(tuple(sorted((simplex[i], simplex[j]))), set()).add(face)
         # points above the cut are brought down to it, so that no edge of the cut is ever the only nearest one
         level = self.core[:, 2] > self.height - 1e-7
-        self._edges = np.array([e for e, faces in edges.items() if len(faces) == 2 and not level[list(e)].all()])
+        kept = np.array([e for e, faces in edges.items() if len(faces) == 2 and not level[list(e)].all()])
+        self._starts, self._ways = self.core[kept[:, 0]], self.core[kept[:, 1]] - self.core[kept[:, 0]]
 
     def distance(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Signed distance (n,) and unit outward normal (n, 3) at points (n, 3)."""
@@ -199,23 +200,13 @@ class RoundedPolyhedron(Body):
 
     def _off_core(self, points, plane, normal):
         """Direction (n, 3) and length (n,) from the core to points outside it."""
+        from gelforge.geometry import nearest
+
         foot = points - plane[:, None] * normal
         to, length = normal.copy(), plane.copy()
         rest = np.flatnonzero((foot @ self._normals.T - self._levels).max(axis=1) >= 1e-9)
-        x, y, z = np.ascontiguousarray(points[rest].T)
-        best, nearest = np.full(len(rest), np.inf), np.zeros((3, len(rest)))
-        for i, j in self._edges:
-            u = self.core[j] - self.core[i]
-            cx, cy, cz = self.core[i]
-            rx, ry, rz = x - cx, y - cy, z - cz
-            t = np.clip((rx * u[0] + ry * u[1] + rz * u[2]) / (u @ u), 0.0, 1.0)
-            dx, dy, dz = rx - t * u[0], ry - t * u[1], rz - t * u[2]
-            square = dx * dx + dy * dy + dz * dz
-            closer = square < best
-            for keep, new in zip((best, *nearest), (square, dx, dy, dz), strict=True):
-                np.copyto(keep, new, where=closer)
-        length[rest] = np.sqrt(best)
-        to[rest] = (nearest / np.maximum(length[rest], 1e-300)).T
+        way, length[rest] = nearest.of_edges(points[rest], self._starts, self._ways)
+        to[rest] = way / np.maximum(length[rest], 1e-300)[:, None]
         return to, length
 
     def radius(self) -> float:

@@ -7,6 +7,10 @@ bricks do not lock as nu goes to 1/2. Residual and tangent are exact derivatives
     E = sum_g w_g C10 (J_g^(-2/3) tr(F_g^T F_g) - 3) + V (theta - 1)^2 / D1,  theta = (1/V) sum_g w_g J_g,
 
 hence the tangent is symmetric.
+
+Kernels work on LANES bricks at once, side by side in the last axis of every array, where a processor's vector
+instructions are. Compilers use them only where they see that arrays do not overlap, which they do for arrays of constant
+shape made in the kernel itself: what a point needs is copied there first.
 """
 
 from dataclasses import dataclass
@@ -15,10 +19,13 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from gelforge.mechanics.pattern import add_entries
+
 CORNERS = np.array(
     [[-1, -1, -1], [1, -1, -1], [1, 1, -1], [-1, 1, -1], [-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1]], float
 )
 NOT_FREE = -1
+LANES = 32
 _FAST: dict[str, Any] = {
     "cache": True,
     "nogil": True,
@@ -29,9 +36,14 @@ _FAST: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class BrickGeometry:
-    """Reference geometry of e bricks: gradients (e, 8 points, 8 nodes, 3), weights (e, 8) mm^3."""
+    """Reference geometry of e bricks in b batches of LANES; the last batch repeats its last brick.
+
+    elements: (e, 8) nodes. nodes: (b, 8, LANES) the same by batches. gradients: (b, 8 points, 8 nodes, 3, LANES).
+    weights: (b, 8, LANES) mm^3.
+    """
 
     elements: np.ndarray
+    nodes: np.ndarray
     gradients: np.ndarray
     weights: np.ndarray
 
@@ -52,7 +64,13 @@ def bricks(nodes: np.ndarray, elements: np.ndarray) -> BrickGeometry:
     gradients, weights = _geometry(np.ascontiguousarray(nodes, np.float64), elements, local)
     if weights.min() <= 0.0:
         raise ValueError(f"{int((weights.min(axis=1) <= 0).sum())} bricks are inverted")
-    return BrickGeometry(elements, gradients, weights)
+    lanes = np.minimum(np.arange(-(-len(elements) // LANES) * LANES), len(elements) - 1)
+    return BrickGeometry(elements, *(_batched(values[lanes]) for values in (elements, gradients, weights)))
+
+
+def _batched(values: np.ndarray) -> np.ndarray:
+    """Values (b LANES, ...) of bricks as (b, ..., LANES)."""
+    return np.ascontiguousarray(np.moveaxis(values.reshape(-1, LANES, *values.shape[1:]), 1, -1))
 
 
 @njit(cache=True, nogil=True)
@@ -83,224 +101,30 @@ def _geometry(nodes: np.ndarray, elements: np.ndarray, local: np.ndarray) -> tup
     return gradients, weights
 
 
-@dataclass(frozen=True)
-class Pattern:
-    """Upper triangle, CSR, of the matrix that couples the 3 unknowns of every free node.
-
-    indptr, indices: its pattern. first_row: (n,) first unknown of a node, or NOT_FREE.
-    start, width: (n,) place of a node's first row in the values, and length of that row.
-    rows, columns: node adjacency behind it (CSR of the upper triangle, nodes).
-    """
-
-    indptr: np.ndarray
-    indices: np.ndarray
-    first_row: np.ndarray
-    start: np.ndarray
-    width: np.ndarray
-    rows: np.ndarray
-    columns: np.ndarray
+# Rows of `near`, by node: gradients of its shape function in the reference and in space, and F times the first.
+# Rows of `point`: of an integration point, and sums over those of a brick.
+_WEIGHT, _RATIO, _SQUARES, _VOLUME, _SUM_VOLUME, _SUM_DEFORMED, _PRESSURE, _ALPHA, _BETA, _DIAGONAL = range(10)
 
 
-def build_pattern(elements: np.ndarray, n_nodes: int, fixed: np.ndarray) -> Pattern:
-    """Pattern of elements (e, k) on n_nodes nodes of which `fixed` have no unknowns."""
-    import scipy.sparse as sp
-
-    free = np.ones(n_nodes, bool)
-    free[fixed] = False
-    number = np.full(n_nodes, NOT_FREE, np.int64)
-    number[free] = np.arange(free.sum())
-    e, k = elements.shape
-    incidence = sp.csr_matrix((np.ones(e * k, np.int8), elements.ravel(), np.arange(0, e * k + 1, k)), (e, n_nodes))
-    incidence = incidence[:, free].astype(np.int32)
-    upper = sp.triu(incidence.T @ incidence, format="csr")
-    upper.sort_indices()
-    indptr, indices, start, width = _expand(upper.indptr.astype(np.int64), upper.indices.astype(np.int64))
-    first_row = np.where(free, 3 * number, NOT_FREE)
-    place = np.zeros((2, n_nodes), np.int64)
-    place[:, free] = start, width
-    return Pattern(indptr, indices, first_row, place[0], place[1], upper.indptr, upper.indices)
-
-
-@njit(cache=True)
-def _expand(rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    n = len(rows) - 1
-    indptr = np.empty(3 * n + 1, np.int32)
-    indices = np.empty(9 * len(columns) - 3 * n, np.int32)
-    start = np.empty(n, np.int64)
-    width = np.empty(n, np.int64)
-    at = 0
-    for p in range(n):
-        start[p] = at
-        width[p] = 3 * (rows[p + 1] - rows[p])
-        for i in range(3):
-            indptr[3 * p + i] = at
-            for r in range(rows[p], rows[p + 1]):
-                for k in range(3):
-                    if columns[r] != p or k >= i:
-                        indices[at] = 3 * columns[r] + k
-                        at += 1
-    indptr[3 * n] = at
-    return indptr, indices, start, width
-
-
-def block_places(pattern: Pattern, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where the 3 x 3 blocks of all node pairs a <= b of cells (e, k) stand in the values.
-
-    Returns base (e, pairs) and width (e, pairs): entry (i, j) of a block stands at
-    base + i width - i (i + 1) / 2 + j. NOT_FREE where a node is fixed; a negative width says that
-    the block is stored transposed.
-    """
-    cells = np.ascontiguousarray(cells, np.int64)
-    rows, columns = pattern.rows.astype(np.int64), pattern.columns.astype(np.int64)
-    return _block_places(cells, pattern.first_row, pattern.start, pattern.width, rows, columns)
-
-
-@njit(cache=True)
-def _block_places(
-    cells: np.ndarray,
-    first_row: np.ndarray,
-    start: np.ndarray,
-    width: np.ndarray,
-    rows: np.ndarray,
-    columns: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    count, k = cells.shape
-    base = np.empty((count, k * (k + 1) // 2), np.int32)
-    widths = np.empty((count, k * (k + 1) // 2), np.int32)
-    for e in range(count):
-        pair = 0
-        for a in range(k):
-            for b in range(a, k):
-                p, q = cells[e, a], cells[e, b]
-                if first_row[p] < 0 or first_row[q] < 0:
-                    base[e, pair] = NOT_FREE
-                    widths[e, pair] = 0
-                else:
-                    swapped = first_row[p] > first_row[q]
-                    if swapped:
-                        p, q = q, p
-                    row, column = first_row[p] // 3, first_row[q] // 3
-                    rank = np.searchsorted(columns[rows[row] : rows[row + 1]], column)
-                    base[e, pair] = start[p] + 3 * rank
-                    widths[e, pair] = -width[p] if swapped else width[p]
-                pair += 1
-    return base, widths
-
-
-@njit(**_FAST)
-def internal_forces(
-    u: np.ndarray,
-    elements: np.ndarray,
-    gradients: np.ndarray,
-    weights: np.ndarray,
-    shear: float,
-    bulk: float,
-    forces: np.ndarray,
-) -> float:
-    """Add the nodal forces dE/du to `forces` (n, 3); returns the smallest J (negative: inverted).
+def internal_forces(u: np.ndarray, geometry: BrickGeometry, shear: float, bulk: float, forces: np.ndarray) -> float:
+    """Add the nodal forces dE/du to `forces` (n, 3); returns the smallest J (not above 0: inverted, forces mean nothing).
 
     u: (n, 3) displacement mm. shear, bulk: moduli MPa (2 C10 and 2 / D1).
     """
-    f = np.empty((3, 3))
-    spatial = np.empty((8, 8, 3))
-    point_j = np.empty(8)
-    smallest = 1e30
-    for e in range(elements.shape[0]):
-        volume = 0.0
-        deformed = 0.0
-        for g in range(8):
-            _deformation(u, elements, gradients, e, g, f)
-            j, trace = _spatial(f, gradients, e, g, spatial)
-            smallest = min(smallest, j)
-            volume += weights[e, g]
-            deformed += weights[e, g] * j
-            if j <= 0.0:
-                return j
-            alpha = shear * j ** (-2.0 / 3.0) * weights[e, g]
-            point_j[g] = j * weights[e, g]
-            for a in range(8):
-                node = elements[e, a]
-                for i in range(3):
-                    forces[node, i] += alpha * (
-                        f[i, 0] * gradients[e, g, a, 0]
-                        + f[i, 1] * gradients[e, g, a, 1]
-                        + f[i, 2] * gradients[e, g, a, 2]
-                        - trace / 3.0 * spatial[g, a, i]
-                    )
-        pressure = bulk * (deformed / volume - 1.0)
-        for g in range(8):
-            factor = pressure * point_j[g]
-            for a in range(8):
-                node = elements[e, a]
-                for i in range(3):
-                    forces[node, i] += factor * spatial[g, a, i]
-    return smallest
+    b = geometry
+    return _internal_forces(u, b.nodes, b.gradients, b.weights, len(b.elements), shear, bulk, forces)
 
 
 def smallest_ratios(u: np.ndarray, geometry: BrickGeometry) -> np.ndarray:
     """The smallest volume ratio J within each brick (e,) at nodal displacements u (n, 3) mm; below 0 it is inside out."""
-    smallest = np.empty(len(geometry.elements))
-    _smallest_ratios(u, geometry.elements, geometry.gradients, smallest)
-    return smallest
+    smallest = np.empty((len(geometry.nodes), LANES))
+    _smallest_ratios(u, geometry.nodes, geometry.gradients, geometry.weights, smallest)
+    return smallest.ravel()[: len(geometry.elements)]
 
 
-@njit(**_FAST)
-def _smallest_ratios(u: np.ndarray, elements: np.ndarray, gradients: np.ndarray, smallest: np.ndarray) -> None:
-    f = np.empty((3, 3))
-    spatial = np.empty((8, 8, 3))
-    for e in range(elements.shape[0]):
-        smallest[e] = 1e30
-        for g in range(8):
-            _deformation(u, elements, gradients, e, g, f)
-            j, _ = _spatial(f, gradients, e, g, spatial)
-            smallest[e] = min(smallest[e], j)
-
-
-@njit(inline="always")
-def _deformation(u: np.ndarray, elements: np.ndarray, gradients: np.ndarray, e: int, g: int, f: np.ndarray) -> None:
-    for i in range(3):
-        for k in range(3):
-            f[i, k] = 0.0
-    for a in range(8):
-        node = elements[e, a]
-        for i in range(3):
-            for k in range(3):
-                f[i, k] += u[node, i] * gradients[e, g, a, k]
-    for i in range(3):
-        f[i, i] += 1.0
-
-
-@njit(inline="always")
-def _spatial(f: np.ndarray, gradients: np.ndarray, e: int, g: int, spatial: np.ndarray) -> tuple[float, float]:
-    c00 = f[1, 1] * f[2, 2] - f[1, 2] * f[2, 1]
-    c01 = f[1, 2] * f[2, 0] - f[1, 0] * f[2, 2]
-    c02 = f[1, 0] * f[2, 1] - f[1, 1] * f[2, 0]
-    j = f[0, 0] * c00 + f[0, 1] * c01 + f[0, 2] * c02
-    c10 = f[0, 2] * f[2, 1] - f[0, 1] * f[2, 2]
-    c11 = f[0, 0] * f[2, 2] - f[0, 2] * f[2, 0]
-    c12 = f[0, 1] * f[2, 0] - f[0, 0] * f[2, 1]
-    c20 = f[0, 1] * f[1, 2] - f[0, 2] * f[1, 1]
-    c21 = f[0, 2] * f[1, 0] - f[0, 0] * f[1, 2]
-    c22 = f[0, 0] * f[1, 1] - f[0, 1] * f[1, 0]
-    inverse = 1.0 / j
-    trace = 0.0
-    for i in range(3):
-        for k in range(3):
-            trace += f[i, k] * f[i, k]
-    for a in range(8):
-        x, y, z = gradients[e, g, a, 0], gradients[e, g, a, 1], gradients[e, g, a, 2]
-        spatial[g, a, 0] = (c00 * x + c01 * y + c02 * z) * inverse
-        spatial[g, a, 1] = (c10 * x + c11 * y + c12 * z) * inverse
-        spatial[g, a, 2] = (c20 * x + c21 * y + c22 * z) * inverse
-    return j, trace
-
-
-@njit(**_FAST)
 def tangent(
     u: np.ndarray,
-    elements: np.ndarray,
-    gradients: np.ndarray,
-    weights: np.ndarray,
+    geometry: BrickGeometry,
     shear: float,
     bulk: float,
     pressed: float,
@@ -308,94 +132,306 @@ def tangent(
     width: np.ndarray,
     values: np.ndarray,
 ) -> None:
-    """Add d2E/du2 to the upper-triangle `values` at the places of `block_places`.
+    """Add d2E/du2 to the upper-triangle `values` at the places (base, width) of `pattern.block_places`.
 
-    Block (a, b) of a point, with alpha = 2 C10 J^(-2/3) w, G reference and g spatial gradients:
-    alpha Ga.Gb I + ga (x) s_b + t_a (x) gb + beta gb (x) ga, plus the mean volume's rank-one term.
+    pressed: the share of the pressure's geometric stiffness that is kept, 1 in the exact tangent. Blocks are computed in
+    single precision, as they are factorised.
     """
-    f = np.empty((3, 3))
-    spatial = np.empty((8, 8, 3))
-    ratio = np.empty(8)
-    traces = np.empty(8)
-    stress = np.empty((8, 8, 3))
-    mean = np.empty((8, 3))
-    blocks = np.empty((36, 3, 3))
-    s = np.empty((8, 3))
-    for e in range(elements.shape[0]):
-        volume = 0.0
-        deformed = 0.0
-        mean[:] = 0.0
-        for g in range(8):
-            _deformation(u, elements, gradients, e, g, f)
-            j, trace = _spatial(f, gradients, e, g, spatial)
-            ratio[g] = j
-            traces[g] = trace
-            volume += weights[e, g]
-            deformed += weights[e, g] * j
-            for a in range(8):
-                for i in range(3):
-                    mean[a, i] += weights[e, g] * j * spatial[g, a, i]
-                    stress[g, a, i] = (
-                        f[i, 0] * gradients[e, g, a, 0]
-                        + f[i, 1] * gradients[e, g, a, 1]
-                        + f[i, 2] * gradients[e, g, a, 2]
-                    )
-        pressure = bulk * (deformed / volume - 1.0)
-        stiffness = bulk / volume
-        pair = 0
-        for a in range(8):
-            for b in range(a, 8):
-                for i in range(3):
-                    for k in range(3):
-                        blocks[pair, i, k] = stiffness * mean[a, i] * mean[b, k]
-                pair += 1
-        for g in range(8):
-            alpha = shear * ratio[g] ** (-2.0 / 3.0) * weights[e, g]
-            volumetric = pressed * pressure * ratio[g] * weights[e, g]
-            diagonal = 2.0 / 9.0 * alpha * traces[g] + volumetric
-            beta = alpha * traces[g] / 3.0 - volumetric
-            third = -2.0 / 3.0 * alpha
-            for a in range(8):
-                for i in range(3):
-                    stress[g, a, i] *= third
-                    s[a, i] = stress[g, a, i] + diagonal * spatial[g, a, i]
-            pair = 0
-            for a in range(8):
-                ga0, ga1, ga2 = spatial[g, a, 0], spatial[g, a, 1], spatial[g, a, 2]
-                ta0, ta1, ta2 = stress[g, a, 0], stress[g, a, 1], stress[g, a, 2]
-                x = alpha * gradients[e, g, a, 0]
-                y = alpha * gradients[e, g, a, 1]
-                z = alpha * gradients[e, g, a, 2]
-                ba0, ba1, ba2 = beta * ga0, beta * ga1, beta * ga2
-                for b in range(a, 8):
-                    gb0, gb1, gb2 = spatial[g, b, 0], spatial[g, b, 1], spatial[g, b, 2]
-                    s0, s1, s2 = s[b, 0], s[b, 1], s[b, 2]
-                    dot = x * gradients[e, g, b, 0] + y * gradients[e, g, b, 1] + z * gradients[e, g, b, 2]
-                    block = blocks[pair]
-                    block[0, 0] += dot + ga0 * s0 + ta0 * gb0 + ba0 * gb0
-                    block[0, 1] += ga0 * s1 + ta0 * gb1 + ba1 * gb0
-                    block[0, 2] += ga0 * s2 + ta0 * gb2 + ba2 * gb0
-                    block[1, 0] += ga1 * s0 + ta1 * gb0 + ba0 * gb1
-                    block[1, 1] += dot + ga1 * s1 + ta1 * gb1 + ba1 * gb1
-                    block[1, 2] += ga1 * s2 + ta1 * gb2 + ba2 * gb1
-                    block[2, 0] += ga2 * s0 + ta2 * gb0 + ba0 * gb2
-                    block[2, 1] += ga2 * s1 + ta2 * gb1 + ba1 * gb2
-                    block[2, 2] += dot + ga2 * s2 + ta2 * gb2 + ba2 * gb2
-                    pair += 1
-        pair = 0
-        for a in range(8):
-            for b in range(a, 8):
-                add_block(values, base[e, pair], width[e, pair], blocks[pair], a == b)
-                pair += 1
+    b = geometry
+    single = np.float32(shear), np.float32(bulk), np.float32(pressed)
+    _tangent(u, b.nodes, b.gradients, b.weights, len(b.elements), *single, base, width, values)
 
 
-@njit(cache=True, inline="always")
-def add_block(values: np.ndarray, base: int, width: int, block: np.ndarray, diagonal: bool) -> None:
-    """Add a 3 x 3 block at a place given by `block_places`."""
-    if base < 0:
-        return
-    stride = width if width > 0 else -width
-    for i in range(3):
-        at = base + i * stride - i * (i + 1) // 2
-        for k in range(i if diagonal else 0, 3):
-            values[at + k] += block[i, k] if width > 0 else block[k, i]
+@njit(inline="always")
+def _clear(rows: np.ndarray) -> None:
+    """Set rows (k, LANES) to zero; said as `rows[:] = 0` the compiler would no longer know their shape."""
+    for i in range(rows.shape[0]):
+        for lane in range(LANES):
+            rows[i, lane] = 0.0
+
+
+@njit(inline="always")
+def _displacements(u: np.ndarray, nodes: np.ndarray, batch: int, moved: np.ndarray) -> None:
+    """Copy the displacements of a batch's nodes to `moved` (8, 3, LANES)."""
+    for a in range(8):
+        for lane in range(LANES):
+            node = nodes[batch, a, lane]
+            moved[a, 0, lane] = u[node, 0]
+            moved[a, 1, lane] = u[node, 1]
+            moved[a, 2, lane] = u[node, 2]
+
+
+@njit(inline="always")
+def _kinematics(
+    gradients: np.ndarray,
+    weights: np.ndarray,
+    batch: int,
+    g: int,
+    moved: np.ndarray,
+    f: np.ndarray,
+    inverse: np.ndarray,
+    near: np.ndarray,
+    point: np.ndarray,
+) -> None:
+    """Fill near (8, 9, LANES) and of point (10, LANES) what belongs to point g. f, inverse: (9, LANES) room."""
+    for a in range(8):
+        for i in range(3):
+            for lane in range(LANES):
+                near[a, i, lane] = gradients[batch, g, a, i, lane]
+    for lane in range(LANES):
+        point[_WEIGHT, lane] = weights[batch, g, lane]
+    for i in range(9):
+        for lane in range(LANES):
+            f[i, lane] = 1.0 if i % 4 == 0 else 0.0
+    for a in range(8):
+        for lane in range(LANES):
+            x, y, z = near[a, 0, lane], near[a, 1, lane], near[a, 2, lane]
+            u0, u1, u2 = moved[a, 0, lane], moved[a, 1, lane], moved[a, 2, lane]
+            f[0, lane] += u0 * x
+            f[1, lane] += u0 * y
+            f[2, lane] += u0 * z
+            f[3, lane] += u1 * x
+            f[4, lane] += u1 * y
+            f[5, lane] += u1 * z
+            f[6, lane] += u2 * x
+            f[7, lane] += u2 * y
+            f[8, lane] += u2 * z
+    for lane in range(LANES):
+        f0, f1, f2 = f[0, lane], f[1, lane], f[2, lane]
+        f3, f4, f5 = f[3, lane], f[4, lane], f[5, lane]
+        f6, f7, f8 = f[6, lane], f[7, lane], f[8, lane]
+        c0, c1, c2 = f4 * f8 - f5 * f7, f5 * f6 - f3 * f8, f3 * f7 - f4 * f6
+        ratio = f0 * c0 + f1 * c1 + f2 * c2
+        inverse[0, lane] = c0 / ratio
+        inverse[1, lane] = c1 / ratio
+        inverse[2, lane] = c2 / ratio
+        inverse[3, lane] = (f2 * f7 - f1 * f8) / ratio
+        inverse[4, lane] = (f0 * f8 - f2 * f6) / ratio
+        inverse[5, lane] = (f1 * f6 - f0 * f7) / ratio
+        inverse[6, lane] = (f1 * f5 - f2 * f4) / ratio
+        inverse[7, lane] = (f2 * f3 - f0 * f5) / ratio
+        inverse[8, lane] = (f0 * f4 - f1 * f3) / ratio
+        point[_RATIO, lane] = ratio
+        point[_SQUARES, lane] = (
+            f0 * f0 + f1 * f1 + f2 * f2 + f3 * f3 + f4 * f4 + f5 * f5 + f6 * f6 + f7 * f7 + f8 * f8
+        )
+        point[_VOLUME, lane] = point[_WEIGHT, lane] * ratio
+    for a in range(8):
+        for lane in range(LANES):
+            x, y, z = near[a, 0, lane], near[a, 1, lane], near[a, 2, lane]
+            near[a, 3, lane] = inverse[0, lane] * x + inverse[1, lane] * y + inverse[2, lane] * z
+            near[a, 4, lane] = inverse[3, lane] * x + inverse[4, lane] * y + inverse[5, lane] * z
+            near[a, 5, lane] = inverse[6, lane] * x + inverse[7, lane] * y + inverse[8, lane] * z
+            near[a, 6, lane] = f[0, lane] * x + f[1, lane] * y + f[2, lane] * z
+            near[a, 7, lane] = f[3, lane] * x + f[4, lane] * y + f[5, lane] * z
+            near[a, 8, lane] = f[6, lane] * x + f[7, lane] * y + f[8, lane] * z
+
+
+@njit(inline="always")
+def _add_to_brick(near: np.ndarray, point: np.ndarray, mean: np.ndarray) -> None:
+    """Add a point's share to the volumes of its bricks and to their derivative `mean` (24, LANES)."""
+    for lane in range(LANES):
+        point[_SUM_VOLUME, lane] += point[_WEIGHT, lane]
+        point[_SUM_DEFORMED, lane] += point[_VOLUME, lane]
+    for a in range(8):
+        for lane in range(LANES):
+            volume = point[_VOLUME, lane]
+            mean[3 * a, lane] += volume * near[a, 3, lane]
+            mean[3 * a + 1, lane] += volume * near[a, 4, lane]
+            mean[3 * a + 2, lane] += volume * near[a, 5, lane]
+
+
+@njit(**_FAST)
+def _smallest_ratios(
+    u: np.ndarray, nodes: np.ndarray, gradients: np.ndarray, weights: np.ndarray, smallest: np.ndarray
+) -> None:
+    moved, near = np.empty((8, 3, LANES)), np.empty((8, 9, LANES))
+    f, inverse, point = np.empty((9, LANES)), np.empty((9, LANES)), np.empty((10, LANES))
+    for batch in range(len(nodes)):
+        _displacements(u, nodes, batch, moved)
+        smallest[batch] = 1e30
+        for g in range(8):
+            _kinematics(gradients, weights, batch, g, moved, f, inverse, near, point)
+            for lane in range(LANES):
+                smallest[batch, lane] = min(smallest[batch, lane], point[_RATIO, lane])
+
+
+@njit(**_FAST)
+def _internal_forces(
+    u: np.ndarray,
+    nodes: np.ndarray,
+    gradients: np.ndarray,
+    weights: np.ndarray,
+    count: int,
+    shear: float,
+    bulk: float,
+    forces: np.ndarray,
+) -> float:
+    moved, near = np.empty((8, 3, LANES)), np.empty((8, 9, LANES))
+    f, inverse, point = np.empty((9, LANES)), np.empty((9, LANES)), np.empty((10, LANES))
+    own, mean = np.empty((24, LANES)), np.empty((24, LANES))
+    smallest = 1e30
+    for batch in range(len(nodes)):
+        _displacements(u, nodes, batch, moved)
+        _clear(own)
+        _clear(mean)
+        _clear(point)
+        for g in range(8):
+            _kinematics(gradients, weights, batch, g, moved, f, inverse, near, point)
+            for lane in range(LANES):
+                smallest = min(smallest, point[_RATIO, lane])
+            if smallest <= 0.0:
+                return smallest
+            _add_to_brick(near, point, mean)
+            for lane in range(LANES):
+                point[_ALPHA, lane] = shear * point[_WEIGHT, lane] * point[_RATIO, lane] ** (-2.0 / 3.0)
+            for a in range(8):
+                for lane in range(LANES):
+                    alpha, third = point[_ALPHA, lane], point[_SQUARES, lane] / 3.0
+                    own[3 * a, lane] += alpha * (near[a, 6, lane] - third * near[a, 3, lane])
+                    own[3 * a + 1, lane] += alpha * (near[a, 7, lane] - third * near[a, 4, lane])
+                    own[3 * a + 2, lane] += alpha * (near[a, 8, lane] - third * near[a, 5, lane])
+        for lane in range(LANES):
+            point[_PRESSURE, lane] = bulk * (point[_SUM_DEFORMED, lane] / point[_SUM_VOLUME, lane] - 1.0)
+        for a in range(8):
+            for i in range(3):
+                for lane in range(LANES):
+                    own[3 * a + i, lane] += point[_PRESSURE, lane] * mean[3 * a + i, lane]
+        for lane in range(min(LANES, count - batch * LANES)):
+            for a in range(8):
+                for i in range(3):
+                    forces[nodes[batch, a, lane], i] += own[3 * a + i, lane]
+    return smallest
+
+
+@njit(**_FAST)
+def _tangent(
+    u: np.ndarray,
+    nodes: np.ndarray,
+    gradients: np.ndarray,
+    weights: np.ndarray,
+    count: int,
+    shear: float,
+    bulk: float,
+    pressed: float,
+    base: np.ndarray,
+    width: np.ndarray,
+    values: np.ndarray,
+) -> None:
+    single = np.float32
+    moved, near = np.empty((8, 3, LANES), single), np.empty((8, 9, LANES), single)
+    f, inverse, point = np.empty((9, LANES), single), np.empty((9, LANES), single), np.empty((10, LANES), single)
+    mean, blocks = np.empty((24, LANES), single), np.empty((36, 9, LANES), single)
+    for batch in range(len(nodes)):
+        _displacements(u, nodes, batch, moved)
+        _clear(mean)
+        _clear(point)
+        for g in range(8):
+            _kinematics(gradients, weights, batch, g, moved, f, inverse, near, point)
+            _add_to_brick(near, point, mean)
+        for lane in range(LANES):
+            strain = (point[_SUM_DEFORMED, lane] - point[_SUM_VOLUME, lane]) / point[_SUM_VOLUME, lane]
+            point[_PRESSURE, lane] = pressed * bulk * strain
+            point[_ALPHA, lane] = bulk / point[_SUM_VOLUME, lane]
+        _begin_blocks(point, mean, blocks)
+        for g in range(8):
+            _kinematics(gradients, weights, batch, g, moved, f, inverse, near, point)
+            _weigh(shear, near, point)
+            _add_point(near, point, blocks)
+        for lane in range(min(LANES, count - batch * LANES)):
+            _assemble(base, width, batch * LANES + lane, blocks, lane, values)
+
+
+@njit(inline="always")
+def _begin_blocks(point: np.ndarray, mean: np.ndarray, blocks: np.ndarray) -> None:
+    """Set blocks (36, 9, LANES) to the mean volume's rank-one term, K / V dV (x) dV."""
+    pair = 0
+    for a in range(8):
+        for b in range(a, 8):
+            for lane in range(LANES):
+                k = point[_ALPHA, lane]
+                m0, m1, m2 = k * mean[3 * a, lane], k * mean[3 * a + 1, lane], k * mean[3 * a + 2, lane]
+                n0, n1, n2 = mean[3 * b, lane], mean[3 * b + 1, lane], mean[3 * b + 2, lane]
+                blocks[pair, 0, lane] = m0 * n0
+                blocks[pair, 1, lane] = m0 * n1
+                blocks[pair, 2, lane] = m0 * n2
+                blocks[pair, 3, lane] = m1 * n0
+                blocks[pair, 4, lane] = m1 * n1
+                blocks[pair, 5, lane] = m1 * n2
+                blocks[pair, 6, lane] = m2 * n0
+                blocks[pair, 7, lane] = m2 * n1
+                blocks[pair, 8, lane] = m2 * n2
+            pair += 1
+
+
+@njit(inline="always")
+def _weigh(shear: float, near: np.ndarray, point: np.ndarray) -> None:
+    """Fill in a point's coefficients of `_add_point`, and multiply F G by -2/3 alpha."""
+    third, two = np.float32(1.0 / 3.0), np.float32(2.0)
+    for lane in range(LANES):
+        point[_ALPHA, lane] = shear * point[_WEIGHT, lane] * point[_RATIO, lane] ** (-two * third)
+    for lane in range(LANES):
+        volumetric = point[_PRESSURE, lane] * point[_VOLUME, lane]
+        isochoric = point[_ALPHA, lane] * point[_SQUARES, lane] * third
+        point[_BETA, lane] = isochoric - volumetric
+        point[_DIAGONAL, lane] = two * third * isochoric + volumetric
+    for a in range(8):
+        for lane in range(LANES):
+            factor = -two * third * point[_ALPHA, lane]
+            near[a, 6, lane] *= factor
+            near[a, 7, lane] *= factor
+            near[a, 8, lane] *= factor
+
+
+@njit(inline="always")
+def _add_point(near: np.ndarray, point: np.ndarray, blocks: np.ndarray) -> None:
+    """Add a point's isochoric and geometric stiffness to the blocks of all node pairs a <= b.
+
+    With alpha = 2 C10 J^(-2/3) w, G reference and g spatial gradients and t = -2/3 alpha F G, a block is
+    alpha Ga.Gb I + ga (x) (t_b + diagonal gb) + t_a (x) gb + beta gb (x) ga.
+    """
+    pair = 0
+    for a in range(8):
+        for b in range(a, 8):
+            for lane in range(LANES):
+                g0, g1, g2 = near[a, 3, lane], near[a, 4, lane], near[a, 5, lane]
+                h0, h1, h2 = near[b, 3, lane], near[b, 4, lane], near[b, 5, lane]
+                t0, t1, t2 = near[a, 6, lane], near[a, 7, lane], near[a, 8, lane]
+                diagonal, beta = point[_DIAGONAL, lane], point[_BETA, lane]
+                s0, s1, s2 = (
+                    near[b, 6, lane] + diagonal * h0,
+                    near[b, 7, lane] + diagonal * h1,
+                    near[b, 8, lane] + diagonal * h2,
+                )
+                b0, b1, b2 = beta * g0, beta * g1, beta * g2
+                dot = (
+                    near[a, 0, lane] * near[b, 0, lane]
+                    + near[a, 1, lane] * near[b, 1, lane]
+                    + near[a, 2, lane] * near[b, 2, lane]
+                )
+                dot *= point[_ALPHA, lane]
+                blocks[pair, 0, lane] += dot + g0 * s0 + (t0 + b0) * h0
+                blocks[pair, 1, lane] += g0 * s1 + t0 * h1 + b1 * h0
+                blocks[pair, 2, lane] += g0 * s2 + t0 * h2 + b2 * h0
+                blocks[pair, 3, lane] += g1 * s0 + t1 * h0 + b0 * h1
+                blocks[pair, 4, lane] += dot + g1 * s1 + (t1 + b1) * h1
+                blocks[pair, 5, lane] += g1 * s2 + t1 * h2 + b2 * h1
+                blocks[pair, 6, lane] += g2 * s0 + t2 * h0 + b0 * h2
+                blocks[pair, 7, lane] += g2 * s1 + t2 * h1 + b1 * h2
+                blocks[pair, 8, lane] += dot + g2 * s2 + (t2 + b2) * h2
+            pair += 1
+
+
+@njit(inline="always")
+def _assemble(base: np.ndarray, width: np.ndarray, e: int, blocks: np.ndarray, lane: int, values: np.ndarray) -> None:
+    """Add the blocks of brick e, in lane lane, at their places in the matrix."""
+    pair = 0
+    for a in range(8):
+        for b in range(a, 8):
+            add_entries(
+                values, base[e, pair], width[e, pair], a == b,
+                blocks[pair, 0, lane], blocks[pair, 1, lane], blocks[pair, 2, lane],
+                blocks[pair, 3, lane], blocks[pair, 4, lane], blocks[pair, 5, lane],
+                blocks[pair, 6, lane], blocks[pair, 7, lane], blocks[pair, 8, lane],
+            )  # fmt: skip
+            pair += 1

@@ -8,7 +8,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from gelforge.errors import SolveFailed
 
@@ -183,22 +182,6 @@ class SuperLU:
 
     def solve(self, b: np.ndarray) -> np.ndarray:
         return self._lu.solve(b)
-
-
-@njit(cache=True, nogil=True)
-def symmetric_product(indptr: np.ndarray, indices: np.ndarray, values: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Product (n,) of a symmetric matrix, given by its upper triangle in CSR form (diagonal first), with x (n,)."""
-    y = np.zeros(len(x))
-    for i in range(len(x)):
-        start = indptr[i]
-        own = x[i]
-        total = values[start] * own
-        for at in range(start + 1, indptr[i + 1]):
-            j, a = indices[at], values[at]
-            total += a * x[j]
-            y[j] += a * own
-        y[i] += total
-    return y
 
 
 def gmres(

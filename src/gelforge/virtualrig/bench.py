@@ -25,7 +25,7 @@ SETTINGS = HexSettings(
     largest=3.0,
     press_steps=4,
     shear_steps=2,
-    tolerance=1e-3,
+    tolerance=3e-3,
     final_tolerance=1e-7,
 )
 MOST_BRICKS = 500  # under a footprint: keeps the widest bars within seconds

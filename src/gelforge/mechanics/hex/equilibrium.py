@@ -24,7 +24,8 @@ from gelforge.mechanics.contact import (
 from gelforge.mechanics.hex.hexmesh import HexMesh, elimination_order
 from gelforge.mechanics.hex.reach import reachable_faces
 from gelforge.mechanics.hex.settings import HexSettings
-from gelforge.mechanics.linear import gmres, symmetric_product, symmetric_solver
+from gelforge.mechanics.linear import gmres, symmetric_solver
+from gelforge.mechanics.pattern import block_places, build_pattern, symmetric_product
 from gelforge.mechanics.scene import REFERENCE_C10, Scene
 
 # Iterations after which a step must lower the residual: the first ones look uphill, though they are right.
@@ -44,12 +45,12 @@ class System:
     """Sparsity pattern, assembly places and symbolic factorisation: they depend on the numbers of bricks only."""
 
     def __init__(self, mesh: HexMesh):
-        self.pattern = element.build_pattern(mesh.elements, len(mesh.nodes), mesh.base)
-        self.base, self.width = element.block_places(self.pattern, mesh.elements)
+        self.pattern = build_pattern(mesh.elements, len(mesh.nodes), mesh.base)
+        self.base, self.width = block_places(self.pattern, mesh.elements)
         self.faces = FacePlaces(mesh, self.pattern)
         self.linear = symmetric_solver(self.pattern.indptr, self.pattern.indices, elimination_order(mesh))
         self.free = np.flatnonzero(self.pattern.first_row >= 0)
-        self.values = np.zeros(len(self.pattern.indices))
+        self.values = np.zeros(len(self.pattern.indices), np.float32)
 
 
 class Equilibrium:
@@ -96,7 +97,7 @@ class Equilibrium:
     def newton(self, u: np.ndarray, pose: Pose, tolerance: float, still: bool = False) -> tuple[np.ndarray, int]:
         """Newton steps from u until the residual is below tolerance times the contact force.
 
-        With friction the first step holds every glued point (but where the indenter stands `still`):
+        With friction the first step holds every glued point (but where indenter and contact are as they were, `still`):
         points that slip from a poor guess drag others along, and Newton loses its way.
         """
         laws = [self.contact] if still or self.law != "coulomb" else [self.sticking, self.contact]
@@ -106,7 +107,7 @@ class Equilibrium:
                 self.springs = state[1]
                 return u, iteration
             if iteration < self.settings.max_iterations:
-                step = self._direction(u, pose, *state)
+                step = self._direction(u, pose, laws[0], *state)
                 laws = laws[-1:]
                 u, state = self._step(u, step, pose, laws[0], self.residual if iteration >= WARY else np.inf)
         raise NoEquilibrium
@@ -145,23 +146,21 @@ class Equilibrium:
         return forces, springs
 
     def internal(self, u: np.ndarray) -> np.ndarray:
-        b, forces = self.bricks, np.zeros_like(u)
-        smallest = element.internal_forces(u, b.elements, b.gradients, b.weights, *self.moduli, forces)
+        forces = np.zeros_like(u)
+        smallest = element.internal_forces(u, self.bricks, *self.moduli, forces)
         if not smallest > 0.0:
             raise NoEquilibrium
         return forces
 
-    def _direction(self, u: np.ndarray, pose: Pose, forces: np.ndarray, springs: Springs) -> np.ndarray:
+    def _direction(self, u: np.ndarray, pose: Pose, law: Law, forces: np.ndarray, springs: Springs) -> np.ndarray:
         """Newton's step, to FORCING of the residual; a factorisation serves as long as GMRES is quick with it."""
-        system, b = self.system, self.bricks
+        system = self.system
         system.values[:] = 0.0
         pressed = float(self.residual <= self.noisy)
-        element.tangent(
-            u, b.elements, b.gradients, b.weights, *self.moduli, pressed, system.base, system.width, system.values
-        )
+        element.tangent(u, self.bricks, *self.moduli, pressed, system.base, system.width, system.values)
         system.faces.add_stiffness(self.state, springs, system.values)
         self.iterations += 1
-        apply = self._product(self._skew(u, pose, springs))
+        apply = self._product(self._skew(u, pose, law, springs))
         right = forces[system.free].ravel()
         if self.factored:
             step = gmres(apply, system.linear.solve, right, FORCING, STALE)
@@ -175,12 +174,12 @@ class Equilibrium:
             raise NoEquilibrium
         return step.reshape(-1, 3)
 
-    def _skew(self, u: np.ndarray, pose: Pose, springs: Springs) -> Skew:
+    def _skew(self, u: np.ndarray, pose: Pose, law: Law, springs: Springs) -> Skew:
         """The stiffness beyond the symmetric one; exact close to equilibrium, where it makes Newton quadratic."""
         if self.residual > CLOSE:
             return springs.slip
         x = self.points(u)
-        return curved(springs, self.state, x, pose, self.scene.indenter, self.contact, self.candidates)
+        return curved(springs, self.state, x, pose, self.scene.indenter, law, self.candidates)
 
     def _product(self, skew: Skew) -> Callable[[np.ndarray], np.ndarray]:
         system = self.system
@@ -188,17 +187,18 @@ class Equilibrium:
         add = system.faces.skew_product(self.state, skew)
 
         def apply(x: np.ndarray) -> np.ndarray:
-            y = symmetric_product(pattern.indptr, pattern.indices, values, x)
+            y = symmetric_product(pattern, values, x)
             add(x, y)
             self.products += 1
             return y
 
         return apply
 
-    def solve_here(self, pose: Pose, tolerance: float) -> None:
+    def solve_here(self, pose: Pose, tolerance: float, still: bool = False) -> None:
+        """Equilibrium with the indenter at a pose. still: nothing in the contact changed since the last one."""
         gap = self.gaps(self.points(self.u), pose)
         self.candidates = np.flatnonzero((self.state.status != GLUED) & (gap < self.settings.size))
-        self.u, _ = self.newton(self.u, pose, tolerance, True)
+        self.u, _ = self.newton(self.u, pose, tolerance, still)
 
     def contact_forces(self) -> np.ndarray:
         """Nodal contact forces on the gel (n, 3) of the last equilibrium, N."""

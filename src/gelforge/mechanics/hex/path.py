@@ -299,10 +299,14 @@ class Run(Equilibrium):
                     raise
 
     def _polish(self, pose: Pose) -> None:
-        """Tight equilibrium; a point that flips in rounding noise may leave it at the accepted residual."""
-        for tolerance in (self.settings.final_tolerance, ACCEPTED):
+        """Tight equilibrium; points that go on changing between sticking and slipping are held for one step.
+
+        Where even then one flips in rounding noise, the accepted residual is enough.
+        """
+        final = self.settings.final_tolerance
+        for tolerance, still in ((final, True), (max(final, ACCEPTED), False)):
             try:
-                return self.solve_here(pose, tolerance)
+                return self.solve_here(pose, tolerance, still)
             except NoEquilibrium:
                 continue
         raise NoEquilibrium

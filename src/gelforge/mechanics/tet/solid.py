@@ -7,9 +7,9 @@ exact derivatives.
 import numpy as np
 from numba import njit
 
-from gelforge.mechanics.element import add_block, block_places, build_pattern
 from gelforge.mechanics.linear import symmetric_solver
 from gelforge.mechanics.mesh import GelMesh
+from gelforge.mechanics.pattern import add_block, block_places, build_pattern
 from gelforge.mechanics.tet.tetmesh import gradients as local_gradients
 
 _CORNER, _REST = 0.58541020, 0.13819660  # CalculiX' gauss3d5
