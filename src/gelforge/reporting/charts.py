@@ -75,6 +75,9 @@ def pareto_chart(rows: list[dict], scenes: list[dict], note: str) -> bytes:
     return to_png(figure)
 
 
+PANELS = {"depth": "depth of the press, mm", "shear": "way sideways, share of the depth", "place": "where on the gel",
+          "nu": "Poisson's ratio of the gel", "size": "size of bricks and tetrahedra, mm", "steps": "load steps",
+          "native": "CalculiX' own contact, by depth in mm"}  # fmt: skip
 VERDICTS = {"good": "#9bc995", "drifts": "#f0c05a", "failed": "#c8553d", "not run": "#d9d9d9"}
 
 
@@ -93,7 +96,8 @@ def stability_map(table: list[dict]) -> bytes:
         axis.set_axis_off()
     figure.suptitle("Numbers: difference of total force, %; for size and steps from the finest of the same engine, "
                     "elsewhere between hex and ccx at the same press", fontsize=11)  # fmt: skip
-    handles = [Patch(color=colour, label=verdict) for verdict, colour in VERDICTS.items()]
+    told = {"drifts": "drifts: differs by more than [stability] drift"}
+    handles = [Patch(color=colour, label=told.get(verdict, verdict)) for verdict, colour in VERDICTS.items()]
     figure.legend(handles=handles, loc="outside lower center", ncols=4)
     return to_png(figure)
 
@@ -107,12 +111,12 @@ def _grid(axis, row, lines):
     for line in lines:
         x, y = levels.index(line[factor]), groups.index((line["fidelity"], line["kind"]))
         axis.add_patch(_tile(x, y, VERDICTS[line["verdict"]]))
-        told = line["status"].lower() if line["verdict"] == "failed" else ""
+        told = line["status"].lower().replace("_", " ") if line["verdict"] == "failed" else ""
         if line["verdict"] in ("good", "drifts") and line["drift"] is not None:
             told = f"{100 * line['drift']:.1f}"
         axis.text(x, y, told, ha="center", va="center", fontsize=7)
     axis.set(xlim=(-0.5, len(levels) - 0.5), ylim=(len(groups) - 0.5, -0.5), xticks=range(len(levels)),
-             yticks=range(len(groups)), title=row)  # fmt: skip
+             yticks=range(len(groups)), title=PANELS[row])  # fmt: skip
     axis.set_xticklabels([str(level) for level in levels])
     axis.set_yticklabels([" ".join(group) for group in groups], fontsize=8)
 
