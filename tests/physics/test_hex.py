@@ -227,6 +227,19 @@ def test_friction_without_a_coefficient_is_frictionless():
     assert np.allclose(slick.total, smooth.total, rtol=1e-4, atol=1e-4)
 
 
+def test_a_path_with_friction_goes_on_where_its_tolerance_cannot_be_met():
+    """A point at the edge of slipping may go to and fro for ever; the end is held to its tolerance all the same."""
+    never = replace(COARSE, tolerance=1e-30)
+    settled = solve_hex(ball(0.8, dx=0.2, law="coulomb", mu=0.3), COARSE)
+    walked = solve_hex(ball(0.8, dx=0.2, law="coulomb", mu=0.3), never)
+    assert walked.status is Status.DIVERGED and walked.evidence["cuts"] == 0
+    end, *force = walked.evidence["path"][-1]
+    assert end == 2.0
+    assert np.linalg.norm(force - settled.total) < 0.02 * np.linalg.norm(settled.total)
+    stuck = solve_hex(ball(0.8, dx=0.2), never)  # without friction's kinks a step that fails is cut
+    assert stuck.evidence["cuts"] > 0 and stuck.evidence["reached"] < 1.0
+
+
 def test_partial_slip_grows_into_gross_slip():
     """Cattaneo and Mindlin: the shear force of a ball starts as without slip, bends, and meets mu times the load."""
     settings, mu = replace(COARSE, shear_steps=8), 0.3

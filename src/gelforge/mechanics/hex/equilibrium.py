@@ -37,6 +37,9 @@ CLOSE = 1e-3
 # Residual above which the pressure's geometric stiffness is left out, on a walked path and at an interpolated state:
 # that one has noise in its volume ratio, so large pressures of both signs, and a tangent that is indefinite with them.
 NOISY, NOISY_INTERPOLATED = 5e-3, 1e-3
+# Residual that is enough within a path with friction: a point at the edge of slipping may go to and fro for ever below it,
+# and no shorter load step would help.
+CYCLING = 1e-3
 # Matrix products that a solve may take with an old factorisation (one costs as much as a dozen) and with its own.
 STALE, FRESH = 12, 60
 
@@ -87,30 +90,40 @@ class Equilibrium:
         return self.scene.indenter.distance(pose.to_indenter(x))[0]
 
     def newton_from(self, guesses: list[np.ndarray], pose: Pose) -> tuple[np.ndarray, int]:
+        """`newton` from the first guess that leads to an equilibrium, within the tolerance of a path."""
+        enough = CYCLING if self.law == "coulomb" else 0.0
         for guess in guesses:
             try:
-                return self.newton(guess, pose, self.settings.tolerance)
+                return self.newton(guess, pose, self.settings.tolerance, enough=enough)
             except NoEquilibrium:
                 continue
         raise NoEquilibrium
 
-    def newton(self, u: np.ndarray, pose: Pose, tolerance: float, still: bool = False) -> tuple[np.ndarray, int]:
+    def newton(
+        self, u: np.ndarray, pose: Pose, tolerance: float, still: bool = False, enough: float = 0.0
+    ) -> tuple[np.ndarray, int]:
         """Newton steps from u until the residual is below tolerance times the contact force.
 
         With friction the first step holds every glued point (but where indenter and contact are as they were, `still`):
-        points that slip from a poor guess drag others along, and Newton loses its way.
+        points that slip from a poor guess drag others along, and Newton loses its way. enough: residual that is taken
+        where no number of steps meets the tolerance.
         """
         laws = [self.contact] if still or self.law != "coulomb" else [self.sticking, self.contact]
-        state = self._out_of_balance(u, pose, laws[0])
+        state, best = self._out_of_balance(u, pose, laws[0]), (np.inf, u, None)
         for iteration in range(self.settings.max_iterations + 1):
             if len(laws) == 1 and self.residual <= tolerance:
                 self.springs = state[1]
                 return u, iteration
+            if len(laws) == 1 and self.residual < best[0]:
+                best = self.residual, u, state[1]
             if iteration < self.settings.max_iterations:
                 step = self._direction(u, pose, laws[0], *state)
                 laws = laws[-1:]
                 u, state = self._step(u, step, pose, laws[0], self.residual if iteration >= WARY else np.inf)
-        raise NoEquilibrium
+        if best[0] > enough:
+            raise NoEquilibrium
+        self.residual, u, self.springs = best
+        return u, self.settings.max_iterations
 
     def _step(
         self, u: np.ndarray, step: np.ndarray, pose: Pose, law: Law, before: float
