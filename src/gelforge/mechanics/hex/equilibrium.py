@@ -109,7 +109,8 @@ class Equilibrium:
         where no number of steps meets the tolerance.
         """
         laws = [self.contact] if still or self.law != "coulomb" else [self.sticking, self.contact]
-        state, best = self._out_of_balance(u, pose, laws[0]), (np.inf, u, None)
+        state = self._out_of_balance(u, pose, laws[0])
+        best: tuple[float, np.ndarray, Any] = np.inf, u, None
         for iteration in range(self.settings.max_iterations + 1):
             if len(laws) == 1 and self.residual <= tolerance:
                 self.springs = state[1]
