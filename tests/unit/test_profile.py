@@ -215,3 +215,40 @@ def test_half_of_what_grasps_need_is_refused(weighed, more, told):
     folder, _ = weighed
     with pytest.raises(BadInput, match=told):
         sensor.main(["--name", "a", "--untouched", str(folder / "rest.png"), *more])
+
+
+def filmed(path, pictures):
+    """A film (.avi) of pictures (h, w, 3) uint8 RGB, compressed without loss."""
+    import cv2
+
+    height, width = pictures[0].shape[:2]
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"FFV1"), 25, (width, height))
+    for picture in pictures:
+        writer.write(picture[:, :, ::-1])
+    writer.release()
+    return str(path)
+
+
+def test_a_film_tells_the_untouched_picture_by_itself(weighed):
+    """The first frames, in which a camera sets its exposure, and those of a press are none of it."""
+    folder, rows = weighed
+    rest, press = read_image(folder / "rest.png"), read_image(folder / rows[0][0])
+    dark = [np.clip(rest * (0.5 + k / 16), 0, 255).astype(np.uint8) for k in range(8)]
+    film = filmed(folder / "film.avi", [*dark, *[rest] * 12, *[press] * 12])
+    assert sensor.main(["--name", "mine", "--video", film, "--out", str(folder / "mine.toml")]) == 0
+    found = read_profile(folder / "mine.toml").untouched.astype(int)
+    assert np.abs(found - rest).mean() < 1.0 < np.abs(press.astype(int) - rest).mean()
+
+
+def test_one_source_of_the_untouched_picture_is_asked_for(weighed):
+    folder, _ = weighed
+    moving = [np.full((60, 80, 3), 20 * k, np.uint8) for k in range(12)]
+    for more, says in (
+        ([], "give one of --untouched IMAGE"),
+        (["--untouched", str(folder / "rest.png"), "--camera", "0"], "give one of --untouched IMAGE"),
+        (["--video", str(folder / "gone.avi")], "no such video"),
+        (["--video", filmed(folder / "moving.avi", moving)], "without movement"),
+    ):
+        with pytest.raises(BadInput, match=says):
+            sensor.main(["--name", "mine", "--out", str(folder / "mine.toml"), *more])
+    assert not (folder / "mine.toml").exists()

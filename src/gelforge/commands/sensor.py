@@ -2,7 +2,8 @@
 
 readings.csv has a row for each press that was weighed: `image`, a picture (its path starts at the table's folder), and
 `force_n`, the force that pressed, in newtons (a kitchen scale's grams over 102). Without readings the profile holds the
-untouched picture alone. `gelforge predict` and `gelforge live` take the profile with --profile.
+untouched picture alone. In place of --untouched, --camera NUMBER or --video FILE take the untouched picture themselves:
+the mean of the first frames at rest, as `gelforge live` does. `gelforge predict` and `gelforge live` take the profile with --profile.
 
 Two sensors of a gripper need no scale to agree: --opposite LEFT.toml --grasps grasps.csv brings this one to the profile
 of the other by pictures of both at the same moments, columns `image` and `opposite`, since the two fingers that hold
@@ -25,6 +26,7 @@ from gelforge.networks.sensorprofile import (
     read_profile,
     write_profile,
 )
+from gelforge.networks.still import picture_at_rest
 from gelforge.networks.use import Untouched, load_for_use, predict_one
 from gelforge.records.image import read_image
 from gelforge.records.markers import pitch_of
@@ -56,6 +58,17 @@ def gain_beside(grasps: Path, untouched: Untouched, opposite: Path) -> Gain:
     return fit_opposite(np.array(felt), np.array(read), other.gain)
 
 
+def untouched_picture(image: Path | None, video: Path | None, camera: int | None) -> tuple[np.ndarray, str]:
+    """The picture (h, w, 3) uint8 RGB of the untouched sensor, and where it is from; exactly one source may be given."""
+    if sum(source is not None for source in (image, video, camera)) != 1:
+        raise BadInput(
+            "give one of --untouched IMAGE, --video FILE and --camera NUMBER: the sensor while nothing touches it"
+        )
+    if image is not None:
+        return read_image(image), str(image)
+    return picture_at_rest(video, camera), str(video) if video else f"camera {camera}"
+
+
 def _normal(untouched: Untouched, image: Path) -> float:
     """Normal force in N that is read in a picture, above 0 where something presses."""
     return -float(predict_one(untouched, read_image(image))[1][2].sum())
@@ -63,7 +76,9 @@ def _normal(untouched: Untouched, image: Path) -> float:
 
 @command(
     option("--name", help="of the sensor"),
-    option("--untouched", type=Path, metavar="IMAGE", help="the sensor while nothing touches it"),
+    option("--untouched", type=Path, metavar="IMAGE", help="the sensor while nothing touches it", default=None),
+    option("--video", type=Path, help="a film that begins while nothing touches the sensor", default=None),
+    option("--camera", type=int, help="number of a camera whose sensor nothing touches now", default=None),
     option("--readings", type=Path, help="table of pictures and the forces that pressed", default=None),
     option("--opposite", type=Path, help="profile of the sensor on the other finger", default=None),
     option("--grasps", type=Path, help="table of pictures of both fingers while they hold one object", default=None),
@@ -80,10 +95,11 @@ def main(args: Namespace) -> None:
         raise BadInput(
             "give either --readings or --grasps: what was weighed says more than what another finger reads"
         )
-    trained, picture = load_for_use(args.model), read_image(args.untouched)
+    picture, source = untouched_picture(args.untouched, args.video, args.camera)
+    trained = load_for_use(args.model)
     untouched = Untouched(trained, picture)
     if untouched.fault:
-        raise BadInput(f"{args.untouched}: {untouched.fault}; take one while nothing touches the sensor")
+        raise BadInput(f"{source}: {untouched.fault}; take one while nothing touches the sensor")
     gain = Gain()
     if args.readings:
         gain = gain_of(args.readings, untouched)

@@ -24,7 +24,6 @@ from gelforge.mechanics.pattern import add_entries
 CORNERS = np.array(
     [[-1, -1, -1], [1, -1, -1], [1, 1, -1], [-1, 1, -1], [-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1]], float
 )
-NOT_FREE = -1
 LANES = 32
 _FAST: dict[str, Any] = {
     "cache": True,

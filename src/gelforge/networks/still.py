@@ -3,11 +3,13 @@
 import itertools
 from collections import deque
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 
 import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.networks.canonical import SMALL
+from gelforge.records.film import frames, open_source
 
 SETTLING = 8  # frames that a camera takes to set its exposure and colours, at least
 STILL = 5  # frames in a row that must be alike
@@ -54,3 +56,14 @@ def find_untouched(images: Iterable[np.ndarray], name: str) -> tuple[np.ndarray,
         f"{name}: no {STILL} frames in a row without movement after the first {SETTLING}, of {len(held)} looked at; let the"
         " film begin with a second in which nothing touches the sensor, or give that picture with --untouched"
     )
+
+
+def picture_at_rest(video: Path | None, camera: int | None) -> np.ndarray:
+    """The picture (h, w, 3) uint8 RGB of the untouched sensor at the start of a film, or of what a camera shows now."""
+    capture, announced = open_source(video, camera)
+    name = str(video) if video else f"camera {camera}"
+    try:
+        picture, _ = find_untouched(frames(capture, announced, name, None), name)
+    finally:
+        capture.release()
+    return np.ascontiguousarray(picture[:, :, ::-1])
