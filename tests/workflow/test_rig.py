@@ -11,6 +11,7 @@ from gelforge.flow.files import read_csv, read_json
 from gelforge.records.frames import check_frames, presses_of
 from gelforge.records.log import read_log, read_presses
 from gelforge.records.press import parse
+from gelforge.stages import rigcost
 from gelforge.stages.rig import main, run
 from tests.conftest import ROOT
 
@@ -175,3 +176,17 @@ def test_parameters_of_a_plan_that_were_changed_since_are_told(two, tmp_path, ca
     run(plan_of(tmp_path, 2), tmp_path / "data", ROOT / "workflow")
     assert "dataset.toml is not what the plan would write and stays as it is" in capsys.readouterr().out
     assert "largest_outside_share" in (tmp_path / "data" / two.name / "dataset.toml").read_text()
+
+
+def test_what_a_plan_takes_is_told_before_a_press(pressed, tmp_path, capsys):
+    """Disk as it is used then; nothing is written; nothing more to say where all presses are there."""
+    asked = ["--plan", str(plan_of(tmp_path, 2)), "--workflow", str(ROOT / "workflow"), "--cores", "2"]
+    assert rigcost.main([*asked, "--data", str(tmp_path / "data")]) == 0
+    told = capsys.readouterr().out
+    assert "pressing 2 of 2 presses" in told and "2 pictures" in told and "on 2 cores" in told
+    assert not (tmp_path / "data").exists()
+    disk = next(line for line in told.splitlines() if line.startswith("presses")).split()[2:]
+    written = sum(path.stat().st_size for part in ("images", "truth") for path in (pressed / part).rglob("*.*"))
+    assert disk[1] == "kB" and abs(1000 * float(disk[0]) / written - 1) < 0.25
+    assert rigcost.main([*asked, "--data", str(pressed.parent)]) == 0
+    assert "every press of the plan is there" in capsys.readouterr().out

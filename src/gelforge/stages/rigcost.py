@@ -1,0 +1,81 @@
+"""What a plan of the virtual bench will take before it starts: core hours, disk, memory and time, from a few of its presses."""
+
+import os
+import resource
+import tempfile
+import time
+from argparse import Namespace
+from pathlib import Path
+
+from gelforge.errors import BadInput
+from gelforge.flow.forecast import Cost, pilots, table
+from gelforge.flow.main import command, option
+from gelforge.flow.running import duration
+from gelforge.stages.rig import Worker, check
+from gelforge.virtualrig.rigplan import Order, orders
+from gelforge.virtualrig.writer import Dataset
+
+
+def presses_left(dataset: Dataset, every: list[Order]) -> list[list[Order]]:
+    """Orders of each press that is not carried out yet."""
+    found: dict[int, list[Order]] = {}
+    for order in dataset.missing(every):
+        found.setdefault(order.index, []).append(order)
+    return list(found.values())
+
+
+def measured(worker: Worker, presses: list[list[Order]], indenters: int) -> list[Cost]:
+    """What presses and new indenters take, from pressing those given; their files lie in the worker's folder.
+
+    indenters: how many the plan has. Each is made once: its surface with texture, and the factor on its forces.
+    """
+    worker.bench.press(presses[0][0])  # the first press loads compiled code, or compiles it
+    made: dict[str, float] = {}
+    pressed = 0.0
+    for of_press in presses:
+        name, began = of_press[0].indenter, time.process_time()
+        if name not in made:
+            worker.bench.body(name)
+            worker.bench.factor(name)
+            made[name] = time.process_time() - began
+            began = time.process_time()
+        worker.carry_out(of_press, solved=False)
+        pressed += time.process_time() - began
+    # those of the first press came with it, outside of the clock
+    own = [seconds for name, seconds in made.items() if name != presses[0][0].indenter] or list(made.values())
+    written = sum(path.stat().st_size for path in worker.folder.rglob("*") if path.is_file())
+    return [
+        Cost("indenters", cpu_once=indenters * sum(own) / len(own)),
+        Cost("presses", pressed / len(presses), bytes_each=written / len(presses)),
+    ]
+
+
+@command(
+    option("--plan", help="workflow/rig/NAME.toml"),
+    option("--data", default="data", help="folder of the datasets"),
+    option("--workflow", default="workflow", help="folder of sensors.toml and rig/sensors.toml"),
+    option("--cores", type=int, default=os.cpu_count(), help="that make rig may use"),
+)
+def main(given: Namespace) -> None:
+    workflow = Path(given.workflow)
+    if given.cores < 1:
+        raise BadInput(f"--cores {given.cores}: give at least 1")
+    plan = check(given.plan, workflow)
+    every = orders(plan)
+    left = presses_left(Dataset(Path(given.data) / plan.dataset, plan), every)
+    if not left:
+        print(f"{given.data}/{plan.dataset}: every press of the plan is there")
+        return
+    chosen = [left[k] for k in pilots([of_press[0].depth for of_press in left])]
+    print(f"pressing {len(chosen)} of {len(left)} presses to see what they take", flush=True)
+    with tempfile.TemporaryDirectory() as folder:
+        costs = measured(Worker(plan, workflow, Path(folder)), chosen, len(plan.indenters))
+    seconds = sum(cost.cpu(len(left)) for cost in costs)
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    print("\n".join(table(costs, len(left))))
+    print(f"{sum(map(len, left))} pictures; {memory:.0f} MiB of memory for each core")
+    print(f"about {duration(seconds / given.cores)} on {given.cores} cores like these")
+
+
+if __name__ == "__main__":
+    main.exit()
