@@ -14,7 +14,7 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish
 from gelforge.flow.main import command, option, positive
-from gelforge.records.film import frames, open_source
+from gelforge.records.film import frames, open_source, source_name
 
 RATE_OVER = 30  # frames that the shown rate is averaged over
 
@@ -131,7 +131,7 @@ def main(args: Namespace) -> None:
     trained = load_for_use(args.model, args.sensor)
     picture = read_image(args.untouched) if args.untouched else None
     capture, announced = open_source(args.video, args.camera)
-    name = str(args.video) if args.video else f"camera {args.camera}"
+    name = source_name(args.video, args.camera)
     seen = frames(capture, announced, name, args.frames)
     if picture is None and not args.sensor and trained.needs_untouched:
         picture, seen = find_untouched(seen, name)

@@ -28,6 +28,7 @@ from gelforge.networks.sensorprofile import (
 )
 from gelforge.networks.still import picture_at_rest
 from gelforge.networks.use import Untouched, load_for_use, predict_one
+from gelforge.records.film import source_name
 from gelforge.records.image import read_image
 from gelforge.records.markers import pitch_of
 from gelforge.records.press import check_id, parse_number
@@ -66,7 +67,7 @@ def untouched_picture(image: Path | None, video: Path | None, camera: int | None
         )
     if image is not None:
         return read_image(image), str(image)
-    return picture_at_rest(video, camera), str(video) if video else f"camera {camera}"
+    return picture_at_rest(video, camera), source_name(video, camera)
 
 
 def _normal(untouched: Untouched, image: Path) -> float:

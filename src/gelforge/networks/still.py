@@ -9,7 +9,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.networks.canonical import SMALL
-from gelforge.records.film import frames, open_source
+from gelforge.records.film import frames, open_source, source_name
 
 SETTLING = 8  # frames that a camera takes to set its exposure and colours, at least
 STILL = 5  # frames in a row that must be alike
@@ -61,7 +61,7 @@ def find_untouched(images: Iterable[np.ndarray], name: str) -> tuple[np.ndarray,
 def picture_at_rest(video: Path | None, camera: int | None) -> np.ndarray:
     """The picture (h, w, 3) uint8 RGB of the untouched sensor at the start of a film, or of what a camera shows now."""
     capture, announced = open_source(video, camera)
-    name = str(video) if video else f"camera {camera}"
+    name = source_name(video, camera)
     try:
         picture, _ = find_untouched(frames(capture, announced, name, None), name)
     finally:

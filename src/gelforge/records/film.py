@@ -26,6 +26,11 @@ def open_source(video: Path | None, camera: int | None) -> tuple[Any, int]:
     return source, int(max(0, source.get(cv2.CAP_PROP_FRAME_COUNT))) if video is not None else 0
 
 
+def source_name(video: Path | None, camera: int | None) -> str:
+    """What a film or camera is called in messages."""
+    return f"camera {camera}" if video is None else str(video)
+
+
 def frames(source: Any, announced: int, name: str, limit: int | None) -> Iterator[np.ndarray]:
     """Yield frames (h, w, 3) BGR until the source or `limit` ends; BadInput if it ends before it should."""
     count = 0

@@ -114,7 +114,7 @@ def run(plan_path, data="data", workflow="workflow", jobs: int = 1) -> Path:
     if plan.units is not None:
         write_sensors(folder / "sensors.toml", {name: sensors[name] for name in plan.units.names})
     _no_contact_images(plan, looks, sensors, folder)
-    todo = _by_press(dataset, orders(plan))
+    todo = by_press(dataset, orders(plan))
     new, drawn, failed = 0, 0, []
     try:
         with _pool(min(jobs, len(todo)), plan, workflow, folder) as carried_out:
@@ -138,7 +138,7 @@ def run(plan_path, data="data", workflow="workflow", jobs: int = 1) -> Path:
     return folder
 
 
-def _by_press(dataset: Dataset, every: list[Order]) -> list[tuple[list[Order], bool]]:
+def by_press(dataset: Dataset, every: list[Order]) -> list[tuple[list[Order], bool]]:
     """What is missing: the orders of each press, and whether only their pictures are."""
     found: dict[tuple[int, bool], list[Order]] = {}
     for order in dataset.missing(every):

@@ -11,17 +11,10 @@ from gelforge.errors import BadInput
 from gelforge.flow.forecast import Cost, pilots, table
 from gelforge.flow.main import command, option
 from gelforge.flow.running import duration
-from gelforge.stages.rig import Worker, check
+from gelforge.stages.rig import Worker, by_press, check
+from gelforge.sweeps.methods import warm_up
 from gelforge.virtualrig.rigplan import Order, orders
 from gelforge.virtualrig.writer import Dataset
-
-
-def presses_left(dataset: Dataset, every: list[Order]) -> list[list[Order]]:
-    """Orders of each press that is not carried out yet."""
-    found: dict[int, list[Order]] = {}
-    for order in dataset.missing(every):
-        found.setdefault(order.index, []).append(order)
-    return list(found.values())
 
 
 def measured(worker: Worker, presses: list[list[Order]], indenters: int) -> list[Cost]:
@@ -29,7 +22,7 @@ def measured(worker: Worker, presses: list[list[Order]], indenters: int) -> list
 
     indenters: how many the plan has. Each is made once: its surface with texture, and the factor on its forces.
     """
-    worker.bench.press(presses[0][0])  # the first press loads compiled code, or compiles it
+    warm_up()
     made: dict[str, float] = {}
     pressed = 0.0
     for of_press in presses:
@@ -41,11 +34,9 @@ def measured(worker: Worker, presses: list[list[Order]], indenters: int) -> list
             began = time.process_time()
         worker.carry_out(of_press, solved=False)
         pressed += time.process_time() - began
-    # those of the first press came with it, outside of the clock
-    own = [seconds for name, seconds in made.items() if name != presses[0][0].indenter] or list(made.values())
     written = sum(path.stat().st_size for path in worker.folder.rglob("*") if path.is_file())
     return [
-        Cost("indenters", cpu_once=indenters * sum(own) / len(own)),
+        Cost("indenters", cpu_once=indenters * sum(made.values()) / len(made)),
         Cost("presses", pressed / len(presses), bytes_each=written / len(presses)),
     ]
 
@@ -61,8 +52,7 @@ def main(given: Namespace) -> None:
     if given.cores < 1:
         raise BadInput(f"--cores {given.cores}: give at least 1")
     plan = check(given.plan, workflow)
-    every = orders(plan)
-    left = presses_left(Dataset(Path(given.data) / plan.dataset, plan), every)
+    left = [of_press for of_press, _ in by_press(Dataset(Path(given.data) / plan.dataset, plan), orders(plan))]
     if not left:
         print(f"{given.data}/{plan.dataset}: every press of the plan is there")
         return
