@@ -20,6 +20,7 @@ from gelforge.flow.files import write_json
 from gelforge.networks import statistics, use
 from gelforge.networks.canonical import WHOLE, view_of
 from gelforge.networks.data import open_data
+from gelforge.networks.metrics import slope
 from gelforge.networks.modelcard import write_card
 from gelforge.networks.modelfile import save_model
 from gelforge.networks.onnxgraph import TOLERANCE, export, largest_difference, run_onnx
@@ -79,6 +80,27 @@ def test_sensor_and_truth_are_compared_on_the_right_axis(data, models):
         # The made-up force sensor reads 0.1 N too much, the made-up truth is the label (float32 sums).
         assert against["sensor"]["labels"][axis]["bias"] == pytest.approx(-0.1, abs=1e-5)
         assert against["truth"]["labels"][axis]["mae"] < 1e-5
+
+
+def test_labels_are_held_against_the_truth_in_size(data, models):
+    against = evaluate(data, models["small"], EVALUATE)[0]["splits"]["test"]["against"]
+    assert against["truth"]["labels_over"]["grid_z"] == pytest.approx(1.0, abs=1e-5)
+    assert slope(np.full((4, 3), 0.98), np.ones((4, 3))) == pytest.approx(dict.fromkeys(CHANNELS, 0.98))
+
+
+def test_evaluation_tells_what_predict_tells(data, models):
+    trained = models["pair"]
+    told = evaluate(data, trained, EVALUATE)[0]["splits"]["test"]["told"]
+    rows = data.splits["test"]
+    names = data.names("sensor_id")[rows]
+    forces = [
+        use.predict_one(use.Untouched(trained, data.nocontact[name]), np.asarray(data.images[row]))[1]
+        for row, name in zip(rows, names, strict=True)
+    ]
+    error = np.sum(forces, axis=(2, 3), dtype=float) - data.totals(rows)
+    for k, axis in enumerate(CHANNELS):
+        assert told["total"][axis]["mae"] == pytest.approx(np.abs(error[:, k]).mean())
+    assert evaluate(data, models["small"], EVALUATE)[0]["splits"]["test"]["told"] is None
 
 
 def test_evaluation_without_a_second_split_is_refused(data, models):

@@ -8,6 +8,24 @@ def cell_text(table: dict | None, axis: str) -> str:
     return "-" if table is None else f"{table[axis]['mae']:.4f} ± {table[axis]['std']:.4f}"
 
 
+TOLD_COLUMNS = ["split", "images", *(f"total {a}" for a in CHANNELS), "intervals hold, %", "each of several contacts"]
+
+
+def told_rows(result: dict) -> list[list]:
+    """What `predict` makes of a network that reads pairs, a row for each split; none for other networks."""
+    rows = []
+    for name, split in result["splits"].items():
+        told = split["told"]
+        if told is None:
+            continue
+        totals = [f"{e['mae']:.3f} ({e['mae_low']:.3f} to {e['mae_high']:.3f})" for e in told["total"].values()]
+        held = " / ".join(f"{100 * told['held'][a]:.0f}" for a in CHANNELS) if told["held"] else "-"
+        apart = told["contacts"]
+        each = f"{apart['mae']:.2f} N, {apart['percent']:.1f} % ({apart['n']})" if apart["n"] else "-"
+        rows.append([name, split["n"], *totals, held, each])
+    return rows
+
+
 def tables(result: dict) -> list[dict]:
     """Tables of an evaluation for the report: title, columns, rows of text."""
     splits = result["splits"]
@@ -84,6 +102,14 @@ def tables(result: dict) -> list[dict]:
                     for name, split in splits.items()
                     for group, values in split[key].items()
                 ],
+            }
+        )
+    if told := told_rows(result):
+        found.append(
+            {
+                "title": "As `predict` tells it, with light, tare and dots: mean absolute error and its 95 % interval, N",
+                "columns": TOLD_COLUMNS,
+                "rows": told,
             }
         )
     if against:

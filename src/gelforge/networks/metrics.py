@@ -69,6 +69,13 @@ def by_group(error, groups) -> dict:
     return result
 
 
+def slope(values, reference) -> dict:
+    """By what factor values (n, 3) N differ from a reference (n, 3) N per component: least squares through zero."""
+    squares = (np.asarray(reference) ** 2).sum(axis=0)
+    factors = (np.asarray(values) * reference).sum(axis=0) / np.where(squares > 0, squares, np.nan)
+    return {axis: float(factor) if np.isfinite(factor) else None for axis, factor in zip(CHANNELS, factors)}
+
+
 def force_bins(normal_force, edges) -> list[str]:
     """Name of the bin of |f_z| that each press lies in, `low-high N`; beyond the last edge `high+ N`."""
     edges = sorted(edges)

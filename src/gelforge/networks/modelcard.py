@@ -1,6 +1,7 @@
 """Model card: what a network is, what it learnt from, and how wrong it is, in Markdown."""
 
 from gelforge.networks.dotreader import MEMBERS
+from gelforge.networks.errortables import TOLD_COLUMNS, told_rows
 from gelforge.networks.inputs import needs_untouched
 from gelforge.records.axes import CHANNELS
 
@@ -48,7 +49,7 @@ def dot_lines(about: dict) -> list[str]:
     return [
         f"- Beside it {MEMBERS} small networks read total force from the motion of the printed dots alone, which light cannot"
         f" move. In `predict`, `live` and `gelforge.Reader` totals are a mean in which theirs has {shares}"
-        f" ({' / '.join(CHANNELS)}); the tables of splits below are of the first network alone.",
+        f" ({' / '.join(CHANNELS)}).",
     ]
 
 
@@ -63,6 +64,15 @@ def error_rows(evaluation: dict) -> list[list[str]]:
         row.append(" / ".join(f"{split['cell'][axis]['mae']:.5f}" for axis in CHANNELS) if split["cell"] else "-")
         rows.append(row)
     return rows
+
+
+def told_lines(evaluation: dict) -> list[str]:
+    """What `predict` makes of the network, as lines; none for a network that reads one image alone."""
+    rows = [[str(value) for value in row] for row in told_rows(evaluation)]
+    title = (
+        "## As `predict` tells it: light, tare and dots included (mean absolute error, N; 95 % interval over presses)"
+    )
+    return [title, "", *table(TOLD_COLUMNS, rows), ""] if rows else []
 
 
 def control_rows(evaluation: dict) -> list[list[str]]:
@@ -115,7 +125,8 @@ def write_card(about: dict, evaluation: dict, figures: list[dict] | None = None)
         *dot_lines(about),
         f"- {AXIS_NOTE}",
         "",
-        "## Error of total force (mean absolute, N; 95 % interval over presses) and per cell",
+        *told_lines(evaluation),
+        "## The network alone: error of total force (mean absolute, N; 95 % interval over presses) and per cell",
         "",
         *table(["split", "images of presses", *CHANNELS, f"per cell {' / '.join(CHANNELS)}"], error_rows(evaluation)),
         "",

@@ -206,6 +206,34 @@ def predict_one(
     return untouched.view.of(image), forces, verdict | {"flag": verdict["flag"] or bool(reason), "reason": reason}
 
 
+@dataclass(frozen=True)
+class Told:
+    """What `predict` tells of some rows of a dataset: forces (n, 3, rows, cols) N and half widths (n, 3) N of the totals.
+
+    half_widths: None where the model knows none. in_place: whether all cells are those of the labels; False where a
+    sensor's pictures were scaled, because then its cells show other places.
+    """
+
+    forces: np.ndarray
+    half_widths: np.ndarray | None
+    in_place: bool
+
+
+def tell_rows(trained, data, rows) -> Told:
+    """What `predict` tells of some rows of a dataset (networks.data.Data), each against its own untouched sensor."""
+    names = data.names("sensor_id")[rows].tolist()
+    pictures = dict(zip(names, data.untouched(rows), strict=True))
+    beside = {name: Untouched(trained, picture) for name, picture in pictures.items()}
+    forces, widths = [], []
+    for row, name in zip(rows, names, strict=True):
+        _, told, verdict = predict_one(beside[name], np.ascontiguousarray(data.images[row]))
+        forces.append(told)
+        widths.append(verdict["half_width"])
+    known = [width for width in widths if width is not None]
+    in_place = all(one.view.zoom == 1.0 for one in beside.values())
+    return Told(np.stack(forces), np.stack(known) if len(known) == len(forces) else None, in_place)
+
+
 def light_fault(light) -> str:
     """What is wrong with a pair of pictures whose light cannot be compared; empty where it can."""
     return "" if light is None or light.known else "nothing in it has the light of the untouched picture"

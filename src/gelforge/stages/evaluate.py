@@ -11,12 +11,14 @@ from gelforge.flow.main import command, option
 from gelforge.flow.params.slices import ForEvaluate, read_slice
 from gelforge.flow.params.tables import EvaluateTable
 from gelforge.networks import metrics
+from gelforge.networks.contacts import contact_table
 from gelforge.networks.errortables import tables
+from gelforge.networks.use import Told, tell_rows
 from gelforge.records.axes import CHANNELS, FORCE_OF_CHANNEL
 from gelforge.records.predictionfile import write_predictions
 from gelforge.reporting.networkcharts import draw_predictions
 
-VERSION = 5
+VERSION = 6
 # Where a dataset has them, total forces (samples.csv, gel frame: x short side) that did not come from
 # the labels: the force sensor of the rig, and what a virtual rig knows and a real one cannot.
 REFERENCES = {"sensor": "measured_{}", "truth": "true_{}"}
@@ -53,6 +55,21 @@ def controls(data, rows, predicted_totals, rng) -> dict:
     }
 
 
+def as_told(data, rows, told: Told, settings: EvaluateTable, force_range, rng) -> dict:
+    """Errors of what `predict` tells of a split: of totals, with the share that their intervals hold, cells and contacts."""
+    wanted, press = data.totals(rows), data.presses(rows)
+    error = told.forces.sum((2, 3), dtype=np.float64) - wanted
+    mapped = told.in_place and told.forces.shape[2:] == data.grid
+    held = None if told.half_widths is None else (np.abs(error) <= told.half_widths).mean(axis=0)
+    return {
+        "total": metrics.error_table(error, rng, settings.bootstrap, force_range, press),
+        "per_indenter": metrics.by_group(error, data.names("indenter")[rows]),
+        "held": None if held is None else dict(zip(CHANNELS, held.tolist(), strict=True)),
+        "cell": metrics.cell_table(told.forces, data.labels[rows]) if mapped else None,
+        "contacts": contact_table(data.labels[rows], told.forces) if mapped else {"n": 0},
+    }
+
+
 def evaluate_split(data, rows, predicted, settings: EvaluateTable, force_range, rng) -> dict:
     """All tables of one split; `predicted` is (k, 3, rows, cols) in N per cell."""
     wanted = data.totals(rows)
@@ -85,6 +102,7 @@ def evaluate_split(data, rows, predicted, settings: EvaluateTable, force_range, 
                 "n": int(known.sum()),
                 "network": metrics.error_table(mine, rng, settings.bootstrap, press=press[known]),
                 "labels": metrics.error_table(labels, rng, settings.bootstrap, press=press[known]),
+                "labels_over": metrics.slope(wanted[known], reference[rows][known]),
             }
     return result
 
@@ -93,7 +111,8 @@ def evaluate(data, trained, settings: EvaluateTable) -> tuple[dict, dict]:
     """Evaluate a model on every split of a dataset but the one it was fitted to.
 
     :param data: networks.data.Data. :param trained: networks.modelfile.Trained.
-    Returns the figures, and per split its rows and predictions (k, 3, rows, cols) in N per cell.
+    Returns the figures, and per split its rows and predictions (k, 3, rows, cols) in N per cell. Figures are of the network
+    alone; under "told" those of what `predict` makes of it, with light, tare and dots, where it reads pairs.
     """
     import torch
 
@@ -127,7 +146,10 @@ def evaluate(data, trained, settings: EvaluateTable) -> tuple[dict, dict]:
     predictions = {}
     for name, rows in splits.items():
         predictions[name] = (rows, predict_rows(trained.net, data, rows, about["normalisation"]))
-        result["splits"][name] = evaluate_split(data, *predictions[name], settings, force_range, rng)
+        split = evaluate_split(data, *predictions[name], settings, force_range, rng)
+        told = tell_rows(trained, data, rows) if trained.needs_untouched else None
+        split["told"] = None if told is None else as_told(data, rows, told, settings, force_range, rng)
+        result["splits"][name] = split
     result["tables"] = tables(result)
     return result, predictions
 
