@@ -17,7 +17,7 @@ by_hand = $(and $(filter command environment,$(firstword $(origin $(1)))),$(valu
 $(foreach v,DATASET SENSOR MODEL FORMAT EXECUTOR,$(if $(call by_hand,$v),$(if $(call named,$v),,$(error $v=$(value $v): give one name of letters, digits, _ - and . that does not start with a dot))))
 
 # Lists of names, and of tests.
-$(foreach v,CHARTED TESTS,$(if $(call by_hand,$v),$(if $(strip $(call without,$(value $v),$(LETTERS) $(DIGITS) _ - . / : [ ] ,)),$(error $v=$(value $v): give names with blanks between them))))
+$(foreach v,CHARTED STUDIED TESTS,$(if $(call by_hand,$v),$(if $(strip $(call without,$(value $v),$(LETTERS) $(DIGITS) _ - . / : [ ] ,)),$(error $v=$(value $v): give names with blanks between them))))
 ifneq ($(call without,$(call by_hand,JOBS),$(DIGITS)),)
 $(error JOBS=$(value JOBS): give a number of jobs)
 endif

@@ -94,6 +94,32 @@ def test_command_writes_what_it_says(place, whole):
     assert read_json(f"{out}.part")["splits"]["test"]["n"] == 6
 
 
+def evaluated(place, model: Path) -> Path:
+    """Where the evaluation of a model lies."""
+    out = model.with_name(model.name.split(".")[0] + ".json")
+    asked = command("evaluate", "--dataset", place / "6x8", "--model", model, "--params", place / "evaluate.json")
+    subprocess.run([*asked, "--out", out], check=True, capture_output=True)
+    return out
+
+
+def test_a_study_tells_errors_against_presses_and_units(place, whole, tmp_path):
+    parts = ("presses_8", "units_1")
+    for part in parts:
+        asked = [*train_command(place, tmp_path / f"{part}.pt"), "--part", part]
+        subprocess.run(asked, check=True, capture_output=True)
+    told = [evaluated(place, tmp_path / f"{part}.pt") for part in parts]
+    (tmp_path / "whole.pt").write_bytes((place / "whole.pt.part").read_bytes())
+    asked = command("study", "--whole", evaluated(place, tmp_path / "whole.pt"), "--parts", *told)
+    subprocess.run([*asked, "--out", tmp_path / "study.json.part"], check=True, capture_output=True)
+    rows = read_json(tmp_path / "study.json.part")["rows"]
+    by_part = {row["part"]: row for row in rows if row["split"] == "test"}
+    assert set(by_part) == {*parts, "all"}
+    assert by_part["presses_8"]["presses"] == 8 and by_part["units_1"]["units"] == 1
+    assert by_part["all"]["presses"] == whole["data"]["presses"] == 24
+    assert (tmp_path / "study.csv").read_text().count("\n") == len(rows) + 1
+    assert (tmp_path / "study.png").stat().st_size > 5000
+
+
 def test_unusable_dataset_is_one_line_and_leaves_nothing(place, tmp_path):
     ran = subprocess.run(
         command(

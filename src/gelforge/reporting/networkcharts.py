@@ -59,3 +59,32 @@ def draw_maps(figure, data, rows, forces) -> None:
             axis.imshow(part, cmap="inferno_r", vmin=low, vmax=0)
             axis.set_title(f"{what}: {part.sum():.1f} N", fontsize=8)
             axis.set_axis_off()
+
+
+def draw_study(path, rows: list[dict], name: str) -> None:
+    """Write error of normal force against the presses learnt from: all units as a line, fewer units as points of their own.
+
+    :param rows: of stages.study: part, presses, units, split, grid_z_n with its interval.
+    """
+    splits = list(dict.fromkeys(row["split"] for row in rows))
+    figure = canvas(3.2 * len(splits), 3.4)
+    for axis, split in zip(figure.subplots(1, len(splits), squeeze=False, sharey=True)[0], splits):
+        shown = sorted((row for row in rows if row["split"] == split), key=lambda row: row["presses"])
+        most = max(row["units"] for row in shown)
+        for few, style in ((False, "o-"), (True, "s")):
+            part = [row for row in shown if row["part"].startswith("units") == few]
+            if not part:
+                continue
+            value, low, high = (np.array([row[f"grid_z{end}_n"] for row in part]) for end in ("", "_low", "_high"))
+            presses = [row["presses"] for row in part]
+            label = "presses of fewer units" if few else f"presses of {most} units"
+            axis.errorbar(presses, value, yerr=[value - low, high - value], fmt=style, markersize=5, label=label)
+            for row in part if few else ():
+                axis.annotate(f"{row['units']}", (row["presses"], row["grid_z_n"]), xytext=(5, 4),
+                              textcoords="offset points", fontsize=8)  # fmt: skip
+        axis.set(xscale="log", yscale="log", xlabel="presses learnt from", title=split.replace("_", " "))
+        axis.grid(alpha=0.3, which="both")
+    figure.axes[0].set_ylabel("MAE of total normal force (N)")
+    figure.axes[0].legend(fontsize=8)
+    figure.suptitle(f"What {name} gains from presses and units (numbers: units; bars: 95 %)", fontsize=10)
+    save_png(path, figure)

@@ -19,7 +19,7 @@ from gelforge.flow.params.schema import Place, parse
 from gelforge.flow.params.slices import ForTrain, read_slice
 from gelforge.flow.params.tables import TrainingTable, TrainTable
 
-VERSION = 7
+VERSION = 8
 # A network that learnt from more sensors is for those that it never saw: their users have untouched pictures of their own.
 MOST_PICTURES = 8
 
@@ -78,6 +78,8 @@ def describe(data, name: str, model: dict, settings: TrainingTable, device: str)
             "version": data_version(data),
             "simulated": bool(np.isfinite(data.column("true_fz_n")).any()),
             "samples": {key: len(value) for key, value in sorted(data.splits.items())},
+            "presses": len(np.unique(data.presses(rows))),
+            "units": len(set(data.names("sensor_id")[rows].tolist())),
         },
     }
 
@@ -226,17 +228,22 @@ def learnt_pitch(data) -> dict[str, list[float]]:
     option("--model", help="name of a table in --models"),
     option("--models", type=Path, default=Path("workflow/models.toml")),
     option("--params", type=Path),
+    option("--part", default="", help="presses_N or units_N: learn from so many of them only (default: all)"),
     option("--out", type=Path),
 )
 def main(args: Namespace) -> None:
     from gelforge.networks.data import open_data
     from gelforge.networks.modelfile import save_model
+    from gelforge.networks.part import parse_part, take_part
     from gelforge.reporting.networkcharts import draw_curve
 
     model, settings = resolve(read_models(args.models), args.model, read_slice(args.params, ForTrain).train)
     stem = args.out.with_name(args.out.name.removesuffix(".part").removesuffix(".pt"))
     checkpoint = stem.with_name(stem.name + ".checkpoint.pt")
-    trained = train(open_data(args.dataset), args.model, model, settings, checkpoint)
+    data = open_data(args.dataset)
+    if args.part:
+        data = take_part(data, parse_part(args.part), settings.seed)
+    trained = train(data, args.model, model, settings, checkpoint)
     curve = trained.about["curve"]
     write_csv(stem.with_name(stem.name + ".curve.csv"), list(curve[0]), curve)
     with publish(stem.with_name(stem.name + ".curve.png")) as part:

@@ -1,0 +1,43 @@
+"""Parts of the training presses, to see how much a network gains from more presses and from more units of a sensor."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.networks.data import TRAINING, Data
+
+
+@dataclass(frozen=True)
+class Part:
+    """What a network may learn from: `count` presses of all units, or all presses of `count` units."""
+
+    what: str
+    count: int
+
+    @property
+    def name(self) -> str:
+        return f"{self.what}_{self.count}"
+
+
+def parse_part(name: str) -> Part:
+    """The part of that name, such as presses_250 or units_4; BadInput for another."""
+    what, _, count = name.partition("_")
+    if what not in ("presses", "units") or not count.isascii() or not count.isdigit() or int(count) < 1:
+        raise BadInput(f"part {name!r}: give presses_N or units_N, N a number from 1 on")
+    return Part(what, int(count))
+
+
+def take_part(data: Data, part: Part, seed: int) -> Data:
+    """The dataset with part of its training rows; all other splits stay.
+
+    Presses and units are drawn in an order that depends on `seed` alone, so that a smaller part lies within a larger one.
+    BadInput where there are not so many.
+    """
+    rows = data.splits[TRAINING]
+    of_row = data.presses(rows) if part.what == "presses" else data.names("sensor_id")[rows]
+    known = np.unique(of_row)
+    if part.count > len(known):
+        raise BadInput(f"{data.folder}: part {part.name} asks for more {part.what} than the {len(known)} that train")
+    chosen = known[np.random.default_rng(seed).permutation(len(known))[: part.count]]
+    return replace(data, splits=data.splits | {TRAINING: rows[np.isin(of_row, chosen)]})

@@ -1,0 +1,55 @@
+"""Parts of the presses that a network learns from."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from synthetic_presses import write_dataset
+
+from gelforge.errors import BadInput
+from gelforge.networks.data import open_data
+from gelforge.networks.part import parse_part, take_part
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    return open_data(write_dataset(tmp_path_factory.mktemp("part") / "6x8", 48, (48, 64), (6, 8)))
+
+
+@pytest.mark.parametrize("name", ["presses_6", "units_1"])
+def test_a_part_has_what_it_is_asked_for_and_leaves_the_rest(data, name):
+    part = parse_part(name)
+    taken = take_part(data, part, seed=1)
+    rows = taken.splits["train"]
+    of_row = data.presses(rows) if part.what == "presses" else data.names("sensor_id")[rows]
+    assert len(np.unique(of_row)) == part.count
+    assert set(rows) <= set(data.splits["train"])
+    for split in set(data.splits) - {"train"}:
+        assert np.array_equal(taken.splits[split], data.splits[split])
+
+
+def test_a_press_is_taken_whole_and_parts_grow(data):
+    last: set[int] = set()
+    for count in (4, 8, 16):
+        rows = take_part(data, parse_part(f"presses_{count}"), seed=3).splits["train"]
+        presses = data.presses(data.splits["train"])
+        whole = data.splits["train"][np.isin(presses, data.presses(rows))]
+        assert set(whole) == set(rows)
+        assert last <= set(rows)
+        last = set(rows)
+
+
+@pytest.mark.parametrize(
+    "name", ["presses", "presses_", "presses_0", "units_-1", "rows_3", "units_1.5", "presses_\u0663"]
+)
+def test_what_is_no_part_is_refused(name):
+    with pytest.raises(BadInput, match="presses_N or units_N"):
+        parse_part(name)
+
+
+def test_more_than_there_is_is_refused(data):
+    with pytest.raises(BadInput, match="asks for more presses than the"):
+        take_part(data, parse_part("presses_100000"), seed=1)
