@@ -107,11 +107,6 @@ def view_of(untouched: np.ndarray, pitch: float, learnt: tuple[float, float]) ->
     return View(zoom, fill)
 
 
-def canonical_pair(image: np.ndarray, untouched: np.ndarray) -> np.ndarray:
-    """An image under the light of the untouched picture, both (h, w, 3) uint8, and that picture behind it, (h, w, 6)."""
-    return np.concatenate([match_light(image, untouched).undo(image), untouched], axis=2)
-
-
 def hidden(shown: np.ndarray) -> np.ndarray:
     """What stands where a pair (h, w, 6) uint8 shows nothing: the untouched picture's mean colour in both, (6,) uint8."""
     mean = np.rint(shown[..., 3:].mean(axis=(0, 1))).astype(np.uint8)

@@ -1,14 +1,14 @@
 """The arrays of stage 60 as training and evaluation read them."""
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_json
-from gelforge.networks.canonical import canonical_pair
+from gelforge.networks.canonical import Light, match_light
 from gelforge.networks.inputs import needs_untouched
 from gelforge.records.samplefile import DatasetSample, read_samples
 
@@ -36,6 +36,8 @@ class Data:
     info: dict
     normalisation: dict
     nocontact: dict[str, np.ndarray]
+    # Lights of the rows that were looked at: they are found once, not in every epoch.
+    _lights: dict[int, Light] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def image_size(self) -> tuple[int, int]:
@@ -72,8 +74,15 @@ class Data:
         """
         if not needs_untouched(reads):
             return self.images[rows]
-        pairs = zip(self.images[rows], self.untouched(rows), strict=True)
-        return np.stack([canonical_pair(image, untouched) for image, untouched in pairs])
+        parts = zip(rows, self.images[rows], self.untouched(rows), strict=True)
+        return np.stack([np.concatenate([self._lit(*part), part[2]], axis=2) for part in parts])
+
+    def _lit(self, row, image: np.ndarray, untouched: np.ndarray) -> np.ndarray:
+        """The image (height, width, 3) of a row under the light of its untouched sensor."""
+        light = self._lights.get(int(row))
+        if light is None:
+            light = self._lights[int(row)] = match_light(image, untouched)
+        return light.undo(image)
 
     def presses(self, rows) -> np.ndarray:
         """What tells the presses of some rows apart, (k,): several images may show one; where unknown, none does."""
