@@ -13,7 +13,15 @@ from gelforge.mechanics.scene import REFERENCE_C10
 TOP = 2.4
 MUS = (0.0, 0.4, np.inf)
 PARAMS = with_nu(parameters().calibrate, 0.475)
-TRUTH = {"c10": 0.085, "offset": 0.03, "compliance": 0.006, "mu": 0.7, "nu": 0.475, "discretisation": 0.0}
+TRUTH = {
+    "c10": 0.085,
+    "offset": 0.03,
+    "compliance": 0.006,
+    "shear_compliance": 0.0,
+    "mu": 0.7,
+    "nu": 0.475,
+    "discretisation": 0.0,
+}
 
 
 def normal_force(depth, mu, stiffness=4.0):
@@ -35,7 +43,11 @@ def law_emulator(stiffness=(4.0,)) -> Emulator:
     """Emulator with one press per stiffness."""
     tables = [friction_table(MUS, [curve_table(law_curve(mu, k), TOP) for mu in MUS]) for k in stiffness]
     return Emulator(
-        np.array(tables)[:, None], np.full(len(stiffness), TOP), np.array([0.475]), np.zeros(len(stiffness), int)
+        np.array(tables)[:, None],
+        np.full(len(stiffness), TOP),
+        np.array([0.475]),
+        np.zeros(len(stiffness), int),
+        np.zeros(len(stiffness)),
     )
 
 

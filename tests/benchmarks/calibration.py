@@ -81,7 +81,7 @@ def rig_emulator(
     if failed:
         raise SolveFailed(f"the rig's own solves failed: {failed}")
     fine = SolveCache(folder, catalogue, quality(better))
-    return refine(build_emulator(plan, cache, RIG_MUS, [NU]), plan, cache, fine, np.inf, NU, jobs)
+    return refine(build_emulator(plan, cache, RIG_MUS, [NU]), plan, cache, fine, RIG_MUS[-2:], NU, jobs)
 
 
 def draw_truths(model, count: int, rng: np.random.Generator) -> np.ndarray:

@@ -142,10 +142,23 @@ def test_press_that_cannot_be_solved_is_not_tried_again(catalogue, tmp_path):
 def test_refined_forces_are_the_fine_mesh_s(built, catalogue):
     _, plan, cache, emulator = built
     fine = SolveCache(cache.folder, catalogue, replace(SETTINGS, size=0.9, layers=4))
-    refined = refine(emulator, plan, cache, fine, MU, NU)
+    refined = refine(emulator, plan, cache, fine, [MU], NU)
     job = replace(plan.jobs(1, MU, NU)[0])
     end = fine.get(job)["end"][2]
     assert refined.table[1, 0, 0, -1, 2] == pytest.approx(end, rel=0.01)  # last load step against settled end
+
+
+def test_refined_sideways_force_has_a_ratio_of_its_own(built, catalogue):
+    """Without slip, at the depths that were solved, both are the fine mesh's; the normal force's ratio would be another."""
+    _, plan, cache, emulator = built
+    fine = SolveCache(cache.folder, catalogue, replace(SETTINGS, size=0.9, layers=4))
+    refined = refine(emulator, plan, cache, fine, [MU], NU)
+    deepest = plan.jobs(2, MU, NU)[0]
+    end, coarse = (np.array(of.get(deepest)["end"]) for of in (fine, cache))
+    told = refined.table[2, 0, 0, -1]
+    assert np.hypot(*told[:2]) == pytest.approx(np.hypot(*end[:2]), rel=1e-6)
+    assert told[2] == pytest.approx(end[2], rel=1e-6)
+    assert abs(np.hypot(*end[:2]) / np.hypot(*coarse[:2]) - end[2] / coarse[2]) > 0.005
 
 
 def test_press_that_never_touches_is_refused(catalogue, tmp_path):

@@ -48,17 +48,37 @@ def test_a_kept_factor_is_that_of_its_shape_and_a_broken_one_is_made_again(plan,
     names.add(name_of(Gel(), Material(nu=0.45), one, *rest[1:]))
     names.add(name_of(Gel(), rest[0], one, Interface("frictionless"), SETTINGS))
     assert len(names) == 4
-    made = ForceFactor(np.array([0.4, 0.8]), np.array([0.9, 1.0]))
+    made = ForceFactor(np.array([0.4, 0.8]), np.array([0.9, 1.0]), 0.97)
     (tmp_path / "ball.json").write_text("{")
     for _ in range(2):
         found = kept_factor(tmp_path, "ball", lambda: made)
         np.testing.assert_array_equal(found.factor, made.factor)
+        assert found.sideways == made.sideways
     np.testing.assert_array_equal(kept_factor(tmp_path, "ball", lambda: pytest.fail("made again")).depth, made.depth)
 
 
 def test_a_factor_is_constant_beyond_the_depths_it_was_found_at():
-    factor = ForceFactor(np.array([0.4, 0.8]), np.array([0.9, 1.0]))
-    assert [factor.at(depth) for depth in (-1.0, 0.4, 0.6, 0.8, 3.0)] == pytest.approx([0.9, 0.9, 0.95, 1.0, 1.0])
+    factor = ForceFactor(np.array([0.4, 0.8]), np.array([0.9, 1.0]), 0.97)
+    found = np.array([factor.at(depth) for depth in (-1.0, 0.4, 0.6, 0.8, 3.0)])
+    assert found[:, 2] == pytest.approx([0.9, 0.9, 0.95, 1.0, 1.0])
+    assert (found[:, :2] == 0.97).all()
+
+
+def test_hidden_sideways_force_is_that_of_fine_bricks(plan, root, tmp_path):
+    """Within 3 % under edges that are dragged; the factor of normal force alone leaves 10 %."""
+    catalogue = load_catalogue(root / "workflow" / "indenters.toml", ["triangle_10"])
+    dragged = replace(plan, truth=replace(plan.truth, friction=0.7, shear_compliance_mm_per_n=0.0))
+    bench = Bench(dragged, catalogue, Gel(), tmp_path)
+    order = replace(
+        orders(plan)[0], indenter="triangle_10", x=1.0, y=-1.0, depth=0.9, rot_deg=65.0, shear=(-0.25, 0.1)
+    )
+    pressed = bench.press(order)[-1]
+    scene = Scene(
+        Gel(), Material(nu=plan.truth.nu), catalogue["triangle_10"], pressed.real, Interface("coulomb", 0.7)
+    )
+    exact = HexSolver(quality("label")).solve(scene).total * plan.truth.c10_mpa / REFERENCE_C10
+    assert np.hypot(*pressed.force[:2]) == pytest.approx(np.hypot(*exact[:2]), rel=0.03)
+    assert pressed.force[2] == pytest.approx(exact[2], rel=0.02)
 
 
 @pytest.mark.parametrize("turn_deg", [20.0, 65.0])

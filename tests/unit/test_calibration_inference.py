@@ -6,11 +6,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from calibration_law import TOP, law_curve, law_emulator, law_posterior, make_readings, normal_force, true_values
+from scipy.optimize import brentq
 from scipy.stats import multivariate_t
 
 from gelforge.calibration import sampling, scores, summary
-from gelforge.calibration.emulator import curve_table, sheared_table
+from gelforge.calibration.emulator import curve_table, friction_table, sheared_table
 from gelforge.calibration.floor import least_error
+from gelforge.calibration.friction import friction_of
 from gelforge.calibration.moves import TAIL, independent_draws
 from gelforge.calibration.parameters import FrictionPrior, Model, Prior
 from gelforge.calibration.posterior import LeaveOneOut
@@ -51,6 +53,28 @@ def test_poisson_s_ratio_is_interpolated_between_its_nodes():
     for nu, factor in ((0.45, 1.0), (0.465, 1.15), (0.48, 1.3), (0.49, 1.4)):
         values = true_values(nu=nu, compliance=0.0)
         np.testing.assert_allclose(three.forces([1.0], values)[0], factor * one.forces([1.0], values)[0], rtol=1e-9)
+
+
+def dragged(travel: float, mu: float) -> float:
+    """Sideways over normal force of a made-up contact that obeys Coulomb's law: proportional when both are scaled."""
+    return mu * np.tanh(1.5 * travel / mu)
+
+
+@pytest.mark.parametrize("mu", [0.4, 0.8, 3.0])
+def test_a_frame_that_yields_sideways_takes_its_part_of_the_travel(mu):
+    """The force is that of the travel which is left, found from friction alone; at 0 nothing changes."""
+    travel, compliance = 0.3, 0.01
+    nodes = friction_of(np.linspace(0.0, 1.0, 33)[1:-1])
+    curves = [law_curve(0.0, ratio=dragged(travel, one)) for one in nodes]
+    table = friction_table(nodes, [curve_table(curve, TOP) for curve in curves])[None, None]
+    emulator = replace(law_emulator(), table=table, travel=np.array([travel]))
+    values = {"c10": REFERENCE_C10, "offset": 0.0, "compliance": 0.0, "mu": mu}
+    whole = emulator.forces([1.6], true_values(**values))[0][0, 0]
+    found = emulator.forces([1.6], true_values(**values, shear_compliance=compliance))[0][0, 0]
+    left = brentq(lambda way: way + compliance * abs(whole[2]) * dragged(way, mu) - travel, 0.0, travel)
+    assert found[2] == whole[2]
+    assert found[0] / found[2] == pytest.approx(dragged(left, mu), rel=0.004)
+    assert abs(found[0]) < abs(whole[0])
 
 
 def test_no_force_above_the_gel():

@@ -34,20 +34,22 @@ class Emulator:
     """Tables for n presses.
 
     table: (n, nu, FRICTIONS, DEPTHS, 3) N at REFERENCE_C10. top: (n,) mm, deepest tabulated depth.
-    nu: (nu,) increasing. group: (n,) index of each press's indenter.
+    nu: (nu,) increasing. group: (n,) index of each press's indenter. travel: (n,) mm that a press moves sideways.
     """
 
     table: np.ndarray
     top: np.ndarray
     nu: np.ndarray
     group: np.ndarray
+    travel: np.ndarray
 
     def forces(self, depth, values: dict) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Forces (w, n, 3) N, slopes (w, n, 3) N per mm, and effective depths (w, n) mm, for w parameter sets.
 
         depth: (n,) commanded depth, mm. values: arrays (w,) by name (parameters.NAMES). The
         effective depth is commanded + offset - compliance * |normal force|, solved exactly; slopes
-        are with respect to the commanded depth. Beyond the table the last slope goes on.
+        are with respect to the commanded depth. Beyond the table the last slope goes on. A frame that yields sideways
+        takes shear_compliance * |sideways force| of the travel.
         """
         from gelforge.calibration.kernel import evaluate
 
@@ -55,13 +57,13 @@ class Emulator:
         scale = values["c10"][:, None] / REFERENCE_C10 * error
         axis = friction_axis(values["mu"]) * (FRICTIONS - 1)
         return evaluate(
-            self.table, self.top, self.nu, np.asarray(depth, float), scale, values["offset"], values["compliance"],
-            axis, values["nu"],
+            self.table, self.top, self.nu, np.asarray(depth, float), self.travel, scale, values["offset"],
+            values["compliance"], values["shear_compliance"], axis, values["nu"],
         )  # fmt: skip
 
     def take(self, rows) -> "Emulator":
         """The emulator of some of the presses."""
-        return Emulator(self.table[rows], self.top[rows], self.nu, self.group[rows])
+        return Emulator(self.table[rows], self.top[rows], self.nu, self.group[rows], self.travel[rows])
 
 
 def curve_table(curve: Curve, top: float) -> np.ndarray:

@@ -5,13 +5,28 @@ from numba import njit
 
 
 @njit(cache=True, fastmath=False)
-def evaluate(table, top, nu_nodes, depth, scale, offset, compliance, friction, nu):
+def sideways_left(yielded, exponent):
+    """Share of a sideways force that is left where the frame yields.
+
+    yielded: part of the travel that the frame would take under the whole force. exponent: d ln force / d ln travel.
+    The travel x that remains, as a share, meets x + yielded * x**exponent = 1; the force is x**exponent.
+    """
+    x = 1.0 / (1.0 + yielded)
+    for _ in range(4):
+        x -= (x + yielded * x**exponent - 1.0) / (1.0 + yielded * exponent * x ** (exponent - 1.0))
+    return x**exponent
+
+
+@njit(cache=True, fastmath=False)
+def evaluate(table, top, nu_nodes, depth, travel, scale, offset, compliance, shear_compliance, friction, nu):
     """Forces (w, n, 3) N, slopes (w, n, 3) N per mm, effective depths (w, n) mm; see Emulator.forces.
 
     scale: (w, n). friction: (w,) position on the friction axis in grid steps. Others (w,) in their own units.
     With the force linear between grid depths d_j, the commanded depth that ends at d_j is
     d_j - offset + compliance |f_j|, which increases with j: one bisection finds the interval and
-    the answer in it is exact.
+    the answer in it is exact. Sideways, the force at another travel follows from the force at another friction
+    coefficient: under Coulomb's law it is proportional when both are scaled (Cattaneo 1938, Mindlin 1949), so its
+    exponent over travel is 1 less that over friction.
     """
     walkers, presses = offset.size, depth.size
     grid = table.shape[3]
@@ -26,6 +41,8 @@ def evaluate(table, top, nu_nodes, depth, scale, offset, compliance, friction, n
             k += 1
         k2 = min(k + 1, nu_nodes.size - 1)
         fk = 0.0 if k2 == k else (nu[w] - nu_nodes[k]) / (nu_nodes[k2] - nu_nodes[k])
+        axis = min(friction[w] / (table.shape[2] - 1), 1.0)
+        over_log_mu = axis * (1.0 - axis) * (table.shape[2] - 1)  # d (grid steps of friction) / d ln mu
         for p in range(presses):
             w00, w01 = (1 - fk) * (1 - fm) * scale[w, p], (1 - fk) * fm * scale[w, p]
             w10, w11 = fk * (1 - fm) * scale[w, p], fk * fm * scale[w, p]
@@ -54,4 +71,17 @@ def evaluate(table, top, nu_nodes, depth, scale, offset, compliance, friction, n
                 g1 = w00 * a[high, i] + w01 * b[high, i] + w10 * c[high, i] + w11 * d[high, i]
                 forces[w, p, i] = (1 - t) * g0 + t * g1
                 slopes[w, p, i] = (g1 - g0) / (c1 - c0)
+            sideways = np.hypot(forces[w, p, 0], forces[w, p, 1])
+            if shear_compliance[w] <= 0.0 or travel[p] <= 0.0 or sideways == 0.0:
+                continue
+            more = 0.0  # what one grid step of friction adds to the sideways force
+            for i in range(2):
+                s0 = (1 - fk) * (b[low, i] - a[low, i]) + fk * (d[low, i] - c[low, i])
+                s1 = (1 - fk) * (b[high, i] - a[high, i]) + fk * (d[high, i] - c[high, i])
+                more += forces[w, p, i] / sideways * scale[w, p] * ((1 - t) * s0 + t * s1)
+            exponent = min(max(1.0 - more * over_log_mu / sideways, 0.0), 1.0)
+            left = sideways_left(shear_compliance[w] * sideways / travel[p], exponent)
+            for i in range(2):
+                forces[w, p, i] *= left
+                slopes[w, p, i] *= left
     return forces, slopes, depths

@@ -8,11 +8,13 @@ from gelforge.calibration.friction import HALF_MU, friction_axis, friction_of
 from gelforge.errors import BadInput
 from gelforge.flow.params.tables import CalibrateTable, PriorTable
 
-NAMES = ("c10", "offset", "compliance", "mu", "noise", "scatter", "discretisation", "nu")
+SOFT_BENCH = ("compliance", "shear_compliance")
+NAMES = ("c10", "offset", *SOFT_BENCH, "mu", "noise", "scatter", "discretisation", "nu")
 LABELS = {
     "c10": "C10 (MPa)",
     "offset": "touch offset (mm)",
     "compliance": "frame compliance (mm/N)",
+    "shear_compliance": "frame compliance sideways (mm/N)",
     "mu": "friction coefficient",
     "noise": "noise (N)",
     "scatter": "touch scatter (mm)",
@@ -184,8 +186,8 @@ def label_of(name: str) -> str:
     return LABELS.get(name, name.replace("scale of ", "ln of scale, "))
 
 
-def compared_models(params: CalibrateTable, indenters=()) -> list[Model]:
-    """Every law with and without touch offset and compliance."""
-    rigs = [(), ("compliance",), ("offset",), ("offset", "compliance")]
-    models = [make_model(params, law, without, indenters) for law in LAWS for without in rigs]
+def compared_models(params: CalibrateTable, indenters=(), held=()) -> list[Model]:
+    """Every law with and without touch offset and a soft bench; parameters named in `held` are at no effect in all."""
+    rigs: list[tuple] = [(), SOFT_BENCH, ("offset",), ("offset", *SOFT_BENCH)]
+    models = [make_model(params, law, (*without, *held), indenters) for law in LAWS for without in rigs]
     return list({model.name: model for model in models}.values())

@@ -8,7 +8,7 @@ from scipy.special import gammaln
 from gelforge.calibration.emulator import Emulator
 from gelforge.calibration.parameters import Model
 
-FORM = 3  # raise when the likelihood changes: a chain on disk of an older form is then not gone on with
+FORM = 4  # raise when the likelihood changes: a chain on disk of an older form is then not gone on with
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Posterior:
         free = {name: [type(prior).__name__, asdict(prior)] for name, prior in self.model.free.items()}
         plain = {"form": FORM, "free": free, "fixed": self.model.fixed, "law": self.model.law, "tail": self.tail}
         e = self.emulator
-        return [plain, self.depth, self.observed, e.table, e.top, e.nu, e.group]
+        return [plain, self.depth, self.observed, e.table, e.top, e.nu, e.group, e.travel]
 
     def __call__(self, coordinates) -> np.ndarray:
         """Log-probability (w,) at coordinates (w, free); -inf outside the priors."""

@@ -43,7 +43,12 @@ class Readings:
     @property
     def sheared(self) -> np.ndarray:
         """Whether the press moves sideways, (n,) bool."""
-        return np.hypot(self.pose[:, 3], self.pose[:, 4]) > 0
+        return self.travel > 0
+
+    @property
+    def travel(self) -> np.ndarray:
+        """Commanded way sideways, (n,) mm."""
+        return np.hypot(self.pose[:, 3], self.pose[:, 4])
 
     def press(self, i: int, depth: float, shear: bool = True) -> Press:
         """Path of press i to another depth, with its sideways travel or without."""

@@ -26,7 +26,7 @@ from gelforge.flow.progress import progress
 from gelforge.records.log import rejected_rows
 from gelforge.reporting import cornerplots as plots
 
-VERSION = 3
+VERSION = 4
 
 
 @dataclass(frozen=True)
@@ -110,13 +110,15 @@ def calibrate(
         return Posterior(emulator, model, readings.depth, observed, params.tail)
 
     indenters = np.unique(readings.indenters).tolist()
-    headline = posterior_of(make_model(params, params.law, (), indenters))
+    # without sideways forces that serve, nothing tells how the bench yields sideways
+    held = () if np.isfinite(observed[:, :2]).any() else ("shear_compliance",)
+    headline = posterior_of(make_model(params, params.law, held, indenters))
     check_enough(int(np.isfinite(observed).sum()), headline.model)
     chain = sample(headline, rules, chain_path, say)
     refuse_beyond(headline, chain)
     tasks: list[tuple[Posterior, Chain | None, Rules]] = [(headline, chain, rules)]
     if params.compare:
-        others = (model for model in compared_models(params, indenters) if model.name != headline.model.name)
+        others = (model for model in compared_models(params, indenters, held) if model.name != headline.model.name)
         tasks += [(posterior_of(model), None, rules) for model in others]
     return Calibration(readings, headline, chain, compare(tasks, jobs))
 
@@ -249,7 +251,7 @@ def emulate(readings: Readings, catalogue: dict, params: CalibrateTable, nu: flo
     spent = cache.spent
     if params.refine != "none":
         fine = SolveCache(folder, catalogue, quality(params.refine))
-        emulator = refine(emulator, plan, cache, fine, np.inf, nus[len(nus) // 2], jobs)
+        emulator = refine(emulator, plan, cache, fine, mus[1:][-2:], nus[len(nus) // 2], jobs)
         more = {key: spent[key] + fine.spent[key] for key in ("total", "new", "in_vain")}
         spent = {**spent, **more, "fine": fine.spent["total"]}
     return readings, emulator, {**spent, "unsolved": unsolved}

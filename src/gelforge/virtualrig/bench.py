@@ -62,6 +62,11 @@ class Bench:
         self._bodies: dict[str, RoughBody] = {}
         self._factors: dict[str, ForceFactor] = {}
 
+    @property
+    def _law(self) -> Interface:
+        mu = self.plan.truth.friction
+        return Interface("coulomb", mu) if mu > 0 else Interface("frictionless")
+
     def body(self, name: str) -> RoughBody:
         """Underside of an indenter with the texture its printing left, the same in every run."""
         if name not in self._bodies:
@@ -75,9 +80,7 @@ class Bench:
     def factor(self, name: str) -> ForceFactor:
         """What the forces of an indenter are multiplied by, because the bench's bricks are a little too stiff."""
         if name not in self._factors:
-            truth, body = self.plan.truth, self.indenters[name]
-            law = Interface("no_slip" if truth.friction > 0 else "frictionless")
-            scene = self.gel, Material(nu=truth.nu), body, law, SETTINGS
+            scene = self.gel, Material(nu=self.plan.truth.nu), self.indenters[name], self._law, SETTINGS
 
             def make() -> ForceFactor:
                 return force_factor(*scene, lambda press: self.fine_box(name, press, SETTINGS.size))
@@ -121,16 +124,15 @@ class Bench:
         scale = truth.c10_mpa / REFERENCE_C10 * self.factor(order.indenter).at(depth)
         force = scale * result.total
         arm = result.walked.nodes + result.displacement
-        moment = scale * np.cross(arm, result.forces).sum(axis=0) * 1e-3
+        moment = np.cross(arm, scale * result.forces).sum(axis=0) * 1e-3
         log = believed(order, real, play, force, truth)
         read = force + load_cell_error(self.plan, order.index) + noise[0]
         return Pressing(order, real, log, force, moment, read, moment + noise[1], result)
 
     def _solve(self, order: Order, real: Press, settings: HexSettings) -> list[HexResult]:
-        truth = self.plan.truth
-        law = Interface("coulomb", truth.friction) if truth.friction > 0 else Interface("frictionless")
-        body, gel = self.indenters[order.indenter], Material(nu=truth.nu)
-        scenes = [Scene(self.gel, gel, body, replace(real, **way), law) for way in moments(real, self.plan.frames)]
+        body, gel = self.indenters[order.indenter], Material(nu=self.plan.truth.nu)
+        ways = moments(real, self.plan.frames)
+        scenes = [Scene(self.gel, gel, body, replace(real, **way), self._law) for way in ways]
         box = self.fine_box(order.indenter, real, settings.size)
         results = HexSolver(replace(settings, box=box)).solve_frames(scenes)
         for result in results:

@@ -1,9 +1,9 @@
 """How much too strong the bench's own bricks are, and the factor on their forces that makes up for it.
 
 The bench walks a whole path with Coulomb friction on bricks of 0.7 mm: under a large ball their forces are 1 to 3 % too
-strong, under edges 5 to 9 %, under sharp corners up to 20 %. What a mesh adds belongs to the shape that is pressed and
-hardly to friction or place, so the force without slip of the bricks that labels are drafted with, over that of the
-bench's own, tells it for all presses of an indenter.
+strong, under edges 5 to 9 %, under sharp corners up to 20 %; sideways forces are half as much too strong. What a mesh adds
+belongs to the shape that is pressed, a little to friction and hardly to place, so the force of the bricks that labels are
+drafted with, over that of the bench's own, tells it for all presses of an indenter.
 """
 
 import hashlib
@@ -26,18 +26,23 @@ FINE = "draft"  # quality of the bricks that are believed: within 0.5 % of `labe
 TURN_DEG = 20.0  # of the indenter against the bricks: neither along them nor half-way
 MOMENTS = 3  # depths at which the factor is found
 DEPTHS = (1.2, 0.6, 0.3)  # mm that are tried in turn for the deepest of them
+ASIDE = 0.15  # mm along both sides of the gel, that the last of them is then dragged
 
 
 @dataclass(frozen=True)
 class ForceFactor:
-    """Factor on the forces of one indenter. depth: (k,) mm below the gel's crown, rising. factor: (k,); constant beyond."""
+    """Factors on the forces of one indenter.
+
+    depth: (k,) mm below the gel's crown, rising. factor: (k,) of normal force; constant beyond. sideways: of sideways force.
+    """
 
     depth: np.ndarray
     factor: np.ndarray
+    sideways: float
 
-    def at(self, depth: float) -> float:
-        """The factor at a depth in mm."""
-        return float(np.interp(depth, self.depth, self.factor))
+    def at(self, depth: float) -> np.ndarray:
+        """The factors (3,) of a force at a depth in mm."""
+        return np.array([self.sideways, self.sideways, np.interp(depth, self.depth, self.factor)])
 
 
 def kept_factor(folder: Path, named: str, make: Callable[[], ForceFactor]) -> ForceFactor:
@@ -46,7 +51,8 @@ def kept_factor(folder: Path, named: str, make: Callable[[], ForceFactor]) -> Fo
     found = _read(path)
     if found is None:
         found = make()
-        write_json(path, {"depth": found.depth.tolist(), "factor": found.factor.tolist()})
+        told = {"depth": found.depth.tolist(), "factor": found.factor.tolist(), "sideways": found.sideways}
+        write_json(path, told)
     return found
 
 
@@ -54,7 +60,8 @@ def _read(path: Path) -> ForceFactor | None:
     """The factor of a file; None where there is none or it is broken."""
     try:
         held = read_json(path)
-        return ForceFactor(np.array(held["depth"], float), np.array(held["factor"], float))
+        depth, factor = (np.array(held[name], float) for name in ("depth", "factor"))
+        return ForceFactor(depth, factor, float(held["sideways"]))
     except (OSError, ValueError, KeyError, TypeError):
         return None
 
@@ -70,6 +77,7 @@ def name_of(gel: Gel, material: Material, body: Indenter, interface: Interface, 
         asdict(quality(FINE)),
         MOMENTS,
         DEPTHS,
+        ASIDE,
     ]
     digest = hashlib.sha256(canonical(told).encode())
     digest.update(np.round(np.asarray(vertices, float), 6).tobytes() + np.asarray(faces, np.int64).tobytes())
@@ -84,27 +92,31 @@ def force_factor(
     settings: HexSettings,
     box_of: Callable[[Press], FineBox | None],
 ) -> ForceFactor:
-    """Factor of one indenter from straight presses on the gel's crown.
+    """Factors of one indenter from presses on the gel's crown, the last of them dragged aside where there is friction.
 
-    interface: the law of both solves, "no_slip" or "frictionless". settings: the bench's bricks, whose fine part under a
-    press is box_of(press). Raises SolveFailed where no press of DEPTHS gives both forces.
+    interface: the law of both solves. settings: the bench's bricks, whose fine part under a press is box_of(press). Raises
+    SolveFailed where no press of DEPTHS gives both forces.
     """  # fmt: skip
+    aside = 0.0 if interface.law == "frictionless" else ASIDE
     for deepest in DEPTHS:
         depths = deepest * np.arange(1, MOMENTS + 1) / MOMENTS
         presses = [Press(0.0, 0.0, 0.0, 0.0, 0.0, -float(depth), TURN_DEG) for depth in depths]
+        presses += [replace(presses[-1], dx=aside, dy=aside)] if aside else []
         scenes = [Scene(gel, material, body, press, interface) for press in presses]
-        fine = _normal_forces(scenes, quality(FINE))
-        own = _normal_forces(scenes, replace(settings, box=box_of(presses[-1])))
-        told = (fine < 0) & (own < 0)
+        fine = _forces(scenes, quality(FINE))
+        own = _forces(scenes, replace(settings, box=box_of(presses[-1])))
+        told = ((fine[:, 2] < 0) & (own[:, 2] < 0))[:MOMENTS]
         if told[-1]:
-            return ForceFactor(depths[told], fine[told] / own[told])
+            ratio = fine[:MOMENTS][told, 2] / own[:MOMENTS][told, 2]
+            dragged = float(np.hypot(*fine[-1, :2]) / np.hypot(*own[-1, :2])) if aside else np.nan
+            return ForceFactor(depths[told], ratio, dragged if np.isfinite(dragged) else float(ratio[-1]))
     raise SolveFailed(
         f"indenter {body.name!r}: no straight press of {', '.join(f'{d:g}' for d in DEPTHS)} mm could be solved on both "
         "meshes, so how much the bench's bricks add to its forces is not known; smooth its edges or leave it out"
     )
 
 
-def _normal_forces(scenes: Sequence[Scene], settings: HexSettings) -> np.ndarray:
-    """Normal forces (k,) N of moments of one press; NaN where a moment was not solved."""
+def _forces(scenes: Sequence[Scene], settings: HexSettings) -> np.ndarray:
+    """Forces (k, 3) N of moments of one press; NaN where a moment was not solved."""
     results = HexSolver(settings).solve_frames(scenes)
-    return np.array([result.total[2] if result.status.valid else np.nan for result in results])
+    return np.array([result.total if result.status.valid else np.full(3, np.nan) for result in results])

@@ -175,7 +175,9 @@ class CalibrateSolverTable(ParameterTable):
     final_tolerance: Annotated[float, Within(TINY, 1.0)]
 
 
-PRIOR_NAMES = ("c10", "offset", "compliance", "mu", "noise", "scatter", "discretisation", "indenter", "nu")
+PRIOR_NAMES = (
+    "c10", "offset", "compliance", "shear_compliance", "mu", "noise", "scatter", "discretisation", "indenter", "nu",
+)  # fmt: skip
 # Keys that each kind of prior is given by.
 PRIOR_KEYS = {
     "normal": ("mean", "spread"),
@@ -229,6 +231,7 @@ class PriorsTable(ParameterTable):
     c10: PriorTable
     offset: PriorTable
     compliance: PriorTable
+    shear_compliance: PriorTable
     mu: PriorTable
     noise: PriorTable
     scatter: PriorTable

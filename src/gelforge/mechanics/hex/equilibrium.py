@@ -30,6 +30,9 @@ from gelforge.mechanics.scene import REFERENCE_C10, Scene
 
 # Iterations after which a step must lower the residual: the first ones look uphill, though they are right.
 WARY = 3
+# Parts of a step that are tried in turn. Near the end a longer one may carry a few points from slipping to sticking, the
+# next one back, and so for ever.
+PARTS = (1.0, 0.5, 0.25, 0.125, 0.06, 0.03, 0.015)
 # Share of the residual that is left of a linear solve: Newton hardly loses by it.
 FORCING = 3e-2
 # Residual below which the tangent is exact; farther away the curvature of fillets leads astray.
@@ -83,6 +86,11 @@ class Equilibrium:
         self.residual, self.factored = np.inf, False
         self.noisy = NOISY
 
+    @property
+    def enough(self) -> float:
+        """Residual that is taken within a path, where no number of steps meets its tolerance."""
+        return CYCLING if self.law == "coulomb" else 0.0
+
     def points(self, u: np.ndarray) -> np.ndarray:
         return positions(self.state.shape, self.nodes, self.mesh.nodes + u)
 
@@ -91,10 +99,9 @@ class Equilibrium:
 
     def newton_from(self, guesses: list[np.ndarray], pose: Pose) -> tuple[np.ndarray, int]:
         """`newton` from the first guess that leads to an equilibrium, within the tolerance of a path."""
-        enough = CYCLING if self.law == "coulomb" else 0.0
         for guess in guesses:
             try:
-                return self.newton(guess, pose, self.settings.tolerance, enough=enough)
+                return self.newton(guess, pose, self.settings.tolerance, enough=self.enough)
             except NoEquilibrium:
                 continue
         raise NoEquilibrium
@@ -131,7 +138,7 @@ class Equilibrium:
     ) -> tuple[np.ndarray, tuple[np.ndarray, Springs]]:
         """u less the step, or less a part of it where that inverts bricks or leaves the residual above `before`."""
         free, best = self.system.free, None
-        for part in (1.0, 0.5, 0.25):
+        for part in PARTS:
             trial = u.copy()
             trial[free] -= part * step
             try:
@@ -208,11 +215,11 @@ class Equilibrium:
 
         return apply
 
-    def solve_here(self, pose: Pose, tolerance: float, still: bool = False) -> None:
+    def solve_here(self, pose: Pose, tolerance: float, still: bool = False, enough: float = 0.0) -> None:
         """Equilibrium with the indenter at a pose. still: nothing in the contact changed since the last one."""
         gap = self.gaps(self.points(self.u), pose)
         self.candidates = np.flatnonzero((self.state.status != GLUED) & (gap < self.settings.size))
-        self.u, _ = self.newton(self.u, pose, tolerance, still)
+        self.u, _ = self.newton(self.u, pose, tolerance, still, enough)
 
     def contact_forces(self) -> np.ndarray:
         """Nodal contact forces on the gel (n, 3) of the last equilibrium, N."""

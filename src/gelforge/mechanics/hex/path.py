@@ -290,7 +290,7 @@ class Run(Equilibrium):
             kept = self.state.snapshot()
             try:
                 self.state.go(share / left)
-                self.solve_here(pose, self.settings.tolerance)
+                self.solve_here(pose, self.settings.tolerance, enough=self.enough)
                 left -= share
             except NoEquilibrium:
                 self.state.restore(kept)
