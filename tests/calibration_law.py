@@ -75,7 +75,7 @@ def law_posterior(rng, depth, stiffness=None, law="coulomb", noise=0.03, without
     forces, _, _ = emulator.forces(depth, true_values(**truth))
     observed = np.full((len(depth), 3), np.nan)
     observed[:, 2] = forces[0, :, 2] + noise * rng.standard_normal(len(depth))
-    return Posterior(emulator, make_model(PARAMS, law, without), depth, observed, 4.0)
+    return Posterior(emulator, make_model(PARAMS, law, (*without, "shear_compliance")), depth, observed, 4.0)
 
 
 __all__ = [

@@ -10,12 +10,12 @@ from pathlib import Path
 
 PLAN, POSES, MESHES, FEA, FORCES = "00_plan", "10_poses", "20_meshes", "30_fea", "40_forces"
 LABELS, DATASET, TRAIN, EVALUATE, REPORT = "50_labels", "60_dataset", "70_train", "80_evaluate", "90_report"
-CALIBRATE, PARETO, PARETO_MODELS, STABILITY = "calibrate", "pareto", "pareto_models", "stability"
+CALIBRATE, PARETO, PARETO_MODELS, STABILITY, STUDY = "calibrate", "pareto", "pareto_models", "stability", "study"
 LOGS, METRICS = "logs", "metrics"
 SAMPLES, ESTIMATE, EXPORT, FEATS, LOOK = "samples", "estimate", "export", "feats", "look"
 STAGES = (
     PLAN, POSES, MESHES, FEA, FORCES, LABELS, DATASET, TRAIN, EVALUATE, REPORT, CALIBRATE, PARETO, PARETO_MODELS,
-    STABILITY,
+    STABILITY, STUDY,
 )  # fmt: skip
 FOLDERS = (*STAGES, LOGS, METRICS, SAMPLES, ESTIMATE, EXPORT, FEATS, LOOK)
 SHARD_DIGITS = 4
