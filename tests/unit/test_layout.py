@@ -50,6 +50,11 @@ def test_rules_are_named_after_their_stages(root):
     assert {name for name in STAGES if name in rules or name[0].isdigit()} <= rules
 
 
+def test_make_knows_every_file_of_rules(root):
+    included = set(re.findall(r"^include rules/(\w+)\.mk$", (root / "Makefile").read_text(encoding="utf-8"), re.M))
+    assert included == {path.stem for path in root.glob("rules/*.mk")}
+
+
 def test_paths_are_those_that_make_writes():
     of = Layout(Path("results/demo"))
     assert str(of.labels("24x32", shard_name(7))) == "results/demo/50_labels/24x32/0007.npz"
