@@ -51,7 +51,9 @@ def test_rules_are_named_after_their_stages(root):
 
 
 def test_make_knows_every_file_of_rules(root):
-    included = set(re.findall(r"^include rules/(\w+)\.mk$", (root / "Makefile").read_text(encoding="utf-8"), re.M))
+    files = [root / "Makefile", *root.glob("rules/*.mk")]
+    text = "\n".join(path.read_text(encoding="utf-8") for path in files)
+    included = set(re.findall(r"^include rules/(\w+)\.mk$", text, re.M))
     assert included == {path.stem for path in root.glob("rules/*.mk")}
 
 
