@@ -27,7 +27,7 @@ from gelforge.records.press import RawRow, parse
 STAGES = {"poses": layout.POSES, "fea": layout.FEA, "forces": layout.FORCES, "labels": layout.LABELS}
 # Measured on the demo, processor seconds: an image through a light net in one epoch of training, and through an
 # evaluation with its start; a press in the report; a press of a calibration; a scene of the quick chart.
-TRAIN_EACH, EVALUATE_EACH, REPORT_EACH, CALIBRATE_EACH, CHART_EACH = 5e-3, 5e-3, 0.02, 12.0, 6.0
+TRAIN_EACH, EVALUATE_EACH, REPORT_EACH, CALIBRATE_EACH, CHART_EACH = 5e-3, 5e-3, 0.02, 18.0, 6.0
 START = 3.0  # of a process with torch or the drawing libraries
 IMAGE_BYTES = 240 * 320 * 3
 
