@@ -9,6 +9,7 @@ drafted with, over that of the bench's own, tells it for all presses of an inden
 import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -94,26 +95,35 @@ def force_factor(
 ) -> ForceFactor:
     """Factors of one indenter from presses on the gel's crown, the last of them dragged aside where there is friction.
 
-    interface: the law of both solves. settings: the bench's bricks, whose fine part under a press is box_of(press). Raises
-    SolveFailed where no press of DEPTHS gives both forces.
-    """  # fmt: skip
-    aside = 0.0 if interface.law == "frictionless" else ASIDE
-    for deepest in DEPTHS:
+    interface: the law of both solves; where no press has an equilibrium with friction, presses without slip serve. settings:
+    the bench's bricks, whose fine part under a press is box_of(press). Raises SolveFailed where no press of DEPTHS gives
+    both forces.
+    """
+    laws = (interface, Interface("no_slip")) if interface.law == "coulomb" else (interface,)
+    for law, deepest in product(laws, DEPTHS):
         depths = deepest * np.arange(1, MOMENTS + 1) / MOMENTS
         presses = [Press(0.0, 0.0, 0.0, 0.0, 0.0, -float(depth), TURN_DEG) for depth in depths]
-        presses += [replace(presses[-1], dx=aside, dy=aside)] if aside else []
-        scenes = [Scene(gel, material, body, press, interface) for press in presses]
+        if law.law != "frictionless":
+            presses.append(replace(presses[-1], dx=ASIDE, dy=ASIDE))
+        scenes = [Scene(gel, material, body, press, law) for press in presses]
         fine = _forces(scenes, quality(FINE))
         own = _forces(scenes, replace(settings, box=box_of(presses[-1])))
         told = ((fine[:, 2] < 0) & (own[:, 2] < 0))[:MOMENTS]
         if told[-1]:
             ratio = fine[:MOMENTS][told, 2] / own[:MOMENTS][told, 2]
-            dragged = float(np.hypot(*fine[-1, :2]) / np.hypot(*own[-1, :2])) if aside else np.nan
-            return ForceFactor(depths[told], ratio, dragged if np.isfinite(dragged) else float(ratio[-1]))
+            return ForceFactor(depths[told], ratio, _sideways(fine[-1], own[-1], float(ratio[-1])))
     raise SolveFailed(
         f"indenter {body.name!r}: no straight press of {', '.join(f'{d:g}' for d in DEPTHS)} mm could be solved on both "
         "meshes, so how much the bench's bricks add to its forces is not known; smooth its edges or leave it out"
     )
+
+
+def _sideways(fine: np.ndarray, own: np.ndarray, normal: float) -> float:
+    """Ratio of sideways forces of two forces (3,) N; that of normal force where nothing was dragged or not solved."""
+    least = 0.01 * abs(own[2])
+    dragged = np.hypot(*own[:2])
+    ratio = np.hypot(*fine[:2]) / dragged if dragged > least else np.nan
+    return float(ratio) if np.isfinite(ratio) else normal
 
 
 def _forces(scenes: Sequence[Scene], settings: HexSettings) -> np.ndarray:
