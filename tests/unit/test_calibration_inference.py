@@ -13,6 +13,7 @@ from gelforge.calibration import sampling, scores, summary
 from gelforge.calibration.emulator import curve_table, friction_table, sheared_table
 from gelforge.calibration.floor import least_error
 from gelforge.calibration.friction import friction_of
+from gelforge.calibration.kernel import sideways_left
 from gelforge.calibration.moves import TAIL, independent_draws
 from gelforge.calibration.parameters import FrictionPrior, Model, Prior
 from gelforge.calibration.posterior import LeaveOneOut
@@ -75,6 +76,17 @@ def test_a_frame_that_yields_sideways_takes_its_part_of_the_travel(mu):
     assert found[2] == whole[2]
     assert found[0] / found[2] == pytest.approx(dragged(left, mu), rel=0.004)
     assert abs(found[0]) < abs(whole[0])
+
+
+@pytest.mark.parametrize("exponent", [0.0, 0.1, 0.5, 0.9, 1.0])
+@pytest.mark.parametrize("yielded", [0.0, 0.01, 0.3, 0.9, 5.0])
+def test_what_is_left_of_a_sideways_force_meets_its_equation(yielded, exponent):
+    """Way of the frame and way that is left make up the travel; a force that takes all of it is cut, never wrong."""
+    left = sideways_left(yielded, exponent)
+    assert 0.0 < left <= 1.0
+    if yielded < 0.5 or (yielded < 1.0 and exponent >= 0.5):
+        way = left ** (1.0 / exponent) if exponent > 0 else 1.0 - yielded
+        assert way + yielded * left == pytest.approx(1.0, abs=0.01)
 
 
 def test_no_force_above_the_gel():

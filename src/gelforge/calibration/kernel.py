@@ -3,6 +3,8 @@
 import numpy as np
 from numba import njit
 
+LEAST_WAY = 1e-6  # share of the travel that is left at least
+
 
 @njit(cache=True, fastmath=False)
 def sideways_left(yielded, exponent):
@@ -14,6 +16,7 @@ def sideways_left(yielded, exponent):
     x = 1.0 / (1.0 + yielded)
     for _ in range(4):
         x -= (x + yielded * x**exponent - 1.0) / (1.0 + yielded * exponent * x ** (exponent - 1.0))
+        x = max(x, LEAST_WAY)  # concave: a step may go beyond the root, and beyond 0
     return x**exponent
 
 

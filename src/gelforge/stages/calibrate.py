@@ -251,6 +251,7 @@ def emulate(readings: Readings, catalogue: dict, params: CalibrateTable, nu: flo
     spent = cache.spent
     if params.refine != "none":
         fine = SolveCache(folder, catalogue, quality(params.refine))
+        # with the most slip of the higher friction coefficients, and without slip
         emulator = refine(emulator, plan, cache, fine, mus[1:][-2:], nus[len(nus) // 2], jobs)
         more = {key: spent[key] + fine.spent[key] for key in ("total", "new", "in_vain")}
         spent = {**spent, **more, "fine": fine.spent["total"]}
