@@ -1,6 +1,6 @@
 """Equilibrium of one scene on bricks while the indenter stands: Newton's method with a factorisation kept as long as it serves."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -30,9 +30,10 @@ from gelforge.mechanics.scene import REFERENCE_C10, Scene
 
 # Iterations after which a step must lower the residual: the first ones look uphill, though they are right.
 WARY = 3
-# Parts of a step that are tried in turn. Near the end a longer one may carry a few points from slipping to sticking, the
-# next one back, and so for ever.
-PARTS = (1.0, 0.5, 0.25, 0.125, 0.06, 0.03, 0.015)
+# Parts of a step that are tried in turn. With SHORT ones, points that every longer step carries from slipping to sticking
+# and back come to rest; but Newton's method then stops sooner where a longer step leads out.
+PARTS = (1.0, 0.5, 0.25)
+SHORT = (*PARTS, 0.125, 0.06, 0.03, 0.015)
 # Share of the residual that is left of a linear solve: Newton hardly loses by it.
 FORCING = 3e-2
 # Residual below which the tangent is exact; farther away the curvature of fillets leads astray.
@@ -107,13 +108,19 @@ class Equilibrium:
         raise NoEquilibrium
 
     def newton(
-        self, u: np.ndarray, pose: Pose, tolerance: float, still: bool = False, enough: float = 0.0
+        self,
+        u: np.ndarray,
+        pose: Pose,
+        tolerance: float,
+        still: bool = False,
+        enough: float = 0.0,
+        parts: Sequence[float] = PARTS,
     ) -> tuple[np.ndarray, int]:
         """Newton steps from u until the residual is below tolerance times the contact force.
 
         With friction the first step holds every glued point (but where indenter and contact are as they were, `still`):
         points that slip from a poor guess drag others along, and Newton loses its way. enough: residual that is taken
-        where no number of steps meets the tolerance.
+        where no number of steps meets the tolerance. parts: of a step that are tried in turn.
         """
         laws = [self.contact] if still or self.law != "coulomb" else [self.sticking, self.contact]
         state = self._out_of_balance(u, pose, laws[0])
@@ -127,18 +134,19 @@ class Equilibrium:
             if iteration < self.settings.max_iterations:
                 step = self._direction(u, pose, laws[0], *state)
                 laws = laws[-1:]
-                u, state = self._step(u, step, pose, laws[0], self.residual if iteration >= WARY else np.inf)
+                before = self.residual if iteration >= WARY else np.inf
+                u, state = self._step(u, step, pose, laws[0], before, parts)
         if best[0] > enough:
             raise NoEquilibrium
         self.residual, u, self.springs = best
         return u, self.settings.max_iterations
 
     def _step(
-        self, u: np.ndarray, step: np.ndarray, pose: Pose, law: Law, before: float
+        self, u: np.ndarray, step: np.ndarray, pose: Pose, law: Law, before: float, parts: Sequence[float]
     ) -> tuple[np.ndarray, tuple[np.ndarray, Springs]]:
-        """u less the step, or less a part of it where that inverts bricks or leaves the residual above `before`."""
+        """u less the step, or less one of its parts where that inverts bricks or leaves the residual above `before`."""
         free, best = self.system.free, None
-        for part in PARTS:
+        for part in parts:
             trial = u.copy()
             trial[free] -= part * step
             try:
@@ -215,11 +223,13 @@ class Equilibrium:
 
         return apply
 
-    def solve_here(self, pose: Pose, tolerance: float, still: bool = False, enough: float = 0.0) -> None:
+    def solve_here(
+        self, pose: Pose, tolerance: float, still: bool = False, enough: float = 0.0, parts: Sequence[float] = PARTS
+    ) -> None:
         """Equilibrium with the indenter at a pose. still: nothing in the contact changed since the last one."""
         gap = self.gaps(self.points(self.u), pose)
         self.candidates = np.flatnonzero((self.state.status != GLUED) & (gap < self.settings.size))
-        self.u, _ = self.newton(self.u, pose, tolerance, still, enough)
+        self.u, _ = self.newton(self.u, pose, tolerance, still, enough, parts)
 
     def contact_forces(self) -> np.ndarray:
         """Nodal contact forces on the gel (n, 3) of the last equilibrium, N."""

@@ -8,7 +8,7 @@ import numpy as np
 from gelforge.errors import SolveFailed
 from gelforge.mechanics.contact import GLUED, TOUCHING, NoEquilibrium, Pose
 from gelforge.mechanics.hex.carry import Trail, carried, touch_fraction, touches, untangled
-from gelforge.mechanics.hex.equilibrium import NOISY_INTERPOLATED, Equilibrium, System
+from gelforge.mechanics.hex.equilibrium import NOISY_INTERPOLATED, PARTS, SHORT, Equilibrium, System
 from gelforge.mechanics.hex.hexmesh import HexMesh
 from gelforge.mechanics.hex.reach import end_of, path_pose
 from gelforge.mechanics.hex.settings import HexSettings
@@ -301,14 +301,15 @@ class Run(Equilibrium):
     def _polish(self, pose: Pose) -> None:
         """Tight equilibrium; points that go on changing between sticking and slipping are held for one step.
 
-        Where even then one flips in rounding noise, the accepted residual is enough.
+        Where even then one flips in rounding noise, the accepted residual is enough; where several do, shorter steps help.
         """
         final = self.settings.final_tolerance
-        for tolerance, still in ((final, True), (max(final, ACCEPTED), False)):
-            try:
-                return self.solve_here(pose, tolerance, still)
-            except NoEquilibrium:
-                continue
+        for parts in (PARTS, SHORT):
+            for tolerance, still in ((final, True), (max(final, ACCEPTED), False)):
+                try:
+                    return self.solve_here(pose, tolerance, still, parts=parts)
+                except NoEquilibrium:
+                    continue
         raise NoEquilibrium
 
     # -- evidence
