@@ -205,7 +205,10 @@ def accuracy_figures(result: dict) -> list[Figure]:
         highest, note = 100 * error["mae_high"] / span[axis], f"{error['mae']:.3f} N"
         figures.append(Figure(known, error["mae_percent_of_range"], "<=", mean, "% of range", note))
         figures.append(Figure(f"{known}, upper end of its 95 % interval", highest, "<=", most, "% of range"))
-    for axis, goal in CELL_GOALS.items():
+        for control, values in splits["test"]["controls"].items():
+            told = f"total {axis}, {control.replace('_', ' ')} over the network"
+            figures.append(Figure(told, values[axis] / error["mae"], ">=", 3.0, "times"))
+    for axis, goal in CELL_GOALS.items() if test["cell"] else ():
         figures.append(Figure(f"known units and shapes, cell {axis}", test["cell"][axis]["mae"], "<=", goal, "N"))
     if units := splits.get("test_unseen_sensor"):
         figures += [

@@ -75,23 +75,7 @@ def test_command_writes_what_it_says(place, whole):
     assert len(whole["curve"]) == EPOCHS and whole["data"]["samples"]["train"] == 24
     assert (place / "whole.curve.csv").read_text().count("\n") == EPOCHS + 1
     assert (place / "whole.curve.png").exists()
-    out = place / "whole.json"
-    subprocess.run(
-        command(
-            "evaluate",
-            "--dataset",
-            place / "6x8",
-            "--model",
-            place / "whole.pt.part",
-            "--params",
-            place / "evaluate.json",
-            "--out",
-            f"{out}.part",
-        ),
-        check=True,
-        capture_output=True,
-    )
-    assert read_json(f"{out}.part")["splits"]["test"]["n"] == 6
+    assert read_json(evaluated(place, place / "whole.pt.part"))["splits"]["test"]["n"] == 6
 
 
 def evaluated(place, model: Path) -> Path:

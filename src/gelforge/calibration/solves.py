@@ -24,6 +24,7 @@ from gelforge.flow.progress import progress
 from gelforge.geometry.gel import Gel
 from gelforge.mechanics.hex.hexsolver import HexSolver
 from gelforge.mechanics.hex.settings import HexSettings
+from gelforge.mechanics.meshratio import mesh_ratios
 from gelforge.mechanics.scene import Interface, Material, Press, Scene
 from gelforge.records.status import Status
 
@@ -33,7 +34,6 @@ SOLVER_VERSION = stage_version(Path(__file__).parents[1] / "stages", SLICES["fea
 # Shares of a straight press at which fine bricks tell what coarse ones add. Shallower, few contact points carry the force
 # and the ratio is noise.
 REFINED = (1.0, 0.5)
-LEAST_ASIDE = 0.01  # of the normal force: below, sideways force is noise and tells no ratio
 
 
 @dataclass(frozen=True)
@@ -291,10 +291,17 @@ def refine(
 def path_ratios(
     plan: SolvePlan, coarse: SolveCache, fine: SolveCache, i: int, group: list[SolveJob]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Depths (k,) mm and fine over coarse forces (k, 3) there (mesh_ratios) of some fine solves of the path of press i."""
+    """Depths (k,) mm, rising, of some fine solves of the path of press i, and fine over coarse forces (k, 3) there.
+
+    Only where both touch; 1 at depth 0 where none do.
+    """
     depth = np.array([-job.press.dz for job in group])
-    ends = np.array([fine.get(job)["end"] for job in group])
-    return mesh_ratios(depth, coarse_ends(plan, coarse, i, group[0].mu, group[0].nu, depth), ends)
+    ends, wide = np.array([fine.get(job)["end"] for job in group]), coarse_ends(plan, coarse, i, group)
+    both = np.flatnonzero((wide[:, 2] < 0) & (ends[:, 2] < 0))
+    if not len(both):
+        return np.zeros(1), np.ones((1, 3))
+    order = both[np.argsort(depth[both])]
+    return depth[order], mesh_ratios(ends[order], wide[order])
 
 
 def refining_jobs(plan: SolvePlan, i: int, mu: float, nu: float) -> list[SolveJob]:
@@ -309,30 +316,14 @@ def refining_jobs(plan: SolvePlan, i: int, mu: float, nu: float) -> list[SolveJo
     return [replace(jobs[0], press=replace(press, dz=round(share * press.dz, 4))) for share in REFINED]
 
 
-def coarse_ends(plan: SolvePlan, cache: SolveCache, i: int, mu: float, nu: float, depth: np.ndarray) -> np.ndarray:
-    """Forces (k, 3) N at the depths (k,) mm of `refining_jobs`, of the solves behind the emulator."""
-    jobs = plan.jobs(i, mu, nu)
+def coarse_ends(plan: SolvePlan, cache: SolveCache, i: int, group: list[SolveJob]) -> np.ndarray:
+    """Forces (k, 3) N of the solves behind the emulator where some of `refining_jobs` of press i end."""
     if plan.readings.sheared[i]:
-        return np.array([cache.get(job)["end"] for job in jobs[: len(depth)]])
-    grid, curve = np.linspace(0.0, plan.top[i], em.DEPTHS), press_curve(cache.get(jobs[0]), plan.top[i])
+        return np.array([cache.get(job)["end"] for job in group])
+    whole = plan.jobs(i, group[0].mu, group[0].nu)[0]
+    grid, curve = np.linspace(0.0, plan.top[i], em.DEPTHS), press_curve(cache.get(whole), plan.top[i])
+    depth = np.array([-job.press.dz for job in group])
     return np.stack([np.interp(depth, grid, force) for force in curve.T], axis=1)
-
-
-def mesh_ratios(depth: np.ndarray, coarse: np.ndarray, fine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Depths (k,) mm, rising, and there the forces (k, 3) of `fine` over `coarse`, N; only where both touch, else 1 at 0.
-
-    x and y share the ratio of sideways force, which is that of normal force where there is hardly any.
-    """
-    both = (coarse[:, 2] < 0) & (fine[:, 2] < 0)
-    if not both.any():
-        return np.zeros(1), np.ones((1, 3))
-    order = np.flatnonzero(both)[np.argsort(depth[both])]
-    wide, narrow = coarse[order], fine[order]
-    normal = narrow[:, 2] / wide[:, 2]
-    aside = np.hypot(wide[:, 0], wide[:, 1])
-    told = aside > LEAST_ASIDE * -wide[:, 2]
-    sideways = np.where(told, np.hypot(narrow[:, 0], narrow[:, 1]) / np.where(told, aside, 1.0), normal)
-    return depth[order], np.stack([sideways, sideways, normal], axis=1)
 
 
 def press_curve(solve: dict, top: float) -> np.ndarray:

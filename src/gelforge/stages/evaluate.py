@@ -13,7 +13,7 @@ from gelforge.flow.params.tables import EvaluateTable
 from gelforge.networks import metrics
 from gelforge.networks.contacts import contact_table
 from gelforge.networks.errortables import tables
-from gelforge.networks.use import Told, tell_rows
+from gelforge.networks.use import tell_rows
 from gelforge.records.axes import CHANNELS, FORCE_OF_CHANNEL
 from gelforge.records.predictionfile import write_predictions
 from gelforge.reporting.networkcharts import draw_predictions
@@ -55,8 +55,9 @@ def controls(data, rows, predicted_totals, rng) -> dict:
     }
 
 
-def as_told(data, rows, told: Told, settings: EvaluateTable, force_range, rng) -> dict:
+def as_told(data, rows, trained, settings: EvaluateTable, force_range, rng) -> dict:
     """Errors of what `predict` tells of a split: of totals, with the share that their intervals hold, cells and contacts."""
+    told = tell_rows(trained, data, rows)
     wanted, press = data.totals(rows), data.presses(rows)
     error = told.forces.sum((2, 3), dtype=np.float64) - wanted
     mapped = told.in_place and told.forces.shape[2:] == data.grid
@@ -147,8 +148,8 @@ def evaluate(data, trained, settings: EvaluateTable) -> tuple[dict, dict]:
     for name, rows in splits.items():
         predictions[name] = (rows, predict_rows(trained.net, data, rows, about["normalisation"]))
         split = evaluate_split(data, *predictions[name], settings, force_range, rng)
-        told = tell_rows(trained, data, rows) if trained.needs_untouched else None
-        split["told"] = None if told is None else as_told(data, rows, told, settings, force_range, rng)
+        paired = trained.needs_untouched
+        split["told"] = as_told(data, rows, trained, settings, force_range, rng) if paired else None
         result["splits"][name] = split
     result["tables"] = tables(result)
     return result, predictions

@@ -21,6 +21,7 @@ from gelforge.geometry.gel import Gel
 from gelforge.mechanics.hex.hexmesh import FineBox
 from gelforge.mechanics.hex.hexsolver import HexSolver
 from gelforge.mechanics.hex.settings import HexSettings, quality
+from gelforge.mechanics.meshratio import mesh_ratios
 from gelforge.mechanics.scene import Indenter, Interface, Material, Press, Scene
 
 FINE = "draft"  # quality of the bricks that are believed: within 0.5 % of `label`, at half its time
@@ -110,20 +111,14 @@ def force_factor(
         own = _forces(scenes, replace(settings, box=box_of(presses[-1])))
         told = ((fine[:, 2] < 0) & (own[:, 2] < 0))[:MOMENTS]
         if told[-1]:
-            ratio = fine[:MOMENTS][told, 2] / own[:MOMENTS][told, 2]
-            return ForceFactor(depths[told], ratio, _sideways(fine[-1], own[-1], float(ratio[-1])))
+            ratios = mesh_ratios(fine, own)
+            normal, dragged = ratios[:MOMENTS][told, 2], ratios[-1, 0]
+            # a press that could not be dragged tells nothing of sideways force
+            return ForceFactor(depths[told], normal, float(dragged if np.isfinite(dragged) else normal[-1]))
     raise SolveFailed(
         f"indenter {body.name!r}: no straight press of {', '.join(f'{d:g}' for d in DEPTHS)} mm could be solved on both "
         "meshes, so how much the bench's bricks add to its forces is not known; smooth its edges or leave it out"
     )
-
-
-def _sideways(fine: np.ndarray, own: np.ndarray, normal: float) -> float:
-    """Ratio of sideways forces of two forces (3,) N; that of normal force where nothing was dragged or not solved."""
-    least = 0.01 * abs(own[2])
-    dragged = np.hypot(*own[:2])
-    ratio = np.hypot(*fine[:2]) / dragged if dragged > least else np.nan
-    return float(ratio) if np.isfinite(ratio) else normal
 
 
 def _forces(scenes: Sequence[Scene], settings: HexSettings) -> np.ndarray:

@@ -1,0 +1,17 @@
+"""How the forces of one mesh differ from those of a coarser one: normal and sideways force each by a factor of its own."""
+
+import numpy as np
+
+LEAST_ASIDE = 0.01  # of the normal force: below, sideways force is noise and tells no ratio
+
+
+def mesh_ratios(fine: np.ndarray, coarse: np.ndarray) -> np.ndarray:
+    """Factors (k, 3) from coarse forces (k, 3) N to fine ones of the same presses, compression negative; NaN stays NaN.
+
+    x and y share the ratio of sideways force, which is that of normal force where there is hardly any.
+    """
+    normal = fine[:, 2] / coarse[:, 2]
+    aside = np.hypot(coarse[:, 0], coarse[:, 1])
+    told = aside > LEAST_ASIDE * -coarse[:, 2]
+    sideways = np.where(told, np.hypot(fine[:, 0], fine[:, 1]) / np.where(told, aside, 1.0), normal)
+    return np.stack([sideways, sideways, normal], axis=1)
