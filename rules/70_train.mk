@@ -5,7 +5,7 @@ LEARNT = $(if $(filter shipped,$(MODEL)),$(LEARNER),$(MODEL))
 TRAINED := $(MODELS:%=$D/70_train/$(RES1)/%.pt)
 
 .PHONY: train models onnx
-train: $D/70_train/$(RES1)/$(LEARNT).pt  ## one network: make train MODEL=grid RES=24x32
+train: $D/70_train/$(RES1)/$(LEARNT).pt  ## one network: make train MODEL=grid_16 RES=24x32
 models: $(TRAINED)  ## every network of workflow/models.toml
 onnx: $D/70_train/$(RES1)/onnx/$(LEARNT).onnx  ## a trained network as ONNX, checked against torch
 

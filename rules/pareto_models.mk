@@ -1,5 +1,5 @@
 # Branch: error of the networks against the time one image takes.
-# The networks on the chart: those that exist, or a list: make pareto-models CHARTED="grid unet".
+# The networks on the chart: those that exist, or a list: make pareto-models CHARTED="grid_16 unet".
 CHARTED ?= $(MODELS)
 
 .PHONY: pareto-models

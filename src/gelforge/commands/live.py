@@ -114,7 +114,12 @@ def until_interrupted(items):
     option("--record", type=Path, default=Path("recordings"), help="folder of the page's recordings"),
     option("--jsonl", type=Path, help="write a JSON line a frame; - for standard output", default=None),
     option("--csv", type=Path, help="write a row a frame", default=None),
-    option("--out", type=Path, help="overlay video (.avi); a window is opened if not named", default=None),
+    option(
+        "--out",
+        type=Path,
+        help="film of it all (.avi); with no output named, a window, which OpenCV without a display cannot open",
+        default=None,
+    ),
 )
 def main(args: Namespace) -> None:
     if (args.video is None) == (args.camera is None):

@@ -42,6 +42,14 @@ def mirror(target: Path, kind: str, suffix: str) -> Path:
     return Path(*parts[:at], kind, *parts[at:]).with_suffix(suffix)
 
 
+def beside(out: Path, ending: str) -> Path:
+    """The file next to a stage's result that goes by its name with another ending ("": the folder of that name).
+
+    out: NAME.json, or NAME.json.part as rules name it while it is written.
+    """
+    return out.with_name(Path(out.name.removesuffix(".part")).stem + ending)
+
+
 def log_of(target: Path) -> Path:
     """The log of a target."""
     return mirror(target, LOGS, ".log")

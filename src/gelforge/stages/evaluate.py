@@ -7,6 +7,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish, write_json
+from gelforge.flow.layout import beside
 from gelforge.flow.main import command, option
 from gelforge.flow.params.slices import ForEvaluate, read_slice
 from gelforge.flow.params.tables import EvaluateTable
@@ -197,10 +198,9 @@ def main(args: Namespace) -> None:
     trained = load_model(args.model)
     result, predictions = evaluate(data, trained, read_slice(args.params, ForEvaluate).evaluate)
     print(paper_table(result))
-    stem = args.out.name.removesuffix(".part").removesuffix(".json")
-    with publish(args.out.with_name(f"{stem}.png")) as part:
+    with publish(beside(args.out, ".png")) as part:
         draw_predictions(part, data, predictions)
-    keep_predictions(args.out.with_name(f"{stem}.predictions.npz"), data, trained, predictions)
+    keep_predictions(beside(args.out, ".predictions.npz"), data, trained, predictions)
     write_json(args.out, result)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import digest_of, publish, read_json, write_json
+from gelforge.flow.layout import beside
 from gelforge.flow.main import command, option
 from gelforge.flow.params import canonical, plain
 from gelforge.flow.params.slices import ForFea, read_slice
@@ -198,7 +199,7 @@ def main(args: Namespace) -> None:
     bodies = {
         name: build(name, tables["indenters"][name], "indenter catalogue", args.workflow) for name in sorted(wanted)
     }
-    folder = args.out.parent / args.out.name.removesuffix(".part").removesuffix(".csv")
+    folder = beside(args.out, "")
     solves = run_shard(args.poses, args.meshes, params, tables, bodies, folder)
     write_solves(args.out, solves)
     for solve in solves:

@@ -10,6 +10,7 @@ from statistics import median
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish, read_json, write_csv, write_json
+from gelforge.flow.layout import beside
 from gelforge.flow.main import command, group, option
 from gelforge.flow.params.slices import ForPareto, ForParetoMeshes, read_slice
 from gelforge.flow.params.tables import CLASSES, IN_PROCESS
@@ -154,9 +155,8 @@ def publish_chart(out: Path, scenes: list[dict], note: str) -> dict:
     from gelforge.reporting.charts import pareto_chart
 
     rows, fails = summarise(scenes), failures(scenes)
-    stem = out.with_name(out.name.removesuffix(".part").removesuffix(".json"))
-    write_csv(stem.with_suffix(".csv"), COLUMNS, rows)
-    with publish(stem.with_suffix(".png")) as part:
+    write_csv(beside(out, ".csv"), COLUMNS, rows)
+    with publish(beside(out, ".png")) as part:
         part.write_bytes(pareto_chart(rows, scenes, note))
     found = {
         "reading": reading(rows, scenes, fails), "rows": rows, "failures": fails, "charted": charted(scenes),

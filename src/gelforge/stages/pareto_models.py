@@ -10,6 +10,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish, read_json, write_csv, write_json
+from gelforge.flow.layout import beside
 from gelforge.flow.main import command, option
 from gelforge.records.axes import CHANNELS
 
@@ -163,9 +164,8 @@ def main(args: Namespace) -> None:
     for row, good in zip(rows, front([(row["cpu1_median_ms"], row["percent"]) for row in rows])):
         row["front"] = good
     chosen = (choose(rows) or {}).get("model")
-    stem = args.out.with_name(args.out.name.removesuffix(".part").removesuffix(".json"))
-    write_csv(stem.with_suffix(".csv"), list(rows[0]), rows)
-    with publish(stem.with_suffix(".png")) as part:
+    write_csv(beside(args.out, ".csv"), list(rows[0]), rows)
+    with publish(beside(args.out, ".png")) as part:
         draw_chart(part, rows, args.split, chosen)
     write_json(args.out, {"split": args.split, "chosen": chosen, "baseline": BASELINE, "models": rows})
     for row in sorted(rows, key=lambda r: r["cpu1_median_ms"]):

@@ -14,6 +14,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish, read_json
+from gelforge.flow.layout import beside
 from gelforge.flow.main import command, option
 from gelforge.flow.params.slices import ForPoses, read_slice
 from gelforge.flow.params.tables import PosesTable
@@ -175,20 +176,19 @@ def place_faults(
 
 def write_shard(good, rejections, out: Path, params: PosesTable) -> None:
     """Write a shard's surfaces, its rejections, and last its pose table to exactly `out`."""
-    shard = out.name.removesuffix(".part").removesuffix(".csv")
-    folder = out.parent / shard
+    folder = beside(out, "")
     folder.mkdir(parents=True, exist_ok=True)
     posed = []
     for sample, body in good:
         name = f"{sample.sample_id}.stl"
         write_posed(folder / name, body, sample.press, params)
         facts = {key: value for key, value in vars(sample).items() if key != "time_utc"}
-        posed.append(PosedPress(**facts, stl=f"{shard}/{name}"))
+        posed.append(PosedPress(**facts, stl=f"{folder.name}/{name}"))
     kept = {f"{sample.sample_id}.stl" for sample, _ in good}
     for stale in folder.glob("*.stl"):
         if stale.name not in kept:
             stale.unlink()
-    write_rejections(out.parent / f"{shard}.rejected.csv", rejections)
+    write_rejections(beside(out, ".rejected.csv"), rejections)
     write_poses(out, posed)
 
 

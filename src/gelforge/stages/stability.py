@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.flow.files import publish, read_json, write_csv, write_json
+from gelforge.flow.layout import beside
 from gelforge.flow.main import command, group, option
 from gelforge.flow.params import canonical
 from gelforge.flow.params.slices import ForStability, read_slice
@@ -172,9 +173,8 @@ def draw(args: Namespace) -> None:
     from gelforge.reporting.charts import stability_map
 
     table = [line for path in args.rows for line in read_json(path)["judged"]]
-    stem = args.out.with_name(args.out.name.removesuffix(".part").removesuffix(".json"))
-    write_csv(stem.with_suffix(".csv"), COLUMNS, table)
-    with publish(stem.with_suffix(".png")) as part:
+    write_csv(beside(args.out, ".csv"), COLUMNS, table)
+    with publish(beside(args.out, ".png")) as part:
         part.write_bytes(stability_map(table))
     said = reading(table)
     write_json(args.out, {"reading": said, "table": table})

@@ -7,6 +7,7 @@ from argparse import Namespace
 from pathlib import Path
 
 from gelforge.flow.files import publish, read_json, write_csv, write_json
+from gelforge.flow.layout import beside
 from gelforge.flow.main import command, option
 from gelforge.networks.data import VALIDATION
 from gelforge.records.axes import CHANNELS
@@ -46,9 +47,8 @@ def main(args: Namespace) -> None:
     whole = read_json(args.whole)
     evaluations = {path.name.removesuffix(".json"): read_json(path) for path in args.parts} | {WHOLE: whole}
     rows = [row for name, evaluation in evaluations.items() for row in rows_of(name, evaluation)]
-    stem = args.out.with_name(args.out.name.removesuffix(".part").removesuffix(".json"))
-    write_csv(stem.with_suffix(".csv"), list(rows[0]), rows)
-    with publish(stem.with_suffix(".png")) as part:
+    write_csv(beside(args.out, ".csv"), list(rows[0]), rows)
+    with publish(beside(args.out, ".png")) as part:
         draw_study(part, rows, whole["model"])
     write_json(args.out, {"model": whole["model"], "rows": rows})
     for row in sorted(rows, key=lambda row: (row["split"], row["presses"])):

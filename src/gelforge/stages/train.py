@@ -13,6 +13,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish, read_json, write_csv
+from gelforge.flow.layout import beside
 from gelforge.flow.main import command, option
 from gelforge.flow.params import laid_over, plain
 from gelforge.flow.params.schema import Place, parse
@@ -238,15 +239,14 @@ def main(args: Namespace) -> None:
     from gelforge.reporting.networkcharts import draw_curve
 
     model, settings = resolve(read_models(args.models), args.model, read_slice(args.params, ForTrain).train)
-    stem = args.out.with_name(args.out.name.removesuffix(".part").removesuffix(".pt"))
-    checkpoint = stem.with_name(stem.name + ".checkpoint.pt")
+    checkpoint = beside(args.out, ".checkpoint.pt")
     data = open_data(args.dataset)
     if args.part:
         data = take_part(data, parse_part(args.part), settings.seed)
     trained = train(data, args.model, model, settings, checkpoint)
     curve = trained.about["curve"]
-    write_csv(stem.with_name(stem.name + ".curve.csv"), list(curve[0]), curve)
-    with publish(stem.with_name(stem.name + ".curve.png")) as part:
+    write_csv(beside(args.out, ".curve.csv"), list(curve[0]), curve)
+    with publish(beside(args.out, ".curve.png")) as part:
         draw_curve(part, curve, trained.about["best_epoch"], args.model)
     save_model(args.out, trained)
     checkpoint.unlink(missing_ok=True)
