@@ -4,6 +4,11 @@
 # $(call given,NAME) is a variable's text as one quoted word of a shell command.
 given = '$(subst ','\'',$(value $(1)))'
 
+# $(call chosen,FILE,TEXT) names what makes FILE anew where it does not hold TEXT, and nothing where it does. What was made
+# of another choice is then made again, however old the files are that it is made from.
+chosen = $(if $(subst <$(strip $(2))>,,<$(strip $(file <$(1)))>),choose-anew)
+.PHONY: choose-anew
+
 LETTERS := a b c d e f g h i j k l m n o p q r s t u v w x y z A B C D E F G H I J K L M N O P Q R S T U V W X Y Z
 DIGITS := 0 1 2 3 4 5 6 7 8 9
 

@@ -3,11 +3,16 @@ DATASETS := $(RES:%=$D/60_dataset/%/dataset.json)
 IMPORTED := $(wildcard $(DATA)/labels)
 LABEL_SOURCE := $(if $(IMPORTED),$(DATA)/labels/%.npz,$D/50_labels/%/labels.json)
 
-# Pictures of untouched sensors; make cannot name a file with a space in it, and none of the sensors has one.
-UNTOUCHED := $(if $(wildcard $(DATA)/nocontact),$(shell find $(DATA)/nocontact -name "*.png" ! -name "* *"))
+# What lies beside the log: pictures of untouched sensors, splits and truth that the dataset came with. A digest of names,
+# sizes and times tells when one of them goes, or an older file takes its place.
+BESIDE := $(wildcard $(DATA)/nocontact $(DATA)/splits.csv $(DATA)/truth/presses.csv)
+BESIDE_DIGEST := $(if $(BESIDE),$(shell find $(BESIDE) -type f -printf '%p %s %T@\n' | LC_ALL=C sort | sha256sum | cut -c 1-32))
 
 .PHONY: dataset
 dataset: $(DATASETS)  ## images, labels, split without leaks, normalisation
 
-$(DATASETS): $D/60_dataset/%/dataset.json: $(LABEL_SOURCE) $(POSES) $(wildcard $(DATA)/truth/presses.csv $(DATA)/splits.csv) $(UNTOUCHED) $P/dataset.json $P/indenters.json $P/sensors.json | $(call barrier,10_poses)
+$(DATASETS): $D/60_dataset/%/dataset.json: $(LABEL_SOURCE) $(POSES) $D/60_dataset/beside.txt $(if $(IMPORTED),$D/00_plan/shards.csv) $P/dataset.json $P/indenters.json $P/sensors.json | $(call barrier,10_poses)
 	$(call step,gelforge.stages.dataset --data $(DATA) --labels $(if $(IMPORTED),$<,$(<D)) --poses $D/10_poses --shards $D/00_plan/shards --catalogue $P/indenters.json --sensors $P/sensors.json --resolution $* --params $P/dataset.json --out $@.part)
+
+$D/60_dataset/beside.txt: $(call chosen,$D/60_dataset/beside.txt,$(BESIDE_DIGEST))
+	@mkdir -p $(@D) && echo '$(BESIDE_DIGEST)' > $@

@@ -4,8 +4,15 @@ REPORT := $D/90_report/index.html
 CALIBRATION := $(if $(filter calibrate,$(BRANCHES)),$D/calibrate/summary.json)
 CHART := $(if $(filter pareto,$(BRANCHES)),$D/pareto/quick.json)
 
+# Branches that were made without being asked for are shown too: those there are, and from when.
+ALSO := $(filter-out $(CALIBRATION) $(CHART),$(wildcard $D/calibrate/summary.json $D/pareto/pareto.json $D/pareto/quick.json))
+REPORTED := $(RES1) $(MODEL) $(if $(ALSO),$(shell stat -c '%n:%Y' $(ALSO)))
+
 .PHONY: report
 report: $(REPORT)  ## one HTML page: presses, labels, errors, posterior, chart, failures
 
-$(REPORT): $P/report.json $(POSES) $(FORCES) $D/50_labels/$(RES1)/labels.json $D/80_evaluate/$(RES1)/$(MODEL).json $(CALIBRATION) $(CHART)
+$(REPORT): $P/report.json $(POSES) $(FORCES) $D/50_labels/$(RES1)/labels.json $D/80_evaluate/$(RES1)/$(MODEL).json $(CALIBRATION) $(CHART) $D/90_report/choice.txt
 	$(call step,gelforge.stages.report --data $(DATA) --results $D --resolution $(RES1) --model $(MODEL) --params $< --out $@.part)
+
+$D/90_report/choice.txt: $(call chosen,$D/90_report/choice.txt,$(REPORTED))
+	@mkdir -p $(@D) && echo '$(REPORTED)' > $@

@@ -1,16 +1,20 @@
 # Branch study: what a network gains from more presses and from more units. The same network learns from parts of the
 # training presses, as many passes over each: make study STUDIED="presses_250 units_4".
 STUDIED ?= presses_250 presses_500 presses_1000 units_1 units_4 units_12
-STUDIES := $(STUDIED:%=$D/study/$(RES1)/%.pt)
+STUDY := $D/study/$(RES1)/$(LEARNT)
+STUDIES := $(STUDIED:%=$(STUDY)/%.pt)
 
 .PHONY: study
-study: $D/study/$(RES1)/study.json  ## error of one network against the presses and the units it learnt from: chart, CSV, JSON
+study: $(STUDY)/study.json  ## error of one network against the presses and the units it learnt from: chart, CSV, JSON
 
-$(STUDIES): $D/study/$(RES1)/%.pt: $D/60_dataset/$(RES1)/dataset.json $P/models/$(LEARNT).json $P/train.json
+$(STUDIES): $(STUDY)/%.pt: $D/60_dataset/$(RES1)/dataset.json $P/models/$(LEARNT).json $P/train.json
 	$(call step,gelforge.stages.train --dataset $(<D) --model $(LEARNT) --part $* --models $P/models/$(LEARNT).json --params $P/train.json --out $@.part)
 
-$(STUDIES:.pt=.json): $D/study/$(RES1)/%.json: $D/study/$(RES1)/%.pt $D/60_dataset/$(RES1)/dataset.json $P/evaluate.json
+$(STUDIES:.pt=.json): $(STUDY)/%.json: $(STUDY)/%.pt $D/60_dataset/$(RES1)/dataset.json $P/evaluate.json
 	$(call step,gelforge.stages.evaluate --dataset $(dir $(word 2,$^)) --model $< --params $P/evaluate.json --out $@.part)
 
-$D/study/$(RES1)/study.json: $D/80_evaluate/$(RES1)/$(LEARNT).json $(STUDIES:.pt=.json)
-	$(call step,gelforge.stages.study --whole $< --parts $(wordlist 2,$(words $^),$^) --out $@.part)
+$(STUDY)/study.json: $D/80_evaluate/$(RES1)/$(LEARNT).json $(STUDIES:.pt=.json) $(STUDY)/choice.txt
+	$(call step,gelforge.stages.study --whole $< --parts $(STUDIES:.pt=.json) --out $@.part)
+
+$(STUDY)/choice.txt: $(call chosen,$(STUDY)/choice.txt,$(STUDIED))
+	@mkdir -p $(@D) && echo '$(STUDIED)' > $@

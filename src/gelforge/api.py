@@ -93,7 +93,8 @@ def predict(
     """
     from gelforge.networks.use import Untouched, load_for_use, predict_one
 
-    _seen, forces, verdict = predict_one(Untouched(load_for_use(model), untouched), image)
+    picture = None if untouched is None else check_image(untouched)
+    _seen, forces, verdict = predict_one(Untouched(load_for_use(model), picture), check_image(image))
     return forces, verdict
 
 
@@ -128,9 +129,9 @@ class Reader:
         from gelforge.networks.sensorprofile import untouched_of
         from gelforge.networks.use import Untouched, load_for_use
 
-        path = None if profile is None else Path(profile)
-        picture, gain = untouched_of(path, None if untouched is None else check_image(untouched))
-        self._untouched = Untouched(load_for_use(model), picture, gain=gain)
+        path, trained = None if profile is None else Path(profile), load_for_use(model)
+        picture, gain = untouched_of(path, None if untouched is None else check_image(untouched), trained.about)
+        self._untouched = Untouched(trained, picture, gain=gain)
 
     def __call__(self, image: np.ndarray) -> ForceReading:
         """Read one image (h, w, 3) uint8 RGB."""

@@ -9,6 +9,12 @@ def printable(text: object) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in str(text))
 
 
+def last_words(said: str, code: int) -> str:
+    """The last line of what a program that failed said; one that was killed says nothing, then its exit code."""
+    lines = said.strip().splitlines()
+    return lines[-1] if lines else f"it ended with code {code} without a word; was memory short?"
+
+
 class GelforgeError(Exception):
     """What was given cannot be used.
 

@@ -1,7 +1,9 @@
 """Evaluation, prediction, live overlay, ONNX, chart: the parts that people run, on a small model."""
 
 import csv
+import os
 import shutil
+import signal
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +17,7 @@ from parameters import parameters, with_values
 from synthetic_presses import SETTINGS, write_dataset
 
 from gelforge.commands import live, predict
+from gelforge.commands.live_readings import stopping, until
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_json
 from gelforge.networks import statistics, use
@@ -195,6 +198,16 @@ def test_predict_finds_the_untouched_sensor(data, models, paths, tmp_path):
 
 def test_two_images_of_one_name_keep_apart():
     assert predict.output_names(["a/x.png", "b/x.png", "y.png"]) == ["x", "x-2", "y"]
+    names = predict.output_names(["l/0.png", "r/0.png", "0-2.png", "m/0.png"])
+    assert len(set(names)) == 4 and names[:2] == ["0", "0-2"]
+
+
+def test_predict_never_takes_the_place_of_what_it_reads(data, paths, tmp_path):
+    image = write_png(tmp_path / "p.png", data.images[0])
+    before = image.read_bytes()
+    with pytest.raises(BadInput, match="would take the place"):
+        predict.main([str(image), "--model", str(paths["small"]), "--out", str(tmp_path)])
+    assert image.read_bytes() == before and [path.name for path in tmp_path.iterdir()] == ["p.png"]
 
 
 def test_unlike_images_are_flagged(data, models):
@@ -262,6 +275,57 @@ def test_live_overlays_a_video(data, paths, tmp_path, capsys):
     frames = read_frames(out)
     assert len(frames) == 12 and frames[0].shape[1] == 2 * IMAGE[1]
     assert "12 frames" in capsys.readouterr().out
+
+
+def test_live_refuses_what_it_would_not_write(data, paths, tmp_path):
+    video = write_avi(tmp_path / "in.avi", data.images[:12])
+    asked = ["--video", str(video), "--model", str(paths["small"])]
+    for more in (["--csv", "r.csv", "--out", "o.avi"], ["--web", "--jsonl", "r.jsonl"], ["--web", "--out", "o.avi"]):
+        with pytest.raises(BadInput, match="do not go together"):
+            live.main([*asked, *more])
+    before = video.read_bytes()
+    with pytest.raises(BadInput, match="would take the place"):
+        live.main([*asked, "--out", str(video)])
+    assert video.read_bytes() == before
+
+
+@pytest.mark.parametrize("while_reading", [False, True])
+def test_an_interrupt_keeps_what_was_filmed_and_read(data, models, tmp_path, while_reading):
+    """Wherever it comes: while a frame is awaited, or while one is read."""
+    overlay, seen = live.Overlay(use.Untouched(models["small"])), [0]
+
+    def interrupt(here: bool) -> None:
+        if here == while_reading and seen[0] == 4:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    def images():
+        for image in data.images[:8]:
+            seen[0] += 1
+            interrupt(False)
+            yield cv2.cvtColor(np.asarray(image), cv2.COLOR_RGB2BGR)
+
+    def overlaid(frame):
+        interrupt(True)
+        return overlay(frame)
+
+    before = signal.getsignal(signal.SIGINT)
+    with stopping() as over:
+        written = live.write_video((overlaid(frame) for frame in until(over, images())), tmp_path / "o.avi", 25.0)
+    assert written == 3 + while_reading and len(read_frames(tmp_path / "o.avi")) == written
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_a_film_of_no_frames_is_not_written(tmp_path):
+    with pytest.raises(BadInput, match="before the first frame"):
+        live.write_video(iter(()), tmp_path / "none.avi", 25.0)
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_film_names_axes_as_everything_else_does():
+    """x is force along gel x, the channel grid_y."""
+    forces = np.zeros((3, *GRID), np.float32)
+    forces[:, 0, 0] = 1.0, 2.0, -3.0
+    assert live.force_line(forces).split() == ["x", "+2.00", "y", "+1.00", "z", "-3.00", "N"]
 
 
 def test_live_takes_the_first_frames_at_rest_for_the_untouched_sensor(data, models, paths, tmp_path):

@@ -18,6 +18,7 @@ from gelforge.networks.sensorprofile import (
     make_profile,
     read_profile,
     student_quantile,
+    untouched_of,
     write_profile,
 )
 from gelforge.networks.use import load_for_use
@@ -85,9 +86,25 @@ def shipped():
     return load_for_use(None)
 
 
+NET = {"name": "net", "sha256": "ab" * 32, "dots": {"sha256": "cd" * 32}}
+
+
+def test_a_factor_found_with_another_network_is_refused(root, tmp_path):
+    """Weights tell networks apart, not names: one that is trained anew keeps its name."""
+    picture = read_image(root / "data/demo/nocontact/mini_a.png")
+    path = tmp_path / "mine.toml"
+    write_profile(path, make_profile("mine", picture, pitch_of(picture), Gain(1.2, 1.1, 1.3, 5), NET))
+    assert untouched_of(path, None, NET)[1] == pytest.approx(1.2)
+    for other in (NET | {"sha256": "12" * 32}, NET | {"dots": {"sha256": "34" * 32}}):
+        with pytest.raises(BadInput, match="another network.*gelforge sensor"):
+            untouched_of(path, None, other)
+    write_profile(path, make_profile("mine", picture, pitch_of(picture), Gain(), NET))
+    assert untouched_of(path, None, NET | {"sha256": "12" * 32})[1] == 1.0  # no factor, so none that is wrong
+
+
 def test_a_profile_comes_back_from_its_file(root, tmp_path):
     picture = read_image(root / "data/demo/nocontact/mini_a.png")
-    profile = make_profile("mine", picture, pitch_of(picture), Gain(1.2, 1.1, 1.3, 5), "net")
+    profile = make_profile("mine", picture, pitch_of(picture), Gain(1.2, 1.1, 1.3, 5), NET)
     write_profile(tmp_path / "mine.toml", profile)
     found = read_profile(tmp_path / "mine.toml")
     np.testing.assert_array_equal(found.untouched, picture)
@@ -197,7 +214,9 @@ def test_quantiles_are_students(freedom):
 def test_fingers_that_grasp_one_object_read_alike_with_their_profiles(weighed):
     """The same pictures of both fingers, one of which has a factor: the other gets nearly as much."""
     folder, rows = weighed
-    left = make_profile("left", read_image(folder / "rest.png"), 0.0, Gain(1.3, 1.25, 1.35, 9), "net")
+    left = make_profile(
+        "left", read_image(folder / "rest.png"), 0.0, Gain(1.3, 1.25, 1.35, 9), load_for_use(None).about
+    )
     write_profile(folder / "left.toml", left)
     grasps = folder / "grasps.csv"
     grasps.write_text("\n".join(["image,opposite", *(f"{row[0]},{row[0]}" for row in rows)]) + "\n")

@@ -11,6 +11,7 @@ import pytest
 import gelforge
 from gelforge.errors import BadInput
 from gelforge.networks.sensorprofile import Gain, make_profile, write_profile
+from gelforge.networks.use import load_for_use
 from gelforge.records.image import read_image
 from gelforge.records.markers import pitch_of
 
@@ -67,7 +68,8 @@ def test_reading_many_images_of_one_sensor(root):
 def test_a_profile_scales_what_is_read(root, tmp_path):
     rest = read_image(root / "data/demo/nocontact/mini_a.png")
     image = read_image(sorted(root.glob("data/demo/images/*.png"))[3])
-    write_profile(tmp_path / "mine.toml", make_profile("mine", rest, pitch_of(rest), Gain(1.25, 1.1, 1.4, 3), "any"))
+    about = load_for_use(None).about
+    write_profile(tmp_path / "mine.toml", make_profile("mine", rest, pitch_of(rest), Gain(1.25, 1.1, 1.4, 3), about))
     plain, scaled = gelforge.Reader(untouched=rest)(image), gelforge.Reader(profile=tmp_path / "mine.toml")(image)
     np.testing.assert_allclose(scaled.cells, 1.25 * plain.cells, rtol=1e-6)
 

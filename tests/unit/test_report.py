@@ -12,6 +12,7 @@ from gelforge.mechanics.hex.bricks import Bricks
 from gelforge.mechanics.hex.hexmesh import FineBox
 from gelforge.records.solvetable import Solved
 from gelforge.records.status import Status
+from gelforge.reporting.explorer import Explorer, Shard
 from gelforge.reporting.page import Section, render
 from gelforge.reporting.parts import forget_parts, pack, place_parts, script_json
 from gelforge.reporting.presses import as_columns, press_rows
@@ -90,6 +91,15 @@ def test_every_press_and_every_rejected_row_is_in_the_table():
     # The network's first channel runs along gel y.
     assert table["network_fx"][0] == 0.3 and table["network_fy"][0] == -0.08
     json.dumps(table, allow_nan=False)
+
+
+def test_a_rejected_row_shows_nothing_of_the_press_whose_name_it_bears(tmp_path):
+    """A log may name two presses alike: the later one is rejected, and has neither mesh nor label."""
+    rows = press_rows(*tables(12))
+    twin = {"id": rows[0]["id"], "status": "REJECTED", "reason": "sample_id: stands twice", "shard": rows[0]["shard"]}
+    shard = Shard(labels={rows[0]["id"]: np.zeros((3, 4, 5), np.float32)}, gels={rows[0]["id"]: 0})
+    explorer = Explorer(tmp_path, "4x5", [*rows, twin], {})
+    assert explorer.press(twin, shard) == pack({}) != explorer.press(rows[0] | {"mesh": ""}, shard)
 
 
 def test_stages_know_what_they_read(tmp_path):

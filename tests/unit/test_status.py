@@ -21,4 +21,11 @@ def test_counts_add_up_and_reasons_are_named(tmp_path):
     table = {line.split()[0]: line.split()[1:] for line in text[2:] if not line.startswith(" ")}
     assert table["10_poses"] == ["2", "1", "3"]
     assert table["30_fea"] == ["1", "1", "3"]
+    assert table["40_forces"] == ["0", "0", "4"]
+    for stage in ("40_forces", "50_labels/24x32"):
+        (results / stage).mkdir(parents=True)
+        (results / stage / "0000.npz").touch()
+    table = {line.split()[0]: line.split() for line in lines(results)}
+    # of shard 0000 one row was rejected and one press not solved; the three of shard 0001 are to come
+    assert table["40_forces"][1:] == ["1", "0", "3"] and table["50_labels"][2:] == ["1", "0", "3"]
     assert any("not a number" in line for line in text) and any("too deep" in line for line in text)

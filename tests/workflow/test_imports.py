@@ -9,13 +9,14 @@ from parameters import write_slice
 
 from gelforge.commands.mcap import main as mcap_import
 from gelforge.errors import BadInput
-from gelforge.flow.files import read_csv, write_json, write_text
+from gelforge.flow.files import read_csv, write_csv, write_json, write_text
 from gelforge.formats.export import ros
 from gelforge.formats.feats_folder import SPLITS, import_folder
 from gelforge.formats.featsfile import LabelSample, write_label
 from gelforge.formats.mcap_import import Topics, import_recordings, nearest
 from gelforge.labelling.sensor import load_sensors
 from gelforge.records.labelfile import read_labels
+from gelforge.stages.plan import logged_rows, write_shards
 
 TURN = [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
 TOML = """image = "/gel/image"
@@ -98,7 +99,7 @@ def test_a_recording_becomes_pictures_with_total_force(tmp_path, sensor, raw):
 
 
 def test_the_dataset_trains_on_totals(tmp_path, sensor, root):
-    """Stage 60 takes what the import wrote, at one cell."""
+    """Stage 60 takes what the import wrote, at one cell; rows that name no sensor are of the dataset's."""
     import subprocess
     import sys
 
@@ -106,13 +107,19 @@ def test_the_dataset_trains_on_totals(tmp_path, sensor, root):
     for name in "abcd":
         record(tmp_path / "in" / f"{name}.mcap", pictures(48))
     import_recordings(tmp_path / "in", tmp_path / "lab", topics(tmp_path), sensor)
+    log = tmp_path / "lab/log.csv"
+    rows = read_csv(log)
+    name = rows[0]["sensor_id"]
+    write_csv(log, list(rows[0]), [row | {"sensor_id": ""} for row in rows])
+    plan = tmp_path / "00_plan"
+    write_shards(tmp_path / "lab", logged_rows(log, name), plan, 30)
     out = tmp_path / "60_dataset" / "1x1" / "dataset.json"
     write_json(tmp_path / "indenters.json", {})
     write_slice(tmp_path, "dataset", dataset={"validation": 0.2, "test": 0.2, "force_edges": [1.0, 3.0]})
     import tomllib
 
     write_json(tmp_path / "sensors.json", tomllib.loads((root / "workflow/sensors.toml").read_text()))
-    command = {"data": tmp_path / "lab", "labels": tmp_path / "lab/labels/1x1.npz", "poses": tmp_path, "shards": tmp_path,
+    command = {"data": tmp_path / "lab", "labels": tmp_path / "lab/labels/1x1.npz", "poses": tmp_path, "shards": plan / "shards",
                "catalogue": tmp_path / "indenters.json", "sensors": tmp_path / "sensors.json", "resolution": "1x1",
                "params": tmp_path / "dataset.json", "out": out}  # fmt: skip
     out.parent.mkdir(parents=True)

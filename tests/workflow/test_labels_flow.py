@@ -1,6 +1,7 @@
 """Labels through real make: any resolution by itself, several at once, nothing upstream again."""
 
 import json
+import os
 import re
 import shutil
 
@@ -63,6 +64,33 @@ def test_dataset_export_and_pictures_follow(folder):
     assert "results/back/60_dataset/4x4/dataset.json" in built(
         make(folder, "DATASET=back", "dataset", "RES=4x4").stdout
     )
+
+
+def test_a_dataset_follows_what_lies_beside_its_log(folder):
+    """A split or a picture that comes, goes, or is replaced by an older one makes the dataset anew, nothing else does."""
+    target, data = {"results/made/60_dataset/4x4/dataset.json"}, folder / "data/made"
+    run(folder, "dataset", "RES=4x4")
+    splits = data / "splits.csv"
+    splits.write_text(
+        "sample_id,split\n" + "".join(f"s{k:03d},{('train', 'val', 'test')[k % 3]}\n" for k in range(16))
+    )
+    assert built(run(folder, "dataset", "RES=4x4")) == target
+    splits.unlink()
+    assert built(run(folder, "dataset", "RES=4x4")) == target
+    untouched = data / "nocontact/mini_a.png"
+    untouched.parent.mkdir(exist_ok=True)
+    shutil.copy(data / "images/s000.png", untouched)
+    assert built(run(folder, "dataset", "RES=4x4")) == target and not built(run(folder, "dataset", "RES=4x4"))
+    shutil.copy(data / "images/s001.png", untouched)
+    os.utime(untouched, (1e9, 1e9))
+    assert built(run(folder, "dataset", "RES=4x4")) == target and not built(run(folder, "dataset", "RES=4x4"))
+
+
+def test_resolutions_made_side_by_side_share_their_pictures(folder):
+    names = ("4x4", "6x8", "12x16")
+    run(folder, "dataset", f"RES={' '.join(names)}", "-j3")
+    files = [folder / f"results/made/60_dataset/{name}/images.npy" for name in names]
+    assert len({path.stat().st_ino for path in files}) == 1 and files[0].stat().st_nlink == 4  # and the shared name
 
 
 def test_a_bad_resolution_fails_and_leaves_nothing(folder):

@@ -158,7 +158,12 @@ def test_a_recording_is_whole_or_absent(tmp_path):
         recorder.add(reading(k).event())
     assert recorder.stop() == 3 and recorder.names() == [name]
     assert [event["grid_z_n"] for event in recorder.read(name)] == [0.0, -1.0, -2.0]
-    assert "3 readings" in list(paced(list(recorder.read(name))))[-1]["ended"]
+    assert "3 readings" in list(paced(recorder.read(name)))[-1]["ended"]
+    with pytest.raises(BadInput, match="none of that name"):
+        recorder.read("../secret")
+    with (tmp_path / f"{name}.jsonl").open("a") as stream:
+        stream.write('{"no": "time"}\n[1]\nhalf a li')
+    assert len(list(recorder.read(name))) == 3
     recorder.start()
     assert recorder.stop() == 0 and [path.suffix for path in tmp_path.iterdir()] == [".jsonl"]
 

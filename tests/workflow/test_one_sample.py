@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gelforge.flow.files import read_csv, write_csv
+from gelforge.flow.files import read_csv, write_csv, write_json
 from gelforge.records.forcefile import ForceFile
 from gelforge.records.labelfile import read_labels
 from tests.benchmarks.sandbox import make
@@ -22,6 +22,19 @@ def test_look_finds_what_sample_made(project):
     made = {path.name for path in (project / "results/tiny/look").iterdir()}
     assert made == {f"{first}-24x32.png", f"{first}.vtu"}
     assert not (project / "results/tiny/50_labels").exists()
+
+
+def test_a_sample_is_scaled_by_the_calibrated_material(project):
+    first = read_csv(project / "data/tiny/log.csv")[0]["sample_id"]
+    say(project, "sample", f"ID={first}")
+    sample = project / f"results/tiny/samples/{first}/40_forces/0000.npz"
+    plain = ForceFile(sample).force
+    toml = project / "data/tiny/dataset.toml"
+    toml.write_text(toml.read_text() + '\n[params.material]\nc10 = "calibrated"\n')
+    summary = {"c10": {"median": 0.145, "interval68": [0.14, 0.15], "interval95": [0.13, 0.16]}}
+    write_json(project / "results/tiny/calibrate/summary.json", summary)
+    say(project, "sample", f"ID={first}")
+    np.testing.assert_allclose(ForceFile(sample).force, 2.0 * plain, rtol=1e-6)
 
 
 def test_a_sample_that_stage_10_rejects_says_why(project):

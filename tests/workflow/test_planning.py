@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import subprocess
 import time
 
 import numpy as np
@@ -114,6 +115,30 @@ def test_no_variable_of_the_command_line_runs_code(labelled, variable, value):
 def test_text_from_the_command_line_is_one_word_of_the_shell(labelled, goal, value):
     done = make(labelled, goal, "DATASET=tiny", f"ID={value}")
     assert done.returncode and not (labelled / "pwned").exists()
+
+
+def test_what_was_made_of_another_choice_is_made_again(root, tmp_path):
+    """However old the files are that it was made from."""
+    given = (root / "rules/00_given.mk").as_posix()
+    (tmp_path / "Makefile").write_text(
+        f"DATASET := d\nMODEL := m\nEXECUTOR := local\nRES := 4x4\ninclude {given}\n"
+        "page: choice\n\t@echo making && touch page\n"
+        "choice: $(call chosen,choice,$(WORDS))\n\t@echo '$(WORDS)' > $@\n"
+    )
+    os.utime(tmp_path / "Makefile", (1e9, 1e9))
+
+    def made(words: str) -> bool:
+        for age, name in enumerate(("choice", "page")):  # a quick machine writes both within one tick of the clock
+            if (tmp_path / name).exists():
+                os.utime(tmp_path / name, (1e9 + age, 1e9 + age))
+        done = subprocess.run(
+            ["make", "page", f"WORDS={words}"], cwd=tmp_path, capture_output=True, text=True, check=True
+        )
+        return "making" in done.stdout
+
+    assert made("24x32 a") and not made("24x32 a")
+    assert made("24x32 b") and made("24x32 a") and not made(" 24x32  a ")
+    assert made("24x32") and made("") and not made("")
 
 
 def test_a_plan_is_made_once_of_a_file_dated_in_the_future(labelled, log):

@@ -13,7 +13,7 @@ from argparse import Namespace
 from pathlib import Path
 
 from gelforge.commands.sample import stages
-from gelforge.errors import BadInput
+from gelforge.errors import BadInput, last_words
 from gelforge.flow import layout
 from gelforge.flow.files import read_json, write_text
 from gelforge.flow.forecast import Cost, pilots, presses_an_hour, table, wall_seconds
@@ -50,7 +50,7 @@ def spend(module: str, arguments: list) -> float:
         [sys.executable, "-m", f"gelforge.stages.{module}", *map(str, arguments)], capture_output=True, text=True, check=False
     )  # fmt: skip
     if ran.returncode:
-        raise BadInput(f"a pilot press failed in stage {module}: {ran.stderr.strip().splitlines()[-1]}")
+        raise BadInput(f"a pilot press failed in stage {module}: {last_words(ran.stderr, ran.returncode)}")
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 

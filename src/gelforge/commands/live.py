@@ -7,6 +7,7 @@ A network that reads differences takes the first frames at rest for the untouche
 import time
 from argparse import Namespace
 from collections import deque
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish
 from gelforge.flow.main import command, option, positive
+from gelforge.records.axes import CHANNEL_OF_AXIS
 from gelforge.records.film import frames, open_source, source_name
 
 RATE_OVER = 30  # frames that the shown rate is averaged over
@@ -42,13 +44,18 @@ class Overlay:
         self.recent.append(started)
         span = self.recent[-1] - self.recent[0]
         rate = (len(self.recent) - 1) / span if span > 0 else 0.0
-        x, y, z = forces.sum((1, 2))
         lines = [
-            f"x {x:+6.2f}  y {y:+6.2f}  z {z:+7.2f} N",
+            force_line(forces),
             f"{rate:5.1f} frames/s, {self.network_ms[-1]:.1f} ms a frame",
         ]
         warning = f"unlike training ({verdict['score']:.1f}): {verdict['reason']}" if verdict["flag"] else ""
         return overlay(cv2.cvtColor(image, cv2.COLOR_RGB2BGR), forces, lines, warning)
+
+
+def force_line(forces: np.ndarray) -> str:
+    """Total force of a map (3, rows, cols) N along the gel's axes, in words."""
+    x, y, z = forces.sum((1, 2))[list(CHANNEL_OF_AXIS)]
+    return f"x {x:+6.2f}  y {y:+6.2f}  z {z:+7.2f} N"
 
 
 def write_video(pictures, path, rate: float) -> int:
@@ -70,6 +77,8 @@ def write_video(pictures, path, rate: float) -> int:
         finally:
             if writer is not None:
                 writer.release()
+        if not count:
+            raise BadInput(f"{path}: stopped before the first frame; nothing is written")
     return count
 
 
@@ -91,12 +100,17 @@ def show(pictures) -> int:
     return count
 
 
-def until_interrupted(items):
-    """Yield `items`; an interrupt from the keyboard ends them like the end of the source."""
-    try:
-        yield from items
-    except KeyboardInterrupt:
-        return
+def refuse_two_faces(args: Namespace) -> None:
+    """BadInput where outputs are named of which only one kind would be made."""
+    asked = [
+        face
+        for face, given in (("--web", args.web), ("--jsonl or --csv", args.jsonl or args.csv), ("--out", args.out))
+        if given
+    ]
+    if len(asked) > 1:
+        raise BadInput(f"{' and '.join(asked)} do not go together; start `gelforge live` once for one of them")
+    if args.out and args.video and args.out.resolve() == args.video.resolve():
+        raise BadInput(f"--out {args.out} would take the place of the film that is read; name another file")
 
 
 @command(
@@ -124,9 +138,11 @@ def until_interrupted(items):
 def main(args: Namespace) -> None:
     if (args.video is None) == (args.camera is None):
         raise BadInput("give either --video FILE or --camera NUMBER")
+    refuse_two_faces(args)
     import cv2
     import torch
 
+    from gelforge.commands.live_readings import stopping, tell, until
     from gelforge.networks.sensorprofile import untouched_of
     from gelforge.networks.still import find_untouched
     from gelforge.networks.use import Untouched, load_for_use
@@ -141,24 +157,22 @@ def main(args: Namespace) -> None:
     if picture is None and not args.sensor and trained.needs_untouched:
         picture, seen = find_untouched(seen, name)
         picture = cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
-    picture, gain = untouched_of(args.profile, picture)
+    picture, gain = untouched_of(args.profile, picture, trained.about)
     untouched = Untouched(trained, picture, args.sensor, gain)
-    if args.web or args.jsonl or args.csv:
-        from gelforge.commands.live_readings import tell
-
-        tell(args, untouched, until_interrupted(seen), capture, name)
-        return
-    overlay = Overlay(untouched)
-    pictures = (overlay(frame) for frame in until_interrupted(seen))
-    started = time.perf_counter()
-    try:
+    with ExitStack() as stack:
+        stack.callback(capture.release)
+        over = stack.enter_context(stopping())
+        if args.web or args.jsonl or args.csv:
+            tell(args, untouched, seen, capture, name, over)
+            return
+        overlay = Overlay(untouched)
+        pictures = (overlay(frame) for frame in until(over, seen))
+        started = time.perf_counter()
         count = write_video(pictures, args.out, capture.get(cv2.CAP_PROP_FPS) or 25.0) if args.out else show(pictures)
-    finally:
-        capture.release()
-    seconds = time.perf_counter() - started
+        seconds = time.perf_counter() - started
     print(
         f"{count} frames in {seconds:.1f} s: {count / seconds:.1f} a second with overlay; network and check "
-        f"{np.median(overlay.network_ms):.1f} ms a frame; {overlay.flagged} flagged as unlike the training images"
+        f"{np.median(overlay.network_ms or [0.0]):.1f} ms a frame; {overlay.flagged} flagged as unlike the training images"
     )
 
 

@@ -29,26 +29,28 @@ def readings(untouched, frames, pace_s: float = 0.0) -> Iterator[Reading]:
         yield Reading(number, now - started, image, forces, flag, verdict["reason"], took, half, verdict["by_dots"])
 
 
-def ended(name: str, camera: bool, count: int) -> str:
-    """Why no more frames come."""
-    if camera:
+def ended(name: str, lost: bool, count: int) -> str:
+    """Why no more frames come. lost: of a camera that gives none any more, unasked."""
+    if lost:
         return f"{name}: stopped after {count} frames; see that it is plugged in, and start again"
     return f"{name}: ended after {count} frames"
 
 
-def tell(args: Namespace, untouched, frames, capture, name: str) -> None:
-    """Serve the page until interrupted, or write files until the frames end."""
+def tell(args: Namespace, untouched, frames, capture, name: str, over: threading.Event) -> None:
+    """Serve the page until `over`, or write files until the frames end or it is."""
     import cv2
 
+    def lost(count: int) -> bool:
+        asked = over.is_set() or (args.frames is not None and count >= args.frames)
+        return args.camera is not None and not asked
+
+    if not args.web:
+        count = write_files(readings(untouched, until(over, frames)), args.jsonl, args.csv)
+        if lost(count):
+            raise BadInput(ended(name, True, count))
+        print(f"{count} frames read", file=sys.stderr)
+        return
     with ExitStack() as stack:
-        stack.callback(capture.release)
-        if not args.web:
-            count = write_files(readings(untouched, frames), args.jsonl, args.csv)
-            limit = args.frames
-            if args.camera is not None and (limit is None or count < limit):
-                raise BadInput(ended(name, True, count))
-            print(f"{count} frames read", file=sys.stderr)
-            return
         hub, recorder = Hub(), Recorder(args.record)
         server = Server(args.host, args.port, hub, recorder)
         stack.callback(server.server_close)
@@ -57,10 +59,9 @@ def tell(args: Namespace, untouched, frames, capture, name: str) -> None:
         stack.callback(server.shutdown)
         print(f"{server.url} shows {name}; Ctrl-C ends", flush=True)
         pace = 0.0 if args.camera is not None else 1.0 / (capture.get(cv2.CAP_PROP_FPS) or 25.0)
-        over = stop_signal()
         try:
             count = serve(until(over, readings(untouched, frames, pace)), hub, recorder)
-            said = ended(name, args.camera is not None, count)
+            said = ended(name, lost(count), count)
         except BadInput as error:
             said = str(error)
         recorder.stop()
@@ -69,12 +70,16 @@ def tell(args: Namespace, untouched, frames, capture, name: str) -> None:
         over.wait()  # the page can still be looked at and recordings replayed
 
 
-def stop_signal() -> threading.Event:
-    """An event that Ctrl-C and a request to end set."""
+@contextmanager
+def stopping() -> Iterator[threading.Event]:
+    """An event that Ctrl-C and a request to end set, so that what was read until then is kept."""
     over = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: over.set())
-    return over
+    before = {number: signal.signal(number, lambda *_: over.set()) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield over
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def until(over: threading.Event, items) -> Iterator:

@@ -11,6 +11,7 @@ picture was taken, or that it is cropped otherwise, they are laid onto it first.
 
 import tempfile
 from argparse import Namespace
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ import numpy as np
 from gelforge.errors import BadInput, printable
 from gelforge.flow.files import publish, write_csv
 from gelforge.flow.main import command, option, positive
+from gelforge.networks.dots import Followed
 from gelforge.networks.placement import Placement, place
 from gelforge.networks.sensorprofile import untouched_of
 from gelforge.networks.use import Untouched, fit_size, load_for_use, predict_one
@@ -60,12 +62,25 @@ def within(half_width: str) -> str:
 def output_names(paths) -> list[str]:
     """Stems for the outputs, made distinct where two images share one."""
     seen: dict[str, int] = {}
-    names = []
+    taken: dict[str, None] = {}
     for path in paths:
-        stem = Path(path).stem
-        seen[stem] = seen.get(stem, 0) + 1
-        names.append(stem if seen[stem] == 1 else f"{stem}-{seen[stem]}")
-    return names
+        name = stem = Path(path).stem
+        while name in taken:
+            seen[stem] = seen.get(stem, 1) + 1
+            name = f"{stem}-{seen[stem]}"
+        taken[name] = None
+    return list(taken)
+
+
+def refuse_to_replace(out: Path, names: Iterable[str], given: Iterable[Path]) -> None:
+    """BadInput where a picture that is written would take the place of one that was given."""
+    kept = {path.resolve(): path for path in given}
+    for name in names:
+        written = out / f"{name}.png"
+        if written.resolve() in kept:
+            raise BadInput(
+                f"--out {out}: {written} would take the place of a picture that is read; name another folder"
+            )
 
 
 def need_folder(out: Path) -> None:
@@ -78,30 +93,38 @@ def need_folder(out: Path) -> None:
         raise BadInput(f"--out {out}: cannot be written into ({error.strerror}); name another folder") from error
 
 
-def place_sitting(untouched: Untouched, images) -> Placement | None:
-    """How pictures of one sitting, of any size, lie on the untouched one a user gave; None where none was given."""
-    if untouched.known.get("given") is None:
-        return None
-    dots = untouched.dots("given")
-    sized = [fit_size(image, untouched.trained.about["image"])[0] for image in images]
-    return place(dots, [dots.follow(untouched.canonical(image, "given")[0]) for image in sized])
+def place_sitting(untouched: Untouched, images: Iterable) -> Placement | None:
+    """How pictures of one sitting, of any size, lie on the untouched one a user gave; None where none was given.
+
+    images: each is looked at once and not kept.
+    """
+    given = untouched.known.get("given") is not None
+    followed = [_follow(untouched, image) if given else None for image in images]
+    return place(untouched.dots("given"), [dots for dots in followed if dots is not None]) if given else None
 
 
-def predict_files(paths, untouched: Untouched, out: Path) -> list[dict]:
+def _follow(untouched: Untouched, image) -> Followed:
+    sized = fit_size(image, untouched.trained.about["image"])[0]
+    return untouched.dots("given").follow(untouched.canonical(sized, "given")[0])
+
+
+def predict_files(paths: Sequence[Path], untouched: Untouched, out: Path) -> list[dict]:
     """Predict image files and write their maps and totals.csv below `out`; return the rows of totals.csv.
 
-    Every image is read before anything is written.
+    Every image is read before anything is written, and again when its turn comes: there may be more than memory holds.
     """
     from gelforge.reporting.forcemaps import write_maps
 
-    images = [read_image(path) for path in paths]
+    names = output_names(paths)
+    refuse_to_replace(out, names, paths)
+    placement = place_sitting(untouched, (read_image(path) for path in paths))
     need_folder(out)
-    placement = place_sitting(untouched, images) if len(images) >= LEAST_SITTING else None
+    placement = placement if len(paths) >= LEAST_SITTING else None
     if placement is not None and placement.told:
         print(f"the pictures lie otherwise on the untouched one, which is put right: {placement.told}")
     rows = []
-    for path, name, image in zip(paths, output_names(paths), images):
-        image, forces, verdict = predict_one(untouched, image, placement)
+    for path, name in zip(paths, names, strict=True):
+        image, forces, verdict = predict_one(untouched, read_image(path), placement)
         row = totals_row(str(path), forces, verdict)
         with publish(out / f"{name}.npy") as part:
             np.save(part, forces)
@@ -127,8 +150,9 @@ def main(args: Namespace) -> None:
 
     torch.set_num_threads(args.threads)
     picture = read_image(args.untouched) if args.untouched else None
-    picture, gain = untouched_of(args.profile, picture)
-    untouched = Untouched(load_for_use(args.model, args.sensor), picture, args.sensor, gain)
+    trained = load_for_use(args.model, args.sensor)
+    picture, gain = untouched_of(args.profile, picture, trained.about)
+    untouched = Untouched(trained, picture, args.sensor, gain)
     rows = predict_files(args.images, untouched, args.out)
     for row in rows:
         warning = f"  UNLIKE TRAINING ({row['unlike_training']}): {row['reason']}" if row["flagged"] else ""

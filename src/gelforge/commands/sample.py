@@ -28,10 +28,15 @@ def stages(data: Path, results: Path, work: Path, resolution: str) -> list[tuple
     own, only = Layout(work), shard_name(0)
     shard, poses, fea, forces = own.shard(only), own.poses(only), own.fea(only), own.forces(only)
     labels = own.labelled(resolution)
+    posterior = Layout(results).calibration
+    calibrated = ["--calibration", posterior] if posterior.exists() else []
     return [
         ("poses", ["--data", data, "--shard", shard, "--params", params / "poses.json", "--out", poses]),
         ("fea", ["--poses", poses, "--meshes", meshes, "--params", params / "fea.json", "--out", fea]),
-        ("forces", ["--fea", fea, "--meshes", meshes, "--params", params / "forces.json", "--out", forces]),
+        (
+            "forces",
+            ["--fea", fea, "--meshes", meshes, "--params", params / "forces.json", *calibrated, "--out", forces],
+        ),
         (
             "labels",
             [

@@ -20,6 +20,7 @@ from gelforge.flow.main import command, option
 from gelforge.networks.sensorprofile import (
     Gain,
     check_readings,
+    check_same_network,
     fit_gain,
     fit_opposite,
     make_profile,
@@ -53,6 +54,7 @@ def gain_beside(grasps: Path, untouched: Untouched, opposite: Path) -> Gain:
     if not rows or {"image", "opposite"} - rows[0].keys():
         raise BadInput(f"{grasps}: holds no grasps; give the columns image and opposite, a row for each moment")
     other = read_profile(opposite)
+    check_same_network(other, untouched.trained.about)
     facing = Untouched(untouched.trained, other.untouched, gain=other.gain.value)
     read = [_normal(untouched, grasps.parent / row["image"]) for row in rows]
     felt = [_normal(facing, grasps.parent / row["opposite"]) for row in rows]
@@ -96,6 +98,15 @@ def main(args: Namespace) -> None:
         raise BadInput(
             "give either --readings or --grasps: what was weighed says more than what another finger reads"
         )
+    beside = out.with_suffix(".png")
+    if (
+        beside.exists()
+        and not out.exists()
+        and (args.untouched is None or beside.resolve() != args.untouched.resolve())
+    ):
+        raise BadInput(
+            f"{beside} is there already and would be replaced by the profile's picture; give another --name or --out"
+        )
     picture, source = untouched_picture(args.untouched, args.video, args.camera)
     trained = load_for_use(args.model)
     untouched = Untouched(trained, picture)
@@ -106,7 +117,7 @@ def main(args: Namespace) -> None:
         gain = gain_of(args.readings, untouched)
     elif args.grasps:
         gain = gain_beside(args.grasps, untouched, args.opposite)
-    profile = make_profile(name, picture, pitch_of(picture), gain, trained.about["name"])
+    profile = make_profile(name, picture, pitch_of(picture), gain, trained.about)
     write_profile(out, profile)
     what = "grasps" if args.grasps else "readings"
     print(f"{out}: forces times {gain.value:.3f} ({gain.low:.3f} to {gain.high:.3f}), from {gain.readings} {what};"

@@ -42,24 +42,27 @@ def poses_state(results: Path, sizes: dict[str, int]) -> tuple[int, Counter]:
     return done, failed
 
 
-def fea_state(results: Path, sizes: dict[str, int]) -> tuple[int, Counter]:
-    """Valid solves and reasons of the failed ones; partly done shards count by their sample files."""
-    done, failed = 0, Counter[str]()
+def fea_state(results: Path, sizes: dict[str, int]) -> tuple[int, Counter, dict[str, int]]:
+    """Solves done, reasons of the failed ones, and the valid ones of each whole shard.
+
+    Partly done shards count by their sample files.
+    """
+    done, failed, valid = 0, Counter[str](), dict.fromkeys(sizes, 0)
     for shard in sizes:
         table = Layout(results).fea(shard)
         if not table.exists():
             done += sum(1 for _ in Layout(results).solves(shard).glob("*.json"))
         for row in read_rows(table):
             if row["status"] in ("OK", "NO_CONTACT"):
-                done += 1
+                valid[shard] += 1
             else:
                 failed[f"{row['status']}: {row.get('reason', '')}"] += 1
-    return done, failed
+    return done + sum(valid.values()), failed, valid
 
 
-def shard_state(folder: Path, sizes: dict[str, int]) -> int:
-    """Samples in shards whose file exists."""
-    return sum(size for shard, size in sizes.items() if (folder / f"{shard}.npz").exists())
+def shard_state(folder: Path, valid: dict[str, int]) -> int:
+    """Samples of which a shard's file holds forces; valid: solves of each shard."""
+    return sum(count for shard, count in valid.items() if (folder / f"{shard}.npz").exists())
 
 
 def lines(results: Path) -> list[str]:
@@ -69,11 +72,11 @@ def lines(results: Path) -> list[str]:
     if not total:
         return [f"{results}: nothing planned yet; run make poses"]
     good, rejected = poses_state(results, sizes)
-    solved, diverged = fea_state(results, sizes)
+    solved, diverged, valid = fea_state(results, sizes)
     stages = [(layout.POSES, good, rejected), (layout.FEA, solved, diverged)]
-    stages.append((layout.FORCES, shard_state(results / layout.FORCES, sizes), Counter()))
+    stages.append((layout.FORCES, shard_state(results / layout.FORCES, valid), Counter()))
     stages += [
-        (f"{layout.LABELS} {f.name}", shard_state(f, sizes), Counter())
+        (f"{layout.LABELS} {f.name}", shard_state(f, valid), Counter())
         for f in sorted((results / layout.LABELS).glob("*x*"))
     ]
     text = [
@@ -82,7 +85,8 @@ def lines(results: Path) -> list[str]:
     ]
     for name, done, failed in stages:
         bad = failed.total()
-        lost = 0 if name == layout.POSES else rejected.total()
+        # what a stage before lost never comes to this one
+        lost = 0 if name == layout.POSES else rejected.total() + (0 if name == layout.FEA else diverged.total())
         text.append(f"{name:20s} {done:7d} {bad:7d} {max(total - done - bad - lost, 0):7d}")
         text += [f"    {count:6d} x {reason}" for reason, count in failed.most_common()]
     for kind, pattern in (
@@ -93,7 +97,8 @@ def lines(results: Path) -> list[str]:
         (layout.CALIBRATE, "summary.json"),
         (layout.PARETO, "pareto.json"),
     ):
-        found = sorted(str(p.relative_to(results / kind)) for p in (results / kind).glob(pattern))
+        there = (p for p in (results / kind).glob(pattern) if not p.name.endswith(".checkpoint.pt"))
+        found = sorted(str(p.relative_to(results / kind)) for p in there)
         text.append(f"{kind:20s} {', '.join(found) or 'pending'}")
     return text
 

@@ -6,7 +6,7 @@ import subprocess
 from argparse import Namespace
 from pathlib import Path
 
-from gelforge.errors import BadInput
+from gelforge.errors import BadInput, last_words
 from gelforge.flow.layout import PLAN
 from gelforge.flow.main import command, option
 
@@ -29,7 +29,7 @@ def ask_make(target: str, settings: list[str]) -> str:
             f"TARGET={unknown[1]}: make knows no such target; name a stage (make help) or a file below results/"
         )
     if asked.returncode:
-        raise BadInput(f"make {target} cannot be planned: {asked.stderr.strip().splitlines()[-1]}")
+        raise BadInput(f"make {target} cannot be planned: {last_words(asked.stderr, asked.returncode)}")
     return asked.stdout
 
 

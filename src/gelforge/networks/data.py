@@ -57,6 +57,10 @@ class Data:
 
     def untouched(self, rows) -> np.ndarray:
         """Pictures (k, height, width, 3) uint8 RGB of the sensors of some rows, taken while nothing touched them."""
+        return np.stack([self.nocontact[name] for name in self.require_untouched(rows)])
+
+    def require_untouched(self, rows) -> list[str]:
+        """Names of the sensors of some rows (k,); BadInput where one has no picture of itself untouched."""
         names = [self.table[row].press.sensor_id for row in rows]
         missing = sorted(set(names) - set(self.nocontact))
         if missing:
@@ -65,7 +69,7 @@ class Data:
                 f"reads differences: put nocontact/{missing[0]}.png into the dataset's data folder and make the "
                 "dataset again, or choose a MODEL without `reads` in workflow/models.toml"
             )
-        return np.stack([self.nocontact[name] for name in names])
+        return names
 
     def seen(self, rows, reads: str) -> np.ndarray:
         """What a network with `reads` (networks.inputs) is given of some rows, uint8 (k, height, width, 3).

@@ -44,7 +44,7 @@ def tables(result: dict) -> list[dict]:
             axis,
             f"{e['mae_low']:.3f} to {e['mae_high']:.3f}",
             f"{e['bias']:+.3f}",
-            f"{e['mae_percent_of_range']:.2f}",
+            "-" if e["mae_percent_of_range"] is None else f"{e['mae_percent_of_range']:.2f}",
         ]
         for name, split in splits.items()
         for axis, e in split["total"].items()

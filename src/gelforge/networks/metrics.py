@@ -29,11 +29,11 @@ def bootstrap_mean(values, rng, resamplings: int, press=None) -> tuple[np.ndarra
 def error_table(error, rng, resamplings: int, force_range=None, press=None) -> dict:
     """Summarise signed errors (n, 3) in N per component: MAE, its deviation and interval, bias, root mean square.
 
-    `force_range` (3,) N adds the MAE in percent of it; `press` (n,) is as for `bootstrap_mean`.
+    `force_range` (3,) N adds the MAE in percent of it (None where there is no range); `press` (n,) is as for `bootstrap_mean`.
     """
     size = np.abs(error)
     low, high = bootstrap_mean(size, rng, resamplings, press)
-    table = {}
+    table: dict[str, dict[str, float | None]] = {}
     for i, axis in enumerate(CHANNELS):
         table[axis] = {
             "mae": float(size[:, i].mean()),
@@ -44,7 +44,8 @@ def error_table(error, rng, resamplings: int, force_range=None, press=None) -> d
             "rms": float(np.sqrt((error[:, i] ** 2).mean())),
         }
         if force_range is not None:
-            table[axis]["mae_percent_of_range"] = float(100 * size[:, i].mean() / force_range[i])
+            share = 100 * size[:, i].mean() / force_range[i] if force_range[i] > 0 else None
+            table[axis]["mae_percent_of_range"] = None if share is None else float(share)
     return table
 
 
@@ -77,10 +78,13 @@ def slope(values, reference) -> dict:
 
 
 def force_bins(normal_force, edges) -> list[str]:
-    """Name of the bin of |f_z| that each press lies in, `low-high N`; beyond the last edge `high+ N`."""
-    edges = sorted(edges)
+    """Name of the bin of |f_z| that each press lies in, `low-high N`; from the last edge on `high+ N`.
+
+    What is below the first edge has a bin from 0.
+    """
+    edges = sorted({0.0, *edges})
     names = [f"{low:04.1f}-{high:04.1f} N" for low, high in zip(edges, edges[1:])] + [f"{edges[-1]:04.1f}+ N"]
-    place = np.clip(np.searchsorted(edges, np.abs(normal_force), side="right") - 1, 0, len(names) - 1)
+    place = np.searchsorted(edges, np.abs(normal_force), side="right") - 1
     return [names[i] for i in place]
 
 

@@ -8,9 +8,10 @@ import numpy as np
 import torch
 
 from gelforge.errors import BadInput
-from gelforge.networks.inputs import INPUT_CHANNELS
+from gelforge.networks.inputs import INPUT_CHANNELS, needs_untouched
 from gelforge.records.axes import CHANNELS
 
+STATISTICS = 18  # numbers that describe a picture (networks.statistics)
 MOST_WIDTH, MOST_BLOCKS, MOST_LEVELS, MOST_SIDE = 4096, 64, 16, 4096
 
 
@@ -82,6 +83,8 @@ PARTS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "statistics": ("a table", lambda v: isinstance(v, dict)),
     "statistics.inverse": ("a square of numbers", _square),
     "statistics.threshold": ("a number", lambda v: _numbers([v], 1)),
+    "statistics.mean": ("numbers", lambda v: _numbers(v, None)),
+    "statistics.spread": ("numbers above 0", lambda v: _numbers(v, None, 0)),
 }
 
 
@@ -93,6 +96,11 @@ def check_about(about: Any, where: str) -> None:
         value = inside.get(key) if key and isinstance(inside, dict) else inside
         if not good(value):
             raise BadInput(f"{where}: {name} is {str(value)[:60]!r}, it must be {what}; train the model again")
+    statistics = about["statistics"]
+    if not len(statistics["mean"]) == len(statistics["spread"]) == len(statistics["inverse"]) == STATISTICS:
+        raise BadInput(f"{where}: statistics do not have {STATISTICS} numbers each; train the model again")
+    if needs_untouched(about["normalisation"]["reads"]) and not _numbers([statistics.get("largest_distance")], 1, 0):
+        raise BadInput(f"{where}: statistics.largest_distance must be a number above 0; train the model again")
     _check_sizes(about["model"], where)
 
 
@@ -100,7 +108,7 @@ def _check_sizes(model: dict[str, Any], where: str) -> None:
     for name, most in (("width", MOST_WIDTH), ("widths", MOST_WIDTH), ("blocks", MOST_BLOCKS)):
         values = model.get(name, [1])
         values = values if isinstance(values, list) else [values]
-        if len(values) > MOST_LEVELS or not all(type(v) is int and 0 <= v <= most for v in values):
+        if not 0 < len(values) <= MOST_LEVELS or not all(type(v) is int and 0 <= v <= most for v in values):
             raise BadInput(
                 f"{where}: model.{name} is {str(values)[:60]}, at most {most} each are built; train it again"
             )

@@ -44,7 +44,8 @@ class Gain:
 class SensorProfile:
     """One sensor: name, date of the profile, picture (h, w, 3) uint8 RGB of it untouched, distance of its dots, gain.
 
-    pitch: px between neighbouring dots, 0 where the gel has none. model: name of the network whose readings were compared.
+    pitch: px between neighbouring dots, 0 where the gel has none. model: name of the network whose readings were compared,
+    network: what tells it from all others (`fingerprint`).
     """
 
     name: str
@@ -53,6 +54,7 @@ class SensorProfile:
     pitch: float
     gain: Gain
     model: str
+    network: str
 
 
 def fit_gain(measured: np.ndarray, read: np.ndarray) -> Gain:
@@ -128,10 +130,16 @@ def check_readings(names: list[str], measured: np.ndarray, read: np.ndarray) -> 
             )
 
 
-def make_profile(name: str, untouched: np.ndarray, pitch: float, gain: Gain, model: str) -> SensorProfile:
-    """The profile of a sensor, dated today."""
+def fingerprint(about: dict) -> str:
+    """What tells a trained network from all others, by what its file says of itself: digests of its weights."""
+    dots = about.get("dots") or {}
+    return f"{about.get('sha256', '')[:16]}-{dots.get('sha256', '')[:16]}"
+
+
+def make_profile(name: str, untouched: np.ndarray, pitch: float, gain: Gain, about: dict) -> SensorProfile:
+    """The profile of a sensor, dated today. about: of the network whose readings gave the factor."""
     today = datetime.datetime.now(datetime.UTC).date().isoformat()
-    return SensorProfile(name, today, untouched, pitch, gain, model)
+    return SensorProfile(name, today, untouched, pitch, gain, about["name"], fingerprint(about))
 
 
 def write_profile(path: Path, profile: SensorProfile) -> None:
@@ -142,6 +150,7 @@ def write_profile(path: Path, profile: SensorProfile) -> None:
     gain = profile.gain
     write_text(path, "\n".join([
         f"name = {json.dumps(profile.name)}", f"date = {profile.date}", f"model = {json.dumps(profile.model)}",
+        f"network = {json.dumps(profile.network)}",
         f"untouched = {json.dumps(picture.name)}", f"pitch_px = {profile.pitch:.3f}", "",
         "# What forces are multiplied by, between `low` and `high` with probability 0.9.",
         "[gain]", f"value = {gain.value:.6f}", f"low = {gain.low:.6f}", f"high = {gain.high:.6f}", f"readings = {gain.readings}", "",
@@ -157,26 +166,41 @@ def read_profile(path: Path) -> SensorProfile:
         isinstance(gain.get(key), int | float) and not isinstance(gain.get(key), bool) and 0 < gain[key] < 1e3
         for key in ("value", "low", "high")
     )
-    words = all(isinstance(table.get(key), str) for key in ("name", "model", "untouched"))
-    pitch = table.get("pitch_px")
-    if not (good and words and isinstance(pitch, int | float)):
+    words = all(isinstance(table.get(key), str) for key in ("name", "model", "network", "untouched"))
+    pitch, readings = table.get("pitch_px"), gain.get("readings")
+    counted = type(readings) is int and readings >= 0
+    if not (good and words and counted and isinstance(pitch, int | float) and math.isfinite(pitch)):
         raise BadInput(f"{path}: not a sensor's profile; make it with `gelforge sensor`")
     if Path(table["untouched"]).name != table["untouched"]:
         raise BadInput(f"{path}: untouched = {table['untouched']!r}: name a picture that lies beside the profile")
     picture = read_image(path.with_name(table["untouched"]), remedy="make the profile again")
-    found = Gain(float(gain["value"]), float(gain["low"]), float(gain["high"]), int(gain.get("readings", 0)))
-    return SensorProfile(table["name"], str(table.get("date", "")), picture, float(pitch), found, table["model"])
+    found = Gain(float(gain["value"]), float(gain["low"]), float(gain["high"]), gain["readings"])
+    date = str(table.get("date", ""))
+    return SensorProfile(table["name"], date, picture, float(pitch), found, table["model"], table["network"])
 
 
-def untouched_of(path: Path | None, picture: np.ndarray | None) -> tuple[np.ndarray | None, float]:
-    """The untouched picture, the given one or the profile's, and the profile's factor on forces; 1 without a profile."""
+def untouched_of(path: Path | None, picture: np.ndarray | None, about: dict) -> tuple[np.ndarray | None, float]:
+    """The untouched picture, the given one or the profile's, and the profile's factor on forces; 1 without a profile.
+
+    about: of the network that reads; BadInput where the profile's factor was found with another one.
+    """
     if path is None:
         return picture, 1.0
     profile = read_profile(path)
+    check_same_network(profile, about)
     if picture is None:
         return profile.untouched, profile.gain.value
     check_same_sensor(profile, pitch_of(picture))
     return picture, profile.gain.value
+
+
+def check_same_network(profile: SensorProfile, about: dict) -> None:
+    """Raise BadInput where a profile's factor was found with another network than the one that reads."""
+    if profile.gain.readings and profile.network != fingerprint(about):
+        raise BadInput(
+            f"profile {profile.name}: its factor was found with another network ({profile.model}) than the one that reads"
+            f" ({about['name']}): make the profile again with `gelforge sensor`, or name that network with --model"
+        )
 
 
 def check_same_sensor(profile: SensorProfile, pitch: float) -> None:

@@ -46,16 +46,24 @@ def find_untouched(images: Iterable[np.ndarray], name: str) -> tuple[np.ndarray,
     images: frames (h, w, 3) uint8 that begin while nothing touches the sensor. Raises BadInput where none of the first
     MOST frames are at rest.
     """
-    watch, held, rest = StillPicture(), [], iter(images)
+    watch, rest = StillPicture(), iter(images)
+    held: deque[np.ndarray] = deque()
     for image in itertools.islice(rest, MOST):
         held.append(image)
         picture = watch.offer(image)
         if picture is not None:
-            return picture, itertools.chain(held, rest)
+            return picture, _again(held, rest)
     raise BadInput(
         f"{name}: no {STILL} frames in a row without movement after the first {SETTLING}, of {len(held)} looked at; let the"
         " film begin with a second in which nothing touches the sensor, or give that picture with --untouched"
     )
+
+
+def _again(held: deque[np.ndarray], rest: Iterator[np.ndarray]) -> Iterator[np.ndarray]:
+    """Frames that were looked at, each let go as it is given, and those that follow."""
+    while held:
+        yield held.popleft()
+    yield from rest
 
 
 def picture_at_rest(video: Path | None, camera: int | None) -> np.ndarray:

@@ -224,7 +224,7 @@ def tell_rows(trained, data, rows) -> Told:
     names = data.names("sensor_id")[rows].tolist()
     # One row of each sensor is enough to find its picture.
     first = dict(zip(names, rows, strict=True))
-    beside = {name: Untouched(trained, data.untouched([row])[0]) for name, row in first.items()}
+    beside = {name: _beside(trained, name, data.untouched([row])[0]) for name, row in first.items()}
     forces, widths = [], []
     for row, name in zip(rows, names, strict=True):
         _, told, verdict = predict_one(beside[name], np.ascontiguousarray(data.images[row]))
@@ -233,6 +233,13 @@ def tell_rows(trained, data, rows) -> Told:
     known = [width for width in widths if width is not None]
     in_place = all(one.view.zoom == 1.0 for one in beside.values())
     return Told(np.stack(forces), np.stack(known) if len(known) == len(forces) else None, in_place)
+
+
+def _beside(trained, name: str, picture: np.ndarray) -> Untouched:
+    try:
+        return Untouched(trained, picture)
+    except BadInput as error:
+        raise BadInput(f"sensor {name}: {error}") from None
 
 
 def light_fault(light) -> str:

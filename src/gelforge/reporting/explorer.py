@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -63,7 +64,9 @@ class Explorer:
 
     def press(self, row: dict, shard: "Shard") -> dict:
         """Picture, maps, gel and forces of one press; what it lacks is left out."""
-        packed = {}
+        packed: dict[str, Any] = {}
+        if row["status"] == "REJECTED":  # it may bear the name of another press
+            return pack(packed)
         if row["id"] in shard.labels:
             packed["label"] = shard.labels[row["id"]]
         if self.predictions is not None and row["id"] in self.predicted:

@@ -1,5 +1,6 @@
 """Readings of a running sensor for others: a local web page, JSON lines, CSV, recordings that can be replayed."""
 
+import contextlib
 import csv
 import json
 import os
@@ -21,7 +22,7 @@ from gelforge.reporting.parts import jpeg, pack
 WEB = Path(__file__).parent / "web"
 COLUMNS = ("frame", "time_s", *TOTAL_COLUMNS, "flag", "reason", "ms")
 NAME = re.compile(r"[0-9]{8}-[0-9]{6}(-[0-9]+)?")
-LOCAL = ("127.0.0.1", "localhost", "[::1]")
+LOCAL = ("127.0.0.1", "localhost")
 QUIET_S = 5.0  # without a reading a page is sent a comment, so that one that left is noticed
 
 
@@ -158,9 +159,17 @@ class Recorder:
         """Events of a recording; BadInput for a name that is none."""
         if not NAME.fullmatch(name) or name not in self.names():
             raise BadInput(f"recording {name!r}: there is none of that name in {self.folder}")
-        with (self.folder / f"{name}.jsonl").open(encoding="utf-8") as stream:
-            for line in stream:
-                yield json.loads(line)
+        return _events(self.folder / f"{name}.jsonl")
+
+
+def _events(path: Path) -> Iterator[dict]:
+    """Events of a recording, read as they are asked for; what is none is left out."""
+    with path.open(encoding="utf-8") as stream:
+        for line in stream:
+            with contextlib.suppress(ValueError):
+                event = json.loads(line)
+                if isinstance(event, dict) and isinstance(event.get("time_s"), int | float):
+                    yield event
 
 
 class Server(ThreadingHTTPServer):
@@ -170,7 +179,7 @@ class Server(ThreadingHTTPServer):
     allow_reuse_address = True
 
     def __init__(self, host: str, port: int, hub: Hub, recorder: Recorder):
-        self.hub, self.recorder, self.local = hub, recorder, host in ("127.0.0.1", "localhost", "::1")
+        self.hub, self.recorder, self.local = hub, recorder, host in LOCAL
         try:
             super().__init__((host, port), Handler)
         except OSError as error:
@@ -217,7 +226,9 @@ class Handler(BaseHTTPRequestHandler):
 
     def do_POST(self) -> None:
         # A foreign page can send a plain POST, but no header of this name without being asked for it first.
-        if not self.allowed() or self.headers.get("X-Gelforge") != "1":
+        if not self.allowed():
+            return
+        if self.headers.get("X-Gelforge") != "1":
             self.send_error(403)
             return
         try:
@@ -271,8 +282,8 @@ class Handler(BaseHTTPRequestHandler):
 
     def replay(self, name: str) -> None:
         try:
-            events = list(self.server.recorder.read(name))
-        except (BadInput, ValueError) as error:
+            events = self.server.recorder.read(name)
+        except BadInput as error:
             self.answer_json({"error": str(error)})
             return
         self.stream(paced(events))
@@ -281,15 +292,16 @@ class Handler(BaseHTTPRequestHandler):
         """Requests are not told on the terminal."""
 
 
-def paced(events: list[dict]) -> Iterator[dict]:
+def paced(events: Iterable[dict]) -> Iterator[dict]:
     """Recorded events with the pauses they had."""
-    before = None
+    before, count = None, 0
     for event in events:
         if before is not None:
             time.sleep(min(max(event["time_s"] - before, 0.0), 1.0))
         before = event["time_s"]
+        count += 1
         yield event
-    yield {"ended": f"the recording ended after {len(events)} readings"}
+    yield {"ended": f"the recording ended after {count} readings"}
 
 
 def page() -> str:

@@ -1,5 +1,6 @@
 """Stage 60: images and labels as arrays ready to train on, with a split without leaks and normalisation."""
 
+import fcntl
 import hashlib
 import os
 import sys
@@ -23,8 +24,8 @@ from gelforge.networks.split import split_presses
 from gelforge.records.axes import CHANNEL_OF_AXIS
 from gelforge.records.image import read_logged_image
 from gelforge.records.labelfile import FIELDS, open_labels, read_labels
-from gelforge.records.log import read_log, read_poses, without_duplicates
-from gelforge.records.press import PressRecord, check_id, parse
+from gelforge.records.log import read_poses, read_shard, without_duplicates
+from gelforge.records.press import FORCE, PressRecord, check_id, parse
 from gelforge.records.samplefile import DatasetSample, write_samples
 from gelforge.records.status import Status
 
@@ -69,7 +70,12 @@ def _reason(press: PressRecord | None, status: Status) -> str:
 def read_truth(data: Path) -> dict:
     """True resultants (fx_n, fy_n, fz_n) by sample_id where a virtual rig left them; only evaluation compares."""
     path = data / "truth" / "presses.csv"
-    return {row["sample_id"]: row for row in read_csv(path)} if path.exists() else {}
+    rows = read_csv(path) if path.exists() else []
+    if rows and {"sample_id", *FORCE} - rows[0].keys():
+        raise BadInput(
+            f"{path}: its columns are {', '.join(rows[0])}; give sample_id, {', '.join(FORCE)}, or remove it"
+        )
+    return {row["sample_id"]: row for row in rows}
 
 
 def unseen_indenters(catalogue: dict, settings: DatasetTable) -> set[str]:
@@ -103,7 +109,16 @@ def write_nocontact(path, data: Path, names: list[str], size: tuple[int, int]) -
 
 
 def share_images(folder: Path, data: Path, presses: list[PressRecord], size) -> None:
-    """Put images.npy into `folder` as a hard link to one copy that all resolutions of the dataset share."""
+    """Put images.npy into `folder` as a hard link to one copy that all resolutions of the dataset share.
+
+    Resolutions are made side by side: the first writes the copy, the others wait for it.
+    """
+    with (folder.parent / ".images.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        _share_images(folder, data, presses, size)
+
+
+def _share_images(folder: Path, data: Path, presses: list[PressRecord], size) -> None:
     digest = hashlib.sha256(str(size).encode())
     for press in presses:
         path = data / press.image
@@ -179,7 +194,9 @@ def list_shards(args) -> list[tuple[Path, list]]:
         return [(args.labels / f"{name}.npz", read_poses(args.poses / f"{name}.csv")) for name in names]
     log = args.data / "log.csv"
     # an image that was imported with its label may have no pose
-    parsed = [parse(raw, str(log), ("sample_id", "sensor_id", "image")) for raw in read_log(log)]
+    rows = [row for name in planned_shards(args.shards) for row in read_shard(args.shards / f"{name}.csv")]
+    rows.sort(key=lambda row: row.row)
+    parsed = [parse(raw, str(log), ("sample_id", "sensor_id", "image")) for raw in rows]
     presses, doubled = without_duplicates([press for press, _ in parsed if press], str(log))
     for rejection in [*(r for _, wrong in parsed for r in wrong), *doubled]:
         print(rejection, file=sys.stderr)
@@ -208,7 +225,10 @@ def published_splits(data: Path, presses: list, splits: np.ndarray) -> np.ndarra
     path = data / "splits.csv"
     if not path.exists():
         return splits
-    known = {row["sample_id"]: row["split"] for row in read_csv(path)}
+    rows = read_csv(path)
+    if rows and {"sample_id", "split"} - rows[0].keys():
+        raise BadInput(f"{path}: its columns are {', '.join(rows[0])}; give sample_id and split")
+    known = {row["sample_id"]: row["split"] for row in rows}
     missing = [press.sample_id for press in presses if press.sample_id not in known]
     if missing:
         raise BadInput(f"{path}: has no split of sample {missing[0]}; add it, or remove the file to split anew")

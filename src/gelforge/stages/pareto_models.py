@@ -48,7 +48,12 @@ def row_of(evaluation: dict, split: str, latencies: dict[str, dict]) -> dict:
         row[f"total_{axis}"] = errors["total"][axis]["mae"]
         row[f"percent_{axis}"] = errors["total"][axis]["mae_percent_of_range"]
         row[f"cell_{axis}"] = errors["cell"][axis]["mae"] if errors["cell"] else None
-    row["percent"] = float(np.mean([row[f"percent_{axis}"] for axis in CHANNELS]))
+    shares = [row[f"percent_{axis}"] for axis in CHANNELS]
+    if None in shares:
+        raise BadInput(
+            f"{row['model']}: its training presses all have the same force, so errors are no share of a range"
+        )
+    row["percent"] = float(np.mean(shares))
     for way, figures in latencies.items():
         row |= {f"{way}_{key}": value for key, value in figures.items()}
     return row

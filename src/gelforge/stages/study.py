@@ -6,6 +6,7 @@ Writes JSON and, beside it, the same as CSV and as a chart.
 from argparse import Namespace
 from pathlib import Path
 
+from gelforge.errors import BadInput
 from gelforge.flow.files import publish, read_json, write_csv, write_json
 from gelforge.flow.layout import beside
 from gelforge.flow.main import command, option
@@ -46,6 +47,11 @@ def rows_of(name: str, evaluation: dict) -> list[dict]:
 def main(args: Namespace) -> None:
     whole = read_json(args.whole)
     evaluations = {path.name.removesuffix(".json"): read_json(path) for path in args.parts} | {WHOLE: whole}
+    for name, evaluation in evaluations.items():
+        if evaluation["model"] != whole["model"]:
+            raise BadInput(
+                f"part {name} was learnt by {evaluation['model']!r}, all presses by {whole['model']!r}: give one network's"
+            )
     rows = [row for name, evaluation in evaluations.items() for row in rows_of(name, evaluation)]
     write_csv(beside(args.out, ".csv"), list(rows[0]), rows)
     with publish(beside(args.out, ".png")) as part:

@@ -100,6 +100,8 @@ def train(data, name: str, model: dict, settings: TrainingTable, checkpoint=None
     from gelforge.networks.training import Training, fit, peak_memory_gib
 
     require_splits(data)
+    if needs_untouched(model.get("reads", "image")):
+        data.require_untouched(range(len(data.table)))  # one that lacks its picture is named before hours of training
     torch.set_num_threads(settings.threads)
     device = "cuda" if torch.cuda.is_available() else "cpu"
     about = describe(data, name, model, settings, device)
