@@ -88,6 +88,9 @@ def test_a_gel_without_print_has_no_dots(picture):
     assert not dots.known and not motion_of(dots, picture).any()
 
 
+AUGMENT = with_values(SETTINGS.augment, misplaced_share=0.0)
+
+
 def law(motion: np.ndarray) -> np.ndarray:
     """Totals that dots tell: sideways by their mean motion, along the normal by how far they spread from the middle."""
     col, row = np.meshgrid(np.arange(COLS) - COLS // 2, np.arange(ROWS) - ROWS // 2)
@@ -107,13 +110,40 @@ def lawful():
 
 
 def test_a_reader_learns_what_dots_tell(lawful):
-    reader = train_dot_reader(lawful, 25, 0)
+    reader = train_dot_reader(lawful, 25, 0, AUGMENT)
     off = np.abs(reader.totals(lawful.motion) - lawful.totals[:, 0]).mean(axis=0)
     assert (off < 0.15 * np.abs(lawful.totals[:, 0]).mean(axis=0)).all()
 
 
+def pressed_by_balls(rng, count):
+    """Motion of dots that spread around a ball and are dragged with it, none of them at the rim; and totals."""
+    col, row = np.meshgrid(np.arange(COLS) - COLS // 2, np.arange(ROWS) - ROWS // 2)
+    x, y = rng.uniform(-1.5, 1.5, (2, count, 1, 1))
+    depth, right, down = rng.uniform(0.2, 3, (count, 1, 1)), *rng.normal(0, 2, (2, count, 1, 1))
+    near = np.exp(-((col - x) ** 2 + (row - y) ** 2) / 3.0)
+    motion = np.stack(
+        [near * (right + depth * (col - x)), near * (down + depth * (row - y)), np.ones_like(near)], axis=1
+    )
+    return motion.astype(np.float32), np.column_stack([right.ravel(), down.ravel(), -5.0 * depth.ravel()])
+
+
+def test_what_the_rim_does_is_no_force_to_a_reader_that_saw_gels_sit_otherwise():
+    rng = np.random.default_rng(11)
+    motion, totals = pressed_by_balls(rng, 1200)
+    presses = DotPresses(
+        motion, np.ones((1200, len(VIEWS), ROWS, COLS), bool), np.repeat(totals[:, None], len(VIEWS), 1)
+    )
+    shifted = motion[:200] + np.array([1.2, -1.6, 0.0], np.float32)[:, None, None]
+    sits = with_values(AUGMENT, misplaced_share=0.5, misplaced_px=2.5, misplaced_zoom=0.03)
+    changed = []
+    for how in (AUGMENT, sits):
+        reader = train_dot_reader(presses, 12, 0, how)
+        changed.append(np.abs(reader.totals(shifted) - reader.totals(motion[:200])).mean(axis=0))
+    assert (changed[1] < 0.5 * changed[0]).all(), changed
+
+
 def test_the_same_seed_trains_the_same_reader(lawful):
-    one, two, other = (train_dot_reader(lawful, 1, seed) for seed in (1, 1, 2))
+    one, two, other = (train_dot_reader(lawful, 1, seed, AUGMENT) for seed in (1, 1, 2))
     np.testing.assert_array_equal(one.totals(lawful.motion), two.totals(lawful.motion))
     assert np.abs(one.totals(lawful.motion) - other.totals(lawful.motion)).max() > 1e-3
 

@@ -12,6 +12,8 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
+from gelforge.flow.params.tables import AugmentTable
+from gelforge.networks.augment import uniform
 from gelforge.networks.batches import generator
 from gelforge.networks.dots import COLS, ROWS, PrintedDots
 from gelforge.networks.inputs import inner_part
@@ -19,6 +21,7 @@ from gelforge.networks.inputs import inner_part
 MEMBERS = 4  # networks, each from weights of its own
 WIDTH, LAST, HIDDEN = 32, 48, 64
 VIEWS = (0.0, 0.1, 0.2, 0.3)  # parts of height and width that a camera may not show; each press is learnt from all
+PITCH = 32.0  # px between neighbouring dots at the scale that networks read
 LOST = 0.25  # most of the dots that are taken away at random: worn, covered, or not followed
 BATCH, RATE, HUBER = 64, 2e-3, 0.05
 
@@ -98,14 +101,34 @@ def dot_presses(data, rows: np.ndarray, dots: Mapping[str, PrintedDots]) -> DotP
     return DotPresses(motions(data, rows, dots), np.stack([shown[name] for name in names]), np.stack(totals, axis=1))
 
 
-def varied(presses: DotPresses, rows: torch.Tensor, draw: torch.Generator) -> tuple[torch.Tensor, torch.Tensor]:
-    """Motions and totals of some presses, each in a view of its own, mirrored either way, some of its dots lost."""
+def misplaced(
+    motion: torch.Tensor, whole: torch.Tensor, settings: AugmentTable, draw: torch.Generator
+) -> torch.Tensor:
+    """Motion of dots (n, 3, ROWS, COLS) as if the gel sat otherwise in a share of the pictures; whole: (n,) that show its rim.
+
+    As in `augment.misplace_untouched`: what the dots at the rim do, where the gel is held, is no force.
+    """
+    count = len(motion)
+    chosen = whole & (torch.rand(count, generator=draw) < settings.misplaced_share)
+    right, down, zoom = (uniform(count, width, draw)[:, None, None] for width in (
+        settings.misplaced_px, settings.misplaced_px, settings.misplaced_zoom))  # fmt: skip
+    turn = torch.deg2rad(uniform(count, settings.misplaced_deg, draw))[:, None, None]
+    v, u = torch.meshgrid(*(PITCH * (torch.arange(n) - n // 2) for n in (ROWS, COLS)), indexing="ij")
+    moved = torch.stack([right + zoom * u - turn * v, down + zoom * v + turn * u], dim=1)
+    found = motion[:, 2:]
+    return torch.cat([motion[:, :2] + chosen[:, None, None, None] * found * moved, found], dim=1)
+
+
+def varied(
+    presses: DotPresses, rows: torch.Tensor, settings: AugmentTable, draw: torch.Generator
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Motions and totals of some presses, each in a view and a place of its own, mirrored either way, some dots lost."""
     count, at = len(rows), rows.numpy()
     view = torch.randint(len(VIEWS), (count,), generator=draw)
     view[torch.rand(count, generator=draw) < 0.5] = 0
     kept = torch.from_numpy(presses.shown[at, view.numpy()])
     kept &= torch.rand(kept.shape, generator=draw) >= LOST * torch.rand(count, 1, 1, generator=draw)
-    motion = torch.from_numpy(presses.motion[at]) * kept[:, None]
+    motion = misplaced(torch.from_numpy(presses.motion[at]) * kept[:, None], view == 0, settings, draw)
     totals = torch.from_numpy(presses.totals[at, view.numpy()]).float()
     for axis, component in ((3, 0), (2, 1)):
         flip = torch.rand(count, generator=draw) < 0.5
@@ -116,8 +139,11 @@ def varied(presses: DotPresses, rows: torch.Tensor, draw: torch.Generator) -> tu
     return motion, totals
 
 
-def train_dot_reader(presses: DotPresses, epochs: int, seed: int) -> DotReader:
-    """A reader of dots trained on presses, each member as if alone; the same seed gives the same one."""
+def train_dot_reader(presses: DotPresses, epochs: int, seed: int, settings: AugmentTable) -> DotReader:
+    """A reader of dots trained on presses, each member as if alone; the same seed gives the same one.
+
+    settings: how gels sit otherwise than in their untouched pictures.
+    """
     torch.manual_seed(seed)
     reader, count = DotReader(), len(presses.motion)
     reader.scale = torch.from_numpy(np.sqrt((presses.totals[:, 0] ** 2).mean(axis=0))).float().clamp(min=1e-6)
@@ -126,7 +152,7 @@ def train_dot_reader(presses: DotPresses, epochs: int, seed: int) -> DotReader:
     for epoch in range(epochs):
         draw = generator(seed, "dots", epoch)
         for rows in torch.randperm(count, generator=draw).split(BATCH):
-            motion, totals = varied(presses, rows, draw)
+            motion, totals = varied(presses, rows, settings, draw)
             told = reader.each(motion) / reader.scale
             loss = F.smooth_l1_loss(told, (totals / reader.scale)[:, None].expand_as(told), beta=HUBER)
             optimiser.zero_grad()

@@ -20,7 +20,7 @@ from gelforge.flow.params.schema import Place, parse
 from gelforge.flow.params.slices import ForTrain, read_slice
 from gelforge.flow.params.tables import TrainingTable, TrainTable
 
-VERSION = 8
+VERSION = 9
 # A network that learnt from more sensors is for those that it never saw: their users have untouched pictures of their own.
 MOST_PICTURES = 8
 
@@ -209,7 +209,9 @@ def beside_dots(data, settings: TrainingTable, predicted: Unseen, dots: dict):
     from gelforge.networks.agreement import meet, settle
     from gelforge.networks.dotreader import dot_presses, motions, train_dot_reader
 
-    reader = train_dot_reader(dot_presses(data, data.splits["train"], dots), settings.dot_epochs, settings.seed)
+    reader = train_dot_reader(
+        dot_presses(data, data.splits["train"], dots), settings.dot_epochs, settings.seed, settings.augment
+    )
     by_dots = reader.totals(motions(data, predicted.rows, dots))
     told = meet(predicted.forces.sum((2, 3), dtype=float), by_dots, predicted.labels.sum((2, 3), dtype=float))
     pairs = zip(predicted.forces, by_dots, strict=True)
