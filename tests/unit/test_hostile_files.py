@@ -364,6 +364,13 @@ HOSTILE = {
     "sensors that are numbers": about(known_sensors=[1, 2]),
     "no statistics": about(statistics=None),
     "a crooked matrix": about(statistics__inverse=[[1.0], [1.0, 2.0]]),
+    "no means of its pictures": about(statistics__mean=None),
+    "a spread of zero": about(statistics__spread=[0.0] * 18),
+    "statistics of other pictures": about(
+        statistics__mean=[1.0], statistics__spread=[1.0], statistics__inverse=[[1.0]]
+    ),
+    "no distance to an untouched picture": about(statistics__largest_distance=None),
+    "a network of no width": about(model__widths=[]),
     "a name that is a list": about(name=["x"]),
     "another format": about(format=99),
     "NaN weights": tensors(lambda t: t[first(t)].fill_(float("nan"))),
