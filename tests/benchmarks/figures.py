@@ -51,8 +51,11 @@ def table(figures: list[Figure]) -> str:
     )
 
 
-def publish_figures(path, figures: list[Figure], model: str = "") -> None:
-    """Write the figures to `path` (JSON) and print them as a table; model: digest of the network that they are of."""
+def publish_figures(path, figures: list[Figure], model: str = "", **tables: list[dict]) -> None:
+    """Write the figures to `path` (JSON) and print them as a table; model: digest of the network that they are of.
+
+    tables: what is written beside them.
+    """
     as_dicts = [{**asdict(f), "value": float(f.value), "goal": float(f.goal), "met": f.met} for f in figures]
-    write_json(path, {"figures": as_dicts, "commit": commit(), "machine": machine(), "model": model})
+    write_json(path, {"figures": as_dicts, "commit": commit(), "machine": machine(), "model": model, **tables})
     print(table(figures), flush=True)

@@ -1,5 +1,7 @@
 """Model card: what a network is, what it learnt from, and how wrong it is, in Markdown."""
 
+from collections.abc import Sequence
+
 from gelforge.networks.dotreader import MEMBERS
 from gelforge.networks.errortables import TOLD_COLUMNS, told_rows
 from gelforge.networks.inputs import needs_untouched
@@ -96,8 +98,31 @@ def measured_rows(figures: list[dict]) -> list[str]:
     return [*title, *table(["figure", "measured", "aim", "note"], rows), ""]
 
 
-def write_card(about: dict, evaluation: dict, figures: list[dict] | None = None) -> str:
-    """Return the card of a model as Markdown, from its file's `about`, its evaluation, and figures of benchmarks."""
+def readings_rows(left: list[dict]) -> list[str]:
+    """What readings of a force sensor leave of a gel's error, as lines, none where it was not measured."""
+    if not left:
+        return []
+    rows = [
+        [str(row["readings"]), between(row["factor_percent"], row["factor_between"], 1),
+         between(row["force_n"], row["force_between"], 2), f"{row['held_percent']:.0f}"]
+        for row in left
+    ]  # fmt: skip
+    title = ["## A gel up to 15 % softer or harder, by readings of a scale or force sensor (`gelforge sensor`)", ""]
+    columns = ["readings", "error of its factor, %", "error of normal force, N", "intervals hold it, %"]
+    return [*title, *table(columns, rows), ""]
+
+
+def between(mean: float, bounds: Sequence[float], digits: int) -> str:
+    """A mean, and what four of five lie between."""
+    low, high = bounds
+    return f"{mean:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"
+
+
+def write_card(about: dict, evaluation: dict, figures: Sequence[dict] = (), readings: Sequence[dict] = ()) -> str:
+    """Return the card of a model as Markdown, from its file's `about`, its evaluation, and figures of benchmarks.
+
+    readings: what readings of a force sensor leave, of benchmark-unseen.
+    """
     data = about["data"]
     origin = (
         "**It learnt from the virtual rig: simulated presses and rendered images, no real sensor.** Expect larger "
@@ -134,7 +159,8 @@ def write_card(about: dict, evaluation: dict, figures: list[dict] | None = None)
         "",
         *table(["split", "control", *CHANNELS], control_rows(evaluation)),
         "",
-        *measured_rows(figures or []),
+        *measured_rows(list(figures)),
+        *readings_rows(list(readings)),
         "## Limits",
         "",
         f"- An image whose statistics lie further than {about['statistics']['threshold']:.2f} from the training "

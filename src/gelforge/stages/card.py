@@ -25,13 +25,9 @@ def main(args: Namespace) -> None:
 
     about = load_model(args.model).about
     measured = [read_json(path) for path in args.measured]
-    figures = [
-        figure
-        for found in measured
-        if found.get("model") and found["model"] == about.get("sha256")
-        for figure in found["figures"]
-    ]
-    write_text(args.out, write_card(about, read_json(args.evaluation), figures))
+    own = [found for found in measured if found.get("model") and found["model"] == about.get("sha256")]
+    figures, readings = ([row for found in own for row in found.get(name, [])] for name in ("figures", "readings"))
+    write_text(args.out, write_card(about, read_json(args.evaluation), figures, readings))
 
 
 if __name__ == "__main__":
