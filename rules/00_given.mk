@@ -8,6 +8,11 @@ given = '$(subst ','\'',$(value $(1)))'
 # of another choice is then made again, however old the files are that it is made from.
 chosen = $(if $(subst <$(strip $(2))>,,<$(strip $(file <$(1)))>),choose-anew)
 .PHONY: choose-anew
+# $(eval $(call choice,FILE,TEXT)) is the rule of such a file.
+define choice
+$(1): $(call chosen,$(1),$(2))
+	@mkdir -p $$(@D) && echo '$(2)' > $$@
+endef
 
 LETTERS := a b c d e f g h i j k l m n o p q r s t u v w x y z A B C D E F G H I J K L M N O P Q R S T U V W X Y Z
 DIGITS := 0 1 2 3 4 5 6 7 8 9

@@ -14,5 +14,4 @@ dataset: $(DATASETS)  ## images, labels, split without leaks, normalisation
 $(DATASETS): $D/60_dataset/%/dataset.json: $(LABEL_SOURCE) $(POSES) $D/60_dataset/beside.txt $(if $(IMPORTED),$D/00_plan/shards.csv) $P/dataset.json $P/indenters.json $P/sensors.json | $(call barrier,10_poses)
 	$(call step,gelforge.stages.dataset --data $(DATA) --labels $(if $(IMPORTED),$<,$(<D)) --poses $D/10_poses --shards $D/00_plan/shards --catalogue $P/indenters.json --sensors $P/sensors.json --resolution $* --params $P/dataset.json --out $@.part)
 
-$D/60_dataset/beside.txt: $(call chosen,$D/60_dataset/beside.txt,$(BESIDE_DIGEST))
-	@mkdir -p $(@D) && echo '$(BESIDE_DIGEST)' > $@
+$(eval $(call choice,$D/60_dataset/beside.txt,$(BESIDE_DIGEST)))

@@ -14,5 +14,4 @@ report: $(REPORT)  ## one HTML page: presses, labels, errors, posterior, chart, 
 $(REPORT): $P/report.json $(POSES) $(FORCES) $D/50_labels/$(RES1)/labels.json $D/80_evaluate/$(RES1)/$(MODEL).json $(CALIBRATION) $(CHART) $D/90_report/choice.txt
 	$(call step,gelforge.stages.report --data $(DATA) --results $D --resolution $(RES1) --model $(MODEL) --params $< --out $@.part)
 
-$D/90_report/choice.txt: $(call chosen,$D/90_report/choice.txt,$(REPORTED))
-	@mkdir -p $(@D) && echo '$(REPORTED)' > $@
+$(eval $(call choice,$D/90_report/choice.txt,$(REPORTED)))

@@ -8,5 +8,4 @@ pareto-models: $D/pareto_models/$(RES1).json  ## accuracy against latency of eve
 $D/pareto_models/$(RES1).json: $(CHARTED:%=$D/80_evaluate/$(RES1)/%.json) $(CHARTED:%=$D/70_train/$(RES1)/%.pt) $D/60_dataset/$(RES1)/dataset.json $D/pareto_models/$(RES1).choice.txt
 	$(call step,gelforge.stages.pareto_models --dataset $D/60_dataset/$(RES1) --models $(filter %.pt,$^) --evaluations $(filter $D/80_evaluate/%.json,$^) --out $@.part)
 
-$D/pareto_models/$(RES1).choice.txt: $(call chosen,$D/pareto_models/$(RES1).choice.txt,$(CHARTED))
-	@mkdir -p $(@D) && echo '$(CHARTED)' > $@
+$(eval $(call choice,$D/pareto_models/$(RES1).choice.txt,$(CHARTED)))

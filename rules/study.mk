@@ -16,5 +16,4 @@ $(STUDIES:.pt=.json): $(STUDY)/%.json: $(STUDY)/%.pt $D/60_dataset/$(RES1)/datas
 $(STUDY)/study.json: $D/80_evaluate/$(RES1)/$(LEARNT).json $(STUDIES:.pt=.json) $(STUDY)/choice.txt
 	$(call step,gelforge.stages.study --whole $< --parts $(STUDIES:.pt=.json) --out $@.part)
 
-$(STUDY)/choice.txt: $(call chosen,$(STUDY)/choice.txt,$(STUDIED))
-	@mkdir -p $(@D) && echo '$(STUDIED)' > $@
+$(eval $(call choice,$(STUDY)/choice.txt,$(STUDIED)))

@@ -9,9 +9,9 @@ import torch
 
 from gelforge.errors import BadInput
 from gelforge.networks.inputs import INPUT_CHANNELS, needs_untouched
+from gelforge.networks.statistics import FLOORS
 from gelforge.records.axes import CHANNELS
 
-STATISTICS = 18  # numbers that describe a picture (networks.statistics)
 MOST_WIDTH, MOST_BLOCKS, MOST_LEVELS, MOST_SIDE = 4096, 64, 16, 4096
 
 
@@ -97,8 +97,8 @@ def check_about(about: Any, where: str) -> None:
         if not good(value):
             raise BadInput(f"{where}: {name} is {str(value)[:60]!r}, it must be {what}; train the model again")
     statistics = about["statistics"]
-    if not len(statistics["mean"]) == len(statistics["spread"]) == len(statistics["inverse"]) == STATISTICS:
-        raise BadInput(f"{where}: statistics do not have {STATISTICS} numbers each; train the model again")
+    if not len(statistics["mean"]) == len(statistics["spread"]) == len(statistics["inverse"]) == len(FLOORS):
+        raise BadInput(f"{where}: statistics do not have {len(FLOORS)} numbers each; train the model again")
     if needs_untouched(about["normalisation"]["reads"]) and not _numbers([statistics.get("largest_distance")], 1, 0):
         raise BadInput(f"{where}: statistics.largest_distance must be a number above 0; train the model again")
     _check_sizes(about["model"], where)
