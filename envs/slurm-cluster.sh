@@ -14,7 +14,20 @@ action=${1:?action} folder=$(realpath -m "${2:?folder}") only=${3:-}
 host=$(hostname -s)
 export SLURM_CONF=$folder/slurm.conf
 
-free_port() { python3 -c 'import socket; s = socket.socket(); s.bind(("127.0.0.1", 0)); print(s.getsockname()[1])'; }
+# Below the ports that the system gives to whoever asks for any: a daemon that is started again finds its own still free.
+free_port() {
+    python3 - <<'PYTHON'
+import random, socket
+for port in random.sample(range(20000, 32000), 12000):
+    with socket.socket() as tried:
+        try:
+            tried.bind(("127.0.0.1", port))
+        except OSError:
+            continue
+    print(port)
+    break
+PYTHON
+}
 
 write_conf() {
     # Tasks of the tests are short: Slurm's defaults would add a second to each (the first two lines).
@@ -49,7 +62,7 @@ SlurmctldTimeout=60
 SlurmdTimeout=10
 KillWait=2
 InactiveLimit=0
-BatchStartTimeout=1
+BatchStartTimeout=5
 MaxJobCount=200000
 SlurmdParameters=config_overrides
 ${SLURM_EXTRA:-}
@@ -78,12 +91,12 @@ munge_answers() { [ -S "$folder/munge/m.sock" ] && munge --socket="$folder/munge
 controller_answers() { timeout 2 scontrol ping 2>/dev/null | grep -q 'is UP'; }
 node_is_up() { timeout 2 sinfo -h -o %t 2>/dev/null | grep -qE '^(idle|mix|alloc|comp)$'; }
 
-await() {  # await CONDITION: up to 30 s
-    for _ in $(seq 300); do
+await() {  # await CONDITION: up to 120 s
+    for _ in $(seq 1200); do
         "$@" && return
         sleep 0.1
     done
-    echo "error: $1 did not come true within 30 s; last lines of $folder/log:" >&2
+    echo "error: $1 did not come true within 120 s; last lines of $folder/log:" >&2
     tail -n 5 "$folder"/log/* >&2
     return 1
 }
@@ -97,7 +110,7 @@ end() {  # end NAME SIGNAL: one daemon by its recorded process id, and wait unti
     # A process id may have gone to another program since: end it only if it still is ours.
     if alive "$pid" && grep -qa "$1" "/proc/$pid/cmdline"; then
         kill "-$2" "$pid"
-        for _ in $(seq 50); do alive "$pid" || break; sleep 0.1; done
+        for _ in $(seq 600); do alive "$pid" || break; sleep 0.1; done
         alive "$pid" && kill -KILL "$pid"
     fi
     rm -f "$file"

@@ -45,7 +45,7 @@ def console_errors(driver) -> list[str]:
     return [entry["message"] for entry in driver.get_log("browser") if entry["level"] == "SEVERE"]
 
 
-def wait_for(driver, script: str, seconds: float = 20.0):
+def wait_for(driver, script: str, seconds: float = 60.0):
     """What a script returns as soon as that is something; AssertionError if it stays nothing."""
     until = time.monotonic() + seconds
     while time.monotonic() < until:

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from parameters import parameters
 
@@ -28,7 +28,6 @@ def scene(shape: str, depth: float, x: float = 0.0, y: float = 0.0, turn: float 
     return Scene(Gel(), Material(), BODIES[shape], Press(x, y, lift, 0.0, 0.0, -depth - lift, turn))
 
 
-@settings(deadline=None)
 @given(
     st.sampled_from(sorted(BODIES)), st.floats(0.3, 1.4), st.floats(-1, 1), st.floats(-1, 1), st.floats(0, 360),
     st.floats(0, 5),
@@ -47,7 +46,6 @@ def test_what_touches_nothing_has_no_class():
     assert contact_class(replace(scene("curved", 0.5), press=Press(0, 0, 3.0, 0, 0, -0.5))) is None
 
 
-@settings(deadline=None)
 @given(st.sampled_from(CLASSES), st.floats(0.02, 0.2), st.floats(0.1, 0.5), st.floats(0.0, 0.5))
 def test_the_choice_meets_what_was_asked_and_more_tolerance_never_costs_more(kind, total, cells, more):
     fea = replace(parameters().fea, tolerance=total, cell_tolerance=cells)

@@ -34,7 +34,7 @@ def heights_of(mesh):
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_carrying_keeps_trilinear_fields(seed):
     """A displacement linear along x, y and relative height is told on the fine nodes without error.
 
@@ -58,7 +58,7 @@ def test_carrying_keeps_trilinear_fields(seed):
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.1, 0.6))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_what_is_tangled_is_made_sound_and_what_is_sound_stays(seed, size):
     """Nodes thrown out of place turn bricks over; afterwards none is, the base holds, and the rest has not moved."""
     rng, geometry = np.random.default_rng(seed), bricks(FINE.nodes, FINE.elements)
@@ -168,7 +168,6 @@ def test_width_of_plane_figures(inside, width):
 
 
 @given(st.integers(1, 30), st.integers(1, 30))
-@settings(deadline=None)
 def test_nested_dissection_takes_each_column_once(nx, ny):
     assert np.array_equal(np.sort(dissected(nx, ny)), np.arange(nx * ny))
 

@@ -37,7 +37,7 @@ def random_forces(mesh, seed):
     return np.array([0, 12, 12, 30]), node, rng.normal(0, 1, (30, 3))
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(sensors(), sides, sides, seeds, kinds)
 def test_every_newton_is_in_a_cell_or_outside(sensor, rows, cols, seed, kind):
     ptr, node, force = random_forces(MESHES[kind], seed)
@@ -50,7 +50,7 @@ def test_every_newton_is_in_a_cell_or_outside(sensor, rows, cols, seed, kind):
     assert np.abs(sums - 1).max() <= ROUNDING
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(sensors(), st.integers(1, 12), st.integers(1, 12), st.integers(2, 4), st.integers(2, 4), seeds, kinds)
 def test_coarse_cells_are_sums_of_fine_cells(sensor, rows, cols, down, right, seed, kind):
     ptr, node, force = random_forces(MESHES[kind], seed)
@@ -61,7 +61,7 @@ def test_coarse_cells_are_sums_of_fine_cells(sensor, rows, cols, down, right, se
     assert np.abs(outside - beyond).max() <= ROUNDING * np.abs(force).sum()
 
 
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 @given(sensors(), st.integers(-6, 6), st.integers(-6, 6), seeds, kinds)
 def test_moving_the_image_by_whole_cells_moves_the_label(sensor, right, down, seed, kind):
     ptr, node, force = random_forces(MESHES[kind], seed)
@@ -77,7 +77,7 @@ def test_moving_the_image_by_whole_cells_moves_the_label(sensor, right, down, se
     assert np.abs(there[keep] - here[back]).max() <= 1e-9 * np.abs(force).max()
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(st.floats(-1e3, 1e3), seeds)
 def test_labels_are_linear_in_force(factor, seed):
     mesh = MESHES["tet10"]
@@ -87,7 +87,7 @@ def test_labels_are_linear_in_force(factor, seed):
     assert np.abs(many - factor * once).max() <= ROUNDING * max(1.0, abs(factor)) * np.abs(force).sum()
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(st.lists(st.tuples(st.floats(-50, 370), st.floats(-50, 290)), min_size=3, max_size=3), sides, sides)
 def test_clipped_areas_add_up(corners, rows, cols):
     triangle = np.array([corners])
@@ -98,7 +98,7 @@ def test_clipped_areas_add_up(corners, rows, cols):
     assert (parts[2] <= 320 / cols * 240 / rows * (1 + 1e-9)).all()
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(seeds, st.sampled_from([1e-6, 1e-3, 1.0, 50.0]))
 def test_rounding_to_float32_keeps_sums(seed, scale):
     rng = np.random.default_rng(seed)

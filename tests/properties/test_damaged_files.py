@@ -90,7 +90,7 @@ KINDS = ("png", "jpg", "bmp", "tiff", "labels", "packed", "forces", "predictions
 def test_a_damaged_file_is_read_or_refused(whole, tmp_path, kind, examples):
     data, readers = whole[kind]
 
-    @settings(max_examples=examples, deadline=None, suppress_health_check=list(HealthCheck), database=None)
+    @settings(max_examples=examples, suppress_health_check=list(HealthCheck), database=None)
     @given(st.data())
     def holds(drawn):
         path = tmp_path / f"x.{kind}"

@@ -39,7 +39,7 @@ def draw(name, seed, count=200):
 
 @pytest.mark.parametrize("name", NAMES)
 @given(seed=SEEDS)
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 def test_distance_never_changes_faster_than_the_point_moves(name, seed):
     a = draw(name, seed)
     b = a + np.random.default_rng(seed).normal(size=a.shape) * np.geomspace(1e-6, 3.0, len(a))[:, None]
@@ -50,7 +50,7 @@ def test_distance_never_changes_faster_than_the_point_moves(name, seed):
 
 @pytest.mark.parametrize("name", NAMES)
 @given(seed=SEEDS)
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 def test_normal_is_the_gradient_and_has_length_one(name, seed):
     p, h = draw(name, seed), 1e-5
     _, normal = body(name).distance(p)
@@ -64,7 +64,7 @@ def test_normal_is_the_gradient_and_has_length_one(name, seed):
 
 @pytest.mark.parametrize("name", NAMES)
 @given(seed=SEEDS)
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=5)
 def test_foot_of_a_point_lies_on_the_surface(name, seed):
     p = draw(name, seed)
     outside = p[body(name).distance(p)[0] > 0.0]
@@ -103,7 +103,7 @@ def test_sign_agrees_with_the_surface(name):
     shear=st.floats(0, 1),
     name=st.sampled_from(NAMES),
 )
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_a_moved_indenter_keeps_its_distances(seed, x, y, turn, press, shear, name):
     rotation, shift = Press(x, y, 0.2, 0.3, -0.4, -1.5, turn).pose(press, shear)
     p = draw(name, seed, 50)
@@ -122,7 +122,7 @@ def test_a_moved_indenter_keeps_its_distances(seed, x, y, turn, press, shear, na
     fillet=st.floats(0.05, 1.2),
     slope=st.floats(3.0, 35.0),
 )
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_any_size_builds_a_body_whose_surface_is_on_its_distance(kind, size, fillet, slope):
     keys = {
         "cuboid": {"size": [size, size / 2.0 + 1.0]},

@@ -28,7 +28,7 @@ SAMPLES = st.builds(
 
 
 @given(samples=st.lists(SAMPLES, min_size=1, max_size=5))
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 def test_log_reads_back_to_the_last_digit(tmp_path_factory, samples):
     path = tmp_path_factory.mktemp("log") / "log.csv"
     log.write_log(path, samples)
@@ -63,7 +63,7 @@ CELLS = st.one_of(
 
 
 @given(cells=st.dictionaries(st.sampled_from([*press.KNOWN, "other"]), CELLS))
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 def test_any_row_is_either_typed_or_explained(cells):
     sample, wrong = press.parse(press.RawRow(2, cells), "log.csv")
     assert (sample is None) == bool(wrong)
@@ -83,7 +83,7 @@ JUNK = st.text(st.characters(codec="utf-8", exclude_characters="\r\n"), max_size
 
 
 @given(lines=st.lists(JUNK | st.integers(0, 99), max_size=12))
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 def test_no_line_of_a_log_keeps_another_press_out(tmp_path_factory, lines):
     path = tmp_path_factory.mktemp("log") / "log.csv"
     text = [GOOD.format(f"p{at}") if isinstance(line, int) else line for at, line in enumerate(lines)]
@@ -108,7 +108,6 @@ def test_number_is_finite_or_none(text):
 
 
 @given(data=st.binary(max_size=300), cut=st.integers(0, 200))
-@settings(deadline=None)
 def test_no_bytes_break_the_image_check(data, cut):
     for attempt in (data, b"\x89PNG\r\n\x1a\n" + data, (b"\x89PNG\r\n\x1a\n" + data)[:cut]):
         fault, _ = png_fault(attempt)

@@ -13,7 +13,7 @@ errors = st.integers(2, 40).flatmap(
 )
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(errors, st.floats(0.01, 100))
 def test_errors_scale_with_the_unit_of_force(error, unit):
     one = metrics.error_table(error, np.random.default_rng(0), 50)
@@ -24,7 +24,7 @@ def test_errors_scale_with_the_unit_of_force(error, unit):
             assert other[axis][key] == pytest.approx(unit * value, rel=1e-9, abs=1e-12)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(errors)
 def test_interval_holds_the_mean_and_lies_within_the_errors(error):
     size = np.abs(error)
@@ -34,7 +34,7 @@ def test_interval_holds_the_mean_and_lies_within_the_errors(error):
     assert (size.min(0) <= low + 1e-12).all() and (high <= size.max(0) + 1e-12).all()
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(errors, st.integers(1, 4))
 def test_groups_average_to_the_whole(error, groups):
     names = [f"g{i % groups}" for i in range(len(error))]
@@ -63,7 +63,7 @@ def test_bootstrap_interval_covers_at_its_rate():
     assert 0.87 <= hits / 200 <= 0.99
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(errors, st.integers(2, 5))
 def test_views_of_one_press_that_err_alike_tell_no_more_than_one(error, views):
     size = np.abs(error)

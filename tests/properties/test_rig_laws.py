@@ -28,7 +28,7 @@ def camera(name: str) -> Renderer:
 
 
 @given(short=st.integers(1, 60), more=st.integers(0, 60))
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 def test_growing_a_plan_appends(short, more):
     plan = read_plan(PLAN)
     few = orders(replace(plan, presses=short))
@@ -36,7 +36,7 @@ def test_growing_a_plan_appends(short, more):
 
 
 @given(weights=st.lists(st.floats(0.1, 10.0), min_size=1, max_size=5), presses=st.integers(1, 300))
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 def test_kinds_get_their_share_at_every_length(weights, presses):
     plan = read_plan(PLAN)
     plan = replace(plan, kinds=tuple(replace(plan.kinds[0], weight=w) for w in weights))
@@ -64,7 +64,7 @@ def linear_field(shift, stretch, turn_deg):
     stretch=st.floats(0.95, 1.05),
     turn=st.floats(-2.0, 2.0),
 )
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 def test_dots_go_where_the_gel_goes(name, shift, stretch, turn):
     eye = camera(name)
     field, moves = linear_field(np.array(shift), stretch, turn)
@@ -91,7 +91,7 @@ def clean_look(name: str, dots: np.ndarray) -> Look:
 
 
 @given(name=st.sampled_from(UNITS), shift=st.tuples(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5)))
-@settings(deadline=None, max_examples=10)
+@settings(max_examples=10)
 def test_a_dot_stands_where_labels_have_its_point_of_the_gel(name, shift):
     sensor = load_sensors(ROOT / "workflow/sensors.toml")[name]
     gel = np.array([[-5.3, -6.2], [-1.1, 0.4], [3.7, 5.1], [4.2, -4.0]])
@@ -113,7 +113,7 @@ def test_a_dot_stands_where_labels_have_its_point_of_the_gel(name, shift):
 
 
 @given(name=st.sampled_from(UNITS), seed=st.integers(0, 1000))
-@settings(deadline=None, max_examples=10)
+@settings(max_examples=10)
 def test_an_untouched_field_is_the_untouched_picture(name, seed):
     eye = camera(name)
     plain = eye.image(rng=np.random.default_rng(seed)).astype(int)
@@ -122,7 +122,7 @@ def test_an_untouched_field_is_the_untouched_picture(name, seed):
 
 
 @given(depth=st.floats(0.2, 2.0))
-@settings(deadline=None, max_examples=10)
+@settings(max_examples=10)
 def test_what_is_pressed_looks_larger(depth):
     eye = camera("mini_a")
     points = np.array([[-4.0, -4.0], [4.0, 4.0]])

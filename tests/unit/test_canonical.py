@@ -39,7 +39,7 @@ def pressed(picture: np.ndarray, share: float, seed: int) -> np.ndarray:
 
 
 @given(st.integers(0, 999), st.floats(0.8, 1.2), st.floats(-6, 6), st.floats(0.0, 0.3))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_light_is_found_beside_a_contact(seed, gain, offset, share):
     """Whatever is pressed into up to three tenths of the picture, gain and offset are those of the rest."""
     rest = gel(seed)
@@ -52,7 +52,7 @@ def test_light_is_found_beside_a_contact(seed, gain, offset, share):
 
 
 @given(st.integers(0, 999))
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 def test_equal_light_changes_nothing(seed):
     rest = gel(seed)
     light = match_light(rest, rest)
@@ -142,7 +142,7 @@ def smooth(seed: int) -> np.ndarray:
 
 
 @given(st.integers(0, 99), st.floats(0.55, 0.95))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_a_camera_that_sees_less_shows_the_same_where_it_sees(seed, zoom):
     """A part cut out and enlarged, as a driver that crops does, comes back to where it was; beside it all is even."""
     whole = smooth(seed)
@@ -169,7 +169,7 @@ def test_a_camera_of_the_learnt_scale_or_without_dots_is_left_as_it_is():
 
 
 @given(st.integers(0, 99), st.floats(0.8, 1.2), st.floats(-6, 6))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_light_is_found_in_what_a_narrow_view_shows(seed, gain, offset):
     """The even rim is no evidence of equal light, and stays even whatever the light does."""
     view = view_of(gel(seed), 44.0, (31.0, 33.0))

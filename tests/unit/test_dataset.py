@@ -37,7 +37,7 @@ def presses(count, seed, touches=None, indenters=4, sensors=2):
     return rows, force
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(st.integers(1, 200), st.integers(1, 80), st.integers(0, 999), st.integers(1, 5))
 def test_no_press_is_on_two_sides(count, touches, seed, kinds):
     rows, force = presses(count, seed, touches, kinds)

@@ -53,7 +53,7 @@ def test_dots_at_rest_have_not_moved(rest):
 
 
 @given(u=st.floats(-6, 6), v=st.floats(-6, 6))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_all_dots_of_a_moved_picture_have_moved_as_it_did(rest, u, v):
     motion = motion_of(PrintedDots(rest), moved(rest, (u, v)))
     seen = motion[2] > 0
@@ -128,18 +128,18 @@ def pressed_by_balls(rng, count):
 
 
 def test_what_the_rim_does_is_no_force_to_a_reader_that_saw_gels_sit_otherwise():
-    rng = np.random.default_rng(11)
-    motion, totals = pressed_by_balls(rng, 1200)
+    """A shift of the whole gel looks like drag: sideways force is what it would be read as."""
+    motion, totals = pressed_by_balls(np.random.default_rng(11), 600)
     presses = DotPresses(
-        motion, np.ones((1200, len(VIEWS), ROWS, COLS), bool), np.repeat(totals[:, None], len(VIEWS), 1)
+        motion, np.ones((600, len(VIEWS), ROWS, COLS), bool), np.repeat(totals[:, None], len(VIEWS), 1)
     )
     shifted = motion[:200] + np.array([1.2, -1.6, 0.0], np.float32)[:, None, None]
     sits = with_values(AUGMENT, misplaced_share=0.5, misplaced_px=2.5, misplaced_zoom=0.03)
     changed = []
     for how in (AUGMENT, sits):
-        reader = train_dot_reader(presses, 12, 0, how)
-        changed.append(np.abs(reader.totals(shifted) - reader.totals(motion[:200])).mean(axis=0))
-    assert (changed[1] < 0.5 * changed[0]).all(), changed
+        reader = train_dot_reader(presses, 8, 0, how)
+        changed.append(np.abs(reader.totals(shifted) - reader.totals(motion[:200])).mean(axis=0)[:2])
+    assert (changed[1] < 0.25 * changed[0]).all(), changed
 
 
 def test_the_same_seed_trains_the_same_reader(lawful):
@@ -160,7 +160,7 @@ def test_dots_that_did_not_move_tell_no_force():
 
 
 @given(seed=st.integers(0, 2**31), weight=st.lists(st.floats(0, 1), min_size=3, max_size=3))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_totals_meet_at_their_weighted_mean(seed, weight):
     rng = np.random.default_rng(seed)
     forces = rng.normal(0, 0.01, (3, 24, 32)).astype(np.float32)

@@ -117,7 +117,7 @@ def test_missing_fields_are_named(tmp_path):
         read_sample(save(tmp_path / "list.npy", np.zeros(3)))
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(arrays(np.float32, (3, 4, 5), elements=st.floats(-100, 100, width=32)), arrays(np.uint8, (6, 7, 3)))
 def test_labels_survive_the_round_trip(tmp_path_factory, grid, image):
     path = tmp_path_factory.mktemp("trip") / "a.npy"

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from press_records import log_line, press_record, write_lines
 from pressed_dataset import SETTINGS, collect, label, write_pressed
@@ -71,7 +71,6 @@ def test_axes_read_while_they_move_may_shake():
     assert check_frames(DOWN + shaking, "log.csv") == []
 
 
-@settings(deadline=None)
 @given(
     st.lists(st.floats(0.05, 1.0), min_size=1, max_size=5), st.lists(st.floats(0.05, 0.5), max_size=5),
     st.floats(0, 6.28), st.randoms(use_true_random=False),

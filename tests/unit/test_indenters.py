@@ -47,7 +47,7 @@ def test_surface_stays_within_a_hundredth_of_the_distance(catalogue):
 
 
 @given(st.integers(0, 10**6), st.floats(5.0, 16.0), st.floats(0.0, 45.0), st.floats(0.1, 0.4))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_every_random_solid_is_a_body(seed, size, slope, fillet):
     """Closed, on its tip, as large as asked for at most, and its surface where its distance is 0."""
     table = {

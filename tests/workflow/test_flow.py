@@ -11,6 +11,7 @@ import pytest
 
 from gelforge.flow.files import read_csv, write_csv
 from tests.benchmarks.sandbox import clean_environment, make
+from tests.waiting import wait_until
 
 BUILT = re.compile(r"^results/tiny/(\S+)  [\d.]+ s", re.MULTILINE)
 PREDICTED = re.compile(r"gelforge\.flow\.step results/tiny/(\S+)", re.MULTILINE)
@@ -100,9 +101,7 @@ def test_killing_make_in_a_solve_loses_at_most_that_solve(project):
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip
     first = project / "results/tiny/30_fea"
-    deadline = time.monotonic() + 120  # a busy machine starts the first solve within seconds
-    while not list(first.glob("*/*.json")) and time.monotonic() < deadline:
-        time.sleep(0.02)
+    wait_until(lambda: list(first.glob("*/*.json")), of=child)
     os.killpg(child.pid, signal.SIGKILL)
     child.wait()
     kept = {p: p.stat().st_mtime_ns for p in first.glob("*/*.json")}

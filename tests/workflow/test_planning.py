@@ -186,6 +186,7 @@ def test_a_picture_that_an_older_one_replaced_is_seen(labelled, log):
     rows = log.read_text().splitlines()
     picture, other = (labelled / "data/tiny" / row.split(",")[-1] for row in rows[1:3])
     kept = picture.read_bytes()
+    assert make(labelled, "labels", "DATASET=tiny").returncode == 0
     assert "gelforge.flow.step" not in make(labelled, "-n", "poses", "DATASET=tiny").stdout
     copy = picture.with_name("copy")
     copy.write_bytes(other.read_bytes())

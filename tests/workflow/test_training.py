@@ -4,7 +4,6 @@ import json
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -16,6 +15,7 @@ from synthetic_presses import SETTINGS, write_dataset
 from gelforge.flow.files import read_json, write_json
 from gelforge.flow.params import plain
 from gelforge.networks.modelfile import load_model
+from tests.waiting import wait_until
 
 EPOCHS = 20
 
@@ -59,9 +59,7 @@ def whole(place):
 def test_killed_training_ends_with_the_same_curve(place, whole):
     out, checkpoint = place / "killed.pt.part", place / "killed.checkpoint.pt"
     running = subprocess.Popen(train_command(place, out), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    until = time.monotonic() + 60
-    while not checkpoint.exists() and time.monotonic() < until:
-        time.sleep(0.01)
+    wait_until(checkpoint.exists, of=running)
     running.send_signal(signal.SIGKILL)
     assert running.wait() == -signal.SIGKILL, "the training must be killed while it runs"
     assert not out.exists()

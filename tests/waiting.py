@@ -1,0 +1,19 @@
+"""Waiting for another process, however busy the machine is."""
+
+import subprocess
+import time
+from collections.abc import Callable
+
+
+def wait_until(condition: Callable[[], object], seconds: float = 600.0, of: subprocess.Popen | None = None) -> None:
+    """Wait until the condition is true; AssertionError if the process it is expected of ends before, or time runs out.
+
+    The time is that of a hang: a loaded machine must not come near it.
+    """
+    until = time.monotonic() + seconds
+    while not condition():
+        if of is not None and of.poll() is not None:
+            assert condition(), f"the process ended ({of.returncode}) before it came true"
+            return
+        assert time.monotonic() < until, f"{condition} not true within {seconds} s"
+        time.sleep(0.02)
