@@ -1,7 +1,9 @@
 """What people see and plug in, at 15 000 presses: the page in a browser, exports, and questions to the flow."""
 
 import json
+import os
 import resource
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -11,8 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
+from gelforge.commands.estimate import estimated, folder_bytes, planned_rows
 from gelforge.commands.export import FORMATS, export
-from gelforge.flow.files import read_csv, write_csv
+from gelforge.errors import BadInput
+from gelforge.flow.files import read_csv, read_json, write_csv
+from gelforge.flow.forecast import wall_seconds
+from gelforge.flow.layout import Layout
 from gelforge.flow.main import command, option
 from gelforge.formats.export.samples import Samples
 from tests.benchmarks.figures import Figure, publish_figures
@@ -112,23 +118,67 @@ def time_lineage(folder: Path) -> list[Figure]:
     ]
 
 
+def time_wheel(folder: Path) -> list[Figure]:
+    """Build the wheel, install it with what it depends on into an environment of nothing else, read a picture there."""
+    made, python = folder / "wheels", folder / "clean" / "bin" / "python"
+    copied = folder / "sources"
+    shutil.copytree("src", copied / "src", ignore=shutil.ignore_patterns("__pycache__", "*.egg-info"))
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(name, copied / name)
+    install = ["-m", "pip", "install", "--quiet", "-c", str(Path("envs/requirements.lock").resolve())]
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    picture, rest = (Path("data/demo", name).resolve() for name in ("images/demo-000000.png", "nocontact/mini_a.png"))
+
+    def run(*words) -> float:
+        started = time.perf_counter()
+        subprocess.run([str(word) for word in words], check=True, cwd=folder, env=environment, capture_output=True)
+        return time.perf_counter() - started
+
+    run(sys.executable, "-m", "pip", "wheel", "--no-deps", "--wheel-dir", made, copied)
+    run(sys.executable, "-m", "venv", folder / "clean")
+    run(python, *install, next(made.glob("*.whl")))
+    run(folder / "clean" / "bin" / "gelforge", "predict", picture, "--untouched", rest, "--out", "read")
+    imports = min(run(python, "-c", "from gelforge import Reader, Sensor") for _ in range(3))
+    installed = len(list(folder.glob("clean/lib/*/site-packages/*.dist-info")))
+    return [
+        Figure("pictures that the wheel reads in a clean environment", len(read_csv(folder / "read" / "totals.csv")), "==", 1, "",
+               f"{installed} packages installed, pip among them"),
+        Figure("import of its reader", imports, "<=", 1.0, "s", "start of Python included, best of 3"),
+    ]  # fmt: skip
+
+
 def run_of_demo(results: Path) -> list[Figure]:
-    """What the last whole make demo took, from its records; nothing where none lies here."""
+    """What the last make demo took, from its records, and what an estimate says of it; BadInput where none lies here."""
     if not REPORT.exists():
-        return []
-    records = [json.loads(path.read_text()) for path in (results / "metrics").rglob("*.json")]
+        raise BadInput(f"{REPORT}: absent; make demo, from nothing, then make benchmark-face")
+    records = [read_json(path) for path in (results / "metrics").rglob("*.json")]
     seconds = max(r["started"] + r["seconds"] for r in records) - min(r["started"] for r in records)
+    took = {"cpu": sum(r["cpu_seconds"] for r in records), "disk": folder_bytes(results), "wall": seconds}
+    rows = planned_rows(results)
+    costs = estimated(Path("data") / results.name, results, "24x32", rows)
+    wall = wall_seconds(costs, len(rows), os.cpu_count() or 1, len(Layout(results).names()))
+    told = {"cpu": sum(c.cpu(len(rows)) for c in costs), "disk": sum(c.disk(len(rows)) for c in costs), "wall": wall}
     note = "from the records of the run that made it; whole only if it ran from nothing"
     return [
         Figure("page of the demo", REPORT.stat().st_size / 1e6, "<=", 15.0, "MB"),
         Figure("make demo, wall time", seconds / 60, "<=", 5.0, "min", note),
-    ]
+        *(
+            Figure(f"estimate of the demo off by, {name}", 100 * abs(told[key] / took[key] - 1), "<=", 25.0, "%",
+                   f"told {told[key]:.3g} {unit}, took {took[key]:.3g}")
+            for key, name, unit in (("cpu", "processor time", "s"), ("disk", "disk", "bytes"), ("wall", "time", "s"))
+        ),
+    ]  # fmt: skip
 
 
 @command(option("--out", type=Path))
 def main(args: Namespace) -> None:
     figures = []
-    for name, measure in (("page", time_page), ("exports", time_exports), ("lineage", time_lineage)):
+    for name, measure in (
+        ("page", time_page),
+        ("exports", time_exports),
+        ("lineage", time_lineage),
+        ("wheel", time_wheel),
+    ):
         with tempfile.TemporaryDirectory() as folder:
             (Path(folder) / name).mkdir()
             figures += measure(Path(folder) / name)

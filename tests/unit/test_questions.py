@@ -101,7 +101,8 @@ def lay(results, count, size=100):
         inputs = [str(params / "poses.json"), str(params / "indenters.json")]
         write_json(results / f"metrics/10_poses/{name}.json", cost | {"inputs": inputs})
         write_json(results / f"metrics/30_fea/{name}.json", cost | {"inputs": [str(pose)]})
-        write_json(results / f"metrics/40_forces/{name}.json", cost | {"inputs": [str(fea)]})
+        by = {"programs": {"numpy": "2.4.6"}}
+        write_json(results / f"metrics/40_forces/{name}.json", cost | by | {"inputs": [str(fea)]})
     forces = [str(results / f"40_forces/{name}.npz") for name in names]
     write_json(results / "metrics/50_labels/24x32/labels.json", cost | {"inputs": forces})
     solve = {"status": "OK", "reason": "", "fidelity": "hex", "mesh": "hex@a", "files": ["s00123.npz"],
@@ -119,6 +120,7 @@ def test_lineage_names_only_what_made_the_sample(tmp_path):
     assert found["steps"][0]["parameters"] == {"poses": {"version": 1}, "indenters": {"ball": {"radius": 3}}}
     text = "\n".join(lines(found, results))
     assert "this sample: OK, hex on mesh hex@a, 3.2 s, 77 MiB" in text and "0002" not in text and "s00123.npz" in text
+    assert text.count("    by numpy 2.4.6") == 1  # the other steps are of a time when versions were not recorded
     json.dumps(found)
 
 

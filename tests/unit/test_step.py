@@ -2,12 +2,17 @@
 
 import json
 import os
+import pty
+import select
 import signal
 import subprocess
 import sys
-import time
+from importlib.metadata import version
+
+import pytest
 
 from gelforge.flow.layout import mirror
+from tests.waiting import wait_until
 
 
 def start(target, *command):
@@ -28,7 +33,9 @@ def test_success_publishes_target_log_and_metrics(tmp_path):
     assert code == 0 and str(target) in said
     assert target.read_text() == "made\n" and not target.with_name("0000.csv.part").exists()
     assert "working" in mirror(target, "logs", ".log").read_text()
-    assert json.loads(mirror(target, "metrics", ".json").read_text())["exit_code"] == 0
+    cost = json.loads(mirror(target, "metrics", ".json").read_text())
+    assert cost["exit_code"] == 0
+    assert cost["programs"] == {name: version(name) for name in ("gelforge", "numpy", "scipy", "numba", "torch")}
     assert mirror(target, "logs", ".log") == tmp_path / "results/d/logs/30_fea/0000.log"
 
 
@@ -48,15 +55,11 @@ def test_killing_the_wrapper_ends_its_command(tmp_path):
     target = tmp_path / "results/d/30_fea/0000.csv"
     mark = tmp_path / "pid"
     child = start(target, "bash", "-c", f"echo $$ > {mark}; exec sleep 60")
-    deadline = time.monotonic() + 20  # the interpreter starts within seconds even on a busy machine
-    while not (mark.exists() and mark.read_text().strip()) and time.monotonic() < deadline:
-        time.sleep(0.05)
+    wait_until(lambda: mark.exists() and mark.read_text().strip())
     inner = int(mark.read_text())
     child.send_signal(signal.SIGKILL)
     child.wait()
-    deadline = time.monotonic() + 20
-    while alive(inner) and time.monotonic() < deadline:
-        time.sleep(0.05)
+    wait_until(lambda: not alive(inner))
     assert not alive(inner) and not target.exists()
 
 
@@ -121,18 +124,14 @@ def test_killing_what_started_the_wrapper_ends_wrapper_and_command(tmp_path):
     inner = f"echo $$ > {mark}; exec sleep 60"
     step = f"{sys.executable} -m gelforge.flow.step {target} -- bash -c '{inner}'; true"
     outer = subprocess.Popen(["bash", "-c", step])
-    deadline = time.monotonic() + 20  # the interpreter starts within seconds even on a busy machine
-    while not (mark.exists() and mark.read_text().strip()) and time.monotonic() < deadline:
-        time.sleep(0.05)
+    wait_until(lambda: mark.exists() and mark.read_text().strip())
     command = int(mark.read_text())
     with open(f"/proc/{command}/stat", encoding="utf-8") as stat:
         wrapper = int(stat.read().rsplit(")", 1)[1].split()[1])
     assert wrapper != outer.pid
     outer.kill()
     outer.wait()
-    deadline = time.monotonic() + 20
-    while (alive(command) or alive(wrapper)) and time.monotonic() < deadline:
-        time.sleep(0.05)
+    wait_until(lambda: not (alive(command) or alive(wrapper)))
     assert not alive(command) and not alive(wrapper) and not target.exists()
 
 
@@ -162,3 +161,36 @@ def test_a_full_disk_is_a_sentence_and_leaves_no_part(tmp_path):
     done = subprocess.run(["bash", "-c", f"ulimit -f 64; {step}"], capture_output=True, text=True)
     assert done.returncode and "Traceback" not in done.stdout + done.stderr
     assert not target.exists() and not target.with_name("0000.csv.part").exists()
+
+
+@pytest.fixture
+def typed_to():
+    """A terminal as a person's: the name of its device, and the end where what is written to it comes out."""
+    master, slave = pty.openpty()
+    yield os.ttyname(slave), master
+    os.close(master)
+    os.close(slave)
+
+
+def test_a_terminal_shows_one_line_that_goes_away(tmp_path, typed_to):
+    device, master = typed_to
+    target, mark = tmp_path / "results/d/30_fea/0000.csv", tmp_path / "seen"
+    waits = f"echo press s7; while ! test -e {mark}; do sleep 0.1; done; echo made > {target}.part"
+    child = subprocess.Popen(
+        [sys.executable, "-m", "gelforge.flow.step", str(target), "--", "bash", "-c", waits],
+        stdout=subprocess.PIPE, text=True, env=os.environ | {"MAKE_TERMERR": device},
+    )  # fmt: skip
+    shown = b""
+    while b"press s7" not in shown and select.select([master], [], [], 60)[0]:
+        shown += os.read(master, 1000)
+    mark.touch()
+    said = child.communicate(timeout=60)[0]
+    assert b"no press is planned yet; now: 30_fea/0000 | press s7" in shown and shown.startswith(b"\r\033[K")
+    assert "[" not in said.removeprefix(str(tmp_path))  # how far the run has come stands in the line alone
+    assert os.read(master, 1000).endswith(b"\r\033[K")
+
+
+def test_without_a_terminal_each_finished_file_says_how_far_the_run_has_come(tmp_path):
+    target = tmp_path / "results/d/30_fea/0000.csv"
+    said = wrapped(target, "bash", "-c", f"echo made > {target}.part")[1]
+    assert said.rstrip().endswith("[no press is planned yet]")

@@ -8,15 +8,21 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import urllib.error
 import urllib.request
+from argparse import Namespace
+from contextlib import nullcontext
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
+from gelforge.commands.live_readings import tell
 from gelforge.errors import BadInput
+from gelforge.networks.use import Untouched, load_for_use
+from gelforge.records.film import frames, open_source
 from gelforge.reporting.livepage import Hub, Reading, Recorder, Server, paced
 from tests.browser import WIDTHS, browser, console_errors, needs_browser, wait_for
 
@@ -60,6 +66,10 @@ def test_a_person_watches_records_and_replays(served, width):
             driver.execute_script("return el('normal').width") == 32
             and "N a cell" in driver.find_element("id", "cap-normal").text
         )
+        assert "training pictures" in driver.find_element("id", "flag").text
+        assert "90 %" in driver.find_element("id", "band").text
+        inked = "const c = el('curve'); return c.getContext('2d').getImageData(0, 0, c.width, c.height).data.some((v) => v)"
+        assert driver.execute_script(inked)
         driver.find_element("id", "record").click()
         wait_for(driver, "return el('record').textContent === 'Stop recording'")
         seen = driver.execute_script("return Number(document.body.dataset.frame)")
@@ -123,11 +133,36 @@ def test_no_camera_is_one_sentence():
     assert ran.returncode == 2 and "camera 97 cannot be opened" in ran.stderr and "Traceback" not in ran.stderr
 
 
-def test_a_camera_that_stops_is_told(tmp_path):
-    """A camera is a device of the system; what is told of its end is the same function's words for both."""
-    from gelforge.commands.live_readings import ended
+@pytest.mark.parametrize("port", ["-1", "99999"])
+def test_a_number_that_no_port_has_is_one_sentence(film, port):
+    ran = subprocess.run(
+        [*LIVE, "--video", film, "--web", "--port", port], capture_output=True, text=True, check=False
+    )
+    assert ran.returncode == 2 and f"port {port}" in ran.stderr and "Traceback" not in ran.stderr
 
-    assert "camera 0: stopped after 12 frames" in ended("camera 0", True, 12)
+
+@pytest.mark.parametrize("asked", [None, 3])
+def test_a_camera_that_stops_is_told_and_what_it_gave_is_kept(film, tmp_path, asked):
+    """A film in a camera's place: it ends, as a camera does that is pulled out; one that was asked for 3 frames did all."""
+    args = Namespace(web=False, camera=0, frames=asked, jsonl=tmp_path / "live.jsonl", csv=None)
+    capture, _ = open_source(film, None)
+    seen = list(frames(capture, 3, "camera 0", 3))
+    untouched = Untouched(load_for_use(None, None), cv2.cvtColor(seen[0], cv2.COLOR_BGR2RGB))
+    said = pytest.raises(BadInput, match="camera 0: stopped after 3 frames") if asked is None else nullcontext()
+    with said:
+        tell(args, untouched, iter(seen), capture, "camera 0", threading.Event())
+    capture.release()
+    assert len((tmp_path / "live.jsonl").read_text().splitlines()) == 3
+
+
+def test_a_full_disk_leaves_whole_lines(film, tmp_path):
+    """The shell's limit on the size of a file stands for the disk."""
+    lines = tmp_path / "live.jsonl"
+    words = " ".join(map(str, [*LIVE, "--video", film, "--jsonl", lines, "--frames", "24"]))
+    ran = subprocess.run(["bash", "-c", f"ulimit -f 2; exec {words}"], capture_output=True, text=True, check=False)
+    assert ran.returncode == 2 and "free space" in ran.stderr and "Traceback" not in ran.stderr, ran.stderr
+    kept = lines.read_text()
+    assert kept.endswith("\n") and 0 < len([json.loads(line) for line in kept.splitlines()]) < 24
 
 
 def test_without_a_display_lines_and_rows_are_written(film, tmp_path):

@@ -3,6 +3,7 @@
 import json
 
 import pytest
+from selenium.webdriver import ActionChains
 
 from tests.browser import WIDTHS, browser, console_errors, needs_browser, wait_for
 from tests.explored import write_page
@@ -78,15 +79,76 @@ def test_numbers_of_the_page_are_those_that_were_packed(page):
         assert -1 <= found[5] <= -0.99
 
 
-def test_filters_keep_what_they_say(page):
+@pytest.mark.parametrize(
+    ("field", "typed", "kept"),
+    [
+        ("by-indenter", "cuboid_10", "COLUMNS.indenter[i] === 'cuboid_10'"),
+        ("by-sensor", "mini_b", "COLUMNS.sensor[i] === 'mini_b'"),
+        ("by-split", "test", "COLUMNS.split[i] === 'test'"),
+        ("by-force-low", "6", "COLUMNS.force[i] >= 6"),
+        ("by-force-high", "6", "COLUMNS.force[i] <= 6"),
+        ("by-error-low", "0.4", "COLUMNS.error[i] >= 0.4"),
+    ],
+)
+def test_filters_keep_what_they_say(page, field, typed, kept):
     with browser() as driver:
         driver.get(page.as_uri())
         shown(driver, "made-000000")
-        kept = driver.execute_script(
-            "state.filter = {indenter: 'cuboid_10', force_low: 6}; arrange();"
-            "return state.order.map((i) => [COLUMNS.indenter[i], COLUMNS.force[i]])"
+        driver.find_element("id", field).send_keys(typed)
+        found = f"[...Array(COUNT).keys()].filter((i) => {kept}).join()"
+        assert wait_for(
+            driver, f"return state.order.length < COUNT && [...state.order].sort((a, b) => a - b).join() === {found}"
         )
-        assert kept and all(name == "cuboid_10" and force >= 6 for name, force in kept)
+        assert driver.execute_script("return state.order.length") > 0
+        driver.find_element("id", "reset").click()
+        assert driver.find_element("id", "count").text == "61 presses"
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_charts_flow_curve_and_provenance_are_drawn(page, width):
+    with browser(width) as driver:
+        driver.get(page.as_uri() + "#press=made-000003")
+        shown(driver, "made-000003")
+        dots = (
+            "return [...document.querySelectorAll('#charts svg')].map((svg) => svg.querySelectorAll('circle').length)"
+        )
+        assert driver.execute_script(dots)[:2] == [2, 3]  # the splits it did not learn from, and three indenters
+        assert "always the same guess: 4.00 N" in driver.find_element("css selector", "#charts .legend").text
+        assert driver.execute_script("return document.querySelectorAll('#lineage svg path').length") == 3
+        inked = "const c = el('curve'); return c.getContext('2d').getImageData(0, 0, c.width, c.height).data.some((v) => v)"
+        assert driver.execute_script(inked)
+        driver.find_element("css selector", "#detail details summary").click()
+        rows = wait_for(driver, "return el('provenance').innerText")
+        assert "results/made/10_poses/0000.csv" in rows and "fea.json" in rows
+        assert not console_errors(driver)
+
+
+def test_the_gel_turns_by_hand(page):
+    with browser() as driver:
+        driver.get(page.as_uri() + "#press=made-000003")
+        shown(driver, "made-000003")
+        wait_for(driver, "return document.querySelector('#gel canvas') && room.parts.children.length >= 3")
+        gel = driver.find_element("css selector", "#gel canvas")
+        before = gel.screenshot_as_png
+        assert gel.screenshot_as_png == before
+        ActionChains(driver).drag_and_drop_by_offset(gel, 120, 30).perform()
+        assert gel.screenshot_as_png != before
+
+
+def test_a_click_copies_the_presses_in_sight(page):
+    with browser() as driver:
+        driver.get(page.as_uri())
+        shown(driver, "made-000000")
+        driver.find_element("id", "failed").click()
+        driver.execute_script(
+            "window.copied = ''; document.addEventListener('copy', () => { copied = String(getSelection()) || document.activeElement.value; })"
+        )
+        driver.execute_script(
+            "Object.defineProperty(navigator, 'clipboard', {value: undefined})"
+        )  # a page from disk has none
+        driver.find_element("id", "copy").click()
+        lines = wait_for(driver, "return copied").splitlines()
+        assert lines[0].startswith("id,") and len([line for line in lines if line]) == 1 + 7
 
 
 def test_a_copied_table_is_csv(page):

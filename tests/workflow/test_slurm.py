@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.benchmarks.slurm import cluster, lay_profile, lay_project, make, start_make
+from tests.waiting import wait_until
 
 pytestmark = [
     pytest.mark.slurm,
@@ -47,7 +48,7 @@ def overdue(tmp_path_factory):
 def project(tmp_path, lab):
     """A project of four shards; afterwards nothing of it may be left in the queue."""
     yield lay_project(tmp_path / "p", visible_seconds=3)
-    await_true(lambda: lab.ask("squeue", "-h") == "")
+    wait_until(lambda: lab.ask("squeue", "-h") == "")
 
 
 def fault(project: Path, name: str, code: str) -> None:
@@ -69,17 +70,9 @@ def there(project: Path, stage: str = "10_poses") -> list[str]:
     )
 
 
-def await_true(condition, seconds: float = 60) -> None:
-    """Wait for a condition; fail with its name."""
-    until = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < until, f"{condition} not true within {seconds} s"
-        time.sleep(0.1)
-
-
 def await_running(project: Path, lab, count: int) -> None:
     """Wait until `count` tasks of stage 10 have begun."""
-    await_true(lambda: sum(started > ended for started, ended in runs(project)) >= count)
+    wait_until(lambda: sum(started > ended for started, ended in runs(project)) >= count)
 
 
 ONCE = [(1, 1)] * 4
@@ -176,7 +169,7 @@ def test_slurmd_killed_and_restarted_loses_no_task(project, lab):
     process = start_make(project, lab, "poses")
     await_running(project, lab, 2)
     lab.do("kill", "slurmd")
-    time.sleep(2)
+    time.sleep(0.5)
     lab.do("start", "slurmd")
     text, _ = process.communicate(timeout=90)
     assert process.returncode == 0, text
@@ -227,12 +220,12 @@ def test_tasks_that_slurm_starts_again_while_they_still_run_are_done_once(projec
 def test_interrupted_make_cancels(project, lab, how):
     fault(project, "poses-3", FIRST_RUN + "time.sleep(60)\n")
     process = start_make(project, lab, "poses")
-    await_true(lambda: there(project) == ["0", "1", "2"] and runs(project)[3] == (1, 0))
+    wait_until(lambda: there(project) == ["0", "1", "2"] and runs(project)[3] == (1, 0))
     # A terminal interrupts the whole group; a kill reaches make alone.
     (os.killpg if how == signal.SIGINT else os.kill)(process.pid, how)
     text, _ = process.communicate(timeout=30)
     assert process.returncode != 0
-    await_true(lambda: lab.ask("squeue", "-h") == "")
+    wait_until(lambda: lab.ask("squeue", "-h") == "")
     assert there(project) == ["0", "1", "2"]
     code, text = make(project, lab, "poses")
     assert code == 0, text
@@ -242,7 +235,7 @@ def test_interrupted_make_cancels(project, lab, how):
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
 def test_interrupted_and_detached_work_is_found_again(project, lab, how):
     for shard in range(4):
-        fault(project, f"poses-{shard}", "import time\ntime.sleep(3)\n")
+        fault(project, f"poses-{shard}", "import os, time\nwhile not os.path.exists('runs/go'): time.sleep(0.1)\n")
     process = start_make(project, lab, "poses", "DETACH=1")
     await_running(project, lab, 2)
     (os.killpg if how == signal.SIGINT else os.kill)(process.pid, how)
@@ -252,6 +245,8 @@ def test_interrupted_and_detached_work_is_found_again(project, lab, how):
     status = make(project, lab, "status")[1]
     queued, running, done, failed = map(int, STATES.search(status.partition("slurm 10_poses")[2]).groups())
     assert queued + running + done == 4 and running >= 1 and not failed
+    assert "\nrunning: " in status
+    (project / "runs" / "go").touch()
     code, text = make(project, lab, "fea")
     assert code == 0 and "awaiting what was left running" in text
     assert runs(project) == ONCE

@@ -1,18 +1,20 @@
 """Parts of the Slurm executor that need no cluster: causes, remedies, patience, profiles, and what waits for what."""
 
 import dataclasses
+import os
+import pty
 import re
-import time
 from pathlib import Path
 
 import pytest
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_json, write_text
+from gelforge.flow.layout import Layout
 from gelforge.flow.slurm import run as slurm
 from gelforge.flow.slurm.client import cause_of
 from gelforge.flow.slurm.cluster import read_profile
-from gelforge.flow.slurm.record import Batch, Record, Results, Task
+from gelforge.flow.slurm.record import Batch, Record, Results, Task, show
 from tests.benchmarks.sandbox import link_project, make
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -90,7 +92,7 @@ def look(record: Record) -> list[tuple]:
 
 def test_a_result_that_shows_late_is_waited_for_and_one_that_never_shows_is_not(tmp_path, monkeypatch):
     monkeypatch.chdir(ROOT)
-    profile = dataclasses.replace(read_profile(PROFILE, "30_fea"), visible_seconds=0.3)
+    profile = dataclasses.replace(read_profile(PROFILE, "30_fea"), visible_seconds=30)
     monkeypatch.chdir(tmp_path)
     task = Task("results/lab/30_fea/0.csv", "c", 100, 10, runs=1, where="b/1")
     record = Record(tmp_path / "r.json", "30_fea", [task], [Batch("b", "7", [[0]])])
@@ -102,7 +104,7 @@ def test_a_result_that_shows_late_is_waited_for_and_one_that_never_shows_is_not(
     (tmp_path / "results/lab/30_fea/0.csv").unlink()
     task.state = "running"
     assert slurm.judge(record, profile, look(record), gone) == []
-    time.sleep(0.4)
+    gone[task.where] -= 31  # as if that long had passed
     assert slurm.judge(record, profile, look(record), gone) == [task]
 
 
@@ -203,3 +205,30 @@ def test_whatever_reads_a_collected_stage_waits_for_its_barrier(tmp_path):
             reads = any(name.startswith(folder) for name in graph[target])
             if reads and not target.startswith(folder):
                 assert barrier in reaches(graph, target), f"{target} does not wait for {stage}"
+
+
+def test_work_on_slurm_is_shown_on_the_terminal_with_the_presses_of_the_whole_run(tmp_path, monkeypatch):
+    results = tmp_path / "results" / "d"
+    write_text(results / "00_plan/shards.csv", "sample_id,shard\ns0,0\ns1,0\n")
+    write_text(Layout(results).shard("0000"), "")
+    record = Record(
+        results / ".slurm/30_fea.json", "30_fea", [Task("a", "true", 100, 1, "running"), Task("b", "true", 100, 1)]
+    )
+    master, slave = pty.openpty()
+    monkeypatch.setenv("MAKE_TERMERR", os.ttyname(slave))
+    monkeypatch.setenv("COLUMNS", "200")
+    show(record, 0.0, silent=False)
+    shown = os.read(master, 1000).decode()
+    assert "30_fea on Slurm: 1 queued, 1 running, 0 done, 0 failed | 0 of 2 presses solved" in shown
+
+
+def test_what_make_calls_its_terminal_where_it_knows_none_is_no_file(tmp_path, monkeypatch, capsys):
+    """make says `true` then; a file of that name would be one that nobody asked for."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MAKE_TERMERR", "true")
+    show(
+        Record(tmp_path / "results/d/.slurm/10_poses.json", "10_poses", [Task("a", "true", 100, 1)]),
+        -60.0,
+        silent=True,
+    )
+    assert "the controller does not answer" in capsys.readouterr().err and not list(tmp_path.iterdir())

@@ -60,16 +60,19 @@ def folder_bytes(folder: Path) -> int:
     return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
 
 
-def pilot(data: Path, results: Path, work: Path, rows: list[RawRow], resolution: str) -> dict[str, tuple[float, int]]:
-    """Processor seconds and bytes of each stage for a shard of the rows given."""
+def pilot(data: Path, results: Path, work: Path, rows: list[RawRow], resolution: str) -> list[Cost]:
+    """What each stage takes, from a shard of the rows given."""
     shutil.rmtree(work, ignore_errors=True)
     write_text(Layout(work).shard(shard_name(0)), shard_text(rows))
-    found = {}
+    found = []
     for module, arguments in stages(data, results, work, resolution):
         out = Path(arguments[-1])
         out.parent.mkdir(parents=True, exist_ok=True)
         cpu = spend(module, arguments)
-        found[STAGES[module]] = (cpu, folder_bytes(work / STAGES[module]))
+        written = folder_bytes(work / STAGES[module])
+        # operators are of meshes and sensors, whatever the number of presses
+        once = sum(folder_bytes(folder) for folder in out.parent.glob("operators"))
+        found.append(Cost(STAGES[module], cpu / len(rows), 0.0, (written - once) / len(rows), once))
     return found
 
 
@@ -78,12 +81,9 @@ def measured(data: Path, results: Path, resolution: str, rows: list[RawRow]) -> 
     chosen = [rows[k] for k in pilots([depth(row) for row in rows])]
     work = results / layout.ESTIMATE
     try:
-        found = pilot(data, results, work, chosen, resolution)
+        return pilot(data, results, work, chosen, resolution)
     finally:
         shutil.rmtree(work, ignore_errors=True)
-    return [
-        Cost(stage, cpu / len(chosen), bytes_each=written / len(chosen)) for stage, (cpu, written) in found.items()
-    ]
 
 
 def meshes(results: Path) -> Cost:
@@ -107,8 +107,14 @@ def told(params: Path, resolution: str) -> list[Cost]:
         found.append(Cost(layout.CALIBRATE, cpu_once=CALIBRATE_EACH * presses, bytes_once=2e7))
     if "pareto" in report.branches:
         scenes = read_slice(params / "pareto.json", ForPareto).pareto.quick.scenes
-        found.append(Cost(layout.PARETO, cpu_once=CHART_EACH * len(scenes), bytes_once=3e7))
+        found.append(Cost(layout.PARETO, cpu_once=CHART_EACH * len(scenes), bytes_once=4e5 * len(scenes)))
     return [*found, Cost(layout.REPORT, REPORT_EACH, START, 4e4, 3e6)]
+
+
+def estimated(data: Path, results: Path, resolution: str, rows: list[RawRow]) -> list[Cost]:
+    """What every stage of a dataset takes, the rows given being all its presses."""
+    costs = measured(data, results, resolution, rows)
+    return [costs[0], meshes(results), *costs[1:], *told(Layout(results).params, resolution)]
 
 
 @command(
@@ -125,9 +131,7 @@ def main(args: Namespace) -> None:
         f"solving {len(pilots([depth(row) for row in rows]))} of {len(rows)} presses to see what they take",
         flush=True,
     )
-    costs = [*measured(args.data, args.results, args.resolution, rows)]
-    costs.insert(1, meshes(args.results))
-    costs += told(Layout(args.results).params, args.resolution)
+    costs = estimated(args.data, args.results, args.resolution, rows)
     shards = len(Layout(args.results).names())
     print("\n".join(table(costs, len(rows))))
     print(f"{presses_an_hour(costs, args.cores):.0f} presses an hour become labels on {args.cores} cores like these")

@@ -11,21 +11,6 @@ from gelforge.flow.ancestry import Step, concerning, pose_of, read_record, shard
 from gelforge.flow.layout import FEA, Layout
 from gelforge.flow.main import command, option
 
-PROGRAMS = ("gelforge", "numpy", "scipy", "numba", "torch")
-
-
-def versions() -> dict[str, str]:
-    """Programs as they are installed now."""
-    from importlib.metadata import PackageNotFoundError, version
-
-    found = {}
-    for name in PROGRAMS:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = "not installed"
-    return found
-
 
 def lineage(results: Path, sample_id: str, resolution: str) -> dict:
     """All that is known of a label: its sample's solve, and the steps that led to it, first one first."""
@@ -44,7 +29,6 @@ def lineage(results: Path, sample_id: str, resolution: str) -> dict:
         "shard": shard,
         "solve": solve,
         "steps": [asdict(s) for s in steps],
-        "versions": versions(),
     }
 
 
@@ -59,11 +43,14 @@ def lines(found: dict, results: Path) -> list[str]:
         )
         text += [f"    reads {path}" for path in step.inputs if not Path(path).is_relative_to(Layout(results).params)]
         text += [f"    parameters {name} {json.dumps(values)}" for name, values in step.parameters.items()]
+        text += [
+            f"    by {', '.join(f'{name} {version}' for name, version in sorted(step.programs.items()))}"
+        ] * bool(step.programs)
         if Path(step.target).is_relative_to(Layout(results).folder(FEA)) and found["solve"]:
             text += solve_lines(found["solve"], step.target)
     if not found["steps"]:
         text.append("nothing was made of it yet")
-    return [*text, "programs installed now: " + ", ".join(f"{k} {v}" for k, v in found["versions"].items())]
+    return text
 
 
 def solve_lines(solve: dict, target: str) -> list[str]:

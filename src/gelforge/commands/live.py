@@ -142,7 +142,7 @@ def main(args: Namespace) -> None:
     import cv2
     import torch
 
-    from gelforge.commands.live_readings import stopping, tell, until
+    from gelforge.commands.live_readings import ended, is_lost, stopping, tell, until
     from gelforge.networks.sensorprofile import untouched_of
     from gelforge.networks.still import find_untouched
     from gelforge.networks.use import Untouched, load_for_use
@@ -174,6 +174,8 @@ def main(args: Namespace) -> None:
         f"{count} frames in {seconds:.1f} s: {count / seconds:.1f} a second with overlay; network and check "
         f"{np.median(overlay.network_ms or [0.0]):.1f} ms a frame; {overlay.flagged} flagged as unlike the training images"
     )
+    if args.out and is_lost(args, over, count):
+        raise BadInput(ended(name, True, count))
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """What `gelforge live` reads, told to a page or written to files."""
 
+import os
 import signal
 import sys
 import threading
@@ -36,17 +37,19 @@ def ended(name: str, lost: bool, count: int) -> str:
     return f"{name}: ended after {count} frames"
 
 
+def is_lost(args: Namespace, over: threading.Event, count: int) -> bool:
+    """Whether a camera gave no more frames although nobody asked it to end; a film may end."""
+    asked = over.is_set() or (args.frames is not None and count >= args.frames)
+    return args.camera is not None and not asked
+
+
 def tell(args: Namespace, untouched, frames, capture, name: str, over: threading.Event) -> None:
     """Serve the page until `over`, or write files until the frames end or it is."""
     import cv2
 
-    def lost(count: int) -> bool:
-        asked = over.is_set() or (args.frames is not None and count >= args.frames)
-        return args.camera is not None and not asked
-
     if not args.web:
         count = write_files(readings(untouched, until(over, frames)), args.jsonl, args.csv)
-        if lost(count):
+        if is_lost(args, over, count):
             raise BadInput(ended(name, True, count))
         print(f"{count} frames read", file=sys.stderr)
         return
@@ -61,7 +64,7 @@ def tell(args: Namespace, untouched, frames, capture, name: str, over: threading
         pace = 0.0 if args.camera is not None else 1.0 / (capture.get(cv2.CAP_PROP_FPS) or 25.0)
         try:
             count = serve(until(over, readings(untouched, frames, pace)), hub, recorder)
-            said = ended(name, lost(count), count)
+            said = ended(name, is_lost(args, over, count), count)
         except BadInput as error:
             said = str(error)
         recorder.stop()
@@ -91,14 +94,22 @@ def until(over: threading.Event, items) -> Iterator:
 
 
 def write_files(found, jsonl: Path | None, table: Path | None) -> int:
-    """Write readings to the files named; BadInput where one cannot be written."""
+    """Write readings to the files named; BadInput where one cannot be written, after its last whole line."""
     try:
         with text_file(jsonl) as lines, text_file(table) as rows:
             return write_lines(found, lines, rows)
     except OSError as error:
+        for path in (jsonl, table):
+            cut_to_whole_lines(path)
         raise BadInput(
             f"{error.filename or jsonl or table}: cannot be written ({error.strerror}); free space or name another file"
         ) from error
+
+
+def cut_to_whole_lines(path: Path | None) -> None:
+    """Take away what was begun of a line, from a file; nothing else has lines that can be taken back."""
+    if path is not None and path.is_file():
+        os.truncate(path, path.read_bytes().rfind(b"\n") + 1)
 
 
 @contextmanager

@@ -130,7 +130,13 @@ def cost_lines(results: Path) -> list[str]:
 def running_lines(results: Path) -> list[str]:
     """How far the run that is going on has come; nothing where none is."""
     state = look(results)
-    return [f"running: {state}"] if state.running else []
+    # other machines' locks are seen on some file systems only, so that Slurm's records are asked too
+    return [f"running: {state}"] if state.running or works_on_slurm(results) else []
+
+
+def works_on_slurm(results: Path) -> bool:
+    """Whether a stage's work on Slurm has not come to its end."""
+    return any(not json.loads(path.read_bytes())["closed"] for path in (results / ".slurm").glob("*.json"))
 
 
 def slurm_lines(results: Path) -> list[str]:

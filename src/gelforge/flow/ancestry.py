@@ -15,7 +15,7 @@ from gelforge.flow.layout import Layout
 
 @dataclass(frozen=True)
 class Step:
-    """One target on the way to a label: its file, what it read, its cost, and the parameters it was made with."""
+    """One target on the way to a label: its file, what it read, its cost, and what it was made with."""
 
     target: str
     inputs: list[str]
@@ -24,6 +24,7 @@ class Step:
     peak_mib: float
     started: float
     parameters: dict
+    programs: dict[str, str]  # versions; empty where an older step did not record them
 
 
 def shard_of(results: Path, sample_id: str) -> str:
@@ -94,6 +95,6 @@ def steps_to(results: Path, target: str, shard: str) -> Iterator[Step]:
             yield from walk(path)
         slices = {Path(path).stem: read_record(Path(path)) for path in inputs if Path(path).is_relative_to(params)}
         costs = {key: record.get(key, 0.0) for key in ("seconds", "cpu_seconds", "peak_mib", "started")}
-        yield Step(name, inputs, **costs, parameters=slices)
+        yield Step(name, inputs, **costs, parameters=slices, programs=record.get("programs", {}))
 
     yield from walk(target)

@@ -27,17 +27,22 @@ class Progress:
         """The stage that runs now, the latest of them; nothing where none does."""
         return max((target.split("/")[0] for target in self.running), default="")
 
+    @property
+    def pace(self) -> str:
+        """Presses solved of all; where some are solved and some are left, how many a second and the time left."""
+        if not self.total:
+            return "no press is planned yet"
+        said = f"{self.solved} of {self.total} presses solved"
+        if not self.rate or self.solved == self.total:
+            return said
+        left = duration((self.total - self.solved) / self.rate)
+        return f"{said}, {self.rate:.2g} a second, {left} left for solves"
+
     def __str__(self) -> str:
-        said = [f"{self.solved} of {self.total} presses solved"]
-        if self.rate and self.solved < self.total:
-            said += [
-                f"{self.rate:.2g} a second",
-                f"{duration((self.total - self.solved) / self.rate)} left for solves",
-            ]
         if not self.running:
-            return ", ".join(said)
+            return self.pace
         more = f" and {len(self.running) - 4} more" if len(self.running) > 4 else ""
-        return f"{self.stage}: {', '.join(said)}; now: {', '.join(self.running[:4])}{more}"
+        return f"{self.stage}: {self.pace}; now: {', '.join(self.running[:4])}{more}"
 
 
 def duration(seconds: float) -> str:

@@ -21,7 +21,9 @@ from typing import IO
 
 from gelforge.flow.files import digest_of, read_json, write_json
 from gelforge.flow.layout import log_of, metrics_of
+from gelforge.flow.programs import installed
 from gelforge.flow.running import look
+from gelforge.flow.terminal import show_line, terminal
 
 PR_SET_PDEATHSIG = 1  # linux/prctl.h
 TAIL_LINES = 20
@@ -52,21 +54,16 @@ def dataset_folder(path: Path) -> Path | None:
 @contextmanager
 def live_line(log_path: Path) -> Iterator[None]:
     """While the block runs, keep one line on a person's terminal: how far the whole run has come, and what runs now."""
-    # make names the terminal it writes to here, or says `true` where it cannot tell.
-    name, results = os.environ.get("MAKE_TERMERR", ""), dataset_folder(log_path)
-    if not name.startswith("/dev/") or results is None:
+    device, results = terminal(), dataset_folder(log_path)
+    if device is None or results is None:
         yield
         return
     over = threading.Event()
 
     def show() -> None:
-        with open(name, "w") as terminal:
-            while not over.wait(LIVE_EVERY_S):
-                width = shutil.get_terminal_size().columns - 1
-                said = f"{look(results)} | {last_line(log_path)}"
-                terminal.write("\r\033[K" + "".join(c for c in said if c.isprintable())[:width])
-                terminal.flush()
-            terminal.write("\r\033[K")
+        while not over.wait(LIVE_EVERY_S):
+            show_line(device, f"{look(results)} | {last_line(log_path)}")
+        show_line(device)
 
     teller = threading.Thread(target=show, daemon=True)
     teller.start()
@@ -112,6 +109,7 @@ def run(command: list[str], log_path: Path) -> tuple[int, dict]:
         "seconds": round(time.time() - started, 3),
         "cpu_seconds": round(usage.ru_utime + usage.ru_stime, 3),
         "peak_mib": round(usage.ru_maxrss / 1024, 1),
+        "programs": installed(),
     }
     return code, cost
 
@@ -211,7 +209,7 @@ def publish_part(target: Path, part: Path, inputs: list[Path], command: list[str
     os.replace(part, target)
     show_notices(log_path)
     results = dataset_folder(target)
-    far = f"  [{look(results)}]" if results and not os.environ.get("MAKE_TERMERR", "").startswith("/dev/") else ""
+    far = f"  [{look(results)}]" if results and terminal() is None else ""
     print(f"{target}  {cost['seconds']:.1f} s, {cost['peak_mib']:.0f} MiB{far}", flush=True)
     return 0
 

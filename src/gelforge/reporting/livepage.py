@@ -182,10 +182,9 @@ class Server(ThreadingHTTPServer):
         self.hub, self.recorder, self.local = hub, recorder, host in LOCAL
         try:
             super().__init__((host, port), Handler)
-        except OSError as error:
-            raise BadInput(
-                f"port {port} of {host}: cannot be served ({error.strerror}); name another with --port"
-            ) from error
+        except (OSError, OverflowError) as error:  # the latter of a number that no port has
+            why = getattr(error, "strerror", None) or error
+            raise BadInput(f"port {port} of {host}: cannot be served ({why}); name another with --port") from error
 
     @property
     def url(self) -> str:

@@ -1,17 +1,17 @@
 """What is known of work on Slurm: a record per stage, the results seen, and how both are told to a person."""
 
 import os
-import shutil
 import sys
 import time
 from collections import Counter
-from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from gelforge.flow.files import read_csv, read_json, write_json
 from gelforge.flow.layout import Layout, log_of, metrics_of
+from gelforge.flow.running import look
 from gelforge.flow.step import TAIL_LINES
+from gelforge.flow.terminal import show_line, terminal
 
 
 @dataclass
@@ -51,6 +51,11 @@ class Record:
     def folder(self) -> Path:
         """Task lists and Slurm's own output of this work."""
         return self.path.with_name(f"{self.path.name}.d")
+
+    @property
+    def results(self) -> Path:
+        """results/DATASET, of which this is a stage's work."""
+        return self.path.parents[1]
 
     def save(self) -> None:
         """Write the record, whole or not at all."""
@@ -123,23 +128,19 @@ def counted(record: Record) -> str:
     return ", ".join(f"{states[name]} {name}" for name in ("queued", "running", "done", "failed"))
 
 
-def on_terminal(line: str) -> bool:
-    """Put a line in place of the last one on the terminal make was started from; return whether there is one."""
-    name = os.environ.get("MAKE_TERMERR")
-    if not name:
-        return False
-    # The terminal may have been closed since.
-    with suppress(OSError), open(name, "w") as terminal:
-        terminal.write(f"\r\033[K{line}")
-    return True
+def progress(record: Record, silent: bool) -> str:
+    """How far a stage's work on Slurm has come, and the whole dataset's run with it; silent: no controller answers."""
+    why = Counter(task.reason for task in record.tasks if task.state == "queued" and task.reason not in ("", "None"))
+    note = "the controller does not answer" if silent else why.most_common(1)[0][0] if why else ""
+    said = f"{record.stage} on Slurm: {counted(record)}" + (f" ({note})" if note else "")
+    return f"{said} | {look(record.results).pace}"
 
 
 def show(record: Record, said: float, silent: bool, every_s: float = 30.0) -> float:
     """Say how far the work has come: on make's terminal always, as a line now and then elsewhere."""
-    why = Counter(task.reason for task in record.tasks if task.state == "queued" and task.reason not in ("", "None"))
-    note = "the controller does not answer" if silent else why.most_common(1)[0][0] if why else ""
-    line = f"{record.stage} on Slurm: {counted(record)}" + (f" ({note})" if note else "")
-    if on_terminal(line[: shutil.get_terminal_size().columns - 1]):
+    line, device = progress(record, silent), terminal()
+    if device is not None:
+        show_line(device, line)
         return said
     if time.monotonic() - said > every_s:
         print(line, file=sys.stderr, flush=True)
@@ -159,7 +160,8 @@ def unfinished_samples(target: Path) -> list[str]:
 def report(record: Record, most: int = 5) -> int:
     """Print what failed, why, and the end of its log; return an exit code."""
     failed = [task for task in record.tasks if task.state == "failed"]
-    on_terminal("")
+    if device := terminal():
+        show_line(device)
     for task in failed[:most]:
         name, _, index = task.where.rpartition("/")
         job = next((batch.job for batch in record.batches if batch.name == name), "")
