@@ -1,5 +1,6 @@
 """What a Python program uses of gelforge: each example of five lines runs, and importing costs nothing."""
 
+import re
 import subprocess
 import sys
 import tomllib
@@ -36,6 +37,15 @@ def test_a_label_holds_the_whole_force(press):
 
 def test_deeper_is_harder(press):
     assert gelforge.solve(BALL, depth=0.8, quality="demo").total[2] < press.total[2]
+
+
+def test_what_the_readme_shows_runs(root):
+    rest = read_image(root / "data/demo/nocontact/mini_a.png")
+    given = {"picture": rest, "image": read_image(root / "data/demo/images/demo-000000.png")}
+    (shown,) = re.findall(r"```python\n(.*?)```", (root / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+    exec(shown, given)
+    assert given["cells"].shape == (3, 24, 32)
+    np.testing.assert_array_equal(given["found"].cells, given["forces"])
 
 
 def test_reading_an_image():

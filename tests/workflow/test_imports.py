@@ -6,15 +6,18 @@ import cv2
 import numpy as np
 import pytest
 from parameters import write_slice
+from synthetic_presses import SETTINGS
 
 from gelforge.commands.mcap import main as mcap_import
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, write_csv, write_json, write_text
+from gelforge.flow.params import plain
 from gelforge.formats.export import ros
 from gelforge.formats.feats_folder import SPLITS, import_folder
 from gelforge.formats.featsfile import LabelSample, write_label
 from gelforge.formats.mcap_import import Topics, import_recordings, nearest
 from gelforge.labelling.sensor import load_sensors
+from gelforge.networks.modelfile import load_model
 from gelforge.records.labelfile import read_labels
 from gelforge.stages.plan import logged_rows, write_shards
 
@@ -99,7 +102,7 @@ def test_a_recording_becomes_pictures_with_total_force(tmp_path, sensor, raw):
 
 
 def test_the_dataset_trains_on_totals(tmp_path, sensor, root):
-    """Stage 60 takes what the import wrote, at one cell; rows that name no sensor are of the dataset's."""
+    """From import to network, at one cell; rows that name no sensor are of the dataset's."""
     import subprocess
     import sys
 
@@ -130,6 +133,16 @@ def test_the_dataset_trains_on_totals(tmp_path, sensor, root):
     assert ran.returncode == 0, ran.stderr
     about = json.loads(out.read_text())
     assert about["grid"] == [1, 1] and about["samples"] == 4 * 23 and {"train", "val", "test"} == set(about["splits"])
+    write_json(tmp_path / "models.json", {"small": {"kind": "resnet", "blocks": [1, 1], "widths": [8, 16]}})
+    write_slice(tmp_path, "train", train={**plain(SETTINGS), "epochs": 1, "shift_cells": 0})
+    command = {"dataset": out.parent, "model": "small", "models": tmp_path / "models.json", "params": tmp_path / "train.json",
+               "out": tmp_path / "small.pt.part"}  # fmt: skip
+    words = [word for name, value in command.items() for word in (f"--{name}", str(value))]
+    ran = subprocess.run(
+        [sys.executable, "-m", "gelforge.stages.train", *words], capture_output=True, text=True, check=False
+    )
+    assert ran.returncode == 0, ran.stderr
+    assert load_model(tmp_path / "small.pt.part").about["grid"] == [1, 1]
 
 
 @pytest.mark.parametrize(

@@ -225,3 +225,14 @@ def test_a_server_outside_this_machine_must_be_asked_for(tmp_path):
     server = Server("127.0.0.1", 0, Hub(), Recorder(tmp_path))
     server.server_close()
     assert server.local and server.url.startswith("http://127.0.0.1:")
+
+
+def test_a_server_for_the_network_answers_by_its_name_there(tmp_path):
+    server = Server("0.0.0.0", 0, Hub(), Recorder(tmp_path))
+    server.start()
+    try:
+        assert not server.local
+        assert "gelforge live" in get(f"http://127.0.0.1:{server.server_address[1]}/", Host="bench.lab")
+    finally:
+        server.shutdown()
+        server.server_close()

@@ -234,3 +234,17 @@ def test_an_environment_that_moved_with_its_clone_is_named(labelled):
     finally:
         shutil.rmtree(venv)
         venv.symlink_to(linked)
+
+
+def test_why_names_the_parameter_that_changed_and_what_follows(labelled):
+    assert make(labelled, "labels", "DATASET=tiny").returncode == 0
+    assert "up to date" in make(labelled, "why", "TARGET=labels", "DATASET=tiny").stdout
+    table = labelled / "data/tiny/dataset.toml"
+    text = table.read_text()
+    table.write_text(text.replace("tolerance = 0.2", "tolerance = 0.25"))
+    try:
+        said = make(labelled, "why", "TARGET=labels", "DATASET=tiny").stdout
+        assert "30_fea/0000.csv" in said and "parameters of fea changed" in said, said
+    finally:
+        table.write_text(text)
+    assert make(labelled, "labels", "DATASET=tiny").returncode == 0

@@ -26,7 +26,7 @@ def main(args: Namespace) -> None:
     found = import_recordings(Path(args.source), args.data, topics, sensor)
     print(
         f"{args.data}: {found['pictures']} pictures with force from {found['files']} recordings, {found['without_wrench']}"
-        " without; train on them with RES=1x1"
+        f" without; make train DATASET={args.data.name} RES=1x1 MODEL=resnet10 learns from them"
     )
 
 

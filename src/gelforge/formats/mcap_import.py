@@ -12,7 +12,7 @@ A small TOML names the topics:
     sign = 1                              # -1 where the sensor states the force that the gel exerts
 
 Every picture with a wrench becomes a row of log.csv without a pose, and a label of one cell, the total force: networks
-of totals train on it with RES=1x1.
+of totals train on it: `make train RES=1x1 MODEL=resnet10`.
 """
 
 from bisect import bisect_left
@@ -45,7 +45,7 @@ DEFAULTS = {
 # What a force sensor reads belongs to no material; a label file states one that labels of a mesh would scale with.
 NO_MATERIAL_MPA = 0.08
 ENCODINGS = {"rgb8": 3, "bgr8": 3}
-DATASET_TOML = """# Imported from recordings in MCAP: pictures with total force, no indenter known. RES=1x1.
+DATASET_TOML = """# Imported from recordings in MCAP: pictures with total force, no indenter known: make train RES=1x1 MODEL=resnet10
 sensor = "{sensor}"
 gel = "{gel}"
 catalogue = "indenters.toml"
