@@ -259,3 +259,38 @@ def test_moments_follow_the_path_in_order(steps, aside):
     times = [moment_of(scene, scenes[-1]) for scene in scenes]
     assert times == sorted(times) and times[-1] == end_of(scenes[-1])
     assert all(0.0 < t <= 2.0 for t in times)
+
+
+@pytest.mark.parametrize(
+    ("aside", "down", "last", "expected"),
+    [
+        ((0.0008, 0.0), 0.4, (0.3, 0.0), 0.4),  # a frame that gave way while the press went down
+        ((0.0008, 0.0), 0.4, (0.0, 0.0), 0.4),  # of a press that goes down alone
+        ((0.015, -0.01), 0.6, (0.3, 0.0), 0.6),
+        ((0.15, 0.0), 0.99, (0.3, 0.0), 1.5),  # and one that gave way while it went sideways
+        ((0.0, 0.0), 1.0, (0.3, 0.0), 1.0),
+        ((0.3, 0.0), 1.0, (0.3, 0.0), 2.0),
+    ],
+)
+def test_a_moment_is_the_nearest_point_of_its_path(aside, down, last, expected):
+    scene, end = (
+        Scene(Gel(), Material(), BALL, Press(0, 0, 0, *way, -deep)) for way, deep in ((aside, down), (last, 1.0))
+    )
+    assert moment_of(scene, end) == pytest.approx(expected, abs=1e-9)
+
+
+def test_a_frame_that_gave_way_aside_has_the_force_of_its_own_depth():
+    """Half a micrometre aside at 0.4 mm is no press at full depth."""
+    straight = framed(BALL, (0.4, 1.0), (1.0,))
+    bent = [replace(straight[0], press=replace(straight[0].press, dx=5e-4)), *straight[1:]]
+    solver = HexSolver(FRAMED)
+    one, other = (solver.solve_frames(scenes)[0].total for scenes in (straight, bent))
+    np.testing.assert_allclose(one[2], other[2], rtol=5e-3)
+
+
+def test_moments_that_rounding_tells_apart_are_solved():
+    scenes = [
+        Scene(Gel(), Material(), BALL, Press(0, 0, z0, 0, 0, dz))
+        for z0, dz in ((0.1, -0.5), (0.105, -0.505), (0.1, -0.9))
+    ]
+    assert all(result.status is Status.OK for result in HexSolver(FRAMED).solve_frames(scenes))

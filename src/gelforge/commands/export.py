@@ -63,7 +63,7 @@ def export(samples: Samples, form: str, path: Path) -> None:
             writer.write(part, samples)
         except ModuleNotFoundError as error:
             raise BadInput(
-                f"format {form} needs the package {error.name}: pip install 'gelforge[exports]'"
+                f"format {form} needs the package {error.name}: pip install '.[exports]' in a clone of gelforge"
             ) from error
         # Not every library says that the disk was full.
         if written(part) < least:

@@ -180,17 +180,23 @@ def _write_grid(path, members, presses) -> None:
 def export_dataset(dataset: Path, out: Path) -> dict:
     """Write a dataset of stage 60 as FEATS' label folders: out/SPLIT/ID.npy; return the training ranges.
 
-    Normalisation covers the training split, as FEATS' normalize.py does.
+    Normalisation covers the training split, as FEATS' normalize.py does. Label files of an earlier export that are not
+    of this one go: a sample that changed its split would be learnt from and tested on.
     """
     samples = read_samples(dataset / "samples.csv")
     images = np.load(dataset / "images.npy", mmap_mode="r", allow_pickle=False)
     labels = np.load(dataset / "labels.npy", mmap_mode="r", allow_pickle=False)
-    ranges = Ranges()
+    ranges, written = Ranges(), set()
     for at, each in progress(list(enumerate(samples)), "export"):
         sample = LabelSample(np.asarray(images[at]), np.asarray(labels[at], np.float64))
         if each.split == "train":
             ranges.add(sample)
-        write_label(out / check_id(each.split) / f"{each.press.sample_id}.npy", sample)
+        path = out / check_id(each.split) / f"{each.press.sample_id}.npy"
+        write_label(path, sample)
+        written.add(path)
+    for split in {*SPLITS, *(each.split for each in samples)}:
+        for path in set((out / split).glob("*.npy")) - written:
+            path.unlink()
     if not ranges.found:
         raise BadInput(f"{dataset}: has no training samples, so there is nothing to normalise by; add presses")
     return ranges.found

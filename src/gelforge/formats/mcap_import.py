@@ -78,11 +78,16 @@ class Topics:
         found = {**DEFAULTS, **table}
         try:
             rotation = np.array(found["rotation"], float)
-            turned = rotation.shape == (3, 3) and np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3)
+            square = rotation.shape == (3, 3) and np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3)
+            turned = square and np.linalg.det(rotation) > 0  # a mirror would turn the sign of one direction round
         except (TypeError, ValueError):
             turned = False
         if not turned:
-            raise BadInput(f"{path}: rotation = {found['rotation']!r}; give three rows of three, a rotation")
+            raise BadInput(
+                f"{path}: rotation = {found['rotation']!r}; give three rows of three, a rotation (no mirror)"
+            )
+        if type(found["touch_n"]) not in (int, float) or not found["touch_n"] >= 0:
+            raise BadInput(f"{path}: touch_n = {found['touch_n']!r}; give a force in N, 0 or above")
         whole = type(found["every"]) is int and found["every"] >= 1 and found["sign"] in (1, -1)
         if not whole or not isinstance(found["latest_s"], (int, float)) or not found["latest_s"] > 0:
             raise BadInput(f"{path}: every is a whole number from 1, sign is 1 or -1, latest_s is above 0")
@@ -91,7 +96,10 @@ class Topics:
 
 
 def wrenches(path: Path, topics: Topics) -> tuple[np.ndarray, np.ndarray]:
-    """Times (n,) ns and forces with moments (n, 6) in the gel frame, N and N m, in the order of time."""
+    """Times (n,) ns and forces with moments (n, 6) in the gel frame, N and N m, in the order of time.
+
+    Readings that are no numbers are left out, as if the sensor had said nothing.
+    """
     times, values = [], []
     for time, said in messages(path, topics.wrench):
         wrench: Any = getattr(said, "wrench", said)  # of the message's own class, known only to the file
@@ -101,8 +109,9 @@ def wrenches(path: Path, topics: Topics) -> tuple[np.ndarray, np.ndarray]:
             raise BadInput(
                 f"{path}: topic {topics.wrench} holds no wrench ({error}); name one of geometry_msgs/Wrench"
             ) from error
-        times.append(time)
-        values.append(topics.sign * (topics.rotation @ np.array(parts).T).T.ravel())
+        if np.isfinite(parts).all():
+            times.append(time)
+            values.append(topics.sign * (topics.rotation @ np.array(parts).T).T.ravel())
     order = np.argsort(times, kind="stable")
     return np.array(times, np.int64)[order], np.array(values, float).reshape(-1, 6)[order]
 
@@ -115,7 +124,7 @@ def messages(path: Path, topic: str) -> Iterator[tuple[int, object]]:
         from mcap_ros2.decoder import DecoderFactory
     except ModuleNotFoundError as error:
         raise BadInput(
-            f"recordings in MCAP need the package {error.name}: pip install 'gelforge[exports]'"
+            f"recordings in MCAP need the package {error.name}: pip install '.[exports]' in a clone of gelforge"
         ) from error
     with path.open("rb") as stream:
         try:

@@ -142,14 +142,23 @@ def _ellipse(t: _Table, **common) -> Body:
     if t.has("hole"):
         hole = t.pair("hole")
         profile = Annulus(outer, Ellipse(hole[0] / 2.0, hole[1] / 2.0))
-    return Extrusion(profile=profile, fillet=t.number("fillet"), height=t.number("height"), **common)
+    return _rounded(profile, t, **common)
 
 
 def _cylinder(t: _Table, **common) -> Body:
     radius, hole = t.number("diameter") / 2.0, t.number("hole", 0.0, low=-1e-9) / 2.0
     outer = Ellipse(radius, radius)
-    profile = Annulus(outer, Ellipse(hole, hole)) if hole > 0.0 else outer
-    return Extrusion(profile=profile, fillet=t.number("fillet"), height=t.number("height"), **common)
+    return _rounded(Annulus(outer, Ellipse(hole, hole)) if hole > 0.0 else outer, t, **common)
+
+
+def _rounded(profile: Ellipse | Annulus, t: _Table, **common) -> Body:
+    """The figure drawn along z; a fillet that leaves nothing flat of it would put the tip above z = 0."""
+    fillet = t.number("fillet")
+    if fillet > profile.widest_fillet + 1e-9:
+        raise BadInput(
+            f"indenter {common['name']}: fillet {fillet:g} mm is too large for its outline; give at most {profile.widest_fillet:g}"
+        )
+    return Extrusion(profile=profile, fillet=fillet, height=t.number("height"), **common)
 
 
 def _lying_cylinder(t: _Table, **common) -> Body:

@@ -134,6 +134,11 @@ class Ellipse:
     def __init__(self, a: float, b: float):
         self.a, self.b = float(a), float(b)
 
+    @property
+    def widest_fillet(self) -> float:
+        """Largest radius (mm) that rounds a drawn figure's lower edge: the least radius of curvature."""
+        return min(self.a, self.b) ** 2 / max(self.a, self.b)
+
     def distance(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Signed distance (n,) and outward unit gradient (n, 2) at points (n, 2).
 
@@ -192,6 +197,12 @@ class Annulus:
         if inner.a >= outer.a or inner.b >= outer.b:
             raise BadInput(f"a hole {2 * inner.a} x {2 * inner.b} mm does not fit {2 * outer.a} x {2 * outer.b} mm")
         self.outer, self.inner = outer, inner
+
+    @property
+    def widest_fillet(self) -> float:
+        """Largest radius (mm) that rounds a drawn figure's lower edge: half of the least wall, or what the outside bears."""
+        wall = min(self.outer.a - self.inner.a, self.outer.b - self.inner.b)
+        return min(wall / 2.0, self.outer.widest_fillet)
 
     def distance(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Signed distance (n,) and outward unit gradient (n, 2) at points (n, 2)."""

@@ -40,11 +40,13 @@ def read_image(path: str | Path, size: tuple[int, int] | None = None, remedy: st
     return image
 
 
-def read_logged_image(folder: Path, name: str, size: tuple[int, int]) -> np.ndarray:
+def read_logged_image(
+    folder: Path, name: str, size: tuple[int, int], remedy: str = "restore it, or empty the log's column `image`"
+) -> np.ndarray:
     """A picture that a log names below its dataset's folder; a path that leads out of it raises BadInput."""
     if not stays_inside(folder, name):
         raise BadInput(f"{folder}/log.csv: image {name!r} leads out of the dataset's folder; give a path inside it")
-    return read_image(folder / name, size, "restore it, or empty the log's column `image`")
+    return read_image(folder / name, size, remedy)
 
 
 def stays_inside(folder: Path, name: str) -> bool:

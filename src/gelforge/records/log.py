@@ -206,7 +206,7 @@ def without_duplicates(presses: list[P], file: str) -> tuple[list[P], list[Rejec
     good, wrong = [], []
     for press in presses:
         if press.sample_id in first:
-            remedy = f"row {first[press.sample_id]} has it and was kept; give every press its own"
+            remedy = f"row {first[press.sample_id]} has it and counts; give every press its own, or remove that row"
             wrong.append(reject(press, file, "sample_id", "an earlier row has the same sample_id", remedy))
             continue
         first[press.sample_id] = press.row

@@ -179,9 +179,14 @@ def parse_number(text: str) -> float | None:
     return value if math.isfinite(value) else None
 
 
+def names_files(name: str) -> bool:
+    """Whether a name may be that of a file or folder of ours (ID_RULE)."""
+    return _ID.fullmatch(name) is not None
+
+
 def check_id(sample_id: str) -> str:
     """A sample_id that may name files, as it is; any other raises BadInput."""
-    if not _ID.fullmatch(sample_id):
+    if not names_files(sample_id):
         raise BadInput(f"sample_id {sample_id[:100]!r} is not usable as a file name; use {ID_RULE}")
     return sample_id
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import digest_of, publish, read_csv, read_json, write_csv, write_json
+from gelforge.flow.files import digest_of, publish, read_csv, read_json, write_csv, write_json, write_text
 from gelforge.flow.layout import planned_shards
 from gelforge.flow.main import command, option
 from gelforge.flow.params.slices import ForDataset, read_slice
@@ -25,9 +25,10 @@ from gelforge.records.axes import CHANNEL_OF_AXIS
 from gelforge.records.image import read_logged_image
 from gelforge.records.labelfile import FIELDS, open_labels, read_labels
 from gelforge.records.log import read_poses, read_shard, without_duplicates
-from gelforge.records.press import FORCE, PressRecord, check_id, parse
+from gelforge.records.press import FORCE, ID_RULE, PressRecord, names_files, parse
 from gelforge.records.samplefile import DatasetSample, write_samples
 from gelforge.records.status import Status
+from gelforge.records.table import read_table
 
 VERSION = 2
 
@@ -102,7 +103,7 @@ def write_nocontact(path, data: Path, names: list[str], size: tuple[int, int]) -
     Returns the k of `names` that have one; a network that reads differences needs them, no other does.
     """
     there = [name for name in names if (data / "nocontact" / f"{name}.png").exists()]
-    pictures = [read_logged_image(data, f"nocontact/{name}.png", size) for name in there]
+    pictures = [read_logged_image(data, f"nocontact/{name}.png", size, "restore it, or remove it") for name in there]
     with publish(path) as part, part.open("wb") as stream:
         np.save(stream, np.array(pictures, np.uint8).reshape(len(there), size[1], size[0], 3))
     return there
@@ -122,16 +123,21 @@ def _share_images(folder: Path, data: Path, presses: list[PressRecord], size) ->
     digest = hashlib.sha256(str(size).encode())
     for press in presses:
         path = data / press.image
-        stamp = path.stat().st_mtime_ns if path.exists() else 0
+        state = path.stat() if path.exists() else None
+        stamp = f"{state.st_mtime_ns} {state.st_size}" if state else "absent"
         digest.update(f"{press.sample_id} {press.image} {stamp}\n".encode())
     shared = folder.parent / f"images-{digest.hexdigest()[:16]}.npy"
-    if not shared.exists():
+    noted = shared.with_suffix(".sha256")
+    # a copy that was damaged since must not come back by its link
+    if not (shared.exists() and noted.exists() and noted.read_text(encoding="utf-8") == digest_of(shared)):
         write_image_array(shared, data, presses, size)
+        write_text(noted, digest_of(shared))
     with publish(folder / "images.npy") as part:
         os.link(shared, part)
     for other in folder.parent.glob("images-*.npy"):
         if other.stat().st_nlink == 1:
             other.unlink(missing_ok=True)
+            other.with_suffix(".sha256").unlink(missing_ok=True)
 
 
 def write_label_array(path, shards, places, grid: Grid, name: str = "label") -> None:
@@ -225,14 +231,17 @@ def published_splits(data: Path, presses: list, splits: np.ndarray) -> np.ndarra
     path = data / "splits.csv"
     if not path.exists():
         return splits
-    rows = read_csv(path)
+    rows = read_table(path, "write it anew, or remove it to split anew")
     if rows and {"sample_id", "split"} - rows[0].keys():
         raise BadInput(f"{path}: its columns are {', '.join(rows[0])}; give sample_id and split")
+    for at, row in enumerate(rows, 2):
+        if not names_files(row["split"]):
+            raise BadInput(f"{path}: row {at}: split {row['split'][:100]!r} is no name; give {ID_RULE}")
     known = {row["sample_id"]: row["split"] for row in rows}
     missing = [press.sample_id for press in presses if press.sample_id not in known]
     if missing:
         raise BadInput(f"{path}: has no split of sample {missing[0]}; add it, or remove the file to split anew")
-    return np.array([check_id(known[press.sample_id]) for press in presses])
+    return np.array([known[press.sample_id] for press in presses])
 
 
 def build(args) -> dict:

@@ -30,7 +30,7 @@ from gelforge.records.press import POSE, PosedPress
 from gelforge.records.solvetable import Solved, damaged, write_solves
 from gelforge.records.status import Status
 
-VERSION = 9
+VERSION = 10
 
 
 def scene_of(press: PosedPress, bodies: dict, sensors: dict, params: ForFea) -> Scene:

@@ -108,9 +108,10 @@ def run(plan_path, data="data", workflow="workflow", jobs: int = 1) -> Path:
     plan = check(plan_path, workflow)
     folder = Path(data) / plan.dataset
     dataset = Dataset(folder, plan)
-    dataset.check_same_plan()
-    dataset.begin()
     looks, sensors = units_of(plan, workflow)
+    contents = contents_of(plan, workflow)
+    dataset.check_same_plan(*contents)
+    dataset.begin(*contents)
     if plan.units is not None:
         write_sensors(folder / "sensors.toml", {name: sensors[name] for name in plan.units.names})
     _no_contact_images(plan, looks, sensors, folder)
@@ -163,6 +164,16 @@ def units_of(plan: Plan, workflow: Path) -> tuple[dict[str, Look], dict[str, Sen
         return looks, sensors
     drawn_looks, drawn_sensors = draw_units(plan.units, workflow / "rig", plan.seed)
     return looks | drawn_looks, sensors | drawn_sensors
+
+
+def contents_of(plan: Plan, workflow: Path) -> tuple[dict[str, str], dict[str, str]]:
+    """Digests of what a plan's names stand for: each indenter's table and STL file, each sensor's look and projection."""
+    catalogue = workflow / plan.catalogue
+    every = read_catalogue(catalogue)
+    tables, _ = with_content({name: every[name] for name in plan.indenters}, catalogue.parent)
+    looks, sensors = units_of(plan, workflow)
+    drawn = {name: [plain(looks[name]), plain(sensors[name])] for name in plan.sensors}
+    return tuple({name: short_digest(canonical(what)) for name, what in of.items()} for of in (tables, drawn))
 
 
 def _pool(jobs: int, plan, workflow, folder):

@@ -11,7 +11,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.forecast import Cost, pilots, table
 from gelforge.flow.main import command, option
 from gelforge.flow.running import duration
-from gelforge.stages.rig import Worker, by_press, check
+from gelforge.stages.rig import Worker, by_press, check, contents_of
 from gelforge.sweeps.methods import warm_up
 from gelforge.virtualrig.rigplan import Order, orders
 from gelforge.virtualrig.writer import Dataset
@@ -52,9 +52,15 @@ def main(given: Namespace) -> None:
     if given.cores < 1:
         raise BadInput(f"--cores {given.cores}: give at least 1")
     plan = check(given.plan, workflow)
-    left = [of_press for of_press, _ in by_press(Dataset(Path(given.data) / plan.dataset, plan), orders(plan))]
+    dataset = Dataset(Path(given.data) / plan.dataset, plan)
+    dataset.check_same_plan(*contents_of(plan, workflow))
+    todo = by_press(dataset, orders(plan))
+    left = [of_press for of_press, solved in todo if not solved]
+    drawn = sum(len(of_press) for of_press, solved in todo if solved)
+    if drawn:
+        print(f"{drawn} pictures of presses that are solved are drawn again, some 50 a second")
     if not left:
-        print(f"{given.data}/{plan.dataset}: every press of the plan is there")
+        print(f"{dataset.folder}: every press of the plan is there")
         return
     chosen = [left[k] for k in pilots([of_press[0].depth for of_press in left])]
     print(f"pressing {len(chosen)} of {len(left)} presses to see what they take", flush=True)

@@ -95,6 +95,8 @@ class Bench:
         """
         truth, rng = self.plan.truth, generator(self.plan, order.index, 1)
         play = rng.uniform(-1.0, 1.0, size=6) * truth.cnc_um * 1e-3
+        if order.shear == (0.0, 0.0):
+            play[3:5] = 0.0  # axes that do not travel make no error of travel
         height = truth.touch_offset_mm + rng.normal(scale=truth.touch_scatter_mm)
         read_noise = rng.normal(scale=truth.force_noise_n, size=3)
         moment_noise = rng.normal(scale=truth.moment_noise_nm, size=3)
@@ -147,7 +149,8 @@ class Bench:
         """
         low, high = 0.0, order.depth
         compliance = self.plan.truth.compliance_mm_per_n
-        if order.depth + compliance * self.estimate(order, height, order.depth) <= order.depth:
+        force = self.estimate(order, height, order.depth)
+        if compliance * force <= 0.0 and force <= order.max_force_n:
             return order.depth
         for _ in range(24):
             middle = 0.5 * (low + high)

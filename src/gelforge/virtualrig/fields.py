@@ -1,6 +1,5 @@
 """The gel's deformed surface as smooth fields, and the indenter's underside as a height map."""
 
-import zipfile
 from dataclasses import astuple, dataclass
 
 import numpy as np
@@ -12,6 +11,7 @@ from gelforge.geometry.gel import Gel
 from gelforge.mechanics.hex.hexmesh import surface_lines
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.scene import Indenter, Press
+from gelforge.records.npz import DAMAGED
 
 STEP = 0.1  # mm between the samples of a field
 FAR = 4.0  # mm; no part of the body higher than this above its tip can touch the gel
@@ -55,7 +55,7 @@ class Surface:
         try:
             with np.load(path, allow_pickle=False) as file:
                 return cls(file["xs"], file["ys"], file["moved"], Press(*(float(v) for v in file["press"])))
-        except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        except DAMAGED as error:
             raise BadInput(
                 f"{path}: no surface of a press ({error!r}); remove it, and the press is repeated"
             ) from error

@@ -39,8 +39,12 @@ class Dataset:
     def _rows(self, path) -> dict[str, dict]:
         return {row["sample_id"]: row for row in read_csv(path)} if path.exists() else {}
 
-    def check_same_plan(self) -> None:
-        """Refuse to mix two plans in one folder; more presses of the same plan are welcome."""
+    def check_same_plan(self, shapes: dict[str, str], looks: dict[str, str]) -> None:
+        """Refuse to mix two plans in one folder; more presses of the same plan are welcome.
+
+        shapes, looks: digest of what each name of an indenter, of a sensor, stands for today. A name that stood for
+        something else when presses were made, or pictures taken that are still there, is another plan.
+        """
         if not self.plan_path.exists():
             if self.log_path.exists():
                 raise BadInput(
@@ -52,10 +56,26 @@ class Dataset:
                 f"{self.folder}: was written by another plan (only `presses` may change); "
                 "name another `dataset` in the plan or remove the folder"
             )
+        before = read_json(self.plan_path)
+        changed = differing(before.get("shapes", {}), shapes) if self.log else []
+        if changed:
+            raise BadInput(
+                f"{self.folder}: indenter {changed[0]} had another shape when presses were made with it; "
+                "give the new shape a name of its own, or remove the folder"
+            )
+        changed = differing(before.get("looks", {}), looks) if self._has_pictures() else []
+        if changed:
+            raise BadInput(
+                f"{self.folder}: sensor {changed[0]} looked otherwise when pictures were taken with it; "
+                "remove images/ and nocontact/ there to have all drawn anew"
+            )
 
-    def begin(self) -> None:
-        """Write what does not depend on the presses."""
-        truth = {"truth": asdict(self.plan.truth), "plan": self.plan.identity()}
+    def _has_pictures(self) -> bool:
+        return any(any((self.folder / name).glob("*.png")) for name in ("images", "nocontact"))
+
+    def begin(self, shapes: dict[str, str], looks: dict[str, str]) -> None:
+        """Write what does not depend on the presses; shapes and looks as of `check_same_plan`."""
+        truth = {"truth": asdict(self.plan.truth), "plan": self.plan.identity(), "shapes": shapes, "looks": looks}
         write_json(self.plan_path, truth)
         description = self.folder / "dataset.toml"
         if not description.exists():
@@ -92,8 +112,14 @@ class Dataset:
     def publish(self) -> None:
         """Write what was taken in: the truth first, then the rows that make it count."""
         write_csv(self.truth_path, TRUTH_COLUMNS, _ordered(self.truth))
-        write_log(self.log_path, _ordered(self.log), DECIMALS)
+        if self.log:  # a log of no rows is one that nobody can read again
+            write_log(self.log_path, _ordered(self.log), DECIMALS)
         self._published = time.monotonic()
+
+
+def differing(before: dict[str, str], now: dict[str, str]) -> list[str]:
+    """Names that stood for something else before; those that are new or gone do not count."""
+    return sorted(name for name, digest in before.items() if now.get(name, digest) != digest)
 
 
 def _ordered(rows: dict) -> list:

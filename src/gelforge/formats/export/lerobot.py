@@ -243,7 +243,7 @@ def write_tasks(folder: Path) -> None:
 
 
 def stats(samples: Samples) -> dict:
-    """meta/stats.json: ranges of the numbers, as LeRobot normalises by."""
+    """meta/stats.json: ranges of the numbers, as LeRobot normalises by; none of a feature that the dataset does not know."""
     forces = samples.labels
     shape = forces.shape[1:]
     sums, squares, low, high = np.zeros(shape), np.zeros(shape), np.full(shape, np.inf), np.full(shape, -np.inf)
@@ -258,11 +258,14 @@ def stats(samples: Samples) -> dict:
     state = np.array([pose(each) for each in samples.records])
     wrench = np.array([each.total for each in samples.records])
     count = {"count": [len(forces)]}
-    return {FORCES: cells | count, STATE: ranges(state) | count, WRENCH: ranges(wrench) | count}
+    numbers = {
+        name: values for name, values in ((STATE, state), (WRENCH, wrench)) if np.isfinite(values).any(0).all()
+    }
+    return {FORCES: cells | count} | {name: ranges(values) | count for name, values in numbers.items()}
 
 
 def ranges(values: np.ndarray) -> dict:
-    """Smallest, largest, mean and deviation of each column."""
+    """Smallest, largest, mean and deviation of each column, each with a number somewhere."""
     found: dict[str, Any] = {"min": np.nanmin, "max": np.nanmax, "mean": np.nanmean, "std": np.nanstd}
     return {name: of(values, axis=0).tolist() for name, of in found.items()}
 

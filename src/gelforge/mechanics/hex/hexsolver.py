@@ -217,11 +217,20 @@ class Walked:
 
 
 def moment_of(scene: Scene, last: Scene) -> float:
-    """Path parameter at which the press of scene `last` ends where `scene` does; its start may have been logged apart."""
-    sideways, whole = (float(np.hypot(s.press.dx, s.press.dy)) for s in (scene, last))
-    if sideways > 0.0:
-        return 1.0 + min(1.0, sideways / whole)
-    return float(np.clip((scene.press.z0 + scene.press.dz - last.press.z0) / last.press.dz, 1e-9, 1.0))
+    """Path parameter of the point of scene `last`'s path, down and then sideways, that is nearest to where `scene` ends.
+
+    Its start may have been logged apart, and a frame that gives way moves a little aside while a press goes down, and a
+    little down while it goes aside.
+    """
+    end, way = (np.array([s.press.dx, s.press.dy]) for s in (scene, last))
+    fallen = scene.press.z0 + scene.press.dz - last.press.z0
+    down = float(np.clip(fallen / last.press.dz, 1e-9, 1.0))
+    if not way.any():
+        return down
+    aside = float(np.clip(end @ way / (way @ way), 0.0, 1.0))
+    off_down = np.hypot(np.linalg.norm(end), fallen - down * last.press.dz)
+    off_aside = np.hypot(np.linalg.norm(end - aside * way), fallen - last.press.dz)
+    return 1.0 + aside if aside > 0.0 and off_aside < off_down else down
 
 
 def _until(curve: list[list[float]], t: float) -> list[list[float]]:
