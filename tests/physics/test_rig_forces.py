@@ -94,3 +94,19 @@ def test_a_flat_body_with_friction_settles_at_every_moment(plan, root, turn_deg)
     assert all(result.status.valid for result in results)
     assert all(result.evidence["base_mismatch"] < 1e-6 for result in results)
     assert all(np.diff([-result.total[2] for result in results[:3]]) > 0)
+
+
+def test_a_bench_that_does_not_give_way_keeps_its_load_limit(plan, root, tmp_path):
+    bench = Bench(plan, load_catalogue(root / "workflow" / "indenters.toml", ["sphere_15"]), Gel(), tmp_path)
+    order = replace(orders(plan)[0], indenter="sphere_15", x=0.0, y=0.0, depth=2.0, max_force_n=5.0)
+    reached = bench._reached(order, 0.0)
+    assert bench.estimate(order, 0.0, reached) <= 5.0 < bench.estimate(order, 0.0, 1.1 * reached)
+
+
+def test_the_moments_of_a_straight_press_are_all_of_its_way_down(plan, root, tmp_path):
+    """The axes' play is an error of travel: what was not ordered to travel sideways has none."""
+    played = replace(plan, frames=5, truth=replace(plan.truth, cnc_um=0.25))
+    bench = Bench(played, load_catalogue(root / "workflow" / "indenters.toml", ["sphere_15"]), Gel(), tmp_path)
+    order = replace(orders(plan)[0], indenter="sphere_15", x=0.0, y=0.0, depth=0.3, shear=(0.0, 0.0))
+    ends = [pressing.real.dz for pressing in bench.press(order)]
+    assert len(ends) == 5 and (np.diff(ends) < -0.05).all()

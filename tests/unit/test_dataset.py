@@ -14,7 +14,7 @@ from press_records import press_record
 from pressed_dataset import SETTINGS, collect, label, write_pressed
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import read_csv, read_json
+from gelforge.flow.files import read_csv, read_json, write_text
 from gelforge.networks.canonical import match_light
 from gelforge.networks.data import open_data
 from gelforge.networks.split import group_presses, split_presses
@@ -152,6 +152,34 @@ def test_resolutions_share_split_and_images(made):
     assert [r["split"] for r in read_csv(fine / "samples.csv")] == [r["split"] for r in read_csv(fine / "split.csv")]
 
 
+@pytest.mark.parametrize("harm", ["flipped", "cut"])
+def test_a_picture_array_that_was_damaged_in_place_is_drawn_again(tmp_path, root, monkeypatch, harm):
+    """images.npy is a link to what resolutions share: making it again must not link the damage."""
+    monkeypatch.chdir(root)
+    made = write_pressed(tmp_path, count=4)
+    label(made, "4x4")
+    path = collect(made, "4x4") / "images.npy"
+    whole = path.read_bytes()
+    with path.open("r+b") as stream:
+        stream.truncate(len(whole) // 2) if harm == "cut" else stream.seek(len(whole) // 2)
+        stream.write(bytes([whole[len(whole) // 2] ^ 255])) if harm == "flipped" else None
+    assert path.read_bytes() != whole
+    path.unlink()  # as the wrapper does with what it finds damaged
+    assert (collect(made, "4x4") / "images.npy").read_bytes() == whole
+
+
+def test_a_picture_that_was_replaced_with_its_old_time_is_seen(tmp_path, root, monkeypatch):
+    monkeypatch.chdir(root)
+    made = write_pressed(tmp_path, count=4)
+    label(made, "4x4")
+    collect(made, "4x4")
+    picture = made["data"] / "images/s001.png"
+    stamp = picture.stat().st_mtime_ns
+    cv2.imwrite(str(picture), np.zeros((240, 320, 3), np.uint8))
+    os.utime(picture, ns=(stamp, stamp))
+    assert not open_data(collect(made, "4x4")).images[1].any()
+
+
 def test_normalisation_covers_the_training_split(made):
     folder = made["results"] / "60_dataset/24x32"
     data, ranges = open_data(folder), read_json(folder / "normalisation.json")
@@ -207,6 +235,21 @@ BROKEN = {
         lambda m: (m["results"] / "50_labels/4x4/0000.npz").write_bytes(b"x"),
         {},
         ["0000.npz", "make labels"],
+    ),
+    "an untouched sensor that is no picture": (
+        lambda m: write_text(m["data"] / "nocontact/mini_a.png", "no picture"),
+        {},
+        ["nocontact/mini_a.png", "remove it"],
+    ),
+    "a split of half a row": (
+        lambda m: write_text(m["data"] / "splits.csv", "sample_id,split\ns000,train\ns003\n"),
+        {},
+        ["splits.csv", "row 3", "number of cells"],
+    ),
+    "a split without a name": (
+        lambda m: write_text(m["data"] / "splits.csv", "sample_id,split\ns000,\n"),
+        {},
+        ["splits.csv", "row 2", "is no name"],
     ),
     "shares above one": (lambda m: None, {"validation": 0.7, "test": 0.4}, ["validation", "0.7"]),
     "falling edges": (lambda m: None, {"force_edges": [3.0, 1.0]}, ["force_edges", "rising"]),

@@ -13,7 +13,7 @@ from hypothesis.extra.numpy import arrays
 from pressed_dataset import collect, label, write_pressed
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import read_csv
+from gelforge.flow.files import read_csv, write_csv
 from gelforge.formats.feats_folder import export_dataset, import_folder
 from gelforge.formats.featsfile import (
     LabelSample,
@@ -26,6 +26,7 @@ from gelforge.formats.featsfile import (
 from gelforge.labelling.sensor import load_sensors
 from gelforge.networks.data import open_data
 from gelforge.records.labelfile import read_labels
+from gelforge.records.samplefile import read_samples
 
 IMAGE = np.random.default_rng(0).integers(0, 255, (240, 320, 3), np.uint8)
 RAW = {
@@ -220,6 +221,22 @@ def test_our_labels_go_out_and_come_back(tmp_path, sensor):
     made["data"] = tmp_path / "again/data/back"
     trained = open_data(collect({**made, "results": made["results"]}, "6x8"))
     assert len(trained.table) == 12 and trained.info["c10"] == pytest.approx(0.0792)
+
+
+def test_a_second_export_leaves_no_sample_of_the_first_in_another_split(tmp_path, sensor):
+    made = write_pressed(tmp_path, count=12)
+    label(made, "6x8")
+    dataset, out = collect(made, "6x8"), tmp_path / "feats"
+    export_dataset(dataset, out)
+    (out / "mine").mkdir()
+    (out / "mine" / "notes.npy").write_bytes(b"not ours")
+    table = dataset / "samples.csv"
+    rows = read_csv(table)
+    swapped = {"train": "test", "test": "train"}
+    write_csv(table, list(rows[0]), [row | {"split": swapped.get(row["split"], row["split"])} for row in rows])
+    export_dataset(dataset, out)
+    there = {(path.parent.name, path.stem) for path in out.glob("*/*.npy")}
+    assert there == {(s.split, s.press.sample_id) for s in read_samples(table)} | {("mine", "notes")}
 
 
 def test_the_command_names_what_is_missing(root):

@@ -137,6 +137,9 @@ def test_volume_approaches_the_sharp_body(name, keys, expected):
         ({"kind": "sphere", "diameter": 20, "height": 5}, "fillet"),
         ({"kind": "cuboid", "size": [5], "fillet": 1, "height": 5}, "two positive numbers"),
         ({"kind": "cuboid", "size": [1.5, 9], "fillet": 1, "height": 5}, "too large"),
+        ({"kind": "cylinder", "diameter": 4, "fillet": 3, "height": 8}, "too large"),
+        ({"kind": "cylinder", "diameter": 8, "hole": 6, "fillet": 0.8, "height": 8}, "too large"),
+        ({"kind": "ellipse", "size": [8, 3], "fillet": 1, "height": 8}, "too large"),
         ({"kind": "cylinder", "diameter": 5, "hole": 6, "fillet": 0.1, "height": 5}, "does not fit"),
         ({"kind": "triple_triangle", "side": 5, "wall": 4, "fillet": 0.1, "height": 5}, "no hole"),
         ({"kind": "stl", "file": "nowhere.stl"}, "there is no file"),
@@ -256,3 +259,20 @@ def test_a_body_beside_the_axis_is_refused(tmp_path):
     triangles.write_stl(tmp_path / "b.stl", vertices + [3.0, 0.0, 0.0], faces)
     with pytest.raises(BadInput, match="1 mm beside the z axis"):
         build("b", {"kind": "stl", "file": "b.stl"}, tmp_path / "indenters.toml")
+
+
+@pytest.mark.parametrize(
+    "made",
+    [
+        {"kind": "cylinder", "diameter": 4, "fillet": 2, "height": 8},
+        {"kind": "cylinder", "diameter": 8, "hole": 6, "fillet": 0.5, "height": 8},
+        {"kind": "ellipse", "size": [8, 4], "fillet": 1, "height": 8},
+    ],
+)
+def test_the_widest_fillet_still_stands_on_its_tip(made):
+    """The distance that solves use is zero where the surface that is posed is lowest."""
+    body = build("b", made)
+    vertices, _ = body.surface()
+    lowest = vertices[np.argmin(vertices[:, 2])]
+    assert lowest[2] == pytest.approx(0.0, abs=1e-9)
+    assert body.distance(lowest[None])[0][0] == pytest.approx(0.0, abs=1e-6)

@@ -11,6 +11,8 @@ import pytest
 
 from gelforge.commands.export import FORMATS, export, whole_or_absent
 from gelforge.errors import BadInput
+from gelforge.flow.files import read_csv, read_json, write_csv
+from gelforge.formats.export.samples import Samples
 from tests.exported import READERS, lay
 
 
@@ -134,3 +136,20 @@ def test_a_disk_that_fills_while_writing_is_a_sentence_too(tmp_path, form):
 def test_an_unknown_format_is_one_sentence(tmp_path):
     with pytest.raises(BadInput, match="choose one of mcap"):
         export(lay(tmp_path, 4), "xml", tmp_path / "out")
+
+
+def test_a_dataset_without_poses_goes_to_lerobot(tmp_path):
+    """What was imported with labels alone has none; the format's statistics then know nothing of them."""
+    samples = lay(tmp_path, 12)
+    table = samples.dataset / "samples.csv"
+    rows = read_csv(table)
+    poses = [name for name in rows[0] if name.endswith("_mm") or name == "rot_deg"]
+    write_csv(table, list(rows[0]), [row | dict.fromkeys(poses, "") for row in rows])
+    opened = Samples.open(samples.data, samples.dataset, tmp_path / "sensors.json")
+    export(opened, "lerobot", tmp_path / "out")
+    back = READERS["lerobot"][1](tmp_path / "out")[0]
+    assert len(back) == 12
+    stats = read_json(tmp_path / "out" / "meta" / "stats.json")
+    assert any("force" in name for name in stats) and all(
+        "NaN" not in json.dumps(values) for values in stats.values()
+    )

@@ -151,6 +151,10 @@ def test_the_dataset_trains_on_totals(tmp_path, sensor, root):
         ('image = "/a"', "wrench is missing"),
         (TOML + "colour = 1", "colour is not known"),
         (TOML.replace("[0, 1, 0]", "[0, 2, 0]"), "a rotation"),
+        (TOML.replace("[-1, 0, 0]", "[1, 0, 0]"), "no mirror"),
+        (TOML + 'touch_n = "0.2 N"', "touch_n"),
+        (TOML + "touch_n = [0.2]", "touch_n"),
+        (TOML + "touch_n = nan", "touch_n"),
         (TOML.replace("every = 2", "every = 0"), "whole number from 1"),
         (TOML.replace("sign = -1", "sign = 3"), "sign is 1 or -1"),
     ],
@@ -207,3 +211,30 @@ def test_files_outside_of_the_splits_are_asked_about(tmp_path, sensor):
     with pytest.raises(BadInput, match="lies in none of the folders"):
         import_folder(tmp_path / "feats", tmp_path / "lab", sensor)
     assert not (tmp_path / "lab").exists()
+
+
+def test_readings_that_are_no_numbers_are_left_out(tmp_path, sensor):
+    """As pictures without a wrench: one of them would spoil the whole dataset's labels."""
+    from mcap_ros2.writer import Writer
+
+    with (tmp_path / "holes.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        image = writer.register_msgdef("sensor_msgs/msg/CompressedImage", ros.COMPRESSED_IMAGE)
+        wrench = writer.register_msgdef("geometry_msgs/msg/WrenchStamped", ros.WRENCH_STAMPED)
+        for k, picture in enumerate(pictures(6)):
+            time = 10**18 + k * 50_000_000
+            data = cv2.imencode(".png", picture[..., ::-1])[1].tobytes()
+            said = {"header": ros.header(time, "gel"), "format": "png", "data": data}
+            writer.write_message("/gel/image", image, said, log_time=time, publish_time=time)
+            force = {"x": 0.0, "y": float("nan") if k == 2 else 0.0, "z": 1.0}
+            said = {
+                "header": ros.header(time, "gel"),
+                "wrench": {"force": force, "torque": dict.fromkeys("xyz", 0.0)},
+            }
+            writer.write_message("/ft/wrench", wrench, said, log_time=time, publish_time=time)
+        writer.finish()
+    (tmp_path / "in").mkdir()
+    (tmp_path / "holes.mcap").rename(tmp_path / "in/holes.mcap")
+    found = import_recordings(tmp_path / "in", tmp_path / "lab", topics(tmp_path), sensor)
+    assert found["pictures"] == 2 and found["without_wrench"] == 1  # every second one is taken
+    assert np.isfinite(read_labels(tmp_path / "lab/labels/1x1.npz").label).all()

@@ -10,9 +10,10 @@ import pytest
 from parameters import parameters, slice_of
 
 from gelforge.errors import BadInput
+from gelforge.flow.catalogue import with_content
 from gelforge.geometry.triangles import write_stl
 from gelforge.stages.fea import sample_key
-from gelforge.stages.plan import check_count, make_list, used, with_content
+from gelforge.stages.plan import check_count, make_list, used
 from tests.benchmarks.sandbox import link_project, make
 
 from .conftest import lay_dataset

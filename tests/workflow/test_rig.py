@@ -1,5 +1,6 @@
 """A tiny plan through the real bench: resume, growth, repetition, another plan in the same folder."""
 
+import re
 import shutil
 
 import cv2
@@ -13,6 +14,8 @@ from gelforge.records.log import read_log, read_presses
 from gelforge.records.press import parse
 from gelforge.stages import rigcost
 from gelforge.stages.rig import main, run
+from gelforge.virtualrig.rigplan import orders, read_plan
+from gelforge.virtualrig.writer import Dataset
 from tests.conftest import ROOT
 
 DEMO = ROOT / "workflow" / "rig" / "demo.toml"
@@ -190,3 +193,49 @@ def test_what_a_plan_takes_is_told_before_a_press(pressed, tmp_path, capsys):
     assert disk[1] == "kB" and abs(1000 * float(disk[0]) / written - 1) < 0.25
     assert rigcost.main([*asked, "--data", str(pressed.parent)]) == 0
     assert "every press of the plan is there" in capsys.readouterr().out
+
+
+@pytest.fixture
+def workshop(tmp_path):
+    """A copy of workflow/, to be changed."""
+    return shutil.copytree(ROOT / "workflow", tmp_path / "workflow")
+
+
+def test_a_shape_that_changed_under_its_name_does_not_mix_in(two, tmp_path, workshop):
+    catalogue = workshop / "indenters.toml"
+    text = catalogue.read_text(encoding="utf-8")
+    assert "[sphere_10]" in text
+    head, tail = text.split("[sphere_10]")
+    catalogue.write_text(f"{head}[sphere_10]{tail.replace('diameter = 10', 'diameter = 11', 1)}", encoding="utf-8")
+    before = read_csv(two / "log.csv")
+    with pytest.raises(BadInput, match="indenter sphere_10 had another shape"):
+        run(plan_of(tmp_path, 3), two.parent, workshop)
+    assert read_csv(two / "log.csv") == before
+
+
+def test_a_sensor_that_looks_otherwise_needs_its_pictures_drawn_anew(two, tmp_path, workshop, capsys):
+    looks = workshop / "rig" / "sensors.toml"
+    text = looks.read_text(encoding="utf-8")
+    changed = re.sub(r"^gain = .*$", "gain = 0.9", text, count=1, flags=re.MULTILINE)
+    assert changed != text
+    looks.write_text(changed, encoding="utf-8")
+    with pytest.raises(BadInput, match="remove images/ and nocontact/"):
+        run(plan_of(tmp_path, 2), two.parent, workshop)
+    shutil.rmtree(two / "images")
+    shutil.rmtree(two / "nocontact")
+    capsys.readouterr()
+    rigcost.main(["--plan", str(plan_of(tmp_path, 2)), "--data", str(two.parent), "--workflow", str(workshop)])
+    told = capsys.readouterr().out
+    assert "2 pictures of presses that are solved are drawn again" in told and "pressing" not in told
+    run(plan_of(tmp_path, 2), two.parent, workshop)
+    assert "only drawn again" in capsys.readouterr().out
+
+
+def test_a_bench_none_of_whose_presses_succeeded_goes_on(two, tmp_path):
+    plan = read_plan(plan_of(tmp_path, 2))
+    empty = Dataset(tmp_path / "empty", plan)
+    empty.begin({}, {})
+    empty.add([(orders(plan)[0], None, next(iter(Dataset(two, plan).truth.values())) | {"status": "DIVERGED"})])
+    empty.publish()
+    assert not (tmp_path / "empty" / "log.csv").exists()
+    assert len(Dataset(tmp_path / "empty", plan).missing(orders(plan))) == 1

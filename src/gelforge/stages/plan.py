@@ -4,7 +4,6 @@ Written at parse time of make, so that `make -n` knows all of it. Files change o
 content does.
 """
 
-import hashlib
 import re
 from argparse import Namespace
 from collections.abc import Iterable, Mapping
@@ -16,6 +15,7 @@ from types import MappingProxyType
 
 from gelforge.errors import BadInput
 from gelforge.flow import params as config
+from gelforge.flow.catalogue import with_content
 from gelforge.flow.files import read_csv, read_json, write_if_changed, write_text
 from gelforge.flow.layout import planned_shards, shard_name
 from gelforge.flow.main import command, option
@@ -157,22 +157,6 @@ def write_slices(params: Params, workflow: Path, out: Path, tables: dict[str, di
 def used(catalogue: dict, names: set[str]) -> dict:
     """The entries of a catalogue that a dataset names: another one that is added or edited changes nothing."""
     return {name: table for name, table in catalogue.items() if name in names}
-
-
-def with_content(indenters: dict, folder: Path) -> tuple[dict, list[Path]]:
-    """Tables of indenters with a digest of each STL file they name, and these files.
-
-    A file that changes under its name is another shape: all that follows depends on what is in it.
-    """
-    found, files = {}, []
-    for name, table in indenters.items():
-        file = table.get("file") if isinstance(table, dict) and table.get("kind") == "stl" else None
-        path = folder / file if isinstance(file, str) else None
-        if path is not None and path.is_file():
-            files.append(path)
-            table = {**table, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
-        found[name] = table
-    return found, files
 
 
 # What make takes as one word without reading anything into it.

@@ -1,14 +1,20 @@
 """Source `rig`: carry out a plan on the virtual bench and write data/DATASET like a real one would."""
 
+import hashlib
+import json
 import os
 from argparse import Namespace
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import nullcontext
-from dataclasses import replace
+from dataclasses import asdict, replace
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.flow.catalogue import with_content
 from gelforge.flow.main import command, option
 from gelforge.flow.params import overlaid
 from gelforge.flow.progress import progress
@@ -172,8 +178,16 @@ def contents_of(plan: Plan, workflow: Path) -> tuple[dict[str, str], dict[str, s
     every = read_catalogue(catalogue)
     tables, _ = with_content({name: every[name] for name in plan.indenters}, catalogue.parent)
     looks, sensors = units_of(plan, workflow)
-    drawn = {name: [plain(looks[name]), plain(sensors[name])] for name in plan.sensors}
-    return tuple({name: short_digest(canonical(what)) for name, what in of.items()} for of in (tables, drawn))
+    seen = {name: [asdict(looks[name]), asdict(sensors[name])] for name in plan.sensors}
+    return digests(tables), digests(seen)
+
+
+def digests(of: dict[str, Any]) -> dict[str, str]:
+    """Short digest of what each name stands for; arrays count to six decimals."""
+    texts = {
+        name: json.dumps(what, sort_keys=True, default=lambda a: np.round(a, 6).tolist()) for name, what in of.items()
+    }
+    return {name: hashlib.sha256(text.encode()).hexdigest()[:16] for name, text in texts.items()}
 
 
 def _pool(jobs: int, plan, workflow, folder):
@@ -208,8 +222,6 @@ def _no_contact_images(plan: Plan, looks: dict[str, Look], sensors: dict[str, Se
     missing = [name for name in plan.sensors if not (folder / "nocontact" / f"{name}.png").exists()]
     if not missing:
         return
-    import numpy as np
-
     from gelforge.virtualrig.render import Renderer
 
     for name in missing:

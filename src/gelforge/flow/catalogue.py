@@ -1,0 +1,20 @@
+"""Catalogues of indenters as tables, with what the files that they name hold; without the shapes themselves."""
+
+import hashlib
+from pathlib import Path
+
+
+def with_content(indenters: dict, folder: Path) -> tuple[dict, list[Path]]:
+    """Tables of indenters with a digest of each STL file they name, and these files.
+
+    A file that changes under its name is another shape: all that follows depends on what is in it.
+    """
+    found, files = {}, []
+    for name, table in indenters.items():
+        file = table.get("file") if isinstance(table, dict) and table.get("kind") == "stl" else None
+        path = folder / file if isinstance(file, str) else None
+        if path is not None and path.is_file():
+            files.append(path)
+            table = {**table, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+        found[name] = table
+    return found, files
