@@ -96,7 +96,7 @@ def deck_force(text: str) -> float:
 def run_deck(reference: Path, work: Path, depth: float, limit_s: float = 36000.0) -> dict:
     """Seconds and force of FEATS' deck at one depth, kept."""
     path, key = work / f"deck-{depth:g}.json", hashlib.sha256(f"1 {depth}".encode()).hexdigest()
-    record = kept(path, key)
+    record = kept(path, key, limit_s)
     if record is None:
         folder = work / f"deck-{depth:g}"
 
@@ -229,7 +229,7 @@ def solve_envelope(bench: ChartBench, catalogue: dict, folder: Path, count: int,
     records = []
     for number in progress(range(count), f"envelope, {method.fidelity}"):
         path = folder / method.fidelity / f"{number:03d}.json"
-        record = kept(path, key)
+        record = kept(path, key, limit)
         if record is None:
             scene = envelope_scene(number, catalogue, gel)
 

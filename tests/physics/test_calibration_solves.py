@@ -1,6 +1,7 @@
 """The emulator against the solver it stands for."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,14 +9,24 @@ from calibration_law import true_values
 from parameters import parameters
 
 from gelforge.calibration.readings import Readings
-from gelforge.calibration.solves import SolveCache, build_emulator, interface_of, make_plan, refine, solve_all
+from gelforge.calibration.solves import (
+    SolveCache,
+    build_emulator,
+    interface_of,
+    make_plan,
+    refine,
+    solve_all,
+    touch_of,
+    usable,
+)
 from gelforge.errors import BadInput, SolveFailed
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue
 from gelforge.mechanics.hex.hexsolver import solve_hex
 from gelforge.mechanics.hex.settings import HexSettings
-from gelforge.mechanics.scene import REFERENCE_C10, Material, Scene
+from gelforge.mechanics.scene import REFERENCE_C10, Material, Press, Scene
 from gelforge.records.press import POSE
+from gelforge.records.status import Status
 
 SETTINGS = HexSettings(size=1.2, layers=3, press_steps=8, shear_steps=3, final_tolerance=1e-7)
 NU = 0.475
@@ -174,3 +185,27 @@ def test_unknown_indenter_is_named(tmp_path, catalogue):
     readings.indenters[0] = "spoon"
     with pytest.raises(BadInput, match="'spoon' is not in the catalogue; known: sphere_15"):
         solve_all(make_plan(readings, 0.15, (1.0,)), SolveCache(tmp_path, catalogue, SETTINGS), [0.0], [NU])
+
+
+def test_force_begins_where_the_gel_is_met(catalogue, tmp_path):
+    """Off the crown a press commanded from z = 0 goes through air first; one from below the crown begins inside the gel."""
+    readings = presses((5.0, 7.5, 0, 0, 0, -1.2, 0), (0.5, 0, -0.15, 0, 0, -0.6, 0))
+    cache = SolveCache(tmp_path, catalogue, SETTINGS)
+    plan = make_plan(readings, 0.05, (1.0,))
+    assert not solve_all(plan, cache, [MU], [NU])
+    emulator = build_emulator(plan, cache, [MU], [NU])
+    top = float(plan.top[0])
+    touched = top * touch_of(Scene(Gel(), Material(NU), catalogue["sphere_15"], readings.press(0, top)))
+    assert touched > 0.1
+    grid = np.linspace(0.0, top, emulator.table.shape[3])
+    normal = emulator.table[0, 0, 0, :, 2]
+    assert not normal[grid < touched - 1e-9].any() and (normal[grid > touched + 0.01] < 0.0).all()
+    assert np.isfinite(emulator.table).all() and emulator.table[1, 0, 0, 0, 2] < 0.0
+
+
+@pytest.mark.parametrize("status", [Status.OUT_OF_RANGE, Status.TOO_COARSE, Status.UNBALANCED])
+def test_a_state_that_is_none_does_not_serve_though_its_path_ended(status):
+    press = Press(0, 0, 0, 0, 0, -1.0)
+    ended = SimpleNamespace(status=status, evidence={"path": [[0.5, 0, 0, -10.0], [1.0, 0, 0, -70.0]]})
+    assert not usable(ended, press)
+    assert usable(SimpleNamespace(status=Status.DIVERGED, evidence=ended.evidence), press)

@@ -8,7 +8,7 @@ import pytest
 from calibration_law import PARAMS, law_posterior, make_readings
 from press_records import log_line, write_lines
 
-from gelforge.calibration.parameters import Model, Prior, make_model
+from gelforge.calibration.parameters import Model, Prior, compared_models, make_model
 from gelforge.calibration.readings import check_enough, check_readings, read_readings
 from gelforge.calibration.sampling import LEARN, Chain, NotConverged, Rules, complaint, find_modes, judge, sample
 from gelforge.calibration.solves import refuse_untouched
@@ -180,3 +180,19 @@ def test_rows_rejected_by_stage_10_do_not_serve(tmp_path):
     (tmp_path / "log.csv").write_text("\n".join([header, *lines]) + "\n")
     readings = read_readings(tmp_path / "log.csv", load_rejected(tmp_path, ["0000"]))
     assert readings.ids.tolist() == ["a", "c"]  # a missing image is no reason to drop a force
+
+
+def test_a_parameter_that_is_held_is_held_alike_in_every_model_that_is_compared():
+    held = replace(PARAMS.priors.offset, free=False, fixed=0.02)
+    params = replace(PARAMS, priors=replace(PARAMS.priors, offset=held))
+    models = compared_models(params)
+    assert {model.fixed["offset"] for model in models} == {0.02}
+    assert len({model.name for model in models}) == len(models) == 6  # three laws, with and without a soft bench
+
+
+def test_what_an_axis_moved_by_less_than_its_error_is_no_way_sideways(tmp_path):
+    rows = [
+        log_line(sample_id=f"s{k}", dx_mm=aside, dy_mm=0.0, fz_n=-1.0 - k) for k, aside in enumerate((0.001, 0.2))
+    ]
+    readings = read_readings(write_lines(tmp_path / "log.csv", *rows))
+    assert readings.sheared.tolist() == [False, True] and readings.travel[0] == 0.0

@@ -2,6 +2,8 @@
 
 import csv
 import json
+import re
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -193,3 +195,31 @@ def test_a_damaged_reference_is_none(folder, tmp_path, name, text):
     keep_references([{"scene": "cross", "methods": {REFERENCE: one}}], tmp_path)
     (tmp_path / name).write_text(text)
     assert kept_reference(tmp_path, "cross", "k", GRID.shape) is None
+
+
+def test_the_folder_is_not_written_with_forces_of_other_scenes(root, tmp_path, capsys):
+    workflow = shutil.copytree(root / "workflow", tmp_path / "workflow")
+    scenes = workflow / "scenes.toml"
+    text = scenes.read_text(encoding="utf-8")
+    changed = re.sub(r"^depth = .*$", "depth = 0.77", text, count=1, flags=re.MULTILINE)
+    assert changed != text
+    scenes.write_text(changed, encoding="utf-8")
+    given = ["write", "--workflow", str(workflow), "--references", str(root / "data" / "fea_challenge")]
+    with pytest.raises(BadInput, match="run make fea-references"):
+        stage.main([*given, "--out", str(tmp_path / "out")])
+
+
+def test_references_of_scenes_that_are_gone_go(folder, tmp_path):
+    def charted(*names):
+        return [{"scene": n, "methods": {REFERENCE: {**record(folder, n), "key": "k"}}} for n in names]
+
+    keep_references(charted("cross", "bar"), tmp_path)
+    keep_references(charted("cross"), tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {"cross.csv", KEYS}
+
+
+def test_times_that_are_no_table_are_one_sentence(folder, tmp_path):
+    shutil.copy(folder / "references" / "bar.csv", tmp_path / "bar.csv")
+    (tmp_path / "seconds.csv").write_text("scene,seconds\nbar,3.0\nscene,seconds\ncross,2.0\n")
+    done, _ = score(folder, tmp_path)
+    assert done.returncode == 2 and "seconds.csv" in done.stderr + done.stdout and "Traceback" not in done.stderr

@@ -15,15 +15,17 @@ from hypothesis.extra.numpy import arrays
 from parameters import parameters, slice_of
 
 from gelforge.errors import BadInput
+from gelforge.flow.files import write_json
 from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.family import footprint
 from gelforge.stages import stability
+from gelforge.stages.pareto import charted
 from gelforge.sweeps import cases
 from gelforge.sweeps.deviation import cell_error, errors, frontier, total_error
 from gelforge.sweeps.isolate import isolated
 from gelforge.sweeps.methods import Method, every_method, quick_methods
 from gelforge.sweeps.scenes import parse_scene, read_tables, resolve
-from gelforge.sweeps.trial import load_bench
+from gelforge.sweeps.trial import kept, load_bench
 
 NUMBERS = st.floats(-50, 50, allow_nan=False)
 CELLS = arrays(float, (3, 4, 5), elements=NUMBERS)
@@ -183,3 +185,35 @@ def test_the_map_covers_what_was_asked():
     assert rows["random"] == cases.row_cases(table, "random")
     rim = next(c for c in every if c.place == "rim" and c.kind == "flat")
     assert rim.scene.press.x0 + rim.scene.indenter.radius() > rim.scene.gel.width / 2
+
+
+def test_records_of_what_may_be_mended_are_made_again(tmp_path):
+    path = tmp_path / "record.json"
+    for record, limit, stays in (
+        ({"status": "OK"}, 9.0, True),
+        ({"status": "DIVERGED"}, 9.0, True),
+        ({"status": "REFUSED"}, 9.0, False),  # a mesh that was missing, a disk that was full
+        ({"status": "CRASHED"}, 9.0, False),
+        ({"status": "TIMED_OUT", "limit_s": 9.0}, 9.0, True),
+        ({"status": "TIMED_OUT", "limit_s": 9.0}, 10.0, False),
+        ({"status": "TIMED_OUT"}, 9.0, False),
+    ):
+        write_json(path, {"key": "k"} | record)
+        assert (kept(path, "k", limit) is not None) == stays, record
+        assert kept(path, "another", limit) is None
+
+
+def test_bricks_of_label_quality_are_charted_as_such_whatever_fea_uses():
+    def record(cost):
+        return {"errors": {"total": 0.01, "cells": 0.05}, "cpu_seconds": cost}
+
+    methods = {
+        "hex-draft-quality": record(1.0),
+        "hex-label": record(0.5),
+        "hex-label-quality": record(2.0),
+        "ccx-label": record(6.0),
+    }
+    scenes = [{"class": "flat_deep", "methods": methods}]
+    assert charted(scenes)["flat_deep"]["hex-label"][2] == 1.0 and charted(scenes)["flat_deep"]["ccx"][2] == 3.0
+    del methods["hex-label-quality"]
+    assert charted(scenes)["flat_deep"]["ccx"][2] == 12.0

@@ -11,6 +11,7 @@ from gelforge.flow.files import write_json
 from gelforge.geometry.gel import GELS
 from gelforge.geometry.indenters import build
 from gelforge.mechanics.family import MeshFamily, MeshName, choose_mesh, required_meshes, sizing
+from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.scene import Material, Press, Scene
 from gelforge.mechanics.tet.tetmesh import (
     EDGES,
@@ -127,3 +128,11 @@ def test_a_press_takes_the_finest_mesh_that_holds_its_footprint(tmp_path, mesh):
     assert chosen(2, 1.0) == "ccx-wide-1.0"
     with pytest.raises(BadInput, match="make meshes"):
         MeshFamily(tmp_path, ["ccx-centre-0.5"])
+
+
+def test_half_a_mesh_is_one_sentence(mesh, tmp_path):
+    path = tmp_path / "mesh.npz"
+    mesh.save(path)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with pytest.raises(BadInput, match="not a gel mesh"):
+        GelMesh.load(path)

@@ -157,7 +157,7 @@ class Model:
 
 
 def make_model(params: CalibrateTable, law: str, without=(), indenters=()) -> Model:
-    """Model of `law` from the table [calibrate]; parameters named in `without` are held at no effect.
+    """Model of `law` from the table [calibrate]; free ones that `without` names are held at no effect.
 
     A parameter is free where its prior's `free` is true; otherwise it stays at `fixed`. Several
     indenters get a scale each, with the prior `indenter`.
@@ -167,7 +167,7 @@ def make_model(params: CalibrateTable, law: str, without=(), indenters=()) -> Mo
         table = getattr(params.priors, name)
         if name == "mu" and law != "coulomb":
             fixed[name] = 0.0 if law == "frictionless" else np.inf
-        elif name in without:
+        elif name in without and table.free is not False:
             fixed[name] = 0.0
         elif table.free is not False:
             free[name] = prior_of(name, table)

@@ -7,9 +7,9 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.mechanics.scene import Press
-from gelforge.records.frames import presses_of
+from gelforge.records.frames import NEAR_MM, presses_of
 from gelforge.records.log import read_log
-from gelforge.records.press import FORCE, POSE, parse
+from gelforge.records.press import FORCE, POSE, LoggedPress, parse
 
 
 @dataclass(frozen=True)
@@ -97,9 +97,15 @@ def read_readings(log, known_bad: Collection[int] = ()) -> Readings:
         raise BadInput(f"{log}: no row has a normal force (fz_n); calibration needs a force sensor's readings")
     return Readings(
         str(log), np.array([p.row for p in presses]), np.array([p.sample_id for p in presses]),
-        np.array([p.indenter for p in presses]), np.array([[getattr(p, c) for c in POSE] for p in presses], float),
+        np.array([p.indenter for p in presses]), np.array([path_of(p) for p in presses]),
         np.array([p.force for p in presses]),
     )  # fmt: skip
+
+
+def path_of(press: LoggedPress) -> list[float]:
+    """A press's pose and path in the order of POSE; what an axis moved by less than its own error was no way sideways."""
+    sideways = np.hypot(press.dx_mm, press.dy_mm) > NEAR_MM
+    return [float(getattr(press, column)) if sideways or column not in ("dx_mm", "dy_mm") else 0.0 for column in POSE]
 
 
 def check_readings(readings: Readings) -> None:

@@ -23,6 +23,7 @@ from gelforge.flow.params import SLICES, stage_version
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import Gel
 from gelforge.mechanics.hex.hexsolver import HexSolver
+from gelforge.mechanics.hex.reach import first_touch
 from gelforge.mechanics.hex.settings import HexSettings
 from gelforge.mechanics.meshratio import mesh_ratios
 from gelforge.mechanics.scene import Interface, Material, Press, Scene
@@ -107,9 +108,10 @@ def shape_hash(indenter) -> str:
     return fingerprint(np.round(np.asarray(vertices, float), 6), np.asarray(faces, np.int64))
 
 
-def path_curve(result, press: Press) -> dict:
-    """Converged load steps of a result: depth and force before shear, and the force at the end.
+def path_curve(result, press: Press, touch: float) -> dict:
+    """Converged load steps of a result: depth and force before shear, from the first touch on, and the force at the end.
 
+    touch: path parameter of the first touch, below 0 where the path starts inside the gel.
     Within the path, points that touch in a step have no friction until its end, so steps lie a
     steady 0.5 to 1.5 % below settled states; a straight press tells by how much, at its end.
     """
@@ -119,18 +121,29 @@ def path_curve(result, press: Press) -> dict:
     if not (press.dx or press.dy):
         down[:, 1:] *= end[2] / down[-1, 3]
     return {
-        "depth": (-press.dz * down[:, 0]).tolist(),
-        "force": down[:, 1:].tolist(),
+        "depth": (-press.dz * np.array([touch, *down[:, 0]])).tolist(),
+        "force": [[0.0] * 3, *down[:, 1:].tolist()],
         "end": end.tolist(),
         "status": result.status.name,
         "seconds": float(result.evidence["seconds"]),
     }
 
 
+def touch_of(scene: Scene) -> float:
+    """Path parameter where a press that touched first met the gel."""
+    found = first_touch(scene)
+    assert found is not None, "a press without contact has no curve"
+    return found
+
+
 def usable(result, press: Press) -> bool:
-    """Whether a result is valid or its load steps reach the end of the path."""
+    """Whether a result is valid, or only its last tolerance was missed at the end of the path.
+
+    A state that no gel can take, or bricks too coarse to meet the indenter, reach the end as well and are none.
+    """
     path = result.evidence.get("path") or [[0.0]]
-    return result.status.valid or path[-1][0] >= (2.0 if press.dx or press.dy else 1.0) - 1e-9
+    ended = path[-1][0] >= (2.0 if press.dx or press.dy else 1.0) - 1e-9
+    return result.status.valid or (result.status in (Status.DIVERGED, Status.UNSETTLED) and ended)
 
 
 def solve_job(job: SolveJob, indenter, settings: HexSettings, gel: Gel) -> dict:
@@ -148,7 +161,7 @@ def solve_job(job: SolveJob, indenter, settings: HexSettings, gel: Gel) -> dict:
         raise SolveFailed(f"{job.indenter} at {job.press}, mu {job.mu:g}: {result.status.value}", result.evidence)
     if result.status is Status.NO_CONTACT:
         return {"depth": [], "force": [], "end": [0.0] * 3, "status": "NO_CONTACT", "seconds": 0.0}
-    return path_curve(result, job.press)
+    return path_curve(result, job.press, touch_of(scene))
 
 
 def _solve_task(path, job, indenter, settings, gel):

@@ -7,6 +7,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish
+from gelforge.records.npz import DAMAGED
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ class GelMesh:
         try:
             with np.load(path, allow_pickle=False) as file:
                 return cls(str(file["kind"]), file["nodes"], file["elements"], file["faces"], file["base"])
-        except (OSError, ValueError, KeyError, EOFError) as error:
+        except DAMAGED as error:
             raise BadInput(f"{path}: not a gel mesh ({error}); delete it and run make again") from error
 
     @property

@@ -6,11 +6,13 @@ from pathlib import Path
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_json
 from gelforge.flow.main import command, group, option
-from gelforge.flow.params import load_params
+from gelforge.flow.params import SLICES, cut_slice, load_params, stage_version
+from gelforge.flow.params.slices import ForPareto
 from gelforge.labelling.sensor import load_sensors
 from gelforge.sweeps.challenge import write_challenge
 from gelforge.sweeps.keptreferences import keep_references
 from gelforge.sweeps.scenes import parse_scene, read_tables
+from gelforge.sweeps.trial import ChartBench, given_reference
 
 
 @command(
@@ -35,6 +37,14 @@ def write(args: Namespace) -> None:
     if name not in sensors:
         raise BadInput(f"[pareto] sensor = {name!r} is not in {args.workflow}/sensors.toml")
     scenes = [parse_scene(key, table, params.material.nu) for key, table in read_tables(args.workflow).items()]
+    made = cut_slice(params, ForPareto, stage_version(Path(__file__).parent, SLICES["pareto"]))
+    bench = ChartBench(args.out, sensors[name], made, args.out, args.references)
+    old = [scene.name for scene in scenes if given_reference(bench, scene) is None]
+    if old:
+        raise BadInput(
+            f"{args.references}: the reference of {', '.join(old)} is of another scene, sensor or setting than today's; "
+            "run make fea-references"
+        )
     args.out.mkdir(parents=True, exist_ok=True)
     write_challenge(scenes, sensors[name], args.references, args.out)
     print(f"{args.out}: {len(scenes)} scenes; read {args.out}/README.md")

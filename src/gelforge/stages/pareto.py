@@ -28,8 +28,13 @@ from gelforge.sweeps.trial import ChartBench, given_reference, load_bench, measu
 VERSION = 3
 MESH_VERSION = 2
 GOAL_TOTAL, GOAL_CELLS = 0.02, 0.08  # what a label setting should meet over all scenes
-# By what names the chart has the ways among which fidelity "auto" chooses, where [fea] hex_quality is "label".
-CHARTED_AS = {"hex-draft": "hex-draft-quality", "hex-label": "hex-label", "ccx": "ccx-label"}
+# By what names the chart has the ways among which fidelity "auto" chooses. Bricks of quality "label" stand under the first
+# of theirs where [fea] hex_quality is another one, which has the second name then.
+CHARTED_AS = {
+    "hex-draft": ("hex-draft-quality",),
+    "hex-label": ("hex-label-quality", "hex-label"),
+    "ccx": ("ccx-label",),
+}
 COLUMNS = ("method", "fidelity", "size_mm", "load_steps", "scenes", "failed", "cpu_seconds_median",
            "cpu_seconds_worst",
            "total_median", "total_worst", "total_worst_scene", "cells_median", "cells_worst", "cells_worst_scene",
@@ -96,21 +101,25 @@ def failures(scenes: list[dict]) -> list[dict]:
             if record.get("cells") is None]  # fmt: skip
 
 
+def ways_of(methods: dict[str, dict]) -> dict[str, dict]:
+    """A scene's records of the ways among which "auto" chooses, as far as they are charted."""
+    names = {way: next((name for name in of if name in methods), None) for way, of in CHARTED_AS.items()}
+    return {way: methods[name] for way, name in names.items() if name is not None}
+
+
 def charted(scenes: list[dict]) -> dict[str, dict[str, list[float]]]:
     """What [fea.charted] should say: by class of contact and way, worst errors in total force and cells, and cost.
 
     Cost is the median of processor seconds over that of hex-label on all scenes. Empty where a way was not charted.
     """
-    found = [scene for scene in scenes if scene.get("class") and set(CHARTED_AS.values()) <= scene["methods"].keys()]
-    if not found or any(not s["methods"][name]["errors"] for s in found for name in CHARTED_AS.values()):
+    ways = [(scene["class"], ways_of(scene["methods"])) for scene in scenes if scene.get("class")]
+    found = [(kind, of) for kind, of in ways if of.keys() == CHARTED_AS.keys()]
+    if not found or any(not record["errors"] for _, of in found for record in of.values()):
         return {}
-    base = median([scene["methods"]["hex-label"]["cpu_seconds"] for scene in found])
-    classes = {scene["class"] for scene in found}
+    base = median([of["hex-label"]["cpu_seconds"] for _, of in found])
+    classes = {kind for kind, _ in found}
     return {
-        kind: {
-            way: _class_row([s["methods"][name] for s in found if s["class"] == kind], base)
-            for way, name in CHARTED_AS.items()
-        }
+        kind: {way: _class_row([of[way] for held, of in found if held == kind], base) for way in CHARTED_AS}
         for kind in CLASSES
         if kind in classes
     }

@@ -55,7 +55,7 @@ def case_file(case: Case, params: ForStability, folder: Path) -> tuple[Path, str
 def solve_case(case: Case, params: ForStability, meshes: Path, folder: Path) -> dict:
     """Record of one case, the kept one or a new one."""
     path, key = case_file(case, params, folder)
-    record = kept(path, key)
+    record = kept(path, key, limit_of(params.stability, case.fidelity))
     if record is None:
         method = case_method(case, params)
         scene = case.scene
@@ -76,7 +76,10 @@ def solve_row(row: str, params: ForStability, meshes: Path, folder: Path) -> lis
     end = time.monotonic() + 60.0 * params.stability.minutes
     records = []
     for case in progress(row_cases(params.stability, row), f"stability {row}"):
-        if time.monotonic() > end and kept(*case_file(case, params, folder)) is None:
+        if (
+            time.monotonic() > end
+            and kept(*case_file(case, params, folder), limit_of(params.stability, case.fidelity)) is None
+        ):
             reason = "the row's time was over; raise [stability] minutes, it resumes here"
             records.append({"case": case.describe(), "status": NOT_RUN, "reason": reason})
         else:

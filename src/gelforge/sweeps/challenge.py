@@ -30,6 +30,8 @@ def write_challenge(scenes: list[NamedScene], sensor: Sensor, references: Path, 
             f"{references}: has references of {', '.join(sorted(held))} and the scenes are {', '.join(sorted(names))}; "
             "run make fea-references"
         )
+    for name in ("references", "scenes"):  # of scenes that there were
+        shutil.rmtree(out / name, ignore_errors=True)
     for text in TEXTS.iterdir():
         if text.is_file():
             shutil.copyfile(text, out / text.name)

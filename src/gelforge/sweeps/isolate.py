@@ -71,7 +71,7 @@ def isolated(work: Callable[[], dict], limit_s: float) -> dict:
             child.join()
         here.close()
     if late:
-        return {"status": TIMED_OUT, "reason": f"stopped after {limit_s:g} s"}
+        return {"status": TIMED_OUT, "reason": f"stopped after {limit_s:g} s", "limit_s": limit_s}
     if answer is None:
         return {"status": CRASHED, "reason": f"the process ended with exit code {child.exitcode}"}
     if "os_error" in answer:

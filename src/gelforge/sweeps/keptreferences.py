@@ -38,7 +38,7 @@ def _row(row: int, column: int, force: np.ndarray) -> dict:
 
 
 def keep_references(charted: Iterable[dict], folder: Path) -> None:
-    """Write references from scenes of the chart (pareto/scenes/*.json), one file each."""
+    """Write references from scenes of the chart (pareto/scenes/*.json), one file each; those of other scenes go."""
     keys = {}
     for scene in charted:
         record = scene["methods"].get(REFERENCE)
@@ -49,6 +49,9 @@ def keep_references(charted: Iterable[dict], folder: Path) -> None:
         path = folder / f"{scene['scene']}.csv"
         write_csv(path, COLUMNS, reference_rows(record))
         keys[scene["scene"]] = {"key": record["key"], "sha256": digest_of(path)}
+    for path in folder.glob("*.csv"):
+        if path.stem not in keys:
+            path.unlink()
     write_json(folder / KEYS, keys)
 
 

@@ -21,7 +21,7 @@ from gelforge.labelling.operator import assemble
 from gelforge.labelling.sensor import Sensor
 from gelforge.mechanics.hex.settings import QUALITIES, quality
 from gelforge.sweeps import references as meshes
-from gelforge.sweeps.isolate import Clock, isolated, peak_mib
+from gelforge.sweeps.isolate import CRASHED, REFUSED, TIMED_OUT, Clock, isolated, peak_mib
 from gelforge.sweeps.keptreferences import kept_reference
 from gelforge.sweeps.methods import LARGE_REFERENCE, REFERENCE, Method, hex_settings, prepare, warm_up
 from gelforge.sweeps.scenes import NamedScene
@@ -128,13 +128,19 @@ def solve_isolated(make: Callable[[Path], Callable], sensor: Sensor | None, limi
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def kept(path: Path, key: str) -> dict | None:
-    """The record that was made under the same key, else None."""
+def kept(path: Path, key: str, limit_s: float) -> dict | None:
+    """The record that was made under the same key, else None.
+
+    What was refused or ended in a crash is tried again, because what stood in its way may be mended; what ran out of its
+    time is, where it may take longer now.
+    """
     try:
         record = read_json(path)
     except (OSError, ValueError):
         return None
-    return record if record.get("key") == key else None
+    status = record.get("status")
+    again = status in (REFUSED, CRASHED) or (status == TIMED_OUT and record.get("limit_s", 0.0) < limit_s)
+    return record if record.get("key") == key and not again else None
 
 
 def limit_of(table: ParetoTable | StabilityTable, fidelity: str) -> float:
@@ -150,7 +156,7 @@ def measure(bench: ChartBench, scene: NamedScene, method: Method) -> dict:
     solved elsewhere no cost.
     """
     path, key = bench.record_path(scene, method), bench.key(scene, method)
-    record = kept(path, key)
+    record = kept(path, key, limit_of(bench.params.pareto, method.fidelity))
     if record is None:
         for stale in path.parent.glob(".work-*"):
             shutil.rmtree(stale, ignore_errors=True)

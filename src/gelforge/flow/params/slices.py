@@ -143,11 +143,15 @@ class ForStability(Slice):
 
 @dataclass(frozen=True)
 class Source:
-    """A slice's type, and where its version stands: a module of gelforge.stages and a constant of it."""
+    """A slice's type, and where its version stands: a module of gelforge.stages and a constant of it.
+
+    solves: whether the branch solves presses as stage 30 does, so that its results change with stage 30's.
+    """
 
     kind: type[Slice]
     module: str
     constant: str = "VERSION"
+    solves: bool = False
 
 
 # By the name of the file, 00_plan/params/NAME.json.
@@ -161,24 +165,27 @@ SLICES = {
     "train": Source(ForTrain, "train"),
     "evaluate": Source(ForEvaluate, "evaluate"),
     "report": Source(ForReport, "report"),
-    "calibrate": Source(ForCalibrate, "calibrate"),
+    "calibrate": Source(ForCalibrate, "calibrate", solves=True),
     "pareto": Source(ForPareto, "pareto"),
     "pareto_meshes": Source(ForParetoMeshes, "pareto", "MESH_VERSION"),
-    "stability": Source(ForStability, "stability"),
+    "stability": Source(ForStability, "stability", solves=True),
 }
 
 S = TypeVar("S", bound=Slice)
 
 
 def stage_version(folder: Path, source: Source) -> int:
-    """The version of a stage's results, read from its module's text so that nothing heavy is imported."""
+    """The version of a stage's results, read from its module's text so that nothing heavy is imported.
+
+    Where it solves presses, stage 30's is added: both only ever rise.
+    """
     path = folder / f"{source.module}.py"
     found = re.search(rf"^{source.constant} = (\d+)$", path.read_text(encoding="utf-8"), re.MULTILINE)
     if not found:
         raise BadInput(
             f"{path}: has no line `{source.constant} = n`; a stage needs one, raised when its results change"
         )
-    return int(found.group(1))
+    return int(found.group(1)) + (stage_version(folder, SLICES["fea"]) if source.solves else 0)
 
 
 def cut_slice(params: Params, kind: type[S], version: int) -> S:

@@ -240,7 +240,9 @@ class PriorsTable(ParameterTable):
     nu: PriorTable
 
     def fault(self) -> str | None:
-        """A parameter that is held, and nothing says at what; Poisson's ratio is held at [material] nu."""
+        """C10 held, or a parameter that is held and nothing says at what; Poisson's ratio is held at [material] nu."""
+        if self.c10.free is False:
+            return "c10: free = false; it is what calibrate finds, so give it a narrow prior where it is known"
         for name in PRIOR_NAMES:
             prior = getattr(self, name)
             if prior.free is False and prior.fixed is None and name not in ("nu", "indenter"):

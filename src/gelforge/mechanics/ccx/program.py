@@ -1,6 +1,7 @@
 """Running CalculiX as a child that cannot outlive its parent."""
 
 import ctypes
+import errno
 import os
 import resource
 import shutil
@@ -61,7 +62,7 @@ def _die_with_parent() -> None:
 def run_ccx(name: str, folder: Path | str, timeout_s: float) -> Job:
     """Run the deck `name`.inp in `folder` with one thread; a run past `timeout_s` is stopped.
 
-    A full disk raises BadInput, because every other sample would fail for it too.
+    A full disk raises OSError, because every other sample would fail for it too.
     """
     program = need_ccx()
     folder = Path(folder)
@@ -83,6 +84,6 @@ def run_ccx(name: str, folder: Path | str, timeout_s: float) -> Job:
             returncode = -signal.SIGALRM
     free = shutil.disk_usage(folder).free
     if free < _ENOUGH_BYTES:
-        raise BadInput(f"{folder}: the disk is full ({free} bytes left); free some space and run make again")
+        raise OSError(errno.ENOSPC, f"the disk is full ({free} bytes left)", str(folder))
     peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024.0
     return Job(returncode, log_path.read_text(errors="replace"), time.perf_counter() - started, peak)

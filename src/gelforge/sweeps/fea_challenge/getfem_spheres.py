@@ -164,8 +164,9 @@ def main() -> None:
         with (out / f"{name}.csv").open("w", newline="") as stream:
             csv.writer(stream).writerows([("row", "column", "fx_n", "fy_n", "fz_n"), *rows])
         print(f"{name}: {np.sum([row[2:] for row in rows], axis=0).round(4)} N, {seconds[name]:.0f} s", flush=True)
+    begun = (out / "seconds.csv").exists()
     with (out / "seconds.csv").open("a", newline="") as stream:
-        csv.writer(stream).writerows([("scene", "seconds"), *seconds.items()])
+        csv.writer(stream).writerows([*[("scene", "seconds")] * (not begun), *seconds.items()])
 
 
 if __name__ == "__main__":

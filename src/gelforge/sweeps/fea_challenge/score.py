@@ -90,7 +90,12 @@ def read_seconds(folder: Path) -> dict[str, float]:
     if not path.exists():
         return {}
     with path.open(newline="", encoding="utf-8-sig") as stream:
-        return {row["scene"]: float(row["seconds"]) for row in csv.DictReader(stream)}
+        try:
+            return {row["scene"]: float(row["seconds"]) for row in csv.DictReader(stream)}
+        except (KeyError, TypeError, ValueError) as error:
+            raise Unusable(
+                f"{path}: not a table of scene,seconds ({error}); give a header and a number a row"
+            ) from error
 
 
 def score(folder: Path, challenge: dict) -> dict:
