@@ -26,7 +26,8 @@ echo "setting up $venv: downloads $(grep -c '==' envs/requirements.lock) Python 
 export PIP_ROOT_USER_ACTION=ignore PIP_NO_WARN_SCRIPT_LOCATION=1 PIP_DISABLE_PIP_VERSION_CHECK=1
 # Debian keeps ensurepip in a package of its own.
 "$python" -c 'import ensurepip' 2>/dev/null || apt_install python3-venv
-[ -x "$venv/bin/python" ] || "$python" -m venv "$venv"
+# One that was interrupted while it was made has a Python and no pip.
+"$venv/bin/python" -m pip --version >/dev/null 2>&1 || "$python" -m venv --clear "$venv"
 "$venv/bin/python" -m pip install --quiet --quiet -r envs/requirements.lock
 "$venv/bin/python" -m pip install --quiet --quiet --no-deps -e .
 # Mesh and picture libraries load these at import; a minimal system lacks them.

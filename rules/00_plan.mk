@@ -8,9 +8,12 @@ PLANNED := $D/00_plan/plan.mk
 PLAN_INPUTS := $(DATA)/log.csv $(DATA)/dataset.toml $(addprefix workflow/,params.toml models.toml scenes.toml sensors.toml) $(wildcard $(DATA)/sensors.toml) $(CCX_FOUND) $(wildcard src/gelforge/*/*.py src/gelforge/*/*/*.py)
 PLAN_READS :=
 PLAN_STATE :=
+PICTURES :=
 
 # Goals that need no dataset do not read one.
-NO_DATASET := help setup lint format test test-% rig rig-% benchmark-% lock clean-venv feats-import mcap-import projection real-check
+NO_DATASET := help setup lint format test test-% rig rig-% benchmark-% lock clean-% slurm-cancel feats-import mcap-import projection real-check
+# What was made of a dataset whose data are gone can still be seen.
+NO_DATASET += $(if $(wildcard $(DATA)/log.csv),,status lineage)
 ifneq ($(filter-out $(NO_DATASET),$(or $(MAKECMDGOALS),help)),)
 include $(PLANNED)
 # The plan holds the time and size of every file that it was made from. They are compared for being the same, not for
@@ -18,9 +21,10 @@ include $(PLANNED)
 ifneq ($(PLAN_STATE),$(if $(PLAN_STATE),$(shell stat -c '%n:%.9Y:%s' $(PLAN_INPUTS) $(PLAN_READS) 2>/dev/null)))
 .PHONY: plan-again
 $(PLANNED): plan-again
-# A picture that was replaced, by an older one too: the time at which its entry changed tells (-cnewer), not its own.
-else ifeq ($(MAKE_RESTARTS)$(if $(and $(wildcard $(DATA)/images),$(wildcard $(PLANNED))),,none),)
-ifneq ($(shell find $(DATA)/images -type f -cnewer $(PLANNED) -print -quit),)
+# A picture that was replaced, by an older one too: the time at which its entry changed tells (-cnewer), not its own. One
+# that came or went changes its folder. PICTURES are the folders that the log names.
+else ifeq ($(MAKE_RESTARTS)$(if $(and $(PICTURES),$(wildcard $(PLANNED))),,none),)
+ifneq ($(shell find $(PICTURES) \( -type f -cnewer $(PLANNED) -o -type d -newer $(PLANNED) \) -print -quit 2>/dev/null),)
 .PHONY: plan-again
 $(PLANNED): plan-again
 endif
@@ -39,8 +43,9 @@ $(DATA)/log.csv $(DATA)/dataset.toml:
 	$(error $@ not found: DATASET=$(DATASET) needs a raw log and a dataset.toml; see README.md, or write one with make rig)
 
 # $(call step,MODULE ARGUMENTS) is the recipe of every artifact: it writes $@.part, the wrapper publishes it.
-# Of more inputs than a shell takes as one command (128 KiB) none is named; their reader refuses a broken one.
-wrapped = $(PY) -m gelforge.flow.step $@ $(if $(word 1500,$^),,$(filter $D/%,$^)) -- $(PY) -m $(1)
+# Of more inputs than a shell takes as one command (128 KiB) only the parameters are named; the others' reader refuses a
+# broken one.
+wrapped = $(PY) -m gelforge.flow.step $@ $(filter $(if $(word 1500,$^),$P/%,$D/%),$^) -- $(PY) -m $(1)
 ifeq ($(EXECUTOR),local)
 step = @$(wrapped)
 barrier =

@@ -5,7 +5,7 @@ export PYTHONPATH := $(CURDIR)/src
 SETUP := .venv/ready
 # An environment knows the place it was made in: in a clone that was moved or copied its programs start elsewhere. A link
 # is meant to lead to another checkout's.
-VENV_HOME := $(if $(wildcard .venv/pyvenv.cfg),$(shell [ -L .venv ] || sed -n 's/^command = .* //p' .venv/pyvenv.cfg))
+VENV_HOME := $(if $(wildcard .venv/pyvenv.cfg),$(shell [ -L .venv ] || sed -n 's/^command = .* -m venv \(--[^ ]* \)*//p' .venv/pyvenv.cfg))
 ifneq ($(or $(VENV_HOME),$(CURDIR)/.venv),$(CURDIR)/.venv)
 $(error .venv was made for $(VENV_HOME), not for this folder: it was moved or copied. Run `rm -rf .venv && make setup`)
 endif
@@ -20,6 +20,8 @@ export OPENBLAS_NUM_THREADS ?= 1
 ifeq ($(filter -j%,$(MAKEFLAGS)),)
 MAKEFLAGS += -j$(JOBS)
 endif
+# Jobs of a program that runs several at a time by itself. Known when a recipe is expanded, not before.
+SLOTS = $(or $(patsubst -j%,%,$(filter -j%,$(MAKEFLAGS))),$(JOBS))
 
 .PHONY: setup
 setup: $(SETUP) $(CCX_FOUND)  ## virtual environment and CalculiX, inside the project but for system packages

@@ -40,7 +40,7 @@ CHALLENGE := results/fea_challenge/challenge.json
 .PHONY: fea-challenge fea-references
 fea-challenge: $(CHALLENGE)  ## the scenes as an open benchmark for any simulator: results/fea_challenge
 
-$(CHALLENGE): workflow/scenes.toml workflow/indenters.toml workflow/sensors.toml $(wildcard $(REFERENCES)/*.csv src/gelforge/sweeps/fea_challenge/*) | $(SETUP)
+$(CHALLENGE): workflow/scenes.toml workflow/indenters.toml workflow/sensors.toml workflow/params.toml $(wildcard $(REFERENCES)/*.csv src/gelforge/sweeps/fea_challenge/*) | $(SETUP)
 	@$(PY) -m gelforge.stages.challenge write --references $(REFERENCES) --out $(@D)
 
 fea-references: $(PARETO_FILES)  ## the benchmark's references anew from the large chart (hours)

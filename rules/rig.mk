@@ -3,14 +3,12 @@
 PLAN ?= workflow/rig/demo.toml
 REFERENCE ?= ../shared/reference
 
-RIG_JOBS = $(or $(patsubst -j%,%,$(filter -j%,$(MAKEFLAGS))),$(JOBS))
-
 .PHONY: rig rig-estimate rig-check
 rig: $(SETUP)  ## simulate the presses of a plan into data/: make rig PLAN=workflow/rig/train.toml
-	@$(PY) -m gelforge.stages.rig --plan $(call given,PLAN) --data data --jobs $(RIG_JOBS)
+	@$(PY) -m gelforge.stages.rig --plan $(call given,PLAN) --data data --jobs $(SLOTS)
 
 rig-estimate: $(SETUP)  ## core hours, disk, memory and time of a plan, from a few of its presses: make rig-estimate PLAN=workflow/rig/paper.toml
-	@$(PY) -m gelforge.stages.rigcost --plan $(call given,PLAN) --data data --cores $(RIG_JOBS)
+	@$(PY) -m gelforge.stages.rigcost --plan $(call given,PLAN) --data data --cores $(SLOTS)
 
 rig-check: $(SETUP)  ## benchmark-rig with a page of the rig's pictures beside real ones: results/rig-check/index.html
 	@$(PY) -m tests.benchmarks.rig --reference $(call given,REFERENCE) --page results/rig-check/index.html

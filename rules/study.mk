@@ -2,18 +2,20 @@
 # training presses, as many passes over each: make study STUDIED="presses_250 units_4".
 STUDIED ?= presses_250 presses_500 presses_1000 units_1 units_4 units_12
 STUDY := $D/study/$(RES1)/$(LEARNT)
-STUDIES := $(STUDIED:%=$(STUDY)/%.pt)
+# Networks and their evaluations lie in folders of their own: a log and a record are named by a target without its suffix.
+STUDIES := $(STUDIED:%=$(STUDY)/networks/%.pt)
+JUDGED := $(STUDIED:%=$(STUDY)/evaluations/%.json)
 
 .PHONY: study
 study: $(STUDY)/study.json  ## error of one network against the presses and the units it learnt from: chart, CSV, JSON
 
-$(STUDIES): $(STUDY)/%.pt: $D/60_dataset/$(RES1)/dataset.json $P/models/$(LEARNT).json $P/train.json
+$(STUDIES): $(STUDY)/networks/%.pt: $D/60_dataset/$(RES1)/dataset.json $P/models/$(LEARNT).json $P/train.json
 	$(call step,gelforge.stages.train --dataset $(<D) --model $(LEARNT) --part $* --models $P/models/$(LEARNT).json --params $P/train.json --out $@.part)
 
-$(STUDIES:.pt=.json): $(STUDY)/%.json: $(STUDY)/%.pt $D/60_dataset/$(RES1)/dataset.json $P/evaluate.json
+$(JUDGED): $(STUDY)/evaluations/%.json: $(STUDY)/networks/%.pt $D/60_dataset/$(RES1)/dataset.json $P/evaluate.json
 	$(call step,gelforge.stages.evaluate --dataset $(dir $(word 2,$^)) --model $< --params $P/evaluate.json --out $@.part)
 
-$(STUDY)/study.json: $D/80_evaluate/$(RES1)/$(LEARNT).json $(STUDIES:.pt=.json) $(STUDY)/choice.txt
-	$(call step,gelforge.stages.study --whole $< --parts $(STUDIES:.pt=.json) --out $@.part)
+$(STUDY)/study.json: $D/80_evaluate/$(RES1)/$(LEARNT).json $(JUDGED) $(STUDY)/choice.txt
+	$(call step,gelforge.stages.study --whole $< --parts $(JUDGED) --out $@.part)
 
 $(eval $(call choice,$(STUDY)/choice.txt,$(STUDIED)))

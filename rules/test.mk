@@ -1,7 +1,7 @@
 # Tests, and benchmarks of what was promised.
 TESTS ?= tests
 # A process of tests that dies is not started again: with --dist loadfile the others would wait for it for ever.
-SIDE_BY_SIDE = -n $(JOBS) --dist loadfile --max-worker-restart=0
+SIDE_BY_SIDE = -n $(SLOTS) --dist loadfile --max-worker-restart=0
 
 # Tests of pages need a browser.
 CHROMIUM_FOUND := .venv/chromium.found

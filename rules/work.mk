@@ -4,13 +4,13 @@ demo:  ## the whole flow on the demo dataset: labels, what the network that ship
 demo: report
 	@echo "report: $D/90_report/index.html"
 
-status:  ## samples done, failed with reasons and pending, per stage
+status: | $(SETUP)  ## samples done, failed with reasons and pending, per stage
 	@$(PY) -m gelforge.commands.status --results $D
 
 sample: $(MESH_FILES) | $(call barrier,20_meshes)  ## one sample through all stages with its log: make sample ID=…
 	@$(PY) -m gelforge.commands.sample --dataset $(DATASET) --id $(call given,ID) --resolution $(RES1)
 
-slurm-cancel:  ## cancel what was left running on Slurm (DETACH=1)
+slurm-cancel: | $(SETUP)  ## cancel what was left running on Slurm (DETACH=1)
 	@$(PY) -m gelforge.flow.slurm.run cancel --results $D
 
 ID ?=
@@ -27,8 +27,12 @@ $(CLEAN): clean-%:
 clean-STAGE:  ## remove a stage's artifacts, logs and metrics (clean-fea, clean-labels …)
 	@echo "one of: $(CLEAN)"
 
-clean-all:  ## remove everything made of this dataset
+clean-all:  ## remove everything made of this dataset, work on Slurm too
+	@if [ -x $(PY) ] && compgen -G '$D/.slurm/*.json' >/dev/null; then $(PY) -m gelforge.flow.slurm.run cancel --results $D; fi
 	rm -rf $D
+
+clean-venv:  ## remove the virtual environment
+	rm -rf .venv
 
 # Questions about the flow.
 .PHONY: why lineage estimate
@@ -37,9 +41,9 @@ TARGET ?=
 why:  ## why a target would be made again: make why TARGET=report
 	@$(PY) -m gelforge.commands.why --target $(call given,TARGET) 'DATASET=$(DATASET)' 'RES=$(RES)'
 
-lineage:  ## every file, parameter and cost behind one label: make lineage ID=…
+lineage: | $(SETUP)  ## every file, parameter and cost behind one label: make lineage ID=…
 	@$(PY) -m gelforge.commands.lineage --results $D --id $(call given,ID) --resolution $(RES1)
 
 # The pilots need the meshes, which the run keeps.
 estimate: $(MESH_FILES) | $(call barrier,20_meshes)  ## core hours, disk and time of a run before it starts
-	@$(PY) -m gelforge.commands.estimate --data $(DATA) --results $D --resolution $(RES1) --cores $(JOBS)
+	@$(PY) -m gelforge.commands.estimate --data $(DATA) --results $D --resolution $(RES1) --model $(MODEL) --cores $(SLOTS)

@@ -155,7 +155,7 @@ def run_of_demo(results: Path) -> list[Figure]:
     seconds = max(r["started"] + r["seconds"] for r in records) - min(r["started"] for r in records)
     took = {"cpu": sum(r["cpu_seconds"] for r in records), "disk": folder_bytes(results), "wall": seconds}
     rows = planned_rows(results)
-    costs = estimated(Path("data") / results.name, results, "24x32", rows)
+    costs = estimated(Path("data") / results.name, results, "24x32", "shipped", rows)
     wall = wall_seconds(costs, len(rows), os.cpu_count() or 1, len(Layout(results).names()))
     told = {"cpu": sum(c.cpu(len(rows)) for c in costs), "disk": sum(c.disk(len(rows)) for c in costs), "wall": wall}
     note = "from the records of the run that made it; whole only if it ran from nothing"

@@ -1,10 +1,16 @@
 """An estimate adds up, and its pilots stand for all presses."""
 
+import tomllib
+
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
+from parameters import parameters, slice_of
 
+from gelforge.commands.estimate import told, uncalibrated
+from gelforge.flow.files import read_json, write_json
 from gelforge.flow.forecast import Cost, pilots, presses_an_hour, size, table, wall_seconds
+from gelforge.flow.params import plain
 
 COSTS = [
     Cost("10_poses", 0.1, bytes_each=10.0),
@@ -45,3 +51,33 @@ def test_presses_an_hour_fall_with_what_each_takes_and_rise_with_the_cores():
     assert presses_an_hour(costs, 2) == 2 * 900.0
     assert presses_an_hour([*costs, Cost("10_poses", 4.0)], 2) == 900.0
     assert presses_an_hour([], 1) == float("inf")
+
+
+def test_a_network_that_is_trained_is_counted_by_its_kind(tmp_path, root):
+    """The network that ships learns nothing; a U-net takes several times a light network's time."""
+    params = tmp_path / "params"
+    models = tomllib.loads((root / "workflow/models.toml").read_text(encoding="utf-8"))
+    for name in ("grid_16", "unet", "pair_24_mirrored"):
+        write_json(params / "models" / f"{name}.json", {name: models[name]})
+    write_json(params / "train.json", {"version": 1, "train": plain(slice_of("train").train)})
+    write_json(params / "report.json", {"version": 1, "report": plain(parameters().report) | {"branches": []}})
+    costs = {name: {c.stage: c for c in told(params, "24x32", name)} for name in ("shipped", "grid_16", "unet")}
+    assert "70_train" not in costs["shipped"]
+    light, heavy = (costs[name]["70_train"].cpu_each for name in ("grid_16", "unet"))
+    epochs = slice_of("train").train
+    assert heavy / (epochs.epochs_of.unet or epochs.epochs) > 2 * light / epochs.epochs
+    pair = told(params, "24x32", "pair_24_mirrored")
+    assert next(c for c in pair if c.stage == "70_train").cpu_each > light  # its reader of dots learns too
+
+
+def test_a_calibration_fills_the_cores_whatever_the_number_of_shards():
+    assert wall_seconds([Cost("calibrate", cpu_once=100.0)], 5, 4, 1) == 25.0
+
+
+def test_pilots_need_no_posterior(tmp_path):
+    """c10 = "calibrated" is found by the very run that is estimated."""
+    write_json(
+        tmp_path / "params/forces.json", {"version": 1, "forces": {}, "material": {"c10": "calibrated", "nu": 0.475}}
+    )
+    made = read_json(uncalibrated(tmp_path / "params", tmp_path / "work"))
+    assert made["material"]["nu"] == 0.475 and isinstance(made["material"]["c10"], float)

@@ -151,3 +151,15 @@ def test_lineage_reads_the_same_files_however_many_samples_there_are(tmp_path, r
     ran = subprocess.run(command, capture_output=True, text=True, check=True)
     assert "149.csv" in ran.stdout
     assert not any(f" {heavy}\n" in ran.stderr for heavy in ("numpy", "scipy", "torch"))
+
+
+def test_lineage_of_a_label_that_names_no_shard_is_whole(tmp_path):
+    """Of very many shards a record names the parameters alone."""
+    results = tmp_path / "results/d"
+    lay(results, 300)
+    record = results / "metrics/50_labels/24x32/labels.json"
+    write_json(record, json.loads(record.read_text()) | {"inputs": []})
+    targets = [step["target"] for step in lineage(results, "s00123", "24x32")["steps"]]
+    assert [target.split("d/", 1)[1] for target in targets] == [
+        "10_poses/0001.csv", "30_fea/0001.csv", "40_forces/0001.npz", "50_labels/24x32/labels.json",
+    ]  # fmt: skip

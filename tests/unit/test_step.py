@@ -194,3 +194,57 @@ def test_without_a_terminal_each_finished_file_says_how_far_the_run_has_come(tmp
     target = tmp_path / "results/d/30_fea/0000.csv"
     said = wrapped(target, "bash", "-c", f"echo made > {target}.part")[1]
     assert said.rstrip().endswith("[no press is planned yet]")
+
+
+def test_of_two_readers_of_a_damaged_input_one_makes_it_again(tmp_path):
+    first, count = tmp_path / "results/d/40_forces/0000.npz", tmp_path / "count"
+    make_it = f"echo ran >> {count}; sleep 1; echo whole > {first}.part"
+    assert wrapped(first, "bash", "-c", make_it)[0] == 0
+    first.write_text("damaged\n")
+    readers = []
+    for name in ("a", "b"):
+        target = tmp_path / f"results/d/50_labels/{name}.npz"
+        words = [
+            sys.executable,
+            "-m",
+            "gelforge.flow.step",
+            str(target),
+            str(first),
+            "--",
+            "cp",
+            str(first),
+            f"{target}.part",
+        ]
+        readers.append(subprocess.Popen(words, stdout=subprocess.PIPE, text=True))
+    said = [reader.communicate(timeout=600)[0] for reader in readers]
+    assert [reader.returncode for reader in readers] == [0, 0], said
+    assert count.read_text() == "ran\nran\n" and first.read_text() == "whole\n"
+    assert (tmp_path / "results/d/50_labels/b.npz").read_text() == "whole\n"
+
+
+def test_an_interrupt_while_another_make_is_waited_for_is_no_traceback(tmp_path):
+    target = tmp_path / "results/d/30_fea/0000.csv"
+    started = tmp_path / "started"
+    first = start(target, "bash", "-c", f"touch {started}; sleep 60")
+    wait_until(started.exists, of=first)
+    words = [sys.executable, "-m", "gelforge.flow.step", str(target), "--", "true"]
+    second = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert "another make is at it" in second.stdout.readline()
+    second.send_signal(signal.SIGINT)
+    said = second.communicate(timeout=600)[1]
+    first.terminate()
+    first.wait()
+    assert second.returncode == 130 and "Traceback" not in said
+
+
+def test_a_folder_that_takes_nothing_is_one_sentence(tmp_path):
+    (tmp_path / "file").write_text("in the way\n")
+    program = (
+        "import os\nfrom gelforge.flow.main import exit_with\n"
+        "def main(argv): raise PermissionError(13, os.strerror(13), 'results/d')\nexit_with(main, [])"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (
+        done.returncode == 2
+        and done.stderr == "error: results/d: Permission denied; free space or permissions, then run it again\n"
+    )

@@ -70,3 +70,15 @@ def test_frames_of_a_press_are_solved_labelled_and_split_together(project):
         same = forces.total[forces.index("alone")]
         assert np.abs(forces.total[forces.index("f3")] - same).max() < 0.003 * np.abs(same).max()
     assert read_labels(results / "50_labels/24x32/0000.npz").press_id.tolist().count("film") == 5
+
+
+def test_a_row_that_fills_up_a_labelled_shard_is_looked_at_alone(project, root):
+    log = project / "data/tiny/log.csv"
+    whole = read_csv(log)
+    write_csv(log, list(whole[0]), whole[:3])
+    say(project, "labels")
+    write_csv(log, list(whole[0]), whole)
+    new = whole[3]["sample_id"]
+    say(project, "sample", f"ID={new}")
+    say(project, "look", f"ID={new}")
+    assert (project / f"results/tiny/look/{new}-24x32.png").exists()

@@ -1,16 +1,23 @@
 """What a plan depends on: contents and not names, states and not ages; and nothing of it reaches make or a shell."""
 
 import os
+import re
 import shutil
 import subprocess
 import time
+from collections import Counter
+from pathlib import Path
 
 import numpy as np
 import pytest
 from parameters import parameters, slice_of
 
+from gelforge.commands.why import ask_make, reasons
+from gelforge.commands.why import lines as why_lines
 from gelforge.errors import BadInput
 from gelforge.flow.catalogue import with_content
+from gelforge.flow.files import read_csv, write_csv, write_text
+from gelforge.flow.layout import metrics_of
 from gelforge.geometry.triangles import write_stl
 from gelforge.stages.fea import sample_key
 from gelforge.stages.plan import check_count, make_list, used
@@ -96,6 +103,10 @@ def test_only_what_is_named_is_part_of_the_plan():
         ("RES", "24", "RES=24"),
         ("RES", "24x32;ls", "RES="),
         ("RES", "x32", "RES=x32"),
+        ("RES", "24x32x7", "RES=24x32x7"),
+        ("RES", "0x32", "RES=0x32"),
+        ("RES", "24x00", "RES=24x00"),
+        ("RES", "", "RES="),
     ],
 )
 def test_what_cannot_be_a_name_is_refused_before_anything_is_made(labelled, variable, value, message):
@@ -230,8 +241,10 @@ def test_an_environment_that_moved_with_its_clone_is_named(labelled):
         (venv / "pyvenv.cfg").write_text("home = /usr/bin\ncommand = /usr/bin/python3 -m venv /elsewhere/.venv\n")
         done = make(labelled, "poses", "DATASET=tiny")
         assert done.returncode and "made for /elsewhere/.venv" in done.stdout and "make setup" in done.stdout
-        (venv / "pyvenv.cfg").write_text(f"home = /usr/bin\ncommand = /usr/bin/python3 -m venv {venv}\n")
-        assert make(labelled, "help").returncode == 0
+        for options in ("", "--clear ", "--clear --upgrade "):
+            command = f"/usr/bin/python3 -m venv {options}{venv}"
+            (venv / "pyvenv.cfg").write_text(f"home = /usr/bin\ncommand = {command}\n")
+            assert make(labelled, "help").returncode == 0
     finally:
         shutil.rmtree(venv)
         venv.symlink_to(linked)
@@ -249,3 +262,131 @@ def test_why_names_the_parameter_that_changed_and_what_follows(labelled):
     finally:
         table.write_text(text)
     assert make(labelled, "labels", "DATASET=tiny").returncode == 0
+
+
+def test_a_clone_in_a_folder_with_a_blank_works_on(root, tmp_path):
+    project = link_project(root, tmp_path / "my clone")
+    (project / ".venv").unlink()
+    (project / ".venv").mkdir()
+    command = f"/usr/bin/python3 -m venv {project}/.venv"
+    (project / ".venv" / "pyvenv.cfg").write_text(f"home = /usr/bin\ncommand = {command}\n")
+    done = make(project, "help")
+    assert done.returncode == 0, done.stdout
+
+
+def step_targets(project, *words) -> list[str]:
+    """Targets of the wrapper in what make would run for these words."""
+    said = make(project, "-pn", "DATASET=tiny", *words).stdout
+    return re.findall(r"-m gelforge\.flow\.step (\S+) ", said)
+
+
+def test_no_two_targets_share_a_log_and_a_record(labelled):
+    """A record is named by its target without the suffix: one that another overwrote would call the first damaged."""
+    goals = (
+        "models",
+        "evaluate-models",
+        "study",
+        "pareto",
+        "stability",
+        "calibrate",
+        "report",
+        "onnx",
+        "feats-export",
+        "pareto-models",
+    )
+    found = set(step_targets(labelled, *goals))
+    assert len(found) > 100 and any("/study/" in name for name in found)
+    records = Counter(str(metrics_of(Path(name))) for name in found)
+    assert [name for name, count in records.items() if count > 1] == []
+
+
+@pytest.mark.parametrize(("res", "model"), [("12x16", "grid_16"), ("24x32", "grid_16")])
+def test_the_network_of_a_report_is_the_one_it_names_at_every_resolution(labelled, res, model):
+    table = labelled / "data/tiny/dataset.toml"
+    text = table.read_text()
+    table.write_text(f'{text}\n[params.report]\nmodel = "{model}"\n')
+    try:
+        assert f"70_train/{res}/{model}.pt" in step_names(labelled, res)
+    finally:
+        table.write_text(text)
+
+
+def step_names(project, res) -> str:
+    return " ".join(step_targets(project, "report", f"RES={res}"))
+
+
+def test_jobs_of_a_program_are_those_of_the_command_line(labelled):
+    for words in (("-j1",), ("JOBS=1",)):
+        said = make(labelled, "-n", *words, "DATASET=tiny", "calibrate").stdout
+        assert "--jobs 1 " in said, said[-500:]
+
+
+@pytest.fixture
+def alone(root, tmp_path):
+    """A project of one press of its own, for what changes it beyond repair."""
+    project = link_project(root, tmp_path / "project")
+    lay_dataset(project, root, "tiny", 1)
+    return project
+
+
+def test_a_shape_that_is_put_where_it_was_missing_is_seen(alone):
+    workflow = alone / "workflow"
+    catalogue = workflow / "indenters.toml"
+    catalogue.write_text(catalogue.read_text() + '\n[mine]\nkind = "stl"\nfile = "mine.stl"\nscale = 1\n')
+    log = alone / "data/tiny/log.csv"
+    rows = read_csv(log)
+    rows[0] |= {"indenter": "mine"}
+    write_csv(log, list(rows[0]), rows)
+    done = make(alone, "poses", "DATASET=tiny")
+    assert done.returncode == 0 and "mine.stl" in done.stdout
+    block(workflow / "mine.stl", 4.0)
+    done = make(alone, "poses", "DATASET=tiny")
+    assert done.returncode == 0 and "10_poses/0000.csv" in done.stdout and "rejected: " not in done.stdout
+    assert len(read_csv(alone / "results/tiny/10_poses/0000.csv")) == 1
+
+
+def test_a_picture_that_is_put_into_any_folder_of_the_log_is_seen(alone):
+    data = alone / "data/tiny"
+    rows = read_csv(data / "log.csv")
+    picture = data / rows[0]["image"]
+    (data / "pics").mkdir()
+    rows[0] |= {"image": "pics/a.png"}
+    write_csv(data / "log.csv", list(rows[0]), rows)
+    assert "rejected: " in make(alone, "poses", "DATASET=tiny").stdout
+    shutil.copy(picture, data / "pics/a.png")
+    done = make(alone, "poses", "DATASET=tiny")
+    assert "10_poses/0000.csv" in done.stdout and "rejected: " not in done.stdout
+    (data / "pics/a.png").unlink()
+    assert "rejected: " in make(alone, "poses", "DATASET=tiny").stdout
+
+
+def test_what_is_left_of_a_dataset_whose_data_are_gone_is_seen_and_removed(alone):
+    assert make(alone, "poses", "DATASET=tiny").returncode == 0
+    shutil.rmtree(alone / "data/tiny")
+    assert "10_poses" in make(alone, "status", "DATASET=tiny").stdout
+    done = make(alone, "clean-all", "DATASET=tiny")
+    assert done.returncode == 0 and not (alone / "results/tiny").exists(), done.stdout
+
+
+def test_another_choice_is_named_as_the_cause(tmp_path, monkeypatch):
+    write_text(
+        tmp_path / "Makefile",
+        "page/index.html: page/choice.txt\n\ttouch $@\npage/choice.txt: choose-anew\n\ttouch $@\n.PHONY: choose-anew\n",
+    )
+    for age, name in enumerate(("page/choice.txt", "page/index.html")):
+        write_text(tmp_path / name, "")
+        os.utime(tmp_path / name, (1e9 + age, 1e9 + age))
+    monkeypatch.chdir(tmp_path)
+    said = "\n".join(why_lines("page/index.html", reasons(ask_make("page/index.html", []))))
+    assert "page/choice.txt" in said and "another choice" in said
+
+
+def test_every_phony_name_does_something(labelled):
+    said = make(labelled, "-pn", "DATASET=tiny", "report").stdout
+    names = set(re.findall(r"^([a-z][a-z-]*):.*\n(?:#.*\n)*#  Phony target", said, re.MULTILINE))
+    assert {"clean-venv", "clean-all", "report"} <= names
+    idle = [
+        name for name in names
+        if re.search(rf"^{name}:\s*\n(?:#.*\n)*\n", said, re.MULTILINE) and name not in ("plan-again", "choose-anew", "strict", "gap-in-labels", "meshes")
+    ]  # fmt: skip
+    assert idle == []

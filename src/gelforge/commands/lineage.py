@@ -17,10 +17,9 @@ def lineage(results: Path, sample_id: str, resolution: str) -> dict:
     shard = shard_of(results, sample_id)
     of = Layout(results)
     label = of.labelled(resolution)
-    steps = list(steps_to(results, str(label), shard))
-    if not steps:  # no label yet: what there is
-        last = [of.forces(shard), of.fea(shard), of.poses(shard)]
-        steps = next((found for path in last if (found := list(steps_to(results, str(path), shard)))), [])
+    # each by itself: a label of very many shards names none of them, and one that is not there yet leads to none
+    paths = (of.poses(shard), of.fea(shard), of.forces(shard), label)
+    steps = list({step.target: step for path in paths for step in steps_to(results, str(path), shard)}.values())
     pose = pose_of(results, shard, sample_id)
     steps = [replace(step, parameters=concerning(step.parameters, pose)) for step in steps]
     solve = read_record(of.solve(shard, sample_id))

@@ -50,7 +50,12 @@ def shard_paths(results: Path, sample_id: str, resolution: str) -> dict[str, Pat
             "forces": own.forces(name),
             "labels": own.labels(resolution, name),
         }
-        if paths["labels"].exists() and paths["forces"].exists():
+        # a row that was added since fills up a shard whose label is an older one's
+        if (
+            paths["labels"].exists()
+            and paths["forces"].exists()
+            and sample_id in read_labels(paths["labels"]).sample_id
+        ):
             return paths
     raise BadInput(
         f"sample {sample_id} has no label at {resolution} yet; run make sample ID={sample_id}"
@@ -66,7 +71,9 @@ def load(data: Path, paths: dict, sample_id: str, sensors: dict, resolution: str
     if press is None:
         raise BadInput(f"{paths['poses']}: has no sample {sample_id}; run make poses labels")
     if not found.status[at].valid:
-        raise BadInput(f"sample {sample_id} has no valid state ({found.status[at].name}); its log lies in 30_fea")
+        raise BadInput(
+            f"sample {sample_id} has no valid state ({found.status[at].name}); the reason is in 30_fea/SHARD/{sample_id}.json"
+        )
     sensor = find_sensor(sensors, press.sensor_id, str(paths["poses"]))
     image = read_logged_image(data, press.image, sensor.image) if press.image else None
     return Pictured(press, found.label[at].astype(float), found.outside[at], image, sensor, resolution)

@@ -14,6 +14,13 @@ from gelforge.flow.main import command, option
 NEWER = re.compile(r"Prerequisite '(.+)' is newer than target '(.+)'\.")
 ABSENT = re.compile(r"File '(.+)' does not exist\.")
 MUST = re.compile(r"Must remake target '(.+)'\.")
+# What a rule asks for by a word instead of a file (rules/*.mk), in sentences.
+ASKED = {
+    "choose-anew": "it was made with another choice (RES, MODEL, CHARTED, STUDIED or branches)",
+    "gap-in-labels": "labels of a shard are missing",
+    "strict": "STRICT=1 looks at every shard again",
+}
+NAMELESS = "something that it reads is made again"
 UNKNOWN = re.compile(r"No rule to make target '(.+?)'")
 
 
@@ -35,7 +42,9 @@ def ask_make(target: str, settings: list[str]) -> str:
 
 def reasons(said: str) -> dict[str, list[str]]:
     """Why each file must be made, from what make said, in the order it would be made; phony targets are left out."""
-    must = [name for name in MUST.findall(said) if "/" in name]
+    every = MUST.findall(said)
+    must = [name for name in every if "/" in name]
+    asked = [words for name, words in ASKED.items() if name in every]
     absent, found = set(ABSENT.findall(said)), {}
     for name in must:
         newer = [before for before, after in NEWER.findall(said) if after == name]
@@ -44,7 +53,7 @@ def reasons(said: str) -> dict[str, list[str]]:
         found[name] = (
             ["it does not exist"] if name in absent
             else [in_words(before) for before in fresh] + [f"{before} is made again" for before in remade]
-        ) or ["something that it reads is made again"]  # fmt: skip
+        ) or asked or [NAMELESS]  # fmt: skip
     return found
 
 
@@ -63,6 +72,7 @@ def lines(target: str, found: dict[str, list[str]], most: int = 12) -> list[str]
     if not found:
         return [f"{target}: nothing would be made again; it is up to date"]
     causes = {name: why for name, why in found.items() if not all(text.endswith("is made again") for text in why)}
+    causes = causes or {name: why for name, why in found.items() if NAMELESS in why}
     text = [f"{target}: {len(found)} files would be made, because"]
     stages: dict[str, list[str]] = {}
     for name in causes:

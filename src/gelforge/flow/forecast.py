@@ -37,16 +37,16 @@ def pilots(strength: list[float], count: int = PILOTS) -> list[int]:
     return [order[int((k + 0.5) * len(order) / count)] for k in range(count)]
 
 
-# Stages of many targets, and branches that run beside others.
-PARALLEL = (POSES, MESHES, FEA, FORCES, CALIBRATE, PARETO)
+# Stages of many targets, and branches that run beside others. A calibration fills the cores by itself.
+PARALLEL = (POSES, MESHES, FEA, FORCES, PARETO)
 
 
 def wall_seconds(costs: list[Cost], presses: int, cores: int, shards: int) -> float:
     """Time on so many cores: stages of shards and branches fill them, the others take one core one after the other."""
     beside = sum(cost.cpu(presses) for cost in costs if cost.stage in PARALLEL)
-    return beside / min(cores, max(shards, 1)) + sum(
-        cost.cpu(presses) for cost in costs if cost.stage not in PARALLEL
-    )
+    own = sum(cost.cpu(presses) for cost in costs if cost.stage == CALIBRATE)
+    alone = sum(cost.cpu(presses) for cost in costs if cost.stage not in (*PARALLEL, CALIBRATE))
+    return beside / min(cores, max(shards, 1)) + own / cores + alone
 
 
 LABELLED = (POSES, FEA, FORCES, LABELS)

@@ -14,6 +14,7 @@ A stage says what it needs and does it; everything else of a program stands here
 """
 
 import argparse
+import errno
 import inspect
 import os
 import sys
@@ -22,6 +23,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from gelforge.errors import GelforgeError
+
+# Of a disk or a folder that takes nothing: no fault of the program.
+UNWRITABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT)
 
 
 @dataclass(frozen=True)
@@ -117,9 +121,17 @@ def exit_with(main: Callable[[Sequence[str] | None], int], argv: Sequence[str] |
     except GelforgeError as error:
         print(f"error: {error}", file=sys.stderr)
         code = 2
-    except KeyboardInterrupt:
-        code = 130
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 141
+    except OSError as error:
+        if error.errno not in UNWRITABLE:
+            raise
+        print(
+            f"error: {error.filename}: {error.strerror}; free space or permissions, then run it again",
+            file=sys.stderr,
+        )
+        code = 2
+    except KeyboardInterrupt:
+        code = 130
     sys.exit(code)

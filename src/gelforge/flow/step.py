@@ -131,22 +131,42 @@ def heal(path: Path) -> int:
     """Make an input again if it does not have the content it was published with; return the exit code.
 
     It goes first: where its command fails, or is one that an older version of the code knew, nobody takes the
-    damaged file for a whole one, and the next make finds it missing and makes it by today's rule.
+    damaged file for a whole one, and the next make finds it missing and makes it by today's rule. Of several readers
+    the first makes it again, the others wait.
+    """
+    if damage(path) is None:
+        return 0
+    with locked(path) as log_path:
+        lost = damage(path)
+        if lost is None:
+            return 0
+        made, damaged = read_json(metrics_of(path)), path.with_name(lost)
+        if made["exit_code"]:
+            return 1  # whoever came first tried, and said why it failed
+        print(f"{damaged}: not as it was when it was made; making it again", flush=True)
+        for gone in (damaged, path):
+            shutil.rmtree(gone) if gone.is_dir() else gone.unlink(missing_ok=True)
+        inputs = [Path(name) for name in made["inputs"]]
+        return heal_all(inputs) or make_part(path, inputs, made["command"], log_path)
+
+
+def heal_all(paths: Iterable[Path]) -> int:
+    """Heal one after the other; return the first exit code that is not 0."""
+    return next((code for code in map(heal, paths) if code), 0)
+
+
+def damage(path: Path) -> str | None:
+    """Which file of a target is not as it was published: its own, absent too, or one beside it; None where all is well.
+
+    What has no record was made by hand or is being made for the first time.
     """
     metrics = metrics_of(path)
-    if not (metrics.exists() and path.is_file()):
-        return 0
+    if not metrics.exists():
+        return None
     made = read_json(metrics)
-    if made["exit_code"]:
-        return 0
-    lost = damaged_beside(path) if whole(path, made) else path.name
-    if lost is None:
-        return 0
-    damaged = path.with_name(lost)
-    print(f"{damaged}: not as it was when it was made; making it again", flush=True)
-    for gone in (damaged, path):
-        shutil.rmtree(gone) if gone.is_dir() else gone.unlink(missing_ok=True)
-    return build(path, [Path(name) for name in made["inputs"]], made["command"])
+    if path.is_file() and (made["exit_code"] or whole(path, made)):
+        return None if made["exit_code"] else damaged_beside(path)
+    return None if path.is_dir() else path.name
 
 
 def whole(path: Path, made: dict) -> bool:
@@ -167,19 +187,29 @@ def damaged_beside(path: Path) -> str | None:
 def build(target: Path, inputs: list[Path], command: list[str]) -> int:
     """Make one target: heal its inputs, lock, run, publish; return the exit code."""
     started = time.time()
-    for path in inputs:
-        code = heal(path)
-        if code:
-            return code
-    log_path = log_of(target)
-    for folder in (target.parent, log_path.parent):
-        folder.mkdir(parents=True, exist_ok=True)
-    with log_path.with_suffix(".lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
+    code = heal_all(inputs)
+    if code:
+        return code
+    with locked(target) as log_path:
         # A second make that waited here finds the work of the first one done.
         if target.exists() and target.stat().st_mtime >= started:
             return 0
         return make_part(target, inputs, command, log_path)
+
+
+@contextmanager
+def locked(target: Path) -> Iterator[Path]:
+    """Hold the lock of a target, which one step has at a time; yield where its log lies."""
+    log_path = log_of(target)
+    for folder in (target.parent, log_path.parent):
+        folder.mkdir(parents=True, exist_ok=True)
+    with log_path.with_suffix(".lock").open("w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            print(f"{target}: another make is at it; waiting", flush=True)
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        yield log_path
 
 
 def make_part(target: Path, inputs: list[Path], command: list[str], log_path: Path) -> int:
@@ -223,6 +253,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     die_with_parent()
     try:
         return build(Path(argv[0]), [Path(name) for name in argv[1:split]], argv[split + 1 :])
+    except KeyboardInterrupt:
+        return 130
     except OSError as error:
         print(f"{argv[0]}: {error.strerror}: {error.filename}; free space or permissions, then run make again")
         return 1

@@ -114,6 +114,13 @@ def named(rows: list[RawRow], column: str) -> set[str]:
     return {row.cells.get(column, "").strip() for row in rows}
 
 
+def picture_folders(data: Path, rows: list[RawRow]) -> list[str]:
+    """Folders of the pictures that rows name, which make looks into for others; one that make cannot name is not watched."""
+    inside = (Path(name).parent for name in named(rows, "image") if name and not Path(name).is_absolute())
+    folders = {str(data / folder) for folder in inside if ".." not in folder.parts}
+    return sorted(folder for folder in folders if _WORD.fullmatch(folder))
+
+
 def image_digests(data: Path, names: set[str], kept: Path) -> dict[str, str]:
     """Digest of each picture that rows name: one that was replaced is another picture, one that was touched is not.
 
@@ -221,7 +228,8 @@ def read_catalogues(
     indenters = used(config.read_toml(catalogue), named(rows, "indenter"))
     indenters, shapes = with_content(indenters, workflow)
     tables = {"sensors": used(known, sensors), "indenters": indenters}
-    return tables, [catalogue, *shapes]
+    # the charts' scenes name indenters of the project's own catalogue, whichever the dataset has
+    return tables, list(dict.fromkeys([catalogue, workflow / "indenters.toml", *shapes]))
 
 
 def check_gel(file: Path, of: DatasetFile, mesh_gel: str, sensors: dict[str, dict]) -> None:
@@ -298,6 +306,7 @@ def main(args: Namespace) -> None:
     lists = {"MESHES": meshes, "BRANCHES": list(params.report.branches)} | chart_lists(params, scenes)
     lists["REPORT_MODEL"] = reported_model(params, config.read_toml(args.workflow / "models.toml"))
     lists["PLAN_READS"] = [str(path) for path in read]
+    lists["PICTURES"] = picture_folders(args.data, rows)
     text = "".join(make_list(name, values) for name, values in lists.items())
     write_slices(params, args.workflow, out, tables, scenes)
     shards = write_shards(args.data, rows, out, params.plan.shard_size, tables)
