@@ -34,6 +34,6 @@ endif
 
 # RES: words such as 24x32, two numbers from 1 on.
 SIDES = $(subst x, ,$(1))
-ifneq ($(strip $(call without,$(value RES),$(DIGITS) x) $(filter x% %x,$(value RES)) $(if $(strip $(value RES)),,none) $(foreach w,$(value RES),$(filter-out 2,$(words $(call SIDES,$w))) $(foreach n,$(call SIDES,$w),$(if $(call without,$n,0),,$n)))),)
+ifneq ($(strip $(call without,$(value RES),$(DIGITS) x) $(filter x% %x,$(value RES)) $(findstring xx,$(value RES)) $(if $(strip $(value RES)),,none) $(foreach w,$(value RES),$(filter-out 2,$(words $(call SIDES,$w))) $(foreach n,$(call SIDES,$w),$(if $(call without,$n,0),,$n)))),)
 $(error RES=$(value RES): give resolutions as ROWSxCOLUMNS, such as RES="12x16 24x32")
 endif

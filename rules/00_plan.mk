@@ -13,7 +13,7 @@ PICTURES :=
 # Goals that need no dataset do not read one.
 NO_DATASET := help setup lint format test test-% rig rig-% benchmark-% lock clean-% slurm-cancel feats-import mcap-import projection real-check
 # What was made of a dataset whose data are gone can still be seen.
-NO_DATASET += $(if $(wildcard $(DATA)/log.csv),,status lineage)
+NO_DATASET += $(if $(wildcard $(DATA)/log.csv),,$(if $(wildcard $D),status lineage))
 ifneq ($(filter-out $(NO_DATASET),$(or $(MAKECMDGOALS),help)),)
 include $(PLANNED)
 # The plan holds the time and size of every file that it was made from. They are compared for being the same, not for
@@ -22,9 +22,9 @@ ifneq ($(PLAN_STATE),$(if $(PLAN_STATE),$(shell stat -c '%n:%.9Y:%s' $(PLAN_INPU
 .PHONY: plan-again
 $(PLANNED): plan-again
 # A picture that was replaced, by an older one too: the time at which its entry changed tells (-cnewer), not its own. One
-# that came or went changes its folder. PICTURES are the folders that the log names.
+# that came or went changes its folder, and a folder the one above it. PICTURES are the folders that the log names.
 else ifeq ($(MAKE_RESTARTS)$(if $(and $(PICTURES),$(wildcard $(PLANNED))),,none),)
-ifneq ($(shell find $(PICTURES) \( -type f -cnewer $(PLANNED) -o -type d -newer $(PLANNED) \) -print -quit 2>/dev/null),)
+ifneq ($(shell find -L $(DATA) -maxdepth 0 -newer $(PLANNED) -print; find -L $(PICTURES) \( -type f -cnewer $(PLANNED) -o -type d -newer $(PLANNED) \) -print -quit 2>/dev/null),)
 .PHONY: plan-again
 $(PLANNED): plan-again
 endif

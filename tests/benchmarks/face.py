@@ -148,9 +148,7 @@ def time_wheel(folder: Path) -> list[Figure]:
 
 
 def run_of_demo(results: Path) -> list[Figure]:
-    """What the last make demo took, from its records, and what an estimate says of it; BadInput where none lies here."""
-    if not REPORT.exists():
-        raise BadInput(f"{REPORT}: absent; make demo, from nothing, then make benchmark-face")
+    """What the last make demo took, from its records, and what an estimate says of it."""
     records = [read_json(path) for path in (results / "metrics").rglob("*.json")]
     seconds = max(r["started"] + r["seconds"] for r in records) - min(r["started"] for r in records)
     took = {"cpu": sum(r["cpu_seconds"] for r in records), "disk": folder_bytes(results), "wall": seconds}
@@ -172,6 +170,8 @@ def run_of_demo(results: Path) -> list[Figure]:
 
 @command(option("--out", type=Path))
 def main(args: Namespace) -> None:
+    if not REPORT.exists():
+        raise BadInput(f"{REPORT}: absent; make demo, from nothing, then make benchmark-face")
     figures = []
     for name, measure in (
         ("page", time_page),

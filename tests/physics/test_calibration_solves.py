@@ -14,6 +14,7 @@ from gelforge.calibration.solves import (
     build_emulator,
     interface_of,
     make_plan,
+    path_curve,
     refine,
     solve_all,
     touch_of,
@@ -209,3 +210,14 @@ def test_a_state_that_is_none_does_not_serve_though_its_path_ended(status):
     ended = SimpleNamespace(status=status, evidence={"path": [[0.5, 0, 0, -10.0], [1.0, 0, 0, -70.0]]})
     assert not usable(ended, press)
     assert usable(SimpleNamespace(status=Status.DIVERGED, evidence=ended.evidence), press)
+
+
+def test_a_press_that_meets_the_gel_only_on_its_way_sideways_has_no_curve_of_its_way_down():
+    press = Press(0, 0, 0, -1.0, 0, -0.3)
+    ended = SimpleNamespace(
+        status=Status.OK,
+        total=np.array([0.1, 0.0, -0.4]),
+        evidence={"path": [[1.5, 0.0, 0.0, -0.1], [2.0, 0.1, 0.0, -0.4]], "seconds": 1.0},
+    )
+    found = path_curve(ended, press, 1.2)
+    assert found["depth"] == found["force"] == [] and found["end"] == [0.1, 0.0, -0.4]

@@ -288,9 +288,13 @@ def test_a_frame_that_gave_way_aside_has_the_force_of_its_own_depth():
     np.testing.assert_allclose(one[2], other[2], rtol=5e-3)
 
 
-def test_moments_that_rounding_tells_apart_are_solved():
+@pytest.mark.parametrize("law", [Interface("no_slip"), Interface("coulomb", 0.5)])
+def test_moments_that_rounding_tells_apart_are_one(law):
+    """On coarse and fine bricks, and on one path where friction asks for it."""
     scenes = [
-        Scene(Gel(), Material(), BALL, Press(0, 0, z0, 0, 0, dz))
+        Scene(Gel(), Material(), BALL, Press(0, 0, z0, 0, 0, dz), law)
         for z0, dz in ((0.1, -0.5), (0.105, -0.505), (0.1, -0.9))
     ]
-    assert all(result.status is Status.OK for result in HexSolver(FRAMED).solve_frames(scenes))
+    one, other, end = HexSolver(FRAMED).solve_frames(scenes)
+    assert one.status is other.status is end.status is Status.OK
+    assert one.total[2] == pytest.approx(other.total[2], rel=1e-6) and end.total[2] < 2.0 * one.total[2] < 0.0

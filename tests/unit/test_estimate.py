@@ -3,11 +3,13 @@
 import tomllib
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from parameters import parameters, slice_of
 
-from gelforge.commands.estimate import told, uncalibrated
+from gelforge.commands.estimate import told, training, uncalibrated
+from gelforge.errors import BadInput
 from gelforge.flow.files import read_json, write_json
 from gelforge.flow.forecast import Cost, pilots, presses_an_hour, size, table, wall_seconds
 from gelforge.flow.params import plain
@@ -68,6 +70,12 @@ def test_a_network_that_is_trained_is_counted_by_its_kind(tmp_path, root):
     assert heavy / (epochs.epochs_of.unet or epochs.epochs) > 2 * light / epochs.epochs
     pair = told(params, "24x32", "pair_24_mirrored")
     assert next(c for c in pair if c.stage == "70_train").cpu_each > light  # its reader of dots learns too
+
+
+def test_a_network_that_there_is_not_is_named(tmp_path):
+    write_json(tmp_path / "train.json", {"version": 1, "train": plain(slice_of("train").train)})
+    with pytest.raises(BadInput, match="MODEL=grid16"):
+        training(tmp_path, "grid16")
 
 
 def test_a_calibration_fills_the_cores_whatever_the_number_of_shards():

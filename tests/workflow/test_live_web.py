@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gelforge.commands.live_readings import tell
+from gelforge.commands.live_readings import tell, write_files
 from gelforge.errors import BadInput
 from gelforge.networks.use import Untouched, load_for_use
 from gelforge.records.film import frames, open_source
@@ -236,3 +236,11 @@ def test_a_server_for_the_network_answers_by_its_name_there(tmp_path):
     finally:
         server.shutdown()
         server.server_close()
+
+
+def test_a_file_that_was_not_opened_is_left_as_it_is(tmp_path):
+    notes = tmp_path / "notes.csv"
+    notes.write_text("not ours, and no last line break")
+    with pytest.raises(BadInput, match="cannot be written"):
+        write_files(iter(()), tmp_path / "nowhere" / "live.jsonl", notes)
+    assert notes.read_text() == "not ours, and no last line break"

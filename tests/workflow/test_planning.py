@@ -19,8 +19,9 @@ from gelforge.flow.catalogue import with_content
 from gelforge.flow.files import read_csv, write_csv, write_text
 from gelforge.flow.layout import metrics_of
 from gelforge.geometry.triangles import write_stl
+from gelforge.records.press import RawRow
 from gelforge.stages.fea import sample_key
-from gelforge.stages.plan import check_count, make_list, used
+from gelforge.stages.plan import check_count, make_list, picture_folders, used
 from tests.benchmarks.sandbox import link_project, make
 
 from .conftest import lay_dataset
@@ -105,6 +106,7 @@ def test_only_what_is_named_is_part_of_the_plan():
         ("RES", "x32", "RES=x32"),
         ("RES", "24x32x7", "RES=24x32x7"),
         ("RES", "0x32", "RES=0x32"),
+        ("RES", "24xx32", "RES=24xx32"),
         ("RES", "24x00", "RES=24x00"),
         ("RES", "", "RES="),
     ],
@@ -356,8 +358,23 @@ def test_a_picture_that_is_put_into_any_folder_of_the_log_is_seen(alone):
     shutil.copy(picture, data / "pics/a.png")
     done = make(alone, "poses", "DATASET=tiny")
     assert "10_poses/0000.csv" in done.stdout and "rejected: " not in done.stdout
-    (data / "pics/a.png").unlink()
+    assert "gelforge.flow.step" not in make(alone, "-n", "poses", "DATASET=tiny").stdout
+    shutil.rmtree(data / "pics")
     assert "rejected: " in make(alone, "poses", "DATASET=tiny").stdout
+
+
+@pytest.mark.parametrize(
+    ("names", "folders"),
+    [
+        (["images/a.png", "images/run 1/b.png", "", "../c.png", "/d.png"], ["data/x/images"]),
+        ([f"images/{k:06d}/frame.png" for k in range(9)] + ["left/a.png"], ["data/x/images", "data/x/left"]),
+        (["a.png", "images/b.png"], ["data/x"]),
+        (["my pictures/a.png", "images/b.png"], ["data/x"]),
+    ],
+)
+def test_folders_of_pictures_are_few_and_make_can_name_them(names, folders):
+    rows = [RawRow(k + 2, {"image": name}) for k, name in enumerate(names)]
+    assert picture_folders(Path("data/x"), rows) == folders
 
 
 def test_what_is_left_of_a_dataset_whose_data_are_gone_is_seen_and_removed(alone):

@@ -120,9 +120,11 @@ def path_curve(result, press: Press, touch: float) -> dict:
     end = result.total if result.status.valid else steps[-1, 1:]
     if not (press.dx or press.dy):
         down[:, 1:] *= end[2] / down[-1, 3]
+    # a press that meets the gel only on its way sideways has no curve of the way down
+    met = [touch] if len(down) else []
     return {
-        "depth": (-press.dz * np.array([touch, *down[:, 0]])).tolist(),
-        "force": [[0.0] * 3, *down[:, 1:].tolist()],
+        "depth": (-press.dz * np.array([*met, *down[:, 0]])).tolist(),
+        "force": [*[[0.0] * 3] * len(met), *down[:, 1:].tolist()],
         "end": end.tolist(),
         "status": result.status.name,
         "seconds": float(result.evidence["seconds"]),

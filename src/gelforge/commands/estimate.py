@@ -19,12 +19,12 @@ from gelforge.flow.files import read_json, write_json, write_text
 from gelforge.flow.forecast import Cost, pilots, presses_an_hour, table, wall_seconds
 from gelforge.flow.layout import Layout, shard_name
 from gelforge.flow.main import command, option
-from gelforge.flow.params import plain
 from gelforge.flow.params.slices import ForCalibrate, ForPareto, ForReport, ForTrain, read_slice
 from gelforge.flow.running import duration
 from gelforge.mechanics.scene import REFERENCE_C10
 from gelforge.records.log import read_shard, shard_text
 from gelforge.records.press import RawRow, parse
+from gelforge.stages.train import resolve
 
 STAGES = {"poses": layout.POSES, "fea": layout.FEA, "forces": layout.FORCES, "labels": layout.LABELS}
 # Measured, processor seconds: an image through an evaluation with its start; a press in the report; a press of a
@@ -110,15 +110,12 @@ def meshes(results: Path) -> Cost:
 
 
 def training(params: Path, model: str) -> Cost:
-    """What a network takes to learn."""
-    table, train = (
-        read_json(params / "models" / f"{model}.json")[model],
-        read_slice(params / "train.json", ForTrain).train,
+    """What a network takes to learn; BadInput for one that there is not."""
+    file = params / "models" / f"{model}.json"
+    table, settings = resolve(
+        read_json(file) if file.exists() else {}, model, read_slice(params / "train.json", ForTrain).train
     )
-    kind, own = table["kind"], table.get("train", {})
-    epochs = own.get("epochs", plain(train.epochs_of).get(kind) or train.epochs)
-    dots = own.get("dot_epochs", train.dot_epochs)
-    each = TRAIN_EACH.get(kind, TRAIN_EACH["grid"]) * epochs + DOTS_EACH * dots
+    each = TRAIN_EACH.get(table["kind"], TRAIN_EACH["grid"]) * settings.epochs + DOTS_EACH * settings.dot_epochs
     return Cost(layout.TRAIN, each, START, bytes_once=3e6)
 
 
@@ -141,8 +138,9 @@ def told(params: Path, resolution: str, model: str) -> list[Cost]:
 
 def estimated(data: Path, results: Path, resolution: str, model: str, rows: list[RawRow]) -> list[Cost]:
     """What every stage of a dataset takes, the rows given being all its presses."""
+    later = told(Layout(results).params, resolution, model)  # first: a wrong word must not wait for the pilots
     costs = measured(data, results, resolution, rows)
-    return [costs[0], meshes(results), *costs[1:], *told(Layout(results).params, resolution, model)]
+    return [costs[0], meshes(results), *costs[1:], *later]
 
 
 @command(

@@ -1,17 +1,18 @@
 """What `gelforge live` reads, told to a page or written to files."""
 
-import os
 import signal
 import sys
 import threading
 import time
 from argparse import Namespace
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from gelforge.errors import BadInput
 from gelforge.reporting.livepage import Hub, Reading, Recorder, Server, serve, write_lines
+
+LONGEST_LINE = 2**20  # bytes, of a reading that is written
 
 
 def readings(untouched, frames, pace_s: float = 0.0) -> Iterator[Reading]:
@@ -99,26 +100,38 @@ def write_files(found, jsonl: Path | None, table: Path | None) -> int:
         with text_file(jsonl) as lines, text_file(table) as rows:
             return write_lines(found, lines, rows)
     except OSError as error:
-        for path in (jsonl, table):
-            cut_to_whole_lines(path)
         raise BadInput(
             f"{error.filename or jsonl or table}: cannot be written ({error.strerror}); free space or name another file"
         ) from error
 
 
-def cut_to_whole_lines(path: Path | None) -> None:
-    """Take away what was begun of a line, from a file; nothing else has lines that can be taken back."""
-    if path is not None and path.is_file():
-        os.truncate(path, path.read_bytes().rfind(b"\n") + 1)
-
-
 @contextmanager
 def text_file(path: Path | None):
-    """A text stream to a file, to standard output for -, or none."""
+    """A text stream to a file, to standard output for -, or none; a file that cannot be written on ends in a whole line."""
     if path is None:
         yield None
-    elif str(path) == "-":
+        return
+    if str(path) == "-":
         yield sys.stdout
-    else:
-        with path.open("w", encoding="utf-8", newline="") as stream:
-            yield stream
+        return
+    stream = path.open("w", encoding="utf-8", newline="")
+    try:
+        yield stream
+        stream.close()
+    except OSError:
+        with suppress(OSError):
+            stream.close()
+        cut_to_whole_lines(path)
+        raise
+    finally:
+        with suppress(OSError):
+            stream.close()
+
+
+def cut_to_whole_lines(path: Path) -> None:
+    """Take away what was begun of a line, from a file; nothing else has lines that can be taken back."""
+    if path.is_file():
+        with path.open("r+b") as stream:
+            start = max(0, path.stat().st_size - LONGEST_LINE)
+            stream.seek(start)
+            stream.truncate(start + stream.read().rfind(b"\n") + 1)

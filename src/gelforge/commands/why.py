@@ -4,6 +4,7 @@ import os
 import re
 import subprocess
 from argparse import Namespace
+from itertools import pairwise
 from pathlib import Path
 
 from gelforge.errors import BadInput, last_words
@@ -44,7 +45,8 @@ def reasons(said: str) -> dict[str, list[str]]:
     """Why each file must be made, from what make said, in the order it would be made; phony targets are left out."""
     every = MUST.findall(said)
     must = [name for name in every if "/" in name]
-    asked = [words for name, words in ASKED.items() if name in every]
+    # make names what a file is asked for by right before the file
+    asked = {after: ASKED[name] for name, after in pairwise(every) if name in ASKED}
     absent, found = set(ABSENT.findall(said)), {}
     for name in must:
         newer = [before for before, after in NEWER.findall(said) if after == name]
@@ -53,7 +55,7 @@ def reasons(said: str) -> dict[str, list[str]]:
         found[name] = (
             ["it does not exist"] if name in absent
             else [in_words(before) for before in fresh] + [f"{before} is made again" for before in remade]
-        ) or asked or [NAMELESS]  # fmt: skip
+        ) or [asked.get(name, NAMELESS)]  # fmt: skip
     return found
 
 

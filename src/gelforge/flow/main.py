@@ -114,6 +114,12 @@ def program(home: Any) -> str:
     return f"gelforge {last}" if folder == "gelforge.commands" else f"python -m {name}"
 
 
+def unwritable(error: OSError) -> str:
+    """What a disk or a folder that takes nothing says, and what to do; a full disk does not always name the file."""
+    where = f"{error.filename}: " if error.filename else ""
+    return f"{where}{error.strerror}; free space or permissions"
+
+
 def exit_with(main: Callable[[Sequence[str] | None], int], argv: Sequence[str] | None = None) -> None:
     """Run `main(argv)` and leave the process with its code; 2 and one line for what a user can mend."""
     try:
@@ -127,10 +133,7 @@ def exit_with(main: Callable[[Sequence[str] | None], int], argv: Sequence[str] |
     except OSError as error:
         if error.errno not in UNWRITABLE:
             raise
-        print(
-            f"error: {error.filename}: {error.strerror}; free space or permissions, then run it again",
-            file=sys.stderr,
-        )
+        print(f"error: {unwritable(error)}, then run it again", file=sys.stderr)
         code = 2
     except KeyboardInterrupt:
         code = 130

@@ -21,6 +21,7 @@ from typing import IO
 
 from gelforge.flow.files import digest_of, read_json, write_json
 from gelforge.flow.layout import log_of, metrics_of
+from gelforge.flow.main import unwritable
 from gelforge.flow.programs import installed
 from gelforge.flow.running import look
 from gelforge.flow.terminal import show_line, terminal
@@ -142,7 +143,8 @@ def heal(path: Path) -> int:
             return 0
         made, damaged = read_json(metrics_of(path)), path.with_name(lost)
         if made["exit_code"]:
-            return 1  # whoever came first tried, and said why it failed
+            print(f"{path}: could not be made; see {log_path}", flush=True)
+            return 1
         print(f"{damaged}: not as it was when it was made; making it again", flush=True)
         for gone in (damaged, path):
             shutil.rmtree(gone) if gone.is_dir() else gone.unlink(missing_ok=True)
@@ -256,7 +258,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return 130
     except OSError as error:
-        print(f"{argv[0]}: {error.strerror}: {error.filename}; free space or permissions, then run make again")
+        print(f"{argv[0]}: {unwritable(error)}, then run make again")
         return 1
 
 

@@ -152,11 +152,11 @@ def _cylinder(t: _Table, **common) -> Body:
 
 
 def _rounded(profile: Ellipse | Annulus, t: _Table, **common) -> Body:
-    """The figure drawn along z; a fillet that leaves nothing flat of it would put the tip above z = 0."""
+    """The figure drawn along z; a rounded edge that met itself would be no edge, and the tip above z = 0."""
     fillet = t.number("fillet")
     if fillet > profile.widest_fillet + 1e-9:
         raise BadInput(
-            f"indenter {common['name']}: fillet {fillet:g} mm is too large for its outline; give at most {profile.widest_fillet:g}"
+            f"indenter {common['name']}: fillet {fillet:g} mm is too large: the rounded edge would meet itself; give at most {profile.widest_fillet:g}"
         )
     return Extrusion(profile=profile, fillet=fillet, height=t.number("height"), **common)
 

@@ -115,10 +115,14 @@ def named(rows: list[RawRow], column: str) -> set[str]:
 
 
 def picture_folders(data: Path, rows: list[RawRow]) -> list[str]:
-    """Folders of the pictures that rows name, which make looks into for others; one that make cannot name is not watched."""
-    inside = (Path(name).parent for name in named(rows, "image") if name and not Path(name).is_absolute())
-    folders = {str(data / folder) for folder in inside if ".." not in folder.parts}
-    return sorted(folder for folder in folders if _WORD.fullmatch(folder))
+    """Folders right below the dataset's with pictures that rows name, in which make looks for others.
+
+    The dataset's own where pictures lie in it, or where make cannot name the folder.
+    """
+    inside = (Path(name).parts for name in named(rows, "image") if name and not Path(name).is_absolute())
+    folders = {str(data / parts[0]) if len(parts) > 1 else str(data) for parts in inside if ".." not in parts}
+    found = {folder if _WORD.fullmatch(folder) else str(data) for folder in folders}
+    return [str(data)] if str(data) in found else sorted(found)
 
 
 def image_digests(data: Path, names: set[str], kept: Path) -> dict[str, str]:

@@ -35,7 +35,6 @@ from gelforge.virtualrig.writer import (
     write_sensors,
 )
 
-VERSION = 4
 FACTORS = "truth/factors"  # of forces, by indenter; the same for all presses of it
 CAMERA = 2  # purpose of a generator: noise of the first camera that sees a press; the others follow
 MOMENTS = 1000  # further on are the generators of later moments

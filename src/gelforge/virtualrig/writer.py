@@ -57,6 +57,10 @@ class Dataset:
                 "name another `dataset` in the plan or remove the folder"
             )
         before = read_json(self.plan_path)
+        if self.log and "shapes" not in before:
+            print(
+                f"{self.folder}: what its indenters and sensors were was not recorded when it was begun; today's are taken"
+            )
         changed = differing(before.get("shapes", {}), shapes) if self.log else []
         if changed:
             raise BadInput(

@@ -138,12 +138,11 @@ def progress(record: Record, silent: bool) -> str:
 
 def show(record: Record, said: float, silent: bool, every_s: float = 30.0) -> float:
     """Say how far the work has come: on make's terminal always, as a line now and then elsewhere."""
-    line, device = progress(record, silent), terminal()
+    device = terminal()
     if device is not None:
-        show_line(device, line)
-        return said
-    if time.monotonic() - said > every_s:
-        print(line, file=sys.stderr, flush=True)
+        show_line(device, progress(record, silent))
+    elif time.monotonic() - said > every_s:
+        print(progress(record, silent), file=sys.stderr, flush=True)
         return time.monotonic()
     return said
 

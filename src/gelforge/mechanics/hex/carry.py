@@ -33,8 +33,8 @@ class Trail:
     size: float
 
     def until(self, t: float) -> "Trail":
-        """The path up to t, one of its times but for what a load step is too short for."""
-        count = int(np.searchsorted(self.times, t + 1e-9, "right"))
+        """The path up to t, one of its times."""
+        count = self.times.index(t) + 1
         return replace(self, times=self.times[:count], states=self.states[:count])
 
     def pose(self, t: float) -> Pose:

@@ -224,10 +224,11 @@ def moment_of(scene: Scene, last: Scene) -> float:
     """
     end, way = (np.array([s.press.dx, s.press.dy]) for s in (scene, last))
     fallen = scene.press.z0 + scene.press.dz - last.press.z0
-    down = float(np.clip(fallen / last.press.dz, 1e-9, 1.0))
+    # to eight decimals: moments that only rounding tells apart are one
+    down = float(np.clip(np.round(fallen / last.press.dz, 8), 1e-8, 1.0))
     if not way.any():
         return down
-    aside = float(np.clip(end @ way / (way @ way), 0.0, 1.0))
+    aside = float(np.clip(np.round(end @ way / (way @ way), 8), 0.0, 1.0))
     off_down = np.hypot(np.linalg.norm(end), fallen - down * last.press.dz)
     off_aside = np.hypot(np.linalg.norm(end - aside * way), fallen - last.press.dz)
     return 1.0 + aside if aside > 0.0 and off_aside < off_down else down
