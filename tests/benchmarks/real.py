@@ -21,10 +21,10 @@ from gelforge.flow.main import command, option
 from gelforge.flow.progress import progress
 from gelforge.formats.numpy_pickle import read_npy
 from gelforge.networks.latency import predict_images
-from gelforge.networks.modelfile import Trained
+from gelforge.networks.modelfile import SensorNet, Trained
 from gelforge.networks.sensorprofile import Gain, fit_opposite
 from gelforge.networks.still import SETTLING, find_untouched
-from gelforge.networks.use import Untouched, load_for_use, predict_one
+from gelforge.networks.use import Untouched, fit_size, load_for_use, predict_one
 from gelforge.records.image import read_image
 from gelforge.records.markers import find_blobs
 from tests.benchmarks.figures import Figure, publish_figures
@@ -63,7 +63,7 @@ def as_used(trained: Trained, untouched: np.ndarray, sitting: Sequence[np.ndarra
 
 def bare(trained: Trained, untouched: np.ndarray, _sitting: Sequence[np.ndarray] = ()) -> Way:
     """The network alone on the two pictures as they are."""
-    reader = Untouched(trained, untouched).reader("given")
+    reader = SensorNet(trained, fit_size(untouched, trained.about["image"])[0]).eval()
     return lambda image: predict_images(reader, image[None])[0]
 
 

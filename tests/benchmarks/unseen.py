@@ -28,6 +28,7 @@ from gelforge.networks.sensorprofile import fit_gain
 from gelforge.networks.use import Untouched, load_for_use, predict_one
 from gelforge.records.axes import AXIS_OF_CHANNEL, CHANNELS
 from gelforge.stages.rig import units_of
+from gelforge.sweeps.trial import cells_of
 from gelforge.virtualrig.bench import Bench
 from gelforge.virtualrig.fields import field_of, surface_of
 from gelforge.virtualrig.render import Pressed, Renderer
@@ -87,10 +88,12 @@ def press_units(plan_path: Path, count: int) -> Units:
             continue
         field = field_of(gel, surface_of(pressing.result.mesh, pressing.result.displacement, pressing.real))
         body, axes = Pressed(bench.body(order.indenter), pressing.real), list(AXIS_OF_CHANNEL)
-        total, rig_total = stiffness * solved.total[axes], pressing.force[axes]
         for k, (name, camera) in enumerate(cameras.items()):
             image = camera.image(field, body, generator(fresh, order.index, 100 + k))
-            seen.append(Seen(name, image, total, rig_total))
+            # what falls outside the picture is no part of what it shows
+            cells, outside = cells_of(solved.mesh, solved.forces, sensors[name])
+            total, rig_total = stiffness * cells.sum(axis=(1, 2)), pressing.force - stiffness * outside
+            seen.append(Seen(name, image, total[axes], rig_total[axes]))
     return Units(cameras, untouched, seen)
 
 

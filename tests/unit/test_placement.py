@@ -8,7 +8,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from gelforge.commands.predict import place_sitting
+from gelforge.commands.predict import LEAST_SITTING, place_sitting
 from gelforge.networks.canonical import match_light
 from gelforge.networks.dots import PrintedDots
 from gelforge.networks.placement import LEAST_SHIFT, LEAST_TURN, LEAST_ZOOM, common_motion, place, place_alone
@@ -133,7 +133,7 @@ def test_a_gel_that_sits_otherwise_is_no_force(shipped, presses, move):
     """Below 0.3 N where the bare difference reads 8 to 35 N, whether its sitting is known or not."""
     for picture in presses[0].values():
         untouched, seen = Untouched(shipped, picture), moved(picture, **MOVES[move])
-        for placement in (place_sitting(untouched, [seen]), None):
+        for placement in (place_sitting(untouched, [seen] * LEAST_SITTING), None):
             _, forces, verdict = predict_one(untouched, seen, placement)
             assert np.abs(forces.sum((1, 2))).max() < 0.3
         assert "told by" in verdict["placed"]
@@ -151,7 +151,11 @@ def test_presses_of_a_gel_that_sits_otherwise_read_nearer_to_what_they_are(shipp
     for name, picture in pictures[::4]:
         untouched, seen = Untouched(shipped, rest[name]), moved(picture, **MOVES[move])
         own = predict_one(untouched, picture)[1].sum((1, 2))
-        left.append(np.abs(predict_one(untouched, seen, place_sitting(untouched, [seen]))[1].sum((1, 2)) - own).max())
+        left.append(
+            np.abs(
+                predict_one(untouched, seen, place_sitting(untouched, [seen] * LEAST_SITTING))[1].sum((1, 2)) - own
+            ).max()
+        )
         bare.append(np.abs(predict_one(untouched, seen, UNPLACED)[1].sum((1, 2)) - own).max())
     print(f"{move}: {np.median(left):.2f} N left of {np.median(bare):.2f} N")
     assert np.median(left) < most and np.median(left) < share * np.median(bare)

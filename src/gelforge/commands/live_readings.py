@@ -15,8 +15,8 @@ from gelforge.reporting.livepage import Hub, Reading, Recorder, Server, serve, w
 LONGEST_LINE = 2**20  # bytes, of a reading that is written
 
 
-def readings(untouched, frames, pace_s: float = 0.0) -> Iterator[Reading]:
-    """Read frames (h, w, 3) BGR, at most one every `pace_s`."""
+def readings(untouched, frames, pace_s: float = 0.0, frame_s: float | None = None) -> Iterator[Reading]:
+    """Read frames (h, w, 3) BGR, at most one every `pace_s`; frame_s: time between them, of a film, whose time counts."""
     import cv2
 
     from gelforge.networks.use import predict_one
@@ -28,7 +28,8 @@ def readings(untouched, frames, pace_s: float = 0.0) -> Iterator[Reading]:
         image, forces, verdict = predict_one(untouched, cv2.cvtColor(frame, cv2.COLOR_BGR2RGB))
         took = 1e3 * (time.perf_counter() - now)
         flag, half = bool(verdict["flag"]), verdict["half_width"]
-        yield Reading(number, now - started, image, forces, flag, verdict["reason"], took, half, verdict["by_dots"])
+        time_s = now - started if frame_s is None else number * frame_s
+        yield Reading(number, time_s, image, forces, flag, verdict["reason"], took, half, verdict["by_dots"])
 
 
 def ended(name: str, lost: bool, count: int) -> str:
@@ -48,8 +49,9 @@ def tell(args: Namespace, untouched, frames, capture, name: str, over: threading
     """Serve the page until `over`, or write files until the frames end or it is."""
     import cv2
 
+    frame_s = None if args.camera is not None else 1.0 / (capture.get(cv2.CAP_PROP_FPS) or 25.0)
     if not args.web:
-        count = write_files(readings(untouched, until(over, frames)), args.jsonl, args.csv)
+        count = write_files(readings(untouched, until(over, frames), frame_s=frame_s), args.jsonl, args.csv)
         if is_lost(args, over, count):
             raise BadInput(ended(name, True, count))
         print(f"{count} frames read", file=sys.stderr)
@@ -62,9 +64,8 @@ def tell(args: Namespace, untouched, frames, capture, name: str, over: threading
         server.start()
         stack.callback(server.shutdown)
         print(f"{server.url} shows {name}; Ctrl-C ends", flush=True)
-        pace = 0.0 if args.camera is not None else 1.0 / (capture.get(cv2.CAP_PROP_FPS) or 25.0)
         try:
-            count = serve(until(over, readings(untouched, frames, pace)), hub, recorder)
+            count = serve(until(over, readings(untouched, frames, frame_s or 0.0, frame_s)), hub, recorder)
             said = ended(name, is_lost(args, over, count), count)
         except BadInput as error:
             said = str(error)

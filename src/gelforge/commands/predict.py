@@ -94,13 +94,16 @@ def need_folder(out: Path) -> None:
 
 
 def place_sitting(untouched: Untouched, images: Iterable) -> Placement | None:
-    """How pictures of one sitting, of any size, lie on the untouched one a user gave; None where none was given.
+    """How pictures of one sitting, of any size, lie on the untouched one a user gave.
 
-    images: each is looked at once and not kept.
+    None where none was given, where the view does not show the gel's rim, whose dots alone are held, and of fewer than
+    LEAST_SITTING pictures. images: each is looked at once and not kept.
     """
-    given = untouched.known.get("given") is not None
-    followed = [_follow(untouched, image) if given else None for image in images]
-    return place(untouched.dots("given"), [dots for dots in followed if dots is not None]) if given else None
+    tells = untouched.known.get("given") is not None and untouched.view.zoom == 1.0
+    followed = [_follow(untouched, image) if tells else None for image in images]
+    if not tells or len(followed) < LEAST_SITTING:
+        return None
+    return place(untouched.dots("given"), [dots for dots in followed if dots is not None])
 
 
 def _follow(untouched: Untouched, image) -> Followed:
@@ -119,7 +122,6 @@ def predict_files(paths: Sequence[Path], untouched: Untouched, out: Path) -> lis
     refuse_to_replace(out, names, paths)
     placement = place_sitting(untouched, (read_image(path) for path in paths))
     need_folder(out)
-    placement = placement if len(paths) >= LEAST_SITTING else None
     if placement is not None and placement.told:
         print(f"the pictures lie otherwise on the untouched one, which is put right: {placement.told}")
     rows = []

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gelforge.commands.predict import place_sitting
 from gelforge.errors import BadInput
 from gelforge.flow.main import command, option
 from gelforge.networks.sensorprofile import (
@@ -43,7 +44,7 @@ def gain_of(readings: Path, untouched: Untouched) -> Gain:
         raise BadInput(f"{readings}: holds no readings; give the columns image and force_n, a row for each press")
     names = [f"{readings} line {number}: {row['image']}" for number, row in enumerate(rows, 2)]
     measured = np.array([parse_number(row["force_n"]) or np.nan for row in rows])
-    read = np.array([_normal(untouched, readings.parent / row["image"]) for row in rows])
+    read = _normals(untouched, [readings.parent / row["image"] for row in rows])
     check_readings(names, measured, read)
     return fit_gain(measured, read)
 
@@ -56,9 +57,9 @@ def gain_beside(grasps: Path, untouched: Untouched, opposite: Path) -> Gain:
     other = read_profile(opposite)
     check_same_network(other, untouched.trained.about)
     facing = Untouched(untouched.trained, other.untouched, gain=other.gain.value)
-    read = [_normal(untouched, grasps.parent / row["image"]) for row in rows]
-    felt = [_normal(facing, grasps.parent / row["opposite"]) for row in rows]
-    return fit_opposite(np.array(felt), np.array(read), other.gain)
+    read = _normals(untouched, [grasps.parent / row["image"] for row in rows])
+    felt = _normals(facing, [grasps.parent / row["opposite"] for row in rows])
+    return fit_opposite(felt, read, other.gain)
 
 
 def untouched_picture(image: Path | None, video: Path | None, camera: int | None) -> tuple[np.ndarray, str]:
@@ -72,9 +73,10 @@ def untouched_picture(image: Path | None, video: Path | None, camera: int | None
     return picture_at_rest(video, camera), source_name(video, camera)
 
 
-def _normal(untouched: Untouched, image: Path) -> float:
-    """Normal force in N that is read in a picture, above 0 where something presses."""
-    return -float(predict_one(untouched, read_image(image))[1][2].sum())
+def _normals(untouched: Untouched, images: list[Path]) -> np.ndarray:
+    """Normal forces (n,) in N that `predict` reads in pictures of one sitting, above 0 where something presses."""
+    placement = place_sitting(untouched, (read_image(image) for image in images))
+    return np.array([-float(predict_one(untouched, read_image(image), placement)[1][2].sum()) for image in images])
 
 
 @command(

@@ -9,6 +9,8 @@ WEIGHTS = np.linspace(0.0, 1.0, 21)  # of the dots' total in both readers' mean,
 APART = 3.0  # half widths of what the two readers usually differ by, beyond which one of them is wrong
 LEAST_PRESS = 0.2  # N of normal force below which a map has no shape that a total could be laid on
 MOST_FACTOR = 2.0  # by which a map is scaled at most
+# As long as two readers have not met: the dots have no say, and nothing contradicts them.
+APART_NOTHING = {"weight": [0.0, 0.0, 0.0], "apart": {name: [np.inf, 0.0] for name in CHANNELS}}
 
 
 def meet(by_picture: np.ndarray, by_dots: np.ndarray, true: np.ndarray) -> dict:

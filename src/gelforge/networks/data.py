@@ -181,6 +181,17 @@ def require_splits(data: Data) -> None:
             )
 
 
+def rows_to_judge_by(data: Data) -> np.ndarray:
+    """Rows that intervals and the readers' shares are set on: of sensors that training did not see, else validation's.
+
+    Only the first half of the unseen sensors is looked at, so that the other half can tell whether intervals hold.
+    """
+    rows = np.concatenate([data.splits.get(f"test_unseen_{which}", np.zeros(0, int)) for which in ("sensor", "both")])
+    names = data.names("sensor_id")
+    known = sorted(set(names[rows].tolist()))
+    return np.sort(rows[np.isin(names[rows], known[: (len(known) + 1) // 2])]) if known else data.splits["val"]
+
+
 def data_version(data: Data) -> str:
     """Fingerprint of a dataset: everything but the images, of which every 64th enters."""
     digest = hashlib.sha256()

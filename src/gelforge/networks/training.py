@@ -130,7 +130,8 @@ class Training:
         self.epochs_done = 0
         self.curve: list[dict] = []
         self.best = {"epoch": 0, "val_total": float("inf"), "weights": None}
-        self.cost = {"seconds": 0.0, "wait_seconds": 0.0, "steps": 0, "resumed": 0}
+        # seconds: of all, step_seconds: of the steps alone
+        self.cost = {"seconds": 0.0, "step_seconds": 0.0, "wait_seconds": 0.0, "steps": 0, "resumed": 0}
 
     def state(self, identity: str) -> dict:
         """Everything a checkpoint holds: tensors and plain values only."""
@@ -183,6 +184,7 @@ class Training:
                 layer.eval()
         losses = [self.step(images, wanted) for images, wanted in batches]
         self.cost["wait_seconds"] += batches.waited - waited
+        self.cost["step_seconds"] += time.perf_counter() - started
         self.cost["seconds"] += time.perf_counter() - started
         self.cost["steps"] += len(losses)
         self.epochs_done += 1
@@ -195,6 +197,7 @@ class Training:
 
     def close_epoch(self, data, loss: float) -> dict:
         """Validate, move the learning rate, keep the best weights; return the curve's new row."""
+        started = time.perf_counter()
         if not self.freezes(self.epochs_done - 1):
             settle_batch_norm(self.net, data, self.norm, self.settings, self.device)
         row = {
@@ -211,6 +214,7 @@ class Training:
                 "val_total": row["val_total"],
                 "weights": copy.deepcopy(self.net.state_dict()),
             }
+        self.cost["seconds"] += time.perf_counter() - started
         return row
 
 

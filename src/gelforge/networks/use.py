@@ -210,12 +210,14 @@ def predict_one(
 class Told:
     """What `predict` tells of some rows of a dataset: forces (n, 3, rows, cols) N and half widths (n, 3) N of the totals.
 
-    half_widths: None where the model knows none. in_place: whether all cells are those of the labels; False where a
-    sensor's pictures were scaled, because then its cells show other places.
+    half_widths: None where the model knows none. by_dots: totals (n, 3) N of the reader of dots alone, None where there is
+    none. in_place: whether all cells are those of the labels; False where a sensor's pictures were scaled, because then its
+    cells show other places.
     """
 
     forces: np.ndarray
     half_widths: np.ndarray | None
+    by_dots: np.ndarray | None
     in_place: bool
 
 
@@ -225,14 +227,19 @@ def tell_rows(trained, data, rows) -> Told:
     # One row of each sensor is enough to find its picture.
     first = dict(zip(names, rows, strict=True))
     beside = {name: _beside(trained, name, data.untouched([row])[0]) for name, row in first.items()}
-    forces, widths = [], []
+    forces, widths, by_dots = [], [], []
     for row, name in zip(rows, names, strict=True):
         _, told, verdict = predict_one(beside[name], np.ascontiguousarray(data.images[row]))
         forces.append(told)
         widths.append(verdict["half_width"])
-    known = [width for width in widths if width is not None]
+        by_dots.append(verdict["by_dots"])
     in_place = all(one.view.zoom == 1.0 for one in beside.values())
-    return Told(np.stack(forces), np.stack(known) if len(known) == len(forces) else None, in_place)
+    return Told(np.stack(forces), _all_or_none(widths), _all_or_none(by_dots), in_place)
+
+
+def _all_or_none(found: list) -> np.ndarray | None:
+    """Rows as one array; None where one of them is none."""
+    return None if any(one is None for one in found) else np.stack(found)
 
 
 def _beside(trained, name: str, picture: np.ndarray) -> Untouched:

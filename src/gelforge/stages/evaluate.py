@@ -26,9 +26,14 @@ REFERENCES = {"sensor": "measured_{}", "truth": "true_{}"}
 
 
 def reference_totals(data, kind: str) -> np.ndarray | None:
-    """Total forces (n, 3) of a reference in the labels' channel order, NaN where a press has none."""
+    """Total forces (n, 3) of a reference in the labels' channel order, NaN where a press has none.
+
+    Without what fell outside the image, where the label knows it: a picture does not show it.
+    """
     columns = [REFERENCES[kind].format(column) for column in FORCE_OF_CHANNEL]
     totals = np.stack([data.column(name) for name in columns], axis=1)
+    outside = np.stack([data.column(f"outside_{name}") for name in FORCE_OF_CHANNEL], axis=1)
+    totals = totals - np.nan_to_num(outside)
     return totals if np.isfinite(totals).all(1).any() else None
 
 
@@ -56,13 +61,23 @@ def controls(data, rows, predicted_totals, rng) -> dict:
     }
 
 
+def fitted_rows(trained, data) -> np.ndarray:
+    """Rows that a network's intervals were set on; none of a dataset that it did not learn from."""
+    from gelforge.networks.data import data_version, rows_to_judge_by
+
+    same = trained.about["data"]["version"] == data_version(data)
+    return rows_to_judge_by(data) if same and "intervals" in trained.about else np.zeros(0, int)
+
+
 def as_told(data, rows, trained, settings: EvaluateTable, force_range, rng) -> dict:
     """Errors of what `predict` tells of a split: of totals, with the share that their intervals hold, cells and contacts."""
     told = tell_rows(trained, data, rows)
     wanted, press = data.totals(rows), data.presses(rows)
     error = told.forces.sum((2, 3), dtype=np.float64) - wanted
     mapped = told.in_place and told.forces.shape[2:] == data.grid
-    held = None if told.half_widths is None else (np.abs(error) <= told.half_widths).mean(axis=0)
+    apart = ~np.isin(rows, fitted_rows(trained, data))  # intervals hold by construction where they were set
+    counts = told.half_widths is not None and apart.any()
+    held = (np.abs(error) <= told.half_widths)[apart].mean(axis=0) if counts else None
     return {
         "total": metrics.error_table(error, rng, settings.bootstrap, force_range, press),
         "per_indenter": metrics.by_group(error, data.names("indenter")[rows]),

@@ -4,9 +4,10 @@ The curve lies inside the model file and, as a table, beside it.
 """
 
 import json
+import time
 from argparse import Namespace
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from gelforge.flow.params.schema import Place, parse
 from gelforge.flow.params.slices import ForTrain, read_slice
 from gelforge.flow.params.tables import TrainingTable, TrainTable
 
-VERSION = 9
+VERSION = 10
 # A network that learnt from more sensors is for those that it never saw: their users have untouched pictures of their own.
 MOST_PICTURES = 8
 
@@ -108,25 +109,27 @@ def train(data, name: str, model: dict, settings: TrainingTable, checkpoint=None
     norm = scales(data, model["kind"] == "resnet", model.get("reads", "image"))
     training = Training(model, settings, norm, about["image"], about["grid"], device)
     fit(training, data, checkpoint, identity(about))
+    began = time.perf_counter()
     statistics = fit_to_images(sights(data, norm["reads"], settings), data.splits["train"], data.splits["val"])
     if needs_untouched(norm["reads"]):
         statistics |= good_pairs(data)
-    cost = training.cost | {"peak_gib": peak_memory_gib()}
     about |= {
         "normalisation": norm,
         "statistics": statistics,
         "curve": training.curve,
-        "cost": cost,
         "best_epoch": training.best["epoch"],
         "parameters": parameter_count(training.net),
     }
-    if not needs_untouched(norm["reads"]):
-        return Trained(training.net.cpu(), about)
-    reader, predicted = None, unseen_predictions(training.net, data, norm)
-    if settings.dot_epochs and predicted.maps and (dots := printed_dots(data)):
-        reader, about["dots"], predicted = beside_dots(data, settings, predicted, dots)
-    about |= learnt_pitch(data) | {"intervals": predicted.intervals()}
-    return Trained(training.net.cpu(), about, data.nocontact if len(data.nocontact) <= MOST_PICTURES else {}, reader)
+    net = training.net.cpu()
+    pictures = data.nocontact if len(data.nocontact) <= MOST_PICTURES else {}
+    reader = None
+    if needs_untouched(norm["reads"]):
+        about |= learnt_pitch(data)
+        reader = reader_of_dots(data, settings)
+        about |= judged(Trained(net, about, pictures, reader), data)
+    seconds = training.cost["seconds"] + time.perf_counter() - began
+    about["cost"] = training.cost | {"seconds": seconds, "peak_gib": peak_memory_gib()}
+    return Trained(net, about, pictures if needs_untouched(norm["reads"]) else {}, reader)
 
 
 def sights(data, reads: str, settings: TrainingTable) -> Callable[[int], np.ndarray]:
@@ -161,62 +164,46 @@ def good_pairs(data) -> dict[str, float]:
     return pair_limits(pairs) | {"largest_relief": RELIEF_MARGIN * max(relief(data.nocontact[name]) for name in dots)}
 
 
-@dataclass(frozen=True)
-class Unseen:
-    """What a network made of pictures that training did not see: rows, forces and labels (n, 3, rows, cols) N, sensors."""
-
-    rows: np.ndarray
-    forces: np.ndarray
-    labels: np.ndarray
-    sensors: list[str]
-
-    @property
-    def maps(self) -> bool:
-        """Whether they are force maps, and any."""
-        return len(self.rows) > 0 and self.forces.shape[2:] == self.labels.shape[2:]
-
-    def intervals(self) -> dict:
-        """How far forces are off (networks.intervals); empty where the network only knows totals."""
-        from gelforge.networks.intervals import fit_intervals
-
-        return fit_intervals(self.forces, self.labels) | {"sensors": self.sensors} if self.maps else {}
-
-
-def unseen_predictions(net, data, norm: dict) -> Unseen:
-    """Forces on sensors that training did not see, or on validation's pictures where it saw all.
-
-    Only the first half of the unseen sensors is looked at, so that the other half can tell whether intervals hold.
-    """
-    from gelforge.networks.training import predict_rows
-
-    rows = np.concatenate([data.splits.get(f"test_unseen_{which}", np.zeros(0, int)) for which in ("sensor", "both")])
-    names = data.names("sensor_id")
-    known = sorted(set(names[rows].tolist()))
-    rows = np.sort(rows[np.isin(names[rows], known[: (len(known) + 1) // 2])]) if known else data.splits["val"]
-    return Unseen(rows, predict_rows(net, data, rows, norm), data.labels[rows], sorted(set(names[rows].tolist())))
-
-
-def printed_dots(data) -> dict:
-    """Dots of each untouched sensor of a dataset (networks.dots); empty where one of them shows no print."""
+def reader_of_dots(data, settings: TrainingTable):
+    """A reader of printed dots (networks.dotreader); None where none is asked for, or a sensor shows no print."""
+    from gelforge.networks.dotreader import dot_presses, train_dot_reader
     from gelforge.networks.dots import PrintedDots
 
+    if not settings.dot_epochs:
+        return None
     dots = {name: PrintedDots(picture) for name, picture in data.nocontact.items()}
-    return dots if all(one.known for one in dots.values()) else {}
+    if not all(one.known for one in dots.values()):
+        return None
+    presses = dot_presses(data, data.splits["train"], dots)
+    return train_dot_reader(presses, settings.dot_epochs, settings.seed, settings.augment)
 
 
-def beside_dots(data, settings: TrainingTable, predicted: Unseen, dots: dict):
-    """A reader of dots, what a model's description says of it, and forces whose totals it had a say in."""
-    from gelforge.networks.agreement import meet, settle
-    from gelforge.networks.dotreader import dot_presses, motions, train_dot_reader
+def judged(trained, data) -> dict:
+    """What a model's description says of how its two readers meet, and how far what `predict` tells is off.
 
-    reader = train_dot_reader(
-        dot_presses(data, data.splits["train"], dots), settings.dot_epochs, settings.seed, settings.augment
-    )
-    by_dots = reader.totals(motions(data, predicted.rows, dots))
-    told = meet(predicted.forces.sum((2, 3), dtype=float), by_dots, predicted.labels.sum((2, 3), dtype=float))
-    pairs = zip(predicted.forces, by_dots, strict=True)
-    settled = np.stack([settle(forces, totals, told["weight"]) for forces, totals in pairs])
-    return reader, told, replace(predicted, forces=settled)
+    Both are set on what `predict` makes of pictures that training did not see, with light, tare and placement. Empty where
+    the network only knows totals.
+    """
+    from gelforge.networks.agreement import APART_NOTHING, meet, settle
+    from gelforge.networks.data import rows_to_judge_by
+    from gelforge.networks.intervals import fit_intervals
+    from gelforge.networks.use import tell_rows
+
+    rows = rows_to_judge_by(data)
+    if not len(rows):
+        return {}
+    alone = trained if trained.dots is None else replace(trained, about=trained.about | {"dots": APART_NOTHING})
+    told = tell_rows(alone, data, rows)
+    forces, labels = told.forces, data.labels[rows]
+    if forces.shape[2:] != labels.shape[2:]:
+        return {}
+    found = {}
+    if told.by_dots is not None:
+        found["dots"] = meet(forces.sum((2, 3), dtype=float), told.by_dots, labels.sum((2, 3), dtype=float))
+        pairs = zip(forces, told.by_dots, strict=True)
+        forces = np.stack([settle(one, by_dots, found["dots"]["weight"]) for one, by_dots in pairs])
+    sensors = sorted(set(data.names("sensor_id")[rows].tolist()))
+    return found | {"intervals": fit_intervals(forces, labels) | {"sensors": sensors}}
 
 
 def learnt_pitch(data) -> dict[str, list[float]]:
@@ -257,7 +244,7 @@ def main(args: Namespace) -> None:
     cost = trained.about["cost"]
     print(
         f"best epoch {trained.about['best_epoch']}, {cost['seconds']:.0f} s in {cost['steps']} steps, waited "
-        f"{100 * cost['wait_seconds'] / max(cost['seconds'], 1e-9):.1f} % for data, peak {cost['peak_gib']:.2f} GiB"
+        f"{100 * cost['wait_seconds'] / max(cost['step_seconds'], 1e-9):.1f} % of a step for data, peak {cost['peak_gib']:.2f} GiB"
     )
 
 
