@@ -17,12 +17,12 @@ from parameters import parameters, with_values
 from synthetic_presses import SETTINGS, write_dataset
 
 from gelforge.commands import live, predict
-from gelforge.commands.live_readings import stopping, until
+from gelforge.commands.live_readings import readings, stopping, until
 from gelforge.errors import BadInput
-from gelforge.flow.files import write_json
+from gelforge.flow.files import read_csv, read_json, write_csv, write_json
 from gelforge.networks import statistics, use
 from gelforge.networks.canonical import WHOLE, view_of
-from gelforge.networks.data import open_data
+from gelforge.networks.data import open_data, rows_to_judge_by
 from gelforge.networks.metrics import slope
 from gelforge.networks.modelcard import write_card
 from gelforge.networks.modelfile import save_model
@@ -31,7 +31,7 @@ from gelforge.records.axes import CHANNELS
 from gelforge.records.markers import pitch_of
 from gelforge.reporting.networkcharts import draw_curve, draw_predictions
 from gelforge.stages import pareto_models
-from gelforge.stages.evaluate import another_of_each, evaluate
+from gelforge.stages.evaluate import another_of_each, evaluate, fitted_rows
 from gelforge.stages.train import train
 
 IMAGE, GRID = (48, 64), (6, 8)
@@ -433,3 +433,64 @@ def test_shuffling_leaves_no_press_a_prediction_of_its_own(press):
         other = another_of_each(press, np.random.default_rng(seed))
         assert sorted(other) == list(range(len(press)))
         assert (press[other] != press).all()
+
+
+def test_force_outside_the_picture_is_no_error_of_label_or_network(data, models):
+    """The truth is of the whole gel; what fell outside is told beside the label, and no picture shows it."""
+    beyond = np.array([0.3, -0.2, -1.5])
+    table = [
+        replace(
+            each,
+            outside=beyond,
+            truth={n: str(float(v) + beyond[at]) for at, (n, v) in enumerate(each.truth.items())},
+        )
+        for each in data.table
+    ]
+    against = evaluate(replace(data, table=table), models["small"], EVALUATE)[0]["splits"]["test"]["against"]["truth"]
+    assert against["labels"]["grid_z"]["mae"] == pytest.approx(0.0, abs=1e-6)
+    assert against["labels_over"]["grid_z"] == pytest.approx(1.0, abs=1e-6)
+
+
+def test_intervals_are_judged_on_other_pictures_than_they_were_set_on(tmp_path):
+    """Of two sensors that training did not see they are set on the first; the second's pictures lie otherwise."""
+    folder = write_dataset(tmp_path / "6x8", 352, IMAGE, GRID)
+    rows = read_csv(folder / "samples.csv")
+    for k, row in enumerate(rows):
+        if row["split"] == "test_unseen_sensor":
+            row["sensor_id"] = "mini1" if k % 16 < 8 else "mini2"
+    write_csv(folder / "samples.csv", list(rows[0]), rows)
+    rest = np.load(folder / "nocontact.npy")
+    np.save(folder / "nocontact.npy", np.concatenate([rest] * 3))
+    write_json(
+        folder / "dataset.json", read_json(folder / "dataset.json") | {"nocontact": ["mini0", "mini1", "mini2"]}
+    )
+    both = open_data(folder)
+    trained = train(both, "pair", MODELS["pair"], with_values(SETTINGS, epochs=1))
+    assert trained.about["intervals"]["sensors"] == ["mini1"]
+    fitted = both.names("sensor_id")[fitted_rows(trained, both)]
+    assert set(fitted) == {"mini1"}
+    rows = both.splits["test_unseen_sensor"]
+    told = use.tell_rows(trained, both, rows)
+    others = both.names("sensor_id")[rows] == "mini2"
+    error = np.abs(told.forces.sum((2, 3), dtype=float) - both.totals(rows))
+    held = (error <= told.half_widths)[others].mean(axis=0)
+    split = evaluate(both, trained, EVALUATE)[0]["splits"]["test_unseen_sensor"]
+    assert list(split["told"]["held"].values()) == pytest.approx(held.tolist())
+
+
+def test_intervals_are_those_of_what_predict_tells(tmp_path):
+    """With tare, light and dots: nine of ten of the pictures that they were set on lie within."""
+    made = open_data(write_dataset(tmp_path / "6x8", 176, IMAGE, GRID))
+    trained = train(made, "pair", MODELS["pair"], with_values(SETTINGS, epochs=1))
+    rows = rows_to_judge_by(made)
+    told = use.tell_rows(trained, made, rows)
+    error = np.abs(told.forces.sum((2, 3), dtype=float) - made.labels[rows].sum((2, 3), dtype=float))
+    assert ((error <= told.half_widths).mean(axis=0) >= 0.85).all()
+
+
+def test_a_film_has_the_time_of_its_frames(data, models):
+    frames = [np.ascontiguousarray(data.images[0])] * 3
+    untouched = use.Untouched(models["small"])
+    assert [reading.time_s for reading in readings(untouched, frames, frame_s=0.04)] == pytest.approx(
+        [0.0, 0.04, 0.08]
+    )

@@ -185,3 +185,27 @@ def test_a_picture_with_too_few_dots_is_left_as_it_is(few):
         cv2.circle(picture, (60 + 80 * k, 120), 5, (30, 30, 30), -1)
     placed = put(PrintedDots(picture), picture)
     assert not placed.known and placed.undo(picture) is picture
+
+
+def narrow(picture):
+    """What a camera sees that shows five sevenths of both sides, at the picture's own size."""
+    height, width = picture.shape[:2]
+    top, left = height // 7, width // 7
+    return cv2.resize(
+        picture[top : height - top, left : width - left], (width, height), interpolation=cv2.INTER_CUBIC
+    )
+
+
+def test_a_view_without_the_rim_is_not_laid_onto_it(shipped, presses):
+    """The outermost dots that it shows are dragged with the gel: what moved them all alike is sideways force."""
+    rest = narrow(presses[0]["mini_a"])
+    untouched = Untouched(shipped, rest)
+    assert untouched.view.zoom < 0.9
+    dragged = moved(rest, (4.0, 0.0))
+    assert place_sitting(untouched, [dragged] * LEAST_SITTING) is None
+
+
+@pytest.mark.parametrize("count", [0, 1, LEAST_SITTING - 1])
+def test_fewer_pictures_are_no_sitting(shipped, presses, count):
+    rest = presses[0]["mini_a"]
+    assert place_sitting(Untouched(shipped, rest), [moved(rest, (4.0, 0.0))] * count) is None
