@@ -4,15 +4,17 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from gelforge.geometry.gel import Gel
+from gelforge.geometry.indenters import build
 from gelforge.labelling.sensor import load_sensors
-from gelforge.virtualrig.fields import STEP, unloaded
+from gelforge.mechanics.scene import Press
+from gelforge.virtualrig.fields import STEP, body_of, unloaded
 from gelforge.virtualrig.lightfit import dot_spots
 from gelforge.virtualrig.looks import TERMS, Look, read_looks
-from gelforge.virtualrig.render import Renderer
+from gelforge.virtualrig.render import Pressed, Renderer
 from gelforge.virtualrig.rigplan import kind_of, orders, read_plan
 from tests.conftest import ROOT
 from tests.likeness import inside_image
@@ -130,3 +132,30 @@ def test_what_is_pressed_looks_larger(depth):
     near = eye.seen(points, np.array([[0.0, 0.0, -depth]] * 2))
     larger = np.linalg.norm(near[1] - near[0]) / np.linalg.norm(flat[1] - flat[0])
     assert np.isclose(larger, eye.look.camera_mm / (eye.look.camera_mm - depth))
+
+
+@given(
+    name=st.sampled_from(UNITS),
+    x=st.floats(-5.0, 5.0),
+    y=st.floats(-6.5, 6.5),
+    down=st.floats(0.0, 0.8),
+)
+@example(name="mini_a", x=5.0, y=6.5, down=0.5)
+@settings(max_examples=12)
+def test_a_body_shows_where_the_gel_that_it_presses_shows(name, x, y, down):
+    """Off the crown, too, where the gel lies lower without having moved: there its label's cell is."""
+    gel, eye, radius = Gel(), camera(name), 3.0
+    field = unloaded(gel)
+    field.values[..., 2] = -down
+    body = body_of(build("ball", {"kind": "sphere", "diameter": 2 * radius, "height": 8}), 0.0, 0.6, 0.0)
+    tip = float(gel.top(x, y)) - down - 0.05
+    low, high = (eye.height(field, Pressed(body, Press(x, y, 1.0, 0.0, 0.0, end - 1.0))) for end in (tip, 0.9))
+    sunk = np.clip(high - low, 0.0, None)
+    v, u = np.mgrid[:240, :320] + 0.5
+    found = np.array([(sunk * u).sum(), (sunk * v).sum()]) / sunk.sum()
+    at = np.stack(np.meshgrid(np.linspace(-1.5, 1.5, 301), np.linspace(-1.5, 1.5, 301)), axis=-1).reshape(-1, 2)
+    ball = tip + radius - np.sqrt(radius**2 - (at**2).sum(axis=1))
+    weight = np.clip(gel.top(x + at[:, 0], y + at[:, 1]) - down - ball, 0.0, None)
+    seen = eye.seen(at + (x, y), np.column_stack([np.zeros((len(at), 2)), np.full(len(at), -down)]))
+    expected = (weight[:, None] * seen).sum(axis=0) / weight.sum()
+    assert np.abs(found - expected).max() < 0.03

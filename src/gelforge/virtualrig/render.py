@@ -124,7 +124,8 @@ class Renderer:
         # off the body the gel is smooth; what ripples there is the size of the bricks
         height = cv2.GaussianBlur(height, (0, 0), RIPPLE_MM * self.scale)
         x, y = self.inner_xy
-        farther = (self.look.camera_mm + height) / self.look.camera_mm
+        # where a point lies that looks larger or smaller by how far it has moved, as `_seen` has it
+        farther = (self.look.camera_mm + height - self.inner_top) / self.look.camera_mm
         column, row, tip = body_position(pressed.body, pressed.press, x * farther, y * farther)
         body = tip + cv2.remap(
             pressed.body.height,
