@@ -3,6 +3,7 @@
 import json
 import math
 import time
+import tomllib
 from dataclasses import asdict
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, read_json, write_csv, write_json, write_text
+from gelforge.flow.params import read_toml
 from gelforge.labelling.sensor import Sensor
 from gelforge.records.image import write_png
 from gelforge.records.log import fixed, read_presses, write_log
@@ -84,7 +86,7 @@ class Dataset:
         description = self.folder / "dataset.toml"
         if not description.exists():
             write_text(description, describe(self.plan))
-        elif description.read_text(encoding="utf-8") != describe(self.plan):
+        elif read_toml(description) != tomllib.loads(describe(self.plan)):
             print(f"{description} is not what the plan would write and stays as it is; remove it to have the plan's")
 
     def missing(self, orders: list[Order]) -> list[Order]:
