@@ -1,10 +1,13 @@
 # Pictures of the README. A test fails where one is older than what it shows; these targets draw them again.
 README := results/readme
 README_FILMS := $(addprefix $(REFERENCE)/gripper_videos/,ball_white_thread_4_camera_0.avi glass_box_1_camera_2.avi marker_pen_1_camera_0.avi)
-README_PICTURES := $(README)/real.png $(README)/speed.png $(README)/stability.png
+README_PICTURES := $(README)/press.png $(README)/real.png $(README)/speed.png $(README)/stability.png
 
 .PHONY: readme-pictures
-readme-pictures: $(README_PICTURES)  ## the README's pictures: real sensors beside their force maps, speed and accuracy, stability
+readme-pictures: $(README_PICTURES)  ## the README's pictures: a press, real sensors beside their force maps, speed and accuracy, stability
+
+$(README)/press.png: workflow/indenters.toml | $(SETUP)
+	@$(PY) -m gelforge.stages.readme press --catalogue $< --name triangle_10 --out $@
 
 $(README)/real.png: src/gelforge/networks/default.pt $(README_FILMS) | $(SETUP)
 	@$(PY) -m gelforge.stages.readme real $(README_FILMS) --out $@

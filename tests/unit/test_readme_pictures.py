@@ -1,5 +1,6 @@
 """Pictures of the README show what their data say today."""
 
+import re
 from pathlib import Path
 
 from gelforge.stages.readme import outdated, publish_picture
@@ -20,3 +21,9 @@ def test_changed_data_make_a_picture_old(tmp_path, monkeypatch):
     assert outdated(Path("readme/chart.png")) == ["data.json"]
     Path("data.json").unlink()
     assert outdated(Path("readme/chart.png")) == []
+
+
+def test_every_picture_of_the_readme_knows_what_it_was_made_from(root):
+    shown = re.findall(r"!\[[^\]]*\]\((results/readme/[^)]+)\)", (root / "README.md").read_text(encoding="utf-8"))
+    assert len(shown) >= 4
+    assert [name for name in shown if not (root / name).with_suffix(".json").exists()] == []

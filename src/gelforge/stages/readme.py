@@ -4,6 +4,7 @@ import hashlib
 import shutil
 from argparse import Namespace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +13,8 @@ from gelforge.flow.files import publish, read_json, write_json
 from gelforge.flow.main import command, group, option
 
 SHIPPED = Path("src/gelforge/networks/default.pt")
+PRESSED = 1.4, (0.5, 1.0), (0.4, -0.3)  # depth, place and way sideways of the press that is shown, mm
+ARROW_MM = 2.0  # length of the largest force
 SHOWN = 3  # frames of a film, where it presses hardest
 
 
@@ -99,7 +102,64 @@ def copy(args: Namespace) -> None:
     shutil.copystat(args.chart, args.out)
 
 
-main = group(real=real, copy=copy)
+@command(
+    option("--catalogue", type=Path, help="file of indenters"),
+    option("--name", help="of one of them"),
+    option("--out", type=Path),
+)
+def press(args: Namespace) -> None:
+    """A press of an indenter: the gel's surface by how far it is pushed in, and the forces that act on it."""
+    import pyvista as pv
+
+    from gelforge.api import solve
+    from gelforge.geometry.indenters import load_catalogue
+
+    body = load_catalogue(args.catalogue, [args.name])[args.name]
+    solved = solve(body, *PRESSED, quality="label")
+    mesh, moved = solved.mesh, solved.mesh.nodes + solved.displacement
+    corners = mesh.faces[:, :4] if mesh.kind == "hex8" else mesh.faces[:, :3]
+    count = corners.shape[1]
+    gel = pv.PolyData(moved, np.column_stack([np.full(len(corners), count), corners]).ravel())
+    gel.point_data["pushed in, mm"] = -solved.displacement[:, 2]
+    acting = np.flatnonzero(solved.forces.any(axis=1))
+    # a force points where it pushes and ends on the gel
+    longest = np.linalg.norm(solved.forces, axis=1).max()
+    arrows = pv.PolyData(moved[acting] - ARROW_MM / longest * solved.forces[acting])
+    arrows["force"] = solved.forces[acting]
+    vertices, faces = body.surface()
+    depth, at, shear = PRESSED
+    tool = pv.PolyData(
+        vertices + (at[0] + shear[0], at[1] + shear[1], -depth),
+        np.column_stack([np.full(len(faces), 3), faces]).ravel(),
+    )
+    view: Any = pv.Plotter(off_screen=True, window_size=[1300, 640])
+    view.set_background("white")
+    bar = {
+        "color": "black",
+        "position_x": 0.68,
+        "position_y": 0.03,
+        "width": 0.28,
+        "height": 0.12,
+        "n_labels": 4,
+        "fmt": "%.1f",
+    }
+    view.add_mesh(gel, cmap="viridis", scalar_bar_args=bar, show_edges=True, edge_color="#4a5568", line_width=0.5)
+    view.add_mesh(tool.clip("z", origin=(0, 0, 2.5)), color="lightgrey", opacity=0.25, smooth_shading=True)
+    view.add_mesh(arrows.glyph(orient="force", scale="force", factor=ARROW_MM / longest), color="firebrick")
+    view.camera_position = [(19, -27, 21), (0, -0.5, -1), (0, 0, 1)]
+    image = np.asarray(view.screenshot(return_img=True))
+    view.close()
+    publish_picture(args.out, png_bytes(image), [args.catalogue])
+
+
+def png_bytes(image: np.ndarray) -> bytes:
+    """A picture (h, w, 3) uint8 RGB as PNG."""
+    import cv2
+
+    return cv2.imencode(".png", image[..., ::-1])[1].tobytes()
+
+
+main = group(real=real, copy=copy, press=press)
 
 
 if __name__ == "__main__":
