@@ -27,7 +27,7 @@ class Overlay:
     def __init__(self, untouched):
         self.untouched = untouched
         self.recent: deque[float] = deque(maxlen=RATE_OVER)
-        self.network_ms: list[float] = []
+        self.network_ms: deque[float] = deque(maxlen=10_000)  # of a camera that films for hours
         self.flagged = 0
 
     def __call__(self, frame) -> np.ndarray:
