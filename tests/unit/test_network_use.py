@@ -29,9 +29,10 @@ from gelforge.networks.modelfile import save_model
 from gelforge.networks.onnxgraph import TOLERANCE, export, largest_difference, run_onnx
 from gelforge.records.axes import CHANNELS
 from gelforge.records.markers import pitch_of
+from gelforge.records.predictionfile import read_predictions
 from gelforge.reporting.networkcharts import draw_curve, draw_predictions
 from gelforge.stages import pareto_models
-from gelforge.stages.evaluate import another_of_each, evaluate, fitted_rows
+from gelforge.stages.evaluate import another_of_each, evaluate, fitted_rows, keep_predictions
 from gelforge.stages.train import train
 
 IMAGE, GRID = (48, 64), (6, 8)
@@ -106,10 +107,21 @@ def test_evaluation_tells_what_predict_tells(data, models):
     assert evaluate(data, models["small"], EVALUATE)[0]["splits"]["test"]["told"] is None
 
 
-def test_evaluation_without_a_second_split_is_refused(data, models):
+def test_evaluation_of_a_network_on_nothing_but_what_it_learnt_from_is_refused(data, models):
     only = replace(data, splits={"train": data.splits["train"]})
     with pytest.raises(BadInput, match="one other"):
         evaluate(only, models["small"], EVALUATE)
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_a_dataset_of_few_presses_is_read_by_a_network_that_did_not_learn_from_it(models, tmp_path, count):
+    """The first presses of a bench are all of one split; their report shows them all the same."""
+    few = open_data(write_dataset(tmp_path / "6x8", count, IMAGE, GRID, seed=9))
+    assert set(few.splits) == {"train"}
+    result, predictions = evaluate(few, models["pair"], EVALUATE)
+    assert set(result["splits"]) == {"train"} and len(predictions["train"][0]) == count
+    keep_predictions(tmp_path / "p.npz", few, models["pair"], predictions)
+    assert read_predictions(tmp_path / "p.npz")
 
 
 @pytest.mark.parametrize("name", MODELS)

@@ -124,6 +124,22 @@ def evaluate_split(data, rows, predicted, settings: EvaluateTable, force_range, 
     return result
 
 
+def judged_splits(trained, data) -> dict[str, np.ndarray]:
+    """Rows by split that a network is judged on: all but those it learnt from, of a dataset that is too small to have others too."""
+    from gelforge.networks.data import data_version
+
+    splits = {name: rows for name, rows in data.splits.items() if len(rows)}
+    others = {name: rows for name, rows in splits.items() if name != "train"}
+    if "train" in splits and others:
+        return others
+    if "train" in splits and trained.about["data"]["version"] != data_version(data):
+        return splits
+    raise BadInput(
+        f"{data.folder}: has splits {', '.join(splits) or 'none'}; an evaluation of a network that learnt from it needs "
+        "`train` for its controls and one other; log more presses, or let another network read it (MODEL=shipped)"
+    )
+
+
 def evaluate(data, trained, settings: EvaluateTable) -> tuple[dict, dict]:
     """Evaluate a model on every split of a dataset but the one it was fitted to.
 
@@ -138,12 +154,7 @@ def evaluate(data, trained, settings: EvaluateTable) -> tuple[dict, dict]:
 
     require_fit(trained, data)
     torch.set_num_threads(settings.threads)
-    splits = {name: rows for name, rows in data.splits.items() if name != "train" and len(rows)}
-    if "train" not in data.splits or not splits:
-        raise BadInput(
-            f"{data.folder}: has splits {', '.join(data.splits) or 'none'}; an evaluation needs `train` "
-            "for its controls and one other; make the dataset again"
-        )
+    splits = judged_splits(trained, data)
     rng = np.random.default_rng(settings.seed)
     train_totals = data.totals(data.splits["train"])
     force_range = train_totals.max(0) - train_totals.min(0)
@@ -179,7 +190,9 @@ def keep_predictions(path, data, trained, predictions: dict) -> None:
     from gelforge.networks.training import predict_rows
 
     learnt = data.splits["train"]
-    parts = [*predictions.values(), (learnt, predict_rows(trained.net, data, learnt, trained.about["normalisation"]))]
+    parts = list(predictions.values())
+    if "train" not in predictions:
+        parts.append((learnt, predict_rows(trained.net, data, learnt, trained.about["normalisation"])))
     forces = np.zeros((len(data.table), *parts[0][1].shape[1:]), np.float32)
     for rows, predicted in parts:
         forces[rows] = predicted
