@@ -298,3 +298,13 @@ def test_moments_that_rounding_tells_apart_are_one(law):
     one, other, end = HexSolver(FRAMED).solve_frames(scenes)
     assert one.status is other.status is end.status is Status.OK
     assert one.total[2] == pytest.approx(other.total[2], rel=1e-6) and end.total[2] < 2.0 * one.total[2] < 0.0
+
+
+@pytest.mark.parametrize("law", [Interface("no_slip"), Interface("coulomb", 0.5)])
+@pytest.mark.parametrize(("z0", "deep"), [(0.1, 1.0), (0.2, 1.0), (0.3, 1.5)])
+def test_a_frame_at_the_first_touch_has_no_force(law, z0, deep):
+    """Where the touch is told to a billionth of the path, a load step to it would be shorter than that."""
+    scenes = [Scene(Gel(), Material(), BALL, Press(0, 0, z0, 0, 0, -way), law) for way in (z0, deep)]
+    first, last = HexSolver(FRAMED).solve_frames(scenes)
+    assert first.status is Status.NO_CONTACT and not first.forces.any()
+    assert last.status is Status.OK

@@ -491,7 +491,7 @@ def test_intervals_are_judged_on_other_pictures_than_they_were_set_on(tmp_path):
 
 
 def test_intervals_are_those_of_what_predict_tells(tmp_path):
-    """With tare, light and dots: nine of ten of the pictures that they were set on lie within."""
+    """With tare and light: nine of ten of the pictures that they were set on lie within."""
     made = open_data(write_dataset(tmp_path / "6x8", 176, IMAGE, GRID))
     trained = train(made, "pair", MODELS["pair"], with_values(SETTINGS, epochs=1))
     rows = rows_to_judge_by(made)

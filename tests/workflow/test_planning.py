@@ -398,6 +398,18 @@ def test_another_choice_is_named_as_the_cause(tmp_path, monkeypatch):
     assert "page/choice.txt" in said and "another choice" in said
 
 
+def test_each_file_that_a_word_asks_for_is_a_cause(tmp_path, monkeypatch):
+    write_text(
+        tmp_path / "Makefile", "all: d/a.csv d/b.csv\nd/a.csv d/b.csv: strict\n\ttouch $@\n.PHONY: strict all\n"
+    )
+    for name in ("d/a.csv", "d/b.csv"):
+        write_text(tmp_path / name, "")
+    monkeypatch.chdir(tmp_path)
+    found = reasons(ask_make("all", []))
+    assert set(found) == {"d/a.csv", "d/b.csv"}
+    assert all("STRICT=1" in why for reasons_of in found.values() for why in reasons_of)
+
+
 def test_every_phony_name_does_something(labelled):
     said = make(labelled, "-pn", "DATASET=tiny", "report").stdout
     names = set(re.findall(r"^([a-z][a-z-]*):.*\n(?:#.*\n)*#  Phony target", said, re.MULTILINE))

@@ -355,7 +355,9 @@ def press_table(plan: SolvePlan, cache: SolveCache, i: int, mu: float, nu: float
     press = press_curve(solves[0], plan.top[i])
     if mu == 0.0 or not plan.readings.sheared[i] or not press.any():
         return press
-    reached = [(-job.press.dz, solve["end"]) for job, solve in zip(jobs, solves, strict=True) if solve["depth"]]
+    reached = [
+        (-job.press.dz, solve["end"]) for job, solve in zip(jobs, solves, strict=True) if len(solve["depth"]) > 1
+    ]
     return em.sheared_table(press, float(plan.top[i]), *zip(*reached, strict=True))
 
 

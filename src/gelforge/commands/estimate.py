@@ -111,10 +111,8 @@ def meshes(results: Path) -> Cost:
 
 def training(params: Path, model: str) -> Cost:
     """What a network takes to learn; BadInput for one that there is not."""
-    file = params / "models" / f"{model}.json"
-    table, settings = resolve(
-        read_json(file) if file.exists() else {}, model, read_slice(params / "train.json", ForTrain).train
-    )
+    tables = {path.stem: read_json(path)[path.stem] for path in sorted((params / "models").glob("*.json"))}
+    table, settings = resolve(tables, model, read_slice(params / "train.json", ForTrain).train)
     each = TRAIN_EACH.get(table["kind"], TRAIN_EACH["grid"]) * settings.epochs + DOTS_EACH * settings.dot_epochs
     return Cost(layout.TRAIN, each, START, bytes_once=3e6)
 

@@ -4,7 +4,6 @@ import os
 import re
 import subprocess
 from argparse import Namespace
-from itertools import pairwise
 from pathlib import Path
 
 from gelforge.errors import BadInput, last_words
@@ -14,6 +13,7 @@ from gelforge.flow.main import command, option
 # What GNU make says under -n --debug=b,v.
 NEWER = re.compile(r"Prerequisite '(.+)' is newer than target '(.+)'\.")
 ABSENT = re.compile(r"File '(.+)' does not exist\.")
+NO_FILE = re.compile(r"Prerequisite '(.+)' of target '(.+)' does not exist\.")
 MUST = re.compile(r"Must remake target '(.+)'\.")
 # What a rule asks for by a word instead of a file (rules/*.mk), in sentences.
 ASKED = {
@@ -43,10 +43,8 @@ def ask_make(target: str, settings: list[str]) -> str:
 
 def reasons(said: str) -> dict[str, list[str]]:
     """Why each file must be made, from what make said, in the order it would be made; phony targets are left out."""
-    every = MUST.findall(said)
-    must = [name for name in every if "/" in name]
-    # make names what a file is asked for by right before the file
-    asked = {after: ASKED[name] for name, after in pairwise(every) if name in ASKED}
+    must = [name for name in MUST.findall(said) if "/" in name]
+    asked = {target: ASKED[word] for word, target in NO_FILE.findall(said) if word in ASKED}
     absent, found = set(ABSENT.findall(said)), {}
     for name in must:
         newer = [before for before, after in NEWER.findall(said) if after == name]

@@ -19,7 +19,7 @@ from gelforge.records.axes import CHANNELS, FORCE_OF_CHANNEL
 from gelforge.records.predictionfile import write_predictions
 from gelforge.reporting.networkcharts import draw_predictions
 
-VERSION = 6
+VERSION = 7
 # Where a dataset has them, total forces (samples.csv, gel frame: x short side) that did not come from
 # the labels: the force sensor of the rig, and what a virtual rig knows and a real one cannot.
 REFERENCES = {"sensor": "measured_{}", "truth": "true_{}"}
@@ -69,13 +69,16 @@ def fitted_rows(trained, data) -> np.ndarray:
     return rows_to_judge_by(data) if same and "intervals" in trained.about else np.zeros(0, int)
 
 
-def as_told(data, rows, trained, settings: EvaluateTable, force_range, rng) -> dict:
-    """Errors of what `predict` tells of a split: of totals, with the share that their intervals hold, cells and contacts."""
+def as_told(data, rows, trained, fitted, settings: EvaluateTable, force_range, rng) -> dict:
+    """Errors of what `predict` tells of a split: of totals, with the share that their intervals hold, cells and contacts.
+
+    fitted: rows that the intervals were set on, where they hold by construction.
+    """
     told = tell_rows(trained, data, rows)
     wanted, press = data.totals(rows), data.presses(rows)
     error = told.forces.sum((2, 3), dtype=np.float64) - wanted
     mapped = told.in_place and told.forces.shape[2:] == data.grid
-    apart = ~np.isin(rows, fitted_rows(trained, data))  # intervals hold by construction where they were set
+    apart = ~np.isin(rows, fitted)
     counts = told.half_widths is not None and apart.any()
     held = (np.abs(error) <= told.half_widths)[apart].mean(axis=0) if counts else None
     return {
@@ -134,14 +137,14 @@ def judged_splits(trained, data) -> dict[str, np.ndarray]:
         return others
     if "train" in splits and trained.about["data"]["version"] != data_version(data):
         return splits
-    raise BadInput(
-        f"{data.folder}: has splits {', '.join(splits) or 'none'}; an evaluation of a network that learnt from it needs "
-        "`train` for its controls and one other; log more presses, or let another network read it (MODEL=shipped)"
-    )
+    lacks = "one other than `train`, which it learnt from; log more presses, or let MODEL=shipped read them"
+    if "train" not in splits:
+        lacks = "`train`, for the controls; leave some indenters and sensors seen"
+    raise BadInput(f"{data.folder}: has splits {', '.join(splits) or 'none'}; an evaluation needs {lacks}")
 
 
 def evaluate(data, trained, settings: EvaluateTable) -> tuple[dict, dict]:
-    """Evaluate a model on every split of a dataset but the one it was fitted to.
+    """Evaluate a model on every split of a dataset but the one it was fitted to (`judged_splits`).
 
     :param data: networks.data.Data. :param trained: networks.modelfile.Trained.
     Returns the figures, and per split its rows and predictions (k, 3, rows, cols) in N per cell. Figures are of the network
@@ -171,12 +174,12 @@ def evaluate(data, trained, settings: EvaluateTable) -> tuple[dict, dict]:
         "cost": about["cost"],
         "splits": {},
     }
-    predictions = {}
+    predictions, fitted = {}, fitted_rows(trained, data)
     for name, rows in splits.items():
         predictions[name] = (rows, predict_rows(trained.net, data, rows, about["normalisation"]))
         split = evaluate_split(data, *predictions[name], settings, force_range, rng)
         paired = trained.needs_untouched
-        split["told"] = as_told(data, rows, trained, settings, force_range, rng) if paired else None
+        split["told"] = as_told(data, rows, trained, fitted, settings, force_range, rng) if paired else None
         result["splits"][name] = split
     result["tables"] = tables(result)
     return result, predictions

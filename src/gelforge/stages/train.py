@@ -127,6 +127,7 @@ def train(data, name: str, model: dict, settings: TrainingTable, checkpoint=None
         about |= learnt_pitch(data)
         reader = reader_of_dots(data, settings)
         about |= judged(Trained(net, about, pictures, reader), data)
+        reader = reader if "dots" in about else None  # one that could not be judged has no say
     seconds = training.cost["seconds"] + time.perf_counter() - began
     about["cost"] = training.cost | {"seconds": seconds, "peak_gib": peak_memory_gib()}
     return Trained(net, about, pictures if needs_untouched(norm["reads"]) else {}, reader)
@@ -203,7 +204,10 @@ def judged(trained, data) -> dict:
         pairs = zip(forces, told.by_dots, strict=True)
         forces = np.stack([settle(one, by_dots, found["dots"]["weight"]) for one, by_dots in pairs])
     sensors = sorted(set(data.names("sensor_id")[rows].tolist()))
-    return found | {"intervals": fit_intervals(forces, labels) | {"sensors": sensors}}
+    intervals = fit_intervals(forces, labels)
+    if not told.in_place:
+        intervals.pop("cell", None)  # cells of pictures that were scaled are not the labels'
+    return found | {"intervals": intervals | {"sensors": sensors}}
 
 
 def learnt_pitch(data) -> dict[str, list[float]]:

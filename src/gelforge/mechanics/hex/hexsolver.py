@@ -33,6 +33,8 @@ __all__ = ["HexResult", "HexSolver", "interpolate_surface", "solve_hex"]
 # A correction beyond this share is no small one: then the coarse bricks are too coarse to tell anything.
 MOST_CORRECTED = 0.05
 
+TOUCH = 1e-8  # of a path, about what the first touch is found to: a moment nearer to it touches nothing yet
+
 
 @dataclass
 class HexResult(Result):
@@ -108,7 +110,7 @@ class HexSolver:
         end = _result(run, status, began, bricks)
         results = []
         for scene, t in zip(scenes, times, strict=True):
-            if t <= start:
+            if t <= start + TOUCH:
                 results.append(self._untouched(scene, time.perf_counter()))
                 continue
             result = end if t == times[-1] else found.get(t, end)
@@ -139,7 +141,7 @@ class HexSolver:
         run.curve[-1][1:] = run.contact_forces().sum(axis=0).tolist()
         trail = run.trail()
         counts = {"coarse_newton_iterations": run.iterations, "coarse_factorisations": run.factorisations}
-        return [Walked(trail.until(t), _until(run.curve, t), counts) if t > start else None for t in times]
+        return [Walked(trail.until(t), _until(run.curve, t), counts) if t > start + TOUCH else None for t in times]
 
     def _moment(self, scene: Scene, walked: "Walked | None", box: FineBox, started: float) -> HexResult:
         """State at the end of one scene: from the coarse path where it was walked, else by a path of its own."""

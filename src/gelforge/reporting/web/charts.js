@@ -57,7 +57,7 @@ function drawCharts() {
   let table = [];
   const update = () => {
     const chosen = usable.filter((i) => (split.value ? COLUMNS.split[i] === split.value : !DATA.about.learnt_here || COLUMNS.split[i] !== "train"));
-    const lines = controlLines(split.value ? [split.value] : splits.filter((v) => v !== "train"), axis.value);
+    const lines = controlLines(split.value ? [split.value] : splits.filter((v) => !DATA.about.learnt_here || v !== "train"), axis.value);
     table = [["group", "value", "presses", "mean absolute error N", "low", "high"]];
     legend.replaceChildren(make("span", {}, make("i", { style: `background:${PALETTE[0]}` }), `${DATA.about.model}: mean and 95 % interval over presses`),
       ...lines.map((line, k) => make("span", {}, make("i", { style: `background:${PALETTE[k + 1]}` }), `${line.name}: ${fixed(line.value)} N`)));
