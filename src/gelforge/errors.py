@@ -15,6 +15,12 @@ def last_words(said: str, code: int) -> str:
     return lines[-1] if lines else f"it ended with code {code} without a word; was memory short?"
 
 
+def unwritable(error: OSError) -> str:
+    """What a disk or a folder that takes nothing says, and what to do; a full disk does not always name the file."""
+    where = f"{error.filename}: " if error.filename else ""
+    return f"{where}{error.strerror}; free space or permissions"
+
+
 class GelforgeError(Exception):
     """What was given cannot be used.
 

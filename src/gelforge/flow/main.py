@@ -22,7 +22,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from gelforge.errors import GelforgeError
+from gelforge.errors import GelforgeError, unwritable
 
 # Of a disk or a folder that takes nothing: no fault of the program.
 UNWRITABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT)
@@ -112,12 +112,6 @@ def program(home: Any) -> str:
     name = home.__spec__.name if home.__spec__ else home.__name__
     folder, _, last = name.rpartition(".")
     return f"gelforge {last}" if folder == "gelforge.commands" else f"python -m {name}"
-
-
-def unwritable(error: OSError) -> str:
-    """What a disk or a folder that takes nothing says, and what to do; a full disk does not always name the file."""
-    where = f"{error.filename}: " if error.filename else ""
-    return f"{where}{error.strerror}; free space or permissions"
 
 
 def exit_with(main: Callable[[Sequence[str] | None], int], argv: Sequence[str] | None = None) -> None:

@@ -19,9 +19,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
+from gelforge.errors import unwritable
 from gelforge.flow.files import digest_of, read_json, write_json
 from gelforge.flow.layout import log_of, metrics_of
-from gelforge.flow.main import unwritable
 from gelforge.flow.programs import installed
 from gelforge.flow.running import look
 from gelforge.flow.terminal import show_line, terminal
