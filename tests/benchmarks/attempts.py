@@ -6,6 +6,7 @@ import shutil
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
+from multiprocessing import get_context
 from pathlib import Path
 
 from gelforge.errors import GelforgeError
@@ -47,7 +48,7 @@ def attempt(case: Case, folder: Path) -> dict:
         except SystemExit as error:
             return {"status": "refused", "reason": str(error)}
 
-    return isolated(child, LIMIT_S)
+    return isolated(child, LIMIT_S, get_context("fork"))  # what is tried are closures, which pickle does not take
 
 
 def verdict(case: Case, found: dict, strangers: list[str]) -> str:

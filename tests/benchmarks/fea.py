@@ -11,6 +11,7 @@ import shutil
 import tempfile
 from argparse import Namespace
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -93,25 +94,25 @@ def deck_force(text: str) -> float:
     return float(numbers[0][2])
 
 
+def _deck(reference: Path, folder: Path, depth: float, limit_s: float) -> dict:
+    name = deck_folder(reference, folder, depth)
+    with Clock() as clock:
+        job = run_ccx(name, folder, limit_s)
+    if job.returncode:
+        raise BadInput(f"FEATS' deck at {depth:g} mm: {job.reason()}")
+    force = deck_force((folder / f"{name}.dat").read_text(errors="replace"))
+    return {"status": "OK", "seconds": clock.seconds, "cpu_seconds": clock.cpu_seconds, "fz": force,
+            "iterations": job.iterations, "peak_mib": peak_mib()}  # fmt: skip
+
+
 def run_deck(reference: Path, work: Path, depth: float, limit_s: float = 36000.0) -> dict:
     """Seconds and force of FEATS' deck at one depth, kept."""
     path, key = work / f"deck-{depth:g}.json", hashlib.sha256(f"1 {depth}".encode()).hexdigest()
     record = kept(path, key, limit_s)
     if record is None:
         folder = work / f"deck-{depth:g}"
-
-        def child():
-            name = deck_folder(reference, folder, depth)
-            with Clock() as clock:
-                job = run_ccx(name, folder, limit_s)
-            if job.returncode:
-                raise BadInput(f"FEATS' deck at {depth:g} mm: {job.reason()}")
-            force = deck_force((folder / f"{name}.dat").read_text(errors="replace"))
-            return {"status": "OK", "seconds": clock.seconds, "cpu_seconds": clock.cpu_seconds, "fz": force,
-                    "iterations": job.iterations, "peak_mib": peak_mib()}  # fmt: skip
-
         folder.mkdir(parents=True, exist_ok=True)
-        record = {"key": key, "depth": depth} | isolated(child, limit_s)
+        record = {"key": key, "depth": depth} | isolated(partial(_deck, reference, folder, depth, limit_s), limit_s)
         shutil.rmtree(folder, ignore_errors=True)
         if record["status"] != "OK":
             raise BadInput(f"FEATS' deck at {depth:g} mm did not finish: {record['reason']}")
@@ -233,9 +234,7 @@ def solve_envelope(bench: ChartBench, catalogue: dict, folder: Path, count: int,
         if record is None:
             scene = envelope_scene(number, catalogue, gel)
 
-            def make(work, scene=scene):
-                return prepare(method, scene, "", bench.meshes, bench.params, work, limit)
-
+            make = partial(prepare, method, scene, "", bench.meshes, bench.params, limit_s=limit)
             found = solve_isolated(make, None, limit, folder)
             asked = {"number": number, "indenter": scene.indenter.name, "press": vars(scene.press)}
             record = {"key": key} | asked | found

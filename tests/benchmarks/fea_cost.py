@@ -2,6 +2,7 @@
 
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -81,18 +82,18 @@ def frame_figures(scenes: dict[str, Scene], sensor: Sensor) -> list[Figure]:
 
 def grown(scene: Scene, size: float, layers: int) -> dict:
     """Cost of one solve on bricks of a size, in a process of its own."""
+    return isolated(partial(_grown, scene, size, layers), LIMIT_S)
 
-    def child():
-        warm_up()
-        settings = replace(quality("label"), size=size, layers=layers, across=0)
-        solver = HexSolver(settings)
-        with Clock() as clock:
-            result = solver.solve(scene)
-        unknowns = 3 * (len(result.mesh.nodes) - len(result.mesh.base))
-        return {"status": result.status.name, "unknowns": unknowns, "cpu_seconds": clock.cpu_seconds,
-                "peak_mib": peak_mib()}  # fmt: skip
 
-    return isolated(child, LIMIT_S)
+def _grown(scene: Scene, size: float, layers: int) -> dict:
+    warm_up()
+    settings = replace(quality("label"), size=size, layers=layers, across=0)
+    solver = HexSolver(settings)
+    with Clock() as clock:
+        result = solver.solve(scene)
+    unknowns = 3 * (len(result.mesh.nodes) - len(result.mesh.base))
+    return {"status": result.status.name, "unknowns": unknowns, "cpu_seconds": clock.cpu_seconds,
+            "peak_mib": peak_mib()}  # fmt: skip
 
 
 def exponent(records: list[dict], key: str = "cpu_seconds") -> float:

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -126,24 +127,48 @@ def test_a_key_follows_what_the_method_depends_on_and_nothing_else(params, scene
     assert key(tets) == key(tets, fea=rough) and key(brick) == key(brick, fea=rough)
 
 
+def failing(error):
+    raise error
+
+
+def killed():
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
 def test_a_solve_fails_in_its_own_process():
-    def refuse():
-        raise BadInput("too deep")
-
-    def crash():
-        raise ZeroDivisionError("by zero")
-
-    def full():
-        raise OSError(28, "No space left on device")
-
-    assert isolated(lambda: {"status": "OK"}, 10)["status"] == "OK"
-    assert isolated(refuse, 10) == {"status": "REFUSED", "reason": "too deep"}
-    assert isolated(crash, 10)["status"] == "CRASHED"
-    killed = isolated(lambda: os.kill(os.getpid(), signal.SIGKILL), 10)
-    assert killed["status"] == "CRASHED" and "-9" in killed["reason"]
-    assert isolated(lambda: time.sleep(60), 0.2)["status"] == "TIMED_OUT"
+    assert isolated(partial(failing, BadInput("too deep")), 60) == {"status": "REFUSED", "reason": "too deep"}
+    assert isolated(partial(failing, ZeroDivisionError("by zero")), 60)["status"] == "CRASHED"
+    found = isolated(killed, 60)
+    assert found["status"] == "CRASHED" and "-9" in found["reason"]
+    assert isolated(partial(time.sleep, 60), 0.2)["status"] == "TIMED_OUT"
     with pytest.raises(BadInput, match="free space"):
-        isolated(full, 10)
+        isolated(partial(failing, OSError(28, "No space left on device")), 60)
+
+
+BESIDE_TORCH = """
+import torch
+from gelforge.sweeps.isolate import isolated
+from gelforge.sweeps.methods import warm_up
+
+def solved():
+    warm_up.__wrapped__()
+    return {"status": "OK"}
+
+if __name__ == "__main__":
+    torch.set_num_threads(2)
+    (torch.rand(2000, 2000) @ torch.rand(2000, 2000)).exp()
+    print(isolated(solved, 120))
+"""
+
+
+def test_a_solve_does_not_hang_where_torch_has_run(tmp_path):
+    """A process that is forked beside torch's threads waits for ever at its first factorisation with two threads."""
+    (tmp_path / "beside.py").write_text(BESIDE_TORCH)
+    environment = os.environ | {"OMP_NUM_THREADS": "2", "MKL_NUM_THREADS": "2"}
+    done = subprocess.run(
+        [sys.executable, "beside.py"], cwd=tmp_path, env=environment, check=True, capture_output=True, text=True
+    )
+    assert done.stdout == "{'status': 'OK'}\n"
 
 
 def test_the_clock_counts_work_not_sleep():

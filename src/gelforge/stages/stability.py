@@ -7,6 +7,7 @@ import hashlib
 import time
 from argparse import Namespace
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -55,15 +56,11 @@ def case_file(case: Case, params: ForStability, folder: Path) -> tuple[Path, str
 def solve_case(case: Case, params: ForStability, meshes: Path, folder: Path) -> dict:
     """Record of one case, the kept one or a new one."""
     path, key = case_file(case, params, folder)
-    record = kept(path, key, limit_of(params.stability, case.fidelity))
+    limit = limit_of(params.stability, case.fidelity)
+    record = kept(path, key, limit)
     if record is None:
         method = case_method(case, params)
-        scene = case.scene
-        limit = limit_of(params.stability, case.fidelity)
-
-        def make(work):
-            return prepare(method, scene, "", meshes, params, work, limit)
-
+        make = partial(prepare, method, case.scene, "", meshes, params, limit_s=limit)
         found = solve_isolated(make, None, limit, folder)
         record = {"key": key, "case": case.describe()} | found
         write_json(path, record)

@@ -1,9 +1,11 @@
 """One solve in a process of its own, so that its time, its memory and its death are its own."""
 
-import multiprocessing
 import resource
 import time
 from collections.abc import Callable
+from functools import cache
+from multiprocessing import get_context
+from multiprocessing.context import ForkContext, ForkServerContext
 
 from gelforge.errors import BadInput
 from gelforge.flow.step import die_with_parent
@@ -47,13 +49,28 @@ def _answer(work, pipe):
     pipe.close()
 
 
-def isolated(work: Callable[[], dict], limit_s: float) -> dict:
-    """The dict that `work` returns from a forked process, or how that process failed.
+@cache
+def fresh() -> ForkServerContext:
+    """Where processes come from that share no thread with this one, and have the kernels of the solver loaded.
 
-    A failure is {"status", "reason"} with status REFUSED (BadInput), CRASHED or TIMED_OUT; a full disk
-    or a missing file is none of these and raises BadInput.
+    A server that has run nothing else forks them: a process that was forked beside threads of numerical libraries hangs
+    where they held a lock.
     """
-    context = multiprocessing.get_context("fork")
+    context = get_context("forkserver")
+    context.set_forkserver_preload(["gelforge.sweeps.warm"])
+    return context
+
+
+def isolated(
+    work: Callable[[], dict], limit_s: float, context: ForkContext | ForkServerContext | None = None
+) -> dict:
+    """The dict that `work` returns from a process of its own, or how that process failed.
+
+    context: how the process begins; `fresh()` where none is given, for which pickle must take `work`. A failure is
+    {"status", "reason"} with status REFUSED (BadInput), CRASHED or TIMED_OUT; a full disk or a missing file is none of
+    these and raises BadInput.
+    """
+    context = context or fresh()
     here, there = context.Pipe(duplex=False)
     child = context.Process(target=_answer, args=(work, there))
     child.start()

@@ -79,7 +79,7 @@ def quick_methods(quick: QuickTable, with_ccx: bool, reference_kept: bool) -> li
 
 @cache
 def warm_up() -> None:
-    """Compile or load kernels before the clock runs, once a process: those that it forks have them."""
+    """Compile or load kernels before the clock runs, once a process; one that it forks has them already."""
     from gelforge.geometry.gel import Gel
     from gelforge.geometry.indenters import build
     from gelforge.mechanics.hex.hexsolver import solve_hex

@@ -6,6 +6,7 @@ import shutil
 import tempfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -110,22 +111,25 @@ def outcome(result, mesh, sensor: Sensor | None) -> dict:
 
 
 def solve_isolated(make: Callable[[Path], Callable], sensor: Sensor | None, limit_s: float, work: Path) -> dict:
-    """Run `make(folder)()`, a prepared solve, in a process of its own; its record with what it cost."""
-    warm_up()
+    """Run `make(folder)()`, a prepared solve, in a process of its own; its record with what it cost.
 
-    def child():
-        solve = make(folder)
-        with Clock() as clock:
-            result, mesh = solve()
-        cost = {"seconds": clock.seconds, "cpu_seconds": clock.cpu_seconds, "peak_mib": peak_mib()}
-        return outcome(result, mesh, sensor) | cost
-
+    pickle must take `make`: a function of a module, or functools.partial of one.
+    """
     work.mkdir(parents=True, exist_ok=True)
     folder = Path(tempfile.mkdtemp(prefix=".work-", dir=work))
     try:
-        return isolated(child, limit_s)
+        return isolated(partial(_solved, make, folder, sensor), limit_s)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+
+
+def _solved(make, folder, sensor) -> dict:
+    warm_up()
+    solve = make(folder)
+    with Clock() as clock:
+        result, mesh = solve()
+    cost = {"seconds": clock.seconds, "cpu_seconds": clock.cpu_seconds, "peak_mib": peak_mib()}
+    return outcome(result, mesh, sensor) | cost
 
 
 def kept(path: Path, key: str, limit_s: float) -> dict | None:
@@ -180,10 +184,7 @@ def given_reference(bench: ChartBench, scene: NamedScene) -> dict | None:
 def solve_method(bench: ChartBench, scene: NamedScene, method: Method, work: Path) -> dict:
     """The record of a scene solved now, in a process of its own."""
     limit = limit_of(bench.params.pareto, method.fidelity)
-
-    def make(folder):
-        return prepare(method, scene.scene, scene.fine, bench.meshes, bench.params, folder, limit)
-
+    make = partial(prepare, method, scene.scene, scene.fine, bench.meshes, bench.params, limit_s=limit)
     return solve_isolated(make, bench.sensor, limit, work)
 
 
