@@ -7,6 +7,7 @@ import sys
 import time
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -27,6 +28,7 @@ from gelforge.sweeps.isolate import isolated
 from gelforge.sweeps.methods import Method, every_method, quick_methods
 from gelforge.sweeps.scenes import parse_scene, read_tables, resolve
 from gelforge.sweeps.trial import kept, load_bench
+from tests.waiting import wait_until
 
 NUMBERS = st.floats(-50, 50, allow_nan=False)
 CELLS = arrays(float, (3, 4, 5), elements=NUMBERS)
@@ -169,6 +171,32 @@ def test_a_solve_does_not_hang_where_torch_has_run(tmp_path):
         [sys.executable, "beside.py"], cwd=tmp_path, env=environment, check=True, capture_output=True, text=True
     )
     assert done.stdout == "{'status': 'OK'}\n"
+
+
+WAITING = """
+import os
+import time
+from pathlib import Path
+from gelforge.sweeps.isolate import isolated
+
+def wait():
+    Path("started").write_text(str(os.getpid()))
+    os.rename("started", "pid")
+    time.sleep(3600)
+
+if __name__ == "__main__":
+    isolated(wait, 3600)
+"""
+
+
+def test_a_solve_dies_with_the_process_that_asked_for_it(tmp_path):
+    (tmp_path / "waiting.py").write_text(WAITING)
+    asking = subprocess.Popen([sys.executable, "waiting.py"], cwd=tmp_path)
+    pid = tmp_path / "pid"
+    wait_until(pid.exists, of=asking)
+    asking.kill()
+    asking.wait()
+    wait_until(lambda: not Path(f"/proc/{pid.read_text()}").exists())
 
 
 def test_the_clock_counts_work_not_sleep():
