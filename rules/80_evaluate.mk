@@ -1,11 +1,9 @@
 # Stage 80: how wrong a network is, and its model card.
 EVALUATED := $(MODELS:%=$D/80_evaluate/$(RES1)/%.json)
 
-SHIPPED := src/gelforge/networks/default
-
 .PHONY: evaluate evaluate-models ship
 evaluate: $D/80_evaluate/$(RES1)/$(MODEL).json $D/80_evaluate/$(RES1)/$(MODEL).card.md  ## errors of one network against labels, controls and sensors; its card
-evaluate-models: $(EVALUATED)  ## the same for every network
+evaluate-models: $(LEARNABLE:%=$D/80_evaluate/$(RES1)/%.json)  ## the same for every network
 
 $(EVALUATED): $D/80_evaluate/$(RES1)/%.json: $D/70_train/$(RES1)/%.pt $D/60_dataset/$(RES1)/dataset.json $P/evaluate.json
 	$(call step,gelforge.stages.evaluate --dataset $(dir $(word 2,$^)) --model $< --params $P/evaluate.json --out $@.part)

@@ -1,6 +1,6 @@
 # Branch: error of the networks against the time one image takes.
 # The networks on the chart: those that exist, or a list: make pareto-models CHARTED="grid_16 unet".
-CHARTED ?= $(MODELS)
+CHARTED ?= $(LEARNABLE)
 
 .PHONY: pareto-models
 pareto-models: $D/pareto_models/$(RES1).json  ## accuracy against latency of every network: chart, CSV, JSON

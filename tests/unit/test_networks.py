@@ -338,6 +338,54 @@ def test_the_last_epochs_train_the_network_that_is_used(folder, share, monkeypat
     assert not any(torch.equal(a[1], b[1]) for a, b in zip(seen, seen[1:]))
 
 
+@pytest.fixture(scope="module")
+def few(tmp_path_factory):
+    """Twelve presses to train on, of the same law as `folder`."""
+    return open_data(write_dataset(tmp_path_factory.mktemp("few") / "6x8", 24, IMAGE, GRID, seed=7))
+
+
+def test_a_network_that_goes_on_begins_as_the_one_it_goes_on_from(few, trained):
+    still = with_values(SETTINGS, epochs=1, learning_rate=1e-12, frozen_share=1.0, least_rate=0.0)
+    found = train(few, "tuned", SMALL, still, start=trained)
+    norm, before = found.about["normalisation"], trained.about["normalisation"]
+    assert all(norm[key] == before[key] for key in ("image_mean", "image_std", "label", "total"))
+    rows = few.splits["test"]
+    assert np.allclose(
+        predict_rows(found.net, few, rows, norm), predict_rows(trained.net, few, rows, before), atol=1e-4
+    )
+    assert found.about["start"]["name"] == "small" and "start" not in trained.about["model"]
+
+
+def test_a_network_that_goes_on_never_ends_worse_than_it_began(few, trained):
+    spoilt = with_values(SETTINGS, epochs=1, learning_rate=1.0, schedule="cosine")
+    found = train(few, "tuned", SMALL, spoilt, start=trained)
+    assert found.about["best_epoch"] == 0 < found.about["curve"][0]["val_total"]
+    weights = trained.net.state_dict()
+    assert all(torch.equal(value, weights[name]) for name, value in found.net.state_dict().items())
+
+
+def test_few_presses_teach_more_to_a_network_that_goes_on(few, trained, tmp_path):
+    alone = with_values(SETTINGS, **LEARNING)
+    further = with_values(alone, learning_rate=2e-4, frozen_share=1.0)
+    others = open_data(write_dataset(tmp_path / "6x8", 96, IMAGE, GRID, seed=9))
+    rows, errors = np.arange(96), []
+    for settings, start in ((further, trained), (alone, None)):
+        found = train(few, "tuned", SMALL, settings, start=start)
+        told = predict_rows(found.net, others, rows, found.about["normalisation"]).sum((2, 3), dtype=float)
+        errors.append(np.abs(told - others.totals(rows)).mean())
+    assert errors[0] < 0.7 * errors[1]
+
+
+def test_a_network_goes_on_from_one_of_its_own_kind_only(few, trained, folder, tmp_path):
+    with pytest.raises(BadInput, match="width = 16, there 8"):
+        train(few, "tuned", {**SMALL, "width": 16}, SETTINGS, start=trained)
+    finer = open_data(write_dataset(tmp_path / "12x16", 16, IMAGE, (12, 16)))
+    with pytest.raises(BadInput, match="grid"):
+        train(finer, "tuned", SMALL, SETTINGS, start=trained)
+    with pytest.raises(BadInput, match="only 'shipped'"):
+        resolve({"tuned": {**SMALL, "start": "mine"}}, "tuned", parameters().train)
+
+
 def test_checkpoint_of_another_training_is_not_used(folder, tmp_path):
     data = open_data(folder)
     for name in ("one", "other"):

@@ -317,6 +317,18 @@ def step_names(project, res) -> str:
     return " ".join(step_targets(project, "report", f"RES={res}"))
 
 
+def test_a_network_that_goes_on_waits_for_the_one_that_ships_and_keeps_to_its_grid(labelled):
+    def needs(target: str, *words: str) -> list[str]:
+        lines = make(labelled, "-pn", "data-that-is-none", "DATASET=tiny", *words).stdout.splitlines()
+        return next(line.split() for line in lines if line.startswith(f"{target}:"))
+
+    folder = "results/tiny/70_train"
+    assert "src/gelforge/networks/default.pt" in needs(f"{folder}/24x32/tuned.pt")
+    assert "src/gelforge/networks/default.pt" not in needs(f"{folder}/24x32/pair_24.pt")
+    assert f"{folder}/24x32/tuned.pt" in needs("models")
+    assert f"{folder}/6x8/tuned.pt" not in needs("models", "RES=6x8")
+
+
 def test_jobs_of_a_program_are_those_of_the_command_line(labelled):
     for words in (("-j1",), ("JOBS=1",)):
         said = make(labelled, "-n", *words, "DATASET=tiny", "calibrate").stdout

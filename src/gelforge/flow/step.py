@@ -166,9 +166,11 @@ def damage(path: Path) -> str | None:
     if not metrics.exists():
         return None
     made = read_json(metrics)
-    if path.is_file() and (made["exit_code"] or whole(path, made)):
-        return None if made["exit_code"] else damaged_beside(path)
-    return None if path.is_dir() else path.name
+    if not path.is_file():
+        return None if path.is_dir() else path.name
+    if made["exit_code"]:
+        return None
+    return damaged_beside(path) if whole(path, made) else path.name
 
 
 def whole(path: Path, made: dict) -> bool:

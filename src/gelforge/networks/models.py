@@ -193,7 +193,7 @@ def build(config: dict, image, grid) -> nn.Module:
     :param config: one table of workflow/models.toml: `kind`, the sizes of that kind, and what it `reads`.
     :param image: (height, width) in pixels. :param grid: (rows, cols) of the label.
     """
-    sizes = {key: value for key, value in config.items() if key not in ("kind", "note", "train", "reads")}
+    sizes = {key: value for key, value in config.items() if key not in ("kind", "note", "train", "reads", "start")}
     sizes["channels"] = inputs.channels(config.get("reads", "image"))
     kinds = {
         "unet": lambda: UNet(grid, **sizes),

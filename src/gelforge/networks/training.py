@@ -133,6 +133,20 @@ class Training:
         # seconds: of all, step_seconds: of the steps alone
         self.cost = {"seconds": 0.0, "step_seconds": 0.0, "wait_seconds": 0.0, "steps": 0, "resumed": 0}
 
+    def go_on_from(self, weights: dict, data) -> None:
+        """Begin with the weights of another network of the same kind; until an epoch is better, they are the best."""
+        self.net.load_state_dict(weights)
+        found = validate(self.net, data, self.norm, self.settings.batch, self.device)
+        self.keep({"epoch": 0} | found)
+
+    def keep(self, row: dict) -> None:
+        """Take the weights as they are for the best so far; row: of the curve."""
+        self.best = {
+            "epoch": row["epoch"],
+            "val_total": row["val_total"],
+            "weights": copy.deepcopy(self.net.state_dict()),
+        }
+
     def state(self, identity: str) -> dict:
         """Everything a checkpoint holds: tensors and plain values only."""
         return {
@@ -176,16 +190,16 @@ class Training:
 
     def train_epoch(self, batches: Ahead) -> float:
         """Go through one epoch's batches; return the mean loss."""
-        started = time.perf_counter()
-        waited = batches.waited
+        started, waited = time.perf_counter(), batches.waited
         self.net.train()
         if self.freezes(self.epochs_done):
             for layer in normalisations(self.net):
                 layer.eval()
         losses = [self.step(images, wanted) for images, wanted in batches]
         self.cost["wait_seconds"] += batches.waited - waited
-        self.cost["step_seconds"] += time.perf_counter() - started
-        self.cost["seconds"] += time.perf_counter() - started
+        seconds = time.perf_counter() - started
+        self.cost["step_seconds"] += seconds
+        self.cost["seconds"] += seconds
         self.cost["steps"] += len(losses)
         self.epochs_done += 1
         if not np.isfinite(losses).all():
@@ -209,11 +223,7 @@ class Training:
         self.schedule.step(*[row["val_total"]] if self.by_validation else [])
         self.curve.append(row)
         if row["val_total"] < self.best["val_total"]:
-            self.best = {
-                "epoch": row["epoch"],
-                "val_total": row["val_total"],
-                "weights": copy.deepcopy(self.net.state_dict()),
-            }
+            self.keep(row)
         self.cost["seconds"] += time.perf_counter() - started
         return row
 

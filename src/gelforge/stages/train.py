@@ -22,6 +22,7 @@ from gelforge.flow.params.slices import ForTrain, read_slice
 from gelforge.flow.params.tables import TrainingTable, TrainTable
 
 VERSION = 10
+SHIPPED = "shipped"  # `start` of a network that goes on from the one that ships
 # A network that learnt from more sensors is for those that it never saw: their users have untouched pictures of their own.
 MOST_PICTURES = 8
 
@@ -38,6 +39,10 @@ def resolve(models: dict, name: str, train: TrainTable) -> tuple[dict, TrainingT
     if name not in models:
         raise BadInput(f"MODEL={name}: no such model in workflow/models.toml; known: {', '.join(sorted(models))}")
     model = dict(models[name])
+    if model.get("start", SHIPPED) != SHIPPED:
+        raise BadInput(
+            f"workflow/models.toml, [{name}]: start = {model['start']!r}: only {SHIPPED!r} can be gone on from"
+        )
     own = model.pop("train", {})
     values = plain(train)
     of_kind = values.pop("epochs_of").get(model.get("kind"), 0)
@@ -49,18 +54,21 @@ def resolve(models: dict, name: str, train: TrainTable) -> tuple[dict, TrainingT
 
 def identity(about: dict) -> str:
     """Text that is equal for two trainings exactly when they must give the same curve."""
-    keys = ("name", "model", "train", "image", "grid", "data", "threads_used", "device", "mixed", "version")
+    keys = ("name", "model", "train", "image", "grid", "data", "threads_used", "device", "mixed", "version", "start")
     return json.dumps({key: about[key] for key in keys}, sort_keys=True)
 
 
-def describe(data, name: str, model: dict, settings: TrainingTable, device: str) -> dict:
+def describe(data, name: str, model: dict, settings: TrainingTable, start) -> dict:
     """What a model file says about where its network comes from."""
     import torch
 
     from gelforge.networks.data import data_version
+    from gelforge.networks.modelfile import tensor_digest, tensors_of
     from gelforge.networks.training import mixes_precision
 
     rows = data.splits["train"]
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    begun = {} if start is None else {"name": start.about["name"], "sha256": tensor_digest(tensors_of(start.net))}
     return {
         "name": name,
         "model": model,
@@ -74,6 +82,7 @@ def describe(data, name: str, model: dict, settings: TrainingTable, device: str)
         "indenters": sorted(set(data.names("indenter")[rows].tolist())),
         "threads_used": torch.get_num_threads(),
         "device": device,
+        "start": begun,
         "mixed": mixes_precision(settings, device),
         "data": {
             "name": data.info.get("name", data.folder.parent.parent.name),
@@ -86,51 +95,90 @@ def describe(data, name: str, model: dict, settings: TrainingTable, device: str)
     }
 
 
-def train(data, name: str, model: dict, settings: TrainingTable, checkpoint=None):
+def train(data, name: str, model: dict, settings: TrainingTable, checkpoint=None, start=None):
     """Train a network; return it with its description, curve and cost inside.
 
     :param data: networks.data.Data. :param checkpoint: file for resuming, or None.
+    :param start: the network to go on from, networks.modelfile.Trained; None: from weights that `seed` draws.
     """
     import torch
 
-    from gelforge.networks.data import require_splits, scales
+    from gelforge.networks.data import require_splits
     from gelforge.networks.inputs import needs_untouched
     from gelforge.networks.modelfile import Trained
     from gelforge.networks.models import parameter_count
     from gelforge.networks.statistics import fit_to_images
-    from gelforge.networks.training import Training, fit, peak_memory_gib
+    from gelforge.networks.training import fit, peak_memory_gib
 
     require_splits(data)
-    if needs_untouched(model.get("reads", "image")):
+    reads = model.get("reads", "image")
+    if needs_untouched(reads):
         data.require_untouched(range(len(data.table)))  # one that lacks its picture is named before hours of training
     torch.set_num_threads(settings.threads)
-    device = "cuda" if torch.cuda.is_available() else "cpu"
-    about = describe(data, name, model, settings, device)
-    norm = scales(data, model["kind"] == "resnet", model.get("reads", "image"))
-    training = Training(model, settings, norm, about["image"], about["grid"], device)
+    about = describe(data, name, model, settings, start)
+    training = begin(data, model, settings, about, start)
     fit(training, data, checkpoint, identity(about))
     began = time.perf_counter()
-    statistics = fit_to_images(sights(data, norm["reads"], settings), data.splits["train"], data.splits["val"])
-    if needs_untouched(norm["reads"]):
-        statistics |= good_pairs(data)
     about |= {
-        "normalisation": norm,
-        "statistics": statistics,
+        "normalisation": training.norm,
+        "statistics": fit_to_images(sights(data, reads, settings), data.splits["train"], data.splits["val"]),
         "curve": training.curve,
         "best_epoch": training.best["epoch"],
         "parameters": parameter_count(training.net),
     }
-    net = training.net.cpu()
-    pictures = data.nocontact if len(data.nocontact) <= MOST_PICTURES else {}
-    reader = None
-    if needs_untouched(norm["reads"]):
-        about |= learnt_pitch(data)
-        reader = reader_of_dots(data, settings)
-        about |= judged(Trained(net, about, pictures, reader), data)
-        reader = reader if "dots" in about else None  # one that could not be judged has no say
+    trained = Trained(training.net.cpu(), about)
+    if needs_untouched(reads):
+        trained = beside_untouched(trained, data, settings, start)
     seconds = training.cost["seconds"] + time.perf_counter() - began
-    about["cost"] = training.cost | {"seconds": seconds, "peak_gib": peak_memory_gib()}
-    return Trained(net, about, pictures if needs_untouched(norm["reads"]) else {}, reader)
+    cost = training.cost | {"seconds": seconds, "peak_gib": peak_memory_gib()}
+    return replace(trained, about=trained.about | {"cost": cost})
+
+
+def begin(data, model: dict, settings: TrainingTable, about: dict, start):
+    """A training at its beginning (networks.training.Training), which scales as its first weights expect.
+
+    One that goes on from `start` has it as its best so far, so that it never ends worse on validation than it began.
+    """
+    from gelforge.networks.data import scales
+    from gelforge.networks.training import Training
+
+    norm = scales(data, model["kind"] == "resnet", model.get("reads", "image"))
+    if start is not None:
+        norm = going_on(start, model, data, norm)
+    training = Training(model, settings, norm, about["image"], about["grid"], about["device"])
+    if start is not None:
+        training.go_on_from(start.net.state_dict(), data)
+    return training
+
+
+def beside_untouched(trained, data, settings: TrainingTable, start):
+    """A network that reads pictures beside untouched ones with what only such a one has: limits, dots, untouched sensors."""
+    pictures = data.nocontact if len(data.nocontact) <= MOST_PICTURES else {}
+    statistics = trained.about["statistics"] | good_pairs(data)
+    about = trained.about | {"statistics": statistics} | learnt_pitch(data)
+    reader = reader_of_dots(data, settings) or (start.dots if start is not None else None)
+    about |= judged(replace(trained, about=about, untouched=pictures, dots=reader), data)
+    # one that could not be judged has no say
+    return replace(trained, about=about, untouched=pictures, dots=reader if "dots" in about else None)
+
+
+def going_on(start, model: dict, data, norm: dict) -> dict:
+    """What a network that goes on from `start` scales by: as its weights expect, and the range of both datasets.
+
+    norm: scales of the new dataset. BadInput where the two are not of one kind, or the dataset is of another grid or image.
+    """
+    from gelforge.networks.modelfile import require_fit
+
+    first = start.about
+    differ = sorted(key for key in first["model"].keys() | model.keys() if first["model"].get(key) != model.get(key))
+    if differ:
+        told = ", ".join(f"{key} = {model.get(key)!r}, there {first['model'].get(key)!r}" for key in differ)
+        raise BadInput(
+            f"it cannot go on from {first['name']}, which is another network: {told}; give the same values"
+        )
+    require_fit(start, data)
+    ranges = zip(first["normalisation"]["range"], norm["range"], strict=True)
+    return first["normalisation"] | {"range": [max(pair) for pair in ranges]}
 
 
 def sights(data, reads: str, settings: TrainingTable) -> Callable[[int], np.ndarray]:
@@ -228,8 +276,9 @@ def learnt_pitch(data) -> dict[str, list[float]]:
     option("--out", type=Path),
 )
 def main(args: Namespace) -> None:
+    from gelforge.networks import use
     from gelforge.networks.data import open_data
-    from gelforge.networks.modelfile import save_model
+    from gelforge.networks.modelfile import load_model, save_model
     from gelforge.networks.part import parse_part, take_part
     from gelforge.reporting.networkcharts import draw_curve
 
@@ -238,7 +287,8 @@ def main(args: Namespace) -> None:
     data = open_data(args.dataset)
     if args.part:
         data = take_part(data, parse_part(args.part), settings.seed)
-    trained = train(data, args.model, model, settings, checkpoint)
+    start = load_model(use.SHIPPED) if model.pop("start", None) else None
+    trained = train(data, args.model, model, settings, checkpoint, start)
     curve = trained.about["curve"]
     write_csv(beside(args.out, ".curve.csv"), list(curve[0]), curve)
     with publish(beside(args.out, ".curve.png")) as part:
