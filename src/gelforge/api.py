@@ -102,11 +102,12 @@ def predict(
 class ForceReading:
     """What was read in one image, forces on the gel in N.
 
-    cells: (3, rows, cols) along gel y, gel x and the gel's normal (FEATS' channels; pressing is negative). In a picture of a
-    GelSight Mini gel y points to the left and gel x upwards. total: (3,), their sums. half_width: (3,) of intervals that hold nine of ten totals on sensors that the
-    network never saw, of gels as stiff as those it learnt from; None where the model knows none. flag: True where
-    something is wrong with the pictures, and `reason` says what. by_dots: (3,) what the motion of the printed dots tells
-    by itself, whatever the light; None where the gel has none, or the network no reader of them.
+    cells: (3, rows, cols) along gel y, gel x and the gel's normal (FEATS' channels; pressing is negative). In a picture of
+    a GelSight Mini gel y points to the left and gel x upwards. total: (3,), their sums. half_width: (3,) of intervals that
+    hold nine of ten totals on sensors that the network never saw, of gels as stiff as those it learnt from; None where the
+    model knows none. flag: True where something is wrong with the pictures, and `reason` says what. by_dots: (3,) what the
+    motion of the printed dots tells by itself, whatever the light; None where the gel has none, or the network no reader
+    of them.
     """
 
     cells: np.ndarray

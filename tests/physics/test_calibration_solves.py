@@ -206,10 +206,11 @@ def test_force_begins_where_the_gel_is_met(catalogue, tmp_path):
 
 @pytest.mark.parametrize("status", [Status.OUT_OF_RANGE, Status.TOO_COARSE, Status.UNBALANCED])
 def test_a_state_that_is_none_does_not_serve_though_its_path_ended(status):
-    press = Press(0, 0, 0, 0, 0, -1.0)
+    ball = load_catalogue("workflow/indenters.toml", ["sphere_15"])["sphere_15"]
+    scene = Scene(Gel(), Material(NU), ball, Press(0, 0, 0, 0, 0, -1.0))
     ended = SimpleNamespace(status=status, evidence={"path": [[0.5, 0, 0, -10.0], [1.0, 0, 0, -70.0]]})
-    assert not usable(ended, press)
-    assert usable(SimpleNamespace(status=Status.DIVERGED, evidence=ended.evidence), press)
+    assert not usable(ended, scene)
+    assert usable(SimpleNamespace(status=Status.DIVERGED, evidence=ended.evidence), scene)
 
 
 def test_a_press_that_meets_the_gel_only_on_its_way_sideways_has_no_curve_of_its_way_down():

@@ -23,7 +23,7 @@ from gelforge.flow.params import SLICES, stage_version
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import Gel
 from gelforge.mechanics.hex.hexsolver import HexSolver
-from gelforge.mechanics.hex.reach import first_touch
+from gelforge.mechanics.hex.reach import end_of, first_touch
 from gelforge.mechanics.hex.settings import HexSettings
 from gelforge.mechanics.meshratio import mesh_ratios
 from gelforge.mechanics.scene import Interface, Material, Press, Scene
@@ -138,13 +138,13 @@ def touch_of(scene: Scene) -> float:
     return found
 
 
-def usable(result, press: Press) -> bool:
+def usable(result, scene: Scene) -> bool:
     """Whether a result is valid, or only its last tolerance was missed at the end of the path.
 
     A state that no gel can take, or bricks too coarse to meet the indenter, reach the end as well and are none.
     """
     path = result.evidence.get("path") or [[0.0]]
-    ended = path[-1][0] >= (2.0 if press.dx or press.dy else 1.0) - 1e-9
+    ended = path[-1][0] >= end_of(scene) - 1e-9
     return result.status.valid or (result.status in (Status.DIVERGED, Status.UNSETTLED) and ended)
 
 
@@ -156,10 +156,10 @@ def solve_job(job: SolveJob, indenter, settings: HexSettings, gel: Gel) -> dict:
     """
     scene = Scene(gel, Material(job.nu), indenter, job.press, interface_of(job.mu))
     result = HexSolver(settings).solve(scene)
-    if not usable(result, job.press):
+    if not usable(result, scene):
         finer = replace(settings, press_steps=2 * settings.press_steps, shear_steps=2 * settings.shear_steps)
         result = HexSolver(finer).solve(scene)
-    if not usable(result, job.press):
+    if not usable(result, scene):
         raise SolveFailed(f"{job.indenter} at {job.press}, mu {job.mu:g}: {result.status.value}", result.evidence)
     if result.status is Status.NO_CONTACT:
         return {"depth": [], "force": [], "end": [0.0] * 3, "status": "NO_CONTACT", "seconds": 0.0}

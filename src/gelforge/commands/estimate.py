@@ -78,9 +78,9 @@ def pilot(data: Path, results: Path, work: Path, rows: list[RawRow], resolution:
     shutil.rmtree(work, ignore_errors=True)
     write_text(Layout(work).shard(shard_name(0)), shard_text(rows))
     found = []
-    own = uncalibrated(Layout(results).params, work)
+    own = None if Layout(results).calibration.exists() else uncalibrated(Layout(results).params, work)
     for module, arguments in stages(data, results, work, resolution):
-        if module == "forces" and not Layout(results).calibration.exists():
+        if module == "forces" and own:
             arguments = [own if Path(str(word)).name == own.name else word for word in arguments]
         out = Path(arguments[-1])
         out.parent.mkdir(parents=True, exist_ok=True)

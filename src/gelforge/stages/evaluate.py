@@ -61,12 +61,11 @@ def controls(data, rows, predicted_totals, rng) -> dict:
     }
 
 
-def fitted_rows(trained, data) -> np.ndarray:
-    """Rows that a network's intervals were set on; none of a dataset that it did not learn from."""
-    from gelforge.networks.data import data_version, rows_to_judge_by
+def fitted_rows(trained, data, learnt: bool) -> np.ndarray:
+    """Rows that a network's intervals were set on; none of a dataset that it did not learn from (`learnt` is false)."""
+    from gelforge.networks.data import rows_to_judge_by
 
-    same = trained.about["data"]["version"] == data_version(data)
-    return rows_to_judge_by(data) if same and "intervals" in trained.about else np.zeros(0, int)
+    return rows_to_judge_by(data) if learnt and "intervals" in trained.about else np.zeros(0, int)
 
 
 def as_told(data, rows, trained, fitted, settings: EvaluateTable, force_range, rng) -> dict:
@@ -127,15 +126,17 @@ def evaluate_split(data, rows, predicted, settings: EvaluateTable, force_range, 
     return result
 
 
-def judged_splits(trained, data) -> dict[str, np.ndarray]:
-    """Rows by split that a network is judged on: all but those it learnt from, of a dataset that is too small to have others too."""
-    from gelforge.networks.data import data_version
+def judged_splits(data, learnt: bool) -> dict[str, np.ndarray]:
+    """Rows by split that a network is judged on: all but those it learnt from.
 
+    learnt: whether it learnt from this dataset; of one that is too small to have other splits, it is judged on `train` too
+    where it did not.
+    """
     splits = {name: rows for name, rows in data.splits.items() if len(rows)}
     others = {name: rows for name, rows in splits.items() if name != "train"}
     if "train" in splits and others:
         return others
-    if "train" in splits and trained.about["data"]["version"] != data_version(data):
+    if "train" in splits and not learnt:
         return splits
     lacks = "one other than `train`, which it learnt from; log more presses, or let MODEL=shipped read them"
     if "train" not in splits:
@@ -152,12 +153,14 @@ def evaluate(data, trained, settings: EvaluateTable) -> tuple[dict, dict]:
     """
     import torch
 
+    from gelforge.networks.data import data_version
     from gelforge.networks.modelfile import require_fit
     from gelforge.networks.training import predict_rows
 
     require_fit(trained, data)
     torch.set_num_threads(settings.threads)
-    splits = judged_splits(trained, data)
+    learnt = trained.about["data"]["version"] == data_version(data)
+    splits = judged_splits(data, learnt)
     rng = np.random.default_rng(settings.seed)
     train_totals = data.totals(data.splits["train"])
     force_range = train_totals.max(0) - train_totals.min(0)
@@ -174,7 +177,7 @@ def evaluate(data, trained, settings: EvaluateTable) -> tuple[dict, dict]:
         "cost": about["cost"],
         "splits": {},
     }
-    predictions, fitted = {}, fitted_rows(trained, data)
+    predictions, fitted = {}, fitted_rows(trained, data, learnt)
     for name, rows in splits.items():
         predictions[name] = (rows, predict_rows(trained.net, data, rows, about["normalisation"]))
         split = evaluate_split(data, *predictions[name], settings, force_range, rng)

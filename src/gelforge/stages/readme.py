@@ -109,20 +109,25 @@ def copy(args: Namespace) -> None:
 )
 def press(args: Namespace) -> None:
     """A press of an indenter: the gel's surface by how far it is pushed in, and the forces that act on it."""
-    import pyvista as pv
-
     from gelforge.api import solve
     from gelforge.geometry.indenters import load_catalogue
 
     body = load_catalogue(args.catalogue, [args.name])[args.name]
-    solved = solve(body, *PRESSED, quality="label")
+    image = view_of(*bodies_of(body, solve(body, *PRESSED, quality="label")))
+    publish_picture(args.out, png_bytes(image), [args.catalogue])
+
+
+def bodies_of(body, solved) -> tuple:
+    """What a solved press looks like in mm, PolyData each: the gel's surface, arrows of force on it, the indenter."""
+    import pyvista as pv
+
     mesh, moved = solved.mesh, solved.mesh.nodes + solved.displacement
     corners = mesh.faces[:, :4] if mesh.kind == "hex8" else mesh.faces[:, :3]
     count = corners.shape[1]
     gel = pv.PolyData(moved, np.column_stack([np.full(len(corners), count), corners]).ravel())
     gel.point_data["pushed in, mm"] = -solved.displacement[:, 2]
-    acting = np.flatnonzero(solved.forces.any(axis=1))
     # a force points where it pushes and ends on the gel
+    acting = np.flatnonzero(solved.forces.any(axis=1))
     longest = np.linalg.norm(solved.forces, axis=1).max()
     arrows = pv.PolyData(moved[acting] - ARROW_MM / longest * solved.forces[acting])
     arrows["force"] = solved.forces[acting]
@@ -132,6 +137,13 @@ def press(args: Namespace) -> None:
         vertices + (at[0] + shear[0], at[1] + shear[1], -depth),
         np.column_stack([np.full(len(faces), 3), faces]).ravel(),
     )
+    return gel, arrows.glyph(orient="force", scale="force", factor=ARROW_MM / longest), tool
+
+
+def view_of(gel, arrows, tool) -> np.ndarray:
+    """A picture (h, w, 3) uint8 RGB of a press, its indenter cut open above the gel."""
+    import pyvista as pv
+
     view: Any = pv.Plotter(off_screen=True, window_size=[1300, 640])
     view.set_background("white")
     bar = {
@@ -145,11 +157,11 @@ def press(args: Namespace) -> None:
     }
     view.add_mesh(gel, cmap="viridis", scalar_bar_args=bar, show_edges=True, edge_color="#4a5568", line_width=0.5)
     view.add_mesh(tool.clip("z", origin=(0, 0, 2.5)), color="lightgrey", opacity=0.25, smooth_shading=True)
-    view.add_mesh(arrows.glyph(orient="force", scale="force", factor=ARROW_MM / longest), color="firebrick")
+    view.add_mesh(arrows, color="firebrick")
     view.camera_position = [(19, -27, 21), (0, -0.5, -1), (0, 0, 1)]
     image = np.asarray(view.screenshot(return_img=True))
     view.close()
-    publish_picture(args.out, png_bytes(image), [args.catalogue])
+    return image
 
 
 def png_bytes(image: np.ndarray) -> bytes:

@@ -114,7 +114,7 @@ def run(plan_path, data="data", workflow="workflow", jobs: int = 1) -> Path:
     folder = Path(data) / plan.dataset
     dataset = Dataset(folder, plan)
     looks, sensors = units_of(plan, workflow)
-    contents = contents_of(plan, workflow)
+    contents = contents_of(plan, workflow, looks, sensors)
     dataset.check_same_plan(*contents)
     dataset.begin(*contents)
     if plan.units is not None:
@@ -171,12 +171,13 @@ def units_of(plan: Plan, workflow: Path) -> tuple[dict[str, Look], dict[str, Sen
     return looks | drawn_looks, sensors | drawn_sensors
 
 
-def contents_of(plan: Plan, workflow: Path) -> tuple[dict[str, str], dict[str, str]]:
+def contents_of(
+    plan: Plan, workflow: Path, looks: dict[str, Look], sensors: dict[str, Sensor]
+) -> tuple[dict[str, str], dict[str, str]]:
     """Digests of what a plan's names stand for: each indenter's table and STL file, each sensor's look and projection."""
     catalogue = workflow / plan.catalogue
     every = read_catalogue(catalogue)
     tables, _ = with_content({name: every[name] for name in plan.indenters}, catalogue.parent)
-    looks, sensors = units_of(plan, workflow)
     seen = {name: [asdict(looks[name]), asdict(sensors[name])] for name in plan.sensors}
     return digests(tables), digests(seen)
 

@@ -11,7 +11,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.forecast import Cost, pilots, table
 from gelforge.flow.main import command, option
 from gelforge.flow.running import duration
-from gelforge.stages.rig import Worker, by_press, check, contents_of
+from gelforge.stages.rig import Worker, by_press, check, contents_of, units_of
 from gelforge.sweeps.methods import warm_up
 from gelforge.virtualrig.rigplan import Order, orders
 from gelforge.virtualrig.writer import Dataset
@@ -53,7 +53,7 @@ def main(given: Namespace) -> None:
         raise BadInput(f"--cores {given.cores}: give at least 1")
     plan = check(given.plan, workflow)
     dataset = Dataset(Path(given.data) / plan.dataset, plan)
-    dataset.check_same_plan(*contents_of(plan, workflow))
+    dataset.check_same_plan(*contents_of(plan, workflow, *units_of(plan, workflow)))
     todo = by_press(dataset, orders(plan))
     left = [of_press for of_press, solved in todo if not solved]
     drawn = sum(len(of_press) for of_press, solved in todo if solved)

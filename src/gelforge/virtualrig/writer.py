@@ -53,12 +53,12 @@ class Dataset:
                     f"{self.log_path} was not written by the virtual rig; choose another `dataset` in the plan"
                 )
             return
-        if read_json(self.plan_path)["plan"] != self.plan.identity():
+        before = read_json(self.plan_path)
+        if before["plan"] != self.plan.identity():
             raise BadInput(
                 f"{self.folder}: was written by another plan (only `presses` may change); "
                 "name another `dataset` in the plan or remove the folder"
             )
-        before = read_json(self.plan_path)
         if self.log and "shapes" not in before:
             print(
                 f"{self.folder}: what its indenters and sensors were was not recorded when it was begun; today's are taken"

@@ -1,0 +1,35 @@
+"""Small networks of every family, trained on a made-up dataset: what evaluation and use are tried on."""
+
+from parameters import parameters, with_values
+from synthetic_presses import SETTINGS, write_dataset
+
+from gelforge.networks.data import open_data
+from gelforge.networks.modelfile import save_model
+from gelforge.stages.train import train
+
+IMAGE, GRID = (48, 64), (6, 8)
+MODELS = {
+    "unet": {"kind": "unet", "widths": [4, 8]},
+    "small": {"kind": "grid", "width": 8, "blocks": 2},
+    "difference": {"kind": "grid", "width": 8, "blocks": 1, "reads": "difference"},
+    "pair": {"kind": "grid", "width": 8, "blocks": 1, "reads": "pair"},
+    "resnet": {"kind": "resnet", "blocks": [1, 1], "widths": [4, 8]},
+}
+EVALUATE = with_values(parameters().evaluate, force_edges=[0.0, 5.0, 20.0], bootstrap=50)
+
+
+def small_dataset(folder):
+    """48 presses of all splits (networks.data.Data), their pictures of IMAGE and labels of GRID."""
+    return open_data(write_dataset(folder / "6x8", 48, IMAGE, GRID))
+
+
+def small_models(data) -> dict:
+    """The networks of MODELS, two epochs each."""
+    return {name: train(data, name, model, with_values(SETTINGS, epochs=2)) for name, model in MODELS.items()}
+
+
+def small_files(models: dict, folder) -> dict:
+    """The files of networks, by their names."""
+    for name, trained in models.items():
+        save_model(folder / f"{name}.pt", trained)
+    return {name: folder / f"{name}.pt" for name in models}
