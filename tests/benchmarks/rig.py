@@ -42,6 +42,7 @@ class Rig:
     plan: Plan
     bench: Bench
     cameras: dict[str, Renderer]
+    kept: tempfile.TemporaryDirectory  # the bench's force factors; gone with the rig
 
     @classmethod
     def of(cls, plan_path, workflow: Path) -> "Rig":
@@ -49,8 +50,9 @@ class Rig:
         gel, (looks, sensors) = Gel(), units_of(plan, workflow)
         names = dict.fromkeys([REFERENCE_UNIT, *plan.sensors])
         cameras = {name: Renderer(looks[name], sensors[name].projection, gel) for name in names}
-        kept = Path(tempfile.mkdtemp(prefix="factors-"))
-        return cls(plan, Bench(plan, load_catalogue(workflow / plan.catalogue), gel, kept), cameras)
+        kept = tempfile.TemporaryDirectory(prefix="factors-")
+        bench = Bench(plan, load_catalogue(workflow / plan.catalogue), gel, Path(kept.name))
+        return cls(plan, bench, cameras, kept)
 
     @cached_property
     def cuboid(self) -> Pressing:

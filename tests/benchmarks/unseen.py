@@ -18,6 +18,7 @@ from gelforge.flow.main import command, option
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue
+from gelforge.labelling.sensor import Sensor
 from gelforge.mechanics.hex.hexsolver import HexSolver
 from gelforge.mechanics.hex.settings import quality
 from gelforge.mechanics.scene import REFERENCE_C10, Interface, Material, Scene
@@ -32,7 +33,7 @@ from gelforge.sweeps.trial import cells_of
 from gelforge.virtualrig.bench import Bench
 from gelforge.virtualrig.fields import field_of, surface_of
 from gelforge.virtualrig.render import Pressed, Renderer
-from gelforge.virtualrig.rigplan import generator, orders, read_plan
+from gelforge.virtualrig.rigplan import Order, generator, orders, read_plan
 from tests.benchmarks.figures import Figure, publish_figures
 from tests.pictures import moved
 
@@ -77,24 +78,32 @@ def press_units(plan_path: Path, count: int) -> Units:
     }
     fresh = replace(plan, seed=plan.seed + 1, kinds=plan.kinds[-1:], presses=count)
     bodies = load_catalogue(plan_path.parents[1] / plan.catalogue, fresh.indenters)
-    bench = Bench(fresh, bodies, gel, Path(tempfile.mkdtemp(prefix="factors-")))
-    solver = HexSolver(quality("label"))
-    stiffness, seen = plan.truth.c10_mpa / REFERENCE_C10, []
-    for order in progress([order for order in orders(fresh) if order.unit == 0], "presses", count):
-        pressing = bench.press(order)[-1]
-        scene = Scene(gel, Material(plan.truth.nu), bodies[order.indenter], pressing.real, Interface())
-        solved = solver.solve(scene)
-        if not (pressing.result.status.valid and solved.status.valid):
-            continue
-        field = field_of(gel, surface_of(pressing.result.mesh, pressing.result.displacement, pressing.real))
-        body, axes = Pressed(bench.body(order.indenter), pressing.real), list(AXIS_OF_CHANNEL)
-        for k, (name, camera) in enumerate(cameras.items()):
-            image = camera.image(field, body, generator(fresh, order.index, 100 + k))
-            # what falls outside the picture is no part of what it shows
-            cells, outside = cells_of(solved.mesh, solved.forces, sensors[name])
-            total, rig_total = stiffness * cells.sum(axis=(1, 2)), pressing.force - stiffness * outside
-            seen.append(Seen(name, image, total[axes], rig_total[axes]))
+    seen: list[Seen] = []
+    with tempfile.TemporaryDirectory(prefix="factors-") as folder:
+        bench = Bench(fresh, bodies, gel, Path(folder))
+        for order in progress([order for order in orders(fresh) if order.unit == 0], "presses", count):
+            seen += see(bench, order, cameras, sensors)
     return Units(cameras, untouched, seen)
+
+
+def see(bench: Bench, order: Order, cameras: dict[str, Renderer], sensors: dict[str, Sensor]) -> list[Seen]:
+    """What each unit sees of one press, and the force in what it shows; none where the press has no equilibrium."""
+    truth, gel = bench.plan.truth, bench.gel
+    pressing = bench.press(order)[-1]
+    scene = Scene(gel, Material(truth.nu), bench.indenters[order.indenter], pressing.real, Interface())
+    solved = HexSolver(quality("label")).solve(scene)
+    if not (pressing.result.status.valid and solved.status.valid):
+        return []
+    field = field_of(gel, surface_of(pressing.result.mesh, pressing.result.displacement, pressing.real))
+    body, axes = Pressed(bench.body(order.indenter), pressing.real), list(AXIS_OF_CHANNEL)
+    stiffness, found = truth.c10_mpa / REFERENCE_C10, []
+    for k, (name, camera) in enumerate(cameras.items()):
+        image = camera.image(field, body, generator(bench.plan, order.index, 100 + k))
+        # what falls outside the picture is no part of what it shows
+        cells, outside = cells_of(solved.mesh, solved.forces, sensors[name])
+        total, rig_total = stiffness * cells.sum(axis=(1, 2)), pressing.force - stiffness * outside
+        found.append(Seen(name, image, total[axes], rig_total[axes]))
+    return found
 
 
 def totals(one: Untouched, image: np.ndarray) -> np.ndarray:
