@@ -117,6 +117,10 @@ def test_pictures_and_card_are_written(data, models, tmp_path):
     assert "| 5 | 1.6 (0.3 to 3.1) | 0.70 (0.40 to 1.10) | 100 |" in write_card(about, result, readings=left)
     real = about | {"data": about["data"] | {"simulated": False}}
     assert "virtual rig" not in write_card(real, result)
+    assert "Began as" not in write_card(about, result)
+    assert "Began as the network small" in write_card(
+        about | {"start": {"name": "small", "sha256": 64 * "0"}}, result
+    )
 
 
 def test_front_and_choice():

@@ -43,6 +43,14 @@ def interval_lines(about: dict) -> list[str]:
     ]
 
 
+def start_lines(about: dict) -> list[str]:
+    """The network that it went on from, where it was not trained from weights drawn at random."""
+    start = about.get("start")
+    return (
+        [f"- Began as the network {start['name']}, SHA-256 of its weights {start['sha256'][:16]}."] if start else []
+    )
+
+
 def dot_lines(about: dict) -> list[str]:
     """How much the reader of dots has to say, where the model has one."""
     if not about.get("dots"):
@@ -146,6 +154,7 @@ def write_card(about: dict, evaluation: dict, figures: Sequence[dict] = (), read
         f"- Indenters seen: {', '.join(about['indenters'])}.",
         f"- Data: {data['name']}, version {data['version']}; images: {samples}.",
         f"- Training: best of {len(about['curve'])} epochs was {about['best_epoch']}; {listing(about['train'])}.",
+        *start_lines(about),
         *interval_lines(about),
         *dot_lines(about),
         f"- {AXIS_NOTE}",
