@@ -3,14 +3,14 @@ MODELS := $(shell sed -nE 's/^\[([a-z0-9_]+)\]$$/\1/p' workflow/models.toml)
 SHIPPED := src/gelforge/networks/default
 # The shipped network is never trained here.
 LEARNT = $(if $(filter shipped,$(MODEL)),$(LEARNER),$(MODEL))
-# Those that go on from the network that ships write its grid: at another RES they are left out of all.
+# Those that go on from the network that ships are for one dataset, and write its grid: they are made by name alone.
 TUNED := $(shell awk '/^\[[a-z0-9_]+\]$$/ {name = substr($$0, 2, length - 2)} /^start *=/ {print name}' workflow/models.toml)
-LEARNABLE := $(filter-out $(if $(filter 24x32,$(RES1)),,$(TUNED)),$(MODELS))
+LEARNABLE := $(filter-out $(TUNED),$(MODELS))
 TRAINED := $(MODELS:%=$D/70_train/$(RES1)/%.pt)
 
 .PHONY: train models onnx
 train: $D/70_train/$(RES1)/$(LEARNT).pt  ## one network: make train MODEL=grid_16 RES=24x32
-models: $(LEARNABLE:%=$D/70_train/$(RES1)/%.pt)  ## every network of workflow/models.toml
+models: $(LEARNABLE:%=$D/70_train/$(RES1)/%.pt)  ## every network of workflow/models.toml that learns from nothing but the dataset
 onnx: $D/70_train/$(RES1)/onnx/$(LEARNT).onnx  ## a trained network as ONNX, checked against torch
 
 $(TRAINED): $D/70_train/$(RES1)/%.pt: $D/60_dataset/$(RES1)/dataset.json $P/models/%.json $P/train.json

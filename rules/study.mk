@@ -12,6 +12,8 @@ study: $(STUDY)/study.json  ## error of one network against the presses and the 
 $(STUDIES): $(STUDY)/networks/%.pt: $D/60_dataset/$(RES1)/dataset.json $P/models/$(LEARNT).json $P/train.json
 	$(call step,gelforge.stages.train --dataset $(<D) --model $(LEARNT) --part $* --models $P/models/$(LEARNT).json --params $P/train.json --out $@.part)
 
+$(if $(filter $(TUNED),$(LEARNT)),$(STUDIES)): $(SHIPPED).pt
+
 $(JUDGED): $(STUDY)/evaluations/%.json: $(STUDY)/networks/%.pt $D/60_dataset/$(RES1)/dataset.json $P/evaluate.json
 	$(call step,gelforge.stages.evaluate --dataset $(dir $(word 2,$^)) --model $< --params $P/evaluate.json --out $@.part)
 

@@ -1,6 +1,7 @@
 """Errors, frontiers, keys and verdicts behind the charts of the mechanics; solves in processes of their own."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -145,6 +146,8 @@ def test_a_solve_fails_in_its_own_process():
     assert isolated(partial(time.sleep, 60), 0.2)["status"] == "TIMED_OUT"
     with pytest.raises(BadInput, match="free space"):
         isolated(partial(failing, OSError(28, "No space left on device")), 60)
+    with pytest.raises(BadInput, match="make setup"):
+        isolated(partial(failing, ModuleNotFoundError("No module named 'numba'")), 60)
 
 
 BESIDE_TORCH = """
@@ -171,6 +174,50 @@ def test_a_solve_does_not_hang_where_torch_has_run(tmp_path):
         [sys.executable, "beside.py"], cwd=tmp_path, env=environment, check=True, capture_output=True, text=True
     )
     assert done.stdout == "{'status': 'OK'}\n"
+
+
+OWN_CODE = """
+import sys
+sys.path.insert(0, "src")
+import gelforge
+from gelforge.sweeps.isolate import isolated
+
+def told():
+    return {"status": gelforge.__file__, "loaded": "gelforge.sweeps.warm" in sys.modules}
+
+if __name__ == "__main__":
+    print(isolated(told, 600))
+"""
+
+
+def test_a_solve_runs_the_code_of_the_process_that_asks_for_it(root, tmp_path):
+    """Whichever checkout the environment was made in."""
+    shutil.copytree(root / "src", tmp_path / "src", ignore=shutil.ignore_patterns("__pycache__", "*.egg-info"))
+    (tmp_path / "own.py").write_text(OWN_CODE)
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    done = subprocess.run(
+        [sys.executable, "own.py"], cwd=tmp_path, env=environment, check=True, capture_output=True, text=True
+    )
+    assert str(tmp_path / "src/gelforge") in done.stdout and "'loaded': True" in done.stdout
+
+
+ASKING = """
+from gelforge.sweeps.isolate import isolated
+
+if __name__ == "__main__":
+    isolated(dict, 600)
+"""
+
+
+def test_a_folder_whose_name_is_too_long_for_a_socket_is_named(tmp_path):
+    long = tmp_path / ("t" * 120)
+    long.mkdir()
+    (tmp_path / "asking.py").write_text(ASKING)
+    environment = os.environ | {"TMPDIR": str(long)}
+    done = subprocess.run(
+        [sys.executable, "asking.py"], cwd=tmp_path, env=environment, capture_output=True, text=True
+    )
+    assert done.returncode != 0 and "set TMPDIR to a shorter path" in done.stderr
 
 
 WAITING = """

@@ -3,6 +3,7 @@
 import csv
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -241,13 +242,41 @@ def test_totals_are_written_with_what_is_known_of_them():
 
 
 @pytest.fixture(scope="module")
-def trained(rest, presses, tmp_path_factory):
-    """A network of pairs and its reader of dots, after hardly any training on pictures that have dots."""
+def seen(rest, presses, tmp_path_factory):
+    """A few pictures that have dots, all of one sensor."""
     data = open_data(write_dataset(tmp_path_factory.mktemp("dataset") / "24x32", 24, rest.shape[:2], (24, 32)))
     pictures = np.stack([presses[k % len(presses)] for k in range(len(data.images))])
-    seen = replace(data, images=pictures, nocontact=dict.fromkeys(data.nocontact, rest))
+    return replace(data, images=pictures, nocontact=dict.fromkeys(data.nocontact, rest))
+
+
+@pytest.fixture(scope="module")
+def trained(seen):
+    """A network of pairs and its reader of dots, after hardly any training."""
     settings_ = with_values(SETTINGS, epochs=1, dot_epochs=2)
     return train(seen, "pair", {"kind": "grid", "width": 8, "blocks": 1, "reads": "pair"}, settings_)
+
+
+STILL = with_values(SETTINGS, epochs=1, learning_rate=1e-12, least_rate=0.0, frozen_share=1.0)
+
+
+def test_few_pictures_leave_the_readers_what_they_know_of_each_other(seen, rest, presses):
+    shipped = load_for_use(None)
+    found = train(seen, "tuned", shipped.about["model"], STILL, start=shipped)
+    assert found.about["dots"]["weight"] == shipped.about["dots"]["weight"]
+    assert found.about["intervals"] == shipped.about["intervals"]
+    limits, before = found.about["statistics"], shipped.about["statistics"]
+    assert limits["mean"] == before["mean"] and limits["threshold"] >= before["threshold"]
+    assert limits["least_share"] <= before["least_share"] and limits["largest_rim_px"] >= before["largest_rim_px"]
+    for picture in presses[:3]:
+        told = [predict_one(Untouched(one, rest), picture)[1].sum((1, 2)) for one in (found, shipped)]
+        assert told[0] == pytest.approx(told[1], abs=1e-3)
+
+
+def test_a_network_does_not_go_on_from_another_scale(seen):
+    shipped = load_for_use(None)
+    nearer = {name: cv2.resize(picture[24:-24, 32:-32], (320, 240)) for name, picture in seen.nocontact.items()}
+    with pytest.raises(BadInput, match="px apart"):
+        train(replace(seen, nocontact=nearer), "tuned", shipped.about["model"], STILL, start=shipped)
 
 
 def test_training_leaves_a_reader_of_dots_beside_the_network(trained, rest, presses):

@@ -118,8 +118,9 @@ def test_pictures_and_card_are_written(data, models, tmp_path):
     real = about | {"data": about["data"] | {"simulated": False}}
     assert "virtual rig" not in write_card(real, result)
     assert "Began as" not in write_card(about, result)
-    assert "Began as the network small" in write_card(
-        about | {"start": {"name": "small", "sha256": 64 * "0"}}, result
+    start = {"name": "small", "sha256": 64 * "0", "data": "train", "simulated": True}
+    assert "Began as the network small, which learnt from simulated presses" in write_card(
+        about | {"start": start}, result
     )
 
 

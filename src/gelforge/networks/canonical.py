@@ -6,6 +6,7 @@ changes by one gain and one offset a colour, and where something touches it chan
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -87,6 +88,14 @@ class View:
 WHOLE = View(1.0, (0.0, 0.0, 0.0))
 
 
+def at_scale(pitch: float, learnt: Sequence[float]) -> bool:
+    """Whether dots `pitch` px apart stand as those that a network learnt from, of which `learnt` is as in `view_of`.
+
+    A picture without dots (pitch 0) tells no scale and passes.
+    """
+    return pitch == 0.0 or (1 - SLACK) * learnt[0] <= pitch <= (1 + SLACK) * learnt[1]
+
+
 def view_of(untouched: np.ndarray, pitch: float, learnt: tuple[float, float]) -> View:
     """The view of a sensor by its untouched picture (h, w, 3) uint8, whose dots stand `pitch` px apart.
 
@@ -96,7 +105,7 @@ def view_of(untouched: np.ndarray, pitch: float, learnt: tuple[float, float]) ->
     """
     red, green, blue = np.rint(untouched.mean(axis=(0, 1))).tolist()
     fill = red, green, blue
-    if pitch == 0.0 or (1 - SLACK) * learnt[0] <= pitch <= (1 + SLACK) * learnt[1]:
+    if at_scale(pitch, learnt):
         return View(1.0, fill)
     zoom = sum(learnt) / 2 / pitch
     if not ZOOMS[0] <= zoom <= ZOOMS[1]:

@@ -46,9 +46,13 @@ def interval_lines(about: dict) -> list[str]:
 def start_lines(about: dict) -> list[str]:
     """The network that it went on from, where it was not trained from weights drawn at random."""
     start = about.get("start")
-    return (
-        [f"- Began as the network {start['name']}, SHA-256 of its weights {start['sha256'][:16]}."] if start else []
-    )
+    if not start:
+        return []
+    learnt = "simulated presses" if start["simulated"] else "recorded presses"
+    return [
+        f"- Began as the network {start['name']}, which learnt from {learnt} ({start['data']}), SHA-256 of its weights"
+        f" {start['sha256'][:16]}; what it saw before is not listed here."
+    ]
 
 
 def dot_lines(about: dict) -> list[str]:

@@ -1,6 +1,6 @@
 """How unlike its training images an image is, from a few statistics of the picture."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -84,6 +84,18 @@ def fit_to_images(see, train_rows, held_out_rows, most: int = 500) -> dict:
         return np.stack([describe(see(int(row))) for row in picked])
 
     return fit(described(train_rows), described(held_out_rows))
+
+
+def widened(known: dict, images: Iterable[np.ndarray], found: dict[str, float]) -> dict:
+    """The limits of a network that goes on: those it knows, as wide as its new pictures (h, w, 3) uint8 want them.
+
+    found: limits that are set on the pairs of these pictures.
+    """
+    worst = max((score(known, describe(image)) for image in images), default=0.0)
+    wider = {"threshold": max(known["threshold"], MARGIN * worst)}
+    for name, value in found.items():
+        wider[name] = (min if name.startswith("least_") else max)(known.get(name, value), value)
+    return known | wider
 
 
 def distance(image, untouched) -> float:

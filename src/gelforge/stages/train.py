@@ -68,7 +68,11 @@ def describe(data, name: str, model: dict, settings: TrainingTable, start) -> di
 
     rows = data.splits["train"]
     device = "cuda" if torch.cuda.is_available() else "cpu"
-    begun = {} if start is None else {"name": start.about["name"], "sha256": tensor_digest(tensors_of(start.net))}
+    begun: dict = {}
+    if start is not None:
+        learnt = start.about["data"]
+        begun = {"name": start.about["name"], "sha256": tensor_digest(tensors_of(start.net))}
+        begun |= {"data": learnt["name"], "simulated": learnt["simulated"]}
     return {
         "name": name,
         "model": model,
@@ -153,32 +157,68 @@ def begin(data, model: dict, settings: TrainingTable, about: dict, start):
 
 def beside_untouched(trained, data, settings: TrainingTable, start):
     """A network that reads pictures beside untouched ones with what only such a one has: limits, dots, untouched sensors."""
+    from gelforge.networks.data import rows_to_judge_by
+    from gelforge.networks.intervals import LEAST_PICTURES
+
     pictures = data.nocontact if len(data.nocontact) <= MOST_PICTURES else {}
-    statistics = trained.about["statistics"] | good_pairs(data)
-    about = trained.about | {"statistics": statistics} | learnt_pitch(data)
+    about = trained.about | learnt_pitch(data, start)
+    if start is not None and len(rows_to_judge_by(data)) < LEAST_PICTURES:
+        return replace(trained, about=about | judged_before(start, data), untouched=pictures, dots=start.dots)
+    about["statistics"] |= good_pairs(data, data.splits["val"])
     reader = reader_of_dots(data, settings) or (start.dots if start is not None else None)
     about |= judged(replace(trained, about=about, untouched=pictures, dots=reader), data)
     # one that could not be judged has no say
     return replace(trained, about=about, untouched=pictures, dots=reader if "dots" in about else None)
 
 
+def judged_before(start, data) -> dict:
+    """What a description says of its readers and limits where pictures are too few to tell: what `start` knows of them.
+
+    Limits are as wide as the new pictures want them, where those of `start` are narrower.
+    """
+    from gelforge.networks.statistics import widened
+
+    rows = np.concatenate([data.splits["train"], data.splits["val"]])
+    images = (np.ascontiguousarray(data.images[row]) for row in rows)
+    limits = widened(start.about["statistics"], images, good_pairs(data, rows))
+    return {"statistics": limits} | {key: start.about[key] for key in ("dots", "intervals") if key in start.about}
+
+
 def going_on(start, model: dict, data, norm: dict) -> dict:
     """What a network that goes on from `start` scales by: as its weights expect, and the range of both datasets.
 
-    norm: scales of the new dataset. BadInput where the two are not of one kind, or the dataset is of another grid or image.
+    norm: scales of the new dataset. BadInput where the two networks are not of one kind, or the dataset is of another grid,
+    image, or scale of the gel.
     """
-    from gelforge.networks.modelfile import require_fit
-
-    first = start.about
+    first, name = start.about, start.about["name"]
     differ = sorted(key for key in first["model"].keys() | model.keys() if first["model"].get(key) != model.get(key))
     if differ:
         told = ", ".join(f"{key} = {model.get(key)!r}, there {first['model'].get(key)!r}" for key in differ)
+        raise BadInput(f"it cannot go on from {name}, which is another network: {told}; give the same values")
+    sizes = list(data.grid), list(data.image_size)
+    if sizes != (first["grid"], first["image"]):
         raise BadInput(
-            f"it cannot go on from {first['name']}, which is another network: {told}; give the same values"
+            f"it cannot go on from {name}: that writes a grid of {first['grid']} from images of {first['image']}, the dataset"
+            f" has {sizes[0]} and {sizes[1]}; choose another MODEL"
         )
-    require_fit(start, data)
+    require_scale(first, data)
     ranges = zip(first["normalisation"]["range"], norm["range"], strict=True)
     return first["normalisation"] | {"range": [max(pair) for pair in ranges]}
+
+
+def require_scale(about: dict, data) -> None:
+    """Raise BadInput for a dataset of a sensor whose pictures `predict` would have to scale for a network."""
+    from gelforge.networks.canonical import at_scale
+    from gelforge.records.markers import pitch_of
+
+    for name, picture in sorted(data.nocontact.items() if "pitch_px" in about else ()):
+        pitch = pitch_of(picture)
+        if not at_scale(pitch, about["pitch_px"]):
+            low, high = about["pitch_px"]
+            raise BadInput(
+                f"the dots of sensor {name} are {pitch:.1f} px apart, those that {about['name']} learnt from {low:.1f} to"
+                f" {high:.1f} px: it cannot go on from another scale; choose another MODEL"
+            )
 
 
 def sights(data, reads: str, settings: TrainingTable) -> Callable[[int], np.ndarray]:
@@ -198,12 +238,11 @@ def sights(data, reads: str, settings: TrainingTable) -> Callable[[int], np.ndar
     return see
 
 
-def good_pairs(data) -> dict[str, float]:
-    """Limits of what validation's pairs are like (networks.statistics)."""
+def good_pairs(data, rows) -> dict[str, float]:
+    """Limits of what the pairs of some rows are like (networks.statistics)."""
     from gelforge.networks.dots import PrintedDots
     from gelforge.networks.statistics import RELIEF_MARGIN, pair_evidence, pair_limits, relief
 
-    rows = data.splits["val"]
     names = data.names("sensor_id")[rows]
     dots = {name: PrintedDots(data.nocontact[name]) for name in sorted(set(names.tolist()))}
     pairs = [
@@ -258,12 +297,16 @@ def judged(trained, data) -> dict:
     return found | {"intervals": intervals | {"sensors": sensors}}
 
 
-def learnt_pitch(data) -> dict[str, list[float]]:
-    """Least and largest distance in px of the dots on the untouched sensors that training saw; nothing where none has dots."""
+def learnt_pitch(data, start=None) -> dict[str, list[float]]:
+    """Least and largest distance in px of the dots on the untouched sensors that training saw, and that `start` knew.
+
+    Nothing where none has dots.
+    """
     from gelforge.records.markers import pitch_of
 
     names = set(data.names("sensor_id")[data.splits["train"]].tolist())
     pitches = [pitch for pitch in (pitch_of(data.nocontact[name]) for name in sorted(names)) if pitch]
+    pitches += start.about.get("pitch_px", []) if start is not None else []
     return {"pitch_px": [min(pitches), max(pitches)]} if pitches else {}
 
 

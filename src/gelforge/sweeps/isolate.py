@@ -1,13 +1,17 @@
 """One solve in a process of its own, so that its time, its memory and its death are its own."""
 
+import os
 import resource
 import time
-from collections.abc import Callable
-from functools import cache
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from multiprocessing import get_context
 from multiprocessing.context import ForkContext, ForkServerContext
+from multiprocessing.forkserver import ensure_running
+from pathlib import Path
 
-from gelforge.errors import BadInput
+import gelforge
+from gelforge.errors import BadInput, GelforgeError
 from gelforge.flow.step import die_with_parent
 
 REFUSED, CRASHED, TIMED_OUT = "REFUSED", "CRASHED", "TIMED_OUT"
@@ -43,22 +47,52 @@ def _answer(work, pipe):
     except BadInput as error:
         pipe.send({"status": REFUSED, "reason": str(error)})
     except OSError as error:
-        pipe.send({"os_error": str(error)})
+        pipe.send({"stopped": f"{error}; free space or mend the folder and run make again, it resumes here"})
+    except ImportError as error:
+        pipe.send({"stopped": f"{error}; run make setup"})
     except Exception as error:
         pipe.send({"status": CRASHED, "reason": f"{type(error).__name__}: {error}"})
     pipe.close()
 
 
-@cache
+# Of the server that solves are forked from, and so of them: what a solve costs is told as of one thread, whatever the user
+# has set, and a server that had several could not fork without some of its children hanging.
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+ASKED_BY = "GELFORGE_ASKED_BY"  # the process that began the server, with which it ends
+
+
 def fresh() -> ForkServerContext:
     """Where processes come from that share no thread with this one, and have the kernels of the solver loaded.
 
     A server that has run nothing else forks them: a process that was forked beside threads of numerical libraries hangs
-    where they held a lock.
+    where they held a lock. It runs the code that this process does, whatever is installed.
     """
     context = get_context("forkserver")
     context.set_forkserver_preload(["gelforge.sweeps.warm"])
+    code = [str(Path(gelforge.__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
+    with surroundings(ONE_THREAD | {ASKED_BY: str(os.getpid()), "PYTHONPATH": os.pathsep.join(filter(None, code))}):
+        try:
+            ensure_running()
+        except OSError as error:  # its socket lies in the folder for temporary files, and has a short name or none
+            raise BadInput(
+                f"the process that solves are begun from cannot start ({error}); set TMPDIR to a shorter path, such as /tmp"
+            ) from error
     return context
+
+
+@contextmanager
+def surroundings(wanted: dict[str, str]) -> Iterator[None]:
+    """Environment variables of the processes that begin while the block runs."""
+    before = {name: os.environ.get(name) for name in wanted}
+    os.environ.update(wanted)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
 
 
 def isolated(
@@ -67,13 +101,16 @@ def isolated(
     """The dict that `work` returns from a process of its own, or how that process failed.
 
     context: how the process begins; `fresh()` where none is given, for which pickle must take `work`. A failure is
-    {"status", "reason"} with status REFUSED (BadInput), CRASHED or TIMED_OUT; a full disk or a missing file is none of
-    these and raises BadInput.
+    {"status", "reason"} with status REFUSED (BadInput), CRASHED or TIMED_OUT; a full disk, a missing file or package is
+    none of these and raises BadInput.
     """
     context = context or fresh()
     here, there = context.Pipe(duplex=False)
     child = context.Process(target=_answer, args=(work, there))
-    child.start()
+    try:
+        child.start()
+    except (EOFError, ConnectionError) as error:
+        raise GelforgeError("the process that solves are begun from ended; what it printed above says why") from error
     there.close()
     answer, late = None, False
     try:
@@ -91,6 +128,6 @@ def isolated(
         return {"status": TIMED_OUT, "reason": f"stopped after {limit_s:g} s", "limit_s": limit_s}
     if answer is None:
         return {"status": CRASHED, "reason": f"the process ended with exit code {child.exitcode}"}
-    if "os_error" in answer:
-        raise BadInput(f"{answer['os_error']}; free space or mend the folder and run make again, it resumes here")
+    if "stopped" in answer:
+        raise BadInput(answer["stopped"])
     return answer
