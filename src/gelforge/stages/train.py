@@ -144,11 +144,12 @@ def begin(data, model: dict, settings: TrainingTable, about: dict, start):
     One that goes on from `start` has it as its best so far, so that it never ends worse on validation than it began.
     """
     from gelforge.networks.data import scales
+    from gelforge.networks.goingon import scales_before
     from gelforge.networks.training import Training
 
     norm = scales(data, model["kind"] == "resnet", model.get("reads", "image"))
     if start is not None:
-        norm = going_on(start, model, data, norm)
+        norm = scales_before(start.about, model, data, norm)
     training = Training(model, settings, norm, about["image"], about["grid"], about["device"])
     if start is not None:
         training.go_on_from(start.net.state_dict(), data)
@@ -158,67 +159,21 @@ def begin(data, model: dict, settings: TrainingTable, about: dict, start):
 def beside_untouched(trained, data, settings: TrainingTable, start):
     """A network that reads pictures beside untouched ones with what only such a one has: limits, dots, untouched sensors."""
     from gelforge.networks.data import rows_to_judge_by
+    from gelforge.networks.goingon import known_before
     from gelforge.networks.intervals import LEAST_PICTURES
 
     pictures = data.nocontact if len(data.nocontact) <= MOST_PICTURES else {}
     about = trained.about | learnt_pitch(data, start)
     if start is not None and len(rows_to_judge_by(data)) < LEAST_PICTURES:
-        return replace(trained, about=about | judged_before(start, data), untouched=pictures, dots=start.dots)
-    about["statistics"] |= good_pairs(data, data.splits["val"])
+        rows = np.concatenate([data.splits["train"], data.splits["val"]])
+        images = (np.ascontiguousarray(data.images[row]) for row in rows)
+        about |= known_before(start.about, images, good_pairs(data, rows))
+        return replace(trained, about=about, untouched=pictures, dots=start.dots)
+    about |= {"statistics": about["statistics"] | good_pairs(data, data.splits["val"])}
     reader = reader_of_dots(data, settings) or (start.dots if start is not None else None)
     about |= judged(replace(trained, about=about, untouched=pictures, dots=reader), data)
     # one that could not be judged has no say
     return replace(trained, about=about, untouched=pictures, dots=reader if "dots" in about else None)
-
-
-def judged_before(start, data) -> dict:
-    """What a description says of its readers and limits where pictures are too few to tell: what `start` knows of them.
-
-    Limits are as wide as the new pictures want them, where those of `start` are narrower.
-    """
-    from gelforge.networks.statistics import widened
-
-    rows = np.concatenate([data.splits["train"], data.splits["val"]])
-    images = (np.ascontiguousarray(data.images[row]) for row in rows)
-    limits = widened(start.about["statistics"], images, good_pairs(data, rows))
-    return {"statistics": limits} | {key: start.about[key] for key in ("dots", "intervals") if key in start.about}
-
-
-def going_on(start, model: dict, data, norm: dict) -> dict:
-    """What a network that goes on from `start` scales by: as its weights expect, and the range of both datasets.
-
-    norm: scales of the new dataset. BadInput where the two networks are not of one kind, or the dataset is of another grid,
-    image, or scale of the gel.
-    """
-    first, name = start.about, start.about["name"]
-    differ = sorted(key for key in first["model"].keys() | model.keys() if first["model"].get(key) != model.get(key))
-    if differ:
-        told = ", ".join(f"{key} = {model.get(key)!r}, there {first['model'].get(key)!r}" for key in differ)
-        raise BadInput(f"it cannot go on from {name}, which is another network: {told}; give the same values")
-    sizes = list(data.grid), list(data.image_size)
-    if sizes != (first["grid"], first["image"]):
-        raise BadInput(
-            f"it cannot go on from {name}: that writes a grid of {first['grid']} from images of {first['image']}, the dataset"
-            f" has {sizes[0]} and {sizes[1]}; choose another MODEL"
-        )
-    require_scale(first, data)
-    ranges = zip(first["normalisation"]["range"], norm["range"], strict=True)
-    return first["normalisation"] | {"range": [max(pair) for pair in ranges]}
-
-
-def require_scale(about: dict, data) -> None:
-    """Raise BadInput for a dataset of a sensor whose pictures `predict` would have to scale for a network."""
-    from gelforge.networks.canonical import at_scale
-    from gelforge.records.markers import pitch_of
-
-    for name, picture in sorted(data.nocontact.items() if "pitch_px" in about else ()):
-        pitch = pitch_of(picture)
-        if not at_scale(pitch, about["pitch_px"]):
-            low, high = about["pitch_px"]
-            raise BadInput(
-                f"the dots of sensor {name} are {pitch:.1f} px apart, those that {about['name']} learnt from {low:.1f} to"
-                f" {high:.1f} px: it cannot go on from another scale; choose another MODEL"
-            )
 
 
 def sights(data, reads: str, settings: TrainingTable) -> Callable[[int], np.ndarray]:

@@ -1,0 +1,56 @@
+"""A network that goes on from another one: what both must have in common, and what it keeps of the other's description."""
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.networks.canonical import at_scale
+from gelforge.networks.data import Data
+from gelforge.networks.statistics import widened
+from gelforge.records.markers import pitch_of
+
+
+def scales_before(about: dict[str, Any], model: dict[str, Any], data: Data, norm: dict[str, Any]) -> dict[str, Any]:
+    """What a network that goes on scales by: as its weights expect, and the range of both datasets.
+
+    about: of the network it goes on from. model: its own table of workflow/models.toml. norm: scales of its own dataset.
+    Raises BadInput where the two networks are not of one kind, or the dataset is of another grid, image or scale of the gel.
+    """
+    before, name = about["model"], about["name"]
+    differ = sorted(key for key in before.keys() | model.keys() if before.get(key) != model.get(key))
+    if differ:
+        told = ", ".join(f"{key} = {model.get(key)!r}, there {before.get(key)!r}" for key in differ)
+        raise BadInput(f"it cannot go on from {name}, which is another network: {told}; give the same values")
+    sizes = list(data.grid), list(data.image_size)
+    if sizes != (about["grid"], about["image"]):
+        raise BadInput(
+            f"it cannot go on from {name}: that writes a grid of {about['grid']} from images of {about['image']}, the dataset"
+            f" has {sizes[0]} and {sizes[1]}; choose another MODEL"
+        )
+    require_scale(about, data)
+    ranges = zip(about["normalisation"]["range"], norm["range"], strict=True)
+    return about["normalisation"] | {"range": [max(pair) for pair in ranges]}
+
+
+def require_scale(about: dict[str, Any], data: Data) -> None:
+    """Raise BadInput for a dataset of a sensor whose pictures `predict` would have to scale for a network."""
+    for name, picture in sorted(data.nocontact.items() if "pitch_px" in about else ()):
+        pitch = pitch_of(picture)
+        if not at_scale(pitch, about["pitch_px"]):
+            low, high = about["pitch_px"]
+            raise BadInput(
+                f"the dots of sensor {name} are {pitch:.1f} px apart, those that {about['name']} learnt from {low:.1f} to"
+                f" {high:.1f} px: it cannot go on from another scale; choose another MODEL"
+            )
+
+
+def known_before(about: dict[str, Any], images: Iterable[np.ndarray], pairs: dict[str, float]) -> dict[str, Any]:
+    """What a description says of readers and limits where pictures are too few to tell: what the other's says.
+
+    Limits are as wide as the new pictures (h, w, 3) uint8 want them, where the other's are narrower. pairs: limits that are
+    set on these pictures beside untouched ones.
+    """
+    limits = widened(about["statistics"], images, pairs)
+    return {"statistics": limits} | {key: about[key] for key in ("dots", "intervals") if key in about}
