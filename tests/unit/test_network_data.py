@@ -1,11 +1,16 @@
 """Datasets that training must refuse, and what it says."""
 
+import os
 import shutil
+import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from synthetic_presses import write_dataset
@@ -13,6 +18,7 @@ from synthetic_presses import write_dataset
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, read_json, write_csv, write_json
 from gelforge.networks.data import FILES, data_version, open_data, require_splits, scales
+from gelforge.records.rowfile import RowFile
 
 
 @pytest.fixture
@@ -60,6 +66,47 @@ def test_dataset_too_small_to_split_is_refused(folder):
         write_csv(folder / "samples.csv", list(rows[0]), changed)
         with pytest.raises(BadInput, match=word):
             require_splits(open_data(folder))
+
+
+@given(st.one_of(st.integers(-7, 6), st.slices(7), st.lists(st.integers(-7, 6), max_size=9)))
+def test_rows_of_a_file_are_those_of_its_array(rows):
+    array = np.random.default_rng(1).integers(0, 255, (7, 2, 3)).astype(np.uint16)
+    with tempfile.TemporaryDirectory() as folder:
+        np.save(Path(folder, "a.npy"), array)
+        found = RowFile(Path(folder, "a.npy"))
+        assert (found.shape, found.dtype, len(found)) == (array.shape, array.dtype, 7)
+        wanted = array[np.array(rows, int) if isinstance(rows, list) else rows]
+        assert found[rows].dtype == wanted.dtype and np.array_equal(found[rows], wanted)
+
+
+def test_a_file_of_rows_that_is_cut_short_or_lies_otherwise_is_named(tmp_path):
+    path = tmp_path / "a.npy"
+    np.save(path, np.zeros((4, 100), np.uint8))
+    found = RowFile(path)
+    with pytest.raises(IndexError):
+        found[4]
+    os.truncate(path, path.stat().st_size - 50)
+    assert not found[2].any()
+    with pytest.raises(BadInput, match="ends before its row 3"):
+        found[2:]
+    np.save(path, np.asfortranarray(np.ones((4, 3))))
+    with pytest.raises(BadInput, match="one after another"):
+        RowFile(path)
+
+
+def test_reading_rows_takes_no_memory_for_the_file(tmp_path):
+    """Its pages are the system's, not the process's, which a mapped file of this size would fill."""
+    np.save(tmp_path / "a.npy", np.zeros((300, 1_000_000), np.uint8))
+    program = (
+        "import resource, sys\nfrom pathlib import Path\nfrom gelforge.records.rowfile import RowFile\n"
+        "rows = RowFile(Path(sys.argv[1]))\nbefore = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
+        "assert not any(rows[k].any() for k in range(len(rows)))\n"
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program, tmp_path / "a.npy"], check=True, capture_output=True, text=True
+    )
+    assert int(done.stdout) < 50_000  # KiB, of 300 000
 
 
 def test_version_changes_with_the_labels(folder):

@@ -10,6 +10,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import read_json
 from gelforge.networks.canonical import Light, match_light
 from gelforge.networks.inputs import needs_untouched
+from gelforge.records.rowfile import RowFile, map_array
 from gelforge.records.samplefile import DatasetSample, read_samples
 
 FILES = ("images.npy", "labels.npy", "nocontact.npy", "samples.csv", "normalisation.json", "dataset.json")
@@ -21,7 +22,7 @@ SMALLEST = {TRAINING: 4, VALIDATION: 1}
 
 @dataclass(frozen=True)
 class Data:
-    """One dataset of stage 60, its arrays mapped from disk.
+    """One dataset of stage 60, its arrays on disk.
 
     images (n, height, width, 3) uint8 RGB; labels (n, 3, rows, cols) float32 N per cell, channels and
     signs as FEATS; table has one record per sample; splits gives row numbers by name; nocontact
@@ -29,7 +30,7 @@ class Data:
     """
 
     folder: Path
-    images: np.ndarray
+    images: np.ndarray | RowFile
     labels: np.ndarray
     table: list[DatasetSample]
     splits: dict[str, np.ndarray]
@@ -106,7 +107,8 @@ def open_data(folder) -> Data:
     for name in FILES:
         if not (folder / name).exists():
             raise BadInput(f"{folder}: {name} is missing; make it with `make dataset`, RES being the grid you want")
-    images, labels, pictures = (map_array(folder / f"{name}.npy") for name in ("images", "labels", "nocontact"))
+    images = RowFile(folder / "images.npy")
+    labels, pictures = (map_array(folder / f"{name}.npy") for name in ("labels", "nocontact"))
     table = read_samples(folder / "samples.csv")
     info = read_json(folder / "dataset.json")
     check_shapes(folder, images, labels, table, info)
@@ -115,14 +117,6 @@ def open_data(folder) -> Data:
     splits = {str(name): np.flatnonzero(split == name) for name in np.unique(split)}
     nocontact = match_pictures(folder, info, pictures, images)
     return Data(folder, images, labels, table, splits, info, read_json(folder / "normalisation.json"), nocontact)
-
-
-def map_array(path: Path) -> np.ndarray:
-    """Map a .npy file for reading; pickled content is refused."""
-    try:
-        return np.load(path, mmap_mode="r", allow_pickle=False)
-    except (ValueError, OSError, EOFError) as error:
-        raise BadInput(f"{path}: not a readable .npy array ({error}); remove it and make the dataset again") from None
 
 
 def check_shapes(folder, images, labels, table, info) -> None:

@@ -1,0 +1,49 @@
+"""Rows of a large .npy file, read when they are asked for."""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.errors import BadInput
+
+REMEDY = "remove it and make the dataset again"
+
+
+def map_array(path: Path) -> np.memmap:
+    """Map a .npy file for reading; pickled content is refused."""
+    try:
+        return np.load(path, mmap_mode="r", allow_pickle=False)
+    except (ValueError, OSError, EOFError) as error:
+        raise BadInput(f"{path}: not a readable .npy array ({error}); {REMEDY}") from None
+
+
+class RowFile:
+    """An array of a .npy file whose rows are read from the file, each time anew: a number, a slice or a list of them.
+
+    Of an array that is mapped instead, every page that was ever looked at counts as memory of the process, up to the whole
+    file. Raises BadInput for what is no such file, and for one that was cut short since it was opened.
+    """
+
+    def __init__(self, path: Path):
+        mapped = map_array(path)
+        if mapped.ndim < 2 or not mapped.flags.c_contiguous:
+            raise BadInput(f"{path}: its rows do not lie one after another; {REMEDY}")
+        self.path, self.shape, self.dtype, self.ndim = path, mapped.shape, mapped.dtype, mapped.ndim
+        self._first, self._size = mapped.offset, mapped.nbytes // max(len(mapped), 1)
+        self._file = path.open("rb", buffering=0)
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __getitem__(self, rows: int | np.integer | slice | Sequence[int] | np.ndarray) -> np.ndarray:
+        wanted = np.arange(len(self))[rows]
+        found = np.empty((*wanted.shape, *self.shape[1:]), self.dtype)
+        for row, into in zip(wanted.ravel().tolist(), found.reshape(-1, *self.shape[1:]), strict=True):
+            if (
+                os.preadv(self._file.fileno(), [memoryview(into).cast("B")], self._first + row * self._size)
+                != self._size
+            ):
+                raise BadInput(f"{self.path}: ends before its row {row}; {REMEDY}")
+        return found
