@@ -53,7 +53,7 @@ def training_batches(data, norm: dict, settings: TrainingTable, epoch: int, tota
     )
     mirrors = epoch < settings.mirrored_share * settings.epochs
     for start in range(0, len(order), settings.batch):
-        # Sorted rows read the mapped file forwards; the order inside a batch changes nothing but rounding.
+        # Sorted rows read the file forwards; the order inside a batch changes nothing but rounding.
         rows = np.sort(order[start : start + settings.batch])
         pictures, labels = data.seen(rows, norm["reads"]), data.labels[rows]
         if needs_untouched(norm["reads"]):
