@@ -138,4 +138,5 @@ def test_an_end_that_does_not_settle_is_walked_to_on_the_tetrahedra(mesh, tmp_pa
     result = CcxSolver(mesh, tmp_path / "press", CCX).solve(scene(), trail=folded)
     alone = CcxSolver(mesh, tmp_path / "alone", CCX).solve(scene())
     assert result.status is Status.OK
-    np.testing.assert_allclose(result.total, alone.total, rtol=1e-9)
+    # the same solve; several threads sum in another order each time, and one component is nothing but rounding
+    assert np.linalg.norm(result.total - alone.total) < 1e-6 * np.linalg.norm(alone.total)
