@@ -12,7 +12,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from parameters import with_values
-from small_networks import EVALUATE, GRID, IMAGE, MODELS, small_dataset, small_files, small_models
+from small_networks import EVALUATE, GRID, IMAGE, MODELS
 from synthetic_presses import SETTINGS, write_dataset
 
 from gelforge.errors import BadInput
@@ -27,21 +27,6 @@ from gelforge.reporting.networkcharts import draw_curve, draw_predictions
 from gelforge.stages import pareto_models
 from gelforge.stages.evaluate import another_of_each, evaluate, fitted_rows, keep_predictions
 from gelforge.stages.train import train
-
-
-@pytest.fixture(scope="module")
-def data(tmp_path_factory):
-    return small_dataset(tmp_path_factory.mktemp("dataset"))
-
-
-@pytest.fixture(scope="module")
-def models(data):
-    return small_models(data)
-
-
-@pytest.fixture(scope="module")
-def paths(models, tmp_path_factory):
-    return small_files(models, tmp_path_factory.mktemp("models"))
 
 
 @pytest.mark.parametrize("name", MODELS)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from small_networks import GRID, IMAGE, MODELS, small_dataset, small_files, small_models
+from small_networks import GRID, IMAGE, MODELS
 
 from gelforge.commands import live, predict
 from gelforge.commands.live_readings import readings, stopping, until
@@ -21,21 +21,6 @@ from gelforge.networks import statistics, use
 from gelforge.networks.canonical import WHOLE, view_of
 from gelforge.networks.onnxgraph import TOLERANCE, export, largest_difference, run_onnx
 from gelforge.records.markers import pitch_of
-
-
-@pytest.fixture(scope="module")
-def data(tmp_path_factory):
-    return small_dataset(tmp_path_factory.mktemp("dataset"))
-
-
-@pytest.fixture(scope="module")
-def models(data):
-    return small_models(data)
-
-
-@pytest.fixture(scope="module")
-def paths(models, tmp_path_factory):
-    return small_files(models, tmp_path_factory.mktemp("models"))
 
 
 @pytest.mark.parametrize("name", MODELS)

@@ -1,0 +1,29 @@
+"""What tests of evaluation and of use share: small networks, trained once."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+
+@pytest.fixture(scope="session")
+def data(tmp_path_factory):
+    from small_networks import small_dataset
+
+    return small_dataset(tmp_path_factory.mktemp("dataset"))
+
+
+@pytest.fixture(scope="session")
+def models(data):
+    from small_networks import small_models
+
+    return small_models(data)
+
+
+@pytest.fixture(scope="session")
+def paths(models, tmp_path_factory):
+    from small_networks import small_files
+
+    return small_files(models, tmp_path_factory.mktemp("models"))
