@@ -26,6 +26,7 @@ from gelforge.records.image import write_png
 from gelforge.records.labelfile import write_labels
 from gelforge.records.log import write_log
 from gelforge.records.press import FORCES, POSE, LoggedPress, check_id
+from gelforge.records.rowfile import map_array
 from gelforge.records.samplefile import read_samples
 
 # FEATS' own folders, and ours.
@@ -184,8 +185,7 @@ def export_dataset(dataset: Path, out: Path) -> dict:
     of this one go: a sample that changed its split would be learnt from and tested on.
     """
     samples = read_samples(dataset / "samples.csv")
-    images = np.load(dataset / "images.npy", mmap_mode="r", allow_pickle=False)
-    labels = np.load(dataset / "labels.npy", mmap_mode="r", allow_pickle=False)
+    images, labels = (map_array(dataset / f"{name}.npy") for name in ("images", "labels"))
     ranges, written = Ranges(), set()
     for at, each in progress(list(enumerate(samples)), "export"):
         sample = LabelSample(np.asarray(images[at]), np.asarray(labels[at], np.float64))

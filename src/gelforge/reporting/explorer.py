@@ -14,6 +14,7 @@ from gelforge.geometry.triangles import read_stl
 from gelforge.mechanics.family import mesh_loader
 from gelforge.records.forcefile import ForceFile
 from gelforge.records.labelfile import read_labels
+from gelforge.records.rowfile import map_array
 from gelforge.reporting.parts import MICRON, arrows, jpeg, pack
 from gelforge.reporting.surfacegrid import Resampler, grid_points
 
@@ -38,9 +39,7 @@ class Explorer:
     @cached_property
     def images(self) -> np.ndarray:
         """Pictures (n, height, width, 3) uint8 of the dataset, mapped from disk."""
-        return np.load(
-            Layout(self.results).dataset(self.resolution) / "images.npy", mmap_mode="r", allow_pickle=False
-        )
+        return map_array(Layout(self.results).dataset(self.resolution) / "images.npy")
 
     @cached_property
     def resampler(self):

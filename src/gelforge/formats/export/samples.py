@@ -13,6 +13,7 @@ from gelforge.flow.files import read_json
 from gelforge.records.axes import AXES, AXIS_OF_CHANNEL
 from gelforge.records.image import stays_inside
 from gelforge.records.regular import file_fault
+from gelforge.records.rowfile import map_array
 from gelforge.records.samplefile import DatasetSample, read_samples
 from gelforge.records.table import read_table
 
@@ -68,7 +69,7 @@ class Samples:
             raise BadInput(
                 f"{dataset}: holds no sample with a picture; fill the log's column `image` and make dataset"
             )
-        labels = np.load(dataset / "labels.npy", mmap_mode="r", allow_pickle=False)
+        labels = map_array(dataset / "labels.npy")
         if len(labels) != len(rows):
             raise BadInput(f"{dataset}: {len(labels)} labels for {len(rows)} samples; remove it and make dataset")
         return cls(data, dataset, rows, records, labels, read_json(dataset / "dataset.json"), read_json(sensors))
