@@ -18,5 +18,5 @@ $(TRAINED): $D/70_train/$(RES1)/%.pt: $D/60_dataset/$(RES1)/dataset.json $P/mode
 
 $(TUNED:%=$D/70_train/$(RES1)/%.pt): $(SHIPPED).pt
 
-$(MODELS:%=$D/70_train/$(RES1)/onnx/%.onnx): $D/70_train/$(RES1)/onnx/%.onnx: $D/70_train/$(RES1)/%.pt
+$(MODELS:%=$D/70_train/$(RES1)/onnx/%.onnx): $D/70_train/$(RES1)/onnx/%.onnx: $D/70_train/$(RES1)/%.pt $P/onnx.json
 	$(call step,gelforge.stages.onnx --model $< --out $@.part)

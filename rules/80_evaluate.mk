@@ -14,10 +14,10 @@ READ := $D/80_evaluate/$(RES1)/shipped.json
 $(READ): $(SHIPPED).pt $D/60_dataset/$(RES1)/dataset.json $P/evaluate.json
 	$(call step,gelforge.stages.evaluate --dataset $(dir $(word 2,$^)) --model $< --params $P/evaluate.json --out $@.part)
 
-$(READ:.json=.card.md): $(SHIPPED).pt $(READ)
+$(READ:.json=.card.md): $(SHIPPED).pt $(READ) $P/card.json
 	$(call step,gelforge.stages.card --model $< --evaluation $(word 2,$^) --out $@.part)
 
-$(EVALUATED:.json=.card.md): $D/80_evaluate/$(RES1)/%.card.md: $D/70_train/$(RES1)/%.pt $D/80_evaluate/$(RES1)/%.json
+$(EVALUATED:.json=.card.md): $D/80_evaluate/$(RES1)/%.card.md: $D/70_train/$(RES1)/%.pt $D/80_evaluate/$(RES1)/%.json $P/card.json
 	$(call step,gelforge.stages.card --model $< --evaluation $(word 2,$^) --out $@.part)
 
 # It takes the time of its copy: one that went on from the network whose place it takes is not trained again for that.

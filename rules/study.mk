@@ -17,7 +17,7 @@ $(if $(filter $(TUNED),$(LEARNT)),$(STUDIES)): $(SHIPPED).pt
 $(JUDGED): $(STUDY)/evaluations/%.json: $(STUDY)/networks/%.pt $D/60_dataset/$(RES1)/dataset.json $P/evaluate.json
 	$(call step,gelforge.stages.evaluate --dataset $(dir $(word 2,$^)) --model $< --params $P/evaluate.json --out $@.part)
 
-$(STUDY)/study.json: $D/80_evaluate/$(RES1)/$(LEARNT).json $(JUDGED) $(STUDY)/choice.txt
+$(STUDY)/study.json: $D/80_evaluate/$(RES1)/$(LEARNT).json $(JUDGED) $P/study.json $(STUDY)/choice.txt
 	$(call step,gelforge.stages.study --whole $< --parts $(JUDGED) --out $@.part)
 
 $(eval $(call choice,$(STUDY)/choice.txt,$(STUDIED)))

@@ -8,14 +8,21 @@ from gelforge.networks.modelfile import save_model
 from gelforge.stages.train import train
 
 IMAGE, GRID = (48, 64), (6, 8)
+SMALL = {"kind": "grid", "width": 8, "blocks": 1}
+LEARNING = {"epochs": 40, "learning_rate": 4e-3, "schedule": "cosine", "total_weight": 1.0}
 MODELS = {
     "unet": {"kind": "unet", "widths": [4, 8]},
     "small": {"kind": "grid", "width": 8, "blocks": 2},
-    "difference": {"kind": "grid", "width": 8, "blocks": 1, "reads": "difference"},
-    "pair": {"kind": "grid", "width": 8, "blocks": 1, "reads": "pair"},
+    "difference": {**SMALL, "reads": "difference"},
+    "pair": {**SMALL, "reads": "pair"},
     "resnet": {"kind": "resnet", "blocks": [1, 1], "widths": [4, 8]},
 }
 EVALUATE = with_values(parameters().evaluate, force_edges=[0.0, 5.0, 20.0], bootstrap=50)
+
+
+def learnt(folder):
+    """SMALL, trained by LEARNING on a dataset's folder until it reads its pictures."""
+    return train(open_data(folder), "small", SMALL, with_values(SETTINGS, **LEARNING))
 
 
 def small_dataset(folder):

@@ -14,6 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from gelforge.errors import BadInput
 from gelforge.flow.main import command, option
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import Gel
@@ -41,6 +42,7 @@ RANGE = {"grid_x": 10.0, "grid_y": 10.0, "grid_z": 40.0}  # N, of the FEATS pape
 SOFTER_HARDER = 0.15  # share by which gels of one kind differ in stiffness
 READ_NOISE = 0.03  # N, of a force sensor
 COUNTS = (0, 1, 2, 5, 10, 20)  # readings of a force sensor
+PRESSES = 28
 DRAWS = 40  # of which readings are made, on each unit
 WRONG = 0.15  # of the range: a reading that is off by more must be flagged
 WORN = 10  # dots of 63
@@ -272,7 +274,9 @@ def readings_left(units: Units, read: np.ndarray) -> list[dict]:
 
 def gain_figures(left: list[dict]) -> list[Figure]:
     """What five readings leave, and how often intervals hold the factor."""
-    five = next(row for row in left if row["readings"] == 5)
+    five = next((row for row in left if row["readings"] == 5), None)
+    if five is None:
+        raise BadInput(f"--presses: so few that no unit has more than five of over 1 N; give more, such as {PRESSES}")
     held = np.mean([row["held_percent"] for row in left if row["readings"]])
     return [
         Figure("error of a gel's factor after five readings", five["factor_percent"], "<=", 3.0, "%"),
@@ -326,17 +330,18 @@ def flag_figures(units: Units, trained) -> list[Figure]:
 @command(
     option("--plan", type=Path, default=Path("workflow/rig/train.toml")),
     option("--model", type=Path, default=None, help="model file; the one that ships if not named"),
-    option("--presses", type=int, default=28),
+    option("--presses", type=int, default=PRESSES),
     option("--out", type=Path),
 )
 def main(args: Namespace) -> None:
     trained, units = load_for_use(args.model), press_units(args.plan, args.presses)
     readers = {name: Untouched(trained, picture) for name, picture in units.untouched.items()}
     read = np.array([totals(readers[seen.unit], seen.image) for seen in units.seen])
+    left = readings_left(units, read)
+    gains = gain_figures(left)
     figures = error_figures(units, read) + by_dots_figures(units, trained) + interval_figure(units, trained, read)
     figures += sensitivity_figures(units, readers, read)
-    left = readings_left(units, read)
-    figures += [drift_figure(units, readers), *gain_figures(left), *flag_figures(units, trained)]
+    figures += [drift_figure(units, readers), *gains, *flag_figures(units, trained)]
     publish_figures(args.out, figures, trained.about.get("sha256", ""), readings=left)
 
 

@@ -1,4 +1,4 @@
-"""What tests of evaluation and of use share: small networks, trained once."""
+"""What tests of networks share: small networks, trained once."""
 
 import sys
 from pathlib import Path
@@ -27,3 +27,19 @@ def paths(models, tmp_path_factory):
     from small_networks import small_files
 
     return small_files(models, tmp_path_factory.mktemp("models"))
+
+
+@pytest.fixture(scope="session")
+def folder(tmp_path_factory):
+    """A dataset of 96 presses of one law, which `trained` learnt from."""
+    from small_networks import GRID, IMAGE
+    from synthetic_presses import write_dataset
+
+    return write_dataset(tmp_path_factory.mktemp("learning") / "6x8", 96, IMAGE, GRID)
+
+
+@pytest.fixture(scope="session")
+def trained(folder):
+    from small_networks import learnt
+
+    return learnt(folder)

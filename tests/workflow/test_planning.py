@@ -18,6 +18,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.catalogue import with_content
 from gelforge.flow.files import read_csv, write_csv, write_text
 from gelforge.flow.layout import metrics_of
+from gelforge.flow.params import SLICES
 from gelforge.geometry.triangles import write_stl
 from gelforge.records.press import RawRow
 from gelforge.stages.fea import sample_key
@@ -427,6 +428,25 @@ def test_each_file_that_a_word_asks_for_is_a_cause(tmp_path, monkeypatch):
     found = reasons(ask_make("all", []))
     assert set(found) == {"d/a.csv", "d/b.csv"}
     assert all("STRICT=1" in why for reasons_of in found.values() for why in reasons_of)
+
+
+@pytest.mark.parametrize("stage", sorted({of.module for of in SLICES.values()}))
+def test_results_follow_the_version_of_their_stage(root, stage):
+    """What a newer version of the code makes otherwise is made again: the version is a prerequisite of one of its rules."""
+    slices = {f"$P/{name}.json" for name, of in SLICES.items() if of.module == stage}
+    rules = re.findall(r"^(\S.*)\n\t\$\(call step,(\S+) ", "".join(rules_of(root)), re.MULTILINE)
+    of_stage = [head for head, module in rules if module in (f"gelforge.stages.{stage}", "$(PARETO_SCENE)")]
+    assert any(slices & set(head.split()) for head in of_stage)
+
+
+def test_every_stage_that_make_runs_has_a_version(root):
+    run = set(re.findall(r"call step,gelforge\.stages\.(\w+)", "".join(rules_of(root))))
+    assert run == {of.module for of in SLICES.values()}
+
+
+def rules_of(root):
+    """The text of all rules."""
+    return [path.read_text() for path in sorted((root / "rules").glob("*.mk"))]
 
 
 def test_every_phony_name_does_something(labelled):

@@ -7,6 +7,8 @@ from gelforge.flow.files import read_json, write_text
 from gelforge.flow.main import command, option
 from gelforge.networks.modelcard import write_card
 
+VERSION = 1
+
 
 @command(
     option("--model", type=Path),

@@ -7,6 +7,8 @@ from gelforge.errors import GelforgeError
 from gelforge.flow.main import command, option
 from gelforge.networks.onnxgraph import TOLERANCE, export, largest_difference, sample_images
 
+VERSION = 1
+
 
 @command(
     option("--model", type=Path),

@@ -14,6 +14,7 @@ from gelforge.flow.layout import beside
 from gelforge.flow.main import command, option
 from gelforge.records.axes import CHANNELS
 
+VERSION = 1
 BASELINE = "unet"
 FASTER = 5.0  # times that the chosen network must be faster than the baseline, on one CPU thread
 KIND_COLOURS = {"unet": "tab:blue", "unet_single": "tab:purple", "resnet": "tab:orange", "grid": "tab:green"}

@@ -14,6 +14,7 @@ from gelforge.networks.data import VALIDATION
 from gelforge.records.axes import CHANNELS
 from gelforge.reporting.networkcharts import draw_study
 
+VERSION = 1
 WHOLE = "all"
 
 

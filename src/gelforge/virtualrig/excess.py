@@ -80,6 +80,7 @@ def name_of(gel: Gel, material: Material, body: Indenter, interface: Interface, 
         MOMENTS,
         DEPTHS,
         ASIDE,
+        TURN_DEG,
     ]
     digest = hashlib.sha256(canonical(told).encode())
     digest.update(np.round(np.asarray(vertices, float), 6).tobytes() + np.asarray(faces, np.int64).tobytes())

@@ -35,7 +35,7 @@ from gelforge.flow.params.tables import (
 
 @dataclass(frozen=True)
 class Slice(ParameterTable):
-    """Tables of one stage, and the version of its results."""
+    """Tables of one stage, and the version of its results; by itself what a stage is given that reads no table."""
 
     version: Annotated[int, Within(0, 1e6)]
 
@@ -163,12 +163,16 @@ SLICES = {
     "labels": Source(ForLabels, "labels"),
     "dataset": Source(ForDataset, "dataset"),
     "train": Source(ForTrain, "train"),
+    "onnx": Source(Slice, "onnx"),
     "evaluate": Source(ForEvaluate, "evaluate"),
+    "card": Source(Slice, "card"),
     "report": Source(ForReport, "report"),
     "calibrate": Source(ForCalibrate, "calibrate", solves=True),
     "pareto": Source(ForPareto, "pareto"),
     "pareto_meshes": Source(ForParetoMeshes, "pareto", "MESH_VERSION"),
     "stability": Source(ForStability, "stability", solves=True),
+    "pareto_models": Source(Slice, "pareto_models"),
+    "study": Source(Slice, "study"),
 }
 
 S = TypeVar("S", bound=Slice)
