@@ -18,8 +18,10 @@ from gelforge.networks.canonical import match_light
 from gelforge.networks.data import open_data
 from gelforge.networks.dotreader import VIEWS, DotPresses, DotReader, train_dot_reader
 from gelforge.networks.dots import COLS, ROWS, PrintedDots
-from gelforge.networks.modelcard import dot_lines
+from gelforge.networks.halves import rounded
+from gelforge.networks.modelcard import dot_lines, place_lines
 from gelforge.networks.modelfile import Trained, load_model, save_model
+from gelforge.networks.placereader import PlaceReader
 from gelforge.networks.use import Untouched, load_for_use, predict_one
 from gelforge.records.axes import CHANNELS
 from gelforge.records.image import read_image
@@ -198,38 +200,51 @@ def with_dots():
     shipped = load_for_use(None)
     torch.manual_seed(0)
     about = shipped.about | {"dots": {"weight": [0.5] * 3, "apart": {name: [0.1, 0.1] for name in CHANNELS}}}
-    return Trained(shipped.net, about, shipped.untouched, DotReader().eval())
+    about["places"] = {"data": "somewhere", "pictures": 1234}
+    by_dots, places = rounded(DotReader()).eval(), rounded(PlaceReader()).eval()
+    return Trained(shipped.net, about, shipped.untouched, by_dots, places)
 
 
-def test_a_model_file_keeps_its_reader_of_dots(with_dots, lawful, tmp_path):
+def test_a_model_file_keeps_its_readers_of_dots(with_dots, lawful, tmp_path):
     save_model(tmp_path / "m.pt", with_dots)
     again = load_model(tmp_path / "m.pt")
     np.testing.assert_array_equal(again.dots.totals(lawful.motion), with_dots.dots.totals(lawful.motion))
     assert again.about["dots"]["weight"] == [0.5] * 3
+    for found, saved in zip(again.places.similarities(lawful.motion), with_dots.places.similarities(lawful.motion)):
+        np.testing.assert_array_equal(found, saved)
+    save_model(tmp_path / "none.pt", replace(with_dots, places=None, about=with_dots.about | {"places": None}))
+    assert load_model(tmp_path / "none.pt").places is None
 
 
 @pytest.mark.parametrize(
     ("spoil", "told"),
     [
-        (lambda parts: parts["dots"].pop("scale"), "the tensors do not fit"),
-        (lambda parts: parts["dots"]["scale"].fill_(2.0), "not those that were trained"),
-        (lambda parts: parts["dots"]["scale"].fill_(float("nan")), "holds NaN or infinity"),
-        (lambda parts: parts.pop("dots"), "the tensors do not fit"),
+        (lambda reader: reader.pop("outer.bias"), "the tensors do not fit"),
+        (lambda reader: reader["outer.bias"].fill_(2.0), "not those that were trained"),
+        (lambda reader: reader["outer.bias"].fill_(float("nan")), "holds NaN or infinity"),
+        (lambda reader: reader["inner.weight"].fill_(float("inf")), "holds NaN or infinity"),
+        (lambda reader: reader.clear(), "the tensors do not fit"),
     ],
 )
-def test_a_damaged_reader_of_dots_is_refused(with_dots, tmp_path, spoil, told):
+@pytest.mark.parametrize("which", ["dots", "places"])
+def test_a_damaged_reader_of_dots_is_refused(with_dots, tmp_path, which, spoil, told):
     path = tmp_path / "m.pt"
     save_model(path, with_dots)
     parts = torch.load(path, weights_only=True)
-    spoil(parts)
+    spoil(parts[which])
     torch.save(parts, path)
-    with pytest.raises(BadInput, match=f"dots: .*{told}"):
+    with pytest.raises(BadInput, match=f"{which}: .*{told}"):
         load_model(path)
 
 
 def test_the_card_says_how_much_dots_have_to_say():
     assert "50 % / 25 % / 100 % (grid_x / grid_y / grid_z)" in dot_lines({"dots": {"weight": [0.5, 0.25, 1.0]}})[0]
     assert dot_lines({}) == []
+
+
+def test_the_card_says_what_the_reader_of_places_learnt_from(with_dots):
+    assert "1234 pictures (somewhere)" in place_lines(with_dots.about)[0]
+    assert place_lines({}) == place_lines({"places": None}) == []
 
 
 def test_totals_are_written_with_what_is_known_of_them():
@@ -252,7 +267,7 @@ def seen(rest, presses, tmp_path_factory):
 @pytest.fixture(scope="module")
 def trained(seen):
     """A network of pairs and its reader of dots, after hardly any training."""
-    settings_ = with_values(SETTINGS, epochs=1, dot_epochs=2)
+    settings_ = with_values(SETTINGS, epochs=1, dot_epochs=2, place_epochs=2)
     return train(seen, "pair", {"kind": "grid", "width": 8, "blocks": 1, "reads": "pair"}, settings_)
 
 
@@ -280,7 +295,7 @@ def test_a_network_does_not_go_on_from_another_scale(seen):
 
 
 def test_training_leaves_a_reader_of_dots_beside_the_network(trained, rest, presses):
-    assert trained.dots is not None
+    assert trained.dots is not None and trained.places is not None
     weight = np.array(trained.about["dots"]["weight"])
     for picture in presses[:3]:
         untouched = Untouched(trained, rest)
@@ -295,4 +310,5 @@ def test_no_reader_of_dots_is_trained_where_there_are_none(tmp_path):
     data = open_data(write_dataset(tmp_path / "6x8", 24, (48, 64), (6, 8)))
     data = replace(data, nocontact=dict.fromkeys(data.nocontact, np.full((48, 64, 3), 120, np.uint8)))
     model = {"kind": "grid", "width": 8, "blocks": 1, "reads": "pair"}
-    assert train(data, "pair", model, with_values(SETTINGS, epochs=1, dot_epochs=2)).dots is None
+    found = train(data, "pair", model, with_values(SETTINGS, epochs=1, dot_epochs=2, place_epochs=2))
+    assert found.dots is None and found.places is None

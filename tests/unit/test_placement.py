@@ -1,18 +1,22 @@
 """A picture laid onto the untouched one: laws on the rig's pictures, with contact and without."""
 
 import csv
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
+import torch
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from gelforge.commands.predict import LEAST_SITTING, place_sitting
 from gelforge.networks.canonical import match_light
-from gelforge.networks.dots import PrintedDots
-from gelforge.networks.placement import LEAST_SHIFT, LEAST_TURN, LEAST_ZOOM, common_motion, place, place_alone
-from gelforge.networks.use import UNPLACED, Untouched, load_for_use, predict_one
+from gelforge.networks.dotaugment import PITCH, mirrored, moved_alike
+from gelforge.networks.dots import COLS, ROWS, PrintedDots
+from gelforge.networks.placement import LEAST_MOVE, UNPLACED, place
+from gelforge.networks.placereader import train_place_reader
+from gelforge.networks.use import Untouched, load_for_use, predict_one
 from gelforge.records.image import read_image
 from tests.pictures import moved
 
@@ -26,6 +30,12 @@ def shipped():
 
 
 @pytest.fixture(scope="module")
+def reader(shipped):
+    """The reader of places that ships; it saw no press, unit or untouched picture of these tests."""
+    return shipped.places
+
+
+@pytest.fixture(scope="module")
 def presses(root):
     """Untouched pictures by sensor, and (sensor, picture under the light of the untouched one) of every press."""
     folder = root / "data/demo"
@@ -35,89 +45,105 @@ def presses(root):
     return rest, [(name, match_light(image, rest[name]).undo(image)) for name, image in rows]
 
 
-def put(dots, *images):
+def put(reader, dots, *images):
     """Placement of pictures of one sitting."""
-    return place(dots, [dots.follow(image) for image in images])
+    return place(reader, dots, [dots.follow(image) for image in images])
 
 
-def put_alone(dots, image):
-    """Placement of a picture by itself."""
-    return place_alone(dots, dots.follow(image))
+def off(placed, dots, shift=(0.0, 0.0), turn=0.0, zoom=1.0):
+    """How far dots are from where a move of `tests.pictures.moved` takes them, px, root mean square."""
+    middle = np.array(dots.grey.shape[::-1]) / 2
+    rotation = np.exp(1j * np.radians(turn)) * zoom
+    linear = np.array([[rotation.real, -rotation.imag], [rotation.imag, rotation.real]])
+    wanted = (dots.points - middle) @ linear.T + middle + shift
+    found = dots.points @ placed.matrix[:, :2].T + placed.matrix[:, 2]
+    return float(np.sqrt(((found - wanted) ** 2).sum(axis=1).mean()))
 
 
 @given(st.sampled_from(SENSORS), st.floats(-10, 10), st.floats(-10, 10), st.floats(-3, 3), st.floats(0.94, 1.06))
-@settings(max_examples=30)
-def test_what_was_moved_is_found(presses, name, u, v, turn, zoom):
-    """On an untouched gel, wherever the dots stay in the picture, each part beyond what contact makes is found."""
+@settings(max_examples=30, deadline=None)
+def test_what_was_moved_is_found(reader, presses, name, u, v, turn, zoom):
+    """On an untouched gel, wherever the dots stay in the picture."""
     rest = presses[0][name]
     resting, middle = PrintedDots(rest), np.array(rest.shape[1::-1]) / 2
     rotation = np.exp(1j * np.radians(turn)) * zoom
     points = (resting.points[resting.rim] - middle) @ np.array([1.0, 1j]) * rotation + complex(u, v)
     assume((np.abs(np.column_stack([points.real, points.imag])) < middle - INSIDE).all())
-    placed = put(resting, moved(rest, (u, v), turn, zoom))
-    assert placed.known
-    if np.hypot(u, v) > 1.2 * LEAST_SHIFT:
-        assert np.hypot(*(placed.shift - (u, v))) < 0.2
-    if abs(turn) > 1.2 * LEAST_TURN:
-        assert placed.turn == pytest.approx(turn, abs=0.05)
-    if abs(zoom - 1) > 1.2 * LEAST_ZOOM:
-        assert placed.zoom == pytest.approx(zoom, abs=0.002)
+    assert off(put(reader, resting, moved(rest, (u, v), turn, zoom)), resting, (u, v), turn, zoom) < LEAST_MOVE
 
 
-def test_contact_alone_moves_no_picture(presses):
+def test_contact_alone_moves_no_picture(reader, presses):
     """No press of a gel that sat still is taken for a gel that moved, so its forces stay what they were."""
     rest, pictures = presses
     dots = {name: PrintedDots(picture) for name, picture in rest.items()}
     for name, picture in pictures:
-        assert put(dots[name], picture).undo(picture) is picture
+        assert put(reader, dots[name], picture).undo(picture) is picture
 
 
-def test_a_single_picture_is_moved_where_it_is_beyond_doubt(presses):
-    """Of presses shifted by 5 px some are found by themselves, and those are found well; none that sat still is moved."""
-    rest, pictures = presses
-    dots = {name: PrintedDots(picture) for name, picture in rest.items()}
-    found = [put_alone(dots[name], moved(picture, (4.0, -3.0))) for name, picture in pictures]
-    told = [placed for placed in found if placed.told]
-    assert 0.3 * len(found) < len(told)
-    assert max(np.hypot(*(placed.shift - (4.0, -3.0))) for placed in told) < 0.25 * np.hypot(4.0, 3.0)
-    assert not any(put_alone(dots[name], picture).told for name, picture in pictures)
+WAYS = {
+    "five px aside": {"shift": (4.0, -3.0)},
+    "three percent nearer": {"zoom": 1.03},
+    "two degrees turned": {"turn": 2.0},
+    "all of it": {"shift": (5.0, -4.0), "turn": -1.0, "zoom": 0.97},
+}
 
 
-def test_a_shift_is_found_beside_contact(presses):
-    """Where the rim tells it, as for most presses, a shift is found as well as contact at the rim lets it."""
-    rest, pictures = presses
-    dots = {name: PrintedDots(picture) for name, picture in rest.items()}
-    found = [put(dots[name], moved(picture, (4.0, -3.0))) for name, picture in pictures]
-    told = [placed for placed in found if placed.known]
-    assert len(told) > 0.7 * len(found)
-    left = [np.hypot(*(placed.shift - (4.0, -3.0))) for placed in told]
-    assert max(left) < 0.25 * np.hypot(4.0, 3.0) and np.median(left) < 0.3 * LEAST_SHIFT
-
-
-def test_another_gels_print_is_laid_over_it(presses):
-    """Dots that stand beside those of the untouched picture by a pixel each, and all of them 8 px aside, still tell it."""
-    rest, _ = presses
-    dots, rng = PrintedDots(rest["mini_a"]), np.random.default_rng(6)
-    rim = dots.rim
-    end = dots.points[rim] + [7.0, -4.0] + rng.uniform(-1.2, 1.2, (int(rim.sum()), 2))
-    placed = common_motion(dots.points[rim], end, np.ones(len(end), bool), dots.sides[rim], np.array([160.0, 120.0]))
-    assert placed.known and np.hypot(*(placed.shift - (7.0, -4.0))) < 0.5
-    small = end - [6.0, -3.5]  # as far as contact may drag them: then so uneven a motion is none
-    assert not common_motion(
-        dots.points[rim], small, np.ones(len(end), bool), dots.sides[rim], np.array([160.0, 120.0])
-    ).told
-
-
-def test_a_sitting_tells_more_than_a_press(presses):
-    """Over all presses of a sensor the shift is found to half of what the worst single one tells."""
+@pytest.mark.parametrize("way", WAYS)
+def test_how_a_gel_sits_is_found_beside_contact(reader, presses, way):
+    """By a single picture to a fraction of a pixel, of all presses of a sensor together to half of what most tell."""
     rest, pictures = presses
     for name, untouched in rest.items():
         dots = PrintedDots(untouched)
-        seen = [moved(picture, (4.0, -3.0)) for sensor, picture in pictures if sensor == name]
-        together = put(dots, *seen)
-        alone = [np.hypot(*(one.shift - (4.0, -3.0))) for one in (put(dots, image) for image in seen) if one.known]
-        assert together.known
-        assert np.hypot(*(together.shift - (4.0, -3.0))) < 0.5 * max(alone)
+        seen = [moved(picture, **WAYS[way]) for sensor, picture in pictures if sensor == name]
+        alone = [off(put(reader, dots, image), dots, **WAYS[way]) for image in seen]
+        together = off(put(reader, dots, *seen), dots, **WAYS[way])
+        print(f"{way}, {name}: {np.median(alone):.2f}, {np.percentile(alone, 90):.2f}, together {together:.2f} px")
+        assert np.median(alone) < 0.3 and np.percentile(alone, 90) < 1.0
+        assert together < 0.3
+
+
+def test_lost_dots_hardly_matter(reader, presses):
+    """A fifth of the dots gone: places are still found to a fraction of a pixel."""
+    rest, pictures = presses
+    rng, left = np.random.default_rng(3), []
+    for name, picture in pictures[::3]:
+        dots = PrintedDots(rest[name])
+        followed = dots.follow(moved(picture, (4.0, -3.0)))
+        motion = followed.motion.copy()
+        motion[rng.random(len(motion)) < 0.2] = np.nan
+        left.append(off(place(reader, dots, [replace(followed, motion=motion)]), dots, (4.0, -3.0)))
+    assert np.median(left) < 0.4
+
+
+def test_a_move_of_the_lattice_is_a_similarity():
+    parts = torch.tensor([[1.5, -2.0, 0.02, -0.03]])
+    v, u = np.meshgrid(*(PITCH * (np.arange(n) - n // 2) for n in (ROWS, COLS)), indexing="ij")
+    z = u + 1j * v
+    wanted = (1 - 0.03 + 0.02j) * z + (1.5 - 2.0j) - z
+    np.testing.assert_allclose(moved_alike(*parts.T)[0], np.stack([wanted.real, wanted.imag]), atol=1e-5)
+
+
+def test_a_mirrored_motion_is_mirrored_back_by_its_signs():
+    motion = torch.randn(200, 3, ROWS, COLS, generator=torch.Generator().manual_seed(0))
+    seen, signs = mirrored(motion, torch.Generator().manual_seed(1))
+    assert {tuple(sign) for sign in signs.tolist()} == {(a, b) for a in (-1.0, 1.0) for b in (-1.0, 1.0)}
+    for before, after, (right, down) in zip(motion, seen, signs.tolist(), strict=True):
+        back = after.flip(2) if right < 0 else after
+        back = back.flip(1) if down < 0 else back
+        torch.testing.assert_close(back * torch.tensor([right, down, 1.0]).view(3, 1, 1), before)
+
+
+def test_a_reader_of_places_learns_what_contact_does(presses):
+    """From two of three presses: on the others it leaves a fifth of a move; the same seed gives the same reader."""
+    rest, pictures = presses
+    dots = {name: PrintedDots(picture) for name, picture in rest.items()}
+    motion = np.stack([dots[name].on_lattice(dots[name].follow(picture)) for name, picture in pictures])
+    known = np.arange(len(motion)) % 3 != 0
+    one, same = (train_place_reader(np.tile(motion[known], (16, 1, 1, 1)), 12, seed=5) for _ in range(2))
+    assert all(torch.equal(a, b) for a, b in zip(one.state_dict().values(), same.state_dict().values(), strict=True))
+    aside = motion[~known] + motion[~known, 2:] * np.array([4.0, -3.0, 0.0], np.float32).reshape(3, 1, 1)
+    a, b = one.similarities(aside)
+    assert np.median(np.abs(b - (4 - 3j))) < 1.0 and np.median(np.abs(a - 1)) < 0.02
 
 
 MOVES = {
@@ -136,55 +162,40 @@ def test_a_gel_that_sits_otherwise_is_no_force(shipped, presses, move):
         for placement in (place_sitting(untouched, [seen] * LEAST_SITTING), None):
             _, forces, verdict = predict_one(untouched, seen, placement)
             assert np.abs(forces.sum((1, 2))).max() < 0.3
-        assert "told by" in verdict["placed"]
+        assert "as its dots tell" in verdict["placed"]
 
 
-@pytest.mark.parametrize(
-    ("move", "most", "share"),
-    # contact spreads the rim's dots, too: what it does to a zoom stays
-    [("two px aside", 0.3, 0.7), ("three percent nearer", np.inf, 0.3), ("a degree turned", 0.3, 0.7)],
-)
-def test_presses_of_a_gel_that_sits_otherwise_read_nearer_to_what_they_are(shipped, presses, move, most, share):
-    """In the median of presses placed one by one, what the move adds is below `most` N, and below this share of it bare."""
+@pytest.mark.parametrize("move", MOVES)
+def test_presses_of_a_gel_that_sits_otherwise_read_nearer_to_what_they_are(shipped, presses, move):
+    """What a move adds to a press falls to a third of it and less in the median, in a sitting and one by one."""
     rest, pictures = presses
-    left, bare = [], []
+    left, alone, bare = [], [], []
     for name, picture in pictures[::4]:
         untouched, seen = Untouched(shipped, rest[name]), moved(picture, **MOVES[move])
         own = predict_one(untouched, picture)[1].sum((1, 2))
-        left.append(
-            np.abs(
-                predict_one(untouched, seen, place_sitting(untouched, [seen] * LEAST_SITTING))[1].sum((1, 2)) - own
-            ).max()
-        )
-        bare.append(np.abs(predict_one(untouched, seen, UNPLACED)[1].sum((1, 2)) - own).max())
-    print(f"{move}: {np.median(left):.2f} N left of {np.median(bare):.2f} N")
-    assert np.median(left) < most and np.median(left) < share * np.median(bare)
+
+        def added(placement, untouched=untouched, seen=seen, own=own):
+            return np.abs(predict_one(untouched, seen, placement)[1].sum((1, 2)) - own).max()
+
+        left.append(added(place_sitting(untouched, [seen] * LEAST_SITTING)))
+        alone.append(added(None))
+        bare.append(added(UNPLACED))
+    told = [np.median(values) for values in (left, alone, bare)]
+    print(f"{move}: {told[0]:.2f} N left in a sitting, {told[1]:.2f} N alone, of {told[2]:.2f} N")
+    assert told[0] < 0.33 * told[2] and told[1] < 0.33 * told[2]
 
 
-def test_dots_that_disagree_tell_nothing():
-    rng = np.random.default_rng(4)
-    start = rng.uniform(0, 300, (28, 2))
-    sides = np.tile(np.eye(4, dtype=bool), (7, 1))
-    end = start + rng.uniform(-15, 15, start.shape)
-    assert not common_motion(start, end, np.ones(28, bool), sides, np.array([160.0, 120.0])).known
-
-
-def test_one_side_that_moved_otherwise_tells_nothing():
-    start = np.stack(np.meshgrid(np.linspace(20, 300, 7), np.linspace(20, 220, 4)), axis=-1).reshape(-1, 2)
-    sides = np.column_stack([start == start.min(axis=0), start == start.max(axis=0)])
-    end = start + [3.0, 0.0] + 4.0 * sides[:, [1]] * [0.0, 1.0]
-    middle, all_seen = np.array([160.0, 120.0]), np.ones(28, bool)
-    assert not common_motion(start, end, all_seen, sides, middle).known
-    assert common_motion(start, start + [3.0, 0.0], all_seen, sides, middle).known
-
-
-@pytest.mark.parametrize("few", [0, 1, 3])
-def test_a_picture_with_too_few_dots_is_left_as_it_is(few):
-    picture = np.full((240, 320, 3), 120, np.uint8)
-    for k in range(few):
-        cv2.circle(picture, (60 + 80 * k, 120), 5, (30, 30, 30), -1)
-    placed = put(PrintedDots(picture), picture)
-    assert not placed.known and placed.undo(picture) is picture
+def test_without_a_reader_or_a_print_a_picture_is_left_as_it_is(reader, presses):
+    rest = presses[0]["mini_a"]
+    dots, plain = PrintedDots(rest), np.full((240, 320, 3), 120, np.uint8)
+    assert place(None, dots, [dots.follow(moved(rest, (4.0, 0.0)))]) is UNPLACED
+    assert place(reader, dots, []) is UNPLACED
+    for few in (0, 1, 3):
+        picture = plain.copy()
+        for k in range(few):
+            cv2.circle(picture, (60 + 80 * k, 120), 5, (30, 30, 30), -1)
+        placed = put(reader, PrintedDots(picture), picture)
+        assert placed is UNPLACED and placed.undo(picture) is picture
 
 
 def narrow(picture):

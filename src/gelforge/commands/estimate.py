@@ -30,9 +30,9 @@ STAGES = {"poses": layout.POSES, "fea": layout.FEA, "forces": layout.FORCES, "la
 # Measured, processor seconds: an image through an evaluation with its start; a press in the report; a press of a
 # calibration; a scene of the quick chart.
 EVALUATE_EACH, REPORT_EACH, CALIBRATE_EACH, CHART_EACH = 5e-3, 0.02, 18.0, 6.0
-# An image in one epoch of training, by the network's kind; a press in one epoch of a reader of dots.
+# An image in one epoch of training, by the network's kind; a press in one epoch of the readers of dots, of force and of place.
 TRAIN_EACH = {"grid": 0.014, "unet": 0.042, "unet_single": 0.12, "resnet": 0.08}
-DOTS_EACH = 2e-3
+DOTS_EACH, PLACES_EACH = 2e-3, 3e-4
 START = 3.0  # of a process with torch or the drawing libraries
 IMAGE_BYTES = 240 * 320 * 3
 
@@ -113,7 +113,8 @@ def training(params: Path, model: str) -> Cost:
     """What a network takes to learn; BadInput for one that there is not."""
     tables = {path.stem: read_json(path)[path.stem] for path in sorted((params / "models").glob("*.json"))}
     table, settings = resolve(tables, model, read_slice(params / "train.json", ForTrain).train)
-    each = TRAIN_EACH.get(table["kind"], TRAIN_EACH["grid"]) * settings.epochs + DOTS_EACH * settings.dot_epochs
+    each = TRAIN_EACH.get(table["kind"], TRAIN_EACH["grid"]) * settings.epochs
+    each += DOTS_EACH * settings.dot_epochs + PLACES_EACH * settings.place_epochs
     return Cost(layout.TRAIN, each, START, bytes_once=3e6)
 
 

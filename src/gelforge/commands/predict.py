@@ -103,7 +103,7 @@ def place_sitting(untouched: Untouched, images: Iterable) -> Placement | None:
     followed = [_follow(untouched, image) if tells else None for image in images]
     if not tells or len(followed) < LEAST_SITTING:
         return None
-    return place(untouched.dots("given"), [dots for dots in followed if dots is not None])
+    return place(untouched.trained.places, untouched.dots("given"), [dots for dots in followed if dots is not None])
 
 
 def _follow(untouched: Untouched, image) -> Followed:

@@ -11,7 +11,17 @@ from gelforge.flow.params.tables import TrainingTable
 from gelforge.networks.augment import augment, mirror_together, misplace_untouched, narrow_views, shift_together
 from gelforge.networks.inputs import needs_untouched, network_input
 
-STREAMS = {"order": 0, "augment": 1, "weights": 2, "shift": 3, "mirror": 4, "seat": 5, "view": 6, "dots": 7}
+STREAMS = {
+    "order": 0,
+    "augment": 1,
+    "weights": 2,
+    "shift": 3,
+    "mirror": 4,
+    "seat": 5,
+    "view": 6,
+    "dots": 7,
+    "places": 8,
+}
 
 
 def generator(seed: int, stream: str, *numbers: int) -> torch.Generator:

@@ -15,14 +15,14 @@ from torch.nn import functional as F
 from gelforge.flow.params.tables import AugmentTable
 from gelforge.networks.augment import uniform
 from gelforge.networks.batches import generator
+from gelforge.networks.dotaugment import kept_dots, mirrored, moved_alike
 from gelforge.networks.dots import COLS, ROWS, PrintedDots
+from gelforge.networks.halves import rounded
 from gelforge.networks.inputs import inner_part
 
 MEMBERS = 4  # networks, each from weights of its own
 WIDTH, LAST, HIDDEN = 32, 48, 64
 VIEWS = (0.0, 0.1, 0.2, 0.3)  # parts of height and width that a camera may not show; each press is learnt from all
-PITCH = 32.0  # px between neighbouring dots at the scale that networks read
-LOST = 0.25  # most of the dots that are taken away at random: worn, covered, or not followed
 BATCH, RATE, HUBER = 64, 2e-3, 0.05
 
 
@@ -110,12 +110,12 @@ def misplaced(
     """
     count = len(motion)
     chosen = whole & (torch.rand(count, generator=draw) < settings.misplaced_share)
-    right, down, zoom = (uniform(count, width, draw)[:, None, None] for width in (
-        settings.misplaced_px, settings.misplaced_px, settings.misplaced_zoom))  # fmt: skip
-    turn = torch.deg2rad(uniform(count, settings.misplaced_deg, draw))[:, None, None]
-    v, u = torch.meshgrid(*(PITCH * (torch.arange(n) - n // 2) for n in (ROWS, COLS)), indexing="ij")
-    moved = torch.stack([right + zoom * u - turn * v, down + zoom * v + turn * u], dim=1)
-    found = motion[:, 2:]
+    right, down, zoom = (
+        uniform(count, width, draw)
+        for width in (settings.misplaced_px, settings.misplaced_px, settings.misplaced_zoom)
+    )
+    turn = torch.deg2rad(uniform(count, settings.misplaced_deg, draw))
+    found, moved = motion[:, 2:], moved_alike(right, down, turn, zoom)
     return torch.cat([motion[:, :2] + chosen[:, None, None, None] * found * moved, found], dim=1)
 
 
@@ -127,15 +127,11 @@ def varied(
     view = torch.randint(len(VIEWS), (count,), generator=draw)
     view[torch.rand(count, generator=draw) < 0.5] = 0
     kept = torch.from_numpy(presses.shown[at, view.numpy()])
-    kept &= torch.rand(kept.shape, generator=draw) >= LOST * torch.rand(count, 1, 1, generator=draw)
+    kept &= kept_dots(count, draw)
     motion = misplaced(torch.from_numpy(presses.motion[at]) * kept[:, None], view == 0, settings, draw)
     totals = torch.from_numpy(presses.totals[at, view.numpy()]).float()
-    for axis, component in ((3, 0), (2, 1)):
-        flip = torch.rand(count, generator=draw) < 0.5
-        sign = torch.where(flip, -1.0, 1.0)
-        motion = torch.where(flip[:, None, None, None], motion.flip(axis), motion)
-        motion[:, component] *= sign[:, None, None]
-        totals[:, component] *= sign
+    motion, signs = mirrored(motion, draw)
+    totals[:, :2] *= signs
     return motion, totals
 
 
@@ -159,4 +155,4 @@ def train_dot_reader(presses: DotPresses, epochs: int, seed: int, settings: Augm
             loss.backward()
             optimiser.step()
         schedule.step()
-    return reader.eval()
+    return rounded(reader).eval()

@@ -53,4 +53,4 @@ def known_before(about: dict[str, Any], images: Iterable[np.ndarray], pairs: dic
     set on these pictures beside untouched ones.
     """
     limits = widened(about["statistics"], images, pairs)
-    return {"statistics": limits} | {key: about[key] for key in ("dots", "intervals") if key in about}
+    return {"statistics": limits} | {key: about[key] for key in ("dots", "places", "intervals") if key in about}

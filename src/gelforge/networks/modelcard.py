@@ -67,6 +67,18 @@ def dot_lines(about: dict) -> list[str]:
     ]
 
 
+def place_lines(about: dict) -> list[str]:
+    """That pictures of a gel that sits otherwise are put right, where the model has a reader of that."""
+    places = about.get("places")
+    if not places:
+        return []
+    return [
+        "- A picture whose gel sits otherwise than in its untouched picture, shifted, turned or zoomed, is laid onto that"
+        " before it is read: another small network tells by the printed dots how it sits, whatever touches it. It learnt"
+        f" from {places['pictures']} pictures ({places['data']}).",
+    ]
+
+
 def error_rows(evaluation: dict) -> list[list[str]]:
     """One row per split: count, total MAE with its interval and per-cell MAE."""
     rows = []
@@ -161,6 +173,7 @@ def write_card(about: dict, evaluation: dict, figures: Sequence[dict] = (), read
         *start_lines(about),
         *interval_lines(about),
         *dot_lines(about),
+        *place_lines(about),
         f"- {AXIS_NOTE}",
         "",
         *told_lines(evaluation),

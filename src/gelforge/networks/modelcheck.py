@@ -59,6 +59,11 @@ def _dots(value: Any) -> bool:
     )
 
 
+def _places(value: Any) -> bool:
+    texts = isinstance(value, dict) and all(isinstance(value.get(name), str) for name in ("sha256", "data"))
+    return value is None or (texts and type(value.get("pictures")) is int)
+
+
 # Every part of a model's description that use relies on, and what it must be.
 PARTS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "name": ("a name", lambda v: isinstance(v, str) and 0 < len(v) <= 200),
@@ -80,6 +85,7 @@ PARTS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "pitch_px": ("two numbers above 0, the larger last", lambda v: v is None or (_numbers(v, 2, 0) and v[0] <= v[1])),
     "intervals": ("a table of pairs of numbers from 0 on, by component", _intervals),
     "dots": ("a table of weights from 0 to 1, pairs of numbers by component, and a digest", _dots),
+    "places": ("a table of the data, how many pictures, and a digest", _places),
     "statistics": ("a table", lambda v: isinstance(v, dict)),
     "statistics.inverse": ("a square of numbers", _square),
     "statistics.threshold": ("a number", lambda v: _numbers([v], 1)),

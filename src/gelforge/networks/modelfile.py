@@ -17,14 +17,16 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 from gelforge.errors import BadInput
 from gelforge.networks.batches import images_to_tensor
 from gelforge.networks.dotreader import DotReader
+from gelforge.networks.halves import as_floats, halved
 from gelforge.networks.inputs import needs_untouched, network_input
 from gelforge.networks.modelcheck import check_about, check_pictures, check_tensors
 from gelforge.networks.models import build
+from gelforge.networks.placereader import PlaceReader
 from gelforge.records.image import decode, encode_png
 from gelforge.records.regular import file_fault
 
 FORMAT = 2
-PARTS_OF_FILE = ("about", "tensors", "untouched", "dots")
+PARTS_OF_FILE = ("about", "tensors", "untouched", "dots", "places")
 MOST_BYTES = 2**31
 Net = TypeVar("Net", bound=nn.Module)
 
@@ -35,12 +37,14 @@ class Trained:
 
     untouched: pictures (h, w, 3) uint8 RGB by sensor of its dataset's untouched sensors, where it reads differences.
     dots: the reader of dots beside it, where it has one; about["dots"] says how their totals meet (networks.dotreader).
+    places: the reader of how a gel sits, where it has one (networks.placereader).
     """
 
     net: nn.Module
     about: dict
     untouched: dict[str, np.ndarray] = field(default_factory=dict)
     dots: DotReader | None = None
+    places: PlaceReader | None = None
 
     @property
     def needs_untouched(self) -> bool:
@@ -120,9 +124,10 @@ def save_model(path, trained: Trained) -> None:
     tensors = tensors_of(trained.net)
     told = {"format": FORMAT, **trained.about, "sha256": tensor_digest(tensors)}
     parts: dict[str, Any] = {"tensors": tensors}
-    if trained.dots:
-        parts["dots"] = tensors_of(trained.dots)
-        told["dots"] = trained.about["dots"] | {"sha256": tensor_digest(parts["dots"])}
+    for name, reader in (("dots", trained.dots), ("places", trained.places)):
+        if reader:
+            parts[name] = halved(tensors_of(reader))
+            told[name] = trained.about.get(name, {}) | {"sha256": tensor_digest(parts[name])}
     parts["untouched"] = {name: encode(picture) for name, picture in trained.untouched.items()}
     torch.save({"about": json.dumps(told, sort_keys=True, allow_nan=False), **parts}, path)
 
@@ -160,7 +165,7 @@ def load_model(path) -> Trained:
     if fault:
         raise BadInput(f"{path}: not a model ({fault}); name the file that make train wrote")
     content = read_tensors(path)
-    about, tensors, pictures, dots = (
+    about, tensors, pictures, dots, places = (
         content.get(name) if isinstance(content, dict) else None for name in PARTS_OF_FILE
     )
     try:
@@ -174,19 +179,23 @@ def load_model(path) -> Trained:
     digest = about.get("sha256")  # files of earlier versions have none
     check_about(about, str(path))
     net = restored(lambda: build(about["model"], about["image"], about["grid"]), tensors, digest, str(path))
-    reader = restored(DotReader, dots, about["dots"]["sha256"], f"{path}: dots") if about.get("dots") else None
+    by_dots = restored(DotReader, dots, about["dots"]["sha256"], f"{path}: dots") if about.get("dots") else None
+    places_by = (
+        restored(PlaceReader, places, about["places"]["sha256"], f"{path}: places") if about.get("places") else None
+    )
     untouched = read_pictures(pictures, str(path))
     check_pictures(about, untouched, str(path))
-    return Trained(net, about, untouched, reader)
+    return Trained(net, about, untouched, by_dots, places_by)
 
 
 def restored(make: Callable[[], Net], tensors: Any, digest: str | None, where: str) -> Net:
     """The network that `make` makes with its tensors, in evaluation mode; BadInput where they are not those of `digest`."""
-    check_tensors(make, tensors, where)
+    values = as_floats(tensors)
+    check_tensors(make, values, where)
     if digest not in (None, tensor_digest(tensors)):
         raise BadInput(f"{where}: its weights are not those that were trained; the file is damaged: copy it again")
     net = make()
-    net.load_state_dict(tensors)
+    net.load_state_dict(values)
     return net.eval()
 
 

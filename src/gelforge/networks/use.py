@@ -11,7 +11,7 @@ from gelforge.networks.agreement import dots_fault, settle
 from gelforge.networks.canonical import WHOLE, Light, view_of
 from gelforge.networks.dots import Followed, PrintedDots
 from gelforge.networks.intervals import half_widths
-from gelforge.networks.placement import LEAST_SHIFT, Placement, place_alone, unmoved
+from gelforge.networks.placement import LEAST_MOVE, UNPLACED, Placement, place
 from gelforge.networks.statistics import (
     PairEvidence,
     distance,
@@ -23,7 +23,6 @@ from gelforge.networks.statistics import (
 )
 from gelforge.records.markers import pitch_of
 
-UNPLACED = unmoved(0.0, 0, True)
 LEAST_PULL = 1.0  # N above which a reading that no contact can make is told
 SHIPPED = Path(__file__).parent / "default.pt"
 
@@ -111,8 +110,8 @@ class Untouched:
     def pair(self, image, name: str, placement: Placement | None = None) -> "CanonicalPair":
         """An image as the network reads it against the picture of that name.
 
-        placement: how it lies on that picture, as its sitting tells it; None: as the image alone does, where its rim moved
-        and nearly all of it alike. A view that does not show the gel's rim tells nothing of it.
+        placement: how it lies on that picture, as its sitting tells it; None: as the image's own dots do, where its rim
+        moved. A view that does not show the gel's rim tells nothing of it.
         """
         lit, light = self.canonical(image, name, placement)
         dots, rest = self.dots(name), self.picture(name)
@@ -120,9 +119,9 @@ class Untouched:
         if self.view.zoom != 1.0:
             return CanonicalPair(lit, evidence_of(lit, light, rest), dots, followed, placement or UNPLACED)
         rim = rim_evidence(dots, followed)
-        if placement is None and rim[0] > LEAST_SHIFT:
-            placement = place_alone(dots, followed)
-            if placement.told:
+        if placement is None and rim[0] > LEAST_MOVE:
+            placement = place(self.trained.places, dots, [followed])
+            if placement.moves:
                 # dots that lay beside each other told of light, too
                 lit, light = self.canonical(image, name, placement)
                 followed = dots.follow(lit)
@@ -174,7 +173,7 @@ def predict_one(
     """Predict an image of any size; return it as the network sees it, forces (3, rows, cols), and the judgement.
 
     A network that reads differences is given the image under the light of the untouched picture, at the scale it learnt,
-    and laid onto that picture by `placement` (None: by what the image's own rim tells); what it reads in that picture
+    and laid onto that picture by `placement` (None: by what the image's own dots tell); what it reads in that picture
     itself is taken off, as a scale is tared. The judgement is that of networks.statistics.judge, with `untouched`, what
     picture the image was read against, `light`, what its light differed by (networks.canonical), `placed`, what was put
     right in how it lay (empty for nothing), `by_dots`, the totals (3,) N that the dots tell by themselves (None where

@@ -21,7 +21,7 @@ from gelforge.flow.params.schema import Place, parse
 from gelforge.flow.params.slices import ForTrain, read_slice
 from gelforge.flow.params.tables import TrainingTable, TrainTable
 
-VERSION = 10
+VERSION = 11
 SHIPPED = "shipped"  # `start` of a network that goes on from the one that ships
 # A network that learnt from more sensors is for those that it never saw: their users have untouched pictures of their own.
 MOST_PICTURES = 8
@@ -168,12 +168,18 @@ def beside_untouched(trained, data, settings: TrainingTable, start):
         rows = np.concatenate([data.splits["train"], data.splits["val"]])
         images = (np.ascontiguousarray(data.images[row]) for row in rows)
         about |= known_before(start.about, images, good_pairs(data, rows))
-        return replace(trained, about=about, untouched=pictures, dots=start.dots)
+        return replace(trained, about=about, untouched=pictures, dots=start.dots, places=start.places)
     about |= {"statistics": about["statistics"] | good_pairs(data, data.splits["val"])}
-    reader = reader_of_dots(data, settings) or (start.dots if start is not None else None)
-    about |= judged(replace(trained, about=about, untouched=pictures, dots=reader), data)
+    by_dots, places = readers_of_dots(data, settings)
+    if places:
+        about |= {"places": {"data": about["data"]["name"], "pictures": len(data.splits["train"])}}
+    if start is not None:
+        by_dots, places = by_dots or start.dots, places or start.places
+        about = {"places": start.about.get("places")} | about
+    trained = replace(trained, untouched=pictures, places=places)
+    about |= judged(replace(trained, about=about, dots=by_dots), data)
     # one that could not be judged has no say
-    return replace(trained, about=about, untouched=pictures, dots=reader if "dots" in about else None)
+    return replace(trained, about=about, dots=by_dots if "dots" in about else None)
 
 
 def sights(data, reads: str, settings: TrainingTable) -> Callable[[int], np.ndarray]:
@@ -207,18 +213,27 @@ def good_pairs(data, rows) -> dict[str, float]:
     return pair_limits(pairs) | {"largest_relief": RELIEF_MARGIN * max(relief(data.nocontact[name]) for name in dots)}
 
 
-def reader_of_dots(data, settings: TrainingTable):
-    """A reader of printed dots (networks.dotreader); None where none is asked for, or a sensor shows no print."""
+def readers_of_dots(data, settings: TrainingTable):
+    """Readers of force and of place from printed dots (networks.dotreader, .placereader).
+
+    None for one that is not asked for, or where a sensor shows no print.
+    """
     from gelforge.networks.dotreader import dot_presses, train_dot_reader
     from gelforge.networks.dots import PrintedDots
+    from gelforge.networks.placereader import train_place_reader
 
-    if not settings.dot_epochs:
-        return None
+    if not settings.dot_epochs and not settings.place_epochs:
+        return None, None
     dots = {name: PrintedDots(picture) for name, picture in data.nocontact.items()}
     if not all(one.known for one in dots.values()):
-        return None
+        return None, None
     presses = dot_presses(data, data.splits["train"], dots)
-    return train_dot_reader(presses, settings.dot_epochs, settings.seed, settings.augment)
+    by_dots = places = None
+    if settings.dot_epochs:
+        by_dots = train_dot_reader(presses, settings.dot_epochs, settings.seed, settings.augment)
+    if settings.place_epochs:
+        places = train_place_reader(presses.motion, settings.place_epochs, settings.seed)
+    return by_dots, places
 
 
 def judged(trained, data) -> dict:

@@ -96,6 +96,7 @@ class TrainingTable(ParameterTable):
     shift_cells: Annotated[int, Within(0, 1000)]
     mirrored_share: Share
     dot_epochs: Whole
+    place_epochs: Whole
     settle_images: Whole
     frozen_share: Share
     seed: Seed
