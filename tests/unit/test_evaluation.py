@@ -96,7 +96,7 @@ def test_pictures_and_card_are_written(data, models, tmp_path):
     draw_predictions(tmp_path / "predictions.png", data, predictions)
     for name in ("curve", "predictions"):
         assert cv2.imread(str(tmp_path / f"{name}.png")).std() > 5
-    assert "virtual rig" in write_card(about, result)
+    assert "virtual rig" in write_card(about, result) and f"dataset {data.name}" in write_card(about, result)
     left = [{"readings": 5, "factor_percent": 1.62, "factor_between": [0.3, 3.1], "force_n": 0.7, "force_between": [0.4, 1.1],
              "held_percent": 99.6}]  # fmt: skip
     assert "| 5 | 1.6 (0.3 to 3.1) | 0.70 (0.40 to 1.10) | 100 |" in write_card(about, result, readings=left)

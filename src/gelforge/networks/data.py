@@ -41,6 +41,11 @@ class Data:
     _lights: dict[int, Light] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
+    def name(self) -> str:
+        """Of the dataset: that of its folder below results/ where it tells none."""
+        return str(self.info.get("name", self.folder.parent.parent.name))
+
+    @property
     def image_size(self) -> tuple[int, int]:
         return self.images.shape[1:3]
 

@@ -176,6 +176,8 @@ def write_card(about: dict, evaluation: dict, figures: Sequence[dict] = (), read
         *place_lines(about),
         f"- {AXIS_NOTE}",
         "",
+        f"Errors are those on the pictures of dataset {evaluation['judged_on']}.",
+        "",
         *told_lines(evaluation),
         "## The network alone: error of total force (mean absolute, N; 95 % interval over presses) and per cell",
         "",

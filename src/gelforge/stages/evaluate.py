@@ -19,7 +19,7 @@ from gelforge.records.axes import CHANNELS, FORCE_OF_CHANNEL
 from gelforge.records.predictionfile import write_predictions
 from gelforge.reporting.networkcharts import draw_predictions
 
-VERSION = 7
+VERSION = 8
 # Where a dataset has them, total forces (samples.csv, gel frame: x short side) that did not come from
 # the labels: the force sensor of the rig, and what a virtual rig knows and a real one cannot.
 REFERENCES = {"sensor": "measured_{}", "truth": "true_{}"}
@@ -171,6 +171,7 @@ def evaluate(data, trained, settings: EvaluateTable) -> tuple[dict, dict]:
         "parameters": about["parameters"],
         "grid": list(data.grid),
         "dataset": about["data"],
+        "judged_on": data.name,
         "best_epoch": about["best_epoch"],
         "force_range": dict(zip(CHANNELS, force_range.tolist())),
         "curve": about["curve"],

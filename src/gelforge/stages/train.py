@@ -89,7 +89,7 @@ def describe(data, name: str, model: dict, settings: TrainingTable, start) -> di
         "start": begun,
         "mixed": mixes_precision(settings, device),
         "data": {
-            "name": data.info.get("name", data.folder.parent.parent.name),
+            "name": data.name,
             "version": data_version(data),
             "simulated": bool(np.isfinite(data.column("true_fz_n")).any()),
             "samples": {key: len(value) for key, value in sorted(data.splits.items())},
