@@ -3,16 +3,22 @@
 import cv2
 import numpy as np
 import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
 
-from gelforge.networks.dots import PrintedDots
+from gelforge.networks.dotaugment import moved_alike
+from gelforge.networks.dots import COLS, ROWS, PrintedDots
 from gelforge.networks.statistics import (
     MARGIN,
+    DotEvidence,
+    dot_evidence,
     pair_evidence,
     pair_fault,
     pair_limits,
     relief,
     relief_fault,
-    rim_evidence,
+    unevenness,
 )
 from gelforge.records.image import read_image
 from gelforge.records.log import read_presses
@@ -94,5 +100,17 @@ def test_light_alone_is_no_relief_and_no_fault(rest, presses, limits):
 
 def test_a_picture_without_dots_has_no_rim_to_look_at():
     grey = np.full((240, 320, 3), 128, np.uint8)
-    assert rim_evidence(PrintedDots(grey), PrintedDots(grey).follow(grey)) == (0.0, 0.0)
+    assert dot_evidence(PrintedDots(grey), PrintedDots(grey).follow(grey)) == DotEvidence()
     assert relief(grey) < 1.0 and MARGIN > 1.0
+
+
+@given(st.tuples(*[st.floats(-5, 5)] * 4), st.floats(0, 0.3), st.integers(0, 99))
+def test_what_moves_all_dots_alike_is_not_uneven(parts, lost, seed):
+    """Whatever the shift, turn and zoom, and whichever dots are lost; dots of another print are, by what they stand aside."""
+    rng = np.random.default_rng(seed)
+    aside = moved_alike(*(torch.tensor([part * unit]) for part, unit in zip(parts, (1, 1, 0.01, 0.01)))).numpy()[0]
+    found = (rng.random((1, ROWS, COLS)) >= lost).astype(np.float32)
+    assert unevenness(np.concatenate([found * aside, found])) < 1e-4
+    print_ = aside + rng.normal(0, 1.0, aside.shape)
+    assert 0.3 < unevenness(np.concatenate([found * print_, found])) < 1.5
+    assert unevenness(np.zeros((3, ROWS, COLS))) == 0.0

@@ -185,6 +185,14 @@ def test_presses_of_a_gel_that_sits_otherwise_read_nearer_to_what_they_are(shipp
     assert told[0] < 0.33 * told[2] and told[1] < 0.33 * told[2]
 
 
+def test_another_gels_picture_is_told_although_it_is_laid_onto_the_untouched_one(shipped, presses):
+    rest, pictures = presses
+    other = {"mini_a": "mini_e", "mini_e": "mini_a"}
+    flagged = [predict_one(Untouched(shipped, rest[other[name]]), picture)[2]["flag"] for name, picture in pictures]
+    own = [predict_one(Untouched(shipped, rest[name]), picture)[2]["flag"] for name, picture in pictures]
+    assert np.mean(flagged) >= 0.9 and not any(own)
+
+
 def test_without_a_reader_or_a_print_a_picture_is_left_as_it_is(reader, presses):
     rest = presses[0]["mini_a"]
     dots, plain = PrintedDots(rest), np.full((240, 320, 3), 120, np.uint8)

@@ -8,7 +8,6 @@ import torch
 from gelforge.networks.dots import COLS, ROWS
 
 PITCH = 32.0  # px between neighbouring dots at the scale that networks read
-LOST = 0.25  # most of the dots that are taken away at random: worn, covered, or not followed
 
 
 def lattice_points() -> tuple[torch.Tensor, torch.Tensor]:
@@ -27,10 +26,13 @@ def moved_alike(right, down, turn, zoom) -> torch.Tensor:
     return torch.stack([right + zoom * u - turn * v, down + zoom * v + turn * u], dim=1)
 
 
-def kept_dots(count: int, draw: torch.Generator) -> torch.Tensor:
-    """Which places of the lattice keep their dot, (count, ROWS, COLS) bool: of each picture another share is lost."""
+def kept_dots(count: int, most: float, draw: torch.Generator) -> torch.Tensor:
+    """Which places of the lattice keep their dot, (count, ROWS, COLS) bool: of each picture a share up to `most` is lost.
+
+    Dots are worn, covered, or not followed.
+    """
     shape = (count, ROWS, COLS)
-    return torch.rand(shape, generator=draw) >= LOST * torch.rand(count, 1, 1, generator=draw)
+    return torch.rand(shape, generator=draw) >= most * torch.rand(count, 1, 1, generator=draw)
 
 
 def mirrored(motion: torch.Tensor, draw: torch.Generator) -> tuple[torch.Tensor, torch.Tensor]:

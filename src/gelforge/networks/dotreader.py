@@ -23,6 +23,7 @@ from gelforge.networks.inputs import inner_part
 MEMBERS = 4  # networks, each from weights of its own
 WIDTH, LAST, HIDDEN = 32, 48, 64
 VIEWS = (0.0, 0.1, 0.2, 0.3)  # parts of height and width that a camera may not show; each press is learnt from all
+LOST = 0.25  # most of the dots that are taken away at random
 BATCH, RATE, HUBER = 64, 2e-3, 0.05
 
 
@@ -127,7 +128,7 @@ def varied(
     view = torch.randint(len(VIEWS), (count,), generator=draw)
     view[torch.rand(count, generator=draw) < 0.5] = 0
     kept = torch.from_numpy(presses.shown[at, view.numpy()])
-    kept &= kept_dots(count, draw)
+    kept &= kept_dots(count, LOST, draw)
     motion = misplaced(torch.from_numpy(presses.motion[at]) * kept[:, None], view == 0, settings, draw)
     totals = torch.from_numpy(presses.totals[at, view.numpy()]).float()
     motion, signs = mirrored(motion, draw)

@@ -26,7 +26,7 @@ from gelforge.records.image import decode, encode_png
 from gelforge.records.regular import file_fault
 
 FORMAT = 2
-PARTS_OF_FILE = ("about", "tensors", "untouched", "dots", "places")
+READERS = {"dots": DotReader, "places": PlaceReader}  # small networks beside a network, by their names in its file
 MOST_BYTES = 2**31
 Net = TypeVar("Net", bound=nn.Module)
 
@@ -124,8 +124,9 @@ def save_model(path, trained: Trained) -> None:
     tensors = tensors_of(trained.net)
     told = {"format": FORMAT, **trained.about, "sha256": tensor_digest(tensors)}
     parts: dict[str, Any] = {"tensors": tensors}
-    for name, reader in (("dots", trained.dots), ("places", trained.places)):
-        if reader:
+    for name in READERS:
+        reader = getattr(trained, name)
+        if reader is not None:
             parts[name] = halved(tensors_of(reader))
             told[name] = trained.about.get(name, {}) | {"sha256": tensor_digest(parts[name])}
     parts["untouched"] = {name: encode(picture) for name, picture in trained.untouched.items()}
@@ -165,9 +166,8 @@ def load_model(path) -> Trained:
     if fault:
         raise BadInput(f"{path}: not a model ({fault}); name the file that make train wrote")
     content = read_tensors(path)
-    about, tensors, pictures, dots, places = (
-        content.get(name) if isinstance(content, dict) else None for name in PARTS_OF_FILE
-    )
+    content = content if isinstance(content, dict) else {}
+    about, tensors = content.get("about"), content.get("tensors")
     try:
         about = json.loads("" if about is None else about)
     except (TypeError, ValueError, RecursionError) as error:
@@ -179,13 +179,14 @@ def load_model(path) -> Trained:
     digest = about.get("sha256")  # files of earlier versions have none
     check_about(about, str(path))
     net = restored(lambda: build(about["model"], about["image"], about["grid"]), tensors, digest, str(path))
-    by_dots = restored(DotReader, dots, about["dots"]["sha256"], f"{path}: dots") if about.get("dots") else None
-    places_by = (
-        restored(PlaceReader, places, about["places"]["sha256"], f"{path}: places") if about.get("places") else None
-    )
-    untouched = read_pictures(pictures, str(path))
+    readers: dict[str, Any] = {
+        name: restored(make, content.get(name), about[name]["sha256"], f"{path}: {name}")
+        for name, make in READERS.items()
+        if about.get(name)
+    }
+    untouched = read_pictures(content.get("untouched"), str(path))
     check_pictures(about, untouched, str(path))
-    return Trained(net, about, untouched, by_dots, places_by)
+    return Trained(net, about, untouched, **readers)
 
 
 def restored(make: Callable[[], Net], tensors: Any, digest: str | None, where: str) -> Net:

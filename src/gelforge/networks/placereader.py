@@ -23,6 +23,7 @@ UNITS = (1.0, 1.0, 0.01, 0.01)
 # Farthest that a gel is taken to sit otherwise, in the same: the lattice is followed no farther than about 40 px.
 FARTHEST = (12.0, 12.0, 0.07, 0.08)
 MOVED, EACH = 0.6, 0.7  # share of the pictures whose gels sit otherwise, and of these that have one of the four
+LOST = 0.4  # most of the dots that are taken away at random
 ROUNDS = 2  # a second look at what the first one left finds large moves as well as small ones
 BATCH, RATE, HUBER = 64, 2e-3, 0.05
 
@@ -83,7 +84,7 @@ def train_place_reader(motion: np.ndarray, epochs: int, seed: int) -> PlaceReade
         draw = generator(seed, "places", epoch)
         for rows in torch.randperm(len(motion), generator=draw).split(BATCH):
             seen, _ = mirrored(torch.from_numpy(motion[rows.numpy()]), draw)
-            found = (seen[:, 2] * kept_dots(len(rows), draw))[:, None]
+            found = (seen[:, 2] * kept_dots(len(rows), LOST, draw))[:, None]
             parts = sits_otherwise(len(rows), draw)
             told = reader(torch.cat([found * (seen[:, :2] + moved_alike(*parts.T)), found], dim=1))
             loss = F.smooth_l1_loss(told / units, parts / units, beta=HUBER)

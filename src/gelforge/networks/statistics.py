@@ -142,67 +142,94 @@ def relief_fault(limits: dict, value: float) -> str:
 
 
 @dataclass(frozen=True)
+class DotEvidence:
+    """What the dots of an untouched picture, found in an image, tell of whether both are of one sensor that sat alike.
+
+    rim_px: how far half of the rim's dots moved at least, px. rim_lost: share of them that does not look as it did.
+    uneven: px by which the motion of a dot departs from the middle of its neighbours', for a quarter of all places at most:
+    contact moves neighbours alike, and the dots of another print stand where its printer put them.
+    All are 0 where no rim is shown.
+    """
+
+    rim_px: float = 0.0
+    rim_lost: float = 0.0
+    uneven: float = 0.0
+
+
+@dataclass(frozen=True)
 class PairEvidence:
     """What tells whether an image and an untouched picture are of one sensor that sat alike.
 
-    distance: of the image, brought to the other's light, levels. light: what was taken back. rim_px, rim_lost: how far half
-    of the rim's dots moved at least, and the share that is not found (networks.placement); 0 where no rim is shown.
+    distance: of the image, brought to the other's light, levels. light: what was taken back. dots: what they tell.
     """
 
     distance: float
     light: Light
-    rim_px: float = 0.0
-    rim_lost: float = 0.0
+    dots: DotEvidence = DotEvidence()
 
 
 def pair_evidence(image, untouched, dots: PrintedDots | None) -> PairEvidence:
     """Evidence of a pair of pictures (h, w, 3) uint8 as a camera gave them; dots: of the untouched one."""
     light = match_light(image, untouched)
     lit = light.undo(image)
-    return evidence_of(lit, light, untouched, *rim_evidence(dots, dots.follow(lit)) if dots else ())
+    told = dot_evidence(dots, dots.follow(lit)) if dots else DotEvidence()
+    return PairEvidence(distance(lit, untouched), light, told)
 
 
-def evidence_of(lit, light: Light, untouched, rim_px: float = 0.0, rim_lost: float = 0.0) -> PairEvidence:
-    """The same of an image that was brought to the light of the untouched picture, and what its rim did."""
-    return PairEvidence(distance(lit, untouched), light, rim_px, rim_lost)
-
-
-def rim_evidence(dots: PrintedDots, followed: Followed) -> tuple[float, float]:
-    """How far half of the rim's dots have moved at least, px, and what share of them does not look as it did."""
+def dot_evidence(dots: PrintedDots, followed: Followed) -> DotEvidence:
+    """Evidence of where an untouched picture's dots are in an image."""
     rim = dots.rim
     if not rim.any():
-        return 0.0, 0.0
+        return DotEvidence()
     moved = np.hypot(*followed.motion[rim & followed.found].T)
-    return float(np.median(moved)) if len(moved) else 0.0, float(followed.unlike[rim].mean())
+    rim_px = float(np.median(moved)) if len(moved) else 0.0
+    return DotEvidence(rim_px, float(followed.unlike[rim].mean()), unevenness(dots.on_lattice(followed)))
+
+
+def unevenness(motion: np.ndarray) -> float:
+    """Lower quartile of how far dots' motions (3, ROWS, COLS) (networks.dots) depart from the middle of two neighbours', px.
+
+    The quartile, because a contact's edge is uneven, too.
+    """
+    uv, found = motion[:2], motion[2] > 0
+    along = uv[:, :, 1:-1] - (uv[:, :, :-2] + uv[:, :, 2:]) / 2
+    across = uv[:, 1:-1] - (uv[:, :-2] + uv[:, 2:]) / 2
+    known = [found[:, 1:-1] & found[:, :-2] & found[:, 2:], found[1:-1] & found[:-2] & found[2:]]
+    apart = np.concatenate([np.hypot(*off[:, where]) for off, where in zip((along, across), known, strict=True)])
+    return float(np.percentile(apart, 25)) if len(apart) else 0.0
 
 
 def pair_limits(found: Sequence[PairEvidence]) -> dict[str, float]:
     """What good pairs stay within, from such ones: beyond, a pair does not belong together."""
     most = {
-        name: float(np.percentile([getattr(one, name) for one in found], USUAL))
-        for name in ("distance", "rim_px", "rim_lost")
+        name: float(np.percentile([getattr(one.dots, name) for one in found], USUAL))
+        for name in ("rim_px", "rim_lost", "uneven")
     }
     return {
-        "largest_distance": MARGIN * most["distance"],
+        "largest_distance": MARGIN * float(np.percentile([one.distance for one in found], USUAL)),
         "largest_residual": MARGIN * float(np.percentile([one.light.residual for one in found], USUAL)),
         "least_share": float(np.percentile([one.light.share for one in found], 100.0 - USUAL)) / MARGIN,
         "largest_rim_px": 1.0 + most["rim_px"],
         "largest_rim_lost": 0.15 + most["rim_lost"],
+        "largest_uneven": MARGIN * most["uneven"],
     }
 
 
 def pair_fault(limits: dict, pair: PairEvidence) -> str:
     """What tells that the pictures of a pair do not belong together; empty where nothing does."""
-    light = pair.light
+    light, dots = pair.light, pair.dots
     unlike = light.residual > limits.get("largest_residual", np.inf) or light.share < limits.get("least_share", 0.0)
     faults = {
         "another sensor than the untouched one": pair.distance > limits["largest_distance"],
         "too little of it looks like the untouched picture": light.known and unlike,
-        f"the rim of the gel moved by {pair.rim_px:.1f} px since the untouched picture": (
-            pair.rim_px > limits.get("largest_rim_px", np.inf)
+        f"the rim of the gel moved by {dots.rim_px:.1f} px since the untouched picture": (
+            dots.rim_px > limits.get("largest_rim_px", np.inf)
         ),
         "the dots at the rim are not those of the untouched picture, or blurred": (
-            pair.rim_lost > limits.get("largest_rim_lost", np.inf)
+            dots.rim_lost > limits.get("largest_rim_lost", np.inf)
+        ),
+        "its dots do not stand as those of the untouched picture: it is of another gel, or its dots cannot be followed": (
+            dots.uneven > limits.get("largest_uneven", np.inf)
         ),
     }
     return next((fault for fault, seen in faults.items() if seen), "")

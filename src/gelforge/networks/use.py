@@ -15,11 +15,10 @@ from gelforge.networks.placement import LEAST_MOVE, UNPLACED, Placement, place
 from gelforge.networks.statistics import (
     PairEvidence,
     distance,
-    evidence_of,
+    dot_evidence,
     judge,
     relief,
     relief_fault,
-    rim_evidence,
 )
 from gelforge.records.markers import pitch_of
 
@@ -117,16 +116,18 @@ class Untouched:
         dots, rest = self.dots(name), self.picture(name)
         followed = dots.follow(lit)
         if self.view.zoom != 1.0:
-            return CanonicalPair(lit, evidence_of(lit, light, rest), dots, followed, placement or UNPLACED)
-        rim = rim_evidence(dots, followed)
-        if placement is None and rim[0] > LEAST_MOVE:
+            return CanonicalPair(lit, PairEvidence(distance(lit, rest), light), dots, followed, placement or UNPLACED)
+        told = dot_evidence(dots, followed)
+        if placement is None and told.rim_px > LEAST_MOVE:
             placement = place(self.trained.places, dots, [followed])
             if placement.moves:
                 # dots that lay beside each other told of light, too
                 lit, light = self.canonical(image, name, placement)
                 followed = dots.follow(lit)
-                rim = rim_evidence(dots, followed)
-        return CanonicalPair(lit, evidence_of(lit, light, rest, *rim), dots, followed, placement or UNPLACED)
+                told = dot_evidence(dots, followed)
+        return CanonicalPair(
+            lit, PairEvidence(distance(lit, rest), light, told), dots, followed, placement or UNPLACED
+        )
 
     def reader(self, name: str):
         """The network for the sensor of that picture."""
