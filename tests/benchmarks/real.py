@@ -28,6 +28,7 @@ from gelforge.networks.use import Untouched, fit_size, load_for_use, predict_one
 from gelforge.records.image import read_image
 from gelforge.records.markers import find_blobs
 from tests.benchmarks.figures import Figure, publish_figures
+from tests.pictures import moved
 
 EVERY = 3  # every so manyth frame of a film is read
 RELEASED_PX = 0.6  # nine of ten dots nearer than this to where they are at rest: nothing touches
@@ -37,6 +38,9 @@ PANEL = 200  # px of width of each of the four panels of FEATS' film: x, y, norm
 NAMED = np.s_[:3, :10]  # cells below the panel's name
 # FEATS labels the cuboid's corners in the image, px at 320 x 240, by point_correspondences.csv
 CUBOID_MM, PX_PER_MM = 10.0, 14.0
+# How a gel that was put back may be seen (tests.pictures.moved), and presses from which that can be told, N.
+MOVES = {"shifted by 2 px": {"shift": (1.6, 1.2)}, "3 % larger": {"zoom": 1.03}}
+LEAST_PRESS = 2.0
 
 Way = Callable[[np.ndarray], np.ndarray]  # a picture (h, w, 3) to forces (3, rows, cols) N
 
@@ -224,6 +228,25 @@ def gif_figures(reference: Path, trained: Trained, untouched: np.ndarray) -> lis
     ]  # fmt: skip
 
 
+def moved_figures(reference: Path, trained: Trained, untouched: np.ndarray) -> list[Figure]:
+    """How far FEATS' pressed pictures read otherwise when they are moved, each by itself, as frames of `live` are read."""
+    presses = [picture for picture, _ in feats_maps(reference / "feats/images/demo.gif", untouched)]
+    figures = []
+    for what, move in MOVES.items():
+        left = {}
+        for way, make in (("used", as_used), ("bare", bare)):
+            read = make(trained, untouched)
+            own, after = (
+                np.array([read(picture).sum((1, 2)) for picture in pictures])
+                for pictures in (presses, [moved(picture, **move) for picture in presses])
+            )
+            pressed = own[:, 2] < -LEAST_PRESS
+            left[way] = 100 * float(np.median((np.abs(after - own).max(axis=1) / np.abs(own[:, 2]))[pressed]))
+        told = f"{pressed.sum()} presses; bare {left['bare']:.0f} %"
+        figures.append(Figure(f"real presses {what}: force changes by, median", left["used"], "<=", 2.0, "%", told))
+    return figures
+
+
 def cuboid_figures(reference: Path, trained: Trained, untouched: np.ndarray) -> list[Figure]:
     """A 10 mm cuboid pressed straight: sideways force beside the normal one, and how wide the contact is read."""
     image = read_image(reference / "feats/images/cuboid_10-2-284.png")[..., :3]
@@ -253,6 +276,7 @@ def main(args: Namespace) -> None:
     untouched = read_npy(args.reference / "feats/images/nocontact_train_sensor.npy")["gs_img"]
     figures = [*released_figures(read), *finger_figures(read), *sideways_figures(read)]
     figures += gif_figures(args.reference, trained, untouched)
+    figures += moved_figures(args.reference, trained, untouched)
     figures += cuboid_figures(args.reference, trained, untouched)
     publish_figures(args.out, figures, trained.about.get("sha256", ""))
     if args.page:

@@ -216,6 +216,13 @@ def test_a_model_file_keeps_its_readers_of_dots(with_dots, lawful, tmp_path):
     assert load_model(tmp_path / "none.pt").places is None
 
 
+def test_a_file_of_readers_in_single_precision_is_read_too(with_dots, lawful, tmp_path, monkeypatch):
+    monkeypatch.setattr("gelforge.networks.modelfile.halved", lambda tensors: tensors)
+    save_model(tmp_path / "m.pt", with_dots)
+    again = load_model(tmp_path / "m.pt")
+    np.testing.assert_array_equal(again.dots.totals(lawful.motion), with_dots.dots.totals(lawful.motion))
+
+
 @pytest.mark.parametrize(
     ("spoil", "told"),
     [
