@@ -9,6 +9,7 @@ import tempfile
 from argparse import Namespace
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -26,7 +27,7 @@ from gelforge.mechanics.scene import REFERENCE_C10, Interface, Material, Scene
 from gelforge.networks.canonical import match_light
 from gelforge.networks.dots import PrintedDots
 from gelforge.networks.intervals import half_widths
-from gelforge.networks.sensorprofile import fit_gain
+from gelforge.networks.sensorprofile import fingerprint, fit_gain
 from gelforge.networks.use import Untouched, load_for_use, predict_one
 from gelforge.records.axes import AXIS_OF_CHANNEL, CHANNELS
 from gelforge.stages.rig import units_of
@@ -36,7 +37,7 @@ from gelforge.virtualrig.fields import field_of, surface_of
 from gelforge.virtualrig.render import Pressed, Renderer
 from gelforge.virtualrig.rigplan import Order, generator, orders, read_plan
 from tests.benchmarks.figures import Figure, publish_figures
-from tests.pictures import moved
+from tests.pictures import distance_of, moved
 
 RANGE = {"grid_x": 10.0, "grid_y": 10.0, "grid_z": 40.0}  # N, of the FEATS paper
 SOFTER_HARDER = 0.15  # share by which gels of one kind differ in stiffness
@@ -190,11 +191,11 @@ def redder(image: np.ndarray) -> np.ndarray:
     return np.clip(image.astype(int) - [2, 0, 0], 0, 255).astype(np.uint8)
 
 
+WAYS = {"a shift of 2 px": {"shift": (1.6, 1.2)}, "a zoom of 3 %": {"zoom": 1.03}}  # of tests.pictures.moved
 SUFFERED: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "red -2 levels": redder,
     "all x 0.90": lambda image: scaled(image, 0.9),
-    "a shift of 2 px": lambda image: moved(image, (1.6, 1.2)),
-    "a zoom of 3 %": lambda image: moved(image, zoom=1.03),
+    **{what: partial(moved, **way) for what, way in WAYS.items()},
 }
 
 
@@ -211,6 +212,35 @@ def sensitivity_figures(units: Units, readers: dict[str, Untouched], read: np.nd
         figures.append(Figure(f"{what}, pressed, mean change", 100 * off.mean(), "<=", 2.0, "%",
                               f"median {100 * np.median(off):.1f}, nine of ten below {100 * np.percentile(off, 90):.1f}"))  # fmt: skip
     return figures
+
+
+def place_figures(units: Units, readers: dict[str, Untouched]) -> list[Figure]:
+    """How well it is found how a gel sits beside contact, and how many gels that sat still are taken to have moved."""
+    figures, still = [], []
+    for what, way in WAYS.items():
+        left = []
+        for seen in units.seen:
+            one = readers[seen.unit]
+            pair = one.pair(moved(seen.image, **way), one.of(seen.image))
+            left.append(distance_of(pair.placement, pair.dots.points, **way))
+        told = f"nine of ten below {np.percentile(left, 90):.2f}"
+        figures.append(
+            Figure(
+                f"where a gel sits after {what}, pressed, off by, median",
+                float(np.median(left)),
+                "<=",
+                0.2,
+                "px",
+                told,
+            )
+        )
+    for seen in units.seen:
+        one = readers[seen.unit]
+        still.append(one.pair(seen.image, one.of(seen.image)).placement.moves)
+    return [
+        *figures,
+        Figure("presses of gels that sat still and are taken to have moved", 100 * np.mean(still), "<=", 1.0, "%"),
+    ]
 
 
 # -- an hour of drifting light
@@ -341,8 +371,9 @@ def main(args: Namespace) -> None:
     gains = gain_figures(left)
     figures = error_figures(units, read) + by_dots_figures(units, trained) + interval_figure(units, trained, read)
     figures += sensitivity_figures(units, readers, read)
+    figures += place_figures(units, readers)
     figures += [drift_figure(units, readers), *gains, *flag_figures(units, trained)]
-    publish_figures(args.out, figures, trained.about.get("sha256", ""), readings=left)
+    publish_figures(args.out, figures, fingerprint(trained.about), readings=left)
 
 
 if __name__ == "__main__":

@@ -22,11 +22,12 @@ from gelforge.networks.halves import rounded
 from gelforge.networks.modelcard import dot_lines, place_lines
 from gelforge.networks.modelfile import Trained, load_model, save_model
 from gelforge.networks.placereader import PlaceReader
+from gelforge.networks.sensorprofile import fingerprint
 from gelforge.networks.use import Untouched, load_for_use, predict_one
 from gelforge.records.axes import CHANNELS
 from gelforge.records.image import read_image
 from gelforge.records.totals import TOTAL_COLUMNS, total_columns
-from gelforge.stages.train import train
+from gelforge.stages.train import readers_of_dots, train
 from tests.pictures import moved
 
 
@@ -273,7 +274,7 @@ def seen(rest, presses, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def trained(seen):
-    """A network of pairs and its reader of dots, after hardly any training."""
+    """A network of pairs and its readers of dots, after hardly any training."""
     settings_ = with_values(SETTINGS, epochs=1, dot_epochs=2, place_epochs=2)
     return train(seen, "pair", {"kind": "grid", "width": 8, "blocks": 1, "reads": "pair"}, settings_)
 
@@ -286,6 +287,9 @@ def test_few_pictures_leave_the_readers_what_they_know_of_each_other(seen, rest,
     found = train(seen, "tuned", shipped.about["model"], STILL, start=shipped)
     assert found.about["dots"]["weight"] == shipped.about["dots"]["weight"]
     assert found.about["intervals"] == shipped.about["intervals"]
+    assert found.about["places"] == shipped.about["places"]
+    kept = zip(found.places.parameters(), shipped.places.parameters(), strict=True)
+    assert all(torch.equal(a, b) for a, b in kept)
     limits, before = found.about["statistics"], shipped.about["statistics"]
     assert limits["mean"] == before["mean"] and limits["threshold"] >= before["threshold"]
     assert limits["least_share"] <= before["least_share"] and limits["largest_rim_px"] >= before["largest_rim_px"]
@@ -311,6 +315,26 @@ def test_training_leaves_a_reader_of_dots_beside_the_network(trained, rest, pres
         _, bare, _ = predict_one(alone, picture)
         wanted = settle(bare, verdict["by_dots"], weight.tolist())
         np.testing.assert_allclose(forces, wanted, rtol=1e-5, atol=1e-7)
+
+
+def test_what_was_trained_reads_back_from_its_file(trained, rest, presses, tmp_path):
+    save_model(tmp_path / "m.pt", trained)
+    again = load_model(tmp_path / "m.pt")
+    for name in ("dots", "places"):
+        for kept, was in zip(getattr(again, name).parameters(), getattr(trained, name).parameters(), strict=True):
+            assert torch.equal(kept, was)
+    assert fingerprint(again.about).count("-") == 2
+    others = again.about | {"places": again.about["places"] | {"sha256": "0" * 64}}
+    assert fingerprint(others) != fingerprint(again.about)
+
+
+def test_places_are_learnt_where_a_grid_cannot_be_cut_into_views(rest, presses, tmp_path):
+    """As of recordings whose labels are totals, RES=1x1: how a gel sits is no matter of the grid."""
+    data = open_data(write_dataset(tmp_path / "1x1", 24, rest.shape[:2], (1, 1)))
+    pictures = np.stack([presses[k % len(presses)] for k in range(len(data.images))])
+    data = replace(data, images=pictures, nocontact=dict.fromkeys(data.nocontact, rest))
+    by_dots, places = readers_of_dots(data, with_values(SETTINGS, place_epochs=1))
+    assert by_dots is None and places is not None
 
 
 def test_no_reader_of_dots_is_trained_where_there_are_none(tmp_path):

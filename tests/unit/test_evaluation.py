@@ -18,7 +18,7 @@ from synthetic_presses import SETTINGS, write_dataset
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, read_json, write_csv, write_json
 from gelforge.networks import use
-from gelforge.networks.data import open_data, rows_to_judge_by
+from gelforge.networks.data import data_version, open_data, rows_to_judge_by
 from gelforge.networks.metrics import slope
 from gelforge.networks.modelcard import write_card
 from gelforge.records.axes import CHANNELS
@@ -191,7 +191,7 @@ def test_intervals_are_judged_on_other_pictures_than_they_were_set_on(tmp_path):
     both = open_data(folder)
     trained = train(both, "pair", MODELS["pair"], with_values(SETTINGS, epochs=1))
     assert trained.about["intervals"]["sensors"] == ["mini1"]
-    fitted = both.names("sensor_id")[fitted_rows(trained, both, learnt=True)]
+    fitted = both.names("sensor_id")[fitted_rows(trained, both, data_version(both))]
     assert set(fitted) == {"mini1"}
     rows = both.splits["test_unseen_sensor"]
     told = use.tell_rows(trained, both, rows)

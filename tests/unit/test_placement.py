@@ -18,7 +18,7 @@ from gelforge.networks.placement import LEAST_MOVE, UNPLACED, place
 from gelforge.networks.placereader import train_place_reader
 from gelforge.networks.use import Untouched, load_for_use, predict_one
 from gelforge.records.image import read_image
-from tests.pictures import moved
+from tests.pictures import distance_of, moved
 
 SENSORS = ("mini_a", "mini_e")
 INSIDE = 12.0  # px from the edge, a dot and its neighbourhood, where it can still be followed
@@ -50,14 +50,9 @@ def put(reader, dots, *images):
     return place(reader, dots, [dots.follow(image) for image in images])
 
 
-def off(placed, dots, shift=(0.0, 0.0), turn=0.0, zoom=1.0):
-    """How far dots are from where a move of `tests.pictures.moved` takes them, px, root mean square."""
-    middle = np.array(dots.grey.shape[::-1]) / 2
-    rotation = np.exp(1j * np.radians(turn)) * zoom
-    linear = np.array([[rotation.real, -rotation.imag], [rotation.imag, rotation.real]])
-    wanted = (dots.points - middle) @ linear.T + middle + shift
-    found = dots.points @ placed.matrix[:, :2].T + placed.matrix[:, 2]
-    return float(np.sqrt(((found - wanted) ** 2).sum(axis=1).mean()))
+def off(placed, dots, **way):
+    """How far the dots are from where a move of `tests.pictures.moved` takes them, px."""
+    return distance_of(placed, dots.points, **way)
 
 
 @given(st.sampled_from(SENSORS), st.floats(-10, 10), st.floats(-10, 10), st.floats(-3, 3), st.floats(0.94, 1.06))
@@ -69,7 +64,10 @@ def test_what_was_moved_is_found(reader, presses, name, u, v, turn, zoom):
     rotation = np.exp(1j * np.radians(turn)) * zoom
     points = (resting.points[resting.rim] - middle) @ np.array([1.0, 1j]) * rotation + complex(u, v)
     assume((np.abs(np.column_stack([points.real, points.imag])) < middle - INSIDE).all())
-    assert off(put(reader, resting, moved(rest, (u, v), turn, zoom)), resting, (u, v), turn, zoom) < LEAST_MOVE
+    assert (
+        off(put(reader, resting, moved(rest, (u, v), turn, zoom)), resting, shift=(u, v), turn=turn, zoom=zoom)
+        < LEAST_MOVE
+    )
 
 
 def test_contact_alone_moves_no_picture(reader, presses):
@@ -111,8 +109,37 @@ def test_lost_dots_hardly_matter(reader, presses):
         followed = dots.follow(moved(picture, (4.0, -3.0)))
         motion = followed.motion.copy()
         motion[rng.random(len(motion)) < 0.2] = np.nan
-        left.append(off(place(reader, dots, [replace(followed, motion=motion)]), dots, (4.0, -3.0)))
+        left.append(off(place(reader, dots, [replace(followed, motion=motion)]), dots, shift=(4.0, -3.0)))
     assert np.median(left) < 0.4
+
+
+@pytest.mark.parametrize("print_turn", [-8.0, 0.0, 8.0])
+@pytest.mark.parametrize("print_zoom", [0.95, 1.05])
+def test_a_print_of_any_pitch_and_turn_is_laid_as_well(reader, presses, print_turn, print_zoom):
+    untouched = moved(presses[0]["mini_a"], turn=print_turn, zoom=print_zoom)
+    dots = PrintedDots(untouched)
+    for way in ({"zoom": 1.04}, {"turn": 2.5}, {"shift": (5.0, -4.0)}):
+        assert off(put(reader, dots, moved(untouched, **way)), dots, **way) < 0.5
+
+
+def test_pictures_that_show_too_few_dots_have_no_say(shipped, reader, presses):
+    """Black frames in a sitting change nothing, and a picture of which most dots are lost is left as it is."""
+    rest = presses[0]["mini_a"]
+    dots, seen, black = PrintedDots(rest), moved(rest, (5.0, -4.0)), np.zeros_like(rest)
+    wanted = put(reader, dots, *[seen] * 4)
+    assert np.array_equal(put(reader, dots, *[seen] * 4, *[black] * 9).matrix, wanted.matrix)
+    assert put(reader, dots, black) is UNPLACED
+    assert place_sitting(Untouched(shipped, rest), [seen] * (LEAST_SITTING - 1) + [black] * 9) is None
+    followed = dots.follow(seen)
+    few = followed.motion.copy()
+    few[np.random.default_rng(0).random(len(few)) < 0.7] = np.nan
+    assert place(reader, dots, [replace(followed, motion=few)]) is UNPLACED
+
+
+@pytest.mark.parametrize("way", [{"shift": (14.0, 0.0)}, {"turn": -5.0}, {"zoom": 1.1}, {"zoom": 0.9}])
+def test_a_gel_that_sits_too_far_away_is_told(shipped, presses, way):
+    rest = presses[0]["mini_a"]
+    assert "the gel sits too far" in predict_one(Untouched(shipped, rest), moved(rest, **way))[2]["reason"]
 
 
 def test_a_move_of_the_lattice_is_a_similarity():

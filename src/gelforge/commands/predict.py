@@ -20,14 +20,14 @@ from gelforge.errors import BadInput, printable
 from gelforge.flow.files import publish, write_csv
 from gelforge.flow.main import command, option, positive
 from gelforge.networks.dots import Followed
-from gelforge.networks.placement import Placement, place
+from gelforge.networks.placement import Placement, place, tells_place
 from gelforge.networks.sensorprofile import untouched_of
 from gelforge.networks.use import Untouched, fit_size, load_for_use, predict_one
 from gelforge.records.axes import CHANNELS
 from gelforge.records.image import read_image
 from gelforge.records.totals import TOTAL_COLUMNS, total_columns
 
-# Pictures that tell how a gel sits: a single press may drag the whole rim, and would lose true sideways force.
+# Pictures from which the middle of what each tells is nearer to how the gel sits than what one does.
 LEAST_SITTING = 4
 COLUMNS = [
     "image",
@@ -96,14 +96,16 @@ def need_folder(out: Path) -> None:
 def place_sitting(untouched: Untouched, images: Iterable) -> Placement | None:
     """How pictures of one sitting, of any size, lie on the untouched one a user gave.
 
-    None where none was given, where the view does not show the gel's rim, whose dots alone are held, and of fewer than
-    LEAST_SITTING pictures. images: each is looked at once and not kept.
+    None where none was given, where the view does not show the gel's rim, which the reader of places has not learnt from,
+    and of fewer than LEAST_SITTING pictures that tell. images: each is looked at once and not kept.
     """
     tells = untouched.known.get("given") is not None and untouched.view.zoom == 1.0
+    # all are read, because one that cannot be is to be named before anything is written
     followed = [_follow(untouched, image) if tells else None for image in images]
-    if not tells or len(followed) < LEAST_SITTING:
+    telling = [one for one in followed if one is not None and tells_place(untouched.dots("given"), one)]
+    if len(telling) < LEAST_SITTING:
         return None
-    return place(untouched.trained.places, untouched.dots("given"), [dots for dots in followed if dots is not None])
+    return place(untouched.trained.places, untouched.dots("given"), telling)
 
 
 def _follow(untouched: Untouched, image) -> Followed:

@@ -92,14 +92,14 @@ def motions(data, rows: np.ndarray, dots: Mapping[str, PrintedDots]) -> np.ndarr
     return np.stack([dots[name].on_lattice(dots[name].follow(image)) for image, name in zip(lit, names, strict=True)])
 
 
-def dot_presses(data, rows: np.ndarray, dots: Mapping[str, PrintedDots]) -> DotPresses:
-    """The presses of some rows of a dataset in all VIEWS; dots: of each untouched sensor."""
+def dot_presses(data, rows: np.ndarray, dots: Mapping[str, PrintedDots], motion: np.ndarray) -> DotPresses:
+    """The presses of some rows of a dataset in all VIEWS; dots: of each untouched sensor, motion: their `motions`."""
     parts = [inner_part(share, data.image_size, data.grid, "the reader of dots") for share in VIEWS]
     shown = {name: np.stack([one.within(*pixels) for pixels, _ in parts]) for name, one in dots.items()}
     labels = data.labels[rows]
     totals = [labels[(slice(None), slice(None), *cells)].sum((2, 3)) for _, cells in parts]
     names = data.names("sensor_id")[rows]
-    return DotPresses(motions(data, rows, dots), np.stack([shown[name] for name in names]), np.stack(totals, axis=1))
+    return DotPresses(motion, np.stack([shown[name] for name in names]), np.stack(totals, axis=1))
 
 
 def misplaced(

@@ -1,7 +1,7 @@
 """The printed dots of a gel: where they rest in the untouched picture, and where they are in another one.
 
 Light does not move dots. What they do is mechanics alone: they spread around a press and go along with a drag, on a unit
-of any contrast. At the rim, where the gel is held, they tell whether it sits as it did (networks.placement).
+of any contrast. All together they tell whether the gel sits as it did (networks.placement).
 """
 
 import contextlib
@@ -39,9 +39,9 @@ class Followed:
 class PrintedDots:
     """Dots of an untouched picture (h, w, 3) uint8, as many as it shows.
 
-    points: (n, 2) px, OpenCV's: a pixel's centre is a whole number. sides: (n, 4) whether each is one of the outermost at
-    the left, top, right, bottom. at: (n, 2) row and column on the lattice, whose middle place has the dot nearest to the
-    picture's middle; -1 for one that stands on no lattice, or outside of ROWS x COLS.
+    points: (n, 2) px, OpenCV's: a pixel's centre is a whole number. rim: (n,) bool, which are outermost ones. at: (n, 2) row
+    and column on the lattice, whose middle place has the dot nearest to the picture's middle; -1 for one that stands on no
+    lattice, or outside of ROWS x COLS.
     """
 
     def __init__(self, untouched: np.ndarray):
@@ -51,7 +51,7 @@ class PrintedDots:
         points, _ = find_blobs(untouched)
         low, high = (points.min(axis=0), points.max(axis=0)) if len(points) else (np.zeros(2), np.zeros(2))
         reach = RIM * print_pitch(points)
-        self.sides = np.column_stack([points < low + reach, points > high - reach])
+        self.rim = ((points < low + reach) | (points > high - reach)).any(axis=1)
         self.points = points - 0.5
         self.at = self._places()
 
@@ -66,11 +66,6 @@ class PrintedDots:
             inside = ((index >= 0) & (index < (ROWS, COLS))).all(axis=1)
             at[used[inside]] = index[inside]
         return at
-
-    @property
-    def rim(self) -> np.ndarray:
-        """Which dots are outermost ones, (n,) bool."""
-        return np.asarray(self.sides.any(axis=1))
 
     @property
     def known(self) -> bool:

@@ -39,7 +39,8 @@ def interval_lines(about: dict) -> list[str]:
         return []
     widths = ", ".join(f"{name} {base:.2f} N + {100 * share:.0f} %" for name, (base, share) in known["total"].items())
     return [
-        f"- Intervals of total force that hold nine of ten, set on {named(known['sensors'])}, of the force: +- {widths}.",
+        f"- Intervals of total force that hold nine of ten, set on {named(known['sensors'])} of dataset"
+        f" {known.get('data', about['data']['name'])}, of the force: +- {widths}.",
     ]
 
 

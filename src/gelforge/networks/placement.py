@@ -14,6 +14,10 @@ from gelforge.networks.dotaugment import PITCH
 from gelforge.networks.dots import COLS, ROWS, Followed, PrintedDots
 from gelforge.networks.placereader import PlaceReader
 
+LEAST_FOUND = 0.5  # of the dots: a picture in which fewer are found tells nothing of where the gel sits
+# Farthest that is put right without a word, px of each way, degrees, and part of a zoom: three quarters of what the reader
+# learnt (placereader.FARTHEST), because beyond that it guesses.
+SURE_SHIFT, SURE_TURN, SURE_ZOOM = 9.0, 3.0, 0.06
 # Root mean square over the dots; a smaller move is none. Of presses of gels that sat still, by units that the reader did
 # not learn from, three in a thousand are told to have been moved farther, and one in a hundred where ten dots are worn.
 LEAST_MOVE = 0.75  # px
@@ -55,6 +59,12 @@ class Placement:
             " dots tell"
         )
 
+    @property
+    def fault(self) -> str:
+        """What tells that it lies too far away to be put right; empty where it does not."""
+        far = np.abs(self.shift).max() > SURE_SHIFT or abs(self.turn) > SURE_TURN or abs(self.zoom - 1.0) > SURE_ZOOM
+        return f"the gel sits too far from where it sat untouched to be sure: {self.told}" if far else ""
+
     def undo(self, image: np.ndarray) -> np.ndarray:
         """The image (h, w, 3) uint8 as it would be seen from where the untouched one was taken."""
         import cv2
@@ -68,14 +78,21 @@ class Placement:
 UNPLACED = Placement(np.eye(2, 3), np.zeros(2))
 
 
+def tells_place(dots: PrintedDots, followed: Followed) -> bool:
+    """Whether enough of the dots were found in a picture to tell where its gel sits."""
+    known = dots.at[:, 0] >= 0
+    return dots.known and bool(followed.found[known].mean() >= LEAST_FOUND)
+
+
 def place(reader: PlaceReader | None, dots: PrintedDots, sitting: Sequence[Followed]) -> Placement:
     """Placement of pictures of one sitting on the untouched one whose dots these are, by what its dots did in each of them.
 
-    Nothing is moved where no reader is given, no print is seen, or the move is below LEAST_MOVE.
+    Nothing is moved where no reader is given, no picture shows enough of the print, or the move is below LEAST_MOVE.
     """
-    if reader is None or not dots.known or not sitting:
+    telling = [followed for followed in sitting if tells_place(dots, followed)]
+    if reader is None or not telling:
         return UNPLACED
-    a, b = reader.similarities(np.stack([dots.on_lattice(followed) for followed in sitting]))
+    a, b = reader.similarities(np.stack([dots.on_lattice(followed) for followed in telling]))
     return about_middle(dots, _middle(a), _middle(b))
 
 
@@ -89,9 +106,10 @@ def about_middle(dots: PrintedDots, a: complex, b: complex) -> Placement:
     known = dots.at[:, 0] >= 0
     rests, index = dots.points[known], dots.at[known] - (ROWS // 2, COLS // 2)
     middle = rests[np.flatnonzero(~index.any(axis=1))[0]]
-    # of a print of another pitch the same motion is another turn and zoom
-    pitch = np.linalg.norm(rests - middle) / np.linalg.norm(index)
-    a = 1 + (a - 1) * float(PITCH / pitch)
+    # of a print of another pitch, or one that stands turned, the same motion is another turn and zoom
+    places, points = (pair @ np.array([1.0, 1j]) for pair in (index[:, ::-1], rests - middle))
+    step = np.vdot(places, points) / np.vdot(places, places)
+    a = complex(1 + (a - 1) * PITCH / step)
     shift, linear = np.array([b.real, b.imag]), np.array([[a.real, -a.imag], [a.imag, a.real]])
     moved = (rests - middle) @ (linear - np.eye(2)).T + shift
     if np.sqrt((moved**2).sum(axis=1).mean()) < LEAST_MOVE:

@@ -132,8 +132,10 @@ def check_readings(names: list[str], measured: np.ndarray, read: np.ndarray) -> 
 
 def fingerprint(about: dict) -> str:
     """What tells a trained network from all others, by what its file says of itself: digests of its weights."""
-    dots = about.get("dots") or {}
-    return f"{about.get('sha256', '')[:16]}-{dots.get('sha256', '')[:16]}"
+    from gelforge.networks.modelfile import READERS
+
+    tables = [about, *(about.get(name) or {} for name in READERS)]
+    return "-".join(table.get("sha256", "")[:16] for table in tables)
 
 
 def make_profile(name: str, untouched: np.ndarray, pitch: float, gain: Gain, about: dict) -> SensorProfile:

@@ -19,6 +19,7 @@ LEAST_THRESHOLD = 3.0
 MARGIN = 1.5
 RELIEF_SIZE = (160, 120)  # px at which the relief of a picture is looked at
 RELIEF_MARGIN = 1.25
+LEAST_UNEVEN = 0.2  # px to which dots are followed, whatever the limit
 USUAL = 99.0  # per cent of good pairs that the limits are set by: the worst of many are odd ones
 
 
@@ -146,8 +147,8 @@ class DotEvidence:
     """What the dots of an untouched picture, found in an image, tell of whether both are of one sensor that sat alike.
 
     rim_px: how far half of the rim's dots moved at least, px. rim_lost: share of them that does not look as it did.
-    uneven: px by which the motion of a dot departs from the middle of its neighbours', for a quarter of all places at most:
-    contact moves neighbours alike, and the dots of another print stand where its printer put them.
+    uneven: px; in the quarter of all places where it departs least, the motion of a dot departs from the middle of its
+    neighbours' by no more. Contact moves neighbours alike, and the dots of another print stand where its printer put them.
     All are 0 where no rim is shown.
     """
 
@@ -211,7 +212,7 @@ def pair_limits(found: Sequence[PairEvidence]) -> dict[str, float]:
         "least_share": float(np.percentile([one.light.share for one in found], 100.0 - USUAL)) / MARGIN,
         "largest_rim_px": 1.0 + most["rim_px"],
         "largest_rim_lost": 0.15 + most["rim_lost"],
-        "largest_uneven": MARGIN * most["uneven"],
+        "largest_uneven": max(LEAST_UNEVEN, MARGIN * most["uneven"]),
     }
 
 

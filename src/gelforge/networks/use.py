@@ -202,6 +202,7 @@ def predict_one(
     verdict["by_dots"] = None if by_dots is None else untouched.gain * by_dots
     verdict["half_width"] = half_widths(trained.about, "total", forces.sum((1, 2), dtype=float), untouched.gain)
     faults = [resized, untouched.fault, verdict["reason"], light_fault(light), pull_fault(forces), contradicted]
+    faults += [pair.placement.fault] if pair else []
     reason = "; ".join(filter(None, faults))
     return untouched.view.of(image), forces, verdict | {"flag": verdict["flag"] or bool(reason), "reason": reason}
 

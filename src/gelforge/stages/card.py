@@ -24,10 +24,11 @@ VERSION = 1
 )
 def main(args: Namespace) -> None:
     from gelforge.networks.modelfile import load_model
+    from gelforge.networks.sensorprofile import fingerprint
 
     about = load_model(args.model).about
     measured = [read_json(path) for path in args.measured]
-    own = [found for found in measured if found.get("model") and found["model"] == about.get("sha256")]
+    own = [found for found in measured if found.get("model") and found["model"] == fingerprint(about)]
     figures, readings = ([row for found in own for row in found.get(name, [])] for name in ("figures", "readings"))
     write_text(args.out, write_card(about, read_json(args.evaluation), figures, readings))
 

@@ -61,11 +61,12 @@ def controls(data, rows, predicted_totals, rng) -> dict:
     }
 
 
-def fitted_rows(trained, data, learnt: bool) -> np.ndarray:
-    """Rows that a network's intervals were set on; none of a dataset that it did not learn from (`learnt` is false)."""
+def fitted_rows(trained, data, version: str) -> np.ndarray:
+    """Rows that a network's intervals were set on; none of a dataset of another `version` (networks.data.data_version)."""
     from gelforge.networks.data import rows_to_judge_by
 
-    return rows_to_judge_by(data) if learnt and "intervals" in trained.about else np.zeros(0, int)
+    own = trained.about.get("intervals", {}).get("version") == version
+    return rows_to_judge_by(data) if own else np.zeros(0, int)
 
 
 def as_told(data, rows, trained, fitted, settings: EvaluateTable, force_range, rng) -> dict:
@@ -159,8 +160,8 @@ def evaluate(data, trained, settings: EvaluateTable) -> tuple[dict, dict]:
 
     require_fit(trained, data)
     torch.set_num_threads(settings.threads)
-    learnt = trained.about["data"]["version"] == data_version(data)
-    splits = judged_splits(data, learnt)
+    version = data_version(data)
+    splits = judged_splits(data, learnt=trained.about["data"]["version"] == version)
     rng = np.random.default_rng(settings.seed)
     train_totals = data.totals(data.splits["train"])
     force_range = train_totals.max(0) - train_totals.min(0)
@@ -178,7 +179,7 @@ def evaluate(data, trained, settings: EvaluateTable) -> tuple[dict, dict]:
         "cost": about["cost"],
         "splits": {},
     }
-    predictions, fitted = {}, fitted_rows(trained, data, learnt)
+    predictions, fitted = {}, fitted_rows(trained, data, version)
     for name, rows in splits.items():
         predictions[name] = (rows, predict_rows(trained.net, data, rows, about["normalisation"]))
         split = evaluate_split(data, *predictions[name], settings, force_range, rng)

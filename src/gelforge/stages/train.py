@@ -3,6 +3,7 @@
 The curve lies inside the model file and, as a table, beside it.
 """
 
+import copy
 import json
 import time
 from argparse import Namespace
@@ -168,18 +169,28 @@ def beside_untouched(trained, data, settings: TrainingTable, start):
         rows = np.concatenate([data.splits["train"], data.splits["val"]])
         images = (np.ascontiguousarray(data.images[row]) for row in rows)
         about |= known_before(start.about, images, good_pairs(data, rows))
-        return replace(trained, about=about, untouched=pictures, dots=start.dots, places=start.places)
+        return replace(trained, about=about, untouched=pictures, **readers_of(start))
     about |= {"statistics": about["statistics"] | good_pairs(data, data.splits["val"])}
     by_dots, places = readers_of_dots(data, settings)
     if places:
         about |= {"places": {"data": about["data"]["name"], "pictures": len(data.splits["train"])}}
     if start is not None:
-        by_dots, places = by_dots or start.dots, places or start.places
+        before = readers_of(start)
+        by_dots, places = by_dots or before["dots"], places or before["places"]
         about = {"places": start.about.get("places")} | about
     trained = replace(trained, untouched=pictures, places=places)
     about |= judged(replace(trained, about=about, dots=by_dots), data)
     # one that could not be judged has no say
     return replace(trained, about=about, dots=by_dots if "dots" in about else None)
+
+
+def readers_of(start) -> dict:
+    """The readers of dots beside a network that is gone on from, as a file of them will keep them."""
+    from gelforge.networks.halves import rounded
+    from gelforge.networks.modelfile import READERS
+
+    found = {name: getattr(start, name) for name in READERS}
+    return {name: None if reader is None else rounded(copy.deepcopy(reader)) for name, reader in found.items()}
 
 
 def sights(data, reads: str, settings: TrainingTable) -> Callable[[int], np.ndarray]:
@@ -218,7 +229,7 @@ def readers_of_dots(data, settings: TrainingTable):
 
     None for one that is not asked for, or where a sensor shows no print.
     """
-    from gelforge.networks.dotreader import dot_presses, train_dot_reader
+    from gelforge.networks.dotreader import dot_presses, motions, train_dot_reader
     from gelforge.networks.dots import PrintedDots
     from gelforge.networks.placereader import train_place_reader
 
@@ -227,12 +238,13 @@ def readers_of_dots(data, settings: TrainingTable):
     dots = {name: PrintedDots(picture) for name, picture in data.nocontact.items()}
     if not all(one.known for one in dots.values()):
         return None, None
-    presses = dot_presses(data, data.splits["train"], dots)
-    by_dots = places = None
+    rows, by_dots, places = data.splits["train"], None, None
+    motion = motions(data, rows, dots)
     if settings.dot_epochs:
+        presses = dot_presses(data, rows, dots, motion)
         by_dots = train_dot_reader(presses, settings.dot_epochs, settings.seed, settings.augment)
     if settings.place_epochs:
-        places = train_place_reader(presses.motion, settings.place_epochs, settings.seed)
+        places = train_place_reader(motion, settings.place_epochs, settings.seed)
     return by_dots, places
 
 
@@ -243,7 +255,7 @@ def judged(trained, data) -> dict:
     the network only knows totals.
     """
     from gelforge.networks.agreement import APART_NOTHING, meet, settle
-    from gelforge.networks.data import rows_to_judge_by
+    from gelforge.networks.data import data_version, rows_to_judge_by
     from gelforge.networks.intervals import fit_intervals
     from gelforge.networks.use import tell_rows
 
@@ -264,7 +276,7 @@ def judged(trained, data) -> dict:
     intervals = fit_intervals(forces, labels)
     if not told.in_place:
         intervals.pop("cell", None)  # cells of pictures that were scaled are not the labels'
-    return found | {"intervals": intervals | {"sensors": sensors}}
+    return found | {"intervals": intervals | {"sensors": sensors, "data": data.name, "version": data_version(data)}}
 
 
 def learnt_pitch(data, start=None) -> dict[str, list[float]]:
