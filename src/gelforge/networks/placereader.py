@@ -12,7 +12,7 @@ from torch.nn import functional as F
 
 from gelforge.networks.augment import uniform
 from gelforge.networks.batches import generator
-from gelforge.networks.dotaugment import PITCH, kept_dots, mirrored, moved_alike
+from gelforge.networks.dotaugment import kept_dots, lattice_points, mirrored, moved_alike
 from gelforge.networks.dots import COLS, ROWS
 from gelforge.networks.halves import rounded
 
@@ -52,7 +52,7 @@ class PlaceReader(nn.Module):
 
         motion: (n, 3, ROWS, COLS) float32. z is u + i v from the lattice's middle, whose dots are PITCH px apart.
         """
-        v, u = np.meshgrid(*(PITCH * (np.arange(n) - n // 2) for n in (ROWS, COLS)), indexing="ij")
+        u, v = (points.double().numpy() for points in lattice_points())
         z, found = u + 1j * v, motion[:, 2]
         there = z + motion[:, 0] + 1j * motion[:, 1]
         a, b = np.ones(len(motion), complex), np.zeros(len(motion), complex)
