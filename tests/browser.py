@@ -6,8 +6,11 @@ from contextlib import contextmanager
 
 import pytest
 
+from tests.waiting import HANG
+
 FLAGS = (
     "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--hide-scrollbars",
+    "--disable-dev-shm-usage",  # containers have 64 MB of it
     "--disable-background-networking", "--disable-component-update", "--disable-sync",
     "--enable-unsafe-swiftshader",  # draws three dimensions without a graphics card
 )  # fmt: skip
@@ -45,7 +48,7 @@ def console_errors(driver) -> list[str]:
     return [entry["message"] for entry in driver.get_log("browser") if entry["level"] == "SEVERE"]
 
 
-def wait_for(driver, script: str, seconds: float = 60.0):
+def wait_for(driver, script: str, seconds: float = HANG):
     """What a script returns as soon as that is something; AssertionError if it stays nothing."""
     until = time.monotonic() + seconds
     while time.monotonic() < until:

@@ -1,7 +1,6 @@
 """What tests share: where the reference data lie, and skipping where they do not."""
 
 import os
-import shutil
 from pathlib import Path
 
 import pytest
@@ -12,6 +11,23 @@ settings.register_profile("any machine", deadline=None)
 settings.load_profile("any machine")
 
 ROOT = Path(__file__).resolve().parent.parent
+
+# What a person's shell may hold, and what would make other tests of these, here and in every process that they start:
+# make's variables of the project, another checkout's code, other languages of messages, a proxy for this very machine.
+LEFT_OVER = (
+    "MAKEFLAGS", "MAKELEVEL", "MFLAGS", "GNUMAKEFLAGS", "MAKE_TERMERR", "MAKE_TERMOUT", "DATASET", "RES", "MODEL", "ID",
+    "STRICT", "EXECUTOR", "DETACH", "SLURM_PROFILE", "STUDIED", "CHARTED", "COLUMNS",
+    "http_proxy", "https_proxy", "all_proxy", "HTTP_PROXY", "HTTPS_PROXY", "ALL_PROXY",
+)  # fmt: skip
+for name in LEFT_OVER:
+    os.environ.pop(name, None)
+os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT / "src"), os.environ.get("PYTHONPATH")]))
+os.environ["LC_ALL"] = "C.UTF-8"
+# Training is held to the last bit, which graphics cards do not keep; one thread sums in one order.
+os.environ["CUDA_VISIBLE_DEVICES"] = ""
+for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(name, "1")
+
 REFERENCE = Path(os.environ.get("GELFORGE_REFERENCE", ROOT.parent / "shared" / "reference"))
 
 
@@ -38,7 +54,9 @@ def reference() -> Path:
 @pytest.fixture(scope="session")
 def ccx() -> str:
     """The CalculiX program; tests that need it are skipped where it is absent."""
-    found = shutil.which("ccx")
+    from gelforge.mechanics.ccx.program import ccx_program
+
+    found = ccx_program()
     if not found:
         pytest.skip("CalculiX (ccx) is not on PATH; make setup installs it where it may")
     return found

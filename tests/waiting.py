@@ -4,8 +4,10 @@ import subprocess
 import time
 from collections.abc import Callable
 
+HANG = 600.0  # seconds after which a process is taken to hang: no loaded machine may come near it
 
-def wait_until(condition: Callable[[], object], seconds: float = 600.0, of: subprocess.Popen | None = None) -> None:
+
+def wait_until(condition: Callable[[], object], seconds: float = HANG, of: subprocess.Popen | None = None) -> None:
     """Wait until the condition is true; AssertionError if the process it is expected of ends before, or time runs out.
 
     The time is that of a hang: a loaded machine must not come near it.

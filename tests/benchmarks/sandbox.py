@@ -20,7 +20,7 @@ def link_project(root: Path, folder: Path) -> Path:
 
 def clean_environment() -> dict[str, str]:
     """The environment without what an outer make put there."""
-    dropped = ("MAKEFLAGS", "MAKELEVEL", "MFLAGS", "MAKE_TERMERR", "MAKE_TERMOUT")
+    dropped = ("MAKEFLAGS", "MAKELEVEL", "MFLAGS", "GNUMAKEFLAGS", "MAKE_TERMERR", "MAKE_TERMOUT")
     return {key: value for key, value in os.environ.items() if key not in dropped}
 
 

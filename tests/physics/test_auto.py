@@ -77,4 +77,6 @@ def test_each_press_is_solved_as_its_class_asks(tmp_path, shape, way):
     alone = Solvers(
         MeshFamily(tmp_path, []), tmp_path, replace(solvers.settings, hex_quality=way.removeprefix("hex-"))
     )
-    np.testing.assert_array_equal(alone.solve(press, "hex").forces, result.forces)
+    # the same solve, but for the order in which several threads add
+    asked = alone.solve(press, "hex").forces
+    assert np.linalg.norm(asked - result.forces) < 1e-6 * np.linalg.norm(asked)

@@ -266,11 +266,12 @@ def test_partial_slip_grows_into_gross_slip():
     assert curves["coulomb"][-1, 1] / -curves["coulomb"][-1, 3] == pytest.approx(1.1 * mu, rel=0.07)
 
 
-def test_the_same_scene_gives_the_same_digits():
-    """A used solver and a fresh one: nothing of an earlier scene stays behind."""
+def test_nothing_of_an_earlier_scene_stays_in_a_solver():
+    """A used solver and a fresh one find the same forces, but for the order in which several threads add."""
     used, scene = HexSolver(COARSE), ball(dx=0.2, law="coulomb", mu=0.8)
     used.solve(ball(dx=-0.1, law="coulomb", mu=0.8))
-    assert np.array_equal(used.solve(scene).forces, HexSolver(COARSE).solve(scene).forces)
+    again, fresh = used.solve(scene).forces, HexSolver(COARSE).solve(scene).forces
+    assert np.linalg.norm(again - fresh) < 1e-6 * np.linalg.norm(fresh)
 
 
 def test_no_contact_is_known_from_geometry(solver):

@@ -149,9 +149,9 @@ def test_extrapolation_brings_wide_bricks_closer_to_small_ones():
 def test_friction_walks_the_whole_path_on_the_fine_bricks():
     scene = Scene(Gel(), Material(), BALL, Press(0, 0, 0, 0.2, 0, -0.5), Interface("coulomb", 0.5))
     small = replace(PATH, size=1.0)
-    np.testing.assert_array_equal(
-        solve_hex(scene, replace(small, nested=Nested())).forces, solve_hex(scene, small).forces
-    )
+    nested, whole = (solve_hex(scene, replace(small, nested=way)).forces for way in (Nested(), None))
+    # the same solve, but for the order in which several threads add
+    assert np.linalg.norm(nested - whole) < 1e-6 * np.linalg.norm(whole)
 
 
 @pytest.mark.parametrize(

@@ -74,11 +74,13 @@ def test_dots_go_where_the_gel_goes(name, shift, stretch, turn):
     expected = eye.seen(points, np.column_stack([moves(points), np.zeros(len(points))]))
     before, after = dot_spots(eye.image())[0], dot_spots(eye.image(field))[0]
     seen = inside_image(expected, 1.5 * eye.look.diameter) & inside_image(eye.look.dots, 1.5 * eye.look.diameter)
+    off = []
     for dot, there in zip(eye.look.dots[seen], expected[seen], strict=True):
         a = before[np.linalg.norm(before - dot, axis=1).argmin()]
         b = after[np.linalg.norm(after - there, axis=1).argmin()]
-        # pictures are free of noise here; 8 bit and dark-weighted centres of ragged, flecked dots leave this much
-        assert np.linalg.norm((b - a) - (there - dot)) < 0.2
+        off.append(np.linalg.norm((b - a) - (there - dot)))
+    # pictures are free of noise here; what is left are 8 bit, and of a single dot its ragged rim, its flecks and its shadow
+    assert np.median(off) < 0.1 and max(off) < eye.look.diameter / 20
 
 
 def clean_look(name: str, dots: np.ndarray) -> Look:

@@ -29,7 +29,7 @@ from gelforge.sweeps.isolate import isolated
 from gelforge.sweeps.methods import Method, every_method, quick_methods
 from gelforge.sweeps.scenes import parse_scene, read_tables, resolve
 from gelforge.sweeps.trial import kept, load_bench
-from tests.waiting import wait_until
+from tests.waiting import HANG, wait_until
 
 NUMBERS = st.floats(-50, 50, allow_nan=False)
 CELLS = arrays(float, (3, 4, 5), elements=NUMBERS)
@@ -139,15 +139,15 @@ def killed():
 
 
 def test_a_solve_fails_in_its_own_process():
-    assert isolated(partial(failing, BadInput("too deep")), 60) == {"status": "REFUSED", "reason": "too deep"}
-    assert isolated(partial(failing, ZeroDivisionError("by zero")), 60)["status"] == "CRASHED"
-    found = isolated(killed, 60)
+    assert isolated(partial(failing, BadInput("too deep")), HANG) == {"status": "REFUSED", "reason": "too deep"}
+    assert isolated(partial(failing, ZeroDivisionError("by zero")), HANG)["status"] == "CRASHED"
+    found = isolated(killed, HANG)
     assert found["status"] == "CRASHED" and "-9" in found["reason"]
-    assert isolated(partial(time.sleep, 60), 0.2)["status"] == "TIMED_OUT"
+    assert isolated(partial(time.sleep, HANG), 0.2)["status"] == "TIMED_OUT"
     with pytest.raises(BadInput, match="free space"):
-        isolated(partial(failing, OSError(28, "No space left on device")), 60)
+        isolated(partial(failing, OSError(28, "No space left on device")), HANG)
     with pytest.raises(BadInput, match="make setup"):
-        isolated(partial(failing, ModuleNotFoundError("No module named 'numba'")), 60)
+        isolated(partial(failing, ModuleNotFoundError("No module named 'numba'")), HANG)
 
 
 BESIDE_TORCH = """

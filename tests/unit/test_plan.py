@@ -136,3 +136,18 @@ def test_a_comment_does_not_touch_a_slice(tmp_path):
     assert write_if_changed(path, text(1))
     assert not write_if_changed(path, text(1))
     assert write_if_changed(path, text(2))
+
+
+@pytest.mark.parametrize("fidelity", ["ccx", "ccx-fine", "ccx-native"])
+def test_a_dataset_that_asks_for_calculix_itself_is_not_solved_by_something_else(tmp_path, fidelity):
+    dataset = tmp_path / "dataset.toml"
+    dataset.write_text(f'[params.fea]\nfidelity = "{fidelity}"\n')
+    with pytest.raises(BadInput, match=f"'{fidelity}' needs CalculiX.*make setup"):
+        plan.without_ccx(config.load_params("workflow", dataset), dataset)
+
+
+@pytest.mark.parametrize("text", ["", '[params.fea]\nfidelity = "auto"\n', '[params.fea]\nfidelity = "hex"\n'])
+def test_where_a_dataset_leaves_it_open_presses_are_solved_in_process_without_calculix(tmp_path, text):
+    dataset = tmp_path / "dataset.toml"
+    dataset.write_text(text)
+    assert plan.without_ccx(config.load_params("workflow", dataset), dataset).fea.fidelity == "hex"

@@ -3,6 +3,7 @@
 import json
 import os
 import subprocess
+import sys
 import time
 
 import pytest
@@ -138,7 +139,7 @@ def test_lineage_reads_the_same_files_however_many_samples_there_are(tmp_path, r
     results = tmp_path / "results/d"
     lay(results, 15000)
     command = [
-        str(root / ".venv/bin/python"),
+        sys.executable,
         "-X",
         "importtime",
         "-m",

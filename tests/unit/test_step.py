@@ -4,6 +4,7 @@ import json
 import os
 import pty
 import select
+import shlex
 import signal
 import subprocess
 import sys
@@ -12,7 +13,8 @@ from importlib.metadata import version
 import pytest
 
 from gelforge.flow.layout import mirror
-from tests.waiting import wait_until
+from tests.limited import limited
+from tests.waiting import HANG, wait_until
 
 
 def start(target, *command):
@@ -23,7 +25,7 @@ def start(target, *command):
 
 def wrapped(target, *command):
     child = start(target, *command)
-    said = child.communicate(timeout=60)[0]
+    said = child.communicate(timeout=HANG)[0]
     return child.returncode, said
 
 
@@ -75,9 +77,14 @@ def alive(pid):
 def test_two_wrappers_of_one_target_work_once(tmp_path):
     target = tmp_path / "results/d/30_fea/0000.csv"
     count = tmp_path / "count"
-    command = ("bash", "-c", f"echo ran >> {count}; sleep 1; echo made > {target}.part")
-    first, second = start(target, *command), start(target, *command)
-    assert first.wait(60) == 0 and second.wait(60) == 0
+    go = tmp_path / "go"
+    text = f"echo ran >> {count}; while ! test -e {go}; do sleep 0.1; done; echo made > {target}.part"
+    first = start(target, "bash", "-c", text)
+    wait_until(count.exists, of=first)
+    second = start(target, "bash", "-c", text)
+    assert "another make is at it" in second.stdout.readline()
+    go.touch()
+    assert first.wait(HANG) == 0 and second.wait(HANG) == 0
     assert count.read_text() == "ran\n" and target.read_text() == "made\n"
 
 
@@ -121,9 +128,9 @@ def test_what_cannot_be_made_again_is_never_taken_for_whole(tmp_path):
 def test_killing_what_started_the_wrapper_ends_wrapper_and_command(tmp_path):
     """kill -9 of make: nothing goes on to the end of its shard."""
     target, mark = tmp_path / "results/d/30_fea/0000.csv", tmp_path / "pid"
-    inner = f"echo $$ > {mark}; exec sleep 60"
-    step = f"{sys.executable} -m gelforge.flow.step {target} -- bash -c '{inner}'; true"
-    outer = subprocess.Popen(["bash", "-c", step])
+    inner = f"echo $$ > '{mark}'; exec sleep 60"
+    words = [sys.executable, "-m", "gelforge.flow.step", str(target), "--", "bash", "-c", inner]
+    outer = subprocess.Popen(["bash", "-c", f"{shlex.join(words)}; true"])
     wait_until(lambda: mark.exists() and mark.read_text().strip())
     command = int(mark.read_text())
     with open(f"/proc/{command}/stat", encoding="utf-8") as stat:
@@ -157,9 +164,10 @@ def test_a_file_that_went_missing_beside_its_table_is_made_again(tmp_path):
 def test_a_full_disk_is_a_sentence_and_leaves_no_part(tmp_path):
     """Files may grow to 64 KiB only, as if the disk ended there: the command fails, and what it half wrote goes."""
     target = tmp_path / "results/d/30_fea/0000.csv"
-    step = f"{sys.executable} -m gelforge.flow.step {target} -- bash -c 'head -c 100000 /dev/zero > {target}.part'"
-    done = subprocess.run(["bash", "-c", f"ulimit -f 64; {step}"], capture_output=True, text=True)
+    words = ["gelforge.flow.step", str(target), "--", "bash", "-c", f"head -c 100000 /dev/zero > '{target}.part'"]
+    done = limited(64, *words)
     assert done.returncode and "Traceback" not in done.stdout + done.stderr
+    assert "File size limit" in done.stdout + done.stderr or "too large" in done.stdout + done.stderr
     assert not target.exists() and not target.with_name("0000.csv.part").exists()
 
 
@@ -178,13 +186,14 @@ def test_a_terminal_shows_one_line_that_goes_away(tmp_path, typed_to):
     waits = f"echo press s7; while ! test -e {mark}; do sleep 0.1; done; echo made > {target}.part"
     child = subprocess.Popen(
         [sys.executable, "-m", "gelforge.flow.step", str(target), "--", "bash", "-c", waits],
-        stdout=subprocess.PIPE, text=True, env=os.environ | {"MAKE_TERMERR": device},
+        stdout=subprocess.PIPE, text=True,
+        env=os.environ | {"MAKE_TERMERR": device, "COLUMNS": "200"},
     )  # fmt: skip
     shown = b""
     while b"press s7" not in shown and select.select([master], [], [], 60)[0]:
         shown += os.read(master, 1000)
     mark.touch()
-    said = child.communicate(timeout=60)[0]
+    said = child.communicate(timeout=HANG)[0]
     assert b"no press is planned yet; now: 30_fea/0000 | press s7" in shown and shown.startswith(b"\r\033[K")
     assert "[" not in said.removeprefix(str(tmp_path))  # how far the run has come stands in the line alone
     assert os.read(master, 1000).endswith(b"\r\033[K")
@@ -198,8 +207,11 @@ def test_without_a_terminal_each_finished_file_says_how_far_the_run_has_come(tmp
 
 def test_of_two_readers_of_a_damaged_input_one_makes_it_again(tmp_path):
     first, count = tmp_path / "results/d/40_forces/0000.npz", tmp_path / "count"
-    make_it = f"echo ran >> {count}; sleep 1; echo whole > {first}.part"
+    go = tmp_path / "go"
+    make_it = f"echo ran >> {count}; while ! test -e {go}; do sleep 0.1; done; echo whole > {first}.part"
+    go.touch()
     assert wrapped(first, "bash", "-c", make_it)[0] == 0
+    go.unlink()
     first.write_text("damaged\n")
     readers = []
     for name in ("a", "b"):
@@ -216,7 +228,11 @@ def test_of_two_readers_of_a_damaged_input_one_makes_it_again(tmp_path):
             f"{target}.part",
         ]
         readers.append(subprocess.Popen(words, stdout=subprocess.PIPE, text=True))
-    said = [reader.communicate(timeout=600)[0] for reader in readers]
+    lines = [reader.stdout.readline() for reader in readers]
+    for words in ("making it again", "another make is at it"):
+        assert sum(words in line for line in lines) == 1, lines
+    go.touch()
+    said = [reader.communicate(timeout=HANG)[0] for reader in readers]
     assert [reader.returncode for reader in readers] == [0, 0], said
     assert count.read_text() == "ran\nran\n" and first.read_text() == "whole\n"
     assert (tmp_path / "results/d/50_labels/b.npz").read_text() == "whole\n"

@@ -14,6 +14,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, read_json, write_csv
 from gelforge.formats.export.samples import Samples
 from tests.exported import READERS, lay
+from tests.limited import limited
 
 
 @pytest.mark.parametrize("form", FORMATS)
@@ -125,10 +126,9 @@ def test_a_full_disk_is_a_sentence_and_nothing_half_written(tmp_path, form):
 def test_a_disk_that_fills_while_writing_is_a_sentence_too(tmp_path, form):
     """Enough room when the export begins, none later: the limit is on the file, not on the disk."""
     samples, out = lay(tmp_path, 60), tmp_path / "out"
-    command = ["-m", "gelforge.commands.export", "--data", samples.data, "--dataset", samples.dataset, "--sensors",
+    command = ["gelforge.commands.export", "--data", samples.data, "--dataset", samples.dataset, "--sensors",
                tmp_path / "sensors.json", "--format", form, "--out", out / "x"]  # fmt: skip
-    asked = " ".join(map(str, [sys.executable, *command]))
-    ran = subprocess.run(["bash", "-c", f"ulimit -f 32; {asked}"], capture_output=True, text=True, check=False)
+    ran = limited(32, *command)
     assert ran.returncode == 2 and "error: " in ran.stderr and "free space" in ran.stderr, ran.stderr
     assert "Traceback" not in ran.stderr and not list(out.iterdir())
 

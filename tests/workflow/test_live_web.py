@@ -25,18 +25,21 @@ from gelforge.networks.use import Untouched, load_for_use
 from gelforge.records.film import frames, open_source
 from gelforge.reporting.livepage import Hub, Reading, Recorder, Server, paced
 from tests.browser import WIDTHS, browser, console_errors, needs_browser, wait_for
+from tests.limited import limited
+from tests.waiting import HANG
 
 LIVE = [sys.executable, "-m", "gelforge.commands.live"]
 
 
 @pytest.fixture(scope="module")
 def film(root, tmp_path_factory):
-    """Pictures of the demo as a film, two minutes of ten frames a second: longer than a busy machine needs."""
+    """Pictures of the demo as a film of twenty minutes, ten frames a second: longer than a busy machine needs."""
     path = tmp_path_factory.mktemp("film") / "film.avi"
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 10, (320, 240))
-    for k in range(1200):
-        name = "nocontact/mini_a.png" if k < 16 else f"images/demo-{k % 6:06d}.png"
-        writer.write(cv2.imread(str(root / "data/demo" / name)))
+    names = ["nocontact/mini_a.png", *(f"images/demo-{k:06d}.png" for k in range(6))]
+    rest, *pictures = (cv2.imread(str(root / "data/demo" / name)) for name in names)
+    for k in range(12000):
+        writer.write(rest if k < 16 else pictures[k % 6])
     writer.release()
     return path
 
@@ -50,7 +53,7 @@ def served(film, tmp_path):
         yield re.match(r"(http://\S+)", child.stdout.readline())[1], tmp_path / "recordings"
     finally:
         child.send_signal(signal.SIGINT)
-        said = child.communicate(timeout=30)[1]
+        said = child.communicate(timeout=HANG)[1]
         assert child.returncode == 0 and "Traceback" not in said, said
 
 
@@ -85,7 +88,7 @@ def test_a_person_watches_records_and_replays(served, width):
 
 
 def get(address, **headers):
-    with urllib.request.urlopen(urllib.request.Request(address, headers=headers), timeout=10) as answer:
+    with urllib.request.urlopen(urllib.request.Request(address, headers=headers), timeout=HANG) as answer:
         return answer.read().decode()
 
 
@@ -95,7 +98,7 @@ def test_the_page_is_for_this_machine_and_its_own_page_only(served):
     with pytest.raises(urllib.error.HTTPError, match="403"):
         get(address, Host="evil.example")
     with pytest.raises(urllib.error.HTTPError, match="403"):  # a POST of a foreign page lacks our header
-        urllib.request.urlopen(urllib.request.Request(f"{address}record", method="POST"), timeout=10)
+        urllib.request.urlopen(urllib.request.Request(f"{address}record", method="POST"), timeout=HANG)
     assert "there is none of that name" in get(f"{address}replay/..%2f..%2fetc%2fpasswd")
     assert not folder.exists()
 
@@ -158,8 +161,7 @@ def test_a_camera_that_stops_is_told_and_what_it_gave_is_kept(film, tmp_path, as
 def test_a_full_disk_leaves_whole_lines(film, tmp_path):
     """The shell's limit on the size of a file stands for the disk."""
     lines = tmp_path / "live.jsonl"
-    words = " ".join(map(str, [*LIVE, "--video", film, "--jsonl", lines, "--frames", "24"]))
-    ran = subprocess.run(["bash", "-c", f"ulimit -f 2; exec {words}"], capture_output=True, text=True, check=False)
+    ran = limited(2, "gelforge.commands.live", "--video", film, "--jsonl", lines, "--frames", "24")
     assert ran.returncode == 2 and "free space" in ran.stderr and "Traceback" not in ran.stderr, ran.stderr
     kept = lines.read_text()
     assert kept.endswith("\n") and 0 < len([json.loads(line) for line in kept.splitlines()]) < 24

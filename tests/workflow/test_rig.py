@@ -129,6 +129,8 @@ def test_growth_appends_and_repeats_nothing_and_equals_a_fresh_run(two, tmp_path
     assert kept.stat().st_mtime_ns == times[kept]
     run(plan, two.parent, ROOT / "workflow")
     assert (two / "log.csv").read_text() == after
+    fresh = run(plan, tmp_path / "fresh", ROOT / "workflow")
+    assert (fresh / "log.csv").read_text() == after
 
 
 def test_a_lost_picture_is_drawn_again_from_the_kept_surface(two, tmp_path, capsys):

@@ -16,6 +16,9 @@ COMMANDS = {
     "lineage": "every file, parameter and cost behind one label",
     "export": "a dataset as MCAP, Rerun, LeRobot, WebDataset or HDF5",
     "look": "pictures and .vtu of one sample",
+    "feats": "datasets in the files of FEATS, read and written",
+    "mcap": "MCAP recordings of pictures and forces as a dataset",
+    "background": "how the light of a sensor falls, from its untouched picture",
 }
 
 # Commands whose module is a stage.
@@ -32,3 +35,7 @@ def main(argv=None) -> None:
     module = importlib.import_module(HOMES.get(argv[0], f"gelforge.commands.{argv[0]}"))
     sys.argv[0] = f"gelforge {argv[0]}"
     module.main.exit(argv[1:])
+
+
+if __name__ == "__main__":
+    main()

@@ -109,6 +109,8 @@ def group(**members: Command) -> Group:
 
 def program(home: Any) -> str:
     """Return how a person starts a module: `gelforge NAME` for a command, `python -m …` for a stage."""
+    if sys.argv[0].startswith("gelforge "):  # as the dispatcher of commands names what it starts
+        return sys.argv[0]
     name = home.__spec__.name if home.__spec__ else home.__name__
     folder, _, last = name.rpartition(".")
     return f"gelforge {last}" if folder == "gelforge.commands" else f"python -m {name}"

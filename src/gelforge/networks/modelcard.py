@@ -9,8 +9,8 @@ from gelforge.records.axes import CHANNELS
 
 FEW = 12  # sensors that are named one by one
 AXIS_NOTE = (
-    "Forces act on the gel, compression is negative z. Channels are FEATS': grid_x is the force along the "
-    "image's columns (gel y, the long side), grid_y along its rows (gel x), grid_z along the gel's normal."
+    "Forces act on the gel. Channels are FEATS': grid_x is the force along gel y (the long side, horizontal in the picture, "
+    "positive to the left), grid_y along gel x (vertical, positive upwards), grid_z along the normal (pressing is negative)."
 )
 
 
@@ -99,7 +99,11 @@ def told_lines(evaluation: dict) -> list[str]:
     title = (
         "## As `predict` tells it: light, tare and dots included (mean absolute error, N; 95 % interval over presses)"
     )
-    return [title, "", *table(TOLD_COLUMNS, rows), ""] if rows else []
+    about = (
+        "Tare: what the network reads in the untouched picture is taken off. Each of several contacts: mean error of one"
+        " contact where a picture shows several, and the number of contacts."
+    )
+    return [title, "", about, "", *table(TOLD_COLUMNS, rows), ""] if rows else []
 
 
 def control_rows(evaluation: dict) -> list[list[str]]:
@@ -120,7 +124,8 @@ def measured_rows(figures: list[dict]) -> list[str]:
         for f in figures
     ]
     title = ["## Elsewhere: units of the rig that it never saw, and real sensors", ""]
-    return [*title, *table(["figure", "measured", "aim", "note"], rows), ""]
+    about = "Aim: what the project wants; not every aim is met. Bare: the network alone, with light, place and dots as they are."
+    return [*title, about, "", *table(["figure", "measured", "aim", "note"], rows), ""]
 
 
 def readings_rows(left: list[dict]) -> list[str]:
@@ -186,6 +191,8 @@ def write_card(about: dict, evaluation: dict, figures: Sequence[dict] = (), read
         "",
         "## What knows less (mean absolute error, N)",
         "",
+        "Guesses that do not look at what a picture shows; a network must be far better.",
+        "",
         *table(["split", "control", *CHANNELS], control_rows(evaluation)),
         "",
         *measured_rows(list(figures)),
@@ -194,8 +201,10 @@ def write_card(about: dict, evaluation: dict, figures: Sequence[dict] = (), read
         "",
         f"- An image whose statistics lie further than {about['statistics']['threshold']:.2f} from the training "
         "images is flagged; the score sees colours, sharpness and dots, not whether a force is right.",
-        "- Valid for the gel, the light and the range of forces it was trained on; forces beyond "
-        + ", ".join(f"{axis} {span:.1f} N (span)" for axis, span in evaluation["force_range"].items())
-        + " are extrapolation.",
+        "- Valid for the gel, the light and the forces it was trained on. From the least to the largest total these span "
+        + ", ".join(
+            f"{span:.1f} N ({axis})" for axis, span in zip(CHANNELS, about["normalisation"]["range"], strict=True)
+        )
+        + ": sideways about half of that either way. Forces beyond are extrapolation.",
     ]
     return "\n".join(lines) + "\n"

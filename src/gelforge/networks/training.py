@@ -112,7 +112,8 @@ def settle_batch_norm(net, data, norm: dict, settings: TrainingTable, device: st
 def mixes_precision(settings: TrainingTable, device: str) -> bool:
     """Whether steps run in bfloat16: if asked for, and done in hardware; emulated, it is slower than float32."""
     able = torch.cpu.get_capabilities()
-    hardware = device == "cuda" or able.get("avx512_bf16") or able.get("amx_bf16")
+    used = torch.backends.cpu.get_cpu_capability() == "AVX512"  # ATEN_CPU_CAPABILITY may hold torch back from it
+    hardware = device == "cuda" or (used and (able.get("avx512_bf16") or able.get("amx_bf16")))
     return bool(settings.mixed_precision and hardware)
 
 

@@ -280,6 +280,23 @@ def check_count(shards: list[str], size: int) -> None:
         )
 
 
+def without_ccx(params: config.Params, dataset_toml: Path) -> config.Params:
+    """Parameters of a machine that has no CalculiX: its presses are solved in process, in place of what is usual.
+
+    A dataset that names a fidelity of CalculiX itself raises BadInput, because it would get other numbers than it asks for.
+    """
+    fidelity = params.fea.fidelity
+    if fidelity in IN_PROCESS:
+        return params
+    if "fidelity" in config.read_dataset_file(dataset_toml).params.get("fea", {}) and fidelity != "auto":
+        raise BadInput(
+            f"{dataset_toml}: [params.fea] fidelity = {fidelity!r} needs CalculiX (ccx), which was not found; install it"
+            ' and run `rm .venv/ccx.path` and `make setup`, or write fidelity = "hex"'
+        )
+    print(f"CalculiX (ccx) was not found: fidelity hex is used instead of {fidelity}.", flush=True)
+    return replace(params, fea=replace(params.fea, fidelity="hex"))
+
+
 @command(
     option("--data", type=Path, help="data/DATASET"),
     option("--workflow", type=Path, default=Path("workflow")),
@@ -294,9 +311,8 @@ def main(args: Namespace) -> None:
     dataset_toml = args.data / "dataset.toml"
     before = state_of(args.inputs)  # told before they are read: a change in between is seen next time
     params = config.load_params(args.workflow, dataset_toml)
-    if args.ccx == "none" and params.fea.fidelity not in IN_PROCESS:
-        print(f"CalculiX (ccx) was not found: fidelity hex is used instead of {params.fea.fidelity}.", flush=True)
-        params = replace(params, fea=replace(params.fea, fidelity="hex"))
+    if args.ccx == "none":
+        params = without_ccx(params, dataset_toml)
     from gelforge.mechanics.family import required_meshes
     from gelforge.sweeps.scenes import read_tables
 

@@ -1,8 +1,8 @@
 """References of the chart's scenes kept as plain files, so that nobody has to solve them again: hours on fine tetrahedra.
 
 A file for each scene holds its force in every cell; one beside them says by a digest what each was solved with, and by
-another what it holds. Where scene, solver, parameters or the file itself have changed since, a reference is none any
-more and is solved anew.
+another what it holds. Where scene, settings, the chart's version or the file itself have changed since, a reference is
+none any more and is solved anew. The version of stage 30 is left out: it rises with the other ways of solving, too.
 """
 
 from collections.abc import Iterable

@@ -181,8 +181,7 @@ class _Run:
                 self.rounds += 1
                 return answer
             except DatError as error:
-                status = Status.DIVERGED if isinstance(error, Unfinished) else Status.UNREADABLE
-                problem = status, f"{error}; {job.reason()}"
+                problem = status_of(error), f"{error}; {job.reason()}"
                 self.ladder.append(f"round {self.rounds + 1}, {method}, first increment {increment:g}: {problem[1]}")
         zero = np.zeros_like(mesh.nodes)
         return CcxResult(problem[0], zero, zero.copy(), self._evidence() | {"reason": problem[1]}, deck=None)
@@ -221,6 +220,11 @@ def read_answer(path: Path, mesh: GelMesh, deck: str) -> Answer:
         last_table(tables, "displacements", "NALL", every), last_table(tables, "forces", "NTOP", top),
         last_table(tables, "forces", "NBASE", base), deck, text,
     )  # fmt: skip
+
+
+def status_of(error: DatError) -> Status:
+    """Status of a solve whose .dat cannot be used: it ended before its load was on, or it is no table of ours."""
+    return Status.DIVERGED if isinstance(error, Unfinished) else Status.UNREADABLE
 
 
 def _difference(one: np.ndarray, other: np.ndarray) -> float:

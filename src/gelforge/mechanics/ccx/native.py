@@ -13,7 +13,7 @@ import numpy as np
 
 from gelforge.geometry.cropping import cropped
 from gelforge.geometry.solids import Indenter
-from gelforge.mechanics.ccx.ccxsolver import CcxResult
+from gelforge.mechanics.ccx.ccxsolver import CcxResult, status_of
 from gelforge.mechanics.ccx.dat import DatError, last_table, read_dat
 from gelforge.mechanics.ccx.deck import material_lines, mesh_include
 from gelforge.mechanics.ccx.program import run_ccx
@@ -24,6 +24,7 @@ from gelforge.mechanics.tet.solid import TetSolid
 from gelforge.mechanics.tet.tetmesh import FACES, boundary_faces, orient, tetrahedralise
 from gelforge.records.status import Status
 
+MOST_MISMATCH = 1e-5  # of forces at the gel's top and at its base, as a share: the .dat holds seven digits
 CROP_MM = 3.0  # height of the indenter that is meshed, above its tip: more than any press is deep
 _FACE_OF = {tuple(sorted(f)): i + 1 for i, f in enumerate(([0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]))}  # S1 to S4
 
@@ -115,7 +116,7 @@ def solve_native(scene: Scene, mesh: GelMesh, folder: Path | str, timeout_s: flo
         displacement = last_table(tables, "displacements", "NALL", every, end)
         base = last_table(tables, "forces", "NBASE", mesh.base + 1, end).sum(axis=0)
     except DatError as error:
-        return CcxResult(Status.DIVERGED, zero, zero.copy(), evidence | {"reason": f"{error}; {job.reason()}"}, deck)
+        return CcxResult(status_of(error), zero, zero.copy(), evidence | {"reason": f"{error}; {job.reason()}"}, deck)
     # Stock CalculiX prints no contact force per node; what the elements bear at the top is what contact exerts.
     solid, material = TetSolid(mesh), scene.material
     inner, _ = solid.forces(displacement, material.shear_modulus, material.bulk_modulus)
@@ -124,4 +125,5 @@ def solve_native(scene: Scene, mesh: GelMesh, folder: Path | str, timeout_s: flo
     total = forces.sum(axis=0)
     evidence["base_mismatch"] = float(np.linalg.norm(total + base)) / max(float(np.linalg.norm(total)), 1e-12)
     evidence["equilibrium_residual"] = evidence["base_mismatch"]
-    return CcxResult(Status.OK, forces, displacement, evidence, deck)
+    balanced = evidence["base_mismatch"] <= MOST_MISMATCH
+    return CcxResult(Status.OK if balanced else Status.UNBALANCED, forces, displacement, evidence, deck)

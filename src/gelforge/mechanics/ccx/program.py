@@ -7,6 +7,7 @@ import resource
 import shutil
 import signal
 import subprocess
+import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,8 +20,14 @@ _ENOUGH_BYTES = 1 << 20  # less than this left on the disk counts as full
 
 
 def ccx_program() -> str | None:
-    """Path of the CalculiX program (environment variable CCX, else `ccx` on PATH), or None."""
-    return shutil.which(os.environ.get("CCX", "ccx"))
+    """Path of the CalculiX program, or None.
+
+    It is the one that the environment variable CCX names; else `ccx` on PATH; else the one that envs/ccx.sh has conda
+    install inside the virtual environment.
+    """
+    if named := os.environ.get("CCX"):
+        return shutil.which(named)
+    return shutil.which("ccx") or shutil.which(str(Path(sys.prefix) / "conda/bin/ccx"))
 
 
 def need_ccx() -> str:
@@ -62,10 +69,12 @@ def _die_with_parent() -> None:
 def run_ccx(name: str, folder: Path | str, timeout_s: float) -> Job:
     """Run the deck `name`.inp in `folder` with one thread; a run past `timeout_s` is stopped.
 
+    The .dat that an earlier run of that name left is removed first: a run that ends before it writes one has no answer.
     A full disk raises OSError, because every other sample would fail for it too.
     """
     program = need_ccx()
     folder = Path(folder)
+    (folder / f"{name}.dat").unlink(missing_ok=True)
     environment = os.environ | {"OMP_NUM_THREADS": "1", "CCX_NPROC_EQUATION_SOLVER": "1"}
     started = time.perf_counter()
     log_path = folder / f"{name}.log"
