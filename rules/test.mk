@@ -1,7 +1,8 @@
 # Tests, and benchmarks of what was promised.
 TESTS ?= tests
-# A process of tests that dies is not started again: with --dist loadfile the others would wait for it for ever.
-SIDE_BY_SIDE = -n $(SLOTS) --dist loadfile --max-worker-restart=0
+# A process of tests that dies is not started again: with --dist loadfile the others would wait for it for ever. Files keep
+# the order of tests/conftest.py.
+SIDE_BY_SIDE = -n $(SLOTS) --dist loadfile --no-loadscope-reorder --max-worker-restart=0
 
 # Tests of pages need a browser.
 CHROMIUM_FOUND := .venv/chromium.found

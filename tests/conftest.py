@@ -31,6 +31,16 @@ for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS"):
 REFERENCE = Path(os.environ.get("GELFORGE_REFERENCE", ROOT.parent / "shared" / "reference"))
 
 
+# Files that take minutes, longest first: begun at the end they would be waited for by processes with nothing to do.
+LONG = ("test_slurm", "test_nested", "test_rig", "test_hex", "test_placement", "test_rig_forces", "test_dots", "test_flow")
+
+
+def pytest_collection_modifyitems(config, items):
+    """Tests that take long come first, where no other order is asked for."""
+    if not config.pluginmanager.hasplugin("randomly"):
+        items.sort(key=lambda item: LONG.index(item.path.stem) if item.path.stem in LONG else len(LONG))
+
+
 @pytest.fixture(autouse=True)
 def in_project(monkeypatch):
     """Every test starts in the project's folder, wherever the one before it went."""
