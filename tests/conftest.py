@@ -32,7 +32,16 @@ REFERENCE = Path(os.environ.get("GELFORGE_REFERENCE", ROOT.parent / "shared" / "
 
 
 # Files that take minutes, longest first: begun at the end they would be waited for by processes with nothing to do.
-LONG = ("test_slurm", "test_nested", "test_rig", "test_hex", "test_placement", "test_rig_forces", "test_dots", "test_flow")
+LONG = (
+    "test_slurm",
+    "test_nested",
+    "test_rig",
+    "test_hex",
+    "test_placement",
+    "test_rig_forces",
+    "test_dots",
+    "test_flow",
+)
 
 
 def pytest_collection_modifyitems(config, items):
