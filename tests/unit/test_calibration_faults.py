@@ -190,6 +190,14 @@ def test_a_parameter_that_is_held_is_held_alike_in_every_model_that_is_compared(
     assert len({model.name for model in models}) == len(models) == 6  # three laws, with and without a soft bench
 
 
+def test_a_bench_that_yields_only_sideways_is_compared_with_a_rigid_one():
+    held = replace(PARAMS.priors.compliance, free=False, fixed=0.006)
+    models = compared_models(replace(PARAMS, priors=replace(PARAMS.priors, compliance=held)))
+    free = [(model.law, "offset" in model.free, "shear_compliance" in model.free) for model in models]
+    assert len(set(free)) == len(models) == 12  # three laws, with and without a touch offset, and a soft bench
+    assert "coulomb+offset+shear_compliance" in {model.name for model in models}
+
+
 def test_what_an_axis_moved_by_less_than_its_error_is_no_way_sideways(tmp_path):
     rows = [
         log_line(sample_id=f"s{k}", dx_mm=aside, dy_mm=0.0, fz_n=-1.0 - k) for k, aside in enumerate((0.001, 0.2))

@@ -130,7 +130,9 @@ class Model:
 
     @property
     def name(self) -> str:
-        rig = [part for part in ("offset", "compliance") if part in self.free]
+        """The law and what the rig is free in; a soft bench goes by the first of its compliances that is free."""
+        soft = [part for part in SOFT_BENCH if part in self.free][:1]
+        rig = ["offset", *soft] if "offset" in self.free else soft
         return self.law + "".join(f"+{part}" for part in rig)
 
     @property
