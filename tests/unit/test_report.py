@@ -4,6 +4,7 @@ import base64
 import json
 import re
 import zlib
+from importlib.metadata import version
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from gelforge.reporting.parts import forget_parts, pack, place_parts, script_jso
 from gelforge.reporting.presses import as_columns, press_rows
 from gelforge.reporting.provenance import stages
 from gelforge.reporting.surfacegrid import Resampler, grid_points
+from gelforge.stages import report
 from gelforge.stages.report import failures_section, flatten
 from tests.explored import tables, write_page
 
@@ -121,3 +123,12 @@ def test_failures_are_listed_with_their_reasons(tmp_path):
 
 def test_leaves_of_nested_figures_keep_their_names():
     assert flatten({"a": {"b": 1, "c": [2]}, "d": "x"}) == [("a.b", 1), ("d", "x")]
+
+
+def test_versions_are_told_where_a_package_is_missing_and_of_the_calculix_that_solves(tmp_path, monkeypatch):
+    monkeypatch.setattr(report, "PACKAGES", (*report.PACKAGES, "no-such-package"))
+    monkeypatch.setenv("CCX", str(tmp_path / "no_such_ccx"))
+    found = dict(report.versions_section(tmp_path).items[0]["rows"])
+    name = "opencv-contrib-python-headless"
+    assert found[name] == version(name)
+    assert found["no-such-package"] == found["CalculiX"] == "not installed"

@@ -1,6 +1,5 @@
 """Stage 90: one page that shows what was pressed, solved, labelled, learnt, and what failed."""
 
-import importlib.metadata
 import json
 import subprocess
 from argparse import Namespace
@@ -13,8 +12,10 @@ from gelforge.flow.files import read_csv, read_json, write_text
 from gelforge.flow.layout import PARETO, Layout
 from gelforge.flow.main import command, option
 from gelforge.flow.params.slices import ForEvaluate, ForReport, read_slice
+from gelforge.flow.programs import installed
 from gelforge.flow.progress import progress
 from gelforge.labelling.grid import Grid
+from gelforge.mechanics.ccx.program import ccx_program
 from gelforge.records.log import read_poses
 from gelforge.records.predictionfile import read_predictions
 from gelforge.records.press import PosedPress
@@ -28,7 +29,10 @@ from gelforge.reporting.provenance import COST, stages, target_costs
 
 VERSION = 2
 SHIPPED_MODEL = "shipped"
-PACKAGES = ("numpy", "scipy", "torch", "pymeshlab", "pytetwild", "pyvista", "emcee", "opencv-contrib-python-headless")
+ABSENT = "not installed"
+PACKAGES = (
+    "gelforge", "numpy", "scipy", "torch", "pymeshlab", "pytetwild", "pyvista", "emcee", "opencv-contrib-python-headless",
+)  # fmt: skip
 
 
 def read_tables(results: Layout, path_of: Callable[[str], Path]) -> list[dict]:
@@ -197,16 +201,19 @@ def evaluation_tables(metrics: dict) -> list[tuple[str, list[str], list[list]]]:
     return [("Every figure of the evaluation.", ["figure", "value"], [list(leaf) for leaf in flatten(metrics)])]
 
 
+def calculix_version() -> str:
+    """Version of the CalculiX that solves run, as it tells it."""
+    program = ccx_program()
+    if program is None:
+        return ABSENT
+    said = subprocess.run([program, "-v"], check=False, capture_output=True, text=True).stdout.split()
+    return said[-1] if said else "unknown"
+
+
 def versions_section(results: Path) -> Section:
     """What made this: programs and parameters."""
-    section = Section("Versions and parameters")
-    rows = [["gelforge", importlib.metadata.version("gelforge")]]
-    rows += [[name, importlib.metadata.version(name)] for name in PACKAGES]
-    try:
-        said = subprocess.run(["ccx", "-v"], check=False, capture_output=True, text=True).stdout.split()
-        rows.append(["CalculiX", said[-1] if said else "unknown"])
-    except FileNotFoundError:
-        rows.append(["CalculiX", "not installed"])
+    section, found = Section("Versions and parameters"), installed(PACKAGES)
+    rows = [*([name, found.get(name, ABSENT)] for name in PACKAGES), ["CalculiX", calculix_version()]]
     section.table(["program", "version"], rows, folded="programs")
     for path in sorted(Layout(results).params.glob("*.json")):
         section.code(json.dumps(read_json(path), indent=1), f"parameters of {path.stem}")
