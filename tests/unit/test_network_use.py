@@ -249,6 +249,15 @@ def test_live_refuses_a_film_that_never_rests(data, paths, tmp_path):
         live.main(["--video", str(video), "--model", str(paths["pair"]), "--out", str(tmp_path / "o.avi")])
 
 
+def test_live_lets_go_of_what_films_where_it_refuses_to_read(data, paths, tmp_path):
+    """A camera that stays open is refused to the next program that asks for it."""
+    video = write_avi(tmp_path / "in.avi", data.images[:24])
+    with pytest.raises(BadInput, match="without movement") as refused:  # keeps alive what the command still holds
+        live.main(["--video", str(video), "--model", str(paths["pair"]), "--out", str(tmp_path / "o.avi")])
+    held = [each.resolve() for each in Path("/proc/self/fd").iterdir()]
+    assert refused.tb and video.resolve() not in held
+
+
 def test_live_on_a_real_video(reference, paths, tmp_path, capsys):
     video = reference / "slip_videos" / "plier_camera_2.avi"
     live.main(

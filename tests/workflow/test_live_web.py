@@ -148,13 +148,12 @@ def test_a_number_that_no_port_has_is_one_sentence(film, port):
 def test_a_camera_that_stops_is_told_and_what_it_gave_is_kept(film, tmp_path, asked):
     """A film in a camera's place: it ends, as a camera does that is pulled out; one that was asked for 3 frames did all."""
     args = Namespace(web=False, camera=0, frames=asked, jsonl=tmp_path / "live.jsonl", csv=None)
-    capture, _ = open_source(film, None)
-    seen = list(frames(capture, 3, "camera 0", 3))
-    untouched = Untouched(load_for_use(None, None), cv2.cvtColor(seen[0], cv2.COLOR_BGR2RGB))
     said = pytest.raises(BadInput, match="camera 0: stopped after 3 frames") if asked is None else nullcontext()
-    with said:
-        tell(args, untouched, iter(seen), capture, "camera 0", threading.Event())
-    capture.release()
+    with open_source(film, None) as (capture, _):
+        seen = list(frames(capture, 3, "camera 0", 3))
+        untouched = Untouched(load_for_use(None, None), cv2.cvtColor(seen[0], cv2.COLOR_BGR2RGB))
+        with said:
+            tell(args, untouched, iter(seen), capture, "camera 0", threading.Event())
     assert len((tmp_path / "live.jsonl").read_text().splitlines()) == 3
 
 

@@ -4,10 +4,10 @@
 A network that reads differences takes the first frames at rest for the untouched sensor, unless told otherwise.
 """
 
+import threading
 import time
 from argparse import Namespace
 from collections import deque
-from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -113,6 +113,43 @@ def refuse_two_faces(args: Namespace) -> None:
         raise BadInput(f"--out {args.out} would take the place of the film that is read; name another file")
 
 
+def with_untouched(args: Namespace, trained, picture: np.ndarray | None, seen, name: str) -> tuple:
+    """The network with the untouched sensor's picture (networks.use.Untouched), and the frames, BGR, from the first on.
+
+    picture: what was given for it, (h, w, 3) RGB; where nothing was and the network needs one, the frames tell it.
+    """
+    import cv2
+
+    from gelforge.networks.sensorprofile import untouched_of
+    from gelforge.networks.still import find_untouched
+    from gelforge.networks.use import Untouched
+
+    if picture is None and not args.sensor and trained.needs_untouched:
+        picture, seen = find_untouched(seen, name)
+        picture = cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
+    picture, gain = untouched_of(args.profile, picture, trained.about)
+    return Untouched(trained, picture, args.sensor, gain), seen
+
+
+def draw(args: Namespace, untouched, seen, capture, name: str, over: threading.Event) -> None:
+    """Write a film of frames with forces on them, or show them in a window, and say how fast it went."""
+    import cv2
+
+    from gelforge.commands.live_readings import ended, is_lost, until
+
+    overlay = Overlay(untouched)
+    pictures = (overlay(frame) for frame in until(over, seen))
+    started = time.perf_counter()
+    count = write_video(pictures, args.out, capture.get(cv2.CAP_PROP_FPS) or 25.0) if args.out else show(pictures)
+    seconds = time.perf_counter() - started
+    print(
+        f"{count} frames in {seconds:.1f} s: {count / seconds:.1f} a second with overlay; network and check "
+        f"{np.median(overlay.network_ms or [0.0]):.1f} ms a frame; {overlay.flagged} flagged as unlike the training images"
+    )
+    if args.out and is_lost(args, over, count):
+        raise BadInput(ended(name, True, count))
+
+
 @command(
     option("--video", type=Path, help="a film", default=None),
     option("--camera", type=int, help="number of a camera, if no film is named", default=None),
@@ -139,43 +176,24 @@ def main(args: Namespace) -> None:
     if (args.video is None) == (args.camera is None):
         raise BadInput("give either --video FILE or --camera NUMBER")
     refuse_two_faces(args)
-    import cv2
     import torch
 
-    from gelforge.commands.live_readings import ended, is_lost, stopping, tell, until
-    from gelforge.networks.sensorprofile import untouched_of
-    from gelforge.networks.still import find_untouched
-    from gelforge.networks.use import Untouched, load_for_use
+    from gelforge.commands.live_readings import stopping, tell
+    from gelforge.networks.use import load_for_use
     from gelforge.records.image import read_image
 
     torch.set_num_threads(args.threads)
     trained = load_for_use(args.model, args.sensor)
     picture = read_image(args.untouched) if args.untouched else None
-    capture, announced = open_source(args.video, args.camera)
     name = source_name(args.video, args.camera)
-    seen = frames(capture, announced, name, args.frames)
-    if picture is None and not args.sensor and trained.needs_untouched:
-        picture, seen = find_untouched(seen, name)
-        picture = cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
-    picture, gain = untouched_of(args.profile, picture, trained.about)
-    untouched = Untouched(trained, picture, args.sensor, gain)
-    with ExitStack() as stack:
-        stack.callback(capture.release)
-        over = stack.enter_context(stopping())
-        if args.web or args.jsonl or args.csv:
-            tell(args, untouched, seen, capture, name, over)
-            return
-        overlay = Overlay(untouched)
-        pictures = (overlay(frame) for frame in until(over, seen))
-        started = time.perf_counter()
-        count = write_video(pictures, args.out, capture.get(cv2.CAP_PROP_FPS) or 25.0) if args.out else show(pictures)
-        seconds = time.perf_counter() - started
-    print(
-        f"{count} frames in {seconds:.1f} s: {count / seconds:.1f} a second with overlay; network and check "
-        f"{np.median(overlay.network_ms or [0.0]):.1f} ms a frame; {overlay.flagged} flagged as unlike the training images"
-    )
-    if args.out and is_lost(args, over, count):
-        raise BadInput(ended(name, True, count))
+    with open_source(args.video, args.camera) as (capture, announced):
+        seen = frames(capture, announced, name, args.frames)
+        untouched, seen = with_untouched(args, trained, picture, seen, name)
+        with stopping() as over:
+            if args.web or args.jsonl or args.csv:
+                tell(args, untouched, seen, capture, name, over)
+            else:
+                draw(args, untouched, seen, capture, name, over)
 
 
 if __name__ == "__main__":

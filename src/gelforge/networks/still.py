@@ -68,10 +68,7 @@ def _again(held: deque[np.ndarray], rest: Iterator[np.ndarray]) -> Iterator[np.n
 
 def picture_at_rest(video: Path | None, camera: int | None) -> np.ndarray:
     """The picture (h, w, 3) uint8 RGB of the untouched sensor at the start of a film, or of what a camera shows now."""
-    capture, announced = open_source(video, camera)
     name = source_name(video, camera)
-    try:
+    with open_source(video, camera) as (capture, announced):
         picture, _ = find_untouched(frames(capture, announced, name, None), name)
-    finally:
-        capture.release()
     return np.ascontiguousarray(picture[:, :, ::-1])

@@ -1,6 +1,7 @@
 """Frames of a camera or a video file."""
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +10,12 @@ import numpy as np
 from gelforge.errors import BadInput
 
 
-def open_source(video: Path | None, camera: int | None) -> tuple[Any, int]:
-    """Open a video file or a camera; return OpenCV's capture and the frames announced, 0 if unknown."""
+@contextmanager
+def open_source(video: Path | None, camera: int | None) -> Iterator[tuple[Any, int]]:
+    """Hold a video file or a camera open: OpenCV's capture and the frames announced, 0 if unknown.
+
+    Raises BadInput for what cannot be opened. However the block ends, the camera is free for others afterwards.
+    """
     import cv2
 
     if video is not None and not video.is_file():
@@ -23,7 +28,10 @@ def open_source(video: Path | None, camera: int | None) -> tuple[Any, int]:
             else (f"camera {camera} cannot be opened; `ls /dev/video*` lists those there are")
         )
         raise BadInput(what)
-    return source, int(max(0, source.get(cv2.CAP_PROP_FRAME_COUNT))) if video is not None else 0
+    try:
+        yield source, int(max(0, source.get(cv2.CAP_PROP_FRAME_COUNT))) if video is not None else 0
+    finally:
+        source.release()
 
 
 def source_name(video: Path | None, camera: int | None) -> str:

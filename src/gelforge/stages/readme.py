@@ -47,11 +47,11 @@ def hardest_frames(film: Path, trained, count: int = SHOWN):
     from gelforge.networks.use import Untouched, predict_one
     from gelforge.records.film import frames, open_source
 
-    source, announced = open_source(film, None)
-    seen = (cv2.cvtColor(frame, cv2.COLOR_BGR2RGB) for frame in frames(source, announced, str(film), None))
-    picture, images = find_untouched(seen, str(film))
-    untouched = Untouched(trained, picture)
-    read = [predict_one(untouched, image)[:2] for image in images]
+    with open_source(film, None) as (source, announced):
+        seen = (cv2.cvtColor(frame, cv2.COLOR_BGR2RGB) for frame in frames(source, announced, str(film), None))
+        picture, images = find_untouched(seen, str(film))
+        untouched = Untouched(trained, picture)
+        read = [predict_one(untouched, image)[:2] for image in images]
     parts = np.array_split(np.arange(len(read)), count)
     hardest = [max((read[at] for at in part), key=lambda pair: -pair[1][2].sum()) for part in parts if len(part)]
     return [shown(image, forces, untouched.view) for image, forces in hardest]
