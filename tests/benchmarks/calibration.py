@@ -22,7 +22,7 @@ from gelforge.calibration.parameters import LAWS, make_model, with_nu
 from gelforge.calibration.posterior import Posterior
 from gelforge.calibration.readings import Readings, read_readings
 from gelforge.calibration.sampling import fingerprint, sample
-from gelforge.calibration.solves import SOLVER_VERSION, SolveCache, build_emulator, make_plan, refine, solve_all
+from gelforge.calibration.solves import SolveCache, build_emulator, make_plan, refine, solve_all
 from gelforge.calibration.summary import describe
 from gelforge.errors import SolveFailed
 from gelforge.flow import params as config
@@ -34,6 +34,7 @@ from gelforge.flow.progress import progress
 from gelforge.geometry.indenters import load_catalogue
 from gelforge.mechanics.hex.settings import HexSettings, quality
 from gelforge.stages import calibrate as stage
+from gelforge.stages.fea import VERSION as SOLVER_VERSION
 from tests.benchmarks.figures import Figure, publish_figures, table
 
 NU = 0.475
@@ -75,12 +76,12 @@ def rig_emulator(
     readings: Readings, catalogue, params: CalibrateTable, mesh: HexSettings, better: str, folder: Path, jobs: int
 ) -> Emulator:
     """The rig's forces on one mesh, corrected by that of quality `better`, at four friction coefficients."""
-    cache = SolveCache(folder, catalogue, mesh)
+    cache = SolveCache(folder, catalogue, mesh, SOLVER_VERSION)
     plan = make_plan(readings, params.reach_mm, (1.0, 0.7))
     failed = solve_all(plan, cache, RIG_MUS, [NU], jobs)
     if failed:
         raise SolveFailed(f"the rig's own solves failed: {failed}")
-    fine = SolveCache(folder, catalogue, quality(better))
+    fine = SolveCache(folder, catalogue, quality(better), SOLVER_VERSION)
     return refine(build_emulator(plan, cache, RIG_MUS, [NU]), plan, cache, fine, RIG_MUS[-2:], NU, jobs)
 
 

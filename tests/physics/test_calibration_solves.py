@@ -30,6 +30,7 @@ from gelforge.records.press import POSE
 from gelforge.records.status import Status
 
 SETTINGS = HexSettings(size=1.2, layers=3, press_steps=8, shear_steps=3, final_tolerance=1e-7)
+SOLVER = 1  # version of the solver; any will do
 NU = 0.475
 MU = 0.5
 
@@ -58,7 +59,7 @@ def built(catalogue, tmp_path_factory):
     """Emulator of two straight presses at one place and one with shear, at one friction coefficient."""
     readings = presses((0.5, 0, 0, 0, 0, -0.8, 0), (0.5, 0, 0, 0, 0, -1.4, 0), (1.0, 1.0, 0, 0.3, 0.1, -1.3, 0))
     folder = tmp_path_factory.mktemp("solves")
-    cache = SolveCache(folder, catalogue, SETTINGS)
+    cache = SolveCache(folder, catalogue, SETTINGS, SOLVER)
     plan = make_plan(readings, 0.15, (1.0, 0.65))
     assert not solve_all(plan, cache, [MU], [NU])
     return readings, plan, cache, build_emulator(plan, cache, [MU], [NU])
@@ -101,7 +102,7 @@ def test_shear_between_two_solved_depths(built, catalogue):
 
 def test_without_friction_only_the_end_of_a_path_counts(catalogue, tmp_path):
     readings = presses((1.0, 1.0, 0, 0.3, 0.1, -1.3, 0))
-    plan, cache = make_plan(readings, 0.15, (1.0, 0.65)), SolveCache(tmp_path, catalogue, SETTINGS)
+    plan, cache = make_plan(readings, 0.15, (1.0, 0.65)), SolveCache(tmp_path, catalogue, SETTINGS, SOLVER)
     assert not solve_all(plan, cache, [0.0], [NU]) and cache.spent["total"] == 0
     emulator = build_emulator(plan, cache, [0.0], [NU])
     assert cache.spent["frictionless"] == 1
@@ -114,7 +115,7 @@ def test_forces_between_the_friction_nodes_are_those_of_solves(root, tmp_path):
     """Under a flat body friction hardly matters from 0.5 on, which a node at 0.4 alone would not tell."""
     flat = load_catalogue(root / "workflow" / "indenters.toml", ["cylinder_8"])
     readings = replace(presses((1.0, 1.0, 0, 0.2, -0.26, -1.0, 0)), indenters=np.array(["cylinder_8"]))
-    plan, cache = make_plan(readings, 0.15, (1.0,)), SolveCache(tmp_path, flat, SETTINGS)
+    plan, cache = make_plan(readings, 0.15, (1.0,)), SolveCache(tmp_path, flat, SETTINGS, SOLVER)
     nodes = [0.0, *parameters().calibrate.friction_nodes, np.inf]
     assert not solve_all(plan, cache, nodes, [NU])
     emulator = build_emulator(plan, cache, nodes, [NU])
@@ -127,24 +128,25 @@ def test_forces_between_the_friction_nodes_are_those_of_solves(root, tmp_path):
 
 def test_cached_solves_are_found_and_settings_name_them(built, catalogue):
     _, plan, cache, emulator = built
-    again = SolveCache(cache.folder, catalogue, SETTINGS)
+    again = SolveCache(cache.folder, catalogue, SETTINGS, SOLVER)
     assert not solve_all(plan, again, [MU], [NU])
     np.testing.assert_array_equal(build_emulator(plan, again, [MU], [NU]).table, emulator.table)
     assert again.spent == {"total": 3, "coulomb": 3, "new": 0, "in_vain": 0}
-    other = SolveCache(cache.folder, catalogue, replace(SETTINGS, size=1.1))
+    other = SolveCache(cache.folder, catalogue, replace(SETTINGS, size=1.1), SOLVER)
     job = plan.jobs(0, MU, NU)[0]
     assert not other.path(job).exists()
     assert again.path(replace(job, mu=0.6)) != again.path(job)
+    assert not SolveCache(cache.folder, catalogue, SETTINGS, SOLVER + 1).path(job).exists()
 
 
 def test_press_that_cannot_be_solved_is_not_tried_again(catalogue, tmp_path):
     readings = presses((0, 0, 0, 0, 0, -0.5, 0), (1.0, 0, 0, 0, 0, -1.2, 0))
     hopeless = replace(SETTINGS, press_steps=1, max_iterations=1, max_cuts=0)
-    plan, cache = make_plan(readings, 0.15, (1.0,)), SolveCache(tmp_path, catalogue, hopeless)
+    plan, cache = make_plan(readings, 0.15, (1.0,)), SolveCache(tmp_path, catalogue, hopeless, SOLVER)
     reasons = solve_all(plan, cache, [0.0], [NU])
     assert sorted(reasons) == [0, 1] and all("no equilibrium" in reason for reason in reasons.values())
     assert cache.spent == {"total": 0, "new": 0, "in_vain": 2}
-    again = SolveCache(tmp_path, catalogue, hopeless)
+    again = SolveCache(tmp_path, catalogue, hopeless, SOLVER)
     assert solve_all(plan, again, [0.0], [NU]) == reasons
     assert again.spent["in_vain"] == 0
     with pytest.raises(SolveFailed, match="no equilibrium"):
@@ -153,7 +155,7 @@ def test_press_that_cannot_be_solved_is_not_tried_again(catalogue, tmp_path):
 
 def test_refined_forces_are_the_fine_mesh_s(built, catalogue):
     _, plan, cache, emulator = built
-    fine = SolveCache(cache.folder, catalogue, replace(SETTINGS, size=0.9, layers=4))
+    fine = SolveCache(cache.folder, catalogue, replace(SETTINGS, size=0.9, layers=4), SOLVER)
     refined = refine(emulator, plan, cache, fine, [MU], NU)
     job = replace(plan.jobs(1, MU, NU)[0])
     end = fine.get(job)["end"][2]
@@ -163,7 +165,7 @@ def test_refined_forces_are_the_fine_mesh_s(built, catalogue):
 def test_refined_sideways_force_has_a_ratio_of_its_own(built, catalogue):
     """Without slip, at the depths that were solved, both are the fine mesh's; the normal force's ratio would be another."""
     _, plan, cache, emulator = built
-    fine = SolveCache(cache.folder, catalogue, replace(SETTINGS, size=0.9, layers=4))
+    fine = SolveCache(cache.folder, catalogue, replace(SETTINGS, size=0.9, layers=4), SOLVER)
     refined = refine(emulator, plan, cache, fine, [MU], NU)
     deepest = plan.jobs(2, MU, NU)[0]
     end, coarse = (np.array(of.get(deepest)["end"]) for of in (fine, cache))
@@ -175,7 +177,7 @@ def test_refined_sideways_force_has_a_ratio_of_its_own(built, catalogue):
 
 def test_press_that_never_touches_is_refused(catalogue, tmp_path):
     readings = presses((0, 0, 3.0, 0, 0, -0.5, 0))
-    cache, plan = SolveCache(tmp_path, catalogue, SETTINGS), make_plan(readings, 0.15, (1.0,))
+    cache, plan = SolveCache(tmp_path, catalogue, SETTINGS, SOLVER), make_plan(readings, 0.15, (1.0,))
     solve_all(plan, cache, [0.0], [NU])
     with pytest.raises(BadInput, match=r"row 2 \(p0\): depth without contact"):
         build_emulator(plan, cache, [0.0], [NU])
@@ -185,13 +187,13 @@ def test_unknown_indenter_is_named(tmp_path, catalogue):
     readings = presses((0, 0, 0, 0, 0, -0.5, 0))
     readings.indenters[0] = "spoon"
     with pytest.raises(BadInput, match="'spoon' is not in the catalogue; known: sphere_15"):
-        solve_all(make_plan(readings, 0.15, (1.0,)), SolveCache(tmp_path, catalogue, SETTINGS), [0.0], [NU])
+        solve_all(make_plan(readings, 0.15, (1.0,)), SolveCache(tmp_path, catalogue, SETTINGS, SOLVER), [0.0], [NU])
 
 
 def test_force_begins_where_the_gel_is_met(catalogue, tmp_path):
     """Off the crown a press commanded from z = 0 goes through air first; one from below the crown begins inside the gel."""
     readings = presses((5.0, 7.5, 0, 0, 0, -1.2, 0), (0.5, 0, -0.15, 0, 0, -0.6, 0))
-    cache = SolveCache(tmp_path, catalogue, SETTINGS)
+    cache = SolveCache(tmp_path, catalogue, SETTINGS, SOLVER)
     plan = make_plan(readings, 0.05, (1.0,))
     assert not solve_all(plan, cache, [MU], [NU])
     emulator = build_emulator(plan, cache, [MU], [NU])

@@ -19,7 +19,6 @@ from gelforge.calibration.readings import Readings
 from gelforge.calibration.sampling import fingerprint
 from gelforge.errors import BadInput, SolveFailed
 from gelforge.flow.files import read_json, write_json
-from gelforge.flow.params import SLICES, stage_version
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import Gel
 from gelforge.mechanics.hex.hexsolver import HexSolver
@@ -28,9 +27,6 @@ from gelforge.mechanics.hex.settings import HexSettings
 from gelforge.mechanics.meshratio import mesh_ratios
 from gelforge.mechanics.scene import Interface, Material, Press, Scene
 from gelforge.records.status import Status
-
-# Solves made by an older solver are void: stage fea's version is raised when its answers change.
-SOLVER_VERSION = stage_version(Path(__file__).parents[1] / "stages", SLICES["fea"])
 
 # Shares of a straight press at which fine bricks tell what coarse ones add. Shallower, few contact points carry the force
 # and the ratio is noise.
@@ -51,8 +47,8 @@ class SolveJob:
 class SolvePlan:
     """What the emulator of n presses needs.
 
-    top: (n,) deepest depth, mm. depths: (n, k) at which sheared presses are solved (k = 1 where
-    straight). straight: {group: job} is not kept; jobs(i, mu, nu) lists the jobs of press i, deepest first.
+    top: (n,) deepest depth, mm. leader: (n,) the press whose curve tells each one's, itself where it shares none.
+    fractions: (k,) of the deepest depth, falling from 1, at which presses with shear are solved.
     """
 
     readings: Readings
@@ -61,6 +57,7 @@ class SolvePlan:
     fractions: tuple
 
     def jobs(self, i: int, mu: float, nu: float) -> list[SolveJob]:
+        """The solves that tell press i at one friction coefficient, deepest first."""
         r, lead = self.readings, self.leader[i]
         if not r.sheared[i]:
             return [SolveJob(r.press(lead, float(self.top[lead])), str(r.indenters[lead]), mu, nu)]
@@ -96,10 +93,10 @@ def interface_of(mu: float) -> Interface:
     return Interface("no_slip") if np.isinf(mu) else Interface("coulomb", float(mu))
 
 
-def job_key(job: SolveJob, shape: str, settings: HexSettings, gel: Gel) -> str:
-    """Name of a solve's file: a hash of the scene, the indenter's shape and the settings."""
-    parts = {"press": asdict(job.press), "mu": str(job.mu), "nu": job.nu, "gel": asdict(gel)}
-    return fingerprint(SOLVER_VERSION, parts, shape, asdict(settings))[:20]
+def job_key(job: SolveJob, shape: str, settings: HexSettings, version: int) -> str:
+    """Name of a solve's file: a hash of the solver's version, the scene, the indenter's shape and the settings."""
+    parts = {"press": asdict(job.press), "mu": str(job.mu), "nu": job.nu, "gel": asdict(Gel())}
+    return fingerprint(version, parts, shape, asdict(settings))[:20]
 
 
 def shape_hash(indenter) -> str:
@@ -148,13 +145,13 @@ def usable(result, scene: Scene) -> bool:
     return result.status.valid or (result.status in (Status.DIVERGED, Status.UNSETTLED) and ended)
 
 
-def solve_job(job: SolveJob, indenter, settings: HexSettings, gel: Gel) -> dict:
+def solve_job(job: SolveJob, indenter, settings: HexSettings) -> dict:
     """Solve one job, with finer load steps where the first try fails; raise SolveFailed where both do.
 
     A solve that walked its whole path and only then could not meet the final tolerance serves with
     its last load step, which is in equilibrium to the tolerance of the path: 1e-4 of the force.
     """
-    scene = Scene(gel, Material(job.nu), indenter, job.press, interface_of(job.mu))
+    scene = Scene(Gel(), Material(job.nu), indenter, job.press, interface_of(job.mu))
     result = HexSolver(settings).solve(scene)
     if not usable(result, scene):
         finer = replace(settings, press_steps=2 * settings.press_steps, shear_steps=2 * settings.shear_steps)
@@ -166,10 +163,10 @@ def solve_job(job: SolveJob, indenter, settings: HexSettings, gel: Gel) -> dict:
     return path_curve(result, job.press, touch_of(scene))
 
 
-def _solve_task(path, job, indenter, settings, gel):
+def _solve_task(path, job, indenter, settings):
     """Worker: solve one job and publish it, or the reason why it cannot be solved."""
     try:
-        found = solve_job(job, indenter, settings, gel)
+        found = solve_job(job, indenter, settings)
     except SolveFailed as error:
         found = {"failed": str(error)}
     write_json(path, found)
@@ -179,10 +176,11 @@ class SolveCache:
     """Folder of solves; `failed` gets {path: reason}.
 
     What cannot be solved is kept as well: with the same settings and solver it would fail again.
+    version: of the solver, stage fea's, which is raised when its answers change; solves of an older one are void.
     """
 
-    def __init__(self, folder, catalogue: dict, settings: HexSettings, gel: Gel | None = None):
-        self.folder, self.catalogue, self.settings, self.gel = Path(folder), catalogue, settings, gel or Gel()
+    def __init__(self, folder, catalogue: dict, settings: HexSettings, version: int):
+        self.folder, self.catalogue, self.settings, self.version = Path(folder), catalogue, settings, version
         self.failed: dict[Path, str] = {}
         self._made: set[Path] = set()
         self._shapes: dict[str, str] = {}
@@ -195,13 +193,13 @@ class SolveCache:
             raise BadInput(f"indenter {job.indenter!r} is not in the catalogue; known: {known}")
         if job.indenter not in self._shapes:
             self._shapes[job.indenter] = shape_hash(self.catalogue[job.indenter])
-        return self.folder / f"{job_key(job, self._shapes[job.indenter], self.settings, self.gel)}.json"
+        return self.folder / f"{job_key(job, self._shapes[job.indenter], self.settings, self.version)}.json"
 
     def fill(self, jobs: list[SolveJob], workers: int = 1) -> None:
         """Solve the jobs that have no file yet, on `workers` processes."""
         wanted = {self.path(job): job for job in jobs}
         tasks = [
-            (path, job, self.catalogue[job.indenter], self.settings, self.gel)
+            (path, job, self.catalogue[job.indenter], self.settings)
             for path, job in wanted.items()
             if not path.exists()
         ]

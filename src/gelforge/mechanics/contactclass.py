@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from gelforge.flow.params.tables import CLASSES
 from gelforge.geometry import touch
 from gelforge.mechanics.scene import Scene
 
@@ -23,9 +24,9 @@ def contact_class(scene: Scene) -> str | None:
         start = _first_met(scene, points)
         half, whole = (_inside(scene, points, t) for t in ((start + 1.0) / 2.0, 1.0))
         growth = whole / max(half, 1)
-    shape = "pointed" if growth > POINTED else "curved" if growth > CURVED else "flat"
+    shape = (growth > CURVED) + (growth > POINTED)
     overlap = (1.0 - start) * -scene.press.dz
-    return f"{shape}_{'deep' if overlap > DEEP_MM else 'shallow'}"
+    return CLASSES[2 * shape + (overlap > DEEP_MM)]
 
 
 def _under_overlap(scene: Scene) -> np.ndarray:

@@ -232,8 +232,9 @@ def emulate(readings: Readings, catalogue: dict, params: CalibrateTable, nu: flo
     """
     from gelforge.calibration.solves import SolveCache, build_emulator, make_plan, refine, solve_all
     from gelforge.mechanics.hex.settings import quality
+    from gelforge.stages import fea
 
-    cache = SolveCache(folder, catalogue, hex_settings(params.solver))
+    cache = SolveCache(folder, catalogue, hex_settings(params.solver), fea.VERSION)
     mus, nus = friction_nodes(params), poisson_nodes(params, nu)
     plan = make_plan(readings, params.reach_mm, params.shear_depths)
     failed = solve_all(plan, cache, mus, nus, jobs)
@@ -250,7 +251,7 @@ def emulate(readings: Readings, catalogue: dict, params: CalibrateTable, nu: flo
     emulator = build_emulator(plan, cache, mus, nus)
     spent = cache.spent
     if params.refine != "none":
-        fine = SolveCache(folder, catalogue, quality(params.refine))
+        fine = SolveCache(folder, catalogue, quality(params.refine), fea.VERSION)
         # with the most slip of the higher friction coefficients, and without slip
         emulator = refine(emulator, plan, cache, fine, mus[1:][-2:], nus[len(nus) // 2], jobs)
         more = {key: spent[key] + fine.spent[key] for key in ("total", "new", "in_vain")}
