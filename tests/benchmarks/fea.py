@@ -30,7 +30,7 @@ from gelforge.labelling.sensor import Sensor, load_sensors
 from gelforge.mechanics.ccx.program import need_ccx, run_ccx
 from gelforge.mechanics.hex.settings import quality
 from gelforge.mechanics.scene import Interface, Material, Press, Scene
-from gelforge.records.status import Status
+from gelforge.records.status import VALID, Status
 from gelforge.stages import pareto as branch
 from gelforge.sweeps import references as meshes
 from gelforge.sweeps.deviation import errors
@@ -274,7 +274,7 @@ def _apart(one, other) -> float:
 
 
 def _valid_figures(engine: str, records: list[dict]) -> list[Figure]:
-    valid = [r for r in records if r["status"] in ("OK", "NO_CONTACT")]
+    valid = [r for r in records if r["status"] in VALID]
     own = [r for r in valid if r["evidence"].get("fidelity", engine) == engine]
     mute = [r["number"] for r in records if r not in valid and not r["reason"]]
     seconds = np.median([r["cpu_seconds"] for r in valid]) if valid else np.nan

@@ -11,6 +11,7 @@ from gelforge.flow import layout
 from gelforge.flow.layout import Layout, shard_name
 from gelforge.flow.main import command, option
 from gelforge.flow.running import duration, look
+from gelforge.records.status import VALID
 
 # Only the standard library: status answers in a fraction of a second for 15 000 samples.
 
@@ -53,7 +54,7 @@ def fea_state(results: Path, sizes: dict[str, int]) -> tuple[int, Counter, dict[
         if not table.exists():
             done += sum(1 for _ in Layout(results).solves(shard).glob("*.json"))
         for row in read_rows(table):
-            if row["status"] in ("OK", "NO_CONTACT"):
+            if row["status"] in VALID:
                 valid[shard] += 1
             else:
                 failed[f"{row['status']}: {row.get('reason', '')}"] += 1

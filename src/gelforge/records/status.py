@@ -19,3 +19,7 @@ class Status(Enum):
     @property
     def valid(self) -> bool:
         return self in (Status.OK, Status.NO_CONTACT)
+
+
+# Names of the valid ones, for tables whose column of states has other words as well, such as a press not yet solved.
+VALID = frozenset(status.name for status in Status if status.valid)

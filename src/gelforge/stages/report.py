@@ -21,6 +21,7 @@ from gelforge.records.predictionfile import read_predictions
 from gelforge.records.press import PosedPress
 from gelforge.records.samplefile import read_samples
 from gelforge.records.solvetable import Solved, read_solves
+from gelforge.records.status import VALID
 from gelforge.reporting.explorer import Explorer
 from gelforge.reporting.page import Explored, Section, render
 from gelforge.reporting.parts import PART, forget_parts, in_parts, place_parts
@@ -282,7 +283,7 @@ def sections_of(results: Path, resolution: str, model: str, solved: dict[str, So
 
 def lead_of(rows: list[dict], resolution: str) -> str:
     """One sentence on how many presses became labels."""
-    labelled = sum(row["status"] in ("OK", "NO_CONTACT") for row in rows)
+    labelled = sum(row["status"] in VALID for row in rows)
     return f"{labelled} of {len(rows)} presses labelled by finite elements at {resolution} cells a picture."
 
 

@@ -19,6 +19,7 @@ from gelforge.flow.params import canonical
 from gelforge.flow.params.slices import ForStability, read_slice
 from gelforge.flow.progress import progress
 from gelforge.mechanics.ccx.program import need_ccx
+from gelforge.records.status import VALID
 from gelforge.sweeps.cases import FACTORS, Case, row_cases
 from gelforge.sweeps.deviation import total_error
 from gelforge.sweeps.methods import Method, hex_settings, prepare
@@ -26,7 +27,6 @@ from gelforge.sweeps.trial import ccx_settings, kept, limit_of, solve_isolated
 
 VERSION = 3
 NOT_RUN = "NOT_RUN"
-VALID = ("OK", "NO_CONTACT")
 COLUMNS = ("row", "fidelity", "kind", "depth", "shear", "place", "nu", "size", "steps", "status", "verdict", "drift",
            "against", "fx_n", "fy_n", "fz_n", "cpu_seconds", "reason")  # fmt: skip
 

@@ -16,6 +16,7 @@ from gelforge.labelling.sensor import Sensor
 from gelforge.records.image import write_png
 from gelforge.records.log import fixed, read_presses, write_log
 from gelforge.records.press import FORCE, FORCES, MOMENT, POSE, LoggedPress
+from gelforge.records.status import VALID
 from gelforge.virtualrig.bench import Pressing
 from gelforge.virtualrig.rigplan import Order, Plan
 
@@ -98,7 +99,7 @@ class Dataset:
         if row is None:
             return False
         if order.sample_id not in self.log:
-            return row["status"] not in ("OK", "NO_CONTACT")
+            return row["status"] not in VALID
         return (self.folder / image_name(order)).is_file()
 
     def solved(self, order: Order) -> bool:
