@@ -14,7 +14,6 @@ from gelforge.mechanics.element import bricks, smallest_ratios
 from gelforge.mechanics.hex.carry import FLAT, Trail, carried, surface_motion, touches, untangled, volume_motion
 from gelforge.mechanics.hex.hexmesh import FineBox, build_mesh, dissected, elimination_order
 from gelforge.mechanics.hex.hexsolver import HexSolver, moment_of, solve_hex
-from gelforge.mechanics.hex.reach import end_of
 from gelforge.mechanics.hex.settings import QUALITIES, HexSettings, Nested
 from gelforge.mechanics.linear import symmetric_solver
 from gelforge.mechanics.scene import Interface, Material, Press, Scene
@@ -257,7 +256,7 @@ def test_frames_before_the_touch_and_alone_are_told_as_such():
 def test_moments_follow_the_path_in_order(steps, aside):
     scenes = framed(BALL, list(np.cumsum(steps)), [w / sum(aside) for w in np.cumsum(aside)] if aside else ())
     times = [moment_of(scene, scenes[-1]) for scene in scenes]
-    assert times == sorted(times) and times[-1] == end_of(scenes[-1])
+    assert times == sorted(times) and times[-1] == scenes[-1].press.end
     assert all(0.0 < t <= 2.0 for t in times)
 
 

@@ -77,6 +77,10 @@ def test_frontier_beats_every_other_point(points):
         assert any(q[0] <= p[0] and q[1] <= p[1] for q in best)
 
 
+def test_a_point_that_another_beats_is_not_on_the_frontier():
+    assert frontier([(1, 3), (2, 2), (3, 2.5), (4, 1)]) == [True, True, False, True]
+
+
 def test_scenes_are_many_shapes_inside_their_reference_mesh(scenes, params):
     assert len(scenes) >= 12
     assert len({str(scene.table["indenter"]) for scene in scenes.values()}) >= 10

@@ -11,6 +11,7 @@ import pytest
 
 import gelforge
 from gelforge.errors import BadInput
+from gelforge.labelling.sensor import load_sensors
 from gelforge.networks.sensorprofile import Gain, make_profile, write_profile
 from gelforge.networks.use import load_for_use
 from gelforge.records.image import read_image
@@ -33,6 +34,13 @@ def test_a_label_holds_the_whole_force(press):
     cells = gelforge.label(press, resolution="12x16")
     assert cells.shape == (3, 12, 16)
     assert cells[2].sum() == pytest.approx(press.total[2], rel=1e-6), "this contact lies inside the image"
+
+
+def test_the_sensor_of_a_label_is_that_of_the_workflow(root):
+    """An installed package has no workflow/ to read it from."""
+    known, built_in = load_sensors(root / "workflow" / "sensors.toml")["gelsight_mini"], gelforge.api.feats_mini()
+    assert (built_in.gel, tuple(built_in.image)) == (known.gel, tuple(known.image))
+    assert np.array_equal(built_in.projection, known.projection)
 
 
 def test_deeper_is_harder(press):

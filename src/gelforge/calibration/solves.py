@@ -22,7 +22,7 @@ from gelforge.flow.files import read_json, write_json
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import Gel
 from gelforge.mechanics.hex.hexsolver import HexSolver
-from gelforge.mechanics.hex.reach import end_of, first_touch
+from gelforge.mechanics.hex.reach import first_touch
 from gelforge.mechanics.hex.settings import HexSettings
 from gelforge.mechanics.meshratio import mesh_ratios
 from gelforge.mechanics.scene import Interface, Material, Press, Scene
@@ -141,7 +141,7 @@ def usable(result, scene: Scene) -> bool:
     A state that no gel can take, or bricks too coarse to meet the indenter, reach the end as well and are none.
     """
     path = result.evidence.get("path") or [[0.0]]
-    ended = path[-1][0] >= end_of(scene) - 1e-9
+    ended = path[-1][0] >= scene.press.end - 1e-9
     return result.status.valid or (result.status in (Status.DIVERGED, Status.UNSETTLED) and ended)
 
 

@@ -4,7 +4,6 @@
 success. An input that lost bytes since it was made is made again first, by the command that made it.
 """
 
-import ctypes
 import fcntl
 import os
 import resource
@@ -22,19 +21,14 @@ from typing import IO
 from gelforge.errors import unwritable
 from gelforge.flow.files import digest_of, read_json, write_json
 from gelforge.flow.layout import log_of, metrics_of
+from gelforge.flow.orphans import die_with_parent
 from gelforge.flow.programs import installed
 from gelforge.flow.running import look
 from gelforge.flow.terminal import show_line, terminal
 
-PR_SET_PDEATHSIG = 1  # linux/prctl.h
 TAIL_LINES = 20
 LIVE_EVERY_S = 1.0
 NOTICES = ("rejected: ", "failed: ")  # lines of a log that a person must see although the step succeeded
-
-
-def die_with_parent() -> None:
-    """Make the kernel end this process when its parent dies, so that kill -9 of make leaves no orphans."""
-    ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 def follow(stream: Iterable[str], log: IO[str]) -> None:

@@ -96,6 +96,12 @@ class Pose:
         return vectors @ self.rotation.T
 
 
+def touch_fraction(gap_before: np.ndarray, gap_after: np.ndarray) -> np.ndarray:
+    """At which fraction of a step points cross the surface, whose gap falls evenly; 1 where it stays open."""
+    crosses, open_ = gap_after < 0.0, np.maximum(gap_before, 0.0)
+    return np.where(crosses, open_ / np.where(crosses, open_ - gap_after, 1.0), 1.0)
+
+
 def gauss_points(order: int) -> tuple[np.ndarray, np.ndarray]:
     """Local coordinates (order^2, 2) and weights (order^2,) of the Gauss rule on [-1, 1]^2."""
     x, w = np.polynomial.legendre.leggauss(order)

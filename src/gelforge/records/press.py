@@ -73,6 +73,11 @@ class Press:
         return rotation, np.array([self.x0, self.y0, self.z0]) + travel
 
     @property
+    def end(self) -> float:
+        """Path parameter of the end: 2 where the press goes sideways, else 1."""
+        return 2.0 if self.dx or self.dy else 1.0
+
+    @property
     def straight_there(self) -> "Press":
         """The press straight down that ends in the pose in which this one ends."""
         return replace(self, x0=self.x0 + self.dx, y0=self.y0 + self.dy, dx=0.0, dy=0.0)

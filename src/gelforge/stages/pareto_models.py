@@ -13,20 +13,12 @@ from gelforge.flow.files import publish, read_json, write_csv, write_json
 from gelforge.flow.layout import beside
 from gelforge.flow.main import command, option
 from gelforge.records.axes import CHANNELS
+from gelforge.sweeps.deviation import frontier
 
 VERSION = 1
 BASELINE = "unet"
 FASTER = 5.0  # times that the chosen network must be faster than the baseline, on one CPU thread
 KIND_COLOURS = {"unet": "tab:blue", "unet_single": "tab:purple", "resnet": "tab:orange", "grid": "tab:green"}
-
-
-def front(points) -> list[bool]:
-    """Which of the points (latency, error) no other point beats in both, or in one at equal other."""
-
-    def beaten(p):
-        return any(q[0] <= p[0] and q[1] <= p[1] and q != p for q in points)
-
-    return [not beaten(p) for p in points]
 
 
 def row_of(evaluation: dict, split: str, latencies: dict[str, dict]) -> dict:
@@ -108,7 +100,7 @@ def draw_chart(path, rows: list[dict], split: str, chosen: str | None) -> None:
     )
     for axis, (key, label) in zip(figure.subplots(1, 2), panels):
         shown = [row for row in rows if row[key] is not None]
-        best = front([(row["cpu1_median_ms"], row[key]) for row in shown])
+        best = frontier([(row["cpu1_median_ms"], row[key]) for row in shown])
         line = sorted((row["cpu1_median_ms"], row[key]) for row, good in zip(shown, best) if good)
         axis.plot(*zip(*line), color="0.7", zorder=1, drawstyle="steps-post")
         for place, row in enumerate(sorted(shown, key=lambda row: row[key])):
@@ -167,7 +159,7 @@ def main(args: Namespace) -> None:
     image = np.asarray(open_data(args.dataset).images[0])
     latencies = measure(models, image, args.seconds)
     rows = [row_of(evaluations[name], args.split, latencies[name]) for name in sorted(models)]
-    for row, good in zip(rows, front([(row["cpu1_median_ms"], row["percent"]) for row in rows])):
+    for row, good in zip(rows, frontier([(row["cpu1_median_ms"], row["percent"]) for row in rows])):
         row["front"] = good
     chosen = (choose(rows) or {}).get("model")
     write_csv(beside(args.out, ".csv"), list(rows[0]), rows)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import gelforge
 from gelforge.errors import BadInput, GelforgeError
-from gelforge.flow.step import die_with_parent
+from gelforge.flow.orphans import die_with_parent
 
 REFUSED, CRASHED, TIMED_OUT = "REFUSED", "CRASHED", "TIMED_OUT"
 

@@ -5,7 +5,7 @@ The server ends with the process that began it, and its solves with it.
 
 import os
 
-from gelforge.flow.step import die_with_parent
+from gelforge.flow.orphans import die_with_parent
 from gelforge.sweeps.isolate import ASKED_BY
 
 die_with_parent()

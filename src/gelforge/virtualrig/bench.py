@@ -217,8 +217,7 @@ def _path(order: Order, height: float, depth: float, play) -> Press:
 
 def moments(real: Press, count: int) -> list[dict[str, float]]:
     """How far down and sideways (dx, dy, dz in mm) a press is at `count` moments, evenly along its path, the last its end."""
-    end = 2.0 if real.dx or real.dy else 1.0
-    times = [end * (k + 1) / count for k in range(count)]
+    times = [real.end * (k + 1) / count for k in range(count)]
     return [
         {"dx": max(t - 1.0, 0.0) * real.dx, "dy": max(t - 1.0, 0.0) * real.dy, "dz": min(t, 1.0) * real.dz}
         for t in times

@@ -18,6 +18,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from gelforge.flow.files import write_text
+from gelforge.flow.orphans import die_with_parent
 from gelforge.flow.slurm.client import (
     FINAL,
     HELD,
@@ -37,7 +38,6 @@ from gelforge.flow.slurm.client import (
 from gelforge.flow.slurm.cluster import PUBLISHED, Profile, read_profile
 from gelforge.flow.slurm.lock import at_work, become_only_make, hold
 from gelforge.flow.slurm.record import Batch, Record, Results, Task, counted, records, report, show, tail
-from gelforge.flow.step import die_with_parent
 
 FIRST_POLL_S = 0.2
 

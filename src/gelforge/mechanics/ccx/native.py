@@ -111,7 +111,7 @@ def solve_native(scene: Scene, mesh: GelMesh, folder: Path | str, timeout_s: flo
         path = folder / "native.dat"
         text = path.read_text(errors="replace") if path.exists() else ""
         tables, top = read_dat(text), mesh.surface_nodes
-        end = 2.0 if scene.press.dx or scene.press.dy else 1.0
+        end = scene.press.end
         every = np.arange(len(mesh.nodes)) + 1
         displacement = last_table(tables, "displacements", "NALL", every, end)
         base = last_table(tables, "forces", "NBASE", mesh.base + 1, end).sum(axis=0)

@@ -1,6 +1,5 @@
 """Running CalculiX as a child that cannot outlive its parent."""
 
-import ctypes
 import errno
 import os
 import resource
@@ -10,12 +9,13 @@ import subprocess
 import sys
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from gelforge.errors import BadInput
+from gelforge.flow.orphans import die_with_parent
 from gelforge.records.status import Status
 
-_PR_SET_PDEATHSIG = 1
 _ENOUGH_BYTES = 1 << 20  # less than this left on the disk counts as full
 
 
@@ -62,10 +62,6 @@ class Job:
         return f"exit code {self.returncode} without a message"
 
 
-def _die_with_parent() -> None:
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-
-
 def run_ccx(name: str, folder: Path | str, timeout_s: float) -> Job:
     """Run the deck `name`.inp in `folder` with one thread; a run past `timeout_s` is stopped.
 
@@ -81,7 +77,7 @@ def run_ccx(name: str, folder: Path | str, timeout_s: float) -> Job:
     with log_path.open("w") as log:
         child = subprocess.Popen(
             [program, name], cwd=folder, stdout=log, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL,
-            env=environment, preexec_fn=_die_with_parent,
+            env=environment, preexec_fn=partial(die_with_parent, signal.SIGKILL),
         )  # fmt: skip
         try:
             returncode = child.wait(timeout_s)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gelforge.geometry.gel import Gel
-from gelforge.mechanics.contact import NoEquilibrium, Pose
+from gelforge.mechanics.contact import NoEquilibrium, Pose, touch_fraction
 from gelforge.mechanics.element import BrickGeometry, smallest_ratios
 from gelforge.mechanics.hex.hexmesh import HexMesh
 from gelforge.mechanics.hex.reach import path_pose
@@ -111,12 +111,6 @@ def volume_motion(coarse: HexMesh, u: np.ndarray, points: np.ndarray, gel: Gel) 
     (wz, iz), (wy, iy), (wx, ix) = (line_weights(line, at) for line, at in lines)
     near = grid[iz[:, :, None, None], iy[:, None, :, None], ix[:, None, None, :]]
     return np.einsum("pc,pb,pa,pcbai->pi", wz, wy, wx, near, optimize=True)
-
-
-def touch_fraction(gap_before: np.ndarray, gap_after: np.ndarray) -> np.ndarray:
-    """At which fraction of a step points cross the surface, whose gap falls evenly; 1 where it stays open."""
-    crosses, open_ = gap_after < 0.0, np.maximum(gap_before, 0.0)
-    return np.where(crosses, open_ / np.where(crosses, open_ - gap_after, 1.0), 1.0)
 
 
 def touches(trail: Trail, points: np.ndarray, near: float = 0.0) -> tuple[np.ndarray, np.ndarray]:

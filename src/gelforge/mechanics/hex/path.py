@@ -6,11 +6,11 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from gelforge.errors import SolveFailed
-from gelforge.mechanics.contact import GLUED, TOUCHING, NoEquilibrium, Pose
-from gelforge.mechanics.hex.carry import Trail, carried, touch_fraction, touches, untangled
+from gelforge.mechanics.contact import GLUED, TOUCHING, NoEquilibrium, Pose, touch_fraction
+from gelforge.mechanics.hex.carry import Trail, carried, touches, untangled
 from gelforge.mechanics.hex.equilibrium import NOISY_INTERPOLATED, PARTS, SHORT, Equilibrium, System
 from gelforge.mechanics.hex.hexmesh import HexMesh
-from gelforge.mechanics.hex.reach import end_of, path_pose
+from gelforge.mechanics.hex.reach import path_pose
 from gelforge.mechanics.hex.settings import HexSettings
 from gelforge.mechanics.scene import Scene
 from gelforge.records.status import Status
@@ -56,7 +56,7 @@ class Run(Equilibrium):
                 step = (end - self.t) / count
                 for stop in (*(t for t in sorted(stops) if self.t < t < end), end):
                     self._leg(stop, min(step, (stop - self.t) / BETWEEN) if stops else step)
-                    if at_stop and stop in stops and stop < end_of(self.scene):
+                    if at_stop and stop in stops and stop < self.scene.press.end:
                         ended = self._branch()
                         at_stop(ended, ended._end())
         except (NoEquilibrium, SolveFailed):
@@ -75,7 +75,7 @@ class Run(Equilibrium):
 
         The path may be the way to this end of a longer one.
         """
-        self.t, self.noisy = end_of(self.scene), NOISY_INTERPOLATED
+        self.t, self.noisy = self.scene.press.end, NOISY_INTERPOLATED
         pose = path_pose(self.scene, self.t)
         try:
             self.u = untangled(self.mesh, self.bricks, carried(trail.mesh, trail.states[-1], self.mesh))
@@ -115,7 +115,7 @@ class Run(Equilibrium):
 
     def _legs(self, start: float) -> list[tuple[float, int]]:
         legs = [(1.0, self.settings.press_steps)] if start < 1.0 else []
-        if end_of(self.scene) > 1.0 or start >= 1.0:
+        if self.scene.press.end > 1.0 or start >= 1.0:
             legs.append((2.0, self.settings.shear_steps))
         return legs
 

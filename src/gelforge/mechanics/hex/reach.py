@@ -16,11 +16,6 @@ def path_pose(scene: Scene, t: float) -> Pose:
     return Pose(*touch.pose_at(scene.press, t))
 
 
-def end_of(scene: Scene) -> float:
-    """Path parameter of the end: 2 where the press goes sideways, else 1."""
-    return 2.0 if scene.press.dx or scene.press.dy else 1.0
-
-
 def first_touch(scene: Scene) -> float | None:
     """Path parameter where the indenter first meets the undeformed gel, or None where it never does."""
     return touch.first_touch(scene.gel, scene.indenter, scene.press)

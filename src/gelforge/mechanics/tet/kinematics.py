@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gelforge.mechanics.ccx.boundary import FREE, SLIDE, STICK, Contact, gaps, judge
-from gelforge.mechanics.contact import NoEquilibrium, Pose
+from gelforge.mechanics.contact import NoEquilibrium, Pose, touch_fraction
 from gelforge.mechanics.hex.carry import Trail, touches, volume_motion
 from gelforge.mechanics.scene import Scene
 from gelforge.mechanics.tet.face import FacePoints
@@ -317,8 +317,7 @@ class _Path:
         new = self.contact.state == SLIDE
         length = np.abs(aim - before).max()
         ahead, _ = gaps(self.scene, self.pose(aim), self.positions(start + length * self.velocity))
-        fraction = np.clip(gap0 / np.maximum(gap0 - ahead, 1e-12), 0.0, 1.0)
-        fraction = np.where(ahead >= 0.0, 1.0, fraction)[..., None]
+        fraction = touch_fraction(gap0, ahead)[..., None]
         first = self.pose(before).to_indenter(self.positions(start))
         last = self.pose(aim).to_indenter(self.positions(self.u))
         self._anchor(new, first + fraction * (last - first), self.pose(aim))
