@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 import gelforge
+from gelforge.errors import BadInput
 from gelforge.flow import layout
 from gelforge.flow.layout import FOLDERS, STAGES, Layout, log_of, metrics_of, shard_name
 
@@ -75,6 +76,18 @@ def test_sizes_are_of_what_is_planned(tmp_path, rows):
         of.shard(name).touch()
     of.shard_table.write_text("\n".join(["sample_id,shard", *rows]))
     assert of.sizes() == ({"0000": 2, "0001": 1} if rows else {"0000": 0, "0001": 0})
+
+
+def test_a_sample_is_found_in_the_planned_shards_alone(tmp_path):
+    """The table of shards keeps samples whose shard the log has lost."""
+    of = Layout(tmp_path / "demo")
+    of.shards.mkdir(parents=True)
+    of.shard("0001").touch()
+    of.shard_table.write_text("sample_id,shard\na,1\nlost,2\n")
+    assert of.shard_of("a") == "0001"
+    for absent in ("lost", "never"):
+        with pytest.raises(BadInput, match=f"'{absent}' is not in the log of demo"):
+            of.shard_of(absent)
 
 
 def test_folders_are_said_once():

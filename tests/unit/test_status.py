@@ -10,6 +10,8 @@ def test_counts_add_up_and_reasons_are_named(tmp_path):
     write_csv(
         results / "00_plan/shards.csv", ["sample_id", "shard"], [{"sample_id": k, "shard": k // 3} for k in range(6)]
     )
+    for name in ("0000", "0001"):
+        write_csv(results / f"00_plan/shards/{name}.csv", ["sample_id"], [])
     write_csv(results / "10_poses/0000.csv", ["sample_id"], [{"sample_id": k} for k in range(2)])
     rejected = [{"row": 4, "column": c, "reason": "not a number"} for c in ("x0_mm", "y0_mm")]
     write_csv(results / "10_poses/0000.rejected.csv", ["row", "column", "reason"], rejected)

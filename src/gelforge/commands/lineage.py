@@ -7,15 +7,15 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from gelforge.errors import BadInput
-from gelforge.flow.ancestry import Step, concerning, pose_of, read_record, shard_of, steps_to
+from gelforge.flow.ancestry import Step, concerning, pose_of, read_record, steps_to
 from gelforge.flow.layout import FEA, Layout
 from gelforge.flow.main import command, option
 
 
 def lineage(results: Path, sample_id: str, resolution: str) -> dict:
     """All that is known of a label: its sample's solve, and the steps that led to it, first one first."""
-    shard = shard_of(results, sample_id)
     of = Layout(results)
+    shard = of.shard_of(sample_id)
     label = of.labelled(resolution)
     # each by itself: a label of very many shards names none of them, and one that is not there yet leads to none
     paths = (of.poses(shard), of.fea(shard), of.forces(shard), label)

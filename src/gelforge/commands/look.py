@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import publish, read_csv
-from gelforge.flow.layout import Layout, shard_name
+from gelforge.flow.files import publish
+from gelforge.flow.layout import LOOK, Layout, shard_name
 from gelforge.flow.main import command, option
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import Sensor, find_sensor, load_sensors, transform
@@ -39,12 +39,7 @@ class Pictured:
 def shard_paths(results: Path, sample_id: str, resolution: str) -> dict[str, Path]:
     """Files of the shard that holds a sample; those of `make sample` where the shard has no label yet."""
     of = Layout(results)
-    shards = (
-        {row["sample_id"]: int(row["shard"]) for row in read_csv(of.shard_table)} if of.shard_table.exists() else {}
-    )
-    if sample_id not in shards:
-        raise BadInput(f"sample {sample_id!r} is not in the log of {results.name}; say make look ID=SAMPLE_ID")
-    for own, name in ((of, shard_name(shards[sample_id])), (of.sample(sample_id), shard_name(0))):
+    for own, name in ((of, of.shard_of(sample_id)), (of.sample(sample_id), shard_name(0))):
         paths = {
             "poses": own.poses(name),
             "forces": own.forces(name),
@@ -216,7 +211,7 @@ def main(args: Namespace) -> None:
     if not args.id:
         raise BadInput("no sample named; say make look ID=SAMPLE_ID")
     check_id(args.id)
-    sensors, out = load_sensors(args.sensors), args.out or args.results / "look"
+    sensors, out = load_sensors(args.sensors), args.out or args.results / LOOK
     paths = {}
     for resolution in map(str, map(Grid.parse, args.resolution)):
         paths = shard_paths(args.results, args.id, resolution)

@@ -15,11 +15,11 @@ from gelforge.records.press import RawRow, check_id
 def find_row(results: Path, sample_id: str) -> RawRow:
     """The raw row of a sample in the planned shards."""
     of = Layout(results)
-    for name in of.names():
-        for row in read_shard(of.shard(name)):
-            if row.cells["sample_id"] == sample_id:
-                return row
-    raise BadInput(f"sample {sample_id!r} is not in the log of {results.name}; make sample ID=… takes a sample_id")
+    rows = read_shard(of.shard(of.shard_of(sample_id)))
+    found = next((row for row in rows if row.cells["sample_id"] == sample_id), None)
+    if found is None:
+        raise of.not_logged(sample_id)
+    return found
 
 
 def stages(data: Path, results: Path, work: Path, resolution: str) -> list[tuple[str, list]]:

@@ -1,6 +1,5 @@
 """What of a dataset is done, failed (with reasons) and pending, stage by stage."""
 
-import csv
 import json
 from argparse import Namespace
 from collections import Counter
@@ -8,7 +7,8 @@ from pathlib import Path
 
 from gelforge.errors import printable
 from gelforge.flow import layout
-from gelforge.flow.layout import Layout, shard_name
+from gelforge.flow.files import read_csv
+from gelforge.flow.layout import Layout
 from gelforge.flow.main import command, option
 from gelforge.flow.running import duration, look
 from gelforge.records.status import VALID
@@ -18,18 +18,7 @@ from gelforge.records.status import VALID
 
 def read_rows(path: Path) -> list[dict]:
     """Rows of a CSV file, none where it is absent."""
-    if not path.exists():
-        return []
-    with path.open(newline="", encoding="utf-8") as stream:
-        return list(csv.DictReader(stream))
-
-
-def shard_sizes(results: Path) -> dict[str, int]:
-    """Samples per shard as planned."""
-    rows = read_rows(Layout(results).shard_table)
-    if not rows:
-        return {}
-    return Counter(shard_name(int(row["shard"])) for row in rows)
+    return read_csv(path) if path.exists() else []
 
 
 def poses_state(results: Path, sizes: dict[str, int]) -> tuple[int, Counter]:
@@ -68,7 +57,7 @@ def shard_state(folder: Path, valid: dict[str, int]) -> int:
 
 def lines(results: Path) -> list[str]:
     """The table that `make status` prints."""
-    sizes = shard_sizes(results)
+    sizes = Layout(results).sizes()
     total = sum(sizes.values())
     if not total:
         return [f"{results}: nothing planned yet; run make poses"]

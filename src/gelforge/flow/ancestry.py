@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from gelforge.errors import BadInput
 from gelforge.flow.layout import Layout
 
 
@@ -25,21 +24,6 @@ class Step:
     started: float
     parameters: dict
     programs: dict[str, str]  # versions; empty where an older step did not record them
-
-
-def shard_of(results: Path, sample_id: str) -> str:
-    """Name of the shard that holds a sample; BadInput where the log has no such sample."""
-    table = Layout(results).shard_table
-    if not table.exists():
-        raise BadInput(f"{table}: not there, so nothing was planned; run make poses DATASET={results.name}")
-    with table.open(newline="", encoding="utf-8") as stream:
-        found = next((row["shard"] for row in csv.DictReader(stream) if row["sample_id"] == sample_id), None)
-    if found is None:
-        raise BadInput(f"sample {sample_id!r} is not in the log of {results.name}; say make lineage ID=SAMPLE_ID")
-    names = {int(name): name for name in Layout(results).names()}
-    if int(found) not in names:
-        raise BadInput(f"sample {sample_id!r}: its shard {found} is no longer planned; run make status")
-    return names[int(found)]
 
 
 def read_record(path: Path) -> dict:

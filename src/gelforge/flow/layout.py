@@ -8,6 +8,8 @@ import csv
 from dataclasses import dataclass
 from pathlib import Path
 
+from gelforge.errors import BadInput
+
 PLAN, POSES, MESHES, FEA, FORCES = "00_plan", "10_poses", "20_meshes", "30_fea", "40_forces"
 LABELS, DATASET, TRAIN, EVALUATE, REPORT = "50_labels", "60_dataset", "70_train", "80_evaluate", "90_report"
 CALIBRATE, PARETO, PARETO_MODELS, STABILITY, STUDY = "calibrate", "pareto", "pareto_models", "stability", "study"
@@ -168,6 +170,27 @@ class Layout:
                 if int(row["shard"]) in names:
                     found[names[int(row["shard"])]] += 1
         return found
+
+    def shard_of(self, sample_id: str) -> str:
+        """Name of the planned shard that holds a sample; BadInput where none does."""
+        if not self.shard_table.exists():
+            raise BadInput(
+                f"{self.shard_table}: not there, so nothing was planned; run make poses DATASET={self.root.name}"
+            )
+        with self.shard_table.open(newline="", encoding="utf-8") as stream:
+            found = next((row["shard"] for row in csv.DictReader(stream) if row["sample_id"] == sample_id), None)
+        # the table keeps samples that the log has lost, so that they keep their shard if they come back
+        names = {int(name): name for name in self.names()}
+        if found is None or int(found) not in names:
+            raise self.not_logged(sample_id)
+        return names[int(found)]
+
+    def not_logged(self, sample_id: str) -> BadInput:
+        """The error of a sample that no planned shard holds."""
+        return BadInput(
+            f"sample {sample_id!r} is not in the log of {self.root.name}; ID=… takes a sample_id of "
+            f"data/{self.root.name}/log.csv"
+        )
 
     def sample(self, sample_id: str) -> "Layout":
         """The layout of one sample that `make sample` took through all stages."""
