@@ -5,10 +5,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from gelforge.mechanics.hex.hexmesh import interpolate_surface
 from gelforge.records.markers import MarkerGrid, find_markers
 from gelforge.virtualrig.lightfit import dot_free, dot_spots
 from gelforge.virtualrig.looks import HEIGHT, WIDTH
+from gelforge.virtualrig.render import unproject
+from tests.surface_values import interpolate_surface
 
 
 @dataclass(frozen=True)
@@ -81,6 +82,11 @@ def _nearest(points: np.ndarray, to: np.ndarray):
     return index, distance[np.arange(len(to)), index]
 
 
+def gel_points(camera, pixels: np.ndarray) -> np.ndarray:
+    """Points (n, 2) mm of the unloaded gel that a camera (virtualrig.render.Renderer) sees at pixels (n, 2)."""
+    return np.stack(unproject(camera.projection, pixels[:, 0], pixels[:, 1]), axis=1)
+
+
 def dots_by_mechanics(camera, result) -> np.ndarray:
     """Where the camera must see the centre of each printed dot, from nodal displacements alone, (n, 2) px.
 
@@ -91,7 +97,7 @@ def dots_by_mechanics(camera, result) -> np.ndarray:
         camera.look.diameter / 2 * radius[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     ).reshape(-1, 2)
     pixels = (camera.look.dots[:, None] + ring[None]).reshape(-1, 2)
-    xy = camera.gel_points(pixels)
+    xy = gel_points(camera, pixels)
     moved = interpolate_surface(result.mesh, result.displacement, xy)
     return camera.seen(xy, moved).reshape(len(camera.look.dots), -1, 2).mean(axis=1)
 

@@ -39,7 +39,6 @@ from gelforge.sweeps.methods import REFERENCE, Method, prepare, quality_method
 from gelforge.sweeps.scenes import NamedScene, parse_scene, read_tables
 from gelforge.sweeps.trial import (
     ChartBench,
-    ensure_meshes,
     kept,
     load_bench,
     measure,
@@ -47,6 +46,7 @@ from gelforge.sweeps.trial import (
     without_bricks,
 )
 from tests.benchmarks import fea_cost as cost
+from tests.benchmarks.chart_meshes import ensure_meshes
 from tests.benchmarks.figures import Figure, publish_figures
 
 # Depth of FEATS' deck: scene, and times faster that `ccx` and `hex` at label setting are to be.
@@ -334,7 +334,7 @@ def block_shear(folder: Path, table: FeaTable) -> dict[str, float]:
     from gelforge.mechanics.ccx.ccxsolver import CcxSettings, CcxSolver
     from gelforge.mechanics.hex.hexsolver import HexSolver
     from gelforge.mechanics.hex.settings import HexSettings
-    from gelforge.mechanics.tet.tetmesh import symmetric_block
+    from tests.blocks import symmetric_block
 
     gel = Block()
     bodies = {"plate": {"kind": "cuboid", "size": [12, 12], "fillet": 0.5, "height": 10},

@@ -29,6 +29,7 @@ from gelforge.mechanics.scene import Result, Scene
 from gelforge.sweeps import references
 from gelforge.sweeps.scenes import parse_scene, read_tables
 from gelforge.sweeps.trial import cells_of
+from tests.benchmarks.chart_meshes import need_mesh
 from tests.benchmarks.figures import Figure, publish_figures
 
 CASES = {
@@ -57,7 +58,7 @@ def solver_of(way: str, params: config.Params, meshes: Path, work: Path) -> Call
         return solve
     names = references.label_meshes(params)
     for name in names:
-        references.need_mesh(name, meshes, params)
+        need_mesh(name, meshes, params)
     solvers = Solvers(MeshFamily(meshes, names), work, params.fea)
 
     def solve_ccx(scene: Scene) -> tuple[Result, GelMesh]:

@@ -15,8 +15,8 @@ from gelforge.mechanics.hex.settings import HexSettings
 from gelforge.mechanics.scene import Interface, Material, Press, Scene
 from gelforge.mechanics.tet.face import dunavant12, face_points
 from gelforge.mechanics.tet.kinematics import contact_blocks, contact_forces
-from gelforge.mechanics.tet.tetmesh import symmetric_block
 from gelforge.records.status import Status
+from tests.blocks import symmetric_block
 
 
 @dataclass(frozen=True)

@@ -11,11 +11,11 @@ from gelforge.mechanics.hex.hexmesh import (
     FineBox,
     build_mesh,
     graded_lines,
-    interpolate_surface,
     layer_heights,
     surface_lines,
 )
 from gelforge.mechanics.pattern import build_pattern
+from tests.surface_values import interpolate_surface
 
 LAW = Law(penalty=50.0, friction=5.0)
 HERE = Pose(np.eye(3), np.zeros(3))

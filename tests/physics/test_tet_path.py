@@ -18,8 +18,8 @@ from gelforge.mechanics.scene import Interface, Material, Press, Scene
 from gelforge.mechanics.tet.face import face_points
 from gelforge.mechanics.tet.kinematics import PathSettings, arrive, contact_forces, follow
 from gelforge.mechanics.tet.solid import TetSolid
-from gelforge.mechanics.tet.tetmesh import symmetric_block
 from gelforge.records.status import Status
+from tests.blocks import symmetric_block
 
 
 @dataclass(frozen=True)

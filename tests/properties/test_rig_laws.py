@@ -17,7 +17,7 @@ from gelforge.virtualrig.looks import TERMS, Look, read_looks
 from gelforge.virtualrig.render import Pressed, Renderer
 from gelforge.virtualrig.rigplan import kind_of, orders, read_plan
 from tests.conftest import ROOT
-from tests.likeness import inside_image
+from tests.likeness import gel_points, inside_image
 
 PLAN = ROOT / "workflow" / "rig" / "train.toml"
 UNITS = ("mini_a", "mini_b", "mini_c", "mini_d", "mini_e")
@@ -70,7 +70,7 @@ def linear_field(shift, stretch, turn_deg):
 def test_dots_go_where_the_gel_goes(name, shift, stretch, turn):
     eye = camera(name)
     field, moves = linear_field(np.array(shift), stretch, turn)
-    points = eye.gel_points(eye.look.dots)
+    points = gel_points(eye, eye.look.dots)
     expected = eye.seen(points, np.column_stack([moves(points), np.zeros(len(points))]))
     before, after = dot_spots(eye.image())[0], dot_spots(eye.image(field))[0]
     seen = inside_image(expected, 1.5 * eye.look.diameter) & inside_image(eye.look.dots, 1.5 * eye.look.diameter)

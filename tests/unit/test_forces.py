@@ -6,9 +6,9 @@ import pytest
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_json
 from gelforge.geometry.gel import GELS
-from gelforge.mechanics.tet.tetmesh import symmetric_block
 from gelforge.records.status import Status
 from gelforge.stages.forces import dat_forces, material_c10
+from tests.blocks import symmetric_block
 
 MESH = symmetric_block(GELS["gelsight_mini"], 6.0, 1)
 

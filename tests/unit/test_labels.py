@@ -70,30 +70,6 @@ def test_only_what_is_older_than_its_sources_is_made_again(made):
     assert len(list((folder / "operators").glob("*.npz"))) == 2
 
 
-def test_a_single_shard_can_be_asked_for(made, tmp_path):
-    results = made["results"]
-    out = tmp_path / "one.npz.part"
-    labels.main(
-        [
-            "--forces",
-            str(results / "40_forces/0000.npz"),
-            "--poses",
-            str(results / "10_poses/0000.csv"),
-            "--meshes",
-            str(results / "20_meshes"),
-            "--sensors",
-            "workflow/sensors.toml",
-            "--resolution",
-            "5x7",
-            "--params",
-            str(results / "00_plan/params/labels.json"),
-            "--out",
-            str(out),
-        ]
-    )
-    assert read_labels(out).label.shape == (8, 3, 5, 7)
-
-
 def test_blocks_do_not_change_labels(made, monkeypatch):
     whole = read_labels(label(made, "9x11") / "0000.npz").label
     monkeypatch.setattr(labels, "BLOCK_BYTES", 3 * 3 * 8 * 99)

@@ -16,9 +16,9 @@ from parameters import write_slice
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, write_json
 from gelforge.geometry.gel import GELS
-from gelforge.mechanics.tet.tetmesh import symmetric_block
 from gelforge.records.forcefile import ForceFile
 from gelforge.stages import fea, forces
+from tests.blocks import symmetric_block
 
 GEL = GELS["gelsight_mini"]
 HEADER = "sample_id,sensor_id,gel_id,indenter,x0_mm,y0_mm,z0_mm,dx_mm,dy_mm,dz_mm,rot_deg\n"

@@ -21,7 +21,7 @@ Only where `[labels] channels` asks for them, NaN in cells that show no gel:
 """
 
 import zipfile
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -41,18 +41,18 @@ def write_labels(
     path: str | Path,
     blocks: Iterable[np.ndarray],
     shape: tuple[int, ...],
-    arrays: dict[str, Any] | Callable[[], dict[str, Any]],
+    arrays: dict[str, Any],
     fields: dict[str, Stream] | None = None,
 ) -> None:
     """Write a shard whose label array of `shape` comes in consecutive `blocks` (b, 3, rows, cols) float32.
 
     Labels are streamed, because a large shard at a fine resolution does not fit in memory, and so are `fields`, by
-    name their shape and blocks. `arrays` is a function called after the last label block, or a dict, of the other
-    arrays. Whole or not at all.
+    name their shape and blocks. `arrays` are the others, by name; they are written after the last label block, so
+    that what the blocks fill in is in them. Whole or not at all.
     """
     with publish(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_STORED, allowZip64=True) as archive:
         _stream(archive, "label", shape, blocks)
-        for name, array in (arrays() if callable(arrays) else arrays).items():
+        for name, array in arrays.items():
             with archive.open(zipfile.ZipInfo(f"{name}.npy"), "w") as member:
                 np.lib.format.write_array(member, np.asanyarray(array), allow_pickle=False)
         for name, (size, parts) in (fields or {}).items():

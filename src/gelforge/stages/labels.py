@@ -135,7 +135,7 @@ def field_streams(forces: ForceFile, find_maps: list, grid: Grid, channels) -> d
     return {name: ((n, *shape, *grid.shape), each(shape, of)) for name, (shape, of) in wanted.items()}
 
 
-def label_shard(forces_path, poses_path, find: Finder, grid: Grid, out, channels=("force",)) -> dict:
+def label_shard(forces_path, poses_path, find: Finder, grid: Grid, out, channels) -> dict:
     """Write the labels of one shard to `out` and return a summary of it.
 
     find.operator(mesh name, sensor name) gives the operator. Forces that are not finite, a sample without
@@ -242,25 +242,20 @@ def report(summary: dict, largest_share: float) -> None:
 
 
 @command(
-    option("--forces", type=Path, help="a shard of 40_forces, or the folder with --shards"),
-    option("--poses", type=Path, help="the shard of 10_poses, or the folder with --shards"),
+    option("--forces", type=Path, help="folder 40_forces"),
+    option("--poses", type=Path, help="folder 10_poses"),
     option("--meshes", type=Path, help="folder 20_meshes"),
     option("--sensors", type=Path, help="sensors.toml, or its slice as .json"),
     option("--resolution", help="ROWSxCOLS"),
     option("--params", type=Path),
-    option("--shards", type=Path, help="folder of planned shards: label all, write a summary to --out", default=None),
-    option("--out", type=Path),
+    option("--shards", type=Path, help="folder of planned shards, all of which are labelled"),
+    option("--out", type=Path, help="summary; the labels of each shard are written beside it"),
 )
 def main(args: Namespace) -> None:
     grid, sensors = Grid.parse(args.resolution), load_sensors(args.sensors)
     params = read_slice(args.params, ForLabels).labels
-    channels = params.channels
-    if args.shards:
-        summary = label_folder(args, grid, sensors, channels)
-        write_json(args.out, summary)
-    else:
-        find = Finder(args.meshes, sensors, grid, args.out.parent / "operators", str(args.poses))
-        summary = {"resolution": str(grid), **label_shard(args.forces, args.poses, find, grid, args.out, channels)}
+    summary = label_folder(args, grid, sensors, params.channels)
+    write_json(args.out, summary)
     report(summary, params.largest_outside_share)
 
 

@@ -6,10 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import write_json
 from gelforge.flow.params import Params
 from gelforge.flow.params.slices import ForPareto, ForParetoMeshes, ForStability
-from gelforge.geometry.gel import Gel, load_gel
+from gelforge.geometry.gel import Gel
 from gelforge.mechanics.family import MeshFamily, MeshName, choose_mesh, make_mesh, required_meshes, sizing
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.scene import Scene
@@ -66,16 +65,6 @@ def build_mesh(name: str, gel: Gel, params: ForParetoMeshes | ForPareto) -> tupl
     mesh = gel_mesh(gel, lambda points: at(points - centre), step=step, hold=hold)
     report = {"engine": "fine", "region": region, "size": float(size), "half_mm": list(half), "gel": gel.name}
     return mesh, report | quality(mesh, gel)
-
-
-def need_mesh(name: str, folder: Path, params: ForPareto) -> Path:
-    """Path of a mesh of the folder, which is built first where it is missing."""
-    path = Path(folder) / f"{name}.npz"
-    if not (path.exists() and path.with_suffix(".json").exists()):
-        mesh, report = build_mesh(name, load_gel(params.meshes.gel), params)
-        write_json(path.with_suffix(".json"), report)
-        mesh.save(path)
-    return path
 
 
 def density_mesh(scene: Scene, folder: Path, params: Charted, size: float) -> str:

@@ -21,7 +21,6 @@ from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import assemble
 from gelforge.labelling.sensor import Sensor
 from gelforge.mechanics.hex.settings import QUALITIES, quality
-from gelforge.sweeps import references as meshes
 from gelforge.sweeps.isolate import CRASHED, REFUSED, TIMED_OUT, Clock, isolated, peak_mib
 from gelforge.sweeps.keptreferences import kept_reference
 from gelforge.sweeps.methods import LARGE_REFERENCE, REFERENCE, Method, hex_settings, prepare, warm_up
@@ -186,12 +185,6 @@ def solve_method(bench: ChartBench, scene: NamedScene, method: Method, work: Pat
     limit = limit_of(bench.params.pareto, method.fidelity)
     make = partial(prepare, method, scene.scene, scene.fine, bench.meshes, bench.params, limit_s=limit)
     return solve_isolated(make, bench.sensor, limit, work)
-
-
-def ensure_meshes(bench: ChartBench, names: list[str]) -> None:
-    """Build what is missing of the meshes (make builds them as targets; a benchmark may stand alone)."""
-    for name in names:
-        meshes.need_mesh(name, bench.meshes, bench.params)
 
 
 def load_bench(

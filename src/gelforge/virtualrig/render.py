@@ -78,10 +78,6 @@ class Renderer:
         """Pixels (n, 2) at which gel points xy (n, 2) mm appear that have moved by (n, 3) mm."""
         return np.stack(self._seen(xy[:, 0] + moved[:, 0], xy[:, 1] + moved[:, 1], moved[:, 2]), axis=1)
 
-    def gel_points(self, pixels: np.ndarray) -> np.ndarray:
-        """Points (n, 2) mm of the unloaded gel at pixels (n, 2)."""
-        return np.stack(unproject(self.projection, pixels[:, 0], pixels[:, 1]), axis=1)
-
     def height(self, field: Field, pressed: Pressed) -> np.ndarray:
         """Height z in mm of the surface that each pixel shows, (240, 320) float32."""
         return self._against(self._trace(field)[2], pressed)

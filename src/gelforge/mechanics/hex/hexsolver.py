@@ -14,7 +14,7 @@ from gelforge.mechanics.contact import ContactState
 from gelforge.mechanics.hex.bricks import Bricks
 from gelforge.mechanics.hex.carry import Trail
 from gelforge.mechanics.hex.equilibrium import System
-from gelforge.mechanics.hex.hexmesh import FineBox, HexMesh, build_mesh, interpolate_surface
+from gelforge.mechanics.hex.hexmesh import FineBox, HexMesh, build_mesh
 from gelforge.mechanics.hex.path import Run
 from gelforge.mechanics.hex.reach import fine_box, first_touch
 from gelforge.mechanics.hex.settings import HexSettings, Nested
@@ -27,7 +27,7 @@ BALANCE = 1e-6  # largest base reaction against contact sum of a valid result
 MOST_INSIDE_MM = 0.1
 MOST_BELOW_MM = 1e-3  # that a node may end below the base the gel is bonded to
 
-__all__ = ["HexResult", "HexSolver", "interpolate_surface", "solve_hex"]
+__all__ = ["HexResult", "HexSolver", "solve_hex"]
 
 
 # A correction beyond this share is no small one: then the coarse bricks are too coarse to tell anything.

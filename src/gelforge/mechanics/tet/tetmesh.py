@@ -83,22 +83,6 @@ def kuhn_grid(axes: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     return vertices, orient(vertices, np.concatenate(tets))
 
 
-def symmetric_block(gel: Gel, size: float, layers: int) -> GelMesh:
-    """Second-order tetrahedra of a gel without rounded corners: cells of about `size`, symmetric about x = 0 and y = 0.
-
-    For laws that a lopsided mesh would blur; layers grow thinner towards the top.
-    """
-    x, y = (np.linspace(0, extent / 2, max(1, round(extent / 2 / size)) + 1) for extent in (gel.width, gel.length))
-    z = -gel.height + gel.height * np.sin(np.linspace(0, np.pi / 2, layers + 1))
-    nodes, tets = kuhn_grid((x, y, z))
-    for axis in (0, 1):
-        mirrored = nodes * np.where(np.arange(3) == axis, -1.0, 1.0)
-        tets = np.concatenate([tets, tets + len(nodes)])
-        nodes, same = np.unique(np.round(np.concatenate([nodes, mirrored]), 9) + 0.0, axis=0, return_inverse=True)
-        tets = same.ravel()[tets]
-    return from_flat(gel, nodes, tets)
-
-
 def orient(nodes: np.ndarray, tets: np.ndarray) -> np.ndarray:
     """The same tetrahedra (e, 4), reordered so that every volume is positive."""
     tets = tets.copy()

@@ -1,0 +1,25 @@
+"""Values at points of a gel's surface, from those at the nodes."""
+
+import numpy as np
+
+from gelforge.mechanics.hex.hexmesh import surface_lines
+from gelforge.mechanics.mesh import GelMesh
+
+
+def interpolate_surface(mesh: GelMesh, values: np.ndarray, xy: np.ndarray) -> np.ndarray:
+    """Nodal values (n, k) of a structured brick mesh at reference points (m, 2) of its top surface, (m, k).
+
+    Bilinear on the cells; points off the surface take the nearest cell's edge. The mesh may come
+    from GelMesh.load: its lines are read off the nodes.
+    """
+    xs, ys, first = surface_lines(mesh)
+    nx = len(xs) - 1
+    xy = np.asarray(xy, float)
+    i = np.clip(np.searchsorted(xs, xy[:, 0], "right") - 1, 0, nx - 1)
+    j = np.clip(np.searchsorted(ys, xy[:, 1], "right") - 1, 0, len(ys) - 2)
+    s = np.clip((xy[:, 0] - xs[i]) / (xs[i + 1] - xs[i]), 0.0, 1.0)[:, None]
+    t = np.clip((xy[:, 1] - ys[j]) / (ys[j + 1] - ys[j]), 0.0, 1.0)[:, None]
+    corner = first + j * (nx + 1) + i
+    low = (1 - s) * values[corner] + s * values[corner + 1]
+    high = (1 - s) * values[corner + nx + 1] + s * values[corner + nx + 2]
+    return (1 - t) * low + t * high
