@@ -7,12 +7,14 @@ from typing import TypeVar
 
 Item = TypeVar("Item")
 
+EVERY_S = 10.0  # between two lines of a log
 
-def progress(items: Iterable[Item], what: str, total: int | None = None, every_s: float = 10.0) -> Iterator[Item]:
+
+def progress(items: Iterable[Item], what: str, total: int | None = None) -> Iterator[Item]:
     """Yield `items`, showing how far the work named `what` has come.
 
     On a terminal this is tqdm's bar. Elsewhere it prints a line with the count, the rate and
-    the time left at most every `every_s` seconds, which reads well in a log file.
+    the time left at most every EVERY_S seconds, which reads well in a log file.
     """
     if total is None:
         if not isinstance(items, Collection):
@@ -27,7 +29,7 @@ def progress(items: Iterable[Item], what: str, total: int | None = None, every_s
     for done, item in enumerate(items, 1):
         yield item
         now = time.monotonic()
-        if now - last >= every_s or done == total:
+        if now - last >= EVERY_S or done == total:
             last = now
             rate = done / max(now - start, 1e-9)
             left = (total - done) / rate

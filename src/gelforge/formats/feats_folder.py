@@ -32,6 +32,7 @@ from gelforge.records.samplefile import read_samples
 # FEATS' own folders, and ours.
 SPLITS = ("train", "val", "test", "test_unseen_indenter", "test_unseen_sensor", "test_unseen_both")
 FEATS_C10 = 0.0792  # MPa, the paper's fit, which its labels were made with
+GEL_ID = "feats"  # of every press: their files name no gel
 # An image that came with its label alone: nobody knows how it was pressed.
 NO_PRESS = {**dict.fromkeys(POSE, math.nan), **dict.fromkeys(FORCES), "indenter": "", "time_utc": ""}
 DATASET_TOML = """# Imported from files in FEATS' layout.
@@ -56,7 +57,7 @@ def new_folder(path: Path):
         shutil.rmtree(part, ignore_errors=True)
 
 
-def import_folder(source: Path, data: Path, sensor, gel_id: str = "feats") -> dict:
+def import_folder(source: Path, data: Path, sensor) -> dict:
     """Turn the .npy files below `source` into the dataset folder `data`; return what was found.
 
     Raw samples become rows of log.csv and images; label files become labels/ROWSxCOLS.npz. A raw sample
@@ -76,7 +77,7 @@ def import_folder(source: Path, data: Path, sensor, gel_id: str = "feats") -> di
                 continue
             _take(path, read_sample(path), sensor, part, presses, labels)
         _check_ids(presses, source)
-        rows = [{"sensor_id": sensor.name, "gel_id": gel_id, **press["row"]} for press in presses.values()]
+        rows = [{"sensor_id": sensor.name, "gel_id": GEL_ID, **press["row"]} for press in presses.values()]
         if not rows:
             raise BadInput(f"{source}: holds normalisation files only; give the folder that holds the samples too")
         write_log(part / "log.csv", [LoggedPress(row=0, **{**NO_PRESS, **row}) for row in rows])

@@ -42,14 +42,14 @@ def transform(homography: np.ndarray, points: np.ndarray) -> np.ndarray:
     return mapped[..., :2] / mapped[..., 2:]
 
 
-def check_projection(homography: np.ndarray, where: str, gel: Gel | None = None) -> None:
+def check_projection(homography: np.ndarray, where: str) -> None:
     """Raise BadInput unless the homography is finite and neither folds nor flips the gel.
 
     The camera looks at the gel from below with v down, so the map from (x, y) to (u, v) has a negative
     Jacobian everywhere; a positive one is a mirrored image. It folds where the line that maps to
     infinity crosses the gel (Hartley and Zisserman, Multiple View Geometry, section 2.3).
     """
-    gel = gel or Gel()
+    gel = Gel()
     homography = np.asarray(homography, float)
     if homography.shape != (3, 3) or not np.isfinite(homography).all():
         raise BadInput(f"{where}: the projection must be 3 x 3 finite numbers, it is {homography.tolist()}")

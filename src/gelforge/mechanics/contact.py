@@ -18,6 +18,7 @@ from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.pattern import Pattern, add_block, block_places
 
 FREE, TOUCHING, GLUED = 0, 1, 2
+STEP = 1e-6  # mm that points are moved by for the differences of their tractions
 _CHANGING = ("status", "anchor", "normal", "goal", "fading", "multiplier", "carried")
 
 
@@ -201,15 +202,14 @@ def curved(
     indenter: Indenter,
     law: Law,
     candidates: np.ndarray,
-    h: float = 1e-6,
 ) -> Skew:
-    """What `springs` lack of the exact stiffness, by differences over h mm: friction and the indenter's curvature."""
+    """What `springs` lack of the exact stiffness, by differences over STEP mm: friction and the indenter's curvature."""
     point = springs.point
     here = _scattered(springs, len(x))
     block = np.empty((len(x), 3, 3))
     for k in range(3):
-        ahead = contact_springs(state, x + h * np.eye(3)[k], pose, indenter, law, candidates)
-        block[:, :, k] = (here - _scattered(ahead, len(x))) / h
+        ahead = contact_springs(state, x + STEP * np.eye(3)[k], pose, indenter, law, candidates)
+        block[:, :, k] = (here - _scattered(ahead, len(x))) / STEP
     known = np.zeros_like(block)
     np.add.at(known, point, springs.stiffness)
     point = np.unique(point)

@@ -17,6 +17,8 @@ from gelforge.mechanics.hex.bricks import Bricks, is_bricks
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.scene import Scene
 
+KEPT = 8  # meshes that a loader has at hand
+SPACING, NEAR = 0.25, 0.05  # mm: between points of the top at which a press is looked at, and what counts as touched
 _NAME = re.compile(r"(ccx)-([a-z]+)-(\d+(?:\.\d+)?)")
 
 
@@ -101,9 +103,9 @@ def mesh_file(folder: Path | str, name: str) -> Path:
     return path
 
 
-def mesh_loader(folder: Path | str, kept: int = 8) -> Callable[[str], GelMesh]:
-    """`load_mesh` of one folder, which keeps the `kept` meshes last used."""
-    return lru_cache(maxsize=kept)(partial(load_mesh, folder))
+def mesh_loader(folder: Path | str) -> Callable[[str], GelMesh]:
+    """`load_mesh` of one folder, which keeps the KEPT meshes last used."""
+    return lru_cache(maxsize=KEPT)(partial(load_mesh, folder))
 
 
 class MeshFamily:
@@ -119,10 +121,10 @@ class MeshFamily:
         self.load = mesh_loader(self.folder)
 
 
-def footprint(scene: Scene, spacing: float = 0.25, reach: float = 0.05) -> np.ndarray | None:
-    """Largest |x|, |y| (mm) of the undeformed top within `reach` of the indenter on its path; None if none."""
-    points, _ = touch.under_path(scene.gel, scene.indenter, scene.press, spacing)
-    met = touch.touched(scene.indenter, scene.press, points, reach)
+def footprint(scene: Scene) -> np.ndarray | None:
+    """Largest |x|, |y| (mm) of the undeformed top within NEAR of the indenter on its path; None if none."""
+    points, _ = touch.under_path(scene.gel, scene.indenter, scene.press, SPACING)
+    met = touch.touched(scene.indenter, scene.press, points, NEAR)
     return np.abs(points[met, :2]).max(axis=0) if met.any() else None
 
 

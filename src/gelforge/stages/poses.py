@@ -60,9 +60,9 @@ def yielded(sample: LoggedPress, file: str, params: PosesTable) -> tuple[LoggedP
     return replace(sample, **moved), []
 
 
-def posed_points(press, points: np.ndarray, fraction: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
-    """Points (n, 3) of the indenter frame in the gel frame, mm, at fractions (press, shear) of the path."""
-    rotation, shift = press.pose(*fraction)
+def posed_points(press, points: np.ndarray) -> np.ndarray:
+    """Points (n, 3) of the indenter frame in the gel frame, mm, where the path begins."""
+    rotation, shift = press.pose(0.0, 0.0)
     return points @ rotation.T + shift
 
 

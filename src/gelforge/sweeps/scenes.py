@@ -8,6 +8,7 @@ from gelforge.flow.params import read_toml
 from gelforge.geometry.gel import load_gel
 from gelforge.mechanics.scene import Interface, Material, Press, Scene
 
+SOURCE = "workflow/scenes.toml"
 _NUMBERS = {"x0": 0.0, "y0": 0.0, "z0": 0.0, "dx": 0.0, "dy": 0.0, "rot_deg": 0.0}
 _KEYS = {"indenter", "depth", "fine", "gel", *_NUMBERS}
 
@@ -22,18 +23,18 @@ class NamedScene:
     table: dict
 
 
-def resolve(name: str, table: dict, catalogue: dict, source="workflow/scenes.toml") -> dict:
+def resolve(name: str, table: dict, catalogue: dict) -> dict:
     """The table with its indenter spelt out: `indenter` may be a name of the catalogue (raw tables)."""
     unknown = sorted(set(table) - _KEYS)
     missing = sorted({"indenter", "depth", "fine"} - set(table))
     if unknown or missing:
-        raise BadInput(f"{source}: [{name}]: unknown keys {unknown}, missing keys {missing}; correct the table")
+        raise BadInput(f"{SOURCE}: [{name}]: unknown keys {unknown}, missing keys {missing}; correct the table")
     indenter = table["indenter"]
     if isinstance(indenter, dict):
         return table
     if indenter not in catalogue:
         known = ", ".join(catalogue)
-        raise BadInput(f"{source}: [{name}] indenter = {indenter!r} is not in the catalogue; it has {known}")
+        raise BadInput(f"{SOURCE}: [{name}] indenter = {indenter!r} is not in the catalogue; it has {known}")
     return table | {"indenter": catalogue[indenter]}
 
 
@@ -44,18 +45,18 @@ def read_tables(workflow) -> dict[str, dict]:
     return {name: resolve(name, table, catalogue) for name, table in scenes.items()}
 
 
-def parse_scene(name: str, table: dict, nu: float, source="workflow/scenes.toml") -> NamedScene:
+def parse_scene(name: str, table: dict, nu: float) -> NamedScene:
     """Build one scene from its resolved table."""
     from gelforge.geometry.indenters import build
 
     depth = table["depth"]
     if isinstance(depth, bool) or not isinstance(depth, int | float) or not 0 < depth < 4:
-        raise BadInput(f"{source}: [{name}] depth = {depth!r}; give mm below the plane z0, above 0 and below 4")
+        raise BadInput(f"{SOURCE}: [{name}] depth = {depth!r}; give mm below the plane z0, above 0 and below 4")
     at = {key: table.get(key, usual) for key, usual in _NUMBERS.items()}
     for key, value in at.items():
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise BadInput(f"{source}: [{name}] {key} = {value!r}; give a number in mm or degrees")
-    body = build(name, table["indenter"], source)
+            raise BadInput(f"{SOURCE}: [{name}] {key} = {value!r}; give a number in mm or degrees")
+    body = build(name, table["indenter"], SOURCE)
     gel = load_gel(table.get("gel", "gelsight_mini"))
     scene = Scene(gel, Material(nu=nu), body, Press(**at, dz=-depth), Interface())
     return NamedScene(name, scene, table["fine"], table | at)

@@ -6,17 +6,19 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.virtualrig.looks import HEIGHT, TERMS, WIDTH, normalised_pixels
 
+DARKER = 0.72  # of its surroundings, from which a spot is a dot
 
-def dot_spots(image: np.ndarray, darker: float = 0.72) -> tuple[np.ndarray, np.ndarray]:
+
+def dot_spots(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Dark round spots of a dotted gel: centres (n, 2) px from the image's corner, diameters (n,) px of equal area.
 
-    A spot is a connected part darker than `darker` times its surroundings, 40 to 500 pixels large.
+    A spot is a connected part darker than DARKER times its surroundings, 40 to 500 pixels large.
     Centres are weighted by darkness, which is good to about 0.05 px on a sharp picture.
     """
     grey = image.astype(np.float32).mean(axis=2)
     around = cv2.GaussianBlur(cv2.medianBlur(np.rint(grey).astype(np.uint8), 61).astype(np.float32), (0, 0), 8)
     ratio = cv2.GaussianBlur(grey / np.maximum(around, 1.0), (0, 0), 0.8)
-    count, label, stats, _ = cv2.connectedComponentsWithStats((ratio < darker).astype(np.uint8), connectivity=4)
+    count, label, stats, _ = cv2.connectedComponentsWithStats((ratio < DARKER).astype(np.uint8), connectivity=4)
     centres, diameters = [], []
     for k in range(1, count):
         left, top, width, height, area = stats[k]

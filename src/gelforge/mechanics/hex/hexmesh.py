@@ -8,6 +8,8 @@ from gelforge.errors import BadInput
 from gelforge.geometry.gel import Gel
 from gelforge.mechanics.mesh import GelMesh
 
+SMALLEST_PART = 3  # columns either way, of a part that nested dissection cuts no further
+
 
 @dataclass(frozen=True)
 class HexMesh(GelMesh):
@@ -73,7 +75,7 @@ def _outward(distance: float, size: float, growth: float, largest: float) -> np.
     return np.cumsum(sizes) * (distance / sum(sizes))
 
 
-def dissected(nx: int, ny: int, smallest: int = 3) -> np.ndarray:
+def dissected(nx: int, ny: int) -> np.ndarray:
     """Order (nx * ny,) in which the columns of a grid are eliminated, x fastest in their numbers: nested dissection.
 
     George 1973, SIAM J. Numer. Anal. 10, 345-363: both halves before the line that parts them.
@@ -82,7 +84,7 @@ def dissected(nx: int, ny: int, smallest: int = 3) -> np.ndarray:
     def part(x0: int, x1: int, y0: int, y1: int) -> list[np.ndarray]:
         if min(x1 - x0, y1 - y0) <= 0:
             return []
-        if max(x1 - x0, y1 - y0) <= smallest:
+        if max(x1 - x0, y1 - y0) <= SMALLEST_PART:
             return [(np.arange(y0, y1)[:, None] * nx + np.arange(x0, x1)).ravel()]
         if x1 - x0 >= y1 - y0:
             m = (x0 + x1) // 2

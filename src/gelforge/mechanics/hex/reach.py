@@ -9,6 +9,8 @@ from gelforge.mechanics.scene import Scene
 
 NARROW = 0.8  # of the bricks across a whole contact must lie across its parts
 SMALLEST = 0.15  # mm, of bricks made smaller for a small contact
+AROUND, RASTER = 0.5, 0.5  # mm of small bricks around what is touched, and what their box is rounded outwards to
+WITHIN = 1.0  # mm from the indenter's path within which a face may come into contact
 
 
 def path_pose(scene: Scene, t: float) -> Pose:
@@ -21,10 +23,10 @@ def first_touch(scene: Scene) -> float | None:
     return touch.first_touch(scene.gel, scene.indenter, scene.press)
 
 
-def fine_box(scene: Scene, size: float, across: int = 0, margin: float = 0.5, grid: float = 0.5) -> FineBox:
-    """Part of the gel that the press can touch, rounded outwards to `grid` so that presses share meshes.
+def fine_box(scene: Scene, size: float, across: int = 0) -> FineBox:
+    """Part of the gel that the press can touch, rounded outwards to RASTER so that presses share meshes.
 
-    The undeformed surface inside the indenter anywhere on the path, and `margin` mm around it. Bricks
+    The undeformed surface inside the indenter anywhere on the path, and AROUND mm around it. Bricks
     are of `size`, or smaller where the shorter side of what is touched is under `across` bricks, or its parts are narrow.
     """
     points, shape = touch.under_path(scene.gel, scene.indenter, scene.press, 0.2)
@@ -40,14 +42,14 @@ def fine_box(scene: Scene, size: float, across: int = 0, margin: float = 0.5, gr
         size = min(size, max(SMALLEST, np.round(narrow, 2)))
     gel = scene.gel
     half = np.array([gel.width / 2, gel.length / 2])
-    low = np.maximum(np.floor((met.min(axis=0) - margin) / grid) * grid, -half)
-    high = np.minimum(np.ceil((met.max(axis=0) + margin) / grid) * grid, half)
+    low = np.maximum(np.floor((met.min(axis=0) - AROUND) / RASTER) * RASTER, -half)
+    high = np.minimum(np.ceil((met.max(axis=0) + AROUND) / RASTER) * RASTER, half)
     return FineBox(float(low[0]), float(high[0]), float(low[1]), float(high[1]), size)
 
 
-def reachable_faces(scene: Scene, mesh: HexMesh, margin: float = 1.0) -> np.ndarray:
-    """Faces whose undeformed corners come within `margin` of the indenter somewhere on the path."""
+def reachable_faces(scene: Scene, mesh: HexMesh) -> np.ndarray:
+    """Faces whose undeformed corners come within WITHIN mm of the indenter somewhere on the path."""
     corners = mesh.nodes[mesh.faces]
     centre = corners.mean(axis=1)
     size = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
-    return np.flatnonzero(touch.touched(scene.indenter, scene.press, centre, margin + size))
+    return np.flatnonzero(touch.touched(scene.indenter, scene.press, centre, WITHIN + size))
