@@ -22,6 +22,7 @@ from gelforge.commands.projection import read_picture
 from gelforge.errors import BadInput, GelforgeError, printable
 from gelforge.formats.numpy_pickle import read_npy
 from gelforge.networks.modelfile import encode, load_model
+from gelforge.networks.statistics import LIMITS
 from gelforge.records import log
 from gelforge.records.image import bad_image, read_image
 from gelforge.records.labelfile import read_labels
@@ -335,6 +336,13 @@ def about(**changes):
     return change
 
 
+def without(table, key):
+    def change(model):
+        model["about"][table] = {name: value for name, value in model["about"][table].items() if name != key}
+
+    return change
+
+
 def tensors(change):
     def apply(model):
         model["tensors"] = {name: value.clone() for name, value in model["tensors"].items()}
@@ -371,6 +379,20 @@ HOSTILE = {
         statistics__mean=[1.0], statistics__spread=[1.0], statistics__inverse=[[1.0]]
     ),
     "no distance to an untouched picture": about(statistics__largest_distance=None),
+    "a limit that is null": about(statistics__largest_relief=None),
+    "a limit that is text": about(statistics__largest_residual="much"),
+    "a limit that is a list": about(statistics__least_share=[0.5]),
+    "a limit that is a table": about(statistics__largest_rim_px={}),
+    "a limit that is true": about(statistics__largest_rim_lost=True),
+    "a limit beyond all numbers": about(statistics__largest_uneven=float("inf")),
+    "a limit of four hundred digits": about(statistics__largest_uneven=10**400),
+    "intervals that are null": about(intervals=None),
+    "distances of dots that are null": about(pitch_px=None),
+    "readers that are never apart": without("dots", "apart"),
+    "readers that are apart by nothing": about(dots__apart={}),
+    "readers that are apart by null": about(dots__apart=None),
+    "readers that are apart in one component": about(dots__apart={"grid_z": [1.0, 0.1]}),
+    "readers whose weights are missing": without("dots", "weight"),
     "a network of no width": about(model__widths=[]),
     "a name that is a list": about(name=["x"]),
     "another format": about(format=99),
@@ -395,6 +417,15 @@ def test_a_hostile_model_is_refused_in_a_sentence(tmp_path, model, name):
     torch.save(changed | {"about": json.dumps(changed["about"])}, path)
     with pytest.raises(BadInput, match=r"m\.pt|kind|unknown"):
         load_model(path)
+
+
+@pytest.mark.parametrize("name", LIMITS[1:])
+def test_a_model_of_before_a_limit_was_known_is_read(tmp_path, model, name):
+    """All but the distance, which no reader of differences was ever without."""
+    changed = dict(model, about=dict(model["about"]))
+    without("statistics", name)(changed)
+    torch.save(changed | {"about": json.dumps(changed["about"])}, tmp_path / "m.pt")
+    assert name not in load_model(tmp_path / "m.pt").about["statistics"]
 
 
 @pytest.mark.parametrize("content", [[1], {"about": 3}, {"about": "[]"}, {"about": "{" * 5000}, "text"])

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from gelforge.networks.dotaugment import moved_alike
 from gelforge.networks.dots import COLS, ROWS, PrintedDots
 from gelforge.networks.statistics import (
+    LIMITS,
     MARGIN,
     DotEvidence,
     dot_evidence,
@@ -49,6 +50,10 @@ DAMAGE = {
     "a zoom": (lambda image: moved(image, zoom=1.12), "rim|dots|untouched"),
     "out of focus": (lambda image: cv2.GaussianBlur(image, (0, 0), 6.0), "dots at the rim"),
 }
+
+
+def test_every_limit_that_is_set_is_one_that_a_file_is_checked_for(limits):
+    assert limits.keys() | {"largest_relief"} == set(LIMITS)
 
 
 def test_good_pairs_are_good(rest, presses, limits):

@@ -1,6 +1,7 @@
 """What a model file says of itself, checked before anything is built from it: it may come from anyone."""
 
 import math
+import sys
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -9,17 +10,19 @@ import torch
 
 from gelforge.errors import BadInput
 from gelforge.networks.inputs import INPUT_CHANNELS, needs_untouched
-from gelforge.networks.statistics import FLOORS
+from gelforge.networks.statistics import FLOORS, LIMITS
 from gelforge.records.axes import CHANNELS
 
 MOST_WIDTH, MOST_BLOCKS, MOST_LEVELS, MOST_SIDE = 4096, 64, 16, 4096
+ABSENT = object()  # what a description does not say; null is something that it says
 
 
 def _numbers(value: Any, count: int | None, above: float = -math.inf) -> bool:
     return (
         isinstance(value, list)
         and (count is None or len(value) == count)
-        and all(type(v) in (int, float) and math.isfinite(v) and v > above for v in value)
+        # compared, not converted: a whole number of a file may be larger than any float
+        and all(type(v) in (int, float) and abs(v) <= sys.float_info.max and v > above for v in value)
     )
 
 
@@ -35,33 +38,45 @@ def _square(value: Any) -> bool:
     return isinstance(value, list) and all(_numbers(row, len(value)) for row in value)
 
 
-def _intervals(value: Any) -> bool:
-    if value is None or value == {}:
-        return True
-    tables = [value.get(what) for what in ("total", "cell") if value.get(what)] if isinstance(value, dict) else [None]
-    return all(
-        isinstance(table, dict)
-        and set(table) == set(CHANNELS)
-        and all(_numbers(pair, 2, -1e-300) for pair in table.values())
-        for table in tables
+def _pairs(value: Any) -> bool:
+    return (
+        isinstance(value, dict)
+        and set(value) == set(CHANNELS)
+        and all(_numbers(pair, 2, -1e-300) for pair in value.values())
     )
 
 
+def _intervals(value: Any) -> bool:
+    if value is ABSENT:
+        return True
+    return isinstance(value, dict) and all(_pairs(value[what]) for what in ("total", "cell") if value.get(what))
+
+
 def _dots(value: Any) -> bool:
-    if value is None:
+    if value is ABSENT or value is None:
         return True
     return (
         isinstance(value, dict)
         and _numbers(value.get("weight"), 3, -1e-300)
         and max(value["weight"]) <= 1
         and isinstance(value.get("sha256"), str)
-        and _intervals({"total": value.get("apart")})
+        and _pairs(value.get("apart"))
     )
 
 
 def _places(value: Any) -> bool:
+    if value is ABSENT or value is None:
+        return True
     texts = isinstance(value, dict) and all(isinstance(value.get(name), str) for name in ("sha256", "data"))
-    return value is None or (texts and type(value.get("pictures")) is int)
+    return texts and type(value.get("pictures")) is int
+
+
+def _limit(value: Any) -> bool:
+    return value is ABSENT or _numbers([value], 1)
+
+
+def _pitches(value: Any) -> bool:
+    return value is ABSENT or (_numbers(value, 2, 0) and value[0] <= value[1])
 
 
 # Every part of a model's description that use relies on, and what it must be.
@@ -82,7 +97,7 @@ PARTS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "normalisation.image_mean": ("three numbers", lambda v: _numbers(v, 3)),
     "normalisation.image_std": ("three numbers above 0", lambda v: _numbers(v, 3, 0)),
     "normalisation.label": ("three numbers above 0", lambda v: _numbers(v, 3, 0)),
-    "pitch_px": ("two numbers above 0, the larger last", lambda v: v is None or (_numbers(v, 2, 0) and v[0] <= v[1])),
+    "pitch_px": ("two numbers above 0, the larger last, or absent", _pitches),
     "intervals": ("a table of pairs of numbers from 0 on, by component", _intervals),
     "dots": ("a table of weights from 0 to 1, pairs of numbers by component, and a digest", _dots),
     "places": ("a table of the data, how many pictures, and a digest", _places),
@@ -91,6 +106,7 @@ PARTS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "statistics.threshold": ("a number", lambda v: _numbers([v], 1)),
     "statistics.mean": ("numbers", lambda v: _numbers(v, None)),
     "statistics.spread": ("numbers above 0", lambda v: _numbers(v, None, 0)),
+    **{f"statistics.{name}": ("a number, or absent", _limit) for name in LIMITS},
 }
 
 
@@ -98,10 +114,11 @@ def check_about(about: Any, where: str) -> None:
     """Raise BadInput for the first part of a model's description that is missing or cannot be."""
     for name, (what, good) in PARTS.items():
         table, _, key = name.partition(".")
-        inside = about.get(table) if isinstance(about, dict) else None
-        value = inside.get(key) if key and isinstance(inside, dict) else inside
+        inside = about.get(table, ABSENT) if isinstance(about, dict) else None
+        value = inside.get(key, ABSENT) if key and isinstance(inside, dict) else inside
         if not good(value):
-            raise BadInput(f"{where}: {name} is {str(value)[:60]!r}, it must be {what}; train the model again")
+            seen = "missing" if value is ABSENT else repr(str(value)[:60])
+            raise BadInput(f"{where}: {name} is {seen}, it must be {what}; train the model again")
     statistics = about["statistics"]
     if not len(statistics["mean"]) == len(statistics["spread"]) == len(statistics["inverse"]) == len(FLOORS):
         raise BadInput(f"{where}: statistics do not have {len(FLOORS)} numbers each; train the model again")

@@ -22,6 +22,17 @@ RELIEF_MARGIN = 1.25
 LEAST_UNEVEN = 0.2  # px to which dots are followed, whatever the limit
 USUAL = 99.0  # per cent of good pairs that the limits are set by: the worst of many are odd ones
 
+# What good pairs stay within, by its name in a model file; one that is absent bounds nothing.
+LIMITS = (
+    "largest_distance",
+    "largest_relief",
+    "largest_residual",
+    "least_share",
+    "largest_rim_px",
+    "largest_rim_lost",
+    "largest_uneven",
+)
+
 
 def grey_of(image) -> np.ndarray:
     """Mean of the colours of an image (h, w, 3) uint8, (h, w) uint8."""
