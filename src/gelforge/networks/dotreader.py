@@ -14,17 +14,15 @@ from torch.nn import functional as F
 
 from gelforge.flow.params.tables import AugmentTable
 from gelforge.networks.augment import uniform
-from gelforge.networks.batches import generator
 from gelforge.networks.dotaugment import kept_dots, mirrored, moved_alike
-from gelforge.networks.dots import COLS, ROWS, PrintedDots
-from gelforge.networks.halves import rounded
+from gelforge.networks.dots import PrintedDots
 from gelforge.networks.inputs import inner_part
+from gelforge.networks.smallnet import LEFT, Stack, in_pieces, train_small
 
 MEMBERS = 4  # networks, each from weights of its own
 WIDTH, LAST, HIDDEN = 32, 48, 64
 VIEWS = (0.0, 0.1, 0.2, 0.3)  # parts of height and width that a camera may not show; each press is learnt from all
 LOST = 0.25  # most of the dots that are taken away at random
-BATCH, RATE, HUBER = 64, 2e-3, 0.05
 
 
 class DotReader(nn.Module):
@@ -37,22 +35,15 @@ class DotReader(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        widths, strides = (3, WIDTH, WIDTH, LAST, LAST), (1, 1, 2, 1)
-        self.convolutions = nn.ModuleList(
-            nn.Conv2d(MEMBERS * a, MEMBERS * b, 3, stride, 1, groups=MEMBERS)
-            for a, b, stride in zip(widths, widths[1:], strides, strict=False)
-        )
-        whole = ((ROWS + 1) // 2, (COLS + 1) // 2)
-        self.inner = nn.Conv2d(MEMBERS * LAST, MEMBERS * HIDDEN, whole, groups=MEMBERS)
+        self.convolutions = Stack((WIDTH, WIDTH, LAST, LAST), MEMBERS)
+        self.inner = nn.Conv2d(MEMBERS * LAST, MEMBERS * HIDDEN, LEFT, groups=MEMBERS)
         self.outer = nn.Conv2d(MEMBERS * HIDDEN, MEMBERS * 3, 1, groups=MEMBERS)
         self.register_buffer("scale", torch.ones(3))
 
     def read(self, motion: torch.Tensor) -> torch.Tensor:
         """What the members' layers make of it, (n, MEMBERS, 3) in units of `scale`."""
-        motion = motion.repeat(1, MEMBERS, 1, 1)
-        for convolution in self.convolutions:
-            motion = F.relu(convolution(motion))
-        return self.outer(F.relu(self.inner(motion))).view(-1, MEMBERS, 3)
+        seen = self.convolutions(motion.repeat(1, MEMBERS, 1, 1))
+        return self.outer(F.relu(self.inner(seen))).view(-1, MEMBERS, 3)
 
     def each(self, motion: torch.Tensor) -> torch.Tensor:
         """Total force (n, MEMBERS, 3) N that each member tells."""
@@ -65,9 +56,7 @@ class DotReader(nn.Module):
 
     def totals(self, motion: np.ndarray) -> np.ndarray:
         """Total force (n, 3) float64 N of motions (n, 3, ROWS, COLS)."""
-        with torch.no_grad():
-            parts = [self(part) for part in torch.from_numpy(np.ascontiguousarray(motion)).split(1024)]
-        return torch.cat(parts).double().numpy() if parts else np.zeros((0, 3))
+        return in_pieces(self, motion)
 
 
 @dataclass(frozen=True)
@@ -141,19 +130,16 @@ def train_dot_reader(presses: DotPresses, epochs: int, seed: int, settings: Augm
 
     settings: how gels sit otherwise than in their untouched pictures.
     """
-    torch.manual_seed(seed)
-    reader, count = DotReader(), len(presses.motion)
-    reader.scale = torch.from_numpy(np.sqrt((presses.totals[:, 0] ** 2).mean(axis=0))).float().clamp(min=1e-6)
-    optimiser = torch.optim.Adam(reader.parameters(), lr=RATE)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, epochs)
-    for epoch in range(epochs):
-        draw = generator(seed, "dots", epoch)
-        for rows in torch.randperm(count, generator=draw).split(BATCH):
-            motion, totals = varied(presses, rows, settings, draw)
-            told = reader.each(motion) / reader.scale
-            loss = F.smooth_l1_loss(told, (totals / reader.scale)[:, None].expand_as(told), beta=HUBER)
-            optimiser.zero_grad()
-            loss.backward()
-            optimiser.step()
-        schedule.step()
-    return rounded(reader).eval()
+    scale = torch.from_numpy(np.sqrt((presses.totals[:, 0] ** 2).mean(axis=0))).float().clamp(min=1e-6)
+
+    def make() -> DotReader:
+        reader = DotReader()
+        reader.scale = scale
+        return reader
+
+    def lesson(reader: DotReader, rows: torch.Tensor, draw: torch.Generator) -> tuple[torch.Tensor, torch.Tensor]:
+        motion, totals = varied(presses, rows, settings, draw)
+        told = reader.each(motion) / scale
+        return told, (totals / scale)[:, None].expand_as(told)
+
+    return train_small(make, lesson, "dots", len(presses.motion), epochs, seed)

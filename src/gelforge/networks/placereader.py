@@ -11,10 +11,8 @@ from torch import nn
 from torch.nn import functional as F
 
 from gelforge.networks.augment import uniform
-from gelforge.networks.batches import generator
 from gelforge.networks.dotaugment import kept_dots, lattice_points, mirrored, moved_alike
-from gelforge.networks.dots import COLS, ROWS
-from gelforge.networks.halves import rounded
+from gelforge.networks.smallnet import LEFT, Stack, in_pieces, train_small
 
 WIDTH, HIDDEN = 48, 96
 # What its answers are in units of: px to the right and down, radians of turn, part of a zoom.
@@ -24,7 +22,6 @@ FARTHEST = (12.0, 12.0, 0.07, 0.08)
 MOVED, EACH = 0.6, 0.7  # share of the pictures whose gels sit otherwise, and of these that have one of the four
 LOST = 0.4  # most of the dots that are taken away at random
 ROUNDS = 2  # a second look at what the first one left finds large moves as well as small ones
-BATCH, RATE, HUBER = 64, 2e-3, 0.05
 
 
 class PlaceReader(nn.Module):
@@ -35,17 +32,12 @@ class PlaceReader(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        widths, strides = (3, WIDTH, WIDTH, WIDTH, WIDTH), (1, 1, 2, 1)
-        self.convolutions = nn.ModuleList(
-            nn.Conv2d(a, b, 3, stride, 1) for a, b, stride in zip(widths, widths[1:], strides, strict=False)
-        )
-        self.inner = nn.Conv2d(WIDTH, HIDDEN, ((ROWS + 1) // 2, (COLS + 1) // 2))
+        self.convolutions = Stack((WIDTH,) * 4)
+        self.inner = nn.Conv2d(WIDTH, HIDDEN, LEFT)
         self.outer = nn.Linear(HIDDEN, len(UNITS))
 
     def forward(self, motion: torch.Tensor) -> torch.Tensor:
-        for convolution in self.convolutions:
-            motion = F.relu(convolution(motion))
-        return self.outer(F.relu(self.inner(motion)).flatten(1)) * torch.tensor(UNITS)
+        return self.outer(F.relu(self.inner(self.convolutions(motion))).flatten(1)) * torch.tensor(UNITS)
 
     def similarities(self, motion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """How the gel sits in each of some pictures: a and b (n,) complex, a dot at z px from the middle is at a z + b.
@@ -59,9 +51,7 @@ class PlaceReader(nn.Module):
         for _ in range(ROUNDS):
             left = found * ((there - b[:, None, None]) / a[:, None, None] - z)
             lattice = np.stack([left.real, left.imag, found], axis=1).astype(np.float32)
-            with torch.no_grad():
-                told = torch.cat([self(part) for part in torch.from_numpy(lattice).split(1024)])
-            right, down, turn, zoom = told.double().numpy().T
+            right, down, turn, zoom = in_pieces(self, lattice).T
             a, b = a * (1 + zoom + 1j * turn), b + a * (right + 1j * down)
         return a, b
 
@@ -76,20 +66,13 @@ def sits_otherwise(count: int, draw: torch.Generator) -> torch.Tensor:
 
 def train_place_reader(motion: np.ndarray, epochs: int, seed: int) -> PlaceReader:
     """A reader of how gels sit, from presses (n, 3, ROWS, COLS) of gels that sat still; the same seed gives the same one."""
-    torch.manual_seed(seed)
-    reader, units = PlaceReader(), torch.tensor(UNITS)
-    optimiser = torch.optim.Adam(reader.parameters(), lr=RATE)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, epochs)
-    for epoch in range(epochs):
-        draw = generator(seed, "places", epoch)
-        for rows in torch.randperm(len(motion), generator=draw).split(BATCH):
-            seen, _ = mirrored(torch.from_numpy(motion[rows.numpy()]), draw)
-            found = (seen[:, 2] * kept_dots(len(rows), LOST, draw))[:, None]
-            parts = sits_otherwise(len(rows), draw)
-            told = reader(torch.cat([found * (seen[:, :2] + moved_alike(*parts.T)), found], dim=1))
-            loss = F.smooth_l1_loss(told / units, parts / units, beta=HUBER)
-            optimiser.zero_grad()
-            loss.backward()
-            optimiser.step()
-        schedule.step()
-    return rounded(reader).eval()
+    units = torch.tensor(UNITS)
+
+    def lesson(reader: PlaceReader, rows: torch.Tensor, draw: torch.Generator) -> tuple[torch.Tensor, torch.Tensor]:
+        seen, _ = mirrored(torch.from_numpy(motion[rows.numpy()]), draw)
+        found = (seen[:, 2] * kept_dots(len(rows), LOST, draw))[:, None]
+        parts = sits_otherwise(len(rows), draw)
+        told = reader(torch.cat([found * (seen[:, :2] + moved_alike(*parts.T)), found], dim=1))
+        return told / units, parts / units
+
+    return train_small(PlaceReader, lesson, "places", len(motion), epochs, seed)

@@ -1,0 +1,77 @@
+"""What the small networks that read the motion of printed dots have in common: their layers, and how they learn and read."""
+
+from collections.abc import Callable, Sequence
+from typing import TypeVar
+
+import numpy as np
+import torch
+from torch import nn
+from torch.nn import functional as F
+
+from gelforge.networks.batches import generator
+from gelforge.networks.dots import COLS, ROWS
+from gelforge.networks.halves import rounded
+
+STRIDES = (1, 1, 2, 1)  # of the convolutions, one after the other
+LEFT = ((ROWS + 1) // 2, (COLS + 1) // 2)  # rows and columns that they leave of the lattice of dots
+BATCH, RATE = 64, 2e-3
+HUBER = 0.05  # units of an answer below which errors count by their square, and above by themselves
+PIECE = 1024  # pictures that are read at once
+Net = TypeVar("Net", bound=nn.Module)
+
+
+class Stack(nn.ModuleList):
+    """Convolutions, each cut off at zero: motion of dots (n, groups * 3, ROWS, COLS) to (n, groups * widths[-1], *LEFT).
+
+    widths: channels behind each of them. groups: networks that stand side by side, each seeing its own channels alone.
+    """
+
+    def __init__(self, widths: Sequence[int], groups: int = 1) -> None:
+        # the last of `before` has no convolution behind it
+        before = (3, *widths)
+        super().__init__(
+            nn.Conv2d(groups * a, groups * b, 3, stride, 1, groups=groups)
+            for a, b, stride in zip(before, widths, STRIDES, strict=False)
+        )
+
+    def forward(self, motion: torch.Tensor) -> torch.Tensor:
+        for convolution in self:
+            motion = F.relu(convolution(motion))
+        return motion
+
+
+def train_small(
+    make: Callable[[], Net],
+    lesson: Callable[[Net, torch.Tensor, torch.Generator], tuple[torch.Tensor, torch.Tensor]],
+    name: str,
+    count: int,
+    epochs: int,
+    seed: int,
+) -> Net:
+    """A small network trained on `count` presses, rounded as its file keeps it; the same seed gives the same one.
+
+    make: the network with weights that torch's own generator draws. lesson: of the network, the numbers (k,) of some presses
+    and a generator for whatever is varied, what the network tells of them and what it should, two tensors of one shape in
+    units of about what an answer is. name: tells the network's draws from those of others of the same seed.
+    """
+    torch.manual_seed(seed)
+    net = make()
+    optimiser = torch.optim.Adam(net.parameters(), lr=RATE)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, epochs)
+    for epoch in range(epochs):
+        draw = generator(seed, name, epoch)
+        for rows in torch.randperm(count, generator=draw).split(BATCH):
+            told, wanted = lesson(net, rows, draw)
+            loss = F.smooth_l1_loss(told, wanted, beta=HUBER)
+            optimiser.zero_grad()
+            loss.backward()
+            optimiser.step()
+        schedule.step()
+    return rounded(net).eval()
+
+
+def in_pieces(net: nn.Module, motion: np.ndarray) -> np.ndarray:
+    """What a small network tells of motions (n, 3, ROWS, COLS) float32, (n, answers) float64; n may be 0 or large."""
+    with torch.no_grad():
+        parts = [net(part) for part in torch.from_numpy(np.ascontiguousarray(motion)).split(PIECE)]
+    return torch.cat(parts).double().numpy()
