@@ -89,13 +89,14 @@ def predict(
     """Read forces from one image (h, w, 3) uint8 RGB; return (3, rows, cols) N and how far to trust it.
 
     untouched: a picture of the same sensor while nothing touches it. model: path; the network that ships where None.
-    The verdict's `flag` is True where the image is unlike the training images, and `reason` says in what.
+    The verdict has what networks.use.Judgement has, by the same names: its `flag` is True where the image is unlike the
+    training images, and `reason` says in what.
     """
     from gelforge.networks.use import Untouched, load_for_use, predict_one
 
     picture = None if untouched is None else check_image(untouched)
-    _seen, forces, verdict = predict_one(Untouched(load_for_use(model), picture), check_image(image))
-    return forces, verdict
+    _seen, forces, judgement = predict_one(Untouched(load_for_use(model), picture), check_image(image))
+    return forces, dict(vars(judgement))
 
 
 @dataclass(frozen=True)
@@ -138,10 +139,9 @@ class Reader:
         """Read one image (h, w, 3) uint8 RGB."""
         from gelforge.networks.use import predict_one
 
-        _seen, cells, verdict = predict_one(self._untouched, check_image(image))
+        _seen, cells, judged = predict_one(self._untouched, check_image(image))
         total = cells.sum(axis=(1, 2), dtype=float)
-        flag, reason = bool(verdict["flag"]), verdict["reason"]
-        return ForceReading(cells, total, verdict["half_width"], flag, reason, verdict["by_dots"])
+        return ForceReading(cells, total, judged.half_width, judged.flag, judged.reason, judged.by_dots)
 
     def batch(self, images: np.ndarray) -> list[ForceReading]:
         """Read images (n, h, w, 3) uint8 RGB, one reading each."""

@@ -24,13 +24,11 @@ OF_THE_GIF = 12  # of FEATS' 51 presses
 
 def read_over(untouched: Untouched, image: np.ndarray) -> np.ndarray:
     """An image (h, w, 3) RGB with its force map, totals and their intervals on it, and why it is flagged."""
-    seen, forces, verdict = predict_one(untouched, image)
-    total, half = forces.sum((1, 2), dtype=float), verdict["half_width"]
+    seen, forces, judged = predict_one(untouched, image)
+    total, half = forces.sum((1, 2), dtype=float), judged.half_width
     within = [""] * 3 if half is None else [f" +- {value:.1f}" for value in half]
     lines = [f"z {total[2]:+.1f}{within[2]} N", f"x {total[0]:+.2f}{within[0]}  y {total[1]:+.2f}{within[1]} N"]
-    drawn = overlay(
-        cv2.cvtColor(seen, cv2.COLOR_RGB2BGR), forces, lines, verdict["reason"] if verdict["flag"] else "", 1
-    )
+    drawn = overlay(cv2.cvtColor(seen, cv2.COLOR_RGB2BGR), forces, lines, judged.reason if judged.flag else "", 1)
     return cv2.cvtColor(drawn, cv2.COLOR_BGR2RGB)
 
 

@@ -152,9 +152,9 @@ def by_dots_figures(units: Units, trained) -> list[Figure]:
         lost = rng.permutation(len(dots.points))[:WORN]
         motion = dots.follow(match_light(seen.image, rest).undo(seen.image)).motion[lost]
         there = dots.points[lost] + np.where(np.isfinite(motion), motion, 0.0)
-        verdict = predict_one(Untouched(trained, rest), seen.image)
-        alone.append(verdict[2]["by_dots"] if verdict[2]["by_dots"] is not None else np.full(3, np.nan))
-        whole.append(verdict[1].sum((1, 2), dtype=float))
+        _, forces, judged = predict_one(Untouched(trained, rest), seen.image)
+        alone.append(np.full(3, np.nan) if judged.by_dots is None else judged.by_dots)
+        whole.append(forces.sum((1, 2), dtype=float))
         bare = Untouched(trained, wiped(rest, dots.points[lost]))
         worn.append(totals(bare, wiped(seen.image, there)))
     off, with_all, without = (np.abs(np.array(read) - true).mean(axis=0) for read in (alone, whole, worn))
@@ -342,9 +342,9 @@ def flag_figures(units: Units, trained) -> list[Figure]:
     """How many pairs that are read wrong are flagged, fault by fault, and how many good ones are."""
     found: dict[str, list[tuple[float, bool]]] = {}
     for fault, rest, image, true in progress(list(faulty_pairs(units)), "pairs"):
-        _, forces, verdict = predict_one(Untouched(trained, rest), np.ascontiguousarray(image))
+        _, forces, judged = predict_one(Untouched(trained, rest), np.ascontiguousarray(image))
         off = np.abs(forces.sum((1, 2)) - true) / [RANGE[name] for name in CHANNELS]
-        found.setdefault(fault, []).append((float(off.max()), bool(verdict["flag"])))
+        found.setdefault(fault, []).append((float(off.max()), bool(judged.flag)))
     bad = [flag for pairs in found.values() for off, flag in pairs if off > WRONG]
     good = [flag for off, flag in found["none"] if off <= WRONG]
     told = ", ".join(

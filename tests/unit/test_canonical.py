@@ -98,9 +98,9 @@ def test_drifting_light_is_no_force(shipped, untouched, drift):
     """On sensors that the network never saw: below 0.01 N where it read up to 26 N of the bare difference."""
     for picture in untouched:
         drifted = np.clip(np.rint(DRIFTS[drift](picture.astype(float))), 0, 255).astype(np.uint8)
-        _, forces, verdict = predict_one(Untouched(shipped, picture), drifted)
+        _, forces, judged = predict_one(Untouched(shipped, picture), drifted)
         assert np.abs(forces.sum((1, 2))).max() < 0.01
-        assert verdict["light"].known
+        assert judged.light.known
 
 
 def test_the_untouched_picture_itself_reads_zero(shipped, untouched):

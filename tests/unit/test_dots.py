@@ -310,10 +310,10 @@ def test_training_leaves_a_reader_of_dots_beside_the_network(trained, rest, pres
     weight = np.array(trained.about["dots"]["weight"])
     for picture in presses[:3]:
         untouched = Untouched(trained, rest)
-        _, forces, verdict = predict_one(untouched, picture)
+        _, forces, judged = predict_one(untouched, picture)
         alone = Untouched(replace(trained, dots=None), rest)
         _, bare, _ = predict_one(alone, picture)
-        wanted = settle(bare, verdict["by_dots"], weight.tolist())
+        wanted = settle(bare, judged.by_dots, weight.tolist())
         np.testing.assert_allclose(forces, wanted, rtol=1e-5, atol=1e-7)
 
 

@@ -54,8 +54,8 @@ def test_the_documented_steps_around_an_onnx_graph_give_what_predict_gives(model
     trained, gain = models["pair"], 1.2
     rest = np.asarray(data.nocontact["mini0"])
     image = np.clip(np.rint(0.93 * np.asarray(data.images[3]).astype(float) + 3), 0, 255).astype(np.uint8)
-    _, wanted, verdict = use.predict_one(use.Untouched(trained, rest, gain=gain), image)
-    assert verdict["light"].known and verdict["light"].gain.min() < 0.97
+    _, wanted, judged = use.predict_one(use.Untouched(trained, rest, gain=gain), image)
+    assert judged.light.known and judged.light.gain.min() < 0.97
     export(trained, tmp_path / "m.onnx")
     learnt = trained.about.get("pitch_px")
     view = view_of(rest, pitch_of(rest), tuple(learnt)) if learnt else WHOLE
@@ -84,7 +84,7 @@ def test_predict_finds_the_untouched_sensor(data, models, paths, tmp_path):
                     models["pair"].untouched)  # fmt: skip
     assert use.Untouched(other).of(data.images[0]) == "mini0"
     assert use.Untouched(other, sensor="bright").of(data.images[0]) == "bright"
-    assert use.predict_one(use.Untouched(other, sensor="bright"), data.images[0])[2]["flag"]
+    assert use.predict_one(use.Untouched(other, sensor="bright"), data.images[0])[2].flag
     with pytest.raises(BadInput, match="--untouched"):
         use.Untouched(other, sensor="mini9")
     totals = []
@@ -111,14 +111,14 @@ def test_predict_never_takes_the_place_of_what_it_reads(data, paths, tmp_path):
 
 def test_unlike_images_are_flagged(data, models):
     reader = use.Untouched(models["small"])
-    like = [use.predict_one(reader, data.images[row])[2]["flag"] for row in data.splits["test"]]
+    like = [use.predict_one(reader, data.images[row])[2].flag for row in data.splits["test"]]
     assert not any(like)
     black = np.zeros((*IMAGE, 3), np.uint8)
     plain = np.full((*IMAGE, 3), 120, np.uint8)
     larger = cv2.resize(np.asarray(data.images[0]), (128, 96))
     for image, reason in ((black, ""), (plain, ""), (data.images[0][..., ::-1] // 3, ""), (larger, "size")):
-        verdict = use.predict_one(reader, image)[2]
-        assert verdict["flag"] and reason in verdict["reason"]
+        judged = use.predict_one(reader, image)[2]
+        assert judged.flag and reason in judged.reason
 
 
 def read_frames(path) -> list[np.ndarray]:
@@ -155,7 +155,7 @@ def test_score_tells_real_sensors_apart(reference):
         "FEATS' sensor": feats,
     }
     assert [
-        name for name, other in unlike.items() if not statistics.judge(model, np.ascontiguousarray(other))["flag"]
+        name for name, other in unlike.items() if not statistics.judge(model, np.ascontiguousarray(other)).flag
     ] == []
 
 

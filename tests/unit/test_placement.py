@@ -146,7 +146,7 @@ def test_pictures_that_show_too_few_dots_have_no_say(shipped, reader, presses):
 @pytest.mark.parametrize("way", [{"shift": (14.0, 0.0)}, {"turn": -5.0}, {"zoom": 1.1}, {"zoom": 0.9}])
 def test_a_gel_that_sits_too_far_away_is_told(shipped, presses, way):
     rest = presses[0]["mini_a"]
-    assert "the gel sits too far" in predict_one(Untouched(shipped, rest), moved(rest, **way))[2]["reason"]
+    assert "the gel sits too far" in predict_one(Untouched(shipped, rest), moved(rest, **way))[2].reason
 
 
 def test_a_move_of_the_lattice_is_a_similarity():
@@ -197,9 +197,9 @@ def test_a_gel_that_sits_otherwise_is_no_force(shipped, presses, move):
     for picture in presses[0].values():
         untouched, seen = Untouched(shipped, picture), moved(picture, **MOVES[move])
         for placement in (place_sitting(untouched, [seen] * LEAST_SITTING), None):
-            _, forces, verdict = predict_one(untouched, seen, placement)
+            _, forces, judged = predict_one(untouched, seen, placement)
             assert np.abs(forces.sum((1, 2))).max() < 0.3
-        assert "as its dots tell" in verdict["placed"]
+        assert "as its dots tell" in judged.placed
 
 
 @pytest.mark.parametrize("move", MOVES)
@@ -225,8 +225,8 @@ def test_presses_of_a_gel_that_sits_otherwise_read_nearer_to_what_they_are(shipp
 def test_another_gels_picture_is_told_although_it_is_laid_onto_the_untouched_one(shipped, presses):
     rest, pictures = presses
     other = {"mini_a": "mini_e", "mini_e": "mini_a"}
-    flagged = [predict_one(Untouched(shipped, rest[other[name]]), picture)[2]["flag"] for name, picture in pictures]
-    own = [predict_one(Untouched(shipped, rest[name]), picture)[2]["flag"] for name, picture in pictures]
+    flagged = [predict_one(Untouched(shipped, rest[other[name]]), picture)[2].flag for name, picture in pictures]
+    own = [predict_one(Untouched(shipped, rest[name]), picture)[2].flag for name, picture in pictures]
     assert np.mean(flagged) >= 0.9 and not any(own)
 
 

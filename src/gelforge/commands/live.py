@@ -38,9 +38,9 @@ class Overlay:
         from gelforge.reporting.forcemaps import overlay
 
         started = time.perf_counter()
-        image, forces, verdict = predict_one(self.untouched, cv2.cvtColor(frame, cv2.COLOR_BGR2RGB))
+        image, forces, judged = predict_one(self.untouched, cv2.cvtColor(frame, cv2.COLOR_BGR2RGB))
         self.network_ms.append(1e3 * (time.perf_counter() - started))
-        self.flagged += verdict["flag"]
+        self.flagged += judged.flag
         self.recent.append(started)
         span = self.recent[-1] - self.recent[0]
         rate = (len(self.recent) - 1) / span if span > 0 else 0.0
@@ -48,7 +48,7 @@ class Overlay:
             force_line(forces),
             f"{rate:5.1f} frames/s, {self.network_ms[-1]:.1f} ms a frame",
         ]
-        warning = f"unlike training ({verdict['score']:.1f}): {verdict['reason']}" if verdict["flag"] else ""
+        warning = f"unlike training ({judged.score:.1f}): {judged.reason}" if judged.flag else ""
         return overlay(cv2.cvtColor(image, cv2.COLOR_RGB2BGR), forces, lines, warning)
 
 

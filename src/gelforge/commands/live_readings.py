@@ -25,11 +25,12 @@ def readings(untouched, frames, pace_s: float = 0.0, frame_s: float | None = Non
     for number, frame in enumerate(frames):
         time.sleep(max(0.0, started + number * pace_s - time.perf_counter()))
         now = time.perf_counter()
-        image, forces, verdict = predict_one(untouched, cv2.cvtColor(frame, cv2.COLOR_BGR2RGB))
+        image, forces, judged = predict_one(untouched, cv2.cvtColor(frame, cv2.COLOR_BGR2RGB))
         took = 1e3 * (time.perf_counter() - now)
-        flag, half = bool(verdict["flag"]), verdict["half_width"]
         time_s = now - started if frame_s is None else number * frame_s
-        yield Reading(number, time_s, image, forces, flag, verdict["reason"], took, half, verdict["by_dots"])
+        yield Reading(
+            number, time_s, image, forces, judged.flag, judged.reason, took, judged.half_width, judged.by_dots
+        )
 
 
 def ended(name: str, lost: bool, count: int) -> str:

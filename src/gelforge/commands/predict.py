@@ -23,7 +23,7 @@ from gelforge.flow.main import command, option, positive
 from gelforge.networks.dots import Followed
 from gelforge.networks.placement import Placement, place, tells_place
 from gelforge.networks.sensorprofile import untouched_of
-from gelforge.networks.use import Untouched, fit_size, load_for_use, predict_one
+from gelforge.networks.use import Judgement, Untouched, fit_size, load_for_use, predict_one
 from gelforge.records.axes import CHANNELS
 from gelforge.records.image import read_image
 from gelforge.records.totals import TOTAL_COLUMNS, total_columns
@@ -41,17 +41,17 @@ COLUMNS = [
 ]
 
 
-def totals_row(name: str, forces, verdict: dict) -> dict:
-    """One row of totals.csv."""
-    totals = total_columns(forces, verdict["half_width"], verdict["by_dots"])
+def totals_row(name: str, forces: np.ndarray, judged: Judgement) -> dict:
+    """One row of totals.csv, of forces (3, rows, cols) N."""
+    totals = total_columns(forces, judged.half_width, judged.by_dots)
     return {
         "image": name,
         **{column: "" if value is None else f"{value:.4f}" for column, value in totals.items()},
-        "untouched": verdict["untouched"],
-        "unlike_training": f"{verdict['score']:.2f}",
-        "flagged": int(verdict["flag"]),
-        "reason": verdict["reason"],
-        "put_right": verdict["placed"],
+        "untouched": judged.untouched,
+        "unlike_training": f"{judged.score:.2f}",
+        "flagged": int(judged.flag),
+        "reason": judged.reason,
+        "put_right": judged.placed,
     }
 
 
@@ -129,13 +129,13 @@ def predict_files(paths: Sequence[Path], untouched: Untouched, out: Path) -> lis
         print(f"the pictures lie otherwise on the untouched one, which is put right: {placement.told}")
     rows = []
     for path, name in zip(paths, names, strict=True):
-        image, forces, verdict = predict_one(untouched, read_image(path), placement)
-        row = totals_row(str(path), forces, verdict)
+        image, forces, judged = predict_one(untouched, read_image(path), placement)
+        row = totals_row(str(path), forces, judged)
         with publish(out / f"{name}.npy") as part:
             np.save(part, forces)
         with publish(out / f"{name}.png") as part:
-            flag = f" | UNLIKE TRAINING: {verdict['reason']}" if verdict["flag"] else ""
-            write_maps(part, image, forces, f"{name}, score {verdict['score']:.1f}{flag}")
+            flag = f" | UNLIKE TRAINING: {judged.reason}" if judged.flag else ""
+            write_maps(part, image, forces, f"{name}, score {judged.score:.1f}{flag}")
         rows.append(row)
     write_csv(out / "totals.csv", COLUMNS, rows)
     return rows

@@ -247,8 +247,17 @@ def pair_fault(limits: dict, pair: PairEvidence) -> str:
     return next((fault for fault, seen in faults.items() if seen), "")
 
 
-def judge(model: dict, image, pair: PairEvidence | None = None) -> dict:
-    """Score one image and say whether it is unlike the training images, and in what: `score`, `flag`, `reason`.
+@dataclass(frozen=True)
+class Likeness:
+    """How unlike the training images an image is: score as `score` gives it, whether that is too much, and in what."""
+
+    score: float
+    flag: bool
+    reason: str
+
+
+def judge(model: dict, image, pair: PairEvidence | None = None) -> Likeness:
+    """Score one image (h, w, 3) uint8 and say whether it is unlike the training images, and in what.
 
     pair: where the network reads differences, what tells whether the untouched picture is of the same sensor.
     """
@@ -256,7 +265,7 @@ def judge(model: dict, image, pair: PairEvidence | None = None) -> dict:
     value = score(model, statistics)
     if value <= model["threshold"]:
         fault = "" if pair is None else pair_fault(model, pair)
-        return {"score": value, "flag": bool(fault), "reason": fault}
+        return Likeness(value, bool(fault), fault)
     off = np.abs(statistics - model["mean"]) / model["spread"]
     groups = {"colour": off[:12].max(), "contrast": off[12:15].max(), "sharpness": off[15], "dots": off[16:].max()}
-    return {"score": value, "flag": True, "reason": max(groups, key=lambda name: groups[name])}
+    return Likeness(value, True, max(groups, key=lambda name: groups[name]))

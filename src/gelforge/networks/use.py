@@ -1,5 +1,6 @@
 """A trained network at work on one image: the model, the untouched sensor beside it, forces and a judgement."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,8 +10,12 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.networks.agreement import dots_fault, settle
 from gelforge.networks.canonical import WHOLE, Light, view_of
+from gelforge.networks.data import Data
+from gelforge.networks.dotreader import DotReader
 from gelforge.networks.dots import Followed, PrintedDots
 from gelforge.networks.intervals import half_widths
+from gelforge.networks.latency import predict_images
+from gelforge.networks.modelfile import SensorNet, Trained, load_model, require_sensor
 from gelforge.networks.placement import LEAST_MOVE, UNPLACED, Placement, place
 from gelforge.networks.statistics import (
     PairEvidence,
@@ -26,10 +31,8 @@ LEAST_PULL = 1.0  # N above which a reading that no contact can make is told
 SHIPPED = Path(__file__).parent / "default.pt"
 
 
-def load_for_use(path, sensor: str | None = None):
-    """Load a model for prediction and check that it is for `sensor`, where one is named."""
-    from gelforge.networks.modelfile import load_model, require_sensor
-
+def load_for_use(path: Path | str | None, sensor: str | None = None) -> Trained:
+    """Load a model for prediction and check that it is for `sensor`, where one is named; None: the one that ships."""
     if path is None and not SHIPPED.exists():
         raise BadInput(
             "no model came with this copy of gelforge: train one with `make train` and name it with --model"
@@ -40,7 +43,7 @@ def load_for_use(path, sensor: str | None = None):
     return trained
 
 
-def fit_size(image, size) -> tuple[np.ndarray, str]:
+def fit_size(image: np.ndarray, size: Sequence[int]) -> tuple[np.ndarray, str]:
     """Bring an image to a model's (height, width); the second value says what was done, empty for nothing."""
     import cv2
 
@@ -58,8 +61,11 @@ class Untouched:
     (networks.sensorprofile). fault: what is wrong with the given picture, empty if nothing. view: how pictures of the sensor are scaled; those of training sensors are at the right scale.
     """
 
-    def __init__(self, trained, picture: np.ndarray | None = None, sensor: str | None = None, gain: float = 1.0):
-        self.trained, self.known, self.gain = trained, trained.untouched, gain
+    def __init__(
+        self, trained: Trained, picture: np.ndarray | None = None, sensor: str | None = None, gain: float = 1.0
+    ) -> None:
+        self.trained, self.gain = trained, gain
+        self.known: dict[str, Any] = trained.untouched  # pictures; None beside a network that reads none
         self.view = WHOLE
         if not trained.needs_untouched:
             self.known = {"": None}
@@ -80,10 +86,10 @@ class Untouched:
         )
         self._pictures: dict[str, np.ndarray] = {}
         self._dots: dict[str, PrintedDots] = {}
-        self._readers: dict[str, Any] = {}
+        self._readers: dict[str, SensorNet] = {}
         self._rest: dict[str, np.ndarray] = {}
 
-    def of(self, image) -> str:
+    def of(self, image: np.ndarray) -> str:
         """Name of the picture for an image (h, w, 3) of the model's size."""
         if len(self.known) == 1:
             return next(iter(self.known))
@@ -95,7 +101,7 @@ class Untouched:
             self._pictures[name] = self.view.of(self.known[name])
         return self._pictures[name]
 
-    def canonical(self, image, name: str, placement: Placement | None = None) -> tuple[np.ndarray, Light]:
+    def canonical(self, image: np.ndarray, name: str, placement: Placement | None = None) -> tuple[np.ndarray, Light]:
         """An image as the network reads it against the picture of that name, and what its light was."""
         seen = self.view.of(image)
         return self.view.match(seen if placement is None else placement.undo(seen), self.picture(name))
@@ -106,7 +112,7 @@ class Untouched:
             self._dots[name] = PrintedDots(self.picture(name))
         return self._dots[name]
 
-    def pair(self, image, name: str, placement: Placement | None = None) -> "CanonicalPair":
+    def pair(self, image: np.ndarray, name: str, placement: Placement | None = None) -> "CanonicalPair":
         """An image as the network reads it against the picture of that name.
 
         placement: how it lies on that picture, as its sitting tells it; None: as the image's own dots do, where its rim
@@ -129,10 +135,8 @@ class Untouched:
             lit, PairEvidence(distance(lit, rest), light, told), dots, followed, placement or UNPLACED
         )
 
-    def reader(self, name: str):
+    def reader(self, name: str) -> SensorNet:
         """The network for the sensor of that picture."""
-        from gelforge.networks.modelfile import SensorNet
-
         if name not in self._readers:
             picture = None if self.known[name] is None else self.picture(name)
             self._readers[name] = SensorNet(self.trained, picture).eval()
@@ -140,8 +144,6 @@ class Untouched:
 
     def rest(self, name: str) -> np.ndarray:
         """Forces (3, rows, cols) that the network reads in that picture itself: what it is off by where nothing is."""
-        from gelforge.networks.latency import predict_images
-
         if name not in self._rest:
             self._rest[name] = predict_images(self.reader(name), self.picture(name)[None])[0]
         return self._rest[name]
@@ -161,36 +163,51 @@ class CanonicalPair:
     followed: Followed
     placement: Placement
 
-    def by_dots(self, reader) -> np.ndarray | None:
+    def by_dots(self, reader: DotReader | None) -> np.ndarray | None:
         """Total force (3,) N that the dots tell by themselves (networks.dotreader); None where nothing reads them."""
         if reader is None or not self.dots.known:
             return None
         return reader.totals(self.dots.on_lattice(self.followed)[None])[0]
 
 
+@dataclass(frozen=True)
+class Judgement:
+    """How far what was read in an image may be trusted, and what was done to the image before.
+
+    score: how unlike the training images it is, about 1 for one like them (networks.statistics). flag: whether something is
+    wrong with it or the picture beside it; reason: what, empty for nothing. untouched: name of the picture that it was read
+    against, empty beside a network that reads none. light: what its light differed by (networks.canonical), None beside such
+    a network. placed: what was put right in how it lay, empty for nothing. by_dots: totals (3,) N that the dots tell by
+    themselves, None where nothing reads them; half_width: (3,) N, half of the totals' intervals (networks.intervals), None
+    where the model knows none. Both in the order of the channels, times the sensor's gain.
+    """
+
+    score: float
+    flag: bool
+    reason: str
+    untouched: str
+    light: Light | None
+    placed: str
+    by_dots: np.ndarray | None
+    half_width: np.ndarray | None
+
+
 def predict_one(
-    untouched: Untouched, image, placement: Placement | None = None
-) -> tuple[np.ndarray, np.ndarray, dict]:
-    """Predict an image of any size; return it as the network sees it, forces (3, rows, cols), and the judgement.
+    untouched: Untouched, image: np.ndarray, placement: Placement | None = None
+) -> tuple[np.ndarray, np.ndarray, Judgement]:
+    """Predict an image (h, w, 3) uint8 of any size; return it as the network sees it, forces (3, rows, cols) N, a judgement.
 
     A network that reads differences is given the image under the light of the untouched picture, at the scale it learnt,
     and laid onto that picture by `placement` (None: by what the image's own dots tell); what it reads in that picture
-    itself is taken off, as a scale is tared. The judgement is that of networks.statistics.judge, with `untouched`, what
-    picture the image was read against, `light`, what its light differed by (networks.canonical), `placed`, what was put
-    right in how it lay (empty for nothing), `by_dots`, the totals (3,) N that the dots tell by themselves (None where
-    nothing reads them; else the forces' totals are the mean of both), and `half_width` (3,) N of the totals' intervals
-    (networks.intervals; None where the model knows none).
+    itself is taken off, as a scale is tared. Where the dots are read, too, the forces' totals are the mean of both.
     """
-    from gelforge.networks.latency import predict_images
-
     trained = untouched.trained
     image, resized = fit_size(image, trained.about["image"])
     name = untouched.of(image)
     pair = untouched.pair(image, name, placement) if trained.needs_untouched else None
     lit = pair.lit if pair else image
     light = pair.evidence.light if pair else None
-    verdict = judge(trained.about["statistics"], lit, pair.evidence if pair else None)
-    verdict |= {"untouched": name, "light": light, "placed": pair.placement.told if pair else ""}
+    likeness = judge(trained.about["statistics"], lit, pair.evidence if pair else None)
     forces = predict_images(untouched.reader(name), lit[None])[0]
     if trained.needs_untouched:
         forces = forces - untouched.rest(name)
@@ -199,12 +216,20 @@ def predict_one(
         contradicted = dots_fault(trained.about["dots"]["apart"], forces.sum((1, 2), dtype=float), by_dots)
         forces = settle(forces, by_dots, trained.about["dots"]["weight"])
     forces = forces * np.float32(untouched.gain)
-    verdict["by_dots"] = None if by_dots is None else untouched.gain * by_dots
-    verdict["half_width"] = half_widths(trained.about, "total", forces.sum((1, 2), dtype=float), untouched.gain)
-    faults = [resized, untouched.fault, verdict["reason"], light_fault(light), pull_fault(forces), contradicted]
+    faults = [resized, untouched.fault, likeness.reason, light_fault(light), pull_fault(forces), contradicted]
     faults += [pair.placement.fault] if pair else []
     reason = "; ".join(filter(None, faults))
-    return untouched.view.of(image), forces, verdict | {"flag": verdict["flag"] or bool(reason), "reason": reason}
+    judgement = Judgement(
+        score=likeness.score,
+        flag=likeness.flag or bool(reason),
+        reason=reason,
+        untouched=name,
+        light=light,
+        placed=pair.placement.told if pair else "",
+        by_dots=None if by_dots is None else untouched.gain * by_dots,
+        half_width=half_widths(trained.about, "total", forces.sum((1, 2), dtype=float), untouched.gain),
+    )
+    return untouched.view.of(image), forces, judgement
 
 
 @dataclass(frozen=True)
@@ -222,18 +247,18 @@ class Told:
     in_place: bool
 
 
-def tell_rows(trained, data, rows) -> Told:
-    """What `predict` tells of some rows of a dataset (networks.data.Data), each against its own untouched sensor."""
+def tell_rows(trained: Trained, data: Data, rows: np.ndarray) -> Told:
+    """What `predict` tells of some rows of a dataset, each against its own untouched sensor."""
     names = data.names("sensor_id")[rows].tolist()
     # One row of each sensor is enough to find its picture.
     first = dict(zip(names, rows, strict=True))
     beside = {name: _beside(trained, name, data.untouched([row])[0]) for name, row in first.items()}
     forces, widths, by_dots = [], [], []
     for row, name in zip(rows, names, strict=True):
-        _, told, verdict = predict_one(beside[name], np.ascontiguousarray(data.images[row]))
+        _, told, judgement = predict_one(beside[name], np.ascontiguousarray(data.images[row]))
         forces.append(told)
-        widths.append(verdict["half_width"])
-        by_dots.append(verdict["by_dots"])
+        widths.append(judgement.half_width)
+        by_dots.append(judgement.by_dots)
     in_place = all(one.view.zoom == 1.0 for one in beside.values())
     return Told(np.stack(forces), _all_or_none(widths), _all_or_none(by_dots), in_place)
 
@@ -243,14 +268,14 @@ def _all_or_none(found: list) -> np.ndarray | None:
     return None if any(one is None for one in found) else np.stack(found)
 
 
-def _beside(trained, name: str, picture: np.ndarray) -> Untouched:
+def _beside(trained: Trained, name: str, picture: np.ndarray) -> Untouched:
     try:
         return Untouched(trained, picture)
     except BadInput as error:
         raise BadInput(f"sensor {name}: {error}") from None
 
 
-def light_fault(light) -> str:
+def light_fault(light: Light | None) -> str:
     """What is wrong with a pair of pictures whose light cannot be compared; empty where it can."""
     return "" if light is None or light.known else "nothing in it has the light of the untouched picture"
 
