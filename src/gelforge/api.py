@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.scene import REFERENCE_C10, Indenter, Material, Scene
 from gelforge.records.axes import AXIS_OF_CHANNEL
 from gelforge.records.press import Press
+
+if TYPE_CHECKING:  # at run time it would bring torch along
+    from gelforge.networks.placement import Placement
 
 
 @dataclass(frozen=True)
@@ -137,15 +140,28 @@ class Reader:
 
     def __call__(self, image: np.ndarray) -> ForceReading:
         """Read one image (h, w, 3) uint8 RGB."""
+        return self._read(check_image(image), None)
+
+    def _read(self, image: np.ndarray, placement: "Placement | None") -> ForceReading:
         from gelforge.networks.use import predict_one
 
-        _seen, cells, judged = predict_one(self._untouched, check_image(image))
+        _seen, cells, judged = predict_one(self._untouched, image, placement)
         total = cells.sum(axis=(1, 2), dtype=float)
         return ForceReading(cells, total, judged.half_width, judged.flag, judged.reason, judged.by_dots)
 
-    def batch(self, images: np.ndarray) -> list[ForceReading]:
-        """Read images (n, h, w, 3) uint8 RGB, one reading each."""
-        return [self(image) for image in images]
+    def batch(self, images: np.ndarray, one_sitting: bool = False) -> list[ForceReading]:
+        """Read images (n, h, w, 3) uint8 RGB, one reading each.
+
+        one_sitting: whether the gel sat in its holder alike in all of them, as `gelforge predict` takes the images of one
+        call to be, whose forces these then are. Then four and more of them tell together how it sits, which is surer than
+        what one of them does. Otherwise each is read by itself, as if no other were there: where the gel sits otherwise than
+        in the untouched picture, or seems to in one of the images, forces differ from those of `gelforge predict`.
+        """
+        from gelforge.networks.sitting import place_sitting
+
+        checked = [check_image(image) for image in images]
+        placement = place_sitting(self._untouched, checked) if one_sitting else None
+        return [self._read(image, placement) for image in checked]
 
 
 def check_image(image: np.ndarray) -> np.ndarray:

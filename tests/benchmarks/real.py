@@ -15,7 +15,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from gelforge.commands.predict import place_sitting
 from gelforge.errors import BadInput
 from gelforge.flow.main import command, option
 from gelforge.flow.progress import progress
@@ -23,6 +22,7 @@ from gelforge.formats.numpy_pickle import read_npy
 from gelforge.networks.latency import predict_images
 from gelforge.networks.modelfile import SensorNet, Trained
 from gelforge.networks.sensorprofile import Gain, fingerprint, fit_opposite
+from gelforge.networks.sitting import place_sitting
 from gelforge.networks.still import SETTLING, find_untouched
 from gelforge.networks.use import Untouched, fit_size, load_for_use, predict_one
 from gelforge.records.image import read_image

@@ -10,12 +10,12 @@ import torch
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from gelforge.commands.predict import LEAST_SITTING, place_sitting
 from gelforge.networks.canonical import match_light
 from gelforge.networks.dotaugment import PITCH, mirrored, moved_alike
 from gelforge.networks.dots import COLS, ROWS, PrintedDots
 from gelforge.networks.placement import LEAST_MOVE, UNPLACED, place
 from gelforge.networks.placereader import train_place_reader
+from gelforge.networks.sitting import LEAST_SITTING, place_sitting
 from gelforge.networks.use import Untouched, load_for_use, predict_one
 from gelforge.records.image import read_image
 from tests.pictures import distance_of, moved

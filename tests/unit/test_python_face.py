@@ -10,12 +10,16 @@ import numpy as np
 import pytest
 
 import gelforge
+from gelforge.commands import predict
 from gelforge.errors import BadInput
 from gelforge.labelling.sensor import load_sensors
 from gelforge.networks.sensorprofile import Gain, make_profile, write_profile
-from gelforge.networks.use import load_for_use
-from gelforge.records.image import read_image
+from gelforge.networks.sitting import LEAST_SITTING
+from gelforge.networks.use import Untouched, load_for_use
+from gelforge.records.image import read_image, write_png
+from gelforge.records.log import read_presses
 from gelforge.records.markers import pitch_of
+from tests.pictures import moved
 
 BALL = {"kind": "sphere", "diameter": 10, "height": 10}
 
@@ -83,6 +87,24 @@ def test_reading_many_images_of_one_sensor(root):
     for wrong in (rest[..., 0], rest.astype(float), np.zeros((2, 2, 4), np.uint8)):
         with pytest.raises(BadInput, match="uint8 RGB"):
             read(wrong)
+
+
+def test_images_of_one_sitting_read_as_the_command_reads_them(root, tmp_path):
+    """A gel that was put back otherwise: alike in all images, which together tell it otherwise than each by itself."""
+    folder = root / "data/demo"
+    rest = read_image(folder / "nocontact/mini_a.png")
+    of_sensor = [press for press in read_presses(folder / "log.csv") if press.sensor_id == "mini_a"][:LEAST_SITTING]
+    images = [moved(read_image(folder / press.image), (5.0, -4.0), turn=1.0) for press in of_sensor]
+    paths = [tmp_path / f"{number}.png" for number in range(len(images))]
+    for path, image in zip(paths, images, strict=True):
+        write_png(path, image)
+    reader = gelforge.Reader(untouched=rest)
+    predict.predict_files(paths, Untouched(load_for_use(None), rest), tmp_path / "out")
+    wanted = [np.load(tmp_path / "out" / f"{path.stem}.npy") for path in paths]
+    together, alone = reader.batch(np.stack(images), one_sitting=True), reader.batch(np.stack(images))
+    np.testing.assert_array_equal([one.cells for one in together], wanted)
+    np.testing.assert_array_equal([one.cells for one in alone], [reader(image).cells for image in images])
+    assert all(np.abs(one.total - other.total).max() > 1e-3 for one, other in zip(together, alone, strict=True))
 
 
 def test_a_profile_scales_what_is_read(root, tmp_path):

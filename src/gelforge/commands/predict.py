@@ -20,16 +20,13 @@ import numpy as np
 from gelforge.errors import BadInput, printable
 from gelforge.flow.files import publish, write_csv
 from gelforge.flow.main import command, option, positive
-from gelforge.networks.dots import Followed
-from gelforge.networks.placement import Placement, place, tells_place
 from gelforge.networks.sensorprofile import untouched_of
-from gelforge.networks.use import Judgement, Untouched, fit_size, load_for_use, predict_one
+from gelforge.networks.sitting import place_sitting
+from gelforge.networks.use import Judgement, Untouched, load_for_use, predict_one
 from gelforge.records.axes import CHANNELS
 from gelforge.records.image import read_image
 from gelforge.records.totals import TOTAL_COLUMNS, total_columns
 
-# Pictures from which the middle of what each tells is nearer to how the gel sits than what one does.
-LEAST_SITTING = 4
 COLUMNS = [
     "image",
     *TOTAL_COLUMNS,
@@ -92,26 +89,6 @@ def need_folder(out: Path) -> None:
             pass
     except OSError as error:
         raise BadInput(f"--out {out}: cannot be written into ({error.strerror}); name another folder") from error
-
-
-def place_sitting(untouched: Untouched, images: Iterable) -> Placement | None:
-    """How pictures of one sitting, of any size, lie on the untouched one a user gave.
-
-    None where none was given, where the view does not show the gel's rim, which the reader of places has not learnt from,
-    and of fewer than LEAST_SITTING pictures that tell. images: each is looked at once and not kept.
-    """
-    tells = untouched.known.get("given") is not None and untouched.view.zoom == 1.0
-    # all are read, because one that cannot be is to be named before anything is written
-    followed = [_follow(untouched, image) if tells else None for image in images]
-    telling = [one for one in followed if one is not None and tells_place(untouched.dots("given"), one)]
-    if len(telling) < LEAST_SITTING:
-        return None
-    return place(untouched.trained.places, untouched.dots("given"), telling)
-
-
-def _follow(untouched: Untouched, image) -> Followed:
-    sized = fit_size(image, untouched.trained.about["image"])[0]
-    return untouched.dots("given").follow(untouched.canonical(sized, "given")[0])
 
 
 def predict_files(paths: Sequence[Path], untouched: Untouched, out: Path) -> list[dict]:

@@ -15,7 +15,6 @@ from pathlib import Path
 
 import numpy as np
 
-from gelforge.commands.predict import place_sitting
 from gelforge.errors import BadInput
 from gelforge.flow.main import command, option
 from gelforge.networks.sensorprofile import (
@@ -28,6 +27,7 @@ from gelforge.networks.sensorprofile import (
     read_profile,
     write_profile,
 )
+from gelforge.networks.sitting import place_sitting
 from gelforge.networks.still import picture_at_rest
 from gelforge.networks.use import Untouched, load_for_use, predict_one
 from gelforge.records.film import source_name
