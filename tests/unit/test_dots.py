@@ -18,6 +18,7 @@ from gelforge.networks.canonical import match_light
 from gelforge.networks.data import open_data
 from gelforge.networks.dotreader import VIEWS, DotPresses, DotReader, train_dot_reader
 from gelforge.networks.dots import COLS, ROWS, PrintedDots
+from gelforge.networks.fitting import readers_of_dots
 from gelforge.networks.halves import rounded
 from gelforge.networks.modelcard import dot_lines, place_lines
 from gelforge.networks.modelfile import Trained, load_model, save_model
@@ -27,7 +28,7 @@ from gelforge.networks.use import Untouched, load_for_use, predict_one
 from gelforge.records.axes import CHANNELS
 from gelforge.records.image import read_image
 from gelforge.records.totals import TOTAL_COLUMNS, total_columns
-from gelforge.stages.train import readers_of_dots, train
+from gelforge.stages.train import train
 from tests.pictures import moved
 
 

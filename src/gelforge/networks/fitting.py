@@ -1,0 +1,138 @@
+"""What is fitted beside a network that reads pairs of pictures: limits of good pairs, readers of dots, intervals."""
+
+import copy
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from gelforge.flow.params.tables import TrainingTable
+from gelforge.networks.agreement import APART_NOTHING, meet, settle
+from gelforge.networks.augment import narrow_views
+from gelforge.networks.batches import generator
+from gelforge.networks.data import Data, data_version, rows_to_judge_by
+from gelforge.networks.dotreader import DotReader, dot_presses, motions, train_dot_reader
+from gelforge.networks.dots import PrintedDots
+from gelforge.networks.goingon import known_before
+from gelforge.networks.halves import rounded
+from gelforge.networks.inputs import needs_untouched
+from gelforge.networks.intervals import LEAST_PICTURES, fit_intervals
+from gelforge.networks.modelfile import READERS, Trained
+from gelforge.networks.placereader import PlaceReader, train_place_reader
+from gelforge.networks.statistics import RELIEF_MARGIN, pair_evidence, pair_limits, relief
+from gelforge.networks.use import tell_rows
+from gelforge.records.markers import pitch_of
+
+# A network that learnt from more sensors is for those that it never saw: their users have untouched pictures of their own.
+MOST_PICTURES = 8
+
+
+def beside_untouched(trained: Trained, data: Data, settings: TrainingTable, start: Trained | None) -> Trained:
+    """A network that reads pictures beside untouched ones with what only such a one has: limits, dots, untouched sensors."""
+    pictures = data.nocontact if len(data.nocontact) <= MOST_PICTURES else {}
+    about = trained.about | learnt_pitch(data, start)
+    if start is not None and len(rows_to_judge_by(data)) < LEAST_PICTURES:
+        rows = np.concatenate([data.splits["train"], data.splits["val"]])
+        images = (np.ascontiguousarray(data.images[row]) for row in rows)
+        about |= known_before(start.about, images, good_pairs(data, rows))
+        return replace(trained, about=about, untouched=pictures, **readers_of(start))
+    about |= {"statistics": about["statistics"] | good_pairs(data, data.splits["val"])}
+    by_dots, places = readers_of_dots(data, settings)
+    if places:
+        about |= {"places": {"data": about["data"]["name"], "pictures": len(data.splits["train"])}}
+    if start is not None:
+        before = readers_of(start)
+        by_dots, places = by_dots or before["dots"], places or before["places"]
+        about = {"places": start.about.get("places")} | about
+    trained = replace(trained, untouched=pictures, places=places)
+    about |= judged(replace(trained, about=about, dots=by_dots), data)
+    # one that could not be judged has no say
+    return replace(trained, about=about, dots=by_dots if "dots" in about else None)
+
+
+def readers_of(start: Trained) -> dict[str, Any]:
+    """The readers of dots beside a network that is gone on from, as a file of them will keep them."""
+    found = {name: getattr(start, name) for name in READERS}
+    return {name: None if reader is None else rounded(copy.deepcopy(reader)) for name, reader in found.items()}
+
+
+def sights(data: Data, reads: str, settings: TrainingTable) -> Callable[[int], np.ndarray]:
+    """What a picture that the network reads may look like, by row, (h, w, 3) uint8: every other one of a narrow view."""
+    narrow = replace(settings.augment, narrowed_share=0.5 if settings.augment.narrowed_share else 0.0)
+
+    def see(row: int) -> np.ndarray:
+        pair = data.seen([row], reads)
+        if needs_untouched(reads):
+            pair, _, _ = narrow_views(pair, data.labels[[row]], narrow, generator(settings.seed, "view", 0, row))
+        return pair[0, ..., :3]
+
+    return see
+
+
+def good_pairs(data: Data, rows: np.ndarray) -> dict[str, float]:
+    """Limits of what the pairs of some rows are like (networks.statistics)."""
+    names = data.names("sensor_id")[rows]
+    dots = {name: PrintedDots(data.nocontact[name]) for name in sorted(set(names.tolist()))}
+    pairs = [
+        pair_evidence(np.ascontiguousarray(data.images[row]), data.nocontact[name], dots[name])
+        for row, name in zip(rows, names, strict=True)
+    ]
+    return pair_limits(pairs) | {"largest_relief": RELIEF_MARGIN * max(relief(data.nocontact[name]) for name in dots)}
+
+
+def readers_of_dots(data: Data, settings: TrainingTable) -> tuple[DotReader | None, PlaceReader | None]:
+    """Readers of force and of place from printed dots (networks.dotreader, .placereader).
+
+    None for one that is not asked for, or where a sensor shows no print.
+    """
+    if not settings.dot_epochs and not settings.place_epochs:
+        return None, None
+    dots = {name: PrintedDots(picture) for name, picture in data.nocontact.items()}
+    if not all(one.known for one in dots.values()):
+        return None, None
+    rows, by_dots, places = data.splits["train"], None, None
+    motion = motions(data, rows, dots)
+    if settings.dot_epochs:
+        presses = dot_presses(data, rows, dots, motion)
+        by_dots = train_dot_reader(presses, settings.dot_epochs, settings.seed, settings.augment)
+    if settings.place_epochs:
+        places = train_place_reader(motion, settings.place_epochs, settings.seed)
+    return by_dots, places
+
+
+def judged(trained: Trained, data: Data) -> dict[str, Any]:
+    """What a model's description says of how its two readers meet, and how far what `predict` tells is off.
+
+    Both are set on what `predict` makes of pictures that training did not see, with light, tare and placement. Empty where
+    the network only knows totals.
+    """
+    rows = rows_to_judge_by(data)
+    if not len(rows):
+        return {}
+    alone = trained if trained.dots is None else replace(trained, about=trained.about | {"dots": APART_NOTHING})
+    told = tell_rows(alone, data, rows)
+    forces, labels = told.forces, data.labels[rows]
+    if forces.shape[2:] != labels.shape[2:]:
+        return {}
+    found = {}
+    if told.by_dots is not None:
+        found["dots"] = meet(forces.sum((2, 3), dtype=float), told.by_dots, labels.sum((2, 3), dtype=float))
+        pairs = zip(forces, told.by_dots, strict=True)
+        forces = np.stack([settle(one, by_dots, found["dots"]["weight"]) for one, by_dots in pairs])
+    sensors = sorted(set(data.names("sensor_id")[rows].tolist()))
+    intervals = fit_intervals(forces, labels)
+    if not told.in_place:
+        intervals.pop("cell", None)  # cells of pictures that were scaled are not the labels'
+    return found | {"intervals": intervals | {"sensors": sensors, "data": data.name, "version": data_version(data)}}
+
+
+def learnt_pitch(data: Data, start: Trained | None = None) -> dict[str, list[float]]:
+    """Least and largest distance in px of the dots on the untouched sensors that training saw, and that `start` knew.
+
+    Nothing where none has dots.
+    """
+    names = set(data.names("sensor_id")[data.splits["train"]].tolist())
+    pitches = [pitch for pitch in (pitch_of(data.nocontact[name]) for name in sorted(names)) if pitch]
+    pitches += start.about.get("pitch_px", []) if start is not None else []
+    return {"pitch_px": [min(pitches), max(pitches)]} if pitches else {}
