@@ -6,11 +6,11 @@ from pressed_dataset import bump, collect, label, write_pressed
 
 from gelforge.flow.files import read_csv
 from gelforge.networks.data import open_data
+from gelforge.networks.evaluation import reference_totals
 from gelforge.records.axes import AXIS_OF_CHANNEL, CHANNEL_OF_AXIS, CHANNELS, FORCE_OF_CHANNEL, TITLES
 from gelforge.records.forcefile import SampleForces, write_forces
 from gelforge.records.labelfile import read_labels
 from gelforge.records.press import FORCE
-from gelforge.stages.evaluate import reference_totals
 
 
 def test_the_map_is_its_own_inverse_and_names_feats_channels():

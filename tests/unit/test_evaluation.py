@@ -19,13 +19,14 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, read_json, write_csv, write_json
 from gelforge.networks import use
 from gelforge.networks.data import data_version, open_data, rows_to_judge_by
+from gelforge.networks.evaluation import another_of_each, evaluate, fitted_rows
 from gelforge.networks.metrics import slope
 from gelforge.networks.modelcard import write_card
 from gelforge.records.axes import CHANNELS
 from gelforge.records.predictionfile import read_predictions
 from gelforge.reporting.networkcharts import draw_curve, draw_predictions
 from gelforge.stages import pareto_models
-from gelforge.stages.evaluate import another_of_each, evaluate, fitted_rows, keep_predictions
+from gelforge.stages.evaluate import keep_predictions
 from gelforge.stages.train import train
 
 
