@@ -92,8 +92,8 @@ def predict(
     """Read forces from one image (h, w, 3) uint8 RGB; return (3, rows, cols) N and how far to trust it.
 
     untouched: a picture of the same sensor while nothing touches it. model: path; the network that ships where None.
-    The verdict has what networks.use.Judgement has, by the same names: its `flag` is True where the image is unlike the
-    training images, and `reason` says in what.
+    The verdict has what networks.use.Judgement has, by the same names: its `flag` is True where the image is unlike
+    the training images, and `reason` says in what.
     """
     from gelforge.networks.use import Untouched, load_for_use, predict_one
 
@@ -152,10 +152,11 @@ class Reader:
     def batch(self, images: np.ndarray, one_sitting: bool = False) -> list[ForceReading]:
         """Read images (n, h, w, 3) uint8 RGB, one reading each.
 
-        one_sitting: whether the gel sat in its holder alike in all of them, as `gelforge predict` takes the images of one
-        call to be, whose forces these then are. Then four and more of them tell together how it sits, which is surer than
-        what one of them does. Otherwise each is read by itself, as if no other were there: where the gel sits otherwise than
-        in the untouched picture, or seems to in one of the images, forces differ from those of `gelforge predict`.
+        one_sitting: whether the gel sat in its holder alike in all of them, as `gelforge predict` takes the images of
+        one call to be, whose forces these then are. Then four and more of them tell together how it sits, which is
+        surer than what one of them does. Otherwise each is read by itself, as if no other were there: where the gel
+        sits otherwise than in the untouched picture, or seems to in one of the images, forces differ from those of
+        `gelforge predict`.
         """
         from gelforge.networks.sitting import place_sitting
 

@@ -75,9 +75,9 @@ def make_model(
 ) -> Trained:
     """Train the network of a table of workflow/models.toml; return it with its description, curve and cost inside.
 
-    version: of how networks are trained, told in the description. checkpoint: file for resuming, or None. start: the network
-    to go on from; None: from weights that `seed` draws. Raises BadInput for a dataset that no network can learn from, or
-    that `start` cannot go on with.
+    version: of how networks are trained, told in the description. checkpoint: file for resuming, or None. start: the
+    network to go on from; None: from weights that `seed` draws. Raises BadInput for a dataset that no network can
+    learn from, or that `start` cannot go on with.
     """
     require_splits(data)
     reads = model.get("reads", "image")

@@ -1,4 +1,4 @@
-"""What the small networks that read the motion of printed dots have in common: their layers, and how they learn and read."""
+"""What the small networks that read motions of printed dots share: their layers, and how they learn and read."""
 
 from collections.abc import Callable, Sequence
 from typing import TypeVar
@@ -21,7 +21,7 @@ Net = TypeVar("Net", bound=nn.Module)
 
 
 class Stack(nn.ModuleList):
-    """Convolutions, each cut off at zero: motion of dots (n, groups * 3, ROWS, COLS) to (n, groups * widths[-1], *LEFT).
+    """Convolutions, each cut off at zero: (n, groups * 3, ROWS, COLS) to (n, groups * widths[-1], *LEFT).
 
     widths: channels behind each of them. groups: networks that stand side by side, each seeing its own channels alone.
     """
@@ -50,9 +50,10 @@ def train_small(
 ) -> Net:
     """A small network trained on `count` presses, rounded as its file keeps it; the same seed gives the same one.
 
-    make: the network with weights that torch's own generator draws. lesson: of the network, the numbers (k,) of some presses
-    and a generator for whatever is varied, what the network tells of them and what it should, two tensors of one shape in
-    units of about what an answer is. name: tells the network's draws from those of others of the same seed.
+    make: the network with weights that torch's own generator draws. lesson: of the network, the numbers (k,) of some
+    presses and a generator for whatever is varied, what the network tells of them and what it should, two tensors of
+    one shape in units of about what an answer is. name: tells the network's draws from those of others of the same
+    seed.
     """
     torch.manual_seed(seed)
     net = make()

@@ -56,9 +56,10 @@ def fit_size(image: np.ndarray, size: Sequence[int]) -> tuple[np.ndarray, str]:
 class Untouched:
     """Finds the picture of the untouched sensor that an image is read against.
 
-    picture: (h, w, 3) uint8 RGB of any size, given by the user. sensor: name of a training sensor. With neither,
-    each image is read against the training sensor it is nearest to. gain: what all forces are multiplied by
-    (networks.sensorprofile). fault: what is wrong with the given picture, empty if nothing. view: how pictures of the sensor are scaled; those of training sensors are at the right scale.
+    picture: (h, w, 3) uint8 RGB of any size, given by the user. sensor: name of a training sensor. With neither, each
+    image is read against the training sensor it is nearest to. gain: what all forces are multiplied by
+    (networks.sensorprofile). fault: what is wrong with the given picture, empty if nothing. view: how pictures of the
+    sensor are scaled; those of training sensors are at the right scale.
     """
 
     def __init__(
@@ -174,12 +175,13 @@ class CanonicalPair:
 class Judgement:
     """How far what was read in an image may be trusted, and what was done to the image before.
 
-    score: how unlike the training images it is, about 1 for one like them (networks.statistics). flag: whether something is
-    wrong with it or the picture beside it; reason: what, empty for nothing. untouched: name of the picture that it was read
-    against, empty beside a network that reads none. light: what its light differed by (networks.canonical), None beside such
-    a network. placed: what was put right in how it lay, empty for nothing. by_dots: totals (3,) N that the dots tell by
-    themselves, None where nothing reads them; half_width: (3,) N, half of the totals' intervals (networks.intervals), None
-    where the model knows none. Both in the order of the channels, times the sensor's gain.
+    score: how unlike the training images it is, about 1 for one like them (networks.statistics). flag: whether
+    something is wrong with it or the picture beside it; reason: what, empty for nothing. untouched: name of the
+    picture that it was read against, empty beside a network that reads none. light: what its light differed by
+    (networks.canonical), None beside such a network. placed: what was put right in how it lay, empty for nothing.
+    by_dots: totals (3,) N that the dots tell by themselves, None where nothing reads them; half_width: (3,) N, half
+    of the totals' intervals (networks.intervals), None where the model knows none. Both in the order of the channels,
+    times the sensor's gain.
     """
 
     score: float
@@ -195,11 +197,12 @@ class Judgement:
 def predict_one(
     untouched: Untouched, image: np.ndarray, placement: Placement | None = None
 ) -> tuple[np.ndarray, np.ndarray, Judgement]:
-    """Predict an image (h, w, 3) uint8 of any size; return it as the network sees it, forces (3, rows, cols) N, a judgement.
+    """Read an image (h, w, 3) uint8 of any size: it as the network sees it, forces (3, rows, cols) N, a judgement.
 
-    A network that reads differences is given the image under the light of the untouched picture, at the scale it learnt,
-    and laid onto that picture by `placement` (None: by what the image's own dots tell); what it reads in that picture
-    itself is taken off, as a scale is tared. Where the dots are read, too, the forces' totals are the mean of both.
+    A network that reads differences is given the image under the light of the untouched picture, at the scale it
+    learnt, and laid onto that picture by `placement` (None: by what the image's own dots tell); what it reads in that
+    picture itself is taken off, as a scale is tared. Where the dots are read, too, the forces' totals are the mean of
+    both.
     """
     trained = untouched.trained
     image, resized = fit_size(image, trained.about["image"])
