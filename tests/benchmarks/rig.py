@@ -21,6 +21,7 @@ from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue
 from gelforge.records.markers import find_markers
 from gelforge.stages.rig import units_of
+from gelforge.virtualrig import streams
 from gelforge.virtualrig.bench import Bench, Pressing
 from gelforge.virtualrig.fields import field_of, surface_of
 from gelforge.virtualrig.render import Pressed, Renderer
@@ -65,7 +66,7 @@ class Rig:
         surface = surface_of(result.mesh, result.displacement, pressing.real)
         return field_of(self.bench.gel, surface), Pressed(self.bench.body(pressing.order.indenter), pressing.real)
 
-    def picture(self, pressing: Pressing, purpose: int = 2) -> np.ndarray:
+    def picture(self, pressing: Pressing, purpose: int = streams.camera(0, 0)) -> np.ndarray:
         """Image of a press by its sensor."""
         noise = generator(self.plan, pressing.order.index, purpose)
         return self.cameras[pressing.order.sensor].image(*self.view(pressing), noise)
@@ -234,8 +235,8 @@ def tracking_errors(rig: Rig, cameras: dict[str, Renderer], pressings: list[Pres
     for pressing in pressings:
         camera, index = cameras[pressing.order.sensor], pressing.order.index
         start, expected = camera.look.dots, measure.dots_by_mechanics(camera, pressing.result)
-        before = camera.image(rng=generator(rig.plan, index, 3))
-        after = camera.image(*rig.view(pressing), generator(rig.plan, index, 2))
+        before = camera.image(rng=generator(rig.plan, index, streams.camera(1, 0)))
+        after = camera.image(*rig.view(pressing), generator(rig.plan, index, streams.camera(0, 0)))
         motion, followed = measure.tracked_dots(before, after, expected, start)
         whole = camera.look.diameter
         followed &= measure.inside_image(start, whole) & measure.inside_image(expected, whole)

@@ -32,6 +32,7 @@ from gelforge.networks.use import Untouched, load_for_use, predict_one
 from gelforge.records.axes import AXIS_OF_CHANNEL, CHANNELS
 from gelforge.stages.rig import units_of
 from gelforge.sweeps.trial import cells_of
+from gelforge.virtualrig import streams
 from gelforge.virtualrig.bench import Bench
 from gelforge.virtualrig.fields import field_of, surface_of
 from gelforge.virtualrig.render import Pressed, Renderer
@@ -101,7 +102,8 @@ def see(bench: Bench, order: Order, cameras: dict[str, Renderer], sensors: dict[
     body, axes = Pressed(bench.body(order.indenter), pressing.real), list(AXIS_OF_CHANNEL)
     stiffness, found = truth.c10_mpa / REFERENCE_C10, []
     for k, (name, camera) in enumerate(cameras.items()):
-        image = camera.image(field, body, generator(bench.plan, order.index, 100 + k))
+        noise = generator(bench.plan, order.index, streams.camera(98 + k, 0))  # far from the plan's own cameras
+        image = camera.image(field, body, noise)
         # what falls outside the picture is no part of what it shows
         cells, outside = cells_of(solved.mesh, solved.forces, sensors[name])
         total, rig_total = stiffness * cells.sum(axis=(1, 2)), pressing.force - stiffness * outside

@@ -12,9 +12,10 @@ from gelforge.errors import BadInput
 from gelforge.geometry import triangles
 from gelforge.geometry.indenters import load_catalogue
 from gelforge.stages.rig import check, run
+from gelforge.virtualrig import streams
 from gelforge.virtualrig.bench import load_cell_error
 from gelforge.virtualrig.looks import read_looks
-from gelforge.virtualrig.rigplan import kind_of, orders, read_plan
+from gelforge.virtualrig.rigplan import generator, kind_of, orders, read_plan
 from gelforge.virtualrig.writer import describe
 from tests.conftest import ROOT
 
@@ -199,3 +200,34 @@ def test_a_plan_without_moments_is_the_one_it_was(root, tmp_path):
     filmed = read_plan(tmp_path / "p.toml")
     assert filmed.identity() != one.identity() and len(orders(filmed)) == 3 * len(orders(one))
     assert len({order.sample_id for order in orders(filmed)}) == len(orders(filmed))
+
+
+# All of the first sensors, those about the end of the short numbers, and the last that `seen_by` allows.
+UNITS = (*range(200), *range(990, 1010), *range(9_990, 10_010), *range(99_990, 100_010), 999_999)
+
+
+def test_no_two_things_of_a_press_are_drawn_from_one_stream():
+    """A picture of the eleventh moment once had the noise that the load cell had at another one."""
+    moments = range(streams.MOST_FRAMES)
+    cameras = [streams.camera(unit, moment) for unit in UNITS for moment in moments]
+    purposes = [streams.ORDER, streams.BENCH, streams.WHO_SEES, *map(streams.load_cell, moments), *cameras]
+    assert len(set(purposes)) == len(purposes)
+    with pytest.raises(ValueError, match="moment = 99"):
+        streams.camera(0, streams.MOST_FRAMES)
+
+
+def test_streams_are_those_that_datasets_were_drawn_with():
+    """Carried out again, a plan gives the presses and pictures it gave: the numbers of ten moments stay what they were."""
+    assert (streams.ORDER, streams.BENCH, streams.WHO_SEES) == (0, 1, 20_000)
+    assert [streams.load_cell(moment) for moment in range(99)] == [10_000 + moment for moment in range(99)]
+    for moment in range(10):
+        assert [streams.camera(unit, moment) for unit in range(998)] == [2 + u + 1000 * moment for u in range(998)]
+    plan = read_plan(DEMO)
+    drift = np.random.default_rng([plan.seed, 999_999_999])  # two numbers: numpy fills up with zeros
+    assert (generator(plan, streams.EVERY_PRESS, streams.ORDER).random(9) == drift.random(9)).all()
+
+
+def test_no_press_has_the_number_that_stands_for_all(tmp_path):
+    plan = changed(tmp_path, ("presses = 48", f"presses = {streams.EVERY_PRESS + 1}"))
+    with pytest.raises(BadInput, match="presses"):
+        read_plan(plan)

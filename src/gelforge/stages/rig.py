@@ -22,6 +22,7 @@ from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue, read_catalogue
 from gelforge.geometry.solids import Indenter
 from gelforge.labelling.sensor import Sensor, load_sensors
+from gelforge.virtualrig import streams
 from gelforge.virtualrig.looks import Look, read_looks
 from gelforge.virtualrig.rigplan import Order, Plan, check_names, generator, orders, read_plan
 from gelforge.virtualrig.units import draw_units
@@ -36,8 +37,6 @@ from gelforge.virtualrig.writer import (
 )
 
 FACTORS = "truth/factors"  # of forces, by indenter; the same for all presses of it
-CAMERA = 2  # purpose of a generator: noise of the first camera that sees a press; the others follow
-MOMENTS = 1000  # further on are the generators of later moments
 
 _worker = None  # the bench and cameras of this process; building them costs more than a press
 
@@ -94,7 +93,7 @@ class Worker:
 
         body, field = Pressed(self.bench.body(orders[0].indenter), surface.press), field_of(self.gel, surface)
         for order in orders:
-            noise = generator(self.plan, order.index, CAMERA + order.unit + MOMENTS * order.moment)
+            noise = generator(self.plan, order.index, streams.camera(order.unit, order.moment))
             save_image(self.folder / image_name(order), self.cameras[order.sensor].image(field, body, noise))
 
 

@@ -12,6 +12,7 @@ from gelforge.mechanics.hex.hexsolver import HexResult, HexSolver
 from gelforge.mechanics.hex.settings import HexSettings
 from gelforge.mechanics.scene import REFERENCE_C10, Indenter, Interface, Material, Press, Scene
 from gelforge.records.status import Status
+from gelforge.virtualrig import streams
 from gelforge.virtualrig.excess import ForceFactor, force_factor, kept_factor, name_of
 from gelforge.virtualrig.fields import FAR, RoughBody, body_of
 from gelforge.virtualrig.rigplan import Order, Plan, Truth, generator
@@ -32,7 +33,6 @@ MOST_BRICKS = 500  # under a footprint: keeps the widest bars within seconds
 # A bench never diverges: where the steps were too long it takes shorter ones, and at last a less deep press,
 # which the log then reports.
 FINER = replace(SETTINGS, press_steps=10, shear_steps=6, max_cuts=10)
-MOMENT_NOISE = 10_000  # purpose of a generator: what the load cell adds at moments before a press's end
 ATTEMPTS = ((SETTINGS, 1.0), (FINER, 1.0), (FINER, 0.8))
 
 
@@ -93,7 +93,7 @@ class Bench:
 
         A state that no attempt could reach has a status that is not valid; so may a moment on the way.
         """
-        truth, rng = self.plan.truth, generator(self.plan, order.index, 1)
+        truth, rng = self.plan.truth, generator(self.plan, order.index, streams.BENCH)
         play = rng.uniform(-1.0, 1.0, size=6) * truth.cnc_um * 1e-3
         if order.shear == (0.0, 0.0):
             play[3:5] = 0.0  # axes that do not travel make no error of travel
@@ -115,7 +115,7 @@ class Bench:
 
     def _later_noise(self, order: Order, moment: int) -> tuple[np.ndarray, np.ndarray]:
         """Noise of force and moment that the load cell reads at a moment before the last."""
-        rng = generator(self.plan, order.index, MOMENT_NOISE + moment)
+        rng = generator(self.plan, order.index, streams.load_cell(moment))
         truth = self.plan.truth
         return rng.normal(scale=truth.force_noise_n, size=3), rng.normal(scale=truth.moment_noise_nm, size=3)
 
@@ -246,7 +246,7 @@ def believed(order: Order, real: Press, play, force, truth: Truth) -> Press:
 
 def load_cell_error(plan: Plan, index: int) -> np.ndarray:
     """Bias and drift of the load cell at a press, (3,) N: slow waves over the presses, known from the seed alone."""
-    rng = np.random.default_rng([plan.seed, 999_999_999])
+    rng = generator(plan, streams.EVERY_PRESS, streams.ORDER)
     phase, period = rng.uniform(0, 2 * np.pi, (3, 3)), rng.uniform(80.0, 900.0, (3, 3))
     waves = np.sin(2 * np.pi * index / period + phase).sum(axis=1) / np.sqrt(3.0)
     return np.array(plan.truth.force_bias_n) + plan.truth.drift_n * waves

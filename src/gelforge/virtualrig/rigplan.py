@@ -13,10 +13,9 @@ from gelforge.errors import BadInput
 from gelforge.flow.params import read_toml
 from gelforge.flow.params.schema import Named, ParameterTable, Place, Some, Within, parse
 from gelforge.geometry.gel import Gel
+from gelforge.virtualrig.streams import MOST_FRAMES, ORDER, WHO_SEES
 
 EDGE = 2.0  # mm that the tip keeps from the gel's outline
-MOST_FRAMES = 99
-WHO_SEES = 20_000  # purpose of a generator: which sensors see a press
 TINY = 1e-9
 DEEPEST = 0.7  # share of the gel's height that a press may take
 
@@ -257,7 +256,7 @@ def kind_of(plan: Plan, presses: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def generator(plan: Plan, index: int, purpose: int) -> np.random.Generator:
-    """Randomness of one press, independent of all others; `purpose` keeps order, bench and cameras apart."""
+    """Randomness of one press, independent of all others; `purpose` is a number of the table in `streams`."""
     return np.random.default_rng([plan.seed, index, purpose])
 
 
@@ -295,7 +294,7 @@ def _sensors_of_press(plan: Plan, index: int, kind: Kind) -> tuple[str, ...]:
 
 
 def _order(plan: Plan, index: int, kind: Kind, number: int) -> Order:
-    rng = generator(plan, index, 0)
+    rng = generator(plan, index, ORDER)
     depth, share, heading = rng.uniform(*kind.depth_mm), rng.uniform(*kind.shear), rng.uniform(0.0, 2 * np.pi)
     time = start_time(plan) + timedelta(seconds=round(index * plan.seconds_per_press, 3))
     return Order(
