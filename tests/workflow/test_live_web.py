@@ -21,9 +21,11 @@ import pytest
 
 from gelforge.commands.live_readings import tell, write_files
 from gelforge.errors import BadInput
+from gelforge.live.reading import Reading
+from gelforge.live.recording import Recorder, paced
+from gelforge.live.server import Hub, Server
 from gelforge.networks.use import Untouched, load_for_use
 from gelforge.records.film import frames, open_source
-from gelforge.reporting.livepage import Hub, Reading, Recorder, Server, paced
 from tests.browser import WIDTHS, browser, console_errors, needs_browser, wait_for
 from tests.limited import limited
 from tests.waiting import HANG

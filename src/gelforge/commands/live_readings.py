@@ -10,7 +10,9 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from gelforge.errors import BadInput
-from gelforge.reporting.livepage import Hub, Reading, Recorder, Server, serve, write_lines
+from gelforge.live.reading import Reading, write_lines
+from gelforge.live.recording import Recorder
+from gelforge.live.server import Hub, Server, serve
 
 LONGEST_LINE = 2**20  # bytes, of a reading that is written
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from gelforge.reporting.parts import script_json
 
 WEB = Path(__file__).parent / "web"
+LOOK = WEB / "look.css"  # of this page and of a running sensor's
 
 
 @dataclass
@@ -72,5 +73,5 @@ def render(dataset: str, lead: str, sections: list[Section], explored: Explored 
         sections=sections,
         explorer=explored is not None,
         scripts=scripts,
-        style=asset("look.css"),
+        style=Markup(LOOK.read_text(encoding="utf-8")),
     )
