@@ -5,8 +5,9 @@ import json
 import os
 from argparse import Namespace
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import nullcontext
+from contextlib import contextmanager
 from dataclasses import asdict, replace
+from functools import lru_cache, partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -37,8 +38,6 @@ from gelforge.virtualrig.writer import (
 )
 
 FACTORS = "truth/factors"  # of forces, by indenter; the same for all presses of it
-
-_worker = None  # the bench and cameras of this process; building them costs more than a press
 
 
 class Worker:
@@ -97,13 +96,14 @@ class Worker:
             save_image(self.folder / image_name(order), self.cameras[order.sensor].image(field, body, noise))
 
 
-def _start(*arguments):
-    global _worker  # noqa: PLW0603 - a process of the pool has one worker, made when it starts
-    _worker = Worker(*arguments)
+@lru_cache(maxsize=1)
+def worker_of(plan: Plan, workflow: Path, folder: Path) -> Worker:
+    """The bench and cameras of this process, made once: that costs more than a press."""
+    return Worker(plan, workflow, folder)
 
 
-def _carry_out(task):
-    return _worker.carry_out(*task)
+def _carry_out(plan: Plan, workflow: Path, folder: Path, task: tuple[list[Order], bool]) -> list[tuple]:
+    return worker_of(plan, workflow, folder).carry_out(*task)
 
 
 def run(plan_path, data="data", workflow="workflow", jobs: int = 1) -> Path:
@@ -189,31 +189,22 @@ def digests(of: dict[str, Any]) -> dict[str, str]:
     return {name: hashlib.sha256(text.encode()).hexdigest()[:16] for name, text in texts.items()}
 
 
-def _pool(jobs: int, plan, workflow, folder):
-    """Context that yields a function from tasks, (order, solved), to results, in their order."""
+@contextmanager
+def _pool(jobs: int, plan: Plan, workflow: Path, folder: Path):
+    """Context that yields a function from tasks, (orders of a press, solved), to results, in their order."""
+    work = partial(_carry_out, plan, workflow, folder)
     if jobs <= 1:
-        worker = None
-
-        def here(todo):
-            nonlocal worker
-            for task in todo:
-                worker = worker or Worker(plan, workflow, folder)
-                yield worker.carry_out(*task)
-
-        return nullcontext(here)
-    return _Processes(jobs, plan, workflow, folder)
-
-
-class _Processes:
-    def __init__(self, jobs, *arguments):
-        # forked threads of numerical libraries hang, so workers start fresh
-        self.executor = ProcessPoolExecutor(jobs, get_context("spawn"), _start, arguments)
-
-    def __enter__(self):
-        return lambda todo: self.executor.map(_carry_out, todo)
-
-    def __exit__(self, *_):
-        self.executor.shutdown(cancel_futures=True)
+        try:
+            yield partial(map, work)
+        finally:
+            worker_of.cache_clear()  # a later run of this process may find other looks and shapes under these names
+        return
+    # forked threads of numerical libraries hang, so workers start fresh
+    executor = ProcessPoolExecutor(jobs, get_context("spawn"))
+    try:
+        yield partial(executor.map, work)
+    finally:
+        executor.shutdown(cancel_futures=True)
 
 
 def _no_contact_images(plan: Plan, looks: dict[str, Look], sensors: dict[str, Sensor], folder: Path) -> None:

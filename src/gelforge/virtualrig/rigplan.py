@@ -2,7 +2,7 @@
 
 import fnmatch
 import json
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Annotated
@@ -109,7 +109,8 @@ class Plan(RigTable):
     held_out_sensors: tuple[str, ...]  # written to dataset.toml as those that training must not see
     truth: Truth
     kinds: tuple[Kind, ...]
-    params: dict  # [params.TABLE] of the plan: parameters of the stages, written to dataset.toml
+    # [params.TABLE] of the plan: parameters of the stages, written to dataset.toml. A dictionary has no hash.
+    params: dict = field(hash=False)
     frames: Annotated[int, Within(1, MOST_FRAMES)] = 1
     units: DrawnUnits | None = None
 
