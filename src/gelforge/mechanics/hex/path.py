@@ -227,7 +227,11 @@ class Run(Equilibrium):
         return places, normal
 
     def _pressing(self, pose: Pose) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Index (p,), traction (p, 3) and pressing part (p,) of glued points; below zero they pull."""
+        """Index (p,), traction (p, 3) and pressing part (p,) of glued points; below zero they pull.
+
+        None by Coulomb's law and without friction: there a point has a traction only where it is inside the indenter,
+        which presses. So nothing pulls at their end, and no contact set is left unsettled.
+        """
         springs, state = self.springs, self.state
         held = (state.status[springs.point] == GLUED) & np.isnan(springs.gap)
         point = springs.point[held]
