@@ -27,18 +27,44 @@ def told_rows(result: dict) -> list[list]:
 
 
 def tables(result: dict) -> list[dict]:
-    """Tables of an evaluation for the report: title, columns, rows of text."""
-    splits = result["splits"]
-    main = [
+    """Tables of an evaluation for the report: title, columns, rows of text. The last two only where there are any."""
+    groups = (("per_indenter", "per indenter"), ("per_force", "per normal force"), ("per_sensor", "per sensor"))
+    found = [
+        _totals_and_cells(result),
+        _intervals(result),
+        _controls(result),
+        *(_groups(result, key, title) for key, title in groups),
+    ]
+    return found + [table for table in (_told(result), _references(result)) if table["rows"]]
+
+
+def _table(title: str, columns: list[str], rows: list[list]) -> dict:
+    return {"title": title, "columns": columns, "rows": rows}
+
+
+def _with_bias(errors: dict) -> list[str]:
+    """Mean absolute error and bias of each component as text."""
+    return [f"{errors[a]['mae']:.3f} (bias {errors[a]['bias']:+.3f})" for a in CHANNELS]
+
+
+def _totals_and_cells(result: dict) -> dict:
+    rows = [
         [
             name,
             split["n"],
             *(f"{split['total'][a]['mae']:.3f} ± {split['total'][a]['std']:.3f}" for a in CHANNELS),
             *(cell_text(split["cell"], a) for a in CHANNELS),
         ]
-        for name, split in splits.items()
+        for name, split in result["splits"].items()
     ]
-    detail = [
+    title = f"Mean absolute error of {result['model']}, N: total and per cell (± deviation over images)"
+    return _table(
+        title, ["split", "images", *(f"total {a}" for a in CHANNELS), *(f"cell {a}" for a in CHANNELS)], rows
+    )
+
+
+def _intervals(result: dict) -> dict:
+    rows = [
         [
             name,
             axis,
@@ -46,78 +72,43 @@ def tables(result: dict) -> list[dict]:
             f"{e['bias']:+.3f}",
             "-" if e["mae_percent_of_range"] is None else f"{e['mae_percent_of_range']:.2f}",
         ]
-        for name, split in splits.items()
+        for name, split in result["splits"].items()
         for axis, e in split["total"].items()
     ]
-    control = [
+    title = "Total force: 95 % interval of the mean absolute error and bias, N; error in % of the force range"
+    return _table(title, ["split", "component", "95 % interval", "bias", "% of range"], rows)
+
+
+def _controls(result: dict) -> dict:
+    rows = [
         [name, what.replace("_", " "), *(f"{values[a]:.3f}" for a in CHANNELS)]
-        for name, split in splits.items()
+        for name, split in result["splits"].items()
         for what, values in split["controls"].items()
     ]
-    against = [
-        [
-            name,
-            kind,
-            who,
-            pair["n"],
-            *(f"{pair[who][a]['mae']:.3f} (bias {pair[who][a]['bias']:+.3f})" for a in CHANNELS),
-        ]
-        for name, split in splits.items()
+    title = "What knows less than the network: mean absolute error of total force, N"
+    return _table(title, ["split", "control", *CHANNELS], rows)
+
+
+def _groups(result: dict, key: str, title: str) -> dict:
+    rows = [
+        [name, group, values["n"], *_with_bias(values)]
+        for name, split in result["splits"].items()
+        for group, values in split[key].items()
+    ]
+    return _table(f"Total force, mean absolute error {title}, N", ["split", "group", "images", *CHANNELS], rows)
+
+
+def _told(result: dict) -> dict:
+    title = "As `predict` tells it, with light, tare and dots: mean absolute error and its 95 % interval, N"
+    return _table(title, TOLD_COLUMNS, told_rows(result))
+
+
+def _references(result: dict) -> dict:
+    rows = [
+        [name, kind, who, pair["n"], *_with_bias(pair[who])]
+        for name, split in result["splits"].items()
         for kind, pair in split["against"].items()
         for who in ("network", "labels")
     ]
-    found: list[dict] = [
-        {
-            "title": f"Mean absolute error of {result['model']}, N: total and per cell (± deviation over images)",
-            "columns": ["split", "images", *(f"total {a}" for a in CHANNELS), *(f"cell {a}" for a in CHANNELS)],
-            "rows": main,
-        },
-        {
-            "title": "Total force: 95 % interval of the mean absolute error and bias, N; error in % of the force range",
-            "columns": ["split", "component", "95 % interval", "bias", "% of range"],
-            "rows": detail,
-        },
-        {
-            "title": "What knows less than the network: mean absolute error of total force, N",
-            "columns": ["split", "control", *CHANNELS],
-            "rows": control,
-        },
-    ]
-    for key, title in (
-        ("per_indenter", "per indenter"),
-        ("per_force", "per normal force"),
-        ("per_sensor", "per sensor"),
-    ):
-        found.append(
-            {
-                "title": f"Total force, mean absolute error {title}, N",
-                "columns": ["split", "group", "images", *CHANNELS],
-                "rows": [
-                    [
-                        name,
-                        group,
-                        values["n"],
-                        *(f"{values[a]['mae']:.3f} (bias {values[a]['bias']:+.3f})" for a in CHANNELS),
-                    ]
-                    for name, split in splits.items()
-                    for group, values in split[key].items()
-                ],
-            }
-        )
-    if told := told_rows(result):
-        found.append(
-            {
-                "title": "As `predict` tells it, with light, tare and dots: mean absolute error and its 95 % interval, N",
-                "columns": TOLD_COLUMNS,
-                "rows": told,
-            }
-        )
-    if against:
-        found.append(
-            {
-                "title": "Network and labels against the force sensor and against what a virtual rig knows, N",
-                "columns": ["split", "reference", "who", "images", *CHANNELS],
-                "rows": against,
-            }
-        )
-    return found
+    title = "Network and labels against the force sensor and against what a virtual rig knows, N"
+    return _table(title, ["split", "reference", "who", "images", *CHANNELS], rows)
