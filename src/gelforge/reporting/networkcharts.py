@@ -6,6 +6,12 @@ from gelforge.records.axes import CHANNELS
 from gelforge.reporting.canvas import canvas, save_png
 
 SHOWN_PRESSES = 4
+KIND_COLOURS = {"unet": "tab:blue", "unet_single": "tab:purple", "resnet": "tab:orange", "grid": "tab:green"}
+# Errors of networks that are drawn against latency: keys of rows of stages.pareto_models, and their labels.
+PANELS = {
+    "percent": "total force, mean of components (% of range)",
+    "cell_grid_z": "normal force per cell (N)",
+}
 
 
 def draw_curve(path, curve: list[dict], best_epoch: int, name: str) -> None:
@@ -88,3 +94,44 @@ def draw_study(path, rows: list[dict], name: str) -> None:
     figure.axes[0].legend(fontsize=8)
     figure.suptitle(f"What {name} gains from presses and units (numbers: units; bars: 95 %)", fontsize=10)
     save_png(path, figure)
+
+
+def draw_latencies(path, rows: list[dict], fronts: dict[str, set[str]], split: str, chosen: str | None) -> None:
+    """Write total error and error per cell of networks against their latency with one thread.
+
+    :param rows: of stages.pareto_models, one a network; one without an error is not drawn against it.
+    :param fronts: by key of PANELS, the names of the networks that no other beats in both latency and error.
+    """
+    figure = canvas(11, 4.6)
+    for axis, (key, label) in zip(figure.subplots(1, 2), PANELS.items()):
+        shown = [row for row in rows if row[key] is not None]
+        line = sorted((row["cpu1_median_ms"], row[key]) for row in shown if row["model"] in fronts[key])
+        axis.plot(*zip(*line), color="0.7", zorder=1, drawstyle="steps-post")
+        for place, row in enumerate(sorted(shown, key=lambda row: row[key])):
+            # names in turn below and above, from the least error: those of near networks would cover each other
+            _draw_network(axis, row, key, 6 if place % 2 else -12, row["model"] == chosen)
+        axis.set(
+            xscale="log",
+            yscale="log",
+            xlabel="ms per image, batch 1, one CPU thread (bar: 10 to 90 %)",
+            ylabel=f"MAE, {label}",
+        )
+        axis.margins(x=0.2, y=0.12)
+        axis.grid(alpha=0.3, which="both")
+    figure.suptitle(f"Networks on split {split}: line is the front, star the chosen one", fontsize=10)
+    save_png(path, figure)
+
+
+def _draw_network(axis, row: dict, key: str, name_above: int, chosen: bool) -> None:
+    """One network as a point with its name, `name_above` points of print above it."""
+    x = row["cpu1_median_ms"]
+    axis.errorbar(
+        x,
+        row[key],
+        xerr=[[x - row["cpu1_p10_ms"]], [row["cpu1_p90_ms"] - x]],
+        fmt="*" if chosen else "o",
+        zorder=2,
+        markersize=13 if chosen else 6,
+        color=KIND_COLOURS[row["kind"]],
+    )
+    axis.annotate(row["model"], (x, row[key]), xytext=(5, name_above), textcoords="offset points", fontsize=8)

@@ -13,12 +13,12 @@ from gelforge.flow.files import publish, read_json, write_csv, write_json
 from gelforge.flow.layout import beside
 from gelforge.flow.main import command, option
 from gelforge.records.axes import CHANNELS
+from gelforge.reporting.networkcharts import PANELS, draw_latencies
 from gelforge.sweeps.deviation import frontier
 
 VERSION = 1
 BASELINE = "unet"
 FASTER = 5.0  # times that the chosen network must be faster than the baseline, on one CPU thread
-KIND_COLOURS = {"unet": "tab:blue", "unet_single": "tab:purple", "resnet": "tab:orange", "grid": "tab:green"}
 
 
 def row_of(evaluation: dict, split: str, latencies: dict[str, dict]) -> dict:
@@ -89,52 +89,14 @@ def measure(models: dict, image, seconds: float) -> dict[str, dict[str, dict]]:
     return {name: {way: timed[way][name] for way in ways} for name in models}
 
 
-def draw_chart(path, rows: list[dict], split: str, chosen: str | None) -> None:
-    """Write the chart: total error and error per cell against latency with one thread."""
-    from gelforge.reporting.canvas import canvas, save_png
-
-    figure = canvas(11, 4.6)
-    panels = (
-        ("percent", "total force, mean of components (% of range)"),
-        ("cell_grid_z", "normal force per cell (N)"),
-    )
-    for axis, (key, label) in zip(figure.subplots(1, 2), panels):
+def fronts_of(rows: list[dict]) -> dict[str, set[str]]:
+    """Names of the networks that no other beats in both latency and error, by the chart's errors."""
+    found = {}
+    for key in PANELS:
         shown = [row for row in rows if row[key] is not None]
         best = frontier([(row["cpu1_median_ms"], row[key]) for row in shown])
-        line = sorted((row["cpu1_median_ms"], row[key]) for row, good in zip(shown, best) if good)
-        axis.plot(*zip(*line), color="0.7", zorder=1, drawstyle="steps-post")
-        for place, row in enumerate(sorted(shown, key=lambda row: row[key])):
-            x, spread = (
-                row["cpu1_median_ms"],
-                [[row["cpu1_median_ms"] - row["cpu1_p10_ms"]], [row["cpu1_p90_ms"] - row["cpu1_median_ms"]]],
-            )
-            axis.errorbar(
-                x,
-                row[key],
-                xerr=spread,
-                fmt="*" if row["model"] == chosen else "o",
-                zorder=2,
-                markersize=13 if row["model"] == chosen else 6,
-                color=KIND_COLOURS[row["kind"]],
-            )
-            # names in turn below and above, from the least error: those of near networks would cover each other
-            axis.annotate(
-                row["model"],
-                (x, row[key]),
-                xytext=(5, 6 if place % 2 else -12),
-                textcoords="offset points",
-                fontsize=8,
-            )
-        axis.set(
-            xscale="log",
-            yscale="log",
-            xlabel="ms per image, batch 1, one CPU thread (bar: 10 to 90 %)",
-            ylabel=f"MAE, {label}",
-        )
-        axis.margins(x=0.2, y=0.12)
-        axis.grid(alpha=0.3, which="both")
-    figure.suptitle(f"Networks on split {split}: line is the front, star the chosen one", fontsize=10)
-    save_png(path, figure)
+        found[key] = {row["model"] for row, good in zip(shown, best) if good}
+    return found
 
 
 @command(
@@ -159,12 +121,13 @@ def main(args: Namespace) -> None:
     image = np.asarray(open_data(args.dataset).images[0])
     latencies = measure(models, image, args.seconds)
     rows = [row_of(evaluations[name], args.split, latencies[name]) for name in sorted(models)]
-    for row, good in zip(rows, frontier([(row["cpu1_median_ms"], row["percent"]) for row in rows])):
-        row["front"] = good
+    fronts = fronts_of(rows)
+    for row in rows:
+        row["front"] = row["model"] in fronts["percent"]
     chosen = (choose(rows) or {}).get("model")
     write_csv(beside(args.out, ".csv"), list(rows[0]), rows)
     with publish(beside(args.out, ".png")) as part:
-        draw_chart(part, rows, args.split, chosen)
+        draw_latencies(part, rows, fronts, args.split, chosen)
     write_json(args.out, {"split": args.split, "chosen": chosen, "baseline": BASELINE, "models": rows})
     for row in sorted(rows, key=lambda r: r["cpu1_median_ms"]):
         print(
