@@ -179,6 +179,14 @@ def _kinematics(
                 near[a, i, lane] = gradients[batch, g, a, i, lane]
     for lane in range(LANES):
         point[_WEIGHT, lane] = weights[batch, g, lane]
+    _deform(moved, near, f)
+    _invert(f, inverse, point)
+    _push(f, inverse, near)
+
+
+@njit(inline="always")
+def _deform(moved: np.ndarray, near: np.ndarray, f: np.ndarray) -> None:
+    """Fill f (9, LANES), the deformation gradient at a point, row by row."""
     for i in range(9):
         for lane in range(LANES):
             f[i, lane] = 1.0 if i % 4 == 0 else 0.0
@@ -195,6 +203,11 @@ def _kinematics(
             f[6, lane] += u2 * x
             f[7, lane] += u2 * y
             f[8, lane] += u2 * z
+
+
+@njit(inline="always")
+def _invert(f: np.ndarray, inverse: np.ndarray, point: np.ndarray) -> None:
+    """Fill inverse (9, LANES), transposed, and what the point has of F: J, the sum of its squares, and its volume."""
     for lane in range(LANES):
         f0, f1, f2 = f[0, lane], f[1, lane], f[2, lane]
         f3, f4, f5 = f[3, lane], f[4, lane], f[5, lane]
@@ -215,6 +228,11 @@ def _kinematics(
             f0 * f0 + f1 * f1 + f2 * f2 + f3 * f3 + f4 * f4 + f5 * f5 + f6 * f6 + f7 * f7 + f8 * f8
         )
         point[_VOLUME, lane] = point[_WEIGHT, lane] * ratio
+
+
+@njit(inline="always")
+def _push(f: np.ndarray, inverse: np.ndarray, near: np.ndarray) -> None:
+    """Fill of near (8, 9, LANES) the gradients in space, and F times those in the reference."""
     for a in range(8):
         for lane in range(LANES):
             x, y, z = near[a, 0, lane], near[a, 1, lane], near[a, 2, lane]
