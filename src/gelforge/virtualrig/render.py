@@ -183,7 +183,11 @@ def _blur_gain(sigma: float) -> float:
 
 
 def project(projection: np.ndarray, x, y):
-    """Pixels (u, v) of gel points, by a homography (Hartley and Zisserman, section 2.3)."""
+    """Pixels (u, v) of gel points, by a homography (Hartley and Zisserman, section 2.3).
+
+    As `labelling.sensor.transform`, but coordinate by coordinate: a product of matrices rounds otherwise, and differently
+    from processor to processor, and a plan that is carried out again must give the same pictures.
+    """
     w = projection[2, 0] * x + projection[2, 1] * y + projection[2, 2]
     u = projection[0, 0] * x + projection[0, 1] * y + projection[0, 2]
     v = projection[1, 0] * x + projection[1, 1] * y + projection[1, 2]
