@@ -3,14 +3,16 @@
 import hashlib
 import shutil
 from argparse import Namespace
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import publish, read_json, write_json
+from gelforge.flow.files import digest_of, publish, read_json, write_json
 from gelforge.flow.main import command, group, option
+from gelforge.flow.params import canonical, read_toml
 
 SHIPPED = Path("src/gelforge/networks/default.pt")
 PRESSED = 1.4, (0.5, 1.0), (0.4, -0.3)  # depth, place and way sideways of the press that is shown, mm
@@ -18,25 +20,27 @@ ARROW_MM = 2.0  # length of the largest force
 SHOWN = 3  # frames of a film, where it presses hardest
 
 
-def digest(paths: list[Path]) -> str:
-    """Digest of files, in the order given."""
-    found = hashlib.sha256()
-    for path in paths:
-        found.update(path.read_bytes())
-    return found.hexdigest()
+def digest(source: str) -> str | None:
+    """Digest of a file, or of one table of a TOML file by the name FILE#TABLE; None where the file is not here."""
+    name, _, table = source.partition("#")
+    if not Path(name).exists():
+        return None
+    if not table:
+        return digest_of(Path(name))
+    return hashlib.sha256(canonical(read_toml(name).get(table)).encode()).hexdigest()
 
 
-def publish_picture(out: Path, content: bytes, data: list[Path]) -> None:
+def publish_picture(out: Path, content: bytes, data: Sequence[Path | str]) -> None:
     """Write a picture, and beside it what it was made from."""
     with publish(out) as part:
         part.write_bytes(content)
-    write_json(out.with_suffix(".json"), {"data": {str(path): digest([path]) for path in data}})
+    write_json(out.with_suffix(".json"), {"data": {str(source): digest(str(source)) for source in data}})
 
 
 def outdated(picture: Path) -> list[str]:
     """Data of a picture that are here and are no longer what it shows."""
     known = read_json(picture.with_suffix(".json"))["data"]
-    return [name for name, held in known.items() if Path(name).exists() and digest([Path(name)]) != held]
+    return [name for name, held in known.items() if digest(name) not in (None, held)]
 
 
 def hardest_frames(film: Path, trained, count: int = SHOWN):
@@ -114,7 +118,7 @@ def press(args: Namespace) -> None:
 
     body = load_catalogue(args.catalogue, [args.name])[args.name]
     image = view_of(*bodies_of(body, solve(body, *PRESSED, quality="label")))
-    publish_picture(args.out, png_bytes(image), [args.catalogue])
+    publish_picture(args.out, png_bytes(image), [f"{args.catalogue}#{args.name}"])
 
 
 def bodies_of(body, solved) -> tuple:
