@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gelforge.geometry.gel import Gel
-from gelforge.mechanics.contact import GLUED, FacePlaces, Law, Pose, contact_points, contact_springs, curved
+from gelforge.mechanics.hex.contact import GLUED, FacePlaces, Law, contact_points, contact_springs, curved
 from gelforge.mechanics.hex.hexmesh import (
     FineBox,
     build_mesh,
@@ -15,6 +15,7 @@ from gelforge.mechanics.hex.hexmesh import (
     surface_lines,
 )
 from gelforge.mechanics.pattern import build_pattern
+from gelforge.mechanics.pose import Pose
 from tests.surface_values import interpolate_surface
 
 LAW = Law(penalty=50.0, friction=5.0)
@@ -165,7 +166,7 @@ def test_layers_grow_downwards():
 
 
 def test_mesh_fills_the_gel(mesh):
-    from gelforge.mechanics.element import bricks
+    from gelforge.mechanics.hex.element import bricks
 
     gel = Gel()
     volume = bricks(mesh.nodes, mesh.elements).weights.sum()  # raises where a brick is inverted

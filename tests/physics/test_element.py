@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gelforge.mechanics import element
+from gelforge.mechanics.hex import element
 from gelforge.mechanics.linear import SuperLU, symmetric_solver
 from gelforge.mechanics.pattern import block_places, build_pattern, symmetric_product
 from gelforge.mechanics.scene import Material

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build, load_catalogue
 from gelforge.geometry.touch import width_of
-from gelforge.mechanics.element import bricks, smallest_ratios
 from gelforge.mechanics.hex.carry import FLAT, Trail, carried, surface_motion, touches, untangled, volume_motion
+from gelforge.mechanics.hex.element import bricks, smallest_ratios
 from gelforge.mechanics.hex.hexmesh import FineBox, build_mesh, dissected, elimination_order
 from gelforge.mechanics.hex.hexsolver import HexSolver, moment_of, solve_hex
 from gelforge.mechanics.hex.settings import QUALITIES, HexSettings, Nested

@@ -14,14 +14,15 @@ from typing import Any
 import numpy as np
 
 from gelforge.flow.params.tables import FeaTable
-from gelforge.mechanics.ccx import boundary as touch
 from gelforge.mechanics.ccx.dat import DatError, Unfinished, last_table, read_dat, without_set
 from gelforge.mechanics.ccx.deck import DIRECT, ITERATIVE, press_deck, write_include
 from gelforge.mechanics.ccx.program import run_ccx
+from gelforge.mechanics.ccx.springs import drag_loads, spring_rows
 from gelforge.mechanics.hex.carry import Trail
 from gelforge.mechanics.hex.reach import first_touch
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.scene import REFERENCE_C10, Result, Scene
+from gelforge.mechanics.tet import contact as touch
 from gelforge.mechanics.tet.face import face_points
 from gelforge.mechanics.tet.kinematics import Kinematics, PathSettings, arrive, contact_forces, follow
 from gelforge.mechanics.tet.solid import TetSolid
@@ -162,8 +163,8 @@ class _Run:
     def solve(self, contact: touch.Contact, start: np.ndarray | None) -> "Answer | CcxResult":
         """One round: from the start, else in increments from rest; an Answer, or a failed CcxResult."""
         mesh, s = self.solver.mesh, self.settings
-        rows = touch.spring_rows(contact, self.solver.points, self.stiffness)
-        loads = touch.drag_loads(contact, self.solver.points, len(mesh.nodes))
+        rows = spring_rows(contact, self.solver.points, self.stiffness)
+        loads = drag_loads(contact, self.solver.points, len(mesh.nodes))
         problem = Status.DIVERGED, "no point touches"
         attempts = [(start, 1.0, ITERATIVE), (start, 1.0, DIRECT)]
         attempts += [(None, INCREMENT, DIRECT), (None, INCREMENT / 10, DIRECT)]

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gelforge.geometry.gel import Gel
-from gelforge.mechanics.contact import NoEquilibrium, Pose, touch_fraction
-from gelforge.mechanics.element import BrickGeometry, smallest_ratios
+from gelforge.mechanics.hex.element import BrickGeometry, smallest_ratios
 from gelforge.mechanics.hex.hexmesh import HexMesh
 from gelforge.mechanics.hex.reach import path_pose
+from gelforge.mechanics.pose import NoEquilibrium, Pose, touch_fraction
 from gelforge.mechanics.scene import Scene
 
 FLAT = 0.2  # volume ratio below which a brick is nearly inside out: Newton's first steps would turn it over

@@ -7,13 +7,11 @@ from typing import Any
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.mechanics import element
-from gelforge.mechanics.contact import (
+from gelforge.mechanics.hex import element
+from gelforge.mechanics.hex.contact import (
     GLUED,
     FacePlaces,
     Law,
-    NoEquilibrium,
-    Pose,
     Skew,
     Springs,
     contact_points,
@@ -26,6 +24,7 @@ from gelforge.mechanics.hex.reach import reachable_faces
 from gelforge.mechanics.hex.settings import HexSettings
 from gelforge.mechanics.linear import gmres, symmetric_solver
 from gelforge.mechanics.pattern import block_places, build_pattern, symmetric_product
+from gelforge.mechanics.pose import NoEquilibrium, Pose
 from gelforge.mechanics.scene import REFERENCE_C10, Scene
 
 # Iterations after which a step must lower the residual: the first ones look uphill, though they are right.

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from gelforge.geometry.gel import Gel
-from gelforge.mechanics.contact import ContactState
 from gelforge.mechanics.hex.bricks import Bricks
 from gelforge.mechanics.hex.carry import Trail
+from gelforge.mechanics.hex.contact import ContactState
 from gelforge.mechanics.hex.equilibrium import System
 from gelforge.mechanics.hex.hexmesh import FineBox, HexMesh, build_mesh
 from gelforge.mechanics.hex.path import Run

@@ -3,8 +3,8 @@
 import numpy as np
 
 from gelforge.geometry import touch
-from gelforge.mechanics.contact import Pose
 from gelforge.mechanics.hex.hexmesh import FineBox, HexMesh
+from gelforge.mechanics.pose import Pose
 from gelforge.mechanics.scene import Scene
 
 NARROW = 0.8  # of the bricks across a whole contact must lie across its parts

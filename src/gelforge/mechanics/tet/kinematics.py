@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gelforge.mechanics.ccx.boundary import FREE, SLIDE, STICK, Contact, gaps, judge
-from gelforge.mechanics.contact import NoEquilibrium, Pose, touch_fraction
 from gelforge.mechanics.hex.carry import Trail, touches, volume_motion
+from gelforge.mechanics.pose import NoEquilibrium, Pose, touch_fraction
 from gelforge.mechanics.scene import Scene
+from gelforge.mechanics.tet.contact import FREE, SLIDE, STICK, Contact, gaps, judge
 from gelforge.mechanics.tet.face import FacePoints
 from gelforge.mechanics.tet.solid import TetSolid
 

@@ -16,6 +16,7 @@ from numba import njit
 from gelforge.geometry.solids import Indenter
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.pattern import Pattern, add_block, block_places
+from gelforge.mechanics.pose import Pose
 
 FREE, TOUCHING, GLUED = 0, 1, 2
 STEP = 1e-6  # mm that points are moved by for the differences of their tractions
@@ -79,30 +80,6 @@ class ContactState:
         return self.status != FREE
 
 
-@dataclass(frozen=True)
-class Pose:
-    """Where the indenter's frame stands: rotation (3, 3), translation (3,)."""
-
-    rotation: np.ndarray
-    translation: np.ndarray
-
-    def to_indenter(self, points: np.ndarray) -> np.ndarray:
-        return (points - self.translation) @ self.rotation
-
-    def to_gel(self, points: np.ndarray) -> np.ndarray:
-        return points @ self.rotation.T + self.translation
-
-    def turn(self, vectors: np.ndarray) -> np.ndarray:
-        """Vectors of the indenter's frame in the gel's."""
-        return vectors @ self.rotation.T
-
-
-def touch_fraction(gap_before: np.ndarray, gap_after: np.ndarray) -> np.ndarray:
-    """At which fraction of a step points cross the surface, whose gap falls evenly; 1 where it stays open."""
-    crosses, open_ = gap_after < 0.0, np.maximum(gap_before, 0.0)
-    return np.where(crosses, open_ / np.where(crosses, open_ - gap_after, 1.0), 1.0)
-
-
 def gauss_points(order: int) -> tuple[np.ndarray, np.ndarray]:
     """Local coordinates (order^2, 2) and weights (order^2,) of the Gauss rule on [-1, 1]^2."""
     x, w = np.polynomial.legendre.leggauss(order)
@@ -158,10 +135,6 @@ class Springs:
     stiffness: np.ndarray
     gap: np.ndarray
     slip: Skew
-
-
-class NoEquilibrium(Exception):
-    """Newton's method stopped without a state; the load stepping answers with a shorter step."""
 
 
 @dataclass(frozen=True)
