@@ -13,8 +13,8 @@ from gelforge.mechanics.ccx.springs import spring_rows
 from gelforge.mechanics.hex.hexsolver import solve_hex
 from gelforge.mechanics.hex.settings import HexSettings
 from gelforge.mechanics.scene import Interface, Material, Press, Scene
-from gelforge.mechanics.tet.contact import SLIDE, STICK, Contact
 from gelforge.mechanics.tet.face import dunavant12, face_points
+from gelforge.mechanics.tet.facecontact import SLIDE, STICK, Contact
 from gelforge.mechanics.tet.kinematics import contact_blocks, contact_forces
 from gelforge.records.status import Status
 from tests.blocks import symmetric_block

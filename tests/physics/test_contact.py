@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from gelforge.geometry.gel import Gel
-from gelforge.mechanics.hex.contact import GLUED, FacePlaces, Law, contact_points, contact_springs, curved
 from gelforge.mechanics.hex.hexmesh import (
     FineBox,
     build_mesh,
@@ -14,6 +13,7 @@ from gelforge.mechanics.hex.hexmesh import (
     layer_heights,
     surface_lines,
 )
+from gelforge.mechanics.hex.penaltycontact import GLUED, FacePlaces, Law, contact_points, contact_springs, curved
 from gelforge.mechanics.pattern import build_pattern
 from gelforge.mechanics.pose import Pose
 from tests.surface_values import interpolate_surface

@@ -7,9 +7,9 @@ import pytest
 
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build, load_catalogue
-from gelforge.mechanics.hex.contact import GLUED
 from gelforge.mechanics.hex.hexmesh import FineBox, HexMesh, mesh_on_lines
 from gelforge.mechanics.hex.hexsolver import MOST_BELOW_MM, MOST_INSIDE_MM, HexSolver, solve_hex
+from gelforge.mechanics.hex.penaltycontact import GLUED
 from gelforge.mechanics.hex.reach import fine_box, path_pose
 from gelforge.mechanics.hex.settings import HexSettings, quality
 from gelforge.mechanics.scene import Interface, Material, Press, Scene

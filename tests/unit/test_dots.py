@@ -13,7 +13,7 @@ from parameters import with_values
 from synthetic_presses import SETTINGS, write_dataset
 
 from gelforge.errors import BadInput
-from gelforge.networks.agreement import dots_fault, meet, settle
+from gelforge.networks.agreement import blend, dots_fault, fit_blend
 from gelforge.networks.canonical import match_light
 from gelforge.networks.data import open_data
 from gelforge.networks.dotreader import VIEWS, DotPresses, DotReader, train_dot_reader
@@ -172,7 +172,7 @@ def test_totals_meet_at_their_weighted_mean(seed, weight):
     forces[2, 6:18, 8:24] -= 0.1
     total = forces.sum((1, 2), dtype=float)
     by_dots = total * rng.uniform(0.7, 1.4, 3)
-    settled = settle(forces, by_dots, weight)
+    settled = blend(forces, by_dots, weight)
     np.testing.assert_allclose(
         settled.sum((1, 2), dtype=float), total + weight * (by_dots - total), rtol=1e-4, atol=1e-4
     )
@@ -181,15 +181,15 @@ def test_totals_meet_at_their_weighted_mean(seed, weight):
 
 def test_without_a_press_a_map_stays_what_it_is():
     forces = np.full((3, 24, 32), 1e-5, np.float32)
-    assert settle(forces, np.array([1.0, 1.0, -5.0]), [0.5, 0.5, 0.5]) is forces
+    assert blend(forces, np.array([1.0, 1.0, -5.0]), [0.5, 0.5, 0.5]) is forces
 
 
 def test_the_better_reader_has_more_say_and_a_contradiction_is_told():
     rng = np.random.default_rng(2)
     true = rng.uniform(-1, 1, (400, 3)) * [2, 2, 30]
     good, poor = true + rng.normal(0, 0.1, true.shape), true + rng.normal(0, 0.5, true.shape)
-    told = meet(poor, good, true)
-    assert min(told["weight"]) > 0.8 > 0.2 > max(meet(good, poor, true)["weight"])
+    told = fit_blend(poor, good, true)
+    assert min(told["weight"]) > 0.8 > 0.2 > max(fit_blend(good, poor, true)["weight"])
     assert set(told["apart"]) == set(CHANNELS)
     usual = [dots_fault(told["apart"], a, b) for a, b in zip(poor, good, strict=True)]
     assert np.mean([bool(fault) for fault in usual]) < 0.01
@@ -314,7 +314,7 @@ def test_training_leaves_a_reader_of_dots_beside_the_network(trained, rest, pres
         _, forces, judged = predict_one(untouched, picture)
         alone = Untouched(replace(trained, dots=None), rest)
         _, bare, _ = predict_one(alone, picture)
-        wanted = settle(bare, judged.by_dots, weight.tolist())
+        wanted = blend(bare, judged.by_dots, weight.tolist())
         np.testing.assert_allclose(forces, wanted, rtol=1e-5, atol=1e-7)
 
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from parameters import parameters, slice_of
 
-from gelforge.commands.estimate import told, training, uncalibrated
+from gelforge.commands.estimate import later_costs, training, uncalibrated
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_json, write_json
 from gelforge.flow.forecast import Cost, pilots, presses_an_hour, size, table, wall_seconds
@@ -63,12 +63,14 @@ def test_a_network_that_is_trained_is_counted_by_its_kind(tmp_path, root):
         write_json(params / "models" / f"{name}.json", {name: models[name]})
     write_json(params / "train.json", {"version": 1, "train": plain(slice_of("train").train)})
     write_json(params / "report.json", {"version": 1, "report": plain(parameters().report) | {"branches": []}})
-    costs = {name: {c.stage: c for c in told(params, "24x32", name)} for name in ("shipped", "grid_16", "unet")}
+    costs = {
+        name: {c.stage: c for c in later_costs(params, "24x32", name)} for name in ("shipped", "grid_16", "unet")
+    }
     assert "70_train" not in costs["shipped"]
     light, heavy = (costs[name]["70_train"].cpu_each for name in ("grid_16", "unet"))
     epochs = slice_of("train").train
     assert heavy / (epochs.epochs_of.unet or epochs.epochs) > 2 * light / epochs.epochs
-    pair = told(params, "24x32", "pair_24_mirrored")
+    pair = later_costs(params, "24x32", "pair_24_mirrored")
     assert next(c for c in pair if c.stage == "70_train").cpu_each > light  # its reader of dots learns too
 
 

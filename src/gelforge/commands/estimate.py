@@ -1,7 +1,7 @@
 """Core hours, disk and time of a run before it starts, from a few of its presses.
 
 Presses from the middles of equal shares of the depths go through poses, fea, forces and labels, in a folder of their
-own that is removed afterwards. Stages after the labels are told from what they took on other datasets.
+own that is removed afterwards. Stages after the labels are estimated from what they took on other datasets.
 """
 
 import os
@@ -118,7 +118,7 @@ def training(params: Path, model: str) -> Cost:
     return Cost(layout.TRAIN, each, START, bytes_once=3e6)
 
 
-def told(params: Path, resolution: str, model: str) -> list[Cost]:
+def later_costs(params: Path, resolution: str, model: str) -> list[Cost]:
     """What the stages after the labels take with a network, from other datasets."""
     report = read_slice(params / "report.json", ForReport).report
     cells = 4 * 3 * int(resolution.split("x", maxsplit=1)[0]) * int(resolution.split("x")[1])
@@ -137,7 +137,7 @@ def told(params: Path, resolution: str, model: str) -> list[Cost]:
 
 def estimated(data: Path, results: Path, resolution: str, model: str, rows: list[RawRow]) -> list[Cost]:
     """What every stage of a dataset takes, the rows given being all its presses."""
-    later = told(Layout(results).params, resolution, model)  # first: a wrong word must not wait for the pilots
+    later = later_costs(Layout(results).params, resolution, model)  # first: a wrong word must not wait for the pilots
     costs = measured(data, results, resolution, rows)
     return [costs[0], meshes(results), *costs[1:], *later]
 

@@ -102,8 +102,8 @@ def predict_files(paths: Sequence[Path], untouched: Untouched, out: Path) -> lis
     refuse_to_replace(out, names, paths)
     placement = place_sitting(untouched, (read_image(path) for path in paths))
     need_folder(out)
-    if placement is not None and placement.told:
-        print(f"the pictures lie otherwise on the untouched one, which is put right: {placement.told}")
+    if placement is not None and placement.correction:
+        print(f"the pictures lie otherwise on the untouched one, which is put right: {placement.correction}")
     rows = []
     for path, name in zip(paths, names, strict=True):
         image, forces, judged = predict_one(untouched, read_image(path), placement)

@@ -13,7 +13,7 @@ MOST_FACTOR = 2.0  # by which a map is scaled at most
 APART_NOTHING = {"weight": [0.0, 0.0, 0.0], "apart": {name: [np.inf, 0.0] for name in CHANNELS}}
 
 
-def meet(by_picture: np.ndarray, by_dots: np.ndarray, true: np.ndarray) -> dict:
+def fit_blend(by_picture: np.ndarray, by_dots: np.ndarray, true: np.ndarray) -> dict:
     """How the totals (n, 3) N of both readers meet best, from presses whose true totals are known.
 
     weight: of the dots' total in their mean, by component, that leaves the least mean error. apart: half widths, [N,
@@ -29,7 +29,7 @@ def meet(by_picture: np.ndarray, by_dots: np.ndarray, true: np.ndarray) -> dict:
     return {"weight": weight, "apart": apart}
 
 
-def settle(forces: np.ndarray, by_dots: np.ndarray, weight: list[float]) -> np.ndarray:
+def blend(forces: np.ndarray, by_dots: np.ndarray, weight: list[float]) -> np.ndarray:
     """Forces (3, rows, cols) N of the pictures' network, whose totals are moved towards those of the dots (3,) N.
 
     The normal map is scaled; sideways force is added where the gel is pressed, as the pressure is spread there.

@@ -8,10 +8,16 @@ def cell_text(table: dict | None, axis: str) -> str:
     return "-" if table is None else f"{table[axis]['mae']:.4f} ± {table[axis]['std']:.4f}"
 
 
-TOLD_COLUMNS = ["split", "images", *(f"total {a}" for a in CHANNELS), "intervals hold, %", "each of several contacts"]
+PREDICTED_COLUMNS = [
+    "split",
+    "images",
+    *(f"total {a}" for a in CHANNELS),
+    "intervals hold, %",
+    "each of several contacts",
+]
 
 
-def told_rows(result: dict) -> list[list]:
+def predicted_rows(result: dict) -> list[list]:
     """What `predict` makes of a network that reads pairs, a row for each split; none for other networks."""
     rows = []
     for name, split in result["splits"].items():
@@ -35,7 +41,7 @@ def tables(result: dict) -> list[dict]:
         _controls(result),
         *(_groups(result, key, title) for key, title in groups),
     ]
-    return found + [table for table in (_told(result), _references(result)) if table["rows"]]
+    return found + [table for table in (_as_predicted(result), _references(result)) if table["rows"]]
 
 
 def _table(title: str, columns: list[str], rows: list[list]) -> dict:
@@ -98,9 +104,9 @@ def _groups(result: dict, key: str, title: str) -> dict:
     return _table(f"Total force, mean absolute error {title}, N", ["split", "group", "images", *CHANNELS], rows)
 
 
-def _told(result: dict) -> dict:
+def _as_predicted(result: dict) -> dict:
     title = "As `predict` tells it, with light, tare and dots: mean absolute error and its 95 % interval, N"
-    return _table(title, TOLD_COLUMNS, told_rows(result))
+    return _table(title, PREDICTED_COLUMNS, predicted_rows(result))
 
 
 def _references(result: dict) -> dict:

@@ -65,7 +65,7 @@ def fitted_rows(trained: Trained, data: Data, version: str) -> np.ndarray:
     return rows_to_judge_by(data) if own else np.zeros(0, int)
 
 
-def as_told(data, rows, trained, fitted, settings: EvaluateTable, force_range, rng) -> dict:
+def as_predicted(data, rows, trained, fitted, settings: EvaluateTable, force_range, rng) -> dict:
     """Errors of what `predict` tells of a split: of totals, with the share that their intervals hold, cells and contacts.
 
     fitted: rows that the intervals were set on, where they hold by construction.
@@ -173,7 +173,7 @@ def evaluate(data: Data, trained: Trained, settings: EvaluateTable) -> tuple[dic
         predictions[name] = (rows, predict_rows(trained.net, data, rows, about["normalisation"]))
         split = evaluate_split(data, *predictions[name], settings, force_range, rng)
         paired = trained.needs_untouched
-        split["told"] = as_told(data, rows, trained, fitted, settings, force_range, rng) if paired else None
+        split["told"] = as_predicted(data, rows, trained, fitted, settings, force_range, rng) if paired else None
         result["splits"][name] = split
     result["tables"] = tables(result)
     return result, predictions

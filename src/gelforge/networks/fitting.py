@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from gelforge.flow.params.tables import TrainingTable
-from gelforge.networks.agreement import APART_NOTHING, meet, settle
+from gelforge.networks.agreement import APART_NOTHING, blend, fit_blend
 from gelforge.networks.augment import narrow_views
 from gelforge.networks.batches import generator
 from gelforge.networks.data import Data, data_version, rows_to_judge_by
@@ -117,9 +117,9 @@ def judged(trained: Trained, data: Data) -> dict[str, Any]:
         return {}
     found = {}
     if told.by_dots is not None:
-        found["dots"] = meet(forces.sum((2, 3), dtype=float), told.by_dots, labels.sum((2, 3), dtype=float))
+        found["dots"] = fit_blend(forces.sum((2, 3), dtype=float), told.by_dots, labels.sum((2, 3), dtype=float))
         pairs = zip(forces, told.by_dots, strict=True)
-        forces = np.stack([settle(one, by_dots, found["dots"]["weight"]) for one, by_dots in pairs])
+        forces = np.stack([blend(one, by_dots, found["dots"]["weight"]) for one, by_dots in pairs])
     sensors = sorted(set(data.names("sensor_id")[rows].tolist()))
     intervals = fit_intervals(forces, labels)
     if not told.in_place:

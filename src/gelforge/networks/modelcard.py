@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from gelforge.networks.dotreader import MEMBERS
-from gelforge.networks.errortables import TOLD_COLUMNS, told_rows
+from gelforge.networks.errortables import PREDICTED_COLUMNS, predicted_rows
 from gelforge.networks.inputs import needs_untouched
 from gelforge.records.axes import CHANNELS
 
@@ -93,9 +93,9 @@ def error_rows(evaluation: dict) -> list[list[str]]:
     return rows
 
 
-def told_lines(evaluation: dict) -> list[str]:
+def predicted_lines(evaluation: dict) -> list[str]:
     """What `predict` makes of the network, as lines; none for a network that reads one image alone."""
-    rows = [[str(value) for value in row] for row in told_rows(evaluation)]
+    rows = [[str(value) for value in row] for row in predicted_rows(evaluation)]
     title = (
         "## As `predict` tells it: light, tare and dots included (mean absolute error, N; 95 % interval over presses)"
     )
@@ -103,7 +103,7 @@ def told_lines(evaluation: dict) -> list[str]:
         "Tare: what the network reads in the untouched picture is taken off. Each of several contacts: mean error of one"
         " contact where a picture shows several, and the number of contacts."
     )
-    return [title, "", about, "", *table(TOLD_COLUMNS, rows), ""] if rows else []
+    return [title, "", about, "", *table(PREDICTED_COLUMNS, rows), ""] if rows else []
 
 
 def control_rows(evaluation: dict) -> list[list[str]]:
@@ -184,7 +184,7 @@ def write_card(about: dict, evaluation: dict, figures: Sequence[dict] = (), read
         "",
         f"Errors are those on the pictures of dataset {evaluation['judged_on']}.",
         "",
-        *told_lines(evaluation),
+        *predicted_lines(evaluation),
         "## The network alone: error of total force (mean absolute, N; 95 % interval over presses) and per cell",
         "",
         *table(["split", "images of presses", *CHANNELS, f"per cell {' / '.join(CHANNELS)}"], error_rows(evaluation)),

@@ -49,7 +49,7 @@ class Placement:
         return float(np.hypot(*self.matrix[:, 0]))
 
     @property
-    def told(self) -> str:
+    def correction(self) -> str:
         """What was put right, as a person reads it; empty where nothing was."""
         if not self.moves:
             return ""
@@ -63,7 +63,7 @@ class Placement:
     def fault(self) -> str:
         """What tells that it lies too far away to be put right; empty where it does not."""
         far = np.abs(self.shift).max() > SURE_SHIFT or abs(self.turn) > SURE_TURN or abs(self.zoom - 1.0) > SURE_ZOOM
-        return f"the gel sits too far from where it sat untouched to be sure: {self.told}" if far else ""
+        return f"the gel sits too far from where it sat untouched to be sure: {self.correction}" if far else ""
 
     def undo(self, image: np.ndarray) -> np.ndarray:
         """The image (h, w, 3) uint8 as it would be seen from where the untouched one was taken."""

@@ -56,7 +56,7 @@ class PlaceReader(nn.Module):
         return a, b
 
 
-def sits_otherwise(count: int, draw: torch.Generator) -> torch.Tensor:
+def drawn_placements(count: int, draw: torch.Generator) -> torch.Tensor:
     """How gels sit that a reader learns from, (count, 4) in what it answers: many as they did, small moves more than large."""
     parts = torch.stack([uniform(count, most, draw) for most in FARTHEST], dim=1)
     parts = parts * torch.rand(count, 1, generator=draw) ** 1.5
@@ -71,7 +71,7 @@ def train_place_reader(motion: np.ndarray, epochs: int, seed: int) -> PlaceReade
     def lesson(reader: PlaceReader, rows: torch.Tensor, draw: torch.Generator) -> tuple[torch.Tensor, torch.Tensor]:
         seen, _ = mirrored(torch.from_numpy(motion[rows.numpy()]), draw)
         found = (seen[:, 2] * kept_dots(len(rows), LOST, draw))[:, None]
-        parts = sits_otherwise(len(rows), draw)
+        parts = drawn_placements(len(rows), draw)
         told = reader(torch.cat([found * (seen[:, :2] + moved_alike(*parts.T)), found], dim=1))
         return told / units, parts / units
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.networks.agreement import dots_fault, settle
+from gelforge.networks.agreement import blend, dots_fault
 from gelforge.networks.canonical import WHOLE, Light, view_of
 from gelforge.networks.data import Data
 from gelforge.networks.dotreader import DotReader
@@ -217,7 +217,7 @@ def predict_one(
     by_dots, contradicted = pair.by_dots(trained.dots) if pair else None, ""
     if by_dots is not None:
         contradicted = dots_fault(trained.about["dots"]["apart"], forces.sum((1, 2), dtype=float), by_dots)
-        forces = settle(forces, by_dots, trained.about["dots"]["weight"])
+        forces = blend(forces, by_dots, trained.about["dots"]["weight"])
     forces = forces * np.float32(untouched.gain)
     faults = [resized, untouched.fault, likeness.reason, light_fault(light), pull_fault(forces), contradicted]
     faults += [pair.placement.fault] if pair else []
@@ -228,7 +228,7 @@ def predict_one(
         reason=reason,
         untouched=name,
         light=light,
-        placed=pair.placement.told if pair else "",
+        placed=pair.placement.correction if pair else "",
         by_dots=None if by_dots is None else untouched.gain * by_dots,
         half_width=half_widths(trained.about, "total", forces.sum((1, 2), dtype=float), untouched.gain),
     )
@@ -236,7 +236,7 @@ def predict_one(
 
 
 @dataclass(frozen=True)
-class Told:
+class Predicted:
     """What `predict` tells of some rows of a dataset: forces (n, 3, rows, cols) N and half widths (n, 3) N of the totals.
 
     half_widths: None where the model knows none. by_dots: totals (n, 3) N of the reader of dots alone, None where there is
@@ -250,7 +250,7 @@ class Told:
     in_place: bool
 
 
-def tell_rows(trained: Trained, data: Data, rows: np.ndarray) -> Told:
+def tell_rows(trained: Trained, data: Data, rows: np.ndarray) -> Predicted:
     """What `predict` tells of some rows of a dataset, each against its own untouched sensor."""
     names = data.names("sensor_id")[rows].tolist()
     # One row of each sensor is enough to find its picture.
@@ -263,7 +263,7 @@ def tell_rows(trained: Trained, data: Data, rows: np.ndarray) -> Told:
         widths.append(judgement.half_width)
         by_dots.append(judgement.by_dots)
     in_place = all(one.view.zoom == 1.0 for one in beside.values())
-    return Told(np.stack(forces), _all_or_none(widths), _all_or_none(by_dots), in_place)
+    return Predicted(np.stack(forces), _all_or_none(widths), _all_or_none(by_dots), in_place)
 
 
 def _all_or_none(found: list) -> np.ndarray | None:

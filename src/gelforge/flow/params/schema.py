@@ -182,7 +182,7 @@ def read_either(kinds: list[Any], given: Any, place: Place, rules: tuple[Any, ..
             return read_value(kind, given, place, rules)
         except BadInput:
             continue
-    raise refuse(given, place, " or ".join(told(bare(kind), (*rules, *rules_of(kind))) for kind in kinds))
+    raise refuse(given, place, " or ".join(allowed_values(bare(kind), (*rules, *rules_of(kind))) for kind in kinds))
 
 
 def rules_of(hint: Any) -> tuple[Any, ...]:
@@ -208,11 +208,11 @@ def read_one(kind: type, given: Any, place: Place, rules: tuple[Any, ...]) -> An
         if fits and isinstance(rule, Named):
             fits = rule.holds(given)
     if not fits:
-        raise refuse(given, place, told(kind, rules))
+        raise refuse(given, place, allowed_values(kind, rules))
     return given
 
 
-def told(kind: Any, rules: tuple[Any, ...]) -> str:
+def allowed_values(kind: Any, rules: tuple[Any, ...]) -> str:
     """What a value may be, in words."""
     bounds = next((rule for rule in rules if isinstance(rule, Within)), None)
     words = next((rule.words for rule in rules if isinstance(rule, OneOf)), ())
@@ -233,7 +233,7 @@ def told(kind: Any, rules: tuple[Any, ...]) -> str:
 def read_list(inner: tuple[Any, ...], given: Any, place: Place, rules: tuple[Any, ...]) -> tuple[Any, ...]:
     """A list: of any length where its kind ends in …, else of exactly so many."""
     any_length = inner[-1] is Ellipsis
-    each = told(bare(inner[0]), (*rules_of(inner[0]), *rules))
+    each = allowed_values(bare(inner[0]), (*rules_of(inner[0]), *rules))
     rising = next((rule for rule in rules if isinstance(rule, Rising)), None)
     least = rising.least if rising else 1 if any(isinstance(rule, Some) for rule in rules) else 0
     count = f"{least} or more" if any_length else str(len(inner))

@@ -22,7 +22,7 @@ from gelforge.mechanics.hex.carry import Trail
 from gelforge.mechanics.hex.reach import first_touch
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.scene import REFERENCE_C10, Result, Scene
-from gelforge.mechanics.tet import contact as touch
+from gelforge.mechanics.tet import facecontact as touch
 from gelforge.mechanics.tet.face import face_points
 from gelforge.mechanics.tet.kinematics import Kinematics, PathSettings, arrive, contact_forces, follow
 from gelforge.mechanics.tet.solid import TetSolid

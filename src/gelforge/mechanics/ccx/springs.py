@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 
 from gelforge.mechanics.ccx.deck import Rows
-from gelforge.mechanics.tet.contact import SLIDE, STICK, Contact
 from gelforge.mechanics.tet.face import FacePoints
+from gelforge.mechanics.tet.facecontact import SLIDE, STICK, Contact
 
 
 def spring_rows(contact: Contact, points: FacePoints, stiffness: float) -> Rows:

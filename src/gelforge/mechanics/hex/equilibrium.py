@@ -8,7 +8,8 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.mechanics.hex import element
-from gelforge.mechanics.hex.contact import (
+from gelforge.mechanics.hex.hexmesh import HexMesh, elimination_order
+from gelforge.mechanics.hex.penaltycontact import (
     GLUED,
     FacePlaces,
     Law,
@@ -19,7 +20,6 @@ from gelforge.mechanics.hex.contact import (
     curved,
     positions,
 )
-from gelforge.mechanics.hex.hexmesh import HexMesh, elimination_order
 from gelforge.mechanics.hex.reach import reachable_faces
 from gelforge.mechanics.hex.settings import HexSettings
 from gelforge.mechanics.linear import gmres, symmetric_solver

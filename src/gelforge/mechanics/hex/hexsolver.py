@@ -12,10 +12,10 @@ import numpy as np
 from gelforge.geometry.gel import Gel
 from gelforge.mechanics.hex.bricks import Bricks
 from gelforge.mechanics.hex.carry import Trail
-from gelforge.mechanics.hex.contact import ContactState
 from gelforge.mechanics.hex.equilibrium import System
 from gelforge.mechanics.hex.hexmesh import FineBox, HexMesh, build_mesh
 from gelforge.mechanics.hex.path import Run
+from gelforge.mechanics.hex.penaltycontact import ContactState
 from gelforge.mechanics.hex.reach import fine_box, first_touch
 from gelforge.mechanics.hex.settings import HexSettings, Nested
 from gelforge.mechanics.scene import Result, Scene

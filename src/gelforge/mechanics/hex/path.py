@@ -7,9 +7,9 @@ import numpy as np
 
 from gelforge.errors import SolveFailed
 from gelforge.mechanics.hex.carry import Trail, carried, touches, untangled
-from gelforge.mechanics.hex.contact import GLUED, TOUCHING
 from gelforge.mechanics.hex.equilibrium import NOISY_INTERPOLATED, PARTS, SHORT, Equilibrium, System
 from gelforge.mechanics.hex.hexmesh import HexMesh
+from gelforge.mechanics.hex.penaltycontact import GLUED, TOUCHING
 from gelforge.mechanics.hex.reach import path_pose
 from gelforge.mechanics.hex.settings import HexSettings
 from gelforge.mechanics.pose import NoEquilibrium, Pose, touch_fraction

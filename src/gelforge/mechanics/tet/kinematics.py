@@ -12,8 +12,8 @@ import numpy as np
 from gelforge.mechanics.hex.carry import Trail, touches, volume_motion
 from gelforge.mechanics.pose import NoEquilibrium, Pose, touch_fraction
 from gelforge.mechanics.scene import Scene
-from gelforge.mechanics.tet.contact import FREE, SLIDE, STICK, Contact, gaps, judge
 from gelforge.mechanics.tet.face import FacePoints
+from gelforge.mechanics.tet.facecontact import FREE, SLIDE, STICK, Contact, gaps, judge
 from gelforge.mechanics.tet.solid import TetSolid
 
 # Shares of a displacement carried from bricks that are tried until no element is inside out.
