@@ -44,10 +44,10 @@ def made(tmp_path_factory):
         (fea, "--poses", folder / "10_poses/0000.csv", "--params", params / "fea.json",
          "--out", folder / "30_fea/0000.csv"),
         (forces, "--fea", folder / "30_fea/0000.csv", "--params", params / "forces.json",
-         "--out", folder / "40_forces.npz"),
-        (labels, "--forces", folder / "40_forces.npz", "--poses", folder / "10_poses/0000.csv",
+         "--out", folder / "40_forces/0000.npz"),
+        (labels, "--forces", folder / "40_forces", "--poses", folder / "10_poses", "--shards", folder / "10_poses",
          "--params", params / "labels.json", "--sensors", "workflow/sensors.toml", "--resolution", "24x32",
-         "--out", folder / "50_labels.npz"),
+         "--out", folder / "50_labels/labels.json"),
     ):  # fmt: skip
         assert module.main(list(map(str, ["--meshes", folder / "20_meshes", *arguments]))) == 0
     return folder
@@ -65,8 +65,8 @@ def test_every_press_names_its_bricks(made):
 
 def test_force_is_kept_from_solve_to_label(made):
     solved = {row["sample_id"]: [float(row[f"f{c}_n"]) for c in "xyz"] for row in read_csv(made / "30_fea/0000.csv")}
-    found = read_labels(made / "50_labels.npz")
-    with ForceFile(made / "40_forces.npz") as forced:
+    found = read_labels(made / "50_labels/0000.npz")
+    with ForceFile(made / "40_forces/0000.npz") as forced:
         for at, name in enumerate(forced.sample_id):
             label, outside = found.label[at].astype(float), found.outside[at]
             if name == "through":
