@@ -1,10 +1,11 @@
 """How far a network's forces may be off: intervals that hold a given share of them on sensors that it never saw.
 
 The half width of an interval grows with the force, as errors do; its size is set on pictures that training did not see
-(conformal prediction with a local scale: Lei et al. 2018, J. Am. Stat. Assoc. 113, 1094-1111, section 5.2).
+(conformal prediction with a local scale: Lei et al. 2018, J. Am. Stat. Assoc. 113, 1094-1111, section 5.2). Pictures of
+one press err alike, so it is presses that count (pooled groups: Dunn, Wasserman and Ramdas 2023, J. Am. Stat. Assoc. 118,
+2491-2502, section 3.1).
 """
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,34 +30,44 @@ class HalfWidth:
         return self.base + self.share * np.abs(force)
 
 
-def fit_half_width(force: np.ndarray, error: np.ndarray) -> HalfWidth:
+def fit_half_width(force: np.ndarray, error: np.ndarray, press: np.ndarray | None = None) -> HalfWidth:
     """Half width from predicted forces (n,) N of a component and what they were off by, (n,) N.
 
-    The scale is a line, not below zero and not falling, through the mean errors of weak to strong forces; its size is the
-    quantile of what errors are in that scale, for n pictures the ceil((n + 1) HOLDS)-th smallest.
+    press: (n,) what tells the presses apart that are seen; None: each picture shows another one. The scale is a line, not
+    below zero and not falling, through the mean errors of weak to strong forces. Its size is the least that, of k presses,
+    holds HOLDS (k + 1) of them, a press counting by the share of its pictures that it holds; if none does, the largest.
     """
+    press = np.arange(len(force)) if press is None else press
     force, error = np.abs(np.asarray(force, float)), np.abs(np.asarray(error, float))
     groups = np.array_split(np.argsort(force), min(BINS, len(force)))
     x, y = (np.array([values[group].mean() for group in groups]) for values in (force, error))
     rise = float(np.clip(np.polyfit(x, y, 1)[0], 0.0, None)) if np.ptp(x) > 0 else 0.0
     base = max(float((y - rise * x).mean()), 0.05 * float(y.mean()), 1e-9)
-    in_scale = np.sort(error / (base + rise * force))
-    size = in_scale[min(math.ceil((len(force) + 1) * HOLDS), len(force)) - 1]
+    in_scale = error / (base + rise * force)
+    order = np.argsort(in_scale)
+    _, which, pictures = np.unique(press, return_inverse=True, return_counts=True)
+    held = np.cumsum(1.0 / pictures[which[order]])  # presses that an interval of each size holds
+    enough = int(np.searchsorted(held, HOLDS * (len(pictures) + 1) - 1e-9))
+    size = in_scale[order[min(enough, len(order) - 1)]]
     return HalfWidth(base * float(size), rise * float(size))
 
 
-def fit_intervals(predicted: np.ndarray, labels: np.ndarray) -> dict[str, dict[str, list[float]]]:
+def fit_intervals(predicted: np.ndarray, labels: np.ndarray, press: np.ndarray) -> dict[str, dict[str, list[float]]]:
     """Intervals of totals and of cells by channel, as a model file keeps them: `base` N and `share`.
 
-    predicted, labels: (n, 3, rows, cols) N per cell of pictures that training did not see. Empty for too few pictures.
+    predicted, labels: (n, 3, rows, cols) N per cell of pictures that training did not see; press: (n,) what tells their
+    presses apart. Empty for too few pictures.
     """
     if len(predicted) < LEAST_PICTURES:
         return {}
     found: dict[str, dict[str, list[float]]] = {"total": {}, "cell": {}}
+    whole = np.unique(press, return_inverse=True)[1]
+    of_cell = np.repeat(whole, labels[0, 0].size)
     for k, name in enumerate(CHANNELS):
-        for what, values in (("total", (predicted[:, k].sum((1, 2)), labels[:, k].sum((1, 2)))),
-                             ("cell", (predicted[:, k].ravel(), labels[:, k].ravel()))):  # fmt: skip
-            width = fit_half_width(values[0], values[1] - values[0])
+        totals, wanted = predicted[:, k].sum((1, 2)), labels[:, k].sum((1, 2))
+        cells, wanted_cells = predicted[:, k].ravel(), labels[:, k].ravel()
+        for what, width in (("total", fit_half_width(totals, wanted - totals, whole)),
+                            ("cell", fit_half_width(cells, wanted_cells - cells, of_cell))):  # fmt: skip
             found[what][name] = [width.base, width.share]
     return found
 
