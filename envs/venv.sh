@@ -21,7 +21,7 @@ done
 [ -n "$python" ] || { echo "error: no Python 3.11 or newer on PATH; install one and run make again" >&2; exit 2; }
 
 echo "setting up $venv: downloads $(grep -c '==' envs/requirements.lock) Python packages of the versions in" \
-    "envs/requirements.lock, 3.5 GB on disk; some minutes the first time"
+    "envs/requirements.lock, 4.5 GB on disk; some minutes the first time"
 # What pip would warn of, the user it runs as and programs beside PATH, is meant so here.
 export PIP_ROOT_USER_ACTION=ignore PIP_NO_WARN_SCRIPT_LOCATION=1 PIP_DISABLE_PIP_VERSION_CHECK=1
 # Debian keeps ensurepip in a package of its own.
