@@ -6,6 +6,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from tests.benchmarks.sandbox import OF_MAKE
+
 # How long an example takes is a matter of the machine's load; no law is broken by it.
 settings.register_profile("any machine", deadline=None)
 settings.load_profile("any machine")
@@ -15,8 +17,8 @@ ROOT = Path(__file__).resolve().parent.parent
 # What a person's shell may hold, and what would make other tests of these, here and in every process that they start:
 # make's variables of the project, another checkout's code, other languages of messages, a proxy for this very machine.
 LEFT_OVER = (
-    "MAKEFLAGS", "MAKELEVEL", "MFLAGS", "GNUMAKEFLAGS", "MAKE_TERMERR", "MAKE_TERMOUT", "DATASET", "RES", "MODEL", "ID",
-    "STRICT", "EXECUTOR", "DETACH", "SLURM_PROFILE", "STUDIED", "CHARTED", "COLUMNS",
+    *OF_MAKE, "DATASET", "RES", "MODEL", "ID", "STRICT", "EXECUTOR", "DETACH", "SLURM_PROFILE", "STUDIED", "CHARTED",
+    "COLUMNS",
     "http_proxy", "https_proxy", "all_proxy", "HTTP_PROXY", "HTTPS_PROXY", "ALL_PROXY",
 )  # fmt: skip
 for name in LEFT_OVER:

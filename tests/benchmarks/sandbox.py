@@ -5,6 +5,8 @@ import shutil
 import subprocess
 from pathlib import Path
 
+# What an outer make leaves in the environment of what it runs.
+OF_MAKE = ("MAKEFLAGS", "MAKELEVEL", "MFLAGS", "GNUMAKEFLAGS", "MAKE_TERMERR", "MAKE_TERMOUT")
 LINKED = ("Makefile", "rules", "src", "envs", ".venv", "pyproject.toml")
 
 
@@ -20,8 +22,7 @@ def link_project(root: Path, folder: Path) -> Path:
 
 def clean_environment() -> dict[str, str]:
     """The environment without what an outer make put there."""
-    dropped = ("MAKEFLAGS", "MAKELEVEL", "MFLAGS", "GNUMAKEFLAGS", "MAKE_TERMERR", "MAKE_TERMOUT")
-    return {key: value for key, value in os.environ.items() if key not in dropped}
+    return {key: value for key, value in os.environ.items() if key not in OF_MAKE}
 
 
 def make(project: Path, *arguments: str, **options) -> subprocess.CompletedProcess:

@@ -251,7 +251,7 @@ def test_an_interrupt_while_another_make_is_waited_for_is_no_traceback(tmp_path)
     )  # fmt: skip
     assert "another make is at it" in second.stdout.readline()
     second.send_signal(signal.SIGINT)
-    said = second.communicate(timeout=600)[1]
+    said = second.communicate(timeout=HANG)[1]
     first.terminate()
     first.wait()
     assert second.returncode == 130 and "Traceback" not in said

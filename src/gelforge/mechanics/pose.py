@@ -5,10 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 
 
-class NoEquilibrium(Exception):
-    """Newton's method stopped without a state; the load stepping answers with a shorter step."""
-
-
 @dataclass(frozen=True)
 class Pose:
     """Where the indenter's frame stands: rotation (3, 3), translation (3,)."""

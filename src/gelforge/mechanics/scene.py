@@ -63,6 +63,10 @@ class Scene:
         return straight if self.interface.law == "frictionless" else self
 
 
+class NoEquilibrium(Exception):
+    """Newton's method stopped without a state; the load stepping answers with a shorter step."""
+
+
 @dataclass
 class Result:
     """State at the end of the path on a gel mesh with n nodes.

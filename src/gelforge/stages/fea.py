@@ -1,7 +1,6 @@
 """Stage 30: finite element solves of a shard's samples; a rerun resumes at the missing ones."""
 
 import gzip
-import hashlib
 import json
 import shutil
 import tempfile
@@ -15,7 +14,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import digest_of, publish, read_json, write_json
 from gelforge.flow.layout import beside
 from gelforge.flow.main import command, option
-from gelforge.flow.params import canonical, plain
+from gelforge.flow.params import digest_of_value, plain
 from gelforge.flow.params.slices import ForFea, read_slice
 from gelforge.flow.params.tables import CHOOSING
 from gelforge.flow.progress import progress
@@ -63,7 +62,7 @@ def sample_key(press: PosedPress, frames: list[PosedPress], params: ForFea, tabl
              family.reports]  # fmt: skip
     if len(frames) > 1:
         parts.append([[frame.cells()[c] for c in POSE] for frame in frames])
-    return hashlib.sha256(canonical(parts).encode()).hexdigest()
+    return digest_of_value(parts)
 
 
 def finished(folder: Path, sample_id: str, key: str) -> dict | None:

@@ -1,6 +1,5 @@
 """Pictures of the README, made from what they show; beside each lies the digest of its data, so that a test can tell."""
 
-import hashlib
 import shutil
 from argparse import Namespace
 from collections.abc import Sequence
@@ -12,7 +11,7 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.files import digest_of, publish, read_json, write_json
 from gelforge.flow.main import command, group, option
-from gelforge.flow.params import canonical, read_toml
+from gelforge.flow.params import digest_of_value, read_toml
 
 SHIPPED = Path("src/gelforge/networks/default.pt")
 PRESSED = 1.4, (0.5, 1.0), (0.4, -0.3)  # depth, place and way sideways of the press that is shown, mm
@@ -27,7 +26,7 @@ def digest(source: str) -> str | None:
         return None
     if not table:
         return digest_of(Path(name))
-    return hashlib.sha256(canonical(read_toml(name).get(table)).encode()).hexdigest()
+    return digest_of_value(read_toml(name).get(table))
 
 
 def publish_picture(out: Path, content: bytes, data: Sequence[Path | str]) -> None:

@@ -3,7 +3,6 @@
 `row` solves the cases of one factor, `map` puts the rows together.
 """
 
-import hashlib
 import time
 from argparse import Namespace
 from dataclasses import asdict
@@ -15,7 +14,7 @@ import numpy as np
 from gelforge.flow.files import publish, read_json, write_csv, write_json
 from gelforge.flow.layout import beside
 from gelforge.flow.main import command, group, option
-from gelforge.flow.params import canonical
+from gelforge.flow.params import digest_of_value
 from gelforge.flow.params.slices import ForStability, read_slice
 from gelforge.flow.progress import progress
 from gelforge.mechanics.ccx.program import need_ccx
@@ -38,7 +37,7 @@ def case_key(case: Case, params: ForStability) -> str:
         parts.append(asdict(hex_settings(case_method(case, params), params.fea)))
     else:
         parts += ccx_settings(params)
-    return hashlib.sha256(canonical(parts).encode()).hexdigest()
+    return digest_of_value(parts)
 
 
 def case_method(case: Case, params: ForStability) -> Method:

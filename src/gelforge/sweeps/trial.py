@@ -1,6 +1,5 @@
 """A scene solved by a method: the record of it, kept in a file of its own."""
 
-import hashlib
 import json
 import shutil
 import tempfile
@@ -13,7 +12,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_json, write_json
-from gelforge.flow.params import canonical, plain
+from gelforge.flow.params import digest_of_value, plain
 from gelforge.flow.params.schema import ParameterTable
 from gelforge.flow.params.slices import ForPareto, ForStability
 from gelforge.flow.params.tables import CHOOSING, ParetoTable, StabilityTable
@@ -50,7 +49,7 @@ class ChartBench:
         """Digest of all that a record depends on."""
         parts = [scene.table, asdict(method), self.params.version, self.params.material.nu,
                  self.sensor.projection.tolist(), self._settings(scene, method)]  # fmt: skip
-        return hashlib.sha256(canonical(parts).encode()).hexdigest()
+        return digest_of_value(parts)
 
     def _settings(self, scene, method) -> list:
         p = self.params

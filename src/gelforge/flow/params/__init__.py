@@ -4,6 +4,7 @@
 its own part.
 """
 
+import hashlib
 import json
 import tomllib
 from dataclasses import dataclass
@@ -106,3 +107,8 @@ def read_dataset_file(path: Path | str) -> DatasetFile:
 def canonical(value: Any) -> str:
     """One text per value: sorted keys, no comments, exact floats."""
     return json.dumps(value, indent=1, sort_keys=True, ensure_ascii=False) + "\n"
+
+
+def digest_of_value(value: Any) -> str:
+    """SHA-256 of a value's canonical text, as hexadecimal digits."""
+    return hashlib.sha256(canonical(value).encode()).hexdigest()

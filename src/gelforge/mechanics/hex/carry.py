@@ -14,8 +14,8 @@ from gelforge.geometry.gel import Gel
 from gelforge.mechanics.hex.element import BrickGeometry, smallest_ratios
 from gelforge.mechanics.hex.hexmesh import HexMesh
 from gelforge.mechanics.hex.reach import path_pose
-from gelforge.mechanics.pose import NoEquilibrium, Pose, touch_fraction
-from gelforge.mechanics.scene import Scene
+from gelforge.mechanics.pose import Pose, touch_fraction
+from gelforge.mechanics.scene import NoEquilibrium, Scene
 
 FLAT = 0.2  # volume ratio below which a brick is nearly inside out: Newton's first steps would turn it over
 SMOOTHINGS = 40

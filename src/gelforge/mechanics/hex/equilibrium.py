@@ -24,8 +24,8 @@ from gelforge.mechanics.hex.reach import reachable_faces
 from gelforge.mechanics.hex.settings import HexSettings
 from gelforge.mechanics.linear import gmres, symmetric_solver
 from gelforge.mechanics.pattern import block_places, build_pattern, symmetric_product
-from gelforge.mechanics.pose import NoEquilibrium, Pose
-from gelforge.mechanics.scene import REFERENCE_C10, Scene
+from gelforge.mechanics.pose import Pose
+from gelforge.mechanics.scene import REFERENCE_C10, NoEquilibrium, Scene
 
 # Iterations after which a step must lower the residual: the first ones look uphill, though they are right.
 WARY = 3

@@ -12,8 +12,8 @@ from gelforge.mechanics.hex.hexmesh import HexMesh
 from gelforge.mechanics.hex.penaltycontact import GLUED, TOUCHING
 from gelforge.mechanics.hex.reach import path_pose
 from gelforge.mechanics.hex.settings import HexSettings
-from gelforge.mechanics.pose import NoEquilibrium, Pose, touch_fraction
-from gelforge.mechanics.scene import Scene
+from gelforge.mechanics.pose import Pose, touch_fraction
+from gelforge.mechanics.scene import NoEquilibrium, Scene
 from gelforge.records.status import Status
 
 BETWEEN = 2  # load steps at least between two moments of a press that are asked for

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gelforge.mechanics.hex.carry import Trail, touches, volume_motion
-from gelforge.mechanics.pose import NoEquilibrium, Pose, touch_fraction
-from gelforge.mechanics.scene import Scene
+from gelforge.mechanics.pose import Pose, touch_fraction
+from gelforge.mechanics.scene import NoEquilibrium, Scene
 from gelforge.mechanics.tet.face import FacePoints
 from gelforge.mechanics.tet.facecontact import FREE, SLIDE, STICK, Contact, gaps, judge
 from gelforge.mechanics.tet.solid import TetSolid
