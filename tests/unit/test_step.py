@@ -74,11 +74,17 @@ def alive(pid):
         return stat.read().rsplit(")", 1)[1].split()[0] != "Z"
 
 
-def test_two_wrappers_of_one_target_work_once(tmp_path):
+@pytest.mark.parametrize("there", [False, True])
+def test_two_wrappers_of_one_target_work_once(tmp_path, there):
+    """Whatever clock stamps the file: a file server's may be far behind."""
     target = tmp_path / "results/d/30_fea/0000.csv"
     count = tmp_path / "count"
     go = tmp_path / "go"
-    text = f"echo ran >> {count}; while ! test -e {go}; do sleep 0.1; done; echo made > {target}.part"
+    stamp = f"echo made > {target}.part; touch -d 2001-01-01 {target}.part"
+    text = f"echo ran >> {count}; while ! test -e {go}; do sleep 0.1; done; {stamp}"
+    if there:
+        target.parent.mkdir(parents=True)
+        target.write_text("old\n")
     first = start(target, "bash", "-c", text)
     wait_until(count.exists, of=first)
     second = start(target, "bash", "-c", text)

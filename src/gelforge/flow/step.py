@@ -184,15 +184,25 @@ def damaged_beside(path: Path) -> str | None:
 
 def build(target: Path, inputs: list[Path], command: list[str]) -> int:
     """Make one target: heal its inputs, lock, run, publish; return the exit code."""
-    started = time.time()
+    before = file_state(target)
     code = heal_all(inputs)
     if code:
         return code
     with locked(target) as log_path:
-        # A second make that waited here finds the work of the first one done.
-        if target.exists() and target.stat().st_mtime >= started:
+        # A second make that waited here finds the work of the first one done. Clocks cannot tell: a file's time stamp
+        # lags by the kernel's tick, and a file server has a clock of its own.
+        if file_state(target) not in (None, before):
             return 0
         return make_part(target, inputs, command, log_path)
+
+
+def file_state(path: Path) -> tuple[int, int] | None:
+    """What changes whenever a file is published again: its inode and time stamp in ns; None where there is none."""
+    try:
+        state = path.stat()
+    except FileNotFoundError:
+        return None
+    return state.st_ino, state.st_mtime_ns
 
 
 @contextmanager
