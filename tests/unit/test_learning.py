@@ -43,6 +43,18 @@ def test_epochs_visit_every_press_once_in_their_own_order():
     assert list(first) != list(second) and list(first) == list(epoch_order(rows, 1, 0))
 
 
+@pytest.mark.parametrize("most", [1, 7, 39, 40, 60])
+def test_epochs_that_share_a_pass_visit_every_press_once_in_it(most):
+    rows = np.arange(100, 140)
+    size = min(most, 40)
+    epochs = [epoch_order(rows, 1, epoch, most) for epoch in range(3 * 40 // size + 1)]
+    assert {len(epoch) for epoch in epochs} == {size}
+    seen = np.concatenate(epochs)
+    for number in range(len(seen) // 40):
+        assert sorted(seen[40 * number : 40 * (number + 1)]) == list(rows)
+        assert list(seen[40 * number : 40 * (number + 1)]) == list(epoch_order(rows, 1, number))
+
+
 def test_reading_ahead_keeps_order_and_hands_on_errors():
     assert list(Ahead(iter(range(20)))) == list(range(20))
 
@@ -75,9 +87,10 @@ def test_same_seed_same_curve_other_seed_other_curve(folder):
 
 
 @pytest.mark.parametrize(
-    "kind, schedule", [("grid", "cosine"), ("grid", "plateau"), ("unet", "plateau"), ("resnet", "plateau")]
+    "kind, schedule, most",
+    [("grid", "cosine", 0), ("grid", "plateau", 11), ("unet", "plateau", 0), ("resnet", "plateau", 0)],
 )
-def test_resumed_training_has_the_same_curve_and_weights(folder, tmp_path, kind, schedule):
+def test_resumed_training_has_the_same_curve_and_weights(folder, tmp_path, kind, schedule, most):
     model = {
         "grid": SMALL,
         "unet": {"kind": "unet", "widths": [4, 8]},
@@ -88,7 +101,7 @@ def test_resumed_training_has_the_same_curve_and_weights(folder, tmp_path, kind,
     grid = (1, 1) if kind == "resnet" else GRID
 
     def start():
-        settings = with_values(SETTINGS, epochs=5, schedule=schedule, mirrored_share=0.8)
+        settings = with_values(SETTINGS, epochs=5, schedule=schedule, mirrored_share=0.8, epoch_images=most)
         return Training(model, settings, norm, IMAGE, grid, "cpu")
 
     whole, cut, rest = start(), start(), start()
@@ -96,6 +109,7 @@ def test_resumed_training_has_the_same_curve_and_weights(folder, tmp_path, kind,
     fit(cut, data, tmp_path / "c.pt", "same", epochs=2)
     fit(rest, data, tmp_path / "c.pt", "same")
     assert rest.cost["resumed"] == 1 and rest.curve == whole.curve
+    assert len(rest.cost["epoch_seconds"]) == 5 and (np.diff(rest.cost["epoch_seconds"]) > 0).all()
     for a, b in zip(whole.net.state_dict().values(), rest.net.state_dict().values()):
         assert torch.equal(a, b)
 

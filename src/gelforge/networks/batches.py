@@ -33,9 +33,18 @@ def generator(seed: int, stream: str, *numbers: int) -> torch.Generator:
     return torch.Generator().manual_seed(int(words[0]) << 31 | int(words[1]) >> 1)
 
 
-def epoch_order(rows, seed: int, epoch: int) -> np.ndarray:
-    """The training rows of one epoch in the order in which they are seen."""
-    return rows[torch.randperm(len(rows), generator=generator(seed, "order", epoch)).numpy()]
+def epoch_order(rows: np.ndarray, seed: int, epoch: int, most: int = 0) -> np.ndarray:
+    """The training rows of one epoch (from 0) in the order in which they are seen.
+
+    rows: (n,) of a dataset. most: rows in an epoch; with fewer than there are, epochs share a pass over all of them
+    between them, so that no row is seen a second time before every other was seen once. 0: an epoch is a pass.
+    """
+    size = min(most or len(rows), len(rows))
+    first, last = epoch * size, (epoch + 1) * size
+    through = range(first // len(rows), (last - 1) // len(rows) + 1)
+    order = [torch.randperm(len(rows), generator=generator(seed, "order", number)).numpy() for number in through]
+    begin = first - through[0] * len(rows)
+    return rows[np.concatenate(order)[begin : begin + size]]
 
 
 def images_to_tensor(images) -> torch.Tensor:
@@ -57,7 +66,7 @@ def target(labels, norm: dict, total_only: bool) -> torch.Tensor:
 
 def training_batches(data, norm: dict, settings: TrainingTable, epoch: int, total_only: bool):
     """Yield (input, target) of one epoch, augmented, both in the network's units."""
-    order = epoch_order(data.splits["train"], settings.seed, epoch)
+    order = epoch_order(data.splits["train"], settings.seed, epoch, settings.epoch_images)
     draw, place, turn, seat, view = (
         generator(settings.seed, stream, epoch) for stream in ("augment", "shift", "mirror", "seat", "view")
     )

@@ -5,6 +5,7 @@ import math
 import resource
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -131,8 +132,15 @@ class Training:
         self.epochs_done = 0
         self.curve: list[dict] = []
         self.best = {"epoch": 0, "val_total": float("inf"), "weights": None}
-        # seconds: of all, step_seconds: of the steps alone
-        self.cost = {"seconds": 0.0, "step_seconds": 0.0, "wait_seconds": 0.0, "steps": 0, "resumed": 0}
+        # seconds: of all, step_seconds: of the steps alone, epoch_seconds: of all up to the end of each epoch
+        self.cost: dict[str, Any] = {
+            "seconds": 0.0,
+            "step_seconds": 0.0,
+            "wait_seconds": 0.0,
+            "steps": 0,
+            "resumed": 0,
+            "epoch_seconds": [],
+        }
 
     def go_on_from(self, weights: dict, data) -> None:
         """Begin with the weights of another network of the same kind; until an epoch is better, they are the best."""
@@ -226,6 +234,7 @@ class Training:
         if row["val_total"] < self.best["val_total"]:
             self.keep(row)
         self.cost["seconds"] += time.perf_counter() - started
+        self.cost["epoch_seconds"].append(self.cost["seconds"])
         return row
 
 

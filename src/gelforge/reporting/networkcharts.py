@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from gelforge.networks.learningcurve import FURTHER, Learning
 from gelforge.records.axes import CHANNELS
 from gelforge.reporting.canvas import canvas, save_png
 
@@ -96,30 +97,61 @@ def draw_study(path, rows: list[dict], name: str) -> None:
     save_png(path, figure)
 
 
-def draw_latencies(path, rows: list[dict], fronts: dict[str, set[str]], split: str, chosen: str | None) -> None:
-    """Write total error and error per cell of networks against their latency with one thread.
+def draw_networks(
+    path,
+    rows: list[dict],
+    fronts: dict[str, set[str]],
+    split: str,
+    chosen: str | None,
+    courses: dict[str, Learning | None],
+) -> None:
+    """Write total error and error per cell of networks against their latency, and how all of them learnt.
 
     :param rows: of stages.pareto_models, one a network; one without an error is not drawn against it.
     :param fronts: by key of PANELS, the names of the networks that no other beats in both latency and error.
+    :param courses: by name; None where a network's file tells no times.
     """
-    figure = canvas(11, 4.6)
-    for axis, (key, label) in zip(figure.subplots(1, 2), PANELS.items()):
-        shown = [row for row in rows if row[key] is not None]
-        line = sorted((row["cpu1_median_ms"], row[key]) for row in shown if row["model"] in fronts[key])
-        axis.plot(*zip(*line), color="0.7", zorder=1, drawstyle="steps-post")
-        for place, row in enumerate(sorted(shown, key=lambda row: row[key])):
-            # names in turn below and above, from the least error: those of near networks would cover each other
-            _draw_network(axis, row, key, 6 if place % 2 else -12, row["model"] == chosen)
-        axis.set(
-            xscale="log",
-            yscale="log",
-            xlabel="ms per image, batch 1, one CPU thread (bar: 10 to 90 %)",
-            ylabel=f"MAE, {label}",
-        )
-        axis.margins(x=0.2, y=0.12)
-        axis.grid(alpha=0.3, which="both")
+    figure = canvas(16, 4.6)
+    *latencies, learning = figure.subplots(1, len(PANELS) + 1)
+    for axis, (key, label) in zip(latencies, PANELS.items(), strict=True):
+        _draw_latencies(axis, [row for row in rows if row[key] is not None], key, fronts[key], chosen)
+        axis.set_ylabel(f"MAE, {label}")
+    kinds = {row["model"]: row["kind"] for row in rows}
+    for name, course in courses.items():
+        if course:
+            _draw_course(learning, name, course, KIND_COLOURS[kinds[name]])
+    learning.set(
+        xscale="log",
+        yscale="log",
+        xlabel="hours of training (open: not at its end; dashed: more of the same)",
+        ylabel="least validation MAE so far, sum of components (N)",
+    )
+    learning.margins(x=0.2)
+    learning.grid(alpha=0.3, which="both")
     figure.suptitle(f"Networks on split {split}: line is the front, star the chosen one", fontsize=10)
     save_png(path, figure)
+
+
+def _draw_latencies(axis, shown: list[dict], key: str, front: set[str], chosen: str | None) -> None:
+    """One error of networks against their latency with one thread, and the line through the front."""
+    line = sorted((row["cpu1_median_ms"], row[key]) for row in shown if row["model"] in front)
+    axis.plot(*zip(*line), color="0.7", zorder=1, drawstyle="steps-post")
+    for place, row in enumerate(sorted(shown, key=lambda row: row[key])):
+        # names in turn below and above, from the least error: those of near networks would cover each other
+        _draw_network(axis, row, key, 6 if place % 2 else -12, row["model"] == chosen)
+    axis.set(xscale="log", yscale="log", xlabel="ms per image, batch 1, one CPU thread (bar: 10 to 90 %)")
+    axis.margins(x=0.2, y=0.12)
+    axis.grid(alpha=0.3, which="both")
+
+
+def _draw_course(axis, name: str, course: Learning, colour: str) -> None:
+    """How one network learnt: full where its schedule came to its end, else open, and dashed to where it would come."""
+    axis.plot(course.hours, course.error, color=colour, linewidth=1)
+    end = (course.hours[-1], course.error[-1])
+    axis.plot(*end, "o", color=colour, markerfacecolor=colour if course.ended else "white")
+    axis.annotate(name, end, xytext=(5, 4), textcoords="offset points", fontsize=8)
+    if course.expected is not None:
+        axis.plot([end[0], FURTHER * end[0]], [end[1], course.expected], "--", color=colour, linewidth=1)
 
 
 def _draw_network(axis, row: dict, key: str, name_above: int, chosen: bool) -> None:

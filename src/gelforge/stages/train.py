@@ -15,7 +15,7 @@ from gelforge.flow.params.schema import Place, parse
 from gelforge.flow.params.slices import ForTrain, read_slice
 from gelforge.flow.params.tables import TrainingTable, TrainTable
 
-VERSION = 12
+VERSION = 13
 SHIPPED = "shipped"  # `start` of a network that goes on from the one that ships
 
 

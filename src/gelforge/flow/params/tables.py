@@ -86,6 +86,7 @@ class TrainingTable(ParameterTable):
     """What one network is trained with: [train] with its model's own values laid over it."""
 
     epochs: Count
+    epoch_images: Whole
     batch: Count
     learning_rate: Annotated[float, Within(TINY, 1e3)]
     schedule: Annotated[str, OneOf("plateau", "cosine")]
