@@ -212,8 +212,9 @@ def test_a_model_file_keeps_its_readers_of_dots(with_dots, lawful, tmp_path):
     again = load_model(tmp_path / "m.pt")
     np.testing.assert_array_equal(again.dots.totals(lawful.motion), with_dots.dots.totals(lawful.motion))
     assert again.about["dots"]["weight"] == [0.5] * 3
-    for found, saved in zip(again.places.similarities(lawful.motion), with_dots.places.similarities(lawful.motion)):
-        np.testing.assert_array_equal(found, saved)
+    found, saved = (vars(one.places.places(lawful.motion)) for one in (again, with_dots))
+    for name in saved:
+        np.testing.assert_array_equal(found[name], saved[name])
     save_model(tmp_path / "none.pt", replace(with_dots, places=None, about=with_dots.about | {"places": None}))
     assert load_model(tmp_path / "none.pt").places is None
 

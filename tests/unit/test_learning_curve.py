@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gelforge.networks.learningcurve import FURTHER, has_ended, learning_of, power_law
+from gelforge.records.learningcurve import FURTHER, has_ended, learning_of, power_law
 
 PLATEAU = {"schedule": "plateau", "plateau_patience": 2, "least_rate": 1e-5, "epochs": 100}
 

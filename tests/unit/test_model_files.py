@@ -17,7 +17,7 @@ from synthetic_presses import SETTINGS
 from gelforge.errors import BadInput
 from gelforge.networks.data import open_data
 from gelforge.networks.latency import predict_images
-from gelforge.networks.modelfile import SensorNet, load_model, require_fit, save_model
+from gelforge.networks.modelfile import FORMAT, SensorNet, load_model, require_fit, save_model
 from gelforge.networks.training import normalisations, predict_rows
 from gelforge.stages.train import train
 
@@ -26,7 +26,7 @@ def test_model_file_round_trip(trained, tmp_path):
     save_model(tmp_path / "m.pt", trained)
     again = load_model(tmp_path / "m.pt")
     digest = again.about.pop("sha256")
-    assert len(digest) == 64 and again.about == json.loads(json.dumps({"format": 2} | trained.about))
+    assert len(digest) == 64 and again.about == json.loads(json.dumps({"format": FORMAT} | trained.about))
     x = torch.rand(2, 3, *IMAGE, generator=torch.Generator().manual_seed(0)) * 255
     with torch.inference_mode():
         assert torch.equal(SensorNet(again)(x), SensorNet(trained)(x))
@@ -78,7 +78,7 @@ def test_damaged_and_foreign_model_files_are_refused(trained, tmp_path):
     torch.save({"weights": torch.zeros(2)}, path)
     with pytest.raises(BadInput, match="not a gelforge model"):
         load_model(path)
-    about = json.dumps({"format": 2} | trained.about)
+    about = json.dumps({"format": FORMAT} | trained.about)
     torch.save({"about": about, "tensors": {"a": torch.zeros(2)}, "untouched": {}}, path)
     with pytest.raises(BadInput, match="do not fit"):
         load_model(path)

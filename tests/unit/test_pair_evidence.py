@@ -7,8 +7,8 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gelforge.networks.dotaugment import moved_alike
 from gelforge.networks.dots import COLS, ROWS, PrintedDots
+from gelforge.networks.lattice import moved_alike
 from gelforge.networks.statistics import (
     LIMITS,
     MARGIN,

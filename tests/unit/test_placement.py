@@ -11,10 +11,11 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from gelforge.networks.canonical import match_light
-from gelforge.networks.dotaugment import PITCH, mirrored, moved_alike
+from gelforge.networks.dotaugment import mirrored
 from gelforge.networks.dots import COLS, ROWS, PrintedDots
+from gelforge.networks.lattice import PITCH, lattice_points, moved_alike, straightened
 from gelforge.networks.placement import LEAST_MOVE, UNPLACED, place
-from gelforge.networks.placereader import train_place_reader
+from gelforge.networks.placereader import PlaceReader, train_place_reader
 from gelforge.networks.sitting import LEAST_SITTING, place_sitting
 from gelforge.networks.use import Untouched, load_for_use, predict_one
 from gelforge.records.image import read_image
@@ -103,8 +104,8 @@ def test_how_a_gel_sits_is_found_beside_contact(reader, presses, way):
         alone = [off(put(reader, dots, image), dots, **WAYS[way]) for image in seen]
         together = off(put(reader, dots, *seen), dots, **WAYS[way])
         print(f"{way}, {name}: {np.median(alone):.2f}, {np.percentile(alone, 90):.2f}, together {together:.2f} px")
-        assert np.median(alone) < 0.3 and np.percentile(alone, 90) < 1.0
-        assert together < 0.3
+        assert np.median(alone) < 0.25 and np.percentile(alone, 90) < 0.5
+        assert together < 0.25
 
 
 def test_lost_dots_hardly_matter(reader, presses):
@@ -157,6 +158,38 @@ def test_a_move_of_the_lattice_is_a_similarity():
     np.testing.assert_allclose(moved_alike(*parts.T)[0], np.stack([wanted.real, wanted.imag]), atol=1e-5)
 
 
+@given(st.integers(0, 2**32 - 1), st.floats(-30, 30), st.floats(-30, 30), st.floats(-0.3, 0.3), st.floats(-0.2, 0.2))
+@settings(max_examples=30, deadline=None)
+def test_what_the_reader_tells_moves_as_the_gel_does(seed, right, down, turn, zoom):
+    """Whatever its weights, and whichever dots are lost."""
+    draw = torch.Generator().manual_seed(seed)
+    motion = torch.randn(4, 3, ROWS, COLS, generator=draw)
+    motion[:, 2] = (torch.rand(4, ROWS, COLS, generator=draw) < 0.7).float()
+    motion[:, :2] *= motion[:, 2:]
+    z, spun = torch.complex(*lattice_points()), complex(1 + zoom, turn)
+    there = spun * (z + torch.complex(motion[:, 0], motion[:, 1])) + complex(right, down) - z
+    aside = torch.stack([there.real * motion[:, 2], there.imag * motion[:, 2], motion[:, 2]], dim=1)
+    with torch.random.fork_rng():
+        torch.manual_seed(seed)
+        reader = PlaceReader().eval()
+    told, after = reader.places(motion.numpy()), reader.places(aside.numpy())
+    np.testing.assert_allclose(after.a, spun * told.a, atol=1e-5)
+    np.testing.assert_allclose(after.b, spun * told.b + complex(right, down), atol=1e-3)
+    np.testing.assert_allclose(after.contact, told.contact, atol=1e-3)
+
+
+def test_dots_that_all_move_alike_leave_nothing_behind():
+    parts = torch.tensor([[1.5, -2.0, 0.02, -0.03], [0.0, 0.0, 0.0, 0.0]])
+    found = torch.ones(2, 1, ROWS, COLS)
+    found[0, 0, :3] = 0  # worn dots move nothing
+    left, a, b = straightened(torch.cat([moved_alike(*parts.T) * found, found], dim=1))
+    np.testing.assert_allclose(left[:, :2], 0, atol=1e-4)
+    np.testing.assert_allclose(a, [0.97 + 0.02j, 1], atol=1e-6)
+    np.testing.assert_allclose(b, [1.5 - 2.0j, 0], atol=1e-4)
+    lost, a, b = straightened(torch.zeros(1, 3, ROWS, COLS))  # no dot tells anything
+    assert not lost.any() and a == 1 and b == 0
+
+
 def test_a_mirrored_motion_is_mirrored_back_by_its_signs():
     motion = torch.randn(200, 3, ROWS, COLS, generator=torch.Generator().manual_seed(0))
     seen, signs = mirrored(motion, torch.Generator().manual_seed(1))
@@ -173,8 +206,8 @@ def test_a_reader_of_places_learns_what_contact_does(presses):
     known = np.arange(len(motion)) % 3 != 0
     reader = train_place_reader(np.tile(motion[known], (16, 1, 1, 1)), 24, seed=5)
     aside = motion[~known] + motion[~known, 2:] * np.array([4.0, -3.0, 0.0], np.float32).reshape(3, 1, 1)
-    a, b = reader.similarities(aside)
-    assert np.median(np.abs(b - (4 - 3j))) < 5.0 / 3 and np.median(np.abs(a - 1)) < 0.02
+    told = reader.places(aside)
+    assert np.median(np.abs(told.b - (4 - 3j))) < 5.0 / 3 and np.median(np.abs(told.a - 1)) < 0.02
 
 
 def test_the_same_seed_gives_the_same_reader_of_places(presses):

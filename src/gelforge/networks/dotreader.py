@@ -14,9 +14,10 @@ from torch.nn import functional as F
 
 from gelforge.flow.params.tables import AugmentTable
 from gelforge.networks.augment import uniform
-from gelforge.networks.dotaugment import kept_dots, mirrored, moved_alike
+from gelforge.networks.dotaugment import kept_dots, mirrored
 from gelforge.networks.dots import PrintedDots
 from gelforge.networks.inputs import inner_part
+from gelforge.networks.lattice import moved_alike
 from gelforge.networks.smallnet import LEFT, Stack, in_pieces, train_small
 
 MEMBERS = 4  # networks, each from weights of its own

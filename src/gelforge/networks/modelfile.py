@@ -25,7 +25,7 @@ from gelforge.networks.placereader import PlaceReader
 from gelforge.records.image import decode, encode_png
 from gelforge.records.regular import file_fault
 
-FORMAT = 2
+FORMAT = 3
 READERS = {"dots": DotReader, "places": PlaceReader}  # small networks beside a network, by their names in its file
 MOST_BYTES = 2**31
 Net = TypeVar("Net", bound=nn.Module)

@@ -10,17 +10,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gelforge.networks.dotaugment import PITCH
 from gelforge.networks.dots import COLS, ROWS, Followed, PrintedDots
+from gelforge.networks.lattice import PITCH
 from gelforge.networks.placereader import PlaceReader
 
 LEAST_FOUND = 0.5  # of the dots: a picture in which fewer are found tells nothing of where the gel sits
-# Farthest that is put right without a word, px of each way, degrees, and part of a zoom: three quarters of what the reader
-# learnt (placereader.FARTHEST), because beyond that it guesses.
+# Farthest that is put right without a word, px of each way, degrees, and part of a zoom: beyond that, dots at the rim are
+# half a pitch and more from where they were, and may leave the picture.
 SURE_SHIFT, SURE_TURN, SURE_ZOOM = 9.0, 3.0, 0.06
-# Root mean square over the dots; a smaller move is none. Of presses of gels that sat still, by units that the reader did
-# not learn from, three in a thousand are told to have been moved farther, and one in a hundred where ten dots are worn.
-LEAST_MOVE = 0.75  # px
+# A move of the dots, root mean square, is none that is smaller than so many px and this share of what contact did to all of
+# them alike: that is what the reader's errors grow with, whose hundredth largest are two tenths of it. Of presses of gels
+# that sat still, by units and shapes that the reader did not learn from, one in a thousand is told to have been moved.
+LEAST_MOVE, LEAST_SHARE = 0.4, 0.2
 
 
 @dataclass(frozen=True)
@@ -87,13 +88,14 @@ def tells_place(dots: PrintedDots, followed: Followed) -> bool:
 def place(reader: PlaceReader | None, dots: PrintedDots, sitting: Sequence[Followed]) -> Placement:
     """Placement of pictures of one sitting on the untouched one whose dots these are, by what its dots did in each of them.
 
-    Nothing is moved where no reader is given, no picture shows enough of the print, or the move is below LEAST_MOVE.
+    Nothing is moved where no reader is given, no picture shows enough of the print, or the move may be the reader's error.
     """
     telling = [followed for followed in sitting if tells_place(dots, followed)]
     if reader is None or not telling:
         return UNPLACED
-    a, b = reader.similarities(np.stack([dots.on_lattice(followed) for followed in telling]))
-    return about_middle(dots, _middle(a), _middle(b))
+    told = reader.places(np.stack([dots.on_lattice(followed) for followed in telling]))
+    placement, moved = about_middle(dots, _middle(told.a), _middle(told.b))
+    return placement if moved >= LEAST_MOVE + LEAST_SHARE * np.median(told.contact) else UNPLACED
 
 
 def _middle(values: np.ndarray) -> complex:
@@ -101,8 +103,11 @@ def _middle(values: np.ndarray) -> complex:
     return complex(np.median(values.real), np.median(values.imag))
 
 
-def about_middle(dots: PrintedDots, a: complex, b: complex) -> Placement:
-    """Placement that takes a dot at z px from the lattice's middle to a z + b, z = u + i v for dots PITCH px apart."""
+def about_middle(dots: PrintedDots, a: complex, b: complex) -> tuple[Placement, float]:
+    """Placement that takes a dot at z px from the lattice's middle to a z + b, z = u + i v for dots PITCH px apart.
+
+    And how far it moves the dots, root mean square, px.
+    """
     known = dots.at[:, 0] >= 0
     rests, index = dots.points[known], dots.at[known] - (ROWS // 2, COLS // 2)
     middle = rests[np.flatnonzero(~index.any(axis=1))[0]]
@@ -112,6 +117,5 @@ def about_middle(dots: PrintedDots, a: complex, b: complex) -> Placement:
     a = complex(1 + (a - 1) * PITCH / step)
     shift, linear = np.array([b.real, b.imag]), np.array([[a.real, -a.imag], [a.imag, a.real]])
     moved = (rests - middle) @ (linear - np.eye(2)).T + shift
-    if np.sqrt((moved**2).sum(axis=1).mean()) < LEAST_MOVE:
-        return UNPLACED
-    return Placement(np.column_stack([linear, middle - linear @ middle + shift]), shift)
+    how_far = float(np.sqrt((moved**2).sum(axis=1).mean()))
+    return Placement(np.column_stack([linear, middle - linear @ middle + shift]), shift), how_far

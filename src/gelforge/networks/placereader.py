@@ -3,31 +3,46 @@
 A gel that was taken out and put back, or that is seen by a driver that crops otherwise, has all its dots moved alike: by a
 shift, a turn and a zoom. Contact moves dots too, but only as a gel can move that is held at its back: most where it is
 touched, little far from it. So both can be told apart, by who has seen many presses.
+
+The similarity that fits all dots best, by least squares, holds both. The network sees the dots as that similarity leaves
+them, which is the same however the gel sits, and tells from them what part of it contact did. So it learns from gels that
+sat still alone, and what it tells of a gel that was moved is moved exactly as the gel was.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import nn
 from torch.nn import functional as F
 
-from gelforge.networks.augment import uniform
-from gelforge.networks.dotaugment import kept_dots, lattice_points, mirrored, moved_alike
+from gelforge.networks.dotaugment import kept_dots, mirrored
+from gelforge.networks.lattice import lattice_points, straightened
 from gelforge.networks.smallnet import LEFT, Stack, in_pieces, train_small
 
 WIDTH, HIDDEN = 48, 96
 # What its answers are in units of: px to the right and down, radians of turn, part of a zoom.
 UNITS = (1.0, 1.0, 0.01, 0.01)
-# Farthest that a gel is taken to sit otherwise, in the same: the lattice is followed no farther than about 40 px.
-FARTHEST = (12.0, 12.0, 0.07, 0.08)
-MOVED, EACH = 0.6, 0.7  # share of the pictures whose gels sit otherwise, and of these that have one of the four
 LOST = 0.4  # most of the dots that are taken away at random
-ROUNDS = 2  # a second look at what the first one left finds large moves as well as small ones
+
+
+@dataclass(frozen=True)
+class Places:
+    """How the gel sits in each of n pictures: a dot at z px from the lattice's middle is at a z + b.
+
+    a, b: (n,) complex; z is u + i v for dots PITCH px apart. contact: (n,) px, root mean square over the dots found of what
+    contact did to all of them alike; what is told of the gel is off by about a twentieth of it.
+    """
+
+    a: np.ndarray
+    b: np.ndarray
+    contact: np.ndarray
 
 
 class PlaceReader(nn.Module):
-    """Motion of dots (n, 3, ROWS, COLS) (networks.dots) to how the gel sits, (n, 4): right, down, turn, zoom - 1.
+    """Dots as their best similarity leaves them (`straightened`) to what of that similarity is no contact, (n, 4).
 
-    Of networks.dotaugment.moved_alike, about the lattice's middle.
+    Right and down in px, turn in radians, zoom - 1: how the gel sits, seen from that similarity.
     """
 
     def __init__(self) -> None:
@@ -36,32 +51,19 @@ class PlaceReader(nn.Module):
         self.inner = nn.Conv2d(WIDTH, HIDDEN, LEFT)
         self.outer = nn.Linear(HIDDEN, len(UNITS))
 
-    def forward(self, motion: torch.Tensor) -> torch.Tensor:
-        return self.outer(F.relu(self.inner(self.convolutions(motion))).flatten(1)) * torch.tensor(UNITS)
+    def forward(self, left: torch.Tensor) -> torch.Tensor:
+        return self.outer(F.relu(self.inner(self.convolutions(left))).flatten(1)) * torch.tensor(UNITS)
 
-    def similarities(self, motion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """How the gel sits in each of some pictures: a and b (n,) complex, a dot at z px from the middle is at a z + b.
-
-        motion: (n, 3, ROWS, COLS) float32. z is u + i v from the lattice's middle, whose dots are PITCH px apart.
-        """
+    def places(self, motion: np.ndarray) -> Places:
+        """How the gel sits in each of some pictures, by the motion of their dots (n, 3, ROWS, COLS) float32."""
+        left, a, b = straightened(torch.from_numpy(np.ascontiguousarray(motion)).double())
+        right, down, turn, zoom = in_pieces(self, left.float().numpy()).T
         u, v = (points.double().numpy() for points in lattice_points())
-        z, found = u + 1j * v, motion[:, 2]
-        there = z + motion[:, 0] + 1j * motion[:, 1]
-        a, b = np.ones(len(motion), complex), np.zeros(len(motion), complex)
-        for _ in range(ROUNDS):
-            left = found * ((there - b[:, None, None]) / a[:, None, None] - z)
-            lattice = np.stack([left.real, left.imag, found], axis=1).astype(np.float32)
-            right, down, turn, zoom = in_pieces(self, lattice).T
-            a, b = a * (1 + zoom + 1j * turn), b + a * (right + 1j * down)
-        return a, b
-
-
-def drawn_placements(count: int, draw: torch.Generator) -> torch.Tensor:
-    """How gels sit that a reader learns from, (count, 4) in what it answers: many as they did, small moves more than large."""
-    parts = torch.stack([uniform(count, most, draw) for most in FARTHEST], dim=1)
-    parts = parts * torch.rand(count, 1, generator=draw) ** 1.5
-    parts = parts * (torch.rand(count, 1, generator=draw) < MOVED)
-    return parts * (torch.rand(parts.shape, generator=draw) < EACH)
+        shift, spun = right + 1j * down, zoom + 1j * turn
+        moved = np.abs(shift[:, None, None] + spun[:, None, None] * (u + 1j * v)) ** 2
+        found = motion[:, 2]
+        contact = np.sqrt((found * moved).sum((1, 2)) / np.maximum(found.sum((1, 2)), 1.0))
+        return Places(a.numpy() * (1 + spun), b.numpy() + a.numpy() * shift, contact)
 
 
 def train_place_reader(motion: np.ndarray, epochs: int, seed: int) -> PlaceReader:
@@ -71,8 +73,8 @@ def train_place_reader(motion: np.ndarray, epochs: int, seed: int) -> PlaceReade
     def lesson(reader: PlaceReader, rows: torch.Tensor, draw: torch.Generator) -> tuple[torch.Tensor, torch.Tensor]:
         seen, _ = mirrored(torch.from_numpy(motion[rows.numpy()]), draw)
         found = (seen[:, 2] * kept_dots(len(rows), LOST, draw))[:, None]
-        parts = drawn_placements(len(rows), draw)
-        told = reader(torch.cat([found * (seen[:, :2] + moved_alike(*parts.T)), found], dim=1))
-        return told / units, parts / units
+        left, a, b = straightened(torch.cat([found * seen[:, :2], found], dim=1))
+        zoom, shift = 1 / a - 1, -b / a  # back to where the gel sat
+        return reader(left) / units, torch.stack([shift.real, shift.imag, zoom.imag, zoom.real], dim=1) / units
 
     return train_small(PlaceReader, lesson, "places", len(motion), epochs, seed)

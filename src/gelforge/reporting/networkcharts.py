@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from gelforge.networks.learningcurve import FURTHER, Learning
 from gelforge.records.axes import CHANNELS
+from gelforge.records.learningcurve import FURTHER, Learning
 from gelforge.reporting.canvas import canvas, save_png
 
 SHOWN_PRESSES = 4

@@ -12,8 +12,8 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import publish, read_json, write_csv, write_json
 from gelforge.flow.layout import beside
 from gelforge.flow.main import command, option
-from gelforge.networks.learningcurve import Learning, learning_of
 from gelforge.records.axes import CHANNELS
+from gelforge.records.learningcurve import Learning, learning_of
 from gelforge.reporting.networkcharts import PANELS, draw_networks
 from gelforge.sweeps.deviation import frontier
 
