@@ -19,9 +19,9 @@ LEAST_FOUND = 0.5  # of the dots: a picture in which fewer are found tells nothi
 # half a pitch and more from where they were, and may leave the picture.
 SURE_SHIFT, SURE_TURN, SURE_ZOOM = 9.0, 3.0, 0.06
 # A move of the dots, root mean square, is none that is smaller than so many px and this share of what contact did to all of
-# them alike: that is what the reader's errors grow with, whose hundredth largest are two tenths of it. Of presses of gels
-# that sat still, by units and shapes that the reader did not learn from, one in a thousand is told to have been moved.
-LEAST_MOVE, LEAST_SHARE = 0.4, 0.2
+# them alike, which is what the reader's errors grow with. Of presses of gels that sat still, by units and shapes that the
+# reader did not learn from, one in a thousand is told to have been moved.
+LEAST_MOVE, LEAST_SHARE = 0.5, 0.1
 
 
 @dataclass(frozen=True)
