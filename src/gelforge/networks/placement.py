@@ -20,7 +20,7 @@ LEAST_FOUND = 0.5  # of the dots: a picture in which fewer are found tells nothi
 SURE_SHIFT, SURE_TURN, SURE_ZOOM = 9.0, 3.0, 0.06
 # A move of the dots, root mean square, is none that is smaller than so many px and this share of what contact did to all of
 # them alike, which is what the reader's errors grow with. Of presses of gels that sat still, by units and shapes that the
-# reader did not learn from, one in a thousand is told to have been moved.
+# reader did not learn from, one to six in a thousand are told to have been moved (two plans of the rig).
 LEAST_MOVE, LEAST_SHARE = 0.5, 0.1
 
 
