@@ -1,7 +1,10 @@
 """A module's command line: what must be given, how errors end a process, what the help says."""
 
 import importlib
+import os
 import pkgutil
+import subprocess
+import sys
 
 import pytest
 
@@ -63,3 +66,19 @@ def test_gelforge_lists_its_commands(capsys):
     assert ended.value.code == 0
     said = capsys.readouterr().out
     assert all(f"gelforge {name}" in said for name in COMMANDS)
+
+
+@pytest.mark.parametrize("words", [[], ["--help"], ["predict", "--help"], ["why"]])
+def test_a_reader_that_is_gone_is_no_error(words):
+    """As `gelforge | head -1` leaves it."""
+    read, write = os.pipe()
+    os.close(read)
+    with os.fdopen(write, "wb") as gone:
+        ended = subprocess.run(
+            [sys.executable, "-m", "gelforge.commands.gelforge", *words],
+            stdout=gone,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+    assert "Traceback" not in ended.stderr and "BrokenPipe" not in ended.stderr
+    assert ended.returncode in (0, 2, 141)

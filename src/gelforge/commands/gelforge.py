@@ -3,6 +3,8 @@
 import importlib
 import sys
 
+from gelforge.flow.main import exit_with
+
 COMMANDS = {
     "predict": "force maps and totals from images",
     "live": "force maps over a video or a camera, as it runs",
@@ -25,13 +27,18 @@ COMMANDS = {
 HOMES = {"rig": "gelforge.stages.rig"}
 
 
+def usage(argv) -> int:
+    """Print what commands there are; return 0 for whom asked for help, else 2."""
+    lines = [f"  gelforge {name:11s} {what}" for name, what in COMMANDS.items()]
+    print("\n".join(["usage: gelforge COMMAND …", *lines, "Everything else is a make target: make help."]))
+    return 0 if argv and argv[0] in ("-h", "--help") else 2
+
+
 def main(argv=None) -> None:
     """Dispatch `gelforge COMMAND …` to the module of that name."""
     argv = sys.argv[1:] if argv is None else argv
     if not argv or argv[0] not in COMMANDS:
-        lines = [f"  gelforge {name:11s} {what}" for name, what in COMMANDS.items()]
-        print("\n".join(["usage: gelforge COMMAND …", *lines, "Everything else is a make target: make help."]))
-        sys.exit(0 if argv and argv[0] in ("-h", "--help") else 2)
+        exit_with(usage, argv)
     module = importlib.import_module(HOMES.get(argv[0], f"gelforge.commands.{argv[0]}"))
     sys.argv[0] = f"gelforge {argv[0]}"
     module.main.exit(argv[1:])

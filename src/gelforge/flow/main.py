@@ -118,8 +118,13 @@ def program(home: Any) -> str:
 
 def exit_with(main: Callable[[Sequence[str] | None], int], argv: Sequence[str] | None = None) -> None:
     """Run `main(argv)` and leave the process with its code; 2 and one line for what a user can mend."""
+    code: Any
     try:
-        code = main(argv)
+        try:
+            code = main(argv)
+        except SystemExit as ended:  # argparse, behind its help and its usage
+            code = ended.code
+        sys.stdout.flush()  # who reads may be gone already, as `head` is; at the process's end nobody could catch that
     except GelforgeError as error:
         print(f"error: {error}", file=sys.stderr)
         code = 2
