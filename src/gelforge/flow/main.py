@@ -20,7 +20,7 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NoReturn
 
 from gelforge.errors import GelforgeError, unwritable
 
@@ -66,7 +66,7 @@ class Command:
             parser.add_argument(*each.names, **each.about)
         parser.set_defaults(run=self.run)
 
-    def exit(self, argv: Sequence[str] | None = None) -> None:
+    def exit(self, argv: Sequence[str] | None = None) -> NoReturn:
         """Run and leave the process, with one line for what a user can mend."""
         exit_with(self, argv)
 
@@ -116,18 +116,11 @@ def program(home: Any) -> str:
     return f"gelforge {last}" if folder == "gelforge.commands" else f"python -m {name}"
 
 
-def exit_with(main: Callable[[Sequence[str] | None], int], argv: Sequence[str] | None = None) -> None:
+def exit_with(main: Callable[[Sequence[str] | None], int], argv: Sequence[str] | None = None) -> NoReturn:
     """Run `main(argv)` and leave the process with its code; 2 and one line for what a user can mend."""
-    code: Any
     try:
-        try:
-            code = main(argv)
-        except SystemExit as ended:  # argparse, behind its help and its usage
-            code = ended.code
+        code = code_of(main, argv)
         sys.stdout.flush()  # who reads may be gone already, as `head` is; at the process's end nobody could catch that
-    except GelforgeError as error:
-        print(f"error: {error}", file=sys.stderr)
-        code = 2
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 141
@@ -136,6 +129,17 @@ def exit_with(main: Callable[[Sequence[str] | None], int], argv: Sequence[str] |
             raise
         print(f"error: {unwritable(error)}, then run it again", file=sys.stderr)
         code = 2
-    except KeyboardInterrupt:
-        code = 130
     sys.exit(code)
+
+
+def code_of(main: Callable[[Sequence[str] | None], int], argv: Sequence[str] | None) -> Any:
+    """Run `main(argv)`; return its exit code, or that of the way in which it stopped."""
+    try:
+        return main(argv)
+    except SystemExit as ended:  # argparse, behind its help and its usage
+        return ended.code
+    except GelforgeError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130

@@ -43,7 +43,7 @@ def epoch_order(rows: np.ndarray, seed: int, epoch: int, most: int = 0) -> np.nd
     first, last = epoch * size, (epoch + 1) * size
     through = range(first // len(rows), (last - 1) // len(rows) + 1)
     order = [torch.randperm(len(rows), generator=generator(seed, "order", number)).numpy() for number in through]
-    begin = first - through[0] * len(rows)
+    begin = first % len(rows)
     return rows[np.concatenate(order)[begin : begin + size]]
 
 

@@ -74,7 +74,7 @@ def train_place_reader(motion: np.ndarray, epochs: int, seed: int) -> PlaceReade
         seen, _ = mirrored(torch.from_numpy(motion[rows.numpy()]), draw)
         found = (seen[:, 2] * kept_dots(len(rows), LOST, draw))[:, None]
         left, a, b = straightened(torch.cat([found * seen[:, :2], found], dim=1))
-        zoom, shift = 1 / a - 1, -b / a  # back to where the gel sat
-        return reader(left) / units, torch.stack([shift.real, shift.imag, zoom.imag, zoom.real], dim=1) / units
+        shift, spun = -b / a, 1 / a - 1  # back to where the gel sat
+        return reader(left) / units, torch.stack([shift.real, shift.imag, spun.imag, spun.real], dim=1) / units
 
     return train_small(PlaceReader, lesson, "places", len(motion), epochs, seed)
