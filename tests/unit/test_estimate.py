@@ -64,20 +64,33 @@ def test_a_network_that_is_trained_is_counted_by_its_kind(tmp_path, root):
     write_json(params / "train.json", {"version": 1, "train": plain(slice_of("train").train)})
     write_json(params / "report.json", {"version": 1, "report": plain(parameters().report) | {"branches": []}})
     costs = {
-        name: {c.stage: c for c in later_costs(params, "24x32", name)} for name in ("shipped", "grid_16", "unet")
+        name: {c.stage: c for c in later_costs(params, "24x32", name, 900)} for name in ("shipped", "grid_16", "unet")
     }
     assert "70_train" not in costs["shipped"]
     light, heavy = (costs[name]["70_train"].cpu_each for name in ("grid_16", "unet"))
     epochs = slice_of("train").train
     assert heavy / (epochs.epochs_of.unet or epochs.epochs) > 2 * light / epochs.epochs
-    pair = later_costs(params, "24x32", "pair_24_mirrored")
+    pair = later_costs(params, "24x32", "pair_24_mirrored", 900)
     assert next(c for c in pair if c.stage == "70_train").cpu_each > light  # its reader of dots learns too
+
+
+def test_an_epoch_of_a_part_of_the_presses_costs_that_part(tmp_path):
+    """Where epochs visit fewer presses than there are; where they would visit more, they visit all."""
+    train = plain(slice_of("train").train)
+    cpu = {}
+    for images in (0, 300, 1200):
+        params = tmp_path / str(images)
+        write_json(params / "models" / "net.json", {"net": {"kind": "unet", "widths": [4, 8]}})
+        write_json(params / "train.json", {"version": 1, "train": train | {"epoch_images": images}})
+        cpu[images] = training(params, "net", 900).cpu_each
+    assert cpu[300] == pytest.approx(cpu[0] / 3)
+    assert cpu[1200] == cpu[0]
 
 
 def test_a_network_that_there_is_not_is_named(tmp_path):
     write_json(tmp_path / "train.json", {"version": 1, "train": plain(slice_of("train").train)})
     with pytest.raises(BadInput, match="MODEL=grid16"):
-        training(tmp_path, "grid16")
+        training(tmp_path, "grid16", 900)
 
 
 def test_a_calibration_fills_the_cores_whatever_the_number_of_shards():

@@ -109,26 +109,27 @@ def meshes(results: Path) -> Cost:
     return Cost(layout.MESHES, cpu_once=sum(record["cpu_seconds"] for record in records), bytes_once=written)
 
 
-def training(params: Path, model: str) -> Cost:
-    """What a network takes to learn; BadInput for one that there is not."""
+def training(params: Path, model: str, presses: int) -> Cost:
+    """What a network takes to learn from so many presses; BadInput for one that there is not."""
     tables = {path.stem: read_json(path)[path.stem] for path in sorted((params / "models").glob("*.json"))}
     table, settings = resolve(tables, model, read_slice(params / "train.json", ForTrain).train)
-    each = TRAIN_EACH.get(table["kind"], TRAIN_EACH["grid"]) * settings.epochs
+    share = min(1.0, (settings.epoch_images or presses) / presses)  # of all, that an epoch visits
+    each = TRAIN_EACH.get(table["kind"], TRAIN_EACH["grid"]) * settings.epochs * share
     each += DOTS_EACH * settings.dot_epochs + PLACES_EACH * settings.place_epochs
     return Cost(layout.TRAIN, each, START, bytes_once=3e6)
 
 
-def later_costs(params: Path, resolution: str, model: str) -> list[Cost]:
-    """What the stages after the labels take with a network, from other datasets."""
+def later_costs(params: Path, resolution: str, model: str, presses: int) -> list[Cost]:
+    """What the stages after the labels take with a network and so many presses, from other datasets."""
     report = read_slice(params / "report.json", ForReport).report
     cells = 4 * 3 * int(resolution.split("x", maxsplit=1)[0]) * int(resolution.split("x")[1])
     found = [Cost(layout.DATASET, 2e-3, START, IMAGE_BYTES + cells)]
     if model != "shipped":
-        found.append(training(params, model))
+        found.append(training(params, model, presses))
     found.append(Cost(layout.EVALUATE, EVALUATE_EACH, START, cells / 2))
     if "calibrate" in report.branches:
-        presses = read_slice(params / "calibrate.json", ForCalibrate).calibrate.max_presses
-        found.append(Cost(layout.CALIBRATE, cpu_once=CALIBRATE_EACH * presses, bytes_once=2e7))
+        solved = read_slice(params / "calibrate.json", ForCalibrate).calibrate.max_presses
+        found.append(Cost(layout.CALIBRATE, cpu_once=CALIBRATE_EACH * solved, bytes_once=2e7))
     if "pareto" in report.branches:
         scenes = read_slice(params / "pareto.json", ForPareto).pareto.quick.scenes
         found.append(Cost(layout.PARETO, cpu_once=CHART_EACH * len(scenes), bytes_once=4e5 * len(scenes)))
@@ -137,7 +138,8 @@ def later_costs(params: Path, resolution: str, model: str) -> list[Cost]:
 
 def estimated(data: Path, results: Path, resolution: str, model: str, rows: list[RawRow]) -> list[Cost]:
     """What every stage of a dataset takes, the rows given being all its presses."""
-    later = later_costs(Layout(results).params, resolution, model)  # first: a wrong word must not wait for the pilots
+    # first: a wrong word must not wait for the pilots
+    later = later_costs(Layout(results).params, resolution, model, len(rows))
     costs = measured(data, results, resolution, rows)
     return [costs[0], meshes(results), *costs[1:], *later]
 

@@ -1,7 +1,8 @@
 """Catalogues of indenters as tables, with what the files that they name hold; without the shapes themselves."""
 
-import hashlib
 from pathlib import Path
+
+from gelforge.flow.files import digest_of
 
 
 def with_content(indenters: dict, folder: Path) -> tuple[dict, list[Path]]:
@@ -16,6 +17,6 @@ def with_content(indenters: dict, folder: Path) -> tuple[dict, list[Path]]:
         if path is not None:
             files.append(path)
         if path is not None and path.is_file():
-            table = {**table, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+            table = {**table, "sha256": digest_of(path)}
         found[name] = table
     return found, files
