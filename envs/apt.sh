@@ -1,3 +1,9 @@
+# Sourced: leave_what_is_linked FILE ends the script where FILE is there and its folder is a link: such an environment
+# belongs to another checkout, and what it says holds for this machine here, too.
+leave_what_is_linked() {
+    if [ -L "$(dirname "$1")" ] && [ -s "$1" ]; then exit 0; fi
+}
+
 # Sourced: apt_install PACKAGE…, as root or with passwordless sudo, else an error that says what to do.
 apt_install() {
     local sudo=""

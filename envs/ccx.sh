@@ -4,6 +4,7 @@ set -euo pipefail
 file=$1
 cd "$(dirname "$0")/.."
 . envs/apt.sh
+leave_what_is_linked "$file"
 here=$PWD/$(dirname "$file")/conda
 
 find_ccx() {

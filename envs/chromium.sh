@@ -5,6 +5,7 @@ set -euo pipefail
 file=$1
 cd "$(dirname "$0")/.."
 . envs/apt.sh
+leave_what_is_linked "$file"
 
 chromium_is_here() { command -v chromium && command -v chromedriver; }
 

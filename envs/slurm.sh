@@ -5,6 +5,7 @@ set -euo pipefail
 file=$1
 cd "$(dirname "$0")/.."
 . envs/apt.sh
+leave_what_is_linked "$file"
 PATH=$PATH:/usr/sbin:/sbin
 
 slurm_is_here() { for program in munged slurmctld slurmd sbatch squeue scontrol scancel; do command -v "$program" || return; done; }

@@ -26,6 +26,9 @@ named = $(if $(or $(call without,$(value $(1)),$(LETTERS) $(DIGITS) _ - .),$(fil
 by_hand = $(and $(filter command environment,$(firstword $(origin $(1)))),$(value $(1)))
 $(foreach v,DATASET SENSOR MODEL FORMAT EXECUTOR,$(if $(call by_hand,$v),$(if $(call named,$v),,$(error $v=$(value $v): give one name of letters, digits, _ - and . that does not start with a dot))))
 
+# Given but empty, as by DATASET=$UNSET in a script, DATASET would name the folder of all results, and JOBS no limit.
+$(foreach v,DATASET MODEL JOBS,$(if $(filter-out undefined default file,$(origin $v)),$(if $(strip $(value $v)),,$(error $v is empty: give a value, or leave it out))))
+
 # Lists of names, and of tests.
 $(foreach v,CHARTED STUDIED TESTS,$(if $(call by_hand,$v),$(if $(strip $(call without,$(value $v),$(LETTERS) $(DIGITS) _ - . / : [ ] ,)),$(error $v=$(value $v): give names with blanks between them))))
 ifneq ($(call without,$(call by_hand,JOBS),$(DIGITS)),)

@@ -18,7 +18,8 @@ ifneq ($(filter-out $(NO_DATASET),$(or $(MAKECMDGOALS),help)),)
 include $(PLANNED)
 # The plan holds the time and size of every file that it was made from. They are compared for being the same, not for
 # being newer: a file that an older one replaced is noticed, and one dated in the future is planned once, not for ever.
-ifneq ($(PLAN_STATE),$(if $(PLAN_STATE),$(shell stat -c '%n:%.9Y:%s' $(PLAN_INPUTS) $(PLAN_READS) 2>/dev/null)))
+# A link counts as what it points to, and a fraction of a second has a point in every language, as in stages/plan.py.
+ifneq ($(PLAN_STATE),$(if $(PLAN_STATE),$(shell LC_ALL=C stat -L -c '%n:%.9Y:%s' $(PLAN_INPUTS) $(PLAN_READS) 2>/dev/null)))
 .PHONY: plan-again
 $(PLANNED): plan-again
 # A picture that was replaced, by an older one too: the time at which its entry changed tells (-cnewer), not its own. One

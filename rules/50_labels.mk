@@ -9,7 +9,6 @@ $(LABELS): $D/50_labels/%/labels.json: $(FORCES) $(POSES) $D/00_plan/shards.csv 
 	$(call step,gelforge.stages.labels --forces $D/40_forces --poses $D/10_poses --meshes $D/20_meshes --shards $D/00_plan/shards --sensors $P/sensors.json --resolution $* --params $P/labels.json --out $@.part)
 
 # A shard that was deleted, because it lost bytes say, is made again: labels.json alone would hide the gap.
-there = $(wildcard $D/50_labels/$(1)/*.npz)
-gap = $(if $(there),$(filter-out $(there),$(SHARDS:%=$D/50_labels/$(1)/%.npz)))
+gap = $(if $(wildcard $D/50_labels/$(1)/labels.json),$(filter-out $(wildcard $D/50_labels/$(1)/*.npz),$(SHARDS:%=$D/50_labels/$(1)/%.npz)))
 .PHONY: gap-in-labels
 $(foreach r,$(RES),$(if $(call gap,$r),$D/50_labels/$r/labels.json)): gap-in-labels

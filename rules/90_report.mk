@@ -6,7 +6,7 @@ CHART := $(if $(filter pareto,$(BRANCHES)),$D/pareto/quick.json)
 
 # Branches that were made without being asked for are shown too: those there are, and from when.
 ALSO := $(filter-out $(CALIBRATION) $(CHART),$(wildcard $D/calibrate/summary.json $D/pareto/pareto.json $D/pareto/quick.json))
-REPORTED := $(RES1) $(MODEL) $(if $(ALSO),$(shell stat -c '%n:%Y' $(ALSO)))
+REPORTED := $(RES1) $(MODEL) $(if $(ALSO),$(shell stat -L -c '%n:%Y' $(ALSO)))
 
 .PHONY: report
 report: $(REPORT)  ## one HTML page: presses, labels, errors, posterior, chart, failures

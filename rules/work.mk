@@ -39,7 +39,7 @@ clean-venv:  ## remove the virtual environment
 TARGET ?=
 
 why:  ## why a target would be made again: make why TARGET=report
-	@$(PY) -m gelforge.commands.why --target $(call given,TARGET) 'DATASET=$(DATASET)' 'RES=$(RES)'
+	@$(PY) -m gelforge.commands.why --target $(call given,TARGET) 'DATASET=$(DATASET)' 'RES=$(RES)' $(if $(FORMAT),'FORMAT=$(FORMAT)')
 
 lineage: | $(SETUP)  ## every file, parameter and cost behind one label: make lineage ID=…
 	@$(PY) -m gelforge.commands.lineage --results $D --id $(call given,ID) --resolution $(RES1)

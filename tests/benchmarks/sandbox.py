@@ -3,7 +3,9 @@
 import os
 import shutil
 import subprocess
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 # What an outer make leaves in the environment of what it runs.
 OF_MAKE = ("MAKEFLAGS", "MAKELEVEL", "MFLAGS", "GNUMAKEFLAGS", "MAKE_TERMERR", "MAKE_TERMOUT")
@@ -25,12 +27,14 @@ def clean_environment() -> dict[str, str]:
     return {key: value for key, value in os.environ.items() if key not in OF_MAKE}
 
 
-def make(project: Path, *arguments: str, **options) -> subprocess.CompletedProcess:
-    """Run make in a sandbox; standard output and error are in the answer's `stdout`."""
+def make(
+    project: Path, *arguments: str, environment: Mapping[str, str] = MappingProxyType({}), **options
+) -> subprocess.CompletedProcess:
+    """Run make in a sandbox; standard output and error are in the answer's `stdout`. environment: beside what is set."""
     return subprocess.run(
         ["make", *arguments],
         cwd=project,
-        env=clean_environment(),
+        env={**clean_environment(), **environment},
         text=True,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,

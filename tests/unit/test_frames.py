@@ -112,6 +112,19 @@ def test_frames_of_a_press_share_a_shard_and_keep_it(presses, size, first):
         assert len({shards[name] for name in ids if press_of.get(name) == press}) == 1
 
 
+@given(st.lists(st.integers(0, 6), min_size=1, max_size=60), st.integers(1, 5))
+def test_samples_that_are_told_to_be_one_press_later_come_together(presses, size):
+    """Those of no press stay where they were, and so do a press's first ones."""
+    ids = [f"s{k}" for k in range(len(presses))]
+    press_of = {name: f"p{p}" for name, p in zip(ids, presses, strict=True) if p}
+    early = assign_shards(ids, {}, size)
+    shards = assign_shards(ids, early, size, press_of)
+    for press in set(press_of.values()):
+        frames = [name for name in ids if press_of.get(name) == press]
+        assert {shards[name] for name in frames} == {early[frames[0]]}
+    assert all(shards[name] == early[name] for name in ids if name not in press_of)
+
+
 def test_the_plan_keeps_frames_together(tmp_path):
     ids = ["a", "b", "a", "c", "a", "b"]
     lines = [log_line(WITH_ID, sample_id=f"s{k}", press_id=press) for k, press in enumerate(ids)]

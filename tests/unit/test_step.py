@@ -17,10 +17,9 @@ from tests.limited import limited
 from tests.waiting import HANG, wait_until
 
 
-def start(target, *command):
-    return subprocess.Popen(
-        [sys.executable, "-m", "gelforge.flow.step", str(target), "--", *command], stdout=subprocess.PIPE, text=True
-    )
+def start(target, *command, reads=()):
+    wrapper = [sys.executable, "-m", "gelforge.flow.step", str(target), *map(str, reads), "--", *command]
+    return subprocess.Popen(wrapper, stdout=subprocess.PIPE, text=True)
 
 
 def wrapped(target, *command):
@@ -92,6 +91,32 @@ def test_two_wrappers_of_one_target_work_once(tmp_path, there):
     go.touch()
     assert first.wait(HANG) == 0 and second.wait(HANG) == 0
     assert count.read_text() == "ran\n" and target.read_text() == "made\n"
+
+
+def test_what_was_made_of_an_input_that_changed_meanwhile_is_due_again(tmp_path):
+    """Also for a make that waited: the file it finds is of the input as it was."""
+    source, target, go = tmp_path / "source", tmp_path / "results/d/30_fea/0000.csv", tmp_path / "go"
+    source.write_text("old\n")
+    text = f"cat {source} > {target}.part; touch {target}.read; while ! test -e {go}; do sleep 0.1; done"
+    first = start(target, "bash", "-c", text, reads=[source])
+    wait_until(target.with_name("0000.csv.read").exists, of=first)
+    source.write_text("new\n")
+    second = start(target, "bash", "-c", text, reads=[source])
+    assert "another make is at it" in second.stdout.readline()
+    go.touch()
+    said = first.communicate(timeout=HANG)[0]
+    assert first.returncode == 0 and "source changed while it was made" in said
+    assert second.wait(HANG) == 0 and target.read_text() == "new\n"
+
+
+def test_a_target_is_older_than_an_input_that_changed_meanwhile(tmp_path):
+    """Whatever the time of the new input: make is to see it."""
+    source, target = tmp_path / "source", tmp_path / "results/d/30_fea/0000.csv"
+    source.write_text("old\n")
+    replaced = f"cat {source} > {target}.part; echo new > {source}; touch -d 2001-01-01 {source}"
+    child = start(target, "bash", "-c", replaced, reads=[source])
+    assert child.wait(HANG) == 0 and target.read_text() == "old\n"
+    assert target.stat().st_mtime_ns < source.stat().st_mtime_ns
 
 
 def test_an_input_that_lost_bytes_is_made_again(tmp_path):

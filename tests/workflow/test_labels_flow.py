@@ -84,6 +84,11 @@ def test_a_dataset_follows_what_lies_beside_its_log(folder):
     shutil.copy(data / "images/s001.png", untouched)
     os.utime(untouched, (1e9, 1e9))
     assert built(run(folder, "dataset", "RES=4x4")) == target and not built(run(folder, "dataset", "RES=4x4"))
+    shutil.move(untouched.parent, data / "elsewhere")
+    untouched.parent.symlink_to("elsewhere")
+    run(folder, "dataset", "RES=4x4")
+    shutil.copy(data / "images/s002.png", untouched)
+    assert built(run(folder, "dataset", "RES=4x4")) == target and not built(run(folder, "dataset", "RES=4x4"))
 
 
 def test_resolutions_made_side_by_side_share_their_pictures(folder):
@@ -107,6 +112,21 @@ def test_a_deleted_shard_is_made_again(folder):
     assert built(run(folder, "labels", "RES=6x8")) == {"results/made/50_labels/6x8/labels.json"}
     assert shards[0].read_bytes() == kept and shards[1].stat().st_mtime_ns == stamp
     assert not built(run(folder, "labels", "RES=6x8"))
+    for path in shards:
+        path.unlink()
+    assert built(run(folder, "labels", "RES=6x8")) == {"results/made/50_labels/6x8/labels.json"}
+    assert shards[0].read_bytes() == kept
+
+
+def test_labels_are_as_old_as_what_they_are_made_from(folder):
+    """So a source that is replaced while they are made is newer, and they are made again."""
+    run(folder, "labels", "RES=6x8")
+    results = folder / "results/made"
+    for shard in ("0000", "0001"):
+        read = [results / f"{name}/{shard}{end}" for name, end in (("40_forces", ".npz"), ("10_poses", ".csv"))]
+        read += [results / f"00_plan/params/{name}.json" for name in ("labels", "sensors")]
+        made = results / f"50_labels/6x8/{shard}.npz"
+        assert made.stat().st_mtime_ns == max(path.stat().st_mtime_ns for path in read)
 
 
 @pytest.mark.parametrize(

@@ -24,6 +24,7 @@ from gelforge.records.press import RawRow
 from gelforge.stages.fea import sample_key
 from gelforge.stages.plan import check_count, make_list, picture_folders, used
 from tests.benchmarks.sandbox import link_project, make
+from tests.waiting import HANG
 
 from .conftest import lay_dataset
 
@@ -110,6 +111,10 @@ def test_only_what_is_named_is_part_of_the_plan():
         ("RES", "24xx32", "RES=24xx32"),
         ("RES", "24x00", "RES=24x00"),
         ("RES", "", "RES="),
+        ("DATASET", "", "DATASET is empty"),
+        ("DATASET", " ", "DATASET is empty"),
+        ("MODEL", "", "MODEL is empty"),
+        ("JOBS", "", "JOBS is empty"),
     ],
 )
 def test_what_cannot_be_a_name_is_refused_before_anything_is_made(labelled, variable, value, message):
@@ -163,6 +168,47 @@ def test_a_plan_is_made_once_of_a_file_dated_in_the_future(labelled, log):
     planned = (labelled / "results/tiny/00_plan/plan.mk").stat().st_mtime_ns
     done = make(labelled, "labels", "DATASET=tiny")
     assert done.returncode == 0 and (labelled / "results/tiny/00_plan/plan.mk").stat().st_mtime_ns == planned
+
+
+def planned_once(folder, **options) -> bool:
+    """Whether make plans a dataset at most once and is then content with its plan."""
+    plan = folder / "results/tiny/00_plan/plan.mk"
+    assert make(folder, "labels", "DATASET=tiny", timeout=HANG, **options).returncode == 0
+    first = plan.stat().st_mtime_ns
+    done = make(folder, "labels", "DATASET=tiny", timeout=HANG, **options)
+    return done.returncode == 0 and plan.stat().st_mtime_ns == first
+
+
+def test_a_plan_is_made_once_where_numbers_have_a_comma(labelled, tmp_path):
+    """As in German or French: what `stat` prints follows the language."""
+    source = tmp_path / "comma"
+    source.write_text('LC_NUMERIC\ndecimal_point ","\nthousands_sep "."\ngrouping 3;3\nEND LC_NUMERIC\n')
+    if shutil.which("localedef") is None:
+        pytest.skip("no localedef on PATH to make a language of numbers with a comma")
+    subprocess.run(["localedef", "-c", "-i", source, tmp_path / "xx_XX"], capture_output=True, check=False)
+    environment = {"LOCPATH": str(tmp_path), "LC_NUMERIC": "xx_XX", "LC_ALL": ""}
+    stamp = subprocess.run(
+        ["stat", "-c", "%.9Y", source], env={**os.environ, **environment}, capture_output=True, text=True, check=True
+    )
+    if "," not in stamp.stdout:
+        pytest.skip("localedef could not make a language of numbers with a comma")
+    assert planned_once(labelled, environment=environment)
+
+
+def test_a_linked_log_is_planned_once_for_each_change_behind_the_link(labelled, log):
+    text = log.read_text().splitlines(keepends=True)
+    behind = log.with_name("behind.csv")
+    behind.write_text("".join(text))
+    log.unlink()
+    log.symlink_to(behind)
+    try:
+        assert planned_once(labelled)
+        behind.write_text("".join(text[:-1]))
+        assert planned_once(labelled)
+        assert text[-1].split(",")[0] not in (labelled / "results/tiny/00_plan/shards.csv").read_text()
+    finally:
+        log.unlink()
+        behind.unlink()
 
 
 def test_a_file_that_an_older_one_replaced_is_planned_again(labelled, log):
@@ -265,6 +311,20 @@ def test_why_names_the_parameter_that_changed_and_what_follows(labelled):
     finally:
         table.write_text(text)
     assert make(labelled, "labels", "DATASET=tiny").returncode == 0
+
+
+def test_why_is_told_of_a_target_that_needs_a_choice_of_its_own(labelled):
+    said = make(labelled, "why", "TARGET=export", "FORMAT=hdf5", "DATASET=tiny")
+    assert said.returncode == 0 and "does not exist" in said.stdout, said.stdout
+
+
+@pytest.mark.parametrize("program", ["ccx", "slurm", "chromium"])
+def test_what_a_linked_environment_says_is_left_to_the_checkout_it_belongs_to(root, tmp_path, program):
+    (tmp_path / "theirs").mkdir()
+    (tmp_path / "theirs/found").write_text("as they found it\n")
+    (tmp_path / "ours").symlink_to("theirs")
+    subprocess.run([root / f"envs/{program}.sh", tmp_path / "ours/found"], check=True)
+    assert (tmp_path / "theirs/found").read_text() == "as they found it\n"
 
 
 def test_a_clone_in_a_folder_with_a_blank_works_on(root, tmp_path):

@@ -13,7 +13,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
@@ -191,7 +191,7 @@ def build(target: Path, inputs: list[Path], command: list[str]) -> int:
     with locked(target) as log_path:
         # A second make that waited here finds the work of the first one done. Clocks cannot tell: a file's time stamp
         # lags by the kernel's tick, and a file server has a clock of its own.
-        if file_state(target) not in (None, before):
+        if file_state(target) not in (None, before) and not outdated(target, inputs):
             return 0
         return make_part(target, inputs, command, log_path)
 
@@ -203,6 +203,12 @@ def file_state(path: Path) -> tuple[int, int] | None:
     except FileNotFoundError:
         return None
     return state.st_ino, state.st_mtime_ns
+
+
+def outdated(target: Path, inputs: Iterable[Path]) -> bool:
+    """Whether an input is newer than its target, as make judges it."""
+    made = target.stat().st_mtime_ns
+    return any(path.exists() and path.stat().st_mtime_ns > made for path in inputs)
 
 
 @contextmanager
@@ -232,6 +238,7 @@ def make_part(target: Path, inputs: list[Path], command: list[str], log_path: Pa
 
 def publish_part(target: Path, part: Path, inputs: list[Path], command: list[str], log_path: Path) -> int:
     """Run the command, write down its cost, and give what it wrote its final name; return the exit code."""
+    read = {path: file_state(path) for path in inputs}
     code, cost = run(command, log_path)
     if code == 0 and not part.exists():
         print(f"{target}: the command succeeded but wrote no {part}")
@@ -244,12 +251,26 @@ def publish_part(target: Path, part: Path, inputs: list[Path], command: list[str
     if code:
         report_failure(target, log_path, code)
         return code if 0 < code < 126 else 1
+    leave_due(target, part, read)
     os.replace(part, target)
     show_notices(log_path)
     results = dataset_folder(target)
     far = f"  [{look(results)}]" if results and terminal() is None else ""
     print(f"{target}  {cost['seconds']:.1f} s, {cost['peak_mib']:.0f} MiB{far}", flush=True)
     return 0
+
+
+def leave_due(target: Path, part: Path, read: Mapping[Path, tuple[int, int] | None]) -> None:
+    """Date what was made before all that it was made from where that changed meanwhile; read: states before the command.
+
+    Another make may plan anew while the command runs. What it reads then is nobody's guess, so the target is due again.
+    """
+    changed = [path for path, state in read.items() if file_state(path) != state]
+    if not changed:
+        return
+    oldest = min((state[1] for state in map(file_state, read) if state), default=1)
+    os.utime(part, ns=(oldest - 1, oldest - 1))
+    print(f"{target}: {changed[0]} changed while it was made; run make again, which makes it again", flush=True)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

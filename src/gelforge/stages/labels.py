@@ -1,5 +1,6 @@
 """Stage 50: nodal forces of a shard to force per cell of an image grid."""
 
+import os
 from argparse import Namespace
 from collections.abc import Callable
 from functools import lru_cache, partial
@@ -205,7 +206,10 @@ def label_folder(args, grid: Grid, sensors: dict, channels) -> dict:
         if up_to_date(out, forces, poses, args.sensors, args.params):
             found = summary_of(out, forces)
         else:
+            newest = max(time_of(path) for path in (forces, poses, args.sensors, args.params))
             found = label_shard(forces, poses, find, grid, out, channels)
+            # as old as what was read: a source that another make replaces meanwhile is newer
+            os.utime(out, ns=(newest, newest))
         totals = {
             **totals,
             "samples": totals["samples"] + found["samples"],
@@ -216,11 +220,14 @@ def label_folder(args, grid: Grid, sensors: dict, channels) -> dict:
     return {**totals, **{key: worst[key] for key in ("worst_sample", "worst_outside_share")}, "sha256": digests}
 
 
-def up_to_date(out: Path, *sources) -> bool:
+def up_to_date(out: Path, *sources: Path) -> bool:
     """Whether `out` is there and no source is newer, as make would judge it."""
-    return out.exists() and all(
-        Path(s).stat().st_mtime_ns <= out.stat().st_mtime_ns for s in sources if Path(s).exists()
-    )
+    return out.exists() and all(time_of(path) <= time_of(out) for path in sources)
+
+
+def time_of(path: Path) -> int:
+    """When a file was last written, ns; 0 where there is none."""
+    return path.stat().st_mtime_ns if path.exists() else 0
 
 
 def summary_of(path, forces_path) -> dict:

@@ -32,8 +32,9 @@ def assign_shards(
 ) -> dict[str, int]:
     """Return the shard of each id: what `known` says, new ones filling the last shard.
 
-    A sample keeps its shard for ever, so appending to a log leaves every full shard as it is. Samples of one press
-    (`press_of`, by id) are solved together: they go to its first one's shard, however full.
+    A sample keeps its shard, so appending to a log leaves every full shard as it is. Samples of one press (`press_of`,
+    by id) are solved together: they go to its first one's shard, however full, also where they were told to be one
+    press after they had shards.
     """
     shards: dict[str, int] = {}
     counts: dict[int, int] = {}
@@ -45,10 +46,10 @@ def assign_shards(
     for name in ids:
         if name in shards:
             continue
-        if name in known:
+        press = press_of.get(name)
+        if name in known and homes.get(press, known[name]) == known[name]:
             shards[name] = known[name]
             continue
-        press = press_of.get(name)
         if press in homes:
             shards[name] = homes[press]
         else:
