@@ -46,7 +46,7 @@ def assign_shards(
     for name in ids:
         if name in shards:
             continue
-        press = press_of.get(name)
+        press = press_of.get(name, "")
         if name in known and homes.get(press, known[name]) == known[name]:
             shards[name] = known[name]
             continue
