@@ -1,4 +1,4 @@
-"""A flow that is disturbed: damaged results, kills, full disks, time stamps, two makes at once, single changes.
+"""A flow that is disturbed: damaged results, kills, full disks, time stamps, two makes at once, changes, links, languages.
 
 Each case works on a copy of a small project that was built to its labels. It holds where the next make says in a sentence
 what is wrong, or ends with the very labels of an undisturbed run.
@@ -20,13 +20,14 @@ import numpy as np
 from gelforge.errors import GelforgeError
 from gelforge.flow.files import read_csv, write_csv, write_text
 from tests.benchmarks.attempts import ROOT, Case
-from tests.benchmarks.sandbox import clean_environment, link_project, make
+from tests.benchmarks.sandbox import clean_environment, comma_language, link_project, make
 
 NAME = "tiny"
 # Coarse and in process: the flow is on trial here, not the mechanics.
 SETTINGS = '[params.plan]\nshard_size = 2\n[params.fea]\nfidelity = "hex"\nhex_quality = "demo"\ntolerance = 0.2\n'
 BUILT = re.compile(rf"^results/{NAME}/(\S+)  [\d.]+ s", re.MULTILINE)
 PREDICTED = re.compile(rf"gelforge\.flow\.step results/{NAME}/(\S+)", re.MULTILINE)
+ENDLESS_S = 300.0  # after which a make of four presses is taken to plan for ever
 LABELS = f"results/{NAME}/50_labels/24x32"
 
 Act = Callable[[Path], object]
@@ -218,6 +219,69 @@ def twin_cases(boxes: Sandboxes) -> Iterator[Case]:
             yield boxes.case(f"two makes, {name}, {gap:g} s apart", boxes.raw, act)
 
 
+def midway_cases(boxes: Sandboxes) -> Iterator[Case]:
+    """A setting that changes while make runs, and another make that plans with it: the end is that of a fresh run."""
+    for name, old, new in (
+        ("a quality", '"demo"', '"draft"'),
+        ("a tolerance", "tolerance = 0.2", "tolerance = 0.02"),
+    ):
+        change = edited(f"data/{NAME}/dataset.toml", old, new)
+        fresh = shutil.copytree(boxes.raw, boxes.raw.with_name(f"fresh {name}".replace(" ", "-")), symlinks=True)
+        change(fresh)
+        wanted = finish(fresh)
+        for after in (0.3, 1.0, 2.0, 3.0, 4.0, 5.5):
+
+            def act(project: Path, change=change, after=after) -> object:
+                started = subprocess.Popen(
+                    ["make", "-j1", f"DATASET={NAME}", "labels"], cwd=project, env=clean_environment(),
+                    stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                )  # fmt: skip
+                time.sleep(after)
+                change(project)
+                make(project, "-n", f"DATASET={NAME}", "labels")
+                started.wait()
+                return finish(project)
+
+            yield boxes.case(f"{name} changes {after:g} s after make started", boxes.raw, act, wanted)
+
+
+# -- links and languages
+
+
+def content_with(project: Path, **options) -> object:
+    """The labels' digest, where a second make finds nothing to do."""
+    for _ in range(2):
+        done = make(project, f"DATASET={NAME}", "labels", timeout=ENDLESS_S, **options)
+        if done.returncode:
+            return done.stdout[-400:]
+    again = BUILT.findall(done.stdout)
+    return f"made again: {again}" if again else labels_of(project)
+
+
+def link_cases(boxes: Sandboxes) -> Iterator[Case]:
+    image = read_csv(boxes.raw / "data" / NAME / "log.csv")[0]["image"]
+    linked = [f"data/{NAME}/{name}" for name in ("log.csv", "dataset.toml", image, Path(image).parent)]
+    linked += ["workflow/params.toml", "workflow/sensors.toml", "workflow/indenters.toml", f"data/{NAME}", "data"]
+    for name in linked:
+
+        def act(project: Path, name=name) -> object:
+            path = project / name
+            behind = project.with_name("behind")
+            shutil.move(path, behind)
+            path.symlink_to(behind)
+            return content_with(project)
+
+        yield boxes.case(f"{name} is a link", boxes.built, act)
+
+
+def language_cases(boxes: Sandboxes) -> Iterator[Case]:
+    def act(project: Path) -> object:
+        environment = comma_language(project)
+        return boxes.wanted if environment is None else content_with(project, environment=environment)
+
+    yield boxes.case("numbers have a comma", boxes.built, act)
+
+
 # -- single changes: what make -n says is what is made
 
 
@@ -277,5 +341,15 @@ def change_cases(boxes: Sandboxes) -> Iterator[Case]:
 def flow_cases(base: Path) -> Iterator[Case]:
     """Every disturbance of a small flow, on copies of projects that are laid below `base`."""
     boxes = Sandboxes(base)
-    for cases in (damage_cases, kill_cases, disk_cases, stamp_cases, twin_cases, change_cases):
+    for cases in (
+        damage_cases,
+        kill_cases,
+        disk_cases,
+        stamp_cases,
+        twin_cases,
+        midway_cases,
+        link_cases,
+        language_cases,
+        change_cases,
+    ):
         yield from cases(boxes)

@@ -23,7 +23,7 @@ from gelforge.geometry.triangles import write_stl
 from gelforge.records.press import RawRow
 from gelforge.stages.fea import sample_key
 from gelforge.stages.plan import check_count, make_list, picture_folders, used
-from tests.benchmarks.sandbox import link_project, make
+from tests.benchmarks.sandbox import comma_language, link_project, make
 from tests.waiting import HANG
 
 from .conftest import lay_dataset
@@ -181,17 +181,9 @@ def planned_once(folder, **options) -> bool:
 
 def test_a_plan_is_made_once_where_numbers_have_a_comma(labelled, tmp_path):
     """As in German or French: what `stat` prints follows the language."""
-    source = tmp_path / "comma"
-    source.write_text('LC_NUMERIC\ndecimal_point ","\nthousands_sep "."\ngrouping 3;3\nEND LC_NUMERIC\n')
-    if shutil.which("localedef") is None:
-        pytest.skip("no localedef on PATH to make a language of numbers with a comma")
-    subprocess.run(["localedef", "-c", "-i", source, tmp_path / "xx_XX"], capture_output=True, check=False)
-    environment = {"LOCPATH": str(tmp_path), "LC_NUMERIC": "xx_XX", "LC_ALL": ""}
-    stamp = subprocess.run(
-        ["stat", "-c", "%.9Y", source], env={**os.environ, **environment}, capture_output=True, text=True, check=True
-    )
-    if "," not in stamp.stdout:
-        pytest.skip("localedef could not make a language of numbers with a comma")
+    environment = comma_language(tmp_path)
+    if environment is None:
+        pytest.skip("no localedef that makes a language of numbers with a comma")
     assert planned_once(labelled, environment=environment)
 
 
