@@ -49,16 +49,23 @@ def solve(
     """Press an indenter into a gel, down by `depth` mm and then sideways by `shear` mm, by finite elements in process.
 
     indenter: a body, or a table as in workflow/indenters.toml. at: where its tip meets the crown plane, mm.
-    c10: stiffness of the gel, MPa. nu: its Poisson's ratio. quality: "label", "draft" or "demo", slow to fast.
+    depth: mm from 0 on, positive into the gel. c10: stiffness of the gel, MPa. nu: its Poisson's ratio. quality: "label", "draft" or "demo", slow to fast.
     A press that cannot be solved raises GelforgeError with its reason.
     """
-    if not (np.isfinite(c10) and c10 > 0.0 and 0.0 <= nu < 0.5):
+    if not (_finite(c10, nu) and c10 > 0.0 and 0.0 <= nu < 0.5):
         raise BadInput(f"gelforge.solve: c10 = {c10!r} MPa, nu = {nu!r}: give c10 above 0 and nu from 0 to below 0.5")
+    if not (_finite(depth, *at, *shear, rot_deg) and depth >= 0.0):
+        raise BadInput(
+            f"gelforge.solve: depth = {depth!r}, at = {at!r}, shear = {shear!r}, rot_deg = {rot_deg!r}: give finite numbers, and "
+            "a depth in mm from 0 on, positive into the gel"
+        )
     from gelforge.geometry.indenters import build
     from gelforge.mechanics.hex.hexsolver import HexSolver
     from gelforge.mechanics.hex.settings import quality as settings
 
     body: Any = build("indenter", indenter, "gelforge.solve") if isinstance(indenter, dict) else indenter
+    if not hasattr(body, "distance"):
+        raise BadInput(f"gelforge.solve: indenter = {body!r}: give a body, or a table as in workflow/indenters.toml")
     press = Press(at[0], at[1], 0.0, shear[0], shear[1], -depth, rot_deg)
     scene = Scene(load_gel(gel), Material(nu), body, press)
     result = HexSolver(settings(quality)).solve(scene)
@@ -66,6 +73,11 @@ def solve(
         raise GelforgeError(f"the press was not solved: {result.evidence.get('reason') or result.status.value}")
     forces = result.forces * (c10 / REFERENCE_C10)  # exactly so: the solid's stress is proportional to C10
     return SolvedPress(gel, result.bricks.mesh(), forces, result.displacement, result.evidence)
+
+
+def _finite(*values: Any) -> bool:
+    """Whether all of these are finite numbers."""
+    return all(isinstance(value, int | float | np.number) and bool(np.isfinite(value)) for value in values)
 
 
 def label(solved: SolvedPress, resolution: str = "24x32", sensor: Sensor | None = None) -> np.ndarray:
@@ -168,6 +180,6 @@ class Reader:
 def check_image(image: np.ndarray) -> np.ndarray:
     """An image (h, w, 3) uint8; anything else raises BadInput."""
     image = np.asarray(image)
-    if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
+    if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or not image.size:
         raise BadInput(f"an image of shape {image.shape} and type {image.dtype}: give (height, width, 3) uint8 RGB")
     return image

@@ -4,6 +4,7 @@ import csv
 import os
 import signal
 import sys
+from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from gelforge.errors import BadInput
 from gelforge.networks import statistics, use
 from gelforge.networks.canonical import WHOLE, view_of
 from gelforge.networks.onnxgraph import TOLERANCE, export, largest_difference, run_onnx
+from gelforge.networks.sensorprofile import Gain, make_profile, write_profile
 from gelforge.records.markers import pitch_of
 
 
@@ -241,6 +243,18 @@ def test_live_takes_the_first_frames_at_rest_for_the_untouched_sensor(data, mode
     assert len(got) == len(seen)
     # the video is compressed; the lines that tell times differ
     assert np.median(np.abs(got[-1].astype(int) - wanted[..., ::-1])) <= 2
+
+
+def test_live_reads_against_the_picture_of_a_profile(data, models, paths, tmp_path):
+    """As `predict` does: a film may begin while something is held, and stays still then, too."""
+    about = models["pair"].about
+    profile = make_profile("mine", data.nocontact["mini0"], 30.0, Gain(), about)
+    write_profile(tmp_path / "mine.toml", profile)
+    args = Namespace(profile=tmp_path / "mine.toml", sensor=None)
+    held = cv2.cvtColor(data.images[0], cv2.COLOR_RGB2BGR)
+    found, seen = live.with_untouched(args, models["pair"], None, iter([held] * 20), "held.avi")
+    np.testing.assert_array_equal(found.known["given"], data.nocontact["mini0"])
+    assert len(list(seen)) == 20
 
 
 def test_live_refuses_a_film_that_never_rests(data, paths, tmp_path):

@@ -191,7 +191,11 @@ def test_weighed_presses_make_a_profile_that_predict_uses(weighed, capsys):
         (lambda rows: [[rows[0][0], f"-{rows[0][1]}"]], "above 0 N"),
         (lambda rows: [["rest.png", "5.0"]], "shows no contact"),
         (lambda rows: [[rows[0][0], f"{102 * float(rows[0][1]):.1f}"]], "are they newtons"),
-        (lambda rows: [[rows[0][0], "much"]], "above 0 N"),
+        (lambda rows: [[rows[0][0], "0"]], "force_n = 0: .*above 0 N"),
+        (lambda rows: [[rows[0][0], "much"]], "'much' is no number"),
+        (lambda rows: [[rows[0][0], '"3,5"']], "'3,5' is no number; write newtons with a decimal point"),
+        (lambda rows: [["", "5.0"]], "line 2: its image is empty"),
+        (lambda rows: [rows[0], [], [], ["gone.png", "x"]], "line 5: gone.png"),
         (lambda rows: [["gone.png", "5.0"]], "gone.png"),
         (lambda rows: [], "no readings"),
     ],
@@ -257,6 +261,24 @@ def test_a_film_tells_the_untouched_picture_by_itself(weighed):
     assert sensor.main(["--name", "mine", "--video", film, "--out", str(folder / "mine.toml")]) == 0
     found = read_profile(folder / "mine.toml").untouched.astype(int)
     assert np.abs(found - rest).mean() < 1.0 < np.abs(press.astype(int) - rest).mean()
+
+
+def test_a_film_that_is_cut_short_serves_where_it_begins_at_rest(weighed):
+    folder, rows = weighed
+    rest, press = read_image(folder / "rest.png"), read_image(folder / rows[0][0])
+    film = folder / "film.avi"
+    filmed(film, [*[rest] * 20, *[press] * 40])
+    whole = film.read_bytes()
+    film.write_bytes(whole[: len(whole) // 2])
+    assert sensor.main(["--name", "mine", "--video", str(film), "--out", str(folder / "mine.toml")]) == 0
+
+
+def test_a_profile_of_a_picture_without_dots_is_refused(weighed):
+    folder, rows = weighed
+    blurred = cv2.medianBlur(cv2.imread(str(folder / "rest.png")), 61)
+    cv2.imwrite(str(folder / "rest.png"), blurred)
+    with pytest.raises(BadInput, match="no print of dots.*take a sharp one"):
+        make(folder, rows)
 
 
 def test_one_source_of_the_untouched_picture_is_asked_for(weighed):

@@ -233,6 +233,17 @@ def test_a_unit_is_calibrated_from_one_image(root):
     assert found.fit.rms < 0.5
 
 
+def test_a_picture_that_shows_a_part_of_the_dots_does_not_tell_which(root):
+    """As of a driver that crops the border: the first dot in it is not the print's first."""
+    like = load_sensors(root / "workflow/sensors.toml")["gelsight_mini"]
+    image, _, _ = draw_dots(1.4 * np.array(like.markers["pitch_px"]), 0.0, (160, 120))
+    with pytest.raises(BadInput, match=r"its dots span \d x \d of the 7 x 9.*POINTS=points.csv"):
+        projection.calibrate("new", like, image=image)
+    on_gel = np.array([[-8.0, -9], [8, -9], [8, 9], [-8, 9], [0, 0]])
+    found = projection.calibrate("new", like, (on_gel, transform(like.projection, on_gel)), image)
+    assert found.markers is None and found.fit.rms < 1e-6
+
+
 def test_the_command_writes_json_picture_and_table(root, reference, tmp_path, capsys):
     out = tmp_path / "unit.json"
     projection.main(

@@ -6,6 +6,7 @@ import sys
 import tomllib
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -85,9 +86,26 @@ def test_reading_many_images_of_one_sensor(root):
         assert one.half_width is None or (one.half_width > 0.0).all()
     calm = read(rest)
     assert np.abs(calm.total).max() == 0.0 and calm.reason == ""
-    for wrong in (rest[..., 0], rest.astype(float), np.zeros((2, 2, 4), np.uint8)):
+    for wrong in (rest[..., 0], rest.astype(float), np.zeros((2, 2, 4), np.uint8), rest[250:], rest[:, :0]):
         with pytest.raises(BadInput, match="uint8 RGB"):
             read(wrong)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "told"),
+    [
+        (lambda rest: cv2.medianBlur(rest, 61), "no print of dots"),
+        (lambda rest: cv2.GaussianBlur(rest, (0, 0), 30), "no print of dots"),
+        (lambda rest: np.ascontiguousarray(rest[:3]), "another shape"),
+        (lambda rest: np.ascontiguousarray(rest[:, :160]), "another shape"),
+    ],
+    ids=["an unmarked gel", "out of focus", "three rows", "half of it"],
+)
+def test_an_untouched_picture_that_tells_nothing_is_told(root, spoil, told):
+    """What is read against it may be any number."""
+    rest = read_image(root / "data/demo/nocontact/mini_a.png")
+    found = gelforge.Reader(untouched=spoil(rest))(rest)
+    assert found.flag and told in found.reason
 
 
 def test_images_of_one_sitting_read_as_the_command_reads_them(root, tmp_path):
@@ -120,6 +138,22 @@ def test_a_profile_scales_what_is_read(root, tmp_path):
 def test_a_wrong_table_says_what_to_write():
     with pytest.raises(BadInput, match="kind"):
         gelforge.solve({"kind": "teapot"}, depth=0.5)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [{"depth": float("nan")}, {"depth": -0.5}, {"depth": "0.5"}, {"depth": None}, {"at": (float("nan"), 0.0)},
+     {"shear": (0.0, float("inf"))}, {"rot_deg": float("nan")}, {"c10": "soft"}, {"nu": float("nan")}],
+    ids=str,
+)  # fmt: skip
+def test_a_press_that_is_none_is_no_press_of_0_n(given):
+    with pytest.raises(BadInput, match=next(iter(given))):
+        gelforge.solve(BALL, **({"depth": 0.5} | given))
+
+
+def test_what_is_no_indenter_is_refused():
+    with pytest.raises(BadInput, match="'sphere'.*indenters.toml"):
+        gelforge.solve("sphere", depth=0.5)
 
 
 def test_a_name_it_does_not_have_is_refused():

@@ -116,7 +116,8 @@ def refuse_two_faces(args: Namespace) -> None:
 def with_untouched(args: Namespace, trained, picture: np.ndarray | None, seen, name: str) -> tuple:
     """The network with the untouched sensor's picture (networks.use.Untouched), and the frames, BGR, from the first on.
 
-    picture: what was given for it, (h, w, 3) RGB; where nothing was and the network needs one, the frames tell it.
+    picture: what was given for it, (h, w, 3) RGB; where nothing was, the profile's serves; where there is none either and the
+    network needs one, the frames tell it.
     """
     import cv2
 
@@ -124,7 +125,7 @@ def with_untouched(args: Namespace, trained, picture: np.ndarray | None, seen, n
     from gelforge.networks.still import find_untouched
     from gelforge.networks.use import Untouched
 
-    if picture is None and not args.sensor and trained.needs_untouched:
+    if picture is None and not (args.sensor or args.profile) and trained.needs_untouched:
         picture, seen = find_untouched(seen, name)
         picture = cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
     picture, gain = untouched_of(args.profile, picture, trained.about)

@@ -101,6 +101,16 @@ def calibrate(name: str, like: Sensor, points=None, image=None, where: str = "")
                 " image needs; add it to workflow/sensors.toml, or name another sensor as LIKE"
             )
         markers = find_markers(image, like.markers["rows"], like.markers["cols"], where)
+        span = np.ptp(markers.index, axis=0) + 1
+        if tuple(span) != (markers.rows, markers.cols):
+            # rows or columns of dots lie outside of the picture, and nothing tells on which side
+            if points is None:
+                raise BadInput(
+                    f"{where}: its dots span {span[0]} x {span[1]} of the {markers.rows} x {markers.cols} of sensor "
+                    f"{like.name}, so nothing tells which of them they are: give POINTS=points.csv, or name as LIKE a sensor "
+                    "whose pictures show as many"
+                )
+            markers = None
     if points is None:
         if markers is None:
             raise BadInput(

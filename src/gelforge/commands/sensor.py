@@ -34,26 +34,45 @@ from gelforge.records.film import source_name
 from gelforge.records.image import read_image
 from gelforge.records.markers import pitch_of
 from gelforge.records.press import check_id, parse_number
-from gelforge.records.table import read_table
+from gelforge.records.table import numbered_rows
 
 
 def gain_of(readings: Path, untouched: Untouched) -> Gain:
     """The factor that a table of readings tells; BadInput names the row that cannot be used."""
-    rows = read_table(readings, "give the columns image and force_n")
-    if not rows or {"image", "force_n"} - rows[0].keys():
-        raise BadInput(f"{readings}: holds no readings; give the columns image and force_n, a row for each press")
-    names = [f"{readings} line {number}: {row['image']}" for number, row in enumerate(rows, 2)]
-    measured = np.array([parse_number(row["force_n"]) or np.nan for row in rows])
-    read = _normals(untouched, [readings.parent / row["image"] for row in rows])
+    rows = _rows(readings, ("image", "force_n"), "readings", "press")
+    names = [f"{readings} line {number}: {row['image']}" for number, row in rows]
+    measured = np.array([_force(name, row["force_n"]) for name, (_, row) in zip(names, rows, strict=True)])
+    read = _normals(untouched, [readings.parent / row["image"] for _, row in rows])
     check_readings(names, measured, read)
     return fit_gain(measured, read)
 
 
+def _rows(table: Path, columns: tuple[str, str], what: str, each: str) -> list[tuple[int, dict[str, str]]]:
+    """Rows of a table that a person wrote, with their lines' numbers; BadInput where a column, all rows or a cell lack."""
+    asked = f"give the columns {' and '.join(columns)}"
+    rows = numbered_rows(table, asked)
+    if not rows or set(columns) - rows[0][1].keys():
+        raise BadInput(f"{table}: holds no {what}; {asked}, a row for each {each}")
+    for number, row in rows:
+        empty = [column for column in columns if not row[column].strip()]
+        if empty:
+            raise BadInput(f"{table} line {number}: its {empty[0]} is empty; {asked}, a row for each {each}")
+    return rows
+
+
+def _force(name: str, text: str) -> float:
+    """A measured force in N; BadInput for what is no number."""
+    value = parse_number(text)
+    if value is None:
+        raise BadInput(
+            f"{name}: force_n = {text[:100]!r} is no number; write newtons with a decimal point, such as 3.5"
+        )
+    return value
+
+
 def gain_beside(grasps: Path, untouched: Untouched, opposite: Path) -> Gain:
     """The factor by which grasps bring this sensor to the profile of the finger opposite."""
-    rows = read_table(grasps, "give the columns image and opposite")
-    if not rows or {"image", "opposite"} - rows[0].keys():
-        raise BadInput(f"{grasps}: holds no grasps; give the columns image and opposite, a row for each moment")
+    rows = [row for _, row in _rows(grasps, ("image", "opposite"), "grasps", "moment")]
     other = read_profile(opposite)
     check_same_network(other, untouched.trained.about)
     facing = Untouched(untouched.trained, other.untouched, gain=other.gain.value)
@@ -113,7 +132,7 @@ def main(args: Namespace) -> None:
     trained = load_for_use(args.model)
     untouched = Untouched(trained, picture)
     if untouched.fault:
-        raise BadInput(f"{source}: {untouched.fault}; take one while nothing touches the sensor")
+        raise BadInput(f"{source}: {untouched.fault}; take a sharp one while nothing touches the sensor")
     gain = Gain()
     if args.readings:
         gain = gain_of(args.readings, untouched)

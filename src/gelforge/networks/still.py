@@ -69,6 +69,7 @@ def _again(held: deque[np.ndarray], rest: Iterator[np.ndarray]) -> Iterator[np.n
 def picture_at_rest(video: Path | None, camera: int | None) -> np.ndarray:
     """The picture (h, w, 3) uint8 RGB of the untouched sensor at the start of a film, or of what a camera shows now."""
     name = source_name(video, camera)
-    with open_source(video, camera) as (capture, announced):
-        picture, _ = find_untouched(frames(capture, announced, name, None), name)
+    with open_source(video, camera) as (capture, _):
+        # only the start is looked at, so a film that is cut short serves
+        picture, _ = find_untouched(frames(capture, 0, name, None), name)
     return np.ascontiguousarray(picture[:, :, ::-1])

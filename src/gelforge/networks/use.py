@@ -1,6 +1,6 @@
 """A trained network at work on one image: the model, the untouched sensor beside it, forces and a judgement."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,7 @@ from gelforge.networks.statistics import (
 from gelforge.records.markers import pitch_of
 
 LEAST_PULL = 1.0  # N above which a reading that no contact can make is told
+SAME_SHAPE = 0.02  # share by which the sides of an untouched picture may be in another ratio than the model's
 SHIPPED = Path(__file__).parent / "default.pt"
 
 
@@ -53,6 +54,19 @@ def fit_size(image: np.ndarray, size: Sequence[int]) -> tuple[np.ndarray, str]:
     return resized, f"size {image.shape[1]} x {image.shape[0]}, trained on {size[1]} x {size[0]}"
 
 
+def untouched_faults(picture: np.ndarray, sized: np.ndarray, pitch: float | None, statistics: dict) -> Iterator[str]:
+    """What is wrong with a picture (h, w, 3) that is given for the untouched sensor; sized: brought to the model's size.
+
+    pitch: of its dots in px, 0 where it shows no print of them; None beside a network that learnt from gels without.
+    """
+    (height, width), (rows, cols) = picture.shape[:2], sized.shape[:2]
+    if abs(width * rows - height * cols) > SAME_SHAPE * height * cols:
+        yield f"the untouched picture is {width} x {height}, of another shape than the {cols} x {rows} trained on"
+    if pitch == 0.0:
+        yield "the untouched picture shows no print of dots, which the network learnt from: it is blurred, or of another gel"
+    yield relief_fault(statistics, relief(sized))
+
+
 class Untouched:
     """Finds the picture of the untouched sensor that an image is read against.
 
@@ -67,14 +81,16 @@ class Untouched:
     ) -> None:
         self.trained, self.gain = trained, gain
         self.known: dict[str, Any] = trained.untouched  # pictures; None beside a network that reads none
-        self.view = WHOLE
+        self.view, self.fault = WHOLE, ""
         if not trained.needs_untouched:
             self.known = {"": None}
         elif picture is not None:
             sized = fit_size(picture, trained.about["image"])[0]
             self.known = {"given": sized}
-            if "pitch_px" in trained.about:
-                self.view = view_of(sized, pitch_of(sized), trained.about["pitch_px"])
+            pitch = pitch_of(sized) if "pitch_px" in trained.about else None
+            if pitch:
+                self.view = view_of(sized, pitch, trained.about["pitch_px"])
+            self.fault = "; ".join(filter(None, untouched_faults(picture, sized, pitch, trained.about["statistics"])))
         elif sensor in trained.untouched:
             self.known = {sensor: trained.untouched[sensor]}
         elif sensor or not trained.untouched:
@@ -82,9 +98,6 @@ class Untouched:
                 f"model {trained.about['name']} has no picture of the untouched sensor {sensor or 'of any name'}: give "
                 "one with --untouched"
             )
-        self.fault = (
-            relief_fault(trained.about["statistics"], relief(self.known["given"])) if "given" in self.known else ""
-        )
         self._pictures: dict[str, np.ndarray] = {}
         self._dots: dict[str, PrintedDots] = {}
         self._readers: dict[str, SensorNet] = {}

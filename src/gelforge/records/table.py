@@ -10,12 +10,17 @@ from gelforge.records.regular import read_text
 
 def read_table(path: str | Path, remedy: str) -> list[dict[str, str]]:
     """Rows of a CSV file by column; one that cannot be read, or with a row of another length, raises BadInput."""
+    return [row for _, row in numbered_rows(path, remedy)]
+
+
+def numbered_rows(path: str | Path, remedy: str) -> list[tuple[int, dict[str, str]]]:
+    """`read_table` with the number of each row's line in the file, for tables that people write: some lines may be blank."""
     lines = csv.DictReader(io.StringIO(read_text(Path(path), remedy), newline=""), restval=None)
     try:
-        rows = list(lines)
+        rows = [(lines.line_num, row) for row in lines]
     except csv.Error as error:
         raise BadInput(f"{path}: row {lines.line_num}: {error}; {remedy}") from error
-    for at, row in enumerate(rows, 2):
+    for at, row in rows:
         if None in row or None in row.values():
             raise BadInput(f"{path}: row {at} has another number of cells than the header; {remedy}")
     return rows

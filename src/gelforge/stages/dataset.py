@@ -28,7 +28,7 @@ from gelforge.records.log import read_poses, read_shard, without_duplicates
 from gelforge.records.press import FORCE, ID_RULE, PressRecord, names_files, parse
 from gelforge.records.samplefile import DatasetSample, write_samples
 from gelforge.records.status import Status
-from gelforge.records.table import read_table
+from gelforge.records.table import numbered_rows
 
 VERSION = 2
 
@@ -231,13 +231,13 @@ def published_splits(data: Path, presses: list, splits: np.ndarray) -> np.ndarra
     path = data / "splits.csv"
     if not path.exists():
         return splits
-    rows = read_table(path, "write it anew, or remove it to split anew")
-    if rows and {"sample_id", "split"} - rows[0].keys():
-        raise BadInput(f"{path}: its columns are {', '.join(rows[0])}; give sample_id and split")
-    for at, row in enumerate(rows, 2):
+    rows = numbered_rows(path, "write it anew, or remove it to split anew")
+    if rows and {"sample_id", "split"} - rows[0][1].keys():
+        raise BadInput(f"{path}: its columns are {', '.join(rows[0][1])}; give sample_id and split")
+    for at, row in rows:
         if not names_files(row["split"]):
             raise BadInput(f"{path}: row {at}: split {row['split'][:100]!r} is no name; give {ID_RULE}")
-    known = {row["sample_id"]: row["split"] for row in rows}
+    known = {row["sample_id"]: row["split"] for _, row in rows}
     missing = [press.sample_id for press in presses if press.sample_id not in known]
     if missing:
         raise BadInput(f"{path}: has no split of sample {missing[0]}; add it, or remove the file to split anew")
