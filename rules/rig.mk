@@ -1,7 +1,9 @@
 # Source rig: the virtual bench writes data/DATASET as a plan says, resumes where it stopped, and appends when a plan grows.
 # Pictures that were removed, say to give sensors another look, are drawn again from kept surfaces without solving.
 PLAN ?= workflow/rig/demo.toml
-REFERENCE ?= ../shared/reference
+ifeq ($(origin REFERENCE),undefined)
+REFERENCE := $(or $(value GELFORGE_REFERENCE),../shared/reference)
+endif
 
 .PHONY: rig rig-estimate rig-check
 rig: $(SETUP)  ## simulate the presses of a plan into data/: make rig PLAN=workflow/rig/train.toml

@@ -198,6 +198,7 @@ def test_weighed_presses_make_a_profile_that_predict_uses(weighed, capsys):
         (lambda rows: [rows[0], [], [], ["gone.png", "x"]], "line 5: gone.png"),
         (lambda rows: [["gone.png", "5.0"]], "gone.png"),
         (lambda rows: [], "no readings"),
+        (lambda rows: [["a;b", "1"]], "a;b"),
     ],
 )
 def test_readings_that_cannot_be_are_refused(weighed, change, says):
@@ -279,6 +280,18 @@ def test_a_profile_of_a_picture_without_dots_is_refused(weighed):
     cv2.imwrite(str(folder / "rest.png"), blurred)
     with pytest.raises(BadInput, match="no print of dots.*take a sharp one"):
         make(folder, rows)
+
+
+def test_a_table_with_blanks_beside_its_commas_is_read_and_one_of_semicolons_named(weighed):
+    folder, rows = weighed
+    path = table(folder / "r.csv", rows)
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join(line.replace(",", " , ") for line in lines) + "\n")
+    asked = ["--name", "mine", "--untouched", str(folder / "rest.png"), "--readings", str(path)]
+    assert sensor.main([*asked, "--out", str(folder / "mine.toml")]) == 0
+    path.write_text("\n".join(line.replace(",", ";") for line in lines) + "\n")
+    with pytest.raises(BadInput, match="column image is missing, seen: image;force_n; .*with commas"):
+        sensor.main([*asked, "--out", str(folder / "other.toml")])
 
 
 def test_one_source_of_the_untouched_picture_is_asked_for(weighed):

@@ -111,7 +111,7 @@ def predict_files(paths: Sequence[Path], untouched: Untouched, out: Path) -> lis
         with publish(out / f"{name}.npy") as part:
             np.save(part, forces)
         with publish(out / f"{name}.png") as part:
-            flag = f" | UNLIKE TRAINING: {judged.reason}" if judged.flag else ""
+            flag = f" | FLAGGED: {judged.reason}" if judged.flag else ""
             write_maps(part, image, forces, f"{name}, score {judged.score:.1f}{flag}")
         rows.append(row)
     write_csv(out / "totals.csv", COLUMNS, rows)
@@ -121,7 +121,11 @@ def predict_files(paths: Sequence[Path], untouched: Untouched, out: Path) -> lis
 @command(
     option("images", nargs="+", type=Path, metavar="IMAGE"),
     option("--model", type=Path, help="model file; the one that came with gelforge if not named", default=None),
-    option("--sensor", help="the sensor of the images; refused if the model is for another one", default=None),
+    option(
+        "--sensor",
+        help="the sensor of the images, where the model knows several by name; without effect beside --untouched",
+        default=None,
+    ),
     option("--untouched", type=Path, metavar="IMAGE", help="the sensor while nothing touches it", default=None),
     option("--profile", type=Path, help="the sensor's profile, of gelforge sensor", default=None),
     option("--out", type=Path, default=Path("predictions"), help="folder (default: %(default)s)"),
@@ -137,7 +141,7 @@ def main(args: Namespace) -> None:
     untouched = Untouched(trained, picture, args.sensor, gain)
     rows = predict_files(args.images, untouched, args.out)
     for row in rows:
-        warning = f"  UNLIKE TRAINING ({row['unlike_training']}): {row['reason']}" if row["flagged"] else ""
+        warning = f"  FLAGGED: {row['reason']}" if row["flagged"] else ""
         against = f" against {row['untouched']}" if row["untouched"] else ""
         against += f", put right: {row['put_right']}" if row["put_right"] else ""
         forces = ", ".join(

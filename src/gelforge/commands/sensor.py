@@ -50,11 +50,20 @@ def gain_of(readings: Path, untouched: Untouched) -> Gain:
 def _rows(table: Path, columns: tuple[str, str], what: str, each: str) -> list[tuple[int, dict[str, str]]]:
     """Rows of a table that a person wrote, with their lines' numbers; BadInput where a column, all rows or a cell lack."""
     asked = f"give the columns {' and '.join(columns)}"
-    rows = numbered_rows(table, asked)
-    if not rows or set(columns) - rows[0][1].keys():
+    rows = [
+        (number, {name.strip(): cell.strip() for name, cell in row.items()})
+        for number, row in numbered_rows(table, asked)
+    ]
+    if not rows:
         raise BadInput(f"{table}: holds no {what}; {asked}, a row for each {each}")
+    missing = [column for column in columns if column not in rows[0][1]]
+    if missing:
+        seen = ", ".join(rows[0][1])
+        raise BadInput(
+            f"{table}: column {missing[0]} is missing, seen: {seen}; {asked}, with commas between the cells"
+        )
     for number, row in rows:
-        empty = [column for column in columns if not row[column].strip()]
+        empty = [column for column in columns if not row[column]]
         if empty:
             raise BadInput(f"{table} line {number}: its {empty[0]} is empty; {asked}, a row for each {each}")
     return rows

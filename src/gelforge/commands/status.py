@@ -85,7 +85,7 @@ def lines(results: Path) -> list[str]:
         (layout.EVALUATE, "*/*.json"),
         (layout.REPORT, "index.html"),
         (layout.CALIBRATE, "summary.json"),
-        (layout.PARETO, "pareto.json"),
+        (layout.PARETO, "*.json"),
     ):
         there = (p for p in (results / kind).glob(pattern) if not p.name.endswith(".checkpoint.pt"))
         found = sorted(str(p.relative_to(results / kind)) for p in there)

@@ -124,7 +124,7 @@ def measured_rows(figures: list[dict]) -> list[str]:
         for f in figures
     ]
     title = ["## Elsewhere: units of the rig that it never saw, and real sensors", ""]
-    about = "Aim: what the project wants; not every aim is met. Bare: the network alone, with light, place and dots as they are."
+    about = "Aim: what the project wants; not every aim is met. Bare: the network alone, without correction of light and place and without the readers of dots."
     return [*title, about, "", *table(["figure", "measured", "aim", "note"], rows), ""]
 
 

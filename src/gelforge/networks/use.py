@@ -95,8 +95,9 @@ class Untouched:
             self.known = {sensor: trained.untouched[sensor]}
         elif sensor or not trained.untouched:
             raise BadInput(
-                f"model {trained.about['name']} has no picture of the untouched sensor {sensor or 'of any name'}: give "
-                "one with --untouched"
+                f"model {trained.about['name']} reads a picture against one of the same sensor while nothing touches it, and "
+                f"has none{f' of {sensor}' if sensor else ''}: give it with --untouched PICTURE or --profile FILE (in Python "
+                "untouched=, profile=)"
             )
         self._pictures: dict[str, np.ndarray] = {}
         self._dots: dict[str, PrintedDots] = {}

@@ -21,7 +21,7 @@ PNG = b"\x89PNG\r\n\x1a\n"
 KINDS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP", "PPM")
 MOST_PIXELS = 4096 * 4096
 MOST_BYTES = 256 * 2**20
-REMEDY = "give PNG, JPEG or another format that OpenCV reads"
+REMEDY = f"give {', '.join(KINDS[:-1])} or {KINDS[-1]}"
 
 
 def read_image(path: str | Path, size: tuple[int, int] | None = None, remedy: str = REMEDY) -> np.ndarray:
