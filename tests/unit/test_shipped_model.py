@@ -41,7 +41,7 @@ def test_it_is_for_any_sensor_that_brings_its_untouched_picture(root):
     trained = load_model(use.SHIPPED)
     assert trained.for_any_sensor and len(trained.about["sensors"]) > 8
     require_sensor(trained, {"any name"})
-    with pytest.raises(BadInput, match="give one with --untouched"):
+    with pytest.raises(BadInput, match="give it with --untouched PICTURE or --profile"):
         use.Untouched(trained)
     kept = replace(trained, untouched={"known_01": np.zeros((240, 320, 3), np.uint8)})
     with pytest.raises(BadInput, match="was made for sensors"):
