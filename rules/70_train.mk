@@ -8,6 +8,16 @@ TUNED := $(shell awk '/^\[[a-z0-9_]+\]$$/ {name = substr($$0, 2, length - 2)} /^
 LEARNABLE := $(filter-out $(TUNED),$(MODELS))
 TRAINED := $(MODELS:%=$D/70_train/$(RES1)/%.pt)
 
+# By hand, a network must be one that there is, and one that learns where it is to learn.
+ifneq ($(call by_hand,MODEL),)
+ifeq ($(filter $(MODELS) shipped,$(MODEL)),)
+$(error MODEL=$(MODEL): no such network; workflow/models.toml has: $(MODELS), and shipped is the one that ships)
+endif
+ifneq ($(and $(filter shipped,$(MODEL)),$(filter train onnx ship,$(MAKECMDGOALS))),)
+$(error MODEL=shipped: the network that ships was trained elsewhere; to $(firstword $(filter train onnx ship,$(MAKECMDGOALS))), name one of $(MODELS))
+endif
+endif
+
 .PHONY: train models onnx
 train: $D/70_train/$(RES1)/$(LEARNT).pt  ## one network: make train MODEL=grid_16 RES=24x32
 models: $(LEARNABLE:%=$D/70_train/$(RES1)/%.pt)  ## every network of workflow/models.toml that learns from nothing but the dataset

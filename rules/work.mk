@@ -10,6 +10,13 @@ status: | $(SETUP)  ## samples done, failed with reasons and pending, per stage
 sample: $(MESH_FILES) | $(call barrier,20_meshes)  ## one sample through all stages with its log: make sample ID=…
 	@$(PY) -m gelforge.commands.sample --dataset $(DATASET) --id $(call given,ID) --resolution $(RES1)
 
+# Before any mesh is made for it.
+ifneq ($(filter sample,$(MAKECMDGOALS)),)
+ifeq ($(strip $(value ID)),)
+$(error no sample named; say make sample ID=SAMPLE_ID)
+endif
+endif
+
 slurm-cancel: | $(SETUP)  ## cancel what was left running on Slurm (DETACH=1)
 	@$(PY) -m gelforge.flow.slurm.run cancel --results $D
 

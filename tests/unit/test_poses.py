@@ -308,3 +308,12 @@ def test_frames_that_go_back_are_rejected_and_the_table_says_which_press(lab):
         ("f0", "film"), ("f1", "film"), ("f3", "film"), ("alone", ""),
     ]  # fmt: skip
     assert [(row["sample_id"], row["row"]) for row in rejected] == [("f2", "4")]
+
+
+@pytest.mark.parametrize(("fz_n", "rejected"), [(-3.0, False), (0.1, False), (3.0, True)])
+def test_a_press_whose_reading_pulls_is_put_nowhere(fz_n, rejected):
+    """With its sign turned round, what the frame gave way would put the tip deeper; without compliance it moves nothing."""
+    pulled = sample(fx_n=0.0, fy_n=0.0, fz_n=fz_n)
+    _, wrong = poses.yielded(pulled, "log.csv", YIELDING)
+    assert bool(wrong) == rejected and all("multiply the force columns by -1" in r.remedy for r in wrong)
+    assert poses.yielded(pulled, "log.csv", RIGID) == (pulled, [])

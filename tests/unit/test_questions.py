@@ -92,7 +92,8 @@ def lay(results, count, size=100):
     write_json(params / "poses.json", {"version": 1})
     write_json(params / "indenters.json", {"ball": {"radius": 3}, "other": {"radius": 4}})
     for name in names:
-        write_text(results / f"00_plan/shards/{name}.csv", "sample_id\n")
+        of_shard = [row for row in rows if row["shard"] == int(name)]
+        write_csv(results / f"00_plan/shards/{name}.csv", ["sample_id", "shard"], of_shard)
         pose, fea = results / f"10_poses/{name}.csv", results / f"30_fea/{name}.csv"
         write_csv(
             pose,

@@ -14,7 +14,11 @@ def lay(results, solved):
     rows = [{"sample_id": f"s{k}", "shard": k // 4} for k in range(8)]
     write_csv(results / "00_plan/shards.csv", ["sample_id", "shard"], rows)
     for shard in ("0000", "0001"):
-        write_csv(results / f"00_plan/shards/{shard}.csv", ["sample_id"], [])
+        write_csv(
+            results / f"00_plan/shards/{shard}.csv",
+            ["sample_id", "shard"],
+            [r for r in rows if r["shard"] == int(shard)],
+        )
     now = time.time()
     for k in range(solved):
         path = results / f"30_fea/{k // 4:04d}/s{k}.json"

@@ -10,8 +10,9 @@ def test_counts_add_up_and_reasons_are_named(tmp_path):
     write_csv(
         results / "00_plan/shards.csv", ["sample_id", "shard"], [{"sample_id": k, "shard": k // 3} for k in range(6)]
     )
-    for name in ("0000", "0001"):
-        write_csv(results / f"00_plan/shards/{name}.csv", ["sample_id"], [])
+    for name in range(2):
+        of_shard = [{"sample_id": 3 * name + k} for k in range(3)]
+        write_csv(results / f"00_plan/shards/{name:04d}.csv", ["sample_id"], of_shard)
     write_csv(results / "10_poses/0000.csv", ["sample_id"], [{"sample_id": k} for k in range(2)])
     rejected = [{"row": 4, "column": c, "reason": "not a number"} for c in ("x0_mm", "y0_mm")]
     write_csv(results / "10_poses/0000.rejected.csv", ["row", "column", "reason"], rejected)
@@ -31,3 +32,26 @@ def test_counts_add_up_and_reasons_are_named(tmp_path):
     # of shard 0000 one row was rejected and one press not solved; the three of shard 0001 are to come
     assert table["40_forces"][1:] == ["1", "0", "3"] and table["50_labels"][2:] == ["1", "0", "3"]
     assert any("not a number" in line for line in text) and any("too deep" in line for line in text)
+
+
+def test_a_row_that_doubles_a_sample_is_one_row_of_the_log(tmp_path):
+    """The plan's table has every sample once, and keeps those that the log has lost; the log's rows are what is counted."""
+    results = tmp_path / "lab"
+    known = [{"sample_id": name, "shard": 0} for name in ("a", "b", "gone")]
+    write_csv(results / "00_plan/shards.csv", ["sample_id", "shard"], known)
+    write_csv(results / "00_plan/shards/0000.csv", ["sample_id"], [{"sample_id": name} for name in ("a", "b", "a")])
+    write_csv(results / "10_poses/0000.csv", ["sample_id"], [{"sample_id": name} for name in ("a", "b")])
+    doubled = {"row": 4, "column": "sample_id", "reason": "an earlier row has the same sample_id"}
+    write_csv(results / "10_poses/0000.rejected.csv", list(doubled), [doubled])
+    table = {line.split()[0]: line.split()[1:] for line in lines(results)}
+    assert table["10_poses"] == ["2", "1", "0"] and table["30_fea"] == ["0", "0", "2"]
+
+
+def test_what_nobody_asked_for_is_not_pending(tmp_path):
+    """A stage without a result is told with the target that makes it."""
+    results = tmp_path / "lab"
+    write_csv(results / "00_plan/shards/0000.csv", ["sample_id"], [{"sample_id": "a"}])
+    (results / "20_meshes").mkdir()
+    (results / "20_meshes/ordinary.npz").touch()
+    text = "\n".join(lines(results))
+    assert "20_meshes            ordinary.npz" in text and "calibrate            not made (make calibrate)" in text

@@ -114,6 +114,7 @@ def test_only_what_is_named_is_part_of_the_plan():
         ("DATASET", "", "DATASET is empty"),
         ("DATASET", " ", "DATASET is empty"),
         ("MODEL", "", "MODEL is empty"),
+        ("MODEL", "grid16", "workflow/models.toml has: "),
         ("JOBS", "", "JOBS is empty"),
     ],
 )
@@ -121,6 +122,13 @@ def test_what_cannot_be_a_name_is_refused_before_anything_is_made(labelled, vari
     done = make(labelled, "-n", "labels", *(["DATASET=tiny"] if variable != "DATASET" else []), f"{variable}={value}")
     assert done.returncode and message in done.stdout and not (labelled / "pwned").exists()
     assert [path.name for path in (labelled / "results").iterdir()] == ["tiny"]
+
+
+@pytest.mark.parametrize("goal", ["train", "onnx", "ship"])
+def test_the_network_that_ships_is_not_trained_under_another_name(labelled, goal):
+    done = make(labelled, "-n", goal, "DATASET=tiny", "MODEL=shipped")
+    assert done.returncode and f"to {goal}, name one of" in done.stdout
+    assert make(labelled, "-n", "evaluate", "DATASET=tiny", "MODEL=shipped").returncode == 0
 
 
 @pytest.mark.parametrize("variable", ["MODEL", "FORMAT", "EXECUTOR", "CHARTED", "TESTS", "JOBS"])

@@ -210,7 +210,7 @@ def test_whatever_reads_a_collected_stage_waits_for_its_barrier(tmp_path):
 def test_work_on_slurm_is_shown_on_the_terminal_with_the_presses_of_the_whole_run(tmp_path, monkeypatch):
     results = tmp_path / "results" / "d"
     write_text(results / "00_plan/shards.csv", "sample_id,shard\ns0,0\ns1,0\n")
-    write_text(Layout(results).shard("0000"), "")
+    write_text(Layout(results).shard("0000"), "sample_id\ns0\ns1\n")
     record = Record(
         results / ".slurm/30_fea.json", "30_fea", [Task("a", "true", 100, 1, "running"), Task("b", "true", 100, 1)]
     )

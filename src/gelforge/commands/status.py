@@ -22,11 +22,11 @@ def read_rows(path: Path) -> list[dict]:
 
 
 def poses_state(results: Path, sizes: dict[str, int]) -> tuple[int, Counter]:
-    """Good samples and reasons of the rejected ones."""
+    """Good rows of the log and reasons of the rejected ones."""
     done, failed = 0, Counter[str]()
     for shard in sizes:
         done += len(read_rows(Layout(results).poses(shard)))
-        # A row may be wrong in several columns; it is one rejected sample.
+        # A row may be wrong in several columns; it is one rejected row.
         rejected = {row["row"]: row for row in read_rows(Layout(results).rejected(shard))}
         failed.update(f"{row['column']}: {row['reason']}" for row in rejected.values())
     return done, failed
@@ -70,7 +70,7 @@ def lines(results: Path) -> list[str]:
         for f in sorted((results / layout.LABELS).glob("*x*"))
     ]
     text = [
-        f"{results.name}: {total} samples in {len(sizes)} shards",
+        f"{results.name}: {total} rows of the log in {len(sizes)} shards",
         f"{'stage':20s} {'done':>7s} {'failed':>7s} {'pending':>7s}",
     ]
     for name, done, failed in stages:
@@ -79,17 +79,18 @@ def lines(results: Path) -> list[str]:
         lost = 0 if name == layout.POSES else rejected.total() + (0 if name == layout.FEA else diverged.total())
         text.append(f"{name:20s} {done:7d} {bad:7d} {max(total - done - bad - lost, 0):7d}")
         text += [f"    {count:6d} x {reason}" for reason, count in failed.most_common()]
-    for kind, pattern in (
-        (layout.DATASET, "*/dataset.json"),
-        (layout.TRAIN, "*/*.pt"),
-        (layout.EVALUATE, "*/*.json"),
-        (layout.REPORT, "index.html"),
-        (layout.CALIBRATE, "summary.json"),
-        (layout.PARETO, "*.json"),
+    for kind, pattern, target in (
+        (layout.MESHES, "*.npz", "meshes"),
+        (layout.DATASET, "*/dataset.json", "dataset"),
+        (layout.TRAIN, "*/*.pt", "train"),
+        (layout.EVALUATE, "*/*.json", "evaluate"),
+        (layout.REPORT, "index.html", "report"),
+        (layout.CALIBRATE, "summary.json", "calibrate"),
+        (layout.PARETO, "*.json", "pareto"),
     ):
         there = (p for p in (results / kind).glob(pattern) if not p.name.endswith(".checkpoint.pt"))
         found = sorted(str(p.relative_to(results / kind)) for p in there)
-        text.append(f"{kind:20s} {', '.join(found) or 'pending'}")
+        text.append(f"{kind:20s} {', '.join(found) or f'not made (make {target})'}")
     return text
 
 

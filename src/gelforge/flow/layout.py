@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gelforge.errors import BadInput
+from gelforge.flow.files import read_csv
 
 PLAN, POSES, MESHES, FEA, FORCES = "00_plan", "10_poses", "20_meshes", "30_fea", "40_forces"
 LABELS, DATASET, TRAIN, EVALUATE, REPORT = "50_labels", "60_dataset", "70_train", "80_evaluate", "90_report"
@@ -160,16 +161,8 @@ class Layout:
         return planned_shards(self.shards)
 
     def sizes(self) -> dict[str, int]:
-        """Samples of each planned shard; nothing where nothing is planned."""
-        if not self.shard_table.exists():
-            return {}
-        names = {int(name): name for name in self.names()}
-        found = dict.fromkeys(names.values(), 0)
-        with self.shard_table.open(newline="", encoding="utf-8") as stream:
-            for row in csv.DictReader(stream):
-                if int(row["shard"]) in names:
-                    found[names[int(row["shard"])]] += 1
-        return found
+        """Rows of the log in each planned shard; nothing where nothing is planned."""
+        return {name: len(read_csv(self.shard(name))) for name in self.names()}
 
     def shard_of(self, sample_id: str) -> str:
         """Name of the planned shard that holds a sample; BadInput where none does."""

@@ -32,7 +32,9 @@ from gelforge.records.log import (
 )
 from gelforge.records.press import LoggedPress, PosedPress, RawRow, Rejection, parse, reject
 
-VERSION = 1
+VERSION = 2
+# A force sensor that drifted reads a light press as a small pull; beyond this the sign is turned round.
+LARGEST_PULL_N = 0.5
 
 
 def yielded(sample: LoggedPress, file: str, params: PosesTable) -> tuple[LoggedPress, list[Rejection]]:
@@ -40,7 +42,8 @@ def yielded(sample: LoggedPress, file: str, params: PosesTable) -> tuple[LoggedP
 
     Frame and gantry give way in proportion to the force read, and touch was found too high or too low: parameters
     `compliance_mm_per_n`, `shear_compliance_mm_per_n` and `touch_offset_mm` (positive: deeper), as calibrate infers
-    them from the commanded path. A sample without the reading that this takes is rejected.
+    them from the commanded path. A sample without the reading that this takes is rejected, and one whose reading pulls:
+    it would put the tip deeper in place of less deep.
     """
     normal, sideways = params.compliance_mm_per_n, params.shear_compliance_mm_per_n
     needed = {"fx_n": sideways, "fy_n": sideways, "fz_n": normal}
@@ -48,6 +51,11 @@ def yielded(sample: LoggedPress, file: str, params: PosesTable) -> tuple[LoggedP
         if compliance and getattr(sample, column) is None:
             remedy = f"fill it in, or set the compliance of [poses], {compliance:g} mm/N, to 0"
             return sample, [reject(sample, file, column, "no force reading, which the compliance needs", remedy)]
+    if normal and sample.fz_n > LARGEST_PULL_N:
+        remedy = (
+            "forces are those on the gel: multiply the force columns by -1 if the sensor states those on the indenter"
+        )
+        return sample, [reject(sample, file, "fz_n", "the force reading pulls while the indenter presses", remedy)]
     # the force on the gel points along the motion, so what the frame gave way shortens the path
     way = {name: c * (getattr(sample, f"f{name[1]}_n") or 0.0)
            for name, c in (("dx_mm", sideways), ("dy_mm", sideways), ("dz_mm", normal))}  # fmt: skip
