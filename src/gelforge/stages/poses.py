@@ -51,7 +51,7 @@ def yielded(sample: LoggedPress, file: str, params: PosesTable) -> tuple[LoggedP
         if compliance and getattr(sample, column) is None:
             remedy = f"fill it in, or set the compliance of [poses], {compliance:g} mm/N, to 0"
             return sample, [reject(sample, file, column, "no force reading, which the compliance needs", remedy)]
-    if normal and sample.fz_n > LARGEST_PULL_N:
+    if normal and (sample.fz_n or 0.0) > LARGEST_PULL_N:
         remedy = (
             "forces are those on the gel: multiply the force columns by -1 if the sensor states those on the indenter"
         )
