@@ -185,6 +185,18 @@ def test_weighed_presses_make_a_profile_that_predict_uses(weighed, capsys):
     assert totals[1] / totals[0] == pytest.approx(gain.value, rel=1e-3)
 
 
+def test_a_weighed_picture_that_predict_would_flag_is_named(weighed, capsys):
+    """One with swapped colours and every fourth pixel turned round is; the others are not."""
+    folder, rows = weighed
+    assert make(folder, rows) == 0 and "FLAGGED" not in capsys.readouterr().err
+    spoilt = read_image(folder / rows[0][0])[..., ::-1].copy()
+    spoilt[::2, ::2] = 255 - spoilt[::2, ::2]
+    cv2.imwrite(str(folder / rows[0][0]), spoilt)
+    make(folder, [[rows[0][0], "5.0"], *rows[1:]])
+    told = [line for line in capsys.readouterr().err.splitlines() if "FLAGGED" in line]
+    assert len(told) == 1 and rows[0][0] in told[0]
+
+
 @pytest.mark.parametrize(
     ("change", "says"),
     [

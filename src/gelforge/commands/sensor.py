@@ -10,6 +10,7 @@ of the other by pictures of both at the same moments, columns `image` and `oppos
 one object press alike. Which of them is right in newtons only readings tell.
 """
 
+import sys
 from argparse import Namespace
 from pathlib import Path
 
@@ -102,9 +103,20 @@ def untouched_picture(image: Path | None, video: Path | None, camera: int | None
 
 
 def _normals(untouched: Untouched, images: list[Path]) -> np.ndarray:
-    """Normal forces (n,) in N that `predict` reads in pictures of one sitting, above 0 where something presses."""
-    placement = place_sitting(untouched, (read_image(image) for image in images))
-    return np.array([-float(predict_one(untouched, read_image(image), placement)[1][2].sum()) for image in images])
+    """Normal forces (n,) in N that `predict` reads in pictures of one sitting, above 0 where something presses.
+
+    A picture that `predict` would flag counts, as some flags are wrong, and is named on the terminal.
+    """
+    placement, read = place_sitting(untouched, (read_image(image) for image in images)), []
+    for image in images:
+        _, forces, judged = predict_one(untouched, read_image(image), placement)
+        read.append(-float(forces[2].sum()))
+        if judged.flag:
+            print(
+                f"{image}: FLAGGED: {judged.reason or 'unlike training'}; it counts, leave it out if that is so",
+                file=sys.stderr,
+            )
+    return np.array(read)
 
 
 @command(
