@@ -20,6 +20,7 @@ from gelforge.flow.files import read_csv, write_csv, write_text
 from gelforge.flow.layout import metrics_of
 from gelforge.flow.params import SLICES
 from gelforge.geometry.triangles import write_stl
+from gelforge.records.forcefile import ForceFile
 from gelforge.records.press import RawRow
 from gelforge.stages.fea import sample_key
 from gelforge.stages.plan import check_count, make_list, picture_folders, used
@@ -425,6 +426,32 @@ def test_a_shape_that_is_put_where_it_was_missing_is_seen(alone):
     done = make(alone, "poses", "DATASET=tiny")
     assert done.returncode == 0 and "10_poses/0000.csv" in done.stdout and "rejected: " not in done.stdout
     assert len(read_csv(alone / "results/tiny/10_poses/0000.csv")) == 1
+
+
+@pytest.mark.parametrize("name", ["Mine.STL", "of/mine/block.stl"])
+def test_a_shape_that_is_another_one_under_its_name_is_solved_again(alone, name):
+    """Whatever its ending and its folder; an eight millimetre block is pressed, then one of four."""
+    workflow = alone / "workflow"
+    catalogue = workflow / "indenters.toml"
+    catalogue.write_text(catalogue.read_text() + f'\n[mine]\nkind = "stl"\nfile = "{name}"\nscale = 1\n')
+    rows = read_csv(alone / "data/tiny/log.csv")
+    rows[0] |= {"indenter": "mine"}
+    write_csv(alone / "data/tiny/log.csv", list(rows[0]), rows)
+    (workflow / name).parent.mkdir(parents=True, exist_ok=True)
+    pressed = []
+    for side in (8.0, 4.0):
+        block(workflow / name, side)
+        assert make(alone, "forces", "DATASET=tiny").returncode == 0
+        pressed.append(ForceFile(alone / "results/tiny/40_forces/0000.npz").total[0, 2])
+    assert pressed[0] < 1.5 * pressed[1] < 0.0
+
+
+def test_the_variable_of_a_rigs_plan_is_no_file_of_the_flow(alone):
+    before = (alone / "Makefile").read_bytes()
+    done = make(alone, "rig", "poses", "DATASET=tiny", "PLAN=Makefile")
+    assert done.returncode and "Makefile: " in done.stdout
+    assert make(alone, "poses", "DATASET=tiny", "PLAN=Makefile").returncode == 0
+    assert (alone / "Makefile").read_bytes() == before
 
 
 def test_a_picture_that_is_put_into_any_folder_of_the_log_is_seen(alone):
