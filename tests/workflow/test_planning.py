@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import time
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,8 @@ from gelforge.flow.params import SLICES
 from gelforge.geometry.triangles import write_stl
 from gelforge.records.forcefile import ForceFile
 from gelforge.records.press import RawRow
-from gelforge.stages.fea import sample_key
+from gelforge.stages import fea
+from gelforge.stages.fea import quality, sample_key
 from gelforge.stages.plan import check_count, make_list, picture_folders, used
 from tests.benchmarks.sandbox import comma_language, link_project, make
 from tests.waiting import HANG
@@ -64,7 +66,7 @@ def test_make_reads_no_meaning_into_names(word):
         make_list("LIST", ["fine-0.4", word])
 
 
-def test_a_shape_that_changes_under_its_name_is_another_shape(tmp_path):
+def test_a_shape_that_changes_under_its_name_is_another_shape(tmp_path, monkeypatch):
     """The same key for the same content under another name, another key for other content under the same name."""
     block(tmp_path / "a.stl", 8.0)
     (tmp_path / "b.stl").write_bytes((tmp_path / "a.stl").read_bytes())
@@ -91,6 +93,9 @@ def test_a_shape_that_changes_under_its_name_is_another_shape(tmp_path):
 
     assert key(before) == key(before, "b") != key(after)
     assert key(before) != key(before, quality="draft")
+    as_it_was = key(before)
+    monkeypatch.setattr(fea, "quality", lambda name: replace(quality(name), press_steps=99))
+    assert key(before) != as_it_was  # what a quality means, not its name
 
 
 def test_only_what_is_named_is_part_of_the_plan():
