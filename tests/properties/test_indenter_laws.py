@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gelforge.geometry.indenters import build, load_catalogue, read_catalogue
+from gelforge.geometry.indenters import build, fold, load_catalogue, read_catalogue
 from gelforge.mechanics.scene import Press
 from tests.conftest import ROOT
 
@@ -75,6 +75,17 @@ def test_foot_of_a_point_lies_on_the_surface(name, seed):
         assert (d >= -1e-7).all()
         outside = outside - d[:, None] * n
     assert (np.abs(body(name).distance(outside)[0]) <= 2e-7).all()
+
+
+@pytest.mark.parametrize("name", NAMES)
+@given(seed=SEEDS)
+@settings(max_examples=3)
+def test_a_turn_that_brings_a_body_onto_itself_changes_no_distance(name, seed):
+    order = fold(EXTRA.get(name) or read_catalogue(CATALOGUE)[name])
+    angle = np.deg2rad(360.0 / order) if order else np.random.default_rng(seed).uniform(0.0, 2 * np.pi)
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    p = draw(name, seed)
+    np.testing.assert_allclose(body(name).distance(p @ turn.T)[0], body(name).distance(p)[0], atol=1e-6)
 
 
 @pytest.mark.parametrize("name", NAMES)

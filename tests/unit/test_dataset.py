@@ -41,7 +41,7 @@ def presses(count, seed, touches=None, indenters=4, sensors=2):
 @given(st.integers(1, 200), st.integers(1, 80), st.integers(0, 999), st.integers(1, 5))
 def test_no_press_is_on_two_sides(count, touches, seed, kinds):
     rows, force = presses(count, seed, touches, kinds)
-    split, group = split_presses(rows, force, {"i1"}, with_values(SETTINGS, unseen_sensors=["c1"], seed=seed))
+    split, group = split_presses(rows, force, {"i1"}, {}, with_values(SETTINGS, unseen_sensors=["c1"], seed=seed))
     for row, name in zip(rows, split, strict=True):
         unseen = row.indenter == "i1", row.sensor_id == "c1"
         expected = {(1, 0): "test_unseen_indenter", (0, 1): "test_unseen_sensor", (1, 1): "test_unseen_both"}
@@ -55,7 +55,7 @@ def test_no_press_is_on_two_sides(count, touches, seed, kinds):
 
 def test_shares_and_strata_hold():
     rows, force = presses(4000, 1)
-    split, _ = split_presses(rows, force, set(), SETTINGS)
+    split, _ = split_presses(rows, force, set(), {}, SETTINGS)
     for name, share in (("train", 0.7), ("val", 0.1), ("test", 0.2)):
         chosen = split == name
         assert chosen.mean() == pytest.approx(share, abs=0.005)  # what 4000 can be dealt to
@@ -69,15 +69,15 @@ def test_shares_and_strata_hold():
 
 def test_the_seed_decides():
     rows, force = presses(300, 2)
-    first, again = (split_presses(rows, force, set(), SETTINGS)[0] for _ in range(2))
-    other = split_presses(rows, force, set(), with_values(SETTINGS, seed=2))[0]
+    first, again = (split_presses(rows, force, set(), {}, SETTINGS)[0] for _ in range(2))
+    other = split_presses(rows, force, set(), {}, with_values(SETTINGS, seed=2))[0]
     assert (first == again).all() and (first != other).any()
 
 
 @pytest.mark.parametrize("count", [8, 12, 20, 40])
 def test_small_datasets_still_validate_and_test(count):
     rows, force = presses(count, 3)
-    split, _ = split_presses(rows, force, set(), with_values(SETTINGS, validation=0.05, test=0.1))
+    split, _ = split_presses(rows, force, set(), {}, with_values(SETTINGS, validation=0.05, test=0.1))
     assert {"train", "val", "test"} <= set(split) and (split == "train").sum() > count / 2
 
 
@@ -85,7 +85,22 @@ def test_nearly_the_same_touch_is_one_press():
     places = ((0, 0), (0.04, 0), (0.08, 0.3), (0.2, 0), (0.2, 2))
     rows = [press_record(indenter="a", x0_mm=x, rot_deg=turn) for x, turn in places]
     rows += [replace(rows[0], indenter="b"), press_record(indenter="a", x0_mm=math.nan)]
-    assert group_presses(rows, 0.05, 0.5).tolist() == [0, 0, 0, 1, 2, 3, 4]
+    assert group_presses(rows, 0.05, 0.5, {}).tolist() == [0, 0, 0, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize(
+    ("order", "turns", "groups"),
+    [
+        (1, [180, -180, 0, 359.9, 90, -270, 90.3], [0, 0, 1, 1, 2, 2, 2]),
+        (4, [0, 90, 180.2, 45, -45, 359.8], [0, 0, 0, 1, 1, 0]),
+        (0, [0, 30, -77, 1e-18, -1e-18], [0, 0, 0, 0, 0]),
+        (1, [-1e-18, 360.0, 1e-18], [0, 0, 0]),
+        (1000, [0, 17, 99], [0, 0, 0]),
+    ],
+)
+def test_turns_that_bring_an_indenter_onto_itself_are_one_press(order, turns, groups):
+    rows = [press_record(indenter="a", rot_deg=float(turn)) for turn in turns]
+    assert group_presses(rows, 0.05, 0.5, {"a": order}).tolist() == groups
 
 
 @pytest.fixture(scope="module")

@@ -267,6 +267,41 @@ def build(name: str, table: dict, source="indenters.toml", folder=None) -> Body:
     return body
 
 
+def _fold_of_sides(t: dict) -> int:
+    """Of a figure with two sides along x and y, each mirrored onto itself."""
+    return 4 if t["size"][0] == t["size"][1] else 2
+
+
+def _fold_of_ellipse(t: dict) -> int:
+    return 0 if all(sides[0] == sides[1] for sides in (t["size"], t.get("hole", (0, 0)))) else 2
+
+
+# By how many equal turns about the tool's axis a body comes onto itself, 0: by any. Kinds that are not here: by a whole one.
+FOLDS: dict[str, Callable[[dict], int]] = {
+    "sphere": lambda t: 0,
+    "cylinder": lambda t: 0,
+    "ellipse": _fold_of_ellipse,
+    "cuboid": _fold_of_sides,
+    "pyramid": _fold_of_sides,
+    "cross": lambda t: 1 if t.get("offset") else _fold_of_sides(t),
+    "twin_cuboids": lambda t: 2,
+    "lying_cylinder": lambda t: 2,
+    "triple_triangle": lambda t: 3,
+    "polygon": lambda t: int(t["sides"]),
+}
+
+
+def fold(table: dict) -> int:
+    """By how many equal turns about the tool's axis the body of a catalogue's table comes onto itself; 0: by any.
+
+    1 for a table that no body can be built from, as a catalogue that nothing is pressed with may have.
+    """
+    try:
+        return FOLDS.get(table["kind"], lambda t: 1)(table)
+    except (KeyError, IndexError, TypeError, ValueError):
+        return 1
+
+
 def read_catalogue(path) -> dict[str, dict]:
     """The raw tables of a catalogue file (.toml, or its canonical .json) by name, not built yet."""
     try:

@@ -1,6 +1,6 @@
 """Training, validation and test sets of presses, without leaks."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -10,8 +10,13 @@ from gelforge.records.press import PressRecord
 UNSEEN_INDENTER, UNSEEN_SENSOR, UNSEEN_BOTH = "test_unseen_indenter", "test_unseen_sensor", "test_unseen_both"
 
 
-def group_presses(presses: Sequence[PressRecord], same_mm: float, same_deg: float) -> np.ndarray:
+def group_presses(
+    presses: Sequence[PressRecord], same_mm: float, same_deg: float, folds: Mapping[str, int]
+) -> np.ndarray:
     """Group number (n,) of each sample: samples of one indenter at one position and angle share it, frames of a press too.
+
+    folds: by how many equal turns an indenter comes onto itself, 0: by any (geometry.indenters.fold); one that is not
+    named, by a whole turn. Angles that differ by such a turn are one.
 
     Depths and shears of one touch, and the same touch on several sensors, are views of one press: were
     some trained on and others tested on, the test would be too easy. Closeness chains. Samples without
@@ -25,17 +30,26 @@ def group_presses(presses: Sequence[PressRecord], same_mm: float, same_deg: floa
         if press.press_id:
             by_press.setdefault(press.press_id, []).append(at)
     linked = [np.column_stack([members[:-1], members[1:]]) for members in by_press.values()]
-    for members in by_indenter.values():
+    for indenter, members in by_indenter.items():
         place = np.array([[presses[at].x0_mm, presses[at].y0_mm, presses[at].rot_deg] for at in members])
-        linked.append(np.array(members)[_close(place / (same_mm, same_mm, same_deg))])
+        order = folds.get(indenter, 1)
+        turn = np.inf if order == 0 else 360.0 / order
+        linked.append(np.array(members)[_close(place, (same_mm, same_mm, same_deg), turn)])
     return _clusters(len(presses), np.concatenate([np.empty((0, 2), int), *linked]))
 
 
-def _close(points: np.ndarray) -> np.ndarray:
-    """Pairs (k, 2) of points that lie within 1 of each other along every axis."""
+def _close(places: np.ndarray, near: tuple[float, float, float], turn: float) -> np.ndarray:
+    """Pairs (k, 2) of places (n, 3), x and y in mm and an angle in degrees, that are near along every axis.
+
+    turn: degrees after which angles repeat themselves; infinity where no angle tells places apart.
+    """
     from scipy.spatial import cKDTree
 
-    return cKDTree(points).query_pairs(1.0, p=np.inf, output_type="ndarray")
+    scaled, period = places / near, turn / near[2]
+    angle = np.zeros(len(scaled)) if np.isinf(period) else np.mod(scaled[:, 2], period)
+    scaled[:, 2] = np.where(angle < period, angle, 0.0)  # a remainder may be rounded up to the whole
+    boxes = (0.0, 0.0, 0.0 if np.isinf(period) else period)  # 0: without end
+    return cKDTree(scaled, boxsize=boxes).query_pairs(1.0, p=np.inf, output_type="ndarray")
 
 
 def _clusters(count: int, pairs: np.ndarray) -> np.ndarray:
@@ -50,15 +64,15 @@ def _clusters(count: int, pairs: np.ndarray) -> np.ndarray:
 
 
 def split_presses(
-    presses: Sequence[PressRecord], force, unseen_indenters, settings: DatasetTable
+    presses: Sequence[PressRecord], force, unseen_indenters, folds: Mapping[str, int], settings: DatasetTable
 ) -> tuple[np.ndarray, np.ndarray]:
     """Split name (n,) and group (n,) of samples.
 
-    force (n,) N decides the stratum by settings.force_edges. Unseen indenters and sensors make their
+    folds: of indenters, as for `group_presses`. force (n,) N decides the stratum by settings.force_edges. Unseen indenters and sensors make their
     own tests; the groups of the others, ordered by force range and indenter with ties shuffled by
     settings.seed, go one by one to the split that is furthest behind its share of samples.
     """
-    group = group_presses(presses, settings.same_press_mm, settings.same_press_deg)
+    group = group_presses(presses, settings.same_press_mm, settings.same_press_deg, folds)
     split = np.array(
         [_kept_apart(press, unseen_indenters, settings.unseen_sensors) for press in presses], dtype=object
     )

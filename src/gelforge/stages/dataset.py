@@ -18,6 +18,7 @@ from gelforge.flow.params.slices import ForDataset, read_slice
 from gelforge.flow.params.tables import DatasetTable
 from gelforge.flow.progress import progress
 from gelforge.formats.featsfile import LabelSample, Ranges
+from gelforge.geometry.indenters import fold
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import find_sensor, load_sensors
 from gelforge.networks.split import split_presses
@@ -30,7 +31,7 @@ from gelforge.records.samplefile import DatasetSample, write_samples
 from gelforge.records.status import Status
 from gelforge.records.table import numbered_rows
 
-VERSION = 2
+VERSION = 3
 
 
 def collect(shards: list[tuple[Path, list]], truth: dict) -> tuple[list[DatasetSample], list, dict, dict]:
@@ -81,7 +82,7 @@ def read_truth(data: Path) -> dict:
 
 def unseen_indenters(catalogue: dict, settings: DatasetTable) -> set[str]:
     """Indenters kept out of training: marked `seen = false` in the catalogue, or named in the parameters."""
-    marked = {name for name, table in catalogue.items() if isinstance(table, dict) and table.get("seen") is False}
+    marked = {name for name, table in catalogue.items() if table.get("seen") is False}
     return marked | set(settings.unseen_indenters)
 
 
@@ -237,7 +238,12 @@ def published_splits(data: Path, presses: list, splits: np.ndarray) -> np.ndarra
     for at, row in rows:
         if not names_files(row["split"]):
             raise BadInput(f"{path}: row {at}: split {row['split'][:100]!r} is no name; give {ID_RULE}")
-    known = {row["sample_id"]: row["split"] for _, row in rows}
+    known: dict[str, str] = {}
+    for at, row in rows:
+        if known.setdefault(row["sample_id"], row["split"]) != row["split"]:
+            raise BadInput(
+                f"{path}: row {at}: sample {row['sample_id'][:100]!r} is in two splits; leave one of both rows"
+            )
     missing = [press.sample_id for press in presses if press.sample_id not in known]
     if missing:
         raise BadInput(f"{path}: has no split of sample {missing[0]}; add it, or remove the file to split anew")
@@ -256,9 +262,10 @@ def build(args) -> dict:
         )
     presses = [each.press for each in found]
     size = image_size(presses, load_sensors(args.sensors), f"{args.data}/log.csv")
+    catalogue = {name: table for name, table in read_json(args.catalogue).items() if isinstance(table, dict)}
     splits, groups = split_presses(
-        presses, np.array([each.strength for each in found]),
-        unseen_indenters(read_json(args.catalogue), settings), settings,
+        presses, np.array([each.strength for each in found]), unseen_indenters(catalogue, settings),
+        {name: fold(table) for name, table in catalogue.items()}, settings,
     )  # fmt: skip
     splits = published_splits(args.data, presses, splits)
     folder = args.out.parent
