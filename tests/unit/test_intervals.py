@@ -6,7 +6,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gelforge.errors import BadInput
-from gelforge.networks.intervals import HOLDS, LEAST_PICTURES, HalfWidth, fit_half_width, fit_intervals, half_widths
+from gelforge.networks.intervals import (
+    HOLDS,
+    LEAST_PICTURES,
+    LEAST_PRESSES,
+    HalfWidth,
+    fit_half_width,
+    fit_intervals,
+    half_widths,
+)
 from gelforge.networks.modelcheck import check_about
 from gelforge.records.axes import CHANNELS
 
@@ -52,6 +60,18 @@ def test_of_presses_with_many_pictures_they_hold_as_many_on_presses_to_come():
     assert np.mean(by_picture) < HOLDS - 0.01
 
 
+def test_the_fewest_presses_that_tell_hold_as_many_as_promised():
+    """The largest error of k presses holds k of k + 1 on average."""
+    rng, held = np.random.default_rng(5), {LEAST_PRESSES: [], LEAST_PRESSES // 2: []}
+    for count, found in held.items():
+        for _ in range(3000):
+            press = np.arange(24) % count
+            error = rng.normal(0, 0.3, count + 1)
+            width = fit_half_width(np.ones(24), error[press], press)
+            found.append(abs(error[-1]) <= width.of(1.0))
+    assert np.mean(held[LEAST_PRESSES]) > HOLDS - 0.02 > np.mean(held[LEAST_PRESSES // 2])
+
+
 def test_they_are_narrow_where_errors_are_small():
     rng = np.random.default_rng(0)
     force = -rng.exponential(8.0, 4000)
@@ -71,6 +91,9 @@ def test_forces_all_alike_or_never_off_make_an_interval_all_the_same():
 def test_too_few_pictures_tell_nothing_and_a_factor_widens():
     few = np.zeros((LEAST_PICTURES - 1, 3, 2, 2))
     assert fit_intervals(few, few, np.arange(len(few))) == {} and half_widths({}, "total", np.zeros(3)) is None
+    many = np.zeros((100, 3, 2, 2))
+    assert fit_intervals(many, many, np.arange(100) % (LEAST_PRESSES - 1)) == {}
+    assert fit_intervals(many, many, np.arange(100) % LEAST_PRESSES)
     rng = np.random.default_rng(1)
     labels = rng.normal(size=(100, 3, 2, 2))
     about = {"intervals": fit_intervals(labels + rng.normal(0, 0.1, labels.shape), labels, np.arange(100))}

@@ -68,13 +68,13 @@ def fitted_rows(trained: Trained, data: Data, version: str) -> np.ndarray:
 def as_predicted(data, rows, trained, fitted, settings: EvaluateTable, force_range, rng) -> dict:
     """Errors of what `predict` tells of a split: of totals, with the share that their intervals hold, cells and contacts.
 
-    fitted: rows that the intervals were set on, where they hold by construction.
+    fitted: rows that the intervals were set on; of their presses the intervals hold by construction.
     """
     told = tell_rows(trained, data, rows)
     wanted, press = data.totals(rows), data.presses(rows)
     error = told.forces.sum((2, 3), dtype=np.float64) - wanted
     mapped = told.in_place and told.forces.shape[2:] == data.grid
-    apart = ~np.isin(rows, fitted)
+    apart = ~np.isin(press, data.presses(fitted))  # another sensor's picture of a press errs as its own does
     counts = told.half_widths is not None and apart.any()
     held = (np.abs(error) <= told.half_widths)[apart].mean(axis=0) if counts else None
     return {

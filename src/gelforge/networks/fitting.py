@@ -17,7 +17,7 @@ from gelforge.networks.dots import PrintedDots
 from gelforge.networks.goingon import known_before
 from gelforge.networks.halves import rounded
 from gelforge.networks.inputs import needs_untouched
-from gelforge.networks.intervals import LEAST_PICTURES, fit_intervals
+from gelforge.networks.intervals import fit_intervals, tells_intervals
 from gelforge.networks.modelfile import READERS, Trained
 from gelforge.networks.placereader import PlaceReader, train_place_reader
 from gelforge.networks.statistics import RELIEF_MARGIN, pair_evidence, pair_limits, relief
@@ -32,7 +32,7 @@ def beside_untouched(trained: Trained, data: Data, settings: TrainingTable, star
     """A network that reads pictures beside untouched ones with what only such a one has: limits, dots, untouched sensors."""
     pictures = data.nocontact if len(data.nocontact) <= MOST_PICTURES else {}
     about = trained.about | learnt_pitch(data, start)
-    if start is not None and len(rows_to_judge_by(data)) < LEAST_PICTURES:
+    if start is not None and not tells_intervals(data.presses(rows_to_judge_by(data))):
         rows = np.concatenate([data.splits["train"], data.splits["val"]])
         images = (np.ascontiguousarray(data.images[row]) for row in rows)
         about |= known_before(start.about, images, good_pairs(data, rows))

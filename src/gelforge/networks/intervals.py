@@ -15,6 +15,7 @@ from gelforge.records.axes import CHANNELS
 
 HOLDS = 0.9  # share of the forces that intervals shall hold
 LEAST_PICTURES = 20  # fewer tell no such share
+LEAST_PRESSES = 9  # the largest error of k presses holds k of k + 1: of fewer it holds less than HOLDS
 BINS = 6  # groups of equally many pictures, by force, that the growth of errors is read from
 
 
@@ -52,13 +53,18 @@ def fit_half_width(force: np.ndarray, error: np.ndarray, press: np.ndarray | Non
     return HalfWidth(base * float(size), rise * float(size))
 
 
+def tells_intervals(press: np.ndarray) -> bool:
+    """Whether pictures of these presses (n,) are enough for an interval that holds HOLDS of others."""
+    return len(press) >= LEAST_PICTURES and len(np.unique(press)) >= LEAST_PRESSES
+
+
 def fit_intervals(predicted: np.ndarray, labels: np.ndarray, press: np.ndarray) -> dict[str, dict[str, list[float]]]:
     """Intervals of totals and of cells by channel, as a model file keeps them: `base` N and `share`.
 
     predicted, labels: (n, 3, rows, cols) N per cell of pictures that training did not see; press: (n,) what tells their
-    presses apart. Empty for too few pictures.
+    presses apart. Empty where these are too few to tell (`tells_intervals`).
     """
-    if len(predicted) < LEAST_PICTURES:
+    if not tells_intervals(press):
         return {}
     found: dict[str, dict[str, list[float]]] = {"total": {}, "cell": {}}
     whole = np.unique(press, return_inverse=True)[1]
