@@ -1,17 +1,20 @@
 """Parts of the presses that a network learns from."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from parameters import parameters
 from synthetic_presses import write_dataset
 
 from gelforge.errors import BadInput
+from gelforge.networks.batches import epoch_order
 from gelforge.networks.data import open_data
-from gelforge.networks.part import parse_part, take_part
+from gelforge.networks.part import as_many_passes, parse_part, take_part
 
 
 @pytest.fixture(scope="module")
@@ -48,6 +51,24 @@ def test_a_press_is_taken_whole_and_parts_grow(data):
 def test_what_is_no_part_is_refused(name):
     with pytest.raises(BadInput, match="presses_N or units_N"):
         parse_part(name)
+
+
+@pytest.mark.parametrize("most", [0, 5, 17, 10**6])
+@pytest.mark.parametrize("epochs", [6, 30])
+def test_every_part_is_passed_over_as_often_as_the_whole(data, most, epochs):
+    """Whatever an epoch shows of it, to the rounding of one picture an epoch."""
+    settings = replace(parameters().train, epoch_images=most)
+
+    def passes(of, settings):
+        rows = of.splits["train"]
+        return sum(len(epoch_order(rows, 1, epoch, settings.epoch_images)) for epoch in range(epochs)) / len(rows)
+
+    whole = passes(data, settings)
+    for count in (4, 8, 16):
+        taken = take_part(data, parse_part(f"presses_{count}"), seed=3)
+        assert (
+            0 <= passes(taken, as_many_passes(settings, taken, data)) - whole <= epochs / len(taken.splits["train"])
+        )
 
 
 def test_more_than_there_is_is_refused(data):

@@ -1,10 +1,12 @@
 """Parts of the training presses, to see how much a network gains from more presses and from more units of a sensor."""
 
 from dataclasses import dataclass, replace
+from math import ceil
 
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.flow.params.tables import TrainingTable
 from gelforge.networks.data import TRAINING, Data
 
 
@@ -41,3 +43,9 @@ def take_part(data: Data, part: Part, seed: int) -> Data:
         raise BadInput(f"{data.folder}: part {part.name} asks for more {part.what} than the {len(known)} that train")
     chosen = known[np.random.default_rng(seed).permutation(len(known))[: part.count]]
     return replace(data, splits=data.splits | {TRAINING: rows[np.isin(of_row, chosen)]})
+
+
+def as_many_passes(settings: TrainingTable, taken: Data, whole: Data) -> TrainingTable:
+    """Settings by which a part is passed over as often as the whole would be: its epochs are shorter by its share."""
+    share = len(taken.splits[TRAINING]) / len(whole.splits[TRAINING])
+    return replace(settings, epoch_images=ceil(settings.epoch_images * share))

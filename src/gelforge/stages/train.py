@@ -15,7 +15,7 @@ from gelforge.flow.params.schema import Place, parse
 from gelforge.flow.params.slices import ForTrain, read_slice
 from gelforge.flow.params.tables import TrainingTable, TrainTable
 
-VERSION = 13
+VERSION = 14
 SHIPPED = "shipped"  # `start` of a network that goes on from the one that ships
 
 
@@ -63,14 +63,15 @@ def main(args: Namespace) -> None:
     from gelforge.networks import use
     from gelforge.networks.data import open_data
     from gelforge.networks.modelfile import load_model, save_model
-    from gelforge.networks.part import parse_part, take_part
+    from gelforge.networks.part import as_many_passes, parse_part, take_part
     from gelforge.reporting.networkcharts import draw_curve
 
     model, settings = resolve(read_models(args.models), args.model, read_slice(args.params, ForTrain).train)
     checkpoint = beside(args.out, ".checkpoint.pt")
     data = open_data(args.dataset)
     if args.part:
-        data = take_part(data, parse_part(args.part), settings.seed)
+        whole, data = data, take_part(data, parse_part(args.part), settings.seed)
+        settings = as_many_passes(settings, data, whole)
     start = load_model(use.SHIPPED) if model.pop("start", None) else None
     trained = train(data, args.model, model, settings, checkpoint, start)
     curve = trained.about["curve"]
