@@ -9,15 +9,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from synthetic_presses import write_dataset
+from parameters import with_values
+from synthetic_presses import SETTINGS, write_dataset
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, read_json, write_csv, write_json
-from gelforge.networks.data import FILES, data_version, open_data, require_splits, scales
+from gelforge.networks.data import FILES, LEAST_TOTAL, data_version, open_data, require_splits, scales
+from gelforge.networks.training import loss_of
 from gelforge.records.rowfile import RowFile
 from tests.memory import PEAK_KIB
 
@@ -128,6 +131,23 @@ def test_scales_are_those_of_the_training_split(folder):
     np.testing.assert_allclose(found["image_std"], pixels.std((0, 1, 2)), rtol=1e-6)
     np.testing.assert_allclose(found["label"], np.sqrt((data.labels[rows] ** 2.0).mean((0, 2, 3))), rtol=1e-6)
     assert scales(data, total_only=True)["label"] == found["total"]
+
+
+@pytest.mark.parametrize("rest", [0.0, 1e-6])
+def test_a_component_whose_totals_cancel_has_a_scale(folder, rest):
+    """As in centred presses without shear: what rounding leaves of their sideways totals is no scale to divide by."""
+    labels = np.load(folder / "labels.npy")
+    labels[:, 0] = 0.0
+    labels[:, 0, 0, :2] = [1.0 + rest, -1.0]
+    np.save(folder / "labels.npy", labels)
+    found = scales(open_data(folder), total_only=False)
+    assert found["total"][0] == pytest.approx(LEAST_TOTAL * max(found["total"])) and found["label"][0] > 0
+    settings = with_values(SETTINGS, total_weight=1.0)
+    one = torch.zeros(1, 3, 2, 2)
+    off = one.clone()
+    off[0, 0, 0, 0] = 1e-3 / found["label"][0]  # a thousandth of a newton
+    scale, total = (torch.tensor(found[key]) for key in ("label", "total"))
+    assert loss_of(off, one, scale, total, settings) < 0.1
 
 
 def test_a_component_without_force_is_refused(folder):

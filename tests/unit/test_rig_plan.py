@@ -53,6 +53,9 @@ def changed(tmp_path, *changes) -> Path:
         ('dataset = "demo"', 'dataset = "../demo"', "give a name of letters"),
         ('gel = "gelsight_mini"', 'gel = "digit"', "gel = 'digit' is unknown"),
         ("2026-01-12T09:00:00Z", "yesterday", "is no time"),
+        ("2026-01-12T09:00:00Z", "9999-12-31T23:59:59Z", "end after the year 9999"),
+        ("rot_deg = [0, 360]", "rot_deg = [0, 5000]", "each a number from -3600 to 3600 degrees"),
+        ("rot_deg = [0, 360]", "rot_deg = [-1e308, 1e308]", "each a number from -3600 to 3600 degrees"),
         ("nu = 0.475", "nu = 0.5", r"\[truth\] nu = 0.5: give a number"),
         (
             "[params.train]\nepochs",
@@ -136,6 +139,30 @@ def test_a_look_that_lacks_a_value_is_named(tmp_path):
     path.write_text(text)
     with pytest.raises(BadInput, match=r"\[mini_a\] is incomplete or malformed: KeyError\('flecks'\)"):
         read_looks(path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("white_balance = [1.0, 1.0, 1.0]", "white_balance = [1.0, 1.0]", "white_balance has"),
+        ("noise = [1.45, 1.2, 2.1]", "noise = [nan, 1.2, 2.1]", "noise is"),
+        ("slope_limit = 0.5", "slope_limit = 0", "slope_limit is 0"),
+        ("gain = 1.0", "gain = inf", "gain is inf"),
+        ("height_mm = 50.0", "height_mm = 3.0", "height_mm is 3"),
+        ("rows = 7", "rows = 1", "give 2 or more of both"),
+        ("seed = 1\n", "seed = 1\nmissing = [99]\n", "`missing` from 0 on"),
+        ("shadow_length_px = [2.2, 3.4, 3.0]", "shadow_length_px = [-2.2, 3.4, 3.0]", "shadow_length_px is"),
+        ("[mini_a.background]", "loose = 3\n[mini_a.background]", "loose stands outside of a table"),
+        ('base = "mini_a"', 'base = ["mini_a"]', "must be a table without a base of its own"),
+        ("[mini_b.light]\n", "[mini_b]\nlight = 3\n[mini_b.other]\n", "sensors.toml"),
+    ],
+)
+def test_a_look_that_no_sensor_has_is_named(tmp_path, old, new, says):
+    text = (ROOT / "workflow/rig/sensors.toml").read_text()
+    assert old in text
+    (tmp_path / "sensors.toml").write_text(text.replace(old, new, 1))
+    with pytest.raises(BadInput, match=says):
+        read_looks(tmp_path / "sensors.toml")
 
 
 def test_a_plans_parameters_stand_in_the_dataset_it_writes():

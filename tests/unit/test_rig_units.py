@@ -1,12 +1,15 @@
 """Virtual units that a plan draws from ranges."""
 
+import warnings
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
 
 from gelforge.errors import BadInput
 from gelforge.flow.params import read_sensor_tables
+from gelforge.flow.params.schema import kinds_of
 from gelforge.geometry.gel import Gel
 from gelforge.labelling.sensor import check_projection, sensors_of
 from gelforge.networks.canonical import match_light
@@ -14,7 +17,7 @@ from gelforge.records.markers import find_markers
 from gelforge.virtualrig.looks import read_looks
 from gelforge.virtualrig.render import Renderer
 from gelforge.virtualrig.rigplan import DrawnUnits, orders, read_plan
-from gelforge.virtualrig.units import draw_units, read_ranges
+from gelforge.virtualrig.units import UnitRanges, draw_units, read_ranges
 from gelforge.virtualrig.writer import write_sensors
 from tests.conftest import ROOT
 
@@ -94,10 +97,17 @@ def test_sensors_of_a_dataset_are_read_as_they_were_drawn(drawn, tmp_path):
 
 @pytest.mark.parametrize("old, new, says", [
     ("scale_px_per_mm = [13.5, 14.5]", "scale_px_per_mm = [14.5, 13.5]", "runs backwards"),
-    ("scale_px_per_mm = [13.5, 14.5]", "scale_px_per_mm = [0, 14.5]", "must be above 0"),
+    ("scale_px_per_mm = [13.5, 14.5]", "scale_px_per_mm = [0, 14.5]", "each a number from 1 to 1000 px/mm"),
     ("contrast = [0.32, 1.6]", "contrasts = [0.32, 1.6]", "contrasts: is read by nothing; contrast is meant"),
     ('"mini_d", "mini_e"]', '"mini_d", "mini_z"]', "no look mini_z"),
     ("noise = [0.8, 2.3]", 'noise = ["a", "b"]', "noise"),
+    ("missing_dots = [0, 6]", "missing_dots = [0, 70]", "missing_dots"),
+    ("misprint_px = [0.2, 0.7]", "misprint_px = [-0.5, 0.7]", "misprint_px"),
+    ("jpeg_quality = [65, 95]", "jpeg_quality = [65, 300]", "jpeg_quality"),
+    ("jpeg_share = 0.5", "jpeg_share = 7", "jpeg_share"),
+    ("camera_mm = [38, 65]", "camera_mm = [1, 65]", "camera_mm"),
+    ("slope_limit = [0.45, 1.1]", "slope_limit = [0, 1.1]", "slope_limit"),
+    ('backgrounds = ["mini_a", "mini_d", "mini_e"]', "backgrounds = []", "backgrounds"),
 ])  # fmt: skip
 def test_ranges_without_meaning_are_refused(tmp_path, old, new, says):
     text = (RIG / "units.toml").read_text(encoding="utf-8")
@@ -123,3 +133,23 @@ def test_each_press_is_seen_by_as_many_units_as_asked_for(root):
     assert places == {order.press_id: (order.x, order.depth) for order in orders(alone)}
     with_more = replace(plan, kinds=tuple(replace(kind, seen_by=len(kind.sensors) + 1) for kind in plan.kinds))
     assert with_more.identity() != plan.identity()
+
+
+@pytest.mark.parametrize("end", [0, 1])
+def test_a_unit_at_the_end_of_any_bound_has_a_picture(end):
+    """Without shadow, noise, blur, ink and specks, and with as much of each as the schema lets through."""
+    look, sensor = (values["known_01"] for values in draw_units(SOME, RIG, seed=5))
+    bounds = {name: get_args(kind)[1] for name, kind in kinds_of(UnitRanges).items()}
+    extreme = {
+        field: np.full(3, limit) if np.ndim(getattr(look, field)) else limit
+        for field, name in {"noise": "noise", "noise_blur": "noise_blur_px", "blur": "blur_px", "ink": "ink",
+                            "flecks": "flecks", "shadow_depth": "shadow_depth", "raggedness": "raggedness",
+                            "slope_limit": "slope_limit", "vignette": "vignette", "brightening": "brightening"}.items()
+        for limit in [float((bounds[name].low, min(bounds[name].high, 20.0))[end])]
+    }  # fmt: skip
+    shadow = np.full(3, (0.0, 20.0)[end])
+    one = replace(look, **extreme, shadow_length=shadow, specks=(0, 50)[end])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        picture = Renderer(one, sensor.projection, Gel()).image(rng=np.random.default_rng(0))
+    assert picture.std() > 1.0 and (picture.max(axis=(0, 1)) > 20).all()

@@ -15,6 +15,7 @@ from gelforge.records.samplefile import DatasetSample, read_samples
 
 FILES = ("images.npy", "labels.npy", "nocontact.npy", "samples.csv", "normalisation.json", "dataset.json")
 TRAINING, VALIDATION = "train", "val"
+LEAST_TOTAL = 0.01  # of the largest component's scale of total force
 CHUNK = 256
 # Below this a split says nothing about an error and batch statistics nothing about a layer.
 SMALLEST = {TRAINING: 4, VALIDATION: 1}
@@ -206,9 +207,10 @@ def data_version(data: Data) -> str:
 def scales(data: Data, total_only: bool, reads: str = "image") -> dict:
     """What training scales by: image mean and deviation per channel, and the labels' root mean square.
 
-    Zero force is zero in scaled units too, because labels are divided and never shifted. Where the
-    network only knows totals (`total_only`), `label` is the totals' root mean square. `reads` is kept
-    beside them: the three together make a network's input of pictures.
+    Zero force is zero in scaled units too, because labels are divided and never shifted. A component whose totals
+    cancel, as sideways ones of centred presses do, is scaled by LEAST_TOTAL of the largest: errors of it count as theirs
+    do, not without bound. Where the network only knows totals (`total_only`), `label` is theirs. `reads` is kept beside
+    them: the three together make a network's input of pictures.
     """
     rows = data.splits[TRAINING]
     sums, squares, cells = np.zeros(3), np.zeros(3), np.zeros(3)
@@ -223,8 +225,9 @@ def scales(data: Data, total_only: bool, reads: str = "image") -> dict:
     mean = sums / n
     totals = data.totals(rows)
     total = np.sqrt((totals**2).mean(0))
+    total = np.maximum(total, LEAST_TOTAL * total.max())
     cell = np.sqrt(cells / (len(rows) * np.prod(data.grid)))
-    if (cell == 0).any():
+    if (cell == 0).any() or (total == 0).any():
         raise BadInput(f"{data.folder}: a force component is zero in every training label; nothing can be learnt")
     return {
         "reads": reads,

@@ -14,6 +14,24 @@ DEGREE = 4
 TERMS = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]
 
 
+SHAPES = {"background": (len(TERMS), 3), "tilt": (3, 2), "light": (3, 2)} | dict.fromkeys(
+    ("white_balance", "slope_gain", "brightening", "noise", "ink", "flecks", "shadow_length"), (3,)
+)
+BOUNDS = {
+    "background": (-1e4, 1e4), "tilt": (-10, 10), "light": (-1, 1), "white_balance": (0, 10), "gain": (0, 10),
+    "vignette": (-1, 1), "slope_gain": (0, 100), "slope_limit": (1e-3, 100), "brightening": (0, 10),
+    "camera_mm": (5, 1e4), "blur": (0, 100), "noise": (0, 255), "noise_blur": (0, 100), "dots": (-1e4, 1e4),
+    "diameter": (0.1, 1e3), "raggedness": (0, 1), "ink": (0, 1), "flecks": (0, 10), "shadow_depth": (0, 1),
+    "shadow_length": (0, 1e3),
+}  # fmt: skip
+
+# What workflow/rig/sensors.toml calls them where it names the unit, too.
+KEYS = {
+    "camera_mm": "height_mm", "blur": "blur_px", "noise_blur": "noise_blur_px", "diameter": "diameter_px",
+    "shadow_length": "shadow_length_px", "light": "azimuth_deg",
+}  # fmt: skip
+
+
 @dataclass(frozen=True)
 class Drift:
     """How a unit's light differs from picture to picture, each drawn evenly between two bounds.
@@ -70,6 +88,17 @@ class Look:
     shade: np.ndarray | None = None
     jpeg: int = 0
 
+    def fault(self) -> str:
+        """What no sensor can look like, as the start of a sentence; empty where nothing is."""
+        for name, shape in SHAPES.items():
+            if getattr(self, name).shape != shape:
+                return f"{KEYS.get(name, name)} has {getattr(self, name).shape} numbers, {shape} are needed"
+        for name, (low, high) in BOUNDS.items():
+            values = np.asarray(getattr(self, name), float)
+            if not ((low <= values) & (values <= high)).all():
+                return f"{KEYS.get(name, name)} is {np.array2string(values, threshold=4)}, each must be from {low:g} to {high:g}"
+        return ""
+
     def light_field(self) -> np.ndarray:
         """Image of the evenly lit, dotless, unloaded gel, (240, 320, 3) float32 grey levels."""
         s, t = normalised_pixels()
@@ -93,6 +122,14 @@ def read_looks(path) -> dict[str, Look]:
         tables = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, tomllib.TOMLDecodeError) as error:
         raise BadInput(f"{path}: cannot read the sensors' looks ({error})") from error
+    for name, table in tables.items():
+        loose = (
+            [key for key, part in table.items() if key != "base" and not isinstance(part, dict)]
+            if isinstance(table, dict)
+            else [name]
+        )
+        if loose:
+            raise BadInput(f"{path}: {loose[0]} stands outside of a table; compare it with [mini_a]")
     return {name: _look(name, _merged(name, tables, path), path) for name in tables}
 
 
@@ -101,7 +138,7 @@ def _merged(name: str, tables: dict, path) -> dict:
     base = table.get("base")
     if base is None:
         return table
-    if base not in tables or "base" in tables[base]:
+    if not isinstance(base, str) or base not in tables or "base" in tables[base]:
         raise BadInput(f"{path}: [{name}] has base = {base!r}, which must be a table without a base of its own")
     merged = {part: dict(values) for part, values in tables[base].items()}
     for part, values in table.items():
@@ -138,19 +175,19 @@ def _look(name: str, table: dict, path) -> Look:
             shadow_length=np.array(dots["shadow_length_px"], float),
             seed=int(dots["seed"]),
         )
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise BadInput(f"{path}: [{name}] is incomplete or malformed: {error!r}; compare it with [mini_a]") from error
-    if look.background.shape != (len(TERMS), 3) or look.camera_mm <= 4.0:
-        raise BadInput(
-            f"{path}: [{name}] needs {len(TERMS)} background terms per colour and a camera height above 4 mm; "
-            f"it has {look.background.shape[0]} and {look.camera_mm}"
-        )
+    fault = look.fault()
+    if fault:
+        raise BadInput(f"{path}: [{name}]: {fault}; compare it with [mini_a]")
     return look
 
 
 def dot_centres(dots: dict) -> np.ndarray:
     """Centres of the printed dots, (n, 2) px: a rotated grid with seeded misprints, less the missing ones."""
-    rows, cols = dots["rows"], dots["cols"]
+    rows, cols, missing = dots["rows"], dots["cols"], np.array(dots.get("missing", []), int)
+    if min(rows, cols) < 2 or ((missing < 0) | (missing >= rows * cols)).any():
+        raise ValueError(f"{rows} rows and {cols} cols of dots: give 2 or more of both, and `missing` from 0 on")
     row, col = np.divmod(np.arange(rows * cols), cols)
     half = np.array([cols - 1, rows - 1]) / 2
     place = np.stack([col, row], axis=1) - half
@@ -161,4 +198,4 @@ def dot_centres(dots: dict) -> np.ndarray:
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     jitter = np.random.default_rng(dots["seed"]).normal(scale=dots["jitter_px"], size=grid.shape)
     centres = grid @ turn.T + jitter + np.array(dots["centre_px"], float)
-    return np.delete(centres, np.array(dots.get("missing", []), int), axis=0)
+    return np.delete(centres, missing, axis=0)

@@ -72,7 +72,9 @@ def _add_speck(out: np.ndarray, rng: np.random.Generator) -> None:
 
 
 def _smeared(cover: np.ndarray, direction: np.ndarray, length: float) -> np.ndarray:
-    """`cover` dragged along `direction`, fading over `length` samples."""
+    """`cover` dragged along `direction`, fading over `length` samples; nothing of it for a length of 0."""
+    if length == 0.0:
+        return np.zeros_like(cover)
     reach = int(np.ceil(3 * length))
     kernel = np.zeros((2 * reach + 1, 2 * reach + 1), np.float32)
     steps = np.arange(0, 3 * length, 0.25)

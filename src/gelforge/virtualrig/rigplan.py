@@ -13,6 +13,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.params import read_toml
 from gelforge.flow.params.schema import Named, ParameterTable, Place, Some, Within, parse
 from gelforge.geometry.gel import Gel
+from gelforge.records.press import LARGEST
 from gelforge.virtualrig.streams import MOST_FRAMES, ORDER, WHO_SEES
 
 EDGE = 2.0  # mm that the tip keeps from the gel's outline
@@ -71,7 +72,7 @@ class Kind(RigTable):
     y_mm: Span
     depth_mm: Annotated[Span, Within(TINY, 1e3, "mm")]
     shear: Annotated[Span, Within(0.0, 1e3)]
-    rot_deg: Span
+    rot_deg: Annotated[Span, Within(-LARGEST["rot_deg"], LARGEST["rot_deg"], "degrees")]
     max_force_n: Annotated[float, Within(TINY, 1e9, "N")]
     seen_by: Annotated[int, Within(1, 1e6)] = 1
 
@@ -190,8 +191,14 @@ def _check_values(plan: Plan, path) -> None:
         raise BadInput(f"{path}: gel = {plan.gel!r} is unknown; known: {Gel().name}")
     try:
         start_time(plan)
+        time_of(plan, plan.presses)
     except ValueError as error:
         raise BadInput(f"{path}: start_utc = {plan.start_utc!r} is no time; write 2026-01-12T09:00:00Z") from error
+    except OverflowError as error:
+        raise BadInput(
+            f"{path}: {plan.presses} presses of {plan.seconds_per_press:g} s from {plan.start_utc} on end after the year "
+            "9999; check seconds_per_press and start_utc"
+        ) from error
     for k, kind in enumerate(plan.kinds, 1):
         _check_kind(kind, Gel(), f"{path}: [[kind]] {k}")
 
@@ -237,6 +244,11 @@ def check_names(plan: Plan, indenters, sensors, looks, path) -> None:
 def start_time(plan: Plan) -> datetime:
     """Time of the first press."""
     return datetime.strptime(plan.start_utc, "%Y-%m-%dT%H:%M:%SZ")
+
+
+def time_of(plan: Plan, index: int) -> datetime:
+    """Time of a press; OverflowError where the calendar ends before."""
+    return start_time(plan) + timedelta(seconds=round(index * plan.seconds_per_press, 3))
 
 
 def kind_of(plan: Plan, presses: int) -> tuple[np.ndarray, np.ndarray]:
@@ -297,11 +309,10 @@ def _sensors_of_press(plan: Plan, index: int, kind: Kind) -> tuple[str, ...]:
 def _order(plan: Plan, index: int, kind: Kind, number: int) -> Order:
     rng = generator(plan, index, ORDER)
     depth, share, heading = rng.uniform(*kind.depth_mm), rng.uniform(*kind.shear), rng.uniform(0.0, 2 * np.pi)
-    time = start_time(plan) + timedelta(seconds=round(index * plan.seconds_per_press, 3))
     return Order(
         index=index,
         sample_id=f"{plan.dataset}-{index:06d}",
-        time_utc=time.strftime("%Y-%m-%dT%H:%M:%SZ"),
+        time_utc=time_of(plan, index).strftime("%Y-%m-%dT%H:%M:%SZ"),
         sensor=kind.sensors[int(rng.integers(len(kind.sensors)))],
         indenter=kind.indenters[number % len(kind.indenters)],
         x=rng.uniform(*kind.x_mm),

@@ -3,12 +3,13 @@
 import zlib
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.params import read_toml
-from gelforge.flow.params.schema import ParameterTable, Place, parse
+from gelforge.flow.params.schema import ParameterTable, Place, Some, Within, parse
 from gelforge.labelling.sensor import Sensor
 from gelforge.virtualrig.looks import HEIGHT, WIDTH, Drift, Look, dot_centres, read_looks
 from gelforge.virtualrig.rigplan import DrawnUnits, Span
@@ -29,44 +30,44 @@ class UnitRanges(ParameterTable):
 
     example = "workflow/rig/units.toml"
 
-    backgrounds: tuple[str, ...]
-    background_scatter: Span
-    tilt: Span
-    azimuth_deg: Span
-    contrast: Span
-    colour_contrast: Span
-    slope_limit: Span
-    brightening: Span
-    camera_mm: Span
-    gain: Span
-    white_balance: Span
-    vignette: Span
-    blur_px: Span
-    noise: Span
-    noise_blur_px: Span
-    scale_px_per_mm: Span
-    perspective: Span
-    rotation_deg: Span
-    shift_px: Span
-    pitch_mm: Span
-    print_shift_px: Span
-    print_turn_deg: Span
-    spread: Span
-    misprint_px: Span
-    diameter_px: Span
-    raggedness: Span
-    ink: Span
-    flecks: Span
-    shadow_depth: Span
-    shadow_px: Span
-    missing_dots: Span
-    specks: Span
-    drift_gain: Span
-    drift_offset: Span
-    drift_field: Span
-    shade_per_mm: Span
-    jpeg_share: float
-    jpeg_quality: Span
+    backgrounds: Annotated[tuple[str, ...], Some()]
+    background_scatter: Annotated[Span, Within(-1, 1)]
+    tilt: Annotated[Span, Within(-1, 1)]
+    azimuth_deg: Annotated[Span, Within(-360, 360, "degrees")]
+    contrast: Annotated[Span, Within(0.001, 100)]
+    colour_contrast: Annotated[Span, Within(0.001, 100)]
+    slope_limit: Annotated[Span, Within(0.001, 100)]
+    brightening: Annotated[Span, Within(0, 10)]
+    camera_mm: Annotated[Span, Within(5, 10000, "mm")]
+    gain: Annotated[Span, Within(0.001, 10)]
+    white_balance: Annotated[Span, Within(0.001, 10)]
+    vignette: Annotated[Span, Within(0, 1)]
+    blur_px: Annotated[Span, Within(0, 100, "px")]
+    noise: Annotated[Span, Within(0, 255)]
+    noise_blur_px: Annotated[Span, Within(0, 100, "px")]
+    scale_px_per_mm: Annotated[Span, Within(1, 1000, "px/mm")]
+    perspective: Annotated[Span, Within(-0.01, 0.01)]
+    rotation_deg: Annotated[Span, Within(-360, 360, "degrees")]
+    shift_px: Annotated[Span, Within(-1000, 1000, "px")]
+    pitch_mm: Annotated[Span, Within(0.1, 100, "mm")]
+    print_shift_px: Annotated[Span, Within(-1000, 1000, "px")]
+    print_turn_deg: Annotated[Span, Within(-360, 360, "degrees")]
+    spread: Annotated[Span, Within(-1, 1)]
+    misprint_px: Annotated[Span, Within(0, 100, "px")]
+    diameter_px: Annotated[Span, Within(0.1, 1000, "px")]
+    raggedness: Annotated[Span, Within(0, 1)]
+    ink: Annotated[Span, Within(0, 1)]
+    flecks: Annotated[Span, Within(0, 10)]
+    shadow_depth: Annotated[Span, Within(0, 1)]
+    shadow_px: Annotated[Span, Within(0, 1000, "px")]
+    missing_dots: Annotated[Span, Within(0, ROWS * COLS - 1)]
+    specks: Annotated[Span, Within(0, 10000)]
+    drift_gain: Annotated[Span, Within(-1, 1)]
+    drift_offset: Annotated[Span, Within(-255, 255)]
+    drift_field: Annotated[Span, Within(-1, 1)]
+    shade_per_mm: Annotated[Span, Within(-10, 10, "1/mm")]
+    jpeg_share: Annotated[float, Within(0, 1)]
+    jpeg_quality: Annotated[Span, Within(1, 100)]
 
 
 def draw_units(units: DrawnUnits, rig: Path, seed: int) -> tuple[dict[str, Look], dict[str, Sensor]]:
@@ -91,12 +92,10 @@ def draw_units(units: DrawnUnits, rig: Path, seed: int) -> tuple[dict[str, Look]
 def read_ranges(path: Path) -> UnitRanges:
     """Read a file of ranges; one that is incomplete, unknown or runs backwards raises BadInput."""
     ranges = parse(UnitRanges, read_toml(path), Place(str(path)))
-    for field in fields(ranges):
-        bounds = getattr(ranges, field.name)
-        if field.type == Span and bounds[0] > bounds[1]:
-            raise BadInput(f"{path}: {field.name} = {list(bounds)} runs backwards; write [low, high]")
-    if ranges.contrast[0] <= 0 or ranges.scale_px_per_mm[0] <= 0 or not ranges.backgrounds:
-        raise BadInput(f"{path}: contrast and scale_px_per_mm must be above 0, and backgrounds name a look at least")
+    for name in (field.name for field in fields(ranges) if field.name not in ("backgrounds", "jpeg_share")):
+        bounds = getattr(ranges, name)
+        if bounds[0] > bounds[1]:
+            raise BadInput(f"{path}: {name} = {list(bounds)} runs backwards; write [low, high]")
     return ranges
 
 
