@@ -266,6 +266,11 @@ BROKEN = {
         {},
         ["splits.csv", "row 2", "is no name"],
     ),
+    "a sample in two splits": (
+        lambda m: write_text(m["data"] / "splits.csv", "sample_id,split\ns000,train\ns001,train\ns000,test\n"),
+        {},
+        ["splits.csv", "row 4", "'s000' is in two splits"],
+    ),
     "shares above one": (lambda m: None, {"validation": 0.7, "test": 0.4}, ["validation", "0.7"]),
     "falling edges": (lambda m: None, {"force_edges": [3.0, 1.0]}, ["force_edges", "rising"]),
     "no tolerance": (lambda m: None, {"same_press_mm": 0.0}, ["same_press_mm"]),
