@@ -50,10 +50,10 @@ def error_table(error, rng, resamplings: int, force_range=None, press=None) -> d
 
 
 def cell_table(predicted, labels) -> dict:
-    """Error per cell (n, 3, rows, cols) in N: mean over cells and presses, and the deviation over presses."""
-    per_press = np.abs(predicted - labels).mean((2, 3), dtype=np.float64)
+    """Error per cell (n, 3, rows, cols) in N: mean over cells and images, and the deviation over images."""
+    per_image = np.abs(predicted - labels).mean((2, 3), dtype=np.float64)
     return {
-        axis: {"mae": float(per_press[:, i].mean()), "std": float(per_press[:, i].std())}
+        axis: {"mae": float(per_image[:, i].mean()), "std": float(per_image[:, i].std())}
         for i, axis in enumerate(CHANNELS)
     }
 
