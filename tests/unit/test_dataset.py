@@ -18,6 +18,7 @@ from gelforge.flow.files import read_csv, read_json, write_text
 from gelforge.networks.canonical import match_light
 from gelforge.networks.data import open_data
 from gelforge.networks.split import group_presses, split_presses
+from gelforge.stages.dataset import published_splits
 
 
 def presses(count, seed, touches=None, indenters=4, sensors=2):
@@ -283,6 +284,21 @@ def test_broken_inputs_are_named(tmp_path, root, monkeypatch, name):
     breaking, params, words = BROKEN[name]
     message = spoil(tmp_path, breaking, **params)
     assert all(word in message for word in words), message
+
+
+def test_a_press_torn_between_splits_is_refused(tmp_path):
+    write_text(tmp_path / "splits.csv", "sample_id,split\na,train\nb,test\nc,train\nd,test\ne,test\n")
+    rows = {
+        "a": press_record(sample_id="a", press_id="p1", sensor_id="one"),
+        "b": press_record(sample_id="b", press_id="p1", sensor_id="two"),
+        "c": press_record(sample_id="c", press_id="", sensor_id="one"),
+        "d": press_record(sample_id="d", press_id="", sensor_id="one"),
+        "e": press_record(sample_id="e", press_id="p1", sensor_id="one"),
+    }
+    whole = [rows[name] for name in "abcd"]
+    assert published_splits(tmp_path, whole, np.array([])).tolist() == ["train", "test", "train", "test"]
+    with pytest.raises(BadInput, match="samples a and e are of one press, p1, but in the splits train and test"):
+        published_splits(tmp_path, list(rows.values()), np.array([]))
 
 
 def test_a_dataset_without_any_label_is_refused(tmp_path, root, monkeypatch):

@@ -247,7 +247,26 @@ def published_splits(data: Path, presses: list, splits: np.ndarray) -> np.ndarra
     missing = [press.sample_id for press in presses if press.sample_id not in known]
     if missing:
         raise BadInput(f"{path}: has no split of sample {missing[0]}; add it, or remove the file to split anew")
-    return np.array([known[press.sample_id] for press in presses])
+    found = np.array([known[press.sample_id] for press in presses])
+    refuse_torn_presses(path, presses, found)
+    return found
+
+
+def refuse_torn_presses(path: Path, presses: list, splits: np.ndarray) -> None:
+    """BadInput where pictures of one press lie in two splits (n,): it would be learnt from and tested on.
+
+    Pictures by two sensors may, as where one sensor is kept apart for a test.
+    """
+    seen: dict[tuple[str, str], tuple[str, str]] = {}
+    for press, split in zip(presses, splits.tolist(), strict=True):
+        if not press.press_id:
+            continue
+        first, of = seen.setdefault((press.press_id, press.sensor_id), (press.sample_id, split))
+        if of != split:
+            raise BadInput(
+                f"{path}: samples {first} and {press.sample_id} are of one press, {press.press_id}, but in the splits"
+                f" {of} and {split}; give both the same"
+            )
 
 
 def build(args) -> dict:
