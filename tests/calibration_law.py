@@ -8,6 +8,7 @@ from gelforge.calibration.friction import friction_axis
 from gelforge.calibration.parameters import make_model, with_nu
 from gelforge.calibration.posterior import Posterior
 from gelforge.calibration.readings import Readings
+from gelforge.geometry.gel import USUAL_GEL
 from gelforge.mechanics.scene import REFERENCE_C10
 
 TOP = 2.4
@@ -60,7 +61,9 @@ def make_readings(depth, force, sheared=False) -> Readings:
     ids = np.array([f"p{i:03d}" for i in range(n)])
     full = np.full((n, 3), np.nan)
     full[:, 2] = force
-    return Readings("log.csv", np.arange(2, n + 2), ids, np.array(["sphere_15"] * n), pose, full)
+    return Readings(
+        "log.csv", np.arange(2, n + 2), ids, np.array(["sphere_15"] * n), pose, full, np.array([USUAL_GEL] * n)
+    )
 
 
 def true_values(**changes) -> dict:

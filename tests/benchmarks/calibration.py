@@ -31,6 +31,7 @@ from gelforge.flow.main import command, option
 from gelforge.flow.params.slices import ForCalibrate
 from gelforge.flow.params.tables import CalibrateTable
 from gelforge.flow.progress import progress
+from gelforge.geometry.gel import USUAL_GEL
 from gelforge.geometry.indenters import load_catalogue
 from gelforge.mechanics.hex.settings import HexSettings, quality
 from gelforge.stages import calibrate as stage
@@ -55,7 +56,8 @@ def design() -> Readings:
     n = len(rows)
     names, poses = np.array([name for name, _ in rows]), np.array([pose for _, pose in rows])
     ids = np.array([f"synthetic-{i:02d}" for i in range(n)])
-    return Readings("synthetic", np.arange(2, n + 2), ids, names, poses, np.full((n, 3), np.nan))
+    force, gels = np.full((n, 3), np.nan), np.array([USUAL_GEL] * n)
+    return Readings("synthetic", np.arange(2, n + 2), ids, names, poses, force, gels)
 
 
 def rig_meshes() -> list[tuple[HexSettings, str]]:
@@ -191,6 +193,7 @@ def run_stage(dataset: str, folder: Path, jobs: int) -> tuple[dict, list[Figure]
         "--data": Path("data") / dataset,
         "--poses": Path("results") / dataset / "10_poses",
         "--shards": Path("results") / dataset / "00_plan" / "shards",
+        "--sensors": Path("results") / dataset / "00_plan" / "params" / "sensors.json",
         "--params": work / "params.json",
         "--work": work,
         "--solves": solves_of(dataset),

@@ -18,7 +18,7 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.main import command, option
 from gelforge.flow.progress import progress
-from gelforge.geometry.gel import Gel
+from gelforge.geometry.gel import Gel, load_gel
 from gelforge.geometry.indenters import load_catalogue
 from gelforge.labelling.sensor import Sensor
 from gelforge.mechanics.hex.hexsolver import HexSolver
@@ -92,7 +92,7 @@ def press_units(plan_path: Path, count: int) -> Units:
 
 def see(bench: Bench, order: Order, cameras: dict[str, Renderer], sensors: dict[str, Sensor]) -> list[Seen]:
     """What each unit sees of one press, and the force in what it shows; none where the press has no equilibrium."""
-    truth, gel = bench.plan.truth, bench.gel
+    truth, gel = bench.plan.truth, load_gel(order.gel)
     pressing = bench.press(order)[-1]
     scene = Scene(gel, Material(truth.nu), bench.indenters[order.indenter], pressing.real, Interface())
     solved = HexSolver(quality("label")).solve(scene)

@@ -21,7 +21,7 @@ from gelforge.calibration.solves import (
     usable,
 )
 from gelforge.errors import BadInput, SolveFailed
-from gelforge.geometry.gel import Gel
+from gelforge.geometry.gel import USUAL_GEL, Gel
 from gelforge.geometry.indenters import load_catalogue
 from gelforge.mechanics.hex.hexsolver import solve_hex
 from gelforge.mechanics.hex.settings import HexSettings
@@ -45,7 +45,8 @@ def presses(*poses) -> Readings:
     ids = np.array([f"p{i}" for i in range(n)])
     force = np.tile([0.0, 0.0, -1.0], (n, 1))
     assert len(poses[0]) == len(POSE)
-    return Readings("log.csv", np.arange(2, n + 2), ids, np.array(["sphere_15"] * n), np.array(poses, float), force)
+    names, gels = np.array(["sphere_15"] * n), np.array([USUAL_GEL] * n)
+    return Readings("log.csv", np.arange(2, n + 2), ids, names, np.array(poses, float), force, gels)
 
 
 def solve(catalogue, press, mu=MU):
@@ -69,6 +70,21 @@ def test_straight_presses_at_one_place_share_one_solve(built):
     _, plan, cache, _ = built
     assert cache.spent == {"total": 3, "coulomb": 3, "new": 3, "in_vain": 0}
     assert plan.top[0] == plan.top[1] == pytest.approx(1.55)
+
+
+def test_presses_on_gels_of_two_thicknesses_share_no_solve(catalogue, tmp_path):
+    """A pad a tenth thinner is 10 to 20 % stiffer, and the emulator knows which press is on which."""
+    both = presses((0.5, 0, 0, 0, 0, -1.2, 0), (0.5, 0, 0, 0, 0, -1.2, 0))
+    readings = replace(both, gels=np.array([USUAL_GEL, f"{USUAL_GEL}-3.6mm"]))
+    plan, cache = make_plan(readings, 0.15, (1.0,)), SolveCache(tmp_path, catalogue, SETTINGS, SOLVER)
+    assert not solve_all(plan, cache, [0.0], [NU])
+    emulator, values = (
+        build_emulator(plan, cache, [0.0], [NU]),
+        true_values(c10=REFERENCE_C10, offset=0.0, compliance=0.0, mu=0.0),
+    )
+    assert cache.spent["total"] == 2
+    usual, thin = emulator.forces(readings.depth, values)[0][0][:, 2]
+    assert 1.05 < thin / usual < 1.25
 
 
 def test_history_of_one_solve_is_the_curve_of_many(built, catalogue):

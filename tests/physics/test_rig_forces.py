@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gelforge.geometry.gel import Gel
+from gelforge.geometry.gel import Gel, load_gel
 from gelforge.geometry.indenters import load_catalogue
 from gelforge.mechanics.hex.hexsolver import HexSolver
 from gelforge.mechanics.hex.settings import quality
@@ -94,6 +94,24 @@ def test_a_flat_body_with_friction_settles_at_every_moment(plan, root, turn_deg)
     assert all(result.status.valid for result in results)
     assert all(result.evidence["base_mismatch"] < 1e-6 for result in results)
     assert all(np.diff([-result.total[2] for result in results[:3]]) > 0)
+
+
+@pytest.mark.parametrize("thickness", [3.6, 4.4])
+def test_hidden_forces_on_a_gel_of_other_thickness_are_those_of_fine_bricks(plan, root, tmp_path, thickness):
+    """The factors of the usual gel serve: what a mesh adds belongs to the shape that is pressed."""
+    catalogue, gel = (
+        load_catalogue(root / "workflow" / "indenters.toml", ["sphere_15"]),
+        load_gel(f"gelsight_mini-{thickness}mm"),
+    )
+    bench = Bench(plan, catalogue, Gel(), tmp_path)
+    order = replace(orders(plan)[0], indenter="sphere_15", x=1.3, y=-2.1, depth=1.0, rot_deg=70.0, shear=(0.0, 0.0))
+    usual, pressed = bench.press(order)[-1], bench.press(replace(order, gel=gel.name))[-1]
+    assert (pressed.force[2] / usual.force[2] - 1) * (4.0 - thickness) > 0.04  # thinner is stiffer
+    scene = Scene(gel, Material(nu=plan.truth.nu), catalogue["sphere_15"], pressed.real, Interface("frictionless"))
+    exact = HexSolver(quality("label")).solve(scene).total[2] * plan.truth.c10_mpa / REFERENCE_C10
+    assert pressed.force[2] == pytest.approx(exact, rel=0.015)
+    estimated = bench.estimate(replace(order, gel=gel.name), 0.0, 1.0) / bench.estimate(order, 0.0, 1.0)
+    assert estimated == pytest.approx(pressed.force[2] / usual.force[2], rel=0.06)
 
 
 def test_a_bench_that_does_not_give_way_keeps_its_load_limit(plan, root, tmp_path):

@@ -15,6 +15,7 @@ from gelforge.calibration.solves import refuse_untouched
 from gelforge.errors import BadInput
 from gelforge.flow.params.schema import Place, parse
 from gelforge.flow.params.tables import PriorTable
+from gelforge.geometry.gel import USUAL_GEL
 from gelforge.records.press import COLUMNS
 from gelforge.stages.calibrate import load_rejected, refuse_beyond
 
@@ -196,6 +197,15 @@ def test_a_bench_that_yields_only_sideways_is_compared_with_a_rigid_one():
     free = [(model.law, "offset" in model.free, "shear_compliance" in model.free) for model in models]
     assert len(set(free)) == len(models) == 12  # three laws, with and without a touch offset, and a soft bench
     assert "coulomb+offset+shear_compliance" in {model.name for model in models}
+
+
+def test_a_reading_is_of_the_gel_on_which_its_sensor_sits(tmp_path):
+    sensors = ("thin", "", "other")
+    rows = [log_line(sample_id=f"s{k}", sensor_id=name, fz_n=-1.0 - k) for k, name in enumerate(sensors)]
+    log = write_lines(tmp_path / "log.csv", *rows)
+    thin = f"{USUAL_GEL}-3.6mm"
+    assert read_readings(log, (), {"thin": thin, "": thin}).gels.tolist() == [thin, thin, USUAL_GEL]
+    assert read_readings(log).take([2, 0]).gels.tolist() == [USUAL_GEL] * 2
 
 
 def test_what_an_axis_moved_by_less_than_its_error_is_no_way_sideways(tmp_path):

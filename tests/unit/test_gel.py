@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gelforge.errors import BadInput
-from gelforge.geometry.gel import Gel, load_gel
+from gelforge.geometry.gel import USUAL_GEL, Gel, is_gel, load_gel
 from gelforge.geometry.triangles import is_watertight, volume
 
 
@@ -69,3 +69,28 @@ def test_faults():
         load_gel("gelsight_max")
     with pytest.raises(BadInput, match="size_mm"):
         Gel().surface(0.0)
+
+
+def test_a_gel_of_a_stated_thickness_differs_in_its_base_alone():
+    usual, thin = load_gel(USUAL_GEL), load_gel(f"{USUAL_GEL}-3.6mm")
+    x, y = np.random.default_rng(1).uniform(-10, 10, (2, 50))
+    np.testing.assert_array_equal(thin.top(x, y), usual.top(x, y))
+    assert (thin.height, thin.name) == (3.6, f"{USUAL_GEL}-3.6mm")
+    size = thin.surface(1.0)
+    assert size[0][:, 2].min() == -3.6 and is_watertight(size[1])
+    # what is missing lies below, over the whole outline
+    flat = volume(*load_gel(f"{USUAL_GEL}-4mm").surface(1.0)) - volume(*size)
+    assert flat == pytest.approx(0.4 * (usual.width * usual.length - (4 - np.pi) * usual.corner_radius**2), rel=2e-3)
+
+
+@pytest.mark.parametrize("name", ["digit", "digit-3.6mm", "gelsight_mini-", "gelsight_mini-3.6", "gelsight_mini--3.6mm",
+                                  "gelsight_mini-0.5mm", "gelsight_mini-9mm", "gelsight_mini-nanmm", "gelsight_mini-3.6mm\n"])  # fmt: skip
+def test_a_name_that_is_no_gels_is_refused(name):
+    assert not is_gel(name)
+    with pytest.raises(BadInput, match="gel '"):
+        load_gel(name)
+
+
+@pytest.mark.parametrize("value", [None, 4.0, ["gelsight_mini"], {}])
+def test_what_is_no_name_is_no_gel(value):
+    assert not is_gel(value)

@@ -86,11 +86,11 @@ def test_a_misspelt_override_is_refused(tmp_path, root):
 LOG = "sample_id,sensor_id,indenter\ns1,{},sphere_15\ns2,mini_b,sphere_15\n"
 
 
-def planned(tmp_path, text, sensor="mini_a"):
+def planned(tmp_path, text, sensor="mini_a", ccx="none"):
     """Plan a log of two rows under a dataset.toml; the sensors of the rows as the shard has them."""
     (tmp_path / "dataset.toml").write_text(text)
     (tmp_path / "log.csv").write_text(LOG.format(sensor))
-    plan.main(["--data", str(tmp_path), "--out", str(tmp_path / "00_plan" / "plan.mk")])
+    plan.main(["--data", str(tmp_path), "--ccx", ccx, "--out", str(tmp_path / "00_plan" / "plan.mk")])
     return [row.cells["sensor_id"] for row in read_shard(tmp_path / "00_plan" / "shards" / "0000.csv")]
 
 
@@ -125,6 +125,21 @@ def test_names_that_are_none_are_refused_at_the_plan(tmp_path, monkeypatch, text
     monkeypatch.setitem(GELS, "soft", GELS["gelsight_mini"])
     with pytest.raises(BadInput, match=named):
         planned(tmp_path, text)
+
+
+def test_sensors_sit_on_gels_of_their_own_where_bricks_follow_them(tmp_path):
+    (tmp_path / "sensors.toml").write_text(
+        '[thin]\ngel = "gelsight_mini-3.6mm"\nimage = [320, 240]\n'
+        "projection = [[0.0, -14.0, 160.0], [-14.0, 0.0, 120.0], [0.0, 0.0, 1.0]]\n"
+    )
+    bricks = '[params.fea]\nfidelity = "hex"\n'
+    assert planned(tmp_path, bricks, "thin") == ["thin", "mini_b"]
+    off = r"sensor '{}' of the log sits on gel '{}'.*bricks .*follow the thickness"
+    with pytest.raises(BadInput, match=off.format("thin", "gelsight_mini-3.6mm")):
+        planned(tmp_path, '[params.fea]\nfidelity = "auto"\n', "thin", ccx="/usr/bin/ccx")
+    # of a thickness for all presses nobody has to guess whether it serves sensors that state none
+    with pytest.raises(BadInput, match=off.format("mini_b", "gelsight_mini")):
+        planned(tmp_path, bricks + '[params.meshes]\ngel = "gelsight_mini-3.6mm"\n', "thin")
 
 
 def test_a_comment_does_not_touch_a_slice(tmp_path):

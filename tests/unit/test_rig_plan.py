@@ -51,7 +51,7 @@ def changed(tmp_path, *changes) -> Path:
         ("presses = 48", 'presses = "many"', "presses = 'many': give a whole number"),
         ("seed = 20260112", "sead = 20260112", "sead: is read by nothing; seed is meant"),
         ('dataset = "demo"', 'dataset = "../demo"', "give a name of letters"),
-        ('gel = "gelsight_mini"', 'gel = "digit"', "gel = 'digit' is unknown"),
+        ('gel = "gelsight_mini"', 'gel = "digit"', "gel 'digit' is unknown"),
         ("2026-01-12T09:00:00Z", "yesterday", "is no time"),
         ("2026-01-12T09:00:00Z", "9999-12-31T23:59:59Z", "end after the year 9999"),
         ("rot_deg = [0, 360]", "rot_deg = [0, 5000]", "each a number from -3600 to 3600 degrees"),
@@ -196,6 +196,57 @@ def test_orders_of_one_press_differ_in_what_sees_it_only():
     assert len({order.sample_id for order in every}) == len(every)
     # what is pressed where does not depend on who looks
     assert [order.x for order in every[::2]] == [order.x for order in orders(plan)]
+
+
+GELS = tuple(f"gelsight_mini-{t}mm" for t in (3.6, 4.0, 4.4))
+
+
+def on_gels(plan, gels=GELS):
+    """The paper's plan with units on gels in turn."""
+    return replace(plan, units=replace(plan.units, known_gels=gels, unseen_gels=gels), presses=400, frames=1)
+
+
+def test_what_sees_one_press_sits_on_one_gel():
+    plan = on_gels(read_plan(PAPER))
+    every = orders(plan)
+    seen: dict[int, list] = {}
+    for order in every:
+        assert order.gel == plan.gel_of(order.sensor)
+        seen.setdefault(order.index, []).append(order)
+    for index, of_press in seen.items():
+        assert len({order.gel for order in of_press}) == 1, index
+        assert len({order.sensor for order in of_press}) == len(of_press)
+    assert {order.gel for order in every} == set(GELS)
+    pressed = [of_press[0].gel for of_press in seen.values()]
+    # of 400 presses a third each, within five standard deviations
+    assert all(abs(pressed.count(gel) - 400 / 3) < 5 * np.sqrt(400 * 2 / 9) for gel in GELS)
+
+
+def test_a_plan_of_one_gel_is_the_one_it_was():
+    """What is pressed where, and who sees it, does not change because other plans have several gels."""
+    plan = replace(on_gels(read_plan(PAPER), ()), presses=60, frames=read_plan(PAPER).frames)
+    assert '_gels"' not in plan.identity() and on_gels(plan).identity() != plan.identity()
+    one = on_gels(plan, (plan.gel,))
+    assert orders(replace(one, frames=plan.frames, presses=60)) == orders(plan)
+    assert [order.x for order in orders(on_gels(plan)) if order.unit == 0][:60] == [
+        order.x for order in orders(plan) if order.unit == 0 and order.moment == 0
+    ]
+
+
+def test_gels_of_a_plan_are_checked(tmp_path):
+    head, _, rest = PAPER.read_text().partition("known_gels = [")
+    text = head + "known_gels = GELS" + rest.partition("]")[2]
+    for gels, says in (
+        ('["gelsight_mini-9mm"]', "gel 'gelsight_mini-9mm': give a thickness"),
+        ('["gelsight_mini-2.5mm"]', "the gel is 2.5 mm thick"),
+        (
+            str([f"gelsight_mini-{t / 10}mm" for t in range(36, 36 + 30)]).replace("'", '"'),
+            "seen_by = 2: give 1 to 1",
+        ),
+    ):
+        (tmp_path / "plan.toml").write_text(text.replace("GELS", gels, 1))
+        with pytest.raises(BadInput, match=says):
+            read_plan(tmp_path / "plan.toml")
 
 
 def test_load_cell_drifts_slowly_about_its_bias():

@@ -10,7 +10,7 @@ import pytest
 from gelforge.errors import BadInput
 from gelforge.flow.params import read_sensor_tables
 from gelforge.flow.params.schema import kinds_of
-from gelforge.geometry.gel import Gel
+from gelforge.geometry.gel import USUAL_GEL, Gel
 from gelforge.labelling.sensor import check_projection, sensors_of
 from gelforge.networks.canonical import match_light
 from gelforge.records.markers import find_markers
@@ -27,13 +27,13 @@ SOME = DrawnUnits("units.toml", known=6, unseen=2)
 
 @pytest.fixture(scope="module")
 def drawn():
-    return draw_units(SOME, RIG, seed=5)
+    return draw_units(SOME, USUAL_GEL, RIG, seed=5)
 
 
 def test_a_unit_depends_on_the_seed_and_its_name_alone(drawn):
     looks, sensors = drawn
-    more, _ = draw_units(replace(SOME, known=9, unseen=3), RIG, seed=5)
-    other, _ = draw_units(SOME, RIG, seed=6)
+    more, _ = draw_units(replace(SOME, known=9, unseen=3), USUAL_GEL, RIG, seed=5)
+    other, _ = draw_units(SOME, USUAL_GEL, RIG, seed=6)
     for name, look in looks.items():
         assert np.array_equal(look.background, more[name].background) and look.seed == more[name].seed
         assert not np.array_equal(look.background, other[name].background)
@@ -115,7 +115,7 @@ def test_ranges_without_meaning_are_refused(tmp_path, old, new, says):
     (tmp_path / "units.toml").write_text(text.replace(old, new), encoding="utf-8")
     (tmp_path / "sensors.toml").write_text((RIG / "sensors.toml").read_text(encoding="utf-8"), encoding="utf-8")
     with pytest.raises(BadInput, match=says):
-        draw_units(SOME, tmp_path, seed=1)
+        draw_units(SOME, USUAL_GEL, tmp_path, seed=1)
 
 
 def test_each_press_is_seen_by_as_many_units_as_asked_for(root):
@@ -138,7 +138,7 @@ def test_each_press_is_seen_by_as_many_units_as_asked_for(root):
 @pytest.mark.parametrize("end", [0, 1])
 def test_a_unit_at_the_end_of_any_bound_has_a_picture(end):
     """Without shadow, noise, blur, ink and specks, and with as much of each as the schema lets through."""
-    look, sensor = (values["known_01"] for values in draw_units(SOME, RIG, seed=5))
+    look, sensor = (values["known_01"] for values in draw_units(SOME, USUAL_GEL, RIG, seed=5))
     bounds = {name: get_args(kind)[1] for name, kind in kinds_of(UnitRanges).items()}
     extreme = {
         field: np.full(3, limit) if np.ndim(getattr(look, field)) else limit

@@ -28,7 +28,8 @@ def stage_args(root, folder, **changes):
         shutil.copytree(root / "data" / "feats_sphere15", folder / "data")
     names = {"data": "data", "params": "calibrate.json", "work": "work", "out": "work/summary.json"}
     args = [text for key, name in names.items() for text in (f"--{key}", str(folder / name))]
-    return [*args, "--workflow", str(root / "workflow"), "--jobs", "1"]
+    sensors = ["--sensors", str(root / "workflow" / "sensors.toml")]
+    return [*args, *sensors, "--workflow", str(root / "workflow"), "--jobs", "1"]
 
 
 @pytest.fixture(scope="module")

@@ -1,11 +1,13 @@
 """Force readings of a raw log, and the faults that would make a calibration meaningless."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.geometry.gel import USUAL_GEL
 from gelforge.mechanics.scene import Press
 from gelforge.records.frames import NEAR_MM, presses_of
 from gelforge.records.log import read_log
@@ -16,7 +18,7 @@ from gelforge.records.press import FORCE, POSE, LoggedPress, parse
 class Readings:
     """n presses with a force reading each.
 
-    rows: (n,) line numbers in the log. ids, indenters: (n,) str. pose: (n, 7) in the order of POSE.
+    rows: (n,) line numbers in the log. ids, indenters, gels: (n,) str. pose: (n, 7) in the order of POSE.
     force: (n, 3) N on the gel; nan where a sideways component was not logged.
     """
 
@@ -26,14 +28,16 @@ class Readings:
     indenters: np.ndarray
     pose: np.ndarray
     force: np.ndarray
+    gels: np.ndarray
 
     def __len__(self) -> int:
         return len(self.rows)
 
     def take(self, index) -> "Readings":
         return Readings(
-            self.source, self.rows[index], self.ids[index], self.indenters[index], self.pose[index], self.force[index]
-        )
+            self.source, self.rows[index], self.ids[index], self.indenters[index], self.pose[index], self.force[index],
+            self.gels[index],
+        )  # fmt: skip
 
     @property
     def depth(self) -> np.ndarray:
@@ -65,13 +69,14 @@ class Readings:
 NEEDED = ("indenter", *POSE, *FORCE)
 
 
-def read_readings(log, known_bad: Collection[int] = ()) -> Readings:
+def read_readings(log, known_bad: Collection[int] = (), gels: Mapping[str, str] = MappingProxyType({})) -> Readings:
     """Read every press of a raw log that has a normal force; rows without one do not serve.
 
     A press that several sensors saw, in rows that are otherwise equal, is one reading, and so are the frames of a
     press, of which the last serves.
-    known_bad: lines of the log that stage 10 rejected. Sideways forces may be empty. A log in which no
-    row has a force, or a value that is no number, raises BadInput.
+    known_bad: lines of the log that stage 10 rejected. gels: name of the gel by sensor, "" for rows that name no sensor;
+    USUAL_GEL for all others. Sideways forces may be empty. A log in which no row has a force, or a value that is no number,
+    raises BadInput.
     """
     rows = read_log(log)
     missing = [column for column in ("indenter", *POSE, "fz_n") if column not in rows[0].cells]
@@ -98,7 +103,7 @@ def read_readings(log, known_bad: Collection[int] = ()) -> Readings:
     return Readings(
         str(log), np.array([p.row for p in presses]), np.array([p.sample_id for p in presses]),
         np.array([p.indenter for p in presses]), np.array([path_of(p) for p in presses]),
-        np.array([p.force for p in presses]),
+        np.array([p.force for p in presses]), np.array([gels.get(p.sensor_id, USUAL_GEL) for p in presses]),
     )  # fmt: skip
 
 

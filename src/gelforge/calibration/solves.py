@@ -20,7 +20,7 @@ from gelforge.calibration.sampling import fingerprint
 from gelforge.errors import BadInput, SolveFailed
 from gelforge.flow.files import read_json, write_json
 from gelforge.flow.progress import progress
-from gelforge.geometry.gel import Gel
+from gelforge.geometry.gel import load_gel
 from gelforge.mechanics.hex.hexsolver import HexSolver
 from gelforge.mechanics.hex.reach import first_touch
 from gelforge.mechanics.hex.settings import HexSettings
@@ -35,12 +35,13 @@ REFINED = (1.0, 0.5)
 
 @dataclass(frozen=True)
 class SolveJob:
-    """One solve: press path, indenter (its name in the catalogue), friction coefficient, Poisson's ratio."""
+    """One solve: press path, indenter (its name in the catalogue), friction coefficient, Poisson's ratio, the gel's name."""
 
     press: Press
     indenter: str
     mu: float
     nu: float
+    gel: str
 
 
 @dataclass(frozen=True)
@@ -59,12 +60,14 @@ class SolvePlan:
     def jobs(self, i: int, mu: float, nu: float) -> list[SolveJob]:
         """The solves that tell press i at one friction coefficient, deepest first."""
         r, lead = self.readings, self.leader[i]
+        body, gel = str(r.indenters[i]), str(r.gels[i])
         if not r.sheared[i]:
-            return [SolveJob(r.press(lead, float(self.top[lead])), str(r.indenters[lead]), mu, nu)]
-        if mu == 0.0:
-            return [SolveJob(r.press(i, float(self.top[i])).straight_there, str(r.indenters[i]), mu, nu)]
-        depths = [float(self.top[i] * f) for f in self.fractions]
-        return [SolveJob(r.press(i, d), str(r.indenters[i]), mu, nu) for d in depths]
+            presses = [r.press(lead, float(self.top[lead]))]
+        elif mu == 0.0:
+            presses = [r.press(i, float(self.top[i])).straight_there]
+        else:
+            presses = [r.press(i, float(self.top[i] * f)) for f in self.fractions]
+        return [SolveJob(press, body, mu, nu, gel) for press in presses]
 
 
 def make_plan(readings, reach: float, fractions) -> SolvePlan:
@@ -82,7 +85,8 @@ def make_plan(readings, reach: float, fractions) -> SolvePlan:
     for i in np.argsort(-top, kind="stable"):
         if not readings.sheared[i]:
             # CNC tolerance is a quarter micrometre; 5 um sideways move no force that a sensor sees.
-            key = (readings.indenters[i], *np.round(readings.pose[i, [0, 1, 6]], 2), round(readings.pose[i, 2], 4))
+            place = *np.round(readings.pose[i, [0, 1, 6]], 2), round(readings.pose[i, 2], 4)
+            key = (readings.indenters[i], readings.gels[i], *place)
             leader[i] = groups.setdefault(key, int(i))
     return SolvePlan(readings, top[leader], leader, fractions)
 
@@ -95,7 +99,7 @@ def interface_of(mu: float) -> Interface:
 
 def job_key(job: SolveJob, shape: str, settings: HexSettings, version: int) -> str:
     """Name of a solve's file: a hash of the solver's version, the scene, the indenter's shape and the settings."""
-    parts = {"press": asdict(job.press), "mu": str(job.mu), "nu": job.nu, "gel": asdict(Gel())}
+    parts = {"press": asdict(job.press), "mu": str(job.mu), "nu": job.nu, "gel": asdict(load_gel(job.gel))}
     return fingerprint(version, parts, shape, asdict(settings))[:20]
 
 
@@ -151,7 +155,7 @@ def solve_job(job: SolveJob, indenter, settings: HexSettings) -> dict:
     A solve that walked its whole path and only then could not meet the final tolerance serves with
     its last load step, which is in equilibrium to the tolerance of the path: 1e-4 of the force.
     """
-    scene = Scene(Gel(), Material(job.nu), indenter, job.press, interface_of(job.mu))
+    scene = Scene(load_gel(job.gel), Material(job.nu), indenter, job.press, interface_of(job.mu))
     result = HexSolver(settings).solve(scene)
     if not usable(result, scene):
         finer = replace(settings, press_steps=2 * settings.press_steps, shear_steps=2 * settings.shear_steps)

@@ -1,7 +1,9 @@
 """The gel pad: outline, top surface, closed surface."""
 
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import TypeGuard
 
 import numpy as np
 
@@ -145,11 +147,45 @@ def _circle(half_chord, sag):
     return half_chord**2 / (2.0 * sag) + sag / 2.0
 
 
-GELS = {"gelsight_mini": Gel()}
+USUAL_GEL = "gelsight_mini"  # of a sensor of which nothing else is said
+GELS = {USUAL_GEL: Gel()}
+
+
+THICKNESS = (2.0, 8.0)  # mm that a gel of a stated thickness may have
+_OF_THICKNESS = re.compile(r"(.+)-(\d+(?:\.\d+)?)mm")
 
 
 def load_gel(name: str) -> Gel:
-    """The gel of that name."""
-    if name not in GELS:
-        raise BadInput(f"gel {name!r} is unknown; known: {', '.join(GELS)}")
-    return GELS[name]
+    """The gel of that name: one of GELS, or NAME-3.6mm, the same outline and dome on a pad 3.6 mm thick at its crown.
+
+    A name that is none raises BadInput.
+    """
+    if name in GELS:
+        return GELS[name]
+    match = _OF_THICKNESS.fullmatch(name)
+    if match is None or match[1] not in GELS:
+        known = ", ".join(GELS)
+        raise BadInput(
+            f"gel {name!r} is unknown; known: {known}, and each with its thickness, as {next(iter(GELS))}-3.6mm"
+        )
+    low, high = THICKNESS
+    if not low <= float(match[2]) <= high:
+        raise BadInput(f"gel {name!r}: give a thickness from {low:g} to {high:g} mm")
+    return replace(GELS[match[1]], name=name, height=float(match[2]))
+
+
+def states_thickness(name: str, of: str) -> bool:
+    """Whether a gel's name is that of the gel `of` with a thickness stated, as gelsight_mini-3.6mm of gelsight_mini."""
+    match = _OF_THICKNESS.fullmatch(name)
+    return match is not None and match[1] == of
+
+
+def is_gel(name: object) -> TypeGuard[str]:
+    """Whether `load_gel` knows a gel of that name."""
+    if not isinstance(name, str):
+        return False
+    try:
+        load_gel(name)
+    except BadInput:
+        return False
+    return True

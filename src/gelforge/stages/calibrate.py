@@ -19,10 +19,11 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import write_json
 from gelforge.flow.layout import planned_shards
 from gelforge.flow.main import command, option
-from gelforge.flow.params import plain, read_dataset_file
+from gelforge.flow.params import DatasetFile, plain, read_dataset_file
 from gelforge.flow.params.slices import ForCalibrate, read_slice
 from gelforge.flow.params.tables import CalibrateSolverTable, CalibrateTable
 from gelforge.flow.progress import progress
+from gelforge.labelling.sensor import Sensor, load_sensors
 from gelforge.records.log import rejected_rows
 from gelforge.reporting import cornerplots as plots
 
@@ -273,11 +274,18 @@ def load_rejected(poses: Path, shards: list[str]) -> set:
     return {row for path in tables for row in rejected_rows(path, but="image")}
 
 
+def gels_of(sensors: dict[str, Sensor], of: DatasetFile) -> dict[str, str]:
+    """Names of the gels by sensor; that of rows which name no sensor stands under ""."""
+    gels = {name: sensor.gel for name, sensor in sensors.items()}
+    return gels | ({"": gels[of.sensor]} if of.sensor in gels else {})
+
+
 @command(
     option("--data", type=Path, help="data/DATASET, with log.csv and dataset.toml"),
     option("--workflow", type=Path, default=Path("workflow")),
     option("--poses", type=Path, help="results/DATASET/10_poses: rows rejected there do not serve", default=None),
     option("--shards", type=Path, help="results/DATASET/00_plan/shards, with --poses", default=None),
+    option("--sensors", type=Path, help="slice of the sensors, .json: on which gel each sits"),
     option("--params", type=Path, help="JSON slice with tables calibrate and material"),
     option("--work", type=Path, help="folder for chain and plots"),
     option("--solves", type=Path, help="folder of cached solves; WORK/solves by default", default=None),
@@ -293,10 +301,11 @@ def main(args: Namespace) -> None:
     params, nu = tables.calibrate, float(tables.material.nu)
 
     rejected = load_rejected(args.poses, planned_shards(args.shards)) if args.poses else set()
-    logged = read_readings(args.data / "log.csv", rejected)
+    of = read_dataset_file(args.data / "dataset.toml")
+    logged = read_readings(args.data / "log.csv", rejected, gels_of(load_sensors(args.sensors), of))
     check_readings(logged)
     readings = logged.take(choose_presses(logged, params.max_presses))
-    file = args.workflow / read_dataset_file(args.data / "dataset.toml").catalogue
+    file = args.workflow / of.catalogue
     catalogue = load_catalogue(file, sorted(set(readings.indenters.tolist())))
     solves = args.solves or args.work / "solves"
     readings, emulator, spent = emulate(readings, catalogue, params, nu, solves, args.jobs)

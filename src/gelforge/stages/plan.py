@@ -237,24 +237,28 @@ def read_catalogues(
     return tables, list(dict.fromkeys([catalogue, workflow / "indenters.toml", *shapes]))
 
 
-def check_gel(file: Path, of: DatasetFile, mesh_gel: str, sensors: dict[str, dict]) -> None:
+def check_gel(file: Path, of: DatasetFile, params: Params, sensors: dict[str, dict]) -> None:
     """Refuse a dataset whose gel is not one throughout: in its file, in [meshes], and on the sensors of its log.
 
+    Where presses are solved on bricks, which are built for each press, sensors may state a thickness of their own.
     sensors: tables of those that the log names. A gel that is none is left to stage 10, which rejects its rows.
     """
-    from gelforge.geometry.gel import GELS, load_gel
+    from gelforge.geometry.gel import is_gel, load_gel, states_thickness
 
+    mesh_gel = params.meshes.gel
     load_gel(mesh_gel)
     if of.gel is not None and of.gel != mesh_gel:
         raise BadInput(
             f"{file}: gel = {of.gel!r}, but [meshes] gel = {mesh_gel!r}, on which presses are solved; name one gel"
         )
+    bricks = params.fea.fidelity in IN_PROCESS
     for name, table in sorted(sensors.items()):
         gel = table.get("gel") if isinstance(table, dict) else None
-        if gel in GELS and gel != mesh_gel:
+        if is_gel(gel) and gel != mesh_gel and not (bricks and states_thickness(gel, mesh_gel)):
             raise BadInput(
                 f"{file}: sensor {name!r} of the log sits on gel {gel!r} (workflow/sensors.toml), but [meshes] gel ="
-                f" {mesh_gel!r}: set [params.meshes] gel, and keep presses on different gels in datasets of their own"
+                f" {mesh_gel!r}: set [params.meshes] gel, and keep presses on different gels in datasets of their own;"
+                ' bricks ([params.fea] fidelity = "hex") follow the thickness that each sensor states'
             )
 
 
@@ -269,7 +273,7 @@ def check_dataset(
     check_names(f"{where} unseen_sensors", params.dataset.unseen_sensors, sensors)
     check_names(f"{file}: sensor", [of.sensor] if of.sensor is not None else [], sensors)
     check_names("[pareto] sensor", [params.pareto.sensor], sensors)
-    check_gel(file, of, params.meshes.gel, used(sensors, named(rows, "sensor_id")))
+    check_gel(file, of, params, used(sensors, named(rows, "sensor_id")))
 
 
 def check_count(shards: list[str], size: int) -> None:

@@ -19,7 +19,7 @@ from gelforge.flow.catalogue import with_content
 from gelforge.flow.main import command, option
 from gelforge.flow.params import overlaid
 from gelforge.flow.progress import progress
-from gelforge.geometry.gel import Gel
+from gelforge.geometry.gel import load_gel
 from gelforge.geometry.indenters import load_catalogue, read_catalogue
 from gelforge.geometry.solids import Indenter
 from gelforge.labelling.sensor import Sensor, load_sensors
@@ -50,7 +50,7 @@ class Worker:
         from gelforge.virtualrig.render import Renderer
 
         cv2.setNumThreads(1)
-        gel = Gel()
+        gel = load_gel(plan.gel)
         self.plan, self.folder, self.gel = plan, folder, gel
         bodies: dict[str, Indenter] = dict(load_catalogue(workflow / plan.catalogue, plan.indenters))
         self.bench = Bench(plan, bodies, gel, folder / FACTORS)
@@ -82,8 +82,7 @@ class Worker:
             self._take_pictures(seen, surface)
         of_each = [(order, replace(pressings[order.moment], order=order)) for order in orders]
         return [
-            (order, logged(seen, self.plan.gel) if seen.result.status.valid else None, truth_row(seen))
-            for order, seen in of_each
+            (order, logged(seen) if seen.result.status.valid else None, truth_row(seen)) for order, seen in of_each
         ]
 
     def _take_pictures(self, orders: list[Order], surface) -> None:
@@ -166,7 +165,7 @@ def units_of(plan: Plan, workflow: Path) -> tuple[dict[str, Look], dict[str, Sen
     looks, sensors = read_looks(workflow / "rig" / "sensors.toml"), load_sensors(workflow / "sensors.toml")
     if plan.units is None:
         return looks, sensors
-    drawn_looks, drawn_sensors = draw_units(plan.units, workflow / "rig", plan.seed)
+    drawn_looks, drawn_sensors = draw_units(plan.units, plan.gel, workflow / "rig", plan.seed)
     return looks | drawn_looks, sensors | drawn_sensors
 
 
@@ -215,7 +214,7 @@ def _no_contact_images(plan: Plan, looks: dict[str, Look], sensors: dict[str, Se
     from gelforge.virtualrig.render import Renderer
 
     for name in missing:
-        camera = Renderer(looks[name], sensors[name].projection, Gel())
+        camera = Renderer(looks[name], sensors[name].projection, load_gel(plan.gel))
         save_image(
             folder / "nocontact" / f"{name}.png",
             camera.image(rng=np.random.default_rng([plan.seed, looks[name].seed])),

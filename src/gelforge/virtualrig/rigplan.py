@@ -2,6 +2,7 @@
 
 import fnmatch
 import json
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -12,7 +13,7 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.params import read_toml
 from gelforge.flow.params.schema import Named, ParameterTable, Place, Some, Within, parse
-from gelforge.geometry.gel import Gel
+from gelforge.geometry.gel import USUAL_GEL, Gel, load_gel
 from gelforge.records.press import LARGEST
 from gelforge.virtualrig.streams import MOST_FRAMES, ORDER, WHO_SEES
 
@@ -82,15 +83,29 @@ class DrawnUnits(RigTable):
     """Virtual sensors drawn from ranges: `known` ones, known_01 and on, and as many `unseen` ones, unseen_01 and on.
 
     ranges: file in workflow/rig. `sensors` of a kind may name them by a pattern: "known_*" is all known ones.
+    known_gels, unseen_gels: names of the gels on which they sit in turn, such as gelsight_mini-3.6mm; none: on the plan's.
+    What sees one press sits on one gel.
     """
 
     ranges: str
     known: Annotated[int, Within(0, 99)]
     unseen: Annotated[int, Within(0, 99)]
+    known_gels: tuple[str, ...] = ()
+    unseen_gels: tuple[str, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
         return tuple(f"{group}_{k + 1:02d}" for group in ("known", "unseen") for k in range(getattr(self, group)))
+
+    def gel_of(self, name: str) -> str | None:
+        """Name of the gel on which a drawn unit sits; none where the plan's serves, and for a unit that was not drawn."""
+        group, _, number = name.rpartition("_")
+        gels = {"known": self.known_gels, "unseen": self.unseen_gels}.get(group, ())
+        return gels[(int(number) - 1) % len(gels)] if gels and name in self.names else None
+
+    @property
+    def gels(self) -> tuple[str, ...]:
+        return self.known_gels + self.unseen_gels
 
 
 @dataclass(frozen=True)
@@ -123,10 +138,21 @@ class Plan(RigTable):
             del told["frames"]
         if self.units is None:
             del told["units"]
+        elif not self.units.gels:
+            del told["units"]["known_gels"], told["units"]["unseen_gels"]
         for kind in told["kinds"]:
             seen_by = kind.pop("seen_by")
             kind["each_sensor"] = seen_by if 1 < seen_by < len(kind["sensors"]) else seen_by > 1
         return json.dumps({**told, "presses": None}, sort_keys=True)
+
+    def gel_of(self, sensor: str) -> str:
+        """Name of the gel on which a sensor sits."""
+        return (self.units and self.units.gel_of(sensor)) or self.gel
+
+    @property
+    def gels(self) -> list[Gel]:
+        """Every gel that is pressed."""
+        return [load_gel(name) for name in dict.fromkeys(self.gel_of(sensor) for sensor in self.sensors)]
 
     @property
     def indenters(self) -> list[str]:
@@ -141,7 +167,8 @@ class Plan(RigTable):
 class Order:
     """One press as ordered, seen by one sensor: what the bench is told to do, and its place in the plan.
 
-    index: of the press, unit: of the sensor among those that see it. press_id: what orders of one press share.
+    index: of the press, unit: of the sensor among those that see it. gel: name of the gel that is pressed. press_id: what
+    orders of one press share.
     moment: which of its moments, 0 the first. film_id: what the moments that one sensor sees share; empty for a single one.
     """
 
@@ -160,6 +187,7 @@ class Order:
     press_id: str = ""
     moment: int = 0
     film_id: str = ""
+    gel: str = USUAL_GEL
 
 
 def read_plan(path) -> Plan:
@@ -187,8 +215,11 @@ def _matching(asked: tuple[str, ...], drawn: tuple[str, ...]) -> tuple[str, ...]
 
 
 def _check_values(plan: Plan, path) -> None:
-    if plan.gel != Gel().name:
-        raise BadInput(f"{path}: gel = {plan.gel!r} is unknown; known: {Gel().name}")
+    for name in (plan.gel, *(plan.units.gels if plan.units else ())):
+        try:
+            load_gel(name)
+        except BadInput as error:
+            raise BadInput(f"{path}: {error}") from error
     try:
         start_time(plan)
         time_of(plan, plan.presses)
@@ -200,13 +231,23 @@ def _check_values(plan: Plan, path) -> None:
             "9999; check seconds_per_press and start_utc"
         ) from error
     for k, kind in enumerate(plan.kinds, 1):
-        _check_kind(kind, Gel(), f"{path}: [[kind]] {k}")
+        thinnest = min((load_gel(plan.gel_of(name)) for name in kind.sensors), key=lambda gel: gel.height)
+        _check_kind(kind, thinnest, min(map(len, by_gel(plan, kind.sensors).values())), f"{path}: [[kind]] {k}")
 
 
-def _check_kind(kind: Kind, gel: Gel, where: str) -> None:
-    if not 1 <= kind.seen_by <= len(kind.sensors):
+def by_gel(plan: Plan, sensors: Sequence[str]) -> dict[str, list[str]]:
+    """Sensors by the gel on which they sit."""
+    found: dict[str, list[str]] = {}
+    for name in sensors:
+        found.setdefault(plan.gel_of(name), []).append(name)
+    return found
+
+
+def _check_kind(kind: Kind, gel: Gel, fewest: int, where: str) -> None:
+    """gel: the thinnest that is pressed. fewest: of the kind's sensors that sit on one gel."""
+    if not 1 <= kind.seen_by <= fewest:
         raise BadInput(
-            f"{where}: seen_by = {kind.seen_by}: give 1 to {len(kind.sensors)}, as many sensors as it names"
+            f"{where}: seen_by = {kind.seen_by}: give 1 to {fewest}, as many sensors as it names on one gel"
         )
     for name in ("x_mm", "y_mm", "depth_mm", "shear", "rot_deg"):
         low, high = getattr(kind, name)
@@ -288,7 +329,9 @@ def _orders_of_press(plan: Plan, index: int, kind: Kind, number: int) -> list[Or
     seen = [order]
     if kind.seen_by > 1:
         seen = [
-            replace(order, sample_id=f"{order.press_id}-{unit + 1}", sensor=sensor, unit=unit)
+            replace(
+                order, sample_id=f"{order.press_id}-{unit + 1}", sensor=sensor, gel=plan.gel_of(sensor), unit=unit
+            )
             for unit, sensor in enumerate(_sensors_of_press(plan, index, kind))
         ]
     if plan.frames == 1:
@@ -301,19 +344,26 @@ def _orders_of_press(plan: Plan, index: int, kind: Kind, number: int) -> list[Or
 
 
 def _sensors_of_press(plan: Plan, index: int, kind: Kind) -> tuple[str, ...]:
-    """The sensors that see a press, in the order in which the plan names them."""
-    drawn = generator(plan, index, WHO_SEES).choice(len(kind.sensors), kind.seen_by, replace=False)
-    return tuple(kind.sensors[k] for k in sorted(drawn))
+    """The sensors that see a press, in the order in which the plan names them; all of them sit on one gel."""
+    rng, gels = generator(plan, index, WHO_SEES), by_gel(plan, kind.sensors)
+    names = list(gels.values())
+    # a gel is pressed as often as its sensors are many; a plan of one gel draws nothing for it
+    shares = [len(group) / len(kind.sensors) for group in names]
+    chosen = names[0] if len(names) == 1 else names[int(rng.choice(len(names), p=shares))]
+    drawn = rng.choice(len(chosen), kind.seen_by, replace=False)
+    return tuple(chosen[k] for k in sorted(drawn))
 
 
 def _order(plan: Plan, index: int, kind: Kind, number: int) -> Order:
     rng = generator(plan, index, ORDER)
     depth, share, heading = rng.uniform(*kind.depth_mm), rng.uniform(*kind.shear), rng.uniform(0.0, 2 * np.pi)
+    sensor = kind.sensors[int(rng.integers(len(kind.sensors)))]
     return Order(
         index=index,
         sample_id=f"{plan.dataset}-{index:06d}",
         time_utc=time_of(plan, index).strftime("%Y-%m-%dT%H:%M:%SZ"),
-        sensor=kind.sensors[int(rng.integers(len(kind.sensors)))],
+        sensor=sensor,
+        gel=plan.gel_of(sensor),
         indenter=kind.indenters[number % len(kind.indenters)],
         x=rng.uniform(*kind.x_mm),
         y=rng.uniform(*kind.y_mm),

@@ -1,7 +1,7 @@
 """Virtual sensors drawn at random from ranges, so that a network learns what all of them share."""
 
 import zlib
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -70,10 +70,11 @@ class UnitRanges(ParameterTable):
     jpeg_quality: Annotated[Span, Within(1, 100)]
 
 
-def draw_units(units: DrawnUnits, rig: Path, seed: int) -> tuple[dict[str, Look], dict[str, Sensor]]:
+def draw_units(units: DrawnUnits, gel: str, rig: Path, seed: int) -> tuple[dict[str, Look], dict[str, Sensor]]:
     """Looks and sensors of a plan's drawn units, by name; each depends on the seed and its own name alone.
 
-    rig: folder workflow/rig with the ranges and with sensors.toml, whose backgrounds are mixed.
+    gel: name of that on which those sit for whom `units` names none. rig: folder workflow/rig with the ranges and with
+    sensors.toml, whose backgrounds are mixed.
     """
     path = rig / units.ranges
     ranges, known = read_ranges(path), read_looks(rig / "sensors.toml")
@@ -84,7 +85,7 @@ def draw_units(units: DrawnUnits, rig: Path, seed: int) -> tuple[dict[str, Look]
     looks, sensors = {}, {}
     for name in units.names:
         draw = Draw(np.random.default_rng([seed, zlib.crc32(name.encode())]), ranges)
-        sensors[name] = draw.sensor(name)
+        sensors[name] = replace(draw.sensor(name), gel=units.gel_of(name) or gel)
         looks[name] = draw.look(name, bases, sensors[name])
     return looks, sensors
 

@@ -149,13 +149,13 @@ def save_image(path, image: np.ndarray) -> None:
     write_png(path, image, compression=4)
 
 
-def logged(pressing: Pressing, gel_id: str) -> LoggedPress:
+def logged(pressing: Pressing) -> LoggedPress:
     """The bench's record: what it was told to do and what its load cell read."""
     order, log = pressing.order, pressing.log
     path = (log.x0, log.y0, log.z0, log.dx, log.dy, log.dz, log.rot_deg)
     values = dict(zip((*POSE, *FORCES), (*path, *pressing.read_force, *pressing.read_moment), strict=True))
     return LoggedPress(
-        row=0, sample_id=order.sample_id, time_utc=order.time_utc, sensor_id=order.sensor, gel_id=gel_id,
+        row=0, sample_id=order.sample_id, time_utc=order.time_utc, sensor_id=order.sensor, gel_id=order.gel,
         indenter=order.indenter, image=image_name(order), press_id=order.film_id, **{name: float(value) for name, value in values.items()},
     )  # fmt: skip
 

@@ -76,8 +76,8 @@ def read_sensor_tables(workflow: Path | str, data: Path | str) -> dict[str, Any]
 class DatasetFile:
     """data/DATASET/dataset.toml.
 
-    sensor: of rows of the log that name none. gel: on which all presses were made; the sensors' own say the same.
-    catalogue: the indenters' file in workflow/. params: tables laid over those of workflow/params.toml.
+    sensor: of rows of the log that name none. gel: on which all presses were made; the sensors' own say the same, or its
+    thickness. catalogue: the indenters' file in workflow/. params: tables laid over those of workflow/params.toml.
     """
 
     sensor: str | None
