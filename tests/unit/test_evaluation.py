@@ -19,7 +19,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, read_json, write_csv, write_json
 from gelforge.networks import use
 from gelforge.networks.data import data_version, open_data, rows_to_judge_by
-from gelforge.networks.evaluation import another_of_each, evaluate, fitted_rows
+from gelforge.networks.evaluation import another_of_each, evaluate, fitted_rows, what_errs_alike
 from gelforge.networks.metrics import slope
 from gelforge.networks.modelcard import write_card
 from gelforge.records.axes import CHANNELS
@@ -175,6 +175,21 @@ def test_force_outside_the_picture_is_no_error_of_label_or_network(data, models)
     against = evaluate(replace(data, table=table), models["small"], EVALUATE)[0]["splits"]["test"]["against"]["truth"]
     assert against["labels"]["grid_z"]["mae"] == pytest.approx(0.0, abs=1e-6)
     assert against["labels_over"]["grid_z"] == pytest.approx(1.0, abs=1e-6)
+
+
+@pytest.mark.parametrize(("sensors", "drawn"), [(6, 6), (2, None)])
+def test_the_error_on_sensors_that_training_never_saw_is_as_uncertain_as_they_differ(data, sensors, drawn):
+    """Of few of them, and of sensors that it saw, it is as uncertain as presses differ."""
+    unseen = data.splits["test_unseen_sensor"]
+    table = list(data.table)
+    for n, row in enumerate(unseen):
+        table[row] = replace(table[row], press=replace(table[row].press, sensor_id=f"other{n % sensors}"))
+    other = replace(data, table=table)
+    assert len(unseen) >= sensors
+    alike = what_errs_alike(other, unseen)
+    assert len(set(alike)) == (drawn or len(set(other.presses(unseen))))
+    test = data.splits["test"]
+    assert np.array_equal(what_errs_alike(other, test), other.presses(test))
 
 
 def test_intervals_are_judged_on_other_pictures_than_they_were_set_on(tmp_path):

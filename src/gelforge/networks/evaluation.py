@@ -9,7 +9,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.params.tables import EvaluateTable
 from gelforge.networks import metrics
 from gelforge.networks.contacts import contact_table
-from gelforge.networks.data import Data, data_version, rows_to_judge_by
+from gelforge.networks.data import TRAINING, Data, data_version, rows_to_judge_by
 from gelforge.networks.errortables import tables
 from gelforge.networks.modelfile import Trained, require_fit
 from gelforge.networks.training import predict_rows
@@ -19,6 +19,9 @@ from gelforge.records.axes import CHANNELS, FORCE_OF_CHANNEL
 # Where a dataset has them, total forces (samples.csv, gel frame: x short side) that did not come from
 # the labels: the force sensor of the rig, and what a virtual rig knows and a real one cannot.
 REFERENCES = {"sensor": "measured_{}", "truth": "true_{}"}
+
+# Of fewer sensors than these, an interval that draws whole sensors says nothing.
+FEW = 5
 
 
 def reference_totals(data: Data, kind: str) -> np.ndarray | None:
@@ -65,20 +68,31 @@ def fitted_rows(trained: Trained, data: Data, version: str) -> np.ndarray:
     return rows_to_judge_by(data) if own else np.zeros(0, int)
 
 
+def what_errs_alike(data: Data, rows: np.ndarray) -> np.ndarray:
+    """What the interval of a mean error over some rows draws whole, (k,): their sensors or their presses.
+
+    It is the sensor where nothing was learnt from any of them and there are FEW or more: what matters then is how much
+    sensors differ.
+    """
+    sensors = data.names("sensor_id")
+    learnt = np.isin(sensors[rows], sensors[data.splits.get(TRAINING, rows[:0])])
+    return data.presses(rows) if learnt.any() or len(set(sensors[rows])) < FEW else sensors[rows]
+
+
 def as_predicted(data, rows, trained, fitted, settings: EvaluateTable, force_range, rng) -> dict:
     """Errors of what `predict` tells of a split: of totals, with the share that their intervals hold, cells and contacts.
 
     fitted: rows that the intervals were set on; of their presses the intervals hold by construction.
     """
     told = tell_rows(trained, data, rows)
-    wanted, press = data.totals(rows), data.presses(rows)
+    wanted, press, alike = data.totals(rows), data.presses(rows), what_errs_alike(data, rows)
     error = told.forces.sum((2, 3), dtype=np.float64) - wanted
     mapped = told.in_place and told.forces.shape[2:] == data.grid
     apart = ~np.isin(press, data.presses(fitted))  # another sensor's picture of a press errs as its own does
     counts = told.half_widths is not None and apart.any()
     held = (np.abs(error) <= told.half_widths)[apart].mean(axis=0) if counts else None
     return {
-        "total": metrics.error_table(error, rng, settings.bootstrap, force_range, press),
+        "total": metrics.error_table(error, rng, settings.bootstrap, force_range, alike),
         "per_indenter": metrics.by_group(error, data.names("indenter")[rows]),
         "held": None if held is None else dict(zip(CHANNELS, held.tolist(), strict=True)),
         "cell": metrics.cell_table(told.forces, data.labels[rows]) if mapped else None,
@@ -91,12 +105,12 @@ def evaluate_split(data, rows, predicted, settings: EvaluateTable, force_range, 
     wanted = data.totals(rows)
     totals = predicted.sum((2, 3), dtype=np.float64)
     error = totals - wanted
-    press = data.presses(rows)
+    alike = what_errs_alike(data, rows)
     against: dict[str, dict] = {}
     result = {
         "n": len(rows),
-        "presses": len(np.unique(press)),
-        "total": metrics.error_table(error, rng, settings.bootstrap, force_range, press),
+        "presses": len(np.unique(data.presses(rows))),
+        "total": metrics.error_table(error, rng, settings.bootstrap, force_range, alike),
         "cell": metrics.cell_table(predicted, data.labels[rows]) if predicted.shape[2:] == data.grid else None,
         "per_indenter": metrics.by_group(error, data.names("indenter")[rows]),
         "per_force": metrics.by_group(error, metrics.force_bins(wanted[:, 2], settings.force_edges)),
@@ -116,8 +130,8 @@ def evaluate_split(data, rows, predicted, settings: EvaluateTable, force_range, 
             mine, labels = totals[known] - reference[rows][known], wanted[known] - reference[rows][known]
             against[kind] = {
                 "n": int(known.sum()),
-                "network": metrics.error_table(mine, rng, settings.bootstrap, press=press[known]),
-                "labels": metrics.error_table(labels, rng, settings.bootstrap, press=press[known]),
+                "network": metrics.error_table(mine, rng, settings.bootstrap, alike=alike[known]),
+                "labels": metrics.error_table(labels, rng, settings.bootstrap, alike=alike[known]),
                 "labels_over": metrics.slope(wanted[known], reference[rows][known]),
             }
     return result

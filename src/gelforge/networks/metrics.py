@@ -7,32 +7,33 @@ from gelforge.records.axes import CHANNELS
 CONFIDENCE = 0.95
 
 
-def bootstrap_mean(values, rng, resamplings: int, press=None) -> tuple[np.ndarray, np.ndarray]:
-    """Interval of the mean of `values` (n, k) over presses drawn with replacement; low and high, (k,) each.
+def bootstrap_mean(values, rng, resamplings: int, alike=None) -> tuple[np.ndarray, np.ndarray]:
+    """Interval of the mean of `values` (n, k) over groups drawn with replacement; low and high, (k,) each.
 
-    Percentile bootstrap (Efron 1979) at 95 %. press: (n,) the press of each value, which are drawn whole, because
-    views of one press err alike (cluster bootstrap, Davison and Hinkley 1997, section 3.8); None: each its own.
+    Percentile bootstrap (Efron 1979) at 95 %. alike: (n,) the group of each value, such as its press: groups are drawn
+    whole, because what belongs to one errs alike (cluster bootstrap, Davison and Hinkley 1997, section 3.8); None: each
+    value is its own.
     """
     values = np.asarray(values, float)
-    _, press = np.unique(np.arange(len(values)) if press is None else press, return_inverse=True)
-    views = np.bincount(press)
-    sums = np.stack([np.bincount(press, column) for column in values.T], axis=1)
-    n = len(views)
+    _, group = np.unique(np.arange(len(values)) if alike is None else alike, return_inverse=True)
+    sizes = np.bincount(group)
+    sums = np.stack([np.bincount(group, column) for column in values.T], axis=1)
+    n = len(sizes)
     means = np.empty((resamplings, values.shape[1]))
     for i in range(resamplings):
         drawn = rng.integers(0, n, n)
-        means[i] = sums[drawn].sum(0) / views[drawn].sum()
+        means[i] = sums[drawn].sum(0) / sizes[drawn].sum()
     low, high = np.quantile(means, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2], axis=0)
     return low, high
 
 
-def error_table(error, rng, resamplings: int, force_range=None, press=None) -> dict:
+def error_table(error, rng, resamplings: int, force_range=None, alike=None) -> dict:
     """Summarise signed errors (n, 3) in N per component: MAE, its deviation and interval, bias, root mean square.
 
-    `force_range` (3,) N adds the MAE in percent of it (None where there is no range); `press` (n,) is as for `bootstrap_mean`.
+    `force_range` (3,) N adds the MAE in percent of it (None where there is no range); `alike` (n,) is as for `bootstrap_mean`.
     """
     size = np.abs(error)
-    low, high = bootstrap_mean(size, rng, resamplings, press)
+    low, high = bootstrap_mean(size, rng, resamplings, alike)
     table: dict[str, dict[str, float | None]] = {}
     for i, axis in enumerate(CHANNELS):
         table[axis] = {

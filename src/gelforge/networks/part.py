@@ -7,7 +7,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.params.tables import TrainingTable
-from gelforge.networks.data import TRAINING, Data
+from gelforge.networks.data import TRAINING, VALIDATION, Data
 
 
 @dataclass(frozen=True)
@@ -31,8 +31,9 @@ def parse_part(name: str) -> Part:
 
 
 def take_part(data: Data, part: Part, seed: int) -> Data:
-    """The dataset with part of its training rows; all other splits stay.
+    """The dataset with part of its training rows; all other splits stay, but for units also the one for validation.
 
+    By that the epoch is chosen that is kept, and who has few units has no others to choose it by.
     Presses and units are drawn in an order that depends on `seed` alone, so that a smaller part lies within a larger one.
     BadInput where there are not so many.
     """
@@ -42,7 +43,11 @@ def take_part(data: Data, part: Part, seed: int) -> Data:
     if part.count > len(known):
         raise BadInput(f"{data.folder}: part {part.name} asks for more {part.what} than the {len(known)} that train")
     chosen = known[np.random.default_rng(seed).permutation(len(known))[: part.count]]
-    return replace(data, splits=data.splits | {TRAINING: rows[np.isin(of_row, chosen)]})
+    splits = data.splits | {TRAINING: rows[np.isin(of_row, chosen)]}
+    if part.what == "units":
+        others = data.splits.get(VALIDATION, rows[:0])
+        splits[VALIDATION] = others[np.isin(data.names("sensor_id")[others], chosen)]
+    return replace(data, splits=splits)
 
 
 def as_many_passes(settings: TrainingTable, taken: Data, whole: Data) -> TrainingTable:

@@ -13,7 +13,7 @@ from gelforge.records.axes import CHANNELS
 from gelforge.records.predictionfile import write_predictions
 from gelforge.reporting.networkcharts import draw_predictions
 
-VERSION = 9
+VERSION = 10
 
 
 def keep_predictions(path, data, trained, predictions: dict) -> None:
