@@ -13,7 +13,7 @@ from gelforge.labelling.operator import Operator, assemble, cached, operator_pat
 from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.records.forcefile import ForceFile, SampleForces, write_forces
-from gelforge.records.labelfile import read_labels
+from gelforge.records.labelfile import read_labels, write_labels
 from gelforge.records.status import Status
 from gelforge.stages import labels
 
@@ -37,6 +37,13 @@ def test_labels_hold_the_forces_in_feats_order(made):
                 assert found.status[at] is Status.DIVERGED and np.isnan(seen).all()
             else:
                 assert seen == pytest.approx(total, rel=1e-9, abs=1e-9 * np.abs(total).sum())
+
+
+def test_a_shard_whose_presses_were_all_rejected_is_read_as_any_other(tmp_path):
+    nothing = {"sample_id": np.array([], "<U4"), "status": np.array([], "<U2"), "outside": np.zeros((0, 3))}
+    write_labels(tmp_path / "0000.npz", [], (0, 3, 24, 32), nothing | {"c10": np.float64(0.0725)})
+    found = read_labels(tmp_path / "0000.npz")
+    assert found.label.shape == (0, 3, 24, 32) and found.status == []
 
 
 def test_each_sample_is_seen_by_its_own_sensor(made):

@@ -1,5 +1,7 @@
 """Shards: every sample has one, keeps it, and appending changes the last one only."""
 
+import shutil
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -92,6 +94,20 @@ def planned(tmp_path, text, sensor="mini_a", ccx="none"):
     (tmp_path / "log.csv").write_text(LOG.format(sensor))
     plan.main(["--data", str(tmp_path), "--ccx", ccx, "--out", str(tmp_path / "00_plan" / "plan.mk")])
     return [row.cells["sensor_id"] for row in read_shard(tmp_path / "00_plan" / "shards" / "0000.csv")]
+
+
+def test_a_picture_that_is_copied_to_where_a_link_led_out_is_another(tmp_path):
+    """Stage 10 refuses the row because of the link, so its shard must be made again for the copy."""
+    data, kept = tmp_path / "data", tmp_path / "pictures.json"
+    (tmp_path / "elsewhere").mkdir()
+    data.mkdir()
+    (tmp_path / "elsewhere/a.png").write_bytes(b"a picture")
+    (data / "images").symlink_to(tmp_path / "elsewhere")
+    names = {"images/a.png", "../elsewhere/a.png", str(tmp_path / "elsewhere/a.png")}
+    assert plan.image_digests(data, names, kept) == {}
+    (data / "images").unlink()
+    shutil.copytree(tmp_path / "elsewhere", data / "images")
+    assert set(plan.image_digests(data, names, kept)) == {"images/a.png"}
 
 
 def test_rows_that_name_no_sensor_are_of_the_datasets(tmp_path):

@@ -132,7 +132,7 @@ def read_labels(path: str | Path) -> LabelShard:
         if state not in Status.__members__:
             raise BadInput(f"{where}: sample {name}: status {state!r} is none of {', '.join(Status.__members__)}")
     status = [Status[state] for state in states]
-    lost = [not state.valid for state in status] | np.isfinite(label).all(axis=(1, 2, 3))
+    lost = np.array([not state.valid for state in status], bool) | np.isfinite(label).all(axis=(1, 2, 3))
     if not lost.all():
         raise BadInput(
             f"{where}: sample {names[np.argmin(lost)]} has a label that is not finite; make or import the labels again"

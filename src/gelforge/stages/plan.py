@@ -129,21 +129,24 @@ def picture_folders(data: Path, rows: list[RawRow]) -> list[str]:
 def image_digests(data: Path, names: set[str], kept: Path) -> dict[str, str]:
     """Digest of each picture that rows name: one that was replaced is another picture, one that was touched is not.
 
+    One that stage 10 refuses for its place, outside the dataset's folder, has none: a copy of it inside is another.
     kept: a JSON file of digests by name, time and size, so that a picture is read once.
     """
+    from gelforge.records.image import stays_inside
+
     known = read_json(kept) if kept.exists() else {}
     told, found = {}, {}
     for name in sorted(names):
-        path = Path(name)
-        if not name or path.is_absolute() or ".." in path.parts:
+        if not name or not stays_inside(data, name):
             continue
+        path = data / name
         try:
-            state = (data / path).stat()
+            state = path.stat()
             if not S_ISREG(state.st_mode) or state.st_size > LARGEST_PICTURE:
                 continue
             old = known.get(name, [None] * 3)
             same = old[:2] == [state.st_mtime_ns, state.st_size]
-            digest = old[2] if same else blake2b((data / path).read_bytes(), digest_size=8).hexdigest()
+            digest = old[2] if same else blake2b(path.read_bytes(), digest_size=8).hexdigest()
         except (OSError, ValueError):
             continue
         told[name], found[name] = [state.st_mtime_ns, state.st_size, digest], digest
