@@ -14,8 +14,9 @@ from small_networks import GRID, IMAGE, LEARNING, SMALL
 from synthetic_presses import SETTINGS, write_dataset
 
 from gelforge.errors import BadInput
-from gelforge.networks.batches import Ahead, epoch_order
+from gelforge.networks.batches import Ahead, epoch_order, images_to_tensor, target, training_batches
 from gelforge.networks.data import open_data, scales
+from gelforge.networks.inputs import network_input
 from gelforge.networks.training import Training, fit, loss_of, predict_rows, resume, save_checkpoint
 from gelforge.stages.train import resolve, train
 
@@ -64,6 +65,20 @@ def test_reading_ahead_keeps_order_and_hands_on_errors():
 
     with pytest.raises(BadInput, match="second"):
         list(Ahead(broken()))
+
+
+@pytest.mark.parametrize("batch", [1, 3, 7, 64])
+def test_batches_hold_the_pictures_of_an_epoch_each_beside_its_own_label(folder, batch):
+    data = open_data(folder)
+    still = with_values(SETTINGS, batch=batch, shift_cells=0, augment={"probability": 0.0})
+    norm, rows = scales(data, False), data.splits["train"]
+    batches = list(training_batches(data, norm, still, 3, False))
+    assert [len(pictures) for pictures, _ in batches[:-1]] == [batch] * (len(batches) - 1)
+    order = [np.sort(part) for part in np.split(epoch_order(rows, still.seed, 3), range(batch, len(rows), batch))]
+    rows = np.concatenate(order)
+    wanted = network_input(images_to_tensor(data.seen(rows, norm["reads"])), norm)
+    assert torch.equal(torch.cat([pictures for pictures, _ in batches]), wanted)
+    assert torch.equal(torch.cat([labels for _, labels in batches]), target(data.labels[rows], norm, False))
 
 
 def test_training_learns(folder, trained):

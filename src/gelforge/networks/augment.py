@@ -122,10 +122,14 @@ def mirror_together(images, labels, generator) -> tuple[np.ndarray, np.ndarray]:
     Mechanics and dots know no left and right: a press mirrored is a press, its force along the mirrored side of the
     image reversed. The coloured light does not mirror, so a network learns to lean on it less.
     """
+    import cv2
+
     images, labels = np.array(images), np.array(labels)
-    for component, axis in ((0, -1), (1, -2)):  # force along u with the columns, along v with the rows
+    # force along u with the columns, along v with the rows; OpenCV's code of a flip about that axis
+    for component, axis, code in ((0, -1, 1), (1, -2, 0)):
         chosen = (torch.rand(len(images), generator=generator) < 0.5).numpy()
-        images[chosen] = np.flip(images[chosen], axis - 1)
+        for k in np.flatnonzero(chosen):
+            images[k] = cv2.flip(images[k], code).reshape(images[k].shape)
         labels[chosen] = np.flip(labels[chosen], axis)
         labels[chosen, component] *= -1
     return images, labels

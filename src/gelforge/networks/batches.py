@@ -22,6 +22,11 @@ STREAMS = {
     "dots": 7,
     "places": 8,
 }
+VARIED = ("augment", "shift", "mirror", "seat", "view")  # what an epoch's pictures draw from
+
+# Pictures prepared at a time. A whole batch would be arrays of tens of MB, for each of which the system clears new memory:
+# more than half of the time. Those of a few pictures are used again, and stay in the processor's cache.
+PIECE = 4
 
 
 def generator(seed: int, stream: str, *numbers: int) -> torch.Generator:
@@ -67,23 +72,30 @@ def target(labels, norm: dict, total_only: bool) -> torch.Tensor:
 def training_batches(data, norm: dict, settings: TrainingTable, epoch: int, total_only: bool):
     """Yield (input, target) of one epoch, augmented, both in the network's units."""
     order = epoch_order(data.splits["train"], settings.seed, epoch, settings.epoch_images)
-    draw, place, turn, seat, view = (
-        generator(settings.seed, stream, epoch) for stream in ("augment", "shift", "mirror", "seat", "view")
-    )
+    draws = {stream: generator(settings.seed, stream, epoch) for stream in VARIED}
     mirrors = epoch < settings.mirrored_share * settings.epochs
     for start in range(0, len(order), settings.batch):
         # Sorted rows read the file forwards; the order inside a batch changes nothing but rounding.
         rows = np.sort(order[start : start + settings.batch])
-        pictures, labels = data.seen(rows, norm["reads"]), data.labels[rows]
-        if needs_untouched(norm["reads"]):
-            pictures, labels, narrow = narrow_views(pictures, labels, settings.augment, view)
-            pictures = misplace_untouched(pictures, narrow, settings.augment, seat)
-        if settings.shift_cells:
-            pictures, labels = shift_together(pictures, labels, settings.shift_cells, place)
-        if mirrors:
-            pictures, labels = mirror_together(pictures, labels, turn)
-        pictures = augment(images_to_tensor(pictures), settings.augment, draw)
-        yield network_input(pictures, norm), target(labels, norm, total_only)
+        pieces = [rows[first : first + PIECE] for first in range(0, len(rows), PIECE)]
+        varied = [_varied(data, piece, norm["reads"], settings, mirrors, draws) for piece in pieces]
+        yield (
+            torch.cat([network_input(pictures, norm) for pictures, _ in varied]),
+            torch.cat([target(labels, norm, total_only) for _, labels in varied]),
+        )
+
+
+def _varied(data, rows: np.ndarray, reads: str, settings: TrainingTable, mirrors: bool, draws: dict):
+    """Pictures (k, channels, h, w) in 0..1 and labels (k, 3, rows, cols) N of some rows, varied as training asks for."""
+    pictures, labels = data.seen(rows, reads), data.labels[rows]
+    if needs_untouched(reads):
+        pictures, labels, narrow = narrow_views(pictures, labels, settings.augment, draws["view"])
+        pictures = misplace_untouched(pictures, narrow, settings.augment, draws["seat"])
+    if settings.shift_cells:
+        pictures, labels = shift_together(pictures, labels, settings.shift_cells, draws["shift"])
+    if mirrors:
+        pictures, labels = mirror_together(pictures, labels, draws["mirror"])
+    return augment(images_to_tensor(pictures), settings.augment, draws["augment"]), labels
 
 
 class Ahead:

@@ -118,8 +118,9 @@ def view_of(untouched: np.ndarray, pitch: float, learnt: tuple[float, float]) ->
 
 def hidden(shown: np.ndarray) -> np.ndarray:
     """What stands where a pair (h, w, 6) uint8 shows nothing: the untouched picture's mean colour in both, (6,) uint8."""
-    mean = np.rint(shown[..., 3:].mean(axis=(0, 1))).astype(np.uint8)
-    return np.concatenate([mean, mean])
+    # rows first: along them numpy adds whole lines of memory
+    mean = shown.sum(axis=0, dtype=np.uint64).sum(axis=0) / (shown.shape[0] * shown.shape[1])
+    return np.tile(np.rint(mean[3:]).astype(np.uint8), 2)
 
 
 def match_light(image: np.ndarray, untouched: np.ndarray) -> Light:

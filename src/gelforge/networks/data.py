@@ -83,10 +83,15 @@ class Data:
 
         Or (k, height, width, 6), where the untouched sensor stands behind each image, which is brought to its light.
         """
+        import cv2
+
         if not needs_untouched(reads):
             return self.images[rows]
-        parts = zip(rows, self.images[rows], self.untouched(rows), strict=True)
-        return np.stack([np.concatenate([self._lit(*part), part[2]], axis=2) for part in parts])
+        # OpenCV puts channels side by side several times faster than numpy
+        return np.stack([
+            cv2.merge([self._lit(row, image, untouched), untouched])
+            for row, image, untouched in zip(rows, self.images[rows], self.untouched(rows), strict=True)
+        ])  # fmt: skip
 
     def _lit(self, row, image: np.ndarray, untouched: np.ndarray) -> np.ndarray:
         """The image (height, width, 3) of a row under the light of its untouched sensor."""
