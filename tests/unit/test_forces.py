@@ -34,20 +34,20 @@ def text(push, base_error=0.0):
 
 
 def test_residual_is_not_contact():
-    status, _, forces, displacement = dat_forces(text([0.5, 0.0, -4.0]), MESH, 1e-6, 1e-6)
+    status, _, forces, displacement = dat_forces(text([0.5, 0.0, -4.0]), MESH, 1e-6)
     assert status is Status.OK
     assert np.flatnonzero(forces.any(axis=1)).tolist() == [3]
     assert displacement.shape == forces.shape
 
 
 def test_imbalance_is_no_result():
-    status, reason, forces, _ = dat_forces(text([0.5, 0.0, -4.0], 1e-5), MESH, 1e-6, 1e-6)
+    status, reason, forces, _ = dat_forces(text([0.5, 0.0, -4.0], 1e-5), MESH, 1e-6)
     assert status is Status.UNBALANCED and "1e-05" in reason and not len(forces)
 
 
 @pytest.mark.parametrize("damage", [lambda t: "", lambda t: t[:-30], lambda t: t.replace("-4.000000E+00", "NaN")])
 def test_damaged_output_is_no_result(damage):
-    assert dat_forces(damage(text([0.5, 0.0, -4.0])), MESH, 1e-6, 1e-6)[0] is Status.UNREADABLE
+    assert dat_forces(damage(text([0.5, 0.0, -4.0])), MESH, 1e-6)[0] is Status.UNREADABLE
 
 
 def test_c10_from_a_number_or_a_calibration(tmp_path):

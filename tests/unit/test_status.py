@@ -1,7 +1,10 @@
 """Status counts what is on disk, and names why samples are missing."""
 
+import numpy as np
+
 from gelforge.commands.status import lines
 from gelforge.flow.files import write_csv
+from gelforge.records.forcefile import SampleForces, write_forces
 
 
 def test_counts_add_up_and_reasons_are_named(tmp_path):
@@ -25,13 +28,33 @@ def test_counts_add_up_and_reasons_are_named(tmp_path):
     assert table["10_poses"] == ["2", "1", "3"]
     assert table["30_fea"] == ["1", "1", "3"]
     assert table["40_forces"] == ["0", "0", "4"]
-    for stage in ("40_forces", "50_labels/24x32"):
-        (results / stage).mkdir(parents=True)
-        (results / stage / "0000.npz").touch()
+    (results / "50_labels/24x32").mkdir(parents=True)
+    (results / "50_labels/24x32/0000.npz").touch()
+    failed = SampleForces.failed("1", "DIVERGED")
+    write_forces(results / "40_forces/0000.npz", [pressed("0"), failed], 0.08)
     table = {line.split()[0]: line.split() for line in lines(results)}
     # of shard 0000 one row was rejected and one press not solved; the three of shard 0001 are to come
     assert table["40_forces"][1:] == ["1", "0", "3"] and table["50_labels"][2:] == ["1", "0", "3"]
     assert any("not a number" in line for line in text) and any("too deep" in line for line in text)
+
+
+def pressed(sample_id):
+    """A sample whose one surface node bears 1 N."""
+    return SampleForces(sample_id, "OK", "mesh", np.array([0]), np.array([[0.0, 0.0, -1.0]]), np.zeros((1, 3)))
+
+
+def test_a_solve_that_gives_no_forces_is_told(tmp_path):
+    """Stage 40 refuses what does not balance; neither it nor a label of it is counted as done or to come."""
+    results = tmp_path / "lab"
+    for table in ("00_plan/shards.csv", "00_plan/shards/0000.csv", "10_poses/0000.csv"):
+        write_csv(results / table, ["sample_id", "shard"], [{"sample_id": k, "shard": 0} for k in "ab"])
+    write_csv(results / "30_fea/0000.csv", ["sample_id", "status"], [{"sample_id": k, "status": "OK"} for k in "ab"])
+    write_forces(results / "40_forces/0000.npz", [pressed("a"), SampleForces.failed("b", "UNBALANCED")], 0.08)
+    (results / "50_labels/24x32").mkdir(parents=True)
+    text = lines(results)
+    table = {line.split()[0]: line.split() for line in text}
+    assert table["40_forces"][1:] == ["1", "1", "0"] and table["50_labels"][2:] == ["0", "0", "1"]
+    assert any("1 x UNBALANCED: Contact forces and base reactions do not agree" in line for line in text)
 
 
 def test_a_row_that_doubles_a_sample_is_one_row_of_the_log(tmp_path):

@@ -40,6 +40,24 @@ def test_success_publishes_target_log_and_metrics(tmp_path):
     assert mirror(target, "logs", ".log") == tmp_path / "results/d/logs/30_fea/0000.log"
 
 
+def test_a_target_costs_what_its_own_command_took(tmp_path):
+    """An input that was damaged is made again first; what that takes is the input's cost."""
+    source, target = tmp_path / "results/d/30_fea/0000.csv", tmp_path / "results/d/40_forces/0000.csv"
+    busy = "i=0; while [ $i -lt 300000 ]; do i=$((i+1)); done"
+    assert wrapped(source, "bash", "-c", f"{busy}; echo whole > {source}.part")[0] == 0
+    source.write_text("other\n")
+    code, said = made_of(target, source, f"cp {source} {target}.part")
+    assert code == 0 and "making it again" in said and target.read_text() == "whole\n"
+    costs = [json.loads(mirror(path, "metrics", ".json").read_text())["cpu_seconds"] for path in (source, target)]
+    assert costs[1] < 0.5 * costs[0]
+
+
+def made_of(target, source, script):
+    child = start(target, "bash", "-c", script, reads=[source])
+    said = child.communicate(timeout=HANG)[0]
+    return child.returncode, said
+
+
 def test_failure_removes_the_part_and_shows_the_log(tmp_path):
     target = tmp_path / "results/d/30_fea/0000.csv"
     code, said = wrapped(target, "bash", "-c", f"echo half > {target}.part; echo the reason; exit 3")

@@ -15,7 +15,7 @@ from pathlib import Path
 from gelforge.commands.sample import stages
 from gelforge.errors import BadInput, last_words
 from gelforge.flow import layout
-from gelforge.flow.files import read_json, write_json, write_text
+from gelforge.flow.files import listed, read_json, write_json, write_text
 from gelforge.flow.forecast import Cost, pilots, presses_an_hour, table, wall_seconds
 from gelforge.flow.layout import Layout, shard_name
 from gelforge.flow.main import command, option
@@ -104,7 +104,7 @@ def measured(data: Path, results: Path, resolution: str, rows: list[RawRow]) -> 
 
 def meshes(results: Path) -> Cost:
     """What the meshes took, which the pilots needed and the run keeps."""
-    records = [read_json(path) for path in (Layout(results).metrics / layout.MESHES).glob("*.json")]
+    records = [read_json(path) for path in listed(Layout(results).metrics / layout.MESHES, "*.json")]
     written = folder_bytes(Layout(results).meshes)
     return Cost(layout.MESHES, cpu_once=sum(record["cpu_seconds"] for record in records), bytes_once=written)
 

@@ -7,13 +7,13 @@ from pathlib import Path
 
 from gelforge.errors import printable
 from gelforge.flow import layout
-from gelforge.flow.files import read_csv
+from gelforge.flow.files import listed, read_csv
 from gelforge.flow.layout import Layout
 from gelforge.flow.main import command, option
 from gelforge.flow.running import duration, look
-from gelforge.records.status import VALID
+from gelforge.records.status import VALID, Status
 
-# Only the standard library: status answers in a fraction of a second for 15 000 samples.
+# Only the standard library before there are forces: status answers in a fraction of a second for 15 000 samples.
 
 
 def read_rows(path: Path) -> list[dict]:
@@ -41,13 +41,35 @@ def fea_state(results: Path, sizes: dict[str, int]) -> tuple[int, Counter, dict[
     for shard in sizes:
         table = Layout(results).fea(shard)
         if not table.exists():
-            done += sum(1 for _ in Layout(results).solves(shard).glob("*.json"))
+            done += len(listed(Layout(results).solves(shard), "*.json"))
         for row in read_rows(table):
             if row["status"] in VALID:
                 valid[shard] += 1
             else:
                 failed[f"{row['status']}: {row.get('reason', '')}"] += 1
     return done + sum(valid.values()), failed, valid
+
+
+def forces_state(results: Path, valid: dict[str, int]) -> tuple[int, Counter, dict[str, int]]:
+    """Samples with forces, what became of solves that gave none after all, and the samples left of each shard.
+
+    valid: good solves of each shard.
+    """
+    failed, left, done = Counter[str](), dict(valid), 0
+    paths = {shard: Layout(results).forces(shard) for shard in valid if Layout(results).forces(shard).exists()}
+    if not paths:
+        return done, failed, left
+    from gelforge.records.forcefile import ForceFile  # numpy is most of what status takes
+
+    for shard, path in paths.items():
+        solved = {row["sample_id"] for row in read_rows(Layout(results).fea(shard)) if row["status"] in VALID}
+        with ForceFile(path) as forces:
+            states = dict(zip(forces.sample_id.tolist(), forces.status.tolist(), strict=True))
+        lost = [state for name, state in states.items() if name in solved and state not in VALID]
+        failed.update(f"{state}: {Status[state].value}" for state in lost)
+        left[shard] = valid[shard] - len(lost)
+        done += left[shard]
+    return done, failed, left
 
 
 def shard_state(folder: Path, valid: dict[str, int]) -> int:
@@ -64,10 +86,11 @@ def lines(results: Path) -> list[str]:
     good, rejected = poses_state(results, sizes)
     solved, diverged, valid = fea_state(results, sizes)
     stages = [(layout.POSES, good, rejected), (layout.FEA, solved, diverged)]
-    stages.append((layout.FORCES, shard_state(results / layout.FORCES, valid), Counter()))
+    held, unsound, left = forces_state(results, valid)
+    stages.append((layout.FORCES, held, unsound))
     stages += [
-        (f"{layout.LABELS} {f.name}", shard_state(f, valid), Counter())
-        for f in sorted((results / layout.LABELS).glob("*x*"))
+        (f"{layout.LABELS} {f.name}", shard_state(f, left), Counter())
+        for f in listed(results / layout.LABELS, "*x*")
     ]
     text = [
         f"{results.name}: {total} rows of the log in {len(sizes)} shards",
@@ -76,7 +99,7 @@ def lines(results: Path) -> list[str]:
     for name, done, failed in stages:
         bad = failed.total()
         # what a stage before lost never comes to this one
-        lost = 0 if name == layout.POSES else rejected.total() + (0 if name == layout.FEA else diverged.total())
+        lost = sum(before.total() for stage, _, before in stages[:3] if stage < name)
         text.append(f"{name:20s} {done:7d} {bad:7d} {max(total - done - bad - lost, 0):7d}")
         text += [f"    {count:6d} x {reason}" for reason, count in failed.most_common()]
     for kind, pattern, target in (
@@ -88,8 +111,8 @@ def lines(results: Path) -> list[str]:
         (layout.CALIBRATE, "summary.json", "calibrate"),
         (layout.PARETO, "*.json", "pareto"),
     ):
-        there = (p for p in (results / kind).glob(pattern) if not p.name.endswith(".checkpoint.pt"))
-        found = sorted(str(p.relative_to(results / kind)) for p in there)
+        there = (p for p in listed(results / kind, pattern) if not p.name.endswith(".checkpoint.pt"))
+        found = [str(p.relative_to(results / kind)) for p in there]
         text.append(f"{kind:20s} {', '.join(found) or f'not made (make {target})'}")
     return text
 
@@ -97,7 +120,7 @@ def lines(results: Path) -> list[str]:
 def stage_costs(results: Path) -> dict[str, tuple[float, float]]:
     """Processor seconds of all targets of each stage, and the largest memory of one, MiB."""
     costs: dict[str, tuple[float, float]] = {}
-    for path in Layout(results).metrics.rglob("*.json"):
+    for path in listed(Layout(results).metrics, "*.json", below=True):
         try:
             record = json.loads(path.read_bytes())
             cpu, peak = float(record["cpu_seconds"]), float(record["peak_mib"])
@@ -127,12 +150,12 @@ def running_lines(results: Path) -> list[str]:
 
 def works_on_slurm(results: Path) -> bool:
     """Whether a stage's work on Slurm has not come to its end."""
-    return any(not json.loads(path.read_bytes())["closed"] for path in (results / ".slurm").glob("*.json"))
+    return any(not json.loads(path.read_bytes())["closed"] for path in listed(results / ".slurm", "*.json"))
 
 
 def slurm_lines(results: Path) -> list[str]:
     """Work on Slurm, where there is any: tasks queued, running, done and failed per stage."""
-    if not any((results / ".slurm").glob("*.json")):
+    if not listed(results / ".slurm", "*.json"):
         return []
     from gelforge.flow.slurm.run import overview
 

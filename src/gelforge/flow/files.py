@@ -10,6 +10,23 @@ from pathlib import Path
 from typing import Any
 
 
+def listed(folder: Path, pattern: str, below: bool = False) -> list[Path]:
+    """Paths of a folder whose names match a pattern, in order, none where there is no folder; below: of all folders in it.
+
+    Files that `publish` is still writing, or that a killed writer left, are none of them.
+    """
+    found = folder.rglob(pattern) if below else folder.glob(pattern)
+    return sorted(path for path in found if not path.name.startswith("."))
+
+
+def made_at(path: Path) -> float | None:
+    """When a file was last written, seconds since 1970; None where there is none (any more)."""
+    try:
+        return path.stat().st_mtime
+    except FileNotFoundError:
+        return None
+
+
 def digest_of(path: Path) -> str:
     """SHA-256 of a file's content."""
     with path.open("rb") as stream:

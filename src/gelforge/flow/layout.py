@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import read_csv
+from gelforge.flow.files import listed, read_csv
 
 PLAN, POSES, MESHES, FEA, FORCES = "00_plan", "10_poses", "20_meshes", "30_fea", "40_forces"
 LABELS, DATASET, TRAIN, EVALUATE, REPORT = "50_labels", "60_dataset", "70_train", "80_evaluate", "90_report"
@@ -31,7 +31,7 @@ def shard_name(number: int) -> str:
 
 def planned_shards(folder: Path) -> list[str]:
     """Names of the shards that are planned today, in order, from the folder 00_plan/shards."""
-    return sorted(path.stem for path in folder.glob("*.csv"))
+    return [path.stem for path in listed(folder, "*.csv")]
 
 
 def mirror(target: Path, kind: str, suffix: str) -> Path:

@@ -8,6 +8,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from gelforge.flow.files import listed, made_at
 from gelforge.flow.layout import FEA, Layout
 
 RATE_OVER_S = 600.0
@@ -56,11 +57,10 @@ def running_targets(results: Path) -> list[str]:
     """Targets that a step holds the lock of, below results/DATASET without suffix."""
     found = []
     of = Layout(results)
-    for path in sorted(of.logs.rglob("*.lock")):
+    for path in listed(of.logs, "*.lock", below=True):
         target = path.relative_to(of.logs).with_suffix("")
-        record = (of.metrics / target).with_suffix(".json")
         # Most locks are of targets made long ago: a record that is newer than the lock says so without opening it.
-        if record.exists() and record.stat().st_mtime >= path.stat().st_mtime:
+        if (made_at((of.metrics / target).with_suffix(".json")) or 0.0) >= (made_at(path) or 0.0):
             continue
         if is_held(path):
             found.append(str(target))
@@ -86,15 +86,13 @@ def look(results: Path, now: float | None = None) -> Progress:
     running = running_targets(results)
     busy = {target.split("/")[1] for target in running if target.startswith(f"{FEA}/")}
     for shard, size in sizes.items():
-        folder = of.solves(shard)
-        if shard not in busy and (of.fea(shard)).exists():
+        table = None if shard in busy else made_at(of.fea(shard))
+        if table is not None and now - table > RATE_OVER_S:
             solved += size
-            made = (of.fea(shard)).stat().st_mtime
-            if now - made > RATE_OVER_S:
-                continue
-        times = [path.stat().st_mtime for path in folder.glob("*.json")] if folder.exists() else []
-        if shard in busy or not (of.fea(shard)).exists():
-            solved += len(times)
+            continue
+        # a sample that is solved anew may go between the listing and the look at it
+        times = [made for made in map(made_at, listed(of.solves(shard), "*.json")) if made is not None]
+        solved += len(times) if table is None else size
         lately += [made for made in times if now - made <= RATE_OVER_S]
     span = now - min(lately) if lately else 0.0
     return Progress(

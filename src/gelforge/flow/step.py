@@ -14,7 +14,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
@@ -92,11 +92,10 @@ def run(command: list[str], log_path: Path) -> tuple[int, dict]:
             preexec_fn=die_with_parent,
         )
         for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            signal.signal(name, lambda number, frame: child.send_signal(number))
+            signal.signal(name, lambda number, frame: pass_on(number, child))
         with live_line(log_path):  # after the fork, which must not meet a second thread
             follow(child.stdout or (), log)
-            code = child.wait()
-    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+            code, usage = ended(child)
     cost = {
         "command": command,
         "exit_code": code,
@@ -107,6 +106,23 @@ def run(command: list[str], log_path: Path) -> tuple[int, dict]:
         "programs": installed(),
     }
     return code, cost
+
+
+def pass_on(number: int, child: subprocess.Popen) -> None:
+    """Give a child a signal. Popen's own way would wait for a child that has ended, and `ended` could do so no more."""
+    if child.returncode is None:
+        with suppress(ProcessLookupError):
+            os.kill(child.pid, number)
+
+
+def ended(child: subprocess.Popen) -> tuple[int, resource.struct_rusage]:
+    """Wait for a child: its exit code, and what it used.
+
+    The children of this process all together would not tell: a step that healed its inputs had others before.
+    """
+    _, status, usage = os.wait4(child.pid, 0)
+    child.returncode = os.waitstatus_to_exitcode(status)
+    return child.returncode, usage
 
 
 def show_notices(log_path: Path) -> None:

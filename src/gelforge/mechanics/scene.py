@@ -9,6 +9,7 @@ from gelforge.geometry.solids import Indenter
 from gelforge.records.press import Press
 from gelforge.records.status import Status
 
+BALANCE = 1e-6  # of its size, by which the contact force of a valid result may differ from the base's reaction
 REFERENCE_C10 = 0.0725  # MPa; every solve runs at this value, forces scale with C10 at fixed Poisson's ratio
 
 

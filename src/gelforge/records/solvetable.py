@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import digest_of, write_csv
+from gelforge.flow.files import digest_of, read_json, write_csv
 from gelforge.records.press import FORCE, parse_number
 from gelforge.records.status import Status
 from gelforge.records.table import read_table
@@ -78,8 +78,17 @@ def read_solves(path: str | Path) -> list[Solved]:
     return found
 
 
+def read_record(path: Path) -> dict[str, Any] | None:
+    """The record that stage 30 wrote of a sample; None where none can be read."""
+    try:
+        record = read_json(path)
+    except (OSError, ValueError):
+        return None
+    return record if isinstance(record, dict) and "files" in record else None
+
+
 def damaged(folder: Path, record: dict[str, Any]) -> list[Path]:
     """Files of a sample's record that are gone or do not have the bytes they were written with."""
     digests = record.get("sha256", {})
-    paths = [folder / name for name in record.get("files", ["missing"])]
+    paths = [folder / name for name in record["files"]]
     return [path for path in paths if not path.is_file() or digest_of(path) != digests.get(path.name)]

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import digest_of, publish, read_csv, read_json, write_csv, write_json, write_text
+from gelforge.flow.files import digest_of, listed, publish, read_csv, read_json, write_csv, write_json, write_text
 from gelforge.flow.layout import planned_shards
 from gelforge.flow.main import command, option
 from gelforge.flow.params.slices import ForDataset, read_slice
@@ -313,7 +313,7 @@ def build(args) -> dict:
 )
 def main(args: Namespace) -> None:
     about = build(args)
-    beside = [path for path in sorted(args.out.parent.iterdir()) if path.suffix in (".npy", ".csv")]
+    beside = [path for path in listed(args.out.parent, "*") if path.suffix in (".npy", ".csv")]
     beside.append(args.out.with_name("normalisation.json"))
     write_json(args.out, about | {"sha256": {path.name: digest_of(path) for path in beside}})
     print(f"{about['samples']} samples: {about['splits']}; left out: {about['left_out'] or 'none'}")

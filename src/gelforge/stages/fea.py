@@ -26,7 +26,7 @@ from gelforge.mechanics.scene import Interface, Material, Result, Scene
 from gelforge.records.frames import presses_of
 from gelforge.records.log import read_poses
 from gelforge.records.press import POSE, PosedPress
-from gelforge.records.solvetable import Solved, damaged, write_solves
+from gelforge.records.solvetable import Solved, damaged, read_record, write_solves
 from gelforge.records.status import Status
 
 VERSION = 10
@@ -67,12 +67,8 @@ def sample_key(press: PosedPress, frames: list[PosedPress], params: ForFea, tabl
 
 def finished(folder: Path, sample_id: str, key: str) -> dict | None:
     """The record of a sample that was solved whole under the same key, else None."""
-    path = folder / f"{sample_id}.json"
-    try:
-        record = read_json(path)
-    except (OSError, ValueError):
-        return None
-    return record if record.get("key") == key and not damaged(folder, record) else None
+    record = read_record(folder / f"{sample_id}.json")
+    return record if record and record.get("key") == key and not damaged(folder, record) else None
 
 
 def publish_solve(sample_id: str, result: Result, solvers: Solvers, key: str, folder: Path) -> dict:

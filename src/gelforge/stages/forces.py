@@ -18,19 +18,19 @@ from gelforge.flow.params.tables import ForcesTable
 from gelforge.mechanics.ccx.dat import DatError, last_table, read_dat
 from gelforge.mechanics.family import mesh_loader
 from gelforge.mechanics.mesh import GelMesh
-from gelforge.mechanics.scene import REFERENCE_C10
+from gelforge.mechanics.scene import BALANCE, REFERENCE_C10
 from gelforge.records.forcefile import SampleForces, write_forces
-from gelforge.records.solvetable import Solved, damaged, read_solves
+from gelforge.records.solvetable import Solved, damaged, read_record, read_solves
 from gelforge.records.status import Status
 
 VERSION = 1
 
 
-def dat_forces(text: str, mesh: GelMesh, noise: float, mismatch: float) -> tuple[Status, str, np.ndarray, np.ndarray]:
+def dat_forces(text: str, mesh: GelMesh, noise: float) -> tuple[Status, str, np.ndarray, np.ndarray]:
     """Status, reason, forces (s, 3) N and displacements (s, 3) mm of the surface nodes from a .dat text.
 
     noise: share of the largest nodal force below which a node counts as free; what Newton's residual
-    leaves there is not contact. mismatch: largest imbalance with the base, relative to the total.
+    leaves there is not contact.
     """
     top, base = mesh.surface_nodes + 1, mesh.base + 1
     empty = np.empty((0, 3))
@@ -45,8 +45,8 @@ def dat_forces(text: str, mesh: GelMesh, noise: float, mismatch: float) -> tuple
     forces[size < noise * size.max(initial=0.0)] = 0.0
     total = forces.sum(axis=0)
     imbalance = np.linalg.norm(total + reaction) / max(float(np.linalg.norm(total)), 1e-12)
-    if imbalance > mismatch:
-        reason = f"contact forces and base reactions differ by {imbalance:.2g} of their size, {mismatch:g} is allowed"
+    if imbalance > BALANCE:
+        reason = f"contact forces and base reactions differ by {imbalance:.2g} of their size, {BALANCE:g} is allowed"
         return Status.UNBALANCED, reason, empty, empty
     return Status.OK, "", forces, displacement
 
@@ -67,7 +67,7 @@ def read_sample(
     try:
         if path.suffix == ".gz":
             text = gzip.decompress(path.read_bytes()).decode("ascii", errors="replace")
-            status, reason, force, displacement = dat_forces(text, mesh, table.noise, table.base_mismatch)
+            status, reason, force, displacement = dat_forces(text, mesh, table.noise)
         else:
             with np.load(path, allow_pickle=False) as file:
                 force, displacement = file["force"], file["displacement"]
@@ -104,11 +104,8 @@ def refuse_damage(table: Path, solves: list[Solved]) -> None:
     lost = []
     for solve in solves:
         if solve.status.valid:
-            try:
-                record = read_json(folder / f"{solve.sample_id}.json")
-            except (OSError, ValueError):
-                record = {}
-            lost += damaged(folder, record)
+            record = read_record(folder / f"{solve.sample_id}.json")
+            lost += [folder / f"{solve.sample_id}.json"] if record is None else damaged(folder, record)
     if lost:
         table.unlink()
         raise BadInput(
@@ -134,8 +131,8 @@ def main(args: Namespace) -> None:
     refuse_damage(args.fea, solves)
     for solve in solves:
         sample, reason = read_sample(solve, args.fea.parent, load, params.forces)
-        if reason:
-            print(f"{sample.sample_id}: {sample.status}: {reason}")
+        if solve.status.valid and reason:  # others were told of by stage 30
+            print(f"failed: {sample.sample_id}: {sample.status}, {reason}")
         # At a fixed Poisson's ratio and prescribed motion every force is proportional to C10.
         samples.append(replace(sample, force=sample.force * (c10 / REFERENCE_C10)))
         counts[sample.status] = counts.get(sample.status, 0) + 1

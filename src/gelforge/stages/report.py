@@ -4,11 +4,12 @@ import json
 import subprocess
 from argparse import Namespace
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from gelforge.flow.files import read_csv, read_json, write_text
+from gelforge.flow.files import listed, read_csv, read_json, write_text
 from gelforge.flow.layout import PARETO, Layout
 from gelforge.flow.main import command, option
 from gelforge.flow.params.slices import ForEvaluate, ForReport, read_slice
@@ -16,12 +17,13 @@ from gelforge.flow.programs import installed
 from gelforge.flow.progress import progress
 from gelforge.labelling.grid import Grid
 from gelforge.mechanics.ccx.program import ccx_program
+from gelforge.records.forcefile import ForceFile
 from gelforge.records.log import read_poses
 from gelforge.records.predictionfile import read_predictions
 from gelforge.records.press import PosedPress
 from gelforge.records.samplefile import read_samples
 from gelforge.records.solvetable import Solved, read_solves
-from gelforge.records.status import VALID
+from gelforge.records.status import VALID, Status
 from gelforge.reporting.explorer import Explorer
 from gelforge.reporting.page import Explored, Section, render
 from gelforge.reporting.parts import PART, forget_parts, in_parts, place_parts
@@ -50,10 +52,32 @@ def read_presses(results: Path) -> list[tuple[str, PosedPress]]:
 
 
 def read_solved(results: Path) -> dict[str, Solved]:
-    """Solves of the planned shards whose tables are there, by sample_id."""
-    of = Layout(results)
-    paths = [of.fea(name) for name in of.names()]
-    return {solve.sample_id: solve for path in paths if path.exists() for solve in read_solves(path)}
+    """Solves of the planned shards whose tables are there, by sample_id.
+
+    Once a shard's forces were taken out of them, as these say: in the material's N, and lost where they were not sound.
+    """
+    of, found = Layout(results), {}
+    for name in of.names():
+        solves = read_solves(of.fea(name)) if of.fea(name).exists() else []
+        found |= {solve.sample_id: solve for solve in with_forces(solves, of.forces(name))}
+    return found
+
+
+def with_forces(solves: list[Solved], path: Path) -> list[Solved]:
+    """Solves with status and total as a shard's file of forces has them; as they are where there is none."""
+    if not path.exists():
+        return solves
+    with ForceFile(path) as shard:
+        known = dict(zip(shard.sample_id.tolist(), zip(shard.status.tolist(), shard.total.tolist(), strict=True), strict=True))
+    return [_with_force(solve, *known[solve.sample_id]) if solve.sample_id in known else solve for solve in solves]
+
+
+def _with_force(solve: Solved, status: str, total: list[float]) -> Solved:
+    if not solve.status.valid:
+        return solve
+    lost = "" if status in VALID else Status[status].value
+    x, y, z = total
+    return replace(solve, status=Status[status], reason=lost or solve.reason, total=(x, y, z))
 
 
 def flatten(value, prefix: str = "") -> list[tuple[str, float | str]]:
@@ -156,7 +180,7 @@ def fidelities_section(solved: dict[str, Solved]) -> Section:
 def branch_section(results: Path, title: str, folder: str, what: str) -> Section:
     """Charts of a branch as they lie in its folder."""
     section = Section(title)
-    charts = sorted((results / folder).rglob("*.png"))
+    charts = listed(results / folder, "*.png", below=True)
     if not charts:
         return section.text(f"Not made: make {folder}.", absent=True)
     section.text(what)
@@ -216,7 +240,7 @@ def versions_section(results: Path) -> Section:
     section, found = Section("Versions and parameters"), installed(PACKAGES)
     rows = [*([name, found.get(name, ABSENT)] for name in PACKAGES), ["CalculiX", calculix_version()]]
     section.table(["program", "version"], rows, folded="programs")
-    for path in sorted(Layout(results).params.glob("*.json")):
+    for path in listed(Layout(results).params, "*.json"):
         section.code(json.dumps(read_json(path), indent=1), f"parameters of {path.stem}")
     return section
 

@@ -373,7 +373,6 @@ class ForcesTable(ParameterTable):
     """[forces]: nodal forces out of the solvers' output."""
 
     noise: Annotated[float, Within(0.0, 0.5)]
-    base_mismatch: Annotated[float, Within(TINY, 1.0)]
 
 
 @dataclass(frozen=True)

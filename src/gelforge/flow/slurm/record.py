@@ -7,7 +7,7 @@ from collections import Counter
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from gelforge.flow.files import read_csv, read_json, write_json
+from gelforge.flow.files import listed, read_csv, read_json, write_json
 from gelforge.flow.layout import Layout, log_of, metrics_of
 from gelforge.flow.running import look
 from gelforge.flow.step import TAIL_LINES
@@ -84,7 +84,7 @@ def load(path: Path) -> Record:
 
 def records(results: Path) -> list[Record]:
     """All records of a dataset's results."""
-    return [load(path) for path in sorted((results / ".slurm").glob("*.json"))]
+    return [load(path) for path in listed(results / ".slurm", "*.json")]
 
 
 class Results:
@@ -152,7 +152,7 @@ def unfinished_samples(target: Path) -> list[str]:
     folder, shard = target.with_suffix(""), Layout(target.parents[1]).shard(target.stem)
     if not folder.is_dir() or not shard.exists():
         return []
-    there = {name.partition(".")[0] for name in os.listdir(folder)}
+    there = {path.stem for path in (*listed(folder, "*.json"), *listed(folder, "*.stl"))}
     return [row["sample_id"] for row in read_csv(shard) if row["sample_id"] not in there]
 
 

@@ -21,7 +21,7 @@ from gelforge.mechanics.ccx.springs import drag_loads, spring_rows
 from gelforge.mechanics.hex.carry import Trail
 from gelforge.mechanics.hex.reach import first_touch
 from gelforge.mechanics.mesh import GelMesh
-from gelforge.mechanics.scene import REFERENCE_C10, Result, Scene
+from gelforge.mechanics.scene import BALANCE, REFERENCE_C10, Result, Scene
 from gelforge.mechanics.tet import facecontact as touch
 from gelforge.mechanics.tet.face import face_points
 from gelforge.mechanics.tet.kinematics import Kinematics, PathSettings, arrive, contact_forces, follow
@@ -195,7 +195,7 @@ class _Run:
         forces[top] = np.where(np.isin(top, touched)[:, None], answer.top, 0.0)
         total = forces.sum(axis=0)
         mismatch = float(np.linalg.norm(total + answer.base.sum(axis=0))) / max(float(np.linalg.norm(total)), 1e-12)
-        if status is Status.OK and mismatch > 1e-6:
+        if status is Status.OK and mismatch > BALANCE:
             status = Status.UNBALANCED
         free = np.abs(answer.top[~np.isin(top, touched)]).max(initial=0.0)
         evidence = self._evidence() | {

@@ -18,10 +18,9 @@ from gelforge.mechanics.hex.path import Run
 from gelforge.mechanics.hex.penaltycontact import ContactState
 from gelforge.mechanics.hex.reach import fine_box, first_touch
 from gelforge.mechanics.hex.settings import HexSettings, Nested
-from gelforge.mechanics.scene import Result, Scene
+from gelforge.mechanics.scene import BALANCE, Result, Scene
 from gelforge.records.status import Status
 
-BALANCE = 1e-6  # largest base reaction against contact sum of a valid result
 # Contact springs give way by 0.02 mm at most on the scenes of the chart, by half a millimetre and more where the gel
 # is pressed through: that state is in equilibrium, but not one of the press.
 MOST_INSIDE_MM = 0.1
