@@ -9,5 +9,5 @@ $(POSES): $D/10_poses/%.csv: $D/00_plan/shards/%.csv $D/00_plan/shards/%.json $P
 
 # STRICT=1 after a make without it: shards that rejected a row are judged again, and fail.
 .PHONY: strict
-REJECTING := $(if $(STRICT),$(shell awk 'FNR == 2 {print FILENAME}' $(wildcard $D/10_poses/*.rejected.csv) /dev/null))
+REJECTING := $(if $(STRICT),$(shell find $D/10_poses -maxdepth 1 -name '*.rejected.csv' -exec awk 'FNR == 2 {print FILENAME}' {} + 2>/dev/null))
 $(REJECTING:%.rejected.csv=%.csv): strict

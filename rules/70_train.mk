@@ -1,10 +1,10 @@
 # Stage 70: networks. A model is a table of workflow/models.toml; RES names the grid.
-MODELS := $(shell sed -nE 's/^\[([a-z0-9_]+)\]$$/\1/p' workflow/models.toml)
+MODELS := $(shell sed -nE 's/^\[([a-z0-9_]+)\].*/\1/p' workflow/models.toml)
 SHIPPED := src/gelforge/networks/default
 # The shipped network is never trained here.
 LEARNT = $(if $(filter shipped,$(MODEL)),$(LEARNER),$(MODEL))
 # Those that go on from the network that ships are for one dataset, and write its grid: they are made by name alone.
-TUNED := $(shell awk '/^\[[a-z0-9_]+\]$$/ {name = substr($$0, 2, length - 2)} /^start *=/ {print name}' workflow/models.toml)
+TUNED := $(shell awk '/^\[[a-z0-9_]+\]/ {name = substr($$0, 2, index($$0, "]") - 2)} /^start *=/ {print name}' workflow/models.toml)
 LEARNABLE := $(filter-out $(TUNED),$(MODELS))
 TRAINED := $(MODELS:%=$D/70_train/$(RES1)/%.pt)
 

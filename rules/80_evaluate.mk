@@ -23,6 +23,8 @@ $(EVALUATED:.json=.card.md): $D/80_evaluate/$(RES1)/%.card.md: $D/70_train/$(RES
 # It takes the time of its copy: one that went on from the network whose place it takes is not trained again for that.
 # What benchmark-unseen and benchmark-real measured of this very network goes into the card.
 ship: $D/70_train/$(RES1)/$(LEARNT).pt $D/80_evaluate/$(RES1)/$(LEARNT).json  ## makes a network the one that predict and live use where none is named
-	cp $< $(SHIPPED).pt
+	@$(PY) -m gelforge.stages.card --model $< --evaluation $(word 2,$^) --measured $(wildcard results/benchmarks/unseen.json results/benchmarks/real.json) --out $(SHIPPED).md.part
+	cp $< $(SHIPPED).pt.part
+	mv $(SHIPPED).pt.part $(SHIPPED).pt
+	mv $(SHIPPED).md.part $(SHIPPED).md
 	touch -r $(SHIPPED).pt $^
-	@$(PY) -m gelforge.stages.card --model $< --evaluation $(word 2,$^) --measured $(wildcard results/benchmarks/unseen.json results/benchmarks/real.json) --out $(SHIPPED).md

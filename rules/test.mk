@@ -40,7 +40,9 @@ format: $(SETUP)  ## write the code in the project's form
 	@$(PY) -m ruff format
 
 lock: $(SETUP)  ## write envs/requirements.lock from what is installed
-	@$(PY) -m pip freeze --exclude-editable | sed 's/+cpu$$//' > envs/requirements.lock
+	@$(PY) -m pip freeze --exclude-editable > envs/.requirements.part
+	@sed 's/+cpu$$//' envs/.requirements.part > envs/.requirements.lock && rm envs/.requirements.part
+	@mv envs/.requirements.lock envs/requirements.lock
 
 BENCHMARKS := $(patsubst tests/benchmarks/%.py,benchmark-%,$(filter-out %/__init__.py %/figures.py %/sandbox.py %/rig_page.py %/real_page.py %/fea_cost.py %/attempts.py %/flow_faults.py,$(wildcard tests/benchmarks/*.py)))
 .PHONY: $(BENCHMARKS)

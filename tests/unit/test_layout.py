@@ -79,11 +79,11 @@ def test_sizes_are_of_what_is_planned(tmp_path):
 
 
 def test_a_sample_is_found_in_the_planned_shards_alone(tmp_path):
-    """The table of shards keeps samples whose shard the log has lost."""
+    """The table of shards keeps samples that the log has lost."""
     of = Layout(tmp_path / "demo")
     of.shards.mkdir(parents=True)
     of.shard("0001").touch()
-    of.shard_table.write_text("sample_id,shard\na,1\nlost,2\n")
+    of.shard_table.write_text("sample_id,shard,logged\na,1,1\nlost,1,0\n")
     assert of.shard_of("a") == "0001"
     for absent in ("lost", "never"):
         with pytest.raises(BadInput, match=f"'{absent}' is not in the log of demo"):

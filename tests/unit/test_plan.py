@@ -9,12 +9,12 @@ from parameters import parameters
 
 from gelforge.errors import BadInput
 from gelforge.flow import params as config
-from gelforge.flow.files import write_if_changed
+from gelforge.flow.files import read_csv, write_if_changed
 from gelforge.flow.params.slices import ForPoses
 from gelforge.geometry.gel import GELS
 from gelforge.records.log import read_shard
 from gelforge.stages import plan
-from gelforge.stages.plan import assign_shards, logged_rows, write_shards
+from gelforge.stages.plan import assign_shards, logged_rows, networks, write_shards
 
 NAMES = st.lists(st.integers(0, 200).map(str), unique=True, max_size=60)
 
@@ -58,6 +58,29 @@ def test_a_log_that_lost_rows_leaves_no_shard_behind(tmp_path):
     write_log(log, range(4))
     assert write_shards(log.parent, logged_rows(log, None), tmp_path, 4) == ["0000"]
     assert [path.name for path in (tmp_path / "shards").glob("*.csv")] == ["0000.csv"]
+
+
+def test_rows_that_come_back_find_their_shards_again(tmp_path):
+    """What was solved of them is still there: a log cut off for one make costs no solve."""
+    log, shards = tmp_path / "log.csv", tmp_path / "shards"
+    write_log(log, range(10))
+    write_shards(log.parent, logged_rows(log, None), tmp_path, 4)
+    before = {path.name: path.read_text() for path in shards.glob("*.csv")}
+    write_log(log, range(5))
+    write_shards(log.parent, logged_rows(log, None), tmp_path, 4)
+    assert [row["logged"] for row in read_csv(tmp_path / "shards.csv")] == ["1"] * 5 + ["0"] * 5
+    write_log(log, range(10))
+    assert write_shards(log.parent, logged_rows(log, None), tmp_path, 4) == ["0000", "0001", "0002"]
+    assert {path.name: path.read_text() for path in shards.glob("*.csv")} == before
+
+
+def test_a_network_that_make_would_miss_is_refused(tmp_path):
+    models = tmp_path / "models.toml"
+    models.write_text('[grid_8] # small\nkind = "grid"\n')
+    assert set(networks(tmp_path)) == {"grid_8"}
+    models.write_text('[grid-8]\nkind = "grid"\n')
+    with pytest.raises(BadInput, match=r"\[grid-8\].*underscores"):
+        networks(tmp_path)
 
 
 @pytest.mark.parametrize(

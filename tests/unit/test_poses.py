@@ -54,6 +54,7 @@ def lab(tmp_path, root):
         assert code == 0
         return read(out), read(out.parent / "0000.rejected.csv"), out.parent / "0000"
 
+    run.sensors = lambda tables: (tmp_path / "params/sensors.json").write_text(json.dumps(tables))
     return run
 
 
@@ -179,15 +180,23 @@ def test_users_shape_goes_through(lab, tmp_path, root):
 @pytest.mark.parametrize(
     ("table", "says"),
     [
-        ({"gel": "gelsight_mini"}, "image"),
-        ({"image": [320, 240]}, "gel"),
-        ({"image": [320, 240], "gel": "jelly"}, "jelly"),
-        ({"image": "320x240", "gel": "gelsight_mini"}, "image"),
+        ({"image": None}, "image"),
+        ({"gel": None}, "gel"),
+        ({"gel": "jelly"}, "jelly"),
+        ({"image": "320x240"}, "image"),
+        ({"projection": [[0.0, 14.0, 160.0], [-14.0, 0.0, 120.0], [0.0, 0.0, 1.0]]}, "mirrored"),
     ],
 )
-def test_sensor_without_its_facts_is_named(table, says):
-    with pytest.raises(BadInput, match=says):
-        poses.sensor_facts("mini_z", table)
+def test_sensor_without_its_facts_keeps_out_its_presses(lab, root, table, says):
+    """What labels need of a sensor is asked before anything is solved, and one sensor's fault is its own presses'."""
+    path = root / "workflow/sensors.toml"
+    tables = tomllib.loads(path.read_text())
+    changed = {key: value for key, value in (tables["gelsight_mini"] | table).items() if value is not None}
+    lab.sensors(tables | {"mini_z": changed})
+    good, rejected, _ = lab([sample("a", sensor_id="mini_z"), sample("b")])
+    assert [row["sample_id"] for row in good] == ["b"]
+    assert [row["column"] for row in rejected] == ["sensor_id"]
+    assert says in rejected[0]["remedy"] and "workflow/sensors.toml" in rejected[0]["remedy"]
 
 
 def test_strict_leaves_with_two(lab, tmp_path, root):

@@ -82,7 +82,9 @@ def test_projections_that_fold_or_flip(change, reason):
 
 def test_a_projection_that_folds_within_the_gel_is_refused_in_a_file(tmp_path):
     path = tmp_path / "sensors.toml"
-    path.write_text("[a]\nimage = [320, 240]\nprojection = [[0, -14, 160], [-14, 0, 120], [0.2, 0, 1]]\n")
+    path.write_text(
+        "[a]\ngel = 'gelsight_mini'\nimage = [320, 240]\nprojection = [[0, -14, 160], [-14, 0, 120], [0.2, 0, 1]]\n"
+    )
     with pytest.raises(BadInput, match=r"\[a\].*folds"):
         load_sensors(path)
 
@@ -95,10 +97,16 @@ def test_a_projection_that_folds_within_the_gel_is_refused_in_a_file(tmp_path):
         ("projection = 3", "projection"),
         ("projection = [[1, 2], [3, 4]]", "3 x 3"),
         ("image = [", "TOML|sensors"),
+        ("gel = 'jelly'", "jelly"),
+        ("gel = 3", "gel"),
     ],
 )
 def test_broken_sensor_tables_name_the_field(tmp_path, line, reason):
-    keep = {"image": "image = [320, 240]", "projection": "projection = [[0, -14, 160], [-14, 0, 120], [0, 0, 1]]"}
+    keep = {
+        "gel": "gel = 'gelsight_mini'",
+        "image": "image = [320, 240]",
+        "projection": "projection = [[0, -14, 160], [-14, 0, 120], [0, 0, 1]]",
+    }
     path = tmp_path / "sensors.toml"
     path.write_text("[a]\n" + "\n".join({**keep, line.split(" ")[0]: line}.values()))
     with pytest.raises(BadInput, match=reason):

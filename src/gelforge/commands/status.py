@@ -89,8 +89,7 @@ def lines(results: Path) -> list[str]:
     held, unsound, left = forces_state(results, valid)
     stages.append((layout.FORCES, held, unsound))
     stages += [
-        (f"{layout.LABELS} {f.name}", shard_state(f, left), Counter())
-        for f in listed(results / layout.LABELS, "*x*")
+        (f"{layout.LABELS} {f.name}", shard_state(f, left), Counter()) for f in listed(results / layout.LABELS, "*x*")
     ]
     text = [
         f"{results.name}: {total} rows of the log in {len(sizes)} shards",

@@ -22,6 +22,7 @@ STAGES = (
 )  # fmt: skip
 FOLDERS = (*STAGES, LOGS, METRICS, SAMPLES, ESTIMATE, EXPORT, FEATS, LOOK)
 SHARD_DIGITS = 4
+LOGGED = "logged"  # column of the table of shards: 1 for a sample that the log has, 0 for one that it has lost
 
 
 def shard_name(number: int) -> str:
@@ -171,12 +172,10 @@ class Layout:
                 f"{self.shard_table}: not there, so nothing was planned; run make poses DATASET={self.root.name}"
             )
         with self.shard_table.open(newline="", encoding="utf-8") as stream:
-            found = next((row["shard"] for row in csv.DictReader(stream) if row["sample_id"] == sample_id), None)
-        # the table keeps samples that the log has lost, so that they keep their shard if they come back
-        names = {int(name): name for name in self.names()}
-        if found is None or int(found) not in names:
+            found = next((row for row in csv.DictReader(stream) if row["sample_id"] == sample_id), None)
+        if found is None or found.get(LOGGED) == "0":
             raise self.not_logged(sample_id)
-        return names[int(found)]
+        return shard_name(int(found["shard"]))
 
     def not_logged(self, sample_id: str) -> BadInput:
         """The error of a sample that no planned shard holds."""

@@ -8,7 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.geometry.gel import Gel
+from gelforge.geometry.gel import Gel, load_gel
+from gelforge.records.press import SENSOR_TABLES
+
+NOMINAL = Gel()
 
 
 @dataclass(frozen=True)
@@ -42,14 +45,13 @@ def transform(homography: np.ndarray, points: np.ndarray) -> np.ndarray:
     return mapped[..., :2] / mapped[..., 2:]
 
 
-def check_projection(homography: np.ndarray, where: str) -> None:
-    """Raise BadInput unless the homography is finite and neither folds nor flips the gel.
+def check_projection(homography: np.ndarray, where: str, gel: Gel = NOMINAL) -> None:
+    """Raise BadInput unless the homography is finite and neither folds nor flips the sensor's gel.
 
     The camera looks at the gel from below with v down, so the map from (x, y) to (u, v) has a negative
     Jacobian everywhere; a positive one is a mirrored image. It folds where the line that maps to
     infinity crosses the gel (Hartley and Zisserman, Multiple View Geometry, section 2.3).
     """
-    gel = Gel()
     homography = np.asarray(homography, float)
     if homography.shape != (3, 3) or not np.isfinite(homography).all():
         raise BadInput(f"{where}: the projection must be 3 x 3 finite numbers, it is {homography.tolist()}")
@@ -86,23 +88,27 @@ def load_sensors(path) -> dict[str, Sensor]:
 
 def sensors_of(tables: dict, where: str) -> dict[str, Sensor]:
     """Sensors of tables by name; BadInput names a bad entry of file `where` and its field."""
-    return {name: _sensor(where, name, table) for name, table in tables.items()}
+    return {name: sensor_of(where, name, table) for name, table in tables.items()}
 
 
 def find_sensor(sensors: dict, name: str, where: str) -> Sensor:
     """The sensor called `name`; one that is not there raises BadInput with those that are."""
     if name not in sensors:
         raise BadInput(
-            f"{where}: sensor {name!r} is not in workflow/sensors.toml (it has {', '.join(sorted(sensors))});"
+            f"{where}: sensor {name!r} is not in {SENSOR_TABLES} (they have {', '.join(sorted(sensors))});"
             " add it there, or correct sensor_id in the log"
         )
     return sensors[name]
 
 
-def _sensor(path, name, table) -> Sensor:
+def sensor_of(path: str, name: str, table: dict) -> Sensor:
+    """The sensor of a table that stands in the file `path`; BadInput names the field that is wrong."""
     where = f"{path}: [{name}]"
-    if not isinstance(table, dict) or not {"image", "projection"} <= set(table):
-        raise BadInput(f"{where}: needs image = [width, height] and projection = three rows of three numbers")
+    if not isinstance(table, dict) or not {"image", "projection", "gel"} <= set(table):
+        raise BadInput(
+            f"{where}: needs gel = the name of the gel it carries, image = [width, height] and projection = three rows"
+            " of three numbers"
+        )
     image = table["image"]
     if not (isinstance(image, list) and len(image) == 2 and all(type(n) is int and 0 < n <= 10_000 for n in image)):
         raise BadInput(f"{where}: image is {image!r}; write [width, height] in pixels, two positive whole numbers")
@@ -110,5 +116,9 @@ def _sensor(path, name, table) -> Sensor:
         projection = np.array(table["projection"], float)
     except (TypeError, ValueError) as error:
         raise BadInput(f"{where}: projection {table['projection']!r} is not three rows of three numbers") from error
-    check_projection(projection, f"{where} projection")
-    return Sensor(name, tuple(image), projection, table.get("gel", "gelsight_mini"), table.get("markers", {}))
+    try:
+        gel = load_gel(str(table["gel"]))
+    except BadInput as error:
+        raise BadInput(f"{where}: gel: {error}") from error
+    check_projection(projection, f"{where} projection", gel)
+    return Sensor(name, tuple(image), projection, table["gel"], table.get("markers", {}))

@@ -14,7 +14,7 @@ import numpy as np
 
 from gelforge.errors import BadInput, GelforgeError
 from gelforge.flow.files import publish
-from gelforge.records.press import PressRecord, Rejection, reject
+from gelforge.records.press import SENSOR_TABLES, PressRecord, Rejection, reject
 from gelforge.records.regular import file_fault, read_bytes
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -35,7 +35,7 @@ def read_image(path: str | Path, size: tuple[int, int] | None = None, remedy: st
     if size is not None and (image.shape[1], image.shape[0]) != tuple(size):
         raise BadInput(
             f"{path}: image is {image.shape[1]} x {image.shape[0]} pixels, its sensor has {size[0]} x {size[1]};"
-            " resize it, or correct `image` in workflow/sensors.toml"
+            f" resize it, or correct `image` in {SENSOR_TABLES}"
         )
     return image
 
@@ -156,7 +156,7 @@ def bad_image(press: PressRecord, file: str, folder: str | Path, size: tuple[int
     if seen != tuple(size):
         return no(
             f"is {seen[0]} x {seen[1]} pixels, the sensor has {size[0]} x {size[1]}",
-            f"record at that size, or correct `image` of {press.sensor_id} in workflow/sensors.toml",
+            f"record at that size, or correct `image` of {press.sensor_id} in {SENSOR_TABLES}",
         )
     return None
 
@@ -166,9 +166,7 @@ def png_fault(data: bytes) -> tuple[str | None, tuple[int, int]]:
     if not data.startswith(PNG):
         return "is not a PNG file", (0, 0)
     fault, size = _chunk_fault(data)
-    if fault is None and not 0 < size[0] * size[1] <= MOST_PIXELS:
-        fault = f"has a size of {size[0]} x {size[1]} pixels"
-    return fault or _decode_fault(data), size
+    return fault or _size_fault(size) or _decode_fault(data), size
 
 
 def _chunk_fault(data: bytes) -> tuple[str | None, tuple[int, int]]:

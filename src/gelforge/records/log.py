@@ -17,6 +17,7 @@ from gelforge.records.press import (
     KNOWN,
     OPTIONAL,
     POSE,
+    SENSOR_TABLES,
     LoggedPress,
     PosedPress,
     PressRecord,
@@ -219,7 +220,7 @@ def unknown_names(press: PressRecord, file: str, sensors: Iterable[str], indente
     """Rejections of a sensor or an indenter that its catalogue does not have."""
     wrong = []
     for column, name, known, where in (
-        ("sensor_id", press.sensor_id, list(sensors), "no such sensor in workflow/sensors.toml or the dataset's own"),
+        ("sensor_id", press.sensor_id, list(sensors), f"no such sensor in {SENSOR_TABLES}"),
         ("indenter", press.indenter, list(indenters), "no such indenter in the dataset's catalogue"),
     ):
         if name not in known:

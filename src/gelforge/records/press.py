@@ -22,6 +22,8 @@ FORCES = (*FORCE, *MOMENT)
 COLUMNS = ("sample_id", "time_utc", "sensor_id", "gel_id", "indenter", *POSE, *FORCES, "image")
 OPTIONAL = ("press_id",)
 KNOWN = (*COLUMNS, *OPTIONAL)
+# Where the tables of the sensors stand that rows name.
+SENSOR_TABLES = "workflow/sensors.toml or the dataset's own sensors.toml"
 
 ID_RULE = "1 to 100 letters, digits, dots, dashes or underscores, beginning with a letter or digit"
 LARGEST = {**dict.fromkeys(POSE, 1000.0), "rot_deg": 3600.0, **dict.fromkeys(FORCES, 1e5)}

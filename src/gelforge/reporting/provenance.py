@@ -11,7 +11,10 @@ COST = ("seconds", "cpu_seconds", "peak_mib")
 def target_costs(results: Path) -> dict[str, dict]:
     """Record of every target that was made, by its path below results/DATASET (without suffix)."""
     folder = Layout(results).metrics
-    return {str(path.relative_to(folder).with_suffix("")): read_json(path) for path in listed(folder, "*.json", below=True)}
+    return {
+        str(path.relative_to(folder).with_suffix("")): read_json(path)
+        for path in listed(folder, "*.json", below=True)
+    }
 
 
 def stage_of(path: str, results: Path) -> str:

@@ -1,4 +1,4 @@
-"""Stage 50: nodal forces of a shard to force per cell of an image grid."""
+"""Stage 50: nodal forces of all shards to force per cell of an image grid."""
 
 import os
 from argparse import Namespace

@@ -17,14 +17,12 @@ from gelforge.errors import BadInput
 from gelforge.flow import params as config
 from gelforge.flow.catalogue import with_content
 from gelforge.flow.files import read_csv, read_json, write_if_changed, write_text
-from gelforge.flow.layout import planned_shards, shard_name
+from gelforge.flow.layout import LOGGED, planned_shards, shard_name
 from gelforge.flow.main import command, option
 from gelforge.flow.params import DatasetFile, Params
 from gelforge.flow.params.tables import IN_PROCESS
 from gelforge.records.log import csv_text, read_log, shard_text
-from gelforge.records.press import RawRow
-
-LARGEST_PICTURE = 64 * 2**20  # bytes; stage 10 refuses what is larger
+from gelforge.records.press import SENSOR_TABLES, RawRow
 
 
 def assign_shards(
@@ -102,8 +100,10 @@ def write_shards(
         # the log lost its rows: no stage may read them again
         for suffix in (".csv", ".json"):
             (out / "shards" / f"{gone}{suffix}").unlink(missing_ok=True)
-    lines = [{"sample_id": name, "shard": shard} for name, shard in shards.items()]
-    write_if_changed(table, csv_text(["sample_id", "shard"], lines))
+    # samples that the log has lost keep their shard, and so their solves, should they come back
+    kept = {name: shard for name, shard in known.items() if name not in shards}
+    lines = [{"sample_id": n, "shard": shard, LOGGED: int(n in shards)} for n, shard in (shards | kept).items()]
+    write_if_changed(table, csv_text(["sample_id", "shard", LOGGED], lines))
     return names
 
 
@@ -132,7 +132,7 @@ def image_digests(data: Path, names: set[str], kept: Path) -> dict[str, str]:
     One that stage 10 refuses for its place, outside the dataset's folder, has none: a copy of it inside is another.
     kept: a JSON file of digests by name, time and size, so that a picture is read once.
     """
-    from gelforge.records.image import stays_inside
+    from gelforge.records.image import MOST_BYTES, stays_inside
 
     known = read_json(kept) if kept.exists() else {}
     told, found = {}, {}
@@ -142,7 +142,7 @@ def image_digests(data: Path, names: set[str], kept: Path) -> dict[str, str]:
         path = data / name
         try:
             state = path.stat()
-            if not S_ISREG(state.st_mode) or state.st_size > LARGEST_PICTURE:
+            if not S_ISREG(state.st_mode) or state.st_size > MOST_BYTES:  # stage 10 refuses it
                 continue
             old = known.get(name, [None] * 3)
             same = old[:2] == [state.st_mtime_ns, state.st_size]
@@ -163,7 +163,7 @@ def write_slices(params: Params, workflow: Path, out: Path, tables: dict[str, di
     for name, entries in tables.items():
         write_if_changed(out / "params" / f"{name}.json", config.canonical(entries))
     # One file per network, so that a new network retrains no other.
-    for name, table in config.read_toml(workflow / "models.toml").items():
+    for name, table in networks(workflow).items():
         write_if_changed(out / "params" / "models" / f"{name}.json", config.canonical({name: table}))
     for name, table in scenes.items():
         write_if_changed(out / "params" / "scenes" / f"{name}.json", config.canonical(table))
@@ -176,6 +176,7 @@ def used(catalogue: dict, names: set[str]) -> dict:
 
 # What make takes as one word without reading anything into it.
 _WORD = re.compile(r"[A-Za-z0-9_@+][A-Za-z0-9_.@+/-]*")
+NETWORK_NAME = re.compile(r"[a-z0-9_]+")  # as rules/70_train.mk finds them
 MOST_SHARDS = 20_000
 
 
@@ -199,6 +200,15 @@ def state_of(paths: list[Path]) -> str:
             seconds, rest = divmod(found.st_mtime_ns, 10**9)
             told.append(f"{path}:{seconds}.{rest:09d}:{found.st_size}")
     return " ".join(told)
+
+
+def networks(workflow: Path) -> dict[str, dict]:
+    """Tables of workflow/models.toml by name; BadInput for a name that make, which reads the file by lines, would miss."""
+    path = workflow / "models.toml"
+    found = config.read_toml(path)
+    if odd := [name for name in found if not NETWORK_NAME.fullmatch(name)]:
+        raise BadInput(f"{path}: [{odd[0]}]: name a network by small letters, digits and underscores alone")
+    return found
 
 
 def reported_model(params: Params, models: dict) -> list[str]:
@@ -259,8 +269,8 @@ def check_gel(file: Path, of: DatasetFile, params: Params, sensors: dict[str, di
         gel = table.get("gel") if isinstance(table, dict) else None
         if is_gel(gel) and gel != mesh_gel and not (bricks and states_thickness(gel, mesh_gel)):
             raise BadInput(
-                f"{file}: sensor {name!r} of the log sits on gel {gel!r} (workflow/sensors.toml), but [meshes] gel ="
-                f" {mesh_gel!r}: set [params.meshes] gel, and keep presses on different gels in datasets of their own;"
+                f"{file}: sensor {name!r} of the log sits on gel {gel!r} ({SENSOR_TABLES}), but"
+                f" [meshes] gel = {mesh_gel!r}: set [params.meshes] gel, and keep presses on different gels in datasets of their own;"
                 ' bricks ([params.fea] fidelity = "hex") follow the thickness that each sensor states'
             )
 
@@ -332,7 +342,7 @@ def main(args: Namespace) -> None:
     check_dataset(dataset_toml, of, params, rows, args.workflow, sensors)
     meshes = required_meshes(params.fea, params.meshes)
     lists = {"MESHES": meshes, "BRANCHES": list(params.report.branches)} | chart_lists(params, scenes)
-    lists["REPORT_MODEL"] = reported_model(params, config.read_toml(args.workflow / "models.toml"))
+    lists["REPORT_MODEL"] = reported_model(params, networks(args.workflow))
     lists["PLAN_READS"] = [str(path) for path in read]
     lists["PICTURES"] = picture_folders(args.data, rows)
     text = "".join(make_list(name, values) for name, values in lists.items())

@@ -21,6 +21,7 @@ from gelforge.flow.params.tables import PosesTable
 from gelforge.geometry import touch
 from gelforge.geometry.cropping import cropped
 from gelforge.geometry.gel import Gel, load_gel
+from gelforge.labelling.sensor import sensor_of
 from gelforge.records.frames import check_frames
 from gelforge.records.image import bad_image
 from gelforge.records.log import (
@@ -30,7 +31,7 @@ from gelforge.records.log import (
     write_poses,
     write_rejections,
 )
-from gelforge.records.press import LoggedPress, PosedPress, RawRow, Rejection, parse, reject
+from gelforge.records.press import SENSOR_TABLES, LoggedPress, PosedPress, RawRow, Rejection, parse, reject
 
 VERSION = 2
 # A force sensor that drifted reads a light press as a small pull; beyond this the sign is turned round.
@@ -110,16 +111,6 @@ def write_posed(path, body, press, params: PosesTable) -> None:
         write_stl(part, posed_points(press, vertices), faces)
 
 
-def sensor_facts(name: str, table: dict) -> tuple[Gel, tuple[int, int]]:
-    """Gel and image size (width, height) of a sensor's table."""
-    size = table.get("image")
-    if not isinstance(size, list) or len(size) != 2 or not all(isinstance(n, int) and n > 0 for n in size):
-        raise BadInput(f"workflow/sensors.toml: {name}: image = {size!r}; give [width, height] in pixels")
-    if "gel" not in table:
-        raise BadInput(f"workflow/sensors.toml: {name}: gel is missing; name the gel it carries")
-    return load_gel(table["gel"]), tuple(size)
-
-
 def judge(rows: list[RawRow], file: str, data: Path, tables: dict, params: PosesTable):
     """Good samples with body and gel, and rejections, of raw rows.
 
@@ -170,15 +161,15 @@ def place_faults(
 ) -> list[Rejection]:
     """Rejections of a press by its sensor's table, its indenter's shape, where it lies and its image."""
     try:
-        gel, image_size = sensor_facts(sample.sensor_id, sensor)
+        known = sensor_of(SENSOR_TABLES, sample.sensor_id, sensor)
     except BadInput as error:
         return [reject(sample, file, "sensor_id", "its table cannot be used", str(error))]
     try:
         body = bodies[sample.indenter]
     except BadInput as error:
         return [reject(sample, file, "indenter", "its shape cannot be used", str(error))]
-    wrong = geometric_faults(sample, file, body, gel, params)
-    fault = bad_image(sample, file, data, image_size) if params.images else None
+    wrong = geometric_faults(sample, file, body, load_gel(known.gel), params)
+    fault = bad_image(sample, file, data, known.image) if params.images else None
     return [*wrong, fault] if fault else wrong
 
 

@@ -56,7 +56,8 @@ def read_solved(results: Path) -> dict[str, Solved]:
 
     Once a shard's forces were taken out of them, as these say: in the material's N, and lost where they were not sound.
     """
-    of, found = Layout(results), {}
+    of = Layout(results)
+    found: dict[str, Solved] = {}
     for name in of.names():
         solves = read_solves(of.fea(name)) if of.fea(name).exists() else []
         found |= {solve.sample_id: solve for solve in with_forces(solves, of.forces(name))}
@@ -68,7 +69,9 @@ def with_forces(solves: list[Solved], path: Path) -> list[Solved]:
     if not path.exists():
         return solves
     with ForceFile(path) as shard:
-        known = dict(zip(shard.sample_id.tolist(), zip(shard.status.tolist(), shard.total.tolist(), strict=True), strict=True))
+        known = dict(
+            zip(shard.sample_id.tolist(), zip(shard.status.tolist(), shard.total.tolist(), strict=True), strict=True)
+        )
     return [_with_force(solve, *known[solve.sample_id]) if solve.sample_id in known else solve for solve in solves]
 
 

@@ -232,7 +232,7 @@ def main(given: Namespace) -> None:
     if given.jobs < 1:
         raise BadInput(f"--jobs {given.jobs}: give at least 1")
     # one thread per press, whatever the user has set: presses run side by side, and sums keep their order
-    os.environ.update(OMP_NUM_THREADS="1", MKL_NUM_THREADS="1")
+    os.environ.update(OMP_NUM_THREADS="1", MKL_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
     os.environ.setdefault("MKL_CBWR", "AUTO")  # the same digits wherever in memory an array lies
     run(given.plan, given.data, given.workflow, given.jobs)
 

@@ -42,7 +42,7 @@ def rows_of(name: str, evaluation: dict) -> list[dict]:
 
 @command(
     option("--whole", type=Path, help="80_evaluate/RES/MODEL.json of the network that learnt from all presses"),
-    option("--parts", type=Path, nargs="*", default=[], help="study/RES/PART.json"),
+    option("--parts", type=Path, nargs="*", default=[], help="study/RES/MODEL/evaluations/PART.json"),
     option("--out", type=Path),
 )
 def main(args: Namespace) -> None:

@@ -261,7 +261,7 @@ class CalibrateTable(ParameterTable):
     compare: bool
     max_presses: Count
     shear: bool
-    friction_nodes: Annotated[tuple[float, ...], Within(TINY, 1e3)]
+    friction_nodes: Annotated[tuple[float, ...], Within(TINY, 1e3), Rising(0)]
     reach_mm: Annotated[float, Within(0.0, 10.0, "mm")]
     shear_depths: Annotated[tuple[float, ...], Within(TINY, 1.0), Some()]
     tail: Annotated[float, Within(TINY, 1e6)]
