@@ -262,7 +262,6 @@ SPOILT = {
     "an unknown status": (lambda a: a.update(status=np.array(["OK", "FINE", "OK"])), "sample b: status 'FINE'"),
     "one id eight times": (lambda a: a.update(sample_id=np.array(["a", "a", "c"])), "sample a stands 2 times"),
     "no outside": (lambda a: a.pop("outside"), "array outside is missing"),
-    "no c10": (lambda a: a.pop("c10"), "array c10 is missing"),
     "c10 below zero": (lambda a: a.update(c10=np.float64(-1)), "c10 = -1"),
     "two channels": (lambda a: a.update(label=a["label"][:, :2]), "do not fit each other"),
     "one label less": (lambda a: a.update(label=a["label"][:2]), "do not fit each other"),
@@ -287,6 +286,14 @@ def test_a_good_imported_label_file_is_read(tmp_path):
     np.savez_compressed(tmp_path / "24x32.npz", **label_arrays())
     found = read_labels(tmp_path / "24x32.npz")
     assert found.sample_id.tolist() == ["a", "b", "c"] and found.material == {"c10": 0.0792}
+
+
+def test_forces_that_a_sensor_read_are_of_no_material(tmp_path):
+    """What recordings bring with them says nothing of the gel's stiffness, and nobody reads one from it."""
+    arrays = label_arrays()
+    del arrays["c10"]
+    np.savez(tmp_path / "1x1.npz", **arrays)
+    assert read_labels(tmp_path / "1x1.npz").material == {}
 
 
 def test_an_archive_that_would_fill_the_memory_is_refused(tmp_path):

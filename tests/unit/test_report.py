@@ -11,6 +11,7 @@ import numpy as np
 from gelforge.geometry.gel import load_gel
 from gelforge.mechanics.hex.bricks import Bricks
 from gelforge.mechanics.hex.hexmesh import FineBox
+from gelforge.records.forcefile import SampleForces, write_forces
 from gelforge.records.solvetable import Solved
 from gelforge.records.status import Status
 from gelforge.reporting.explorer import Explorer, Shard
@@ -20,7 +21,7 @@ from gelforge.reporting.presses import as_columns, press_rows
 from gelforge.reporting.provenance import stages
 from gelforge.reporting.surfacegrid import Resampler, grid_points
 from gelforge.stages import report
-from gelforge.stages.report import failures_section, flatten
+from gelforge.stages.report import failures_section, flatten, with_forces
 from tests.explored import tables, write_page
 
 
@@ -29,6 +30,18 @@ def test_text_from_data_is_escaped():
     page = render("<b>lab</b>", "lead", [section])
     assert "<script>alert" not in page and "<b>lab" not in page
     assert "&lt;script&gt;" in page and "a &lt; b &amp; c" in page
+
+
+def test_the_page_tells_the_materials_forces_and_what_stage_40_refused(tmp_path):
+    """A press without a picture has no place in the dataset: its force is the one that its label would have."""
+    solves = [Solved(name, Status.OK, "", "hex", "mesh", "", (0.0, 0.0, -10.0), {}) for name in "abc"]
+    nodes, force = np.array([0]), np.array([[0.0, 0.0, -20.0]])
+    sound = SampleForces("a", "OK", "mesh", nodes, force, np.zeros((1, 3)))
+    write_forces(tmp_path / "0000.npz", [sound, SampleForces.failed("b", "UNBALANCED", "mesh")], 0.145)
+    a, b, c = with_forces(solves, tmp_path / "0000.npz")
+    assert a.total == (0.0, 0.0, -20.0) and a.status is Status.OK and not a.reason
+    assert b.status is Status.UNBALANCED and b.reason == Status.UNBALANCED.value
+    assert c == solves[2]
 
 
 def test_the_page_asks_nothing_from_outside(tmp_path):

@@ -42,8 +42,6 @@ DEFAULTS = {
     "rotation": np.eye(3).tolist(),
     "sensor": "gelsight_mini",
 }
-# What a force sensor reads belongs to no material; a label file states one that labels of a mesh would scale with.
-NO_MATERIAL_MPA = 0.08
 ENCODINGS = {"rgb8": 3, "bgr8": 3}
 DATASET_TOML = """# Imported from recordings in MCAP: pictures with total force, no indenter known: make train RES=1x1 MODEL=resnet10
 sensor = "{sensor}"
@@ -218,6 +216,5 @@ def write_totals(path: Path, rows: list[LoggedPress], forces: np.ndarray) -> Non
         "sample_id": np.array([rows[at].sample_id for at in order]),
         "status": np.array(["OK"] * len(rows)),
         "outside": np.full((len(rows), 3), np.nan),
-        "c10": np.float64(NO_MATERIAL_MPA),
     }
     write_labels(path, [labels], labels.shape, arrays)

@@ -8,7 +8,7 @@ An uncompressed .npz. `n` samples:
 | label | (n, 3, rows, cols) float32 | N per cell; channels as in `records.axes` (FEATS) |
 | outside | (n, 3) float64 | N that fell outside the image, same channels |
 | press_id | (n,) str | where samples are frames of a press: which one |
-| c10 | () float64 | MPa, the material that the forces belong to |
+| c10 | () float64 | MPa, the material that the forces belong to; absent where they were read by a sensor |
 | c10_interval68, c10_interval95 | (2,) float64 | MPa, where the material was calibrated; labels scale with c10 |
 
 Only where `[labels] channels` asks for them, NaN in cells that show no gel:
@@ -108,8 +108,8 @@ def read_labels(path: str | Path) -> LabelShard:
     with open_labels(path) as file:
         names, states = file.array("sample_id", "U", 1), file.array("status", "U", 1)
         label, outside = file.array("label", "f", 4), file.array("outside", "f", 2)
-        c10 = float(file.array("c10", "f", 0))
-        material: dict[str, float | list[float]] = {"c10": c10}
+        c10 = float(file.array("c10", "f", 0)) if "c10" in file else None
+        material: dict[str, float | list[float]] = {} if c10 is None else {"c10": c10}
         material |= {name: file.array(name, "f", 1).tolist() for name in INTERVALS if name in file}
         press = file.array("press_id", "U", 1) if "press_id" in file else np.full(len(names), "")
         fields = {name: file.array(name, "f", dims) for name, dims in FIELDS.items() if name in file}
@@ -137,7 +137,7 @@ def read_labels(path: str | Path) -> LabelShard:
         raise BadInput(
             f"{where}: sample {names[np.argmin(lost)]} has a label that is not finite; make or import the labels again"
         )
-    if not 0.0 < c10 < np.inf:
+    if c10 is not None and not 0.0 < c10 < np.inf:
         raise BadInput(f"{where}: c10 = {c10:g} MPa; it must be above 0: make or import the labels again")
     return LabelShard(Path(path), names, status, label, outside, material, press, fields)
 
