@@ -20,6 +20,7 @@ from gelforge.flow.forecast import Cost, pilots, presses_an_hour, table, wall_se
 from gelforge.flow.layout import Layout, shard_name
 from gelforge.flow.main import command, option
 from gelforge.flow.params.slices import ForCalibrate, ForPareto, ForReport, ForTrain, read_slice
+from gelforge.flow.params.tables import SHIPPED
 from gelforge.flow.running import duration
 from gelforge.mechanics.scene import REFERENCE_C10
 from gelforge.records.log import read_shard, shard_text
@@ -124,7 +125,7 @@ def later_costs(params: Path, resolution: str, model: str, presses: int) -> list
     report = read_slice(params / "report.json", ForReport).report
     cells = 4 * 3 * int(resolution.split("x", maxsplit=1)[0]) * int(resolution.split("x")[1])
     found = [Cost(layout.DATASET, 2e-3, START, IMAGE_BYTES + cells)]
-    if model != "shipped":
+    if model != SHIPPED:
         found.append(training(params, model, presses))
     found.append(Cost(layout.EVALUATE, EVALUATE_EACH, START, cells / 2))
     if "calibrate" in report.branches:
@@ -148,7 +149,7 @@ def estimated(data: Path, results: Path, resolution: str, model: str, rows: list
     option("--data", type=Path, help="data/DATASET"),
     option("--results", type=Path, help="results/DATASET"),
     option("--resolution", default="24x32"),
-    option("--model", default="shipped", help="the network of the run; shipped is not trained"),
+    option("--model", default=SHIPPED, help="the network of the run; shipped is not trained"),
     option("--cores", type=int, default=os.cpu_count(), help="that the run may use"),
 )
 def main(args: Namespace) -> None:

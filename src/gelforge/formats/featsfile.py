@@ -12,6 +12,7 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish
 from gelforge.formats.numpy_pickle import read_npy
+from gelforge.records.axes import CHANNELS
 
 POSE_FIELDS = {
     "x_0": "x0_mm",
@@ -23,7 +24,6 @@ POSE_FIELDS = {
     "deg": "rot_deg",
 }
 FORCE_FIELDS = {"f_x": "fx_n", "f_y": "fy_n", "f_z": "fz_n", "m_x": "mx_nm", "m_y": "my_nm", "m_z": "mz_nm"}
-GRIDS = ("grid_x", "grid_y", "grid_z")
 TOTALS = ("f_x", "f_y", "f_z")
 SUM_TOLERANCE = 1e-5  # of the sum of the cells' sizes; FEATS' totals are float64 sums of its cells
 
@@ -50,7 +50,7 @@ def read_sample(path) -> RawSample | LabelSample:
     if not isinstance(found, dict):
         raise BadInput(f"{path}: holds {type(found).__name__}, FEATS' files hold a dict; is it from another program?")
     image = _image(path, found)
-    if all(name in found for name in GRIDS):
+    if all(name in found for name in CHANNELS):
         return LabelSample(image, _label(path, found))
     missing = [name for name in ("indenter", *POSE_FIELDS, *FORCE_FIELDS) if name not in found]
     if missing:
@@ -72,8 +72,8 @@ def _image(path, found) -> np.ndarray:
 
 
 def _label(path, found) -> np.ndarray:
-    grids = [found[name] for name in GRIDS]
-    for name, grid in zip(GRIDS, grids, strict=True):
+    grids = [found[name] for name in CHANNELS]
+    for name, grid in zip(CHANNELS, grids, strict=True):
         if not isinstance(grid, np.ndarray) or grid.ndim != 2 or grid.dtype.kind not in "fiu" or not grid.size:
             raise BadInput(f"{path}: field {name} is no grid of numbers; label the press again")
         if grid.shape != grids[0].shape:
@@ -107,8 +107,8 @@ def _text(path, name, value) -> str:
 
 def write_label(path, sample: LabelSample) -> None:
     """Write a label file in FEATS' layout, whole or not at all."""
-    grids = {name: np.asarray(sample.label[k], np.float64) for k, name in enumerate(GRIDS)}
-    totals = {name: np.float64(grids[grid].sum()) for name, grid in zip(TOTALS, GRIDS, strict=True)}
+    grids = {name: np.asarray(sample.label[k], np.float64) for k, name in enumerate(CHANNELS)}
+    totals = {name: np.float64(grids[grid].sum()) for name, grid in zip(TOTALS, CHANNELS, strict=True)}
     _save(path, {"gs_img": np.asarray(sample.image, np.uint8), **grids, **totals})
 
 
@@ -155,7 +155,7 @@ class Ranges:
         self.found = {}
 
     def add(self, sample: LabelSample) -> None:
-        fields = {"gs_img": sample.image, **{name: sample.label[k] for k, name in enumerate(GRIDS)}}
+        fields = {"gs_img": sample.image, **{name: sample.label[k] for k, name in enumerate(CHANNELS)}}
         fields |= {name: np.float64(sample.label[k]).sum() for k, name in enumerate(TOTALS)}
         for name, value in fields.items():
             low, high = float(np.min(value)), float(np.max(value))

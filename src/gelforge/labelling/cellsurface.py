@@ -15,6 +15,7 @@ from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import CORNERS, face_parts, part_to_cell
 from gelforge.labelling.sensor import Sensor, transform
 from gelforge.mechanics.mesh import GelMesh
+from gelforge.mechanics.tet.face import shapes
 
 NEWTON_STEPS = 8  # of the inverse of a bilinear map: doubles its digits each
 
@@ -134,7 +135,7 @@ def _shapes(mesh: GelMesh, face: np.ndarray, points: np.ndarray) -> np.ndarray:
         edges = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2)
         inner = np.linalg.solve(edges, (points - corners[:, 0])[..., None])[..., 0]
         share = np.column_stack([1.0 - inner.sum(axis=1), inner])
-        return np.hstack([share * (2.0 * share - 1.0), 4.0 * share * np.roll(share, -1, axis=1)])
+        return shapes(share)
     place = np.zeros_like(points)
     for _ in range(NEWTON_STEPS):
         value, slope = _bilinear(place)

@@ -20,7 +20,7 @@ from gelforge.flow.files import read_csv, read_json, write_if_changed, write_tex
 from gelforge.flow.layout import LOGGED, planned_shards, shard_name
 from gelforge.flow.main import command, option
 from gelforge.flow.params import DatasetFile, Params
-from gelforge.flow.params.tables import IN_PROCESS
+from gelforge.flow.params.tables import IN_PROCESS, SHIPPED
 from gelforge.records.log import csv_text, read_log, shard_text
 from gelforge.records.press import SENSOR_TABLES, RawRow
 
@@ -214,9 +214,9 @@ def networks(workflow: Path) -> dict[str, dict]:
 def reported_model(params: Params, models: dict) -> list[str]:
     """The network that the report shows, as a list of one or none; BadInput for a name that is none."""
     name = params.report.model
-    if name and name not in {*models, "shipped"}:
+    if name and name not in {*models, SHIPPED}:
         raise BadInput(
-            f"[report] model = {name!r}: choose shipped, nothing, or one of {', '.join(models)} (models.toml)"
+            f"[report] model = {name!r}: choose {SHIPPED}, nothing, or one of {', '.join(models)} (models.toml)"
         )
     return [name] if name else []
 

@@ -13,6 +13,7 @@ from gelforge.flow.files import listed, read_csv, read_json, write_text
 from gelforge.flow.layout import PARETO, Layout
 from gelforge.flow.main import command, option
 from gelforge.flow.params.slices import ForEvaluate, ForReport, read_slice
+from gelforge.flow.params.tables import SHIPPED
 from gelforge.flow.programs import installed
 from gelforge.flow.progress import progress
 from gelforge.labelling.grid import Grid
@@ -31,7 +32,6 @@ from gelforge.reporting.presses import as_columns, press_rows
 from gelforge.reporting.provenance import COST, stages, target_costs
 
 VERSION = 2
-SHIPPED_MODEL = "shipped"
 ABSENT = "not installed"
 PACKAGES = (
     "gelforge", "numpy", "scipy", "torch", "pymeshlab", "pytetwild", "pyvista", "emcee", "opencv-contrib-python-headless",
@@ -211,11 +211,9 @@ def network_section(results: Path, resolution: str, model: str) -> Section:
 def learnt_from(metrics: dict, model: str) -> str:
     """What the network saw before, and how to judge it."""
     about = metrics["dataset"]
-    count = sum(about["samples"].values()) if model == SHIPPED_MODEL else about["samples"].get("train", 0)
+    count = sum(about["samples"].values()) if model == SHIPPED else about["samples"].get("train", 0)
     whose = f"the network that ships, learnt from dataset {about['name']} ({count} images), and from none of these"
-    who = (
-        whose if model == SHIPPED_MODEL else f"{model} learnt from {count} of {sum(about['samples'].values())} images"
-    )
+    who = whose if model == SHIPPED else f"{model} learnt from {count} of {sum(about['samples'].values())} images"
     return (
         f"{who[0].upper()}{who[1:]}. Judge it by the controls below: what they reach without looking at the picture of a"
         " press, a network must beat by far."
@@ -256,7 +254,7 @@ def about(results: Path, dataset: str, resolution: str, model: str, params: Path
         "dataset": dataset,
         "resolution": resolution,
         "model": model,
-        "learnt_here": model != SHIPPED_MODEL,
+        "learnt_here": model != SHIPPED,
         "grid": list(Grid.parse(resolution).shape),
         "force_edges": list(read_slice(params / "evaluate.json", ForEvaluate).evaluate.force_edges),
         "controls": {name: {"n": split["n"], "controls": split["controls"]} for name, split in splits.items()},

@@ -13,10 +13,9 @@ from gelforge.flow.main import command, option
 from gelforge.flow.params import laid_over, plain
 from gelforge.flow.params.schema import Place, parse
 from gelforge.flow.params.slices import ForTrain, read_slice
-from gelforge.flow.params.tables import TrainingTable, TrainTable
+from gelforge.flow.params.tables import SHIPPED, TrainingTable, TrainTable
 
 VERSION = 14
-SHIPPED = "shipped"  # `start` of a network that goes on from the one that ships
 
 
 def read_models(path) -> dict:

@@ -35,6 +35,7 @@ CHOOSING = frozenset(
     {"charted", "tolerance", "cell_tolerance"}
 )  # of [fea]: by these "auto" chooses, nothing else reads them
 BRANCHES = ("calibrate", "pareto")
+SHIPPED = "shipped"  # the network that predict and live use where none is named, as targets and parameters call it
 CHANNELS = ("force", "displacement", "traction", "traction_deformed")
 
 

@@ -14,9 +14,10 @@ import numpy as np
 
 from gelforge.formats.export import ros
 from gelforge.formats.export.samples import Sample, Samples
+from gelforge.records.axes import CHANNEL_OF_AXIS
 
 START_NS = 1_767_225_600 * 10**9  # 2026-01-01
-MAPS = {"along_y": 0, "along_x": 1, "normal": 2}
+NAMES = ("along_x", "along_y", "normal")  # of the maps of force along each axis of the gel
 SCHEMAS = {
     "sensor_msgs/msg/CompressedImage": ros.COMPRESSED_IMAGE,
     "sensor_msgs/msg/Image": ros.IMAGE,
@@ -37,7 +38,7 @@ def messages(sample: Sample, time: int) -> list[tuple[str, str, dict]]:
          {"header": stamp, "wrench": {"force": force, "torque": {"x": 0.0, "y": 0.0, "z": 0.0}}}),
         (f"{top}/sample", "std_msgs/msg/String", {"data": json.dumps(sample.row)}),
     ]  # fmt: skip
-    for name, channel in MAPS.items():
+    for name, channel in zip(NAMES, CHANNEL_OF_AXIS, strict=True):
         grid = np.ascontiguousarray(sample.label[channel], "<f4")
         image = {"header": stamp, "height": grid.shape[0], "width": grid.shape[1], "encoding": "32FC1",
                  "is_bigendian": 0, "step": 4 * grid.shape[1], "data": grid.tobytes()}  # fmt: skip

@@ -10,18 +10,15 @@ from numba import njit
 from gelforge.mechanics.linear import symmetric_solver
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.pattern import add_block, block_places, build_pattern
+from gelforge.mechanics.tet.tetmesh import GAUSS
 from gelforge.mechanics.tet.tetmesh import gradients as local_gradients
-
-_CORNER, _REST = 0.58541020, 0.13819660  # CalculiX' gauss3d5
 
 
 class TetSolid:
     """Geometry, matrix pattern and factorisation of one mesh; face springs may be added to the matrix."""
 
     def __init__(self, mesh: GelMesh):
-        points = np.full((4, 3), _REST)
-        points[[1, 2, 3], [0, 1, 2]] = _CORNER
-        local = local_gradients(points)
+        local = local_gradients(GAUSS)
         jacobian = np.einsum("qak,eai->eqik", local, mesh.nodes[mesh.elements])
         self.weights = np.linalg.det(jacobian) / 24.0
         self.gradients = np.ascontiguousarray(np.einsum("qak,eqki->eqai", local, np.linalg.inv(jacobian)))

@@ -216,7 +216,9 @@ def bend(gel: Gel, nodes: np.ndarray) -> np.ndarray:
 
 # --- quality ---------------------------------------------------------------------------------
 
-_TET_RULE = np.array([0.58541020, 0.13819660])
+# Barycentric (l1, l2, l3) of the four Gauss points of a C3D10, (4, 3), to the digits of CalculiX' gauss3d5.
+GAUSS = np.full((4, 3), 0.13819660)
+GAUSS[[1, 2, 3], [0, 1, 2]] = 0.58541020
 
 
 def gradients(xi: np.ndarray) -> np.ndarray:
@@ -237,9 +239,7 @@ def jacobians(nodes: np.ndarray, elements: np.ndarray) -> np.ndarray:
     """Determinant of each C3D10's Jacobian at its corners, midsides and Gauss points: (e, 14)."""
     corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
     middles = (corners[EDGES[:, 0]] + corners[EDGES[:, 1]]) / 2
-    gauss = np.full((4, 3), _TET_RULE[1])
-    gauss[[1, 2, 3], [0, 1, 2]] = _TET_RULE[0]
-    matrix = np.einsum("eai,qaj->eqij", nodes[elements], gradients(np.concatenate([corners, middles, gauss])))
+    matrix = np.einsum("eai,qaj->eqij", nodes[elements], gradients(np.concatenate([corners, middles, GAUSS])))
     return np.linalg.det(matrix)
 
 
@@ -249,9 +249,7 @@ def analytic_volume(gel: Gel) -> float:
     x = (np.arange(round(gel.width / step)) + 0.5) * step - gel.width / 2
     y = (np.arange(round(gel.length / step)) + 0.5) * step - gel.length / 2
     xx, yy = np.meshgrid(x, y, indexing="ij")
-    over = np.maximum(np.abs(np.stack([xx, yy], -1)) - np.array([gel.width, gel.length]) / 2 + gel.corner_radius, 0)
-    inside = (over**2).sum(-1) <= gel.corner_radius**2
-    return float((gel.top(xx, yy) + gel.height)[inside].sum() * step**2)
+    return float((gel.top(xx, yy) + gel.height)[gel.inside(xx, yy)].sum() * step**2)
 
 
 def quality(mesh: GelMesh, gel: Gel) -> dict:
