@@ -25,7 +25,8 @@ from gelforge.mechanics.tet.tetmesh import FACES, boundary_faces, orient, tetrah
 from gelforge.records.status import Status
 
 MOST_MISMATCH = 1e-5  # of forces at the gel's top and at its base, as a share: the .dat holds seven digits
-CROP_MM = 3.0  # height of the indenter that is meshed, above its tip: more than any press is deep
+# Height of the indenter that is meshed, above its tip: as deep as [poses] deepest_share lets a press be on the nominal gel.
+CROP_MM = 3.0
 _FACE_OF = {tuple(sorted(f)): i + 1 for i, f in enumerate(([0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]))}  # S1 to S4
 
 
