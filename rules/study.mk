@@ -7,7 +7,7 @@ STUDIES := $(STUDIED:%=$(STUDY)/networks/%.pt)
 JUDGED := $(STUDIED:%=$(STUDY)/evaluations/%.json)
 
 .PHONY: study
-study: $(STUDY)/study.json  ## error of one network against the presses and the units it learnt from: chart, CSV, JSON
+study: $(STUDY)/study.json  ## error of one network against the presses and units it learnt from, STUDIED="presses_250 units_4": chart, CSV, JSON
 
 $(STUDIES): $(STUDY)/networks/%.pt: $D/60_dataset/$(RES1)/dataset.json $P/models/$(LEARNT).json $P/train.json
 	$(call step,gelforge.stages.train --dataset $(<D) --model $(LEARNT) --part $* --models $P/models/$(LEARNT).json --params $P/train.json --out $@.part)

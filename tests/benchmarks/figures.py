@@ -5,9 +5,12 @@ import os
 import platform
 import subprocess
 from dataclasses import asdict, dataclass
+from pathlib import Path
 
 from gelforge.flow.files import write_json
 
+# Folder of the published measurements, pictures, films and geometry that some benchmarks read.
+REFERENCE = Path(os.environ.get("GELFORGE_REFERENCE", "../shared/reference"))
 COMPARE = {"<=": operator.le, ">=": operator.ge, "==": operator.eq}
 
 

@@ -6,7 +6,6 @@ square. Each figure is given for the network as `gelforge live` and `predict` us
 network that takes a film's first frame for the untouched sensor.
 """
 
-import os
 from argparse import Namespace
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -27,7 +26,7 @@ from gelforge.networks.still import SETTLING, find_untouched
 from gelforge.networks.use import Untouched, fit_size, load_for_use, predict_one
 from gelforge.records.image import read_image
 from gelforge.records.markers import find_blobs
-from tests.benchmarks.figures import Figure, publish_figures
+from tests.benchmarks.figures import REFERENCE, Figure, publish_figures
 from tests.pictures import moved
 
 EVERY = 3  # every so manyth frame of a film is read
@@ -263,7 +262,7 @@ def cuboid_figures(reference: Path, trained: Trained, untouched: np.ndarray) -> 
 
 
 @command(
-    option("--reference", type=Path, default=Path(os.environ.get("GELFORGE_REFERENCE", "../shared/reference"))),
+    option("--reference", type=Path, default=REFERENCE),
     option("--model", type=Path, default=None, help="model file; the one that ships if not named"),
     option("--out", type=Path, default=Path("results/benchmarks/real.json")),
     option("--page", type=Path, default=None, help="write the pictures and what is read in them to this page"),
