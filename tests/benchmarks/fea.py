@@ -46,7 +46,7 @@ from gelforge.sweeps.trial import (
 )
 from tests.benchmarks import fea_cost as cost
 from tests.benchmarks.chart_meshes import ensure_meshes
-from tests.benchmarks.figures import REFERENCE, Figure, publish_figures
+from tests.benchmarks.figures import PUBLISHED_DATA, Figure, publish_figures
 
 # Depth of FEATS' deck: scene, and times faster that `ccx` and `hex` at label setting are to be.
 SPEED = {1.0: ("sphere_1mm", 15.0, 100.0), 2.0: ("sphere_2mm", 30.0, 100.0)}
@@ -372,7 +372,7 @@ def law_figures(work: Path, table: FeaTable) -> list[Figure]:
         " meshes and records are used and added to",
     ),
     option("--work", type=Path, default=Path("results/benchmarks/fea"), help="what else is kept"),
-    option("--reference", type=Path, default=REFERENCE),
+    option("--reference", type=Path, default=PUBLISHED_DATA),
     option("--scenes", nargs="+", help="only these of workflow/scenes.toml", default=None),
     option("--envelope", type=int, default=ENVELOPE, help="random scenes"),
     option("--only", choices=PARTS, help="do one part, for its kept records; no figures are written", default=None),

@@ -10,7 +10,7 @@ from pathlib import Path
 from gelforge.flow.files import write_json
 
 # Folder of the published measurements, pictures, films and geometry that some benchmarks read.
-REFERENCE = Path(os.environ.get("GELFORGE_REFERENCE", "../shared/reference"))
+PUBLISHED_DATA = Path(os.environ.get("GELFORGE_REFERENCE", "../shared/reference"))
 COMPARE = {"<=": operator.le, ">=": operator.ge, "==": operator.eq}
 
 

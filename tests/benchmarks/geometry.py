@@ -11,7 +11,7 @@ from gelforge.flow.main import command, option
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue
-from tests.benchmarks.figures import REFERENCE, Figure, publish_figures
+from tests.benchmarks.figures import PUBLISHED_DATA, Figure, publish_figures
 from tests.published import compare_gel_top, compare_indenter, published_names, step_file
 
 
@@ -70,7 +70,7 @@ def _timed(function, argument) -> float:
 
 @command(
     option("--catalogue", type=Path, default=Path("workflow/indenters.toml")),
-    option("--reference", type=Path, default=REFERENCE),
+    option("--reference", type=Path, default=PUBLISHED_DATA),
     option("--out", type=Path),
 )
 def main(args: Namespace) -> None:

@@ -22,7 +22,7 @@ from gelforge.records.forcefile import SampleForces, write_forces
 from gelforge.records.labelfile import read_labels, to_float32
 from gelforge.records.markers import find_markers
 from gelforge.records.press import POSE
-from tests.benchmarks.figures import REFERENCE, Figure, publish_figures
+from tests.benchmarks.figures import PUBLISHED_DATA, Figure, publish_figures
 from tests.parameters import write_slice
 from tests.patch import consistent_loads, exact_cells, irregular_surface
 
@@ -329,12 +329,14 @@ def reference_markers(reference: Path) -> list[Figure]:
     option("--out", type=Path),
 )
 def main(args: Namespace) -> None:
-    if not REFERENCE.is_dir():
-        raise BadInput(f"{REFERENCE}: the real measurements are not there; set GELFORGE_REFERENCE to their folder")
+    if not PUBLISHED_DATA.is_dir():
+        raise BadInput(
+            f"{PUBLISHED_DATA}: the real measurements are not there; set GELFORGE_REFERENCE to their folder"
+        )
     sensors, rng = load_sensors(SENSORS), np.random.default_rng(1)
     Path("results").mkdir(exist_ok=True)
     figures = [*conservation(sensors, rng), *traction(sensors, rng), *speed(sensors, rng), *whole_dataset(rng)]
-    figures += [*cuboid_outline(sensors, REFERENCE), *reference_markers(REFERENCE)]
+    figures += [*cuboid_outline(sensors, PUBLISHED_DATA), *reference_markers(PUBLISHED_DATA)]
     publish_figures(args.out, figures)
 
 

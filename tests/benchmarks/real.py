@@ -26,7 +26,7 @@ from gelforge.networks.still import SETTLING, find_untouched
 from gelforge.networks.use import Untouched, fit_size, load_for_use, predict_one
 from gelforge.records.image import read_image
 from gelforge.records.markers import find_blobs
-from tests.benchmarks.figures import REFERENCE, Figure, publish_figures
+from tests.benchmarks.figures import PUBLISHED_DATA, Figure, publish_figures
 from tests.pictures import moved
 
 EVERY = 3  # every so manyth frame of a film is read
@@ -262,7 +262,7 @@ def cuboid_figures(reference: Path, trained: Trained, untouched: np.ndarray) -> 
 
 
 @command(
-    option("--reference", type=Path, default=REFERENCE),
+    option("--reference", type=Path, default=PUBLISHED_DATA),
     option("--model", type=Path, default=None, help="model file; the one that ships if not named"),
     option("--out", type=Path, default=Path("results/benchmarks/real.json")),
     option("--page", type=Path, default=None, help="write the pictures and what is read in them to this page"),

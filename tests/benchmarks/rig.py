@@ -27,7 +27,7 @@ from gelforge.virtualrig.fields import field_of, surface_of
 from gelforge.virtualrig.render import Pressed, Renderer
 from gelforge.virtualrig.rigplan import Order, Plan, generator, orders, read_plan
 from tests import likeness as measure
-from tests.benchmarks.figures import REFERENCE, Figure, publish_figures
+from tests.benchmarks.figures import PUBLISHED_DATA, Figure, publish_figures
 from tests.published import compare_indenter, step_file
 
 REFERENCE_UNIT = "mini_a"
@@ -297,7 +297,7 @@ def carry_out(plan_text: str, presses: int, data: Path, workflow: Path, jobs: in
     option("--page", type=Path, help="HTML page to write, with the rig's pictures beside real ones", default=None),
     option("--plan", type=Path, default=Path("workflow/rig/train.toml")),
     option("--workflow", type=Path, default=Path("workflow")),
-    option("--reference", type=Path, default=REFERENCE),
+    option("--reference", type=Path, default=PUBLISHED_DATA),
 )
 def main(given: Namespace) -> None:
     """Measure all of it and write the figures, and if asked for the page that shows pictures beside real ones."""
