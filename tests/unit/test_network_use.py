@@ -111,6 +111,28 @@ def test_predict_never_takes_the_place_of_what_it_reads(data, paths, tmp_path):
     assert image.read_bytes() == before and [path.name for path in tmp_path.iterdir()] == ["p.png"]
 
 
+def test_no_map_takes_the_place_of_the_untouched_picture(data, paths, tmp_path):
+    for folder in ("shots", "kept"):
+        (tmp_path / folder).mkdir()
+    image, rest = (write_png(tmp_path / f"{name}/nocontact.png", data.images[0]) for name in ("shots", "kept"))
+    before = rest.read_bytes()
+    asked = [str(image), "--untouched", str(rest), "--model", str(paths["small"]), "--out", str(rest.parent)]
+    with pytest.raises(BadInput, match="would take the place"):
+        predict.main(asked)
+    assert rest.read_bytes() == before
+
+
+def test_any_name_of_a_file_is_only_a_name(data, paths, tmp_path):
+    """Not a formula, and not text that every table can hold."""
+    names = ["p$_$q.png", os.fsdecode(b"a\xff.png")]
+    images = [
+        write_png(tmp_path / f"{k}.png", data.images[0]).rename(tmp_path / name) for k, name in enumerate(names)
+    ]
+    predict.main([*map(str, images), "--model", str(paths["small"]), "--out", str(tmp_path / "out")])
+    with (tmp_path / "out" / "totals.csv").open() as stream:
+        assert [Path(row["image"]).name for row in csv.DictReader(stream)] == ["p$_$q.png", r"a\udcff.png"]
+
+
 def test_unlike_images_are_flagged(data, models):
     reader = use.Untouched(models["small"])
     like = [use.predict_one(reader, data.images[row])[2].flag for row in data.splits["test"]]

@@ -235,6 +235,18 @@ def test_a_gel_that_sits_otherwise_is_no_force(shipped, presses, move):
         assert "as its dots tell" in judged.placed
 
 
+def test_the_picture_that_is_shown_lies_below_its_forces(shipped, presses):
+    """Forces lie as the untouched picture does; so does what is drawn below them."""
+    rest, pictures = presses
+    name, picture = pictures[0]
+    shown, _, judged = predict_one(Untouched(shipped, rest[name]), moved(picture, shift=(7.0, 4.0)))
+    inner = np.s_[15:-15, 15:-15]
+    apart = [
+        np.abs(one[inner].astype(float) - picture[inner]).mean() for one in (shown, moved(picture, shift=(7.0, 4.0)))
+    ]
+    assert judged.placed and apart[0] < 0.3 * apart[1]
+
+
 @pytest.mark.parametrize("move", MOVES)
 def test_presses_of_a_gel_that_sits_otherwise_read_nearer_to_what_they_are(shipped, presses, move):
     """What a move adds to a press falls to a third of it and less in the median, in a sitting and one by one."""

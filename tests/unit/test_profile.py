@@ -105,8 +105,8 @@ def test_a_factor_found_with_another_network_is_refused(root, tmp_path):
 def test_a_profile_comes_back_from_its_file(root, tmp_path):
     picture = read_image(root / "data/demo/nocontact/mini_a.png")
     profile = make_profile("mine", picture, pitch_of(picture), Gain(1.2, 1.1, 1.3, 5), NET)
-    write_profile(tmp_path / "mine.toml", profile)
-    found = read_profile(tmp_path / "mine.toml")
+    write_profile(tmp_path / "mine \U0001f916.toml", profile)
+    found = read_profile(tmp_path / "mine \U0001f916.toml")
     np.testing.assert_array_equal(found.untouched, picture)
     assert (found.name, found.date, found.gain, found.model) == ("mine", profile.date, profile.gain, "net")
     assert found.pitch == pytest.approx(profile.pitch, abs=1e-3) and 25 < found.pitch < 40

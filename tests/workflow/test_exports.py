@@ -93,6 +93,16 @@ def test_a_picture_outside_the_dataset_is_not_read(tmp_path):
         samples.sample(1)
 
 
+@pytest.mark.parametrize("form", FORMATS)
+def test_a_folder_that_no_export_wrote_is_never_replaced(tmp_path, form):
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    (mine / "thesis.txt").write_text("five years")
+    with pytest.raises(BadInput, match="no export wrote"):
+        export(lay(tmp_path, 4), form, mine)
+    assert [path.name for path in mine.iterdir()] == ["thesis.txt"]
+
+
 def test_an_earlier_export_stays_where_a_new_one_fails(tmp_path):
     path = tmp_path / "held"
     path.write_text("earlier")

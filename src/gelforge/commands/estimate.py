@@ -18,7 +18,7 @@ from gelforge.flow import layout
 from gelforge.flow.files import listed, read_json, write_json, write_text
 from gelforge.flow.forecast import Cost, pilots, presses_an_hour, table, wall_seconds
 from gelforge.flow.layout import Layout, shard_name
-from gelforge.flow.main import command, option
+from gelforge.flow.main import command, option, positive
 from gelforge.flow.params.slices import ForCalibrate, ForPareto, ForReport, ForTrain, read_slice
 from gelforge.flow.params.tables import SHIPPED
 from gelforge.flow.running import duration
@@ -150,7 +150,7 @@ def estimated(data: Path, results: Path, resolution: str, model: str, rows: list
     option("--results", type=Path, help="results/DATASET"),
     option("--resolution", default="24x32"),
     option("--model", default=SHIPPED, help="the network of the run; shipped is not trained"),
-    option("--cores", type=int, default=os.cpu_count(), help="that the run may use"),
+    option("--cores", type=positive, default=os.cpu_count(), help="that the run may use"),
 )
 def main(args: Namespace) -> None:
     rows = planned_rows(args.results)

@@ -25,6 +25,9 @@ FORMATS = {
 }
 
 
+MARK = ".gelforge-export"  # a file in every folder that an export wrote: another export may take its place
+
+
 @contextmanager
 def whole_or_absent(path: Path):
     """Yield a temporary place beside `path`, which takes its place if the block succeeds; else nothing is left."""
@@ -55,6 +58,7 @@ def export(samples: Samples, form: str, path: Path) -> None:
     """Write a dataset in one of FORMATS, whole or not at all; BadInput where that is not possible."""
     if form not in FORMATS:
         raise BadInput(f"FORMAT={form}: no such format; choose one of {', '.join(FORMATS)}")
+    refuse_foreign(path)
     least = samples.least_bytes()
     refuse_full_disk(path, least + samples.labels.nbytes)
     writer = importlib.import_module(f"gelforge.formats.export.{FORMATS[form][0]}")
@@ -65,11 +69,21 @@ def export(samples: Samples, form: str, path: Path) -> None:
             raise BadInput(
                 f"format {form} needs the package {error.name}: pip install '.[exports]' in a clone of gelforge"
             ) from error
+        if part.is_dir():
+            (part / MARK).touch()
         # Not every library says that the disk was full.
         if written(part) < least:
             raise BadInput(
                 f"{path}: only {written(part)} of more than {least} bytes were written; free space and export again"
             )
+
+
+def refuse_foreign(path: Path) -> None:
+    """BadInput where the place of an export is a folder with other things in it: they would be gone."""
+    if path.is_dir() and any(path.iterdir()) and not (path / MARK).exists():
+        raise BadInput(
+            f"{path}: a folder that no export wrote, which would be replaced; name a place that is not there yet"
+        )
 
 
 def refuse_full_disk(path: Path, needed: int) -> None:

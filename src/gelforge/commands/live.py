@@ -109,8 +109,14 @@ def refuse_two_faces(args: Namespace) -> None:
     ]
     if len(asked) > 1:
         raise BadInput(f"{' and '.join(asked)} do not go together; start `gelforge live` once for one of them")
-    if args.out and args.video and args.out.resolve() == args.video.resolve():
-        raise BadInput(f"--out {args.out} would take the place of the film that is read; name another file")
+    read = {path.resolve() for path in (args.video, args.untouched, args.profile) if path}
+    written = {name: getattr(args, name) for name in ("out", "jsonl", "csv")}
+    files = {name: path.resolve() for name, path in written.items() if path and str(path) != "-"}
+    for name, path in files.items():
+        if path in read:
+            raise BadInput(f"--{name} {written[name]} would take the place of a file that is read; name another one")
+    if len(set(files.values())) < len(files):
+        raise BadInput(f"--jsonl and --csv both name {args.csv}; name two files")
 
 
 def with_untouched(args: Namespace, trained, picture: np.ndarray | None, seen, name: str) -> tuple:
@@ -158,7 +164,7 @@ def draw(args: Namespace, untouched, seen, capture, name: str, over: threading.E
     option("--sensor", help="the sensor that films; refused if the model is for another one", default=None),
     option("--untouched", type=Path, metavar="IMAGE", help="the sensor while nothing touches it", default=None),
     option("--profile", type=Path, help="the sensor's profile, of gelforge sensor", default=None),
-    option("--frames", type=int, help="stop after so many", default=None),
+    option("--frames", type=positive, help="stop after so many", default=None),
     option("--threads", type=positive, default=1),
     option("--web", action="store_true", help="serve a page that shows it all"),
     option("--host", default="127.0.0.1", help="who may see the page; 0.0.0.0: everyone on the network"),

@@ -103,6 +103,8 @@ def write_files(found, jsonl: Path | None, table: Path | None) -> int:
     try:
         with text_file(jsonl) as lines, text_file(table) as rows:
             return write_lines(found, lines, rows)
+    except BrokenPipeError:
+        raise  # whoever reads standard output has enough
     except OSError as error:
         raise BadInput(
             f"{error.filename or jsonl or table}: cannot be written ({error.strerror}); free space or name another file"

@@ -91,15 +91,16 @@ def need_folder(out: Path) -> None:
         raise BadInput(f"--out {out}: cannot be written into ({error.strerror}); name another folder") from error
 
 
-def predict_files(paths: Sequence[Path], untouched: Untouched, out: Path) -> list[dict]:
+def predict_files(paths: Sequence[Path], untouched: Untouched, out: Path, read: Sequence[Path] = ()) -> list[dict]:
     """Predict image files and write their maps and totals.csv below `out`; return the rows of totals.csv.
 
     Every image is read before anything is written, and again when its turn comes: there may be more than memory holds.
+    read: other files that were read, whose place no map may take.
     """
     from gelforge.reporting.forcemaps import write_maps
 
     names = output_names(paths)
-    refuse_to_replace(out, names, paths)
+    refuse_to_replace(out, names, [*paths, *read])
     placement = place_sitting(untouched, (read_image(path) for path in paths))
     need_folder(out)
     if placement is not None and placement.correction:
@@ -107,12 +108,12 @@ def predict_files(paths: Sequence[Path], untouched: Untouched, out: Path) -> lis
     rows = []
     for path, name in zip(paths, names, strict=True):
         image, forces, judged = predict_one(untouched, read_image(path), placement)
-        row = totals_row(str(path), forces, judged)
+        row = totals_row(printable(path), forces, judged)
         with publish(out / f"{name}.npy") as part:
             np.save(part, forces)
         with publish(out / f"{name}.png") as part:
             flag = f" | FLAGGED: {judged.reason}" if judged.flag else ""
-            write_maps(part, image, forces, f"{name}, score {judged.score:.1f}{flag}")
+            write_maps(part, image, forces, f"{printable(name)}, score {judged.score:.1f}{flag}")
         rows.append(row)
     write_csv(out / "totals.csv", COLUMNS, rows)
     return rows
@@ -139,7 +140,8 @@ def main(args: Namespace) -> None:
     trained = load_for_use(args.model, args.sensor)
     picture, gain = untouched_of(args.profile, picture, trained.about)
     untouched = Untouched(trained, picture, args.sensor, gain)
-    rows = predict_files(args.images, untouched, args.out)
+    profiled = [args.profile, args.profile.with_suffix(".png")] if args.profile else []
+    rows = predict_files(args.images, untouched, args.out, [*filter(None, [args.untouched]), *profiled])
     for row in rows:
         warning = f"  FLAGGED: {row['reason']}" if row["flagged"] else ""
         against = f" against {row['untouched']}" if row["untouched"] else ""

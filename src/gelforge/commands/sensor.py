@@ -131,7 +131,7 @@ def _normals(untouched: Untouched, images: list[Path]) -> np.ndarray:
     option("--out", type=Path, help="the profile, .toml", default=None),
 )
 def main(args: Namespace) -> None:
-    name, out = check_id(args.name), args.out or Path(f"{args.name}.toml")
+    name, out = check_id(args.name, "--name"), args.out or Path(f"{args.name}.toml")
     if out.suffix != ".toml":
         raise BadInput(f"--out {out}: give a name that ends in .toml")
     if (args.opposite is None) != (args.grasps is None):

@@ -151,9 +151,9 @@ def write_profile(path: Path, profile: SensorProfile) -> None:
         write_png(part, profile.untouched)
     gain = profile.gain
     write_text(path, "\n".join([
-        f"name = {json.dumps(profile.name)}", f"date = {profile.date}", f"model = {json.dumps(profile.model)}",
-        f"network = {json.dumps(profile.network)}",
-        f"untouched = {json.dumps(picture.name)}", f"pitch_px = {profile.pitch:.3f}", "",
+        f"name = {json.dumps(profile.name, ensure_ascii=False)}", f"date = {profile.date}", f"model = {json.dumps(profile.model, ensure_ascii=False)}",
+        f"network = {json.dumps(profile.network, ensure_ascii=False)}",
+        f"untouched = {json.dumps(picture.name, ensure_ascii=False)}", f"pitch_px = {profile.pitch:.3f}", "",
         "# What forces are multiplied by, between `low` and `high` with probability 0.9.",
         "[gain]", f"value = {gain.value:.6f}", f"low = {gain.low:.6f}", f"high = {gain.high:.6f}", f"readings = {gain.readings}", "",
     ]))  # fmt: skip

@@ -211,7 +211,9 @@ class Judgement:
 def predict_one(
     untouched: Untouched, image: np.ndarray, placement: Placement | None = None
 ) -> tuple[np.ndarray, np.ndarray, Judgement]:
-    """Read an image (h, w, 3) uint8 of any size: it as the network sees it, forces (3, rows, cols) N, a judgement.
+    """Read an image (h, w, 3) uint8 of any size: it as it lies below the forces, forces (3, rows, cols) N, a judgement.
+
+    Both lie as the untouched picture does, also where the gel sat otherwise when the image was taken.
 
     A network that reads differences is given the image under the light of the untouched picture, at the scale it
     learnt, and laid onto that picture by `placement` (None: by what the image's own dots tell); what it reads in that
@@ -246,7 +248,8 @@ def predict_one(
         by_dots=None if by_dots is None else untouched.gain * by_dots,
         half_width=half_widths(trained.about, "total", forces.sum((1, 2), dtype=float), untouched.gain),
     )
-    return untouched.view.of(image), forces, judgement
+    seen = untouched.view.of(image)
+    return pair.placement.undo(seen) if pair else seen, forces, judgement
 
 
 @dataclass(frozen=True)

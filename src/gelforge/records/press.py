@@ -191,11 +191,11 @@ def names_files(name: str) -> bool:
     return _ID.fullmatch(name) is not None
 
 
-def check_id(sample_id: str) -> str:
-    """A sample_id that may name files, as it is; any other raises BadInput."""
-    if not names_files(sample_id):
-        raise BadInput(f"sample_id {sample_id[:100]!r} is not usable as a file name; use {ID_RULE}")
-    return sample_id
+def check_id(name: str, what: str = "sample_id") -> str:
+    """A name that may name files, as it is; any other raises BadInput. what: it is, for the message."""
+    if not names_files(name):
+        raise BadInput(f"{what} {name[:100]!r} is not usable as a file name; use {ID_RULE}")
+    return name
 
 
 def parse(raw: RawRow, file: str, needed: Collection[str] = COLUMNS) -> tuple[LoggedPress | None, list[Rejection]]:

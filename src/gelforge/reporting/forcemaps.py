@@ -16,7 +16,8 @@ def write_maps(path, image, forces, title: str) -> None:
     figure = canvas(13, 2.9)
     axes = figure.subplots(1, 4)
     axes[0].imshow(image)
-    axes[0].set_title(textwrap.fill(title, 36), fontsize=8)  # no wider than the image
+    # no wider than the image; a file's name with two dollars is no formula
+    axes[0].set_title(textwrap.fill(title, 36), fontsize=8, parse_math=False)
     names = ("along columns (FEATS x)", "along rows (FEATS y)", "normal (z)")
     for axis, name, force in zip(axes[1:], names, forces):
         span = max(float(np.abs(force).max()), 1e-6)
