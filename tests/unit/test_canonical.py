@@ -52,6 +52,17 @@ def test_light_is_found_beside_a_contact(seed, gain, offset, share):
     assert abs((back - rest)[away].mean()) < 1.0
 
 
+@given(st.integers(0, 999), st.floats(0.8, 1.2), st.floats(-6, 6), st.floats(0.0, 0.3))
+@settings(max_examples=40)
+def test_light_that_was_taken_back_is_found_no_more(seed, gain, offset, share):
+    """The rounds end where they settle: in a picture whose light was taken back another search finds half a level at most."""
+    rest = gel(seed)
+    seen = np.clip(np.rint(gain * pressed(rest, share, seed).astype(float) + offset), 0, 255).astype(np.uint8)
+    again = match_light(match_light(seen, rest).undo(seen), rest)
+    levels = np.percentile(rest, [10, 90], axis=(0, 1))
+    assert np.abs(again.gain * levels + again.offset - levels).max() < 0.5
+
+
 @given(st.integers(0, 999))
 @settings(max_examples=10)
 def test_equal_light_changes_nothing(seed):

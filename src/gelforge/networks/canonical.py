@@ -14,7 +14,9 @@ import numpy as np
 from gelforge.errors import BadInput
 
 SMALL = (40, 30)  # width and height in px at which light is compared: dots and noise average out
-ROUNDS = 10  # of iteratively reweighted least squares
+ROUNDS = 20  # at most of iteratively reweighted least squares; four are usual
+ENDS = np.array([[0.0], [255.0]])  # levels between which all others lie
+SETTLED = 0.02  # levels by which a round still changes what light makes of them, where another one is needless
 LEAST_SCALE = 1.5  # levels that a place may differ by through noise alone
 REACH = (
     3.0  # scales beyond which a place has no say (Tukey's biweight: Beaton and Tukey 1974, Technometrics 16, 147-185)
@@ -135,11 +137,13 @@ def match_light(image: np.ndarray, untouched: np.ndarray) -> Light:
         return none
     seen, rest = seen[believed], rest[believed]
     products = np.hstack([rest, seen, rest * rest, rest * seen])  # what weighted sums are taken of, (n, 12)
-    gain, offset = np.median(seen / rest, axis=0), np.zeros(3)
+    middle = len(seen) // 2
+    gain, offset = np.partition(seen / rest, middle, axis=0)[middle], np.zeros(3)
+    ends = ENDS * gain
     for _ in range(ROUNDS):
         off = seen - gain * rest - offset
         squared = np.einsum("ij,ij->i", off, off)
-        scale = max(LEAST_SCALE, 1.4826 * float(np.sqrt(np.median(squared))))
+        scale = max(LEAST_SCALE, 1.4826 * math.sqrt(np.partition(squared, middle)[middle]))
         weight = np.maximum(1.0 - squared / (REACH * scale) ** 2, 0.0) ** 2
         total = float(weight.sum())
         if total <= 0.0:
@@ -147,6 +151,9 @@ def match_light(image: np.ndarray, untouched: np.ndarray) -> Light:
         mean_rest, mean_seen, squares, crossed = (weight @ products / total).reshape(4, 3)
         gain = (crossed - mean_rest * mean_seen + TIED) / (squares - mean_rest**2 + TIED)
         offset = mean_seen - gain * mean_rest
+        before, ends = ends, ENDS * gain + offset
+        if np.abs(ends - before).max() < SETTLED:
+            break
     share = float(believed.mean() * (weight > 0.5).mean())
     residual = float(np.sqrt(weight @ squared / total))
     if share < LEAST_SHARE or not np.all((gain > 1.0 / MOST_GAIN) & (gain < MOST_GAIN)):

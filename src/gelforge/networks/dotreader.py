@@ -18,7 +18,7 @@ from gelforge.networks.dotaugment import kept_dots, mirrored
 from gelforge.networks.dots import PrintedDots
 from gelforge.networks.inputs import inner_part
 from gelforge.networks.lattice import moved_alike
-from gelforge.networks.smallnet import LEFT, Stack, in_pieces, train_small
+from gelforge.networks.smallnet import Stack, Whole, in_pieces, train_small
 
 MEMBERS = 4  # networks, each from weights of its own
 WIDTH, LAST, HIDDEN = 32, 48, 64
@@ -37,14 +37,14 @@ class DotReader(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.convolutions = Stack((WIDTH, WIDTH, LAST, LAST), MEMBERS)
-        self.inner = nn.Conv2d(MEMBERS * LAST, MEMBERS * HIDDEN, LEFT, groups=MEMBERS)
+        self.inner = Whole(MEMBERS * LAST, MEMBERS * HIDDEN, groups=MEMBERS)
         self.outer = nn.Conv2d(MEMBERS * HIDDEN, MEMBERS * 3, 1, groups=MEMBERS)
         self.register_buffer("scale", torch.ones(3))
 
     def read(self, motion: torch.Tensor) -> torch.Tensor:
         """What the members' layers make of it, (n, MEMBERS, 3) in units of `scale`."""
         seen = self.convolutions(motion.repeat(1, MEMBERS, 1, 1))
-        return self.outer(F.relu(self.inner(seen))).view(-1, MEMBERS, 3)
+        return self.outer(F.relu(self.inner(seen), inplace=True)).view(-1, MEMBERS, 3)
 
     def each(self, motion: torch.Tensor) -> torch.Tensor:
         """Total force (n, MEMBERS, 3) N that each member tells."""

@@ -3,6 +3,8 @@
 Motions of dots are (n, 3, ROWS, COLS) as networks.dots gives them: along u and v in px, and whether a dot was found.
 """
 
+import functools
+
 import torch
 
 from gelforge.networks.dots import COLS, ROWS
@@ -11,6 +13,7 @@ PITCH = 32.0  # px between neighbouring dots at the scale that networks read
 LEAST_SPREAD = 1e-3  # px^2, of dots about their middle, below which they tell no turn and no zoom
 
 
+@functools.cache
 def lattice_points() -> tuple[torch.Tensor, torch.Tensor]:
     """Where the dots rest along u and v, px from the lattice's middle, (ROWS, COLS) each."""
     v, u = torch.meshgrid(*(PITCH * (torch.arange(n) - n // 2) for n in (ROWS, COLS)), indexing="ij")

@@ -18,7 +18,7 @@ from torch.nn import functional as F
 
 from gelforge.networks.dotaugment import kept_dots, mirrored
 from gelforge.networks.lattice import lattice_points, straightened
-from gelforge.networks.smallnet import LEFT, Stack, in_pieces, train_small
+from gelforge.networks.smallnet import Stack, Whole, in_pieces, train_small
 
 WIDTH, HIDDEN = 48, 96
 # What its answers are in units of: px to the right and down, radians of turn, part of a zoom.
@@ -48,11 +48,11 @@ class PlaceReader(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.convolutions = Stack((WIDTH,) * 4)
-        self.inner = nn.Conv2d(WIDTH, HIDDEN, LEFT)
+        self.inner = Whole(WIDTH, HIDDEN)
         self.outer = nn.Linear(HIDDEN, len(UNITS))
 
     def forward(self, left: torch.Tensor) -> torch.Tensor:
-        return self.outer(F.relu(self.inner(self.convolutions(left))).flatten(1)) * torch.tensor(UNITS)
+        return self.outer(F.relu(self.inner(self.convolutions(left)), inplace=True).flatten(1)) * torch.tensor(UNITS)
 
     def places(self, motion: np.ndarray) -> Places:
         """How the gel sits in each of some pictures, by the motion of their dots (n, 3, ROWS, COLS) float32."""

@@ -36,8 +36,24 @@ class Stack(nn.ModuleList):
 
     def forward(self, motion: torch.Tensor) -> torch.Tensor:
         for convolution in self:
-            motion = F.relu(convolution(motion))
+            motion = F.relu(convolution(motion), inplace=True)
         return motion
+
+
+class Whole(nn.Conv2d):
+    """A convolution as large as what it sees, (n, channels, *LEFT) to (n, answers, 1, 1): a product of matrices.
+
+    As a convolution it would bring its weights, which are many, into another order for every picture.
+    """
+
+    def __init__(self, channels: int, answers: int, groups: int = 1) -> None:
+        super().__init__(channels, answers, LEFT, groups=groups)
+
+    def forward(self, seen: torch.Tensor) -> torch.Tensor:
+        weight = self.weight.view(self.groups, self.out_channels // self.groups, -1)
+        parts = seen.reshape(len(seen), self.groups, -1).transpose(0, 1)
+        told = torch.bmm(parts, weight.transpose(1, 2)).transpose(0, 1).reshape(len(seen), -1)
+        return (told if self.bias is None else told + self.bias)[:, :, None, None]
 
 
 def train_small(

@@ -41,12 +41,12 @@ def grey_of(image) -> np.ndarray:
     return cv2.transform(image, np.full((1, 3), 1 / 3))
 
 
-def find_dots(image) -> tuple[int, float]:
-    """Count the dark dots of an image (h, w, 3) uint8 and return their mean depth in grey levels."""
+def find_dots(grey) -> tuple[int, float]:
+    """Count the dark dots of an image's `grey_of` (h, w) uint8 and return their mean depth in grey levels."""
     import cv2
 
     # dots of a dozen pixels are as well seen at half the size, at a sixth of the time
-    grey = cv2.resize(grey_of(image), None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    grey = cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
     side = max(3, round(25 * grey.shape[1] / 320) | 1)
     depth = cv2.morphologyEx(grey, cv2.MORPH_BLACKHAT, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)))
     _, mask = cv2.threshold(depth, DOT_DEPTH, 255, cv2.THRESH_BINARY)
@@ -63,8 +63,9 @@ def describe(image) -> np.ndarray:
 
     small = cv2.resize(image, (2, 2), interpolation=cv2.INTER_AREA).astype(float).ravel()
     spread = cv2.meanStdDev(image)[1].ravel()
-    rough = cv2.meanStdDev(cv2.Laplacian(grey_of(image), cv2.CV_16S))[1].item()
-    return np.array([*small, *spread, np.log(1 + rough**2), *find_dots(image)])
+    grey = grey_of(image)
+    rough = cv2.meanStdDev(cv2.Laplacian(grey, cv2.CV_16S))[1].item()
+    return np.array([*small, *spread, np.log(1 + rough**2), *find_dots(grey)])
 
 
 def fit(train: np.ndarray, held_out: np.ndarray) -> dict:
@@ -118,7 +119,9 @@ def distance(image, untouched) -> float:
     import cv2
 
     apart = cv2.resize(cv2.absdiff(image, untouched), (80, 60), interpolation=cv2.INTER_AREA)
-    return float(np.median(apart.astype(np.float32).mean(axis=2)))
+    # the sum of whole planes, a quarter of the time of a mean along the colours
+    red, green, blue = cv2.split(apart)
+    return float(np.median(red.astype(np.uint16) + green + blue)) / 3
 
 
 def relief(untouched) -> float:
