@@ -43,7 +43,7 @@ class DotReader(nn.Module):
 
     def read(self, motion: torch.Tensor) -> torch.Tensor:
         """What the members' layers make of it, (n, MEMBERS, 3) in units of `scale`."""
-        seen = self.convolutions(motion.repeat(1, MEMBERS, 1, 1))
+        seen = self.convolutions(motion)
         return self.outer(F.relu(self.inner(seen), inplace=True)).view(-1, MEMBERS, 3)
 
     def each(self, motion: torch.Tensor) -> torch.Tensor:

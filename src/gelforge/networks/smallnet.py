@@ -1,6 +1,7 @@
 """What the small networks that read motions of printed dots share: their layers, and how they learn and read."""
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import TypeVar
 
 import numpy as np
@@ -21,17 +22,18 @@ Net = TypeVar("Net", bound=nn.Module)
 
 
 class Stack(nn.ModuleList):
-    """Convolutions, each cut off at zero: (n, groups * 3, ROWS, COLS) to (n, groups * widths[-1], *LEFT).
+    """Convolutions, each cut off at zero: (n, 3, ROWS, COLS) to (n, groups * widths[-1], *LEFT).
 
-    widths: channels behind each of them. groups: networks that stand side by side, each seeing its own channels alone.
+    widths: channels behind each of them. groups: networks that stand side by side: all see the same motion, and behind it
+    each its own channels alone.
     """
 
     def __init__(self, widths: Sequence[int], groups: int = 1) -> None:
-        # the last of `before` has no convolution behind it
-        before = (3, *widths)
-        super().__init__(
+        first, *strides = STRIDES
+        super().__init__([nn.Conv2d(3, groups * widths[0], 3, first, 1)])
+        self.extend(
             nn.Conv2d(groups * a, groups * b, 3, stride, 1, groups=groups)
-            for a, b, stride in zip(before, widths, STRIDES, strict=False)
+            for (a, b), stride in zip(pairwise(widths), strides, strict=True)
         )
 
     def forward(self, motion: torch.Tensor) -> torch.Tensor:
