@@ -12,7 +12,7 @@ import threading
 import urllib.error
 import urllib.request
 from argparse import Namespace
-from contextlib import nullcontext
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 import cv2
@@ -28,7 +28,7 @@ from gelforge.networks.use import Untouched, load_for_use
 from gelforge.records.film import frames, open_source
 from tests.browser import WIDTHS, browser, console_errors, needs_browser, wait_for
 from tests.limited import limited
-from tests.waiting import HANG
+from tests.waiting import HANG, wait_until
 
 LIVE = [sys.executable, "-m", "gelforge.commands.live"]
 
@@ -46,17 +46,24 @@ def film(root, tmp_path_factory):
     return path
 
 
-@pytest.fixture
-def served(film, tmp_path):
-    """`gelforge live --web` on a free port, ended by an interrupt; yields (address, folder of recordings)."""
-    command = [*LIVE, "--video", film, "--web", "--port", "0", "--record", tmp_path / "recordings"]
+@contextmanager
+def live_page(film, folder):
+    """`gelforge live --web` on a free port, ended by an interrupt; yields (address, process)."""
+    command = [*LIVE, "--video", film, "--web", "--port", "0", "--record", folder]
     child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
-        yield re.match(r"(http://\S+)", child.stdout.readline())[1], tmp_path / "recordings"
+        yield re.match(r"(http://\S+)", child.stdout.readline())[1], child
     finally:
         child.send_signal(signal.SIGINT)
         said = child.communicate(timeout=HANG)[1]
         assert child.returncode == 0 and "Traceback" not in said, said
+
+
+@pytest.fixture
+def served(film, tmp_path):
+    """(address, folder of recordings) of a page that is served."""
+    with live_page(film, tmp_path / "recordings") as (address, _):
+        yield address, tmp_path / "recordings"
 
 
 @needs_browser
@@ -201,6 +208,8 @@ def test_a_recording_is_whole_or_absent(tmp_path):
         recorder.read("../secret")
     with (tmp_path / f"{name}.jsonl").open("a") as stream:
         stream.write('{"no": "time"}\n[1]\nhalf a li')
+    with (tmp_path / f"{name}.jsonl").open("ab") as stream:
+        stream.write(b"\n\xff\xff\n")
     assert len(list(recorder.read(name))) == 3
     recorder.start()
     assert recorder.stop() == 0 and [path.suffix for path in tmp_path.iterdir()] == [".jsonl"]
@@ -215,6 +224,60 @@ def test_a_full_disk_ends_the_recording_and_leaves_nothing(tmp_path):
     with pytest.raises(BadInput, match="free space"):
         recorder.add(reading(1).event())
     assert not recorder.on and not list(tmp_path.iterdir())
+
+
+def at_its_end(recorder):
+    """A disk that is full when the last of a recording is written."""
+    recorder.stream.close()
+    recorder.stream = Path("/dev/full").open("w", encoding="utf-8")  # noqa: SIM115, the recorder closes it
+    recorder.stream.write("the last reading")
+
+
+def folder_gone(recorder):
+    shutil.rmtree(recorder.folder)
+
+
+def place_taken(recorder):
+    (recorder.folder / f"{recorder.name}.jsonl").mkdir()
+
+
+@pytest.mark.parametrize("spoil", [at_its_end, folder_gone, place_taken])
+def test_a_recording_that_cannot_be_kept_leaves_nothing_and_the_next_one_is(tmp_path, spoil):
+    recorder = Recorder(tmp_path / "recordings")
+    recorder.start()
+    recorder.add(reading(1).event())
+    spoil(recorder)
+    with pytest.raises(BadInput, match=r"recordings: the recording is lost \(.+\); free space"):
+        recorder.stop()
+    assert not recorder.on and recorder.names() == [] and not list(tmp_path.rglob("*.part"))
+    name = recorder.start()
+    recorder.add(reading(2).event())
+    assert recorder.stop() == 1 and recorder.names() == [name]
+
+
+def test_recordings_that_cannot_be_read_are_one_sentence(tmp_path):
+    recorder = Recorder(tmp_path)
+    name = recorder.start()
+    recorder.add(reading(1).event())
+    recorder.stop()
+    events = recorder.read(name)
+    (tmp_path / f"{name}.jsonl").unlink()
+    with pytest.raises(BadInput, match=f"{name}.jsonl: the recording cannot be read"):
+        next(events)
+    (tmp_path / "file").write_text("no folder")
+    with pytest.raises(BadInput, match="file: cannot be read as a folder.*--record"):
+        Recorder(tmp_path / "file").names()
+
+
+def test_a_recording_that_is_lost_at_the_end_is_told(film, tmp_path):
+    with live_page(film, tmp_path / "recordings") as (address, child):
+        record = urllib.request.Request(f"{address}record", method="POST", headers={"X-Gelforge": "1"})
+        urllib.request.urlopen(record, timeout=HANG).close()
+        wait_until(lambda: any(path.stat().st_size for path in (tmp_path / "recordings").iterdir()), of=child)
+        shutil.rmtree(tmp_path / "recordings")
+        child.send_signal(signal.SIGINT)
+        said = child.stderr.read()
+    assert "ended after" in said and "the recording is lost" in said
 
 
 def test_a_slow_page_gets_the_latest(tmp_path):

@@ -80,8 +80,7 @@ class Handler(BaseHTTPRequestHandler):
         elif self.path == "/events":
             self.stream(self.live())
         elif self.path == "/recordings":
-            recorder = self.server.recorder
-            self.answer_json({"names": recorder.names(), "on": recorder.on})
+            self.answer_json(self.recordings())
         elif self.path.startswith("/replay/"):
             self.replay(self.path.removeprefix("/replay/"))
         else:
@@ -142,6 +141,14 @@ class Handler(BaseHTTPRequestHandler):
         while True:
             number, event = self.server.hub.after(number, QUIET_S)
             yield event
+
+    def recordings(self) -> dict:
+        """Names of recordings, or why they cannot be listed, and whether one is being made."""
+        recorder = self.server.recorder
+        try:
+            return {"names": recorder.names(), "on": recorder.on}
+        except BadInput as error:
+            return {"names": [], "on": recorder.on, "error": str(error)}
 
     def replay(self, name: str) -> None:
         try:
