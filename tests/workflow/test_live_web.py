@@ -23,7 +23,7 @@ from gelforge.commands.live_readings import tell, write_files
 from gelforge.errors import BadInput
 from gelforge.live.reading import Reading
 from gelforge.live.recording import Recorder, paced
-from gelforge.live.server import Hub, Server
+from gelforge.live.server import Hub, Server, serve
 from gelforge.networks.use import Untouched, load_for_use
 from gelforge.records.film import frames, open_source
 from tests.browser import WIDTHS, browser, console_errors, needs_browser, wait_for
@@ -81,7 +81,7 @@ def test_a_person_watches_records_and_replays(served, width):
         assert "training pictures" in driver.find_element("id", "flag").text
         assert "90 %" in driver.find_element("id", "band").text
         inked = "const c = el('curve'); return c.getContext('2d').getImageData(0, 0, c.width, c.height).data.some((v) => v)"
-        assert driver.execute_script(inked)
+        wait_for(driver, inked)  # from the second frame on
         driver.find_element("id", "record").click()
         wait_for(driver, "return el('record').textContent === 'Stop recording'")
         seen = driver.execute_script("return Number(document.body.dataset.frame)")
@@ -267,6 +267,51 @@ def test_recordings_that_cannot_be_read_are_one_sentence(tmp_path):
     (tmp_path / "file").write_text("no folder")
     with pytest.raises(BadInput, match="file: cannot be read as a folder.*--record"):
         Recorder(tmp_path / "file").names()
+
+
+@contextmanager
+def page_server(recorder):
+    """The page's server in this process; yields (address, hub)."""
+    server = Server("127.0.0.1", 0, Hub(), recorder)
+    server.start()
+    try:
+        yield server.url, server.hub
+    finally:
+        server.shutdown()
+        server.server_close()
+
+
+def next_event(address):
+    """The first event that a page is told which opens now."""
+    with urllib.request.urlopen(f"{address}events", timeout=HANG) as stream:
+        return json.loads(stream.readline().removeprefix(b"data: "))
+
+
+def test_a_lost_recording_is_told_to_all_pages_until_the_next_one_begins(tmp_path):
+    recorder = Recorder(tmp_path)
+    with page_server(recorder) as (address, hub):
+        recorder.start()
+        recorder.stream.close()
+        recorder.stream = Path("/dev/full").open("w", encoding="utf-8")  # noqa: SIM115, the recorder closes it
+        assert serve(map(reading, range(4)), hub, recorder) == 4
+        late, listed = next_event(address), json.loads(get(f"{address}recordings"))
+        assert late["frame"] == 3
+        for told in (late, listed):
+            assert "the recording is lost" in told["trouble"] and told["recording"] is False
+        recorder.start()
+        assert next_event(address).items() >= {"frame": 3, "trouble": "", "recording": True}.items()
+
+
+def test_a_recording_that_cannot_begin_is_told_to_all_pages(tmp_path):
+    (tmp_path / "file").write_text("no folder")
+    recorder = Recorder(tmp_path / "file")
+    with page_server(recorder) as (address, hub):
+        with pytest.raises(BadInput, match="nothing can be recorded there"):
+            recorder.start()
+        serve([reading(0)], hub, recorder)
+        assert "nothing can be recorded there" in next_event(address)["trouble"]
+        listed = json.loads(get(f"{address}recordings"))
+        assert "cannot be read as a folder" in listed["error"] and listed["names"] == []
 
 
 def test_a_recording_that_is_lost_at_the_end_is_told(film, tmp_path):

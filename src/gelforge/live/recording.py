@@ -16,17 +16,24 @@ NAME = re.compile(r"[0-9]{8}-[0-9]{6}(-[0-9]+)?")
 
 
 class Recorder:
-    """Keeps events as JSON lines, one file a recording: whole when it is stopped, absent when it fails."""
+    """Keeps events as JSON lines, one file a recording: whole when it is stopped, absent when it fails.
+
+    trouble: why the last recording failed, until another one begins; empty where it did not.
+    """
 
     def __init__(self, folder: Path):
         self.folder = folder
         self.lock = threading.Lock()
         self.stream: TextIO | None = None
-        self.name, self.count = "", 0
+        self.name, self.count, self.trouble = "", 0, ""
 
     @property
     def on(self) -> bool:
         return self.stream is not None
+
+    def state(self) -> dict:
+        """What pages are told: whether a recording runs, and what became of the last one."""
+        return {"recording": self.on, "trouble": self.trouble}
 
     def part(self) -> Path:
         return self.folder / f".{self.name}.part"
@@ -44,9 +51,10 @@ class Recorder:
                 self.count = 0
                 self.stream = self.part().open("w", encoding="utf-8")
             except OSError as error:
-                raise BadInput(
+                raise self._failed(
                     f"{self.folder}: nothing can be recorded there ({error.strerror}); name another --record"
                 ) from error
+            self.trouble = ""
             return self.name
 
     def add(self, event: dict) -> None:
@@ -64,9 +72,15 @@ class Recorder:
     def _lost(self, error: OSError) -> BadInput:
         """Give up a recording that the disk does not take; what is to be told of it."""
         self.drop()
-        return BadInput(
+        return self._failed(
             f"{self.folder}: the recording is lost ({error.strerror}); free space or permissions, then record again"
         )
+
+    def _failed(self, sentence: str) -> BadInput:
+        """The error of a recording, kept for those who are told later."""
+        error = BadInput(sentence)
+        self.trouble = str(error)
+        return error
 
     def drop(self) -> None:
         """Give up what was recorded so far."""

@@ -88,7 +88,7 @@ async function post(path) {
   return answer;
 }
 async function loadNames() {
-  const { names, on } = await (await fetch("recordings")).json();
+  const { names, recording: on } = await (await fetch("recordings")).json();
   el("which").replaceChildren(...names.map((name) => new Option(name, name)));
   el("replay").disabled = el("which").disabled = !names.length;
   el("record").setAttribute("aria-pressed", on); el("record").textContent = on ? "Stop recording" : "Record";
