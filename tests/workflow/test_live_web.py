@@ -108,7 +108,7 @@ def test_the_page_is_for_this_machine_and_its_own_page_only(served):
         get(address, Host="evil.example")
     with pytest.raises(urllib.error.HTTPError, match="403"):  # a POST of a foreign page lacks our header
         urllib.request.urlopen(urllib.request.Request(f"{address}record", method="POST"), timeout=HANG)
-    assert "there is none of that name" in get(f"{address}replay/..%2f..%2fetc%2fpasswd")
+    assert '"ended": "recording' in get(f"{address}replay/..%2f..%2fetc%2fpasswd")
     assert not folder.exists()
 
 
@@ -285,6 +285,30 @@ def next_event(address):
     """The first event that a page is told which opens now."""
     with urllib.request.urlopen(f"{address}events", timeout=HANG) as stream:
         return json.loads(stream.readline().removeprefix(b"data: "))
+
+
+def kept(recorder, numbers):
+    """Name of a recording of readings of these numbers, a hundredth of a second apart."""
+    name = recorder.start()
+    for number in numbers:
+        recorder.add(reading(number).event())
+    recorder.stop()
+    return name
+
+
+@needs_browser
+def test_a_recording_that_went_meanwhile_is_told_where_it_was_to_be_replayed(tmp_path):
+    recorder = Recorder(tmp_path)
+    name = kept(recorder, range(3))
+    with page_server(recorder) as (address, _), browser() as driver:
+        driver.get(address)
+        wait_for(driver, "return el('which').value")
+        (tmp_path / f"{name}.jsonl").unlink()
+        driver.find_element("id", "replay").click()
+        assert "there is none of that name" in wait_for(
+            driver, "return document.body.dataset.ended && el('state').textContent"
+        )
+        assert not console_errors(driver)
 
 
 def test_a_lost_recording_is_told_to_all_pages_until_the_next_one_begins(tmp_path):

@@ -83,7 +83,7 @@ class Handler(BaseHTTPRequestHandler):
         elif self.path == "/recordings":
             self.answer_json(self.recordings())
         elif self.path.startswith("/replay/"):
-            self.replay(self.path.removeprefix("/replay/"))
+            self.stream(self.replay(self.path.removeprefix("/replay/")))
         else:
             self.send_error(404)
 
@@ -151,13 +151,12 @@ class Handler(BaseHTTPRequestHandler):
         except BadInput as error:
             return {"names": [], "error": str(error)} | recorder.state()
 
-    def replay(self, name: str) -> None:
+    def replay(self, name: str) -> Iterator[dict]:
+        """Events of a recording, the last of which says why there are no more: the page reads nothing but a stream."""
         try:
-            events = self.server.recorder.read(name)
+            yield from paced(self.server.recorder.read(name))
         except BadInput as error:
-            self.answer_json({"error": str(error)})
-            return
-        self.stream(paced(events))
+            yield {"ended": str(error)}
 
     def log_message(self, *_) -> None:
         """Requests are not told on the terminal."""
