@@ -193,6 +193,12 @@ def reading(number, flag=False):
     return Reading(number, 0.01 * number, np.zeros((6, 8, 3), np.uint8), forces, flag, "dark" if flag else "", 1.0)
 
 
+def full(recorder):
+    """The disk of a recording that runs is full from now on."""
+    recorder.stream.close()
+    recorder.stream = Path("/dev/full").open("w", encoding="utf-8")  # noqa: SIM115, the recorder closes it
+
+
 def test_a_recording_is_whole_or_absent(tmp_path):
     recorder = Recorder(tmp_path)
     recorder.add(reading(1).event())
@@ -219,8 +225,7 @@ def test_a_recording_is_whole_or_absent(tmp_path):
 def test_a_full_disk_ends_the_recording_and_leaves_nothing(tmp_path):
     recorder = Recorder(tmp_path)
     recorder.start()
-    recorder.stream.close()
-    recorder.stream = Path("/dev/full").open("w", encoding="utf-8")  # noqa: SIM115, the recorder closes it
+    full(recorder)
     with pytest.raises(BadInput, match="free space"):
         recorder.add(reading(1).event())
     assert not recorder.on and not list(tmp_path.iterdir())
@@ -228,8 +233,7 @@ def test_a_full_disk_ends_the_recording_and_leaves_nothing(tmp_path):
 
 def at_its_end(recorder):
     """A disk that is full when the last of a recording is written."""
-    recorder.stream.close()
-    recorder.stream = Path("/dev/full").open("w", encoding="utf-8")  # noqa: SIM115, the recorder closes it
+    full(recorder)
     recorder.stream.write("the last reading")
 
 
@@ -311,12 +315,65 @@ def test_a_recording_that_went_meanwhile_is_told_where_it_was_to_be_replayed(tmp
         assert not console_errors(driver)
 
 
+def wait_for_button(driver, words, disabled=False):
+    """Wait until the record button says so, and can be pressed or not."""
+    wanted = json.dumps([words, str(words == "Stop recording").lower(), disabled])
+    says = (
+        "JSON.stringify([el('record').textContent, el('record').getAttribute('aria-pressed'), el('record').disabled])"
+    )
+    wait_for(driver, f"return {says} === JSON.stringify({wanted})")
+
+
+@needs_browser
+def test_the_record_button_tells_what_the_recorder_does_now(tmp_path):
+    recorder = Recorder(tmp_path)
+    kept(recorder, range(0, 60_000, 100))  # a second apart: it is replayed as long as the test lasts
+    with browser() as driver:
+        with page_server(recorder) as (address, hub):
+            driver.get(address)
+            wait_for_button(driver, "Record")
+            serve([reading(1)], hub, recorder)
+            wait_for(driver, "return document.body.dataset.frame === '1'")
+            driver.find_element("id", "record").click()
+            wait_for_button(driver, "Stop recording")
+            driver.find_element("id", "replay").click()
+            wait_for(driver, "return Number(document.body.dataset.frame) >= 100")
+            assert driver.find_element("id", "record").text == "Stop recording" and recorder.on
+            full(recorder)
+            serve([reading(2)], hub, recorder)
+            wait_for_button(driver, "Record")
+            assert "the recording is lost" in driver.find_element("id", "trouble").text
+            driver.find_element("id", "record").click()
+            wait_for_button(driver, "Stop recording")
+            assert not driver.find_element("id", "trouble").text
+            driver.find_element("id", "back").click()
+            wait_for(driver, "return document.body.dataset.frame === '2'")
+            recorder.stop()
+            hub.tell(hub.latest | {"ended": "the film ended"})
+            wait_for_button(driver, "Record", disabled=True)
+            recorder.start()  # by another page
+            wait_for_button(driver, "Stop recording")
+            assert not console_errors(driver)
+        wait_for_button(driver, "Record", disabled=True)
+        assert "does not answer" in driver.find_element("id", "state").text
+
+
+@needs_browser
+def test_a_program_that_ended_offers_no_recording(film, tmp_path):
+    with browser() as driver:
+        with live_page(film, tmp_path / "recordings") as (address, _):
+            driver.get(address)
+            wait_for_button(driver, "Record")
+            driver.find_element("id", "record").click()
+            wait_for_button(driver, "Stop recording")
+        wait_for_button(driver, "Record", disabled=True)
+
+
 def test_a_lost_recording_is_told_to_all_pages_until_the_next_one_begins(tmp_path):
     recorder = Recorder(tmp_path)
     with page_server(recorder) as (address, hub):
         recorder.start()
-        recorder.stream.close()
-        recorder.stream = Path("/dev/full").open("w", encoding="utf-8")  # noqa: SIM115, the recorder closes it
+        full(recorder)
         assert serve(map(reading, range(4)), hub, recorder) == 4
         late, listed = next_event(address), json.loads(get(f"{address}recordings"))
         assert late["frame"] == 3
