@@ -140,7 +140,13 @@ def test_unlike_images_are_flagged(data, models):
     black = np.zeros((*IMAGE, 3), np.uint8)
     plain = np.full((*IMAGE, 3), 120, np.uint8)
     larger = cv2.resize(np.asarray(data.images[0]), (128, 96))
-    for image, reason in ((black, ""), (plain, ""), (data.images[0][..., ::-1] // 3, ""), (larger, "size")):
+    unlike = "unlike the training images in its "
+    for image, reason in (
+        (black, unlike),
+        (plain, unlike),
+        (data.images[0][..., ::-1] // 3, unlike),
+        (larger, "size"),
+    ):
         judged = use.predict_one(reader, image)[2]
         assert judged.flag and reason in judged.reason
 

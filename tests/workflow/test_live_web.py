@@ -78,7 +78,7 @@ def test_a_person_watches_records_and_replays(served, width):
             driver.execute_script("return el('normal').width") == 32
             and "N a cell" in driver.find_element("id", "cap-normal").text
         )
-        assert "training pictures" in driver.find_element("id", "flag").text
+        assert driver.find_element("id", "flag").text != "no frame yet"
         assert "90 %" in driver.find_element("id", "band").text
         inked = "const c = el('curve'); return c.getContext('2d').getImageData(0, 0, c.width, c.height).data.some((v) => v)"
         wait_for(driver, inked)  # from the second frame on
@@ -356,6 +356,16 @@ def test_the_record_button_tells_what_the_recorder_does_now(tmp_path):
             assert not console_errors(driver)
         wait_for_button(driver, "Record", disabled=True)
         assert "does not answer" in driver.find_element("id", "state").text
+
+
+@needs_browser
+def test_a_flag_is_told_in_its_own_words(tmp_path):
+    with page_server(Recorder(tmp_path)) as (address, hub), browser() as driver:
+        driver.get(address)
+        for number, words in ((1, "dark"), (2, "nothing seems wrong with the picture")):
+            serve([reading(number, flag=number == 1)], hub, Recorder(tmp_path))
+            wait_for(driver, f"return document.body.dataset.frame === '{number}'")
+            assert driver.find_element("id", "flag").text == words
 
 
 @needs_browser

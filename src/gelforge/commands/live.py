@@ -48,8 +48,7 @@ class Overlay:
             force_line(forces),
             f"{rate:5.1f} frames/s, {self.network_ms[-1]:.1f} ms a frame",
         ]
-        warning = f"unlike training ({judged.score:.1f}): {judged.reason}" if judged.flag else ""
-        return overlay(cv2.cvtColor(image, cv2.COLOR_RGB2BGR), forces, lines, warning)
+        return overlay(cv2.cvtColor(image, cv2.COLOR_RGB2BGR), forces, lines, judged.reason)
 
 
 def force_line(forces: np.ndarray) -> str:
@@ -151,7 +150,7 @@ def draw(args: Namespace, untouched, seen, capture, name: str, over: threading.E
     seconds = time.perf_counter() - started
     print(
         f"{count} frames in {seconds:.1f} s: {count / seconds:.1f} a second with overlay; network and check "
-        f"{np.median(overlay.network_ms or [0.0]):.1f} ms a frame; {overlay.flagged} flagged as unlike the training images"
+        f"{np.median(overlay.network_ms or [0.0]):.1f} ms a frame; {overlay.flagged} flagged"
     )
     if args.out and is_lost(args, over, count):
         raise BadInput(ended(name, True, count))

@@ -58,7 +58,7 @@ async function draw(event) {
   const recent = history.slice(-30), span = recent.at(-1).time_s - recent[0].time_s;
   el("rate").textContent = span > 0 ? fixed((recent.length - 1) / span, 1) : "–";
   el("flag").className = event.flag ? "on" : "";
-  el("flag").textContent = event.flag ? `unlike the training pictures: ${event.reason}` : "like the training pictures";
+  el("flag").textContent = event.flag ? event.reason : "nothing seems wrong with the picture";
   el("band").textContent = event.half_width ? "band: where 90 % of the forces on unseen sensors lie" : "";
   el("state").textContent = `frame ${event.frame}, ${fixed(event.time_s, 1)} s, ${fixed(event.ms, 1)} ms a frame`;
   drawCurve();
