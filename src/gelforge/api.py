@@ -104,8 +104,8 @@ def predict(
     """Read forces from one image (h, w, 3) uint8 RGB; return (3, rows, cols) N and how far to trust it.
 
     untouched: a picture of the same sensor while nothing touches it. model: path; the network that ships where None.
-    The verdict has what networks.use.Judgement has, by the same names: its `flag` is True where the image is unlike
-    the training images, and `reason` says in what.
+    The verdict has what networks.use.Judgement has, by the same names: its `flag` is True where something is wrong with
+    the pictures, and `reason` says what.
     """
     from gelforge.networks.use import Untouched, load_for_use, predict_one
 

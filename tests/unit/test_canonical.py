@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from gelforge.errors import BadInput
 from gelforge.networks.canonical import match_light, view_of
-from gelforge.networks.still import MOST, SETTLING, STILL, find_untouched
+from gelforge.networks.still import FEWEST, MOST, STILL, find_untouched
 from gelforge.networks.use import Untouched, load_for_use, predict_one
 from gelforge.records.image import read_image
 from gelforge.records.markers import pitch_of
@@ -137,7 +137,12 @@ def test_the_untouched_picture_comes_from_frames_at_rest():
     assert [np.array_equal(a, b) for a, b in zip(stream, frames, strict=True)] == [True] * len(frames)
 
 
-@pytest.mark.parametrize("parts", [[("moving", 40)], [("rest", SETTLING)], [("exposing", 8), ("moving", MOST)]])
+def test_the_fewest_frames_that_can_tell_it_suffice():
+    _, stream = find_untouched(film(("rest", FEWEST)), "film")
+    assert len(list(stream)) == FEWEST
+
+
+@pytest.mark.parametrize("parts", [[("moving", 40)], [("rest", FEWEST - 1)], [("exposing", 8), ("moving", MOST)]])
 def test_a_film_without_rest_is_refused(parts):
     with pytest.raises(BadInput, match=f"no {STILL} frames in a row"):
         find_untouched(film(*parts), "film")

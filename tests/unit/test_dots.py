@@ -1,6 +1,7 @@
 """The reader of dots: what it is given, what it makes of it, and how its totals meet those of the pictures' network."""
 
 import csv
+import re
 from dataclasses import replace
 
 import cv2
@@ -195,6 +196,20 @@ def test_the_better_reader_has_more_say_and_a_contradiction_is_told():
     assert np.mean([bool(fault) for fault in usual]) < 0.01
     fault = dots_fault(told["apart"], np.array([0.0, 0.0, -20.0]), np.array([0.0, 0.0, -5.0]))
     assert fault == "its dots tell grid_z -5.0 N, its brightness -20.0 N"
+
+
+def test_a_contradiction_is_told_in_the_newtons_that_are_read(rest, presses):
+    shipped = load_for_use(None)
+    apart = {"grid_x": [np.inf, 0.0], "grid_y": [np.inf, 0.0], "grid_z": [0.0, 0.0]}
+    suspicious = replace(shipped, about=shipped.about | {"dots": shipped.about["dots"] | {"apart": apart}})
+    told = []
+    for gain in (1.0, 3.0):
+        _, _, judged = predict_one(Untouched(suspicious, rest, gain=gain), presses[0])
+        told.append(
+            np.array(re.search("its dots tell grid_z (.+) N, its brightness (.+) N", judged.reason).groups(), float)
+        )
+        assert told[-1][0] == pytest.approx(judged.by_dots[2], abs=0.051)
+    assert told[1] == pytest.approx(3.0 * told[0], abs=0.21)  # both are told to a tenth
 
 
 @pytest.fixture(scope="module")

@@ -22,6 +22,7 @@ from gelforge.networks import statistics, use
 from gelforge.networks.canonical import WHOLE, view_of
 from gelforge.networks.onnxgraph import TOLERANCE, export, largest_difference, run_onnx
 from gelforge.networks.sensorprofile import Gain, make_profile, write_profile
+from gelforge.networks.still import FEWEST
 from gelforge.records.markers import pitch_of
 
 
@@ -140,7 +141,13 @@ def test_unlike_images_are_flagged(data, models):
     black = np.zeros((*IMAGE, 3), np.uint8)
     plain = np.full((*IMAGE, 3), 120, np.uint8)
     larger = cv2.resize(np.asarray(data.images[0]), (128, 96))
-    for image, reason in ((black, ""), (plain, ""), (data.images[0][..., ::-1] // 3, ""), (larger, "size")):
+    unlike = "unlike the training images in its "
+    for image, reason in (
+        (black, unlike),
+        (plain, unlike),
+        (data.images[0][..., ::-1] // 3, unlike),
+        (larger, "size"),
+    ):
         judged = use.predict_one(reader, image)[2]
         assert judged.flag and reason in judged.reason
 
@@ -283,6 +290,20 @@ def test_live_refuses_a_film_that_never_rests(data, paths, tmp_path):
     video = write_avi(tmp_path / "in.avi", [*data.images[:24]])
     with pytest.raises(BadInput, match="without movement.*--untouched"):
         live.main(["--video", str(video), "--model", str(paths["pair"]), "--out", str(tmp_path / "o.avi")])
+
+
+def test_live_refuses_fewer_frames_than_tell_the_untouched_sensor(data, paths, tmp_path):
+    rest = data.nocontact["mini0"]
+    video, out = write_avi(tmp_path / "in.avi", [rest] * 12), tmp_path / "o.avi"
+    words = ["--video", str(video), "--model", str(paths["pair"]), "--out", str(out)]
+    with pytest.raises(BadInput, match=f"--frames {FEWEST - 1}: .* {FEWEST} at least.*--untouched"):
+        live.main([*words, "--frames", str(FEWEST - 1)])
+    assert not out.exists()
+    live.main([*words, "--frames", str(FEWEST)])
+    assert len(read_frames(out)) == FEWEST
+    cv2.imwrite(str(tmp_path / "rest.png"), rest)
+    live.main([*words, "--frames", "3", "--untouched", str(tmp_path / "rest.png")])
+    assert len(read_frames(out)) == 3
 
 
 def test_live_lets_go_of_what_films_where_it_refuses_to_read(data, paths, tmp_path):

@@ -12,7 +12,7 @@ import threading
 import urllib.error
 import urllib.request
 from argparse import Namespace
-from contextlib import nullcontext
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 import cv2
@@ -23,12 +23,12 @@ from gelforge.commands.live_readings import tell, write_files
 from gelforge.errors import BadInput
 from gelforge.live.reading import Reading
 from gelforge.live.recording import Recorder, paced
-from gelforge.live.server import Hub, Server
+from gelforge.live.server import Hub, Server, serve
 from gelforge.networks.use import Untouched, load_for_use
 from gelforge.records.film import frames, open_source
 from tests.browser import WIDTHS, browser, console_errors, needs_browser, wait_for
 from tests.limited import limited
-from tests.waiting import HANG
+from tests.waiting import HANG, wait_until
 
 LIVE = [sys.executable, "-m", "gelforge.commands.live"]
 
@@ -46,17 +46,24 @@ def film(root, tmp_path_factory):
     return path
 
 
-@pytest.fixture
-def served(film, tmp_path):
-    """`gelforge live --web` on a free port, ended by an interrupt; yields (address, folder of recordings)."""
-    command = [*LIVE, "--video", film, "--web", "--port", "0", "--record", tmp_path / "recordings"]
+@contextmanager
+def live_page(film, folder):
+    """`gelforge live --web` on a free port, ended by an interrupt; yields (address, process)."""
+    command = [*LIVE, "--video", film, "--web", "--port", "0", "--record", folder]
     child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
-        yield re.match(r"(http://\S+)", child.stdout.readline())[1], tmp_path / "recordings"
+        yield re.match(r"(http://\S+)", child.stdout.readline())[1], child
     finally:
         child.send_signal(signal.SIGINT)
         said = child.communicate(timeout=HANG)[1]
         assert child.returncode == 0 and "Traceback" not in said, said
+
+
+@pytest.fixture
+def served(film, tmp_path):
+    """(address, folder of recordings) of a page that is served."""
+    with live_page(film, tmp_path / "recordings") as (address, _):
+        yield address, tmp_path / "recordings"
 
 
 @needs_browser
@@ -71,10 +78,10 @@ def test_a_person_watches_records_and_replays(served, width):
             driver.execute_script("return el('normal').width") == 32
             and "N a cell" in driver.find_element("id", "cap-normal").text
         )
-        assert "training pictures" in driver.find_element("id", "flag").text
+        assert driver.find_element("id", "flag").text != "no frame yet"
         assert "90 %" in driver.find_element("id", "band").text
         inked = "const c = el('curve'); return c.getContext('2d').getImageData(0, 0, c.width, c.height).data.some((v) => v)"
-        assert driver.execute_script(inked)
+        wait_for(driver, inked)  # from the second frame on
         driver.find_element("id", "record").click()
         wait_for(driver, "return el('record').textContent === 'Stop recording'")
         seen = driver.execute_script("return Number(document.body.dataset.frame)")
@@ -101,7 +108,7 @@ def test_the_page_is_for_this_machine_and_its_own_page_only(served):
         get(address, Host="evil.example")
     with pytest.raises(urllib.error.HTTPError, match="403"):  # a POST of a foreign page lacks our header
         urllib.request.urlopen(urllib.request.Request(f"{address}record", method="POST"), timeout=HANG)
-    assert "there is none of that name" in get(f"{address}replay/..%2f..%2fetc%2fpasswd")
+    assert '"ended": "recording' in get(f"{address}replay/..%2f..%2fetc%2fpasswd")
     assert not folder.exists()
 
 
@@ -186,6 +193,12 @@ def reading(number, flag=False):
     return Reading(number, 0.01 * number, np.zeros((6, 8, 3), np.uint8), forces, flag, "dark" if flag else "", 1.0)
 
 
+def full(recorder):
+    """The disk of a recording that runs is full from now on."""
+    recorder.stream.close()
+    recorder.stream = Path("/dev/full").open("w", encoding="utf-8")  # noqa: SIM115, the recorder closes it
+
+
 def test_a_recording_is_whole_or_absent(tmp_path):
     recorder = Recorder(tmp_path)
     recorder.add(reading(1).event())
@@ -201,6 +214,8 @@ def test_a_recording_is_whole_or_absent(tmp_path):
         recorder.read("../secret")
     with (tmp_path / f"{name}.jsonl").open("a") as stream:
         stream.write('{"no": "time"}\n[1]\nhalf a li')
+    with (tmp_path / f"{name}.jsonl").open("ab") as stream:
+        stream.write(b"\n\xff\xff\n")
     assert len(list(recorder.read(name))) == 3
     recorder.start()
     assert recorder.stop() == 0 and [path.suffix for path in tmp_path.iterdir()] == [".jsonl"]
@@ -210,11 +225,195 @@ def test_a_recording_is_whole_or_absent(tmp_path):
 def test_a_full_disk_ends_the_recording_and_leaves_nothing(tmp_path):
     recorder = Recorder(tmp_path)
     recorder.start()
-    recorder.stream.close()
-    recorder.stream = Path("/dev/full").open("w", encoding="utf-8")  # noqa: SIM115, the recorder closes it
+    full(recorder)
     with pytest.raises(BadInput, match="free space"):
         recorder.add(reading(1).event())
     assert not recorder.on and not list(tmp_path.iterdir())
+
+
+def at_its_end(recorder):
+    """A disk that is full when the last of a recording is written."""
+    full(recorder)
+    recorder.stream.write("the last reading")
+
+
+def folder_gone(recorder):
+    shutil.rmtree(recorder.folder)
+
+
+def place_taken(recorder):
+    (recorder.folder / f"{recorder.name}.jsonl").mkdir()
+
+
+@pytest.mark.parametrize("spoil", [at_its_end, folder_gone, place_taken])
+def test_a_recording_that_cannot_be_kept_leaves_nothing_and_the_next_one_is(tmp_path, spoil):
+    recorder = Recorder(tmp_path / "recordings")
+    recorder.start()
+    recorder.add(reading(1).event())
+    spoil(recorder)
+    with pytest.raises(BadInput, match=r"recordings: the recording is lost \(.+\); free space"):
+        recorder.stop()
+    assert not recorder.on and recorder.names() == [] and not list(tmp_path.rglob("*.part"))
+    name = recorder.start()
+    recorder.add(reading(2).event())
+    assert recorder.stop() == 1 and recorder.names() == [name]
+
+
+def test_recordings_that_cannot_be_read_are_one_sentence(tmp_path):
+    recorder = Recorder(tmp_path)
+    name = recorder.start()
+    recorder.add(reading(1).event())
+    recorder.stop()
+    events = recorder.read(name)
+    (tmp_path / f"{name}.jsonl").unlink()
+    with pytest.raises(BadInput, match=f"{name}.jsonl: the recording cannot be read"):
+        next(events)
+    (tmp_path / "file").write_text("no folder")
+    with pytest.raises(BadInput, match="file: cannot be read as a folder.*--record"):
+        Recorder(tmp_path / "file").names()
+
+
+@contextmanager
+def page_server(recorder):
+    """The page's server in this process; yields (address, hub)."""
+    server = Server("127.0.0.1", 0, Hub(), recorder)
+    server.start()
+    try:
+        yield server.url, server.hub
+    finally:
+        server.shutdown()
+        server.server_close()
+
+
+def next_event(address):
+    """The first event that a page is told which opens now."""
+    with urllib.request.urlopen(f"{address}events", timeout=HANG) as stream:
+        return json.loads(stream.readline().removeprefix(b"data: "))
+
+
+def kept(recorder, numbers):
+    """Name of a recording of readings of these numbers, a hundredth of a second apart."""
+    name = recorder.start()
+    for number in numbers:
+        recorder.add(reading(number).event())
+    recorder.stop()
+    return name
+
+
+@needs_browser
+def test_a_recording_that_went_meanwhile_is_told_where_it_was_to_be_replayed(tmp_path):
+    recorder = Recorder(tmp_path)
+    name = kept(recorder, range(3))
+    with page_server(recorder) as (address, _), browser() as driver:
+        driver.get(address)
+        wait_for(driver, "return el('which').value")
+        (tmp_path / f"{name}.jsonl").unlink()
+        driver.find_element("id", "replay").click()
+        assert "there is none of that name" in wait_for(
+            driver, "return document.body.dataset.ended && el('state').textContent"
+        )
+        assert not console_errors(driver)
+
+
+def wait_for_button(driver, words, disabled=False):
+    """Wait until the record button says so, and can be pressed or not."""
+    wanted = json.dumps([words, str(words == "Stop recording").lower(), disabled])
+    says = (
+        "JSON.stringify([el('record').textContent, el('record').getAttribute('aria-pressed'), el('record').disabled])"
+    )
+    wait_for(driver, f"return {says} === JSON.stringify({wanted})")
+
+
+@needs_browser
+def test_the_record_button_tells_what_the_recorder_does_now(tmp_path):
+    recorder = Recorder(tmp_path)
+    kept(recorder, range(0, 60_000, 100))  # a second apart: it is replayed as long as the test lasts
+    with browser() as driver:
+        with page_server(recorder) as (address, hub):
+            driver.get(address)
+            wait_for_button(driver, "Record")
+            serve([reading(1)], hub, recorder)
+            wait_for(driver, "return document.body.dataset.frame === '1'")
+            driver.find_element("id", "record").click()
+            wait_for_button(driver, "Stop recording")
+            driver.find_element("id", "replay").click()
+            wait_for(driver, "return Number(document.body.dataset.frame) >= 100")
+            assert driver.find_element("id", "record").text == "Stop recording" and recorder.on
+            full(recorder)
+            serve([reading(2)], hub, recorder)
+            wait_for_button(driver, "Record")
+            assert "the recording is lost" in driver.find_element("id", "trouble").text
+            driver.find_element("id", "record").click()
+            wait_for_button(driver, "Stop recording")
+            assert not driver.find_element("id", "trouble").text
+            driver.find_element("id", "back").click()
+            wait_for(driver, "return document.body.dataset.frame === '2'")
+            recorder.stop()
+            hub.tell(hub.latest | {"ended": "the film ended"})
+            wait_for_button(driver, "Record", disabled=True)
+            recorder.start()  # by another page
+            wait_for_button(driver, "Stop recording")
+            assert not console_errors(driver)
+        wait_for_button(driver, "Record", disabled=True)
+        assert "does not answer" in driver.find_element("id", "state").text
+
+
+@needs_browser
+def test_a_flag_is_told_in_its_own_words(tmp_path):
+    with page_server(Recorder(tmp_path)) as (address, hub), browser() as driver:
+        driver.get(address)
+        for number, words in ((1, "dark"), (2, "nothing seems wrong with the picture")):
+            serve([reading(number, flag=number == 1)], hub, Recorder(tmp_path))
+            wait_for(driver, f"return document.body.dataset.frame === '{number}'")
+            assert driver.find_element("id", "flag").text == words
+
+
+@needs_browser
+def test_a_program_that_ended_offers_no_recording(film, tmp_path):
+    with browser() as driver:
+        with live_page(film, tmp_path / "recordings") as (address, _):
+            driver.get(address)
+            wait_for_button(driver, "Record")
+            driver.find_element("id", "record").click()
+            wait_for_button(driver, "Stop recording")
+        wait_for_button(driver, "Record", disabled=True)
+
+
+def test_a_lost_recording_is_told_to_all_pages_until_the_next_one_begins(tmp_path):
+    recorder = Recorder(tmp_path)
+    with page_server(recorder) as (address, hub):
+        recorder.start()
+        full(recorder)
+        assert serve(map(reading, range(4)), hub, recorder) == 4
+        late, listed = next_event(address), json.loads(get(f"{address}recordings"))
+        assert late["frame"] == 3
+        for told in (late, listed):
+            assert "the recording is lost" in told["trouble"] and told["recording"] is False
+        recorder.start()
+        assert next_event(address).items() >= {"frame": 3, "trouble": "", "recording": True}.items()
+
+
+def test_a_recording_that_cannot_begin_is_told_to_all_pages(tmp_path):
+    (tmp_path / "file").write_text("no folder")
+    recorder = Recorder(tmp_path / "file")
+    with page_server(recorder) as (address, hub):
+        with pytest.raises(BadInput, match="nothing can be recorded there"):
+            recorder.start()
+        serve([reading(0)], hub, recorder)
+        assert "nothing can be recorded there" in next_event(address)["trouble"]
+        listed = json.loads(get(f"{address}recordings"))
+        assert "cannot be read as a folder" in listed["error"] and listed["names"] == []
+
+
+def test_a_recording_that_is_lost_at_the_end_is_told(film, tmp_path):
+    with live_page(film, tmp_path / "recordings") as (address, child):
+        record = urllib.request.Request(f"{address}record", method="POST", headers={"X-Gelforge": "1"})
+        urllib.request.urlopen(record, timeout=HANG).close()
+        wait_until(lambda: any(path.stat().st_size for path in (tmp_path / "recordings").iterdir()), of=child)
+        shutil.rmtree(tmp_path / "recordings")
+        child.send_signal(signal.SIGINT)
+        said = child.stderr.read()
+    assert "ended after" in said and "the recording is lost" in said
 
 
 def test_a_slow_page_gets_the_latest(tmp_path):

@@ -48,8 +48,7 @@ class Overlay:
             force_line(forces),
             f"{rate:5.1f} frames/s, {self.network_ms[-1]:.1f} ms a frame",
         ]
-        warning = f"unlike training ({judged.score:.1f}): {judged.reason}" if judged.flag else ""
-        return overlay(cv2.cvtColor(image, cv2.COLOR_RGB2BGR), forces, lines, warning)
+        return overlay(cv2.cvtColor(image, cv2.COLOR_RGB2BGR), forces, lines, judged.reason)
 
 
 def force_line(forces: np.ndarray) -> str:
@@ -119,6 +118,17 @@ def refuse_two_faces(args: Namespace) -> None:
         raise BadInput(f"--jsonl and --csv both name {args.csv}; name two files")
 
 
+def need_frames(asked: int | None) -> None:
+    """BadInput where fewer frames are asked for than tell the untouched sensor."""
+    from gelforge.networks.still import FEWEST
+
+    if asked is not None and asked < FEWEST:
+        raise BadInput(
+            f"--frames {asked}: the untouched sensor is found among the first frames, {FEWEST} at least; ask for more, or"
+            " give its picture with --untouched or --profile"
+        )
+
+
 def with_untouched(args: Namespace, trained, picture: np.ndarray | None, seen, name: str) -> tuple:
     """The network with the untouched sensor's picture (networks.use.Untouched), and the frames, BGR, from the first on.
 
@@ -132,6 +142,7 @@ def with_untouched(args: Namespace, trained, picture: np.ndarray | None, seen, n
     from gelforge.networks.use import Untouched
 
     if picture is None and not (args.sensor or args.profile) and trained.needs_untouched:
+        need_frames(args.frames)
         picture, seen = find_untouched(seen, name)
         picture = cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
     picture, gain = untouched_of(args.profile, picture, trained.about)
@@ -151,7 +162,7 @@ def draw(args: Namespace, untouched, seen, capture, name: str, over: threading.E
     seconds = time.perf_counter() - started
     print(
         f"{count} frames in {seconds:.1f} s: {count / seconds:.1f} a second with overlay; network and check "
-        f"{np.median(overlay.network_ms or [0.0]):.1f} ms a frame; {overlay.flagged} flagged as unlike the training images"
+        f"{np.median(overlay.network_ms or [0.0]):.1f} ms a frame; {overlay.flagged} flagged"
     )
     if args.out and is_lost(args, over, count):
         raise BadInput(ended(name, True, count))

@@ -72,9 +72,10 @@ def tell(args: Namespace, untouched, frames, capture, name: str, over: threading
             said = ended(name, is_lost(args, over, count), count)
         except BadInput as error:
             said = str(error)
-        recorder.stop()
+        with suppress(BadInput):  # the recorder keeps it, and pages are told by its state
+            recorder.stop()
         hub.tell(hub.latest | {"ended": said})  # a page that is opened later still sees the last frame
-        print(said, file=sys.stderr, flush=True)
+        print(*filter(None, (said, recorder.trouble)), sep="\n", file=sys.stderr, flush=True)
         over.wait()  # the page can still be looked at and recordings replayed
 
 

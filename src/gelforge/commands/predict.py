@@ -124,7 +124,8 @@ def predict_files(paths: Sequence[Path], untouched: Untouched, out: Path, read: 
     option("--model", type=Path, help="model file; the one that came with gelforge if not named", default=None),
     option(
         "--sensor",
-        help="the sensor of the images, where the model knows several by name; without effect beside --untouched",
+        help="the sensor of the images; refused if the model is for others; without --untouched and --profile they are"
+        " read against the picture that the model holds of it",
         default=None,
     ),
     option("--untouched", type=Path, metavar="IMAGE", help="the sensor while nothing touches it", default=None),

@@ -113,7 +113,7 @@ def _normals(untouched: Untouched, images: list[Path]) -> np.ndarray:
         read.append(-float(forces[2].sum()))
         if judged.flag:
             print(
-                f"{image}: FLAGGED: {judged.reason or 'unlike training'}; it counts, leave it out if that is so",
+                f"{image}: FLAGGED: {judged.reason}; it counts, leave it out if that is so",
                 file=sys.stderr,
             )
     return np.array(read)

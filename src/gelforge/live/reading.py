@@ -15,10 +15,10 @@ COLUMNS = ("frame", "time_s", *TOTAL_COLUMNS, "flag", "reason", "ms")
 
 @dataclass(frozen=True)
 class Reading:
-    """One frame: image (h, w, 3) uint8 RGB, forces (3, rows, cols) N per cell, how unlike training it is, and its cost.
+    """One frame: image (h, w, 3) uint8 RGB, forces (3, rows, cols) N per cell, its judgement, and its cost.
 
-    half_width: (3,) N, half of the 90 % interval of the totals; by_dots: (3,) N, what the dots tell by themselves; none
-    where it is not known.
+    flag, reason: as networks.use.Judgement has them. half_width: (3,) N, half of the 90 % interval of the totals;
+    by_dots: (3,) N, what the dots tell by themselves; none where it is not known.
     """
 
     frame: int

@@ -16,17 +16,24 @@ NAME = re.compile(r"[0-9]{8}-[0-9]{6}(-[0-9]+)?")
 
 
 class Recorder:
-    """Keeps events as JSON lines, one file a recording: whole when it is stopped, absent when it fails."""
+    """Keeps events as JSON lines, one file a recording: whole when it is stopped, absent when it fails.
+
+    trouble: why the last recording failed, until another one begins; empty where it did not.
+    """
 
     def __init__(self, folder: Path):
         self.folder = folder
         self.lock = threading.Lock()
         self.stream: TextIO | None = None
-        self.name, self.count = "", 0
+        self.name, self.count, self.trouble = "", 0, ""
 
     @property
     def on(self) -> bool:
         return self.stream is not None
+
+    def state(self) -> dict:
+        """What pages are told: whether a recording runs, and what became of the last one."""
+        return {"recording": self.on, "trouble": self.trouble}
 
     def part(self) -> Path:
         return self.folder / f".{self.name}.part"
@@ -44,9 +51,10 @@ class Recorder:
                 self.count = 0
                 self.stream = self.part().open("w", encoding="utf-8")
             except OSError as error:
-                raise BadInput(
+                raise self._failed(
                     f"{self.folder}: nothing can be recorded there ({error.strerror}); name another --record"
                 ) from error
+            self.trouble = ""
             return self.name
 
     def add(self, event: dict) -> None:
@@ -59,40 +67,63 @@ class Recorder:
                 self.stream.flush()
                 self.count += 1
             except OSError as error:
-                self.drop()
-                raise BadInput(
-                    f"{self.folder}: the recording stopped ({error.strerror}) and was removed; free space"
-                ) from error
+                raise self._lost(error) from error
+
+    def _lost(self, error: OSError) -> BadInput:
+        """Give up a recording that the disk does not take; what is to be told of it."""
+        self.drop()
+        return self._failed(
+            f"{self.folder}: the recording is lost ({error.strerror}); free space or permissions, then record again"
+        )
+
+    def _failed(self, sentence: str) -> BadInput:
+        """The error of a recording, kept for those who are told later."""
+        error = BadInput(sentence)
+        self.trouble = str(error)
+        return error
 
     def drop(self) -> None:
         """Give up what was recorded so far."""
         stream, self.stream = self.stream, None
-        try:
+        with contextlib.suppress(OSError):  # what could not be written is not wanted
             if stream is not None:
                 stream.close()
-        except OSError:
-            pass  # what could not be written is not wanted
-        self.part().unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # what a folder refuses to let go is hidden, and no recording
+            self.part().unlink(missing_ok=True)
 
     def stop(self) -> int:
-        """End a recording and publish it; return how many readings it has. One without any is not kept."""
+        """End a recording and publish it; return how many readings it has. One without any is not kept.
+
+        Raises BadInput where it cannot be written to its end; it is removed then, and another one may be started.
+        """
         with self.lock:
             if self.stream is None:
                 return 0
             if not self.count:
                 self.drop()
                 return 0
-            self.stream.close()
+            try:
+                self.stream.close()
+                os.replace(self.part(), self.folder / f"{self.name}.jsonl")
+            except OSError as error:
+                raise self._lost(error) from error
             self.stream = None
-            os.replace(self.part(), self.folder / f"{self.name}.jsonl")
             return self.count
 
     def names(self) -> list[str]:
-        """Recordings there are, the latest first."""
-        return sorted((path.stem for path in self.folder.glob("*.jsonl") if NAME.fullmatch(path.stem)), reverse=True)
+        """Recordings there are, the latest first; BadInput for a folder that cannot be looked into."""
+        try:
+            files = [path for path in self.folder.iterdir() if path.suffix == ".jsonl" and path.is_file()]
+        except FileNotFoundError:  # the first recording makes it
+            return []
+        except OSError as error:
+            raise BadInput(
+                f"{self.folder}: cannot be read as a folder of recordings ({error.strerror}); name another --record"
+            ) from error
+        return sorted((path.stem for path in files if NAME.fullmatch(path.stem)), reverse=True)
 
     def read(self, name: str) -> Iterator[dict]:
-        """Events of a recording; BadInput for a name that is none."""
+        """Events of a recording; BadInput for a name that is none, and where its file ceases to be readable."""
         if not NAME.fullmatch(name) or name not in self.names():
             raise BadInput(f"recording {name!r}: there is none of that name in {self.folder}")
         return _events(self.folder / f"{name}.jsonl")
@@ -100,12 +131,15 @@ class Recorder:
 
 def _events(path: Path) -> Iterator[dict]:
     """Events of a recording, read as they are asked for; what is none is left out."""
-    with path.open(encoding="utf-8") as stream:
-        for line in stream:
-            with contextlib.suppress(ValueError):
-                event = json.loads(line)
-                if isinstance(event, dict) and isinstance(event.get("time_s"), int | float):
-                    yield event
+    try:
+        with path.open("rb") as stream:
+            for line in stream:
+                with contextlib.suppress(ValueError):
+                    event = json.loads(line)
+                    if isinstance(event, dict) and isinstance(event.get("time_s"), int | float):
+                        yield event
+    except OSError as error:
+        raise BadInput(f"{path}: the recording cannot be read ({error.strerror}); choose another one") from error
 
 
 def paced(events: Iterable[dict]) -> Iterator[dict]:

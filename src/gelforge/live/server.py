@@ -3,6 +3,7 @@
 import json
 import threading
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from gelforge.reporting.page import LOOK
 
 WEB = Path(__file__).parent / "web"
 LOCAL = ("127.0.0.1", "localhost")
-QUIET_S = 5.0  # without a reading a page is sent a comment, so that one that left is noticed
+QUIET_S = 5.0  # without a reading a page is sent the recorder's state alone, so that one that left is noticed
 
 
 class Hub:
@@ -80,10 +81,9 @@ class Handler(BaseHTTPRequestHandler):
         elif self.path == "/events":
             self.stream(self.live())
         elif self.path == "/recordings":
-            recorder = self.server.recorder
-            self.answer_json({"names": recorder.names(), "on": recorder.on})
+            self.answer_json(self.recordings())
         elif self.path.startswith("/replay/"):
-            self.replay(self.path.removeprefix("/replay/"))
+            self.stream(self.replay(self.path.removeprefix("/replay/")))
         else:
             self.send_error(404)
 
@@ -123,33 +123,40 @@ class Handler(BaseHTTPRequestHandler):
     def answer_json(self, value) -> None:
         self.answer(json.dumps(value).encode(), "application/json")
 
-    def stream(self, events: Iterable[dict | None]) -> None:
-        """Send events until the browser leaves."""
+    def stream(self, events: Iterable[dict]) -> None:
+        """Send events until the browser leaves, each with what the recorder does now: a page may have missed any other."""
         self.send_response(200)
         self.send_header("Content-Type", "text/event-stream")
         self.send_header("Cache-Control", "no-store")
         self.end_headers()
         try:
             for event in events:
-                text = ": still here\n\n" if event is None else f"data: {json.dumps(event)}\n\n"
-                self.wfile.write(text.encode())
+                told = event | self.server.recorder.state()
+                self.wfile.write(f"data: {json.dumps(told)}\n\n".encode())
                 self.wfile.flush()
         except ConnectionError:
             self.close_connection = True
 
-    def live(self) -> Iterator[dict | None]:
+    def live(self) -> Iterator[dict]:
         number = 0
         while True:
             number, event = self.server.hub.after(number, QUIET_S)
-            yield event
+            yield event or {}
 
-    def replay(self, name: str) -> None:
+    def recordings(self) -> dict:
+        """Names of recordings, or why they cannot be listed, and what the recorder does."""
+        recorder = self.server.recorder
         try:
-            events = self.server.recorder.read(name)
+            return {"names": recorder.names()} | recorder.state()
         except BadInput as error:
-            self.answer_json({"error": str(error)})
-            return
-        self.stream(paced(events))
+            return {"names": [], "error": str(error)} | recorder.state()
+
+    def replay(self, name: str) -> Iterator[dict]:
+        """Events of a recording, the last of which says why there are no more: the page reads nothing but a stream."""
+        try:
+            yield from paced(self.server.recorder.read(name))
+        except BadInput as error:
+            yield {"ended": str(error)}
 
     def log_message(self, *_) -> None:
         """Requests are not told on the terminal."""
@@ -166,10 +173,8 @@ def serve(readings: Iterable[Reading], hub: Hub, recorder: Recorder) -> int:
     count = 0
     for reading in readings:
         event = reading.event()
-        try:
+        with suppress(BadInput):  # the recorder keeps it, and pages are told by its state
             recorder.add(event)
-        except BadInput as error:
-            event = event | {"trouble": str(error)}
-        hub.tell(event | {"recording": recorder.on})
+        hub.tell(event)
         count += 1
     return count

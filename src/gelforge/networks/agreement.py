@@ -45,9 +45,12 @@ def blend(forces: np.ndarray, by_dots: np.ndarray, weight: list[float]) -> np.nd
     return found
 
 
-def dots_fault(apart: dict, total: np.ndarray, by_dots: np.ndarray) -> str:
-    """What tells that a picture and its dots contradict each other, totals (3,) N; empty where they agree."""
+def dots_fault(apart: dict, total: np.ndarray, by_dots: np.ndarray, gain: float = 1.0) -> str:
+    """What tells that a picture and its dots contradict each other, totals (3,) N; empty where they agree.
+
+    gain: of the sensor, by which what is told is multiplied, as all that its user reads is.
+    """
     for k, name in enumerate(CHANNELS):
         if abs(total[k] - by_dots[k]) > APART * HalfWidth(*apart[name]).of(max(abs(total[k]), abs(by_dots[k]))):
-            return f"its dots tell {name} {by_dots[k]:.1f} N, its brightness {total[k]:.1f} N"
+            return f"its dots tell {name} {gain * by_dots[k]:.1f} N, its brightness {gain * total[k]:.1f} N"
     return ""

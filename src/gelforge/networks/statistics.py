@@ -252,7 +252,10 @@ def pair_fault(limits: dict, pair: PairEvidence) -> str:
 
 @dataclass(frozen=True)
 class Likeness:
-    """How unlike the training images an image is: score as `score` gives it, whether that is too much, and in what."""
+    """How unlike the training images an image is: score as `score` gives it.
+
+    flag: whether that is too much, or its pair does not belong together; reason: what, empty for neither.
+    """
 
     score: float
     flag: bool
@@ -260,7 +263,7 @@ class Likeness:
 
 
 def judge(model: dict, image, pair: PairEvidence | None = None) -> Likeness:
-    """Score one image (h, w, 3) uint8 and say whether it is unlike the training images, and in what.
+    """Score one image (h, w, 3) uint8 and say what is wrong with it.
 
     pair: where the network reads differences, what tells whether the untouched picture is of the same sensor.
     """
@@ -271,4 +274,4 @@ def judge(model: dict, image, pair: PairEvidence | None = None) -> Likeness:
         return Likeness(value, bool(fault), fault)
     off = np.abs(statistics - model["mean"]) / model["spread"]
     groups = {"colour": off[:12].max(), "contrast": off[12:15].max(), "sharpness": off[15], "dots": off[16:].max()}
-    return Likeness(value, True, max(groups, key=lambda name: groups[name]))
+    return Likeness(value, True, f"unlike the training images in its {max(groups, key=lambda name: groups[name])}")

@@ -14,6 +14,7 @@ from gelforge.records.film import frames, open_source, source_name
 SETTLING = 8  # frames that a camera takes to set its exposure and colours, at least
 STILL = 5  # frames in a row that must be alike
 ALIKE = 0.5  # levels by which each may differ from their mean, on average over the picture
+FEWEST = max(SETTLING + 1, STILL)  # frames, the last of which may show that the sensor is at rest
 MOST = 300  # frames within which a sensor is expected to be at rest
 
 
@@ -32,7 +33,7 @@ class StillPicture:
         self._seen += 1
         self._last.append(image)
         self._small.append(cv2.resize(image, SMALL, interpolation=cv2.INTER_AREA).astype(float))
-        if self._seen <= SETTLING or len(self._last) < STILL:
+        if self._seen < FEWEST:
             return None
         small = np.array(self._small)
         if np.abs(small - small.mean(axis=0)).mean(axis=(1, 2, 3)).max() > ALIKE:

@@ -232,7 +232,8 @@ def predict_one(
         forces = forces - untouched.rest(name)
     by_dots, contradicted = pair.by_dots(trained.dots) if pair else None, ""
     if by_dots is not None:
-        contradicted = dots_fault(trained.about["dots"]["apart"], forces.sum((1, 2), dtype=float), by_dots)
+        total = forces.sum((1, 2), dtype=float)
+        contradicted = dots_fault(trained.about["dots"]["apart"], total, by_dots, untouched.gain)
         forces = blend(forces, by_dots, trained.about["dots"]["weight"])
     forces = forces * np.float32(untouched.gain)
     faults = [resized, untouched.fault, likeness.reason, light_fault(light), pull_fault(forces), contradicted]

@@ -5,7 +5,7 @@ const DIVERGING = [[5, 48, 97], [67, 147, 195], [247, 247, 247], [214, 96, 77], 
 const MAPS = [["normal", 2, "normal force"], ["short", 1, "along the short side"], ["long", 0, "along the long side"]];
 const TOTALS = [["grid_z_n", 2, "#1f6f8b", -1], ["grid_y_n", 1, "#d1603d", 1], ["grid_x_n", 0, "#5b8c3a", 1]];
 const KEPT = 600;
-let history = [], source = null, drawing = false, latest = null;
+let history = [], source = null, drawing = false, latest = null, over = false;
 function ramp(t) {
   const x = Math.min(Math.max(t, 0), 1) * (DIVERGING.length - 1), k = Math.min(Math.floor(x), DIVERGING.length - 2), f = x - k;
   return DIVERGING[k].map((v, c) => v + f * (DIVERGING[k + 1][c] - v));
@@ -43,7 +43,6 @@ function drawCurve() {
   }
 }
 async function show(event) {
-  if (event.trouble) el("trouble").textContent = event.trouble;
   if (event.image) await draw(event);
   if (event.ended) { el("state").textContent = event.ended; document.body.dataset.ended = "yes"; await loadNames(); }
 }
@@ -59,11 +58,9 @@ async function draw(event) {
   const recent = history.slice(-30), span = recent.at(-1).time_s - recent[0].time_s;
   el("rate").textContent = span > 0 ? fixed((recent.length - 1) / span, 1) : "–";
   el("flag").className = event.flag ? "on" : "";
-  el("flag").textContent = event.flag ? `unlike the training pictures: ${event.reason}` : "like the training pictures";
+  el("flag").textContent = event.flag ? event.reason : "nothing seems wrong with the picture";
   el("band").textContent = event.half_width ? "band: where 90 % of the forces on unseen sensors lie" : "";
   el("state").textContent = `frame ${event.frame}, ${fixed(event.time_s, 1)} s, ${fixed(event.ms, 1)} ms a frame`;
-  if (event.recording !== undefined) el("record").setAttribute("aria-pressed", event.recording);
-  if (el("record").textContent !== "Starting") el("record").textContent = event.recording ? "Stop recording" : "Record";
   drawCurve();
   document.body.dataset.frame = event.frame;
 }
@@ -79,22 +76,50 @@ function open(path) {
   if (source) source.close();
   history = []; delete document.body.dataset.ended;
   source = new EventSource(path);
-  source.onmessage = (message) => { const event = JSON.parse(message.data); if (event.ended) source.close(); take(event); };
-  source.onerror = () => { el("state").textContent = "the program that reads the sensor does not answer; start gelforge live --web again"; };
+  source.onmessage = (message) => {
+    const event = JSON.parse(message.data);
+    if (event.ended) source.close();
+    if (path === "events") over = Boolean(event.ended);
+    showRecorder(event);
+    if (event.image || event.ended) take(event);
+  };
+  source.onerror = gone;
 }
-async function post(path) {
-  const answer = await (await fetch(path, { method: "POST", headers: { "X-Gelforge": "1" } })).json();
-  el("trouble").textContent = answer.error || "";
-  return answer;
+// What the recorder does now comes with all that the server tells, replayed events too; without new frames nothing can be recorded.
+function showRecorder({ recording, trouble }) {
+  el("record").textContent = recording ? "Stop recording" : "Record";
+  el("record").setAttribute("aria-pressed", recording);
+  el("record").disabled = over && !recording;
+  el("trouble").textContent = trouble;
+}
+function gone() {
+  showRecorder({ recording: false, trouble: el("trouble").textContent });
+  el("record").disabled = true;
+  el("state").textContent = "the program that reads the sensor does not answer; start gelforge live --web again";
+}
+async function ask(path, options) {
+  try { return await (await fetch(path, options)).json(); } catch { gone(); return null; }
 }
 async function loadNames() {
-  const { names, on } = await (await fetch("recordings")).json();
-  el("which").replaceChildren(...names.map((name) => new Option(name, name)));
-  el("replay").disabled = el("which").disabled = !names.length;
-  el("record").setAttribute("aria-pressed", on); el("record").textContent = on ? "Stop recording" : "Record";
+  const told = await ask("recordings");
+  if (!told) return;
+  el("which").replaceChildren(...told.names.map((name) => new Option(name, name)));
+  el("replay").disabled = el("which").disabled = !told.names.length;
+  el("unlisted").textContent = told.error || "";
+  showRecorder(told);
 }
-el("record").onclick = async () => { await post(el("record").getAttribute("aria-pressed") === "true" ? "stop" : "record"); await loadNames(); };
+// A stream that ended tells no more of the recorder, which goes on: it is asked.
+async function lookAfter() {
+  const told = source.readyState === EventSource.CLOSED && await ask("recordings");
+  if (told) showRecorder(told);
+}
+el("record").onclick = async () => {
+  const path = el("record").getAttribute("aria-pressed") === "true" ? "stop" : "record";
+  await ask(path, { method: "POST", headers: { "X-Gelforge": "1" } });
+  await loadNames();
+};
 el("replay").onclick = () => open(`replay/${el("which").value}`);
 el("back").onclick = () => open("events");
 window.addEventListener("resize", drawCurve);
+setInterval(lookAfter, 1000);
 loadNames(); open("events");
