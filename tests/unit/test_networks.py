@@ -14,6 +14,7 @@ from small_networks import GRID, IMAGE, SMALL
 from gelforge.errors import BadInput
 from gelforge.networks.inputs import network_input
 from gelforge.networks.models import BasicBlock, ResNetTotal, UNet, build, parameter_count, strides
+from gelforge.records.networkkind import KINDS
 from gelforge.stages.train import resolve
 
 
@@ -79,6 +80,14 @@ def test_every_network_of_the_table_builds(root):
         model, own = resolve(models, name, settings)
         assert build(model, (240, 320), (24, 32)) is not None
         assert own.epochs == settings.epochs
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_kind_writes_one_cell_exactly_where_it_knows_totals_only(kind):
+    net = build({"kind": kind}, (240, 320), (24, 32)).eval()
+    with torch.inference_mode():
+        told = net(torch.zeros(1, 3, 240, 320))
+    assert told.shape == ((1, 3, 1, 1) if KINDS[kind].totals_only else (1, 3, 24, 32))
 
 
 def test_a_kind_may_get_epochs_of_its_own():

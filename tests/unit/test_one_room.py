@@ -4,6 +4,7 @@ import ast
 from pathlib import Path
 
 import gelforge
+from gelforge.records.networkkind import KINDS
 from gelforge.records.press import FORCE, POSE
 
 PACKAGE = Path(gelforge.__file__).parent
@@ -42,3 +43,14 @@ def test_cells_of_a_press_become_numbers_in_the_parser_alone():
     read = [(name, call) for name, tree in TREES.items() for called, call in calls(tree) if called == "float"]
     keys = [(name, node.slice) for name, call in read for node in ast.walk(call) if isinstance(node, ast.Subscript)]
     assert not [name for name, key in keys if isinstance(key, ast.Constant) and key.value in (*POSE, *FORCE)]
+
+
+def test_what_kinds_of_networks_differ_in_stands_in_their_table_alone():
+    """But for their layers. Two kinds have names that are words of other meanings, too."""
+    names = KINDS.keys() - {"grid", "unet"}
+    naming = [
+        name
+        for name, tree in TREES.items()
+        if any(isinstance(node, ast.Constant) and node.value in names for node in ast.walk(tree))
+    ]
+    assert naming == ["networks/models.py"]

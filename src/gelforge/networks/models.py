@@ -10,6 +10,7 @@ from torch.nn import functional as F
 
 from gelforge.errors import BadInput
 from gelforge.networks import inputs
+from gelforge.records.networkkind import kind_of
 
 COMPONENTS = 3
 
@@ -195,19 +196,17 @@ def build(config: dict, image, grid) -> nn.Module:
     """
     sizes = {key: value for key, value in config.items() if key not in ("kind", "note", "train", "reads", "start")}
     sizes["channels"] = inputs.channels(config.get("reads", "image"))
+    kind_of(config)  # refuses one that there is not
     kinds = {
         "unet": lambda: UNet(grid, **sizes),
         "unet_single": lambda: SingleChannelUNets(grid, **sizes),
         "resnet": lambda: ResNetTotal(**sizes),
         "grid": lambda: GridNet(image, grid, **sizes),
     }
-    kind = config.get("kind")
-    if kind not in kinds:
-        raise BadInput(f"unknown kind of network {kind!r}: use one of {', '.join(sorted(kinds))}")
     try:
-        return kinds[kind]()
+        return kinds[config["kind"]]()
     except TypeError as error:
-        raise BadInput(f"the network table of kind {kind!r} has a wrong key or value: {error}") from None
+        raise BadInput(f"the network table of kind {config['kind']!r} has a wrong key or value: {error}") from None
 
 
 def parameter_count(net: nn.Module) -> int:

@@ -19,6 +19,7 @@ from gelforge.networks.modelfile import Trained, tensor_digest, tensors_of
 from gelforge.networks.models import parameter_count
 from gelforge.networks.statistics import fit_to_images
 from gelforge.networks.training import Training, fit, mixes_precision, peak_memory_gib
+from gelforge.records.networkkind import kind_of
 
 
 def identity(about: dict[str, Any]) -> str:
@@ -45,7 +46,7 @@ def describe(
         "version": version,
         "torch": torch.__version__,
         "image": list(data.image_size),
-        "grid": [1, 1] if model["kind"] == "resnet" else list(data.grid),
+        "grid": [1, 1] if kind_of(model).totals_only else list(data.grid),
         "known_sensors": sorted(set(data.names("sensor_id").tolist())),
         "sensors": sorted(set(data.names("sensor_id")[rows].tolist())),
         "indenters": sorted(set(data.names("indenter")[rows].tolist())),
@@ -110,7 +111,7 @@ def begin(
 
     One that goes on from `start` has it as its best so far, so that it never ends worse on validation than it began.
     """
-    norm = scales(data, model["kind"] == "resnet", model.get("reads", "image"))
+    norm = scales(data, kind_of(model).totals_only, model.get("reads", "image"))
     if start is not None:
         norm = scales_before(start.about, model, data, norm)
     training = Training(model, settings, norm, about["image"], about["grid"], about["device"])

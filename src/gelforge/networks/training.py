@@ -20,6 +20,7 @@ from gelforge.networks.inputs import network_input
 from gelforge.networks.modelfile import read_tensors
 from gelforge.networks.models import build
 from gelforge.records.axes import CHANNELS
+from gelforge.records.networkkind import kind_of
 
 
 def initial_net(model: dict, image, grid, seed: int):
@@ -123,7 +124,7 @@ class Training:
 
     def __init__(self, model: dict, settings: TrainingTable, norm: dict, image, grid, device: str):
         self.settings, self.norm, self.device = settings, norm, device
-        self.total_only = model["kind"] == "resnet"
+        self.total_only = kind_of(model).totals_only
         # pixels side by side with their channels: convolutions on a CPU are a third faster
         self.net = initial_net(model, image, grid, settings.seed).to(device, memory_format=torch.channels_last)
         self.optimiser = torch.optim.Adam(self.net.parameters(), lr=settings.learning_rate)

@@ -4,10 +4,10 @@ import numpy as np
 
 from gelforge.records.axes import CHANNELS
 from gelforge.records.learningcurve import FURTHER, Learning
+from gelforge.records.networkkind import KINDS
 from gelforge.reporting.canvas import canvas, save_png
 
 SHOWN_PRESSES = 4
-KIND_COLOURS = {"unet": "tab:blue", "unet_single": "tab:purple", "resnet": "tab:orange", "grid": "tab:green"}
 # Errors of networks that are drawn against latency: keys of rows of stages.pareto_models, and their labels.
 PANELS = {
     "percent": "total force, mean of components (% of range)",
@@ -119,7 +119,7 @@ def draw_networks(
     kinds = {row["model"]: row["kind"] for row in rows}
     for name, course in courses.items():
         if course:
-            _draw_course(learning, name, course, KIND_COLOURS[kinds[name]])
+            _draw_course(learning, name, course, KINDS[kinds[name]].colour)
     learning.set(
         xscale="log",
         yscale="log",
@@ -164,6 +164,6 @@ def _draw_network(axis, row: dict, key: str, name_above: int, chosen: bool) -> N
         fmt="*" if chosen else "o",
         zorder=2,
         markersize=13 if chosen else 6,
-        color=KIND_COLOURS[row["kind"]],
+        color=KINDS[row["kind"]].colour,
     )
     axis.annotate(row["model"], (x, row[key]), xytext=(5, name_above), textcoords="offset points", fontsize=8)
