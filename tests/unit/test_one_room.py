@@ -6,6 +6,7 @@ from pathlib import Path
 import gelforge
 from gelforge.records.networkkind import KINDS
 from gelforge.records.press import FORCE, POSE
+from gelforge.records.splits import SPLITS, TEST, TRAINING
 
 PACKAGE = Path(gelforge.__file__).parent
 APART = "fea_challenge"  # scripts that leave the house: they run where nothing of gelforge is
@@ -54,3 +55,13 @@ def test_what_kinds_of_networks_differ_in_stands_in_their_table_alone():
         if any(isinstance(node, ast.Constant) and node.value in names for node in ast.walk(tree))
     ]
     assert naming == ["networks/models.py"]
+
+
+def test_splits_are_named_by_the_records_alone():
+    """Two of their names are words of other meanings, too: these are looked for where rows of a split are."""
+    names = set(SPLITS) - {TRAINING, TEST}
+    walked = [(name, node) for name, tree in TREES.items() for node in ast.walk(tree)]
+    assert not [name for name, node in walked if isinstance(node, ast.Constant) and node.value in names]
+    keys = [(name, node.slice) for name, node in walked
+            if isinstance(node, ast.Subscript) and getattr(node.value, "attr", getattr(node.value, "id", "")) == "splits"]  # fmt: skip
+    assert not [name for name, key in keys if isinstance(key, ast.Constant)]

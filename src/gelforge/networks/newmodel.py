@@ -20,6 +20,7 @@ from gelforge.networks.models import parameter_count
 from gelforge.networks.statistics import fit_to_images
 from gelforge.networks.training import Training, fit, mixes_precision, peak_memory_gib
 from gelforge.records.networkkind import kind_of
+from gelforge.records.splits import TRAINING, VALIDATION
 
 
 def identity(about: dict[str, Any]) -> str:
@@ -32,7 +33,7 @@ def describe(
     data: Data, name: str, model: dict[str, Any], settings: TrainingTable, version: int, start: Trained | None
 ) -> dict[str, Any]:
     """What a model file says about where its network comes from; version: of how networks are trained."""
-    rows = data.splits["train"]
+    rows = data.splits[TRAINING]
     device = "cuda" if torch.cuda.is_available() else "cpu"
     begun: dict = {}
     if start is not None:
@@ -91,7 +92,7 @@ def make_model(
     began = time.perf_counter()
     about |= {
         "normalisation": training.norm,
-        "statistics": fit_to_images(sights(data, reads, settings), data.splits["train"], data.splits["val"]),
+        "statistics": fit_to_images(sights(data, reads, settings), data.splits[TRAINING], data.splits[VALIDATION]),
         "curve": training.curve,
         "best_epoch": training.best["epoch"],
         "parameters": parameter_count(training.net),

@@ -5,6 +5,7 @@ import numpy as np
 from gelforge.records.axes import CHANNELS
 from gelforge.records.learningcurve import FURTHER, Learning
 from gelforge.records.networkkind import KINDS
+from gelforge.records.splits import TEST
 from gelforge.reporting.canvas import canvas, save_png
 
 SHOWN_PRESSES = 4
@@ -50,7 +51,7 @@ def draw_predictions(path, data, predictions: dict) -> None:
         axis.set(xlabel=f"label {CHANNELS[i]} (N)", ylabel=f"predicted {CHANNELS[i]} (N)")
     axis.legend(fontsize=7)
     if has_cells:
-        draw_maps(maps[0], data, *predictions.get("test", next(iter(predictions.values()))))
+        draw_maps(maps[0], data, *predictions.get(TEST, next(iter(predictions.values()))))
     save_png(path, figure)
 
 
