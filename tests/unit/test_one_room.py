@@ -65,3 +65,17 @@ def test_splits_are_named_by_the_records_alone():
     keys = [(name, node.slice) for name, node in walked
             if isinstance(node, ast.Subscript) and getattr(node.value, "attr", getattr(node.value, "id", "")) == "splits"]  # fmt: skip
     assert not [name for name, key in keys if isinstance(key, ast.Constant)]
+
+
+def test_colours_of_forces_are_chosen_in_one_place():
+    """Besides, a picture in grey, and a surface that is coloured by how far it moved."""
+    colours = [
+        (name, keyword.value)
+        for name, tree in TREES.items()
+        for _, call in calls(tree)
+        for keyword in call.keywords
+        if keyword.arg == "cmap"
+    ]
+    chosen = {name: value.value for name, value in colours if isinstance(value, ast.Constant)}
+    assert chosen == {"commands/look.py": "gray", "stages/readme.py": "viridis"}
+    assert {name for name, value in colours if isinstance(value, ast.Name)} == {"reporting/forcemaps.py"}

@@ -7,6 +7,7 @@ from gelforge.records.learningcurve import FURTHER, Learning
 from gelforge.records.networkkind import KINDS
 from gelforge.records.splits import TEST
 from gelforge.reporting.canvas import canvas, save_png
+from gelforge.reporting.forcemaps import draw_pressure
 
 SHOWN_PRESSES = 4
 # Errors of networks that are drawn against latency: keys of rows of stages.pareto_models, and their labels.
@@ -62,9 +63,9 @@ def draw_maps(figure, data, rows, forces) -> None:
     axes = figure.subplots(2, len(picked), squeeze=False)
     for column, k in enumerate(picked):
         pair = (data.labels[rows[k], 2], forces[k, 2])
-        low = min(float(part.min()) for part in pair)
+        most = max(float(-part.min()) for part in pair)
         for axis, part, what in zip(axes[:, column], pair, ("label", "network")):
-            axis.imshow(part, cmap="inferno_r", vmin=low, vmax=0)
+            draw_pressure(axis, part, most)
             axis.set_title(f"{what}: {part.sum():.1f} N", fontsize=8)
             axis.set_axis_off()
 
