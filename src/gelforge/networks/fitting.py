@@ -123,8 +123,6 @@ def judged(trained: Trained, data: Data) -> dict[str, Any]:
         forces = np.stack([blend(one, by_dots, found["dots"]["weight"]) for one, by_dots in pairs])
     sensors = sorted(set(data.names("sensor_id")[rows].tolist()))
     intervals = fit_intervals(forces, labels, data.presses(rows))
-    if not told.in_place:
-        intervals.pop("cell", None)  # cells of pictures that were scaled are not the labels'
     return found | {"intervals": intervals | {"sensors": sensors, "data": data.name, "version": data_version(data)}}
 
 

@@ -246,7 +246,7 @@ def predict_one(
         light=light,
         placed=pair.placement.correction if pair else "",
         by_dots=None if by_dots is None else untouched.gain * by_dots,
-        half_width=half_widths(trained.about, "total", forces.sum((1, 2), dtype=float), untouched.gain),
+        half_width=half_widths(trained.about, forces.sum((1, 2), dtype=float), untouched.gain),
     )
     seen = untouched.view.of(image)
     return pair.placement.undo(seen) if pair else seen, forces, judgement
