@@ -22,7 +22,7 @@ from gelforge.records.splits import TRAINING
 REFERENCES = {"sensor": "measured_{}", "truth": "true_{}"}
 
 # Of fewer sensors than these, an interval that draws whole sensors says nothing.
-FEW = 5
+FEWEST_DRAWN = 5
 
 
 def reference_totals(data: Data, kind: str) -> np.ndarray | None:
@@ -72,12 +72,12 @@ def fitted_rows(trained: Trained, data: Data, version: str) -> np.ndarray:
 def what_errs_alike(data: Data, rows: np.ndarray) -> np.ndarray:
     """What the interval of a mean error over some rows draws whole, (k,): their sensors or their presses.
 
-    It is the sensor where nothing was learnt from any of them and there are FEW or more: what matters then is how much
-    sensors differ.
+    It is the sensor where nothing was learnt from any of them and there are FEWEST_DRAWN or more: what matters then is how
+    much sensors differ. Model cards say so.
     """
     sensors = data.names("sensor_id")
     learnt = np.isin(sensors[rows], sensors[data.splits.get(TRAINING, rows[:0])])
-    return data.presses(rows) if learnt.any() or len(set(sensors[rows])) < FEW else sensors[rows]
+    return data.presses(rows) if learnt.any() or len(set(sensors[rows])) < FEWEST_DRAWN else sensors[rows]
 
 
 def as_predicted(data, rows, trained, fitted, settings: EvaluateTable, force_range, rng) -> dict:
