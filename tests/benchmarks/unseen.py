@@ -137,7 +137,7 @@ def interval_figure(units: Units, trained, read: np.ndarray) -> list[Figure]:
         return []
     others = np.array([seen.unit not in known.get("sensors", []) for seen in units.seen])
     true = np.array([seen.total for seen in units.seen])
-    half = np.array([half_widths(trained.about, "total", one) for one in read])
+    half = np.array([half_widths(trained.about, one) for one in read])
     held = 100 * (np.abs(read - true) <= half)[others].mean(axis=0)
     told = ", ".join(f"{name} {value:.0f}" for name, value in zip(CHANNELS, held, strict=True))
     return [Figure("totals that their 90 % intervals hold, farthest from it", float(held[np.abs(held - 90).argmax()]), ">=", 87.0,

@@ -91,6 +91,9 @@ def test_a_network_that_there_is_not_is_named(tmp_path):
     write_json(tmp_path / "train.json", {"version": 1, "train": plain(slice_of("train").train)})
     with pytest.raises(BadInput, match="MODEL=grid16"):
         training(tmp_path, "grid16", 900)
+    write_json(tmp_path / "models" / "net.json", {"net": {"kind": "transformer"}})
+    with pytest.raises(BadInput, match="'transformer': use one of grid"):
+        training(tmp_path, "net", 900)
 
 
 def test_a_calibration_fills_the_cores_whatever_the_number_of_shards():

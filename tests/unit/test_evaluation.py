@@ -19,7 +19,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, read_json, write_csv, write_json
 from gelforge.networks import use
 from gelforge.networks.data import data_version, open_data, rows_to_judge_by
-from gelforge.networks.evaluation import another_of_each, evaluate, fitted_rows, what_errs_alike
+from gelforge.networks.evaluation import FEWEST_DRAWN, another_of_each, evaluate, fitted_rows, what_errs_alike
 from gelforge.networks.metrics import slope
 from gelforge.networks.modelcard import write_card
 from gelforge.records.axes import CHANNELS
@@ -98,6 +98,10 @@ def test_pictures_and_card_are_written(data, models, tmp_path):
     for name in ("curve", "predictions"):
         assert cv2.imread(str(tmp_path / f"{name}.png")).std() > 5
     assert "virtual rig" in write_card(about, result) and f"dataset {data.name}" in write_card(about, result)
+    over = (
+        f"over presses, but over sensors in a split of {FEWEST_DRAWN} or more of which none is in the training split"
+    )
+    assert over in write_card(about, result) and "interval over presses" not in write_card(about, result)
     left = [{"readings": 5, "factor_percent": 1.62, "factor_between": [0.3, 3.1], "force_n": 0.7, "force_between": [0.4, 1.1],
              "held_percent": 99.6}]  # fmt: skip
     assert "| 5 | 1.6 (0.3 to 3.1) | 0.70 (0.40 to 1.10) | 100 |" in write_card(about, result, readings=left)

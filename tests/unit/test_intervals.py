@@ -90,7 +90,7 @@ def test_forces_all_alike_or_never_off_make_an_interval_all_the_same():
 
 def test_too_few_pictures_tell_nothing_and_a_factor_widens():
     few = np.zeros((LEAST_PICTURES - 1, 3, 2, 2))
-    assert fit_intervals(few, few, np.arange(len(few))) == {} and half_widths({}, "total", np.zeros(3)) is None
+    assert fit_intervals(few, few, np.arange(len(few))) == {} and half_widths({}, np.zeros(3)) is None
     many = np.zeros((100, 3, 2, 2))
     assert fit_intervals(many, many, np.arange(100) % (LEAST_PRESSES - 1)) == {}
     assert fit_intervals(many, many, np.arange(100) % LEAST_PRESSES)
@@ -98,18 +98,27 @@ def test_too_few_pictures_tell_nothing_and_a_factor_widens():
     labels = rng.normal(size=(100, 3, 2, 2))
     about = {"intervals": fit_intervals(labels + rng.normal(0, 0.1, labels.shape), labels, np.arange(100))}
     total = np.array([1.0, -2.0, -9.0])
-    one, twice = half_widths(about, "total", total), half_widths(about, "total", 2 * total, 2.0)
+    one, twice = half_widths(about, total), half_widths(about, 2 * total, 2.0)
     np.testing.assert_allclose(twice, 2 * one)
-    assert half_widths(about, "cell", labels[0]).shape == labels[0].shape
     assert HalfWidth(0.1, 0.2).of(-3.0) == pytest.approx(0.7)
 
 
-@pytest.mark.parametrize("wrong", [[], 3, {"total": {"grid_x": [1, 2]}}, {"cell": {name: [1, "x"] for name in CHANNELS}},
+@pytest.mark.parametrize("wrong", [[], 3, {"total": {"grid_x": [1, 2]}}, {"total": {name: [1, "x"] for name in CHANNELS}},
                                    {"total": {name: [1, -2] for name in CHANNELS}}])  # fmt: skip
 def test_a_model_file_with_intervals_without_meaning_is_refused(wrong, shipped_about):
     with pytest.raises(BadInput, match="intervals"):
         check_about(shipped_about | {"intervals": wrong}, "m.pt")
     check_about(shipped_about | {"intervals": {}}, "m.pt")
+
+
+def test_intervals_are_of_totals_alone(shipped_about):
+    """Files of before have some of cells, too, which nothing reads."""
+    rng = np.random.default_rng(2)
+    found = fit_intervals(*rng.normal(size=(2, 40, 3, 2, 2)), np.arange(40))
+    assert found.keys() == {"total"}
+    before = shipped_about | {"intervals": found | {"cell": "anything"}}
+    check_about(before, "m.pt")
+    assert np.array_equal(half_widths(before, np.ones(3)), half_widths({"intervals": found}, np.ones(3)))
 
 
 @pytest.fixture(scope="module")

@@ -1,12 +1,17 @@
 """Pictures and .vtu of a sample."""
 
+import re
+from dataclasses import replace
+
 import cv2
+import matplotlib as mpl
 import numpy as np
 import pytest
 from pressed_dataset import label, write_pressed
 
 from gelforge.commands import look
 from gelforge.errors import BadInput
+from gelforge.reporting.forcemaps import SIGNED, write_maps
 
 
 @pytest.fixture(scope="module")
@@ -80,6 +85,39 @@ def test_arrows_follow_the_image(made):
     assert force[first] == pytest.approx([0, -0.3], abs=1e-6) and force[second] == pytest.approx([-0.2, 0], abs=1e-6)
     # Cells are merged two by two to be seen: rows 4 and 5, columns 6 and 7.
     assert place[first] == pytest.approx([70, 50]) and place[second] == pytest.approx([210, 150])
+
+
+def seen_of(made):
+    """The first sample with a label that pushes along every axis on the left and against it on the right."""
+    paths = look.shard_paths(made["results"], "s001", "24x32")
+    seen = look.load(made["data"], paths, "s001", look.load_sensors("workflow/sensors.toml"), "24x32")
+    return replace(seen, label=np.concatenate([np.full((3, 24, 16), 0.1), np.full((3, 24, 16), -0.1)], axis=2))
+
+
+def is_red(rgb) -> bool:
+    return float(rgb[0]) > 2 * float(rgb[2])
+
+
+def is_blue(rgb) -> bool:
+    return float(rgb[2]) > 2 * float(rgb[0])
+
+
+def test_a_force_along_its_axis_is_red_in_every_picture(made, tmp_path, root):
+    """And one against it blue: in the pictures of `look` and of `predict`, and on the pages of the explorer and `live`."""
+    seen = seen_of(made)
+    shown = [axis.images[-1] for axis in look.draw(seen).axes[1:4]]
+    assert all(is_red(each.cmap(each.norm(0.1))) and is_blue(each.cmap(each.norm(-0.1))) for each in shown)
+    write_maps(tmp_path / "maps.png", np.zeros((24, 32, 3), np.uint8), seen.label, "")
+    picture = cv2.imread(str(tmp_path / "maps.png"))[..., ::-1]
+    middle = picture[picture.shape[0] // 2].astype(int)
+    red, blue = (np.array([of(pixel) for pixel in middle]) for of in (is_red, is_blue))
+    left, right = (int(np.flatnonzero(pixels)[0]) for pixels in (red, blue))
+    assert left < right  # of the first map
+    for page in ("reporting/web/explore.js", "live/web/live.js"):
+        text = (root / "src/gelforge" / page).read_text(encoding="utf-8")
+        stops = re.findall(r"\d+", re.search(r"DIVERGING = \[(.*)\];", text)[1])
+        ends = [*mpl.colormaps[SIGNED](0, bytes=True)[:3], *mpl.colormaps[SIGNED](255, bytes=True)[:3]]
+        assert [int(stop) for stop in stops[:3] + stops[-3:]] == ends
 
 
 @pytest.mark.parametrize(

@@ -11,13 +11,14 @@ import torch
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from parameters import with_values
-from small_networks import IMAGE, SMALL
+from small_networks import GRID, IMAGE, SMALL
 from synthetic_presses import SETTINGS
 
 from gelforge.errors import BadInput
 from gelforge.networks.data import open_data
 from gelforge.networks.latency import predict_images
-from gelforge.networks.modelfile import FORMAT, SensorNet, load_model, require_fit, save_model
+from gelforge.networks.modelfile import FORMAT, SensorNet, Trained, load_model, require_fit, save_model
+from gelforge.networks.models import build
 from gelforge.networks.training import normalisations, predict_rows
 from gelforge.stages.train import train
 
@@ -78,12 +79,32 @@ def test_damaged_and_foreign_model_files_are_refused(trained, tmp_path):
     torch.save({"weights": torch.zeros(2)}, path)
     with pytest.raises(BadInput, match="not a gelforge model"):
         load_model(path)
-    about = json.dumps({"format": FORMAT} | trained.about)
+    about = json.dumps({"format": FORMAT, "sha256": 64 * "0"} | trained.about)
     torch.save({"about": about, "tensors": {"a": torch.zeros(2)}, "untouched": {}}, path)
     with pytest.raises(BadInput, match="do not fit"):
         load_model(path)
     with pytest.raises(BadInput, match="no such model"):
         load_model(tmp_path / "absent.pt")
+
+
+@pytest.mark.parametrize(
+    ("described", "told"),
+    [
+        (
+            {"model": {"kind": "resnet", "blocks": [1], "widths": [4]}},
+            r"grid is \[6, 8\], but its network knows totals only",
+        ),
+        (
+            {"model": {"kind": "unet", "widths": [4, 8, 16]}, "image": [24, 32]},
+            "its network cannot be built .*24 x 32",
+        ),
+    ],
+)
+def test_a_network_that_cannot_do_what_its_file_says_is_refused(trained, tmp_path, described, told):
+    about = trained.about | described
+    save_model(tmp_path / "m.pt", Trained(build(about["model"], IMAGE, GRID), about))
+    with pytest.raises(BadInput, match=f"m.pt: {told}"):
+        load_model(tmp_path / "m.pt")
 
 
 class WritesWhenLoaded:

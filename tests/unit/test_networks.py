@@ -14,6 +14,7 @@ from small_networks import GRID, IMAGE, SMALL
 from gelforge.errors import BadInput
 from gelforge.networks.inputs import network_input
 from gelforge.networks.models import BasicBlock, ResNetTotal, UNet, build, parameter_count, strides
+from gelforge.records.networkkind import KINDS
 from gelforge.stages.train import resolve
 
 
@@ -81,6 +82,14 @@ def test_every_network_of_the_table_builds(root):
         assert own.epochs == settings.epochs
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_kind_writes_one_cell_exactly_where_it_knows_totals_only(kind):
+    net = build({"kind": kind}, (240, 320), (24, 32)).eval()
+    with torch.inference_mode():
+        told = net(torch.zeros(1, 3, 240, 320))
+    assert told.shape == ((1, 3, 1, 1) if KINDS[kind].totals_only else (1, 3, 24, 32))
+
+
 def test_a_kind_may_get_epochs_of_its_own():
     settings = parameters(train={"epochs_of": {"resnet": 7}}).train
     assert resolve({"small": SMALL}, "small", settings)[1].epochs == settings.epochs
@@ -94,11 +103,31 @@ def test_grid_net_refuses_cells_of_uneven_size(image, grid):
         strides(image, grid)
 
 
+@pytest.mark.parametrize("widths", [[2], [2, 2], [2, 2, 2], [2, 2, 2, 2]])
+def test_a_unet_is_refused_exactly_the_images_that_it_cannot_read(widths):
+    read = []
+    for side in range(1, 100):
+        try:
+            with torch.inference_mode():
+                UNet(GRID, widths)(torch.zeros(1, 3, side, 100))
+            read.append(side)
+        except RuntimeError:  # torch: nothing is left to convolve
+            with pytest.raises(BadInput, match=f"leaves nothing of an image of {side} x 100"):
+                build({"kind": "unet_single", "widths": widths}, (side, 100), GRID)
+        else:
+            assert build({"kind": "unet_single", "widths": widths}, (side, 100), GRID)
+    assert 1 not in read and 99 in read
+
+
 def test_unknown_kind_and_wrong_size_are_named():
     with pytest.raises(BadInput, match="transformer"):
         build({"kind": "transformer"}, IMAGE, GRID)
-    with pytest.raises(BadInput, match="depth"):
+    with pytest.raises(BadInput, match="'depth': its sizes are width, blocks"):
         build({"kind": "grid", "depth": 3}, IMAGE, GRID)
+    with pytest.raises(BadInput, match="widths is '24', it must be a list of 1 to 16 whole numbers from 1 to 4096"):
+        build({"kind": "unet", "widths": 24}, IMAGE, GRID)
+    with pytest.raises(BadInput, match=r"reads = \['pair'\]; use one of image"):
+        build({"kind": "grid", "reads": ["pair"]}, IMAGE, GRID)
     with pytest.raises(BadInput, match="MODEL=nothing"):
         resolve({"grid": SMALL}, "nothing", parameters().train)
     with pytest.raises(BadInput, match=r"models.toml: \[grid.train\] epoch: is read by nothing; epochs is meant"):

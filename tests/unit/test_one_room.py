@@ -4,7 +4,9 @@ import ast
 from pathlib import Path
 
 import gelforge
+from gelforge.records.networkkind import KINDS
 from gelforge.records.press import FORCE, POSE
+from gelforge.records.splits import SPLITS, TEST, TRAINING
 
 PACKAGE = Path(gelforge.__file__).parent
 APART = "fea_challenge"  # scripts that leave the house: they run where nothing of gelforge is
@@ -42,3 +44,38 @@ def test_cells_of_a_press_become_numbers_in_the_parser_alone():
     read = [(name, call) for name, tree in TREES.items() for called, call in calls(tree) if called == "float"]
     keys = [(name, node.slice) for name, call in read for node in ast.walk(call) if isinstance(node, ast.Subscript)]
     assert not [name for name, key in keys if isinstance(key, ast.Constant) and key.value in (*POSE, *FORCE)]
+
+
+def test_what_kinds_of_networks_differ_in_stands_in_their_table_alone():
+    """But for their layers. Two kinds have names that are words of other meanings, too."""
+    names = KINDS.keys() - {"grid", "unet"}
+    naming = [
+        name
+        for name, tree in TREES.items()
+        if any(isinstance(node, ast.Constant) and node.value in names for node in ast.walk(tree))
+    ]
+    assert naming == ["networks/models.py"]
+
+
+def test_splits_are_named_by_the_records_alone():
+    """Two of their names are words of other meanings, too: these are looked for where rows of a split are."""
+    names = set(SPLITS) - {TRAINING, TEST}
+    walked = [(name, node) for name, tree in TREES.items() for node in ast.walk(tree)]
+    assert not [name for name, node in walked if isinstance(node, ast.Constant) and node.value in names]
+    keys = [(name, node.slice) for name, node in walked
+            if isinstance(node, ast.Subscript) and getattr(node.value, "attr", getattr(node.value, "id", "")) == "splits"]  # fmt: skip
+    assert not [name for name, key in keys if isinstance(key, ast.Constant)]
+
+
+def test_colours_of_forces_are_chosen_in_one_place():
+    """Besides, a picture in grey, and a surface that is coloured by how far it moved."""
+    colours = [
+        (name, keyword.value)
+        for name, tree in TREES.items()
+        for _, call in calls(tree)
+        for keyword in call.keywords
+        if keyword.arg == "cmap"
+    ]
+    chosen = {name: value.value for name, value in colours if isinstance(value, ast.Constant)}
+    assert chosen == {"commands/look.py": "gray", "stages/readme.py": "viridis"}
+    assert {name for name, value in colours if isinstance(value, ast.Name)} == {"reporting/forcemaps.py"}

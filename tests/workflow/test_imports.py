@@ -13,12 +13,13 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, write_csv, write_json, write_text
 from gelforge.flow.params import plain
 from gelforge.formats.export import ros
-from gelforge.formats.feats_folder import SPLITS, import_folder
+from gelforge.formats.feats_folder import import_folder
 from gelforge.formats.featsfile import LabelSample, write_label
 from gelforge.formats.mcap_import import Topics, import_recordings, nearest
 from gelforge.labelling.sensor import load_sensors
 from gelforge.networks.modelfile import load_model
 from gelforge.records.labelfile import read_labels
+from gelforge.records.splits import SPLITS
 from gelforge.stages.plan import logged_rows, write_shards
 
 TURN = [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]

@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gelforge.commands.live_readings import tell, write_files
+from gelforge.commands.live_readings import keep_readings, write_files
 from gelforge.errors import BadInput
 from gelforge.live.reading import Reading
 from gelforge.live.recording import Recorder, paced
@@ -156,13 +156,13 @@ def test_a_number_that_no_port_has_is_one_sentence(film, port):
 @pytest.mark.parametrize("asked", [None, 3])
 def test_a_camera_that_stops_is_told_and_what_it_gave_is_kept(film, tmp_path, asked):
     """A film in a camera's place: it ends, as a camera does that is pulled out; one that was asked for 3 frames did all."""
-    args = Namespace(web=False, camera=0, frames=asked, jsonl=tmp_path / "live.jsonl", csv=None)
+    args = Namespace(camera=0, frames=asked, jsonl=tmp_path / "live.jsonl", csv=None)
     said = pytest.raises(BadInput, match="camera 0: stopped after 3 frames") if asked is None else nullcontext()
     with open_source(film, None) as (capture, _):
         seen = list(frames(capture, 3, "camera 0", 3))
         untouched = Untouched(load_for_use(None, None), cv2.cvtColor(seen[0], cv2.COLOR_BGR2RGB))
         with said:
-            tell(args, untouched, iter(seen), capture, "camera 0", threading.Event())
+            keep_readings(args, untouched, iter(seen), capture, "camera 0", threading.Event())
     assert len((tmp_path / "live.jsonl").read_text().splitlines()) == 3
 
 

@@ -24,6 +24,7 @@ from gelforge.flow.params.tables import SHIPPED
 from gelforge.flow.running import duration
 from gelforge.mechanics.scene import REFERENCE_C10
 from gelforge.records.log import read_shard, shard_text
+from gelforge.records.networkkind import kind_of
 from gelforge.records.press import RawRow, parse
 from gelforge.stages.train import resolve
 
@@ -31,8 +32,7 @@ STAGES = {"poses": layout.POSES, "fea": layout.FEA, "forces": layout.FORCES, "la
 # Measured, processor seconds: an image through an evaluation with its start; a press in the report; a press of a
 # calibration; a scene of the quick chart.
 EVALUATE_EACH, REPORT_EACH, CALIBRATE_EACH, CHART_EACH = 5e-3, 0.02, 18.0, 6.0
-# An image in one epoch of training, by the network's kind; a press in one epoch of the readers of dots, of force and of place.
-TRAIN_EACH = {"grid": 0.014, "unet": 0.042, "unet_single": 0.12, "resnet": 0.08}
+# A press in one epoch of the readers of dots, of force and of place.
 DOTS_EACH, PLACES_EACH = 2e-3, 3e-4
 START = 3.0  # of a process with torch or the drawing libraries
 IMAGE_BYTES = 240 * 320 * 3
@@ -115,7 +115,7 @@ def training(params: Path, model: str, presses: int) -> Cost:
     tables = {path.stem: read_json(path)[path.stem] for path in sorted((params / "models").glob("*.json"))}
     table, settings = resolve(tables, model, read_slice(params / "train.json", ForTrain).train)
     share = min(1.0, (settings.epoch_images or presses) / presses)  # of all, that an epoch visits
-    each = TRAIN_EACH.get(table["kind"], TRAIN_EACH["grid"]) * settings.epochs * share
+    each = kind_of(table).image_seconds * settings.epochs * share
     each += DOTS_EACH * settings.dot_epochs + PLACES_EACH * settings.place_epochs
     return Cost(layout.TRAIN, each, START, bytes_once=3e6)
 

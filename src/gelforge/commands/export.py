@@ -15,13 +15,13 @@ from gelforge.errors import BadInput
 from gelforge.flow.main import command, option
 from gelforge.formats.export.samples import Samples
 
-# Module and the name of what it writes: a file, or a folder where there is no suffix.
+# The module of gelforge.formats.export that writes each.
 FORMATS = {
-    "mcap": ("mcap_file", ".mcap"),
-    "rerun": ("rerun_file", ".rrd"),
-    "lerobot": ("lerobot", ""),
-    "webdataset": ("webdataset_shards", ""),
-    "hdf5": ("hdf5", ".h5"),
+    "mcap": "mcap_file",
+    "rerun": "rerun_file",
+    "lerobot": "lerobot",
+    "webdataset": "webdataset_shards",
+    "hdf5": "hdf5",
 }
 
 
@@ -61,7 +61,7 @@ def export(samples: Samples, form: str, path: Path) -> None:
     refuse_foreign(path)
     least = samples.least_bytes()
     refuse_full_disk(path, least + samples.labels.nbytes)
-    writer = importlib.import_module(f"gelforge.formats.export.{FORMATS[form][0]}")
+    writer = importlib.import_module(f"gelforge.formats.export.{FORMATS[form]}")
     with whole_or_absent(path) as part:
         try:
             writer.write(part, samples)

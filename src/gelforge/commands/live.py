@@ -153,7 +153,7 @@ def draw(args: Namespace, untouched, seen, capture, name: str, over: threading.E
     """Write a film of frames with forces on them, or show them in a window, and say how fast it went."""
     import cv2
 
-    from gelforge.commands.live_readings import ended, is_lost, until
+    from gelforge.commands.live_readings import is_lost, lost, until
 
     overlay = Overlay(untouched)
     pictures = (overlay(frame) for frame in until(over, seen))
@@ -165,7 +165,7 @@ def draw(args: Namespace, untouched, seen, capture, name: str, over: threading.E
         f"{np.median(overlay.network_ms or [0.0]):.1f} ms a frame; {overlay.flagged} flagged"
     )
     if args.out and is_lost(args, over, count):
-        raise BadInput(ended(name, True, count))
+        raise BadInput(lost(name, count))
 
 
 @command(
@@ -196,7 +196,7 @@ def main(args: Namespace) -> None:
     refuse_two_faces(args)
     import torch
 
-    from gelforge.commands.live_readings import stopping, tell
+    from gelforge.commands.live_readings import keep_readings, show_page, stopping
     from gelforge.networks.use import load_for_use
     from gelforge.records.image import read_image
 
@@ -208,10 +208,8 @@ def main(args: Namespace) -> None:
         seen = frames(capture, announced, name, args.frames)
         untouched, seen = with_untouched(args, trained, picture, seen, name)
         with stopping() as over:
-            if args.web or args.jsonl or args.csv:
-                tell(args, untouched, seen, capture, name, over)
-            else:
-                draw(args, untouched, seen, capture, name, over)
+            face = show_page if args.web else keep_readings if args.jsonl or args.csv else draw
+            face(args, untouched, seen, capture, name, over)
 
 
 if __name__ == "__main__":

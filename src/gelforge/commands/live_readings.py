@@ -35,11 +35,9 @@ def readings(untouched, frames, pace_s: float = 0.0, frame_s: float | None = Non
         )
 
 
-def ended(name: str, lost: bool, count: int) -> str:
-    """Why no more frames come. lost: of a camera that gives none any more, unasked."""
-    if lost:
-        return f"{name}: stopped after {count} frames; see that it is plugged in, and start again"
-    return f"{name}: ended after {count} frames"
+def lost(name: str, count: int) -> str:
+    """What is said of a camera that gives no more frames, unasked."""
+    return f"{name}: stopped after {count} frames; see that it is plugged in, and start again"
 
 
 def is_lost(args: Namespace, over: threading.Event, count: int) -> bool:
@@ -48,17 +46,25 @@ def is_lost(args: Namespace, over: threading.Event, count: int) -> bool:
     return args.camera is not None and not asked
 
 
-def tell(args: Namespace, untouched, frames, capture, name: str, over: threading.Event) -> None:
-    """Serve the page until `over`, or write files until the frames end or it is."""
+def frame_seconds(args: Namespace, capture) -> float | None:
+    """Time between the frames of a film; None of a camera."""
     import cv2
 
-    frame_s = None if args.camera is not None else 1.0 / (capture.get(cv2.CAP_PROP_FPS) or 25.0)
-    if not args.web:
-        count = write_files(readings(untouched, until(over, frames), frame_s=frame_s), args.jsonl, args.csv)
-        if is_lost(args, over, count):
-            raise BadInput(ended(name, True, count))
-        print(f"{count} frames read", file=sys.stderr)
-        return
+    return None if args.camera is not None else 1.0 / (capture.get(cv2.CAP_PROP_FPS) or 25.0)
+
+
+def keep_readings(args: Namespace, untouched, frames, capture, name: str, over: threading.Event) -> None:
+    """Write readings to files until the frames end or `over` is set."""
+    found = readings(untouched, until(over, frames), frame_s=frame_seconds(args, capture))
+    count = write_files(found, args.jsonl, args.csv)
+    if is_lost(args, over, count):
+        raise BadInput(lost(name, count))
+    print(f"{count} frames read", file=sys.stderr)
+
+
+def show_page(args: Namespace, untouched, frames, capture, name: str, over: threading.Event) -> None:
+    """Serve the page until `over` is set."""
+    frame_s = frame_seconds(args, capture)
     with ExitStack() as stack:
         hub, recorder = Hub(), Recorder(args.record)
         server = Server(args.host, args.port, hub, recorder)
@@ -69,7 +75,7 @@ def tell(args: Namespace, untouched, frames, capture, name: str, over: threading
         print(f"{server.url} shows {name}; Ctrl-C ends", flush=True)
         try:
             count = serve(until(over, readings(untouched, frames, frame_s or 0.0, frame_s)), hub, recorder)
-            said = ended(name, is_lost(args, over, count), count)
+            said = lost(name, count) if is_lost(args, over, count) else f"{name}: ended after {count} frames"
         except BadInput as error:
             said = str(error)
         with suppress(BadInput):  # the recorder keeps it, and pages are told by its state

@@ -13,7 +13,6 @@ from gelforge.flow.main import command, option
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import Sensor, find_sensor, load_sensors, transform
 from gelforge.mechanics.family import load_mesh
-from gelforge.records.axes import TITLES
 from gelforge.records.forcefile import ForceFile
 from gelforge.records.image import read_logged_image
 from gelforge.records.labelfile import read_labels
@@ -115,6 +114,7 @@ def arrows(look: Pictured) -> tuple[np.ndarray, np.ndarray]:
 def draw(look: Pictured):
     """Matplotlib figure: the image with pressure and shear arrows, and the three channels over the image."""
     from gelforge.reporting.canvas import canvas_with_axes
+    from gelforge.reporting.forcemaps import draw_component
 
     width, height = look.sensor.image
     figure, axes = canvas_with_axes(2, 2, 12.4, 9.2)
@@ -125,12 +125,8 @@ def draw(look: Pictured):
         reach = max(float(np.abs(grid).max()), 1e-9)
         _backdrop(axis, look, extent, grey=True)
         strength = np.clip(0.25 + 0.75 * np.abs(grid) / reach, 0, 0.92) * (np.abs(grid) > 0.003 * reach)
-        shown = axis.imshow(
-            grid, cmap="RdBu", vmin=-reach, vmax=reach, extent=extent, alpha=strength, interpolation="nearest"
-        )
         beyond = f", outside {look.outside[channel]:+.3f} N" if abs(look.outside[channel]) > 5e-4 else ""
-        axis.set_title(f"{TITLES[channel]}: {grid.sum():+.3f} N{beyond}", fontsize=10)
-        figure.colorbar(shown, ax=axis, shrink=0.85, label="N per cell")
+        draw_component(axis, grid, channel, beyond, extent=extent, alpha=strength, interpolation="nearest")
     for axis in axes.ravel():
         axis.set(xlim=(0, width), ylim=(height, 0), xlabel="u, px", ylabel="v, px")
     press = look.press

@@ -28,9 +28,8 @@ from gelforge.records.log import write_log
 from gelforge.records.press import FORCES, POSE, LoggedPress, check_id
 from gelforge.records.rowfile import map_array
 from gelforge.records.samplefile import read_samples
+from gelforge.records.splits import SPLITS, TRAINING
 
-# FEATS' own folders, and ours.
-SPLITS = ("train", "val", "test", "test_unseen_indenter", "test_unseen_sensor", "test_unseen_both")
 FEATS_C10 = 0.0792  # MPa, the paper's fit, which its labels were made with
 GEL_ID = "feats"  # of every press: their files name no gel
 # An image that came with its label alone: nobody knows how it was pressed.
@@ -190,7 +189,7 @@ def export_dataset(dataset: Path, out: Path) -> dict:
     ranges, written = Ranges(), set()
     for at, each in progress(list(enumerate(samples)), "export"):
         sample = LabelSample(np.asarray(images[at]), np.asarray(labels[at], np.float64))
-        if each.split == "train":
+        if each.split == TRAINING:
             ranges.add(sample)
         path = out / check_id(each.split) / f"{each.press.sample_id}.npy"
         write_label(path, sample)

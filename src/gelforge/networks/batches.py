@@ -10,6 +10,7 @@ import torch
 from gelforge.flow.params.tables import TrainingTable
 from gelforge.networks.augment import augment, mirror_together, misplace_untouched, narrow_views, shift_together
 from gelforge.networks.inputs import needs_untouched, network_input
+from gelforge.records.splits import TRAINING
 
 STREAMS = {
     "order": 0,
@@ -71,7 +72,7 @@ def target(labels, norm: dict, total_only: bool) -> torch.Tensor:
 
 def training_batches(data, norm: dict, settings: TrainingTable, epoch: int, total_only: bool):
     """Yield (input, target) of one epoch, augmented, both in the network's units."""
-    order = epoch_order(data.splits["train"], settings.seed, epoch, settings.epoch_images)
+    order = epoch_order(data.splits[TRAINING], settings.seed, epoch, settings.epoch_images)
     draws = {stream: generator(settings.seed, stream, epoch) for stream in VARIED}
     mirrors = epoch < settings.mirrored_share * settings.epochs
     for start in range(0, len(order), settings.batch):

@@ -12,9 +12,9 @@ from gelforge.networks.canonical import Light, match_light
 from gelforge.networks.inputs import needs_untouched
 from gelforge.records.rowfile import RowFile, map_array
 from gelforge.records.samplefile import DatasetSample, read_samples
+from gelforge.records.splits import TRAINING, UNSEEN_BOTH, UNSEEN_SENSOR, VALIDATION
 
 FILES = ("images.npy", "labels.npy", "nocontact.npy", "samples.csv", "normalisation.json", "dataset.json")
-TRAINING, VALIDATION = "train", "val"
 LEAST_TOTAL = 0.01  # of the largest component's scale of total force
 CHUNK = 256
 # Below this a split says nothing about an error and batch statistics nothing about a layer.
@@ -191,10 +191,10 @@ def rows_to_judge_by(data: Data) -> np.ndarray:
 
     Only the first half of the unseen sensors is looked at, so that the other half can tell whether intervals hold.
     """
-    rows = np.concatenate([data.splits.get(f"test_unseen_{which}", np.zeros(0, int)) for which in ("sensor", "both")])
+    rows = np.concatenate([data.splits.get(name, np.zeros(0, int)) for name in (UNSEEN_SENSOR, UNSEEN_BOTH)])
     names = data.names("sensor_id")
     known = sorted(set(names[rows].tolist()))
-    return np.sort(rows[np.isin(names[rows], known[: (len(known) + 1) // 2])]) if known else data.splits["val"]
+    return np.sort(rows[np.isin(names[rows], known[: (len(known) + 1) // 2])]) if known else data.splits[VALIDATION]
 
 
 def data_version(data: Data) -> str:

@@ -9,19 +9,20 @@ from gelforge.errors import BadInput
 from gelforge.flow.params.tables import EvaluateTable
 from gelforge.networks import metrics
 from gelforge.networks.contacts import contact_table
-from gelforge.networks.data import TRAINING, Data, data_version, rows_to_judge_by
+from gelforge.networks.data import Data, data_version, rows_to_judge_by
 from gelforge.networks.errortables import tables
 from gelforge.networks.modelfile import Trained, require_fit
 from gelforge.networks.training import predict_rows
 from gelforge.networks.use import tell_rows
 from gelforge.records.axes import CHANNELS, FORCE_OF_CHANNEL
+from gelforge.records.splits import TRAINING
 
 # Where a dataset has them, total forces (samples.csv, gel frame: x short side) that did not come from
 # the labels: the force sensor of the rig, and what a virtual rig knows and a real one cannot.
 REFERENCES = {"sensor": "measured_{}", "truth": "true_{}"}
 
 # Of fewer sensors than these, an interval that draws whole sensors says nothing.
-FEW = 5
+FEWEST_DRAWN = 5
 
 
 def reference_totals(data: Data, kind: str) -> np.ndarray | None:
@@ -51,7 +52,7 @@ def controls(
     data: Data, rows: np.ndarray, predicted_totals: np.ndarray, rng: np.random.Generator
 ) -> dict[str, np.ndarray]:
     """Totals (k, 3) that know less than the network: a constant, another press's prediction, the image's mean."""
-    train = data.splits["train"]
+    train = data.splits[TRAINING]
     totals = data.totals(train)
     return {
         "constant_guess": metrics.constant_guess(totals, len(rows)),
@@ -71,12 +72,12 @@ def fitted_rows(trained: Trained, data: Data, version: str) -> np.ndarray:
 def what_errs_alike(data: Data, rows: np.ndarray) -> np.ndarray:
     """What the interval of a mean error over some rows draws whole, (k,): their sensors or their presses.
 
-    It is the sensor where nothing was learnt from any of them and there are FEW or more: what matters then is how much
-    sensors differ.
+    It is the sensor where nothing was learnt from any of them and there are FEWEST_DRAWN or more: what matters then is how
+    much sensors differ. Model cards say so.
     """
     sensors = data.names("sensor_id")
     learnt = np.isin(sensors[rows], sensors[data.splits.get(TRAINING, rows[:0])])
-    return data.presses(rows) if learnt.any() or len(set(sensors[rows])) < FEW else sensors[rows]
+    return data.presses(rows) if learnt.any() or len(set(sensors[rows])) < FEWEST_DRAWN else sensors[rows]
 
 
 def as_predicted(data, rows, trained, fitted, settings: EvaluateTable, force_range, rng) -> dict:
@@ -144,14 +145,14 @@ def judged_splits(data: Data, learnt: bool) -> dict[str, np.ndarray]:
     where it did not.
     """
     splits = {name: rows for name, rows in data.splits.items() if len(rows)}
-    others = {name: rows for name, rows in splits.items() if name != "train"}
-    if "train" in splits and others:
+    others = {name: rows for name, rows in splits.items() if name != TRAINING}
+    if TRAINING in splits and others:
         return others
-    if "train" in splits and not learnt:
+    if TRAINING in splits and not learnt:
         return splits
-    lacks = "one other than `train`, which it learnt from; log more presses, or let MODEL=shipped read them"
-    if "train" not in splits:
-        lacks = "`train`, for the controls; leave some indenters and sensors seen"
+    lacks = f"one other than `{TRAINING}`, which it learnt from; log more presses, or let MODEL=shipped read them"
+    if TRAINING not in splits:
+        lacks = f"`{TRAINING}`, for the controls; leave some indenters and sensors seen"
     raise BadInput(f"{data.folder}: has splits {', '.join(splits) or 'none'}; an evaluation needs {lacks}")
 
 
@@ -166,7 +167,7 @@ def evaluate(data: Data, trained: Trained, settings: EvaluateTable) -> tuple[dic
     version = data_version(data)
     splits = judged_splits(data, learnt=trained.about["data"]["version"] == version)
     rng = np.random.default_rng(settings.seed)
-    train_totals = data.totals(data.splits["train"])
+    train_totals = data.totals(data.splits[TRAINING])
     force_range = train_totals.max(0) - train_totals.min(0)
     about = trained.about
     result = {

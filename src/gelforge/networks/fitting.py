@@ -23,6 +23,7 @@ from gelforge.networks.placereader import PlaceReader, train_place_reader
 from gelforge.networks.statistics import RELIEF_MARGIN, pair_evidence, pair_limits, relief
 from gelforge.networks.use import tell_rows
 from gelforge.records.markers import pitch_of
+from gelforge.records.splits import TRAINING, VALIDATION
 
 # A network that learnt from more sensors is for those that it never saw: their users have untouched pictures of their own.
 MOST_PICTURES = 8
@@ -33,14 +34,14 @@ def beside_untouched(trained: Trained, data: Data, settings: TrainingTable, star
     pictures = data.nocontact if len(data.nocontact) <= MOST_PICTURES else {}
     about = trained.about | learnt_pitch(data, start)
     if start is not None and not tells_intervals(data.presses(rows_to_judge_by(data))):
-        rows = np.concatenate([data.splits["train"], data.splits["val"]])
+        rows = np.concatenate([data.splits[TRAINING], data.splits[VALIDATION]])
         images = (np.ascontiguousarray(data.images[row]) for row in rows)
         about |= known_before(start.about, images, good_pairs(data, rows))
         return replace(trained, about=about, untouched=pictures, **readers_of(start))
-    about |= {"statistics": about["statistics"] | good_pairs(data, data.splits["val"])}
+    about |= {"statistics": about["statistics"] | good_pairs(data, data.splits[VALIDATION])}
     by_dots, places = readers_of_dots(data, settings)
     if places:
-        about |= {"places": {"data": about["data"]["name"], "pictures": len(data.splits["train"])}}
+        about |= {"places": {"data": about["data"]["name"], "pictures": len(data.splits[TRAINING])}}
     if start is not None:
         before = readers_of(start)
         by_dots, places = by_dots or before["dots"], places or before["places"]
@@ -91,7 +92,7 @@ def readers_of_dots(data: Data, settings: TrainingTable) -> tuple[DotReader | No
     dots = {name: PrintedDots(picture) for name, picture in data.nocontact.items()}
     if not all(one.known for one in dots.values()):
         return None, None
-    rows, by_dots, places = data.splits["train"], None, None
+    rows, by_dots, places = data.splits[TRAINING], None, None
     motion = motions(data, rows, dots)
     if settings.dot_epochs:
         presses = dot_presses(data, rows, dots, motion)
@@ -122,8 +123,6 @@ def judged(trained: Trained, data: Data) -> dict[str, Any]:
         forces = np.stack([blend(one, by_dots, found["dots"]["weight"]) for one, by_dots in pairs])
     sensors = sorted(set(data.names("sensor_id")[rows].tolist()))
     intervals = fit_intervals(forces, labels, data.presses(rows))
-    if not told.in_place:
-        intervals.pop("cell", None)  # cells of pictures that were scaled are not the labels'
     return found | {"intervals": intervals | {"sensors": sensors, "data": data.name, "version": data_version(data)}}
 
 
@@ -132,7 +131,7 @@ def learnt_pitch(data: Data, start: Trained | None = None) -> dict[str, list[flo
 
     Nothing where none has dots.
     """
-    names = set(data.names("sensor_id")[data.splits["train"]].tolist())
+    names = set(data.names("sensor_id")[data.splits[TRAINING]].tolist())
     pitches = [pitch for pitch in (pitch_of(data.nocontact[name]) for name in sorted(names)) if pitch]
     pitches += start.about.get("pitch_px", []) if start is not None else []
     return {"pitch_px": [min(pitches), max(pitches)]} if pitches else {}

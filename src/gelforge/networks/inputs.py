@@ -15,7 +15,7 @@ INPUT_CHANNELS = {"image": 3, "difference": 3, "pair": 6}
 
 def channels(reads: str) -> int:
     """Channels of the input of a network with `reads` of workflow/models.toml."""
-    if reads not in INPUT_CHANNELS:
+    if not isinstance(reads, str) or reads not in INPUT_CHANNELS:
         raise BadInput(f"workflow/models.toml: reads = {reads!r}; use one of {', '.join(INPUT_CHANNELS)}")
     return INPUT_CHANNELS[reads]
 

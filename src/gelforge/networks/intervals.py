@@ -59,33 +59,29 @@ def tells_intervals(press: np.ndarray) -> bool:
 
 
 def fit_intervals(predicted: np.ndarray, labels: np.ndarray, press: np.ndarray) -> dict[str, dict[str, list[float]]]:
-    """Intervals of totals and of cells by channel, as a model file keeps them: `base` N and `share`.
+    """Intervals of totals by channel, as a model file keeps them: `base` N and `share`.
 
     predicted, labels: (n, 3, rows, cols) N per cell of pictures that training did not see; press: (n,) what tells their
     presses apart. Empty where these are too few to tell (`tells_intervals`).
     """
     if not tells_intervals(press):
         return {}
-    found: dict[str, dict[str, list[float]]] = {"total": {}, "cell": {}}
-    whole = np.unique(press, return_inverse=True)[1]
-    of_cell = np.repeat(whole, labels[0, 0].size)
+    found = {}
     for k, name in enumerate(CHANNELS):
         totals, wanted = predicted[:, k].sum((1, 2)), labels[:, k].sum((1, 2))
-        cells, wanted_cells = predicted[:, k].ravel(), labels[:, k].ravel()
-        for what, width in (("total", fit_half_width(totals, wanted - totals, whole)),
-                            ("cell", fit_half_width(cells, wanted_cells - cells, of_cell))):  # fmt: skip
-            found[what][name] = [width.base, width.share]
-    return found
+        width = fit_half_width(totals, wanted - totals, press)
+        found[name] = [width.base, width.share]
+    return {"total": found}
 
 
-def half_widths(about: dict[str, Any], what: str, forces: np.ndarray, gain: float = 1.0) -> np.ndarray | None:
-    """Half widths (3, ...) N at forces (3, ...) N, `what` being totals ("total") or cells ("cell"); None where unknown.
+def half_widths(about: dict[str, Any], totals: np.ndarray, gain: float = 1.0) -> np.ndarray | None:
+    """Half widths (3,) N at total forces (3,) N; None where unknown.
 
     gain: the factor of a sensor's profile that the forces were multiplied by.
     """
-    known = about.get("intervals", {}).get(what)
+    known = about.get("intervals", {}).get("total")
     if not known:
         return None
     return np.stack(
-        [gain * HalfWidth(*known[name]).of(force / gain) for name, force in zip(CHANNELS, forces, strict=True)]
+        [gain * HalfWidth(*known[name]).of(force / gain) for name, force in zip(CHANNELS, totals, strict=True)]
     )

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from gelforge.networks.dotreader import MEMBERS
 from gelforge.networks.errortables import PREDICTED_COLUMNS, predicted_rows
+from gelforge.networks.evaluation import FEWEST_DRAWN
 from gelforge.networks.inputs import needs_untouched
 from gelforge.records.axes import CHANNELS
 
@@ -96,9 +97,7 @@ def error_rows(evaluation: dict) -> list[list[str]]:
 def predicted_lines(evaluation: dict) -> list[str]:
     """What `predict` makes of the network, as lines; none for a network that reads one image alone."""
     rows = [[str(value) for value in row] for row in predicted_rows(evaluation)]
-    title = (
-        "## As `predict` tells it: light, tare and dots included (mean absolute error, N; 95 % interval over presses)"
-    )
+    title = "## As `predict` tells it: light, tare and dots included (mean absolute error, N; 95 % interval)"
     about = (
         "Tare: what the network reads in the untouched picture is taken off. Each of several contacts: mean error of one"
         " contact where a picture shows several, and the number of contacts."
@@ -182,10 +181,11 @@ def write_card(about: dict, evaluation: dict, figures: Sequence[dict] = (), read
         *place_lines(about),
         f"- {AXIS_NOTE}",
         "",
-        f"Errors are those on the pictures of dataset {evaluation['judged_on']}.",
+        f"Errors are those on the pictures of dataset {evaluation['judged_on']}. Their intervals are over presses, but"
+        f" over sensors in a split of {FEWEST_DRAWN} or more of which none is in the training split.",
         "",
         *predicted_lines(evaluation),
-        "## The network alone: error of total force (mean absolute, N; 95 % interval over presses) and per cell",
+        "## The network alone: error of total force (mean absolute, N; 95 % interval) and per cell",
         "",
         *table(["split", "images of presses", *CHANNELS, f"per cell {' / '.join(CHANNELS)}"], error_rows(evaluation)),
         "",

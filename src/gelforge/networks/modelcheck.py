@@ -12,8 +12,9 @@ from gelforge.errors import BadInput
 from gelforge.networks.inputs import INPUT_CHANNELS, needs_untouched
 from gelforge.networks.statistics import FLOORS, LIMITS
 from gelforge.records.axes import CHANNELS
+from gelforge.records.networkkind import KINDS, kind_of
 
-MOST_WIDTH, MOST_BLOCKS, MOST_LEVELS, MOST_SIDE = 4096, 64, 16, 4096
+MOST_SIDE = 4096
 ABSENT = object()  # what a description does not say; null is something that it says
 
 
@@ -49,7 +50,7 @@ def _pairs(value: Any) -> bool:
 def _intervals(value: Any) -> bool:
     if value is ABSENT:
         return True
-    return isinstance(value, dict) and all(_pairs(value[what]) for what in ("total", "cell") if value.get(what))
+    return isinstance(value, dict) and (not value.get("total") or _pairs(value["total"]))
 
 
 def _dots(value: Any) -> bool:
@@ -71,6 +72,10 @@ def _places(value: Any) -> bool:
     return texts and type(value.get("pictures")) is int
 
 
+def _reads(value: Any) -> bool:
+    return isinstance(value, str) and value in INPUT_CHANNELS
+
+
 def _limit(value: Any) -> bool:
     return value is ABSENT or _numbers([value], 1)
 
@@ -82,7 +87,10 @@ def _pitches(value: Any) -> bool:
 # Every part of a model's description that use relies on, and what it must be.
 PARTS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "name": ("a name", lambda v: isinstance(v, str) and 0 < len(v) <= 200),
+    "sha256": ("the digest of its weights", lambda v: isinstance(v, str)),
     "model": ("a table of its network", lambda v: isinstance(v, dict)),
+    "model.kind": (f"one of {', '.join(KINDS)}", lambda v: isinstance(v, str) and v in KINDS),
+    "model.reads": (f"one of {', '.join(INPUT_CHANNELS)}, or absent", lambda v: v is ABSENT or _reads(v)),
     "train": ("a table", lambda v: isinstance(v, dict)),
     "image": (f"[height, width], whole numbers to {MOST_SIDE}", _side),
     "grid": (f"[rows, cols], whole numbers to {MOST_SIDE}", _side),
@@ -90,10 +98,7 @@ PARTS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "sensors": ("a list of names", _names),
     "data": ("a table", lambda v: isinstance(v, dict)),
     "normalisation": ("a table", lambda v: isinstance(v, dict)),
-    "normalisation.reads": (
-        f"one of {', '.join(INPUT_CHANNELS)}",
-        lambda v: isinstance(v, str) and v in INPUT_CHANNELS,
-    ),
+    "normalisation.reads": (f"one of {', '.join(INPUT_CHANNELS)}", _reads),
     "normalisation.image_mean": ("three numbers", lambda v: _numbers(v, 3)),
     "normalisation.image_std": ("three numbers above 0", lambda v: _numbers(v, 3, 0)),
     "normalisation.label": ("three numbers above 0", lambda v: _numbers(v, 3, 0)),
@@ -124,23 +129,24 @@ def check_about(about: Any, where: str) -> None:
         raise BadInput(f"{where}: statistics do not have {len(FLOORS)} numbers each; train the model again")
     if needs_untouched(about["normalisation"]["reads"]) and not _numbers([statistics.get("largest_distance")], 1, 0):
         raise BadInput(f"{where}: statistics.largest_distance must be a number above 0; train the model again")
-    _check_sizes(about["model"], where)
-
-
-def _check_sizes(model: dict[str, Any], where: str) -> None:
-    for name, most in (("width", MOST_WIDTH), ("widths", MOST_WIDTH), ("blocks", MOST_BLOCKS)):
-        values = model.get(name, [1])
-        values = values if isinstance(values, list) else [values]
-        if not 0 < len(values) <= MOST_LEVELS or not all(type(v) is int and 0 <= v <= most for v in values):
-            raise BadInput(
-                f"{where}: model.{name} is {str(values)[:60]}, at most {most} each are built; train it again"
-            )
+    built, scaled = about["model"].get("reads", "image"), about["normalisation"]["reads"]
+    if built != scaled:
+        raise BadInput(
+            f"{where}: model.reads is {built!r}, but normalisation.reads {scaled!r}; train the model again"
+        )
+    if kind_of(about["model"]).totals_only and about["grid"] != [1, 1]:
+        raise BadInput(
+            f"{where}: grid is {about['grid']}, but its network knows totals only, [1, 1]; train the model again"
+        )
 
 
 def check_tensors(make: Callable[[], torch.nn.Module], tensors: Any, where: str) -> None:
     """Raise BadInput unless the tensors are finite and those of the network that `make` makes, which costs no memory yet."""
-    with torch.device("meta"):
-        wanted = make().state_dict()
+    try:
+        with torch.device("meta"):
+            wanted = make().state_dict()
+    except BadInput as error:
+        raise BadInput(f"{where}: its network cannot be built ({error}); train the model again") from None
     if not isinstance(tensors, dict) or set(tensors) != set(wanted):
         seen: Iterable[Any] = tensors if isinstance(tensors, dict) else ()
         odd = sorted(map(str, set(wanted) ^ set(seen)))[:3]

@@ -176,9 +176,8 @@ def load_model(path) -> Trained:
         seen = about.get("format") if isinstance(about, dict) else type(about).__name__
         raise BadInput(f"{path}: not a gelforge model of format {FORMAT} (its format is {seen}); train it again")
     tensors = tensors if isinstance(tensors, dict) else {}
-    digest = about.get("sha256")  # files of earlier versions have none
     check_about(about, str(path))
-    net = restored(lambda: build(about["model"], about["image"], about["grid"]), tensors, digest, str(path))
+    net = restored(lambda: build(about["model"], about["image"], about["grid"]), tensors, about["sha256"], str(path))
     readers: dict[str, Any] = {
         name: restored(make, content.get(name), about[name]["sha256"], f"{path}: {name}")
         for name, make in READERS.items()
@@ -189,11 +188,11 @@ def load_model(path) -> Trained:
     return Trained(net, about, untouched, **readers)
 
 
-def restored(make: Callable[[], Net], tensors: Any, digest: str | None, where: str) -> Net:
+def restored(make: Callable[[], Net], tensors: Any, digest: str, where: str) -> Net:
     """The network that `make` makes with its tensors, in evaluation mode; BadInput where they are not those of `digest`."""
     values = as_floats(tensors)
     check_tensors(make, values, where)
-    if digest not in (None, tensor_digest(tensors)):
+    if digest != tensor_digest(tensors):
         raise BadInput(f"{where}: its weights are not those that were trained; the file is damaged: copy it again")
     net = make()
     net.load_state_dict(values)

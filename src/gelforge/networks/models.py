@@ -10,6 +10,7 @@ from torch.nn import functional as F
 
 from gelforge.errors import BadInput
 from gelforge.networks import inputs
+from gelforge.records.networkkind import sizes_of
 
 COMPONENTS = 3
 
@@ -64,6 +65,15 @@ class UNet(nn.Module):
             x = lift(x)
             x = block(torch.cat([x, crop_like(skip, x)], dim=1))
         return F.interpolate(self.head(x), self.grid)
+
+
+def side_at_top(side: int, levels: int) -> int:
+    """Pixels that a U-net of so many levels leaves of a side of an image, below 1 where it cannot read it."""
+    for level in range(levels):
+        side = (side // 2 if level else side) - 4
+    for _ in range(levels - 1):
+        side = 2 * side - 4
+    return side
 
 
 class SingleChannelUNets(nn.Module):
@@ -194,21 +204,21 @@ def build(config: dict, image, grid) -> nn.Module:
     :param config: one table of workflow/models.toml: `kind`, the sizes of that kind, and what it `reads`.
     :param image: (height, width) in pixels. :param grid: (rows, cols) of the label.
     """
-    sizes = {key: value for key, value in config.items() if key not in ("kind", "note", "train", "reads", "start")}
-    sizes["channels"] = inputs.channels(config.get("reads", "image"))
+    sizes = sizes_of(config) | {"channels": inputs.channels(config.get("reads", "image"))}
     kinds = {
         "unet": lambda: UNet(grid, **sizes),
         "unet_single": lambda: SingleChannelUNets(grid, **sizes),
         "resnet": lambda: ResNetTotal(**sizes),
         "grid": lambda: GridNet(image, grid, **sizes),
     }
-    kind = config.get("kind")
-    if kind not in kinds:
-        raise BadInput(f"unknown kind of network {kind!r}: use one of {', '.join(sorted(kinds))}")
-    try:
-        return kinds[kind]()
-    except TypeError as error:
-        raise BadInput(f"the network table of kind {kind!r} has a wrong key or value: {error}") from None
+    net = kinds[config["kind"]]()
+    levels = max((len(part.down) for part in net.modules() if isinstance(part, UNet)), default=0)
+    if levels and side_at_top(min(image), levels) < 1:
+        raise BadInput(
+            f"a U-net of {levels} widths leaves nothing of an image of {image[0]} x {image[1]}; give it fewer widths or"
+            " larger images"
+        )
+    return net
 
 
 def parameter_count(net: nn.Module) -> int:

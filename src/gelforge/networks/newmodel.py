@@ -19,6 +19,8 @@ from gelforge.networks.modelfile import Trained, tensor_digest, tensors_of
 from gelforge.networks.models import parameter_count
 from gelforge.networks.statistics import fit_to_images
 from gelforge.networks.training import Training, fit, mixes_precision, peak_memory_gib
+from gelforge.records.networkkind import kind_of
+from gelforge.records.splits import TRAINING, VALIDATION
 
 
 def identity(about: dict[str, Any]) -> str:
@@ -31,7 +33,7 @@ def describe(
     data: Data, name: str, model: dict[str, Any], settings: TrainingTable, version: int, start: Trained | None
 ) -> dict[str, Any]:
     """What a model file says about where its network comes from; version: of how networks are trained."""
-    rows = data.splits["train"]
+    rows = data.splits[TRAINING]
     device = "cuda" if torch.cuda.is_available() else "cpu"
     begun: dict = {}
     if start is not None:
@@ -45,7 +47,7 @@ def describe(
         "version": version,
         "torch": torch.__version__,
         "image": list(data.image_size),
-        "grid": [1, 1] if model["kind"] == "resnet" else list(data.grid),
+        "grid": [1, 1] if kind_of(model).totals_only else list(data.grid),
         "known_sensors": sorted(set(data.names("sensor_id").tolist())),
         "sensors": sorted(set(data.names("sensor_id")[rows].tolist())),
         "indenters": sorted(set(data.names("indenter")[rows].tolist())),
@@ -90,7 +92,7 @@ def make_model(
     began = time.perf_counter()
     about |= {
         "normalisation": training.norm,
-        "statistics": fit_to_images(sights(data, reads, settings), data.splits["train"], data.splits["val"]),
+        "statistics": fit_to_images(sights(data, reads, settings), data.splits[TRAINING], data.splits[VALIDATION]),
         "curve": training.curve,
         "best_epoch": training.best["epoch"],
         "parameters": parameter_count(training.net),
@@ -110,7 +112,7 @@ def begin(
 
     One that goes on from `start` has it as its best so far, so that it never ends worse on validation than it began.
     """
-    norm = scales(data, model["kind"] == "resnet", model.get("reads", "image"))
+    norm = scales(data, kind_of(model).totals_only, model.get("reads", "image"))
     if start is not None:
         norm = scales_before(start.about, model, data, norm)
     training = Training(model, settings, norm, about["image"], about["grid"], about["device"])

@@ -15,7 +15,9 @@ import warnings
 import numpy as np
 
 OPSET = 17
-TOLERANCE = 1e-5  # of the largest force per cell of the checked images
+# The most that a force per cell may differ from torch's on the images that are checked, as a share of the range from the
+# least to the largest of all their forces per cell. Engines add up in other orders, which alone makes some 3e-6 of it.
+TOLERANCE = 1e-5
 
 
 def export(trained, path) -> None:

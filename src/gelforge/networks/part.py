@@ -7,7 +7,8 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.params.tables import TrainingTable
-from gelforge.networks.data import TRAINING, VALIDATION, Data
+from gelforge.networks.data import Data
+from gelforge.records.splits import TRAINING, VALIDATION
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,7 @@ import numpy as np
 
 from gelforge.flow.params.tables import DatasetTable
 from gelforge.records.press import PressRecord
-
-UNSEEN_INDENTER, UNSEEN_SENSOR, UNSEEN_BOTH = "test_unseen_indenter", "test_unseen_sensor", "test_unseen_both"
+from gelforge.records.splits import TEST, TRAINING, UNSEEN_BOTH, UNSEEN_INDENTER, UNSEEN_SENSOR, VALIDATION
 
 
 def group_presses(
@@ -78,9 +77,9 @@ def split_presses(
     )
     known = np.flatnonzero(split == "")
     shares = {
-        "train": 1.0 - settings.validation - settings.test,
-        "val": settings.validation,
-        "test": settings.test,
+        TRAINING: 1.0 - settings.validation - settings.test,
+        VALIDATION: settings.validation,
+        TEST: settings.test,
     }
     order = _order(presses, np.asarray(force), group, known, settings)
     chosen = dict(zip(order, _deal([int((group[known] == g).sum()) for g in order], shares), strict=True))
@@ -120,6 +119,6 @@ def _deal(sizes, shares: dict) -> list[str]:
         dealt[best] += size
         chosen.append(best)
     for name in names[1:]:
-        if shares[name] > 0 and name not in chosen and chosen.count("train") > 4:
-            chosen[len(chosen) // 2 if chosen[len(chosen) // 2] == "train" else chosen.index("train")] = name
+        if shares[name] > 0 and name not in chosen and chosen.count(TRAINING) > 4:
+            chosen[len(chosen) // 2 if chosen[len(chosen) // 2] == TRAINING else chosen.index(TRAINING)] = name
     return chosen

@@ -20,6 +20,8 @@ from gelforge.networks.inputs import network_input
 from gelforge.networks.modelfile import read_tensors
 from gelforge.networks.models import build
 from gelforge.records.axes import CHANNELS
+from gelforge.records.networkkind import kind_of
+from gelforge.records.splits import TRAINING, VALIDATION
 
 
 def initial_net(model: dict, image, grid, seed: int):
@@ -59,7 +61,7 @@ def predict_rows(net, data, rows, norm: dict, batch: int = 8, device: str = "cpu
 
 def validate(net, data, norm: dict, batch: int, device: str) -> dict:
     """Validation errors of an epoch: mean absolute error of total force per component, N, and their sum."""
-    rows = data.splits["val"]
+    rows = data.splits[VALIDATION]
     error = predict_rows(net, data, rows, norm, batch, device).sum((2, 3), dtype=np.float64) - data.totals(rows)
     mae = np.abs(error).mean(0)
     return {f"val_{name}": float(value) for name, value in zip(CHANNELS, mae, strict=True)} | {
@@ -99,7 +101,7 @@ def settle_batch_norm(net, data, norm: dict, settings: TrainingTable, device: st
     layers = normalisations(net)
     if not layers or settings.settle_images == 0:
         return
-    rows = data.splits["train"]
+    rows = data.splits[TRAINING]
     rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), settings.settle_images)).astype(int)]
     for layer in layers:
         layer.reset_running_stats()
@@ -123,7 +125,7 @@ class Training:
 
     def __init__(self, model: dict, settings: TrainingTable, norm: dict, image, grid, device: str):
         self.settings, self.norm, self.device = settings, norm, device
-        self.total_only = model["kind"] == "resnet"
+        self.total_only = kind_of(model).totals_only
         # pixels side by side with their channels: convolutions on a CPU are a third faster
         self.net = initial_net(model, image, grid, settings.seed).to(device, memory_format=torch.channels_last)
         self.optimiser = torch.optim.Adam(self.net.parameters(), lr=settings.learning_rate)

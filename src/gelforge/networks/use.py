@@ -29,6 +29,7 @@ from gelforge.records.markers import pitch_of
 
 LEAST_PULL = 1.0  # N above which a reading that no contact can make is told
 SAME_SHAPE = 0.02  # share by which the sides of an untouched picture may be in another ratio than the model's
+GIVEN = "given"  # what predictions call an untouched picture that the user gave; others have their sensor's name
 SHIPPED = Path(__file__).parent / "default.pt"
 
 
@@ -86,7 +87,7 @@ class Untouched:
             self.known = {"": None}
         elif picture is not None:
             sized = fit_size(picture, trained.about["image"])[0]
-            self.known = {"given": sized}
+            self.known = {GIVEN: sized}
             pitch = pitch_of(sized) if "pitch_px" in trained.about else None
             if pitch:
                 self.view = view_of(sized, pitch, trained.about["pitch_px"])
@@ -247,7 +248,7 @@ def predict_one(
         light=light,
         placed=pair.placement.correction if pair else "",
         by_dots=None if by_dots is None else untouched.gain * by_dots,
-        half_width=half_widths(trained.about, "total", forces.sum((1, 2), dtype=float), untouched.gain),
+        half_width=half_widths(trained.about, forces.sum((1, 2), dtype=float), untouched.gain),
     )
     seen = untouched.view.of(image)
     return pair.placement.undo(seen) if pair else seen, forces, judgement

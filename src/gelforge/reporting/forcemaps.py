@@ -4,6 +4,11 @@ import textwrap
 
 import numpy as np
 
+from gelforge.records.axes import TITLES
+
+# Colour maps, the same in every picture. Of a component: red along its axis, blue against it, as on the pages of the
+# explorer and of `live`. Of pressure: the brighter, the harder.
+SIGNED, PRESSURE = "RdBu_r", "inferno"
 ARROW_PX_PER_N = 400.0  # a typical shear of 0.02 N per cell becomes an arrow of 8 px
 LONGEST_ARROW_PX = 24.0
 HEAT_AT_LEAST_N = 0.03  # full colour of the heat map stands for at least this normal force per cell
@@ -18,15 +23,27 @@ def write_maps(path, image, forces, title: str) -> None:
     axes[0].imshow(image)
     # no wider than the image; a file's name with two dollars is no formula
     axes[0].set_title(textwrap.fill(title, 36), fontsize=8, parse_math=False)
-    names = ("along columns (FEATS x)", "along rows (FEATS y)", "normal (z)")
-    for axis, name, force in zip(axes[1:], names, forces):
-        span = max(float(np.abs(force).max()), 1e-6)
-        shown = axis.imshow(force, cmap="RdBu_r", vmin=-span, vmax=span)
-        axis.set_title(f"{name}: {force.sum():.2f} N", fontsize=8)
-        figure.colorbar(shown, ax=axis, label="N per cell")
+    for channel, axis in enumerate(axes[1:]):
+        draw_component(axis, forces[channel], channel)
     for axis in axes:
         axis.set_axis_off()
     save_png(path, figure)
+
+
+def draw_component(axis, force, channel: int, note: str = "", **placed) -> None:
+    """Draw the map (rows, cols) of one component of force, N per cell, under its name and total.
+
+    note: what is said behind the total. placed: where and how the map lies, as matplotlib's imshow takes it.
+    """
+    span = max(float(np.abs(force).max()), 1e-6)
+    shown = axis.imshow(force, cmap=SIGNED, vmin=-span, vmax=span, **placed)
+    axis.set_title(f"{TITLES[channel]}: {force.sum():+.3f} N{note}", fontsize=9)
+    axis.figure.colorbar(shown, ax=axis, shrink=0.85, label="N per cell")
+
+
+def draw_pressure(axis, force, most: float) -> None:
+    """Draw the map (rows, cols) of normal force, N per cell, compression negative; most: what the brightest colour means."""
+    axis.imshow(-force, cmap=PRESSURE, vmin=0, vmax=most)
 
 
 def overlay(image, forces, lines: list[str], warning: str = "", zoom: int = 2) -> np.ndarray:

@@ -4,10 +4,12 @@ import numpy as np
 
 from gelforge.records.axes import CHANNELS
 from gelforge.records.learningcurve import FURTHER, Learning
+from gelforge.records.networkkind import KINDS
+from gelforge.records.splits import TEST
 from gelforge.reporting.canvas import canvas, save_png
+from gelforge.reporting.forcemaps import draw_pressure
 
 SHOWN_PRESSES = 4
-KIND_COLOURS = {"unet": "tab:blue", "unet_single": "tab:purple", "resnet": "tab:orange", "grid": "tab:green"}
 # Errors of networks that are drawn against latency: keys of rows of stages.pareto_models, and their labels.
 PANELS = {
     "percent": "total force, mean of components (% of range)",
@@ -50,7 +52,7 @@ def draw_predictions(path, data, predictions: dict) -> None:
         axis.set(xlabel=f"label {CHANNELS[i]} (N)", ylabel=f"predicted {CHANNELS[i]} (N)")
     axis.legend(fontsize=7)
     if has_cells:
-        draw_maps(maps[0], data, *predictions.get("test", next(iter(predictions.values()))))
+        draw_maps(maps[0], data, *predictions.get(TEST, next(iter(predictions.values()))))
     save_png(path, figure)
 
 
@@ -61,9 +63,9 @@ def draw_maps(figure, data, rows, forces) -> None:
     axes = figure.subplots(2, len(picked), squeeze=False)
     for column, k in enumerate(picked):
         pair = (data.labels[rows[k], 2], forces[k, 2])
-        low = min(float(part.min()) for part in pair)
+        most = max(float(-part.min()) for part in pair)
         for axis, part, what in zip(axes[:, column], pair, ("label", "network")):
-            axis.imshow(part, cmap="inferno_r", vmin=low, vmax=0)
+            draw_pressure(axis, part, most)
             axis.set_title(f"{what}: {part.sum():.1f} N", fontsize=8)
             axis.set_axis_off()
 
@@ -119,7 +121,7 @@ def draw_networks(
     kinds = {row["model"]: row["kind"] for row in rows}
     for name, course in courses.items():
         if course:
-            _draw_course(learning, name, course, KIND_COLOURS[kinds[name]])
+            _draw_course(learning, name, course, KINDS[kinds[name]].colour)
     learning.set(
         xscale="log",
         yscale="log",
@@ -164,6 +166,6 @@ def _draw_network(axis, row: dict, key: str, name_above: int, chosen: bool) -> N
         fmt="*" if chosen else "o",
         zorder=2,
         markersize=13 if chosen else 6,
-        color=KIND_COLOURS[row["kind"]],
+        color=KINDS[row["kind"]].colour,
     )
     axis.annotate(row["model"], (x, row[key]), xytext=(5, name_above), textcoords="offset points", fontsize=8)

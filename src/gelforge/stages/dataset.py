@@ -28,6 +28,7 @@ from gelforge.records.labelfile import FIELDS, open_labels, read_labels
 from gelforge.records.log import read_poses, read_shard, without_duplicates
 from gelforge.records.press import FORCE, ID_RULE, PressRecord, names_files, parse
 from gelforge.records.samplefile import DatasetSample, write_samples
+from gelforge.records.splits import TRAINING
 from gelforge.records.status import Status
 from gelforge.records.table import numbered_rows
 
@@ -177,7 +178,7 @@ def training_ranges(folder: Path, splits: np.ndarray) -> dict:
     """Smallest and largest value of every field over the training split, as FEATS' normalisation has them."""
     images, labels = (np.load(folder / name, mmap_mode="r") for name in ("images.npy", "labels.npy"))
     ranges = Ranges()
-    for at in np.flatnonzero(splits == "train"):
+    for at in np.flatnonzero(splits == TRAINING):
         ranges.add(LabelSample(images[at], labels[at]))
     return ranges.found
 

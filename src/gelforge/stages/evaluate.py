@@ -11,6 +11,7 @@ from gelforge.flow.main import command, option
 from gelforge.flow.params.slices import ForEvaluate, read_slice
 from gelforge.records.axes import CHANNELS
 from gelforge.records.predictionfile import write_predictions
+from gelforge.records.splits import TRAINING
 from gelforge.reporting.networkcharts import draw_predictions
 
 VERSION = 10
@@ -23,9 +24,9 @@ def keep_predictions(path, data, trained, predictions: dict) -> None:
     """
     from gelforge.networks.training import predict_rows
 
-    learnt = data.splits["train"]
+    learnt = data.splits[TRAINING]
     parts = list(predictions.values())
-    if "train" not in predictions:
+    if TRAINING not in predictions:
         parts.append((learnt, predict_rows(trained.net, data, learnt, trained.about["normalisation"])))
     forces = np.zeros((len(data.table), *parts[0][1].shape[1:]), np.float32)
     for rows, predicted in parts:

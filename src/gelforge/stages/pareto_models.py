@@ -14,6 +14,7 @@ from gelforge.flow.layout import beside
 from gelforge.flow.main import command, option
 from gelforge.records.axes import CHANNELS
 from gelforge.records.learningcurve import Learning, learning_of
+from gelforge.records.splits import TEST
 from gelforge.reporting.networkcharts import PANELS, draw_networks
 from gelforge.sweeps.deviation import frontier
 
@@ -106,7 +107,7 @@ def fronts_of(rows: list[dict]) -> dict[str, set[str]]:
     option("--dataset", type=Path, help="60_dataset/RES, for an image to time on"),
     option("--models", type=Path, nargs="+", help="70_train/RES/*.pt"),
     option("--evaluations", type=Path, nargs="+", help="80_evaluate/RES/*.json"),
-    option("--split", default="test"),
+    option("--split", default=TEST),
     option("--seconds", type=float, default=3.0, help="of timed runs per model and way"),
     option("--out", type=Path),
 )

@@ -75,6 +75,7 @@ def real(args: Namespace) -> None:
     """Real sensor pictures beside the force maps that the shipped network reads in them."""
     from gelforge.networks.use import load_for_use
     from gelforge.reporting.canvas import canvas_with_axes, to_png
+    from gelforge.reporting.forcemaps import draw_pressure
 
     trained, rows = load_for_use(None), []
     for film in args.films:
@@ -86,7 +87,7 @@ def real(args: Namespace) -> None:
             axis.set_axis_off()
         for k, (image, forces) in enumerate(pairs):
             line[2 * k].imshow(image)
-            line[2 * k + 1].imshow(-forces[2], cmap="inferno", vmin=0, vmax=most)
+            draw_pressure(line[2 * k + 1], forces[2], most)
             line[2 * k + 1].set_title(f"{-forces[2].sum():.1f} N", fontsize=9)
     publish_picture(args.out, to_png(figure), [SHIPPED, *args.films])
 

@@ -24,6 +24,7 @@ from gelforge.records.predictionfile import read_predictions
 from gelforge.records.press import PosedPress
 from gelforge.records.samplefile import read_samples
 from gelforge.records.solvetable import Solved, read_solves
+from gelforge.records.splits import TRAINING
 from gelforge.records.status import VALID, Status
 from gelforge.reporting.explorer import Explorer
 from gelforge.reporting.page import Explored, Section, render
@@ -211,7 +212,7 @@ def network_section(results: Path, resolution: str, model: str) -> Section:
 def learnt_from(metrics: dict, model: str) -> str:
     """What the network saw before, and how to judge it."""
     about = metrics["dataset"]
-    count = sum(about["samples"].values()) if model == SHIPPED else about["samples"].get("train", 0)
+    count = sum(about["samples"].values()) if model == SHIPPED else about["samples"].get(TRAINING, 0)
     whose = f"the network that ships, learnt from dataset {about['name']} ({count} images), and from none of these"
     who = whose if model == SHIPPED else f"{model} learnt from {count} of {sum(about['samples'].values())} images"
     return (

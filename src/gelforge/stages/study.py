@@ -10,8 +10,8 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import publish, read_json, write_csv, write_json
 from gelforge.flow.layout import beside
 from gelforge.flow.main import command, option
-from gelforge.networks.data import VALIDATION
 from gelforge.records.axes import CHANNELS
+from gelforge.records.splits import TRAINING, VALIDATION
 from gelforge.reporting.networkcharts import draw_study
 
 VERSION = 1
@@ -29,7 +29,7 @@ def rows_of(name: str, evaluation: dict) -> list[dict]:
             "part": name,
             "presses": learnt["presses"],
             "units": learnt["units"],
-            "images": learnt["samples"]["train"],
+            "images": learnt["samples"][TRAINING],
             "seconds": evaluation["cost"]["seconds"],
             "split": split,
         }

@@ -24,6 +24,7 @@ from gelforge.flow.files import write_json, write_text
 from gelforge.formats.export.samples import Samples
 from gelforge.records.press import FORCE, POSE
 from gelforge.records.samplefile import DatasetSample
+from gelforge.records.splits import TRAINING
 
 VERSION = "v3.0"
 FPS = 10
@@ -128,7 +129,7 @@ def write(folder: Path, samples: Samples) -> None:
 def in_order_of_splits(samples: Samples) -> list[list[int]]:
     """Episodes as rows of samples, those of a split together, train first."""
     presses = samples.frames_of_presses
-    order = sorted({samples.rows[rows[0]]["split"] for rows in presses}, key=lambda split: (split != "train", split))
+    order = sorted({samples.rows[rows[0]]["split"] for rows in presses}, key=lambda split: (split != TRAINING, split))
     return [rows for split in order for rows in presses if samples.rows[rows[0]]["split"] == split]
 
 
@@ -274,7 +275,7 @@ def info(samples: Samples, episodes: list[list[int]]) -> dict:
     """meta/info.json."""
     splits: dict[str, list[int]] = {}
     for number, rows in enumerate(episodes):
-        splits.setdefault(samples.rows[rows[0]]["split"] or "train", []).append(number)
+        splits.setdefault(samples.rows[rows[0]]["split"] or TRAINING, []).append(number)
     return {
         "codebase_version": VERSION, "robot_type": "gelsight_mini", "total_episodes": len(episodes),
         "total_frames": len(samples), "total_tasks": 1, "chunks_size": CHUNK_FILES, "fps": FPS,
