@@ -17,6 +17,7 @@ from tests.press_records import press_record
 GRID = (24, 32)
 SHAPES = ("sphere_15", "cuboid_10", "cylinder_8")
 SPLITS = ("train", "train", "train", "val", "test")
+GELS = {"mini_a": "gelsight_mini", "mini_b": "gelsight_mini-2.6mm"}
 
 
 def tables(count: int):
@@ -28,7 +29,7 @@ def tables(count: int):
         place = {"x0_mm": rng.uniform(-6, 6), "y0_mm": rng.uniform(-8, 8), "z0_mm": 0.0, "dx_mm": 0.1, "dy_mm": 0.0,
                  "dz_mm": -rng.uniform(0.3, 1.5), "rot_deg": rng.uniform(0, 360)}  # fmt: skip
         force = (0.3, -0.1, 12 * place["dz_mm"])
-        press = press_record(row=k + 2, sample_id=name, indenter=SHAPES[k % 3], sensor_id=f"mini_{'ab'[k % 2]}",
+        press = press_record(row=k + 2, sample_id=name, indenter=SHAPES[k % 3], sensor_id=list(GELS)[k % 2],
                              fz_n=force[2], **place)  # fmt: skip
         posed = PosedPress(**{key: value for key, value in vars(press).items() if key != "time_utc"})
         poses.append((f"{k // 100:04d}", posed))
@@ -44,7 +45,7 @@ def tables(count: int):
             totals[name] = (-0.1 + 0.02, 0.3, force[2] + rng.normal(0, 0.5))
     rejected = [{"sample_id": "", "shard": "0000", "row": "7", "column": "dz_mm", "value": "x",
                  "reason": "not a number", "remedy": "write a number of millimetres"}]  # fmt: skip
-    return poses, rejected, solved, samples, totals
+    return poses, rejected, solved, samples, totals, GELS
 
 
 def press(k: int, shown: bool = True) -> dict:

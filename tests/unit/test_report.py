@@ -4,6 +4,7 @@ import base64
 import json
 import re
 import zlib
+from dataclasses import replace
 from importlib.metadata import version
 
 import numpy as np
@@ -22,7 +23,8 @@ from gelforge.reporting.provenance import stages
 from gelforge.reporting.surfacegrid import Resampler, grid_points
 from gelforge.stages import report
 from gelforge.stages.report import failures_section, flatten, with_forces
-from tests.explored import tables, write_page
+from tests.explored import GELS, tables, write_page
+from tests.pressed_dataset import write_pressed
 
 
 def test_text_from_data_is_escaped():
@@ -110,11 +112,28 @@ def test_every_press_and_every_rejected_row_is_in_the_table():
 
 def test_a_rejected_row_shows_nothing_of_the_press_whose_name_it_bears(tmp_path):
     """A log may name two presses alike: the later one is rejected, and has neither mesh nor label."""
+    results = write_pressed(tmp_path, count=2)["results"]
+    shard = replace(Shard.read(results, "4x5", "0000"), labels={"s000": np.zeros((3, 4, 5), np.float32)})
+    twin = {"id": "s000", "status": "REJECTED", "reason": "sample_id: stands twice", "shard": "0000"}
+    explorer = Explorer(results, "4x5", [twin], {})
+    assert explorer.press(twin, shard) == pack({}) != explorer.press(twin | {"status": "OK"}, shard)
+
+
+def test_a_press_is_drawn_on_the_mesh_of_its_forces(tmp_path):
+    """The table of its shard's solves may be gone or not made again yet; one that failed has nothing to draw."""
+    made = write_pressed(tmp_path, count=2, failed=[1])
+    good, failed = ({"id": name, "status": "PENDING", "shard": "0000"} for name in ("s000", "s001"))
+    one, other = Explorer(made["results"], "4x5", [good, failed], {}).presses()
+    assert {name for name, _, _ in one["arrays"]} == {"gel", "points", "forces"} and other == pack({})
+
+
+def test_every_press_names_the_gel_of_its_sensor(tmp_path):
     rows = press_rows(*tables(12))
-    twin = {"id": rows[0]["id"], "status": "REJECTED", "reason": "sample_id: stands twice", "shard": rows[0]["shard"]}
-    shard = Shard(labels={rows[0]["id"]: np.zeros((3, 4, 5), np.float32)}, gels={rows[0]["id"]: 0})
-    explorer = Explorer(tmp_path, "4x5", [*rows, twin], {})
-    assert explorer.press(twin, shard) == pack({}) != explorer.press(rows[0] | {"mesh": ""}, shard)
+    assert {(row["sensor"], row["gel"]) for row in rows if "sensor" in row} == set(GELS.items())
+    assert Explorer(tmp_path, "4x5", rows, {}).shared()["heights"] == {
+        "gelsight_mini": 4.0,
+        "gelsight_mini-2.6mm": 2.6,
+    }
 
 
 def test_stages_know_what_they_read(tmp_path):

@@ -79,6 +79,23 @@ def test_numbers_of_the_page_are_those_that_were_packed(page):
         assert -1 <= found[5] <= -0.99
 
 
+def test_every_gel_is_drawn_as_thick_as_it_is(page):
+    """Presses take turns on two gels; the row of the log that was rejected names none and is drawn on the usual one."""
+    lowest = (
+        "return Math.min(...room.parts.children[1].geometry.attributes.position.array.filter((_, k) => k % 3 === 2))"
+    )
+    with browser() as driver:
+        for name, height in {"made-000000": 4.0, "made-000003": 2.6, "row 7": 4.0}.items():
+            driver.get("about:blank")
+            driver.get(page.as_uri() + f"#press={name}")
+            shown(driver, name)
+            wait_for(driver, "return room && (room.none || room.parts.children.length >= 2)")
+            if not driver.execute_script("return Boolean(room.none)"):
+                assert driver.execute_script(lowest) == pytest.approx(-height, abs=1e-6)
+            told = driver.find_element("id", "facts").text.splitlines()
+            assert ("gel 2.6 mm thick" in told) == (height == 2.6)
+
+
 @pytest.mark.parametrize(
     ("field", "typed", "kept"),
     [

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from gelforge.flow.layout import POSES, Layout
-from gelforge.geometry.gel import Gel, load_gel
+from gelforge.geometry.gel import USUAL_GEL, Gel, load_gel
 from gelforge.geometry.triangles import read_stl
 from gelforge.mechanics.family import mesh_loader
 from gelforge.records.forcefile import ForceFile
@@ -26,7 +26,7 @@ class Explorer:
     """Reads what belongs to single presses.
 
     rows: the table of presses.press_rows. samples: row of samples.csv, counted from 0, by sample_id. predictions: arrays
-    of records.predictionfile, or none.
+    of records.predictionfile, or none. gel: outline and dome of every gel of the dataset; their thickness may differ.
     """
 
     results: Path
@@ -34,7 +34,7 @@ class Explorer:
     rows: list[dict]
     samples: dict[str, int]
     predictions: dict | None = None
-    gel: Gel = field(default_factory=lambda: load_gel("gelsight_mini"))
+    gel: Gel = field(default_factory=lambda: load_gel(USUAL_GEL))
 
     @cached_property
     def images(self) -> np.ndarray:
@@ -70,8 +70,8 @@ class Explorer:
             packed["label"] = shard.labels[row["id"]]
         if self.predictions is not None and row["id"] in self.predicted:
             packed["network"] = self.predictions["forces"][self.predicted[row["id"]]].astype(np.float32)
-        if row["id"] in shard.gels and row["mesh"]:
-            resampler = self.resampler(row["mesh"])
+        if mesh := shard.mesh(row["id"]):
+            resampler = self.resampler(mesh)
             sample = shard.sample(row["id"], resampler.nodes)
             if len(sample.nodes):
                 packed["gel"] = (resampler(sample.displacement), MICRON)
@@ -80,11 +80,13 @@ class Explorer:
         return ({"image": jpeg(self.images[found])} if found is not None else {}) | pack(packed)
 
     def shared(self) -> dict:
-        """What all presses share: the gel's untouched surface, and the indenters as they stand over the origin."""
+        """What all presses share: the gel's untouched surface, how thick each gel is, the indenters over the origin."""
         rows, columns, points = grid_points(self.gel)
+        gels = sorted({row["gel"] for row in self.rows if row.get("gel")})
         return {
             "gel": {"rows": rows, "columns": columns, "width": self.gel.width, "length": self.gel.length,
                     "height": self.gel.height} | pack({"points": (points, MICRON)}),
+            "heights": {name: load_gel(name).height for name in gels},
             "indenters": {name: self.indenter(row) for name, row in self.deepest().items()},
         }  # fmt: skip
 
@@ -144,6 +146,10 @@ class Shard:
             for array in ("node", "force", "surface_ptr", "displacement"):
                 getattr(file, array)  # read while the file is open
         return cls(labels, gels, file)
+
+    def mesh(self, name: str) -> str:
+        """Name of the mesh that one sample's forces belong to; empty where it has none."""
+        return str(self.forces.mesh[self.gels[name]]) if self.forces is not None and name in self.gels else ""
 
     def sample(self, name: str, nodes: np.ndarray):
         """Forces and displacements of one sample."""

@@ -10,7 +10,7 @@ from gelforge.records.samplefile import DatasetSample
 from gelforge.records.solvetable import Solved
 
 AXES = ("fx", "fy", "fz")
-TEXTS = ("indenter", "sensor", "split", "status", "reason", "fidelity", "mesh", "group", "shard")
+TEXTS = ("indenter", "sensor", "gel", "split", "status", "reason", "fidelity", "mesh", "group", "shard")
 NUMBERS = (
     *POSE,
     *(f"{kind}_{axis}" for kind in ("label", "network", "measured") for axis in AXES),
@@ -27,14 +27,23 @@ def press_rows(
     solved: dict[str, Solved],
     samples: dict[str, DatasetSample],
     totals: dict,
+    gels: dict[str, str],
 ) -> list[dict]:
     """One dict a press, rejected rows of the log last.
 
     presses, rejected: presses of the pose tables and rows of their rejections, with their shard. solved, samples: of
-    stages 30 and 60 by sample_id. totals: (3,) N by sample_id that the network read, in its channel order.
+    stages 30 and 60 by sample_id. totals: (3,) N by sample_id that the network read, in its channel order. gels: name of
+    the gel on which each sensor sits.
     """
     rows = [
-        _press(shard, press, solved.get(press.sample_id), samples.get(press.sample_id), totals.get(press.sample_id))
+        _press(
+            shard,
+            press,
+            gels[press.sensor_id],
+            solved.get(press.sample_id),
+            samples.get(press.sample_id),
+            totals.get(press.sample_id),
+        )
         for shard, press in presses
     ]
     by_row: dict[tuple, dict] = {}
@@ -47,11 +56,14 @@ def press_rows(
     return rows + list(by_row.values())
 
 
-def _press(shard: str, press: PosedPress, solve: Solved | None, sample: DatasetSample | None, total) -> dict:
+def _press(
+    shard: str, press: PosedPress, gel: str, solve: Solved | None, sample: DatasetSample | None, total
+) -> dict:
     row: dict[str, Any] = {
         "id": press.sample_id,
         "indenter": press.indenter,
         "sensor": press.sensor_id,
+        "gel": gel,
         "shard": shard,
     }
     row |= {"split": sample.split, "group": sample.group} if sample else {}

@@ -17,6 +17,7 @@ from gelforge.flow.params.tables import SHIPPED
 from gelforge.flow.programs import installed
 from gelforge.flow.progress import progress
 from gelforge.labelling.grid import Grid
+from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.ccx.program import ccx_program
 from gelforge.records.forcefile import ForceFile
 from gelforge.records.log import read_poses
@@ -32,7 +33,7 @@ from gelforge.reporting.parts import PART, forget_parts, in_parts, place_parts
 from gelforge.reporting.presses import as_columns, press_rows
 from gelforge.reporting.provenance import COST, stages, target_costs
 
-VERSION = 2
+VERSION = 3
 ABSENT = "not installed"
 PACKAGES = (
     "gelforge", "numpy", "scipy", "torch", "pymeshlab", "pytetwild", "pyvista", "emcee", "opencv-contrib-python-headless",
@@ -262,8 +263,10 @@ def about(results: Path, dataset: str, resolution: str, model: str, params: Path
     }
 
 
-def open_explorer(results: Path, resolution: str, model: str, solved: dict[str, Solved]) -> Explorer:
-    """The table of presses with what the network read of them."""
+def open_explorer(
+    results: Path, resolution: str, model: str, solved: dict[str, Solved], gels: dict[str, str]
+) -> Explorer:
+    """The table of presses with what the network read of them; gels: their names by sensor."""
     path = Layout(results).evaluation(resolution, model).with_suffix(".predictions.npz")
     predictions = read_predictions(path) if path.exists() else None
     totals = (
@@ -274,7 +277,7 @@ def open_explorer(results: Path, resolution: str, model: str, solved: dict[str, 
     table = Layout(results).dataset(resolution) / "samples.csv"
     samples = {each.press.sample_id: each for each in (read_samples(table) if table.exists() else [])}
     rejected = read_tables(Layout(results), Layout(results).rejected)
-    rows = press_rows(read_presses(results), rejected, solved, samples, totals)
+    rows = press_rows(read_presses(results), rejected, solved, samples, totals, gels)
     return Explorer(results, resolution, rows, {name: at for at, name in enumerate(samples)}, predictions)
 
 
@@ -318,12 +321,13 @@ def lead_of(rows: list[dict], resolution: str) -> str:
     option("--results", type=Path, help="results/DATASET"),
     option("--resolution"),
     option("--model"),
-    option("--params", type=Path),
+    option("--params", type=Path, help="report.json, beside evaluate.json, sensors.json"),
     option("--out", type=Path),
 )
 def main(args: Namespace) -> None:
     solved = read_solved(args.results)
-    explorer = open_explorer(args.results, args.resolution, args.model, solved)
+    gels = {name: sensor.gel for name, sensor in load_sensors(args.params.parent / "sensors.json").items()}
+    explorer = open_explorer(args.results, args.resolution, args.model, solved, gels)
     known = about(args.results, args.data.name, args.resolution, args.model, args.params.parent)
     limit = read_slice(args.params, ForReport).report.embed_mb * 1e6
     folder, embedded = place_parts(

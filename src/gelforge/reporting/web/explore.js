@@ -284,7 +284,7 @@ function frame(i) {
   if (!box.firstChild) buildDetail(box);
   el("press-id").textContent = COLUMNS.id[i];
   el("press-note").textContent = "";
-  const facts = [["indenter", COLUMNS.indenter[i]], ["sensor", COLUMNS.sensor[i]], ["split", COLUMNS.split[i] || "none"], ["state", COLUMNS.status[i]],
+  const facts = [["indenter", COLUMNS.indenter[i]], ["sensor", COLUMNS.sensor[i]], ["gel", COLUMNS.gel[i] && `${thickness(i)} mm thick`], ["split", COLUMNS.split[i] || "none"], ["state", COLUMNS.status[i]],
     ["depth", `${fixed(COLUMNS.depth[i], 3)} mm`], ["x, y, mm", `${fixed(COLUMNS.x0_mm[i])}, ${fixed(COLUMNS.y0_mm[i])}`],
     ["shear, mm", `${fixed(COLUMNS.dx_mm[i])}, ${fixed(COLUMNS.dy_mm[i])}`], ["turned", `${fixed(COLUMNS.rot_deg[i], 1)}°`]];
   el("facts").replaceChildren(...facts.map(([name, value]) => make("div", {}, make("span", {}, `${name} `), value || "–")));
@@ -400,10 +400,10 @@ function openRoom() {
   }
   const renderer = new THREE.WebGLRenderer({ antialias: true, alpha: true }), scene = new THREE.Scene();
   const camera = new THREE.PerspectiveCamera(35, 2, 0.1, 300);
-  camera.up.set(0, 0, 1); camera.position.set(21, -28, 22);
+  camera.up.set(0, 0, 1); camera.position.set(26, -34, 26);
   box.replaceChildren(renderer.domElement);
   const controls = new THREE.OrbitControls(camera, renderer.domElement);
-  controls.target.set(0, 0, -1.5);
+  controls.target.set(0, 0, -3);
   scene.add(new THREE.HemisphereLight(0xffffff, 0x8899aa, 1.6));
   const sun = new THREE.DirectionalLight(0xffffff, 1.6); sun.position.set(-10, -14, 20); scene.add(sun);
   const draw = () => renderer.render(scene, camera);
@@ -415,9 +415,11 @@ async function sharedArrays(name) {
   if (!SHARED[name]) SHARED[name] = await unpack(name === "gel" ? DATA.shared.gel : DATA.shared.indenters[name]);
   return SHARED[name];
 }
+// a rejected row names no gel
+const thickness = (i) => DATA.shared.heights[COLUMNS.gel[i]] ?? DATA.shared.gel.height;
 const DENT = [[226, 232, 238], [250, 214, 137], [224, 104, 62], [110, 22, 66]];
-function gelBody(points, moved) {
-  const { rows, columns, height } = DATA.shared.gel, n = rows * columns, at = new Float32Array(3 * n), colour = new Float32Array(3 * n), faces = [];
+function gelBody(points, moved, height) {
+  const { rows, columns } = DATA.shared.gel, n = rows * columns, at = new Float32Array(3 * n), colour = new Float32Array(3 * n), faces = [];
   const tint = new THREE.Color();
   let deepest = 1e-6;
   for (let k = 0; k < n; k++) deepest = Math.max(deepest, moved ? -moved[3 * k + 2] : 0);
@@ -474,7 +476,7 @@ async function indenterBody(i) {
 async function drawGel(i) {
   if (!room) { room = openRoom(); if (!room.none) room.scene.add(room.parts); }
   if (room.none) return;
-  const { points } = await sharedArrays("gel"), things = gelBody(points, shown.arrays.gel);
+  const { points } = await sharedArrays("gel"), things = gelBody(points, shown.arrays.gel, thickness(i));
   if (el("show-forces").checked && shown.arrays.points && shown.arrays.points.length) things.push(...forceArrows(shown.arrays.points, shown.arrays.forces));
   if (el("show-indenter").checked) things.push(...await indenterBody(i));
   if (state.at !== i) return;
