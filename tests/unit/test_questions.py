@@ -72,6 +72,21 @@ def test_a_missing_file_and_a_changed_input_are_told_apart(tmp_path, monkeypatch
     assert found[FILES[2]] == ["data.csv changed since"] and found[FILES[3]] == ["it does not exist"]
 
 
+def test_what_make_says_of_one_target_is_no_reason_of_another():
+    params, chains = "results/d/00_plan/params/poses.json", []
+    for k in range(100):
+        data, pose, fea = f"data/{k}.csv", f"results/d/10_poses/{k}.csv", f"results/d/30_fea/{k}.csv"
+        newer = [params, data][k % 3 :]
+        chains.append("".join([
+            *(f"Prerequisite '{before}' is newer than target '{pose}'.\n" for before in newer),
+            *([] if newer else [f"File '{pose}' does not exist.\n"]), f"Must remake target '{pose}'.\n",
+            f"Prerequisite '{pose}' is newer than target '{fea}'.\n", f"Must remake target '{fea}'.\n",
+        ]))  # fmt: skip
+    told = [reasons(chain) for chain in chains]
+    assert [len(why[f"results/d/10_poses/{k}.csv"]) for k, why in enumerate(told[:3])] == [2, 1, 1]
+    assert list(reasons("".join(chains)).items()) == [reason for why in told for reason in why.items()]
+
+
 def test_an_unknown_target_is_one_sentence(tmp_path, monkeypatch):
     write_text(tmp_path / "Makefile", MAKEFILE)
     monkeypatch.chdir(tmp_path)

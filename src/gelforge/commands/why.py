@@ -10,7 +10,7 @@ from gelforge.errors import BadInput, last_words
 from gelforge.flow.layout import PLAN
 from gelforge.flow.main import command, option
 
-# What GNU make says under -n --debug=b,v.
+# What GNU make says under -n --debug=b of each target that is out of date; v would add every one that is not.
 NEWER = re.compile(r"Prerequisite '(.+)' is newer than target '(.+)'\.")
 ABSENT = re.compile(r"File '(.+)' does not exist\.")
 NO_FILE = re.compile(r"Prerequisite '(.+)' of target '(.+)' does not exist\.")
@@ -29,7 +29,7 @@ def ask_make(target: str, settings: list[str]) -> str:
     """What make says of a target without making it."""
     env = {k: v for k, v in os.environ.items() if k not in ("MAKEFLAGS", "MAKELEVEL", "MFLAGS", "MAKEOVERRIDES")}
     asked = subprocess.run(
-        ["make", "-n", "--debug=v", "--no-print-directory", *settings, target],
+        ["make", "-n", "--debug=b", "--no-print-directory", *settings, target],
         capture_output=True, text=True, check=False, env=env | {"LC_ALL": "C"},
     )  # fmt: skip
     if asked.returncode and (unknown := UNKNOWN.search(asked.stderr)):
@@ -43,13 +43,15 @@ def ask_make(target: str, settings: list[str]) -> str:
 
 def reasons(said: str) -> dict[str, list[str]]:
     """Why each file must be made, from what make said, in the order it would be made; phony targets are left out."""
-    must = [name for name in MUST.findall(said) if "/" in name]
+    must = dict.fromkeys(name for name in MUST.findall(said) if "/" in name)
+    newer: dict[str, list[str]] = {name: [] for name in must}
+    for before, after in NEWER.findall(said):
+        newer.get(after, []).append(before)
     asked = {target: ASKED[word] for word, target in NO_FILE.findall(said) if word in ASKED}
     absent, found = set(ABSENT.findall(said)), {}
     for name in must:
-        newer = [before for before, after in NEWER.findall(said) if after == name]
-        remade = [before for before in newer if before in must]
-        fresh = [before for before in newer if before not in must]
+        remade = [before for before in newer[name] if before in must]
+        fresh = [before for before in newer[name] if before not in must]
         found[name] = (
             ["it does not exist"] if name in absent
             else [in_words(before) for before in fresh] + [f"{before} is made again" for before in remade]
