@@ -186,7 +186,7 @@ def test_score_tells_real_sensors_apart(reference):
         "FEATS' sensor": feats,
     }
     assert [
-        name for name, other in unlike.items() if not statistics.judge(model, np.ascontiguousarray(other)).flag
+        name for name, other in unlike.items() if not statistics.judge(model, np.ascontiguousarray(other)).reason
     ] == []
 
 

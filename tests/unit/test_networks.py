@@ -126,6 +126,8 @@ def test_unknown_kind_and_wrong_size_are_named():
         build({"kind": "grid", "depth": 3}, IMAGE, GRID)
     with pytest.raises(BadInput, match="widths is '24', it must be a list of 1 to 16 whole numbers from 1 to 4096"):
         build({"kind": "unet", "widths": 24}, IMAGE, GRID)
+    with pytest.raises(BadInput, match="one number of each"):
+        build({"kind": "resnet", "blocks": [1, 1, 1], "widths": [16, 32]}, IMAGE, GRID)
     with pytest.raises(BadInput, match=r"reads = \['pair'\]; use one of image"):
         build({"kind": "grid", "reads": ["pair"]}, IMAGE, GRID)
     with pytest.raises(BadInput, match="MODEL=nothing"):

@@ -254,11 +254,10 @@ def pair_fault(limits: dict, pair: PairEvidence) -> str:
 class Likeness:
     """How unlike the training images an image is: score as `score` gives it.
 
-    flag: whether that is too much, or its pair does not belong together; reason: what, empty for neither.
+    reason: in what it is too unlike them, or why its pair does not belong together; empty for neither.
     """
 
     score: float
-    flag: bool
     reason: str
 
 
@@ -270,8 +269,7 @@ def judge(model: dict, image, pair: PairEvidence | None = None) -> Likeness:
     statistics = describe(image)
     value = score(model, statistics)
     if value <= model["threshold"]:
-        fault = "" if pair is None else pair_fault(model, pair)
-        return Likeness(value, bool(fault), fault)
+        return Likeness(value, "" if pair is None else pair_fault(model, pair))
     off = np.abs(statistics - model["mean"]) / model["spread"]
     groups = {"colour": off[:12].max(), "contrast": off[12:15].max(), "sharpness": off[15], "dots": off[16:].max()}
-    return Likeness(value, True, f"unlike the training images in its {max(groups, key=lambda name: groups[name])}")
+    return Likeness(value, f"unlike the training images in its {max(groups, key=lambda name: groups[name])}")

@@ -190,23 +190,26 @@ class CanonicalPair:
 class Judgement:
     """How far what was read in an image may be trusted, and what was done to the image before.
 
-    score: how unlike the training images it is, about 1 for one like them (networks.statistics). flag: whether
-    something is wrong with it or the picture beside it; reason: what, empty for nothing. untouched: name of the
-    picture that it was read against, empty beside a network that reads none. light: what its light differed by
-    (networks.canonical), None beside such a network. placed: what was put right in how it lay, empty for nothing.
-    by_dots: totals (3,) N that the dots tell by themselves, None where nothing reads them; half_width: (3,) N, half
-    of the totals' intervals (networks.intervals), None where the model knows none. Both in the order of the channels,
-    times the sensor's gain.
+    score: how unlike the training images it is, about 1 for one like them (networks.statistics). reason: what is wrong
+    with it or the picture beside it, empty for nothing. untouched: name of the picture that it was read against, empty
+    beside a network that reads none. light: what its light differed by (networks.canonical), None beside such a network.
+    placed: what was put right in how it lay, empty for nothing. by_dots: totals (3,) N that the dots tell by themselves,
+    None where nothing reads them; half_width: (3,) N, half of the totals' intervals (networks.intervals), None where the
+    model knows none. Both in the order of the channels, times the sensor's gain.
     """
 
     score: float
-    flag: bool
     reason: str
     untouched: str
     light: Light | None
     placed: str
     by_dots: np.ndarray | None
     half_width: np.ndarray | None
+
+    @property
+    def flag(self) -> bool:
+        """Whether something is wrong."""
+        return bool(self.reason)
 
 
 def predict_one(
@@ -239,11 +242,9 @@ def predict_one(
     forces = forces * np.float32(untouched.gain)
     faults = [resized, untouched.fault, likeness.reason, light_fault(light), pull_fault(forces), contradicted]
     faults += [pair.placement.fault] if pair else []
-    reason = "; ".join(filter(None, faults))
     judgement = Judgement(
         score=likeness.score,
-        flag=likeness.flag or bool(reason),
-        reason=reason,
+        reason="; ".join(filter(None, faults)),
         untouched=name,
         light=light,
         placed=pair.placement.correction if pair else "",
