@@ -12,6 +12,7 @@ from pressed_dataset import label, write_pressed
 from gelforge.commands import look
 from gelforge.errors import BadInput
 from gelforge.reporting.forcemaps import SIGNED, write_maps
+from gelforge.reporting.page import COLOURS
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +103,7 @@ def is_blue(rgb) -> bool:
     return float(rgb[2]) > 2 * float(rgb[0])
 
 
-def test_a_force_along_its_axis_is_red_in_every_picture(made, tmp_path, root):
+def test_a_force_along_its_axis_is_red_in_every_picture(made, tmp_path):
     """And one against it blue: in the pictures of `look` and of `predict`, and on the pages of the explorer and `live`."""
     seen = seen_of(made)
     shown = [axis.images[-1] for axis in look.draw(seen).axes[1:4]]
@@ -113,11 +114,9 @@ def test_a_force_along_its_axis_is_red_in_every_picture(made, tmp_path, root):
     red, blue = (np.array([of(pixel) for pixel in middle]) for of in (is_red, is_blue))
     left, right = (int(np.flatnonzero(pixels)[0]) for pixels in (red, blue))
     assert left < right  # of the first map
-    for page in ("reporting/web/explore.js", "live/web/live.js"):
-        text = (root / "src/gelforge" / page).read_text(encoding="utf-8")
-        stops = re.findall(r"\d+", re.search(r"DIVERGING = \[(.*)\];", text)[1])
-        ends = [*mpl.colormaps[SIGNED](0, bytes=True)[:3], *mpl.colormaps[SIGNED](255, bytes=True)[:3]]
-        assert [int(stop) for stop in stops[:3] + stops[-3:]] == ends
+    stops = re.findall(r"\d+", re.search(r"DIVERGING = \[(.*)\];", COLOURS.read_text(encoding="utf-8"))[1])
+    ends = [*mpl.colormaps[SIGNED](0, bytes=True)[:3], *mpl.colormaps[SIGNED](255, bytes=True)[:3]]
+    assert [int(stop) for stop in stops[:3] + stops[-3:]] == ends
 
 
 @pytest.mark.parametrize(

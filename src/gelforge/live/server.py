@@ -10,7 +10,7 @@ from pathlib import Path
 from gelforge.errors import BadInput
 from gelforge.live.reading import Reading
 from gelforge.live.recording import Recorder, paced
-from gelforge.reporting.page import LOOK
+from gelforge.reporting.page import COLOURS, LOOK
 
 WEB = Path(__file__).parent / "web"
 LOCAL = ("127.0.0.1", "localhost")
@@ -164,8 +164,11 @@ class Handler(BaseHTTPRequestHandler):
 
 def page() -> str:
     """The page, one file."""
-    html, script = ((WEB / name).read_text(encoding="utf-8") for name in ("live.html", "live.js"))
-    return html.replace("/*look*/", LOOK.read_text(encoding="utf-8")).replace("/*script*/", script)
+    files = {"/*look*/": LOOK, "/*colours*/": COLOURS, "/*script*/": WEB / "live.js"}
+    html = (WEB / "live.html").read_text(encoding="utf-8")
+    for place, path in files.items():
+        html = html.replace(place, path.read_text(encoding="utf-8"))
+    return html
 
 
 def serve(readings: Iterable[Reading], hub: Hub, recorder: Recorder) -> int:

@@ -1,15 +1,10 @@
 "use strict";
 const el = (id) => document.getElementById(id);
 const fixed = (v, digits = 2) => (Number.isFinite(v) ? v.toFixed(digits) : "–");
-const DIVERGING = [[5, 48, 97], [67, 147, 195], [247, 247, 247], [214, 96, 77], [103, 0, 31]];
 const MAPS = [["normal", 2, "normal force"], ["short", 1, "along the short side"], ["long", 0, "along the long side"]];
 const TOTALS = [["grid_z_n", 2, "#1f6f8b", -1], ["grid_y_n", 1, "#d1603d", 1], ["grid_x_n", 0, "#5b8c3a", 1]];
 const KEPT = 600;
 let history = [], source = null, drawing = false, latest = null, over = false;
-function ramp(t) {
-  const x = Math.min(Math.max(t, 0), 1) * (DIVERGING.length - 1), k = Math.min(Math.floor(x), DIVERGING.length - 2), f = x - k;
-  return DIVERGING[k].map((v, c) => v + f * (DIVERGING[k + 1][c] - v));
-}
 async function unpack(packed) {
   const bytes = Uint8Array.from(atob(packed.data), (s) => s.charCodeAt(0));
   const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
@@ -17,11 +12,8 @@ async function unpack(packed) {
   return Float32Array.from({ length: n }, (_, k) => ((planes[k] | (planes[n + k] << 8)) << 16 >> 16) * unit);
 }
 function drawMap(name, map, rows, cols, title) {
-  const canvas = el(name), reach = Math.max(1e-3, ...map.map(Math.abs));
-  canvas.width = cols; canvas.height = rows;
-  const c = canvas.getContext("2d"), pixels = c.createImageData(cols, rows);
-  map.forEach((v, k) => pixels.data.set([...ramp(0.5 + v / (2 * reach)), 255], 4 * k));
-  c.putImageData(pixels, 0, 0);
+  const reach = Math.max(1e-3, ...map.map(Math.abs));
+  paintMap(el(name), map, rows, cols, reach);
   el(`cap-${name}`).textContent = `${title}, up to ${fixed(reach, 3)} N a cell`;
 }
 function drawCurve() {

@@ -142,10 +142,6 @@ function drawRows() {
 
 // ---- the map of positions
 const VIRIDIS = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
-function ramp(stops, t) {
-  const x = Math.min(Math.max(t, 0), 1) * (stops.length - 1), k = Math.min(Math.floor(x), stops.length - 2), f = x - k;
-  return stops[k].map((v, c) => v + f * (stops[k + 1][c] - v));
-}
 const rgb = (c) => `rgb(${c.map(Math.round).join(",")})`;
 function quantile(values, share) {
   const sorted = values.filter(Number.isFinite).sort((a, b) => a - b);
@@ -325,7 +321,6 @@ function fill(i, press, arrays) {
   el("cap-picture").textContent = press.image ? "picture" : "no picture in the dataset";
   drawMaps(); drawGel(i);
 }
-const DIVERGING = [[5, 48, 97], [67, 147, 195], [247, 247, 247], [214, 96, 77], [103, 0, 31]];
 function mapsOf() {
   const [rows, cols] = DATA.about.grid, n = rows * cols, at = CHANNELS[state.axis] * n, found = {};
   for (const name of ["label", "network"]) if (shown.arrays && shown.arrays[name] && shown.arrays[name].length === 3 * n) found[name] = shown.arrays[name].subarray(at, at + n);
@@ -338,13 +333,9 @@ function drawMaps() {
   for (const map of Object.values(maps)) for (const v of map) reach = Math.max(reach, Math.abs(v));
   reach = reach || 1;
   for (const [name, title] of [["label", "label"], ["network", "network"], ["difference", "network − label"]]) {
-    const canvas = el(`map-${name}`), map = maps[name];
-    canvas.width = cols; canvas.height = rows;
+    const map = maps[name];
     el(`cap-${name}`).textContent = map ? `${title}: ${fixed(map.reduce((a, b) => a + b, 0))} N` : `${title}: none`;
-    if (!map) continue;
-    const c = canvas.getContext("2d"), pixels = c.createImageData(cols, rows);
-    map.forEach((v, k) => { pixels.data.set([...ramp(DIVERGING, 0.5 + v / (2 * reach)), 255], 4 * k); });
-    c.putImageData(pixels, 0, 0);
+    paintMap(el(`map-${name}`), map || [], rows, cols, reach);
   }
   el("map-bar").style.background = `linear-gradient(90deg,${DIVERGING.map(rgb).join(",")})`;
   el("low").textContent = fixed(-reach, 4); el("high").textContent = `+${fixed(reach, 4)}`;
