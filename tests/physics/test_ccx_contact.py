@@ -1,7 +1,5 @@
 """A sphere on a small flat pad: CalculiX' forces against the in-process solver and against equilibrium."""
 
-import os
-import shlex
 from dataclasses import dataclass
 
 import numpy as np
@@ -189,18 +187,12 @@ def test_coulomb_bounds_shear_and_no_slip_exceeds_it(solver):
     assert abs(bound[0]) <= 0.42 * abs(bound[2])  # mu = 0.4, its rounds stop at 2 % of the drag
 
 
-def test_forces_of_calculix_own_contact_that_the_base_does_not_bear_are_no_answer(mesh, ccx, tmp_path, monkeypatch):
-    """As of a program that takes the gel's stiffness for another one than the deck says."""
+def test_a_press_that_calculix_own_contact_does_not_see_is_no_answer_of_zero(mesh, ccx, tmp_path):
+    """0.01 mm deep, by a ball of flat triangles whose tip lies higher: it touches, and the base bears nothing."""
     ball = build("ball", {"kind": "sphere", "diameter": 8, "height": 10})
-    pressed = Scene(PAD, Material(), ball, Press(0, 0, 0, 0, 0, -0.1), Interface("frictionless"))
-    stiffer = tmp_path / "ccx"
-    stiffer.write_text(
-        f'#!/bin/sh\nsed -i "/NEO HOOKE/ {{n;s/^[^,]*/0.08/}}" "$1.inp"\nexec {shlex.quote(ccx)} "$1"\n'
-    )
-    stiffer.chmod(0o755)
-    monkeypatch.setitem(os.environ, "CCX", str(stiffer))
+    pressed = Scene(PAD, Material(), ball, Press(0, 0, 0, 0, 0, -0.01), Interface("frictionless"))
     result = solve_native(pressed, mesh, tmp_path, 100.0, size=2.0)
-    assert result.status is Status.UNBALANCED and result.evidence["base_mismatch"] > 0.05
+    assert np.abs(result.forces).sum() < 1e-4 and not result.status.valid
 
 
 def test_a_press_that_touches_nothing_runs_nothing(solver):
