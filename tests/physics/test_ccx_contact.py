@@ -9,12 +9,13 @@ from parameters import parameters
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
 from gelforge.mechanics.ccx.ccxsolver import CcxSettings, CcxSolver
+from gelforge.mechanics.ccx.native import solve_native
 from gelforge.mechanics.ccx.springs import spring_rows
 from gelforge.mechanics.hex.hexsolver import solve_hex
 from gelforge.mechanics.hex.settings import HexSettings
 from gelforge.mechanics.scene import Interface, Material, Press, Scene
 from gelforge.mechanics.tet.face import dunavant12, face_points
-from gelforge.mechanics.tet.facecontact import SLIDE, STICK, Contact
+from gelforge.mechanics.tet.facecontact import FREE, SLIDE, STICK, Contact, Verdict, correct, judge
 from gelforge.mechanics.tet.kinematics import contact_blocks, contact_forces
 from gelforge.records.status import Status
 from tests.blocks import symmetric_block
@@ -107,6 +108,66 @@ def test_blocks_are_the_derivative_of_the_springs(mesh):
     np.testing.assert_allclose(applied, change, atol=1e-10 * np.abs(change).max())
 
 
+LAWS = ["no_slip", "frictionless", "coulomb"]
+STIFFNESS, TOLERANCE = 145.0, 0.01
+MIDDLE = np.array([0.2, 0.0, 4.0 - 0.6])  # the ball's middle at the end of the path
+
+
+@dataclass(frozen=True)
+class Round:
+    """A flat gel under the ball of a scene: how deep its points lie in the ball and how hard they are pushed, (f, q).
+
+    Some of them are held, each so that its spring pushes or pulls it along the ball's axis, with some drag across it.
+    """
+
+    before: Contact
+    after: Contact
+    verdict: Verdict
+    depth: np.ndarray
+    push: np.ndarray
+
+
+def a_round(mesh, law):
+    rng, pressed = np.random.default_rng(9), scene(law, dx=0.2, depth=0.6)
+    points, contact = some_contact(mesh, rng)
+    down, push = np.broadcast_to([0.0, 0.0, -1.0], contact.target.shape), rng.uniform(-1, 1, points.weight.shape)
+    drag = np.cross(down, rng.normal(size=down.shape)) if law == "coulomb" else contact.drag
+    contact = Contact(contact.state, points.position + push[..., None] / STIFFNESS * down, down, drag)
+    verdict = judge(pressed, contact, points, np.zeros_like(mesh.nodes), STIFFNESS)
+    depth = 4.0 - np.linalg.norm(points.position - MIDDLE, axis=-1)
+    return Round(contact, correct(pressed, contact, verdict, TOLERANCE), verdict, depth, push)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_round_lets_go_what_pulls_and_holds_what_lies_in_the_indenter(mesh, law):
+    """As the law of friction holds it; no other point comes or goes."""
+    case = a_round(mesh, law)
+    held = case.before.held
+    wanted = np.where(held & (case.push < 0), FREE, case.before.state)
+    wanted[~held & (case.depth > TOLERANCE)] = STICK if law == "no_slip" else SLIDE
+    np.testing.assert_array_equal(case.after.state, wanted)
+    assert case.verdict.penetration == pytest.approx(case.depth[~held].max()) and case.verdict.penetration > 0.5
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_what_is_new_or_slides_is_held_on_the_indenter_and_what_sticks_where_it_was(mesh, law):
+    case = a_round(mesh, law)
+    slides = case.after.held & ((case.after.state == SLIDE) | ~case.before.held)
+    way = case.after.target[slides] - MIDDLE
+    np.testing.assert_allclose(np.linalg.norm(way, axis=1), 4.0)
+    np.testing.assert_allclose(case.after.normal[slides], way / 4.0, atol=1e-12)
+    sticks = case.after.held & ~slides
+    assert slides.any() and sticks.any()
+    np.testing.assert_array_equal(case.after.target[sticks], case.before.target[sticks])
+
+
+def test_drag_follows_the_pressure_and_keeps_its_direction(mesh):
+    case = a_round(mesh, "coulomb")
+    size = np.linalg.norm(case.before.drag, axis=-1, keepdims=True)
+    push = np.where(case.before.held, np.maximum(case.push, 0.0), 0.0)[..., None]
+    np.testing.assert_allclose(case.after.drag, 0.4 * push * case.before.drag / size, atol=1e-12)
+
+
 @pytest.mark.parametrize("law", ["no_slip", "frictionless"])
 def test_forces_balance_and_agree_with_hex(solver, law):
     result = solver.solve(scene(law))
@@ -124,6 +185,14 @@ def test_coulomb_bounds_shear_and_no_slip_exceeds_it(solver):
     free, bound, stuck = (solver.solve(scene(law, dx=0.25)).total for law in ("frictionless", "coulomb", "no_slip"))
     assert abs(free[0]) < abs(bound[0]) < 1.02 * abs(stuck[0])
     assert abs(bound[0]) <= 0.42 * abs(bound[2])  # mu = 0.4, its rounds stop at 2 % of the drag
+
+
+def test_a_press_that_calculix_own_contact_does_not_see_is_no_answer_of_zero(mesh, ccx, tmp_path):
+    """0.01 mm deep, by a ball of flat triangles whose tip lies higher: it touches, and the base bears nothing."""
+    ball = build("ball", {"kind": "sphere", "diameter": 8, "height": 10})
+    pressed = Scene(PAD, Material(), ball, Press(0, 0, 0, 0, 0, -0.01), Interface("frictionless"))
+    result = solve_native(pressed, mesh, tmp_path, 100.0, size=2.0)
+    assert np.abs(result.forces).sum() < 1e-4 and not result.status.valid
 
 
 def test_a_press_that_touches_nothing_runs_nothing(solver):

@@ -20,6 +20,7 @@ from gelforge.networks.data import open_data
 from gelforge.networks.dotreader import VIEWS, DotPresses, DotReader, train_dot_reader
 from gelforge.networks.dots import COLS, ROWS, PrintedDots
 from gelforge.networks.fitting import readers_of_dots
+from gelforge.networks.goingon import scales_before
 from gelforge.networks.halves import rounded
 from gelforge.networks.modelcard import dot_lines, place_lines
 from gelforge.networks.modelfile import Trained, load_model, save_model
@@ -178,6 +179,15 @@ def test_totals_meet_at_their_weighted_mean(seed, weight):
         settled.sum((1, 2), dtype=float), total + weight * (by_dots - total), rtol=1e-4, atol=1e-4
     )
     assert np.corrcoef(settled[2].ravel(), forces[2].ravel())[0, 1] > 0.9999  # the normal map keeps its shape
+    free = forces[2] >= 0
+    assert np.array_equal(settled[:2, free], forces[:2, free])  # nothing rubs where nothing presses
+
+
+@pytest.mark.parametrize("by_dots", [7.0, -0.1, -400.0])
+def test_dots_that_tell_nonsense_at_most_halve_or_double_a_press(by_dots):
+    forces = np.full((3, 24, 32), -0.01, np.float32)
+    settled = blend(forces, np.array([0.0, 0.0, by_dots]), [0.0, 0.0, 1.0])
+    assert 0.5 <= settled[2].sum() / forces[2].sum() <= 2.0
 
 
 def test_without_a_press_a_map_stays_what_it_is():
@@ -313,6 +323,14 @@ def test_few_pictures_leave_the_readers_what_they_know_of_each_other(seen, rest,
     for picture in presses[:3]:
         told = [predict_one(Untouched(one, rest), picture)[1].sum((1, 2)) for one in (found, shipped)]
         assert told[0] == pytest.approx(told[1], abs=1e-3)
+
+
+def test_a_network_that_goes_on_tells_the_range_of_all_that_it_learnt_from(seen):
+    about = load_for_use(None).about
+    before = np.array(about["normalisation"]["range"])
+    new = before * [0.5, 1.5, 2.0]
+    found = scales_before(about, about["model"], seen, {"range": new.tolist()})["range"]
+    np.testing.assert_array_equal(found, np.maximum(before, new))
 
 
 def test_a_network_does_not_go_on_from_another_scale(seen):

@@ -72,6 +72,31 @@ def test_the_fewest_presses_that_tell_hold_as_many_as_promised():
     assert np.mean(held[LEAST_PRESSES]) > HOLDS - 0.02 > np.mean(held[LEAST_PRESSES // 2])
 
 
+def test_an_interval_is_the_least_that_holds_its_share_of_presses_to_come():
+    """Any of k + 1 presses may be the next one: the least that is HOLDS of them or more."""
+    for count in range(LEAST_PRESSES, 60):
+        error = np.random.default_rng(count).permutation(count) + 1.0
+        assert fit_half_width(np.ones(count), error).of(1.0) == pytest.approx(np.ceil(HOLDS * (count + 1) - 1e-9))
+
+
+@given(st.integers(0, 10**6))
+@settings(max_examples=40)
+def test_a_press_that_is_filmed_more_often_counts_as_one_all_the_same(seed):
+    rng = np.random.default_rng(seed)
+    press = np.repeat(np.arange(12), rng.integers(1, 6, 12))
+    error, times = rng.normal(0, 0.3, len(press)), rng.integers(1, 6, 12)[press]
+    once = fit_half_width(np.ones(len(press)), error, press)
+    again = fit_half_width(np.ones(times.sum()), np.repeat(error, times), np.repeat(press, times))
+    assert again.of(1.0) == pytest.approx(once.of(1.0))
+
+
+def test_no_interval_narrows_as_the_force_grows():
+    """Also where the errors that it was set on do."""
+    force = np.linspace(0.5, 20.0, 60)
+    width = fit_half_width(force, 2.0 / force)
+    assert width.of(100.0) >= width.of(0.0) > 0.0
+
+
 def test_they_are_narrow_where_errors_are_small():
     rng = np.random.default_rng(0)
     force = -rng.exponential(8.0, 4000)

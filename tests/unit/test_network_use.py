@@ -347,6 +347,17 @@ def test_camera_that_is_not_there_is_named(paths):
         live.main(["--camera", "97", "--model", str(paths["small"]), "--out", "unused.avi"])
 
 
+def test_live_flags_the_frames_that_predict_flags(models, data):
+    """In its lines and on its page, with the same words."""
+    frames = [np.ascontiguousarray(data.images[0]), np.zeros((*IMAGE, 3), np.uint8)]
+    untouched = use.Untouched(models["small"])
+    judged = [use.predict_one(untouched, frame)[2] for frame in frames]
+    told = list(readings(untouched, [frame[..., ::-1] for frame in frames]))
+    for lines in ([reading.row() for reading in told], [reading.event() for reading in told]):
+        assert [line["flag"] for line in lines] == [one.flag for one in judged] == [False, True]
+        assert [line["reason"] for line in lines] == [one.reason for one in judged]
+
+
 def test_a_film_has_the_time_of_its_frames(data, models):
     frames = [np.ascontiguousarray(data.images[0])] * 3
     untouched = use.Untouched(models["small"])

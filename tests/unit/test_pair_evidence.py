@@ -7,12 +7,14 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gelforge.networks.canonical import Light
 from gelforge.networks.dots import COLS, ROWS, PrintedDots
 from gelforge.networks.lattice import moved_alike
 from gelforge.networks.statistics import (
     LIMITS,
     MARGIN,
     DotEvidence,
+    PairEvidence,
     dot_evidence,
     pair_evidence,
     pair_fault,
@@ -20,7 +22,9 @@ from gelforge.networks.statistics import (
     relief,
     relief_fault,
     unevenness,
+    widened,
 )
+from gelforge.networks.use import Untouched, load_for_use, predict_one
 from gelforge.records.image import read_image
 from gelforge.records.log import read_presses
 from tests.pictures import moved
@@ -82,6 +86,40 @@ def test_the_picture_of_another_unit_is_no_untouched_picture(rest, presses, limi
         for name, image, _ in presses
     ]
     assert sum(map(bool, faults)) >= 0.9 * len(faults)
+
+
+BEYOND = {
+    "largest_distance": 1.0,
+    "largest_residual": 1.0,
+    "least_share": -0.01,
+    "largest_rim_px": 1.0,
+    "largest_rim_lost": 0.1,
+    "largest_uneven": 0.1,
+}
+
+
+def pair_at(limits):
+    """A pair that lies exactly at all limits."""
+    light = Light(np.ones(3), np.zeros(3), limits["largest_residual"], limits["least_share"], known=True)
+    dots = DotEvidence(limits["largest_rim_px"], limits["largest_rim_lost"], limits["largest_uneven"])
+    return PairEvidence(limits["largest_distance"], light, dots)
+
+
+@pytest.mark.parametrize("name", BEYOND)
+def test_a_pair_beyond_a_single_limit_is_told_and_a_wider_limit_lets_it_pass(limits, name):
+    """The wider one of two datasets, where a network goes on from the one to the other."""
+    wider = limits | {name: limits[name] + BEYOND[name]}
+    assert limits.keys() == BEYOND.keys()
+    assert pair_fault(limits, pair_at(limits)) == "" != pair_fault(limits, pair_at(wider))
+    for before, new in ((limits, wider), (wider, limits)):
+        assert pair_fault(widened(before | {"threshold": 3.0}, [], new), pair_at(wider)) == ""
+
+
+@pytest.mark.parametrize("gain, pulls", [(1.0, False), (-1.0, True)])
+def test_a_gel_that_pulls_on_what_touches_it_is_told(rest, presses, gain, pulls):
+    name, image, _ = max(presses, key=lambda press: press[2])
+    judged = predict_one(Untouched(load_for_use(None), rest[name], gain=gain), image)[2]
+    assert ("the gel seems to pull" in judged.reason) == pulls and judged.flag >= pulls
 
 
 def test_contact_shows_in_the_relief_and_untouched_gels_have_little(rest, presses):

@@ -108,6 +108,27 @@ def test_how_a_gel_sits_is_found_beside_contact(reader, presses, way):
         assert together < 0.25
 
 
+def test_a_picture_in_which_the_gel_sits_otherwise_does_not_move_a_sitting(reader, presses):
+    """As the first one, taken before the gel was pushed home; a mean would go three pixels towards it."""
+    rest, pictures = presses
+    name = pictures[0][0]
+    dots, seen = (
+        PrintedDots(rest[name]),
+        [moved(picture, (4.0, -3.0)) for sensor, picture in pictures if sensor == name],
+    )
+    stray = moved(rest[name], (-8.0, 8.0))
+    assert off(put(reader, dots, stray, *seen[:4]), dots, shift=(4.0, -3.0)) < 0.5
+
+
+def test_of_a_gel_that_is_pressed_hard_a_small_move_is_not_believed(reader, presses):
+    """The reader's errors grow with what contact does to all dots alike; of a gel at rest the same move is put right."""
+    rest, pictures = presses
+    name, hardest = pictures[int(reader.places(motion_of(presses)).contact.argmax())]
+    dots = PrintedDots(rest[name])
+    assert put(reader, dots, moved(rest[name], (0.8, 0.0))).moves
+    assert put(reader, dots, moved(hardest, (0.8, 0.0))) is UNPLACED
+
+
 def test_lost_dots_hardly_matter(reader, presses):
     """A fifth of the dots gone: places are still found to a fraction of a pixel."""
     rest, pictures = presses

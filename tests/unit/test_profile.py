@@ -60,6 +60,13 @@ def test_more_readings_narrow_the_interval():
     assert widths == sorted(widths, reverse=True) and widths[-1] < 0.3 * widths[0]
 
 
+def test_a_reading_says_the_less_the_weaker_it_is():
+    """What a network is off by where hardly anything touches is a large part of what it reads there."""
+    read = np.array([8.0, 12.0, 20.0])
+    told = [fit_gain(np.append(read, 2 * weak), np.append(read, weak)).value for weak in (0.1, 0.5, 1.0, 3.0, 20.0)]
+    assert told == sorted(told) and np.log(told[0]) < 0.1 * np.log(told[-1])
+
+
 @given(st.floats(0.3, 3.0), st.integers(3, 30), st.integers(0, 2**32 - 1))
 @settings(max_examples=50)
 def test_grasps_bring_one_finger_to_the_other(factor, count, seed):
