@@ -65,7 +65,11 @@ def render(dataset: str, lead: str, sections: list[Section], explored: Explored 
     scripts = [asset("tables.js")]
     if explored is not None:
         data = Markup(f"const DATA = {script_json(explored.data)};")
-        scripts += [data, *map(asset, ("three.js", COLOURS.name, "explore.js", "charts.js")), *map(Markup, explored.parts)]
+        scripts += [
+            data,
+            *map(asset, ("three.js", COLOURS.name, "explore.js", "charts.js")),
+            *map(Markup, explored.parts),
+        ]
     template = Environment(autoescape=True, trim_blocks=True).from_string(asset("page.html"))
     return template.render(
         dataset=dataset,
