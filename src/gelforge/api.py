@@ -111,7 +111,7 @@ def predict(
 
     picture = None if untouched is None else check_image(untouched)
     _seen, forces, judgement = predict_one(Untouched(load_for_use(model), picture), check_image(image))
-    return forces, dict(vars(judgement))
+    return forces, vars(judgement) | {"flag": judgement.flag}
 
 
 @dataclass(frozen=True)

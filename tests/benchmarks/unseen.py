@@ -136,6 +136,8 @@ def interval_figure(units: Units, trained, read: np.ndarray) -> list[Figure]:
     if "total" not in known:
         return []
     others = np.array([seen.unit not in known.get("sensors", []) for seen in units.seen])
+    if not others.any():
+        return []
     true = np.array([seen.total for seen in units.seen])
     half = np.array([half_widths(trained.about, one) for one in read])
     held = 100 * (np.abs(read - true) <= half)[others].mean(axis=0)
