@@ -15,6 +15,7 @@ from gelforge.api import feats_mini
 from gelforge.commands import predict
 from gelforge.errors import BadInput
 from gelforge.labelling.sensor import load_sensors
+from gelforge.mechanics.scene import REFERENCE_C10
 from gelforge.networks.sensorprofile import Gain, make_profile, write_profile
 from gelforge.networks.sitting import LEAST_SITTING
 from gelforge.networks.use import Untouched, load_for_use
@@ -51,6 +52,24 @@ def test_the_sensor_of_a_label_is_that_of_the_workflow(root):
 
 def test_deeper_is_harder(press):
     assert gelforge.solve(BALL, depth=0.8, quality="demo").total[2] < press.total[2]
+
+
+def test_force_is_proportional_to_stiffness_and_grows_as_the_gel_keeps_its_volume(press):
+    twice = gelforge.solve(BALL, depth=0.5, quality="demo", c10=2 * REFERENCE_C10)
+    once = gelforge.solve(BALL, depth=0.5, quality="demo", c10=REFERENCE_C10)
+    np.testing.assert_allclose(twice.total, 2 * once.total, rtol=1e-12, atol=0)
+    looser = gelforge.solve(BALL, depth=0.5, quality="demo", nu=0.4)
+    assert 0.0 > looser.total[2] > 0.95 * press.total[2]
+
+
+@pytest.mark.parametrize("along", [0, 1])
+def test_a_drag_is_felt_along_itself(along):
+    """And whichever way a round indenter is turned."""
+    drag = [0.0, 0.0]
+    drag[along] = 0.3
+    for turned in (0.0, 40.0):
+        total = gelforge.solve(BALL, depth=0.5, shear=tuple(drag), rot_deg=turned, quality="demo").total
+        assert total[along] > 0.1 * -total[2] and abs(total[1 - along]) < 0.1 * total[along]
 
 
 def test_what_the_readme_shows_runs(root):

@@ -68,6 +68,22 @@ def test_splits_of_lerobot_are_runs_of_episodes(tmp_path):
     assert info["codebase_version"] == "v3.0" and "tactile" in (tmp_path / "out/README.md").read_text()
 
 
+def test_lerobot_normalises_by_what_all_frames_have(tmp_path):
+    samples = lay(tmp_path, 22)
+    export(samples, "lerobot", tmp_path / "out")
+    told = json.loads((tmp_path / "out/meta/stats.json").read_text())
+    forces = np.asarray(samples.labels, float).reshape(len(samples), -1)
+    for name, values in (("observation.forces", forces), ("observation.wrench", [r.total for r in samples.records])):
+        assert told[name]["count"] == [22]
+        for what, of in (("min", np.min), ("max", np.max), ("mean", np.mean), ("std", np.std)):
+            np.testing.assert_allclose(told[name][what], of(values, axis=0), rtol=1e-6, atol=1e-9)
+
+
+def test_channels_are_named_by_the_axes_that_they_lie_along(tmp_path):
+    facts = json.loads(lay(tmp_path, 2).facts_text())
+    assert [words.split()[-1] for words in facts["channels"]] == ["y", "x", "z"], "FEATS' order"
+
+
 def test_a_dataset_without_pictures_is_refused(tmp_path):
     samples = lay(tmp_path, 4)
     table = samples.dataset / "samples.csv"

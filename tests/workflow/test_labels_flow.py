@@ -129,6 +129,17 @@ def test_labels_are_as_old_as_what_they_are_made_from(folder):
         assert made.stat().st_mtime_ns == max(path.stat().st_mtime_ns for path in read)
 
 
+def test_a_setting_that_changes_labels_changes_every_shard(folder):
+    """Shards that were there are not taken for those of the new setting."""
+    run(folder, "labels", "RES=6x8")
+    shards = [folder / f"results/made/50_labels/6x8/000{k}.npz" for k in (0, 1)]
+    old = [shard.read_bytes() for shard in shards]
+    params = folder / "workflow/params.toml"
+    params.write_text(params.read_text().replace('channels = ["force"]', 'channels = ["force", "traction"]'))
+    run(folder, "labels", "RES=6x8")
+    assert all(shard.read_bytes() != was for shard, was in zip(shards, old, strict=True))
+
+
 @pytest.mark.parametrize(
     "damage", [lambda data: b"", lambda data: data[: len(data) // 2], lambda data: data[:-9] + b"!" + data[-8:]]
 )
