@@ -59,6 +59,28 @@ def in_project(monkeypatch):
 
 
 @pytest.fixture(scope="session")
+def answers_to_signals() -> dict:
+    """What this process did on signals when it was last looked at."""
+    return process_signals()
+
+
+@pytest.fixture(autouse=True)
+def signals_kept(answers_to_signals):
+    """No test leaves the process with other answers to signals: a later one would die of them without a word."""
+    yield
+    before, now = dict(answers_to_signals), process_signals()
+    answers_to_signals.update(now)
+    assert now == before, "a library changed what this process does on signals: run it in a process of its own"
+
+
+def process_signals() -> dict[str, str]:
+    """Which of signals 1 to 31 this process ignores and catches, as Linux tells; native code shows here, too."""
+    status = Path("/proc/self/status").read_text().splitlines()
+    words = dict(line.split(":\t") for line in status if line.startswith(("SigIgn", "SigCgt")))
+    return {name: f"{int(word, 16) & 0x7FFFFFFF:08x}" for name, word in words.items()}
+
+
+@pytest.fixture(scope="session")
 def root() -> Path:
     """The project's folder."""
     return ROOT

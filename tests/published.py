@@ -1,5 +1,7 @@
 """Comparison of indenters and gel with published STEP solids; needs the development dependency gmsh."""
 
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +36,14 @@ def read_step(path, size_mm: float, per_turn: int = 32) -> dict:
     """Volume (mm^3), centre of mass (3,), surface points (n, 3) and triangles (f, 3) of a STEP file, in mm.
 
     The points lie on the exact surfaces, at most `size_mm` apart, on a circle at least `per_turn`.
+    gmsh runs in a process of its own: it takes away what the process that loads it does on signals, SIGPIPE among
+    them, and a web server of a later test then dies without a word when a browser closes its connection.
     """
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as own:
+        return own.submit(_mesh_of_step, path, size_mm, per_turn).result()
+
+
+def _mesh_of_step(path, size_mm: float, per_turn: int) -> dict:
     import gmsh
 
     gmsh.initialize(interruptible=False)

@@ -1,5 +1,6 @@
 """Gel meshes: what a name means, which one a press takes, and what pytetwild must keep."""
 
+import signal
 from dataclasses import replace
 
 import numpy as np
@@ -23,7 +24,9 @@ from gelforge.mechanics.tet.tetmesh import (
     signed_volumes,
     sizing_grid,
     split_long_edges,
+    tetrahedralise,
 )
+from tests.conftest import process_signals
 
 GEL = GELS["gelsight_mini"]
 TABLE = replace(
@@ -35,6 +38,17 @@ TABLE = replace(
 @pytest.fixture(scope="module")
 def mesh():
     return gel_mesh(GEL, sizing((4.0, 4.0), 2.0, TABLE))
+
+
+def test_an_interrupt_after_meshing_is_still_one_that_python_can_answer():
+    # pytetwild lets SIGINT end the process
+    handler = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        before = process_signals()
+        tetrahedralise(*build("ball_8", {"kind": "sphere", "diameter": 8.0, "height": 8.0}).surface(), num_threads=1)
+        assert process_signals() == before
+    finally:
+        signal.signal(signal.SIGINT, handler)
 
 
 def test_gel_of_tetrahedra_keeps_its_shape(mesh):

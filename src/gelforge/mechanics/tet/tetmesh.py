@@ -2,8 +2,10 @@
 
 import contextlib
 import itertools
+import signal
 import tempfile
-from collections.abc import Callable, Sequence
+import threading
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -176,10 +178,22 @@ def tetrahedralise(vertices: np.ndarray, faces: np.ndarray, **options: Any) -> t
     import pytetwild
 
     # It leaves a file in the folder it runs in.
-    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder), _interrupt_kept():
         nodes, tets = pytetwild.tetrahedralize(vertices, faces, **options)
     used, numbered = np.unique(tets, return_inverse=True)
     return nodes[used], numbered.reshape(-1, 4)
+
+
+@contextlib.contextmanager
+def _interrupt_kept() -> Iterator[None]:
+    """What SIGINT does stays what it was: pytetwild makes it end the process, so Ctrl-C would end a whole notebook."""
+    handler = signal.getsignal(signal.SIGINT)
+    try:
+        yield
+    finally:
+        # Python lets its main thread alone set handlers.
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGINT, handler)
 
 
 def from_flat(gel: Gel, nodes: np.ndarray, tets: np.ndarray) -> GelMesh:
