@@ -169,7 +169,7 @@ def test_mesh_fills_the_gel(mesh):
     from gelforge.mechanics.hex.element import bricks
 
     gel = Gel()
-    volume = bricks(mesh.nodes, mesh.elements).weights.sum()  # raises where a brick is inverted
+    volume = bricks(mesh.nodes, mesh.cells).weights.sum()  # raises where a brick is inverted
     x, y = np.meshgrid(np.linspace(-10.37, 10.37, 400), np.linspace(-12.62, 12.62, 400))
     inside = gel.edge_distance(x, y) <= 0
     exact = (gel.top(x, y) + gel.height)[inside].mean() * inside.mean() * gel.width * gel.length

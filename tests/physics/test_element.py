@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from gelforge.mechanics.hex import element
+from gelforge.mechanics.hex.stepped import Cells
 from gelforge.mechanics.linear import SuperLU, symmetric_solver
 from gelforge.mechanics.pattern import block_places, build_pattern, symmetric_product
 from gelforge.mechanics.scene import Material
@@ -26,7 +27,7 @@ def distorted_block(n=3, amount=0.25, seed=1):
 
 def forces_of(nodes, elements, u, material):
     """Nodal forces dE/du (n, 3)."""
-    b = element.bricks(nodes, elements)
+    b = element.bricks(nodes, Cells.plain(elements))
     out = np.zeros_like(u)
     smallest = element.internal_forces(u, b, material.shear_modulus, material.bulk_modulus, out)
     assert smallest > 0
@@ -35,7 +36,7 @@ def forces_of(nodes, elements, u, material):
 
 def matrix_of(nodes, elements, u, material, fixed=np.empty(0, int)):
     """Upper-triangle values and pattern of the tangent."""
-    b, pattern = element.bricks(nodes, elements), build_pattern(elements, len(nodes), fixed)
+    b, pattern = element.bricks(nodes, Cells.plain(elements)), build_pattern(elements, len(nodes), fixed)
     base, width = block_places(pattern, elements)
     values = np.zeros(len(pattern.indices))
     element.tangent(u, b, material.shear_modulus, material.bulk_modulus, 1.0, base, width, values)
@@ -91,8 +92,11 @@ def test_bricks_are_the_same_in_any_company():
     u, material = 0.01 * np.random.default_rng(0).normal(size=nodes.shape), Material()
     alone = [forces_of(nodes, elements[e : e + 1], u, material) for e in range(len(elements))]
     np.testing.assert_allclose(forces_of(nodes, elements, u, material), np.sum(alone, axis=0), rtol=0, atol=1e-12)
-    ratios = element.smallest_ratios(u, element.bricks(nodes, elements))
-    single = [element.smallest_ratios(u, element.bricks(nodes, elements[e : e + 1]))[0] for e in range(len(elements))]
+    ratios = element.smallest_ratios(u, element.bricks(nodes, Cells.plain(elements)))
+    single = [
+        element.smallest_ratios(u, element.bricks(nodes, Cells.plain(elements[e : e + 1])))[0]
+        for e in range(len(elements))
+    ]
     np.testing.assert_allclose(ratios, single, rtol=1e-12)
     whole, turned = (dense(*matrix_of(nodes, some, u, material)) for some in (elements, elements[::-1]))
     np.testing.assert_allclose(whole, turned, rtol=0, atol=1e-6 * np.abs(whole).max())

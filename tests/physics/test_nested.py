@@ -21,6 +21,7 @@ from gelforge.records.status import Status
 
 COARSE = build_mesh(Gel(), FineBox(-4, 4, -4, 4, 1.0), 3, 2.0)
 FINE = build_mesh(Gel(), FineBox(-4, 4, -4, 4, 0.5), 5, 2.0)
+STEPPED = build_mesh(Gel(), FineBox(-4, 4, -4, 4, 0.5), 5, 2.0, widened=(3, 1))
 PATH = HexSettings(size=0.7, layers=4, layer_ratio=2.0, gauss=2, press_steps=6, shear_steps=3)
 BALL = build("ball", {"kind": "sphere", "diameter": 15, "height": 10})
 CUBOID = build("cuboid", {"kind": "cuboid", "size": [7, 7], "fillet": 1, "height": 10})
@@ -60,7 +61,7 @@ def test_carrying_keeps_trilinear_fields(seed):
 @settings(max_examples=20)
 def test_what_is_tangled_is_made_sound_and_what_is_sound_stays(seed, size):
     """Nodes thrown out of place turn bricks over; afterwards none is, the base holds, and the rest has not moved."""
-    rng, geometry = np.random.default_rng(seed), bricks(FINE.nodes, FINE.elements)
+    rng, geometry = np.random.default_rng(seed), bricks(FINE.nodes, FINE.cells)
     at_rest = np.zeros_like(FINE.nodes)
     assert untangled(FINE, geometry, at_rest) is at_rest
     u = at_rest.copy()
@@ -166,14 +167,15 @@ def test_width_of_plane_figures(inside, width):
     assert width_of(inside(x, y), (0.05, 0.04)) == pytest.approx(width, rel=0.03)
 
 
-@given(st.integers(1, 30), st.integers(1, 30))
-def test_nested_dissection_takes_each_column_once(nx, ny):
-    assert np.array_equal(np.sort(dissected(nx, ny)), np.arange(nx * ny))
+@given(st.lists(st.booleans(), min_size=1, max_size=30), st.lists(st.booleans(), min_size=1, max_size=30))
+def test_nested_dissection_takes_each_column_once(cuts_x, cuts_y):
+    order = dissected(np.array(cuts_x), np.array(cuts_y))
+    assert np.array_equal(np.sort(order), np.arange(len(cuts_x) * len(cuts_y)))
 
 
-def test_elimination_order_is_one_of_the_free_unknowns():
-    free = 3 * (len(FINE.nodes) - len(FINE.base))
-    assert np.array_equal(np.sort(elimination_order(FINE)), np.arange(free))
+@pytest.mark.parametrize("mesh", [FINE, STEPPED])
+def test_elimination_order_is_one_of_the_free_unknowns(mesh):
+    assert np.array_equal(np.sort(elimination_order(mesh)), np.arange(3 * len(mesh.unknown)))
 
 
 def test_an_indefinite_matrix_is_solved_after_a_definite_one():

@@ -20,6 +20,7 @@ from gelforge.virtualrig.rigplan import Order, Plan, Truth, generator
 SETTINGS = HexSettings(
     size=0.7,
     layers=4,
+    widened=(2,),
     layer_ratio=2.5,
     growth=1.8,
     largest=3.0,

@@ -174,9 +174,16 @@ class CalibrateSolverTable(ParameterTable):
 
     size: Size
     layers: Annotated[int, Within(1, 100)]
+    widened: Annotated[tuple[int, ...], Within(1, 99)]
     press_steps: Steps
     shear_steps: Steps
     final_tolerance: Annotated[float, Within(TINY, 1.0)]
+
+    def fault(self) -> str | None:
+        """Wide layers that are more than there are, or more than the ones above them."""
+        if list(self.widened) != sorted(self.widened, reverse=True) or any(w >= self.layers for w in self.widened):
+            return f"widened = {list(self.widened)}: give falling numbers below layers = {self.layers}"
+        return None
 
 
 PRIOR_NAMES = (

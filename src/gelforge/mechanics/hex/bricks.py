@@ -2,19 +2,23 @@
 
 import math
 from dataclasses import astuple, dataclass
+from itertools import pairwise
 
 from gelforge.errors import BadInput
 from gelforge.geometry.gel import load_gel
 from gelforge.mechanics.hex.hexmesh import FineBox, HexMesh, build_mesh
 
 PREFIX = "hex@"
-FORM = f"{PREFIX}GEL:X_MIN:X_MAX:Y_MIN:Y_MAX:SIZE:LAYERS:LAYER_RATIO:GROWTH:LARGEST"
+FORM = f"{PREFIX}GEL:X_MIN:X_MAX:Y_MIN:Y_MAX:SIZE:LAYERS:LAYER_RATIO:GROWTH:LARGEST[:WIDENED...]"
 MOST_BRICKS = 2e6  # a name that asks for more is a mistake, not a mesh
 
 
 @dataclass(frozen=True)
 class Bricks:
-    """What `hexmesh.build_mesh` builds a gel's mesh from; lengths in mm, the gel by its name."""
+    """What `hexmesh.build_mesh` builds a gel's mesh from; lengths in mm, the gel by its name.
+
+    widened: see stepped.stack; a name of a mesh without wide layers ends before it.
+    """
 
     gel: str
     box: FineBox
@@ -22,11 +26,12 @@ class Bricks:
     layer_ratio: float
     growth: float
     largest: float
+    widened: tuple[int, ...] = ()
 
     @property
     def name(self) -> str:
         """The name that `parse` reads; numbers in full, so that the mesh built from it is the same to the last bit."""
-        numbers = (*astuple(self.box), self.layers, self.layer_ratio, self.growth, self.largest)
+        numbers = (*astuple(self.box), self.layers, self.layer_ratio, self.growth, self.largest, *self.widened)
         return ":".join([PREFIX + self.gel, *(_text(number) for number in numbers)])
 
     @classmethod
@@ -35,13 +40,22 @@ class Bricks:
         gel, *texts = name.removeprefix(PREFIX).split(":")
         try:
             numbers = [float(text) for text in texts]
-            x_min, x_max, y_min, y_max, size, layers, ratio, growth, largest = numbers
+            x_min, x_max, y_min, y_max, size, layers, ratio, growth, largest, *widened = numbers
         except ValueError as error:
             raise _wrong(name, f"its numbers cannot be read ({error})") from error
         sound = all(map(math.isfinite, numbers)) and x_min < x_max and y_min < y_max and min(size, largest) > 0
-        if not (sound and layers >= 1 and ratio > 0 and growth >= 1):
+        falling = all(a >= b >= 1 for a, b in pairwise([layers - 1, *widened]))
+        if not (sound and layers >= 1 and ratio > 0 and growth >= 1 and falling):
             raise _wrong(name, "its numbers make no mesh")
-        found = cls(gel, FineBox(x_min, x_max, y_min, y_max, size), int(layers), ratio, growth, largest)
+        found = cls(
+            gel,
+            FineBox(x_min, x_max, y_min, y_max, size),
+            int(layers),
+            ratio,
+            growth,
+            largest,
+            tuple(map(int, widened)),
+        )
         if found.name != name:
             raise _wrong(name, f"it would be written {found.name}")
         if found._at_most() > MOST_BRICKS:
@@ -50,7 +64,8 @@ class Bricks:
 
     def mesh(self) -> HexMesh:
         """Build the mesh, within milliseconds."""
-        return build_mesh(load_gel(self.gel), self.box, self.layers, self.layer_ratio, self.growth, self.largest)
+        shape = self.layers, self.layer_ratio, self.growth, self.largest, self.widened
+        return build_mesh(load_gel(self.gel), self.box, *shape)
 
     def _at_most(self) -> float:
         gel, finest = load_gel(self.gel), min(self.box.size, self.largest)

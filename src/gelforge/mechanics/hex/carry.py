@@ -63,7 +63,9 @@ def carried(coarse: HexMesh, u: np.ndarray, fine: HexMesh) -> np.ndarray:
         shape[axis] = -1
         low, high = (np.take(grid, index[:, k], axis=axis) * weights[:, k].reshape(shape) for k in (0, 1))
         grid = low + high
-    return np.ascontiguousarray(grid.reshape(-1, 3))
+    moved = np.ascontiguousarray(grid.reshape(-1, 3))
+    fine.hanging.hang(moved)
+    return moved
 
 
 def untangled(mesh: HexMesh, bricks: BrickGeometry, u: np.ndarray) -> np.ndarray:
@@ -72,8 +74,8 @@ def untangled(mesh: HexMesh, bricks: BrickGeometry, u: np.ndarray) -> np.ndarray
     What is carried over may turn small bricks over where a wide one, sound on the whole, is bent round an edge.
     NoEquilibrium where `SMOOTHINGS` are not enough.
     """
-    fixed = np.zeros(len(u), bool)
-    fixed[mesh.base] = True
+    fixed = np.ones(len(u), bool)
+    fixed[mesh.unknown] = False
     for _ in range(SMOOTHINGS):
         flat = smallest_ratios(u, bricks) < FLAT
         if not flat.any():
@@ -82,6 +84,7 @@ def untangled(mesh: HexMesh, bricks: BrickGeometry, u: np.ndarray) -> np.ndarray
         moved = moved[~fixed[moved]]
         u = u.copy()
         u[moved] = 0.5 * (u[moved] + _mean_of_neighbours(mesh, u)[moved])
+        mesh.hanging.hang(u)
     raise NoEquilibrium
 
 

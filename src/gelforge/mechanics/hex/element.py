@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from gelforge.mechanics.hex.stepped import Cells
 from gelforge.mechanics.pattern import add_entries
 
 CORNERS = np.array(
@@ -47,8 +48,8 @@ class BrickGeometry:
     weights: np.ndarray
 
 
-def bricks(nodes: np.ndarray, elements: np.ndarray) -> BrickGeometry:
-    """Gradients and weights of hex8 elements (e, 8) on nodes (n, 3); an inverted one raises ValueError."""
+def bricks(nodes: np.ndarray, cells: Cells) -> BrickGeometry:
+    """Gradients and weights of hex8 bricks on nodes (n, 3) mm; an inverted one raises ValueError."""
     points = CORNERS / np.sqrt(3.0)
     local = np.empty((8, 8, 3))
     for axis in range(3):
@@ -59,10 +60,13 @@ def bricks(nodes: np.ndarray, elements: np.ndarray) -> BrickGeometry:
             * (1 + points[:, None, second] * CORNERS[None, :, second])
             / 8.0
         )
-    elements = np.ascontiguousarray(elements, np.int32)
-    gradients, weights = _geometry(np.ascontiguousarray(nodes, np.float64), elements, local)
+    corners = np.ascontiguousarray(cells.corners, np.int32)
+    gradients, weights = _geometry(np.ascontiguousarray(nodes, np.float64), corners, local)
     if weights.min() <= 0.0:
         raise ValueError(f"{int((weights.min(axis=1) <= 0).sum())} bricks are inverted")
+    lower = gradients[cells.standing, :, :4]
+    gradients[cells.standing, :, :4] = np.einsum("sba,sgbi->sgai", cells.shares, lower)
+    elements = np.ascontiguousarray(cells.nodes, np.int32)
     lanes = np.minimum(np.arange(-(-len(elements) // LANES) * LANES), len(elements) - 1)
     return BrickGeometry(elements, *(_batched(values[lanes]) for values in (elements, gradients, weights)))
 

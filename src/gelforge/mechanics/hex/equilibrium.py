@@ -51,11 +51,12 @@ class System:
     """Sparsity pattern, assembly places and symbolic factorisation: they depend on the numbers of bricks only."""
 
     def __init__(self, mesh: HexMesh):
-        self.pattern = build_pattern(mesh.elements, len(mesh.nodes), mesh.base)
-        self.base, self.width = block_places(self.pattern, mesh.elements)
+        bricks = mesh.cells.nodes
+        self.pattern = build_pattern(bricks, len(mesh.nodes), np.concatenate([mesh.base, mesh.hanging.nodes]))
+        self.base, self.width = block_places(self.pattern, bricks)
         self.faces = FacePlaces(mesh, self.pattern)
         self.linear = symmetric_solver(self.pattern.indptr, self.pattern.indices, elimination_order(mesh))
-        self.free = np.flatnonzero(self.pattern.first_row >= 0)
+        self.free = mesh.unknown
         self.values = np.zeros(len(self.pattern.indices), np.float32)
 
 
@@ -77,7 +78,7 @@ class Equilibrium:
         self.contact = Law(settings.penalty * scale, settings.friction_penalty * scale, mu)
         self.sticking = replace(self.contact, mu=1e9)
         self.moduli = scene.material.shear_modulus, scene.material.bulk_modulus
-        self.bricks = element.bricks(mesh.nodes, mesh.elements)
+        self.bricks = element.bricks(mesh.nodes, mesh.cells)
         self.state = contact_points(mesh, settings.gauss, reachable_faces(scene, mesh))
         self.nodes = np.ascontiguousarray(mesh.faces[self.state.face])
         self.u, self.candidates = np.zeros_like(mesh.nodes), np.empty(0, np.int64)
@@ -148,6 +149,7 @@ class Equilibrium:
         for part in parts:
             trial = u.copy()
             trial[free] -= part * step
+            self.mesh.hanging.hang(trial)
             try:
                 state = self._out_of_balance(trial, pose, law)
             except NoEquilibrium:

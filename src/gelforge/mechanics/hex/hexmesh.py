@@ -1,11 +1,14 @@
 """Structured brick meshes of the gel: fine under one press, growing coarser away from it and with depth."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.geometry.gel import Gel
+from gelforge.mechanics.hex.stepped import Cells, Hanging, Stack, stack
 from gelforge.mechanics.mesh import GelMesh
 
 SMALLEST_PART = 3  # columns either way, of a part that nested dissection cuts no further
@@ -16,17 +19,41 @@ class HexMesh(GelMesh):
     """A GelMesh of bricks whose nodes are numbered x fastest, then y, then z from the base up.
 
     xs: (nx + 1,), ys: (ny + 1,) mesh lines before the outline's corners are rounded, mm.
-    layers: number of layers nz.
+    layers: number of layers nz. stack: which lines go through each plane of nodes. `elements` are those of all lines
+    down to the base, as pictures show them; `cells` are the bricks that are solved.
     """
 
     xs: np.ndarray
     ys: np.ndarray
     layers: int
+    stack: Stack
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Bricks along x, y and z: what decides the sparsity pattern."""
+        """Bricks along x, y and z, were all lines to go down to the base."""
         return len(self.xs) - 1, len(self.ys) - 1, self.layers
+
+    @property
+    def pattern_key(self) -> tuple:
+        """What decides the sparsity pattern: the lines through each plane."""
+        return tuple((x.left.tobytes(), y.left.tobytes()) for x, y in self.stack.planes)
+
+    @cached_property
+    def cells(self) -> Cells:
+        """The bricks that are solved."""
+        return self.stack.cells()
+
+    @cached_property
+    def hanging(self) -> Hanging:
+        """The nodes that move with wide bricks."""
+        return self.stack.hanging()
+
+    @cached_property
+    def unknown(self) -> np.ndarray:
+        """Nodes (m,) that move by themselves, in the order of the nodes."""
+        moves = np.ones(len(self.nodes), bool)
+        moves[self.base] = moves[self.hanging.nodes] = False
+        return np.flatnonzero(moves)
 
     @property
     def heights(self) -> np.ndarray:
@@ -75,35 +102,49 @@ def _outward(distance: float, size: float, growth: float, largest: float) -> np.
     return np.cumsum(sizes) * (distance / sum(sizes))
 
 
-def dissected(nx: int, ny: int) -> np.ndarray:
-    """Order (nx * ny,) in which the columns of a grid are eliminated, x fastest in their numbers: nested dissection.
+def dissected(cuts_x: np.ndarray, cuts_y: np.ndarray) -> np.ndarray:
+    """Order in which the columns of a grid are eliminated, x fastest in their numbers: nested dissection.
 
-    George 1973, SIAM J. Numer. Anal. 10, 345-363: both halves before the line that parts them.
+    George 1973, SIAM J. Numer. Anal. 10, 345-363: both halves before the line that parts them. cuts_x, cuts_y: (nx,),
+    (ny,) bool, the lines that may part it: a line that ended half-way down lies within wide bricks.
     """
+    nx, ny = len(cuts_x), len(cuts_y)
 
     def part(x0: int, x1: int, y0: int, y1: int) -> list[np.ndarray]:
         if min(x1 - x0, y1 - y0) <= 0:
             return []
+        whole = (np.arange(y0, y1)[:, None] * nx + np.arange(x0, x1)).ravel()
         if max(x1 - x0, y1 - y0) <= SMALLEST_PART:
-            return [(np.arange(y0, y1)[:, None] * nx + np.arange(x0, x1)).ravel()]
+            return [whole]
+        m = middle_cut(cuts_x, x0, x1) if x1 - x0 >= y1 - y0 else middle_cut(cuts_y, y0, y1)
+        if m is None:
+            return [whole]
         if x1 - x0 >= y1 - y0:
-            m = (x0 + x1) // 2
             return [*part(x0, m, y0, y1), *part(m + 1, x1, y0, y1), np.arange(y0, y1) * nx + m]
-        m = (y0 + y1) // 2
         return [*part(x0, x1, y0, m), *part(x0, x1, m + 1, y1), m * nx + np.arange(x0, x1)]
 
     return np.concatenate(part(0, nx, 0, ny))
 
 
+def middle_cut(cuts: np.ndarray, low: int, high: int) -> int | None:
+    """The index in [low, high) nearest to its middle at which `cuts` (n,) allows a cut; None where none does."""
+    allowed = np.flatnonzero(cuts[low:high]) + low
+    return int(allowed[np.argmin(np.abs(allowed - (low + high) // 2))]) if len(allowed) else None
+
+
 def elimination_order(mesh: "HexMesh") -> np.ndarray:
     """Order (unknowns,) for a direct solver: whole columns of nodes by nested dissection of the plane.
 
-    The unknowns are 3 a node, those of the base left out, in the order of the nodes.
+    The unknowns are 3 a node of `mesh.unknown`.
     """
     plane = len(mesh.xs) * len(mesh.ys)
-    columns = dissected(len(mesh.xs), len(mesh.ys))
-    nodes = (columns[:, None] + plane * np.arange(mesh.layers)).ravel()
-    return (3 * nodes[:, None] + np.arange(3)).ravel()
+    # a line that ends on the way down lies within wide bricks: only those that reach the base part the gel
+    x, y = mesh.stack.planes[0]
+    nodes = (dissected(x.left, y.left)[:, None] + plane * np.arange(mesh.layers + 1)).ravel()
+    number = np.full(len(mesh.nodes), -1)
+    number[mesh.unknown] = np.arange(len(mesh.unknown))
+    order = number[nodes]
+    return (3 * order[order >= 0, None] + np.arange(3)).ravel()
 
 
 def layer_heights(layers: int, ratio: float) -> np.ndarray:
@@ -113,17 +154,29 @@ def layer_heights(layers: int, ratio: float) -> np.ndarray:
 
 
 def build_mesh(
-    gel: Gel, box: FineBox, layers: int, layer_ratio: float = 3.0, growth: float = 1.5, largest: float = 2.0
+    gel: Gel,
+    box: FineBox,
+    layers: int,
+    layer_ratio: float = 3.0,
+    growth: float = 1.5,
+    largest: float = 2.0,
+    widened: Sequence[int] = (),
 ) -> HexMesh:
-    """Brick mesh of the gel, fine in `box`."""
+    """Brick mesh of the gel, fine in `box`; in the lowest layers bricks are wider (see stepped.stack)."""
     half = gel.width / 2, gel.length / 2
     xs = graded_lines(-half[0], half[0], box.x_min, box.x_max, box.size, growth, largest)
     ys = graded_lines(-half[1], half[1], box.y_min, box.y_max, box.size, growth, largest)
-    return mesh_on_lines(gel, xs, ys, layer_heights(layers, layer_ratio))
+    planes = stack(xs, ys, layers, widened, (box.x_min, box.x_max, box.y_min, box.y_max))
+    return mesh_on_lines(gel, xs, ys, layer_heights(layers, layer_ratio), planes)
 
 
-def mesh_on_lines(gel: Gel, xs: np.ndarray, ys: np.ndarray, heights: np.ndarray) -> HexMesh:
-    """Brick mesh on given lines: xs, ys in mm, heights relative from 0 at the base to 1 at the top."""
+def mesh_on_lines(
+    gel: Gel, xs: np.ndarray, ys: np.ndarray, heights: np.ndarray, planes: Stack | None = None
+) -> HexMesh:
+    """Brick mesh on given lines: xs, ys in mm, heights relative from 0 at the base to 1 at the top.
+
+    planes: which lines go through each of the heights; all by default.
+    """
     x, y = np.meshgrid(xs, ys, indexing="xy")
     x, y = round_corners(x, y, gel.width / 2, gel.length / 2, gel.corner_radius)
     top = np.asarray(gel.top(x, y), float)
@@ -136,9 +189,11 @@ def mesh_on_lines(gel: Gel, xs: np.ndarray, ys: np.ndarray, heights: np.ndarray)
     quads = quad[None] + plane * np.arange(nz)[:, None, None]
     elements = np.concatenate([quads, quads + plane], axis=2).reshape(-1, 8).astype(np.int32)
     faces = (quad + plane * nz).astype(np.int32)
-    return HexMesh(
-        "hex8", nodes, elements, faces, np.arange(plane, dtype=np.int32), np.asarray(xs), np.asarray(ys), nz
-    )
+    xs, ys, base = np.asarray(xs), np.asarray(ys), np.arange(plane, dtype=np.int32)
+    planes = planes or stack(xs, ys, nz, (), (0.0, 0.0, 0.0, 0.0))
+    mesh = HexMesh("hex8", nodes, elements, faces, base, xs, ys, nz, planes)
+    mesh.hanging.hang(nodes)
+    return mesh
 
 
 def round_corners(

@@ -182,16 +182,16 @@ class HexSolver:
         return Run(scene, replace(settings, size=size), mesh, self._system(mesh))
 
     def _mesh(self, gel: Gel, box: FineBox, s: HexSettings) -> HexMesh:
-        shape = (s.layers, s.layer_ratio, s.growth, s.largest)
+        shape = (s.layers, s.layer_ratio, s.growth, s.largest, s.widened)
         return self._meshes.get((gel, box, shape), lambda: build_mesh(gel, box, *shape))
 
     def _bricks(self, gel: Gel, box: FineBox) -> Bricks:
         s = self.settings
-        return Bricks(gel.name, box, s.layers, s.layer_ratio, s.growth, s.largest)
+        return Bricks(gel.name, box, s.layers, s.layer_ratio, s.growth, s.largest, s.widened)
 
     def _system(self, mesh: HexMesh) -> System:
         """Matrix and factorisation: they depend on the numbers of bricks only."""
-        return self._systems.get(mesh.shape, lambda: System(mesh))
+        return self._systems.get(mesh.pattern_key, lambda: System(mesh))
 
     def _untouched(self, scene: Scene, started: float) -> HexResult:
         gel = scene.gel
