@@ -90,9 +90,9 @@ class Stack:
         return plane * self.size + np.stack(node, axis=-1)
 
     def hanging(self) -> Hanging:
-        """The nodes on lines that do not go through their plane."""
+        """The nodes on lines that do not go through their plane; those of the base are held anyway."""
         parts = []
-        for k, (x, y) in enumerate(self.planes):
+        for k, (x, y) in enumerate(self.planes[1:], 1):
             j, i = np.nonzero(~(y.left[:, None] & x.left))
             a, b = x.cell(i), y.cell(j)
             weights = face_weights(x.place(i, a), y.place(j, b))
