@@ -61,7 +61,7 @@ def test_fewer_bricks_fill_the_same_gel(mesh):
 def test_lines_end_only_inside_of_the_fine_part_and_below(mesh):
     outside = (mesh.xs < BOX.x_min - 1e-9) | (mesh.xs > BOX.x_max + 1e-9)
     counts = []
-    for x, y in mesh.stack.planes:
+    for x, y in mesh.planes.lines:
         assert x.left[outside].all() and x.left[[0, -1]].all() and y.left[[0, -1]].all()
         counts.append(x.left.sum() * y.left.sum())
     assert counts == sorted(counts) and counts[-1] == len(mesh.xs) * len(mesh.ys)

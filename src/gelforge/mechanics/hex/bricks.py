@@ -17,7 +17,7 @@ MOST_BRICKS = 2e6  # a name that asks for more is a mistake, not a mesh
 class Bricks:
     """What `hexmesh.build_mesh` builds a gel's mesh from; lengths in mm, the gel by its name.
 
-    widened: see stepped.stack; a name of a mesh without wide layers ends before it.
+    widened: see stepped.planes_of; a name of a mesh without wide layers ends before it.
     """
 
     gel: str

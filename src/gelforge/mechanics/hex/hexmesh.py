@@ -8,7 +8,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.geometry.gel import Gel
-from gelforge.mechanics.hex.stepped import Cells, Hanging, Stack, stack
+from gelforge.mechanics.hex.stepped import Cells, Hanging, Planes, planes_of
 from gelforge.mechanics.mesh import GelMesh
 
 SMALLEST_PART = 3  # columns either way, of a part that nested dissection cuts no further
@@ -19,14 +19,14 @@ class HexMesh(GelMesh):
     """A GelMesh of bricks whose nodes are numbered x fastest, then y, then z from the base up.
 
     xs: (nx + 1,), ys: (ny + 1,) mesh lines before the outline's corners are rounded, mm.
-    layers: number of layers nz. stack: which lines go through each plane of nodes. `elements` are those of all lines
+    layers: number of layers nz. planes: which lines go through each plane of nodes. `elements` are those of all lines
     down to the base, as pictures show them; `cells` are the bricks that are solved.
     """
 
     xs: np.ndarray
     ys: np.ndarray
     layers: int
-    stack: Stack
+    planes: Planes
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -36,17 +36,17 @@ class HexMesh(GelMesh):
     @property
     def pattern_key(self) -> tuple:
         """What decides the sparsity pattern: the lines through each plane."""
-        return tuple((x.left.tobytes(), y.left.tobytes()) for x, y in self.stack.planes)
+        return tuple((x.left.tobytes(), y.left.tobytes()) for x, y in self.planes.lines)
 
     @cached_property
     def cells(self) -> Cells:
         """The bricks that are solved."""
-        return self.stack.cells()
+        return self.planes.cells()
 
     @cached_property
     def hanging(self) -> Hanging:
         """The nodes that move with wide bricks."""
-        return self.stack.hanging()
+        return self.planes.hanging()
 
     @cached_property
     def unknown(self) -> np.ndarray:
@@ -139,7 +139,7 @@ def elimination_order(mesh: "HexMesh") -> np.ndarray:
     """
     plane = len(mesh.xs) * len(mesh.ys)
     # a line that ends on the way down lies within wide bricks: only those that reach the base part the gel
-    x, y = mesh.stack.planes[0]
+    x, y = mesh.planes.lines[0]
     nodes = (dissected(x.left, y.left)[:, None] + plane * np.arange(mesh.layers + 1)).ravel()
     number = np.full(len(mesh.nodes), -1)
     number[mesh.unknown] = np.arange(len(mesh.unknown))
@@ -162,16 +162,16 @@ def build_mesh(
     largest: float = 2.0,
     widened: Sequence[int] = (),
 ) -> HexMesh:
-    """Brick mesh of the gel, fine in `box`; in the lowest layers bricks are wider (see stepped.stack)."""
+    """Brick mesh of the gel, fine in `box`; in the lowest layers bricks are wider (see stepped.planes_of)."""
     half = gel.width / 2, gel.length / 2
     xs = graded_lines(-half[0], half[0], box.x_min, box.x_max, box.size, growth, largest)
     ys = graded_lines(-half[1], half[1], box.y_min, box.y_max, box.size, growth, largest)
-    planes = stack(xs, ys, layers, widened, (box.x_min, box.x_max, box.y_min, box.y_max))
+    planes = planes_of(xs, ys, layers, widened, (box.x_min, box.x_max, box.y_min, box.y_max))
     return mesh_on_lines(gel, xs, ys, layer_heights(layers, layer_ratio), planes)
 
 
 def mesh_on_lines(
-    gel: Gel, xs: np.ndarray, ys: np.ndarray, heights: np.ndarray, planes: Stack | None = None
+    gel: Gel, xs: np.ndarray, ys: np.ndarray, heights: np.ndarray, planes: Planes | None = None
 ) -> HexMesh:
     """Brick mesh on given lines: xs, ys in mm, heights relative from 0 at the base to 1 at the top.
 
@@ -190,7 +190,7 @@ def mesh_on_lines(
     elements = np.concatenate([quads, quads + plane], axis=2).reshape(-1, 8).astype(np.int32)
     faces = (quad + plane * nz).astype(np.int32)
     xs, ys, base = np.asarray(xs), np.asarray(ys), np.arange(plane, dtype=np.int32)
-    planes = planes or stack(xs, ys, nz, (), (0.0, 0.0, 0.0, 0.0))
+    planes = planes or planes_of(xs, ys, nz, (), (0.0, 0.0, 0.0, 0.0))
     mesh = HexMesh("hex8", nodes, elements, faces, base, xs, ys, nz, planes)
     mesh.hanging.hang(nodes)
     return mesh

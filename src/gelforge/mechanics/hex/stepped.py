@@ -76,23 +76,23 @@ class Sparse:
         return (self._lines[line] - start) / (end - start)
 
 
-class Stack:
-    """Planes of nodes on a grid of lines, from the base up: planes[k] are the lines (x, y) that go through plane k."""
+class Planes:
+    """Planes of nodes on a grid of lines, from the base up: lines[k] are those along y and x, (x, y), of plane k."""
 
-    def __init__(self, columns: int, planes: Sequence[tuple[Sparse, Sparse]]):
-        self.columns, self.planes = columns, planes
-        self.size = len(planes[0][0].left) * len(planes[0][1].left)
+    def __init__(self, columns: int, lines: Sequence[tuple[Sparse, Sparse]]):
+        self.columns, self.lines = columns, lines
+        self.size = len(lines[0][0].left) * len(lines[0][1].left)
 
     def _corners(self, plane: int, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """Nodes (..., 4) of a plane around its cells a along x, b along y."""
-        x, y = (lines.at for lines in self.planes[plane])
+        x, y = (kept.at for kept in self.lines[plane])
         node = [y[j] * self.columns + x[i] for i, j in ((a, b), (a + 1, b), (a + 1, b + 1), (a, b + 1))]
         return plane * self.size + np.stack(node, axis=-1)
 
     def hanging(self) -> Hanging:
         """The nodes on lines that do not go through their plane; those of the base are held anyway."""
         parts = []
-        for k, (x, y) in enumerate(self.planes[1:], 1):
+        for k, (x, y) in enumerate(self.lines[1:], 1):
             j, i = np.nonzero(~(y.left[:, None] & x.left))
             a, b = x.cell(i), y.cell(j)
             weights = face_weights(x.place(i, a), y.place(j, b))
@@ -102,7 +102,7 @@ class Stack:
     def cells(self) -> Cells:
         """The bricks between the planes, layer by layer; a layer has the lines of the plane above it."""
         corners, nodes, standing, shares, count = [], [], [], [], 0
-        for k, (below, (x, y)) in enumerate(pairwise(self.planes)):
+        for k, (below, (x, y)) in enumerate(pairwise(self.lines)):
             a, b = np.meshgrid(np.arange(len(x.at) - 1), np.arange(len(y.at) - 1), indexing="xy")
             upper = self._corners(k + 1, a.ravel(), b.ravel())
             lower = upper - self.size
@@ -120,16 +120,16 @@ class Stack:
 
     def _on_wider(self, plane: int, lower: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """For lower corners (q, 4), by their places in a plane of fewer lines: shares (q, 4, 4), and the nodes (q, 4)."""
-        x, y = self.planes[plane]
+        x, y = self.lines[plane]
         i, j = lower % self.columns, lower // self.columns
         # the first corner lies at or after the start of its wide cell, the others at or before its end
         a, b = x.cell(i[:, :1]), y.cell(j[:, :1])
         return face_weights(x.place(i, a), y.place(j, b)), self._corners(plane, a[:, 0], b[:, 0])
 
 
-def stack(
+def planes_of(
     xs: np.ndarray, ys: np.ndarray, layers: int, widened: Sequence[int], box: tuple[float, float, float, float]
-) -> Stack:
+) -> Planes:
     """Planes on mesh lines xs, ys (mm) of which, in the box (x_min, x_max, y_min, y_max), every second ends on the way down.
 
     widened: how many layers, counted from the base, have half of the lines; then how many of these half of those; and so on.
@@ -139,4 +139,4 @@ def stack(
     for count in widened:
         x, y = fewer_lines(xs, x, *box[:2]), fewer_lines(ys, y, *box[2:])
         planes[: count + 1] = [(Sparse(xs, x), Sparse(ys, y))] * (count + 1)
-    return Stack(len(xs), planes)
+    return Planes(len(xs), planes)
