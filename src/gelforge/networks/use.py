@@ -9,7 +9,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.networks.agreement import blend, dots_fault
-from gelforge.networks.canonical import WHOLE, Light, view_of
+from gelforge.networks.canonical import WHOLE, Light, Resting, view_of
 from gelforge.networks.data import Data
 from gelforge.networks.dotreader import DotReader
 from gelforge.networks.dots import Followed, PrintedDots
@@ -19,6 +19,7 @@ from gelforge.networks.modelfile import SensorNet, Trained, load_model, require_
 from gelforge.networks.placement import LEAST_MOVE, UNPLACED, Placement, place
 from gelforge.networks.statistics import (
     PairEvidence,
+    as_arrays,
     distance,
     dot_evidence,
     judge,
@@ -100,7 +101,9 @@ class Untouched:
                 f"has none{f' of {sensor}' if sensor else ''}: give it with --untouched PICTURE or --profile FILE (in Python "
                 "untouched=, profile=)"
             )
-        self._pictures: dict[str, np.ndarray] = {}
+        self.statistics = as_arrays(trained.about["statistics"])
+        # what is known of each untouched picture by its name, made when it is first needed
+        self._resting: dict[str, Resting] = {}
         self._dots: dict[str, PrintedDots] = {}
         self._readers: dict[str, SensorNet] = {}
         self._rest: dict[str, np.ndarray] = {}
@@ -113,14 +116,18 @@ class Untouched:
 
     def picture(self, name: str) -> np.ndarray:
         """The untouched picture of that name at the network's scale."""
-        if name not in self._pictures:
-            self._pictures[name] = self.view.of(self.known[name])
-        return self._pictures[name]
+        return self.resting(name).picture
+
+    def resting(self, name: str) -> Resting:
+        """The untouched picture of that name, and its light."""
+        if name not in self._resting:
+            self._resting[name] = Resting(self.view.of(self.known[name]), self.view)
+        return self._resting[name]
 
     def canonical(self, image: np.ndarray, name: str, placement: Placement | None = None) -> tuple[np.ndarray, Light]:
         """An image as the network reads it against the picture of that name, and what its light was."""
         seen = self.view.of(image)
-        return self.view.match(seen if placement is None else placement.undo(seen), self.picture(name))
+        return self.view.match(seen if placement is None else placement.undo(seen), self.resting(name))
 
     def dots(self, name: str) -> PrintedDots:
         """Dots of the picture of that name at the network's scale."""
@@ -230,7 +237,7 @@ def predict_one(
     pair = untouched.pair(image, name, placement) if trained.needs_untouched else None
     lit = pair.lit if pair else image
     light = pair.evidence.light if pair else None
-    likeness = judge(trained.about["statistics"], lit, pair.evidence if pair else None)
+    likeness = judge(untouched.statistics, lit, pair.evidence if pair else None)
     forces = predict_images(untouched.reader(name), lit[None])[0]
     if trained.needs_untouched:
         forces = forces - untouched.rest(name)
