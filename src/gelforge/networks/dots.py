@@ -5,6 +5,7 @@ of any contrast. All together they tell whether the gel sits as it did (networks
 """
 
 import contextlib
+import functools
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,10 +31,22 @@ class Followed:
     motion: np.ndarray
     unlike: np.ndarray
 
-    @property
+    @functools.cached_property
     def found(self) -> np.ndarray:
         """Which dots are not lost, (n,) bool."""
         return np.asarray(np.isfinite(self.motion[:, 0]))
+
+
+@dataclass(frozen=True)
+class Standing:
+    """Dots that stand on a lattice: where the one nearest to the picture's middle is, (2,) px, and how all stand about it.
+
+    points: (n,) u + i v in px from that dot. step: complex, from a dot to the next one along u, in the mean of all.
+    """
+
+    middle: np.ndarray
+    points: np.ndarray
+    step: complex
 
 
 class PrintedDots:
@@ -67,10 +80,23 @@ class PrintedDots:
             at[used[inside]] = index[inside]
         return at
 
-    @property
+    @functools.cached_property
+    def placed(self) -> np.ndarray:
+        """Which dots stand on the lattice, (n,) bool."""
+        return np.asarray(self.at[:, 0] >= 0)
+
+    @functools.cached_property
     def known(self) -> bool:
         """Whether there are dots enough on a lattice to read anything from them."""
-        return int((self.at[:, 0] >= 0).sum()) >= LEAST_PRINT
+        return int(self.placed.sum()) >= LEAST_PRINT
+
+    @functools.cached_property
+    def standing(self) -> Standing:
+        """The dots on the lattice, of which there is one in its middle where they are known."""
+        rests, index = self.points[self.placed], self.at[self.placed] - (ROWS // 2, COLS // 2)
+        middle = rests[np.flatnonzero(~index.any(axis=1))[0]]
+        places, points = (pair @ np.array([1.0, 1j]) for pair in (index[:, ::-1], rests - middle))
+        return Standing(middle, points, complex(np.vdot(places, points) / np.vdot(places, places)))
 
     def follow(self, image: np.ndarray) -> Followed:
         """The dots in an image (h, w, 3) uint8 in light and size like the untouched one."""
@@ -94,7 +120,7 @@ class PrintedDots:
         Motion along u and v in px, and 1 where a dot was found, 0 where there is none.
         """
         found = np.zeros((3, ROWS, COLS), np.float32)
-        kept = followed.found & (self.at[:, 0] >= 0)
+        kept = followed.found & self.placed
         rows, cols = self.at[kept].T
         found[:2, rows, cols], found[2, rows, cols] = followed.motion[kept].T, 1.0
         return found

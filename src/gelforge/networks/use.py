@@ -11,12 +11,13 @@ from gelforge.errors import BadInput
 from gelforge.networks.agreement import blend, dots_fault
 from gelforge.networks.canonical import WHOLE, Light, Resting, view_of
 from gelforge.networks.data import Data
-from gelforge.networks.dotreader import DotReader
+from gelforge.networks.dotreader import DotsOneByOne
 from gelforge.networks.dots import Followed, PrintedDots
 from gelforge.networks.intervals import half_widths
 from gelforge.networks.latency import predict_images
 from gelforge.networks.modelfile import SensorNet, Trained, load_model, require_sensor
 from gelforge.networks.placement import LEAST_MOVE, UNPLACED, Placement, place
+from gelforge.networks.placereader import PlacesOneByOne
 from gelforge.networks.statistics import (
     PairEvidence,
     as_arrays,
@@ -102,6 +103,8 @@ class Untouched:
                 "untouched=, profile=)"
             )
         self.statistics = as_arrays(trained.about["statistics"])
+        self.reader_of_dots = None if trained.dots is None else DotsOneByOne(trained.dots)
+        self.reader_of_places = None if trained.places is None else PlacesOneByOne(trained.places)
         # what is known of each untouched picture by its name, made when it is first needed
         self._resting: dict[str, Resting] = {}
         self._dots: dict[str, PrintedDots] = {}
@@ -148,7 +151,7 @@ class Untouched:
             return CanonicalPair(lit, PairEvidence(distance(lit, rest), light), dots, followed, placement or UNPLACED)
         told = dot_evidence(dots, followed)
         if placement is None and told.rim_px > LEAST_MOVE:
-            placement = place(self.trained.places, dots, [followed])
+            placement = place(self.reader_of_places, dots, [followed])
             if placement.moves:
                 # dots that lay beside each other told of light, too
                 lit, light = self.canonical(image, name, placement)
@@ -186,11 +189,11 @@ class CanonicalPair:
     followed: Followed
     placement: Placement
 
-    def by_dots(self, reader: DotReader | None) -> np.ndarray | None:
+    def by_dots(self, reader: DotsOneByOne | None) -> np.ndarray | None:
         """Total force (3,) N that the dots tell by themselves (networks.dotreader); None where nothing reads them."""
         if reader is None or not self.dots.known:
             return None
-        return reader.totals(self.dots.on_lattice(self.followed)[None])[0]
+        return reader.total(self.dots.on_lattice(self.followed))
 
 
 @dataclass(frozen=True)
@@ -241,7 +244,7 @@ def predict_one(
     forces = predict_images(untouched.reader(name), lit[None])[0]
     if trained.needs_untouched:
         forces = forces - untouched.rest(name)
-    by_dots, contradicted = pair.by_dots(trained.dots) if pair else None, ""
+    by_dots, contradicted = pair.by_dots(untouched.reader_of_dots) if pair else None, ""
     if by_dots is not None:
         total = forces.sum((1, 2), dtype=float)
         contradicted = dots_fault(trained.about["dots"]["apart"], total, by_dots, untouched.gain)
