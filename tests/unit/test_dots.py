@@ -18,7 +18,7 @@ from gelforge.networks.agreement import blend, dots_fault, fit_blend
 from gelforge.networks.canonical import match_light
 from gelforge.networks.data import open_data
 from gelforge.networks.dotreader import KEPT, VIEWS, DotPresses, DotReader, DotsOneByOne, train_dot_reader
-from gelforge.networks.dots import COLS, ROWS, PrintedDots
+from gelforge.networks.dots import COLS, FAR, HOME, ROWS, PrintedDots
 from gelforge.networks.fitting import readers_of_dots
 from gelforge.networks.goingon import scales_before
 from gelforge.networks.halves import rounded
@@ -147,6 +147,20 @@ def test_what_the_rim_does_is_no_force_to_a_reader_that_saw_gels_sit_otherwise()
         reader = train_dot_reader(presses, 8, 0, how)
         changed.append(np.abs(reader.totals(shifted) - reader.totals(motion[:200])).mean(axis=0)[:2])
     assert (changed[1] < 0.25 * changed[0]).all(), changed
+
+
+def test_dots_that_are_found_close_at_home_are_found_in_the_pyramid(rest, presses):
+    """On presses: what is looked for near where it should be is what the whole way back finds."""
+    dots = PrintedDots(rest)
+    start = dots.points.astype(np.float32)[:, None]
+    for image in [rest, *presses, moved(rest, (4.0, -3.0))]:
+        before, after = dots.grey, cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+        there, seen, _ = cv2.calcOpticalFlowPyrLK(before, after, start, None, **FAR)
+        back, _, _ = cv2.calcOpticalFlowPyrLK(after, before, there, None, **FAR)
+        wanted = (seen[:, 0] > 0) & (np.hypot(*(back - start)[:, 0].T) < HOME)
+        followed = dots.follow(image)
+        np.testing.assert_array_equal(followed.found, wanted)
+        np.testing.assert_array_equal(followed.motion[wanted], (there - start)[wanted, 0])
 
 
 def test_the_same_seed_trains_the_same_reader(lawful):
