@@ -127,10 +127,9 @@ class Untouched:
             self._resting[name] = Resting(self.view.of(self.known[name]), self.view)
         return self._resting[name]
 
-    def canonical(self, image: np.ndarray, name: str, placement: Placement | None = None) -> tuple[np.ndarray, Light]:
-        """An image as the network reads it against the picture of that name, and what its light was."""
-        seen = self.view.of(image)
-        return self.view.match(seen if placement is None else placement.undo(seen), self.resting(name))
+    def canonical(self, seen: np.ndarray, name: str) -> tuple[np.ndarray, Light]:
+        """An image of the sensor's view as the network reads it against the picture of that name, and what its light was."""
+        return self.view.match(seen, self.resting(name))
 
     def dots(self, name: str) -> PrintedDots:
         """Dots of the picture of that name at the network's scale."""
@@ -144,22 +143,25 @@ class Untouched:
         placement: how it lies on that picture, as its sitting tells it; None: as the image's own dots do, where its rim
         moved. A view that does not show the gel's rim tells nothing of it.
         """
-        lit, light = self.canonical(image, name, placement)
+        shown = self.view.of(image)
+        seen = shown if placement is None else placement.undo(shown)
+        lit, light = self.canonical(seen, name)
         dots, rest = self.dots(name), self.picture(name)
         followed = dots.follow(lit)
         if self.view.zoom != 1.0:
-            return CanonicalPair(lit, PairEvidence(distance(lit, rest), light), dots, followed, placement or UNPLACED)
+            evidence = PairEvidence(distance(lit, rest), light)
+            return CanonicalPair(seen, lit, evidence, dots, followed, placement or UNPLACED)
         told = dot_evidence(dots, followed)
         if placement is None and told.rim_px > LEAST_MOVE:
             placement = place(self.reader_of_places, dots, [followed])
             if placement.moves:
                 # dots that lay beside each other told of light, too
-                lit, light = self.canonical(image, name, placement)
+                seen = placement.undo(shown)
+                lit, light = self.canonical(seen, name)
                 followed = dots.follow(lit)
                 told = dot_evidence(dots, followed)
-        return CanonicalPair(
-            lit, PairEvidence(distance(lit, rest), light, told), dots, followed, placement or UNPLACED
-        )
+        evidence = PairEvidence(distance(lit, rest), light, told)
+        return CanonicalPair(seen, lit, evidence, dots, followed, placement or UNPLACED)
 
     def reader(self, name: str) -> SensorNet:
         """The network for the sensor of that picture."""
@@ -179,10 +181,11 @@ class Untouched:
 class CanonicalPair:
     """An image as the network reads it beside an untouched picture, and what is known of how they belong together.
 
-    lit: (h, w, 3) uint8 in the light, at the scale and in the place of the untouched one. dots: of the untouched one, and
+    seen: (h, w, 3) uint8 at the scale and in the place of the untouched one; lit: in its light, too. dots: of the untouched one, and
     where the image has them. placement: what was put right in how the image lay.
     """
 
+    seen: np.ndarray
     lit: np.ndarray
     evidence: PairEvidence
     dots: PrintedDots
@@ -261,8 +264,7 @@ def predict_one(
         by_dots=None if by_dots is None else untouched.gain * by_dots,
         half_width=half_widths(trained.about, forces.sum((1, 2), dtype=float), untouched.gain),
     )
-    seen = untouched.view.of(image)
-    return pair.placement.undo(seen) if pair else seen, forces, judgement
+    return pair.seen if pair else image, forces, judgement
 
 
 @dataclass(frozen=True)
