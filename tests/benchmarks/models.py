@@ -8,9 +8,12 @@ import os
 import subprocess
 import sys
 import tempfile
+import time
 from argparse import Namespace
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,7 +24,12 @@ from gelforge.flow.params import load_params, plain, read_toml
 from gelforge.flow.params.slices import ForTrain
 from gelforge.flow.params.tables import TrainTable
 from gelforge.records.axes import CHANNELS
+from gelforge.records.image import read_image
+from gelforge.records.log import read_presses
 from tests.benchmarks.figures import Figure, publish_figures
+
+if TYPE_CHECKING:  # at run time it would bring torch along
+    from gelforge.networks.use import Untouched
 
 IMAGE, GRID = (240, 320), (24, 32)
 BASELINE, LIGHT = "unet", "pair_24_mirrored"
@@ -80,6 +88,56 @@ def speed_figures(models: dict, seconds: float) -> list[Figure]:
             )
         )
     return figures
+
+
+def chain_figure(seconds: float) -> Figure:
+    """All that `predict` does with a picture over the network of brightness alone, on the demo's pairs by one thread.
+
+    Both take turns, and of each the time is told that the fastest tenth of its runs stays below: longer runs are
+    interrupted more often by other programs, which would count as theirs.
+    """
+    import cv2
+    import torch
+
+    from gelforge.networks.latency import predict_images
+    from gelforge.networks.use import GIVEN, predict_one
+
+    pairs = demo_pairs()
+    threads = torch.get_num_threads(), cv2.getNumThreads()
+    torch.set_num_threads(1)
+    cv2.setNumThreads(1)
+    whole, alone = [], []
+    try:
+        ends = time.perf_counter() + seconds
+        while time.perf_counter() < ends:
+            whole += [seconds_of(predict_one, untouched, image) for untouched, image in pairs]
+            alone += [seconds_of(predict_images, untouched.reader(GIVEN), image[None]) for untouched, image in pairs]
+    finally:
+        torch.set_num_threads(threads[0])
+        cv2.setNumThreads(threads[1])
+    ms = [1e3 * float(np.quantile(times, 0.1)) for times in (whole, alone)]
+    note = f"{ms[0]:.1f} ms against {ms[1]:.1f} ms"
+    return Figure("all that predict does over its network alone, 1 thread", ms[0] / ms[1], "<=", 2.5, "times", note)
+
+
+def demo_pairs() -> list[tuple["Untouched", np.ndarray]]:
+    """What the network that ships reads pictures against, and the picture (h, w, 3) uint8, of every press of the demo."""
+    from gelforge.networks.use import Untouched, load_for_use
+
+    trained, folder = load_for_use(None), Path("data/demo")
+    presses = read_presses(folder / "log.csv")
+    beside = {
+        name: Untouched(trained, read_image(folder / f"nocontact/{name}.png"))
+        for name in {press.sensor_id for press in presses}
+    }
+    return [(beside[press.sensor_id], read_image(folder / press.image)) for press in presses]
+
+
+def seconds_of(work: Callable[..., object], *given: object) -> float:
+    """How long a call takes."""
+    started = time.perf_counter()
+    work(*given)
+    return time.perf_counter() - started
 
 
 def untrained_reader(model: dict):
@@ -277,7 +335,7 @@ def main(args: Namespace) -> None:
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         dataset = write_made_up(folder / "dataset")
-        figures = speed_figures(models, args.seconds)
+        figures = [*speed_figures(models, args.seconds), chain_figure(args.seconds)]
         figures += training_figures(settings, folder, dataset)
         figures.append(resume_figure(models, settings, folder, dataset))
     chart = args.results / "pareto_models" / f"{args.resolution}.json"

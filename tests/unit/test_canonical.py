@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gelforge.errors import BadInput
-from gelforge.networks.canonical import match_light, view_of
+from gelforge.networks.canonical import Resting, match_light, view_of
 from gelforge.networks.still import FEWEST, MOST, STILL, find_untouched
 from gelforge.networks.use import Untouched, load_for_use, predict_one
 from gelforge.records.image import read_image
@@ -200,7 +200,7 @@ def test_light_is_found_in_what_a_narrow_view_shows(seed, gain, offset):
     view = view_of(gel(seed), 44.0, (31.0, 33.0))
     rest = view.of(gel(seed))
     seen = view.of(np.clip(np.rint(gain * gel(seed).astype(float) + offset), 0, 255).astype(np.uint8))
-    lit, light = view.match(seen, rest)
+    lit, light = view.match(seen, Resting(rest, view))
     assert light.known and np.abs(light.gain - gain).max() < 0.03
     assert np.abs(lit.astype(float) - rest).mean() < 1.0
     outside = np.ones(SIZE, bool)
@@ -216,3 +216,23 @@ def test_specks_are_no_print():
         cv2.circle(picture, (int(u), int(v)), 4, (40, 40, 40), -1)
     assert pitch_of(picture) == 0.0
     assert pitch_of(gel(1)) == pytest.approx(40.0, abs=0.5)
+
+
+def test_what_is_kept_of_an_untouched_picture_is_of_no_other(shipped, untouched):
+    """Pictures read in turns against two of them, and again after others, read as each does against its own alone."""
+    pictures = [pressed(picture, 0.05 * (k + 1), k) for k, picture in enumerate(untouched[:2])]
+    alone = [predict_one(Untouched(shipped, rest), image) for rest, image in zip(untouched, pictures, strict=False)]
+    kept = [Untouched(shipped, rest) for rest in untouched[:2]]
+    for _ in range(2):
+        for beside, image, (seen, forces, judged) in zip(kept, pictures, alone, strict=True):
+            again, same, told = predict_one(beside, image)
+            assert np.array_equal(again, seen) and np.array_equal(same, forces)
+            assert (told.score, told.reason) == (judged.score, judged.reason)
+            assert np.array_equal(told.half_width, judged.half_width) and np.array_equal(told.by_dots, judged.by_dots)
+
+
+def test_reading_changes_no_picture(shipped, untouched):
+    rest, image = untouched[0].copy(), pressed(untouched[0], 0.1, 0)
+    given = image.copy()
+    predict_one(Untouched(shipped, rest), image)
+    assert np.array_equal(image, given) and np.array_equal(rest, untouched[0])

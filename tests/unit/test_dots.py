@@ -17,14 +17,14 @@ from gelforge.errors import BadInput
 from gelforge.networks.agreement import blend, dots_fault, fit_blend
 from gelforge.networks.canonical import match_light
 from gelforge.networks.data import open_data
-from gelforge.networks.dotreader import VIEWS, DotPresses, DotReader, train_dot_reader
-from gelforge.networks.dots import COLS, ROWS, PrintedDots
+from gelforge.networks.dotreader import KEPT, VIEWS, DotPresses, DotReader, DotsOneByOne, train_dot_reader
+from gelforge.networks.dots import COLS, FAR, HOME, ROWS, PrintedDots
 from gelforge.networks.fitting import readers_of_dots
 from gelforge.networks.goingon import scales_before
 from gelforge.networks.halves import rounded
 from gelforge.networks.modelcard import dot_lines, place_lines
 from gelforge.networks.modelfile import Trained, load_model, save_model
-from gelforge.networks.placereader import PlaceReader
+from gelforge.networks.placereader import PlaceReader, PlacesOneByOne
 from gelforge.networks.sensorprofile import fingerprint
 from gelforge.networks.use import Untouched, load_for_use, predict_one
 from gelforge.records.axes import CHANNELS
@@ -149,6 +149,20 @@ def test_what_the_rim_does_is_no_force_to_a_reader_that_saw_gels_sit_otherwise()
     assert (changed[1] < 0.25 * changed[0]).all(), changed
 
 
+def test_dots_that_are_found_close_at_home_are_found_in_the_pyramid(rest, presses):
+    """On presses: what is looked for near where it should be is what the whole way back finds."""
+    dots = PrintedDots(rest)
+    start = dots.points.astype(np.float32)[:, None]
+    for image in [rest, *presses, moved(rest, (4.0, -3.0))]:
+        before, after = dots.grey, cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+        there, seen, _ = cv2.calcOpticalFlowPyrLK(before, after, start, None, **FAR)
+        back, _, _ = cv2.calcOpticalFlowPyrLK(after, before, there, None, **FAR)
+        wanted = (seen[:, 0] > 0) & (np.hypot(*(back - start)[:, 0].T) < HOME)
+        followed = dots.follow(image)
+        np.testing.assert_array_equal(followed.found, wanted)
+        np.testing.assert_array_equal(followed.motion[wanted], (there - start)[wanted, 0])
+
+
 def test_the_same_seed_trains_the_same_reader(lawful):
     one, two, other = (train_dot_reader(lawful, 1, seed, AUGMENT) for seed in (1, 1, 2))
     np.testing.assert_array_equal(one.totals(lawful.motion), two.totals(lawful.motion))
@@ -161,6 +175,45 @@ def test_dots_that_did_not_move_tell_no_force():
     motion[:, 2] = np.random.default_rng(0).random((20, ROWS, COLS)) < 0.6
     torch.manual_seed(5)
     assert not DotReader().totals(motion).any()
+    one_by_one = DotsOneByOne(DotReader())
+    assert not any(one_by_one.total(motion[k]).any() for k in (*range(20), *range(20)))
+
+
+def motions_of_prints(count: int, prints: int) -> np.ndarray:
+    """Random motions (n, 3, ROWS, COLS) px of dots of which one of so many patterns was found."""
+    rng = np.random.default_rng(count)
+    found = (rng.random((prints, ROWS, COLS)) < 0.7)[rng.integers(prints, size=count)].astype(np.float32)
+    aside = rng.normal(0, 4.0, (count, 2, ROWS, COLS)).astype(np.float32)
+    return np.concatenate([aside * found[:, None], found[:, None]], axis=1)
+
+
+@pytest.mark.parametrize("prints", [1, 3, KEPT + 20])
+def test_pictures_read_one_by_one_tell_what_they_tell_together(prints):
+    """Whatever the weights, and however many patterns of found dots come in turns: of each is kept what is its own."""
+    torch.manual_seed(prints)
+    reader, places = DotReader().eval(), PlaceReader().eval()
+    reader.scale = torch.tensor([3.0, 2.0, 9.0])
+    motion = motions_of_prints(2 * KEPT + 60, prints)
+    one_by_one = DotsOneByOne(reader)
+    np.testing.assert_allclose([one_by_one.total(one) for one in motion], reader.totals(motion), atol=1e-4)
+    told = [PlacesOneByOne(places).places(motion[k : k + 1]) for k in range(20)]
+    together = places.places(motion[:20])
+    for name in ("a", "b", "contact"):
+        np.testing.assert_allclose(
+            np.concatenate([getattr(one, name) for one in told]), getattr(together, name), atol=1e-4
+        )
+
+
+def test_a_reader_of_pictures_one_by_one_stays_what_it_was():
+    """Also where the network that it was made of learns on."""
+    torch.manual_seed(1)
+    reader, motion = DotReader().eval(), motions_of_prints(4, 2)
+    one_by_one = DotsOneByOne(reader)
+    before = [one_by_one.total(one) for one in motion]
+    with torch.no_grad():
+        for value in reader.parameters():
+            value.mul_(1.5)
+    np.testing.assert_array_equal([one_by_one.total(one) for one in motion], before)
 
 
 # -- both readers

@@ -15,12 +15,19 @@ from gelforge.networks.statistics import (
     MARGIN,
     DotEvidence,
     PairEvidence,
+    as_arrays,
+    describe,
     dot_evidence,
+    grey_of,
     pair_evidence,
     pair_fault,
     pair_limits,
+    quantile,
+    quarters,
     relief,
     relief_fault,
+    score,
+    spread_of,
     unevenness,
     widened,
 )
@@ -157,3 +164,32 @@ def test_what_moves_all_dots_alike_is_not_uneven(parts, lost, seed):
     print_ = aside + rng.normal(0, 1.0, aside.shape)
     assert unevenness(np.concatenate([found * print_, found])) > 0.3
     assert unevenness(np.zeros((3, ROWS, COLS))) == 0.0
+
+
+@given(st.integers(0, 99), st.integers(1, 40), st.integers(1, 40))
+def test_statistics_of_a_picture_are_what_they_are_called(seed, rows, cols):
+    """Of any size, an odd one too: means of quarters, standard deviations and the mean of the colours, to rounding."""
+    image = np.random.default_rng(seed).integers(0, 256, (rows + 1, cols + 1, 3), np.uint8)
+    wanted = cv2.resize(image, (2, 2), interpolation=cv2.INTER_AREA).ravel()
+    assert np.abs(quarters(image) - wanted).max() <= 1
+    even = image[: (rows + 1) // 2 * 2, : (cols + 1) // 2 * 2]
+    (height, width, _), means = even.shape, quarters(even).reshape(2, 2, 3)
+    for at in np.ndindex(2, 2):
+        part = even[at[0] * height // 2 :, at[1] * width // 2 :][: height // 2, : width // 2]
+        assert np.abs(means[at] - part.mean(axis=(0, 1))).max() <= 0.5 + 1e-9
+    colours = cv2.split(image)
+    np.testing.assert_array_equal(grey_of(colours), np.rint(image.sum(axis=2, dtype=int) / 3))
+    for colour in colours:
+        plane = colour.astype(np.int16) - 128
+        assert spread_of(plane) == pytest.approx(plane.std(), abs=1e-9) == spread_of(colour)
+
+
+@given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=30), st.floats(0, 1))
+def test_quantiles_are_numpys(values, share):
+    assert quantile(np.array(values), share) == pytest.approx(np.quantile(values, share), abs=1e-9)
+
+
+def test_a_reference_made_arrays_scores_as_its_lists_do(presses):
+    known = load_for_use(None).about["statistics"]
+    described = describe(presses[0][1])
+    assert score(as_arrays(known), described) == score(known, described)

@@ -203,11 +203,11 @@ def test_dots_that_all_move_alike_leave_nothing_behind():
     parts = torch.tensor([[1.5, -2.0, 0.02, -0.03], [0.0, 0.0, 0.0, 0.0]])
     found = torch.ones(2, 1, ROWS, COLS)
     found[0, 0, :3] = 0  # worn dots move nothing
-    left, a, b = straightened(torch.cat([moved_alike(*parts.T) * found, found], dim=1))
+    left, a, b = straightened(torch.cat([moved_alike(*parts.T) * found, found], dim=1).numpy())
     np.testing.assert_allclose(left[:, :2], 0, atol=1e-4)
     np.testing.assert_allclose(a, [0.97 + 0.02j, 1], atol=1e-6)
     np.testing.assert_allclose(b, [1.5 - 2.0j, 0], atol=1e-4)
-    lost, a, b = straightened(torch.zeros(1, 3, ROWS, COLS))  # no dot tells anything
+    lost, a, b = straightened(np.zeros((1, 3, ROWS, COLS), np.float32))  # no dot tells anything
     assert not lost.any() and a == 1 and b == 0
 
 

@@ -15,7 +15,8 @@ from gelforge.errors import BadInput
 
 SMALL = (40, 30)  # width and height in px at which light is compared: dots and noise average out
 ROUNDS = 20  # at most of iteratively reweighted least squares; four are usual
-ENDS = np.array([[0.0], [255.0]])  # levels between which all others lie
+LEVELS = np.arange(256.0)[:, None]  # that a picture may have
+BRIGHTEST = 255.0
 SETTLED = 0.02  # levels by which a round still changes what light makes of them, where another one is needless
 LEAST_SCALE = 1.5  # levels that a place may differ by through noise alone
 REACH = (
@@ -49,9 +50,14 @@ class Light:
 
         if not self.known:
             return image
-        levels = np.arange(256, dtype=float)[:, None]
-        table = np.clip(np.rint((levels - self.offset) / self.gain), 0, 255).astype(np.uint8)
+        table = (LEVELS - self.offset) / self.gain
+        table = np.minimum(np.maximum(np.rint(table, out=table), 0.0, out=table), BRIGHTEST, out=table).astype(
+            np.uint8
+        )
         return cv2.LUT(np.ascontiguousarray(image), table[None])
+
+
+NO_LIGHT = Light(np.ones(3), np.zeros(3), 0.0, 0.0, False)  # of a picture that tells nothing of it
 
 
 @dataclass(frozen=True)
@@ -78,11 +84,14 @@ class View:
             (size, max(0, math.ceil((1.0 - self.zoom) * size / 2))) for size in shape[:2]))  # fmt: skip
         return rows, cols
 
-    def match(self, image: np.ndarray, untouched: np.ndarray) -> tuple[np.ndarray, "Light"]:
-        """An image under the light of the untouched picture, both (h, w, 3) uint8 of this view, and what its light was."""
+    def match(self, image: np.ndarray, untouched: "Resting") -> tuple[np.ndarray, "Light"]:
+        """An image (h, w, 3) uint8 of this view under the light of the untouched picture, and what its light was."""
+        if self.zoom >= 1.0:
+            light = untouched.light_of(image)
+            return light.undo(image), light
         inner = self.shown(image.shape)
-        light = match_light(image[inner], untouched[inner])
-        lit = untouched.copy()  # what neither shows is the same in both
+        light = untouched.light_of(image[inner])
+        lit = untouched.picture.copy()  # what neither shows is the same in both
         lit[inner] = light.undo(image[inner])
         return lit, light
 
@@ -127,35 +136,94 @@ def hidden(shown: np.ndarray) -> np.ndarray:
 
 def match_light(image: np.ndarray, untouched: np.ndarray) -> Light:
     """Light of an image against a picture of the untouched sensor, both (h, w, 3) uint8 of one size."""
+    return Resting(untouched).light_of(image)
+
+
+class Resting:
+    """An untouched picture (h, w, 3) uint8 whose light others are held against: what is made of it is made once.
+
+    view: of the picture, which says what part of it shows something.
+    """
+
+    def __init__(self, picture: np.ndarray, view: View = WHOLE) -> None:
+        self.picture = picture
+        self._small = _small(picture[view.shown(picture.shape)])
+        self._believed = _believed(self._small)
+
+    def light_of(self, image: np.ndarray) -> Light:
+        """Light of an image, (h, w, 3) uint8 of what the view shows."""
+        small = _small(image)
+        believed = self._believed & _believed(small)
+        if believed.mean() < LEAST_SHARE:
+            return NO_LIGHT
+        rest = self._small
+        if not believed.all():  # picking costs more than all else that is done to these few thousand levels once
+            small, rest = small[:, believed], rest[:, believed]
+        return _agreed(small.astype(float), rest.astype(float), float(believed.mean()))
+
+
+def _small(picture: np.ndarray) -> np.ndarray:
+    """Levels (3, n) uint8 of a picture (h, w, 3) uint8 at the size at which light is compared, by colour.
+
+    Colours first, so that sums over the places are sums along lines of memory.
+    """
     import cv2
 
-    seen, rest = (cv2.resize(a, SMALL, interpolation=cv2.INTER_AREA).reshape(-1, 3).astype(float)
-                  for a in (image, untouched))  # fmt: skip
-    believed = ((seen > DARK) & (seen < BRIGHT) & (rest > DARK) & (rest < BRIGHT)).all(axis=1)
-    none = Light(np.ones(3), np.zeros(3), 0.0, 0.0, False)
-    if believed.mean() < LEAST_SHARE:
-        return none
-    seen, rest = seen[believed], rest[believed]
-    products = np.hstack([rest, seen, rest * rest, rest * seen])  # what weighted sums are taken of, (n, 12)
-    middle = len(seen) // 2
-    gain, offset = np.partition(seen / rest, middle, axis=0)[middle], np.zeros(3)
-    ends = ENDS * gain
+    return np.ascontiguousarray(cv2.resize(picture, SMALL, interpolation=cv2.INTER_AREA).reshape(-1, 3).T)
+
+
+def _believed(small: np.ndarray) -> np.ndarray:
+    """Which places (n,) have levels (3, n) at which a camera's answer is believed."""
+    return np.asarray((small.min(axis=0) > DARK) & (small.max(axis=0) < BRIGHT))
+
+
+def _agreed(seen: np.ndarray, rest: np.ndarray, share: float) -> Light:
+    """Light that makes of levels at rest (3, n) those seen (3, n), as most places agree; share: of all that these are.
+
+    In few calls, and numbers by colour as plain ones: most of the time goes into calls, not into a thousand places.
+    """
+    products = np.empty((4, *rest.shape))  # what weighted sums are taken of
+    products[0], products[1] = rest, seen
+    np.multiply(rest, products[:2], out=products[2:])
+    middle = seen.shape[1] // 2
+    gain, offset = np.partition(seen / rest, middle, axis=1)[:, middle].tolist(), [0.0, 0.0, 0.0]
     for _ in range(ROUNDS):
-        off = seen - gain * rest - offset
-        squared = np.einsum("ij,ij->i", off, off)
+        off = seen - np.array(gain)[:, None] * rest
+        off -= np.array(offset)[:, None]
+        squared = np.einsum("ij,ij->j", off, off)
         scale = max(LEAST_SCALE, 1.4826 * math.sqrt(np.partition(squared, middle)[middle]))
-        weight = np.maximum(1.0 - squared / (REACH * scale) ** 2, 0.0) ** 2
+        weight = squared * (-1.0 / (REACH * scale) ** 2)
+        weight += 1.0
+        np.maximum(weight, 0.0, out=weight)
+        weight *= weight
         total = float(weight.sum())
         if total <= 0.0:
-            return none
-        mean_rest, mean_seen, squares, crossed = (weight @ products / total).reshape(4, 3)
-        gain = (crossed - mean_rest * mean_seen + TIED) / (squares - mean_rest**2 + TIED)
-        offset = mean_seen - gain * mean_rest
-        before, ends = ends, ENDS * gain + offset
-        if np.abs(ends - before).max() < SETTLED:
+            return NO_LIGHT
+        before = gain, offset
+        gain, offset = _fitted((np.einsum("ijk,k->ij", products, weight) / total).tolist())
+        if _largest_change(*before, gain, offset) < SETTLED:
             break
-    share = float(believed.mean() * (weight > 0.5).mean())
-    residual = float(np.sqrt(weight @ squared / total))
-    if share < LEAST_SHARE or not np.all((gain > 1.0 / MOST_GAIN) & (gain < MOST_GAIN)):
-        return none
-    return Light(gain, offset, residual, share, True)
+    share *= float((weight > 0.5).mean())
+    residual = math.sqrt(float(weight @ squared) / total)
+    if share < LEAST_SHARE or not all(1.0 / MOST_GAIN < one < MOST_GAIN for one in gain):
+        return NO_LIGHT
+    return Light(np.array(gain), np.array(offset), residual, share, True)
+
+
+def _fitted(means: list[list[float]]) -> tuple[list[float], list[float]]:
+    """Gain and offset by colour from means by colour of the levels at rest, those seen, their square at rest, and product."""
+    gain = [
+        (crossed - rest * seen + TIED) / (squares - rest * rest + TIED)
+        for rest, seen, squares, crossed in zip(*means, strict=True)
+    ]
+    return gain, [seen - one * rest for rest, seen, one in zip(*means[:2], gain, strict=True)]
+
+
+def _largest_change(
+    gain: list[float], offset: list[float], other_gain: list[float], other_offset: list[float]
+) -> float:
+    """Levels that one light makes otherwise than another at most, of black and of white, between which all others lie."""
+    return max(
+        max(abs(c - d), abs(BRIGHTEST * (a - b) + c - d))
+        for a, b, c, d in zip(gain, other_gain, offset, other_offset, strict=True)
+    )

@@ -4,6 +4,7 @@ What one of them makes of pictures unlike those it learnt from depends on the we
 sensors, normal forces of networks that differ in nothing else lie a third apart.
 """
 
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -15,14 +16,15 @@ from torch.nn import functional as F
 from gelforge.flow.params.tables import AugmentTable
 from gelforge.networks.augment import uniform
 from gelforge.networks.dotaugment import kept_dots, mirrored
-from gelforge.networks.dots import PrintedDots
+from gelforge.networks.dots import COLS, ROWS, PrintedDots
 from gelforge.networks.inputs import inner_part
 from gelforge.networks.lattice import moved_alike
-from gelforge.networks.smallnet import Stack, Whole, in_pieces, train_small
+from gelforge.networks.smallnet import OneByOne, Stack, Whole, in_pieces, train_small
 
 MEMBERS = 4  # networks, each from weights of its own
 WIDTH, LAST, HIDDEN = 32, 48, 64
 VIEWS = (0.0, 0.1, 0.2, 0.3)  # parts of height and width that a camera may not show; each press is learnt from all
+KEPT = 64  # patterns of found dots, of which is kept what they tell where they did not move
 LOST = 0.25  # most of the dots that are taken away at random
 
 
@@ -58,6 +60,28 @@ class DotReader(nn.Module):
     def totals(self, motion: np.ndarray) -> np.ndarray:
         """Total force (n, 3) float64 N of motions (n, 3, ROWS, COLS)."""
         return in_pieces(self, motion)
+
+
+class DotsOneByOne:
+    """A reader of dots that reads one motion after another, as it is now (networks.smallnet.OneByOne).
+
+    What it tells of dots that did not move hangs on which of them were found alone, and is kept for the last few prints.
+    """
+
+    def __init__(self, reader: DotReader) -> None:
+        self._read = OneByOne(reader.convolutions, reader.inner, reader.outer)
+        self._scale = reader.scale.double().numpy().copy()
+        self._unmoved = functools.lru_cache(KEPT)(self._of_unmoved)
+
+    def _of_unmoved(self, found: bytes) -> np.ndarray:
+        motion = np.zeros((3, ROWS, COLS), np.float32)
+        motion[2] = np.frombuffer(found, np.float32).reshape(ROWS, COLS)
+        return self._read(motion)
+
+    def total(self, motion: np.ndarray) -> np.ndarray:
+        """Total force (3,) float64 N of one motion (3, ROWS, COLS) float32."""
+        told = self._read(motion) - self._unmoved(motion[2].tobytes())
+        return np.asarray(told.mean(axis=0) * self._scale)
 
 
 @dataclass(frozen=True)

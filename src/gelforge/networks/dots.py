@@ -5,6 +5,7 @@ of any contrast. All together they tell whether the gel sits as it did (networks
 """
 
 import contextlib
+import functools
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,8 +15,11 @@ from gelforge.errors import BadInput
 from gelforge.records.markers import LEAST_PRINT, find_blobs, lattice_of, print_pitch
 
 ROWS, COLS = 9, 11  # of the lattice that is looked at: a GelSight Mini shows 7 x 9 dots, or fewer where it is cropped
-WINDOW, LEVELS = (21, 21), 3  # of the pyramid in which dots are followed: it reaches about 40 px
+FAR = {"winSize": (21, 21), "maxLevel": 3}  # how dots are followed: in a pyramid, which reaches about 40 px
+# How a dot is looked for where it should be: in the pictures themselves, in at most five steps or till one is small.
+NEAR = {"winSize": (15, 15), "maxLevel": 0, "criteria": (3, 5, 0.03)}
 HOME = 0.5  # px by which a dot that is followed there and back may miss its start
+ALIKE, CLOSELY = 6.0, 0.05  # levels and px within which a dot that is looked for so is surely at home
 UNLIKE = 12.0  # levels by which a dot's surroundings may differ on average
 RIM = 0.8  # pitches from the outermost dots inwards that still are the rim
 
@@ -30,10 +34,22 @@ class Followed:
     motion: np.ndarray
     unlike: np.ndarray
 
-    @property
+    @functools.cached_property
     def found(self) -> np.ndarray:
         """Which dots are not lost, (n,) bool."""
         return np.asarray(np.isfinite(self.motion[:, 0]))
+
+
+@dataclass(frozen=True)
+class Standing:
+    """Dots that stand on a lattice: where the one nearest to the picture's middle is, (2,) px, and how all stand about it.
+
+    points: (n,) u + i v in px from that dot. step: complex, from a dot to the next one along u, in the mean of all.
+    """
+
+    middle: np.ndarray
+    points: np.ndarray
+    step: complex
 
 
 class PrintedDots:
@@ -67,10 +83,23 @@ class PrintedDots:
             at[used[inside]] = index[inside]
         return at
 
-    @property
+    @functools.cached_property
+    def placed(self) -> np.ndarray:
+        """Which dots stand on the lattice, (n,) bool."""
+        return np.asarray(self.at[:, 0] >= 0)
+
+    @functools.cached_property
     def known(self) -> bool:
         """Whether there are dots enough on a lattice to read anything from them."""
-        return int((self.at[:, 0] >= 0).sum()) >= LEAST_PRINT
+        return int(self.placed.sum()) >= LEAST_PRINT
+
+    @functools.cached_property
+    def standing(self) -> Standing:
+        """The dots on the lattice, of which there is one in its middle where they are known."""
+        rests, index = self.points[self.placed], self.at[self.placed] - (ROWS // 2, COLS // 2)
+        middle = rests[np.flatnonzero(~index.any(axis=1))[0]]
+        places, points = (pair @ np.array([1.0, 1j]) for pair in (index[:, ::-1], rests - middle))
+        return Standing(middle, points, complex(np.vdot(places, points) / np.vdot(places, places)))
 
     def follow(self, image: np.ndarray) -> Followed:
         """The dots in an image (h, w, 3) uint8 in light and size like the untouched one."""
@@ -78,15 +107,26 @@ class PrintedDots:
 
         if not len(self.points):
             return Followed(np.zeros((0, 2)), np.zeros(0, bool))
-        nothing: Any = None  # no guess; OpenCV's types know no None here
-        grey, start = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), self.points.astype(np.float32).reshape(-1, 1, 2)
-        there, seen, unlike = cv2.calcOpticalFlowPyrLK(
-            self.grey, grey, start, nothing, winSize=WINDOW, maxLevel=LEVELS
-        )
-        back, _, _ = cv2.calcOpticalFlowPyrLK(grey, self.grey, there, nothing, winSize=WINDOW, maxLevel=LEVELS)
-        kept = (seen.ravel() > 0) & (np.hypot(*(back - start).reshape(-1, 2).T) < HOME)
-        motion = np.where(kept[:, None], (there - start).reshape(-1, 2).astype(float), np.nan)
-        return Followed(motion, ~kept | (unlike.ravel() > UNLIKE))
+        grey, start = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), self.points.astype(np.float32)
+        there, seen, unlike = _follow(self.grey, grey, start, FAR)
+        kept = seen & self._home(grey, start, there, unlike)
+        motion = np.where(kept[:, None], (there - start).astype(float), np.nan)
+        return Followed(motion, ~kept | (unlike > UNLIKE))
+
+    def _home(self, grey: np.ndarray, start: np.ndarray, there: np.ndarray, unlike: np.ndarray) -> np.ndarray:
+        """Which dots (n,) bool come home to where they start, (n, 2) px, if they are followed back from an image's grey.
+
+        Most look as they did and find home by what is close around them, at a sixth of the time; the others are followed
+        as they were on their way there.
+        """
+        home = unlike < ALIKE
+        if home.any():
+            back, _, _ = _follow(grey, self.grey, there[home], NEAR)
+            home[home] = np.hypot(*(back - start[home]).T) < CLOSELY
+        if not home.all():
+            back, _, _ = _follow(grey, self.grey, there[~home], FAR)
+            home[~home] = np.hypot(*(back - start[~home]).T) < HOME
+        return home
 
     def on_lattice(self, followed: Followed) -> np.ndarray:
         """What the dots did, on their lattice: (3, ROWS, COLS) float32.
@@ -94,7 +134,7 @@ class PrintedDots:
         Motion along u and v in px, and 1 where a dot was found, 0 where there is none.
         """
         found = np.zeros((3, ROWS, COLS), np.float32)
-        kept = followed.found & (self.at[:, 0] >= 0)
+        kept = followed.found & self.placed
         rows, cols = self.at[kept].T
         found[:2, rows, cols], found[2, rows, cols] = followed.motion[kept].T, 1.0
         return found
@@ -106,3 +146,14 @@ class PrintedDots:
         found = np.zeros((ROWS, COLS), bool)
         found[tuple(self.at[inside].T)] = True
         return found
+
+
+def _follow(
+    before: np.ndarray, after: np.ndarray, points: np.ndarray, how: dict[str, Any]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points (n, 2) float32 of one grey picture in another: where, whether at all (n,) bool, how unlike (n,) levels."""
+    import cv2
+
+    nothing: Any = None  # no guess; OpenCV's types know no None here
+    there, seen, unlike = cv2.calcOpticalFlowPyrLK(before, after, points[:, None], nothing, **how)
+    return there[:, 0], seen[:, 0] > 0, unlike[:, 0]

@@ -82,6 +82,9 @@ def half_widths(about: dict[str, Any], totals: np.ndarray, gain: float = 1.0) ->
     known = about.get("intervals", {}).get("total")
     if not known:
         return None
-    return np.stack(
-        [gain * HalfWidth(*known[name]).of(force / gain) for name, force in zip(CHANNELS, totals, strict=True)]
+    return np.array(
+        [
+            gain * HalfWidth(*known[name]).of(force / gain)
+            for name, force in zip(CHANNELS, totals.tolist(), strict=True)
+        ]
     )

@@ -5,6 +5,7 @@ Motions of dots are (n, 3, ROWS, COLS) as networks.dots gives them: along u and 
 
 import functools
 
+import numpy as np
 import torch
 
 from gelforge.networks.dots import COLS, ROWS
@@ -30,21 +31,38 @@ def moved_alike(right, down, turn, zoom) -> torch.Tensor:
     return torch.stack([right + zoom * u - turn * v, down + zoom * v + turn * u], dim=1)
 
 
-def straightened(motion: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Motion of dots (n, 3, ROWS, COLS) less the similarity z -> a z + b that fits it best, and a and b (n,) complex.
+@functools.cache
+def lattice_plane() -> np.ndarray:
+    """Where the dots rest, u + i v in px from the lattice's middle, (ROWS, COLS) complex."""
+    u, v = lattice_points()
+    return np.asarray(u.numpy() + 1j * v.numpy())
+
+
+@functools.cache
+def _moments() -> tuple[np.ndarray, np.ndarray]:
+    """What sums over the dots are taken of: (dots, 4) 1, u, v and |z|^2, and (dots, 2) 1 and the conjugate of z, z = u + i v."""
+    z = lattice_plane().ravel()
+    return np.stack([np.ones(z.shape), z.real, z.imag, abs(z) ** 2], axis=1), np.stack(
+        [np.ones(z.shape), z.conj()], axis=1
+    )
+
+
+def straightened(motion: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Motion of dots (n, 3, ROWS, COLS) less the similarity z -> a z + b that fits it best, float32, and a and b (n,) complex.
 
     By least squares over the dots that were found. What is left is seen as before the similarity, and so is the same
     for dots that were shifted, turned or zoomed besides.
     """
-    u, v = (points.to(motion) for points in lattice_points())
-    z, found = torch.complex(u, v), motion[:, 2]
-    there = z + torch.complex(motion[:, 0], motion[:, 1])
-    count = found.sum((1, 2)).clamp(min=1.0)
-    rest, middle = ((found * points).sum((1, 2)) / count for points in (z, there))
-    around = found * (z - rest[:, None, None])
-    spread = (around.abs() ** 2).sum((1, 2))
-    slope = (around.conj() * (there - middle[:, None, None])).sum((1, 2)) / spread.clamp(min=LEAST_SPREAD)
-    a = torch.where(spread > LEAST_SPREAD, slope, torch.ones_like(slope))
-    b = middle - a * rest
-    left = found * ((there - b[:, None, None]) / a[:, None, None] - z)
-    return torch.stack([left.real, left.imag, found], dim=1), a, b
+    z, (of_found, of_moved) = lattice_plane(), _moments()
+    found = motion[:, 2].astype(float)
+    moved = found * (motion[:, 0] + 1j * motion[:, 1])
+    number, u, v, squares = (found.reshape(len(found), -1) @ of_found).T
+    moves, turned = (moved.reshape(len(moved), -1) @ of_moved).T
+    number = np.maximum(number, 1.0)
+    rest = (u + 1j * v) / number
+    spread = squares - number * (rest.real**2 + rest.imag**2)
+    spun = (turned - rest.conj() * moves) / np.maximum(spread, LEAST_SPREAD)
+    a = 1.0 + np.where(spread > LEAST_SPREAD, spun, 0.0)
+    b = rest + moves / number - a * rest
+    left = found * ((z + moved - b[:, None, None]) / a[:, None, None] - z)
+    return np.stack([left.real, left.imag, found], axis=1).astype(np.float32), a, b

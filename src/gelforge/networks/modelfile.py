@@ -20,8 +20,9 @@ from gelforge.networks.dotreader import DotReader
 from gelforge.networks.halves import as_floats, halved
 from gelforge.networks.inputs import needs_untouched, network_input
 from gelforge.networks.modelcheck import check_about, check_pictures, check_tensors
-from gelforge.networks.models import build
+from gelforge.networks.models import GridNet, build
 from gelforge.networks.placereader import PlaceReader
+from gelforge.networks.unrolled import Unrolled
 from gelforge.records.image import decode, encode_png
 from gelforge.records.regular import file_fault
 
@@ -113,6 +114,8 @@ class SensorNet(nn.Module):
             constant = network_input(images_to_tensor(pictures[None]), norm)
             for module, name in net.entries():
                 setattr(module, name, Entry(getattr(module, name), gain, constant))
+        if isinstance(net, GridNet):
+            self.net = Unrolled(net)
         self.register_buffer("scale", torch.tensor(norm["label"]).float().view(1, 3, 1, 1))
 
     def forward(self, images):

@@ -5,14 +5,16 @@ zoom, which a small network tells from what contact does (networks.placereader).
 of one sitting: the middle of what each of them tells is nearer to it than any one of them.
 """
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import median
 
 import numpy as np
 
-from gelforge.networks.dots import COLS, ROWS, Followed, PrintedDots
+from gelforge.networks.dots import Followed, PrintedDots
 from gelforge.networks.lattice import PITCH
-from gelforge.networks.placereader import PlaceReader
+from gelforge.networks.placereader import PlaceReader, PlacesOneByOne
 
 LEAST_FOUND = 0.5  # of the dots: a picture in which fewer are found tells nothing of where the gel sits
 # Farthest that is put right without a word, px of each way, degrees, and part of a zoom: beyond that, dots at the rim are
@@ -34,7 +36,7 @@ class Placement:
     matrix: np.ndarray
     shift: np.ndarray
 
-    @property
+    @functools.cached_property
     def moves(self) -> bool:
         """Whether anything is put right."""
         return not np.array_equal(self.matrix, np.eye(2, 3))
@@ -63,6 +65,8 @@ class Placement:
     @property
     def fault(self) -> str:
         """What tells that it lies too far away to be put right; empty where it does not."""
+        if not self.moves:
+            return ""
         far = np.abs(self.shift).max() > SURE_SHIFT or abs(self.turn) > SURE_TURN or abs(self.zoom - 1.0) > SURE_ZOOM
         return f"the gel sits too far from where it sat untouched to be sure: {self.correction}" if far else ""
 
@@ -81,11 +85,10 @@ UNPLACED = Placement(np.eye(2, 3), np.zeros(2))
 
 def tells_place(dots: PrintedDots, followed: Followed) -> bool:
     """Whether enough of the dots were found in a picture to tell where its gel sits."""
-    known = dots.at[:, 0] >= 0
-    return dots.known and bool(followed.found[known].mean() >= LEAST_FOUND)
+    return dots.known and bool(followed.found[dots.placed].mean() >= LEAST_FOUND)
 
 
-def place(reader: PlaceReader | None, dots: PrintedDots, sitting: Sequence[Followed]) -> Placement:
+def place(reader: PlaceReader | PlacesOneByOne | None, dots: PrintedDots, sitting: Sequence[Followed]) -> Placement:
     """Placement of pictures of one sitting on the untouched one whose dots these are, by what its dots did in each of them.
 
     Nothing is moved where no reader is given, no picture shows enough of the print, or the move may be the reader's error.
@@ -95,12 +98,12 @@ def place(reader: PlaceReader | None, dots: PrintedDots, sitting: Sequence[Follo
         return UNPLACED
     told = reader.places(np.stack([dots.on_lattice(followed) for followed in telling]))
     placement, moved = about_middle(dots, _middle(told.a), _middle(told.b))
-    return placement if moved >= LEAST_MOVE + LEAST_SHARE * np.median(told.contact) else UNPLACED
+    return placement if moved >= LEAST_MOVE + LEAST_SHARE * median(told.contact.tolist()) else UNPLACED
 
 
 def _middle(values: np.ndarray) -> complex:
     """Medians of the real and the imaginary parts of complex numbers (n,)."""
-    return complex(np.median(values.real), np.median(values.imag))
+    return complex(median(values.real.tolist()), median(values.imag.tolist()))
 
 
 def about_middle(dots: PrintedDots, a: complex, b: complex) -> tuple[Placement, float]:
@@ -108,14 +111,10 @@ def about_middle(dots: PrintedDots, a: complex, b: complex) -> tuple[Placement, 
 
     And how far it moves the dots, root mean square, px.
     """
-    known = dots.at[:, 0] >= 0
-    rests, index = dots.points[known], dots.at[known] - (ROWS // 2, COLS // 2)
-    middle = rests[np.flatnonzero(~index.any(axis=1))[0]]
+    standing = dots.standing
     # of a print of another pitch, or one that stands turned, the same motion is another turn and zoom
-    places, points = (pair @ np.array([1.0, 1j]) for pair in (index[:, ::-1], rests - middle))
-    step = np.vdot(places, points) / np.vdot(places, places)
-    a = complex(1 + (a - 1) * PITCH / step)
-    shift, linear = np.array([b.real, b.imag]), np.array([[a.real, -a.imag], [a.imag, a.real]])
-    moved = (rests - middle) @ (linear - np.eye(2)).T + shift
-    how_far = float(np.sqrt((moved**2).sum(axis=1).mean()))
-    return Placement(np.column_stack([linear, middle - linear @ middle + shift]), shift), how_far
+    a = complex(1 + (a - 1) * PITCH / standing.step)
+    linear, shift = np.array([[a.real, -a.imag], [a.imag, a.real]]), np.array([b.real, b.imag])
+    moved = (a - 1) * standing.points + b
+    how_far = float(np.sqrt((moved.real**2 + moved.imag**2).mean()))
+    return Placement(np.column_stack([linear, standing.middle - linear @ standing.middle + shift]), shift), how_far

@@ -17,8 +17,8 @@ from torch import nn
 from torch.nn import functional as F
 
 from gelforge.networks.dotaugment import kept_dots, mirrored
-from gelforge.networks.lattice import lattice_points, straightened
-from gelforge.networks.smallnet import Stack, Whole, in_pieces, train_small
+from gelforge.networks.lattice import lattice_plane, straightened
+from gelforge.networks.smallnet import OneByOne, Stack, Whole, in_pieces, train_small
 
 WIDTH, HIDDEN = 48, 96
 # What its answers are in units of: px to the right and down, radians of turn, part of a zoom.
@@ -56,14 +56,30 @@ class PlaceReader(nn.Module):
 
     def places(self, motion: np.ndarray) -> Places:
         """How the gel sits in each of some pictures, by the motion of their dots (n, 3, ROWS, COLS) float32."""
-        left, a, b = straightened(torch.from_numpy(np.ascontiguousarray(motion)).double())
-        right, down, turn, zoom = in_pieces(self, left.float().numpy()).T
-        u, v = (points.double().numpy() for points in lattice_points())
-        shift, spun = right + 1j * down, zoom + 1j * turn
-        moved = np.abs(shift[:, None, None] + spun[:, None, None] * (u + 1j * v)) ** 2
-        found = motion[:, 2]
-        contact = np.sqrt((found * moved).sum((1, 2)) / np.maximum(found.sum((1, 2)), 1.0))
-        return Places(a.numpy() * (1 + spun), b.numpy() + a.numpy() * shift, contact)
+        left, a, b = straightened(motion)
+        return _places(motion, a, b, in_pieces(self, left))
+
+
+class PlacesOneByOne:
+    """A reader of places that reads one motion after another, as it is now (networks.smallnet.OneByOne)."""
+
+    def __init__(self, reader: PlaceReader) -> None:
+        self._read = OneByOne(reader.convolutions, reader.inner, reader.outer)
+
+    def places(self, motion: np.ndarray) -> Places:
+        """As `PlaceReader.places`."""
+        left, a, b = straightened(motion)
+        return _places(motion, a, b, np.concatenate([self._read(one) * UNITS for one in left]))
+
+
+def _places(motion: np.ndarray, a: np.ndarray, b: np.ndarray, told: np.ndarray) -> Places:
+    """How gels sit whose dots' motion (n, 3, ROWS, COLS) has best similarities a, b (n,), of which told (n, 4) is no contact."""
+    right, down, turn, zoom = told.T
+    shift, spun = right + 1j * down, zoom + 1j * turn
+    moved = shift[:, None, None] + spun[:, None, None] * lattice_plane()
+    found = motion[:, 2]
+    squared = (found * (moved.real**2 + moved.imag**2)).sum((1, 2))
+    return Places(a * (1 + spun), b + a * shift, np.sqrt(squared / np.maximum(found.sum((1, 2)), 1.0)))
 
 
 def train_place_reader(motion: np.ndarray, epochs: int, seed: int) -> PlaceReader:
@@ -73,8 +89,9 @@ def train_place_reader(motion: np.ndarray, epochs: int, seed: int) -> PlaceReade
     def lesson(reader: PlaceReader, rows: torch.Tensor, draw: torch.Generator) -> tuple[torch.Tensor, torch.Tensor]:
         seen, _ = mirrored(torch.from_numpy(motion[rows.numpy()]), draw)
         found = (seen[:, 2] * kept_dots(len(rows), LOST, draw))[:, None]
-        left, a, b = straightened(torch.cat([found * seen[:, :2], found], dim=1))
+        left, a, b = straightened(torch.cat([found * seen[:, :2], found], dim=1).numpy())
         shift, spun = -b / a, 1 / a - 1  # back to where the gel sat
-        return reader(left) / units, torch.stack([shift.real, shift.imag, spun.imag, spun.real], dim=1) / units
+        wanted = torch.from_numpy(np.stack([shift.real, shift.imag, spun.imag, spun.real], axis=1)).float()
+        return reader(torch.from_numpy(left)) / units, wanted / units
 
     return train_small(PlaceReader, lesson, "places", len(motion), epochs, seed)

@@ -29,4 +29,4 @@ def place_sitting(untouched: Untouched, images: Iterable[np.ndarray]) -> Placeme
 
 def _follow(untouched: Untouched, image: np.ndarray) -> Followed:
     sized = fit_size(image, untouched.trained.about["image"])[0]
-    return untouched.dots(GIVEN).follow(untouched.canonical(sized, GIVEN)[0])
+    return untouched.dots(GIVEN).follow(untouched.canonical(untouched.view.of(sized), GIVEN)[0])

@@ -94,3 +94,48 @@ def in_pieces(net: nn.Module, motion: np.ndarray) -> np.ndarray:
     with torch.no_grad():
         parts = [net(part) for part in torch.from_numpy(np.ascontiguousarray(motion)).split(PIECE)]
     return torch.cat(parts).double().numpy()
+
+
+class OneByOne:
+    """A small network that reads one motion after another: the same numbers as of many, with little done around them.
+
+    Of one picture the work is so small that half of a processor's time goes into calls and into weights that are brought
+    into another order: here they stand in the order in which they are used. The network is read as it is now; what
+    becomes of its weights later is not seen.
+
+    convolutions: what sees the motion. inner, outer: the layers behind, as `Whole` and as one more of 1 x 1 or a product
+    of matrices, each of as many groups as the convolutions have.
+    """
+
+    def __init__(self, convolutions: Stack, inner: Whole, outer: nn.Conv2d | nn.Linear) -> None:
+        self._groups = inner.groups
+        self._convolutions = [
+            (weight.contiguous(memory_format=torch.channels_last), bias, layer.stride, layer.groups)
+            for layer in convolutions
+            if isinstance(layer, nn.Conv2d)
+            for weight, bias in [_constants(layer)]
+        ]
+        self._behind = list(zip(self._by_group(inner), self._by_group(outer), strict=True))
+
+    def _by_group(self, layer: nn.Module) -> list[tuple[torch.Tensor, ...]]:
+        """Matrix and constants of each group of a layer that sees all there is at once."""
+        weight, bias = _constants(layer)
+        return list(zip(weight.flatten(1).chunk(self._groups), bias.chunk(self._groups), strict=True))
+
+    def __call__(self, motion: np.ndarray) -> np.ndarray:
+        """Answers (groups, answers) float64 to one motion (3, ROWS, COLS) float32."""
+        with torch.inference_mode():
+            seen = torch.from_numpy(motion)[None].contiguous(memory_format=torch.channels_last)
+            for weight, bias, stride, groups in self._convolutions:
+                seen = torch.conv2d(seen, weight, bias, stride, 1, 1, groups).relu_()
+            parts = seen.reshape(self._groups, 1, -1)
+            told = [
+                F.linear(F.linear(part, *inner).relu_(), *outer) for part, (inner, outer) in zip(parts, self._behind)
+            ]
+            return torch.cat(told).double().numpy()
+
+
+def _constants(layer: nn.Module) -> tuple[torch.Tensor, torch.Tensor]:
+    """Weights and constants of a layer that has both, as they are now."""
+    weight, bias = (value.detach().clone() for value in layer.parameters())
+    return weight, bias

@@ -1,12 +1,14 @@
 """How unlike its training images an image is, from a few statistics of the picture."""
 
+import functools
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from gelforge.networks.canonical import Light, match_light
-from gelforge.networks.dots import Followed, PrintedDots
+from gelforge.networks.dots import COLS, ROWS, Followed, PrintedDots
 from gelforge.records.markers import find_blobs
 
 # Smallest standard deviation that a statistic is given, so that a uniform training set does not flag
@@ -34,11 +36,35 @@ LIMITS = (
 )
 
 
-def grey_of(image) -> np.ndarray:
-    """Mean of the colours of an image (h, w, 3) uint8, (h, w) uint8."""
+def grey_of(colours: Sequence[np.ndarray]) -> np.ndarray:
+    """Mean (h, w) uint8 of the three colours (h, w) uint8 of an image."""
     import cv2
 
-    return cv2.transform(image, np.full((1, 3), 1 / 3))
+    red, green, blue = colours
+    total = np.add(red, green, dtype=np.uint16)
+    total += blue
+    return cv2.convertScaleAbs(total, alpha=1 / 3)
+
+
+def quarters(image: np.ndarray) -> np.ndarray:
+    """Mean levels (12,) of the quarters of an image (h, w, 3) uint8: by rows, columns and colours."""
+    import cv2
+
+    height, width = image.shape[:2]
+    if height % 2 or width % 2:
+        return cv2.resize(image, (2, 2), interpolation=cv2.INTER_AREA).astype(float).ravel()
+    middle = height // 2
+    halves = [cv2.reduce(half, 0, cv2.REDUCE_SUM, dtype=cv2.CV_32S) for half in (image[:middle], image[middle:])]
+    total = np.concatenate(halves).reshape(4, -1, 3).sum(axis=1)
+    return np.rint(total.ravel() / (middle * width // 2))
+
+
+def spread_of(plane: np.ndarray) -> float:
+    """Standard deviation of a plane (h, w) of whole numbers, from sums that are exact: OpenCV's own takes ten times as long."""
+    import cv2
+
+    mean = cv2.sumElems(plane)[0] / plane.size
+    return math.sqrt(max(0.0, cv2.norm(plane, cv2.NORM_L2SQR) / plane.size - mean**2))
 
 
 def find_dots(grey) -> tuple[int, float]:
@@ -50,7 +76,8 @@ def find_dots(grey) -> tuple[int, float]:
     side = max(3, round(25 * grey.shape[1] / 320) | 1)
     depth = cv2.morphologyEx(grey, cv2.MORPH_BLACKHAT, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)))
     _, mask = cv2.threshold(depth, DOT_DEPTH, 255, cv2.THRESH_BINARY)
-    _, _, boxes, _ = cv2.connectedComponentsWithStats(mask)
+    # one of several ways that OpenCV has to the same components, and twice as fast as what it takes by itself
+    _, _, boxes, _ = cv2.connectedComponentsWithStatsWithAlgorithm(mask, 8, cv2.CV_32S, cv2.CCL_BBDT)
     scale = grey.shape[0] * grey.shape[1] / (240 * 320)
     area = boxes[1:, cv2.CC_STAT_AREA]
     good = (area >= DOT_AREA[0] * scale) & (area <= DOT_AREA[1] * scale)
@@ -61,11 +88,10 @@ def describe(image) -> np.ndarray:
     """Statistics (18,) of an image (h, w, 3) uint8: quadrant colours, spread, sharpness, dots and their depth."""
     import cv2
 
-    small = cv2.resize(image, (2, 2), interpolation=cv2.INTER_AREA).astype(float).ravel()
-    spread = cv2.meanStdDev(image)[1].ravel()
-    grey = grey_of(image)
-    rough = cv2.meanStdDev(cv2.Laplacian(grey, cv2.CV_16S))[1].item()
-    return np.array([*small, *spread, np.log(1 + rough**2), *find_dots(grey)])
+    colours = cv2.split(image)
+    grey = grey_of(colours)
+    rough = spread_of(cv2.Laplacian(grey, cv2.CV_16S))
+    return np.array([*quarters(image), *map(spread_of, colours), math.log(1 + rough**2), *find_dots(grey)])
 
 
 def fit(train: np.ndarray, held_out: np.ndarray) -> dict:
@@ -81,6 +107,11 @@ def fit(train: np.ndarray, held_out: np.ndarray) -> dict:
     model = {"mean": mean.tolist(), "spread": spread.tolist(), "inverse": np.linalg.inv(covariance).tolist()}
     worst = max((score(model, row) for row in held_out), default=0.0)
     return model | {"threshold": max(LEAST_THRESHOLD, MARGIN * worst)}
+
+
+def as_arrays(model: dict) -> dict:
+    """The reference of `score` as a model file keeps it, its lists made arrays: `score` then need not, for every image."""
+    return {name: np.asarray(value) if isinstance(value, list) else value for name, value in model.items()}
 
 
 def score(model: dict, statistics: np.ndarray) -> float:
@@ -121,7 +152,7 @@ def distance(image, untouched) -> float:
     apart = cv2.resize(cv2.absdiff(image, untouched), (80, 60), interpolation=cv2.INTER_AREA)
     # the sum of whole planes, a quarter of the time of a mean along the colours
     red, green, blue = cv2.split(apart)
-    return float(np.median(red.astype(np.uint16) + green + blue)) / 3
+    return quantile((red.astype(np.uint16) + green + blue).ravel(), 0.5) / 3
 
 
 def relief(untouched) -> float:
@@ -197,7 +228,7 @@ def dot_evidence(dots: PrintedDots, followed: Followed) -> DotEvidence:
     if not rim.any():
         return DotEvidence()
     moved = np.hypot(*followed.motion[rim & followed.found].T)
-    rim_px = float(np.median(moved)) if len(moved) else 0.0
+    rim_px = quantile(moved, 0.5) if len(moved) else 0.0
     return DotEvidence(rim_px, float(followed.unlike[rim].mean()), unevenness(dots.on_lattice(followed)))
 
 
@@ -206,12 +237,33 @@ def unevenness(motion: np.ndarray) -> float:
 
     The quartile, because a contact's edge is uneven, too.
     """
-    uv, found = motion[:2], motion[2] > 0
-    along = uv[:, :, 1:-1] - (uv[:, :, :-2] + uv[:, :, 2:]) / 2
-    across = uv[:, 1:-1] - (uv[:, :-2] + uv[:, 2:]) / 2
-    known = [found[:, 1:-1] & found[:, :-2] & found[:, 2:], found[1:-1] & found[:-2] & found[2:]]
-    apart = np.concatenate([np.hypot(*off[:, where]) for off, where in zip((along, across), known, strict=True)])
-    return float(np.percentile(apart, 25)) if len(apart) else 0.0
+    before, middle, after = _rows_of_three()
+    moved = motion.reshape(3, -1)
+    found = moved[2] > 0
+    known = found[before] & found[middle] & found[after]
+    before, middle, after = before[known], middle[known], after[known]
+    apart = np.hypot(*(moved[:2, middle] - (moved[:2, before] + moved[:2, after]) / 2))
+    return quantile(apart, 0.25) if len(apart) else 0.0
+
+
+@functools.cache
+def _rows_of_three() -> np.ndarray:
+    """Places of the lattice, counted row by row, of three dots in a row along it or across: (3, n), the second between."""
+    at = np.arange(ROWS * COLS).reshape(ROWS, COLS)
+    along = [at[:, :-2], at[:, 1:-1], at[:, 2:]]
+    across = [at[:-2], at[1:-1], at[2:]]
+    return np.stack([np.concatenate([a.ravel(), b.ravel()]) for a, b in zip(along, across, strict=True)])
+
+
+def quantile(values: np.ndarray, share: float) -> float:
+    """The value that `share` of some values (n,), at least one, lie below, between two of them by proportion.
+
+    As numpy's, which looks at so much else that it takes ten times as long for a hundred values.
+    """
+    place = share * (len(values) - 1)
+    low, high = math.floor(place), math.ceil(place)
+    ordered = np.partition(values, (low, high))
+    return float(ordered[low]) + (place - low) * (float(ordered[high]) - float(ordered[low]))
 
 
 def pair_limits(found: Sequence[PairEvidence]) -> dict[str, float]:

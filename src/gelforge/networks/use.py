@@ -9,16 +9,18 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.networks.agreement import blend, dots_fault
-from gelforge.networks.canonical import WHOLE, Light, view_of
+from gelforge.networks.canonical import WHOLE, Light, Resting, view_of
 from gelforge.networks.data import Data
-from gelforge.networks.dotreader import DotReader
+from gelforge.networks.dotreader import DotsOneByOne
 from gelforge.networks.dots import Followed, PrintedDots
 from gelforge.networks.intervals import half_widths
 from gelforge.networks.latency import predict_images
 from gelforge.networks.modelfile import SensorNet, Trained, load_model, require_sensor
 from gelforge.networks.placement import LEAST_MOVE, UNPLACED, Placement, place
+from gelforge.networks.placereader import PlacesOneByOne
 from gelforge.networks.statistics import (
     PairEvidence,
+    as_arrays,
     distance,
     dot_evidence,
     judge,
@@ -100,7 +102,11 @@ class Untouched:
                 f"has none{f' of {sensor}' if sensor else ''}: give it with --untouched PICTURE or --profile FILE (in Python "
                 "untouched=, profile=)"
             )
-        self._pictures: dict[str, np.ndarray] = {}
+        self.statistics = as_arrays(trained.about["statistics"])
+        self.reader_of_dots = None if trained.dots is None else DotsOneByOne(trained.dots)
+        self.reader_of_places = None if trained.places is None else PlacesOneByOne(trained.places)
+        # what is known of each untouched picture by its name, made when it is first needed
+        self._resting: dict[str, Resting] = {}
         self._dots: dict[str, PrintedDots] = {}
         self._readers: dict[str, SensorNet] = {}
         self._rest: dict[str, np.ndarray] = {}
@@ -113,14 +119,17 @@ class Untouched:
 
     def picture(self, name: str) -> np.ndarray:
         """The untouched picture of that name at the network's scale."""
-        if name not in self._pictures:
-            self._pictures[name] = self.view.of(self.known[name])
-        return self._pictures[name]
+        return self.resting(name).picture
 
-    def canonical(self, image: np.ndarray, name: str, placement: Placement | None = None) -> tuple[np.ndarray, Light]:
-        """An image as the network reads it against the picture of that name, and what its light was."""
-        seen = self.view.of(image)
-        return self.view.match(seen if placement is None else placement.undo(seen), self.picture(name))
+    def resting(self, name: str) -> Resting:
+        """The untouched picture of that name, and its light."""
+        if name not in self._resting:
+            self._resting[name] = Resting(self.view.of(self.known[name]), self.view)
+        return self._resting[name]
+
+    def canonical(self, seen: np.ndarray, name: str) -> tuple[np.ndarray, Light]:
+        """An image of the sensor's view as the network reads it against the picture of that name, and what its light was."""
+        return self.view.match(seen, self.resting(name))
 
     def dots(self, name: str) -> PrintedDots:
         """Dots of the picture of that name at the network's scale."""
@@ -134,22 +143,25 @@ class Untouched:
         placement: how it lies on that picture, as its sitting tells it; None: as the image's own dots do, where its rim
         moved. A view that does not show the gel's rim tells nothing of it.
         """
-        lit, light = self.canonical(image, name, placement)
+        shown = self.view.of(image)
+        seen = shown if placement is None else placement.undo(shown)
+        lit, light = self.canonical(seen, name)
         dots, rest = self.dots(name), self.picture(name)
         followed = dots.follow(lit)
         if self.view.zoom != 1.0:
-            return CanonicalPair(lit, PairEvidence(distance(lit, rest), light), dots, followed, placement or UNPLACED)
+            evidence = PairEvidence(distance(lit, rest), light)
+            return CanonicalPair(seen, lit, evidence, dots, followed, placement or UNPLACED)
         told = dot_evidence(dots, followed)
         if placement is None and told.rim_px > LEAST_MOVE:
-            placement = place(self.trained.places, dots, [followed])
+            placement = place(self.reader_of_places, dots, [followed])
             if placement.moves:
                 # dots that lay beside each other told of light, too
-                lit, light = self.canonical(image, name, placement)
+                seen = placement.undo(shown)
+                lit, light = self.canonical(seen, name)
                 followed = dots.follow(lit)
                 told = dot_evidence(dots, followed)
-        return CanonicalPair(
-            lit, PairEvidence(distance(lit, rest), light, told), dots, followed, placement or UNPLACED
-        )
+        evidence = PairEvidence(distance(lit, rest), light, told)
+        return CanonicalPair(seen, lit, evidence, dots, followed, placement or UNPLACED)
 
     def reader(self, name: str) -> SensorNet:
         """The network for the sensor of that picture."""
@@ -169,21 +181,22 @@ class Untouched:
 class CanonicalPair:
     """An image as the network reads it beside an untouched picture, and what is known of how they belong together.
 
-    lit: (h, w, 3) uint8 in the light, at the scale and in the place of the untouched one. dots: of the untouched one, and
+    seen: (h, w, 3) uint8 at the scale and in the place of the untouched one; lit: in its light, too. dots: of the untouched one, and
     where the image has them. placement: what was put right in how the image lay.
     """
 
+    seen: np.ndarray
     lit: np.ndarray
     evidence: PairEvidence
     dots: PrintedDots
     followed: Followed
     placement: Placement
 
-    def by_dots(self, reader: DotReader | None) -> np.ndarray | None:
+    def by_dots(self, reader: DotsOneByOne | None) -> np.ndarray | None:
         """Total force (3,) N that the dots tell by themselves (networks.dotreader); None where nothing reads them."""
         if reader is None or not self.dots.known:
             return None
-        return reader.totals(self.dots.on_lattice(self.followed)[None])[0]
+        return reader.total(self.dots.on_lattice(self.followed))
 
 
 @dataclass(frozen=True)
@@ -230,11 +243,11 @@ def predict_one(
     pair = untouched.pair(image, name, placement) if trained.needs_untouched else None
     lit = pair.lit if pair else image
     light = pair.evidence.light if pair else None
-    likeness = judge(trained.about["statistics"], lit, pair.evidence if pair else None)
+    likeness = judge(untouched.statistics, lit, pair.evidence if pair else None)
     forces = predict_images(untouched.reader(name), lit[None])[0]
     if trained.needs_untouched:
         forces = forces - untouched.rest(name)
-    by_dots, contradicted = pair.by_dots(trained.dots) if pair else None, ""
+    by_dots, contradicted = pair.by_dots(untouched.reader_of_dots) if pair else None, ""
     if by_dots is not None:
         total = forces.sum((1, 2), dtype=float)
         contradicted = dots_fault(trained.about["dots"]["apart"], total, by_dots, untouched.gain)
@@ -251,8 +264,7 @@ def predict_one(
         by_dots=None if by_dots is None else untouched.gain * by_dots,
         half_width=half_widths(trained.about, forces.sum((1, 2), dtype=float), untouched.gain),
     )
-    seen = untouched.view.of(image)
-    return pair.placement.undo(seen) if pair else seen, forces, judgement
+    return pair.seen if pair else image, forces, judgement
 
 
 @dataclass(frozen=True)
