@@ -19,6 +19,9 @@ from gelforge.mechanics.tet.solid import TetSolid
 # Shares of a displacement carried from bricks that are tried until no element is inside out.
 UNFOLDED = (1.0, 0.95, 0.9, 0.8, 0.6)
 
+# Least and most of its residual that a linear solve leaves; between them, as much as that is of the contact force.
+LEFT = 0.02, 0.2
+
 _A, _B = np.triu_indices(6)
 
 
@@ -27,9 +30,9 @@ class PathSettings:
     """Load steps of press and shear, contact stiffness (N/mm^3), residuals over contact force, and limits.
 
     step_mm: no load step of the press is longer. gentle_above: residual above which Newton takes the gentle
-    tangent of TetSolid.factorise: it halves the iterations of deep presses and needs no cut steps.
-    arrival_tolerance: residual at which the end of a path walked on bricks shows what pulls and what presses.
-    reuse_below: residual below which the last factorisation is tried again, at a tenth of the cost of a new one.
+    tangent of TetSolid.linearise: it halves the iterations of deep presses and needs no cut steps.
+    arrival_tolerance: residual at which the end of a path walked on bricks shows what pulls and what presses; a third of
+    that tells no other points and takes half as long again. settle_tolerance: residual at which the end is judged first.
     """
 
     press_steps: int = 4
@@ -37,10 +40,10 @@ class PathSettings:
     step_mm: float = 0.35
     stiffness: float = 145.0
     step_tolerance: float = 0.2
-    arrival_tolerance: float = 0.1
+    arrival_tolerance: float = 0.3
+    settle_tolerance: float = 0.02
     final_tolerance: float = 1e-6
     gentle_above: float = 0.5
-    reuse_below: float = 0.1
     pull_tolerance: float = 1e-3
     penetration_mm: float = 1e-3
     free_iterations: int = 6
@@ -151,6 +154,8 @@ class _Path:
         self.contact = Contact(np.zeros(points.weight.shape, int), zero, zero.copy(), zero.copy())
         self.anchor, self.anchor_normal = zero.copy(), zero.copy()
         self.iterations = self.steps = 0
+        # The next step takes a factorisation of its own: one of another press would make this one depend on that.
+        self.fresh = True
 
     def pose(self, at: np.ndarray) -> Pose:
         return Pose(*self.scene.press.pose(*at))
@@ -221,8 +226,7 @@ class _Path:
             if state.size < tolerance and state.changed <= allowed:
                 return state.u, state.contact
             keep = iteration + 1 >= s.free_iterations
-            near = iteration > 0 and state.size < s.reuse_below
-            state = (near and self._cheap_steps(state, pose, keep, tolerance)) or self._newton_step(state, pose, keep)
+            state = self._newton_step(state, pose, keep)
         raise NoEquilibrium(
             f"no equilibrium in {s.most_iterations} Newton iterations, residual {state.size:.1e} of the force"
         )
@@ -238,25 +242,17 @@ class _Path:
         size = float(np.linalg.norm(residual)) / max(float(np.linalg.norm(outer)), 1e-12)
         return _State(u, contact, changed, residual, size, smallest)
 
-    def _cheap_steps(self, state: "_State", pose: Pose, keep: bool, tolerance: float) -> "_State | None":
-        """Steps with the last factorisation as long as each takes away most of the residual; None if none does."""
-        found = None
-        while state.size >= tolerance or state.changed:
-            trial = self._evaluate(state.u + self.solid.step(state.residual), state.contact, pose, keep)
-            if not trial.size < 0.3 * state.size:
-                break
-            found = state = trial
-        return found
-
     def _newton_step(self, state: "_State", pose: Pose, keep: bool) -> "_State":
         springs = contact_blocks(state.contact, self.points, self.settings.stiffness)
         gentle = state.size > self.settings.gentle_above
         ways = [(1.0, 0.0), (1.0, 1.0)] if gentle else [(0.0, 0.0), (0.5, 0.0), (1.0, 0.0), (1.0, 1.0)]
         for share, firm in ways:
             self.iterations += 1
-            self.solid.factorise(state.u, self.shear, self.bulk, *springs, gentle=share, firm=firm)
+            self.solid.linearise(state.u, self.shear, self.bulk, *springs, gentle=share, firm=firm)
+            step = self.solid.step(state.residual, 0.0 if self.fresh else float(np.clip(state.size, *LEFT)))
+            self.fresh = False
             # a full tangent that turns elements inside out is not worth following at a crawl
-            found = self._search(state, self.solid.step(state.residual), pose, keep, 8 if share == 1.0 else 3)
+            found = self._search(state, step, pose, keep, 8 if share == 1.0 else 3)
             if found is not None:
                 return found
         raise NoEquilibrium("an element turned inside out")
@@ -395,8 +391,9 @@ class _Path:
     def settle(self) -> bool:
         """Equilibrium at the end of the path in which nothing pulls and nothing new penetrates."""
         s, pose = self.settings, self.pose(self.at)
+        self.fresh = True  # from here on the contact hardly changes, and one factorisation serves to the end
         for _ in range(s.settle_rounds):
-            for tolerance in (s.step_tolerance, s.final_tolerance):
+            for tolerance in (s.settle_tolerance, s.final_tolerance):
                 self.u, self.contact = self.newton(self.u, self.contact, pose, tolerance)
                 verdict = judge(self.scene, self.contact, self.points, self.u, s.stiffness)
                 if verdict.pulling_fraction > s.pull_tolerance or verdict.penetration > s.penetration_mm:
