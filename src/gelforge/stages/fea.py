@@ -29,7 +29,7 @@ from gelforge.records.press import POSE, PosedPress
 from gelforge.records.solvetable import Solved, damaged, read_record, write_solves
 from gelforge.records.status import Status
 
-VERSION = 10
+VERSION = 11
 
 
 def scene_of(press: PosedPress, bodies: dict, sensors: dict, params: ForFea) -> Scene:

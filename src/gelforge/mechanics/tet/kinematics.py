@@ -42,7 +42,7 @@ class PathSettings:
     step_tolerance: float = 0.2
     arrival_tolerance: float = 0.3
     settle_tolerance: float = 0.02
-    final_tolerance: float = 1e-6
+    final_tolerance: float = 1e-8
     gentle_above: float = 0.5
     pull_tolerance: float = 1e-3
     penetration_mm: float = 1e-3
@@ -56,7 +56,10 @@ class PathSettings:
 
 @dataclass
 class Kinematics:
-    """End of a path: contact, displacement (n, 3) mm, whether it settled, why not, iterations and load steps."""
+    """End of a path: contact, displacement (n, 3) mm, whether it settled, why not, and what it took.
+
+    iterations: of Newton's method. steps: of the load. rounds: in which the contact at the end was judged.
+    """
 
     contact: Contact
     displacement: np.ndarray
@@ -64,6 +67,7 @@ class Kinematics:
     reason: str
     iterations: int
     steps: int
+    rounds: int
 
 
 @dataclass(frozen=True)
@@ -119,7 +123,7 @@ def follow(scene: Scene, solid: TetSolid, points: FacePoints, start: float, sett
         reason = "" if settled else "the contact set did not settle on the path"
     except NoEquilibrium as error:
         settled, reason = False, str(error)
-    return Kinematics(path.contact, path.u, settled, reason, path.iterations, path.steps)
+    return Kinematics(path.contact, path.u, settled, reason, path.iterations, path.steps, path.rounds)
 
 
 def arrive(
@@ -138,7 +142,7 @@ def arrive(
         reason = "" if settled else "the contact set did not settle at the path's end"
     except NoEquilibrium as error:
         settled, reason = False, str(error)
-    return Kinematics(path.contact, path.u, settled, reason, path.iterations, len(trail.times) - 1)
+    return Kinematics(path.contact, path.u, settled, reason, path.iterations, len(trail.times) - 1, path.rounds)
 
 
 class _Path:
@@ -153,7 +157,7 @@ class _Path:
         zero = np.zeros_like(points.position)
         self.contact = Contact(np.zeros(points.weight.shape, int), zero, zero.copy(), zero.copy())
         self.anchor, self.anchor_normal = zero.copy(), zero.copy()
-        self.iterations = self.steps = 0
+        self.iterations = self.steps = self.rounds = 0
         # The next step takes a factorisation of its own: one of another press would make this one depend on that.
         self.fresh = True
 
@@ -379,6 +383,7 @@ class _Path:
         held, places = held.reshape(self.contact.state.shape), places.reshape(self.anchor.shape)
         self._anchor(held, places, pose)
         for _ in range(self.settings.settle_rounds):
+            self.rounds += 1
             self.u, self.contact = self.newton(self.u, self.contact, pose, self.settings.arrival_tolerance)
             new = (self.contact.state == SLIDE) & ~held
             held |= new
@@ -393,6 +398,7 @@ class _Path:
         s, pose = self.settings, self.pose(self.at)
         self.fresh = True  # from here on the contact hardly changes, and one factorisation serves to the end
         for _ in range(s.settle_rounds):
+            self.rounds += 1
             for tolerance in (s.settle_tolerance, s.final_tolerance):
                 self.u, self.contact = self.newton(self.u, self.contact, pose, tolerance)
                 verdict = judge(self.scene, self.contact, self.points, self.u, s.stiffness)
