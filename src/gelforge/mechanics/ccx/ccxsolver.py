@@ -21,8 +21,8 @@ from gelforge.mechanics.hex.carry import Trail
 from gelforge.mechanics.hex.reach import first_touch
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.scene import BALANCE, REFERENCE_C10, Result, Scene
-from gelforge.mechanics.tet.face import face_points
-from gelforge.mechanics.tet.facecontact import Verdict, judge
+from gelforge.mechanics.tet.face import FacePoints, face_points
+from gelforge.mechanics.tet.facecontact import Verdict, judge, reachable
 from gelforge.mechanics.tet.kinematics import Kinematics, PathSettings, arrive, contact_forces, follow
 from gelforge.mechanics.tet.solid import TetSolid
 from gelforge.records.status import Status
@@ -90,11 +90,12 @@ class CcxSolver:
             s.press_steps, s.shear_steps, s.step_mm, s.stiffness * REFERENCE_C10,
             pull_tolerance=s.pull_tolerance / 2, penetration_mm=s.penetration_mm / 2, settle_rounds=s.rounds,
         )  # fmt: skip
-        found = self._arrived(scene, trail, path) or follow(scene, self.solid, self.points, touch_at, path)
+        points = reachable(scene, self.points)
+        found = self._arrived(scene, points, trail, path) or follow(scene, self.solid, points, touch_at, path)
         kinematics_s = time.perf_counter() - began
         if found.settled:
-            result = self._state(scene, found, name, s)
-            own = contact_forces(found.contact, self.points, found.displacement, path.stiffness).sum(axis=0)
+            result = self._state(scene, found, points, name, s)
+            own = contact_forces(found.contact, points, found.displacement, path.stiffness).sum(axis=0)
             result.evidence["engine_difference"] = _difference(result.total, own)
         else:
             result = self._empty(Status.DIVERGED, found.reason, began)
@@ -104,11 +105,13 @@ class CcxSolver:
         }  # fmt: skip
         return result
 
-    def _arrived(self, scene: Scene, trail: Trail | None, path: PathSettings) -> Kinematics | None:
+    def _arrived(
+        self, scene: Scene, points: FacePoints, trail: Trail | None, path: PathSettings
+    ) -> Kinematics | None:
         """The end of a path that was walked on bricks; None where none was or where it does not settle."""
         if trail is None or scene.interface.law != "no_slip":
             return None
-        found = arrive(scene, self.solid, self.points, self.mesh.nodes, trail, path)
+        found = arrive(scene, self.solid, points, self.mesh.nodes, trail, path)
         return found if found.settled else None
 
     def _empty(self, status: Status, reason: str, began: float) -> CcxResult:
@@ -120,14 +123,14 @@ class CcxSolver:
         evidence |= {"reason": reason, "seconds": time.perf_counter() - began, "peak_mib": 0.0}
         return CcxResult(status, zero, zero.copy(), evidence)
 
-    def _state(self, scene: Scene, found: Kinematics, name: str, s: CcxSettings) -> CcxResult:
+    def _state(self, scene: Scene, found: Kinematics, points: FacePoints, name: str, s: CcxSettings) -> CcxResult:
         """CalculiX' equilibrium with the touched part of the surface held where the kinematics left it."""
-        held = np.unique(self.mesh.faces[found.contact.held.any(axis=1)])
+        held = np.unique(points.faces[found.contact.held.any(axis=1)])
         run = _Run(self, scene, name, s)
         answer = run.solve(held, found.displacement)
         if isinstance(answer, CcxResult):
             return answer
-        verdict = judge(scene, found.contact, self.points, answer.displacement, s.stiffness * REFERENCE_C10)
+        verdict = judge(scene, found.contact, points, answer.displacement, s.stiffness * REFERENCE_C10)
         result = run.result(answer, held, verdict)
         result.evidence["touching_points"] = int(found.contact.held.sum())
         return result

@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gelforge.geometry import touch
+from gelforge.mechanics.hex.reach import WITHIN
 from gelforge.mechanics.pose import Pose
 from gelforge.mechanics.scene import Scene
 from gelforge.mechanics.tet.face import FacePoints
@@ -28,6 +30,13 @@ class Contact:
     @property
     def held(self) -> np.ndarray:
         return self.state != FREE
+
+
+def reachable(scene: Scene, points: FacePoints) -> FacePoints:
+    """The points of faces that come within WITHIN mm of the indenter somewhere on its path, undeformed: others never touch."""
+    centre = points.position.mean(axis=1)
+    size = np.linalg.norm(points.position - centre[:, None], axis=2).max(axis=1)
+    return points.only(touch.touched(scene.indenter, scene.press, centre, WITHIN + size))
 
 
 def end_pose(scene: Scene) -> Pose:

@@ -97,14 +97,14 @@ def contact_forces(contact: Contact, points: FacePoints, u: np.ndarray, stiffnes
 
 
 def contact_blocks(contact: Contact, points: FacePoints, stiffness: float) -> tuple[np.ndarray, np.ndarray]:
-    """Touched faces (f,) and their stiffness on node pairs a <= b, (f, 21, 3, 3) N/mm."""
+    """Touched faces (f,) of the mesh and their stiffness on node pairs a <= b, (f, 21, 3, 3) N/mm."""
     faces = np.flatnonzero(contact.held.any(axis=1))
     state, weight = contact.state[faces], points.weight[faces] * stiffness
     pairs = points.shape[:, _A] * points.shape[:, _B]
     blocks = np.einsum("fq,qp->fp", weight * (state == STICK), pairs)[..., None, None] * np.eye(3)
     n = contact.normal[faces]
     outer = n[..., :, None] * n[..., None, :] * (weight * (state == SLIDE))[..., None, None]
-    return faces, blocks + np.einsum("qp,fqij->fpij", pairs, outer)
+    return points.index[faces], blocks + np.einsum("qp,fqij->fpij", pairs, outer)
 
 
 def follow(scene: Scene, solid: TetSolid, points: FacePoints, start: float, settings: PathSettings) -> Kinematics:
