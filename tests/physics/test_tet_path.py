@@ -15,6 +15,7 @@ from gelforge.mechanics.hex.hexsolver import HexSolver
 from gelforge.mechanics.hex.reach import first_touch
 from gelforge.mechanics.hex.settings import HexSettings, Nested
 from gelforge.mechanics.scene import Interface, Material, Press, Scene
+from gelforge.mechanics.tet import solid
 from gelforge.mechanics.tet.face import face_points
 from gelforge.mechanics.tet.kinematics import PathSettings, arrive, contact_forces, follow
 from gelforge.mechanics.tet.solid import TetSolid
@@ -50,10 +51,10 @@ def mesh():
 
 @pytest.fixture(scope="module")
 def run(mesh):
-    solid, points = TetSolid(mesh), face_points(mesh)
+    body, points = TetSolid(mesh), face_points(mesh)
 
     def forces(scene, settings):
-        found = follow(scene, solid, points, first_touch(scene), settings)
+        found = follow(scene, body, points, first_touch(scene), settings)
         assert found.settled, found.reason
         return contact_forces(found.contact, points, found.displacement, settings.stiffness), found
 
@@ -64,15 +65,17 @@ def apart(one, other):
     return np.linalg.norm(one - other) / np.linalg.norm(other)
 
 
-@pytest.mark.parametrize(
-    "way",
-    [{"gentle_above": 0.0}, {"gentle_above": np.inf}, {"reuse_below": 0.0}],
-    ids=["gentle", "full", "new factors"],
-)
+@pytest.mark.parametrize("way", [{"gentle_above": 0.0}, {"gentle_above": np.inf}], ids=["gentle", "full"])
 def test_every_tangent_ends_at_the_same_equilibrium(run, way):
     usual, _ = run(scene(), TIGHT)
     # residuals of 1e-9 of the force; the softest mode of the pad is a thousand times softer than the springs
     assert apart(run(scene(), replace(TIGHT, **way))[0], usual) < 1e-6
+
+
+def test_an_old_factorisation_ends_where_new_ones_do(run, monkeypatch):
+    usual, _ = run(scene(), TIGHT)
+    monkeypatch.setattr(solid, "STALE", 1)  # none is quick enough: every step has a factorisation of its own
+    assert apart(run(scene(), TIGHT)[0], usual) < 1e-6
 
 
 def test_one_leap_without_friction_ends_where_many_steps_do(run):
@@ -101,8 +104,8 @@ def test_where_conjugate_gradients_fail_a_factorisation_follows(mesh, ccx, tmp_p
     broken.chmod(0o755)
     monkeypatch.setitem(os.environ, "CCX", str(broken))
     result = CcxSolver(mesh, tmp_path / "broken", settings).solve(scene())
-    assert result.status.valid and result.evidence["rounds"] == whole.evidence["rounds"]
-    assert ["ITERATIVE" in line for line in result.evidence["ladder"]] == [True] * result.evidence["rounds"]
+    assert result.status.valid
+    assert ["ITERATIVE" in line for line in result.evidence["ladder"]] == [True]
     # both stop at residuals of 1e-5 of the mean nodal force; where it is shared out softly, single forces differ by more
     assert apart(result.total, whole.total) < 1e-5
     assert apart(result.forces, whole.forces) < 1e-4

@@ -1,9 +1,9 @@
-"""Fidelity `ccx`: CalculiX on second-order tetrahedra, contact found in process and corrected in rounds.
+"""Fidelity `ccx`: CalculiX on second-order tetrahedra, contact found in process.
 
-The deck has no contact. The final state of a hyperelastic body depends on its boundary data only,
-so the points that touch are held where they ended and CalculiX finds the equilibrium; points that
-pull are let go, points that penetrate are held, and the rounds go on until neither remains. Contact
-is integrated at twelve points of each face, because at nodes a footprint's edge falls between them.
+The deck has no contact. The final state of a hyperelastic body depends on its boundary data only, so the part of the
+surface that touches is held where contact put it; CalculiX finds the equilibrium of the gel and the forces that hold it
+so. What pulls or penetrates in its state makes no valid result. Contact is integrated at twelve points of each face,
+because at nodes a footprint's edge falls between them.
 """
 
 import time
@@ -17,13 +17,12 @@ from gelforge.flow.params.tables import FeaTable
 from gelforge.mechanics.ccx.dat import DatError, Unfinished, last_table, read_dat, without_set
 from gelforge.mechanics.ccx.deck import DIRECT, ITERATIVE, press_deck, write_include
 from gelforge.mechanics.ccx.program import run_ccx
-from gelforge.mechanics.ccx.springs import drag_loads, spring_rows
 from gelforge.mechanics.hex.carry import Trail
 from gelforge.mechanics.hex.reach import first_touch
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.scene import BALANCE, REFERENCE_C10, Result, Scene
-from gelforge.mechanics.tet import facecontact as touch
-from gelforge.mechanics.tet.face import face_points
+from gelforge.mechanics.tet.face import FacePoints, face_points
+from gelforge.mechanics.tet.facecontact import Verdict, judge, reachable
 from gelforge.mechanics.tet.kinematics import Kinematics, PathSettings, arrive, contact_forces, follow
 from gelforge.mechanics.tet.solid import TetSolid
 from gelforge.records.status import Status
@@ -36,8 +35,8 @@ class CcxSettings:
     """How `ccx` works: the numbers of [fea] that concern it, with the reasons for them in workflow/params.toml.
 
     press_steps, shear_steps: load steps of the kinematics, at least. step_mm: none of the press is longer.
-    stiffness: contact springs, multiples of C10 per mm. rounds: at most so many solves. pull_tolerance: share
-    of the normal force that may pull in a valid state. penetration_mm: depth that counts as touching. residual:
+    stiffness: contact springs, multiples of C10 per mm. rounds: in which the contact at the path's end may change.
+    pull_tolerance: share of the normal force that may pull in a valid state. penetration_mm: depth that counts as touching. residual:
     largest nodal residual over the mean nodal force.
     """
 
@@ -59,7 +58,7 @@ class CcxSettings:
 
 @dataclass
 class CcxResult(Result):
-    """A Result with the deck and the .dat text of its last round (None where nothing was run)."""
+    """A Result with CalculiX' deck and .dat text (None where nothing was run)."""
 
     deck: str | None = None
     dat: str | None = None
@@ -89,27 +88,30 @@ class CcxSolver:
             return self._empty(Status.NO_CONTACT, "", began)
         path = PathSettings(
             s.press_steps, s.shear_steps, s.step_mm, s.stiffness * REFERENCE_C10,
-            pull_tolerance=s.pull_tolerance / 2, penetration_mm=s.penetration_mm / 2,
+            pull_tolerance=s.pull_tolerance / 2, penetration_mm=s.penetration_mm / 2, settle_rounds=s.rounds,
         )  # fmt: skip
-        found = self._arrived(scene, trail, path) or follow(scene, self.solid, self.points, touch_at, path)
+        points = reachable(scene, self.points)
+        found = self._arrived(scene, points, trail, path) or follow(scene, self.solid, points, touch_at, path)
         kinematics_s = time.perf_counter() - began
         if found.settled:
-            result = self._rounds(scene, found, name, s)
-            own = contact_forces(found.contact, self.points, found.displacement, path.stiffness).sum(axis=0)
+            result = self._state(scene, found, points, name, s)
+            own = contact_forces(found.contact, points, found.displacement, path.stiffness).sum(axis=0)
             result.evidence["engine_difference"] = _difference(result.total, own)
         else:
             result = self._empty(Status.DIVERGED, found.reason, began)
         result.evidence |= {
             "kinematics_seconds": kinematics_s, "seconds": time.perf_counter() - began, "load_steps": found.steps,
-            "kinematics_iterations": found.iterations,
+            "kinematics_iterations": found.iterations, "rounds": found.rounds,
         }  # fmt: skip
         return result
 
-    def _arrived(self, scene: Scene, trail: Trail | None, path: PathSettings) -> Kinematics | None:
+    def _arrived(
+        self, scene: Scene, points: FacePoints, trail: Trail | None, path: PathSettings
+    ) -> Kinematics | None:
         """The end of a path that was walked on bricks; None where none was or where it does not settle."""
         if trail is None or scene.interface.law != "no_slip":
             return None
-        found = arrive(scene, self.solid, self.points, self.mesh.nodes, trail, path)
+        found = arrive(scene, self.solid, points, self.mesh.nodes, trail, path)
         return found if found.settled else None
 
     def _empty(self, status: Status, reason: str, began: float) -> CcxResult:
@@ -121,26 +123,22 @@ class CcxSolver:
         evidence |= {"reason": reason, "seconds": time.perf_counter() - began, "peak_mib": 0.0}
         return CcxResult(status, zero, zero.copy(), evidence)
 
-    def _rounds(self, scene: Scene, found: Kinematics, name: str, s: CcxSettings) -> CcxResult:
-        stiffness = s.stiffness * REFERENCE_C10
-        contact, start = found.contact, found.displacement
+    def _state(self, scene: Scene, found: Kinematics, points: FacePoints, name: str, s: CcxSettings) -> CcxResult:
+        """CalculiX' equilibrium with the touched part of the surface held where the kinematics left it."""
+        held = np.unique(points.faces[found.contact.held.any(axis=1)])
         run = _Run(self, scene, name, s)
-        for number in range(1, s.rounds + 1):
-            answer = run.solve(contact, start)
-            if isinstance(answer, CcxResult):
-                return answer
-            verdict = touch.judge(scene, contact, self.points, answer.displacement, stiffness)
-            run.history.append([verdict.pulling_fraction, verdict.penetration, float(-answer.top.sum(axis=0)[2])])
-            settled = verdict.pulling_fraction <= s.pull_tolerance and verdict.penetration <= s.penetration_mm
-            if settled or number == s.rounds:
-                return run.result(Status.OK if settled else Status.UNSETTLED, answer, contact, verdict)
-            contact, start = touch.correct(scene, contact, verdict, s.penetration_mm / 4), answer.displacement
-        raise AssertionError("unreachable")
+        answer = run.solve(held, found.displacement)
+        if isinstance(answer, CcxResult):
+            return answer
+        verdict = judge(scene, found.contact, points, answer.displacement, s.stiffness * REFERENCE_C10)
+        result = run.result(answer, held, verdict)
+        result.evidence["touching_points"] = int(found.contact.held.sum())
+        return result
 
 
 @dataclass(frozen=True)
 class Answer:
-    """One solved round: displacement (n, 3), reactions at the top (t, 3) and base (b, 3), texts."""
+    """A solved deck: displacement (n, 3), reactions at the top (t, 3) and base (b, 3), texts."""
 
     displacement: np.ndarray
     top: np.ndarray
@@ -150,65 +148,63 @@ class Answer:
 
 
 class _Run:
-    """The rounds of one scene, with what they cost."""
+    """CalculiX on one scene, with what it cost."""
 
     def __init__(self, solver: CcxSolver, scene: Scene, name: str, settings: CcxSettings):
         self.solver, self.scene, self.name, self.settings = solver, scene, name, settings
-        self.stiffness = settings.stiffness * REFERENCE_C10
-        self.iterations = self.rounds = 0
+        self.iterations = 0
         self.seconds = self.peak = 0.0
         self.ladder: list[str] = []
-        self.history: list[list[float]] = []
 
-    def solve(self, contact: touch.Contact, start: np.ndarray | None) -> "Answer | CcxResult":
-        """One round: from the start, else in increments from rest; an Answer, or a failed CcxResult."""
+    def solve(self, held: np.ndarray, start: np.ndarray) -> "Answer | CcxResult":
+        """Equilibrium in which the nodes `held` (k,) are displaced as in `start` (n, 3) mm; or a failed CcxResult.
+
+        Newton's method begins there; where that fails the displacements grow from rest in increments.
+        """
         mesh, s = self.solver.mesh, self.settings
-        rows = spring_rows(contact, self.solver.points, self.stiffness)
-        loads = drag_loads(contact, self.solver.points, len(mesh.nodes))
         problem = Status.DIVERGED, "no point touches"
-        attempts = [(start, 1.0, ITERATIVE), (start, 1.0, DIRECT)]
+        attempts: list[tuple[np.ndarray | None, float, str]] = [(start, 1.0, ITERATIVE), (start, 1.0, DIRECT)]
         attempts += [(None, INCREMENT, DIRECT), (None, INCREMENT / 10, DIRECT)]
-        for begin, increment, method in attempts if len(rows.target) else []:
+        for begin, increment, method in attempts if len(held) else []:
             deck = press_deck(
-                mesh, self.solver.include, self.scene.material, rows, loads, begin, increment, s.residual, method
-            )  # fmt: skip
+                self.solver.include, self.scene.material, held, start[held], begin, increment, s.residual, method
+            )
             (self.solver.folder / f"{self.name}.inp").write_text(deck)
             job = run_ccx(self.name, self.solver.folder, s.timeout_s)
             self.iterations += job.iterations
             self.seconds += job.seconds
             self.peak = max(self.peak, job.peak_mib)
             try:
-                answer = read_answer(self.solver.folder / f"{self.name}.dat", mesh, deck)
-                self.rounds += 1
-                return answer
+                return read_answer(self.solver.folder / f"{self.name}.dat", mesh, deck)
             except DatError as error:
                 problem = status_of(error), f"{error}; {job.reason()}"
-                self.ladder.append(f"round {self.rounds + 1}, {method}, first increment {increment:g}: {problem[1]}")
+                self.ladder.append(f"{method}, first increment {increment:g}: {problem[1]}")
         zero = np.zeros_like(mesh.nodes)
         return CcxResult(problem[0], zero, zero.copy(), self._evidence() | {"reason": problem[1]}, deck=None)
 
-    def result(self, status: Status, answer: Answer, contact: touch.Contact, verdict: touch.Verdict) -> CcxResult:
-        mesh = self.solver.mesh
+    def result(self, answer: Answer, held: np.ndarray, verdict: Verdict) -> CcxResult:
+        """The answer as a result: forces are those on the nodes `held`, and valid where contact and balance are."""
+        mesh, s = self.solver.mesh, self.settings
         forces = np.zeros_like(mesh.nodes)
-        touched = np.unique(mesh.faces[contact.held.any(axis=1)])
-        top = mesh.surface_nodes
-        forces[top] = np.where(np.isin(top, touched)[:, None], answer.top, 0.0)
+        touched = np.isin(mesh.surface_nodes, held)
+        forces[mesh.surface_nodes] = np.where(touched[:, None], answer.top, 0.0)
         total = forces.sum(axis=0)
         mismatch = float(np.linalg.norm(total + answer.base.sum(axis=0))) / max(float(np.linalg.norm(total)), 1e-12)
-        if status is Status.OK and mismatch > BALANCE:
-            status = Status.UNBALANCED
-        free = np.abs(answer.top[~np.isin(top, touched)]).max(initial=0.0)
+        status = Status.OK if mismatch <= BALANCE else Status.UNBALANCED
+        if verdict.pulling_fraction > s.pull_tolerance or verdict.penetration > s.penetration_mm:
+            status = Status.UNSETTLED
+        free = np.abs(answer.top[~touched]).max(initial=0.0)
         evidence = self._evidence() | {
             "equilibrium_residual": float(free / max(np.abs(forces).max(), 1e-12)),
             "penetration_mm": verdict.penetration, "pulling_fraction": verdict.pulling_fraction,
-            "base_mismatch": float(mismatch), "touching_points": int(contact.held.sum()),
+            "base_mismatch": mismatch,
         }  # fmt: skip
         return CcxResult(status, forces, answer.displacement, evidence, answer.deck, without_set(answer.dat, "NALL"))
 
     def _evidence(self) -> dict:
         return {
-            "newton_iterations": self.iterations, "rounds": self.rounds, "peak_mib": self.peak,
-            "solver_seconds": self.seconds, "ladder": self.ladder, "history": self.history,
+            "newton_iterations": self.iterations, "peak_mib": self.peak, "solver_seconds": self.seconds,
+            "ladder": self.ladder,
         }  # fmt: skip
 
 

@@ -1,6 +1,6 @@
 """Quadrature on the six-node faces of second-order tetrahedra."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -39,12 +39,14 @@ def slopes(bary: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class FacePoints:
-    """Integration points of all faces of a mesh (f faces, q points each).
+    """Integration points of faces of a mesh (f faces, q points each).
 
+    index: (f,) numbers of the faces among the mesh's. faces: (f, 6) their nodes.
     shape: (q, 6) shape functions. weight: (f, q) undeformed area per point, mm^2.
     position: (f, q, 3) undeformed, mm.
     """
 
+    index: np.ndarray
     faces: np.ndarray
     shape: np.ndarray
     weight: np.ndarray
@@ -54,6 +56,16 @@ class FacePoints:
         """Nodal field (n, k) at the points: (f, q, k)."""
         return np.einsum("qa,fak->fqk", self.shape, field[self.faces])
 
+    def only(self, which: np.ndarray) -> "FacePoints":
+        """Those of some of the faces, (f,) of bool."""
+        return replace(
+            self,
+            index=self.index[which],
+            faces=self.faces[which],
+            weight=self.weight[which],
+            position=self.position[which],
+        )
+
 
 def face_points(mesh: GelMesh) -> FacePoints:
     """Twelve points on every face that can be touched, weighted by the undeformed area."""
@@ -62,4 +74,6 @@ def face_points(mesh: GelMesh) -> FacePoints:
     corners = mesh.nodes[mesh.faces]
     tangents = np.einsum("qaj,fak->fqjk", slopes(bary), corners)
     area = np.linalg.norm(np.cross(tangents[..., 0, :], tangents[..., 1, :]), axis=-1) / 2
-    return FacePoints(mesh.faces, shape, area * weights, np.einsum("qa,fak->fqk", shape, corners))
+    return FacePoints(
+        np.arange(len(mesh.faces)), mesh.faces, shape, area * weights, np.einsum("qa,fak->fqk", shape, corners)
+    )

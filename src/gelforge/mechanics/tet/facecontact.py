@@ -1,9 +1,11 @@
-"""Contact at the face points of a tetrahedral gel: what is held and where, judged and corrected in rounds."""
+"""Contact at the face points of a tetrahedral gel: what is held and where, and how a state is judged."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from gelforge.geometry import touch
+from gelforge.mechanics.hex.reach import WITHIN
 from gelforge.mechanics.pose import Pose
 from gelforge.mechanics.scene import Scene
 from gelforge.mechanics.tet.face import FacePoints
@@ -30,6 +32,13 @@ class Contact:
         return self.state != FREE
 
 
+def reachable(scene: Scene, points: FacePoints) -> FacePoints:
+    """The points of faces that come within WITHIN mm of the indenter somewhere on its path, undeformed: others never touch."""
+    centre = points.position.mean(axis=1)
+    size = np.linalg.norm(points.position - centre[:, None], axis=2).max(axis=1)
+    return points.only(touch.touched(scene.indenter, scene.press, centre, WITHIN + size))
+
+
 def end_pose(scene: Scene) -> Pose:
     """Where the indenter stands at the end of the path."""
     return Pose(*scene.press.pose(1.0, 1.0))
@@ -43,7 +52,7 @@ def gaps(scene: Scene, pose: Pose, points: np.ndarray) -> tuple[np.ndarray, np.n
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a solved round says: pushes (f, q) MPa along the normal, gaps (f, q) mm, where the points are."""
+    """What a solved state says: pushes (f, q) MPa along the normal, gaps (f, q) mm, where the points are."""
 
     position: np.ndarray
     push: np.ndarray
@@ -63,20 +72,3 @@ def judge(scene: Scene, contact: Contact, points: FacePoints, displacement: np.n
     pulling = contact.held & (push < 0)
     share = float(-(push * points.weight)[pulling].sum() / max(force, 1e-12))
     return Verdict(position, push, gap, normal, pulling, share, float(max(0.0, -gap[~contact.held].min(initial=0.0))))
-
-
-def correct(scene: Scene, contact: Contact, verdict: Verdict, tolerance: float) -> Contact:
-    """The next round's contact: what pulls is let go, what penetrates is held where it is, tangents follow."""
-    new = ~contact.held & (verdict.gap < -tolerance)
-    state = np.where(verdict.pulling, FREE, contact.state)
-    state[new] = STICK if scene.interface.law == "no_slip" else SLIDE
-    touch = verdict.position - verdict.gap[..., None] * verdict.normal
-    renew = (new | (state == SLIDE))[..., None]
-    drag = np.zeros_like(contact.drag)
-    if scene.interface.law == "coulomb":
-        size = np.linalg.norm(contact.drag, axis=-1)
-        wanted = scene.interface.mu * np.maximum(verdict.push, 0.0)
-        drag = contact.drag * np.where(size > 0, wanted / np.where(size > 0, size, 1.0), 0.0)[..., None]
-    return Contact(
-        state, np.where(renew, touch, contact.target), np.where(renew, verdict.normal, contact.normal), drag
-    )

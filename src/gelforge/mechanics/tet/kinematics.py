@@ -19,6 +19,9 @@ from gelforge.mechanics.tet.solid import TetSolid
 # Shares of a displacement carried from bricks that are tried until no element is inside out.
 UNFOLDED = (1.0, 0.95, 0.9, 0.8, 0.6)
 
+# Least and most of its residual that a linear solve leaves; between them, as much as that is of the contact force.
+LEFT = 0.02, 0.2
+
 _A, _B = np.triu_indices(6)
 
 
@@ -27,9 +30,9 @@ class PathSettings:
     """Load steps of press and shear, contact stiffness (N/mm^3), residuals over contact force, and limits.
 
     step_mm: no load step of the press is longer. gentle_above: residual above which Newton takes the gentle
-    tangent of TetSolid.factorise: it halves the iterations of deep presses and needs no cut steps.
-    arrival_tolerance: residual at which the end of a path walked on bricks shows what pulls and what presses.
-    reuse_below: residual below which the last factorisation is tried again, at a tenth of the cost of a new one.
+    tangent of TetSolid.linearise: it halves the iterations of deep presses and needs no cut steps.
+    arrival_tolerance: residual at which the end of a path walked on bricks shows what pulls and what presses; a third of
+    that tells no other points and takes half as long again. settle_tolerance: residual at which the end is judged first.
     """
 
     press_steps: int = 4
@@ -37,10 +40,10 @@ class PathSettings:
     step_mm: float = 0.35
     stiffness: float = 145.0
     step_tolerance: float = 0.2
-    arrival_tolerance: float = 0.1
-    final_tolerance: float = 1e-6
+    arrival_tolerance: float = 0.3
+    settle_tolerance: float = 0.02
+    final_tolerance: float = 1e-8
     gentle_above: float = 0.5
-    reuse_below: float = 0.1
     pull_tolerance: float = 1e-3
     penetration_mm: float = 1e-3
     free_iterations: int = 6
@@ -53,7 +56,10 @@ class PathSettings:
 
 @dataclass
 class Kinematics:
-    """End of a path: contact, displacement (n, 3) mm, whether it settled, why not, iterations and load steps."""
+    """End of a path: contact, displacement (n, 3) mm, whether it settled, why not, and what it took.
+
+    iterations: of Newton's method. steps: of the load. rounds: in which the contact at the end was judged.
+    """
 
     contact: Contact
     displacement: np.ndarray
@@ -61,6 +67,7 @@ class Kinematics:
     reason: str
     iterations: int
     steps: int
+    rounds: int
 
 
 @dataclass(frozen=True)
@@ -90,14 +97,14 @@ def contact_forces(contact: Contact, points: FacePoints, u: np.ndarray, stiffnes
 
 
 def contact_blocks(contact: Contact, points: FacePoints, stiffness: float) -> tuple[np.ndarray, np.ndarray]:
-    """Touched faces (f,) and their stiffness on node pairs a <= b, (f, 21, 3, 3) N/mm."""
+    """Touched faces (f,) of the mesh and their stiffness on node pairs a <= b, (f, 21, 3, 3) N/mm."""
     faces = np.flatnonzero(contact.held.any(axis=1))
     state, weight = contact.state[faces], points.weight[faces] * stiffness
     pairs = points.shape[:, _A] * points.shape[:, _B]
     blocks = np.einsum("fq,qp->fp", weight * (state == STICK), pairs)[..., None, None] * np.eye(3)
     n = contact.normal[faces]
     outer = n[..., :, None] * n[..., None, :] * (weight * (state == SLIDE))[..., None, None]
-    return faces, blocks + np.einsum("qp,fqij->fpij", pairs, outer)
+    return points.index[faces], blocks + np.einsum("qp,fqij->fpij", pairs, outer)
 
 
 def follow(scene: Scene, solid: TetSolid, points: FacePoints, start: float, settings: PathSettings) -> Kinematics:
@@ -116,7 +123,7 @@ def follow(scene: Scene, solid: TetSolid, points: FacePoints, start: float, sett
         reason = "" if settled else "the contact set did not settle on the path"
     except NoEquilibrium as error:
         settled, reason = False, str(error)
-    return Kinematics(path.contact, path.u, settled, reason, path.iterations, path.steps)
+    return Kinematics(path.contact, path.u, settled, reason, path.iterations, path.steps, path.rounds)
 
 
 def arrive(
@@ -135,7 +142,7 @@ def arrive(
         reason = "" if settled else "the contact set did not settle at the path's end"
     except NoEquilibrium as error:
         settled, reason = False, str(error)
-    return Kinematics(path.contact, path.u, settled, reason, path.iterations, len(trail.times) - 1)
+    return Kinematics(path.contact, path.u, settled, reason, path.iterations, len(trail.times) - 1, path.rounds)
 
 
 class _Path:
@@ -150,7 +157,9 @@ class _Path:
         zero = np.zeros_like(points.position)
         self.contact = Contact(np.zeros(points.weight.shape, int), zero, zero.copy(), zero.copy())
         self.anchor, self.anchor_normal = zero.copy(), zero.copy()
-        self.iterations = self.steps = 0
+        self.iterations = self.steps = self.rounds = 0
+        # The next step takes a factorisation of its own: one of another press would make this one depend on that.
+        self.fresh = True
 
     def pose(self, at: np.ndarray) -> Pose:
         return Pose(*self.scene.press.pose(*at))
@@ -221,8 +230,7 @@ class _Path:
             if state.size < tolerance and state.changed <= allowed:
                 return state.u, state.contact
             keep = iteration + 1 >= s.free_iterations
-            near = iteration > 0 and state.size < s.reuse_below
-            state = (near and self._cheap_steps(state, pose, keep, tolerance)) or self._newton_step(state, pose, keep)
+            state = self._newton_step(state, pose, keep)
         raise NoEquilibrium(
             f"no equilibrium in {s.most_iterations} Newton iterations, residual {state.size:.1e} of the force"
         )
@@ -238,25 +246,17 @@ class _Path:
         size = float(np.linalg.norm(residual)) / max(float(np.linalg.norm(outer)), 1e-12)
         return _State(u, contact, changed, residual, size, smallest)
 
-    def _cheap_steps(self, state: "_State", pose: Pose, keep: bool, tolerance: float) -> "_State | None":
-        """Steps with the last factorisation as long as each takes away most of the residual; None if none does."""
-        found = None
-        while state.size >= tolerance or state.changed:
-            trial = self._evaluate(state.u + self.solid.step(state.residual), state.contact, pose, keep)
-            if not trial.size < 0.3 * state.size:
-                break
-            found = state = trial
-        return found
-
     def _newton_step(self, state: "_State", pose: Pose, keep: bool) -> "_State":
         springs = contact_blocks(state.contact, self.points, self.settings.stiffness)
         gentle = state.size > self.settings.gentle_above
         ways = [(1.0, 0.0), (1.0, 1.0)] if gentle else [(0.0, 0.0), (0.5, 0.0), (1.0, 0.0), (1.0, 1.0)]
         for share, firm in ways:
             self.iterations += 1
-            self.solid.factorise(state.u, self.shear, self.bulk, *springs, gentle=share, firm=firm)
+            self.solid.linearise(state.u, self.shear, self.bulk, *springs, gentle=share, firm=firm)
+            step = self.solid.step(state.residual, 0.0 if self.fresh else float(np.clip(state.size, *LEFT)))
+            self.fresh = False
             # a full tangent that turns elements inside out is not worth following at a crawl
-            found = self._search(state, self.solid.step(state.residual), pose, keep, 8 if share == 1.0 else 3)
+            found = self._search(state, step, pose, keep, 8 if share == 1.0 else 3)
             if found is not None:
                 return found
         raise NoEquilibrium("an element turned inside out")
@@ -383,6 +383,7 @@ class _Path:
         held, places = held.reshape(self.contact.state.shape), places.reshape(self.anchor.shape)
         self._anchor(held, places, pose)
         for _ in range(self.settings.settle_rounds):
+            self.rounds += 1
             self.u, self.contact = self.newton(self.u, self.contact, pose, self.settings.arrival_tolerance)
             new = (self.contact.state == SLIDE) & ~held
             held |= new
@@ -395,8 +396,10 @@ class _Path:
     def settle(self) -> bool:
         """Equilibrium at the end of the path in which nothing pulls and nothing new penetrates."""
         s, pose = self.settings, self.pose(self.at)
+        self.fresh = True  # from here on the contact hardly changes, and one factorisation serves to the end
         for _ in range(s.settle_rounds):
-            for tolerance in (s.step_tolerance, s.final_tolerance):
+            self.rounds += 1
+            for tolerance in (s.settle_tolerance, s.final_tolerance):
                 self.u, self.contact = self.newton(self.u, self.contact, pose, tolerance)
                 verdict = judge(self.scene, self.contact, self.points, self.u, s.stiffness)
                 if verdict.pulling_fraction > s.pull_tolerance or verdict.penetration > s.penetration_mm:
