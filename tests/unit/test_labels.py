@@ -162,15 +162,18 @@ def test_resolutions_are_checked_before_any_work(made):
 
 
 def test_operators_are_cached_by_content(tmp_path):
-    sensors, mesh = load_sensors("workflow/sensors.toml"), tmp_path / "m.npz"
-    make_mesh(2.0).save(mesh)
+    sensors = load_sensors("workflow/sensors.toml")
+    make_mesh(2.0).save(tmp_path / "m.npz")
     unit, grid = sensors["mini_a"], Grid(6, 8)
-    first = cached(tmp_path / "ops", mesh, unit, grid)
-    path = operator_path(tmp_path / "ops", mesh, unit, grid)
+
+    def path_of(name, unit):
+        return operator_path(tmp_path / "ops", tmp_path, name, unit, grid)
+
+    first, path = cached(tmp_path / "ops", tmp_path, "m", unit, grid), path_of("m", unit)
     assert np.array_equal(Operator.load(path).weight, first.weight)
-    assert operator_path(tmp_path / "ops", mesh, sensors["mini_c"], grid) != path
-    make_mesh(2.5).save(mesh)
-    assert operator_path(tmp_path / "ops", mesh, unit, grid) != path
+    assert path_of("m", sensors["mini_c"]) != path and path_of("m@1:0", unit) != path
+    make_mesh(2.5).save(tmp_path / "m.npz")
+    assert path_of("m", unit) != path
     path.write_bytes(b"junk")
     with pytest.raises(BadInput, match="delete it"):
         Operator.load(path)

@@ -5,15 +5,27 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from parameters import parameters, with_values
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_json
 from gelforge.geometry.gel import GELS
 from gelforge.geometry.indenters import build
-from gelforge.mechanics.family import MeshFamily, MeshName, choose_mesh, required_meshes, sizing
+from gelforge.mechanics.family import (
+    MeshFamily,
+    MeshName,
+    choose_mesh,
+    load_mesh,
+    placed,
+    required_meshes,
+    sizing,
+    unplaced,
+)
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.scene import Material, Press, Scene
+from gelforge.mechanics.tet.moved import moved, reach, way_to
 from gelforge.mechanics.tet.tetmesh import (
     EDGES,
     boundary_faces,
@@ -127,10 +139,71 @@ def test_required_meshes_need_known_regions():
         required_meshes(with_values(fea, meshes=["edge-1.0"]), TABLE)
 
 
-def test_a_press_takes_the_finest_mesh_that_holds_its_footprint(tmp_path, mesh):
+def test_a_narrow_contact_takes_the_finer_mesh_of_its_region(tmp_path, mesh):
+    """A ball's contact is as wide as it is; a tube's is twice its wall."""
+    for size in (0.45, 0.35, 0.25):
+        mesh.save(tmp_path / f"ccx-centre-{size}.npz")
+        write_json(tmp_path / f"ccx-centre-{size}.json", {"half_mm": [6.0, 6.0], "reach_mm": [2.0, 3.0], "size": size})
+    family = MeshFamily(tmp_path, [f"ccx-centre-{size}" for size in (0.45, 0.35, 0.25)])
+
+    def chosen(**table):
+        body = build("body", table | {"height": 10})
+        return choose_mesh(Scene(GEL, Material(), body, Press(0, 0, 0, 0, 0, -0.8)), family)
+
+    assert chosen(kind="sphere", diameter=15) == "ccx-centre-0.45"
+    assert chosen(kind="ellipse", **TUBE) == "ccx-centre-0.25"
+
+
+@given(st.floats(-9, 9), st.floats(0, 6), st.sampled_from([2.0, 4.0, 5.7]), st.integers(0, 5))
+def test_the_fine_part_goes_as_little_as_it_must(low, width, half, far):
+    """The least whole number of mm that holds what is touched, if there is one."""
+    high = low + width
+    ways = [way for way in range(-far, far + 1) if -half + way <= low and high <= half + way]
+    found = way_to(low, high, half, far)
+    assert found == (min(ways, key=abs) if ways else None)
+
+
+@pytest.mark.parametrize("share", [(0, 0), (0.5, 0), (-1, 1), (1, -1)])
+def test_a_moved_mesh_is_as_sound_and_as_fine(mesh, share):
+    far = reach(mesh, GEL, (4.0, 4.0))
+    assert min(far) >= 2.0
+    way = tuple(np.round(np.multiply(share, far)))
+    there = moved(mesh, GEL, (4.0, 4.0), way)
+    report, before = quality(there, GEL), quality(mesh, GEL)
+    assert report["min_scaled_jacobian"] > 0.1
+    assert report["volume"] == pytest.approx(before["volume"], rel=2e-3)
+    assert set(there.nodes[there.base, 2]) == {-GEL.height}
+    top = there.nodes[there.surface_nodes]
+    np.testing.assert_allclose(top[:, 2], GEL.top(top[:, 0], top[:, 1]), atol=1e-9)
+    np.testing.assert_allclose(np.ptp(there.nodes[:, :2], axis=0), [GEL.width, GEL.length], atol=1e-9)
+    # elements of the fine part go along as they are
+    fine = np.all(np.abs(mesh.nodes[mesh.elements][:, :, :2]) <= 4.0, axis=(1, 2))
+    went = (there.nodes - mesh.nodes)[mesh.elements[fine], :2]
+    assert fine.sum() > 10
+    np.testing.assert_allclose(went, np.broadcast_to(way, went.shape), atol=1e-9)
+
+
+@given(st.integers(-9, 9), st.integers(-9, 9))
+def test_a_name_tells_where_the_fine_part_lies(x, y):
+    name = placed("ccx-centre-0.45", (x, y))
+    assert unplaced(name) == ("ccx-centre-0.45", (x, y))
+    assert (name == "ccx-centre-0.45") == (x == y == 0)
+
+
+def test_a_moved_mesh_comes_from_the_file_of_the_one_in_the_middle(tmp_path, mesh):
+    mesh.save(tmp_path / "ccx-centre-0.7.npz")
+    write_json(tmp_path / "ccx-centre-0.7.json", {"half_mm": [4.0, 4.0], "size": 0.7, "gel": GEL.name})
+    found = load_mesh(tmp_path, "ccx-centre-0.7@2:-3")
+    np.testing.assert_array_equal(found.nodes, moved(mesh, GEL, (4.0, 4.0), (2.0, -3.0)).nodes)
+    assert load_mesh(tmp_path, "ccx-centre-0.7").nodes.tolist() == mesh.nodes.tolist()
+    with pytest.raises(BadInput, match="make meshes"):
+        load_mesh(tmp_path, "ccx-wide-0.7@2:-3")
+
+
+def test_a_press_takes_the_smallest_fine_part_that_holds_its_footprint(tmp_path, mesh):
     for name, half in (("ccx-centre-0.7", [4.0, 4.0]), ("ccx-wide-1.0", [9.0, 11.0])):
         mesh.save(tmp_path / f"{name}.npz")
-        report = {"engine": "ccx", "half_mm": half, "size": float(name[-3:]), "nodes": 1}
+        report = {"engine": "ccx", "half_mm": half, "reach_mm": [3.0, 4.0], "size": float(name[-3:])}
         write_json(tmp_path / f"{name}.json", report)
     family = MeshFamily(tmp_path, ["ccx-centre-0.7", "ccx-wide-1.0"])
     ball = build("ball", {"kind": "sphere", "diameter": 10, "height": 8})
@@ -139,7 +212,9 @@ def test_a_press_takes_the_finest_mesh_that_holds_its_footprint(tmp_path, mesh):
         return choose_mesh(Scene(GEL, Material(), ball, Press(x, 0, 0, 0, 0, -depth)), family)
 
     assert chosen(0, 1.0) == "ccx-centre-0.7"
-    assert chosen(2, 1.0) == "ccx-wide-1.0"
+    assert chosen(3, 1.0) == "ccx-centre-0.7@2:0"  # the small fine part is moved there
+    assert chosen(-3, 1.0) == "ccx-centre-0.7@-2:0"
+    assert chosen(5, 1.0) == "ccx-wide-1.0"  # where it cannot go
     with pytest.raises(BadInput, match="make meshes"):
         MeshFamily(tmp_path, ["ccx-centre-0.5"])
 

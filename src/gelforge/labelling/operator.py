@@ -23,6 +23,7 @@ from gelforge.flow.files import publish
 from gelforge.labelling.clip import clip_to_grid, polygon_area
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import Sensor, transform
+from gelforge.mechanics.family import load_mesh, mesh_file
 from gelforge.mechanics.mesh import GelMesh
 
 VERSION = 1  # of the numbers in an operator file; part of its name
@@ -234,21 +235,21 @@ def point_to_cell(mesh: GelMesh, sensor: Sensor, grid: Grid, nodes):
     return csr_matrix((np.ones(len(nodes)), (nodes, cell)), shape=(len(mesh.nodes), grid.cells + 1))
 
 
-def operator_path(folder, mesh_path, sensor: Sensor, grid: Grid) -> Path:
-    """Where the operator of a mesh file, a sensor and a grid is kept below `folder`.
+def operator_path(folder, meshes, name: str, sensor: Sensor, grid: Grid) -> Path:
+    """Where the operator of a mesh of the folder `meshes`, a sensor and a grid is kept below `folder`.
 
     The name carries a digest of all that the numbers depend on, so a stale operator is never read.
     """
-    digest = hashlib.sha256(f"{VERSION} {grid} {sensor.image} {sensor.projection.tolist()} ".encode())
-    digest.update(Path(mesh_path).read_bytes())
-    return Path(folder) / f"{Path(mesh_path).stem}-{sensor.name}-{digest.hexdigest()[:16]}.npz"
+    digest = hashlib.sha256(f"{VERSION} {name} {grid} {sensor.image} {sensor.projection.tolist()} ".encode())
+    digest.update(mesh_file(meshes, name).read_bytes())
+    return Path(folder) / f"{name.replace(':', '_')}-{sensor.name}-{digest.hexdigest()[:16]}.npz"
 
 
-def cached(folder, mesh_path, sensor: Sensor, grid: Grid) -> Operator:
-    """Read the operator of a mesh file, or assemble and keep it."""
-    path = operator_path(folder, mesh_path, sensor, grid)
+def cached(folder, meshes, name: str, sensor: Sensor, grid: Grid) -> Operator:
+    """Read the operator of a mesh by its name, or assemble and keep it."""
+    path = operator_path(folder, meshes, name, sensor, grid)
     if path.exists():
         return Operator.load(path)
-    operator = assemble(GelMesh.load(mesh_path), sensor, grid)
+    operator = assemble(load_mesh(meshes, name), sensor, grid)
     operator.save(path)
     return operator

@@ -13,7 +13,7 @@ from gelforge.geometry.gel import load_gel
 from gelforge.mechanics.ccx.ccxsolver import CcxSettings, CcxSolver
 from gelforge.mechanics.ccx.program import need_ccx
 from gelforge.mechanics.contactclass import contact_class
-from gelforge.mechanics.family import MeshFamily, choose_mesh
+from gelforge.mechanics.family import MeshFamily, choose_mesh, unplaced
 from gelforge.mechanics.hex.carry import Trail
 from gelforge.mechanics.hex.hexsolver import HexSolver
 from gelforge.mechanics.hex.settings import quality
@@ -115,15 +115,20 @@ class Solvers:
         )
 
     def _solve_ccx(self, scene: Scene, steps: int = 1, rounds: int = 1, trail: Trail | None = None) -> Result:
-        mesh = choose_mesh(scene, self.family)
-        if mesh not in self._ccx:
-            self._ccx[mesh] = CcxSolver(self.family.load(mesh), self.workdir / mesh, self.ccx)
-        base = self.ccx
+        mesh, base = choose_mesh(scene, self.family), self.ccx
         finer = replace(base, press_steps=steps * base.press_steps, shear_steps=steps * base.shear_steps,
                         step_mm=base.step_mm / steps, rounds=rounds * base.rounds)  # fmt: skip
-        result = self._ccx[mesh].solve(scene, settings=finer, trail=trail)
+        result = self._ccx_on(mesh).solve(scene, settings=finer, trail=trail)
         result.evidence |= {"mesh": mesh}
         return result
+
+    def _ccx_on(self, mesh: str) -> CcxSolver:
+        """The solver of a mesh; one whose fine part is moved shares all that it can with the one it is made from."""
+        own, _ = unplaced(mesh)
+        if own not in self._ccx:
+            self._ccx[own] = CcxSolver(self.family.load(own), self.workdir / own, self.ccx)
+        solver = self._ccx[own]
+        return solver if mesh == own else solver.on(self.family.load(mesh), self.workdir / mesh)
 
     def _solve_hex(self, scenes: Sequence[Scene], bricks: str, steps: int = 1) -> list[Result]:
         """Solve on bricks that follow the press; a result's mesh is a name that holds all numbers of it."""

@@ -19,7 +19,7 @@ from gelforge.labelling.cellsurface import SurfaceMap, surface_map, traction
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import Operator, assemble, cached
 from gelforge.labelling.sensor import find_sensor, load_sensors
-from gelforge.mechanics.family import load_mesh, mesh_file
+from gelforge.mechanics.family import load_mesh
 from gelforge.mechanics.hex.bricks import is_bricks
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.records.axes import AXIS_OF_CHANNEL, CHANNEL_OF_AXIS
@@ -92,7 +92,7 @@ class Finder:
         unit = find_sensor(self.sensors, sensor, self.where)
         if is_bricks(mesh):
             return assemble(load_mesh(self.meshes, mesh), unit, self.grid)
-        return cached(self.folder, mesh_file(self.meshes, mesh), unit, self.grid)
+        return cached(self.folder, self.meshes, mesh, unit, self.grid)
 
     def _fields(self, name: str, sensor: str) -> tuple[SurfaceMap, Operator, GelMesh]:
         mesh = load_mesh(self.meshes, name)

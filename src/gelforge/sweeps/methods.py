@@ -9,7 +9,7 @@ import numpy as np
 
 from gelforge.flow.params.slices import ForPareto, ForStability
 from gelforge.flow.params.tables import IN_PROCESS, FeaTable, ParetoTable, QuickTable
-from gelforge.mechanics.family import MeshFamily
+from gelforge.mechanics.family import MeshFamily, load_mesh
 from gelforge.mechanics.hex.settings import HexSettings, quality
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.scene import Result, Scene
@@ -154,7 +154,7 @@ def _prepare_label(method, scene, folder, params, work):
 def _prepare_native(method, scene, folder, params, work, limit_s):
     from gelforge.mechanics.ccx.native import solve_native
 
-    mesh = GelMesh.load(Path(folder) / f"{meshes.density_mesh(scene, folder, params, method.size)}.npz")
+    mesh = load_mesh(folder, meshes.density_mesh(scene, folder, params, method.size))
     return lambda: (solve_native(scene, mesh, work / "native", limit_s), mesh)
 
 

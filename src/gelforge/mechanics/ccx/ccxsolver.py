@@ -6,6 +6,7 @@ so. What pulls or penetrates in its state makes no valid result. Contact is inte
 because at nodes a footprint's edge falls between them.
 """
 
+import copy
 import time
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -70,8 +71,19 @@ class CcxSolver:
     def __init__(self, mesh: GelMesh, folder: Path | str, settings: CcxSettings) -> None:
         self.mesh, self.folder, self.settings = mesh, Path(folder), settings
         self.points, self.solid = face_points(mesh), TetSolid(mesh)
+        self._write()
+
+    def _write(self) -> None:
         self.folder.mkdir(parents=True, exist_ok=True)
-        self.include = write_include(mesh, self.folder / "mesh.inp").name
+        self.include = write_include(self.mesh, self.folder / "mesh.inp").name
+
+    def on(self, mesh: GelMesh, folder: Path | str) -> "CcxSolver":
+        """A solver of the same elements whose nodes lie elsewhere; both share what their matrices have in common."""
+        other = copy.copy(self)
+        other.mesh, other.folder = mesh, Path(folder)
+        other.points, other.solid = face_points(mesh), self.solid.on(mesh)
+        other._write()
+        return other
 
     def solve(
         self, scene: Scene, name: str = "press", settings: CcxSettings | None = None, trail: Trail | None = None

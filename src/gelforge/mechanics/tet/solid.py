@@ -1,5 +1,7 @@
 """A mesh of ten-node tetrahedra as one elastic body: its forces, its tangent, and Newton steps with a kept factorisation."""
 
+import copy
+
 import numpy as np
 from numba import njit
 
@@ -23,6 +25,12 @@ class TetSolid:
         self.solver = symmetric_solver(self.pattern.indptr, self.pattern.indices)
         self.free = self.pattern.first_row >= 0
         self.values = np.zeros(len(self.pattern.indices), np.float32)
+
+    def on(self, mesh: GelMesh) -> "TetSolid":
+        """A body of the same elements whose nodes lie elsewhere; it shares this one's matrix and solver."""
+        other = copy.copy(self)
+        other.geometry = tets(mesh)
+        return other
 
     def forces(self, u: np.ndarray, shear: float, bulk: float) -> tuple[np.ndarray, float]:
         """Internal nodal forces (n, 3) N of displacement u (n, 3), and the smallest J (<= 0: inverted)."""

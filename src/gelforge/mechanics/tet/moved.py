@@ -1,0 +1,58 @@
+"""A tetrahedral mesh whose fine part is moved under the press: its elements stay, its nodes go along and around it.
+
+Meshing takes longer than a solve, and a fine part that holds every place of a press has several times the elements of one
+that holds the press alone. So one mesh with its fine part in the middle serves presses beside it.
+"""
+
+import numpy as np
+
+from gelforge.geometry.gel import Gel
+from gelforge.mechanics.mesh import GelMesh
+from gelforge.mechanics.tet.tetmesh import EDGES, signed_volumes
+
+RASTER_MM = 1.0  # that the fine part is moved by: presses share meshes, and what is kept for each
+NARROWEST = 0.3  # of its width may be left of what lies between the fine part and the rim
+SOUND = 0.05  # of its volume that every element keeps
+
+
+def reach(mesh: GelMesh, gel: Gel, half: tuple[float, float]) -> tuple[float, float]:
+    """How far (x, y) the fine part of half extents `half` can go either way and leave every element sound, whole mm."""
+    sizes = signed_volumes(mesh.nodes, mesh.elements[:, :4])
+    limits = [int((1.0 - NARROWEST) * (size / 2 - part)) for size, part in zip((gel.width, gel.length), half, strict=True)]
+    for back in range(max(limits)):
+        x, y = (max(0, limit - back) for limit in limits)
+        ends = [moved(mesh, gel, half, (a, b)) for a in (-x, x) for b in (-y, y)]
+        if all((signed_volumes(m.nodes, m.elements[:, :4]) > SOUND * sizes).all() for m in ends):
+            return float(x), float(y)
+    return 0.0, 0.0
+
+
+def way_to(low: float, high: float, half: float, reach: float) -> float | None:
+    """How far the fine part (-half, half) goes to hold (low, high), all mm; None where it would be farther than `reach`.
+
+    0 where it holds it as it lies.
+    """
+    if high - low > 2 * half:
+        return None
+    beyond = high - half if high > half else min(low + half, 0.0)
+    way = float(np.copysign(np.ceil(np.round(abs(beyond) / RASTER_MM, 9)) * RASTER_MM, beyond)) if beyond else 0.0
+    holds = -half + way <= low and high <= half + way
+    return way if holds and abs(way) <= reach else None
+
+
+def moved(mesh: GelMesh, gel: Gel, half: tuple[float, float], way: tuple[float, float]) -> GelMesh:
+    """The mesh with its fine part, half extents `half` (x, y) mm, moved by `way` (x, y) mm; heights go with the gel's top."""
+    flat = np.column_stack([
+        _along(mesh.nodes[:, axis], size / 2, half[axis], way[axis]) for axis, size in enumerate((gel.width, gel.length))
+    ])  # fmt: skip
+    ends, middle = mesh.elements[:, :4][:, EDGES], mesh.elements[:, 4:]
+    bowed = mesh.nodes[middle, :2] - mesh.nodes[ends, :2].mean(axis=2)
+    flat[middle] = flat[ends].mean(axis=2) + bowed
+    before, after = (np.asarray(gel.top(*places.T)) + gel.height for places in (mesh.nodes[:, :2], flat))
+    z = (mesh.nodes[:, 2] + gel.height) * after / before - gel.height
+    return GelMesh(mesh.kind, np.column_stack([flat, z]), mesh.elements, mesh.faces, mesh.base)
+
+
+def _along(places: np.ndarray, rim: float, half: float, way: float) -> np.ndarray:
+    """Places along one side of the gel: the fine part as it is, what lies beside it narrower or wider, the rim where it was."""
+    return np.interp(places, [-rim, -half, half, rim], [-rim, -half + way, half + way, rim])
