@@ -98,9 +98,8 @@ def load_mesh(folder: Path | str, name: str) -> GelMesh:
     """
     if is_bricks(name):
         return Bricks.parse(name).mesh()
-    base, way = unplaced(name)
-    path = mesh_file(folder, name)
-    if way == (0.0, 0.0):
+    path, (_, way) = mesh_file(folder, name), unplaced(name)
+    if not any(way):
         return GelMesh.load(path)
     report = read_json(path.with_suffix(".json"))
     return moved(GelMesh.load(path), load_gel(report["gel"]), tuple(report["half_mm"]), way)
@@ -189,5 +188,6 @@ def _way(report: dict, foot: Footprint | None) -> tuple[float, float] | None:
     """How the fine part of a mesh with this report goes to hold a footprint; None where it cannot."""
     if foot is None:
         return 0.0, 0.0
-    x, y = (way_to(*ends, half, far) for *ends, half, far in zip(foot.low, foot.high, report["half_mm"], report["reach_mm"]))
+    half, far = report["half_mm"], report["reach_mm"]
+    x, y = (way_to(foot.low[axis], foot.high[axis], half[axis], far[axis]) for axis in (0, 1))
     return None if x is None or y is None else (x, y)

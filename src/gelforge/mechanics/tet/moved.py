@@ -10,15 +10,17 @@ from gelforge.geometry.gel import Gel
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.tet.tetmesh import EDGES, signed_volumes
 
-RASTER_MM = 1.0  # that the fine part is moved by: presses share meshes, and what is kept for each
+RASTER_MM = 0.5  # that the fine part is moved by: presses share meshes, and what is kept for each
 NARROWEST = 0.3  # of its width may be left of what lies between the fine part and the rim
 SOUND = 0.05  # of its volume that every element keeps
 
 
 def reach(mesh: GelMesh, gel: Gel, half: tuple[float, float]) -> tuple[float, float]:
-    """How far (x, y) the fine part of half extents `half` can go either way and leave every element sound, whole mm."""
+    """How far (x, y) the fine part of half extents `half` can go either way and leave every element sound, mm."""
     sizes = signed_volumes(mesh.nodes, mesh.elements[:, :4])
-    limits = [int((1.0 - NARROWEST) * (size / 2 - part)) for size, part in zip((gel.width, gel.length), half, strict=True)]
+    limits = [
+        int((1.0 - NARROWEST) * (size / 2 - part)) for size, part in zip((gel.width, gel.length), half, strict=True)
+    ]
     for back in range(max(limits)):
         x, y = (max(0, limit - back) for limit in limits)
         ends = [moved(mesh, gel, half, (a, b)) for a in (-x, x) for b in (-y, y)]
