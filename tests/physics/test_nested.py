@@ -83,6 +83,14 @@ def test_deep_presses_of_wide_shapes_take_the_short_way(name, root):
     assert found.status is Status.OK and "extrapolated" in found.evidence
 
 
+def test_a_press_that_bends_bricks_nearly_flat_takes_the_short_way(root):
+    """At 240 N every usual part of Newton's first steps turns a brick inside out; short ones lead out of there."""
+    body = load_catalogue(root / "workflow" / "indenters.toml")["cuboid_15"]
+    press = Press(-0.416, 3.3208, 0, 0.003, 0.2188, -1.9246, 82.546)
+    found = solve_hex(Scene(Gel(), Material(), body, press), QUALITIES["label"])
+    assert found.status is Status.OK and "extrapolated" in found.evidence
+
+
 def test_a_deep_press_is_what_its_whole_path_gives(root):
     plain = replace(QUALITIES["draft"], nested=replace(QUALITIES["draft"].nested, extrapolation=0.0))
     short = solve_hex(deep_press("triangle_8", root), plain)

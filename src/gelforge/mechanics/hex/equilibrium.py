@@ -65,7 +65,8 @@ class Equilibrium:
 
     u: (n, 3) mm. state: ContactState. springs: those of the last equilibrium. candidates: points that are no part of the
     held contact and may come to touch. residual: out of balance over contact force. noisy: residual above which the
-    tangent leaves out the pressure's geometric stiffness. The counters hold what all solves together took.
+    tangent leaves out the pressure's geometric stiffness. crawls: whether a step whose usual parts all turn bricks inside out
+    is taken in SHORT ones: where no load step could be shortened instead. The counters hold what all solves together took.
     """
 
     def __init__(self, scene: Scene, settings: HexSettings, mesh: HexMesh, system: System) -> None:
@@ -85,7 +86,7 @@ class Equilibrium:
         self.springs: Any = None  # Springs of the last equilibrium
         self.factorisations = self.products = self.iterations = 0
         self.residual, self.factored = np.inf, False
-        self.noisy = NOISY
+        self.noisy, self.crawls = NOISY, False
 
     @property
     def enough(self) -> float:
@@ -146,7 +147,9 @@ class Equilibrium:
     ) -> tuple[np.ndarray, tuple[np.ndarray, Springs]]:
         """u less the step, or less one of its parts where that inverts bricks or leaves the residual above `before`."""
         free, best = self.system.free, None
-        for part in parts:
+        for part in SHORT if self.crawls else parts:
+            if part < parts[-1] and best is not None:
+                break
             trial = u.copy()
             trial[free] -= part * step
             self.mesh.hanging.hang(trial)

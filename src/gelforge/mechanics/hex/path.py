@@ -76,7 +76,7 @@ class Run(Equilibrium):
 
         The path may be the way to this end of a longer one.
         """
-        self.t, self.noisy = self.scene.press.end, NOISY_INTERPOLATED
+        self.t, self.noisy, self.crawls = self.scene.press.end, NOISY_INTERPOLATED, True
         pose = path_pose(self.scene, self.t)
         try:
             self.u = untangled(self.mesh, self.bricks, carried(trail.mesh, trail.states[-1], self.mesh))
