@@ -1,6 +1,6 @@
 """A sphere on a small flat pad: CalculiX' forces against the in-process solver and against equilibrium."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -17,6 +17,7 @@ from gelforge.mechanics.scene import Interface, Material, Press, Scene
 from gelforge.mechanics.tet.face import dunavant12, face_points
 from gelforge.mechanics.tet.facecontact import SLIDE, STICK, Contact, judge
 from gelforge.mechanics.tet.kinematics import PathSettings, contact_blocks, contact_forces, follow
+from gelforge.mechanics.tet.moved import moved
 from gelforge.records.status import Status
 from tests.blocks import symmetric_block
 
@@ -143,6 +144,24 @@ def test_coulomb_bounds_shear_and_no_slip_exceeds_it(solver):
     free, bound, stuck = (solver.solve(scene(law, dx=0.25)).total for law in ("frictionless", "coulomb", "no_slip"))
     assert abs(free[0]) < abs(bound[0]) < 1.02 * abs(stuck[0])
     assert abs(bound[0]) <= 0.42 * abs(bound[2])  # mu = 0.4, its rounds stop at 2 % of the drag
+
+
+def test_a_solver_of_a_moved_fine_part_is_as_one_of_its_own(solver, tmp_path):
+    """It shares the matrix with the one in the middle: neither sees that of the other, and the force is that of bricks."""
+    aside, middle = replace(scene("no_slip").press, x0=1.0, y0=-0.5), scene("no_slip")
+    pressed, before = replace(middle, press=aside), solver.solve(middle).total
+    there = moved(solver.mesh, PAD, (2.0, 2.0), (1.0, -0.5))
+    one = solver.on(there, tmp_path / "on").solve(pressed)
+    other = CcxSolver(there, tmp_path / "own", solver.settings).solve(pressed)
+    assert one.status is Status.OK and other.status is Status.OK
+    np.testing.assert_allclose(one.total, other.total, atol=1e-6 * abs(other.total[2]))
+    np.testing.assert_allclose(solver.solve(middle).total, before, atol=1e-6 * abs(before[2]))
+    # what tetrahedra of 1 mm add to the force of bricks they add there, too: 3 to 4 %
+    stiffer = [
+        found[2] / solve_hex(here, HexSettings(size=0.5, layers=6, gauss=2, press_steps=3)).total[2]
+        for found, here in ((before, middle), (one.total, pressed))
+    ]
+    assert stiffer[1] == pytest.approx(stiffer[0], abs=0.015)
 
 
 def test_a_press_that_calculix_own_contact_does_not_see_is_no_answer_of_zero(mesh, ccx, tmp_path):
