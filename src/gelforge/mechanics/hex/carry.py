@@ -18,7 +18,10 @@ from gelforge.mechanics.pose import Pose, touch_fraction
 from gelforge.mechanics.scene import NoEquilibrium, Scene
 
 FLAT = 0.2  # volume ratio below which a brick is nearly inside out: Newton's first steps would turn it over
-SMOOTHINGS = 40
+SMOOTHINGS, STUCK = (
+    40,
+    10,
+)  # of flat bricks' nodes; after each STUCK of them those of one more ring of bricks move, too
 LEFT = 0.05  # widths of a coarse brick beyond touch at which a point has left again
 
 
@@ -76,11 +79,14 @@ def untangled(mesh: HexMesh, bricks: BrickGeometry, u: np.ndarray) -> np.ndarray
     """
     fixed = np.ones(len(u), bool)
     fixed[mesh.unknown] = False
-    for _ in range(SMOOTHINGS):
+    for smoothing in range(SMOOTHINGS):
         flat = smallest_ratios(u, bricks) < FLAT
         if not flat.any():
             return u
-        moved = np.unique(bricks.elements[flat])
+        moved = bricks.elements[flat]
+        for _ in range(smoothing // STUCK):
+            moved = bricks.elements[np.isin(bricks.elements, moved).any(axis=1)]
+        moved = np.unique(moved)
         moved = moved[~fixed[moved]]
         u = u.copy()
         u[moved] = 0.5 * (u[moved] + _mean_of_neighbours(mesh, u)[moved])
