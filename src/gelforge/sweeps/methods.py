@@ -169,5 +169,5 @@ def _prepare_ccx(method, scene, fine, folder, params, work):
         name = meshes.density_mesh(scene, folder, params, method.size)
         steps = {"press_steps": method.steps, "shear_steps": (method.steps + 1) // 2}
     settings = replace(CcxSettings.of(params.fea), **steps, step_mm=np.inf)
-    solver = CcxSolver(GelMesh.load(Path(folder) / f"{name}.npz"), work, settings)
+    solver = CcxSolver(load_mesh(folder, name), work, settings)
     return lambda: (solver.solve(scene), solver.mesh)
