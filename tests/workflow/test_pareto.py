@@ -15,9 +15,11 @@ from gelforge.flow.params import plain
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue
 from gelforge.labelling.sensor import load_sensors
+from gelforge.mechanics.family import MeshFamily, choose_mesh, load_mesh
+from gelforge.records.status import Status
 from gelforge.stages import pareto, stability
 from gelforge.sweeps import cases
-from gelforge.sweeps.methods import hex_method
+from gelforge.sweeps.methods import Method, hex_method, prepare
 from gelforge.sweeps.scenes import parse_scene
 from gelforge.sweeps.trial import load_bench
 from tests.benchmarks.fea import deck_force, envelope_scene
@@ -35,23 +37,18 @@ def bench(tmp_path):
 @pytest.fixture(scope="module")
 def coarse(tmp_path_factory):
     """The parameters of the stability branch, nothing more, and one coarse mesh to solve its cases on."""
+    return coarse_mesh("wide", 3.0, tmp_path_factory.mktemp("meshes"))
+
+
+def coarse_mesh(region, size, folder):
+    """The parameters of the stability branch with one region of meshes, and the folder, where one of that size is made."""
     params = slice_of("stability")
-    wide = replace(params.meshes, hold={}, regions={"wide": params.meshes.regions["wide"]})
-    params = replace(params, meshes=wide)
-    folder = tmp_path_factory.mktemp("meshes")
-    write_json(folder / "params.json", plain(replace(slice_of("pareto_meshes"), meshes=wide)))
-    command = [
-        sys.executable,
-        "-m",
-        "gelforge.stages.pareto",
-        "mesh",
-        "--name",
-        "ccx-wide-3.0",
-        "--params",
-        "params.json",
-    ]
-    subprocess.run([*command, "--out", "ccx-wide-3.0.npz"], cwd=folder, check=True)
-    return params, folder
+    own = replace(params.meshes, hold={}, regions={region: params.meshes.regions[region]})
+    write_json(folder / "params.json", plain(replace(slice_of("pareto_meshes"), meshes=own)))
+    name = f"ccx-{region}-{size}"
+    command = [sys.executable, "-m", "gelforge.stages.pareto", "mesh", "--name", name, "--params", "params.json"]
+    subprocess.run([*command, "--out", f"{name}.npz"], cwd=folder, check=True)
+    return replace(params, meshes=own), folder
 
 
 def scene(name, table):
@@ -105,6 +102,17 @@ def test_every_fidelity_of_the_map_solves_with_what_its_branch_is_given(fidelity
     # a sphere of this size at 0.2 mm; the mesh is coarse
     assert -1.0 < record["total"][2] < -0.2
     assert stability.solve_case(case, params, folder, tmp_path) == record
+
+
+def test_a_press_beside_the_middle_is_solved_on_its_densitys_mesh_moved_there(ccx, tmp_path):
+    params, folder = coarse_mesh("spot", 1.0, tmp_path)
+    pressed = scene("ball", {"indenter": {"kind": "sphere", "diameter": 5, "height": 5}, "x0": 2.0, "y0": -1.5}).scene
+    solve = prepare(Method("ccx-1-2", "ccx", 1.0, steps=2), pressed, "", folder, params, tmp_path, 3000.0)
+    result, mesh = solve()
+    assert result.status is Status.OK, result.evidence
+    name = choose_mesh(pressed, MeshFamily(folder, ["ccx-spot-1.0"]))
+    assert name.startswith("ccx-spot-1.0@")
+    np.testing.assert_array_equal(mesh.nodes, load_mesh(folder, name).nodes)
 
 
 def test_envelope_scenes_are_the_same_ones_every_time():
