@@ -32,7 +32,7 @@ def folder(tmp_path):
     (tmp_path / "20_meshes").mkdir()
     mesh = symmetric_block(GEL, 2.6, 2)
     mesh.save(tmp_path / "20_meshes" / "ccx-wide-2.6.npz")
-    report = {"engine": "ccx", "region": "wide", "size": 2.6, "half_mm": [10, 12], "nodes": len(mesh.nodes)}
+    report = {"engine": "ccx", "region": "wide", "size": 2.6, "half_mm": [10, 12], "reach_mm": [0, 0]}
     write_json(tmp_path / "20_meshes" / "ccx-wide-2.6.json", report)
     params = tmp_path / "params"
     write_slice(params, "fea", fea=FEA)

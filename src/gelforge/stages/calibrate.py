@@ -19,7 +19,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import write_json
 from gelforge.flow.layout import planned_shards
 from gelforge.flow.main import command, option
-from gelforge.flow.params import DatasetFile, plain, read_dataset_file
+from gelforge.flow.params import DatasetFile, read_dataset_file
 from gelforge.flow.params.slices import ForCalibrate, read_slice
 from gelforge.flow.params.tables import CalibrateSolverTable, CalibrateTable
 from gelforge.flow.progress import progress
@@ -222,7 +222,7 @@ def hex_settings(table: CalibrateSolverTable):
     """Settings of the solver behind the emulator, from [calibrate.solver]."""
     from gelforge.mechanics.hex.settings import HexSettings
 
-    return HexSettings(**plain(table))
+    return HexSettings(**vars(table))
 
 
 def emulate(readings: Readings, catalogue: dict, params: CalibrateTable, nu: float, folder: Path, jobs: int) -> tuple:
