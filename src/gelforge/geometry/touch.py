@@ -143,6 +143,11 @@ def _height(gel: Gel, press: Press, points: np.ndarray, t: float) -> float:
     return float(np.min(z[over] - gel.top(x[over], y[over]), initial=1e9))
 
 
+def spacing_of(points: np.ndarray, shape: tuple[int, int]) -> tuple[float, float]:
+    """Spacing (x, y) in mm of the grid of `under_path`: its points (n, 3) and how many there are either way."""
+    return float(np.ptp(points[:, 0]) / (shape[0] - 1)), float(np.ptp(points[:, 1]) / (shape[1] - 1))
+
+
 def width_of(touched: np.ndarray, spacing: tuple[float, float]) -> float:
     """Width in mm of a figure on a grid, touched (nx, ny) bool, cells of spacing mm: four times area over perimeter.
 

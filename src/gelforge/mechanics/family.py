@@ -157,9 +157,8 @@ def footprint(scene: Scene) -> Footprint | None:
     met = touch.touched(scene.indenter, scene.press, points, NEAR)
     if not met.any():
         return None
-    spacing = [float(np.ptp(points[:, axis]) / (shape[axis] - 1)) for axis in (0, 1)]
     low, high = (end(points[met, :2], axis=0).tolist() for end in (np.min, np.max))
-    return Footprint(tuple(low), tuple(high), touch.width_of(met.reshape(shape), (spacing[0], spacing[1])))
+    return Footprint(tuple(low), tuple(high), touch.width_of(met.reshape(shape), touch.spacing_of(points, shape)))
 
 
 def choose_mesh(scene: Scene, family: MeshFamily) -> str:

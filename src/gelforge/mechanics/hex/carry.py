@@ -18,10 +18,8 @@ from gelforge.mechanics.pose import Pose, touch_fraction
 from gelforge.mechanics.scene import NoEquilibrium, Scene
 
 FLAT = 0.2  # volume ratio below which a brick is nearly inside out: Newton's first steps would turn it over
-SMOOTHINGS, STUCK = (
-    40,
-    10,
-)  # of flat bricks' nodes; after each STUCK of them those of one more ring of bricks move, too
+SMOOTHINGS = 40  # of the nodes of flat bricks, at most
+STUCK = 10  # smoothings after each of which the nodes of one more ring of bricks move, too
 LEFT = 0.05  # widths of a coarse brick beyond touch at which a point has left again
 
 

@@ -14,24 +14,18 @@ shape made in the kernel itself: what a point needs is copied there first.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numba import njit
 
 from gelforge.mechanics.hex.stepped import Cells
+from gelforge.mechanics.lanes import FAST, batched
 from gelforge.mechanics.pattern import add_entries
 
 CORNERS = np.array(
     [[-1, -1, -1], [1, -1, -1], [1, 1, -1], [-1, 1, -1], [-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1]], float
 )
 LANES = 32
-_FAST: dict[str, Any] = {
-    "cache": True,
-    "nogil": True,
-    "error_model": "numpy",
-    "fastmath": {"contract", "reassoc", "nsz", "arcp"},
-}
 
 
 @dataclass(frozen=True)
@@ -67,13 +61,7 @@ def bricks(nodes: np.ndarray, cells: Cells) -> BrickGeometry:
     lower = gradients[cells.standing, :, :4]
     gradients[cells.standing, :, :4] = np.einsum("sba,sgbi->sgai", cells.shares, lower)
     elements = np.ascontiguousarray(cells.nodes, np.int32)
-    lanes = np.minimum(np.arange(-(-len(elements) // LANES) * LANES), len(elements) - 1)
-    return BrickGeometry(elements, *(_batched(values[lanes]) for values in (elements, gradients, weights)))
-
-
-def _batched(values: np.ndarray) -> np.ndarray:
-    """Values (b LANES, ...) of bricks as (b, ..., LANES)."""
-    return np.ascontiguousarray(np.moveaxis(values.reshape(-1, LANES, *values.shape[1:]), 1, -1))
+    return BrickGeometry(elements, *(batched(values, LANES) for values in (elements, gradients, weights)))
 
 
 @njit(cache=True, nogil=True)
@@ -262,7 +250,7 @@ def _add_to_brick(near: np.ndarray, point: np.ndarray, mean: np.ndarray) -> None
             mean[3 * a + 2, lane] += volume * near[a, 5, lane]
 
 
-@njit(**_FAST)
+@njit(**FAST)
 def _smallest_ratios(
     u: np.ndarray, nodes: np.ndarray, gradients: np.ndarray, weights: np.ndarray, smallest: np.ndarray
 ) -> None:
@@ -277,7 +265,7 @@ def _smallest_ratios(
                 smallest[batch, lane] = min(smallest[batch, lane], point[_RATIO, lane])
 
 
-@njit(**_FAST)
+@njit(**FAST)
 def _internal_forces(
     u: np.ndarray,
     nodes: np.ndarray,
@@ -325,7 +313,7 @@ def _internal_forces(
     return smallest
 
 
-@njit(**_FAST)
+@njit(**FAST)
 def _tangent(
     u: np.ndarray,
     nodes: np.ndarray,

@@ -30,7 +30,6 @@ def fine_box(scene: Scene, size: float, across: int = 0) -> FineBox:
     are of `size`, or smaller where the shorter side of what is touched is under `across` bricks, or its parts are narrow.
     """
     points, shape = touch.under_path(scene.gel, scene.indenter, scene.press, 0.2)
-    spacing = float(np.ptp(points[:, 0]) / (shape[0] - 1)), float(np.ptp(points[:, 1]) / (shape[1] - 1))
     inside = touch.touched(scene.indenter, scene.press, points)
     if not inside.any():
         least = touch.gap(scene.indenter, scene.press, points, 1.0)
@@ -38,7 +37,10 @@ def fine_box(scene: Scene, size: float, across: int = 0) -> FineBox:
     met = points[inside, :2]
     if across:
         shorter = float(np.ptp(met, axis=0).min())
-        narrow = min(shorter / across, touch.width_of(inside.reshape(shape), spacing) / (NARROW * across))
+        narrow = min(
+            shorter / across,
+            touch.width_of(inside.reshape(shape), touch.spacing_of(points, shape)) / (NARROW * across),
+        )
         size = min(size, max(SMALLEST, np.round(narrow, 2)))
     gel = scene.gel
     half = np.array([gel.width / 2, gel.length / 2])

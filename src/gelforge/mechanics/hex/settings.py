@@ -91,7 +91,8 @@ class HexSettings:
 # height (ratio 2) are better than a thin top one: at five layers a ratio of 6 errs by 2 to 3 % in total force, 2 by
 # 1 to 2 %. Under a wide flat body the gel flows sideways between two faces that it sticks to, which n layers make stiffer by
 # 1 / n^2. Seven layers, four of them wide, and an extrapolation of 0.16 are better on flat, shallow presses (3.9 to 2.4 %)
-# and on the scenes (worst 1.5 for 1.7 %), worse under deep narrow ridges (4.3 for 3.5 %), and take a quarter longer. A brick's face bends too little for 3 x 3 points to be held: 2 x 2 halve the error of flat and sharp indenters.
+# and on the scenes (worst 1.5 for 1.7 %), worse under deep narrow ridges (4.3 for 3.5 %), and take a quarter longer.
+# A brick's face bends too little for 3 x 3 points to be held: 2 x 2 halve the error of flat and sharp indenters.
 # Below the upper layers wide bricks do: the same errors in 0.7 (label) and 0.6 (draft) of the time. At least two layers must
 # be fine: one alone, on wide faces, doubles the error of the cells.
 # Three press steps cost under 0.6 % of the force with anchors at first touch (12 % where a step ends, one step).

@@ -7,23 +7,17 @@ the same reason (`mechanics.hex.element`).
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numba import njit
 
+from gelforge.mechanics.lanes import FAST, batched
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.pattern import add_entries
 from gelforge.mechanics.tet.tetmesh import GAUSS
 from gelforge.mechanics.tet.tetmesh import gradients as local_gradients
 
 LANES = 16
-_FAST: dict[str, Any] = {
-    "cache": True,
-    "nogil": True,
-    "error_model": "numpy",
-    "fastmath": {"contract", "reassoc", "nsz", "arcp"},
-}
 
 
 @dataclass(frozen=True)
@@ -45,15 +39,8 @@ def tets(mesh: GelMesh) -> TetGeometry:
     jacobian = np.einsum("qak,eai->eqik", local, mesh.nodes[mesh.elements])
     weights = np.linalg.det(jacobian) / 24.0
     gradients = np.einsum("qak,eqki->eqai", local, np.linalg.inv(jacobian))
-    count = len(mesh.elements)
-    lanes = np.minimum(np.arange(-(-count // LANES) * LANES), count - 1)
     elements = mesh.elements.astype(np.int32)
-    return TetGeometry(count, *(_batched(values[lanes]) for values in (elements, gradients, weights)))
-
-
-def _batched(values: np.ndarray) -> np.ndarray:
-    """Values (b LANES, ...) of elements as (b, ..., LANES)."""
-    return np.ascontiguousarray(np.moveaxis(values.reshape(-1, LANES, *values.shape[1:]), 1, -1))
+    return TetGeometry(len(elements), *(batched(values, LANES) for values in (elements, gradients, weights)))
 
 
 def internal_forces(u: np.ndarray, geometry: TetGeometry, shear: float, bulk: float, forces: np.ndarray) -> float:
@@ -192,7 +179,7 @@ def _push(f: np.ndarray, inverse: np.ndarray, near: np.ndarray) -> None:
             near[a, 8, lane] = f[6, lane] * x + f[7, lane] * y + f[8, lane] * z
 
 
-@njit(**_FAST)
+@njit(**FAST)
 def _internal_forces(
     u: np.ndarray,
     nodes: np.ndarray,
@@ -234,7 +221,7 @@ def _internal_forces(
     return smallest
 
 
-@njit(**_FAST)
+@njit(**FAST)
 def _tangent(
     u: np.ndarray,
     nodes: np.ndarray,
