@@ -12,7 +12,7 @@ from gelforge.flow.files import read_csv, read_json
 from gelforge.records.frames import check_frames, presses_of
 from gelforge.records.log import read_log, read_presses
 from gelforge.records.press import parse
-from gelforge.stages import rigcost
+from gelforge.stages import rig, rigcost
 from gelforge.stages.rig import main, run
 from gelforge.virtualrig.rigplan import orders, read_plan
 from gelforge.virtualrig.writer import Dataset
@@ -154,6 +154,18 @@ def test_a_lost_picture_is_drawn_again_from_the_kept_surface(two, tmp_path, caps
     assert "0 new, 1 only drawn again" in capsys.readouterr().out
     assert lost.read_bytes() == image
     assert (two / "log.csv").read_bytes() == log
+
+
+def test_a_camera_that_is_made_anew_takes_the_same_picture(tmp_path, monkeypatch):
+    """A process keeps few of a plan's cameras; which of them does not show."""
+    both = 'sensors = ["mini_a"]', 'sensors = ["mini_a", "mini_e"]\nseen_by = 2'
+    data = run(plan_of(tmp_path, 1, both), tmp_path / "data", ROOT / "workflow")
+    pictures = {path: path.read_bytes() for path in (data / "images").iterdir()}
+    monkeypatch.setattr(rig, "CAMERAS", 1)
+    for path in pictures:
+        path.unlink()
+    run(tmp_path / "plan.toml", tmp_path / "data", ROOT / "workflow")
+    assert len(pictures) == 2 and all(path.read_bytes() == picture for path, picture in pictures.items())
 
 
 def test_a_broken_surface_is_named(two, tmp_path):

@@ -38,6 +38,7 @@ from gelforge.virtualrig.writer import (
 )
 
 FACTORS = "truth/factors"  # of forces, by indenter; the same for all presses of it
+CAMERAS = 64  # that a process keeps, of 20 MB each; to make one anew costs about three pictures
 
 
 class Worker:
@@ -47,15 +48,19 @@ class Worker:
         import cv2
 
         from gelforge.virtualrig.bench import Bench
-        from gelforge.virtualrig.render import Renderer
 
         cv2.setNumThreads(1)
         gel = load_gel(plan.gel)
         self.plan, self.folder, self.gel = plan, folder, gel
         bodies: dict[str, Indenter] = dict(load_catalogue(workflow / plan.catalogue, plan.indenters))
         self.bench = Bench(plan, bodies, gel, folder / FACTORS)
-        looks, sensors = units_of(plan, workflow)
-        self.cameras = {name: Renderer(looks[name], sensors[name].projection, gel) for name in plan.sensors}
+        self.looks, self.sensors = units_of(plan, workflow)
+        self.camera = lru_cache(CAMERAS)(self._camera)
+
+    def _camera(self, sensor: str):
+        from gelforge.virtualrig.render import Renderer
+
+        return Renderer(self.looks[sensor], self.sensors[sensor].projection, self.gel)
 
     def carry_out(self, orders: list[Order], solved: bool) -> list[tuple]:
         """Press once and take every picture of `orders`, which are of one press and its moments.
@@ -92,7 +97,7 @@ class Worker:
         body, field = Pressed(self.bench.body(orders[0].indenter), surface.press), field_of(self.gel, surface)
         for order in orders:
             noise = generator(self.plan, order.index, streams.camera(order.unit, order.moment))
-            save_image(self.folder / image_name(order), self.cameras[order.sensor].image(field, body, noise))
+            save_image(self.folder / image_name(order), self.camera(order.sensor).image(field, body, noise))
 
 
 @lru_cache(maxsize=1)

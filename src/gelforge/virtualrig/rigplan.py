@@ -88,8 +88,8 @@ class DrawnUnits(RigTable):
     """
 
     ranges: str
-    known: Annotated[int, Within(0, 99)]
-    unseen: Annotated[int, Within(0, 99)]
+    known: Annotated[int, Within(0, 999)]
+    unseen: Annotated[int, Within(0, 999)]
     known_gels: tuple[str, ...] = ()
     unseen_gels: tuple[str, ...] = ()
 
