@@ -17,7 +17,7 @@ from gelforge.errors import BadInput
 from gelforge.networks.batches import Ahead, epoch_order, images_to_tensor, target, training_batches
 from gelforge.networks.data import open_data, scales
 from gelforge.networks.inputs import network_input
-from gelforge.networks.training import Training, fit, loss_of, predict_rows, resume, save_checkpoint
+from gelforge.networks.training import Training, fit, loss_of, predict_rows, resume, save_checkpoint, validate
 from gelforge.stages.train import resolve, train
 
 
@@ -102,10 +102,13 @@ def test_same_seed_same_curve_other_seed_other_curve(folder):
 
 
 @pytest.mark.parametrize(
-    "kind, schedule, most",
-    [("grid", "cosine", 0), ("grid", "plateau", 11), ("unet", "plateau", 0), ("resnet", "plateau", 0)],
-)
-def test_resumed_training_has_the_same_curve_and_weights(folder, tmp_path, kind, schedule, most):
+    "kind, schedule, most, averaged",
+    [
+        ("grid", "cosine", 0, 0.0), ("grid", "plateau", 11, 0.0), ("grid", "cosine", 0, 0.8),
+        ("unet", "plateau", 0, 0.0), ("resnet", "plateau", 0, 0.0),
+    ],
+)  # fmt: skip
+def test_resumed_training_has_the_same_curve_and_weights(folder, tmp_path, kind, schedule, most, averaged):
     model = {
         "grid": SMALL,
         "unet": {"kind": "unet", "widths": [4, 8]},
@@ -116,7 +119,10 @@ def test_resumed_training_has_the_same_curve_and_weights(folder, tmp_path, kind,
     grid = (1, 1) if kind == "resnet" else GRID
 
     def start():
-        settings = with_values(SETTINGS, epochs=5, schedule=schedule, mirrored_share=0.8, epoch_images=most)
+        settings = with_values(
+            SETTINGS, epochs=5, schedule=schedule, mirrored_share=0.8, epoch_images=most, averaged_share=averaged,
+            frozen_share=max(averaged, SETTINGS.frozen_share),
+        )  # fmt: skip
         return Training(model, settings, norm, IMAGE, grid, "cpu")
 
     whole, cut, rest = start(), start(), start()
@@ -148,6 +154,29 @@ def test_the_last_epochs_train_the_network_that_is_used(folder, share, monkeypat
     assert [torch.equal(a[0], b[0]) for a, b in zip(seen, seen[1:])] == frozen[1:]
     assert settled == [epoch + 1 for epoch in range(4) if not frozen[epoch]]
     assert not any(torch.equal(a[1], b[1]) for a, b in zip(seen, seen[1:]))
+
+
+def test_averaged_weights_are_the_mean_over_the_steps_of_the_last_epochs(folder):
+    """The network that is validated and kept has them; the one that trains goes its own way."""
+    data = open_data(folder)
+    settings = with_values(SETTINGS, epochs=3, frozen_share=0.7, averaged_share=0.7, learning_rate=1e-2)
+    training = Training(SMALL, settings, scales(data, False), IMAGE, GRID, "cpu")
+    passed, step = [], training.step
+
+    def noting(images, wanted):
+        loss = step(images, wanted)
+        passed.append((training.epochs_done, training.net.state_dict()["stem.weight"].clone()))
+        return loss
+
+    training.step = noting
+    for _ in range(3):
+        row = training.close_epoch(data, training.train_epoch(training.batches(data)))
+    mean = torch.stack([weights for epoch, weights in passed if epoch >= 1]).mean(0)
+    net = training.judged(2)
+    assert torch.allclose(net.state_dict()["stem.weight"], mean, atol=1e-6)
+    assert not torch.allclose(training.net.state_dict()["stem.weight"], mean, atol=1e-4)
+    assert torch.equal(net.state_dict()["stem_norm.running_mean"], training.net.state_dict()["stem_norm.running_mean"])
+    assert validate(net, data, training.norm, settings.batch, "cpu")["val_total"] == row["val_total"]
 
 
 @pytest.fixture(scope="module")

@@ -187,6 +187,7 @@ def toml(value) -> str:
         ("[params.calibrate.priors.c10]\nfree = false\nfixed = 0.08", "c10: free = false; it is what calibrate finds"),
         ("[params.calibrate]\nwalkers = 33", "walkers = 33: give an even number"),
         ("[params.train]\nleast_rate = 1.0", "least_rate = 1.0 is above learning_rate"),
+        ("[params.train]\naveraged_share = 0.3", "averaged_share = 0.3 is above frozen_share = 0.25"),
         ("[params.report]\nmodel = '$(shell touch x)'", "model = .*: give a name of letters"),
         ("[params.train.epochs_of]\nuet = 3", "uet: is read by nothing; unet is meant"),
     ],

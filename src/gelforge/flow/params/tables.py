@@ -102,6 +102,7 @@ class TrainingTable(ParameterTable):
     place_epochs: Whole
     settle_images: Whole
     frozen_share: Share
+    averaged_share: Share
     seed: Seed
     threads: Annotated[int, Within(1, 1e4)]
     mixed_precision: bool
@@ -109,7 +110,12 @@ class TrainingTable(ParameterTable):
     augment: AugmentTable
 
     def fault(self) -> str | None:
-        """A learning rate that starts below where it ends."""
+        """A learning rate that starts below where it ends; weights that are averaged while statistics still move."""
+        if self.averaged_share > self.frozen_share:
+            return (
+                f"averaged_share = {self.averaged_share} is above frozen_share = {self.frozen_share}: weights are averaged "
+                "only where batch normalisation keeps its statistics; lower the one or raise the other"
+            )
         if self.schedule == "plateau" and self.least_rate > self.learning_rate:
             return (
                 f"least_rate = {self.least_rate} is above learning_rate = {self.learning_rate}: give it a lower one"
