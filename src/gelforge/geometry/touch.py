@@ -4,6 +4,7 @@ Path parameter: 0 to 1 the press, 1 to 2 the way sideways; below 0 the press goe
 """
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 
 import numpy as np
 
@@ -65,6 +66,7 @@ def touched(
     return near
 
 
+@lru_cache(maxsize=64)  # several sensors may have seen one press, whose rows then lie on one path
 def nearest(gel: Gel, indenter: Indenter, press: Press, spacing: float = 0.25) -> float:
     """Least signed distance, mm, of the undeformed top from the indenter at its depth; negative: it touches.
 
