@@ -112,10 +112,12 @@ class HexSolver:
             if t <= start + TOUCH:
                 results.append(self._untouched(scene, time.perf_counter()))
                 continue
-            result = end if t == times[-1] else found.get(t, end)
-            result.evidence |= {"path": _until(result.evidence["path"], t)} if result is not end else {}
-            result.evidence["seconds"] = (time.perf_counter() - began) / len(scenes)
-            results.append(result)
+            passed = found.get(t) if t < times[-1] else None
+            reached = passed or end
+            path = _until(reached.evidence["path"], t) if passed else reached.evidence["path"]
+            seconds = (time.perf_counter() - began) / len(scenes)
+            # a result of its own, because moments that are one share what was found, and what is told of each is changed
+            results.append(replace(reached, evidence=reached.evidence | {"path": path, "seconds": seconds}))
         return results
 
     def walk(self, scenes: Sequence[Scene]) -> list["Walked | None"]:
