@@ -11,7 +11,7 @@ from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
 from gelforge.mechanics.hex import element
 from gelforge.mechanics.hex.equilibrium import System
-from gelforge.mechanics.hex.hexmesh import FineBox, build_mesh
+from gelforge.mechanics.hex.hexmesh import FineBox, build_mesh, layer_heights
 from gelforge.mechanics.hex.hexsolver import solve_hex
 from gelforge.mechanics.hex.settings import HexSettings
 from gelforge.mechanics.scene import Interface, Material, Press, Scene
@@ -75,6 +75,13 @@ def test_hanging_nodes_lie_where_they_hang(mesh):
     np.testing.assert_allclose(mesh.hanging.weights.sum(axis=1), 1.0, atol=1e-12)
     # those that others hang on stand by themselves, or what hangs would depend on the order
     assert not np.isin(mesh.hanging.masters, mesh.hanging.nodes).any()
+
+
+@pytest.mark.parametrize("aside", np.arange(0.0, 3.0, 0.5))
+def test_planes_have_the_heights_they_were_given(aside):
+    """Also where the column in the gel's middle hangs: under the arched top that lies a little beside its plane."""
+    mesh = build_mesh(Gel(), FineBox(-4.0, 4.0, aside - 3.5, aside + 3.5, 0.9), 3, 2.0, widened=(1,))
+    np.testing.assert_allclose(mesh.heights, layer_heights(3, 2.0), atol=1e-12)
 
 
 @widened

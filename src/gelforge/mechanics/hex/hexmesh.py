@@ -55,11 +55,13 @@ class HexMesh(GelMesh):
         moves[self.base] = moves[self.hanging.nodes] = False
         return np.flatnonzero(moves)
 
-    @property
+    @cached_property
     def heights(self) -> np.ndarray:
         """Relative heights (nz + 1,) of the planes of nodes, 0 at the base and 1 at the top."""
-        plane = len(self.xs) * len(self.ys)
-        column = self.nodes[plane // 2 :: plane, 2]
+        # of a column that goes through all planes: nodes that hang lie on flat faces, a little beside their plane
+        x, y = (lines.left for lines in self.planes.lines[0])
+        through = np.flatnonzero(y[:, None] & x)
+        column = self.nodes[through[len(through) // 2] :: len(self.xs) * len(self.ys), 2]
         return (column - column[0]) / (column[-1] - column[0])
 
 
