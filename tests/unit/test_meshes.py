@@ -201,12 +201,19 @@ def test_a_name_tells_where_the_fine_part_lies(x, y):
 
 def test_a_moved_mesh_comes_from_the_file_of_the_one_in_the_middle(tmp_path, mesh):
     mesh.save(tmp_path / "ccx-centre-0.7.npz")
-    write_json(tmp_path / "ccx-centre-0.7.json", {"half_mm": [4.0, 4.0], "size": 0.7, "gel": GEL.name})
+    report = {"half_mm": [4.0, 4.0], "reach_mm": [2.0, 3.0], "size": 0.7, "gel": GEL.name}
+    write_json(tmp_path / "ccx-centre-0.7.json", report)
     found = load_mesh(tmp_path, "ccx-centre-0.7@2:-3")
     np.testing.assert_array_equal(found.nodes, moved(mesh, GEL, (4.0, 4.0), (2.0, -3.0)).nodes)
     assert load_mesh(tmp_path, "ccx-centre-0.7").nodes.tolist() == mesh.nodes.tolist()
     with pytest.raises(BadInput, match="make meshes"):
         load_mesh(tmp_path, "ccx-wide-0.7@2:-3")
+    for far in ("2.5:0", "0:-9"):  # elements beside the fine part would be flat or inside out
+        with pytest.raises(BadInput, match="cannot go that far"):
+            load_mesh(tmp_path, f"ccx-centre-0.7@{far}")
+    (tmp_path / "ccx-centre-0.7.json").unlink()
+    with pytest.raises(BadInput, match="ccx-centre-0.7.json: .* make meshes"):
+        load_mesh(tmp_path, "ccx-centre-0.7@2:-3")
 
 
 def test_a_press_takes_the_smallest_fine_part_that_holds_its_footprint(tmp_path, mesh):
