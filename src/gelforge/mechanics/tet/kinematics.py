@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gelforge.mechanics.hex.carry import Trail, touches, volume_motion
-from gelforge.mechanics.pose import Pose, touch_fraction
+from gelforge.mechanics.pose import Pose, on_surface, touch_fraction
 from gelforge.mechanics.scene import NoEquilibrium, Scene
 from gelforge.mechanics.tet.face import FacePoints
 from gelforge.mechanics.tet.facecontact import FREE, SLIDE, STICK, Contact, gaps, judge
@@ -331,11 +331,7 @@ class _Path:
         """Hold points at places of the indenter's frame, moved onto its surface."""
         if not new.any():
             return
-        spots = places[new]
-        for _ in range(2):
-            distance, normal = self.scene.indenter.distance(spots)
-            spots = spots - distance[:, None] * normal
-        self.anchor[new], self.anchor_normal[new] = spots, normal
+        self.anchor[new], self.anchor_normal[new] = on_surface(self.scene.indenter, places[new])
         self.contact = replace(self.contact, state=np.where(new, STICK, self.contact.state))
         self.contact = self._lead(pose)
 
