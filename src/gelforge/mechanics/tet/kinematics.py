@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gelforge.errors import SolveFailed
 from gelforge.mechanics.hex.carry import Trail, touches, volume_motion
 from gelforge.mechanics.pose import Pose, on_surface, touch_fraction
 from gelforge.mechanics.scene import NoEquilibrium, Scene
@@ -258,7 +259,11 @@ class _Path:
             self.iterations += 1
             self.solid.linearise(state.u, self.shear, self.bulk, *springs, gentle=share, firm=firm)
             anew = self.fresh or state.size > FAR
-            step = self.solid.step(state.residual, 0.0 if anew else float(np.clip(state.size, *LEFT)))
+            self.fresh = True  # for the next step, where this one's matrix cannot be factorised
+            try:
+                step = self.solid.step(state.residual, 0.0 if anew else float(np.clip(state.size, *LEFT)))
+            except SolveFailed as error:
+                raise NoEquilibrium(str(error)) from error
             self.fresh = False
             # a full tangent that turns elements inside out is not worth following at a crawl
             found = self._search(state, step, pose, keep, 8 if share == 1.0 else 3)
