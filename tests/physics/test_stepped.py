@@ -163,5 +163,5 @@ def test_a_press_is_that_of_bricks_of_one_width(body, press, law):
     np.testing.assert_allclose(other.total, one.total, atol=0.015 * np.linalg.norm(one.total))
     assert other.evidence["base_mismatch"] < 1e-6
     hung = other.displacement.copy()
-    other.walked.hanging.hang(hung)
+    other.solved_mesh.hanging.hang(hung)
     np.testing.assert_array_equal(hung, other.displacement)
