@@ -15,7 +15,7 @@ FREE, SLIDE, STICK = 0, 1, 2
 
 @dataclass
 class Contact:
-    """Contact state of (f, q) face points at the end of the path.
+    """Contact state of q points on each of f faces.
 
     state: FREE, SLIDE (held along the normal, dragged by `drag`) or STICK (held at `target`).
     target: (f, q, 3) mm, on the indenter. normal: (f, q, 3) the indenter's outward normal there.
@@ -29,6 +29,7 @@ class Contact:
 
     @property
     def held(self) -> np.ndarray:
+        """(f, q) bool, the points in contact."""
         return self.state != FREE
 
 

@@ -13,7 +13,7 @@ from gelforge.mechanics.tet.tetmesh import EDGES, signed_volumes
 RASTER_MM = 0.5  # that the fine part is moved by: presses share meshes, and what is kept for each
 ROUNDING_MM = 1e-9  # by which two lengths that are one may differ
 NARROWEST = 0.3  # of its width may be left of what lies between the fine part and the rim
-SOUND = 0.05  # of its volume that every element keeps
+SOUND = 0.05  # of its volume that every element keeps at least
 
 
 def reach(mesh: GelMesh, gel: Gel, half: tuple[float, float]) -> tuple[float, float]:
