@@ -14,6 +14,7 @@ from gelforge.mechanics.hex.equilibrium import System
 from gelforge.mechanics.hex.hexmesh import FineBox, build_mesh, layer_heights
 from gelforge.mechanics.hex.hexsolver import solve_hex
 from gelforge.mechanics.hex.settings import HexSettings
+from gelforge.mechanics.pattern import symmetric_product
 from gelforge.mechanics.scene import Interface, Material, Press, Scene
 from gelforge.records.status import Status
 
@@ -133,14 +134,11 @@ def test_forces_are_the_slope_of_one_energy(seed, which):
     system.values[:] = 0.0
     geometry, moduli = element.bricks(mesh.nodes, mesh.cells), (MATERIAL.shear_modulus, MATERIAL.bulk_modulus)
     element.tangent(u, geometry, *moduli, 1.0, system.base, system.width, system.values)
-    from gelforge.mechanics.pattern import symmetric_product
-
     slope = symmetric_product(system.pattern, system.values, way[mesh.unknown].ravel())
     ahead, behind = (forces_of(mesh, u + sign * step * way)[mesh.unknown].ravel() for sign in (1, -1))
     differences = (ahead - behind) / (2 * step)
-    assert np.linalg.norm(slope - differences) < 1e-5 * np.linalg.norm(
-        differences
-    )  # the tangent is in single precision
+    # the tangent is in single precision
+    assert np.linalg.norm(slope - differences) < 1e-5 * np.linalg.norm(differences)
 
 
 @pytest.mark.parametrize(

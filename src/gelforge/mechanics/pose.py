@@ -9,7 +9,7 @@ from gelforge.geometry.solids import Indenter
 
 @dataclass(frozen=True)
 class Pose:
-    """Where the indenter's frame stands: rotation (3, 3), translation (3,) mm; points and vectors are (m, 3)."""
+    """Where the indenter's frame stands: rotation (3, 3), translation (3,) mm; points and vectors are (..., 3)."""
 
     rotation: np.ndarray
     translation: np.ndarray
