@@ -12,6 +12,7 @@ from gelforge.mechanics.hex.hexmesh import (
     build_mesh,
     graded_lines,
     layer_heights,
+    round_corners,
     surface_lines,
 )
 from gelforge.mechanics.hex.penaltycontact import GLUED, FacePlaces, Law, contact_points, contact_springs, curved
@@ -178,6 +179,16 @@ def test_mesh_fills_the_gel(mesh):
     assert np.allclose(mesh.nodes[mesh.base][:, 2], -gel.height)
     top = mesh.nodes[mesh.surface_nodes]
     assert np.allclose(top[:, 2], gel.top(top[:, 0], top[:, 1]))
+
+
+def test_the_rim_of_a_rectangle_goes_onto_the_rounded_outline():
+    gel = Gel()
+    half, share = np.array([gel.width, gel.length]) / 2, np.linspace(-1.0, 1.0, 801)
+    for rim in (np.column_stack([share, 0 * share + 1.0]), np.column_stack([0 * share - 1.0, share])):
+        x, y = round_corners(*(rim * half).T, *half, gel.corner_radius)
+        np.testing.assert_allclose(gel.edge_distance(x, y), 0.0, atol=1e-12)
+    inner = share * (half.min() - gel.corner_radius)
+    np.testing.assert_array_equal(round_corners(inner, inner, *half, gel.corner_radius), [inner, inner])
 
 
 def test_surface_interpolation_reproduces_bilinear_fields(mesh):

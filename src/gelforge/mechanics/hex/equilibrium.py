@@ -192,7 +192,7 @@ class Equilibrium:
         return forces
 
     def _direction(self, u: np.ndarray, pose: Pose, law: Law, forces: np.ndarray, springs: Springs) -> np.ndarray:
-        """Newton's step, to FORCING of the residual; a factorisation serves as long as GMRES is quick with it."""
+        """Newton's step (free nodes, 3) mm, to FORCING of the residual; a factorisation serves as long as GMRES is quick with it."""
         system = self.system
         system.values[:] = 0.0
         pressed = float(self.residual <= self.noisy)
