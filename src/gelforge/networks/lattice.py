@@ -56,8 +56,8 @@ def straightened(motion: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray
     z, (of_found, of_moved) = lattice_plane(), _moments()
     found = motion[:, 2].astype(float)
     moved = found * (motion[:, 0] + 1j * motion[:, 1])
-    number, u, v, squares = (found.reshape(len(found), -1) @ of_found).T
-    moves, turned = (moved.reshape(len(moved), -1) @ of_moved).T
+    number, u, v, squares = (found.reshape(len(found), z.size) @ of_found).T
+    moves, turned = (moved.reshape(len(moved), z.size) @ of_moved).T
     number = np.maximum(number, 1.0)
     rest = (u + 1j * v) / number
     spread = squares - number * (rest.real**2 + rest.imag**2)
