@@ -6,16 +6,18 @@ import numpy as np
 import pytest
 
 from gelforge.geometry.gel import Gel
+from gelforge.geometry.indenters import build
 from gelforge.mechanics.hex.hexmesh import (
     FineBox,
     build_mesh,
     graded_lines,
     layer_heights,
+    round_corners,
     surface_lines,
 )
 from gelforge.mechanics.hex.penaltycontact import GLUED, FacePlaces, Law, contact_points, contact_springs, curved
 from gelforge.mechanics.pattern import build_pattern
-from gelforge.mechanics.pose import Pose
+from gelforge.mechanics.pose import Pose, on_surface, touch_fraction
 from tests.surface_values import interpolate_surface
 
 LAW = Law(penalty=50.0, friction=5.0)
@@ -179,6 +181,16 @@ def test_mesh_fills_the_gel(mesh):
     assert np.allclose(top[:, 2], gel.top(top[:, 0], top[:, 1]))
 
 
+def test_the_rim_of_a_rectangle_goes_onto_the_rounded_outline():
+    gel = Gel()
+    half, share = np.array([gel.width, gel.length]) / 2, np.linspace(-1.0, 1.0, 801)
+    for rim in (np.column_stack([share, 0 * share + 1.0]), np.column_stack([0 * share - 1.0, share])):
+        x, y = round_corners(*(rim * half).T, *half, gel.corner_radius)
+        np.testing.assert_allclose(gel.edge_distance(x, y), 0.0, atol=1e-12)
+    inner = share * (half.min() - gel.corner_radius)
+    np.testing.assert_array_equal(round_corners(inner, inner, *half, gel.corner_radius), [inner, inner])
+
+
 def test_surface_interpolation_reproduces_bilinear_fields(mesh):
     xs, ys, _ = surface_lines(mesh)
     assert np.allclose(xs, mesh.xs) and np.allclose(ys, mesh.ys)
@@ -187,3 +199,26 @@ def test_surface_interpolation_reproduces_bilinear_fields(mesh):
     xy = rng.uniform([-8, -10], [8, 10], (200, 2))  # away from the rounded corners
     expected = np.stack([xy[:, 0] * 2 + xy[:, 1], xy[:, 1] - 1], axis=1)
     assert np.allclose(interpolate_surface(mesh, values, xy), expected)
+
+
+def test_a_point_touches_where_its_gap_has_gone_evenly_to_zero():
+    before, after = np.array([0.3, 0.3, 0.3, 0.0, -0.1, 0.3]), np.array([-0.1, -0.3, 0.1, -0.2, -0.2, 0.0])
+    # one that stays open or just meets the surface, at the end; one that was inside already, at the start
+    np.testing.assert_allclose(touch_fraction(before, after), [0.75, 0.5, 1.0, 0.0, 0.0, 1.0], atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    "table",
+    [{"kind": "sphere", "diameter": 8, "height": 10}, {"kind": "cuboid", "size": [5, 7], "fillet": 1, "height": 10}],
+)
+def test_what_is_held_lies_on_the_indenter(table):
+    """Places a little beside its surface, either way, are moved onto it, along the normal that they are told to have."""
+    body = build("body", table)
+    places = np.random.default_rng(4).uniform([-4.0, -4.0, -0.3], [4.0, 4.0, 3.0], (2000, 3))
+    places = places[np.abs(body.distance(places)[0]) < 0.3]
+    there, normal = on_surface(body, places)
+    assert len(places) > 200 and np.abs(body.distance(there)[0]).max() < 1e-9
+    np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1.0, atol=1e-12)
+    away = places - there
+    along = np.einsum("pi,pi->p", away, normal)[:, None] * normal
+    np.testing.assert_allclose(along, away, atol=1e-6)

@@ -313,6 +313,11 @@ def test_moments_that_rounding_tells_apart_are_one(law):
     one, other, end = HexSolver(FRAMED).solve_frames(scenes)
     assert one.status is other.status is end.status is Status.OK
     assert one.total[2] == pytest.approx(other.total[2], rel=1e-6) and end.total[2] < 2.0 * one.total[2] < 0.0
+    for frame in (one, other, end):
+        times = [t for t, *_ in frame.evidence["path"]]
+        assert len(times) > 1 and times == sorted(times) and times[-1] == 1.0
+    one.evidence["rung"] = "what is told of one moment is told of it alone"
+    assert "rung" not in other.evidence
 
 
 @pytest.mark.parametrize("law", [Interface("no_slip"), Interface("coulomb", 0.5)])

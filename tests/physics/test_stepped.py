@@ -11,9 +11,10 @@ from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
 from gelforge.mechanics.hex import element
 from gelforge.mechanics.hex.equilibrium import System
-from gelforge.mechanics.hex.hexmesh import FineBox, build_mesh
+from gelforge.mechanics.hex.hexmesh import FineBox, build_mesh, layer_heights
 from gelforge.mechanics.hex.hexsolver import solve_hex
 from gelforge.mechanics.hex.settings import HexSettings
+from gelforge.mechanics.pattern import symmetric_product
 from gelforge.mechanics.scene import Interface, Material, Press, Scene
 from gelforge.records.status import Status
 
@@ -77,6 +78,13 @@ def test_hanging_nodes_lie_where_they_hang(mesh):
     assert not np.isin(mesh.hanging.masters, mesh.hanging.nodes).any()
 
 
+@pytest.mark.parametrize("aside", np.arange(0.0, 3.0, 0.5))
+def test_planes_have_the_heights_they_were_given(aside):
+    """Also where the column in the gel's middle hangs: under the arched top that lies a little beside its plane."""
+    mesh = build_mesh(Gel(), FineBox(-4.0, 4.0, aside - 3.5, aside + 3.5, 0.9), 3, 2.0, widened=(1,))
+    np.testing.assert_allclose(mesh.heights, layer_heights(3, 2.0), atol=1e-12)
+
+
 @widened
 def test_no_brick_is_made_of_hanging_nodes(mesh):
     assert not np.isin(mesh.cells.nodes, mesh.hanging.nodes).any()
@@ -126,14 +134,11 @@ def test_forces_are_the_slope_of_one_energy(seed, which):
     system.values[:] = 0.0
     geometry, moduli = element.bricks(mesh.nodes, mesh.cells), (MATERIAL.shear_modulus, MATERIAL.bulk_modulus)
     element.tangent(u, geometry, *moduli, 1.0, system.base, system.width, system.values)
-    from gelforge.mechanics.pattern import symmetric_product
-
     slope = symmetric_product(system.pattern, system.values, way[mesh.unknown].ravel())
     ahead, behind = (forces_of(mesh, u + sign * step * way)[mesh.unknown].ravel() for sign in (1, -1))
     differences = (ahead - behind) / (2 * step)
-    assert np.linalg.norm(slope - differences) < 1e-5 * np.linalg.norm(
-        differences
-    )  # the tangent is in single precision
+    # the tangent is in single precision
+    assert np.linalg.norm(slope - differences) < 1e-5 * np.linalg.norm(differences)
 
 
 @pytest.mark.parametrize(
@@ -156,5 +161,5 @@ def test_a_press_is_that_of_bricks_of_one_width(body, press, law):
     np.testing.assert_allclose(other.total, one.total, atol=0.015 * np.linalg.norm(one.total))
     assert other.evidence["base_mismatch"] < 1e-6
     hung = other.displacement.copy()
-    other.walked.hanging.hang(hung)
+    other.solved_mesh.hanging.hang(hung)
     np.testing.assert_array_equal(hung, other.displacement)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from parameters import parameters
 
+from gelforge.errors import SolveFailed
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
 from gelforge.mechanics.ccx.ccxsolver import CcxSettings, CcxSolver
@@ -76,6 +77,29 @@ def test_an_old_factorisation_ends_where_new_ones_do(run, monkeypatch):
     usual, _ = run(scene(), TIGHT)
     monkeypatch.setattr(solid, "STALE", 1)  # none is quick enough: every step has a factorisation of its own
     assert apart(run(scene(), TIGHT)[0], usual) < 1e-6
+
+
+def test_a_matrix_that_cannot_be_factorised_cuts_a_load_step(run, mesh, monkeypatch):
+    """A step half as long has another matrix; where none helps, the path ends with the reason, not with an exception."""
+    usual, _ = run(scene(), TIGHT)
+    body, points, calls = TetSolid(mesh), face_points(mesh), []
+    factorise = body.solver.factorise
+
+    def singular(values):
+        calls.append(len(calls))
+        if len(calls) in failing:
+            raise SolveFailed("PARDISO cannot factorise, error -4")
+        factorise(values)
+
+    monkeypatch.setattr(body.solver, "factorise", singular)
+    failing = {1, 4}
+    found = follow(scene(), body, points, first_touch(scene()), TIGHT)
+    assert found.settled and found.steps > TIGHT.press_steps + TIGHT.shear_steps
+    forces = contact_forces(found.contact, points, found.displacement, TIGHT.stiffness)
+    assert apart(forces.sum(axis=0), usual.sum(axis=0)) < 0.02  # load steps of other lengths
+    failing = range(10**9)
+    found = follow(scene(), body, points, first_touch(scene()), TIGHT)
+    assert not found.settled and "cannot factorise" in found.reason
 
 
 def test_one_leap_without_friction_ends_where_many_steps_do(run):

@@ -46,6 +46,7 @@ def test_a_mesh_of_a_name_is_the_same_wherever_it_is_built(tmp_path):
         (":3:3:1", ":3:3:0"), (":3:3:1", ":3:2.5"), (":5:", ":2.5:"),
         (":5:", ":0:"), (":5:", ":1e9:"), ("0.45", "0"), ("0.45", "nan"), ("5.5:-10", "inf:-10"), ("0.45", "1e-9"),
         ("1.8", "0.5"), ("-10:0.25", "0.25:-10"), ("0.45", "0.450"), (GOOD, "hex@"), (":-10", ":-10/../.."),
+        ("-5.5:5.5", "10.375:12"), ("-10:0.25", "-15:-13"),
     ],
 )  # fmt: skip
 def test_a_name_that_is_none_is_refused(tmp_path, old, new):
@@ -53,6 +54,13 @@ def test_a_name_that_is_none_is_refused(tmp_path, old, new):
     assert name != GOOD
     with pytest.raises(BadInput, match="gel 'teapot'" if "teapot" in new else re.escape(FORM)):
         load_mesh(tmp_path, name)
+
+
+@pytest.mark.parametrize("box", ["0:1e-06:0:1", "0:1:0:1e-06", "10.374999:12:0:1"])
+def test_a_fine_part_as_narrow_as_a_hair_is_refused_before_it_is_built(box):
+    """A brick no wider than it, whatever its size, and others that do not grow from there: ten million lines."""
+    with pytest.raises(BadInput, match="more than 2e\\+06 bricks"):
+        Bricks.parse(f"hex@gelsight_mini:{box}:1:2:3:1:1")
 
 
 @pytest.mark.parametrize("name", ["ccx-centre-0.5", "hex-centre-0.5", ""])

@@ -197,6 +197,9 @@ def test_pictures_read_one_by_one_tell_what_they_tell_together(prints):
     one_by_one = DotsOneByOne(reader)
     np.testing.assert_allclose([one_by_one.total(one) for one in motion], reader.totals(motion), atol=1e-4)
     told = [PlacesOneByOne(places).places(motion[k : k + 1]) for k in range(20)]
+    assert reader.totals(motion[:0]).shape == (0, 3)
+    for none in (places.places(motion[:0]), PlacesOneByOne(places).places(motion[:0])):
+        assert none.a.shape == none.b.shape == none.contact.shape == (0,)
     together = places.places(motion[:20])
     for name in ("a", "b", "contact"):
         np.testing.assert_allclose(

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from parameters import parameters, with_values
 
@@ -25,7 +25,7 @@ from gelforge.mechanics.family import (
 )
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.scene import Material, Press, Scene
-from gelforge.mechanics.tet.moved import RASTER_MM, moved, reach, way_to
+from gelforge.mechanics.tet.moved import RASTER_MM, ROUNDING_MM, moved, reach, way_to
 from gelforge.mechanics.tet.tetmesh import (
     EDGES,
     boundary_faces,
@@ -157,13 +157,19 @@ def test_a_narrow_contact_takes_the_finer_mesh_of_its_region(tmp_path, mesh):
 
 
 @given(st.floats(-9, 9), st.floats(0, 6), st.sampled_from([2.0, 4.0, 5.7]), st.integers(0, 5))
+@example(-1.0, 5.0 + 1e-13, 4.0, 5)
+@example(-1.0, 5.5 + 1e-13, 4.0, 5)
+@example(-4.0 - 1e-13, 1.0, 4.0, 5)
+@example(-4.5 - 1e-13, 1.0, 4.0, 5)
+@example(-4.0, 8.0 + 1e-13, 4.0, 5)
 def test_the_fine_part_goes_as_little_as_it_must(low, width, half, far):
-    """The least multiple of the raster that holds what is touched, if there is one."""
+    """The least multiple of the raster that holds what is touched, if there is one, to a millionth of a micrometre."""
     high = low + width
     steps = RASTER_MM * np.arange(-far / RASTER_MM, far / RASTER_MM + 1)
-    ways = [way for way in steps if -half + way <= low and high <= half + way]
+    ways = [way for way in steps if -half + way <= low + ROUNDING_MM and high - ROUNDING_MM <= half + way]
     found = way_to(low, high, half, far)
     assert found == (min(ways, key=abs) if ways else None)
+    assert "-0" not in placed("ccx-centre-0.7", (found or 0.0, 0.5)).split("@")[1].split(":")
 
 
 @pytest.mark.parametrize("share", [(0, 0), (0.5, 0), (-1, 1), (1, -1)])
@@ -195,12 +201,19 @@ def test_a_name_tells_where_the_fine_part_lies(x, y):
 
 def test_a_moved_mesh_comes_from_the_file_of_the_one_in_the_middle(tmp_path, mesh):
     mesh.save(tmp_path / "ccx-centre-0.7.npz")
-    write_json(tmp_path / "ccx-centre-0.7.json", {"half_mm": [4.0, 4.0], "size": 0.7, "gel": GEL.name})
+    report = {"half_mm": [4.0, 4.0], "reach_mm": [2.0, 3.0], "size": 0.7, "gel": GEL.name}
+    write_json(tmp_path / "ccx-centre-0.7.json", report)
     found = load_mesh(tmp_path, "ccx-centre-0.7@2:-3")
     np.testing.assert_array_equal(found.nodes, moved(mesh, GEL, (4.0, 4.0), (2.0, -3.0)).nodes)
     assert load_mesh(tmp_path, "ccx-centre-0.7").nodes.tolist() == mesh.nodes.tolist()
     with pytest.raises(BadInput, match="make meshes"):
         load_mesh(tmp_path, "ccx-wide-0.7@2:-3")
+    for far in ("2.5:0", "0:-9"):  # elements beside the fine part would be flat or inside out
+        with pytest.raises(BadInput, match="cannot go that far"):
+            load_mesh(tmp_path, f"ccx-centre-0.7@{far}")
+    (tmp_path / "ccx-centre-0.7.json").unlink()
+    with pytest.raises(BadInput, match="ccx-centre-0.7.json: .* make meshes"):
+        load_mesh(tmp_path, "ccx-centre-0.7@2:-3")
 
 
 def test_a_press_takes_the_smallest_fine_part_that_holds_its_footprint(tmp_path, mesh):

@@ -98,10 +98,14 @@ def load_mesh(folder: Path | str, name: str) -> GelMesh:
     """
     if is_bricks(name):
         return Bricks.parse(name).mesh()
-    path, (_, way) = mesh_file(folder, name), unplaced(name)
+    path, (own, way) = mesh_file(folder, name), unplaced(name)
     if not any(way):
         return GelMesh.load(path)
-    report = read_json(path.with_suffix(".json"))
+    report = _report(folder, own)
+    if any(abs(far) > most for far, most in zip(way, report["reach_mm"], strict=True)):
+        raise BadInput(
+            f"mesh name {name!r}: its fine part cannot go that far, see reach_mm in {own}.json; run make fea again"
+        )
     return moved(GelMesh.load(path), load_gel(report["gel"]), tuple(report["half_mm"]), way)
 
 
@@ -118,10 +122,19 @@ def unplaced(name: str) -> tuple[str, tuple[float, float]]:
 
 def mesh_file(folder: Path | str, name: str) -> Path:
     """Path of the mesh of stage 20 behind a name; one that is not there raises BadInput."""
-    path = Path(folder) / f"{unplaced(name)[0]}.npz"
+    return _file(folder, f"{unplaced(name)[0]}.npz")
+
+
+def _file(folder: Path | str, name: str) -> Path:
+    path = Path(folder) / name
     if not path.exists():
-        raise BadInput(f"{path}: a mesh of this name is missing; run make meshes")
+        raise BadInput(f"{path}: a mesh of this name or its report is missing; run make meshes")
     return path
+
+
+def _report(folder: Path | str, name: str) -> dict:
+    """What stage 20 tells of a mesh beside it (`make_mesh`)."""
+    return dict(read_json(_file(folder, f"{name}.json")))
 
 
 def mesh_loader(folder: Path | str) -> Callable[[str], GelMesh]:
@@ -130,15 +143,16 @@ def mesh_loader(folder: Path | str) -> Callable[[str], GelMesh]:
 
 
 class MeshFamily:
-    """The named tetrahedral meshes of a folder 20_meshes; each is read when first asked for."""
+    """The named tetrahedral meshes of a folder 20_meshes; each is read when first asked for.
+
+    reports: of each mesh, what `make_mesh` tells. A mesh or report that is missing raises BadInput.
+    """
 
     def __init__(self, folder: Path | str, names: list[str]) -> None:
         self.folder = Path(folder)
-        self.reports = {}
         for name in names:
-            if not (self.folder / f"{name}.npz").exists() or not (self.folder / f"{name}.json").exists():
-                raise BadInput(f"{self.folder / name}.npz or its report .json is missing; run `make meshes`")
-            self.reports[name] = read_json(self.folder / f"{name}.json")
+            mesh_file(folder, name)  # told now if it is missing, not at the first press that needs it
+        self.reports = {name: _report(folder, name) for name in names}
         self.load = mesh_loader(self.folder)
 
 

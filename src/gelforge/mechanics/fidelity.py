@@ -22,7 +22,10 @@ from gelforge.mechanics.scene import Result, Scene
 
 @dataclass(frozen=True)
 class Way:
-    """How a press is solved: a fidelity, the quality of bricks where it uses them, and why they were chosen."""
+    """How a press is solved: a fidelity, the quality of bricks where it uses them, and why they were chosen.
+
+    why: what goes into the evidence of its result, class of contact and name of the way; empty where nothing was chosen.
+    """
 
     fidelity: str
     bricks: str
@@ -30,7 +33,10 @@ class Way:
 
 
 class Solvers:
-    """Solvers of one family of tetrahedral meshes, kept between scenes; files of a solve lie in `workdir`, settings: [fea]."""
+    """Solvers of one family of tetrahedral meshes, kept between scenes; files of a solve lie in `workdir`, settings: [fea].
+
+    family: of meshes of the gel that all scenes sit on; bricks follow the gel of each scene. workdir: of this process alone.
+    """
 
     def __init__(self, family: MeshFamily, workdir: Path | str, settings: FeaTable) -> None:
         self.family, self.workdir, self.settings = family, Path(workdir), settings

@@ -1,10 +1,13 @@
-"""What kernels share that work on several elements at once, side by side in the last axis of every array."""
+"""What kernels share that work on several elements at once, side by side in the last axis of every array.
+
+A processor then does the same sum for all of them in one instruction (SIMD); a lane is the place of one element.
+"""
 
 from typing import Any
 
 import numpy as np
 
-# How numba compiles them: sums in any order, but no assumption about numbers that are none.
+# How numba compiles them: sums in any order, but nan and infinity stay what they are, because solvers look for them.
 FAST: dict[str, Any] = {
     "cache": True,
     "nogil": True,
@@ -14,6 +17,9 @@ FAST: dict[str, Any] = {
 
 
 def batched(values: np.ndarray, lanes: int) -> np.ndarray:
-    """Values (n, ...) of elements as batches (b, ..., lanes); the last batch repeats the last element."""
+    """Values (n, ...) of n > 0 elements as batches (b, ..., lanes); the last batch repeats the last element.
+
+    So kernels work on whole batches; they add up what is of the first n alone.
+    """
     which = np.minimum(np.arange(-(-len(values) // lanes) * lanes), len(values) - 1)
     return np.ascontiguousarray(np.moveaxis(values[which].reshape(-1, lanes, *values.shape[1:]), 1, -1))

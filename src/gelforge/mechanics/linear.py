@@ -160,7 +160,7 @@ def _pardiso_options() -> np.ndarray:
 
 
 class SuperLU:
-    """Fallback through scipy: the same interface, several times slower, nothing reused."""
+    """Fallback through scipy: as `Pardiso`, but in double precision, several times slower, and nothing is reused."""
 
     name = "superlu"
 
@@ -193,8 +193,9 @@ def gmres(
 ) -> np.ndarray | None:
     """Flexible GMRES (Saad 1993, SIAM J. Sci. Comput. 14, 461-469) without restart, from zero.
 
-    apply, precondition: functions (n,) -> (n,). Returns x (n,) with |b - A x| <= tolerance |b|, or None as
-    soon as `limit` products will not suffice at this pace.
+    apply: the product of the matrix A with a vector, (n,) -> (n,). precondition: about that of its inverse; it may be
+    another one at each call. Returns x (n,) with |b - A x| <= tolerance |b|, or None as soon as `limit` products will not
+    suffice at this pace.
     """
     size = float(np.linalg.norm(b))
     if size == 0.0:
@@ -216,6 +217,8 @@ def gmres(
             c, s = rotation[i]
             h[i, k], h[i + 1, k] = c * h[i, k] + s * h[i + 1, k], c * h[i + 1, k] - s * h[i, k]
         length = np.hypot(h[k, k], h[k + 1, k])
+        if length == 0.0:
+            return None  # the matrix takes this direction to nothing
         rotation[k] = h[k, k] / length, h[k + 1, k] / length
         h[k, k], h[k + 1, k] = length, 0.0
         rest[k], rest[k + 1] = rotation[k, 0] * rest[k], -rotation[k, 1] * rest[k]

@@ -15,13 +15,12 @@ from gelforge.errors import BadInput
 
 SMALL = (40, 30)  # width and height in px at which light is compared: dots and noise average out
 ROUNDS = 20  # at most of iteratively reweighted least squares; four are usual
-LEVELS = np.arange(256.0)[:, None]  # that a picture may have
-BRIGHTEST = 255.0
+BRIGHTEST = 255.0  # level that a picture may have
+LEVELS = np.arange(BRIGHTEST + 1.0)[:, None]
 SETTLED = 0.02  # levels by which a round still changes what light makes of them, where another one is needless
 LEAST_SCALE = 1.5  # levels that a place may differ by through noise alone
-REACH = (
-    3.0  # scales beyond which a place has no say (Tukey's biweight: Beaton and Tukey 1974, Technometrics 16, 147-185)
-)
+# Scales beyond which a place has no say (Tukey's biweight: Beaton and Tukey 1974, Technometrics 16, 147-185).
+REACH = 3.0
 TIED = 4.0  # levels squared of contrast below which a gain is hardly told from an offset, and taken for 1
 LEAST_SHARE = 0.25  # of the picture that must agree, or nothing tells what the light does
 DARK, BRIGHT = 4, 250  # levels between which a camera's answer is believed
@@ -45,7 +44,7 @@ class Light:
     known: bool
 
     def undo(self, image: np.ndarray) -> np.ndarray:
-        """The image (h, w, 3) uint8 as it would be under the light of the untouched one."""
+        """The image (h, w, 3) uint8 as it would be under the light of the untouched one; as it is where that is not known."""
         import cv2
 
         if not self.known:
@@ -62,13 +61,16 @@ NO_LIGHT = Light(np.ones(3), np.zeros(3), 0.0, 0.0, False)  # of a picture that 
 
 @dataclass(frozen=True)
 class View:
-    """How pictures of a sensor are scaled about their middle; what such a picture then does not show is `fill`, (3,)."""
+    """How pictures of a sensor are scaled about their middle, so that it sees the gel at the network's scale.
+
+    zoom: factor on lengths; below 1 the picture has a margin that shows nothing. fill: levels (3,) of that margin.
+    """
 
     zoom: float
     fill: tuple[float, float, float]
 
     def of(self, image: np.ndarray) -> np.ndarray:
-        """The image (h, w, 3) uint8 as a sensor would show it that sees the gel at the network's scale."""
+        """The image (h, w, 3) uint8 at the network's scale, of the same size."""
         import cv2
 
         if self.zoom == 1.0:
@@ -80,12 +82,14 @@ class View:
 
     def shown(self, shape: tuple[int, ...]) -> tuple[slice, slice]:
         """Rows and columns of such a picture (h, w, ...) that show something."""
-        rows, cols = (slice(margin, size - margin) for size, margin in (
-            (size, max(0, math.ceil((1.0 - self.zoom) * size / 2))) for size in shape[:2]))  # fmt: skip
-        return rows, cols
+        across, along = (max(0, math.ceil((1.0 - self.zoom) * size / 2)) for size in shape[:2])
+        return slice(across, shape[0] - across), slice(along, shape[1] - along)
 
     def match(self, image: np.ndarray, untouched: "Resting") -> tuple[np.ndarray, "Light"]:
-        """An image (h, w, 3) uint8 of this view under the light of the untouched picture, and what its light was."""
+        """An image (h, w, 3) uint8 as `of` gives it under the light of the untouched picture, and what its light was.
+
+        untouched: of a picture in this view.
+        """
         if self.zoom >= 1.0:
             light = untouched.light_of(image)
             return light.undo(image), light
@@ -142,7 +146,7 @@ def match_light(image: np.ndarray, untouched: np.ndarray) -> Light:
 class Resting:
     """An untouched picture (h, w, 3) uint8 whose light others are held against: what is made of it is made once.
 
-    view: of the picture, which says what part of it shows something.
+    view: in which the picture is given (`View.of`); it says what part shows something.
     """
 
     def __init__(self, picture: np.ndarray, view: View = WHOLE) -> None:

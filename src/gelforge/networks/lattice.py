@@ -21,10 +21,10 @@ def lattice_points() -> tuple[torch.Tensor, torch.Tensor]:
     return u, v
 
 
-def moved_alike(right, down, turn, zoom) -> torch.Tensor:
+def moved_alike(right: torch.Tensor, down: torch.Tensor, turn: torch.Tensor, zoom: torch.Tensor) -> torch.Tensor:
     """Motion (n, 2, ROWS, COLS) px of dots that are all shifted, turned and zoomed about the lattice's middle.
 
-    right, down: px; turn: radians, positive from u towards v; zoom: factor - 1; tensors (n,).
+    right, down: px; turn: radians, positive from u towards v; zoom: factor - 1; all (n,). To first order in turn and zoom.
     """
     u, v = lattice_points()
     right, down, turn, zoom = (part[:, None, None] for part in (right, down, turn, zoom))
@@ -42,22 +42,22 @@ def lattice_plane() -> np.ndarray:
 def _moments() -> tuple[np.ndarray, np.ndarray]:
     """What sums over the dots are taken of: (dots, 4) 1, u, v and |z|^2, and (dots, 2) 1 and the conjugate of z, z = u + i v."""
     z = lattice_plane().ravel()
-    return np.stack([np.ones(z.shape), z.real, z.imag, abs(z) ** 2], axis=1), np.stack(
-        [np.ones(z.shape), z.conj()], axis=1
-    )
+    one = np.ones(z.shape)
+    return np.stack([one, z.real, z.imag, abs(z) ** 2], axis=1), np.stack([one, z.conj()], axis=1)
 
 
 def straightened(motion: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Motion of dots (n, 3, ROWS, COLS) less the similarity z -> a z + b that fits it best, float32, and a and b (n,) complex.
 
-    By least squares over the dots that were found. What is left is seen as before the similarity, and so is the same
-    for dots that were shifted, turned or zoomed besides.
+    By least squares over the dots that were found. z is u + i v of a dot at rest, px from the lattice's middle; a turns and
+    zooms, b shifts. What is left is seen as before the similarity, (z + motion - b) / a - z, and so is the same for dots that
+    were shifted, turned or zoomed besides. Where fewer than two dots are found, a is 1.
     """
     z, (of_found, of_moved) = lattice_plane(), _moments()
     found = motion[:, 2].astype(float)
     moved = found * (motion[:, 0] + 1j * motion[:, 1])
-    number, u, v, squares = (found.reshape(len(found), -1) @ of_found).T
-    moves, turned = (moved.reshape(len(moved), -1) @ of_moved).T
+    number, u, v, squares = (found.reshape(len(found), z.size) @ of_found).T
+    moves, turned = (moved.reshape(len(moved), z.size) @ of_moved).T
     number = np.maximum(number, 1.0)
     rest = (u + 1j * v) / number
     spread = squares - number * (rest.real**2 + rest.imag**2)

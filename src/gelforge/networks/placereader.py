@@ -1,4 +1,4 @@
-"""A small network that reads from the printed dots how a gel sits, whatever touches it.
+"""A small network that reads from the printed dots how a gel sits in its holder, whatever touches it.
 
 A gel that was taken out and put back, or that is seen by a driver that crops otherwise, has all its dots moved alike: by a
 shift, a turn and a zoom. Contact moves dots too, but only as a gel can move that is held at its back: most where it is
@@ -21,7 +21,7 @@ from gelforge.networks.lattice import lattice_plane, straightened
 from gelforge.networks.smallnet import OneByOne, Stack, Whole, in_pieces, train_small
 
 WIDTH, HIDDEN = 48, 96
-# What its answers are in units of: px to the right and down, radians of turn, part of a zoom.
+# Units of the network's four answers: px to the right and down, radians of turn, zoom - 1.
 UNITS = (1.0, 1.0, 0.01, 0.01)
 LOST = 0.4  # most of the dots that are taken away at random
 
@@ -30,8 +30,9 @@ LOST = 0.4  # most of the dots that are taken away at random
 class Places:
     """How the gel sits in each of n pictures: a dot at z px from the lattice's middle is at a z + b.
 
-    a, b: (n,) complex; z is u + i v for dots PITCH px apart. contact: (n,) px, root mean square over the dots found of what
-    contact did to all of them alike; what is told of the gel is off by about a twentieth of it.
+    a, b: (n,) complex, 1 and 0 where it sits as it did untouched; z is u + i v for dots PITCH px apart.
+    contact: (n,) px, root mean square over the dots found of what contact did to all of them alike; what is told of the gel
+    is off by about a twentieth of it.
     """
 
     a: np.ndarray
@@ -69,7 +70,8 @@ class PlacesOneByOne:
     def places(self, motion: np.ndarray) -> Places:
         """As `PlaceReader.places`."""
         left, a, b = straightened(motion)
-        return _places(motion, a, b, np.concatenate([self._read(one) * UNITS for one in left]))
+        told = [self._read(one)[0] * UNITS for one in left]
+        return _places(motion, a, b, np.array(told).reshape(-1, len(UNITS)))
 
 
 def _places(motion: np.ndarray, a: np.ndarray, b: np.ndarray, told: np.ndarray) -> Places:

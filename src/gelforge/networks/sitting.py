@@ -28,5 +28,6 @@ def place_sitting(untouched: Untouched, images: Iterable[np.ndarray]) -> Placeme
 
 
 def _follow(untouched: Untouched, image: np.ndarray) -> Followed:
+    """The dots of the untouched picture in an image (h, w, 3) uint8 of any size, at its size and under its light."""
     sized = fit_size(image, untouched.trained.about["image"])[0]
     return untouched.dots(GIVEN).follow(untouched.canonical(untouched.view.of(sized), GIVEN)[0])

@@ -53,8 +53,8 @@ class Whole(nn.Conv2d):
 
     def forward(self, seen: torch.Tensor) -> torch.Tensor:
         weight = self.weight.view(self.groups, self.out_channels // self.groups, -1)
-        parts = seen.reshape(len(seen), self.groups, -1).transpose(0, 1)
-        told = torch.bmm(parts, weight.transpose(1, 2)).transpose(0, 1).reshape(len(seen), -1)
+        parts = seen.reshape(len(seen), self.groups, weight.shape[2]).transpose(0, 1)
+        told = torch.bmm(parts, weight.transpose(1, 2)).transpose(0, 1).reshape(len(seen), self.out_channels)
         return (told if self.bias is None else told + self.bias)[:, :, None, None]
 
 

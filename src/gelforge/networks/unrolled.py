@@ -1,6 +1,7 @@
-"""A light net that reads one image after another, as the plain calls that it comes to.
+"""A `GridNet` that reads one image after another, as the plain calls of torch that its modules come to.
 
-Of a batch of one a tenth of the time goes into modules that call modules, and into what is the same for every image.
+With one image at a time a tenth of the time goes into modules that call modules, and into what is the same for every
+image. "Folded" means that a batch normalisation is multiplied into the convolution before it (`networks.modelfile`).
 """
 
 from typing import Any, NamedTuple
@@ -15,7 +16,7 @@ Layer = tuple[torch.Tensor, torch.Tensor | None]  # weights and constants
 
 
 class Block(NamedTuple):
-    """What a `BasicBlock` with folded normalisations does: its convolutions, the first one's stride, and its dilation."""
+    """What a `BasicBlock` with folded normalisations does: its convolutions, and stride and dilation of the first one."""
 
     first: Layer
     second: Layer
@@ -35,7 +36,7 @@ class Block(NamedTuple):
 class Unrolled(nn.Module):
     """A `GridNet` that is trained no more, its normalisations folded and its entry one that reads images.
 
-    It reads by the net's own weights, so what moves or changes these moves or changes it; `place` alone is read once.
+    It reads by the net's own weights, so what changes these in place changes it; `place` alone is read once.
     """
 
     net: Any  # a GridNet: torch's types know that it has parts, and not which

@@ -82,7 +82,7 @@ class Worker:
             pressing = pressings[moment]
             if not pressing.result.status.valid:
                 continue
-            surface = surface_of(pressing.result.walked, pressing.result.displacement, pressing.real)
+            surface = surface_of(pressing.result.solved_mesh, pressing.result.displacement, pressing.real)
             surface.save(self.folder / surface_name(seen[0]))
             self._take_pictures(seen, surface)
         of_each = [(order, replace(pressings[order.moment], order=order)) for order in orders]

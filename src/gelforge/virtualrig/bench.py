@@ -131,7 +131,7 @@ class Bench:
         depth = float(self.gel.top(real.x0, real.y0)) - (real.z0 + real.dz)
         scale = truth.c10_mpa / REFERENCE_C10 * self.factor(order.indenter).at(depth)
         force = scale * result.total
-        arm = result.walked.nodes + result.displacement
+        arm = result.solved_mesh.nodes + result.displacement
         moment = np.cross(arm, scale * result.forces).sum(axis=0) * 1e-3
         log = believed(order, real, play, force, truth)
         read = force + load_cell_error(self.plan, order.index) + noise[0]

@@ -15,9 +15,11 @@ MOST_BRICKS = 2e6  # a name that asks for more is a mistake, not a mesh
 
 @dataclass(frozen=True)
 class Bricks:
-    """What `hexmesh.build_mesh` builds a gel's mesh from; lengths in mm, the gel by its name.
+    """What `hexmesh.build_mesh` builds a gel's mesh from; lengths in mm, the gel by its name (`geometry.gel.load_gel`).
 
-    widened: see stepped.planes_of; a name of a mesh without wide layers ends before it.
+    box: the fine part. layers: bricks through the height, the lowest `layer_ratio` times as thick as the uppermost.
+    growth, largest: by what factor, and up to what side, bricks grow away from the box. widened: see stepped.planes_of;
+    a name of a mesh without wide layers ends before it.
     """
 
     gel: str
@@ -58,18 +60,25 @@ class Bricks:
         )
         if found.name != name:
             raise _wrong(name, f"it would be written {found.name}")
-        if found._at_most() > MOST_BRICKS:
-            raise _wrong(name, f"it asks for more than {MOST_BRICKS:.0g} bricks")
+        found._check_size()
         return found
 
     def mesh(self) -> HexMesh:
-        """Build the mesh, within milliseconds."""
+        """Build the mesh, within milliseconds; a gel or a box that makes none raises BadInput."""
         shape = self.layers, self.layer_ratio, self.growth, self.largest, self.widened
         return build_mesh(load_gel(self.gel), self.box, *shape)
 
-    def _at_most(self) -> float:
-        gel, finest = load_gel(self.gel), min(self.box.size, self.largest)
-        return gel.width / finest * gel.length / finest * self.layers
+    def _check_size(self) -> None:
+        """Raise BadInput where building the mesh would take for ever, or its fine part lies beside the gel."""
+        gel, box, bricks = load_gel(self.gel), self.box, float(self.layers)
+        for side, low, high in ((gel.width, box.x_min, box.x_max), (gel.length, box.y_min, box.y_max)):
+            fine = min(high, side / 2) - max(low, -side / 2)
+            if fine <= 0.0:
+                raise _wrong(self.name, "its fine part lies beside the gel")
+            # a fine part narrower than its bricks is one brick wide, and from there they grow
+            bricks *= side / min(box.size, self.largest, fine)
+        if bricks > MOST_BRICKS:
+            raise _wrong(self.name, f"it asks for more than {MOST_BRICKS:.0g} bricks")
 
 
 def is_bricks(name: str) -> bool:

@@ -25,7 +25,10 @@ LEFT = 0.05  # widths of a coarse brick beyond touch at which a point has left a
 
 @dataclass(frozen=True)
 class Trail:
-    """The states of a scene's walked path: mesh, path parameters (k,), displacements (k, n, 3) mm, the first at rest."""
+    """The states of a scene's walked path: mesh, path parameters (k,), displacements (k, n, 3) mm, the first at rest.
+
+    size: side of the mesh's bricks under the press, mm.
+    """
 
     scene: Scene
     mesh: HexMesh
@@ -34,7 +37,7 @@ class Trail:
     size: float
 
     def until(self, t: float) -> "Trail":
-        """The path up to t, one of its times."""
+        """The path up to t, which must be one of its times to the last bit: a load step ends at each moment asked for."""
         count = self.times.index(t) + 1
         return replace(self, times=self.times[:count], states=self.states[:count])
 

@@ -48,7 +48,10 @@ STALE, FRESH = 12, 60
 
 
 class System:
-    """Sparsity pattern, assembly places and symbolic factorisation: they depend on the numbers of bricks only."""
+    """Sparsity pattern, places of blocks in the matrix, and its symbolic factorisation: all that `HexMesh.pattern_key` decides.
+
+    values: the upper triangle of the matrix at hand; each scene that uses the system fills it anew.
+    """
 
     def __init__(self, mesh: HexMesh):
         bricks = mesh.cells.nodes
@@ -94,13 +97,15 @@ class Equilibrium:
         return CYCLING if self.law == "coulomb" else 0.0
 
     def points(self, u: np.ndarray) -> np.ndarray:
+        """Deformed places (m, 3) mm of the contact's Gauss points."""
         return positions(self.state.shape, self.nodes, self.mesh.nodes + u)
 
     def gaps(self, x: np.ndarray, pose: Pose) -> np.ndarray:
+        """Signed distances (m,) mm of places x (m, 3) to the indenter."""
         return self.scene.indenter.distance(pose.to_indenter(x))[0]
 
     def newton_from(self, guesses: list[np.ndarray], pose: Pose) -> tuple[np.ndarray, int]:
-        """`newton` from the first guess that leads to an equilibrium, within the tolerance of a path."""
+        """`newton` from the first of the guesses (n, 3) that leads to an equilibrium, within the tolerance of a path."""
         for guess in guesses:
             try:
                 return self.newton(guess, pose, self.settings.tolerance, enough=self.enough)
@@ -117,11 +122,11 @@ class Equilibrium:
         enough: float = 0.0,
         parts: Sequence[float] = PARTS,
     ) -> tuple[np.ndarray, int]:
-        """Newton steps from u until the residual is below tolerance times the contact force.
+        """Newton steps from u until the residual is below tolerance times the contact force: u (n, 3) and their number.
 
         With friction the first step holds every glued point (but where indenter and contact are as they were, `still`):
         points that slip from a poor guess drag others along, and Newton loses its way. enough: residual that is taken
-        where no number of steps meets the tolerance. parts: of a step that are tried in turn.
+        where no number of steps meets the tolerance. parts: of a step that are tried in turn. Raises NoEquilibrium.
         """
         laws = [self.contact] if still or self.law != "coulomb" else [self.sticking, self.contact]
         state = self._out_of_balance(u, pose, laws[0])
@@ -179,6 +184,7 @@ class Equilibrium:
         return forces, springs
 
     def internal(self, u: np.ndarray) -> np.ndarray:
+        """Nodal forces (n, 3) N of the deformed gel; NoEquilibrium where a brick is inside out."""
         forces = np.zeros_like(u)
         smallest = element.internal_forces(u, self.bricks, *self.moduli, forces)
         if not smallest > 0.0:
@@ -186,7 +192,7 @@ class Equilibrium:
         return forces
 
     def _direction(self, u: np.ndarray, pose: Pose, law: Law, forces: np.ndarray, springs: Springs) -> np.ndarray:
-        """Newton's step, to FORCING of the residual; a factorisation serves as long as GMRES is quick with it."""
+        """Newton's step (free nodes, 3) mm, to FORCING of the residual; a factorisation serves as long as GMRES is quick with it."""
         system = self.system
         system.values[:] = 0.0
         pressed = float(self.residual <= self.noisy)

@@ -55,11 +55,13 @@ class HexMesh(GelMesh):
         moves[self.base] = moves[self.hanging.nodes] = False
         return np.flatnonzero(moves)
 
-    @property
+    @cached_property
     def heights(self) -> np.ndarray:
         """Relative heights (nz + 1,) of the planes of nodes, 0 at the base and 1 at the top."""
-        plane = len(self.xs) * len(self.ys)
-        column = self.nodes[plane // 2 :: plane, 2]
+        # of a column that goes through all planes: nodes that hang lie on flat faces, a little beside their plane
+        x, y = (lines.left for lines in self.planes.lines[0])
+        through = np.flatnonzero(y[:, None] & x)
+        column = self.nodes[through[len(through) // 2] :: len(self.xs) * len(self.ys), 2]
         return (column - column[0]) / (column[-1] - column[0])
 
 
@@ -77,7 +79,10 @@ class FineBox:
 def graded_lines(
     low: float, high: float, fine_low: float, fine_high: float, size: float, growth: float = 1.5, largest: float = 2.0
 ) -> np.ndarray:
-    """Mesh lines on [low, high]: cells of about `size` on the fine part, growing outwards, (n + 1,)."""
+    """Mesh lines (n + 1,) on [low, high]: cells of about `size` on the fine part, growing outwards up to `largest`, all mm.
+
+    growth: how many times as wide as its inner neighbour a cell is. BadInput where the fine part lies beside [low, high].
+    """
     fine_low, fine_high = max(low, fine_low), min(high, fine_high)
     if not fine_high > fine_low:
         raise BadInput(f"fine part [{fine_low}, {fine_high}] lies outside [{low}, {high}]; move the box onto the gel")
@@ -90,7 +95,7 @@ def graded_lines(
 
 
 def _outward(distance: float, size: float, growth: float, largest: float) -> np.ndarray:
-    """Growing offsets that end exactly at `distance`."""
+    """Growing offsets (k,) that end exactly at `distance`, mm; size: of the cell from which they grow."""
     if distance < 0.5 * size:
         return np.array([distance]) if distance > 1e-9 else np.empty(0)
     sizes: list[float] = []
@@ -162,7 +167,11 @@ def build_mesh(
     largest: float = 2.0,
     widened: Sequence[int] = (),
 ) -> HexMesh:
-    """Brick mesh of the gel, fine in `box`; in the lowest layers bricks are wider (see stepped.planes_of)."""
+    """Brick mesh of the gel, fine in `box`; in the lowest layers bricks are wider (see stepped.planes_of).
+
+    layers, layer_ratio: as in `layer_heights`. growth, largest: as in `graded_lines`. BadInput where the box lies beside
+    the gel.
+    """
     half = gel.width / 2, gel.length / 2
     xs = graded_lines(-half[0], half[0], box.x_min, box.x_max, box.size, growth, largest)
     ys = graded_lines(-half[1], half[1], box.y_min, box.y_max, box.size, growth, largest)
@@ -199,9 +208,10 @@ def mesh_on_lines(
 def round_corners(
     x: np.ndarray, y: np.ndarray, half_x: float, half_y: float, radius: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Map a rectangle smoothly onto one with rounded corners (identity but for the corner squares).
+    """Map places x, y (...) mm of a rectangle smoothly onto one with rounded corners (identity but for the corner squares).
 
-    The elliptical map of the unit square onto a quarter disc, u = s sqrt(1 - t^2 / 2).
+    The elliptical map of the unit square onto a quarter disc, u = s sqrt(1 - t^2 / 2) (Fong 2015, Analytical
+    Methods for Squaring the Disc, arXiv:1509.06344).
     """
     if radius <= 0.0:
         return x, y
@@ -214,7 +224,7 @@ def round_corners(
 
 
 def surface_lines(mesh: GelMesh) -> tuple[np.ndarray, np.ndarray, int]:
-    """Lines xs, ys of the top surface and the index of its first node."""
+    """Lines xs, ys (mm) of the top surface of a brick mesh, and the index of the surface's first node."""
     first = int(mesh.faces[0, 0])
     columns = int(mesh.faces[0, 3]) - first
     surface = mesh.nodes[first:].reshape(-1, columns, 3)

@@ -21,31 +21,31 @@ from gelforge.mechanics.hex.settings import HexSettings, Nested
 from gelforge.mechanics.scene import BALANCE, Result, Scene
 from gelforge.records.status import Status
 
-# Contact springs give way by 0.02 mm at most on the scenes of the chart, by half a millimetre and more where the gel
-# is pressed through: that state is in equilibrium, but not one of the press.
+# How deep the indenter may end inside the gel. Contact springs give way by 0.02 mm at most on the scenes of the chart, by
+# half a millimetre and more where the gel is pressed through: that state is in equilibrium, but not one of the press.
 MOST_INSIDE_MM = 0.1
 MOST_BELOW_MM = 1e-3  # that a node may end below the base the gel is bonded to
-
-__all__ = ["HexResult", "HexSolver", "solve_hex"]
-
-
-# A correction beyond this share is no small one: then the coarse bricks are too coarse to tell anything.
+# Share of the force by which it may be corrected for the size of bricks: where more is asked for, the coarse ones are too
+# coarse to tell anything.
 MOST_CORRECTED = 0.05
-
-TOUCH = 1e-8  # of a path, about what the first touch is found to: a moment nearer to it touches nothing yet
+TOUCH = 1e-8  # path parameter, about what the first touch is found to: a moment nearer to it touches nothing yet
 
 
 @dataclass
 class HexResult(Result):
-    """A Result with its mesh, what that is built from, and the contact at Gauss points (None: nothing was solved)."""
+    """A Result with its mesh, the contact at Gauss points (None: nothing was solved), and what the mesh is built from.
+
+    evidence["path"]: converged load steps [path parameter, fx, fy, fz], N: one solve is a whole force-depth curve. With
+    nested settings those of the coarse bricks, but for the end.
+    """
 
     mesh: HexMesh | None = None
     contact: ContactState | None = None
     bricks: Bricks | None = None
 
     @property
-    def walked(self) -> HexMesh:
-        """The mesh of a press that was solved."""
+    def solved_mesh(self) -> HexMesh:
+        """The mesh of a press that was solved; ValueError where none was."""
         if self.mesh is None:
             raise ValueError(f"nothing was solved: {self.status.value}")
         return self.mesh
@@ -57,7 +57,10 @@ def solve_hex(scene: Scene, settings: HexSettings = HexSettings()) -> HexResult:
 
 
 class HexSolver:
-    """Solves many scenes, keeping meshes and symbolic factorisations (`kept` of each)."""
+    """Solves many scenes, keeping meshes and symbolic factorisations (`kept` of each).
+
+    Of numbers nothing is kept: a press gives the same result whatever was solved before it.
+    """
 
     def __init__(self, settings: HexSettings = HexSettings(), kept: int = 8):
         self.settings = settings
@@ -112,10 +115,12 @@ class HexSolver:
             if t <= start + TOUCH:
                 results.append(self._untouched(scene, time.perf_counter()))
                 continue
-            result = end if t == times[-1] else found.get(t, end)
-            result.evidence |= {"path": _until(result.evidence["path"], t)} if result is not end else {}
-            result.evidence["seconds"] = (time.perf_counter() - began) / len(scenes)
-            results.append(result)
+            passed = found.get(t) if t < times[-1] else None
+            reached = passed or end
+            path = _until(reached.evidence["path"], t) if passed else reached.evidence["path"]
+            seconds = (time.perf_counter() - began) / len(scenes)
+            # a result of its own, because moments that are one share what was found, and what is told of each is changed
+            results.append(replace(reached, evidence=reached.evidence | {"path": path, "seconds": seconds}))
         return results
 
     def walk(self, scenes: Sequence[Scene]) -> list["Walked | None"]:
@@ -190,7 +195,7 @@ class HexSolver:
         return Bricks(gel.name, box, s.layers, s.layer_ratio, s.growth, s.largest, s.widened)
 
     def _system(self, mesh: HexMesh) -> System:
-        """Matrix and factorisation: they depend on the numbers of bricks only."""
+        """Matrix and factorisation, which meshes of one pattern share."""
         return self._systems.get(mesh.pattern_key, lambda: System(mesh))
 
     def _untouched(self, scene: Scene, started: float) -> HexResult:
@@ -283,7 +288,6 @@ def _result(run: Run, status: Status, started: float, bricks: Bricks) -> HexResu
             evidence["reason"] = f"{reason}; {status.value}"
             forces = np.zeros_like(run.u)
     run.record()
-    # Converged load steps as [path parameter, fx, fy, fz]: one solve is a whole force-depth curve.
     evidence["path"] = run.curve
     evidence |= {"reached": float(run.t), "cuts": run.cuts, "factorisations": run.factorisations}
     evidence["products"] = run.products
@@ -292,7 +296,7 @@ def _result(run: Run, status: Status, started: float, bricks: Bricks) -> HexResu
 
 
 def _corrected(fine: np.ndarray, coarse: np.ndarray, extrapolation: float) -> float:
-    """Factor on the fine bricks' forces, from the total forces (3,) of fine and coarse bricks."""
+    """Factor on the fine bricks' forces, from total forces (3,) N of fine and coarse bricks; extrapolation: `Nested.share`."""
     size = float(np.linalg.norm(fine))
     if size == 0.0:
         return 1.0

@@ -12,7 +12,7 @@ from gelforge.mechanics.hex.hexmesh import HexMesh
 from gelforge.mechanics.hex.penaltycontact import GLUED, TOUCHING
 from gelforge.mechanics.hex.reach import path_pose
 from gelforge.mechanics.hex.settings import HexSettings
-from gelforge.mechanics.pose import Pose, touch_fraction
+from gelforge.mechanics.pose import Pose, on_surface, touch_fraction
 from gelforge.mechanics.scene import NoEquilibrium, Scene
 from gelforge.records.status import Status
 
@@ -217,15 +217,9 @@ class Run(Equilibrium):
             return
         state = self.state
         state.status[points] = GLUED
-        here, _ = self._on_surface(pose.to_indenter(self.points(self.u)[points]))
-        goal, state.normal[points] = self._on_surface(places)
+        here, _ = on_surface(self.scene.indenter, pose.to_indenter(self.points(self.u)[points]))
+        goal, state.normal[points] = on_surface(self.scene.indenter, places)
         state.anchor[points], state.goal[points] = here, goal
-
-    def _on_surface(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        for _ in range(2):
-            distance, normal = self.scene.indenter.distance(places)
-            places = places - distance[:, None] * normal
-        return places, normal
 
     def _pressing(self, pose: Pose) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Index (p,), traction (p, 3) and pressing part (p,) of glued points; below zero they pull.
@@ -264,7 +258,7 @@ class Run(Equilibrium):
         state.carried[point] = traction - np.einsum("pi,pi->p", traction, n)[:, None] * n
         slips = np.isin(point, springs.slip.point)
         moved = point[slips]
-        state.anchor[moved], state.normal[moved] = self._on_surface(places[slips])
+        state.anchor[moved], state.normal[moved] = on_surface(self.scene.indenter, places[slips])
         state.carried[moved] *= BEYOND
         state.goal[moved], state.multiplier[moved] = state.anchor[moved], state.carried[moved]
 

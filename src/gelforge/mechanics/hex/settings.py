@@ -43,14 +43,17 @@ class Nested:
 class HexSettings:
     """How finely a scene is solved.
 
-    size: side of the bricks under the press, mm; smaller where the contact is under `across` of them
-    wide (0: never). layers, layer_ratio: bricks through the height and
-    how much thicker the lowest is. widened: how many of the lowest layers have bricks twice as wide, how many of these
-    bricks four times as wide, and so on. growth, largest: coarsening away from the press, mm.
+    size: side of the bricks under the press, mm; smaller where the contact is under `across` of them wide (0: never).
+    layers, layer_ratio: bricks through the height, and how many times as thick as the uppermost the lowest is.
+    widened: how many of the lowest layers have bricks twice as wide, how many of these bricks four times as wide, and so on.
+    growth, largest: by what factor, and up to what side in mm, bricks grow away from the press.
     press_steps, shear_steps: load steps of the two legs (more where Newton asks for it).
-    gauss: order of the contact rule on a face. penalty, friction_penalty: contact stiffness along the
-    normal and along the surface (Coulomb) times size / C10.
+    gauss: order of the contact rule on a face.
+    penalty, friction_penalty: contact stiffness along the normal and along the surface (Coulomb), times size / C10.
     tolerance, final_tolerance: residual over contact force, within the path and at its end.
+    max_iterations: of Newton's method in one solve. max_cuts: how often a load step may be halved.
+    settle_rounds: in which points are let go at the end of the path. pull_tolerance: share of the largest pressure by
+    which a held point may pull.
     box: fixed fine part (FineBox) in place of one that follows the press.
     nested: how the path is walked on coarser bricks first; None: on these. With Coulomb friction it is always on these,
     because a point's force depends on all of its slip.
@@ -87,15 +90,16 @@ class HexSettings:
         )  # fmt: skip
 
 
-# Chosen on the 16 scenes of workflow/scenes.toml, by error against CalculiX on fine tetrahedra. Layers of nearly equal
-# height (ratio 2) are better than a thin top one: at five layers a ratio of 6 errs by 2 to 3 % in total force, 2 by
-# 1 to 2 %. Under a wide flat body the gel flows sideways between two faces that it sticks to, which n layers make stiffer by
-# 1 / n^2. Seven layers, four of them wide, and an extrapolation of 0.16 are better on flat, shallow presses (3.9 to 2.4 %)
-# and on the scenes (worst 1.5 for 1.7 %), worse under deep narrow ridges (4.3 for 3.5 %), and take a quarter longer.
-# A brick's face bends too little for 3 x 3 points to be held: 2 x 2 halve the error of flat and sharp indenters.
-# Below the upper layers wide bricks do: the same errors in 0.7 (label) and 0.6 (draft) of the time. At least two layers must
-# be fine: one alone, on wide faces, doubles the error of the cells.
-# Three press steps cost under 0.6 % of the force with anchors at first touch (12 % where a step ends, one step).
+# Chosen on the 16 scenes of workflow/scenes.toml, by error against CalculiX on fine tetrahedra.
+# - Layers of nearly equal height (ratio 2) are better than a thin top one: at five layers a ratio of 6 errs by 2 to 3 % in
+#   total force, 2 by 1 to 2 %.
+# - Under a wide flat body the gel flows sideways between two faces that it sticks to, which n layers make stiffer by 1 / n^2.
+#   Seven layers, four of them wide, and an extrapolation of 0.16 are better on flat, shallow presses (2.4 for 3.9 %) and on
+#   the scenes (worst 1.5 for 1.7 %), worse under deep narrow ridges (4.3 for 3.5 %), and take a quarter longer.
+# - A brick's face bends too little for 3 x 3 points to be held: 2 x 2 halve the error of flat and sharp indenters.
+# - Below the upper layers wide bricks do: the same errors in 0.7 (label) and 0.6 (draft) of the time. At least two layers
+#   must be fine: one alone, on wide faces, doubles the error of the cells.
+# - Three press steps cost under 0.6 % of the force with anchors at first touch (12 % where a step ends, one step).
 QUALITIES = {
     "demo": HexSettings(size=1.0, layers=4, gauss=2, press_steps=3, shear_steps=2),
     "draft": HexSettings(
@@ -111,7 +115,7 @@ QUALITIES = {
 
 
 def quality(name: str) -> HexSettings:
-    """The settings of that name; an unknown one raises BadInput."""
+    """The settings of that name, one of QUALITIES; an unknown one raises BadInput."""
     if name not in QUALITIES:
         raise BadInput(f"[fea] hex_quality = {name!r} is unknown; choose one of {', '.join(QUALITIES)}")
     return QUALITIES[name]

@@ -1,10 +1,11 @@
 """Bricks that are wider in the lower layers: which nodes hang between wide ones, and what each brick is made of.
 
 Near contact the displacement changes from cell to cell, deeper in the gel it no longer does, so every second mesh line ends
-on its way down, and deeper every second of the rest. Nodes on lines that ended move as the face of the wide brick that they
-lie on, so nothing gapes: constrained approximation (Demkowicz, Oden, Rachowicz, Hardy 1989, Comput. Methods Appl. Mech. Eng.
-77, 79-112). A brick that stands on such a face has shape functions of its corners in place of those of its own lower
-nodes, and is a brick like others then.
+on its way down, and deeper every second of the rest. A plane's nodes on lines that have ended lie within the faces of wide
+bricks: hanging nodes. They move as those faces do, so nothing gapes: constrained approximation (Demkowicz, Oden, Rachowicz,
+Hardy 1989, Comput. Methods Appl. Mech. Eng. 77, 79-112). A small brick that stands on such a face has the face's corners as
+its lower nodes; its own lower corners move by shares of theirs. So no brick is made of hanging nodes, and all are assembled
+alike.
 """
 
 from collections.abc import Sequence
@@ -16,7 +17,10 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Hanging:
-    """Nodes (h,) that move with the four `masters` (h, 4), by `weights` (h, 4) that sum to one."""
+    """Nodes (h,) that move with the four nodes `masters` (h, 4), by `weights` (h, 4) that sum to one.
+
+    No master hangs itself: one pass over a field sets all.
+    """
 
     nodes: np.ndarray
     masters: np.ndarray
@@ -59,25 +63,33 @@ def face_weights(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 class Sparse:
-    """The lines that are left, by their indices `at`, of mesh lines (n,): cells between them, and where lines lie there."""
+    """The lines that are left of mesh lines: the cells between them, and where any of the mesh lines lies in its cell.
+
+    at: (k,) sorted indices of the lines that are left. left: (n,) bool, which these are.
+    """
 
     def __init__(self, lines: np.ndarray, at: np.ndarray):
+        """lines: (n,) places of all mesh lines, mm."""
         self.at, self._lines = at, lines
         self.left = np.zeros(len(lines), bool)
         self.left[at] = True
 
     def cell(self, line: np.ndarray) -> np.ndarray:
-        """The cell that begins at or before a line."""
+        """The cells (...) that begin at or before mesh lines, by their indices (...); the last line ends the last cell."""
         return np.clip(np.searchsorted(self.at, line, "right") - 1, 0, len(self.at) - 2)
 
     def place(self, line: np.ndarray, cell: np.ndarray) -> np.ndarray:
-        """Where a line lies in a cell, from 0 to 1."""
+        """Where lines lie in cells, from 0 to 1, by indices (...) of both."""
         start, end = self._lines[self.at[cell]], self._lines[self.at[cell + 1]]
         return (self._lines[line] - start) / (end - start)
 
 
 class Planes:
-    """Planes of nodes on a grid of lines, from the base up: lines[k] are those along y and x, (x, y), of plane k."""
+    """Planes of nodes on a grid of mesh lines, from the base up.
+
+    columns: nodes of a row, which run along x. lines: of each plane those that go through it, by their places along x and
+    along y. Planes have all nodes of the grid, `size` of them; the bricks use those on lines that go through.
+    """
 
     def __init__(self, columns: int, lines: Sequence[tuple[Sparse, Sparse]]):
         self.columns, self.lines = columns, lines

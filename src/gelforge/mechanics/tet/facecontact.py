@@ -15,7 +15,7 @@ FREE, SLIDE, STICK = 0, 1, 2
 
 @dataclass
 class Contact:
-    """Contact state of (f, q) face points at the end of the path.
+    """Contact state of q points on each of f faces.
 
     state: FREE, SLIDE (held along the normal, dragged by `drag`) or STICK (held at `target`).
     target: (f, q, 3) mm, on the indenter. normal: (f, q, 3) the indenter's outward normal there.
@@ -29,6 +29,7 @@ class Contact:
 
     @property
     def held(self) -> np.ndarray:
+        """(f, q) bool, the points in contact."""
         return self.state != FREE
 
 
@@ -52,23 +53,24 @@ def gaps(scene: Scene, pose: Pose, points: np.ndarray) -> tuple[np.ndarray, np.n
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a solved state says: pushes (f, q) MPa along the normal, gaps (f, q) mm, where the points are."""
+    """What is wrong with a solved state.
 
-    position: np.ndarray
-    push: np.ndarray
-    gap: np.ndarray
-    normal: np.ndarray
-    pulling: np.ndarray
+    pulling_fraction: what held points pull, as a share of the normal force. penetration: how deep a free point lies in the
+    indenter, mm.
+    """
+
     pulling_fraction: float
     penetration: float
 
 
 def judge(scene: Scene, contact: Contact, points: FacePoints, displacement: np.ndarray, stiffness: float) -> Verdict:
-    """Read the pressure of every held point and the gap of every free one off a displacement field (n, 3)."""
+    """Read the pressure of every held point and the gap of every free one off a displacement field (n, 3) mm.
+
+    stiffness: of the springs that hold points, N/mm^3.
+    """
     position = points.position + points.at(displacement)
-    gap, normal = gaps(scene, end_pose(scene), position)
+    gap, _ = gaps(scene, end_pose(scene), position)
     push = stiffness * np.einsum("fqk,fqk->fq", contact.target - position, contact.normal) * contact.held
     force = np.abs((push * points.weight).sum())
-    pulling = contact.held & (push < 0)
-    share = float(-(push * points.weight)[pulling].sum() / max(force, 1e-12))
-    return Verdict(position, push, gap, normal, pulling, share, float(max(0.0, -gap[~contact.held].min(initial=0.0))))
+    pull = float(-(push * points.weight)[contact.held & (push < 0)].sum())
+    return Verdict(float(pull / max(force, 1e-12)), float(max(0.0, -gap[~contact.held].min(initial=0.0))))

@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gelforge.errors import SolveFailed
 from gelforge.mechanics.hex.carry import Trail, touches, volume_motion
-from gelforge.mechanics.pose import Pose, touch_fraction
+from gelforge.mechanics.pose import Pose, on_surface, touch_fraction
 from gelforge.mechanics.scene import NoEquilibrium, Scene
 from gelforge.mechanics.tet.face import FacePoints
 from gelforge.mechanics.tet.facecontact import FREE, SLIDE, STICK, Contact, gaps, judge
@@ -31,12 +32,20 @@ _A, _B = np.triu_indices(6)
 
 @dataclass(frozen=True)
 class PathSettings:
-    """Load steps of press and shear, contact stiffness (N/mm^3), residuals over contact force, and limits.
+    """How a path is walked; residuals are those of free nodes over the contact force.
 
-    step_mm: no load step of the press is longer. gentle_above: residual above which Newton takes the gentle
-    tangent of TetSolid.linearise: it halves the iterations of deep presses and needs no cut steps.
-    arrival_tolerance: residual at which the end of a path walked on bricks shows what pulls and what presses; a third of
-    that tells no other points and takes half as long again. settle_tolerance: residual at which the end is judged first.
+    press_steps, shear_steps: load steps, at least. step_mm: no load step of the press is longer.
+    stiffness: of the springs that hold face points, N/mm^3.
+    step_tolerance, final_tolerance: residual at the end of a load step and of the path. settle_tolerance: at which the end
+    is judged first. arrival_tolerance: at which the end of a path walked on bricks shows what pulls and what presses; a third
+    of that tells no other points and takes half as long again.
+    gentle_above: residual above which Newton takes the gentle tangent of TetSolid.linearise: it halves the iterations of
+    deep presses and needs no cut steps.
+    pull_tolerance: share of the normal force that may pull at the end; where a path on bricks ends, of the largest pressure
+    that one point may. penetration_mm: depth at which a free point counts as touching at the end.
+    free_iterations: of Newton's method, after which no point that slides is let go, so that a set that flickers comes to
+    rest. most_iterations: at one pose. most_in_all: of a path. most_cuts: how often a load step may be halved.
+    settle_rounds: in which the contact at the end may change. friction_rounds: in which a load step looks for what slips.
     """
 
     press_steps: int = 4
@@ -76,7 +85,11 @@ class Kinematics:
 
 @dataclass(frozen=True)
 class _State:
-    """Displacement (n, 3) mm, contact there, points that came or went, residual (n, 3) N, its share, smallest J."""
+    """Displacement u (n, 3) mm, contact there, and what is out of balance.
+
+    changed: points that came or went. residual: (n, 3) N. size: its norm over that of the contact force. smallest: volume
+    ratio J of the elements; not above 0, one is inside out, and residual and size mean nothing.
+    """
 
     u: np.ndarray
     contact: Contact
@@ -112,7 +125,10 @@ def contact_blocks(contact: Contact, points: FacePoints, stiffness: float) -> tu
 
 
 def follow(scene: Scene, solid: TetSolid, points: FacePoints, start: float, settings: PathSettings) -> Kinematics:
-    """Follow press and shear from the press fraction `start` of first touch to the end of the path."""
+    """Follow press and shear from the press fraction `start` of first touch to the end of the path.
+
+    points: of the faces that may come to touch (`facecontact.reachable`). Failure is told in the result.
+    """
     path = _Path(scene, solid, points, settings)
     # nothing touches before: where a point is first met is sought from here on
     path.at = np.array([min(start, 0.98), 0.0])
@@ -150,7 +166,10 @@ def arrive(
 
 
 class _Path:
-    """State along a path: displacement u (n, 3), contact, anchors (f, q, 3) in the indenter's frame."""
+    """State along a path: displacement u (n, 3), contact, anchors (f, q, 3) in the indenter's frame.
+
+    at: (2,) fractions of press and shear that are done. velocity: (n, 3) mm per fraction, of the last load step.
+    """
 
     def __init__(self, scene: Scene, solid: TetSolid, points: FacePoints, settings: PathSettings):
         self.shear, self.bulk = scene.material.shear_modulus, scene.material.bulk_modulus
@@ -166,9 +185,11 @@ class _Path:
         self.fresh = True
 
     def pose(self, at: np.ndarray) -> Pose:
+        """Where the indenter stands at fractions (2,) of press and shear."""
         return Pose(*self.scene.press.pose(*at))
 
     def positions(self, u: np.ndarray) -> np.ndarray:
+        """Deformed places (f, q, 3) mm of the face points."""
         return self.points.position + self.points.at(u)
 
     def press_steps(self) -> int:
@@ -221,7 +242,7 @@ class _Path:
         return Contact(c.state, target, normal, c.drag)
 
     def newton(self, u: np.ndarray, contact: Contact, pose: Pose, tolerance: float) -> tuple[np.ndarray, Contact]:
-        """Equilibrium at a fixed pose; points that no anchor holds touch where they would penetrate."""
+        """Equilibrium at a fixed pose; points that no anchor holds touch where they would penetrate. Raises NoEquilibrium."""
         s = self.settings
         if self.iterations > s.most_in_all:
             raise NoEquilibrium(f"the path took more than {s.most_in_all} Newton iterations")
@@ -251,6 +272,7 @@ class _Path:
         return _State(u, contact, changed, residual, size, smallest)
 
     def _newton_step(self, state: "_State", pose: Pose, keep: bool) -> "_State":
+        """State after one step, by the first tangent that leads somewhere: from the exact one to one that is surely definite."""
         springs = contact_blocks(state.contact, self.points, self.settings.stiffness)
         gentle = state.size > self.settings.gentle_above
         ways = [(1.0, 0.0), (1.0, 1.0)] if gentle else [(0.0, 0.0), (0.5, 0.0), (1.0, 0.0), (1.0, 1.0)]
@@ -258,7 +280,11 @@ class _Path:
             self.iterations += 1
             self.solid.linearise(state.u, self.shear, self.bulk, *springs, gentle=share, firm=firm)
             anew = self.fresh or state.size > FAR
-            step = self.solid.step(state.residual, 0.0 if anew else float(np.clip(state.size, *LEFT)))
+            self.fresh = True  # for the next step, where this one's matrix cannot be factorised
+            try:
+                step = self.solid.step(state.residual, 0.0 if anew else float(np.clip(state.size, *LEFT)))
+            except SolveFailed as error:
+                raise NoEquilibrium(str(error)) from error
             self.fresh = False
             # a full tangent that turns elements inside out is not worth following at a crawl
             found = self._search(state, step, pose, keep, 8 if share == 1.0 else 3)
@@ -331,11 +357,7 @@ class _Path:
         """Hold points at places of the indenter's frame, moved onto its surface."""
         if not new.any():
             return
-        spots = places[new]
-        for _ in range(2):
-            distance, normal = self.scene.indenter.distance(spots)
-            spots = spots - distance[:, None] * normal
-        self.anchor[new], self.anchor_normal[new] = spots, normal
+        self.anchor[new], self.anchor_normal[new] = on_surface(self.scene.indenter, places[new])
         self.contact = replace(self.contact, state=np.where(new, STICK, self.contact.state))
         self.contact = self._lead(pose)
 

@@ -11,8 +11,9 @@ from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.tet.tetmesh import EDGES, signed_volumes
 
 RASTER_MM = 0.5  # that the fine part is moved by: presses share meshes, and what is kept for each
+ROUNDING_MM = 1e-9  # by which two lengths that are one may differ
 NARROWEST = 0.3  # of its width may be left of what lies between the fine part and the rim
-SOUND = 0.05  # of its volume that every element keeps
+SOUND = 0.05  # of its volume that every element keeps at least
 
 
 def reach(mesh: GelMesh, gel: Gel, half: tuple[float, float]) -> tuple[float, float]:
@@ -32,13 +33,12 @@ def reach(mesh: GelMesh, gel: Gel, half: tuple[float, float]) -> tuple[float, fl
 def way_to(low: float, high: float, half: float, reach: float) -> float | None:
     """How far the fine part (-half, half) goes to hold (low, high), all mm; None where it would be farther than `reach`.
 
-    0 where it holds it as it lies.
+    0 where it holds it as it lies; else the nearest multiple of RASTER_MM. What sticks out by rounding alone counts as held.
     """
-    if high - low > 2 * half:
-        return None
     beyond = high - half if high > half else min(low + half, 0.0)
-    way = float(np.copysign(np.ceil(np.round(abs(beyond) / RASTER_MM, 9)) * RASTER_MM, beyond)) if beyond else 0.0
-    holds = -half + way <= low and high <= half + way
+    # no minus before zero: the way is part of a mesh's name
+    way = float(np.copysign(np.ceil((abs(beyond) - ROUNDING_MM) / RASTER_MM) * RASTER_MM, beyond)) + 0.0
+    holds = -half + way <= low + ROUNDING_MM and high - ROUNDING_MM <= half + way
     return way if holds and abs(way) <= reach else None
 
 

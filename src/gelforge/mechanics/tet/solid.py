@@ -15,7 +15,11 @@ STALE = 25
 
 
 class TetSolid:
-    """Geometry, matrix pattern and factorisation of one mesh; face springs may be added to the matrix."""
+    """Geometry, matrix pattern and factorisation of one mesh; face springs may be added to the matrix.
+
+    The factorisation that `step` may use again is of whatever was solved last, on this mesh or one of `on`: who starts a
+    scene asks for one of its own (left = 0), or its result would depend on what was solved before.
+    """
 
     def __init__(self, mesh: GelMesh):
         self.geometry = tets(mesh)
@@ -27,7 +31,7 @@ class TetSolid:
         self.values = np.zeros(len(self.pattern.indices), np.float32)
 
     def on(self, mesh: GelMesh) -> "TetSolid":
-        """A body of the same elements whose nodes lie elsewhere; it shares this one's matrix and solver."""
+        """A body of the same elements whose nodes lie elsewhere; it shares this one's matrix and solver, so one works at a time."""
         other = copy.copy(self)
         other.geometry = tets(mesh)
         return other
@@ -64,10 +68,10 @@ class TetSolid:
         )
 
     def step(self, residual: np.ndarray, left: float = 0.0) -> np.ndarray:
-        """Displacement (n, 3) that the tangent gives for a residual (n, 3).
+        """Displacement (n, 3) mm that the tangent of `linearise` gives for a residual (n, 3) N.
 
         left: share of the residual that may be left; above 0 the factorisation before serves, as long as it is quick with
-        this tangent.
+        this tangent. Raises SolveFailed where the tangent cannot be factorised.
         """
         right = residual[self.free].ravel()
         found = gmres(self._apply, self.solver.solve, right, left, STALE) if left else None

@@ -1,6 +1,6 @@
-"""Ten-node tetrahedron of a Neo-Hookean solid, as CalculiX' C3D10: displacement only, four points.
+"""Ten-node tetrahedron of a Neo-Hookean solid, as CalculiX' C3D10: displacement only, four integration points.
 
-Energy per volume W = C10 (J^(-2/3) tr(F^T F) - 3) + (J - 1)^2 / D1. Residual and tangent are its exact derivatives.
+Energy per volume of the undeformed body W = C10 (J^(-2/3) tr(F^T F) - 3) + (J - 1)^2 / D1. Residual and tangent are its exact derivatives.
 
 Kernels work on LANES elements at once, side by side in the last axis of every array, as those of the bricks do and for
 the same reason (`mechanics.hex.element`).
@@ -34,7 +34,7 @@ class TetGeometry:
 
 
 def tets(mesh: GelMesh) -> TetGeometry:
-    """Geometry of a mesh's elements."""
+    """Geometry of the elements of a mesh of ten-node tetrahedra."""
     local = local_gradients(GAUSS)
     jacobian = np.einsum("qak,eai->eqik", local, mesh.nodes[mesh.elements])
     weights = np.linalg.det(jacobian) / 24.0
