@@ -135,7 +135,7 @@ class Training:
         self.mixed = mixes_precision(settings, device)
         self.epochs_done = 0
         self.curve: list[dict] = []
-        self.best = {"epoch": 0, "val_total": float("inf"), "weights": None}
+        self.best: dict[str, Any] = {"epoch": 0, "val_total": float("inf"), "weights": None}
         # seconds: of all, step_seconds: of the steps alone, epoch_seconds: of all up to the end of each epoch
         self.cost: dict[str, Any] = {
             "seconds": 0.0,
