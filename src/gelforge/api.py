@@ -123,7 +123,8 @@ class ForceReading:
     hold nine of ten totals on sensors that the network never saw, of gels as stiff as those it learnt from; None where the
     model knows none. flag: True where something is wrong with the pictures, and `reason` says what. by_dots: (3,) what the
     motion of the printed dots tells by itself, whatever the light; None where the gel has none, or the network no reader
-    of them.
+    of them. edge_share: share of the normal force at the picture's edge; a large one tells that what touches goes on beyond
+    the picture, and total is a part of its force only.
     """
 
     cells: np.ndarray
@@ -132,6 +133,12 @@ class ForceReading:
     flag: bool
     reason: str
     by_dots: np.ndarray | None = None
+
+    @property
+    def edge_share(self) -> float:
+        from gelforge.records.totals import edge_share
+
+        return edge_share(self.cells)
 
 
 class Reader:

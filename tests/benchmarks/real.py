@@ -26,14 +26,14 @@ from gelforge.networks.still import SETTLING, find_untouched
 from gelforge.networks.use import Judgement, Untouched, fit_size, load_for_use, predict_one
 from gelforge.records.image import read_image
 from gelforge.records.markers import find_blobs
+from gelforge.records.totals import edge_share
 from tests.benchmarks.figures import PUBLISHED_DATA, Figure, publish_figures
 from tests.pictures import moved
 
 EVERY = 3  # every so manyth frame of a film is read
 RELEASED_PX = 0.6  # nine of ten dots nearer than this to where they are at rest: nothing touches
 HELD_PX = 1.0  # and farther than this: something does
-EDGE = 2  # cells from a picture's edge
-BEYOND = 0.25  # share of normal force so near to it, from which a contact is taken to go on beyond it
+BEYOND = 0.25  # share of normal force at a picture's edge from which a contact is taken to go on beyond it
 TRACKED = {"winSize": (21, 21), "maxLevel": 2}
 PANEL = 200  # px of width of each of the four panels of FEATS' film: x, y, normal map, picture
 NAMED = np.s_[:3, :10]  # cells below the panel's name
@@ -87,14 +87,14 @@ def bare(trained: Trained, untouched: np.ndarray, _sitting: Sequence[np.ndarray]
 class Read:
     """A film as read: totals (n, 3) N of both ways in the labels' channels, and the dots' motion (n, d, 2) px.
 
-    flagged: (n,) bool, pictures that `predict` flags. beyond: (n,) shares of normal force at the picture's edge.
+    flagged: (n,) bool, pictures that `predict` flags. edge: (n,) shares of normal force at the picture's edge.
     """
 
     used: np.ndarray
     bare: np.ndarray
     motion: np.ndarray
     flagged: np.ndarray
-    beyond: np.ndarray
+    edge: np.ndarray
 
     @property
     def moved(self) -> np.ndarray:
@@ -127,14 +127,8 @@ def read_film(path: Path, trained: Trained) -> Read:
         bare=np.array([as_it_is(image).sum((1, 2)) for image in chosen]),
         motion=np.array([motion_of(dots, rest, image) for image in chosen]),
         flagged=np.array([judgement.flag for judgement in judgements]),
-        beyond=np.array([at_the_edge(one[2]) for one in forces]),
+        edge=np.array([edge_share(one) for one in forces]),
     )
-
-
-def at_the_edge(normal: np.ndarray) -> float:
-    """Share of the normal force of a map (rows, cols) N that lies within EDGE cells of the picture's edge; 0 without force."""
-    pressed = np.maximum(-normal, 0.0)
-    return float(1.0 - pressed[EDGE:-EDGE, EDGE:-EDGE].sum() / max(pressed.sum(), 1e-9)) if pressed.any() else 0.0
 
 
 def released_figures(films: dict[str, Read]) -> list[Figure]:
@@ -166,7 +160,7 @@ def grasps_of(films: dict[str, Read], way: str, seen_whole: bool = True) -> list
         both = (one.moved[:count] > HELD_PX) & (two.moved[:count] > HELD_PX)
         told = np.ones(count, bool)
         if seen_whole:
-            whole = [~film.flagged[:count] & (film.beyond[:count] < BEYOND) for film in (one, two)]
+            whole = [~film.flagged[:count] & (film.edge[:count] < BEYOND) for film in (one, two)]
             neither = (one.moved[:count] < RELEASED_PX) & (two.moved[:count] < RELEASED_PX)
             both &= whole[0] & whole[1]
             told = both | (neither & whole[0] & whole[1])

@@ -29,7 +29,7 @@ from gelforge.networks.sensorprofile import fingerprint
 from gelforge.networks.use import Untouched, load_for_use, predict_one
 from gelforge.records.axes import CHANNELS
 from gelforge.records.image import read_image
-from gelforge.records.totals import TOTAL_COLUMNS, total_columns
+from gelforge.records.totals import TOTAL_COLUMNS, edge_share, total_columns
 from gelforge.stages.train import train
 from tests.pictures import moved
 
@@ -345,6 +345,20 @@ def test_totals_are_written_with_what_is_known_of_them():
     assert tuple(row) == TOTAL_COLUMNS
     assert [row[f"{name}_n"] for name in CHANNELS] == [0.5, -0.25, -7.0]
     assert row["grid_z_half_width_n"] == 0.3 and row["grid_z_by_dots_n"] is None
+    assert row["edge_share"] == 0.0
+
+
+@pytest.mark.parametrize("grid", [(12, 16), (24, 32), (48, 64), (2, 2)])
+def test_what_touches_beyond_the_picture_shows_at_its_edge(grid):
+    rows, cols = grid
+    forces = np.zeros((3, *grid))
+    assert edge_share(forces) == 0.0
+    forces[2, 0, cols // 2] = -1.0
+    assert edge_share(forces) == 1.0
+    forces[2, :, 0] = 5.0  # what pulls is no press
+    assert edge_share(forces) == 1.0
+    forces[2, rows // 2, cols // 2] -= 3.0
+    assert edge_share(forces) == (0.25 if rows > 2 else 1.0)
 
 
 @pytest.fixture(scope="module")

@@ -175,7 +175,9 @@ def test_averaged_weights_are_the_mean_over_the_steps_of_the_last_epochs(folder)
     net = training.judged(2)
     assert torch.allclose(net.state_dict()["stem.weight"], mean, atol=1e-6)
     assert not torch.allclose(training.net.state_dict()["stem.weight"], mean, atol=1e-4)
-    assert torch.equal(net.state_dict()["stem_norm.running_mean"], training.net.state_dict()["stem_norm.running_mean"])
+    assert torch.equal(
+        net.state_dict()["stem_norm.running_mean"], training.net.state_dict()["stem_norm.running_mean"]
+    )
     assert validate(net, data, training.norm, settings.batch, "cpu")["val_total"] == row["val_total"]
 
 

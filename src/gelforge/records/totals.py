@@ -1,7 +1,8 @@
 """Total force as columns of a table and keys of JSON lines.
 
 For each channel: CHANNEL_n, the total; CHANNEL_half_width_n, half of the interval that holds nine of ten; and
-CHANNEL_by_dots_n, what the motion of the printed dots tells by itself. What is not known is empty.
+CHANNEL_by_dots_n, what the motion of the printed dots tells by itself. What is not known is empty. edge_share tells
+where totals are not all of the force: what touches the gel beyond the picture is no part of them.
 """
 
 import numpy as np
@@ -9,7 +10,8 @@ import numpy as np
 from gelforge.records.axes import CHANNELS
 
 KINDS = ("n", "half_width_n", "by_dots_n")
-TOTAL_COLUMNS = tuple(f"{channel}_{kind}" for kind in KINDS for channel in CHANNELS)
+TOTAL_COLUMNS = (*(f"{channel}_{kind}" for kind in KINDS for channel in CHANNELS), "edge_share")
+EDGE = 1 / 12  # of the picture's height and width, on each side, that counts as its edge
 
 
 def total_columns(
@@ -20,4 +22,15 @@ def total_columns(
     for kind, values in zip(KINDS, (forces.sum((1, 2), dtype=np.float64), half_width, by_dots), strict=True):
         for k, channel in enumerate(CHANNELS):
             found[f"{channel}_{kind}"] = None if values is None else round(float(values[k]), 4)
-    return found
+    return found | {"edge_share": round(edge_share(forces), 4)}
+
+
+def edge_share(forces: np.ndarray) -> float:
+    """Share of the normal force of forces (3, rows, cols) N that lies at the picture's edge; 0 where nothing presses.
+
+    A large one tells that what touches goes on beyond the picture.
+    """
+    pressed = np.maximum(-forces[2].astype(float), 0.0)
+    rows, cols = (max(1, round(EDGE * count)) for count in pressed.shape)
+    within = pressed[rows:-rows, cols:-cols].sum()
+    return float(1.0 - within / pressed.sum()) if pressed.any() else 0.0
