@@ -14,6 +14,9 @@ from gelforge.records.press import Press
 
 PRESSED = (1.0, 1.25, 1.5, 1.75, 2.0)  # where a path is looked at once it is at its depth
 ON_THE_WAY = (0.0, 0.5, 1.0, 1.5, 2.0)
+TRIED = (0.0, 0.25, 0.5, 0.75, 1.0, 1.2, 1.4, 1.6, 1.8, 2.0)  # where a first touch is looked for
+HALVINGS = 30  # of the part of the path in which it lies
+SURELY = 2.0  # times the speed: distances that fall faster than their points move have not been seen
 EDGE_STEP, MOST_ON_EDGE = 0.1, 200  # mm between points on an indenter's edges, and how many at most
 CLOSER = 10.0  # how much finer the nearest place is looked at
 
@@ -100,24 +103,34 @@ def first_touch(gel: Gel, indenter: Indenter, press: Press, spacing: float = 0.2
     points, _ = under_path(gel, indenter, press, spacing)
     if not len(points):
         return None
-    met = _first_below(lambda t: float(gap(indenter, press, points, t).min()))
+    speed = max(abs(press.dz), float(np.hypot(press.dx, press.dy)))
+    met = _first_below(lambda which, t: gap(indenter, press, points[which], t), len(points), speed)
     if met is None:
         edges = _edge_points(indenter, gel.height)
-        met = _first_below(lambda t: _height(gel, press, edges, t))
+        met = _first_below(lambda which, t: _heights(gel, press, edges[which], t), len(edges), np.inf)
     return met
 
 
-def _first_below(height: Callable[[float], float]) -> float | None:
-    """Path parameter at which a height first falls below zero; None where it never does."""
-    samples = np.concatenate([np.linspace(0.0, 1.0, 5), np.linspace(1.2, 2.0, 5)])
-    inside = np.flatnonzero(np.array([height(t) for t in samples]) < 0.0)
-    if not len(inside):
+def _first_below(heights: Callable[[np.ndarray, float], np.ndarray], count: int, speed: float) -> float | None:
+    """Path parameter at which one of `count` heights first falls below zero; None where none does.
+
+    heights: of some points, by their numbers, at a path parameter. speed: of the path; no height changes faster, so points
+    that are too high to get below zero any more need not be looked at again.
+    """
+    every, low = np.arange(count), -1.0
+    for high in TRIED:
+        found = heights(every, high)
+        if found.min(initial=np.inf) < 0.0:
+            break
+        low = high
+    else:
         return None
-    high = samples[inside[0]]
-    low = samples[inside[0] - 1] if inside[0] else -1.0
-    for _ in range(30):
-        middle = 0.5 * (low + high)
-        if height(middle) < 0.0:
+    left = every
+    for _ in range(HALVINGS):
+        near = found < SURELY * speed * (high - low)
+        left, middle = left[near], 0.5 * (low + high)
+        found = heights(left, middle)
+        if found.min(initial=np.inf) < 0.0:
             high = middle
         else:
             low = middle
@@ -137,12 +150,12 @@ def _edge_points(indenter: Indenter, below: float) -> np.ndarray:
     return np.concatenate([begin, end, begin[which] + share[:, None] * (end - begin)[which]])
 
 
-def _height(gel: Gel, press: Press, points: np.ndarray, t: float) -> float:
-    """Least height, mm, of points of the indenter over the undeformed gel below them; 1e9 beside the gel."""
+def _heights(gel: Gel, press: Press, points: np.ndarray, t: float) -> np.ndarray:
+    """Heights (m,) mm of points (m, 3) of the indenter over the undeformed gel below them; infinite beside the gel."""
     rotation, translation = pose_at(press, t)
     x, y, z = (points @ rotation.T + translation).T
     over = (np.abs(x) <= gel.width / 2) & (np.abs(y) <= gel.length / 2)
-    return float(np.min(z[over] - gel.top(x[over], y[over]), initial=1e9))
+    return np.where(over, z - gel.top(x, y), np.inf)
 
 
 def spacing_of(points: np.ndarray, shape: tuple[int, int]) -> tuple[float, float]:
