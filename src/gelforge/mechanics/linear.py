@@ -2,9 +2,11 @@
 
 import contextlib
 import ctypes
+import os
 import sys
 from collections.abc import Callable
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -43,9 +45,12 @@ def _tell_of_superlu(why: str) -> None:
 
 @lru_cache(maxsize=1)
 def _mkl() -> Any:
-    """PARDISO's entry in mkl_rt; finding the library takes tenths of a second, so once a process."""
+    """PARDISO's entry in mkl_rt, made once a process."""
     from pypardiso.pardiso_wrapper import PyPardisoSolver
 
+    # where pip puts it; pypardiso looks through every folder of the environment, which takes half a second
+    for library in (Path(sys.prefix) / "lib").glob("libmkl_rt.so*"):
+        os.environ.setdefault("PYPARDISO_MKL_RT", str(library))
     return PyPardisoSolver(mtype=_INDEFINITE)  # its own calls are not used
 
 
