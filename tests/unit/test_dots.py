@@ -20,7 +20,7 @@ from gelforge.networks.data import open_data
 from gelforge.networks.dotreader import KEPT, VIEWS, DotPresses, DotReader, DotsOneByOne, train_dot_reader
 from gelforge.networks.dots import COLS, FAR, HOME, ROWS, PrintedDots
 from gelforge.networks.fitting import readers_of_dots
-from gelforge.networks.goingon import scales_before
+from gelforge.networks.goingon import require_scale, scales_before
 from gelforge.networks.halves import rounded
 from gelforge.networks.modelcard import dot_lines, place_lines
 from gelforge.networks.modelfile import Trained, load_model, save_model
@@ -29,6 +29,7 @@ from gelforge.networks.sensorprofile import fingerprint
 from gelforge.networks.use import Untouched, load_for_use, predict_one
 from gelforge.records.axes import CHANNELS
 from gelforge.records.image import read_image
+from gelforge.records.markers import pitch_of
 from gelforge.records.totals import TOTAL_COLUMNS, edge_share, total_columns
 from gelforge.stages.train import train
 from tests.pictures import moved
@@ -408,6 +409,14 @@ def test_a_network_does_not_go_on_from_another_scale(seen):
     nearer = {name: cv2.resize(picture[24:-24, 32:-32], (320, 240)) for name, picture in seen.nocontact.items()}
     with pytest.raises(BadInput, match="px apart"):
         train(replace(seen, nocontact=nearer), "tuned", shipped.about["model"], STILL, start=shipped)
+
+
+def test_a_network_goes_on_to_scales_a_little_beyond_those_it_knows(seen):
+    """Units drawn from the same ranges as those that it learnt from stand a little beyond them."""
+    pitches = [pitch_of(picture) for picture in seen.nocontact.values()]
+    require_scale({"name": "other", "pitch_px": [1.03 * max(pitches), 1.1 * max(pitches)]}, seen)
+    with pytest.raises(BadInput, match="px apart"):
+        require_scale({"name": "other", "pitch_px": [1.1 * max(pitches), 1.2 * max(pitches)]}, seen)
 
 
 def test_training_leaves_a_reader_of_dots_beside_the_network(trained, rest, presses):

@@ -11,6 +11,8 @@ from gelforge.networks.data import Data
 from gelforge.networks.statistics import widened
 from gelforge.records.markers import pitch_of
 
+FARTHER = 0.05  # share by which scales may lie beyond those that a network knows, so that it can still learn them
+
 
 def scales_before(about: dict[str, Any], model: dict[str, Any], data: Data, norm: dict[str, Any]) -> dict[str, Any]:
     """What a network that goes on scales by: as its weights expect, and the range of both datasets.
@@ -35,11 +37,16 @@ def scales_before(about: dict[str, Any], model: dict[str, Any], data: Data, norm
 
 
 def require_scale(about: dict[str, Any], data: Data) -> None:
-    """Raise BadInput for a dataset of a sensor whose pictures `predict` would have to scale for a network."""
-    for name, picture in sorted(data.nocontact.items() if "pitch_px" in about else ()):
+    """Raise BadInput for a dataset of a sensor at another scale than those that a network learnt from.
+
+    It learns scales a little beyond them; its pictures are read as they are from then on.
+    """
+    if "pitch_px" not in about:
+        return
+    low, high = about["pitch_px"]
+    for name, picture in sorted(data.nocontact.items()):
         pitch = pitch_of(picture)
-        if not at_scale(pitch, about["pitch_px"]):
-            low, high = about["pitch_px"]
+        if not at_scale(pitch, ((1 - FARTHER) * low, (1 + FARTHER) * high)):
             raise BadInput(
                 f"the dots of sensor {name} are {pitch:.1f} px apart, those that {about['name']} learnt from {low:.1f} to"
                 f" {high:.1f} px: it cannot go on from another scale; choose another MODEL"
