@@ -160,10 +160,10 @@ def grasps_of(films: dict[str, Read], way: str, seen_whole: bool = True) -> list
         both = (one.moved[:count] > HELD_PX) & (two.moved[:count] > HELD_PX)
         told = np.ones(count, bool)
         if seen_whole:
-            whole = [~film.flagged[:count] & (film.edge[:count] < BEYOND) for film in (one, two)]
+            good = ~(one.flagged[:count] | two.flagged[:count])
             neither = (one.moved[:count] < RELEASED_PX) & (two.moved[:count] < RELEASED_PX)
-            both &= whole[0] & whole[1]
-            told = both | (neither & whole[0] & whole[1])
+            both &= good & (one.edge[:count] < BEYOND) & (two.edge[:count] < BEYOND)
+            told = both | (neither & good)
         left, right = (-getattr(film, way)[:count, 2] for film in (one, two))
         if both.sum() >= 5 and min(np.median(left[both]), np.median(right[both])) > 0.0:
             likeness = float(np.corrcoef(left[told], right[told])[0, 1])

@@ -353,6 +353,7 @@ def test_totals_are_written_with_what_is_known_of_them():
 def test_what_touches_beyond_the_picture_shows_at_its_edge(grid):
     rows, cols = grid
     forces = np.zeros((3, *grid))
+    forces[2, 0, cols // 2] = -0.1  # what a released gel may read
     assert edge_share(forces) == 0.0
     forces[2, 0, cols // 2] = -1.0
     assert edge_share(forces) == 1.0

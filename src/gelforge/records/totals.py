@@ -11,6 +11,7 @@ from gelforge.records.axes import CHANNELS
 
 KINDS = ("n", "half_width_n", "by_dots_n")
 TOTAL_COLUMNS = (*(f"{channel}_{kind}" for kind in KINDS for channel in CHANNELS), "edge_share")
+LEAST_N = 0.2  # of normal force that tells where something touches; what is read of a released gel is below
 EDGE = 1 / 12  # of the picture's height and width, on each side, that counts as its edge
 
 
@@ -26,11 +27,11 @@ def total_columns(
 
 
 def edge_share(forces: np.ndarray) -> float:
-    """Share of the normal force of forces (3, rows, cols) N that lies at the picture's edge; 0 where nothing presses.
+    """Share of the normal force of forces (3, rows, cols) N that lies at the picture's edge; 0 where hardly anything presses.
 
     A large one tells that what touches goes on beyond the picture.
     """
     pressed = np.maximum(-forces[2].astype(float), 0.0)
     rows, cols = (max(1, round(EDGE * count)) for count in pressed.shape)
-    within = pressed[rows:-rows, cols:-cols].sum()
-    return float(1.0 - within / pressed.sum()) if pressed.any() else 0.0
+    within, total = pressed[rows:-rows, cols:-cols].sum(), pressed.sum()
+    return float(1.0 - within / total) if total >= LEAST_N else 0.0
