@@ -234,13 +234,14 @@ def test_a_plan_of_one_gel_is_the_one_it_was():
 
 
 def test_gels_of_a_plan_are_checked(tmp_path):
+    known = read_plan(PAPER).units.known
     head, _, rest = PAPER.read_text().partition("known_gels = [")
     text = head + "known_gels = GELS" + rest.partition("]")[2]
     for gels, says in (
         ('["gelsight_mini-9mm"]', "gel 'gelsight_mini-9mm': give a thickness"),
         ('["gelsight_mini-2.5mm"]', "the gel is 2.5 mm thick"),
         (
-            str([f"gelsight_mini-{t / 10}mm" for t in range(36, 36 + 30)]).replace("'", '"'),
+            str([f"gelsight_mini-{3 + t / 100:g}mm" for t in range(known // 2 + 1)]).replace("'", '"'),
             "seen_by = 2: give 1 to 1",
         ),
     ):
