@@ -131,7 +131,7 @@ class Training:
         self.net = initial_net(model, image, grid, settings.seed).to(device, memory_format=torch.channels_last)
         self.optimiser = torch.optim.Adam(self.net.parameters(), lr=settings.learning_rate)
         self.schedule, self.by_validation = make_schedule(self.optimiser, settings)
-        self.mean = AveragedModel(self.net)  # of the weights, once they are averaged
+        self.mean: AveragedModel | None = None  # of the weights, once they are averaged
         self.mixed = mixes_precision(settings, device)
         self.epochs_done = 0
         self.curve: list[dict] = []
@@ -150,18 +150,19 @@ class Training:
         """Begin with the weights of another network of the same kind; until an epoch is better, they are the best."""
         self.net.load_state_dict(weights)
         found = validate(self.net, data, self.norm, self.settings.batch, self.device)
-        self.keep({"epoch": 0} | found, self.net)
+        self.keep({"epoch": 0} | found)
 
-    def judged(self, epoch: int) -> torch.nn.Module:
-        """The network whose error counts after an epoch (from 0): that of the mean weights once they are averaged."""
-        return self.mean.module if self.averages(epoch) else self.net
+    @property
+    def judged(self) -> torch.nn.Module:
+        """The network whose error counts: that of the mean weights once they are averaged."""
+        return self.net if self.mean is None else self.mean.module
 
-    def keep(self, row: dict, net: torch.nn.Module) -> None:
-        """Take the weights of `net` for the best so far; row: of the curve."""
+    def keep(self, row: dict) -> None:
+        """Take the weights that are judged for the best so far; row: of the curve."""
         self.best = {
             "epoch": row["epoch"],
             "val_total": row["val_total"],
-            "weights": copy.deepcopy(net.state_dict()),
+            "weights": copy.deepcopy(self.judged.state_dict()),
         }
 
     def state(self, identity: str) -> dict:
@@ -169,7 +170,7 @@ class Training:
         return {
             "identity": identity,
             "net": self.net.state_dict(),
-            "mean": self.mean.state_dict(),
+            "mean": None if self.mean is None else self.mean.state_dict(),
             "optimiser": self.optimiser.state_dict(),
             "schedule": self.schedule.state_dict(),
             "curve": self.curve,
@@ -180,7 +181,9 @@ class Training:
     def restore(self, state: dict) -> None:
         """Go back to where `state` was taken."""
         self.net.load_state_dict(state["net"])
-        self.mean.load_state_dict(state["mean"])
+        if state["mean"] is not None:
+            self.mean = AveragedModel(self.net)
+            self.mean.load_state_dict(state["mean"])
         self.optimiser.load_state_dict(state["optimiser"])
         self.schedule.load_state_dict(state["schedule"])
         self.curve, self.best, self.cost = state["curve"], state["best"], state["cost"]
@@ -198,6 +201,7 @@ class Training:
         loss.backward()
         self.optimiser.step()
         if self.averages(self.epochs_done):
+            self.mean = self.mean or AveragedModel(self.net)
             self.mean.update_parameters(self.net)
         return loss.item()
 
@@ -239,17 +243,16 @@ class Training:
         started = time.perf_counter()
         if not self.freezes(self.epochs_done - 1):
             settle_batch_norm(self.net, data, self.norm, self.settings, self.device)
-        net = self.judged(self.epochs_done - 1)
         row = {
             "epoch": self.epochs_done,
             "learning_rate": self.optimiser.param_groups[0]["lr"],
             "loss": loss,
-            **validate(net, data, self.norm, self.settings.batch, self.device),
+            **validate(self.judged, data, self.norm, self.settings.batch, self.device),
         }
         self.schedule.step(*[row["val_total"]] if self.by_validation else [])
         self.curve.append(row)
         if row["val_total"] < self.best["val_total"]:
-            self.keep(row, net)
+            self.keep(row)
         self.cost["seconds"] += time.perf_counter() - started
         self.cost["epoch_seconds"].append(self.cost["seconds"])
         return row
