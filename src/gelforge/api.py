@@ -14,6 +14,7 @@ from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.scene import REFERENCE_C10, Indenter, Material, Scene
 from gelforge.records.axes import AXIS_OF_CHANNEL
 from gelforge.records.press import Press
+from gelforge.records.totals import edge_share
 
 if TYPE_CHECKING:  # at run time it would bring torch along
     from gelforge.networks.placement import Placement
@@ -136,8 +137,6 @@ class ForceReading:
 
     @property
     def edge_share(self) -> float:
-        from gelforge.records.totals import edge_share
-
         return edge_share(self.cells)
 
 

@@ -4,10 +4,10 @@ import numpy as np
 
 from gelforge.networks.intervals import HalfWidth, fit_half_width
 from gelforge.records.axes import CHANNELS
+from gelforge.records.totals import LEAST_PRESS
 
 WEIGHTS = np.linspace(0.0, 1.0, 21)  # of the dots' total in both readers' mean, that are tried
 APART = 3.0  # half widths of what the two readers usually differ by, beyond which one of them is wrong
-LEAST_PRESS = 0.2  # N of normal force below which a map has no shape that a total could be laid on
 MOST_FACTOR = 2.0  # by which a map is scaled at most
 # As long as two readers have not met: the dots have no say, and nothing contradicts them.
 APART_NOTHING = {"weight": [0.0, 0.0, 0.0], "apart": {name: [np.inf, 0.0] for name in CHANNELS}}
@@ -32,7 +32,8 @@ def fit_blend(by_picture: np.ndarray, by_dots: np.ndarray, true: np.ndarray) -> 
 def blend(forces: np.ndarray, by_dots: np.ndarray, weight: list[float]) -> np.ndarray:
     """Forces (3, rows, cols) N of the pictures' network, whose totals are moved towards those of the dots (3,) N.
 
-    The normal map is scaled; sideways force is added where the gel is pressed, as the pressure is spread there.
+    The normal map is scaled; sideways force is added where the gel is pressed, as the pressure is spread there. A map of
+    less than LEAST_PRESS has no shape that a total could be laid on, and stays as it is.
     """
     total = forces.sum((1, 2), dtype=float)
     wanted = total + np.array(weight) * (by_dots - total)

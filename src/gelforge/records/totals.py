@@ -11,7 +11,7 @@ from gelforge.records.axes import CHANNELS
 
 KINDS = ("n", "half_width_n", "by_dots_n")
 TOTAL_COLUMNS = (*(f"{channel}_{kind}" for kind in KINDS for channel in CHANNELS), "edge_share")
-LEAST_N = 0.2  # of normal force that tells where something touches; what is read of a released gel is below
+LEAST_PRESS = 0.2  # N of normal force below which a map has no shape: what is read of a released gel is below
 EDGE = 1 / 12  # of the picture's height and width, on each side, that counts as its edge
 
 
@@ -34,4 +34,4 @@ def edge_share(forces: np.ndarray) -> float:
     pressed = np.maximum(-forces[2].astype(float), 0.0)
     rows, cols = (max(1, round(EDGE * count)) for count in pressed.shape)
     within, total = pressed[rows:-rows, cols:-cols].sum(), pressed.sum()
-    return float(1.0 - within / total) if total >= LEAST_N else 0.0
+    return float(1.0 - within / total) if total >= LEAST_PRESS else 0.0
