@@ -145,11 +145,27 @@ def released_figures(films: dict[str, Read]) -> list[Figure]:
     return [Figure("released gels, nine of ten frames of the worst film", worst[name], "<=", 0.3, "N", note)]
 
 
-def grasps_of(films: dict[str, Read], way: str, seen_whole: bool = True) -> list[tuple[float, float, float]]:
-    """Median normal force in N of either finger while both are touched, and their correlation over time, of each grasp.
+def every_frame(one: Read, two: Read, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Of the first `count` frames of two fingers those in which both are touched, and those that their likeness is told of."""
+    return (one.moved[:count] > HELD_PX) & (two.moved[:count] > HELD_PX), np.ones(count, bool)
 
-    seen_whole: leave out frames that are flagged, and those in which a finger is touched beyond what its camera sees: only
-    what both see is equal. Of frames in which just one is touched nothing is known.
+
+def seen_whole(one: Read, two: Read, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """As `every_frame`, without frames that are flagged, and those in which a finger is touched beyond what its camera sees.
+
+    Only what both see is equal. Of frames in which just one is touched nothing is known.
+    """
+    both, _ = every_frame(one, two, count)
+    good = ~(one.flagged[:count] | two.flagged[:count])
+    neither = (one.moved[:count] < RELEASED_PX) & (two.moved[:count] < RELEASED_PX)
+    both = both & good & (one.edge[:count] < BEYOND) & (two.edge[:count] < BEYOND)
+    return both, both | (neither & good)
+
+
+def grasps_of(films: dict[str, Read], way: str, frames_of: Callable) -> np.ndarray:
+    """Median normal force in N of either finger while both are touched, and their correlation over time, (grasps, 3).
+
+    frames_of: `every_frame` or `seen_whole`.
     """
     found = []
     for name, one in films.items():
@@ -157,32 +173,31 @@ def grasps_of(films: dict[str, Read], way: str, seen_whole: bool = True) -> list
         if not name.endswith("camera_0") or two is None:
             continue
         count = min(len(one.moved), len(two.moved))
-        both = (one.moved[:count] > HELD_PX) & (two.moved[:count] > HELD_PX)
-        told = np.ones(count, bool)
-        if seen_whole:
-            good = ~(one.flagged[:count] | two.flagged[:count])
-            neither = (one.moved[:count] < RELEASED_PX) & (two.moved[:count] < RELEASED_PX)
-            both &= good & (one.edge[:count] < BEYOND) & (two.edge[:count] < BEYOND)
-            told = both | (neither & good)
+        both, told = frames_of(one, two, count)
         left, right = (-getattr(film, way)[:count, 2] for film in (one, two))
         if both.sum() >= 5 and min(np.median(left[both]), np.median(right[both])) > 0.0:
             likeness = float(np.corrcoef(left[told], right[told])[0, 1])
             found.append((float(np.median(left[both])), float(np.median(right[both])), likeness))
-    return found
+    return np.array(found)
+
+
+def apart(one: np.ndarray, other: np.ndarray) -> float:
+    """Factor by which forces (n,) N stand apart, median."""
+    return float(np.exp(np.median(np.abs(np.log(one / other)))))
 
 
 def finger_figures(films: dict[str, Read]) -> list[Figure]:
     """Normal forces of two fingers that hold one object, over all frames in which both see all that touches them."""
-    used, bare = (np.array(grasps_of(films, way)) for way in ("used", "bare"))
-    every = np.array(grasps_of(films, "used", seen_whole=False))
-    apart = [float(np.exp(np.median(np.abs(np.log(g[:, 0] / g[:, 1]))))) for g in (used, bare, every)]
+    used, bare = (grasps_of(films, way, seen_whole) for way in ("used", "bare"))
+    every = grasps_of(films, "used", every_frame)
     others = [np.delete(used, k, axis=0) for k in range(len(used))]
     gains = [fit_opposite(rest[:, 0], rest[:, 1], Gain()).value for rest in others]
-    balanced = float(np.exp(np.median(np.abs(np.log(used[:, 0] / (gains * used[:, 1]))))))
+    usual, plain, of_all = (apart(*grasps[:, :2].T) for grasps in (used, bare, every))
     return [
-        Figure("two fingers on one object, factor apart, median", apart[0], "<=", 1.25, "",
-               f"{len(used)} grasps; bare {apart[1]:.2f}; {apart[2]:.2f} over all frames of {len(every)}"),
-        Figure("the same once the other grasps brought one finger to the other", balanced, "<=", 1.25, "",
+        Figure("two fingers on one object, factor apart, median", usual, "<=", 1.25, "",
+               f"{len(used)} grasps; bare {plain:.2f}; {of_all:.2f} over all frames of {len(every)}"),
+        Figure("the same once the other grasps brought one finger to the other", apart(used[:, 0], gains * used[:, 1]),
+               "<=", 1.25, "",
                f"as `gelforge sensor --opposite` does; a factor of {np.median(gains):.2f} in the median"),
         Figure("the same over time, correlation, median", float(np.median(used[:, 2])), ">=", 0.95, "",
                f"bare {np.median(bare[:, 2]):.2f}; {np.median(every[:, 2]):.2f} over all frames"),
