@@ -35,6 +35,7 @@ SHARDS :=
 MESHES :=
 BRANCHES :=
 REPORT_MODEL :=
+LEARN_ALSO :=
 endif
 
 $(PLANNED): | $(SETUP) $(CCX_FOUND) $(DATA)/log.csv $(DATA)/dataset.toml

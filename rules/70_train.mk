@@ -23,8 +23,13 @@ train: $D/70_train/$(RES1)/$(LEARNT).pt  ## one network: make train MODEL=grid_1
 models: $(LEARNABLE:%=$D/70_train/$(RES1)/%.pt)  ## every network of workflow/models.toml that learns from nothing but the dataset
 onnx: $D/70_train/$(RES1)/onnx/$(LEARNT).onnx  ## a trained network as ONNX, checked against torch
 
-$(TRAINED): $D/70_train/$(RES1)/%.pt: $D/60_dataset/$(RES1)/dataset.json $P/models/%.json $P/train.json
-	$(call step,gelforge.stages.train --dataset $(<D) --model $* --models $P/models/$*.json --params $P/train.json --out $@.part)
+# Other datasets that are learnt from as well ([train] also). They are made by themselves.
+LEARNT_WITH := $(LEARN_ALSO:%=results/%/60_dataset/$(RES1)/dataset.json)
+$(LEARNT_WITH):
+	$(error $@ is missing, and [train] also asks for it: make DATASET=$(word 2,$(subst /, ,$@)) RES=$(RES1) dataset)
+
+$(TRAINED): $D/70_train/$(RES1)/%.pt: $D/60_dataset/$(RES1)/dataset.json $P/models/%.json $P/train.json $(LEARNT_WITH)
+	$(call step,gelforge.stages.train --dataset $(<D) $(if $(LEARNT_WITH),--also $(patsubst %/,%,$(dir $(LEARNT_WITH)))) --model $* --models $P/models/$*.json --params $P/train.json --out $@.part)
 
 $(TUNED:%=$D/70_train/$(RES1)/%.pt): $(SHIPPED).pt
 

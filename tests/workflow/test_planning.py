@@ -137,6 +137,34 @@ def test_the_network_that_ships_is_not_trained_under_another_name(labelled, goal
     assert make(labelled, "-n", "evaluate", "DATASET=tiny", "MODEL=shipped").returncode == 0
 
 
+@pytest.fixture
+def also(labelled):
+    """Gives the names of other datasets that the dataset is learnt with; they go afterwards."""
+    path = labelled / "data/tiny/dataset.toml"
+    text = path.read_text(encoding="utf-8")
+    yield lambda *names: write_text(path, f"{text}\n[params.train]\nalso = {list(names)}\n")
+    write_text(path, text)
+
+
+def test_other_datasets_are_learnt_from_as_they_lie(labelled, also):
+    also("here", "gone")
+    here = labelled / "results/here/60_dataset/24x32/dataset.json"
+    write_text(here, "{}")
+    refused = make(labelled, "-n", "train", "DATASET=tiny")
+    assert refused.returncode == 2 and "make DATASET=gone RES=24x32 dataset" in refused.stdout
+    also("here")
+    wanted = make(labelled, "-n", "train", "DATASET=tiny")
+    assert wanted.returncode == 0 and "--also results/here/60_dataset/24x32 --model" in wanted.stdout
+    assert "--also" not in make(labelled, "-n", "study", "DATASET=tiny").stdout.split("--part", 1)[1]
+
+
+@pytest.mark.parametrize(("name", "said"), [("tiny", "names the dataset itself"), ("a b", "also")])
+def test_what_cannot_be_learnt_with_is_refused(labelled, also, name, said):
+    also(name)
+    refused = make(labelled, "-n", "train", "DATASET=tiny")
+    assert refused.returncode == 2 and said in refused.stdout
+
+
 @pytest.mark.parametrize("variable", ["MODEL", "FORMAT", "EXECUTOR", "CHARTED", "TESTS", "JOBS"])
 @pytest.mark.parametrize("value", ["$(shell touch pwned)", "`touch pwned`", "; touch pwned", "a'b"])
 def test_no_variable_of_the_command_line_runs_code(labelled, variable, value):

@@ -10,7 +10,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import read_json
 from gelforge.networks.canonical import Light, match_light
 from gelforge.networks.inputs import needs_untouched
-from gelforge.records.rowfile import RowFile, map_array
+from gelforge.records.rowfile import ChainedRows, RowFile, map_array
 from gelforge.records.samplefile import DatasetSample, read_samples
 from gelforge.records.splits import TRAINING, UNSEEN_BOTH, UNSEEN_SENSOR, VALIDATION
 
@@ -31,8 +31,8 @@ class Data:
     """
 
     folder: Path
-    images: np.ndarray | RowFile
-    labels: np.ndarray
+    images: np.ndarray | RowFile | ChainedRows
+    labels: np.ndarray | ChainedRows
     table: list[DatasetSample]
     splits: dict[str, np.ndarray]
     info: dict
@@ -48,11 +48,13 @@ class Data:
 
     @property
     def image_size(self) -> tuple[int, int]:
-        return self.images.shape[1:3]
+        _, height, width, _ = self.images.shape
+        return height, width
 
     @property
     def grid(self) -> tuple[int, int]:
-        return self.labels.shape[2:]
+        _, _, rows, cols = self.labels.shape
+        return rows, cols
 
     def column(self, name: str) -> np.ndarray:
         """One column of samples.csv as float64 (n,); empty fields are NaN."""

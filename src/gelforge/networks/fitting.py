@@ -29,11 +29,16 @@ from gelforge.records.splits import TRAINING, VALIDATION
 MOST_PICTURES = 8
 
 
-def beside_untouched(trained: Trained, data: Data, settings: TrainingTable, start: Trained | None) -> Trained:
-    """A network that reads pictures beside untouched ones with what only such a one has: limits, dots, untouched sensors."""
+def beside_untouched(
+    trained: Trained, data: Data, own: Data, settings: TrainingTable, start: Trained | None
+) -> Trained:
+    """A network that reads pictures beside untouched ones with what only such a one has: limits, dots, untouched sensors.
+
+    data: what it learnt from. own: the one dataset of it whose unseen sensors tell how far it is off.
+    """
     pictures = data.nocontact if len(data.nocontact) <= MOST_PICTURES else {}
     about = trained.about | learnt_pitch(data, start)
-    if start is not None and not tells_intervals(data.presses(rows_to_judge_by(data))):
+    if start is not None and not tells_intervals(own.presses(rows_to_judge_by(own))):
         rows = np.concatenate([data.splits[TRAINING], data.splits[VALIDATION]])
         images = (np.ascontiguousarray(data.images[row]) for row in rows)
         about |= known_before(start.about, images, good_pairs(data, rows))
@@ -41,13 +46,13 @@ def beside_untouched(trained: Trained, data: Data, settings: TrainingTable, star
     about |= {"statistics": about["statistics"] | good_pairs(data, data.splits[VALIDATION])}
     by_dots, places = readers_of_dots(data, settings)
     if places:
-        about |= {"places": {"data": about["data"]["name"], "pictures": len(data.splits[TRAINING])}}
+        about |= {"places": {"data": data.name, "pictures": len(data.splits[TRAINING])}}
     if start is not None:
         before = readers_of(start)
         by_dots, places = by_dots or before["dots"], places or before["places"]
         about = {"places": start.about.get("places")} | about
     trained = replace(trained, untouched=pictures, places=places)
-    about |= judged(replace(trained, about=about, dots=by_dots), data)
+    about |= judged(replace(trained, about=about, dots=by_dots), own)
     # one that could not be judged has no say
     return replace(trained, about=about, dots=by_dots if "dots" in about else None)
 

@@ -45,6 +45,28 @@ def interval_lines(about: dict) -> list[str]:
     ]
 
 
+def data_lines(about: dict) -> list[str]:
+    """The datasets that the model learnt from, its own first."""
+    lines = []
+    for what, data in [("Data", about["data"]), *(("Also learnt from", other) for other in about.get("also", []))]:
+        samples = ", ".join(f"{count} {name}" for name, count in data["samples"].items())
+        lines.append(f"- {what}: {data['name']}, version {data['version']}; images: {samples}.")
+    return lines
+
+
+def origin_of(about: dict) -> str:
+    """Whether presses that the model learnt from were simulated."""
+    simulated = [data["simulated"] for data in (about["data"], *about.get("also", []))]
+    if all(simulated):
+        return (
+            "**It learnt from the virtual rig: simulated presses and rendered images, no real sensor.** Expect larger "
+            "errors on a real one."
+        )
+    return (
+        f"It learnt from recorded presses{', and from simulated ones of the virtual rig' if any(simulated) else ''}."
+    )
+
+
 def start_lines(about: dict) -> list[str]:
     """The network that it went on from, where it was not trained from weights drawn at random."""
     start = about.get("start")
@@ -152,28 +174,20 @@ def write_card(about: dict, evaluation: dict, figures: Sequence[dict] = (), read
 
     readings: what readings of a force sensor leave, of benchmark-unseen.
     """
-    data = about["data"]
-    origin = (
-        "**It learnt from the virtual rig: simulated presses and rendered images, no real sensor.** Expect larger "
-        "errors on a real one."
-        if data["simulated"]
-        else "It learnt from recorded presses."
-    )
     beside = ""
     if needs_untouched(about["normalisation"]["reads"]):
         beside = " beside a picture of the same sensor untouched"
-    samples = ", ".join(f"{count} {name}" for name, count in data["samples"].items())
     lines = [
         f"# Model card: {about['name']}",
         "",
         f"Reads the contact forces on an optical tactile gel from one image of {about['image'][1]} x "
         f"{about['image'][0]} pixels (RGB){beside} as a grid of {about['grid'][0]} x {about['grid'][1]} cells in N. "
-        f"{origin}",
+        f"{origin_of(about)}",
         "",
         f"- Network: {listing(about['model'])}; {about['parameters']} parameters.",
         f"- Sensors seen: {named(about['sensors'])}; in its dataset: {named(about['known_sensors'])}.",
         f"- Indenters seen: {', '.join(about['indenters'])}.",
-        f"- Data: {data['name']}, version {data['version']}; images: {samples}.",
+        *data_lines(about),
         f"- Training: best of {len(about['curve'])} epochs was {about['best_epoch']}; {listing(about['train'])}.",
         *start_lines(about),
         *interval_lines(about),

@@ -2,6 +2,7 @@
 
 import json
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from gelforge.networks.data import Data, data_version, require_splits, scales
 from gelforge.networks.fitting import beside_untouched, sights
 from gelforge.networks.goingon import scales_before
 from gelforge.networks.inputs import needs_untouched
+from gelforge.networks.joined import join
 from gelforge.networks.modelfile import Trained, tensor_digest, tensors_of
 from gelforge.networks.models import parameter_count
 from gelforge.networks.statistics import fit_to_images
@@ -25,15 +27,44 @@ from gelforge.records.splits import TRAINING, VALIDATION
 
 def identity(about: dict[str, Any]) -> str:
     """Text that is equal for two trainings exactly when they must give the same curve."""
-    keys = ("name", "model", "train", "image", "grid", "data", "threads_used", "device", "mixed", "version", "start")
+    keys = (
+        "name", "model", "train", "image", "grid", "data", "also", "threads_used", "device", "mixed", "version", "start",
+    )  # fmt: skip
     return json.dumps({key: about[key] for key in keys}, sort_keys=True)
 
 
-def describe(
-    data: Data, name: str, model: dict[str, Any], settings: TrainingTable, version: int, start: Trained | None
-) -> dict[str, Any]:
-    """What a model file says about where its network comes from; version: of how networks are trained."""
+def learnt_from(data: Data, names: Sequence[str]) -> dict[str, Any]:
+    """What a model file says of a dataset that it learnt from; names: splits that it was given."""
     rows = data.splits[TRAINING]
+    return {
+        "name": data.name,
+        "version": data_version(data),
+        "simulated": bool(np.isfinite(data.column("true_fz_n")).any()),
+        "samples": {name: len(data.splits[name]) for name in sorted(names) if name in data.splits},
+        "presses": len(np.unique(data.presses(rows))),
+        "units": len(set(data.names("sensor_id")[rows].tolist())),
+    }
+
+
+def names_in(every: Sequence[Data], column: str, split: str = "") -> list[str]:
+    """What a column of samples.csv names in some datasets, sorted; split: only where samples are of it."""
+    rows = [one.splits[split] if split else slice(None) for one in every]
+    return sorted({name for one, mine in zip(every, rows, strict=True) for name in one.names(column)[mine].tolist()})
+
+
+def describe(
+    every: Sequence[Data],
+    name: str,
+    model: dict[str, Any],
+    settings: TrainingTable,
+    version: int,
+    start: Trained | None,
+) -> dict[str, Any]:
+    """What a model file says about where its network comes from.
+
+    every: datasets that it learns from, the one that it is judged on first. version: of how networks are trained.
+    """
+    data, *others = every
     device = "cuda" if torch.cuda.is_available() else "cpu"
     begun: dict = {}
     if start is not None:
@@ -48,21 +79,15 @@ def describe(
         "torch": torch.__version__,
         "image": list(data.image_size),
         "grid": [1, 1] if kind_of(model).totals_only else list(data.grid),
-        "known_sensors": sorted(set(data.names("sensor_id").tolist())),
-        "sensors": sorted(set(data.names("sensor_id")[rows].tolist())),
-        "indenters": sorted(set(data.names("indenter")[rows].tolist())),
+        "known_sensors": names_in(every, "sensor_id"),
+        "sensors": names_in(every, "sensor_id", TRAINING),
+        "indenters": names_in(every, "indenter", TRAINING),
         "threads_used": torch.get_num_threads(),
         "device": device,
         "start": begun,
         "mixed": mixes_precision(settings, device),
-        "data": {
-            "name": data.name,
-            "version": data_version(data),
-            "simulated": bool(np.isfinite(data.column("true_fz_n")).any()),
-            "samples": {key: len(value) for key, value in sorted(data.splits.items())},
-            "presses": len(np.unique(data.presses(rows))),
-            "units": len(set(data.names("sensor_id")[rows].tolist())),
-        },
+        "data": learnt_from(data, list(data.splits)),
+        "also": [learnt_from(other, (TRAINING, VALIDATION)) for other in others],
     }
 
 
@@ -74,32 +99,40 @@ def make_model(
     version: int,
     checkpoint: Path | None = None,
     start: Trained | None = None,
+    also: Sequence[Data] = (),
 ) -> Trained:
     """Train the network of a table of workflow/models.toml; return it with its description, curve and cost inside.
 
     version: of how networks are trained, told in the description. checkpoint: file for resuming, or None. start: the
-    network to go on from; None: from weights that `seed` draws. Raises BadInput for a dataset that no network can
-    learn from, or that `start` cannot go on with.
+    network to go on from; None: from weights that `seed` draws. also: other datasets, whose presses to train on and to
+    validate with it learns from as well; its intervals are of `data` alone. Raises BadInput for a dataset that no network
+    can learn from, that `start` cannot go on with, or that cannot be learnt from beside the others.
     """
-    require_splits(data)
+    for one in (data, *also):
+        require_splits(one)
+    learnt = join(data, also)
     reads = model.get("reads", "image")
     if needs_untouched(reads):
-        data.require_untouched(range(len(data.table)))  # one that lacks its picture is named before hours of training
+        learnt.require_untouched(
+            range(len(learnt.table))
+        )  # one that lacks its picture is named before hours of training
     torch.set_num_threads(settings.threads)
-    about = describe(data, name, model, settings, version, start)
-    training = begin(data, model, settings, about, start)
-    fit(training, data, checkpoint, identity(about))
+    about = describe([data, *also], name, model, settings, version, start)
+    training = begin(learnt, model, settings, about, start)
+    fit(training, learnt, checkpoint, identity(about))
     began = time.perf_counter()
     about |= {
         "normalisation": training.norm,
-        "statistics": fit_to_images(sights(data, reads, settings), data.splits[TRAINING], data.splits[VALIDATION]),
+        "statistics": fit_to_images(
+            sights(learnt, reads, settings), learnt.splits[TRAINING], learnt.splits[VALIDATION]
+        ),
         "curve": training.curve,
         "best_epoch": training.best["epoch"],
         "parameters": parameter_count(training.net),
     }
     trained = Trained(training.net.cpu(), about)
     if needs_untouched(reads):
-        trained = beside_untouched(trained, data, settings, start)
+        trained = beside_untouched(trained, learnt, data, settings, start)
     seconds = training.cost["seconds"] + time.perf_counter() - began
     cost = training.cost | {"seconds": seconds, "peak_gib": peak_memory_gib()}
     return replace(trained, about=trained.about | {"cost": cost})

@@ -1,4 +1,4 @@
-"""Rows of a large .npy file, read when they are asked for."""
+"""Rows of large .npy files, read when they are asked for."""
 
 import os
 from collections.abc import Sequence
@@ -46,4 +46,35 @@ class RowFile:
                 != self._size
             ):
                 raise BadInput(f"{self.path}: ends before its row {row}; {REMEDY}")
+        return found
+
+
+class ChainedRows:
+    """Rows of several arrays, one behind the other: a number, a slice or a list of them, read when they are asked for.
+
+    arrays: of shape (n_i, …), alike but for n_i.
+    """
+
+    shape: tuple[int, ...]
+    dtype: np.dtype
+    ndim: int
+
+    def __init__(self, arrays: Sequence["np.ndarray | RowFile | ChainedRows"]):
+        self._arrays = tuple(arrays)
+        self._ends = np.cumsum([len(array) for array in arrays])
+        first = self._arrays[0]
+        self.shape, self.dtype, self.ndim = (int(self._ends[-1]), *first.shape[1:]), first.dtype, first.ndim
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __getitem__(self, rows: int | np.integer | slice | Sequence[int] | np.ndarray) -> np.ndarray:
+        wanted = np.arange(len(self))[rows]
+        found = np.empty((*wanted.shape, *self.shape[1:]), self.dtype)
+        flat, into = wanted.ravel(), found.reshape(-1, *self.shape[1:])
+        of = np.searchsorted(self._ends, flat, side="right")
+        for number in np.unique(of):
+            mine = np.flatnonzero(of == number)
+            array = self._arrays[number]
+            into[mine] = array[flat[mine] - (self._ends[number] - len(array))]
         return found

@@ -287,6 +287,10 @@ def check_dataset(
     check_names(f"{file}: sensor", [of.sensor] if of.sensor is not None else [], sensors)
     check_names("[pareto] sensor", [params.pareto.sensor], sensors)
     check_gel(file, of, params, used(sensors, named(rows, "sensor_id")))
+    if file.parent.name in params.train.also:
+        raise BadInput(
+            f"{file}: [params.train] also names the dataset itself, {file.parent.name}; name others, or none"
+        )
 
 
 def check_count(shards: list[str], size: int) -> None:
@@ -343,6 +347,7 @@ def main(args: Namespace) -> None:
     meshes = required_meshes(params.fea, params.meshes)
     lists = {"MESHES": meshes, "BRANCHES": list(params.report.branches)} | chart_lists(params, scenes)
     lists["REPORT_MODEL"] = reported_model(params, networks(args.workflow))
+    lists["LEARN_ALSO"] = list(params.train.also)
     lists["PLAN_READS"] = [str(path) for path in read]
     lists["PICTURES"] = picture_folders(args.data, rows)
     text = "".join(make_list(name, values) for name, values in lists.items())

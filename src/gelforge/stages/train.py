@@ -36,6 +36,7 @@ def resolve(models: dict, name: str, train: TrainTable) -> tuple[dict, TrainingT
         )
     own = model.pop("train", {})
     values = plain(train)
+    del values["also"]  # it says what is learnt from, not how
     of_kind = values.pop("epochs_of").get(model.get("kind"), 0)
     values["epochs"] = of_kind or train.epochs
     model.pop("note", None)
@@ -43,15 +44,16 @@ def resolve(models: dict, name: str, train: TrainTable) -> tuple[dict, TrainingT
     return model, parse(TrainingTable, laid_over(values, own), place)
 
 
-def train(data, name: str, model: dict, settings: TrainingTable, checkpoint=None, start=None):
+def train(data, name: str, model: dict, settings: TrainingTable, checkpoint=None, start=None, also=()):
     """A model of a dataset, networks.newmodel.make_model of this VERSION."""
     from gelforge.networks.newmodel import make_model
 
-    return make_model(data, name, model, settings, VERSION, checkpoint, start)
+    return make_model(data, name, model, settings, VERSION, checkpoint, start, also)
 
 
 @command(
     option("--dataset", type=Path, help="60_dataset/RES"),
+    option("--also", type=Path, nargs="*", default=[], help="60_dataset/RES of other datasets to learn from"),
     option("--model", help="name of a table in --models"),
     option("--models", type=Path, default=Path("workflow/models.toml")),
     option("--params", type=Path),
@@ -72,7 +74,8 @@ def main(args: Namespace) -> None:
         whole, data = data, take_part(data, parse_part(args.part), settings.seed)
         settings = as_many_passes(settings, data, whole)
     start = load_model(use.SHIPPED) if model.pop("start", None) else None
-    trained = train(data, args.model, model, settings, checkpoint, start)
+    also = [open_data(folder) for folder in args.also]
+    trained = train(data, args.model, model, settings, checkpoint, start, also)
     curve = trained.about["curve"]
     write_csv(beside(args.out, ".curve.csv"), list(curve[0]), curve)
     with publish(beside(args.out, ".curve.png")) as part:

@@ -128,6 +128,7 @@ class TrainTable(TrainingTable):
     """[train]: training of networks."""
 
     epochs_of: EpochsTable
+    also: Names
 
 
 @dataclass(frozen=True)
