@@ -217,20 +217,29 @@ def test_a_moved_mesh_comes_from_the_file_of_the_one_in_the_middle(tmp_path, mes
 
 
 def test_a_press_takes_the_smallest_fine_part_that_holds_its_footprint(tmp_path, mesh):
-    for name, half in (("ccx-centre-0.7", [4.0, 4.0]), ("ccx-wide-1.0", [9.0, 11.0])):
+    halves = {"ccx-centre-0.7": [4.0, 4.0], "ccx-wide-1.0": [9.0, 11.0], "ccx-wide-0.2": [9.0, 11.0]}
+    for name, half in halves.items():
         mesh.save(tmp_path / f"{name}.npz")
         report = {"engine": "ccx", "half_mm": half, "reach_mm": [3.0, 4.0], "size": float(name[-3:])}
         write_json(tmp_path / f"{name}.json", report)
-    family = MeshFamily(tmp_path, ["ccx-centre-0.7", "ccx-wide-1.0"])
+    family = MeshFamily(tmp_path, list(halves))
     ball = build("ball", {"kind": "sphere", "diameter": 10, "height": 8})
+    block = build("block", {"kind": "cuboid", "size": [14, 14], "fillet": 1, "height": 8})
 
-    def chosen(x, depth):
-        return choose_mesh(Scene(GEL, Material(), ball, Press(x, 0, 0, 0, 0, -depth)), family)
+    def chosen(body, x):
+        return choose_mesh(Scene(GEL, Material(), body, Press(x, 0, 0, 0, 0, -1.0)), family)
 
-    assert chosen(0, 1.0) == "ccx-centre-0.7"
-    assert chosen(3, 1.0) == "ccx-centre-0.7@2:0"  # the small fine part is moved there
-    assert chosen(-3, 1.0) == "ccx-centre-0.7@-2:0"
-    assert chosen(5, 1.0) == "ccx-wide-1.0"  # where it cannot go
+    assert chosen(ball, 0) == "ccx-centre-0.7"
+    assert chosen(ball, 3) == "ccx-centre-0.7@2:0"  # the small fine part is moved there
+    assert chosen(ball, -3) == "ccx-centre-0.7@-2:0"
+    assert chosen(ball, 5) == "ccx-wide-0.2"  # where it cannot go; under a ball do not fit ten elements of 1 mm
+    assert chosen(block, 0) == "ccx-wide-1.0"
+    # and where none holds what is touched
+    family.reports = {
+        name: told | {"half_mm": [2.0, 2.0], "reach_mm": [0.0, 0.0]} for name, told in family.reports.items()
+    }
+    del family.reports["ccx-centre-0.7"]
+    assert (chosen(ball, 5), chosen(block, 0)) == ("ccx-wide-0.2", "ccx-wide-1.0")
     with pytest.raises(BadInput, match="make meshes"):
         MeshFamily(tmp_path, ["ccx-centre-0.5"])
 

@@ -185,12 +185,13 @@ def choose_mesh(scene: Scene, family: MeshFamily) -> str:
     if not reports:
         raise BadInput(f"{family.folder}: no mesh was asked for; add one to [fea] meshes and run `make meshes`")
     foot = footprint(scene)
+    areas = {name: float(np.prod(report["half_mm"])) for name, report in reports.items()}
     ways = {name: _way(report, foot) for name, report in reports.items()}
     holding = {name: way for name, way in ways.items() if way is not None}
     if not holding:
-        return max(reports, key=lambda n: (np.prod(reports[n]["half_mm"]), -reports[n]["size"]))
-    smallest = min(np.prod(reports[name]["half_mm"]) for name in holding)
-    sizes = {name: reports[name]["size"] for name in holding if np.prod(reports[name]["half_mm"]) == smallest}
+        holding = {name: (0.0, 0.0) for name, area in areas.items() if area == max(areas.values())}
+    smallest = min(areas[name] for name in holding)
+    sizes = {name: reports[name]["size"] for name in holding if areas[name] == smallest}
     wanted = foot.width / ACROSS if foot else np.inf
     fine = [name for name, size in sizes.items() if size <= wanted] or [min(sizes, key=lambda n: sizes[n])]
     chosen = max(fine, key=lambda name: sizes[name])
