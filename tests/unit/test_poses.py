@@ -243,13 +243,24 @@ def test_nearest_sees_a_touch_that_only_the_shear_brings(root):
     assert touch.nearest(Gel(), bar, aside) < 0.0
 
 
-def test_cropped_is_closed_and_ends_where_asked(root):
-    for name, body in load_catalogue(root / "workflow" / "indenters.toml", ["zelda_15", "pyramid_10"]).items():
-        vertices, faces = cropped(body, 1.5)
-        assert triangles.is_watertight(faces), name
-        assert vertices[:, 2].max() == pytest.approx(1.5, abs=1e-9)
+def test_cropped_is_closed_ends_where_asked_and_is_what_an_exact_cut_leaves(root):
+    """Of every kind of indenter; the exact cut is libigl's, with a box."""
+    catalogue = load_catalogue(root / "workflow" / "indenters.toml")
+    for name, body in catalogue.items():
         whole = body.surface()
-        assert 0.0 < triangles.volume(vertices, faces) < triangles.volume(*whole)
+        for height in (0.5, 1.5, 2.5):
+            vertices, faces = cropped(body, height)
+            assert triangles.is_watertight(faces), name
+            assert vertices[:, 2].max() == pytest.approx(min(height, whole[0][:, 2].max()), abs=1e-9)
+            assert 0.0 < triangles.volume(vertices, faces) <= triangles.volume(*whole)
+    box = triangles.stacked(
+        [np.array([[[-50, -50], [50, -50], [50, 50], [-50, 50]]] * 2, float)], np.array([-1.0, 1.5])
+    )
+    for name in ("zelda_15", "pyramid_10", "cylinder_10_7", "cuboid_2_5_3", "solid_01", "key"):
+        exact = triangles.boolean(catalogue[name].surface(), box, "intersection")
+        assert triangles.volume(*cropped(catalogue[name], 1.5)) == pytest.approx(
+            triangles.volume(*exact), rel=1e-9
+        ), name
 
 
 RIGID = replace(parameters().poses, touch_offset_mm=0.0, compliance_mm_per_n=0.0, shear_compliance_mm_per_n=0.0)

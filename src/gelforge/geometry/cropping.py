@@ -4,16 +4,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from gelforge.geometry.triangles import boolean, stacked
+from gelforge.geometry.triangles import below
 
 
 @lru_cache(maxsize=64)
 def cropped(body, height: float) -> tuple[np.ndarray, np.ndarray]:
     """The closed part of an indenter's surface up to `height` mm above its tip: vertices (v, 3), faces (f, 3)."""
     surface = body.surface()
-    if height >= surface[0][:, 2].max():
-        return surface
-    r = 2.0 * body.radius() + 1.0
-    square = np.array([[-r, -r], [r, -r], [r, r], [-r, r]])
-    box = stacked([np.array([square, square])], np.array([-1.0, height]))
-    return boolean(surface, box, "intersection")
+    return surface if height >= surface[0][:, 2].max() else below(*surface, height)

@@ -20,8 +20,8 @@ from gelforge.mechanics.tet.moved import moved, reach, way_to
 
 KEPT = 8  # meshes that a loader has at hand
 SPACING, NEAR = 0.25, 0.05  # mm: between points of the top at which a press is looked at, and what counts as touched
-# Elements across a contact that a region's coarser mesh must have: under the 1.5 mm wall of a tube (2 to 4 mm by
-# touch.width_of) those of 0.45 mm are 3 % too stiff, those of 0.35 mm 1 %.
+# Elements across a contact that a region's coarser mesh must have: under the 1.5 mm wall of a tube or a tilted edge (2 to 4
+# mm by touch.width_of) those of 0.45 mm are 2 to 4 % too stiff, those of 0.3 mm 0.3 to 1.4 %.
 ACROSS = 10
 _PLACED = re.compile(r"(.+)@(-?\d+(?:\.\d+)?):(-?\d+(?:\.\d+)?)")
 _NAME = re.compile(r"(ccx)-([a-z]+)-(\d+(?:\.\d+)?)")
