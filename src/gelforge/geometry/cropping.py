@@ -10,5 +10,5 @@ from gelforge.geometry.triangles import below
 @lru_cache(maxsize=64)
 def cropped(body, height: float) -> tuple[np.ndarray, np.ndarray]:
     """The closed part of an indenter's surface up to `height` mm above its tip: vertices (v, 3), faces (f, 3)."""
-    surface = body.surface()
-    return surface if height >= surface[0][:, 2].max() else below(*surface, height)
+    vertices, faces = body.surface()
+    return (vertices, faces) if height >= vertices[:, 2].max() else below(vertices, faces, height)
