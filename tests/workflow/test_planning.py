@@ -85,14 +85,17 @@ def test_a_shape_that_changes_under_its_name_is_another_shape(tmp_path, monkeypa
     class Family:
         reports = {}
 
-    def key(indenters, name="a", quality="label"):
+    def key(indenters, name="a", quality="label", **table):
         press = Press()
         press.indenter = name
-        params = slice_of("fea", fea={"hex_quality": quality})
+        params = slice_of("fea", fea={"hex_quality": quality, **table})
         return sample_key(press, [press], params, {"indenters": indenters, "sensors": {"s": {"gel": "g"}}}, Family())
 
     assert key(before) == key(before, "b") != key(after)
     assert key(before) != key(before, quality="draft")
+    # bricks need no other meshes, CalculiX does
+    assert key(before, fidelity="hex") == key(before, fidelity="hex", meshes=["wide-1.0"])
+    assert key(before, fidelity="ccx") != key(before, fidelity="ccx", meshes=["wide-1.0"])
     as_it_was = key(before)
     monkeypatch.setattr(fea, "quality", lambda name: replace(quality(name), press_steps=99))
     assert key(before) != as_it_was  # what a quality means, not its name

@@ -16,7 +16,7 @@ from gelforge.flow.layout import beside
 from gelforge.flow.main import command, option
 from gelforge.flow.params import digest_of_value, plain
 from gelforge.flow.params.slices import ForFea, read_slice
-from gelforge.flow.params.tables import CHOOSING
+from gelforge.flow.params.tables import CHOOSING, IN_PROCESS, TETRAHEDRAL
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import load_gel
 from gelforge.mechanics.family import MeshFamily, mesh_names
@@ -56,8 +56,9 @@ def sample_key(press: PosedPress, frames: list[PosedPress], params: ForFea, tabl
     if params.fea.fidelity == "auto":
         bricks |= {name: asdict(quality(name)) for name in QUALITIES}  # which of them serves, a solve decides
     else:
-        # they choose among fidelities: a chart that is drawn anew leaves solves as they are
-        settings["fea"] = {key: value for key, value in settings["fea"].items() if key not in CHOOSING}
+        # they choose among fidelities: a chart that is drawn anew leaves solves as they are, and so do other meshes for others
+        idle = CHOOSING | (TETRAHEDRAL if params.fea.fidelity in IN_PROCESS else frozenset())
+        settings["fea"] = {key: value for key, value in settings["fea"].items() if key not in idle}
     parts = [[cells[c] for c in POSE], settings, bricks, shape, tables["sensors"][press.sensor_id]["gel"],
              family.reports]  # fmt: skip
     if len(frames) > 1:

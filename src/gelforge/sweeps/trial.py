@@ -15,7 +15,7 @@ from gelforge.flow.files import read_json, write_json
 from gelforge.flow.params import digest_of_value, plain
 from gelforge.flow.params.schema import ParameterTable
 from gelforge.flow.params.slices import ForPareto, ForStability
-from gelforge.flow.params.tables import CHOOSING, ParetoTable, StabilityTable
+from gelforge.flow.params.tables import CHOOSING, TETRAHEDRAL, ParetoTable, StabilityTable
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import assemble
 from gelforge.labelling.sensor import Sensor
@@ -26,7 +26,7 @@ from gelforge.sweeps.methods import LARGE_REFERENCE, REFERENCE, Method, hex_sett
 from gelforge.sweeps.scenes import NamedScene
 
 GRID = Grid(24, 32)  # of FEATS' labels
-NOT_SOLVER = CHOOSING | {"fidelity", "meshes", "fine_meshes", "timeout_s"}
+NOT_SOLVER = CHOOSING | TETRAHEDRAL | {"fidelity", "timeout_s"}
 
 
 @dataclass(frozen=True)

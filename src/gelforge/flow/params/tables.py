@@ -34,6 +34,7 @@ Charted = dict[str, Annotated[dict[str, Annotated[tuple[float, float, float], Wi
 CHOOSING = frozenset(
     {"charted", "tolerance", "cell_tolerance"}
 )  # of [fea]: by these "auto" chooses, nothing else reads them
+TETRAHEDRAL = frozenset({"meshes", "fine_meshes"})  # of [fea]: those IN_PROCESS read none of them
 BRANCHES = ("calibrate", "pareto")
 SHIPPED = "shipped"  # the network that predict and live use where none is named, as targets and parameters call it
 CHANNELS = ("force", "displacement", "traction", "traction_deformed")
