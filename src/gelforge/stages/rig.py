@@ -4,6 +4,8 @@ import hashlib
 import json
 import os
 from argparse import Namespace
+from collections import deque
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import asdict, replace
@@ -34,6 +36,7 @@ from gelforge.virtualrig.writer import (
     save_image,
     surface_name,
     truth_row,
+    untouched_name,
     write_sensors,
 )
 
@@ -61,6 +64,11 @@ class Worker:
         from gelforge.virtualrig.render import Renderer
 
         return Renderer(self.looks[sensor], self.sensors[sensor].projection, self.gel)
+
+    def picture_untouched(self, sensor: str) -> None:
+        """Take the picture of an untouched unit, from which its markers and projection can be found."""
+        noise = np.random.default_rng([self.plan.seed, self.looks[sensor].seed])
+        save_image(self.folder / untouched_name(sensor), self.camera(sensor).image(rng=noise))
 
     def carry_out(self, orders: list[Order], solved: bool) -> list[tuple]:
         """Press once and take every picture of `orders`, which are of one press and its moments.
@@ -106,8 +114,8 @@ def worker_of(plan: Plan, workflow: Path, folder: Path) -> Worker:
     return Worker(plan, workflow, folder)
 
 
-def _carry_out(plan: Plan, workflow: Path, folder: Path, task: tuple[list[Order], bool]) -> list[tuple]:
-    return worker_of(plan, workflow, folder).carry_out(*task)
+def _work(plan: Plan, workflow: Path, folder: Path, what: Callable, task: tuple) -> Any:
+    return what(worker_of(plan, workflow, folder), *task)
 
 
 def run(plan_path, data="data", workflow="workflow", jobs: int = 1) -> Path:
@@ -122,14 +130,15 @@ def run(plan_path, data="data", workflow="workflow", jobs: int = 1) -> Path:
     dataset.begin(*contents)
     if plan.units is not None:
         write_sensors(folder / "sensors.toml", {name: sensors[name] for name in plan.units.names})
-    _no_contact_images(plan, looks, sensors, folder)
+    unseen = [(name,) for name in plan.sensors if not (folder / untouched_name(name)).exists()]
     todo = by_press(dataset, orders(plan))
     new, drawn, failed = 0, 0, []
     try:
-        with _pool(min(jobs, len(todo)), plan, workflow, folder) as carried_out:
-            for (of_press, solved), rows in zip(
-                todo, progress(carried_out(todo), "rig", total=len(todo)), strict=True
-            ):
+        with _pool(min(jobs, max(len(unseen), len(todo))), plan, workflow, folder) as done_by_all:
+            pictures = done_by_all(Worker.picture_untouched, unseen)
+            deque(progress(pictures, "untouched sensors", total=len(unseen)), maxlen=0)
+            presses = progress(done_by_all(Worker.carry_out, todo), "rig", total=len(todo))
+            for (of_press, solved), rows in zip(todo, presses, strict=True):
                 if solved:
                     drawn += len(of_press)
                     continue
@@ -195,35 +204,23 @@ def digests(of: dict[str, Any]) -> dict[str, str]:
 
 @contextmanager
 def _pool(jobs: int, plan: Plan, workflow: Path, folder: Path):
-    """Context that yields a function from tasks, (orders of a press, solved), to results, in their order."""
-    work = partial(_carry_out, plan, workflow, folder)
+    """Context that yields a function from a method of Worker and its arguments, a tuple a task, to results in their order."""
+
+    def work(what: Callable) -> Callable[[tuple], Any]:
+        return partial(_work, plan, workflow, folder, what)
+
     if jobs <= 1:
         try:
-            yield partial(map, work)
+            yield lambda what, tasks: map(work(what), tasks)
         finally:
             worker_of.cache_clear()  # a later run of this process may find other looks and shapes under these names
         return
     # forked threads of numerical libraries hang, so workers start fresh
     executor = ProcessPoolExecutor(jobs, get_context("spawn"))
     try:
-        yield partial(executor.map, work)
+        yield lambda what, tasks: executor.map(work(what), tasks)
     finally:
         executor.shutdown(cancel_futures=True)
-
-
-def _no_contact_images(plan: Plan, looks: dict[str, Look], sensors: dict[str, Sensor], folder: Path) -> None:
-    """A picture of every untouched unit, from which its markers and projection can be found."""
-    missing = [name for name in plan.sensors if not (folder / "nocontact" / f"{name}.png").exists()]
-    if not missing:
-        return
-    from gelforge.virtualrig.render import Renderer
-
-    for name in missing:
-        camera = Renderer(looks[name], sensors[name].projection, load_gel(plan.gel))
-        save_image(
-            folder / "nocontact" / f"{name}.png",
-            camera.image(rng=np.random.default_rng([plan.seed, looks[name].seed])),
-        )
 
 
 @command(

@@ -138,6 +138,11 @@ def image_name(order: Order) -> str:
     return f"images/{order.sample_id}.png"
 
 
+def untouched_name(sensor: str) -> str:
+    """Path of the picture of an untouched sensor below the dataset's folder."""
+    return f"nocontact/{sensor}.png"
+
+
 def surface_name(order: Order) -> str:
     """Path of a press's surface below the dataset's folder: from it its pictures can be drawn again."""
     moment = f"-f{order.moment + 1:02d}" if order.film_id else ""
