@@ -150,3 +150,15 @@ def test_loads_of_a_patch_sum_to_the_traction_on_its_area():
             20.75 * 25.25, rel=0.04
         )  # dome and rim make the surface 3 % larger than its plan
         assert abs(moment) <= 0.02 * area
+
+
+@settings(max_examples=60)
+@given(sides, sides, st.lists(st.floats(0.05, 1.0), min_size=3, max_size=12), st.floats(1.0, 400.0), seeds)
+def test_parts_of_a_star_add_up_too(rows, cols, spikes, size, seed):
+    """A skewed face may bend inwards; cut at its spikes it has more corners than a convex one ever gets."""
+    angle = 2 * np.pi * np.arange(len(spikes)) / len(spikes)
+    middle = np.random.default_rng(seed).uniform([0, 0], [320, 240])
+    star = (middle + size * np.array(spikes)[:, None] * np.column_stack([np.cos(angle), np.sin(angle)]))[None]
+    whole = clip_to_grid(star, (1, 1), (320, 240))[2].sum()
+    parts = clip_to_grid(star, (rows, cols), (320, 240))[2].sum()
+    assert parts == pytest.approx(whole, rel=1e-9, abs=1e-7)
