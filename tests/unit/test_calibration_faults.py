@@ -17,7 +17,7 @@ from gelforge.flow.params.schema import Place, parse
 from gelforge.flow.params.tables import PriorTable
 from gelforge.geometry.gel import USUAL_GEL
 from gelforge.records.press import COLUMNS
-from gelforge.stages.calibrate import load_rejected, refuse_beyond
+from gelforge.stages.calibrate import load_rejected, poisson_nodes, refuse_beyond
 
 DEPTH = np.array([0.5, 1.0, 1.5, 2.0])
 FORCE = -np.array([1.65, 5.96, 13.5, 23.3])
@@ -214,3 +214,20 @@ def test_what_an_axis_moved_by_less_than_its_error_is_no_way_sideways(tmp_path):
     ]
     readings = read_readings(write_lines(tmp_path / "log.csv", *rows))
     assert readings.sheared.tolist() == [False, True] and readings.travel[0] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("prior", "nodes"),
+    [
+        ({"free": False}, [0.475]),
+        # [calibrate.priors.nu] fixed says another one than [material] nu: the solves are at what the model is held at
+        ({"free": False, "fixed": 0.45}, [0.45]),
+        ({"free": True, "kind": "uniform", "low": 0.45, "high": 0.49}, [0.4504, 0.47, 0.4896]),
+        # walkers move in its logarithm, which is below 0
+        ({"free": True, "kind": "lognormal", "median": 0.47, "spread": 0.01}, [0.4592, 0.47, 0.4811]),
+    ],
+)
+def test_solves_are_at_poisson_s_ratios_of_the_prior(prior, nodes):
+    table = parse(PriorTable, {"kind": "normal", "mean": 0.475, "spread": 0.005, **prior}, Place("a test"))
+    params = replace(PARAMS, priors=replace(PARAMS.priors, nu=table))
+    assert poisson_nodes(params, 0.475) == pytest.approx(nodes, abs=1e-4)

@@ -108,11 +108,16 @@ def prior_of(name: str, table: PriorTable) -> Prior:
     return FrictionPrior(table.kind, a, b) if name == "mu" else Prior(table.kind, a, b)
 
 
+def held_nu(table: CalibrateTable, nu: float) -> float:
+    """Poisson's ratio where its prior is not free: the value that the prior says, else `nu`, that of [material]."""
+    fixed = table.priors.nu.fixed
+    return nu if fixed is None else float(fixed)
+
+
 def with_nu(table: CalibrateTable, nu: float) -> CalibrateTable:
     """The table [calibrate] with Poisson's ratio held at `nu` where its prior is not free and says no other value."""
-    held = table.priors.nu
-    fixed = nu if held.fixed is None else held.fixed
-    return replace(table, priors=replace(table.priors, nu=replace(held, fixed=fixed)))
+    held = replace(table.priors.nu, fixed=held_nu(table, nu))
+    return replace(table, priors=replace(table.priors, nu=held))
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import numpy as np
 
 from gelforge.calibration import scores, summary
 from gelforge.calibration.floor import least_error
-from gelforge.calibration.parameters import Model, compared_models, make_model, prior_of, with_nu
+from gelforge.calibration.parameters import Model, compared_models, held_nu, make_model, prior_of, with_nu
 from gelforge.calibration.posterior import LeaveOneOut, Posterior
 from gelforge.calibration.readings import Readings, check_enough, check_readings, choose_presses, read_readings
 from gelforge.calibration.sampling import Chain, Rules, sample
@@ -27,7 +27,7 @@ from gelforge.labelling.sensor import Sensor, load_sensors
 from gelforge.records.log import rejected_rows
 from gelforge.reporting import cornerplots as plots
 
-VERSION = 5
+VERSION = 6
 
 
 @dataclass(frozen=True)
@@ -58,12 +58,11 @@ def friction_nodes(params: CalibrateTable) -> list[float]:
 
 
 def poisson_nodes(params: CalibrateTable, nu: float) -> list[float]:
-    """Poisson's ratios that are solved: one, or three over the prior where it is free."""
-    table = params.priors.nu
-    if table.free is False:
-        return [nu]
-    low, middle, high = prior_of("nu", table).quantile(np.array([0.01, 0.5, 0.99]))
-    return [float(min(v, 0.4995)) for v in (low, middle, high)]
+    """Poisson's ratios that are solved: the one that it is held at, or three over the prior where it is free."""
+    if params.priors.nu.free is False:
+        return [held_nu(params, nu)]
+    prior = prior_of("nu", params.priors.nu)
+    return [float(min(v, 0.4995)) for v in prior.value(prior.quantile(np.array([0.01, 0.5, 0.99])))]
 
 
 def served(readings: Readings, params: CalibrateTable) -> np.ndarray:
