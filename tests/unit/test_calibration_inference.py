@@ -259,6 +259,16 @@ def test_pareto_fit_finds_the_shape():
         assert scores.fit_pareto(x)[0] == pytest.approx(shape, abs=3.5 * (1 + shape) / 4000**0.5)
 
 
+@pytest.mark.parametrize("times", [2, 3])
+def test_draws_that_a_chain_repeats_leave_the_shape_of_the_weights(times):
+    """A rejected step repeats a draw. One that stood on both sides of the tail's cut once made any weights look safe."""
+    ratio = 0.9 * np.random.default_rng(0).exponential(size=2000)  # weights of a Pareto law, whose shape is 0.9
+    _, once = scores.smooth_weights(ratio)
+    _, repeated = scores.smooth_weights(np.repeat(ratio, times))
+    assert once > 0.7  # so that importance sampling is not relied on
+    assert repeated == pytest.approx(once, abs=0.3)  # the tails hold 134 draws, 95 and 77 different ones
+
+
 def test_priors_draw_what_their_density_says():
     rng = np.random.default_rng(9)
     for prior in (

@@ -49,11 +49,12 @@ def smooth_weights(log_ratio: np.ndarray) -> tuple[np.ndarray, float]:
     order = np.argsort(weights)
     cut = weights[order[-tail - 1]]
     shape = -np.inf
-    top = order[-tail:]
+    # a walker that stays gives the same draw again: where one equals the cut, the tail begins after it
+    top = order[np.searchsorted(weights[order], cut, side="right") :]
     exceed = np.exp(weights[top]) - np.exp(cut)
-    if tail >= 5 and exceed[0] > 0 and exceed[-1] > exceed[0]:
+    if len(top) >= 5 and exceed[-1] > exceed[0]:
         shape, scale = fit_pareto(exceed)
-        p = (np.arange(1, tail + 1) - 0.5) / tail
+        p = (np.arange(1, len(top) + 1) - 0.5) / len(top)
         quantile = scale * np.expm1(-shape * np.log1p(-p)) / shape
         weights = weights.copy()
         weights[top] = np.minimum(np.log(np.exp(cut) + quantile), 0.0)

@@ -27,7 +27,7 @@ from gelforge.labelling.sensor import Sensor, load_sensors
 from gelforge.records.log import rejected_rows
 from gelforge.reporting import cornerplots as plots
 
-VERSION = 6
+VERSION = 7
 
 
 @dataclass(frozen=True)
