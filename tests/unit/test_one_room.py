@@ -35,6 +35,13 @@ def test_pictures_are_decoded_by_the_records_alone():
     assert not [name for name, tree in TREES.items() if decoders & {called for called, _ in calls(tree)}]
 
 
+def test_pools_of_processes_are_made_where_they_end_with_their_maker_alone():
+    makers = {"ProcessPoolExecutor", "Pool"}
+    assert [name for name, tree in TREES.items() if makers & {called for called, _ in calls(tree)}] == [
+        "flow/orphans.py"
+    ]
+
+
 def test_the_columns_of_a_press_are_listed_by_the_records_alone():
     lists = [(name, texts(node)) for name, tree in TREES.items() for node in ast.walk(tree)]
     assert not [name for name, held in lists if set(POSE[:5]) <= set(held) or held == list(FORCE)]

@@ -82,6 +82,25 @@ def test_killing_the_wrapper_ends_its_command(tmp_path):
     assert not alive(inner) and not target.exists()
 
 
+POOL = """
+import multiprocessing, os, signal, sys
+from gelforge.flow.orphans import pool
+if __name__ == "__main__":
+    workers = pool(2, multiprocessing.get_context(sys.argv[1]))
+    list(workers.map(abs, range(4)))
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.mark.parametrize("way", ["fork", "spawn"])
+def test_a_command_that_is_killed_beside_its_pool_fails_its_target(tmp_path, way):
+    """As one that memory was short for: what its workers hold open must not keep make waiting for more of its output."""
+    target, script = tmp_path / "results/d/calibrate/summary.json", tmp_path / "pool.py"
+    script.write_text(POOL)
+    code, said = wrapped(target, sys.executable, str(script), way)
+    assert code == 1 and "FAILED" in said
+
+
 def alive(pid):
     try:
         os.kill(pid, 0)

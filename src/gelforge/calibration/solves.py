@@ -7,7 +7,6 @@ pose was reached: there a press with shear is one straight down to where it ends
 """
 
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -19,6 +18,7 @@ from gelforge.calibration.readings import Readings
 from gelforge.calibration.sampling import fingerprint
 from gelforge.errors import BadInput, SolveFailed
 from gelforge.flow.files import read_json, write_json
+from gelforge.flow.orphans import pool
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import load_gel
 from gelforge.mechanics.hex.hexsolver import HexSolver
@@ -212,8 +212,8 @@ class SolveCache:
             for task in progress(tasks, "calibration solves"):
                 _solve_task(*task)
         else:
-            with ProcessPoolExecutor(workers) as pool:
-                running = [pool.submit(_solve_task, *task) for task in tasks]
+            with pool(workers) as processes:
+                running = [processes.submit(_solve_task, *task) for task in tasks]
                 for future in progress(running, "calibration solves"):
                     future.result()
         for path in wanted:

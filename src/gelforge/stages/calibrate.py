@@ -3,7 +3,6 @@
 import os
 import sys
 from argparse import Namespace
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -19,6 +18,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import write_json
 from gelforge.flow.layout import planned_shards
 from gelforge.flow.main import command, option
+from gelforge.flow.orphans import pool
 from gelforge.flow.params import DatasetFile, read_dataset_file
 from gelforge.flow.params.slices import ForCalibrate, read_slice
 from gelforge.flow.params.tables import CalibrateSolverTable, CalibrateTable
@@ -95,8 +95,8 @@ def compare(tasks: list, jobs: int) -> list:
     """Run compare_one over tasks on `jobs` processes."""
     if jobs <= 1 or len(tasks) <= 1:
         return [compare_one(task) for task in progress(tasks, "models compared")]
-    with ProcessPoolExecutor(jobs) as pool:
-        return list(progress(pool.map(compare_one, tasks), "models compared", len(tasks)))
+    with pool(jobs) as workers:
+        return list(progress(workers.map(compare_one, tasks), "models compared", len(tasks)))
 
 
 def calibrate(

@@ -6,7 +6,6 @@ import os
 from argparse import Namespace
 from collections import deque
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from functools import lru_cache, partial
@@ -19,6 +18,7 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.catalogue import with_content
 from gelforge.flow.main import command, option
+from gelforge.flow.orphans import pool
 from gelforge.flow.params import overlaid
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import load_gel
@@ -216,7 +216,7 @@ def _pool(jobs: int, plan: Plan, workflow: Path, folder: Path):
             worker_of.cache_clear()  # a later run of this process may find other looks and shapes under these names
         return
     # forked threads of numerical libraries hang, so workers start fresh
-    executor = ProcessPoolExecutor(jobs, get_context("spawn"))
+    executor = pool(jobs, get_context("spawn"))
     try:
         yield lambda what, tasks: executor.map(work(what), tasks)
     finally:
