@@ -221,6 +221,20 @@ def test_a_recording_is_whole_or_absent(tmp_path):
     assert recorder.stop() == 0 and [path.suffix for path in tmp_path.iterdir()] == [".jsonl"]
 
 
+def test_two_sensors_that_record_into_one_folder_keep_each_its_own(tmp_path, monkeypatch):
+    """As those of the two fingers of a gripper, told in the same second; one recording took the other's name and place."""
+    monkeypatch.setattr("gelforge.live.recording.time.strftime", lambda form: "20260101-120000")
+    left, right = Recorder(tmp_path), Recorder(tmp_path)
+    names = left.start(), right.start()
+    for recorder, sensor in ((left, "left"), (right, "right"), (left, "left")):
+        recorder.add({"time_s": 0.0, "sensor": sensor})
+    assert (left.stop(), right.stop()) == (2, 1)
+    kept = [[event["sensor"] for event in left.read(name)] for name in names]
+    assert kept == [["left", "left"], ["right"]]
+    (tmp_path / ".20260101-120000-2.part").touch()  # of a process that was killed
+    assert left.start() == "20260101-120000-3"
+
+
 @pytest.mark.skipif(not shutil.which("bash"), reason="needs /dev/full")
 def test_a_full_disk_ends_the_recording_and_leaves_nothing(tmp_path):
     recorder = Recorder(tmp_path)

@@ -1,6 +1,7 @@
 """Recordings of a running sensor: kept as JSON lines, and replayed."""
 
 import contextlib
+import errno
 import json
 import os
 import re
@@ -13,6 +14,7 @@ from typing import TextIO
 from gelforge.errors import BadInput
 
 NAME = re.compile(r"[0-9]{8}-[0-9]{6}(-[0-9]+)?")
+MOST_A_SECOND = 1000  # recordings that may begin in one folder
 
 
 class Recorder:
@@ -35,8 +37,13 @@ class Recorder:
         """What pages are told: whether a recording runs, and what became of the last one."""
         return {"recording": self.on, "trouble": self.trouble}
 
-    def part(self) -> Path:
-        return self.folder / f".{self.name}.part"
+    def part(self, name: str) -> Path:
+        """Where a recording goes while it runs."""
+        return self.folder / f".{name}.part"
+
+    def file(self, name: str) -> Path:
+        """Where a recording lies when it is whole."""
+        return self.folder / f"{name}.jsonl"
 
     def start(self) -> str:
         """Begin a recording; return its name."""
@@ -45,17 +52,32 @@ class Recorder:
                 return self.name
             try:
                 self.folder.mkdir(parents=True, exist_ok=True)
-                stem = time.strftime("%Y%m%d-%H%M%S")
-                taken = (f"{stem}-{k}" if k else stem for k in range(1000))
-                self.name = next(name for name in taken if not (self.folder / f"{name}.jsonl").exists())
+                self.name, self.stream = self._begun()
                 self.count = 0
-                self.stream = self.part().open("w", encoding="utf-8")
             except OSError as error:
                 raise self._failed(
                     f"{self.folder}: nothing can be recorded there ({error.strerror}); name another --record"
                 ) from error
             self.trouble = ""
             return self.name
+
+    def _begun(self) -> tuple[str, TextIO]:
+        """A new recording's name, which no other has, and the file it goes to.
+
+        Two sensors may be told in one second to record into one folder, each by a process of its own.
+        """
+        stem = time.strftime("%Y%m%d-%H%M%S")
+        for k in range(MOST_A_SECOND):
+            name = f"{stem}-{k}" if k else stem
+            if self.file(name).exists():
+                continue
+            with contextlib.suppress(FileExistsError):
+                stream = self.part(name).open("x", encoding="utf-8")
+                if not self.file(name).exists():
+                    return name, stream
+                stream.close()  # the other has published its own meanwhile
+                self.part(name).unlink()
+        raise FileExistsError(errno.EEXIST, f"it has {MOST_A_SECOND} recordings of this second")
 
     def add(self, event: dict) -> None:
         """Record an event, if a recording runs; a full disk ends and removes it with BadInput."""
@@ -89,7 +111,7 @@ class Recorder:
             if stream is not None:
                 stream.close()
         with contextlib.suppress(OSError):  # what a folder refuses to let go is hidden, and no recording
-            self.part().unlink(missing_ok=True)
+            self.part(self.name).unlink(missing_ok=True)
 
     def stop(self) -> int:
         """End a recording and publish it; return how many readings it has. One without any is not kept.
@@ -104,7 +126,7 @@ class Recorder:
                 return 0
             try:
                 self.stream.close()
-                os.replace(self.part(), self.folder / f"{self.name}.jsonl")
+                os.replace(self.part(self.name), self.file(self.name))
             except OSError as error:
                 raise self._lost(error) from error
             self.stream = None
@@ -126,7 +148,7 @@ class Recorder:
         """Events of a recording; BadInput for a name that is none, and where its file ceases to be readable."""
         if not NAME.fullmatch(name) or name not in self.names():
             raise BadInput(f"recording {name!r}: there is none of that name in {self.folder}")
-        return _events(self.folder / f"{name}.jsonl")
+        return _events(self.file(name))
 
 
 def _events(path: Path) -> Iterator[dict]:
