@@ -174,6 +174,19 @@ def test_a_plans_parameters_stand_in_the_dataset_it_writes():
     assert replace(plan, params={}).identity() == plan.identity()
 
 
+@pytest.mark.parametrize(
+    "table",
+    [
+        {"stability": {"layers": {"0.7": 5, "0.35": 9}}},  # brick sizes are keys
+        {"meshes": {"regions": {"left half": [2.0, 3.5], 'a "word"': [1.0, 1.0]}}},
+        {"calibrate": {"priors": {"nu": {"reason": 'measured \u00e4 \U0001f9ea \x7f \\ " by hand'}}}},
+    ],
+)
+def test_parameters_of_any_name_and_text_stand_in_the_dataset_as_the_plan_has_them(table):
+    plan = replace(read_plan(DEMO), params=table, held_out_sensors=())
+    assert tomllib.loads(describe(plan))["params"] == table
+
+
 def test_orders_stay_in_their_ranges_and_share_out():
     plan = read_plan(DEMO)
     made = orders(plan)

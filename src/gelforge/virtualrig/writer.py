@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import time
 import tomllib
 from dataclasses import asdict
@@ -200,10 +201,23 @@ def write_sensors(path: Path, sensors: dict[str, Sensor]) -> None:
 
 
 def _tables(name: str, table: dict) -> list[str]:
-    """Lines of a TOML table of numbers, texts and lists of them, which TOML and JSON write alike, and its subtables."""
-    own = [f"{key} = {json.dumps(value)}" for key, value in table.items() if not isinstance(value, dict)]
+    """Lines of a TOML table of numbers, texts and lists of them, and its subtables; name: its path as TOML has it."""
+    own = [f"{_key(key)} = {_value(value)}" for key, value in table.items() if not isinstance(value, dict)]
     lines = ["", f"[{name}]", *own] if own else []
     for key, value in table.items():
         if isinstance(value, dict):
-            lines += _tables(f"{name}.{key}", value)
+            lines += _tables(f"{name}.{_key(key)}", value)
     return lines
+
+
+def _key(name: str) -> str:
+    """A key of TOML: as it stands where it is a bare word, else quoted, as "0.7", whose dot would make two keys of it."""
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else _value(name)
+
+
+def _value(value) -> str:
+    """A number, a text or a list of them, which TOML and JSON write alike but for two kinds of characters.
+
+    JSON halves those beyond 16 bits into escapes that TOML refuses, and leaves the one that deletes as it is.
+    """
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
