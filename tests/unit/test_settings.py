@@ -9,7 +9,16 @@ import pytest
 from parameters import parameters
 
 from gelforge.errors import BadInput
-from gelforge.flow.params import SLICES, canonical, cut_slice, load_params, plain, read_dataset_file, read_slice
+from gelforge.flow.params import (
+    SLICES,
+    canonical,
+    cut_slice,
+    load_params,
+    plain,
+    read_dataset_file,
+    read_slice,
+    read_toml,
+)
 from gelforge.flow.params import tables as t
 from gelforge.flow.params.schema import OneOf, ParameterTable, Within, bare, kinds_of
 from gelforge.mechanics.fidelity import FIDELITIES
@@ -205,6 +214,12 @@ def test_a_bad_value_of_the_project_blames_its_own_file(root, tmp_path):
     (tmp_path / "params.toml").write_text(text.replace("shard_size = 0", ""))
     with pytest.raises(BadInput, match=r"params\.toml: \[plan\] shard_size is missing"):
         load_params(tmp_path)
+
+
+def test_a_folder_in_place_of_a_file_of_settings_is_refused_in_a_sentence(tmp_path):
+    """As `make rig PLAN=workflow/rig` names one."""
+    with pytest.raises(BadInput, match=r"cannot be read \(Is a directory\); name a TOML file"):
+        read_toml(tmp_path)
 
 
 def test_settings_that_mean_something_are_taken(root, tmp_path):

@@ -23,12 +23,14 @@ __all__ = [
 
 
 def read_toml(path: Path | str) -> dict[str, Any]:
-    """Read a TOML file; a syntax error names file and place."""
+    """Read a TOML file; one that is not there, cannot be read or is no TOML raises BadInput with file and place."""
     path = Path(path)
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         raise BadInput(f"{path}: not found; see README.md for what a dataset and workflow/ must hold") from error
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read ({error.strerror}); name a TOML file that can") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise BadInput(f"{path}: not valid TOML: {error}") from error
 
