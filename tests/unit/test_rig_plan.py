@@ -165,6 +165,16 @@ def test_a_look_that_no_sensor_has_is_named(tmp_path, old, new, says):
         read_looks(tmp_path / "sensors.toml")
 
 
+def test_looks_that_are_no_toml_are_refused_in_a_sentence(tmp_path):
+    """A word typed in another encoding, and a file that is not there."""
+    path = tmp_path / "sensors.toml"
+    path.write_bytes("# Gerät\n[mini_a.light]\n".encode("latin-1"))
+    with pytest.raises(BadInput, match="sensors.toml: not valid TOML: 'utf-8' codec"):
+        read_looks(path)
+    with pytest.raises(BadInput, match="absent.toml: not found"):
+        read_looks(tmp_path / "absent.toml")
+
+
 def test_a_plans_parameters_stand_in_the_dataset_it_writes():
     plan = read_plan(DEMO)
     written = tomllib.loads(describe(plan))["params"]

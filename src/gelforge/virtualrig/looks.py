@@ -1,12 +1,12 @@
 """How each virtual sensor looks: light, camera, ink; read from workflow/rig/sensors.toml."""
 
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.flow.params import read_toml
 
 COLOURS = ("red", "green", "blue")
 WIDTH, HEIGHT = 320, 240
@@ -118,10 +118,7 @@ def normalised_pixels() -> tuple[np.ndarray, np.ndarray]:
 def read_looks(path) -> dict[str, Look]:
     """Read every sensor's look; a table may name another as `base` and write only what differs."""
     path = Path(path)
-    try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, tomllib.TOMLDecodeError) as error:
-        raise BadInput(f"{path}: cannot read the sensors' looks ({error})") from error
+    tables = read_toml(path)
     for name, table in tables.items():
         loose = (
             [key for key, part in table.items() if key != "base" and not isinstance(part, dict)]
