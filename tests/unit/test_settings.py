@@ -173,6 +173,7 @@ def toml(value) -> str:
         ("[params.material]\nc10 = true", "c10 = True: give a number from 1e-06 to 99 MPa or \"calibrated\""),
         ("[params.material]\nc10 = 'soft'", "c10 = 'soft'"),
         ("[params.interface]\nlaw = 'coulomb'\nmu = inf", "mu = inf: give a number from 0 to 1000"),
+        (f"[params.interface]\nmu = 1{'0' * 400}", "mu = 1000.*: give a number from 0 to 1000"),
         ("[params.poses]\nband_mm = 0", "band_mm = 0: give a number from 0.001"),
         ("[params.poses]\nimages = 'no'", "images = 'no': give true or false"),
         ("[params.report]\nbranches = ['nope']", "branches = .*: give a list of 0 or more, each \"calibrate\" or"),

@@ -13,8 +13,8 @@ tables, and any of them `| None` for a key that may be left out, as may one whos
 stages have none: theirs stand in workflow/params.toml alone.
 """
 
-import math
 import re
+import sys
 import types
 from collections.abc import Iterable
 from dataclasses import MISSING, Field, dataclass, fields
@@ -22,6 +22,8 @@ from difflib import get_close_matches
 from typing import Annotated, Any, ClassVar, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from gelforge.errors import BadInput
+
+LARGEST = sys.float_info.max  # TOML has whole numbers of any length, and words for what is not finite
 
 
 @dataclass(frozen=True)
@@ -195,7 +197,7 @@ def read_one(kind: type, given: Any, place: Place, rules: tuple[Any, ...]) -> An
     fits = {
         bool: isinstance(given, bool),
         int: isinstance(given, int) and not isinstance(given, bool),
-        float: isinstance(given, int | float) and not isinstance(given, bool) and math.isfinite(given),
+        float: isinstance(given, int | float) and not isinstance(given, bool) and abs(given) <= LARGEST,
         str: isinstance(given, str),
     }[kind]
     for rule in rules:
