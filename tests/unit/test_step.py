@@ -193,6 +193,20 @@ def test_what_cannot_be_made_again_is_never_taken_for_whole(tmp_path):
     assert not first.exists() and not second.exists()
 
 
+@pytest.mark.parametrize("record", ["", '{"exit_code": 0, "by', "null"])
+def test_an_input_whose_record_is_damaged_is_made_again_by_the_next_make(tmp_path, record):
+    """As a power cut leaves it, of both files maybe: nothing tells any more whether the input is whole."""
+    first, second = tmp_path / "results/d/30_fea/0000.csv", tmp_path / "results/d/40_forces/0000.npz"
+    making, reading = f"echo whole > {first}.part", f"cp {first} {second}.part"
+    assert wrapped(first, "bash", "-c", making)[0] == 0
+    mirror(first, "metrics", ".json").write_text(record)
+    code, said = inputs_wrapped(second, first, "bash", "-c", reading)
+    assert code == 1 and "cannot be read" in said and "run make again" in said
+    assert not first.exists() and not second.exists()
+    assert wrapped(first, "bash", "-c", making)[0] == 0
+    assert inputs_wrapped(second, first, "bash", "-c", reading)[0] == 0 and second.read_text() == "whole\n"
+
+
 def test_killing_what_started_the_wrapper_ends_wrapper_and_command(tmp_path):
     """kill -9 of make: nothing goes on to the end of its shard."""
     target, mark = tmp_path / "results/d/30_fea/0000.csv", tmp_path / "pid"

@@ -142,8 +142,8 @@ def heal(path: Path) -> int:
     """Make an input again if it does not have the content it was published with; return the exit code.
 
     It goes first: where its command fails, or is one that an older version of the code knew, nobody takes the
-    damaged file for a whole one, and the next make finds it missing and makes it by today's rule. Of several readers
-    the first makes it again, the others wait.
+    damaged file for a whole one, and the next make finds it missing and makes it by today's rule. So it does where the
+    record of the input, and with it the command, is lost. Of several readers the first makes it again, the others wait.
     """
     if damage(path) is None:
         return 0
@@ -151,7 +151,13 @@ def heal(path: Path) -> int:
         lost = damage(path)
         if lost is None:
             return 0
-        made, damaged = read_json(metrics_of(path)), path.with_name(lost)
+        made, damaged = record_of(path), path.with_name(lost)
+        if not made:
+            print(f"{metrics_of(path)}: cannot be read, so nothing tells whether {path} is whole; run make again, which"
+                  " makes it again", flush=True)  # fmt: skip
+            for gone in (path, metrics_of(path)):
+                gone.unlink(missing_ok=True)
+            return 1
         if made["exit_code"]:
             print(f"{path}: could not be made; see {log_path}", flush=True)
             return 1
@@ -170,17 +176,28 @@ def heal_all(paths: Iterable[Path]) -> int:
 def damage(path: Path) -> str | None:
     """Which file of a target is not as it was published: its own, absent too, or one beside it; None where all is well.
 
-    What has no record was made by hand or is being made for the first time.
+    What has no record was made by hand or is being made for the first time; one that cannot be read tells nothing, and its
+    target is as good as damaged.
     """
     metrics = metrics_of(path)
     if not metrics.exists():
         return None
-    made = read_json(metrics)
+    made = record_of(path)
     if not path.is_file():
         return None if path.is_dir() else path.name
+    if not made:
+        return path.name
     if made["exit_code"]:
         return None
     return damaged_beside(path) if whole(path, made) else path.name
+
+
+def record_of(path: Path) -> dict:
+    """The metrics of a target, empty where they are damaged; a disk that does not answer is no damage."""
+    try:
+        return read_json(metrics_of(path)) or {}
+    except ValueError:
+        return {}
 
 
 def whole(path: Path, made: dict) -> bool:
