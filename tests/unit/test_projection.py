@@ -290,3 +290,26 @@ def test_the_command_refuses(tmp_path, monkeypatch, root, arguments, reason):
     with pytest.raises(BadInput, match=reason):
         projection.main([*arguments, "--sensors", str(root / "workflow/sensors.toml")])
     assert not (tmp_path / "results").exists()
+
+
+@pytest.mark.parametrize(
+    "arguments, reason",
+    [
+        # the drawing of the fit lies beside the JSON, by its stem
+        (["--image", "unit.png", "--out", "unit.json"], "unit.png would take the place of a file that is read"),
+        (["--image", "unit.png", "--points", "points.csv", "--out", "points.csv"], "points.csv would take the place"),
+        (["--image", "unit.png", "--out", "fit.png"], "fit.png: is the name of its picture"),
+    ],
+)
+def test_the_command_replaces_nothing_that_it_reads(tmp_path, monkeypatch, root, arguments, reason):
+    """The untouched picture of a unit is taken once; the fit drawn over it is no picture to fit by."""
+    monkeypatch.chdir(tmp_path)
+    before = (root / "data/demo/nocontact/mini_a.png").read_bytes()
+    (tmp_path / "unit.png").write_bytes(before)
+    (tmp_path / "points.csv").write_text("x_mm,y_mm,u_px,v_px\n")
+    with pytest.raises(BadInput, match=reason):
+        projection.main(
+            ["--sensor", "unit", "--like", "mini_a", *arguments, "--sensors", str(root / "workflow/sensors.toml")]
+        )
+    assert (tmp_path / "unit.png").read_bytes() == before
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["points.csv", "unit.png"]

@@ -214,6 +214,16 @@ def _expected(grid: MarkerGrid) -> np.ndarray:
     return grid_pixels(even, grid.missing)
 
 
+def refuse_to_replace(out: Path, given: list[Path]) -> None:
+    """BadInput where the JSON or its picture would take the place of a file that is read, or one of the other."""
+    read = {path.resolve() for path in given}
+    for written in (out, out.with_suffix(".png")):
+        if written.resolve() in read:
+            raise BadInput(f"--out {out}: {written} would take the place of a file that is read; name another one")
+    if out.suffix == ".png":
+        raise BadInput(f"--out {out}: is the name of its picture; give a name that ends in .json")
+
+
 def report(about: dict, old: Sensor | None) -> None:
     """Print residual, dots, the change from sensors.toml, and the table to paste."""
     residual = about["residual_px"]
@@ -251,12 +261,13 @@ def report(about: dict, old: Sensor | None) -> None:
 def main(args: Namespace) -> None:
     if not args.sensor:
         raise BadInput("no sensor named; say make projection SENSOR=name POINTS=points.csv (or IMAGE=nocontact.png)")
+    out = args.out or Path("results/projection") / f"{args.sensor}.json"
+    refuse_to_replace(out, [path for path in (args.points, args.image, args.sensors) if path])
     sensors = load_sensors(args.sensors)
     like = find_sensor(sensors, args.like, "LIKE")
     points = read_points(args.points) if args.points else None
     image = read_picture(args.image, like.image) if args.image else None
     found = calibrate(args.sensor, like, points, image, str(args.points or args.image or ""))
-    out = args.out or Path("results/projection") / f"{args.sensor}.json"
     about = describe(found)
     write_json(out, about)
     write_png(out.with_suffix(".png"), draw(found, image)[..., ::-1])
