@@ -87,6 +87,14 @@ def test_an_epoch_of_a_part_of_the_presses_costs_that_part(tmp_path):
     assert cpu[1200] == cpu[0]
 
 
+def test_a_network_that_is_being_written_is_none(tmp_path):
+    """What a plan that was killed left beside the tables of the networks."""
+    write_json(tmp_path / "train.json", {"version": 1, "train": plain(slice_of("train").train)})
+    write_json(tmp_path / "models" / "net.json", {"net": {"kind": "unet", "widths": [4, 8]}})
+    (tmp_path / "models" / ".net.4711.part.json").write_text('{"net": {"ki')
+    assert training(tmp_path, "net", 900).cpu_each > 0.0
+
+
 def test_a_network_that_there_is_not_is_named(tmp_path):
     write_json(tmp_path / "train.json", {"version": 1, "train": plain(slice_of("train").train)})
     with pytest.raises(BadInput, match="MODEL=grid16"):

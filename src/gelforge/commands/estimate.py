@@ -112,7 +112,7 @@ def meshes(results: Path) -> Cost:
 
 def training(params: Path, model: str, presses: int) -> Cost:
     """What a network takes to learn from so many presses; BadInput for one that there is not."""
-    tables = {path.stem: read_json(path)[path.stem] for path in sorted((params / "models").glob("*.json"))}
+    tables = {path.stem: read_json(path)[path.stem] for path in listed(params / "models", "*.json")}
     table, settings = resolve(tables, model, read_slice(params / "train.json", ForTrain).train)
     share = min(1.0, (settings.epoch_images or presses) / presses)  # of all, that an epoch visits
     each = kind_of(table).image_seconds * settings.epochs * share
