@@ -104,6 +104,13 @@ def test_a_network_that_there_is_not_is_named(tmp_path):
         training(tmp_path, "net", 900)
 
 
+@pytest.mark.parametrize("resolution", ["24", "24x", "fine", "24x32x3"])
+def test_a_resolution_that_is_none_is_refused_before_the_pilots(tmp_path, resolution):
+    write_json(tmp_path / "report.json", {"version": 1, "report": plain(parameters().report)})
+    with pytest.raises(BadInput, match="write ROWSxCOLS"):
+        later_costs(tmp_path, resolution, "shipped", 900)
+
+
 def test_a_calibration_fills_the_cores_whatever_the_number_of_shards():
     assert wall_seconds([Cost("calibrate", cpu_once=100.0)], 5, 4, 1) == 25.0
 

@@ -22,6 +22,7 @@ from gelforge.flow.main import command, option, positive
 from gelforge.flow.params.slices import ForCalibrate, ForPareto, ForReport, ForTrain, read_slice
 from gelforge.flow.params.tables import SHIPPED
 from gelforge.flow.running import duration
+from gelforge.labelling.grid import Grid
 from gelforge.mechanics.scene import REFERENCE_C10
 from gelforge.records.log import read_shard, shard_text
 from gelforge.records.networkkind import kind_of
@@ -123,7 +124,8 @@ def training(params: Path, model: str, presses: int) -> Cost:
 def later_costs(params: Path, resolution: str, model: str, presses: int) -> list[Cost]:
     """What the stages after the labels take with a network and so many presses, from other datasets."""
     report = read_slice(params / "report.json", ForReport).report
-    cells = 4 * 3 * int(resolution.split("x", maxsplit=1)[0]) * int(resolution.split("x")[1])
+    grid = Grid.parse(resolution)
+    cells = 4 * 3 * grid.rows * grid.cols
     found = [Cost(layout.DATASET, 2e-3, START, IMAGE_BYTES + cells)]
     if model != SHIPPED:
         found.append(training(params, model, presses))
