@@ -47,6 +47,19 @@ def test_the_table_sums_its_stages():
     assert [size(n) for n in (0, 999, 2.5e9)] == ["0 B", "999 B", "2.5 GB"]
 
 
+@given(st.floats(0, 9e17))
+def test_a_size_is_told_in_the_unit_of_its_three_digits(count):
+    number, unit = size(count).split()
+    told = float(number) * 1000 ** ["B", "kB", "MB", "GB", "TB", "PB"].index(unit)
+    assert told == pytest.approx(count, rel=0.0051) or count < 1  # three digits
+    assert "e" not in number or float(number) < 1
+
+
+def test_a_thousand_of_a_unit_is_one_of_the_next():
+    """999.6 kB with three digits was 1e+03 kB."""
+    assert [size(n) for n in (1e3, 999.6, 999_600, 1e9)] == ["1 kB", "1 kB", "1 MB", "1 GB"]
+
+
 def test_presses_an_hour_fall_with_what_each_takes_and_rise_with_the_cores():
     """What is spent once, or after the label, has no part in it."""
     costs = [Cost("30_fea", 3.0, 100.0), Cost("50_labels", 1.0), Cost("70_train", 50.0)]

@@ -68,6 +68,6 @@ def table(costs: list[Cost], presses: int) -> list[str]:
 
 
 def size(count: float) -> str:
-    """Bytes as people say them."""
-    power = min(int(math.log(max(count, 1), 1000)), 4)
-    return f"{count / 1000**power:.3g} {('B', 'kB', 'MB', 'GB', 'TB')[power]}"
+    """Bytes as people say them, three digits of them: the next unit begins where these would be 1000."""
+    power = next((p for p in range(5) if float(f"{count / 1000**p:.3g}") < 1000), 5)
+    return f"{count / 1000**power:.3g} {('B', 'kB', 'MB', 'GB', 'TB', 'PB')[power]}"
