@@ -213,6 +213,9 @@ def test_live_refuses_what_it_would_not_write(data, paths, tmp_path):
     for more in (["--csv", "r.csv", "--out", "o.avi"], ["--web", "--jsonl", "r.jsonl"], ["--web", "--out", "o.avi"]):
         with pytest.raises(BadInput, match="do not go together"):
             live.main([*asked, *more])
+    for both in (str(tmp_path / "r"), "-"):  # lines and rows mixed are neither
+        with pytest.raises(BadInput, match="name two files"):
+            live.main([*asked, "--jsonl", both, "--csv", both])
     before = video.read_bytes()
     with pytest.raises(BadInput, match="would take the place"):
         live.main([*asked, "--out", str(video)])

@@ -110,7 +110,8 @@ def refuse_two_faces(args: Namespace) -> None:
         raise BadInput(f"{' and '.join(asked)} do not go together; start `gelforge live` once for one of them")
     read = {path.resolve() for path in (args.video, args.untouched, args.profile) if path}
     written = {name: getattr(args, name) for name in ("out", "jsonl", "csv")}
-    files = {name: path.resolve() for name, path in written.items() if path and str(path) != "-"}
+    # - is standard output, one for both
+    files = {name: path if str(path) == "-" else path.resolve() for name, path in written.items() if path}
     for name, path in files.items():
         if path in read:
             raise BadInput(f"--{name} {written[name]} would take the place of a file that is read; name another one")
