@@ -11,12 +11,12 @@ import pytest
 from gelforge.errors import BadInput
 from gelforge.geometry import triangles
 from gelforge.geometry.indenters import load_catalogue
-from gelforge.stages.rig import check, run
+from gelforge.stages.rig import by_press, check, run
 from gelforge.virtualrig import streams
 from gelforge.virtualrig.bench import load_cell_error
 from gelforge.virtualrig.looks import read_looks
 from gelforge.virtualrig.rigplan import generator, kind_of, orders, read_plan
-from gelforge.virtualrig.writer import describe
+from gelforge.virtualrig.writer import Dataset, describe, image_name, surface_name
 from tests.conftest import ROOT
 
 DEMO = ROOT / "workflow" / "rig" / "demo.toml"
@@ -195,6 +195,22 @@ def test_a_plans_parameters_stand_in_the_dataset_it_writes():
 def test_parameters_of_any_name_and_text_stand_in_the_dataset_as_the_plan_has_them(table):
     plan = replace(read_plan(DEMO), params=table, held_out_sensors=())
     assert tomllib.loads(describe(plan))["params"] == table
+
+
+def test_a_press_whose_truth_was_lost_is_repeated(tmp_path):
+    """Its picture alone was drawn again, in every later run, because no row of the truth ever came back."""
+    plan = read_plan(DEMO)
+    order = orders(plan)[0]
+    dataset = Dataset(tmp_path, plan)
+    dataset.log[order.sample_id] = None
+    for name in (image_name(order), surface_name(order)):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    assert by_press(dataset, [order]) == [([order], False)]
+    dataset.truth[order.sample_id] = {"status": "OK"}
+    assert by_press(dataset, [order]) == []
+    (tmp_path / image_name(order)).unlink()
+    assert by_press(dataset, [order]) == [([order], True)]
 
 
 def test_orders_stay_in_their_ranges_and_share_out():

@@ -105,7 +105,8 @@ class Dataset:
 
     def solved(self, order: Order) -> bool:
         """Whether all but the picture of an order is there."""
-        return order.sample_id in self.log and (self.folder / surface_name(order)).is_file()
+        there = order.sample_id in self.log and order.sample_id in self.truth
+        return there and (self.folder / surface_name(order)).is_file()
 
     def add(self, rows: list[tuple[Order, LoggedPress | None, dict]]) -> None:
         """Take in one press, (order, record of the log or None, row of the truth) of each sensor that saw it.
