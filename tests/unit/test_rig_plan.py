@@ -213,6 +213,30 @@ def test_a_press_whose_truth_was_lost_is_repeated(tmp_path):
     assert by_press(dataset, [order]) == [([order], True)]
 
 
+@pytest.mark.parametrize("content", ["", '{"plan": "x', "[]", "{}"])
+def test_a_damaged_record_of_the_plan_is_refused_in_a_sentence(tmp_path, content):
+    (tmp_path / "truth").mkdir()
+    (tmp_path / "truth/truth.json").write_text(content)
+    with pytest.raises(BadInput, match=r"truth.json: does not tell which plan .* remove the folder"):
+        Dataset(tmp_path, read_plan(DEMO)).check_same_plan({}, {})
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (b"a,b\n1,2\n", "has no columns sample_id and status; remove it, and its presses are repeated"),
+        (b"sample_id,status,x0_mm\ns-1,OK\n", "row 2 has another number of cells than the header; remove it"),
+        (b"\xff\xfe", "not UTF-8 text"),
+    ],
+)
+def test_a_damaged_table_of_the_truth_is_refused_in_a_sentence(tmp_path, content, says):
+    """A row cut short would be written back with its cells empty."""
+    (tmp_path / "truth").mkdir()
+    (tmp_path / "truth/presses.csv").write_bytes(content)
+    with pytest.raises(BadInput, match=f"presses.csv: {says}"):
+        Dataset(tmp_path, read_plan(DEMO))
+
+
 def test_orders_stay_in_their_ranges_and_share_out():
     plan = read_plan(DEMO)
     made = orders(plan)

@@ -11,13 +11,14 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import read_csv, read_json, write_csv, write_json, write_text
+from gelforge.flow.files import read_json, write_csv, write_json, write_text
 from gelforge.flow.params import read_toml
 from gelforge.labelling.sensor import Sensor
 from gelforge.records.image import write_png
 from gelforge.records.log import fixed, read_presses, write_log
 from gelforge.records.press import FORCE, FORCES, MOMENT, POSE, LoggedPress
 from gelforge.records.status import VALID
+from gelforge.records.table import read_table
 from gelforge.virtualrig.bench import Pressing
 from gelforge.virtualrig.rigplan import Order, Plan
 
@@ -41,7 +42,27 @@ class Dataset:
         self._published = -math.inf
 
     def _rows(self, path) -> dict[str, dict]:
-        return {row["sample_id"]: row for row in read_csv(path)} if path.exists() else {}
+        remedy = "remove it, and its presses are repeated"
+        rows = read_table(path, remedy) if path.exists() else []
+        if rows and not {"sample_id", "status"} <= rows[0].keys():
+            raise BadInput(f"{path}: has no columns sample_id and status; {remedy}")
+        return {row["sample_id"]: row for row in rows}
+
+    def _before(self) -> dict:
+        """What truth.json tells of the plan that the folder was written by."""
+        try:
+            before = read_json(self.plan_path)
+        except (OSError, ValueError) as error:
+            raise self._unknown_plan(str(error)) from error
+        if not isinstance(before, dict) or not isinstance(before.get("plan"), str):
+            raise self._unknown_plan("it names no plan")
+        return before
+
+    def _unknown_plan(self, fault: str) -> BadInput:
+        return BadInput(
+            f"{self.plan_path}: does not tell which plan the folder was written by ({fault}); bring it back from a copy, or "
+            "remove the folder"
+        )
 
     def check_same_plan(self, shapes: dict[str, str], looks: dict[str, str]) -> None:
         """Refuse to mix two plans in one folder; more presses of the same plan are welcome.
@@ -55,7 +76,7 @@ class Dataset:
                     f"{self.log_path} was not written by the virtual rig; choose another `dataset` in the plan"
                 )
             return
-        before = read_json(self.plan_path)
+        before = self._before()
         if before["plan"] != self.plan.identity():
             raise BadInput(
                 f"{self.folder}: was written by another plan (only `presses` may change); "
