@@ -214,6 +214,23 @@ def test_chain_of_another_problem_or_damaged_is_not_resumed(tmp_path):
     assert sampling.load_checkpoint(tmp_path / "cut.npz", problem) is None
 
 
+def test_a_chain_whatever_happened_to_its_bytes_is_read_or_begun_anew(tmp_path):
+    """A bit of its table of contents makes it a compressed or an encrypted one, which numpy says in errors of its own."""
+    path = tmp_path / "chain.npz"
+    state = np.random.RandomState(1).get_state()
+    sampling.save_checkpoint(path, "this", np.zeros((3, 2, 1)), np.zeros((3, 2)), np.zeros(2), state)
+    whole = path.read_bytes()
+    for at in range(len(whole) - 500, len(whole)):
+        for bit in range(8):
+            damaged = bytearray(whole)
+            damaged[at] ^= 1 << bit
+            path.write_bytes(damaged)
+            sampling.load_checkpoint(path, "this")
+    np.save(tmp_path / "chain.npy", np.zeros(3))
+    (tmp_path / "chain.npy").replace(path)
+    assert sampling.load_checkpoint(path, "this") is None
+
+
 def test_split_rhat_sees_a_shifted_walker():
     rng = np.random.default_rng(4)
     chains = rng.standard_normal((2000, 8, 2))

@@ -3,13 +3,13 @@
 import hashlib
 import json
 from dataclasses import dataclass
-from zipfile import BadZipFile
 
 import numpy as np
 
 from gelforge.calibration.moves import learning_moves, learnt_moves
 from gelforge.errors import BadInput, GelforgeError
 from gelforge.flow.files import publish
+from gelforge.records.npz import DAMAGED
 
 LEARN = 600  # first steps, whose second half the later moves are fitted to; never kept
 CHUNK = 800  # steps between checks and checkpoints, at least; a third of the chain once that is more
@@ -149,7 +149,7 @@ def load_checkpoint(path, problem: str):
             position, has_gauss, gauss = file["rng_rest"]
             state = ("MT19937", file["rng_keys"], int(position), int(has_gauss), float(gauss))
             return file["coordinates"], file["log_probability"], file["accepted"], state
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
+    except DAMAGED:
         return None
 
 
