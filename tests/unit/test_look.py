@@ -88,6 +88,15 @@ def test_arrows_follow_the_image(made):
     assert place[first] == pytest.approx([70, 50]) and place[second] == pytest.approx([210, 150])
 
 
+def test_an_arrow_of_fewer_cells_stands_in_their_middle(made):
+    """Cells of 48x64 are merged three by three, and one column is left; its arrows stood at the image's edge."""
+    label = np.zeros((3, 48, 64))
+    label[1, 47, 63] = 0.3
+    place, force = look.arrows(replace(seen_of(made), label=label))
+    (at,) = np.flatnonzero(np.hypot(*force.T) > 0.1)
+    assert place[at] == pytest.approx([63.5 * 320 / 64, 46.5 * 240 / 48])
+
+
 def seen_of(made):
     """The first sample with a label that pushes along every axis on the left and against it on the right."""
     paths = look.shard_paths(made["results"], "s001", "24x32")

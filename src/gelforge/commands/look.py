@@ -98,7 +98,8 @@ def arrows(look: Pictured) -> tuple[np.ndarray, np.ndarray]:
     merge = max(1, -(-rows // ARROWS))
     starts = np.arange(0, rows, merge), np.arange(0, cols, merge)
     merged = np.add.reduceat(np.add.reduceat(look.label[:2], starts[0], axis=1), starts[1], axis=2)
-    v, u = (np.minimum(start + merge / 2, size) for start, size in zip(starts, (rows, cols), strict=True))
+    # the last cells may be fewer than are merged elsewhere
+    v, u = ((start + np.minimum(start + merge, size)) / 2 for start, size in zip(starts, (rows, cols), strict=True))
     place = np.stack(np.meshgrid(u * look.sensor.image[0] / cols, v * look.sensor.image[1] / rows), axis=-1).reshape(
         -1, 2
     )
