@@ -4,6 +4,8 @@ import dataclasses
 import os
 import pty
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -16,6 +18,7 @@ from gelforge.flow.slurm.client import cause_of
 from gelforge.flow.slurm.cluster import read_profile
 from gelforge.flow.slurm.record import Batch, Record, Results, Task, show
 from tests.benchmarks.sandbox import link_project, make
+from tests.waiting import HANG
 
 ROOT = Path(__file__).resolve().parents[2]
 PROFILE = ROOT / "workflow" / "slurm.toml"
@@ -158,6 +161,36 @@ def test_a_wrong_profile_is_named(own, line, words):
     path = own(f"[labels]\n{line}\n")
     with pytest.raises(BadInput, match=re.escape(words)):
         read_profile(path, "50_labels")
+
+
+HOLD = """
+import sys
+from pathlib import Path
+from gelforge.flow.slurm.lock import become_only_make
+lock = become_only_make(Path(sys.argv[1]), 4711)
+print("held already" if lock is None else "mine", flush=True)
+lock and sys.stdin.read()
+"""
+
+
+def holder(results):
+    """A process that becomes the only make, of number 4711, until its standard input closes."""
+    pipe = subprocess.PIPE
+    return subprocess.Popen([sys.executable, "-c", HOLD, results], stdin=pipe, stdout=pipe, stderr=pipe, text=True)
+
+
+def test_a_make_of_the_same_number_on_another_machine_is_another_make(tmp_path):
+    """Machines that share results count their processes each from 1 on, and so do containers."""
+    first = holder(tmp_path)
+    assert first.stdout.readline() == "mine\n"
+    again = holder(tmp_path)
+    assert again.communicate(timeout=HANG)[0] == "held already\n"  # make reads its files once more
+    lock = tmp_path / ".slurm/lock"
+    lock.write_text(lock.read_text().replace(os.uname().nodename, "elsewhere"))
+    other = holder(tmp_path)
+    assert "another make is at work" in other.stderr.readline()
+    first.communicate(timeout=HANG)
+    assert other.communicate(timeout=HANG)[0] == "mine\n"
 
 
 def test_collected_tasks_come_once_and_in_order(tmp_path):

@@ -35,6 +35,11 @@ def at_work(results: Path, kind: int = fcntl.LOCK_SH) -> Iterator[None]:
         yield
 
 
+def called(process: int) -> str:
+    """What a process is called that no other one is: its number alone another machine or container may have, too."""
+    return f"{process} of {os.stat('/proc/self/ns/pid').st_ino} on {os.uname().nodename}"
+
+
 def become_only_make(results: Path, make: int) -> IO[str] | None:
     """Return the open lock file of these results once no other make holds it; None if `make` holds it already.
 
@@ -47,13 +52,13 @@ def become_only_make(results: Path, make: int) -> IO[str] | None:
         take(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         lock.seek(0)
-        if lock.read() == str(make):  # make reads its files again after it made one of them
+        if lock.read() == called(make):  # make reads its files again after it made one of them
             return None
         print(f"another make is at work on {results} with Slurm; awaiting it", file=sys.stderr, flush=True)
         take(lock, fcntl.LOCK_EX)
     signal.pthread_sigmask(signal.SIG_BLOCK, STOP)
     lock.truncate(0)
-    lock.write(str(make))
+    lock.write(called(make))
     lock.flush()
     with at_work(results, fcntl.LOCK_EX):
         pass  # a make that was killed leaves a process behind that is still cancelling
