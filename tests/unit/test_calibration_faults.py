@@ -225,6 +225,9 @@ def test_what_an_axis_moved_by_less_than_its_error_is_no_way_sideways(tmp_path):
         ({"free": True, "kind": "uniform", "low": 0.45, "high": 0.49}, [0.4504, 0.47, 0.4896]),
         # walkers move in its logarithm, which is below 0
         ({"free": True, "kind": "lognormal", "median": 0.47, "spread": 0.01}, [0.4592, 0.47, 0.4811]),
+        # between two of the same value nothing can be interpolated
+        ({"free": True, "mean": 0.4995, "spread": 0.0002}, [0.49903, 0.4995]),
+        ({"free": True, "kind": "uniform", "low": 0.4996, "high": 0.4999}, [0.4995]),
     ],
 )
 def test_solves_are_at_poisson_s_ratios_of_the_prior(prior, nodes):

@@ -28,6 +28,7 @@ from gelforge.records.log import rejected_rows
 from gelforge.reporting import cornerplots as plots
 
 VERSION = 7
+LARGEST_NU = 0.4995  # that is solved, below the 1/2 of a gel that keeps its volume
 
 
 @dataclass(frozen=True)
@@ -58,11 +59,15 @@ def friction_nodes(params: CalibrateTable) -> list[float]:
 
 
 def poisson_nodes(params: CalibrateTable, nu: float) -> list[float]:
-    """Poisson's ratios that are solved: the one that it is held at, or three over the prior where it is free."""
+    """Poisson's ratios that are solved: the one that it is held at, or three over the prior where it is free.
+
+    Fewer where the prior goes beyond what can be solved: no two are alike.
+    """
     if params.priors.nu.free is False:
         return [held_nu(params, nu)]
     prior = prior_of("nu", params.priors.nu)
-    return [float(min(v, 0.4995)) for v in prior.value(prior.quantile(np.array([0.01, 0.5, 0.99])))]
+    values = prior.value(prior.quantile(np.array([0.01, 0.5, 0.99])))
+    return np.unique(np.minimum(values, LARGEST_NU)).tolist()
 
 
 def served(readings: Readings, params: CalibrateTable) -> np.ndarray:
