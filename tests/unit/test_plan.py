@@ -181,6 +181,15 @@ def test_sensors_sit_on_gels_of_their_own_where_bricks_follow_them(tmp_path):
         planned(tmp_path, bricks + '[params.meshes]\ngel = "gelsight_mini-3.6mm"\n', "thin")
 
 
+@pytest.mark.parametrize("text", ["Gerät\n", "a\r\nb\rc\n"])
+def test_a_planned_file_is_written_anew_where_its_bytes_differ_and_there_alone(tmp_path, text):
+    """Cut within a letter it is no text; line endings that a reader of text would turn are bytes too."""
+    path = tmp_path / "slice.json"
+    assert write_if_changed(path, text) and not write_if_changed(path, text)
+    path.write_bytes("Gerä".encode()[:-1])
+    assert write_if_changed(path, text) and path.read_bytes() == text.encode()
+
+
 def test_a_comment_does_not_touch_a_slice(tmp_path):
     path = tmp_path / "poses.json"
 

@@ -62,7 +62,7 @@ def write_if_changed(path: Path | str, text: str) -> bool:
     An unchanged file keeps its time stamp, so make sees no reason to rebuild what follows.
     """
     path = Path(path)
-    if path.exists() and path.read_text(encoding="utf-8") == text:
+    if path.exists() and path.read_bytes() == text.encode():  # what lies there may be damaged, and no text at all
         return False
     write_text(path, text)
     return True
