@@ -45,6 +45,9 @@ def read_points(path) -> tuple[np.ndarray, np.ndarray]:
     missing = [name for name in POINT_COLUMNS if not rows or name not in rows[0]]
     if missing:
         raise BadInput(f"{path}: has no column {missing[0]} or no rows; it needs {', '.join(POINT_COLUMNS)}")
+    long = next((at for at, row in enumerate(rows, 1) if None in row), None)
+    if long is not None:
+        raise BadInput(f"{path}: point {long} has more cells than there are columns; write decimals with a point")
     values = np.array([[_number(path, at, row, name) for name in POINT_COLUMNS] for at, row in enumerate(rows, 1)])
     return values[:, :2], values[:, 2:]
 
