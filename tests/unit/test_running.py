@@ -60,6 +60,13 @@ def test_files_that_are_being_written_do_not_count(tmp_path):
     assert running_lines(tmp_path) == [] and cost_lines(tmp_path) == []
 
 
+def test_a_shard_that_goes_between_two_looks_is_none(tmp_path):
+    """Another make plans a log that lost rows; a step that told how far its run has come failed its finished target."""
+    now = lay(tmp_path, 3)
+    (tmp_path / "00_plan/shards/0002.csv").symlink_to("gone.csv")  # listed, and not there when it is read
+    assert look(tmp_path, now).total == 8
+
+
 def test_nothing_planned_is_nothing(tmp_path):
     assert look(tmp_path) == Progress(0, 0, 0.0, [])
 

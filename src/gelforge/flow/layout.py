@@ -5,6 +5,7 @@ standard library, because every step of a run asks for it.
 """
 
 import csv
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -163,7 +164,11 @@ class Layout:
 
     def sizes(self) -> dict[str, int]:
         """Rows of the log in each planned shard; nothing where nothing is planned."""
-        return {name: len(read_csv(self.shard(name))) for name in self.names()}
+        found = {}
+        for name in self.names():
+            with suppress(FileNotFoundError):  # another make that plans anew may remove a shard between the two looks
+                found[name] = len(read_csv(self.shard(name)))
+        return found
 
     def shard_of(self, sample_id: str) -> str:
         """Name of the planned shard that holds a sample; BadInput where none does."""
