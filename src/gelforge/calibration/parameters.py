@@ -166,7 +166,7 @@ class Model:
 def make_model(params: CalibrateTable, law: str, without=(), indenters=()) -> Model:
     """Model of `law` from the table [calibrate]; free ones that `without` names are held at no effect.
 
-    A parameter is free where its prior's `free` is true; otherwise it stays at `fixed`. Several
+    A parameter is free unless its prior says `free = false`; then it stays at `fixed`. Several
     indenters get a scale each, with the prior `indenter`.
     """
     free, fixed = {}, {}
