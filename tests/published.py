@@ -129,5 +129,5 @@ def _centre_of_mass(vertices, faces):
 def _distance_to(points, vertices, faces):
     import pyvista
 
-    surface = pyvista.PolyData(vertices, np.column_stack([np.full(len(faces), 3), faces]).ravel())
+    surface = pyvista.PolyData.from_regular_faces(vertices, faces)
     return np.asarray(pyvista.PolyData(points).compute_implicit_distance(surface)["implicit_distance"])

@@ -94,7 +94,7 @@ def test_sign_agrees_with_the_surface(name):
     p = draw(name, 7, 1500)
     d, _ = body(name).distance(p)
     vertices, faces = body(name).surface()
-    mesh = pyvista.PolyData(vertices, np.column_stack([np.full(len(faces), 3), faces]).ravel())
+    mesh = pyvista.PolyData.from_regular_faces(vertices, faces)
     mesh_distance = np.asarray(pyvista.PolyData(p).compute_implicit_distance(mesh)["implicit_distance"])
     # chords are within 0.01 mm, so beyond that both must say the same side
     sure = np.abs(d) > 0.02

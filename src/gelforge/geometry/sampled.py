@@ -133,7 +133,7 @@ def _distance_grid(vertices, faces, low, spacing, shape) -> np.ndarray:
     """Signed distances to a closed surface on a regular grid (VTK's closest triangle)."""
     import pyvista
 
-    body = pyvista.PolyData(vertices, np.column_stack([np.full(len(faces), 3), faces]).ravel())
+    body = pyvista.PolyData.from_regular_faces(vertices, faces)
     grid = pyvista.ImageData(dimensions=shape, spacing=(spacing,) * 3, origin=low)
     field = grid.compute_implicit_distance(body)["implicit_distance"]
     return np.asarray(field, float).reshape(shape, order="F")

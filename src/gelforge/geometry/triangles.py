@@ -130,7 +130,7 @@ def below(vertices: np.ndarray, faces: np.ndarray, height: float) -> tuple[np.nd
     """
     import pyvista
 
-    mesh = pyvista.PolyData(vertices, np.column_stack([np.full(len(faces), 3), faces]).ravel())
+    mesh = pyvista.PolyData.from_regular_faces(vertices, faces)
     kept = mesh.clip_closed_surface("-z", origin=(0.0, 0.0, height)).triangulate()
     return cleaned(np.array(kept.points, float), kept.regular_faces)
 

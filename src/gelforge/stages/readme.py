@@ -127,8 +127,7 @@ def bodies_of(body, solved) -> tuple:
 
     mesh, moved = solved.mesh, solved.mesh.nodes + solved.displacement
     corners = mesh.faces[:, :4] if mesh.kind == "hex8" else mesh.faces[:, :3]
-    count = corners.shape[1]
-    gel = pv.PolyData(moved, np.column_stack([np.full(len(corners), count), corners]).ravel())
+    gel = pv.PolyData.from_regular_faces(moved, corners)
     gel.point_data["pushed in, mm"] = -solved.displacement[:, 2]
     # a force points where it pushes and ends on the gel
     acting = np.flatnonzero(solved.forces.any(axis=1))
@@ -137,10 +136,8 @@ def bodies_of(body, solved) -> tuple:
     arrows["force"] = solved.forces[acting]
     vertices, faces = body.surface()
     depth, at, shear = PRESSED
-    tool = pv.PolyData(
-        vertices + (at[0] + shear[0], at[1] + shear[1], -depth),
-        np.column_stack([np.full(len(faces), 3), faces]).ravel(),
-    )
+    there = vertices + (at[0] + shear[0], at[1] + shear[1], -depth)
+    tool = pv.PolyData.from_regular_faces(there, faces)
     return gel, arrows.glyph(orient="force", scale="force", factor=ARROW_MM / longest), tool
 
 
