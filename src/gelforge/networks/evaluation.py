@@ -11,7 +11,7 @@ from gelforge.networks import metrics
 from gelforge.networks.contacts import contact_table
 from gelforge.networks.data import Data, data_version, rows_to_judge_by
 from gelforge.networks.errortables import tables
-from gelforge.networks.modelfile import Trained, require_fit
+from gelforge.networks.modelfile import Trained, datasets_of, require_fit
 from gelforge.networks.training import predict_rows
 from gelforge.networks.use import tell_rows
 from gelforge.records.axes import CHANNELS, FORCE_OF_CHANNEL
@@ -165,8 +165,7 @@ def evaluate(data: Data, trained: Trained, settings: EvaluateTable) -> tuple[dic
     require_fit(trained, data)
     torch.set_num_threads(settings.threads)
     version = data_version(data)
-    learnt = (one["version"] for one in (trained.about["data"], *trained.about.get("also", [])))
-    splits = judged_splits(data, learnt=version in learnt)
+    splits = judged_splits(data, learnt=version in [one["version"] for one in datasets_of(trained.about)])
     rng = np.random.default_rng(settings.seed)
     train_totals = data.totals(data.splits[TRAINING])
     force_range = train_totals.max(0) - train_totals.min(0)

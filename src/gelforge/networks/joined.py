@@ -15,8 +15,7 @@ from gelforge.records.splits import TRAINING, VALIDATION
 def join(own: Data, others: Sequence[Data]) -> Data:
     """One dataset to learn from: all of `own`, and what `others` have to train on and to validate with.
 
-    It is named after all of them.
-    Rows of `own` come first. Sensors and groups of another one carry its name, so that the same name in two datasets
+    It is named after all of them, and rows of `own` come first. Sensors and groups of another one carry its name, so that the same name in two datasets
     stays two things. Raises BadInput for one of other images or another grid, and for one that is given twice.
     """
     if not others:

@@ -6,6 +6,7 @@ from gelforge.networks.dotreader import MEMBERS
 from gelforge.networks.errortables import PREDICTED_COLUMNS, predicted_rows
 from gelforge.networks.evaluation import FEWEST_DRAWN
 from gelforge.networks.inputs import needs_untouched
+from gelforge.networks.modelfile import datasets_of
 from gelforge.records.axes import CHANNELS
 
 FEW = 12  # sensors that are named one by one
@@ -48,15 +49,16 @@ def interval_lines(about: dict) -> list[str]:
 def data_lines(about: dict) -> list[str]:
     """The datasets that the model learnt from, its own first."""
     lines = []
-    for what, data in [("Data", about["data"]), *(("Also learnt from", other) for other in about.get("also", []))]:
+    for at, data in enumerate(datasets_of(about)):
         samples = ", ".join(f"{count} {name}" for name, count in data["samples"].items())
+        what = "Also learnt from" if at else "Data"
         lines.append(f"- {what}: {data['name']}, version {data['version']}; images: {samples}.")
     return lines
 
 
 def origin_of(about: dict) -> str:
     """Whether presses that the model learnt from were simulated."""
-    simulated = [data["simulated"] for data in (about["data"], *about.get("also", []))]
+    simulated = [data["simulated"] for data in datasets_of(about)]
     if all(simulated):
         return (
             "**It learnt from the virtual rig: simulated presses and rendered images, no real sensor.** Expect larger "

@@ -227,6 +227,11 @@ def read_tensors(path) -> dict:
         ) from None
 
 
+def datasets_of(about: dict[str, Any]) -> list[dict[str, Any]]:
+    """What a model's description says of each dataset that it learnt from, its own first."""
+    return [about["data"], *about.get("also", [])]  # files that are older than `also` learnt from one
+
+
 def require_fit(trained: Trained, data) -> None:
     """Raise BadInput if a model cannot be used on a dataset: other grid, image size or sensor."""
     about = trained.about

@@ -113,9 +113,8 @@ def make_model(
     learnt = join(data, also)
     reads = model.get("reads", "image")
     if needs_untouched(reads):
-        learnt.require_untouched(
-            range(len(learnt.table))
-        )  # one that lacks its picture is named before hours of training
+        # one that lacks its picture is named before hours of training
+        learnt.require_untouched(range(len(learnt.table)))
     torch.set_num_threads(settings.threads)
     about = describe([data, *also], name, model, settings, version, start)
     training = begin(learnt, model, settings, about, start)
