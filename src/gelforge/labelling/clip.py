@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numba import njit
 
-PAIRS_AT_ONCE = 200_000  # candidate polygon-cell pairs held in memory at a time, about 30 MiB
+PAIRS_AT_ONCE = 200_000  # candidate polygon-cell pairs held in memory at a time, about 100 MiB
 # Corners of a piece, as a multiple of its polygon's, that there is room for: each of the four cuts adds at most half as many,
 # as it would to a star; to a convex polygon it adds one.
 ROOM = 6
