@@ -52,6 +52,8 @@ def test_a_press_goes_down_and_then_sideways():
         ("dz_mm", [*DOWN, frame(3, dz_mm=-1.5)], "same point"),
         ("dz_mm", [*DOWN, *ASIDE, frame(5, dz_mm=-1.9, dx_mm=0.3, dy_mm=0.6)], "deeper after"),
         ("dy_mm", [*DOWN, *ASIDE, frame(5, dz_mm=-1.5, dx_mm=0.15, dy_mm=0.3)], "goes back"),
+        # farther away than before, on the other side of where the press went down
+        ("dy_mm", [*DOWN, *ASIDE, frame(5, dz_mm=-1.5, dx_mm=-0.3, dy_mm=-0.6)], "goes back"),
         ("dy_mm", [*DOWN, *ASIDE, frame(5, dz_mm=-1.5, dx_mm=0.6, dy_mm=-0.8)], "leaves the line"),
     ],
 )

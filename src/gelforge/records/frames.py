@@ -82,6 +82,8 @@ def _goes_back(last: PressRecord, frame: PressRecord) -> tuple[str, str] | None:
         return column, "goes back within its press: a press moves sideways in one direction"
     if moved > NEAR_MM and abs(before[0] * now[1] - before[1] * now[0]) > NEAR_MM * moved:
         return column, "leaves the line of its press: a press moves sideways in one direction"
+    if moved > NEAR_MM and before @ now < 0.0:
+        return column, "goes back within its press: a press moves sideways in one direction"
     if np.linalg.norm(now - before) <= 0.0 and frame.dz_mm == last.dz_mm:
         return "dz_mm", "is the same point of the path as the row before it"
     return None
