@@ -157,6 +157,23 @@ def test_wrong_tables_are_refused_with_name_and_remedy(wrong, says):
     assert says in str(error.value)
 
 
+PLUS = [[-1, -3], [1, -3], [1, -1], [3, -1], [3, 1], [1, 1], [1, 3], [-1, 3], [-1, 1], [-3, 1], [-3, -1], [-1, -1]]
+
+
+def test_edges_on_one_line_that_do_not_touch_are_no_crossing():
+    """A plus drawn corner by corner is the cross of the same size."""
+    drawn = build("p", {"kind": "outline", "corners": PLUS, "fillet": 0.2, "height": 8})
+    cross = build("c", {"kind": "cross", "size": [6, 6], "arm": 2, "fillet": 0.2, "height": 8})
+    points = np.random.default_rng(1).uniform([-4, -4, -1], [4, 4, 3], (500, 3))
+    np.testing.assert_allclose(drawn.distance(points)[0], cross.distance(points)[0], atol=1e-12)
+
+
+@pytest.mark.parametrize("corners", [[[0, 0], [5, 0], [3, 0], [3, 4], [0, 4]], [[0, 0], [4, 4], [4, 0], [0, 4]]])
+def test_edges_that_touch_or_cross_are_refused(corners):
+    with pytest.raises(BadInput, match="cross or touch"):
+        build("o", {"kind": "outline", "corners": corners, "fillet": 0.2, "height": 8})
+
+
 def test_catalogue_faults_name_the_file(tmp_path):
     path = tmp_path / "indenters.toml"
     path.write_text("a = 1\n")

@@ -40,7 +40,10 @@ def mitred(corners: np.ndarray, offset: float) -> np.ndarray:
 
 
 def crosses_itself(corners: np.ndarray) -> bool:
-    """Whether any two edges of a polygon (k, 2) that are not neighbours meet, or a corner repeats."""
+    """Whether any two edges of a polygon (k, 2) that are not neighbours meet, or a corner repeats.
+
+    Edges on one line, as those of a plus have, meet only where they also lie side by side.
+    """
     a, b = corners, np.roll(corners, -1, axis=0)
 
     def side(p, q, r):
@@ -51,6 +54,7 @@ def crosses_itself(corners: np.ndarray) -> bool:
     apart = (second + 1) % len(a) != first
     p, q, r, s = a[first[apart]], b[first[apart]], a[second[apart]], b[second[apart]]
     meet = (side(p, q, r) * side(p, q, s) <= 0) & (side(r, s, p) * side(r, s, q) <= 0)
+    meet &= ((np.minimum(p, q) <= np.maximum(r, s)) & (np.minimum(r, s) <= np.maximum(p, q))).all(axis=1)
     return bool(meet.any()) or len(np.unique(corners, axis=0)) < len(corners)
 
 
