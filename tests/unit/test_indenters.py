@@ -126,6 +126,17 @@ def test_volume_approaches_the_sharp_body(name, keys, expected):
     assert triangles.volume(*body.surface()) == pytest.approx(expected, rel=0.01)
 
 
+# Two blocks of 8 x 3 mm with a neck of 1 x 4 mm between them.
+BONE = [
+    [-4, -5], [4, -5], [4, -2], [0.5, -2], [0.5, 2], [4, 2], [4, 5], [-4, 5], [-4, 2], [-0.5, 2], [-0.5, -2], [-4, -2],
+]  # fmt: skip
+
+
+def test_a_neck_is_as_wide_as_it_was_drawn():
+    body = build("b", {"kind": "outline", "corners": BONE, "fillet": 0.4, "height": 8})
+    assert body.distance(np.array([[0.6, 0.0, 4.0], [1.5, 0.0, 4.0]]))[0] == pytest.approx([0.1, 1.0])
+
+
 @pytest.mark.parametrize(
     ("wrong", "says"),
     [
@@ -137,6 +148,7 @@ def test_volume_approaches_the_sharp_body(name, keys, expected):
         ({"kind": "sphere", "diameter": 20, "height": 5}, "fillet"),
         ({"kind": "cuboid", "size": [5], "fillet": 1, "height": 5}, "two positive numbers"),
         ({"kind": "cuboid", "size": [1.5, 9], "fillet": 1, "height": 5}, "too large"),
+        ({"kind": "outline", "corners": BONE, "fillet": 0.6, "height": 8}, "narrowest part"),
         ({"kind": "cylinder", "diameter": 4, "fillet": 3, "height": 8}, "too large"),
         ({"kind": "cylinder", "diameter": 8, "hole": 6, "fillet": 0.8, "height": 8}, "too large"),
         ({"kind": "ellipse", "size": [8, 3], "fillet": 1, "height": 8}, "too large"),

@@ -75,6 +75,10 @@ class Outline:
         self._edge = np.roll(self.core, -1, axis=0) - self.core
         if np.any(np.sum(self._edge * (np.roll(corners, -1, axis=0) - corners), axis=1) <= 1e-9):
             raise BadInput(f"fillet {radius} mm is too large: an edge of this outline vanishes; choose a smaller one")
+        if crosses_itself(self.core):
+            raise BadInput(
+                f"fillet {radius} mm is too large: it is more than half of the narrowest part of this outline; choose a smaller one"
+            )
         along = unit(self._edge)
         self._normal = np.column_stack([along[:, 1], -along[:, 0]])
 
