@@ -89,6 +89,14 @@ def _twin_cuboids(t: _Table, **common) -> Body:
 def _cross(t: _Table, **common) -> Body:
     fillet, (wide, long), arm = t.number("fillet"), t.pair("size"), t.number("arm")
     y, a, w, h = t.number("offset", 0.0, low=-1000.0), arm / 2.0, wide / 2.0, long / 2.0
+    if a >= w:
+        t.fail("arm", arm, f"the arms along y are as wide as the body, {wide:g} mm; make them narrower")
+    if abs(y) + a >= h:
+        t.fail(
+            "offset",
+            y,
+            f"the arms along x, {arm:g} mm wide, reach the ends of the body, {long:g} mm; move them inwards",
+        )
     corners = [
         [-a, -h],
         [a, -h],
