@@ -148,6 +148,13 @@ def test_a_neck_is_as_wide_as_it_was_drawn():
         ({"kind": "sphere", "diameter": 20, "height": 5}, "fillet"),
         ({"kind": "cuboid", "size": [5], "fillet": 1, "height": 5}, "two positive numbers"),
         ({"kind": "cuboid", "size": [1.5, 9], "fillet": 1, "height": 5}, "too large"),
+        ({"kind": "sloping_cuboid", "size": [9, 9], "slope_deg": 100, "fillet": 1, "height": 9}, "slope_deg = 100"),
+        ({"kind": "pyramid", "size": [9, 9], "slope_deg": 170, "fillet": 1, "height": 9}, "slope_deg = 170"),
+        ({"kind": "sloping_cuboid", "size": [9, 9], "slope_deg": 89, "fillet": 1, "height": 2}, "above the height"),
+        (
+            {"kind": "random_solid", "size": 10, "slope_deg": 60, "seed": 1, "fillet": 0.5, "height": 1},
+            "above the height",
+        ),
         ({"kind": "cross", "size": [5, 12], "arm": 6, "fillet": 0.5, "height": 8}, "arm = 6.0"),
         ({"kind": "cross", "size": [10, 10], "arm": 3, "offset": 3.5, "fillet": 0.5, "height": 8}, "offset = 3.5"),
         ({"kind": "cross", "size": [10, 10], "arm": 3, "offset": -4.5, "fillet": 0.5, "height": 8}, "offset = -4.5"),

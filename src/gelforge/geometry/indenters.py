@@ -175,7 +175,7 @@ def _lying_cylinder(t: _Table, **common) -> Body:
 
 
 def _sloping_cuboid(t: _Table, **common) -> Body:
-    size, slope = t.pair("size"), np.tan(np.deg2rad(t.number("slope_deg")))
+    size, slope = t.pair("size"), np.tan(np.deg2rad(t.number("slope_deg", high=90.0)))
     deepest = np.deg2rad(t.number("deepest_deg", 0.0, low=-361.0))
     normal = -np.array([slope * np.cos(deepest), slope * np.sin(deepest), 1.0])
     return RoundedPolyhedron(
@@ -188,7 +188,7 @@ def _sloping_cuboid(t: _Table, **common) -> Body:
 
 
 def _pyramid(t: _Table, **common) -> Body:
-    (sx, sy), slope = t.pair("size"), np.tan(np.deg2rad(t.number("slope_deg")))
+    (sx, sy), slope = t.pair("size"), np.tan(np.deg2rad(t.number("slope_deg", high=90.0)))
     normals = np.array([[slope, 0, -1], [-slope, 0, -1], [0, slope, -1], [0, -slope, -1]]) / np.hypot(slope, 1.0)
     levels = np.abs(normals[:, :2]) @ [sx / 2.0, sy / 2.0]
     return RoundedPolyhedron(

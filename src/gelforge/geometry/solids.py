@@ -154,7 +154,7 @@ class RoundedPolyhedron(Body):
         self._prepare()
 
     def _core(self, normals, levels, height):
-        from scipy.spatial import HalfspaceIntersection
+        from scipy.spatial import HalfspaceIntersection, QhullError
 
         corners = self.top.core
         along = unit(np.roll(corners, -1, axis=0) - corners)
@@ -163,7 +163,12 @@ class RoundedPolyhedron(Body):
         n = np.vstack([walls, normals, [[0.0, 0.0, 1.0]]])
         c = np.concatenate([wall_levels, levels, [height]])
         inner = np.array([*corners.mean(axis=0), height - 1e-3])
-        points = HalfspaceIntersection(np.column_stack([n, -c]), inner).intersections
+        try:
+            points = HalfspaceIntersection(np.column_stack([n, -c]), inner).intersections
+        except QhullError:
+            raise BadInput(
+                f"the lower side rises above the height, {height:g} mm, in the middle of the body; make it higher or its slope less"
+            ) from None
         return points[np.unique(np.round(points, 7), axis=0, return_index=True)[1]]
 
     def _prepare(self):
