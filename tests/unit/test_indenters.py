@@ -240,6 +240,11 @@ def test_stl_in_metres_is_refused_until_scaled(tmp_path, catalogue):
     assert load_catalogue(path)["mine"].height == pytest.approx(10.0, abs=1e-5)
 
 
+def test_stl_that_a_scale_makes_nothing_of_is_refused(tmp_path, catalogue):
+    with pytest.raises(BadInput, match="mine.*scale = 1e-11"):
+        load_catalogue(write_stl_catalogue(tmp_path, catalogue["cuboid_7"].surface(), scale=1e-11))
+
+
 def test_open_stl_is_refused(tmp_path, catalogue):
     vertices, faces = catalogue["cuboid_7"].surface()
     with pytest.raises(BadInput, match=r"mine.*not closed.*holes"):

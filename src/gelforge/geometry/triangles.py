@@ -149,7 +149,12 @@ def read_stl(path, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
     vertices, faces = from_meshlab(meshes)
     if not len(faces):
         raise BadInput(f"{path}: holds no triangles; export the body as a binary STL")
-    return cleaned(vertices * scale, faces)
+    vertices, faces = cleaned(vertices * scale, faces)
+    if not len(faces):
+        raise BadInput(
+            f"{path}: all of its triangles shrink to points or lines at scale = {scale:g}; correct the scale"
+        )
+    return vertices, faces
 
 
 def stl_fault(path: Path) -> str | None:
