@@ -148,6 +148,7 @@ def test_a_neck_is_as_wide_as_it_was_drawn():
         ({"kind": "sphere", "diameter": 20, "height": 5}, "fillet"),
         ({"kind": "cuboid", "size": [5], "fillet": 1, "height": 5}, "two positive numbers"),
         ({"kind": "cuboid", "size": [1.5, 9], "fillet": 1, "height": 5}, "too large"),
+        ({"kind": "polygon", "sides": 5.5, "side": 4, "fillet": 0.5, "height": 8}, "sides = 5.5"),
         ({"kind": "sloping_cuboid", "size": [9, 9], "slope_deg": 100, "fillet": 1, "height": 9}, "slope_deg = 100"),
         ({"kind": "pyramid", "size": [9, 9], "slope_deg": 170, "fillet": 1, "height": 9}, "slope_deg = 170"),
         ({"kind": "sloping_cuboid", "size": [9, 9], "slope_deg": 89, "fillet": 1, "height": 2}, "above the height"),

@@ -115,8 +115,10 @@ def _cross(t: _Table, **common) -> Body:
 
 
 def _polygon(t: _Table, **common) -> Body:
-    fillet, sides = t.number("fillet"), int(t.number("sides", low=2.5))
-    corners = regular_polygon(sides, t.number("side"), t.number("first_corner_deg", 0.0, low=-361.0))
+    fillet, sides = t.number("fillet"), t.number("sides", low=2.5)
+    if not sides.is_integer():
+        t.fail("sides", sides, "give a whole number of sides")
+    corners = regular_polygon(int(sides), t.number("side"), t.number("first_corner_deg", 0.0, low=-361.0))
     return Extrusion(profile=Outline(corners, fillet), fillet=fillet, height=t.number("height"), **common)
 
 
