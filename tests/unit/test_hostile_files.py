@@ -119,6 +119,13 @@ def test_a_cell_of_a_book_keeps_out_its_own_row_alone(tmp_path):
     assert log.read_shard(tmp_path / "plan/shards/0000.csv")[1].fault == "long_cell"
 
 
+def test_a_header_of_a_book_is_refused(tmp_path):
+    """A file of one long line, as JSON often is, is no log."""
+    (tmp_path / "log.csv").write_text("x" * 200_000 + "\n")
+    with pytest.raises(BadInput, match="header has a cell of more than 131072"):
+        log.read_log(tmp_path / "log.csv")
+
+
 @pytest.mark.parametrize("name", ["..", "../../../x", "a/b", "$(touch f)", "", "-rf", "a" * 101, ESCAPES])
 def test_a_sample_id_that_may_name_no_file_never_does(tmp_path, name, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -71,7 +71,12 @@ def csv_text(columns: list[str], rows: list[dict[str, Any]]) -> str:
 def _read(path: Path, known: tuple[str, ...], remedy: str = "a dataset needs its raw log there") -> list[RawRow]:
     lines = list(io.StringIO(read_text(path, remedy), newline=""))
     top = next((at for at, line in enumerate(lines) if line.strip()), 0)
-    header = [cell.strip() for cell in next(csv.reader(lines[top : top + 1]), [])]
+    cells = next(_each(csv.reader(lines[top : top + 1])), [])
+    if cells is None:
+        raise BadInput(
+            f"{path}: its header has a cell of more than 131072 characters, so it is no table of ours; {remedy}"
+        )
+    header = [cell.strip() for cell in cells]
     places = _places(path, header, known)
     free = set(range(len(header))) - set(places.values())
     return [_row(*record, places, len(header)) for record in _records(lines, top + 1, free)]
