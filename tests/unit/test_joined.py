@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from parameters import with_values
-from small_networks import EVALUATE, GRID, IMAGE, LEARNING, SMALL
+from small_networks import EVALUATE, GRID, IMAGE, LEARNING, MODELS, SMALL
 from synthetic_presses import SETTINGS, write_dataset
 
 from gelforge.errors import BadInput
@@ -114,6 +114,15 @@ def test_a_network_reads_both_that_it_learnt_from_and_says_so(datasets):
     assert (told["name"], told["version"], told["simulated"]) == ("other", data_version(turned), True)
     assert told["samples"] == {name: len(other.splits[name]) for name in ("train", "val")}
     assert [line.split(",")[0] for line in data_lines(both.about)] == ["- Data: own", "- Also learnt from: other"]
+
+
+def test_a_network_keeps_the_untouched_sensors_of_its_own_dataset_alone(datasets):
+    own, other = datasets[0], datasets[1]
+    pair, settings = MODELS["pair"], with_values(SETTINGS, epochs=1)
+    many = replace(other, nocontact=other.nocontact | {f"known_{k:02d}": other.nocontact["mini0"] for k in range(20)})
+    for others in ([other], [many]):
+        kept = train(own, "pair", pair, settings, also=others).untouched
+        assert kept.keys() == {"mini0"} and np.array_equal(kept["mini0"], own.nocontact["mini0"])
 
 
 def test_no_network_is_judged_on_presses_that_it_learnt_from(datasets):

@@ -34,9 +34,10 @@ def beside_untouched(
 ) -> Trained:
     """A network that reads pictures beside untouched ones with what only such a one has: limits, dots, untouched sensors.
 
-    data: what it learnt from. own: the one dataset of it whose unseen sensors tell how far it is off.
+    data: what it learnt from. own: the one dataset of it whose unseen sensors tell how far it is off, and whose untouched
+    sensors it is for: those of others bear names in `data` that no user knows.
     """
-    pictures = data.nocontact if len(data.nocontact) <= MOST_PICTURES else {}
+    pictures = own.nocontact if len(own.nocontact) <= MOST_PICTURES else {}
     about = trained.about | learnt_pitch(data, start)
     if start is not None and not tells_intervals(own.presses(rows_to_judge_by(own))):
         rows = np.concatenate([data.splits[TRAINING], data.splits[VALIDATION]])
