@@ -22,7 +22,7 @@ from gelforge.flow.files import write_json
 from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.family import footprint
 from gelforge.stages import stability
-from gelforge.stages.pareto import charted
+from gelforge.stages.pareto import charted, summarise
 from gelforge.sweeps import cases
 from gelforge.sweeps.deviation import cell_error, errors, frontier, total_error
 from gelforge.sweeps.isolate import isolated
@@ -79,6 +79,28 @@ def test_frontier_beats_every_other_point(points):
 
 def test_a_point_that_another_beats_is_not_on_the_frontier():
     assert frontier([(1, 3), (2, 2), (3, 2.5), (4, 1)]) == [True, True, False, True]
+
+
+def test_a_method_that_failed_on_a_scene_takes_no_other_off_the_frontier():
+    def record(seconds, error):
+        return {
+            "method": {"fidelity": "hex", "size": 1.0, "steps": 10},
+            "cpu_seconds": seconds,
+            "errors": error and {"total": error, "cells": error},
+        }
+
+    scenes = [
+        {
+            "scene": name,
+            "reference": "fine",
+            "methods": {"sound": record(2.0, 0.02), "failing": record(1.0, error)},
+        }
+        for name, error in (("easy", 0.01), ("hard", None))
+    ]
+    found = {
+        row["method"]: (row["failed"], row["frontier_total"], row["frontier_cells"]) for row in summarise(scenes)
+    }
+    assert found == {"sound": (0, True, True), "failing": (1, False, False)}
 
 
 def test_scenes_are_many_shapes_inside_their_reference_mesh(scenes, params):

@@ -60,17 +60,21 @@ def solve_scene(bench: ChartBench, scene: NamedScene, methods: list[Method], hal
 
 
 def summarise(scenes: list[dict]) -> list[dict]:
-    """One row per method over all scenes: cost, errors, failures and whether it lies on a frontier."""
+    """One row per method over all scenes: cost, errors, failures and whether it lies on a frontier.
+
+    A method that failed on a scene is on none and takes no other off it: its worst error leaves out the scene that was too
+    much for it.
+    """
     names = dict.fromkeys(name for scene in scenes for name in scene["methods"])
     reference = {scene["reference"] for scene in scenes} | {HALVED}
     rows = [_row(name, scenes) for name in names if name not in reference]
     for kind in ("total", "cells"):
-        usable = [row for row in rows if row[f"{kind}_worst"] is not None]
+        usable = [row for row in rows if row[f"{kind}_worst"] is not None and not row["failed"]]
         best = frontier([(row["cpu_seconds_median"], row[f"{kind}_worst"]) for row in usable])
         for row in rows:
             row[f"frontier_{kind}"] = False
         for row, good in zip(usable, best, strict=True):
-            row[f"frontier_{kind}"] = good and not row["failed"]
+            row[f"frontier_{kind}"] = good
     return rows
 
 
