@@ -27,6 +27,8 @@ from gelforge.records import log
 from gelforge.records.image import bad_image, read_image
 from gelforge.records.labelfile import read_labels
 from gelforge.records.press import COLUMNS, RawRow, parse
+from gelforge.records.samplefile import read_samples
+from gelforge.records.solvetable import read_solves
 from gelforge.stages.calibrate import load_rejected
 from gelforge.stages.plan import write_shards
 from tests.memory import PEAK_KIB
@@ -124,6 +126,13 @@ def test_a_header_of_a_book_is_refused(tmp_path):
     (tmp_path / "log.csv").write_text("x" * 200_000 + "\n")
     with pytest.raises(BadInput, match="header has a cell of more than 131072"):
         log.read_log(tmp_path / "log.csv")
+
+
+@pytest.mark.parametrize("read", [read_solves, read_samples, log.rejected_rows])
+def test_a_table_that_lost_all_its_bytes_is_not_one_without_rows(tmp_path, read):
+    (tmp_path / "0000.csv").write_bytes(b"")
+    with pytest.raises(BadInput, match="0000.csv: is empty"):
+        read(tmp_path / "0000.csv")
 
 
 @pytest.mark.parametrize("name", ["..", "../../../x", "a/b", "$(touch f)", "", "-rf", "a" * 101, ESCAPES])

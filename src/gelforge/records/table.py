@@ -9,7 +9,7 @@ from gelforge.records.regular import read_text
 
 
 def read_table(path: str | Path, remedy: str) -> list[dict[str, str]]:
-    """Rows of a CSV file by column; one that cannot be read, or with a row of another length, raises BadInput."""
+    """Rows of a CSV file by column; one that cannot be read, is empty, or has a row of another length raises BadInput."""
     return [row for _, row in numbered_rows(path, remedy)]
 
 
@@ -20,6 +20,8 @@ def numbered_rows(path: str | Path, remedy: str) -> list[tuple[int, dict[str, st
         rows = [(lines.line_num, row) for row in lines]
     except csv.Error as error:
         raise BadInput(f"{path}: row {lines.line_num}: {error}; {remedy}") from error
+    if not lines.fieldnames:
+        raise BadInput(f"{path}: is empty, not even a header stands in it; {remedy}")
     for at, row in rows:
         if None in row or None in row.values():
             raise BadInput(f"{path}: row {at} has another number of cells than the header; {remedy}")
