@@ -18,7 +18,7 @@ from gelforge.flow.files import read_csv, read_json, write_text
 from gelforge.networks.canonical import match_light
 from gelforge.networks.data import open_data
 from gelforge.networks.split import group_presses, split_presses
-from gelforge.stages.dataset import published_splits
+from gelforge.stages.dataset import published_splits, read_truth
 
 
 def presses(count, seed, touches=None, indenters=4, sensors=2):
@@ -159,6 +159,17 @@ def test_the_truth_of_a_virtual_rig_goes_into_its_columns(tmp_path, root, monkey
     label(made, "4x4")
     rows = read_csv(collect(made, "4x4") / "samples.csv")
     assert [row["true_fz_n"] for row in rows] == ["", "-3.5"] and rows[1]["true_fx_n"] == "1.0"
+
+
+@pytest.mark.parametrize(
+    "content", [b"sample_id,fx_n,fy_n,fz_n\n\xff,1,2,3\n", b"sample_id,fx_n,fy_n,fz_n\ns001,1\n"]
+)
+def test_a_damaged_truth_is_refused_in_a_sentence(tmp_path, content):
+    """A row cut short was one whose forces nobody knows."""
+    (tmp_path / "truth").mkdir()
+    (tmp_path / "truth/presses.csv").write_bytes(content)
+    with pytest.raises(BadInput, match="presses.csv: (not UTF-8|row 2 has another number)"):
+        read_truth(tmp_path)
 
 
 def test_resolutions_share_split_and_images(made):

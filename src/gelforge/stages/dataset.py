@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import digest_of, listed, publish, read_csv, read_json, write_csv, write_json, write_text
+from gelforge.flow.files import digest_of, listed, publish, read_json, write_csv, write_json, write_text
 from gelforge.flow.layout import planned_shards
 from gelforge.flow.main import command, option
 from gelforge.flow.params.slices import ForDataset, read_slice
@@ -30,7 +30,7 @@ from gelforge.records.press import FORCE, ID_RULE, PressRecord, names_files, par
 from gelforge.records.samplefile import DatasetSample, write_samples
 from gelforge.records.splits import TRAINING
 from gelforge.records.status import Status
-from gelforge.records.table import numbered_rows
+from gelforge.records.table import numbered_rows, read_table
 
 VERSION = 3
 
@@ -73,7 +73,7 @@ def _reason(press: PressRecord | None, status: Status) -> str:
 def read_truth(data: Path) -> dict:
     """True resultants (fx_n, fy_n, fz_n) by sample_id where a virtual rig left them; only evaluation compares."""
     path = data / "truth" / "presses.csv"
-    rows = read_csv(path) if path.exists() else []
+    rows = read_table(path, "write it anew, or remove it") if path.exists() else []
     if rows and {"sample_id", *FORCE} - rows[0].keys():
         raise BadInput(
             f"{path}: its columns are {', '.join(rows[0])}; give sample_id, {', '.join(FORCE)}, or remove it"
