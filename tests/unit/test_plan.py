@@ -14,7 +14,7 @@ from gelforge.flow.params.slices import ForPoses
 from gelforge.geometry.gel import GELS
 from gelforge.records.log import read_shard
 from gelforge.stages import plan
-from gelforge.stages.plan import assign_shards, logged_rows, networks, write_shards
+from gelforge.stages.plan import assign_shards, image_digests, logged_rows, networks, write_shards
 
 NAMES = st.lists(st.integers(0, 200).map(str), unique=True, max_size=60)
 
@@ -72,6 +72,28 @@ def test_rows_that_come_back_find_their_shards_again(tmp_path):
     write_log(log, range(10))
     assert write_shards(log.parent, logged_rows(log, None), tmp_path, 4) == ["0000", "0001", "0002"]
     assert {path.name: path.read_text() for path in shards.glob("*.csv")} == before
+
+
+@pytest.mark.parametrize(
+    "harm", [lambda text: text[:-5], lambda text: "", lambda text: text.replace("shard", "sherd")]
+)
+def test_a_damaged_table_of_shards_is_refused_in_a_sentence(tmp_path, harm):
+    """Without it samples may come into other shards, and be solved again: nobody but a person may say so."""
+    log, table = tmp_path / "log.csv", tmp_path / "shards.csv"
+    write_log(log, range(5))
+    write_shards(log.parent, logged_rows(log, None), tmp_path, 4)
+    table.write_text(harm(table.read_text()))
+    with pytest.raises(BadInput, match="shards.csv: .*remove it: samples that come into another shard"):
+        write_shards(log.parent, logged_rows(log, None), tmp_path, 4)
+
+
+def test_damaged_digests_of_pictures_are_made_anew(tmp_path):
+    (tmp_path / "a.png").write_bytes(b"picture")
+    found = image_digests(tmp_path, {"a.png"}, tmp_path / "pictures.json")
+    whole = (tmp_path / "pictures.json").read_text()
+    (tmp_path / "pictures.json").write_text(whole[:9])
+    assert image_digests(tmp_path, {"a.png"}, tmp_path / "pictures.json") == found
+    assert (tmp_path / "pictures.json").read_text() == whole
 
 
 def test_a_network_that_make_would_miss_is_refused(tmp_path):

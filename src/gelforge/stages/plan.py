@@ -16,13 +16,14 @@ from types import MappingProxyType
 from gelforge.errors import BadInput
 from gelforge.flow import params as config
 from gelforge.flow.catalogue import with_content
-from gelforge.flow.files import read_csv, read_json, write_if_changed, write_text
+from gelforge.flow.files import read_json, write_if_changed, write_text
 from gelforge.flow.layout import LOGGED, planned_shards, shard_name
 from gelforge.flow.main import command, option
 from gelforge.flow.params import DatasetFile, Params
 from gelforge.flow.params.tables import IN_PROCESS, SHIPPED
 from gelforge.records.log import csv_text, read_log, shard_text
 from gelforge.records.press import SENSOR_TABLES, RawRow
+from gelforge.records.table import read_table
 
 
 def assign_shards(
@@ -71,6 +72,15 @@ def logged_rows(log: Path, sensor: str | None) -> list[RawRow]:
     ]
 
 
+def known_shards(table: Path) -> dict[str, int]:
+    """Shard of each sample in the plan before, none where there was none; a damaged table raises BadInput."""
+    remedy = "bring it back from a copy, or remove it: samples that come into another shard then are solved again"
+    rows = read_table(table, remedy) if table.exists() else []
+    if not all(row.get("sample_id") and row.get("shard", "").isdecimal() for row in rows):
+        raise BadInput(f"{table}: does not tell the shard of every sample; {remedy}")
+    return {row["sample_id"]: int(row["shard"]) for row in rows}
+
+
 def write_shards(
     data: Path, rows: list[RawRow], out: Path, size: int, tables: Mapping[str, dict] = MappingProxyType({})
 ) -> list[str]:
@@ -80,7 +90,7 @@ def write_shards(
     rows.
     """
     table = out / "shards.csv"
-    known = {row["sample_id"]: int(row["shard"]) for row in read_csv(table)} if table.exists() else {}
+    known = known_shards(table)
     ids = [row.cells["sample_id"] for row in rows]
     press_of = {row.cells["sample_id"]: row.cells["press_id"] for row in rows if row.cells.get("press_id")}
     shards = assign_shards(ids, known, size, press_of)
@@ -134,7 +144,10 @@ def image_digests(data: Path, names: set[str], kept: Path) -> dict[str, str]:
     """
     from gelforge.records.image import MOST_BYTES, stays_inside
 
-    known = read_json(kept) if kept.exists() else {}
+    try:
+        known = read_json(kept)
+    except (OSError, ValueError):  # there is none yet, or it was damaged: pictures are read once more
+        known = {}
     told, found = {}, {}
     for name in sorted(names):
         if not name or not stays_inside(data, name):
