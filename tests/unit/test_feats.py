@@ -92,6 +92,7 @@ def test_raw_samples_come_under_our_columns(tmp_path):
     [
         (RAW, {"d_z": None}, ["d_z", "finite number"]),
         (RAW, {"d_z": float("nan")}, ["d_z", "nan"]),
+        (RAW, {"d_z": 10**400}, ["d_z", "finite number"]),
         (RAW, {"f_x": "strong"}, ["f_x", "strong"]),
         (RAW, {"indenter": 3}, ["indenter"]),
         (RAW, {"deg": True}, ["deg"]),

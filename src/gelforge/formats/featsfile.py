@@ -93,10 +93,14 @@ def _number(path, name, value) -> float:
     number = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
     if isinstance(value, np.ndarray) and value.shape == () and value.dtype.kind in "fiu":
         number = True
-    if not number or not np.isfinite(float(value)):
+    try:
+        found = float(value) if number else np.nan
+    except OverflowError:  # a whole number of hundreds of digits
+        found = np.inf
+    if not np.isfinite(found):
         seen = repr(value)[:40] if isinstance(value, (str, float, np.floating)) else type(value).__name__
         raise BadInput(f"{path}: field {name} is {seen}; it must be a finite number")
-    return float(value)
+    return found
 
 
 def _text(path, name, value) -> str:
