@@ -233,9 +233,10 @@ def test_a_second_export_leaves_no_sample_of_the_first_in_another_split(tmp_path
     (out / "mine" / "notes.npy").write_bytes(b"not ours")
     table = dataset / "samples.csv"
     rows = read_csv(table)
-    swapped = {"train": "test", "test": "train"}
-    write_csv(table, list(rows[0]), [row | {"split": swapped.get(row["split"], row["split"])} for row in rows])
-    export_dataset(dataset, out)
+    # a split of one's own, as an imported dataset may have, is gone again at the last export
+    for swapped in ({"train": "test", "test": "train"}, {"test": "field"}, {}):
+        write_csv(table, list(rows[0]), [row | {"split": swapped.get(row["split"], row["split"])} for row in rows])
+        export_dataset(dataset, out)
     there = {(path.parent.name, path.stem) for path in out.glob("*/*.npy")}
     assert there == {(s.split, s.press.sample_id) for s in read_samples(table)} | {("mine", "notes")}
 

@@ -194,8 +194,9 @@ def export_dataset(dataset: Path, out: Path) -> dict:
         path = out / check_id(each.split) / f"{each.press.sample_id}.npy"
         write_label(path, sample)
         written.add(path)
-    for split in {*SPLITS, *(each.split for each in samples)}:
-        for path in set((out / split).glob("*.npy")) - written:
+    ours, splits = {each.press.sample_id for each in samples}, {*SPLITS, *(each.split for each in samples)}
+    for path in set(out.glob("*/*.npy")) - written:
+        if path.parent.name in splits or path.stem in ours:  # its split of then may be none of today's
             path.unlink()
     if not ranges.found:
         raise BadInput(f"{dataset}: has no training samples, so there is nothing to normalise by; add presses")
