@@ -15,7 +15,7 @@ from gelforge.flow.params import plain
 from gelforge.formats.export import ros
 from gelforge.formats.feats_folder import import_folder
 from gelforge.formats.featsfile import LabelSample, write_label
-from gelforge.formats.mcap_import import Topics, import_recordings, nearest
+from gelforge.formats.mcap_import import Topics, import_recordings, messages, nearest
 from gelforge.labelling.sensor import load_sensors
 from gelforge.networks.modelfile import load_model
 from gelforge.records.labelfile import read_labels
@@ -179,6 +179,35 @@ def test_a_recording_that_cannot_be_used_leaves_nothing(tmp_path, harm, sensor):
     with pytest.raises(BadInput):
         import_recordings(path, tmp_path / "lab", names, sensor)
     assert not [found for found in tmp_path.iterdir() if "lab" in found.name]
+
+
+@pytest.mark.parametrize("compression", ["NONE", "LZ4", "ZSTD"])
+def test_a_damaged_recording_is_read_or_refused(tmp_path, compression):
+    """Its readers raise errors of their own, of struct, of both compressions and of the definitions of ROS 2."""
+    from mcap.writer import CompressionType
+    from mcap_ros2.writer import Writer
+
+    path, rng = tmp_path / "a.mcap", np.random.default_rng(3)
+    with path.open("wb") as stream:
+        writer = Writer(stream, chunk_size=2000, compression=CompressionType[compression])
+        wrench = writer.register_msgdef("geometry_msgs/msg/WrenchStamped", ros.WRENCH_STAMPED)
+        zero = dict.fromkeys("xyz", 0.0)
+        for time in range(0, 10**9, 10**8):
+            said = {"header": ros.header(time, "gel"), "wrench": {"force": zero, "torque": zero}}
+            writer.write_message("/ft", wrench, said, log_time=time, publish_time=time)
+        writer.finish()
+    whole, refused = path.read_bytes(), 0
+    assert len(list(messages(path, "/ft"))) == 10
+    for _ in range(100):
+        harmed = bytearray(whole)
+        harmed[rng.integers(len(harmed))] ^= int(rng.integers(1, 256))
+        path.write_bytes(harmed)
+        try:
+            list(messages(path, "/ft"))
+        except BadInput as error:
+            refused += 1
+            assert "a.mcap: cannot be read as MCAP" in str(error)
+    assert refused > 20
 
 
 def test_what_is_not_named_is_asked_for(tmp_path):
