@@ -347,6 +347,8 @@ def test_totals_are_written_with_what_is_known_of_them():
     assert [row[f"{name}_n"] for name in CHANNELS] == [0.5, -0.25, -7.0]
     assert row["grid_z_half_width_n"] == 0.3 and row["grid_z_by_dots_n"] is None
     assert row["edge_share"] == 0.0
+    total = total_columns(forces.sum((1, 2), keepdims=True), None, None)
+    assert total["grid_z_n"] == -7.0 and total["edge_share"] is None  # one cell is no edge
 
 
 @pytest.mark.parametrize("grid", [(12, 16), (24, 32), (48, 64), (2, 2)])

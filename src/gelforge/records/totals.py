@@ -23,14 +23,17 @@ def total_columns(
     for kind, values in zip(KINDS, (forces.sum((1, 2), dtype=np.float64), half_width, by_dots), strict=True):
         for k, channel in enumerate(CHANNELS):
             found[f"{channel}_{kind}"] = None if values is None else round(float(values[k]), 4)
-    return found | {"edge_share": round(edge_share(forces), 4)}
+    share = edge_share(forces)
+    return found | {"edge_share": None if np.isnan(share) else round(share, 4)}
 
 
 def edge_share(forces: np.ndarray) -> float:
     """Share of the normal force of forces (3, rows, cols) N that lies at the picture's edge; 0 where hardly anything presses.
 
-    A large one tells that what touches goes on beyond the picture.
+    A large one tells that what touches goes on beyond the picture. NaN of one cell, the total, which has no edge.
     """
+    if forces.shape[1:] == (1, 1):
+        return np.nan
     pressed = np.maximum(-forces[2].astype(float), 0.0)
     rows, cols = (max(1, round(EDGE * count)) for count in pressed.shape)
     within, total = pressed[rows:-rows, cols:-cols].sum(), pressed.sum()
