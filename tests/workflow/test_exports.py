@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -56,6 +57,15 @@ def test_frames_of_a_press_follow_each_other_from_shallow_to_deep(tmp_path):
     for rows in samples.frames_of_presses:
         assert [samples.rows[at]["dz_mm"] for at in rows] == ["-0.5", "-1.5"]
         assert len({samples.rows[at]["split"] for at in rows}) == 1
+
+
+def test_a_press_that_two_sensors_saw_is_an_episode_of_each(tmp_path):
+    """The pictures of one camera follow each other, not those of two in turn."""
+    samples = lay(tmp_path, 22)
+    seen = [row | {"sensor_id": ("mini_a", "mini_e")[at % 2]} for at, row in enumerate(samples.rows)]
+    episodes = replace(samples, rows=seen).frames_of_presses
+    assert sorted(at for rows in episodes for at in rows) == list(range(22))
+    assert all(len({seen[at]["sensor_id"] for at in rows}) == 1 for rows in episodes)
 
 
 def test_splits_of_lerobot_are_runs_of_episodes(tmp_path):

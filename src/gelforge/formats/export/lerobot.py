@@ -1,7 +1,8 @@
 """LeRobot's dataset layout, codebase version v3.0 (https://huggingface.co/docs/lerobot, lerobot-dataset-v3).
 
-A press is an episode, its pictures the frames by depth, one after the other at FPS; episodes of a split follow each
-other. LeRobot has no agreed schema for touch yet (its proposals speak of point sets); features here are ordinary ones:
+A press on one sensor is an episode, its pictures the frames by depth, one after the other at FPS; episodes of a split
+follow each other. LeRobot has no agreed schema for touch yet (its proposals speak of point sets); features here are
+ordinary ones:
 
 | feature | type | meaning |
 | --- | --- | --- |
