@@ -19,12 +19,22 @@ from gelforge.reporting.explorer import Explorer, Shard
 from gelforge.reporting.page import Section, render
 from gelforge.reporting.parts import forget_parts, pack, place_parts, script_json
 from gelforge.reporting.presses import as_columns, press_rows
-from gelforge.reporting.provenance import stages
+from gelforge.reporting.provenance import stages, target_costs
 from gelforge.reporting.surfacegrid import Resampler, grid_points
 from gelforge.stages import report
 from gelforge.stages.report import failures_section, flatten, with_forces
 from tests.explored import GELS, tables, write_page
 from tests.pressed_dataset import write_pressed
+
+
+def test_a_damaged_record_of_a_target_keeps_no_page_from_being_written(tmp_path):
+    """What the target cost is lost with it, and nothing else."""
+    folder = tmp_path / "results/lab/metrics/10_poses"
+    folder.mkdir(parents=True)
+    (folder / "0000.json").write_text('{"seconds": 1.0}')
+    for name, content in (("0001", b""), ("0002", b'{"seconds": 1'), ("0003", b"\xff\xfe")):
+        (folder / f"{name}.json").write_bytes(content)
+    assert target_costs(tmp_path / "results/lab") == {"10_poses/0000": {"seconds": 1.0}}
 
 
 def test_text_from_data_is_escaped():

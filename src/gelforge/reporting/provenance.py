@@ -1,5 +1,6 @@
 """What made a dataset: the cost of every target, and which stage reads which, from the records of the flow."""
 
+from contextlib import suppress
 from pathlib import Path
 
 from gelforge.flow.files import listed, read_json
@@ -9,12 +10,12 @@ COST = ("seconds", "cpu_seconds", "peak_mib")
 
 
 def target_costs(results: Path) -> dict[str, dict]:
-    """Record of every target that was made, by its path below results/DATASET (without suffix)."""
-    folder = Layout(results).metrics
-    return {
-        str(path.relative_to(folder).with_suffix("")): read_json(path)
-        for path in listed(folder, "*.json", below=True)
-    }
+    """Record of every target that was made, by its path below results/DATASET (without suffix); damaged ones are left out."""
+    folder, found = Layout(results).metrics, {}
+    for path in listed(folder, "*.json", below=True):
+        with suppress(ValueError):
+            found[str(path.relative_to(folder).with_suffix(""))] = read_json(path)
+    return found
 
 
 def stage_of(path: str, results: Path) -> str:
