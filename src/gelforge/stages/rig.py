@@ -55,8 +55,7 @@ class Worker:
         cv2.setNumThreads(1)
         gel = load_gel(plan.gel)
         self.plan, self.folder, self.gel = plan, folder, gel
-        bodies: dict[str, Indenter] = dict(load_catalogue(workflow / plan.catalogue, plan.indenters))
-        self.bench = Bench(plan, bodies, gel, folder / FACTORS)
+        self.bench = Bench(plan, bodies_of(plan, workflow), gel, folder / FACTORS)
         self.looks, self.sensors = units_of(plan, workflow)
         self.camera = lru_cache(CAMERAS)(self._camera)
 
@@ -169,9 +168,14 @@ def check(plan_path, workflow: Path) -> Plan:
     plan = read_plan(plan_path)
     looks, sensors = units_of(plan, workflow)
     check_names(plan, read_catalogue(workflow / plan.catalogue), sensors, looks, plan_path)
-    load_catalogue(workflow / plan.catalogue, plan.indenters)
+    bodies_of(plan, workflow)
     overlaid(workflow, plan.params, str(plan_path))
     return plan
+
+
+def bodies_of(plan: Plan, workflow: Path) -> dict[str, Indenter]:
+    """Indenters of a plan by name; the paths of STL files start at `workflow`, as for the stages that read its dataset."""
+    return dict(load_catalogue(workflow / plan.catalogue, plan.indenters, workflow))
 
 
 def units_of(plan: Plan, workflow: Path) -> tuple[dict[str, Look], dict[str, Sensor]]:
@@ -187,9 +191,8 @@ def contents_of(
     plan: Plan, workflow: Path, looks: dict[str, Look], sensors: dict[str, Sensor]
 ) -> tuple[dict[str, str], dict[str, str]]:
     """Digests of what a plan's names stand for: each indenter's table and STL file, each sensor's look and projection."""
-    catalogue = workflow / plan.catalogue
-    every = read_catalogue(catalogue)
-    tables, _ = with_content({name: every[name] for name in plan.indenters}, catalogue.parent)
+    every = read_catalogue(workflow / plan.catalogue)
+    tables, _ = with_content({name: every[name] for name in plan.indenters}, workflow)
     seen = {name: [asdict(looks[name]), asdict(sensors[name])] for name in plan.sensors}
     return digests(tables), digests(seen)
 
