@@ -37,6 +37,15 @@ def test_a_damaged_record_of_a_target_keeps_no_page_from_being_written(tmp_path)
     assert target_costs(tmp_path / "results/lab") == {"10_poses/0000": {"seconds": 1.0}}
 
 
+def test_an_indenter_is_drawn_as_far_up_as_the_gel_can_reach(tmp_path):
+    """Beside the crown a press begins lower: where its tip ends tells how much of the indenter is there, not its way down."""
+    rows = [
+        {"id": name, "indenter": "ball", "stl": f"{name}.stl", "z0_mm": z0, "dz_mm": dz}
+        for name, z0, dz in (("crown", 0.0, -1.5), ("rim", -1.0, -1.2), ("light", -1.0, -0.3))
+    ]
+    assert Explorer(tmp_path, "4x5", rows, {}).deepest()["ball"]["id"] == "rim"
+
+
 def test_text_from_data_is_escaped():
     section = Section("Failures").table(["sample"], [["<script>alert(1)</script>"]]).text("a < b & c")
     page = render("<b>lab</b>", "lead", [section])

@@ -91,12 +91,12 @@ class Explorer:
         }  # fmt: skip
 
     def deepest(self) -> dict[str, dict]:
-        """The deepest press of each indenter, whose posed surface reaches highest."""
+        """The press of each indenter whose tip ends lowest: its posed surface is cut off highest above the tip."""
         found: dict[str, dict] = {}
         for row in self.rows:
             if row.get("indenter") and row.get("stl"):
                 best = found.setdefault(row["indenter"], row)
-                if row["dz_mm"] < best["dz_mm"]:
+                if row["z0_mm"] + row["dz_mm"] < best["z0_mm"] + best["dz_mm"]:
                     found[row["indenter"]] = row
         return found
 
