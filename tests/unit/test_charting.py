@@ -115,7 +115,14 @@ def test_scenes_are_many_shapes_inside_their_reference_mesh(scenes, params):
 
 @pytest.mark.parametrize(
     "change, named",
-    [({"indenter": "spheer"}, "spheer"), ({"detph": 1.0}, "detph"), ({"depth": -1.0}, "depth"), ({"x0": "1"}, "x0")],
+    [
+        ({"indenter": "spheer"}, "spheer"),
+        ({"indenter": ["ball"]}, "ball"),
+        ({"gel": 5}, "gel '5'"),
+        ({"detph": 1.0}, "detph"),
+        ({"depth": -1.0}, "depth"),
+        ({"x0": "1"}, "x0"),
+    ],
 )
 def test_a_scene_that_is_wrong_is_named(change, named):
     table = {"indenter": {"kind": "sphere", "diameter": 15, "height": 10}, "depth": 1.0, "fine": "disc"} | change

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from gelforge.errors import BadInput
 from gelforge.geometry import triangles
-from gelforge.geometry.indenters import build, load_catalogue
+from gelforge.geometry.indenters import build, fold, load_catalogue
 from gelforge.geometry.profiles import regular_polygon
 from gelforge.geometry.sampled import Sampled, check_body
 
@@ -170,6 +170,7 @@ def test_a_neck_is_as_wide_as_it_was_drawn():
         ({"size": [5, 5]}, "kind"),
         ({"kind": "outline", "corners": [[0, 0], [5, 5], [5, 0], [0, 5]], "fillet": 0.1, "height": 5}, "cross"),
         ({"kind": "outline", "corners": [[0, 0], [5, 5]], "fillet": 0.1, "height": 5}, "three corners"),
+        ({"kind": "outline", "corners": [[0, 0], [5, 10**400], [0, 5]], "fillet": 0.1, "height": 5}, "three corners"),
         ({"kind": "outline", "corners": [[0, 0], [5, "a"], [0, 5]], "fillet": 0.1, "height": 5}, "three corners"),
         ({"kind": "outline", "corners": [[0, 0], [5, float("inf")], [0, 5]], "fillet": 0.1, "height": 5}, "corners"),
     ],
@@ -195,6 +196,11 @@ def test_edges_on_one_line_that_do_not_touch_are_no_crossing():
 def test_edges_that_touch_or_cross_are_refused(corners):
     with pytest.raises(BadInput, match="cross or touch"):
         build("o", {"kind": "outline", "corners": corners, "fillet": 0.2, "height": 8})
+
+
+def test_a_table_that_no_body_has_comes_onto_itself_by_a_whole_turn():
+    for sides in (float("inf"), float("nan"), "five", None):
+        assert fold({"kind": "polygon", "sides": sides}) == 1
 
 
 def test_catalogue_faults_name_the_file(tmp_path):

@@ -126,7 +126,7 @@ def _outline(t: _Table, **common) -> Body:
     fillet, given = t.number("fillet"), t.take("corners")
     try:
         corners = np.array(given, float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         corners = np.zeros(0)
     if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3 or not np.isfinite(corners).all():
         t.fail("corners", given, "give at least three corners [x, y] in mm")
@@ -308,7 +308,7 @@ def fold(table: dict) -> int:
     """
     try:
         return FOLDS.get(table["kind"], lambda t: 1)(table)
-    except (KeyError, IndexError, TypeError, ValueError):
+    except (KeyError, IndexError, TypeError, ValueError, OverflowError):
         return 1
 
 

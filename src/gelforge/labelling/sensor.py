@@ -114,7 +114,7 @@ def sensor_of(path: str, name: str, table: dict) -> Sensor:
         raise BadInput(f"{where}: image is {image!r}; write [width, height] in pixels, two positive whole numbers")
     try:
         projection = np.array(table["projection"], float)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise BadInput(f"{where}: projection {table['projection']!r} is not three rows of three numbers") from error
     try:
         gel = load_gel(str(table["gel"]))

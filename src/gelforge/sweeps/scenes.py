@@ -32,7 +32,7 @@ def resolve(name: str, table: dict, catalogue: dict) -> dict:
     indenter = table["indenter"]
     if isinstance(indenter, dict):
         return table
-    if indenter not in catalogue:
+    if not isinstance(indenter, str) or indenter not in catalogue:
         known = ", ".join(catalogue)
         raise BadInput(f"{SOURCE}: [{name}] indenter = {indenter!r} is not in the catalogue; it has {known}")
     return table | {"indenter": catalogue[indenter]}
@@ -57,6 +57,6 @@ def parse_scene(name: str, table: dict, nu: float) -> NamedScene:
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise BadInput(f"{SOURCE}: [{name}] {key} = {value!r}; give a number in mm or degrees")
     body = build(name, table["indenter"], SOURCE)
-    gel = load_gel(table.get("gel", "gelsight_mini"))
+    gel = load_gel(str(table.get("gel", "gelsight_mini")))
     scene = Scene(gel, Material(nu=nu), body, Press(**at, dz=-depth), Interface())
     return NamedScene(name, scene, table["fine"], table | at)
