@@ -128,9 +128,8 @@ def messages(path: Path, topic: str) -> Iterator[tuple[int, object]]:
             reader = make_reader(stream, decoder_factories=[DecoderFactory()])
             for _, _, message, said in reader.iter_decoded_messages(topics=[topic]):
                 yield message.log_time, said
-        except (
-            Exception
-        ) as error:  # of a damaged file: of mcap, of the ROS definitions in it, of LZ4 and Zstandard, of struct
+        # a damaged file makes mcap, the ROS definitions in it, LZ4, Zstandard and struct each raise errors of their own
+        except Exception as error:
             raise BadInput(f"{path}: cannot be read as MCAP with ROS 2 messages ({error or type(error).__name__}); record it again, or mend it with `mcap recover`") from error  # fmt: skip
 
 
