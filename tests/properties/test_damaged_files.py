@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 from press_records import log_line
 
 from gelforge.errors import BadInput
+from gelforge.formats.export import ros
+from gelforge.formats.mcap_import import Topics, messages, picture, wrenches
 from gelforge.formats.numpy_pickle import read_npy
 from gelforge.networks.modelfile import load_model
 from gelforge.records.forcefile import ForceFile, SampleForces, write_forces
@@ -37,6 +39,28 @@ def forces(path):
         return file.sample(0, np.arange(3)), file.node, file.force, file.surface_ptr, file.displacement
 
 
+def recording(path) -> None:
+    """A recording of two pictures with a wrench each."""
+    from mcap_ros2.writer import Writer
+
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        image = writer.register_msgdef("sensor_msgs/msg/CompressedImage", ros.COMPRESSED_IMAGE)
+        wrench = writer.register_msgdef("geometry_msgs/msg/WrenchStamped", ros.WRENCH_STAMPED)
+        seen = {"header": ros.header(0, "gel"), "format": "png", "data": cv2.imencode(".png", PICTURE)[1].tobytes()}
+        axes = {"x": 0.1, "y": 0.2, "z": -3.0}
+        felt = {"header": ros.header(0, "gel"), "wrench": {"force": axes, "torque": axes}}
+        for time in (10**18, 10**18 + 10**7):
+            writer.write_message("/image", image, seen, log_time=time, publish_time=time)
+            writer.write_message("/wrench", wrench, felt, log_time=time, publish_time=time)
+        writer.finish()
+
+
+def recorded(path):
+    topics = Topics("/image", "/wrench", "mini", 0.02, 1, 1, 0.2, np.eye(3))
+    return wrenches(path, topics), [picture(said, str(path)) for _, said in messages(path, topics.image)]
+
+
 def archive(save, **arrays) -> bytes:
     stream = io.BytesIO()
     save(stream, **arrays)
@@ -61,6 +85,8 @@ def whole(tmp_path_factory, root):
     found["solves"] = (folder / "s.csv").read_bytes(), [read_solves]
     np.save(folder / "x.npy", np.array({"gs_img": PICTURE, "f_x": 1.5}, object), allow_pickle=True)
     found["npy"] = (folder / "x.npy").read_bytes(), [read_npy]
+    recording(folder / "r.mcap")
+    found["mcap"] = (folder / "r.mcap").read_bytes(), [recorded]
     found["log"] = LOG.encode(), [log_rows, read_poses, read_samples, rejected_rows]
     found["model"] = (root / "src/gelforge/networks/default.pt").read_bytes(), [load_model]
     return found
@@ -83,7 +109,7 @@ def damage(data: bytes, draw) -> bytes:
     return data[:at] + behind[how]
 
 
-KINDS = ("png", "jpg", "bmp", "tiff", "labels", "packed", "forces", "predictions", "solves", "npy", "log")
+KINDS = ("png", "jpg", "bmp", "tiff", "labels", "packed", "forces", "predictions", "solves", "npy", "mcap", "log")
 
 
 @pytest.mark.parametrize(("kind", "examples"), [*((kind, 150) for kind in KINDS), ("model", 25)])

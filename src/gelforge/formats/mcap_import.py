@@ -43,6 +43,7 @@ DEFAULTS = {
     "sensor": "gelsight_mini",
 }
 ENCODINGS = {"rgb8": 3, "bgr8": 3}
+LATEST_NS = 2**63 - 1  # in the year 2262
 DATASET_TOML = """# Imported from recordings in MCAP: pictures with total force, no indenter known: make train RES=1x1 MODEL=resnet10
 sensor = "{sensor}"
 gel = "{gel}"
@@ -127,10 +128,12 @@ def messages(path: Path, topic: str) -> Iterator[tuple[int, object]]:
         try:
             reader = make_reader(stream, decoder_factories=[DecoderFactory()])
             for _, _, message, said in reader.iter_decoded_messages(topics=[topic]):
+                if message.log_time > LATEST_NS:
+                    raise ValueError(f"a message of time {message.log_time}, ns since 1970")
                 yield message.log_time, said
         # a damaged file makes mcap, the ROS definitions in it, LZ4, Zstandard and struct each raise errors of their own
         except Exception as error:
-            raise BadInput(f"{path}: cannot be read as MCAP with ROS 2 messages ({error or type(error).__name__}); record it again, or mend it with `mcap recover`") from error  # fmt: skip
+            raise BadInput(f"{path}: cannot be read as MCAP with ROS 2 messages ({str(error) or type(error).__name__}); record it again, or mend it with `mcap recover`") from error  # fmt: skip
 
 
 def picture(said, where: str) -> np.ndarray:
