@@ -111,6 +111,16 @@ def test_bad_fields_are_named(tmp_path, base, change, words):
     assert all(word in str(error.value) for word in ["bad.npy", *words]), error.value
 
 
+@pytest.mark.parametrize("size", [1.0, 1e5])
+def test_cells_of_half_precision_are_summed_exactly(tmp_path, size):
+    grid = (size * np.abs(GRID)).astype(np.float16)
+    grids, total = dict.fromkeys(("grid_x", "grid_y", "grid_z"), grid), grid.sum(dtype=float)
+    held = {"gs_img": IMAGE, **grids, **dict.fromkeys(("f_x", "f_y", "f_z"), total)}
+    assert read_sample(save(tmp_path / "half.npy", held)).label.sum() == pytest.approx(3 * total)
+    with pytest.raises(BadInput, match="its cells sum to"):
+        read_sample(save(tmp_path / "half.npy", held | {"f_z": 1.01 * total}))
+
+
 def test_missing_fields_are_named(tmp_path):
     path = save(tmp_path / "bad.npy", {name: value for name, value in RAW.items() if name != "x_0"})
     with pytest.raises(BadInput, match="bad.npy: field x_0 is missing"):

@@ -82,11 +82,12 @@ def _label(path, found) -> np.ndarray:
             )
         if not np.isfinite(grid).all():
             raise BadInput(f"{path}: field {name} holds NaN or infinity; label the press again")
-    for name, grid in zip(TOTALS, grids, strict=True):
+    label = np.stack(grids).astype(np.float64)  # in half precision a sum is off by thousandths, and ends at 65504
+    for name, grid in zip(TOTALS, label, strict=True):
         total = _number(path, name, found.get(name))
         if abs(total - grid.sum()) > SUM_TOLERANCE * np.abs(grid).sum() + 1e-9:
             raise BadInput(f"{path}: field {name} is {total:g} N, its cells sum to {grid.sum():g} N; label it again")
-    return np.stack(grids).astype(np.float64)
+    return label
 
 
 def _number(path, name, value) -> float:
