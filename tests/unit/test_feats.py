@@ -92,7 +92,8 @@ def test_raw_samples_come_under_our_columns(tmp_path):
     [
         (RAW, {"d_z": None}, ["d_z", "finite number"]),
         (RAW, {"d_z": float("nan")}, ["d_z", "nan"]),
-        (RAW, {"d_z": 10**400}, ["d_z", "finite number"]),
+        (RAW, {"d_z": np.float32("-inf")}, ["d_z", "inf"]),
+        (RAW, {"x_0": 10**400}, ["x_0", "finite number"]),
         (RAW, {"f_x": "strong"}, ["f_x", "strong"]),
         (RAW, {"indenter": 3}, ["indenter"]),
         (RAW, {"deg": True}, ["deg"]),
@@ -145,8 +146,9 @@ def test_normalisation_survives_the_round_trip(tmp_path):
     ranges = {"gs_img": {"min": 3.0, "max": 255.0}, "f_z": {"min": -73.25, "max": 0.5}}
     write_normalisation(tmp_path / "n.npy", ranges)
     assert read_normalisation(tmp_path / "n.npy") == ranges
-    with pytest.raises(BadInput, match="not a normalisation file"):
-        read_normalisation(save(tmp_path / "m.npy", {"f_z": 3}))
+    for other in ({"f_z": 3}, {3: ranges["f_z"]}, {b"f_z": ranges["f_z"]}):
+        with pytest.raises(BadInput, match="not a normalisation file"):
+            read_normalisation(save(tmp_path / "m.npy", other))
 
 
 def test_a_folder_becomes_a_dataset(tmp_path, sensor):

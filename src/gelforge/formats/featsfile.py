@@ -4,6 +4,7 @@ Raw samples hold gs_img, indenter, x_0 … d_z, deg, f_x … m_z; label files ho
 grid_z, f_x, f_y, f_z (feats-ai/feats, cnc_data_aquisition.py, label_generation.py, normalize.py).
 """
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -94,14 +95,17 @@ def _number(path, name, value) -> float:
     number = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
     if isinstance(value, np.ndarray) and value.shape == () and value.dtype.kind in "fiu":
         number = True
-    try:
-        found = float(value) if number else np.nan
-    except OverflowError:  # a whole number of hundreds of digits
-        found = np.inf
-    if not np.isfinite(found):
+    if not number or not _finite(value):
         seen = repr(value)[:40] if isinstance(value, (str, float, np.floating)) else type(value).__name__
         raise BadInput(f"{path}: field {name} is {seen}; it must be a finite number")
-    return found
+    return float(value)
+
+
+def _finite(value) -> bool:
+    try:
+        return math.isfinite(value)
+    except OverflowError:  # a whole number of a file may be larger than any float
+        return False
 
 
 def _text(path, name, value) -> str:
@@ -120,7 +124,10 @@ def write_label(path, sample: LabelSample) -> None:
 def read_normalisation(path) -> dict:
     """Read a normalisation file: {field: {"min": value, "max": value}} of every field of the labels."""
     found = read_npy(path)
-    good = isinstance(found, dict) and all(isinstance(v, dict) and {"min", "max"} <= set(v) for v in found.values())
+    good = isinstance(found, dict) and all(
+        isinstance(name, str) and isinstance(ends, dict) and {"min", "max"} <= set(ends)
+        for name, ends in found.items()
+    )
     if not good or not found:
         raise BadInput(
             f"{path}: not a normalisation file, which holds min and max of every field; run normalize again"
