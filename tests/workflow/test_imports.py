@@ -14,7 +14,7 @@ from gelforge.flow.files import read_csv, write_csv, write_json, write_text
 from gelforge.flow.params import plain
 from gelforge.formats.export import ros
 from gelforge.formats.feats_folder import import_folder
-from gelforge.formats.featsfile import LabelSample, write_label
+from gelforge.formats.featsfile import FORCE_FIELDS, POSE_FIELDS, LabelSample, read_sample, write_label
 from gelforge.formats.mcap_import import Topics, import_recordings, messages, nearest
 from gelforge.labelling.sensor import load_sensors
 from gelforge.networks.modelfile import load_model
@@ -239,6 +239,35 @@ def test_a_published_dataset_keeps_its_six_splits(tmp_path, sensor):
 def test_files_outside_of_the_splits_are_asked_about(tmp_path, sensor):
     publish_feats(tmp_path / "feats", outside=True)
     with pytest.raises(BadInput, match="lies in none of the folders"):
+        import_folder(tmp_path / "feats", tmp_path / "lab", sensor)
+    assert not (tmp_path / "lab").exists()
+
+
+def publish_raw(folder, split):
+    """Raw samples of the presses that `publish_feats` laid into a folder, without their labels."""
+    for path in sorted(folder.rglob("p*.npy")):
+        raw = {
+            "gs_img": read_sample(path).image,
+            "indenter": "sphere_15",
+            **dict.fromkeys([*POSE_FIELDS, *FORCE_FIELDS], 0.0),
+        }
+        (folder / split).mkdir(exist_ok=True)
+        np.save(folder / split / f"raw_{path.name}", raw, allow_pickle=True)
+
+
+def test_raw_samples_beside_the_splits_leave_them_as_published(tmp_path, sensor):
+    """They come first, and knew of no split: all presses were then split anew, without a word."""
+    publish_feats(tmp_path / "feats")
+    publish_raw(tmp_path / "feats", "raw")
+    import_folder(tmp_path / "feats", tmp_path / "lab", sensor)
+    splits = {row["sample_id"]: row["split"] for row in read_csv(tmp_path / "lab" / "splits.csv")}
+    assert splits == {f"raw_p{k}": SPLITS[k % 6] for k in range(18)}
+
+
+def test_a_press_of_two_splits_is_asked_about(tmp_path, sensor):
+    publish_feats(tmp_path / "feats")
+    publish_raw(tmp_path / "feats", "train")
+    with pytest.raises(BadInput, match="lie in train and"):
         import_folder(tmp_path / "feats", tmp_path / "lab", sensor)
     assert not (tmp_path / "lab").exists()
 

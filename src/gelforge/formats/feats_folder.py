@@ -95,16 +95,21 @@ def import_folder(source: Path, data: Path, sensor) -> dict:
 def published_splits(source: Path, presses: dict) -> list[dict]:
     """sample_id and split of every press where folders directly below `source` are named as splits, else none.
 
-    A dataset as FEATS publishes it lies in train/, val/, test/ and the three of unseen indenters and sensors. Where
-    only some files lie in such folders BadInput is raised: which split the others belong to cannot be told.
+    A dataset as FEATS publishes it lies in train/, val/, test/ and the three of unseen indenters and sensors. A press is of
+    the split that one of its files lies in. Where others lie in none or in two BadInput is raised: which split they
+    belong to cannot be told.
     """
     found, outside = [], []
     for press in presses.values():
-        parts = press["path"].relative_to(source).parts
-        if len(parts) > 1 and parts[0] in SPLITS:
-            found.append({"sample_id": press["row"]["sample_id"], "split": parts[0]})
+        folders = {path.relative_to(source).parts[0] for path in press["files"]}
+        splits = [name for name in SPLITS if name in folders]
+        if len(splits) > 1:
+            name, others = press["row"]["sample_id"], " and ".join(splits)
+            raise BadInput(f"{source}: files with the image of {name} lie in {others}; leave them in one of these")
+        if splits:
+            found.append({"sample_id": press["row"]["sample_id"], "split": splits[0]})
         else:
-            outside.append(press["path"])
+            outside.append(press["files"][0])
     if found and outside:
         raise BadInput(
             f"{outside[0]}: lies in none of the folders {', '.join(SPLITS)}, other files do; move it into one"
@@ -122,7 +127,7 @@ def _take(path, sample, sensor, part, presses, labels) -> None:
     key = hashlib.sha256(np.ascontiguousarray(sample.image).tobytes()).hexdigest()
     if key not in presses:
         name = re.sub(r"[^A-Za-z0-9_-]", "_", path.stem)[:100].lstrip("_-") or "sample"
-        presses[key] = {"path": path, "row": {"sample_id": name, "image": f"images/{name}.png"}, "raw": False}
+        presses[key] = {"files": [], "row": {"sample_id": name, "image": f"images/{name}.png"}, "raw": False}
         target = part / "images" / f"{name}.png"
         target.parent.mkdir(exist_ok=True)
         if target.exists():
@@ -131,11 +136,12 @@ def _take(path, sample, sensor, part, presses, labels) -> None:
             )
         write_png(target, sample.image)
     press = presses[key]
+    press["files"].append(path)
     if isinstance(sample, LabelSample):
         grid = labels.setdefault(sample.label.shape[1:], {})
         if key in grid:
             raise BadInput(
-                f"{path}: has the same image as a label file read before ({press['path']}); remove one of them"
+                f"{path}: has the same image as a label file read before ({press['files'][0]}); remove one of them"
             )
         grid[key] = sample.label.astype(np.float32)
     else:
@@ -144,7 +150,7 @@ def _take(path, sample, sensor, part, presses, labels) -> None:
 
 def _take_raw(path, sample: RawSample, press) -> None:
     if press["raw"]:
-        raise BadInput(f"{path}: has the same image as {press['path']}; remove one of them")
+        raise BadInput(f"{path}: has the same image as {press['files'][0]}; remove one of them")
     press["row"].update(sample.values, time_utc=_time(path.stem))
     press["raw"] = True
 
@@ -162,8 +168,8 @@ def _check_ids(presses, source) -> None:
     for press in presses.values():
         name = press["row"]["sample_id"]
         if name in seen:
-            raise BadInput(f"{source}: {press['path']} and {seen[name]} both become sample {name}; rename one")
-        seen[name] = press["path"]
+            raise BadInput(f"{source}: {press['files'][0]} and {seen[name]} both become sample {name}; rename one")
+        seen[name] = press["files"][0]
 
 
 def _write_grid(path, members, presses) -> None:
