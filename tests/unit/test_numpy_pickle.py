@@ -1,5 +1,6 @@
 """The reader of pickled .npy files: what numpy writes comes back, what is hostile is refused by name."""
 
+import codecs
 import io
 import os
 import pickle
@@ -9,6 +10,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy._core.multiarray import scalar
+from numpy._core.numeric import _frombuffer
 
 from gelforge.errors import BadInput
 from gelforge.formats.numpy_pickle import Refused, parse_pickle, read_npy
@@ -163,6 +166,29 @@ def test_malformed_pickles_are_refused(tmp_path, name):
         parse_pickle(body)
     with pytest.raises(BadInput, match="bomb.npy"):
         read_npy(npy(tmp_path / "bomb.npy", body))
+
+
+HELD = b"a" * 1000
+AGAIN = {
+    "a text that is encoded": lambda: Call(codecs.encode, "a" * 1000, "latin1"),
+    "arrays": lambda: Call(_frombuffer, HELD, np.dtype("f8"), (125,), "C"),
+    "texts": lambda: Call(scalar, np.dtype("S1000"), HELD),
+}
+
+
+@pytest.mark.parametrize("name", AGAIN)
+def test_what_makes_more_of_the_same_bytes_than_there_are_is_refused(name):
+    """A file of 20 MB took all memory so: a few instructions name them again."""
+    bomb = pickle.dumps([AGAIN[name]() for _ in range(10)], 4)
+    assert len(bomb) < 3000
+    with pytest.raises(Refused, match="again and again"):
+        parse_pickle(bomb)
+    assert len(parse_pickle(pickle.dumps([AGAIN[name]()], 4))[0]) > 0
+
+
+def test_changeable_bytes_are_copied_once():
+    found = parse_pickle(pickle.dumps([bytearray(b"raw")] * 3, 5))
+    assert found == [b"raw"] * 3 and found[0] is found[2]
 
 
 def test_a_memo_index_of_two_milliards_costs_no_memory(tmp_path):

@@ -156,6 +156,21 @@ LITERALS = {
 SKIPPED = {"PROTO", "FRAME"}
 
 
+class _Allowance:
+    """Bytes that may still be made of a pickle: as many as it has, because an honest one writes those of each array.
+
+    One that names the same bytes in every array would fill the memory with few instructions.
+    """
+
+    def __init__(self, most: int):
+        self.left = most
+
+    def take(self, size: int) -> None:
+        self.left -= size
+        if self.left < 0:
+            raise Refused("the same bytes again and again, which would fill the memory")
+
+
 class _Machine:
     """The stack machine; one method per kind of instruction."""
 
@@ -163,6 +178,7 @@ class _Machine:
         self.stack, self.memo = [], {}
 
     def run(self, data: bytes):
+        self.bytes = _Allowance(len(data))
         stream = io.BytesIO(data)
         for count, (opcode, argument, _) in enumerate(pickletools.genops(stream)):
             if count == MOST_INSTRUCTIONS:
@@ -303,7 +319,10 @@ class _Machine:
         arguments, function = self.pop(), self.pop()
         if not isinstance(function, _Name) or function.make is None or not isinstance(arguments, tuple):
             raise Refused(f"a call of {getattr(function, 'text', type(function).__name__)}")
-        self.stack.append(function.make(*arguments))
+        made = function.make(*arguments)
+        if isinstance(made, bytes):
+            self.bytes.take(len(made))
+        self.stack.append(made)
 
     def do_build(self, _):
         state = self.pop()
@@ -315,14 +334,14 @@ class _Machine:
 class _Finisher:
     """Turns what the machine left into arrays and plain containers; shared parts once, cycles never."""
 
-    def __init__(self):
-        self.done, self.open = {}, set()
+    def __init__(self, most: int):
+        self.done: dict[int, tuple] = {}
+        self.open: set[int] = set()
+        self.bytes = _Allowance(most)
 
     def __call__(self, item, depth=0):
         if item is None or isinstance(item, (bool, int, float, str, bytes)):
             return item
-        if isinstance(item, bytearray):
-            return bytes(item)
         if id(item) in self.done:
             return self.done[id(item)][1]
         if id(item) in self.open:
@@ -336,6 +355,8 @@ class _Finisher:
         return result
 
     def _build(self, item, depth):
+        if isinstance(item, bytearray):
+            return bytes(item)
         if isinstance(item, (list, tuple)):
             return type(item)(self(part, depth) for part in item)
         if isinstance(item, dict):
@@ -360,12 +381,14 @@ class _Finisher:
         kind = item.type.finish()
         if not isinstance(item.data, (bytes, bytearray)) or len(item.data) != size * kind.itemsize:
             raise Refused(f"an array of shape {shape} and type {kind} whose bytes do not fit it")
+        self.bytes.take(len(item.data))
         array = np.frombuffer(bytes(item.data), kind, size).reshape(shape, order="F" if item.fortran else "C")
         return array[()] if item.scalar else array
 
     def _objects(self, item, shape, size, depth):
         if not isinstance(item.data, list) or len(item.data) != size:
             raise Refused(f"an object array of shape {shape} whose items do not fit it")
+        self.bytes.take(size)
         array = np.empty(size, object)
         for at, part in enumerate(item.data):
             array[at] = self(part, depth)
@@ -374,7 +397,7 @@ class _Finisher:
 
 def parse_pickle(data: bytes):
     """Value of a pickle that holds numpy arrays, numpy scalars and plain containers; else Refused."""
-    return _Finisher()(_Machine().run(data))
+    return _Finisher(len(data))(_Machine().run(data))
 
 
 def read_npy(path):
