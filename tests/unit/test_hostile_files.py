@@ -443,10 +443,17 @@ HOSTILE = {
     "infinite weights": tensors(lambda t: t[first(t)].fill_(float("inf"))),
     "weights of another shape": tensors(lambda t: t.update({first(t): torch.zeros(3)})),
     "weights of half precision": tensors(lambda t: t.update({first(t): t[first(t)].half()})),
+    "weights that are sparse": tensors(lambda t: t.update({first(t): t[first(t)].to_sparse()})),
+    "weights without numbers": tensors(lambda t: t.update({first(t): t[first(t)].to("meta")})),
+    "weights in training": tensors(lambda t: t.update({first(t): torch.nn.Parameter(t[first(t)])})),
+    "a reader's weights that are sparse": lambda m: m.update(
+        dots={name: value.float().to_sparse() for name, value in m["dots"].items()}
+    ),
     "a weight too few": tensors(lambda t: t.pop(first(t))),
     "a weight too many": tensors(lambda t: t.update(extra=torch.zeros(1))),
     "weights that are none": lambda m: m.update(tensors=[1, 2]),
     "pictures that are none": lambda m: m.update(untouched={"mini_a": torch.zeros(9, dtype=torch.uint8)}),
+    "pictures that are sparse": lambda m: m.update(untouched={"a": torch.zeros(9, dtype=torch.uint8).to_sparse()}),
     "pictures that are a list": lambda m: m.update(untouched=[1]),
     "pictures of another size": lambda m: m.update(untouched={"mini_a": encode(np.zeros((8, 9, 3), np.uint8))}),
 }

@@ -140,6 +140,16 @@ def check_about(about: Any, where: str) -> None:
         )
 
 
+def holds_numbers(value: Any) -> bool:
+    """Whether a value is a tensor with numbers of its own in memory, as training saves them: not sparse, empty or traced."""
+    return (
+        isinstance(value, torch.Tensor)
+        and value.layout == torch.strided
+        and value.device.type == "cpu"
+        and not value.requires_grad
+    )
+
+
 def check_tensors(make: Callable[[], torch.nn.Module], tensors: Any, where: str) -> None:
     """Raise BadInput unless the tensors are finite and those of the network that `make` makes, which costs no memory yet."""
     try:
@@ -153,8 +163,11 @@ def check_tensors(make: Callable[[], torch.nn.Module], tensors: Any, where: str)
         raise BadInput(f"{where}: the tensors do not fit the network it describes ({', '.join(odd)}); train it again")
     for name, like in wanted.items():
         tensor = tensors[name]
-        if not isinstance(tensor, torch.Tensor) or tensor.shape != like.shape or tensor.dtype != like.dtype:
-            seen_as = f"{tensor.dtype} {tuple(tensor.shape)}" if isinstance(tensor, torch.Tensor) else type(tensor)
+        plain = holds_numbers(tensor)
+        if not plain or tensor.shape != like.shape or tensor.dtype != like.dtype:
+            seen_as = (
+                f"{tensor.dtype} {tuple(tensor.shape)}" if plain else f"a {type(tensor).__name__} without numbers"
+            )
             raise BadInput(
                 f"{where}: the tensors do not fit the network it describes ({name} is {seen_as}, not {like.dtype}"
                 f" {tuple(like.shape)}); train it again"

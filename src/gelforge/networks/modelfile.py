@@ -19,7 +19,7 @@ from gelforge.networks.batches import images_to_tensor
 from gelforge.networks.dotreader import DotReader
 from gelforge.networks.halves import as_floats, halved
 from gelforge.networks.inputs import needs_untouched, network_input
-from gelforge.networks.modelcheck import check_about, check_pictures, check_tensors
+from gelforge.networks.modelcheck import check_about, check_pictures, check_tensors, holds_numbers
 from gelforge.networks.models import GridNet, build
 from gelforge.networks.placereader import PlaceReader
 from gelforge.networks.unrolled import Unrolled
@@ -205,7 +205,7 @@ def restored(make: Callable[[], Net], tensors: Any, digest: str, where: str) -> 
 def read_pictures(pictures, where: str) -> dict[str, np.ndarray]:
     """Pictures (h, w, 3) uint8 RGB of untouched sensors by name, from the bytes that `encode` made."""
     good = isinstance(pictures, dict) and all(
-        isinstance(name, str) and isinstance(data, torch.Tensor) and data.dtype == torch.uint8 and data.ndim == 1
+        isinstance(name, str) and holds_numbers(data) and data.dtype == torch.uint8 and data.ndim == 1
         for name, data in pictures.items()
     )
     if not good:
