@@ -22,6 +22,7 @@ from gelforge.commands.projection import read_picture
 from gelforge.errors import BadInput, GelforgeError, printable
 from gelforge.formats.numpy_pickle import read_npy
 from gelforge.networks.modelfile import encode, load_model
+from gelforge.networks.models import build
 from gelforge.networks.statistics import LIMITS
 from gelforge.records import log
 from gelforge.records.image import bad_image, read_image
@@ -467,6 +468,19 @@ def test_a_hostile_model_is_refused_in_a_sentence(tmp_path, model, name):
     torch.save(changed | {"about": json.dumps(changed["about"])}, path)
     with pytest.raises(BadInput, match=r"m\.pt: .*(it again|the model again)$"):
         load_model(path)
+
+
+def test_a_model_larger_than_its_file_is_refused_before_it_is_built(tmp_path, model):
+    """The weights of a wide network, all of them one number: 2 MB that would take 3 GB of memory."""
+    changed = dict(model, about=dict(model["about"], model={**model["about"]["model"], "width": 400, "blocks": 64}))
+    told = changed["about"]
+    with torch.device("meta"):
+        wanted = build(told["model"], told["image"], told["grid"]).state_dict()
+    changed["tensors"] = {name: torch.zeros((), dtype=like.dtype).expand(like.shape) for name, like in wanted.items()}
+    torch.save(changed | {"about": json.dumps(told)}, tmp_path / "m.pt")
+    assert (tmp_path / "m.pt").stat().st_size < 3e6
+    with pytest.raises(BadInput, match="no model may take 2 GiB"):
+        load_model(tmp_path / "m.pt")
 
 
 @pytest.mark.parametrize("name", LIMITS[1:])

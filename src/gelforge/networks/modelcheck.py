@@ -15,6 +15,8 @@ from gelforge.records.axes import CHANNELS
 from gelforge.records.networkkind import KINDS, kind_of
 
 MOST_SIDE = 4096
+# Of a model's file, and of its network: a file of a few bytes may say that all numbers of a large tensor are the same.
+MOST_BYTES = 2**31
 ABSENT = object()  # what a description does not say; null is something that it says
 
 
@@ -157,6 +159,8 @@ def check_tensors(make: Callable[[], torch.nn.Module], tensors: Any, where: str)
             wanted = make().state_dict()
     except BadInput as error:
         raise BadInput(f"{where}: its network cannot be built ({error}); train the model again") from None
+    if (size := sum(like.nbytes for like in wanted.values())) > MOST_BYTES:
+        raise BadInput(f"{where}: its network takes {size >> 20} MiB, no model may take 2 GiB; train the model again")
     if not isinstance(tensors, dict) or set(tensors) != set(wanted):
         seen: Iterable[Any] = tensors if isinstance(tensors, dict) else ()
         odd = sorted(map(str, set(wanted) ^ set(seen)))[:3]

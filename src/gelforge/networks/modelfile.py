@@ -19,7 +19,7 @@ from gelforge.networks.batches import images_to_tensor
 from gelforge.networks.dotreader import DotReader
 from gelforge.networks.halves import as_floats, halved
 from gelforge.networks.inputs import needs_untouched, network_input
-from gelforge.networks.modelcheck import check_about, check_pictures, check_tensors, holds_numbers
+from gelforge.networks.modelcheck import MOST_BYTES, check_about, check_pictures, check_tensors, holds_numbers
 from gelforge.networks.models import GridNet, build
 from gelforge.networks.placereader import PlaceReader
 from gelforge.networks.unrolled import Unrolled
@@ -28,7 +28,6 @@ from gelforge.records.regular import file_fault
 
 FORMAT = 3
 READERS = {"dots": DotReader, "places": PlaceReader}  # small networks beside a network, by their names in its file
-MOST_BYTES = 2**31
 Net = TypeVar("Net", bound=nn.Module)
 
 
