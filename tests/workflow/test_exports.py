@@ -4,7 +4,6 @@ import json
 import os
 import subprocess
 import sys
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -59,13 +58,14 @@ def test_frames_of_a_press_follow_each_other_from_shallow_to_deep(tmp_path):
         assert len({samples.rows[at]["split"] for at in rows}) == 1
 
 
-def test_a_press_that_two_sensors_saw_is_an_episode_of_each(tmp_path):
-    """The pictures of one camera follow each other, not those of two in turn."""
-    samples = lay(tmp_path, 22)
-    seen = [row | {"sensor_id": ("mini_a", "mini_e")[at % 2]} for at, row in enumerate(samples.rows)]
-    episodes = replace(samples, rows=seen).frames_of_presses
-    assert sorted(at for rows in episodes for at in rows) == list(range(22))
-    assert all(len({seen[at]["sensor_id"] for at in rows}) == 1 for rows in episodes)
+@pytest.mark.parametrize("column", ["sensor_id", "press_id"])
+def test_presses_of_one_group_are_episodes_of_their_own(tmp_path, column):
+    """A place pressed by two sensors, or twice, is one group: its frames alternated between both in one episode."""
+    samples = lay(tmp_path, 8)
+    for at, row in enumerate(samples.rows):
+        row |= {"group": str(at // 4), "split": "train", "sensor_id": "mini_a", "press_id": "p"}
+        row[column] = f"{column}_{at // 2 % 2}"
+    assert samples.frames_of_presses == [[0, 1], [2, 3], [4, 5], [6, 7]]
 
 
 def test_splits_of_lerobot_are_runs_of_episodes(tmp_path):

@@ -98,10 +98,14 @@ class Samples:
 
     @cached_property
     def frames_of_presses(self) -> list[list[int]]:
-        """Rows of each press on one sensor, by depth, in the order of their first row; a press has one split."""
+        """Rows of each press, by depth, presses in the order of their first row; a press has one split and one sensor.
+
+        A group holds all that a split must not tear apart: several presses of a place, on several sensors.
+        """
         found: dict[tuple, list[int]] = {}
         for at, row in enumerate(self.rows):
-            key = (row["split"], row["group"] or f"row {at}", row["indenter"], row["sensor_id"])
+            group = row["group"] or f"row {at}"
+            key = (row["split"], group, row["indenter"], row["sensor_id"], row.get("press_id", ""))
             found.setdefault(key, []).append(at)
         return [sorted(rows, key=lambda at: -np.nan_to_num(self.records[at].press.dz_mm)) for rows in found.values()]
 
