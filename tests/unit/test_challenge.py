@@ -126,6 +126,19 @@ def test_what_cannot_be_scored_is_named(folder, tmp_path, columns, rows, says):
     assert done.returncode == 2 and says in done.stderr and "Traceback" not in done.stderr
 
 
+NO_TABLES = {
+    "as a spreadsheet saves it for Unicode": ",".join(COLUMNS).encode("utf-16"),
+    "a cell without end": ",".join(COLUMNS).encode() + b"\n" + b"1" * 200_000,
+}
+
+
+@pytest.mark.parametrize("name", NO_TABLES)
+def test_a_file_that_is_no_table_is_named(folder, tmp_path, name):
+    (tmp_path / "bar.csv").write_bytes(NO_TABLES[name])
+    done, _ = score(folder, tmp_path)
+    assert done.returncode == 2 and "bar.csv: " in done.stderr and "Traceback" not in done.stderr
+
+
 def test_an_empty_submission_is_named(folder, tmp_path):
     done, _ = score(folder, tmp_path)
     assert done.returncode == 2 and "no SCENE.csv" in done.stderr

@@ -25,6 +25,14 @@ class Unusable(Exception):
 
 def read_table(path: Path) -> tuple[tuple[str, str], np.ndarray]:
     """The two columns that say where, and the numbers (n, 5): where and force."""
+    try:
+        return read_rows(path)
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise Unusable(f"{path}: no table of commas in UTF-8 ({error}); save it as such") from error
+
+
+def read_rows(path: Path) -> tuple[tuple[str, str], np.ndarray]:
+    """What `read_table` returns, of a file that is text."""
     with path.open(newline="", encoding="utf-8-sig") as stream:
         reader = csv.DictReader(stream)
         named = set(reader.fieldnames or ())
