@@ -15,6 +15,7 @@ Every picture with a wrench becomes a row of log.csv without a pose, and a label
 of totals train on it: `make train RES=1x1 MODEL=resnet10`.
 """
 
+import math
 from bisect import bisect_left
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -79,19 +80,31 @@ class Topics:
             rotation = np.array(found["rotation"], float)
             square = rotation.shape == (3, 3) and np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3)
             turned = square and np.linalg.det(rotation) > 0  # a mirror would turn the sign of one direction round
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             turned = False
         if not turned:
             raise BadInput(
                 f"{path}: rotation = {found['rotation']!r}; give three rows of three, a rotation (no mirror)"
             )
-        if type(found["touch_n"]) not in (int, float) or not found["touch_n"] >= 0:
+        if not isinstance(found["sensor"], str):
+            raise BadInput(f"{path}: sensor = {found['sensor']!r}; give one name of workflow/sensors.toml")
+        touch, latest = number(found["touch_n"]), number(found["latest_s"])
+        if not touch >= 0:
             raise BadInput(f"{path}: touch_n = {found['touch_n']!r}; give a force in N, 0 or above")
         whole = type(found["every"]) is int and found["every"] >= 1 and found["sign"] in (1, -1)
-        if not whole or not isinstance(found["latest_s"], (int, float)) or not found["latest_s"] > 0:
+        if not whole or not latest > 0:
             raise BadInput(f"{path}: every is a whole number from 1, sign is 1 or -1, latest_s is above 0")
-        return cls(found["image"], found["wrench"], found["sensor"], float(found["latest_s"]), found["every"],
-                   found["sign"], float(found["touch_n"]), rotation)  # fmt: skip
+        return cls(
+            found["image"], found["wrench"], found["sensor"], latest, found["every"], found["sign"], touch, rotation
+        )
+
+
+def number(value: Any) -> float:
+    """A number of the TOML, NaN for what is none; a whole number there may be larger than any float."""
+    try:
+        return float(value) if type(value) in (int, float) else math.nan
+    except OverflowError:
+        return math.nan
 
 
 def wrenches(path: Path, topics: Topics) -> tuple[np.ndarray, np.ndarray]:
