@@ -55,10 +55,11 @@ def solve(
     """
     if not (_finite(c10, nu) and c10 > 0.0 and 0.0 <= nu < 0.5):
         raise BadInput(f"gelforge.solve: c10 = {c10!r} MPa, nu = {nu!r}: give c10 above 0 and nu from 0 to below 0.5")
-    if not (_finite(depth, *at, *shear, rot_deg) and depth >= 0.0):
+    pairs = np.shape(at) == np.shape(shear) == (2,)
+    if not (pairs and _finite(depth, *at, *shear, rot_deg) and depth >= 0.0):
         raise BadInput(
-            f"gelforge.solve: depth = {depth!r}, at = {at!r}, shear = {shear!r}, rot_deg = {rot_deg!r}: give finite numbers, and "
-            "a depth in mm from 0 on, positive into the gel"
+            f"gelforge.solve: depth = {depth!r}, at = {at!r}, shear = {shear!r}, rot_deg = {rot_deg!r}: give finite numbers, two "
+            "of them, along gel x and y, for at and for shear, and a depth in mm from 0 on, positive into the gel"
         )
     from gelforge.geometry.indenters import build
     from gelforge.mechanics.hex.hexsolver import HexSolver
