@@ -15,3 +15,10 @@ $(DATASETS): $D/60_dataset/%/dataset.json: $(LABEL_SOURCE) $(POSES) $D/60_datase
 	$(call step,gelforge.stages.dataset --data $(DATA) --labels $(if $(IMPORTED),$<,$(<D)) --poses $D/10_poses --shards $D/00_plan/shards --catalogue $P/indenters.json --sensors $P/sensors.json --resolution $* --params $P/dataset.json --out $@.part)
 
 $(eval $(call choice,$D/60_dataset/beside.txt,$(BESIDE_DIGEST)))
+
+# Imported labels are other ones where an older file takes their place, and where they come or go.
+define imported
+$D/60_dataset/$(1)/dataset.json: $D/60_dataset/$(1).labels.txt
+$(call choice,$D/60_dataset/$(1).labels.txt,$(if $(IMPORTED),$(shell LC_ALL=C stat -L -c '%.9Y %s' $(DATA)/labels/$(1).npz 2>/dev/null || true)))
+endef
+$(foreach r,$(sort $(RES)),$(if $(IMPORTED)$(wildcard $D/60_dataset/$r.labels.txt),$(eval $(call imported,$r))))

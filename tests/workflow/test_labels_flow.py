@@ -91,6 +91,22 @@ def test_a_dataset_follows_what_lies_beside_its_log(folder):
     assert built(run(folder, "dataset", "RES=4x4")) == target and not built(run(folder, "dataset", "RES=4x4"))
 
 
+def test_a_dataset_follows_labels_that_are_imported(folder):
+    """They come, an older file takes their place, and they go: the dataset is made anew of what there is."""
+    target, labels = {"results/made/60_dataset/4x4/dataset.json"}, folder / "data/made/labels/4x4.npz"
+    run(folder, "feats-export", "RES=4x4")
+    assert make(folder, "DATASET=back", "feats-import", "FROM=results/made/feats/4x4").returncode == 0
+    come = folder / "data/back/labels/4x4.npz"
+    os.utime(come, (1e9, 1e9))
+    labels.parent.mkdir()
+    shutil.copy2(come, labels)
+    assert built(run(folder, "dataset", "RES=4x4")) == target and not built(run(folder, "dataset", "RES=4x4"))
+    os.utime(labels, (9e8, 9e8))
+    assert built(run(folder, "dataset", "RES=4x4")) == target and not built(run(folder, "dataset", "RES=4x4"))
+    shutil.rmtree(labels.parent)
+    assert built(run(folder, "dataset", "RES=4x4")) == target and not built(run(folder, "dataset", "RES=4x4"))
+
+
 def test_resolutions_made_side_by_side_share_their_pictures(folder):
     names = ("4x4", "6x8", "12x16")
     run(folder, "dataset", f"RES={' '.join(names)}", "-j3")
