@@ -12,6 +12,7 @@ from gelforge.commands import predict, sensor
 from gelforge.errors import BadInput
 from gelforge.networks.sensorprofile import (
     Gain,
+    SensorProfile,
     check_same_sensor,
     fit_gain,
     fit_opposite,
@@ -121,6 +122,26 @@ def test_a_profile_comes_back_from_its_file(root, tmp_path):
     larger = cv2.resize(picture, None, fx=1.2, fy=1.2)[24:264, 32:352]
     with pytest.raises(BadInput, match="another sensor, or cropped or scaled"):
         check_same_sensor(found, pitch_of(larger))
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        (f"pitch_px = {10**400}", "not a sensor's profile"),
+        ("pitch_px = -32.0", "not a sensor's profile"),
+        ('untouched = ""', "lies beside"),
+        (r'untouched = "a\u0000.png"', "lies beside"),
+        ('untouched = "../a.png"', "lies beside"),
+    ],
+)
+def test_a_profile_with_a_line_that_cannot_be_is_refused(tmp_path, line, said):
+    path = tmp_path / "a.toml"
+    write_profile(path, SensorProfile("a", "2026-01-01", np.zeros((24, 32, 3), np.uint8), 32.0, Gain(), "m", "n"))
+    key = line.split(" = ")[0]
+    lines = [line if text.startswith(f"{key} = ") else text for text in path.read_text().splitlines()]
+    path.write_text("\n".join(lines))
+    with pytest.raises(BadInput, match=said):
+        read_profile(path)
 
 
 @pytest.mark.parametrize(

@@ -171,11 +171,13 @@ def read_profile(path: Path) -> SensorProfile:
     words = all(isinstance(table.get(key), str) for key in ("name", "model", "network", "untouched"))
     pitch, readings = table.get("pitch_px"), gain.get("readings")
     counted = type(readings) is int and readings >= 0
-    if not (good and words and counted and isinstance(pitch, int | float) and math.isfinite(pitch)):
+    spaced = type(pitch) in (int, float) and 0 <= pitch < 1e4
+    if not (good and words and counted and spaced):
         raise BadInput(f"{path}: not a sensor's profile; make it with `gelforge sensor`")
-    if Path(table["untouched"]).name != table["untouched"]:
-        raise BadInput(f"{path}: untouched = {table['untouched']!r}: name a picture that lies beside the profile")
-    picture = read_image(path.with_name(table["untouched"]), remedy="make the profile again")
+    beside = table["untouched"]
+    if not beside or "\0" in beside or Path(beside).name != beside:
+        raise BadInput(f"{path}: untouched = {beside!r}: name a picture that lies beside the profile")
+    picture = read_image(path.with_name(beside), remedy="make the profile again")
     found = Gain(float(gain["value"]), float(gain["low"]), float(gain["high"]), gain["readings"])
     date = str(table.get("date", ""))
     return SensorProfile(table["name"], date, picture, float(pitch), found, table["model"], table["network"])
