@@ -95,6 +95,7 @@ def test_a_projection_that_folds_within_the_gel_is_refused_in_a_file(tmp_path):
         ("image = [320]", "width, height"),
         ("image = [320, 0]", "width, height"),
         ("projection = 3", "projection"),
+        (f"projection = [[{10**400}, 0, 0], [0, 1, 0], [0, 0, 1]]", "projection"),
         ("projection = [[1, 2], [3, 4]]", "3 x 3"),
         (f"projection = [[1{'0' * 400}, 0, 0], [0, 1, 0], [0, 0, 1]]", "projection"),
         ("image = [", "TOML|sensors"),
