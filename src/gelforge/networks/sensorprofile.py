@@ -171,7 +171,7 @@ def read_profile(path: Path) -> SensorProfile:
     words = all(isinstance(table.get(key), str) for key in ("name", "model", "network", "untouched"))
     pitch, readings = table.get("pitch_px"), gain.get("readings")
     counted = type(readings) is int and readings >= 0
-    spaced = type(pitch) in (int, float) and 0 <= pitch < 1e4
+    spaced = isinstance(pitch, int | float) and not isinstance(pitch, bool) and 0 <= pitch < 1e4
     if not (good and words and counted and spaced):
         raise BadInput(f"{path}: not a sensor's profile; make it with `gelforge sensor`")
     beside = table["untouched"]
@@ -180,7 +180,9 @@ def read_profile(path: Path) -> SensorProfile:
     picture = read_image(path.with_name(beside), remedy="make the profile again")
     found = Gain(float(gain["value"]), float(gain["low"]), float(gain["high"]), gain["readings"])
     date = str(table.get("date", ""))
-    return SensorProfile(table["name"], date, picture, float(pitch), found, table["model"], table["network"])
+    return SensorProfile(
+        table["name"], date, picture, float(table["pitch_px"]), found, table["model"], table["network"]
+    )
 
 
 def untouched_of(path: Path | None, picture: np.ndarray | None, about: dict) -> tuple[np.ndarray | None, float]:
