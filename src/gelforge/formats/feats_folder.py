@@ -102,12 +102,12 @@ def published_splits(source: Path, presses: dict) -> list[dict]:
     found, outside = [], []
     for press in presses.values():
         folders = {path.relative_to(source).parts[0] for path in press["files"]}
-        splits = [name for name in SPLITS if name in folders]
-        if len(splits) > 1:
-            name, others = press["row"]["sample_id"], " and ".join(splits)
+        named = [name for name in SPLITS if name in folders]
+        if len(named) > 1:
+            name, others = press["row"]["sample_id"], " and ".join(named)
             raise BadInput(f"{source}: files with the image of {name} lie in {others}; leave them in one of these")
-        if splits:
-            found.append({"sample_id": press["row"]["sample_id"], "split": splits[0]})
+        if named:
+            found.append({"sample_id": press["row"]["sample_id"], "split": named[0]})
         else:
             outside.append(press["files"][0])
     if found and outside:
