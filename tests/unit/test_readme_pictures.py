@@ -3,6 +3,7 @@
 import re
 from pathlib import Path
 
+from gelforge.flow.files import read_json
 from gelforge.stages.readme import outdated, publish_picture
 
 
@@ -12,6 +13,13 @@ def test_no_picture_is_older_than_its_data(root):
     # what was measured here in its own seconds is another chart, not a newer one
     old = {stem: kept for stem, names in old.items() if (kept := [n for n in names if not n.startswith("results/")])}
     assert not old, f"draw them again: make readme-pictures ({old})"
+
+
+def test_data_of_pictures_are_named_from_the_project(root):
+    """These records are tracked: a path of one machine names nothing on another."""
+    named = [name for path in (root / "results" / "readme").glob("*.json") for name in read_json(path)["data"]]
+    assert named
+    assert not [name for name in named if Path(name).is_absolute()]
 
 
 def test_changed_data_make_a_picture_old(tmp_path, monkeypatch):

@@ -1,5 +1,6 @@
 """Pictures of the README, made from what they show; beside each lies the digest of its data, so that a test can tell."""
 
+import os
 import shutil
 from argparse import Namespace
 from collections.abc import Sequence
@@ -89,7 +90,9 @@ def real(args: Namespace) -> None:
             line[2 * k].imshow(image)
             draw_pressure(line[2 * k + 1], forces[2], most)
             line[2 * k + 1].set_title(f"{-forces[2].sum():.1f} N", fontsize=9)
-    publish_picture(args.out, to_png(figure), [SHIPPED, *args.films])
+    # from the project's root, because the record of the picture is tracked and no machine's
+    films = [os.path.relpath(film) for film in args.films]
+    publish_picture(args.out, to_png(figure), [SHIPPED, *films])
 
 
 @command(
