@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import NormalDist
+from typing import TypeGuard
 
 import numpy as np
 
@@ -164,15 +165,11 @@ def read_profile(path: Path) -> SensorProfile:
     table = read_toml(path)
     gain = table.get("gain")
     gain = gain if isinstance(gain, dict) else {}
-    good = all(
-        isinstance(gain.get(key), int | float) and not isinstance(gain.get(key), bool) and 0 < gain[key] < 1e3
-        for key in ("value", "low", "high")
-    )
+    good = all(_is_number(gain.get(key)) and 0 < gain[key] < 1e3 for key in ("value", "low", "high"))
     words = all(isinstance(table.get(key), str) for key in ("name", "model", "network", "untouched"))
     pitch, readings = table.get("pitch_px"), gain.get("readings")
     counted = type(readings) is int and readings >= 0
-    spaced = isinstance(pitch, int | float) and not isinstance(pitch, bool) and 0 <= pitch < 1e4
-    if not (good and words and counted and spaced):
+    if not (good and words and counted and _is_number(pitch) and 0 <= pitch < 1e4):
         raise BadInput(f"{path}: not a sensor's profile; make it with `gelforge sensor`")
     beside = table["untouched"]
     if not beside or "\0" in beside or Path(beside).name != beside:
@@ -180,9 +177,12 @@ def read_profile(path: Path) -> SensorProfile:
     picture = read_image(path.with_name(beside), remedy="make the profile again")
     found = Gain(float(gain["value"]), float(gain["low"]), float(gain["high"]), gain["readings"])
     date = str(table.get("date", ""))
-    return SensorProfile(
-        table["name"], date, picture, float(table["pitch_px"]), found, table["model"], table["network"]
-    )
+    return SensorProfile(table["name"], date, picture, float(pitch), found, table["model"], table["network"])
+
+
+def _is_number(value: object) -> TypeGuard[int | float]:
+    """Whether a value of a TOML file is a number; true and false are none."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def untouched_of(path: Path | None, picture: np.ndarray | None, about: dict) -> tuple[np.ndarray | None, float]:
