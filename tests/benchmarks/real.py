@@ -317,6 +317,7 @@ def cuboid_figures(reference: Path, trained: Trained, untouched: np.ndarray) -> 
 def main(args: Namespace) -> None:
     if not (args.reference / "gripper_videos").is_dir():
         raise BadInput(f"{args.reference}: real pictures are not there; set GELFORGE_REFERENCE to their folder")
+    torch.set_num_threads(1)  # networks so small are read faster by one, and beside other work far faster
     trained = load_for_use(args.model)
     films = sorted((args.reference / "gripper_videos").glob("*.avi"))
     read = {path.stem: read_film(path, trained) for path in progress(films, "films", len(films))}

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import torch
 
 from gelforge.errors import BadInput
 from gelforge.flow.main import command, option
@@ -63,8 +64,9 @@ class Seen:
 
 @dataclass(frozen=True)
 class Units:
-    """Cameras of unseen units, their untouched pictures, and what each saw."""
+    """The plan's dataset, cameras of its unseen units, their untouched pictures, and what each saw."""
 
+    dataset: str
     cameras: dict[str, Renderer]
     untouched: dict[str, np.ndarray]
     seen: list[Seen]
@@ -87,7 +89,7 @@ def press_units(plan_path: Path, count: int) -> Units:
         bench = Bench(fresh, bodies, gel, Path(folder))
         for order in progress([order for order in orders(fresh) if order.unit == 0], "presses", count):
             seen += see(bench, order, cameras, sensors)
-    return Units(cameras, untouched, seen)
+    return Units(plan.dataset, cameras, untouched, seen)
 
 
 def see(bench: Bench, order: Order, cameras: dict[str, Renderer], sensors: dict[str, Sensor]) -> list[Seen]:
@@ -135,7 +137,9 @@ def interval_figure(units: Units, trained, read: np.ndarray) -> list[Figure]:
     known = trained.about.get("intervals", {})
     if "total" not in known:
         return []
-    others = np.array([seen.unit not in known.get("sensors", []) for seen in units.seen])
+    # units of two datasets may share their names
+    set_on = known["sensors"] if known["data"] == units.dataset else []
+    others = np.array([seen.unit not in set_on for seen in units.seen])
     if not others.any():
         return []
     true = np.array([seen.total for seen in units.seen])
@@ -368,6 +372,7 @@ def flag_figures(units: Units, trained) -> list[Figure]:
     option("--out", type=Path),
 )
 def main(args: Namespace) -> None:
+    torch.set_num_threads(1)  # networks so small are read faster by one, and beside other work far faster
     trained, units = load_for_use(args.model), press_units(args.plan, args.presses)
     readers = {name: Untouched(trained, picture) for name, picture in units.untouched.items()}
     read = np.array([totals(readers[seen.unit], seen.image) for seen in units.seen])

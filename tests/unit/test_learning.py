@@ -199,6 +199,24 @@ def test_a_network_that_goes_on_begins_as_the_one_it_goes_on_from(few, trained):
     assert found.about["start"]["name"] == "small" and "start" not in trained.about["model"]
 
 
+@pytest.mark.parametrize("added", [1, 3])
+def test_a_deeper_network_begins_as_the_one_it_goes_on_from(few, trained, added):
+    deeper = {**SMALL, "blocks": SMALL["blocks"] + added}
+    spoilt = with_values(SETTINGS, epochs=1, learning_rate=1.0, schedule="cosine")
+    begun = train(few, "deeper", deeper, spoilt, start=trained)  # spoilt at once, so what it began as is kept
+    rows, norm = few.splits["test"], trained.about["normalisation"]
+    told = [predict_rows(found.net, few, rows, norm) for found in (begun, trained)]
+    assert np.array_equal(*told)
+    training = Training(deeper, SETTINGS, norm, IMAGE, GRID, "cpu")
+    training.go_on_from(trained.net, few)
+    last = training.net.late[-1].second_norm.weight
+    assert not last.any()
+    training.train_epoch(training.batches(few))
+    assert last.any()
+    with pytest.raises(BadInput, match=f"blocks = {SMALL['blocks']}, there {deeper['blocks']}"):
+        train(few, "shallower", SMALL, SETTINGS, start=begun)
+
+
 def test_a_network_that_goes_on_never_ends_worse_than_it_began(few, trained):
     spoilt = with_values(SETTINGS, epochs=1, learning_rate=1.0, schedule="cosine")
     found = train(few, "tuned", SMALL, spoilt, start=trained)

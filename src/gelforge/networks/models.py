@@ -181,6 +181,18 @@ class GridNet(nn.Module):
             x = block(x + context(x.mean((2, 3)))[:, :, None, None])
         return self.head(x)
 
+    def begin_as(self, weights: dict[str, torch.Tensor], blocks: int) -> None:
+        """Begin with the weights of a network of no more `blocks`: those beyond them change nothing at first.
+
+        A network so deepened reads as the other did before it learns (Chen, Goodfellow and Shlens 2016, section 2.3).
+        """
+        added = [f"{part}.{at}." for part in ("late", "context") for at in range(blocks, len(self.late))]
+        own = {name: value for name, value in self.state_dict().items() if name.startswith(tuple(added))}
+        self.load_state_dict(weights | own)
+        for block, context in zip(self.late[blocks:], self.context[blocks:]):
+            for values in (block.second_norm.weight, context.weight, context.bias):
+                nn.init.zeros_(values)
+
 
 def strides(image, grid) -> list[int]:
     """Split the factor from an image (height, width) to a grid (rows, cols) into strides, the largest first."""
