@@ -33,6 +33,7 @@ if TYPE_CHECKING:  # at run time it would bring torch along
 
 IMAGE, GRID = (240, 320), (24, 32)
 BASELINE, LIGHT = "unet", "pair_24_mirrored"
+SHIPS = "continued"  # as the network that ships is built, which is deeper than LIGHT
 PROBED = 24  # presses of the made-up dataset: three batches an epoch
 ABLATION = ("unet", "unet_single", "resnet34")
 # The paper's shapes that its training never saw; all others that training does not see are of no catalogue.
@@ -67,10 +68,10 @@ def load_workflow() -> tuple[dict, TrainTable]:
 
 
 def speed_figures(models: dict, seconds: float) -> list[Figure]:
-    """How much faster the light net is than the U-net, with one and two threads."""
+    """How much faster the net that ships is than the U-net, with one and two threads."""
     from gelforge.networks.latency import time_models
 
-    readers = {name: untrained_reader(models[name]) for name in (BASELINE, LIGHT)}
+    readers = {name: untrained_reader(models[name]) for name in (BASELINE, SHIPS)}
     image = np.random.default_rng(0).integers(0, 256, (*IMAGE, 3), np.uint8)
     figures = []
     for threads in (1, 2):
@@ -79,12 +80,12 @@ def speed_figures(models: dict, seconds: float) -> list[Figure]:
         spread = {name: f"{timed[name]['p10_ms']:.1f} to {timed[name]['p90_ms']:.1f}" for name in timed}
         figures.append(
             Figure(
-                f"latency of the U-net over that of `{LIGHT}`, {threads} thread(s)",
-                ms[BASELINE] / ms[LIGHT],
+                f"latency of the U-net over that of `{SHIPS}`, {threads} thread(s)",
+                ms[BASELINE] / ms[SHIPS],
                 ">=",
                 5.0,
                 "times",
-                f"{ms[BASELINE]:.1f} ms ({spread[BASELINE]}) against {ms[LIGHT]:.1f} ms ({spread[LIGHT]}), batch 1",
+                f"{ms[BASELINE]:.1f} ms ({spread[BASELINE]}) against {ms[SHIPS]:.1f} ms ({spread[SHIPS]}), batch 1",
             )
         )
     return figures

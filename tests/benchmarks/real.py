@@ -13,6 +13,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import torch
 
 from gelforge.errors import BadInput
 from gelforge.flow.main import command, option

@@ -19,14 +19,14 @@ from gelforge.networks.canonical import match_light
 from gelforge.networks.data import open_data
 from gelforge.networks.dotreader import KEPT, VIEWS, DotPresses, DotReader, DotsOneByOne, train_dot_reader
 from gelforge.networks.dots import COLS, FAR, HOME, ROWS, PrintedDots
-from gelforge.networks.fitting import readers_of_dots
+from gelforge.networks.fitting import meet, readers_of_dots
 from gelforge.networks.goingon import require_scale, scales_before
 from gelforge.networks.halves import rounded
 from gelforge.networks.modelcard import dot_lines, place_lines
 from gelforge.networks.modelfile import Trained, load_model, save_model
 from gelforge.networks.placereader import PlaceReader, PlacesOneByOne
 from gelforge.networks.sensorprofile import fingerprint
-from gelforge.networks.use import Untouched, load_for_use, predict_one
+from gelforge.networks.use import Predicted, Untouched, load_for_use, predict_one
 from gelforge.records.axes import CHANNELS
 from gelforge.records.image import read_image
 from gelforge.records.markers import pitch_of
@@ -250,6 +250,24 @@ def test_dots_that_tell_nonsense_at_most_halve_or_double_a_press(by_dots):
 def test_without_a_press_a_map_stays_what_it_is():
     forces = np.full((3, 24, 32), 1e-5, np.float32)
     assert blend(forces, np.array([1.0, 1.0, -5.0]), [0.5, 0.5, 0.5]) is forces
+
+
+def test_each_part_of_a_dataset_has_as_much_say_in_how_readers_meet():
+    rng = np.random.default_rng(4)
+
+    def part(count, by_picture, by_dots, times=1):
+        """A part on which the readers are off by so much (N), and the same with each picture several times."""
+        labels = rng.uniform(-1, 1, (count, 3, 2, 2))
+        true = labels.sum((2, 3))
+        forces = labels + rng.normal(0, by_picture, true.shape)[:, :, None, None] / 4
+        dots = true + rng.normal(0, by_dots, true.shape)
+        told = [(np.repeat(forces, n, 0), np.repeat(dots, n, 0), np.repeat(labels, n, 0)) for n in (1, times)]
+        return [(Predicted(forces, None, dots, True), labels) for forces, dots, labels in told]
+
+    (many, _), (few, often) = part(300, 0.5, 0.1), part(20, 0.1, 0.9, times=9)
+    one, other, both = (np.array(meet(parts)["weight"]) for parts in ([many], [few], [many, few]))
+    assert (one > 0.8).all() and (other < 0.2).all() and (both < one).all()
+    assert np.array_equal(both, meet([many, often])["weight"])
 
 
 def test_the_better_reader_has_more_say_and_a_contradiction_is_told():

@@ -13,13 +13,16 @@ MOST_FACTOR = 2.0  # by which a map is scaled at most
 APART_NOTHING = {"weight": [0.0, 0.0, 0.0], "apart": {name: [np.inf, 0.0] for name in CHANNELS}}
 
 
-def fit_blend(by_picture: np.ndarray, by_dots: np.ndarray, true: np.ndarray) -> dict:
+def fit_blend(
+    by_picture: np.ndarray, by_dots: np.ndarray, true: np.ndarray, counts: np.ndarray | None = None
+) -> dict:
     """How the totals (n, 3) N of both readers meet best, from presses whose true totals are known.
 
-    weight: of the dots' total in their mean, by component, that leaves the least mean error. apart: half widths, [N,
-    share of the force] by component, of what nine of ten of the readers' differences stay within.
+    counts: (n,) how much each picture counts, all alike if not given. weight: of the dots' total in their mean, by
+    component, that leaves the least mean error. apart: half widths, [N, share of the force] by component, of what nine of
+    ten of the readers' differences stay within.
     """
-    errors = [np.abs((1 - w) * by_picture + w * by_dots - true).mean(axis=0) for w in WEIGHTS]
+    errors = [np.average(np.abs((1 - w) * by_picture + w * by_dots - true), axis=0, weights=counts) for w in WEIGHTS]
     weight = WEIGHTS[np.argmin(errors, axis=0)].tolist()
     mean = (1 - np.array(weight)) * by_picture + np.array(weight) * by_dots
     apart = {}

@@ -1,7 +1,7 @@
 """What is fitted beside a network that reads pairs of pictures: limits of good pairs, readers of dots, intervals."""
 
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -21,7 +21,7 @@ from gelforge.networks.intervals import fit_intervals, tells_intervals
 from gelforge.networks.modelfile import READERS, Trained
 from gelforge.networks.placereader import PlaceReader, train_place_reader
 from gelforge.networks.statistics import RELIEF_MARGIN, pair_evidence, pair_limits, relief
-from gelforge.networks.use import tell_rows
+from gelforge.networks.use import Predicted, tell_rows
 from gelforge.records.markers import pitch_of
 from gelforge.records.splits import TRAINING, VALIDATION
 
@@ -111,8 +111,9 @@ def readers_of_dots(data: Data, settings: TrainingTable) -> tuple[DotReader | No
 def judged(trained: Trained, data: Data) -> dict[str, Any]:
     """What a model's description says of how its two readers meet, and how far what `predict` tells is off.
 
-    Both are set on what `predict` makes of pictures that training did not see, with light, tare and placement. Empty where
-    the network only knows totals.
+    Both are set on what `predict` makes of pictures that training did not see, with light, tare and placement. How the
+    readers meet, pictures of unseen sensors and those of validation decide, each with half the say: the first show few
+    shapes, the second no unseen sensor. Empty where the network only knows totals.
     """
     rows = rows_to_judge_by(data)
     if not len(rows):
@@ -124,12 +125,24 @@ def judged(trained: Trained, data: Data) -> dict[str, Any]:
         return {}
     found = {}
     if told.by_dots is not None:
-        found["dots"] = fit_blend(forces.sum((2, 3), dtype=float), told.by_dots, labels.sum((2, 3), dtype=float))
+        others = np.setdiff1d(data.splits[VALIDATION], rows)
+        beside = [(tell_rows(alone, data, others), data.labels[others])] if len(others) else []
+        found["dots"] = meet([(told, labels), *beside])
         pairs = zip(forces, told.by_dots, strict=True)
         forces = np.stack([blend(one, by_dots, found["dots"]["weight"]) for one, by_dots in pairs])
     sensors = sorted(set(data.names("sensor_id")[rows].tolist()))
     intervals = fit_intervals(forces, labels, data.presses(rows))
     return found | {"intervals": intervals | {"sensors": sensors, "data": data.name, "version": data_version(data)}}
+
+
+def meet(parts: Sequence[tuple[Predicted, np.ndarray]]) -> dict[str, Any]:
+    """How the two readers meet best on parts of a dataset with as much say each; labels (n, 3, rows, cols) N."""
+    parts = [(told, labels) for told, labels in parts if told.by_dots is not None]
+    by_picture = np.concatenate([told.forces.sum((2, 3), dtype=float) for told, _ in parts])
+    by_dots = np.concatenate([told.by_dots for told, _ in parts])
+    true = np.concatenate([labels.sum((2, 3), dtype=float) for _, labels in parts])
+    counts = np.concatenate([np.full(len(labels), 1.0 / len(labels)) for _, labels in parts])
+    return fit_blend(by_picture, by_dots, true, counts)
 
 
 def learnt_pitch(data: Data, start: Trained | None = None) -> dict[str, list[float]]:

@@ -15,7 +15,7 @@ from gelforge.flow.params.schema import Place, parse
 from gelforge.flow.params.slices import ForTrain, read_slice
 from gelforge.flow.params.tables import SHIPPED, TrainingTable, TrainTable
 
-VERSION = 15
+VERSION = 16
 
 
 def read_models(path) -> dict:
