@@ -186,12 +186,14 @@ class GridNet(nn.Module):
 
         A network so deepened reads as the other did before it learns (Chen, Goodfellow and Shlens 2016, section 2.3).
         """
-        added = [f"{part}.{at}." for part in ("late", "context") for at in range(blocks, len(self.late))]
-        own = {name: value for name, value in self.state_dict().items() if name.startswith(tuple(added))}
-        self.load_state_dict(weights | own)
-        for block, context in zip(self.late[blocks:], self.context[blocks:]):
-            for values in (block.second_norm.weight, context.weight, context.bias):
-                nn.init.zeros_(values)
+        added = tuple(f"{part}.{at}." for part in ("late", "context") for at in range(blocks, len(self.late)))
+        own = {name: value for name, value in self.state_dict().items() if name.startswith(added)}
+        silent = {
+            name: torch.zeros_like(value)
+            for name, value in own.items()
+            if name.startswith("context.") or name.endswith(".second_norm.weight")
+        }
+        self.load_state_dict(weights | own | silent)
 
 
 def strides(image, grid) -> list[int]:
