@@ -22,7 +22,8 @@ def scales_before(about: dict[str, Any], model: dict[str, Any], data: Data, norm
     """
     before, name = about["model"], about["name"]
     differ = sorted(key for key in before.keys() | model.keys() if before.get(key) != model.get(key))
-    if differ == ["blocks"] and model["kind"] == "grid" and before["blocks"] < model["blocks"]:
+    both = before.keys() == model.keys()
+    if both and differ == ["blocks"] and model["kind"] == "grid" and before["blocks"] < model["blocks"]:
         differ = []  # a light net can be made deeper
     if differ:
         told = ", ".join(f"{key} = {model.get(key)!r}, there {before.get(key)!r}" for key in differ)
