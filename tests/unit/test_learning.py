@@ -208,7 +208,7 @@ def test_a_deeper_network_begins_as_the_one_it_goes_on_from(few, trained, added)
     told = [predict_rows(found.net, few, rows, norm) for found in (begun, trained)]
     assert np.array_equal(*told)
     training = Training(deeper, SETTINGS, norm, IMAGE, GRID, "cpu")
-    training.go_on_from(trained.net, few)
+    training.go_on_from(trained.net.state_dict(), few)
     last = training.net.late[-1].second_norm.weight
     assert not last.any()
     training.train_epoch(training.batches(few))

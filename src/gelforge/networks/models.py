@@ -181,19 +181,20 @@ class GridNet(nn.Module):
             x = block(x + context(x.mean((2, 3)))[:, :, None, None])
         return self.head(x)
 
-    def begin_as(self, weights: dict[str, torch.Tensor], blocks: int) -> None:
-        """Begin with the weights of a network of no more `blocks`: those beyond them change nothing at first.
 
-        A network so deepened reads as the other did before it learns (Chen, Goodfellow and Shlens 2016, section 2.3).
-        """
-        added = tuple(f"{part}.{at}." for part in ("late", "context") for at in range(blocks, len(self.late)))
-        own = {name: value for name, value in self.state_dict().items() if name.startswith(added)}
-        silent = {
-            name: torch.zeros_like(value)
-            for name, value in own.items()
-            if name.startswith("context.") or name.endswith(".second_norm.weight")
-        }
-        self.load_state_dict(weights | own | silent)
+def begin_as(net: nn.Module, weights: dict[str, torch.Tensor]) -> None:
+    """Let a network begin with the weights of another one, which may be a light net of fewer blocks.
+
+    Blocks of its own change nothing at first, so that it reads as the other did before it learns (Chen, Goodfellow and
+    Shlens 2016, section 2.3).
+    """
+    added = {name: value for name, value in net.state_dict().items() if name not in weights}
+    silent = {
+        name: torch.zeros_like(value)
+        for name, value in added.items()
+        if name.startswith("context.") or name.endswith(".second_norm.weight")
+    }
+    net.load_state_dict(weights | added | silent)
 
 
 def strides(image, grid) -> list[int]:

@@ -149,5 +149,5 @@ def begin(
         norm = scales_before(start.about, model, data, norm)
     training = Training(model, settings, norm, about["image"], about["grid"], about["device"])
     if start is not None:
-        training.go_on_from(start.net, data)
+        training.go_on_from(start.net.state_dict(), data)
     return training

@@ -19,7 +19,7 @@ from gelforge.flow.progress import progress
 from gelforge.networks.batches import Ahead, generator, images_to_tensor, training_batches
 from gelforge.networks.inputs import network_input
 from gelforge.networks.modelfile import read_tensors
-from gelforge.networks.models import GridNet, build
+from gelforge.networks.models import begin_as, build
 from gelforge.records.axes import CHANNELS
 from gelforge.records.networkkind import kind_of
 from gelforge.records.splits import TRAINING, VALIDATION
@@ -146,15 +146,9 @@ class Training:
             "epoch_seconds": [],
         }
 
-    def go_on_from(self, before: torch.nn.Module, data) -> None:
-        """Begin with the weights of another network of the same kind; until an epoch is better, they are the best.
-
-        before: of the same sizes, or a light net of fewer blocks.
-        """
-        if isinstance(self.net, GridNet) and isinstance(before, GridNet):
-            self.net.begin_as(before.state_dict(), len(before.late))
-        else:
-            self.net.load_state_dict(before.state_dict())
+    def go_on_from(self, weights: dict, data) -> None:
+        """Begin with the weights of another network of the same kind; until an epoch is better, they are the best."""
+        begin_as(self.net, weights)
         found = validate(self.net, data, self.norm, self.settings.batch, self.device)
         self.keep({"epoch": 0} | found)
 
