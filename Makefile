@@ -56,5 +56,5 @@ unexport ID TARGET FROM PLAN TOPICS POINTS IMAGE LIKE REFERENCE SLURM_PROFILE FO
 
 .PHONY: help
 help:  ## this list
-	@echo 'make TARGET [DATASET=$(DATASET)] [RES="$(RES)"] [MODEL=$(MODEL)] [EXECUTOR=local|slurm] [SLURM_PROFILE=FILE.toml] [DETACH=1] [JOBS=n] [STRICT=1]'
+	@echo 'make TARGET [DATASET=$(DATASET)] [RES="$(RES)"] [MODEL=NAME] [EXECUTOR=local|slurm] [SLURM_PROFILE=FILE.toml] [DETACH=1] [JOBS=n] [STRICT=1]'
 	@sed -nE 's/^([a-z][a-zA-Z0-9%_-]*):.*  ## (.*)/  \1\t\2/p' Makefile rules/*.mk | expand -t 24

@@ -13,6 +13,9 @@ ifneq ($(call by_hand,MODEL),)
 ifeq ($(filter $(MODELS) shipped,$(MODEL)),)
 $(error MODEL=$(MODEL): no such network; workflow/models.toml has: $(MODELS), and shipped is the one that ships)
 endif
+ifneq ($(and $(filter $(TUNED),$(MODEL)),$(filter-out 24x32,$(RES1))),)
+$(error MODEL=$(MODEL) goes on from the network that ships, whose grid is 24x32: say RES=24x32, or name another network)
+endif
 ifneq ($(and $(filter shipped,$(MODEL)),$(filter train onnx ship,$(MAKECMDGOALS))),)
 $(error MODEL=shipped: the network that ships was trained elsewhere; to $(firstword $(filter train onnx ship,$(MAKECMDGOALS))), name one of $(MODELS))
 endif

@@ -1,6 +1,9 @@
 # Branch: error of the networks against the time one image takes.
 # The networks on the chart: those that exist, or a list: make pareto-models CHARTED="grid_16 unet".
 CHARTED ?= $(LEARNABLE)
+ifneq ($(filter-out $(MODELS),$(CHARTED)),)
+$(error CHARTED names $(filter-out $(MODELS),$(CHARTED)): no such network; workflow/models.toml has: $(MODELS))
+endif
 
 .PHONY: pareto-models
 pareto-models: $D/pareto_models/$(RES1).json  ## accuracy against latency of every network: chart, CSV, JSON

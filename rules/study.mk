@@ -1,6 +1,10 @@
 # Branch study: what a network gains from more presses and from more units. The same network learns from parts of the
 # training presses, as many passes over each: make study STUDIED="presses_250 units_4".
 STUDIED ?= presses_250 presses_500 presses_1000 units_1 units_4 units_12
+WRONG_PARTS := $(strip $(foreach part,$(STUDIED),$(if $(call without,$(patsubst presses_%,%,$(part:units_%=%)),$(DIGITS)),$(part))))
+ifneq ($(WRONG_PARTS),)
+$(error STUDIED names $(WRONG_PARTS): give presses_N or units_N, such as presses_250)
+endif
 STUDY := $D/study/$(RES1)/$(LEARNT)
 # Networks and their evaluations lie in folders of their own: a log and a record are named by a target without its suffix.
 STUDIES := $(STUDIED:%=$(STUDY)/networks/%.pt)

@@ -111,9 +111,7 @@ def test_pictures_and_card_are_written(data, models, tmp_path):
     for name in ("curve", "predictions"):
         assert cv2.imread(str(tmp_path / f"{name}.png")).std() > 5
     assert "virtual rig" in write_card(about, result) and f"dataset {data.name}" in write_card(about, result)
-    over = (
-        f"over presses, but over sensors in a split of {FEWEST_DRAWN} or more of which none is in the training split"
-    )
+    over = f"in a split of {FEWEST_DRAWN} sensors or more, none of which it learnt from, from drawing sensors anew"
     assert over in write_card(about, result) and "interval over presses" not in write_card(about, result)
     left = [{"readings": 5, "factor_percent": 1.62, "factor_between": [0.3, 3.1], "force_n": 0.7, "force_between": [0.4, 1.1],
              "held_percent": 99.6}]  # fmt: skip

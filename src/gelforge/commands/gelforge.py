@@ -29,9 +29,12 @@ HOMES = {"rig": "gelforge.stages.rig"}
 
 def usage(argv) -> int:
     """Print what commands there are; return 0 for whom asked for help, else 2."""
+    asked = bool(argv) and argv[0] in ("-h", "--help")
+    wrong = [f"error: {argv[0]!r} is no command of gelforge; choose one of these"] if argv and not asked else []
     lines = [f"  gelforge {name:11s} {what}" for name, what in COMMANDS.items()]
-    print("\n".join(["usage: gelforge COMMAND …", *lines, "Everything else is a make target: make help."]))
-    return 0 if argv and argv[0] in ("-h", "--help") else 2
+    told = [*wrong, "usage: gelforge COMMAND …", *lines, "Everything else is a make target: make help."]
+    print("\n".join(told), file=sys.stdout if asked else sys.stderr)
+    return 0 if asked else 2
 
 
 def main(argv=None) -> None:

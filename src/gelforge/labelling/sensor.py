@@ -96,7 +96,7 @@ def find_sensor(sensors: dict, name: str, where: str) -> Sensor:
     if name not in sensors:
         raise BadInput(
             f"{where}: sensor {name!r} is not in {SENSOR_TABLES} (they have {', '.join(sorted(sensors))});"
-            " add it there, or correct sensor_id in the log"
+            " add it there, or give one of these"
         )
     return sensors[name]
 

@@ -31,7 +31,8 @@ def listing(values: dict) -> str:
 
 def named(sensors: list[str]) -> str:
     """Names of sensors, or of many how many, the first and the last."""
-    return ", ".join(sensors) if len(sensors) <= FEW else f"{len(sensors)} from {sensors[0]} to {sensors[-1]}"
+    in_order = sorted(sensors, key=lambda name: (len(name), name))
+    return ", ".join(sensors) if len(sensors) <= FEW else f"{len(sensors)} from {in_order[0]} to {in_order[-1]}"
 
 
 def interval_lines(about: dict) -> list[str]:
@@ -178,12 +179,12 @@ def write_card(about: dict, evaluation: dict, figures: Sequence[dict] = (), read
     """
     beside = ""
     if needs_untouched(about["normalisation"]["reads"]):
-        beside = " beside a picture of the same sensor untouched"
+        beside = ", and a picture of the same sensor untouched,"
     lines = [
         f"# Model card: {about['name']}",
         "",
-        f"Reads the contact forces on an optical tactile gel from one image of {about['image'][1]} x "
-        f"{about['image'][0]} pixels (RGB){beside} as a grid of {about['grid'][0]} x {about['grid'][1]} cells in N. "
+        f"Reads one image of an optical tactile sensor, {about['image'][1]} x {about['image'][0]} pixels (RGB){beside} and "
+        f"tells the contact forces on its gel in N on a grid of {about['grid'][0]} x {about['grid'][1]} cells. "
         f"{origin_of(about)}",
         "",
         f"- Network: {listing(about['model'])}; {about['parameters']} parameters.",
@@ -197,8 +198,8 @@ def write_card(about: dict, evaluation: dict, figures: Sequence[dict] = (), read
         *place_lines(about),
         f"- {AXIS_NOTE}",
         "",
-        f"Errors are those on the pictures of dataset {evaluation['judged_on']}. Their intervals are over presses, but"
-        f" over sensors in a split of {FEWEST_DRAWN} or more of which none is in the training split.",
+        f"Errors are those on the pictures of dataset {evaluation['judged_on']}. Their intervals come from drawing"
+        f" presses anew; in a split of {FEWEST_DRAWN} sensors or more, none of which it learnt from, from drawing sensors anew.",
         "",
         *predicted_lines(evaluation),
         "## The network alone: error of total force (mean absolute, N; 95 % interval) and per cell",
@@ -207,7 +208,7 @@ def write_card(about: dict, evaluation: dict, figures: Sequence[dict] = (), read
         "",
         "## What knows less (mean absolute error, N)",
         "",
-        "Guesses that do not look at what a picture shows; a network must be far better.",
+        "Guesses that know no more of a picture than its mean colours; a network must be far better.",
         "",
         *table(["split", "control", *CHANNELS], control_rows(evaluation)),
         "",

@@ -98,9 +98,9 @@ class Untouched:
             self.known = {sensor: trained.untouched[sensor]}
         elif sensor or not trained.untouched:
             raise BadInput(
-                f"model {trained.about['name']} reads a picture against one of the same sensor while nothing touches it, and "
-                f"has none{f' of {sensor}' if sensor else ''}: give it with --untouched PICTURE or --profile FILE (in Python "
-                "untouched=, profile=)"
+                f"this network (trained as {trained.about['name']}) reads a picture against one of the same sensor while "
+                f"nothing touches it, and has none{f' of {sensor}' if sensor else ''}: give it with --untouched PICTURE or "
+                "--profile FILE (in Python untouched=, and profile= of Reader)"
             )
         self.statistics = as_arrays(trained.about["statistics"])
         self.reader_of_dots = None if trained.dots is None else DotsOneByOne(trained.dots)

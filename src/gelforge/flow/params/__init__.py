@@ -7,7 +7,7 @@ its own part.
 import hashlib
 import json
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,9 @@ def read_toml(path: Path | str) -> dict[str, Any]:
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
-        raise BadInput(f"{path}: not found; see README.md for what a dataset and workflow/ must hold") from error
+        raise BadInput(
+            f"{path}: not found; check the name (README.md says what a dataset and workflow/ must hold)"
+        ) from error
     except OSError as error:
         raise BadInput(f"{path}: cannot be read ({error.strerror}); name a TOML file that can") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
@@ -96,7 +98,9 @@ def read_dataset_file(path: Path | str) -> DatasetFile:
     given = read_toml(path)
     for key, value in given.items():
         if key not in DATASET_KINDS:
-            raise BadInput(f"{path}: {key} is read by nothing{nearest(key, DATASET_KINDS)}")
+            tables = {field.name for field in fields(Params)}
+            remedy = f"; write [params.{key}]" if key in tables else nearest(key, DATASET_KINDS)
+            raise BadInput(f"{path}: {key} is read by nothing{remedy}")
         if not isinstance(value, DATASET_KINDS[key]):
             what = "text" if DATASET_KINDS[key] is str else "tables such as [params.fea]"
             raise BadInput(f"{path}: {key} = {value!r}: give {what}")
