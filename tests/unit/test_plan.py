@@ -87,6 +87,15 @@ def test_a_damaged_table_of_shards_is_refused_in_a_sentence(tmp_path, harm):
         write_shards(log.parent, logged_rows(log, None), tmp_path, 4)
 
 
+def test_a_row_without_a_name_is_planned_again_and_again(tmp_path):
+    """Stage 10 rejects it and names the cell; what the plan wrote of it the next plan reads."""
+    log = tmp_path / "log.csv"
+    write_log(log, ["a", "", "b"])
+    for _ in range(2):
+        assert write_shards(log.parent, logged_rows(log, None), tmp_path, 4) == ["0000"]
+    assert [row.cells["sample_id"] for row in read_shard(tmp_path / "shards/0000.csv")] == ["a", "", "b"]
+
+
 def test_damaged_digests_of_pictures_are_made_anew(tmp_path):
     (tmp_path / "a.png").write_bytes(b"picture")
     found = image_digests(tmp_path, {"a.png"}, tmp_path / "pictures.json")
