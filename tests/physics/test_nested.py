@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gelforge.errors import BadInput
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build, load_catalogue
 from gelforge.geometry.touch import width_of
@@ -292,6 +293,24 @@ def test_a_moment_is_the_nearest_point_of_its_path(aside, down, last, expected):
         Scene(Gel(), Material(), BALL, Press(0, 0, 0, *way, -deep)) for way, deep in ((aside, down), (last, 1.0))
     )
     assert moment_of(scene, end) == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("press", "says"),
+    [
+        (Press(0, 0, 0, 0.3, 0, -1.2), "0.2 mm deeper"),
+        (Press(0, 0, -0.1, 0, 0, -1.0), "0.1 mm deeper"),
+        (Press(0, 0, 0, 0.5, 0, -1.0), "0.2 mm farther sideways"),
+    ],
+)
+def test_a_moment_beyond_the_last_one_of_its_press_is_refused(press, says):
+    """The state of the last one would be taken for it without a word."""
+    end = Scene(Gel(), Material(), BALL, Press(0, 0, 0, 0.3, 0, -1.0))
+    with pytest.raises(BadInput, match=f"ends {says} than its last one, .* allowed; give moments in order"):
+        moment_of(replace(end, press=press), end)
+    straight = replace(end, press=Press(0, 0, 0, 0, 0, -1.0))
+    with pytest.raises(BadInput, match="0.3 mm farther sideways"):
+        moment_of(end, straight)
 
 
 def test_a_frame_that_gave_way_aside_has_the_force_of_its_own_depth():

@@ -10,10 +10,14 @@ from press_records import log_line, press_record, write_lines
 from pressed_dataset import SETTINGS, collect, label, write_pressed
 
 from gelforge.flow.files import read_csv, write_csv
+from gelforge.geometry.gel import Gel
+from gelforge.geometry.indenters import build
+from gelforge.mechanics.hex.hexsolver import moment_of
+from gelforge.mechanics.scene import Material, Scene
 from gelforge.networks.split import group_presses, split_presses
 from gelforge.records import log
 from gelforge.records.forcefile import ForceFile, SampleForces, write_forces
-from gelforge.records.frames import check_frames, presses_of
+from gelforge.records.frames import NEAR_DEPTH_MM, NEAR_MM, check_frames, presses_of
 from gelforge.records.labelfile import read_labels
 from gelforge.records.press import COLUMNS, parse
 from gelforge.records.solvetable import Solved, read_solves, write_solves
@@ -28,6 +32,7 @@ def frame(at: int, **cells):
 
 
 DOWN = [frame(0, dz_mm=-0.5), frame(1, dz_mm=-1.0), frame(2, dz_mm=-1.5)]
+SPHERE = build("sphere_15", {"kind": "sphere", "diameter": 15, "height": 10})
 ASIDE = [frame(3, dz_mm=-1.5, dx_mm=0.1, dy_mm=0.2), frame(4, dz_mm=-1.5, dx_mm=0.2, dy_mm=0.4)]
 
 
@@ -54,7 +59,8 @@ def test_a_press_goes_down_and_then_sideways():
         ("dy_mm", [*DOWN, *ASIDE, frame(5, dz_mm=-1.5, dx_mm=0.15, dy_mm=0.3)], "goes back"),
         # farther away than before, on the other side of where the press went down
         ("dy_mm", [*DOWN, *ASIDE, frame(5, dz_mm=-1.5, dx_mm=-0.3, dy_mm=-0.6)], "goes back"),
-        ("dy_mm", [*DOWN, *ASIDE, frame(5, dz_mm=-1.5, dx_mm=0.6, dy_mm=-0.8)], "leaves the line"),
+        ("dy_mm", [*DOWN, *ASIDE, frame(5, dz_mm=-1.5, dx_mm=0.6, dy_mm=-0.8)], "goes back"),
+        ("dx_mm", [*DOWN, *ASIDE, frame(5, dz_mm=-1.5, dx_mm=0.8, dy_mm=0.3)], "leaves the line"),
     ],
 )
 def test_a_row_that_is_no_later_moment_is_rejected_alone(column, frames, says):
@@ -87,6 +93,42 @@ def test_every_path_down_and_sideways_is_one_press_and_its_reverse_is_not(down, 
     other = [replace(each, press_id="p2", x0_mm=3.0) for each in path]
     mixed = [each for pair in zip(path, other, strict=True) for each in pair]
     assert check_frames(mixed, "log.csv") == []
+
+
+def filmed(*ways):
+    """Frames at points (dx, dy, dz) of one press."""
+    return [frame(at, dx_mm=dx, dy_mm=dy, dz_mm=dz) for at, (dx, dy, dz) in enumerate(ways)]
+
+
+@given(st.floats(0.001, 0.009), st.floats(0, 6.28))
+@pytest.mark.parametrize("says", ["rises", "deeper after", "goes back", "leaves the line"])
+def test_a_press_that_is_filmed_slowly_may_go_back_no_farther_than_any_other(says, step, angle):
+    """Each step is too small to tell from the one before it; what they come to is not."""
+    far, (x, y) = step * np.arange(1, 101), (np.cos(angle), np.sin(angle))
+    begins, ways = {
+        "rises": ((0, 0, -1), [(0, 0, -1 + rise) for rise in far]),
+        "deeper after": ((0.3 * x, 0.3 * y, -1), [((0.3 + d) * x, (0.3 + d) * y, -1 - d) for d in far]),
+        "goes back": ((x, y, -1), [((1 - back) * x, (1 - back) * y, -1) for back in far]),
+        # a spiral, which leaves its line by less than a hundredth from frame to frame
+        "leaves the line": (
+            (x, y, -1),
+            [((1 + d) * np.cos(angle + d), (1 + d) * np.sin(angle + d), -1) for d in far],
+        ),
+    }[says]
+    near = NEAR_DEPTH_MM if says == "deeper after" else NEAR_MM
+    wrong = check_frames(filmed(begins, *ways), "log.csv")
+    assert len(wrong) >= (far > near + 0.02).sum() and {says in each.reason for each in wrong} <= {True}
+
+
+@given(st.lists(st.tuples(*[st.floats(-0.02, 0.02)] * 3), max_size=40), st.floats(0, 0.5))
+def test_frames_that_stand_are_moments_of_the_path_to_their_last(steps, aside):
+    """What the log's check lets through no solver refuses."""
+    frames = filmed(*(np.cumsum([(aside, 0, -1), *steps], axis=0)))
+    lost = {wrong.row for wrong in check_frames(frames, "log.csv")}
+    scenes = [
+        Scene(Gel(), Material(), SPHERE, each.press) for each in frames if each.row not in lost and each.dz_mm < 0
+    ]
+    assert all(0.0 < moment_of(scene, scenes[-1]) <= 2.0 for scene in scenes)
 
 
 def test_the_column_is_optional_and_read(tmp_path):

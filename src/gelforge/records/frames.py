@@ -15,6 +15,10 @@ NEAR_MM = 0.01
 NEAR_DEG = 0.05
 # A frame that gives way moves by some hundredths while a press goes sideways.
 NEAR_DEPTH_MM = 0.05
+# By how much a frame that stands may end beyond the last one of its press: places of two rows may differ from the first
+# row's to either side.
+MOST_DEEPER_MM = NEAR_DEPTH_MM + 2.0 * NEAR_MM
+MOST_FARTHER_MM = NEAR_MM
 SAME = ("indenter", "sensor_id", "gel_id")
 PLACE = {"x0_mm": NEAR_MM, "y0_mm": NEAR_MM, "z0_mm": NEAR_MM, "rot_deg": NEAR_DEG}
 
@@ -31,19 +35,21 @@ def check_frames(records: Sequence[PressRecord], file: str) -> list[Rejection]:
     """Rejections of rows that are no later moment of the press whose press_id they have.
 
     The first row of a press stands; each later one must have its indenter, sensor, gel, place and rotation, and lie
-    further along its path than the row before it that stands.
+    further along its path than every row before it that stands.
     """
     wrong = []
     for press in presses_of(records):
-        stands = [press[0]]
-        for frame in press[1:]:
-            fault = _differs(stands[0], frame) or _earlier(stands[-1], frame) or _goes_back(stands[-1], frame)
+        path = np.array([[frame.dx_mm, frame.dy_mm, frame.dz_mm] for frame in press])
+        stands = [0]
+        for at, frame in enumerate(press[1:], 1):
+            last = press[stands[-1]]
+            fault = _differs(press[0], frame) or _earlier(last, frame) or _off_path(path[stands], path[at])
             if fault:
                 column, reason = fault
-                remedy = f"give it another press_id than row {stands[-1].row} has, or correct the cell"
+                remedy = f"give it another press_id than row {last.row} has, or correct the cell"
                 wrong.append(reject(frame, file, column, reason, remedy))
             else:
-                stands.append(frame)
+                stands.append(at)
     return wrong
 
 
@@ -68,22 +74,38 @@ def _earlier(last: PressRecord, frame: PressRecord) -> tuple[str, str] | None:
     return None
 
 
-def _goes_back(last: PressRecord, frame: PressRecord) -> tuple[str, str] | None:
-    """Whether a frame is no later point of the path that the row before it is on."""
-    before, now = (np.array([r.dx_mm, r.dy_mm]) for r in (last, frame))
-    moved, goes = np.hypot(*before), np.hypot(*now)
-    column = "dx_mm" if abs(now[0] - before[0]) >= abs(now[1] - before[1]) else "dy_mm"
-    near = NEAR_DEPTH_MM if goes > NEAR_MM else NEAR_MM
-    if frame.dz_mm > last.dz_mm + near:
-        return "dz_mm", "rises within its press: a press goes down, then sideways"
-    if moved > NEAR_MM and frame.dz_mm < last.dz_mm - near:
-        return "dz_mm", "goes deeper after the press moved sideways: a press goes down, then sideways"
-    if goes < moved - NEAR_MM:
-        return column, "goes back within its press: a press moves sideways in one direction"
-    if moved > NEAR_MM and abs(before[0] * now[1] - before[1] * now[0]) > NEAR_MM * moved:
-        return column, "leaves the line of its press: a press moves sideways in one direction"
-    if moved > NEAR_MM and before @ now < 0.0:
-        return column, "goes back within its press: a press moves sideways in one direction"
-    if np.linalg.norm(now - before) <= 0.0 and frame.dz_mm == last.dz_mm:
+def _off_path(path: np.ndarray, now: np.ndarray) -> tuple[str, str] | None:
+    """Whether a point (3,) mm is no later one of a path, whose points (n, 3) so far are dx, dy, dz of the rows that stand.
+
+    It is held against how far all of them came: against the last one alone a press that is filmed slowly could go back by
+    steps that are each too small to tell.
+    """
+    fault = _depth_fault(path, now) or _sideways_fault(path[:, :2], now[:2])
+    if fault is None and (now == path[-1]).all():
         return "dz_mm", "is the same point of the path as the row before it"
+    return fault
+
+
+def _depth_fault(path: np.ndarray, now: np.ndarray) -> tuple[str, str] | None:
+    aside = np.hypot(path[:, 0], path[:, 1]) > NEAR_MM
+    near = NEAR_DEPTH_MM if np.hypot(now[0], now[1]) > NEAR_MM else NEAR_MM
+    if now[2] > path[:, 2].min() + near:
+        return "dz_mm", "rises within its press: a press goes down, then sideways"
+    if aside.any() and now[2] < path[aside][0, 2] - near:
+        return "dz_mm", "goes deeper after the press moved sideways: a press goes down, then sideways"
+    return None
+
+
+def _sideways_fault(ways: np.ndarray, now: np.ndarray) -> tuple[str, str] | None:
+    farthest = ways[np.argmax(np.hypot(*ways.T))]
+    moved, goes = np.hypot(*farthest), np.hypot(*now)
+    if moved <= NEAR_MM:
+        return None
+    column = "dx_mm" if abs(now[0] - farthest[0]) >= abs(now[1] - farthest[1]) else "dy_mm"
+    if now @ farthest < (moved - NEAR_MM) * moved:
+        return column, "goes back within its press: a press moves sideways in one direction"
+    # the line of the press is told best by its farthest point, and all others must lie on it
+    x, y = now / goes if goes > moved else farthest / moved
+    if np.abs(np.vstack([ways, now]) @ [-y, x]).max() > NEAR_MM:
+        return column, "leaves the line of its press: a press moves sideways in one direction"
     return None

@@ -33,7 +33,7 @@ from gelforge.records.log import (
 )
 from gelforge.records.press import SENSOR_TABLES, LoggedPress, PosedPress, RawRow, Rejection, parse, reject
 
-VERSION = 3
+VERSION = 4
 # A force sensor that drifted reads a light press as a small pull; beyond this the sign is turned round.
 LARGEST_PULL_N = 0.5
 
