@@ -1,6 +1,8 @@
 """Whatever happens to the bytes of a file, its reader gives it or refuses it in a sentence; nothing else escapes."""
 
 import io
+import zipfile
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -13,6 +15,8 @@ from gelforge.errors import BadInput
 from gelforge.formats.export import ros
 from gelforge.formats.mcap_import import Topics, messages, picture, wrenches
 from gelforge.formats.numpy_pickle import read_npy
+from gelforge.labelling.grid import Grid
+from gelforge.labelling.operator import Operator
 from gelforge.networks.modelfile import load_model
 from gelforge.records.forcefile import ForceFile, SampleForces, write_forces
 from gelforge.records.image import read_image
@@ -20,13 +24,16 @@ from gelforge.records.labelfile import read_labels
 from gelforge.records.log import read_log, read_poses, rejected_rows
 from gelforge.records.predictionfile import read_predictions, write_predictions
 from gelforge.records.press import COLUMNS, parse
+from gelforge.records.rowfile import RowFile
 from gelforge.records.samplefile import read_samples
 from gelforge.records.solvetable import Solved, read_solves, write_solves
 from gelforge.records.status import Status
+from gelforge.stages.forces import read_sample
 
 PICTURE = np.random.default_rng(1).integers(0, 255, (24, 32, 3), np.uint8)
 LABELS = {"sample_id": np.array(["a", "b"]), "status": np.array(["OK", "OK"]), "outside": np.zeros((2, 3)),
           "label": np.zeros((2, 3, 2, 2), np.float32), "c10": np.float64(0.07)}  # fmt: skip
+SURFACE = SimpleNamespace(surface_nodes=np.arange(3))
 LOG = "\n".join([",".join(COLUMNS), *(log_line(sample_id=f"s{k}", fz_n=-1.0 - k) for k in range(6))]) + "\n"
 
 
@@ -37,6 +44,15 @@ def log_rows(path):
 def forces(path):
     with ForceFile(path) as file:
         return file.sample(0, np.arange(3)), file.node, file.force, file.surface_ptr, file.displacement
+
+
+def solved(path):
+    """What stage 40 makes of a solve's output; where that is damaged, a status and a reason of one sentence."""
+    solve = Solved("a", Status.OK, "", "hex", "m", path.name, (0.0, 0.1, -1.0), {})
+    sample, reason = read_sample(solve, path.parent, lambda _: SURFACE, None)
+    if sample.status != "OK":
+        raise BadInput(reason)
+    return sample.force
 
 
 def recording(path) -> None:
@@ -85,6 +101,11 @@ def whole(tmp_path_factory, root):
     found["solves"] = (folder / "s.csv").read_bytes(), [read_solves]
     np.save(folder / "x.npy", np.array({"gs_img": PICTURE, "f_x": 1.5}, object), allow_pickle=True)
     found["npy"] = (folder / "x.npy").read_bytes(), [read_npy]
+    np.save(folder / "rows.npy", np.arange(12.0).reshape(4, 3))
+    found["rows"] = (folder / "rows.npy").read_bytes(), [lambda path: RowFile(path)[:]]
+    Operator(Grid(2, 2), np.arange(4), np.zeros(3, np.int32), np.ones(3)).save(folder / "o.npz")
+    found["operator"] = (folder / "o.npz").read_bytes(), [Operator.load]
+    found["solve"] = archive(np.savez, force=np.ones((3, 3)), displacement=np.zeros((3, 3))), [solved]
     recording(folder / "r.mcap")
     found["mcap"] = (folder / "r.mcap").read_bytes(), [recorded]
     found["log"] = LOG.encode(), [log_rows, read_poses, read_samples, rejected_rows]
@@ -109,7 +130,23 @@ def damage(data: bytes, draw) -> bytes:
     return data[:at] + behind[how]
 
 
-KINDS = ("png", "jpg", "bmp", "tiff", "labels", "packed", "forces", "predictions", "solves", "npy", "mcap", "log")
+KINDS = (
+    "png",
+    "jpg",
+    "bmp",
+    "tiff",
+    "labels",
+    "packed",
+    "forces",
+    "predictions",
+    "solves",
+    "npy",
+    "rows",
+    "operator",
+    "solve",
+    "mcap",
+    "log",
+)
 
 
 @pytest.mark.parametrize(("kind", "examples"), [*((kind, 150) for kind in KINDS), ("model", 25)])
@@ -128,6 +165,27 @@ def test_a_damaged_file_is_read_or_refused(whole, tmp_path, kind, examples):
                 assert str(error).isprintable() and len(str(error)) < 1000
 
     holds()
+
+
+def unclosed(header: bytes) -> bytes:
+    """A .npy file whose header ends inside its dictionary: where the tokeniser of numpy's parser gives up."""
+    at = header.index(b"(")
+    return header[:at] + header[at:].replace(b")", b" ", 1).replace(b"}", b" ", 1)
+
+
+@pytest.mark.parametrize("kind", ["npy", "rows", "operator", "solve", "labels", "forces"])
+def test_a_header_that_ends_inside_its_dictionary_is_refused(whole, tmp_path, kind):
+    data, readers = whole[kind]
+    path = tmp_path / f"x.{kind}"
+    if data.startswith(b"PK"):
+        with zipfile.ZipFile(io.BytesIO(data)) as old, zipfile.ZipFile(path, "w") as new:
+            for name in old.namelist():
+                new.writestr(name, unclosed(old.read(name)))
+    else:
+        path.write_bytes(unclosed(data))
+    for read in readers:
+        with pytest.raises(BadInput):
+            read(path)
 
 
 def test_whole_files_are_read(whole, tmp_path):

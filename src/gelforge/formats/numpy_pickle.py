@@ -9,23 +9,18 @@ pickletools, protocols 0 to 5; numpy.lib.format for the container.
 import io
 import pickletools
 import re
-import tokenize
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.records.npz import DAMAGED
 from gelforge.records.regular import file_fault
 
 LARGEST_FILE = 2**30
 # A sample of FEATS takes some hundred instructions; each may leave an object of a hundred bytes on the stack.
 MOST_INSTRUCTIONS = 200_000
-# What reading damaged bytes can raise in numpy's header parser, pickletools and here.
-DAMAGED = (
-    OSError, ValueError, EOFError, KeyError, IndexError, TypeError, OverflowError, RecursionError, MemoryError,
-    SyntaxError, tokenize.TokenError,
-)  # fmt: skip
 DEEPEST = 64
 PLAIN_TYPE = re.compile(r"[<>|=]?(b1|[iu][1248]|f[248]|c8|c16|[US][0-9]{1,6})")
 
@@ -420,8 +415,8 @@ def read_npy(path):
             f"{path}: refused, it holds {error}; only numpy arrays, scalars and plain containers are read,"
             " nothing is executed; save the sample again with numpy.save"
         ) from error
-    except DAMAGED as error:
-        raise BadInput(f"{path}: truncated or not a .npy file ({error}); copy it again") from error
+    except (*DAMAGED, IndexError) as error:  # what pickletools and the stack machine raise beyond numpy
+        raise BadInput(f"{path}: truncated or not a .npy file ({str(error)[:200]}); copy it again") from error
 
 
 def _read(stream):

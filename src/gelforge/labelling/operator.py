@@ -11,7 +11,6 @@ towards linear traction, the errors of linear traction and of contact edges are 
 """
 
 import hashlib
-import zipfile
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -25,6 +24,7 @@ from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import Sensor, transform
 from gelforge.mechanics.family import load_mesh, mesh_file
 from gelforge.mechanics.mesh import GelMesh
+from gelforge.records.npz import DAMAGED
 
 VERSION = 1  # of the numbers in an operator file; part of its name
 CORNERS = {"tet10": 3, "hex8": 4}
@@ -93,8 +93,10 @@ class Operator:
         try:
             with np.load(path, allow_pickle=False) as file:
                 return cls(Grid(*map(int, file["grid"])), file["ptr"], file["cell"], file["weight"])
-        except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
-            raise BadInput(f"{path}: not a binning operator ({error}); delete it and run make again") from error
+        except DAMAGED as error:
+            raise BadInput(
+                f"{path}: not a binning operator ({str(error)[:200]}); delete it and run make again"
+            ) from error
 
 
 def assemble(mesh: GelMesh, sensor: Sensor, grid: Grid) -> Operator:

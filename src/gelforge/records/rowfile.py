@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.records.npz import DAMAGED
 
 REMEDY = "remove it and make the dataset again"
 
@@ -15,8 +16,8 @@ def map_array(path: Path) -> np.memmap:
     """Map a .npy file for reading; pickled content is refused."""
     try:
         return np.load(path, mmap_mode="r", allow_pickle=False)
-    except (ValueError, OSError, EOFError) as error:
-        raise BadInput(f"{path}: not a readable .npy array ({error}); {REMEDY}") from None
+    except DAMAGED as error:
+        raise BadInput(f"{path}: not a readable .npy array ({str(error)[:200]}); {REMEDY}") from None
 
 
 class RowFile:

@@ -2,7 +2,6 @@
 
 import gzip
 import json
-import zlib
 from argparse import Namespace
 from collections.abc import Callable
 from dataclasses import replace
@@ -20,6 +19,7 @@ from gelforge.mechanics.family import mesh_loader
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.scene import BALANCE, REFERENCE_C10
 from gelforge.records.forcefile import SampleForces, write_forces
+from gelforge.records.npz import DAMAGED
 from gelforge.records.solvetable import Solved, damaged, read_record, read_solves
 from gelforge.records.status import Status
 
@@ -71,8 +71,8 @@ def read_sample(
         else:
             with np.load(path, allow_pickle=False) as file:
                 force, displacement = file["force"], file["displacement"]
-    except (OSError, EOFError, ValueError, KeyError, zlib.error) as error:
-        status, reason = Status.UNREADABLE, f"{path}: {error}"
+    except DAMAGED as error:
+        status, reason = Status.UNREADABLE, f"{path}: {str(error)[:200]}"
     if not status.valid:
         return SampleForces.failed(solve.sample_id, status.name, solve.mesh, solve.press_id), reason
     top = mesh.surface_nodes
