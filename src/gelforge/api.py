@@ -126,7 +126,8 @@ class ForceReading:
     model knows none. flag: True where something is wrong with the pictures, and `reason` says what. by_dots: (3,) what the
     motion of the printed dots tells by itself, whatever the light; None where the gel has none, or the network no reader
     of them. edge_share: share of the normal force at the picture's edge; a large one tells that what touches goes on beyond
-    the picture, and total is a part of its force only. It is NaN where the model only knows totals.
+    the picture, and total is a part of its force only. It is NaN where the map has fewer than three rows or columns, as
+    that of a model that only knows totals.
     """
 
     cells: np.ndarray

@@ -369,7 +369,7 @@ def test_totals_are_written_with_what_is_known_of_them():
     assert total["grid_z_n"] == -7.0 and total["edge_share"] is None  # one cell is no edge
 
 
-@pytest.mark.parametrize("grid", [(12, 16), (24, 32), (48, 64), (2, 2)])
+@pytest.mark.parametrize("grid", [(12, 16), (24, 32), (48, 64), (3, 3)])
 def test_what_touches_beyond_the_picture_shows_at_its_edge(grid):
     rows, cols = grid
     forces = np.zeros((3, *grid))
@@ -380,7 +380,13 @@ def test_what_touches_beyond_the_picture_shows_at_its_edge(grid):
     forces[2, :, 0] = 5.0  # what pulls is no press
     assert edge_share(forces) == 1.0
     forces[2, rows // 2, cols // 2] -= 3.0
-    assert edge_share(forces) == (0.25 if rows > 2 else 1.0)
+    assert edge_share(forces) == 0.25
+
+
+@pytest.mark.parametrize("grid", [(1, 1), (2, 2), (2, 32), (24, 1)])
+def test_a_map_that_is_all_edge_tells_nothing_of_it(grid):
+    forces = np.full((3, *grid), -1.0)
+    assert np.isnan(edge_share(forces)) and total_columns(forces, None, None)["edge_share"] is None
 
 
 @pytest.fixture(scope="module")

@@ -30,9 +30,10 @@ def total_columns(
 def edge_share(forces: np.ndarray) -> float:
     """Share of the normal force of forces (3, rows, cols) N that lies at the picture's edge; 0 where hardly anything presses.
 
-    A large one tells that what touches goes on beyond the picture. NaN of one cell, the total, which has no edge.
+    A large one tells that what touches goes on beyond the picture. NaN of fewer than three rows or columns, which
+    are nothing but edge.
     """
-    if forces.shape[1:] == (1, 1):
+    if min(forces.shape[1:]) < 3:
         return np.nan
     pressed = np.maximum(-forces[2].astype(float), 0.0)
     rows, cols = (max(1, round(EDGE * count)) for count in pressed.shape)
