@@ -10,8 +10,13 @@ STUDY := $D/study/$(RES1)/$(LEARNT)
 STUDIES := $(STUDIED:%=$(STUDY)/networks/%.pt)
 JUDGED := $(STUDIED:%=$(STUDY)/evaluations/%.json)
 
-.PHONY: study
+.PHONY: study study-with-others
 study: $(STUDY)/study.json  ## error of one network against the presses and units it learnt from, STUDIED="presses_250 units_4": chart, CSV, JSON
+
+# The network of all presses would have learnt from other datasets too, and those of parts from none. A recipe refuses: make
+# may have read an old plan, which it makes anew before it runs one.
+study-with-others:
+	$(error [train] also = $(LEARN_ALSO): a study compares parts of one dataset with all of it, and these others would be in its whole alone; set [params.train] also = [] in $(DATA)/dataset.toml)
 
 $(STUDIES): $(STUDY)/networks/%.pt: $D/60_dataset/$(RES1)/dataset.json $P/models/$(LEARNT).json $P/train.json
 	$(call step,gelforge.stages.train --dataset $(<D) --model $(LEARNT) --part $* --models $P/models/$(LEARNT).json --params $P/train.json --out $@.part)
@@ -21,7 +26,7 @@ $(if $(filter $(TUNED),$(LEARNT)),$(STUDIES)): $(SHIPPED).pt
 $(JUDGED): $(STUDY)/evaluations/%.json: $(STUDY)/networks/%.pt $D/60_dataset/$(RES1)/dataset.json $P/evaluate.json
 	$(call step,gelforge.stages.evaluate --dataset $(dir $(word 2,$^)) --model $< --params $P/evaluate.json --out $@.part)
 
-$(STUDY)/study.json: $D/80_evaluate/$(RES1)/$(LEARNT).json $(JUDGED) $P/study.json $(STUDY)/choice.txt
+$(STUDY)/study.json: $(if $(LEARN_ALSO),study-with-others) $D/80_evaluate/$(RES1)/$(LEARNT).json $(JUDGED) $P/study.json $(STUDY)/choice.txt
 	$(call step,gelforge.stages.study --whole $< --parts $(JUDGED) --out $@.part)
 
 $(eval $(call choice,$(STUDY)/choice.txt,$(STUDIED)))

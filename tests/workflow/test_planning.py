@@ -158,7 +158,18 @@ def test_other_datasets_are_learnt_from_as_they_lie(labelled, also):
     also("here")
     wanted = make(labelled, "-n", "train", "DATASET=tiny")
     assert wanted.returncode == 0 and "--also results/here/60_dataset/24x32 --model" in wanted.stdout
-    assert "--also" not in make(labelled, "-n", "study", "DATASET=tiny").stdout.split("--part", 1)[1]
+
+
+def test_a_study_of_parts_is_not_compared_with_more_than_their_whole(labelled, also):
+    here = labelled / "results/here/60_dataset/24x32/dataset.json"
+    write_text(here, "{}")
+    also("here")
+    refused = make(labelled, "-n", "study", "DATASET=tiny")
+    assert refused.returncode == 2 and "[train] also = here: a study compares parts of one dataset" in refused.stdout
+    assert "[params.train] also = [] in data/tiny/dataset.toml" in refused.stdout
+    assert "gelforge.stages.train" not in refused.stdout
+    also()
+    assert make(labelled, "-n", "study", "DATASET=tiny").returncode == 0
 
 
 @pytest.mark.parametrize(("name", "said"), [("tiny", "names the dataset itself"), ("a b", "also")])
