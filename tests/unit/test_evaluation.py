@@ -19,9 +19,16 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, read_json, write_csv, write_json
 from gelforge.networks import use
 from gelforge.networks.data import data_version, open_data, rows_to_judge_by
-from gelforge.networks.evaluation import FEWEST_DRAWN, another_of_each, evaluate, fitted_rows, what_errs_alike
-from gelforge.networks.metrics import slope
+from gelforge.networks.evaluation import (
+    FEWEST_DRAWN,
+    another_of_each,
+    evaluate,
+    fitted_rows,
+    what_errs_alike,
+)
+from gelforge.networks.metrics import error_table, slope
 from gelforge.networks.modelcard import write_card
+from gelforge.networks.training import predict_rows
 from gelforge.records.axes import CHANNELS
 from gelforge.records.predictionfile import read_predictions
 from gelforge.reporting.networkcharts import draw_curve, draw_predictions
@@ -201,10 +208,40 @@ def test_the_error_on_sensors_that_training_never_saw_is_as_uncertain_as_they_di
         table[row] = replace(table[row], press=replace(table[row].press, sensor_id=f"other{n % sensors}"))
     other = replace(data, table=table)
     assert len(unseen) > sensors
-    alike = what_errs_alike(other, unseen)
+    alike = what_errs_alike(other, unseen, {"mini0"})
     assert len(set(alike)) == (drawn or len(set(other.presses(unseen))))
     test = data.splits["test"]
-    assert np.array_equal(what_errs_alike(other, test), other.presses(test))
+    assert np.array_equal(what_errs_alike(other, test, {"mini0"}), other.presses(test))
+
+
+def test_sensors_are_drawn_whole_where_a_network_learnt_from_other_data_or_sensors(data, models):
+    """The training presses of the dataset that judges it are nothing that it learnt from."""
+    table = [
+        replace(one, press=replace(one.press, sensor_id=f"unit{n % FEWEST_DRAWN}"))
+        for n, one in enumerate(data.table)
+    ]
+    other, trained = replace(data, table=table), models["small"]
+    name, rows = next((name, rows) for name, rows in other.splits.items() if name != "train" and len(rows))
+    units = sorted(set(other.names("sensor_id").tolist()))
+    here = trained.about | {"known_sensors": units, "sensors": units}
+    elsewhere = here | {"data": here["data"] | {"version": "another"}}
+
+    def interval(about: dict) -> tuple[float, float]:
+        found = evaluate(other, replace(trained, about=about), EVALUATE)[0]["splits"][name]["total"]["grid_z"]
+        return found["mae_low"], found["mae_high"]
+
+    def drawing(alike) -> tuple[float, float]:
+        forces = predict_rows(trained.net, other, rows, here["normalisation"])
+        error = forces.sum((2, 3), dtype=np.float64) - other.totals(rows)
+        drawn = error_table(error, np.random.default_rng(EVALUATE.seed), EVALUATE.bootstrap, alike=alike)["grid_z"]
+        return drawn["mae_low"], drawn["mae_high"]
+
+    by_press, by_sensor = drawing(other.presses(rows)), drawing(other.names("sensor_id")[rows])
+    assert by_press != by_sensor
+    assert interval(here) == by_press and interval(elsewhere | {"also": [here["data"]]}) == by_press
+    assert interval(elsewhere) == by_sensor
+    assert interval(here | {"sensors": units[:1]}) == by_press  # of a part of the sensors, which this split has too
+    assert interval(here | {"sensors": ["gone"]}) == by_sensor
 
 
 def test_intervals_are_judged_on_other_pictures_than_they_were_set_on(tmp_path):

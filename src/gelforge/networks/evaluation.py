@@ -69,24 +69,36 @@ def fitted_rows(trained: Trained, data: Data, version: str) -> np.ndarray:
     return rows_to_judge_by(data) if own else np.zeros(0, int)
 
 
-def what_errs_alike(data: Data, rows: np.ndarray) -> np.ndarray:
+def learnt_sensors(trained: Trained, data: Data, version: str) -> set[str]:
+    """Sensors of a dataset of this `version` (networks.data.data_version) whose presses a network learnt from.
+
+    None of a dataset that it did not learn from, and of one that it learnt a part of those of the part alone.
+    """
+    if version not in [one["version"] for one in datasets_of(trained.about)]:
+        return set()
+    training = data.names("sensor_id")[data.splits.get(TRAINING, np.zeros(0, int))]
+    return set(trained.about["sensors"]) & set(training.tolist())
+
+
+def what_errs_alike(data: Data, rows: np.ndarray, learnt: set[str]) -> np.ndarray:
     """What the interval of a mean error over some rows draws whole, (k,): their sensors or their presses.
 
-    It is the sensor where nothing was learnt from any of them and there are FEWEST_DRAWN or more: what matters then is how
-    much sensors differ. Model cards say so.
+    It is the sensor where the network learnt from none of them (`learnt_sensors`) and there are FEWEST_DRAWN or more: what
+    matters then is how much sensors differ. Model cards say so.
     """
-    sensors = data.names("sensor_id")
-    learnt = np.isin(sensors[rows], sensors[data.splits.get(TRAINING, rows[:0])])
-    return data.presses(rows) if learnt.any() or len(set(sensors[rows])) < FEWEST_DRAWN else sensors[rows]
+    sensors = data.names("sensor_id")[rows]
+    seen = set(sensors.tolist())
+    return data.presses(rows) if seen & learnt or len(seen) < FEWEST_DRAWN else sensors
 
 
-def as_predicted(data, rows, trained, fitted, settings: EvaluateTable, force_range, rng) -> dict:
+def as_predicted(data, rows, trained, fitted, alike, settings: EvaluateTable, force_range, rng) -> dict:
     """Errors of what `predict` tells of a split: of totals, with the share that their intervals hold, cells and contacts.
 
-    fitted: rows that the intervals were set on; of their presses the intervals hold by construction.
+    fitted: rows that the intervals were set on; of their presses the intervals hold by construction. alike: (k,) of
+    `what_errs_alike`.
     """
     told = tell_rows(trained, data, rows)
-    wanted, press, alike = data.totals(rows), data.presses(rows), what_errs_alike(data, rows)
+    wanted, press = data.totals(rows), data.presses(rows)
     error = told.forces.sum((2, 3), dtype=np.float64) - wanted
     mapped = told.in_place and told.forces.shape[2:] == data.grid
     apart = ~np.isin(press, data.presses(fitted))  # another sensor's picture of a press errs as its own does
@@ -101,12 +113,11 @@ def as_predicted(data, rows, trained, fitted, settings: EvaluateTable, force_ran
     }
 
 
-def evaluate_split(data, rows, predicted, settings: EvaluateTable, force_range, rng) -> dict:
-    """All tables of one split; `predicted` is (k, 3, rows, cols) in N per cell."""
+def evaluate_split(data, rows, predicted, alike, settings: EvaluateTable, force_range, rng) -> dict:
+    """All tables of one split; `predicted` is (k, 3, rows, cols) in N per cell, `alike` (k,) of `what_errs_alike`."""
     wanted = data.totals(rows)
     totals = predicted.sum((2, 3), dtype=np.float64)
     error = totals - wanted
-    alike = what_errs_alike(data, rows)
     against: dict[str, dict] = {}
     result = {
         "n": len(rows),
@@ -165,7 +176,8 @@ def evaluate(data: Data, trained: Trained, settings: EvaluateTable) -> tuple[dic
     require_fit(trained, data)
     torch.set_num_threads(settings.threads)
     version = data_version(data)
-    splits = judged_splits(data, learnt=version in [one["version"] for one in datasets_of(trained.about)])
+    learnt = learnt_sensors(trained, data, version)
+    splits = judged_splits(data, learnt=bool(learnt))
     rng = np.random.default_rng(settings.seed)
     train_totals = data.totals(data.splits[TRAINING])
     force_range = train_totals.max(0) - train_totals.min(0)
@@ -186,9 +198,12 @@ def evaluate(data: Data, trained: Trained, settings: EvaluateTable) -> tuple[dic
     predictions, fitted = {}, fitted_rows(trained, data, version)
     for name, rows in splits.items():
         predictions[name] = (rows, predict_rows(trained.net, data, rows, about["normalisation"]))
-        split = evaluate_split(data, *predictions[name], settings, force_range, rng)
+        alike = what_errs_alike(data, rows, learnt)
+        split = evaluate_split(data, *predictions[name], alike, settings, force_range, rng)
         paired = trained.needs_untouched
-        split["told"] = as_predicted(data, rows, trained, fitted, settings, force_range, rng) if paired else None
+        split["told"] = (
+            as_predicted(data, rows, trained, fitted, alike, settings, force_range, rng) if paired else None
+        )
         result["splits"][name] = split
     result["tables"] = tables(result)
     return result, predictions
