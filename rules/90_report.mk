@@ -11,7 +11,8 @@ REPORTED := $(RES1) $(MODEL) $(if $(ALSO),$(shell stat -L -c '%n:%Y' $(ALSO)))
 .PHONY: report
 report: $(REPORT)  ## one HTML page: presses, labels, errors, posterior, chart, failures
 
-$(REPORT): $P/report.json $P/sensors.json $(POSES) $(FORCES) $D/50_labels/$(RES1)/labels.json $D/80_evaluate/$(RES1)/$(MODEL).json $(CALIBRATION) $(CHART) $D/90_report/choice.txt
+# The page prints every slice of the parameters; the plan writes them before make reads these rules for good.
+$(REPORT): $P/report.json $(wildcard $P/*.json) $(POSES) $(FORCES) $D/50_labels/$(RES1)/labels.json $D/80_evaluate/$(RES1)/$(MODEL).json $(CALIBRATION) $(CHART) $D/90_report/choice.txt
 	$(call step,gelforge.stages.report --data $(DATA) --results $D --resolution $(RES1) --model $(MODEL) --params $< --out $@.part)
 
 $(eval $(call choice,$D/90_report/choice.txt,$(REPORTED)))

@@ -588,6 +588,21 @@ def rules_of(root):
     return [path.read_text() for path in sorted((root / "rules").glob("*.mk"))]
 
 
+def prerequisites(project, goal, target) -> list[str]:
+    """What make holds a target to depend on, order-only prerequisites left out."""
+    said = make(project, "-pn", "DATASET=tiny", goal).stdout
+    line = re.search(rf"^{re.escape(target)}:(.*)$", said, re.MULTILINE)
+    assert line, said[-2000:]
+    return line[1].split("|")[0].split()
+
+
+def test_the_page_is_made_again_for_every_parameter_that_it_prints(labelled):
+    printed = {str(path.relative_to(labelled)) for path in labelled.glob("results/tiny/00_plan/params/*.json")}
+    assert len(printed) > len(SLICES)  # catalogues, too
+    needed = prerequisites(labelled, "report", "results/tiny/90_report/index.html")
+    assert printed <= set(needed) and needed[0].endswith("/report.json")
+
+
 def test_every_phony_name_does_something(labelled):
     said = make(labelled, "-pn", "DATASET=tiny", "report").stdout
     names = set(re.findall(r"^([a-z][a-z-]*):.*\n(?:#.*\n)*#  Phony target", said, re.MULTILINE))
