@@ -34,13 +34,16 @@ $D/pareto/pareto.json: $(PARETO_FILES)
 $D/pareto/quick.json: $(PARETO_QUICK_FILES)
 	$(call step,gelforge.stages.pareto chart --scenes $^ --note "a small chart; make pareto draws the large one" --out $@.part)
 
-# The scenes and their references as plain files.
+# The scenes and their references as plain files. It writes what its code says and what the scenes' shapes are, and refuses
+# references whose keys are of other methods or of another version of the chart.
 CHALLENGE := results/fea_challenge/challenge.json
+CHALLENGE_CODE := $(addprefix src/gelforge/,stages/challenge.py stages/pareto.py sweeps/challenge.py sweeps/methods.py)
+SHAPES := $(wildcard $(addprefix workflow/,$(shell sed -nE 's/^file *= *["'\'']([^"'\'']+).*/\1/p' workflow/indenters.toml)))
 
 .PHONY: fea-challenge fea-references
 fea-challenge: $(CHALLENGE)  ## the scenes as an open benchmark for any simulator: results/fea_challenge
 
-$(CHALLENGE): workflow/scenes.toml workflow/indenters.toml workflow/sensors.toml workflow/params.toml $(wildcard $(REFERENCES)/*.csv src/gelforge/sweeps/fea_challenge/*) | $(SETUP)
+$(CHALLENGE): workflow/scenes.toml workflow/indenters.toml workflow/sensors.toml workflow/params.toml $(KEPT) $(CHALLENGE_CODE) $(SHAPES) $(wildcard $(REFERENCES)/*.csv src/gelforge/sweeps/fea_challenge/*) | $(SETUP)
 	@$(PY) -m gelforge.stages.challenge write --references $(REFERENCES) --out $(@D)
 
 fea-references: $(PARETO_FILES)  ## the benchmark's references anew from the large chart (hours)

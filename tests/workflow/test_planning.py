@@ -603,6 +603,22 @@ def test_the_page_is_made_again_for_every_parameter_that_it_prints(labelled):
     assert printed <= set(needed) and needed[0].endswith("/report.json")
 
 
+def test_the_open_benchmark_is_written_again_for_what_its_files_and_keys_hold(labelled):
+    keys, catalogue = labelled / "data/fea_challenge/keys.json", labelled / "workflow/indenters.toml"
+    text = catalogue.read_text(encoding="utf-8")
+    write_text(keys, "{}")
+    write_text(catalogue, text + '\n[probe]\nkind = "stl"\nfile = "probe.stl"   # closed, tip down\n')
+    block(labelled / "workflow/probe.stl", 2.0)
+    try:
+        needed = set(prerequisites(labelled, "fea-challenge", "results/fea_challenge/challenge.json"))
+    finally:
+        shutil.rmtree(keys.parent)
+        write_text(catalogue, text)
+        (labelled / "workflow/probe.stl").unlink()
+    code = {f"src/gelforge/{name}.py" for name in ("sweeps/challenge", "stages/pareto", "sweeps/methods")}
+    assert {"data/fea_challenge/keys.json", "workflow/probe.stl", *code} <= needed
+
+
 def test_every_phony_name_does_something(labelled):
     said = make(labelled, "-pn", "DATASET=tiny", "report").stdout
     names = set(re.findall(r"^([a-z][a-z-]*):.*\n(?:#.*\n)*#  Phony target", said, re.MULTILINE))
