@@ -158,6 +158,20 @@ def test_other_datasets_are_learnt_from_as_they_lie(labelled, also):
     also("here")
     wanted = make(labelled, "-n", "train", "DATASET=tiny")
     assert wanted.returncode == 0 and "--also results/here/60_dataset/24x32 --model" in wanted.stdout
+    assert "results/here/60_dataset/24x32/dataset.json" in inputs_of(wanted.stdout, "70_train/24x32/grid_16.pt")
+
+
+@pytest.mark.parametrize(
+    ("model", "target"), [("tuned", "70_train/24x32/tuned.pt"), ("shipped", "80_evaluate/24x32/shipped.json")]
+)
+def test_the_record_of_a_target_names_the_network_that_it_starts_from(labelled, model, target):
+    said = make(labelled, "-n", "evaluate", "DATASET=tiny", f"MODEL={model}").stdout
+    assert "src/gelforge/networks/default.pt" in inputs_of(said, target)
+
+
+def inputs_of(said: str, target: str) -> list[str]:
+    """What a recipe that make printed gives its wrapper as inputs."""
+    return re.search(rf"flow\.step results/tiny/{re.escape(target)} (.*?) -- ", said)[1].split()
 
 
 def test_a_study_of_parts_is_not_compared_with_more_than_their_whole(labelled, also):
