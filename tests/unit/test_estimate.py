@@ -8,11 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from parameters import parameters, slice_of
 
-from gelforge.commands.estimate import later_costs, training, uncalibrated
+from gelforge.commands import estimate
+from gelforge.commands.estimate import later_costs, measured, pilot_presses, training, uncalibrated
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_json, write_json
 from gelforge.flow.forecast import Cost, pilots, presses_an_hour, size, table, wall_seconds
 from gelforge.flow.params import plain
+from gelforge.records.press import RawRow
 
 COSTS = [
     Cost("10_poses", 0.1, bytes_each=10.0),
@@ -135,3 +137,32 @@ def test_pilots_need_no_posterior(tmp_path):
     )
     made = read_json(uncalibrated(tmp_path / "params", tmp_path / "work"))
     assert made["material"]["nu"] == 0.475 and isinstance(made["material"]["c10"], float)
+
+
+def filmed(presses: int, frames: int) -> list[RawRow]:
+    """Rows of presses that end one deeper than the other, shuffled, each seen at moments of equal steps."""
+    rows = [
+        RawRow(row, {"press_id": f"p{press}", "dz_mm": f"{-(press + 1) / presses * (frame + 1) / frames}"})
+        for row, (press, frame) in enumerate((p, f) for p in range(presses) for f in range(frames))
+    ]
+    return [rows[k] for k in np.random.default_rng(2).permutation(len(rows))]
+
+
+def test_pilots_of_a_film_are_whole_presses_of_every_depth():
+    chosen = pilot_presses(filmed(20, 6))
+    assert [len(press) for press in chosen] == [6] * 5
+    ids = [{row.cells["press_id"] for row in press} for press in chosen]
+    assert ids == [{f"p{n}"} for n in (2, 6, 10, 14, 18)]
+
+
+def test_rows_without_a_press_id_are_presses_of_their_own():
+    rows = [RawRow(n, {"dz_mm": f"-0.{n}", **press}) for n in range(1, 10) for press in ({}, {"press_id": ""})]
+    assert [len(press) for press in pilot_presses(rows)] == [1] * 5
+
+
+def test_all_rows_of_the_pilots_are_solved_together(tmp_path, monkeypatch):
+    """Moments of a press are solved one after another: alone, each would cost its whole path."""
+    solved = []
+    monkeypatch.setattr(estimate, "pilot", lambda *given: solved.extend(given[3]) or [])
+    measured(tmp_path, tmp_path, "24x32", filmed(20, 6))
+    assert len(solved) == 30 and len({row.row for row in solved}) == 30

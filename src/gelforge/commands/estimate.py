@@ -1,6 +1,6 @@
 """Core hours, disk and time of a run before it starts, from a few of its presses.
 
-Presses from the middles of equal shares of the depths go through poses, fea, forces and labels, in a folder of their
+Presses from the middles of equal shares of the depths, with all rows of one that was filmed, go through poses, fea, forces and labels, in a folder of their
 own that is removed afterwards. Stages after the labels are estimated from what they took on other datasets.
 """
 
@@ -50,6 +50,21 @@ def depth(row: RawRow) -> float:
     return 0.0 if press is None else -press.dz_mm
 
 
+def logged_presses(rows: list[RawRow]) -> list[list[RawRow]]:
+    """Rows grouped by press: those that share a press_id are moments of one, which are solved one after another."""
+    found: dict[str, list[RawRow]] = {}
+    for at, row in enumerate(rows):
+        press = row.cells.get("press_id", "")
+        found.setdefault(f"id {press}" if press else f"at {at}", []).append(row)
+    return list(found.values())
+
+
+def pilot_presses(rows: list[RawRow]) -> list[list[RawRow]]:
+    """Presses that stand for all, each with all its rows."""
+    presses = logged_presses(rows)
+    return [presses[k] for k in pilots([max(map(depth, press)) for press in presses])]
+
+
 def spend(module: str, arguments: list) -> float:
     """Run a stage in a process of its own; return its processor seconds, children included."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -76,7 +91,7 @@ def uncalibrated(params: Path, work: Path) -> Path:
 
 
 def pilot(data: Path, results: Path, work: Path, rows: list[RawRow], resolution: str) -> list[Cost]:
-    """What each stage takes, from a shard of the rows given."""
+    """What each stage takes of a row, from a shard of the rows given."""
     shutil.rmtree(work, ignore_errors=True)
     write_text(Layout(work).shard(shard_name(0)), shard_text(rows))
     found = []
@@ -95,8 +110,8 @@ def pilot(data: Path, results: Path, work: Path, rows: list[RawRow], resolution:
 
 
 def measured(data: Path, results: Path, resolution: str, rows: list[RawRow]) -> list[Cost]:
-    """What stages 10 to 50 take of each press, from a shard of pilots."""
-    chosen = [rows[k] for k in pilots([depth(row) for row in rows])]
+    """What stages 10 to 50 take of each row, from a shard of pilots."""
+    chosen = [row for press in pilot_presses(rows) for row in press]
     work = results / layout.ESTIMATE
     try:
         return pilot(data, results, work, chosen, resolution)
@@ -140,7 +155,7 @@ def later_costs(params: Path, resolution: str, model: str, presses: int) -> list
 
 
 def estimated(data: Path, results: Path, resolution: str, model: str, rows: list[RawRow]) -> list[Cost]:
-    """What every stage of a dataset takes, the rows given being all its presses."""
+    """What every stage of a dataset takes of a row, the rows given being all that it has."""
     # first: a wrong word must not wait for the pilots
     later = later_costs(Layout(results).params, resolution, model, len(rows))
     costs = measured(data, results, resolution, rows)
@@ -158,14 +173,13 @@ def main(args: Namespace) -> None:
     rows = planned_rows(args.results)
     if not rows:
         raise BadInput(f"{args.data}/log.csv: no press is planned; log at least one, then make estimate")
-    print(
-        f"solving {len(pilots([depth(row) for row in rows]))} of {len(rows)} presses to see what they take",
-        flush=True,
-    )
+    presses = logged_presses(rows)
+    print(f"solving {len(pilot_presses(rows))} of {len(presses)} presses to see what they take", flush=True)
     costs = estimated(args.data, args.results, args.resolution, args.model, rows)
     shards = len(Layout(args.results).names())
     print("\n".join(table(costs, len(rows))))
-    print(f"{presses_an_hour(costs, args.cores):.0f} presses an hour become labels on {args.cores} cores like these")
+    an_hour = presses_an_hour(costs, args.cores) * len(presses) / len(rows)
+    print(f"{an_hour:.0f} presses an hour become labels on {args.cores} cores like these")
     print(f"about {duration(wall_seconds(costs, len(rows), args.cores, shards))} on {args.cores} cores like these")
 
 

@@ -10,7 +10,10 @@ PILOTS = 5
 
 @dataclass(frozen=True)
 class Cost:
-    """What a stage takes: processor seconds and bytes of each press, and those that do not depend on their number."""
+    """What a stage takes: processor seconds and bytes of each press, and those that do not depend on their number.
+
+    Of presses that were filmed each row counts as a press here: its moment is solved, labelled and learnt from like one.
+    """
 
     stage: str
     cpu_each: float = 0.0
@@ -28,7 +31,7 @@ class Cost:
 
 
 def pilots(strength: list[float], count: int = PILOTS) -> list[int]:
-    """Rows that stand for all: the middles of equal shares of the presses, ordered by strength; each once.
+    """Presses that stand for all, by their numbers: the middles of equal shares of the presses, ordered by strength; each once.
 
     strength: (n,), what the cost rises with, such as the depth.
     """
