@@ -115,9 +115,10 @@ def problem_of(posterior, rules: Rules) -> str:
 
 
 def start_points(posterior, rules: Rules, rng: np.random.Generator) -> np.ndarray:
-    """Walkers' first coordinates: the best of many draws from the priors, resampled by likelihood.
+    """Walkers' first coordinates: the most probable of many draws from the priors, each once.
 
-    Drawing from the prior, not from a ball around one optimum, lets a second mode be found.
+    Drawing from the prior, not from a ball around one optimum, lets a second mode be found. The first steps, which are
+    never kept, spread them as the posterior is.
     """
     draws = posterior.model.draw(rng, 200 * rules.walkers)
     score = posterior(draws)
