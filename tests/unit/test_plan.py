@@ -175,7 +175,8 @@ def test_rows_that_name_no_sensor_are_of_the_datasets(tmp_path):
     [
         ('sensor = "mini_x"', r"dataset\.toml: sensor: 'mini_x' is unknown; mini_e is meant\?|sensor: 'mini_x'"),
         ('gel = "digit"', r"gel = 'digit', but \[meshes\] gel = 'gelsight_mini'"),
-        ('[params.meshes]\ngel = "digit"', "gel 'digit' is unknown"),
+        ('[params.meshes]\ngel = "digit"', r"dataset\.toml: \[params.meshes\] gel 'digit' is unknown"),
+        ('[params.report]\nmodel = "tunedd"', r"dataset\.toml: \[params.report\] model = 'tunedd': choose"),
         ('gel = "soft"', r"gel = 'soft', but"),
         ('[params.meshes]\ngel = "soft"', "sensor 'mini_a' of the log sits on gel 'gelsight_mini'"),
         ('[params.dataset]\nunseen_sensors = ["mini_f"]', "unseen_sensors: 'mini_f' is unknown"),
@@ -186,7 +187,6 @@ def test_rows_that_name_no_sensor_are_of_the_datasets(tmp_path):
         ('[params.pareto]\nhalved = ["sphere"]', r"\[pareto\] halved: 'sphere' is unknown"),
         ('[params.pareto.quick]\nscenes = ["none"]', r"\[pareto.quick\] scenes: 'none' is unknown"),
         ('[params.pareto]\nsensor = "none"', r"\[pareto\] sensor: 'none' is unknown"),
-        ('[params.report]\nmodel = "best"', r"\[report\] model = 'best'"),
         ('[params.fea]\nfidelity = "hex"\n[params.stability]\nseed = -1', "seed = -1"),
         ('catalogue = "none.toml"', "none.toml: not found"),
     ],

@@ -225,12 +225,12 @@ def networks(workflow: Path) -> dict[str, dict]:
     return found
 
 
-def reported_model(params: Params, models: dict) -> list[str]:
-    """The network that the report shows, as a list of one or none; BadInput for a name that is none."""
+def reported_model(file: Path, params: Params, models: dict) -> list[str]:
+    """The network that the report shows, as a list of one or none; BadInput for a name that is none. file: dataset.toml."""
     name = params.report.model
     if name and name not in {*models, SHIPPED}:
         raise BadInput(
-            f"[report] model = {name!r}: choose {SHIPPED}, nothing, or one of {', '.join(models)} (models.toml)"
+            f"{file}: [params.report] model = {name!r}: choose {SHIPPED}, nothing, or one of {', '.join(models)} (models.toml)"
         )
     return [name] if name else []
 
@@ -273,7 +273,10 @@ def check_gel(file: Path, of: DatasetFile, params: Params, sensors: dict[str, di
     from gelforge.geometry.gel import is_gel, load_gel, states_thickness
 
     mesh_gel = params.meshes.gel
-    load_gel(mesh_gel)
+    try:
+        load_gel(mesh_gel)
+    except BadInput as error:
+        raise BadInput(f"{file}: [params.meshes] {error}") from None
     if of.gel is not None and of.gel != mesh_gel:
         raise BadInput(
             f"{file}: gel = {of.gel!r}, but [meshes] gel = {mesh_gel!r}, on which presses are solved; name one gel"
@@ -360,7 +363,7 @@ def main(args: Namespace) -> None:
     check_dataset(dataset_toml, of, params, rows, args.workflow, sensors)
     meshes = required_meshes(params.fea, params.meshes)
     lists = {"MESHES": meshes, "BRANCHES": list(params.report.branches)} | chart_lists(params, scenes)
-    lists["REPORT_MODEL"] = reported_model(params, networks(args.workflow))
+    lists["REPORT_MODEL"] = reported_model(dataset_toml, params, networks(args.workflow))
     lists["LEARN_ALSO"] = list(params.train.also)
     lists["PLAN_READS"] = [str(path) for path in read]
     lists["PICTURES"] = picture_folders(args.data, rows)
