@@ -13,6 +13,7 @@ import pytest
 from parameters import parameters, write_slice
 
 from gelforge.errors import BadInput
+from gelforge.flow.files import write_csv
 from gelforge.geometry import touch, triangles
 from gelforge.geometry.cropping import cropped
 from gelforge.geometry.gel import Gel
@@ -34,9 +35,11 @@ def lab(tmp_path, root):
         (tmp_path / "params" / f"{name}.json").write_text(json.dumps(table))
     write_slice(tmp_path / "params", "poses")
 
-    def run(rows, *flags):
+    def run(rows, *flags, without=()):
         shard = tmp_path / "0000.csv"
         log.write_log(shard, rows)
+        lines = [{name: cell for name, cell in row.items() if name not in without} for row in read(shard)]
+        write_csv(shard, list(lines[0]), lines)
         out = tmp_path / "out" / "0000.csv.part"
         code = poses.main(
             [
@@ -152,6 +155,18 @@ def test_a_log_without_images_can_be_allowed(lab, tmp_path):
     table, rejected, _ = lab([sample("a", image="")])
     assert len(table) == 1
     assert not rejected
+
+
+def test_a_log_without_a_column_of_images_is_told_once_and_can_be_allowed(lab, tmp_path, capsys):
+    rows = [sample(f"s{n}") for n in range(9)]
+    table, rejected, _ = lab(rows, without=["image"])
+    assert not table and len(rejected) == 9
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("rejected: ")]
+    assert len(lines) == 1 and "[params.poses] images = false" in lines[0]
+    assert lines[0].endswith("the same reason against 8 more rows: 3, 4, 5, 6, 7, …")
+    write_slice(tmp_path / "params", "poses", poses={"images": False})
+    table, rejected, _ = lab(rows, without=["image"])
+    assert not rejected and len(table) == 9
 
 
 def test_users_shape_goes_through(lab, tmp_path, root):

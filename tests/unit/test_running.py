@@ -80,3 +80,13 @@ def test_costs_add_up_by_stage(tmp_path):
 
 def test_durations_read_well():
     assert [duration(s) for s in (12.2, 125, 7200)] == ["12 s", "2 min", "2.0 h"]
+
+
+def test_rejected_rows_are_no_presses_to_solve(tmp_path):
+    now = lay(tmp_path, 2)
+    write_csv(tmp_path / "10_poses/0000.rejected.csv", ["row", "column"], [{"row": 2, "column": c} for c in "ab"])
+    assert "2 of 7 presses solved" in str(look(tmp_path, now))
+    for shard in ("0000", "0001"):
+        rows = [{"row": row, "column": "image"} for row in range(4)]
+        write_csv(tmp_path / f"10_poses/{shard}.rejected.csv", ["row", "column"], rows)
+    assert str(look(tmp_path, now)) == "no press to solve, 8 rows rejected"

@@ -3,12 +3,13 @@
 Only the standard library, because every step of a run asks for it.
 """
 
+import csv
 import fcntl
 import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from gelforge.flow.files import listed, made_at
+from gelforge.flow.files import listed, made_at, read_csv
 from gelforge.flow.layout import FEA, Layout
 
 RATE_OVER_S = 600.0
@@ -16,12 +17,16 @@ RATE_OVER_S = 600.0
 
 @dataclass(frozen=True)
 class Progress:
-    """Presses solved of all planned, presses a second lately (0 where none was), and the targets that run now."""
+    """Presses solved of all that can be, presses a second lately (0 where none was), and the targets that run now.
+
+    rejected: planned rows that stage 10 rejected, which are no presses to solve.
+    """
 
     solved: int
     total: int
     rate: float
     running: list[str]
+    rejected: int = 0
 
     @property
     def stage(self) -> str:
@@ -31,6 +36,8 @@ class Progress:
     @property
     def pace(self) -> str:
         """Presses solved of all; where some are solved and some are left, how many a second and the time left."""
+        if not self.total and self.rejected:
+            return f"no press to solve, {self.rejected} rows rejected"
         if not self.total:
             return "no press is planned yet"
         said = f"{self.solved} of {self.total} presses solved"
@@ -79,10 +86,20 @@ def is_held(path: Path) -> bool:
     return False
 
 
+def rejected_in(table: Path) -> int:
+    """Rows of the log that a table of rejections names; none where it is not there or cannot be read."""
+    try:
+        return len({cells.get("row") for cells in read_csv(table)})
+    except (OSError, ValueError, csv.Error):
+        return 0
+
+
 def look(results: Path, now: float | None = None) -> Progress:
     """The state of a dataset's run."""
     now, of = time.time() if now is None else now, Layout(results)
     sizes, solved, lately = of.sizes(), 0, []
+    rejected = {shard: min(size, rejected_in(of.rejected(shard))) for shard, size in sizes.items()}
+    sizes = {shard: size - rejected[shard] for shard, size in sizes.items()}
     running = running_targets(results)
     busy = {target.split("/")[1] for target in running if target.startswith(f"{FEA}/")}
     for shard, size in sizes.items():
@@ -95,6 +112,5 @@ def look(results: Path, now: float | None = None) -> Progress:
         solved += len(times) if table is None else size
         lately += [made for made in times if now - made <= RATE_OVER_S]
     span = now - min(lately) if lately else 0.0
-    return Progress(
-        min(solved, sum(sizes.values())), sum(sizes.values()), len(lately) / span if span > 1 else 0.0, running
-    )
+    total, rate = sum(sizes.values()), len(lately) / span if span > 1 else 0.0
+    return Progress(min(solved, total), total, rate, running, sum(rejected.values()))

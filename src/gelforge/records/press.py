@@ -6,7 +6,7 @@ degrees, forces N, moments N m. A row's number is its line in the log as an edit
 
 import math
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Any
@@ -173,6 +173,28 @@ class Rejection:
         return printable(f"rejected: {where}: {self.column} = {self.value!r}: {self.reason}; {self.remedy}")
 
 
+MOST_ROWS = 5  # of one reason that are told by number
+
+
+def told(rejections: Iterable[Rejection]) -> list[str]:
+    """A line for each reason against a column, as of its first row, with how many rows more it holds for and the first of them.
+
+    A log that lacks a column has the same reason against every row.
+    """
+    alike: dict[tuple[str, str], list[Rejection]] = {}
+    for one in rejections:
+        alike.setdefault((one.column, one.reason), []).append(one)
+    return [f"{first}{_more(others)}" for first, *others in alike.values()]
+
+
+def _more(others: list[Rejection]) -> str:
+    if not others:
+        return ""
+    rows = ", ".join(str(one.row) for one in others[:MOST_ROWS])
+    rest = ", …" if len(others) > MOST_ROWS else ""
+    return f"; the same reason against {len(others)} more row{'s' if len(others) > 1 else ''}: {rows}{rest}"
+
+
 def reject(press: PressRecord, file: str, column: str, reason: str, remedy: str) -> Rejection:
     """A rejection of one cell of a press that could be read."""
     return Rejection(
@@ -241,6 +263,10 @@ def _judge(name: str, text: str | None) -> tuple[str | float | None, tuple[str, 
     """Value of a cell, or what stands for none and what is wrong: (reason, remedy)."""
     if text is None:
         remedy = f"add a column {name} to the log (the force columns may be empty)"
+        if name == "image":
+            remedy = (
+                "add a column image to the log, or set [params.poses] images = false in the dataset's dataset.toml"
+            )
         return _nothing(name), None if name in OPTIONAL else ("the column is missing", remedy)
     if name in POSE or name in FORCES:
         value, fault = _number_cell(name, text)

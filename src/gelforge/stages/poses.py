@@ -31,7 +31,17 @@ from gelforge.records.log import (
     write_poses,
     write_rejections,
 )
-from gelforge.records.press import SENSOR_TABLES, LoggedPress, PosedPress, RawRow, Rejection, parse, reject
+from gelforge.records.press import (
+    COLUMNS,
+    SENSOR_TABLES,
+    LoggedPress,
+    PosedPress,
+    RawRow,
+    Rejection,
+    parse,
+    reject,
+    told,
+)
 
 VERSION = 4
 # A force sensor that drifted reads a light press as a small pull; beyond this the sign is turned round.
@@ -116,7 +126,8 @@ def judge(rows: list[RawRow], file: str, data: Path, tables: dict, params: Poses
 
     tables: "sensors" and "indenters" as dicts of catalogue tables, "folder" that STL files are named from.
     """
-    parsed = [parse(row, file) for row in rows]
+    needed = [name for name in COLUMNS if params.images or name != "image"]
+    parsed = [parse(row, file, needed) for row in rows]
     rejections = [r for _, wrong in parsed for r in wrong]
     samples, doubled = without_duplicates([s for s, _ in parsed if s], file)
     rejections += doubled
@@ -205,8 +216,8 @@ def main(args: Namespace) -> None:
     rows = read_shard(args.shard)
     good, rejections = judge(rows, str(args.data / "log.csv"), args.data, {**tables, "folder": args.workflow}, params)
     write_shard(good, rejections, args.out, params)
-    for rejection in rejections:
-        print(rejection, file=sys.stderr)
+    for line in told(rejections):
+        print(line, file=sys.stderr)
     if args.strict and rejections:
         count = len({r.row for r in rejections})
         raise BadInput(f"{args.data}: {count} rows rejected; correct them, or run without STRICT")
