@@ -7,9 +7,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from parameters import parameters
 
+from gelforge.commands.sample import find_rows
 from gelforge.errors import BadInput
 from gelforge.flow import params as config
 from gelforge.flow.files import read_csv, write_if_changed
+from gelforge.flow.layout import PLAN, Layout
 from gelforge.flow.params.slices import ForPoses
 from gelforge.geometry.gel import GELS
 from gelforge.records.log import read_shard
@@ -94,6 +96,15 @@ def test_a_row_without_a_name_is_planned_again_and_again(tmp_path):
     for _ in range(2):
         assert write_shards(log.parent, logged_rows(log, None), tmp_path, 4) == ["0000"]
     assert [row.cells["sample_id"] for row in read_shard(tmp_path / "shards/0000.csv")] == ["a", "", "b"]
+
+
+def test_a_frame_alone_goes_through_the_stages_with_its_whole_press(tmp_path):
+    """Frames of a press are solved together: alone, one would get other forces than in its dataset."""
+    log, plan = tmp_path / "log.csv", Layout(tmp_path).folder(PLAN)
+    log.write_text("sample_id,press_id\na,film\nb,\nc,film\nd,\ne,film\n", encoding="utf-8")
+    write_shards(tmp_path, logged_rows(log, None), plan, 4)
+    told = {name: [row.cells["sample_id"] for row in find_rows(tmp_path, name)] for name in "abcde"}
+    assert told == {**dict.fromkeys("ace", ["a", "c", "e"]), "b": ["b"], "d": ["d"]}
 
 
 def test_damaged_digests_of_pictures_are_made_anew(tmp_path):

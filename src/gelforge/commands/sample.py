@@ -1,4 +1,4 @@
-"""One sample through all stages in the foreground, with its log shown."""
+"""One sample through all stages in the foreground, with its log shown; of a filmed press all frames, solved together."""
 
 import sys
 from argparse import Namespace
@@ -12,18 +12,22 @@ from gelforge.records.log import read_poses, read_shard, shard_text
 from gelforge.records.press import RawRow, check_id
 
 
-def find_row(results: Path, sample_id: str) -> RawRow:
-    """The raw row of a sample in the planned shards."""
+def find_rows(results: Path, sample_id: str) -> list[RawRow]:
+    """The raw rows in the planned shards that a sample is solved from: its own, or all of its press where that was filmed.
+
+    Frames lie on one path and one mesh: one of them alone would get other forces than the dataset has of it.
+    """
     of = Layout(results)
     rows = read_shard(of.shard(of.shard_of(sample_id)))
     found = next((row for row in rows if row.cells["sample_id"] == sample_id), None)
     if found is None:
         raise of.not_logged(sample_id)
-    return found
+    press = found.cells.get("press_id")
+    return [row for row in rows if row.cells.get("press_id") == press] if press else [found]
 
 
 def stages(data: Path, results: Path, work: Path, resolution: str) -> list[tuple[str, list]]:
-    """The stages' modules and arguments for a shard of one sample in the folder `work`; the last argument is the output."""
+    """The stages' modules and arguments for a shard of a sample's rows in the folder `work`; the last argument is the output."""
     params, meshes = Layout(results).params, Layout(results).meshes
     own, only = Layout(work), shard_name(0)
     shard, poses, fea, forces = own.shard(only), own.poses(only), own.fea(only), own.forces(only)
@@ -73,14 +77,14 @@ def main(args: Namespace) -> int:
         raise BadInput("no sample named; say make sample ID=SAMPLE_ID")
     data, results = Path("data") / args.dataset, Path("results") / args.dataset
     work = Layout(results).sample(check_id(args.id)).root
-    write_text(Layout(work).shard(shard_name(0)), shard_text([find_row(results, args.id)]))
+    write_text(Layout(work).shard(shard_name(0)), shard_text(find_rows(results, args.id)))
     for stage, arguments in stages(data, results, work, args.resolution):
         Path(arguments[-1]).parent.mkdir(parents=True, exist_ok=True)
         print(f"== {stage}", file=sys.stderr, flush=True)
         code = importlib.import_module(f"gelforge.stages.{stage}").main([str(a) for a in arguments])
         if code:
             return code
-        if stage == "poses" and not read_poses(arguments[-1]):
+        if stage == "poses" and args.id not in {press.sample_id for press in read_poses(arguments[-1])}:
             raise BadInput(f"sample {args.id} was rejected, see above; correct its row of {data}/log.csv")
         if Path(arguments[-1]).suffix == ".csv":
             print(Path(arguments[-1]).read_text(encoding="utf-8"))
