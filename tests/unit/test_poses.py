@@ -336,6 +336,22 @@ def test_a_bench_that_gives_way_by_more_than_the_press_is_rejected():
     assert [(r.column, "gives way" in r.reason) for r in wrong] == [("dz_mm", True)]
 
 
+@pytest.mark.parametrize(
+    ("way", "force", "column"),
+    [((0.1, 0.0), (6.0, 0.0), "dx_mm"), ((0.0, -0.1), (0.0, -5.0), "dy_mm"), ((0.3, 0.1), (20.0, 0.0), "dx_mm")],
+)
+def test_a_bench_that_gives_way_sideways_by_more_than_the_press_moves_is_rejected(way, force, column):
+    """The path that is left would go the other way: no press goes there, whatever drags the gel."""
+    forces = {"fx_n": force[0], "fy_n": force[1], "fz_n": -9.0}
+    _, wrong = poses.yielded(sample(dx_mm=way[0], dy_mm=way[1], **forces), "log.csv", YIELDING)
+    assert [(r.column, "gives way sideways" in r.reason) for r in wrong] == [(column, True)]
+    assert "shear_compliance_mm_per_n = 0.02" in wrong[0].remedy and "sign of fx_n, fy_n" in wrong[0].remedy
+    # a third of it leaves a press, and a way that no axis can tell from none is none
+    half = {"fx_n": force[0] / 3, "fy_n": force[1] / 3, "fz_n": -9.0}
+    assert poses.yielded(sample(dx_mm=way[0], dy_mm=way[1], **half), "log.csv", YIELDING)[1] == []
+    assert poses.yielded(sample(dx_mm=0.005, dy_mm=0.0, **forces), "log.csv", YIELDING)[1] == []
+
+
 def test_frames_that_go_back_are_rejected_and_the_table_says_which_press(lab):
     film = [sample(f"f{k}", press_id="film", dz_mm=depth) for k, depth in enumerate((-0.4, -0.8, -0.6, -1.0))]
     table, rejected, _ = lab([*film, sample("alone")])

@@ -22,7 +22,7 @@ from gelforge.geometry import touch
 from gelforge.geometry.cropping import cropped
 from gelforge.geometry.gel import Gel, load_gel
 from gelforge.labelling.sensor import sensor_of
-from gelforge.records.frames import check_frames
+from gelforge.records.frames import NEAR_MM, check_frames
 from gelforge.records.image import bad_image
 from gelforge.records.log import (
     read_shard,
@@ -43,7 +43,7 @@ from gelforge.records.press import (
     told,
 )
 
-VERSION = 4
+VERSION = 5
 # A force sensor that drifted reads a light press as a small pull; beyond this the sign is turned round.
 LARGEST_PULL_N = 0.5
 
@@ -76,7 +76,24 @@ def yielded(sample: LoggedPress, file: str, params: PosesTable) -> tuple[LoggedP
     if moved.get("dz_mm", sample.dz_mm) >= 0.0:
         remedy = f"check fz_n, or compliance_mm_per_n = {normal:g} in [poses]"
         return sample, [reject(sample, file, "dz_mm", "the bench gives way by more than the press", remedy)]
-    return replace(sample, **moved), []
+    path = replace(sample, **moved)
+    return path, turned_round(sample, path, file, sideways)
+
+
+def turned_round(sample: LoggedPress, path: LoggedPress, file: str, compliance: float) -> list[Rejection]:
+    """The rejection of a press whose corrected `path` goes sideways against the commanded one, or across it.
+
+    compliance: shear_compliance_mm_per_n, for the remedy.
+    """
+    told, left = (np.array([press.dx_mm, press.dy_mm]) for press in (sample, path))
+    if np.hypot(*told) <= NEAR_MM or told @ left > 0.0:
+        return []
+    column = "dx_mm" if abs(told[0]) >= abs(told[1]) else "dy_mm"
+    remedy = (
+        f"check shear_compliance_mm_per_n = {compliance:g} in [poses], and the sign of fx_n, fy_n: the force on the gel"
+        " points along the motion"
+    )
+    return [reject(sample, file, column, "the bench gives way sideways by more than the press moves", remedy)]
 
 
 def posed_points(press, points: np.ndarray) -> np.ndarray:
