@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gelforge.commands import predict, sensor
-from gelforge.errors import BadInput
+from gelforge.errors import BadInput, GelforgeError
 from gelforge.networks.sensorprofile import (
     Gain,
     SensorProfile,
@@ -108,6 +108,13 @@ def test_a_factor_found_with_another_network_is_refused(root, tmp_path):
             untouched_of(path, None, other)
     write_profile(path, make_profile("mine", picture, pitch_of(picture), Gain(), NET))
     assert untouched_of(path, None, NET | {"sha256": "12" * 32})[1] == 1.0  # no factor, so none that is wrong
+
+
+def test_a_picture_that_cannot_be_written_is_named_by_its_own_name(tmp_path):
+    (tmp_path / "mine.png").mkdir()
+    profile = make_profile("mine", np.zeros((24, 32, 3), np.uint8), 0.0, Gain(), NET)
+    with pytest.raises(GelforgeError, match=r"/mine\.png: the image could not be written"):
+        write_profile(tmp_path / "mine.toml", profile)
 
 
 def test_a_profile_comes_back_from_its_file(root, tmp_path):

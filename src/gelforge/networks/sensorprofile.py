@@ -16,7 +16,7 @@ from typing import TypeGuard
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import publish, write_text
+from gelforge.flow.files import write_text
 from gelforge.flow.params import read_toml
 from gelforge.records.image import read_image, write_png
 from gelforge.records.markers import pitch_of
@@ -148,8 +148,7 @@ def make_profile(name: str, untouched: np.ndarray, pitch: float, gain: Gain, abo
 def write_profile(path: Path, profile: SensorProfile) -> None:
     """Write a profile as TOML, and its picture beside it as PNG of the same name."""
     picture = path.with_suffix(".png")
-    with publish(picture) as part:
-        write_png(part, profile.untouched)
+    write_png(picture, profile.untouched)
     gain = profile.gain
     write_text(path, "\n".join([
         f"name = {json.dumps(profile.name, ensure_ascii=False)}", f"date = {profile.date}", f"model = {json.dumps(profile.model, ensure_ascii=False)}",
