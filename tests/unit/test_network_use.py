@@ -112,6 +112,12 @@ def test_predict_never_takes_the_place_of_what_it_reads(data, paths, tmp_path):
     assert image.read_bytes() == before and [path.name for path in tmp_path.iterdir()] == ["p.png"]
 
 
+def test_no_table_of_totals_takes_the_place_of_what_is_read(data, paths, tmp_path):
+    image = write_png(tmp_path / "p.png", data.images[0]).rename(tmp_path / "totals.csv")
+    with pytest.raises(BadInput, match="totals.csv would take the place of a file that is read"):
+        predict.main([str(image), "--model", str(paths["small"]), "--out", str(tmp_path)])
+
+
 def test_no_map_takes_the_place_of_the_untouched_picture(data, paths, tmp_path):
     for folder in ("shots", "kept"):
         (tmp_path / folder).mkdir()

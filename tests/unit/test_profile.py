@@ -288,6 +288,14 @@ def test_half_of_what_grasps_need_is_refused(weighed, more, told):
         sensor.main(["--name", "a", "--untouched", str(folder / "rest.png"), *more])
 
 
+def test_a_profile_takes_the_place_of_none_that_it_is_made_from(weighed):
+    folder, _ = weighed
+    other, grasps = (str(folder / name) for name in ("other.toml", "grasps.csv"))
+    asked = ["--name", "a", "--untouched", str(folder / "rest.png"), "--opposite", other, "--grasps", grasps]
+    with pytest.raises(BadInput, match="other.toml would take the place of a file that is read"):
+        sensor.main([*asked, "--out", other])
+
+
 def filmed(path, pictures):
     """A film (.avi) of pictures (h, w, 3) uint8 RGB, compressed without loss."""
     import cv2

@@ -17,6 +17,7 @@ from gelforge.flow.files import publish
 from gelforge.flow.main import command, option, positive
 from gelforge.records.axes import CHANNEL_OF_AXIS
 from gelforge.records.film import frames, open_source, source_name
+from gelforge.records.regular import refuse_to_replace
 
 RATE_OVER = 30  # frames that the shown rate is averaged over
 
@@ -108,13 +109,13 @@ def refuse_two_faces(args: Namespace) -> None:
     ]
     if len(asked) > 1:
         raise BadInput(f"{' and '.join(asked)} do not go together; start `gelforge live` once for one of them")
-    read = {path.resolve() for path in (args.video, args.untouched, args.profile) if path}
     written = {name: getattr(args, name) for name in ("out", "jsonl", "csv")}
     # - is standard output, one for both
     files = {name: path if str(path) == "-" else path.resolve() for name, path in written.items() if path}
+    beside = args.profile and args.profile.with_suffix(".png")
     for name, path in files.items():
-        if path in read:
-            raise BadInput(f"--{name} {written[name]} would take the place of a file that is read; name another one")
+        read = [args.video, args.untouched, args.profile, beside, args.model]
+        refuse_to_replace(f"--{name} {written[name]}", [path], read)
     if len(set(files.values())) < len(files):
         raise BadInput(f"--jsonl and --csv both name {args.csv}; name two files")
 

@@ -12,7 +12,7 @@ picture was taken, or that it is cropped otherwise, they are laid onto it first.
 
 import tempfile
 from argparse import Namespace
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +25,7 @@ from gelforge.networks.sitting import place_sitting
 from gelforge.networks.use import Judgement, Untouched, load_for_use, predict_one
 from gelforge.records.axes import CHANNELS
 from gelforge.records.image import read_image
+from gelforge.records.regular import refuse_to_replace
 from gelforge.records.totals import TOTAL_COLUMNS, total_columns
 
 COLUMNS = [
@@ -70,17 +71,6 @@ def output_names(paths) -> list[str]:
     return list(taken)
 
 
-def refuse_to_replace(out: Path, names: Iterable[str], given: Iterable[Path]) -> None:
-    """BadInput where a picture that is written would take the place of one that was given."""
-    kept = {path.resolve(): path for path in given}
-    for name in names:
-        written = out / f"{name}.png"
-        if written.resolve() in kept:
-            raise BadInput(
-                f"--out {out}: {written} would take the place of a picture that is read; name another folder"
-            )
-
-
 def need_folder(out: Path) -> None:
     """Make the folder of the outputs; one that cannot be written into raises BadInput before anything is read."""
     try:
@@ -95,12 +85,13 @@ def predict_files(paths: Sequence[Path], untouched: Untouched, out: Path, read: 
     """Predict image files and write their maps and totals.csv below `out`; return the rows of totals.csv.
 
     Every image is read before anything is written, and again when its turn comes: there may be more than memory holds.
-    read: other files that were read, whose place no map may take.
+    read: other files that were read, whose place nothing that is written may take.
     """
     from gelforge.reporting.forcemaps import write_maps
 
     names = output_names(paths)
-    refuse_to_replace(out, names, [*paths, *read])
+    written = [out / f"{name}{ending}" for name in names for ending in (".png", ".npy")]
+    refuse_to_replace(f"--out {out}", [*written, out / "totals.csv"], [*paths, *read])
     placement = place_sitting(untouched, (read_image(path) for path in paths))
     need_folder(out)
     if placement is not None and placement.correction:

@@ -14,6 +14,7 @@ from gelforge.labelling.homography import Fit, fit_homography
 from gelforge.labelling.sensor import Sensor, check_projection, find_sensor, load_sensors, transform
 from gelforge.records.image import read_image, write_png
 from gelforge.records.markers import MarkerGrid, find_markers
+from gelforge.records.regular import refuse_to_replace
 
 POINT_COLUMNS = ["x_mm", "y_mm", "u_px", "v_px"]
 ZOOM = 3  # of the picture, so that lines stay thin beside the pixels
@@ -217,16 +218,6 @@ def _expected(grid: MarkerGrid) -> np.ndarray:
     return grid_pixels(even, grid.missing)
 
 
-def refuse_to_replace(out: Path, given: list[Path]) -> None:
-    """BadInput where the JSON or its picture would take the place of a file that is read, or one of the other."""
-    read = {path.resolve() for path in given}
-    for written in (out, out.with_suffix(".png")):
-        if written.resolve() in read:
-            raise BadInput(f"--out {out}: {written} would take the place of a file that is read; name another one")
-    if out.suffix == ".png":
-        raise BadInput(f"--out {out}: is the name of its picture; give a name that ends in .json")
-
-
 def report(about: dict, old: Sensor | None) -> None:
     """Print residual, dots, the change from sensors.toml, and the table to paste."""
     residual = about["residual_px"]
@@ -265,7 +256,9 @@ def main(args: Namespace) -> None:
     if not args.sensor:
         raise BadInput("no sensor named; say make projection SENSOR=name POINTS=points.csv (or IMAGE=nocontact.png)")
     out = args.out or Path("results/projection") / f"{args.sensor}.json"
-    refuse_to_replace(out, [path for path in (args.points, args.image, args.sensors) if path])
+    refuse_to_replace(f"--out {out}", [out, out.with_suffix(".png")], [args.points, args.image, args.sensors])
+    if out.suffix == ".png":
+        raise BadInput(f"--out {out}: is the name of its picture; give a name that ends in .json")
     sensors = load_sensors(args.sensors)
     like = find_sensor(sensors, args.like, "LIKE")
     points = read_points(args.points) if args.points else None

@@ -35,6 +35,7 @@ from gelforge.records.film import source_name
 from gelforge.records.image import read_image
 from gelforge.records.markers import pitch_of
 from gelforge.records.press import check_id, parse_number
+from gelforge.records.regular import refuse_to_replace
 from gelforge.records.table import numbered_rows
 
 
@@ -141,6 +142,8 @@ def main(args: Namespace) -> None:
             "give either --readings or --grasps: what was weighed says more than what another finger reads"
         )
     beside = out.with_suffix(".png")
+    facing = [args.opposite, args.opposite.with_suffix(".png")] if args.opposite else []
+    refuse_to_replace(f"--out {out}", [out, beside], [args.video, args.readings, args.grasps, args.model, *facing])
     if (
         beside.exists()
         and not out.exists()

@@ -1,6 +1,10 @@
-"""Files of others, opened only where they are what they should be: no pipe that never ends, no device, no folder."""
+"""Files of others, opened only where they are what they should be: no pipe that never ends, no device, no folder.
+
+And never written over.
+"""
 
 import stat
+from collections.abc import Iterable
 from pathlib import Path
 
 from gelforge.errors import BadInput
@@ -36,6 +40,17 @@ def read_bytes(path: Path, remedy: str, most: int = 2**32) -> bytes:
     raise BadInput(
         f"{path}: {'not found' if fault.startswith('No such file') else f'cannot be read ({fault})'}; {remedy}"
     )
+
+
+def refuse_to_replace(asked: str, written: Iterable[Path], read: Iterable[Path | None]) -> None:
+    """BadInput where a file that is written would take the place of one that is read.
+
+    asked: the option that names what is written, with its value, for the message. None among what is read is no file.
+    """
+    kept = {path.resolve() for path in read if path is not None}
+    for path in written:
+        if path.resolve() in kept:
+            raise BadInput(f"{asked}: {path} would take the place of a file that is read; name another place")
 
 
 def read_text(path: Path, remedy: str) -> str:
