@@ -15,7 +15,7 @@ import numpy as np
 from gelforge.errors import BadInput, GelforgeError
 from gelforge.flow.files import publish
 from gelforge.records.press import SENSOR_TABLES, PressRecord, Rejection, reject
-from gelforge.records.regular import file_fault, read_bytes
+from gelforge.records.regular import bytes_or_fault, read_bytes
 
 PNG = b"\x89PNG\r\n\x1a\n"
 KINDS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP", "PPM")
@@ -141,15 +141,9 @@ def bad_image(press: PressRecord, file: str, folder: str | Path, size: tuple[int
         return no("cannot be read (a link that leads to itself)", "copy the image there, or remove the row")
     if not stays_inside(Path(folder), press.image):
         return no("the path leaves the dataset's folder", "copy the image below data/DATASET and name it from there")
-    fault = file_fault(path)
-    if fault is None and path.stat().st_size > MOST_BYTES:
-        fault = f"it has more than {MOST_BYTES} bytes"
+    data, fault = bytes_or_fault(path, MOST_BYTES)
     if fault:
         return no(f"cannot be read ({fault})", "copy the image there, or remove the row")
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        return no(f"cannot be read ({error.strerror})", "copy the image there, or remove the row")
     fault, seen = png_fault(data)
     if fault:
         return no(fault, "copy the file again from the source, as PNG")

@@ -27,16 +27,22 @@ def file_fault(path: Path) -> str | None:
     return None if stat.S_ISREG(mode) else f"it is {KINDS.get(stat.S_IFMT(mode), 'no regular file')}"
 
 
-def read_bytes(path: Path, remedy: str, most: int = 2**32) -> bytes:
-    """Bytes of a regular file of at most `most` bytes; anything else raises BadInput that ends with the remedy."""
+def bytes_or_fault(path: Path, most: int) -> tuple[bytes, str | None]:
+    """Bytes of a regular file of at most `most` bytes and None, or none and why there are none, in a few words."""
     try:
         fault = file_fault(path)
         if fault is None and path.stat().st_size > most:
-            fault = f"it has {path.stat().st_size} bytes, {most} are allowed"
-        if fault is None:
-            return path.read_bytes()
+            fault = f"it has more than {most} bytes"
+        return (path.read_bytes(), None) if fault is None else (b"", fault)
     except OSError as error:
-        fault = error.strerror or str(error)
+        return b"", error.strerror or str(error)
+
+
+def read_bytes(path: Path, remedy: str, most: int = 2**32) -> bytes:
+    """Bytes of a regular file of at most `most` bytes; anything else raises BadInput that ends with the remedy."""
+    data, fault = bytes_or_fault(path, most)
+    if fault is None:
+        return data
     raise BadInput(
         f"{path}: {'not found' if fault.startswith('No such file') else f'cannot be read ({fault})'}; {remedy}"
     )
