@@ -1,7 +1,6 @@
 """The raw log and its shards as files: one reader of rows, one way to number them."""
 
 import csv
-import difflib
 import io
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict
@@ -229,7 +228,7 @@ def unknown_names(press: PressRecord, file: str, sensors: Iterable[str], indente
         ("indenter", press.indenter, list(indenters), "no such indenter in the dataset's catalogue"),
     ):
         if name not in known:
-            near = difflib.get_close_matches(name, known, 1)
+            near = get_close_matches(name, known, 1)
             meant = f"; is {near[0]} meant?" if near else ""
             wrong.append(
                 reject(press, file, column, where, f"add it there, or write a name that stands there{meant}")
