@@ -116,12 +116,17 @@ def write_png(path: str | Path, image: np.ndarray, compression: int | None = Non
         ) from error
 
 
-def as_jpeg(image: np.ndarray, quality: int) -> np.ndarray:
-    """An image (h, w, 3) uint8 RGB as it comes back from JPEG of a quality from 1 to 100."""
+def encode_jpeg(image: np.ndarray, quality: int) -> bytes:
+    """An RGB picture (height, width, 3) uint8 as the bytes of a JPEG of a quality from 1 to 100."""
     import cv2
 
-    _, coded = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])
-    return decode(coded.tobytes(), "an image just coded")
+    settings = [cv2.IMWRITE_JPEG_QUALITY, quality]
+    return cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), settings)[1].tobytes()
+
+
+def as_jpeg(image: np.ndarray, quality: int) -> np.ndarray:
+    """An RGB picture (height, width, 3) uint8 as it comes back from JPEG of a quality from 1 to 100."""
+    return decode(encode_jpeg(image, quality), "an image just coded")
 
 
 def bad_image(press: PressRecord, file: str, folder: str | Path, size: tuple[int, int]) -> Rejection | None:

@@ -14,6 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
+from gelforge.records.image import encode_jpeg
+
 PART = 16
 PARTS = "parts-"
 FULL = 32767
@@ -44,12 +46,7 @@ def _planes(parts) -> bytes:
 
 def jpeg(image: np.ndarray) -> str:
     """An RGB image (h, w, 3) uint8 as base64 of a JPEG."""
-    import cv2
-
-    _, content = cv2.imencode(
-        ".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
-    )
-    return base64.b64encode(content.tobytes()).decode()
+    return base64.b64encode(encode_jpeg(image, JPEG_QUALITY)).decode()
 
 
 def arrows(points: np.ndarray, force: np.ndarray) -> dict:

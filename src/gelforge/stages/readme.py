@@ -13,6 +13,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import digest_of, publish, read_json, write_json
 from gelforge.flow.main import command, group, option
 from gelforge.flow.params import digest_of_value, read_toml
+from gelforge.records.image import encode_png
 
 SHIPPED = Path("src/gelforge/networks/default.pt")
 PRESSED = 1.4, (0.5, 1.0), (0.4, -0.3)  # depth, place and way sideways of the press that is shown, mm
@@ -121,7 +122,7 @@ def press(args: Namespace) -> None:
 
     body = load_catalogue(args.catalogue, [args.name])[args.name]
     image = view_of(*bodies_of(body, solve(body, *PRESSED, quality="label")))
-    publish_picture(args.out, png_bytes(image), [f"{args.catalogue}#{args.name}"])
+    publish_picture(args.out, encode_png(image), [f"{args.catalogue}#{args.name}"])
 
 
 def bodies_of(body, solved) -> tuple:
@@ -166,13 +167,6 @@ def view_of(gel, arrows, tool) -> np.ndarray:
     image = np.asarray(view.screenshot(return_img=True))
     view.close()
     return image
-
-
-def png_bytes(image: np.ndarray) -> bytes:
-    """A picture (h, w, 3) uint8 RGB as PNG."""
-    import cv2
-
-    return cv2.imencode(".png", image[..., ::-1])[1].tobytes()
 
 
 main = group(real=real, copy=copy, press=press)
