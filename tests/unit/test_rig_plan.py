@@ -10,10 +10,9 @@ import pytest
 
 from gelforge.errors import BadInput
 from gelforge.flow.catalogue import with_content
-from gelforge.flow.params import DatasetFile
 from gelforge.geometry import triangles
-from gelforge.geometry.indenters import build, load_catalogue, read_catalogue
-from gelforge.stages import calibrate, rig
+from gelforge.geometry.indenters import build, load_catalogue, load_indenters, read_catalogue
+from gelforge.stages import rig
 from gelforge.stages.rig import by_press, check, run
 from gelforge.virtualrig import streams
 from gelforge.virtualrig.bench import load_cell_error
@@ -240,7 +239,7 @@ def test_a_damaged_table_of_the_truth_is_refused_in_a_sentence(tmp_path, content
         Dataset(tmp_path, read_plan(DEMO))
 
 
-def test_the_bench_and_its_calibration_read_the_stl_file_that_the_stages_read(tmp_path):
+def test_the_bench_and_the_calibration_read_the_stl_file_that_the_stages_read(tmp_path):
     """Paths start at workflow/, whichever folder in it the catalogue lies in: another file of that name is another body."""
     for folder, size in ((tmp_path, 6), (tmp_path / "mine", 4)):
         folder.mkdir(exist_ok=True)
@@ -248,13 +247,11 @@ def test_the_bench_and_its_calibration_read_the_stl_file_that_the_stages_read(tm
         triangles.write_stl(folder / "probe.stl", *body.surface())
     (tmp_path / "mine/indenters.toml").write_text('[probe]\nkind = "stl"\nfile = "probe.stl"\n')
     tables, _ = with_content(read_catalogue(tmp_path / "mine/indenters.toml"), tmp_path)
-    of = DatasetFile(None, None, "mine/indenters.toml", {})
     demo = read_plan(DEMO)
     kind = replace(demo.kinds[0], indenters=("probe",), sensors=())
-    plan = replace(demo, catalogue=of.catalogue, kinds=(kind,))
+    plan = replace(demo, catalogue="mine/indenters.toml", kinds=(kind,))
     radius = build("probe", tables["probe"], folder=tmp_path).radius()
-    assert rig.bodies_of(plan, tmp_path)["probe"].radius() == radius
-    assert calibrate.bodies_of(tmp_path, of, {"probe"})["probe"].radius() == radius
+    assert load_indenters(tmp_path, plan.catalogue, plan.indenters)["probe"].radius() == radius
     assert rig.contents_of(plan, tmp_path, {}, {})[0] == rig.digests(tables)
 
 

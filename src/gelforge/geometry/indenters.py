@@ -3,7 +3,7 @@
 import hashlib
 import json
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 
 import numpy as np
@@ -338,3 +338,8 @@ def load_catalogue(path, names=None, folder=None) -> dict[str, Body]:
         if name not in tables:
             raise BadInput(f"{path}: no indenter named {name!r}; it has {', '.join(tables)}")
     return {n: build(n, t, path, folder) for n, t in tables.items() if names is None or n in names}
+
+
+def load_indenters(workflow: Path, catalogue: str, names: Collection[str]) -> dict[str, Body]:
+    """Indenters of a dataset's catalogue by name; the paths of it and of its STL files start at `workflow`."""
+    return load_catalogue(workflow / catalogue, names, workflow)

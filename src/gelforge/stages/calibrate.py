@@ -284,13 +284,6 @@ def gels_of(sensors: dict[str, Sensor], of: DatasetFile) -> dict[str, str]:
     return gels | ({"": gels[of.sensor]} if of.sensor in gels else {})
 
 
-def bodies_of(workflow: Path, of: DatasetFile, names: set[str]) -> dict:
-    """Indenters of a dataset's catalogue by name; the paths of STL files start at `workflow`, as for stages 10 and 30."""
-    from gelforge.geometry.indenters import load_catalogue
-
-    return load_catalogue(workflow / of.catalogue, sorted(names), workflow)
-
-
 @command(
     option("--data", type=Path, help="data/DATASET, with log.csv and dataset.toml"),
     option("--workflow", type=Path, default=Path("workflow")),
@@ -304,6 +297,8 @@ def bodies_of(workflow: Path, of: DatasetFile, names: set[str]) -> dict:
     option("--out", type=Path, help="summary.json"),
 )
 def main(args: Namespace) -> None:
+    from gelforge.geometry.indenters import load_indenters
+
     if (args.poses is None) != (args.shards is None):
         raise BadInput("--poses and --shards go together: the plan tells which tables of --poses are of today's log")
     tables = read_slice(args.params, ForCalibrate)
@@ -314,7 +309,7 @@ def main(args: Namespace) -> None:
     logged = read_readings(args.data / "log.csv", rejected, gels_of(load_sensors(args.sensors), of))
     check_readings(logged)
     readings = logged.take(choose_presses(logged, params.max_presses))
-    catalogue = bodies_of(args.workflow, of, set(readings.indenters.tolist()))
+    catalogue = load_indenters(args.workflow, of.catalogue, sorted(set(readings.indenters.tolist())))
     solves = args.solves or args.work / "solves"
     readings, emulator, spent = emulate(readings, catalogue, params, nu, solves, args.jobs)
     done = calibrate(readings, emulator, params, nu, args.work / "chain.npz", say_figures, args.jobs)

@@ -121,11 +121,11 @@ def press(args: Namespace) -> None:
     from gelforge.geometry.indenters import load_catalogue
 
     body = load_catalogue(args.catalogue, [args.name])[args.name]
-    image = view_of(*bodies_of(body, solve(body, *PRESSED, quality="label")))
+    image = view_of(*drawn_parts(body, solve(body, *PRESSED, quality="label")))
     publish_picture(args.out, encode_png(image), [f"{args.catalogue}#{args.name}"])
 
 
-def bodies_of(body, solved) -> tuple:
+def drawn_parts(body, solved) -> tuple:
     """What a solved press looks like in mm, PolyData each: the gel's surface, arrows of force on it, the indenter."""
     import pyvista as pv
 

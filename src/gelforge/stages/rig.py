@@ -22,8 +22,7 @@ from gelforge.flow.orphans import pool
 from gelforge.flow.params import overlaid
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import load_gel
-from gelforge.geometry.indenters import load_catalogue, read_catalogue
-from gelforge.geometry.solids import Indenter
+from gelforge.geometry.indenters import load_indenters, read_catalogue
 from gelforge.labelling.sensor import Sensor, load_sensors
 from gelforge.virtualrig import streams
 from gelforge.virtualrig.looks import Look, read_looks
@@ -55,7 +54,8 @@ class Worker:
         cv2.setNumThreads(1)
         gel = load_gel(plan.gel)
         self.plan, self.folder, self.gel = plan, folder, gel
-        self.bench = Bench(plan, bodies_of(plan, workflow), gel, folder / FACTORS)
+        indenters = load_indenters(workflow, plan.catalogue, plan.indenters)
+        self.bench = Bench(plan, indenters, gel, folder / FACTORS)
         self.looks, self.sensors = units_of(plan, workflow)
         self.camera = lru_cache(CAMERAS)(self._camera)
 
@@ -168,14 +168,9 @@ def check(plan_path, workflow: Path) -> Plan:
     plan = read_plan(plan_path)
     looks, sensors = units_of(plan, workflow)
     check_names(plan, read_catalogue(workflow / plan.catalogue), sensors, looks, plan_path)
-    bodies_of(plan, workflow)
+    load_indenters(workflow, plan.catalogue, plan.indenters)
     overlaid(workflow, plan.params, str(plan_path))
     return plan
-
-
-def bodies_of(plan: Plan, workflow: Path) -> dict[str, Indenter]:
-    """Indenters of a plan by name; the paths of STL files start at `workflow`, as for the stages that read its dataset."""
-    return dict(load_catalogue(workflow / plan.catalogue, plan.indenters, workflow))
 
 
 def units_of(plan: Plan, workflow: Path) -> tuple[dict[str, Look], dict[str, Sensor]]:

@@ -1,6 +1,7 @@
 """The bench itself: one ordered press becomes forces, a row of the log, and the gel's shape."""
 
 import zlib
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -63,7 +64,7 @@ class Bench:
     and top; a tenth thinner or thicker, the factors of a ball, a block, a pyramid and a tilted solid differ by 0.1 to 1.5 %.
     """
 
-    def __init__(self, plan: Plan, indenters: dict[str, Indenter], gel: Gel, kept: Path):
+    def __init__(self, plan: Plan, indenters: Mapping[str, Indenter], gel: Gel, kept: Path):
         self.plan, self.indenters, self.gel, self.kept = plan, indenters, gel, kept
         self._bodies: dict[str, RoughBody] = {}
         self._factors: dict[str, ForceFactor] = {}
