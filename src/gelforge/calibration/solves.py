@@ -21,6 +21,7 @@ from gelforge.flow.files import read_json, write_json
 from gelforge.flow.orphans import pool
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import load_gel
+from gelforge.geometry.solids import surface_digest
 from gelforge.mechanics.hex.hexsolver import HexSolver
 from gelforge.mechanics.hex.reach import first_touch
 from gelforge.mechanics.hex.settings import HexSettings
@@ -101,12 +102,6 @@ def job_key(job: SolveJob, shape: str, settings: HexSettings, version: int) -> s
     """Name of a solve's file: a hash of the solver's version, the scene, the indenter's shape and the settings."""
     parts = {"press": asdict(job.press), "mu": str(job.mu), "nu": job.nu, "gel": asdict(load_gel(job.gel))}
     return fingerprint(version, parts, shape, asdict(settings))[:20]
-
-
-def shape_hash(indenter) -> str:
-    """Hash of an indenter's surface, so that a changed shape is another solve."""
-    vertices, faces = indenter.surface()
-    return fingerprint(np.round(np.asarray(vertices, float), 6), np.asarray(faces, np.int64))
 
 
 def path_curve(result, press: Press, touch: float) -> dict:
@@ -196,7 +191,7 @@ class SolveCache:
             known = ", ".join(sorted(self.catalogue))
             raise BadInput(f"indenter {job.indenter!r} is not in the catalogue; known: {known}")
         if job.indenter not in self._shapes:
-            self._shapes[job.indenter] = shape_hash(self.catalogue[job.indenter])
+            self._shapes[job.indenter] = surface_digest(self.catalogue[job.indenter])
         return self.folder / f"{job_key(job, self._shapes[job.indenter], self.settings, self.version)}.json"
 
     def fill(self, jobs: list[SolveJob], workers: int = 1) -> None:

@@ -3,6 +3,7 @@
 Every body stands in its own frame: lowest point on the plane z = 0, body above, cut flat at `height`.
 """
 
+import hashlib
 from abc import ABC, abstractmethod
 from functools import cached_property
 from typing import Protocol
@@ -75,6 +76,13 @@ class Body(ABC):
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.name!r})"
+
+
+def surface_digest(indenter: Indenter, told: bytes = b"") -> str:
+    """SHA-256 of an indenter's surface, so that a changed shape is another one; `told` counts before it."""
+    vertices, faces = indenter.surface()
+    places, corners = np.round(np.asarray(vertices, float), 6), np.asarray(faces, np.int64)
+    return hashlib.sha256(told + places.tobytes() + corners.tobytes()).hexdigest()
 
 
 class Extrusion(Body):

@@ -6,7 +6,6 @@ belongs to the shape that is pressed, a little to friction and hardly to place, 
 drafted with, over that of the bench's own, tells it for all presses of an indenter.
 """
 
-import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import product
@@ -18,6 +17,7 @@ from gelforge.errors import SolveFailed
 from gelforge.flow.files import read_json, write_json
 from gelforge.flow.params import canonical
 from gelforge.geometry.gel import Gel
+from gelforge.geometry.solids import surface_digest
 from gelforge.mechanics.hex.hexmesh import FineBox
 from gelforge.mechanics.hex.hexsolver import HexSolver
 from gelforge.mechanics.hex.settings import HexSettings, quality
@@ -70,7 +70,6 @@ def _read(path: Path) -> ForceFactor | None:
 
 def name_of(gel: Gel, material: Material, body: Indenter, interface: Interface, settings: HexSettings) -> str:
     """Name of what a factor depends on; of the indenter that is its surface."""
-    vertices, faces = body.surface()
     told = [
         asdict(gel),
         asdict(material),
@@ -82,9 +81,7 @@ def name_of(gel: Gel, material: Material, body: Indenter, interface: Interface, 
         ASIDE,
         TURN_DEG,
     ]
-    digest = hashlib.sha256(canonical(told).encode())
-    digest.update(np.round(np.asarray(vertices, float), 6).tobytes() + np.asarray(faces, np.int64).tobytes())
-    return f"{body.name}-{digest.hexdigest()[:16]}"
+    return f"{body.name}-{surface_digest(body, canonical(told).encode())[:16]}"
 
 
 def force_factor(
