@@ -68,14 +68,13 @@ def import_folder(source: Path, data: Path, sensor) -> dict:
         raise BadInput(f"{source}: holds no .npy files; give FEATS' folder of samples or labels as FROM=...")
     with new_folder(data) as part:
         presses: dict[str, dict] = {}
-        labels: dict[tuple[int, int], list] = {}
+        labels: dict[tuple[int, int], dict[str, np.ndarray]] = {}
         ranges = None
         for path in progress(files, "import"):
             if is_normalisation(path):
                 ranges = read_normalisation(path)
                 continue
             _take(path, read_sample(path), sensor, part, presses, labels)
-        _check_ids(presses, source)
         rows = [{"sensor_id": sensor.name, "gel_id": GEL_ID, **press["row"]} for press in presses.values()]
         if not rows:
             raise BadInput(f"{source}: holds normalisation files only; give the folder that holds the samples too")
@@ -161,15 +160,6 @@ def _time(stem: str) -> str:
         return datetime.strptime(stem, "%Y%m%d-%H%M%S").strftime("%Y-%m-%dT%H:%M:%SZ")
     except ValueError:
         return ""
-
-
-def _check_ids(presses, source) -> None:
-    seen: dict[str, str] = {}
-    for press in presses.values():
-        name = press["row"]["sample_id"]
-        if name in seen:
-            raise BadInput(f"{source}: {press['files'][0]} and {seen[name]} both become sample {name}; rename one")
-        seen[name] = press["files"][0]
 
 
 def _write_grid(path, members, presses) -> None:

@@ -276,7 +276,7 @@ def info(samples: Samples, episodes: list[list[int]]) -> dict:
     """meta/info.json."""
     splits: dict[str, list[int]] = {}
     for number, rows in enumerate(episodes):
-        splits.setdefault(samples.rows[rows[0]]["split"] or TRAINING, []).append(number)
+        splits.setdefault(samples.rows[rows[0]]["split"], []).append(number)
     return {
         "codebase_version": VERSION, "robot_type": "gelsight_mini", "total_episodes": len(episodes),
         "total_frames": len(samples), "total_tasks": 1, "chunks_size": CHUNK_FILES, "fps": FPS,

@@ -18,7 +18,6 @@ from gelforge.records.samplefile import DatasetSample, read_samples
 from gelforge.records.table import read_table
 
 SUFFIXES = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg"}
-TEXTS = ("sample_id", "indenter", "sensor_id", "gel_id", "split", "group", "image")
 FRAME = "gel: origin on the crown of the untouched gel, x the short side, y the long side, z out of the gel; mm, N"
 
 

@@ -21,7 +21,7 @@ def write(folder: Path, samples: Samples) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     splits: dict[str, list[int]] = {}
     for at, row in enumerate(samples.rows):
-        splits.setdefault(row["split"] or "all", []).append(at)
+        splits.setdefault(row["split"], []).append(at)
     for split, rows in splits.items():
         with webdataset.ShardWriter(
             str(folder / f"{split}-%06d.tar"), maxcount=SHARD, maxsize=4e9, verbose=0

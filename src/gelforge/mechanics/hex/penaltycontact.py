@@ -74,11 +74,6 @@ class ContactState:
         self.multiplier[points] = self.carried[points] = 0.0
         self.fading[points] = traction
 
-    @property
-    def touching(self) -> np.ndarray:
-        """(m,) bool, points in contact."""
-        return self.status != FREE
-
 
 def gauss_points(order: int) -> tuple[np.ndarray, np.ndarray]:
     """Local coordinates (order^2, 2) and weights (order^2,) of the Gauss rule on [-1, 1]^2."""
