@@ -3,7 +3,7 @@
 What each value is for, and why it is what it is, stands beside it in workflow/params.toml; a test holds the two in step.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Annotated
 
 from gelforge.flow.params.schema import Named, OneLine, OneOf, ParameterTable, Rising, Some, Within
@@ -194,9 +194,6 @@ class CalibrateSolverTable(ParameterTable):
         return None
 
 
-PRIOR_NAMES = (
-    "c10", "offset", "compliance", "shear_compliance", "mu", "noise", "scatter", "discretisation", "indenter", "nu",
-)  # fmt: skip
 # Keys that each kind of prior is given by.
 PRIOR_KEYS = {
     "normal": ("mean", "spread"),
@@ -262,7 +259,7 @@ class PriorsTable(ParameterTable):
         """C10 held, or a parameter that is held and nothing says at what; Poisson's ratio is held at [material] nu."""
         if self.c10.free is False:
             return "c10: free = false; it is what calibrate finds, so give it a narrow prior where it is known"
-        for name in PRIOR_NAMES:
+        for name in (field.name for field in fields(self)):
             prior = getattr(self, name)
             if prior.free is False and prior.fixed is None and name not in ("nu", "indenter"):
                 return f"{name}: free = false needs `fixed`, the value it is held at"
