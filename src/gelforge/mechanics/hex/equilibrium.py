@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.flow.params.tables import LAWS
 from gelforge.mechanics.hex import element
 from gelforge.mechanics.hex.hexmesh import HexMesh, elimination_order
 from gelforge.mechanics.hex.penaltycontact import (
@@ -75,8 +76,8 @@ class Equilibrium:
     def __init__(self, scene: Scene, settings: HexSettings, mesh: HexMesh, system: System) -> None:
         self.scene, self.settings, self.mesh, self.system = scene, settings, mesh, system
         self.law = scene.interface.law
-        if self.law not in ("no_slip", "coulomb", "frictionless"):
-            raise BadInput(f"interface law {self.law!r} is unknown; choose no_slip, coulomb or frictionless")
+        if self.law not in LAWS:
+            raise BadInput(f"interface law {self.law!r} is unknown; choose {', '.join(LAWS[:-1])} or {LAWS[-1]}")
         scale = REFERENCE_C10 / settings.size
         mu = scene.interface.mu if self.law == "coulomb" else np.inf
         self.contact = Law(settings.penalty * scale, settings.friction_penalty * scale, mu)
