@@ -15,6 +15,7 @@ from gelforge.mechanics.hex.carry import FLAT, Trail, carried, surface_motion, t
 from gelforge.mechanics.hex.element import bricks, smallest_ratios
 from gelforge.mechanics.hex.hexmesh import FineBox, build_mesh, dissected, elimination_order
 from gelforge.mechanics.hex.hexsolver import HexSolver, moment_of, solve_hex
+from gelforge.mechanics.hex.reach import gaps
 from gelforge.mechanics.hex.settings import QUALITIES, HexSettings, Nested
 from gelforge.mechanics.linear import symmetric_solver
 from gelforge.mechanics.scene import Interface, Material, Press, Scene
@@ -117,7 +118,7 @@ def test_points_that_never_moved_touch_straight_above_them():
     scene = Scene(Gel(), Material(), BALL, Press(0, 0, 0, 0, 0, -1.5))
     trail = Trail(scene, COARSE, times, [rest] * len(times), 1e-6)
     held, places = touches(trail, points)
-    inside = trail.gap(points, trail.pose(1.0)) < 0.0
+    inside = gaps(trail.scene, points, trail.pose(1.0)) < 0.0
     assert inside.sum() > 50 and np.array_equal(held, inside)
     np.testing.assert_allclose(places[held][:, :2], points[held][:, :2], atol=1e-12)
     # the gap of a straight way is not straight in time: the place errs by what a step bends it

@@ -13,7 +13,7 @@ import numpy as np
 from gelforge.geometry.gel import Gel
 from gelforge.mechanics.hex.element import BrickGeometry, smallest_ratios
 from gelforge.mechanics.hex.hexmesh import HexMesh
-from gelforge.mechanics.hex.reach import path_pose
+from gelforge.mechanics.hex.reach import gaps, path_pose
 from gelforge.mechanics.pose import Pose, touch_fraction
 from gelforge.mechanics.scene import NoEquilibrium, Scene
 
@@ -44,10 +44,6 @@ class Trail:
     def pose(self, t: float) -> Pose:
         """The indenter's pose at path parameter t."""
         return path_pose(self.scene, t)
-
-    def gap(self, x: np.ndarray, pose: Pose) -> np.ndarray:
-        """Signed distances (m,) mm of places x (m, 3) to the indenter at a pose."""
-        return self.scene.indenter.distance(pose.to_indenter(x))[0]
 
 
 def line_weights(lines: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -135,14 +131,14 @@ def touches(trail: Trail, points: np.ndarray, near: float = 0.0) -> tuple[np.nda
     earlier: tuple[float, np.ndarray, Pose, np.ndarray] | None = None
     for t, u in zip(trail.times, trail.states, strict=True):
         pose, x = trail.pose(t), points + surface_motion(trail.mesh, u, points[:, :2])
-        gap = trail.gap(x, pose)
+        gap = gaps(trail.scene, x, pose)
         if before is not None:
             t1, x1, pose1, gap1 = before
             ahead = x1
             if earlier is not None and not t1 <= 1.0 < t:  # the path turns from press to shear at 1
                 ahead = x1 + (t - t1) / (t1 - earlier[0]) * (x1 - earlier[1])
             free = np.flatnonzero(~held)
-            fraction = touch_fraction(gap1[free], trail.gap(ahead[free], pose))[:, None]
+            fraction = touch_fraction(gap1[free], gaps(trail.scene, ahead[free], pose))[:, None]
             places[free] = (1.0 - fraction) * pose1.to_indenter(x1[free]) + fraction * pose.to_indenter(x[free])
             held = (held | (gap < near * trail.size)) & (gap < (near + LEFT) * trail.size)
             earlier = before

@@ -21,7 +21,7 @@ from gelforge.mechanics.hex.penaltycontact import (
     curved,
     positions,
 )
-from gelforge.mechanics.hex.reach import reachable_faces
+from gelforge.mechanics.hex.reach import gaps, reachable_faces
 from gelforge.mechanics.hex.settings import HexSettings
 from gelforge.mechanics.linear import gmres, symmetric_solver
 from gelforge.mechanics.pattern import block_places, build_pattern, symmetric_product
@@ -100,10 +100,6 @@ class Equilibrium:
     def points(self, u: np.ndarray) -> np.ndarray:
         """Deformed places (m, 3) mm of the contact's Gauss points."""
         return positions(self.state.shape, self.nodes, self.mesh.nodes + u)
-
-    def gaps(self, x: np.ndarray, pose: Pose) -> np.ndarray:
-        """Signed distances (m,) mm of places x (m, 3) to the indenter."""
-        return self.scene.indenter.distance(pose.to_indenter(x))[0]
 
     def newton_from(self, guesses: list[np.ndarray], pose: Pose) -> tuple[np.ndarray, int]:
         """`newton` from the first of the guesses (n, 3) that leads to an equilibrium, within the tolerance of a path."""
@@ -238,7 +234,7 @@ class Equilibrium:
         self, pose: Pose, tolerance: float, still: bool = False, enough: float = 0.0, parts: Sequence[float] = PARTS
     ) -> None:
         """Equilibrium with the indenter at a pose. still: nothing in the contact changed since the last one."""
-        gap = self.gaps(self.points(self.u), pose)
+        gap = gaps(self.scene, self.points(self.u), pose)
         self.candidates = np.flatnonzero((self.state.status != GLUED) & (gap < self.settings.size))
         self.u, _ = self.newton(self.u, pose, tolerance, still, enough, parts)
 

@@ -10,7 +10,7 @@ from gelforge.mechanics.hex.carry import Trail, carried, touches, untangled
 from gelforge.mechanics.hex.equilibrium import NOISY_INTERPOLATED, PARTS, SHORT, Equilibrium, System
 from gelforge.mechanics.hex.hexmesh import HexMesh
 from gelforge.mechanics.hex.penaltycontact import GLUED, TOUCHING
-from gelforge.mechanics.hex.reach import path_pose
+from gelforge.mechanics.hex.reach import gaps, path_pose
 from gelforge.mechanics.hex.settings import HexSettings
 from gelforge.mechanics.pose import Pose, on_surface, touch_fraction
 from gelforge.mechanics.scene import NoEquilibrium, Scene
@@ -146,7 +146,7 @@ class Run(Equilibrium):
         """One load step to t with `part` of the pending contact changes; raises NoEquilibrium, changing nothing."""
         before, after = path_pose(self.scene, self.t), path_pose(self.scene, t)
         x = self.points(self.u)
-        gap = self.gaps(x, before)
+        gap = gaps(self.scene, x, before)
         reach = 1.5 * np.linalg.norm(after.translation - before.translation) + self.settings.size
         self.candidates = np.flatnonzero((self.state.status != GLUED) & (gap < reach))
         guess = self._predict(t)
@@ -207,7 +207,7 @@ class Run(Equilibrium):
         end = pose.to_indenter(self.points(self.u)[new])
         if not len(new):
             return end
-        gap_before, gap_after = gap[new], self.gaps(expected[new], pose)
+        gap_before, gap_after = gap[new], gaps(self.scene, expected[new], pose)
         fraction = touch_fraction(gap_before, gap_after)
         return begin + fraction[:, None] * (end - begin)
 
@@ -324,7 +324,7 @@ class Run(Equilibrium):
         point, _, push = self._pressing(pose)
         size = max(float(np.linalg.norm(total)), 1e-300)
         base = self.internal(self.u)[self.mesh.base].sum(axis=0)
-        gap = self.gaps(self.points(self.u), pose)
+        gap = gaps(self.scene, self.points(self.u), pose)
         return {
             "penetration_mm": float(max(0.0, -gap.min(initial=0.0))),
             "below_base_mm": self._below_base(),

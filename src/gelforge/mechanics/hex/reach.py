@@ -55,3 +55,8 @@ def reachable_faces(scene: Scene, mesh: HexMesh) -> np.ndarray:
     centre = corners.mean(axis=1)
     size = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
     return np.flatnonzero(touch.touched(scene.indenter, scene.press, centre, WITHIN + size))
+
+
+def gaps(scene: Scene, x: np.ndarray, pose: Pose) -> np.ndarray:
+    """Signed distances (m,) mm of places x (m, 3) to the indenter at a pose."""
+    return scene.indenter.distance(pose.to_indenter(x))[0]
