@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from parameters import parameters
 
-from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
 from gelforge.mechanics.ccx.ccxsolver import CcxSettings, CcxSolver
 from gelforge.mechanics.ccx.native import solve_native
@@ -20,14 +19,7 @@ from gelforge.mechanics.tet.kinematics import PathSettings, contact_blocks, cont
 from gelforge.mechanics.tet.moved import moved
 from gelforge.records.status import Status
 from tests.blocks import symmetric_block
-
-
-@dataclass(frozen=True)
-class FlatPad(Gel):
-    """A pad whose top is a plane."""
-
-    def top(self, x, y):
-        return np.zeros(np.broadcast(x, y).shape)
+from tests.flat_pad import FlatPad
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from gelforge.mechanics.hex.reach import fine_box, path_pose
 from gelforge.mechanics.hex.settings import HexSettings, quality
 from gelforge.mechanics.scene import Interface, Material, Press, Scene
 from gelforge.records.status import Status
+from tests.flat_pad import FlatPad
 
 COARSE = HexSettings(size=1.2, layers=3, press_steps=3, shear_steps=2)
 
@@ -43,13 +44,6 @@ class Plate:
 
     def radius(self):
         return 30.0
-
-
-class Block(Gel):
-    """A gel with a flat top."""
-
-    def top(self, x, y):
-        return np.zeros(np.broadcast(x, y).shape)
 
 
 @dataclass(frozen=True)
@@ -136,7 +130,7 @@ def test_slide_in_air_leaves_no_shear():
     press = SlideThenPress(-0.5, 0.0, 0.0, 0.5, 0.0, -0.5)
     for body, law in ((Plate(), Interface("no_slip")), (Sphere(15.0), Interface("coulomb", 0.4))):
         settings = replace(COARSE, box=FineBox(-3, 3, -3, 3, 1.5))
-        total = solve_hex(Scene(Block(), Material(), body, press, law), settings).total
+        total = solve_hex(Scene(FlatPad(), Material(), body, press, law), settings).total
         assert total[2] < -0.5 and np.abs(total[:2]).max() < 1e-3 * abs(total[2])
 
 
@@ -184,7 +178,7 @@ def test_coulomb_lies_between_its_limits(solver, sheared):
 def dragged(law, mu=0.0, far=0.6, body=None, depth=0.4):
     """A flat-topped block under a plate or a body that goes down and then `far` mm sideways."""
     press = Press(0.0, 0.0, 0.0, far, 0.0, -depth)
-    return Scene(Block(width=14.0, length=14.0), Material(), body or Plate(), press, Interface(law, mu))
+    return Scene(FlatPad(width=14.0, length=14.0), Material(), body or Plate(), press, Interface(law, mu))
 
 
 WHOLE = replace(COARSE, box=FineBox(-7, 7, -7, 7, 1.4))
@@ -312,7 +306,7 @@ def test_solver_reuses_what_it_made(solver):
 
 def half_space(size):
     """A block of 20 mm pressed 0.05 mm at its middle: size of the bricks against a contact radius of 1 mm."""
-    gel = Block(width=40.0, length=40.0, corner_radius=0.0, height=20.0)
+    gel = FlatPad(width=40.0, length=40.0, corner_radius=0.0, height=20.0)
 
     def lines():
         inner = np.arange(0, 1.8 + 1e-9, size)

@@ -2,14 +2,13 @@
 
 import os
 import shlex
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from parameters import parameters
 
 from gelforge.errors import SolveFailed
-from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
 from gelforge.mechanics.ccx.ccxsolver import CcxSettings, CcxSolver
 from gelforge.mechanics.hex.hexsolver import HexSolver
@@ -22,15 +21,7 @@ from gelforge.mechanics.tet.kinematics import PathSettings, arrive, contact_forc
 from gelforge.mechanics.tet.solid import TetSolid
 from gelforge.records.status import Status
 from tests.blocks import symmetric_block
-
-
-@dataclass(frozen=True)
-class FlatPad(Gel):
-    """A pad whose top is a plane."""
-
-    def top(self, x, y):
-        return np.zeros(np.broadcast(x, y).shape)
-
+from tests.flat_pad import FlatPad
 
 CCX = CcxSettings.of(parameters().fea)
 PAD = FlatPad(name="pad", width=7.0, length=7.0, corner_radius=0.0, height=4.0)
