@@ -33,6 +33,7 @@ from gelforge.records.solvetable import read_solves
 from gelforge.stages.calibrate import load_rejected
 from gelforge.stages.plan import write_shards
 from tests.memory import PEAK_KIB
+from tests.npy_files import npy
 
 ESCAPES = "a\x1b[2Jb\n\u202ec"
 
@@ -233,13 +234,6 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path):
     with pytest.raises(BadInput, match=r"--out .*file/out: cannot be written into"):
         image = str(tmp_path / "a.png")
         predict.main([image, "--untouched", image, "--out", str(tmp_path / "file/out")])
-
-
-def npy(path, body: bytes):
-    stream = io.BytesIO()
-    np.lib.format.write_array_header_1_0(stream, {"descr": "|O", "fortran_order": False, "shape": ()})
-    path.write_bytes(stream.getvalue() + body)
-    return path
 
 
 def test_a_pickle_of_empty_dicts_takes_no_memory(tmp_path):

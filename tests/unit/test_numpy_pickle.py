@@ -15,6 +15,7 @@ from numpy._core.numeric import _frombuffer
 
 from gelforge.errors import BadInput
 from gelforge.formats.numpy_pickle import Refused, parse_pickle, read_npy
+from tests.npy_files import npy
 
 PLAIN = {
     "image": np.arange(24, dtype=np.uint8).reshape(2, 4, 3),
@@ -47,14 +48,6 @@ class Stateful:
 
 def save(path, value):
     np.save(path, np.array(value, dtype=object) if not isinstance(value, np.ndarray) else value, allow_pickle=True)
-    return path
-
-
-def npy(path, body: bytes):
-    """A .npy file that promises an object and holds `body`."""
-    stream = io.BytesIO()
-    np.lib.format.write_array_header_1_0(stream, {"descr": "|O", "fortran_order": False, "shape": ()})
-    path.write_bytes(stream.getvalue() + body)
     return path
 
 
