@@ -113,7 +113,23 @@ def read_labels(path: str | Path) -> LabelShard:
         material |= {name: file.array(name, "f", 1).tolist() for name in INTERVALS if name in file}
         press = file.array("press_id", "U", 1) if "press_id" in file else np.full(len(names), "")
         fields = {name: file.array(name, "f", dims) for name, dims in FIELDS.items() if name in file}
-    where, n = f"{path}", len(names)
+    _check_shapes(path, names, states, label, outside, press, fields)
+    shard = LabelShard(Path(path), names, _statuses(path, names, states), label, outside, material, press, fields)
+    _check_values(shard)
+    return shard
+
+
+def _check_shapes(
+    where: str | Path,
+    names: np.ndarray,
+    states: np.ndarray,
+    label: np.ndarray,
+    outside: np.ndarray,
+    press: np.ndarray,
+    fields: dict[str, np.ndarray],
+) -> None:
+    """BadInput where arrays of a label file do not fit each other."""
+    n = len(names)
     if not (len(states) == len(label) == len(outside) == len(press) == n and label.shape[1] == 3 == outside.shape[1]):
         raise BadInput(
             f"{where}: {n} names, {len(states)} states, labels {label.shape} and forces outside {outside.shape} do not"
@@ -122,6 +138,10 @@ def read_labels(path: str | Path) -> LabelShard:
     for name, field in fields.items():
         if len(field) != n or field.shape[-2:] != label.shape[-2:]:
             raise BadInput(f"{where}: {name} is {field.shape}, the labels are {label.shape}; make the labels again")
+
+
+def _statuses(where: str | Path, names: np.ndarray, states: np.ndarray) -> list[Status]:
+    """The status of each sample; BadInput for one that is none, and for a sample_id that stands twice."""
     ids, counts = np.unique(names, return_counts=True)
     if (counts > 1).any():
         first = counts.argmax()
@@ -131,15 +151,19 @@ def read_labels(path: str | Path) -> LabelShard:
     for name, state in zip(names.tolist(), states.tolist(), strict=True):
         if state not in Status.__members__:
             raise BadInput(f"{where}: sample {name}: status {state!r} is none of {', '.join(Status.__members__)}")
-    status = [Status[state] for state in states]
-    lost = np.array([not state.valid for state in status], bool) | np.isfinite(label).all(axis=(1, 2, 3))
+    return [Status[state] for state in states]
+
+
+def _check_values(shard: LabelShard) -> None:
+    """BadInput for a valid sample whose label is not finite, and for a stiffness that is none."""
+    lost = np.array([not state.valid for state in shard.status], bool) | np.isfinite(shard.label).all(axis=(1, 2, 3))
     if not lost.all():
         raise BadInput(
-            f"{where}: sample {names[np.argmin(lost)]} has a label that is not finite; make or import the labels again"
+            f"{shard.path}: sample {shard.sample_id[np.argmin(lost)]} has a label that is not finite; make or import the labels again"
         )
-    if c10 is not None and not 0.0 < c10 < np.inf:
-        raise BadInput(f"{where}: c10 = {c10:g} MPa; it must be above 0: make or import the labels again")
-    return LabelShard(Path(path), names, status, label, outside, material, press, fields)
+    c10 = shard.material.get("c10")
+    if isinstance(c10, float) and not 0.0 < c10 < np.inf:
+        raise BadInput(f"{shard.path}: c10 = {c10:g} MPa; it must be above 0: make or import the labels again")
 
 
 def to_float32(values: np.ndarray, group: np.ndarray, groups: int) -> np.ndarray:
