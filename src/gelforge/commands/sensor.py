@@ -120,19 +120,8 @@ def _normals(untouched: Untouched, images: list[Path]) -> np.ndarray:
     return np.array(read)
 
 
-@command(
-    option("--name", help="of the sensor"),
-    option("--untouched", type=Path, metavar="IMAGE", help="the sensor while nothing touches it", default=None),
-    option("--video", type=Path, help="a film that begins while nothing touches the sensor", default=None),
-    option("--camera", type=int, help="number of a camera whose sensor nothing touches now", default=None),
-    option("--readings", type=Path, help="table of pictures and the forces that pressed", default=None),
-    option("--opposite", type=Path, help="profile of the sensor on the other finger", default=None),
-    option("--grasps", type=Path, help="table of pictures of both fingers while they hold one object", default=None),
-    option("--model", type=Path, help="model file; the one that came with gelforge if not named", default=None),
-    option("--out", type=Path, help="the profile, .toml", default=None),
-)
-def main(args: Namespace) -> None:
-    name, out = check_id(args.name, "--name"), args.out or Path(f"{args.name}.toml")
+def check_options(args: Namespace, out: Path) -> None:
+    """BadInput for options that do not go together, and for a profile that would replace a file that is none of its own."""
     if out.suffix != ".toml":
         raise BadInput(f"--out {out}: give a name that ends in .toml")
     if (args.opposite is None) != (args.grasps is None):
@@ -152,6 +141,22 @@ def main(args: Namespace) -> None:
         raise BadInput(
             f"{beside} is there already and would be replaced by the profile's picture; give another --name or --out"
         )
+
+
+@command(
+    option("--name", help="of the sensor"),
+    option("--untouched", type=Path, metavar="IMAGE", help="the sensor while nothing touches it", default=None),
+    option("--video", type=Path, help="a film that begins while nothing touches the sensor", default=None),
+    option("--camera", type=int, help="number of a camera whose sensor nothing touches now", default=None),
+    option("--readings", type=Path, help="table of pictures and the forces that pressed", default=None),
+    option("--opposite", type=Path, help="profile of the sensor on the other finger", default=None),
+    option("--grasps", type=Path, help="table of pictures of both fingers while they hold one object", default=None),
+    option("--model", type=Path, help="model file; the one that came with gelforge if not named", default=None),
+    option("--out", type=Path, help="the profile, .toml", default=None),
+)
+def main(args: Namespace) -> None:
+    name, out = check_id(args.name, "--name"), args.out or Path(f"{args.name}.toml")
+    check_options(args, out)
     picture, source = untouched_picture(args.untouched, args.video, args.camera)
     trained = load_for_use(args.model)
     untouched = Untouched(trained, picture)
