@@ -54,10 +54,10 @@ class Readings:
         """Commanded way sideways, (n,) mm."""
         return np.hypot(self.pose[:, 3], self.pose[:, 4])
 
-    def press(self, i: int, depth: float, shear: bool = True) -> Press:
-        """Path of press i to another depth, with its sideways travel or without."""
+    def press(self, i: int, depth: float) -> Press:
+        """Path of press i to another depth, with its own sideways travel."""
         x0, y0, z0, dx, dy, _, rot = (float(v) for v in self.pose[i])
-        return Press(x0, y0, z0, dx * shear, dy * shear, -depth, rot)
+        return Press(x0, y0, z0, dx, dy, -depth, rot)
 
     def name(self, index) -> str:
         """Rows for an error message, at most five."""

@@ -18,6 +18,8 @@ TRIED = (0.0, 0.25, 0.5, 0.75, 1.0, 1.2, 1.4, 1.6, 1.8, 2.0)  # where a first to
 HALVINGS = 30  # of the part of the path in which it lies
 SURELY = 2.0  # times the speed: distances that fall faster than their points move have not been seen
 EDGE_STEP, MOST_ON_EDGE = 0.1, 200  # mm between points on an indenter's edges, and how many at most
+NEAREST_STEP = 0.25  # mm between points of the top among which the nearest place is looked for
+TOUCH_STEP = 0.2  # mm between those that may be touched first
 CLOSER = 10.0  # how much finer the nearest place is looked at
 
 
@@ -70,20 +72,20 @@ def touched(
 
 
 @lru_cache(maxsize=64)  # several sensors may have seen one press, whose rows then lie on one path
-def nearest(gel: Gel, indenter: Indenter, press: Press, spacing: float = 0.25) -> float:
+def nearest(gel: Gel, indenter: Indenter, press: Press) -> float:
     """Least signed distance, mm, of the undeformed top from the indenter at its depth; negative: it touches.
 
-    The top is looked at every `spacing` mm, then ten times finer around the nearest point; infinite where the indenter
+    The top is looked at every NEAREST_STEP mm, then ten times finer around the nearest point; infinite where the indenter
     is never above the gel.
     """
     least = np.inf
     for t in PRESSED:
-        points = _on_outline(gel, under_path(gel, indenter, press, spacing, (t,))[0])
+        points = _on_outline(gel, under_path(gel, indenter, press, NEAREST_STEP, (t,))[0])
         if not len(points):
             continue
         value = gap(indenter, press, points, t)
         best = points[value.argmin(), :2]
-        closer = _on_outline(gel, top_points(gel, best - spacing, best + spacing, spacing / CLOSER)[0])
+        closer = _on_outline(gel, top_points(gel, best - NEAREST_STEP, best + NEAREST_STEP, NEAREST_STEP / CLOSER)[0])
         least = min(least, value.min(), gap(indenter, press, closer, t).min(initial=np.inf))
     return float(least)
 
@@ -94,13 +96,13 @@ def _on_outline(gel: Gel, points: np.ndarray) -> np.ndarray:
     return points[keep] if keep.any() else points
 
 
-def first_touch(gel: Gel, indenter: Indenter, press: Press, spacing: float = 0.2) -> float | None:
+def first_touch(gel: Gel, indenter: Indenter, press: Press) -> float | None:
     """Path parameter where the indenter first meets the undeformed gel, or None where it never does.
 
     Looked for at points of the gel's surface; a blade may pass between these, so where none is met the edges of the
     indenter's own surface are looked at too.
     """
-    points, _ = under_path(gel, indenter, press, spacing)
+    points, _ = under_path(gel, indenter, press, TOUCH_STEP)
     if not len(points):
         return None
     speed = max(abs(press.dz), float(np.hypot(press.dx, press.dy)))

@@ -15,6 +15,7 @@ import warnings
 import numpy as np
 
 OPSET = 17
+SAMPLES = 4  # images that a file is compared with torch on
 # The most that a force per cell may differ from torch's on the images that are checked, as a share of the range from the
 # least to the largest of all their forces per cell. Engines add up in other orders, which alone makes some 3e-6 of it.
 TOLERANCE = 1e-5
@@ -103,8 +104,8 @@ def largest_difference(trained, path, images) -> dict[str, float]:
     return {engine: float(np.abs(got - wanted).max() / span) for engine, got in found.items()}
 
 
-def sample_images(size, count: int = 4) -> np.ndarray:
-    """Images (count, h, w, 3) of noise over a slope: no symmetry that could hide a swapped axis."""
+def sample_images(size) -> np.ndarray:
+    """Images (SAMPLES, h, w, 3) of noise over a slope: no symmetry that could hide a swapped axis."""
     rng = np.random.default_rng(0)
     slope = np.linspace(30, 200, size[1])[None, None, :, None]
-    return np.clip(slope + rng.normal(0, 30, (count, *size, 3)), 0, 255).astype(np.uint8)
+    return np.clip(slope + rng.normal(0, 30, (SAMPLES, *size, 3)), 0, 255).astype(np.uint8)

@@ -18,6 +18,7 @@ DOT_AREA = (25, 500)  # pixels at 320 x 240; FEATS' dots have about 106
 DOT_DEPTH = 18  # grey levels below their surroundings
 SHRINKAGE = 0.2
 LEAST_THRESHOLD = 3.0
+MOST_DESCRIBED = 500  # images, of training and held out each, that the reference is fitted to
 MARGIN = 1.5
 RELIEF_SIZE = (160, 120)  # px at which the relief of a picture is looked at
 RELIEF_MARGIN = 1.25
@@ -120,11 +121,11 @@ def score(model: dict, statistics: np.ndarray) -> float:
     return float(np.sqrt(scaled @ np.asarray(model["inverse"]) @ scaled / len(scaled)))
 
 
-def fit_to_images(see, train_rows, held_out_rows, most: int = 500) -> dict:
-    """Fit `score`'s reference to at most `most` training and held-out rows, evenly picked; see(row): (h, w, 3) uint8."""
+def fit_to_images(see, train_rows, held_out_rows) -> dict:
+    """Fit `score`'s reference to at most MOST_DESCRIBED training and held-out rows, evenly picked; see(row): (h, w, 3) uint8."""
 
     def described(rows):
-        picked = rows[np.linspace(0, len(rows) - 1, min(most, len(rows))).astype(int)]
+        picked = rows[np.linspace(0, len(rows) - 1, min(MOST_DESCRIBED, len(rows))).astype(int)]
         return np.stack([describe(see(int(row))) for row in picked])
 
     return fit(described(train_rows), described(held_out_rows))

@@ -10,9 +10,9 @@ SPACING_MM = 0.35
 
 
 @lru_cache(maxsize=4)
-def grid_points(gel: Gel, spacing: float = SPACING_MM) -> tuple[int, int, np.ndarray]:
+def grid_points(gel: Gel) -> tuple[int, int, np.ndarray]:
     """Rows along x, columns along y, and the points (rows * columns, 3) of the untouched top, mm."""
-    rows, columns = round(gel.width / spacing) + 1, round(gel.length / spacing) + 1
+    rows, columns = round(gel.width / SPACING_MM) + 1, round(gel.length / SPACING_MM) + 1
     x = np.linspace(-gel.width / 2, gel.width / 2, rows)
     y = np.linspace(-gel.length / 2, gel.length / 2, columns)
     x, y = (axis.ravel() for axis in np.meshgrid(x, y, indexing="ij"))

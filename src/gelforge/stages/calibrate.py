@@ -28,6 +28,7 @@ from gelforge.records.log import rejected_rows
 from gelforge.reporting import cornerplots as plots
 
 VERSION = 7
+MOST_BANDS = 6  # indenters in the plot of predictive bands, the first by name: more hide each other
 LARGEST_NU = 0.4995  # that is solved, below the 1/2 of a gel that keeps its volume
 
 
@@ -177,14 +178,14 @@ def summarise(done: Calibration, params: CalibrateTable) -> dict:
     }
 
 
-def draw_bands(done: Calibration, most: int = 6) -> list:
-    """Predictive bands of the normal force for the deepest press of each indenter; see plots.predictive_plot."""
+def draw_bands(done: Calibration) -> list:
+    """Predictive bands of the normal force for the deepest press of each of MOST_BANDS indenters; see plots.predictive_plot."""
     readings, posterior = done.readings, done.posterior
     rng = np.random.default_rng(0)
     coordinates = done.chain.flat(600)
     values = posterior.model.values(coordinates)
     bands = []
-    for name in np.unique(readings.indenters)[:most]:
+    for name in np.unique(readings.indenters)[:MOST_BANDS]:
         members = np.flatnonzero(readings.indenters == name)
         deepest = members[np.argmax(readings.depth[members])]
         grid = np.linspace(0.0, readings.depth[deepest], 60)

@@ -44,7 +44,7 @@ def outdated(picture: Path) -> list[str]:
     return [name for name, held in known.items() if digest(name) not in (None, held)]
 
 
-def hardest_frames(film: Path, trained, count: int = SHOWN):
+def hardest_frames(film: Path, trained):
     """(image, forces) of a film's frames with the largest force, one each third of it, as far as the camera sees."""
     import cv2
 
@@ -57,7 +57,7 @@ def hardest_frames(film: Path, trained, count: int = SHOWN):
         picture, images = find_untouched(seen, str(film))
         untouched = Untouched(trained, picture)
         read = [predict_one(untouched, image)[:2] for image in images]
-    parts = np.array_split(np.arange(len(read)), count)
+    parts = np.array_split(np.arange(len(read)), SHOWN)
     hardest = [max((read[at] for at in part), key=lambda pair: -pair[1][2].sum()) for part in parts if len(part)]
     return [shown(image, forces, untouched.view) for image, forces in hardest]
 

@@ -32,6 +32,7 @@ SETTINGS = HexSettings(
 )
 # Power of how much thinner a gel is, by which its force is larger: 1.0 under shallow balls, 1.7 under blocks.
 STIFFER = 1.5
+EVERY = 4  # of the lines of a body's heights by which its footprint is told
 MOST_BRICKS = 500  # under a footprint: keeps the widest bars within seconds
 # A bench never diverges: where the steps were too long it takes shorter ones, and at last a less deep press,
 # which the log then reports.
@@ -200,16 +201,16 @@ class Bench:
         low, high = np.maximum(low - 1.35 * best, -half), np.minimum(high + 1.35 * best, half)
         return FineBox(float(low[0]), float(high[0]), float(low[1]), float(high[1]), best)
 
-    def _sunk(self, name: str, press: Press, every: int = 4):
+    def _sunk(self, name: str, press: Press):
         """Gel points x, y under the body at the end of the path, how far it is below the gel there, cell area."""
         body = self.body(name)
-        under = body.bare[::every, ::every]
-        axis = np.arange(len(under)) * every * body.step - body.reach
+        under = body.bare[::EVERY, ::EVERY]
+        axis = np.arange(len(under)) * EVERY * body.step - body.reach
         x, y = np.meshgrid(axis, axis)
         turn, tip = press.pose(1.0, 1.0)
         gx, gy = tip[0] + turn[0, 0] * x + turn[0, 1] * y, tip[1] + turn[1, 0] * x + turn[1, 1] * y
         on_gel = (np.abs(gx) < self.gel.width / 2) & (np.abs(gy) < self.gel.length / 2) & (under < FAR - 0.01)
-        return gx, gy, np.clip(self.gel.top(gx, gy) - (tip[2] + under), 0.0, None) * on_gel, (every * body.step) ** 2
+        return gx, gy, np.clip(self.gel.top(gx, gy) - (tip[2] + under), 0.0, None) * on_gel, (EVERY * body.step) ** 2
 
 
 def _path(order: Order, height: float, depth: float, play) -> Press:

@@ -13,6 +13,8 @@ from gelforge.flow.running import look
 from gelforge.flow.step import TAIL_LINES
 from gelforge.flow.terminal import show_line, terminal
 
+SAY_EVERY_S = 30.0  # where make has no terminal
+
 
 @dataclass
 class Task:
@@ -136,12 +138,12 @@ def progress(record: Record, silent: bool) -> str:
     return f"{said} | {look(record.results).pace}"
 
 
-def show(record: Record, said: float, silent: bool, every_s: float = 30.0) -> float:
+def show(record: Record, said: float, silent: bool) -> float:
     """Say how far the work has come: on make's terminal always, as a line now and then elsewhere."""
     device = terminal()
     if device is not None:
         show_line(device, progress(record, silent))
-    elif time.monotonic() - said > every_s:
+    elif time.monotonic() - said > SAY_EVERY_S:
         print(progress(record, silent), file=sys.stderr, flush=True)
         return time.monotonic()
     return said

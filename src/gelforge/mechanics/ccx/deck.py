@@ -56,12 +56,12 @@ def start_lines(start: np.ndarray) -> list[str]:
 
 def press_deck(
     include: str, material: Material, held: np.ndarray, places: np.ndarray,
-    start: np.ndarray | None = None, increment: float = 1.0, residual: float = 1e-6, solver: str = DIRECT,
+    start: np.ndarray | None, increment: float, residual: float, solver: str,
 ) -> str:  # fmt: skip
     """Deck of one equilibrium without contact.
 
     include: file name of the mesh. held: (k,) nodes, counted from 0, led to the displacements `places` (k, 3) mm.
-    start: (n, 3) mm. increment: first load increment, 1 for all at once. residual: largest nodal residual over the
+    start: (n, 3) mm, or None: from rest. increment: first load increment, 1 for all at once. residual: largest nodal residual over the
     mean nodal force. Prints U and RF of the top's nodes, RF of the base, U of all. RF of a held node is the force that
     holds it.
     """

@@ -30,11 +30,11 @@ CROP_MM = 3.0
 _FACE_OF = {tuple(sorted(f)): i + 1 for i, f in enumerate(([0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]))}  # S1 to S4
 
 
-def indenter_tets(indenter: Indenter, size: float, crop: float = CROP_MM) -> tuple[np.ndarray, np.ndarray]:
-    """Linear tetrahedra of the indenter's lowest `crop` mm in its own frame: nodes (n, 3), elements (e, 4)."""
+def indenter_tets(indenter: Indenter, size: float) -> tuple[np.ndarray, np.ndarray]:
+    """Linear tetrahedra of the indenter's lowest CROP_MM in its own frame: nodes (n, 3), elements (e, 4)."""
     import pymeshlab
 
-    vertices, faces = cropped(indenter, crop)
+    vertices, faces = cropped(indenter, CROP_MM)
     shapes = pymeshlab.MeshSet()
     shapes.add_mesh(pymeshlab.Mesh(vertices, faces))
     shapes.meshing_isotropic_explicit_remeshing(targetlen=pymeshlab.PureValue(size), iterations=5)

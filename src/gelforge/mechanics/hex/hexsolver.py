@@ -31,6 +31,7 @@ MOST_BELOW_MM = 1e-3  # that a node may end below the base the gel is bonded to
 # coarse to tell anything.
 MOST_CORRECTED = 0.05
 ROUNDING_MM = 1e-6  # far below what an axis resolves
+KEPT = 8  # meshes, and factorisations, of those used last
 TOUCH = 1e-8  # path parameter, about what the first touch is found to: a moment nearer to it touches nothing yet
 
 
@@ -60,15 +61,15 @@ def solve_hex(scene: Scene, settings: HexSettings = HexSettings()) -> HexResult:
 
 
 class HexSolver:
-    """Solves many scenes, keeping meshes and symbolic factorisations (`kept` of each).
+    """Solves many scenes, keeping meshes and symbolic factorisations (KEPT of each).
 
     Of numbers nothing is kept: a press gives the same result whatever was solved before it.
     """
 
-    def __init__(self, settings: HexSettings = HexSettings(), kept: int = 8):
+    def __init__(self, settings: HexSettings = HexSettings()):
         self.settings = settings
-        self._meshes = _Kept(kept)
-        self._systems = _Kept(kept)
+        self._meshes = _Kept(KEPT)
+        self._systems = _Kept(KEPT)
 
     def mesh(self, gel: Gel, box: FineBox) -> HexMesh:
         """The brick mesh for a fine box (cached)."""

@@ -17,21 +17,22 @@ from gelforge.mechanics.mesh import GelMesh
 EDGES = np.array([[0, 1], [1, 2], [2, 0], [0, 3], [1, 3], [2, 3]])  # midside order of C3D10
 FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])  # corners, outward for a positive tetrahedron
 OUTLINE_STEP_MM = 1.5  # length of a side of the outline polygon; no edge of a mesh there is shorter
+ARC_SIDES = 4  # of the outline at each of its rounded corners
 SIZING_STEP_MM = 0.75
 
 
-def outline(gel: Gel, step: float = OUTLINE_STEP_MM, arc: int = 4) -> np.ndarray:
-    """Outline of the gel as a polygon, counter-clockwise, (n, 2) mm, sides about `step` long."""
+def outline(gel: Gel) -> np.ndarray:
+    """Outline of the gel as a polygon, counter-clockwise, (n, 2) mm, sides about OUTLINE_STEP_MM long."""
     half = np.array([gel.width, gel.length]) / 2
     centres = (half - gel.corner_radius) * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
     corners = []
     for quarter, centre in enumerate(centres):
-        angle = np.pi / 2 * (quarter + np.linspace(0, 1, arc + 1))
+        angle = np.pi / 2 * (quarter + np.linspace(0, 1, ARC_SIDES + 1))
         corners.append(centre + gel.corner_radius * np.column_stack([np.cos(angle), np.sin(angle)]))
     points = np.concatenate(corners)
     filled = []
     for start, end in zip(points, np.roll(points, -1, axis=0), strict=True):
-        pieces = max(1, round(np.linalg.norm(end - start) / step))
+        pieces = max(1, round(np.linalg.norm(end - start) / OUTLINE_STEP_MM))
         filled.append(start + (end - start) * np.arange(pieces)[:, None] / pieces)
     return np.concatenate(filled)
 
