@@ -172,6 +172,35 @@ def between(mean: float, bounds: Sequence[float], digits: int) -> str:
     return f"{mean:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"
 
 
+def about_lines(about: dict) -> list[str]:
+    """What the network is and what it learnt from."""
+    return [
+        f"- Network: {listing(about['model'])}; {about['parameters']} parameters.",
+        f"- Sensors seen: {named(about['sensors'])}; in its dataset: {named(about['known_sensors'])}.",
+        f"- Indenters seen: {', '.join(about['indenters'])}.",
+        *data_lines(about),
+        f"- Training: best of {len(about['curve'])} epochs was {about['best_epoch']}; {listing(about['train'])}.",
+        *start_lines(about),
+        *interval_lines(about),
+        *dot_lines(about),
+        *place_lines(about),
+        f"- {AXIS_NOTE}",
+    ]
+
+
+def limit_lines(about: dict) -> list[str]:
+    """Where its forces hold, and what it flags."""
+    return [
+        f"- An image whose statistics lie further than {about['statistics']['threshold']:.2f} from the training "
+        "images is flagged; the score sees colours, sharpness and dots, not whether a force is right.",
+        "- Valid for the gel, the light and the forces it was trained on. From the least to the largest total these span "
+        + ", ".join(
+            f"{span:.1f} N ({axis})" for axis, span in zip(CHANNELS, about["normalisation"]["range"], strict=True)
+        )
+        + ": sideways about half of that either way. Forces beyond are extrapolation.",
+    ]
+
+
 def write_card(about: dict, evaluation: dict, figures: Sequence[dict] = (), readings: Sequence[dict] = ()) -> str:
     """Return the card of a model as Markdown, from its file's `about`, its evaluation, and figures of benchmarks.
 
@@ -187,16 +216,7 @@ def write_card(about: dict, evaluation: dict, figures: Sequence[dict] = (), read
         f"tells the contact forces on its gel in N on a grid of {about['grid'][0]} x {about['grid'][1]} cells. "
         f"{origin_of(about)}",
         "",
-        f"- Network: {listing(about['model'])}; {about['parameters']} parameters.",
-        f"- Sensors seen: {named(about['sensors'])}; in its dataset: {named(about['known_sensors'])}.",
-        f"- Indenters seen: {', '.join(about['indenters'])}.",
-        *data_lines(about),
-        f"- Training: best of {len(about['curve'])} epochs was {about['best_epoch']}; {listing(about['train'])}.",
-        *start_lines(about),
-        *interval_lines(about),
-        *dot_lines(about),
-        *place_lines(about),
-        f"- {AXIS_NOTE}",
+        *about_lines(about),
         "",
         f"Errors are those on the pictures of dataset {evaluation['judged_on']}. Their intervals come from drawing"
         f" presses anew; in a split of {FEWEST_DRAWN} sensors or more, none of which it learnt from, from drawing sensors anew.",
@@ -216,12 +236,6 @@ def write_card(about: dict, evaluation: dict, figures: Sequence[dict] = (), read
         *readings_rows(list(readings)),
         "## Limits",
         "",
-        f"- An image whose statistics lie further than {about['statistics']['threshold']:.2f} from the training "
-        "images is flagged; the score sees colours, sharpness and dots, not whether a force is right.",
-        "- Valid for the gel, the light and the forces it was trained on. From the least to the largest total these span "
-        + ", ".join(
-            f"{span:.1f} N ({axis})" for axis, span in zip(CHANNELS, about["normalisation"]["range"], strict=True)
-        )
-        + ": sideways about half of that either way. Forces beyond are extrapolation.",
+        *limit_lines(about),
     ]
     return "\n".join(lines) + "\n"
