@@ -1,7 +1,7 @@
 """Core hours, disk and time of a run before it starts, from a few of its presses.
 
-Presses from the middles of equal shares of the depths, with all rows of one that was filmed, go through poses, fea, forces and labels, in a folder of their
-own that is removed afterwards. Stages after the labels are estimated from what they took on other datasets.
+Presses from the middles of equal shares of the depths, with all rows of one that was filmed, go through poses, fea, forces
+and labels, in a folder of their own that is removed afterwards. Stages after the labels are estimated from what they took on other datasets.
 """
 
 import os
