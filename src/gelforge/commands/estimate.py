@@ -1,7 +1,8 @@
 """Core hours, disk and time of a run before it starts, from a few of its presses.
 
 Presses from the middles of equal shares of the depths, with all rows of one that was filmed, go through poses, fea, forces
-and labels, in a folder of their own that is removed afterwards. Stages after the labels are estimated from what they took on other datasets.
+and labels, in a folder of their own that is removed afterwards. Stages after the labels are estimated from what they took
+on other datasets.
 """
 
 import os
@@ -24,6 +25,7 @@ from gelforge.flow.params.tables import SHIPPED
 from gelforge.flow.running import duration
 from gelforge.labelling.grid import Grid
 from gelforge.mechanics.scene import REFERENCE_C10
+from gelforge.records.frames import presses_of
 from gelforge.records.log import read_shard, shard_text
 from gelforge.records.networkkind import kind_of
 from gelforge.records.press import RawRow, parse
@@ -50,18 +52,9 @@ def depth(row: RawRow) -> float:
     return 0.0 if press is None else -press.dz_mm
 
 
-def logged_presses(rows: list[RawRow]) -> list[list[RawRow]]:
-    """Rows grouped by press: those that share a press_id are moments of one, which are solved one after another."""
-    found: dict[str, list[RawRow]] = {}
-    for at, row in enumerate(rows):
-        press = row.cells.get("press_id", "")
-        found.setdefault(f"id {press}" if press else f"at {at}", []).append(row)
-    return list(found.values())
-
-
 def pilot_presses(rows: list[RawRow]) -> list[list[RawRow]]:
     """Presses that stand for all, each with all its rows."""
-    presses = logged_presses(rows)
+    presses = presses_of(rows)
     return [presses[k] for k in pilots([max(map(depth, press)) for press in presses])]
 
 
@@ -173,7 +166,7 @@ def main(args: Namespace) -> None:
     rows = planned_rows(args.results)
     if not rows:
         raise BadInput(f"{args.data}/log.csv: no press is planned; log at least one, then make estimate")
-    presses = logged_presses(rows)
+    presses = presses_of(rows)
     print(f"solving {len(pilot_presses(rows))} of {len(presses)} presses to see what they take", flush=True)
     costs = estimated(args.data, args.results, args.resolution, args.model, rows)
     shards = len(Layout(args.results).names())

@@ -8,6 +8,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import write_text
 from gelforge.flow.layout import Layout, shard_name
 from gelforge.flow.main import command, option
+from gelforge.records.frames import presses_of
 from gelforge.records.log import read_poses, read_shard, shard_text
 from gelforge.records.press import RawRow, check_id
 
@@ -22,8 +23,7 @@ def find_rows(results: Path, sample_id: str) -> list[RawRow]:
     found = next((row for row in rows if row.cells["sample_id"] == sample_id), None)
     if found is None:
         raise of.not_logged(sample_id)
-    press = found.cells.get("press_id")
-    return [row for row in rows if row.cells.get("press_id") == press] if press else [found]
+    return next(press for press in presses_of(rows) if found in press)
 
 
 def stages(data: Path, results: Path, work: Path, resolution: str) -> list[tuple[str, list]]:

@@ -6,9 +6,9 @@ from typing import TypeVar
 
 import numpy as np
 
-from gelforge.records.press import PressRecord, Rejection, reject
+from gelforge.records.press import PressRecord, RawRow, Rejection, reject
 
-Record = TypeVar("Record", bound=PressRecord)
+Record = TypeVar("Record", bound=PressRecord | RawRow)
 
 # A bench that films reads its axes while they move: what lies nearer than its resolution is the same place.
 NEAR_MM = 0.01

@@ -155,6 +155,11 @@ class RawRow:
     cells: dict[str, str]
     fault: str = ""
 
+    @property
+    def press_id(self) -> str:
+        """What rows of one press share; empty where the row stands alone."""
+        return self.cells.get("press_id", "")
+
 
 @dataclass(frozen=True)
 class Rejection:

@@ -93,7 +93,7 @@ def write_shards(
     table = out / "shards.csv"
     known = known_shards(table)
     ids = [row.cells["sample_id"] for row in rows]
-    press_of = {row.cells["sample_id"]: row.cells["press_id"] for row in rows if row.cells.get("press_id")}
+    press_of = {row.cells["sample_id"]: row.press_id for row in rows if row.press_id}
     shards = assign_shards(ids, known, size, press_of)
     by_shard: dict[int, list[RawRow]] = {}
     for row, name in zip(rows, ids, strict=True):
