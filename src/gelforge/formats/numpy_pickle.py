@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.records.npz import DAMAGED
+from gelforge.records.npz import DAMAGED, in_short
 from gelforge.records.regular import file_fault
 
 LARGEST_FILE = 2**30
@@ -416,7 +416,7 @@ def read_npy(path):
             " nothing is executed; save the sample again with numpy.save"
         ) from error
     except (*DAMAGED, IndexError) as error:  # what pickletools and the stack machine raise beyond numpy
-        raise BadInput(f"{path}: truncated or not a .npy file ({str(error)[:200]}); copy it again") from error
+        raise BadInput(f"{path}: truncated or not a .npy file ({in_short(error)}); copy it again") from error
 
 
 def _read(stream):

@@ -24,7 +24,7 @@ from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import Sensor, transform
 from gelforge.mechanics.family import load_mesh, mesh_file
 from gelforge.mechanics.mesh import GelMesh
-from gelforge.records.npz import DAMAGED
+from gelforge.records.npz import DAMAGED, in_short
 
 VERSION = 1  # of the numbers in an operator file; part of its name
 CORNERS = {"tet10": 3, "hex8": 4}
@@ -95,7 +95,7 @@ class Operator:
                 return cls(Grid(*map(int, file["grid"])), file["ptr"], file["cell"], file["weight"])
         except DAMAGED as error:
             raise BadInput(
-                f"{path}: not a binning operator ({str(error)[:200]}); delete it and run make again"
+                f"{path}: not a binning operator ({in_short(error)}); delete it and run make again"
             ) from error
 
 

@@ -17,9 +17,15 @@ DAMAGED = (
     OSError, ValueError, KeyError, TypeError, EOFError, RuntimeError, MemoryError, NotImplementedError, OverflowError,
     SyntaxError, tokenize.TokenError, zipfile.BadZipFile, zlib.error,
 )  # fmt: skip
+MOST_SAID = 200  # characters of an error: numpy quotes a header whole
 # An archive may unpack to so many bytes whatever it has itself, and beyond that to so many times its own.
 FREE_BYTES = 2**30
 MOST_TIMES = 20
+
+
+def in_short(error: BaseException) -> str:
+    """What an error says of damaged bytes, cut to what a person reads."""
+    return str(error)[:MOST_SAID]
 
 
 class Archive:
@@ -36,7 +42,7 @@ class Archive:
         try:
             self._zip = zipfile.ZipFile(self.path)
         except DAMAGED as error:
-            raise self._bad(str(error)[:200]) from error
+            raise self._bad(in_short(error)) from error
         members = self._zip.infolist()
         claimed = sum(member.file_size for member in members)
         if claimed > max(FREE_BYTES, MOST_TIMES * self.path.stat().st_size):
@@ -68,7 +74,7 @@ class Archive:
             with self._zip.open(self.names[name]) as stream:
                 return np.asarray(np.lib.format.read_array(stream, allow_pickle=False))
         except DAMAGED as error:
-            raise self._bad(f"array {name}: {str(error)[:200]}") from error
+            raise self._bad(f"array {name}: {in_short(error)}") from error
 
     def _check(self, name: str, shape: tuple[int, ...], kind: Any, size: int, kinds: str, dims: int) -> None:
         if kind.kind not in kinds or len(shape) != dims:

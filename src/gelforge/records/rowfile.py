@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.records.npz import DAMAGED
+from gelforge.records.npz import DAMAGED, in_short
 
 REMEDY = "remove it and make the dataset again"
 
@@ -17,7 +17,7 @@ def map_array(path: Path) -> np.memmap:
     try:
         return np.load(path, mmap_mode="r", allow_pickle=False)
     except DAMAGED as error:
-        raise BadInput(f"{path}: not a readable .npy array ({str(error)[:200]}); {REMEDY}") from None
+        raise BadInput(f"{path}: not a readable .npy array ({in_short(error)}); {REMEDY}") from None
 
 
 class RowFile:

@@ -19,7 +19,7 @@ from gelforge.mechanics.family import mesh_loader
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.scene import BALANCE, REFERENCE_C10
 from gelforge.records.forcefile import SampleForces, write_forces
-from gelforge.records.npz import DAMAGED
+from gelforge.records.npz import DAMAGED, in_short
 from gelforge.records.solvetable import Solved, damaged, read_record, read_solves
 from gelforge.records.status import Status
 
@@ -72,7 +72,7 @@ def read_sample(
             with np.load(path, allow_pickle=False) as file:
                 force, displacement = file["force"], file["displacement"]
     except DAMAGED as error:
-        status, reason = Status.UNREADABLE, f"{path}: {str(error)[:200]}"
+        status, reason = Status.UNREADABLE, f"{path}: {in_short(error)}"
     if not status.valid:
         return SampleForces.failed(solve.sample_id, status.name, solve.mesh, solve.press_id), reason
     top = mesh.surface_nodes
