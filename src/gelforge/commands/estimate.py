@@ -104,7 +104,9 @@ def pilot(data: Path, results: Path, work: Path, rows: list[RawRow], resolution:
 
 def measured(data: Path, results: Path, resolution: str, rows: list[RawRow]) -> list[Cost]:
     """What stages 10 to 50 take of each row, from a shard of pilots."""
-    chosen = [row for press in pilot_presses(rows) for row in press]
+    presses = pilot_presses(rows)
+    print(f"solving {len(presses)} of {len(presses_of(rows))} presses to see what they take", flush=True)
+    chosen = [row for press in presses for row in press]
     work = results / layout.ESTIMATE
     try:
         return pilot(data, results, work, chosen, resolution)
@@ -166,12 +168,10 @@ def main(args: Namespace) -> None:
     rows = planned_rows(args.results)
     if not rows:
         raise BadInput(f"{args.data}/log.csv: no press is planned; log at least one, then make estimate")
-    presses = presses_of(rows)
-    print(f"solving {len(pilot_presses(rows))} of {len(presses)} presses to see what they take", flush=True)
     costs = estimated(args.data, args.results, args.resolution, args.model, rows)
     shards = len(Layout(args.results).names())
     print("\n".join(table(costs, len(rows))))
-    an_hour = presses_an_hour(costs, args.cores) * len(presses) / len(rows)
+    an_hour = presses_an_hour(costs, args.cores) * len(presses_of(rows)) / len(rows)
     print(f"{an_hour:.0f} presses an hour become labels on {args.cores} cores like these")
     print(f"about {duration(wall_seconds(costs, len(rows), args.cores, shards))} on {args.cores} cores like these")
 

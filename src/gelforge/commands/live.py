@@ -113,8 +113,8 @@ def refuse_two_faces(args: Namespace) -> None:
     # - is standard output, one for both
     files = {name: path if str(path) == "-" else path.resolve() for name, path in written.items() if path}
     beside = args.profile and args.profile.with_suffix(".png")
+    read = [args.video, args.untouched, args.profile, beside, args.model]
     for name, path in files.items():
-        read = [args.video, args.untouched, args.profile, beside, args.model]
         refuse_to_replace(f"--{name} {written[name]}", [path], read)
     if len(set(files.values())) < len(files):
         raise BadInput(f"--jsonl and --csv both name {args.csv}; name two files")

@@ -85,10 +85,10 @@ def turned_round(sample: LoggedPress, path: LoggedPress, file: str, compliance: 
 
     compliance: shear_compliance_mm_per_n, for the remedy.
     """
-    told, left = (np.array([press.dx_mm, press.dy_mm]) for press in (sample, path))
-    if np.hypot(*told) <= NEAR_MM or told @ left > 0.0:
+    asked, left = (np.array([press.dx_mm, press.dy_mm]) for press in (sample, path))
+    if np.hypot(*asked) <= NEAR_MM or asked @ left > 0.0:
         return []
-    column = "dx_mm" if abs(told[0]) >= abs(told[1]) else "dy_mm"
+    column = "dx_mm" if abs(asked[0]) >= abs(asked[1]) else "dy_mm"
     remedy = (
         f"check shear_compliance_mm_per_n = {compliance:g} in [poses], and the sign of fx_n, fy_n: the force on the gel"
         " points along the motion"

@@ -61,9 +61,9 @@ def press_deck(
     """Deck of one equilibrium without contact.
 
     include: file name of the mesh. held: (k,) nodes, counted from 0, led to the displacements `places` (k, 3) mm.
-    start: (n, 3) mm, or None: from rest. increment: first load increment, 1 for all at once. residual: largest nodal residual over the
-    mean nodal force. Prints U and RF of the top's nodes, RF of the base, U of all. RF of a held node is the force that
-    holds it.
+    start: (n, 3) mm, or None: from rest. increment: first load increment, 1 for all at once. residual: largest nodal
+    residual over the mean nodal force. Prints U and RF of the top's nodes, RF of the base, U of all. RF of a held node is
+    the force that holds it.
     """
     lines = [f"*INCLUDE, INPUT={include}", *material_lines(material), "*BOUNDARY", "NBASE,1,3"]
     if start is not None:
