@@ -75,6 +75,16 @@ def test_the_seed_decides():
     assert (first == again).all() and (first != other).any()
 
 
+@settings(max_examples=40)
+@given(st.integers(60, 300), st.floats(0.2, 1.0), st.integers(0, 999), st.booleans())
+def test_what_comes_later_moves_no_press(count, part, seed, revisited):
+    """A network may go on from one that learnt from the same presses when they were fewer: none that it saw tests it."""
+    rows, force = presses(count, seed, count // 2 if revisited else None)
+    chosen, first = with_values(SETTINGS, unseen_sensors=["c1"], seed=seed), max(40, int(part * count))
+    early = split_presses(rows[:first], force[:first], {"i1"}, {}, chosen)[0]
+    assert (early == split_presses(rows, force, {"i1"}, {}, chosen)[0][:first]).all()
+
+
 @pytest.mark.parametrize("count", [8, 12, 20, 40])
 def test_small_datasets_still_validate_and_test(count):
     rows, force = presses(count, 3)

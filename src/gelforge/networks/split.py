@@ -1,12 +1,14 @@
 """Training, validation and test sets of presses, without leaks."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 
 import numpy as np
 
 from gelforge.flow.params.tables import DatasetTable
 from gelforge.records.press import PressRecord
 from gelforge.records.splits import TEST, TRAINING, UNSEEN_BOTH, UNSEEN_INDENTER, UNSEEN_SENSOR, VALIDATION
+
+CHANCE = 0.5  # samples by which chance may move the lag of a split
 
 
 def group_presses(
@@ -67,24 +69,24 @@ def split_presses(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Split name (n,) and group (n,) of samples.
 
-    folds: of indenters, as for `group_presses`. force (n,) N decides the stratum by settings.force_edges. Unseen indenters and sensors make their
-    own tests; the groups of the others, ordered by force range and indenter with ties shuffled by
-    settings.seed, go one by one to the split that is furthest behind its share of samples.
+    folds: of indenters, as for `group_presses`. force: (n,) N. Unseen indenters and sensors make their own tests. The
+    groups of the others are dealt to training, validation and test as their first samples come. What comes later moves
+    none of them (but where it ties two groups together), so that a dataset may grow: what a network learnt from is no
+    test of one that goes on from it.
     """
     group = group_presses(presses, settings.same_press_mm, settings.same_press_deg, folds)
     split = np.array(
         [_kept_apart(press, unseen_indenters, settings.unseen_sensors) for press in presses], dtype=object
     )
     known = np.flatnonzero(split == "")
+    strata = _strata(presses, np.abs(np.asarray(force)), settings.force_edges)
     shares = {
         TRAINING: 1.0 - settings.validation - settings.test,
         VALIDATION: settings.validation,
         TEST: settings.test,
     }
-    order = _order(presses, np.asarray(force), group, known, settings)
-    chosen = dict(zip(order, _deal([int((group[known] == g).sum()) for g in order], shares), strict=True))
-    for at in known:
-        split[at] = chosen[group[at]]
+    chosen = _deal(group[known], [strata[at] for at in known], shares, settings.seed)
+    split[known] = [chosen[name] for name in group[known]]
     return split.astype(str), group
 
 
@@ -95,30 +97,44 @@ def _kept_apart(press, unseen_indenters, unseen_sensors) -> str:
     return UNSEEN_INDENTER if indenter else UNSEEN_SENSOR if sensor else ""
 
 
-def _order(presses, force, group, known, settings) -> list[int]:
-    """Groups of the known samples by force range, then indenter, ties in random order."""
-    rng = np.random.default_rng(settings.seed)
-    strongest: dict[int, float] = {}
-    name: dict[int, str] = {}
-    for at in known:
-        strongest[group[at]] = max(strongest.get(group[at], 0.0), abs(force[at]))
-        name[group[at]] = presses[at].indenter
-    groups = sorted(strongest)
-    tie = rng.permutation(len(groups))
-    stratum = {g: int(np.searchsorted(settings.force_edges, strongest[g])) for g in groups}
-    return [g for _, _, _, g in sorted((stratum[g], name[g], tie[k], g) for k, g in enumerate(groups))]
+def _strata(presses, force, edges) -> list[tuple[Hashable, ...]]:
+    """What is to be shared out evenly around each sample: all, its range of force, its indenter within that.
+
+    The force of a press is that of its strongest frame.
+    """
+    alone = [press.press_id or at for at, press in enumerate(presses)]
+    strongest: dict[Hashable, float] = {}
+    for press_id, one in zip(alone, force.tolist(), strict=True):
+        strongest[press_id] = max(strongest.get(press_id, 0.0), one)
+    ranges = [int(np.searchsorted(edges, strongest[press_id])) for press_id in alone]
+    return [("all", at, (at, press.indenter)) for at, press in zip(ranges, presses, strict=True)]
 
 
-def _deal(sizes, shares: dict) -> list[str]:
-    """Split of each group in order: the one that is furthest behind its share of what was dealt."""
-    names = list(shares)
-    dealt, total, chosen = dict.fromkeys(names, 0), 0, []
-    for size in sizes:
-        total += size
-        best = max(names, key=lambda name: (shares[name] * total - dealt[name], -names.index(name)))
-        dealt[best] += size
-        chosen.append(best)
-    for name in names[1:]:
-        if shares[name] > 0 and name not in chosen and chosen.count(TRAINING) > 4:
-            chosen[len(chosen) // 2 if chosen[len(chosen) // 2] == TRAINING else chosen.index(TRAINING)] = name
-    return chosen
+def _deal(
+    groups: np.ndarray, strata: Sequence[Sequence[Hashable]], shares: Mapping[str, float], seed: int
+) -> dict[int, str]:
+    """Split by group; groups, strata: of samples in the order in which they came.
+
+    A new group goes to the split that lags furthest behind its share of the samples so far, in all strata of its first one
+    together; chance has a say in what is nearly even.
+    """
+    rng, names, share = np.random.default_rng(seed), list(shares), np.array(list(shares.values()))
+    behind: dict[Hashable, np.ndarray] = {}  # by stratum: samples that each split lacks of its share
+    chosen: dict[int, int] = {}
+    for group, around in zip(groups.tolist(), strata, strict=True):
+        for stratum in around:
+            behind[stratum] = behind.get(stratum, 0.0) + share
+        if group not in chosen:
+            lag = sum(behind[stratum] for stratum in around) + rng.uniform(0.0, CHANCE, len(share))
+            chosen[group] = int(np.argmax(np.where(share > 0, lag, -np.inf)))
+        for stratum in around:
+            behind[stratum][chosen[group]] -= 1.0
+    split = {group: names[at] for group, at in chosen.items()}
+    return split | _at_least_one(split, shares)
+
+
+def _at_least_one(split: Mapping[int, str], shares: Mapping[str, float]) -> dict[int, str]:
+    """The first groups that train, given to splits that would have none: of a few presses some still validate and test."""
+    training = [group for group, name in split.items() if name == TRAINING]
+    lacking = [name for name, share in shares.items() if share > 0 and name not in split.values()]
+    return dict(zip(training, lacking)) if len(training) > 4 else {}

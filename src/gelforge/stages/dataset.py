@@ -32,7 +32,7 @@ from gelforge.records.splits import TRAINING
 from gelforge.records.status import Status
 from gelforge.records.table import numbered_rows, read_table
 
-VERSION = 3
+VERSION = 4
 
 
 def collect(shards: list[tuple[Path, list]], truth: dict) -> tuple[list[DatasetSample], list, dict, dict]:
