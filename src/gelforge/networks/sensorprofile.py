@@ -28,6 +28,7 @@ LEAST_N = 0.5  # read by the network: below, nothing touches
 FARTHEST = 5.0  # times that a reading may differ from what the network reads
 GRASP_SCATTER = 0.35  # of one grasp's logarithm: fingers see different parts of what they hold
 SHARE = 0.9  # of the probability that an interval holds
+USUAL = NormalDist().inv_cdf((1 + SHARE) / 2)  # standard deviations that such an interval reaches on either side
 APART = 0.03  # share by which the dots' distance may differ from the profile's
 
 
@@ -36,8 +37,8 @@ class Gain:
     """Factor on all forces of a sensor, an interval that holds it with probability 0.9, and the readings behind it."""
 
     value: float = 1.0
-    low: float = math.exp(-1.645 * SPREAD)
-    high: float = math.exp(1.645 * SPREAD)
+    low: float = math.exp(-USUAL * SPREAD)
+    high: float = math.exp(USUAL * SPREAD)
     readings: int = 0
 
 
@@ -96,7 +97,7 @@ def fit_opposite(opposite: np.ndarray, read: np.ndarray, other: Gain) -> Gain:
     scatter = (KNOWN * GRASP_SCATTER**2 + (count - 1) * spread**2) / freedom
     told, before = count / (math.pi / 2 * scatter), 1.0 / (2 * SPREAD**2)
     mean = (told * centre + before * math.log(other.value)) / (told + before)
-    known = math.log(other.high / other.low) / (2 * NormalDist().inv_cdf(0.5 + SHARE / 2))
+    known = math.log(other.high / other.low) / (2 * USUAL)
     half = student_quantile(0.5 + SHARE / 2, freedom) * math.sqrt(1.0 / (told + before) + known**2)
     return Gain(math.exp(mean), math.exp(mean - half), math.exp(mean + half), count)
 
