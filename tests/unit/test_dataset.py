@@ -76,11 +76,13 @@ def test_the_seed_decides():
 
 
 @settings(max_examples=40)
-@given(st.integers(60, 300), st.floats(0.2, 1.0), st.integers(0, 999), st.booleans())
-def test_what_comes_later_moves_no_press(count, part, seed, revisited):
+@given(st.integers(2, 100), st.floats(0.0, 1.0), st.integers(0, 999), st.booleans(), st.sampled_from([1, 3]))
+def test_what_comes_later_moves_no_press(count, part, seed, revisited, frames):
     """A network may go on from one that learnt from the same presses when they were fewer: none that it saw tests it."""
-    rows, force = presses(count, seed, count // 2 if revisited else None)
-    chosen, first = with_values(SETTINGS, unseen_sensors=["c1"], seed=seed), max(40, int(part * count))
+    each, _ = presses(count, seed, count // 2 if revisited else None)
+    rows = [replace(row, sample_id=f"{row.sample_id}-{k}", press_id=row.sample_id) for row in each for k in range(frames)]
+    force = np.random.default_rng(seed).uniform(0, 12, len(rows))
+    chosen, first = with_values(SETTINGS, unseen_sensors=["c1"], seed=seed), frames * max(1, int(part * count))
     early = split_presses(rows[:first], force[:first], {"i1"}, {}, chosen)[0]
     assert (early == split_presses(rows, force, {"i1"}, {}, chosen)[0][:first]).all()
 

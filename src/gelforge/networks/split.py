@@ -70,9 +70,9 @@ def split_presses(
     """Split name (n,) and group (n,) of samples.
 
     folds: of indenters, as for `group_presses`. force: (n,) N. Unseen indenters and sensors make their own tests. The
-    groups of the others are dealt to training, validation and test as their first samples come. What comes later moves
-    none of them (but where it ties two groups together), so that a dataset may grow: what a network learnt from is no
-    test of one that goes on from it.
+    groups of the others are dealt to training, validation and test as their first samples come. Whole presses that come
+    later move none of them (but where they tie two groups together), so that a dataset may grow: what a network learnt
+    from is no test of one that goes on from it.
     """
     group = group_presses(presses, settings.same_press_mm, settings.same_press_deg, folds)
     split = np.array(
@@ -115,10 +115,12 @@ def _deal(
 ) -> dict[int, str]:
     """Split by group; groups, strata: of samples in the order in which they came.
 
-    A new group goes to the split that lags furthest behind its share of the samples so far, in all strata of its first one
-    together; chance has a say in what is nearly even.
+    The first groups go to one split each, so that few presses validate and test, too. Any other goes to the split that lags
+    furthest behind its share of the samples so far, in all strata of its first one together; chance has a say in what is
+    nearly even.
     """
     rng, names, share = np.random.default_rng(seed), list(shares), np.array(list(shares.values()))
+    asked = np.flatnonzero(share > 0)
     behind: dict[Hashable, np.ndarray] = {}  # by stratum: samples that each split lacks of its share
     chosen: dict[int, int] = {}
     for group, around in zip(groups.tolist(), strata, strict=True):
@@ -126,15 +128,8 @@ def _deal(
             behind[stratum] = behind.get(stratum, 0.0) + share
         if group not in chosen:
             lag = sum(behind[stratum] for stratum in around) + rng.uniform(0.0, CHANCE, len(share))
-            chosen[group] = int(np.argmax(np.where(share > 0, lag, -np.inf)))
+            first = len(chosen) < len(asked)
+            chosen[group] = int(asked[len(chosen)] if first else asked[np.argmax(lag[asked])])
         for stratum in around:
             behind[stratum][chosen[group]] -= 1.0
-    split = {group: names[at] for group, at in chosen.items()}
-    return split | _at_least_one(split, shares)
-
-
-def _at_least_one(split: Mapping[int, str], shares: Mapping[str, float]) -> dict[int, str]:
-    """The first groups that train, given to splits that would have none: of a few presses some still validate and test."""
-    training = [group for group, name in split.items() if name == TRAINING]
-    lacking = [name for name, share in shares.items() if share > 0 and name not in split.values()]
-    return dict(zip(training, lacking)) if len(training) > 4 else {}
+    return {group: names[at] for group, at in chosen.items()}
