@@ -21,6 +21,10 @@ $(error MODEL=shipped: the network that ships was trained elsewhere; to $(firstw
 endif
 endif
 
+ifneq ($(and $(filter ship,$(MAKECMDGOALS)),$(filter-out 24x32,$(RES1))),)
+$(error ship RES=$(RES1): the network that ships has a grid of 24x32; train one of it, RES=24x32)
+endif
+
 .PHONY: train models onnx
 train: $D/70_train/$(RES1)/$(LEARNT).pt  ## one network: make train MODEL=grid_16 RES=24x32
 models: $(LEARNABLE:%=$D/70_train/$(RES1)/%.pt)  ## every network of workflow/models.toml that learns from nothing but the dataset

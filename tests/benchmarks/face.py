@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from gelforge.commands.estimate import estimated, folder_bytes, planned_rows
+from gelforge.commands.estimate import estimated, planned_rows
 from gelforge.commands.export import FORMATS, export
 from gelforge.errors import BadInput
-from gelforge.flow.files import read_csv, read_json, write_csv
+from gelforge.flow.files import bytes_of, read_csv, read_json, write_csv
 from gelforge.flow.forecast import wall_seconds
 from gelforge.flow.layout import Layout
 from gelforge.flow.main import command, option
@@ -151,7 +151,7 @@ def run_of_demo(results: Path) -> list[Figure]:
     """What the last make demo took, from its records, and what an estimate says of it."""
     records = [read_json(path) for path in (results / "metrics").rglob("*.json")]
     seconds = max(r["started"] + r["seconds"] for r in records) - min(r["started"] for r in records)
-    took = {"cpu": sum(r["cpu_seconds"] for r in records), "disk": folder_bytes(results), "wall": seconds}
+    took = {"cpu": sum(r["cpu_seconds"] for r in records), "disk": bytes_of(results), "wall": seconds}
     rows = planned_rows(results)
     costs = estimated(Path("data") / results.name, results, "24x32", "shipped", rows)
     wall = wall_seconds(costs, len(rows), os.cpu_count() or 1, len(Layout(results).names()))

@@ -100,7 +100,7 @@ def chain_figure(seconds: float) -> Figure:
     import cv2
     import torch
 
-    from gelforge.networks.latency import predict_images
+    from gelforge.networks.modelfile import predict_images
     from gelforge.networks.use import GIVEN, predict_one
 
     pairs = demo_pairs()

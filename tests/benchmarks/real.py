@@ -19,8 +19,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.main import command, option
 from gelforge.flow.progress import progress
 from gelforge.formats.numpy_pickle import read_npy
-from gelforge.networks.latency import predict_images
-from gelforge.networks.modelfile import SensorNet, Trained
+from gelforge.networks.modelfile import SensorNet, Trained, predict_images
 from gelforge.networks.sensorprofile import Gain, fingerprint, fit_opposite
 from gelforge.networks.sitting import place_sitting
 from gelforge.networks.still import SETTLING, find_untouched

@@ -80,7 +80,9 @@ def test_the_seed_decides():
 def test_what_comes_later_moves_no_press(count, part, seed, revisited, frames):
     """A network may go on from one that learnt from the same presses when they were fewer: none that it saw tests it."""
     each, _ = presses(count, seed, count // 2 if revisited else None)
-    rows = [replace(row, sample_id=f"{row.sample_id}-{k}", press_id=row.sample_id) for row in each for k in range(frames)]
+    rows = [
+        replace(row, sample_id=f"{row.sample_id}-{k}", press_id=row.sample_id) for row in each for k in range(frames)
+    ]
     force = np.random.default_rng(seed).uniform(0, 12, len(rows))
     chosen, first = with_values(SETTINGS, unseen_sensors=["c1"], seed=seed), frames * max(1, int(part * count))
     early = split_presses(rows[:first], force[:first], {"i1"}, {}, chosen)[0]

@@ -16,8 +16,15 @@ from synthetic_presses import SETTINGS
 
 from gelforge.errors import BadInput
 from gelforge.networks.data import open_data
-from gelforge.networks.latency import predict_images
-from gelforge.networks.modelfile import FORMAT, SensorNet, Trained, load_model, require_fit, save_model
+from gelforge.networks.modelfile import (
+    FORMAT,
+    SensorNet,
+    Trained,
+    load_model,
+    predict_images,
+    require_fit,
+    save_model,
+)
 from gelforge.networks.models import build
 from gelforge.networks.training import normalisations, predict_rows
 from gelforge.stages.train import train

@@ -1,6 +1,7 @@
 """A sensor's profile: the factor that readings tell, files that come back, and what is refused."""
 
 import csv
+import shutil
 
 import cv2
 import numpy as np
@@ -288,12 +289,22 @@ def test_half_of_what_grasps_need_is_refused(weighed, more, told):
         sensor.main(["--name", "a", "--untouched", str(folder / "rest.png"), *more])
 
 
-def test_a_profile_takes_the_place_of_none_that_it_is_made_from(weighed):
+@pytest.mark.parametrize("taken", ["renamed", "other"])
+def test_what_a_profile_is_made_from_keeps_its_place(weighed, taken):
+    """Also the picture of a profile whose own file was renamed, by which nothing but what the file says leads to it."""
     folder, _ = weighed
-    other, grasps = (str(folder / name) for name in ("other.toml", "grasps.csv"))
-    asked = ["--name", "a", "--untouched", str(folder / "rest.png"), "--opposite", other, "--grasps", grasps]
-    with pytest.raises(BadInput, match="other.toml would take the place of a file that is read"):
-        sensor.main([*asked, "--out", other])
+    profile = make_profile("other", read_image(folder / "rest.png"), 0.0, Gain(), load_for_use(None).about)
+    write_profile(folder / "other.toml", profile)
+    (folder / "other.toml").rename(folder / "renamed.toml")
+    read = ["--opposite", str(folder / "renamed.toml"), "--grasps", str(folder / "grasps.csv")]
+    asked = ["--name", "a", "--untouched", str(folder / "rest.png"), *read]
+    with pytest.raises(BadInput, match="would take the place of a file that is read"):
+        sensor.main([*asked, "--out", str(folder / f"{taken}.toml")])
+    image = folder / "seen" / "other.png"
+    image.parent.mkdir()
+    shutil.copyfile(folder / "rest.png", image)
+    with pytest.raises(BadInput, match="would take the place of a file that is read"):
+        predict.main([str(image), "--profile", str(folder / "renamed.toml"), "--out", str(folder)])
 
 
 def filmed(path, pictures):

@@ -239,7 +239,7 @@ def test_a_unit_is_calibrated_from_one_image(root):
     image, _, _ = draw_dots(
         scale * np.array(like.markers["pitch_px"]), 1.5 + like.markers["rotation_deg"], (164, 118)
     )
-    found = projection.calibrate("new", like, image=image)
+    found = projection.fit_projection("new", like, image=image)
     half = np.array([[-8.0, -9], [8, -9], [8, 9], [-8, 9]])
     assert np.abs(transform(found.fit.homography, half) - transform(move @ like.projection, half)).max() < 0.5
     assert found.fit.rms < 0.5
@@ -250,9 +250,9 @@ def test_a_picture_that_shows_a_part_of_the_dots_does_not_tell_which(root):
     like = load_sensors(root / "workflow/sensors.toml")["gelsight_mini"]
     image, _, _ = draw_dots(1.4 * np.array(like.markers["pitch_px"]), 0.0, (160, 120))
     with pytest.raises(BadInput, match=r"its dots span \d x \d of the 7 x 9.*POINTS=points.csv"):
-        projection.calibrate("new", like, image=image)
+        projection.fit_projection("new", like, image=image)
     on_gel = np.array([[-8.0, -9], [8, -9], [8, 9], [-8, 9], [0, 0]])
-    found = projection.calibrate("new", like, (on_gel, transform(like.projection, on_gel)), image)
+    found = projection.fit_projection("new", like, (on_gel, transform(like.projection, on_gel)), image)
     assert found.markers is None and found.fit.rms < 1e-6
 
 

@@ -22,7 +22,7 @@ from gelforge.reporting.presses import as_columns, press_rows
 from gelforge.reporting.provenance import stages, target_costs
 from gelforge.reporting.surfacegrid import Resampler, grid_points
 from gelforge.stages import report
-from gelforge.stages.report import failures_section, flatten, with_forces
+from gelforge.stages.report import failures_section, with_forces
 from tests.explored import GELS, tables, write_page
 from tests.pressed_dataset import write_pressed
 
@@ -170,10 +170,6 @@ def test_failures_are_listed_with_their_reasons(tmp_path):
     section = failures_section(tmp_path, {"s1": failed})
     assert any(["s1", "DIVERGED", "why", "ccx"] in item.get("rows", []) for item in section.items)
     assert "None" in failures_section(tmp_path, {}).items[0]["text"]
-
-
-def test_leaves_of_nested_figures_keep_their_names():
-    assert flatten({"a": {"b": 1, "c": [2]}, "d": "x"}) == [("a.b", 1), ("d", "x")]
 
 
 def test_versions_are_told_where_a_package_is_missing_and_of_the_calculix_that_solves(tmp_path, monkeypatch):

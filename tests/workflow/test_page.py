@@ -89,11 +89,12 @@ def test_every_gel_is_drawn_as_thick_as_it_is(page):
             driver.get("about:blank")
             driver.get(page.as_uri() + f"#press={name}")
             shown(driver, name)
-            wait_for(driver, "return room && (room.none || room.parts.children.length >= 2)")
-            if not driver.execute_script("return Boolean(room.none)"):
-                assert driver.execute_script(lowest) == pytest.approx(-height, abs=1e-6)
             told = driver.find_element("id", "facts").text.splitlines()
             assert ("gel 2.6 mm thick" in told) == (height == 2.6)
+            wait_for(driver, "return room && (room.none || room.parts.children.length >= 2)")
+            if driver.execute_script("return Boolean(room.none)"):
+                pytest.skip("this browser draws no three dimensions")
+            assert driver.execute_script(lowest) == pytest.approx(-height, abs=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -147,7 +148,7 @@ def test_the_gel_turns_by_hand(page):
         wait_for(driver, "return room && (room.none || room.parts.children.length >= 3)")
         if driver.execute_script("return Boolean(room.none)"):  # a browser that draws no three dimensions says so
             assert "WebGL" in driver.find_element("id", "gel").text
-            return
+            pytest.skip("this browser draws no three dimensions")
         gel = driver.find_element("css selector", "#gel canvas")
         before = gel.screenshot_as_png
         assert gel.screenshot_as_png == before

@@ -16,7 +16,7 @@ from pathlib import Path
 from gelforge.commands.sample import stages
 from gelforge.errors import BadInput, last_words
 from gelforge.flow import layout
-from gelforge.flow.files import listed, read_json, write_json, write_text
+from gelforge.flow.files import bytes_of, listed, read_json, write_json, write_text
 from gelforge.flow.forecast import Cost, pilots, presses_an_hour, table, wall_seconds
 from gelforge.flow.layout import Layout, shard_name
 from gelforge.flow.main import command, option, positive
@@ -70,11 +70,6 @@ def spend(module: str, arguments: list) -> float:
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
-def folder_bytes(folder: Path) -> int:
-    """Bytes of all files of a folder."""
-    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
-
-
 def uncalibrated(params: Path, work: Path) -> Path:
     """The parameters of stage 40 with a stiffness in numbers, where the run will find it first: it costs no time."""
     table = read_json(params / "forces.json")
@@ -95,9 +90,9 @@ def pilot(data: Path, results: Path, work: Path, rows: list[RawRow], resolution:
         out = Path(arguments[-1])
         out.parent.mkdir(parents=True, exist_ok=True)
         cpu = spend(module, arguments)
-        written = folder_bytes(work / STAGES[module])
+        written = bytes_of(work / STAGES[module])
         # operators are of meshes and sensors, whatever the number of presses
-        once = sum(folder_bytes(folder) for folder in out.parent.glob("operators"))
+        once = sum(bytes_of(folder) for folder in out.parent.glob("operators"))
         found.append(Cost(STAGES[module], cpu / len(rows), 0.0, (written - once) / len(rows), once))
     return found
 
@@ -117,7 +112,7 @@ def measured(data: Path, results: Path, resolution: str, rows: list[RawRow]) -> 
 def meshes(results: Path) -> Cost:
     """What the meshes took, which the pilots needed and the run keeps."""
     records = [read_json(path) for path in listed(Layout(results).metrics / layout.MESHES, "*.json")]
-    written = folder_bytes(Layout(results).meshes)
+    written = bytes_of(Layout(results).meshes)
     return Cost(layout.MESHES, cpu_once=sum(record["cpu_seconds"] for record in records), bytes_once=written)
 
 

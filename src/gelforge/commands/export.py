@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from gelforge.errors import BadInput
+from gelforge.flow.files import bytes_of
 from gelforge.flow.main import command, option
 from gelforge.formats.export.samples import Samples
 
@@ -72,9 +73,9 @@ def export(samples: Samples, form: str, path: Path) -> None:
         if part.is_dir():
             (part / MARK).touch()
         # Not every library says that the disk was full.
-        if written(part) < least:
+        if bytes_of(part) < least:
             raise BadInput(
-                f"{path}: only {written(part)} of more than {least} bytes were written; free space and export again"
+                f"{path}: only {bytes_of(part)} of more than {least} bytes were written; free space and export again"
             )
 
 
@@ -94,12 +95,6 @@ def refuse_full_disk(path: Path, needed: int) -> None:
         raise BadInput(
             f"{path}: needs about {needed / 1e6:.3g} MB, {home} has {free / 1e6:.3g} MB left; free space or name another place"
         )
-
-
-def written(path: Path) -> int:
-    """Bytes of a file or of all files of a folder."""
-    files = path.rglob("*") if path.is_dir() else [path]
-    return sum(file.stat().st_size for file in files if file.is_file())
 
 
 @command(

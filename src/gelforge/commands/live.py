@@ -14,9 +14,9 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish
-from gelforge.flow.main import command, option, positive
+from gelforge.flow.main import command, from_zero, option, positive
 from gelforge.records.axes import CHANNEL_OF_AXIS
-from gelforge.records.film import frames, open_source, source_name
+from gelforge.records.film import frames, open_source, rate_of, source_name
 from gelforge.records.regular import refuse_to_replace
 
 RATE_OVER = 30  # frames that the shown rate is averaged over
@@ -109,11 +109,16 @@ def refuse_two_faces(args: Namespace) -> None:
     ]
     if len(asked) > 1:
         raise BadInput(f"{' and '.join(asked)} do not go together; start `gelforge live` once for one of them")
+
+
+def refuse_taken_files(args: Namespace) -> None:
+    """BadInput where what is written would take the place of what is read, or of each other."""
+    from gelforge.networks.sensorprofile import files_of
+
     written = {name: getattr(args, name) for name in ("out", "jsonl", "csv")}
     # - is standard output, one for both
     files = {name: path if str(path) == "-" else path.resolve() for name, path in written.items() if path}
-    beside = args.profile and args.profile.with_suffix(".png")
-    read = [args.video, args.untouched, args.profile, beside, args.model]
+    read = [args.video, args.untouched, *files_of(args.profile), args.model]
     for name, path in files.items():
         refuse_to_replace(f"--{name} {written[name]}", [path], read)
     if len(set(files.values())) < len(files):
@@ -153,14 +158,12 @@ def with_untouched(args: Namespace, trained, picture: np.ndarray | None, seen, n
 
 def draw(args: Namespace, untouched, seen, capture, name: str, over: threading.Event) -> None:
     """Write a film of frames with forces on them, or show them in a window, and say how fast it went."""
-    import cv2
-
     from gelforge.commands.live_readings import is_lost, lost, until
 
     overlay = Overlay(untouched)
     pictures = (overlay(frame) for frame in until(over, seen))
     started = time.perf_counter()
-    count = write_video(pictures, args.out, capture.get(cv2.CAP_PROP_FPS) or 25.0) if args.out else show(pictures)
+    count = write_video(pictures, args.out, rate_of(capture)) if args.out else show(pictures)
     seconds = time.perf_counter() - started
     print(
         f"{count} frames in {seconds:.1f} s: {count / seconds:.1f} a second with overlay; network and check "
@@ -172,7 +175,7 @@ def draw(args: Namespace, untouched, seen, capture, name: str, over: threading.E
 
 @command(
     option("--video", type=Path, help="a film", default=None),
-    option("--camera", type=int, help="number of a camera, if no film is named", default=None),
+    option("--camera", type=from_zero, help="number of a camera, if no film is named", default=None),
     option("--model", type=Path, help="model file; the one that came with gelforge if not named", default=None),
     option("--sensor", help="the sensor that films; refused if the model is for another one", default=None),
     option("--untouched", type=Path, metavar="IMAGE", help="the sensor while nothing touches it", default=None),
@@ -196,6 +199,7 @@ def main(args: Namespace) -> None:
     if (args.video is None) == (args.camera is None):
         raise BadInput("give either --video FILE or --camera NUMBER")
     refuse_two_faces(args)
+    refuse_taken_files(args)
     import torch
 
     from gelforge.commands.live_readings import keep_readings, show_page, stopping

@@ -13,6 +13,7 @@ from gelforge.errors import BadInput
 from gelforge.live.reading import Reading, write_lines
 from gelforge.live.recording import Recorder
 from gelforge.live.server import Hub, Server, serve
+from gelforge.records.film import rate_of
 
 LONGEST_LINE = 2**20  # bytes, of a reading that is written
 
@@ -48,9 +49,7 @@ def is_lost(args: Namespace, over: threading.Event, count: int) -> bool:
 
 def frame_seconds(args: Namespace, capture) -> float | None:
     """Time between the frames of a film; None of a camera."""
-    import cv2
-
-    return None if args.camera is not None else 1.0 / (capture.get(cv2.CAP_PROP_FPS) or 25.0)
+    return None if args.camera is not None else 1.0 / rate_of(capture)
 
 
 def keep_readings(args: Namespace, untouched, frames, capture, name: str, over: threading.Event) -> None:

@@ -20,7 +20,7 @@ import numpy as np
 from gelforge.errors import BadInput, printable
 from gelforge.flow.files import publish, write_csv
 from gelforge.flow.main import command, option, positive
-from gelforge.networks.sensorprofile import untouched_of
+from gelforge.networks.sensorprofile import files_of, untouched_of
 from gelforge.networks.sitting import place_sitting
 from gelforge.networks.use import Judgement, Untouched, load_for_use, predict_one
 from gelforge.records.axes import CHANNELS
@@ -132,8 +132,8 @@ def main(args: Namespace) -> None:
     trained = load_for_use(args.model, args.sensor)
     picture, gain = untouched_of(args.profile, picture, trained.about)
     untouched = Untouched(trained, picture, args.sensor, gain)
-    profiled = [args.profile, args.profile.with_suffix(".png")] if args.profile else []
-    rows = predict_files(args.images, untouched, args.out, [*filter(None, [args.untouched]), *profiled])
+    kept = [*filter(None, [args.untouched]), *files_of(args.profile)]
+    rows = predict_files(args.images, untouched, args.out, kept)
     for row in rows:
         warning = f"  FLAGGED: {row['reason']}" if row["flagged"] else ""
         against = f" against {row['untouched']}" if row["untouched"] else ""

@@ -14,6 +14,7 @@ from gelforge.labelling.homography import Fit, fit_homography
 from gelforge.labelling.sensor import Sensor, check_projection, find_sensor, load_sensors, transform
 from gelforge.records.image import read_image, write_png
 from gelforge.records.markers import MarkerGrid, find_markers
+from gelforge.records.press import check_id
 from gelforge.records.regular import refuse_to_replace
 
 POINT_COLUMNS = ["x_mm", "y_mm", "u_px", "v_px"]
@@ -90,7 +91,7 @@ def grid_pixels(markers: dict, index: np.ndarray) -> np.ndarray:
     return (index[:, ::-1] - middle) * np.array(markers["pitch_px"]) @ turn.T + np.array(markers["centre_px"])
 
 
-def calibrate(name: str, like: Sensor, points=None, image=None, where: str = "") -> FittedProjection:
+def fit_projection(name: str, like: Sensor, points=None, image=None, where: str = "") -> FittedProjection:
     """Fit the projection of the sensor `name`.
 
     points: (gel points, pixels), or None: then the dots of `image` (h, w, 3) RGB are taken to be where
@@ -128,7 +129,7 @@ def calibrate(name: str, like: Sensor, points=None, image=None, where: str = "")
 
 
 def describe(found: FittedProjection) -> dict:
-    """The calibration as plain numbers."""
+    """The projection as plain numbers."""
     worst = int(found.fit.residual.argmax())
     about = {
         "sensor": found.sensor,
@@ -255,6 +256,7 @@ def report(about: dict, old: Sensor | None) -> None:
 def main(args: Namespace) -> None:
     if not args.sensor:
         raise BadInput("no sensor named; say make projection SENSOR=name POINTS=points.csv (or IMAGE=nocontact.png)")
+    check_id(args.sensor, "SENSOR")
     out = args.out or Path("results/projection") / f"{args.sensor}.json"
     refuse_to_replace(f"--out {out}", [out, out.with_suffix(".png")], [args.points, args.image, args.sensors])
     if out.suffix == ".png":
@@ -263,7 +265,7 @@ def main(args: Namespace) -> None:
     like = find_sensor(sensors, args.like, "LIKE")
     points = read_points(args.points) if args.points else None
     image = read_picture(args.image, like.image) if args.image else None
-    found = calibrate(args.sensor, like, points, image, str(args.points or args.image or ""))
+    found = fit_projection(args.sensor, like, points, image, str(args.points or args.image or ""))
     about = describe(found)
     write_json(out, about)
     write_png(out.with_suffix(".png"), draw(found, image)[..., ::-1])

@@ -17,11 +17,12 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.main import command, option
+from gelforge.flow.main import command, from_zero, option
 from gelforge.networks.sensorprofile import (
     Gain,
     check_readings,
     check_same_network,
+    files_of,
     fit_gain,
     fit_opposite,
     make_profile,
@@ -131,8 +132,8 @@ def check_options(args: Namespace, out: Path) -> None:
             "give either --readings or --grasps: what was weighed says more than what another finger reads"
         )
     beside = out.with_suffix(".png")
-    facing = [args.opposite, args.opposite.with_suffix(".png")] if args.opposite else []
-    refuse_to_replace(f"--out {out}", [out, beside], [args.video, args.readings, args.grasps, args.model, *facing])
+    read = [args.video, args.readings, args.grasps, args.model, *files_of(args.opposite)]
+    refuse_to_replace(f"--out {out}", [out, beside], read)
     if (
         beside.exists()
         and not out.exists()
@@ -147,7 +148,7 @@ def check_options(args: Namespace, out: Path) -> None:
     option("--name", help="of the sensor"),
     option("--untouched", type=Path, metavar="IMAGE", help="the sensor while nothing touches it", default=None),
     option("--video", type=Path, help="a film that begins while nothing touches the sensor", default=None),
-    option("--camera", type=int, help="number of a camera whose sensor nothing touches now", default=None),
+    option("--camera", type=from_zero, help="number of a camera whose sensor nothing touches now", default=None),
     option("--readings", type=Path, help="table of pictures and the forces that pressed", default=None),
     option("--opposite", type=Path, help="profile of the sensor on the other finger", default=None),
     option("--grasps", type=Path, help="table of pictures of both fingers while they hold one object", default=None),

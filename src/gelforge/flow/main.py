@@ -87,12 +87,21 @@ class Group(Command):
 
 def positive(text: str) -> int:
     """A whole number above 0, as the `type` of an option."""
+    return _whole(text, 1, "above 0")
+
+
+def from_zero(text: str) -> int:
+    """A whole number from 0 on, as the `type` of an option."""
+    return _whole(text, 0, "from 0 on")
+
+
+def _whole(text: str, least: int, which: str) -> int:
     try:
         value = int(text)
     except ValueError:
-        value = 0
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{text!r} is no whole number above 0")
+        value = least - 1
+    if value < least:
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number {which}")
     return value
 
 

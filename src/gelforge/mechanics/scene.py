@@ -1,5 +1,6 @@
 """What a fidelity is asked (`Scene`) and what it answers (`Result`)."""
 
+import json
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -88,3 +89,16 @@ class Result:
     def total(self) -> np.ndarray:
         """Resultant contact force on the gel, (3,) N."""
         return self.forces.sum(axis=0)
+
+    @property
+    def kept_evidence(self) -> dict:
+        """What of the evidence JSON can hold; numbers that are not finite are left out."""
+        kept = {}
+        for key, value in self.evidence.items():
+            value = value.item() if isinstance(value, np.generic) else value
+            try:
+                json.dumps(value, allow_nan=False)
+            except (TypeError, ValueError):
+                continue
+            kept[key] = value
+        return kept

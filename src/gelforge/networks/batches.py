@@ -71,7 +71,10 @@ def target(labels, norm: dict, total_only: bool) -> torch.Tensor:
 
 
 def training_batches(data, norm: dict, settings: TrainingTable, epoch: int, total_only: bool):
-    """Yield (input, target) of one epoch, augmented, both in the network's units."""
+    """Yield (input, target) of one epoch, augmented, both in the network's units.
+
+    Shapes (k, 3 or 6, h, w) and (k, 3, rows, cols), or (k, 3, 1, 1) where total_only.
+    """
     order = epoch_order(data.splits[TRAINING], settings.seed, epoch, settings.epoch_images)
     draws = {stream: generator(settings.seed, stream, epoch) for stream in VARIED}
     mirrors = epoch < settings.mirrored_share * settings.epochs

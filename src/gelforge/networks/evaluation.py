@@ -1,5 +1,6 @@
 """Errors of a trained network on a dataset it did not learn from: against labels, controls and sensors."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -48,17 +49,33 @@ def another_of_each(press: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return other
 
 
+@dataclass(frozen=True)
+class Lesson:
+    """What a guess may know of the presses that train: their totals (n, 3) N, and the mean colours (n, 3) of their pictures."""
+
+    totals: np.ndarray
+    means: np.ndarray
+
+    @classmethod
+    def of(cls, data: Data) -> "Lesson":
+        train = data.splits[TRAINING]
+        return cls(data.totals(train), metrics.image_means(data.images, train))
+
+    @property
+    def force_range(self) -> np.ndarray:
+        """From the least to the largest total by component, (3,) N."""
+        return self.totals.max(0) - self.totals.min(0)
+
+
 def controls(
-    data: Data, rows: np.ndarray, predicted_totals: np.ndarray, rng: np.random.Generator
+    data: Data, rows: np.ndarray, predicted_totals: np.ndarray, lesson: Lesson, rng: np.random.Generator
 ) -> dict[str, np.ndarray]:
     """Totals (k, 3) that know less than the network: a constant, another press's prediction, the image's mean."""
-    train = data.splits[TRAINING]
-    totals = data.totals(train)
     return {
-        "constant_guess": metrics.constant_guess(totals, len(rows)),
+        "constant_guess": metrics.constant_guess(lesson.totals, len(rows)),
         "shuffled_images": predicted_totals[another_of_each(data.presses(rows), rng)],
         "linear_on_image_means": metrics.linear_on_means(
-            metrics.image_means(data.images, train), totals, metrics.image_means(data.images, rows)
+            lesson.means, lesson.totals, metrics.image_means(data.images, rows)
         ),
     }
 
@@ -113,7 +130,7 @@ def as_predicted(data, rows, trained, fitted, alike, settings: EvaluateTable, fo
     }
 
 
-def evaluate_split(data, rows, predicted, alike, settings: EvaluateTable, force_range, rng) -> dict:
+def evaluate_split(data, rows, predicted, alike, settings: EvaluateTable, lesson: Lesson, rng) -> dict:
     """All tables of one split; `predicted` is (k, 3, rows, cols) in N per cell, `alike` (k,) of `what_errs_alike`."""
     wanted = data.totals(rows)
     totals = predicted.sum((2, 3), dtype=np.float64)
@@ -122,14 +139,14 @@ def evaluate_split(data, rows, predicted, alike, settings: EvaluateTable, force_
     result = {
         "n": len(rows),
         "presses": len(np.unique(data.presses(rows))),
-        "total": metrics.error_table(error, rng, settings.bootstrap, force_range, alike),
+        "total": metrics.error_table(error, rng, settings.bootstrap, lesson.force_range, alike),
         "cell": metrics.cell_table(predicted, data.labels[rows]) if predicted.shape[2:] == data.grid else None,
         "per_indenter": metrics.by_group(error, data.names("indenter")[rows]),
         "per_force": metrics.by_group(error, metrics.force_bins(wanted[:, 2], settings.force_edges)),
         "per_sensor": metrics.by_group(error, data.names("sensor_id")[rows]),
         "controls": {
             name: {axis: float(np.abs(guess - wanted).mean(0)[i]) for i, axis in enumerate(CHANNELS)}
-            for name, guess in controls(data, rows, totals, rng).items()
+            for name, guess in controls(data, rows, totals, lesson, rng).items()
         },
         "against": against,
     }
@@ -150,10 +167,10 @@ def evaluate_split(data, rows, predicted, alike, settings: EvaluateTable, force_
 
 
 def judged_splits(data: Data, learnt: bool) -> dict[str, np.ndarray]:
-    """Rows by split that a network is judged on: all but those it learnt from.
+    """Rows by split that a network is judged on: all but `train`, on which the controls are fitted.
 
-    learnt: whether it learnt from this dataset; of one that is too small to have other splits, it is judged on `train` too
-    where it did not.
+    learnt: whether it learnt from this dataset. One that did not is judged on `train` where the dataset is too small to
+    have other splits.
     """
     splits = {name: rows for name, rows in data.splits.items() if len(rows)}
     others = {name: rows for name, rows in splits.items() if name != TRAINING}
@@ -179,8 +196,7 @@ def evaluate(data: Data, trained: Trained, settings: EvaluateTable) -> tuple[dic
     learnt = learnt_sensors(trained, data, version)
     splits = judged_splits(data, learnt=bool(learnt))
     rng = np.random.default_rng(settings.seed)
-    train_totals = data.totals(data.splits[TRAINING])
-    force_range = train_totals.max(0) - train_totals.min(0)
+    lesson = Lesson.of(data)
     about = trained.about
     result = {
         "model": about["name"],
@@ -190,7 +206,7 @@ def evaluate(data: Data, trained: Trained, settings: EvaluateTable) -> tuple[dic
         "dataset": about["data"],
         "judged_on": data.name,
         "best_epoch": about["best_epoch"],
-        "force_range": dict(zip(CHANNELS, force_range.tolist())),
+        "force_range": dict(zip(CHANNELS, lesson.force_range.tolist())),
         "curve": about["curve"],
         "cost": about["cost"],
         "splits": {},
@@ -199,10 +215,10 @@ def evaluate(data: Data, trained: Trained, settings: EvaluateTable) -> tuple[dic
     for name, rows in splits.items():
         predictions[name] = (rows, predict_rows(trained.net, data, rows, about["normalisation"]))
         alike = what_errs_alike(data, rows, learnt)
-        split = evaluate_split(data, *predictions[name], alike, settings, force_range, rng)
+        split = evaluate_split(data, *predictions[name], alike, settings, lesson, rng)
         paired = trained.needs_untouched
         split["told"] = (
-            as_predicted(data, rows, trained, fitted, alike, settings, force_range, rng) if paired else None
+            as_predicted(data, rows, trained, fitted, alike, settings, lesson.force_range, rng) if paired else None
         )
         result["splits"][name] = split
     result["tables"] = tables(result)

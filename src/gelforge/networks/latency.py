@@ -5,17 +5,9 @@ import time
 import numpy as np
 import torch
 
-from gelforge.networks.modelfile import SensorNet
+from gelforge.networks.modelfile import SensorNet, predict_images
 
 WARM_UP = 5
-
-
-def predict_images(reader: SensorNet, images, device: str = "cpu") -> np.ndarray:
-    """Forces (n, 3, rows, cols) in N per cell of images (n, h, w, 3) uint8 RGB."""
-    with torch.inference_mode():
-        # channels stay behind each pixel, as a camera gives them and convolutions on a CPU like them
-        tensor = torch.from_numpy(np.require(images, requirements=["C", "W"])).to(device).permute(0, 3, 1, 2)
-        return reader(tensor.float()).cpu().numpy()
 
 
 def time_models(readers: dict[str, SensorNet], image, threads: int, seconds: float, device: str = "cpu") -> dict:

@@ -121,6 +121,14 @@ class SensorNet(nn.Module):
         return self.net(images) * self.scale
 
 
+def predict_images(reader: SensorNet, images, device: str = "cpu") -> np.ndarray:
+    """Forces (n, 3, rows, cols) in N per cell of images (n, h, w, 3) uint8 RGB."""
+    with torch.inference_mode():
+        # channels stay behind each pixel, as a camera gives them and convolutions on a CPU like them
+        tensor = torch.from_numpy(np.require(images, requirements=["C", "W"])).to(device).permute(0, 3, 1, 2)
+        return reader(tensor.float()).cpu().numpy()
+
+
 def save_model(path, trained: Trained) -> None:
     """Write a model to exactly `path`; the caller publishes it."""
     tensors = tensors_of(trained.net)

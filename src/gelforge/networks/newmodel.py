@@ -28,7 +28,8 @@ from gelforge.records.splits import TRAINING, VALIDATION
 def identity(about: dict[str, Any]) -> str:
     """Text that is equal for two trainings exactly when they must give the same curve."""
     keys = (
-        "name", "model", "train", "image", "grid", "data", "also", "threads_used", "device", "mixed", "version", "start",
+        "name", "model", "train", "image", "grid", "data", "also", "threads_used", "device", "mixed", "version", "torch",
+        "start",
     )  # fmt: skip
     return json.dumps({key: about[key] for key in keys}, sort_keys=True)
 

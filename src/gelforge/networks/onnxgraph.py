@@ -94,8 +94,7 @@ def largest_difference(trained, path, images) -> dict[str, float]:
 
     The last image serves as the untouched sensor, where the network reads differences.
     """
-    from gelforge.networks.latency import predict_images
-    from gelforge.networks.modelfile import SensorNet
+    from gelforge.networks.modelfile import SensorNet, predict_images
 
     wanted = predict_images(SensorNet(trained, images[-1]).eval(), images)
     span = float(np.ptp(wanted)) or 1.0

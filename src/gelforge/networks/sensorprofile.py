@@ -171,13 +171,23 @@ def read_profile(path: Path) -> SensorProfile:
     counted = type(readings) is int and readings >= 0
     if not (good and words and counted and _is_number(pitch) and 0 <= pitch < 1e4):
         raise BadInput(f"{path}: not a sensor's profile; make it with `gelforge sensor`")
-    beside = table["untouched"]
-    if not beside or "\0" in beside or Path(beside).name != beside:
-        raise BadInput(f"{path}: untouched = {beside!r}: name a picture that lies beside the profile")
-    picture = read_image(path.with_name(beside), remedy="make the profile again")
+    picture = read_image(_picture_of(path, table), remedy="make the profile again")
     found = Gain(float(gain["value"]), float(gain["low"]), float(gain["high"]), gain["readings"])
     date = str(table.get("date", ""))
     return SensorProfile(table["name"], date, picture, float(pitch), found, table["model"], table["network"])
+
+
+def _picture_of(path: Path, table: dict) -> Path:
+    """Where the untouched picture of a profile lies; BadInput where it does not lie beside it."""
+    beside = table.get("untouched")
+    if not isinstance(beside, str) or not beside or "\0" in beside or Path(beside).name != beside:
+        raise BadInput(f"{path}: untouched = {beside!r}: name a picture that lies beside the profile")
+    return path.with_name(beside)
+
+
+def files_of(path: Path | None) -> list[Path]:
+    """The files that a profile is made of, itself and its picture, which no output may replace; None: no profile."""
+    return [] if path is None else [path, _picture_of(path, read_toml(path))]
 
 
 def _is_number(value: object) -> TypeGuard[int | float]:

@@ -191,7 +191,7 @@ class Training:
         self.cost["resumed"] += 1
 
     def step(self, images, wanted) -> float:
-        """One step of the optimiser; return the loss."""
+        """One step of the optimiser on inputs (k, channels, h, w) and targets (k, 3, rows, cols); return the loss."""
         images, wanted = images.to(self.device), wanted.to(self.device)
         scale, total = (torch.tensor(self.norm[key], device=self.device).float() for key in ("label", "total"))
         self.optimiser.zero_grad(set_to_none=True)

@@ -14,8 +14,7 @@ from gelforge.networks.data import Data
 from gelforge.networks.dotreader import DotsOneByOne
 from gelforge.networks.dots import Followed, PrintedDots
 from gelforge.networks.intervals import half_widths
-from gelforge.networks.latency import predict_images
-from gelforge.networks.modelfile import SensorNet, Trained, load_model, require_sensor
+from gelforge.networks.modelfile import SensorNet, Trained, load_model, predict_images, require_sensor
 from gelforge.networks.placement import LEAST_MOVE, UNPLACED, Placement, place
 from gelforge.networks.placereader import PlacesOneByOne
 from gelforge.networks.statistics import (

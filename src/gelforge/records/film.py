@@ -34,6 +34,13 @@ def open_source(video: Path | None, camera: int | None) -> Iterator[tuple[Any, i
         source.release()
 
 
+def rate_of(source: Any) -> float:
+    """Frames a second of an open film, 25 where it does not say."""
+    import cv2
+
+    return float(source.get(cv2.CAP_PROP_FPS)) or 25.0
+
+
 def source_name(video: Path | None, camera: int | None) -> str:
     """What a film or camera is called in messages."""
     return f"camera {camera}" if video is None else str(video)

@@ -17,7 +17,7 @@ from gelforge.calibration.sampling import Chain, Rules, sample
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_json
 from gelforge.flow.layout import planned_shards
-from gelforge.flow.main import command, option
+from gelforge.flow.main import command, option, positive
 from gelforge.flow.orphans import pool
 from gelforge.flow.params import DatasetFile, read_dataset_file
 from gelforge.flow.params.slices import ForCalibrate, read_slice
@@ -252,8 +252,7 @@ def emulate(readings: Readings, catalogue: dict, params: CalibrateTable, nu: flo
         )
     if failed:
         readings = readings.take(np.setdiff1d(np.arange(len(readings)), list(failed)))
-        plan = make_plan(readings, params.reach_mm, params.shear_depths)
-        solve_all(plan, cache, mus, nus, jobs)
+        plan = make_plan(readings, params.reach_mm, params.shear_depths)  # of solves that are there already
     emulator = build_emulator(plan, cache, mus, nus)
     spent = cache.spent
     if params.refine != "none":
@@ -285,6 +284,11 @@ def gels_of(sensors: dict[str, Sensor], of: DatasetFile) -> dict[str, str]:
     return gels | ({"": gels[of.sensor]} if of.sensor in gels else {})
 
 
+def own_cores() -> int:
+    """Cores that this process has for solves: what Slurm gave it, or two of this computer."""
+    return int(os.environ.get("SLURM_CPUS_PER_TASK", min(2, os.cpu_count() or 1)))
+
+
 @command(
     option("--data", type=Path, help="data/DATASET, with log.csv and dataset.toml"),
     option("--workflow", type=Path, default=Path("workflow")),
@@ -294,7 +298,7 @@ def gels_of(sensors: dict[str, Sensor], of: DatasetFile) -> dict[str, str]:
     option("--params", type=Path, help="JSON slice with tables calibrate and material"),
     option("--work", type=Path, help="folder for chain and plots"),
     option("--solves", type=Path, help="folder of cached solves; WORK/solves by default", default=None),
-    option("--jobs", type=int, default=min(2, os.cpu_count() or 1), help="solves at a time"),
+    option("--jobs", type=positive, default=own_cores(), help="solves at a time"),
     option("--out", type=Path, help="summary.json"),
 )
 def main(args: Namespace) -> None:

@@ -74,7 +74,7 @@ def finished(folder: Path, sample_id: str, key: str) -> dict | None:
 
 def publish_solve(sample_id: str, result: Result, solvers: Solvers, key: str, folder: Path) -> dict:
     """Publish the files of one solved sample, its record last; return the record."""
-    evidence = {k: v for k, v in result.evidence.items() if _plain(v)}
+    evidence = result.kept_evidence
     record = {
         "key": key, "sample_id": sample_id, "status": result.status.name, "mesh": evidence.get("mesh", ""),
         "reason": "" if result.status.valid else str(evidence.get("reason") or result.status.value),
@@ -113,14 +113,6 @@ def borrow(record: dict, sample_id: str, key: str, folder: Path) -> dict:
     found = {**record, "key": key, "sample_id": sample_id, "files": files, "sha256": digests}
     write_json(folder / f"{sample_id}.json", found)
     return found
-
-
-def _plain(value) -> bool:
-    try:
-        json.dumps(value, allow_nan=False)
-    except (TypeError, ValueError):
-        return False
-    return True
 
 
 def solved(record: dict, press: PosedPress, folder: Path) -> Solved:

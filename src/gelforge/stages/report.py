@@ -85,13 +85,6 @@ def _with_force(solve: Solved, status: str, total: list[float]) -> Solved:
     return replace(solve, status=Status[status], reason=lost or solve.reason, total=(x, y, z))
 
 
-def flatten(value, prefix: str = "") -> list[tuple[str, float | str]]:
-    """Leaves of nested dicts of numbers as (dotted name, number)."""
-    if isinstance(value, dict):
-        return [leaf for key, inner in value.items() for leaf in flatten(inner, f"{prefix}{key}.")]
-    return [(prefix.rstrip("."), value)] if isinstance(value, (int, float, str)) else []
-
-
 def compared_models(models: list[dict]) -> tuple[list[str], list[list]]:
     """Columns and rows of the table of calibration models, best predicting first; errors are of normal force."""
     columns = [
@@ -101,7 +94,7 @@ def compared_models(models: list[dict]) -> tuple[list[str], list[list]]:
         [
             m["model"].replace("+", " + ").replace("_", " "), m["behind"] + 0.0, m["behind_standard_error"],
             "no" if m["indistinguishable"] else "yes", m["c10"]["median"], *m["c10"]["interval95"],
-            m["predictive_mae_n"]["fz"], m.get("own_touch_mae_n", {}).get("fz"),
+            m["predictive_mae_n"]["fz"], m["own_touch_mae_n"].get("fz"),
         ]
         for m in models
     ]  # fmt: skip
@@ -115,10 +108,10 @@ def calibration_section(results: Path) -> Section:
     if not path.exists():
         return section.text("Not made: make calibrate (needs force readings in the log).", absent=True)
     summary = read_json(path)
-    parameters = {"c10": {"label": "C10 (MPa)", **summary["c10"]}, **summary.get("parameters", {})}
+    parameters = {"c10": {"label": "C10 (MPa)", **summary["c10"]}, **summary["parameters"]}
     rows = [[v.get("label", name), v["median"], *v["interval68"], *v["interval95"]] for name, v in parameters.items()]
     section.table(["parameter", "median", "68 % from", "to", "95 % from", "to"], rows)
-    for sentence in summary.get("sentences", [summary.get("sentence", "")]):
+    for sentence in summary["sentences"]:
         section.text(sentence)
     if summary.get("models"):
         section.table(*compared_models(summary["models"]), folded="Models compared").text(
@@ -223,10 +216,8 @@ def learnt_from(metrics: dict, model: str) -> str:
 
 
 def evaluation_tables(metrics: dict) -> list[tuple[str, list[str], list[list]]]:
-    """Tables of an evaluation file; whatever form it has, its numbers are shown under their names."""
-    if "tables" in metrics:
-        return [(t["title"], t["columns"], t["rows"]) for t in metrics["tables"]]
-    return [("Every figure of the evaluation.", ["figure", "value"], [list(leaf) for leaf in flatten(metrics)])]
+    """Tables of an evaluation file: title, columns, rows."""
+    return [(t["title"], t["columns"], t["rows"]) for t in metrics["tables"]]
 
 
 def calculix_version() -> str:

@@ -15,9 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from gelforge.errors import BadInput
 from gelforge.flow.catalogue import with_content
-from gelforge.flow.main import command, option
+from gelforge.flow.main import command, option, positive
 from gelforge.flow.orphans import pool
 from gelforge.flow.params import overlaid
 from gelforge.flow.progress import progress
@@ -225,12 +224,10 @@ def _pool(jobs: int, plan: Plan, workflow: Path, folder: Path):
     option("--plan", help="workflow/rig/NAME.toml"),
     option("--data", default="data", help="folder of the datasets"),
     option("--workflow", default="workflow", help="folder of sensors.toml and rig/sensors.toml"),
-    option("--jobs", type=int, default=1, help="presses at a time, one core each"),
+    option("--jobs", type=positive, default=1, help="presses at a time, one core each"),
 )
 def main(given: Namespace) -> None:
     """Carry out a plan, or refuse it with the reason."""
-    if given.jobs < 1:
-        raise BadInput(f"--jobs {given.jobs}: give at least 1")
     # one thread per press, whatever the user has set: presses run side by side, and sums keep their order
     os.environ.update(OMP_NUM_THREADS="1", MKL_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
     os.environ.setdefault("MKL_CBWR", "AUTO")  # the same digits wherever in memory an array lies

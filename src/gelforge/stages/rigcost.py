@@ -7,9 +7,9 @@ import time
 from argparse import Namespace
 from pathlib import Path
 
-from gelforge.errors import BadInput
+from gelforge.flow.files import bytes_of
 from gelforge.flow.forecast import Cost, pilots, table
-from gelforge.flow.main import command, option
+from gelforge.flow.main import command, option, positive
 from gelforge.flow.running import duration
 from gelforge.stages.rig import Worker, by_press, check, contents_of, units_of
 from gelforge.sweeps.methods import warm_up
@@ -34,7 +34,7 @@ def measured(worker: Worker, presses: list[list[Order]], indenters: int) -> list
             began = time.process_time()
         worker.carry_out(of_press, solved=False)
         pressed += time.process_time() - began
-    written = sum(path.stat().st_size for path in worker.folder.rglob("*") if path.is_file())
+    written = bytes_of(worker.folder)
     return [
         Cost("indenters", cpu_once=indenters * sum(made.values()) / len(made)),
         Cost("presses", pressed / len(presses), bytes_each=written / len(presses)),
@@ -45,12 +45,10 @@ def measured(worker: Worker, presses: list[list[Order]], indenters: int) -> list
     option("--plan", help="workflow/rig/NAME.toml"),
     option("--data", default="data", help="folder of the datasets"),
     option("--workflow", default="workflow", help="folder of sensors.toml and rig/sensors.toml"),
-    option("--cores", type=int, default=os.cpu_count(), help="that make rig may use"),
+    option("--cores", type=positive, default=os.cpu_count(), help="that make rig may use"),
 )
 def main(given: Namespace) -> None:
     workflow = Path(given.workflow)
-    if given.cores < 1:
-        raise BadInput(f"--cores {given.cores}: give at least 1")
     plan = check(given.plan, workflow)
     dataset = Dataset(Path(given.data) / plan.dataset, plan)
     dataset.check_same_plan(*contents_of(plan, workflow, *units_of(plan, workflow)))

@@ -14,6 +14,7 @@ from gelforge.flow.params import laid_over, plain
 from gelforge.flow.params.schema import Place, parse
 from gelforge.flow.params.slices import ForTrain, read_slice
 from gelforge.flow.params.tables import SHIPPED, TrainingTable, TrainTable
+from gelforge.records.networkkind import kind_of
 
 VERSION = 16
 
@@ -34,10 +35,11 @@ def resolve(models: dict, name: str, train: TrainTable) -> tuple[dict, TrainingT
         raise BadInput(
             f"workflow/models.toml, [{name}]: start = {model['start']!r}: only {SHIPPED!r} can be gone on from"
         )
+    kind_of(model)  # which refuses what is no kind
     own = model.pop("train", {})
     values = plain(train)
     del values["also"]  # it says what is learnt from, not how
-    of_kind = values.pop("epochs_of").get(model.get("kind"), 0)
+    of_kind = values.pop("epochs_of").get(model["kind"], 0)
     values["epochs"] = of_kind or train.epochs
     model.pop("note", None)
     place = Place("workflow/models.toml", (name, "train"))

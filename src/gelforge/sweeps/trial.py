@@ -1,6 +1,5 @@
 """A scene solved by a method: the record of it, kept in a file of its own."""
 
-import json
 import shutil
 import tempfile
 from collections.abc import Callable
@@ -83,23 +82,10 @@ def cells_of(mesh, forces: np.ndarray, sensor: Sensor) -> tuple[np.ndarray, np.n
     return cells[0], outside[0]
 
 
-def jsonable(evidence: dict) -> dict:
-    """What of the evidence JSON can hold; numbers that are not finite are left out."""
-    kept = {}
-    for key, value in evidence.items():
-        value = value.item() if isinstance(value, np.generic) else value
-        try:
-            json.dumps(value, allow_nan=False)
-        except (TypeError, ValueError):
-            continue
-        kept[key] = value
-    return kept
-
-
 def outcome(result, mesh, sensor: Sensor | None) -> dict:
     """The part of a record that the result itself tells."""
     found = {"status": result.status.name, "total": result.total.tolist(), "nodes": len(mesh.nodes),
-             "evidence": jsonable(result.evidence), "reason": ""}  # fmt: skip
+             "evidence": result.kept_evidence, "reason": ""}  # fmt: skip
     if not result.status.valid:
         found["reason"] = str(result.evidence.get("reason") or result.status.value)
     elif sensor is not None:
