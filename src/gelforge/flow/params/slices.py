@@ -143,14 +143,13 @@ class ForStability(Slice):
 
 @dataclass(frozen=True)
 class Source:
-    """A slice's type, and where its version stands: a module of gelforge.stages and a constant of it.
+    """A slice's type, and where its version stands: a module of gelforge.stages.
 
     solves: whether the branch solves presses as stage 30 does, so that its results change with stage 30's.
     """
 
     kind: type[Slice]
     module: str
-    constant: str = "VERSION"
     solves: bool = False
 
 
@@ -169,7 +168,7 @@ SLICES = {
     "report": Source(ForReport, "report"),
     "calibrate": Source(ForCalibrate, "calibrate", solves=True),
     "pareto": Source(ForPareto, "pareto"),
-    "pareto_meshes": Source(ForParetoMeshes, "pareto", "MESH_VERSION"),
+    "pareto_meshes": Source(ForParetoMeshes, "pareto"),
     "stability": Source(ForStability, "stability", solves=True),
     "pareto_models": Source(Slice, "pareto_models"),
     "study": Source(Slice, "study"),
@@ -184,10 +183,10 @@ def stage_version(folder: Path, source: Source) -> int:
     Where it solves presses, stage 30's is added: both only ever rise.
     """
     path = folder / f"{source.module}.py"
-    found = re.search(rf"^{source.constant} = (\d+)$", path.read_text(encoding="utf-8"), re.MULTILINE)
+    found = re.search(r"^VERSION = (\d+)$", path.read_text(encoding="utf-8"), re.MULTILINE)
     if not found:
         raise BadInput(
-            f"{path}: has no line `{source.constant} = n`; a stage needs one, raised when its results change"
+            f"{path}: has no line `VERSION = n`; a stage needs one, raised when its results change"
         )
     return int(found.group(1)) + (stage_version(folder, SLICES["fea"]) if source.solves else 0)
 
