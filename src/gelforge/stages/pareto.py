@@ -25,7 +25,8 @@ from gelforge.sweeps.references import build_mesh
 from gelforge.sweeps.scenes import NamedScene, parse_scene
 from gelforge.sweeps.trial import ChartBench, given_reference, load_bench, measure
 
-VERSION = 3  # also of its meshes: what was solved on others is solved anew
+# Also of its meshes: what was solved on others is solved anew.
+VERSION = 3
 GOAL_TOTAL, GOAL_CELLS = 0.02, 0.08  # what a label setting should meet over all scenes
 # By what names the chart has the ways among which fidelity "auto" chooses. Bricks of quality "label" stand under the first
 # of theirs where [fea] hex_quality is another one, which has the second name then.

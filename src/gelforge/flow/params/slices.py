@@ -185,9 +185,7 @@ def stage_version(folder: Path, source: Source) -> int:
     path = folder / f"{source.module}.py"
     found = re.search(r"^VERSION = (\d+)$", path.read_text(encoding="utf-8"), re.MULTILINE)
     if not found:
-        raise BadInput(
-            f"{path}: has no line `VERSION = n`; a stage needs one, raised when its results change"
-        )
+        raise BadInput(f"{path}: has no line `VERSION = n`; a stage needs one, raised when its results change")
     return int(found.group(1)) + (stage_version(folder, SLICES["fea"]) if source.solves else 0)
 
 
