@@ -6,11 +6,12 @@ LEAST_ASIDE = 0.01  # of the normal force: below, sideways force is noise and te
 
 
 def mesh_ratios(fine: np.ndarray, coarse: np.ndarray) -> np.ndarray:
-    """Factors (k, 3) from coarse forces (k, 3) N to fine ones of the same presses, compression negative; NaN stays NaN.
+    """Factors (k, 3) from coarse forces (k, 3) N to fine ones of the same presses, compression negative.
 
+    NaN where the coarse forces press on nothing, or are NaN.
     x and y share the ratio of sideways force, which is that of normal force where there is hardly any.
     """
-    normal = fine[:, 2] / coarse[:, 2]
+    normal = np.divide(fine[:, 2], coarse[:, 2], out=np.full(len(coarse), np.nan), where=coarse[:, 2] < 0)
     aside = np.hypot(coarse[:, 0], coarse[:, 1])
     told = aside > LEAST_ASIDE * -coarse[:, 2]
     sideways = np.where(told, np.hypot(fine[:, 0], fine[:, 1]) / np.where(told, aside, 1.0), normal)
