@@ -11,8 +11,9 @@ def mesh_ratios(fine: np.ndarray, coarse: np.ndarray) -> np.ndarray:
     NaN where the coarse forces press on nothing, or are NaN.
     x and y share the ratio of sideways force, which is that of normal force where there is hardly any.
     """
-    normal = np.divide(fine[:, 2], coarse[:, 2], out=np.full(len(coarse), np.nan), where=coarse[:, 2] < 0)
+    pressed = coarse[:, 2] < 0
+    normal = np.divide(fine[:, 2], coarse[:, 2], out=np.full(len(coarse), np.nan), where=pressed)
     aside = np.hypot(coarse[:, 0], coarse[:, 1])
-    told = aside > LEAST_ASIDE * -coarse[:, 2]
+    told = pressed & (aside > LEAST_ASIDE * -coarse[:, 2])
     sideways = np.where(told, np.hypot(fine[:, 0], fine[:, 1]) / np.where(told, aside, 1.0), normal)
     return np.stack([sideways, sideways, normal], axis=1)
