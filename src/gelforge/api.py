@@ -14,7 +14,6 @@ from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.scene import REFERENCE_C10, Indenter, Material, Scene
 from gelforge.records.axes import AXIS_OF_CHANNEL
 from gelforge.records.press import Press
-from gelforge.records.totals import edge_share
 
 if TYPE_CHECKING:  # at run time it would bring torch along
     from gelforge.networks.placement import Placement
@@ -120,14 +119,15 @@ def predict(
 class ForceReading:
     """What was read in one image, forces on the gel in N.
 
-    cells: (3, rows, cols) along gel y, gel x and the gel's normal (FEATS' channels; pressing is negative). In a picture of
-    a GelSight Mini gel y points to the left and gel x upwards. total: (3,), their sums. half_width: (3,) of intervals that
-    hold nine of ten totals on sensors that the network never saw, of gels as stiff as those it learnt from; None where the
-    model knows none. flag: True where something is wrong with the pictures, and `reason` says what. by_dots: (3,) what the
-    motion of the printed dots tells by itself, whatever the light; None where the gel has none, or the network no reader
-    of them. edge_share: share of the normal force at the picture's edge; a large one tells that what touches goes on beyond
-    the picture, and total is a part of its force only. It is NaN where the map has fewer than three rows or columns, as
-    that of a model that only knows totals.
+    cells: (3, rows, cols) along gel y, gel x and the gel's normal (FEATS' channels; pressing is negative). In a picture
+    of a GelSight Mini gel y points to the left and gel x upwards. total: (3,), their sums. half_width: (3,) of intervals
+    that hold nine of ten totals on sensors that the network never saw, of gels as stiff as those it learnt from, or as
+    uncertain as the factor of a profile tells; None where the model knows none. flag: True where something is wrong with
+    the pictures, and `reason` says what. by_dots: (3,) what the motion of the printed dots tells by itself, whatever the
+    light; None where the gel has none, or the network no reader of them. edge_share: share of the normal force at the
+    edge of what the picture shows; a large one tells that what touches goes on beyond the picture, and total is a part of
+    its force only. It is NaN where the map has fewer than three rows or columns, as that of a model that only knows
+    totals.
     """
 
     cells: np.ndarray
@@ -135,11 +135,8 @@ class ForceReading:
     half_width: np.ndarray | None
     flag: bool
     reason: str
-    by_dots: np.ndarray | None = None
-
-    @property
-    def edge_share(self) -> float:
-        return edge_share(self.cells)
+    by_dots: np.ndarray | None
+    edge_share: float
 
 
 class Reader:
@@ -167,7 +164,9 @@ class Reader:
 
         _seen, cells, judged = predict_one(self._untouched, image, placement)
         total = cells.sum(axis=(1, 2), dtype=float)
-        return ForceReading(cells, total, judged.half_width, judged.flag, judged.reason, judged.by_dots)
+        return ForceReading(
+            cells, total, judged.half_width, judged.flag, judged.reason, judged.by_dots, judged.edge_share
+        )
 
     def batch(self, images: np.ndarray, one_sitting: bool = False) -> list[ForceReading]:
         """Read images (n, h, w, 3) uint8 RGB, one reading each.

@@ -26,7 +26,6 @@ from gelforge.networks.still import SETTLING, find_untouched
 from gelforge.networks.use import Judgement, Untouched, fit_size, load_for_use, predict_one
 from gelforge.records.image import read_image
 from gelforge.records.markers import find_blobs
-from gelforge.records.totals import edge_share
 from tests.benchmarks.figures import PUBLISHED_DATA, Figure, publish_figures
 from tests.pictures import moved
 
@@ -127,7 +126,7 @@ def read_film(path: Path, trained: Trained) -> Read:
         bare=np.array([as_it_is(image).sum((1, 2)) for image in chosen]),
         motion=np.array([motion_of(dots, rest, image) for image in chosen]),
         flagged=np.array([judgement.flag for judgement in judgements]),
-        edge=np.array([edge_share(one) for one in forces]),
+        edge=np.array([judgement.edge_share for judgement in judgements]),
     )
 
 

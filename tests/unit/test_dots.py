@@ -15,7 +15,7 @@ from synthetic_presses import SETTINGS, write_dataset
 
 from gelforge.errors import BadInput
 from gelforge.networks.agreement import blend, dots_fault, fit_blend
-from gelforge.networks.canonical import match_light
+from gelforge.networks.canonical import View, match_light
 from gelforge.networks.data import open_data
 from gelforge.networks.dotreader import KEPT, VIEWS, DotPresses, DotReader, DotsOneByOne, train_dot_reader
 from gelforge.networks.dots import COLS, FAR, HOME, ROWS, PrintedDots
@@ -25,7 +25,7 @@ from gelforge.networks.halves import rounded
 from gelforge.networks.modelcard import dot_lines, place_lines
 from gelforge.networks.modelfile import Trained, load_model, save_model
 from gelforge.networks.placereader import PlaceReader, PlacesOneByOne
-from gelforge.networks.sensorprofile import fingerprint
+from gelforge.networks.sensorprofile import Gain, fingerprint
 from gelforge.networks.use import Predicted, Untouched, load_for_use, predict_one
 from gelforge.records.axes import CHANNELS
 from gelforge.records.image import read_image
@@ -289,7 +289,7 @@ def test_a_contradiction_is_told_in_the_newtons_that_are_read(rest, presses):
     suspicious = replace(shipped, about=shipped.about | {"dots": shipped.about["dots"] | {"apart": apart}})
     told = []
     for gain in (1.0, 3.0):
-        _, _, judged = predict_one(Untouched(suspicious, rest, gain=gain), presses[0])
+        _, _, judged = predict_one(Untouched(suspicious, rest, gain=Gain(gain, gain, gain, 9)), presses[0])
         told.append(
             np.array(re.search("its dots tell grid_z (.+) N, its brightness (.+) N", judged.reason).groups(), float)
         )
@@ -360,33 +360,48 @@ def test_the_card_says_what_the_reader_of_places_learnt_from(with_dots):
 def test_totals_are_written_with_what_is_known_of_them():
     forces = np.zeros((3, 24, 32))
     forces[:, 3, 4] = 0.5, -0.25, -7.0
-    row = total_columns(forces, np.array([0.1, 0.2, 0.3]), None)
+    row = total_columns(forces, np.array([0.1, 0.2, 0.3]), None, 0.0)
     assert tuple(row) == TOTAL_COLUMNS
     assert [row[f"{name}_n"] for name in CHANNELS] == [0.5, -0.25, -7.0]
     assert row["grid_z_half_width_n"] == 0.3 and row["grid_z_by_dots_n"] is None
     assert row["edge_share"] == 0.0
-    total = total_columns(forces.sum((1, 2), keepdims=True), None, None)
+    total = total_columns(forces.sum((1, 2), keepdims=True), None, None, np.nan)
     assert total["grid_z_n"] == -7.0 and total["edge_share"] is None  # one cell is no edge
 
 
 @pytest.mark.parametrize("grid", [(12, 16), (24, 32), (48, 64), (3, 3)])
 def test_what_touches_beyond_the_picture_shows_at_its_edge(grid):
     rows, cols = grid
-    forces = np.zeros((3, *grid))
+    forces, whole = np.zeros((3, *grid)), (slice(rows), slice(cols))
     forces[2, 0, cols // 2] = -0.1  # what a released gel may read
-    assert edge_share(forces) == 0.0
+    assert edge_share(forces, whole) == 0.0
     forces[2, 0, cols // 2] = -1.0
-    assert edge_share(forces) == 1.0
+    assert edge_share(forces, whole) == 1.0
     forces[2, :, 0] = 5.0  # what pulls is no press
-    assert edge_share(forces) == 1.0
+    assert edge_share(forces, whole) == 1.0
     forces[2, rows // 2, cols // 2] -= 3.0
-    assert edge_share(forces) == 0.25
+    assert edge_share(forces, whole) == 0.25
 
 
 @pytest.mark.parametrize("grid", [(1, 1), (2, 2), (2, 32), (24, 1)])
 def test_a_map_that_is_all_edge_tells_nothing_of_it(grid):
     forces = np.full((3, *grid), -1.0)
-    assert np.isnan(edge_share(forces)) and total_columns(forces, None, None)["edge_share"] is None
+    whole = slice(grid[0]), slice(grid[1])
+    assert np.isnan(edge_share(forces, whole)) and total_columns(forces, None, None, np.nan)["edge_share"] is None
+
+
+@pytest.mark.parametrize("zoom", [0.55, 0.71, 1.0, 1.4])
+def test_the_edge_is_that_of_what_a_camera_shows(zoom):
+    """A contact at the border of a narrow view goes on beyond it, although the map has room there."""
+    view, grid = View(zoom, (0.0, 0.0, 0.0)), (24, 32)
+    rows, cols = view.cells_shown(grid)
+    assert rows.start == 24 - rows.stop and cols.start == 32 - cols.stop
+    assert (rows.stop - rows.start) / 24 == pytest.approx(min(zoom, 1.0), abs=1 / 24)
+    forces = np.zeros((3, *grid))
+    forces[2, rows.start, 15] = -3.0
+    assert edge_share(forces, (rows, cols)) == 1.0
+    forces[2, 12, 15] = -1.0
+    assert edge_share(forces, (rows, cols)) == 0.75
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,15 @@ from hypothesis import strategies as st
 from parameters import parameters, slice_of
 
 from gelforge.commands import estimate
-from gelforge.commands.estimate import later_costs, measured, pilot_presses, training, uncalibrated
+from gelforge.commands.estimate import (
+    ROW_EACH,
+    later_costs,
+    measured,
+    pilot_presses,
+    row_and_start,
+    training,
+    uncalibrated,
+)
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_json, write_json
 from gelforge.flow.forecast import Cost, pilots, presses_an_hour, size, table, wall_seconds
@@ -137,6 +145,19 @@ def test_pilots_need_no_posterior(tmp_path):
     )
     made = read_json(uncalibrated(tmp_path / "params", tmp_path / "work"))
     assert made["material"]["nu"] == 0.475 and isinstance(made["material"]["c10"], float)
+
+
+@pytest.mark.parametrize("module", ["poses", "fea", "forces", "labels"])
+def test_the_start_of_a_process_is_no_cost_of_a_row(monkeypatch, module):
+    """A hundred pilots of a stage that starts for 2 s cost what five do, and 95 rows."""
+    each = ROW_EACH.get(module, 0.7)
+
+    def told(rows: int) -> tuple[float, float]:
+        spent = iter([2.0 + each * rows, 2.0])  # a press that is solved is not solved again
+        monkeypatch.setattr(estimate, "spend", lambda *_: next(spent))
+        return row_and_start(module, [], rows)
+
+    assert told(5) == pytest.approx((each, 2.0)) == told(100)
 
 
 def filmed(presses: int, frames: int) -> list[RawRow]:

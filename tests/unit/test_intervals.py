@@ -16,6 +16,7 @@ from gelforge.networks.intervals import (
     half_widths,
 )
 from gelforge.networks.modelcheck import check_about
+from gelforge.networks.sensorprofile import Gain
 from gelforge.records.axes import CHANNELS
 
 
@@ -123,7 +124,7 @@ def test_too_few_pictures_tell_nothing_and_a_factor_widens():
     labels = rng.normal(size=(100, 3, 2, 2))
     about = {"intervals": fit_intervals(labels + rng.normal(0, 0.1, labels.shape), labels, np.arange(100))}
     total = np.array([1.0, -2.0, -9.0])
-    one, twice = half_widths(about, total), half_widths(about, 2 * total, 2.0)
+    one, twice = half_widths(about, total), half_widths(about, 2 * total, Gain(2.0, 2.0, 2.0, 9))
     np.testing.assert_allclose(twice, 2 * one)
     assert HalfWidth(0.1, 0.2).of(-3.0) == pytest.approx(0.7)
 
@@ -151,3 +152,13 @@ def shipped_about():
     from gelforge.networks.use import load_for_use
 
     return load_for_use(None).about
+
+
+def test_what_is_not_known_of_a_profile_widens_intervals():
+    """Also so far that one reading's factor, which may be a third off, is no measurement; one that nobody told is none."""
+    about = {"intervals": {"total": dict.fromkeys(CHANNELS, [0.1, 0.1])}}
+    total = np.array([1.0, -2.0, -9.0])
+    sure, unsure = (half_widths(about, total, Gain(1.0, 1 - half, 1 + half, 1)) for half in (0.0, 0.4))
+    np.testing.assert_allclose(unsure, np.hypot(sure, 0.4 * np.abs(total)))
+    assert unsure[2] > 0.4 * 9.0
+    assert (half_widths(about, total, Gain(readings=0)) == half_widths(about, total)).all()

@@ -57,7 +57,7 @@ def test_the_documented_steps_around_an_onnx_graph_give_what_predict_gives(model
     trained, gain = models["pair"], 1.2
     rest = np.asarray(data.nocontact["mini0"])
     image = np.clip(np.rint(0.93 * np.asarray(data.images[3]).astype(float) + 3), 0, 255).astype(np.uint8)
-    _, wanted, judged = use.predict_one(use.Untouched(trained, rest, gain=gain), image)
+    _, wanted, judged = use.predict_one(use.Untouched(trained, rest, gain=Gain(gain, gain, gain, 9)), image)
     assert judged.light.known and judged.light.gain.min() < 0.97
     export(trained, tmp_path / "m.onnx")
     learnt = trained.about.get("pitch_px")

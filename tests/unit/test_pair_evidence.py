@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from gelforge.networks.canonical import Light
 from gelforge.networks.dots import COLS, ROWS, PrintedDots
 from gelforge.networks.lattice import moved_alike
+from gelforge.networks.sensorprofile import Gain
 from gelforge.networks.statistics import (
     LIMITS,
     MARGIN,
@@ -125,7 +126,7 @@ def test_a_pair_beyond_a_single_limit_is_told_and_a_wider_limit_lets_it_pass(lim
 @pytest.mark.parametrize("gain, pulls", [(1.0, False), (-1.0, True)])
 def test_a_gel_that_pulls_on_what_touches_it_is_told(rest, presses, gain, pulls):
     name, image, _ = max(presses, key=lambda press: press[2])
-    judged = predict_one(Untouched(load_for_use(None), rest[name], gain=gain), image)[2]
+    judged = predict_one(Untouched(load_for_use(None), rest[name], gain=Gain(gain, gain, gain, 9)), image)[2]
     assert ("the gel seems to pull" in judged.reason) == pulls and judged.flag >= pulls
 
 

@@ -103,12 +103,12 @@ def test_a_factor_found_with_another_network_is_refused(root, tmp_path):
     picture = read_image(root / "data/demo/nocontact/mini_a.png")
     path = tmp_path / "mine.toml"
     write_profile(path, make_profile("mine", picture, pitch_of(picture), Gain(1.2, 1.1, 1.3, 5), NET))
-    assert untouched_of(path, None, NET)[1] == pytest.approx(1.2)
+    assert untouched_of(path, None, NET)[1] == Gain(1.2, 1.1, 1.3, 5)
     for other in (NET | {"sha256": "12" * 32}, NET | {"dots": {"sha256": "34" * 32}}):
         with pytest.raises(BadInput, match="another network.*gelforge sensor"):
             untouched_of(path, None, other)
     write_profile(path, make_profile("mine", picture, pitch_of(picture), Gain(), NET))
-    assert untouched_of(path, None, NET | {"sha256": "12" * 32})[1] == 1.0  # no factor, so none that is wrong
+    assert untouched_of(path, None, NET | {"sha256": "12" * 32})[1].value == 1.0  # no factor, so none that is wrong
 
 
 def test_a_picture_that_cannot_be_written_is_named_by_its_own_name(tmp_path):
@@ -233,6 +233,15 @@ def test_a_weighed_picture_that_predict_would_flag_is_named(weighed, capsys):
     assert len(told) == 1 and rows[0][0] in told[0]
 
 
+def test_a_reading_unlike_the_others_is_named(weighed, capsys):
+    """Three times what the others tell: a scale that was read wrongly, most likely."""
+    folder, rows = weighed
+    assert make(folder, rows) == 0 and "is usual here" not in capsys.readouterr().err
+    make(folder, [[rows[0][0], f"{3 * float(rows[0][1]):.2f}"], *rows[1:]])
+    told = [line for line in capsys.readouterr().err.splitlines() if "is usual here" in line]
+    assert len(told) == 1 and rows[0][0] in told[0]
+
+
 @pytest.mark.parametrize(
     ("change", "says"),
     [
@@ -243,7 +252,8 @@ def test_a_weighed_picture_that_predict_would_flag_is_named(weighed, capsys):
         (lambda rows: [[rows[0][0], "much"]], "'much' is no number"),
         (lambda rows: [[rows[0][0], '"3,5"']], "'3,5' is no number; write newtons with a decimal point"),
         (lambda rows: [["", "5.0"]], "line 2: its image is empty"),
-        (lambda rows: [rows[0], [], [], ["gone.png", "x"]], "line 5: gone.png"),
+        (lambda rows: [rows[0], [], [], ["gone.png", "x"]], "line 5: .*gone.png: not found"),
+        (lambda rows: [rows[0], rows[1], rows[0]], "line 4: .* again, as in line 2"),
         (lambda rows: [["gone.png", "5.0"]], "gone.png"),
         (lambda rows: [], "no readings"),
         (lambda rows: [["a;b", "1"]], "a;b"),

@@ -190,7 +190,9 @@ def test_without_a_display_lines_and_rows_are_written(film, tmp_path):
 def reading(number, flag=False):
     forces = np.zeros((3, 4, 5), np.float32)
     forces[2, 1, 1] = -number
-    return Reading(number, 0.01 * number, np.zeros((6, 8, 3), np.uint8), forces, flag, "dark" if flag else "", 1.0)
+    return Reading(
+        number, 0.01 * number, np.zeros((6, 8, 3), np.uint8), forces, flag, "dark" if flag else "", 1.0, 0.0
+    )
 
 
 def full(recorder):

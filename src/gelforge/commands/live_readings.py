@@ -32,7 +32,16 @@ def readings(untouched, frames, pace_s: float = 0.0, frame_s: float | None = Non
         took = 1e3 * (time.perf_counter() - now)
         time_s = now - started if frame_s is None else number * frame_s
         yield Reading(
-            number, time_s, image, forces, judged.flag, judged.reason, took, judged.half_width, judged.by_dots
+            number,
+            time_s,
+            image,
+            forces,
+            judged.flag,
+            judged.reason,
+            took,
+            judged.edge_share,
+            judged.half_width,
+            judged.by_dots,
         )
 
 

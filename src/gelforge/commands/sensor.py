@@ -19,6 +19,7 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.main import command, from_zero, option
 from gelforge.networks.sensorprofile import (
+    WEAK_N,
     Gain,
     check_readings,
     check_same_network,
@@ -26,12 +27,13 @@ from gelforge.networks.sensorprofile import (
     fit_gain,
     fit_opposite,
     make_profile,
+    odd_readings,
     read_profile,
     write_profile,
 )
 from gelforge.networks.sitting import place_sitting
 from gelforge.networks.still import picture_at_rest
-from gelforge.networks.use import Untouched, load_for_use, predict_one
+from gelforge.networks.use import Untouched, fit_size, load_for_use, predict_one
 from gelforge.records.film import source_name
 from gelforge.records.image import read_image
 from gelforge.records.markers import pitch_of
@@ -43,11 +45,30 @@ from gelforge.records.table import numbered_rows
 def gain_of(readings: Path, untouched: Untouched) -> Gain:
     """The factor that a table of readings tells; BadInput names the row that cannot be used."""
     rows = _rows(readings, ("image", "force_n"), "readings", "press")
-    names = [f"{readings} line {number}: {row['image']}" for number, row in rows]
-    measured = np.array([_force(name, row["force_n"]) for name, (_, row) in zip(names, rows, strict=True)])
-    read = _normals(untouched, [readings.parent / row["image"] for _, row in rows])
-    check_readings(names, measured, read)
+    pictures = _pictures(readings, rows, "image")
+    measured = np.array([_force(name, row["force_n"]) for name, (_, row) in zip(pictures, rows, strict=True)])
+    read = _normals(untouched, pictures)
+    check_readings(list(pictures), measured, read)
+    for name, told in odd_readings(list(pictures), measured, read).items():
+        print(f"{name}: {told}; it counts, leave it out if it is wrong", file=sys.stderr)
     return fit_gain(measured, read)
+
+
+def _pictures(table: Path, rows: list[tuple[int, dict[str, str]]], column: str) -> dict[str, np.ndarray]:
+    """The pictures that a column names, (h, w, 3) uint8, by what a row is called; BadInput names one that cannot be used."""
+    lines: dict[str, int] = {}
+    found = {}
+    for number, row in rows:
+        name, first = row[column], lines.setdefault(row[column], number)
+        if first != number:
+            raise BadInput(
+                f"{table} line {number}: {name} again, as in line {first}; a picture counts once, give one of each press"
+            )
+        try:
+            found[f"{table} line {number}: {name}"] = read_image(table.parent / name)
+        except BadInput as error:
+            raise BadInput(f"{table} line {number}: {error}") from None
+    return found
 
 
 def _rows(table: Path, columns: tuple[str, str], what: str, each: str) -> list[tuple[int, dict[str, str]]]:
@@ -84,12 +105,16 @@ def _force(name: str, text: str) -> float:
 
 def gain_beside(grasps: Path, untouched: Untouched, opposite: Path) -> Gain:
     """The factor by which grasps bring this sensor to the profile of the finger opposite."""
-    rows = [row for _, row in _rows(grasps, ("image", "opposite"), "grasps", "moment")]
+    rows = _rows(grasps, ("image", "opposite"), "grasps", "moment")
     other = read_profile(opposite)
     check_same_network(other, untouched.trained.about)
-    facing = Untouched(untouched.trained, other.untouched, gain=other.gain.value)
-    read = _normals(untouched, [grasps.parent / row["image"] for row in rows])
-    felt = _normals(facing, [grasps.parent / row["opposite"] for row in rows])
+    facing = Untouched(untouched.trained, other.untouched, gain=other.gain)
+    pictures = _pictures(grasps, rows, "image")
+    read = _normals(untouched, pictures)
+    felt = _normals(facing, _pictures(grasps, rows, "opposite"))
+    for name, one, another in zip(pictures, read, felt, strict=True):
+        if min(one, another) < WEAK_N:
+            print(f"{name}: does not count, {one:.1f} and {another:.1f} N are read; press firmer", file=sys.stderr)
     return fit_opposite(felt, read, other.gain)
 
 
@@ -104,18 +129,18 @@ def untouched_picture(image: Path | None, video: Path | None, camera: int | None
     return picture_at_rest(video, camera), source_name(video, camera)
 
 
-def _normals(untouched: Untouched, images: list[Path]) -> np.ndarray:
-    """Normal forces (n,) in N that `predict` reads in pictures of one sitting, above 0 where something presses.
+def _normals(untouched: Untouched, pictures: dict[str, np.ndarray]) -> np.ndarray:
+    """Normal forces (n,) in N that `predict` reads in pictures by name of one sitting, above 0 where something presses.
 
     A picture that `predict` would flag counts, as some flags are wrong, and is named on the terminal.
     """
-    placement, read = place_sitting(untouched, (read_image(image) for image in images)), []
-    for image in images:
-        _, forces, judged = predict_one(untouched, read_image(image), placement)
+    placement, read = place_sitting(untouched, pictures.values()), []
+    for name, picture in pictures.items():
+        _, forces, judged = predict_one(untouched, picture, placement)
         read.append(-float(forces[2].sum()))
         if judged.flag:
             print(
-                f"{image}: FLAGGED: {judged.reason}; it counts, leave it out if that is so",
+                f"{name}: FLAGGED: {judged.reason}; it counts, leave it out if that is so",
                 file=sys.stderr,
             )
     return np.array(read)
@@ -170,7 +195,15 @@ def main(args: Namespace) -> None:
         gain = gain_beside(args.grasps, untouched, args.opposite)
     profile = make_profile(name, picture, pitch_of(picture), gain, trained.about)
     write_profile(out, profile)
-    what = "grasps" if args.grasps else "readings"
+    what = "grasp" if args.grasps else "reading"
+    what += "" if gain.readings == 1 else "s"
+    sized, other = fit_size(picture, trained.about["image"])
+    if other:
+        print(
+            f"{source}: {other}: at that size its dots are {pitch_of(sized):.1f} px apart; its pictures are resized and"
+            " every one is flagged, bring them to that size first",
+            file=sys.stderr,
+        )
     print(f"{out}: forces times {gain.value:.3f} ({gain.low:.3f} to {gain.high:.3f}), from {gain.readings} {what};"
           f" dots {profile.pitch:.1f} px apart")  # fmt: skip
 

@@ -85,6 +85,11 @@ class View:
         across, along = (max(0, math.ceil((1.0 - self.zoom) * size / 2)) for size in shape[:2])
         return slice(across, shape[0] - across), slice(along, shape[1] - along)
 
+    def cells_shown(self, grid: tuple[int, ...]) -> tuple[slice, slice]:
+        """Rows and columns of a map of such a picture, (rows, cols) cells, that show something, to the nearest cell."""
+        rows, cols = (max(0, round((1.0 - self.zoom) * count / 2)) for count in grid)
+        return slice(rows, grid[0] - rows), slice(cols, grid[1] - cols)
+
     def match(self, image: np.ndarray, untouched: "Resting") -> tuple[np.ndarray, "Light"]:
         """An image (h, w, 3) uint8 as `of` gives it under the light of the untouched picture, and what its light was.
 

@@ -6,11 +6,13 @@ one press err alike, so it is presses that count (pooled groups: Dunn, Wasserman
 2491-2502, section 3.1).
 """
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from gelforge.networks.sensorprofile import AS_READ, Gain
 from gelforge.records.axes import CHANNELS
 
 HOLDS = 0.9  # share of the forces that intervals shall hold
@@ -74,17 +76,17 @@ def fit_intervals(predicted: np.ndarray, labels: np.ndarray, press: np.ndarray) 
     return {"total": found}
 
 
-def half_widths(about: dict[str, Any], totals: np.ndarray, gain: float = 1.0) -> np.ndarray | None:
+def half_widths(about: dict[str, Any], totals: np.ndarray, gain: Gain = AS_READ) -> np.ndarray | None:
     """Half widths (3,) N at total forces (3,) N; None where unknown.
 
-    gain: the factor of a sensor's profile that the forces were multiplied by.
+    gain: of the sensor's profile, whose factor the forces were multiplied by. What is not known of it widens the intervals.
     """
     known = about.get("intervals", {}).get("total")
     if not known:
         return None
     return np.array(
         [
-            gain * HalfWidth(*known[name]).of(force / gain)
+            math.hypot(gain.value * HalfWidth(*known[name]).of(force / gain.value), gain.unsure * force)
             for name, force in zip(CHANNELS, totals.tolist(), strict=True)
         ]
     )

@@ -26,6 +26,7 @@ SCATTER, KNOWN = 0.15, 2.0  # of one reading's logarithm, as two readings would 
 WEAK_N = 1.0  # forces of about this size and below say little of a factor
 LEAST_N = 0.5  # read by the network: below, nothing touches
 FARTHEST = 5.0  # times that a reading may differ from what the network reads
+ODD = 2.0  # times that a reading's proportion differs from that of most, where one of them is likely wrong
 GRASP_SCATTER = 0.35  # of one grasp's logarithm: fingers see different parts of what they hold
 SHARE = 0.9  # of the probability that an interval holds
 USUAL = NormalDist().inv_cdf((1 + SHARE) / 2)  # standard deviations that such an interval reaches on either side
@@ -40,6 +41,14 @@ class Gain:
     low: float = math.exp(-USUAL * SPREAD)
     high: float = math.exp(USUAL * SPREAD)
     readings: int = 0
+
+    @property
+    def unsure(self) -> float:
+        """Half of the interval as a share of the factor; none of one that no reading told, which changes nothing."""
+        return (self.high - self.low) / (2 * self.value) if self.readings else 0.0
+
+
+AS_READ = Gain()  # of a sensor that has no profile
 
 
 @dataclass(frozen=True)
@@ -132,6 +141,17 @@ def check_readings(names: list[str], measured: np.ndarray, read: np.ndarray) -> 
             )
 
 
+def odd_readings(names: list[str], measured: np.ndarray, read: np.ndarray) -> dict[str, str]:
+    """What is odd about readings, by name, whose force is in another proportion to what is read than that of most."""
+    ratio = np.asarray(measured, float) / read
+    usual = float(np.median(ratio))
+    return {
+        name: f"{force:g} N were measured where about {seen:.1f} N are read, {usual:.2g} times as much is usual here"
+        for name, force, seen, one in zip(names, measured, read, ratio, strict=True)
+        if max(one / usual, usual / one) > ODD
+    }
+
+
 def fingerprint(about: dict) -> str:
     """What tells a trained network from all others, by what its file says of itself: digests of its weights."""
     from gelforge.networks.modelfile import READERS
@@ -195,19 +215,19 @@ def _is_number(value: object) -> TypeGuard[int | float]:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def untouched_of(path: Path | None, picture: np.ndarray | None, about: dict) -> tuple[np.ndarray | None, float]:
-    """The untouched picture, the given one or the profile's, and the profile's factor on forces; 1 without a profile.
+def untouched_of(path: Path | None, picture: np.ndarray | None, about: dict) -> tuple[np.ndarray | None, Gain]:
+    """The untouched picture, the given one or the profile's, and the profile's factor on forces.
 
     about: of the network that reads; BadInput where the profile's factor was found with another one.
     """
     if path is None:
-        return picture, 1.0
+        return picture, AS_READ
     profile = read_profile(path)
     check_same_network(profile, about)
     if picture is None:
-        return profile.untouched, profile.gain.value
+        return profile.untouched, profile.gain
     check_same_sensor(profile, pitch_of(picture))
-    return picture, profile.gain.value
+    return picture, profile.gain
 
 
 def check_same_network(profile: SensorProfile, about: dict) -> None:

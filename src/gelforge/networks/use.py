@@ -17,6 +17,7 @@ from gelforge.networks.intervals import half_widths
 from gelforge.networks.modelfile import SensorNet, Trained, load_model, predict_images, require_sensor
 from gelforge.networks.placement import LEAST_MOVE, UNPLACED, Placement, place
 from gelforge.networks.placereader import PlacesOneByOne
+from gelforge.networks.sensorprofile import AS_READ, Gain
 from gelforge.networks.statistics import (
     PairEvidence,
     as_arrays,
@@ -25,8 +26,10 @@ from gelforge.networks.statistics import (
     judge,
     relief,
     relief_fault,
+    rimless_evidence,
 )
 from gelforge.records.markers import pitch_of
+from gelforge.records.totals import edge_share
 
 LEAST_PULL = 1.0  # N above which a reading that no contact can make is told
 SAME_SHAPE = 0.02  # share by which the sides of an untouched picture may be in another ratio than the model's
@@ -79,7 +82,7 @@ class Untouched:
     """
 
     def __init__(
-        self, trained: Trained, picture: np.ndarray | None = None, sensor: str | None = None, gain: float = 1.0
+        self, trained: Trained, picture: np.ndarray | None = None, sensor: str | None = None, gain: Gain = AS_READ
     ) -> None:
         self.trained, self.gain = trained, gain
         self.known: dict[str, Any] = trained.untouched  # pictures; None beside a network that reads none
@@ -148,7 +151,7 @@ class Untouched:
         dots, rest = self.dots(name), self.picture(name)
         followed = dots.follow(lit)
         if self.view.zoom != 1.0:
-            evidence = PairEvidence(distance(lit, rest), light)
+            evidence = PairEvidence(distance(lit, rest), light, rimless_evidence(followed))
             return CanonicalPair(seen, lit, evidence, dots, followed, placement or UNPLACED)
         told = dot_evidence(dots, followed)
         if placement is None and told.rim_px > LEAST_MOVE:
@@ -207,7 +210,8 @@ class Judgement:
     beside a network that reads none. light: what its light differed by (networks.canonical), None beside such a network.
     placed: what was put right in how it lay, empty for nothing. by_dots: totals (3,) N that the dots tell by themselves,
     None where nothing reads them; half_width: (3,) N, half of the totals' intervals (networks.intervals), None where the
-    model knows none. Both in the order of the channels, times the sensor's gain.
+    model knows none. Both in the order of the channels, times the sensor's gain. edge_share: of the normal force, at the
+    edge of what the picture shows (records.totals).
     """
 
     score: float
@@ -217,6 +221,7 @@ class Judgement:
     placed: str
     by_dots: np.ndarray | None
     half_width: np.ndarray | None
+    edge_share: float
 
     @property
     def flag(self) -> bool:
@@ -249,9 +254,9 @@ def predict_one(
     by_dots, contradicted = pair.by_dots(untouched.reader_of_dots) if pair else None, ""
     if by_dots is not None:
         total = forces.sum((1, 2), dtype=float)
-        contradicted = dots_fault(trained.about["dots"]["apart"], total, by_dots, untouched.gain)
+        contradicted = dots_fault(trained.about["dots"]["apart"], total, by_dots, untouched.gain.value)
         forces = blend(forces, by_dots, trained.about["dots"]["weight"])
-    forces = forces * np.float32(untouched.gain)
+    forces = forces * np.float32(untouched.gain.value)
     faults = [resized, untouched.fault, likeness.reason, light_fault(light), pull_fault(forces), contradicted]
     faults += [pair.placement.fault] if pair else []
     judgement = Judgement(
@@ -260,8 +265,9 @@ def predict_one(
         untouched=name,
         light=light,
         placed=pair.placement.correction if pair else "",
-        by_dots=None if by_dots is None else untouched.gain * by_dots,
+        by_dots=None if by_dots is None else untouched.gain.value * by_dots,
         half_width=half_widths(trained.about, forces.sum((1, 2), dtype=float), untouched.gain),
+        edge_share=edge_share(forces, untouched.view.cells_shown(forces.shape[1:])),
     )
     return pair.seen if pair else image, forces, judgement
 

@@ -16,26 +16,30 @@ EDGE = 1 / 12  # of the picture's height and width, on each side, that counts as
 
 
 def total_columns(
-    forces: np.ndarray, half_width: np.ndarray | None, by_dots: np.ndarray | None
+    forces: np.ndarray, half_width: np.ndarray | None, by_dots: np.ndarray | None, at_edge: float
 ) -> dict[str, float | None]:
-    """Values of TOTAL_COLUMNS, N to four decimals, of forces (3, rows, cols) N; half_width, by_dots: (3,) N or None."""
+    """Values of TOTAL_COLUMNS, N to four decimals, of forces (3, rows, cols) N; half_width, by_dots: (3,) N or None.
+
+    at_edge: their `edge_share`.
+    """
     found: dict[str, float | None] = {}
     for kind, values in zip(KINDS, (forces.sum((1, 2), dtype=np.float64), half_width, by_dots), strict=True):
         for k, channel in enumerate(CHANNELS):
             found[f"{channel}_{kind}"] = None if values is None else round(float(values[k]), 4)
-    share = edge_share(forces)
-    return found | {"edge_share": None if np.isnan(share) else round(share, 4)}
+    return found | {"edge_share": None if np.isnan(at_edge) else round(at_edge, 4)}
 
 
-def edge_share(forces: np.ndarray) -> float:
+def edge_share(forces: np.ndarray, shown: tuple[slice, slice]) -> float:
     """Share of the normal force of forces (3, rows, cols) N that lies at the picture's edge; 0 where hardly anything presses.
 
-    A large one tells that what touches goes on beyond the picture. NaN of fewer than three rows or columns, which
-    are nothing but edge.
+    shown: rows and columns of the cells that the picture shows; what is read beyond counts as its edge. A large share
+    tells that what touches goes on beyond the picture. NaN where fewer than three rows or columns are shown, which are
+    nothing but edge.
     """
-    if min(forces.shape[1:]) < 3:
-        return np.nan
     pressed = np.maximum(-forces[2].astype(float), 0.0)
-    rows, cols = (max(1, round(EDGE * count)) for count in pressed.shape)
-    within, total = pressed[rows:-rows, cols:-cols].sum(), pressed.sum()
+    inner = pressed[shown]
+    if min(inner.shape) < 3:
+        return np.nan
+    rows, cols = (max(1, round(EDGE * count)) for count in inner.shape)
+    within, total = inner[rows:-rows, cols:-cols].sum(), pressed.sum()
     return float(1.0 - within / total) if total >= LEAST_PRESS else 0.0

@@ -64,12 +64,7 @@ def hardest_frames(film: Path, trained):
 
 def shown(image: np.ndarray, forces: np.ndarray, view) -> tuple[np.ndarray, np.ndarray]:
     """The part of an image (h, w, 3) and of its forces (3, rows, cols) that a view shows (networks.canonical.View)."""
-    pixels = view.shown(image.shape)
-    cells = tuple(
-        slice(round(part.start * count / size), round(part.stop * count / size))
-        for part, count, size in zip(pixels, forces.shape[1:], image.shape, strict=False)
-    )
-    return image[pixels], forces[(slice(None), *cells)]
+    return image[view.shown(image.shape)], forces[(slice(None), *view.cells_shown(forces.shape[1:]))]
 
 
 @command(option("films", nargs="+", type=Path), option("--out", type=Path))
