@@ -36,7 +36,7 @@ STAGES = {"poses": layout.POSES, "fea": layout.FEA, "forces": layout.FORCES, "la
 # calibration; a scene of the quick chart.
 EVALUATE_EACH, REPORT_EACH, CALIBRATE_EACH, CHART_EACH = 5e-3, 0.02, 18.0, 6.0
 # A row in the stages beside the solves, where a few pilots take no longer than the start of the process does.
-ROW_EACH = {"poses": 5e-3, "forces": 2e-3, "labels": 2e-4}
+ROW_EACH = {"poses": 7e-3, "forces": 1e-3, "labels": 2e-3}
 # A press in one epoch of the readers of dots, of force and of place.
 DOTS_EACH, PLACES_EACH = 2e-3, 3e-4
 START = 3.0  # of a process with torch or the drawing libraries
