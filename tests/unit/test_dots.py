@@ -280,7 +280,15 @@ def test_the_better_reader_has_more_say_and_a_contradiction_is_told():
     usual = [dots_fault(told["apart"], a, b) for a, b in zip(poor, good, strict=True)]
     assert np.mean([bool(fault) for fault in usual]) < 0.01
     fault = dots_fault(told["apart"], np.array([0.0, 0.0, -20.0]), np.array([0.0, 0.0, -5.0]))
-    assert fault == "its dots tell grid_z -5.0 N, its brightness -20.0 N"
+    assert fault == "its dots tell force along gel z of -5.0 N, its brightness of -20.0 N"
+
+
+def test_a_contradiction_names_the_axis_that_the_force_is_along():
+    """x and y in the lines around it are the gel's; the channel grid_x holds the force along y."""
+    apart = {name: [0.1, 0.0] for name in CHANNELS}
+    for channel, axis in enumerate("yxz"):
+        fault = dots_fault(apart, np.zeros(3), 2.0 * np.eye(3)[channel])
+        assert f"gel {axis} of 2.0 N" in fault and "grid_" not in fault
 
 
 def test_a_contradiction_is_told_in_the_newtons_that_are_read(rest, presses):
@@ -290,9 +298,7 @@ def test_a_contradiction_is_told_in_the_newtons_that_are_read(rest, presses):
     told = []
     for gain in (1.0, 3.0):
         _, _, judged = predict_one(Untouched(suspicious, rest, gain=Gain(gain, gain, gain, 9)), presses[0])
-        told.append(
-            np.array(re.search("its dots tell grid_z (.+) N, its brightness (.+) N", judged.reason).groups(), float)
-        )
+        told.append(np.array(re.search("gel z of (.+) N, its brightness of (.+) N", judged.reason).groups(), float))
         assert told[-1][0] == pytest.approx(judged.by_dots[2], abs=0.051)
     assert told[1] == pytest.approx(3.0 * told[0], abs=0.21)  # both are told to a tenth
 

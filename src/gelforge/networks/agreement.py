@@ -3,7 +3,7 @@
 import numpy as np
 
 from gelforge.networks.intervals import HalfWidth, fit_half_width
-from gelforge.records.axes import CHANNELS
+from gelforge.records.axes import CHANNELS, MEANINGS
 from gelforge.records.totals import LEAST_PRESS
 
 WEIGHTS = np.linspace(0.0, 1.0, 21)  # of the dots' total in both readers' mean, that are tried
@@ -58,5 +58,6 @@ def dots_fault(apart: dict, total: np.ndarray, by_dots: np.ndarray, gain: float 
     """
     for k, name in enumerate(CHANNELS):
         if abs(total[k] - by_dots[k]) > APART * HalfWidth(*apart[name]).of(max(abs(total[k]), abs(by_dots[k]))):
-            return f"its dots tell {name} {gain * by_dots[k]:.1f} N, its brightness {gain * total[k]:.1f} N"
+            told, read = gain * by_dots[k], gain * total[k]
+            return f"its dots tell {MEANINGS[k]} of {told:.1f} N, its brightness of {read:.1f} N"
     return ""

@@ -12,6 +12,8 @@ CHANNELS = ("grid_x", "grid_y", "grid_z")
 AXIS_OF_CHANNEL = (1, 0, 2)
 CHANNEL_OF_AXIS = (1, 0, 2)  # the map is its own inverse
 AXES = ("x", "y", "z")
-TITLES = tuple(f"{name}: force along gel {AXES[axis]}" for name, axis in zip(CHANNELS, AXIS_OF_CHANNEL, strict=True))
+# What each channel holds, for sentences that people read: there a channel's name would be taken for an axis.
+MEANINGS = tuple(f"force along gel {AXES[axis]}" for axis in AXIS_OF_CHANNEL)
+TITLES = tuple(f"{name}: {meaning}" for name, meaning in zip(CHANNELS, MEANINGS, strict=True))
 # The column of a log or a table that holds each channel's total force.
 FORCE_OF_CHANNEL = tuple(FORCE[axis] for axis in AXIS_OF_CHANNEL)
