@@ -11,6 +11,7 @@ from gelforge.formats.numpy_pickle import read_npy
 from gelforge.networks.modelfile import Trained
 from gelforge.networks.still import find_untouched
 from gelforge.networks.use import Untouched, predict_one
+from gelforge.records.axes import CHANNEL_OF_AXIS
 from gelforge.records.image import encode_png, read_image
 from gelforge.reporting.forcemaps import overlay
 from gelforge.reporting.page import Section, render
@@ -25,11 +26,19 @@ OF_THE_GIF = 12  # of FEATS' 51 presses
 def read_over(untouched: Untouched, image: np.ndarray) -> np.ndarray:
     """An image (h, w, 3) RGB with its force map, totals and their intervals on it, and why it is flagged."""
     seen, forces, judged = predict_one(untouched, image)
-    total, half = forces.sum((1, 2), dtype=float), judged.half_width
-    within = [""] * 3 if half is None else [f" +- {value:.1f}" for value in half]
-    lines = [f"z {total[2]:+.1f}{within[2]} N", f"x {total[0]:+.2f}{within[0]}  y {total[1]:+.2f}{within[1]} N"]
+    lines = total_lines(forces.sum((1, 2), dtype=float), judged.half_width)
     drawn = overlay(cv2.cvtColor(seen, cv2.COLOR_RGB2BGR), forces, lines, judged.reason if judged.flag else "", 1)
     return cv2.cvtColor(drawn, cv2.COLOR_BGR2RGB)
+
+
+def total_lines(total: np.ndarray, half_width: np.ndarray | None) -> list[str]:
+    """Totals (3,) N and half of their intervals, in the channels' order, told along the gel's axes as `live` does."""
+    within = [""] * 3 if half_width is None else [f" +- {value:.1f}" for value in half_width]
+    x, y, z = CHANNEL_OF_AXIS
+    return [
+        f"z {total[z]:+.1f}{within[z]} N",
+        f"x {total[x]:+.2f}{within[x]}  y {total[y]:+.2f}{within[y]} N",
+    ]
 
 
 def strip(pictures: Sequence[np.ndarray]) -> bytes:

@@ -24,6 +24,7 @@ from gelforge.networks.onnxgraph import TOLERANCE, export, largest_difference, r
 from gelforge.networks.sensorprofile import Gain, make_profile, write_profile
 from gelforge.networks.still import FEWEST
 from gelforge.records.markers import pitch_of
+from tests.benchmarks import real_page
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -265,6 +266,8 @@ def test_the_film_names_axes_as_everything_else_does():
     forces = np.zeros((3, *GRID), np.float32)
     forces[:, 0, 0] = 1.0, 2.0, -3.0
     assert live.force_line(forces).split() == ["x", "+2.00", "y", "+1.00", "z", "-3.00", "N"]
+    lines = real_page.total_lines(np.array([1.0, 2.0, -3.0]), np.array([0.1, 0.2, 0.3]))
+    assert lines == ["z -3.0 +- 0.3 N", "x +2.00 +- 0.2  y +1.00 +- 0.1 N"]
 
 
 def test_live_takes_the_first_frames_at_rest_for_the_untouched_sensor(data, models, paths, tmp_path):
