@@ -11,6 +11,11 @@ from gelforge.records.axes import TITLES
 SIGNED, PRESSURE = "RdBu_r", "inferno"
 ARROW_PX_PER_N = 400.0  # a typical shear of 0.02 N per cell becomes an arrow of 8 px
 LONGEST_ARROW_PX = 24.0
+# Text below a frame: OpenCV's plain font (cv2.FONT_HERSHEY_SIMPLEX) and its scale, in lines of so many px. Three lines
+# of a frame of 640 px hold the longest sentence that a picture is flagged by.
+FONT = (0, 0.5)
+LINE_PX, MARGIN_PX, WARNING_LINES = 22, 6, 3
+TEXT_BGR, WARNING_BGR = (230, 230, 230), (60, 60, 255)
 HEAT_AT_LEAST_N = 0.03  # full colour of the heat map stands for at least this normal force per cell
 
 
@@ -58,10 +63,41 @@ def overlay(image, forces, lines: list[str], warning: str = "", zoom: int = 2) -
     weight = 0.7 * np.clip(share, 0, 1)[..., None]
     picture = (picture * (1 - weight) + heat * weight).astype(np.uint8)
     draw_arrows(picture, forces)
-    footer = np.zeros((22 * (len(lines) + 1), width, 3), np.uint8)
-    for i, (text, colour) in enumerate([*((line, (230, 230, 230)) for line in lines), (warning, (60, 60, 255))]):
-        cv2.putText(footer, text, (6, 17 + 22 * i), cv2.FONT_HERSHEY_SIMPLEX, 0.5, colour, 1, cv2.LINE_AA)
-    return np.vstack([picture, footer])
+    return np.vstack([picture, footer(width, lines, warning)])
+
+
+def footer(width: int, lines: list[str], warning: str) -> np.ndarray:
+    """Text (h, width, 3) BGR below a picture, the warning in red; as high without one, because films have one size."""
+    import cv2
+
+    drawn = np.zeros((LINE_PX * (len(lines) + WARNING_LINES), width, 3), np.uint8)
+    red = wrapped(warning, width - 2 * MARGIN_PX, WARNING_LINES)
+    for i, (text, colour) in enumerate(
+        [*((line, TEXT_BGR) for line in lines), *((line, WARNING_BGR) for line in red)]
+    ):
+        cv2.putText(drawn, text, (MARGIN_PX, 17 + LINE_PX * i), *FONT, colour, 1, cv2.LINE_AA)
+    return drawn
+
+
+def wrapped(text: str, width: int, most: int) -> list[str]:
+    """Text in lines no wider than `width` px; where it needs more than `most` of them, the last one ends in dots."""
+    import cv2
+
+    def fits(line: str) -> bool:
+        return cv2.getTextSize(line, *FONT, 1)[0][0] <= width
+
+    lines: list[str] = []
+    for word in text.split():
+        if lines and fits(f"{lines[-1]} {word}"):
+            lines[-1] += f" {word}"
+        else:
+            lines.append(word)
+    if len(lines) <= most:
+        return lines
+    last = lines[most - 1]
+    while last and not fits(f"{last} ..."):
+        last = last.rpartition(" ")[0]
+    return [*lines[: most - 1], f"{last} ..."]
 
 
 def draw_arrows(picture, forces) -> None:
