@@ -1,9 +1,10 @@
 """Pictures of force maps: what a person reads off them."""
 
+import cv2
 import numpy as np
 import pytest
 
-from gelforge.reporting.forcemaps import WARNING_LINES, overlay, wrapped
+from gelforge.reporting.forcemaps import FULL_COLOUR_N, WARNING_LINES, overlay, wrapped, write_maps
 
 WARNING = "the gel sits too far from where it sat untouched to be sure: (+12.0, -3.0) px aside, 4.1 degrees turned"
 GREY = np.full((240, 320, 3), 90, np.uint8)
@@ -28,3 +29,19 @@ def test_a_warning_is_told_whole_where_there_is_room_and_else_ends_in_dots():
     short = wrapped(long, 308, WARNING_LINES)
     assert len(short) == WARNING_LINES and short[-1].endswith(" ...")
     assert long.startswith(" ".join(short).removesuffix(" ..."))
+
+
+def strong(path) -> int:
+    """How many pixels of a picture are of a strong red or blue."""
+    picture = cv2.imread(str(path)).astype(int)
+    return int((np.ptp(picture, axis=2) > 100).sum())
+
+
+def test_a_released_gel_is_drawn_pale(tmp_path):
+    """What is read in one is noise; scaled to itself it looked like a press."""
+    noise = np.where(np.arange(32) % 2, 1.0, -1.0) * np.ones((3, 24, 1)) * np.reshape(FULL_COLOUR_N, (3, 1, 1))
+    found = {}
+    for name, forces in (("released", 0.1 * noise), ("pressed", noise)):
+        write_maps(tmp_path / f"{name}.png", GREY, forces, "")
+        found[name] = strong(tmp_path / f"{name}.png")
+    assert found["released"] < 0.2 * found["pressed"]  # its colour bars are left

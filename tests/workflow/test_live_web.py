@@ -26,6 +26,7 @@ from gelforge.live.recording import Recorder, paced
 from gelforge.live.server import Hub, Server, serve
 from gelforge.networks.use import Untouched, load_for_use
 from gelforge.records.film import frames, open_source
+from gelforge.reporting.forcemaps import FULL_COLOUR_N
 from tests.browser import WIDTHS, browser, console_errors, needs_browser, wait_for
 from tests.limited import limited
 from tests.waiting import HANG, wait_until
@@ -382,6 +383,17 @@ def test_a_flag_is_told_in_its_own_words(tmp_path):
             serve([reading(number, flag=number == 1)], hub, Recorder(tmp_path))
             wait_for(driver, f"return document.body.dataset.frame === '{number}'")
             assert driver.find_element("id", "flag").text == words
+
+
+@needs_browser
+def test_a_released_gel_is_shown_on_the_scale_of_pictures(tmp_path):
+    with page_server(Recorder(tmp_path)) as (address, hub), browser() as driver:
+        driver.get(address)
+        for number, normal in ((0, FULL_COLOUR_N[2]), (1, 1.0)):
+            serve([reading(number)], hub, Recorder(tmp_path))
+            wait_for(driver, f"return document.body.dataset.frame === '{number}'")
+            for name, full in (("normal", normal), ("short", FULL_COLOUR_N[1]), ("long", FULL_COLOUR_N[0])):
+                assert f"± {full:.3f} N a cell" in driver.find_element("id", f"cap-{name}").text
 
 
 @needs_browser

@@ -10,6 +10,7 @@ from pathlib import Path
 from gelforge.errors import BadInput
 from gelforge.live.reading import Reading
 from gelforge.live.recording import Recorder, paced
+from gelforge.reporting.forcemaps import FULL_COLOUR_N
 from gelforge.reporting.page import COLOURS, LOOK
 
 WEB = Path(__file__).parent / "web"
@@ -168,7 +169,7 @@ def page() -> str:
     html = (WEB / "live.html").read_text(encoding="utf-8")
     for place, path in files.items():
         html = html.replace(place, path.read_text(encoding="utf-8"))
-    return html
+    return html.replace("/*least*/", json.dumps(FULL_COLOUR_N))
 
 
 def serve(readings: Iterable[Reading], hub: Hub, recorder: Recorder) -> int:

@@ -16,7 +16,9 @@ LONGEST_ARROW_PX = 24.0
 FONT = (0, 0.5)
 LINE_PX, MARGIN_PX, WARNING_LINES = 22, 6, 3
 TEXT_BGR, WARNING_BGR = (230, 230, 230), (60, 60, 255)
-HEAT_AT_LEAST_N = 0.03  # full colour of the heat map stands for at least this normal force per cell
+# Force per cell that full colour stands for at least, by channel: what a network reads in a released gel is a tenth of
+# it, and would else be drawn as strong as a press.
+FULL_COLOUR_N = (0.005, 0.005, 0.03)
 
 
 def write_maps(path, image, forces, title: str) -> None:
@@ -29,18 +31,19 @@ def write_maps(path, image, forces, title: str) -> None:
     # no wider than the image; a file's name with two dollars is no formula
     axes[0].set_title(textwrap.fill(title, 36), fontsize=8, parse_math=False)
     for channel, axis in enumerate(axes[1:]):
-        draw_component(axis, forces[channel], channel)
+        draw_component(axis, forces[channel], channel, least=FULL_COLOUR_N[channel])
     for axis in axes:
         axis.set_axis_off()
     save_png(path, figure)
 
 
-def draw_component(axis, force, channel: int, note: str = "", **placed) -> None:
+def draw_component(axis, force, channel: int, note: str = "", least: float = 1e-6, **placed) -> None:
     """Draw the map (rows, cols) of one component of force, N per cell, under its name and total.
 
-    note: what is said behind the total. placed: where and how the map lies, as matplotlib's imshow takes it.
+    note: what is said behind the total. least: force per cell that full colour stands for at least. placed: where and
+    how the map lies, as matplotlib's imshow takes it.
     """
-    span = max(float(np.abs(force).max()), 1e-6)
+    span = max(float(np.abs(force).max()), least)
     shown = axis.imshow(force, cmap=SIGNED, vmin=-span, vmax=span, **placed)
     axis.set_title(f"{TITLES[channel]}: {force.sum():+.3f} N{note}", fontsize=9)
     axis.figure.colorbar(shown, ax=axis, shrink=0.85, label="N per cell")
@@ -58,7 +61,7 @@ def overlay(image, forces, lines: list[str], warning: str = "", zoom: int = 2) -
     height, width = image.shape[0] * zoom, image.shape[1] * zoom
     picture = cv2.resize(image, (width, height), interpolation=cv2.INTER_LINEAR)
     pressure = np.clip(-forces[2], 0, None)
-    share = cv2.resize(pressure / max(float(pressure.max()), HEAT_AT_LEAST_N), (width, height))
+    share = cv2.resize(pressure / max(float(pressure.max()), FULL_COLOUR_N[2]), (width, height))
     heat = cv2.applyColorMap((255 * np.clip(share, 0, 1)).astype(np.uint8), cv2.COLORMAP_INFERNO)
     weight = 0.7 * np.clip(share, 0, 1)[..., None]
     picture = (picture * (1 - weight) + heat * weight).astype(np.uint8)

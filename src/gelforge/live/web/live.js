@@ -11,10 +11,10 @@ async function unpack(packed) {
   const planes = new Uint8Array(await new Response(stream).arrayBuffer()), n = planes.length / 2, unit = packed.arrays[0][2];
   return Float32Array.from({ length: n }, (_, k) => ((planes[k] | (planes[n + k] << 8)) << 16 >> 16) * unit);
 }
-function drawMap(name, map, rows, cols, title) {
-  const reach = Math.max(1e-3, ...map.map(Math.abs));
+function drawMap(name, map, rows, cols, title, least) {
+  const reach = Math.max(least, ...map.map(Math.abs));
   paintMap(el(name), map, rows, cols, reach);
-  el(`cap-${name}`).textContent = `${title}, up to ${fixed(reach, 3)} N a cell`;
+  el(`cap-${name}`).textContent = `${title}, ± ${fixed(reach, 3)} N a cell`;
 }
 function drawCurve() {
   const canvas = el("curve"), ratio = devicePixelRatio || 1, width = canvas.clientWidth, height = canvas.clientHeight, c = canvas.getContext("2d");
@@ -42,7 +42,7 @@ async function draw(event) {
   const [rows, cols] = event.grid, n = rows * cols, forces = await unpack(event.forces);
   el("image").style.visibility = "visible";
   el("image").src = `data:image/jpeg;base64,${event.image}`;
-  for (const [name, channel, title] of MAPS) drawMap(name, forces.subarray(channel * n, (channel + 1) * n), rows, cols, title);
+  for (const [name, channel, title] of MAPS) drawMap(name, forces.subarray(channel * n, (channel + 1) * n), rows, cols, title, FULL_COLOUR_N[channel]);
   if (history.length && event.time_s < history.at(-1).time_s) history = [];
   history.push(event);
   if (history.length > KEPT) history.shift();
