@@ -23,7 +23,7 @@ from gelforge.commands.live_readings import keep_readings, write_files
 from gelforge.errors import BadInput
 from gelforge.live.reading import Reading
 from gelforge.live.recording import Recorder, paced
-from gelforge.live.server import Hub, Server, serve
+from gelforge.live.server import WEB, Hub, Server, serve
 from gelforge.networks.use import Untouched, load_for_use
 from gelforge.records.film import frames, open_source
 from gelforge.reporting.forcemaps import FULL_COLOUR_N
@@ -31,6 +31,7 @@ from tests.browser import WIDTHS, browser, console_errors, needs_browser, wait_f
 from tests.limited import limited
 from tests.waiting import HANG, wait_until
 
+SCRIPT = (WEB / "live.js").read_text(encoding="utf-8")
 LIVE = [sys.executable, "-m", "gelforge.commands.live"]
 
 
@@ -383,6 +384,36 @@ def test_a_flag_is_told_in_its_own_words(tmp_path):
             serve([reading(number, flag=number == 1)], hub, Recorder(tmp_path))
             wait_for(driver, f"return document.body.dataset.frame === '{number}'")
             assert driver.find_element("id", "flag").text == words
+
+
+def curve_pixels(driver, share):
+    """Pixels (height, 3) of a column of the curve, at a share of the time that it shows, from the top."""
+    script = """
+        const c = el('curve'), ratio = c.width / c.clientWidth;
+        const x = Math.round(ratio * (50 + (c.clientWidth - 60) * arguments[0]));
+        return [...c.getContext('2d').getImageData(x, 0, 1, c.height).data];"""
+    return np.reshape(driver.execute_script(script, share), (-1, 4))[:, :3]
+
+
+def rows_of(pixels, colour):
+    """Rows of pixels (height, 3) that are of a colour such as #1f6f8b, or nearly so."""
+    wanted = [int(colour[at : at + 2], 16) for at in (1, 3, 5)]
+    return np.flatnonzero(np.abs(pixels - wanted).max(axis=1) < 12)
+
+
+@needs_browser
+def test_the_curve_has_the_sign_of_the_tiles_and_is_grey_while_frames_are_flagged(tmp_path):
+    colour = {name: re.search(rf'{name}[^#]*"(#\w+)"', SCRIPT)[1] for name in ("grid_z_n", "FLAGGED")}
+    with page_server(Recorder(tmp_path)) as (address, hub), browser() as driver:
+        driver.get(address)
+        for number in range(5):
+            serve([reading(number, flag=number == 2)], hub, Recorder(tmp_path))
+            wait_for(driver, f"return document.body.dataset.frame === '{number}'")
+        assert float(driver.find_element("id", "z").text) == -4.0
+        early, flagged, late = (curve_pixels(driver, share) for share in (0.2, 0.52, 0.8))
+        assert rows_of(early, colour["grid_z_n"]).mean() < rows_of(late, colour["grid_z_n"]).mean()
+        assert len(rows_of(flagged, colour["FLAGGED"])) > 100
+        assert not any(len(rows_of(pixels, colour["FLAGGED"])) > 10 for pixels in (early, late))
 
 
 @needs_browser

@@ -2,7 +2,7 @@
 const el = (id) => document.getElementById(id);
 const fixed = (v, digits = 2) => (Number.isFinite(v) ? v.toFixed(digits) : "–");
 const MAPS = [["normal", 2, "normal force"], ["short", 1, "along the short side"], ["long", 0, "along the long side"]];
-const TOTALS = [["grid_z_n", 2, "#1f6f8b", -1], ["grid_y_n", 1, "#d1603d", 1], ["grid_x_n", 0, "#5b8c3a", 1]];
+const TOTALS = [["grid_z_n", 2, "#1f6f8b"], ["grid_y_n", 1, "#d1603d"], ["grid_x_n", 0, "#5b8c3a"]], FLAGGED = "#dde1e6";
 const KEPT = 600;
 let history = [], source = null, drawing = false, latest = null, over = false;
 async function unpack(packed) {
@@ -20,12 +20,18 @@ function drawCurve() {
   const canvas = el("curve"), ratio = devicePixelRatio || 1, width = canvas.clientWidth, height = canvas.clientHeight, c = canvas.getContext("2d");
   canvas.width = width * ratio; canvas.height = height * ratio; c.setTransform(ratio, 0, 0, ratio, 0, 0); c.font = "12px system-ui, sans-serif";
   if (history.length < 2) return;
-  const value = (e, [name, , , sign]) => sign * e[name], half = (e, [, channel]) => (e.half_width ? e.half_width[channel] : 0);
+  const value = (e, [name]) => e[name], half = (e, [, channel]) => (e.half_width ? e.half_width[channel] : 0);
   const all = history.flatMap((e) => TOTALS.flatMap((t) => [value(e, t) - half(e, t), value(e, t) + half(e, t)]));
-  const low = Math.min(0, ...all), high = Math.max(1, ...all), first = history[0].time_s, span = Math.max(history.at(-1).time_s - first, 1e-3);
+  const low = Math.min(-1, ...all), high = Math.max(0, ...all), first = history[0].time_s, span = Math.max(history.at(-1).time_s - first, 1e-3);
   const X = (t) => 50 + (width - 60) * (t - first) / span, Y = (v) => height - 24 - (height - 34) * (v - low) / (high - low);
+  c.fillStyle = FLAGGED;
+  history.forEach((e, k) => {  // half way to the frames beside it
+    const edge = (at) => X((e.time_s + (history[at] || e).time_s) / 2);
+    if (e.flag) c.fillRect(Math.floor(edge(k - 1)), Y(high), Math.ceil(edge(k + 1)) - Math.floor(edge(k - 1)), Y(low) - Y(high));
+  });
   c.strokeStyle = "#d9dee4"; c.fillStyle = "#555c66"; c.textAlign = "right";
-  for (const v of [low, (low + high) / 2, high]) { c.beginPath(); c.moveTo(50, Y(v)); c.lineTo(width - 10, Y(v)); c.stroke(); c.fillText(`${fixed(v, 1)} N`, 46, Y(v) + 4); }
+  const marks = [0, low, high, (low + high) / 2].filter((v, k, all) => all.slice(0, k).every((w) => Math.abs(Y(v) - Y(w)) > 16));
+  for (const v of marks) { c.beginPath(); c.moveTo(50, Y(v)); c.lineTo(width - 10, Y(v)); c.stroke(); c.fillText(`${fixed(v, 1)} N`, 46, Y(v) + 4); }
   c.fillText(`${fixed(history.at(-1).time_s, 1)} s`, width - 10, height - 6); c.textAlign = "left"; c.fillText(`${fixed(first, 1)} s`, 50, height - 6);
   for (const total of TOTALS) {
     c.fillStyle = `${total[2]}33`; c.beginPath();
