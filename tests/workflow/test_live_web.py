@@ -319,6 +319,22 @@ def kept(recorder, numbers):
 
 
 @needs_browser
+@pytest.mark.parametrize("width", WIDTHS)
+def test_a_long_path_stays_within_the_page_and_captions_in_one_line(tmp_path, width):
+    with page_server(Recorder(tmp_path)) as (address, hub), browser(width) as driver:
+        driver.get(address)
+        serve([reading(1)], hub, Recorder(tmp_path))
+        wait_for(driver, "return document.body.dataset.frame === '1'")
+        hub.tell(hub.latest | {"ended": f"{'a_folder_without_a_space/' * 9}film.avi: ended after 1 frames"})
+        wait_for(driver, "return document.body.dataset.ended")
+        assert driver.execute_script("return document.documentElement.scrollWidth <= innerWidth")
+        heights = driver.execute_script(
+            "return [...document.querySelectorAll('figure')].map((f) => f.lastElementChild.offsetTop - f.offsetTop)"
+        )
+        assert len(heights) == 4 and np.ptp(heights) <= 1  # px, as rounded
+
+
+@needs_browser
 def test_a_recording_that_went_meanwhile_is_told_where_it_was_to_be_replayed(tmp_path):
     recorder = Recorder(tmp_path)
     name = kept(recorder, range(3))
