@@ -24,6 +24,7 @@ from gelforge.networks.onnxgraph import TOLERANCE, export, largest_difference, r
 from gelforge.networks.sensorprofile import Gain, make_profile, write_profile
 from gelforge.networks.still import FEWEST
 from gelforge.records.markers import pitch_of
+from gelforge.reporting import forcemaps
 from tests.benchmarks import real_page
 
 
@@ -37,6 +38,20 @@ def test_onnx_equals_torch(models, name, data, tmp_path):
 def write_png(path, image) -> Path:
     cv2.imwrite(str(path), cv2.cvtColor(np.asarray(image), cv2.COLOR_RGB2BGR))
     return path
+
+
+def test_a_picture_calls_its_numbers_as_the_table_does(data, paths, tmp_path, monkeypatch):
+    """A score that is explained nowhere told nobody anything."""
+    titles = []
+    monkeypatch.setattr(
+        forcemaps, "write_maps", lambda part, image, forces, title: titles.append((part.touch(), title))
+    )
+    image = write_png(tmp_path / "one.png", data.images[0])
+    predict.main([str(image), "--model", str(paths["small"]), "--out", str(tmp_path / "out")])
+    with (tmp_path / "out" / "totals.csv").open() as stream:
+        (row,) = csv.DictReader(stream)
+    ((_, title),) = titles
+    assert title.startswith(f"one, unlike training {float(row['unlike_training']):.1f}")
 
 
 def test_predict_writes_maps_and_totals(data, models, paths, tmp_path, capsys):

@@ -104,7 +104,7 @@ def predict_files(paths: Sequence[Path], untouched: Untouched, out: Path, read: 
             np.save(part, forces)
         with publish(out / f"{name}.png") as part:
             flag = f" | FLAGGED: {judged.reason}" if judged.flag else ""
-            write_maps(part, image, forces, f"{printable(name)}, score {judged.score:.1f}{flag}")
+            write_maps(part, image, forces, f"{printable(name)}, unlike training {judged.score:.1f}{flag}")
         rows.append(row)
     write_csv(out / "totals.csv", COLUMNS, rows)
     return rows
