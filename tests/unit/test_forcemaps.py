@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
+from gelforge.reporting.canvas import canvas, to_png
 from gelforge.reporting.forcemaps import FULL_COLOUR_N, WARNING_LINES, overlay, wrapped, write_maps
 
 WARNING = "the gel sits too far from where it sat untouched to be sure: (+12.0, -3.0) px aside, 4.1 degrees turned"
@@ -29,6 +30,14 @@ def test_a_warning_is_told_whole_where_there_is_room_and_else_ends_in_dots():
     short = wrapped(long, 308, WARNING_LINES)
     assert len(short) == WARNING_LINES and short[-1].endswith(" ...")
     assert long.startswith(" ".join(short).removesuffix(" ..."))
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_name_with_letters_that_the_font_lacks_is_drawn_without_a_warning(tmp_path):
+    write_maps(tmp_path / "maps.png", GREY, NOTHING, "press é 漢字")
+    figure = canvas(2, 2)
+    figure.suptitle("漢字")
+    assert to_png(figure) and (tmp_path / "maps.png").stat().st_size
 
 
 def strong(path) -> int:

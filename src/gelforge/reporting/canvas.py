@@ -1,8 +1,9 @@
 """Figures that need no screen, and their PNG: what every picture of the project is drawn on."""
 
 import io
+import warnings
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -26,11 +27,18 @@ def canvas_with_axes(rows: int, columns: int, width: float, height: float) -> tu
 
 def save_png(path: Path | str, figure: Figure) -> None:
     """Write a figure as PNG to exactly `path`; who publishes it sees to it that it is whole."""
-    figure.savefig(path, format="png", dpi=DPI)
+    _save(path, figure)
 
 
 def to_png(figure: Figure) -> bytes:
     """A figure as PNG bytes, trimmed to what is drawn."""
     stream = io.BytesIO()
-    figure.savefig(stream, format="png", dpi=DPI, bbox_inches="tight")
+    _save(stream, figure, bbox_inches="tight")
     return stream.getvalue()
+
+
+def _save(target: Path | str | io.BytesIO, figure: Figure, **form: Any) -> None:
+    """Write a figure as PNG; letters that the font lacks, as names of files have them, are boxes, without a warning."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", r"Glyph \d+ .*missing from", UserWarning)
+        figure.savefig(target, format="png", dpi=DPI, **form)
