@@ -3,6 +3,8 @@
 For every image a picture and the map as .npy, float32 (3, rows, cols) in N per cell, and one totals.csv.
 Columns grid_x_n, grid_y_n, grid_z_n are FEATS' channels: force along gel y, along gel x, along the normal.
 ..._half_width_n: nine of ten forces on sensors that training never saw, of gels as stiff as those it saw, were nearer.
+unlike_training (in pictures, unlike training): how far an image's colours, sharpness and dots are from those that the
+network learnt from; about 1 for an image like them.
 A network that reads differences needs a picture of the sensor while nothing touches it: --untouched FILE or --profile
 FILE. The network that ships needs one of the two; one that was trained on at most eight sensors holds their pictures
 and takes one by --sensor NAME, or the one that the image is nearest to.
