@@ -41,6 +41,7 @@ CUBOID_MM, PX_PER_MM = 10.0, 14.0
 # How a gel that was put back may be seen (tests.pictures.moved), and presses from which that can be told, N.
 MOVES = {"shifted by 2 px": {"shift": (1.6, 1.2)}, "3 % larger": {"zoom": 1.03}}
 LEAST_PRESS = 2.0
+HELD = ("gripper_videos", "feats/images")  # folders of the reference data that are read
 
 Way = Callable[[np.ndarray], np.ndarray]  # a picture (h, w, 3) to forces (3, rows, cols) N
 
@@ -307,6 +308,16 @@ def cuboid_figures(reference: Path, trained: Trained, untouched: np.ndarray) -> 
     ]  # fmt: skip
 
 
+def need_pictures(reference: Path) -> None:
+    """BadInput where a folder does not hold the real pictures."""
+    missing = [f"{name}/" for name in HELD if not (reference / name).is_dir()]
+    if missing:
+        raise BadInput(
+            f"{reference}: holds no {' and no '.join(missing)}; name the folder of the real pictures: REFERENCE=FOLDER"
+            " for make real-check, the environment variable GELFORGE_REFERENCE for make benchmark-real"
+        )
+
+
 @command(
     option("--reference", type=Path, default=PUBLISHED_DATA),
     option("--model", type=Path, default=None, help="model file; the one that ships if not named"),
@@ -314,8 +325,7 @@ def cuboid_figures(reference: Path, trained: Trained, untouched: np.ndarray) -> 
     option("--page", type=Path, default=None, help="write the pictures and what is read in them to this page"),
 )
 def main(args: Namespace) -> None:
-    if not (args.reference / "gripper_videos").is_dir():
-        raise BadInput(f"{args.reference}: real pictures are not there; set GELFORGE_REFERENCE to their folder")
+    need_pictures(args.reference)
     torch.set_num_threads(1)  # networks so small are read faster by one, and beside other work far faster
     trained = load_for_use(args.model)
     films = sorted((args.reference / "gripper_videos").glob("*.avi"))

@@ -25,7 +25,7 @@ from gelforge.networks.sensorprofile import Gain, make_profile, write_profile
 from gelforge.networks.still import FEWEST
 from gelforge.records.markers import pitch_of
 from gelforge.reporting import forcemaps
-from tests.benchmarks import real_page
+from tests.benchmarks import real, real_page
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -283,6 +283,16 @@ def test_the_film_names_axes_as_everything_else_does():
     assert live.force_line(forces).split() == ["x", "+2.00", "y", "+1.00", "z", "-3.00", "N"]
     lines = real_page.total_lines(np.array([1.0, 2.0, -3.0]), np.array([0.1, 0.2, 0.3]))
     assert lines == ["z -3.0 +- 0.3 N", "x +2.00 +- 0.2  y +1.00 +- 0.1 N"]
+
+
+def test_a_folder_without_real_pictures_is_named_with_what_it_lacks(tmp_path):
+    with pytest.raises(
+        BadInput, match=f"{tmp_path}: holds no gripper_videos/ and no feats/images/; .*REFERENCE=FOLDER"
+    ):
+        real.main(["--reference", str(tmp_path)])
+    (tmp_path / "gripper_videos").mkdir()
+    with pytest.raises(BadInput, match="holds no feats/images/;"):
+        real.main(["--reference", str(tmp_path)])
 
 
 def test_live_takes_the_first_frames_at_rest_for_the_untouched_sensor(data, models, paths, tmp_path):
