@@ -223,6 +223,15 @@ def test_a_folder_in_place_of_a_file_of_settings_is_refused_in_a_sentence(tmp_pa
         read_toml(tmp_path)
 
 
+def test_a_file_of_settings_that_is_not_there_is_refused_with_what_to_do(tmp_path):
+    for remedy, said in (
+        ((), "check the name .README.md says"),
+        (("make it with gelforge sensor",), "make it with gel"),
+    ):
+        with pytest.raises(BadInput, match=f"nothere.toml: not found; {said}"):
+            read_toml(tmp_path / "nothere.toml", *remedy)
+
+
 def test_settings_that_mean_something_are_taken(root, tmp_path):
     params = load(
         root, tmp_path, "[params.material]\nc10 = 'calibrated'\nnu = 0\n[params.interface]\nlaw = 'coulomb'\nmu = 2\n"

@@ -21,16 +21,19 @@ __all__ = [
     "read_dataset_file", "read_sensor_tables", "read_slice", "read_toml", "stage_version",
 ]  # fmt: skip
 
+REMEDY = "check the name (README.md says what a dataset and workflow/ must hold)"
 
-def read_toml(path: Path | str) -> dict[str, Any]:
-    """Read a TOML file; one that is not there, cannot be read or is no TOML raises BadInput with file and place."""
+
+def read_toml(path: Path | str, remedy: str = REMEDY) -> dict[str, Any]:
+    """Read a TOML file; one that is not there, cannot be read or is no TOML raises BadInput with file and place.
+
+    remedy: what to do where there is none of that name.
+    """
     path = Path(path)
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
-        raise BadInput(
-            f"{path}: not found; check the name (README.md says what a dataset and workflow/ must hold)"
-        ) from error
+        raise BadInput(f"{path}: not found; {remedy}") from error
     except OSError as error:
         raise BadInput(f"{path}: cannot be read ({error.strerror}); name a TOML file that can") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
