@@ -30,6 +30,7 @@ from gelforge.records.labelfile import read_labels
 from gelforge.records.press import COLUMNS, RawRow, parse
 from gelforge.records.samplefile import read_samples
 from gelforge.records.solvetable import read_solves
+from gelforge.records.table import numbered_rows
 from gelforge.stages.calibrate import load_rejected
 from gelforge.stages.plan import write_shards
 from tests.memory import PEAK_KIB
@@ -475,6 +476,15 @@ def test_a_model_larger_than_its_file_is_refused_before_it_is_built(tmp_path, mo
     assert (tmp_path / "m.pt").stat().st_size < 3e6
     with pytest.raises(BadInput, match="no model may take 2 GiB"):
         load_model(tmp_path / "m.pt")
+
+
+def test_a_table_of_semicolons_and_decimal_commas_is_told_what_parts_cells(tmp_path):
+    """As spreadsheets write them where a comma is decimal."""
+    (tmp_path / "r.csv").write_text("image;force_n\npeak.png;2,5\n")
+    with pytest.raises(
+        BadInput, match="row 2 has another number of cells.* with commas between the cells; write it anew"
+    ):
+        numbered_rows(tmp_path / "r.csv", "write it anew")
 
 
 @pytest.mark.parametrize("name", LIMITS[1:])

@@ -24,5 +24,7 @@ def numbered_rows(path: str | Path, remedy: str) -> list[tuple[int, dict[str, st
         raise BadInput(f"{path}: is empty, not even a header stands in it; {remedy}")
     for at, row in rows:
         if None in row or None in row.values():
-            raise BadInput(f"{path}: row {at} has another number of cells than the header; {remedy}")
+            raise BadInput(
+                f"{path}: row {at} has another number of cells than the header, with commas between the cells; {remedy}"
+            )
     return rows
