@@ -276,6 +276,36 @@ def test_a_film_of_no_frames_is_not_written(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def cut_film(path: Path, images) -> Path:
+    """A film of a camera that lost its power: its head tells of more frames than there are."""
+    write_avi(path, images)
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) // 2])
+    return path
+
+
+@pytest.mark.parametrize("face", ["out", "csv", "jsonl"])
+def test_a_film_that_is_cut_is_read_as_far_as_it_goes_into_a_folder_of_its_own(data, paths, tmp_path, capsys, face):
+    """Rows were kept and a film was thrown away; the one made its folder, the others refused."""
+    video = cut_film(tmp_path / "in.avi", data.images[:24])
+    out = tmp_path / "new" / "folder" / f"o.{'avi' if face == 'out' else face}"
+    with pytest.raises(BadInput, match="in.avi: ended after .* of 24 frames; the file is cut short"):
+        live.main(["--video", str(video), "--model", str(paths["small"]), f"--{face}", str(out)])
+    if face == "out":
+        kept = len(read_frames(out))
+        assert f"o.avi: kept, and ends after {kept} frames" in capsys.readouterr().out
+    else:
+        kept = len(out.read_text().splitlines()) - (face == "csv")
+    assert 1 <= kept < 24
+
+
+@pytest.mark.parametrize("face", ["out", "csv", "jsonl"])
+def test_a_file_in_the_place_of_a_folder_is_one_sentence(data, paths, tmp_path, face):
+    video = write_avi(tmp_path / "in.avi", data.images[:2])
+    with pytest.raises(BadInput, match="o.avi: its folder cannot be made"):
+        live.main(["--video", str(video), "--model", str(paths["small"]), f"--{face}", str(video / "o.avi")])
+
+
 def test_the_film_names_axes_as_everything_else_does():
     """x is force along gel x, the channel grid_y."""
     forces = np.zeros((3, *GRID), np.float32)
@@ -360,23 +390,13 @@ def test_live_on_a_real_video(reference, paths, tmp_path, capsys):
     assert "5 flagged" in capsys.readouterr().out
 
 
-def test_broken_videos_leave_nothing_behind(data, paths, tmp_path):
-    whole = write_avi(tmp_path / "in.avi", data.images[:20]).read_bytes()
-    (tmp_path / "cut.avi").write_bytes(whole[: len(whole) // 2])
+def test_films_that_hold_nothing_leave_nothing_behind(paths, tmp_path):
     (tmp_path / "no.avi").write_bytes(b"not a video")
-    for name in ("cut", "no", "absent"):
+    out = tmp_path / "out" / "o.avi"
+    for name in ("no", "absent"):
         with pytest.raises(BadInput, match=name):
-            live.main(
-                [
-                    "--video",
-                    str(tmp_path / f"{name}.avi"),
-                    "--model",
-                    str(paths["small"]),
-                    "--out",
-                    str(tmp_path / "out" / "o.avi"),
-                ]
-            )
-    assert not list((tmp_path / "out").glob("*")) if (tmp_path / "out").exists() else True
+            live.main(["--video", str(tmp_path / f"{name}.avi"), "--model", str(paths["small"]), "--out", str(out)])
+    assert not out.parent.exists()
 
 
 def test_camera_that_is_not_there_is_named(paths):

@@ -518,6 +518,6 @@ def test_a_server_for_the_network_answers_by_its_name_there(tmp_path):
 def test_a_file_that_was_not_opened_is_left_as_it_is(tmp_path):
     notes = tmp_path / "notes.csv"
     notes.write_text("not ours, and no last line break")
-    with pytest.raises(BadInput, match="cannot be written"):
-        write_files(iter(()), tmp_path / "nowhere" / "live.jsonl", notes)
+    with pytest.raises(BadInput, match="its folder cannot be made"):
+        write_files(iter(()), notes / "live.jsonl", notes)
     assert notes.read_text() == "not ours, and no last line break"

@@ -58,28 +58,44 @@ def force_line(forces: np.ndarray) -> str:
     return f"x {x:+6.2f}  y {y:+6.2f}  z {z:+7.2f} N"
 
 
-def write_video(pictures, path, rate: float) -> int:
-    """Write pictures (h, w, 3) BGR as a motion-JPEG AVI, whole or not at all; return how many."""
+def write_video(pictures, path: Path, rate: float) -> int:
+    """Write pictures (h, w, 3) BGR as a motion-JPEG AVI; return how many.
+
+    Where they end by BadInput, as those of a film do that is cut, what was written until then is kept first.
+    """
+    from gelforge.commands.live_readings import make_folder_of
+
+    make_folder_of(path)
+    with publish(path) as part:
+        count, fault = write_avi(pictures, part, path, rate)
+        if not count:
+            raise fault or BadInput(f"{path}: stopped before the first frame; nothing is written")
+    if fault:
+        print(f"{path}: kept, and ends after {count} frames")
+        raise fault
+    return count
+
+
+def write_avi(pictures, part: Path, path: Path, rate: float) -> tuple[int, BadInput | None]:
+    """Write pictures to `part`, which becomes `path`; return how many, and what they ended by where they failed."""
     import cv2
 
     count, writer = 0, None
-    with publish(path) as part:
-        try:
-            for picture in pictures:
-                if writer is None:
-                    writer = cv2.VideoWriter(
-                        str(part), cv2.VideoWriter.fourcc(*"MJPG"), rate, (picture.shape[1], picture.shape[0])
-                    )
-                    if not writer.isOpened():
-                        raise BadInput(f"{path}: cannot be written as a video; give a name that ends in .avi")
-                writer.write(picture)
-                count += 1
-        finally:
-            if writer is not None:
-                writer.release()
-        if not count:
-            raise BadInput(f"{path}: stopped before the first frame; nothing is written")
-    return count
+    try:
+        for picture in pictures:
+            if writer is None:
+                size = picture.shape[1], picture.shape[0]
+                writer = cv2.VideoWriter(str(part), cv2.VideoWriter.fourcc(*"MJPG"), rate, size)
+                if not writer.isOpened():
+                    raise BadInput(f"{path}: cannot be written as a video; give a name that ends in .avi")
+            writer.write(picture)
+            count += 1
+    except BadInput as fault:
+        return count, fault
+    finally:
+        if writer is not None:
+            writer.release()
+    return count, None
 
 
 def show(pictures) -> int:

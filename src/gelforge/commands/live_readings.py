@@ -126,6 +126,14 @@ def write_files(found, jsonl: Path | None, table: Path | None) -> int:
         ) from error
 
 
+def make_folder_of(path: Path) -> None:
+    """Make the folder that a file goes into; BadInput where it cannot be made."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadInput(f"{path}: its folder cannot be made ({error.strerror}); name another file") from error
+
+
 @contextmanager
 def text_file(path: Path | None):
     """A text stream to a file, to standard output for -, or none; a file that cannot be written on ends in a whole line."""
@@ -135,6 +143,7 @@ def text_file(path: Path | None):
     if str(path) == "-":
         yield sys.stdout
         return
+    make_folder_of(path)
     stream = path.open("w", encoding="utf-8", newline="")
     try:
         yield stream
