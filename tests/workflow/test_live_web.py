@@ -180,13 +180,20 @@ def test_a_full_disk_leaves_whole_lines(film, tmp_path):
 def test_without_a_display_lines_and_rows_are_written(film, tmp_path):
     lines, table = tmp_path / "live.jsonl", tmp_path / "live.csv"
     command = [*LIVE, "--video", film, "--jsonl", lines, "--csv", table, "--frames", "24"]
-    subprocess.run(command, check=True, capture_output=True)
+    ran = subprocess.run(command, check=True, capture_output=True, text=True)
     told = [json.loads(line) for line in lines.read_text().splitlines()]
     with table.open() as stream:
         rows = list(csv.DictReader(stream))
     assert len(told) == len(rows) == 24 and [row["frame"] for row in told] == list(range(24))
     assert [float(row["grid_z_n"]) for row in rows] == [row["grid_z_n"] for row in told]
     assert min(row["grid_z_n"] for row in told[16:]) < -1.0 < told[0]["grid_z_n"]
+    assert f"24 frames read; {sum(row['flag'] for row in told)} flagged" in ran.stderr
+
+
+def test_how_many_frames_are_flagged_is_counted_where_they_are_written(tmp_path):
+    """A film tells it; who has rows alone would have to look for it."""
+    found = (reading(number, flag=number in (1, 4)) for number in range(6))
+    assert write_files(found, None, tmp_path / "live.csv") == (6, 2)
 
 
 def reading(number, flag=False):

@@ -64,10 +64,10 @@ def frame_seconds(args: Namespace, capture) -> float | None:
 def keep_readings(args: Namespace, untouched, frames, capture, name: str, over: threading.Event) -> None:
     """Write readings to files until the frames end or `over` is set."""
     found = readings(untouched, until(over, frames), frame_s=frame_seconds(args, capture))
-    count = write_files(found, args.jsonl, args.csv)
+    count, flagged = write_files(found, args.jsonl, args.csv)
     if is_lost(args, over, count):
         raise BadInput(lost(name, count))
-    print(f"{count} frames read", file=sys.stderr)
+    print(f"{count} frames read; {flagged} flagged", file=sys.stderr)
 
 
 def show_page(args: Namespace, untouched, frames, capture, name: str, over: threading.Event) -> None:
@@ -113,8 +113,11 @@ def until(over: threading.Event, items) -> Iterator:
         yield item
 
 
-def write_files(found, jsonl: Path | None, table: Path | None) -> int:
-    """Write readings to the files named; BadInput where one cannot be written, after its last whole line."""
+def write_files(found, jsonl: Path | None, table: Path | None) -> tuple[int, int]:
+    """Write readings to the files named, and return what `write_lines` does.
+
+    BadInput where a file cannot be written, which then ends in its last whole line.
+    """
     try:
         with text_file(jsonl) as lines, text_file(table) as rows:
             return write_lines(found, lines, rows)

@@ -47,12 +47,15 @@ class Reading:
                              "forces": pack({"forces": self.forces})}  # fmt: skip
 
 
-def write_lines(readings: Iterable[Reading], lines, table) -> int:
-    """Write readings as JSON lines and as CSV to open text streams, either may be none; return how many."""
+def write_lines(readings: Iterable[Reading], lines, table) -> tuple[int, int]:
+    """Write readings as JSON lines and as CSV to open text streams, either may be none.
+
+    Returns how many there were, and how many of them are flagged.
+    """
     writer = csv.DictWriter(table, COLUMNS, lineterminator="\n") if table else None
     if writer:
         writer.writeheader()
-    count = 0
+    count = flagged = 0
     for reading in readings:
         row = reading.row()
         if lines:
@@ -62,4 +65,5 @@ def write_lines(readings: Iterable[Reading], lines, table) -> int:
             writer.writerow(row)
             table.flush()
         count += 1
-    return count
+        flagged += bool(reading.flag)
+    return count, flagged
