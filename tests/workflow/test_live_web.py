@@ -13,6 +13,7 @@ import urllib.error
 import urllib.request
 from argparse import Namespace
 from contextlib import contextmanager, nullcontext
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -407,6 +408,16 @@ def test_a_flag_is_told_in_its_own_words(tmp_path):
             serve([reading(number, flag=number == 1)], hub, Recorder(tmp_path))
             wait_for(driver, f"return document.body.dataset.frame === '{number}'")
             assert driver.find_element("id", "flag").text == words
+
+
+@needs_browser
+def test_how_much_lies_at_the_edge_is_told_where_a_map_tells_it(tmp_path):
+    with page_server(Recorder(tmp_path)) as (address, hub), browser() as driver:
+        driver.get(address)
+        for number, (share, words) in enumerate(((0.423, "42 %"), (float("nan"), "\u2013")), 1):
+            serve([replace(reading(number), edge_share=share)], hub, Recorder(tmp_path))
+            wait_for(driver, f"return document.body.dataset.frame === '{number}'")
+            assert driver.find_element("id", "edge").text == words
 
 
 def curve_pixels(driver, share):

@@ -23,6 +23,7 @@ from gelforge.records.markers import pitch_of
 
 SPREAD = 0.3  # of a factor's logarithm before any reading: gels, prints and cameras differ by a third
 SCATTER, KNOWN = 0.15, 2.0  # of one reading's logarithm, as two readings would tell it before any is made
+MAKE_IT = "make it with `gelforge sensor`"  # what to do where there is no profile
 WEAK_N = 1.0  # forces of about this size and below say little of a factor
 LEAST_N = 0.5  # read by the network: below, nothing touches
 FARTHEST = 5.0  # times that a reading may differ from what the network reads
@@ -182,7 +183,7 @@ def write_profile(path: Path, profile: SensorProfile) -> None:
 
 def read_profile(path: Path) -> SensorProfile:
     """Read a profile and its picture; BadInput names what is missing or has no meaning."""
-    table = read_toml(path)
+    table = read_toml(path, MAKE_IT)
     gain = table.get("gain")
     gain = gain if isinstance(gain, dict) else {}
     good = all(_is_number(gain.get(key)) and 0 < gain[key] < 1e3 for key in ("value", "low", "high"))
@@ -190,7 +191,7 @@ def read_profile(path: Path) -> SensorProfile:
     pitch, readings = table.get("pitch_px"), gain.get("readings")
     counted = type(readings) is int and readings >= 0
     if not (good and words and counted and _is_number(pitch) and 0 <= pitch < 1e4):
-        raise BadInput(f"{path}: not a sensor's profile; make it with `gelforge sensor`")
+        raise BadInput(f"{path}: not a sensor's profile; {MAKE_IT}")
     picture = read_image(_picture_of(path, table), remedy="make the profile again")
     found = Gain(float(gain["value"]), float(gain["low"]), float(gain["high"]), gain["readings"])
     date = str(table.get("date", ""))
@@ -207,7 +208,7 @@ def _picture_of(path: Path, table: dict) -> Path:
 
 def files_of(path: Path | None) -> list[Path]:
     """The files that a profile is made of, itself and its picture, which no output may replace; None: no profile."""
-    return [] if path is None else [path, _picture_of(path, read_toml(path))]
+    return [] if path is None else [path, _picture_of(path, read_toml(path, MAKE_IT))]
 
 
 def _is_number(value: object) -> TypeGuard[int | float]:
