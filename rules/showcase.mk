@@ -15,9 +15,5 @@ $(README)/real.png: src/gelforge/networks/default.pt $(README_FILMS) | $(SETUP)
 $(README)/speed.png: $D/pareto/pareto.json
 	@$(PY) -m gelforge.stages.readme copy --chart $D/pareto/pareto.png --data $< --out $@
 
-# Of a dataset and networks of its own: make DATASET=paper CHARTED="pair_24 unet" results/readme/networks.png.
-$(README)/networks.png: $D/pareto_models/$(RES1).json
-	@$(PY) -m gelforge.stages.readme copy --chart $D/pareto_models/$(RES1).png --data $< --out $@
-
 $(README)/stability.png: $D/stability/map.json
 	@$(PY) -m gelforge.stages.readme copy --chart $D/stability/map.png --data $< --out $@
