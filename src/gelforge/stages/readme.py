@@ -85,7 +85,8 @@ def real(args: Namespace) -> None:
         for k, (image, forces) in enumerate(pairs):
             line[2 * k].imshow(image)
             draw_pressure(line[2 * k + 1], forces[2], most)
-            line[2 * k + 1].set_title(f"{-forces[2].sum():.1f} N", fontsize=9)
+            pressed = round(-float(forces[2].sum()), 1) + 0.0  # no minus before a zero
+            line[2 * k + 1].set_title(f"{pressed} N", fontsize=9)
     # from the project's root, because the record of the picture is tracked and no machine's
     films = [os.path.relpath(film) for film in args.films]
     publish_picture(args.out, to_png(figure), [SHIPPED, *films])
