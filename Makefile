@@ -17,8 +17,10 @@ RES ?= 24x32
 RES1 = $(firstword $(RES))
 # A network that reads differences where there are pictures of the untouched sensors, one that does not where not.
 LEARNER = $(if $(wildcard $(DATA)/nocontact),pair_24_mirrored,grid_16)
-# The network that ships, of a grid of 24x32, reads a dataset that says so ([report] model) and is too small to learn from.
-MODEL ?= $(or $(filter-out $(if $(filter 24x32,$(RES1)),,shipped $(TUNED)),$(REPORT_MODEL)),$(LEARNER))
+# The grid of the network that ships.
+SHIPPED_RES := 24x32
+# That network reads a dataset that says so ([report] model) and is too small to learn from.
+MODEL ?= $(or $(filter-out $(if $(filter $(SHIPPED_RES),$(RES1)),,shipped $(TUNED)),$(REPORT_MODEL)),$(LEARNER))
 EXECUTOR ?= local
 STRICT ?=
 JOBS ?= $(shell nproc)

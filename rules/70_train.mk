@@ -13,16 +13,16 @@ ifneq ($(call by_hand,MODEL),)
 ifeq ($(filter $(MODELS) shipped,$(MODEL)),)
 $(error MODEL=$(MODEL): no such network; workflow/models.toml has: $(MODELS), and shipped is the one that ships)
 endif
-ifneq ($(and $(filter $(TUNED),$(MODEL)),$(filter-out 24x32,$(RES1))),)
-$(error MODEL=$(MODEL) goes on from the network that ships, whose grid is 24x32: say RES=24x32, or name another network)
+ifneq ($(and $(filter $(TUNED),$(MODEL)),$(filter-out $(SHIPPED_RES),$(RES1))),)
+$(error MODEL=$(MODEL) goes on from the network that ships, whose grid is $(SHIPPED_RES): say RES=$(SHIPPED_RES), or name another network)
 endif
 ifneq ($(and $(filter shipped,$(MODEL)),$(filter train onnx ship,$(MAKECMDGOALS))),)
 $(error MODEL=shipped: the network that ships was trained elsewhere; to $(firstword $(filter train onnx ship,$(MAKECMDGOALS))), name one of $(MODELS))
 endif
 endif
 
-ifneq ($(and $(filter ship,$(MAKECMDGOALS)),$(filter-out 24x32,$(RES1))),)
-$(error ship RES=$(RES1): the network that ships has a grid of 24x32; train one of it, RES=24x32)
+ifneq ($(and $(filter ship,$(MAKECMDGOALS)),$(filter-out $(SHIPPED_RES),$(RES1))),)
+$(error ship RES=$(RES1): the network that ships has a grid of $(SHIPPED_RES); train one of it, RES=$(SHIPPED_RES))
 endif
 
 .PHONY: train models onnx

@@ -19,10 +19,10 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.main import command, from_zero, option
 from gelforge.networks.sensorprofile import (
-    WEAK_N,
     Gain,
     check_readings,
     check_same_network,
+    felt_by_both,
     files_of,
     fit_gain,
     fit_opposite,
@@ -59,15 +59,16 @@ def _pictures(table: Path, rows: list[tuple[int, dict[str, str]]], column: str) 
     lines: dict[str, int] = {}
     found = {}
     for number, row in rows:
-        name, first = row[column], lines.setdefault(row[column], number)
+        name, where = row[column], f"{table} line {number}"
+        first = lines.setdefault(name, number)
         if first != number:
             raise BadInput(
-                f"{table} line {number}: {name} again, as in line {first}; a picture counts once, give one of each press"
+                f"{where}: {name} again, as in line {first}; a picture counts once, give one of each press"
             )
         try:
-            found[f"{table} line {number}: {name}"] = read_image(table.parent / name)
+            found[f"{where}: {name}"] = read_image(table.parent / name)
         except BadInput as error:
-            raise BadInput(f"{table} line {number}: {error}") from None
+            raise BadInput(f"{where}: {error}") from None
     return found
 
 
@@ -112,8 +113,8 @@ def gain_beside(grasps: Path, untouched: Untouched, opposite: Path) -> Gain:
     pictures = _pictures(grasps, rows, "image")
     read = _normals(untouched, pictures)
     felt = _normals(facing, _pictures(grasps, rows, "opposite"))
-    for name, one, another in zip(pictures, read, felt, strict=True):
-        if min(one, another) < WEAK_N:
+    for name, one, another, counts in zip(pictures, read, felt, felt_by_both(felt, read), strict=True):
+        if not counts:
             print(f"{name}: does not count, {one:.1f} and {another:.1f} N are read; press firmer", file=sys.stderr)
     return fit_opposite(felt, read, other.gain)
 

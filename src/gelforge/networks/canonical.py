@@ -6,7 +6,7 @@ changes by one gain and one offset a colour, and where something touches it chan
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -82,13 +82,15 @@ class View:
 
     def shown(self, shape: tuple[int, ...]) -> tuple[slice, slice]:
         """Rows and columns of such a picture (h, w, ...) that show something."""
-        across, along = (max(0, math.ceil((1.0 - self.zoom) * size / 2)) for size in shape[:2])
-        return slice(across, shape[0] - across), slice(along, shape[1] - along)
+        return self._within(shape, math.ceil)
 
     def cells_shown(self, grid: tuple[int, ...]) -> tuple[slice, slice]:
         """Rows and columns of a map of such a picture, (rows, cols) cells, that show something, to the nearest cell."""
-        rows, cols = (max(0, round((1.0 - self.zoom) * count / 2)) for count in grid)
-        return slice(rows, grid[0] - rows), slice(cols, grid[1] - cols)
+        return self._within(grid, round)
+
+    def _within(self, shape: tuple[int, ...], whole: Callable[[float], int]) -> tuple[slice, slice]:
+        across, along = (max(0, whole((1.0 - self.zoom) * size / 2)) for size in shape[:2])
+        return slice(across, shape[0] - across), slice(along, shape[1] - along)
 
     def match(self, image: np.ndarray, untouched: "Resting") -> tuple[np.ndarray, "Light"]:
         """An image (h, w, 3) uint8 as `of` gives it under the light of the untouched picture, and what its light was.

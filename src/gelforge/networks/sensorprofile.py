@@ -30,7 +30,7 @@ FARTHEST = 5.0  # times that a reading may differ from what the network reads
 ODD = 2.0  # times that a reading's proportion differs from that of most, where one of them is likely wrong
 GRASP_SCATTER = 0.35  # of one grasp's logarithm: fingers see different parts of what they hold
 SHARE = 0.9  # of the probability that an interval holds
-USUAL = NormalDist().inv_cdf((1 + SHARE) / 2)  # standard deviations that such an interval reaches on either side
+USUAL = NormalDist().inv_cdf(0.5 + SHARE / 2)  # standard deviations that such an interval reaches on either side
 APART = 0.03  # share by which the dots' distance may differ from the profile's
 
 
@@ -88,6 +88,11 @@ def fit_gain(measured: np.ndarray, read: np.ndarray) -> Gain:
     return Gain(math.exp(mean), math.exp(mean - half), math.exp(mean + half), len(ratio))
 
 
+def felt_by_both(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Which grasps (n,) bool both fingers feel, by what each of them reads, (n,) N."""
+    return (one >= WEAK_N) & (other >= WEAK_N)
+
+
 def fit_opposite(opposite: np.ndarray, read: np.ndarray, other: Gain) -> Gain:
     """Factor from grasps (n,) of one object by two fingers, whose normal forces are equal (Newton's third law).
 
@@ -95,7 +100,7 @@ def fit_opposite(opposite: np.ndarray, read: np.ndarray, other: Gain) -> Gain:
     ratios' logarithms, because in some grasps one finger hardly sees what it holds, under a normal prior; what is not
     known of the other finger's factor widens the interval. Raises BadInput where no grasp is felt by both.
     """
-    felt = (opposite >= WEAK_N) & (read >= WEAK_N)
+    felt = felt_by_both(opposite, read)
     if not felt.any():
         raise BadInput(
             f"none of {len(read)} grasps is felt by both fingers ({WEAK_N:g} N and more); give pictures of firmer ones"

@@ -25,7 +25,7 @@ RELIEF_MARGIN = 1.25
 # Dots of one gel that sits otherwise, or of another gel, move alike: one of ten by more than this share of what another one of
 # ten does, and than so many px. Of 700 presses of the rig, dragged ones too, four in a thousand do; of 100 pairs of films of
 # different grasps in which an untouched gel reads more than 2 N, all do.
-ALIKE, MOST_ALIKE = 0.55, 1.0
+ALIKE_SHARE, ALIKE_PX = 0.55, 1.0
 LEAST_UNEVEN = 0.2  # px to which dots are followed, whatever the limit
 USUAL = 99.0  # per cent of good pairs that the limits are set by: the worst of many are odd ones
 
@@ -248,7 +248,7 @@ def rimless_evidence(followed: Followed) -> DotEvidence:
     if not len(moved):
         return DotEvidence()
     least = quantile(moved, 0.1)
-    return DotEvidence(alike_px=least if least > ALIKE * quantile(moved, 0.9) else 0.0)
+    return DotEvidence(alike_px=least if least > ALIKE_SHARE * quantile(moved, 0.9) else 0.0)
 
 
 def unevenness(motion: np.ndarray) -> float:
@@ -312,7 +312,7 @@ def pair_fault(limits: dict, pair: PairEvidence) -> str:
             dots.rim_px > limits.get("largest_rim_px", np.inf)
         ),
         f"all its dots moved by {dots.alike_px:.1f} px and more: the gel sits otherwise than in the untouched picture, or that"
-        " is of another gel": dots.alike_px > MOST_ALIKE,
+        " is of another gel": dots.alike_px > ALIKE_PX,
         "the dots at the rim are not those of the untouched picture, or blurred": (
             dots.rim_lost > limits.get("largest_rim_lost", np.inf)
         ),
