@@ -39,6 +39,9 @@ EVALUATE_EACH, REPORT_EACH, CALIBRATE_EACH, CHART_EACH = 5e-3, 0.02, 18.0, 6.0
 ROW_EACH = {"poses": 7e-3, "forces": 1e-3, "labels": 2e-3}
 # A press in one epoch of the readers of dots, of force and of place.
 DOTS_EACH, PLACES_EACH = 2e-3, 3e-4
+STACKED_EACH = (
+    4e-2  # a press that both readers read for what is learnt above them; its epochs take nothing beside that
+)
 START = 3.0  # of a process with torch or the drawing libraries
 IMAGE_BYTES = 240 * 320 * 3
 
@@ -134,6 +137,8 @@ def training(params: Path, model: str, presses: int) -> Cost:
     tables = {path.stem: read_json(path)[path.stem] for path in listed(params / "models", "*.json")}
     table, settings = resolve(tables, model, read_slice(params / "train.json", ForTrain).train)
     share = min(1.0, (settings.epoch_images or presses) / presses)  # of all, that an epoch visits
+    if settings.stacking_epochs:
+        return Cost(layout.TRAIN, STACKED_EACH, START, bytes_once=3e6)
     each = kind_of(table).image_seconds * settings.epochs * share
     each += DOTS_EACH * settings.dot_epochs + PLACES_EACH * settings.place_epochs
     return Cost(layout.TRAIN, each, START, bytes_once=3e6)

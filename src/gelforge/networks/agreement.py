@@ -34,17 +34,22 @@ def fit_blend(
     return {"weight": weight, "apart": apart}
 
 
+def has_shape(forces: np.ndarray) -> bool:
+    """Whether forces (3, rows, cols) N press so much that another total can be laid on them."""
+    return bool(-forces[2].sum(dtype=float) >= LEAST_PRESS)
+
+
 def blend(forces: np.ndarray, by_dots: np.ndarray, weight: list[float]) -> np.ndarray:
     """Forces (3, rows, cols) N of the pictures' network, whose totals are moved towards those of the dots (3,) N.
 
     The normal map is scaled; sideways force is added where the gel is pressed, as the pressure is spread there. A map of
     less than LEAST_PRESS has no shape that a total could be laid on, and stays as it is.
     """
+    if not has_shape(forces):
+        return forces
     total = forces.sum((1, 2), dtype=float)
     wanted = total + np.array(weight) * (by_dots - total)
     pressed = np.maximum(-forces[2], 0.0)
-    if total[2] > -LEAST_PRESS or pressed.sum() < LEAST_PRESS:
-        return forces
     found = forces.copy()
     found[2] *= np.float32(np.clip(wanted[2] / total[2], 1 / MOST_FACTOR, MOST_FACTOR))
     found[:2] += ((wanted - total)[:2, None, None] * (pressed / pressed.sum())).astype(np.float32)

@@ -22,6 +22,7 @@ STREAMS = {
     "view": 6,
     "dots": 7,
     "places": 8,
+    "stacking": 9,
 }
 VARIED = ("augment", "shift", "mirror", "seat", "view")  # what an epoch's pictures draw from
 

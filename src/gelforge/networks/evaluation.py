@@ -89,9 +89,11 @@ def fitted_rows(trained: Trained, data: Data, version: str) -> np.ndarray:
 def learnt_sensors(trained: Trained, data: Data, version: str) -> set[str]:
     """Sensors of a dataset of this `version` (networks.data.data_version) whose presses a network learnt from.
 
-    None of a dataset that it did not learn from, and of one that it learnt a part of those of the part alone.
+    None of a dataset that it did not learn from, and of one that it learnt a part of those of the part alone. What stands
+    above both readers may have learnt from another dataset than these.
     """
-    if version not in [one["version"] for one in datasets_of(trained.about)]:
+    above = trained.about.get("stacking") or {}
+    if version not in [above.get("version"), *(one["version"] for one in datasets_of(trained.about))]:
         return set()
     training = data.names("sensor_id")[data.splits.get(TRAINING, np.zeros(0, int))]
     return set(trained.about["sensors"]) & set(training.tolist())

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from gelforge.flow.params.tables import TrainingTable
-from gelforge.networks.agreement import APART_NOTHING, blend, fit_blend
+from gelforge.networks.agreement import APART_NOTHING, fit_blend
 from gelforge.networks.augment import narrow_views
 from gelforge.networks.batches import generator
 from gelforge.networks.data import Data, data_version, rows_to_judge_by
@@ -18,9 +18,10 @@ from gelforge.networks.goingon import known_before
 from gelforge.networks.halves import rounded
 from gelforge.networks.inputs import needs_untouched
 from gelforge.networks.intervals import fit_intervals, tells_intervals
-from gelforge.networks.modelfile import READERS, Trained
+from gelforge.networks.modelfile import Trained
 from gelforge.networks.placereader import PlaceReader, train_place_reader
 from gelforge.networks.statistics import RELIEF_MARGIN, pair_evidence, pair_limits, relief
+from gelforge.networks.unrolled import pooled_count
 from gelforge.networks.use import Predicted, tell_rows
 from gelforge.records.markers import pitch_of
 from gelforge.records.splits import TRAINING, VALIDATION
@@ -43,7 +44,8 @@ def beside_untouched(
         rows = np.concatenate([data.splits[TRAINING], data.splits[VALIDATION]])
         images = (np.ascontiguousarray(data.images[row]) for row in rows)
         about |= known_before(start.about, images, good_pairs(data, rows))
-        return replace(trained, about=about, untouched=pictures, **readers_of(start))
+        trained = replace(trained, about=about, untouched=pictures, **readers_of(start))
+        return kept_above(trained, start, data)
     about |= {"statistics": about["statistics"] | good_pairs(data, data.splits[VALIDATION])}
     by_dots, places = readers_of_dots(data, settings)
     if places:
@@ -52,15 +54,12 @@ def beside_untouched(
         before = readers_of(start)
         by_dots, places = by_dots or before["dots"], places or before["places"]
         about = {"places": start.about.get("places")} | about
-    trained = replace(trained, untouched=pictures, places=places)
-    about |= judged(replace(trained, about=about, dots=by_dots), own)
-    # one that could not be judged has no say
-    return replace(trained, about=about, dots=by_dots if "dots" in about else None)
+    return judged(replace(trained, about=about, untouched=pictures, dots=by_dots, places=places), own, start)
 
 
 def readers_of(start: Trained) -> dict[str, Any]:
     """The readers of dots beside a network that is gone on from, as a file of them will keep them."""
-    found = {name: getattr(start, name) for name in READERS}
+    found = {"dots": start.dots, "places": start.places}
     return {name: None if reader is None else rounded(copy.deepcopy(reader)) for name, reader in found.items()}
 
 
@@ -108,36 +107,68 @@ def readers_of_dots(data: Data, settings: TrainingTable) -> tuple[DotReader | No
     return by_dots, places
 
 
-def judged(trained: Trained, data: Data) -> dict[str, Any]:
-    """What a model's description says of how its two readers meet, and how far what `predict` tells is off.
+def judged(trained: Trained, data: Data, start: Trained | None) -> Trained:
+    """A network with how its two readers meet, and how far what `predict` tells is off.
 
-    Both are set on what `predict` makes of pictures that training did not see, with light, tare and placement. How the
-    readers meet, pictures of unseen sensors and those of validation decide, each with half the say: the first show few
-    shapes, the second no unseen sensor. Empty where the network only knows totals.
+    Both are set on what `predict` makes of pictures that training did not see, with light, tare and placement. A reader of
+    dots that could not be judged has no say, as beside a network that only knows totals.
     """
+    if tuple(trained.about["grid"]) != tuple(data.grid):
+        return replace(trained, dots=None)
+    about = trained.about | met(trained, data)
+    trained = replace(trained, about=about, dots=trained.dots if "dots" in about else None)
+    if start is not None:
+        trained = kept_above(trained, start, data)
+    return replace(trained, about=trained.about | held(trained, data))
+
+
+def kept_above(trained: Trained, start: Trained, data: Data) -> Trained:
+    """A network with what stands above the readers of the one that it went on from, where that still serves it.
+
+    It learnt how the other one errs. Pictures of validation tell whether this one, whose weights moved since, errs alike.
+    """
+    if start.stacking is None or trained.dots is None or pooled_count(trained.net) != pooled_count(start.net):
+        return trained
+    above = replace(
+        trained,
+        about=trained.about | {"stacking": start.about["stacking"]},
+        stacking=copy.deepcopy(start.stacking),
+    )
+    rows = data.splits[VALIDATION]
+    told = [tell_rows(one, data, rows).forces.sum((2, 3), dtype=float)[:, 2] for one in (trained, above)]
+    without, beneath = (np.abs(normal - data.totals(rows)[:, 2]).mean() for normal in told)
+    return above if beneath < without else trained
+
+
+def met(trained: Trained, data: Data) -> dict[str, Any]:
+    """What a model's description says of how its two readers meet; empty where nothing reads dots or tells it.
+
+    Pictures of unseen sensors and those of validation decide, each with half the say: the first show few shapes, the second
+    no unseen sensor.
+    """
+    if trained.dots is None:
+        return {}
+    alone = replace(trained, about=trained.about | {"dots": APART_NOTHING}, stacking=None)
+    unseen = rows_to_judge_by(data)
+    groups = [rows for rows in (unseen, np.setdiff1d(data.splits[VALIDATION], unseen)) if len(rows)]
+    parts = [
+        (told, data.labels[rows]) for rows in groups if (told := tell_rows(alone, data, rows)).by_dots is not None
+    ]
+    return {"dots": meet(parts)} if parts else {}
+
+
+def held(trained: Trained, data: Data) -> dict[str, Any]:
+    """What a model's description says of how far what `predict` tells is off; empty where no picture tells it."""
     rows = rows_to_judge_by(data)
     if not len(rows):
         return {}
-    alone = trained if trained.dots is None else replace(trained, about=trained.about | {"dots": APART_NOTHING})
-    told = tell_rows(alone, data, rows)
-    forces, labels = told.forces, data.labels[rows]
-    if forces.shape[2:] != labels.shape[2:]:
-        return {}
-    found = {}
-    if told.by_dots is not None:
-        others = np.setdiff1d(data.splits[VALIDATION], rows)
-        beside = [(tell_rows(alone, data, others), data.labels[others])] if len(others) else []
-        found["dots"] = meet([(told, labels), *beside])
-        pairs = zip(forces, told.by_dots, strict=True)
-        forces = np.stack([blend(one, by_dots, found["dots"]["weight"]) for one, by_dots in pairs])
     sensors = sorted(set(data.names("sensor_id")[rows].tolist()))
-    intervals = fit_intervals(forces, labels, data.presses(rows))
-    return found | {"intervals": intervals | {"sensors": sensors, "data": data.name, "version": data_version(data)}}
+    intervals = fit_intervals(tell_rows(trained, data, rows).forces, data.labels[rows], data.presses(rows))
+    return {"intervals": intervals | {"sensors": sensors, "data": data.name, "version": data_version(data)}}
 
 
 def meet(parts: Sequence[tuple[Predicted, np.ndarray]]) -> dict[str, Any]:
     """How the two readers meet best on parts of a dataset with as much say each; labels (n, 3, rows, cols) N."""
-    parts = [(told, labels) for told, labels in parts if told.by_dots is not None]
     by_picture = np.concatenate([told.forces.sum((2, 3), dtype=float) for told, _ in parts])
     by_dots = np.concatenate([told.by_dots for told, _ in parts])
     true = np.concatenate([labels.sum((2, 3), dtype=float) for _, labels in parts])

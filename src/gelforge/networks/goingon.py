@@ -18,7 +18,17 @@ def scales_before(about: dict[str, Any], model: dict[str, Any], data: Data, norm
     """What a network that goes on scales by: as its weights expect, and the range of both datasets.
 
     about: of the network it goes on from. model: its own table of workflow/models.toml. norm: scales of its own dataset.
-    Raises BadInput where the two networks are not of one kind, or the dataset is of another grid, image or scale of the gel.
+    Raises BadInput as `require_alike`.
+    """
+    require_alike(about, model, data)
+    ranges = zip(about["normalisation"]["range"], norm["range"], strict=True)
+    return about["normalisation"] | {"range": [max(pair) for pair in ranges]}
+
+
+def require_alike(about: dict[str, Any], model: dict[str, Any], data: Data) -> None:
+    """Raise BadInput where two networks are not of one kind, or the dataset is of another grid, image or scale of the gel.
+
+    about: of the network that is gone on from. model: table of the other one.
     """
     before, name = about["model"], about["name"]
     differ = sorted(key for key in before.keys() | model.keys() if before.get(key) != model.get(key))
@@ -35,8 +45,6 @@ def scales_before(about: dict[str, Any], model: dict[str, Any], data: Data, norm
             f" has {sizes[0]} and {sizes[1]}; choose another MODEL"
         )
     require_scale(about, data)
-    ranges = zip(about["normalisation"]["range"], norm["range"], strict=True)
-    return about["normalisation"] | {"range": [max(pair) for pair in ranges]}
 
 
 def require_scale(about: dict[str, Any], data: Data) -> None:

@@ -7,7 +7,9 @@ from gelforge.networks.errortables import PREDICTED_COLUMNS, predicted_rows
 from gelforge.networks.evaluation import FEWEST_DRAWN
 from gelforge.networks.inputs import needs_untouched
 from gelforge.networks.modelfile import datasets_of
+from gelforge.networks.stacking import MEMBERS as STACKED
 from gelforge.records.axes import CHANNELS
+from gelforge.records.splits import TRAINING
 
 FEW = 12  # sensors that are named one by one
 AXIS_NOTE = (
@@ -106,6 +108,18 @@ def place_lines(about: dict) -> list[str]:
     ]
 
 
+def stacking_lines(about: dict) -> list[str]:
+    """That normal force is corrected by what stands above both readers, where the model has that."""
+    above = about.get("stacking")
+    if not above:
+        return []
+    return [
+        f"- Above both stand {STACKED} small networks, which tell by what factor the normal force that they tell together is"
+        f" off. They learnt from {above['presses']} presses that were new to the network ({above['name']}, version"
+        f" {above['version']}, {above['samples'][TRAINING]} pictures).",
+    ]
+
+
 def error_rows(evaluation: dict) -> list[list[str]]:
     """One row per split: count, total MAE with its interval and per-cell MAE."""
     rows = []
@@ -183,6 +197,7 @@ def about_lines(about: dict) -> list[str]:
         *start_lines(about),
         *interval_lines(about),
         *dot_lines(about),
+        *stacking_lines(about),
         *place_lines(about),
         f"- {AXIS_NOTE}",
     ]

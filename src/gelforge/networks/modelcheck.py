@@ -74,6 +74,12 @@ def _places(value: Any) -> bool:
     return texts and type(value.get("pictures")) is int
 
 
+def _stacking(value: Any) -> bool:
+    if value is ABSENT or value is None:
+        return True
+    return isinstance(value, dict) and all(isinstance(value.get(name), str) for name in ("sha256", "name", "version"))
+
+
 def _reads(value: Any) -> bool:
     return isinstance(value, str) and value in INPUT_CHANNELS
 
@@ -108,6 +114,7 @@ PARTS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "intervals": ("a table of pairs of numbers from 0 on, by component", _intervals),
     "dots": ("a table of weights from 0 to 1, pairs of numbers by component, and a digest", _dots),
     "places": ("a table of the data, how many pictures, and a digest", _places),
+    "stacking": ("a table of the data and a digest", _stacking),
     "statistics": ("a table", lambda v: isinstance(v, dict)),
     "statistics.inverse": ("a square of numbers", _square),
     "statistics.threshold": ("a number", lambda v: _numbers([v], 1)),

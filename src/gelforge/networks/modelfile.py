@@ -5,6 +5,7 @@ import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -22,12 +23,18 @@ from gelforge.networks.inputs import needs_untouched, network_input
 from gelforge.networks.modelcheck import MOST_BYTES, check_about, check_pictures, check_tensors, holds_numbers
 from gelforge.networks.models import GridNet, build
 from gelforge.networks.placereader import PlaceReader
-from gelforge.networks.unrolled import Unrolled
+from gelforge.networks.stacking import SPREAD, StackedFactor
+from gelforge.networks.unrolled import Unrolled, pooled_count
 from gelforge.records.image import decode, encode_png
 from gelforge.records.regular import file_fault
 
 FORMAT = 3
-READERS = {"dots": DotReader, "places": PlaceReader}  # small networks beside a network, by their names in its file
+# Small networks beside a network, by their names in its file, and how each is made for that network.
+READERS: dict[str, Callable[[nn.Module], nn.Module]] = {
+    "dots": lambda _net: DotReader(),
+    "places": lambda _net: PlaceReader(),
+    "stacking": lambda net: StackedFactor(SPREAD + pooled_count(net)),
+}
 Net = TypeVar("Net", bound=nn.Module)
 
 
@@ -38,6 +45,7 @@ class Trained:
     untouched: pictures (h, w, 3) uint8 RGB by sensor of its dataset's untouched sensors, where it reads differences.
     dots: the reader of dots beside it, where it has one; about["dots"] says how their totals meet (networks.dotreader).
     places: the reader of how a gel sits, where it has one (networks.placereader).
+    stacking: what corrects the normal force that both readers tell, where it was learnt (networks.stacking).
     """
 
     net: nn.Module
@@ -45,6 +53,7 @@ class Trained:
     untouched: dict[str, np.ndarray] = field(default_factory=dict)
     dots: DotReader | None = None
     places: PlaceReader | None = None
+    stacking: StackedFactor | None = None
 
     @property
     def needs_untouched(self) -> bool:
@@ -120,13 +129,33 @@ class SensorNet(nn.Module):
     def forward(self, images):
         return self.net(images) * self.scale
 
+    def with_pooled(self, images):
+        """As `forward`, and what the network sees in each image as a whole, (n, `pooled_count`)."""
+        if not isinstance(self.net, Unrolled):
+            return self(images), images.new_zeros(len(images), 0)
+        told, pooled = self.net.with_pooled(images)
+        return told * self.scale, pooled
+
 
 def predict_images(reader: SensorNet, images, device: str = "cpu") -> np.ndarray:
     """Forces (n, 3, rows, cols) in N per cell of images (n, h, w, 3) uint8 RGB."""
     with torch.inference_mode():
-        # channels stay behind each pixel, as a camera gives them and convolutions on a CPU like them
-        tensor = torch.from_numpy(np.require(images, requirements=["C", "W"])).to(device).permute(0, 3, 1, 2)
-        return reader(tensor.float()).cpu().numpy()
+        return reader(_as_tensor(images, device)).cpu().numpy()
+
+
+def predict_pooled(reader: SensorNet, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Forces (3, rows, cols) in N per cell of an image (h, w, 3) uint8 RGB, and what is seen in it as a whole, (k,)."""
+    with torch.inference_mode():
+        forces, pooled = reader.with_pooled(_as_tensor(image[None], "cpu"))
+        return forces[0].numpy(), pooled[0].numpy()
+
+
+def _as_tensor(images, device: str) -> torch.Tensor:
+    """Images (n, h, w, 3) uint8 as a network reads them.
+
+    Channels stay behind each pixel, as a camera gives them and convolutions on a CPU like them.
+    """
+    return torch.from_numpy(np.require(images, requirements=["C", "W"])).to(device).permute(0, 3, 1, 2).float()
 
 
 def save_model(path, trained: Trained) -> None:
@@ -189,7 +218,7 @@ def load_model(path) -> Trained:
     check_about(about, str(path))
     net = restored(lambda: build(about["model"], about["image"], about["grid"]), tensors, about["sha256"], str(path))
     readers: dict[str, Any] = {
-        name: restored(make, content.get(name), about[name]["sha256"], f"{path}: {name}")
+        name: restored(partial(make, net), content.get(name), about[name]["sha256"], f"{path}: {name}")
         for name, make in READERS.items()
         if about.get(name)
     }

@@ -10,15 +10,17 @@ from typing import Any
 import numpy as np
 import torch
 
+from gelforge.errors import BadInput
 from gelforge.flow.params import plain
 from gelforge.flow.params.tables import TrainingTable
 from gelforge.networks.data import Data, data_version, require_splits, scales
-from gelforge.networks.fitting import beside_untouched, sights
-from gelforge.networks.goingon import scales_before
+from gelforge.networks.fitting import beside_untouched, held, met, sights
+from gelforge.networks.goingon import require_alike, scales_before
 from gelforge.networks.inputs import needs_untouched
 from gelforge.networks.joined import join
-from gelforge.networks.modelfile import Trained, tensor_digest, tensors_of
+from gelforge.networks.modelfile import Trained, datasets_of, tensor_digest, tensors_of
 from gelforge.networks.models import parameter_count
+from gelforge.networks.stackfit import fit_stacking
 from gelforge.networks.statistics import fit_to_images
 from gelforge.networks.training import Training, fit, mixes_precision, peak_memory_gib
 from gelforge.records.networkkind import kind_of
@@ -136,6 +138,31 @@ def make_model(
     seconds = training.cost["seconds"] + time.perf_counter() - began
     cost = training.cost | {"seconds": seconds, "peak_gib": peak_memory_gib()}
     return replace(trained, about=trained.about | {"cost": cost})
+
+
+def make_stacked(data: Data, name: str, model: dict[str, Any], settings: TrainingTable, start: Trained) -> Trained:
+    """`start` with a network above both its readers, learnt from the training presses of a dataset that is new to them.
+
+    Network and readers stay as they are, and so does what the file says of how they learnt; how they meet and how far totals
+    may be off is set anew, on the other presses of this dataset. Raises BadInput for a dataset that `start` learnt from or
+    cannot read, and one of too few presses.
+    """
+    require_splits(data)
+    data.require_untouched(range(len(data.table)))
+    require_alike(start.about, model, data)
+    version = data_version(data)
+    if version in [one["version"] for one in datasets_of(start.about)]:
+        raise BadInput(
+            f"{data.folder}: {start.about['name']} learnt from these presses, and errs less on them than on others: how it"
+            " errs is learnt from presses that are new to it; choose another DATASET"
+        )
+    torch.set_num_threads(settings.threads)
+    trained = replace(start, about=start.about | {"name": name}, stacking=None)
+    trained = replace(trained, about=trained.about | met(trained, data))
+    stacking = fit_stacking(trained, data, settings)
+    learnt = learnt_from(data, list(data.splits)) | {"epochs": settings.stacking_epochs}
+    trained = replace(trained, about=trained.about | {"stacking": learnt}, stacking=stacking)
+    return replace(trained, about=trained.about | held(trained, data))
 
 
 def begin(

@@ -162,7 +162,8 @@ def fingerprint(about: dict) -> str:
     """What tells a trained network from all others, by what its file says of itself: digests of its weights."""
     from gelforge.networks.modelfile import READERS
 
-    tables = [about, *(about.get(name) or {} for name in READERS)]
+    beside = [name for name in READERS if name != "stacking" or about.get(name)]  # which profiles may be older than
+    tables = [about, *(about.get(name) or {} for name in beside)]
     return "-".join(table.get("sha256", "")[:16] for table in tables)
 
 

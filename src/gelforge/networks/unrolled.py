@@ -10,7 +10,7 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
-from gelforge.networks.models import BasicBlock
+from gelforge.networks.models import BasicBlock, GridNet
 
 Layer = tuple[torch.Tensor, torch.Tensor | None]  # weights and constants
 
@@ -54,16 +54,43 @@ class Unrolled(nn.Module):
 
     def forward(self, images: torch.Tensor) -> torch.Tensor:
         """Images (n, 3, h, w) in 0..255 to (n, 3, rows, cols), as the net's own `forward`."""
+        return self._told(self._cells(images)[0])
+
+    def with_pooled(self, images: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """As `forward`, and what the net sees in each image as a whole, (n, pooled_count).
+
+        Its values at the cells are taken together: their means before each late block and behind the last, means weighted
+        by the normal force that is told there, and the largest.
+        """
+        x, means = self._cells(images)
+        told = self._told(x)
+        pressed = told[:, 2:].clamp(max=0)
+        pressed = pressed / (pressed.sum((2, 3), keepdim=True) - 1e-6)
+        return told, torch.cat([*means, x.mean((2, 3)), (x * pressed).sum((2, 3)), x.amax((2, 3))], dim=1)
+
+    def _cells(self, images: torch.Tensor) -> tuple[torch.Tensor, list[torch.Tensor]]:
+        """The net's values (n, channels, rows, cols) that its head reads, and their means before each late block."""
         x = self.net.stem(images).relu_()
         for block in self._before:
             x = block.of(x)
         x.add_(self.where)
+        means = []
         for block, context in self._late:
-            x = block.of(x + F.linear(x.mean((2, 3)), *context)[:, :, None, None])
+            means.append(x.mean((2, 3)))
+            x = block.of(x + F.linear(means[-1], *context)[:, :, None, None])
+        return x, means
+
+    def _told(self, x: torch.Tensor) -> torch.Tensor:
+        """What the net's head makes of its values at the cells."""
         # channels lie behind each cell: a product of matrices then makes whole planes, and a convolution copies first
         weight, bias = self.net.head.weight.flatten(1), self.net.head.bias[:, None]
         told = torch.addmm(bias, weight, x.permute(0, 2, 3, 1).flatten(0, 2).t())
         return told.unflatten(1, (len(x), *x.shape[2:])).transpose(0, 1)
+
+
+def pooled_count(net: nn.Module) -> int:
+    """How many values `Unrolled.with_pooled` tells of an image beside its forces; none of another network."""
+    return (len(net.late) + 3) * net.head.in_channels if isinstance(net, GridNet) else 0
 
 
 def unrolled(block: BasicBlock) -> Block:

@@ -8,16 +8,17 @@ from typing import Any
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.networks.agreement import blend, dots_fault
+from gelforge.networks.agreement import blend, dots_fault, has_shape
 from gelforge.networks.canonical import WHOLE, Light, Resting, view_of
 from gelforge.networks.data import Data
 from gelforge.networks.dotreader import DotsOneByOne
 from gelforge.networks.dots import Followed, PrintedDots
 from gelforge.networks.intervals import half_widths
-from gelforge.networks.modelfile import SensorNet, Trained, load_model, predict_images, require_sensor
+from gelforge.networks.modelfile import SensorNet, Trained, load_model, predict_images, predict_pooled, require_sensor
 from gelforge.networks.placement import LEAST_MOVE, UNPLACED, Placement, place
 from gelforge.networks.placereader import PlacesOneByOne
 from gelforge.networks.sensorprofile import AS_READ, Gain
+from gelforge.networks.stacking import sight
 from gelforge.networks.statistics import (
     PairEvidence,
     as_arrays,
@@ -202,6 +203,41 @@ class CanonicalPair:
 
 
 @dataclass(frozen=True)
+class TwoReadings:
+    """What each reader tells of a pair: forces (3, rows, cols) N of its brightness, tared; by_dots, totals (3,) N of its dots.
+
+    by_dots: None where nothing reads them. pooled: (k,) what the network sees in the picture as a whole
+    (`Unrolled.with_pooled`).
+    """
+
+    forces: np.ndarray
+    by_dots: np.ndarray | None
+    pooled: np.ndarray
+
+
+def read_both(untouched: Untouched, name: str, lit: np.ndarray, pair: CanonicalPair | None) -> TwoReadings:
+    """What each reader tells of an image (h, w, 3) under the light of the untouched picture of that name.
+
+    pair: that image beside the untouched picture; None beside a network that reads none, where nothing is tared.
+    """
+    forces, pooled = predict_pooled(untouched.reader(name), lit)
+    if pair is None:
+        return TwoReadings(forces, None, pooled)
+    return TwoReadings(forces - untouched.rest(name), pair.by_dots(untouched.reader_of_dots), pooled)
+
+
+def told_together(trained: Trained, readings: TwoReadings) -> np.ndarray:
+    """Forces (3, rows, cols) N in which both readers have their say."""
+    if readings.by_dots is None:
+        return readings.forces
+    forces = blend(readings.forces, readings.by_dots, trained.about["dots"]["weight"])
+    if trained.stacking is not None and has_shape(readings.forces):
+        factor = trained.stacking.factor(sight(readings.forces, readings.by_dots, readings.pooled))
+        forces = forces * np.array([1.0, 1.0, factor], np.float32)[:, None, None]
+    return forces
+
+
+@dataclass(frozen=True)
 class Judgement:
     """How far what was read in an image may be trusted, and what was done to the image before.
 
@@ -238,8 +274,8 @@ def predict_one(
 
     A network that reads differences is given the image under the light of the untouched picture, at the scale it
     learnt, and laid onto that picture by `placement` (None: by what the image's own dots tell); what it reads in that
-    picture itself is taken off, as a scale is tared. Where the dots are read, too, the forces' totals are the mean of
-    both.
+    picture itself is taken off, as a scale is tared. Where the dots are read, too, the forces' totals are told by both
+    together.
     """
     trained = untouched.trained
     image, resized = fit_size(image, trained.about["image"])
@@ -248,15 +284,12 @@ def predict_one(
     lit = pair.lit if pair else image
     light = pair.evidence.light if pair else None
     likeness = judge(untouched.statistics, lit, pair.evidence if pair else None)
-    forces = predict_images(untouched.reader(name), lit[None])[0]
-    if trained.needs_untouched:
-        forces = forces - untouched.rest(name)
-    by_dots, contradicted = pair.by_dots(untouched.reader_of_dots) if pair else None, ""
+    readings = read_both(untouched, name, lit, pair)
+    by_dots, contradicted = readings.by_dots, ""
     if by_dots is not None:
-        total = forces.sum((1, 2), dtype=float)
+        total = readings.forces.sum((1, 2), dtype=float)
         contradicted = dots_fault(trained.about["dots"]["apart"], total, by_dots, untouched.gain.value)
-        forces = blend(forces, by_dots, trained.about["dots"]["weight"])
-    forces = forces * np.float32(untouched.gain.value)
+    forces = told_together(trained, readings) * np.float32(untouched.gain.value)
     faults = [resized, untouched.fault, likeness.reason, light_fault(light), pull_fault(forces), contradicted]
     faults += [pair.placement.fault] if pair else []
     judgement = Judgement(

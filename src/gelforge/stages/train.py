@@ -47,9 +47,16 @@ def resolve(models: dict, name: str, train: TrainTable) -> tuple[dict, TrainingT
 
 
 def train(data, name: str, model: dict, settings: TrainingTable, checkpoint=None, start=None, also=()):
-    """A model of a dataset, networks.newmodel.make_model of this VERSION."""
-    from gelforge.networks.newmodel import make_model
+    """A model of a dataset, networks.newmodel.make_model of this VERSION; make_stacked where that is all that learns."""
+    from gelforge.networks.newmodel import make_model, make_stacked
 
+    if settings.stacking_epochs:
+        if start is None or also:
+            raise BadInput(
+                f"workflow/models.toml, [{name}]: stacking_epochs = {settings.stacking_epochs}: what stands above both readers"
+                f' learns beside a network that is there, from one dataset: say start = "{SHIPPED}", and leave [train] also empty'
+            )
+        return make_stacked(data, name, model, settings, start)
     return make_model(data, name, model, settings, VERSION, checkpoint, start, also)
 
 

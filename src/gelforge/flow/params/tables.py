@@ -102,6 +102,7 @@ class TrainingTable(ParameterTable):
     mirrored_share: Share
     dot_epochs: Whole
     place_epochs: Whole
+    stacking_epochs: Whole
     settle_images: Whole
     frozen_share: Share
     averaged_share: Share

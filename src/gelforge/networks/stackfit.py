@@ -1,0 +1,94 @@
+"""What the network above both readers learns from: presses of a dataset that is new to them, as they read them."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.flow.params.tables import TrainingTable
+from gelforge.flow.progress import progress
+from gelforge.networks.agreement import has_shape
+from gelforge.networks.augment import narrow_views
+from gelforge.networks.batches import generator
+from gelforge.networks.data import Data
+from gelforge.networks.dotaugment import kept_dots
+from gelforge.networks.dotreader import LOST
+from gelforge.networks.modelfile import Trained
+from gelforge.networks.stacking import StackedFactor, sight, train_stacking
+from gelforge.networks.use import GIVEN, TwoReadings, Untouched, read_both, told_together
+from gelforge.records.splits import TRAINING
+
+FEWEST_PRESSES = 250  # of fewer it learns their chances: with 125 presses others were read worse than without it
+
+
+@dataclass(frozen=True)
+class Lessons:
+    """Presses as both readers see them: seen (n, count) (`stacking.sight`); told and true normal forces (n,) N."""
+
+    seen: np.ndarray
+    told: np.ndarray
+    true: np.ndarray
+
+
+def fit_stacking(trained: Trained, data: Data, settings: TrainingTable) -> StackedFactor:
+    """The network above both readers of a model, from the training presses of a dataset that is new to both.
+
+    Raises BadInput where these are fewer than FEWEST_PRESSES, or where the model does not read dots.
+    """
+    rows = data.splits[TRAINING]
+    count = len(np.unique(data.presses(rows)))
+    if trained.dots is None:
+        raise BadInput(
+            f"{trained.about['name']} does not read dots beside its picture: nothing can be learnt above both"
+        )
+    if count < FEWEST_PRESSES:
+        raise BadInput(
+            f"{data.folder}: {count} presses train; how both readers err is learnt from {FEWEST_PRESSES} or more: log more"
+        )
+    found = lessons(trained, data, rows, settings)
+    return train_stacking(found.seen, found.told, found.true, settings.stacking_epochs, settings.seed)
+
+
+def lessons(trained: Trained, data: Data, rows: np.ndarray, settings: TrainingTable) -> Lessons:
+    """Each of some rows as it is, and once more in a narrow view or with dots lost; those that hardly press are left out."""
+    alone, sensors = replace(trained, stacking=None), data.names("sensor_id")
+    beside = {
+        name: Untouched(alone, picture) for name, picture in data.nocontact.items() if name in set(sensors[rows])
+    }
+    found = []
+    for row in progress(rows, "presses read", len(rows)):
+        for readings, label in sights_of(beside[sensors[row]], data, int(row), settings):
+            if readings.by_dots is not None and has_shape(readings.forces):
+                told = told_together(alone, readings)[2].sum(dtype=float)
+                seen = sight(readings.forces, readings.by_dots, readings.pooled)
+                found.append((seen, told, label[2].sum(dtype=float)))
+    seen, told, true = (np.array(part) for part in zip(*found, strict=True))
+    return Lessons(seen, told, true)
+
+
+def sights_of(
+    untouched: Untouched, data: Data, row: int, settings: TrainingTable
+) -> Iterator[tuple[TwoReadings, np.ndarray]]:
+    """What both readers tell of a picture as it is and of one that is varied, each with its label (3, rows, cols) N."""
+    draw = generator(settings.seed, "stacking", row)
+    kept = kept_dots(1, LOST, draw)[0].numpy()
+    every = np.ones_like(kept)
+    image, label = np.ascontiguousarray(data.images[row]), np.asarray(data.labels[row])
+    yield read_dots(untouched, image, every), label
+    half = replace(settings.augment, narrowed_share=0.5)
+    (pair,), (shown,), (narrow,) = narrow_views(data.seen([row], "pair"), label[None], half, draw)
+    if narrow:
+        image, label = np.ascontiguousarray(pair[..., :3]), shown
+        untouched = Untouched(untouched.trained, np.ascontiguousarray(pair[..., 3:]))
+    yield read_dots(untouched, image, kept), label
+
+
+def read_dots(untouched: Untouched, image: np.ndarray, kept: np.ndarray) -> TwoReadings:
+    """What both readers tell of an image; kept: (ROWS, COLS) places of the lattice that keep their dot."""
+    pair = untouched.pair(image, GIVEN)
+    readings, reader = read_both(untouched, GIVEN, pair.lit, pair), untouched.reader_of_dots
+    if reader is None or readings.by_dots is None:
+        return readings
+    motion = pair.dots.on_lattice(pair.followed) * kept
+    return replace(readings, by_dots=reader.total(motion.astype(np.float32)))
