@@ -18,7 +18,7 @@ from synthetic_presses import SETTINGS, write_dataset
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, read_json, write_csv, write_json
 from gelforge.networks import use
-from gelforge.networks.data import data_version, open_data, rows_to_judge_by
+from gelforge.networks.data import data_version, open_data, rows_for_intervals
 from gelforge.networks.evaluation import (
     FEWEST_DRAWN,
     another_of_each,
@@ -246,7 +246,7 @@ def test_sensors_are_drawn_whole_where_a_network_learnt_from_other_data_or_senso
 
 
 def test_intervals_are_judged_on_other_pictures_than_they_were_set_on(tmp_path):
-    """Of two sensors that training did not see they are set on the first; judged by what the second alone saw."""
+    """Of two sensors that training did not see they are set on the first, and on validation; judged by what the second saw."""
     folder = write_dataset(tmp_path / "6x8", 352, IMAGE, GRID)
     rows = read_csv(folder / "samples.csv")
     rows = [row | {"group": ""} for row in rows]
@@ -261,9 +261,9 @@ def test_intervals_are_judged_on_other_pictures_than_they_were_set_on(tmp_path):
     )
     both = open_data(folder)
     trained = train(both, "pair", MODELS["pair"], with_values(SETTINGS, epochs=1))
-    assert trained.about["intervals"]["sensors"] == ["mini1"]
+    assert trained.about["intervals"]["sensors"] == ["mini0", "mini1"]
     fitted = both.names("sensor_id")[fitted_rows(trained, both, data_version(both))]
-    assert set(fitted) == {"mini1"}
+    assert set(fitted) == {"mini0", "mini1"}
     rows = both.splits["test_unseen_sensor"]
     told = use.tell_rows(trained, both, rows)
     others = (both.names("sensor_id")[rows] == "mini2") & np.char.startswith(both.presses(rows), "one")
@@ -278,7 +278,7 @@ def test_intervals_are_those_of_what_predict_tells(tmp_path):
     """With tare and light: nine of ten of the pictures that they were set on lie within."""
     made = open_data(write_dataset(tmp_path / "6x8", 176, IMAGE, GRID))
     trained = train(made, "pair", MODELS["pair"], with_values(SETTINGS, epochs=1))
-    rows = rows_to_judge_by(made)
+    rows = rows_for_intervals(made)
     told = use.tell_rows(trained, made, rows)
     error = np.abs(told.forces.sum((2, 3), dtype=float) - made.labels[rows].sum((2, 3), dtype=float))
     assert ((error <= told.half_widths).mean(axis=0) >= 0.85).all()

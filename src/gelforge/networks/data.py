@@ -189,7 +189,7 @@ def require_splits(data: Data) -> None:
 
 
 def rows_to_judge_by(data: Data) -> np.ndarray:
-    """Rows that intervals and the readers' shares are set on: of sensors that training did not see, else validation's.
+    """Rows that tell how a network does on sensors that training did not see, else validation's.
 
     Only the first half of the unseen sensors is looked at, so that the other half can tell whether intervals hold.
     """
@@ -197,6 +197,14 @@ def rows_to_judge_by(data: Data) -> np.ndarray:
     names = data.names("sensor_id")
     known = sorted(set(names[rows].tolist()))
     return np.sort(rows[np.isin(names[rows], known[: (len(known) + 1) // 2])]) if known else data.splits[VALIDATION]
+
+
+def rows_for_intervals(data: Data) -> np.ndarray:
+    """Rows that intervals are set on: those to judge by and validation's, whose shapes are many where the others' are few.
+
+    Set on the first alone, nine shapes by twelve units, intervals held 94 % under these shapes and 82 % under all others.
+    """
+    return np.union1d(rows_to_judge_by(data), data.splits[VALIDATION])
 
 
 def data_version(data: Data) -> str:

@@ -10,7 +10,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.params.tables import EvaluateTable
 from gelforge.networks import metrics
 from gelforge.networks.contacts import contact_table
-from gelforge.networks.data import Data, data_version, rows_to_judge_by
+from gelforge.networks.data import Data, data_version, rows_for_intervals
 from gelforge.networks.errortables import tables
 from gelforge.networks.modelfile import Trained, datasets_of, require_fit
 from gelforge.networks.training import predict_rows
@@ -83,7 +83,7 @@ def controls(
 def fitted_rows(trained: Trained, data: Data, version: str) -> np.ndarray:
     """Rows that a network's intervals were set on; none of a dataset of another `version` (networks.data.data_version)."""
     own = trained.about.get("intervals", {}).get("version") == version
-    return rows_to_judge_by(data) if own else np.zeros(0, int)
+    return rows_for_intervals(data) if own else np.zeros(0, int)
 
 
 def learnt_sensors(trained: Trained, data: Data, version: str) -> set[str]:

@@ -11,7 +11,7 @@ from gelforge.flow.params.tables import TrainingTable
 from gelforge.networks.agreement import APART_NOTHING, fit_blend
 from gelforge.networks.augment import narrow_views
 from gelforge.networks.batches import generator
-from gelforge.networks.data import Data, data_version, rows_to_judge_by
+from gelforge.networks.data import Data, data_version, rows_for_intervals, rows_to_judge_by
 from gelforge.networks.dotreader import DotReader, dot_presses, motions, train_dot_reader
 from gelforge.networks.dots import PrintedDots
 from gelforge.networks.goingon import known_before
@@ -40,7 +40,7 @@ def beside_untouched(
     """
     pictures = own.nocontact if len(own.nocontact) <= MOST_PICTURES else {}
     about = trained.about | learnt_pitch(data, start)
-    if start is not None and not tells_intervals(own.presses(rows_to_judge_by(own))):
+    if start is not None and not tells_intervals(own.presses(rows_for_intervals(own))):
         rows = np.concatenate([data.splits[TRAINING], data.splits[VALIDATION]])
         images = (np.ascontiguousarray(data.images[row]) for row in rows)
         about |= known_before(start.about, images, good_pairs(data, rows))
@@ -158,10 +158,8 @@ def met(trained: Trained, data: Data) -> dict[str, Any]:
 
 
 def held(trained: Trained, data: Data) -> dict[str, Any]:
-    """What a model's description says of how far what `predict` tells is off; empty where no picture tells it."""
-    rows = rows_to_judge_by(data)
-    if not len(rows):
-        return {}
+    """What a model's description says of how far what `predict` tells is off."""
+    rows = rows_for_intervals(data)
     sensors = sorted(set(data.names("sensor_id")[rows].tolist()))
     intervals = fit_intervals(tell_rows(trained, data, rows).forces, data.labels[rows], data.presses(rows))
     return {"intervals": intervals | {"sensors": sensors, "data": data.name, "version": data_version(data)}}
