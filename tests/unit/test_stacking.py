@@ -18,7 +18,7 @@ from gelforge.networks.evaluation import learnt_sensors
 from gelforge.networks.fitting import kept_above
 from gelforge.networks.modelcard import stacking_lines
 from gelforge.networks.modelfile import load_model, save_model, tensor_digest, tensors_of
-from gelforge.networks.stacking import MOST_LOG, SPREAD, StackedFactor, sight, train_stacking
+from gelforge.networks.stacking import MOST_LOG, OF_FORCES, StackedFactor, features, train_stacking
 from gelforge.networks.use import TwoReadings, Untouched, load_for_use, predict_one, told_together
 from gelforge.records.totals import LEAST_PRESS
 from gelforge.stages.train import train
@@ -41,21 +41,21 @@ def test_what_is_seen_of_any_press_is_finite(row, col, force, dots):
     """Also of a single cell, which has no spread, and beside dots that tell a pull."""
     forces = np.zeros((3, 24, 32), np.float32)
     forces[2, row, col] = -force
-    seen = sight(forces, np.array([0.0, 0.0, dots]), np.zeros(5, np.float32))
-    assert seen.shape == (SPREAD + 5,) and seen.dtype == np.float32 and np.isfinite(seen).all()
+    seen = features(forces, np.array([0.0, 0.0, dots]), np.zeros(5, np.float32))
+    assert seen.shape == (OF_FORCES + 5,) and seen.dtype == np.float32 and np.isfinite(seen).all()
 
 
 def test_the_same_contact_pressed_harder_differs_in_its_force_alone():
     rng = np.random.default_rng(0)
     forces, by_dots, pooled = pressed(rng), np.array([0.5, 0.5, -7.0]), np.ones(3, np.float32)
-    one, two = sight(forces, by_dots, pooled), sight(2 * forces, 2 * by_dots, pooled)
+    one, two = features(forces, by_dots, pooled), features(2 * forces, 2 * by_dots, pooled)
     changed = np.flatnonzero(~np.isclose(one, two, atol=1e-5))
     assert (two - one)[changed] == pytest.approx(math.log(2.0), abs=1e-5) and len(changed) == 2  # total and peak
 
 
 def made_up(rng, count: int):
     """Presses whose readers tell too little where the first thing seen is large, and too much where it is small."""
-    seen = rng.normal(size=(count, SPREAD + 4)).astype(np.float32)
+    seen = rng.normal(size=(count, OF_FORCES + 4)).astype(np.float32)
     told = -rng.uniform(1.0, 30.0, count)
     return seen, told, told * np.exp(0.2 * np.tanh(seen[:, 0]) + rng.normal(0, 0.03, count))
 
@@ -84,10 +84,10 @@ def test_the_same_seed_learns_the_same():
 
 
 def test_a_factor_stays_within_its_bounds_whatever_is_seen():
-    net = StackedFactor(SPREAD).eval()
+    net = StackedFactor(OF_FORCES).eval()
     with torch.no_grad():
         net.outer += 100.0
-    for seen in (np.zeros(SPREAD), np.full(SPREAD, 1e30), np.full(SPREAD, -1e30)):
+    for seen in (np.zeros(OF_FORCES), np.full(OF_FORCES, 1e30), np.full(OF_FORCES, -1e30)):
         assert abs(math.log(net.factor(seen.astype(np.float32)))) <= MOST_LOG + 1e-6
 
 
@@ -122,7 +122,7 @@ def test_network_and_readers_stay_as_they_are(stacked):
 
 def test_only_normal_force_is_moved_and_only_where_something_presses(stacked):
     rng = np.random.default_rng(1)
-    pooled = rng.normal(size=stacked.stacking.mean.shape[0] - SPREAD).astype(np.float32)
+    pooled = rng.normal(size=stacked.stacking.mean.shape[0] - OF_FORCES).astype(np.float32)
     alone = replace(stacked, stacking=None)
     for force, moves in ((0.5 * LEAST_PRESS, False), (8.0, True)):
         readings = TwoReadings(pressed(rng, force), np.array([0.1, 0.2, -0.9 * force]), pooled)

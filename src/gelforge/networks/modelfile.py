@@ -23,7 +23,7 @@ from gelforge.networks.inputs import needs_untouched, network_input
 from gelforge.networks.modelcheck import MOST_BYTES, check_about, check_pictures, check_tensors, holds_numbers
 from gelforge.networks.models import GridNet, build
 from gelforge.networks.placereader import PlaceReader
-from gelforge.networks.stacking import SPREAD, StackedFactor
+from gelforge.networks.stacking import OF_FORCES, StackedFactor
 from gelforge.networks.unrolled import Unrolled, pooled_count
 from gelforge.records.image import decode, encode_png
 from gelforge.records.regular import file_fault
@@ -33,7 +33,7 @@ FORMAT = 3
 READERS: dict[str, Callable[[nn.Module], nn.Module]] = {
     "dots": lambda _net: DotReader(),
     "places": lambda _net: PlaceReader(),
-    "stacking": lambda net: StackedFactor(SPREAD + pooled_count(net)),
+    "stacking": lambda net: StackedFactor(OF_FORCES + pooled_count(net)),
 }
 Net = TypeVar("Net", bound=nn.Module)
 

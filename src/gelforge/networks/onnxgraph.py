@@ -6,7 +6,8 @@ before the graph is not in it: bring both pictures to the network's scale and th
 `networks.canonical` does with numpy and OpenCV alone (`view_of`, `View.of`, `Resting`, `View.match`), and lay it onto the
 untouched one where the gel sits otherwise (`networks.placement`, which needs torch for its reader of places); then take
 off what the graph reads in the untouched picture itself, and multiply by the factor of the sensor's profile. The readers
-of dots that stand beside some networks are not in it, so totals differ from those of `predict` by what they have to say.
+of dots that stand beside some networks, and what stands above both, are not in it, so totals differ from those of `predict`
+by what they have to say.
 """
 
 import importlib.util

@@ -15,7 +15,7 @@ from gelforge.networks.data import Data
 from gelforge.networks.dotaugment import kept_dots
 from gelforge.networks.dotreader import LOST
 from gelforge.networks.modelfile import Trained
-from gelforge.networks.stacking import StackedFactor, sight, train_stacking
+from gelforge.networks.stacking import StackedFactor, features, train_stacking
 from gelforge.networks.use import GIVEN, TwoReadings, Untouched, read_both, told_together
 from gelforge.records.splits import TRAINING
 
@@ -24,7 +24,7 @@ FEWEST_PRESSES = 250  # of fewer it learns their chances: with 125 presses other
 
 @dataclass(frozen=True)
 class Lessons:
-    """Presses as both readers see them: seen (n, count) (`stacking.sight`); told and true normal forces (n,) N."""
+    """Presses as both readers see them: seen (n, count) (`stacking.features`); told and true normal forces (n,) N."""
 
     seen: np.ndarray
     told: np.ndarray
@@ -58,16 +58,16 @@ def lessons(trained: Trained, data: Data, rows: np.ndarray, settings: TrainingTa
     }
     found = []
     for row in progress(rows, "presses read", len(rows)):
-        for readings, label in sights_of(beside[sensors[row]], data, int(row), settings):
+        for readings, label in variants_of(beside[sensors[row]], data, int(row), settings):
             if readings.by_dots is not None and has_shape(readings.forces):
                 told = told_together(alone, readings)[2].sum(dtype=float)
-                seen = sight(readings.forces, readings.by_dots, readings.pooled)
+                seen = features(readings.forces, readings.by_dots, readings.pooled)
                 found.append((seen, told, label[2].sum(dtype=float)))
     seen, told, true = (np.array(part) for part in zip(*found, strict=True))
     return Lessons(seen, told, true)
 
 
-def sights_of(
+def variants_of(
     untouched: Untouched, data: Data, row: int, settings: TrainingTable
 ) -> Iterator[tuple[TwoReadings, np.ndarray]]:
     """What both readers tell of a picture as it is and of one that is varied, each with its label (3, rows, cols) N."""

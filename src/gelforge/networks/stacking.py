@@ -21,16 +21,16 @@ DROPPED_IN, DROPPED = (
 )  # shares of what they see, and of their units, that are left out at random while they learn
 MOST_LOG = 0.4  # natural logarithm of the largest factor
 FARTHEST = 4.0  # spreads from its mean beyond which a value is taken to lie there
-TOUCHED = 0.05  # of the largest normal force of a cell: cells with more are taken for the contact's area
+TOUCHED = 0.05  # of the largest normal force of a cell: one with so much counts half towards the contact's area
 LEAST_SHARE = 0.01  # of the normal force, that dots are taken to tell at least
-SPREAD = 13  # numbers that `sight` tells of the forces themselves
+OF_FORCES = 13  # numbers that `features` tells of the forces themselves
 
 
-def sight(forces: np.ndarray, by_dots: np.ndarray, pooled: np.ndarray) -> np.ndarray:
-    """What the small network sees of a press, (SPREAD + k,) float32.
+def features(forces: np.ndarray, by_dots: np.ndarray, pooled: np.ndarray) -> np.ndarray:
+    """What the small network sees of a press, (OF_FORCES + k,) float32.
 
     forces: (3, rows, cols) N as the brightness tells them, which press with LEAST_PRESS or more. by_dots: totals (3,) N.
-    pooled: (k,) of the network (`unrolled.pooled`).
+    pooled: (k,) of the network (`Unrolled.with_pooled`). None of them jumps where a force moves a little.
     """
     total = forces.sum((1, 2), dtype=float)
     pressed = np.maximum(-forces[2].astype(float), 0.0)
@@ -41,11 +41,11 @@ def sight(forces: np.ndarray, by_dots: np.ndarray, pooled: np.ndarray) -> np.nda
     told = [
         math.log(weight),
         math.log(peak),
-        math.log(np.count_nonzero(pressed > TOUCHED * peak)),
-        math.log((pressed**2).sum() / weight**2),
-        0.5 * math.log(square / weight + 1e-3),
-        math.hypot(down, right),
-        np.hypot(*forces[:2].astype(float)).sum() / weight,
+        math.log((pressed / (pressed + TOUCHED * peak)).sum()),  # area of the contact, in cells
+        math.log((pressed**2).sum() / weight**2),  # how unevenly it is pressed
+        0.5 * math.log(square / weight + 1e-3),  # how wide it is
+        math.hypot(down, right),  # how far aside it lies
+        np.hypot(*forces[:2].astype(float)).sum() / weight,  # sideways force of its cells, and of all together
         math.hypot(*total[:2]) / weight,
         math.log(max(-by_dots[2] / weight, LEAST_SHARE)),
         *(total[:2] / weight),
@@ -55,7 +55,7 @@ def sight(forces: np.ndarray, by_dots: np.ndarray, pooled: np.ndarray) -> np.nda
 
 
 class StackedFactor(nn.Module):
-    """What is seen of presses (n, count) (`sight`) to the logarithm of a factor on normal force, (n,)."""
+    """What is seen of presses (n, count) (`features`) to the logarithm of a factor on normal force, (n,)."""
 
     mean: torch.Tensor  # (count,), of what was seen of the presses that it learnt from
     spread: torch.Tensor  # (count,), standard deviations of the same

@@ -18,7 +18,7 @@ from gelforge.networks.modelfile import SensorNet, Trained, load_model, predict_
 from gelforge.networks.placement import LEAST_MOVE, UNPLACED, Placement, place
 from gelforge.networks.placereader import PlacesOneByOne
 from gelforge.networks.sensorprofile import AS_READ, Gain
-from gelforge.networks.stacking import sight
+from gelforge.networks.stacking import features
 from gelforge.networks.statistics import (
     PairEvidence,
     as_arrays,
@@ -232,7 +232,7 @@ def told_together(trained: Trained, readings: TwoReadings) -> np.ndarray:
         return readings.forces
     forces = blend(readings.forces, readings.by_dots, trained.about["dots"]["weight"])
     if trained.stacking is not None and has_shape(readings.forces):
-        factor = trained.stacking.factor(sight(readings.forces, readings.by_dots, readings.pooled))
+        factor = trained.stacking.factor(features(readings.forces, readings.by_dots, readings.pooled))
         forces = forces * np.array([1.0, 1.0, factor], np.float32)[:, None, None]
     return forces
 
