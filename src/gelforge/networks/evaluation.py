@@ -12,7 +12,7 @@ from gelforge.networks import metrics
 from gelforge.networks.contacts import contact_table
 from gelforge.networks.data import Data, data_version, rows_for_intervals
 from gelforge.networks.errortables import tables
-from gelforge.networks.modelfile import Trained, datasets_of, require_fit
+from gelforge.networks.modelfile import Trained, lessons_of, require_fit
 from gelforge.networks.training import predict_rows
 from gelforge.networks.use import tell_rows
 from gelforge.records.axes import CHANNELS, FORCE_OF_CHANNEL
@@ -92,8 +92,7 @@ def learnt_sensors(trained: Trained, data: Data, version: str) -> set[str]:
     None of a dataset that it did not learn from, and of one that it learnt a part of those of the part alone. What stands
     above both readers may have learnt from another dataset than these.
     """
-    above = trained.about.get("stacking") or {}
-    if version not in [above.get("version"), *(one["version"] for one in datasets_of(trained.about))]:
+    if version not in [one["version"] for one in lessons_of(trained.about)]:
         return set()
     training = data.names("sensor_id")[data.splits.get(TRAINING, np.zeros(0, int))]
     return set(trained.about["sensors"]) & set(training.tolist())
@@ -205,7 +204,7 @@ def evaluate(data: Data, trained: Trained, settings: EvaluateTable) -> tuple[dic
         "kind": about["model"]["kind"],
         "parameters": about["parameters"],
         "grid": list(data.grid),
-        "dataset": about["data"],
+        "dataset": next((one for one in lessons_of(about) if one["version"] == version), about["data"]),
         "judged_on": data.name,
         "best_epoch": about["best_epoch"],
         "force_range": dict(zip(CHANNELS, lesson.force_range.tolist())),

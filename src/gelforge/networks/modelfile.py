@@ -268,6 +268,11 @@ def datasets_of(about: dict[str, Any]) -> list[dict[str, Any]]:
     return [about["data"], *about.get("also", [])]  # files that are older than `also` learnt from one
 
 
+def lessons_of(about: dict[str, Any]) -> list[dict[str, Any]]:
+    """As `datasets_of`, and the one that what stands above both readers learnt from, where there is such."""
+    return [*datasets_of(about), *([about["stacking"]] if about.get("stacking") else [])]
+
+
 def require_fit(trained: Trained, data) -> None:
     """Raise BadInput if a model cannot be used on a dataset: other grid, image size or sensor."""
     about = trained.about
