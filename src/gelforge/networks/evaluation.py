@@ -38,15 +38,15 @@ def reference_totals(data: Data, kind: str) -> np.ndarray | None:
     return totals if np.isfinite(totals).all(1).any() else None
 
 
-def another_of_each(press: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """For each row of `press` (n,), a row of another press, each taken once; with one press only, any row."""
-    _, number = np.unique(press, return_inverse=True)
-    views = np.bincount(number)
-    # rows of a press lie side by side in `order`: a roll by the most views leaves the press
-    order = np.argsort(rng.permutation(len(views))[number], kind="stable")
-    other = np.empty(len(order), int)
-    other[order] = np.roll(order, views.max())
-    return other
+def another_of_each(press: np.ndarray, rng: np.random.Generator) -> np.ndarray | None:
+    """For each row of `press` (n,), a row of another press, drawn evenly; None where all are of one press."""
+    _, number, views = np.unique(press, return_inverse=True, return_counts=True)
+    if len(views) < 2:
+        return None
+    # rows of a press lie side by side in `order`; the draw counts the rows of all others
+    order, first = np.argsort(number, kind="stable"), (np.cumsum(views) - views)[number]
+    drawn = rng.integers(len(press) - views[number])
+    return order[np.where(drawn < first, drawn, drawn + views[number])]
 
 
 @dataclass(frozen=True)
@@ -70,10 +70,14 @@ class Lesson:
 def controls(
     data: Data, rows: np.ndarray, predicted_totals: np.ndarray, lesson: Lesson, rng: np.random.Generator
 ) -> dict[str, np.ndarray]:
-    """Totals (k, 3) that know less than the network: a constant, another press's prediction, the image's mean."""
+    """Totals (k, 3) that know less than the network: a constant, another press's prediction, the image's mean.
+
+    Of rows that show one press alone there is no other's prediction.
+    """
+    other = another_of_each(data.presses(rows), rng)
     return {
         "constant_guess": metrics.constant_guess(lesson.totals, len(rows)),
-        "shuffled_images": predicted_totals[another_of_each(data.presses(rows), rng)],
+        **({} if other is None else {"shuffled_images": predicted_totals[other]}),
         "linear_on_image_means": metrics.linear_on_means(
             lesson.means, lesson.totals, metrics.image_means(data.images, rows)
         ),
