@@ -413,7 +413,7 @@ def test_the_edge_is_that_of_what_a_camera_shows(zoom):
 @pytest.fixture(scope="module")
 def seen(rest, presses, tmp_path_factory):
     """A few pictures that have dots, all of one sensor."""
-    data = open_data(write_dataset(tmp_path_factory.mktemp("dataset") / "24x32", 24, rest.shape[:2], (24, 32)))
+    data = open_data(write_dataset(tmp_path_factory.mktemp("dataset") / "24x32", 40, rest.shape[:2], (24, 32)))
     pictures = np.stack([presses[k % len(presses)] for k in range(len(data.images))])
     return replace(data, images=pictures, nocontact=dict.fromkeys(data.nocontact, rest))
 

@@ -183,8 +183,8 @@ def test_averaged_weights_are_the_mean_over_the_steps_of_the_last_epochs(folder)
 
 @pytest.fixture(scope="module")
 def few(tmp_path_factory):
-    """Twelve presses to train on, of the same law as `folder`."""
-    return open_data(write_dataset(tmp_path_factory.mktemp("few") / "6x8", 24, IMAGE, GRID, seed=7))
+    """Twenty presses to train on, of the same law as `folder`."""
+    return open_data(write_dataset(tmp_path_factory.mktemp("few") / "6x8", 40, IMAGE, GRID, seed=7))
 
 
 def test_a_network_that_goes_on_begins_as_the_one_it_goes_on_from(few, trained):
@@ -229,12 +229,19 @@ def test_few_presses_teach_more_to_a_network_that_goes_on(few, trained, tmp_path
     alone = with_values(SETTINGS, **LEARNING)
     further = with_values(alone, learning_rate=2e-4, frozen_share=1.0)
     others = open_data(write_dataset(tmp_path / "6x8", 96, IMAGE, GRID, seed=9))
+    few = replace(few, splits=few.splits | {"train": few.splits["train"][:12]})
     rows, errors = np.arange(96), []
     for settings, start in ((further, trained), (alone, None)):
         found = train(few, "tuned", SMALL, settings, start=start)
         told = predict_rows(found.net, others, rows, found.about["normalisation"]).sum((2, 3), dtype=float)
         errors.append(np.abs(told - others.totals(rows)).mean())
     assert errors[0] < 0.7 * errors[1]
+
+
+def test_a_network_does_not_go_on_where_hardly_a_press_tells_whether_it_became_better(trained, tmp_path):
+    data = open_data(write_dataset(tmp_path / "6x8", 24, IMAGE, GRID))
+    with pytest.raises(BadInput, match="of its presses 3 validate, too few .* raise .params.dataset. validation"):
+        train(data, "tuned", SMALL, SETTINGS, start=trained)
 
 
 def test_a_network_goes_on_from_one_of_its_own_kind_only(few, trained, folder, tmp_path):

@@ -10,7 +10,9 @@ from gelforge.networks.canonical import at_scale
 from gelforge.networks.data import Data
 from gelforge.networks.statistics import widened
 from gelforge.records.markers import pitch_of
+from gelforge.records.splits import VALIDATION
 
+FEWEST_JUDGES = 5  # presses of validation: chosen by one of them, a network read others five times worse than it began
 FARTHER = 0.05  # share by which scales may lie beyond those that a network knows, so that it can still learn them
 
 
@@ -47,6 +49,16 @@ def require_alike(about: dict[str, Any], model: dict[str, Any], data: Data) -> N
     require_scale(about, data)
 
 
+def require_judges(about: dict[str, Any], data: Data) -> None:
+    """Raise BadInput where too few presses validate to tell whether a network that goes on has become better."""
+    count = len(np.unique(data.presses(data.splits[VALIDATION])))
+    if count < FEWEST_JUDGES:
+        raise BadInput(
+            f"{data.folder}: of its presses {count} validate, too few to tell whether what {about['name']} learns here is better"
+            f" than what it knew, which takes {FEWEST_JUDGES}: raise [params.dataset] validation, or log more presses"
+        )
+
+
 def require_scale(about: dict[str, Any], data: Data) -> None:
     """Raise BadInput for a dataset of a sensor at another scale than those that a network learnt from.
 
@@ -64,11 +76,15 @@ def require_scale(about: dict[str, Any], data: Data) -> None:
             )
 
 
-def known_before(about: dict[str, Any], images: Iterable[np.ndarray], pairs: dict[str, float]) -> dict[str, Any]:
+def known_before(
+    about: dict[str, Any], images: Iterable[np.ndarray], pairs: dict[str, float], learnt: bool
+) -> dict[str, Any]:
     """What a description says of readers and limits where pictures are too few to tell: what the other's says.
 
     Limits are as wide as the new pictures (h, w, 3) uint8 want them, where the other's are narrower. pairs: limits that are
-    set on these pictures beside untouched ones.
+    set on these pictures beside untouched ones. learnt: whether the network has other weights now, of whose errors the
+    other's intervals say nothing.
     """
+    kept = ("dots", "places") if learnt else ("dots", "places", "intervals")
     limits = widened(about["statistics"], images, pairs)
-    return {"statistics": limits} | {key: about[key] for key in ("dots", "places", "intervals") if key in about}
+    return {"statistics": limits} | {key: about[key] for key in kept if key in about}

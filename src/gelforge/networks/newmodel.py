@@ -15,7 +15,7 @@ from gelforge.flow.params import plain
 from gelforge.flow.params.tables import TrainingTable
 from gelforge.networks.data import Data, data_version, require_splits, scales
 from gelforge.networks.fitting import beside_untouched, held, met, sights
-from gelforge.networks.goingon import require_alike, scales_before
+from gelforge.networks.goingon import require_alike, require_judges, scales_before
 from gelforge.networks.inputs import needs_untouched
 from gelforge.networks.joined import join
 from gelforge.networks.modelfile import Trained, datasets_of, tensor_digest, tensors_of
@@ -175,6 +175,7 @@ def begin(
     norm = scales(data, kind_of(model).totals_only, model.get("reads", "image"))
     if start is not None:
         norm = scales_before(start.about, model, data, norm)
+        require_judges(start.about, data)
     training = Training(model, settings, norm, about["image"], about["grid"], about["device"])
     if start is not None:
         training.go_on_from(start.net.state_dict(), data)
