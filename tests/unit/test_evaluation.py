@@ -175,7 +175,9 @@ def test_chart_of_models_against_latency(data, models, paths, tmp_path):
         pareto_models.main([*argv[:4], *argv[6:]])
 
 
-@pytest.mark.parametrize("press", ["ab", "abc", "abcdefghijklmnopq", "aabb", "abacbc", "aaabbbcd", "aaaab", "babbbbbb"])
+@pytest.mark.parametrize(
+    "press", ["ab", "abc", "abcdefghijklmnopq", "aabb", "abacbc", "aaabbbcd", "aaaab", "babbbbbb"]
+)
 def test_shuffling_leaves_no_press_a_prediction_of_its_own(press):
     """Also where one press was filmed so often that most rows are its own."""
     press, drawn = np.array(list(press)), set()
