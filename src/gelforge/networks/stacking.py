@@ -15,10 +15,8 @@ from torch.nn import functional as F
 from gelforge.networks.smallnet import train_small
 
 MEMBERS, HIDDEN = 6, 32  # networks side by side, whose mean counts, and units of each
-DROPPED_IN, DROPPED = (
-    0.15,
-    0.3,
-)  # shares of what they see, and of their units, that are left out at random while they learn
+# Shares of what they see, and of their units, that are left out at random while they learn.
+DROPPED_IN, DROPPED = 0.05, 0.1
 MOST_LOG = 0.4  # natural logarithm of the largest factor
 FARTHEST = 4.0  # spreads from its mean beyond which a value is taken to lie there
 TOUCHED = 0.05  # of the largest normal force of a cell: one with so much counts half towards the contact's area
