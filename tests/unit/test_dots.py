@@ -19,7 +19,7 @@ from gelforge.networks.canonical import View, match_light
 from gelforge.networks.data import open_data
 from gelforge.networks.dotreader import KEPT, VIEWS, DotPresses, DotReader, DotsOneByOne, train_dot_reader
 from gelforge.networks.dots import COLS, FAR, HOME, ROWS, PrintedDots
-from gelforge.networks.fitting import meet, readers_of_dots
+from gelforge.networks.fitting import ENOUGH_PAIRS, meet, readers_of_dots, usual_rows
 from gelforge.networks.goingon import require_scale, scales_before
 from gelforge.networks.halves import rounded
 from gelforge.networks.modelcard import dot_lines, place_lines
@@ -497,6 +497,15 @@ def test_places_are_learnt_where_a_grid_cannot_be_cut_into_views(rest, presses, 
     data = replace(data, images=pictures, nocontact=dict.fromkeys(data.nocontact, rest))
     by_dots, places = readers_of_dots(data, with_values(SETTINGS, place_epochs=1))
     assert by_dots is None and places is not None
+
+
+@pytest.mark.parametrize(("val", "train"), [(1, 30), (3, 500), (ENOUGH_PAIRS, 500), (2 * ENOUGH_PAIRS, 30)])
+def test_a_picture_that_trained_tells_what_good_pairs_are_like_where_few_validate(seen, val, train):
+    """Limits of one validation picture flagged pictures that the network had learnt from."""
+    data = replace(seen, splits={"val": np.arange(val), "train": 1000 + np.arange(train)})
+    rows = usual_rows(data)
+    assert len(set(rows.tolist())) == len(rows) == max(val, min(ENOUGH_PAIRS, val + train))
+    assert set(range(val)) <= set(rows.tolist())
 
 
 def test_no_reader_of_dots_is_trained_where_there_are_none(tmp_path):

@@ -28,6 +28,7 @@ from gelforge.records.splits import TRAINING, VALIDATION
 
 # A network that learnt from more sensors is for those that it never saw: their users have untouched pictures of their own.
 MOST_PICTURES = 8
+ENOUGH_PAIRS = 200  # pictures that tell what good pairs are like
 
 
 def beside_untouched(
@@ -46,7 +47,7 @@ def beside_untouched(
         about |= known_before(start.about, images, good_pairs(data, rows), about["best_epoch"] > 0)
         trained = replace(trained, about=about, untouched=pictures, **readers_of(start))
         return kept_above(trained, start, data)
-    about |= {"statistics": about["statistics"] | good_pairs(data, data.splits[VALIDATION])}
+    about |= {"statistics": about["statistics"] | good_pairs(data, usual_rows(data))}
     by_dots, places = readers_of_dots(data, settings)
     if places:
         about |= {"places": {"data": data.name, "pictures": len(data.splits[TRAINING])}}
@@ -74,6 +75,16 @@ def sights(data: Data, reads: str, settings: TrainingTable) -> Callable[[int], n
         return pair[0, ..., :3]
 
     return see
+
+
+def usual_rows(data: Data) -> np.ndarray:
+    """Rows whose pairs tell what good ones are like: validation's, and where these are few some that trained, evenly picked.
+
+    What a pair is like has nothing to do with what a network learnt from it.
+    """
+    rows, trained = data.splits[VALIDATION], data.splits[TRAINING]
+    picked = np.linspace(0, len(trained) - 1, min(max(ENOUGH_PAIRS - len(rows), 0), len(trained))).astype(int)
+    return np.concatenate([rows, trained[picked]])
 
 
 def good_pairs(data: Data, rows: np.ndarray) -> dict[str, float]:
