@@ -18,7 +18,7 @@ from gelforge.networks.evaluation import learnt_sensors
 from gelforge.networks.fitting import kept_above
 from gelforge.networks.modelcard import stacking_lines
 from gelforge.networks.modelfile import load_model, save_model, tensor_digest, tensors_of
-from gelforge.networks.stacking import MOST_LOG, OF_FORCES, StackedFactor, features, train_stacking
+from gelforge.networks.stacking import HALF_SAID, MOST_LOG, OF_FORCES, StackedFactor, features, train_stacking
 from gelforge.networks.use import TwoReadings, Untouched, load_for_use, predict_one, told_together
 from gelforge.records.totals import LEAST_PRESS
 from gelforge.stages.train import train
@@ -89,6 +89,16 @@ def test_a_factor_stays_within_its_bounds_whatever_is_seen():
         net.outer += 100.0
     for seen in (np.zeros(OF_FORCES), np.full(OF_FORCES, 1e30), np.full(OF_FORCES, -1e30)):
         assert abs(math.log(net.factor(seen.astype(np.float32)))) <= MOST_LOG + 1e-6
+
+
+def test_the_farther_a_press_lies_from_those_it_learnt_from_the_less_it_says():
+    net = StackedFactor(OF_FORCES + 3).eval()
+    with torch.no_grad():
+        net.bias += 0.2
+    seen = [np.full(OF_FORCES + 3, apart, np.float32) for apart in (0.0, 0.5, HALF_SAID, 10.0, 1e6)]
+    told = [math.log(net.factor(one)) for one in seen]
+    assert told == sorted(told, reverse=True) and told[-1] == pytest.approx(0.0, abs=1e-6)
+    assert told[0] == pytest.approx(0.2, rel=1e-5) and told[2] == pytest.approx(0.1, rel=1e-5)
 
 
 @pytest.fixture(scope="module")

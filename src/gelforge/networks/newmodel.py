@@ -14,7 +14,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.params import plain
 from gelforge.flow.params.tables import TrainingTable
 from gelforge.networks.data import Data, data_version, require_splits, scales
-from gelforge.networks.fitting import beside_untouched, held, met, sights
+from gelforge.networks.fitting import beside_untouched, held, sights
 from gelforge.networks.goingon import require_alike, require_judges, scales_before
 from gelforge.networks.inputs import needs_untouched
 from gelforge.networks.joined import join
@@ -143,8 +143,8 @@ def make_model(
 def make_stacked(data: Data, name: str, model: dict[str, Any], settings: TrainingTable, start: Trained) -> Trained:
     """`start` with a network above both its readers, learnt from the training presses of a dataset that is new to them.
 
-    Network and readers stay as they are, and so does what the file says of how they learnt; how they meet and how far totals
-    may be off is set anew, on the other presses of this dataset. Raises BadInput for a dataset that `start` learnt from or
+    Network and readers stay as they are and meet as they did, and so does what the file says of how they learnt; how far
+    totals may be off is set anew, on the other presses of this dataset. Raises BadInput for a dataset that `start` learnt from or
     cannot read, and one of too few presses.
     """
     require_splits(data)
@@ -158,7 +158,6 @@ def make_stacked(data: Data, name: str, model: dict[str, Any], settings: Trainin
         )
     torch.set_num_threads(settings.threads)
     trained = replace(start, about=start.about | {"name": name}, stacking=None)
-    trained = replace(trained, about=trained.about | met(trained, data))
     stacking = fit_stacking(trained, data, settings)
     learnt = learnt_from(data, list(data.splits)) | {"epochs": settings.stacking_epochs}
     trained = replace(trained, about=trained.about | {"stacking": learnt}, stacking=stacking)

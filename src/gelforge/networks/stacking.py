@@ -19,6 +19,9 @@ MEMBERS, HIDDEN = 6, 32  # networks side by side, whose mean counts, and units o
 DROPPED_IN, DROPPED = 0.05, 0.1
 MOST_LOG = 0.4  # natural logarithm of the largest factor
 FARTHEST = 4.0  # spreads from its mean beyond which a value is taken to lie there
+# Spreads that forces lie from those of the presses that it learnt from, root mean square, where it says half as much as it
+# learnt to. Films of two fingers lie about so far: without this it moved the force of one against the other's.
+HALF_SAID = 2.0
 TOUCHED = 0.05  # of the largest normal force of a cell: one with so much counts half towards the contact's area
 LEAST_SHARE = 0.01  # of the normal force, that dots are taken to tell at least
 OF_FORCES = 13  # numbers that `features` tells of the forces themselves
@@ -73,8 +76,13 @@ class StackedFactor(nn.Module):
         told = (F.dropout(units, DROPPED, self.training) * self.outer).sum(2) + self.bias
         return told.clamp(-MOST_LOG, MOST_LOG)
 
+    def near(self, seen: torch.Tensor) -> torch.Tensor:
+        """How near presses lie to those that it learnt from, (n,) from 1 to 0, by what their forces are like."""
+        apart = (seen - self.mean)[:, :OF_FORCES] / self.spread[:OF_FORCES]
+        return 1.0 / (1.0 + (apart / HALF_SAID).square().mean(dim=1))
+
     def forward(self, seen: torch.Tensor) -> torch.Tensor:
-        return self.each(seen).mean(dim=1)
+        return self.near(seen) * self.each(seen).mean(dim=1)
 
     def factor(self, seen: np.ndarray) -> float:
         """Factor on the normal force of one press, of which (count,) is seen."""
