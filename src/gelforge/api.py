@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gelforge.errors import BadInput, GelforgeError
+from gelforge.flow.params.tables import SOFTEST, STIFFEST
 from gelforge.geometry.gel import load_gel
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import Sensor
@@ -52,8 +53,10 @@ def solve(
     depth: mm from 0 on, positive into the gel. c10: stiffness of the gel, MPa. nu: its Poisson's ratio. quality: "label", "draft" or "demo", slow to fast.
     A press that cannot be solved raises GelforgeError with its reason.
     """
-    if not (_finite(c10, nu) and c10 > 0.0 and 0.0 <= nu < 0.5):
-        raise BadInput(f"gelforge.solve: c10 = {c10!r} MPa, nu = {nu!r}: give c10 above 0 and nu from 0 to below 0.5")
+    if not (_finite(c10, nu) and SOFTEST <= c10 <= STIFFEST and 0.0 <= nu < 0.5):
+        raise BadInput(
+            f"gelforge.solve: c10 = {c10!r}, nu = {nu!r}: give c10 from {SOFTEST:g} to {STIFFEST:g} MPa and nu from 0 to below 0.5"
+        )
     pairs = np.shape(at) == np.shape(shear) == (2,)
     if not (pairs and _finite(depth, *at, *shear, rot_deg) and depth >= 0.0):
         raise BadInput(

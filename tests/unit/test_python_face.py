@@ -162,7 +162,7 @@ def test_a_wrong_table_says_what_to_write():
 @pytest.mark.parametrize(
     "given",
     [{"depth": float("nan")}, {"depth": -0.5}, {"depth": "0.5"}, {"depth": None}, {"at": (float("nan"), 0.0)},
-     {"at": (1.0, 0.0, 0.2)}, {"at": 1.0}, {"shear": (0.2,)}, {"shear": (0.0, float("inf"))}, {"rot_deg": float("nan")}, {"c10": "soft"}, {"nu": float("nan")}],
+     {"at": (1.0, 0.0, 0.2)}, {"at": 1.0}, {"shear": (0.2,)}, {"shear": (0.0, float("inf"))}, {"rot_deg": float("nan")}, {"c10": "soft"}, {"c10": 72.5}, {"nu": float("nan")}],
     ids=str,
 )  # fmt: skip
 def test_a_press_that_is_none_is_no_press_of_0_n(given):

@@ -59,6 +59,7 @@ def changed(tmp_path, *changes) -> Path:
         ("rot_deg = [0, 360]", "rot_deg = [0, 5000]", "each a number from -3600 to 3600 degrees"),
         ("rot_deg = [0, 360]", "rot_deg = [-1e308, 1e308]", "each a number from -3600 to 3600 degrees"),
         ("nu = 0.475", "nu = 0.5", r"\[truth\] nu = 0.5: give a number"),
+        ("c10_mpa = 0.0853", "c10_mpa = 85.3", r"\[truth\] c10_mpa = 85.3: give a number from 0.002 to 5 MPa"),
         (
             "[params.train]\nepochs",
             "[params.train]\nepoks",

@@ -13,6 +13,7 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.params import read_toml
 from gelforge.flow.params.schema import Named, ParameterTable, Place, Some, Within, parse
+from gelforge.flow.params.tables import Stiffness
 from gelforge.geometry.gel import USUAL_GEL, Gel, load_gel
 from gelforge.records.press import LARGEST
 from gelforge.virtualrig.streams import MOST_FRAMES, ORDER, WHO_SEES
@@ -42,7 +43,7 @@ class Truth(RigTable):
     force_bias_n, drift_n: constant error of the load cell and how far it wanders over a day.
     """
 
-    c10_mpa: Annotated[float, Within(TINY, 1e3, "MPa")]
+    c10_mpa: Stiffness
     nu: Annotated[float, Within(TINY, 0.4999)]
     friction: FromNone
     compliance_mm_per_n: FromNone

@@ -20,6 +20,9 @@ Seconds = Annotated[float, Within(TINY, 1e9, "s")]
 Number = Annotated[float, Within(-1e6, 1e6)]
 Positive = Annotated[float, Within(TINY, 1e9)]
 Nu = Annotated[float, Within(0.0, 0.4999)]
+# Of gels, the nominal one is 0.0725: kPa that are taken for MPa lie beyond, and would make all forces 1000 times as large.
+SOFTEST, STIFFEST = 0.002, 5.0
+Stiffness = Annotated[float, Within(SOFTEST, STIFFEST, "MPa")]
 Names = Annotated[tuple[str, ...], Named()]
 Half = Annotated[tuple[float, float], Within(TINY, 1e3, "mm")]
 LAWS = ("no_slip", "coulomb", "frictionless")
@@ -258,9 +261,16 @@ class PriorsTable(ParameterTable):
     nu: PriorTable
 
     def fault(self) -> str | None:
-        """C10 held, or a parameter that is held and nothing says at what; Poisson's ratio is held at [material] nu."""
+        """C10 held, or of no gel, or a parameter that is held and nothing says at what.
+
+        Poisson's ratio is held at [material] nu.
+        """
         if self.c10.free is False:
             return "c10: free = false; it is what calibrate finds, so give it a narrow prior where it is known"
+        for key in ("mean", "median", "high"):
+            value = self.c10.numbers.get(key)
+            if value is not None and not SOFTEST <= value <= STIFFEST:
+                return f"c10: {key} = {value}: give a number from {SOFTEST:g} to {STIFFEST:g} MPa"
         for name in (field.name for field in fields(self)):
             prior = getattr(self, name)
             if prior.free is False and prior.fixed is None and name not in ("nu", "indenter"):
@@ -323,7 +333,7 @@ class PoissonTable(ParameterTable):
 class MaterialTable(PoissonTable):
     """[material]: the gel, in MPa."""
 
-    c10: Annotated[float, Within(1e-6, 99.0, "MPa")] | Annotated[str, OneOf("calibrated")]
+    c10: Stiffness | Annotated[str, OneOf("calibrated")]
 
 
 @dataclass(frozen=True)
