@@ -181,6 +181,8 @@ def test_rows_rejected_by_stage_10_do_not_serve(tmp_path):
     (tmp_path / "log.csv").write_text("\n".join([header, *lines]) + "\n")
     readings = read_readings(tmp_path / "log.csv", load_rejected(tmp_path, ["0000"]))
     assert readings.ids.tolist() == ["a", "c"]  # a missing image is no reason to drop a force
+    with pytest.raises(BadInput, match="all 3 rows with a normal force .* were rejected"):
+        read_readings(tmp_path / "log.csv", {2, 3, 4})
 
 
 def test_a_parameter_that_is_held_is_held_alike_in_every_model_that_is_compared():

@@ -362,9 +362,24 @@ def test_frames_that_go_back_are_rejected_and_the_table_says_which_press(lab):
 
 
 @pytest.mark.parametrize(("fz_n", "rejected"), [(-3.0, False), (0.1, False), (3.0, True)])
-def test_a_press_whose_reading_pulls_is_put_nowhere(fz_n, rejected):
-    """With its sign turned round, what the frame gave way would put the tip deeper; without compliance it moves nothing."""
-    pulled = sample(fx_n=0.0, fy_n=0.0, fz_n=fz_n)
-    _, wrong = poses.yielded(pulled, "log.csv", YIELDING)
-    assert bool(wrong) == rejected and all("multiply the force columns by -1" in r.remedy for r in wrong)
-    assert poses.yielded(pulled, "log.csv", RIGID) == (pulled, [])
+@pytest.mark.parametrize("params", [YIELDING, RIGID])
+def test_a_press_whose_reading_pulls_is_rejected(params, fz_n, rejected):
+    """With its sign turned round it would mislead whoever compares with it, whatever the bench does."""
+    wrong = poses.pulling(sample(fx_n=0.0, fy_n=0.0, fz_n=fz_n), "log.csv", params)
+    assert [r.column for r in wrong] == ["fz_n"] * rejected
+    assert all("multiply the force columns by -1" in r.remedy for r in wrong)
+
+
+@pytest.mark.parametrize(("params", "rejected"), [(YIELDING, True), (RIGID, False)])
+def test_near_touch_a_reading_that_pulls_counts_only_where_it_moves_the_tip(params, rejected):
+    """A force sensor's own error may be larger than the force there."""
+    near = sample(z0_mm=0.5, dz_mm=-0.7, fx_n=0.0, fy_n=0.0, fz_n=0.8)
+    assert bool(poses.pulling(near, "log.csv", params)) == rejected
+
+
+def test_a_log_with_its_forces_turned_round_says_so_once_with_the_likely_cause(lab, capsys):
+    turned = [sample(name, x0_mm=x, fz_n=5.5 + x) for x, name in enumerate("abc")]
+    table, rejected, _ = lab(turned)
+    assert not table and [(r["column"], float(r["value"])) for r in rejected] == [("fz_n", 5.5 + x) for x in range(3)]
+    said = capsys.readouterr().err
+    assert said.count("multiply the force columns by -1") == 1 and "2 more rows: 3, 4" in said

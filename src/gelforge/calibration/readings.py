@@ -99,6 +99,12 @@ def read_readings(log, known_bad: Collection[int] = (), gels: Mapping[str, str] 
     # frames of one press share its error of touch: more than one would count that error as if it averaged out
     presses = [frames[-1] for frames in presses_of(presses)]
     if not presses:
+        rejected = [raw.row for raw in rows if raw.row in known_bad and raw.cells["fz_n"]]
+        if rejected:
+            raise BadInput(
+                f"{log}: all {len(rejected)} rows with a normal force (fz_n) were rejected; correct them, `make poses"
+                " STRICT=1` tells why"
+            )
         raise BadInput(f"{log}: no row has a normal force (fz_n); calibration needs a force sensor's readings")
     return Readings(
         str(log), np.array([p.row for p in presses]), np.array([p.sample_id for p in presses]),

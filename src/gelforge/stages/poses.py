@@ -43,9 +43,11 @@ from gelforge.records.press import (
     told,
 )
 
-VERSION = 5
+VERSION = 6
 # A force sensor that drifted reads a light press as a small pull; beyond this the sign is turned round.
 LARGEST_PULL_N = 0.5
+# A tip that ends less deep below the crown may press so lightly that any reading is the sensor's own error.
+FIRM_MM = 0.3
 
 
 def yielded(sample: LoggedPress, file: str, params: PosesTable) -> tuple[LoggedPress, list[Rejection]]:
@@ -53,8 +55,7 @@ def yielded(sample: LoggedPress, file: str, params: PosesTable) -> tuple[LoggedP
 
     Frame and gantry give way in proportion to the force read, and touch was found too high or too low: parameters
     `compliance_mm_per_n`, `shear_compliance_mm_per_n` and `touch_offset_mm` (positive: deeper), as calibrate infers
-    them from the commanded path. A sample without the reading that this takes is rejected, and one whose reading pulls:
-    it would put the tip deeper in place of less deep.
+    them from the commanded path. A sample without the reading that this takes is rejected.
     """
     normal, sideways = params.compliance_mm_per_n, params.shear_compliance_mm_per_n
     needed = {"fx_n": sideways, "fy_n": sideways, "fz_n": normal}
@@ -62,11 +63,6 @@ def yielded(sample: LoggedPress, file: str, params: PosesTable) -> tuple[LoggedP
         if compliance and getattr(sample, column) is None:
             remedy = f"fill it in, or set the compliance of [poses], {compliance:g} mm/N, to 0"
             return sample, [reject(sample, file, column, "no force reading, which the compliance needs", remedy)]
-    if normal and (sample.fz_n or 0.0) > LARGEST_PULL_N:
-        remedy = (
-            "forces are those on the gel: multiply the force columns by -1 if the sensor states those on the indenter"
-        )
-        return sample, [reject(sample, file, "fz_n", "the force reading pulls while the indenter presses", remedy)]
     # the force on the gel points along the motion, so what the frame gave way shortens the path
     way = {name: c * (getattr(sample, f"f{name[1]}_n") or 0.0)
            for name, c in (("dx_mm", sideways), ("dy_mm", sideways), ("dz_mm", normal))}  # fmt: skip
@@ -78,6 +74,23 @@ def yielded(sample: LoggedPress, file: str, params: PosesTable) -> tuple[LoggedP
         return sample, [reject(sample, file, "dz_mm", "the bench gives way by more than the press", remedy)]
     path = replace(sample, **moved)
     return path, turned_round(sample, path, file, sideways)
+
+
+def pulling(sample: LoggedPress, file: str, params: PosesTable) -> list[Rejection]:
+    """The rejection of a press whose normal force is logged as a pull, most likely with its sign turned round.
+
+    Nothing that is computed from such a reading is right, and where the bench gives way it would put the tip deeper in
+    place of less deep: there a light press is rejected, too.
+    """
+    firm = -(sample.z0_mm + sample.dz_mm) >= FIRM_MM
+    if (sample.fz_n or 0.0) <= LARGEST_PULL_N or not (firm or params.compliance_mm_per_n):
+        return []
+    remedy = (
+        "forces are those on the gel: multiply the force columns by -1 if the sensor states those on the indenter"
+    )
+    if not params.compliance_mm_per_n:
+        remedy += ", and leave the cell empty where a reading failed"
+    return [reject(sample, file, "fz_n", "the force reading pulls while the indenter presses", remedy)]
 
 
 def turned_round(sample: LoggedPress, path: LoggedPress, file: str, compliance: float) -> list[Rejection]:
@@ -151,6 +164,7 @@ def judge(rows: list[RawRow], file: str, data: Path, tables: dict, params: Poses
     good, bodies = [], Bodies(tables["indenters"], tables["folder"])
     for sample in samples:
         wrong = unknown_names(sample, file, tables["sensors"], tables["indenters"])
+        wrong = wrong or pulling(sample, file, params)
         if not wrong:
             sample, wrong = yielded(sample, file, params)
         if not wrong:
