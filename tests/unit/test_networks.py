@@ -134,7 +134,7 @@ def test_a_unet_is_refused_exactly_the_images_that_it_cannot_read(widths):
                 UNet(GRID, widths)(torch.zeros(1, 3, side, 100))
             read.append(side)
         except RuntimeError:  # torch: nothing is left to convolve
-            with pytest.raises(BadInput, match=f"leaves nothing of an image of {side} x 100"):
+            with pytest.raises(BadInput, match=f"leaves nothing of an image of 100 x {side}"):
                 build({"kind": "unet_single", "widths": widths}, (side, 100), GRID)
         else:
             assert build({"kind": "unet_single", "widths": widths}, (side, 100), GRID)

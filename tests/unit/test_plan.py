@@ -1,6 +1,9 @@
 """Shards: every sample has one, keeps it, and appending changes the last one only."""
 
 import shutil
+import tomllib
+from contextlib import nullcontext
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -221,6 +224,30 @@ def test_sensors_sit_on_gels_of_their_own_where_bricks_follow_them(tmp_path):
     # of a thickness for all presses nobody has to guess whether it serves sensors that state none
     with pytest.raises(BadInput, match=off.format("mini_b", "gelsight_mini")):
         planned(tmp_path, bricks + '[params.meshes]\ngel = "gelsight_mini-3.6mm"\n', "thin")
+
+
+LARGE = """[large]
+gel = "gelsight_mini"
+image = [640, 480]
+projection = [[0.0, -28.0, 320.0], [-28.0, 0.0, 240.0], [0.0, 0.0, 1.0]]
+"""
+
+
+def test_pictures_of_several_sizes_are_refused_before_anything_is_solved(tmp_path):
+    (tmp_path / "sensors.toml").write_text(LARGE)
+    with pytest.raises(BadInput, match=r"several sizes \(large 640 x 480, mini_b 320 x 240\): make one dataset"):
+        planned(tmp_path, "", "large")
+    assert planned(tmp_path, "[params.poses]\nimages = false\n", "large") == ["large", "mini_b"]
+
+
+@pytest.mark.parametrize(("model", "fits"), [("shipped", False), ("tuned", False), ("pair_24", True), ("", True)])
+def test_a_network_that_does_not_read_the_pictures_is_refused_before_anything_is_solved(root, model, fits):
+    """Also one that goes on from the network that ships."""
+    params, sensors = parameters(report={"model": model}), tomllib.loads(LARGE)
+    refused = pytest.raises(BadInput, match=f"{model}.*pictures of 320 x 240, .*large 640 x 480")
+    with nullcontext() if fits else refused:
+        plan.check_pictures(Path("dataset.toml"), params, sensors, networks(root / "workflow"))
+    plan.check_pictures(Path("dataset.toml"), params, {"mini": {"image": [320, 240]}, "broken": {"image": 4}}, {})
 
 
 @pytest.mark.parametrize("text", ["Gerät\n", "a\r\nb\rc\n"])

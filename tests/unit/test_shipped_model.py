@@ -8,6 +8,7 @@ import pytest
 
 from gelforge.commands import predict
 from gelforge.errors import BadInput
+from gelforge.flow.params.tables import SHIPPED_IMAGE
 from gelforge.networks import use
 from gelforge.networks.modelfile import load_model, require_sensor
 
@@ -19,6 +20,10 @@ def test_it_is_small_and_its_card_says_where_it_learnt():
     card = use.SHIPPED.with_suffix(".md").read_text(encoding="utf-8")
     assert "learnt from the virtual rig" in card
     assert f"# Model card: {load_model(use.SHIPPED).about['name']}" in card
+
+
+def test_the_plan_knows_the_size_of_pictures_that_it_reads():
+    assert SHIPPED_IMAGE[::-1] == tuple(load_model(use.SHIPPED).about["image"])
 
 
 def test_it_reads_presses_it_never_saw(root, tmp_path):

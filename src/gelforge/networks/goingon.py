@@ -42,11 +42,12 @@ def require_alike(about: dict[str, Any], model: dict[str, Any], data: Data) -> N
     if differ:
         told = ", ".join(f"{key} = {model.get(key)!r}, there {before.get(key)!r}" for key in differ)
         raise BadInput(f"it cannot go on from {name}, which is another network: {told}; give the same values")
-    sizes = list(data.grid), list(data.image_size)
-    if sizes != (about["grid"], about["image"]):
+    if [list(data.grid), list(data.image_size)] != [about["grid"], about["image"]]:
+        (rows, cols), (high, wide) = about["grid"], about["image"]
+        (of_rows, of_cols), (height, width) = data.grid, data.image_size
         raise BadInput(
-            f"it cannot go on from {name}: that writes a grid of {about['grid']} from images of {about['image']}, the dataset"
-            f" has {sizes[0]} and {sizes[1]}; choose another MODEL"
+            f"it cannot go on from {name}: that writes a grid of {rows}x{cols} from images of {wide} x {high}, the dataset"
+            f" has {of_rows}x{of_cols} and {width} x {height}; choose another MODEL"
         )
     require_scale(about, data)
 

@@ -31,7 +31,7 @@ def cell_pixels(image, grid, who: str) -> int:
     (height, width), (rows, cols) = image, grid
     if height % rows or width % cols or height // rows != width // cols:
         raise BadInput(
-            f"{who}: cells of {rows} x {cols} on an image of {height} x {width} are no squares of whole pixels; choose "
+            f"{who}: cells of {rows} x {cols} on an image of {width} x {height} are no squares of whole pixels; choose "
             "a grid that divides the image, or MODEL=resnet10 where the labels are totals"
         )
     return height // rows

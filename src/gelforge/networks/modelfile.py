@@ -273,18 +273,23 @@ def lessons_of(about: dict[str, Any]) -> list[dict[str, Any]]:
     return [*datasets_of(about), *([about["stacking"]] if about.get("stacking") else [])]
 
 
-def require_fit(trained: Trained, data) -> None:
-    """Raise BadInput if a model cannot be used on a dataset: other grid, image size or sensor."""
+def require_fit(trained: Trained, data, called: str = "") -> None:
+    """Raise BadInput if a model cannot be used on a dataset: other grid, image size or sensor.
+
+    called: what people call it, where that is not the name that it was trained under.
+    """
     about = trained.about
-    if tuple(about["image"]) != tuple(data.image_size):
+    called = called or f"model {about['name']}"
+    (high, wide), (height, width) = about["image"], data.image_size
+    if (high, wide) != (height, width):
         raise BadInput(
-            f"model {about['name']} reads images of {about['image']}, the dataset has "
-            f"{list(data.image_size)}: use a model trained on this size"
+            f"{called} reads images of {wide} x {high}, the dataset has {width} x {height}: use a model trained on this size"
         )
-    if tuple(about["grid"]) not in (tuple(data.grid), (1, 1)):
+    (rows, cols), (of_rows, of_cols) = about["grid"], data.grid
+    if (rows, cols) not in ((of_rows, of_cols), (1, 1)):
         raise BadInput(
-            f"model {about['name']} writes a grid of {about['grid']}, the dataset has {list(data.grid)}: "
-            "evaluate it on the dataset of its own RES"
+            f"{called} writes a grid of {rows}x{cols}, the dataset has {of_rows}x{of_cols}: evaluate it on the dataset of its"
+            " own RES"
         )
     require_sensor(trained, set(data.names("sensor_id").tolist()))
 

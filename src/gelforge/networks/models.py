@@ -230,7 +230,7 @@ def build(config: dict, image, grid) -> nn.Module:
     levels = max((len(part.down) for part in net.modules() if isinstance(part, UNet)), default=0)
     if levels and side_at_top(min(image), levels) < 1:
         raise BadInput(
-            f"a U-net of {levels} widths leaves nothing of an image of {image[0]} x {image[1]}; give it fewer widths or"
+            f"a U-net of {levels} widths leaves nothing of an image of {image[1]} x {image[0]}; give it fewer widths or"
             " larger images"
         )
     return net

@@ -20,7 +20,7 @@ from gelforge.flow.files import read_json, write_if_changed, write_text
 from gelforge.flow.layout import LOGGED, planned_shards, shard_name
 from gelforge.flow.main import command, option
 from gelforge.flow.params import DatasetFile, Params
-from gelforge.flow.params.tables import IN_PROCESS, SHIPPED
+from gelforge.flow.params.tables import IN_PROCESS, SHIPPED, SHIPPED_IMAGE
 from gelforge.records.log import csv_text, read_log, shard_text
 from gelforge.records.press import SENSOR_TABLES, RawRow
 from gelforge.records.table import read_table
@@ -292,6 +292,43 @@ def check_gel(file: Path, of: DatasetFile, params: Params, sensors: dict[str, di
             )
 
 
+def picture_sizes(sensors: dict[str, dict]) -> dict[tuple[int, int], str]:
+    """Sizes (width, height) of the pictures that sensors take, each with the first sensor of that size.
+
+    A sensor whose table states none is left to stage 10, which rejects its rows.
+    """
+    sizes: dict[tuple[int, int], str] = {}
+    for name, table in sorted(sensors.items()):
+        match table:
+            case {"image": [int(width), int(height)]}:
+                sizes.setdefault((width, height), name)
+    return sizes
+
+
+def check_pictures(file: Path, params: Params, sensors: dict[str, dict], models: dict[str, dict]) -> None:
+    """Refuse pictures of several sizes, which no dataset holds, and of one that the report's network does not read.
+
+    Without this both would show when all presses are solved. sensors: tables of those that the log names. models: of
+    workflow/models.toml.
+    """
+    sizes = picture_sizes(sensors) if params.poses.images else {}
+    seen = ", ".join(f"{name} {width} x {height}" for (width, height), name in sizes.items())
+    if len(sizes) > 1:
+        raise BadInput(
+            f"{file}: sensors of the log take pictures of several sizes ({seen}): make one dataset for each size, or set"
+            " [params.poses] images = false, which goes as far as labels and calibrate"
+        )
+    model = params.report.model
+    goes_on = model == SHIPPED or models.get(model, {}).get("start") == SHIPPED
+    if goes_on and sizes and SHIPPED_IMAGE not in sizes:
+        width, height = SHIPPED_IMAGE
+        raise BadInput(
+            f"{file}: [params.report] model = {model!r}: the network that ships reads pictures of {width} x {height}, the log's"
+            f" sensors take others ({seen}); bring them to that size, also in {SENSOR_TABLES}, or name a network that learns"
+            " from these alone (models.toml)"
+        )
+
+
 def check_dataset(
     file: Path, of: DatasetFile, params: Params, rows: list[RawRow], workflow: Path, sensors: dict
 ) -> None:
@@ -303,7 +340,9 @@ def check_dataset(
     check_names(f"{where} unseen_sensors", params.dataset.unseen_sensors, sensors)
     check_names(f"{file}: sensor", [of.sensor] if of.sensor is not None else [], sensors)
     check_names("[pareto] sensor", [params.pareto.sensor], sensors)
-    check_gel(file, of, params, used(sensors, named(rows, "sensor_id")))
+    logged = used(sensors, named(rows, "sensor_id"))
+    check_gel(file, of, params, logged)
+    check_pictures(file, params, logged, networks(workflow))
     if file.parent.name in params.train.also:
         raise BadInput(
             f"{file}: [params.train] also names the dataset itself, {file.parent.name}; name others, or none"

@@ -41,6 +41,7 @@ CHOOSING = frozenset(
 TETRAHEDRAL = frozenset({"meshes", "fine_meshes"})  # of [fea]: those IN_PROCESS read none of them
 BRANCHES = ("calibrate", "pareto")
 SHIPPED = "shipped"  # the network that predict and live use where none is named, as targets and parameters call it
+SHIPPED_IMAGE = (320, 240)  # width and height of the pictures that it reads
 CHANNELS = ("force", "displacement", "traction", "traction_deformed")
 
 
