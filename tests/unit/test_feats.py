@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from pressed_dataset import collect, label, write_pressed
 
+from gelforge.commands import feats
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, write_csv
 from gelforge.formats.feats_folder import export_dataset, import_folder
@@ -251,6 +252,14 @@ def test_a_second_export_leaves_no_sample_of_the_first_in_another_split(tmp_path
         export_dataset(dataset, out)
     there = {(path.parent.name, path.stem) for path in out.glob("*/*.npy")}
     assert there == {(s.split, s.press.sample_id) for s in read_samples(table)} | {("mine", "notes")}
+
+
+def test_a_sensor_that_is_none_is_to_be_added_where_an_import_reads_it(tmp_path):
+    """Not to a dataset's own file: before the import there may be no such folder."""
+    asked = ["--from", str(tmp_path), "--data", str(tmp_path / "data"), "--sensor", "lab_a"]
+    with pytest.raises(BadInput, match=r"'lab_a' is not in workflow/sensors.toml, where .*add it there") as refused:
+        feats.bring_in(asked)
+    assert "own sensors.toml" not in str(refused.value)
 
 
 def test_the_command_names_what_is_missing(root):

@@ -22,7 +22,7 @@ def main(args: Namespace) -> None:
                 f"{name}={value}: not there; say make mcap-import FROM=recordings TOPICS=topics.toml DATASET=name"
             )
     topics = Topics.read(Path(args.topics))
-    sensor = find_sensor(load_sensors(args.sensors), topics.sensor, args.topics)
+    sensor = find_sensor(load_sensors(args.sensors), topics.sensor, args.topics, str(args.sensors))
     found = import_recordings(Path(args.source), args.data, topics, sensor)
     print(
         f"{args.data}: {found['pictures']} pictures with force from {found['files']} recordings, {found['without_wrench']}"

@@ -262,7 +262,7 @@ def main(args: Namespace) -> None:
     if out.suffix == ".png":
         raise BadInput(f"--out {out}: is the name of its picture; give a name that ends in .json")
     sensors = load_sensors(args.sensors)
-    like = find_sensor(sensors, args.like, "LIKE")
+    like = find_sensor(sensors, args.like, "LIKE", str(args.sensors))
     points = read_points(args.points) if args.points else None
     image = read_picture(args.image, like.image) if args.image else None
     found = fit_projection(args.sensor, like, points, image, str(args.points or args.image or ""))

@@ -91,12 +91,12 @@ def sensors_of(tables: dict, where: str) -> dict[str, Sensor]:
     return {name: sensor_of(where, name, table) for name, table in tables.items()}
 
 
-def find_sensor(sensors: dict, name: str, where: str) -> Sensor:
-    """The sensor called `name`; one that is not there raises BadInput with those that are."""
+def find_sensor(sensors: dict, name: str, where: str, tables: str = SENSOR_TABLES) -> Sensor:
+    """The sensor called `name`; one that is not there raises BadInput with those that are. tables: where they stand."""
     if name not in sensors:
         raise BadInput(
-            f"{where}: sensor {name!r} is not in {SENSOR_TABLES} (they have {', '.join(sorted(sensors))});"
-            " add it there, or give one of these"
+            f"{where}: sensor {name!r} is not in {tables}, where there are {', '.join(sorted(sensors))}; add it there, or"
+            " give one of these"
         )
     return sensors[name]
 
