@@ -221,6 +221,24 @@ def test_weighed_presses_make_a_profile_that_predict_uses(weighed, capsys):
     assert totals[1] / totals[0] == pytest.approx(gain.value, rel=1e-3)
 
 
+def test_a_profile_that_was_weighed_is_not_replaced_by_one_that_was_not(weighed, capsys):
+    """Also where its picture is gone. One that is weighed again takes its place, and says so."""
+    folder, rows = weighed
+    asked = ["--name", "mine", "--untouched", str(folder / "rest.png"), "--out", str(folder / "mine.toml")]
+    assert sensor.main(asked) == 0 and sensor.main(asked) == 0
+    assert make(folder, rows) == 0
+    told = (folder / "mine.toml").read_text()
+    for gone in ([], [folder / "mine.png"]):
+        for path in gone:
+            path.unlink()
+        with pytest.raises(BadInput, match=f"{len(rows)} readings or grasps told, .* remove .*mine.toml"):
+            sensor.main(asked)
+        assert (folder / "mine.toml").read_text() == told
+    assert make(folder, rows[:-1]) == 0
+    assert read_profile(folder / "mine.toml").gain.readings == len(rows) - 1
+    assert f"from {len(rows) - 1} readings, in place of" in capsys.readouterr().out
+
+
 def test_a_weighed_picture_that_predict_would_flag_is_named(weighed, capsys):
     """One with swapped colours and every fourth pixel turned round is; the others are not."""
     folder, rows = weighed

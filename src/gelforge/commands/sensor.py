@@ -26,6 +26,7 @@ from gelforge.networks.sensorprofile import (
     files_of,
     fit_gain,
     fit_opposite,
+    gain_there,
     make_profile,
     odd_readings,
     read_profile,
@@ -148,7 +149,10 @@ def _normals(untouched: Untouched, pictures: dict[str, np.ndarray]) -> np.ndarra
 
 
 def check_options(args: Namespace, out: Path) -> None:
-    """BadInput for options that do not go together, and for a profile that would replace a file that is none of its own."""
+    """BadInput for options that do not go together, and for a profile that would replace what is none of its own.
+
+    Or what readings told: they were work, and nothing else holds them.
+    """
     if out.suffix != ".toml":
         raise BadInput(f"--out {out}: give a name that ends in .toml")
     if (args.opposite is None) != (args.grasps is None):
@@ -167,6 +171,12 @@ def check_options(args: Namespace, out: Path) -> None:
     ):
         raise BadInput(
             f"{beside} is there already and would be replaced by the profile's picture; give another --name or --out"
+        )
+    told = gain_there(out)
+    if told.readings and not (args.readings or args.grasps):
+        raise BadInput(
+            f"{out}: is a profile whose factor, {told.value:.3f}, {told.readings} readings or grasps told, and would be replaced"
+            f" by one without any; give --readings or --grasps again, another --name or --out, or remove {out}"
         )
 
 
@@ -194,6 +204,7 @@ def main(args: Namespace) -> None:
         gain = gain_of(args.readings, untouched)
     elif args.grasps:
         gain = gain_beside(args.grasps, untouched, args.opposite)
+    before = gain_there(out)
     profile = make_profile(name, picture, pitch_of(picture), gain, trained.about)
     write_profile(out, profile)
     what = "grasp" if args.grasps else "reading"
@@ -205,7 +216,8 @@ def main(args: Namespace) -> None:
             " every one is flagged, bring them to that size first",
             file=sys.stderr,
         )
-    print(f"{out}: forces times {gain.value:.3f} ({gain.low:.3f} to {gain.high:.3f}), from {gain.readings} {what};"
+    instead = f", in place of {before.value:.3f} from {before.readings}" if before.readings else ""
+    print(f"{out}: forces times {gain.value:.3f} ({gain.low:.3f} to {gain.high:.3f}), from {gain.readings} {what}{instead};"
           f" dots {profile.pitch:.1f} px apart")  # fmt: skip
 
 

@@ -190,18 +190,32 @@ def write_profile(path: Path, profile: SensorProfile) -> None:
 def read_profile(path: Path) -> SensorProfile:
     """Read a profile and its picture; BadInput names what is missing or has no meaning."""
     table = read_toml(path, MAKE_IT)
+    found, pitch = _gain_of(table), table.get("pitch_px")
+    words = all(isinstance(table.get(key), str) for key in ("name", "model", "network", "untouched"))
+    if not (found and words and _is_number(pitch) and 0 <= pitch < 1e4):
+        raise BadInput(f"{path}: not a sensor's profile; {MAKE_IT}")
+    picture = read_image(_picture_of(path, table), remedy="make the profile again")
+    date = str(table.get("date", ""))
+    return SensorProfile(table["name"], date, picture, float(pitch), found, table["model"], table["network"])
+
+
+def _gain_of(table: dict) -> Gain | None:
+    """The factor that a profile's table states; none where it states none that has a meaning."""
     gain = table.get("gain")
     gain = gain if isinstance(gain, dict) else {}
     good = all(_is_number(gain.get(key)) and 0 < gain[key] < 1e3 for key in ("value", "low", "high"))
-    words = all(isinstance(table.get(key), str) for key in ("name", "model", "network", "untouched"))
-    pitch, readings = table.get("pitch_px"), gain.get("readings")
-    counted = type(readings) is int and readings >= 0
-    if not (good and words and counted and _is_number(pitch) and 0 <= pitch < 1e4):
-        raise BadInput(f"{path}: not a sensor's profile; {MAKE_IT}")
-    picture = read_image(_picture_of(path, table), remedy="make the profile again")
-    found = Gain(float(gain["value"]), float(gain["low"]), float(gain["high"]), gain["readings"])
-    date = str(table.get("date", ""))
-    return SensorProfile(table["name"], date, picture, float(pitch), found, table["model"], table["network"])
+    readings = gain.get("readings")
+    if not (good and type(readings) is int and readings >= 0):
+        return None
+    return Gain(float(gain["value"]), float(gain["low"]), float(gain["high"]), readings)
+
+
+def gain_there(path: Path) -> Gain:
+    """The factor of a profile that may lie in a file, whatever became of its picture; as read where none does."""
+    try:
+        return _gain_of(read_toml(path)) or AS_READ
+    except BadInput:
+        return AS_READ
 
 
 def _picture_of(path: Path, table: dict) -> Path:
