@@ -93,7 +93,20 @@ def test_predict_refuses_before_it_writes(data, paths, tmp_path):
             predict.main([str(good), str(bad), "--model", str(paths["small"]), "--out", str(tmp_path / "out")])
     with pytest.raises(BadInput, match="digit"):
         predict.main([str(good), "--model", str(paths["small"]), "--sensor", "digit", "--out", str(tmp_path / "out")])
+    with pytest.raises(
+        BadInput, match=rf"{tmp_path}: is a folder; name the pictures in it, such as {tmp_path}/\*\.png"
+    ):
+        predict.main([str(tmp_path), "--model", str(paths["small"]), "--out", str(tmp_path / "out")])
     assert not (tmp_path / "out").exists()
+
+
+def test_predict_names_the_file_to_read_in_place_of_its_onnx(models, paths, tmp_path):
+    export(models["small"], tmp_path / "m.onnx")
+    (tmp_path / "onnx").mkdir()
+    (tmp_path / "onnx/m.onnx").write_bytes((tmp_path / "m.onnx").read_bytes())
+    for given in ("m.onnx", "onnx/m.onnx"):
+        with pytest.raises(BadInput, match=f"{given}: ONNX is for other programs; .* name {tmp_path / 'm.pt'}$"):
+            predict.main([str(tmp_path / "p.png"), "--model", str(tmp_path / given)])
 
 
 def test_predict_finds_the_untouched_sensor(data, models, paths, tmp_path):

@@ -127,6 +127,9 @@ def predict_files(paths: Sequence[Path], untouched: Untouched, out: Path, read: 
     option("--threads", type=positive, default=1),
 )
 def main(args: Namespace) -> None:
+    for path in args.images:
+        if path.is_dir():
+            raise BadInput(f"{path}: is a folder; name the pictures in it, such as {path}/*.png")
     import torch
 
     torch.set_num_threads(args.threads)

@@ -254,6 +254,11 @@ def read_pictures(pictures, where: str) -> dict[str, np.ndarray]:
 
 def read_tensors(path) -> dict:
     """Load a file of torch tensors with torch's weights-only reader, which runs no code of the file."""
+    if path.suffix == ".onnx":  # make onnx writes it into a folder beside the model
+        home = path.parent.parent if path.parent.name == "onnx" else path.parent
+        raise BadInput(
+            f"{path}: ONNX is for other programs; gelforge reads the file that it was made from: name {home / path.stem}.pt"
+        )
     try:
         return torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # torch raises a dozen kinds for a damaged file, none of them documented
