@@ -63,7 +63,7 @@ def _totals_and_cells(result: dict) -> dict:
         ]
         for name, split in result["splits"].items()
     ]
-    title = f"Mean absolute error of {result['model']}, N: total and per cell (± deviation over images)"
+    title = "Mean absolute error, N: total and per cell (± deviation over images)"
     return _table(
         title, ["split", "images", *(f"total {a}" for a in CHANNELS), *(f"cell {a}" for a in CHANNELS)], rows
     )
