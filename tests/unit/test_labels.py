@@ -8,6 +8,7 @@ import pytest
 from pressed_dataset import bump, label, make_mesh, write_pressed
 
 from gelforge.errors import BadInput
+from gelforge.flow.step import NOTICES
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import Operator, assemble, cached, operator_path
 from gelforge.labelling.sensor import load_sensors
@@ -96,6 +97,15 @@ def test_a_press_over_the_rim_reports_what_it_lost(tmp_path, capsys):
     assert -4.0 < outside < -0.5
     assert found.label.astype(float)[0, 2].sum() + outside == pytest.approx(-4.0, rel=1e-9)
     assert "s000" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("resolution", "odd"), [("240x320", False), ("241x320", True), ("240x321", True)])
+def test_cells_smaller_than_a_pixel_are_made_with_a_note(tmp_path, capsys, resolution, odd):
+    assert len(read_labels(label(write_pressed(tmp_path, count=2), resolution) / "0000.npz").label) == 2
+    said = capsys.readouterr().out
+    assert said.count("smaller than the pixels of mini_") == odd and all(
+        line.startswith(NOTICES) for line in said.splitlines() if "smaller than" in line
+    )
 
 
 def test_no_contact_is_zero_and_not_missing(tmp_path):

@@ -28,7 +28,7 @@ from gelforge.flow.terminal import show_line, terminal
 
 TAIL_LINES = 20
 LIVE_EVERY_S = 1.0
-NOTICES = ("rejected: ", "failed: ")  # lines of a log that a person must see although the step succeeded
+NOTICES = ("rejected: ", "failed: ", "note: ")  # lines of a log that a person must see although the step succeeded
 
 
 def follow(stream: Iterable[str], log: IO[str]) -> None:
@@ -126,7 +126,7 @@ def ended(child: subprocess.Popen) -> tuple[int, resource.struct_rusage]:
 
 
 def show_notices(log_path: Path) -> None:
-    """Repeat what the command rejected or could not solve, because a log is not read unless something fails."""
+    """Repeat what the command rejected, could not solve or found odd, because a log is not read unless something fails."""
     for line in log_path.read_text(encoding="utf-8", errors="replace").splitlines():
         if line.startswith(NOTICES):
             print(line)

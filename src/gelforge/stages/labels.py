@@ -18,7 +18,7 @@ from gelforge.flow.progress import progress
 from gelforge.labelling.cellsurface import SurfaceMap, surface_map, traction
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import Operator, assemble, cached
-from gelforge.labelling.sensor import find_sensor, load_sensors
+from gelforge.labelling.sensor import Sensor, find_sensor, load_sensors
 from gelforge.mechanics.family import load_mesh
 from gelforge.mechanics.hex.bricks import is_bricks
 from gelforge.mechanics.mesh import GelMesh
@@ -77,6 +77,17 @@ def label_blocks(forces: ForceFile, operators: list, grid: Grid, outside: np.nda
         yield label
 
 
+def note_small_cells(grid: Grid, sensor: Sensor) -> None:
+    """Say where cells are smaller than the pixels of a sensor's pictures: the solve has such detail, no picture does."""
+    width, height = sensor.image
+    if grid.rows > height or grid.cols > width:
+        print(
+            f"note: RES={grid}, rows x columns, asks for cells smaller than the pixels of {sensor.name}'s pictures, {width} x"
+            f" {height}: no picture shows forces so finely; RES=24x32 is usual",
+            flush=True,
+        )
+
+
 class Finder:
     """Operators and surface maps of a folder of meshes at one resolution, the last ones kept in memory.
 
@@ -87,16 +98,22 @@ class Finder:
     def __init__(self, meshes, sensors: dict, grid: Grid, folder, where: str):
         self.meshes, self.sensors, self.grid, self.folder, self.where = meshes, sensors, grid, folder, where
         self.operator, self.fields = lru_cache(KEPT)(self._operator), lru_cache(KEPT)(self._fields)
+        self.sensor = lru_cache(None)(self._sensor)
+
+    def _sensor(self, name: str) -> Sensor:
+        found = find_sensor(self.sensors, name, self.where)
+        note_small_cells(self.grid, found)
+        return found
 
     def _operator(self, mesh: str, sensor: str) -> Operator:
-        unit = find_sensor(self.sensors, sensor, self.where)
+        unit = self.sensor(sensor)
         if is_bricks(mesh):
             return assemble(load_mesh(self.meshes, mesh), unit, self.grid)
         return cached(self.folder, self.meshes, mesh, unit, self.grid)
 
     def _fields(self, name: str, sensor: str) -> tuple[SurfaceMap, Operator, GelMesh]:
         mesh = load_mesh(self.meshes, name)
-        surface = surface_map(mesh, find_sensor(self.sensors, sensor, self.where), self.grid)
+        surface = surface_map(mesh, self.sensor(sensor), self.grid)
         return surface, self.operator(name, sensor), mesh
 
 
