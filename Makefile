@@ -23,7 +23,8 @@ SHIPPED_RES := 24x32
 MODEL ?= $(or $(filter-out $(if $(filter $(SHIPPED_RES),$(RES1)),,shipped $(TUNED)),$(REPORT_MODEL)),$(LEARNER))
 EXECUTOR ?= local
 STRICT ?=
-JOBS ?= $(shell nproc)
+# nproc would tell what a shell grants one program's threads, where it sets these.
+JOBS ?= $(shell env -u OMP_NUM_THREADS -u OMP_THREAD_LIMIT nproc)
 
 include rules/00_given.mk
 include rules/00_setup.mk

@@ -20,7 +20,7 @@ from gelforge.commands.estimate import (
 )
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_json, write_json
-from gelforge.flow.forecast import Cost, pilots, presses_an_hour, size, table, wall_seconds
+from gelforge.flow.forecast import Cost, on_cores, pilots, presses_an_hour, size, table, wall_seconds
 from gelforge.flow.params import plain
 from gelforge.records.press import RawRow
 
@@ -55,6 +55,10 @@ def test_the_table_sums_its_stages():
     text = table(COSTS, 100)
     assert text[-1].split() == ["all", f"{(50 + 710) / 3600:.3f}", "1", "MB"]
     assert [size(n) for n in (0, 999, 2.5e9)] == ["0 B", "999 B", "2.5 GB"]
+
+
+def test_one_core_is_no_cores():
+    assert on_cores(1) == "on 1 core like this one" and on_cores(2) == "on 2 cores like these"
 
 
 @given(st.floats(0, 9e17))

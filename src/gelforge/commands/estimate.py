@@ -17,7 +17,7 @@ from gelforge.commands.sample import stages
 from gelforge.errors import BadInput, last_words
 from gelforge.flow import layout
 from gelforge.flow.files import bytes_of, listed, read_json, write_json, write_text
-from gelforge.flow.forecast import Cost, pilots, presses_an_hour, table, wall_seconds
+from gelforge.flow.forecast import Cost, on_cores, pilots, presses_an_hour, table, wall_seconds
 from gelforge.flow.layout import Layout, shard_name
 from gelforge.flow.main import command, option, positive
 from gelforge.flow.params.slices import ForCalibrate, ForPareto, ForReport, ForTrain, read_slice
@@ -185,8 +185,8 @@ def main(args: Namespace) -> None:
     shards = len(Layout(args.results).names())
     print("\n".join(table(costs, len(rows))))
     an_hour = presses_an_hour(costs, args.cores) * len(presses_of(rows)) / len(rows)
-    print(f"{an_hour:.0f} presses an hour become labels on {args.cores} cores like these")
-    print(f"about {duration(wall_seconds(costs, len(rows), args.cores, shards))} on {args.cores} cores like these")
+    print(f"{an_hour:.0f} presses an hour become labels {on_cores(args.cores)}")
+    print(f"about {duration(wall_seconds(costs, len(rows), args.cores, shards))} {on_cores(args.cores)}")
 
 
 if __name__ == "__main__":

@@ -61,6 +61,11 @@ def presses_an_hour(costs: list[Cost], cores: int) -> float:
     return 3600.0 * cores / each if each > 0.0 else math.inf
 
 
+def on_cores(count: int) -> str:
+    """On which cores a time was forecast."""
+    return f"on {count} cores like these" if count > 1 else "on 1 core like this one"
+
+
 def table(costs: list[Cost], presses: int) -> list[str]:
     """The estimate as text."""
     text = [f"{'stage':20s} {'core hours':>12s} {'disk':>10s}"]

@@ -8,7 +8,7 @@ from argparse import Namespace
 from pathlib import Path
 
 from gelforge.flow.files import bytes_of
-from gelforge.flow.forecast import Cost, pilots, table
+from gelforge.flow.forecast import Cost, on_cores, pilots, table
 from gelforge.flow.main import command, option, positive
 from gelforge.flow.running import duration
 from gelforge.stages.rig import Worker, by_press, check, contents_of, units_of
@@ -68,7 +68,7 @@ def main(given: Namespace) -> None:
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     print("\n".join(table(costs, len(left))))
     print(f"{sum(map(len, left))} pictures; {memory:.0f} MiB of memory for each core")
-    print(f"about {duration(seconds / given.cores)} on {given.cores} cores like these")
+    print(f"about {duration(seconds / given.cores)} {on_cores(given.cores)}")
 
 
 if __name__ == "__main__":
