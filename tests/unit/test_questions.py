@@ -9,9 +9,9 @@ import time
 import pytest
 
 from gelforge.commands.lineage import lineage, lines
+from gelforge.commands.why import in_words, reasons
 from gelforge.commands.why import lines as why_lines
 from gelforge.commands.why import main as why
-from gelforge.commands.why import reasons
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_csv, write_json, write_text
 
@@ -70,6 +70,12 @@ def test_a_missing_file_and_a_changed_input_are_told_apart(tmp_path, monkeypatch
     made(tmp_path, FILES[0], FILES[2], FILES[1])
     found = asked(tmp_path, monkeypatch)
     assert found[FILES[2]] == ["data.csv changed since"] and found[FILES[3]] == ["it does not exist"]
+
+
+def test_a_shard_is_due_for_its_pictures_as_for_its_rows():
+    """What a shard is planned of names its pictures too: one that was removed changes no row of the log."""
+    said = in_words("results/d/00_plan/shards/0003.json")
+    assert said.startswith("rows of the log in shard 0003, or their pictures, changed since")
 
 
 def test_what_make_says_of_one_target_is_no_reason_of_another():

@@ -65,7 +65,7 @@ def in_words(path: str) -> str:
     if f"/{PLAN}/params/" in path:
         return f"parameters of {name} changed since ({path}, from workflow/ and dataset.toml, or a new version of the stage)"
     if f"/{PLAN}/shards/" in path:
-        return f"rows of the log in shard {name} changed since ({path})"
+        return f"rows of the log in shard {name}, or their pictures, changed since ({path})"
     return f"{path} changed since"
 
 
