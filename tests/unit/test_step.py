@@ -339,6 +339,25 @@ def test_an_interrupt_while_another_make_is_waited_for_is_no_traceback(tmp_path)
     assert second.returncode == 130 and "Traceback" not in said
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_what_a_person_stops_is_no_failure(tmp_path, number):
+    """Ctrl-C goes to make, wrapper and command at once; the next make makes the target."""
+    target, started = tmp_path / "results/d/30_fea/0000.csv", tmp_path / "started"
+    # no shell: one whose own child just ends takes no notice of an interrupt
+    waits = [sys.executable, "-c", f"import time; open({str(started)!r}, 'w'); time.sleep(60)"]
+    words = [sys.executable, "-m", "gelforge.flow.step", str(target), "--", *waits]
+    child = subprocess.Popen(
+        words, stdout=subprocess.PIPE, text=True, start_new_session=True,
+        # what started this test may ignore interrupts, as nohup and the shell's & do
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )  # fmt: skip
+    wait_until(started.exists, of=child)
+    os.killpg(child.pid, number)
+    said = child.communicate(timeout=HANG)[0]
+    assert child.returncode and said == f"{target}: interrupted; the same make goes on with it\n"
+    assert wrapped(target, "bash", "-c", f"echo made > {target}.part")[0] == 0 and target.read_text() == "made\n"
+
+
 @pytest.mark.parametrize(
     ("error", "said"),
     [

@@ -16,6 +16,7 @@ import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from types import FrameType
 from typing import IO
 
 from gelforge.errors import unwritable
@@ -91,14 +92,14 @@ def run(command: list[str], log_path: Path) -> tuple[int, dict]:
             errors="replace",
             preexec_fn=die_with_parent,
         )
-        for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            signal.signal(name, lambda number, frame: pass_on(number, child))
+        stopped = pass_on_stops(child)
         with live_line(log_path):  # after the fork, which must not meet a second thread
             follow(child.stdout or (), log)
             code, usage = ended(child)
     cost = {
         "command": command,
         "exit_code": code,
+        "interrupted": bool(code and stopped),
         "started": started,
         "seconds": round(time.time() - started, 3),
         "cpu_seconds": round(usage.ru_utime + usage.ru_stime, 3),
@@ -106,6 +107,19 @@ def run(command: list[str], log_path: Path) -> tuple[int, dict]:
         "programs": installed(),
     }
     return code, cost
+
+
+def pass_on_stops(child: subprocess.Popen) -> list[int]:
+    """From now on give a child the signals that tell this process to stop; return those that came, as they come."""
+    came: list[int] = []
+
+    def stop(number: int, _frame: FrameType | None) -> None:
+        came.append(number)
+        pass_on(number, child)
+
+    for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(name, stop)
+    return came
 
 
 def pass_on(number: int, child: subprocess.Popen) -> None:
@@ -132,8 +146,11 @@ def show_notices(log_path: Path) -> None:
             print(line)
 
 
-def report_failure(target: Path, log_path: Path, code: int) -> None:
-    """Say where the log is and show its end."""
+def report_failure(target: Path, log_path: Path, code: int, interrupted: bool) -> None:
+    """Say where the log is and show its end; of what a person stopped there is nothing to look for."""
+    if interrupted:
+        print(f"{target}: interrupted; the same make goes on with it", flush=True)
+        return
     lines = log_path.read_text(encoding="utf-8", errors="replace").splitlines()[-TAIL_LINES:]
     print(f"FAILED {target} (exit {code}); log: {log_path}", *(f"  | {line}" for line in lines), sep="\n", flush=True)
 
@@ -282,7 +299,7 @@ def publish_part(target: Path, part: Path, inputs: list[Path], command: list[str
         cost["sha256"] = digest_of(part)
     write_json(metrics_of(target), cost)
     if code:
-        report_failure(target, log_path, code)
+        report_failure(target, log_path, code, cost["interrupted"])
         return code if 0 < code < 126 else 1
     leave_due(target, part, read)
     os.replace(part, target)
