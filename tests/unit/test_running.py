@@ -5,7 +5,7 @@ import os
 import time
 
 from gelforge.commands.status import cost_lines, running_lines
-from gelforge.flow.files import write_csv, write_json
+from gelforge.flow.files import write_csv, write_json, write_text
 from gelforge.flow.running import Progress, duration, look
 
 
@@ -37,6 +37,44 @@ def test_presses_of_a_shard_that_is_being_solved_count(tmp_path):
     assert (state.solved, state.total, state.running, state.stage) == (3, 8, ["30_fea/0000"], "30_fea")
     assert abs(state.rate - 1.0) < 0.05
     assert "3 of 8 presses solved" in str(state) and "5 s left" in str(state) and "30_fea/0000" in str(state)
+
+
+def test_what_older_parameters_solved_is_still_to_come(tmp_path):
+    """After a changed parameter the first finished shard said that all is solved, and no rate and time left."""
+    now = lay(tmp_path, 8)
+    for shard in ("0000", "0001"):
+        write_csv(tmp_path / f"30_fea/{shard}.csv", ["sample_id"], [])
+    assert look(tmp_path, now).solved == 8
+    write_json(tmp_path / "00_plan/params/fea.json", {})
+    os.utime(tmp_path / "00_plan/params/fea.json", (now + 10, now + 10))
+    for path in (tmp_path / "30_fea/0000/s0.json", tmp_path / "30_fea/0000/s1.json"):
+        os.utime(path, (now + 12, now + 12))
+    state = look(tmp_path, now + 16)
+    assert (
+        (state.solved, state.rate) == (2, 0.5) and "2 of 8 presses solved" in state.pace and "12 s left" in state.pace
+    )
+    os.utime(tmp_path / "30_fea/0000.csv", (now + 17, now + 17))
+    assert look(tmp_path, now + 18).solved == 4
+    os.utime(tmp_path / "30_fea/0001.csv", (now + 17, now + 17))
+    write_text(tmp_path / "20_meshes/ccx.npz", "")
+    os.utime(tmp_path / "20_meshes/ccx.npz", (now + 20, now + 20))
+    assert look(tmp_path, now + 21).solved == 0
+
+
+def test_of_stages_after_the_solves_their_count_is_not_told(tmp_path):
+    now = lay(tmp_path, 8)
+    lock = tmp_path / "logs/80_evaluate/24x32/pair_8.card.lock"
+    lock.parent.mkdir(parents=True)
+    with lock.open("w") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        assert look(tmp_path, now).told() == "now: 80_evaluate/24x32/pair_8.card"
+        write_json(tmp_path / "metrics/80_evaluate/24x32/pair_8.json", {})  # of the evaluation, not of its card
+        os.utime(tmp_path / "metrics/80_evaluate/24x32/pair_8.json", (now + 9, now + 9))
+        assert look(tmp_path, now).running == ["80_evaluate/24x32/pair_8.card"]
+        write_json(tmp_path / "metrics/80_evaluate/24x32/pair_8.card.json", {})
+        os.utime(tmp_path / "metrics/80_evaluate/24x32/pair_8.card.json", (now + 9, now + 9))
+        ended = look(tmp_path, now)
+    assert ended.told(["80_evaluate"]) == "" and ended.told(["30_fea"]) == "8 of 8 presses solved"
 
 
 def test_a_lock_that_nobody_holds_is_not_running(tmp_path):

@@ -285,6 +285,8 @@ def test_without_a_terminal_each_finished_file_says_how_far_the_run_has_come(tmp
     target = tmp_path / "results/d/30_fea/0000.csv"
     said = wrapped(target, "bash", "-c", f"echo made > {target}.part")[1]
     assert said.rstrip().endswith("[no press is planned yet]")
+    target = tmp_path / "results/d/80_evaluate/24x32/pair_8.card.md"  # of which the presses tell nothing
+    assert wrapped(target, "bash", "-c", f"echo made > {target}.part")[1].rstrip().endswith("MiB")
 
 
 def test_of_two_readers_of_a_damaged_input_one_makes_it_again(tmp_path):

@@ -253,6 +253,9 @@ def test_work_on_slurm_is_shown_on_the_terminal_with_the_presses_of_the_whole_ru
     show(record, 0.0, silent=False)
     shown = os.read(master, 1000).decode()
     assert "30_fea on Slurm: 1 queued, 1 running, 0 done, 0 failed | 0 of 2 presses solved" in shown
+    record.stage = "80_evaluate"
+    show(record, 0.0, silent=False)
+    assert "presses" not in os.read(master, 1000).decode()
 
 
 def test_what_make_calls_its_terminal_where_it_knows_none_is_no_file(tmp_path, monkeypatch, capsys):

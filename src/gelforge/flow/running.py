@@ -6,13 +6,16 @@ Only the standard library, because every step of a run asks for it.
 import csv
 import fcntl
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 from gelforge.flow.files import listed, made_at, read_csv
-from gelforge.flow.layout import FEA, Layout
+from gelforge.flow.layout import FEA, FORCES, MESHES, POSES, Layout
 
 RATE_OVER_S = 600.0
+# Stages on the way to solved presses; of those after them the count of solves tells nothing.
+SOLVING = {POSES, MESHES, FEA, FORCES}
 
 
 @dataclass(frozen=True)
@@ -46,11 +49,18 @@ class Progress:
         left = duration((self.total - self.solved) / self.rate)
         return f"{said}, {self.rate:.2g} a second, {left} left for solves"
 
-    def __str__(self) -> str:
+    def told(self, stages: Iterable[str] = ()) -> str:
+        """The pace where these stages or those that run are on the way to solved presses, and what runs; "" where neither."""
+        at_work = {*stages, *(target.split("/")[0] for target in self.running)}
+        paced = self.pace if at_work & SOLVING else ""
         if not self.running:
-            return self.pace
+            return paced
         more = f" and {len(self.running) - 4} more" if len(self.running) > 4 else ""
-        return f"{self.stage}: {self.pace}; now: {', '.join(self.running[:4])}{more}"
+        now = f"now: {', '.join(self.running[:4])}{more}"
+        return f"{self.stage}: {paced}; {now}" if paced else now
+
+    def __str__(self) -> str:
+        return self.told() if self.running else self.pace
 
 
 def duration(seconds: float) -> str:
@@ -65,12 +75,12 @@ def running_targets(results: Path) -> list[str]:
     found = []
     of = Layout(results)
     for path in listed(of.logs, "*.lock", below=True):
-        target = path.relative_to(of.logs).with_suffix("")
+        target = path.relative_to(of.logs)
         # Most locks are of targets made long ago: a record that is newer than the lock says so without opening it.
-        if (made_at((of.metrics / target).with_suffix(".json")) or 0.0) >= (made_at(path) or 0.0):
+        if (made_at(of.metrics / target.with_suffix(".json")) or 0.0) >= (made_at(path) or 0.0):
             continue
         if is_held(path):
-            found.append(str(target))
+            found.append(str(target.with_suffix("")))
     return found
 
 
@@ -94,6 +104,12 @@ def rejected_in(table: Path) -> int:
         return 0
 
 
+def made_since(path: Path, since: float) -> float | None:
+    """When a file was last written; None where there is none, or one from before."""
+    made = made_at(path)
+    return made if made is not None and made >= since else None
+
+
 def look(results: Path, now: float | None = None) -> Progress:
     """The state of a dataset's run."""
     now, of = time.time() if now is None else now, Layout(results)
@@ -102,13 +118,17 @@ def look(results: Path, now: float | None = None) -> Progress:
     sizes = {shard: size - rejected[shard] for shard, size in sizes.items()}
     running = running_targets(results)
     busy = {target.split("/")[1] for target in running if target.startswith(f"{FEA}/")}
+    # what other parameters or meshes solved is solved again, or found to be as asked when its shard's table is written
+    asked = (of.params / "fea.json", *listed(of.meshes, "*.npz"))
+    since = max(made_at(path) or 0.0 for path in asked)
     for shard, size in sizes.items():
-        table = None if shard in busy else made_at(of.fea(shard))
+        table = None if shard in busy else made_since(of.fea(shard), since)
         if table is not None and now - table > RATE_OVER_S:
             solved += size
             continue
         # a sample that is solved anew may go between the listing and the look at it
-        times = [made for made in map(made_at, listed(of.solves(shard), "*.json")) if made is not None]
+        found = (made_since(path, since) for path in listed(of.solves(shard), "*.json"))
+        times = [made for made in found if made is not None]
         solved += len(times) if table is None else size
         lately += [made for made in times if now - made <= RATE_OVER_S]
     span = now - min(lately) if lately else 0.0

@@ -58,7 +58,7 @@ def live_line(log_path: Path) -> Iterator[None]:
 
     def show() -> None:
         while not over.wait(LIVE_EVERY_S):
-            show_line(device, f"{look(results)} | {last_line(log_path)}")
+            show_line(device, " | ".join(filter(None, (look(results).told(), last_line(log_path)))))
         show_line(device)
 
     teller = threading.Thread(target=show, daemon=True)
@@ -305,8 +305,8 @@ def publish_part(target: Path, part: Path, inputs: list[Path], command: list[str
     os.replace(part, target)
     show_notices(log_path)
     results = dataset_folder(target)
-    far = f"  [{look(results)}]" if results and terminal() is None else ""
-    print(f"{target}  {cost['seconds']:.1f} s, {cost['peak_mib']:.0f} MiB{far}", flush=True)
+    far = look(results).told([target.relative_to(results).parts[0]]) if results and terminal() is None else ""
+    print(f"{target}  {cost['seconds']:.1f} s, {cost['peak_mib']:.0f} MiB{far and f'  [{far}]'}", flush=True)
     return 0
 
 

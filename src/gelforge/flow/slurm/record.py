@@ -9,7 +9,7 @@ from pathlib import Path
 
 from gelforge.flow.files import listed, read_csv, read_json, write_json
 from gelforge.flow.layout import Layout, log_of, metrics_of
-from gelforge.flow.running import look
+from gelforge.flow.running import SOLVING, look
 from gelforge.flow.step import TAIL_LINES
 from gelforge.flow.terminal import show_line, terminal
 
@@ -135,7 +135,7 @@ def progress(record: Record, silent: bool) -> str:
     why = Counter(task.reason for task in record.tasks if task.state == "queued" and task.reason not in ("", "None"))
     note = "the controller does not answer" if silent else why.most_common(1)[0][0] if why else ""
     said = f"{record.stage} on Slurm: {counted(record)}" + (f" ({note})" if note else "")
-    return f"{said} | {look(record.results).pace}"
+    return f"{said} | {look(record.results).pace}" if record.stage in SOLVING else said
 
 
 def show(record: Record, said: float, silent: bool) -> float:
