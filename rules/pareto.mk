@@ -32,7 +32,7 @@ $D/pareto/pareto.json: $(PARETO_FILES)
 	$(call step,gelforge.stages.pareto chart --scenes $^ --out $@.part)
 
 $D/pareto/quick.json: $(PARETO_QUICK_FILES)
-	$(call step,gelforge.stages.pareto chart --scenes $^ --note "a small chart; make pareto draws the large one" --out $@.part)
+	$(call step,gelforge.stages.pareto chart --scenes $^ --note "a small chart; make pareto DATASET=$(DATASET) draws the large one" --out $@.part)
 
 # The scenes and their references as plain files. It writes what its code says and what the scenes' shapes are, and refuses
 # references whose keys are of other methods or of another version of the chart.

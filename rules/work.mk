@@ -13,7 +13,7 @@ sample: $(MESH_FILES) | $(call barrier,20_meshes)  ## one sample through all sta
 # Before any mesh is made for it.
 ifneq ($(filter sample,$(MAKECMDGOALS)),)
 ifeq ($(strip $(value ID)),)
-$(error no sample named; say make sample ID=SAMPLE_ID)
+$(error no sample named; say make sample DATASET=$(DATASET) ID=SAMPLE_ID)
 endif
 endif
 

@@ -9,7 +9,7 @@ import pytest
 import gelforge
 from gelforge.errors import BadInput
 from gelforge.flow import layout
-from gelforge.flow.layout import FOLDERS, STAGES, Layout, log_of, metrics_of, shard_name
+from gelforge.flow.layout import FOLDERS, STAGES, Layout, command_for, log_of, metrics_of, shard_name
 
 PACKAGE = Path(gelforge.__file__).parent
 NUMBERED = [name for name in FOLDERS if name[0].isdigit()]
@@ -65,6 +65,14 @@ def test_paths_are_those_that_make_writes():
     assert str(of.sample("s1").poses("0000")) == "results/demo/samples/s1/10_poses/0000.csv"
     assert str(log_of(of.fea("0001"))) == "results/demo/logs/30_fea/0001.log"
     assert str(metrics_of(of.evaluation("24x32", "grid"))) == "results/demo/metrics/80_evaluate/24x32/grid.json"
+
+
+def test_a_command_that_is_told_names_the_dataset_that_it_is_for():
+    """Typed as it was told it acted on the default dataset."""
+    assert Layout(Path("results/mylab")).command("look ID=s1") == "make look ID=s1 DATASET=mylab"
+    for path in ("results/mylab/30_fea/0000.csv", "/there/results/mylab/samples/s1/10_poses/0000.csv"):
+        assert command_for("fea", path) == "make fea DATASET=mylab"
+    assert command_for("train", "elsewhere/network.pt") == "make train"
 
 
 def test_sizes_are_of_what_is_planned(tmp_path):

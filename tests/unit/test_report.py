@@ -22,7 +22,7 @@ from gelforge.reporting.presses import as_columns, press_rows
 from gelforge.reporting.provenance import stages, target_costs
 from gelforge.reporting.surfacegrid import Resampler, grid_points
 from gelforge.stages import report
-from gelforge.stages.report import failures_section, with_forces
+from gelforge.stages.report import branch_section, calibration_section, failures_section, network_section, with_forces
 from tests.explored import GELS, tables, write_page
 from tests.pressed_dataset import write_pressed
 
@@ -179,3 +179,14 @@ def test_versions_are_told_where_a_package_is_missing_and_of_the_calculix_that_s
     name = "opencv-contrib-python-headless"
     assert found[name] == version(name)
     assert found["no-such-package"] == found["CalculiX"] == "not installed"
+
+
+def test_what_was_not_made_is_told_with_what_makes_it_of_this_dataset(tmp_path):
+    of = tmp_path / "results/mylab"
+    sections = [
+        calibration_section(of),
+        network_section(of, "24x32", "grid_16"),
+        branch_section(of, "", "pareto", ""),
+    ]
+    for section, goal in zip(sections, ("calibrate", "evaluate", "pareto"), strict=True):
+        assert f"make {goal} DATASET=mylab" in str(vars(section))

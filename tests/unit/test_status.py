@@ -77,4 +77,5 @@ def test_what_nobody_asked_for_is_not_pending(tmp_path):
     (results / "20_meshes").mkdir()
     (results / "20_meshes/ordinary.npz").touch()
     text = "\n".join(lines(results))
-    assert "20_meshes            ordinary.npz" in text and "calibrate            not made (make calibrate)" in text
+    assert "20_meshes            ordinary.npz" in text
+    assert "calibrate            not made (make calibrate DATASET=lab)" in text

@@ -18,6 +18,7 @@ from gelforge.calibration.readings import Readings
 from gelforge.calibration.sampling import fingerprint
 from gelforge.errors import BadInput, SolveFailed
 from gelforge.flow.files import read_json, write_json
+from gelforge.flow.layout import command_for
 from gelforge.flow.orphans import pool
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import load_gel
@@ -220,7 +221,8 @@ class SolveCache:
             try:
                 self._kept[path] = read_json(path)
             except (ValueError, OSError) as error:
-                raise BadInput(f"{path}: not a solve ({error}); delete it and run make calibrate again") from error
+                told = command_for("calibrate", path)
+                raise BadInput(f"{path}: not a solve ({error}); delete it and run {told} again") from error
         return self._kept[path]
 
     def get(self, job: SolveJob) -> dict:

@@ -180,7 +180,8 @@ def estimated(data: Path, results: Path, resolution: str, model: str, rows: list
 def main(args: Namespace) -> None:
     rows = planned_rows(args.results)
     if not rows:
-        raise BadInput(f"{args.data}/log.csv: no press is planned; log at least one, then make estimate")
+        told = Layout(args.results).command("estimate")
+        raise BadInput(f"{args.data}/log.csv: no press is planned; log at least one, then {told}")
     costs = estimated(args.data, args.results, args.resolution, args.model, rows)
     shards = len(Layout(args.results).names())
     print("\n".join(table(costs, len(rows))))

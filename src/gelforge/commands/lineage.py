@@ -72,7 +72,7 @@ def solve_lines(solve: dict, target: str) -> list[str]:
 )
 def main(args: Namespace) -> None:
     if not args.id:
-        raise BadInput("no sample named; say make lineage ID=SAMPLE_ID")
+        raise BadInput(f"no sample named; say {Layout(args.results).command('lineage ID=SAMPLE_ID')}")
     found = lineage(args.results, args.id, args.resolution)
     print(json.dumps(found, indent=1) if args.json else "\n".join(lines(found, args.results)))
 

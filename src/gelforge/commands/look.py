@@ -8,7 +8,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish
-from gelforge.flow.layout import LOOK, Layout, shard_name
+from gelforge.flow.layout import LOOK, Layout, command_for, shard_name
 from gelforge.flow.main import command, option
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import Sensor, find_sensor, load_sensors, transform
@@ -51,10 +51,8 @@ def shard_paths(results: Path, sample_id: str, resolution: str) -> dict[str, Pat
             and sample_id in read_labels(paths["labels"]).sample_id
         ):
             return paths
-    raise BadInput(
-        f"sample {sample_id} has no label at {resolution} yet; run make sample ID={sample_id}"
-        f" RES={resolution}, or make labels RES={resolution}"
-    )
+    one, all_of_them = (of.command(f"{goal} RES={resolution}") for goal in (f"sample ID={sample_id}", "labels"))
+    raise BadInput(f"sample {sample_id} has no label at {resolution} yet; run {one}, or {all_of_them}")
 
 
 def load(data: Path, paths: dict, sample_id: str, sensors: dict, resolution: str) -> Pictured:
@@ -63,7 +61,9 @@ def load(data: Path, paths: dict, sample_id: str, sensors: dict, resolution: str
     at = found.index(sample_id)
     press = next((press for press in read_poses(paths["poses"]) if press.sample_id == sample_id), None)
     if press is None:
-        raise BadInput(f"{paths['poses']}: has no sample {sample_id}; run make poses labels")
+        raise BadInput(
+            f"{paths['poses']}: has no sample {sample_id}; run {command_for('poses labels', paths['poses'])}"
+        )
     if not found.status[at].valid:
         raise BadInput(
             f"sample {sample_id} has no valid state ({found.status[at].name}); the reason is in 30_fea/SHARD/{sample_id}.json"
@@ -206,7 +206,7 @@ def write_figure(path, figure) -> None:
 )
 def main(args: Namespace) -> None:
     if not args.id:
-        raise BadInput("no sample named; say make look ID=SAMPLE_ID")
+        raise BadInput(f"no sample named; say {Layout(args.results).command('look ID=SAMPLE_ID')}")
     check_id(args.id)
     sensors, out = load_sensors(args.sensors), args.out or args.results / LOOK
     paths = {}

@@ -73,9 +73,9 @@ def stages(data: Path, results: Path, work: Path, resolution: str) -> list[tuple
 def main(args: Namespace) -> int:
     import importlib
 
-    if not args.id:
-        raise BadInput("no sample named; say make sample ID=SAMPLE_ID")
     data, results = Path("data") / args.dataset, Path("results") / args.dataset
+    if not args.id:
+        raise BadInput(f"no sample named; say {Layout(results).command('sample ID=SAMPLE_ID')}")
     work = Layout(results).sample(check_id(args.id)).root
     write_text(Layout(work).shard(shard_name(0)), shard_text(find_rows(results, args.id)))
     for stage, arguments in stages(data, results, work, args.resolution):

@@ -82,7 +82,7 @@ def lines(results: Path) -> list[str]:
     sizes = Layout(results).sizes()
     total = sum(sizes.values())
     if not total:
-        return [f"{results}: nothing planned yet; run make poses"]
+        return [f"{results}: nothing planned yet; run {Layout(results).command('poses')}"]
     good, rejected = poses_state(results, sizes)
     solved, diverged, valid = fea_state(results, sizes)
     stages = [(layout.POSES, good, rejected), (layout.FEA, solved, diverged)]
@@ -112,7 +112,7 @@ def lines(results: Path) -> list[str]:
     ):
         there = (p for p in listed(results / kind, pattern) if not p.name.endswith(".checkpoint.pt"))
         found = [str(p.relative_to(results / kind)) for p in there]
-        text.append(f"{kind:20s} {', '.join(found) or f'not made (make {target})'}")
+        text.append(f"{kind:20s} {', '.join(found) or f'not made ({Layout(results).command(target)})'}")
     return text
 
 

@@ -47,6 +47,20 @@ def mirror(target: Path, kind: str, suffix: str) -> Path:
     return Path(*parts[:at], kind, *parts[at:]).with_suffix(suffix)
 
 
+def dataset_folder(path: Path) -> Path | None:
+    """results/DATASET of a file, none where it lies elsewhere."""
+    parts = path.parts
+    if "results" not in parts or len(parts) < parts.index("results") + 3:
+        return None
+    return Path(*parts[: parts.index("results") + 2])
+
+
+def command_for(goal: str, path: Path | str) -> str:
+    """What a person types to make a goal of the dataset that a file is of: without its name make would take the default."""
+    root = dataset_folder(Path(path))
+    return f"make {goal}" if root is None else Layout(root).command(goal)
+
+
 def beside(out: Path, ending: str) -> Path:
     """The file next to a stage's result that goes by its name with another ending ("": the folder of that name).
 
@@ -70,6 +84,10 @@ class Layout:
     """Paths below one folder results/DATASET."""
 
     root: Path
+
+    def command(self, goal: str) -> str:
+        """What a person types to make a goal of this dataset."""
+        return f"make {goal} DATASET={self.root.name}"
 
     def folder(self, stage: str) -> Path:
         """A stage's folder, by one of STAGES."""
@@ -173,9 +191,7 @@ class Layout:
     def shard_of(self, sample_id: str) -> str:
         """Name of the planned shard that holds a sample; BadInput where none does."""
         if not self.shard_table.exists():
-            raise BadInput(
-                f"{self.shard_table}: not there, so nothing was planned; run make poses DATASET={self.root.name}"
-            )
+            raise BadInput(f"{self.shard_table}: not there, so nothing was planned; run {self.command('poses')}")
         with self.shard_table.open(newline="", encoding="utf-8") as stream:
             found = next((row for row in csv.DictReader(stream) if row["sample_id"] == sample_id), None)
         if found is None or found.get(LOGGED) == "0":

@@ -21,7 +21,7 @@ from typing import IO
 
 from gelforge.errors import unwritable
 from gelforge.flow.files import digest_of, read_json, write_json
-from gelforge.flow.layout import log_of, metrics_of
+from gelforge.flow.layout import dataset_folder, log_of, metrics_of
 from gelforge.flow.orphans import die_with_parent
 from gelforge.flow.programs import installed
 from gelforge.flow.running import look
@@ -37,14 +37,6 @@ def follow(stream: Iterable[str], log: IO[str]) -> None:
     for line in stream:
         log.write(line)
         log.flush()
-
-
-def dataset_folder(path: Path) -> Path | None:
-    """results/DATASET of a file, none where it lies elsewhere."""
-    parts = path.parts
-    if "results" not in parts or len(parts) < parts.index("results") + 3:
-        return None
-    return Path(*parts[: parts.index("results") + 2])
 
 
 @contextmanager

@@ -10,6 +10,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_json
+from gelforge.flow.layout import command_for
 from gelforge.flow.params.tables import IN_PROCESS, FeaTable, MeshesTable
 from gelforge.geometry import touch
 from gelforge.geometry.gel import Gel, load_gel
@@ -104,7 +105,8 @@ def load_mesh(folder: Path | str, name: str) -> GelMesh:
     report = _report(folder, own)
     if any(abs(far) > most for far, most in zip(way, report["reach_mm"], strict=True)):
         raise BadInput(
-            f"mesh name {name!r}: its fine part cannot go that far, see reach_mm in {own}.json; run make fea again"
+            f"mesh name {name!r}: its fine part cannot go that far, see reach_mm in {own}.json;"
+            f" run {command_for('fea', path)} again"
         )
     return moved(GelMesh.load(path), load_gel(report["gel"]), tuple(report["half_mm"]), way)
 
@@ -128,7 +130,7 @@ def mesh_file(folder: Path | str, name: str) -> Path:
 def _file(folder: Path | str, name: str) -> Path:
     path = Path(folder) / name
     if not path.exists():
-        raise BadInput(f"{path}: a mesh of this name or its report is missing; run make meshes")
+        raise BadInput(f"{path}: a mesh of this name or its report is missing; run {command_for('meshes', path)}")
     return path
 
 
@@ -183,7 +185,8 @@ def choose_mesh(scene: Scene, family: MeshFamily) -> str:
     """
     reports = family.reports
     if not reports:
-        raise BadInput(f"{family.folder}: no mesh was asked for; add one to [fea] meshes and run `make meshes`")
+        told = command_for("meshes", family.folder)
+        raise BadInput(f"{family.folder}: no mesh was asked for; add one to [fea] meshes and run `{told}`")
     foot = footprint(scene)
     areas = {name: float(np.prod(report["half_mm"])) for name, report in reports.items()}
     ways = {name: _way(report, foot) for name, report in reports.items()}

@@ -8,6 +8,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_json
+from gelforge.flow.layout import command_for
 from gelforge.networks.canonical import Light, match_light
 from gelforge.networks.inputs import needs_untouched
 from gelforge.records.rowfile import ChainedRows, RowFile, map_array
@@ -119,7 +120,8 @@ def open_data(folder) -> Data:
     folder = Path(folder)
     for name in FILES:
         if not (folder / name).exists():
-            raise BadInput(f"{folder}: {name} is missing; make it with `make dataset`, RES being the grid you want")
+            told = command_for("dataset", folder)
+            raise BadInput(f"{folder}: {name} is missing; make it with `{told}`, RES being the grid you want")
     images = RowFile(folder / "images.npy")
     labels, pictures = (map_array(folder / f"{name}.npy") for name in ("labels", "nocontact"))
     table = read_samples(folder / "samples.csv")

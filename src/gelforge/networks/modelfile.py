@@ -16,6 +16,7 @@ from torch.nn import functional as F
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from gelforge.errors import BadInput
+from gelforge.flow.layout import command_for
 from gelforge.networks.batches import images_to_tensor
 from gelforge.networks.dotreader import DotReader
 from gelforge.networks.halves import as_floats, halved
@@ -200,7 +201,7 @@ def load_model(path) -> Trained:
     """
     path = Path(path)
     if not path.exists():
-        raise BadInput(f"{path}: no such model; train one with `make train MODEL=…`")
+        raise BadInput(f"{path}: no such model; train one with `{command_for('train MODEL=…', path)}`")
     fault = file_fault(path) or ("it is larger than 2 GiB" if path.stat().st_size > MOST_BYTES else None)
     if fault:
         raise BadInput(f"{path}: not a model ({fault}); name the file that make train wrote")

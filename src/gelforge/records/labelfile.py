@@ -30,6 +30,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish
+from gelforge.flow.layout import command_for
 from gelforge.records.forcefile import INTERVALS
 from gelforge.records.npz import Archive
 from gelforge.records.status import Status
@@ -96,7 +97,8 @@ class LabelShard:
 
 def open_labels(path: str | Path) -> Archive:
     """A label file to read single arrays of."""
-    return Archive(path, "a label shard", "delete it and run make labels again, or import it again")
+    remedy = f"delete it and run {command_for('labels', path)} again, or import it again"
+    return Archive(path, "a label shard", remedy)
 
 
 def read_labels(path: str | Path) -> LabelShard:

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 from gelforge.errors import BadInput, printable
 from gelforge.flow.files import write_csv
+from gelforge.flow.layout import command_for
 from gelforge.records.press import (
     COLUMNS,
     FORCES,
@@ -203,7 +204,9 @@ def fixed(value: float, places: int) -> str:
 
 def read_poses(path: str | Path) -> list[PosedPress]:
     """Presses of a pose table; one that stage 10 cannot have written raises BadInput."""
-    return [parse_posed(raw, str(path)) for raw in _read(Path(path), (*KNOWN, "stl"), "run make poses")]
+    return [
+        parse_posed(raw, str(path)) for raw in _read(Path(path), (*KNOWN, "stl"), f"run {command_for('poses', path)}")
+    ]
 
 
 def without_duplicates(presses: list[P], file: str) -> tuple[list[P], list[Rejection]]:
@@ -243,10 +246,10 @@ def write_rejections(path: str | Path, rejections: Iterable[Rejection]) -> None:
 
 def rejected_rows(path: str | Path, but: str = "") -> set[int]:
     """Lines of the log that a table of rejections names, those for column `but` alone left out."""
-    found = set()
-    for cells in read_table(path, "delete it and run make poses"):
+    found, remedy = set(), f"delete it and run {command_for('poses', path)}"
+    for cells in read_table(path, remedy):
         if not cells.get("row", "").isdigit() or "column" not in cells:
-            raise BadInput(f"{path}: is no table of rejected rows; delete it and run make poses")
+            raise BadInput(f"{path}: is no table of rejected rows; {remedy}")
         if cells["column"] != but:
             found.add(int(cells["row"]))
     return found

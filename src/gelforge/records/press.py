@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from gelforge.errors import BadInput, printable
+from gelforge.flow.layout import command_for
 
 POSE = ("x0_mm", "y0_mm", "z0_mm", "dx_mm", "dy_mm", "dz_mm", "rot_deg")
 FORCE = ("fx_n", "fy_n", "fz_n")
@@ -246,7 +247,8 @@ def parse_posed(raw: RawRow, file: str) -> PosedPress:
     """One row of a pose table; a cell that stage 10 cannot have written raises BadInput."""
     press, wrong = parse(raw, file, ("sample_id", "sensor_id", "indenter", *POSE))
     if press is None:
-        raise BadInput(f"{file}: row {raw.row}: {wrong[0].column}: {wrong[0].reason}; delete it and run make poses")
+        remedy = f"delete it and run {command_for('poses', file)}"
+        raise BadInput(f"{file}: row {raw.row}: {wrong[0].column}: {wrong[0].reason}; {remedy}")
     cells = {name: value for name, value in vars(press).items() if name != "time_utc"}
     return PosedPress(**cells, stl=raw.cells.get("stl", ""))
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import digest_of, read_json, write_csv
+from gelforge.flow.layout import command_for
 from gelforge.records.press import FORCE, parse_number
 from gelforge.records.status import Status
 from gelforge.records.table import read_table
@@ -64,12 +65,12 @@ def _force(text: str) -> float | None:
 
 def read_solves(path: str | Path) -> list[Solved]:
     """Read what `write_solves` wrote; anything else raises BadInput."""
-    found = []
-    for at, row in enumerate(read_table(path, "delete it and run make fea"), 2):
+    found, remedy = [], f"delete it and run {command_for('fea', path)}"
+    for at, row in enumerate(read_table(path, remedy), 2):
         forces = [_force(row.get(name) or "") for name in FORCE]
         state = row.get("status") or ""
         if state not in Status.__members__ or None in forces or not row.get("sample_id"):
-            raise BadInput(f"{path}: row {at} is no solve of stage 30; delete the file and run make fea")
+            raise BadInput(f"{path}: row {at} is no solve of stage 30; {remedy}")
         x, y, z = (math.nan if force is None else force for force in forces)
         names = {name: row.get(name) or "" for name in NAMES if name != "status"}
         evidence: dict[str, object] = {name: row.get(name) or "" for name in EVIDENCE}

@@ -12,7 +12,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import digest_of, listed, publish, read_json, write_csv, write_json, write_text
-from gelforge.flow.layout import planned_shards
+from gelforge.flow.layout import command_for, planned_shards
 from gelforge.flow.main import command, option
 from gelforge.flow.params.slices import ForDataset, read_slice
 from gelforge.flow.params.tables import DatasetTable
@@ -278,7 +278,7 @@ def build(args) -> dict:
     if not found:
         raise BadInput(
             f"{args.data}: no sample has both a label and an image (left out: {left_out or 'none'});"
-            " look at make status"
+            f" look at {command_for('status', args.out)}"
         )
     presses = [each.press for each in found]
     size = image_size(presses, load_sensors(args.sensors), f"{args.data}/log.csv")

@@ -11,6 +11,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_json
+from gelforge.flow.layout import command_for
 from gelforge.flow.main import command, option
 from gelforge.flow.params.slices import ForForces, read_slice
 from gelforge.flow.params.tables import ForcesTable
@@ -91,7 +92,7 @@ def material_c10(c10: float | str, calibration: Path | None) -> tuple[float, dic
         return float(found["median"]), intervals
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise BadInput(
-            f"{calibration}: holds no c10 with median and intervals ({error!r}); run `make calibrate`"
+            f"{calibration}: holds no c10 with median and intervals ({error!r}); run `{command_for('calibrate', calibration)}`"
         ) from error
 
 

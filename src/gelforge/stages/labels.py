@@ -11,7 +11,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import digest_of, write_json
-from gelforge.flow.layout import planned_shards
+from gelforge.flow.layout import command_for, planned_shards
 from gelforge.flow.main import command, option
 from gelforge.flow.params.slices import ForLabels, read_slice
 from gelforge.flow.progress import progress
@@ -187,7 +187,8 @@ def _operator_of(forces, sample, sensor_of, find_operator, poses_path):
     if forces.ptr[sample] == forces.ptr[sample + 1]:
         return None
     if name not in sensor_of:
-        raise BadInput(f"{poses_path}: has no sample {name}, which {forces.path} holds; run make poses forces")
+        told = command_for("poses forces", poses_path)
+        raise BadInput(f"{poses_path}: has no sample {name}, which {forces.path} holds; run {told}")
     return find_operator(str(forces.mesh[sample]), sensor_of[name])
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish, read_json, write_csv, write_json
-from gelforge.flow.layout import beside
+from gelforge.flow.layout import beside, command_for
 from gelforge.flow.main import command, option
 from gelforge.records.axes import CHANNELS
 from gelforge.records.learningcurve import Learning, learning_of
@@ -120,7 +120,7 @@ def main(args: Namespace) -> None:
     if models.keys() != evaluations.keys():
         raise BadInput(
             f"models {sorted(models)} and evaluations {sorted(evaluations)} must be of the same names; "
-            "run `make evaluate` for those that are missing"
+            f"run `{command_for('evaluate', args.out)}` for those that are missing"
         )
     image = np.asarray(open_data(args.dataset).images[0])
     latencies = measure(models, image, args.seconds)

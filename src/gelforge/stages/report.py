@@ -106,7 +106,8 @@ def calibration_section(results: Path) -> Section:
     section = Section("Calibration")
     path = Layout(results).calibration
     if not path.exists():
-        return section.text("Not made: make calibrate (needs force readings in the log).", absent=True)
+        told = Layout(results).command("calibrate")
+        return section.text(f"Not made: {told} (needs force readings in the log).", absent=True)
     summary = read_json(path)
     parameters = {"c10": {"label": "C10 (MPa)", **summary["c10"]}, **summary["parameters"]}
     rows = [[v.get("label", name), v["median"], *v["interval68"], *v["interval95"]] for name, v in parameters.items()]
@@ -180,7 +181,7 @@ def branch_section(results: Path, title: str, folder: str, what: str) -> Section
     section = Section(title)
     charts = listed(results / folder, "*.png", below=True)
     if not charts:
-        return section.text(f"Not made: make {folder}.", absent=True)
+        return section.text(f"Not made: {Layout(results).command(folder)}.", absent=True)
     section.text(what)
     for png in charts:
         section.picture(png.read_bytes(), png.stem.replace("_", " "))
@@ -192,7 +193,7 @@ def network_section(results: Path, resolution: str, model: str) -> Section:
     section = Section("Network")
     path = Layout(results).evaluation(resolution, model)
     if not path.exists():
-        return section.text("Not made: make evaluate.", absent=True)
+        return section.text(f"Not made: {Layout(results).command('evaluate')}.", absent=True)
     metrics = read_json(path)
     section.text(learnt_from(metrics, model))
     for title, columns, rows in evaluation_tables(metrics):

@@ -176,6 +176,6 @@ def report(record: Record, most: int = 5) -> int:
         for path in [output] if any(line.startswith("FAILED ") for line in lines) else [output, log]:
             print(f"  {path}:", *(f"  | {line}" for line in tail(path)), sep="\n")
     if len(failed) > most:
-        print(f"… and {len(failed) - most} more; make status lists them")
+        print(f"… and {len(failed) - most} more; {Layout(record.results).command('status')} lists them")
     print(f"{record.stage} on Slurm: {counted(record)}", flush=True)
     return 1 if failed else 0

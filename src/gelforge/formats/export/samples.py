@@ -10,6 +10,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_json
+from gelforge.flow.layout import command_for
 from gelforge.records.axes import AXES, AXIS_OF_CHANNEL
 from gelforge.records.image import stays_inside
 from gelforge.records.regular import file_fault
@@ -58,19 +59,18 @@ class Samples:
     @classmethod
     def open(cls, data: Path, dataset: Path, sensors: Path) -> "Samples":
         """Open a dataset; BadInput where it is missing, or no picture belongs to it."""
+        remedy = command_for("dataset", dataset)
         for name in ("samples.csv", "labels.npy", "dataset.json"):
             if not (dataset / name).exists():
-                raise BadInput(
-                    f"{dataset}: {name} is missing; make it with `make dataset`, RES being the grid you want"
-                )
-        rows, records = read_table(dataset / "samples.csv", "make dataset"), read_samples(dataset / "samples.csv")
+                raise BadInput(f"{dataset}: {name} is missing; make it with `{remedy}`, RES being the grid you want")
+        rows, records = read_table(dataset / "samples.csv", remedy), read_samples(dataset / "samples.csv")
         if not rows or not any(row.get("image") for row in rows):
             raise BadInput(
-                f"{dataset}: holds no sample with a picture; fill the log's column `image` and make dataset"
+                f"{dataset}: holds no sample with a picture; fill the log's column `image` and run {remedy}"
             )
         labels = map_array(dataset / "labels.npy")
         if len(labels) != len(rows):
-            raise BadInput(f"{dataset}: {len(labels)} labels for {len(rows)} samples; remove it and make dataset")
+            raise BadInput(f"{dataset}: {len(labels)} labels for {len(rows)} samples; remove it and run {remedy}")
         return cls(data, dataset, rows, records, labels, read_json(dataset / "dataset.json"), read_json(sensors))
 
     def __len__(self) -> int:
