@@ -11,6 +11,9 @@ from pressed_dataset import label, write_pressed
 
 from gelforge.commands import look
 from gelforge.errors import BadInput
+from gelforge.flow.files import write_csv
+from gelforge.records.log import write_rejections
+from gelforge.records.press import Rejection
 from gelforge.reporting.forcemaps import SIGNED, write_maps
 from gelforge.reporting.page import COLOURS
 
@@ -126,6 +129,18 @@ def test_a_force_along_its_axis_is_red_in_every_picture(made, tmp_path):
     stops = re.findall(r"\d+", re.search(r"DIVERGING = \[(.*)\];", COLOURS.read_text(encoding="utf-8"))[1])
     ends = [*mpl.colormaps[SIGNED](0, bytes=True)[:3], *mpl.colormaps[SIGNED](255, bytes=True)[:3]]
     assert [int(stop) for stop in stops[:3] + stops[-3:]] == ends
+
+
+def test_of_a_rejected_row_the_reason_is_told_and_its_remedy(tmp_path):
+    """make sample could never have helped."""
+    write_csv(tmp_path / "lab/00_plan/shards.csv", ["sample_id", "shard"], [{"sample_id": "s7", "shard": 0}])
+    write_rejections(
+        tmp_path / "lab/10_poses/0000.rejected.csv",
+        [Rejection("log.csv", 9, "s7", "dz_mm", "deep", "is no number", "write millimetres")],
+    )
+    told = "row 9 of the log: dz_mm = 'deep': is no number; write millimetres; then run make labels DATASET=lab"
+    with pytest.raises(BadInput, match=told):
+        run({"data": tmp_path, "results": tmp_path / "lab"}, "s7", "24x32")
 
 
 @pytest.mark.parametrize(

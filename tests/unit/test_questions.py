@@ -147,6 +147,26 @@ def test_lineage_names_only_what_made_the_sample(tmp_path):
     json.dumps(found)
 
 
+def test_lineage_of_a_rejected_row_is_its_rejection(tmp_path):
+    results = tmp_path / "results/d"
+    lay(results, 300)
+    why = {
+        "sample_id": "s00123",
+        "row": 125,
+        "column": "dz_mm",
+        "value": "x",
+        "reason": "no number",
+        "remedy": "give mm",
+    }
+    write_csv(results / "10_poses/0001.rejected.csv", list(why), [why])
+    # a row that has the name of an earlier one is rejected, and the earlier one has its label
+    assert len(lineage(results, "s00123", "24x32")["steps"]) == 4
+    write_csv(results / "10_poses/0001.csv", ["sample_id", "indenter"], [{"sample_id": "s00124", "indenter": "ball"}])
+    found = lineage(results, "s00123", "24x32")
+    assert [step["target"] for step in found["steps"]] == [str(results / "10_poses/0001.csv")] and not found["solve"]
+    assert "row 125 of the log: dz_mm = 'x': no number; give mm" in lines(found, results)[2]
+
+
 def test_a_sample_that_is_not_in_the_log_is_one_sentence(tmp_path):
     results = tmp_path / "results/d"
     with pytest.raises(BadInput, match="nothing was planned"):

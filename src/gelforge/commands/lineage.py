@@ -7,18 +7,20 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from gelforge.errors import BadInput
-from gelforge.flow.ancestry import Step, concerning, pose_of, read_record, steps_to
+from gelforge.flow.ancestry import Step, concerning, pose_of, read_record, rejections_of, steps_to
 from gelforge.flow.layout import FEA, Layout
 from gelforge.flow.main import command, option
 
 
 def lineage(results: Path, sample_id: str, resolution: str) -> dict:
-    """All that is known of a label: its sample's solve, and the steps that led to it, first one first."""
+    """All that is known of a label: its sample's solve, and the steps that led to it, first one first; or why there is none."""
     of = Layout(results)
     shard = of.shard_of(sample_id)
-    label = of.labelled(resolution)
+    rejected = rejections_of(results, shard, sample_id)
     # each by itself: a label of very many shards names none of them, and one that is not there yet leads to none
-    paths = (of.poses(shard), of.fea(shard), of.forces(shard), label)
+    paths = [of.poses(shard), of.fea(shard), of.forces(shard), of.labelled(resolution)]
+    if rejected:  # what was made of its shard since was not made of it
+        del paths[1:]
     steps = list({step.target: step for path in paths for step in steps_to(results, str(path), shard)}.values())
     pose = pose_of(results, shard, sample_id)
     steps = [replace(step, parameters=concerning(step.parameters, pose)) for step in steps]
@@ -26,7 +28,8 @@ def lineage(results: Path, sample_id: str, resolution: str) -> dict:
     return {
         "sample_id": sample_id,
         "shard": shard,
-        "solve": solve,
+        "rejected": rejected,
+        "solve": {} if rejected else solve,
         "steps": [asdict(s) for s in steps],
     }
 
@@ -34,6 +37,7 @@ def lineage(results: Path, sample_id: str, resolution: str) -> dict:
 def lines(found: dict, results: Path) -> list[str]:
     """The lineage as text."""
     text = [f"{found['sample_id']} of shard {found['shard']}", f"log: data/{results.name}/log.csv"]
+    text += [f"rejected, so that it has no label: {why}" for why in found["rejected"]]
     for step in (Step(**made) for made in found["steps"]):
         when = datetime.fromtimestamp(step.started, UTC).strftime("%Y-%m-%d %H:%M:%S")
         text.append(

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.flow.ancestry import rejections_of
 from gelforge.flow.files import publish
 from gelforge.flow.layout import LOOK, Layout, command_for, shard_name
 from gelforge.flow.main import command, option
@@ -38,7 +39,12 @@ class Pictured:
 def shard_paths(results: Path, sample_id: str, resolution: str) -> dict[str, Path]:
     """Files of the shard that holds a sample; those of `make sample` where the shard has no label yet."""
     of = Layout(results)
-    for own, name in ((of, of.shard_of(sample_id)), (of.sample(sample_id), shard_name(0))):
+    shard = of.shard_of(sample_id)
+    if rejected := rejections_of(results, shard, sample_id):
+        raise BadInput(
+            f"sample {sample_id} was rejected and gets no label: {'. '.join(rejected)}; then run {of.command('labels')}"
+        )
+    for own, name in ((of, shard), (of.sample(sample_id), shard_name(0))):
         paths = {
             "poses": own.poses(name),
             "forces": own.forces(name),

@@ -9,6 +9,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from gelforge.errors import printable
+from gelforge.flow.files import read_csv
 from gelforge.flow.layout import Layout
 
 
@@ -52,6 +54,24 @@ def pose_of(results: Path, shard: str, sample_id: str) -> dict:
         return {}
     with table.open(newline="", encoding="utf-8") as stream:
         return next((row for row in csv.DictReader(stream) if row["sample_id"] == sample_id), {})
+
+
+def rejections_of(results: Path, shard: str, sample_id: str) -> list[str]:
+    """Why stage 10 rejected a sample's row of the log, and what to do, one sentence a cell; none where it has a pose.
+
+    A row that gives a name a second time is rejected too, and its sample goes on with the first.
+    """
+    table = Layout(results).rejected(shard)
+    if not table.exists() or pose_of(results, shard, sample_id):
+        return []
+    wrong = [cells for cells in read_csv(table) if cells.get("sample_id") == sample_id]
+    return [
+        printable(
+            f"row {cells.get('row')} of the log: {cells.get('column')} = {cells.get('value')!r}: {cells.get('reason')};"
+            f" {cells.get('remedy')}"
+        )
+        for cells in wrong
+    ]
 
 
 def concerning(slices: dict[str, dict], pose: dict) -> dict[str, dict]:
