@@ -5,7 +5,7 @@ demo: report
 	@echo "report: $D/90_report/index.html"
 
 status: | $(SETUP)  ## samples done, failed with reasons and pending, per stage
-	@$(PY) -m gelforge.commands.status --results $D
+	@$(PY) -m gelforge.commands.status --results $D $(if $(SHARDS),--meshes $(MESHES))
 
 sample: $(MESH_FILES) | $(call barrier,20_meshes)  ## one sample through all stages with its log: make sample ID=…
 	@$(PY) -m gelforge.commands.sample --dataset $(DATASET) --id $(call given,ID) --resolution $(RES1)

@@ -6,6 +6,7 @@ import time
 
 from gelforge.commands.status import cost_lines, running_lines
 from gelforge.flow.files import write_csv, write_json, write_text
+from gelforge.flow.ledger import last_runs
 from gelforge.flow.running import Progress, duration, look
 
 
@@ -95,7 +96,7 @@ def test_files_that_are_being_written_do_not_count(tmp_path):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text("{")
     assert look(tmp_path, now).solved == 3
-    assert running_lines(tmp_path) == [] and cost_lines(tmp_path) == []
+    assert running_lines(tmp_path) == [] and cost_lines(last_runs(tmp_path)) == []
 
 
 def test_a_shard_that_goes_between_two_looks_is_none(tmp_path):
@@ -113,7 +114,7 @@ def test_costs_add_up_by_stage(tmp_path):
     for shard, cpu in (("0000", 30.0), ("0001", 40.0)):
         write_json(tmp_path / f"metrics/30_fea/{shard}.json", {"cpu_seconds": cpu, "peak_mib": cpu})
     (tmp_path / "metrics/30_fea/0002.json").write_text("{")
-    assert cost_lines(tmp_path)[1].split() == ["30_fea", "70", "s", "40"]
+    assert cost_lines(last_runs(tmp_path))[1].split() == ["30_fea", "70", "s", "40"]
 
 
 def test_durations_read_well():

@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from gelforge.commands.status import lines
-from gelforge.flow.files import write_csv
+from gelforge.commands.status import failed_lines, lines
+from gelforge.flow.files import write_csv, write_json, write_text
+from gelforge.flow.ledger import failures, last_runs, still_asked
 from gelforge.records.forcefile import SampleForces, write_forces
 
 
@@ -79,3 +80,29 @@ def test_what_nobody_asked_for_is_not_pending(tmp_path):
     text = "\n".join(lines(results))
     assert "20_meshes            ordinary.npz" in text
     assert "calibrate            not made (make calibrate DATASET=lab)" in text
+
+
+def test_a_stage_that_failed_is_told_with_the_last_words_of_its_log(tmp_path):
+    """Nothing told that dataset had failed: it was said to be not made, as what nobody asked for."""
+    results, log = tmp_path / "lab", tmp_path / "lab/logs/60_dataset/24x32/dataset.log"
+    write_csv(results / "00_plan/shards/0000.csv", ["sample_id"], [{"sample_id": "a"}])
+    write_text(log, "$ python -m gelforge.stages.dataset\nerror: no sample has a label\n\n")
+    for name, code in (("60_dataset/24x32/dataset", 2), ("30_fea/0000", 1), ("30_fea/0007", 1), ("70_train/net", 0)):
+        write_json(results / f"metrics/{name}.json", {"exit_code": code})
+    write_json(results / "metrics/90_report/index.json", {"exit_code": 130, "interrupted": True})
+    failed = failures(results, still_asked(results, last_runs(results), None))
+    assert [run.name for run in failed] == ["30_fea/0000", "60_dataset/24x32/dataset"]  # 0007 is of rows now lost
+    assert failed_lines(results, failed) == [
+        "failed: 30_fea/0000: ended with code 1 without a word; log: " + str(results / "logs/30_fea/0000.log"),
+        f"failed: 60_dataset/24x32/dataset: error: no sample has a label; log: {log}",
+    ]
+    table = lines(results, {run.stage for run in failed})
+    assert "60_dataset           not made, because it failed: see below" in table
+
+
+def test_a_dataset_on_bricks_needs_no_meshes(tmp_path):
+    write_csv(tmp_path / "lab/00_plan/shards/0000.csv", ["sample_id"], [{"sample_id": "a"}])
+    assert "20_meshes            none needed: bricks have no file" in lines(tmp_path / "lab", meshes=[])
+    assert "20_meshes            not made (make meshes DATASET=lab)" in lines(
+        tmp_path / "lab", meshes=["ccx-centre-0.7"]
+    )

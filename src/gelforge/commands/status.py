@@ -3,12 +3,14 @@
 import json
 from argparse import Namespace
 from collections import Counter
+from collections.abc import Collection
 from pathlib import Path
 
 from gelforge.errors import printable
 from gelforge.flow import layout
 from gelforge.flow.files import listed, read_csv
 from gelforge.flow.layout import Layout
+from gelforge.flow.ledger import LastRun, failures, last_runs, last_words_of, still_asked
 from gelforge.flow.main import command, option
 from gelforge.flow.running import duration, look
 from gelforge.records.status import VALID, Status
@@ -77,8 +79,11 @@ def shard_state(folder: Path, valid: dict[str, int]) -> int:
     return sum(count for shard, count in valid.items() if (folder / f"{shard}.npz").exists())
 
 
-def lines(results: Path) -> list[str]:
-    """The table that `make status` prints."""
+def lines(results: Path, broken: Collection[str] = (), meshes: Collection[str] | None = None) -> list[str]:
+    """The table that `make status` prints.
+
+    broken: stages with a target whose last run failed. meshes: those that the dataset needs; None where that is not known.
+    """
     sizes = Layout(results).sizes()
     total = sum(sizes.values())
     if not total:
@@ -101,6 +106,12 @@ def lines(results: Path) -> list[str]:
         lost = sum(before.total() for stage, _, before in stages[:3] if stage < name)
         text.append(f"{name:20s} {done:7d} {bad:7d} {max(total - done - bad - lost, 0):7d}")
         text += [f"    {count:6d} x {reason}" for reason, count in failed.most_common()]
+    return text + whole_lines(results, broken, meshes)
+
+
+def whole_lines(results: Path, broken: Collection[str], meshes: Collection[str] | None) -> list[str]:
+    """What there is of stages that work on all samples at once, and what makes it where there is nothing."""
+    text = []
     for kind, pattern, target in (
         (layout.MESHES, "*.npz", "meshes"),
         (layout.DATASET, "*/dataset.json", "dataset"),
@@ -112,28 +123,40 @@ def lines(results: Path) -> list[str]:
     ):
         there = (p for p in listed(results / kind, pattern) if not p.name.endswith(".checkpoint.pt"))
         found = [str(p.relative_to(results / kind)) for p in there]
-        text.append(f"{kind:20s} {', '.join(found) or f'not made ({Layout(results).command(target)})'}")
+        absent = f"not made ({Layout(results).command(target)})"
+        if kind in broken:
+            absent = "not made, because it failed: see below"
+        elif kind == layout.MESHES and meshes is not None and not meshes:
+            absent = "none needed: bricks have no file"
+        text.append(f"{kind:20s} {', '.join(found) or absent}")
     return text
 
 
-def stage_costs(results: Path) -> dict[str, tuple[float, float]]:
+def failed_lines(results: Path, failed: list[LastRun]) -> list[str]:
+    """Targets whose last run failed, by stage and by what the log says last; the log named is the first one's."""
+    alike: dict[tuple[str, str], list[tuple[LastRun, Path]]] = {}
+    for run in failed:
+        said, log = last_words_of(results, run)
+        alike.setdefault((run.stage, said), []).append((run, log))
+    return [
+        f"failed: {of[0][0].name}{f' and {len(of) - 1} more' if len(of) > 1 else ''}: {said}; log: {of[0][1]}"
+        for (_, said), of in alike.items()
+    ]
+
+
+def stage_costs(known: list[LastRun]) -> dict[str, tuple[float, float]]:
     """Processor seconds of all targets of each stage, and the largest memory of one, MiB."""
     costs: dict[str, tuple[float, float]] = {}
-    for path in listed(Layout(results).metrics, "*.json", below=True):
-        try:
-            record = json.loads(path.read_bytes())
-            cpu, peak = float(record["cpu_seconds"]), float(record["peak_mib"])
-        except (OSError, ValueError, KeyError, TypeError):
-            continue  # one that is being written
-        stage = path.relative_to(Layout(results).metrics).parts[0]
-        before = costs.get(stage, (0.0, 0.0))
-        costs[stage] = (before[0] + cpu, max(before[1], peak))
+    for run in known:
+        cpu, peak = run.record.get("cpu_seconds", 0.0), run.record.get("peak_mib", 0.0)
+        before = costs.get(run.stage, (0.0, 0.0))
+        costs[run.stage] = (before[0] + cpu, max(before[1], peak))
     return costs
 
 
-def cost_lines(results: Path) -> list[str]:
+def cost_lines(known: list[LastRun]) -> list[str]:
     """Processor time and memory of each stage so far."""
-    costs = stage_costs(results)
+    costs = stage_costs(known)
     if not costs:
         return []
     head = f"{'cost so far':20s} {'processor':>12s} {'largest MiB':>12s}"
@@ -163,10 +186,20 @@ def slurm_lines(results: Path) -> list[str]:
 
 @command(
     option("--results", type=Path, help="results/DATASET"),
+    option("--meshes", nargs="*", default=None, help="meshes that the dataset needs"),
 )
 def main(args: Namespace) -> None:
-    parts = (lines, cost_lines, running_lines, slurm_lines)
-    print("\n".join(printable(line) for part in parts for line in part(args.results)))
+    results, known = args.results, last_runs(args.results)
+    asked = still_asked(results, known, args.meshes)
+    failed = failures(results, asked)
+    text = [
+        *lines(results, {run.stage for run in failed}, args.meshes),
+        *failed_lines(results, failed),
+        *cost_lines(known),
+        *running_lines(results),
+        *slurm_lines(results),
+    ]
+    print("\n".join(map(printable, text)))
 
 
 if __name__ == "__main__":

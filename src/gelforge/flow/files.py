@@ -84,6 +84,14 @@ def read_json(path: Path | str) -> Any:
     return json.loads(Path(path).read_text(encoding="utf-8"))
 
 
+def last_line(path: Path) -> str:
+    """The last line of a text file, such as a log that is being written, that is not blank; of a long one its end."""
+    with path.open("rb") as text:
+        text.seek(max(0, path.stat().st_size - 1000))
+        lines = text.read().decode("utf-8", errors="replace").split("\n")
+    return next((line.strip() for line in reversed(lines) if line.strip()), "")
+
+
 def write_csv(path: Path | str, columns: Collection[str], rows: Iterable[Mapping[str, Any]]) -> None:
     """Write dict `rows` under `columns` as CSV, whole or not at all."""
     with publish(path) as part, part.open("w", newline="", encoding="utf-8") as stream:

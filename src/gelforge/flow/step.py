@@ -20,7 +20,7 @@ from types import FrameType
 from typing import IO
 
 from gelforge.errors import unwritable
-from gelforge.flow.files import digest_of, read_json, write_json
+from gelforge.flow.files import digest_of, last_line, read_json, write_json
 from gelforge.flow.layout import dataset_folder, log_of, metrics_of
 from gelforge.flow.orphans import die_with_parent
 from gelforge.flow.programs import installed
@@ -60,14 +60,6 @@ def live_line(log_path: Path) -> Iterator[None]:
     finally:
         over.set()
         teller.join()
-
-
-def last_line(path: Path) -> str:
-    """The last thing a log says."""
-    with path.open("rb") as log:
-        log.seek(max(0, path.stat().st_size - 1000))
-        lines = log.read().decode("utf-8", errors="replace").split("\n")
-    return next((line.strip() for line in reversed(lines) if line.strip()), "")
 
 
 def run(command: list[str], log_path: Path) -> tuple[int, dict]:

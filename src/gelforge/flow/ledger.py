@@ -1,0 +1,69 @@
+"""What the records of all targets tell together: which of them failed last, and which were made of what changed since.
+
+Only the standard library: an answer takes a fraction of a second for 15 000 samples.
+"""
+
+import json
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+
+from gelforge.flow.files import last_line, listed
+from gelforge.flow.layout import FEA, FORCES, MESHES, POSES, Layout
+from gelforge.flow.running import running_targets
+
+
+@dataclass(frozen=True)
+class LastRun:
+    """The last run of one target: its name below results/DATASET without suffix, such as 30_fea/0000, and its record."""
+
+    name: str
+    record: dict
+
+    @property
+    def stage(self) -> str:
+        """The stage that the target is of."""
+        return self.name.split("/")[0]
+
+    @property
+    def failed(self) -> bool:
+        """Whether the run ended with an error; one that a person stopped did not."""
+        return bool(self.record.get("exit_code")) and not self.record.get("interrupted")
+
+
+def last_runs(results: Path) -> list[LastRun]:
+    """Last runs of all targets, in the order of their names."""
+    of, found = Layout(results), []
+    for path in listed(of.metrics, "*.json", below=True):
+        try:
+            record = json.loads(path.read_bytes())
+        except (OSError, ValueError):
+            continue  # one that is being written
+        if isinstance(record, dict):
+            found.append(LastRun(str(path.relative_to(of.metrics).with_suffix("")), record))
+    return found
+
+
+def still_asked(results: Path, known: list[LastRun], meshes: Collection[str] | None) -> list[LastRun]:
+    """Those that make knows today: none of shards that the log has lost, nor of meshes that no solve needs any more.
+
+    meshes: those that the dataset needs; None where that is not known.
+    """
+    shards = Layout(results).names()
+    planned: dict[str, Collection[str] | None] = {POSES: shards, FEA: shards, FORCES: shards, MESHES: meshes}
+    among = ((run, planned.get(run.stage)) for run in known)
+    return [run for run, names in among if names is None or run.name.split("/")[-1] in names]
+
+
+def failures(results: Path, known: list[LastRun]) -> list[LastRun]:
+    """Those whose last run ended with an error, but for what runs again now."""
+    failed = [run for run in known if run.failed]
+    running = set(running_targets(results)) if failed else set()
+    return [run for run in failed if run.name not in running]
+
+
+def last_words_of(results: Path, run: LastRun) -> tuple[str, Path]:
+    """The last thing that the log of a failed target says, and where it lies."""
+    log = Layout(results).logs / f"{run.name}.log"
+    said = last_line(log) if log.exists() else ""
+    return said or f"ended with code {run.record['exit_code']} without a word", log
