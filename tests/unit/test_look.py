@@ -1,6 +1,9 @@
 """Pictures and .vtu of a sample."""
 
+import os
 import re
+import shutil
+import time
 from dataclasses import replace
 
 import cv2
@@ -10,8 +13,10 @@ import pytest
 from pressed_dataset import label, write_pressed
 
 from gelforge.commands import look
+from gelforge.commands.look import outdated_causes, shard_paths
 from gelforge.errors import BadInput
-from gelforge.flow.files import write_csv
+from gelforge.flow.files import write_csv, write_json
+from gelforge.flow.layout import Layout
 from gelforge.records.log import write_rejections
 from gelforge.records.press import Rejection
 from gelforge.reporting.forcemaps import SIGNED, write_maps
@@ -129,6 +134,19 @@ def test_a_force_along_its_axis_is_red_in_every_picture(made, tmp_path):
     stops = re.findall(r"\d+", re.search(r"DIVERGING = \[(.*)\];", COLOURS.read_text(encoding="utf-8"))[1])
     ends = [*mpl.colormaps[SIGNED](0, bytes=True)[:3], *mpl.colormaps[SIGNED](255, bytes=True)[:3]]
     assert [int(stop) for stop in stops[:3] + stops[-3:]] == ends
+
+
+def test_a_label_of_older_parameters_is_told(made, tmp_path, capsys):
+    results = tmp_path / "results/lab"
+    shutil.copytree(made["results"], results)
+    assert outdated_causes(results, shard_paths(results, "s001", "24x32"), "24x32") == []
+    of, fea = Layout(results), Layout(results).params / "fea.json"
+    write_json(of.metrics / "40_forces/0000.json", {"inputs": [str(fea)]})
+    write_json(fea, {})
+    os.utime(fea, (time.time() + 9, time.time() + 9))
+    run(made | {"results": results}, "s001", "24x32")
+    told = "the label of s001 is an older one: parameters of fea changed since; make labels RES=24x32 DATASET=lab"
+    assert capsys.readouterr().out.startswith(told)
 
 
 def test_of_a_rejected_row_the_reason_is_told_and_its_remedy(tmp_path):

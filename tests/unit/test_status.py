@@ -1,8 +1,11 @@
 """Status counts what is on disk, and names why samples are missing."""
 
+import os
+from pathlib import Path
+
 import numpy as np
 
-from gelforge.commands.status import failed_lines, lines
+from gelforge.commands.status import failed_lines, lines, outdated_lines
 from gelforge.flow.files import write_csv, write_json, write_text
 from gelforge.flow.ledger import failures, last_runs, still_asked
 from gelforge.records.forcefile import SampleForces, write_forces
@@ -106,3 +109,39 @@ def test_a_dataset_on_bricks_needs_no_meshes(tmp_path):
     assert "20_meshes            not made (make meshes DATASET=lab)" in lines(
         tmp_path / "lab", meshes=["ccx-centre-0.7"]
     )
+
+
+def test_what_was_made_of_something_that_changed_since_is_told(tmp_path):
+    """After a changed parameter all of it stood there as done."""
+    results = tmp_path / "results/lab"
+    params = [write_dated(results / f"00_plan/params/{name}.json", 0) for name in ("poses", "fea")]
+    write_csv(results / "00_plan/shards/0000.csv", ["sample_id"], [{"sample_id": "a"}])
+    poses = made_of(results, "10_poses/0000.csv", 10, params[0])
+    made_of(results, "10_poses/0001.csv", -10, params[0])  # of rows that the log has lost: nobody makes it again
+    fea = made_of(results, "30_fea/0000.csv", 20, poses, params[1])
+    made_of(results, "50_labels/12x16/labels.json", 30, fea)
+    asked = still_asked(results, last_runs(results), [])
+    assert outdated_lines(results, asked) == []
+    write_dated(Path(params[1]), 40)
+    assert outdated_lines(results, asked) == [
+        "outdated: 30_fea/0000 and what follows from it, because parameters of fea changed since:"
+        f" make why TARGET={fea} DATASET=lab"
+    ]
+    write_dated(Path(fea), 50)  # solved again, and not labelled
+    (told,) = outdated_lines(results, asked)
+    assert f"{fea} changed since" in told and told.endswith("labels.json RES=12x16 DATASET=lab")
+
+
+def write_dated(path, at):
+    """A file of a time in seconds after another; its path as text."""
+    write_text(path, "")
+    os.utime(path, (1e9 + at, 1e9 + at))
+    return str(path)
+
+
+def made_of(results, name, at, *inputs):
+    """A target of that time with the record that its step left; its path as text."""
+    target = write_dated(results / name, at)
+    record = {"exit_code": 0, "inputs": inputs, "command": ["python", "--out", f"{target}.part"]}
+    write_json((results / "metrics" / name).with_suffix(".json"), record)
+    return target

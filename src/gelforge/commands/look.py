@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.ancestry import rejections_of
+from gelforge.flow.ancestry import rejections_of, steps_to
 from gelforge.flow.files import publish
 from gelforge.flow.layout import LOOK, Layout, command_for, shard_name
+from gelforge.flow.ledger import causes, changed_since
 from gelforge.flow.main import command, option
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import Sensor, find_sensor, load_sensors, transform
@@ -59,6 +60,16 @@ def shard_paths(results: Path, sample_id: str, resolution: str) -> dict[str, Pat
             return paths
     one, all_of_them = (of.command(f"{goal} RES={resolution}") for goal in (f"sample ID={sample_id}", "labels"))
     raise BadInput(f"sample {sample_id} has no label at {resolution} yet; run {one}, or {all_of_them}")
+
+
+def outdated_causes(results: Path, paths: dict[str, Path], resolution: str) -> list[str]:
+    """What a label was made of that changed since; nothing is known of one that `make sample` made."""
+    of, shard = Layout(results), paths["labels"].stem
+    if paths["labels"] != of.labels(resolution, shard):
+        return []
+    made = (of.poses(shard), of.fea(shard), of.forces(shard), of.labelled(resolution))
+    steps = [step for path in made for step in steps_to(results, str(path), shard)]
+    return causes(changed_since((step.target, step.inputs) for step in steps))
 
 
 def load(data: Path, paths: dict, sample_id: str, sensors: dict, resolution: str) -> Pictured:
@@ -218,6 +229,9 @@ def main(args: Namespace) -> None:
     paths = {}
     for resolution in map(str, map(Grid.parse, args.resolution)):
         paths = shard_paths(args.results, args.id, resolution)
+        if why := outdated_causes(args.results, paths, resolution):
+            told = Layout(args.results).command(f"labels RES={resolution}")
+            print(f"the label of {args.id} is an older one: {', '.join(why)} changed since; {told} makes it anew")
         look = load(args.data, paths, args.id, sensors, resolution)
         write_figure(out / f"{args.id}-{resolution}.png", draw(look))
         print(out / f"{args.id}-{resolution}.png")

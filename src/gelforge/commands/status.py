@@ -1,6 +1,7 @@
 """What of a dataset is done, failed (with reasons) and pending, stage by stage."""
 
 import json
+import re
 from argparse import Namespace
 from collections import Counter
 from collections.abc import Collection
@@ -10,10 +11,12 @@ from gelforge.errors import printable
 from gelforge.flow import layout
 from gelforge.flow.files import listed, read_csv
 from gelforge.flow.layout import Layout
-from gelforge.flow.ledger import LastRun, failures, last_runs, last_words_of, still_asked
+from gelforge.flow.ledger import LastRun, causes, changed_since, failures, last_runs, last_words_of, still_asked
 from gelforge.flow.main import command, option
 from gelforge.flow.running import duration, look
 from gelforge.records.status import VALID, Status
+
+RESOLUTION = re.compile(r"/(\d+x\d+)/")
 
 # Only the standard library before there are forces: status answers in a fraction of a second for 15 000 samples.
 
@@ -132,6 +135,22 @@ def whole_lines(results: Path, broken: Collection[str], meshes: Collection[str] 
     return text
 
 
+def outdated_lines(results: Path, asked: list[LastRun]) -> list[str]:
+    """The first target that what it was made of changed since, and what that was; nothing where all is as it was made."""
+    old = changed_since((run.target, run.inputs) for run in asked)
+    first = next((run for run in asked if run.target in old), None)
+    if first is None:
+        return []
+    why = causes(old)
+    more = f" and {len(why) - 2} more" if len(why) > 2 else ""
+    resolution = RESOLUTION.search(first.name)
+    goal = f"why TARGET={first.target}" + (f" RES={resolution[1]}" if resolution else "")
+    return [
+        f"outdated: {first.name} and what follows from it, because {', '.join(why[:2])}{more} changed since:"
+        f" {Layout(results).command(goal)}"
+    ]
+
+
 def failed_lines(results: Path, failed: list[LastRun]) -> list[str]:
     """Targets whose last run failed, by stage and by what the log says last; the log named is the first one's."""
     alike: dict[tuple[str, str], list[tuple[LastRun, Path]]] = {}
@@ -194,6 +213,7 @@ def main(args: Namespace) -> None:
     failed = failures(results, asked)
     text = [
         *lines(results, {run.stage for run in failed}, args.meshes),
+        *outdated_lines(results, asked),
         *failed_lines(results, failed),
         *cost_lines(known),
         *running_lines(results),

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from gelforge.errors import BadInput, last_words
 from gelforge.flow.layout import PLAN
+from gelforge.flow.ledger import named
 from gelforge.flow.main import command, option
 
 # What GNU make says under -n --debug=b of each target that is out of date; v would add every one that is not.
@@ -61,12 +62,9 @@ def reasons(said: str) -> dict[str, list[str]]:
 
 def in_words(path: str) -> str:
     """Why a changed prerequisite matters."""
-    name = Path(path).stem
     if f"/{PLAN}/params/" in path:
-        return f"parameters of {name} changed since ({path}, from workflow/ and dataset.toml, or a new version of the stage)"
-    if f"/{PLAN}/shards/" in path:
-        return f"rows of the log in shard {name}, or their pictures, changed since ({path})"
-    return f"{path} changed since"
+        return f"{named(path)} changed since ({path}, from workflow/ and dataset.toml, or a new version of the stage)"
+    return f"{named(path)} changed since" + (f" ({path})" if named(path) != path else "")
 
 
 def lines(target: str, found: dict[str, list[str]], most: int = 12) -> list[str]:

@@ -4,12 +4,13 @@ Only the standard library: an answer takes a fraction of a second for 15 000 sam
 """
 
 import json
-from collections.abc import Collection
+import os
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from gelforge.flow.files import last_line, listed
-from gelforge.flow.layout import FEA, FORCES, MESHES, POSES, Layout
+from gelforge.flow.layout import FEA, FORCES, MESHES, PLAN, POSES, Layout, dataset_folder
 from gelforge.flow.running import running_targets
 
 
@@ -29,6 +30,17 @@ class LastRun:
     def failed(self) -> bool:
         """Whether the run ended with an error; one that a person stopped did not."""
         return bool(self.record.get("exit_code")) and not self.record.get("interrupted")
+
+    @property
+    def target(self) -> str:
+        """The file that it made, "" where the record does not tell: a step's command writes that file's name with .part."""
+        words = (word for word in self.record.get("command", []) if word.endswith(".part"))
+        return next(words, "").removesuffix(".part")
+
+    @property
+    def inputs(self) -> list[str]:
+        """The files that it read."""
+        return self.record.get("inputs", [])
 
 
 def last_runs(results: Path) -> list[LastRun]:
@@ -53,6 +65,42 @@ def still_asked(results: Path, known: list[LastRun], meshes: Collection[str] | N
     planned: dict[str, Collection[str] | None] = {POSES: shards, FEA: shards, FORCES: shards, MESHES: meshes}
     among = ((run, planned.get(run.stage)) for run in known)
     return [run for run, names in among if names is None or run.name.split("/")[-1] in names]
+
+
+def changed_since(made: Iterable[tuple[str, Iterable[str]]]) -> dict[str, list[str]]:
+    """Of targets with what they were made of: those that are older than some of it, as make judges it, with these inputs.
+
+    What is not there is neither outdated nor a reason: make makes it anyway.
+    """
+    times: dict[str, int] = {}
+
+    def written(path: str) -> int:
+        if path not in times:
+            try:
+                times[path] = os.stat(path).st_mtime_ns  # of so many files a Path each would take longer than to ask
+            except OSError:
+                times[path] = 0
+        return times[path]
+
+    found = {target: [path for path in inputs if written(path) > written(target) > 0] for target, inputs in made}
+    return {target: newer for target, newer in found.items() if newer}
+
+
+def causes(outdated: Mapping[str, Iterable[str]]) -> list[str]:
+    """What `changed_since` found to have changed, in words, each once: what no target makes, or else what one does."""
+    inputs = list(dict.fromkeys(path for newer in outdated.values() for path in newer))
+    given = [path for path in inputs if dataset_folder(Path(path)) is None or f"/{PLAN}/" in path]
+    return [named(path) for path in given or inputs]
+
+
+def named(path: str) -> str:
+    """What a file that targets are made of holds, in words."""
+    name = Path(path).stem
+    if f"/{PLAN}/params/" in path:
+        return f"parameters of {name}"
+    if f"/{PLAN}/shards/" in path:
+        return f"rows of the log in shard {name}, or their pictures,"
+    return path
 
 
 def failures(results: Path, known: list[LastRun]) -> list[LastRun]:

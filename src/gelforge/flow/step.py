@@ -22,6 +22,7 @@ from typing import IO
 from gelforge.errors import unwritable
 from gelforge.flow.files import digest_of, last_line, read_json, write_json
 from gelforge.flow.layout import dataset_folder, log_of, metrics_of
+from gelforge.flow.ledger import changed_since
 from gelforge.flow.orphans import die_with_parent
 from gelforge.flow.programs import installed
 from gelforge.flow.running import look
@@ -225,7 +226,7 @@ def build(target: Path, inputs: list[Path], command: list[str]) -> int:
     with locked(target) as log_path:
         # A second make that waited here finds the work of the first one done. Clocks cannot tell: a file's time stamp
         # lags by the kernel's tick, and a file server has a clock of its own.
-        if file_state(target) not in (None, before) and not outdated(target, inputs):
+        if file_state(target) not in (None, before) and not changed_since([(str(target), map(str, inputs))]):
             return 0
         return make_part(target, inputs, command, log_path)
 
@@ -237,12 +238,6 @@ def file_state(path: Path) -> tuple[int, int] | None:
     except FileNotFoundError:
         return None
     return state.st_ino, state.st_mtime_ns
-
-
-def outdated(target: Path, inputs: Iterable[Path]) -> bool:
-    """Whether an input is newer than its target, as make judges it."""
-    made = target.stat().st_mtime_ns
-    return any(path.exists() and path.stat().st_mtime_ns > made for path in inputs)
 
 
 @contextmanager
