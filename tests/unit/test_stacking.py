@@ -41,14 +41,14 @@ def test_what_is_seen_of_any_press_is_finite(row, col, force, dots):
     """Also of a single cell, which has no spread, and beside dots that tell a pull."""
     forces = np.zeros((3, 24, 32), np.float32)
     forces[2, row, col] = -force
-    seen = features(forces, np.array([0.0, 0.0, dots]), np.zeros(5, np.float32))
+    seen = features(forces, np.array([0.0, 0.0, dots]), 1.0, np.zeros(5, np.float32))
     assert seen.shape == (OF_FORCES + 5,) and seen.dtype == np.float32 and np.isfinite(seen).all()
 
 
 def test_the_same_contact_pressed_harder_differs_in_its_force_alone():
     rng = np.random.default_rng(0)
     forces, by_dots, pooled = pressed(rng), np.array([0.5, 0.5, -7.0]), np.ones(3, np.float32)
-    one, two = features(forces, by_dots, pooled), features(2 * forces, 2 * by_dots, pooled)
+    one, two = features(forces, by_dots, 0.9, pooled), features(2 * forces, 2 * by_dots, 0.9, pooled)
     changed = np.flatnonzero(~np.isclose(one, two, atol=1e-5))
     assert (two - one)[changed] == pytest.approx(math.log(2.0), abs=1e-5) and len(changed) == 2  # total and peak
 
@@ -135,7 +135,7 @@ def test_only_normal_force_is_moved_and_only_where_something_presses(stacked):
     pooled = rng.normal(size=stacked.stacking.mean.shape[0] - OF_FORCES).astype(np.float32)
     alone = replace(stacked, stacking=None)
     for force, moves in ((0.5 * LEAST_PRESS, False), (8.0, True)):
-        readings = TwoReadings(pressed(rng, force), np.array([0.1, 0.2, -0.9 * force]), pooled)
+        readings = TwoReadings(pressed(rng, force), np.array([0.1, 0.2, -0.9 * force]), 1.0, pooled)
         found, without = told_together(stacked, readings), told_together(alone, readings)
         np.testing.assert_array_equal(found[:2], without[:2])
         assert (found[2].sum() != without[2].sum()) == moves

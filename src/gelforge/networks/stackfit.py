@@ -61,7 +61,7 @@ def lessons(trained: Trained, data: Data, rows: np.ndarray, settings: TrainingTa
         for readings, label in variants_of(beside[sensors[row]], data, int(row), settings):
             if readings.by_dots is not None and has_shape(readings.forces):
                 told = told_together(alone, readings)[2].sum(dtype=float)
-                seen = features(readings.forces, readings.by_dots, readings.pooled)
+                seen = features(readings.forces, readings.by_dots, readings.dots_found, readings.pooled)
                 found.append((seen, told, label[2].sum(dtype=float)))
     seen, told, true = (np.array(part) for part in zip(*found, strict=True))
     return Lessons(seen, told, true)
@@ -90,5 +90,4 @@ def read_dots(untouched: Untouched, image: np.ndarray, kept: np.ndarray) -> TwoR
     readings, reader = read_both(untouched, GIVEN, pair.lit, pair), untouched.reader_of_dots
     if reader is None or readings.by_dots is None:
         return readings
-    motion = pair.dots.on_lattice(pair.followed) * kept
-    return replace(readings, by_dots=reader.total(motion.astype(np.float32)))
+    return readings.with_dots(reader, (pair.motion * kept).astype(np.float32))

@@ -24,14 +24,14 @@ FARTHEST = 4.0  # spreads from its mean beyond which a value is taken to lie the
 HALF_SAID = 2.0
 TOUCHED = 0.05  # of the largest normal force of a cell: one with so much counts half towards the contact's area
 LEAST_SHARE = 0.01  # of the normal force, that dots are taken to tell at least
-OF_FORCES = 13  # numbers that `features` tells of the forces themselves
+OF_FORCES = 14  # numbers that `features` tells of the forces themselves
 
 
-def features(forces: np.ndarray, by_dots: np.ndarray, pooled: np.ndarray) -> np.ndarray:
+def features(forces: np.ndarray, by_dots: np.ndarray, dots_found: float, pooled: np.ndarray) -> np.ndarray:
     """What the small network sees of a press, (OF_FORCES + k,) float32.
 
     forces: (3, rows, cols) N as the brightness tells them, which press with LEAST_PRESS or more. by_dots: totals (3,) N.
-    pooled: (k,) of the network (`Unrolled.with_pooled`). None of them jumps where a force moves a little.
+    dots_found: share of the print's places that these were told from. pooled: (k,) of the network (`Unrolled.with_pooled`). None of them jumps where a force moves a little.
     """
     total = forces.sum((1, 2), dtype=float)
     pressed = np.maximum(-forces[2].astype(float), 0.0)
@@ -51,6 +51,7 @@ def features(forces: np.ndarray, by_dots: np.ndarray, pooled: np.ndarray) -> np.
         math.log(max(-by_dots[2] / weight, LEAST_SHARE)),
         *(total[:2] / weight),
         *(by_dots[:2] / weight),
+        dots_found,
     ]
     return np.concatenate([told, pooled]).astype(np.float32)
 

@@ -1,7 +1,8 @@
 """A trained network at work on one image: the model, the untouched sensor beside it, forces and a judgement."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -195,24 +196,28 @@ class CanonicalPair:
     followed: Followed
     placement: Placement
 
-    def by_dots(self, reader: DotsOneByOne | None) -> np.ndarray | None:
-        """Total force (3,) N that the dots tell by themselves (networks.dotreader); None where nothing reads them."""
-        if reader is None or not self.dots.known:
-            return None
-        return reader.total(self.dots.on_lattice(self.followed))
+    @cached_property
+    def motion(self) -> np.ndarray:
+        """How the dots moved, (3, ROWS, COLS) (networks.dots)."""
+        return self.dots.on_lattice(self.followed)
 
 
 @dataclass(frozen=True)
 class TwoReadings:
     """What each reader tells of a pair: forces (3, rows, cols) N of its brightness, tared; by_dots, totals (3,) N of its dots.
 
-    by_dots: None where nothing reads them. pooled: (k,) what the network sees in the picture as a whole
-    (`Unrolled.with_pooled`).
+    by_dots: None where nothing reads them. dots_found: share of the print's places where one was found. pooled: (k,) what
+    the network sees in the picture as a whole (`Unrolled.with_pooled`).
     """
 
     forces: np.ndarray
     by_dots: np.ndarray | None
+    dots_found: float
     pooled: np.ndarray
+
+    def with_dots(self, reader: DotsOneByOne, motion: np.ndarray) -> "TwoReadings":
+        """The same beside what a reader tells of the motion of dots (3, ROWS, COLS)."""
+        return replace(self, by_dots=reader.total(motion), dots_found=float(motion[2].mean()))
 
 
 def read_both(untouched: Untouched, name: str, lit: np.ndarray, pair: CanonicalPair | None) -> TwoReadings:
@@ -222,8 +227,10 @@ def read_both(untouched: Untouched, name: str, lit: np.ndarray, pair: CanonicalP
     """
     forces, pooled = predict_pooled(untouched.reader(name), lit)
     if pair is None:
-        return TwoReadings(forces, None, pooled)
-    return TwoReadings(forces - untouched.rest(name), pair.by_dots(untouched.reader_of_dots), pooled)
+        return TwoReadings(forces, None, 0.0, pooled)
+    alone = TwoReadings(forces - untouched.rest(name), None, 0.0, pooled)
+    reader = untouched.reader_of_dots
+    return alone if reader is None or not pair.dots.known else alone.with_dots(reader, pair.motion)
 
 
 def told_together(trained: Trained, readings: TwoReadings) -> np.ndarray:
@@ -232,7 +239,8 @@ def told_together(trained: Trained, readings: TwoReadings) -> np.ndarray:
         return readings.forces
     forces = blend(readings.forces, readings.by_dots, trained.about["dots"]["weight"])
     if trained.stacking is not None and has_shape(readings.forces):
-        factor = trained.stacking.factor(features(readings.forces, readings.by_dots, readings.pooled))
+        seen = features(readings.forces, readings.by_dots, readings.dots_found, readings.pooled)
+        factor = trained.stacking.factor(seen)
         forces = forces * np.array([1.0, 1.0, factor], np.float32)[:, None, None]
     return forces
 
