@@ -12,9 +12,7 @@ from gelforge.networks.statistics import widened
 from gelforge.records.markers import pitch_of
 from gelforge.records.splits import VALIDATION
 
-FEWEST_JUDGES = (
-    5  # presses of validation: chosen by one of them, a network read others five times worse than it began
-)
+FEWEST_JUDGES = 5  # presses of validation: chosen by a single one, a network read others five times worse than before
 FARTHER = 0.05  # share by which scales may lie beyond those that a network knows, so that it can still learn them
 
 
