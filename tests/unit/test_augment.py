@@ -62,7 +62,7 @@ def test_a_mirrored_press_is_a_press():
 
 
 def test_a_shift_needs_cells_of_whole_pixels():
-    with pytest.raises(BadInput, match="shift_cells = 1: cells of 7 x 8 on an image of 24 x 32"):
+    with pytest.raises(BadInput, match="shift_cells = 1: cells of 7 x 8 on an image of 32 x 24"):
         shift_together(np.zeros((1, 24, 32, 3), np.uint8), np.zeros((1, 3, 7, 8)), 1, torch.Generator())
 
 
