@@ -3,6 +3,7 @@
 import fcntl
 import os
 import time
+from contextlib import contextmanager
 
 from gelforge.commands.status import cost_lines, running_lines
 from gelforge.flow.files import write_csv, write_json, write_text
@@ -28,12 +29,19 @@ def lay(results, solved):
     return now
 
 
-def test_presses_of_a_shard_that_is_being_solved_count(tmp_path):
-    now = lay(tmp_path, 3)
-    lock = tmp_path / "logs/30_fea/0000.lock"
+@contextmanager
+def at_work(results, target):
+    """While a step holds the lock of a target."""
+    lock = results / f"logs/{target}.lock"
     lock.parent.mkdir(parents=True)
     with lock.open("w") as held:
         fcntl.flock(held, fcntl.LOCK_EX)
+        yield
+
+
+def test_presses_of_a_shard_that_is_being_solved_count(tmp_path):
+    now = lay(tmp_path, 3)
+    with at_work(tmp_path, "30_fea/0000"):
         state = look(tmp_path, now)
     assert (state.solved, state.total, state.running, state.stage) == (3, 8, ["30_fea/0000"], "30_fea")
     assert abs(state.rate - 1.0) < 0.05
@@ -64,10 +72,7 @@ def test_what_older_parameters_solved_is_still_to_come(tmp_path):
 
 def test_of_stages_after_the_solves_their_count_is_not_told(tmp_path):
     now = lay(tmp_path, 8)
-    lock = tmp_path / "logs/80_evaluate/24x32/pair_8.card.lock"
-    lock.parent.mkdir(parents=True)
-    with lock.open("w") as held:
-        fcntl.flock(held, fcntl.LOCK_EX)
+    with at_work(tmp_path, "80_evaluate/24x32/pair_8.card"):
         assert look(tmp_path, now).told() == "now: 80_evaluate/24x32/pair_8.card"
         write_json(tmp_path / "metrics/80_evaluate/24x32/pair_8.json", {})  # of the evaluation, not of its card
         os.utime(tmp_path / "metrics/80_evaluate/24x32/pair_8.json", (now + 9, now + 9))

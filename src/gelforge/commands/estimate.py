@@ -39,9 +39,8 @@ EVALUATE_EACH, REPORT_EACH, CALIBRATE_EACH, CHART_EACH = 5e-3, 0.02, 18.0, 6.0
 ROW_EACH = {"poses": 7e-3, "forces": 1e-3, "labels": 2e-3}
 # A press in one epoch of the readers of dots, of force and of place.
 DOTS_EACH, PLACES_EACH = 2e-3, 3e-4
-STACKED_EACH = (
-    4e-2  # a press that both readers read for what is learnt above them; its epochs take nothing beside that
-)
+# A press that both readers read for what is learnt above them; its epochs take nothing beside that.
+STACKED_EACH = 4e-2
 START = 3.0  # of a process with torch or the drawing libraries
 IMAGE_BYTES = 240 * 320 * 3
 

@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from gelforge.errors import BadInput
-from gelforge.flow.ancestry import Step, concerning, pose_of, read_record, rejections_of, steps_to
+from gelforge.flow.ancestry import Step, concerning, pose_of, read_record, rejections_of, steps_of_label, steps_to
 from gelforge.flow.layout import FEA, Layout
 from gelforge.flow.main import command, option
 
@@ -17,11 +17,10 @@ def lineage(results: Path, sample_id: str, resolution: str) -> dict:
     of = Layout(results)
     shard = of.shard_of(sample_id)
     rejected = rejections_of(results, shard, sample_id)
-    # each by itself: a label of very many shards names none of them, and one that is not there yet leads to none
-    paths = [of.poses(shard), of.fea(shard), of.forces(shard), of.labelled(resolution)]
     if rejected:  # what was made of its shard since was not made of it
-        del paths[1:]
-    steps = list({step.target: step for path in paths for step in steps_to(results, str(path), shard)}.values())
+        steps = list(steps_to(results, str(of.poses(shard)), shard))
+    else:
+        steps = steps_of_label(results, shard, resolution)
     pose = pose_of(results, shard, sample_id)
     steps = [replace(step, parameters=concerning(step.parameters, pose)) for step in steps]
     solve = read_record(of.solve(shard, sample_id))

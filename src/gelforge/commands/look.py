@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.ancestry import rejections_of, steps_to
+from gelforge.flow.ancestry import rejections_of, steps_of_label
 from gelforge.flow.files import publish
 from gelforge.flow.layout import LOOK, Layout, command_for, shard_name
 from gelforge.flow.ledger import causes, changed_since
@@ -67,9 +67,7 @@ def outdated_causes(results: Path, paths: dict[str, Path], resolution: str) -> l
     of, shard = Layout(results), paths["labels"].stem
     if paths["labels"] != of.labels(resolution, shard):
         return []
-    made = (of.poses(shard), of.fea(shard), of.forces(shard), of.labelled(resolution))
-    steps = [step for path in made for step in steps_to(results, str(path), shard)]
-    return causes(changed_since((step.target, step.inputs) for step in steps))
+    return causes(changed_since((step.target, step.inputs) for step in steps_of_label(results, shard, resolution)))
 
 
 def load(data: Path, paths: dict, sample_id: str, sensors: dict, resolution: str) -> Pictured:

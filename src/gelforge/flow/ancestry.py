@@ -47,6 +47,16 @@ def belongs(path: str, results: Path, shards: set[str], shard: str) -> bool:
     return Path(path).is_relative_to(results) and (stem == shard or stem not in shards)
 
 
+def steps_of_label(results: Path, shard: str, resolution: str) -> list[Step]:
+    """The steps that led to a shard's labels, first one first, each once.
+
+    Asked for target by target: a label of very many shards names none of them, and one that is not there yet leads to none.
+    """
+    of = Layout(results)
+    paths = (of.poses(shard), of.fea(shard), of.forces(shard), of.labelled(resolution))
+    return list({step.target: step for path in paths for step in steps_to(results, str(path), shard)}.values())
+
+
 def pose_of(results: Path, shard: str, sample_id: str) -> dict:
     """The sample's row of the pose table, empty where there is none."""
     table = Layout(results).poses(shard)

@@ -189,13 +189,16 @@ def judged_splits(data: Data, learnt: bool) -> dict[str, np.ndarray]:
     raise BadInput(f"{data.folder}: has splits {', '.join(splits) or 'none'}; an evaluation needs {lacks}")
 
 
-def evaluate(data: Data, trained: Trained, settings: EvaluateTable) -> tuple[dict[str, Any], dict[str, tuple]]:
+def evaluate(
+    data: Data, trained: Trained, settings: EvaluateTable, called: str = ""
+) -> tuple[dict[str, Any], dict[str, tuple]]:
     """Evaluate a model on every split of a dataset but the one it was fitted to (`judged_splits`).
 
     Returns the figures, and per split its rows and predictions (k, 3, rows, cols) in N per cell. Figures are of the network
-    alone; under "told" those of what `predict` makes of it, with light, tare and dots, where it reads pairs.
+    alone; under "told" those of what `predict` makes of it, with light, tare and dots, where it reads pairs. called: of
+    `require_fit`.
     """
-    require_fit(trained, data)
+    require_fit(trained, data, called)
     torch.set_num_threads(settings.threads)
     version = data_version(data)
     learnt = learnt_sensors(trained, data, version)

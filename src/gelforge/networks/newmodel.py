@@ -144,8 +144,8 @@ def make_stacked(data: Data, name: str, model: dict[str, Any], settings: Trainin
     """`start` with a network above both its readers, learnt from the training presses of a dataset that is new to them.
 
     Network and readers stay as they are and meet as they did, and so does what the file says of how they learnt; how far
-    totals may be off is set anew, on the other presses of this dataset. Raises BadInput for a dataset that `start` learnt from or
-    cannot read, and one of too few presses.
+    totals may be off is set anew, on the other presses of this dataset. Raises BadInput for a dataset that `start` learnt
+    from or cannot read, and one of too few presses.
     """
     require_splits(data)
     data.require_untouched(range(len(data.table)))

@@ -16,7 +16,7 @@ from gelforge.networks.dotaugment import kept_dots
 from gelforge.networks.dotreader import LOST
 from gelforge.networks.modelfile import Trained
 from gelforge.networks.stacking import StackedFactor, features, train_stacking
-from gelforge.networks.use import GIVEN, TwoReadings, Untouched, read_both, told_together
+from gelforge.networks.use import GIVEN, CanonicalPair, TwoReadings, Untouched, read_both, told_together
 from gelforge.records.splits import TRAINING
 
 FEWEST_PRESSES = 250  # of fewer it learns their chances: with 125 presses others were read worse than without it
@@ -51,16 +51,16 @@ def fit_stacking(trained: Trained, data: Data, settings: TrainingTable) -> Stack
 
 
 def lessons(trained: Trained, data: Data, rows: np.ndarray, settings: TrainingTable) -> Lessons:
-    """Each of some rows as it is, and once more in a narrow view or with dots lost; those that hardly press are left out."""
-    alone, sensors = replace(trained, stacking=None), data.names("sensor_id")
-    beside = {
-        name: Untouched(alone, picture) for name, picture in data.nocontact.items() if name in set(sensors[rows])
-    }
-    found = []
+    """Each of some rows as it is, and once more in a narrow view or with dots lost; those that hardly press are left out.
+
+    trained: a model above whose readers nothing stands.
+    """
+    sensors, found = data.names("sensor_id"), []
+    beside = {name: Untouched(trained, data.nocontact[name]) for name in set(sensors[rows].tolist())}
     for row in progress(rows, "presses read", len(rows)):
         for readings, label in variants_of(beside[sensors[row]], data, int(row), settings):
             if readings.by_dots is not None and has_shape(readings.forces):
-                told = told_together(alone, readings)[2].sum(dtype=float)
+                told = told_together(trained, readings)[2].sum(dtype=float)
                 seen = features(readings.forces, readings.by_dots, readings.dots_found, readings.pooled)
                 found.append((seen, told, label[2].sum(dtype=float)))
     seen, told, true = (np.array(part) for part in zip(*found, strict=True))
@@ -73,21 +73,21 @@ def variants_of(
     """What both readers tell of a picture as it is and of one that is varied, each with its label (3, rows, cols) N."""
     draw = generator(settings.seed, "stacking", row)
     kept = kept_dots(1, LOST, draw)[0].numpy()
-    every = np.ones_like(kept)
-    image, label = np.ascontiguousarray(data.images[row]), np.asarray(data.labels[row])
-    yield read_dots(untouched, image, every), label
+    label = np.asarray(data.labels[row])
+    pair, readings = read(untouched, np.ascontiguousarray(data.images[row]))
+    yield readings, label
     half = replace(settings.augment, narrowed_share=0.5)
-    (pair,), (shown,), (narrow,) = narrow_views(data.seen([row], "pair"), label[None], half, draw)
+    (seen,), (shown,), (narrow,) = narrow_views(data.seen([row], "pair"), label[None], half, draw)
     if narrow:
-        image, label = np.ascontiguousarray(pair[..., :3]), shown
-        untouched = Untouched(untouched.trained, np.ascontiguousarray(pair[..., 3:]))
-    yield read_dots(untouched, image, kept), label
+        image, rest = (np.ascontiguousarray(part) for part in (seen[..., :3], seen[..., 3:]))
+        pair, readings = read(Untouched(untouched.trained, rest), image)
+        label = shown
+    reader = untouched.reader_of_dots
+    if reader is not None and readings.by_dots is not None:
+        yield readings.with_dots(reader, (pair.motion * kept).astype(np.float32)), label
 
 
-def read_dots(untouched: Untouched, image: np.ndarray, kept: np.ndarray) -> TwoReadings:
-    """What both readers tell of an image; kept: (ROWS, COLS) places of the lattice that keep their dot."""
+def read(untouched: Untouched, image: np.ndarray) -> tuple[CanonicalPair, TwoReadings]:
+    """An image beside its untouched picture, and what both readers tell of it."""
     pair = untouched.pair(image, GIVEN)
-    readings, reader = read_both(untouched, GIVEN, pair.lit, pair), untouched.reader_of_dots
-    if reader is None or readings.by_dots is None:
-        return readings
-    return readings.with_dots(reader, (pair.motion * kept).astype(np.float32))
+    return pair, read_both(untouched, GIVEN, pair.lit, pair)

@@ -31,7 +31,8 @@ def features(forces: np.ndarray, by_dots: np.ndarray, dots_found: float, pooled:
     """What the small network sees of a press, (OF_FORCES + k,) float32.
 
     forces: (3, rows, cols) N as the brightness tells them, which press with LEAST_PRESS or more. by_dots: totals (3,) N.
-    dots_found: share of the print's places that these were told from. pooled: (k,) of the network (`Unrolled.with_pooled`). None of them jumps where a force moves a little.
+    dots_found: share of the print's places that these were told from. pooled: (k,) of the network (`Unrolled.with_pooled`).
+    None of them jumps where a force moves a little.
     """
     total = forces.sum((1, 2), dtype=float)
     pressed = np.maximum(-forces[2].astype(float), 0.0)

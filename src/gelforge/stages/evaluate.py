@@ -56,13 +56,13 @@ def paper_table(result: dict) -> str:
 def main(args: Namespace) -> None:
     from gelforge.networks.data import open_data
     from gelforge.networks.evaluation import evaluate
-    from gelforge.networks.modelfile import load_model, require_fit
+    from gelforge.networks.modelfile import load_model
     from gelforge.networks.use import SHIPPED
 
     data = open_data(args.dataset)
     trained = load_model(args.model)
-    require_fit(trained, data, "the network that ships" if args.model.resolve() == SHIPPED.resolve() else "")
-    result, predictions = evaluate(data, trained, read_slice(args.params, ForEvaluate).evaluate)
+    called = "the network that ships" if args.model.resolve() == SHIPPED.resolve() else ""
+    result, predictions = evaluate(data, trained, read_slice(args.params, ForEvaluate).evaluate, called)
     print(paper_table(result))
     with publish(beside(args.out, ".png")) as part:
         draw_predictions(part, data, predictions)
