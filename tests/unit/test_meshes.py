@@ -30,6 +30,7 @@ from gelforge.mechanics.tet.tetmesh import (
     EDGES,
     boundary_faces,
     gel_mesh,
+    jacobians,
     kuhn_grid,
     orient,
     quality,
@@ -190,6 +191,24 @@ def test_a_moved_mesh_is_as_sound_and_as_fine(mesh, share):
     went = (there.nodes - mesh.nodes)[mesh.elements[fine], :2]
     assert fine.sum() > 10
     np.testing.assert_allclose(went, np.broadcast_to(way, went.shape), atol=1e-9)
+
+
+def one_element(bow: float) -> GelMesh:
+    """A tetrahedron between the fine part and the rim, one of its edges bowed along itself by `bow` mm."""
+    corners = np.array([[5.0, 0, -3], [9, 0, -3], [5, 3, -3], [5, 0, -1]])
+    middles = corners[EDGES].mean(axis=1)
+    middles[EDGES.tolist().index([0, 1]), 0] += bow
+    nodes = np.concatenate([corners, middles])
+    return GelMesh("tet10", nodes, np.arange(10)[None], np.zeros((0, 6), int), np.zeros(0, int))
+
+
+def test_no_element_is_turned_inside_out_by_a_bowed_edge():
+    """Its corners span a volume wherever it goes; bowed edges grow as the edge itself gets shorter."""
+    straight, bowed = (reach(one_element(bow), GEL, (4.0, 4.0))[0] for bow in (0.0, 0.6))
+    assert 1.0 <= bowed < straight
+    ends = [moved(one_element(0.6), GEL, (4.0, 4.0), (way, 0.0)) for way in (bowed, straight)]
+    sound, turned = (jacobians(end.nodes, end.elements).min() for end in ends)
+    assert sound > 0 > turned
 
 
 @given(st.integers(-9, 9), st.integers(-9, 9))

@@ -258,6 +258,11 @@ def jacobians(nodes: np.ndarray, elements: np.ndarray) -> np.ndarray:
     return np.linalg.det(matrix)
 
 
+def scaled_jacobians(dets: np.ndarray) -> np.ndarray:
+    """Smallest of each element's `jacobians` (e, 14) as a share of its largest (e,); 0 or less where it is inside out."""
+    return dets.min(axis=1) / np.maximum(dets.max(axis=1), 1e-300)
+
+
 def analytic_volume(gel: Gel) -> float:
     """Volume under `gel.top` above the base, mm^3, by the midpoint rule over the outline."""
     step = 0.02
@@ -273,7 +278,7 @@ def quality(mesh: GelMesh, gel: Gel) -> dict:
     volumes = signed_volumes(mesh.nodes, corners)
     dets = jacobians(mesh.nodes, mesh.elements)
     edges = np.linalg.norm(np.diff(mesh.nodes[corners[:, EDGES]], axis=2)[:, :, 0], axis=-1)
-    scaled = dets.min(axis=1) / np.maximum(dets.max(axis=1), 1e-300)
+    scaled = scaled_jacobians(dets)
     radius_ratio = 6 * np.sqrt(2) * volumes / np.sqrt((edges**2).mean(axis=1)) ** 3
     volume = float(dets[:, 10:].mean(axis=1).sum() / 6)
     exact = analytic_volume(gel)
