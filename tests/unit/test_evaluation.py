@@ -129,10 +129,10 @@ def test_pictures_and_card_are_written(data, models, tmp_path):
     real = about | {"data": about["data"] | {"simulated": False}}
     assert "virtual rig" not in write_card(real, result)
     assert "Began as" not in write_card(about, result)
-    start = {"name": "small", "sha256": 64 * "0", "data": "train", "simulated": True}
-    assert "Began as the network small, which learnt from simulated presses" in write_card(
-        about | {"start": start}, result
-    )
+    start = {"name": "small", "sha256": 64 * "0", "data": "train", "simulated": True, "share": 0.5}
+    told = write_card(about | {"start": start}, result)
+    assert "Began as the network small, which learnt from simulated presses" in told
+    assert "Its weights lie 50 % of the way from that network's to those learnt here" in told
 
 
 def test_the_choice_is_faster_and_nowhere_worse():

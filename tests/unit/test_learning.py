@@ -17,7 +17,17 @@ from gelforge.errors import BadInput
 from gelforge.networks.batches import Ahead, epoch_order, images_to_tensor, target, training_batches
 from gelforge.networks.data import open_data, scales
 from gelforge.networks.inputs import network_input
-from gelforge.networks.training import Training, fit, loss_of, predict_rows, resume, save_checkpoint, validate
+from gelforge.networks.training import (
+    SHARES,
+    Training,
+    between,
+    fit,
+    loss_of,
+    predict_rows,
+    resume,
+    save_checkpoint,
+    validate,
+)
 from gelforge.stages.train import resolve, train
 
 
@@ -223,6 +233,29 @@ def test_a_network_that_goes_on_never_ends_worse_than_it_began(few, trained):
     assert found.about["best_epoch"] == 0 < found.about["curve"][0]["val_total"]
     weights = trained.net.state_dict()
     assert all(torch.equal(value, weights[name]) for name, value in found.net.state_dict().items())
+
+
+def test_weights_between_first_and_last_are_tried(few, trained):
+    """They lie on the straight way from one to the other, and the finished network is what validation likes best of it."""
+    settings = with_values(SETTINGS, epochs=3, learning_rate=2e-3, frozen_share=1.0)
+    training = Training(SMALL, settings, trained.about["normalisation"], IMAGE, GRID, "cpu")
+    training.go_on_from(trained.net.state_dict(), few)
+    fit(training, few)
+    first, last = training.start["weights"], training.best["weights"]
+    judged = {}
+    for share in (0.0, *SHARES, 1.0):
+        training.net.load_state_dict(between(first, last, share))
+        judged[share] = validate(training.net, few, training.norm, 8, "cpu")["val_total"]
+    assert judged[0.0] == pytest.approx(training.start["val_total"])
+    assert judged[1.0] == pytest.approx(training.best["val_total"])
+    assert training.share == min(judged, key=lambda share: judged[share])
+    assert training.best_epoch == (training.best["epoch"] if training.share else 0)
+    middle = between(first, last, 0.5)
+    assert all(
+        torch.allclose(2 * value, first[name] + last[name], atol=1e-5)
+        for name, value in middle.items()
+        if value.is_floating_point()
+    )
 
 
 def test_few_presses_teach_more_to_a_network_that_goes_on(few, trained, tmp_path):

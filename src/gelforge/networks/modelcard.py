@@ -78,9 +78,11 @@ def start_lines(about: dict) -> list[str]:
     if not start:
         return []
     learnt = "simulated presses" if start["simulated"] else "recorded presses"
+    share = 100 * start.get("share", 1.0)  # files of before it was chosen hold what was learnt
     return [
         f"- Began as the network {start['name']}, which learnt from {learnt} ({start['data']}), SHA-256 of its weights"
-        f" {start['sha256'][:16]}; what it saw before is not listed here."
+        f" {start['sha256'][:16]}; what it saw before is not listed here. Its weights lie {share:.0f} % of"
+        " the way from that network's to those learnt here, as validation chose."
     ]
 
 

@@ -129,9 +129,11 @@ def make_model(
             sights(learnt, reads, settings), learnt.splits[TRAINING], learnt.splits[VALIDATION]
         ),
         "curve": training.curve,
-        "best_epoch": training.best["epoch"],
+        "best_epoch": training.best_epoch,
         "parameters": parameter_count(training.net),
     }
+    if start is not None:
+        about |= {"start": about["start"] | {"share": training.share}}
     trained = Trained(training.net.cpu(), about)
     if needs_untouched(reads):
         trained = beside_untouched(trained, learnt, data, settings, start)
@@ -169,7 +171,7 @@ def begin(
 ) -> Training:
     """A training at its beginning, which scales as its first weights expect.
 
-    One that goes on from `start` has it as its best so far, so that it never ends worse on validation than it began.
+    One that goes on from `start` never ends worse on validation than it began: what it learns counts as far as that helps.
     """
     norm = scales(data, kind_of(model).totals_only, model.get("reads", "image"))
     if start is not None:

@@ -24,6 +24,9 @@ from gelforge.records.axes import CHANNELS
 from gelforge.records.networkkind import kind_of
 from gelforge.records.splits import TRAINING, VALIDATION
 
+# Of the way from the weights that a network goes on from to those that it learnt, where validation looks between the two.
+SHARES = (0.25, 0.5, 0.75)
+
 
 def initial_net(model: dict, image, grid, seed: int):
     """Build a network whose weights depend on `seed` alone; torch's own generator is left as it was."""
@@ -121,6 +124,14 @@ def mixes_precision(settings: TrainingTable, device: str) -> bool:
     return bool(settings.mixed_precision and hardware)
 
 
+def between(first: dict, last: dict, share: float) -> dict:
+    """Weights of one kind of network that lie `share` of the way from the first to the last; whole numbers are the first's."""
+    return {
+        name: torch.lerp(value, last[name], share) if value.is_floating_point() else value
+        for name, value in first.items()
+    }
+
+
 class Training:
     """A network with everything that its training needs to go on where it stopped."""
 
@@ -136,6 +147,8 @@ class Training:
         self.epochs_done = 0
         self.curve: list[dict] = []
         self.best: dict[str, Any] = {"epoch": 0, "val_total": float("inf"), "weights": None}
+        self.start: dict[str, Any] | None = None  # weights that it goes on from, and their validation
+        self.share = 1.0  # of the way from these to the best ones, where those of the finished network lie
         # seconds: of all, step_seconds: of the steps alone, epoch_seconds: of all up to the end of each epoch
         self.cost: dict[str, Any] = {
             "seconds": 0.0,
@@ -147,10 +160,35 @@ class Training:
         }
 
     def go_on_from(self, weights: dict, data) -> None:
-        """Begin with the weights of another network of the same kind; until an epoch is better, they are the best."""
+        """Begin with the weights of another network of the same kind."""
         begin_as(self.net, weights)
-        found = validate(self.net, data, self.norm, self.settings.batch, self.device)
-        self.keep({"epoch": 0} | found)
+        self.start = self._validated(data) | {"weights": copy.deepcopy(self.net.state_dict())}
+
+    def _validated(self, data) -> dict:
+        """Validation errors of the network as it is."""
+        return validate(self.net, data, self.norm, self.settings.batch, self.device)
+
+    def finish(self, data) -> None:
+        """Put the best epoch's weights into the network, or some between these and the ones that it went on from.
+
+        Of two datasets learnt one after the other, weights between have more of both: they err less on pictures of either and
+        on others (Wortsman et al. 2022, Robust fine-tuning of zero-shot models, CVPR, section 3.2). Validation tells which.
+        """
+        best = self.best["weights"]
+        if self.start is not None:
+            judged = {0.0: self.start["val_total"], 1.0: self.best["val_total"]}
+            for share in SHARES:
+                self.net.load_state_dict(between(self.start["weights"], best, share))
+                judged[share] = self._validated(data)["val_total"]
+            self.share = min(judged, key=lambda share: judged[share])
+            best = between(self.start["weights"], best, self.share)
+        self.net.load_state_dict(best)
+        self.net.to(memory_format=torch.contiguous_format).eval()
+
+    @property
+    def best_epoch(self) -> int:
+        """The epoch, from 1, whose weights the finished network has a share of; 0 where those it went on from are better."""
+        return self.best["epoch"] if self.share else 0
 
     @property
     def judged(self) -> torch.nn.Module:
@@ -282,7 +320,7 @@ def resume(path, training: Training, identity: str) -> bool:
 
 
 def fit(training: Training, data, checkpoint=None, identity: str = "", epochs: int | None = None) -> None:
-    """Train up to `epochs` (all of them if None), then put the best epoch's weights into the network.
+    """Train up to `epochs` (all of them if None), then let validation choose the network's weights (`Training.finish`).
 
     :param checkpoint: file to resume from and to write every `checkpoint_seconds`; None for neither.
     :param identity: text that tells one training from another; a checkpoint of another one is not used.
@@ -309,8 +347,7 @@ def fit(training: Training, data, checkpoint=None, identity: str = "", epochs: i
                 saved = time.monotonic()
     finally:
         batches.close()
-    training.net.load_state_dict(training.best["weights"])
-    training.net.to(memory_format=torch.contiguous_format).eval()
+    training.finish(data)
 
 
 def peak_memory_gib() -> float:
