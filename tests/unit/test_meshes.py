@@ -28,12 +28,15 @@ from gelforge.mechanics.scene import Material, Press, Scene
 from gelforge.mechanics.tet.moved import RASTER_MM, ROUNDING_MM, moved, reach, way_to
 from gelforge.mechanics.tet.tetmesh import (
     EDGES,
+    bend,
     boundary_faces,
     gel_mesh,
     jacobians,
     kuhn_grid,
     orient,
     quality,
+    scaled_jacobians,
+    second_order,
     signed_volumes,
     sizing_grid,
     split_long_edges,
@@ -72,7 +75,7 @@ def test_gel_of_tetrahedra_keeps_its_shape(mesh):
     # the outline's arcs are polygons of four sides, and edges 3 mm long cut the fall to the rim
     assert abs(report["volume_error"]) < 5e-3
     assert report["min_scaled_jacobian"] > 0.2
-    assert signed_volumes(mesh.nodes, mesh.elements[:, :4]).min() > 0
+    assert report["min_volume"] > 0
 
 
 def test_top_faces_look_outward_and_cover_the_outline(mesh):
@@ -209,6 +212,18 @@ def test_no_element_is_turned_inside_out_by_a_bowed_edge():
     ends = [moved(one_element(0.6), GEL, (4.0, 4.0), (way, 0.0)) for way in (bowed, straight)]
     sound, turned = (jacobians(end.nodes, end.elements).min() for end in ends)
     assert sound > 0 > turned
+
+
+def test_an_element_is_judged_within_its_bowed_edges():
+    """One at a rounded corner, where the top falls: moved, its straight edges cross, and it is far from inside out."""
+    flat = np.array([[-9.79, -11.44, -0.56], [-10.37, -11.12, 0], [-10.26, -11.7, 0], [-9.94, -12.19, 0]])
+    nodes, elements, _ = second_order(flat, orient(flat, np.arange(4)[None]))
+    nodes[:, 2] = bend(GEL, nodes)
+    mesh = GelMesh("tet10", nodes, elements, np.zeros((0, 6), int), np.zeros(0, int))
+    assert reach(mesh, GEL, (4.0, 4.0)) == (4.0, 6.0)  # as far as the rim lets it go
+    end = moved(mesh, GEL, (4.0, 4.0), (4.0, 6.0))
+    assert signed_volumes(end.nodes, end.elements[:, :4])[0] < 0
+    assert scaled_jacobians(jacobians(end.nodes, end.elements))[0] > 0.3
 
 
 @given(st.integers(-9, 9), st.integers(-9, 9))

@@ -12,7 +12,7 @@ from gelforge.geometry.gel import load_gel
 from gelforge.mechanics.family import MeshName, make_mesh
 from gelforge.mechanics.mesh import GelMesh
 
-VERSION = 4
+VERSION = 5
 
 
 def publish_mesh(name: str, mesh: GelMesh, report: dict, out: Path) -> None:

@@ -8,12 +8,14 @@ import numpy as np
 
 from gelforge.geometry.gel import Gel
 from gelforge.mechanics.mesh import GelMesh
-from gelforge.mechanics.tet.tetmesh import EDGES, jacobians, scaled_jacobians, signed_volumes
+from gelforge.mechanics.tet.tetmesh import EDGES, jacobians, scaled_jacobians, volumes
 
 RASTER_MM = 0.5  # that the fine part is moved by: presses share meshes, and what is kept for each
 ROUNDING_MM = 1e-9  # by which two lengths that are one may differ
 NARROWEST = 0.3  # of its width may be left of what lies between the fine part and the rim
-SOUND = 0.05  # of its volume that every element keeps at least
+# Of its volume that every element keeps at least. It is that within its bowed edges: under the rim's fall the straight
+# edges between corners may cross where the element itself is sound.
+SOUND = 0.05
 # Least scaled Jacobian of any element: bowed edges can turn one inside out whose corners still span a volume.
 LEAST_JACOBIAN = 0.1
 # Where the fine part lies farthest out, in shares of its reach: towards each corner of the gel, and each side.
@@ -22,22 +24,22 @@ ENDS = [(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y]
 
 def reach(mesh: GelMesh, gel: Gel, half: tuple[float, float]) -> tuple[float, float]:
     """How far (x, y) the fine part of half extents `half` can go either way and leave every element sound, mm."""
-    volumes = signed_volumes(mesh.nodes, mesh.elements[:, :4])
+    before = volumes(jacobians(mesh.nodes, mesh.elements))
     limits = [
         int((1.0 - NARROWEST) * (size / 2 - part)) for size, part in zip((gel.width, gel.length), half, strict=True)
     ]
     for back in range(max(limits)):
         x, y = (max(0, limit - back) for limit in limits)
         ends = (moved(mesh, gel, half, (a * x, b * y)) for a, b in ENDS)
-        if all(sound(end, volumes) for end in ends):
+        if all(sound(end, before) for end in ends):
             return float(x), float(y)
     return 0.0, 0.0
 
 
-def sound(mesh: GelMesh, volumes: np.ndarray) -> bool:
-    """Whether each element keeps enough of its volume, of `volumes` (e,) mm^3 before, and is far from inside out."""
-    kept = signed_volumes(mesh.nodes, mesh.elements[:, :4]) > SOUND * volumes
-    return bool(kept.all() and (scaled_jacobians(jacobians(mesh.nodes, mesh.elements)) > LEAST_JACOBIAN).all())
+def sound(mesh: GelMesh, before: np.ndarray) -> bool:
+    """Whether each element keeps enough of its volume, `before` (e,) mm^3, and is far from inside out."""
+    dets = jacobians(mesh.nodes, mesh.elements)
+    return bool((volumes(dets) > SOUND * before).all() and (scaled_jacobians(dets) > LEAST_JACOBIAN).all())
 
 
 def way_to(low: float, high: float, half: float, reach: float) -> float | None:
