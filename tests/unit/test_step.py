@@ -16,6 +16,8 @@ from gelforge.flow.layout import mirror
 from tests.limited import limited
 from tests.waiting import HANG, wait_until
 
+FOR_EVER = f"exec sleep {2 * HANG:g}"  # what is waited for to be ended must not end by itself meanwhile
+
 
 def start(target, *command, reads=()):
     wrapper = [sys.executable, "-m", "gelforge.flow.step", str(target), *map(str, reads), "--", *command]
@@ -73,7 +75,7 @@ def test_success_without_a_file_is_a_failure(tmp_path):
 def test_killing_the_wrapper_ends_its_command(tmp_path):
     target = tmp_path / "results/d/30_fea/0000.csv"
     mark = tmp_path / "pid"
-    child = start(target, "bash", "-c", f"echo $$ > {mark}; exec sleep 60")
+    child = start(target, "bash", "-c", f"echo $$ > {mark}; {FOR_EVER}")
     wait_until(lambda: mark.exists() and mark.read_text().strip())
     inner = int(mark.read_text())
     child.send_signal(signal.SIGKILL)
@@ -210,7 +212,7 @@ def test_an_input_whose_record_is_damaged_is_made_again_by_the_next_make(tmp_pat
 def test_killing_what_started_the_wrapper_ends_wrapper_and_command(tmp_path):
     """kill -9 of make: nothing goes on to the end of its shard."""
     target, mark = tmp_path / "results/d/30_fea/0000.csv", tmp_path / "pid"
-    inner = f"echo $$ > '{mark}'; exec sleep 60"
+    inner = f"echo $$ > '{mark}'; {FOR_EVER}"
     words = [sys.executable, "-m", "gelforge.flow.step", str(target), "--", "bash", "-c", inner]
     outer = subprocess.Popen(["bash", "-c", f"{shlex.join(words)}; true"])
     wait_until(lambda: mark.exists() and mark.read_text().strip())
@@ -272,7 +274,7 @@ def test_a_terminal_shows_one_line_that_goes_away(tmp_path, typed_to):
         env=os.environ | {"MAKE_TERMERR": device, "COLUMNS": "200"},
     )  # fmt: skip
     shown = b""
-    while b"press s7" not in shown and select.select([master], [], [], 60)[0]:
+    while b"press s7" not in shown and select.select([master], [], [], HANG)[0]:
         shown += os.read(master, 1000)
     mark.touch()
     said = child.communicate(timeout=HANG)[0]
@@ -325,7 +327,7 @@ def test_of_two_readers_of_a_damaged_input_one_makes_it_again(tmp_path):
 def test_an_interrupt_while_another_make_is_waited_for_is_no_traceback(tmp_path):
     target = tmp_path / "results/d/30_fea/0000.csv"
     started = tmp_path / "started"
-    first = start(target, "bash", "-c", f"touch {started}; sleep 60")
+    first = start(target, "bash", "-c", f"touch {started}; {FOR_EVER}")
     wait_until(started.exists, of=first)
     words = [sys.executable, "-m", "gelforge.flow.step", str(target), "--", "true"]
     # what started this test may ignore interrupts, as nohup and the shell's & do
@@ -346,7 +348,7 @@ def test_what_a_person_stops_is_no_failure(tmp_path, number):
     """Ctrl-C goes to make, wrapper and command at once; the next make makes the target."""
     target, started = tmp_path / "results/d/30_fea/0000.csv", tmp_path / "started"
     # no shell: one whose own child just ends takes no notice of an interrupt
-    waits = [sys.executable, "-c", f"import time; open({str(started)!r}, 'w'); time.sleep(60)"]
+    waits = [sys.executable, "-c", f"import time; open({str(started)!r}, 'w'); time.sleep({2 * HANG})"]
     words = [sys.executable, "-m", "gelforge.flow.step", str(target), "--", *waits]
     child = subprocess.Popen(
         words, stdout=subprocess.PIPE, text=True, start_new_session=True,
