@@ -112,7 +112,7 @@ def test_a_failed_solve_is_a_row_with_its_reason(folder, ccx):
     (folder / "10_poses" / "0000.csv").write_text(HEADER + ROWS[0])
     assert fea.main(arguments(folder)) == 0
     row = read_csv(folder / "30_fea" / "0000.csv.part")[0]
-    assert row["status"] == "DIVERGED" and "SIGALRM" in row["reason"]
+    assert row["status"] == "DIVERGED" and "raise timeout_s in [fea]" in row["reason"]
     forces.main(forces_arguments(folder))
     with ForceFile(folder / "0000.npz") as found:
         assert found.status.tolist() == ["DIVERGED"] and not len(found.node)

@@ -38,7 +38,7 @@ class CcxSettings:
     press_steps, shear_steps: load steps of the kinematics, at least. step_mm: none of the press is longer.
     stiffness: contact springs, multiples of C10 per mm. rounds: in which the contact at the path's end may change.
     pull_tolerance: share of the normal force that may pull in a valid state. penetration_mm: depth that counts as touching. residual:
-    largest nodal residual over the mean nodal force.
+    largest nodal residual over the mean nodal force. timeout_s: seconds after which a run of CalculiX is stopped.
     """
 
     press_steps: int

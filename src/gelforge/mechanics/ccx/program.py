@@ -17,6 +17,7 @@ from gelforge.flow.orphans import die_with_parent
 from gelforge.records.status import Status
 
 _ENOUGH_BYTES = 1 << 20  # less than this left on the disk counts as full
+OVERDUE = -signal.SIGALRM  # return code of a run that was stopped because it took too long
 
 
 def ccx_program() -> str | None:
@@ -57,6 +58,8 @@ class Job:
         for start, line in enumerate(lines := self.log.splitlines()):
             if "*ERROR" in line:
                 return " ".join(" ".join(lines[start : start + 3]).split())[:200]
+        if self.returncode == OVERDUE:
+            return f"stopped after {self.seconds:.3g} s; raise timeout_s in [fea], or the limit of the chart that it is for"
         if self.returncode < 0:
             return f"stopped by {signal.Signals(-self.returncode).name}"
         return f"exit code {self.returncode} without a message"
@@ -86,7 +89,7 @@ def run_ccx(name: str, folder: Path | str, timeout_s: float) -> Job:
             child.wait()
             if not isinstance(stop, subprocess.TimeoutExpired):
                 raise
-            returncode = -signal.SIGALRM
+            returncode = OVERDUE
     free = shutil.disk_usage(folder).free
     if free < _ENOUGH_BYTES:
         raise OSError(errno.ENOSPC, f"the disk is full ({free} bytes left)", str(folder))
