@@ -3,11 +3,11 @@
 import gzip
 import json
 import os
+import shlex
 import shutil
 import signal
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
@@ -19,6 +19,7 @@ from gelforge.geometry.gel import GELS
 from gelforge.records.forcefile import ForceFile
 from gelforge.stages import fea, forces
 from tests.blocks import symmetric_block
+from tests.waiting import HANG, wait_until
 
 GEL = GELS["gelsight_mini"]
 HEADER = "sample_id,sensor_id,gel_id,indenter,x0_mm,y0_mm,z0_mm,dx_mm,dy_mm,dz_mm,rot_deg\n"
@@ -54,12 +55,22 @@ def forces_arguments(folder):
             "--params", f"{folder}/params/forces.json", "--out", f"{folder}/0000.npz"]  # fmt: skip
 
 
-def test_killed_run_resumes_and_damage_is_found(folder, ccx):
+@pytest.fixture
+def held_at_the_second(folder, ccx):
+    """The environment of a stage 30 whose CalculiX waits once the first sample is done: a kill finds it in the second."""
+    waiting = folder / "ccx"
+    first = folder / "30_fea" / "0000" / "s0.json"
+    waiting.write_text(
+        f'#!/bin/sh\ntest -e {shlex.quote(str(first))} && exec sleep {2 * HANG:g}\nexec {shlex.quote(ccx)} "$1"\n'
+    )
+    waiting.chmod(0o755)
+    return os.environ | {"CCX": str(waiting)}
+
+
+def test_killed_run_resumes_and_damage_is_found(folder, held_at_the_second):
     out = folder / "30_fea" / "0000"
-    run = subprocess.Popen([sys.executable, "-m", "gelforge.stages.fea", *arguments(folder)])
-    while not (out / "s0.json").exists():
-        assert run.poll() is None, "stage 30 ended without its first sample"
-        time.sleep(0.05)
+    run = subprocess.Popen([sys.executable, "-m", "gelforge.stages.fea", *arguments(folder)], env=held_at_the_second)
+    wait_until((out / "s0.json").exists, of=run)
     run.send_signal(signal.SIGKILL)
     run.wait()
     first = (out / "s0.json").stat().st_mtime_ns
