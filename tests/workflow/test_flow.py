@@ -105,9 +105,11 @@ def test_killing_make_in_a_solve_loses_at_most_that_solve(project):
     os.killpg(child.pid, signal.SIGKILL)
     child.wait()
     kept = {p: p.stat().st_mtime_ns for p in first.glob("*/*.json")}
-    assert kept and not list(first.glob("*.part"))
+    assert kept
     built = build(project, "fea")
     assert set(built) <= {"30_fea/0000.csv", "30_fea/0001.csv"}
+    # one killed as it ended leaves its part, until then
+    assert not list(first.glob("*.part"))
     assert all(p.stat().st_mtime_ns == stamp for p, stamp in kept.items())
     assert sum(len(read_csv(p)) for p in first.glob("*.csv")) == 4
 
