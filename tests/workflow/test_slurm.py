@@ -21,7 +21,9 @@ pytestmark = [
 ]
 # A task sleeps in its first run only: what is lost while it sleeps is quick when it is brought back.
 FIRST_RUN = "import os, time\nif open(f'runs/{name}').read().count('started') == 1:\n    "
+FOR_EVER = f"time.sleep({2 * HANG})\n"  # of what is to be ended: were it not, no busy machine may pass that by
 AWAIT_GO = "import os, time\nwhile not os.path.exists('runs/go'): time.sleep(0.1)\n"
+HELD = "import time\nheld = b'x' * (120 * 2**20)\n"
 STATES = re.compile(r"(\d+) queued, (\d+) running, (\d+) done, (\d+) failed")
 
 
@@ -37,7 +39,7 @@ def overdue(tmp_path_factory):
     """A task over its time limit on a cluster of its own, begun first: Slurm counts whole minutes."""
     with cluster(cpus=1) as made:
         project = lay_project(tmp_path_factory.mktemp("overdue") / "p", time_minutes=1)
-        fault(project, "poses-0", FIRST_RUN + "time.sleep(150)\n")
+        fault(project, "poses-0", FIRST_RUN + FOR_EVER)
         process = start_make(project, made, "poses", "SHARDS=0 1")
         yield project, process
         if process.poll() is None:
@@ -147,8 +149,9 @@ def test_a_task_that_fails_is_shown_and_not_tried_again(project, lab):
 
 
 def test_killed_by_memory_comes_back_with_more(project, lab):
-    # Slurm looks once a second; 120 MiB are over 50 and 100, not over 200.
-    fault(project, "poses-1", "import time\nheld = b'x' * (120 * 2**20)\ntime.sleep(5)\n")
+    # 120 MiB are over 50 and 100, not over 200
+    until_third = "while open(f'runs/{name}').read().count('started') < 3: time.sleep(0.1)\n"
+    fault(project, "poses-1", HELD + until_third)
     code, text = make(project, lab, "poses")
     assert code == 0, text
     assert "killed at its memory limit of 50 MiB; again with 100 MiB" in text
@@ -158,7 +161,7 @@ def test_killed_by_memory_comes_back_with_more(project, lab):
 
 def test_killed_by_memory_as_often_as_the_profile_allows(project, lab):
     lay_profile(project, memory_mb=50, memory_max_mb=80, poll_seconds=1.0)
-    fault(project, "poses-1", "import time\nheld = b'x' * (120 * 2**20)\ntime.sleep(5)\n")
+    fault(project, "poses-1", HELD + FOR_EVER)
     code, text = make(project, lab, "poses")
     assert code != 0 and "killed at its memory limit of 80 MiB" in text and "run 2" in text
     assert runs(project) == [(1, 1), (2, 0), (1, 1), (1, 1)] and there(project) == ["0", "2", "3"]
@@ -192,12 +195,12 @@ def test_slurmctld_restarted_while_tasks_run(project, lab):
 
 
 def test_node_lost_and_back(project, lab):
-    fault(project, "poses-0", FIRST_RUN + "time.sleep(60)\n")
-    fault(project, "poses-1", FIRST_RUN + "time.sleep(60)\n")
+    fault(project, "poses-0", FIRST_RUN + FOR_EVER)
+    fault(project, "poses-1", FIRST_RUN + FOR_EVER)
     process = start_make(project, lab, "poses")
     await_running(project, lab, 2)
     lab.do("lose")
-    time.sleep(12)  # over SlurmdTimeout: Slurm itself must see that the node is gone
+    wait_until(lambda: "down" in lab.ask("sinfo", "-h", "-o", "%T"))  # Slurm itself must see that the node is gone
     lab.do("start", "slurmd")
     text, _ = process.communicate(timeout=HANG)
     assert process.returncode == 0, text
@@ -221,7 +224,7 @@ def test_tasks_that_slurm_starts_again_while_they_still_run_are_done_once(projec
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_interrupted_make_cancels(project, lab, how):
-    fault(project, "poses-3", FIRST_RUN + "time.sleep(60)\n")
+    fault(project, "poses-3", FIRST_RUN + FOR_EVER)
     process = start_make(project, lab, "poses")
     wait_until(lambda: there(project) == ["0", "1", "2"] and runs(project)[3] == (1, 0))
     # A terminal interrupts the whole group; a kill reaches make alone.
