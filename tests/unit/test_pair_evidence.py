@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gelforge.networks.canonical import Light
-from gelforge.networks.dots import COLS, ROWS, PrintedDots
+from gelforge.networks.dots import COLS, ROWS, Followed, PrintedDots
 from gelforge.networks.lattice import moved_alike
 from gelforge.networks.sensorprofile import Gain
 from gelforge.networks.statistics import (
@@ -27,6 +27,7 @@ from gelforge.networks.statistics import (
     quarters,
     relief,
     relief_fault,
+    rimless_evidence,
     score,
     spread_of,
     unevenness,
@@ -153,6 +154,32 @@ def test_a_picture_without_dots_has_no_rim_to_look_at():
     grey = np.full((240, 320, 3), 128, np.uint8)
     assert dot_evidence(PrintedDots(grey), PrintedDots(grey).follow(grey)) == DotEvidence()
     assert relief(grey) < 1.0 and MARGIN > 1.0
+
+
+# Of 40 dots of a view without rim: px that the first ten and the others moved, how many look otherwise, and what is told.
+RIMLESS = {
+    "a gel at rest": (0.1, 0.2, 0, ""),
+    "a press that shades dots": (0.7, 18.0, 18, ""),
+    "a drag": (3.0, 8.0, 4, ""),
+    "a gel that sits otherwise": (3.0, 3.2, 0, "all its dots moved"),
+    "another gel": (3.0, 8.0, 16, "all its dots moved"),
+    "another gel whose dots were taken for others": (0.3, 8.0, 24, "60% of its dots do not look"),
+    "no dot that is found again": (np.nan, np.nan, 40, "100% of its dots do not look"),
+}
+
+
+@pytest.mark.parametrize("what", RIMLESS)
+def test_another_gel_is_told_where_no_rim_is_shown(limits, what):
+    near, far, unlike, told = RIMLESS[what]
+    motion = np.where(np.arange(40)[:, None] < 10, near, far) * [1.0, 0.0]
+    evidence = rimless_evidence(Followed(motion, np.arange(40) < unlike))
+    light = Light(np.ones(3), np.zeros(3), 0.0, 1.0, known=True)
+    fault = pair_fault(limits, PairEvidence(0.0, light, evidence))
+    assert fault.startswith(told) and bool(fault) == bool(told)
+
+
+def test_a_picture_without_dots_tells_nothing_of_another_gel():
+    assert rimless_evidence(Followed(np.zeros((0, 2)), np.zeros(0, bool))) == DotEvidence()
 
 
 @given(st.tuples(*[st.floats(-5, 5)] * 4), st.floats(0, 0.3), st.integers(0, 99))

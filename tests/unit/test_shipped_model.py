@@ -2,6 +2,8 @@
 
 import csv
 from dataclasses import replace
+from itertools import islice
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +13,8 @@ from gelforge.errors import BadInput
 from gelforge.flow.params.tables import SHIPPED_IMAGE
 from gelforge.networks import use
 from gelforge.networks.modelfile import load_model, require_sensor
+from gelforge.networks.still import picture_at_rest
+from gelforge.records.film import frames, open_source
 
 LARGEST = 3 * 2**20  # bytes
 
@@ -51,3 +55,25 @@ def test_it_is_for_any_sensor_that_brings_its_untouched_picture(root):
     kept = replace(trained, untouched={"known_01": np.zeros((240, 320, 3), np.uint8)})
     with pytest.raises(BadInput, match="was made for sensors"):
         require_sensor(kept, {"any name"})
+
+
+def some_frames(film: Path) -> list[np.ndarray]:
+    """Every twentieth frame (h, w, 3) uint8 RGB of a film, from the first on that a camera does not set its exposure in."""
+    with open_source(film, None) as (source, announced):
+        return [
+            np.ascontiguousarray(frame[:, :, ::-1])
+            for frame in islice(frames(source, announced, "", None), 10, None, 20)
+        ]
+
+
+@pytest.mark.parametrize("grasp", ["glass_box_1", "marker_pen_1", "wooden_statue_5"])
+def test_the_other_finger_of_a_gripper_is_flagged_and_ones_own_is_not(reference, grasp):
+    """Both look alike and show no rim; a released gel reads up to 40 N against the other's untouched picture."""
+    films = [reference / f"gripper_videos/{grasp}_camera_{finger}.avi" for finger in (0, 2)]
+    fingers = [use.Untouched(use.load_for_use(None), picture_at_rest(film, None)) for film in films]
+    flagged = {True: [], False: []}
+    for one, untouched in enumerate(fingers):
+        for other, film in enumerate(films):
+            told = [use.predict_one(untouched, image)[2].flag for image in some_frames(film)]
+            flagged[one == other] += told
+    assert np.mean(flagged[False]) >= 0.9 and np.mean(flagged[True]) <= 0.25
