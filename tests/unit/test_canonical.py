@@ -142,7 +142,13 @@ def test_the_fewest_frames_that_can_tell_it_suffice():
     assert len(list(stream)) == FEWEST
 
 
-@pytest.mark.parametrize("parts", [[("moving", 40)], [("rest", FEWEST - 1)], [("exposing", 8), ("moving", MOST)]])
+@pytest.mark.parametrize("count", [0, 1, FEWEST - 1])
+def test_a_film_too_short_to_tell_the_untouched_sensor_says_so(count):
+    with pytest.raises(BadInput, match=f"film: ends after {count} of the {FEWEST} frames"):
+        find_untouched(film(("rest", count)), "film")
+
+
+@pytest.mark.parametrize("parts", [[("moving", 40)], [("exposing", 8), ("moving", MOST)]])
 def test_a_film_without_rest_is_refused(parts):
     with pytest.raises(BadInput, match=f"no {STILL} frames in a row"):
         find_untouched(film(*parts), "film")

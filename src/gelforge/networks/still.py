@@ -54,6 +54,11 @@ def find_untouched(images: Iterable[np.ndarray], name: str) -> tuple[np.ndarray,
         picture = watch.offer(image)
         if picture is not None:
             return picture, _again(held, rest)
+    if len(held) < FEWEST:
+        raise BadInput(
+            f"{name}: ends after {len(held)} of the {FEWEST} frames that it takes at least to tell the untouched sensor; give"
+            " its picture with --untouched"
+        )
     raise BadInput(
         f"{name}: no {STILL} frames in a row without movement after the first {SETTLING}, of {len(held)} looked at; let the"
         " film begin with a second in which nothing touches the sensor, or give that picture with --untouched"
