@@ -3,6 +3,7 @@
 import csv
 import os
 import signal
+import subprocess
 import sys
 from argparse import Namespace
 from dataclasses import replace
@@ -98,6 +99,79 @@ def test_predict_refuses_before_it_writes(data, paths, tmp_path):
     ):
         predict.main([str(tmp_path), "--model", str(paths["small"]), "--out", str(tmp_path / "out")])
     assert not (tmp_path / "out").exists()
+
+
+def loop(path: Path) -> str:
+    """A link that leads to itself."""
+    path.symlink_to(path.name)
+    return str(path)
+
+
+def test_a_link_that_leads_to_itself_is_named_wherever_it_is_given(data, paths, tmp_path):
+    good, where = str(write_png(tmp_path / "good.png", data.images[0])), ["--model", str(paths["small"])]
+    picture, film = loop(tmp_path / "loop.png"), loop(tmp_path / "loop.avi")
+    for command, given in (
+        (predict, [picture, "--out", str(tmp_path / "out")]),
+        (predict, [good, "--untouched", picture, "--out", str(tmp_path / "out")]),
+        (live, ["--video", film, "--csv", str(tmp_path / "o.csv")]),
+        (live, ["--video", str(write_avi(tmp_path / "f.avi", data.images[:12])), "--csv", film]),
+    ):
+        with pytest.raises(BadInput, match=r"loop\.\w+: cannot be .*symbolic links"):
+            command.main([*given, *where])
+
+
+@pytest.mark.parametrize(
+    "name, says",
+    [
+        ("film.avi", "is a film; `gelforge live --video"),
+        ("empty.png", "is empty"),
+        ("a.png", "cannot be read as an image .of another kind"),
+    ],
+)
+def test_predict_says_what_it_was_given_in_place_of_a_picture(tmp_path, paths, name, says):
+    (tmp_path / name).write_bytes(b"" if says == "is empty" else b"no picture")
+    with pytest.raises(BadInput, match=says):
+        predict.main([str(tmp_path / name), "--model", str(paths["small"]), "--out", str(tmp_path / "out")])
+
+
+def test_a_name_too_long_for_any_file_is_one_line(data, paths, tmp_path, capsys):
+    """A picture may have the longest name that there is; that of its map is longer."""
+    image = write_png(tmp_path / f"{'a' * 250}.png", data.images[0])
+    with pytest.raises(SystemExit) as ended:
+        predict.main.exit([str(image), "--model", str(paths["small"]), "--out", str(tmp_path / "out")])
+    told = capsys.readouterr().err
+    assert ended.value.code == 2 and told.count("\n") == 1 and "File name too long; give another name" in told
+    with pytest.raises(BadInput, match="File name too long"):
+        predict.main([f"{'a' * 300}.png", "--model", str(paths["small"]), "--out", str(tmp_path / "out")])
+
+
+@pytest.mark.parametrize("name, says", [("", "it is a folder"), ("gone.avi", "no such video")])
+def test_what_is_no_film_is_told(tmp_path, paths, name, says):
+    with pytest.raises(BadInput, match=f"{says}.*name an AVI or MP4 file"):
+        live.main(["--video", str(tmp_path / name), "--model", str(paths["small"]), "--csv", str(tmp_path / "o.csv")])
+
+
+def test_a_damaged_film_is_told_by_one_line_and_not_by_its_decoder(data, tmp_path):
+    """The decoder told a line for each block that it could not make out, thousands of them."""
+    film = tmp_path / "f.mp4"
+    size = data.images.shape[2], data.images.shape[1]
+    writer = cv2.VideoWriter(str(film), cv2.VideoWriter.fourcc(*"mp4v"), 25.0, size)
+    noise = np.random.default_rng(0).integers(0, 256, (30, *data.images.shape[1:]), np.uint8)
+    for frame in noise:
+        writer.write(frame)
+    writer.release()
+    content = bytearray(film.read_bytes())
+    content[len(content) // 3 : len(content) // 2] = bytes(len(content) // 2 - len(content) // 3)
+    film.write_bytes(content)
+    program = (
+        "import sys; from pathlib import Path; from gelforge.records.film import frames, open_source\n"
+        "with open_source(Path(sys.argv[1]), None) as (source, _): print(len(list(frames(source, 0, 'f', None))))"
+    )
+    run = [sys.executable, "-c", program, str(film)]
+    quiet = subprocess.run(run, capture_output=True, text=True, check=True)
+    asked = {"env": os.environ | {"OPENCV_FFMPEG_LOGLEVEL": "24"}}
+    told = subprocess.run(run, capture_output=True, text=True, check=True, **asked)
+    assert quiet.stderr == "" and quiet.stdout.count("\n") == 1 < told.stdout.count("\n")
 
 
 def test_predict_names_the_file_to_read_in_place_of_its_onnx(models, paths, tmp_path):

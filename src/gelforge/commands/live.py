@@ -17,7 +17,7 @@ from gelforge.flow.files import publish
 from gelforge.flow.main import command, from_zero, option, positive
 from gelforge.records.axes import CHANNEL_OF_AXIS
 from gelforge.records.film import frames, open_source, rate_of, source_name
-from gelforge.records.regular import refuse_to_replace
+from gelforge.records.regular import real_place, refuse_to_replace
 
 RATE_OVER = 30  # frames that the shown rate is averaged over
 
@@ -133,7 +133,7 @@ def refuse_taken_files(args: Namespace) -> None:
 
     written = {name: getattr(args, name) for name in ("out", "jsonl", "csv")}
     # - is standard output, one for both
-    files = {name: path if str(path) == "-" else path.resolve() for name, path in written.items() if path}
+    files = {name: path if str(path) == "-" else real_place(path) for name, path in written.items() if path}
     read = [args.video, args.untouched, *files_of(args.profile), args.model]
     for name, path in files.items():
         refuse_to_replace(f"--{name} {written[name]}", [path], read)

@@ -24,12 +24,13 @@ from gelforge.flow.files import publish, write_csv
 from gelforge.flow.main import command, option, positive
 from gelforge.networks.sensorprofile import files_of, untouched_of
 from gelforge.networks.sitting import place_sitting
-from gelforge.networks.use import Judgement, Untouched, load_for_use, predict_one
+from gelforge.networks.use import GIVEN, Judgement, Untouched, load_for_use, predict_one
 from gelforge.records.axes import CHANNELS
 from gelforge.records.image import read_image
-from gelforge.records.regular import refuse_to_replace
+from gelforge.records.regular import FOLDER, file_fault, refuse_to_replace
 from gelforge.records.totals import TOTAL_COLUMNS, total_columns
 
+FILMS = (".avi", ".mp4", ".mkv", ".mov", ".webm")  # names that no picture has
 COLUMNS = [
     "image",
     *TOTAL_COLUMNS,
@@ -128,8 +129,10 @@ def predict_files(paths: Sequence[Path], untouched: Untouched, out: Path, read: 
 )
 def main(args: Namespace) -> None:
     for path in args.images:
-        if path.is_dir():
+        if file_fault(path) == FOLDER:
             raise BadInput(f"{path}: is a folder; name the pictures in it, such as {path}/*.png")
+        if path.suffix.lower() in FILMS:
+            raise BadInput(f"{path}: is a film; `gelforge live --video {path} --csv readings.csv` reads it")
     import torch
 
     torch.set_num_threads(args.threads)
@@ -141,7 +144,7 @@ def main(args: Namespace) -> None:
     rows = predict_files(args.images, untouched, args.out, kept)
     for row in rows:
         warning = f"  FLAGGED: {row['reason']}" if row["flagged"] else ""
-        against = f" against {row['untouched']}" if row["untouched"] else ""
+        against = f" against {row['untouched']}" if row["untouched"] not in ("", GIVEN) else ""
         against += f", put right: {row['put_right']}" if row["put_right"] else ""
         forces = ", ".join(
             f"{channel} {row[f'{channel}_n']}{within(row[f'{channel}_half_width_n'])}" for channel in CHANNELS

@@ -39,7 +39,7 @@ from gelforge.records.film import source_name
 from gelforge.records.image import read_image
 from gelforge.records.markers import pitch_of
 from gelforge.records.press import check_id, parse_number
-from gelforge.records.regular import refuse_to_replace
+from gelforge.records.regular import real_place, refuse_to_replace
 from gelforge.records.table import numbered_rows
 
 
@@ -167,7 +167,7 @@ def check_options(args: Namespace, out: Path) -> None:
     if (
         beside.exists()
         and not out.exists()
-        and (args.untouched is None or beside.resolve() != args.untouched.resolve())
+        and (args.untouched is None or real_place(beside) != real_place(args.untouched))
     ):
         raise BadInput(
             f"{beside} is there already and would be replaced by the profile's picture; give another --name or --out"

@@ -22,10 +22,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
-from gelforge.errors import GelforgeError, unwritable
+from gelforge.errors import GelforgeError, printable, unwritable
 
 # Of a disk or a folder that takes nothing: no fault of the program.
 UNWRITABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT)
+# Of a name that no file can have.
+UNNAMEABLE = (errno.ENAMETOOLONG, errno.ELOOP)
 
 
 @dataclass(frozen=True)
@@ -134,9 +136,11 @@ def exit_with(main: Callable[[Sequence[str] | None], int], argv: Sequence[str] |
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 141
     except OSError as error:
-        if error.errno not in UNWRITABLE:
+        if error.errno not in (*UNWRITABLE, *UNNAMEABLE):
             raise
-        print(f"error: {unwritable(error)}, then run it again", file=sys.stderr)
+        named = error.errno in UNNAMEABLE
+        told = f"{printable(error.filename)}: {error.strerror}; give another name" if named else unwritable(error)
+        print(f"error: {told}, then run it again", file=sys.stderr)
         code = 2
     sys.exit(code)
 

@@ -1,5 +1,6 @@
 """Frames of a camera or a video file."""
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -8,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.records.regular import file_fault
 
 
 @contextmanager
@@ -18,8 +20,13 @@ def open_source(video: Path | None, camera: int | None) -> Iterator[tuple[Any, i
     """
     import cv2
 
-    if video is not None and not video.is_file():
-        raise BadInput(f"{video}: no such video")
+    fault = file_fault(video) if video is not None else None
+    if fault:
+        told = "no such video" if fault.startswith("No such file") else f"cannot be read as a video ({fault})"
+        raise BadInput(f"{video}: {told}; name an AVI or MP4 file")
+    os.environ.setdefault(
+        "OPENCV_FFMPEG_LOGLEVEL", "-8"
+    )  # of a damaged film it tells thousands of lines, `frames` one
     source = cv2.VideoCapture(str(video)) if camera is None else cv2.VideoCapture(camera)
     if not source.isOpened():
         what = (

@@ -88,7 +88,9 @@ def _claim_fault(data: bytes) -> str | None:
                 return _size_fault(header.size)
     except Image.DecompressionBombError:
         return "is far larger than 4096 x 4096 pixels"
-    except (UnidentifiedImageError, OSError, ValueError, SyntaxError, struct.error) as error:
+    except UnidentifiedImageError:
+        return "cannot be read as an image (of another kind, or damaged)" if data else "is empty"
+    except (OSError, ValueError, SyntaxError, struct.error) as error:
         return f"cannot be read as an image ({type(error).__name__})"
 
 

@@ -3,6 +3,7 @@
 And never written over.
 """
 
+import os
 import stat
 from collections.abc import Iterable
 from pathlib import Path
@@ -16,6 +17,7 @@ KINDS = {
     stat.S_IFCHR: "a device",
     stat.S_IFBLK: "a device",
 }
+FOLDER = f"it is {KINDS[stat.S_IFDIR]}"  # what `file_fault` says of one
 
 
 def file_fault(path: Path) -> str | None:
@@ -48,14 +50,19 @@ def read_bytes(path: Path, remedy: str, most: int = 2**32) -> bytes:
     )
 
 
+def real_place(path: Path) -> Path:
+    """Where a path leads, links followed as far as they go; `Path.resolve` raises for one that leads to itself."""
+    return Path(os.path.realpath(path))
+
+
 def refuse_to_replace(asked: str, written: Iterable[Path], read: Iterable[Path | None]) -> None:
     """BadInput where a file that is written would take the place of one that is read.
 
     asked: the option that names what is written, with its value, for the message. None among what is read is no file.
     """
-    kept = {path.resolve() for path in read if path is not None}
+    kept = {real_place(path) for path in read if path is not None}
     for path in written:
-        if path.resolve() in kept:
+        if real_place(path) in kept:
             raise BadInput(f"{asked}: {path} would take the place of a file that is read; name another place")
 
 
