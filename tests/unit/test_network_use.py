@@ -120,6 +120,16 @@ def test_a_link_that_leads_to_itself_is_named_wherever_it_is_given(data, paths, 
             command.main([*given, *where])
 
 
+def test_an_interrupted_call_leaves_no_table_of_an_earlier_one(data, paths, tmp_path, monkeypatch):
+    image = write_png(tmp_path / "p.png", data.images[0])
+    asked = [str(image), "--model", str(paths["small"]), "--out", str(tmp_path / "out")]
+    assert predict.main(asked) == 0 and (tmp_path / "out/totals.csv").is_file()
+    monkeypatch.setattr(predict, "predict_one", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    with pytest.raises(KeyboardInterrupt):
+        predict.main(asked)
+    assert not (tmp_path / "out/totals.csv").exists()
+
+
 @pytest.mark.parametrize(
     "name, says",
     [
