@@ -99,9 +99,8 @@ def predict_files(paths: Sequence[Path], untouched: Untouched, out: Path, read: 
     need_folder(out)
     if placement is not None and placement.correction:
         print(f"the pictures lie otherwise on the untouched one, which is put right: {placement.correction}")
-    (out / "totals.csv").unlink(
-        missing_ok=True
-    )  # who stops this call is left no table of an earlier one beside its maps
+    # who stops this call is left no table of an earlier one beside its maps
+    (out / "totals.csv").unlink(missing_ok=True)
     rows = []
     for path, name in zip(paths, names, strict=True):
         image, forces, judged = predict_one(untouched, read_image(path), placement)

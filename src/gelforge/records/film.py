@@ -24,9 +24,8 @@ def open_source(video: Path | None, camera: int | None) -> Iterator[tuple[Any, i
     if fault:
         told = "no such video" if fault.startswith("No such file") else f"cannot be read as a video ({fault})"
         raise BadInput(f"{video}: {told}; name an AVI or MP4 file")
-    os.environ.setdefault(
-        "OPENCV_FFMPEG_LOGLEVEL", "-8"
-    )  # of a damaged film it tells thousands of lines, `frames` one
+    # of a damaged film OpenCV's decoder tells thousands of lines, `frames` one
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     source = cv2.VideoCapture(str(video)) if camera is None else cv2.VideoCapture(camera)
     if not source.isOpened():
         what = (
