@@ -17,7 +17,7 @@ from gelforge.networks.data import data_version, open_data
 from gelforge.networks.evaluation import learnt_sensors
 from gelforge.networks.fitting import kept_above
 from gelforge.networks.modelcard import stacking_lines
-from gelforge.networks.modelfile import load_model, save_model, tensor_digest, tensors_of
+from gelforge.networks.modelfile import lessons_of, load_model, save_model, tensor_digest, tensors_of
 from gelforge.networks.stacking import HALF_SAID, MOST_LOG, OF_FORCES, StackedFactor, features, train_stacking
 from gelforge.networks.use import TwoReadings, Untouched, load_for_use, predict_one, told_together
 from gelforge.records.totals import LEAST_PRESS
@@ -158,6 +158,25 @@ def test_its_file_reads_back_and_tells_the_same(stacked, fresh, tmp_path):
     save_model(tmp_path / "odd.pt", replace(stacked, about=about))
     with pytest.raises(BadInput, match="stacking"):
         load_model(tmp_path / "odd.pt")
+
+
+def test_presses_that_the_network_knows_may_stand_beside_new_ones(fresh, monkeypatch):
+    """They are learnt from as well, told in file and card, and their units count as learnt."""
+    start, seen = load_for_use(None), []
+    known = replace(fresh, info=fresh.info | {"name": "known"})
+    monkeypatch.setattr(stackfit, "FEWEST_PRESSES", 4)
+    monkeypatch.setattr(
+        stackfit, "train_stacking", lambda *given: seen.append(len(given[0])) or train_stacking(*given)
+    )
+    alone, both = (
+        train(fresh, "stacked", start.about["model"], STACKING, start=start, also=also) for also in ((), (known,))
+    )
+    assert seen[0] < seen[1] <= 2 * seen[0] + 4  # each variant is drawn anew
+    assert alone.about["stacking"]["presses"] == both.about["stacking"]["presses"]
+    (told,) = both.about["stacking"]["also"]
+    assert told["name"] == "known" and told in lessons_of(both.about)
+    (line,) = stacking_lines(both.about)
+    assert f" and from {told['presses']} of known" in line and " and from " not in stacking_lines(alone.about)[0]
 
 
 def test_the_units_that_it_learnt_from_count_as_learnt(stacked, fresh):

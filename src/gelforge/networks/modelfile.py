@@ -275,8 +275,9 @@ def datasets_of(about: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def lessons_of(about: dict[str, Any]) -> list[dict[str, Any]]:
-    """As `datasets_of`, and the one that what stands above both readers learnt from, where there is such."""
-    return [*datasets_of(about), *([about["stacking"]] if about.get("stacking") else [])]
+    """As `datasets_of`, and those that what stands above both readers learnt from, where there is such."""
+    above = about.get("stacking")
+    return [*datasets_of(about), *([above, *above.get("also", [])] if above else [])]
 
 
 def require_fit(trained: Trained, data, called: str = "") -> None:

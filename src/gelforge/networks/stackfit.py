@@ -31,22 +31,22 @@ class Lessons:
     true: np.ndarray
 
 
-def fit_stacking(trained: Trained, data: Data, settings: TrainingTable) -> StackedFactor:
-    """The network above both readers of a model, from the training presses of a dataset that is new to both.
+def fit_stacking(trained: Trained, new: Data, learnt: Data, settings: TrainingTable) -> StackedFactor:
+    """The network above both readers of a model, from the training presses of the datasets `learnt`, among them `new`.
 
-    Raises BadInput where these are fewer than FEWEST_PRESSES, or where the model does not read dots.
+    new: the one that is new to both readers. Raises BadInput where its training presses are fewer than FEWEST_PRESSES, or
+    where the model does not read dots.
     """
-    rows = data.splits[TRAINING]
-    count = len(np.unique(data.presses(rows)))
+    count = len(np.unique(new.presses(new.splits[TRAINING])))
     if trained.dots is None:
         raise BadInput(
             f"{trained.about['name']} does not read dots beside its picture: nothing can be learnt above both"
         )
     if count < FEWEST_PRESSES:
         raise BadInput(
-            f"{data.folder}: {count} presses train; how both readers err is learnt from {FEWEST_PRESSES} or more: log more"
+            f"{new.folder}: {count} presses train; how both readers err is learnt from {FEWEST_PRESSES} or more: log more"
         )
-    found = lessons(trained, data, rows, settings)
+    found = lessons(trained, learnt, learnt.splits[TRAINING], settings)
     return train_stacking(found.seen, found.told, found.true, settings.stacking_epochs, settings.seed)
 
 

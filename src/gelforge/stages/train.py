@@ -51,12 +51,12 @@ def train(data, name: str, model: dict, settings: TrainingTable, checkpoint=None
     from gelforge.networks.newmodel import make_model, make_stacked
 
     if settings.stacking_epochs:
-        if start is None or also:
+        if start is None:
             raise BadInput(
                 f"workflow/models.toml, [{name}]: stacking_epochs = {settings.stacking_epochs}: what stands above both readers"
-                f' learns beside a network that is there, from one dataset: say start = "{SHIPPED}", and leave [train] also empty'
+                f' learns beside a network that is there: say start = "{SHIPPED}"'
             )
-        return make_stacked(data, name, model, settings, start)
+        return make_stacked(data, name, model, settings, start, also)
     return make_model(data, name, model, settings, VERSION, checkpoint, start, also)
 
 
