@@ -161,22 +161,29 @@ def test_its_file_reads_back_and_tells_the_same(stacked, fresh, tmp_path):
 
 
 def test_presses_that_the_network_knows_may_stand_beside_new_ones(fresh, monkeypatch):
-    """They are learnt from as well, told in file and card, and their units count as learnt."""
+    """They are learnt from as well, and told in file and card; whether they or the new ones are judged makes no difference."""
     start, seen = load_for_use(None), []
-    known = replace(fresh, info=fresh.info | {"name": "known"})
+    known = replace(fresh, info=fresh.info | {"name": "known"}, labels=1.01 * np.array(fresh.labels))
+    version = data_version(known)
+    start = replace(start, about=start.about | {"data": start.about["data"] | {"version": version}})
     monkeypatch.setattr(stackfit, "FEWEST_PRESSES", 4)
     monkeypatch.setattr(
         stackfit, "train_stacking", lambda *given: seen.append(len(given[0])) or train_stacking(*given)
     )
-    alone, both = (
-        train(fresh, "stacked", start.about["model"], STACKING, start=start, also=also) for also in ((), (known,))
+    alone, both, turned = (
+        train(data, "stacked", start.about["model"], STACKING, start=start, also=also)
+        for data, also in ((fresh, ()), (fresh, (known,)), (known, (fresh,)))
     )
-    assert seen[0] < seen[1] <= 2 * seen[0] + 4  # each variant is drawn anew
-    assert alone.about["stacking"]["presses"] == both.about["stacking"]["presses"]
-    (told,) = both.about["stacking"]["also"]
-    assert told["name"] == "known" and told in lessons_of(both.about)
-    (line,) = stacking_lines(both.about)
-    assert f" and from {told['presses']} of known" in line and " and from " not in stacking_lines(alone.about)[0]
+    assert seen[0] < seen[1] <= 2 * seen[0] + 4 and abs(seen[1] - seen[2]) <= 4  # each variant is drawn anew
+    for found in (both, turned):
+        every = {one["name"]: one for one in lessons_of(found.about)[-2:]}
+        assert every["known"]["version"] == version and not every["known"]["new"]
+        (line,) = stacking_lines(found.about)
+        assert f" and from {every['known']['presses']} presses that it knew (known, version {version}" in line
+    assert "that it knew" not in stacking_lines(alone.about)[0]
+    assert turned.about["intervals"]["data"] == "known"
+    with pytest.raises(BadInput, match="errs less on them .* name one in .train. also"):
+        train(known, "stacked", start.about["model"], STACKING, start=start)
 
 
 def test_the_units_that_it_learnt_from_count_as_learnt(stacked, fresh):

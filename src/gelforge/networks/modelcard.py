@@ -115,16 +115,15 @@ def stacking_lines(about: dict) -> list[str]:
     above = about.get("stacking")
     if not above:
         return []
+    learnt = " and from ".join(
+        f"{one['presses']} presses that {'were new to the network' if one.get('new', True) else 'it knew'}"
+        f" ({one['name']}, version {one['version']}, {one['samples'][TRAINING]} pictures)"
+        for one in sorted([above, *above.get("also", [])], key=lambda one: not one.get("new", True))
+    )
     return [
         f"- Above both stand {STACKED} small networks, which tell by what factor the normal force that they tell together is"
-        f" off. They learnt from {above['presses']} presses that were new to the network ({above['name']}, version"
-        f" {above['version']}, {above['samples'][TRAINING]} pictures){''.join(map(beside_new, above.get('also', [])))}.",
+        f" off. They learnt from {learnt}.",
     ]
-
-
-def beside_new(other: dict) -> str:
-    """Another dataset, which the network may know, that what stands above it learnt from as well."""
-    return f" and from {other['presses']} of {other['name']} (version {other['version']}), whatever the network knew of these"
 
 
 def error_rows(evaluation: dict) -> list[list[str]]:

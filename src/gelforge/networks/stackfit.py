@@ -1,6 +1,6 @@
 """What the network above both readers learns from: presses of a dataset that is new to them, as they read them."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,20 +31,20 @@ class Lessons:
     true: np.ndarray
 
 
-def fit_stacking(trained: Trained, new: Data, learnt: Data, settings: TrainingTable) -> StackedFactor:
-    """The network above both readers of a model, from the training presses of the datasets `learnt`, among them `new`.
+def fit_stacking(trained: Trained, new: Sequence[Data], learnt: Data, settings: TrainingTable) -> StackedFactor:
+    """The network above both readers of a model, from the training presses of `learnt`, the datasets `new` and others as one.
 
-    new: the one that is new to both readers. Raises BadInput where its training presses are fewer than FEWEST_PRESSES, or
-    where the model does not read dots.
+    new: those, at least one, that are new to both readers. Raises BadInput where their training presses are fewer than
+    FEWEST_PRESSES, or where the model does not read dots.
     """
-    count = len(np.unique(new.presses(new.splits[TRAINING])))
+    count = sum(len(np.unique(one.presses(one.splits[TRAINING]))) for one in new)
     if trained.dots is None:
         raise BadInput(
             f"{trained.about['name']} does not read dots beside its picture: nothing can be learnt above both"
         )
     if count < FEWEST_PRESSES:
         raise BadInput(
-            f"{new.folder}: {count} presses train; how both readers err is learnt from {FEWEST_PRESSES} or more: log more"
+            f"{new[0].folder}: {count} presses train; how both readers err is learnt from {FEWEST_PRESSES} or more: log more"
         )
     found = lessons(trained, learnt, learnt.splits[TRAINING], settings)
     return train_stacking(found.seen, found.told, found.true, settings.stacking_epochs, settings.seed)
