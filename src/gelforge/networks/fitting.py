@@ -44,7 +44,7 @@ def beside_untouched(
     if start is not None and not tells_intervals(own.presses(rows_for_intervals(own))):
         rows = np.concatenate([data.splits[TRAINING], data.splits[VALIDATION]])
         images = (np.ascontiguousarray(data.images[row]) for row in rows)
-        about |= known_before(start.about, images, good_pairs(data, rows), about["start"]["share"] > 0)
+        about |= known_before(start.about, images, good_pairs(data, rows), about["best_epoch"] > 0)
         trained = replace(trained, about=about, untouched=pictures, **readers_of(start))
         return kept_above(trained, start, data)
     about |= {"statistics": about["statistics"] | good_pairs(data, usual_rows(data))}

@@ -1,4 +1,4 @@
-"""What the network above both readers learns from: presses of a dataset that is new to them, as they read them."""
+"""What the network above both readers learns from: presses, some of them new to both, as they read them."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace

@@ -93,7 +93,7 @@ class StackedFactor(nn.Module):
 
 
 def train_stacking(seen: np.ndarray, told: np.ndarray, true: np.ndarray, epochs: int, seed: int) -> StackedFactor:
-    """The small network trained on presses new to both readers; the same seed gives the same one.
+    """The small network trained on presses, some of them new to both readers; the same seed gives the same one.
 
     seen: (n, count). told, true: normal forces (n,) N, as both readers tell them together and as they are.
     """

@@ -162,11 +162,11 @@ class Training:
     def go_on_from(self, weights: dict, data) -> None:
         """Begin with the weights of another network of the same kind."""
         begin_as(self.net, weights)
-        self.start = self._validated(data) | {"weights": copy.deepcopy(self.net.state_dict())}
+        self.start = self._validated(self.net, data) | {"weights": copy.deepcopy(self.net.state_dict())}
 
-    def _validated(self, data) -> dict:
-        """Validation errors of the network as it is."""
-        return validate(self.net, data, self.norm, self.settings.batch, self.device)
+    def _validated(self, net, data) -> dict:
+        """Validation errors of a network that is scaled as this one."""
+        return validate(net, data, self.norm, self.settings.batch, self.device)
 
     def finish(self, data) -> None:
         """Put the best epoch's weights into the network, or some between these and the ones that it went on from.
@@ -179,7 +179,7 @@ class Training:
             judged = {0.0: self.start["val_total"], 1.0: self.best["val_total"]}
             for share in SHARES:
                 self.net.load_state_dict(between(self.start["weights"], best, share))
-                judged[share] = self._validated(data)["val_total"]
+                judged[share] = self._validated(self.net, data)["val_total"]
             self.share = min(judged, key=lambda share: judged[share])
             best = between(self.start["weights"], best, self.share)
         self.net.load_state_dict(best)
@@ -285,7 +285,7 @@ class Training:
             "epoch": self.epochs_done,
             "learning_rate": self.optimiser.param_groups[0]["lr"],
             "loss": loss,
-            **validate(self.judged, data, self.norm, self.settings.batch, self.device),
+            **self._validated(self.judged, data),
         }
         self.schedule.step(*[row["val_total"]] if self.by_validation else [])
         self.curve.append(row)
