@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from parameters import parameters, slice_of
+from synthetic_presses import write_dataset
 
 from gelforge.commands import estimate
 from gelforge.commands.estimate import (
@@ -21,6 +22,7 @@ from gelforge.commands.estimate import (
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_json, write_json
 from gelforge.flow.forecast import Cost, on_cores, pilots, presses_an_hour, size, table, wall_seconds
+from gelforge.flow.layout import Layout
 from gelforge.flow.params import plain
 from gelforge.records.press import RawRow
 
@@ -84,20 +86,22 @@ def test_presses_an_hour_fall_with_what_each_takes_and_rise_with_the_cores():
 
 def test_a_network_that_is_trained_is_counted_by_its_kind(tmp_path, root):
     """The network that ships learns nothing; a U-net takes several times a light network's time."""
-    params = tmp_path / "params"
+    results = Layout(tmp_path)
+    params = results.params
     models = tomllib.loads((root / "workflow/models.toml").read_text(encoding="utf-8"))
     for name in ("grid_16", "unet", "pair_24_mirrored"):
         write_json(params / "models" / f"{name}.json", {name: models[name]})
     write_json(params / "train.json", {"version": 1, "train": plain(slice_of("train").train)})
     write_json(params / "report.json", {"version": 1, "report": plain(parameters().report) | {"branches": []}})
     costs = {
-        name: {c.stage: c for c in later_costs(params, "24x32", name, 900)} for name in ("shipped", "grid_16", "unet")
+        name: {c.stage: c for c in later_costs(results, "24x32", name, 900)}
+        for name in ("shipped", "grid_16", "unet")
     }
     assert "70_train" not in costs["shipped"]
     light, heavy = (costs[name]["70_train"].cpu_each for name in ("grid_16", "unet"))
     epochs = slice_of("train").train
     assert heavy / (epochs.epochs_of.unet or epochs.epochs) > 2 * light / epochs.epochs
-    pair = later_costs(params, "24x32", "pair_24_mirrored", 900)
+    pair = later_costs(results, "24x32", "pair_24_mirrored", 900)
     assert next(c for c in pair if c.stage == "70_train").cpu_each > light  # its reader of dots learns too
 
 
@@ -106,36 +110,57 @@ def test_an_epoch_of_a_part_of_the_presses_costs_that_part(tmp_path):
     train = plain(slice_of("train").train)
     cpu = {}
     for images in (0, 300, 1200):
-        params = tmp_path / str(images)
+        results = Layout(tmp_path / str(images))
+        params = results.params
         write_json(params / "models" / "net.json", {"net": {"kind": "unet", "widths": [4, 8]}})
         write_json(params / "train.json", {"version": 1, "train": train | {"epoch_images": images}})
-        cpu[images] = training(params, "net", 900).cpu_each
+        cpu[images] = training(results, "24x32", "net", 900).cpu_each
     assert cpu[300] == pytest.approx(cpu[0] / 3)
     assert cpu[1200] == cpu[0]
 
 
 def test_a_network_that_is_being_written_is_none(tmp_path):
     """What a plan that was killed left beside the tables of the networks."""
-    write_json(tmp_path / "train.json", {"version": 1, "train": plain(slice_of("train").train)})
-    write_json(tmp_path / "models" / "net.json", {"net": {"kind": "unet", "widths": [4, 8]}})
-    (tmp_path / "models" / ".net.4711.part.json").write_text('{"net": {"ki')
-    assert training(tmp_path, "net", 900).cpu_each > 0.0
+    params = Layout(tmp_path).params
+    write_json(params / "train.json", {"version": 1, "train": plain(slice_of("train").train)})
+    write_json(params / "models" / "net.json", {"net": {"kind": "unet", "widths": [4, 8]}})
+    (params / "models" / ".net.4711.part.json").write_text('{"net": {"ki')
+    assert training(Layout(tmp_path), "24x32", "net", 900).cpu_each > 0.0
 
 
 def test_a_network_that_there_is_not_is_named(tmp_path):
-    write_json(tmp_path / "train.json", {"version": 1, "train": plain(slice_of("train").train)})
+    params = Layout(tmp_path).params
+    write_json(params / "train.json", {"version": 1, "train": plain(slice_of("train").train)})
     with pytest.raises(BadInput, match="MODEL=grid16"):
-        training(tmp_path, "grid16", 900)
-    write_json(tmp_path / "models" / "net.json", {"net": {"kind": "transformer"}})
+        training(Layout(tmp_path), "24x32", "grid16", 900)
+    write_json(params / "models" / "net.json", {"net": {"kind": "transformer"}})
     with pytest.raises(BadInput, match="'transformer': use one of grid"):
-        training(tmp_path, "net", 900)
+        training(Layout(tmp_path), "24x32", "net", 900)
+
+
+@pytest.mark.parametrize(
+    "table", [{"kind": "unet"}, {"kind": "grid", "start": "shipped", "train": {"stacking_epochs": 5}}]
+)
+def test_presses_of_other_datasets_cost_what_its_own_do(tmp_path, table):
+    """90 presses and 45 of [train] also take as long as 135; a dataset that is not made yet is named."""
+    results, alone = Layout(tmp_path / "one"), plain(slice_of("train").train)
+    write_json(results.params / "models" / "net.json", {"net": table})
+
+    def cost(presses, also):
+        write_json(results.params / "train.json", {"version": 1, "train": alone | {"also": also}})
+        return training(results, "24x32", "net", presses).cpu(presses)
+
+    with pytest.raises(BadInput, match="make dataset DATASET=other RES=24x32 first"):
+        cost(90, ["other"])
+    write_dataset(Layout(tmp_path / "other").dataset("24x32"), n=45, image=(24, 32), grid=(6, 8))
+    assert cost(90, ["other"]) == pytest.approx(cost(135, []))
 
 
 @pytest.mark.parametrize("resolution", ["24", "24x", "fine", "24x32x3"])
 def test_a_resolution_that_is_none_is_refused_before_the_pilots(tmp_path, resolution):
-    write_json(tmp_path / "report.json", {"version": 1, "report": plain(parameters().report)})
+    write_json(Layout(tmp_path).params / "report.json", {"version": 1, "report": plain(parameters().report)})
     with pytest.raises(BadInput, match="write ROWSxCOLS"):
-        later_costs(tmp_path, resolution, "shipped", 900)
+        later_costs(Layout(tmp_path), resolution, "shipped", 900)
 
 
 def test_a_calibration_fills_the_cores_whatever_the_number_of_shards():

@@ -29,6 +29,7 @@ from gelforge.records.frames import presses_of
 from gelforge.records.log import read_shard, shard_text
 from gelforge.records.networkkind import kind_of
 from gelforge.records.press import RawRow, parse
+from gelforge.records.samplefile import read_samples
 from gelforge.stages.train import resolve
 
 STAGES = {"poses": layout.POSES, "fea": layout.FEA, "forces": layout.FORCES, "labels": layout.LABELS}
@@ -131,26 +132,39 @@ def meshes(results: Path) -> Cost:
     return Cost(layout.MESHES, cpu_once=sum(record["cpu_seconds"] for record in records), bytes_once=written)
 
 
-def training(params: Path, model: str, presses: int) -> Cost:
-    """What a network takes to learn from so many presses; BadInput for one that there is not."""
-    tables = {path.stem: read_json(path)[path.stem] for path in listed(params / "models", "*.json")}
-    table, settings = resolve(tables, model, read_slice(params / "train.json", ForTrain).train)
-    share = min(1.0, (settings.epoch_images or presses) / presses)  # of all, that an epoch visits
+def training(results: Layout, resolution: str, model: str, presses: int) -> Cost:
+    """What a network takes to learn from so many presses, and from those of [train] also; BadInput for one that there is not."""
+    tables = {path.stem: read_json(path)[path.stem] for path in listed(results.params / "models", "*.json")}
+    of_train = read_slice(results.params / "train.json", ForTrain).train
+    table, settings = resolve(tables, model, of_train)
+    beside = sum(made_presses(Layout(results.root.parent / name), resolution) for name in of_train.also)
+    share = min(1.0, (settings.epoch_images or presses + beside) / (presses + beside))  # of all, that an epoch visits
     if settings.stacking_epochs:
-        return Cost(layout.TRAIN, STACKED_EACH, START, bytes_once=3e6)
-    each = kind_of(table).image_seconds * settings.epochs * share
-    each += DOTS_EACH * settings.dot_epochs + PLACES_EACH * settings.place_epochs
-    return Cost(layout.TRAIN, each, START, bytes_once=3e6)
+        each = STACKED_EACH
+    else:
+        each = kind_of(table).image_seconds * settings.epochs * share
+        each += DOTS_EACH * settings.dot_epochs + PLACES_EACH * settings.place_epochs
+    return Cost(layout.TRAIN, each, START + each * beside, bytes_once=3e6)
 
 
-def later_costs(params: Path, resolution: str, model: str, presses: int) -> list[Cost]:
+def made_presses(results: Layout, resolution: str) -> int:
+    """Presses of another dataset that networks also learn from."""
+    found = results.dataset(resolution) / "samples.csv"
+    if not found.exists():
+        told = f"{results.command('dataset')} RES={resolution}"
+        raise BadInput(f"{found} is missing, and [train] also names {results.root.name}: {told} first")
+    return len(read_samples(found))
+
+
+def later_costs(results: Layout, resolution: str, model: str, presses: int) -> list[Cost]:
     """What the stages after the labels take with a network and so many presses, from other datasets."""
+    params = results.params
     report = read_slice(params / "report.json", ForReport).report
     grid = Grid.parse(resolution)
     cells = 4 * 3 * grid.rows * grid.cols
     found = [Cost(layout.DATASET, 2e-3, START, IMAGE_BYTES + cells)]
     if model != SHIPPED:
-        found.append(training(params, model, presses))
+        found.append(training(results, resolution, model, presses))
     found.append(Cost(layout.EVALUATE, EVALUATE_EACH, START, cells / 2))
     if "calibrate" in report.branches:
         solved = read_slice(params / "calibrate.json", ForCalibrate).calibrate.max_presses
@@ -164,7 +178,7 @@ def later_costs(params: Path, resolution: str, model: str, presses: int) -> list
 def estimated(data: Path, results: Path, resolution: str, model: str, rows: list[RawRow]) -> list[Cost]:
     """What every stage of a dataset takes of a row, the rows given being all that it has."""
     # first: a wrong word must not wait for the pilots
-    later = later_costs(Layout(results).params, resolution, model, len(rows))
+    later = later_costs(Layout(results), resolution, model, len(rows))
     costs = measured(data, results, resolution, rows)
     return [costs[0], meshes(results), *costs[1:], *later]
 
