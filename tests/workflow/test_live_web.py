@@ -24,7 +24,7 @@ from gelforge.commands.live_readings import keep_readings, write_files
 from gelforge.errors import BadInput
 from gelforge.live.reading import Reading
 from gelforge.live.recording import Recorder, paced
-from gelforge.live.server import WEB, Hub, Server, serve
+from gelforge.live.server import KEPT, WEB, Hub, Server, serve
 from gelforge.networks.use import Untouched, load_for_use
 from gelforge.records.film import frames, open_source
 from gelforge.reporting.forcemaps import FULL_COLOUR_N
@@ -514,6 +514,26 @@ def test_a_slow_page_gets_the_latest(tmp_path):
     for k in range(5):
         hub.tell({"frame": k})
     assert hub.after(2, 0.1) == (5, {"frame": 4}) and hub.after(5, 0.05) == (5, None)
+
+
+def test_the_curve_of_what_was_before_is_kept_without_pictures_and_has_an_end():
+    hub = Hub()
+    for k in range(KEPT + 5):
+        hub.tell({"frame": k, "image": "large", "forces": "large"})
+    assert hub.before() == [{"frame": k} for k in range(4, KEPT + 4)]
+
+
+@needs_browser
+def test_a_page_that_is_opened_after_the_end_shows_the_whole_curve(tmp_path):
+    with page_server(Recorder(tmp_path)) as (address, hub), browser() as driver:
+        serve([reading(number) for number in range(8)], hub, Recorder(tmp_path))
+        hub.tell(hub.latest | {"ended": "over"})
+        driver.get(address)
+        wait_for(driver, "return document.body.dataset.ended")
+        frames = driver.execute_script("return history.map((e) => e.frame)")
+        assert sorted(set(frames)) == list(range(8))
+        inked = "const c = el('curve'); return c.getContext('2d').getImageData(0, 0, c.width, c.height).data.some((v) => v)"
+        assert driver.execute_script(inked)
 
 
 def test_a_server_outside_this_machine_must_be_asked_for(tmp_path):

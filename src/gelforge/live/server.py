@@ -2,6 +2,7 @@
 
 import json
 import threading
+from collections import deque
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -15,19 +16,27 @@ from gelforge.reporting.page import COLOURS, LOOK
 
 WEB = Path(__file__).parent / "web"
 LOCAL = ("127.0.0.1", "localhost")
+KEPT = 600  # readings that the curve shows
+LARGE = ("image", "forces")  # of an event, and not in the curve
 QUIET_S = 5.0  # without a reading a page is sent the recorder's state alone, so that one that left is noticed
 
 
 class Hub:
-    """The latest event, which any number of pages wait for; a page that is slow misses some."""
+    """The latest event, which any number of pages wait for; a page that is slow misses some.
+
+    Of the events before it the curve is kept, without pictures and maps, for pages that are opened later.
+    """
 
     def __init__(self):
         self.changed = threading.Condition()
         self.number, self.latest = 0, {}
+        self._curve = deque(maxlen=KEPT)
 
     def tell(self, event: dict) -> None:
         """Give an event to all who wait."""
         with self.changed:
+            if self.latest:
+                self._curve.append({name: value for name, value in self.latest.items() if name not in LARGE})
             self.number, self.latest = self.number + 1, event
             self.changed.notify_all()
 
@@ -36,6 +45,11 @@ class Hub:
         with self.changed:
             self.changed.wait_for(lambda: self.number > number, patience)
             return (self.number, self.latest) if self.number > number else (number, None)
+
+    def before(self) -> list[dict]:
+        """The events before the latest one, as the curve shows them."""
+        with self.changed:
+            return list(self._curve)
 
 
 class Server(ThreadingHTTPServer):
@@ -139,6 +153,7 @@ class Handler(BaseHTTPRequestHandler):
             self.close_connection = True
 
     def live(self) -> Iterator[dict]:
+        yield {"before": self.server.hub.before()}
         number = 0
         while True:
             number, event = self.server.hub.after(number, QUIET_S)
@@ -169,7 +184,7 @@ def page() -> str:
     html = (WEB / "live.html").read_text(encoding="utf-8")
     for place, path in files.items():
         html = html.replace(place, path.read_text(encoding="utf-8"))
-    return html.replace("/*least*/", json.dumps(FULL_COLOUR_N))
+    return html.replace("/*constants*/", f"const FULL_COLOUR_N = {json.dumps(FULL_COLOUR_N)}, KEPT = {KEPT};")
 
 
 def serve(readings: Iterable[Reading], hub: Hub, recorder: Recorder) -> int:

@@ -3,7 +3,6 @@ const el = (id) => document.getElementById(id);
 const fixed = (v, digits = 2) => (Number.isFinite(v) ? v.toFixed(digits) : "–");
 const MAPS = [["normal", 2, "normal force"], ["short", 1, "along the short side"], ["long", 0, "along the long side"]];
 const TOTALS = [["grid_z_n", 2, "#1f6f8b"], ["grid_y_n", 1, "#d1603d"], ["grid_x_n", 0, "#5b8c3a"]], FLAGGED = "#dde1e6";
-const KEPT = 600;
 let history = [], source = null, drawing = false, latest = null, over = false;
 async function unpack(packed) {
   const bytes = Uint8Array.from(atob(packed.data), (s) => s.charCodeAt(0));
@@ -80,6 +79,7 @@ function open(path) {
     if (event.ended) source.close();
     if (path === "events") over = Boolean(event.ended);
     showRecorder(event);
+    if (event.before) history = event.before;
     if (event.image || event.ended) take(event);
   };
   source.onerror = gone;
