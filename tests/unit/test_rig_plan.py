@@ -24,6 +24,7 @@ from tests.conftest import ROOT
 DEMO = ROOT / "workflow" / "rig" / "demo.toml"
 TRAIN = ROOT / "workflow" / "rig" / "train.toml"
 PAPER = ROOT / "workflow" / "rig" / "paper.toml"
+SHAPES = ROOT / "workflow" / "rig" / "shapes.toml"
 
 
 def changed(tmp_path, *changes) -> Path:
@@ -103,7 +104,7 @@ def test_bad_stl_is_refused_before_anything_is_written(tmp_path, make, says):
     assert not (tmp_path / "data").exists()
 
 
-@pytest.mark.parametrize("path", [DEMO, TRAIN, PAPER])
+@pytest.mark.parametrize("path", [DEMO, TRAIN, PAPER, SHAPES])
 def test_plans_that_travel_with_the_project_are_good(path):
     check(path, ROOT / "workflow")
 
@@ -120,6 +121,21 @@ def test_training_plan_covers_the_papers_envelope():
     assert set(unit.sensors) == set(plan.held_out_sensors)
     assert not set(known.sensors) & set(unit.sensors)
     assert (kind_of(plan, plan.presses)[0] == 0).sum() >= 600
+
+
+def test_shapes_that_are_there_to_be_learnt_from_are_in_no_other_plan():
+    """Each is pressed, and none is one of the standard catalogue by another name, of which some test networks."""
+    shapes, standard = (read_catalogue(ROOT / "workflow" / name) for name in ("shapes.toml", "indenters.toml"))
+    assert not set(shapes) & set(standard)
+
+    def body(table: dict) -> dict:
+        return {key: value for key, value in table.items() if key not in ("seen", "spare", "height")}
+
+    known = [body(table) for table in standard.values()]
+    assert [name for name, table in shapes.items() if body(table) in known] == []
+    plan = read_plan(SHAPES)
+    assert {name for kind in plan.kinds for name in kind.indenters} == set(shapes)
+    assert not any("unseen" in name for kind in plan.kinds for name in kind.sensors)
 
 
 def test_every_look_agrees_with_its_sensor():
