@@ -130,6 +130,22 @@ def test_an_interrupted_call_leaves_no_table_of_an_earlier_one(data, paths, tmp_
     assert not (tmp_path / "out/totals.csv").exists()
 
 
+def test_who_interrupts_keeps_the_rows_of_what_was_read(data, paths, tmp_path):
+    """A person who reads a hundred pictures and presses Ctrl-C at the second line."""
+    image = write_png(tmp_path / "p.png", data.images[0])
+    command = [sys.executable, "-m", "gelforge.commands.predict", *[str(image)] * 100]
+    command += ["--model", str(paths["small"]), "--out", str(tmp_path / "out")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as child:
+        assert child.stdout.readline() and child.stdout.readline()
+        child.send_signal(signal.SIGINT)
+        printed = 2 + len(child.stdout.readlines())
+    assert child.returncode != 0
+    with (tmp_path / "out" / "totals.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert printed <= len(rows) < 100
+    assert all((tmp_path / "out" / f"p{'' if k == 0 else f'-{k + 1}'}.npy").exists() for k in range(len(rows)))
+
+
 @pytest.mark.parametrize(
     "name, says",
     [

@@ -137,7 +137,9 @@ def test_images_of_one_sitting_read_as_the_command_reads_them(root, tmp_path):
     for path, image in zip(paths, images, strict=True):
         write_png(path, image)
     reader = gelforge.Reader(untouched=rest)
-    predict.predict_files(paths, Untouched(load_for_use(None), rest), tmp_path / "out")
+    assert len(list(predict.predict_files(paths, Untouched(load_for_use(None), rest), tmp_path / "out"))) == len(
+        paths
+    )
     wanted = [np.load(tmp_path / "out" / f"{path.stem}.npy") for path in paths]
     together, alone = reader.batch(np.stack(images), one_sitting=True), reader.batch(np.stack(images))
     np.testing.assert_array_equal([one.cells for one in together], wanted)

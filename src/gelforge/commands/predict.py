@@ -1,6 +1,7 @@
 """Force maps and totals from images: `gelforge predict IMAGE…`.
 
-For every image a picture and the map as .npy, float32 (3, rows, cols) in N per cell, and one totals.csv.
+For every image a picture and the map as .npy, float32 (3, rows, cols) in N per cell, and one totals.csv, which Ctrl-C
+leaves with the rows of the images that were read.
 Columns grid_x_n, grid_y_n, grid_z_n are FEATS' channels: force along gel y, along gel x, along the normal.
 ..._half_width_n: nine of ten forces on sensors that training never saw, of gels as stiff as those it saw, were nearer.
 unlike_training (in pictures, unlike training): how far an image's colours, sharpness and dots are from those that the
@@ -14,7 +15,7 @@ picture was taken, or that it is cropped otherwise, they are laid onto it first.
 
 import tempfile
 from argparse import Namespace
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -84,10 +85,13 @@ def need_folder(out: Path) -> None:
         raise BadInput(f"--out {out}: cannot be written into ({error.strerror}); name another folder") from error
 
 
-def predict_files(paths: Sequence[Path], untouched: Untouched, out: Path, read: Sequence[Path] = ()) -> list[dict]:
-    """Predict image files and write their maps and totals.csv below `out`; return the rows of totals.csv.
+def predict_files(
+    paths: Sequence[Path], untouched: Untouched, out: Path, read: Sequence[Path] = ()
+) -> Iterator[dict]:
+    """Predict image files and write their maps below `out`, one after another; tell each one's row of totals.csv.
 
     Every image is read before anything is written, and again when its turn comes: there may be more than memory holds.
+    totals.csv is written at the end, which may come early: whoever stops keeps the rows of what was read.
     read: other files that were read, whose place nothing that is written may take.
     """
     from gelforge.reporting.forcemaps import write_maps
@@ -99,20 +103,34 @@ def predict_files(paths: Sequence[Path], untouched: Untouched, out: Path, read: 
     need_folder(out)
     if placement is not None and placement.correction:
         print(f"the pictures lie otherwise on the untouched one, which is put right: {placement.correction}")
-    # who stops this call is left no table of an earlier one beside its maps
+    # no table of an earlier call beside maps of this one, however it ends
     (out / "totals.csv").unlink(missing_ok=True)
     rows = []
-    for path, name in zip(paths, names, strict=True):
-        image, forces, judged = predict_one(untouched, read_image(path), placement)
-        row = totals_row(printable(path), forces, judged)
-        with publish(out / f"{name}.npy") as part:
-            np.save(part, forces)
-        with publish(out / f"{name}.png") as part:
-            flag = f" | FLAGGED: {judged.reason}" if judged.flag else ""
-            write_maps(part, image, forces, f"{printable(name)}, unlike training {judged.score:.1f}{flag}")
-        rows.append(row)
-    write_csv(out / "totals.csv", COLUMNS, rows)
-    return rows
+    try:
+        for path, name in zip(paths, names, strict=True):
+            image, forces, judged = predict_one(untouched, read_image(path), placement)
+            row = totals_row(printable(path), forces, judged)
+            with publish(out / f"{name}.npy") as part:
+                np.save(part, forces)
+            with publish(out / f"{name}.png") as part:
+                flag = f" | FLAGGED: {judged.reason}" if judged.flag else ""
+                write_maps(part, image, forces, f"{printable(name)}, unlike training {judged.score:.1f}{flag}")
+            rows.append(row)
+            yield row
+    finally:
+        if rows:
+            write_csv(out / "totals.csv", COLUMNS, rows)
+
+
+def told(row: dict) -> str:
+    """One row of totals.csv as a line for a person."""
+    warning = f"  FLAGGED: {row['reason']}" if row["flagged"] else ""
+    against = f" against {row['untouched']}" if row["untouched"] not in ("", GIVEN) else ""
+    against += f", put right: {row['put_right']}" if row["put_right"] else ""
+    forces = ", ".join(
+        f"{channel} {row[f'{channel}_n']}{within(row[f'{channel}_half_width_n'])}" for channel in CHANNELS
+    )
+    return printable(f"{row['image']}: {forces} N{against}{warning}")
 
 
 @command(
@@ -143,15 +161,8 @@ def main(args: Namespace) -> None:
     picture, gain = untouched_of(args.profile, picture, trained.about)
     untouched = Untouched(trained, picture, args.sensor, gain)
     kept = [*filter(None, [args.untouched]), *files_of(args.profile)]
-    rows = predict_files(args.images, untouched, args.out, kept)
-    for row in rows:
-        warning = f"  FLAGGED: {row['reason']}" if row["flagged"] else ""
-        against = f" against {row['untouched']}" if row["untouched"] not in ("", GIVEN) else ""
-        against += f", put right: {row['put_right']}" if row["put_right"] else ""
-        forces = ", ".join(
-            f"{channel} {row[f'{channel}_n']}{within(row[f'{channel}_half_width_n'])}" for channel in CHANNELS
-        )
-        print(printable(f"{row['image']}: {forces} N{against}{warning}"))
+    for row in predict_files(args.images, untouched, args.out, kept):
+        print(told(row), flush=True)
     print(f"maps and totals.csv in {args.out}")
 
 
