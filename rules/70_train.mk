@@ -21,6 +21,13 @@ $(error MODEL=shipped: the network that ships was trained elsewhere; to $(firstw
 endif
 endif
 
+# Networks that read a picture beside one of the untouched sensor. Without such pictures none of them can be judged, which
+# is said here, and not after the presses are solved.
+BESIDE_UNTOUCHED := shipped $(shell awk '/^\[[a-z0-9_]+\]/ {name = substr($$0, 2, index($$0, "]") - 2)} /^reads *= *"(pair|difference)"/ {print name}' workflow/models.toml)
+ifneq ($(and $(filter train evaluate report demo ship onnx,$(MAKECMDGOALS)),$(wildcard $(DATA)),$(if $(wildcard $(DATA)/nocontact),,no),$(filter $(BESIDE_UNTOUCHED),$(MODEL))),)
+$(error MODEL=$(MODEL) reads a picture beside one of the untouched sensor, and $(DATA)/nocontact is missing: add nocontact/SENSOR.png of each sensor, or name a network that reads the image alone, such as grid_16 ([params.report] model in $(DATA)/dataset.toml))
+endif
+
 ifneq ($(and $(filter ship,$(MAKECMDGOALS)),$(filter-out $(SHIPPED_RES),$(RES1))),)
 $(error ship RES=$(RES1): the network that ships has a grid of $(SHIPPED_RES); train one of it, RES=$(SHIPPED_RES))
 endif

@@ -133,11 +133,28 @@ def test_what_cannot_be_a_name_is_refused_before_anything_is_made(labelled, vari
     assert [path.name for path in (labelled / "results").iterdir()] == ["tiny"]
 
 
+@pytest.fixture
+def untouched(labelled):
+    """The project whose dataset has a place for pictures of untouched sensors; it goes afterwards."""
+    folder = labelled / "data/tiny/nocontact"
+    folder.mkdir()
+    yield labelled
+    folder.rmdir()
+
+
 @pytest.mark.parametrize("goal", ["train", "onnx", "ship"])
-def test_the_network_that_ships_is_not_trained_under_another_name(labelled, goal):
-    done = make(labelled, "-n", goal, "DATASET=tiny", "MODEL=shipped")
+def test_the_network_that_ships_is_not_trained_under_another_name(untouched, goal):
+    done = make(untouched, "-n", goal, "DATASET=tiny", "MODEL=shipped")
     assert done.returncode and f"to {goal}, name one of" in done.stdout
-    assert make(labelled, "-n", "evaluate", "DATASET=tiny", "MODEL=shipped").returncode == 0
+    assert make(untouched, "-n", "evaluate", "DATASET=tiny", "MODEL=shipped").returncode == 0
+
+
+@pytest.mark.parametrize("model", ["shipped", "pair_24_mirrored", "difference_16", "tuned"])
+def test_a_network_that_needs_untouched_sensors_is_refused_before_anything_is_solved(labelled, model):
+    done = make(labelled, "-n", "report", "DATASET=tiny", f"MODEL={model}")
+    assert done.returncode and "data/tiny/nocontact is missing" in done.stdout and f"MODEL={model}" in done.stdout
+    assert make(labelled, "-n", "report", "DATASET=tiny", "MODEL=grid_16").returncode == 0
+    assert make(labelled, "-n", "labels", "DATASET=tiny", f"MODEL={model}").returncode == 0
 
 
 @pytest.fixture
@@ -164,8 +181,8 @@ def test_other_datasets_are_learnt_from_as_they_lie(labelled, also):
 @pytest.mark.parametrize(
     ("model", "target"), [("tuned", "70_train/24x32/tuned.pt"), ("shipped", "80_evaluate/24x32/shipped.json")]
 )
-def test_the_record_of_a_target_names_the_network_that_it_starts_from(labelled, model, target):
-    said = make(labelled, "-n", "evaluate", "DATASET=tiny", f"MODEL={model}").stdout
+def test_the_record_of_a_target_names_the_network_that_it_starts_from(untouched, model, target):
+    said = make(untouched, "-n", "evaluate", "DATASET=tiny", f"MODEL={model}").stdout
     assert "src/gelforge/networks/default.pt" in inputs_of(said, target)
 
 

@@ -183,7 +183,7 @@ def readings_rows(left: list[dict]) -> list[str]:
     ]  # fmt: skip
     title = ["## A gel up to 15 % softer or harder, by readings of a scale or force sensor (`gelforge sensor`)", ""]
     columns = ["readings", "error of its factor, %", "error of normal force, N", "intervals hold it, %"]
-    return [*title, *table(columns, rows), ""]
+    return [*title, *table(columns, rows), "", "In brackets: what four of five draws of readings lie between.", ""]
 
 
 def between(mean: float, bounds: Sequence[float], digits: int) -> str:

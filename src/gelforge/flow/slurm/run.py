@@ -331,11 +331,13 @@ def attend(args: argparse.Namespace) -> int:
 
 
 def give_up(args: argparse.Namespace) -> int:
-    """Cancel all work that was left running."""
-    for record in records(args.results):
-        if not record.closed:
-            cancel(record)
-            print(f"{record.stage}: cancelled")
+    """Cancel all work of a dataset that was left running."""
+    running = [record for record in records(args.results) if not record.closed]
+    for record in running:
+        cancel(record)
+        print(f"{record.stage}: cancelled")
+    if not running:
+        print(f"{args.results}: nothing was left running on Slurm; name another dataset by DATASET=NAME")
     return 0
 
 
