@@ -3,8 +3,10 @@ MODELS := $(shell sed -nE 's/^\[([a-z0-9_]+)\].*/\1/p' workflow/models.toml)
 SHIPPED := src/gelforge/networks/default
 # The shipped network is never trained here.
 LEARNT = $(if $(filter shipped,$(MODEL)),$(LEARNER),$(MODEL))
+# Names of the networks whose table has a line like $1.
+models_with = $(shell awk '/^\[[a-z0-9_]+\]/ {name = substr($$0, 2, index($$0, "]") - 2)} /$1/ {print name}' workflow/models.toml)
 # Those that go on from the network that ships are for one dataset, and write its grid: they are made by name alone.
-TUNED := $(shell awk '/^\[[a-z0-9_]+\]/ {name = substr($$0, 2, index($$0, "]") - 2)} /^start *=/ {print name}' workflow/models.toml)
+TUNED := $(call models_with,^start *=)
 LEARNABLE := $(filter-out $(TUNED),$(MODELS))
 TRAINED := $(MODELS:%=$D/70_train/$(RES1)/%.pt)
 
@@ -23,7 +25,7 @@ endif
 
 # Networks that read a picture beside one of the untouched sensor. Without such pictures none of them can be judged, which
 # is said here, and not after the presses are solved.
-BESIDE_UNTOUCHED := shipped $(shell awk '/^\[[a-z0-9_]+\]/ {name = substr($$0, 2, index($$0, "]") - 2)} /^reads *= *"(pair|difference)"/ {print name}' workflow/models.toml)
+BESIDE_UNTOUCHED := shipped $(call models_with,^reads *= *"(pair|difference)")
 ifneq ($(and $(filter train evaluate report demo ship onnx,$(MAKECMDGOALS)),$(wildcard $(DATA)),$(if $(wildcard $(DATA)/nocontact),,no),$(filter $(BESIDE_UNTOUCHED),$(MODEL))),)
 $(error MODEL=$(MODEL) reads a picture beside one of the untouched sensor, and $(DATA)/nocontact is missing: add nocontact/SENSOR.png of each sensor, or name a network that reads the image alone, such as grid_16 ([params.report] model in $(DATA)/dataset.toml))
 endif

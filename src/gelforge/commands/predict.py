@@ -122,7 +122,7 @@ def predict_files(
             write_csv(out / "totals.csv", COLUMNS, rows)
 
 
-def told(row: dict) -> str:
+def line_of(row: dict) -> str:
     """One row of totals.csv as a line for a person."""
     warning = f"  FLAGGED: {row['reason']}" if row["flagged"] else ""
     against = f" against {row['untouched']}" if row["untouched"] not in ("", GIVEN) else ""
@@ -162,7 +162,7 @@ def main(args: Namespace) -> None:
     untouched = Untouched(trained, picture, args.sensor, gain)
     kept = [*filter(None, [args.untouched]), *files_of(args.profile)]
     for row in predict_files(args.images, untouched, args.out, kept):
-        print(told(row), flush=True)
+        print(line_of(row), flush=True)
     print(f"maps and totals.csv in {args.out}")
 
 
