@@ -135,7 +135,11 @@ def test_who_interrupts_keeps_the_rows_of_what_was_read(data, paths, tmp_path):
     image = write_png(tmp_path / "p.png", data.images[0])
     command = [sys.executable, "-m", "gelforge.commands.predict", *[str(image)] * 100]
     command += ["--model", str(paths["small"]), "--out", str(tmp_path / "out")]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as child:
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
+        # what started this test may ignore interrupts, as nohup and the shell's & do
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    ) as child:  # fmt: skip
         assert child.stdout.readline() and child.stdout.readline()
         child.send_signal(signal.SIGINT)
         printed = 2 + len(child.stdout.readlines())

@@ -347,8 +347,8 @@ def test_an_interrupt_while_another_make_is_waited_for_is_no_traceback(tmp_path)
 def test_what_a_person_stops_is_no_failure(tmp_path, number):
     """Ctrl-C goes to make, wrapper and command at once; the next make makes the target."""
     target, started = tmp_path / "results/d/30_fea/0000.csv", tmp_path / "started"
-    # no shell: one whose own child just ends takes no notice of an interrupt
-    waits = [sys.executable, "-c", f"import time; open({str(started)!r}, 'w'); time.sleep({2 * HANG})"]
+    # no shell: one whose own child just ends takes no notice of an interrupt, nor does a file that is just being closed
+    waits = [sys.executable, "-c", f"import os, time; os.mkdir({str(started)!r}); time.sleep({2 * HANG})"]
     words = [sys.executable, "-m", "gelforge.flow.step", str(target), "--", *waits]
     child = subprocess.Popen(
         words, stdout=subprocess.PIPE, text=True, start_new_session=True,

@@ -153,11 +153,12 @@ class Handler(BaseHTTPRequestHandler):
             self.close_connection = True
 
     def live(self) -> Iterator[dict]:
-        yield {"before": self.server.hub.before()}
-        number = 0
+        """Events from the latest one on, the first with the curve of those before it."""
+        number, before = 0, {"before": self.server.hub.before()}
         while True:
             number, event = self.server.hub.after(number, QUIET_S)
-            yield event or {}
+            yield (event or {}) | before
+            before = {}
 
     def recordings(self) -> dict:
         """Names of recordings, or why they cannot be listed, and what the recorder does."""
