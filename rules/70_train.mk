@@ -26,7 +26,8 @@ endif
 # Networks that read a picture beside one of the untouched sensor. Without such pictures none of them can be judged, which
 # is said here, and not after the presses are solved.
 BESIDE_UNTOUCHED := shipped $(call models_with,^reads *= *"(pair|difference)")
-ifneq ($(and $(filter train evaluate report demo ship onnx,$(MAKECMDGOALS)),$(wildcard $(DATA)),$(if $(wildcard $(DATA)/nocontact),,no),$(filter $(BESIDE_UNTOUCHED),$(MODEL))),)
+WANTED = $(if $(filter evaluate report demo,$(MAKECMDGOALS)),$(MODEL)) $(if $(filter train onnx ship,$(MAKECMDGOALS)),$(LEARNT))
+ifneq ($(and $(wildcard $(DATA)),$(if $(wildcard $(DATA)/nocontact),,no),$(filter $(BESIDE_UNTOUCHED),$(WANTED))),)
 $(error MODEL=$(MODEL) reads a picture beside one of the untouched sensor, and $(DATA)/nocontact is missing: add nocontact/SENSOR.png of each sensor, or name a network that reads the image alone, such as grid_16 ([params.report] model in $(DATA)/dataset.toml))
 endif
 

@@ -27,6 +27,7 @@ from gelforge.networks.still import FEWEST
 from gelforge.records.markers import pitch_of
 from gelforge.reporting import forcemaps
 from tests.benchmarks import real, real_page
+from tests.waiting import heed_interrupts
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -137,8 +138,7 @@ def test_who_interrupts_keeps_the_rows_of_what_was_read(data, paths, tmp_path):
     command += ["--model", str(paths["small"]), "--out", str(tmp_path / "out")]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
-        # what started this test may ignore interrupts, as nohup and the shell's & do
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+        preexec_fn=heed_interrupts,
     ) as child:  # fmt: skip
         assert child.stdout.readline() and child.stdout.readline()
         child.send_signal(signal.SIGINT)

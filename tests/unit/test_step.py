@@ -14,7 +14,7 @@ import pytest
 
 from gelforge.flow.layout import mirror
 from tests.limited import limited
-from tests.waiting import HANG, wait_until
+from tests.waiting import HANG, heed_interrupts, wait_until
 
 FOR_EVER = f"exec sleep {2 * HANG:g}"  # what is waited for to be ended must not end by itself meanwhile
 
@@ -330,10 +330,9 @@ def test_an_interrupt_while_another_make_is_waited_for_is_no_traceback(tmp_path)
     first = start(target, "bash", "-c", f"touch {started}; {FOR_EVER}")
     wait_until(started.exists, of=first)
     words = [sys.executable, "-m", "gelforge.flow.step", str(target), "--", "true"]
-    # what started this test may ignore interrupts, as nohup and the shell's & do
     second = subprocess.Popen(
         words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+        preexec_fn=heed_interrupts,
     )  # fmt: skip
     assert "another make is at it" in second.stdout.readline()
     second.send_signal(signal.SIGINT)
@@ -352,8 +351,7 @@ def test_what_a_person_stops_is_no_failure(tmp_path, number):
     words = [sys.executable, "-m", "gelforge.flow.step", str(target), "--", *waits]
     child = subprocess.Popen(
         words, stdout=subprocess.PIPE, text=True, start_new_session=True,
-        # what started this test may ignore interrupts, as nohup and the shell's & do
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+        preexec_fn=heed_interrupts,
     )  # fmt: skip
     wait_until(started.exists, of=child)
     os.killpg(child.pid, number)

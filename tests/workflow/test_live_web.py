@@ -34,6 +34,7 @@ from tests.waiting import HANG, wait_until
 
 SCRIPT = (WEB / "live.js").read_text(encoding="utf-8")
 LIVE = [sys.executable, "-m", "gelforge.commands.live"]
+INKED = "const c = el('curve'); return c.getContext('2d').getImageData(0, 0, c.width, c.height).data.some((v) => v)"
 
 
 @pytest.fixture(scope="module")
@@ -83,8 +84,7 @@ def test_a_person_watches_records_and_replays(served, width):
         )
         assert driver.find_element("id", "flag").text != "no frame yet"
         assert "90 %" in driver.find_element("id", "band").text
-        inked = "const c = el('curve'); return c.getContext('2d').getImageData(0, 0, c.width, c.height).data.some((v) => v)"
-        wait_for(driver, inked)  # from the second frame on
+        wait_for(driver, INKED)  # from the second frame on
         driver.find_element("id", "record").click()
         wait_for(driver, "return el('record').textContent === 'Stop recording'")
         seen = driver.execute_script("return Number(document.body.dataset.frame)")
@@ -532,8 +532,7 @@ def test_a_page_that_is_opened_after_the_end_shows_the_whole_curve(tmp_path):
         wait_for(driver, "return document.body.dataset.ended")
         frames = driver.execute_script("return history.map((e) => e.frame)")
         assert sorted(set(frames)) == list(range(8))
-        inked = "const c = el('curve'); return c.getContext('2d').getImageData(0, 0, c.width, c.height).data.some((v) => v)"
-        assert driver.execute_script(inked)
+        assert driver.execute_script(INKED)
 
 
 def test_a_server_outside_this_machine_must_be_asked_for(tmp_path):

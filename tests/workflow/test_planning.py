@@ -157,6 +157,17 @@ def test_a_network_that_needs_untouched_sensors_is_refused_before_anything_is_so
     assert make(labelled, "-n", "labels", "DATASET=tiny", f"MODEL={model}").returncode == 0
 
 
+def test_where_the_report_shows_the_network_that_ships_another_one_trains_without_untouched_sensors(labelled):
+    path = labelled / "data/tiny/dataset.toml"
+    text = path.read_text(encoding="utf-8")
+    write_text(path, f'{text}\n[params.report]\nmodel = "shipped"\n')
+    try:
+        assert "70_train/24x32/grid_16.pt" in make(labelled, "-n", "train", "DATASET=tiny").stdout
+        assert "data/tiny/nocontact is missing" in make(labelled, "-n", "evaluate", "DATASET=tiny").stdout
+    finally:
+        write_text(path, text)
+
+
 @pytest.fixture
 def also(labelled):
     """Gives the names of other datasets that the dataset is learnt with; they go afterwards."""

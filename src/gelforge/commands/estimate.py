@@ -138,7 +138,8 @@ def training(results: Layout, resolution: str, model: str, presses: int) -> Cost
     of_train = read_slice(results.params / "train.json", ForTrain).train
     table, settings = resolve(tables, model, of_train)
     beside = sum(made_presses(Layout(results.root.parent / name), resolution) for name in of_train.also)
-    share = min(1.0, (settings.epoch_images or presses + beside) / (presses + beside))  # of all, that an epoch visits
+    every = presses + beside
+    share = min(1.0, (settings.epoch_images or every) / every)  # of all, that an epoch visits
     if settings.stacking_epochs:
         each = STACKED_EACH
     else:
