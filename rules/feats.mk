@@ -1,6 +1,6 @@
 # FEATS' files in and out.
 FROM ?=
-SENSOR ?= gelsight_mini
+SENSOR ?= feats_mini
 EXPORTED := $(RES:%=$D/feats/%/normalization_gelforge.npy)
 
 .PHONY: feats-import feats-export

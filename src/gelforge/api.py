@@ -87,19 +87,20 @@ def _finite(*values: Any) -> bool:
 def label(solved: SolvedPress, resolution: str = "24x32", sensor: Sensor | None = None) -> np.ndarray:
     """Bin a solved press into force per cell of an image grid, N: (3, rows, cols) in the order of FEATS' channels.
 
-    sensor: how gel and image meet; that of FEATS' GelSight Mini where None. What lies outside its image is left out.
+    sensor: how gel and image meet; `gelsight_mini()` where None. What lies outside its image is left out.
     """
     from gelforge.labelling.operator import assemble
 
     nodes = np.flatnonzero(solved.forces.any(axis=1))
-    operator = assemble(solved.mesh, sensor or feats_mini(), Grid.parse(resolution))
+    operator = assemble(solved.mesh, sensor or gelsight_mini(), Grid.parse(resolution))
     cells, _outside = operator.apply([0, len(nodes)], nodes, solved.forces[nodes])
     return cells[0][list(AXIS_OF_CHANNEL)]
 
 
-def feats_mini() -> Sensor:
-    """The sensor of FEATS' measurements: 14 px/mm, image 320 x 240 (its cropped cuboid; workflow/sensors.toml)."""
-    return Sensor("gelsight_mini", (320, 240), np.array([[0.0, -14.0, 160.0], [-14.0, 0.0, 120.0], [0.0, 0.0, 1.0]]))
+def gelsight_mini() -> Sensor:
+    """A GelSight Mini as its maker's driver shows it: 15.77 px/mm, image 320 x 240 (workflow/sensors.toml)."""
+    projection = np.array([[0.0, -15.77, 160.0], [-15.77, 0.0, 120.0], [0.0, 0.0, 1.0]])
+    return Sensor("gelsight_mini", (320, 240), projection)
 
 
 def predict(

@@ -2,7 +2,7 @@
 
 No force was measured beside these pictures. What is known: a released gel bears nothing; two fingers that hold one object
 press it equally; a sideways force moves the dots its way; FEATS published its own maps of 51 presses; a cuboid leaves a
-square. Each figure is given for the network as `gelforge live` and `predict` use it, and in its note for the bare
+square and a tube a ring, whose sizes are known. Each figure is given for the network as `gelforge live` and `predict` use it, and in its note for the bare
 network that takes a film's first frame for the untouched sensor.
 """
 
@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 import torch
 
+from gelforge.api import gelsight_mini
 from gelforge.errors import BadInput
 from gelforge.flow.main import command, option
 from gelforge.flow.progress import progress
@@ -35,9 +36,16 @@ HELD_PX = 1.0  # and farther than this: something does
 BEYOND = 0.25  # share of normal force at a picture's edge from which a contact is taken to go on beyond it
 TRACKED = {"winSize": (21, 21), "maxLevel": 2}
 PANEL = 200  # px of width of each of the four panels of FEATS' film: x, y, normal map, picture
-NAMED = np.s_[:3, :10]  # cells below the panel's name
-# FEATS labels the cuboid's corners in the image, px at 320 x 240, by point_correspondences.csv
-CUBOID_MM, PX_PER_MM = 10.0, 14.0
+NAMED = np.s_[:5, :10]  # cells of a map that the panels' names cover
+# Where pictures show the gel, and where FEATS' maps place it, px at 320 x 240 (gelsight_mini and feats_mini of
+# workflow/sensors.toml).
+PX_PER_MM, FEATS_PX_PER_MM = float(np.hypot(*gelsight_mini().projection[0, :2])), 14.0
+# What the rig's labels tell of the reference's bodies, whose edges are round: side of the square in which a cuboid of 10
+# mm presses at least half as hard as anywhere (144 presses, 25 to 35 N; nine of ten within 0.2 mm), and diameter of the
+# ring that a tube of 10 and 7 mm presses (140 presses; within 0.05 mm).
+CUBOID_MM, TUBE_MM = 9.4, 8.6
+TUBES = (9, 31, 45, 49)  # frames of FEATS' film in which the whole ring of that tube presses
+FOOT = 0.35  # share of a map's largest force from which a cell counts as pressed
 # How a gel that was put back may be seen (tests.pictures.moved), and presses from which that can be told, N.
 MOVES = {"shifted by 2 px": {"shift": (1.6, 1.2)}, "3 % larger": {"zoom": 1.03}}
 LEAST_PRESS = 2.0
@@ -252,31 +260,63 @@ def feats_maps(path: Path, untouched: np.ndarray) -> Iterator[tuple[np.ndarray, 
         yield shown, 1.0 - map_of(image[:, 2 * PANEL : 3 * PANEL], colours)
 
 
-def gif_figures(reference: Path, trained: Trained, untouched: np.ndarray) -> list[Figure]:
-    """Normal maps against FEATS' own, which are scaled each to itself; so are the totals' ranks."""
+def in_feats_cells(cells: np.ndarray) -> np.ndarray:
+    """A map (24, 32) of a picture in the cells of FEATS' maps: those hold the same mm, about the same middle."""
+    share, size = FEATS_PX_PER_MM / PX_PER_MM, cells.shape[::-1]
+    shift = (1.0 - share) * (np.array(size) - 1) / 2
+    matrix = np.array([[share, 0.0, shift[0]], [0.0, share, shift[1]]])
+    return cv2.warpAffine(cells.astype(np.float32), matrix, size)
+
+
+def gif_figures(presses: list[tuple[np.ndarray, np.ndarray]], trained: Trained, untouched: np.ndarray) -> list[Figure]:
+    """Normal maps against FEATS' own, which are scaled each to itself; so are the totals' ranks. presses: of feats_maps."""
     found, seen = {}, np.ones((24, 32), bool)
     seen[NAMED] = False
-    presses = list(feats_maps(reference / "feats/images/demo.gif", untouched))
     for way, make in (("used", as_used), ("bare", bare)):
-        read, likeness, own, theirs = make(trained, untouched, [picture for picture, _ in presses]), [], [], []
-        for picture, normal in presses:
-            pressed = -read(picture)[2]
-            likeness.append(np.corrcoef(pressed[seen], normal[seen])[0, 1])
-            own.append(pressed[seen].sum())
-            theirs.append(normal[seen].sum())
-        ranks = [np.argsort(np.argsort(values)) for values in (own, theirs)]
-        found[way] = float(np.median(likeness)), float(np.corrcoef(*ranks)[0, 1]), len(own)
-    told = f"{found['used'][2]} presses; bare {found['bare'][0]:.2f}"
+        read = make(trained, untouched, [picture for picture, _ in presses])
+        maps = [(-read(picture)[2], normal) for picture, normal in presses]
+        in_mm, in_px = (
+            float(np.median([np.corrcoef(place(own)[seen], normal[seen])[0, 1] for own, normal in maps]))
+            for place in (in_feats_cells, np.asarray)
+        )
+        sums = np.array([(own[seen].sum(), normal[seen].sum()) for own, normal in maps]).T
+        ranks = [np.argsort(np.argsort(values)) for values in sums]
+        found[way] = in_mm, in_px, float(np.corrcoef(*ranks)[0, 1])
+    (in_mm, in_px, rank), (bare_mm, _, bare_rank) = found["used"], found["bare"]
+    told = f"{len(presses)} presses, each at its own mm; bare {bare_mm:.2f}; pixel for pixel {in_px:.2f}"
     return [
-        Figure("normal map against FEATS' maps, correlation, median", found["used"][0], ">=", 0.88, "", told),
-        Figure("totals against the sums of FEATS' maps, rank correlation", found["used"][1], ">=", 0.9, "",
-               f"bare {found['bare'][1]:.2f}"),
-    ]  # fmt: skip
+        Figure("normal map against FEATS' maps, correlation, median", in_mm, ">=", 0.88, "", told),
+        Figure("totals against the sums of FEATS' maps, rank correlation", rank, ">=", 0.9, "", f"bare {bare_rank:.2f}"),
+    ]
 
 
-def moved_figures(reference: Path, trained: Trained, untouched: np.ndarray) -> list[Figure]:
+def ring_diameter(pressed: np.ndarray) -> float:
+    """Diameter in cells of the circle about which a map (rows, cols) presses, by least squares (Kasa 1976)."""
+    weight = np.sqrt(np.where(pressed > FOOT * pressed.max(), pressed, 0.0)).ravel()
+    v, u = np.indices(pressed.shape).reshape(2, -1).astype(float)
+    sides = np.stack([u, v, np.ones_like(u)], axis=1) * weight[:, None]
+    (along, across, rest), *_ = np.linalg.lstsq(sides, -(u * u + v * v) * weight, rcond=None)
+    return float(np.sqrt(along * along + across * across - 4.0 * rest))
+
+
+def tube_figures(presses: list[tuple[np.ndarray, np.ndarray]], trained: Trained, untouched: np.ndarray) -> list[Figure]:
+    """How wide the rings are read that a tube of known size presses: whether pictures are of the scale that is said."""
+    read = as_used(trained, untouched, [picture for picture, _ in presses])
+    widths = []
+    for tube in TUBES:
+        pressed = -read(presses[tube][0])[2]
+        pressed[NAMED] = 0.0
+        widths.append(ring_diameter(pressed) * 10.0 / PX_PER_MM)
+    off = 100 * abs(float(np.mean(widths)) / TUBE_MM - 1.0)
+    told = f"{np.mean(widths):.2f} mm for {TUBE_MM:g}; {', '.join(f'{width:.2f}' for width in widths)}"
+    return [Figure("tube of 10 and 7 mm: diameter of the ring read, off by", off, "<=", 3.0, "%", told)]
+
+
+def moved_figures(
+    presses: list[tuple[np.ndarray, np.ndarray]], trained: Trained, untouched: np.ndarray
+) -> list[Figure]:
     """How far FEATS' pressed pictures read otherwise when they are moved, each by itself, as frames of `live` are read."""
-    presses = [picture for picture, _ in feats_maps(reference / "feats/images/demo.gif", untouched)]
+    own_place = [picture for picture, _ in presses]
     figures = []
     for what, move in MOVES.items():
         changes = {}
@@ -284,7 +324,7 @@ def moved_figures(reference: Path, trained: Trained, untouched: np.ndarray) -> l
             read = make(trained, untouched)
             own, after = (
                 np.array([read(picture).sum((1, 2)) for picture in pictures])
-                for pictures in (presses, [moved(picture, **move) for picture in presses])
+                for pictures in (own_place, [moved(picture, **move) for picture in own_place])
             )
             change = np.abs(after - own).max(axis=1) / np.abs(own[:, 2])
             changes[way] = 100 * change[own[:, 2] < -LEAST_PRESS]
@@ -332,8 +372,9 @@ def main(args: Namespace) -> None:
     read = {path.stem: read_film(path, trained) for path in progress(films, "films", len(films))}
     untouched = read_npy(args.reference / "feats/images/nocontact_train_sensor.npy")["gs_img"]
     figures = [*released_figures(read), *finger_figures(read), *sideways_figures(read)]
-    figures += gif_figures(args.reference, trained, untouched)
-    figures += moved_figures(args.reference, trained, untouched)
+    presses = list(feats_maps(args.reference / "feats/images/demo.gif", untouched))
+    for measure in (gif_figures, tube_figures, moved_figures):
+        figures += measure(presses, trained, untouched)
     figures += cuboid_figures(args.reference, trained, untouched)
     publish_figures(args.out, figures, fingerprint(trained.about))
     if args.page:

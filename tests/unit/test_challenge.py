@@ -101,7 +101,7 @@ def test_the_script_gives_the_errors_of_the_chart(folder, tmp_path):
 def test_points_count_for_the_cell_they_lie_in(folder, root, tmp_path):
     """Points in the middles of the cells, and one outside of the picture, are the cells themselves."""
     right = record(folder, "bar")
-    sensor = load_sensors(root / "workflow" / "sensors.toml")["gelsight_mini"]
+    sensor = load_sensors(root / "workflow" / "sensors.toml")["feats_mini"]
     held = np.argwhere(np.abs(right["cells"]).max(axis=0) > 0)
     points = sensor.unproject(10.0 * (held[:, ::-1] + 0.5))
     rows = [[*at, *right["cells"][:, *cell]] for at, cell in zip(points, held, strict=True)]
@@ -147,7 +147,7 @@ def test_an_empty_submission_is_named(folder, tmp_path):
 def test_scenes_without_reference_are_refused(root, tmp_path):
     tables = read_tables(root / "workflow")
     scenes = [parse_scene(name, tables[name], 0.475) for name in ("bar", "punch")]
-    sensor = load_sensors(root / "workflow" / "sensors.toml")["gelsight_mini"]
+    sensor = load_sensors(root / "workflow" / "sensors.toml")["feats_mini"]
     (tmp_path / "bar.csv").touch()
     with pytest.raises(BadInput, match="references of bar and the scenes are bar, punch; run make fea-references"):
         write_challenge(scenes, sensor, tmp_path, tmp_path / "out")

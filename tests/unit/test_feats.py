@@ -68,7 +68,7 @@ def save(path, value):
 @pytest.fixture
 def sensor(root, monkeypatch):
     monkeypatch.chdir(root)
-    return load_sensors("workflow/sensors.toml")["gelsight_mini"]
+    return load_sensors("workflow/sensors.toml")["feats_mini"]
 
 
 def test_the_reference_label_file(reference):
@@ -163,13 +163,14 @@ def test_a_folder_becomes_a_dataset(tmp_path, sensor):
     rows = read_csv(tmp_path / "data/log.csv")
     joined = next(row for row in rows if row["fz_n"] == "-7.5")
     assert joined["sample_id"] == "press_1" and joined["time_utc"] == "2025-04-08T12:25:19Z"
-    assert joined["sensor_id"] == "gelsight_mini" and float(joined["dz_mm"]) == -1.5
+    assert joined["sensor_id"] == "feats_mini" and float(joined["dz_mm"]) == -1.5
     image = cv2.imread(str(tmp_path / "data" / joined["image"]))
     assert np.array_equal(image[..., ::-1], IMAGE)
     labels = read_labels(tmp_path / "data/labels/24x32.npz")
     assert labels.sample_id.tolist() == ["press_1"]
     assert np.array_equal(labels.label[0], np.stack([GRID, 2 * GRID, -np.abs(GRID)]).astype(np.float32))
-    assert (tmp_path / "data/dataset.toml").read_text().count("gelsight_mini") == 2
+    said = (tmp_path / "data/dataset.toml").read_text()
+    assert 'sensor = "feats_mini"' in said and 'gel = "gelsight_mini"' in said
 
 
 @pytest.mark.parametrize(

@@ -117,7 +117,7 @@ def test_broken_sensor_tables_name_the_field(tmp_path, line, reason):
 
 def test_the_projects_sensors_are_usable(root):
     sensors = load_sensors(root / "workflow/sensors.toml")
-    assert sensors["gelsight_mini"].project(np.array([5.0, -5.0])) == pytest.approx([230, 50])
+    assert sensors["feats_mini"].project(np.array([5.0, -5.0])) == pytest.approx([230, 50])
     for sensor in sensors.values():
         points = np.array([[1.0, 2], [-7, 9]])
         assert sensor.unproject(sensor.project(points)) == pytest.approx(points, abs=1e-9)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import gelforge
-from gelforge.api import feats_mini
+from gelforge.api import gelsight_mini
 from gelforge.commands import predict
 from gelforge.errors import BadInput
 from gelforge.labelling.sensor import load_sensors
@@ -45,7 +45,7 @@ def test_a_label_holds_the_whole_force(press):
 
 def test_the_sensor_of_a_label_is_that_of_the_workflow(root):
     """An installed package has no workflow/ to read it from."""
-    known, built_in = load_sensors(root / "workflow" / "sensors.toml")["gelsight_mini"], feats_mini()
+    known, built_in = load_sensors(root / "workflow" / "sensors.toml")["gelsight_mini"], gelsight_mini()
     assert (built_in.gel, tuple(built_in.image)) == (known.gel, tuple(known.image))
     assert np.array_equal(built_in.projection, known.projection)
 

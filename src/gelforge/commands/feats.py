@@ -13,7 +13,7 @@ from gelforge.labelling.sensor import find_sensor, load_sensors
 @command(
     option("--from", dest="source"),
     option("--data", type=Path, help="data/DATASET, which must not exist"),
-    option("--sensor", default="gelsight_mini", help="name in sensors.toml"),
+    option("--sensor", default="feats_mini", help="name in sensors.toml"),
     option("--sensors", type=Path, default=Path("workflow/sensors.toml")),
 )
 def bring_in(args: Namespace) -> None:
