@@ -268,7 +268,9 @@ def in_feats_cells(cells: np.ndarray) -> np.ndarray:
     return cv2.warpAffine(cells.astype(np.float32), matrix, size)
 
 
-def gif_figures(presses: list[tuple[np.ndarray, np.ndarray]], trained: Trained, untouched: np.ndarray) -> list[Figure]:
+def gif_figures(
+    presses: list[tuple[np.ndarray, np.ndarray]], trained: Trained, untouched: np.ndarray
+) -> list[Figure]:
     """Normal maps against FEATS' own, which are scaled each to itself; so are the totals' ranks. presses: of feats_maps."""
     found, seen = {}, np.ones((24, 32), bool)
     seen[NAMED] = False
@@ -286,7 +288,9 @@ def gif_figures(presses: list[tuple[np.ndarray, np.ndarray]], trained: Trained, 
     told = f"{len(presses)} presses, each at its own mm; bare {bare_mm:.2f}; pixel for pixel {in_px:.2f}"
     return [
         Figure("normal map against FEATS' maps, correlation, median", in_mm, ">=", 0.88, "", told),
-        Figure("totals against the sums of FEATS' maps, rank correlation", rank, ">=", 0.9, "", f"bare {bare_rank:.2f}"),
+        Figure(
+            "totals against the sums of FEATS' maps, rank correlation", rank, ">=", 0.9, "", f"bare {bare_rank:.2f}"
+        ),
     ]
 
 
@@ -299,7 +303,9 @@ def ring_diameter(pressed: np.ndarray) -> float:
     return float(np.sqrt(along * along + across * across - 4.0 * rest))
 
 
-def tube_figures(presses: list[tuple[np.ndarray, np.ndarray]], trained: Trained, untouched: np.ndarray) -> list[Figure]:
+def tube_figures(
+    presses: list[tuple[np.ndarray, np.ndarray]], trained: Trained, untouched: np.ndarray
+) -> list[Figure]:
     """How wide the rings are read that a tube of known size presses: whether pictures are of the scale that is said."""
     read = as_used(trained, untouched, [picture for picture, _ in presses])
     widths = []
