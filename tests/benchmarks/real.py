@@ -24,16 +24,17 @@ from gelforge.networks.modelfile import SensorNet, Trained, predict_images
 from gelforge.networks.sensorprofile import Gain, fingerprint, fit_opposite
 from gelforge.networks.sitting import place_sitting
 from gelforge.networks.still import SETTLING, find_untouched
-from gelforge.networks.use import Judgement, Untouched, fit_size, load_for_use, predict_one
+from gelforge.networks.use import Untouched, fit_size, load_for_use, predict_one
 from gelforge.records.image import read_image
 from gelforge.records.markers import find_blobs
+from gelforge.records.totals import goes_beyond
 from tests.benchmarks.figures import PUBLISHED_DATA, Figure, publish_figures
 from tests.pictures import moved
 
 EVERY = 3  # every so manyth frame of a film is read
 RELEASED_PX = 0.6  # nine of ten dots nearer than this to where they are at rest: nothing touches
 HELD_PX = 1.0  # and farther than this: something does
-BEYOND = 0.25  # share of normal force at a picture's edge from which a contact is taken to go on beyond it
+MOST_AT_EDGE = 0.25  # share of normal force at a picture's edge up to which most of a contact is taken to be seen
 TRACKED = {"winSize": (21, 21), "maxLevel": 2}
 PANEL = 200  # px of width of each of the four panels of FEATS' film: x, y, normal map, picture
 NAMED = np.s_[:5, :10]  # cells of a map that the panels' names cover
@@ -67,19 +68,11 @@ def frames(path: Path) -> Iterator[np.ndarray]:
         yield cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)
 
 
-def judging(
-    trained: Trained, untouched: np.ndarray, sitting: Sequence[np.ndarray] = ()
-) -> Callable[[np.ndarray], tuple[np.ndarray, Judgement]]:
-    """How `predict` reads the pictures of a sitting, or, where none are named, `live` reads a frame: forces, judgement."""
+def as_used(trained: Trained, untouched: np.ndarray, sitting: Sequence[np.ndarray] = ()) -> Way:
+    """How `predict` reads the pictures of a sitting, or, where none are named, `live` reads a frame."""
     one = Untouched(trained, untouched)
     placement = place_sitting(one, sitting)
-    return lambda image: predict_one(one, image, placement)[1:]
-
-
-def as_used(trained: Trained, untouched: np.ndarray, sitting: Sequence[np.ndarray] = ()) -> Way:
-    """The forces of `judging`."""
-    read = judging(trained, untouched, sitting)
-    return lambda image: read(image)[0]
+    return lambda image: predict_one(one, image, placement)[1]
 
 
 def bare(trained: Trained, untouched: np.ndarray, _sitting: Sequence[np.ndarray] = ()) -> Way:
@@ -95,7 +88,8 @@ def bare(trained: Trained, untouched: np.ndarray, _sitting: Sequence[np.ndarray]
 class Read:
     """A film as read: totals (n, 3) N of both ways in the labels' channels, and the dots' motion (n, d, 2) px.
 
-    flagged: (n,) bool, pictures that `predict` flags. edge: (n,) shares of normal force at the picture's edge.
+    flagged: (n,) bool, pictures that `predict` flags. edge: (n,) shares of normal force at the picture's edge. cut: (n,)
+    bool, pictures that show a part of the contact only.
     """
 
     used: np.ndarray
@@ -103,6 +97,7 @@ class Read:
     motion: np.ndarray
     flagged: np.ndarray
     edge: np.ndarray
+    cut: np.ndarray
 
     @property
     def moved(self) -> np.ndarray:
@@ -127,15 +122,16 @@ def read_film(path: Path, trained: Trained) -> Read:
     """Read every third frame of a film in both ways, and follow its dots."""
     images = list(frames(path))
     rest, _ = find_untouched(iter(images), str(path))
-    dots, as_it_is = find_blobs(rest)[0], bare(trained, images[0])
+    dots, as_it_is, one = find_blobs(rest)[0], bare(trained, images[0]), Untouched(trained, rest)
     chosen = images[SETTLING::EVERY]  # while a camera sets its exposure nothing is known
-    forces, judgements = zip(*map(judging(trained, rest), chosen), strict=True)
+    forces, judgements = zip(*(predict_one(one, image)[1:] for image in chosen), strict=True)
     return Read(
         used=np.array([one.sum((1, 2)) for one in forces]),
         bare=np.array([as_it_is(image).sum((1, 2)) for image in chosen]),
         motion=np.array([motion_of(dots, rest, image) for image in chosen]),
         flagged=np.array([judgement.flag for judgement in judgements]),
         edge=np.array([judgement.edge_share for judgement in judgements]),
+        cut=np.array([goes_beyond(cells, one.view.cells_shown(cells.shape[1:])) for cells in forces]),
     )
 
 
@@ -158,22 +154,29 @@ def every_frame(one: Read, two: Read, count: int) -> tuple[np.ndarray, np.ndarra
     return (one.moved[:count] > HELD_PX) & (two.moved[:count] > HELD_PX), np.ones(count, bool)
 
 
-def seen_whole(one: Read, two: Read, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """As `every_frame`, without frames that are flagged, and those in which a finger is touched beyond what its camera sees.
+def mostly_seen(one: Read, two: Read, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """As `every_frame`, without frames that are flagged, and those in which much of the force is at a picture's edge.
 
-    Only what both see is equal. Of frames in which just one is touched nothing is known.
+    Of frames in which just one is touched nothing is known.
     """
     both, _ = every_frame(one, two, count)
     good = ~(one.flagged[:count] | two.flagged[:count])
     neither = (one.moved[:count] < RELEASED_PX) & (two.moved[:count] < RELEASED_PX)
-    both = both & good & (one.edge[:count] < BEYOND) & (two.edge[:count] < BEYOND)
+    both = both & good & (one.edge[:count] < MOST_AT_EDGE) & (two.edge[:count] < MOST_AT_EDGE)
     return both, both | (neither & good)
+
+
+def seen_whole(one: Read, two: Read, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """As `mostly_seen`, without frames in which a contact goes on beyond its picture: only what both see whole is equal."""
+    both, told = mostly_seen(one, two, count)
+    whole = ~(one.cut[:count] | two.cut[:count])
+    return both & whole, told & whole
 
 
 def grasps_of(films: dict[str, Read], way: str, frames_of: Callable) -> np.ndarray:
     """Median normal force in N of either finger while both are touched, and their correlation over time, (grasps, 3).
 
-    frames_of: `every_frame` or `seen_whole`.
+    frames_of: `every_frame`, `mostly_seen` or `seen_whole`.
     """
     found = []
     for name, one in films.items():
@@ -186,7 +189,7 @@ def grasps_of(films: dict[str, Read], way: str, frames_of: Callable) -> np.ndarr
         if both.sum() >= 5 and min(np.median(left[both]), np.median(right[both])) > 0.0:
             likeness = float(np.corrcoef(left[told], right[told])[0, 1])
             found.append((float(np.median(left[both])), float(np.median(right[both])), likeness))
-    return np.array(found)
+    return np.array(found).reshape(-1, 3)
 
 
 def apart(one: np.ndarray, other: np.ndarray) -> float:
@@ -195,15 +198,16 @@ def apart(one: np.ndarray, other: np.ndarray) -> float:
 
 
 def finger_figures(films: dict[str, Read]) -> list[Figure]:
-    """Normal forces of two fingers that hold one object, over all frames in which both see all that touches them."""
-    used, bare = (grasps_of(films, way, seen_whole) for way in ("used", "bare"))
-    every = grasps_of(films, "used", every_frame)
+    """Normal forces of two fingers that hold one object, over all frames in which both see most of what touches them."""
+    used, bare = (grasps_of(films, way, mostly_seen) for way in ("used", "bare"))
+    every, whole = (grasps_of(films, "used", frames_of) for frames_of in (every_frame, seen_whole))
     others = [np.delete(used, k, axis=0) for k in range(len(used))]
     gains = [fit_opposite(rest[:, 0], rest[:, 1], Gain()).value for rest in others]
     usual, plain, of_all = (apart(*grasps[:, :2].T) for grasps in (used, bare, every))
     return [
         Figure("two fingers on one object, factor apart, median", usual, "<=", 1.25, "",
-               f"{len(used)} grasps; bare {plain:.2f}; {of_all:.2f} over all frames of {len(every)}"),
+               f"{len(used)} grasps; both see all of the contact in {len(whole)}; bare {plain:.2f}; {of_all:.2f} over all"
+               f" frames of {len(every)}"),
         Figure("the same once the other grasps brought one finger to the other", apart(used[:, 0], gains * used[:, 1]),
                "<=", 1.25, "",
                f"as `gelforge sensor --opposite` does; a factor of {np.median(gains):.2f} in the median"),

@@ -30,7 +30,7 @@ from gelforge.networks.use import Predicted, Untouched, load_for_use, predict_on
 from gelforge.records.axes import CHANNELS
 from gelforge.records.image import read_image
 from gelforge.records.markers import pitch_of
-from gelforge.records.totals import TOTAL_COLUMNS, edge_share, total_columns
+from gelforge.records.totals import TOTAL_COLUMNS, edge_share, goes_beyond, total_columns
 from gelforge.stages.train import train
 from tests.pictures import moved
 
@@ -394,6 +394,7 @@ def test_a_map_that_is_all_edge_tells_nothing_of_it(grid):
     forces = np.full((3, *grid), -1.0)
     whole = slice(grid[0]), slice(grid[1])
     assert np.isnan(edge_share(forces, whole)) and total_columns(forces, None, None, np.nan)["edge_share"] is None
+    assert not goes_beyond(forces, whole)
 
 
 @pytest.mark.parametrize("zoom", [0.55, 0.71, 1.0, 1.4])
@@ -408,6 +409,26 @@ def test_the_edge_is_that_of_what_a_camera_shows(zoom):
     assert edge_share(forces, (rows, cols)) == 1.0
     forces[2, 12, 15] = -1.0
     assert edge_share(forces, (rows, cols)) == 0.75
+
+
+@pytest.mark.parametrize("zoom", [0.55, 0.71, 1.0])
+@pytest.mark.parametrize("side", ["top", "bottom", "left", "right"])
+def test_a_contact_that_the_picture_cuts_goes_on_beyond_it(zoom, side):
+    """However much force lies inside; one that ends a cell before the edge does not."""
+    grid = 24, 32
+    shown = View(zoom, (0.0, 0.0, 0.0)).cells_shown(grid)
+    turns = {"top": 0, "left": 0, "bottom": 2, "right": 2}[side]
+    within, cut, beyond = (np.zeros((3, *grid)) for _ in range(3))
+    for forces, first in ((within, 1), (cut, 0), (beyond, -1)):
+        rows, cols = (first, 4) if side in ("top", "bottom") else (4, first)
+        inner = np.rot90(forces[2], turns)  # the picture's middle is the map's
+        inner[shown[0].start + rows : 16, shown[1].start + cols : 20] = -1.0
+        inner[12, 16] = -1.0
+    assert goes_beyond(cut, shown)
+    assert goes_beyond(beyond, shown) or zoom == 1.0  # a whole view has nothing beyond it
+    assert not goes_beyond(within, shown)
+    assert not goes_beyond(-cut, shown)  # what pulls is no press
+    assert not goes_beyond(1e-4 * cut, shown)  # what a released gel may read
 
 
 @pytest.fixture(scope="module")

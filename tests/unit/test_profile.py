@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from gelforge.commands import predict, sensor
 from gelforge.errors import BadInput, GelforgeError
+from gelforge.formats.numpy_pickle import read_npy
 from gelforge.networks.sensorprofile import (
     Gain,
     SensorProfile,
@@ -26,6 +27,7 @@ from gelforge.networks.sensorprofile import (
 from gelforge.networks.use import load_for_use
 from gelforge.records.image import read_image
 from gelforge.records.markers import pitch_of
+from tests.benchmarks.real import feats_maps
 
 
 @given(st.floats(0.5, 2.0), st.integers(1, 20), st.integers(0, 2**32 - 1))
@@ -165,11 +167,14 @@ def test_what_is_no_profile_is_refused(tmp_path, text):
 
 @pytest.fixture
 def weighed(root, tmp_path):
-    """Presses of the demo as if they had been weighed on a sensor whose gel is a fifth stiffer; (folder, table's rows)."""
+    """Presses of the demo as if they had been weighed on a sensor whose gel is a fifth stiffer; (folder, table's rows).
+
+    None of its bar, which is longer than the view.
+    """
     rows = []
     with (root / "data/demo/log.csv").open() as stream:
         for row in list(csv.DictReader(stream))[:6]:
-            if row["sensor_id"] == "mini_a" and float(row["fz_n"]) < -2.0:
+            if row["sensor_id"] == "mini_a" and row["indenter"] != "bar_5" and float(row["fz_n"]) < -2.0:
                 (tmp_path / row["sample_id"]).with_suffix(".png").write_bytes(
                     (root / "data/demo" / row["image"]).read_bytes()
                 )
@@ -400,3 +405,27 @@ def test_one_source_of_the_untouched_picture_is_asked_for(weighed):
         with pytest.raises(BadInput, match=says):
             sensor.main(["--name", "mine", "--out", str(folder / "mine.toml"), *more])
     assert not (folder / "mine.toml").exists()
+
+
+def test_a_picture_that_shows_a_part_of_the_contact_does_not_count(reference, tmp_path, capsys):
+    """Of FEATS' presses two balls that lie within the picture, and a bar that goes on beyond it."""
+    rest = read_npy(reference / "feats/images/nocontact_train_sensor.npy")["gs_img"]
+    pictures = [picture for picture, _ in feats_maps(reference / "feats/images/demo.gif", rest)]
+    chosen = {"rest": rest, "ball": pictures[24], "small_ball": pictures[38], "bar": pictures[16]}
+    for name, picture in chosen.items():
+        cv2.imwrite(str(tmp_path / f"{name}.png"), picture[..., ::-1])
+    rows = [[f"{name}.png", "10"] for name in ("ball", "small_ball", "bar")]
+    assert make(tmp_path, rows) == 0
+    told = [line for line in capsys.readouterr().err.splitlines() if "beyond the picture" in line]
+    assert len(told) == 1 and "line 4: bar.png: does not count" in told[0]
+    assert read_profile(tmp_path / "mine.toml").gain.readings == 2
+    with pytest.raises(BadInput, match="in none of 1 pictures is all of the contact seen"):
+        make(tmp_path, rows[2:])
+    asked = ["--name", "right", "--untouched", str(tmp_path / "rest.png"), "--opposite", str(tmp_path / "mine.toml")]
+    grasps = tmp_path / "g.csv"
+    grasps.write_text("image,opposite\nball.png,bar.png\n")
+    with pytest.raises(BadInput, match="in none of 1 grasps do both pictures show all of the contact"):
+        sensor.main([*asked, "--grasps", str(grasps), "--out", str(tmp_path / "right.toml")])
+    grasps.write_text("image,opposite\nball.png,bar.png\nsmall_ball.png,ball.png\n")
+    assert sensor.main([*asked, "--grasps", str(grasps), "--out", str(tmp_path / "right.toml")]) == 0
+    assert read_profile(tmp_path / "right.toml").gain.readings == 1

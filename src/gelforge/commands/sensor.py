@@ -7,7 +7,8 @@ the mean of the first frames at rest, as `gelforge live` does. `gelforge predict
 
 Two sensors of a gripper need no scale to agree: --opposite LEFT.toml --grasps grasps.csv brings this one to the profile
 of the other by pictures of both at the same moments, columns `image` and `opposite`, since the two fingers that hold
-one object press alike. Which of them is right in newtons only readings tell.
+one object press alike. Which of them is right in newtons only readings tell. A picture that shows only a part of the
+contact counts in neither table: what is read in it is a part of the force.
 """
 
 import sys
@@ -41,6 +42,7 @@ from gelforge.records.markers import pitch_of
 from gelforge.records.press import check_id, parse_number
 from gelforge.records.regular import real_place, refuse_to_replace
 from gelforge.records.table import numbered_rows
+from gelforge.records.totals import goes_beyond
 
 
 def gain_of(readings: Path, untouched: Untouched) -> Gain:
@@ -48,9 +50,18 @@ def gain_of(readings: Path, untouched: Untouched) -> Gain:
     rows = _rows(readings, ("image", "force_n"), "readings", "press")
     pictures = _pictures(readings, rows, "image")
     measured = np.array([_force(name, row["force_n"]) for name, (_, row) in zip(pictures, rows, strict=True)])
-    read = _normals(untouched, pictures)
-    check_readings(list(pictures), measured, read)
-    for name, told in odd_readings(list(pictures), measured, read).items():
+    read, whole = _normals(untouched, pictures)
+    if not whole.any():
+        raise BadInput(
+            f"{readings}: in none of {len(whole)} pictures is all of the contact seen; press a smaller body, or nearer to the middle"
+        )
+    names, measured, read = (
+        [name for name, seen in zip(pictures, whole, strict=True) if seen],
+        measured[whole],
+        read[whole],
+    )
+    check_readings(names, measured, read)
+    for name, told in odd_readings(names, measured, read).items():
         print(f"{name}: {told}; it counts, leave it out if it is wrong", file=sys.stderr)
     return fit_gain(measured, read)
 
@@ -112,12 +123,19 @@ def gain_beside(grasps: Path, untouched: Untouched, opposite: Path) -> Gain:
     check_same_network(other, untouched.trained.about)
     facing = Untouched(untouched.trained, other.untouched, gain=other.gain)
     pictures = _pictures(grasps, rows, "image")
-    read = _normals(untouched, pictures)
-    felt = _normals(facing, _pictures(grasps, rows, "opposite"))
-    for name, one, another, counts in zip(pictures, read, felt, felt_by_both(felt, read), strict=True):
-        if not counts:
+    read, here = _normals(untouched, pictures)
+    felt, there = _normals(facing, _pictures(grasps, rows, "opposite"))
+    whole = here & there
+    if not whole.any():
+        raise BadInput(
+            f"{grasps}: in none of {len(whole)} grasps do both pictures show all of the contact, so their forces need not be"
+            " alike; hold a smaller body, or nearer to the middle of both"
+        )
+    counts = felt_by_both(felt, read)
+    for name, one, another, felt_here in zip(pictures, read, felt, counts | ~whole, strict=True):
+        if not felt_here:
             print(f"{name}: does not count, {one:.1f} and {another:.1f} N are read; press firmer", file=sys.stderr)
-    return fit_opposite(felt, read, other.gain)
+    return fit_opposite(felt[whole], read[whole], other.gain)
 
 
 def untouched_picture(image: Path | None, video: Path | None, camera: int | None) -> tuple[np.ndarray, str]:
@@ -131,21 +149,22 @@ def untouched_picture(image: Path | None, video: Path | None, camera: int | None
     return picture_at_rest(video, camera), source_name(video, camera)
 
 
-def _normals(untouched: Untouched, pictures: dict[str, np.ndarray]) -> np.ndarray:
+def _normals(untouched: Untouched, pictures: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Normal forces (n,) in N that `predict` reads in pictures by name of one sitting, above 0 where something presses.
 
-    A picture that `predict` would flag counts, as some flags are wrong, and is named on the terminal.
+    And which pictures (n,) bool show all of the contact. The others are named on the terminal, and so are those that
+    `predict` would flag, which count, as some flags are wrong.
     """
-    placement, read = place_sitting(untouched, pictures.values()), []
+    placement, read, whole = place_sitting(untouched, pictures.values()), [], []
     for name, picture in pictures.items():
         _, forces, judged = predict_one(untouched, picture, placement)
         read.append(-float(forces[2].sum()))
+        whole.append(not goes_beyond(forces, untouched.view.cells_shown(forces.shape[1:])))
         if judged.flag:
-            print(
-                f"{name}: FLAGGED: {judged.reason}; it counts, leave it out if that is so",
-                file=sys.stderr,
-            )
-    return np.array(read)
+            print(f"{name}: FLAGGED: {judged.reason}; leave it out if that is so", file=sys.stderr)
+        if not whole[-1]:
+            print(f"{name}: does not count, the contact goes on beyond the picture", file=sys.stderr)
+    return np.array(read), np.array(whole)
 
 
 def check_options(args: Namespace, out: Path) -> None:

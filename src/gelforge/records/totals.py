@@ -13,6 +13,7 @@ KINDS = ("n", "half_width_n", "by_dots_n")
 TOTAL_COLUMNS = (*(f"{channel}_{kind}" for kind in KINDS for channel in CHANNELS), "edge_share")
 LEAST_PRESS = 0.2  # N of normal force below which a map has no shape: what is read of a released gel is below
 EDGE = 1 / 12  # of the picture's height and width, on each side, that counts as its edge
+BEYOND = 0.2  # of a map's largest force, borne by an outermost cell: what presses there goes on beyond the picture
 
 
 def total_columns(
@@ -43,3 +44,18 @@ def edge_share(forces: np.ndarray, shown: tuple[slice, slice]) -> float:
     rows, cols = (max(1, round(EDGE * count)) for count in inner.shape)
     within, total = inner[rows:-rows, cols:-cols].sum(), pressed.sum()
     return float(1.0 - within / total) if total >= LEAST_PRESS else 0.0
+
+
+def goes_beyond(forces: np.ndarray, shown: tuple[slice, slice]) -> bool:
+    """Whether what presses goes on beyond the picture, so that the sum of forces (3, rows, cols) N is a part of it only.
+
+    shown: as of `edge_share`. Of 51 real presses, the outermost cells of those that end within the picture bear at most a
+    tenth of the largest force, of those that the picture cuts a quarter and more. False where hardly anything presses, and
+    where fewer than three rows or columns are shown.
+    """
+    pressed = np.maximum(-forces[2].astype(float), 0.0)
+    if min(pressed[shown].shape) < 3 or pressed.sum() < LEAST_PRESS:
+        return False
+    outer = pressed.copy()
+    outer[shown][1:-1, 1:-1] = 0.0
+    return bool(outer.max() >= BEYOND * pressed.max())
