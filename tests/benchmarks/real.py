@@ -2,8 +2,8 @@
 
 No force was measured beside these pictures. What is known: a released gel bears nothing; two fingers that hold one object
 press it equally; a sideways force moves the dots its way; FEATS published its own maps of 51 presses; a cuboid leaves a
-square and a tube a ring, whose sizes are known. Each figure is given for the network as `gelforge live` and `predict` use it, and in its note for the bare
-network that takes a film's first frame for the untouched sensor.
+square and a tube a ring, whose sizes are known. Each figure is given for the network as `gelforge live` and `predict` use
+it, and in its note for the bare network that takes a film's first frame for the untouched sensor.
 """
 
 from argparse import Namespace

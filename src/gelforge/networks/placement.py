@@ -6,6 +6,7 @@ of one sitting: the middle of what each of them tells is nearer to it than any o
 """
 
 import functools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import median
@@ -21,9 +22,10 @@ LEAST_FOUND = 0.5  # of the dots: a picture in which fewer are found tells nothi
 # half a pitch and more from where they were, and may leave the picture.
 SURE_SHIFT, SURE_TURN, SURE_ZOOM = 9.0, 3.0, 0.06
 # A move of the dots, root mean square, is none that is smaller than so many px and this share of what contact did to all of
-# them alike, which is what the reader's errors grow with. Of presses of gels that sat still, by units and shapes that the
-# reader did not learn from, one to six in a thousand are told to have been moved (two plans of the rig).
-LEAST_MOVE, LEAST_SHARE = 0.5, 0.1
+# them alike, which is what the reader's errors grow with. Of 1600 pictures of gels that sat still, under presses that the
+# reader did not learn from, four in a thousand are told to have been moved. Of several pictures' middle the share falls
+# with the root of their number, as errors do that each contact makes by itself.
+LEAST_MOVE, LEAST_SHARE = 0.5, 0.2
 
 
 @dataclass(frozen=True)
@@ -98,7 +100,8 @@ def place(reader: PlaceReader | PlacesOneByOne | None, dots: PrintedDots, sittin
         return UNPLACED
     told = reader.places(np.stack([dots.on_lattice(followed) for followed in telling]))
     placement, moved = about_middle(dots, _middle(told.a), _middle(told.b))
-    return placement if moved >= LEAST_MOVE + LEAST_SHARE * median(told.contact.tolist()) else UNPLACED
+    by_contact = LEAST_SHARE * median(told.contact.tolist()) / math.sqrt(len(telling))
+    return placement if moved >= LEAST_MOVE + by_contact else UNPLACED
 
 
 def _middle(values: np.ndarray) -> complex:
