@@ -210,7 +210,7 @@ def finger_figures(films: dict[str, Read]) -> list[Figure]:
                f" frames of {len(every)}"),
         Figure("the same once the other grasps brought one finger to the other", apart(used[:, 0], gains * used[:, 1]),
                "<=", 1.25, "",
-               f"as `gelforge sensor --opposite` does; a factor of {np.median(gains):.2f} in the median"),
+               f"by their median ratio, a factor of {np.median(gains):.2f}; `gelforge sensor` leaves out those that it sees cut"),
         Figure("the same over time, correlation, median", float(np.median(used[:, 2])), ">=", 0.95, "",
                f"bare {np.median(bare[:, 2]):.2f}; {np.median(every[:, 2]):.2f} over all frames"),
     ]  # fmt: skip
