@@ -14,6 +14,7 @@ from gelforge.labelling.homography import fit_homography
 from gelforge.labelling.operator import assemble
 from gelforge.labelling.sensor import check_projection, find_sensor, load_sensors, transform
 from gelforge.records.markers import find_markers
+from gelforge.virtualrig.units import read_ranges
 from tests.patch import irregular_surface
 
 SQUARE = np.array([[-5.0, 5], [5, 5], [-5, -5], [5, -5]])
@@ -123,6 +124,19 @@ def test_the_projects_sensors_are_usable(root):
         assert sensor.unproject(sensor.project(points)) == pytest.approx(points, abs=1e-9)
     with pytest.raises(BadInput, match="log row 3.*nobody"):
         find_sensor(sensors, "nobody", "log row 3")
+
+
+def test_gels_of_all_sensors_are_printed_alike(root):
+    """A scale that is wrong shows: dots stand 2.0 mm apart on real gels. FEATS' own placement has them farther apart."""
+    apart = {}
+    for name, sensor in load_sensors(root / "workflow/sensors.toml").items():
+        one_mm = sensor.project(np.array([[0.0, 0.5], [0.0, -0.5], [0.5, 0.0], [-0.5, 0.0]]))
+        scale = np.mean([np.hypot(*(one_mm[k] - one_mm[k + 1])) for k in (0, 2)])
+        apart[name] = float(np.mean(sensor.markers["pitch_px"]) / scale)
+    assert apart.pop("feats_mini") > 2.2
+    ranges = read_ranges(root / "workflow/rig/units.toml")
+    apart["drawn units"] = float(np.mean(ranges.pitch_mm))
+    assert all(2.0 <= pitch <= 2.1 for pitch in apart.values()), apart
 
 
 def test_a_gel_wholly_outside_the_image_is_refused(root):
