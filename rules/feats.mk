@@ -1,9 +1,9 @@
 # FEATS' files in and out.
 FROM ?=
-SENSOR ?= feats_mini
 EXPORTED := $(RES:%=$D/feats/%/normalization_gelforge.npy)
 
 .PHONY: feats-import feats-export
+feats-import: SENSOR ?= feats_mini
 feats-import: $(SETUP)  ## FEATS' .npy files to data/DATASET: make feats-import FROM=folder DATASET=name SENSOR=name
 	@$(PY) -m gelforge.commands.feats import --from $(call given,FROM) --data $(DATA) --sensor $(SENSOR)
 

@@ -417,16 +417,18 @@ def test_a_contact_that_the_picture_cuts_goes_on_beyond_it(zoom, side):
     """However much force lies inside; one that ends a cell before the edge does not."""
     grid = 24, 32
     shown = View(zoom, (0.0, 0.0, 0.0)).cells_shown(grid)
-    turns = {"top": 0, "left": 0, "bottom": 2, "right": 2}[side]
-    within, cut, beyond = (np.zeros((3, *grid)) for _ in range(3))
-    for forces, first in ((within, 1), (cut, 0), (beyond, -1)):
-        rows, cols = (first, 4) if side in ("top", "bottom") else (4, first)
-        inner = np.rot90(forces[2], turns)  # the picture's middle is the map's
-        inner[shown[0].start + rows : 16, shown[1].start + cols : 20] = -1.0
-        inner[12, 16] = -1.0
+
+    def contact(gap: int) -> np.ndarray:
+        """A block that begins `gap` cells within the picture's edge on that side, and ends in the map's middle."""
+        forces = np.zeros((3, *grid))
+        rows, cols = (gap, 4) if side in ("top", "bottom") else (4, gap)
+        forces[2, shown[0].start + rows : 16, shown[1].start + cols : 20] = -1.0
+        return forces if side in ("top", "left") else forces[:, ::-1, ::-1]
+
+    cut = contact(0)
     assert goes_beyond(cut, shown)
-    assert goes_beyond(beyond, shown) or zoom == 1.0  # a whole view has nothing beyond it
-    assert not goes_beyond(within, shown)
+    assert zoom == 1.0 or goes_beyond(contact(-1), shown)  # a whole view has nothing beyond it
+    assert not goes_beyond(contact(1), shown)
     assert not goes_beyond(-cut, shown)  # what pulls is no press
     assert not goes_beyond(1e-4 * cut, shown)  # what a released gel may read
 

@@ -13,6 +13,7 @@ contact counts in neither table: what is read in it is a part of the force.
 
 import sys
 from argparse import Namespace
+from itertools import compress
 from pathlib import Path
 
 import numpy as np
@@ -55,11 +56,7 @@ def gain_of(readings: Path, untouched: Untouched) -> Gain:
         raise BadInput(
             f"{readings}: in none of {len(whole)} pictures is all of the contact seen; press a smaller body, or nearer to the middle"
         )
-    names, measured, read = (
-        [name for name, seen in zip(pictures, whole, strict=True) if seen],
-        measured[whole],
-        read[whole],
-    )
+    names, measured, read = list(compress(pictures, whole)), measured[whole], read[whole]
     check_readings(names, measured, read)
     for name, told in odd_readings(names, measured, read).items():
         print(f"{name}: {told}; it counts, leave it out if it is wrong", file=sys.stderr)
@@ -131,11 +128,11 @@ def gain_beside(grasps: Path, untouched: Untouched, opposite: Path) -> Gain:
             f"{grasps}: in none of {len(whole)} grasps do both pictures show all of the contact, so their forces need not be"
             " alike; hold a smaller body, or nearer to the middle of both"
         )
-    counts = felt_by_both(felt, read)
-    for name, one, another, felt_here in zip(pictures, read, felt, counts | ~whole, strict=True):
-        if not felt_here:
+    names, felt, read = compress(pictures, whole), felt[whole], read[whole]
+    for name, one, another, counts in zip(names, read, felt, felt_by_both(felt, read), strict=True):
+        if not counts:
             print(f"{name}: does not count, {one:.1f} and {another:.1f} N are read; press firmer", file=sys.stderr)
-    return fit_opposite(felt[whole], read[whole], other.gain)
+    return fit_opposite(felt, read, other.gain)
 
 
 def untouched_picture(image: Path | None, video: Path | None, camera: int | None) -> tuple[np.ndarray, str]:
