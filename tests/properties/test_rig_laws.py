@@ -4,7 +4,7 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
-from hypothesis import example, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from gelforge.geometry.gel import Gel
@@ -14,7 +14,7 @@ from gelforge.mechanics.scene import Press
 from gelforge.virtualrig.fields import STEP, body_of, unloaded
 from gelforge.virtualrig.lightfit import dot_spots
 from gelforge.virtualrig.looks import TERMS, Look, read_looks
-from gelforge.virtualrig.render import Pressed, Renderer
+from gelforge.virtualrig.render import RIPPLE_MM, Pressed, Renderer
 from gelforge.virtualrig.rigplan import kind_of, orders, read_plan
 from tests.conftest import ROOT
 from tests.likeness import gel_points, inside_image
@@ -159,5 +159,7 @@ def test_a_body_shows_where_the_gel_that_it_presses_shows(name, x, y, down):
     ball = tip + radius - np.sqrt(radius**2 - (at**2).sum(axis=1))
     weight = np.clip(gel.top(x + at[:, 0], y + at[:, 1]) - down - ball, 0.0, None)
     seen = eye.seen(at + (x, y), np.column_stack([np.zeros((len(at), 2)), np.full(len(at), -down)]))
+    # the surface is smoothed: contact nearer to the picture's edge than that reaches shows a part of itself
+    assume(inside_image(seen[weight > 0.0], 2.0 * RIPPLE_MM * eye.scale).all())
     expected = (weight[:, None] * seen).sum(axis=0) / weight.sum()
     assert np.abs(found - expected).max() < 0.03
