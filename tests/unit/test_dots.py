@@ -285,7 +285,7 @@ def test_the_better_reader_has_more_say_and_a_contradiction_is_told():
 
 def test_a_contradiction_names_the_axis_that_the_force_is_along():
     """x and y in the lines around it are the gel's; the channel grid_x holds the force along y."""
-    apart = {name: [0.1, 0.0] for name in CHANNELS}
+    apart = {name: [0.1, 0.0, 0.0] for name in CHANNELS}
     for channel, axis in enumerate("yxz"):
         fault = dots_fault(apart, np.zeros(3), 2.0 * np.eye(3)[channel])
         assert f"gel {axis} of 2.0 N" in fault and "grid_" not in fault
@@ -293,7 +293,7 @@ def test_a_contradiction_names_the_axis_that_the_force_is_along():
 
 def test_a_contradiction_is_told_in_the_newtons_that_are_read(rest, presses):
     shipped = load_for_use(None)
-    apart = {"grid_x": [np.inf, 0.0], "grid_y": [np.inf, 0.0], "grid_z": [0.0, 0.0]}
+    apart = {"grid_x": [np.inf, 0.0, 0.0], "grid_y": [np.inf, 0.0, 0.0], "grid_z": [0.0, 0.0, 0.0]}
     suspicious = replace(shipped, about=shipped.about | {"dots": shipped.about["dots"] | {"apart": apart}})
     told = []
     for gain in (1.0, 3.0):
@@ -307,7 +307,7 @@ def test_a_contradiction_is_told_in_the_newtons_that_are_read(rest, presses):
 def with_dots():
     shipped = load_for_use(None)
     torch.manual_seed(0)
-    about = shipped.about | {"dots": {"weight": [0.5] * 3, "apart": {name: [0.1, 0.1] for name in CHANNELS}}}
+    about = shipped.about | {"dots": {"weight": [0.5] * 3, "apart": {name: [0.1, 0.1, 0.0] for name in CHANNELS}}}
     about |= {"places": {"data": "somewhere", "pictures": 1234}, "stacking": None}
     by_dots, places = rounded(DotReader()).eval(), rounded(PlaceReader()).eval()
     return Trained(shipped.net, about, shipped.untouched, by_dots, places)

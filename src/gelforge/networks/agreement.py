@@ -1,8 +1,10 @@
 """Two readers of one picture: the network of its brightness and that of its dots, their mean, and where they contradict."""
 
+from dataclasses import astuple
+
 import numpy as np
 
-from gelforge.networks.intervals import HalfWidth, fit_half_width
+from gelforge.networks.intervals import HalfWidth, fit_half_width, magnitudes
 from gelforge.records.axes import CHANNELS, MEANINGS
 from gelforge.records.totals import LEAST_PRESS
 
@@ -10,9 +12,10 @@ WEIGHTS = np.linspace(0.0, 1.0, 21)  # of the dots' total in both readers' mean,
 # Half widths of what the two readers usually differ by, beyond which one of them is wrong: on units of the rig that training
 # never saw 96 % of the pictures that are read wrong are then flagged, and 2 % of the good ones (with 3: 95 and 1.5 %).
 APART = 2.25
+LEAST_APART = 0.3  # N by which they differ at least: on real sensors they do by that where neither is wrong
 MOST_FACTOR = 2.0  # by which a map is scaled at most
 # As long as two readers have not met: the dots have no say, and nothing contradicts them.
-APART_NOTHING = {"weight": [0.0, 0.0, 0.0], "apart": {name: [np.inf, 0.0] for name in CHANNELS}}
+APART_NOTHING = {"weight": [0.0, 0.0, 0.0], "apart": {name: [np.inf, 0.0, 0.0] for name in CHANNELS}}
 
 
 def fit_blend(
@@ -21,16 +24,16 @@ def fit_blend(
     """How the totals (n, 3) N of both readers meet best, from presses whose true totals are known.
 
     counts: (n,) how much each picture counts, all alike if not given. weight: of the dots' total in their mean, by
-    component, that leaves the least mean error. apart: half widths, [N, share of the force] by component, of what nine of
-    ten of the readers' differences stay within.
+    component, that leaves the least mean error. apart: half widths by component, the three numbers of HalfWidth, of what nine
+    of ten of the readers' differences stay within.
     """
     errors = [np.average(np.abs((1 - w) * by_picture + w * by_dots - true), axis=0, weights=counts) for w in WEIGHTS]
     weight = WEIGHTS[np.argmin(errors, axis=0)].tolist()
     mean = (1 - np.array(weight)) * by_picture + np.array(weight) * by_dots
     apart = {}
     for k, name in enumerate(CHANNELS):
-        width = fit_half_width(mean[:, k], by_picture[:, k] - by_dots[:, k])
-        apart[name] = [width.base, width.share]
+        width = fit_half_width(mean[:, k], magnitudes(mean), by_picture[:, k] - by_dots[:, k])
+        apart[name] = list(astuple(width))
     return {"weight": weight, "apart": apart}
 
 
@@ -61,8 +64,11 @@ def dots_fault(apart: dict, total: np.ndarray, by_dots: np.ndarray, gain: float 
 
     gain: of the sensor, by which what is told is multiplied, as all that its user reads is.
     """
+    both = np.stack([total, by_dots])
+    whole, components = magnitudes(both).max(), np.abs(both).max(axis=0)
     for k, name in enumerate(CHANNELS):
-        if abs(total[k] - by_dots[k]) > APART * HalfWidth(*apart[name]).of(max(abs(total[k]), abs(by_dots[k]))):
+        usual = HalfWidth(*apart[name]).of(components[k], whole)
+        if abs(total[k] - by_dots[k]) > max(APART * usual, LEAST_APART):
             told, read = gain * by_dots[k], gain * total[k]
             return f"its dots tell {MEANINGS[k]} of {told:.1f} N, its brightness of {read:.1f} N"
     return ""

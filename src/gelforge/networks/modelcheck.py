@@ -41,18 +41,18 @@ def _square(value: Any) -> bool:
     return isinstance(value, list) and all(_numbers(row, len(value)) for row in value)
 
 
-def _pairs(value: Any) -> bool:
+def _half_widths(value: Any) -> bool:
     return (
         isinstance(value, dict)
         and set(value) == set(CHANNELS)
-        and all(_numbers(pair, 2, -1e-300) for pair in value.values())
+        and all(_numbers(width, 3, -1e-300) for width in value.values())
     )
 
 
 def _intervals(value: Any) -> bool:
     if value is ABSENT:
         return True
-    return isinstance(value, dict) and (not value.get("total") or _pairs(value["total"]))
+    return isinstance(value, dict) and (not value.get("total") or _half_widths(value["total"]))
 
 
 def _dots(value: Any) -> bool:
@@ -63,7 +63,7 @@ def _dots(value: Any) -> bool:
         and _numbers(value.get("weight"), 3, -1e-300)
         and max(value["weight"]) <= 1
         and isinstance(value.get("sha256"), str)
-        and _pairs(value.get("apart"))
+        and _half_widths(value.get("apart"))
     )
 
 
@@ -111,8 +111,8 @@ PARTS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "normalisation.image_std": ("three numbers above 0", lambda v: _numbers(v, 3, 0)),
     "normalisation.label": ("three numbers above 0", lambda v: _numbers(v, 3, 0)),
     "pitch_px": ("two numbers above 0, the larger last, or absent", _pitches),
-    "intervals": ("a table of pairs of numbers from 0 on, by component", _intervals),
-    "dots": ("a table of weights from 0 to 1, pairs of numbers by component, and a digest", _dots),
+    "intervals": ("a table of three numbers from 0 on, by component", _intervals),
+    "dots": ("a table of weights from 0 to 1, three numbers by component, and a digest", _dots),
     "places": ("a table of the data, how many pictures, and a digest", _places),
     "stacking": ("a table of the data and a digest", _stacking),
     "statistics": ("a table", lambda v: isinstance(v, dict)),

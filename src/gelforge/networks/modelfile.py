@@ -29,7 +29,7 @@ from gelforge.networks.unrolled import Unrolled, pooled_count
 from gelforge.records.image import decode, encode_png
 from gelforge.records.regular import file_fault
 
-FORMAT = 3
+FORMAT = 4
 # Small networks beside a network, by their names in its file, and how each is made for that network.
 READERS: dict[str, Callable[[nn.Module], nn.Module]] = {
     "dots": lambda _net: DotReader(),
