@@ -128,10 +128,10 @@ class ForceReading:
     that hold nine of ten totals on sensors that the network never saw, of gels as stiff as those it learnt from, or as
     uncertain as the factor of a profile tells; None where the model knows none. flag: True where something is wrong with
     the pictures, and `reason` says what. by_dots: (3,) what the motion of the printed dots tells by itself, whatever the
-    light; None where the gel has none, or the network no reader of them. edge_share: share of the normal force at the
-    edge of what the picture shows; a large one tells that what touches goes on beyond the picture, and total is a part of
-    its force only. It is NaN where the map has fewer than three rows or columns, as that of a model that only knows
-    totals.
+    light; None where the gel has none, or the network no reader of them. edge_peak: largest normal force
+    of a cell at the edge of what the picture shows, over the largest of all; from 0.2 on, what touches goes on beyond the
+    picture, and total is a part of its force only. It is NaN where the map has fewer than three rows or columns, as that
+    of a model that only knows totals.
     """
 
     cells: np.ndarray
@@ -140,7 +140,7 @@ class ForceReading:
     flag: bool
     reason: str
     by_dots: np.ndarray | None
-    edge_share: float
+    edge_peak: float
 
 
 class Reader:
@@ -169,7 +169,7 @@ class Reader:
         _seen, cells, judged = predict_one(self._untouched, image, placement)
         total = cells.sum(axis=(1, 2), dtype=float)
         return ForceReading(
-            cells, total, judged.half_width, judged.flag, judged.reason, judged.by_dots, judged.edge_share
+            cells, total, judged.half_width, judged.flag, judged.reason, judged.by_dots, judged.edge_peak
         )
 
     def batch(self, images: np.ndarray, one_sitting: bool = False) -> list[ForceReading]:

@@ -27,14 +27,14 @@ from gelforge.networks.still import SETTLING, find_untouched
 from gelforge.networks.use import Untouched, fit_size, load_for_use, predict_one
 from gelforge.records.image import read_image
 from gelforge.records.markers import find_blobs
-from gelforge.records.totals import goes_beyond
+from gelforge.records.totals import BEYOND
 from tests.benchmarks.figures import PUBLISHED_DATA, Figure, publish_figures
 from tests.pictures import moved
 
 EVERY = 3  # every so manyth frame of a film is read
 RELEASED_PX = 0.6  # nine of ten dots nearer than this to where they are at rest: nothing touches
 HELD_PX = 1.0  # and farther than this: something does
-MOST_AT_EDGE = 0.25  # share of normal force at a picture's edge up to which most of a contact is taken to be seen
+MOST_AT_EDGE = 0.7  # edge_peak up to which most of a contact is taken to be seen
 TRACKED = {"winSize": (21, 21), "maxLevel": 2}
 PANEL = 200  # px of width of each of the four panels of FEATS' film: x, y, normal map, picture
 NAMED = np.s_[:5, :10]  # cells of a map that the panels' names cover
@@ -88,16 +88,14 @@ def bare(trained: Trained, untouched: np.ndarray, _sitting: Sequence[np.ndarray]
 class Read:
     """A film as read: totals (n, 3) N of both ways in the labels' channels, and the dots' motion (n, d, 2) px.
 
-    flagged: (n,) bool, pictures that `predict` flags. edge: (n,) shares of normal force at the picture's edge. cut: (n,)
-    bool, pictures that show a part of the contact only.
+    flagged: (n,) bool, pictures that `predict` flags. peak: (n,) largest force at the picture's edge (records.totals).
     """
 
     used: np.ndarray
     bare: np.ndarray
     motion: np.ndarray
     flagged: np.ndarray
-    edge: np.ndarray
-    cut: np.ndarray
+    peak: np.ndarray
 
     @property
     def moved(self) -> np.ndarray:
@@ -130,8 +128,7 @@ def read_film(path: Path, trained: Trained) -> Read:
         bare=np.array([as_it_is(image).sum((1, 2)) for image in chosen]),
         motion=np.array([motion_of(dots, rest, image) for image in chosen]),
         flagged=np.array([judgement.flag for judgement in judgements]),
-        edge=np.array([judgement.edge_share for judgement in judgements]),
-        cut=np.array([goes_beyond(cells, one.view.cells_shown(cells.shape[1:])) for cells in forces]),
+        peak=np.array([judgement.edge_peak for judgement in judgements]),
     )
 
 
@@ -155,21 +152,21 @@ def every_frame(one: Read, two: Read, count: int) -> tuple[np.ndarray, np.ndarra
 
 
 def mostly_seen(one: Read, two: Read, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """As `every_frame`, without frames that are flagged, and those in which much of the force is at a picture's edge.
+    """As `every_frame`, without frames that are flagged, and those in which a contact presses hardest about a picture's edge.
 
     Of frames in which just one is touched nothing is known.
     """
     both, _ = every_frame(one, two, count)
     good = ~(one.flagged[:count] | two.flagged[:count])
     neither = (one.moved[:count] < RELEASED_PX) & (two.moved[:count] < RELEASED_PX)
-    both = both & good & (one.edge[:count] < MOST_AT_EDGE) & (two.edge[:count] < MOST_AT_EDGE)
+    both = both & good & (one.peak[:count] < MOST_AT_EDGE) & (two.peak[:count] < MOST_AT_EDGE)
     return both, both | (neither & good)
 
 
 def seen_whole(one: Read, two: Read, count: int) -> tuple[np.ndarray, np.ndarray]:
     """As `mostly_seen`, without frames in which a contact goes on beyond its picture: only what both see whole is equal."""
     both, told = mostly_seen(one, two, count)
-    whole = ~(one.cut[:count] | two.cut[:count])
+    whole = (one.peak[:count] < BEYOND) & (two.peak[:count] < BEYOND)
     return both & whole, told & whole
 
 

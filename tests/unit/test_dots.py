@@ -30,7 +30,7 @@ from gelforge.networks.use import Predicted, Untouched, load_for_use, predict_on
 from gelforge.records.axes import CHANNELS
 from gelforge.records.image import read_image
 from gelforge.records.markers import pitch_of
-from gelforge.records.totals import TOTAL_COLUMNS, edge_share, goes_beyond, total_columns
+from gelforge.records.totals import TOTAL_COLUMNS, edge_peak, goes_beyond, total_columns
 from gelforge.stages.train import train
 from tests.pictures import moved
 
@@ -370,9 +370,9 @@ def test_totals_are_written_with_what_is_known_of_them():
     assert tuple(row) == TOTAL_COLUMNS
     assert [row[f"{name}_n"] for name in CHANNELS] == [0.5, -0.25, -7.0]
     assert row["grid_z_half_width_n"] == 0.3 and row["grid_z_by_dots_n"] is None
-    assert row["edge_share"] == 0.0
+    assert row["edge_peak"] == 0.0
     total = total_columns(forces.sum((1, 2), keepdims=True), None, None, np.nan)
-    assert total["grid_z_n"] == -7.0 and total["edge_share"] is None  # one cell is no edge
+    assert total["grid_z_n"] == -7.0 and total["edge_peak"] is None  # one cell is no edge
 
 
 @pytest.mark.parametrize("grid", [(12, 16), (24, 32), (48, 64), (3, 3)])
@@ -380,21 +380,21 @@ def test_what_touches_beyond_the_picture_shows_at_its_edge(grid):
     rows, cols = grid
     forces, whole = np.zeros((3, *grid)), (slice(rows), slice(cols))
     forces[2, 0, cols // 2] = -0.1  # what a released gel may read
-    assert edge_share(forces, whole) == 0.0
+    assert edge_peak(forces, whole) == 0.0
     forces[2, 0, cols // 2] = -1.0
-    assert edge_share(forces, whole) == 1.0
+    assert edge_peak(forces, whole) == 1.0
     forces[2, :, 0] = 5.0  # what pulls is no press
-    assert edge_share(forces, whole) == 1.0
+    assert edge_peak(forces, whole) == 1.0
     forces[2, rows // 2, cols // 2] -= 3.0
-    assert edge_share(forces, whole) == 0.25
+    assert edge_peak(forces, whole) == pytest.approx(1 / 3)
 
 
 @pytest.mark.parametrize("grid", [(1, 1), (2, 2), (2, 32), (24, 1)])
 def test_a_map_that_is_all_edge_tells_nothing_of_it(grid):
     forces = np.full((3, *grid), -1.0)
     whole = slice(grid[0]), slice(grid[1])
-    assert np.isnan(edge_share(forces, whole)) and total_columns(forces, None, None, np.nan)["edge_share"] is None
-    assert not goes_beyond(forces, whole)
+    assert np.isnan(edge_peak(forces, whole)) and total_columns(forces, None, None, np.nan)["edge_peak"] is None
+    assert not goes_beyond(np.nan)
 
 
 @pytest.mark.parametrize("zoom", [0.55, 0.71, 1.0, 1.4])
@@ -406,9 +406,9 @@ def test_the_edge_is_that_of_what_a_camera_shows(zoom):
     assert (rows.stop - rows.start) / 24 == pytest.approx(min(zoom, 1.0), abs=1 / 24)
     forces = np.zeros((3, *grid))
     forces[2, rows.start, 15] = -3.0
-    assert edge_share(forces, (rows, cols)) == 1.0
+    assert edge_peak(forces, (rows, cols)) == 1.0
     forces[2, 12, 15] = -1.0
-    assert edge_share(forces, (rows, cols)) == 0.75
+    assert edge_peak(forces, (rows, cols)) == 1.0
 
 
 @pytest.mark.parametrize("zoom", [0.55, 0.71, 1.0])
@@ -426,11 +426,11 @@ def test_a_contact_that_the_picture_cuts_goes_on_beyond_it(zoom, side):
         return forces if side in ("top", "left") else forces[:, ::-1, ::-1]
 
     cut = contact(0)
-    assert goes_beyond(cut, shown)
-    assert zoom == 1.0 or goes_beyond(contact(-1), shown)  # a whole view has nothing beyond it
-    assert not goes_beyond(contact(1), shown)
-    assert not goes_beyond(-cut, shown)  # what pulls is no press
-    assert not goes_beyond(1e-4 * cut, shown)  # what a released gel may read
+    assert goes_beyond(edge_peak(cut, shown))
+    assert zoom == 1.0 or goes_beyond(edge_peak(contact(-1), shown))  # a whole view has nothing beyond it
+    assert not goes_beyond(edge_peak(contact(1), shown))
+    assert not goes_beyond(edge_peak(-cut, shown))  # what pulls is no press
+    assert not goes_beyond(edge_peak(1e-4 * cut, shown))  # what a released gel may read
 
 
 @pytest.fixture(scope="module")

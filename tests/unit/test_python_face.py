@@ -86,7 +86,7 @@ def test_reading_an_image():
     forces, verdict = gelforge.predict(image, untouched=image)
     assert forces.shape[0] == 3 and np.isfinite(forces).all()
     assert verdict["flag"], "a grey picture is unlike any sensor"
-    told = {"score", "flag", "reason", "untouched", "light", "placed", "by_dots", "half_width", "edge_share"}
+    told = {"score", "flag", "reason", "untouched", "light", "placed", "by_dots", "half_width", "edge_peak"}
     assert verdict.keys() == told
 
 

@@ -415,7 +415,7 @@ def test_how_much_lies_at_the_edge_is_told_where_a_map_tells_it(tmp_path):
     with page_server(Recorder(tmp_path)) as (address, hub), browser() as driver:
         driver.get(address)
         for number, (share, words) in enumerate(((0.423, "42 %"), (float("nan"), "\u2013")), 1):
-            serve([replace(reading(number), edge_share=share)], hub, Recorder(tmp_path))
+            serve([replace(reading(number), edge_peak=share)], hub, Recorder(tmp_path))
             wait_for(driver, f"return document.body.dataset.frame === '{number}'")
             assert driver.find_element("id", "edge").text == words
 

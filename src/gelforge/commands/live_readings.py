@@ -39,7 +39,7 @@ def readings(untouched, frames, pace_s: float = 0.0, frame_s: float | None = Non
             judged.flag,
             judged.reason,
             took,
-            judged.edge_share,
+            judged.edge_peak,
             judged.half_width,
             judged.by_dots,
         )

@@ -45,7 +45,7 @@ COLUMNS = [
 
 def totals_row(name: str, forces: np.ndarray, judged: Judgement) -> dict:
     """One row of totals.csv, of forces (3, rows, cols) N."""
-    totals = total_columns(forces, judged.half_width, judged.by_dots, judged.edge_share)
+    totals = total_columns(forces, judged.half_width, judged.by_dots, judged.edge_peak)
     return {
         "image": name,
         **{column: "" if value is None else f"{value:.4f}" for column, value in totals.items()},

@@ -156,7 +156,7 @@ def _normals(untouched: Untouched, pictures: dict[str, np.ndarray]) -> tuple[np.
     for name, picture in pictures.items():
         _, forces, judged = predict_one(untouched, picture, placement)
         read.append(-float(forces[2].sum()))
-        whole.append(not goes_beyond(forces, untouched.view.cells_shown(forces.shape[1:])))
+        whole.append(not goes_beyond(judged.edge_peak))
         if judged.flag:
             print(f"{name}: FLAGGED: {judged.reason}; leave it out if that is so", file=sys.stderr)
         if not whole[-1]:

@@ -17,7 +17,7 @@ COLUMNS = ("frame", "time_s", *TOTAL_COLUMNS, "flag", "reason", "ms")
 class Reading:
     """One frame: image (h, w, 3) uint8 RGB, forces (3, rows, cols) N per cell, its judgement, and its cost.
 
-    flag, reason, edge_share: as networks.use.Judgement has them. half_width: (3,) N, half of the 90 % interval of the totals;
+    flag, reason, edge_peak: as networks.use.Judgement has them. half_width: (3,) N, half of the 90 % interval of the totals;
     by_dots: (3,) N, what the dots tell by themselves; none where it is not known.
     """
 
@@ -28,7 +28,7 @@ class Reading:
     flag: bool
     reason: str
     ms: float
-    edge_share: float
+    edge_peak: float
     half_width: np.ndarray | None = None
     by_dots: np.ndarray | None = None
 
@@ -36,7 +36,7 @@ class Reading:
         """Totals and judgement as one row."""
         return {
             "frame": self.frame, "time_s": round(self.time_s, 4),
-            **total_columns(self.forces, self.half_width, self.by_dots, self.edge_share),
+            **total_columns(self.forces, self.half_width, self.by_dots, self.edge_peak),
             "flag": bool(self.flag), "reason": self.reason, "ms": round(self.ms, 2),
         }  # fmt: skip
 

@@ -12,7 +12,6 @@ from dataclasses import astuple, dataclass
 from typing import Any
 
 import numpy as np
-from scipy.optimize import nnls
 
 from gelforge.networks.sensorprofile import AS_READ, Gain
 from gelforge.records.axes import CHANNELS
@@ -67,6 +66,8 @@ def usual_error(component: np.ndarray, magnitude: np.ndarray, error: np.ndarray)
 
     An error scatters by as much as it is expected to be, and counts accordingly.
     """
+    from scipy.optimize import nnls  # who only reads pictures needs no scipy
+
     least = max(0.05 * float(error.mean()), 1e-9)  # of the base: no force is told without any error
     grows = np.column_stack([np.ones(len(error)), component, magnitude])
     expected = np.full(len(error), max(float(error.mean()), least))

@@ -31,7 +31,7 @@ from gelforge.networks.statistics import (
     rimless_evidence,
 )
 from gelforge.records.markers import pitch_of
-from gelforge.records.totals import edge_share
+from gelforge.records.totals import edge_peak
 
 LEAST_PULL = 1.0  # N above which a reading that no contact can make is told
 SAME_SHAPE = 0.02  # share by which the sides of an untouched picture may be in another ratio than the model's
@@ -254,8 +254,8 @@ class Judgement:
     beside a network that reads none. light: what its light differed by (networks.canonical), None beside such a network.
     placed: what was put right in how it lay, empty for nothing. by_dots: totals (3,) N that the dots tell by themselves,
     None where nothing reads them; half_width: (3,) N, half of the totals' intervals (networks.intervals), None where the
-    model knows none. Both in the order of the channels, times the sensor's gain. edge_share: of the normal force, at the
-    edge of what the picture shows (records.totals).
+    model knows none. Both in the order of the channels, times the sensor's gain. edge_peak: whether
+    what presses goes on beyond the picture (records.totals).
     """
 
     score: float
@@ -265,7 +265,7 @@ class Judgement:
     placed: str
     by_dots: np.ndarray | None
     half_width: np.ndarray | None
-    edge_share: float
+    edge_peak: float
 
     @property
     def flag(self) -> bool:
@@ -308,7 +308,7 @@ def predict_one(
         placed=pair.placement.correction if pair else "",
         by_dots=None if by_dots is None else untouched.gain.value * by_dots,
         half_width=half_widths(trained.about, forces.sum((1, 2), dtype=float), untouched.gain),
-        edge_share=edge_share(forces, untouched.view.cells_shown(forces.shape[1:])),
+        edge_peak=edge_peak(forces, untouched.view.cells_shown(forces.shape[1:])),
     )
     return pair.seen if pair else image, forces, judgement
 

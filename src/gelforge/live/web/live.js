@@ -52,7 +52,7 @@ async function draw(event) {
   history.push(event);
   if (history.length > KEPT) history.shift();
   for (const [id, [name, channel]] of [["z", TOTALS[0]], ["x", TOTALS[1]], ["y", TOTALS[2]]]) el(id).textContent = fixed(event[name]) + (event.half_width ? ` ± ${fixed(event.half_width[channel])}` : "");
-  el("edge").textContent = event.edge_share == null ? "–" : `${fixed(100 * event.edge_share, 0)} %`;
+  el("edge").textContent = event.edge_peak == null ? "–" : `${fixed(100 * event.edge_peak, 0)} %`;
   const recent = history.slice(-30), span = recent.at(-1).time_s - recent[0].time_s;
   el("rate").textContent = span > 0 ? fixed((recent.length - 1) / span, 1) : "–";
   el("flag").className = event.flag ? "on" : "";
