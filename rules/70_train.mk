@@ -26,9 +26,15 @@ endif
 # Networks that read a picture beside one of the untouched sensor. Without such pictures none of them can be judged, which
 # is said here, and not after the presses are solved.
 BESIDE_UNTOUCHED := shipped $(call models_with,^reads *= *"(pair|difference)")
-WANTED = $(if $(filter evaluate report demo,$(MAKECMDGOALS)),$(MODEL)) $(if $(filter train onnx ship,$(MAKECMDGOALS)),$(LEARNT))
-ifneq ($(and $(wildcard $(DATA)),$(if $(wildcard $(DATA)/nocontact),,no),$(filter $(BESIDE_UNTOUCHED),$(WANTED))),)
-$(error MODEL=$(MODEL) reads a picture beside one of the untouched sensor, and $(DATA)/nocontact is missing: add nocontact/SENSOR.png of each sensor, or name a network that reads the image alone, such as grid_16 ([params.report] model in $(DATA)/dataset.toml))
+WANTED = $(if $(filter evaluate report demo study,$(MAKECMDGOALS)),$(MODEL)) $(if $(filter train onnx ship,$(MAKECMDGOALS)),$(LEARNT)) \
+    $(if $(filter models evaluate-models,$(MAKECMDGOALS)),$(LEARNABLE)) $(if $(filter pareto-models,$(MAKECMDGOALS)),$(or $(call by_hand,CHARTED),$(LEARNABLE)))
+UNREADABLE = $(firstword $(filter $(BESIDE_UNTOUCHED),$(WANTED)))
+ifneq ($(and $(wildcard $(DATA)),$(if $(wildcard $(DATA)/nocontact),,no),$(UNREADABLE)),)
+$(error MODEL=$(UNREADABLE) reads a picture beside one of the untouched sensor, and $(DATA)/nocontact is missing: add nocontact/SENSOR.png of each sensor, or name a network that reads the image alone, such as grid_16 ([params.report] model in $(DATA)/dataset.toml))
+endif
+
+ifneq ($(and $(filter ship,$(MAKECMDGOALS)),$(if $(call by_hand,MODEL),,no)),)
+$(error ship: takes the place of the network that ships; name the one that shall, make ship MODEL=… DATASET=…)
 endif
 
 ifneq ($(and $(filter ship,$(MAKECMDGOALS)),$(filter-out $(SHIPPED_RES),$(RES1))),)

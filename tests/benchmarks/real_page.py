@@ -16,7 +16,8 @@ from gelforge.records.image import encode_png, read_image
 from gelforge.reporting.forcemaps import overlay
 from gelforge.reporting.page import Section, render
 from tests.benchmarks.figures import Figure
-from tests.benchmarks.real import feats_maps, frames
+from tests.benchmarks.films import frames_of
+from tests.benchmarks.real import feats_maps
 from tests.benchmarks.rig_page import figure_table
 
 A_ROW = 4  # pictures side by side
@@ -62,7 +63,7 @@ def film_section(trained: Trained, films: Sequence[Path]) -> Section:
     )
     pictures = []
     for path in films:
-        images = list(frames(path))
+        images = frames_of(path)
         rest, _ = find_untouched(iter(images), str(path))
         hardest = max(images, key=lambda image: float(np.abs(image.astype(np.int16) - rest).mean()))
         untouched = Untouched(trained, rest)

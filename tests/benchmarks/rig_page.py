@@ -5,12 +5,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from gelforge.errors import BadInput
 from gelforge.flow.files import write_text
 from gelforge.reporting.page import Section, render
 from gelforge.virtualrig.bench import Pressing
 from gelforge.virtualrig.rigplan import Order
 from tests.benchmarks.figures import Figure
+from tests.benchmarks.films import frames_of
 from tests.benchmarks.rig import REFERENCE_UNIT, Rig, no_contact_pair, real_cuboid
 
 ENLARGED = 2
@@ -46,19 +46,6 @@ def png(*images: np.ndarray) -> bytes:
     return cv2.imencode(".png", large[..., ::-1])[1].tobytes()
 
 
-def frames(path) -> list[np.ndarray]:
-    """All frames of a video, RGB."""
-    video, found = cv2.VideoCapture(str(path)), []
-    while True:
-        good, image = video.read()
-        if not good:
-            break
-        found.append(image[..., ::-1])
-    if not found:
-        raise BadInput(f"{path}: no readable video; check the reference folder")
-    return found
-
-
 def most_changed(images: list[np.ndarray]) -> np.ndarray:
     """The frame that is least like the last one, in which nothing touches the gel any more."""
     last = images[-1].astype(np.float32)
@@ -81,7 +68,7 @@ def beside_real(rig: Rig, reference: Path) -> list[Section]:
         "Objects in the videos are not the rig's indenters; light, dots and the look of edges and texture compare."
     )
     for number, (name, (sensor, indenter, depth, path)) in enumerate(VIDEOS.items()):
-        seen = frames(reference / "slip_videos" / f"{name}.avi")
+        seen = frames_of(reference / "slip_videos" / f"{name}.avi")
         order = Order(10_000 + number, name, "", sensor, indenter, -0.5, 1.0, depth, path, 20.0, 60.0)
         images = most_changed(seen), seen[-1], rig.picture(rig.bench.press(order)[-1])
         caption = f"{name}: touched, after release; right: the rig's {sensor} with {indenter}, {depth} mm."

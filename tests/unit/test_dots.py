@@ -22,7 +22,7 @@ from gelforge.networks.dots import COLS, FAR, HOME, ROWS, PrintedDots
 from gelforge.networks.fitting import ENOUGH_PAIRS, meet, readers_of_dots, usual_rows
 from gelforge.networks.goingon import require_scale, scales_before
 from gelforge.networks.halves import rounded
-from gelforge.networks.modelcard import dot_lines, place_lines
+from gelforge.networks.modelcard import dot_lines, interval_lines, place_lines
 from gelforge.networks.modelfile import Trained, load_model, save_model
 from gelforge.networks.placereader import PlaceReader, PlacesOneByOne
 from gelforge.networks.sensorprofile import Gain, fingerprint
@@ -356,6 +356,13 @@ def test_a_damaged_reader_of_dots_is_refused(with_dots, tmp_path, which, spoil, 
 def test_the_card_says_how_much_dots_have_to_say():
     assert "50 % / 25 % / 100 % (grid_x / grid_y / grid_z)" in dot_lines({"dots": {"weight": [0.5, 0.25, 1.0]}})[0]
     assert dot_lines({}) == []
+
+
+def test_the_card_of_the_network_that_ships_tells_its_intervals():
+    about = load_for_use(None).about
+    (told,) = interval_lines(about)
+    assert all(f"{name} " in told for name in CHANNELS) and "% of the whole force" in told
+    assert interval_lines(about | {"intervals": {}}) == []
 
 
 def test_the_card_says_what_the_reader_of_places_learnt_from(with_dots):

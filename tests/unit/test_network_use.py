@@ -434,11 +434,12 @@ def test_the_film_names_axes_as_everything_else_does():
 
 def test_a_folder_without_real_pictures_is_named_with_what_it_lacks(tmp_path):
     with pytest.raises(
-        BadInput, match=f"{tmp_path}: holds no gripper_videos/ and no feats/images/; .*REFERENCE=FOLDER"
+        BadInput, match=f"{tmp_path}: holds no gripper_videos/.*avi and no feats/images/.*gif; .*REFERENCE=FOLDER"
     ):
         real.main(["--reference", str(tmp_path)])
     (tmp_path / "gripper_videos").mkdir()
-    with pytest.raises(BadInput, match="holds no feats/images/;"):
+    (tmp_path / "gripper_videos/a.avi").touch()
+    with pytest.raises(BadInput, match="holds no feats/images/.*gif;"):
         real.main(["--reference", str(tmp_path)])
 
 
@@ -478,7 +479,7 @@ def test_live_refuses_a_film_that_never_rests(data, paths, tmp_path):
 
 def test_live_refuses_fewer_frames_than_tell_the_untouched_sensor(data, paths, tmp_path):
     rest = data.nocontact["mini0"]
-    video, out = write_avi(tmp_path / "in.avi", [rest] * 12), tmp_path / "o.avi"
+    video, out = write_avi(tmp_path / "in.avi", [rest] * (FEWEST + 3)), tmp_path / "o.avi"
     words = ["--video", str(video), "--model", str(paths["pair"]), "--out", str(out)]
     with pytest.raises(BadInput, match=f"--frames {FEWEST - 1}: .* {FEWEST} at least.*--untouched"):
         live.main([*words, "--frames", str(FEWEST - 1)])

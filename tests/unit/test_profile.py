@@ -24,6 +24,7 @@ from gelforge.networks.sensorprofile import (
     untouched_of,
     write_profile,
 )
+from gelforge.networks.still import FEWEST
 from gelforge.networks.use import load_for_use
 from gelforge.records.image import read_image
 from gelforge.records.markers import pitch_of
@@ -395,7 +396,7 @@ def test_a_table_with_blanks_beside_its_commas_is_read_and_one_of_semicolons_nam
 
 def test_one_source_of_the_untouched_picture_is_asked_for(weighed):
     folder, _ = weighed
-    moving = [np.full((60, 80, 3), 20 * k, np.uint8) for k in range(12)]
+    moving = [np.full((60, 80, 3), 18 * k, np.uint8) for k in range(FEWEST)]
     for more, says in (
         ([], "give one of --untouched IMAGE"),
         (["--untouched", str(folder / "rest.png"), "--camera", "0"], "give one of --untouched IMAGE"),

@@ -102,6 +102,11 @@ def test_a_projection_that_folds_within_the_gel_is_refused_in_a_file(tmp_path):
         ("image = [", "TOML|sensors"),
         ("gel = 'jelly'", "jelly"),
         ("gel = 3", "gel"),
+        ("markers = 5", "markers"),
+        ("markers = { rows = 1, cols = 9 }", "rows is 1"),
+        ("markers = { rows = '7', cols = 9 }", "rows is '7'"),
+        ("markers = { pitch_px = 32.8 }", "pitch_px is 32.8"),
+        ("markers = { centre_px = [nan, 3.0] }", "centre_px"),
     ],
 )
 def test_broken_sensor_tables_name_the_field(tmp_path, line, reason):

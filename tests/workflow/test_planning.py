@@ -157,6 +157,20 @@ def test_a_network_that_needs_untouched_sensors_is_refused_before_anything_is_so
     assert make(labelled, "-n", "labels", "DATASET=tiny", f"MODEL={model}").returncode == 0
 
 
+@pytest.mark.parametrize("goal", ["models", "evaluate-models", "pareto-models"])
+def test_many_networks_are_refused_where_one_of_them_needs_untouched_sensors(labelled, goal):
+    done = make(labelled, "-n", goal, "DATASET=tiny")
+    assert done.returncode and "data/tiny/nocontact is missing" in done.stdout
+    assert make(labelled, "-n", "pareto-models", "DATASET=tiny", "CHARTED=grid_16").returncode == 0
+
+
+def test_no_network_ships_that_nobody_named(untouched):
+    """The one of the demo, which learns from two dozen presses, would take the place of the one that ships."""
+    done = make(untouched, "-n", "ship", "DATASET=tiny")
+    assert done.returncode and "name the one that shall" in done.stdout
+    assert make(untouched, "-n", "ship", "DATASET=tiny", "MODEL=grid_16").returncode == 0
+
+
 def test_where_the_report_shows_the_network_that_ships_another_one_trains_without_untouched_sensors(labelled):
     path = labelled / "data/tiny/dataset.toml"
     text = path.read_text(encoding="utf-8")

@@ -165,10 +165,7 @@ def _normals(untouched: Untouched, pictures: dict[str, np.ndarray]) -> tuple[np.
 
 
 def check_options(args: Namespace, out: Path) -> None:
-    """BadInput for options that do not go together, and for a profile that would replace what is none of its own.
-
-    Or what readings told: they were work, and nothing else holds them.
-    """
+    """BadInput for options that do not go together, and for a picture that the profile's own would replace."""
     if out.suffix != ".toml":
         raise BadInput(f"--out {out}: give a name that ends in .toml")
     if (args.opposite is None) != (args.grasps is None):
@@ -188,12 +185,23 @@ def check_options(args: Namespace, out: Path) -> None:
         raise BadInput(
             f"{beside} is there already and would be replaced by the profile's picture; give another --name or --out"
         )
+
+
+def factor_replaced(out: Path, measures: bool) -> Gain:
+    """The factor of the profile that a new one takes the place of; as read where there is none.
+
+    measures: whether the new one has readings or grasps. Raises BadInput for a file that is no profile, and for a profile
+    whose factor was measured where the new one's is not: that was work, and nothing else holds it.
+    """
     told = gain_there(out)
-    if told.readings and not (args.readings or args.grasps):
+    if told is None:
+        raise BadInput(f"{out} is there already and is no sensor's profile; give another --name or --out")
+    if told.readings and not measures:
         raise BadInput(
             f"{out}: is a profile whose factor, {told.value:.3f}, {told.readings} readings or grasps told, and would be replaced"
             f" by one without any; give --readings or --grasps again, another --name or --out, or remove {out}"
         )
+    return told
 
 
 @command(
@@ -210,6 +218,7 @@ def check_options(args: Namespace, out: Path) -> None:
 def main(args: Namespace) -> None:
     name, out = check_id(args.name, "--name"), args.out or Path(f"{args.name}.toml")
     check_options(args, out)
+    before = factor_replaced(out, bool(args.readings or args.grasps))
     picture, source = untouched_picture(args.untouched, args.video, args.camera)
     trained = load_for_use(args.model)
     untouched = Untouched(trained, picture)
@@ -220,7 +229,6 @@ def main(args: Namespace) -> None:
         gain = gain_of(args.readings, untouched)
     elif args.grasps:
         gain = gain_beside(args.grasps, untouched, args.opposite)
-    before = gain_there(out)
     profile = make_profile(name, picture, pitch_of(picture), gain, trained.about)
     write_profile(out, profile)
     what = "grasp" if args.grasps else "reading"

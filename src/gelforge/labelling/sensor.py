@@ -4,6 +4,7 @@ import json
 import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from gelforge.geometry.gel import Gel, load_gel
 from gelforge.records.press import SENSOR_TABLES
 
 NOMINAL = Gel()
+FEWEST_DOTS, MOST_DOTS = 2, 100  # in a row or a column of a print
 
 
 @dataclass(frozen=True)
@@ -121,4 +123,22 @@ def sensor_of(path: str, name: str, table: dict) -> Sensor:
     except BadInput as error:
         raise BadInput(f"{where}: gel: {error}") from error
     check_projection(projection, f"{where} projection", gel)
-    return Sensor(name, tuple(image), projection, table["gel"], table.get("markers", {}))
+    markers = table.get("markers", {})
+    check_markers(markers, f"{where} markers")
+    return Sensor(name, tuple(image), projection, table["gel"], markers)
+
+
+def check_markers(markers: Any, where: str) -> None:
+    """Raise BadInput for a description of printed dots whose values cannot be; what is left out is not known."""
+    if not isinstance(markers, dict):
+        raise BadInput(f"{where}: is {markers!r}; write a table, such as {{ rows = 7, cols = 9 }}")
+    for key in ("rows", "cols"):
+        count = markers.get(key, FEWEST_DOTS)
+        if type(count) is not int or not FEWEST_DOTS <= count <= MOST_DOTS:
+            raise BadInput(f"{where}: {key} is {count!r}; write a whole number from {FEWEST_DOTS} to {MOST_DOTS}")
+    for key in ("pitch_px", "centre_px"):
+        pair = markers.get(key, [0, 0])
+        if not (
+            isinstance(pair, list) and len(pair) == 2 and all(type(n) in (int, float) and abs(n) < 1e4 for n in pair)
+        ):
+            raise BadInput(f"{where}: {key} is {pair!r}; write [u, v] in pixels")

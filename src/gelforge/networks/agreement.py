@@ -23,18 +23,22 @@ def fit_blend(
 ) -> dict:
     """How the totals (n, 3) N of both readers meet best, from presses whose true totals are known.
 
-    counts: (n,) how much each picture counts, all alike if not given. weight: of the dots' total in their mean, by
+    counts: (n,) how much each picture counts in their mean, all alike if not given. weight: of the dots' total in their mean, by
     component, that leaves the least mean error. apart: half widths by component, the three numbers of HalfWidth, of what nine
     of ten of the readers' differences stay within.
     """
     errors = [np.average(np.abs((1 - w) * by_picture + w * by_dots - true), axis=0, weights=counts) for w in WEIGHTS]
     weight = WEIGHTS[np.argmin(errors, axis=0)].tolist()
-    mean = (1 - np.array(weight)) * by_picture + np.array(weight) * by_dots
-    apart = {}
+    apart, (components, whole) = {}, larger(by_picture, by_dots)
     for k, name in enumerate(CHANNELS):
-        width = fit_half_width(mean[:, k], magnitudes(mean), by_picture[:, k] - by_dots[:, k])
+        width = fit_half_width(components[:, k], whole, by_picture[:, k] - by_dots[:, k])
         apart[name] = list(astuple(width))
     return {"weight": weight, "apart": apart}
+
+
+def larger(one: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The larger of two readers' totals (..., 3) N: components without their signs (..., 3) N, and magnitudes (...) N."""
+    return np.maximum(np.abs(one), np.abs(other)), np.maximum(magnitudes(one), magnitudes(other))
 
 
 def has_shape(forces: np.ndarray) -> bool:
@@ -64,8 +68,7 @@ def dots_fault(apart: dict, total: np.ndarray, by_dots: np.ndarray, gain: float 
 
     gain: of the sensor, by which what is told is multiplied, as all that its user reads is.
     """
-    both = np.stack([total, by_dots])
-    whole, components = magnitudes(both).max(), np.abs(both).max(axis=0)
+    components, whole = larger(total, by_dots)
     for k, name in enumerate(CHANNELS):
         usual = HalfWidth(*apart[name]).of(components[k], whole)
         if abs(total[k] - by_dots[k]) > max(APART * usual, LEAST_APART):

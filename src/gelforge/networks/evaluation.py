@@ -12,7 +12,7 @@ from gelforge.networks import metrics
 from gelforge.networks.contacts import contact_table
 from gelforge.networks.data import Data, data_version, rows_for_intervals
 from gelforge.networks.errortables import tables
-from gelforge.networks.modelfile import Trained, lessons_of, require_fit
+from gelforge.networks.modelfile import Trained, datasets_of, lessons_of, require_fit
 from gelforge.networks.training import predict_rows
 from gelforge.networks.use import tell_rows
 from gelforge.records.axes import CHANNELS, FORCE_OF_CHANNEL
@@ -93,8 +93,7 @@ def fitted_rows(trained: Trained, data: Data, version: str) -> np.ndarray:
 def learnt_sensors(trained: Trained, data: Data, version: str) -> set[str]:
     """Sensors of a dataset of this `version` (networks.data.data_version) whose presses a network learnt from.
 
-    None of a dataset that it did not learn from, and of one that it learnt a part of those of the part alone. What stands
-    above both readers may have learnt from another dataset than these.
+    Empty where it learnt nothing from this dataset. Where it learnt from a part of it, they are the sensors of that part.
     """
     if version not in [one["version"] for one in lessons_of(trained.about)]:
         return set()
@@ -212,6 +211,8 @@ def evaluate(
         "parameters": about["parameters"],
         "grid": list(data.grid),
         "dataset": next((one for one in lessons_of(about) if one["version"] == version), about["data"]),
+        "lessons": {one["name"]: one["samples"].get(TRAINING, 0) for one in datasets_of(about)},
+        "knows": version in [one["version"] for one in datasets_of(about)],
         "judged_on": data.name,
         "best_epoch": about["best_epoch"],
         "force_range": dict(zip(CHANNELS, lesson.force_range.tolist())),

@@ -80,7 +80,7 @@ def require_scale(about: dict[str, Any], data: Data) -> None:
 def known_before(
     about: dict[str, Any], images: Iterable[np.ndarray], pairs: dict[str, float], learnt: bool
 ) -> dict[str, Any]:
-    """What a description says of readers and limits where pictures are too few to tell: what the other's says.
+    """What is kept of the description of the network that training began with: too few new pictures tell it anew.
 
     Limits are as wide as the new pictures (h, w, 3) uint8 want them, where the other's are narrower. pairs: limits that are
     set on these pictures beside untouched ones. learnt: whether the network has other weights now, of whose errors the

@@ -3,7 +3,7 @@
 They are rounded when training ends, so that a file reads back as what was trained.
 """
 
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import torch
 from torch import nn
@@ -25,12 +25,6 @@ def halved(tensors: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
     return {name: value.half() if value.ndim > 1 else value for name, value in tensors.items()}
 
 
-def as_floats(tensors: Any) -> Any:
-    """Tensors of a file in single precision; what is no table of tensors is left for who checks it."""
-    if not isinstance(tensors, dict):
-        return tensors
-    return {name: value.float() if _half(value) else value for name, value in tensors.items()}
-
-
-def _half(value: Any) -> bool:
-    return isinstance(value, torch.Tensor) and value.dtype == torch.float16
+def as_floats(tensors: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    """Tensors of a file with those in half precision in single precision."""
+    return {name: value.float() if value.dtype == torch.float16 else value for name, value in tensors.items()}

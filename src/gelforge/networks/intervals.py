@@ -62,9 +62,9 @@ def fit_half_width(
 
 
 def usual_error(component: np.ndarray, magnitude: np.ndarray, error: np.ndarray) -> HalfWidth:
-    """How large errors (n,) N are in the mean, as it grows with both, all (n,) N from 0 on: least squares, nowhere falling.
+    """How large errors (n,) N are in the mean, growing with component and magnitude (n,) N from 0 on, by least squares.
 
-    An error scatters by as much as it is expected to be, and counts accordingly.
+    Where errors are large they also scatter more: each counts by the inverse of what is expected there.
     """
     from scipy.optimize import nnls  # who only reads pictures needs no scipy
 

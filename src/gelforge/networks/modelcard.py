@@ -42,10 +42,13 @@ def interval_lines(about: dict) -> list[str]:
     known = about.get("intervals", {})
     if "total" not in known:
         return []
-    widths = ", ".join(f"{name} {base:.2f} N + {100 * share:.0f} %" for name, (base, share) in known["total"].items())
+    widths = ", ".join(
+        f"{name} {base:.2f} N + {100 * share:.1f} % of it + {100 * of_whole:.1f} % of the whole force"
+        for name, (base, share, of_whole) in known["total"].items()
+    )
     return [
-        f"- Intervals of total force that hold nine of ten, set on {named(known['sensors'])} of dataset"
-        f" {known.get('data', about['data']['name'])}, of the force: +- {widths}.",
+        f"- Intervals of total force that hold nine of ten, set on {named(known['sensors'])} of dataset {known['data']}:"
+        f" +- {widths}.",
     ]
 
 
@@ -78,10 +81,9 @@ def start_lines(about: dict) -> list[str]:
     if not start:
         return []
     learnt = "simulated presses" if start["simulated"] else "recorded presses"
-    share = 100 * start.get("share", 1.0)  # files of before it was chosen hold what was learnt
     return [
         f"- Began as the network {start['name']}, which learnt from {learnt} ({start['data']}), SHA-256 of its weights"
-        f" {start['sha256'][:16]}; what it saw before is not listed here. Its weights lie {share:.0f} % of"
+        f" {start['sha256'][:16]}; what it saw before is not listed here. Its weights lie {100 * start['share']:.0f} % of"
         " the way from that network's to those learnt here, as validation chose."
     ]
 
@@ -116,9 +118,9 @@ def stacking_lines(about: dict) -> list[str]:
     if not above:
         return []
     learnt = " and from ".join(
-        f"{one['presses']} presses that {'were new to the network' if one.get('new', True) else 'it knew'}"
+        f"{one['presses']} presses that {'were new to the network' if one['new'] else 'it knew'}"
         f" ({one['name']}, version {one['version']}, {one['samples'][TRAINING]} pictures)"
-        for one in sorted([above, *above.get("also", [])], key=lambda one: not one.get("new", True))
+        for one in sorted([above, *above["also"]], key=lambda one: not one["new"])
     )
     return [
         f"- Above both stand {STACKED} small networks, which tell by what factor the normal force that they tell together is"

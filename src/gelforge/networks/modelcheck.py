@@ -41,6 +41,10 @@ def _square(value: Any) -> bool:
     return isinstance(value, list) and all(_numbers(row, len(value)) for row in value)
 
 
+def _tables(value: Any) -> bool:
+    return isinstance(value, list) and all(isinstance(one, dict) for one in value)
+
+
 def _half_widths(value: Any) -> bool:
     return (
         isinstance(value, dict)
@@ -77,7 +81,10 @@ def _places(value: Any) -> bool:
 def _stacking(value: Any) -> bool:
     if value is ABSENT or value is None:
         return True
-    return isinstance(value, dict) and all(isinstance(value.get(name), str) for name in ("sha256", "name", "version"))
+    texts = isinstance(value, dict) and all(
+        isinstance(value.get(name), str) for name in ("sha256", "name", "version")
+    )
+    return texts and _tables(value.get("also"))
 
 
 def _reads(value: Any) -> bool:
@@ -105,6 +112,7 @@ PARTS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "known_sensors": ("a list of names", _names),
     "sensors": ("a list of names", _names),
     "data": ("a table", lambda v: isinstance(v, dict)),
+    "also": ("a list of tables", _tables),
     "normalisation": ("a table", lambda v: isinstance(v, dict)),
     "normalisation.reads": (f"one of {', '.join(INPUT_CHANNELS)}", _reads),
     "normalisation.image_mean": ("three numbers", lambda v: _numbers(v, 3)),
@@ -114,7 +122,7 @@ PARTS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "intervals": ("a table of three numbers from 0 on, by component", _intervals),
     "dots": ("a table of weights from 0 to 1, three numbers by component, and a digest", _dots),
     "places": ("a table of the data, how many pictures, and a digest", _places),
-    "stacking": ("a table of the data and a digest", _stacking),
+    "stacking": ("a table of the data, of other data and a digest", _stacking),
     "statistics": ("a table", lambda v: isinstance(v, dict)),
     "statistics.inverse": ("a square of numbers", _square),
     "statistics.threshold": ("a number", lambda v: _numbers([v], 1)),
@@ -159,6 +167,11 @@ def holds_numbers(value: Any) -> bool:
     )
 
 
+def kept_as(dtype: torch.dtype) -> tuple[torch.dtype, ...]:
+    """What a tensor of a network may be in its file: the same, or half as precise (networks.halves)."""
+    return (torch.float32, torch.float16) if dtype == torch.float32 else (dtype,)
+
+
 def check_tensors(make: Callable[[], torch.nn.Module], tensors: Any, where: str) -> None:
     """Raise BadInput unless the tensors are finite and those of the network that `make` makes, which costs no memory yet."""
     try:
@@ -175,7 +188,7 @@ def check_tensors(make: Callable[[], torch.nn.Module], tensors: Any, where: str)
     for name, like in wanted.items():
         tensor = tensors[name]
         plain = holds_numbers(tensor)
-        if not plain or tensor.shape != like.shape or tensor.dtype != like.dtype:
+        if not plain or tensor.shape != like.shape or tensor.dtype not in kept_as(like.dtype):
             seen_as = (
                 f"{tensor.dtype} {tuple(tensor.shape)}" if plain else f"a {type(tensor).__name__} without numbers"
             )

@@ -230,12 +230,11 @@ def load_model(path) -> Trained:
 
 def restored(make: Callable[[], Net], tensors: Any, digest: str, where: str) -> Net:
     """The network that `make` makes with its tensors, in evaluation mode; BadInput where they are not those of `digest`."""
-    values = as_floats(tensors)
-    check_tensors(make, values, where)
+    check_tensors(make, tensors, where)
     if digest != tensor_digest(tensors):
         raise BadInput(f"{where}: its weights are not those that were trained; the file is damaged: copy it again")
     net = make()
-    net.load_state_dict(values)
+    net.load_state_dict(as_floats(tensors))
     return net.eval()
 
 
@@ -271,13 +270,13 @@ def read_tensors(path) -> dict:
 
 def datasets_of(about: dict[str, Any]) -> list[dict[str, Any]]:
     """What a model's description says of each dataset that it learnt from, its own first."""
-    return [about["data"], *about.get("also", [])]  # files that are older than `also` learnt from one
+    return [about["data"], *about["also"]]
 
 
 def lessons_of(about: dict[str, Any]) -> list[dict[str, Any]]:
     """As `datasets_of`, and those that what stands above both readers learnt from, where there is such."""
     above = about.get("stacking")
-    return [*datasets_of(about), *([above, *above.get("also", [])] if above else [])]
+    return [*datasets_of(about), *([above, *above["also"]] if above else [])]
 
 
 def require_fit(trained: Trained, data, called: str = "") -> None:

@@ -210,12 +210,14 @@ def _gain_of(table: dict) -> Gain | None:
     return Gain(float(gain["value"]), float(gain["low"]), float(gain["high"]), readings)
 
 
-def gain_there(path: Path) -> Gain:
-    """The factor of a profile that may lie in a file, whatever became of its picture; as read where none does."""
-    try:
-        return _gain_of(read_toml(path)) or AS_READ
-    except BadInput:
+def gain_there(path: Path) -> Gain | None:
+    """The factor of the profile in a file, whatever became of its picture; as read where there is no file, None if it is none."""
+    if not path.exists():
         return AS_READ
+    try:
+        return _gain_of(read_toml(path))
+    except BadInput:
+        return None
 
 
 def _picture_of(path: Path, table: dict) -> Path:

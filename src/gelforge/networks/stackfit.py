@@ -53,7 +53,7 @@ def fit_stacking(trained: Trained, new: Sequence[Data], learnt: Data, settings: 
 def lessons(trained: Trained, data: Data, rows: np.ndarray, settings: TrainingTable) -> Lessons:
     """Each of some rows as it is, and once more in a narrow view or with dots lost; those that hardly press are left out.
 
-    trained: a model above whose readers nothing stands.
+    trained: a model above whose readers nothing stands. Raises BadInput where none presses and shows dots.
     """
     sensors, found = data.names("sensor_id"), []
     beside = {name: Untouched(trained, data.nocontact[name]) for name in set(sensors[rows].tolist())}
@@ -63,6 +63,8 @@ def lessons(trained: Trained, data: Data, rows: np.ndarray, settings: TrainingTa
                 told = told_together(trained, readings)[2].sum(dtype=float)
                 seen = features(readings.forces, readings.by_dots, readings.dots_found, readings.pooled)
                 found.append((seen, told, label[2].sum(dtype=float)))
+    if not found:
+        raise BadInput(f"{data.folder}: no picture shows printed dots and a press; how both readers err needs both")
     seen, told, true = (np.array(part) for part in zip(*found, strict=True))
     return Lessons(seen, told, true)
 

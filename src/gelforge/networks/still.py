@@ -14,7 +14,7 @@ from gelforge.records.film import frames, open_source, source_name
 SETTLING = 8  # frames that a camera takes to set its exposure and colours, at least
 STILL = 5  # frames in a row that must be alike
 ALIKE = 0.5  # levels by which each may differ from their mean, on average over the picture
-FEWEST = max(SETTLING + 1, STILL)  # least number of frames by which the sensor is known to be at rest
+FEWEST = SETTLING + STILL  # least number of frames by which the sensor is known to be at rest
 MOST = 300  # frames within which a sensor is expected to be at rest
 
 

@@ -161,8 +161,9 @@ class ForceFile:
         displacement = self.displacement[rows].astype(float)
         touched = slice(self.ptr[index], self.ptr[index + 1])
         names = str(self.sample_id[index]), str(self.status[index]), str(self.mesh[index])
+        press = str(self.press_id[index])
         if not len(displacement):
-            return SampleForces.failed(*names)
+            return SampleForces.failed(*names, press)
         if len(displacement) != len(surface_nodes):
             raise BadInput(
                 f"{self.path}: sample {names[0]} has {len(displacement)} surface nodes, mesh {names[2]} has"
@@ -170,4 +171,4 @@ class ForceFile:
             )
         force = np.zeros((len(surface_nodes), 3))
         force[np.searchsorted(surface_nodes, self.node[touched])] = self.force[touched]
-        return SampleForces(*names, surface_nodes, force, displacement)
+        return SampleForces(*names, surface_nodes, force, displacement, press)

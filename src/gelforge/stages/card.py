@@ -7,7 +7,7 @@ from gelforge.flow.files import read_json, write_text
 from gelforge.flow.main import command, option
 from gelforge.networks.modelcard import write_card
 
-VERSION = 2
+VERSION = 3
 
 
 @command(

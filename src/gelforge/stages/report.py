@@ -25,7 +25,6 @@ from gelforge.records.predictionfile import read_predictions
 from gelforge.records.press import PosedPress
 from gelforge.records.samplefile import read_samples
 from gelforge.records.solvetable import Solved, read_solves
-from gelforge.records.splits import TRAINING
 from gelforge.records.status import VALID, Status
 from gelforge.reporting.explorer import Explorer
 from gelforge.reporting.page import Explored, Section, render
@@ -206,13 +205,12 @@ def network_section(results: Path, resolution: str, model: str) -> Section:
 
 def learnt_from(metrics: dict, model: str) -> str:
     """What the network saw before, and how to judge it."""
-    about = metrics["dataset"]
-    count = sum(about["samples"].values()) if model == SHIPPED else about["samples"].get(TRAINING, 0)
-    whose = f"the network that ships, learnt from dataset {about['name']} ({count} images), and from none of these"
-    who = whose if model == SHIPPED else f"{model} learnt from {count} of {sum(about['samples'].values())} images"
+    who = "The network that ships" if model == SHIPPED else f"{model[0].upper()}{model[1:]}"
+    images = " and ".join(f"{count} images of dataset {name}" for name, count in metrics["lessons"].items())
+    these = "this one among them" if metrics["knows"] else "none of them from this one"
     return (
-        f"{who[0].upper()}{who[1:]}. Judge it by the controls below: what they reach without looking at the picture of a"
-        " press, a network must beat by far."
+        f"{who} learnt from {images}, {these}. Judge it by the controls below: what they reach who know of a press' picture its mean colours at most, a"
+        " network must beat by far."
     )
 
 

@@ -1,0 +1,187 @@
+"""Films of real sensors: what is read of a released gel, of two fingers that hold one object, and of a gel that is dragged."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from gelforge.networks.modelfile import Trained
+from gelforge.networks.sensorprofile import Gain, fit_opposite
+from gelforge.networks.still import SETTLING, find_untouched
+from gelforge.networks.use import Untouched, predict_one
+from gelforge.records.film import frames, open_source
+from gelforge.records.markers import find_blobs
+from gelforge.records.totals import BEYOND
+from tests.benchmarks.figures import Figure
+from tests.benchmarks.ways import bare
+
+EVERY = 3  # every so manyth frame of a film is read
+RELEASED_PX = 0.6  # nine of ten dots nearer than this to where they are at rest: nothing touches
+HELD_PX = 1.0  # and farther than this: something does
+MOST_AT_EDGE = 0.7  # edge_peak up to which most of a contact is taken to be seen
+TRACKED = {"winSize": (21, 21), "maxLevel": 2}
+
+
+def frames_of(path: Path) -> list[np.ndarray]:
+    """All frames (h, w, 3) uint8 RGB of a film, whatever number it announces; BadInput where it holds none."""
+    with open_source(path, None) as (source, _announced):
+        return [np.ascontiguousarray(frame[..., ::-1]) for frame in frames(source, 0, str(path), None)]
+
+
+@dataclass(frozen=True)
+class Read:
+    """A film as read: totals (n, 3) N of both ways in the labels' channels, and the dots' motion (n, d, 2) px.
+
+    flagged: (n,) bool, pictures that `predict` flags. peak: (n,) largest force at the picture's edge (records.totals).
+    """
+
+    used: np.ndarray
+    bare: np.ndarray
+    motion: np.ndarray
+    flagged: np.ndarray
+    peak: np.ndarray
+
+    @property
+    def moved(self) -> np.ndarray:
+        """How far nine of ten dots have moved, (n,) px."""
+        return np.nanpercentile(np.hypot(self.motion[..., 0], self.motion[..., 1]), 90, axis=1)
+
+
+def motion_of(dots: np.ndarray, rest: np.ndarray, image: np.ndarray) -> np.ndarray:
+    """How far dots (d, 2) of the picture at rest have moved in another picture, (d, 2) px; NaN where one is lost.
+
+    A dot is lost that, followed back, does not come home.
+    """
+    grey = [cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY) for picture in (rest, image)]
+    start = (dots - 0.5).astype(np.float32).reshape(-1, 1, 2)
+    found, seen, _ = cv2.calcOpticalFlowPyrLK(*grey, start, None, **TRACKED)
+    home, _, _ = cv2.calcOpticalFlowPyrLK(*grey[::-1], found, None, **TRACKED)
+    kept = (seen.ravel() > 0) & (np.hypot(*(home - start).reshape(-1, 2).T) < 1.0)
+    return np.where(kept[:, None], (found - start).reshape(-1, 2), np.nan)
+
+
+def read_film(path: Path, trained: Trained) -> Read:
+    """Read every third frame of a film in both ways, and follow its dots."""
+    images = frames_of(path)
+    rest, _ = find_untouched(iter(images), str(path))
+    dots, as_it_is, one = find_blobs(rest)[0], bare(trained, images[0]), Untouched(trained, rest)
+    chosen = images[SETTLING::EVERY]  # while a camera sets its exposure nothing is known
+    forces, judgements = zip(*(predict_one(one, image)[1:] for image in chosen), strict=True)
+    return Read(
+        used=np.array([one.sum((1, 2)) for one in forces]),
+        bare=np.array([as_it_is(image).sum((1, 2)) for image in chosen]),
+        motion=np.array([motion_of(dots, rest, image) for image in chosen]),
+        flagged=np.array([judgement.flag for judgement in judgements]),
+        peak=np.array([judgement.edge_peak for judgement in judgements]),
+    )
+
+
+def released_figures(films: dict[str, Read]) -> list[Figure]:
+    """What is read of a gel that nothing touches."""
+    worst, before = {}, {}
+    for name, film in films.items():
+        free = film.moved < RELEASED_PX
+        if free.sum() >= 3:
+            worst[name] = float(np.percentile(np.abs(film.used[free]).max(axis=1), 90))
+            before[name] = float(np.percentile(np.abs(film.bare[free]).max(axis=1), 90))
+    name = max(worst, key=worst.get)
+    note = f"{name}; {len(worst)} films, median {np.median(list(worst.values())):.2f}; bare against the first frame: "
+    note += f"worst {max(before.values()):.1f}, median {np.median(list(before.values())):.1f}"
+    return [Figure("released gels, nine of ten frames of the worst film", worst[name], "<=", 0.3, "N", note)]
+
+
+def every_frame(one: Read, two: Read, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Of the first `count` frames of two fingers those in which both are touched, and those that their likeness is told of."""
+    return (one.moved[:count] > HELD_PX) & (two.moved[:count] > HELD_PX), np.ones(count, bool)
+
+
+def mostly_seen(one: Read, two: Read, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """As `every_frame`, without frames that are flagged, and those in which a contact presses hardest about a picture's edge.
+
+    Of frames in which just one is touched nothing is known.
+    """
+    both, _ = every_frame(one, two, count)
+    good = ~(one.flagged[:count] | two.flagged[:count])
+    neither = (one.moved[:count] < RELEASED_PX) & (two.moved[:count] < RELEASED_PX)
+    both = both & good & (one.peak[:count] < MOST_AT_EDGE) & (two.peak[:count] < MOST_AT_EDGE)
+    return both, both | (neither & good)
+
+
+def seen_whole(one: Read, two: Read, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """As `mostly_seen`, without frames in which a contact goes on beyond its picture: only what both see whole is equal."""
+    both, told = mostly_seen(one, two, count)
+    whole = (one.peak[:count] < BEYOND) & (two.peak[:count] < BEYOND)
+    return both & whole, told & whole
+
+
+def grasps_of(films: dict[str, Read], way: str, frames_of: Callable) -> np.ndarray:
+    """Median normal force in N of either finger while both are touched, and their correlation over time, (grasps, 3).
+
+    frames_of: `every_frame`, `mostly_seen` or `seen_whole`.
+    """
+    found = []
+    for name, one in films.items():
+        two = films.get(name.removesuffix("camera_0") + "camera_2")
+        if not name.endswith("camera_0") or two is None:
+            continue
+        count = min(len(one.moved), len(two.moved))
+        both, told = frames_of(one, two, count)
+        left, right = (-getattr(film, way)[:count, 2] for film in (one, two))
+        if both.sum() >= 5 and min(np.median(left[both]), np.median(right[both])) > 0.0:
+            likeness = float(np.corrcoef(left[told], right[told])[0, 1])
+            found.append((float(np.median(left[both])), float(np.median(right[both])), likeness))
+    return np.array(found).reshape(-1, 3)
+
+
+def apart(one: np.ndarray, other: np.ndarray) -> float:
+    """Factor by which forces (n,) N stand apart, median."""
+    return float(np.exp(np.median(np.abs(np.log(one / other)))))
+
+
+def finger_figures(films: dict[str, Read]) -> list[Figure]:
+    """Normal forces of two fingers that hold one object, over all frames in which both see most of what touches them."""
+    used, bare = (grasps_of(films, way, mostly_seen) for way in ("used", "bare"))
+    every, whole = (grasps_of(films, "used", frames_of) for frames_of in (every_frame, seen_whole))
+    others = [np.delete(used, k, axis=0) for k in range(len(used))]
+    gains = [fit_opposite(rest[:, 0], rest[:, 1], Gain()).value for rest in others]
+    usual, plain, of_all = (apart(*grasps[:, :2].T) for grasps in (used, bare, every))
+    return [
+        Figure("two fingers on one object, factor apart, median", usual, "<=", 1.25, "",
+               f"{len(used)} grasps; both see all of the contact in {len(whole)}; bare {plain:.2f}; {of_all:.2f} over all"
+               f" frames of {len(every)}"),
+        Figure("the same once the other grasps brought one finger to the other", apart(used[:, 0], gains * used[:, 1]),
+               "<=", 1.25, "",
+               f"by their median ratio, a factor of {np.median(gains):.2f}; `gelforge sensor` leaves out those that it sees cut"),
+        Figure("the same over time, correlation, median", float(np.median(used[:, 2])), ">=", 0.95, "",
+               f"bare {np.median(bare[:, 2]):.2f}; {np.median(every[:, 2]):.2f} over all frames"),
+    ]  # fmt: skip
+
+
+def sideways_figures(films: dict[str, Read]) -> list[Figure]:
+    """Sideways force against the mean motion of the dots: likeness over all films, angle film by film."""
+    found = {}
+    for way in ("used", "bare"):
+        moved, pulled, angles = [], [], []
+        for film in films.values():
+            motion = np.nanmean(film.motion, axis=1)
+            # image columns run against gel y, rows against gel x; the channels hold the forces along these
+            force = -getattr(film, way)[:, :2]
+            held = np.hypot(*motion.T) > HELD_PX
+            if held.sum() < 10:
+                continue
+            moved.append(motion[held])
+            pulled.append(force[held])
+            cross = motion[held, 0] * force[held, 1] - motion[held, 1] * force[held, 0]
+            angles.append(np.median(np.degrees(np.abs(np.arctan2(cross, (motion[held] * force[held]).sum(axis=1))))))
+        motion, force = np.concatenate(moved), np.concatenate(pulled)
+        likeness = min(np.corrcoef(motion[:, k], force[:, k])[0, 1] for k in (0, 1))
+        found[way] = float(likeness), float(np.median(angles)), len(angles)
+    told = f"{found['used'][2]} films; bare {found['bare'][0]:.3f} and {found['bare'][1]:.1f} degrees"
+    return [
+        Figure(
+            "sideways force against dots, correlation, lesser of two axes", found["used"][0], ">=", 0.98, "", told
+        ),
+        Figure("sideways force against dots, angle, median", found["used"][1], "<=", 5.0, "degrees"),
+    ]
