@@ -4,6 +4,5 @@ IMAGE ?=
 LIKE ?= gelsight_mini
 
 .PHONY: projection
-projection: SENSOR ?= gelsight_mini
 projection: $(SETUP)  ## fit a sensor: make projection SENSOR=name POINTS=points.csv and/or IMAGE=nocontact.png
-	@$(PY) -m gelforge.commands.projection --sensor $(SENSOR) $(if $(POINTS),--points $(call given,POINTS)) $(if $(IMAGE),--image $(call given,IMAGE)) --like $(call given,LIKE)
+	@$(PY) -m gelforge.commands.projection $(if $(SENSOR),--sensor $(SENSOR)) $(if $(POINTS),--points $(call given,POINTS)) $(if $(IMAGE),--image $(call given,IMAGE)) --like $(call given,LIKE)

@@ -98,6 +98,31 @@ def test_missing_column_is_named(column):
     assert [(r.column, r.reason) for r in wrong] == [(column, "the column is missing")]
 
 
+@pytest.mark.parametrize(("column", "instead"), [("dz_mm", "dz"), ("indenter", "tool"), ("rot_deg", None)])
+def test_a_log_without_a_column_that_every_press_needs_is_refused_once(tmp_path, column, instead):
+    """And not row by row, shard by shard; a column whose name is near is named."""
+    row = {instead if name == column else name: value for name, value in GOOD.items() if name != column or instead}
+    path = tmp_path / "log.csv"
+    path.write_text(log.csv_text(list(row), [row]))
+    with pytest.raises(BadInput, match=f"column {column} is missing{'.*dz.*rename' if instead == 'dz' else ''}"):
+        log.read_log(path)
+
+
+@pytest.mark.parametrize(
+    ("values", "column"),
+    [
+        ({"dz_mm": "-0.00107", "fz_n": "-16.3"}, "dz_mm"),
+        ({"fz_n": "-1666"}, "fz_n"),
+        ({"mx_nm": "-212.8"}, "mx_nm"),
+    ],
+)
+def test_other_units_are_told_where_no_gel_can_be_so(values, column):
+    """Metres beside newtons, grams of force, newton millimetres."""
+    press, wrong = parse(**values)
+    assert press is None and [one.column for one in wrong] == [column] and "check the unit" in wrong[0].remedy
+    assert parse(dz_mm="-0.00107", fz_n="-0.3")[0] is not None
+
+
 def test_all_faults_of_a_row_are_told_at_once():
     _, wrong = parse(x0_mm="x", dz_mm="NaN", indenter="")
     assert sorted(r.column for r in wrong) == ["dz_mm", "indenter", "x0_mm"]

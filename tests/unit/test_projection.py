@@ -178,6 +178,24 @@ def test_broken_correspondences_name_point_and_field(tmp_path, text, reason):
         projection.read_points(path)
 
 
+@pytest.mark.parametrize(
+    ("on_gel", "pixels", "says"),
+    [
+        ([[-5, -5], [5, -5], [5, 5], [-5, 5]], [[10, 10], [478, 10], [300, 200], [10, 200]], "478, 10.*320 x 240"),
+        ([[-5, -5], [5, -5], [5, 5], [-5, 5]], [[10, 10], [300, -3], [300, 200], [10, 200]], "300, -3"),
+        ([[-5e-3, -5e-3], [5e-3, -5e-3], [5e-3, 5e-3], [-5e-3, 5e-3]], [[10, 10], [300, 10], [300, 200], [10, 200]],
+         "check the unit"),
+    ],
+)  # fmt: skip
+def test_points_of_another_picture_or_unit_are_refused(root, on_gel, pixels, says):
+    """They fit a projection exactly all the same, by which every label would be nothing."""
+    like = load_sensors(root / "workflow/sensors.toml")["gelsight_mini"]
+    with pytest.raises(BadInput, match=says):
+        projection.fit_projection(
+            "unit", like, (np.array(on_gel, float), np.array(pixels, float)), where="points.csv"
+        )
+
+
 def test_the_dots_of_the_reference_image(reference):
     image = read_npy(reference / "feats/images/nocontact_train_sensor.npy")["gs_img"]
     found = find_markers(image, 7, 9)

@@ -18,6 +18,8 @@ from gelforge.records.press import check_id
 from gelforge.records.regular import refuse_to_replace
 
 POINT_COLUMNS = ["x_mm", "y_mm", "u_px", "v_px"]
+EXACT = 4  # points that a projection meets whatever they are: its eight numbers
+LEAST_SPAN = 1.0  # mm of the gel that points must span
 ZOOM = 3  # of the picture, so that lines stay thin beside the pixels
 COLOURS = {"gel": (255, 255, 255), "points": (0, 255, 255), "markers": (0, 220, 0), "missing": (0, 0, 255)}  # BGR
 
@@ -128,6 +130,22 @@ def fit_projection(name: str, like: Sensor, points=None, image=None, where: str 
     return FittedProjection(name, like.image, like.gel, fit, on_gel, pixels, markers)
 
 
+def check_marks(on_gel: np.ndarray, pixels: np.ndarray, image: tuple[int, int], where: str) -> None:
+    """Raise BadInput for marked pixels (n, 2) beyond an image (width, height), and for gel points (n, 2) that are not in mm."""
+    beyond = np.flatnonzero((pixels < 0.0).any(axis=1) | (pixels > image).any(axis=1))
+    if len(beyond):
+        u, v = pixels[beyond[0]]
+        raise BadInput(
+            f"{where}: point {beyond[0] + 1}, ({u:g}, {v:g}), lies outside of a picture of {image[0]} x {image[1]} pixels; mark"
+            " points in a picture of that size"
+        )
+    span = np.ptp(on_gel, axis=0)
+    if span.max() < LEAST_SPAN:
+        raise BadInput(
+            f"{where}: its points lie within {span.max():g} mm of the gel; check the unit, x_mm and y_mm are mm"
+        )
+
+
 def describe(found: FittedProjection) -> dict:
     """The projection as plain numbers."""
     worst = int(found.fit.residual.argmax())
@@ -219,9 +237,16 @@ def _expected(grid: MarkerGrid) -> np.ndarray:
     return grid_pixels(even, grid.missing)
 
 
-def report(about: dict, old: Sensor | None) -> None:
-    """Print residual, dots, the change from sensors.toml, and the table to paste."""
+def report(about: dict, old: Sensor | None, like: str | None) -> None:
+    """Print residual, dots, the change from sensors.toml, and the table to paste.
+
+    like: the sensor that the dots were taken to be printed as; None where points were given.
+    """
     residual = about["residual_px"]
+    if like is not None:
+        print(f"dots are taken to be printed as on {like}")
+    elif about["points"] == EXACT:
+        print(f"{EXACT} points fix a projection, which meets them exactly: mark two more to see how far they err")
     print(
         f"projection of {about['sensor']} from {about['points']} points: residual {residual['rms']:.3f} px rms,"
         f" {residual['largest']:.3f} px at most (at x, y = {residual['at_mm']} mm)"
@@ -233,11 +258,16 @@ def report(about: dict, old: Sensor | None) -> None:
             f" {dots['pitch_px'][1]:.2f} px, turned {dots['rotation_deg']:.2f} degrees about {dots['centre_px']},"
             f" {dots['uneven_px']:.2f} px rms off an even grid"
         )
+        # rows of dots run along gel y: their pitch along u is of gel y
+        apart = np.array(dots["pitch_px"]) / about["px_per_mm"][::-1]
+        print(
+            f"dots then stand {apart[0]:.2f} x {apart[1]:.2f} mm apart; on every GelSight Mini seen so far it was 2.0"
+        )
     if old is not None:
         half = np.array([[-9.5, -11], [9.5, -11], [9.5, 11], [-9.5, 11]])
         moved = np.hypot(*(transform(np.array(about["projection"]), half) - old.project(half)).T).max()
         print(f"against workflow/sensors.toml, corners of the view move by up to {moved:.2f} px")
-    print("for workflow/sensors.toml:\n" + toml_table(about))
+    print("for workflow/sensors.toml, or data/DATASET/sensors.toml:\n" + toml_table(about))
 
 
 @command(
@@ -264,12 +294,14 @@ def main(args: Namespace) -> None:
     sensors = load_sensors(args.sensors)
     like = find_sensor(sensors, args.like, "LIKE", str(args.sensors))
     points = read_points(args.points) if args.points else None
+    if points is not None:
+        check_marks(*points, like.image, str(args.points))
     image = read_picture(args.image, like.image) if args.image else None
     found = fit_projection(args.sensor, like, points, image, str(args.points or args.image or ""))
     about = describe(found)
     write_json(out, about)
     write_png(out.with_suffix(".png"), draw(found, image)[..., ::-1])
-    report(about, sensors.get(args.sensor))
+    report(about, sensors.get(args.sensor), None if points else like.name)
 
 
 if __name__ == "__main__":

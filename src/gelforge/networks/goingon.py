@@ -55,8 +55,9 @@ def require_judges(about: dict[str, Any], data: Data) -> None:
     count = len(np.unique(data.presses(data.splits[VALIDATION])))
     if count < FEWEST_JUDGES:
         raise BadInput(
-            f"{data.folder}: of its presses {count} validate, too few to tell whether what {about['name']} learns here is better"
-            f" than what it knew, which takes {FEWEST_JUDGES}: raise [params.dataset] validation, or log more presses"
+            f"{data.folder}: of its presses {count} validate, too few to tell whether a network that goes on from"
+            f" {about['name']} becomes better, which takes {FEWEST_JUDGES}: raise [params.dataset] validation, to 0.25 for a few"
+            " dozen presses, or log more"
         )
 
 

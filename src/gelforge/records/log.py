@@ -14,6 +14,7 @@ from gelforge.flow.layout import command_for
 from gelforge.records.press import (
     COLUMNS,
     FORCES,
+    INDENTER_TABLES,
     KNOWN,
     OPTIONAL,
     POSE,
@@ -39,10 +40,10 @@ POSED_COLUMNS = ("sample_id", "sensor_id", "gel_id", "indenter", *POSE, *FORCES,
 def read_log(path: str | Path) -> list[RawRow]:
     """Rows of a raw log, each numbered by the line it begins at; blank lines count and are no rows.
 
-    Cells are stripped, columns of other names are not read. A log without rows, without sample_id, with a column
-    twice or with one whose name is nearly that of an optional one raises BadInput.
+    Cells are stripped, columns of other names are not read. A log without rows, without a column that every press needs,
+    with a column twice or with one whose name is nearly that of an optional one raises BadInput.
     """
-    return _some(_read(Path(path), KNOWN), path)
+    return _some(_read(Path(path), KNOWN, needed=("indenter", *POSE)), path)
 
 
 def read_shard(path: str | Path) -> list[RawRow]:
@@ -68,7 +69,12 @@ def csv_text(columns: list[str], rows: list[dict[str, Any]]) -> str:
     return text.getvalue()
 
 
-def _read(path: Path, known: tuple[str, ...], remedy: str = "a dataset needs its raw log there") -> list[RawRow]:
+def _read(
+    path: Path,
+    known: tuple[str, ...],
+    remedy: str = "a dataset needs its raw log there",
+    needed: tuple[str, ...] = (),
+) -> list[RawRow]:
     lines = list(io.StringIO(read_text(path, remedy), newline=""))
     top = next((at for at, line in enumerate(lines) if line.strip()), 0)
     cells = next(_each(csv.reader(lines[top : top + 1])), [])
@@ -78,6 +84,11 @@ def _read(path: Path, known: tuple[str, ...], remedy: str = "a dataset needs its
         )
     header = [cell.strip() for cell in cells]
     places = _places(path, header, known)
+    for name in needed:
+        if name not in places:
+            near = get_close_matches(name, sorted(set(header) - set(known)), 1, 0.5)
+            meant = f"; is {printable(near[0])[:100]!r} meant? Then rename it" if near else ""
+            raise BadInput(f"{path}: column {name} is missing, which every press needs{meant}")
     free = set(range(len(header))) - set(places.values())
     return [_row(*record, places, len(header)) for record in _records(lines, top + 1, free)]
 
@@ -228,7 +239,7 @@ def unknown_names(press: PressRecord, file: str, sensors: Iterable[str], indente
     wrong = []
     for column, name, known, where in (
         ("sensor_id", press.sensor_id, list(sensors), f"no such sensor in {SENSOR_TABLES}"),
-        ("indenter", press.indenter, list(indenters), "no such indenter in the dataset's catalogue"),
+        ("indenter", press.indenter, list(indenters), f"no such indenter in {INDENTER_TABLES}"),
     ):
         if name not in known:
             near = get_close_matches(name, known, 1)

@@ -23,11 +23,18 @@ FORCES = (*FORCE, *MOMENT)
 COLUMNS = ("sample_id", "time_utc", "sensor_id", "gel_id", "indenter", *POSE, *FORCES, "image")
 OPTIONAL = ("press_id",)
 KNOWN = (*COLUMNS, *OPTIONAL)
-# Where the tables of the sensors stand that rows name.
+# Where the tables of the sensors and indenters stand that rows name.
 SENSOR_TABLES = "workflow/sensors.toml or the dataset's own sensors.toml"
+INDENTER_TABLES = "workflow/indenters.toml, or the catalogue that dataset.toml names"
 
 ID_RULE = "1 to 100 letters, digits, dots, dashes or underscores, beginning with a letter or digit"
-LARGEST = {**dict.fromkeys(POSE, 1000.0), "rot_deg": 3600.0, **dict.fromkeys(FORCES, 1e5)}
+LARGEST = {
+    **dict.fromkeys(POSE, 1000.0),
+    "rot_deg": 3600.0,
+    **dict.fromkeys(FORCE, 500.0),
+    **dict.fromkeys(MOMENT, 20.0),
+}
+SHALLOW, BORNE = 0.01, 1.0  # mm and N: no gel bears so much where it is pressed by so little, metres were written
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.\-]{0,99}", re.ASCII)
 
@@ -240,6 +247,9 @@ def parse(raw: RawRow, file: str, needed: Collection[str] = COLUMNS) -> tuple[Lo
         values[name], fault = _judge(name, raw.cells.get(name))
         if fault and (name in needed or name in OPTIONAL):
             wrong.append(_rejection(raw, file, name, *fault))
+    if not wrong and values["dz_mm"] > -SHALLOW and abs(values["fz_n"] or 0.0) > BORNE:
+        reason = f"less than {SHALLOW:g} mm beside a force of {values['fz_n']:g} N"
+        wrong.append(_rejection(raw, file, "dz_mm", reason, "check the units: mm and N"))
     return (None, wrong) if wrong else (LoggedPress(row=raw.row, **values), [])
 
 
@@ -269,7 +279,7 @@ def _cell(value: str | float | None) -> str:
 def _judge(name: str, text: str | None) -> tuple[str | float | None, tuple[str, str] | None]:
     """Value of a cell, or what stands for none and what is wrong: (reason, remedy)."""
     if text is None:
-        remedy = f"add a column {name} to the log (the force columns may be empty)"
+        remedy = f"add a column {name} to the log{' (its cells may be empty)' if name in FORCES else ''}"
         if name == "image":
             remedy = (
                 "add a column image to the log, or set [params.poses] images = false in the dataset's dataset.toml"
@@ -307,8 +317,10 @@ def _word_fault(name: str, text: str) -> tuple[str, str] | None:
         return "not usable as a file name", f"use {ID_RULE}"
     if name == "press_id" and text and not _ID.fullmatch(text):
         return "not a name", f"use {ID_RULE}, or leave it empty"
-    if name in ("sensor_id", "indenter") and not text:
-        return "the cell is empty", "name it as in its catalogue"
+    if name == "sensor_id" and not text:
+        return "the cell is empty", f"write a name of {SENSOR_TABLES}"
+    if name == "indenter" and not text:
+        return "the cell is empty", f"write a name of {INDENTER_TABLES}"
     if name == "time_utc" and text:
         try:
             datetime.fromisoformat(text)
