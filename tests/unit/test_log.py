@@ -246,5 +246,5 @@ def test_empty_and_absent_logs_are_errors(tmp_path):
 
 def test_rows_are_numbered_as_an_editor_shows_them(tmp_path):
     path = tmp_path / "log.csv"
-    path.write_text("sample_id,x0_mm\na,1\nb,2\n")
+    path.write_text(log.csv_text(list(GOOD), [GOOD, GOOD]))
     assert [row.row for row in log.read_log(path)] == [2, 3]

@@ -187,13 +187,10 @@ def test_broken_correspondences_name_point_and_field(tmp_path, text, reason):
          "check the unit"),
     ],
 )  # fmt: skip
-def test_points_of_another_picture_or_unit_are_refused(root, on_gel, pixels, says):
+def test_points_of_another_picture_or_unit_are_refused(on_gel, pixels, says):
     """They fit a projection exactly all the same, by which every label would be nothing."""
-    like = load_sensors(root / "workflow/sensors.toml")["gelsight_mini"]
     with pytest.raises(BadInput, match=says):
-        projection.fit_projection(
-            "unit", like, (np.array(on_gel, float), np.array(pixels, float)), where="points.csv"
-        )
+        projection.check_marks(np.array(on_gel, float), np.array(pixels, float), (320, 240), "points.csv")
 
 
 def test_the_dots_of_the_reference_image(reference):
