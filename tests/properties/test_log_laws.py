@@ -22,8 +22,8 @@ SAMPLES = st.builds(
     indenter=WORDS,
     image=WORDS,
     **{name: NUMBERS for name in press.POSE if name != "dz_mm"},
-    dz_mm=st.floats(-999.0, -1e-9),
-    **{name: st.none() | NUMBERS for name in press.FORCES},
+    dz_mm=st.floats(-999.0, -press.SHALLOW),
+    **{name: st.none() | st.floats(-press.LARGEST[name], press.LARGEST[name]) for name in press.FORCES},
 )
 
 

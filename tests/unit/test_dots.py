@@ -295,9 +295,10 @@ def test_a_contradiction_is_told_in_the_newtons_that_are_read(rest, presses):
     shipped = load_for_use(None)
     apart = {"grid_x": [np.inf, 0.0, 0.0], "grid_y": [np.inf, 0.0, 0.0], "grid_z": [0.0, 0.0, 0.0]}
     suspicious = replace(shipped, about=shipped.about | {"dots": shipped.about["dots"] | {"apart": apart}})
-    told = []
+    plain, told = Untouched(suspicious, rest), []
+    contradicted = next(image for image in presses if "along gel z" in predict_one(plain, image)[2].reason)
     for gain in (1.0, 3.0):
-        _, _, judged = predict_one(Untouched(suspicious, rest, gain=Gain(gain, gain, gain, 9)), presses[0])
+        _, _, judged = predict_one(Untouched(suspicious, rest, gain=Gain(gain, gain, gain, 9)), contradicted)
         told.append(np.array(re.search("gel z of (.+) N, its brightness of (.+) N", judged.reason).groups(), float))
         assert told[-1][0] == pytest.approx(judged.by_dots[2], abs=0.051)
     assert told[1] == pytest.approx(3.0 * told[0], abs=0.21)  # both are told to a tenth

@@ -40,8 +40,8 @@ POSED_COLUMNS = ("sample_id", "sensor_id", "gel_id", "indenter", *POSE, *FORCES,
 def read_log(path: str | Path) -> list[RawRow]:
     """Rows of a raw log, each numbered by the line it begins at; blank lines count and are no rows.
 
-    Cells are stripped, columns of other names are not read. A log without rows, without a column that every press needs,
-    with a column twice or with one whose name is nearly that of an optional one raises BadInput.
+    Cells are stripped, columns of other names are not read. A log without rows, without sample_id, with a column
+    twice or with one whose name is nearly that of an optional one, or of one that is missing, raises BadInput.
     """
     return _some(_read(Path(path), KNOWN, needed=("indenter", *POSE)), path)
 
@@ -85,10 +85,12 @@ def _read(
     header = [cell.strip() for cell in cells]
     places = _places(path, header, known)
     for name in needed:
-        if name not in places:
-            near = get_close_matches(name, sorted(set(header) - set(known)), 1, 0.5)
-            meant = f"; is {printable(near[0])[:100]!r} meant? Then rename it" if near else ""
-            raise BadInput(f"{path}: column {name} is missing, which every press needs{meant}")
+        near = get_close_matches(name, sorted(set(header) - set(known)), 1, 0.5) if name not in places else []
+        if near:
+            seen = printable(near[0])[:100]
+            raise BadInput(
+                f"{path}: column {name} is missing, which every press needs; rename {seen!r} if it is that"
+            )
     free = set(range(len(header))) - set(places.values())
     return [_row(*record, places, len(header)) for record in _records(lines, top + 1, free)]
 
