@@ -128,10 +128,10 @@ class ForceReading:
     that hold nine of ten totals on sensors that the network never saw, of gels as stiff as those it learnt from, or as
     uncertain as the factor of a profile tells; None where the model knows none. flag: True where something is wrong with
     the pictures, and `reason` says what. by_dots: (3,) what the motion of the printed dots tells by itself, whatever the
-    light; None where the gel has none, or the network no reader of them. edge_peak: largest normal force
-    of a cell at the edge of what the picture shows, over the largest of all; from 0.2 on, what touches goes on beyond the
-    picture, and total is a part of its force only. It is NaN where the map has fewer than three rows or columns, as that
-    of a model that only knows totals.
+    light; None where the gel has none, or the network no reader of them. edge_peak: largest normal force of a cell at
+    the edge of what the picture shows, over the largest of all; from 0.2 on, what touches goes on beyond the picture, and
+    total is a part of its force only. It is NaN where the map has fewer than three rows or columns, as that of a model that
+    only knows totals.
     """
 
     cells: np.ndarray

@@ -116,10 +116,10 @@ def seen_whole(one: Read, two: Read, count: int) -> tuple[np.ndarray, np.ndarray
     return both & whole, told & whole
 
 
-def grasps_of(films: dict[str, Read], way: str, frames_of: Callable) -> np.ndarray:
+def grasps_of(films: dict[str, Read], way: str, choose: Callable) -> np.ndarray:
     """Median normal force in N of either finger while both are touched, and their correlation over time, (grasps, 3).
 
-    frames_of: `every_frame`, `mostly_seen` or `seen_whole`.
+    choose: `every_frame`, `mostly_seen` or `seen_whole`.
     """
     found = []
     for name, one in films.items():
@@ -127,7 +127,7 @@ def grasps_of(films: dict[str, Read], way: str, frames_of: Callable) -> np.ndarr
         if not name.endswith("camera_0") or two is None:
             continue
         count = min(len(one.moved), len(two.moved))
-        both, told = frames_of(one, two, count)
+        both, told = choose(one, two, count)
         left, right = (-getattr(film, way)[:count, 2] for film in (one, two))
         if both.sum() >= 5 and min(np.median(left[both]), np.median(right[both])) > 0.0:
             likeness = float(np.corrcoef(left[told], right[told])[0, 1])
@@ -143,7 +143,7 @@ def apart(one: np.ndarray, other: np.ndarray) -> float:
 def finger_figures(films: dict[str, Read]) -> list[Figure]:
     """Normal forces of two fingers that hold one object, over all frames in which both see most of what touches them."""
     used, bare = (grasps_of(films, way, mostly_seen) for way in ("used", "bare"))
-    every, whole = (grasps_of(films, "used", frames_of) for frames_of in (every_frame, seen_whole))
+    every, whole = (grasps_of(films, "used", choose) for choose in (every_frame, seen_whole))
     others = [np.delete(used, k, axis=0) for k in range(len(used))]
     gains = [fit_opposite(rest[:, 0], rest[:, 1], Gain()).value for rest in others]
     usual, plain, of_all = (apart(*grasps[:, :2].T) for grasps in (used, bare, every))

@@ -42,10 +42,8 @@ FOOT = 0.35  # share of a map's largest force from which a cell counts as presse
 # How a gel that was put back may be seen (tests.pictures.moved), and presses from which that can be told, N.
 MOVES = {"shifted by 2 px": {"shift": (1.6, 1.2)}, "3 % larger": {"zoom": 1.03}}
 LEAST_PRESS = 2.0
-HELD = {
-    "gripper_videos": "*.avi",
-    "feats/images": "*.gif",
-}  # folders of the reference data, and a kind of file in each
+# Folders of the reference data, and a kind of file in each.
+HELD = {"gripper_videos": "*.avi", "feats/images": "*.gif"}
 
 
 # -- FEATS' film of its own maps

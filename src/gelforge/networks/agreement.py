@@ -23,8 +23,8 @@ def fit_blend(
 ) -> dict:
     """How the totals (n, 3) N of both readers meet best, from presses whose true totals are known.
 
-    counts: (n,) how much each picture counts in their mean, all alike if not given. weight: of the dots' total in their mean, by
-    component, that leaves the least mean error. apart: half widths by component, the three numbers of HalfWidth, of what nine
+    counts: (n,) how much each picture counts for the weight, all alike if not given. weight: of the dots' total in their
+    mean, by component, that leaves the least mean error. apart: half widths by component, the three numbers of HalfWidth, of what nine
     of ten of the readers' differences stay within.
     """
     errors = [np.average(np.abs((1 - w) * by_picture + w * by_dots - true), axis=0, weights=counts) for w in WEIGHTS]

@@ -254,8 +254,8 @@ class Judgement:
     beside a network that reads none. light: what its light differed by (networks.canonical), None beside such a network.
     placed: what was put right in how it lay, empty for nothing. by_dots: totals (3,) N that the dots tell by themselves,
     None where nothing reads them; half_width: (3,) N, half of the totals' intervals (networks.intervals), None where the
-    model knows none. Both in the order of the channels, times the sensor's gain. edge_peak: whether
-    what presses goes on beyond the picture (records.totals).
+    model knows none. Both in the order of the channels, times the sensor's gain. edge_peak: largest force
+    at the edge of what the picture shows, over the largest of all (records.totals).
     """
 
     score: float
