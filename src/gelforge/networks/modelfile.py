@@ -161,21 +161,21 @@ def _as_tensor(images, device: str) -> torch.Tensor:
 
 def save_model(path, trained: Trained) -> None:
     """Write a model to exactly `path`; the caller publishes it."""
-    tensors = tensors_of(trained.net)
+    tensors = kept_tensors(trained.net)
     told = {"format": FORMAT, **trained.about, "sha256": tensor_digest(tensors)}
     parts: dict[str, Any] = {"tensors": tensors}
     for name in READERS:
         reader = getattr(trained, name)
         if reader is not None:
-            parts[name] = halved(tensors_of(reader))
+            parts[name] = kept_tensors(reader)
             told[name] = trained.about.get(name, {}) | {"sha256": tensor_digest(parts[name])}
     parts["untouched"] = {name: encode(picture) for name, picture in trained.untouched.items()}
     torch.save({"about": json.dumps(told, sort_keys=True, allow_nan=False), **parts}, path)
 
 
-def tensors_of(net: nn.Module) -> dict[str, torch.Tensor]:
-    """A network's tensors by name, as a file keeps them."""
-    return {name: value.detach().cpu().contiguous() for name, value in net.state_dict().items()}
+def kept_tensors(net: nn.Module) -> dict[str, torch.Tensor]:
+    """Tensors by name of a network that is `rounded` (networks.halves), as a file keeps them."""
+    return halved({name: value.detach().cpu().contiguous() for name, value in net.state_dict().items()})
 
 
 def tensor_digest(tensors: dict[str, torch.Tensor]) -> str:
