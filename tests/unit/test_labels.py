@@ -2,6 +2,7 @@
 
 import json
 import os
+import tomllib
 
 import numpy as np
 import pytest
@@ -97,6 +98,25 @@ def test_a_press_over_the_rim_reports_what_it_lost(tmp_path, capsys):
     assert -4.0 < outside < -0.5
     assert found.label.astype(float)[0, 2].sum() + outside == pytest.approx(-4.0, rel=1e-9)
     assert "s000" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("shift_mm", [0.0, 15.0, -15.0])
+def test_a_sensor_that_does_not_look_where_it_is_pressed_is_refused(tmp_path, root, shift_mm):
+    """Of two sensors one by a projection that is moved aside."""
+    table = tomllib.loads((root / "workflow/sensors.toml").read_text())
+    moved = np.array(table["mini_c"]["projection"]) @ [[1, 0, shift_mm], [0, 1, 0], [0, 0, 1]]
+    names = ("mini_a", "mini_c")
+    sensors = {name: {key: table[name][key] for key in ("image", "projection", "gel")} for name in names}
+    sensors["mini_c"]["projection"] = moved.tolist()
+    path = tmp_path / "sensors.json"
+    path.write_text(json.dumps(sensors))
+    made = write_pressed(tmp_path, sensors=names)
+    if shift_mm:
+        for _ in range(2):  # its shards are up to date the second time
+            with pytest.raises(BadInput, match="sensor mini_c 12 of its 12 samples"):
+                label(made, "6x8", path)
+    else:
+        assert json.loads((label(made, "6x8", path) / "labels.json").read_text())["samples"] == 24
 
 
 @pytest.mark.parametrize(("resolution", "odd"), [("240x320", False), ("241x320", True), ("240x321", True)])

@@ -50,7 +50,9 @@ def test_grid_net_writes_any_grid_that_divides_the_image(grid):
 def test_what_is_coarse_reaches_its_four_cells_and_no_others(shape):
     """On grids of an odd number of rows or columns too, whose last cells share one of half the size."""
     x = torch.zeros(1, 2, *shape)
-    coarse = torch.arange(2.0 * -(-shape[0] // 2) * -(-shape[1] // 2)).view(1, 2, -(-shape[0] // 2), -(-shape[1] // 2))
+    coarse = torch.arange(2.0 * -(-shape[0] // 2) * -(-shape[1] // 2)).view(
+        1, 2, -(-shape[0] // 2), -(-shape[1] // 2)
+    )
     found = spread(coarse, x)
     assert found.shape == x.shape
     for row, col in np.ndindex(shape):

@@ -17,7 +17,7 @@ from gelforge.networks.data import data_version, open_data
 from gelforge.networks.evaluation import learnt_sensors
 from gelforge.networks.fitting import kept_above
 from gelforge.networks.modelcard import stacking_lines
-from gelforge.networks.modelfile import lessons_of, load_model, save_model, tensor_digest, kept_tensors
+from gelforge.networks.modelfile import kept_tensors, lessons_of, load_model, save_model, tensor_digest
 from gelforge.networks.stacking import HALF_SAID, MOST_LOG, OF_FORCES, StackedFactor, features, train_stacking
 from gelforge.networks.use import TwoReadings, Untouched, load_for_use, predict_one, told_together
 from gelforge.records.totals import LEAST_PRESS

@@ -6,7 +6,12 @@ from typing import Any
 
 from gelforge.errors import BadInput
 
-LIMITS = {"width": (1, 4096), "widths": (1, 4096), "blocks": (0, 64), "coarse": (0, 64)}  # least and most of what sizes are built
+LIMITS = {
+    "width": (1, 4096),
+    "widths": (1, 4096),
+    "blocks": (0, 64),
+    "coarse": (0, 64),
+}  # least and most of what sizes are built
 MOST_LEVELS = 16  # numbers of a size that is a list
 BESIDES = ("kind", "reads", "note", "train", "start")  # what a network's table says beside its sizes
 

@@ -2,6 +2,7 @@
 
 import os
 from argparse import Namespace
+from collections import Counter
 from collections.abc import Callable
 from functools import lru_cache, partial
 from pathlib import Path
@@ -31,6 +32,8 @@ from gelforge.records.status import Status
 VERSION = 1
 KEPT = 64  # operators in memory
 BLOCK_BYTES = 64 * 2**20  # of float64 cells held at a time
+BEYOND = 0.5  # share of its normal force beyond the image from which on a picture does not show a press
+TELLING = 10  # presses of a sensor from which on it is no chance where they lie
 
 
 def bin_samples(forces: ForceFile, members, operator: Operator) -> tuple[np.ndarray, np.ndarray]:
@@ -159,7 +162,7 @@ def label_shard(forces_path, poses_path, find: Finder, grid: Grid, out, channels
     find.operator(mesh name, sensor name) gives the operator. Forces that are not finite, a sample without
     a pose, and a mesh or sensor that is missing raise BadInput with the file and the sample.
     """
-    sensor_of = {press.sample_id: press.sensor_id for press in read_poses(poses_path)}
+    sensor_of = sensors_of_samples(poses_path)
     with ForceFile(forces_path) as forces:
         operators = [_operator_of(forces, i, sensor_of, find.operator, poses_path) for i in range(len(forces))]
         if not np.isfinite(forces.force).all():
@@ -179,7 +182,12 @@ def label_shard(forces_path, poses_path, find: Finder, grid: Grid, out, channels
         ]
         fields = field_streams(forces, maps, grid, channels)
         write_labels(out, blocks, (len(forces), 3, *grid.shape), {**others, **forces.intervals}, fields)
-        return summarise(forces, outside)
+        return summarise(forces, outside, sensor_of)
+
+
+def sensors_of_samples(poses_path) -> dict[str, str]:
+    """The sensor of each sample of a pose table."""
+    return {press.sample_id: press.sensor_id for press in read_poses(poses_path)}
 
 
 def _operator_of(forces, sample, sensor_of, find_operator, poses_path):
@@ -197,12 +205,20 @@ def _first_bad(forces: ForceFile) -> str:
     return str(forces.sample_id[np.searchsorted(forces.ptr, row, side="right") - 1])
 
 
-def summarise(forces: ForceFile, outside: np.ndarray) -> dict:
-    """Counts of a shard and the sample with the largest share of its normal force outside the image."""
+def summarise(forces: ForceFile, outside: np.ndarray, sensor_of: dict[str, str]) -> dict:
+    """Counts of a shard and the sample with the largest share of its normal force outside the image.
+
+    beyond: by sensor, how many of its samples that bear a force lie mostly outside its image, and how many there are.
+    """
     share = np.abs(outside[:, 2]) / np.maximum(np.abs(forces.total[:, 2]), 1e-12)
     share = np.where(np.isfinite(share), share, 0.0)
     worst = int(share.argmax()) if len(share) else None
+    beyond: dict[str, Counter[str]] = {}
+    for name, part, total in zip(forces.sample_id, share, forces.total[:, 2], strict=True):
+        if total:
+            beyond.setdefault(sensor_of[str(name)], Counter()).update(most=int(part > BEYOND), all=1)
     return {
+        "beyond": beyond,
         "samples": len(forces),
         "failed": int(np.isnan(outside[:, 0]).sum()),
         "worst_sample": "" if worst is None else str(forces.sample_id[worst]),
@@ -219,10 +235,11 @@ def label_folder(args, grid: Grid, sensors: dict, channels) -> dict:
         raise BadInput(f"{args.shards}: holds no shards; run make, which plans them")
     totals: dict[str, Any] = {"resolution": str(grid), "shards": len(shards), "samples": 0, "failed": 0}
     worst: dict[str, Any] = {"worst_sample": "", "worst_outside_share": 0.0}
+    beyond: dict[str, Counter[str]] = {}
     for shard in progress(shards, f"labels {grid}"):
         forces, poses, out = args.forces / f"{shard}.npz", args.poses / f"{shard}.csv", folder / f"{shard}.npz"
         if up_to_date(out, forces, poses, args.sensors, args.params):
-            found = summary_of(out, forces)
+            found = summary_of(out, forces, poses)
         else:
             newest = max(time_of(path) for path in (forces, poses, args.sensors, args.params))
             found = label_shard(forces, poses, find, grid, out, channels)
@@ -234,8 +251,25 @@ def label_folder(args, grid: Grid, sensors: dict, channels) -> dict:
             "failed": totals["failed"] + found["failed"],
         }
         worst = max(worst, found, key=lambda s: s["worst_outside_share"])
+        for name, counted in found["beyond"].items():
+            beyond.setdefault(name, Counter()).update(counted)
+    require_seen(beyond, args.sensors)
     digests = {f"{shard}.npz": digest_of(folder / f"{shard}.npz") for shard in shards}
     return {**totals, **{key: worst[key] for key in ("worst_sample", "worst_outside_share")}, "sha256": digests}
+
+
+def require_seen(beyond: dict[str, Counter[str]], where) -> None:
+    """Raise BadInput for a sensor most of whose presses lie mostly outside its pictures: it cannot look where it is said to.
+
+    beyond: counts by sensor (`summarise`). where: file of the sensors.
+    """
+    for name, counted in sorted(beyond.items()):
+        if counted["all"] >= TELLING and counted["most"] > counted["all"] / 2:
+            raise BadInput(
+                f"{where}: by the projection of sensor {name} {counted['most']} of its {counted['all']} samples bear most of"
+                f" their normal force outside its pictures: measure it anew with make projection SENSOR={name}"
+                " (workflow/README.md), or correct x0_mm and y0_mm of the log"
+            )
 
 
 def up_to_date(out: Path, *sources: Path) -> bool:
@@ -248,12 +282,12 @@ def time_of(path: Path) -> int:
     return path.stat().st_mtime_ns if path.exists() else 0
 
 
-def summary_of(path, forces_path) -> dict:
+def summary_of(path, forces_path, poses_path) -> dict:
     """The summary of a shard that was labelled before."""
     with open_labels(path) as labels:
         outside = labels.array("outside", "f", 2)
     with ForceFile(forces_path) as forces:
-        return summarise(forces, outside)
+        return summarise(forces, outside, sensors_of_samples(poses_path))
 
 
 def report(summary: dict, largest_share: float) -> None:
