@@ -12,6 +12,7 @@ from synthetic_presses import write_dataset
 from gelforge.commands import estimate
 from gelforge.commands.estimate import (
     ROW_EACH,
+    image_bytes,
     later_costs,
     measured,
     pilot_presses,
@@ -26,6 +27,7 @@ from gelforge.flow.layout import Layout
 from gelforge.flow.params import plain
 from gelforge.records.press import RawRow
 
+ROWS = [RawRow(n, {"sensor_id": "mini_a"}) for n in range(900)]
 COSTS = [
     Cost("10_poses", 0.1, bytes_each=10.0),
     Cost("20_meshes", cpu_once=50.0, bytes_once=1e6),
@@ -88,21 +90,33 @@ def test_a_network_that_is_trained_is_counted_by_its_kind(tmp_path, root):
     """The network that ships learns nothing; a U-net takes several times a light network's time."""
     results = Layout(tmp_path)
     params = results.params
+    write_json(params / "sensors.json", {})
     models = tomllib.loads((root / "workflow/models.toml").read_text(encoding="utf-8"))
     for name in ("grid_16", "unet", "pair_24_mirrored"):
         write_json(params / "models" / f"{name}.json", {name: models[name]})
     write_json(params / "train.json", {"version": 1, "train": plain(slice_of("train").train)})
     write_json(params / "report.json", {"version": 1, "report": plain(parameters().report) | {"branches": []}})
     costs = {
-        name: {c.stage: c for c in later_costs(results, "24x32", name, 900)}
+        name: {c.stage: c for c in later_costs(results, "24x32", name, ROWS)}
         for name in ("shipped", "grid_16", "unet")
     }
     assert "70_train" not in costs["shipped"]
     light, heavy = (costs[name]["70_train"].cpu_each for name in ("grid_16", "unet"))
     epochs = slice_of("train").train
     assert heavy / (epochs.epochs_of.unet or epochs.epochs) > 2 * light / epochs.epochs
-    pair = later_costs(results, "24x32", "pair_24_mirrored", 900)
+    pair = later_costs(results, "24x32", "pair_24_mirrored", ROWS)
     assert next(c for c in pair if c.stage == "70_train").cpu_each > light  # its reader of dots learns too
+
+
+def test_pictures_count_by_the_size_that_their_sensor_takes(tmp_path, root):
+    results = Layout(tmp_path)
+    sensors = tomllib.loads((root / "workflow/sensors.toml").read_text(encoding="utf-8"))
+    named = {
+        name: sensors["mini_a"] | {"image": size} for name, size in (("mini_a", [320, 240]), ("own", [640, 480]))
+    }
+    write_json(results.params / "sensors.json", named)
+    of = {name: image_bytes(results, [RawRow(1, {"sensor_id": name})]) for name in (*named, "unknown")}
+    assert of == {"mini_a": 320 * 240 * 3, "own": 640 * 480 * 3, "unknown": 0}
 
 
 def test_an_epoch_of_a_part_of_the_presses_costs_that_part(tmp_path):
@@ -160,7 +174,7 @@ def test_presses_of_other_datasets_cost_what_its_own_do(tmp_path, table):
 def test_a_resolution_that_is_none_is_refused_before_the_pilots(tmp_path, resolution):
     write_json(Layout(tmp_path).params / "report.json", {"version": 1, "report": plain(parameters().report)})
     with pytest.raises(BadInput, match="write ROWSxCOLS"):
-        later_costs(Layout(tmp_path), resolution, "shipped", 900)
+        later_costs(Layout(tmp_path), resolution, "shipped", ROWS)
 
 
 def test_a_calibration_fills_the_cores_whatever_the_number_of_shards():

@@ -13,6 +13,8 @@ import sys
 from argparse import Namespace
 from pathlib import Path
 
+import numpy as np
+
 from gelforge.commands.sample import stages
 from gelforge.errors import BadInput, last_words
 from gelforge.flow import layout
@@ -24,6 +26,7 @@ from gelforge.flow.params.slices import ForCalibrate, ForPareto, ForReport, ForT
 from gelforge.flow.params.tables import SHIPPED
 from gelforge.flow.running import duration
 from gelforge.labelling.grid import Grid
+from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.scene import REFERENCE_C10
 from gelforge.records.frames import presses_of
 from gelforge.records.log import read_shard, shard_text
@@ -43,7 +46,6 @@ DOTS_EACH, PLACES_EACH = 2e-3, 3e-4
 # A press that both readers read for what is learnt above them; its epochs take nothing beside that.
 STACKED_EACH = 4e-2
 START = 3.0  # of a process with torch or the drawing libraries
-IMAGE_BYTES = 240 * 320 * 3
 
 
 def planned_rows(results: Path) -> list[RawRow]:
@@ -157,13 +159,20 @@ def made_presses(results: Layout, resolution: str) -> int:
     return len(read_samples(found))
 
 
-def later_costs(results: Layout, resolution: str, model: str, presses: int) -> list[Cost]:
-    """What the stages after the labels take with a network and so many presses, from other datasets."""
-    params = results.params
+def image_bytes(results: Layout, rows: list[RawRow]) -> int:
+    """Bytes of an image of the largest sensor that rows name, as it lies in the dataset; 0 where they name none."""
+    sensors = load_sensors(results.params / "sensors.json")
+    named = {row.cells.get("sensor_id") for row in rows}
+    return max((3 * int(np.prod(one.image)) for name, one in sensors.items() if name in named), default=0)
+
+
+def later_costs(results: Layout, resolution: str, model: str, rows: list[RawRow]) -> list[Cost]:
+    """What the stages after the labels take of rows with a network, from other datasets."""
+    params, presses = results.params, len(rows)
     report = read_slice(params / "report.json", ForReport).report
     grid = Grid.parse(resolution)
     cells = 4 * 3 * grid.rows * grid.cols
-    found = [Cost(layout.DATASET, 2e-3, START, IMAGE_BYTES + cells)]
+    found = [Cost(layout.DATASET, 2e-3, START, image_bytes(results, rows) + cells)]
     if model != SHIPPED:
         found.append(training(results, resolution, model, presses))
     found.append(Cost(layout.EVALUATE, EVALUATE_EACH, START, cells / 2))
@@ -179,7 +188,7 @@ def later_costs(results: Layout, resolution: str, model: str, presses: int) -> l
 def estimated(data: Path, results: Path, resolution: str, model: str, rows: list[RawRow]) -> list[Cost]:
     """What every stage of a dataset takes of a row, the rows given being all that it has."""
     # first: a wrong word must not wait for the pilots
-    later = later_costs(Layout(results), resolution, model, len(rows))
+    later = later_costs(Layout(results), resolution, model, rows)
     costs = measured(data, results, resolution, rows)
     return [costs[0], meshes(results), *costs[1:], *later]
 
