@@ -22,7 +22,10 @@ SHIPPED_RES := 24x32
 # That network reads a dataset that says so ([report] model) and is too small to learn from.
 MODEL ?= $(or $(filter-out $(if $(filter $(SHIPPED_RES),$(RES1)),,shipped $(TUNED)),$(REPORT_MODEL)),$(LEARNER))
 EXECUTOR ?= local
+# What switches nothing on: STRICT=0 is as if it were not given.
+NO := 0 no false
 STRICT ?=
+override STRICT := $(filter-out $(NO),$(STRICT))
 # nproc would tell what a shell grants one program's threads, where it sets these.
 JOBS ?= $(shell env -u OMP_NUM_THREADS -u OMP_THREAD_LIMIT nproc)
 

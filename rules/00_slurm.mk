@@ -1,5 +1,6 @@
 # EXECUTOR=slurm: the recipe of an artifact only notes its task; a barrier per stage runs what was noted as job arrays.
 DETACH ?=
+override DETACH := $(filter-out $(NO),$(DETACH))
 SLURM_PROFILE ?= workflow/slurm.toml
 SLURM_RUN = $(PY) -m gelforge.flow.slurm.run $(1) --results $D --profile $(call given,SLURM_PROFILE)$(if $(DETACH), --detach)
 

@@ -1,6 +1,9 @@
 # Stage 60: arrays ready to train on, one folder per resolution. Imported labels (data/DATASET/labels) need no stage 50.
 DATASETS := $(RES:%=$D/60_dataset/%/dataset.json)
 IMPORTED := $(wildcard $(DATA)/labels)
+# Of imported labels there are the resolutions that they came in.
+$(DATA)/labels/%.npz:
+	$(error $(DATA) was imported with labels of $(basename $(notdir $(wildcard $(DATA)/labels/*.npz))), not of $*: say RES=$(firstword $(basename $(notdir $(wildcard $(DATA)/labels/*.npz)))))
 LABEL_SOURCE := $(if $(IMPORTED),$(DATA)/labels/%.npz,$D/50_labels/%/labels.json)
 
 # What lies beside the log: pictures of untouched sensors, splits and truth that the dataset came with. A digest of names,

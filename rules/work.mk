@@ -27,6 +27,11 @@ STAGES := poses:10_poses meshes:20_meshes fea:30_fea forces:40_forces labels:50_
     stability:stability study:study pareto_models:pareto_models
 CLEAN := $(foreach s,$(STAGES),clean-$(firstword $(subst :, ,$s)))
 
+# make would do both at a time, and remove what it has just found up to date.
+ifneq ($(and $(filter clean-%,$(MAKECMDGOALS)),$(filter-out clean-%,$(MAKECMDGOALS))),)
+$(error clean together with another goal: say make $(filter clean-%,$(MAKECMDGOALS)) first, then make $(filter-out clean-%,$(MAKECMDGOALS)))
+endif
+
 .PHONY: $(CLEAN) clean-all clean-venv
 $(CLEAN): clean-%:
 	rm -rf $(addprefix $D/,$(foreach k,. logs metrics,$k/$(patsubst $*:%,%,$(filter $*:%,$(STAGES)))))

@@ -91,6 +91,7 @@ def test_a_network_that_is_trained_is_counted_by_its_kind(tmp_path, root):
     results = Layout(tmp_path)
     params = results.params
     write_json(params / "sensors.json", {})
+    write_json(params / "poses.json", {"version": 1, "poses": plain(parameters().poses)})
     models = tomllib.loads((root / "workflow/models.toml").read_text(encoding="utf-8"))
     for name in ("grid_16", "unet", "pair_24_mirrored"):
         write_json(params / "models" / f"{name}.json", {name: models[name]})
@@ -106,6 +107,15 @@ def test_a_network_that_is_trained_is_counted_by_its_kind(tmp_path, root):
     assert heavy / (epochs.epochs_of.unet or epochs.epochs) > 2 * light / epochs.epochs
     pair = later_costs(results, "24x32", "pair_24_mirrored", ROWS)
     assert next(c for c in pair if c.stage == "70_train").cpu_each > light  # its reader of dots learns too
+
+
+def test_a_log_without_pictures_goes_no_farther_than_its_branches(tmp_path):
+    results = Layout(tmp_path)
+    branches = plain(parameters().report) | {"branches": ["calibrate"]}
+    write_json(results.params / "report.json", {"version": 1, "report": branches})
+    write_json(results.params / "poses.json", {"version": 1, "poses": plain(parameters().poses) | {"images": False}})
+    write_json(results.params / "calibrate.json", {"version": 1} | plain(slice_of("calibrate")))
+    assert [cost.stage for cost in later_costs(results, "24x32", "shipped", ROWS)] == ["calibrate"]
 
 
 def test_pictures_count_by_the_size_that_their_sensor_takes(tmp_path, root):

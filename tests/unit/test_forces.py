@@ -51,16 +51,16 @@ def test_damaged_output_is_no_result(damage):
 
 
 def test_c10_from_a_number_or_a_calibration(tmp_path):
-    assert material_c10(0.08, None) == (0.08, {})
+    assert material_c10(0.08, None, tmp_path / "f.npz") == (0.08, {})
     path = tmp_path / "summary.json"
     write_json(path, {"c10": {"median": 0.081, "interval68": [0.08, 0.082], "interval95": [0.07, 0.09]}})
-    c10, intervals = material_c10("calibrated", path)
+    c10, intervals = material_c10("calibrated", path, path)
     assert c10 == 0.081 and intervals["c10_interval95"] == [0.07, 0.09]
 
 
 def test_calibration_that_is_missing_or_broken_is_refused(tmp_path):
-    with pytest.raises(BadInput, match="make calibrate"):
-        material_c10("calibrated", None)
+    with pytest.raises(BadInput, match="make calibrate DATASET=mine"):
+        material_c10("calibrated", None, tmp_path / "results/mine/40_forces/0000.npz")
     write_json(tmp_path / "summary.json", {"c10": {"mean": 1}})
     with pytest.raises(BadInput, match="make calibrate"):
-        material_c10("calibrated", tmp_path / "summary.json")
+        material_c10("calibrated", tmp_path / "summary.json", tmp_path / "f.npz")

@@ -2,6 +2,7 @@
 
 import json
 import pickle
+import subprocess
 import sys
 from pathlib import Path
 
@@ -38,6 +39,23 @@ def test_model_file_round_trip(trained, tmp_path):
     x = torch.rand(2, 3, *IMAGE, generator=torch.Generator().manual_seed(0)) * 255
     with torch.inference_mode():
         assert torch.equal(SensorNet(again)(x), SensorNet(trained)(x))
+
+
+WRITES_A_MODEL = """
+import resource, sys
+from pathlib import Path
+import torch
+from gelforge.networks.modelfile import write_tensors
+
+resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
+write_tensors({"weights": torch.zeros(100_000)}, Path(sys.argv[1]))
+"""
+
+
+def test_a_model_for_which_there_is_no_room_is_an_error_of_the_disk(tmp_path):
+    command = [sys.executable, "-c", WRITES_A_MODEL, tmp_path / "m.pt"]
+    ran = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ran.returncode and ran.stderr.splitlines()[-1].startswith("OSError"), ran.stderr
 
 
 def test_model_file_keeps_the_untouched_sensors(folder, tmp_path):

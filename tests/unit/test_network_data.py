@@ -21,7 +21,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, read_json, write_csv, write_json
 from gelforge.networks.data import FILES, LEAST_TOTAL, data_version, open_data, require_splits, scales
 from gelforge.networks.training import loss_of
-from gelforge.records.rowfile import RowFile
+from gelforge.records.rowfile import RowFile, array_on_disk
 from tests.memory import PEAK_KIB
 
 
@@ -44,6 +44,16 @@ def test_label_that_is_not_finite_is_named_by_sample(folder):
     np.save(folder / "labels.npy", labels)
     with pytest.raises(BadInput, match="p0005"):
         open_data(folder)
+
+
+def test_an_array_on_disk_has_its_room_at_once(tmp_path):
+    """Where a full disk would not be seen before a page is written to, it stops the whole process."""
+    array = array_on_disk(tmp_path / "a.npy", np.float32, (300, 1000))
+    state = (tmp_path / "a.npy").stat()
+    assert 512 * state.st_blocks >= state.st_size > array.nbytes
+    array[:] = 3.0
+    array.flush()
+    assert np.load(tmp_path / "a.npy").shape == (300, 1000)
 
 
 def test_grid_of_another_resolution_is_refused(folder):

@@ -178,6 +178,13 @@ def test_broken_correspondences_name_point_and_field(tmp_path, text, reason):
         projection.read_points(path)
 
 
+def test_points_may_have_blanks_behind_their_commas(tmp_path):
+    path = tmp_path / "points.csv"
+    path.write_text("# by hand\nx_mm , y_mm, u_px,\tv_px\n1, 2, 3, 4\n")
+    on_gel, pixels = projection.read_points(path)
+    assert on_gel.tolist() == [[1.0, 2.0]] and pixels.tolist() == [[3.0, 4.0]]
+
+
 @pytest.mark.parametrize(
     ("on_gel", "pixels", "says"),
     [

@@ -5,10 +5,12 @@ import os
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
 from gelforge.commands.lineage import lineage, lines
+from gelforge.commands.look import shard_paths
 from gelforge.commands.why import in_words, reasons
 from gelforge.commands.why import lines as why_lines
 from gelforge.commands.why import main as why
@@ -165,6 +167,20 @@ def test_lineage_of_a_rejected_row_is_its_rejection(tmp_path):
     found = lineage(results, "s00123", "24x32")
     assert [step["target"] for step in found["steps"]] == [str(results / "10_poses/0001.csv")] and not found["solve"]
     assert "row 125 of the log: dz_mm = 'x': no number; give mm" in lines(found, results)[2]
+
+
+def test_of_an_imported_label_nothing_is_told_but_where_it_came_from(tmp_path, monkeypatch):
+    """Its row has no pose, and stage 10 rejects it; whoever filled that in would invent one."""
+    monkeypatch.chdir(tmp_path)
+    results = Path("results/d")
+    lay(results, 100)
+    write_csv(results / "10_poses/0000.rejected.csv", ["sample_id", "row"], [{"sample_id": "s00012", "row": 14}])
+    (tmp_path / "data/d/labels").mkdir(parents=True)
+    found = lineage(results, "s00012", "1x1")
+    assert not found["steps"] and not found["rejected"]
+    assert lines(found, results)[-1] == "its label came with the dataset: data/d/labels/1x1.npz"
+    with pytest.raises(BadInput, match=r"came with the dataset, in data/d/labels/1x1\.npz"):
+        shard_paths(results, "s00012", "1x1")
 
 
 def test_a_sample_that_is_not_in_the_log_is_one_sentence(tmp_path):

@@ -68,6 +68,14 @@ def test_presses_of_one_group_are_episodes_of_their_own(tmp_path, column):
     assert samples.frames_of_presses == [[0, 1], [2, 3], [4, 5], [6, 7]]
 
 
+def test_frames_of_a_filmed_press_stay_in_order_of_time(tmp_path):
+    """On its way sideways a frame that gives way may rise a little."""
+    samples = lay(tmp_path, 10)
+    for at, row in enumerate(samples.rows):
+        row |= {"group": str(at // 5), "split": "train", "sensor_id": "mini_a", "press_id": f"p{at // 5}"}
+    assert samples.frames_of_presses == [[0, 1, 2, 3, 4], [5, 6, 7, 8, 9]]
+
+
 def test_splits_of_lerobot_are_runs_of_episodes(tmp_path):
     samples = lay(tmp_path, 22)
     export(samples, "lerobot", tmp_path / "out")

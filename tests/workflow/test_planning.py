@@ -368,14 +368,14 @@ def test_a_picture_that_an_older_one_replaced_is_seen(labelled, log):
         picture.write_bytes(kept)
 
 
-def test_files_of_odd_names_beside_a_dataset_disturb_nothing(labelled):
-    folder = labelled / "data/tiny/nocontact"
-    folder.mkdir(exist_ok=True)
-    (folder / "mini_a copy.png").write_bytes(b"")
+def test_files_of_odd_names_beside_a_dataset_disturb_nothing(untouched):
+    labelled, picture = untouched, untouched / "data/tiny/nocontact/mini_a copy.png"
+    picture.write_bytes(b"")
     (labelled / "workflow" / "x (1).stl").write_bytes(b"") if not (labelled / "workflow").is_symlink() else None
     done = make(labelled, "-n", "labels", "DATASET=tiny")
     assert done.returncode == 0, done.stdout
     assert make(labelled, "-n", "dataset", "DATASET=tiny").returncode == 0
+    picture.unlink()
 
 
 def test_more_shards_than_make_can_hold_are_refused():
@@ -452,7 +452,7 @@ def step_targets(project, *words) -> list[str]:
     return re.findall(r"-m gelforge\.flow\.step (\S+) ", said)
 
 
-def test_no_two_targets_share_a_log_and_a_record(labelled):
+def test_no_two_targets_share_a_log_and_a_record(untouched):
     """A record is named by its target without the suffix: one that another overwrote would call the first damaged."""
     goals = (
         "models",
@@ -466,7 +466,7 @@ def test_no_two_targets_share_a_log_and_a_record(labelled):
         "feats-export",
         "pareto-models",
     )
-    found = set(step_targets(labelled, *goals))
+    found = set(step_targets(untouched, *goals))
     assert len(found) > 100 and any("/study/" in name for name in found)
     records = Counter(str(metrics_of(Path(name))) for name in found)
     assert [name for name, count in records.items() if count > 1] == []
@@ -476,12 +476,14 @@ def test_no_two_targets_share_a_log_and_a_record(labelled):
     ("res", "model", "writes"),
     [("12x16", "grid_16", True), ("24x32", "grid_16", True), ("24x32", "tuned", True), ("12x16", "tuned", False)],
 )
-def test_the_network_of_a_report_is_the_one_it_names_at_every_resolution_that_it_writes(labelled, res, model, writes):
-    table = labelled / "data/tiny/dataset.toml"
+def test_the_network_of_a_report_is_the_one_it_names_at_every_resolution_that_it_writes(
+    untouched, res, model, writes
+):
+    table = untouched / "data/tiny/dataset.toml"
     text = table.read_text()
     table.write_text(f'{text}\n[params.report]\nmodel = "{model}"\n')
     try:
-        trained = [name for name in step_names(labelled, res).split() if name.endswith(".pt")]
+        trained = [name for name in step_names(untouched, res).split() if name.endswith(".pt")]
     finally:
         table.write_text(text)
     assert (trained == [f"results/tiny/70_train/{res}/{model}.pt"]) is writes and trained
@@ -598,6 +600,42 @@ def test_what_is_left_of_a_dataset_whose_data_are_gone_is_seen_and_removed(alone
     assert "10_poses" in make(alone, "status", "DATASET=tiny").stdout
     done = make(alone, "clean-all", "DATASET=tiny")
     assert done.returncode == 0 and not (alone / "results/tiny").exists(), done.stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["clean-labels", "labels"], "say make clean-labels first, then make labels"),
+        (["clean-all", "demo"], "say make clean-all first, then make demo"),
+    ],
+)
+def test_cleaning_goes_alone(alone, words, says):
+    """Both at a time would remove what was found up to date, and end well."""
+    write_text(alone / "results/tiny/50_labels/kept", "")
+    done = make(alone, *words, "DATASET=tiny")
+    assert done.returncode and says in done.stdout and (alone / "results/tiny/50_labels/kept").exists()
+    assert make(alone, "clean-labels", "clean-fea", "DATASET=tiny").returncode == 0
+    assert not (alone / "results/tiny/50_labels").exists()
+
+
+@pytest.mark.parametrize(("word", "strict"), [("0", False), ("no", False), ("", False), ("1", True)])
+def test_strict_can_be_said_not_to_be(labelled, word, strict):
+    said = make(
+        labelled, "-n", "-W", "results/tiny/00_plan/shards/0000.csv", "poses", "DATASET=tiny", f"STRICT={word}"
+    ).stdout
+    assert "gelforge.stages.poses" in said and ("--strict" in said) == strict
+
+
+def test_labels_that_were_imported_at_another_resolution_are_named(alone):
+    write_text(alone / "data/tiny/labels/1x1.npz", "")
+    done = make(alone, "dataset", "DATASET=tiny")
+    assert done.returncode and "labels of 1x1, not of 24x32: say RES=1x1" in done.stdout, done.stdout
+
+
+def test_a_projection_without_a_sensor_is_one_sentence(alone):
+    done = make(alone, "projection", "POINTS=p.csv")
+    assert done.returncode and "no sensor named; say make projection SENSOR=name" in done.stdout, done.stdout
+    assert "warning" not in done.stdout and "usage" not in done.stdout
 
 
 def test_another_choice_is_named_as_the_cause(tmp_path, monkeypatch):

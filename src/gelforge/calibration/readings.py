@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
@@ -103,7 +104,7 @@ def read_readings(log, known_bad: Collection[int] = (), gels: Mapping[str, str] 
         if rejected:
             raise BadInput(
                 f"{log}: all {len(rejected)} rows with a normal force (fz_n) were rejected; correct them, `make poses"
-                " STRICT=1` tells why"
+                f" DATASET={Path(log).parent.name} STRICT=1` tells why"
             )
         raise BadInput(f"{log}: no row has a normal force (fz_n); calibration needs a force sensor's readings")
     return Readings(

@@ -22,7 +22,7 @@ from gelforge.flow.files import bytes_of, listed, read_json, write_json, write_t
 from gelforge.flow.forecast import Cost, on_cores, pilots, presses_an_hour, table, wall_seconds
 from gelforge.flow.layout import Layout, shard_name
 from gelforge.flow.main import command, option, positive
-from gelforge.flow.params.slices import ForCalibrate, ForPareto, ForReport, ForTrain, read_slice
+from gelforge.flow.params.slices import ForCalibrate, ForPareto, ForPoses, ForReport, ForTrain, read_slice
 from gelforge.flow.params.tables import SHIPPED
 from gelforge.flow.running import duration
 from gelforge.labelling.grid import Grid
@@ -172,17 +172,19 @@ def later_costs(results: Layout, resolution: str, model: str, rows: list[RawRow]
     report = read_slice(params / "report.json", ForReport).report
     grid = Grid.parse(resolution)
     cells = 4 * 3 * grid.rows * grid.cols
-    found = [Cost(layout.DATASET, 2e-3, START, image_bytes(results, rows) + cells)]
-    if model != SHIPPED:
+    pictured = read_slice(params / "poses.json", ForPoses).poses.images
+    found = [Cost(layout.DATASET, 2e-3, START, image_bytes(results, rows) + cells)] if pictured else []
+    if pictured and model != SHIPPED:
         found.append(training(results, resolution, model, presses))
-    found.append(Cost(layout.EVALUATE, EVALUATE_EACH, START, cells / 2))
+    if pictured:
+        found.append(Cost(layout.EVALUATE, EVALUATE_EACH, START, cells / 2))
     if "calibrate" in report.branches:
         solved = read_slice(params / "calibrate.json", ForCalibrate).calibrate.max_presses
         found.append(Cost(layout.CALIBRATE, cpu_once=CALIBRATE_EACH * solved, bytes_once=2e7))
     if "pareto" in report.branches:
         scenes = read_slice(params / "pareto.json", ForPareto).pareto.quick.scenes
         found.append(Cost(layout.PARETO, cpu_once=CHART_EACH * len(scenes), bytes_once=4e5 * len(scenes)))
-    return [*found, Cost(layout.REPORT, REPORT_EACH, START, 4e4, 3e6)]
+    return [*found, Cost(layout.REPORT, REPORT_EACH, START, 4e4, 3e6)] if pictured else found
 
 
 def estimated(data: Path, results: Path, resolution: str, model: str, rows: list[RawRow]) -> list[Cost]:

@@ -7,7 +7,16 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from gelforge.errors import BadInput
-from gelforge.flow.ancestry import Step, concerning, pose_of, read_record, rejections_of, steps_of_label, steps_to
+from gelforge.flow.ancestry import (
+    Step,
+    concerning,
+    imported_labels,
+    pose_of,
+    read_record,
+    rejections_of,
+    steps_of_label,
+    steps_to,
+)
 from gelforge.flow.layout import FEA, Layout
 from gelforge.flow.main import command, option
 
@@ -16,8 +25,11 @@ def lineage(results: Path, sample_id: str, resolution: str) -> dict:
     """All that is known of a label: its sample's solve, and the steps that led to it, first one first; or why there is none."""
     of = Layout(results)
     shard = of.shard_of(sample_id)
-    rejected = rejections_of(results, shard, sample_id)
-    if rejected:  # what was made of its shard since was not made of it
+    imported = imported_labels(results, resolution)
+    rejected = [] if imported else rejections_of(results, shard, sample_id)
+    if imported:  # no pose, solve or force of this project stands behind it
+        steps = []
+    elif rejected:  # what was made of its shard since was not made of it
         steps = list(steps_to(results, str(of.poses(shard)), shard))
     else:
         steps = steps_of_label(results, shard, resolution)
@@ -27,6 +39,7 @@ def lineage(results: Path, sample_id: str, resolution: str) -> dict:
     return {
         "sample_id": sample_id,
         "shard": shard,
+        "imported": str(imported or ""),
         "rejected": rejected,
         "solve": {} if rejected else solve,
         "steps": [asdict(s) for s in steps],
@@ -36,6 +49,8 @@ def lineage(results: Path, sample_id: str, resolution: str) -> dict:
 def lines(found: dict, results: Path) -> list[str]:
     """The lineage as text."""
     text = [f"{found['sample_id']} of shard {found['shard']}", f"log: data/{results.name}/log.csv"]
+    if found["imported"]:
+        return [*text, f"its label came with the dataset: {found['imported']}"]
     text += [f"rejected, so that it has no label: {why}" for why in found["rejected"]]
     for step in (Step(**made) for made in found["steps"]):
         when = datetime.fromtimestamp(step.started, UTC).strftime("%Y-%m-%d %H:%M:%S")

@@ -70,6 +70,10 @@ def write_video(pictures, path: Path, rate: float) -> int:
         count, fault = write_avi(pictures, part, path, rate)
         if not count:
             raise fault or BadInput(f"{path}: stopped before the first frame; nothing is written")
+        if not is_whole(part, count):
+            raise BadInput(
+                f"{path}: a film of {count} frames could not be written whole; free space, then start again"
+            )
     if fault:
         print(f"{path}: kept, and ends after {count} frames")
         raise fault
@@ -87,7 +91,8 @@ def write_avi(pictures, part: Path, path: Path, rate: float) -> tuple[int, BadIn
                 size = picture.shape[1], picture.shape[0]
                 writer = cv2.VideoWriter(str(part), cv2.VideoWriter.fourcc(*"MJPG"), rate, size)
                 if not writer.isOpened():
-                    raise BadInput(f"{path}: cannot be written as a video; give a name that ends in .avi")
+                    remedy = "name another folder" if path.suffix == ".avi" else "give a name that ends in .avi"
+                    raise BadInput(f"{path}: cannot be written as a video; {remedy}")
             writer.write(picture)
             count += 1
     except BadInput as fault:
@@ -96,6 +101,17 @@ def write_avi(pictures, part: Path, path: Path, rate: float) -> tuple[int, BadIn
         if writer is not None:
             writer.release()
     return count, None
+
+
+def is_whole(film: Path, count: int) -> bool:
+    """Whether a film that was written holds so many frames: OpenCV's writer does not say where the disk is full."""
+    import cv2
+
+    written = cv2.VideoCapture(str(film))
+    try:
+        return int(written.get(cv2.CAP_PROP_FRAME_COUNT)) == count
+    finally:
+        written.release()
 
 
 def show(pictures) -> int:

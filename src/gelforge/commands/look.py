@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.ancestry import rejections_of, steps_of_label
+from gelforge.flow.ancestry import imported_labels, rejections_of, steps_of_label
 from gelforge.flow.files import publish
 from gelforge.flow.layout import LOOK, Layout, command_for, shard_name
 from gelforge.flow.ledger import causes, changed_since
@@ -41,6 +41,11 @@ def shard_paths(results: Path, sample_id: str, resolution: str) -> dict[str, Pat
     """Files of the shard that holds a sample; those of `make sample` where the shard has no label yet."""
     of = Layout(results)
     shard = of.shard_of(sample_id)
+    if imported := imported_labels(results, resolution):
+        raise BadInput(
+            f"the label of {sample_id} came with the dataset, in {imported}: a press that was not solved here has no gel to look"
+            f" at; {of.command('report')} shows what a network reads of its picture"
+        )
     if rejected := rejections_of(results, shard, sample_id):
         raise BadInput(
             f"sample {sample_id} was rejected and gets no label: {'. '.join(rejected)}; then run {of.command('labels')}"

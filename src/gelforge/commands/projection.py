@@ -45,7 +45,9 @@ def read_points(path) -> tuple[np.ndarray, np.ndarray]:
         raise BadInput(
             f"{path}: cannot be read ({error}); give a CSV with columns {', '.join(POINT_COLUMNS)}"
         ) from error
-    rows = list(csv.DictReader(lines))
+    reader = csv.DictReader(lines, skipinitialspace=True)
+    reader.fieldnames = [name.strip() for name in reader.fieldnames or ()]
+    rows = list(reader)
     missing = [name for name in POINT_COLUMNS if not rows or name not in rows[0]]
     if missing:
         raise BadInput(f"{path}: has no column {missing[0]} or no rows; it needs {', '.join(POINT_COLUMNS)}")
@@ -271,7 +273,7 @@ def report(about: dict, old: Sensor | None, like: str | None) -> None:
 
 
 @command(
-    option("--sensor", help="name the sensor has, or shall have, in sensors.toml"),
+    option("--sensor", default="", help="name the sensor has, or shall have, in sensors.toml"),
     option("--points", type=Path, help="CSV: x_mm, y_mm, u_px, v_px", default=None),
     option("--image", type=Path, help="image without contact, .png or FEATS' .npy", default=None),
     option("--like", default="gelsight_mini", help="sensor whose image size, gel and dots it shares"),

@@ -66,6 +66,12 @@ def pose_of(results: Path, shard: str, sample_id: str) -> dict:
         return next((row for row in csv.DictReader(stream) if row["sample_id"] == sample_id), {})
 
 
+def imported_labels(results: Path, resolution: str) -> Path | None:
+    """The labels that a dataset came with at a resolution, in place of solves of its own; None where it came with none."""
+    folder = Path("data") / results.name / "labels"
+    return folder / f"{resolution}.npz" if folder.is_dir() else None
+
+
 def rejections_of(results: Path, shard: str, sample_id: str) -> list[str]:
     """Why stage 10 rejected a sample's row of the log, and what to do, one sentence a cell; none where it has a pose.
 

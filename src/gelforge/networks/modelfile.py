@@ -2,6 +2,7 @@
 
 import copy
 import hashlib
+import io
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -170,7 +171,14 @@ def save_model(path, trained: Trained) -> None:
             parts[name] = kept_tensors(reader)
             told[name] = trained.about.get(name, {}) | {"sha256": tensor_digest(parts[name])}
     parts["untouched"] = {name: encode(picture) for name, picture in trained.untouched.items()}
-    torch.save({"about": json.dumps(told, sort_keys=True, allow_nan=False), **parts}, path)
+    write_tensors({"about": json.dumps(told, sort_keys=True, allow_nan=False), **parts}, path)
+
+
+def write_tensors(content: dict[str, Any], path: Path) -> None:
+    """Write tensors and plain values to exactly `path`; OSError where they cannot be, which torch's own writer does not say."""
+    buffer = io.BytesIO()
+    torch.save(content, buffer)
+    Path(path).write_bytes(buffer.getbuffer())
 
 
 def kept_tensors(net: nn.Module) -> dict[str, torch.Tensor]:

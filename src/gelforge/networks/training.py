@@ -18,7 +18,7 @@ from gelforge.flow.params.tables import TrainingTable
 from gelforge.flow.progress import progress
 from gelforge.networks.batches import Ahead, generator, images_to_tensor, training_batches
 from gelforge.networks.inputs import network_input
-from gelforge.networks.modelfile import read_tensors
+from gelforge.networks.modelfile import read_tensors, write_tensors
 from gelforge.networks.models import begin_as, build
 from gelforge.records.axes import CHANNELS
 from gelforge.records.networkkind import kind_of
@@ -299,7 +299,7 @@ class Training:
 def save_checkpoint(path, training: Training, identity: str) -> None:
     """Write a checkpoint, whole or not at all."""
     with publish(path) as part:
-        torch.save(training.state(identity), part)
+        write_tensors(training.state(identity), part)
 
 
 def resume(path, training: Training, identity: str) -> bool:

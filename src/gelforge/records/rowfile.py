@@ -20,6 +20,20 @@ def map_array(path: Path) -> np.memmap:
         raise BadInput(f"{path}: not a readable .npy array ({in_short(error)}); {REMEDY}") from None
 
 
+def array_on_disk(path: Path, dtype: type, shape: tuple[int, ...]) -> np.memmap:
+    """A new .npy file mapped for writing; OSError where the disk has no room for all of it.
+
+    The room is taken at once: a full disk would stop the whole process as soon as one of its pages is written to.
+    """
+    mapped = np.lib.format.open_memmap(path, "w+", dtype, shape)
+    with path.open("r+b") as file:
+        try:
+            os.posix_fallocate(file.fileno(), 0, mapped.offset + mapped.nbytes)
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(path)) from error
+    return mapped
+
+
 class RowFile:
     """An array of a .npy file whose rows are read from the file, each time anew: a number, a slice or a list of them.
 

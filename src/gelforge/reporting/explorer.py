@@ -26,7 +26,7 @@ class Explorer:
     """Reads what belongs to single presses.
 
     rows: the table of presses.press_rows. samples: row of samples.csv, counted from 0, by sample_id. predictions: arrays
-    of records.predictionfile, or none. gel: outline and dome of every gel of the dataset; their thickness may differ.
+    of records.predictionfile, or none. gel: with outline and dome of every gel of the dataset; their thickness may differ.
     """
 
     results: Path

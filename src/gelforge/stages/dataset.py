@@ -27,6 +27,7 @@ from gelforge.records.image import read_logged_image
 from gelforge.records.labelfile import FIELDS, open_labels, read_labels
 from gelforge.records.log import read_poses, read_shard, without_duplicates
 from gelforge.records.press import FORCE, ID_RULE, PressRecord, names_files, parse
+from gelforge.records.rowfile import array_on_disk
 from gelforge.records.samplefile import DatasetSample, write_samples
 from gelforge.records.splits import TRAINING
 from gelforge.records.status import Status
@@ -93,7 +94,7 @@ def write_image_array(path, data: Path, presses: list[PressRecord], size: tuple[
     size is (width, height). A missing, unreadable or differently sized image raises BadInput.
     """
     with publish(path) as part:
-        images = np.lib.format.open_memmap(part, "w+", np.uint8, (len(presses), size[1], size[0], 3))
+        images = array_on_disk(part, np.uint8, (len(presses), size[1], size[0], 3))
         for at, press in progress(list(enumerate(presses)), "images"):
             images[at] = read_logged_image(data, press.image, size)
         images.flush()
@@ -122,6 +123,8 @@ def share_images(folder: Path, data: Path, presses: list[PressRecord], size) -> 
 
 
 def _share_images(folder: Path, data: Path, presses: list[PressRecord], size) -> None:
+    for left in folder.parent.glob(".images-*.part.npy"):
+        left.unlink()  # of a make that was killed: whoever writes one holds the lock
     digest = hashlib.sha256(str(size).encode())
     for press in presses:
         path = data / press.image
@@ -147,7 +150,7 @@ def write_label_array(path, shards, places, grid: Grid, name: str = "label") -> 
     with publish(path) as part:
         opened = places[0][0]
         array = _read_array(shards[opened][0], name, grid)
-        written = np.lib.format.open_memmap(part, "w+", np.float32, (len(places), *array.shape[1:]))
+        written = array_on_disk(part, np.float32, (len(places), *array.shape[1:]))
         for at, (number, index) in enumerate(places):
             if number != opened:
                 opened, array = number, _read_array(shards[number][0], name, grid)

@@ -80,12 +80,14 @@ def read_sample(
     return SampleForces(solve.sample_id, status.name, solve.mesh, top, force, displacement, solve.press_id), ""
 
 
-def material_c10(c10: float | str, calibration: Path | None) -> tuple[float, dict]:
-    """C10 in MPa and its intervals, from [material] c10: a number, or "calibrated" with a summary file."""
+def material_c10(c10: float | str, calibration: Path | None, out: Path) -> tuple[float, dict]:
+    """C10 in MPa and its intervals, from [material] c10: a number, or "calibrated" with a summary file; out: what needs it."""
     if not isinstance(c10, str):
         return float(c10), {}
     if calibration is None:
-        raise BadInput('[material] c10 = "calibrated" needs --calibration FILE; run `make calibrate` first')
+        raise BadInput(
+            f'[material] c10 = "calibrated" needs --calibration FILE; run `{command_for("calibrate", out)}` first'
+        )
     try:
         found = read_json(calibration)["c10"]
         intervals = {f"c10_{name}": found[name] for name in ("interval68", "interval95")}
@@ -124,7 +126,7 @@ def refuse_damage(table: Path, solves: list[Solved]) -> None:
 )
 def main(args: Namespace) -> None:
     params = read_slice(args.params, ForForces)
-    c10, intervals = material_c10(params.material.c10, args.calibration)
+    c10, intervals = material_c10(params.material.c10, args.calibration, args.out)
     load = mesh_loader(args.meshes)
     samples: list[SampleForces] = []
     counts: dict[str, int] = {}

@@ -12,10 +12,11 @@ import numpy as np
 from gelforge.flow.files import listed, read_csv, read_json, write_text
 from gelforge.flow.layout import PARETO, Layout
 from gelforge.flow.main import command, option
-from gelforge.flow.params.slices import ForEvaluate, ForReport, read_slice
+from gelforge.flow.params.slices import ForEvaluate, ForMeshes, ForReport, read_slice
 from gelforge.flow.params.tables import SHIPPED
 from gelforge.flow.programs import installed
 from gelforge.flow.progress import progress
+from gelforge.geometry.gel import load_gel
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.ccx.program import ccx_program
@@ -268,7 +269,9 @@ def open_explorer(
     samples = {each.press.sample_id: each for each in (read_samples(table) if table.exists() else [])}
     rejected = read_tables(Layout(results), Layout(results).rejected)
     rows = press_rows(read_presses(results), rejected, solved, samples, totals, gels)
-    return Explorer(results, resolution, rows, {name: at for at, name in enumerate(samples)}, predictions)
+    order = {name: at for at, name in enumerate(samples)}
+    gel = load_gel(read_slice(Layout(results).params / "meshes.json", ForMeshes).meshes.gel)
+    return Explorer(results, resolution, rows, order, predictions, gel)
 
 
 def explorer_data(explorer: Explorer, known: dict) -> dict:

@@ -97,8 +97,9 @@ class Samples:
 
     @cached_property
     def frames_of_presses(self) -> list[list[int]]:
-        """Rows of each press, by depth, presses in the order of their first row; a press has one split and one sensor.
+        """Rows of each press in order of time, presses in the order of their first row; a press has one split and one sensor.
 
+        Rows that share a press_id stand in that order; others of one place are taken to go down.
         A group holds all that a split must not tear apart: several presses of a place, on several sensors.
         """
         found: dict[tuple, list[int]] = {}
@@ -106,7 +107,10 @@ class Samples:
             group = row["group"] or f"row {at}"
             key = (row["split"], group, row["indenter"], row["sensor_id"], row.get("press_id", ""))
             found.setdefault(key, []).append(at)
-        return [sorted(rows, key=lambda at: -np.nan_to_num(self.records[at].press.dz_mm)) for rows in found.values()]
+        return [
+            rows if key[-1] else sorted(rows, key=lambda at: -np.nan_to_num(self.records[at].press.dz_mm))
+            for key, rows in found.items()
+        ]
 
     @cached_property
     def grid(self) -> tuple[int, int]:
