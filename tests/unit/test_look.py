@@ -17,10 +17,12 @@ from gelforge.commands.look import outdated_causes, shard_paths
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_csv, write_json
 from gelforge.flow.layout import Layout
+from gelforge.formats.vtu import write_vtu
 from gelforge.records.log import write_rejections
 from gelforge.records.press import Rejection
 from gelforge.reporting.forcemaps import SIGNED, write_maps
 from gelforge.reporting.page import COLOURS
+from tests.limited import small_disk
 
 
 @pytest.fixture(scope="module")
@@ -65,10 +67,18 @@ def test_vtu_opens_and_holds_the_press(made):
         assert cv2.imread(str(made["results"] / f"look/s001-{resolution}.png")).shape[1] > 1000
 
 
+def test_a_disk_without_room_for_the_gel_is_a_sentence(made, tmp_path):
+    mesh = made["mesh"]
+    still, known = np.zeros_like(mesh.nodes), np.ones(len(mesh.nodes), bool)
+    with small_disk(tmp_path / "disk") as disk:
+        with pytest.raises(OSError, match="the disk is full"):
+            write_vtu(disk / "s.vtu", mesh, still, still, known)
+        assert not list(disk.iterdir())
+
+
 def test_second_order_tetrahedra_keep_their_order(tmp_path):
     import pyvista as pv
 
-    from gelforge.formats.vtu import write_vtu
     from gelforge.mechanics.mesh import GelMesh
 
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])

@@ -1,9 +1,11 @@
 """Files that are either whole or absent."""
 
 import csv
+import errno
 import hashlib
 import json
 import os
+import shutil
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -66,6 +68,13 @@ def write_if_changed(path: Path | str, text: str) -> bool:
         return False
     write_text(path, text)
     return True
+
+
+def need_room(folder: Path, size: int) -> None:
+    """OSError where less than `size` bytes are free in a folder: beside programs that say nothing of it, or crash."""
+    free = shutil.disk_usage(folder).free
+    if free < size:
+        raise OSError(errno.ENOSPC, f"the disk is full ({free} bytes left)", str(folder))
 
 
 def bytes_of(path: Path) -> int:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import publish
+from gelforge.flow.files import need_room, publish
 from gelforge.mechanics.mesh import GelMesh
 
 VTK_CELL = {"hex8": 12, "tet10": 24}  # VTK_HEXAHEDRON, VTK_QUADRATIC_TETRA: same node order as C3D8 and C3D10
@@ -29,6 +29,9 @@ def write_vtu(path, mesh: GelMesh, displacement: np.ndarray, force: np.ndarray, 
     grid.point_data["force"] = force
     grid.point_data["displacement_known"] = known.astype(np.uint8)
     with publish(path) as part:
+        need_room(
+            part.parent, 2 * 1024 * grid.actual_memory_size
+        )  # KiB; VTK's writer ends the process on a full disk
         grid.save(part)
 
 

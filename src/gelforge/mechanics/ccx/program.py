@@ -1,6 +1,5 @@
 """Running CalculiX as a child that cannot outlive its parent."""
 
-import errno
 import os
 import resource
 import shutil
@@ -13,6 +12,7 @@ from functools import partial
 from pathlib import Path
 
 from gelforge.errors import BadInput
+from gelforge.flow.files import need_room
 from gelforge.flow.orphans import die_with_parent
 from gelforge.records.status import Status
 
@@ -90,8 +90,6 @@ def run_ccx(name: str, folder: Path | str, timeout_s: float) -> Job:
             if not isinstance(stop, subprocess.TimeoutExpired):
                 raise
             returncode = OVERDUE
-    free = shutil.disk_usage(folder).free
-    if free < _ENOUGH_BYTES:
-        raise OSError(errno.ENOSPC, f"the disk is full ({free} bytes left)", str(folder))
+    need_room(folder, _ENOUGH_BYTES)
     peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024.0
     return Job(returncode, log_path.read_text(errors="replace"), time.perf_counter() - started, peak)
