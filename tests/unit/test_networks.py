@@ -4,7 +4,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 
@@ -15,7 +14,7 @@ from small_networks import GRID, IMAGE, SMALL
 from gelforge.errors import BadInput
 from gelforge.networks.inputs import network_input
 from gelforge.networks.modelfile import fold_normalisation
-from gelforge.networks.models import BasicBlock, GridNet, ResNetTotal, UNet, build, parameter_count, spread, strides
+from gelforge.networks.models import BasicBlock, GridNet, ResNetTotal, UNet, build, parameter_count, strides
 from gelforge.networks.unrolled import Unrolled
 from gelforge.records.networkkind import KINDS
 from gelforge.stages.train import resolve
@@ -46,19 +45,6 @@ def test_grid_net_writes_any_grid_that_divides_the_image(grid):
         assert build(SMALL, (240, 320), grid).eval()(torch.zeros(1, 3, 240, 320)).shape == (1, 3, *grid)
 
 
-@pytest.mark.parametrize("shape", [(4, 6), (5, 7), (1, 1)])
-def test_what_is_coarse_reaches_its_four_cells_and_no_others(shape):
-    """On grids of an odd number of rows or columns too, whose last cells share one of half the size."""
-    x = torch.zeros(1, 2, *shape)
-    coarse = torch.arange(2.0 * -(-shape[0] // 2) * -(-shape[1] // 2)).view(
-        1, 2, -(-shape[0] // 2), -(-shape[1] // 2)
-    )
-    found = spread(coarse, x)
-    assert found.shape == x.shape
-    for row, col in np.ndindex(shape):
-        assert torch.equal(found[0, :, row, col], coarse[0, :, row // 2, col // 2])
-
-
 def test_a_thinned_shortcut_is_the_strided_convolution():
     block, x = BasicBlock(6, 10, stride=2).eval(), torch.randn(3, 6, 11, 14)
     convolution, norm = block.shortcut
@@ -69,11 +55,11 @@ def test_a_thinned_shortcut_is_the_strided_convolution():
 
 
 @pytest.mark.parametrize("image, grid", [((48, 64), (6, 8)), ((40, 60), (4, 6)), ((60, 80), (12, 16))])
-@pytest.mark.parametrize(("blocks", "coarse"), [(1, 0), (4, 0), (1, 1), (4, 2)])
-def test_an_unrolled_net_reads_as_the_net_itself(image, grid, blocks, coarse):
+@pytest.mark.parametrize("blocks", [1, 4])
+def test_an_unrolled_net_reads_as_the_net_itself(image, grid, blocks):
     """With and without a stride behind the first one, for one image and for several."""
     torch.manual_seed(blocks)
-    net: GridNet = build({"kind": "grid", "width": 6, "blocks": blocks, "coarse": coarse}, image, grid).eval()
+    net: GridNet = build({"kind": "grid", "width": 6, "blocks": blocks}, image, grid).eval()
     with torch.no_grad():
         for value in (*net.parameters(), *(one for name, one in net.named_buffers() if "running" in name)):
             value.add_(0.2 * torch.rand(value.shape))

@@ -17,7 +17,7 @@ from gelforge.networks.data import data_version, open_data
 from gelforge.networks.evaluation import learnt_sensors
 from gelforge.networks.fitting import kept_above
 from gelforge.networks.modelcard import stacking_lines
-from gelforge.networks.modelfile import kept_tensors, lessons_of, load_model, save_model, tensor_digest
+from gelforge.networks.modelfile import lessons_of, load_model, save_model, tensor_digest, tensors_of
 from gelforge.networks.stacking import HALF_SAID, MOST_LOG, OF_FORCES, StackedFactor, features, train_stacking
 from gelforge.networks.use import TwoReadings, Untouched, load_for_use, predict_one, told_together
 from gelforge.records.totals import LEAST_PRESS
@@ -79,7 +79,7 @@ def test_nothing_is_made_up_where_nothing_follows():
 
 def test_the_same_seed_learns_the_same():
     lessons = made_up(np.random.default_rng(0), 200)
-    one, two, other = (kept_tensors(train_stacking(*lessons, epochs=2, seed=seed)) for seed in (1, 1, 2))
+    one, two, other = (tensors_of(train_stacking(*lessons, epochs=2, seed=seed)) for seed in (1, 1, 2))
     assert tensor_digest(one) == tensor_digest(two) != tensor_digest(other)
 
 
@@ -125,7 +125,7 @@ def stacked(fresh):
 def test_network_and_readers_stay_as_they_are(stacked):
     start = load_for_use(None)
     for name in ("net", "dots", "places"):
-        one, two = (tensor_digest(kept_tensors(getattr(trained, name))) for trained in (start, stacked))
+        one, two = (tensor_digest(tensors_of(getattr(trained, name))) for trained in (start, stacked))
         assert one == two
     assert stacked.about["curve"] == start.about["curve"] and stacked.about["data"] == start.about["data"]
 

@@ -34,8 +34,9 @@ def require_alike(about: dict[str, Any], model: dict[str, Any], data: Data) -> N
     """
     before, name = about["model"], about["name"]
     differ = sorted(key for key in before.keys() | model.keys() if before.get(key) != model.get(key))
-    if deepens(before, model):
-        differ = [key for key in differ if key not in ("blocks", "coarse")]
+    both = before.keys() == model.keys()
+    if both and differ == ["blocks"] and model["kind"] == "grid" and before["blocks"] < model["blocks"]:
+        differ = []  # a light net can be made deeper
     if differ:
         told = ", ".join(f"{key} = {model.get(key)!r}, there {before.get(key)!r}" for key in differ)
         raise BadInput(f"it cannot go on from {name}, which is another network: {told}; give the same values")
@@ -47,13 +48,6 @@ def require_alike(about: dict[str, Any], model: dict[str, Any], data: Data) -> N
             f" has {of_rows}x{of_cols} and {width} x {height}; choose another MODEL"
         )
     require_scale(about, data)
-
-
-def deepens(before: dict[str, Any], model: dict[str, Any]) -> bool:
-    """Whether a light net has at least the blocks that another one has, so that it can begin as that one."""
-    if model.get("kind") != "grid" or ("blocks" in before) != ("blocks" in model):
-        return False  # what a table does not say is networks.models' own
-    return all(before.get(name, 0) <= model.get(name, 0) for name in ("blocks", "coarse"))
 
 
 def require_judges(about: dict[str, Any], data: Data) -> None:

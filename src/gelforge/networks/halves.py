@@ -1,4 +1,4 @@
-"""Weights of a network and of the small ones beside it in half precision, as their file keeps them: half the size.
+"""Weights of the small networks beside a network in half precision, as its file keeps them: half the size.
 
 They are rounded when training ends, so that a file reads back as what was trained.
 """

@@ -162,13 +162,13 @@ def _as_tensor(images, device: str) -> torch.Tensor:
 
 def save_model(path, trained: Trained) -> None:
     """Write a model to exactly `path`; the caller publishes it."""
-    tensors = kept_tensors(trained.net)
+    tensors = tensors_of(trained.net)
     told = {"format": FORMAT, **trained.about, "sha256": tensor_digest(tensors)}
     parts: dict[str, Any] = {"tensors": tensors}
     for name in READERS:
         reader = getattr(trained, name)
         if reader is not None:
-            parts[name] = kept_tensors(reader)
+            parts[name] = halved(tensors_of(reader))
             told[name] = trained.about.get(name, {}) | {"sha256": tensor_digest(parts[name])}
     parts["untouched"] = {name: encode(picture) for name, picture in trained.untouched.items()}
     write_tensors({"about": json.dumps(told, sort_keys=True, allow_nan=False), **parts}, path)
@@ -181,9 +181,9 @@ def write_tensors(content: dict[str, Any], path: Path) -> None:
     Path(path).write_bytes(buffer.getbuffer())
 
 
-def kept_tensors(net: nn.Module) -> dict[str, torch.Tensor]:
-    """Tensors by name of a network that is `rounded` (networks.halves), as a file keeps them."""
-    return halved({name: value.detach().cpu().contiguous() for name, value in net.state_dict().items()})
+def tensors_of(net: nn.Module) -> dict[str, torch.Tensor]:
+    """A network's tensors by name, as a file keeps them."""
+    return {name: value.detach().cpu().contiguous() for name, value in net.state_dict().items()}
 
 
 def tensor_digest(tensors: dict[str, torch.Tensor]) -> str:

@@ -13,7 +13,6 @@ from gelforge.networks import inputs
 from gelforge.records.networkkind import sizes_of
 
 COMPONENTS = 3
-COARSE_AFTER = 2  # residual blocks at the label grid that stand before the coarse ones
 
 
 class DoubleConvolution(nn.Module):
@@ -142,29 +141,6 @@ class ResNetTotal(nn.Module):
         return self.head(self.blocks(x).mean((2, 3)))[:, :, None, None]
 
 
-class Coarse(nn.Module):
-    """Residual blocks on cells twice as wide with twice the channels, and what they tell each cell of the grid.
-
-    As in a U-net (Ronneberger et al. 2015), but added to what a cell knows: a block here costs as much time as one at the
-    grid, sees twice as far and has four times the weights.
-    """
-
-    def __init__(self, width: int, blocks: int):
-        super().__init__()
-        self.blocks = nn.Sequential(
-            *(BasicBlock(2 * width if i else width, 2 * width, 1 if i else 2) for i in range(blocks))
-        )
-        self.lift = nn.Conv2d(2 * width, width, 1)
-
-    def forward(self, x):
-        return spread(self.lift(self.blocks(x)), x)
-
-
-def spread(coarse, x):
-    """Give each value of `coarse` (n, c, h / 2, w / 2), rounded up, to its four cells of `x` (n, c, h, w)."""
-    return F.interpolate(coarse, scale_factor=2)[..., : x.shape[2], : x.shape[3]]
-
-
 class GridNet(nn.Module):
     """A strided encoder that stops at the label grid and never decodes to full resolution.
 
@@ -174,10 +150,10 @@ class GridNet(nn.Module):
 
     :param image: height and width in pixels; the grid must divide both by the same factor.
     :param width: channels before the grid; twice as many at the grid.
-    :param blocks: residual blocks at the grid. :param coarse: residual blocks at half the grid, none where it is 0.
+    :param blocks: residual blocks at the grid.
     """
 
-    def __init__(self, image, grid, width: int = 16, blocks: int = 3, coarse: int = 0, channels: int = 3):
+    def __init__(self, image, grid, width: int = 16, blocks: int = 3, channels: int = 3):
         super().__init__()
         first, *rest = strides(image, grid)
         self.stem = nn.Conv2d(channels, width, first + 2, first, 1, bias=False)
@@ -191,7 +167,6 @@ class GridNet(nn.Module):
         self.place = nn.Parameter(torch.zeros(2, 2 * width, 1, 1))
         self.late = nn.ModuleList(BasicBlock(2 * width, 2 * width, 1, 2 ** (i % 3)) for i in range(blocks))
         self.context = nn.ModuleList(nn.Linear(2 * width, 2 * width) for _ in range(blocks))
-        self.coarse = Coarse(2 * width, coarse) if coarse else None
         self.head = nn.Conv2d(2 * width, COMPONENTS, 1)
         v, u = torch.meshgrid(*(torch.linspace(-1, 1, count) for count in grid), indexing="ij")
         self.register_buffer("position", torch.stack([u, v])[:, None], persistent=False)
@@ -202,20 +177,13 @@ class GridNet(nn.Module):
     def forward(self, x):
         x = self.early(F.relu(self.stem_norm(self.stem(x)), inplace=True))
         x = self.down(x) + self.place[0] * self.position[0] + self.place[1] * self.position[1]
-        x = self._at_grid(x, slice(None, COARSE_AFTER))
-        if self.coarse is not None:
-            x = x + self.coarse(x)
-        return self.head(self._at_grid(x, slice(COARSE_AFTER, None)))
-
-    def _at_grid(self, x, which: slice):
-        """Some of the blocks at the label grid, one after the other, each told the means of all cells."""
-        for block, context in zip(self.late[which], self.context[which]):
+        for block, context in zip(self.late, self.context):
             x = block(x + context(x.mean((2, 3)))[:, :, None, None])
-        return x
+        return self.head(x)
 
 
 def begin_as(net: nn.Module, weights: dict[str, torch.Tensor]) -> None:
-    """Let a network begin with the weights of another one, which may be a light net of fewer blocks, at the grid or coarse.
+    """Let a network begin with the weights of another one, which may be a light net of fewer blocks.
 
     Blocks of its own change nothing at first, so that it reads as the other did before it learns (Chen, Goodfellow and
     Shlens 2016, section 2.3).
@@ -224,7 +192,7 @@ def begin_as(net: nn.Module, weights: dict[str, torch.Tensor]) -> None:
     silent = {
         name: torch.zeros_like(value)
         for name, value in added.items()
-        if name.startswith(("context.", "coarse.lift.")) or name.endswith(".second_norm.weight")
+        if name.startswith("context.") or name.endswith(".second_norm.weight")
     }
     net.load_state_dict(weights | added | silent)
 

@@ -16,10 +16,9 @@ from gelforge.flow.params.tables import TrainingTable
 from gelforge.networks.data import Data, data_version, require_splits, scales
 from gelforge.networks.fitting import beside_untouched, held, sights
 from gelforge.networks.goingon import require_alike, require_judges, scales_before
-from gelforge.networks.halves import rounded
 from gelforge.networks.inputs import needs_untouched
 from gelforge.networks.joined import join
-from gelforge.networks.modelfile import Trained, datasets_of, kept_tensors, tensor_digest
+from gelforge.networks.modelfile import Trained, datasets_of, tensor_digest, tensors_of
 from gelforge.networks.models import parameter_count
 from gelforge.networks.stackfit import fit_stacking
 from gelforge.networks.statistics import fit_to_images
@@ -73,7 +72,7 @@ def describe(
     begun: dict = {}
     if start is not None:
         learnt = start.about["data"]
-        begun = {"name": start.about["name"], "sha256": tensor_digest(kept_tensors(start.net))}
+        begun = {"name": start.about["name"], "sha256": tensor_digest(tensors_of(start.net))}
         begun |= {"data": learnt["name"], "simulated": learnt["simulated"]}
     return {
         "name": name,
@@ -135,7 +134,7 @@ def make_model(
     }
     if start is not None:
         about |= {"start": about["start"] | {"share": training.share}}
-    trained = Trained(rounded(training.net.cpu()), about)
+    trained = Trained(training.net.cpu(), about)
     if needs_untouched(reads):
         trained = beside_untouched(trained, learnt, data, settings, start)
     seconds = training.cost["seconds"] + time.perf_counter() - began

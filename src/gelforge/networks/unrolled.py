@@ -10,7 +10,7 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
-from gelforge.networks.models import COARSE_AFTER, BasicBlock, GridNet, spread
+from gelforge.networks.models import BasicBlock, GridNet
 
 Layer = tuple[torch.Tensor, torch.Tensor | None]  # weights and constants
 
@@ -49,7 +49,6 @@ class Unrolled(nn.Module):
         self._late = [
             (unrolled(block), _layer(context)) for block, context in zip(net.late, net.context, strict=True)
         ]
-        self._coarse = [] if net.coarse is None else [unrolled(block) for block in net.coarse.blocks]
         where = (net.place * net.position).sum(0, keepdim=True).detach()
         self.register_buffer("where", where.contiguous(memory_format=torch.channels_last))
 
@@ -75,25 +74,11 @@ class Unrolled(nn.Module):
         for block in self._before:
             x = block.of(x)
         x.add_(self.where)
-        means: list[torch.Tensor] = []
-        x = self._at_grid(x, self._late[:COARSE_AFTER], means)
-        if self._coarse:
-            x = x + self._from_coarse(x)
-        return self._at_grid(x, self._late[COARSE_AFTER:], means), means
-
-    def _at_grid(self, x: torch.Tensor, late: list[tuple[Block, Layer]], means: list[torch.Tensor]) -> torch.Tensor:
-        """The values that some of the late blocks make of `x`; the means before each are added to `means`."""
-        for block, context in late:
+        means = []
+        for block, context in self._late:
             means.append(x.mean((2, 3)))
             x = block.of(x + F.linear(means[-1], *context)[:, :, None, None])
-        return x
-
-    def _from_coarse(self, x: torch.Tensor) -> torch.Tensor:
-        """What the blocks at half the grid tell each cell, (n, channels, rows, cols)."""
-        y = x
-        for block in self._coarse:
-            y = block.of(y)
-        return spread(self.net.coarse.lift(y), x)
+        return x, means
 
     def _told(self, x: torch.Tensor) -> torch.Tensor:
         """What the net's head makes of its values at the cells."""

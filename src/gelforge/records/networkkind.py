@@ -6,12 +6,7 @@ from typing import Any
 
 from gelforge.errors import BadInput
 
-LIMITS = {
-    "width": (1, 4096),
-    "widths": (1, 4096),
-    "blocks": (0, 64),
-    "coarse": (0, 64),
-}  # least and most of what sizes are built
+LIMITS = {"width": (1, 4096), "widths": (1, 4096), "blocks": (0, 64)}  # least and most of what sizes are built
 MOST_LEVELS = 16  # numbers of a size that is a list
 BESIDES = ("kind", "reads", "note", "train", "start")  # what a network's table says beside its sizes
 
@@ -37,9 +32,7 @@ KINDS = {
     "resnet": NetworkKind(
         {"blocks": list, "widths": list}, totals_only=True, image_seconds=0.08, colour="tab:orange"
     ),
-    "grid": NetworkKind(
-        {"width": int, "blocks": int, "coarse": int}, totals_only=False, image_seconds=0.014, colour="tab:green"
-    ),
+    "grid": NetworkKind({"width": int, "blocks": int}, totals_only=False, image_seconds=0.014, colour="tab:green"),
 }
 
 
