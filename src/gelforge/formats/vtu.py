@@ -29,9 +29,8 @@ def write_vtu(path, mesh: GelMesh, displacement: np.ndarray, force: np.ndarray, 
     grid.point_data["force"] = force
     grid.point_data["displacement_known"] = known.astype(np.uint8)
     with publish(path) as part:
-        need_room(
-            part.parent, 2 * 1024 * grid.actual_memory_size
-        )  # KiB; VTK's writer ends the process on a full disk
+        # VTK's writer ends the process on a full disk; its sizes are in KiB
+        need_room(part.parent, 2 * 1024 * grid.actual_memory_size)
         grid.save(part)
 
 

@@ -32,7 +32,7 @@ from gelforge.records.status import Status
 VERSION = 1
 KEPT = 64  # operators in memory
 BLOCK_BYTES = 64 * 2**20  # of float64 cells held at a time
-BEYOND = 0.5  # share of its normal force beyond the image from which on a picture does not show a press
+UNSEEN = 0.5  # share of its normal force beyond the image from which on a picture does not show a press
 TELLING = 10  # presses of a sensor from which on it is no chance where they lie
 
 
@@ -216,7 +216,7 @@ def summarise(forces: ForceFile, outside: np.ndarray, sensor_of: dict[str, str])
     beyond: dict[str, Counter[str]] = {}
     for name, part, total in zip(forces.sample_id, share, forces.total[:, 2], strict=True):
         if total:
-            beyond.setdefault(sensor_of[str(name)], Counter()).update(most=int(part > BEYOND), all=1)
+            beyond.setdefault(sensor_of[str(name)], Counter()).update(most=int(part > UNSEEN), all=1)
     return {
         "beyond": beyond,
         "samples": len(forces),
