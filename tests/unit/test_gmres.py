@@ -1,5 +1,9 @@
 """Flexible GMRES: it ends at the residual asked for, whatever preconditions it, or says early that it will not."""
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -69,3 +73,27 @@ def test_no_load_has_no_answer_but_zero():
 @pytest.mark.filterwarnings("error")
 def test_a_matrix_of_zeros_has_no_answer():
     assert gmres(np.zeros_like, lambda r: r, np.ones(SIZE), 1e-3, 5) is None
+
+
+ON_THREADS = """
+import hashlib
+import numpy as np
+from gelforge.mechanics.linear import gmres
+
+rng = np.random.default_rng(1)
+scale, b = rng.uniform(1.0, 3.0, 60_000), rng.normal(size=60_000)
+x = gmres(lambda v: scale * v + 0.1 * np.roll(v, 1), lambda v: v, b, 1e-6, 60)
+print(hashlib.sha256(x.tobytes()).hexdigest())
+"""
+
+
+def test_the_threads_of_blas_change_nothing():
+    """Nor do they take part: where cores are busy, each inner product waited for all of them."""
+    told = {
+        subprocess.run(
+            [sys.executable, "-c", ON_THREADS], capture_output=True, text=True, check=True,
+            env=os.environ | dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"), threads),
+        ).stdout
+        for threads in ("1", "2", "4")
+    }  # fmt: skip
+    assert len(told) == 1

@@ -23,7 +23,7 @@ from gelforge.mechanics.hex.penaltycontact import (
 )
 from gelforge.mechanics.hex.reach import gaps, reachable_faces
 from gelforge.mechanics.hex.settings import HexSettings
-from gelforge.mechanics.linear import gmres, symmetric_solver
+from gelforge.mechanics.linear import gmres, length_of, symmetric_solver
 from gelforge.mechanics.pattern import block_places, build_pattern, symmetric_product
 from gelforge.mechanics.pose import Pose
 from gelforge.mechanics.scene import REFERENCE_C10, NoEquilibrium, Scene
@@ -175,7 +175,7 @@ class Equilibrium:
         springs = contact_springs(self.state, x, pose, indenter, law, self.candidates)
         self.system.faces.add_forces(self.state, springs, forces)
         scale = float(self.state.weights[springs.point] @ np.linalg.norm(springs.traction, axis=1))
-        self.residual = float(np.linalg.norm(forces[self.system.free])) / max(scale, 1e-9 * self.moduli[0])
+        self.residual = length_of(forces[self.system.free].ravel()) / max(scale, 1e-9 * self.moduli[0])
         if not np.isfinite(self.residual):
             raise NoEquilibrium
         return forces, springs
