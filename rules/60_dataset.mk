@@ -2,8 +2,9 @@
 DATASETS := $(RES:%=$D/60_dataset/%/dataset.json)
 IMPORTED := $(wildcard $(DATA)/labels)
 # Of imported labels there are the resolutions that they came in.
+IMPORTED_RES = $(basename $(notdir $(wildcard $(DATA)/labels/*.npz)))
 $(DATA)/labels/%.npz:
-	$(error $(DATA) was imported with labels of $(basename $(notdir $(wildcard $(DATA)/labels/*.npz))), not of $*: say RES=$(firstword $(basename $(notdir $(wildcard $(DATA)/labels/*.npz)))))
+	$(error $(DATA) was imported with labels of $(IMPORTED_RES), not of $*: say RES=$(firstword $(IMPORTED_RES)))
 LABEL_SOURCE := $(if $(IMPORTED),$(DATA)/labels/%.npz,$D/50_labels/%/labels.json)
 
 # What lies beside the log: pictures of untouched sensors, splits and truth that the dataset came with. A digest of names,

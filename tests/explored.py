@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gelforge.geometry.gel import load_gel
+from gelforge.geometry.gel import USUAL_GEL, load_gel
 from gelforge.records.press import PosedPress
 from gelforge.records.samplefile import DatasetSample
 from gelforge.records.solvetable import Solved
@@ -64,7 +64,7 @@ def press(k: int, shown: bool = True) -> dict:
 def write_page(folder, count: int, limit: float = 12e6):
     """Write the page of so many presses to a folder, and its parts beside it where they are large; return its path."""
     rows = press_rows(*tables(count))
-    explorer = Explorer(folder, "24x32", rows, {})
+    explorer = Explorer(folder, "24x32", rows, {}, load_gel(USUAL_GEL))
     made = [press(k) for k in range(16)]
     shown = (made[k % 16] if row["status"] == "OK" else press(k, False) for k, row in enumerate(rows))
     beside, held = place_parts(folder, in_parts(shown), limit)

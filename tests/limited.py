@@ -1,4 +1,4 @@
-"""Little room for files: a disk of a few KiB, and a module run where none may grow larger, as if the disk ended there."""
+"""Little room for files: a disk of a few KiB, and Python run where none may grow larger, as if the disk ended there."""
 
 import os
 import subprocess
@@ -24,7 +24,12 @@ def small_disk(folder: Path) -> Iterator[Path]:
 
 
 def limited(kib: int, *words) -> subprocess.CompletedProcess:
-    """Run `python -m WORDS` so; Python keeps no compiled files meanwhile, which the limit would cut off."""
-    command = [sys.executable, "-B", "-m", *map(str, words)]
+    """Run `python -m WORDS` so."""
+    return limited_python(kib, "-m", *words)
+
+
+def limited_python(kib: int, *words) -> subprocess.CompletedProcess:
+    """Run `python WORDS` so; Python keeps no compiled files meanwhile, which the limit would cut off."""
+    command = [sys.executable, "-B", *map(str, words)]
     shell = ["bash", "-c", f'ulimit -f {kib}; exec "$@"', "limited"]
     return subprocess.run([*shell, *command], capture_output=True, text=True, check=False)

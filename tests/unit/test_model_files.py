@@ -2,7 +2,6 @@
 
 import json
 import pickle
-import subprocess
 import sys
 from pathlib import Path
 
@@ -29,6 +28,7 @@ from gelforge.networks.modelfile import (
 from gelforge.networks.models import build
 from gelforge.networks.training import normalisations, predict_rows
 from gelforge.stages.train import train
+from tests.limited import limited_python
 
 
 def test_model_file_round_trip(trained, tmp_path):
@@ -42,19 +42,17 @@ def test_model_file_round_trip(trained, tmp_path):
 
 
 WRITES_A_MODEL = """
-import resource, sys
+import sys
 from pathlib import Path
 import torch
 from gelforge.networks.modelfile import write_tensors
 
-resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
 write_tensors({"weights": torch.zeros(100_000)}, Path(sys.argv[1]))
 """
 
 
 def test_a_model_for_which_there_is_no_room_is_an_error_of_the_disk(tmp_path):
-    command = [sys.executable, "-c", WRITES_A_MODEL, tmp_path / "m.pt"]
-    ran = subprocess.run(command, capture_output=True, text=True, check=False)
+    ran = limited_python(100, "-c", WRITES_A_MODEL, tmp_path / "m.pt")
     assert ran.returncode and ran.stderr.splitlines()[-1].startswith("OSError"), ran.stderr
 
 

@@ -27,6 +27,7 @@ from gelforge.networks.still import FEWEST
 from gelforge.records.markers import pitch_of
 from gelforge.reporting import forcemaps
 from tests.benchmarks import real, real_page
+from tests.limited import limited_python
 from tests.waiting import heed_interrupts
 
 
@@ -394,12 +395,11 @@ def test_a_film_of_no_frames_is_not_written(tmp_path):
 
 
 WRITES_A_FILM = """
-import resource, sys
+import sys
 from pathlib import Path
 import numpy as np
 from gelforge.commands.live import write_video
 
-resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
 rng = np.random.default_rng(0)
 write_video((rng.integers(0, 255, (120, 160, 3), np.uint8) for _ in range(60)), Path(sys.argv[1]), 25.0)
 """
@@ -407,9 +407,7 @@ write_video((rng.integers(0, 255, (120, 160, 3), np.uint8) for _ in range(60)), 
 
 def test_a_film_for_which_there_is_no_room_is_refused_whole(tmp_path):
     """OpenCV says nothing, and what it has written looks like a film."""
-    ran = subprocess.run(
-        [sys.executable, "-c", WRITES_A_FILM, tmp_path / "o.avi"], capture_output=True, text=True, check=False
-    )
+    ran = limited_python(200, "-c", WRITES_A_FILM, tmp_path / "o.avi")
     assert "BadInput" in ran.stderr and "a film of 60 frames could not be written whole; free space" in ran.stderr, (
         ran.stderr
     )

@@ -9,7 +9,7 @@ from importlib.metadata import version
 
 import numpy as np
 
-from gelforge.geometry.gel import load_gel
+from gelforge.geometry.gel import USUAL_GEL, load_gel
 from gelforge.mechanics.hex.bricks import Bricks
 from gelforge.mechanics.hex.hexmesh import FineBox
 from gelforge.records.forcefile import SampleForces, write_forces
@@ -43,7 +43,7 @@ def test_an_indenter_is_drawn_as_far_up_as_the_gel_can_reach(tmp_path):
         {"id": name, "indenter": "ball", "stl": f"{name}.stl", "z0_mm": z0, "dz_mm": dz}
         for name, z0, dz in (("crown", 0.0, -1.5), ("rim", -1.0, -1.2), ("light", -1.0, -0.3))
     ]
-    assert Explorer(tmp_path, "4x5", rows, {}).deepest()["ball"]["id"] == "rim"
+    assert Explorer(tmp_path, "4x5", rows, {}, load_gel(USUAL_GEL)).deepest()["ball"]["id"] == "rim"
 
 
 def test_text_from_data_is_escaped():
@@ -134,7 +134,7 @@ def test_a_rejected_row_shows_nothing_of_the_press_whose_name_it_bears(tmp_path)
     results = write_pressed(tmp_path, count=2)["results"]
     shard = replace(Shard.read(results, "4x5", "0000"), labels={"s000": np.zeros((3, 4, 5), np.float32)})
     twin = {"id": "s000", "status": "REJECTED", "reason": "sample_id: stands twice", "shard": "0000"}
-    explorer = Explorer(results, "4x5", [twin], {})
+    explorer = Explorer(results, "4x5", [twin], {}, load_gel(USUAL_GEL))
     assert explorer.press(twin, shard) == pack({}) != explorer.press(twin | {"status": "OK"}, shard)
 
 
@@ -142,14 +142,14 @@ def test_a_press_is_drawn_on_the_mesh_of_its_forces(tmp_path):
     """The table of its shard's solves may be gone or not made again yet; one that failed has nothing to draw."""
     made = write_pressed(tmp_path, count=2, failed=[1])
     good, failed = ({"id": name, "status": "PENDING", "shard": "0000"} for name in ("s000", "s001"))
-    one, other = Explorer(made["results"], "4x5", [good, failed], {}).presses()
+    one, other = Explorer(made["results"], "4x5", [good, failed], {}, load_gel(USUAL_GEL)).presses()
     assert {name for name, _, _ in one["arrays"]} == {"gel", "points", "forces"} and other == pack({})
 
 
 def test_every_press_names_the_gel_of_its_sensor(tmp_path):
     rows = press_rows(*tables(12))
     assert {(row["sensor"], row["gel"]) for row in rows if "sensor" in row} == set(GELS.items())
-    assert Explorer(tmp_path, "4x5", rows, {}).shared()["heights"] == {
+    assert Explorer(tmp_path, "4x5", rows, {}, load_gel(USUAL_GEL)).shared()["heights"] == {
         "gelsight_mini": 4.0,
         "gelsight_mini-2.6mm": 2.6,
     }

@@ -8,6 +8,7 @@ from types import MappingProxyType
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.flow.layout import Layout
 from gelforge.geometry.gel import USUAL_GEL
 from gelforge.mechanics.scene import Press
 from gelforge.records.frames import NEAR_MM, presses_of
@@ -103,8 +104,8 @@ def read_readings(log, known_bad: Collection[int] = (), gels: Mapping[str, str] 
         rejected = [raw.row for raw in rows if raw.row in known_bad and raw.cells["fz_n"]]
         if rejected:
             raise BadInput(
-                f"{log}: all {len(rejected)} rows with a normal force (fz_n) were rejected; correct them, `make poses"
-                f" DATASET={Path(log).parent.name} STRICT=1` tells why"
+                f"{log}: all {len(rejected)} rows with a normal force (fz_n) were rejected; correct them,"
+                f" `{Layout(Path('results', Path(log).parent.name)).command('poses STRICT=1')}` tells why"
             )
         raise BadInput(f"{log}: no row has a normal force (fz_n); calibration needs a force sensor's readings")
     return Readings(

@@ -172,19 +172,22 @@ def later_costs(results: Layout, resolution: str, model: str, rows: list[RawRow]
     report = read_slice(params / "report.json", ForReport).report
     grid = Grid.parse(resolution)
     cells = 4 * 3 * grid.rows * grid.cols
-    pictured = read_slice(params / "poses.json", ForPoses).poses.images
-    found = [Cost(layout.DATASET, 2e-3, START, image_bytes(results, rows) + cells)] if pictured else []
-    if pictured and model != SHIPPED:
-        found.append(training(results, resolution, model, presses))
-    if pictured:
-        found.append(Cost(layout.EVALUATE, EVALUATE_EACH, START, cells / 2))
+    branches = []
     if "calibrate" in report.branches:
         solved = read_slice(params / "calibrate.json", ForCalibrate).calibrate.max_presses
-        found.append(Cost(layout.CALIBRATE, cpu_once=CALIBRATE_EACH * solved, bytes_once=2e7))
+        branches.append(Cost(layout.CALIBRATE, cpu_once=CALIBRATE_EACH * solved, bytes_once=2e7))
     if "pareto" in report.branches:
         scenes = read_slice(params / "pareto.json", ForPareto).pareto.quick.scenes
-        found.append(Cost(layout.PARETO, cpu_once=CHART_EACH * len(scenes), bytes_once=4e5 * len(scenes)))
-    return [*found, Cost(layout.REPORT, REPORT_EACH, START, 4e4, 3e6)] if pictured else found
+        branches.append(Cost(layout.PARETO, cpu_once=CHART_EACH * len(scenes), bytes_once=4e5 * len(scenes)))
+    if not read_slice(params / "poses.json", ForPoses).poses.images:
+        return branches  # a log without pictures goes no farther
+    return [
+        Cost(layout.DATASET, 2e-3, START, image_bytes(results, rows) + cells),
+        *([training(results, resolution, model, presses)] if model != SHIPPED else []),
+        Cost(layout.EVALUATE, EVALUATE_EACH, START, cells / 2),
+        *branches,
+        Cost(layout.REPORT, REPORT_EACH, START, 4e4, 3e6),
+    ]
 
 
 def estimated(data: Path, results: Path, resolution: str, model: str, rows: list[RawRow]) -> list[Cost]:

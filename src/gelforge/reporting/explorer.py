@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from gelforge.flow.layout import POSES, Layout
-from gelforge.geometry.gel import USUAL_GEL, Gel, load_gel
+from gelforge.geometry.gel import Gel, load_gel
 from gelforge.geometry.triangles import read_stl
 from gelforge.mechanics.family import mesh_loader
 from gelforge.records.forcefile import ForceFile
@@ -26,15 +26,16 @@ class Explorer:
     """Reads what belongs to single presses.
 
     rows: the table of presses.press_rows. samples: row of samples.csv, counted from 0, by sample_id. predictions: arrays
-    of records.predictionfile, or none. gel: with outline and dome of every gel of the dataset; their thickness may differ.
+    of records.predictionfile, or none. gel: its outline and dome are those of all gels of the dataset, whose thickness may
+    differ.
     """
 
     results: Path
     resolution: str
     rows: list[dict]
     samples: dict[str, int]
+    gel: Gel
     predictions: dict | None = None
-    gel: Gel = field(default_factory=lambda: load_gel(USUAL_GEL))
 
     @cached_property
     def images(self) -> np.ndarray:

@@ -208,17 +208,17 @@ def _first_bad(forces: ForceFile) -> str:
 def summarise(forces: ForceFile, outside: np.ndarray, sensor_of: dict[str, str]) -> dict:
     """Counts of a shard and the sample with the largest share of its normal force outside the image.
 
-    beyond: by sensor, how many of its samples that bear a force lie mostly outside its image, and how many there are.
+    seen: how many samples bear a force, by sensor and whether most of it lies in the sensor's image.
     """
     share = np.abs(outside[:, 2]) / np.maximum(np.abs(forces.total[:, 2]), 1e-12)
     share = np.where(np.isfinite(share), share, 0.0)
     worst = int(share.argmax()) if len(share) else None
-    beyond: dict[str, Counter[str]] = {}
-    for name, part, total in zip(forces.sample_id, share, forces.total[:, 2], strict=True):
-        if total:
-            beyond.setdefault(sensor_of[str(name)], Counter()).update(most=int(part > UNSEEN), all=1)
+    bears = forces.total[:, 2] != 0.0
     return {
-        "beyond": beyond,
+        "seen": Counter(
+            (sensor_of[name], bool(part <= UNSEEN))
+            for name, part in zip(forces.sample_id[bears].tolist(), share[bears], strict=True)
+        ),
         "samples": len(forces),
         "failed": int(np.isnan(outside[:, 0]).sum()),
         "worst_sample": "" if worst is None else str(forces.sample_id[worst]),
@@ -235,7 +235,7 @@ def label_folder(args, grid: Grid, sensors: dict, channels) -> dict:
         raise BadInput(f"{args.shards}: holds no shards; run make, which plans them")
     totals: dict[str, Any] = {"resolution": str(grid), "shards": len(shards), "samples": 0, "failed": 0}
     worst: dict[str, Any] = {"worst_sample": "", "worst_outside_share": 0.0}
-    beyond: dict[str, Counter[str]] = {}
+    seen: Counter[tuple[str, bool]] = Counter()
     for shard in progress(shards, f"labels {grid}"):
         forces, poses, out = args.forces / f"{shard}.npz", args.poses / f"{shard}.csv", folder / f"{shard}.npz"
         if up_to_date(out, forces, poses, args.sensors, args.params):
@@ -251,22 +251,22 @@ def label_folder(args, grid: Grid, sensors: dict, channels) -> dict:
             "failed": totals["failed"] + found["failed"],
         }
         worst = max(worst, found, key=lambda s: s["worst_outside_share"])
-        for name, counted in found["beyond"].items():
-            beyond.setdefault(name, Counter()).update(counted)
-    require_seen(beyond, args.sensors)
+        seen.update(found["seen"])
+    require_seen(seen, args.sensors)
     digests = {f"{shard}.npz": digest_of(folder / f"{shard}.npz") for shard in shards}
     return {**totals, **{key: worst[key] for key in ("worst_sample", "worst_outside_share")}, "sha256": digests}
 
 
-def require_seen(beyond: dict[str, Counter[str]], where) -> None:
+def require_seen(seen: Counter[tuple[str, bool]], where) -> None:
     """Raise BadInput for a sensor most of whose presses lie mostly outside its pictures: it cannot look where it is said to.
 
-    beyond: counts by sensor (`summarise`). where: file of the sensors.
+    seen: counts of samples (`summarise`). where: file of the sensors.
     """
-    for name, counted in sorted(beyond.items()):
-        if counted["all"] >= TELLING and counted["most"] > counted["all"] / 2:
+    for name in sorted({sensor for sensor, _ in seen}):
+        inside, outside = seen[name, True], seen[name, False]
+        if inside + outside >= TELLING and outside > inside:
             raise BadInput(
-                f"{where}: by the projection of sensor {name} {counted['most']} of its {counted['all']} samples bear most of"
+                f"{where}: by the projection of sensor {name} {outside} of its {inside + outside} samples bear most of"
                 f" their normal force outside its pictures: measure it anew with make projection SENSOR={name}"
                 " (workflow/README.md), or correct x0_mm and y0_mm of the log"
             )

@@ -271,7 +271,7 @@ def open_explorer(
     rows = press_rows(read_presses(results), rejected, solved, samples, totals, gels)
     order = {name: at for at, name in enumerate(samples)}
     gel = load_gel(read_slice(Layout(results).params / "meshes.json", ForMeshes).meshes.gel)
-    return Explorer(results, resolution, rows, order, predictions, gel)
+    return Explorer(results, resolution, rows, order, gel, predictions)
 
 
 def explorer_data(explorer: Explorer, known: dict) -> dict:
