@@ -20,7 +20,7 @@ from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue
 from gelforge.mechanics.scene import Press
 from gelforge.records import log
-from gelforge.records.press import FORCES, LoggedPress, parse
+from gelforge.records.press import FORCES, LoggedPress, Rejection, parse, told
 from gelforge.stages import poses
 
 
@@ -167,6 +167,15 @@ def test_a_log_without_a_column_of_images_is_told_once_and_can_be_allowed(lab, t
     write_slice(tmp_path / "params", "poses", poses={"images": False})
     table, rejected, _ = lab(rows, without=["image"])
     assert not rejected and len(table) == 9
+
+
+def test_rows_that_want_something_else_done_are_told_apart():
+    wanted = ["write 1", "write 2", "write 1"]
+    kept_out = [
+        Rejection("log.csv", 2 + k, f"s{k}", "x0_mm", "", "is empty", remedy) for k, remedy in enumerate(wanted)
+    ]
+    lines = told(kept_out)
+    assert lines == [f"{kept_out[0]}; the same reason against 1 more row: 4", str(kept_out[1])]
 
 
 def test_users_shape_goes_through(lab, tmp_path, root):

@@ -31,6 +31,8 @@ def test_a_sample_is_scaled_by_the_calibrated_material(project):
     plain = ForceFile(sample).force
     toml = project / "data/tiny/dataset.toml"
     toml.write_text(toml.read_text() + '\n[params.material]\nc10 = "calibrated"\n')
+    refused = make(project, "DATASET=tiny", "sample", f"ID={first}").stdout
+    assert "run `make calibrate DATASET=tiny` first" in refused and "== poses" not in refused
     summary = {"c10": {"median": 0.145, "interval68": [0.14, 0.15], "interval95": [0.13, 0.16]}}
     write_json(project / "results/tiny/calibrate/summary.json", summary)
     say(project, "sample", f"ID={first}")

@@ -8,6 +8,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import write_text
 from gelforge.flow.layout import Layout, shard_name
 from gelforge.flow.main import command, option
+from gelforge.flow.params.slices import ForForces, read_slice
 from gelforge.records.frames import presses_of
 from gelforge.records.log import read_poses, read_shard, shard_text
 from gelforge.records.press import RawRow, check_id
@@ -65,6 +66,15 @@ def stages(data: Path, results: Path, work: Path, resolution: str) -> list[tuple
     ]
 
 
+def require_stiffness(results: Path) -> None:
+    """Raise BadInput before a sample is solved where its forces wait for a posterior that was not made yet."""
+    from gelforge.stages.forces import material_c10
+
+    of = Layout(results)
+    if not of.calibration.exists():
+        material_c10(read_slice(of.params / "forces.json", ForForces).material.c10, None, of.calibration)
+
+
 @command(
     option("--dataset"),
     option("--id", help="sample_id in the raw log"),
@@ -76,6 +86,7 @@ def main(args: Namespace) -> int:
     data, results = Path("data") / args.dataset, Path("results") / args.dataset
     if not args.id:
         raise BadInput(f"no sample named; say {Layout(results).command('sample ID=SAMPLE_ID')}")
+    require_stiffness(results)
     work = Layout(results).sample(check_id(args.id)).root
     write_text(Layout(work).shard(shard_name(0)), shard_text(find_rows(results, args.id)))
     for stage, arguments in stages(data, results, work, args.resolution):

@@ -192,11 +192,11 @@ MOST_ROWS = 5  # of one reason that are told by number
 def told(rejections: Iterable[Rejection]) -> list[str]:
     """A line for each reason against a column, as of its first row, with how many rows more it holds for and the first of them.
 
-    A log that lacks a column has the same reason against every row.
+    A log that lacks a column has the same reason against every row. What else is to be done is told beside each.
     """
-    alike: dict[tuple[str, str], list[Rejection]] = {}
+    alike: dict[tuple[str, str, str], list[Rejection]] = {}
     for one in rejections:
-        alike.setdefault((one.column, one.reason), []).append(one)
+        alike.setdefault((one.column, one.reason, one.remedy), []).append(one)
     return [f"{first}{_more(others)}" for first, *others in alike.values()]
 
 
