@@ -82,7 +82,7 @@ def feats_sections(trained: Trained, reference: Path) -> list[Section]:
         strip([rest, cuboid, read_over(untouched, cuboid)]),
         "Untouched on another day, pressed 2.3 mm, and as it is read.",
     )
-    presses = list(feats_maps(reference / "feats/images/demo.gif", rest))
+    presses = feats_maps(reference / "feats/images/demo.gif", trained, rest)
     pictures = []
     for image, normal in presses[:: max(1, len(presses) // OF_THE_GIF)][:OF_THE_GIF]:
         theirs = cv2.applyColorMap(np.uint8(255 * normal), cv2.COLORMAP_INFERNO)[..., ::-1]
