@@ -12,10 +12,11 @@ from gelforge.networks.dots import COLS, ROWS
 
 PITCH = 32.0  # px between neighbouring dots at the scale that networks read
 LEAST_SPREAD = 1e-3  # px^2, of dots about their middle, below which they tell no turn and no zoom
-# A dot strays that moved otherwise than its neighbours' median, by so many px and this many of their own median distance
-# from that. Of dots of pressed gels seven in a thousand do, of those that stand still where all others moved by 2 px three in
-# four: with two such neighbours nine in ten of 2500 presses are placed to 0.22 px, to 0.51 px if they count.
-STRAYS_PX, STRAYS_SPREADS = 1.0, 1.5
+# A dot stands still that moved by less than STILL px, and otherwise than its neighbours' median by so many px and this many
+# of their own median distance from that. Of dots of 2500 presses none does, of those that something in front of the camera
+# covers while all others move by 2 px three in four: with two such neighbours nine in ten of these presses are placed to 0.22
+# px, to 0.51 px if they count.
+STILL, APART_PX, APART_SPREADS = 0.3, 1.0, 1.5
 LEAST_NEIGHBOURS = 3  # of eight, from which on a dot is judged
 
 
@@ -73,12 +74,11 @@ def straightened(motion: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray
     return np.stack([left.real, left.imag, found], axis=1).astype(np.float32), a, b
 
 
-def without_strays(motion: np.ndarray) -> np.ndarray:
-    """Motion of dots (n, 3, ROWS, COLS) in which those count as lost that moved unlike all that surround them.
+def without_still(motion: np.ndarray) -> np.ndarray:
+    """Motion of dots (n, 3, ROWS, COLS) in which those count as lost that stand still where all that surround them moved.
 
-    A gel is pressed smoothly. What stands still where it moves, or runs away alone, is writing in the picture, dirt on the
-    lens or a dot that was taken for another one. Judged by what a similarity leaves (`straightened`), so by the same for
-    gels that were moved.
+    A gel moves smoothly. What does not move along is writing in the picture or dirt on the lens. Neighbours are held
+    against what a similarity leaves of a dot (`straightened`), or those at the rim of a picture that was zoomed would differ.
     """
     left, _, _ = straightened(motion)
     moved = np.where(left[:, 2] > 0, left[:, 0] + 1j * left[:, 1], np.nan)
@@ -88,8 +88,9 @@ def without_strays(motion: np.ndarray) -> np.ndarray:
     usual = _median(around.real) + 1j * _median(around.imag)
     apart = _median(np.abs(around - usual))
     judged = np.isfinite(around).sum(axis=0) >= LEAST_NEIGHBOURS
-    strays = judged & (np.abs(moved - usual) > STRAYS_PX + STRAYS_SPREADS * apart)
-    return motion * ~strays[:, None]
+    alone = judged & (np.abs(moved - usual) > APART_PX + APART_SPREADS * apart)
+    still = alone & (np.hypot(motion[:, 0], motion[:, 1]) < STILL)
+    return motion * ~still[:, None]
 
 
 def _median(values: np.ndarray) -> np.ndarray:

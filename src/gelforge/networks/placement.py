@@ -14,7 +14,7 @@ from statistics import median
 import numpy as np
 
 from gelforge.networks.dots import Followed, PrintedDots
-from gelforge.networks.lattice import PITCH, without_strays
+from gelforge.networks.lattice import PITCH, without_still
 from gelforge.networks.placereader import PlaceReader, PlacesOneByOne
 
 LEAST_FOUND = 0.5  # of the dots: a picture in which fewer are found tells nothing of where the gel sits
@@ -98,7 +98,7 @@ def place(reader: PlaceReader | PlacesOneByOne | None, dots: PrintedDots, sittin
     telling = [followed for followed in sitting if tells_place(dots, followed)]
     if reader is None or not telling:
         return UNPLACED
-    told = reader.places(without_strays(np.stack([dots.on_lattice(followed) for followed in telling])))
+    told = reader.places(without_still(np.stack([dots.on_lattice(followed) for followed in telling])))
     placement, moved = about_middle(dots, _middle(told.a), _middle(told.b))
     by_contact = LEAST_SHARE * median(told.contact.tolist()) / math.sqrt(len(telling))
     return placement if moved >= LEAST_MOVE + by_contact else UNPLACED
