@@ -100,7 +100,6 @@ def chain_figure(seconds: float) -> Figure:
     import cv2
     import torch
 
-    from gelforge.networks.modelfile import predict_images
     from gelforge.networks.use import GIVEN, predict_one
 
     pairs = demo_pairs()
@@ -112,7 +111,7 @@ def chain_figure(seconds: float) -> Figure:
         ends = time.perf_counter() + seconds
         while time.perf_counter() < ends:
             whole += [seconds_of(predict_one, untouched, image) for untouched, image in pairs]
-            alone += [seconds_of(predict_images, untouched.reader(GIVEN), image[None]) for untouched, image in pairs]
+            alone += [seconds_of(untouched.reader(GIVEN).read, image) for untouched, image in pairs]
     finally:
         torch.set_num_threads(threads[0])
         cv2.setNumThreads(threads[1])

@@ -101,7 +101,8 @@ def fold_normalisation(net: nn.Module) -> None:
 class SensorNet(nn.Module):
     """A network for one sensor, scales inside: images (n, 3, h, w) in 0..255 to forces (n, 3, rows, cols), N per cell.
 
-    :param untouched: picture (h, w, 3) uint8 RGB of that sensor, where the network reads differences.
+    :param untouched: picture (h, w, 3) uint8 RGB of that sensor, where the network reads differences; or (n, h, w, 3), one for
+        each of n images that are always read together.
     """
 
     def __init__(self, trained: Trained, untouched: np.ndarray | None = None):
@@ -118,10 +119,12 @@ class SensorNet(nn.Module):
         fold_normalisation(net)
         self.net = net.to(memory_format=torch.channels_last)  # a third faster on a CPU
         # the input of a black image is all that does not depend on the image
-        black = np.zeros((*trained.about["image"], 3), np.uint8)
-        pictures = np.concatenate([black, untouched], axis=2) if trained.needs_untouched else black
+        pictures = np.zeros((1, *trained.about["image"], 3), np.uint8)
+        if untouched is not None and trained.needs_untouched:
+            beside = untouched.reshape(-1, *untouched.shape[-3:])
+            pictures = np.concatenate([np.zeros_like(beside), beside], axis=3)
         with torch.no_grad():
-            constant = network_input(images_to_tensor(pictures[None]), norm)
+            constant = network_input(images_to_tensor(pictures), norm)
             for module, name in net.entries():
                 setattr(module, name, Entry(getattr(module, name), gain, constant))
         if isinstance(net, GridNet):
@@ -145,11 +148,11 @@ def predict_images(reader: SensorNet, images, device: str = "cpu") -> np.ndarray
         return reader(_as_tensor(images, device)).cpu().numpy()
 
 
-def predict_pooled(reader: SensorNet, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Forces (3, rows, cols) in N per cell of an image (h, w, 3) uint8 RGB, and what is seen in it as a whole, (k,)."""
+def predict_pooled(reader: SensorNet, images: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """As `predict_images`, and what is seen in each image as a whole, (n, `pooled_count`)."""
     with torch.inference_mode():
-        forces, pooled = reader.with_pooled(_as_tensor(image[None], "cpu"))
-        return forces[0].numpy(), pooled[0].numpy()
+        forces, pooled = reader.with_pooled(_as_tensor(images, "cpu"))
+        return forces.numpy(), pooled.numpy()
 
 
 def _as_tensor(images, device: str) -> torch.Tensor:

@@ -10,12 +10,13 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.networks.agreement import blend, dots_fault, has_shape
+from gelforge.networks.bothways import PictureReader, picture_reader
 from gelforge.networks.canonical import WHOLE, Light, Resting, view_of
 from gelforge.networks.data import Data
 from gelforge.networks.dotreader import DotsOneByOne
 from gelforge.networks.dots import Followed, PrintedDots
 from gelforge.networks.intervals import half_widths
-from gelforge.networks.modelfile import SensorNet, Trained, load_model, predict_images, predict_pooled, require_sensor
+from gelforge.networks.modelfile import Trained, load_model, require_sensor
 from gelforge.networks.placement import LEAST_MOVE, UNPLACED, Placement, place
 from gelforge.networks.placereader import PlacesOneByOne
 from gelforge.networks.sensorprofile import AS_READ, Gain
@@ -112,7 +113,7 @@ class Untouched:
         # what is known of each untouched picture by its name, made when it is first needed
         self._resting: dict[str, Resting] = {}
         self._dots: dict[str, PrintedDots] = {}
-        self._readers: dict[str, SensorNet] = {}
+        self._readers: dict[str, PictureReader] = {}
         self._rest: dict[str, np.ndarray] = {}
 
     def of(self, image: np.ndarray) -> str:
@@ -167,17 +168,17 @@ class Untouched:
         evidence = PairEvidence(distance(lit, rest), light, told)
         return CanonicalPair(seen, lit, evidence, dots, followed, placement or UNPLACED)
 
-    def reader(self, name: str) -> SensorNet:
+    def reader(self, name: str) -> PictureReader:
         """The network for the sensor of that picture."""
         if name not in self._readers:
             picture = None if self.known[name] is None else self.picture(name)
-            self._readers[name] = SensorNet(self.trained, picture).eval()
+            self._readers[name] = picture_reader(self.trained, picture)
         return self._readers[name]
 
     def rest(self, name: str) -> np.ndarray:
         """Forces (3, rows, cols) that the network reads in that picture itself: what it is off by where nothing is."""
         if name not in self._rest:
-            self._rest[name] = predict_images(self.reader(name), self.picture(name)[None])[0]
+            self._rest[name] = self.reader(name).read(self.picture(name))[0]
         return self._rest[name]
 
 
@@ -225,7 +226,7 @@ def read_both(untouched: Untouched, name: str, lit: np.ndarray, pair: CanonicalP
 
     pair: that image beside the untouched picture; None beside a network that reads none, where nothing is tared.
     """
-    forces, pooled = predict_pooled(untouched.reader(name), lit)
+    forces, pooled = untouched.reader(name).read(lit)
     if pair is None:
         return TwoReadings(forces, None, 0.0, pooled)
     alone = TwoReadings(forces - untouched.rest(name), None, 0.0, pooled)
