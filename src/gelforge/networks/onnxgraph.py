@@ -4,8 +4,10 @@ The graph takes `image` (n, 3, height, width) float32 RGB in 0..255 and gives `f
 inside. That of a network that reads differences also takes `untouched`, as many pictures in the same units. What stands
 before the graph is not in it: bring both pictures to the network's scale and the image to the untouched one's light, as
 `networks.canonical` does with numpy and OpenCV alone (`view_of`, `View.of`, `Resting`, `View.match`), and lay it onto the
-untouched one where the gel sits otherwise (`networks.placement`, which needs torch for its reader of places); then take
-off what the graph reads in the untouched picture itself, and multiply by the factor of the sensor's profile. The readers
+untouched one where the gel sits otherwise (`networks.placement`, which needs torch for its reader of places). A network that
+learnt from mirrored pictures reads better both ways: run the graph on both pictures as they are and turned by half, and take
+the mean (`networks.bothways`). Then take off what is read so in the untouched picture itself, and multiply by the factor of
+the sensor's profile. The readers
 of dots that stand beside some networks, and what stands above both, are not in it, so totals differ from those of `predict`
 by what they have to say.
 """
