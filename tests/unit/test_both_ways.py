@@ -4,9 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from parameters import with_values
+from synthetic_presses import SETTINGS
 
 from gelforge.networks.bothways import BothWays, OneWay, picture_reader, turned
 from gelforge.networks.modelfile import SensorNet, predict_images
+from gelforge.networks.newmodel import describe
 from gelforge.networks.use import load_for_use
 from gelforge.records.image import read_image
 
@@ -24,8 +27,8 @@ def pair(root):
     return read_image(folder / "nocontact/mini_a.png"), read_image(image)
 
 
-def as_mirrored(trained, share):
-    return replace(trained, about=trained.about | {"train": trained.about["train"] | {"mirrored_share": share}})
+def said(trained, both_ways):
+    return replace(trained, about=trained.about | {"both_ways": both_ways})
 
 
 def test_what_is_told_of_a_picture_turned_by_half_is_turned_by_half(shipped, pair):
@@ -50,9 +53,21 @@ def test_both_ways_are_the_mean_of_the_networks_two_readings(shipped, pair):
 def test_a_network_that_knows_one_light_reads_pictures_as_they_lie(shipped, pair, models, data):
     untouched, image = pair
     assert isinstance(picture_reader(shipped, untouched), BothWays)
-    alone = picture_reader(as_mirrored(shipped, 0.0), untouched)
+    alone = picture_reader(said(shipped, False), untouched)
     wanted = predict_images(SensorNet(shipped, untouched).eval(), image[None])[0]
     np.testing.assert_array_equal(alone.read(image)[0], wanted)
-    assert isinstance(picture_reader(as_mirrored(models["small"], 0.75), None), OneWay)
-    name, picture = next(iter(data.nocontact.items()))
-    assert isinstance(picture_reader(models["pair"], picture), OneWay), name
+    assert isinstance(picture_reader(said(models["small"], True), None), OneWay)
+    (picture, *_) = data.nocontact.values()
+    assert isinstance(picture_reader(models["pair"], picture), OneWay)
+
+
+@pytest.mark.parametrize(
+    ("share", "begun", "both"), [(0.0, None, False), (0.5, None, True), (0.0, True, True), (0.0, False, False)]
+)
+def test_a_network_is_read_both_ways_that_saw_light_of_any_direction_or_began_as_one(
+    models, data, share, begun, both
+):
+    start = None if begun is None else said(models["pair"], begun)
+    settings = with_values(SETTINGS, mirrored_share=share)
+    about = describe([data], "new", {"kind": "grid", "width": 8, "blocks": 1, "reads": "pair"}, settings, 1, start)
+    assert about["both_ways"] is both

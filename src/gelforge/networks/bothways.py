@@ -49,9 +49,10 @@ class BothWays:
 def picture_reader(trained: Trained, untouched: np.ndarray | None) -> PictureReader:
     """The reader of a sensor's pictures: both ways by a network that learnt from pictures whose light lay any way.
 
-    One that learnt from its sensor's light alone knows no other: turned pictures would be another sensor's to it.
+    One that learnt from its sensor's light alone knows no other: turned pictures would be another sensor's to it. Models of
+    before, which say nothing of it, are read one way.
     """
-    if untouched is None or not trained.about["train"]["mirrored_share"]:
+    if untouched is None or not trained.about.get("both_ways", False):
         return OneWay(trained, untouched)
     return BothWays(trained, untouched)
 

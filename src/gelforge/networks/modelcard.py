@@ -88,6 +88,15 @@ def start_lines(about: dict) -> list[str]:
     ]
 
 
+def way_lines(about: dict) -> list[str]:
+    """How often the network reads a picture, where that is not once."""
+    if not about.get("both_ways"):
+        return []
+    return [
+        "- In `predict`, `live` and `gelforge.Reader` it reads a picture as it lies and turned by half; the mean counts."
+    ]
+
+
 def dot_lines(about: dict) -> list[str]:
     """How much the reader of dots has to say, where the model has one."""
     if not about.get("dots"):
@@ -204,6 +213,7 @@ def about_lines(about: dict) -> list[str]:
         f"- Training: best of {len(about['curve'])} epochs was {about['best_epoch']}; {listing(about['train'])}.",
         *start_lines(about),
         *interval_lines(about),
+        *way_lines(about),
         *dot_lines(about),
         *stacking_lines(about),
         *place_lines(about),

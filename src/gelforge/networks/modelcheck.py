@@ -107,7 +107,7 @@ PARTS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "model.kind": (f"one of {', '.join(KINDS)}", lambda v: isinstance(v, str) and v in KINDS),
     "model.reads": (f"one of {', '.join(INPUT_CHANNELS)}, or absent", lambda v: v is ABSENT or _reads(v)),
     "train": ("a table", lambda v: isinstance(v, dict)),
-    "train.mirrored_share": ("a number from 0 to 1", lambda v: _numbers([v], 1, -1e-300) and v <= 1),
+    "both_ways": ("true or false, or absent", lambda v: v is ABSENT or isinstance(v, bool)),
     "image": (f"[height, width], whole numbers to {MOST_SIDE}", _side),
     "grid": (f"[rows, cols], whole numbers to {MOST_SIDE}", _side),
     "known_sensors": ("a list of names", _names),
