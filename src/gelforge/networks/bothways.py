@@ -12,9 +12,8 @@ import numpy as np
 
 from gelforge.networks.modelfile import SensorNet, Trained, predict_pooled
 
-REVERSED = np.array([-1.0, -1.0, 1.0], np.float32)[
-    :, None, None
-]  # sideways force, seen from a picture that is turned
+# Sideways force, seen from a picture that is turned.
+REVERSED = np.array([-1.0, -1.0, 1.0], np.float32)[:, None, None]
 
 
 class PictureReader(Protocol):
