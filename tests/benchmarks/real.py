@@ -36,6 +36,8 @@ PANEL = 200  # px of width of each of the four panels of FEATS' film: x, y, norm
 CUT = 1  # px of height that it lacks at its top: cells of its maps are 6.25 px both ways, the first row's 5.6 px high
 NAME = np.s_[:32, :82]  # px of a picture that its name covers
 NAMED = np.s_[:5, :10]  # cells of a map that the panels' names cover
+SEEN = np.ones((24, 32), bool)  # and those that they do not
+SEEN[NAMED] = False
 # Where pictures show the gel, and where FEATS' maps place it, px at 320 x 240 (gelsight_mini and feats_mini of
 # workflow/sensors.toml).
 PX_PER_MM, FEATS_PX_PER_MM = float(np.hypot(*gelsight_mini().projection[0, :2])), 14.0
@@ -107,9 +109,7 @@ def laid(cells: np.ndarray, share: float, right: float = 0.0, down: float = 0.0)
 
 def likeness(maps: list[tuple[np.ndarray, np.ndarray]], *how: float) -> float:
     """Median correlation of FEATS' normal maps with maps of their pictures that are `laid` so, names left out."""
-    seen = np.ones(maps[0][1].shape, bool)
-    seen[NAMED] = False
-    return float(np.median([np.corrcoef(laid(own, *how)[seen], normal[seen])[0, 1] for own, normal in maps]))
+    return float(np.median([np.corrcoef(laid(own, *how)[SEEN], normal[SEEN])[0, 1] for own, normal in maps]))
 
 
 def gif_figures(
@@ -133,15 +133,10 @@ def gif_figures(
 
 
 def ranks_alike(maps: list[tuple[np.ndarray, np.ndarray]]) -> float:
-    """Rank correlation (Spearman 1904) of the sums of pairs of maps, names left out."""
-    sums = []
-    for pair in maps:
-        seen = [np.array(one) for one in pair]
-        for one in seen:
-            one[NAMED] = 0.0
-        sums.append([one.sum() for one in seen])
-    ranks = [np.argsort(np.argsort(values)) for values in np.array(sums).T]
-    return float(np.corrcoef(*ranks)[0, 1])
+    """Spearman's rank correlation of the sums of pairs of maps, names left out."""
+    from scipy.stats import spearmanr
+
+    return float(spearmanr([[own[SEEN].sum(), normal[SEEN].sum()] for own, normal in maps]).statistic)
 
 
 def ring_diameter(pressed: np.ndarray) -> float:

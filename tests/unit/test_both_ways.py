@@ -71,3 +71,5 @@ def test_a_network_is_read_both_ways_that_saw_light_of_any_direction_or_began_as
     settings = with_values(SETTINGS, mirrored_share=share)
     about = describe([data], "new", {"kind": "grid", "width": 8, "blocks": 1, "reads": "pair"}, settings, 1, start)
     assert about["both_ways"] is both
+    alone = describe([data], "new", {"kind": "grid", "width": 8, "blocks": 1}, settings, 1, start)
+    assert alone["both_ways"] is False  # without an untouched picture it reads one way, and says so

@@ -80,6 +80,9 @@ def without_still(motion: np.ndarray) -> np.ndarray:
     A gel moves smoothly. What does not move along is writing in the picture or dirt on the lens. Neighbours are held
     against what a similarity leaves of a dot (`straightened`), or those at the rim of a picture that was zoomed would differ.
     """
+    still = (motion[:, 2] > 0) & (np.hypot(motion[:, 0], motion[:, 1]) < STILL)
+    if not still.any():
+        return motion
     left, _, _ = straightened(motion)
     moved = np.where(left[:, 2] > 0, left[:, 0] + 1j * left[:, 1], np.nan)
     padded = np.pad(moved, ((0, 0), (1, 1), (1, 1)), constant_values=np.nan)
@@ -89,8 +92,7 @@ def without_still(motion: np.ndarray) -> np.ndarray:
     apart = _median(np.abs(around - usual))
     judged = np.isfinite(around).sum(axis=0) >= LEAST_NEIGHBOURS
     alone = judged & (np.abs(moved - usual) > APART_PX + APART_SPREADS * apart)
-    still = alone & (np.hypot(motion[:, 0], motion[:, 1]) < STILL)
-    return motion * ~still[:, None]
+    return motion * ~(still & alone)[:, None]
 
 
 def _median(values: np.ndarray) -> np.ndarray:

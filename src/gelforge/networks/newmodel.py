@@ -89,7 +89,8 @@ def describe(
         "device": device,
         "start": begun,
         # one that goes on keeps what light of any direction taught the other
-        "both_ways": settings.mirrored_share > 0 or (start is not None and start.about.get("both_ways", False)),
+        "both_ways": needs_untouched(model.get("reads", "image"))
+        and (settings.mirrored_share > 0 or (start is not None and start.about.get("both_ways", False))),
         "mixed": mixes_precision(settings, device),
         "data": learnt_from(data, list(data.splits)),
         "also": [learnt_from(other, (TRAINING, VALIDATION)) for other in others],

@@ -7,9 +7,8 @@ before the graph is not in it: bring both pictures to the network's scale and th
 untouched one where the gel sits otherwise (`networks.placement`, which needs torch for its reader of places). A network that
 learnt from mirrored pictures reads better both ways: run the graph on both pictures as they are and turned by half, and take
 the mean (`networks.bothways`). Then take off what is read so in the untouched picture itself, and multiply by the factor of
-the sensor's profile. The readers
-of dots that stand beside some networks, and what stands above both, are not in it, so totals differ from those of `predict`
-by what they have to say.
+the sensor's profile. The readers of dots that stand beside some networks, and what stands above both, are not in it, so
+totals differ from those of `predict` by what they have to say.
 """
 
 import importlib.util
