@@ -14,10 +14,10 @@ from gelforge.networks.canonical import match_light
 from gelforge.networks.dotaugment import mirrored
 from gelforge.networks.dots import COLS, ROWS, PrintedDots
 from gelforge.networks.lattice import PITCH, lattice_points, moved_alike, straightened, without_still
-from gelforge.networks.placement import LEAST_MOVE, UNPLACED, place
+from gelforge.networks.placement import LEAST_MOVE, UNPLACED, Placement, place
 from gelforge.networks.placereader import PlaceReader, train_place_reader
-from gelforge.networks.sitting import LEAST_SITTING, place_sitting
-from gelforge.networks.use import Untouched, load_for_use, predict_one
+from gelforge.networks.sitting import LEAST_SITTING, MOST_KEPT, Thinned, place_sitting
+from gelforge.networks.use import GIVEN, Untouched, load_for_use, predict_one
 from gelforge.records.image import read_image
 from tests.pictures import distance_of, moved
 
@@ -106,6 +106,46 @@ def test_how_a_gel_sits_is_found_beside_contact(reader, presses, way):
         print(f"{way}, {name}: {np.median(alone):.2f}, {np.percentile(alone, 90):.2f}, together {together:.2f} px")
         assert np.median(alone) < 0.25 and np.percentile(alone, 90) < 0.5
         assert together < 0.25
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_sitting_is_found_nearer_once_its_pictures_lie_about_so(shipped, presses, way):
+    """Dots are followed where their contrast is, which in a picture that was zoomed is not where they stand."""
+    rest, pictures = presses
+    for name, untouched in rest.items():
+        reader = Untouched(shipped, untouched)
+        seen = [moved(picture, **WAYS[way]) for sensor, picture in pictures if sensor == name]
+        assert off(place_sitting(reader, seen), reader.dots(GIVEN), **WAYS[way]) < 0.1
+
+
+@given(st.floats(-5, 5), st.floats(-5, 5), st.floats(-0.1, 0.1), st.floats(0.9, 1.1))
+def test_placements_one_after_the_other_take_points_as_their_matrices_do(right, down, turn, zoom):
+    middle, points = np.array([158.0, 121.0]), np.random.default_rng(0).uniform(0, 300, (20, 2))
+
+    def about_middle(angle, factor, shift):
+        linear = factor * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        return Placement(np.column_stack([linear, middle - linear @ middle + shift]), np.array(shift))
+
+    def taken(placement, points):
+        return points @ placement.matrix[:, :2].T + placement.matrix[:, 2]
+
+    first, rest = about_middle(turn, zoom, (right, down)), about_middle(0.01, 1.002, (0.1, -0.2))
+    both = first.after(rest)
+    np.testing.assert_allclose(taken(both, points), taken(first, taken(rest, points)), atol=1e-9)
+    np.testing.assert_allclose(both.shift, taken(both, middle) - middle, atol=1e-9)
+    np.testing.assert_allclose(both.zoom, first.zoom * rest.zoom)
+
+
+@pytest.mark.parametrize("count", [0, 1, MOST_KEPT, MOST_KEPT + 1, 1000])
+def test_of_many_pictures_a_few_are_kept_that_are_spread_over_all(count):
+    thinned = Thinned()
+    for number in range(count):
+        thinned.add(np.array(number))
+    kept = np.array(thinned.kept)
+    assert min(count, MOST_KEPT // 2) <= len(kept) <= MOST_KEPT
+    if count:
+        apart = np.diff([*kept, count])
+        assert kept[0] == 0 and (apart <= apart[0]).all() and (apart[:-1] == apart[0]).all()
 
 
 def test_a_picture_in_which_the_gel_sits_otherwise_does_not_move_a_sitting(reader, presses):

@@ -17,11 +17,12 @@ from gelforge.networks.dotreader import DotsOneByOne
 from gelforge.networks.dots import Followed, PrintedDots
 from gelforge.networks.intervals import half_widths
 from gelforge.networks.modelfile import Trained, load_model, require_sensor
-from gelforge.networks.placement import LEAST_MOVE, UNPLACED, Placement, place
+from gelforge.networks.placement import LEAST_MOVE, UNPLACED, Placement, place, placed_nearer
 from gelforge.networks.placereader import PlacesOneByOne
 from gelforge.networks.sensorprofile import AS_READ, Gain
 from gelforge.networks.stacking import features
 from gelforge.networks.statistics import (
+    DotEvidence,
     PairEvidence,
     as_arrays,
     distance,
@@ -149,24 +150,27 @@ class Untouched:
         moved. A view that does not show the gel's rim tells nothing of it.
         """
         shown = self.view.of(image)
-        seen = shown if placement is None else placement.undo(shown)
+        pair = self._laid(shown, name, placement or UNPLACED)
+        if placement is None and pair.whole and pair.of_dots.rim_px > LEAST_MOVE:
+            return self._placed(shown, name, pair)
+        return pair
+
+    def _laid(self, shown: np.ndarray, name: str, placement: Placement) -> "CanonicalPair":
+        """An image of the sensor's view as a placement lays it on the picture of that name."""
+        seen, dots = placement.undo(shown), self.dots(name)
         lit, light = self.canonical(seen, name)
-        dots, rest = self.dots(name), self.picture(name)
-        followed = dots.follow(lit)
-        if self.view.zoom != 1.0:
-            evidence = PairEvidence(distance(lit, rest), light, rimless_evidence(followed))
-            return CanonicalPair(seen, lit, evidence, dots, followed, placement or UNPLACED)
-        told = dot_evidence(dots, followed)
-        if placement is None and told.rim_px > LEAST_MOVE:
-            placement = place(self.reader_of_places, dots, [followed])
-            if placement.moves:
-                # dots that lay beside each other told of light, too
-                seen = placement.undo(shown)
-                lit, light = self.canonical(seen, name)
-                followed = dots.follow(lit)
-                told = dot_evidence(dots, followed)
-        evidence = PairEvidence(distance(lit, rest), light, told)
-        return CanonicalPair(seen, lit, evidence, dots, followed, placement or UNPLACED)
+        whole = self.view.zoom == 1.0
+        return CanonicalPair(placement, seen, lit, light, self.picture(name), dots, dots.follow(lit), whole)
+
+    def _placed(self, shown: np.ndarray, name: str, pair: "CanonicalPair") -> "CanonicalPair":
+        """The same as its own dots lay it; as it lies where they tell nothing."""
+        reader = self.reader_of_places
+        placement = place(reader, pair.dots, [pair.followed])
+        if reader is None or not placement.moves:
+            return pair
+        # dots that lay beside each other told of light, too
+        laid = self._laid(shown, name, placement)
+        return self._laid(shown, name, placed_nearer(placement, reader, pair.dots, [laid.followed]))
 
     def reader(self, name: str) -> PictureReader:
         """The network for the sensor of that picture."""
@@ -184,23 +188,36 @@ class Untouched:
 
 @dataclass(frozen=True)
 class CanonicalPair:
-    """An image as the network reads it beside an untouched picture, and what is known of how they belong together.
+    """An image as the network reads it beside an untouched picture, `rest` (h, w, 3), and what tells how they belong together.
 
-    seen: (h, w, 3) uint8 at the scale and in the place of the untouched one; lit: in its light, too. dots: of the untouched one, and
-    where the image has them. placement: what was put right in how the image lay.
+    placement: what was put right in how the image lay. seen: (h, w, 3) uint8 at the scale and in the place of the untouched
+    one; lit: in its light, too, from which its own differed by `light`. dots: of the untouched one; followed: where the image
+    has them. whole: whether both show the gel's rim.
     """
 
+    placement: Placement
     seen: np.ndarray
     lit: np.ndarray
-    evidence: PairEvidence
+    light: Light
+    rest: np.ndarray
     dots: PrintedDots
     followed: Followed
-    placement: Placement
+    whole: bool
 
     @cached_property
     def motion(self) -> np.ndarray:
         """How the dots moved, (3, ROWS, COLS) (networks.dots)."""
         return self.dots.on_lattice(self.followed)
+
+    @cached_property
+    def of_dots(self) -> DotEvidence:
+        """What the dots tell of whether both pictures belong together."""
+        return dot_evidence(self.dots, self.followed) if self.whole else rimless_evidence(self.followed)
+
+    @cached_property
+    def evidence(self) -> PairEvidence:
+        """All that tells whether they do."""
+        return PairEvidence(distance(self.lit, self.rest), self.light, self.of_dots)
 
 
 @dataclass(frozen=True)
@@ -291,7 +308,7 @@ def predict_one(
     name = untouched.of(image)
     pair = untouched.pair(image, name, placement) if trained.needs_untouched else None
     lit = pair.lit if pair else image
-    light = pair.evidence.light if pair else None
+    light = pair.light if pair else None
     likeness = judge(untouched.statistics, lit, pair.evidence if pair else None)
     readings = read_both(untouched, name, lit, pair)
     by_dots, contradicted = readings.by_dots, ""
