@@ -28,7 +28,9 @@ from gelforge.mechanics.scene import REFERENCE_C10, Interface, Material, Scene
 from gelforge.networks.canonical import match_light
 from gelforge.networks.dots import PrintedDots
 from gelforge.networks.intervals import half_widths
+from gelforge.networks.placement import Placement
 from gelforge.networks.sensorprofile import fingerprint, fit_gain
+from gelforge.networks.sitting import place_sitting
 from gelforge.networks.use import Untouched, load_for_use, predict_one
 from gelforge.records.axes import AXIS_OF_CHANNEL, CHANNELS
 from gelforge.stages.rig import units_of
@@ -113,9 +115,9 @@ def see(bench: Bench, order: Order, cameras: dict[str, Renderer], sensors: dict[
     return found
 
 
-def totals(one: Untouched, image: np.ndarray) -> np.ndarray:
+def totals(one: Untouched, image: np.ndarray, placement: Placement | None = None) -> np.ndarray:
     """Total force (3,) N that is read in a picture."""
-    return predict_one(one, image)[1].sum((1, 2), dtype=float)
+    return predict_one(one, image, placement)[1].sum((1, 2), dtype=float)
 
 
 def error_figures(units: Units, read: np.ndarray) -> list[Figure]:
@@ -209,16 +211,36 @@ SUFFERED: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 
 def sensitivity_figures(units: Units, readers: dict[str, Untouched], read: np.ndarray) -> list[Figure]:
     """What changes of light and place read as: on untouched pictures, and of the force on pressed ones."""
-    figures, full = [], np.abs(np.array([seen.total[2] for seen in units.seen])) > 2.0
+    figures = []
     for what, suffer in SUFFERED.items():
         rest = [np.abs(totals(readers[name], suffer(picture))).max() for name, picture in units.untouched.items()]
         after = np.array([totals(readers[seen.unit], suffer(seen.image)) for seen in units.seen])
-        off = np.abs(after - read)[full].max(axis=1) / np.abs(read[full, 2])
         figures.append(
             Figure(f"{what}, untouched, worst unit", max(rest), "<=", 0.3, "N", f"median {np.median(rest):.2f}")
         )
-        figures.append(Figure(f"{what}, pressed, mean change", 100 * off.mean(), "<=", 2.0, "%",
-                              f"median {100 * np.median(off):.1f}, nine of ten below {100 * np.percentile(off, 90):.1f}"))  # fmt: skip
+        figures.append(change_figure(f"{what}, pressed, mean change", units, read, after))
+    return figures
+
+
+def change_figure(name: str, units: Units, read: np.ndarray, after: np.ndarray) -> Figure:
+    """How far totals (n, 3) N of pressed pictures are read otherwise after something happened to them."""
+    full = np.abs(np.array([seen.total[2] for seen in units.seen])) > 2.0
+    off = 100 * np.abs(after - read)[full].max(axis=1) / np.abs(read[full, 2])
+    told = f"median {np.median(off):.1f}, nine of ten below {np.percentile(off, 90):.1f}"
+    return Figure(name, float(off.mean()), "<=", 2.0, "%", told)
+
+
+def sitting_figures(units: Units, readers: dict[str, Untouched], read: np.ndarray) -> list[Figure]:
+    """The same where all pictures of a unit are moved alike and read together, as those that `predict` is given at once."""
+    figures, unit_of = [], np.array([seen.unit for seen in units.seen])
+    for what, way in WAYS.items():
+        after = np.empty_like(read)
+        for name, one in readers.items():
+            rows = np.flatnonzero(unit_of == name)
+            images = [moved(units.seen[row].image, **way) for row in rows]
+            placement = place_sitting(one, images)
+            after[rows] = [totals(one, image, placement) for image in images]
+        figures.append(change_figure(f"{what}, {len(rows)} pictures read together, mean change", units, read, after))
     return figures
 
 
@@ -379,7 +401,7 @@ def main(args: Namespace) -> None:
     left = readings_left(units, read)
     gains = gain_figures(left)
     figures = error_figures(units, read) + by_dots_figures(units, trained) + interval_figure(units, trained, read)
-    figures += sensitivity_figures(units, readers, read)
+    figures += sensitivity_figures(units, readers, read) + sitting_figures(units, readers, read)
     figures += place_figures(units, readers)
     figures += [drift_figure(units, readers), *gains, *flag_figures(units, trained)]
     publish_figures(args.out, figures, fingerprint(trained.about), readings=left)
