@@ -16,7 +16,7 @@ from gelforge.networks.dots import COLS, ROWS, PrintedDots
 from gelforge.networks.lattice import PITCH, lattice_points, moved_alike, straightened, without_still
 from gelforge.networks.placement import LEAST_MOVE, UNPLACED, Placement, place
 from gelforge.networks.placereader import PlaceReader, train_place_reader
-from gelforge.networks.sitting import LEAST_SITTING, MOST_KEPT, Thinned, place_sitting
+from gelforge.networks.sitting import LEAST_SITTING, LOOKED_AT, MOST_KEPT, Stream, Thinned, place_sitting
 from gelforge.networks.use import GIVEN, Untouched, load_for_use, predict_one
 from gelforge.records.image import read_image
 from tests.pictures import distance_of, moved
@@ -363,6 +363,41 @@ def test_presses_of_a_gel_that_sits_otherwise_read_nearer_to_what_they_are(shipp
     told = [np.median(values) for values in (left, alone, bare)]
     print(f"{move}: {told[0]:.2f} N left in a sitting, {told[1]:.2f} N alone, of {told[2]:.2f} N")
     assert told[0] < 0.33 * told[2] and told[1] < 0.33 * told[2]
+
+
+def test_a_stream_knows_how_a_gel_sits_when_a_press_begins(shipped, presses):
+    """By itself a picture in which contact does much more than a small move does not tell it."""
+    rest, pictures = presses
+    left, alone = [], []
+    for name, picture in pictures[::6]:
+        untouched, way = Untouched(shipped, rest[name]), {"shift": (0.9, -0.6)}
+        own = predict_one(untouched, picture)[1].sum((1, 2))
+        stream = Stream(untouched)
+        for _ in range(LEAST_SITTING):
+            stream.read(moved(rest[name], **way))
+        seen = moved(picture, **way)
+        for found, told in ((left, stream.read(seen)), (alone, predict_one(untouched, seen))):
+            found.append(np.abs(told[1].sum((1, 2)) - own).max())
+    print(f"{np.median(left):.2f} N left in a stream, {np.median(alone):.2f} N alone")
+    assert np.median(left) < 0.5 * np.median(alone)
+
+
+def test_a_stream_of_a_gel_that_sat_still_is_read_as_its_pictures_are(shipped, presses):
+    rest, pictures = presses
+    untouched = Untouched(shipped, rest["mini_a"])
+    stream = Stream(untouched)
+    for name, picture in pictures[:8]:
+        if name == "mini_a":
+            np.testing.assert_array_equal(stream.read(picture)[1], predict_one(untouched, picture)[1])
+
+
+def test_a_gel_that_is_pushed_while_it_is_filmed_is_followed(shipped, presses):
+    rest = presses[0]["mini_a"]
+    stream, pushed = Stream(Untouched(shipped, rest)), moved(rest, (3.0, -2.0), zoom=1.02)
+    for _ in range(LEAST_SITTING):
+        assert not stream.read(rest)[2].placed
+    read = [np.abs(stream.read(pushed)[1].sum((1, 2))).max() for _ in range(LOOKED_AT * (LEAST_SITTING + 2))]
+    assert read[0] > 3.0 and read[-1] < 0.3
 
 
 def test_another_gels_picture_is_told_although_it_is_laid_onto_the_untouched_one(shipped, presses):

@@ -26,7 +26,9 @@ class Overlay:
     """Turn frames into pictures with forces on them, keeping count of time."""
 
     def __init__(self, untouched):
-        self.untouched = untouched
+        from gelforge.networks.sitting import Stream
+
+        self.stream = Stream(untouched)
         self.recent: deque[float] = deque(maxlen=RATE_OVER)
         self.network_ms: deque[float] = deque(maxlen=10_000)  # of a camera that films for hours
         self.flagged = 0
@@ -35,11 +37,10 @@ class Overlay:
         """Return the picture (BGR) of a frame (h, w, 3) BGR."""
         import cv2
 
-        from gelforge.networks.use import predict_one
         from gelforge.reporting.forcemaps import overlay
 
         started = time.perf_counter()
-        image, forces, judged = predict_one(self.untouched, cv2.cvtColor(frame, cv2.COLOR_BGR2RGB))
+        image, forces, judged = self.stream.read(cv2.cvtColor(frame, cv2.COLOR_BGR2RGB))
         self.network_ms.append(1e3 * (time.perf_counter() - started))
         self.flagged += judged.flag
         self.recent.append(started)

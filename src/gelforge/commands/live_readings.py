@@ -22,13 +22,13 @@ def readings(untouched, frames, pace_s: float = 0.0, frame_s: float | None = Non
     """Read frames (h, w, 3) BGR, at most one every `pace_s`; frame_s: time between them, of a film, whose time counts."""
     import cv2
 
-    from gelforge.networks.use import predict_one
+    from gelforge.networks.sitting import Stream
 
-    started = time.perf_counter()
+    stream, started = Stream(untouched), time.perf_counter()
     for number, frame in enumerate(frames):
         time.sleep(max(0.0, started + number * pace_s - time.perf_counter()))
         now = time.perf_counter()
-        image, forces, judged = predict_one(untouched, cv2.cvtColor(frame, cv2.COLOR_BGR2RGB))
+        image, forces, judged = stream.read(cv2.cvtColor(frame, cv2.COLOR_BGR2RGB))
         took = 1e3 * (time.perf_counter() - now)
         time_s = now - started if frame_s is None else number * frame_s
         yield Reading(

@@ -8,7 +8,7 @@ of one sitting: the middle of what each of them tells is nearer to it than any o
 import functools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import median
 
 import numpy as np
@@ -109,9 +109,16 @@ def place(reader: PlaceReader | PlacesOneByOne | None, dots: PrintedDots, sittin
     telling = [followed for followed in sitting if tells_place(dots, followed)]
     if reader is None or not telling:
         return UNPLACED
-    told = _told(reader, dots, telling)
+    return believed(dots, places_of(reader, dots, telling), len(telling))
+
+
+def believed(dots: PrintedDots, told: Places, presses: int) -> Placement:
+    """Placement that pictures of one sitting tell together; none where it may be the reader's error.
+
+    told: of `places_of`. presses: how many of their contacts have nothing to do with each other, whose errors do not add up.
+    """
     placement, moved = about_middle(dots, *_middle(told))
-    by_contact = LEAST_SHARE * median(told.contact.tolist()) / math.sqrt(len(telling))
+    by_contact = LEAST_SHARE * median(told.contact.tolist()) / math.sqrt(presses)
     return placement if moved >= LEAST_MOVE + by_contact else UNPLACED
 
 
@@ -127,12 +134,20 @@ def placed_nearer(
     telling = [followed for followed in laid if tells_place(dots, followed)]
     if not telling:
         return coarse
-    return coarse.after(about_middle(dots, *_middle(_told(reader, dots, telling)))[0])
+    return coarse.after(about_middle(dots, *_middle(places_of(reader, dots, telling)))[0])
 
 
-def _told(reader: PlaceReader | PlacesOneByOne, dots: PrintedDots, sitting: Sequence[Followed]) -> Places:
-    """What a reader tells of each picture of a sitting."""
-    return reader.places(without_still(np.stack([dots.on_lattice(followed) for followed in sitting])))
+def places_of(reader: PlaceReader | PlacesOneByOne, dots: PrintedDots, sitting: Sequence[Followed]) -> Places:
+    """What a reader tells of each picture of a sitting, each of which `tells_place`: for z in px of this print."""
+    told = reader.places(without_still(np.stack([dots.on_lattice(followed) for followed in sitting])))
+    # of a print of another pitch, or one that stands turned, the same motion is another turn and zoom
+    return replace(told, a=1 + (told.a - 1) * PITCH / dots.standing.step)
+
+
+def as_they_lie(laid: Placement, told: Places) -> Places:
+    """What is told of pictures that a placement laid, told of the same pictures before."""
+    a, b = complex(*laid.matrix[:, 0]), complex(*laid.shift)
+    return Places(a * told.a, a * told.b + b, told.contact)
 
 
 def _middle(told: Places) -> tuple[complex, complex]:
@@ -150,13 +165,11 @@ def _median(values: np.ndarray, says: np.ndarray) -> float:
 
 
 def about_middle(dots: PrintedDots, a: complex, b: complex) -> tuple[Placement, float]:
-    """Placement that takes a dot at z px from the lattice's middle to a z + b, z = u + i v for dots PITCH px apart.
+    """Placement that takes a dot at z px from the lattice's middle to a z + b, z = u + i v.
 
     And how far it moves the dots, root mean square, px.
     """
     standing = dots.standing
-    # of a print of another pitch, or one that stands turned, the same motion is another turn and zoom
-    a = complex(1 + (a - 1) * PITCH / standing.step)
     linear, shift = np.array([[a.real, -a.imag], [a.imag, a.real]]), np.array([b.real, b.imag])
     moved = (a - 1) * standing.points + b
     how_far = float(np.sqrt((moved.real**2 + moved.imag**2).mean()))
