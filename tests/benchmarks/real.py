@@ -166,7 +166,7 @@ def tube_figures(
 def moved_figures(
     presses: list[tuple[np.ndarray, np.ndarray]], trained: Trained, untouched: np.ndarray
 ) -> list[Figure]:
-    """How far FEATS' pressed pictures read otherwise when they are moved, each by itself, as frames of `live` are read."""
+    """How far FEATS' pressed pictures read otherwise when they are moved, each read by itself."""
     own_place = [picture for picture, _ in presses]
     figures = []
     for what, move in MOVES.items():

@@ -22,6 +22,7 @@ from gelforge.networks.dots import COLS, FAR, HOME, ROWS, PrintedDots
 from gelforge.networks.fitting import ENOUGH_PAIRS, meet, readers_of_dots, usual_rows
 from gelforge.networks.goingon import require_scale, scales_before
 from gelforge.networks.halves import rounded
+from gelforge.networks.lattice import IMAGES, mirror_images
 from gelforge.networks.modelcard import dot_lines, interval_lines, place_lines
 from gelforge.networks.modelfile import Trained, load_model, save_model
 from gelforge.networks.placereader import PlaceReader, PlacesOneByOne
@@ -206,6 +207,31 @@ def test_pictures_read_one_by_one_tell_what_they_tell_together(prints):
         np.testing.assert_allclose(
             np.concatenate([getattr(one, name) for one in told]), getattr(together, name), atol=1e-4
         )
+
+
+def test_a_press_that_is_turned_by_half_tells_the_force_that_is_turned():
+    """Whatever the weights."""
+    torch.manual_seed(3)
+    reader, motion = DotReader().eval(), motions_of_prints(12, 4)
+    turned = mirror_images(motion)[3]
+    np.testing.assert_array_equal(turned[:, 2], motion[:, 2, ::-1, ::-1])
+    reversed_force = reader.totals(motion) * [-1.0, -1.0, 1.0]
+    np.testing.assert_allclose(reader.totals(turned), reversed_force, atol=1e-5)
+    one_by_one = DotsOneByOne(reader)
+    np.testing.assert_allclose([one_by_one.total(one) for one in turned], reversed_force, atol=1e-4)
+
+
+@pytest.mark.parametrize("image", range(len(IMAGES)))
+def test_a_gel_that_is_seen_in_a_mirror_sits_as_that_shows_it(image):
+    """Whatever the weights."""
+    torch.manual_seed(4)
+    places, motion = PlaceReader().eval(), motions_of_prints(12, 4)
+    (u, v), told = IMAGES[image], places.places(motion)
+    seen = places.places(mirror_images(motion)[image])
+    np.testing.assert_allclose(seen.b, u * told.b.real + 1j * v * told.b.imag, atol=1e-4)
+    np.testing.assert_allclose(seen.a, told.a.real + 1j * u * v * told.a.imag, atol=1e-6)
+    np.testing.assert_allclose(seen.contact, told.contact, atol=1e-4)
+    np.testing.assert_array_equal(mirror_images(mirror_images(motion)[image])[image], motion)
 
 
 def test_a_reader_of_pictures_one_by_one_stays_what_it_was():

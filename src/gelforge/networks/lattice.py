@@ -18,6 +18,8 @@ LEAST_SPREAD = 1e-3  # px^2, of dots about their middle, below which they tell n
 # px, to 0.51 px if they count.
 STILL, APART_PX, APART_SPREADS = 0.3, 1.0, 1.5
 LEAST_NEIGHBOURS = 3  # of eight, from which on a dot is judged
+# Signs that u and v get in the images of a motion: as it is, mirrored along u, along v, and along both, which turns it by half.
+IMAGES = np.array([[1, 1], [-1, 1], [1, -1], [-1, -1]])
 
 
 @functools.cache
@@ -50,6 +52,16 @@ def _moments() -> tuple[np.ndarray, np.ndarray]:
     z = lattice_plane().ravel()
     one = np.ones(z.shape)
     return np.stack([one, z.real, z.imag, abs(z) ** 2], axis=1), np.stack([one, z.conj()], axis=1)
+
+
+def mirror_images(motion: np.ndarray, signs: np.ndarray = IMAGES) -> np.ndarray:
+    """Motion of dots (n, 3, ROWS, COLS) float32 in some of its IMAGES, (images, n, 3, ROWS, COLS).
+
+    A press that is mirrored is a press: what tells something of one tells the same of its images, and is off otherwise in each.
+    """
+    return np.stack(
+        [motion[..., ::v, ::u] * np.array([u, v, 1], np.float32)[:, None, None] for u, v in signs.tolist()]
+    )
 
 
 def straightened(motion: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

