@@ -1,5 +1,6 @@
 """What gelforge offers to a Python program: solve a press, label it, read images."""
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,7 @@ from gelforge.records.press import Press
 
 if TYPE_CHECKING:  # at run time it would bring torch along
     from gelforge.networks.placement import Placement
+    from gelforge.networks.use import Judgement
 
 
 @dataclass(frozen=True)
@@ -163,14 +165,21 @@ class Reader:
         """Read one image (h, w, 3) uint8 RGB."""
         return self._read(check_image(image), None)
 
+    def stream(self, images: Iterable[np.ndarray]) -> Iterator[ForceReading]:
+        """Read images (h, w, 3) uint8 RGB as they come from a camera, one reading each, as `gelforge live` does.
+
+        Where the gel sits otherwise than in the untouched picture, the last of them tell it together, which is surer than
+        what one does, and keeps forces from jumping as a press begins.
+        """
+        from gelforge.networks.sitting import Stream
+
+        stream = Stream(self._untouched)
+        return (reading_of(*stream.read(check_image(image))[1:]) for image in images)
+
     def _read(self, image: np.ndarray, placement: "Placement | None") -> ForceReading:
         from gelforge.networks.use import predict_one
 
-        _seen, cells, judged = predict_one(self._untouched, image, placement)
-        total = cells.sum(axis=(1, 2), dtype=float)
-        return ForceReading(
-            cells, total, judged.half_width, judged.flag, judged.reason, judged.by_dots, judged.edge_peak
-        )
+        return reading_of(*predict_one(self._untouched, image, placement)[1:])
 
     def batch(self, images: np.ndarray, one_sitting: bool = False) -> list[ForceReading]:
         """Read images (n, h, w, 3) uint8 RGB, one reading each.
@@ -186,6 +195,12 @@ class Reader:
         checked = [check_image(image) for image in images]
         placement = place_sitting(self._untouched, checked) if one_sitting else None
         return [self._read(image, placement) for image in checked]
+
+
+def reading_of(cells: np.ndarray, judged: "Judgement") -> ForceReading:
+    """What was read in an image: forces (3, rows, cols) N, and a judgement of them."""
+    total = cells.sum(axis=(1, 2), dtype=float)
+    return ForceReading(cells, total, judged.half_width, judged.flag, judged.reason, judged.by_dots, judged.edge_peak)
 
 
 def check_image(image: np.ndarray) -> np.ndarray:

@@ -13,6 +13,7 @@ import pytest
 import gelforge
 from gelforge.api import gelsight_mini
 from gelforge.commands import predict
+from gelforge.commands.live_readings import readings
 from gelforge.errors import BadInput
 from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.scene import REFERENCE_C10
@@ -74,7 +75,8 @@ def test_a_drag_is_felt_along_itself(along):
 
 def test_what_the_readme_shows_runs(root):
     rest = read_image(root / "data/demo/nocontact/mini_a.png")
-    given = {"picture": rest, "image": read_image(root / "data/demo/images/demo-000000.png")}
+    image = read_image(root / "data/demo/images/demo-000000.png")
+    given = {"picture": rest, "image": image, "images": iter([image])}
     (shown,) = re.findall(r"```python\n(.*?)```", (root / "README.md").read_text(encoding="utf-8"), re.DOTALL)
     exec(shown, given)
     assert given["cells"].shape == (3, 24, 32)
@@ -145,6 +147,20 @@ def test_images_of_one_sitting_read_as_the_command_reads_them(root, tmp_path):
     np.testing.assert_array_equal([one.cells for one in together], wanted)
     np.testing.assert_array_equal([one.cells for one in alone], [reader(image).cells for image in images])
     assert all(np.abs(one.total - other.total).max() > 1e-3 for one, other in zip(together, alone, strict=True))
+
+
+def test_images_of_a_stream_read_as_live_reads_them(root):
+    """One after the other, as they come, and with what the ones before told of how the gel sits."""
+    folder = root / "data/demo"
+    rest = read_image(folder / "nocontact/mini_a.png")
+    of_sensor = [press for press in read_presses(folder / "log.csv") if press.sensor_id == "mini_a"][:LEAST_SITTING]
+    images = [moved(read_image(folder / press.image), (2.0, -1.0)) for press in of_sensor]
+    reader, taken = gelforge.Reader(untouched=rest), []
+    found = reader.stream(taken.append(image) or image for image in images)
+    first = next(found)
+    assert len(taken) == 1
+    told = readings(Untouched(load_for_use(None), rest), [np.ascontiguousarray(image[..., ::-1]) for image in images])
+    np.testing.assert_array_equal([one.cells for one in (first, *found)], [one.forces for one in told])
 
 
 def test_a_profile_scales_what_is_read(root, tmp_path):
