@@ -14,8 +14,8 @@ from gelforge.networks.canonical import match_light
 from gelforge.networks.dotaugment import mirrored
 from gelforge.networks.dots import COLS, ROWS, PrintedDots
 from gelforge.networks.lattice import PITCH, lattice_points, moved_alike, straightened, without_still
-from gelforge.networks.placement import LEAST_MOVE, UNPLACED, Placement, place
-from gelforge.networks.placereader import PlaceReader, train_place_reader
+from gelforge.networks.placement import LEAST_MOVE, UNPLACED, about_middle, as_they_lie, place
+from gelforge.networks.placereader import PlaceReader, Places, train_place_reader
 from gelforge.networks.sitting import LEAST_SITTING, LOOKED_AT, MOST_KEPT, Stream, Thinned, place_sitting
 from gelforge.networks.use import GIVEN, Untouched, load_for_use, predict_one
 from gelforge.records.image import read_image
@@ -119,21 +119,17 @@ def test_a_sitting_is_found_nearer_once_its_pictures_lie_about_so(shipped, press
 
 
 @given(st.floats(-5, 5), st.floats(-5, 5), st.floats(-0.1, 0.1), st.floats(0.9, 1.1))
-def test_placements_one_after_the_other_take_points_as_their_matrices_do(right, down, turn, zoom):
-    middle, points = np.array([158.0, 121.0]), np.random.default_rng(0).uniform(0, 300, (20, 2))
-
-    def about_middle(angle, factor, shift):
-        linear = factor * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-        return Placement(np.column_stack([linear, middle - linear @ middle + shift]), np.array(shift))
-
-    def taken(placement, points):
-        return points @ placement.matrix[:, :2].T + placement.matrix[:, 2]
-
-    first, rest = about_middle(turn, zoom, (right, down)), about_middle(0.01, 1.002, (0.1, -0.2))
-    both = first.after(rest)
-    np.testing.assert_allclose(taken(both, points), taken(first, taken(rest, points)), atol=1e-9)
-    np.testing.assert_allclose(both.shift, taken(both, middle) - middle, atol=1e-9)
-    np.testing.assert_allclose(both.zoom, first.zoom * rest.zoom)
+def test_what_a_picture_tells_that_was_laid_is_told_of_it_as_it_lay(presses, right, down, turn, zoom):
+    """A dot is where the placement takes the place to which the laid picture's move takes it."""
+    dots = PrintedDots(presses[0]["mini_a"])
+    points = dots.standing.points
+    laid, _ = about_middle(dots, zoom * np.exp(1j * turn), complex(right, down))
+    left = Places(np.array([1.002 + 0.01j]), np.array([0.1 - 0.2j]), np.array([2.0]))
+    told = as_they_lie(laid, left)
+    rest, middle = left.a[0] * points + left.b[0], complex(*dots.standing.middle)
+    there = np.column_stack([(rest + middle).real, (rest + middle).imag]) @ laid.matrix[:, :2].T + laid.matrix[:, 2]
+    np.testing.assert_allclose(told.a[0] * points + told.b[0] + middle, there @ [1.0, 1j], atol=1e-9)
+    assert told.contact == left.contact
 
 
 @pytest.mark.parametrize("count", [0, 1, MOST_KEPT, MOST_KEPT + 1, 1000])

@@ -9,7 +9,6 @@ import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from statistics import median
 
 import numpy as np
 
@@ -76,13 +75,6 @@ class Placement:
         far = np.abs(self.shift).max() > SURE_SHIFT or abs(self.turn) > SURE_TURN or abs(self.zoom - 1.0) > SURE_ZOOM
         return f"the gel sits too far from where it sat untouched to be sure: {self.correction}" if far else ""
 
-    def after(self, rest: "Placement") -> "Placement":
-        """Where the untouched picture's points lie that `rest` takes to where this one's points are; a dot's shifts add up."""
-        linear, shift = self.matrix[:, :2], self.matrix[:, 2]
-        matrix = linear @ rest.matrix
-        matrix[:, 2] += shift
-        return Placement(matrix, self.shift + linear @ rest.shift)
-
     def undo(self, image: np.ndarray) -> np.ndarray:
         """The image (h, w, 3) uint8 as it would be seen from where the untouched one was taken."""
         import cv2
@@ -117,8 +109,9 @@ def believed(dots: PrintedDots, told: Places, presses: int) -> Placement:
 
     told: of `places_of`. presses: how many of their contacts have nothing to do with each other, whose errors do not add up.
     """
-    placement, moved = about_middle(dots, *_middle(told))
-    by_contact = LEAST_SHARE * median(told.contact.tolist()) / math.sqrt(presses)
+    a, b, contact = _middle(told)
+    placement, moved = about_middle(dots, a, b)
+    by_contact = LEAST_SHARE * contact / math.sqrt(presses)
     return placement if moved >= LEAST_MOVE + by_contact else UNPLACED
 
 
@@ -134,7 +127,8 @@ def placed_nearer(
     telling = [followed for followed in laid if tells_place(dots, followed)]
     if not telling:
         return coarse
-    return coarse.after(about_middle(dots, *_middle(places_of(reader, dots, telling)))[0])
+    a, b, _ = _middle(as_they_lie(coarse, places_of(reader, dots, telling)))
+    return about_middle(dots, a, b)[0]
 
 
 def places_of(reader: PlaceReader | PlacesOneByOne, dots: PrintedDots, sitting: Sequence[Followed]) -> Places:
@@ -145,16 +139,16 @@ def places_of(reader: PlaceReader | PlacesOneByOne, dots: PrintedDots, sitting: 
 
 
 def as_they_lie(laid: Placement, told: Places) -> Places:
-    """What is told of pictures that a placement laid, told of the same pictures before."""
+    """What pictures tell that a placement laid, as the same pictures would tell it unlaid."""
     a, b = complex(*laid.matrix[:, 0]), complex(*laid.shift)
     return Places(a * told.a, a * told.b + b, told.contact)
 
 
-def _middle(told: Places) -> tuple[complex, complex]:
-    """What pictures of one sitting tell together, a and b: medians of each part, in which those say most that contact did least to."""
+def _middle(told: Places) -> tuple[complex, complex, float]:
+    """What pictures of one sitting tell together, a, b and contact: medians, in which those say most that contact did least to."""
     says = 1.0 / (told.contact**2 + HALF_SAYS**2)
     a, b = (complex(_median(values.real, says), _median(values.imag, says)) for values in (told.a, told.b))
-    return a, b
+    return a, b, _median(told.contact, says)
 
 
 def _median(values: np.ndarray, says: np.ndarray) -> float:
