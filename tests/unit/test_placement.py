@@ -14,7 +14,7 @@ from gelforge.networks.canonical import match_light
 from gelforge.networks.dotaugment import mirrored
 from gelforge.networks.dots import COLS, ROWS, PrintedDots
 from gelforge.networks.lattice import PITCH, lattice_points, moved_alike, straightened, without_still
-from gelforge.networks.placement import LEAST_MOVE, UNPLACED, about_middle, as_they_lie, place
+from gelforge.networks.placement import LEAST_MOVE, UNPLACED, about_middle, as_they_lie, believed, place
 from gelforge.networks.placereader import PlaceReader, Places, train_place_reader
 from gelforge.networks.sitting import LEAST_SITTING, LOOKED_AT, MOST_KEPT, Stream, Thinned, place_sitting
 from gelforge.networks.use import GIVEN, Untouched, load_for_use, predict_one
@@ -123,7 +123,7 @@ def test_what_a_picture_tells_that_was_laid_is_told_of_it_as_it_lay(presses, rig
     """A dot is where the placement takes the place to which the laid picture's move takes it."""
     dots = PrintedDots(presses[0]["mini_a"])
     points = dots.standing.points
-    laid, _ = about_middle(dots, zoom * np.exp(1j * turn), complex(right, down))
+    laid = about_middle(dots, zoom * np.exp(1j * turn), complex(right, down))
     left = Places(np.array([1.002 + 0.01j]), np.array([0.1 - 0.2j]), np.array([2.0]))
     told = as_they_lie(laid, left)
     rest, middle = left.a[0] * points + left.b[0], complex(*dots.standing.middle)
@@ -385,6 +385,21 @@ def test_a_stream_of_a_gel_that_sat_still_is_read_as_its_pictures_are(shipped, p
     for name, picture in pictures[:8]:
         if name == "mini_a":
             np.testing.assert_array_equal(stream.read(picture)[1], predict_one(untouched, picture)[1])
+
+
+def test_what_a_long_press_may_hide_is_still_believed(presses):
+    """Where it tells as well that nothing moved as what was known before; and no longer where nothing touches, and tells so."""
+    dots = PrintedDots(presses[0]["mini_a"])
+
+    def told(shift, contact):
+        return Places(np.array([1.0 + 0j]), np.array([shift]), np.array([contact]))
+
+    known = believed(dots, told(0.9 - 0.6j, 0.0), 1, UNPLACED)
+    assert known.moves and np.allclose(known.shift, (0.9, -0.6))
+    assert believed(dots, told(0.8 - 0.5j, 8.0), 1, known) is known
+    assert believed(dots, told(0.8 - 0.5j, 8.0), 1, UNPLACED) is UNPLACED
+    assert believed(dots, told(0.1 + 0.0j, 0.0), 1, known) is UNPLACED
+    assert np.allclose(believed(dots, told(5.0 + 0.0j, 8.0), 1, known).shift, (5.0, 0.0))
 
 
 def test_a_gel_that_is_pushed_while_it_is_filmed_is_followed(shipped, presses):

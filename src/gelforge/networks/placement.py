@@ -41,6 +41,15 @@ class Placement:
     matrix: np.ndarray
     shift: np.ndarray
 
+    @property
+    def a(self) -> complex:
+        """A dot at z px from the one nearest to the picture's middle is at a z + b, z = u + i v."""
+        return complex(*self.matrix[:, 0])
+
+    @property
+    def b(self) -> complex:
+        return complex(*self.shift)
+
     @functools.cached_property
     def moves(self) -> bool:
         """Whether anything is put right."""
@@ -101,18 +110,20 @@ def place(reader: PlaceReader | PlacesOneByOne | None, dots: PrintedDots, sittin
     telling = [followed for followed in sitting if tells_place(dots, followed)]
     if reader is None or not telling:
         return UNPLACED
-    return believed(dots, places_of(reader, dots, telling), len(telling))
+    return believed(dots, places_of(reader, dots, telling), len(telling), UNPLACED)
 
 
-def believed(dots: PrintedDots, told: Places, presses: int) -> Placement:
-    """Placement that pictures of one sitting tell together; none where it may be the reader's error.
+def believed(dots: PrintedDots, told: Places, presses: int, before: Placement) -> Placement:
+    """Placement that pictures of one sitting tell together; where that may be the reader's error, `before` or none.
 
     told: of `places_of`. presses: how many of their contacts have nothing to do with each other, whose errors do not add up.
+    before: what was believed so far, which is kept where what is told now may be it as well as no move at all.
     """
     a, b, contact = _middle(told)
-    placement, moved = about_middle(dots, a, b)
-    by_contact = LEAST_SHARE * contact / math.sqrt(presses)
-    return placement if moved >= LEAST_MOVE + by_contact else UNPLACED
+    sure = LEAST_MOVE + LEAST_SHARE * contact / math.sqrt(presses)
+    if _apart(dots, a - 1.0, b) >= sure:
+        return about_middle(dots, a, b)
+    return before if _apart(dots, a - before.a, b - before.b) < sure else UNPLACED
 
 
 def placed_nearer(
@@ -128,7 +139,7 @@ def placed_nearer(
     if not telling:
         return coarse
     a, b, _ = _middle(as_they_lie(coarse, places_of(reader, dots, telling)))
-    return about_middle(dots, a, b)[0]
+    return about_middle(dots, a, b)
 
 
 def places_of(reader: PlaceReader | PlacesOneByOne, dots: PrintedDots, sitting: Sequence[Followed]) -> Places:
@@ -140,8 +151,7 @@ def places_of(reader: PlaceReader | PlacesOneByOne, dots: PrintedDots, sitting: 
 
 def as_they_lie(laid: Placement, told: Places) -> Places:
     """What pictures tell that a placement laid, as the same pictures would tell it unlaid."""
-    a, b = complex(*laid.matrix[:, 0]), complex(*laid.shift)
-    return Places(a * told.a, a * told.b + b, told.contact)
+    return Places(laid.a * told.a, laid.a * told.b + laid.b, told.contact)
 
 
 def _middle(told: Places) -> tuple[complex, complex, float]:
@@ -158,13 +168,14 @@ def _median(values: np.ndarray, says: np.ndarray) -> float:
     return float(np.interp(0.5 * says.sum(), below, values[order]))
 
 
-def about_middle(dots: PrintedDots, a: complex, b: complex) -> tuple[Placement, float]:
-    """Placement that takes a dot at z px from the lattice's middle to a z + b, z = u + i v.
+def _apart(dots: PrintedDots, a: complex, b: complex) -> float:
+    """How far a z + b takes the dots, root mean square, px: what two placements differ by where a and b are their differences."""
+    moved = a * dots.standing.points + b
+    return float(np.sqrt((moved.real**2 + moved.imag**2).mean()))
 
-    And how far it moves the dots, root mean square, px.
-    """
-    standing = dots.standing
-    linear, shift = np.array([[a.real, -a.imag], [a.imag, a.real]]), np.array([b.real, b.imag])
-    moved = (a - 1) * standing.points + b
-    how_far = float(np.sqrt((moved.real**2 + moved.imag**2).mean()))
-    return Placement(np.column_stack([linear, standing.middle - linear @ standing.middle + shift]), shift), how_far
+
+def about_middle(dots: PrintedDots, a: complex, b: complex) -> Placement:
+    """Placement that takes a dot at z px from the lattice's middle to a z + b, z = u + i v."""
+    middle, shift = dots.standing.middle, np.array([b.real, b.imag])
+    linear = np.array([[a.real, -a.imag], [a.imag, a.real]])
+    return Placement(np.column_stack([linear, middle - linear @ middle + shift]), shift)

@@ -104,7 +104,8 @@ class Stream:
         told = as_they_lie(self._placement, places_of(self._reader, dots, [followed]))
         self._told.append((*told.a, *told.b, *told.contact))
         remembered = Places(*(np.array(part) for part in zip(*self._told, strict=True)))
-        self._placement = believed(dots, remembered, 1)  # one press may last for all of them
+        # one press may last for all of them
+        self._placement = believed(dots, remembered, 1, self._placement)
 
 
 def _follow(untouched: Untouched, sized: np.ndarray) -> Followed:
