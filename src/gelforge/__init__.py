@@ -10,6 +10,8 @@ In Python, without make:
 
     read = gelforge.Reader(untouched=picture)  # many images of one sensor
     found = read(image)  # found.total +- found.half_width N, found.cells, found.flag
+    for one in read.stream(images):  # as they come from a camera
+        print(one.total)
 
 Importing this loads nothing else; each name is loaded when it is first used.
 """

@@ -162,14 +162,16 @@ class Reader:
         self._untouched = Untouched(trained, picture, gain=gain)
 
     def __call__(self, image: np.ndarray) -> ForceReading:
-        """Read one image (h, w, 3) uint8 RGB."""
+        """Read one image (h, w, 3) uint8 RGB by itself; for those that a camera gives one after the other: `stream`."""
         return self._read(check_image(image), None)
 
     def stream(self, images: Iterable[np.ndarray]) -> Iterator[ForceReading]:
         """Read images (h, w, 3) uint8 RGB as they come from a camera, one reading each, as `gelforge live` does.
 
         Where the gel sits otherwise than in the untouched picture, the last of them tell it together, which is surer than
-        what one does, and keeps forces from jumping as a press begins.
+        what one does, and keeps forces from jumping as a press begins; a gel that is pushed in its holder is followed within
+        20 images. Where images cannot tell it, as those that do not show the gel's rim, each is read by itself. One that is no
+        image raises BadInput and ends the stream.
         """
         from gelforge.networks.sitting import Stream
 

@@ -9,8 +9,9 @@ import numpy as np
 
 from gelforge.networks.modelfile import Trained
 from gelforge.networks.sensorprofile import Gain, fit_opposite
+from gelforge.networks.sitting import Stream
 from gelforge.networks.still import SETTLING, find_untouched
-from gelforge.networks.use import Untouched, predict_one
+from gelforge.networks.use import Untouched
 from gelforge.records.film import frames, open_source
 from gelforge.records.markers import find_blobs
 from gelforge.records.totals import BEYOND
@@ -68,7 +69,8 @@ def read_film(path: Path, trained: Trained) -> Read:
     rest, _ = find_untouched(iter(images), str(path))
     dots, as_it_is, one = find_blobs(rest)[0], bare(trained, images[0]), Untouched(trained, rest)
     chosen = images[SETTLING::EVERY]  # while a camera sets its exposure nothing is known
-    forces, judgements = zip(*(predict_one(one, image)[1:] for image in chosen), strict=True)
+    stream = Stream(one)
+    forces, judgements = zip(*(stream.read(image)[1:] for image in chosen), strict=True)
     return Read(
         used=np.array([one.sum((1, 2)) for one in forces]),
         bare=np.array([as_it_is(image).sum((1, 2)) for image in chosen]),

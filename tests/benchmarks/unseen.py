@@ -231,8 +231,9 @@ def change_figure(name: str, units: Units, read: np.ndarray, after: np.ndarray) 
 
 
 def sitting_figures(units: Units, readers: dict[str, Untouched], read: np.ndarray) -> list[Figure]:
-    """The same where all pictures of a unit are moved alike and read together, as those that `predict` is given at once."""
+    """How far pressed pictures are read otherwise where all of a unit are moved alike and read together, as by `predict`."""
     figures, unit_of = [], np.array([seen.unit for seen in units.seen])
+    count = len(unit_of) // len(readers)
     for what, way in WAYS.items():
         after = np.empty_like(read)
         for name, one in readers.items():
@@ -240,7 +241,7 @@ def sitting_figures(units: Units, readers: dict[str, Untouched], read: np.ndarra
             images = [moved(units.seen[row].image, **way) for row in rows]
             placement = place_sitting(one, images)
             after[rows] = [totals(one, image, placement) for image in images]
-        figures.append(change_figure(f"{what}, {len(rows)} pictures read together, mean change", units, read, after))
+        figures.append(change_figure(f"{what}, pressed, {count} read together, mean change", units, read, after))
     return figures
 
 

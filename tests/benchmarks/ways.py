@@ -12,7 +12,7 @@ Way = Callable[[np.ndarray], np.ndarray]  # a picture (h, w, 3) to forces (3, ro
 
 
 def as_used(trained: Trained, untouched: np.ndarray, sitting: Sequence[np.ndarray] = ()) -> Way:
-    """How `predict` reads the pictures of a sitting, or, where none are named, `live` reads a frame."""
+    """How `predict` reads the pictures of a sitting, or, where fewer than four are named, one picture by itself."""
     one = Untouched(trained, untouched)
     placement = place_sitting(one, sitting)
     return lambda image: predict_one(one, image, placement)[1]

@@ -1,7 +1,8 @@
 """Force maps over a video or a camera, as it runs: `gelforge live --video FILE | --camera N`.
 
 --web serves a page to this machine, with recording and replay; --jsonl and --csv write what is read, without a display.
-A network that reads differences takes the first frames at rest for the untouched sensor, unless told otherwise.
+A network that reads differences takes the first frames at rest for the untouched sensor, unless told otherwise. Frames
+are laid onto its picture as the last of them tell together that the gel sits (networks.sitting.Stream).
 """
 
 import threading

@@ -10,7 +10,8 @@ A network that reads differences needs a picture of the sensor while nothing tou
 FILE. The network that ships needs one of the two; one that was trained on at most eight sensors holds their pictures
 and takes one by --sensor NAME, or the one that the image is nearest to.
 All images of one call are taken for one sitting: where their dots tell that the gel moved in its holder since that
-picture was taken, or that it is cropped otherwise, they are laid onto it first.
+picture was taken, or that it is cropped otherwise, they are laid onto it first. Four and more that show dots tell it
+together, fewer each by itself.
 """
 
 import tempfile

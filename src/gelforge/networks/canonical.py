@@ -69,11 +69,16 @@ class View:
     zoom: float
     fill: tuple[float, float, float]
 
+    @property
+    def whole(self) -> bool:
+        """Whether pictures are at the network's scale as they are, and so show the gel's rim."""
+        return self.zoom == 1.0
+
     def of(self, image: np.ndarray) -> np.ndarray:
         """The image (h, w, 3) uint8 at the network's scale, of the same size."""
         import cv2
 
-        if self.zoom == 1.0:
+        if self.whole:
             return image
         size = image.shape[1::-1]
         matrix = np.array([[self.zoom, 0.0, 0.0], [0.0, self.zoom, 0.0]])

@@ -55,9 +55,9 @@ def _moments() -> tuple[np.ndarray, np.ndarray]:
 
 
 def mirror_images(motion: np.ndarray, signs: np.ndarray = IMAGES) -> np.ndarray:
-    """Motion of dots (n, 3, ROWS, COLS) float32 in some of its IMAGES, (images, n, 3, ROWS, COLS).
+    """Motion of dots (..., 3, ROWS, COLS) float32 in some of its IMAGES, (images, ..., 3, ROWS, COLS).
 
-    A press that is mirrored is a press: what tells something of one tells the same of its images, and is off otherwise in each.
+    A press that is mirrored is a press. A reader is off by another error in each of its images, so their mean is nearer.
     """
     return np.stack(
         [motion[..., ::v, ::u] * np.array([u, v, 1], np.float32)[:, None, None] for u, v in signs.tolist()]

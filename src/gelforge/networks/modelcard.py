@@ -104,8 +104,8 @@ def dot_lines(about: dict) -> list[str]:
     shares = " / ".join(f"{100 * weight:.0f} %" for weight in about["dots"]["weight"])
     return [
         f"- Beside it {MEMBERS} small networks read total force from the motion of the printed dots alone, which light cannot"
-        f" move. In `predict`, `live` and `gelforge.Reader` totals are a mean in which theirs has {shares}"
-        f" ({' / '.join(CHANNELS)}).",
+        f" move, as it is and turned by half. In `predict`, `live` and `gelforge.Reader` totals are a mean in which theirs has"
+        f" {shares} ({' / '.join(CHANNELS)}).",
     ]
 
 
@@ -116,8 +116,8 @@ def place_lines(about: dict) -> list[str]:
         return []
     return [
         "- A picture whose gel sits otherwise than in its untouched picture, shifted, turned or zoomed, is laid onto that"
-        " before it is read: another small network tells by the printed dots how it sits, whatever touches it. It learnt"
-        f" from {places['pictures']} pictures ({places['data']}).",
+        " before it is read: another small network tells by the printed dots, in all mirror images of their motion, how it"
+        f" sits, whatever touches it. It learnt from {places['pictures']} pictures ({places['data']}).",
     ]
 
 

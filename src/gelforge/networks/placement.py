@@ -25,10 +25,7 @@ SURE_SHIFT, SURE_TURN, SURE_ZOOM = 9.0, 3.0, 0.06
 # reader did not learn from, four in a thousand are told to have been moved. Of several pictures' middle the share falls
 # with the root of their number, as errors do that each contact makes by itself.
 LEAST_MOVE, LEAST_SHARE = 0.5, 0.2
-# Contact, px, with which a picture has half the say of one that nothing touches. With so much say by contact four pictures
-# are placed to two thirds of what they are with the same say each; with more, one that was taken before the gel was pushed
-# home could outweigh all others.
-HALF_SAYS = 3.0
+LEAST_CONTACT = 0.1  # px that contact is taken to do at least: pictures that nothing touches all have the same say
 
 
 @dataclass(frozen=True)
@@ -43,11 +40,12 @@ class Placement:
 
     @property
     def a(self) -> complex:
-        """A dot at z px from the one nearest to the picture's middle is at a z + b, z = u + i v."""
+        """Turn and zoom: a dot at z px from the one nearest to the picture's middle is at a z + b, z = u + i v."""
         return complex(*self.matrix[:, 0])
 
     @property
     def b(self) -> complex:
+        """The shift, px."""
         return complex(*self.shift)
 
     @functools.cached_property
@@ -117,26 +115,31 @@ def believed(dots: PrintedDots, told: Places, presses: int, before: Placement) -
     """Placement that pictures of one sitting tell together; where that may be the reader's error, `before` or none.
 
     told: of `places_of`. presses: how many of their contacts have nothing to do with each other, whose errors do not add up.
-    before: what was believed so far, which is kept where what is told now may be it as well as no move at all.
+    before: what was believed so far, which is kept where what is told now is too uncertain to tell it from no move.
     """
     a, b, contact = _middle(told)
     sure = LEAST_MOVE + LEAST_SHARE * contact / math.sqrt(presses)
-    if _apart(dots, a - 1.0, b) >= sure:
+    if _apart(dots, a, b, UNPLACED) >= sure:
         return about_middle(dots, a, b)
-    return before if _apart(dots, a - before.a, b - before.b) < sure else UNPLACED
+    return before if _apart(dots, a, b, before) < sure else UNPLACED
+
+
+def contradicts(dots: PrintedDots, told: Places, placement: Placement) -> bool:
+    """Whether one picture by itself tells that the gel sits otherwise than a placement says; told: of `places_of`, of one."""
+    return bool(_apart(dots, told.a[0], told.b[0], placement) >= LEAST_MOVE + LEAST_SHARE * told.contact[0])
 
 
 def placed_nearer(
-    coarse: Placement, reader: PlaceReader | PlacesOneByOne, dots: PrintedDots, laid: Sequence[Followed]
+    coarse: Placement, reader: PlaceReader | PlacesOneByOne | None, dots: PrintedDots, laid: Sequence[Followed]
 ) -> Placement:
-    """A placement that moves something, nearer to how the gel sits: by what its dots do in pictures that it laid so.
+    """How the gel sits once more, and nearer, after a placement was found: from pictures that it laid. laid: their dots.
 
     A dot is followed where its contrast is, about a px nearer to the middle than where it stands, because the picture is
     brighter there. So in one that is 3 % larger all are told to be 0.05 px from where they are, and much less in one that
     lies nearly as it should.
     """
     telling = [followed for followed in laid if tells_place(dots, followed)]
-    if not telling:
+    if reader is None or not telling:
         return coarse
     a, b, _ = _middle(as_they_lie(coarse, places_of(reader, dots, telling)))
     return about_middle(dots, a, b)
@@ -155,8 +158,13 @@ def as_they_lie(laid: Placement, told: Places) -> Places:
 
 
 def _middle(told: Places) -> tuple[complex, complex, float]:
-    """What pictures of one sitting tell together, a, b and contact: medians, in which those say most that contact did least to."""
-    says = 1.0 / (told.contact**2 + HALF_SAYS**2)
+    """What pictures of one sitting tell together, a, b and contact: medians, in which those say most that contact did least to.
+
+    Four pictures are so placed with three quarters of the error that the same say of each leaves.
+    """
+    # by half of their variance at least: no picture has more than twice the usual say, or one that was taken before the gel was
+    # pushed home, which nothing touches, could outweigh all others
+    says = 1.0 / (told.contact**2 + np.median(told.contact) ** 2 + LEAST_CONTACT**2)
     a, b = (complex(_median(values.real, says), _median(values.imag, says)) for values in (told.a, told.b))
     return a, b, _median(told.contact, says)
 
@@ -168,9 +176,9 @@ def _median(values: np.ndarray, says: np.ndarray) -> float:
     return float(np.interp(0.5 * says.sum(), below, values[order]))
 
 
-def _apart(dots: PrintedDots, a: complex, b: complex) -> float:
-    """How far a z + b takes the dots, root mean square, px: what two placements differ by where a and b are their differences."""
-    moved = a * dots.standing.points + b
+def _apart(dots: PrintedDots, a: complex, b: complex, placement: Placement) -> float:
+    """How far the dots are, by a z + b, from where a placement takes them, root mean square, px."""
+    moved = (a - placement.a) * dots.standing.points + b - placement.b
     return float(np.sqrt((moved.real**2 + moved.imag**2).mean()))
 
 

@@ -94,7 +94,7 @@ class Untouched:
         if not trained.needs_untouched:
             self.known = {"": None}
         elif picture is not None:
-            sized = fit_size(picture, trained.about["image"])[0]
+            sized = self.sized(picture)
             self.known = {GIVEN: sized}
             pitch = pitch_of(sized) if "pitch_px" in trained.about else None
             if pitch:
@@ -116,6 +116,10 @@ class Untouched:
         self._dots: dict[str, PrintedDots] = {}
         self._readers: dict[str, PictureReader] = {}
         self._rest: dict[str, np.ndarray] = {}
+
+    def sized(self, image: np.ndarray) -> np.ndarray:
+        """An image (h, w, 3) uint8 of any size at that of the model."""
+        return fit_size(image, self.trained.about["image"])[0]
 
     def of(self, image: np.ndarray) -> str:
         """Name of the picture for an image (h, w, 3) of the model's size."""
@@ -159,14 +163,13 @@ class Untouched:
         """An image of the sensor's view as a placement lays it on the picture of that name."""
         seen, dots = placement.undo(shown), self.dots(name)
         lit, light = self.canonical(seen, name)
-        whole = self.view.zoom == 1.0
-        return CanonicalPair(placement, seen, lit, light, self.picture(name), dots, dots.follow(lit), whole)
+        return CanonicalPair(placement, seen, lit, light, self.picture(name), dots, dots.follow(lit), self.view.whole)
 
     def _placed(self, shown: np.ndarray, name: str, pair: "CanonicalPair") -> "CanonicalPair":
         """The same as its own dots lay it; as it lies where they tell nothing."""
         reader = self.reader_of_places
         placement = place(reader, pair.dots, [pair.followed])
-        if reader is None or not placement.moves:
+        if not placement.moves:
             return pair
         # dots that lay beside each other told of light, too
         laid = self._laid(shown, name, placement)
@@ -188,18 +191,18 @@ class Untouched:
 
 @dataclass(frozen=True)
 class CanonicalPair:
-    """An image as the network reads it beside an untouched picture, `rest` (h, w, 3), and what tells how they belong together.
+    """An image as the network reads it beside an untouched picture (h, w, 3), and what tells how they belong together.
 
     placement: what was put right in how the image lay. seen: (h, w, 3) uint8 at the scale and in the place of the untouched
-    one; lit: in its light, too, from which its own differed by `light`. dots: of the untouched one; followed: where the image
-    has them. whole: whether both show the gel's rim.
+    one; lit: in its light, too, from which its own differed by `light`. picture, dots: the untouched one and its dots; followed:
+    where the image has them. whole: whether both show the gel's rim.
     """
 
     placement: Placement
     seen: np.ndarray
     lit: np.ndarray
     light: Light
-    rest: np.ndarray
+    picture: np.ndarray
     dots: PrintedDots
     followed: Followed
     whole: bool
@@ -217,7 +220,7 @@ class CanonicalPair:
     @cached_property
     def evidence(self) -> PairEvidence:
         """All that tells whether they do."""
-        return PairEvidence(distance(self.lit, self.rest), self.light, self.of_dots)
+        return PairEvidence(distance(self.lit, self.picture), self.light, self.of_dots)
 
 
 @dataclass(frozen=True)
@@ -358,7 +361,7 @@ def tell_rows(trained: Trained, data: Data, rows: np.ndarray) -> Predicted:
         forces.append(told)
         widths.append(judgement.half_width)
         by_dots.append(judgement.by_dots)
-    in_place = all(one.view.zoom == 1.0 for one in beside.values())
+    in_place = all(one.view.whole for one in beside.values())
     return Predicted(np.stack(forces), _all_or_none(widths), _all_or_none(by_dots), in_place)
 
 

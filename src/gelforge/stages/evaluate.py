@@ -14,7 +14,7 @@ from gelforge.records.predictionfile import write_predictions
 from gelforge.records.splits import TRAINING
 from gelforge.reporting.networkcharts import draw_predictions
 
-VERSION = 15
+VERSION = 16
 
 
 def keep_predictions(path, data, trained, predictions: dict) -> None:

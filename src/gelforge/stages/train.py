@@ -16,7 +16,7 @@ from gelforge.flow.params.slices import ForTrain, read_slice
 from gelforge.flow.params.tables import SHIPPED, TrainingTable, TrainTable
 from gelforge.records.networkkind import kind_of
 
-VERSION = 19
+VERSION = 20
 
 
 def read_models(path) -> dict:
