@@ -22,9 +22,8 @@ from gelforge.networks.use import GIVEN, Judgement, Untouched, predict_one
 
 # Pictures from which the middle of what each tells is nearer to how the gel sits than what one does.
 LEAST_SITTING = 4
-MOST_KEPT = (
-    64  # pictures of a sitting, spread over all, that are looked at again once it is known about how the gel sits
-)
+# Pictures of a sitting, spread over all, that are looked at again once it is known about how the gel sits.
+MOST_KEPT = 64
 # Of a stream the first LEAST_SITTING pictures are looked at, and then every so manyth: what the last REMEMBERED told is half a
 # minute of 30 pictures a second.
 LOOKED_AT, REMEMBERED = 15, 64
@@ -91,8 +90,7 @@ class Stream:
         )
         self._placement = UNPLACED
         self._told: deque[Places] = deque(maxlen=REMEMBERED)
-        self._contradicting: list[Places] = []
-        self._count = 0
+        self._count = self._contradicting = 0  # pictures, and those at last that contradict what the others told
 
     def read(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray, Judgement]:
         """As `predict_one` of the next picture (h, w, 3) uint8 of any size."""
@@ -109,10 +107,10 @@ class Stream:
         if told is None:
             return
         pushed = contradicts(dots, told, self._placement)
-        self._contradicting = [*self._contradicting, told] if pushed else []
-        if len(self._contradicting) == LEAST_SITTING:
+        self._contradicting = self._contradicting + 1 if pushed else 0
+        if self._contradicting == LEAST_SITTING:
             self._told.clear()
-            self._contradicting.clear()
+            self._contradicting = 0
         self._told.append(told)
         self._placement = self._together()
         if pushed and self._placement.moves and not contradicts(dots, told, self._placement):
