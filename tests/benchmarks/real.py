@@ -24,7 +24,7 @@ from gelforge.networks.canonical import match_light
 from gelforge.networks.modelfile import Trained
 from gelforge.networks.placement import UNPLACED
 from gelforge.networks.sensorprofile import fingerprint
-from gelforge.networks.sitting import place_sitting
+from gelforge.networks.sitting import Stream, place_sitting
 from gelforge.networks.use import Untouched, load_for_use
 from gelforge.records.image import read_image
 from tests.benchmarks.figures import PUBLISHED_DATA, Figure, publish_figures
@@ -185,6 +185,19 @@ def moved_figures(
     return figures
 
 
+def stream_figures(
+    presses: list[tuple[np.ndarray, np.ndarray]], trained: Trained, untouched: np.ndarray
+) -> list[Figure]:
+    """How far FEATS' pressed pictures read otherwise as frames of `live`, and each by itself, than all of them together."""
+    pictures, stream = [picture for picture, _ in presses], Stream(Untouched(trained, untouched))
+    ways = as_used(trained, untouched, pictures), lambda picture: stream.read(picture)[1], as_used(trained, untouched)
+    wanted, live, alone = (np.array([read(picture)[2].sum() for picture in pictures]) for read in ways)
+    pressed = wanted < -LEAST_PRESS
+    apart = [100 * float(np.median(np.abs(told / wanted - 1.0)[pressed])) for told in (live, alone)]
+    told = f"{pressed.sum()} presses; each by itself {apart[1]:.1f} %"
+    return [Figure("real presses as frames of live against all together, median", apart[0], "<=", 2.0, "%", told)]
+
+
 def cuboid_figures(reference: Path, trained: Trained, untouched: np.ndarray) -> list[Figure]:
     """A 10 mm cuboid pressed straight: sideways force beside the normal one, and how wide the contact is read."""
     image = read_image(reference / "feats/images/cuboid_10-2-284.png")[..., :3]
@@ -224,7 +237,7 @@ def main(args: Namespace) -> None:
     untouched = read_npy(args.reference / "feats/images/nocontact_train_sensor.npy")["gs_img"]
     figures = [*released_figures(read), *finger_figures(read), *sideways_figures(read)]
     presses = feats_maps(args.reference / "feats/images/demo.gif", trained, untouched)
-    for measure in (gif_figures, tube_figures, moved_figures):
+    for measure in (gif_figures, tube_figures, moved_figures, stream_figures):
         figures += measure(presses, trained, untouched)
     figures += cuboid_figures(args.reference, trained, untouched)
     publish_figures(args.out, figures, fingerprint(trained.about))
