@@ -126,12 +126,12 @@ def test_a_sitting_is_found_nearer_once_its_pictures_lie_about_so(shipped, press
 @given(st.floats(-5, 5), st.floats(-5, 5), st.floats(-0.1, 0.1), st.floats(0.9, 1.1))
 def test_what_a_picture_tells_that_was_laid_is_told_of_it_as_it_lay(dots_of_a, right, down, turn, zoom):
     """A dot is where the placement takes the place to which the laid picture's move takes it."""
-    dots = dots_of_a
-    points = dots.standing.points
-    laid = about_middle(dots, zoom * np.exp(1j * turn), complex(right, down))
+    standing = dots_of_a.standing
+    points = standing.points
+    laid = about_middle(dots_of_a, zoom * np.exp(1j * turn), complex(right, down))
     left = Places(np.array([1.002 + 0.01j]), np.array([0.1 - 0.2j]), np.array([2.0]))
     told = as_they_lie(laid, left)
-    rest, middle = left.a[0] * points + left.b[0], complex(*dots.standing.middle)
+    rest, middle = left.a[0] * points + left.b[0], complex(*standing.middle)
     there = np.column_stack([(rest + middle).real, (rest + middle).imag]) @ laid.matrix[:, :2].T + laid.matrix[:, 2]
     np.testing.assert_allclose(told.a[0] * points + told.b[0] + middle, there @ [1.0, 1j], atol=1e-9)
     assert told.contact == left.contact
@@ -422,17 +422,16 @@ def test_dark_frames_at_the_beginning_of_a_stream_tell_nothing(shipped, presses)
 
 def test_what_a_long_press_may_hide_is_still_believed(dots_of_a):
     """Where it tells as well that nothing moved as what was known before; and no longer where nothing touches, and tells so."""
-    dots = dots_of_a
 
     def told(shift, contact):
         return Places(np.array([1.0 + 0j]), np.array([shift]), np.array([contact]))
 
-    known = believed(dots, told(0.9 - 0.6j, 0.0), 1, UNPLACED)
+    known = believed(dots_of_a, told(0.9 - 0.6j, 0.0), 1, UNPLACED)
     assert known.moves and np.allclose(known.shift, (0.9, -0.6))
-    assert believed(dots, told(0.8 - 0.5j, 8.0), 1, known) is known
-    assert believed(dots, told(0.8 - 0.5j, 8.0), 1, UNPLACED) is UNPLACED
-    assert believed(dots, told(0.1 + 0.0j, 0.0), 1, known) is UNPLACED
-    assert np.allclose(believed(dots, told(5.0 + 0.0j, 8.0), 1, known).shift, (5.0, 0.0))
+    assert believed(dots_of_a, told(0.8 - 0.5j, 8.0), 1, known) is known
+    assert believed(dots_of_a, told(0.8 - 0.5j, 8.0), 1, UNPLACED) is UNPLACED
+    assert believed(dots_of_a, told(0.1 + 0.0j, 0.0), 1, known) is UNPLACED
+    assert np.allclose(believed(dots_of_a, told(5.0 + 0.0j, 8.0), 1, known).shift, (5.0, 0.0))
 
 
 def test_a_gel_that_is_pushed_while_it_is_filmed_is_followed_at_once(shipped, presses):

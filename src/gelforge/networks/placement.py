@@ -118,7 +118,7 @@ def believed(dots: PrintedDots, told: Places, presses: int, before: Placement) -
     before: what was believed so far, which is kept where what is told now is too uncertain to tell it from no move.
     """
     a, b, contact = _middle(told)
-    sure = LEAST_MOVE + LEAST_SHARE * contact / math.sqrt(presses)
+    sure = _sure(contact, presses)
     if _apart(dots, a, b, UNPLACED) >= sure:
         return about_middle(dots, a, b)
     return before if _apart(dots, a, b, before) < sure else UNPLACED
@@ -126,7 +126,7 @@ def believed(dots: PrintedDots, told: Places, presses: int, before: Placement) -
 
 def contradicts(dots: PrintedDots, told: Places, placement: Placement) -> bool:
     """Whether one picture by itself tells that the gel sits otherwise than a placement says; told: of `places_of`, of one."""
-    return bool(_apart(dots, told.a[0], told.b[0], placement) >= LEAST_MOVE + LEAST_SHARE * told.contact[0])
+    return bool(_apart(dots, told.a[0], told.b[0], placement) >= _sure(told.contact[0], 1))
 
 
 def placed_nearer(
@@ -174,6 +174,11 @@ def _median(values: np.ndarray, says: np.ndarray) -> float:
     order = values.argsort()
     below = says[order].cumsum() - 0.5 * says[order]
     return float(np.interp(0.5 * says.sum(), below, values[order]))
+
+
+def _sure(contact: float, presses: int) -> float:
+    """How far the dots must be told to have moved, px, to be no error of what is told beside so much contact of so many presses."""
+    return LEAST_MOVE + LEAST_SHARE * contact / math.sqrt(presses)
 
 
 def _apart(dots: PrintedDots, a: complex, b: complex, placement: Placement) -> float:
