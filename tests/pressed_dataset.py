@@ -116,8 +116,8 @@ def label(made: dict, resolution: str, sensors=ROOT / "workflow/sensors.toml") -
     return out.parent
 
 
-def collect(made: dict, resolution: str, **settings) -> Path:
-    """Run stage 60, with some of its settings changed; return the dataset's folder."""
+def collect(made: dict, resolution: str, *flags: str, **settings) -> Path:
+    """Run stage 60 with options, and some of its settings changed; return the dataset's folder."""
     from gelforge.stages import dataset
 
     results, out = made["results"], made["results"] / "60_dataset" / resolution / "dataset.json"
@@ -145,6 +145,7 @@ def collect(made: dict, resolution: str, **settings) -> Path:
             str(results / "00_plan/params/dataset.json"),
             "--out",
             str(out),
+            *flags,
         ]
     )
     return out.parent

@@ -18,6 +18,7 @@ from gelforge.flow.files import read_csv, read_json, write_text
 from gelforge.networks.canonical import match_light
 from gelforge.networks.data import open_data
 from gelforge.networks.split import group_presses, split_presses
+from gelforge.records.repeats import repeats
 from gelforge.stages.dataset import published_splits, read_truth
 
 
@@ -116,6 +117,33 @@ def test_nearly_the_same_touch_is_one_press():
 def test_turns_that_bring_an_indenter_onto_itself_are_one_press(order, turns, groups):
     rows = [press_record(indenter="a", rot_deg=float(turn)) for turn in turns]
     assert group_presses(rows, 0.05, 0.5, {"a": order}).tolist() == groups
+
+
+@settings(max_examples=60)
+@given(st.integers(2, 80), st.integers(1, 40), st.integers(1, 6), st.integers(0, 999), st.sampled_from([1, 3]))
+def test_presses_that_show_one_picture_are_in_one_split(count, pictures, kinds, seed, frames):
+    """A frozen camera: also where one of them is of an indenter or a sensor that training must not see."""
+    each, _ = presses(count, seed, indenters=kinds)
+    rng = np.random.default_rng(seed)
+    rows = [
+        replace(row, sample_id=f"{row.sample_id}-{k}", press_id=row.sample_id) for row in each for k in range(frames)
+    ]
+    shown = rng.integers(0, pictures, len(rows)).tolist()
+    found, chosen = repeats(rows, shown), with_values(SETTINGS, unseen_sensors=["c1"], seed=seed)
+    split, group = split_presses(rows, rng.uniform(0, 12, len(rows)), {"i1"}, {}, chosen, found)
+    for members in found:
+        assert len(set(split[members])) == len(set(group[members])) == 1
+    unseen = [at for at, row in enumerate(rows) if row.indenter == "i1" or row.sensor_id == "c1"]
+    assert not set(split[unseen]) & {"train", "val", "test"}
+    for press in {row.press_id for row in rows}:
+        kinds_of = {split[at] for at, row in enumerate(rows) if row.press_id == press and row.sensor_id != "c1"}
+        assert len(kinds_of) <= 1, "frames of one press were torn"
+
+
+def test_frames_of_one_press_may_share_their_picture():
+    rows = [press_record(press_id=name) for name in ("p", "p", "", "", "q", "p")]
+    assert repeats(rows, ["a", "a", None, None, "b", "b"]) == [[4, 5]]
+    assert repeats(rows, ["a", "a", "c", "c", "b", "a"]) == [[2, 3]]
 
 
 @pytest.fixture(scope="module")
@@ -324,6 +352,40 @@ def test_a_press_torn_between_splits_is_refused(tmp_path):
     assert published_splits(tmp_path, whole, np.array([])).tolist() == ["train", "test", "train", "test"]
     with pytest.raises(BadInput, match="samples a and e are of one press, p1, but in the splits train and test"):
         published_splits(tmp_path, list(rows.values()), np.array([]))
+
+
+def freeze(made, *names):
+    """The camera froze after the first of these presses: pictures of equal pixels, files of unlike bytes."""
+    folder = made["data"] / "images"
+    frozen = cv2.imread(str(folder / f"{names[0]}.png"))
+    for name in names[1:]:
+        cv2.imwrite(str(folder / f"{name}.png"), frozen, [cv2.IMWRITE_PNG_COMPRESSION, 0])
+
+
+def test_a_frozen_camera_is_named_and_its_presses_stay_together(tmp_path, root, monkeypatch, capsys):
+    monkeypatch.chdir(root)
+    made = write_pressed(tmp_path)
+    label(made, "4x4")
+    freeze(made, "s003", "s009", "s011")
+    table = {s.press.sample_id: s for s in open_data(collect(made, "4x4")).table}
+    said = capsys.readouterr().err
+    assert "3 presses share 1 picture of the same content: s003 (images/s003.png), s009" in said and "freeze" in said
+    assert len({table[name].group for name in ("s003", "s009", "s011")}) == 1
+    # s011 pressed an indenter that training must not see
+    assert {table[name].split for name in ("s003", "s009", "s011")} == {"test_unseen_indenter"}
+    folder = made["results"] / "60_dataset/4x4"
+    (folder / "dataset.json").unlink()
+    with pytest.raises(BadInput, match=r"s003 .* s009 .* s011 .*; give each press its own picture"):
+        collect(made, "4x4", "--strict")
+    assert not (folder / "dataset.json").exists()
+
+
+def test_a_published_split_that_tests_on_a_picture_it_taught_is_refused(tmp_path):
+    write_text(tmp_path / "splits.csv", "sample_id,split\na,train\nb,test\nc,test\n")
+    rows = [press_record(sample_id=name) for name in "abc"]
+    assert published_splits(tmp_path, rows, np.array([]), [[1, 2]]).tolist() == ["train", "test", "test"]
+    with pytest.raises(BadInput, match=r"pictures of a \(train\) and c \(test\) are equal"):
+        published_splits(tmp_path, rows, np.array([]), [[1, 2], [0, 2]])
 
 
 def test_a_dataset_without_any_label_is_refused(tmp_path, root, monkeypatch):

@@ -12,11 +12,15 @@ CHANCE = 0.5  # samples by which chance may move the lag of a split
 
 
 def group_presses(
-    presses: Sequence[PressRecord], same_mm: float, same_deg: float, folds: Mapping[str, int]
+    presses: Sequence[PressRecord],
+    same_mm: float,
+    same_deg: float,
+    folds: Mapping[str, int],
+    repeated: Sequence[Sequence[int]] = (),
 ) -> np.ndarray:
     """Group number (n,) of each sample: samples of one indenter at one position and angle share it, frames of a press too.
 
-    folds: by how many equal turns an indenter comes onto itself, 0: by any (geometry.indenters.fold); one that is not
+    repeated: numbers of samples that show one picture (records.repeats), which share a group, too. folds: by how many equal turns an indenter comes onto itself, 0: by any (geometry.indenters.fold); one that is not
     named, by a whole turn. Angles that differ by such a turn are one.
 
     Depths and shears of one touch, and the same touch on several sensors, are views of one press: were
@@ -30,7 +34,7 @@ def group_presses(
             by_indenter.setdefault(press.indenter, []).append(at)
         if press.press_id:
             by_press.setdefault(press.press_id, []).append(at)
-    linked = [np.column_stack([members[:-1], members[1:]]) for members in by_press.values()]
+    linked = [np.column_stack([members[:-1], members[1:]]) for members in (*by_press.values(), *repeated)]
     for indenter, members in by_indenter.items():
         place = np.array([[presses[at].x0_mm, presses[at].y0_mm, presses[at].rot_deg] for at in members])
         order = folds.get(indenter, 1)
@@ -65,19 +69,28 @@ def _clusters(count: int, pairs: np.ndarray) -> np.ndarray:
 
 
 def split_presses(
-    presses: Sequence[PressRecord], force, unseen_indenters, folds: Mapping[str, int], settings: DatasetTable
+    presses: Sequence[PressRecord],
+    force,
+    unseen_indenters,
+    folds: Mapping[str, int],
+    settings: DatasetTable,
+    repeated: Sequence[Sequence[int]] = (),
 ) -> tuple[np.ndarray, np.ndarray]:
     """Split name (n,) and group (n,) of samples.
 
-    folds: of indenters, as for `group_presses`. force: (n,) N. Unseen indenters and sensors make their own tests. The
-    groups of the others are dealt to training, validation and test as their first samples come. Whole presses that come
+    folds, repeated: as for `group_presses`. force: (n,) N. Unseen indenters and sensors make their own tests; a press that
+    shows the picture of one of these goes there with all of its group. The groups of the others are dealt to training, validation and test as their first samples come. Whole presses that come
     later move none of them (but where they tie two groups together), so that a dataset may grow: what a network learnt
     from is no test of one that goes on from it.
     """
-    group = group_presses(presses, settings.same_press_mm, settings.same_press_deg, folds)
+    group = group_presses(presses, settings.same_press_mm, settings.same_press_deg, folds, repeated)
     split = np.array(
         [_kept_apart(press, unseen_indenters, settings.unseen_sensors) for press in presses], dtype=object
     )
+    for members in repeated:
+        apart = set(split[members]) - {""}
+        if apart:
+            split[group == group[members[0]]] = min(apart)
     known = np.flatnonzero(split == "")
     strata = _strata(presses, np.abs(np.asarray(force)), settings.force_edges)
     shares = {

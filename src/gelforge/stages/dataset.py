@@ -5,6 +5,7 @@ import hashlib
 import os
 import sys
 from argparse import Namespace
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,7 +28,8 @@ from gelforge.records.image import read_logged_image
 from gelforge.records.labelfile import FIELDS, open_labels, read_labels
 from gelforge.records.log import read_poses, read_shard, without_duplicates
 from gelforge.records.press import FORCE, ID_RULE, PressRecord, names_files, parse
-from gelforge.records.rowfile import array_on_disk
+from gelforge.records.repeats import repeats, tell_repeats
+from gelforge.records.rowfile import RowFile, array_on_disk
 from gelforge.records.samplefile import DatasetSample, write_samples
 from gelforge.records.splits import TRAINING
 from gelforge.records.status import Status
@@ -117,6 +119,7 @@ def share_images(folder: Path, data: Path, presses: list[PressRecord], size) -> 
 
     Resolutions are made side by side: the first writes the copy, the others wait for it.
     """
+    folder.mkdir(parents=True, exist_ok=True)
     with (folder.parent / ".images.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         _share_images(folder, data, presses, size)
@@ -143,6 +146,26 @@ def _share_images(folder: Path, data: Path, presses: list[PressRecord], size) ->
         if other.stat().st_nlink == 1:
             other.unlink(missing_ok=True)
             other.with_suffix(".sha256").unlink(missing_ok=True)
+
+
+def repeated_pictures(path: Path, presses: list[PressRecord], where: str, strict: bool) -> list[list[int]]:
+    """Numbers of presses whose pictures are equal in each pixel, by picture; told, and refused where `strict`.
+
+    path: the array of all pictures. Labels of such presses contradict each other, and one would test what another taught.
+    """
+    images = RowFile(path)
+    found = repeats(
+        presses, [hashlib.blake2b(images[at].tobytes(), digest_size=16).digest() for at in range(len(images))]
+    )
+    if not found:
+        return found
+    told, remedy = tell_repeats(where, presses, found), "give each press its own picture, or remove its row"
+    if strict:
+        raise BadInput(f"{told}; {remedy}")
+    print(
+        f"{told}; all presses of one picture go to one split. Did the camera freeze? If so, {remedy}", file=sys.stderr
+    )
+    return found
 
 
 def write_label_array(path, shards, places, grid: Grid, name: str = "label") -> None:
@@ -231,8 +254,13 @@ def describe(args, grid: Grid, found: list[DatasetSample], splits, left_out, siz
     }
 
 
-def published_splits(data: Path, presses: list, splits: np.ndarray) -> np.ndarray:
-    """The splits (n,) that an imported dataset came with, data/DATASET/splits.csv, else those given."""
+def published_splits(
+    data: Path, presses: list, splits: np.ndarray, repeated: Sequence[Sequence[int]] = ()
+) -> np.ndarray:
+    """The splits (n,) that an imported dataset came with, data/DATASET/splits.csv, else those given.
+
+    repeated: numbers of presses that show one picture; in two splits they are refused.
+    """
     path = data / "splits.csv"
     if not path.exists():
         return splits
@@ -253,6 +281,14 @@ def published_splits(data: Path, presses: list, splits: np.ndarray) -> np.ndarra
         raise BadInput(f"{path}: has no split of sample {missing[0]}; add it, or remove the file to split anew")
     found = np.array([known[press.sample_id] for press in presses])
     refuse_torn_presses(path, presses, found)
+    for members in repeated:
+        other = next((at for at in members if found[at] != found[members[0]]), None)
+        if other is not None:
+            first, second = (f"{presses[at].sample_id} ({found[at]})" for at in (members[0], other))
+            raise BadInput(
+                f"{path}: the pictures of {first} and {second} are equal, but in two splits; give both the same, or remove"
+                " the file to split anew"
+            )
     return found
 
 
@@ -285,22 +321,24 @@ def build(args) -> dict:
         )
     presses = [each.press for each in found]
     size = image_size(presses, load_sensors(args.sensors), f"{args.data}/log.csv")
+    folder = args.out.parent
+    share_images(folder, args.data, presses, size)
+    repeated = repeated_pictures(folder / "images.npy", presses, f"{args.data}/log.csv", args.strict)
     catalogue = {name: table for name, table in read_json(args.catalogue).items() if isinstance(table, dict)}
     splits, groups = split_presses(
         presses, np.array([each.strength for each in found]), unseen_indenters(catalogue, settings),
-        {name: fold(table) for name, table in catalogue.items()}, settings,
+        {name: fold(table) for name, table in catalogue.items()}, settings, repeated,
     )  # fmt: skip
-    splits = published_splits(args.data, presses, splits)
-    folder = args.out.parent
+    splits = published_splits(args.data, presses, splits, repeated)
     write_label_array(folder / "labels.npy", shards, places, grid)
     write_fields(folder, shards, places, grid)
-    share_images(folder, args.data, presses, size)
     found = [replace(each, split=str(s), group=str(g)) for each, s, g in zip(found, splits, groups, strict=True)]
     write_samples(folder / "samples.csv", found)
     short = ("sample_id", "group", "split")
     write_csv(folder / "split.csv", short, [{name: each.cells()[name] for name in short} for each in found])
     write_json(folder / "normalisation.json", training_ranges(folder, splits))
     about = describe(args, grid, found, splits, left_out, size, material)
+    about |= {"repeated_pictures": len(repeated)} if repeated else {}
     return about | {"nocontact": write_nocontact(folder / "nocontact.npy", args.data, about["sensors"], size)}
 
 
@@ -313,6 +351,7 @@ def build(args) -> dict:
     option("--sensors", type=Path),
     option("--resolution", help="ROWSxCOLS"),
     option("--params", type=Path),
+    option("--strict", action="store_true", help="fail where presses share a picture"),
     option("--out", type=Path, help="60_dataset/RES/dataset.json, written last"),
 )
 def main(args: Namespace) -> None:
