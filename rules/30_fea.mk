@@ -6,3 +6,7 @@ fea: $(FEA) $(call barrier,30_fea)  ## finite element solves of every good sampl
 
 $(FEA): $D/30_fea/%.csv: $D/10_poses/%.csv $P/fea.json $(MESH_FILES) | $(call barrier,10_poses 20_meshes)
 	$(call step,gelforge.stages.fea --poses $< --meshes $D/20_meshes --params $P/fea.json --out $@.part)
+
+.PHONY: deck
+deck:  ## CalculiX' deck of one sample as a folder that runs by itself: make deck ID=…
+	@$(PY) -m gelforge.commands.deck --results $D --id $(call given,ID)

@@ -13,9 +13,12 @@ import numpy as np
 import pytest
 from parameters import write_slice
 
+from gelforge.commands import deck
 from gelforge.errors import BadInput
-from gelforge.flow.files import read_csv, write_json
+from gelforge.flow.files import read_csv, write_csv, write_json
 from gelforge.geometry.gel import GELS
+from gelforge.mechanics.ccx.dat import last_table, read_dat
+from gelforge.mechanics.scene import REFERENCE_C10
 from gelforge.records.forcefile import ForceFile
 from gelforge.stages import fea, forces
 from tests.blocks import symmetric_block
@@ -127,3 +130,64 @@ def test_a_failed_solve_is_a_row_with_its_reason(folder, ccx):
     forces.main(forces_arguments(folder))
     with ForceFile(folder / "0000.npz") as found:
         assert found.status.tolist() == ["DIVERGED"] and not len(found.node)
+
+
+def forces_by_stock_ccx(ccx, folder, name, forces):
+    """Nodal forces (s, 3) N that CalculiX itself prints for a deck, and those of stage 40 at the deck's C10."""
+    subprocess.run([ccx, name], cwd=folder, check=True, stdout=subprocess.DEVNULL)
+    with ForceFile(forces) as found:
+        at = found.index(name)
+        nodes = found.node[found.ptr[at] : found.ptr[at + 1]]
+        force = found.force[found.ptr[at] : found.ptr[at + 1]] * (REFERENCE_C10 / found.c10)
+    tables = read_dat((folder / f"{name}.dat").read_text())
+    (top,) = (t.nodes for t in tables if (t.quantity, t.set_name) == ("forces", "NTOP"))
+    printed = last_table(tables, "forces", "NTOP", np.sort(top))
+    every = np.zeros_like(printed)
+    every[np.searchsorted(np.sort(top), nodes + 1)] = force
+    return printed, every
+
+
+def test_decks_run_by_stock_calculix_give_the_forces_of_stage_40(folder, ccx, tmp_path_factory):
+    poses = folder / "10_poses" / "0000.csv"
+    poses.write_text(HEADER + "".join(row.replace("s2,cam,g,ball,2,", "s2,cam,g,ball,2.2,") for row in ROWS[::2]))
+    assert fea.main(arguments(folder)) == 0
+    assert forces.main([*forces_arguments(folder)[:-1], f"{folder}/40_forces/0000.npz"]) == 0
+    decks = sorted((folder / "30_fea").rglob("*.inp"))
+    assert [path.parent.name for path in decks] == ["0000", "0000", "meshes"], "one mesh serves both decks"
+    shutil.copytree(folder / "30_fea", copy := tmp_path_factory.mktemp("away") / "fea")
+    for name in ("s0", "s2"):
+        printed, ours = forces_by_stock_ccx(ccx, copy / "0000", name, folder / "40_forces" / "0000.npz")
+        assert np.abs(printed - ours).max() <= 1e-6 * np.abs(ours).max() and ours[:, 2].sum() < -0.1
+
+    rows = [{"sample_id": name, "shard": "0", "logged": "1"} for name in ("s0", "s2", "s3")]
+    write_csv(folder / "00_plan" / "shards.csv", ["sample_id", "shard", "logged"], rows)
+    assert deck.main(["--results", str(folder), "--id", "s2"]) == 0
+    shutil.copytree(folder / "deck" / "s2", alone := tmp_path_factory.mktemp("alone") / "s2")
+    printed, ours = forces_by_stock_ccx(ccx, alone, "s2", folder / "40_forces" / "0000.npz")
+    assert np.abs(printed - ours).max() <= 1e-6 * np.abs(ours).max()
+    readme = (alone / "README").read_text().splitlines()
+    assert len(readme) == 3 and "`ccx s2` in this folder" in readme[0]
+    assert "times 2, because their C10 is 0.145 MPa (as given)" in readme[2]
+
+    with pytest.raises(BadInput, match="s3 was not solved yet; run make sample ID=s3"):
+        deck.main(["--results", str(folder), "--id", "s3"])
+    # without the mesh a deck is worth nothing: the press is solved again, which writes it
+    decks[-1].unlink()
+    with pytest.raises(
+        BadInput, match=r"the mesh that .*s2\.inp includes is missing; remove .*0000\.csv and run make"
+    ):
+        deck.main(["--results", str(folder), "--id", "s2"])
+    assert fea.main(arguments(folder)) == 0
+    assert deck.main(["--results", str(folder), "--id", "s2"]) == 0
+
+
+def test_a_press_solved_in_process_has_no_deck(folder):
+    params = json.loads((folder / "params" / "fea.json").read_text())
+    params["fea"] |= {"fidelity": "hex", "hex_quality": "demo"}
+    write_json(folder / "params" / "fea.json", params)
+    (folder / "10_poses" / "0000.csv").write_text(HEADER + ROWS[0])
+    assert fea.main(arguments(folder)) == 0
+    rows = [{"sample_id": "s0", "shard": "0", "logged": "1"}]
+    write_csv(folder / "00_plan" / "shards.csv", ["sample_id", "shard", "logged"], rows)
+    with pytest.raises(BadInput, match="s0 has no deck: it was solved by hex, without CalculiX"):
+        deck.main(["--results", str(folder), "--id", "s0"])

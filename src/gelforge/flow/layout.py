@@ -16,12 +16,12 @@ PLAN, POSES, MESHES, FEA, FORCES = "00_plan", "10_poses", "20_meshes", "30_fea",
 LABELS, DATASET, TRAIN, EVALUATE, REPORT = "50_labels", "60_dataset", "70_train", "80_evaluate", "90_report"
 CALIBRATE, PARETO, PARETO_MODELS, STABILITY, STUDY = "calibrate", "pareto", "pareto_models", "stability", "study"
 LOGS, METRICS = "logs", "metrics"
-SAMPLES, ESTIMATE, EXPORT, FEATS, LOOK = "samples", "estimate", "export", "feats", "look"
+SAMPLES, ESTIMATE, EXPORT, FEATS, LOOK, DECK = "samples", "estimate", "export", "feats", "look", "deck"
 STAGES = (
     PLAN, POSES, MESHES, FEA, FORCES, LABELS, DATASET, TRAIN, EVALUATE, REPORT, CALIBRATE, PARETO, PARETO_MODELS,
     STABILITY, STUDY,
 )  # fmt: skip
-FOLDERS = (*STAGES, LOGS, METRICS, SAMPLES, ESTIMATE, EXPORT, FEATS, LOOK)
+FOLDERS = (*STAGES, LOGS, METRICS, SAMPLES, ESTIMATE, EXPORT, FEATS, LOOK, DECK)
 SHARD_DIGITS = 4
 LOGGED = "logged"  # column of the table of shards: 1 for a sample that the log has, 0 for one that it has lost
 

@@ -19,6 +19,7 @@ from gelforge.flow.params.slices import ForFea, read_slice
 from gelforge.flow.params.tables import CHOOSING, IN_PROCESS, TETRAHEDRAL
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import load_gel
+from gelforge.mechanics.ccx.deck import INCLUDES
 from gelforge.mechanics.family import MeshFamily, mesh_names
 from gelforge.mechanics.fidelity import Solvers
 from gelforge.mechanics.hex.settings import QUALITIES, quality
@@ -29,7 +30,7 @@ from gelforge.records.press import POSE, PosedPress
 from gelforge.records.solvetable import Solved, damaged, read_record, write_solves
 from gelforge.records.status import Status
 
-VERSION = 11
+VERSION = 12
 
 
 def scene_of(press: PosedPress, bodies: dict, sensors: dict, params: ForFea) -> Scene:
@@ -69,17 +70,19 @@ def sample_key(press: PosedPress, frames: list[PosedPress], params: ForFea, tabl
 def finished(folder: Path, sample_id: str, key: str) -> dict | None:
     """The record of a sample that was solved whole under the same key, else None."""
     record = read_record(folder / f"{sample_id}.json")
-    return record if record and record.get("key") == key and not damaged(folder, record) else None
+    if record is None or record.get("key") != key or damaged(folder, record):
+        return None
+    return record if (folder.parent / INCLUDES / record["include"]).exists() else None
 
 
 def publish_solve(sample_id: str, result: Result, solvers: Solvers, key: str, folder: Path) -> dict:
     """Publish the files of one solved sample, its record last; return the record."""
-    evidence = result.kept_evidence
+    evidence, include = result.kept_evidence, getattr(result, "include", None)
     record = {
         "key": key, "sample_id": sample_id, "status": result.status.name, "mesh": evidence.get("mesh", ""),
         "reason": "" if result.status.valid else str(evidence.get("reason") or result.status.value),
         "fidelity": evidence.get("fidelity", solvers.settings.fidelity), "total": result.total.tolist(),
-        "evidence": evidence, "files": [],
+        "evidence": evidence, "files": [], "include": include.name if include else "",
     }  # fmt: skip
     if result.status.valid:
         record["files"] = publish_result(folder, sample_id, result, solvers.family.load(record["mesh"]))
@@ -89,8 +92,14 @@ def publish_solve(sample_id: str, result: Result, solvers: Solvers, key: str, fo
 
 
 def publish_result(folder: Path, sample_id: str, result, mesh) -> list[str]:
-    """Write deck and output of CalculiX, or the surface's arrays of a result that has none; names of the files."""
+    """Write deck and output of CalculiX, or the surface's arrays of a result that has none; names of the files.
+
+    The mesh that a deck includes lies beside the shards' folders, once for all decks.
+    """
     if getattr(result, "dat", None):
+        if not (mesh_text := folder.parent / INCLUDES / result.include.name).exists():
+            with publish(mesh_text) as part:
+                shutil.copyfile(result.include, part)
         with publish(folder / f"{sample_id}.inp") as part:
             part.write_text(result.deck)
         with publish(folder / f"{sample_id}.dat.gz") as part:

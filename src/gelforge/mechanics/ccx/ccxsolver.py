@@ -16,7 +16,7 @@ import numpy as np
 
 from gelforge.flow.params.tables import FeaTable
 from gelforge.mechanics.ccx.dat import DatError, Unfinished, last_table, read_dat, without_set
-from gelforge.mechanics.ccx.deck import DIRECT, ITERATIVE, press_deck, write_include
+from gelforge.mechanics.ccx.deck import DIRECT, INCLUDES, ITERATIVE, press_deck, write_include
 from gelforge.mechanics.ccx.program import run_ccx
 from gelforge.mechanics.hex.carry import Trail
 from gelforge.mechanics.hex.reach import first_touch
@@ -59,14 +59,15 @@ class CcxSettings:
 
 @dataclass
 class CcxResult(Result):
-    """A Result with CalculiX' deck and .dat text (None where nothing was run)."""
+    """A Result with CalculiX' deck, .dat text and the mesh that the deck includes (None where nothing was run)."""
 
     deck: str | None = None
     dat: str | None = None
+    include: Path | None = None
 
 
 class CcxSolver:
-    """Solves scenes on one tetrahedral mesh; decks and output live in `folder`."""
+    """Solves scenes on one tetrahedral mesh; decks and output live in `folder`/run, the mesh as text beside it."""
 
     def __init__(self, mesh: GelMesh, folder: Path | str, settings: CcxSettings) -> None:
         self.mesh, self.folder, self.settings = mesh, Path(folder), settings
@@ -74,8 +75,9 @@ class CcxSolver:
         self._write()
 
     def _write(self) -> None:
-        self.folder.mkdir(parents=True, exist_ok=True)
-        self.include = write_include(self.mesh, self.folder / "mesh.inp").name
+        self.run = self.folder / "run"
+        self.run.mkdir(parents=True, exist_ok=True)
+        self.include = write_include(self.mesh, self.folder / INCLUDES)
 
     def on(self, mesh: GelMesh, folder: Path | str) -> "CcxSolver":
         """A solver of the same elements whose nodes lie elsewhere; both share what their matrices have in common."""
@@ -177,17 +179,16 @@ class _Run:
         problem = Status.DIVERGED, "no point touches"
         attempts: list[tuple[np.ndarray | None, float, str]] = [(start, 1.0, ITERATIVE), (start, 1.0, DIRECT)]
         attempts += [(None, INCREMENT, DIRECT), (None, INCREMENT / 10, DIRECT)]
+        run, include = self.solver.run, f"../{INCLUDES}/{self.solver.include.name}"
         for begin, increment, method in attempts if len(held) else []:
-            deck = press_deck(
-                self.solver.include, self.scene.material, held, start[held], begin, increment, s.residual, method
-            )
-            (self.solver.folder / f"{self.name}.inp").write_text(deck)
-            job = run_ccx(self.name, self.solver.folder, s.timeout_s)
+            deck = press_deck(include, self.scene.material, held, start[held], begin, increment, s.residual, method)
+            (run / f"{self.name}.inp").write_text(deck)
+            job = run_ccx(self.name, run, s.timeout_s)
             self.iterations += job.iterations
             self.seconds += job.seconds
             self.peak = max(self.peak, job.peak_mib)
             try:
-                return read_answer(self.solver.folder / f"{self.name}.dat", mesh, deck)
+                return read_answer(run / f"{self.name}.dat", mesh, deck)
             except DatError as error:
                 problem = status_of(error), f"{error}; {job.reason()}"
                 self.ladder.append(f"{method}, first increment {increment:g}: {problem[1]}")
@@ -211,7 +212,8 @@ class _Run:
             "penetration_mm": verdict.penetration, "pulling_fraction": verdict.pulling_fraction,
             "base_mismatch": mismatch,
         }  # fmt: skip
-        return CcxResult(status, forces, answer.displacement, evidence, answer.deck, without_set(answer.dat, "NALL"))
+        dat = without_set(answer.dat, "NALL")
+        return CcxResult(status, forces, answer.displacement, evidence, answer.deck, dat, self.solver.include)
 
     def _evidence(self) -> dict:
         return {

@@ -1,10 +1,11 @@
 """Input decks for CalculiX: the mesh as a shared include, one press as a small deck."""
 
+import hashlib
 from pathlib import Path
 
 import numpy as np
 
-from gelforge.flow.files import write_if_changed
+from gelforge.flow.files import publish
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.scene import REFERENCE_C10, Material
 
@@ -15,6 +16,8 @@ DIRECT, ITERATIVE = "SPOOLES", "ITERATIVE SCALING"
 # Displacements in decks. Conjugate gradients stop at a share of the residual that they begin with: rounding at the eighth
 # digit leaves a rough one, which is gone in half the iterations that the smooth rest of Newton's method would take.
 PLACE = ".7e"
+INCLUDES = "meshes"  # folder of meshes as text, beside the one that decks lie in: one mesh serves many decks
+INCLUDE = "*INCLUDE, INPUT="
 
 
 def mesh_include(mesh: GelMesh) -> str:
@@ -31,10 +34,19 @@ def mesh_include(mesh: GelMesh) -> str:
     return "\n".join(lines) + "\n"
 
 
-def write_include(mesh: GelMesh, path: Path | str) -> Path:
-    """Write `mesh_include` to `path`; a file of another mesh that lies there is replaced."""
-    write_if_changed(path, mesh_include(mesh))
-    return Path(path)
+def write_include(mesh: GelMesh, folder: Path | str) -> Path:
+    """Write `mesh_include` to a folder, unless it lies there; the path, whose name tells the content."""
+    text = mesh_include(mesh).encode()
+    path = Path(folder) / f"mesh-{hashlib.sha256(text).hexdigest()[:12]}.inp"
+    if not path.exists():
+        with publish(path) as part:
+            part.write_bytes(text)
+    return path
+
+
+def include_of(deck: str) -> str:
+    """Path of the mesh that a deck of `press_deck` includes, relative to the deck's folder."""
+    return deck.partition(INCLUDE)[2].partition("\n")[0]
 
 
 def material_lines(material: Material) -> list[str]:
@@ -60,12 +72,12 @@ def press_deck(
 ) -> str:  # fmt: skip
     """Deck of one equilibrium without contact.
 
-    include: file name of the mesh. held: (k,) nodes, counted from 0, led to the displacements `places` (k, 3) mm.
+    include: path of the mesh, relative to the deck. held: (k,) nodes, counted from 0, led to the displacements `places` (k, 3) mm.
     start: (n, 3) mm, or None: from rest. increment: first load increment, 1 for all at once. residual: largest nodal
     residual over the mean nodal force. Prints U and RF of the top's nodes, RF of the base, U of all. RF of a held node is
     the force that holds it.
     """
-    lines = [f"*INCLUDE, INPUT={include}", *material_lines(material), "*BOUNDARY", "NBASE,1,3"]
+    lines = [f"{INCLUDE}{include}", *material_lines(material), "*BOUNDARY", "NBASE,1,3"]
     if start is not None:
         lines += start_lines(start)
     lines += ["*STEP, NLGEOM, INC=200", f"*STATIC, SOLVER={solver}", f"{increment:.6g},1.,1e-4,1."]

@@ -1,0 +1,85 @@
+"""The deck of one sample as a folder of its own, which stock CalculiX runs as it is."""
+
+import shutil
+from argparse import Namespace
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.flow.files import write_text
+from gelforge.flow.layout import DECK, Layout, shard_name
+from gelforge.flow.main import command, option
+from gelforge.mechanics.ccx.deck import INCLUDES, include_of
+from gelforge.mechanics.scene import REFERENCE_C10
+from gelforge.records.forcefile import ForceFile
+from gelforge.records.press import check_id
+from gelforge.records.solvetable import read_record
+
+README = """\
+`ccx {name}` in this folder solves press {name} of dataset {dataset} with stock CalculiX (mm, N, MPa), in the frame of the gel.
+Its nodal forces on the gel are the last table "forces" of set NTOP in {name}.dat, together {total} N along x, y, z at C10 = {reference:g} MPa.
+{labels}
+"""
+
+
+def solve_of(results: Path, sample_id: str) -> tuple[dict, Path, Path]:
+    """Record of a sample's solve, its folder and its shard's forces: of its shard, or of `make sample`."""
+    of = Layout(results)
+    shard = of.shard_of(sample_id)
+    for own, name in ((of, shard), (of.sample(sample_id), shard_name(0))):
+        if record := read_record(own.solve(name, sample_id)):
+            return record, own.solves(name), own.forces(name)
+    raise BadInput(f"sample {sample_id} was not solved yet; run {of.command(f'sample ID={sample_id}')}")
+
+
+def of_labels(forces: Path) -> str:
+    """How the forces of labels differ from those of the deck: the third line of the README."""
+    if not forces.exists():
+        return "Labels hold these forces times C10 over that of the deck; none were made of this press yet."
+    with ForceFile(forces) as found:
+        ratio, c10, known = found.c10 / REFERENCE_C10, found.c10, "calibrated" if found.intervals else "as given"
+    if ratio == 1.0:
+        return "Labels are made of these forces as they are, because their C10 is that of the deck."
+    return f"Labels hold these forces times {ratio:.6g}, because their C10 is {c10:.6g} MPa ({known}): forces are proportional to it."
+
+
+def hand_out(results: Path, sample_id: str, out: Path) -> None:
+    """Write deck, mesh and README of a sample to the folder `out`; BadInput where it has no deck."""
+    record, folder, forces = solve_of(results, sample_id)
+    deck = next((folder / name for name in record["files"] if name.endswith(".inp")), None)
+    if deck is None:
+        how = record.get("reason") or f"it was solved by {record['fidelity']}, without CalculiX"
+        raise BadInput(
+            f'sample {sample_id} has no deck: {how}; with [params.fea] fidelity = "ccx" there is one, run'
+            f" {Layout(results).command('fea')}"
+        )
+    text = deck.read_text()
+    mesh = folder / include_of(text)
+    if not (mesh.parent.name == INCLUDES and mesh.exists()):
+        again = f"remove {folder}.csv and run {Layout(results).command('fea')}, which solves the press again"
+        raise BadInput(f"{mesh}: the mesh that {deck} includes is missing; {again}")
+    shutil.rmtree(out, ignore_errors=True)
+    write_text(out / deck.name, text.replace(include_of(text), mesh.name, 1))
+    shutil.copyfile(mesh, out / mesh.name)
+    total = " ".join(f"{force:.6g}" for force in np.asarray(record["total"]))
+    readme = README.format(
+        name=sample_id, dataset=results.name, total=total, reference=REFERENCE_C10, labels=of_labels(forces)
+    )
+    write_text(out / "README", readme)
+
+
+@command(
+    option("--results", type=Path, help="results/DATASET"),
+    option("--id", help="sample_id in the raw log"),
+)
+def main(args: Namespace) -> None:
+    if not args.id:
+        raise BadInput(f"no sample named; say {Layout(args.results).command('deck ID=SAMPLE_ID')}")
+    out = Layout(args.results).folder(DECK) / check_id(args.id)
+    hand_out(args.results, args.id, out)
+    print(f"deck: {out}")
+
+
+if __name__ == "__main__":
+    main.exit()
