@@ -44,7 +44,7 @@ lock: $(SETUP)  ## write envs/requirements.lock from what is installed
 	@sed 's/+cpu$$//' envs/.requirements.part > envs/.requirements.lock && rm envs/.requirements.part
 	@mv envs/.requirements.lock envs/requirements.lock
 
-BENCHMARKS := $(patsubst tests/benchmarks/%.py,benchmark-%,$(filter-out %/__init__.py %/figures.py %/sandbox.py %/rig_page.py %/real_page.py %/fea_cost.py %/attempts.py %/flow_faults.py,$(wildcard tests/benchmarks/*.py)))
+BENCHMARKS := $(patsubst tests/benchmarks/%.py,benchmark-%,$(filter-out %/__init__.py %/figures.py %/sandbox.py %/rig_page.py %/real_page.py %/fea_cost.py %/attempts.py %/flow_faults.py %/balls.py %/films.py %/ways.py,$(wildcard tests/benchmarks/*.py)))
 .PHONY: $(BENCHMARKS)
 $(BENCHMARKS): benchmark-%: $(SETUP) $(CCX_FOUND)
 	@$(PY) -m tests.benchmarks.$* --out results/benchmarks/$*.json

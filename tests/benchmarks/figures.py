@@ -11,12 +11,12 @@ from gelforge.flow.files import write_json
 
 # Folder of the published measurements, pictures, films and geometry that some benchmarks read.
 PUBLISHED_DATA = Path(os.environ.get("GELFORGE_REFERENCE", "../shared/reference"))
-COMPARE = {"<=": operator.le, ">=": operator.ge, "==": operator.eq}
+COMPARE = {"": operator.eq, "<=": operator.le, ">=": operator.ge, "==": operator.eq}
 
 
 @dataclass(frozen=True)
 class Figure:
-    """One measured number; `compare` is "<=", ">=" or "==" and `goal` what was asked for."""
+    """One measured number; `compare` is "<=", ">=" or "==" and `goal` what was asked for; "" of a note without a goal."""
 
     name: str
     value: float

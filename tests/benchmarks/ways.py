@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from gelforge.networks.modelfile import SensorNet, Trained, predict_images
+from gelforge.networks.placement import UNPLACED
 from gelforge.networks.sitting import place_sitting
 from gelforge.networks.use import Untouched, fit_size, predict_one
 
@@ -16,6 +17,12 @@ def as_used(trained: Trained, untouched: np.ndarray, sitting: Sequence[np.ndarra
     one = Untouched(trained, untouched)
     placement = place_sitting(one, sitting)
     return lambda image: predict_one(one, image, placement)[1]
+
+
+def as_it_lies(trained: Trained, untouched: np.ndarray) -> Way:
+    """How `predict` reads a picture whose gel it takes to sit as in the no-contact image."""
+    one = Untouched(trained, untouched)
+    return lambda image: predict_one(one, image, UNPLACED)[1]
 
 
 def bare(trained: Trained, untouched: np.ndarray, _sitting: Sequence[np.ndarray] = ()) -> Way:
