@@ -455,12 +455,13 @@ def test_the_film_names_axes_as_everything_else_does():
 
 def test_a_folder_without_real_pictures_is_named_with_what_it_lacks(tmp_path):
     with pytest.raises(
-        BadInput, match=f"{tmp_path}: holds no gripper_videos/.*avi and no feats/images/.*gif; .*REFERENCE=FOLDER"
+        BadInput,
+        match=f"{tmp_path}: holds no gripper_videos/.*avi and no feats/images/.*gif and no balls/unit_a/.*png; .*REFERENCE=FOLDER",
     ):
         real.main(["--reference", str(tmp_path)])
     (tmp_path / "gripper_videos").mkdir()
     (tmp_path / "gripper_videos/a.avi").touch()
-    with pytest.raises(BadInput, match="holds no feats/images/.*gif;"):
+    with pytest.raises(BadInput, match="holds no feats/images/.*gif and no balls"):
         real.main(["--reference", str(tmp_path)])
 
 
