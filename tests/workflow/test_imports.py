@@ -85,7 +85,8 @@ def test_a_recording_becomes_pictures_with_total_force(tmp_path, sensor, raw):
     (tmp_path / "in").mkdir()
     record(tmp_path / "in" / "a.mcap", images, raw)
     found = import_recordings(tmp_path / "in", tmp_path / "lab", topics(tmp_path), sensor)
-    assert found == {"files": 1, "pictures": 9, "without_wrench": 1}
+    assert (found["files"], found["images"], found["without_wrench"]) == (1, 9, 1)
+    assert found["largest_gap_s"] == pytest.approx(0.001)
     rows = read_csv(tmp_path / "lab" / "log.csv")
     labels = read_labels(tmp_path / "lab" / "labels" / "1x1.npz")
     for k, row in enumerate(rows):
@@ -299,5 +300,5 @@ def test_readings_that_are_no_numbers_are_left_out(tmp_path, sensor):
     (tmp_path / "in").mkdir()
     (tmp_path / "holes.mcap").rename(tmp_path / "in/holes.mcap")
     found = import_recordings(tmp_path / "in", tmp_path / "lab", topics(tmp_path), sensor)
-    assert found["pictures"] == 2 and found["without_wrench"] == 1  # every second one is taken
+    assert found["images"] == 2 and found["without_wrench"] == 1  # every second one is taken
     assert np.isfinite(read_labels(tmp_path / "lab/labels/1x1.npz").label).all()

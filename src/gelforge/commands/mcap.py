@@ -24,9 +24,10 @@ def main(args: Namespace) -> None:
     topics = Topics.read(Path(args.topics))
     sensor = find_sensor(load_sensors(args.sensors), topics.sensor, args.topics, str(args.sensors))
     found = import_recordings(Path(args.source), args.data, topics, sensor)
+    print(*found["notes"], sep="\n", end="\n" if found["notes"] else "")
     print(
-        f"{args.data}: {found['pictures']} pictures with force from {found['files']} recordings, {found['without_wrench']}"
-        f" without; make train DATASET={args.data.name} RES=1x1 MODEL=resnet10 learns from them"
+        f"{args.data}: {found['images']} images with force from {found['files']} recordings, {found['without_wrench']}"
+        f" without; an image and its wrench are at most {1e3 * found['largest_gap_s']:.1f} ms apart; make train DATASET={args.data.name} RES=1x1 MODEL=resnet10 learns from them"
     )
 
 

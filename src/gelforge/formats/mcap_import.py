@@ -1,18 +1,19 @@
-"""Recordings in MCAP as a dataset: pictures with the force sensor's wrench, where no indenter is known.
+"""Recordings in MCAP as a dataset: images with the force sensor's wrench, where no indenter is known.
 
 A small TOML names the topics:
 
-    image = "/gelsight/image/compressed"  # sensor_msgs/CompressedImage or sensor_msgs/Image (rgb8, bgr8)
+    image = "/gelsight/image/compressed"  # sensor_msgs/CompressedImage (JPEG, PNG) or sensor_msgs/Image (colour, Bayer)
     wrench = "/ft/wrench"                 # geometry_msgs/WrenchStamped or Wrench
     sensor = "gelsight_mini"              # in workflow/sensors.toml
-    latest_s = 0.02                       # a picture takes the nearest wrench within this time
-    every = 10                            # of so many pictures one is taken
+    latest_s = 0.02                       # an image takes the nearest wrench within this time
+    every = 10                            # of so many images one is taken
     touch_n = 0.2                         # a press begins where the force rises above it
     rotation = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]  # from the wrench's frame to the gel's: x short side, z out of the gel
     sign = 1                              # -1 where the sensor states the force that the gel exerts
 
-Every picture with a wrench becomes a row of log.csv without a pose, and a label of one cell, the total force: networks
-of totals train on it: `make train RES=1x1 MODEL=resnet10`.
+Messages are paired by the time in their headers; by the log's time, with a sentence, where a topic has no such stamps or
+both topics' are of different clocks (formats.messagetime). Every image with a wrench becomes a row of log.csv without a
+pose, and a label of one cell, the total force: networks of totals train on it: `make train RES=1x1 MODEL=resnet10`.
 """
 
 import math
@@ -29,8 +30,10 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import write_text
 from gelforge.flow.params import read_toml
 from gelforge.formats.feats_folder import NO_PRESS, new_folder
+from gelforge.formats.messageimage import picture
+from gelforge.formats.messagetime import MessageTimes, Order, choose_clock, stamp_of
 from gelforge.records.axes import AXIS_OF_CHANNEL
-from gelforge.records.image import decode, write_png
+from gelforge.records.image import write_png
 from gelforge.records.labelfile import write_labels
 from gelforge.records.log import write_log
 from gelforge.records.press import FORCES, LoggedPress
@@ -43,9 +46,8 @@ DEFAULTS = {
     "rotation": np.eye(3).tolist(),
     "sensor": "gelsight_mini",
 }
-ENCODINGS = {"rgb8": 3, "bgr8": 3}
 LATEST_NS = 2**63 - 1  # in the year 2262
-DATASET_TOML = """# Imported from recordings in MCAP: pictures with total force, no indenter known: make train RES=1x1 MODEL=resnet10
+DATASET_TOML = """# Imported from recordings in MCAP: images with total force, no indenter known: make train RES=1x1 MODEL=resnet10
 sensor = "{sensor}"
 gel = "{gel}"
 catalogue = "indenters.toml"
@@ -107,8 +109,8 @@ def number(value: Any) -> float:
         return math.nan
 
 
-def wrenches(path: Path, topics: Topics) -> tuple[np.ndarray, np.ndarray]:
-    """Times (n,) ns and forces with moments (n, 6) in the gel frame, N and N m, in the order of time.
+def wrenches(path: Path, topics: Topics) -> tuple[MessageTimes, np.ndarray]:
+    """Times of the readings (n), and forces with moments (n, 6) in the gel frame, N and N m, in the order of the log.
 
     Readings that are no numbers are left out, as if the sensor had said nothing.
     """
@@ -122,10 +124,9 @@ def wrenches(path: Path, topics: Topics) -> tuple[np.ndarray, np.ndarray]:
                 f"{path}: topic {topics.wrench} holds no wrench ({error}); name one of geometry_msgs/Wrench"
             ) from error
         if np.isfinite(parts).all():
-            times.append(time)
+            times.append((time, stamp_of(said)))
             values.append(topics.sign * (topics.rotation @ np.array(parts).T).T.ravel())
-    order = np.argsort(times, kind="stable")
-    return np.array(times, np.int64)[order], np.array(values, float).reshape(-1, 6)[order]
+    return MessageTimes.of(topics.wrench, times), np.array(values, float).reshape(-1, 6)
 
 
 def messages(path: Path, topic: str) -> Iterator[tuple[int, object]]:
@@ -149,19 +150,6 @@ def messages(path: Path, topic: str) -> Iterator[tuple[int, object]]:
             raise BadInput(f"{path}: cannot be read as MCAP with ROS 2 messages ({str(error) or type(error).__name__}); record it again, or mend it with `mcap recover`") from error  # fmt: skip
 
 
-def picture(said, where: str) -> np.ndarray:
-    """An image message as (h, w, 3) uint8 RGB."""
-    if hasattr(said, "format"):
-        return decode(bytes(said.data), f"{where}: a picture of format {said.format!r}", "record PNG or JPEG")
-    if getattr(said, "encoding", None) not in ENCODINGS:
-        raise BadInput(f"{where}: encoding {getattr(said, 'encoding', None)!r} is none of {', '.join(ENCODINGS)}")
-    data = np.frombuffer(bytes(said.data), np.uint8)
-    if said.step < 3 * said.width or len(data) != said.height * said.step:
-        raise BadInput(f"{where}: a picture of {said.width} x {said.height} has {len(data)} bytes; it is cut short")
-    rows = data.reshape(said.height, said.step)[:, : 3 * said.width].reshape(said.height, said.width, 3)
-    return rows if said.encoding == "rgb8" else rows[..., ::-1]
-
-
 def nearest(times: np.ndarray, time: int, latest_ns: float) -> int | None:
     """Row of the time nearest to another, none where it is farther away."""
     after = bisect_left(times, time)
@@ -169,6 +157,40 @@ def nearest(times: np.ndarray, time: int, latest_ns: float) -> int | None:
         (at for at in (after - 1, after) if 0 <= at < len(times)), key=lambda at: abs(times[at] - time), default=None
     )
     return None if found is None or abs(times[found] - time) > latest_ns else int(found)
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """Images of one recording with their wrenches, in the order of time.
+
+    images (n,): which message of the topic, from 0. times (n,): ns. values (n, 6): N and N m. gaps (n,): ns between an image
+    and its wrench. alone: images without a wrench. notes: what is to be told about the times.
+    """
+
+    images: np.ndarray
+    times: np.ndarray
+    values: np.ndarray
+    gaps: np.ndarray
+    alone: int
+    notes: list[str]
+
+
+def pair(path: Path, topics: Topics) -> Pairs:
+    """Pair the images of a recording with the wrenches nearest in time."""
+    wrench, values = wrenches(path, topics)
+    image = MessageTimes.of(topics.image, ((time, stamp_of(said)) for time, said in messages(path, topics.image)))
+    clock = choose_clock(image, wrench)
+    seen, felt = Order.by(image, clock.header), Order.by(wrench, clock.header)
+    chosen = seen.index[:: topics.every]
+    times = seen.times[:: topics.every]
+    rows = [nearest(felt.times, time, 1e9 * topics.latest_s) for time in times.tolist()]
+    has = np.array([row is not None for row in rows], bool)
+    found = np.array([row for row in rows if row is not None], int)
+    gaps = np.abs(times[has] - felt.times[found])
+    notes = [*clock.notes, *seen.notes, *felt.notes]
+    return Pairs(
+        chosen[has], times[has], values[felt.index[found]], gaps, int((~has).sum()), [f"{path}: {n}" for n in notes]
+    )
 
 
 def import_recordings(source: Path, data: Path, topics: Topics, sensor) -> dict:
@@ -179,49 +201,58 @@ def import_recordings(source: Path, data: Path, topics: Topics, sensor) -> dict:
     files = sorted(source.rglob("*.mcap")) if source.is_dir() else [source]
     if not files or not files[0].is_file():
         raise BadInput(f"{source}: holds no .mcap files; give a recording or a folder of them as FROM=…")
+    rows: list[LoggedPress] = []
+    forces: list[np.ndarray] = []
+    alone, largest, notes = 0, 0.0, []
     with new_folder(data) as part:
-        rows, forces, alone = [], [], 0
+        (part / "images").mkdir(parents=True)
         for number, path in enumerate(files):
-            found, without = take(path, number, part, topics, sensor)
-            rows += [row for row, _ in found]
-            forces += [force for _, force in found]
-            alone += without
+            pairs = pair(path, topics)
+            rows += take(path, number, pairs, part, topics, sensor)
+            forces += list(pairs.values[:, :3])
+            alone += pairs.alone
+            largest = max(largest, 1e-9 * float(pairs.gaps.max(initial=0)))
+            notes += pairs.notes
         if not rows:
-            raise BadInput(f"{source}: no picture of {topics.image} has a wrench of {topics.wrench} within {topics.latest_s:g} s; {alone} pictures were seen")  # fmt: skip
+            seen = "; ".join([f"{alone} images were seen", *notes])
+            raise BadInput(f"{source}: no image of {topics.image} has a wrench of {topics.wrench} within {topics.latest_s:g} s, {seen}; name other topics or a larger latest_s")  # fmt: skip
         write_log(part / "log.csv", rows)
         write_totals(part / "labels" / "1x1.npz", rows, np.array(forces))
         write_text(part / "dataset.toml", DATASET_TOML.format(sensor=sensor.name, gel=sensor.gel))
-    return {"files": len(files), "pictures": len(rows), "without_wrench": alone}
+    return {
+        "files": len(files), "images": len(rows), "without_wrench": alone, "largest_gap_s": largest, "notes": notes,
+    }  # fmt: skip
 
 
-def take(
-    path: Path, number: int, part: Path, topics: Topics, sensor
-) -> tuple[list[tuple[LoggedPress, np.ndarray]], int]:
-    """Rows and forces (3,) of the pictures of one file, whose PNGs are written; and how many had no wrench."""
-    times, values = wrenches(path, topics)
-    found, alone, press, touched = [], 0, 0, False
-    for at, (time, said) in enumerate(messages(path, topics.image)):
-        if at % topics.every:
-            continue
-        row = nearest(times, time, 1e9 * topics.latest_s)
-        if row is None:
-            alone += 1
+def take(path: Path, number: int, pairs: Pairs, part: Path, topics: Topics, sensor) -> list[LoggedPress]:
+    """Rows of the paired images of one file in the order of time; writes their PNGs."""
+    wanted = set(pairs.images.tolist())
+    for at, (_, said) in enumerate(messages(path, topics.image)):
+        if at not in wanted:
             continue
         image = picture(said, f"{path}: topic {topics.image}, message {at + 1}")
         if (image.shape[1], image.shape[0]) != tuple(sensor.image):
-            raise BadInput(f"{path}: pictures of {topics.image} are {image.shape[1]} x {image.shape[0]}, sensor {sensor.name} has {sensor.image[0]} x {sensor.image[1]}; name another sensor")  # fmt: skip
-        # Pictures of one contact are frames of one press: a split must not tear them apart.
-        touches = bool(np.linalg.norm(values[row][:3]) > topics.touch_n)
-        press, touched = press + (touches and not touched), touches
-        name = f"r{number:03d}-{at:06d}"
-        (part / "images").mkdir(exist_ok=True)
-        write_png(part / "images" / f"{name}.png", image)
+            raise BadInput(f"{path}: images of {topics.image} are {image.shape[1]} x {image.shape[0]}, sensor {sensor.name} has {sensor.image[0]} x {sensor.image[1]}; name another sensor")  # fmt: skip
+        write_png(part / "images" / f"{name_of(number, at)}.png", image)
+    # Images of one contact are frames of one press: a split must not tear them apart.
+    touches = np.linalg.norm(pairs.values[:, :3], axis=1) > topics.touch_n
+    presses = np.cumsum(touches & ~np.concatenate([[False], touches[:-1]]))
+    rows = []
+    for at, time, values, press in zip(
+        pairs.images.tolist(), pairs.times.tolist(), pairs.values, presses.tolist(), strict=True
+    ):
+        name = name_of(number, at)
         when = datetime.fromtimestamp(time / 1e9, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
         known = {"sample_id": name, "sensor_id": sensor.name, "gel_id": sensor.gel, "image": f"images/{name}.png",
                  "time_utc": when, "press_id": f"r{number:03d}-p{press:05d}"}  # fmt: skip
-        forces = dict(zip(FORCES, values[row].tolist(), strict=True))
-        found.append((LoggedPress(row=0, **{**NO_PRESS, **known, **forces}), values[row][:3]))
-    return found, alone
+        forces = dict(zip(FORCES, values.tolist(), strict=True))
+        rows.append(LoggedPress(row=0, **{**NO_PRESS, **known, **forces}))
+    return rows
+
+
+def name_of(recording: int, message: int) -> str:
+    """Name of the sample made of one image message."""
+    return f"r{recording:03d}-{message:06d}"
 
 
 def write_totals(path: Path, rows: list[LoggedPress], forces: np.ndarray) -> None:

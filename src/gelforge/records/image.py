@@ -21,6 +21,7 @@ PNG = b"\x89PNG\r\n\x1a\n"
 KINDS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP", "PPM")
 MOST_PIXELS = 4096 * 4096
 MOST_BYTES = 256 * 2**20
+LEAST_CONTRAST = 16  # levels: a frame of fewer is dark or covered, and says nothing of colours
 REMEDY = f"give {', '.join(KINDS[:-1])} or {KINDS[-1]}"
 
 
@@ -75,6 +76,13 @@ def decode(data: bytes, where: str, remedy: str = REMEDY) -> np.ndarray:
     if image is None:
         raise BadInput(f"{where}: {fault or 'cannot be read as an image'}; {remedy}")
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+
+
+def is_monochrome(image: np.ndarray) -> bool:
+    """Whether an RGB image (h, w, 3) uint8 shows something, but all of it without colour, as from a monochrome camera."""
+    red = image[..., 0]
+    grey = (red == image[..., 1]).all() and (red == image[..., 2]).all()
+    return bool(grey and np.ptp(red) > LEAST_CONTRAST)
 
 
 def _claim_fault(data: bytes) -> str | None:

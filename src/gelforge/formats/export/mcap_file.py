@@ -1,6 +1,6 @@
 """MCAP with messages of ROS 2, as Foxglove opens it (https://mcap.dev, profile ros2).
 
-Topics of each sensor, /SENSOR/…: `image/compressed` (sensor_msgs/CompressedImage, the picture's file), `wrench`
+Topics of each sensor, /SENSOR/… (its name as ROS 2 allows it): `image/compressed` (sensor_msgs/CompressedImage, the picture's file), `wrench`
 (geometry_msgs/WrenchStamped, total force of the label in the gel frame, no torque), `forces/normal`, `forces/along_x`
 and `forces/along_y` (sensor_msgs/Image, 32FC1, N per cell), and `sample` (std_msgs/String, the row of samples.csv as
 JSON). Samples are a second apart from a start that is the same in every file, because a label has no time of its own.
@@ -26,9 +26,9 @@ SCHEMAS = {
 }
 
 
-def messages(sample: Sample, time: int) -> list[tuple[str, str, dict]]:
-    """(topic, type, message) of one sample."""
-    top, frame = f"/{sample.row['sensor_id']}", f"{sample.row['sensor_id']}_gel"
+def messages(sample: Sample, token: str, time: int) -> list[tuple[str, str, dict]]:
+    """(topic, type, message) of one sample; token: its sensor in the names of topics and frames."""
+    top, frame = f"/{token}", f"{token}_gel"
     stamp = ros.header(time, frame)
     force = dict(zip("xyz", sample.total(), strict=True))
     found: list[tuple[str, str, dict]] = [
@@ -59,8 +59,9 @@ def write(path: Path, samples: Samples) -> None:
         writer.write_message(
             "/facts", schemas["std_msgs/msg/String"], facts, log_time=START_NS, publish_time=START_NS
         )
+        tokens = ros.topic_tokens(row["sensor_id"] for row in samples.rows)
         for at, sample in enumerate(samples):
             time = START_NS + at * 10**9
-            for topic, kind, message in messages(sample, time):
+            for topic, kind, message in messages(sample, tokens[sample.row["sensor_id"]], time):
                 writer.write_message(topic, schemas[kind], message, log_time=time, publish_time=time)
         writer.finish()

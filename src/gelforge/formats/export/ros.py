@@ -1,4 +1,7 @@
-"""Messages of ROS 2 that recordings hold, in the words of the message definitions."""
+"""Messages of ROS 2 that recordings hold, in the words of the message definitions, and names that ROS 2 allows."""
+
+import re
+from collections.abc import Iterable
 
 HEADER = """================================================================================
 MSG: std_msgs/Header
@@ -31,3 +34,33 @@ STRING = "string data"
 def header(nanoseconds: int, frame: str) -> dict:
     """std_msgs/Header."""
     return {"stamp": {"sec": nanoseconds // 10**9, "nanosec": nanoseconds % 10**9}, "frame_id": frame}
+
+
+LONGEST_TOKEN = 100  # characters; a whole topic name may have 247 (rmw_validate_full_topic_name)
+
+
+def topic_tokens(names: Iterable[str]) -> dict[str, str]:
+    """Each name as a token of a ROS 2 topic, no two alike: letters, digits and single underscores, no digit first.
+
+    A legal name stays as it is, and a name keeps its token whatever names follow it.
+    """
+    names = list(dict.fromkeys(names))
+    tokens = {name: name for name in names if _token(name) == name}
+    taken = set(tokens)
+    for name in names:
+        if name in tokens:
+            continue
+        stem = token = _token(name)
+        number = 1
+        while token in taken:
+            number += 1
+            token = f"{stem}_{number}"
+        tokens[name] = token
+        taken.add(token)
+    return tokens
+
+
+def _token(name: str) -> str:
+    """A name with what ROS 2 forbids replaced (design.ros2.org, topic and service names)."""
+    token = re.sub(r"_+", "_", re.sub(r"[^A-Za-z0-9]", "_", name))[:LONGEST_TOKEN].rstrip("_")
+    return token if token[:1].isalpha() else f"sensor_{token.lstrip('_')}".rstrip("_")
