@@ -83,7 +83,10 @@ def ramp(count=300, delay=MS, clock=0):
 def filmed(times, delay, clock=0):
     """Images of these times in ms, each logged `delay` (k) ms after its stamp."""
     return [
-        (START + int((t + delay(k)) * MS), {"header": ros.header(START + int(t * MS) + clock, "gel"), **png(coloured(k))})
+        (
+            START + int((t + delay(k)) * MS),
+            {"header": ros.header(START + int(t * MS) + clock, "gel"), **png(coloured(k))},
+        )
         for k, t in enumerate(times)
     ]
 
@@ -241,7 +244,7 @@ def jpeg(image):
 
 
 RAW = {
-    "rgb8": lambda image: raw(image),
+    "rgb8": raw,
     "bgr8": lambda image: raw(image[..., ::-1], "bgr8"),
     "rgba8": lambda image: raw(with_alpha(image), "rgba8", 4),
     "bgra8": lambda image: raw(with_alpha(image[..., ::-1]), "bgra8", 4),
@@ -278,10 +281,16 @@ REFUSED = {
     "mono8": (lambda: raw(coloured()[..., 0], "mono8", 1), "monochrome; record the camera's colour topic"),
     "mono16": (lambda: raw(coloured()[..., 0].astype(np.uint16), "mono16", 2), "monochrome; record the camera's"),
     "8UC1": (lambda: raw(coloured()[..., 0], "8UC1", 1), "monochrome; record the camera's colour topic"),
-    "grey as rgb8": (lambda: raw(np.repeat(coloured()[..., :1], 3, 2)), "no colours.*record the camera's colour topic"),
+    "grey as rgb8": (
+        lambda: raw(np.repeat(coloured()[..., :1], 3, 2)),
+        "no colours.*record the camera's colour topic",
+    ),
     "grey png": (lambda: {"format": "mono8; png compressed ", "data": grey_png()}, "monochrome; record the camera's"),
     "bayer png": (lambda: {"format": "bayer_rggb8; png compressed ", "data": grey_png()}, "record it before"),
-    "depth": (lambda: {"format": "16UC1; compressedDepth png", "data": grey_png()}, "depth; record the camera's colour"),
+    "depth": (
+        lambda: {"format": "16UC1; compressedDepth png", "data": grey_png()},
+        "depth; record the camera's colour",
+    ),
     "16 bits": (lambda: raw(coloured(), "bayer_rggb16", 2), "is not read; republish it as bgr8"),
     "nothing": (lambda: raw(coloured(), "", 3), "is not read; republish it as bgr8"),
     "cut": (lambda: raw(coloured()[:200]), "cut short"),
@@ -340,4 +349,7 @@ def test_an_export_of_a_sensor_with_blanks_has_legal_topics_and_frames(tmp_path)
         "facts", "GelSight_Mini_R0B_2BNN", "GelSight_Mini_R0B_2BNN_2",
     }  # fmt: skip
     assert all(set(topic) <= set("/_") | {c for c in topic if c.isascii() and c.isalnum()} for topic in topics)
-    assert {frame for frame in topics.values() if frame} == {"GelSight_Mini_R0B_2BNN_gel", "GelSight_Mini_R0B_2BNN_2_gel"}
+    assert {frame for frame in topics.values() if frame} == {
+        "GelSight_Mini_R0B_2BNN_gel",
+        "GelSight_Mini_R0B_2BNN_2_gel",
+    }
