@@ -28,7 +28,7 @@ test: $(SETUP) $(CCX_FOUND)  ## all tests, those of the mechanics on a second co
 	$(if $(filter-out tests,$(TESTS)),,@MKL_CBWR=COMPATIBLE $(PY) -m pytest -q $(SIDE_BY_SIDE) tests/physics)
 
 test-slurm: $(SETUP) $(SLURM_FOUND)  ## tests of EXECUTOR=slurm on a real cluster of one node, started and stopped here
-	@$(PY) -m pytest tests/workflow/test_slurm.py tests/workflow/test_slurm_parts.py
+	@$(PY) -m pytest $(wildcard tests/workflow/test_slurm*.py)
 
 lint: $(SETUP)  ## style, names and types of the code, as CI asks for them
 	@$(PY) -m ruff check

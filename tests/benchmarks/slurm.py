@@ -85,9 +85,9 @@ with open(f"runs/{name}", "a") as stream:
 class Cluster:
     """A Slurm cluster of one node on the loopback address, in a short temporary folder of its own."""
 
-    def __init__(self, cpus: int = 2, memory_mb: int = 4000):
+    def __init__(self, cpus: int = 2, memory_mb: int = 4000, extra: str = ""):
         self.folder = Path(tempfile.mkdtemp(prefix="gf-slurm-"))
-        self.settings = {"SLURM_CPUS": str(cpus), "SLURM_MEMORY_MB": str(memory_mb)}
+        self.settings = {"SLURM_CPUS": str(cpus), "SLURM_MEMORY_MB": str(memory_mb), "SLURM_EXTRA": extra}
 
     def do(self, action: str, *daemon: str) -> None:
         """Run an action of envs/slurm-cluster.sh: start, stop, kill or lose."""
@@ -108,9 +108,9 @@ class Cluster:
 
 
 @contextmanager
-def cluster(cpus: int = 2, memory_mb: int = 4000):
-    """Start a cluster and stop it at the end."""
-    made = Cluster(cpus, memory_mb)
+def cluster(cpus: int = 2, memory_mb: int = 4000, extra: str = ""):
+    """Start a cluster and stop it at the end. extra: lines for slurm.conf."""
+    made = Cluster(cpus, memory_mb, extra)
     try:
         made.do("start")
         yield made

@@ -14,7 +14,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import write_json, write_text
 from gelforge.flow.layout import Layout
 from gelforge.flow.slurm import run as slurm
-from gelforge.flow.slurm.client import cause_of
+from gelforge.flow.slurm.client import Element, cause_of
 from gelforge.flow.slurm.cluster import read_profile
 from gelforge.flow.slurm.record import Batch, Record, Results, Task, show
 from tests.benchmarks.sandbox import link_project, make
@@ -90,7 +90,7 @@ def look(record: Record) -> list[tuple]:
     """One look at a record whose only task has COMPLETED according to Slurm."""
     results = Results()
     results.look({"results/lab/30_fea"})
-    return slurm.observe(record, {("7", 1): ("COMPLETED", 0, "None")}, results)
+    return slurm.observe(record, slurm.by_task([Element("b", "7", 1, "COMPLETED", 0, "None")]), results)
 
 
 def test_a_result_that_shows_late_is_waited_for_and_one_that_never_shows_is_not(tmp_path, monkeypatch):

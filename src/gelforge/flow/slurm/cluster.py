@@ -1,10 +1,12 @@
 """What a cluster is asked for: workflow/slurm.toml, one profile per stage."""
 
 import math
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
+from gelforge.errors import BadInput
 from gelforge.flow.params import read_toml
 from gelforge.flow.params.schema import OneLine, ParameterTable, Place, Within, parse
 
@@ -71,4 +73,10 @@ def read_profile(path: Path | str, stage: str) -> Profile:
             own = tables[file].get(table, {})
             values |= own if isinstance(own, dict) else {table: own}
             profile = parse(Profile, values, Place(str(file), (table,)))
+            for option in profile.options:
+                if re.match(r"-M|--cl", option):
+                    raise BadInput(
+                        f"{file}: [{table}] options: {option!r} sends work where squeue does not look for it; work on that"
+                        " cluster by its own SLURM_CONF"
+                    )
     return profile

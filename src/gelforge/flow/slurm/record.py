@@ -81,6 +81,8 @@ def load(path: Path) -> Record:
     """Read a record."""
     raw = read_json(path)
     tasks, batches = [Task(**t) for t in raw["tasks"]], [Batch(**b) for b in raw["batches"]]
+    for batch in batches:
+        batch.job = batch.job if batch.job.isdecimal() else ""  # older code took any word of sbatch's answer for it
     return Record(path, raw["stage"], tasks, batches, raw["closed"])
 
 

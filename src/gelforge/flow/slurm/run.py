@@ -17,27 +17,29 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from gelforge.errors import BadInput
 from gelforge.flow.files import write_text
+from gelforge.flow.layout import Layout
 from gelforge.flow.orphans import die_with_parent
 from gelforge.flow.slurm.client import (
     FINAL,
     HELD,
     STOP,
     WAITING,
+    Element,
     Interrupted,
     SlurmRefused,
     array_limit,
-    call,
     cancel_jobs,
+    cancel_named,
     cause_of,
-    find_job,
-    patient,
+    elements,
     pause,
-    queue,
+    submit_job,
 )
 from gelforge.flow.slurm.cluster import PUBLISHED, Profile, read_profile
 from gelforge.flow.slurm.lock import at_work, become_only_make, hold
-from gelforge.flow.slurm.record import Batch, Record, Results, Task, counted, records, report, show, tail
+from gelforge.flow.slurm.record import Batch, Record, Results, Task, counted, load, records, report, show, tail
 
 FIRST_POLL_S = 0.2
 
@@ -91,26 +93,9 @@ def submit_array(record: Record, profile: Profile, groups: list[list[int]], opti
         tasks=shlex.quote(str(folder / "tasks")),
     )
     array = f"1-{len(groups)}" + (f"%{profile.concurrent}" if profile.concurrent else "")
-    command = [
-        "sbatch",
-        "--parsable",
-        f"--job-name={batch.name}",
-        f"--array={array}",
-        f"--chdir={os.getcwd()}",
-        f"--output={folder}/%a.out",
-        "--open-mode=append",
-        "--requeue",
-        *options,
-    ]
-    # After a lost answer the job may be there: look before asking again.
-    asked: list[bool] = []
-
-    def ask() -> str:
-        found = find_job(batch.name) if asked else ""
-        asked.append(True)
-        return found or call(*command, text=script).split()[-1].split(";")[0]
-
-    batch.job = patient(profile, ask)
+    # After the profile's own options, because the last one of a kind wins.
+    ours = [f"--array={array}", f"--chdir={os.getcwd()}", f"--output={folder}/%a.out", "--open-mode=append"]
+    batch.job = submit_job(batch.name, ["--requeue", *options, *ours], script, profile)
     record.save()
 
 
@@ -129,13 +114,17 @@ def remedy(task: Task, cause: str, profile: Profile) -> bool:
     return cause in ("node", "unknown") or (task.memory_mb, task.minutes) != before
 
 
-def observe(record: Record, known: dict | None, results: Results) -> list[tuple]:
+def by_task(found: list[Element]) -> dict[tuple[str, int], Element]:
+    """Elements by the name of their array and their index; of several such jobs the one that still runs counts."""
+    return {(element.name, element.task): element for element in sorted(found, key=lambda e: not e.over)}
+
+
+def observe(record: Record, known: dict[tuple[str, int], Element] | None, results: Results) -> list[tuple]:
     """Bring the states of open tasks up to date from result files and from the queue (None: it is silent).
 
     Returns (task, state, wait status, reason) of those that have ended, or cannot start, with no result in sight.
     """
     ended = []
-    jobs = {batch.name: batch.job for batch in record.batches}
     for task in record.open_tasks():
         if results.there(task.target):
             task.state, task.reason = "done", ""
@@ -143,7 +132,8 @@ def observe(record: Record, known: dict | None, results: Results) -> list[tuple]
         if known is None:
             continue
         name, _, index = task.where.rpartition("/")
-        state, status, why = known.get((jobs.get(name), int(index or 0)), ("", 0, ""))
+        found = known.get((name, int(index or 0))) or known.get((name, 0))
+        state, status, why = (found.state, found.status, found.reason) if found else ("", 0, "")
         if not state or state in FINAL or HELD in why:
             ended.append((task, state, status, why))
         else:
@@ -202,15 +192,26 @@ def settle(record: Record, profile: Profile) -> None:
 def ask_queue(record: Record, answered: float, profile: Profile) -> tuple[dict | None, float]:
     """Return what Slurm knows of a record's jobs (None while it does not answer) and when it last answered."""
     try:
-        for batch in (batch for batch in record.open_batches() if not batch.job):
-            batch.job = find_job(batch.name)
-        return queue([batch.job for batch in record.open_batches() if batch.job]), time.monotonic()
+        found = elements([batch.name for batch in record.open_batches()])
+        keep_one(record, found)
+        return by_task(found), time.monotonic()
     except SlurmRefused as error:
         if time.monotonic() - answered > profile.silence_seconds:
             raise SlurmRefused(
-                f"{error}\nThe work of {record.stage} stays with Slurm; the next make awaits it."
+                f"{error}; the work of {record.stage} stays with Slurm, and the next make awaits it"
             ) from error
         return None, answered
+
+
+def keep_one(record: Record, found: list[Element]) -> None:
+    """Note the job of each array, and cancel others of its name: Slurm may take one after its answer was given up."""
+    for batch in record.open_batches():
+        jobs = {element.job for element in found if element.name == batch.name}
+        if jobs and batch.job not in jobs:
+            batch.job = min(jobs, key=int)
+        doubled = {e.job for e in found if e.name == batch.name and e.job != batch.job and not e.over}
+        if doubled:
+            cancel_jobs(sorted(doubled, key=int))
 
 
 def resubmit(record: Record, profile: Profile, tasks: list[Task]) -> None:
@@ -219,29 +220,36 @@ def resubmit(record: Record, profile: Profile, tasks: list[Task]) -> None:
     try:
         submit(record, profile, tasks)
     except SlurmRefused as error:
-        jobs = {batch.name: batch.job for batch in record.batches}
+        asked = {batch.name for batch in record.batches if not batch.job}
+        try:
+            cancel_named(asked)
+        except SlurmRefused:
+            return  # it may have taken what it did not confirm, and shows it by its name when it answers again
         for task in tasks:
-            if task.where == before[id(task)] or not jobs[task.where.rpartition("/")[0]]:
+            if task.where == before[id(task)] or task.where.rpartition("/")[0] in asked:
                 task.where = before[id(task)]
                 task.state, task.reason = "failed", f"{task.reason}, and could not be submitted again: {error}"
         record.save()
 
 
 def cancel(record: Record) -> None:
-    """Cancel what a record has in the queue and forget it."""
-    jobs = [batch.job or find_job(batch.name) for batch in record.open_batches()]
-    if any(jobs):
-        cancel_jobs([job for job in jobs if job])
+    """Cancel what a record has in the queue and forget it; SlurmRefused, and nothing forgotten, where that is not sure."""
+    try:
+        cancel_named([batch.name for batch in record.batches])
+    except SlurmRefused as error:
+        goal = Layout(record.results).command("slurm-cancel")
+        raise SlurmRefused(
+            f"{error}; jobs of {record.stage} may still be on Slurm: the next make awaits them, {goal} cancels them"
+        ) from error
     forget(record)
 
 
-def withdraw(record: Record) -> None:
-    """Leave nothing behind of a submission that Slurm refused half-way."""
+def withdraw(record: Record, refused: SlurmRefused) -> None:
+    """Leave nothing behind of a submission that Slurm refused half-way; SlurmRefused tells both where that fails."""
     try:
         cancel(record)
-    except SlurmRefused:
-        # It may have taken what it did not confirm: the record stays, and the next make finds out.
-        pass
+    except SlurmRefused as error:
+        raise SlurmRefused(f"{refused}; and {error}") from refused
 
 
 def forget(record: Record) -> None:
@@ -266,9 +274,9 @@ def work(record: Record, profile: Profile, detach: bool, submitting: bool) -> in
             cancel(record)
             print(f"{record.stage}: interrupted, its Slurm jobs are cancelled", flush=True)
         return 130
-    except SlurmRefused:
+    except SlurmRefused as refused:
         if submitting and not record.accepted():
-            withdraw(record)
+            withdraw(record, refused)
         raise
     code = report(record)
     if not code:
@@ -285,6 +293,12 @@ def collected(path: Path) -> list[tuple[str, str]]:
 def start(results: Path, key: str, stage: str, tasks: list[tuple[str, str]], profile: Profile) -> Record:
     """Return a new record of tasks, replacing the closed one of the same name."""
     record = Record(results / ".slurm" / f"{key}.json", stage)
+    if record.path.exists() and not load(record.path).closed:
+        of = Layout(results)
+        raise BadInput(
+            f"{record.path}: work of {stage} is on Slurm already, of another make or left running; let that make end, or"
+            f" cancel it by {of.command('slurm-cancel')}, then run make again"
+        )
     shutil.rmtree(record.folder, ignore_errors=True)
     record.tasks = [Task(target, command, profile.memory_mb, profile.time_minutes) for target, command in tasks]
     return record
@@ -350,7 +364,7 @@ def overview(results: Path) -> list[str]:
             jobs = [batch.job for batch in record.open_batches() if batch.job]
             note = f" (jobs {', '.join(jobs)})"
             try:
-                known = queue(jobs)
+                known = by_task(elements([batch.name for batch in record.open_batches()]))
             except SlurmRefused:
                 known, note = None, f"{note[:-1]}; the controller does not answer)"
             seen = Results()
