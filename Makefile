@@ -1,5 +1,7 @@
 # gelforge: raw CNC logs to contact-force labels and networks. `make help` lists the targets.
 MAKEFLAGS += -rR --warn-undefined-variables
+# What people and their shells give is text, whatever variable it comes in: make must not expand $(shell …) inside it.
+$(foreach v,$(filter-out MAKE% MFLAGS SHELL -%,$(.VARIABLES)),$(if $(filter command environment,$(firstword $(origin $v))),$(if $(findstring $$,$(value $v)),$(eval override $v := $$(value $v)))))
 # Parallel jobs print whole; tests and benchmarks are one long job, which a person watches.
 ifeq ($(filter test test-% benchmark-%,$(MAKECMDGOALS)),)
 MAKEFLAGS += --output-sync=target
@@ -55,10 +57,6 @@ include rules/stability.mk
 include rules/study.mk
 include rules/test.mk
 include rules/work.mk
-
-# make hands variables of its command line to every program, expanded: $(shell …) inside one would run. After the
-# rules, because `unexport` defines a name, and `?=` then leaves it empty.
-unexport ID TARGET FROM PLAN TOPICS POINTS IMAGE LIKE REFERENCE SLURM_PROFILE FORMAT EXPORT
 
 .PHONY: help
 help:  ## this list

@@ -1,5 +1,6 @@
 # What people give on the command line: names that become paths are checked, and everything else is quoted for the shell.
-# $(value NAME) is the text as it was given: nothing in it is expanded by make.
+# $(value NAME) is the text as it was given: nothing in it is expanded by make. The Makefile's first lines see to it that
+# $(NAME) is the same where that text has a $.
 
 # $(call given,NAME) is a variable's text as one quoted word of a shell command.
 given = '$(subst ','\'',$(value $(1)))'
@@ -23,7 +24,7 @@ without = $(if $(2),$(call without,$(subst $(firstword $(2)),,$(1)),$(wordlist 2
 # Whether a variable's text is one name of letters, digits, _ - and . that starts with none of the last two.
 named = $(if $(or $(call without,$(value $(1)),$(LETTERS) $(DIGITS) _ - .),$(filter .% -%,$(value $(1))),$(filter-out 1,$(words $(value $(1))))),,yes)
 # Defaults that make works out are no text of others.
-by_hand = $(and $(filter command environment,$(firstword $(origin $(1)))),$(value $(1)))
+by_hand = $(and $(filter command environment override,$(firstword $(origin $(1)))),$(value $(1)))
 $(foreach v,DATASET SENSOR MODEL FORMAT EXECUTOR,$(if $(call by_hand,$v),$(if $(call named,$v),,$(error $v=$(value $v): give one name of letters, digits, _ - and . that does not start with a dot))))
 
 # Given but empty, as by DATASET=$UNSET in a script, DATASET would name the folder of all results, and JOBS no limit.

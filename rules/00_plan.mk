@@ -14,7 +14,18 @@ PICTURES :=
 NO_DATASET := help setup lint format test test-% rig rig-% benchmark-% lock clean-% slurm-cancel feats-import mcap-import projection real-check
 # What was made of a dataset whose data are gone can still be seen.
 NO_DATASET += $(if $(wildcard $(DATA)/log.csv),,$(if $(wildcard $D),status lineage))
+# Results dated ahead of this machine's clock, by another one's or its own of before: what is edited until then looks older
+# than they are and would stay unread. A second look passes over what others write meanwhile, and clocks a moment apart.
+AHEAD = find -H $D \( -path '$D/.*' -o -path '$D/30_fea/*/*' $(patsubst %,-o -path '$D/%',logs metrics samples estimate export feats look) \) -prune -o -type f
+ahead = $(if $(wildcard $D),$(if $(shell $(AHEAD) -newermt now -print -quit),$(shell sleep 2; $(AHEAD) -newermt '1 second' -printf '%p is dated %TF %.8TT, ' -quit && date '+and here it is %F %T')))
+
 ifneq ($(filter-out $(NO_DATASET),$(or $(MAKECMDGOALS),help)),)
+ifneq ($(and $(if $(MAKE_RESTARTS),,first),$(filter-out status why lineage look,$(MAKECMDGOALS))),)
+DATED_AHEAD := $(ahead)
+ifneq ($(findstring is dated,$(DATED_AHEAD)),)
+$(error $(DATED_AHEAD): make goes by dates, so what is edited before that time would stay unread. Set the clocks of all machines that write here alike and wait until then, or make DATASET=$(DATASET) clean-ahead, which removes what is dated ahead, but for solved presses, to be made again)
+endif
+endif
 include $(PLANNED)
 # The plan holds the time and size of every file that it was made from. They are compared for being the same, not for
 # being newer: a file that an older one replaced is noticed, and one dated in the future is planned once, not for ever.
@@ -57,3 +68,9 @@ include rules/00_slurm.mk
 else
 $(error EXECUTOR=$(EXECUTOR): local or slurm is needed)
 endif
+
+# Of the plan's own files the table of shards stays: samples keep their shards by it.
+.PHONY: clean-ahead
+clean-ahead:  ## remove results dated ahead of this machine's clock, to be made again; presses solved are kept
+	@$(AHEAD) -newermt now ! -path '$D/00_plan/shards.csv' -print -exec rm -f {} +
+	@touch -c $D/00_plan/shards.csv; rm -f $(PLANNED)

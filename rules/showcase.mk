@@ -1,6 +1,6 @@
 # Pictures of the README. A test fails where press.png or real.png is older than what it shows; these targets draw all again.
 README := results/readme
-README_FILMS := $(addprefix $(REFERENCE)/gripper_videos/,ball_white_thread_4_camera_0.avi glass_box_1_camera_2.avi marker_pen_1_camera_0.avi)
+README_FILMS := ball_white_thread_4_camera_0.avi glass_box_1_camera_2.avi marker_pen_1_camera_0.avi
 README_PICTURES := $(README)/press.png $(README)/real.png $(README)/speed.png $(README)/stability.png
 
 .PHONY: readme-pictures
@@ -9,8 +9,8 @@ readme-pictures: $(README_PICTURES)  ## the README's pictures: a press, real sen
 $(README)/press.png: workflow/indenters.toml | $(SETUP)
 	@$(PY) -m gelforge.stages.readme press --catalogue $< --name triangle_10 --out $@
 
-$(README)/real.png: src/gelforge/networks/default.pt $(README_FILMS) | $(SETUP)
-	@$(PY) -m gelforge.stages.readme real $(README_FILMS) --out $@
+$(README)/real.png: src/gelforge/networks/default.pt | $(SETUP)
+	@$(PY) -m gelforge.stages.readme real $(foreach film,$(README_FILMS),$(call given,REFERENCE)/gripper_videos/$(film)) --out $@
 
 $(README)/speed.png: $D/pareto/pareto.json
 	@$(PY) -m gelforge.stages.readme copy --chart $D/pareto/pareto.png --data $< --out $@

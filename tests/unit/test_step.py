@@ -1,5 +1,6 @@
 """The wrapper publishes whole files, keeps logs, and leaves nothing behind when killed."""
 
+import errno
 import json
 import os
 import pty
@@ -14,6 +15,7 @@ import pytest
 
 from gelforge.flow.layout import mirror
 from tests.limited import limited
+from tests.no_locks import without_locks
 from tests.waiting import HANG, heed_interrupts, wait_until
 
 FOR_EVER = f"exec sleep {2 * HANG:g}"  # what is waited for to be ended must not end by itself meanwhile
@@ -252,6 +254,17 @@ def test_a_full_disk_is_a_sentence_and_leaves_no_part(tmp_path):
     done = limited(64, *words)
     assert done.returncode and "Traceback" not in done.stdout + done.stderr
     assert "File size limit" in done.stdout + done.stderr or "too large" in done.stdout + done.stderr
+    assert not target.exists() and not target.with_name("0000.csv.part").exists()
+
+
+@pytest.mark.parametrize("number", [errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP])
+def test_a_file_system_without_locks_is_named_and_nothing_is_made(tmp_path, number):
+    """Not as a lack of space, which was looked for in vain."""
+    target = tmp_path / "results/d/30_fea/0000.csv"
+    words = ["-m", "gelforge.flow.step", target, "--", "bash", "-c", f"echo made > '{target}.part'"]
+    done = without_locks(number, sys.executable, *words)
+    assert done.returncode == 2 and f"no file locks here ({os.strerror(number)})" in done.stdout, done.stderr
+    assert "mount the file system with them" in done.stdout and "space" not in done.stdout
     assert not target.exists() and not target.with_name("0000.csv.part").exists()
 
 

@@ -1,5 +1,6 @@
 """Every export comes back exactly through its format's own library, and none is left half-written."""
 
+import errno
 import json
 import subprocess
 import sys
@@ -14,6 +15,7 @@ from gelforge.flow.files import read_csv, read_json, write_csv
 from gelforge.formats.export.samples import Samples
 from tests.exported import READERS, lay
 from tests.limited import limited, small_disk
+from tests.no_locks import without_locks
 
 
 @pytest.mark.parametrize("form", FORMATS)
@@ -35,6 +37,26 @@ def test_what_was_exported_comes_back_exactly(tmp_path, form):
         "mini_a",
         "mini_e",
     }
+
+
+WRITES_ALL = """
+from pathlib import Path
+import sys
+from gelforge.commands.export import FORMATS, export
+from tests.exported import READERS, lay
+samples = lay(Path(sys.argv[1]), 4)
+for form in FORMATS:
+    export(samples, form, Path(sys.argv[1]) / f"{form}{READERS[form][0]}")
+"""
+
+
+@pytest.mark.parametrize("number", [errno.ENOLCK, errno.ENOTSUP])
+def test_a_file_system_without_locks_takes_every_export(tmp_path, number):
+    done = without_locks(number, sys.executable, "-c", WRITES_ALL, tmp_path)
+    assert done.returncode == 0, done.stderr
+    for form in FORMATS:
+        suffix, read = READERS[form]
+        assert len(read(tmp_path / f"{form}{suffix}")[0]) == 4
 
 
 def test_lerobot_is_opened_by_a_reader_of_its_layout(tmp_path):

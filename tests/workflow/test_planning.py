@@ -282,6 +282,54 @@ def test_a_plan_is_made_once_of_a_file_dated_in_the_future(labelled, log):
     assert done.returncode == 0 and (labelled / "results/tiny/00_plan/plan.mk").stat().st_mtime_ns == planned
 
 
+@pytest.fixture
+def dated(labelled):
+    """Dates a result so many seconds from now; everything is made again afterwards."""
+
+    def date(name: str, seconds: float) -> Path:
+        path = labelled / "results/tiny" / name
+        os.utime(path, (time.time() + seconds,) * 2)
+        return path
+
+    yield date
+    assert make(labelled, "clean-ahead", "DATASET=tiny").returncode == 0
+    assert make(labelled, "labels", "DATASET=tiny").returncode == 0
+
+
+@pytest.mark.parametrize(
+    "name", ["10_poses/0000.csv", "00_plan/plan.mk", "00_plan/shards/0000.csv", "50_labels/24x32/labels.json"]
+)
+def test_results_dated_ahead_are_refused_because_an_edited_log_would_stay_unread(labelled, log, dated, name):
+    dated(name, 3600)
+    log.write_text("".join(log.read_text().splitlines(keepends=True)[:-1]))
+    done = make(labelled, "labels", "DATASET=tiny")
+    assert done.returncode == 2 and f"results/tiny/{name} is dated " in done.stdout, done.stdout
+    assert "wait until then, or make DATASET=tiny clean-ahead, which removes" in done.stdout
+    assert make(labelled, "status", "DATASET=tiny").returncode == 0
+
+
+def test_what_is_dated_ahead_is_made_again_from_the_log_as_it_is(labelled, log, dated):
+    lines = log.read_text().splitlines(keepends=True)
+    for name in ("00_plan/shards/0000.csv", "00_plan/shards.csv", "10_poses/0000.csv", "30_fea/0000.csv"):
+        dated(name, 86400)
+    solve = dated(f"30_fea/0000/{lines[1].split(',')[0]}.json", 86400)
+    solved = solve.stat().st_mtime_ns
+    log.write_text("".join(lines[:-1]))
+    assert make(labelled, "clean-ahead", "DATASET=tiny").returncode == 0
+    done = make(labelled, "labels", "DATASET=tiny")
+    assert done.returncode == 0, done.stdout
+    assert lost_by_log(labelled) == {lines[-1].split(",")[0]}
+    assert [row["sample_id"] for row in read_csv(labelled / "results/tiny/10_poses/0000.csv")] == [
+        lines[1].split(",")[0]
+    ]
+    assert solve.stat().st_mtime_ns == solved  # solved presses are known by what they were solved of
+
+
+def test_clocks_a_moment_apart_are_waited_for(labelled, dated):
+    dated("10_poses/0000.csv", 1.5)
+    assert make(labelled, "labels", "DATASET=tiny").returncode == 0
+
+
 def planned_once(folder, **options) -> bool:
     """Whether make plans a dataset at most once and is then content with its plan."""
     plan = folder / "results/tiny/00_plan/plan.mk"

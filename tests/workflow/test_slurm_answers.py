@@ -126,6 +126,17 @@ def test_an_answer_without_a_job_is_refused_and_nothing_stays(site, lab, lines, 
     assert not jobs_alive(lab) and not record.path.exists()
 
 
+@pytest.mark.parametrize("lines", ['exec $REAL "$@"', '$REAL "$@" 2>&1'])
+def test_a_job_that_slurm_refuses_is_refused_though_its_queue_lists_it(site, lab, lines):
+    """As failed: what sbatch was refused for its memory stays there under its name."""
+    site("sbatch", lines)
+    record, profile = work_of(), settings(memory_mb=10**7)
+    record.tasks = [slurm.Task("a", "true", 10**7, 5)]
+    with pytest.raises(SlurmRefused, match="Requested node configuration is not available"):
+        slurm.work(record, profile, detach=False, submitting=True)
+    assert not record.path.exists()
+
+
 def test_a_job_that_was_taken_twice_is_run_once(site, lab):
     site("sbatch", '$REAL "$@" <<<"$(tee script)"; $REAL "$@" <script')
     record = work_of(1)

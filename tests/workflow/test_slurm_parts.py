@@ -6,13 +6,14 @@ import pty
 import re
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import write_json, write_text
-from gelforge.flow.layout import Layout
+from gelforge.flow.files import read_json, write_json, write_text
+from gelforge.flow.layout import Layout, metrics_of
 from gelforge.flow.slurm import run as slurm
 from gelforge.flow.slurm.client import Element, cause_of
 from gelforge.flow.slurm.cluster import read_profile
@@ -111,6 +112,30 @@ def test_a_result_that_shows_late_is_waited_for_and_one_that_never_shows_is_not(
     assert slurm.judge(record, profile, look(record), gone) == [task]
 
 
+@pytest.mark.parametrize(
+    ("node", "edited", "due"),
+    [(20.0, False, False), (-20.0, False, False), (20.0, True, True), (1e8, False, False), (-20.0, True, True)],
+)
+def test_a_node_whose_clock_is_off_dates_no_result(tmp_path, monkeypatch, node, edited, due):
+    """make compares dates: one ahead would hide edits, one behind would be made again by each make for ever."""
+    monkeypatch.chdir(tmp_path)
+    published(tmp_path, "whole\n")
+    source, target = tmp_path / "results/lab/10_poses/0.csv", tmp_path / "results/lab/30_fea/0.csv"
+    write_text(source, "poses\n")
+    now = time.time()
+    os.utime(source, (now - 5, now - 5))
+    record = metrics_of(target)
+    write_json(record, {**read_json(record), "read": {str(source): source.stat().st_mtime_ns}})
+    os.utime(target, (now + node, now + node))
+    if edited:
+        os.utime(source, (now - 1, now - 1))
+    results = Results()
+    results.look({"results/lab/30_fea"})
+    assert results.there("results/lab/30_fea/0.csv")
+    made = target.stat().st_mtime
+    assert made <= time.time() and (made < source.stat().st_mtime) == due
+
+
 @pytest.mark.parametrize("text", ["", "who"])
 def test_a_file_without_all_its_bytes_is_no_result(tmp_path, monkeypatch, text):
     monkeypatch.chdir(tmp_path)
@@ -165,6 +190,7 @@ def test_a_wrong_profile_is_named(own, line, words):
 
 HOLD = """
 import sys
+import time
 from pathlib import Path
 from gelforge.flow.slurm.lock import become_only_make
 lock = become_only_make(Path(sys.argv[1]), 4711)

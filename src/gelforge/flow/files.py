@@ -2,6 +2,7 @@
 
 import csv
 import errno
+import fcntl
 import hashlib
 import json
 import os
@@ -9,7 +10,9 @@ import shutil
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
+
+from gelforge.errors import BadInput
 
 
 def listed(folder: Path, pattern: str, below: bool = False) -> list[Path]:
@@ -68,6 +71,19 @@ def write_if_changed(path: Path | str, text: str) -> bool:
         return False
     write_text(path, text)
     return True
+
+
+def take(lock: IO[str], kind: int) -> None:
+    """Take a lock of an open file, as fcntl.flock does; BadInput where the file system has none."""
+    try:
+        fcntl.flock(lock, kind)
+    except BlockingIOError:
+        raise
+    except OSError as error:
+        raise BadInput(
+            f"{lock.name}: no file locks here ({error.strerror}), without which two makes would write one file; mount the"
+            " file system with them (Lustre: -o flock), or let results be a link to a folder on another one"
+        ) from error
 
 
 def need_room(folder: Path, size: int) -> None:

@@ -19,8 +19,8 @@ from pathlib import Path
 from types import FrameType
 from typing import IO
 
-from gelforge.errors import unwritable
-from gelforge.flow.files import digest_of, last_line, read_json, write_json
+from gelforge.errors import BadInput, unwritable
+from gelforge.flow.files import digest_of, last_line, read_json, take, write_json
 from gelforge.flow.layout import dataset_folder, log_of, metrics_of
 from gelforge.flow.ledger import changed_since
 from gelforge.flow.orphans import die_with_parent
@@ -248,10 +248,10 @@ def locked(target: Path) -> Iterator[Path]:
         folder.mkdir(parents=True, exist_ok=True)
     with log_path.with_suffix(".lock").open("w") as lock:
         try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            take(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             print(f"{target}: another make is at it; waiting", flush=True)
-            fcntl.flock(lock, fcntl.LOCK_EX)
+            take(lock, fcntl.LOCK_EX)
         yield log_path
 
 
@@ -273,6 +273,7 @@ def publish_part(target: Path, part: Path, inputs: list[Path], command: list[str
         print(f"{target}: the command succeeded but wrote no {part}")
         code = cost["exit_code"] = 1
     cost["inputs"] = [str(path) for path in inputs]
+    cost["read"] = {str(path): state[1] for path, state in read.items() if state}
     cost["bytes"] = part.stat().st_size if code == 0 else 0
     if code == 0:
         cost["sha256"] = digest_of(part)
@@ -313,6 +314,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         return build(Path(argv[0]), [Path(name) for name in argv[1:split]], argv[split + 1 :])
     except KeyboardInterrupt:
         return 130
+    except BadInput as error:
+        print(f"{argv[0]}: {error}")
+        return 2
     except OSError as error:
         print(f"{argv[0]}: {unwritable(error)}, then run make again")
         return 1

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import digest_of, listed, publish, read_json, write_csv, write_json, write_text
+from gelforge.flow.files import digest_of, listed, publish, read_json, take, write_csv, write_json, write_text
 from gelforge.flow.layout import command_for, planned_shards
 from gelforge.flow.main import command, option
 from gelforge.flow.params.slices import ForDataset, read_slice
@@ -121,7 +121,7 @@ def share_images(folder: Path, data: Path, presses: list[PressRecord], size) -> 
     """
     folder.mkdir(parents=True, exist_ok=True)
     with (folder.parent / ".images.lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
+        take(lock, fcntl.LOCK_EX)
         _share_images(folder, data, presses, size)
 
 

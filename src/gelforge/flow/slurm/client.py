@@ -50,6 +50,12 @@ class Element(NamedTuple):
     state: str
     status: int
     reason: str
+    node: str = ""
+
+    @property
+    def refused(self) -> bool:
+        """Whether sbatch was refused: Slurm then still lists a job, which failed without ever having been on a node."""
+        return self.state == "FAILED" and not self.node
 
     @property
     def over(self) -> bool:
@@ -98,22 +104,30 @@ def call(*command: str) -> str:
 
 def elements(names: Collection[str]) -> list[Element]:
     """What Slurm still knows of the jobs of these names. Their numbers are Slurm's own, not those of anybody's answer."""
-    widths = {"ArrayJobID": 20, "ArrayTaskID": 20, "State": 20, "exit_code": 20, "Reason": 80, "Name": 200}
+    widths = {
+        "ArrayJobID": 20,
+        "ArrayTaskID": 20,
+        "State": 20,
+        "exit_code": 20,
+        "Reason": 80,
+        "NodeList": 20,
+        "Name": 200,
+    }
     asked = ",".join(f"{name}:{width}" for name, width in widths.items())
     mine = ("-u", str(os.getuid()), "-n", ",".join(names))  # by user, or the controller sends the jobs of all
     found = []
     for line in call("squeue", "-h", "-r", "-t", "all", *mine, "-O", asked).splitlines() if names else ():
         job, index, state, code = (line[20 * k : 20 * k + 20].strip() for k in range(4))
-        reason, name = line[80:160].strip(), line[160:].strip()
+        reason, node, name = line[80:160].strip(), line[160:180].strip(), line[180:].strip()
         if name in names and job.isdecimal():
             of_one = int(index) if index.isdecimal() else 0
-            found.append(Element(name, job, of_one, state, int(code) if code.isdecimal() else 0, reason))
+            found.append(Element(name, job, of_one, state, int(code) if code.isdecimal() else 0, reason, node))
     return found
 
 
 def find_job(name: str) -> str:
     """Number of the first job of that name, empty where Slurm knows none."""
-    return min((element.job for element in elements([name])), key=int, default="")
+    return min((element.job for element in elements([name]) if not element.refused), key=int, default="")
 
 
 def submit_job(name: str, options: list[str], script: str, profile: Profile) -> str:

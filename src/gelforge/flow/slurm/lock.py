@@ -11,20 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
-from gelforge.errors import BadInput
+from gelforge.flow.files import take
 from gelforge.flow.slurm.client import STOP
-
-
-def take(lock: IO[str], kind: int) -> None:
-    """Take a lock; BadInput where the file system has none."""
-    try:
-        fcntl.flock(lock, kind)
-    except BlockingIOError:
-        raise
-    except OSError as error:
-        raise BadInput(
-            f"{lock.name}: no file locks here ({error.strerror}); mount the file system with them"
-        ) from error
 
 
 @contextmanager

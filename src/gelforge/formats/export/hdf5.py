@@ -54,7 +54,8 @@ def write_here(path: Path, samples: Samples) -> None:
     import h5py
 
     count = len(samples)
-    with h5py.File(path, "w") as file:
+    # nobody else knows this file yet, and some file systems have no locks
+    with h5py.File(path, "w", locking=False) as file:
         for name, value in samples.facts().items():
             file.attrs[name] = value if isinstance(value, str) else json.dumps(value)
         pictures = file.create_dataset("picture", (count,), h5py.vlen_dtype(np.uint8))
@@ -80,5 +81,6 @@ def write_here(path: Path, samples: Samples) -> None:
 def as_objects(arrays: list[np.ndarray]) -> np.ndarray:
     """Arrays of any lengths as one of objects, also where they happen to be of one length."""
     held = np.empty(len(arrays), object)
-    held[:] = arrays
+    for at, array in enumerate(arrays):  # at once numpy would make two axes of arrays of one length
+        held[at] = array
     return held
