@@ -249,6 +249,25 @@ def test_text_from_the_command_line_is_one_word_of_the_shell(labelled, goal, val
     assert done.returncode and not (labelled / "pwned").exists()
 
 
+@pytest.mark.parametrize("executor", ["local", "slurm"])
+@pytest.mark.parametrize("given", ["on the command line", "by the environment"])
+@pytest.mark.parametrize("text", ["$(shell touch pwned)", "$(eval X := $(shell touch pwned))a$b"])
+def test_make_expands_nothing_that_it_is_given(root, tmp_path, executor, given, text):
+    """Whatever variable it comes in, also one that no rule knows, and where prerequisites are expanded twice."""
+    project = link_project(root, tmp_path / "p")
+    names = ["REFERENCE", "IMAGE", "POINTS", "LIKE", "FROM", "TOPICS", "PLAN", "ID", "TARGET", "STRICT", "DETACH",
+             "SLURM_PROFILE", "GELFORGE_REFERENCE", "ANYTHING"]  # fmt: skip
+    by_hand = given == "on the command line"
+    words = [f"{name}={text}" for name in names] if by_hand else []
+    done = make(
+        project, "-n", "projection", "rig", "mcap-import", "real-check", "SENSOR=s", f"EXECUTOR={executor}", *words,
+        environment={} if by_hand else dict.fromkeys(names, text),
+    )  # fmt: skip
+    assert done.returncode == 0 and not (project / "pwned").exists(), done.stdout
+    for option in ("--image", "--points", "--like", "--plan", "--from", "--topics", "--reference"):
+        assert f"{option} '{text}'" in done.stdout
+
+
 def test_what_was_made_of_another_choice_is_made_again(root, tmp_path):
     """However old the files are that it was made from."""
     (tmp_path / "rules").symlink_to(root / "rules")  # make takes a path with a blank for two

@@ -67,7 +67,8 @@ def write_here(path: Path, samples: Samples) -> None:
         for start in range(0, count, BLOCK):
             block = [samples.sample(at) for at in range(start, min(start + BLOCK, count))]
             rows = slice(start, start + len(block))
-            pictures[rows] = as_objects([np.frombuffer(sample.picture, np.uint8) for sample in block])
+            for at, sample in enumerate(block, start):  # h5py takes pictures of one length together for two axes
+                pictures[at] = np.frombuffer(sample.picture, np.uint8)
             types[rows] = [sample.media_type for sample in block]
             forces[rows] = np.stack([sample.label for sample in block])
         file["total"] = np.array([each.total for each in samples.records])
@@ -76,11 +77,3 @@ def write_here(path: Path, samples: Samples) -> None:
             file.create_dataset(
                 f"samples/{name}", data=[row[name] for row in samples.rows], dtype=h5py.string_dtype()
             )
-
-
-def as_objects(arrays: list[np.ndarray]) -> np.ndarray:
-    """Arrays of any lengths as one of objects, also where they happen to be of one length."""
-    held = np.empty(len(arrays), object)
-    for at, array in enumerate(arrays):  # at once numpy would make two axes of arrays of one length
-        held[at] = array
-    return held
