@@ -44,7 +44,9 @@ lock: $(SETUP)  ## write envs/requirements.lock from what is installed
 	@sed 's/+cpu$$//' envs/.requirements.part > envs/.requirements.lock && rm envs/.requirements.part
 	@mv envs/.requirements.lock envs/requirements.lock
 
-BENCHMARKS := $(patsubst tests/benchmarks/%.py,benchmark-%,$(filter-out %/__init__.py %/figures.py %/sandbox.py %/rig_page.py %/real_page.py %/fea_cost.py %/attempts.py %/flow_faults.py %/balls.py %/films.py %/ways.py,$(wildcard tests/benchmarks/*.py)))
+# What benchmarks share, and is none.
+SHARED := __init__ attempts balls chart_meshes fea_cost figures films flow_faults real_page rig_page sandbox ways
+BENCHMARKS := $(filter-out $(SHARED:%=benchmark-%),$(patsubst tests/benchmarks/%.py,benchmark-%,$(wildcard tests/benchmarks/*.py)))
 .PHONY: $(BENCHMARKS)
 $(BENCHMARKS): benchmark-%: $(SETUP) $(CCX_FOUND)
 	@$(PY) -m tests.benchmarks.$* --out results/benchmarks/$*.json

@@ -1,13 +1,16 @@
 """How long make needs to find that 15 000 samples over five stages need nothing."""
 
+import resource
 import shutil
 import tempfile
-import time
 from argparse import Namespace
 from pathlib import Path
 
+import numpy as np
+
 from gelforge.flow.files import read_csv, write_csv
-from gelforge.flow.main import command, option
+from gelforge.flow.main import command, option, positive
+from gelforge.records.forcefile import SampleForces, write_forces
 from tests.benchmarks.figures import Figure, publish_figures
 from tests.benchmarks.sandbox import link_project, make
 
@@ -37,8 +40,8 @@ LOG_COLUMNS = [
 FEA_COLUMNS = ["sample_id", "status", "reason", "fidelity", "mesh", "file"]
 
 
-def write_manifest(project: Path, root: Path) -> None:
-    """A raw log of SAMPLES rows."""
+def write_manifest(project: Path, root: Path, samples: int = SAMPLES) -> None:
+    """A raw log of so many rows, and an empty picture of each: make looks at their times."""
     data = project / "data" / "synthetic"
     numbers = dict.fromkeys((c for c in LOG_COLUMNS if c.endswith(("_mm", "_deg", "_n", "_nm"))), "0.5")
     rows = [
@@ -51,42 +54,51 @@ def write_manifest(project: Path, root: Path) -> None:
             "indenter": "sphere_15",
             "image": f"images/s{k:05d}.png",
         }
-        for k in range(SAMPLES)
+        for k in range(samples)
     ]
     write_csv(data / "log.csv", LOG_COLUMNS, rows)
+    (data / "images").mkdir()
+    for row in rows:
+        (data / row["image"]).touch()
     shutil.copy(root / "data" / "demo" / "dataset.toml", data)
 
 
 def timed_make(project: Path, *goals: str) -> float:
-    """Run make in the synthetic project; return its seconds."""
-    start = time.perf_counter()
+    """Run make in the synthetic project; return its processor seconds, which other load hardly changes."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
     done = make(project, "DATASET=synthetic", *goals)
-    seconds = time.perf_counter() - start
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    seconds = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     if done.returncode:
         raise RuntimeError(f"make {' '.join(goals)} failed:\n{done.stdout[-2000:]}")
     return seconds
 
 
 def fill(project: Path) -> int:
-    """Give every shard the tables that status reads; return the number of shards."""
+    """Give every shard the files that status reads, and the labels that make looks for; return the number of shards."""
     results = project / "results" / "synthetic"
+    node, force, still = np.zeros(1, np.int32), np.array([[0.0, 0.0, -1.0]]), np.zeros((1, 3), np.float32)
     shards = sorted((results / "00_plan" / "shards").glob("*.csv"))
-    for folder in ("10_poses", "20_meshes", "30_fea", "40_forces", "50_labels/24x32"):
-        (results / folder).mkdir(parents=True, exist_ok=True)
+    labels = results / "50_labels" / "24x32"
+    for folder in (labels, results / "20_meshes"):
+        folder.mkdir(parents=True)
     for shard in shards:
         ids = [row["sample_id"] for row in read_csv(shard)]
         poses = [{"sample_id": i, "sensor_id": "reference", "indenter": "sphere_15"} for i in ids]
         write_csv(results / "10_poses" / shard.name, ["sample_id", "sensor_id", "indenter"], poses)
         fea = [{"sample_id": i, "status": "OK", "fidelity": "ccx", "mesh": "ccx-centre"} for i in ids]
         write_csv(results / "30_fea" / shard.name, FEA_COLUMNS, fea)
+        samples = [SampleForces(name, "OK", "ccx-centre", node, force, still) for name in ids]
+        write_forces(results / "40_forces" / f"{shard.stem}.npz", samples, 0.0725)
+        (labels / f"{shard.stem}.npz").touch()
     return len(shards)
 
 
-def measure(root: Path) -> list[Figure]:
+def measure(root: Path, samples: int) -> list[Figure]:
     """Build the manifest, mark it made, and time make and status with nothing to do."""
     with tempfile.TemporaryDirectory() as folder:
         project = link_project(root, Path(folder) / "project")
-        write_manifest(project, root)
+        write_manifest(project, root, samples)
         timed_make(project, "-n", "labels")  # reads the plan in, so that shards exist
         shards = fill(project)
         timed_make(project, "-t", "labels")
@@ -94,7 +106,7 @@ def measure(root: Path) -> list[Figure]:
             raise RuntimeError("the synthetic manifest is not up to date after make -t; the benchmark would lie")
         noop = min(timed_make(project, "labels") for _ in range(REPEATS))
         status = min(timed_make(project, "status") for _ in range(REPEATS))
-    note = f"{SAMPLES} samples, {shards} shards, 5 stages; best of {REPEATS}"
+    note = f"{samples} samples, {shards} shards, 5 stages; processor time, best of {REPEATS}"
     return [
         Figure("no-op make", noop, "<=", 0.5, "s", note),
         Figure("no-op make status", status, "<=", 0.5, "s", note),
@@ -102,10 +114,11 @@ def measure(root: Path) -> list[Figure]:
 
 
 @command(
+    option("--samples", type=positive, default=SAMPLES, help="fewer only to try it out"),
     option("--out", type=Path),
 )
 def main(args: Namespace) -> None:
-    publish_figures(args.out, measure(Path.cwd()))
+    publish_figures(args.out, measure(Path.cwd(), args.samples))
 
 
 if __name__ == "__main__":

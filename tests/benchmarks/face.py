@@ -19,7 +19,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import bytes_of, read_csv, read_json, write_csv
 from gelforge.flow.forecast import wall_seconds
 from gelforge.flow.layout import Layout
-from gelforge.flow.main import command, option
+from gelforge.flow.main import command, option, positive
 from gelforge.formats.export.samples import Samples
 from tests.benchmarks.figures import Figure, publish_figures
 from tests.browser import WIDTHS, browser, console_errors, wait_for
@@ -32,9 +32,9 @@ CHOICES = 20
 REPORT = Path("results/demo/90_report/index.html")
 
 
-def time_page(folder: Path) -> list[Figure]:
+def time_page(folder: Path, presses: int) -> list[Figure]:
     """Open the page of all presses at both widths, choose presses all over it, sort and filter."""
-    page, opened, took, sorting, errors = write_page(folder, PRESSES), [], [], [], 0
+    page, opened, took, sorting, errors = write_page(folder, presses), [], [], [], 0
     for width in WIDTHS:
         with browser(width) as driver:
             started = time.perf_counter()
@@ -42,7 +42,7 @@ def time_page(folder: Path) -> list[Figure]:
             wait_for(driver, "return document.body.dataset.shown")
             opened.append(time.perf_counter() - started)
             for k in range(CHOICES):
-                name = f"made-{(7919 * (k + 1)) % PRESSES:06d}"
+                name = f"made-{(7919 * (k + 1)) % presses:06d}"
                 driver.execute_script("choose(PLACE.get(arguments[0]))", name)
                 wait_for(driver, f"return document.body.dataset.shown === {json.dumps(name)}")
                 took.append(float(driver.execute_script("return document.body.dataset.took")) / 1e3)
@@ -52,7 +52,7 @@ def time_page(folder: Path) -> list[Figure]:
                     / 1e3
                 )
             errors += len(console_errors(driver))
-    note = f"{PRESSES} presses, parts beside the page, widths {WIDTHS[0]} and {WIDTHS[1]} px"
+    note = f"{presses} presses, parts beside the page, widths {WIDTHS[0]} and {WIDTHS[1]} px"
     return [
         Figure("page opens", max(opened), "<=", 3.0, "s", f"{note}; the first press is drawn"),
         Figure("a choice answers, slowest", max(took), "<=", 0.2, "s", f"{len(took)} presses all over it"),
@@ -62,7 +62,7 @@ def time_page(folder: Path) -> list[Figure]:
     ]
 
 
-def many(folder: Path, count: int = PRESSES, pictures: int = 48) -> Samples:
+def many(folder: Path, count: int, pictures: int = 48) -> Samples:
     """A dataset of so many samples that share a few dozen pictures of a sensor's size."""
     samples = lay(folder, pictures, (24, 32), (320, 240))
     rows = read_csv(samples.dataset / "samples.csv")
@@ -72,10 +72,10 @@ def many(folder: Path, count: int = PRESSES, pictures: int = 48) -> Samples:
     return Samples.open(samples.data, samples.dataset, folder / "sensors.json")
 
 
-def time_exports(folder: Path) -> list[Figure]:
+def time_exports(folder: Path, presses: int) -> list[Figure]:
     """Write every format, and read back what a smaller one holds."""
-    samples, found = many(folder / "large"), []
-    few = many(folder / "small", 96)
+    samples, found = many(folder / "large", presses), []
+    few = many(folder / "small", min(presses, 96))
     for form in FORMATS:
         suffix, read = READERS[form]
         started, spent = time.perf_counter(), time.process_time()
@@ -84,7 +84,7 @@ def time_exports(folder: Path) -> list[Figure]:
             time.process_time() - spent,
             f"processor time; {time.perf_counter() - started:.0f} s by the clock",
         )
-        found.append(Figure(f"export of {PRESSES} samples, {form}", seconds, "<=", 60.0, "s", note))
+        found.append(Figure(f"export of {presses} samples, {form}", seconds, "<=", 60.0, "s", note))
         export(few, form, folder / f"few{suffix}")
         back = read(folder / f"few{suffix}")[0]
         wrong = sum(not np.array_equal(back[s.name][2], s.label) or back[s.name][1] != s.picture for s in few)
@@ -94,10 +94,10 @@ def time_exports(folder: Path) -> list[Figure]:
     return found
 
 
-def time_lineage(folder: Path) -> list[Figure]:
+def time_lineage(folder: Path, presses: int) -> list[Figure]:
     """The command itself, start of Python included."""
     results = folder / "results" / "d"
-    lay_flow(results, PRESSES)
+    lay_flow(results, presses)
     words = [
         sys.executable,
         "-m",
@@ -105,7 +105,7 @@ def time_lineage(folder: Path) -> list[Figure]:
         "--results",
         str(results),
         "--id",
-        f"s{PRESSES - 1:05d}",
+        f"s{presses - 1:05d}",
     ]
     seconds = []
     for _ in range(5):
@@ -114,12 +114,12 @@ def time_lineage(folder: Path) -> list[Figure]:
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         seconds.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
     return [
-        Figure("lineage of one label", min(seconds), "<=", 0.3, "s", f"{PRESSES} samples; processor time, best of 5")
+        Figure("lineage of one label", min(seconds), "<=", 0.3, "s", f"{presses} samples; processor time, best of 5")
     ]
 
 
-def time_wheel(folder: Path) -> list[Figure]:
-    """Build the wheel, install it with what it depends on into an environment of nothing else, read a picture there."""
+def time_wheel(folder: Path, presses: int) -> list[Figure]:
+    """Build the wheel, whatever the presses, install it with what it depends on into an environment of nothing else, read a picture there."""
     made, python = folder / "wheels", folder / "clean" / "bin" / "python"
     copied = folder / "sources"
     shutil.copytree("src", copied / "src", ignore=shutil.ignore_patterns("__pycache__", "*.egg-info"))
@@ -168,21 +168,28 @@ def run_of_demo(results: Path) -> list[Figure]:
     ]  # fmt: skip
 
 
-@command(option("--out", type=Path))
-def main(args: Namespace) -> None:
+def time_demo(folder: Path, presses: int) -> list[Figure]:
+    """What the demo took that was made here, whatever the presses."""
     if not REPORT.exists():
         raise BadInput(f"{REPORT}: absent; make demo, from nothing, then make benchmark-face")
+    return run_of_demo(Path("results/demo"))
+
+
+PARTS = {"demo": time_demo, "page": time_page, "exports": time_exports, "lineage": time_lineage, "wheel": time_wheel}
+
+
+@command(
+    option("--parts", nargs="+", choices=list(PARTS), default=list(PARTS)),
+    option("--presses", type=positive, default=PRESSES, help="fewer only to try it out"),
+    option("--out", type=Path),
+)
+def main(args: Namespace) -> None:
     figures = []
-    for name, measure in (
-        ("page", time_page),
-        ("exports", time_exports),
-        ("lineage", time_lineage),
-        ("wheel", time_wheel),
-    ):
+    for name in args.parts:
         with tempfile.TemporaryDirectory() as folder:
             (Path(folder) / name).mkdir()
-            figures += measure(Path(folder) / name)
-    publish_figures(args.out, [*figures, *run_of_demo(Path("results/demo"))])
+            figures += PARTS[name](Path(folder) / name, args.presses)
+    publish_figures(args.out, figures)
 
 
 if __name__ == "__main__":

@@ -258,20 +258,33 @@ def content_with(project: Path, **options) -> object:
     return f"made again: {again}" if again else labels_of(project)
 
 
+def linked(project: Path, name: str, behind: Path) -> None:
+    """Move what a project holds to another place, and leave a link to it."""
+    shutil.move(project / name, behind)
+    (project / name).symlink_to(behind)
+
+
 def link_cases(boxes: Sandboxes) -> Iterator[Case]:
-    image = read_csv(boxes.raw / "data" / NAME / "log.csv")[0]["image"]
-    linked = [f"data/{NAME}/{name}" for name in ("log.csv", "dataset.toml", image, Path(image).parent)]
-    linked += ["workflow/params.toml", "workflow/sensors.toml", "workflow/indenters.toml", f"data/{NAME}", "data"]
-    for name in linked:
+    data = f"data/{NAME}"
+    image = read_csv(boxes.raw / data / "log.csv")[0]["image"]
+    pictures = [f"{data}/{image}", f"{data}/{Path(image).parent}"]
+    others = [f"{data}/log.csv", f"{data}/dataset.toml", "workflow/params.toml", "workflow/sensors.toml"]
+    for name in [*pictures, *others, "workflow/indenters.toml", data, "data"]:
 
         def act(project: Path, name=name) -> object:
-            path = project / name
-            behind = project.with_name("behind")
-            shutil.move(path, behind)
-            path.symlink_to(behind)
+            # pictures must stay inside their dataset
+            linked(project, name, (project / data if name in pictures else project.parent) / "behind")
             return content_with(project)
 
         yield boxes.case(f"{name} is a link", boxes.built, act)
+    for name in pictures:
+
+        def act(project: Path, name=name) -> object:
+            linked(project, name, project.with_name("behind"))
+            done = make(project, f"DATASET={NAME}", "STRICT=1", "labels")
+            return done.returncode != 0 and "the path leaves the dataset's folder" in done.stdout
+
+        yield boxes.case(f"{name} is a link out of its dataset", boxes.built, act, True)
 
 
 def language_cases(boxes: Sandboxes) -> Iterator[Case]:

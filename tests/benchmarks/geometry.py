@@ -70,13 +70,16 @@ def _timed(function, argument) -> float:
 
 @command(
     option("--catalogue", type=Path, default=Path("workflow/indenters.toml")),
+    option("--solids", nargs="+", help="only these of the published ones", default=None),
     option("--reference", type=Path, default=PUBLISHED_DATA),
     option("--out", type=Path),
 )
 def main(args: Namespace) -> None:
     catalogue = load_catalogue(args.catalogue)
-    published = {name: catalogue[name] for name in sorted(published_names(args.catalogue))}
-    publish_figures(args.out, [*solid_figures(published, args.reference), *speed_figures(catalogue)])
+    published = {name: catalogue[name] for name in args.solids or sorted(published_names(args.catalogue))}
+    publish_figures(
+        args.out, [*solid_figures(published, args.reference), *speed_figures(published if args.solids else catalogue)]
+    )
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.flow.files import read_json, write_text
-from gelforge.flow.main import command, option
+from gelforge.flow.main import command, option, positive
 from tests.benchmarks.figures import Figure, publish_figures
 from tests.benchmarks.sandbox import clean_environment, link_project
 
@@ -199,21 +199,21 @@ def bare_seconds(folder: Path, count: int) -> float:
     return time.monotonic() - started
 
 
-def submitted_seconds(process: subprocess.Popen, folder: Path, started: float) -> tuple[float, list[int]]:
+def submitted_seconds(process: subprocess.Popen, folder: Path, started: float, count: int) -> tuple[float, list[int]]:
     """Wait until Slurm has all tasks of a make; return the seconds since `started` and the lengths of the arrays."""
     while process.poll() is None:
         taken = [len(batch["groups"]) for batch in record_of(folder).get("batches", []) if batch["job"]]
-        if sum(taken) == SHARDS:
+        if sum(taken) == count:
             return time.monotonic() - started, taken
         time.sleep(0.02)
     raise RuntimeError(process.stdout.read())
 
 
-def overhead(folder: Path, lab: Cluster) -> list[Figure]:
+def overhead(folder: Path, lab: Cluster, count: int) -> list[Figure]:
     """What a task costs beyond its work, and how long make takes until Slurm has all of them."""
     lay_project(folder)
-    shards = [str(k) for k in range(SHARDS)]
-    some = shards[: SHARDS // 5]
+    shards = [str(k) for k in range(count)]
+    some = shards[: -(-count // 5)]
     bare = bare_seconds(folder, len(some)) / len(some)
     started = time.monotonic()
     make(folder, lab, "poses", f"SHARDS={' '.join(some)}", "EXECUTOR=local", "DATASET=local")
@@ -222,9 +222,9 @@ def overhead(folder: Path, lab: Cluster) -> list[Figure]:
     (folder / "runs").mkdir()
     started = time.monotonic()
     process = start_make(folder, lab, "poses", f"SHARDS={' '.join(shards)}")
-    submitted, taken = submitted_seconds(process, folder, started)
+    submitted, taken = submitted_seconds(process, folder, started, count)
     text, _ = process.communicate()
-    each = (time.monotonic() - started) / SHARDS
+    each = (time.monotonic() - started) / count
     if process.returncode:
         raise RuntimeError(text)
     once = sum((folder / "runs" / f"poses-{shard}").read_text() == "started\nended\n" for shard in shards)
@@ -233,18 +233,18 @@ def overhead(folder: Path, lab: Cluster) -> list[Figure]:
     os.utime(folder / "log.csv", (later, later))
     started = time.monotonic()
     process = start_make(folder, lab, "poses", f"SHARDS={' '.join(shards)}")
-    outdated, _ = submitted_seconds(process, folder, started)
+    outdated, _ = submitted_seconds(process, folder, started, count)
     os.killpg(process.pid, signal.SIGINT)
     process.communicate()
     parts = f"{1000 * each:.1f} ms a task in all, {1000 * bare:.1f} its work; load {os.getloadavg()[0]:.1f}"
     beyond = f"the same recipes without Slurm take {1000 * local:.1f} ms"
     return [
-        Figure(f"overhead of each of {SHARDS} tasks", 1000 * (each - bare), "<=", 50, "ms", parts),
+        Figure(f"overhead of each of {count} tasks", 1000 * (each - bare), "<=", 50, "ms", parts),
         Figure("of it beyond make's own local run", 1000 * (each - local), "<=", 50, "ms", beyond),
         Figure("until Slurm has all tasks", submitted, "<=", 5, "s", f"arrays of {taken}"),
         Figure("until it has them where all are outdated", outdated, "<=", 5, "s"),
         Figure("longest array", max(taken), "<=", 1000, "tasks"),
-        Figure("tasks run exactly once", once, "==", SHARDS, "tasks"),
+        Figure("tasks run exactly once", once, "==", count, "tasks"),
     ]
 
 
@@ -277,13 +277,14 @@ def demo_forces(folder: Path) -> list[Figure]:
 @command(
     option("--out", type=Path),
     option("--only", choices=["overhead", "demo"], help="one part of it, for a quick look", default=None),
+    option("--shards", type=positive, default=SHARDS, help="tasks; fewer only to try it out"),
 )
 def main(args: Namespace) -> None:
     figures = []
     with tempfile.TemporaryDirectory(prefix="gf-bench-") as scratch:
         if args.only != "demo":
             with cluster() as lab:
-                figures += overhead(Path(scratch) / "trivial", lab)
+                figures += overhead(Path(scratch) / "trivial", lab, args.shards)
         if args.only != "overhead":
             figures += demo_forces(Path(scratch) / "demo")
     publish_figures(args.out, figures)

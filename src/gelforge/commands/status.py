@@ -64,13 +64,12 @@ def forces_state(results: Path, valid: dict[str, int]) -> tuple[int, Counter, di
     paths = {shard: Layout(results).forces(shard) for shard in valid if Layout(results).forces(shard).exists()}
     if not paths:
         return done, failed, left
-    from gelforge.records.forcefile import ForceFile  # numpy is most of what status takes
+    from gelforge.records.forcefile import states_of  # numpy is a large part of what status takes
 
     for shard, path in paths.items():
-        solved = {row["sample_id"] for row in read_rows(Layout(results).fea(shard)) if row["status"] in VALID}
-        with ForceFile(path) as forces:
-            states = dict(zip(forces.sample_id.tolist(), forces.status.tolist(), strict=True))
-        lost = [state for name, state in states.items() if name in solved and state not in VALID]
+        bad = {name: state for name, state in states_of(path).items() if state not in VALID}
+        rows = read_rows(Layout(results).fea(shard)) if bad else []
+        lost = [bad[row["sample_id"]] for row in rows if row["status"] in VALID and row["sample_id"] in bad]
         failed.update(f"{state}: {Status[state].value}" for state in lost)
         left[shard] = valid[shard] - len(lost)
         done += left[shard]
