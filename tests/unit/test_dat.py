@@ -44,6 +44,13 @@ def test_last_of_several_steps_counts():
         (whole().replace("5.000000E-01", "         NaN"), "not finite at node 7"),
         (whole().replace("5.000000E-01", "*************"), "no number"),
         (whole().replace("         7", "         8"), "another mesh"),
+        (whole().replace("1.000000E-01 -2", "1.000000E-001-2"), "columns that run together"),
+        (
+            whole().replace("1.000000E-01 -2.000000E-01  3", "1.000000E-001-2.000000E-0013"),
+            "columns that run together",
+        ),
+        (whole().replace("1.000000E-01", "1,000000E-01"), "no number"),
+        (whole().replace("1.000000E-01", "NAN(IND)"), "no number"),
     ],
 )
 def test_what_is_not_whole_is_refused_by_name(text, reason):

@@ -69,6 +69,22 @@ def test_a_row_that_is_no_later_moment_is_rejected_alone(column, frames, says):
     assert says in wrong[0].reason and f"row {frames[-2].row}" in wrong[0].remedy
 
 
+@pytest.mark.parametrize(
+    ("before", "now", "earlier"),
+    [
+        ("2026-01-01T10:00:00Z", "2026-01-01T13:00:01+03:00", False),
+        ("2026-01-01T13:00:00+03:00", "2026-01-01T10:00:01", False),
+        ("2026-01-01T10:00:00", "2026-01-01T10:00:01Z", False),
+        ("2026-01-01T13:00:01+03:00", "2026-01-01T10:00:00Z", True),
+        ("2026-01-01T10:00:01", "2026-01-01T13:00:00+03:00", True),
+        ("2026-01-01T13:00:01+03:00", "2026-01-01T10:00:00", True),
+    ],
+)
+def test_times_of_several_zones_are_compared_as_times(before, now, earlier):
+    wrong = check_frames([frame(0, time_utc=before), frame(1, dz_mm=-1.2, time_utc=now)], "log.csv")
+    assert [rejected.column for rejected in wrong] == ["time_utc"] * earlier
+
+
 def test_rows_without_press_id_are_never_held_against_each_other():
     alone = [replace(each, press_id="") for each in (*ASIDE, *DOWN)]
     assert check_frames(alone, "log.csv") == [] and len(presses_of(alone)) == 5

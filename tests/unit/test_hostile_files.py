@@ -20,11 +20,13 @@ from gelforge.calibration.readings import read_readings
 from gelforge.commands import look, predict, sample
 from gelforge.commands.projection import read_picture
 from gelforge.errors import BadInput, GelforgeError, printable
+from gelforge.formats.mcap_import import messages
 from gelforge.formats.numpy_pickle import read_npy
 from gelforge.networks.modelfile import encode, load_model
 from gelforge.networks.models import build
 from gelforge.networks.statistics import LIMITS
 from gelforge.records import log
+from gelforge.records.film import open_source
 from gelforge.records.image import bad_image, read_image
 from gelforge.records.labelfile import read_labels
 from gelforge.records.press import COLUMNS, RawRow, parse
@@ -183,6 +185,58 @@ def test_a_link_that_leads_to_itself_is_rejected(tmp_path):
     assert rejection.column == "image" and "leads to itself" in rejection.reason
     with pytest.raises(BadInput, match=r"loop\.png"):
         read_image(tmp_path / "loop.png")
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.npz", "a.pt", "log.csv", "a.mp4", "a.mcap"])
+def test_a_git_lfs_pointer_is_told_under_any_name(tmp_path, name):
+    """A clone without git-lfs holds these in place of what was pushed."""
+    path = tmp_path / name
+    path.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12345\n")
+
+    def film(path):
+        with open_source(path, None):
+            pass
+
+    def recording(path):
+        return list(messages(path, "/a"))
+
+    readers = {".png": read_image, ".npz": read_labels, ".pt": load_model, ".csv": log.read_log, ".mp4": film,
+               ".mcap": recording}  # fmt: skip
+    with pytest.raises(BadInput, match="git lfs pull"):
+        readers[path.suffix](path)
+
+
+@pytest.mark.parametrize("left", ["no index", "half", "whole"])
+def test_a_film_without_its_index_is_told(tmp_path, left):
+    import cv2
+
+    path = tmp_path / "a.mp4"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), 25, (320, 240))
+    for shade in range(10):
+        writer.write(np.full((240, 320, 3), 20 * shade, np.uint8))
+    writer.release()
+    data = path.read_bytes()
+    cut = {"no index": data.find(b"moov") - 4, "half": len(data) // 4, "whole": len(data)}[left]
+    path.write_bytes(data[:cut])
+    if left == "whole":
+        with open_source(path, None) as (source, _):
+            assert source.read()[0]
+    else:
+        with pytest.raises(BadInput, match="moov, is missing"), open_source(path, None):
+            pass
+
+
+@pytest.mark.parametrize("kind", [".png", ".tiff"])
+def test_a_picture_of_sixteen_bits_is_refused(tmp_path, kind):
+    """Those of a camera of 12 bits would be read as nearly black."""
+    import cv2
+
+    image = np.full((24, 32, 3), 100, np.uint8)
+    cv2.imwrite(str(tmp_path / f"a{kind}"), image)
+    assert np.array_equal(read_image(tmp_path / f"a{kind}"), image)
+    cv2.imwrite(str(tmp_path / f"b{kind}"), image.astype(np.uint16) * 16)
+    with pytest.raises(BadInput, match="16 bits a channel"):
+        read_image(tmp_path / f"b{kind}")
 
 
 def chunk(kind: bytes, body: bytes) -> bytes:

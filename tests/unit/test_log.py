@@ -227,6 +227,12 @@ def test_link_within_the_dataset_is_taken(folder):
     assert judge_image(folder) is None
 
 
+@pytest.mark.parametrize("there", ["a1.PNG", "A1.png", "A1.Png"])
+def test_an_image_under_a_name_in_other_letters_is_named(folder, there):
+    (folder / "images" / there).write_bytes(image_bytes())
+    assert judge_image(folder).remedy == f"write its name as it is there: {there}"
+
+
 def test_folder_as_image_is_refused(folder):
     assert "cannot be read" in judge_image(folder, image="images").reason
 

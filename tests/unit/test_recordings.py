@@ -203,6 +203,56 @@ def test_wrenches_in_bursts_of_one_log_time_are_no_repeats(tmp_path, sensor):
     assert np.abs(moments(rows) - FILM).max() <= 5.0 and notes_with(found, WRENCH, "repeat") == 0
 
 
+@pytest.mark.parametrize("touched", [True, False])
+def test_parts_of_one_recording_are_in_the_order_of_time_and_a_contact_goes_on(tmp_path, sensor, touched):
+    (tmp_path / "bag").mkdir()
+    images, forces = filmed(FILM[:24], lambda k: 0.0), ramp()
+    if not touched:
+        forces = [(time, wrench(time - MS, 0.0)) for time, _ in forces]
+    for part in range(12):  # bag_10 and bag_11 sort before bag_2
+        of_part = images[2 * part : 2 * part + 2]
+        near = [said for said in forces if of_part[0][0] - 20 * MS <= said[0] <= of_part[-1][0] + 20 * MS]
+        write(tmp_path / "bag" / f"bag_{part}.mcap", of_part, near)
+    _, rows = imported(tmp_path, tmp_path / "bag", sensor)
+    assert len(rows) == 24 and [row["sample_id"] for row in rows] == sorted(row["sample_id"] for row in rows)
+    if touched:
+        assert (np.diff(moments(rows)) > 0).all() and {row["press_id"] for row in rows} == {"r000-p00001"}
+    else:
+        assert len({row["press_id"] for row in rows}) == 12
+
+
+def test_recordings_that_are_apart_are_of_several_presses(tmp_path, sensor):
+    (tmp_path / "bag").mkdir()
+    for part, start in enumerate((300.0, 1600.0)):
+        write(tmp_path / "bag" / f"{9 - part}.mcap", filmed([start, start + 40.0], lambda k: 0.0), ramp())
+    _, rows = imported(tmp_path, tmp_path / "bag", sensor)
+    assert [row["press_id"] for row in rows] == ["r000-p00001"] * 2 + ["r001-p00001"] * 2
+    assert (np.diff(moments(rows)) > 0).all()
+
+
+@pytest.mark.parametrize(("offset", "told"), [(20.0, True), (0.5, True), (0.1, False), (0.0, False)])
+def test_a_sensor_that_reads_a_force_all_the_time_is_told(tmp_path, sensor, offset, told):
+    forces = [(time, wrench(time - MS, said["wrench"]["force"]["z"] - offset)) for time, said in ramp()]
+    found, _ = imported(tmp_path, write(tmp_path / "a.mcap", filmed(FILM, lambda k: 0.0), forces), sensor)
+    assert any("tare the sensor" in note for note in found["notes"]) == told
+
+
+def test_messages_of_ros_1_are_told_by_what_they_are(tmp_path, sensor):
+    from mcap.writer import Writer
+
+    with (tmp_path / "a.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="ros1")
+        for topic, kind in ((IMAGE, "sensor_msgs/CompressedImage"), (WRENCH, "geometry_msgs/WrenchStamped")):
+            channel = writer.register_channel(
+                topic, "ros1", writer.register_schema(kind, "ros1msg", b"Header header")
+            )
+            writer.add_message(channel, START, bytes(40), START)
+        writer.finish()
+    with pytest.raises(BadInput, match="holds no ROS 2 messages .* convert the recording"):
+        imported(tmp_path, tmp_path / "a.mcap", sensor)
+
+
 def test_the_largest_gap_is_that_of_all_recordings(tmp_path, sensor):
     (tmp_path / "in").mkdir()
     for name, shift in (("a", 0), ("b", 4)):

@@ -37,6 +37,7 @@ from gelforge.records.image import write_png
 from gelforge.records.labelfile import write_labels
 from gelforge.records.log import write_log
 from gelforge.records.press import FORCES, LoggedPress
+from gelforge.records.regular import file_fault
 
 DEFAULTS = {
     "latest_s": 0.02,
@@ -47,6 +48,7 @@ DEFAULTS = {
     "sensor": "gelsight_mini",
 }
 LATEST_NS = 2**63 - 1  # in the year 2262
+SPLIT_NS = 10**9  # a recorder that goes on in a new file misses less
 DATASET_TOML = """# Imported from recordings in MCAP: images with total force, no indenter known: make train RES=1x1 MODEL=resnet10
 sensor = "{sensor}"
 gel = "{gel}"
@@ -132,12 +134,15 @@ def wrenches(path: Path, topics: Topics) -> tuple[MessageTimes, np.ndarray]:
 def messages(path: Path, topic: str) -> Iterator[tuple[int, object]]:
     """(log time in ns, message) of one topic; BadInput for a file that cannot be read."""
     try:
+        from mcap.exceptions import DecoderNotFoundError
         from mcap.reader import make_reader
         from mcap_ros2.decoder import DecoderFactory
     except ModuleNotFoundError as error:
         raise BadInput(
             f"recordings in MCAP need the package {error.name}: pip install '.[exports]' in a clone of gelforge"
         ) from error
+    if fault := file_fault(path):
+        raise BadInput(f"{path}: cannot be read ({fault}); give a recording in MCAP")
     with path.open("rb") as stream:
         try:
             reader = make_reader(stream, decoder_factories=[DecoderFactory()])
@@ -145,6 +150,11 @@ def messages(path: Path, topic: str) -> Iterator[tuple[int, object]]:
                 if message.log_time > LATEST_NS:
                     raise ValueError(f"a message of time {message.log_time}, ns since 1970")
                 yield message.log_time, said
+        except DecoderNotFoundError as error:
+            raise BadInput(
+                f"{path}: topic {topic} holds no ROS 2 messages ({error}); convert the recording to ROS 2, as rosbags-convert"
+                " does"
+            ) from error
         # a damaged file makes mcap, the ROS definitions in it, LZ4, Zstandard and struct each raise errors of their own
         except Exception as error:
             raise BadInput(f"{path}: cannot be read as MCAP with ROS 2 messages ({str(error) or type(error).__name__}); record it again, or mend it with `mcap recover`") from error  # fmt: skip
@@ -187,10 +197,21 @@ def pair(path: Path, topics: Topics) -> Pairs:
     has = np.array([row is not None for row in rows], bool)
     found = np.array([row for row in rows if row is not None], int)
     gaps = np.abs(times[has] - felt.times[found])
-    notes = [*clock.notes, *seen.notes, *felt.notes]
+    notes = [*clock.notes, *seen.notes, *felt.notes, *untared(values, topics)]
     return Pairs(
         chosen[has], times[has], values[felt.index[found]], gaps, int((~has).sum()), [f"{path}: {n}" for n in notes]
     )
+
+
+def untared(values: np.ndarray, topics: Topics) -> list[str]:
+    """What is to be told of a sensor that reads a force all the time; values (n, 6): its readings."""
+    least = float(np.linalg.norm(values[:, :3], axis=1).min(initial=np.inf))
+    if not topics.touch_n < least < np.inf:
+        return []
+    return [
+        f"{topics.wrench} never reads less than {least:.3g} N, above touch_n = {topics.touch_n:g}, so all images are of one"
+        " contact; if the gel was free at any time, tare the sensor and record again"
+    ]
 
 
 def import_recordings(source: Path, data: Path, topics: Topics, sensor) -> dict:
@@ -206,9 +227,16 @@ def import_recordings(source: Path, data: Path, topics: Topics, sensor) -> dict:
     alone, largest, notes = 0, 0.0, []
     with new_folder(data) as part:
         (part / "images").mkdir(parents=True)
-        for number, path in enumerate(files):
-            pairs = pair(path, topics)
-            rows += take(path, number, pairs, part, topics, sensor)
+        found = [(path, pair(path, topics)) for path in files]
+        # parts of one recording are in the order of time, whatever their names (…_10 before …_2)
+        found.sort(key=lambda each: each[1].times[0] if len(each[1].times) else 0)
+        ended, going = 0, ""
+        for number, (path, pairs) in enumerate(found):
+            near = len(pairs.times) > 0 and pairs.times[0] - ended < SPLIT_NS
+            rows += take(path, number, pairs, part, topics, sensor, going if near else "")
+            if len(pairs.times):
+                ended = pairs.times[-1]
+                going = rows[-1].press_id if touching(pairs.values, topics)[-1] else ""
             forces += list(pairs.values[:, :3])
             alone += pairs.alone
             largest = max(largest, 1e-9 * float(pairs.gaps.max(initial=0)))
@@ -224,8 +252,18 @@ def import_recordings(source: Path, data: Path, topics: Topics, sensor) -> dict:
     }  # fmt: skip
 
 
-def take(path: Path, number: int, pairs: Pairs, part: Path, topics: Topics, sensor) -> list[LoggedPress]:
-    """Rows of the paired images of one file in the order of time; writes their PNGs."""
+def touching(values: np.ndarray, topics: Topics) -> np.ndarray:
+    """Whether each wrench (n, 6) is one of contact (n,)."""
+    return np.linalg.norm(values[:, :3], axis=1) > topics.touch_n
+
+
+def take(
+    path: Path, number: int, pairs: Pairs, part: Path, topics: Topics, sensor, going: str = ""
+) -> list[LoggedPress]:
+    """Rows of the paired images of one file in the order of time; writes their PNGs.
+
+    going: press_id of the contact in which the file before this one ended, empty for none.
+    """
     wanted = set(pairs.images.tolist())
     for at, (_, said) in enumerate(messages(path, topics.image)):
         if at not in wanted:
@@ -235,16 +273,17 @@ def take(path: Path, number: int, pairs: Pairs, part: Path, topics: Topics, sens
             raise BadInput(f"{path}: images of {topics.image} are {image.shape[1]} x {image.shape[0]}, sensor {sensor.name} has {sensor.image[0]} x {sensor.image[1]}; name another sensor")  # fmt: skip
         write_png(part / "images" / f"{name_of(number, at)}.png", image)
     # Images of one contact are frames of one press: a split must not tear them apart.
-    touches = np.linalg.norm(pairs.values[:, :3], axis=1) > topics.touch_n
+    touches = touching(pairs.values, topics)
     presses = np.cumsum(touches & ~np.concatenate([[False], touches[:-1]]))
+    goes_on = np.logical_and.accumulate(touches) & bool(going)
     rows = []
-    for at, time, values, press in zip(
-        pairs.images.tolist(), pairs.times.tolist(), pairs.values, presses.tolist(), strict=True
+    for at, time, values, press, on in zip(
+        pairs.images.tolist(), pairs.times.tolist(), pairs.values, presses.tolist(), goes_on.tolist(), strict=True
     ):
         name = name_of(number, at)
         when = datetime.fromtimestamp(time / 1e9, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
         known = {"sample_id": name, "sensor_id": sensor.name, "gel_id": sensor.gel, "image": f"images/{name}.png",
-                 "time_utc": when, "press_id": f"r{number:03d}-p{press:05d}"}  # fmt: skip
+                 "time_utc": when, "press_id": going if on else f"r{number:03d}-p{press:05d}"}  # fmt: skip
         forces = dict(zip(FORCES, values.tolist(), strict=True))
         rows.append(LoggedPress(row=0, **{**NO_PRESS, **known, **forces}))
     return rows

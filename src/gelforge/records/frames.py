@@ -1,7 +1,7 @@
 """Moments of one press: rows of a log that share a press_id, in order of time along one path, down and then sideways."""
 
 from collections.abc import Sequence
-from datetime import datetime
+from datetime import UTC, datetime
 from typing import TypeVar
 
 import numpy as np
@@ -68,10 +68,15 @@ def _earlier(last: PressRecord, frame: PressRecord) -> tuple[str, str] | None:
     times = [getattr(record, "time_utc", "") for record in (last, frame)]
     if not all(times):
         return None
-    before, now = (datetime.fromisoformat(time) for time in times)
-    if (before.tzinfo is None) == (now.tzinfo is None) and now < before:
+    before, now = (_in_utc(datetime.fromisoformat(time)) for time in times)
+    if now < before:
         return "time_utc", "is earlier than the row before it of its press"
     return None
+
+
+def _in_utc(time: datetime) -> datetime:
+    """A time that names no zone is UTC, as the column's name says."""
+    return time if time.tzinfo else time.replace(tzinfo=UTC)
 
 
 def _off_path(path: np.ndarray, now: np.ndarray) -> tuple[str, str] | None:

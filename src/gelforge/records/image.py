@@ -70,9 +70,13 @@ def decode(data: bytes, where: str, remedy: str = REMEDY) -> np.ndarray:
     image = None
     if fault is None:
         try:
-            image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+            image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
         except cv2.error as error:
             fault = f"cannot be read as an image ({error.err})"
+    if image is not None and image.dtype != np.uint8:
+        raise BadInput(
+            f"{where}: holds {8 * image.itemsize} bits a channel; save it with 8, scaled as the sensor shows it"
+        )
     if image is None:
         raise BadInput(f"{where}: {fault or 'cannot be read as an image'}; {remedy}")
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
@@ -158,7 +162,11 @@ def bad_image(press: PressRecord, file: str, folder: str | Path, size: tuple[int
         return no("the path leaves the dataset's folder", "copy the image below data/DATASET and name it from there")
     data, fault = bytes_or_fault(path, MOST_BYTES)
     if fault:
-        return no(f"cannot be read ({fault})", "copy the image there, or remove the row")
+        other = other_case(path)
+        remedy = (
+            f"write its name as it is there: {other.name}" if other else "copy the image there, or remove the row"
+        )
+        return no(f"cannot be read ({fault})", remedy)
     fault, seen = png_fault(data)
     if fault:
         return no(fault, "copy the file again from the source, as PNG")
@@ -168,6 +176,15 @@ def bad_image(press: PressRecord, file: str, folder: str | Path, size: tuple[int
             f"record at that size, or correct `image` of {press.sensor_id} in {SENSOR_TABLES}",
         )
     return None
+
+
+def other_case(path: Path) -> Path | None:
+    """The file beside a missing one whose name differs in capital letters only; None where there is none."""
+    try:
+        beside = [each for each in path.parent.iterdir() if each.name.lower() == path.name.lower()]
+    except OSError:
+        return None
+    return beside[0] if beside and not path.exists() else None
 
 
 def png_fault(data: bytes) -> tuple[str | None, tuple[int, int]]:

@@ -17,16 +17,24 @@ KINDS = {
     stat.S_IFCHR: "a device",
     stat.S_IFBLK: "a device",
 }
+LFS = b"version https://git-lfs"
+LFS_BYTES = 1024  # of a pointer at most
 FOLDER = f"it is {KINDS[stat.S_IFDIR]}"  # what `file_fault` says of one
 
 
 def file_fault(path: Path) -> str | None:
     """Why a path is no file that can be read whole, in a few words, or None."""
     try:
-        mode = path.stat().st_mode
+        found = path.stat()
+        if not stat.S_ISREG(found.st_mode):
+            return f"it is {KINDS.get(stat.S_IFMT(found.st_mode), 'no regular file')}"
+        if len(LFS) <= found.st_size <= LFS_BYTES:
+            with path.open("rb") as stream:
+                if stream.read(len(LFS)) == LFS:
+                    return "it is a Git LFS pointer whose content was not fetched: run `git lfs pull`"
     except OSError as error:
         return error.strerror or str(error)
-    return None if stat.S_ISREG(mode) else f"it is {KINDS.get(stat.S_IFMT(mode), 'no regular file')}"
+    return None
 
 
 def bytes_or_fault(path: Path, most: int) -> tuple[bytes, str | None]:

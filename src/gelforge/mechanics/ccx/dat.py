@@ -39,6 +39,9 @@ def _table(head: re.Match[str], body: str) -> Table:
     quantity, set_name = head[1].strip(), head[2]
     words = _SHORT_EXPONENT.sub(r"\1E\2", body).split()
     where = f"table `{quantity}` of set {set_name} at time {head[3]}"
+    touching = next((word for word in words if word.count(".") > 1), None)
+    if touching:
+        raise DatError(f"{where} has columns that run together ({touching}): this build of CalculiX cannot be read")
     if len(words) % 4:
         raise DatError(f"{where} ends inside a row: the file is truncated")
     try:
