@@ -64,6 +64,7 @@ FRAMED = (
     "cylinder",
 )  # of round, flat, sharp, sheared
 HELD_TOTAL, HELD_CELLS = 0.5, 2.0  # % that halving the reference may move it
+STATED = ("ccx-label", "hex-label", "hex-draft", "ccx-native")  # methods of the chart, by how their names begin
 PARTS = ("deck", "scenes", "envelope", "cost", "laws")
 
 
@@ -417,9 +418,28 @@ def main(args: Namespace) -> None:
         figures += scene_figures(found, kept_decks(args.work)) if args.only == "scenes" else []
         print("\n".join(str(figure) for figure in figures))
         return
-    chart = args.pareto / "pareto.json"
-    figures += reference_figures(read_json(chart)["reference_check"] if chart.exists() else {})
+    path = args.pareto / "pareto.json"
+    chart = read_json(path) if path.exists() else {}
+    figures += [*reference_figures(chart.get("reference_check", {})), *chart_figures(chart.get("rows", []))]
     publish_figures(args.out, figures)
+
+
+def chart_figures(rows: list[dict]) -> list[Figure]:
+    """What the chart says of the methods that README states, over all of its scenes; none have goals here."""
+    figures = []
+    for row in (row for row in rows if row["method"].startswith(STATED)):
+        ended = row["scenes"] - row["failed"]
+        figures.append(
+            Figure(f"chart, {row['method']}, scenes with a result", ended, ">=", 0, "", f"of {row['scenes']}")
+        )
+        for kind, what in (("total", "total force"), ("cells", "cells")):
+            for which in ("median", "worst"):
+                value = row[f"{kind}_{which}"]
+                shown = np.inf if value is None else 100 * value
+                figures.append(Figure(f"chart, {row['method']}, {what}, {which}", shown, ">=", 0, "%"))
+        seconds = row["cpu_seconds_median"]
+        figures.append(Figure(f"chart, {row['method']}, median processor time", seconds or 0.0, ">=", 0, "s"))
+    return figures
 
 
 def reference_figures(checks: dict) -> list[Figure]:
