@@ -22,6 +22,8 @@ MAKEFLAGS += -j$(JOBS)
 endif
 # Jobs of a program that runs several at a time by itself. Known when a recipe is expanded, not before.
 SLOTS = $(or $(patsubst -j%,%,$(filter -j%,$(MAKEFLAGS))),$(JOBS))
+# Before the recipe of such a program: it then takes slots that are free (flow/slots.py), and is still only shown by -n.
+HANDS_SLOTS = $(if $(strip $(foreach f,n q t,$(findstring $f,$(firstword -$(MAKEFLAGS))))),,+)
 
 .PHONY: setup
 setup: $(SETUP) $(CCX_FOUND)  ## virtual environment and CalculiX, inside the project but for system packages

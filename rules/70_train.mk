@@ -1,18 +1,23 @@
 # Stage 70: networks. A model is a table of workflow/models.toml; RES names the grid.
-MODELS := $(shell sed -nE 's/^\[([a-z0-9_]+)\].*/\1/p' workflow/models.toml)
+# Where no dataset is asked for, and before there is a Python, which make sets up and then reads its rules again, none.
+TOML_WORDS := $(if $(and $(wildcard $(PY)),$(filter-out $(NO_DATASET),$(or $(MAKECMDGOALS),help))),$(or $(shell $(PY) -SP src/gelforge/flow/names.py workflow),unread))
+ifeq ($(TOML_WORDS),unread)
+$(error workflow/models.toml or workflow/indenters.toml cannot be read, see above: mend the line named there)
+endif
+# $(call of_toml,KIND): see names.py.
+of_toml = $(patsubst $(1):%,%,$(filter $(1):%,$(TOML_WORDS)))
+MODELS := $(call of_toml,network)
 SHIPPED := src/gelforge/networks/default
 # The shipped network is never trained here.
 LEARNT = $(if $(filter shipped,$(MODEL)),$(LEARNER),$(MODEL))
-# Names of the networks whose table has a line like $1.
-models_with = $(shell awk '/^\[[a-z0-9_]+\]/ {name = substr($$0, 2, index($$0, "]") - 2)} /$1/ {print name}' workflow/models.toml)
 # Those that go on from the network that ships are for one dataset, and write its grid: they are made by name alone.
-TUNED := $(call models_with,^start *=)
+TUNED := $(call of_toml,tuned)
 LEARNABLE := $(filter-out $(TUNED),$(MODELS))
 TRAINED := $(MODELS:%=$D/70_train/$(RES1)/%.pt)
 
 # By hand, a network must be one that there is, and one that learns where it is to learn.
 ifneq ($(call by_hand,MODEL),)
-ifeq ($(filter $(MODELS) shipped,$(MODEL)),)
+ifeq ($(filter $(MODELS) shipped,$(MODEL))$(if $(MODELS),,unknown),)
 $(error MODEL=$(MODEL): no such network; workflow/models.toml has: $(MODELS), and shipped is the one that ships)
 endif
 ifneq ($(and $(filter $(TUNED),$(MODEL)),$(filter-out $(SHIPPED_RES),$(RES1))),)
@@ -25,7 +30,7 @@ endif
 
 # Networks that read a picture beside one of the untouched sensor. Without such pictures none of them can be judged, which
 # is said here, and not after the presses are solved.
-BESIDE_UNTOUCHED := shipped $(call models_with,^reads *= *"(pair|difference)")
+BESIDE_UNTOUCHED := shipped $(call of_toml,beside)
 WANTED = $(if $(filter evaluate report demo study,$(MAKECMDGOALS)),$(MODEL)) $(if $(filter train onnx ship,$(MAKECMDGOALS)),$(LEARNT)) \
     $(if $(filter models evaluate-models,$(MAKECMDGOALS)),$(LEARNABLE)) $(if $(filter pareto-models,$(MAKECMDGOALS)),$(or $(call by_hand,CHARTED),$(LEARNABLE)))
 UNREADABLE = $(firstword $(filter $(BESIDE_UNTOUCHED),$(WANTED)))

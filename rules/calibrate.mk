@@ -6,4 +6,4 @@ POSTERIOR := $D/calibrate/summary.json
 calibrate: $(POSTERIOR)  ## posterior of C10, touch offset, compliance and friction from the log's force readings
 
 $(POSTERIOR): $(DATA)/log.csv $P/calibrate.json $P/indenters.json $P/sensors.json $(POSES) | $(call barrier,10_poses)
-	$(call step,gelforge.stages.calibrate --data $(DATA) --poses $D/10_poses --shards $D/00_plan/shards --sensors $P/sensors.json --params $P/calibrate.json --work $D/calibrate $(if $(filter local,$(EXECUTOR)),--jobs $(SLOTS)) --out $@.part)
+	$(HANDS_SLOTS)$(call step,gelforge.stages.calibrate --data $(DATA) --poses $D/10_poses --shards $D/00_plan/shards --sensors $P/sensors.json --params $P/calibrate.json --work $D/calibrate $(if $(filter local,$(EXECUTOR)),--jobs $(SLOTS)) --out $@.part)

@@ -38,7 +38,7 @@ $D/pareto/quick.json: $(PARETO_QUICK_FILES)
 # references whose keys are of other methods or of another version of the chart.
 CHALLENGE := results/fea_challenge/challenge.json
 CHALLENGE_CODE := $(addprefix src/gelforge/,stages/challenge.py stages/pareto.py sweeps/challenge.py sweeps/methods.py)
-SHAPES := $(wildcard $(addprefix workflow/,$(shell sed -nE 's/^file *= *["'\'']([^"'\'']+).*/\1/p' workflow/indenters.toml)))
+SHAPES := $(wildcard $(call of_toml,shape))
 
 .PHONY: fea-challenge fea-references
 fea-challenge: $(CHALLENGE)  ## the scenes as an open benchmark for any simulator: results/fea_challenge

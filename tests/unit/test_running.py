@@ -5,8 +5,11 @@ import os
 import time
 from contextlib import contextmanager
 
+import pytest
+
 from gelforge.commands.status import cost_lines, running_lines
 from gelforge.flow.files import write_csv, write_json, write_text
+from gelforge.flow.layout import Layout
 from gelforge.flow.ledger import last_runs
 from gelforge.flow.running import Progress, duration, look
 
@@ -46,6 +49,49 @@ def test_presses_of_a_shard_that_is_being_solved_count(tmp_path):
     assert (state.solved, state.total, state.running, state.stage) == (3, 8, ["30_fea/0000"], "30_fea")
     assert abs(state.rate - 1.0) < 0.05
     assert "3 of 8 presses solved" in str(state) and "5 s left" in str(state) and "30_fea/0000" in str(state)
+
+
+def rewrite(path, text):
+    """Another text of the same length in a table whose time stays."""
+    state = path.stat()
+    assert len(text) == state.st_size
+    path.write_text(text)
+    os.utime(path, ns=(state.st_atime_ns, state.st_mtime_ns))
+
+
+def test_a_table_is_read_once_and_again_when_it_changed(tmp_path):
+    """A step that looks each second, and each step that ends, read the tables of all shards: thousands of thousands."""
+    now = lay(tmp_path, 0)
+    table, rejected = tmp_path / "00_plan/shards/0000.csv", tmp_path / "10_poses/0001.rejected.csv"
+    write_text(rejected, "row,why\n1,a\n1,b\n2,c\n")
+    assert (look(tmp_path, now).total, look(tmp_path, now).rejected) == (6, 2)
+    rewrite(table, "x" * table.stat().st_size)  # were it read it would hold no row
+    rewrite(rejected, "x" * rejected.stat().st_size)
+    assert (look(tmp_path, now).total, look(tmp_path, now).rejected) == (6, 2)
+    write_text(rejected, "row,why\n3,a\n")
+    assert (look(tmp_path, now).total, look(tmp_path, now).rejected) == (7, 1)
+    write_text(table, "sample_id,shard\ns0,0\n")
+    assert look(tmp_path, now).total == 4
+    rejected.unlink()
+    assert look(tmp_path, now).total == 5
+    table.unlink()
+    assert look(tmp_path, now).total == 4
+
+
+@pytest.mark.parametrize("text", ["", "[]", '{"a": 1}', "{", "null"])
+def test_kept_counts_that_were_damaged_are_counted_again(tmp_path, text):
+    now = lay(tmp_path, 0)
+    assert look(tmp_path, now).total == 8
+    kept = Layout(tmp_path).counts
+    known = text.replace("a", str(tmp_path / "00_plan/shards/0000.csv"))
+    kept.write_text(known)
+    assert look(tmp_path, now).total == 8 and "0001.csv" in kept.read_text()
+
+
+def test_a_folder_that_takes_no_file_is_looked_at_all_the_same(tmp_path):
+    now = lay(tmp_path, 0)
+    write_text(tmp_path / "logs", "")  # where the folder of logs would be
+    assert look(tmp_path, now).total == 8
 
 
 def test_what_older_parameters_solved_is_still_to_come(tmp_path):

@@ -157,6 +157,48 @@ def test_a_network_that_needs_untouched_sensors_is_refused_before_anything_is_so
     assert make(labelled, "-n", "labels", "DATASET=tiny", f"MODEL={model}").returncode == 0
 
 
+@pytest.mark.parametrize(
+    "table",
+    [
+        "[mine]\nkind = 'grid'\nwidth = 4\nblocks = 1\nreads = 'pair'",
+        '[ mine ]  # ours\nkind = "grid"\nwidth = 4\nblocks = 1\n"reads" = """difference"""',
+        "[mine]\n    reads='difference' # a difference\nkind = \"grid\"\nwidth = 4\nblocks = 1",
+        '"mine" = {kind = "grid", width = 4, blocks = 1, reads = "pair"}',
+    ],
+)
+def test_what_a_network_reads_is_seen_however_toml_writes_it(labelled, table):
+    """Before anything is solved for it."""
+    path = labelled / "workflow/models.toml"
+    text = path.read_text(encoding="utf-8")
+    write_text(path, f"{table}\n{text}" if table.startswith('"') else f"{text}\n{table}\n")
+    try:
+        done = make(labelled, "-n", "report", "DATASET=tiny", "MODEL=mine")
+        assert done.returncode and "data/tiny/nocontact is missing" in done.stdout and "MODEL=mine" in done.stdout
+    finally:
+        write_text(path, text)
+
+
+def test_a_list_of_networks_that_is_no_toml_is_named_by_file_and_line(labelled):
+    path = labelled / "workflow/models.toml"
+    text = path.read_text(encoding="utf-8")
+    write_text(path, f"{text}\nreads = 'pair\n")
+    try:
+        done = make(labelled, "-n", "report", "DATASET=tiny", "MODEL=grid_16")
+        assert done.returncode and "workflow/models.toml: not valid TOML: " in done.stdout and "line" in done.stdout
+        assert make(labelled, "-n", "help").returncode == 0
+    finally:
+        write_text(path, text)
+
+
+def test_a_recipe_that_takes_slots_of_make_is_only_shown_where_others_are(labelled):
+    """make runs such recipes even with -n, -q and -t where nothing keeps it from it."""
+    for flag in ("-n", "-q", "-nk"):
+        said = make(labelled, flag, "calibrate", "DATASET=tiny").stdout
+        assert ("gelforge.stages.calibrate" in said) == ("n" in flag)
+        assert not (labelled / "results/tiny/calibrate").exists()
+    assert "--jobs 3 " in make(labelled, "-n", "-j3", "calibrate", "DATASET=tiny").stdout
+
+
 @pytest.mark.parametrize("goal", ["models", "evaluate-models", "pareto-models"])
 def test_many_networks_are_refused_where_one_of_them_needs_untouched_sensors(labelled, goal):
     done = make(labelled, "-n", goal, "DATASET=tiny")

@@ -19,8 +19,8 @@ from gelforge.calibration.sampling import fingerprint
 from gelforge.errors import BadInput, SolveFailed
 from gelforge.flow.files import read_json, write_json
 from gelforge.flow.layout import command_for
-from gelforge.flow.orphans import pool
 from gelforge.flow.progress import progress
+from gelforge.flow.slots import in_slots
 from gelforge.geometry.gel import load_gel
 from gelforge.geometry.solids import surface_digest
 from gelforge.mechanics.hex.hexsolver import HexSolver
@@ -204,14 +204,8 @@ class SolveCache:
             if not path.exists()
         ]
         self._made |= {task[0] for task in tasks}
-        if workers == 1 or len(tasks) <= 1:
-            for task in progress(tasks, "calibration solves"):
-                _solve_task(*task)
-        else:
-            with pool(workers) as processes:
-                running = [processes.submit(_solve_task, *task) for task in tasks]
-                for future in progress(running, "calibration solves"):
-                    future.result()
+        for _ in progress(in_slots(_solve_task, tasks, workers), "calibration solves", len(tasks)):
+            pass
         for path in wanted:
             if "failed" in self._read(path):
                 self.failed[path] = self._read(path)["failed"]

@@ -172,6 +172,11 @@ class Layout:
         return self.root / LOGS
 
     @property
+    def counts(self) -> Path:
+        """Rows of the planned shards' tables, for the line over a run."""
+        return self.logs / "counts.json"
+
+    @property
     def metrics(self) -> Path:
         """Folder of all records."""
         return self.root / METRICS

@@ -5,12 +5,14 @@ Only the standard library, because every step of a run asks for it.
 
 import csv
 import fcntl
+import os
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from gelforge.flow.files import listed, made_at, read_csv
+from gelforge.flow.files import listed, made_at, read_csv, read_json, write_json
 from gelforge.flow.layout import FEA, FORCES, MESHES, POSES, Layout
 
 RATE_OVER_S = 600.0
@@ -97,11 +99,45 @@ def is_held(path: Path) -> bool:
 
 
 def rejected_in(table: Path) -> int:
-    """Rows of the log that a table of rejections names; none where it is not there or cannot be read."""
-    try:
-        return len({cells.get("row") for cells in read_csv(table)})
-    except (OSError, ValueError, csv.Error):
-        return 0
+    """Rows of the log that a table of rejections names."""
+    return len({cells.get("row") for cells in read_csv(table)})
+
+
+def rows_in(table: Path) -> int:
+    """Rows of a table."""
+    return len(read_csv(table))
+
+
+class Counted:
+    """Numbers read from tables, kept in a file by the tables' times and sizes: each is read once, not at every look."""
+
+    def __init__(self, kept: Path) -> None:
+        self.kept = kept
+        self.known: dict[str, object] = {}
+        self.seen: dict[str, object] = {}
+        with suppress(OSError, ValueError, AttributeError):  # none yet, or damaged: tables are read once more
+            self.known = dict(read_json(kept).items())
+
+    def number(self, table: Path, read: Callable[[Path], int]) -> int | None:
+        """What `read` finds in a table; None where there is none, or it cannot be read."""
+        try:
+            state = os.stat(table)
+            now = [state.st_mtime_ns, state.st_size]
+            match self.known.get(str(table)):
+                case [*before, int(number)] if before == now:
+                    pass
+                case _:
+                    number = read(table)
+        except (OSError, ValueError, csv.Error):
+            return None
+        self.seen[str(table)] = [*now, number]
+        return number
+
+    def keep(self) -> None:
+        """Write what changed; where nothing can be written, tables are read again."""
+        if self.seen != self.known:
+            with suppress(OSError):
+                write_json(self.kept, self.seen)
 
 
 def made_since(path: Path, since: float) -> float | None:
@@ -113,8 +149,11 @@ def made_since(path: Path, since: float) -> float | None:
 def look(results: Path, now: float | None = None) -> Progress:
     """The state of a dataset's run."""
     now, of = time.time() if now is None else now, Layout(results)
-    sizes, solved, lately = of.sizes(), 0, []
-    rejected = {shard: min(size, rejected_in(of.rejected(shard))) for shard, size in sizes.items()}
+    counted, solved, lately = Counted(of.counts), 0, []
+    rows = {shard: counted.number(of.shard(shard), rows_in) for shard in of.names()}
+    sizes = {shard: size for shard, size in rows.items() if size is not None}
+    rejected = {s: min(size, counted.number(of.rejected(s), rejected_in) or 0) for s, size in sizes.items()}
+    counted.keep()
     sizes = {shard: size - rejected[shard] for shard, size in sizes.items()}
     running = running_targets(results)
     busy = {target.split("/")[1] for target in running if target.startswith(f"{FEA}/")}

@@ -26,6 +26,7 @@ from gelforge.flow.ledger import changed_since
 from gelforge.flow.orphans import die_with_parent
 from gelforge.flow.programs import installed
 from gelforge.flow.running import look
+from gelforge.flow.slots import handed_on
 from gelforge.flow.terminal import show_line, terminal
 
 TAIL_LINES = 20
@@ -66,6 +67,7 @@ def live_line(log_path: Path) -> Iterator[None]:
 def run(command: list[str], log_path: Path) -> tuple[int, dict]:
     """Run a command into its log; return its exit code and what it cost."""
     started = time.time()
+    slots, environment = handed_on(os.environ)
     with log_path.open("w", encoding="utf-8", errors="replace") as log:
         log.write(f"$ {' '.join(command)}\n")
         log.flush()
@@ -76,6 +78,8 @@ def run(command: list[str], log_path: Path) -> tuple[int, dict]:
             text=True,
             errors="replace",
             preexec_fn=die_with_parent,
+            env=environment,
+            pass_fds=slots,
         )
         stopped = pass_on_stops(child)
         with live_line(log_path):  # after the fork, which must not meet a second thread

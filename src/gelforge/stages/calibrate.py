@@ -18,11 +18,11 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import write_json
 from gelforge.flow.layout import planned_shards
 from gelforge.flow.main import command, option, positive
-from gelforge.flow.orphans import pool
 from gelforge.flow.params import DatasetFile, read_dataset_file
 from gelforge.flow.params.slices import ForCalibrate, read_slice
 from gelforge.flow.params.tables import CalibrateSolverTable, CalibrateTable
 from gelforge.flow.progress import progress
+from gelforge.flow.slots import in_slots
 from gelforge.labelling.sensor import Sensor, load_sensors
 from gelforge.records.log import rejected_rows
 from gelforge.reporting import cornerplots as plots
@@ -90,19 +90,15 @@ def score_model(posterior: Posterior, chain: Chain, rules: Rules) -> scores.Scor
     return scores.loo_from_mixture(posterior.pointwise(sample(mixture, rules).flat(4 * summary.DRAWS)))
 
 
-def compare_one(task) -> tuple[Posterior, Chain, scores.Score]:
-    """Sample (where that is not done yet) and score one model; task: (posterior, chain or None, rules)."""
-    posterior, chain, rules = task
+def compare_one(posterior: Posterior, chain: Chain | None, rules: Rules) -> tuple[Posterior, Chain, scores.Score]:
+    """Sample (where that is not done yet) and score one model."""
     chain = chain or sample(posterior, rules)
     return posterior, chain, score_model(posterior, chain, rules)
 
 
 def compare(tasks: list, jobs: int) -> list:
     """Run compare_one over tasks on `jobs` processes."""
-    if jobs <= 1 or len(tasks) <= 1:
-        return [compare_one(task) for task in progress(tasks, "models compared")]
-    with pool(jobs) as workers:
-        return list(progress(workers.map(compare_one, tasks), "models compared", len(tasks)))
+    return list(progress(in_slots(compare_one, tasks, jobs), "models compared", len(tasks)))
 
 
 def calibrate(

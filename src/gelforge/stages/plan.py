@@ -190,7 +190,7 @@ def used(catalogue: dict, names: set[str]) -> dict:
 
 # What make takes as one word without reading anything into it.
 _WORD = re.compile(r"[A-Za-z0-9_@+][A-Za-z0-9_.@+/-]*")
-NETWORK_NAME = re.compile(r"[a-z0-9_]+")  # as rules/70_train.mk finds them
+NETWORK_NAME = re.compile(r"[a-z0-9_]+")  # as flow/names.py lists them
 MOST_SHARDS = 20_000
 
 
@@ -217,7 +217,7 @@ def state_of(paths: list[Path]) -> str:
 
 
 def networks(workflow: Path) -> dict[str, dict]:
-    """Tables of workflow/models.toml by name; BadInput for a name that make, which reads the file by lines, would miss."""
+    """Tables of workflow/models.toml by name; BadInput for a name that make, which makes them words of its rules, would miss."""
     path = workflow / "models.toml"
     found = config.read_toml(path)
     if odd := [name for name in found if not NETWORK_NAME.fullmatch(name)]:

@@ -1,0 +1,92 @@
+"""Processes of one program that count against make's job slots, by the protocol of GNU make's manual (Job Slots)."""
+
+import os
+import re
+import stat
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from typing import Any
+
+from gelforge.flow.orphans import pool
+
+AUTH = re.compile(r" ?--jobserver-(?:auth|fds)=(?:(\d+),(\d+)|fifo:(\S+))")
+LOOK_AGAIN_S = 0.5  # whether another job of make has left a slot
+
+
+def inherited(makeflags: str) -> tuple[int, ...]:
+    """The two descriptors by which make hands on its slots, none where this process did not get them.
+
+    To be asked first of all: later other files may have their numbers.
+    """
+    found = AUTH.search(makeflags)
+    numbers = (int(found[1]), int(found[2])) if found and found[1] else ()
+    with suppress(OSError):
+        if all(stat.S_ISFIFO(os.fstat(number).st_mode) for number in numbers):
+            return numbers
+    return ()
+
+
+def handed_on(environment: Mapping[str, str]) -> tuple[tuple[int, ...], dict[str, str]]:
+    """What a child needs to take slots of make: descriptors, and the environment, which names none that it does not get."""
+    flags = environment.get("MAKEFLAGS", "")
+    numbers, found = inherited(flags), AUTH.search(flags)
+    lost = found is not None and not numbers and not found[3]
+    return numbers, {**environment, "MAKEFLAGS": AUTH.sub("", flags)} if lost else dict(environment)
+
+
+class Slots:
+    """Slots of make beside the one that this process is in; without a make there are as many as anybody asks for."""
+
+    def __init__(self) -> None:
+        flags = os.environ.get("MAKEFLAGS", "")
+        found, numbers = AUTH.search(flags), inherited(flags)
+        self.pipe: tuple[int, int] | None = None
+        with suppress(OSError):
+            if found and (found[3] or numbers):  # opened anew: not to block must not be set for make itself
+                way_in, way_out = (found[3], found[3]) if found[3] else (f"/proc/self/fd/{n}" for n in numbers)
+                self.pipe = (os.open(way_in, os.O_RDONLY | os.O_NONBLOCK), os.open(way_out, os.O_WRONLY))
+        self.held: list[bytes] = []
+
+    def take(self) -> bool:
+        """Take one if there is one."""
+        if self.pipe is None:
+            return True
+        with suppress(BlockingIOError):
+            if token := os.read(self.pipe[0], 1):
+                self.held.append(token)
+                return True
+        return False
+
+    def give(self) -> None:
+        """Give one back."""
+        if self.pipe is not None and self.held:
+            os.write(self.pipe[1], self.held.pop())
+
+
+def in_slots(function: Callable[..., Any], tasks: list[tuple], jobs: int) -> Iterator[Any]:
+    """Results of function(*task), in the tasks' order, on `jobs` processes at most, each in a slot of make if it runs this."""
+    if jobs <= 1 or len(tasks) <= 1:
+        for task in tasks:
+            yield function(*task)
+        return
+    from concurrent.futures import FIRST_COMPLETED, Future, wait
+
+    slots, waiting = Slots(), deque(tasks)
+    running: set[Future] = set()
+    begun: deque[Future] = deque()
+    with pool(jobs) as processes:
+        try:
+            while waiting or begun:
+                # the first one is in the slot of this process
+                while waiting and len(running) < jobs and (not running or slots.take()):
+                    begun.append(processes.submit(function, *waiting.popleft()))
+                    running.add(begun[-1])
+                done, running = wait(running, LOOK_AGAIN_S if waiting else None, FIRST_COMPLETED)
+                for _ in done:
+                    slots.give()
+                while begun and begun[0].done():
+                    yield begun.popleft().result()
+        finally:
+            while slots.held:
+                slots.give()
