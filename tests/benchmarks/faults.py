@@ -26,6 +26,7 @@ from gelforge.flow.progress import progress
 from tests.benchmarks.attempts import CANARY, ROOT, Case, judge
 from tests.benchmarks.figures import Figure, publish_figures
 from tests.benchmarks.flow_faults import flow_cases
+from tests.benchmarks.neighbour_faults import NEIGHBOURS
 from tests.benchmarks.sandbox import link_project, make
 from tests.press_records import COLUMNS, log_line, write_lines
 
@@ -387,6 +388,7 @@ AREAS: dict[str, Callable[[Path], Iterator[Case]]] = {
     "arrays": array_cases,
     "names": lambda folder: name_cases(),
     "keys": lambda folder: key_cases(),
+    **{area: lambda folder, cases=cases: cases() for area, cases in NEIGHBOURS.items()},
     "flow": flow_cases,
 }
 

@@ -40,6 +40,7 @@ def test_last_of_several_steps_counts():
         ("", "printed nothing"),
         (whole(time="5"), "stopped early"),
         (whole()[:-20], "truncated"),
+        *((whole()[:-cut], "truncated") for cut in range(1, 9)),
         (HEAD.format(time="1") + ROWS.splitlines()[0] + "\n", "truncated"),
         (whole().replace("5.000000E-01", "         NaN"), "not finite at node 7"),
         (whole().replace("5.000000E-01", "*************"), "no number"),

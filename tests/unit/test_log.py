@@ -6,10 +6,11 @@ import zlib
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from gelforge.errors import BadInput
 from gelforge.records import log
-from gelforge.records.image import bad_image
+from gelforge.records.image import bad_image, read_image
 from gelforge.records.press import COLUMNS, RawRow
 from gelforge.records.press import parse as parse_row
 
@@ -231,6 +232,17 @@ def test_link_within_the_dataset_is_taken(folder):
 def test_an_image_under_a_name_in_other_letters_is_named(folder, there):
     (folder / "images" / there).write_bytes(image_bytes())
     assert judge_image(folder).remedy == f"write its name as it is there: {there}"
+
+
+@pytest.mark.parametrize(("orientation", "size"), [(1, ""), (3, ""), (6, "240 x 320"), (8, "240 x 320")])
+def test_an_image_that_its_exif_turns_has_the_size_that_is_seen(folder, orientation, size):
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    Image.fromarray(np.full((240, 320, 3), 90, np.uint8)).save(folder / "images" / "a1.png", exif=exif)
+    rejection = judge_image(folder)
+    assert (rejection is None) if not size else f"is {size} pixels" in rejection.reason
+    seen = read_image(folder / "images" / "a1.png").shape[:2]
+    assert seen == ((320, 240) if size else (240, 320))
 
 
 def test_folder_as_image_is_refused(folder):

@@ -192,7 +192,11 @@ def png_fault(data: bytes) -> tuple[str | None, tuple[int, int]]:
     if not data.startswith(PNG):
         return "is not a PNG file", (0, 0)
     fault, size = _chunk_fault(data)
-    return fault or _size_fault(size) or _decode_fault(data), size
+    fault = fault or _size_fault(size) or _decode_fault(data)
+    if not fault and b"eXIf" in data:  # which may turn it by 90 degrees
+        height, width, _ = decode(data, "the image").shape
+        size = width, height
+    return fault, size
 
 
 def _chunk_fault(data: bytes) -> tuple[str | None, tuple[int, int]]:

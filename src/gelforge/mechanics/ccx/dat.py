@@ -42,7 +42,8 @@ def _table(head: re.Match[str], body: str) -> Table:
     touching = next((word for word in words if word.count(".") > 1), None)
     if touching:
         raise DatError(f"{where} has columns that run together ({touching}): this build of CalculiX cannot be read")
-    if len(words) % 4:
+    # without the line's end the last number may lack its exponent, and read as another one
+    if len(words) % 4 or not body.endswith("\n"):
         raise DatError(f"{where} ends inside a row: the file is truncated")
     try:
         rows = np.array(words, dtype=float).reshape(-1, 4)

@@ -1,0 +1,82 @@
+"""A small form of each benchmark: it runs as it stands, and what no clock tells meets its goal there, too."""
+
+import re
+import subprocess
+from importlib import import_module
+
+import numpy as np
+import pytest
+
+from gelforge.flow.files import read_json
+from tests.benchmarks.sandbox import clean_environment
+from tests.browser import needs_browser
+from tests.workflow.test_slurm import pytestmark as of_slurm
+
+# What is measured in these depends on the machine and its load.
+CLOCK = {"s", "ms", "times", "images/s", "GiB", "MB"}
+FEW = {"cases tried"}  # figures that only the whole benchmark meets
+# All but those of a flow, of which the first alone takes a solve.
+AREAS_OF_FAULTS = "settings rows logs pictures shapes arrays names keys answers solids frames recordings"
+QUICK = {
+    "dag": ["--samples", "20"],
+    "face": ["--parts", "exports", "lineage", "--presses", "200"],
+    "faults": ["--every", "40", "--areas", *AREAS_OF_FAULTS.split()],
+    "geometry": ["--solids", "sphere_15"],
+    "labels": ["--samples", "16"],
+    "rig": ["--presses", "1"],
+}
+# What makes no small form worth its time, and where the same is tested.
+LEFT_OUT = {
+    "suites": "runs all tests again and again",
+    "machines": "solves scenes in six processes: tests/physics/test_machines.py",
+    "fea": "its smallest part solves with CalculiX for minutes: tests/physics/test_ccx_contact.py and test_ccx_closed_forms.py",
+    "calibration": "an emulator takes minutes: tests/workflow/test_calibrate.py",
+}
+# Of networks, whose quick forms belong to what they measure.
+NETWORKS = {"models", "unseen", "real"}
+
+
+def run_small(name, words, folder):
+    """Figures of a benchmark that was run as a person would, in this process."""
+    module = import_module(f"tests.benchmarks.{name}")
+    assert module.main([*words, "--out", str(folder / f"{name}.json")]) == 0
+    return read_json(folder / f"{name}.json")["figures"]
+
+
+def missed(figures):
+    """Figures that are no numbers, or miss a goal that has nothing to do with time, memory or the number of cases."""
+    assert figures
+    return [
+        f for f in figures
+        if not np.isfinite(f["value"]) or not (f["met"] or f["unit"] in CLOCK or f["name"] in FEW)
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", sorted(set(QUICK) - {"geometry", "labels", "rig"}))
+def test_a_benchmark_runs(name, tmp_path):
+    assert missed(run_small(name, QUICK[name], tmp_path)) == []
+
+
+@pytest.mark.parametrize("name", ["geometry", "labels", "rig"])
+def test_a_benchmark_that_reads_published_data_runs(name, tmp_path, reference):
+    assert missed(run_small(name, QUICK[name], tmp_path)) == []
+
+
+@needs_browser
+def test_the_page_is_measured(tmp_path):
+    assert missed(run_small("face", ["--parts", "page", "--presses", "60"], tmp_path)) == []
+
+
+class TestOfACluster:
+    pytestmark = of_slurm
+
+    def test_its_overhead_is_measured(self, tmp_path):
+        assert missed(run_small("slurm", ["--only", "overhead", "--shards", "5"], tmp_path)) == []
+
+
+def test_no_benchmark_is_forgotten(root):
+    asked = ["make", "--no-print-directory", "-s", "benchmark-X"]
+    said = subprocess.run(asked, cwd=root, env=clean_environment(), capture_output=True, text=True, check=True).stdout
+    files = [path for path in (root / "tests/benchmarks").glob("*.py") if "main.exit()" in path.read_text()]
+    assert set(re.findall(r"benchmark-(\w+)", said)) == {path.stem for path in files}
+    assert {path.stem for path in files} == {*QUICK, *LEFT_OUT, *NETWORKS, "slurm"}
