@@ -21,7 +21,7 @@ ALLOWED = {
     "virtualrig": {"flow", "records", "geometry", "mechanics", "labelling"},
     "sweeps": {"flow", "records", "geometry", "mechanics", "labelling"},
     "reporting": {"flow", "records", "geometry", "mechanics", "labelling", "calibration"},
-    "live": {"records", "reporting"},
+    "live": {"records", "reporting", "formats"},
 }
 ON_TOP = {"stages", "commands"}  # thin mains, which may use all of the above
 

@@ -1,6 +1,7 @@
 """Force maps over a video or a camera, as it runs: `gelforge live --video FILE | --camera N`.
 
---web serves a page to this machine, with recording and replay; --jsonl and --csv write what is read, without a display.
+--web serves a page to this machine, with recording and replay; --foxglove serves messages of ROS 2 to Foxglove, --record
+writes them as MCAP; --jsonl and --csv write what is read, without a display.
 A network that reads differences takes the first frames at rest for the untouched sensor, unless told otherwise. Frames
 are laid onto its picture as the last of them tell together that the gel sits (networks.sitting.Stream).
 """
@@ -138,7 +139,13 @@ def refuse_two_faces(args: Namespace) -> None:
     """BadInput where outputs are named of which only one kind would be made."""
     asked = [
         face
-        for face, given in (("--web", args.web), ("--jsonl or --csv", args.jsonl or args.csv), ("--out", args.out))
+        for face, given in (
+            ("--web", args.web),
+            ("--foxglove", args.foxglove),
+            ("--record without --web or --foxglove", args.record and not (args.web or args.foxglove)),
+            ("--jsonl or --csv", args.jsonl or args.csv),
+            ("--out", args.out),
+        )
         if given
     ]
     if len(asked) > 1:
@@ -217,9 +224,19 @@ def draw(args: Namespace, untouched, seen, capture, name: str, over: threading.E
     option("--frames", type=positive, help="stop after so many", default=None),
     option("--threads", type=positive, default=1),
     option("--web", action="store_true", help="serve a page that shows it all"),
-    option("--host", default="127.0.0.1", help="who may see the page; 0.0.0.0: everyone on the network"),
-    option("--port", type=int, default=8765, help="of the page; 0: any that is free"),
-    option("--record", type=Path, default=Path("recordings"), help="folder of the page's recordings"),
+    option(
+        "--foxglove", action="store_true", help="serve picture, forces and flag to Foxglove, as messages of ROS 2"
+    ),
+    option(
+        "--host", default="127.0.0.1", help="who may see the page or the messages; 0.0.0.0: everyone on the network"
+    ),
+    option("--port", type=int, default=8765, help="of the page or the messages; 0: any that is free"),
+    option(
+        "--record",
+        type=Path,
+        help="folder: of the page's recordings (recordings), or for an MCAP of all messages",
+        default=None,
+    ),
     option("--jsonl", type=Path, help="write a JSON line a frame; - for standard output", default=None),
     option("--csv", type=Path, help="write a row a frame", default=None),
     option(
@@ -237,6 +254,7 @@ def main(args: Namespace) -> None:
     import torch
 
     from gelforge.commands.live_readings import keep_readings, show_page, stopping
+    from gelforge.commands.live_topics import show_topics
     from gelforge.networks.use import load_for_use
     from gelforge.records.image import read_image
 
@@ -248,7 +266,16 @@ def main(args: Namespace) -> None:
         seen = frames(capture, announced, name, args.frames)
         untouched, seen = with_untouched(args, trained, picture, seen, name)
         with stopping() as over:
-            face = show_page if args.web else keep_readings if args.jsonl or args.csv else draw
+            topics = args.foxglove or (args.record and not args.web)
+            face = (
+                show_page
+                if args.web
+                else show_topics
+                if topics
+                else keep_readings
+                if args.jsonl or args.csv
+                else draw
+            )
             face(args, untouched, seen, capture, name, over)
 
 

@@ -74,7 +74,7 @@ def show_page(args: Namespace, untouched, frames, capture, name: str, over: thre
     """Serve the page until `over` is set."""
     frame_s = frame_seconds(args, capture)
     with ExitStack() as stack:
-        hub, recorder = Hub(), Recorder(args.record)
+        hub, recorder = Hub(), Recorder(args.record or Path("recordings"))
         server = Server(args.host, args.port, hub, recorder)
         stack.callback(server.server_close)
         stack.callback(recorder.stop)

@@ -9,9 +9,11 @@ import threading
 import time
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import TextIO
+from typing import IO, Any
 
 from gelforge.errors import BadInput
+from gelforge.formats.export import ros
+from gelforge.live.topics import Encoded
 
 NAME = re.compile(r"[0-9]{8}-[0-9]{6}(-[0-9]+)?")
 MOST_A_SECOND = 1000  # recordings that may begin in one folder
@@ -23,10 +25,12 @@ class Recorder:
     trouble: why the last recording failed, until another one begins; empty where it did not.
     """
 
+    suffix = ".jsonl"
+
     def __init__(self, folder: Path):
         self.folder = folder
         self.lock = threading.Lock()
-        self.stream: TextIO | None = None
+        self.stream: IO[Any] | None = None
         self.name, self.count, self.trouble = "", 0, ""
 
     @property
@@ -43,7 +47,7 @@ class Recorder:
 
     def file(self, name: str) -> Path:
         """Where a recording lies when it is whole."""
-        return self.folder / f"{name}.jsonl"
+        return self.folder / f"{name}{self.suffix}"
 
     def start(self) -> str:
         """Begin a recording; return its name."""
@@ -61,7 +65,7 @@ class Recorder:
             self.trouble = ""
             return self.name
 
-    def _begun(self) -> tuple[str, TextIO]:
+    def _begun(self) -> tuple[str, IO[Any]]:
         """A new recording's name, which no other has, and the file it goes to.
 
         Two sensors may be told in one second to record into one folder, each by a process of its own.
@@ -72,21 +76,31 @@ class Recorder:
             if self.file(name).exists():
                 continue
             with contextlib.suppress(FileExistsError):
-                stream = self.part(name).open("x", encoding="utf-8")
+                stream = self._opened(self.part(name))
                 if not self.file(name).exists():
                     return name, stream
                 stream.close()  # the other has published its own meanwhile
                 self.part(name).unlink()
         raise FileExistsError(errno.EEXIST, f"it has {MOST_A_SECOND} recordings of this second")
 
-    def add(self, event: dict) -> None:
+    def _opened(self, path: Path) -> IO[Any]:
+        """A new file, which FileExistsError says there is."""
+        return path.open("x", encoding="utf-8")
+
+    def _write(self, stream: IO[Any], event) -> None:
+        stream.write(json.dumps(event) + "\n")
+        stream.flush()
+
+    def _finish(self, stream: IO[Any]) -> None:
+        stream.close()
+
+    def add(self, event) -> None:
         """Record an event, if a recording runs; a full disk ends and removes it with BadInput."""
         with self.lock:
             if self.stream is None:
                 return
             try:
-                self.stream.write(json.dumps(event) + "\n")
-                self.stream.flush()
+                self._write(self.stream, event)
                 self.count += 1
             except OSError as error:
                 raise self._lost(error) from error
@@ -125,7 +139,7 @@ class Recorder:
                 self.drop()
                 return 0
             try:
-                self.stream.close()
+                self._finish(self.stream)
                 os.replace(self.part(self.name), self.file(self.name))
             except OSError as error:
                 raise self._lost(error) from error
@@ -149,6 +163,34 @@ class Recorder:
         if not NAME.fullmatch(name) or name not in self.names():
             raise BadInput(f"recording {name!r}: there is none of that name in {self.folder}")
         return _events(self.file(name))
+
+
+class McapRecorder(Recorder):
+    """Keeps encoded messages (live.topics.RosMessages) as MCAP with the profile of ROS 2."""
+
+    suffix = ".mcap"
+
+    def _opened(self, path: Path) -> IO[Any]:
+        from mcap.writer import CompressionType, Writer
+
+        stream = path.open("xb")
+        # Small chunks: a full disk is noticed within a second. LZ4 takes the maps, which are mostly zero, in no time.
+        self.writer = Writer(stream, chunk_size=2**18, compression=CompressionType.LZ4)
+        self.writer.start(profile="ros2", library="gelforge")
+        self.channels: dict[str, int] = {}
+        return stream
+
+    def _write(self, stream: IO[Any], event: tuple[int, list[Encoded]]) -> None:  # noqa: ARG002, the writer has it
+        time_ns, messages = event
+        for topic, kind, content in messages:
+            if topic not in self.channels:
+                schema = self.writer.register_schema(kind, "ros2msg", ros.SCHEMAS[kind].encode())
+                self.channels[topic] = self.writer.register_channel(topic, "cdr", schema)
+            self.writer.add_message(self.channels[topic], log_time=time_ns, data=content, publish_time=time_ns)
+
+    def _finish(self, stream: IO[Any]) -> None:
+        self.writer.finish()
+        stream.close()
 
 
 def _events(path: Path) -> Iterator[dict]:

@@ -1,0 +1,75 @@
+"""A server of messages for Foxglove: its websocket protocol, by its own library."""
+
+import sys
+from collections import defaultdict
+
+from gelforge.errors import BadInput
+from gelforge.formats.export import ros
+from gelforge.live.topics import Encoded
+
+
+class FoxgloveServer:
+    """Serves messages to any number of viewers; one that is slow misses the oldest of its own.
+
+    BadInput where the library is not installed or the port cannot be served.
+    """
+
+    def __init__(self, host: str, port: int):
+        try:
+            import foxglove
+        except ModuleNotFoundError as error:
+            raise BadInput(
+                "--foxglove needs the package foxglove-sdk: pip install '.[live]' in a clone of gelforge"
+            ) from error
+        self.context = foxglove.Context()
+        self.channels: dict[str, foxglove.Channel] = {}
+        try:
+            self.server = foxglove.start_server(
+                name="gelforge", host=host, port=port, context=self.context, server_listener=Viewers()
+            )
+        except (RuntimeError, OSError, OverflowError) as error:  # the last of a number that no port has
+            raise BadInput(f"port {port} of {host}: cannot be served ({error}); name another with --port") from error
+        self.url = f"ws://{host}:{self.server.port}"
+
+    def send(self, time: int, messages: list[Encoded]) -> None:
+        """Send the messages of one moment, ns since 1970."""
+        for topic, kind, content in messages:
+            self._channel(topic, kind).log(content, log_time=time)
+
+    def _channel(self, topic: str, kind: str):
+        import foxglove
+
+        if topic not in self.channels:
+            schema = foxglove.Schema(name=kind, encoding="ros2msg", data=ros.SCHEMAS[kind].encode())
+            self.channels[topic] = foxglove.Channel(
+                topic, message_encoding="cdr", schema=schema, context=self.context
+            )
+        return self.channels[topic]
+
+    def tell(self, sentence: str) -> None:
+        """Show a sentence to all viewers, and on the terminal."""
+        from foxglove import StatusLevel
+
+        print(sentence, file=sys.stderr, flush=True)
+        self.server.publish_status(sentence, StatusLevel.Warning)
+
+    def stop(self) -> None:
+        """End it; viewers are disconnected."""
+        self.server.stop()
+
+
+class Viewers:
+    """Says on the terminal who comes and leaves; the server calls it from threads of its own."""
+
+    def __init__(self):
+        self.topics: dict[int, set[int]] = defaultdict(set)
+
+    def on_subscribe(self, client, channel) -> None:
+        if not self.topics[client.id]:
+            print(f"viewer {client.id} watches", file=sys.stderr, flush=True)
+        self.topics[client.id].add(channel.id)
+
+    def on_unsubscribe(self, client, channel) -> None:
+        self.topics[client.id].discard(channel.id)
+        if not self.topics[client.id]:
+            print(f"viewer {client.id} left; the others go on", file=sys.stderr, flush=True)

@@ -1,0 +1,69 @@
+"""Readings of a running sensor as messages of ROS 2, the same for a live view and for a recording.
+
+Beside the topics of `formats.export.ros`: `wrench/low` and `wrench/high` (the 90 % interval of the total force, where the
+network has one) and `flag` (diagnostic_msgs/DiagnosticArray: WARN with its reason, or OK; the values are the reading's row).
+"""
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.formats.export import ros
+from gelforge.live.reading import Reading
+from gelforge.records.axes import CHANNEL_OF_AXIS
+from gelforge.records.image import encode_jpeg
+from gelforge.reporting.parts import JPEG_QUALITY
+
+Encoded = tuple[str, str, bytes]  # topic, type, CDR
+OK, WARN = 0, 1  # levels of a DiagnosticStatus
+
+
+class RosMessages:
+    """Turns readings of one sensor into encoded messages.
+
+    Stamps are the time at which the stream began plus the reading's own. BadInput where the encoder is not installed.
+    """
+
+    def __init__(self, sensor: str, start_ns: int | None = None):
+        self.sensor, self.start_ns = sensor, time.time_ns() if start_ns is None else start_ns
+        self.token = ros.topic_tokens([sensor])[sensor]
+        self.encoders = encoders()
+
+    def __call__(self, reading: Reading) -> tuple[int, list[Encoded]]:
+        """Time in ns since 1970, and the messages of a reading."""
+        stamp = self.start_ns + round(1e9 * reading.time_s)
+        return stamp, [
+            (topic, kind, self.encoders[kind](said)) for topic, kind, said in self.messages(reading, stamp)
+        ]
+
+    def messages(self, reading: Reading, stamp: int) -> list[ros.Message]:
+        """The messages of a reading, not encoded."""
+        axes = list(CHANNEL_OF_AXIS)
+        total = reading.forces.sum((1, 2), dtype=np.float64)[axes]
+        picture = encode_jpeg(reading.image, JPEG_QUALITY)
+        found = ros.sensor_messages(self.token, stamp, picture, "jpeg", total, reading.forces)
+        top, header = f"/{self.token}", ros.header(stamp, f"{self.token}_gel")
+        if reading.half_width is not None:
+            half = np.asarray(reading.half_width)[axes]
+            for name, ends in (("low", total - half), ("high", total + half)):
+                found.append((f"{top}/wrench/{name}", "geometry_msgs/msg/WrenchStamped", ros.wrench(header, ends)))
+        status = {
+            "level": WARN if reading.flag else OK, "name": "reading", "message": reading.reason or "OK",
+            "hardware_id": self.sensor,
+            "values": [{"key": key, "value": "" if value is None else str(value)} for key, value in reading.row().items()],
+        }  # fmt: skip
+        found.append((f"{top}/flag", "diagnostic_msgs/msg/DiagnosticArray", {"header": header, "status": [status]}))
+        return found
+
+
+def encoders() -> dict[str, Callable[[dict], bytes]]:
+    """Encoder of each type of message."""
+    try:
+        from mcap_ros2._dynamic import serialize_dynamic  # its Writer encodes only into a file
+    except ModuleNotFoundError as error:
+        raise BadInput(
+            f"messages of ROS 2 need the package {error.name}: pip install '.[live]' in a clone of gelforge"
+        ) from error
+    return {name: serialize_dynamic(name, text)[name] for name, text in ros.SCHEMAS.items()}

@@ -1,0 +1,51 @@
+"""A client of Foxglove's websocket protocol (foxglove.sdk.v1): subscribes to every channel and decodes what comes."""
+
+import json
+import struct
+from collections.abc import Iterator
+
+import websocket
+from mcap_ros2._dynamic import generate_dynamic
+
+MESSAGE = 0x01  # opcode of a binary frame: u8, u32 subscription, u64 time in ns, payload
+
+
+class FoxgloveClient:
+    """channels: {topic: advertised channel} as the server said them."""
+
+    def __init__(self, url: str, timeout: float):
+        self.socket = websocket.create_connection(url, subprotocols=["foxglove.sdk.v1"], timeout=timeout)
+        self.channels: dict[str, dict] = {}
+        self.status: list[str] = []
+        self.decoders: dict[int, tuple] = {}
+
+    def messages(self) -> Iterator[tuple[str, int, object]]:
+        """(topic, time in ns, decoded message) until the server goes away."""
+        while True:
+            try:
+                code, content = self.socket.recv_data()
+            except (websocket.WebSocketConnectionClosedException, ConnectionError):
+                return
+            if code == websocket.ABNF.OPCODE_CLOSE:
+                return
+            if code == websocket.ABNF.OPCODE_TEXT:
+                self.hear(json.loads(content))
+            elif content[0] == MESSAGE:
+                subscription, time = struct.unpack_from("<IQ", content, 1)
+                topic, decode = self.decoders[subscription]
+                yield topic, time, decode(content[13:])
+
+    def hear(self, said: dict) -> None:
+        """Subscribe to what is advertised, keep statuses."""
+        if said["op"] == "status":
+            self.status.append(said["message"])
+        for channel in said.get("channels", []) if said["op"] == "advertise" else []:
+            self.channels[channel["topic"]] = channel
+            name = channel["schemaName"]
+            self.decoders[channel["id"]] = channel["topic"], generate_dynamic(name, channel["schema"])[name]
+            wanted = [{"id": channel["id"], "channelId": channel["id"]}]
+            self.socket.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+
+    def close(self) -> None:
+        """Leave."""
+        self.socket.close()
