@@ -2,6 +2,7 @@
 
 import sys
 from collections import defaultdict
+from typing import Any
 
 from gelforge.errors import BadInput
 from gelforge.formats.export import ros
@@ -23,9 +24,10 @@ class FoxgloveServer:
             ) from error
         self.context = foxglove.Context()
         self.channels: dict[str, foxglove.Channel] = {}
+        viewers: Any = Viewers()  # of the listener it has what is called where clients may only subscribe
         try:
             self.server = foxglove.start_server(
-                name="gelforge", host=host, port=port, context=self.context, server_listener=Viewers()
+                name="gelforge", host=host, port=port, context=self.context, server_listener=viewers
             )
         except (RuntimeError, OSError, OverflowError) as error:  # the last of a number that no port has
             raise BadInput(f"port {port} of {host}: cannot be served ({error}); name another with --port") from error
