@@ -1,9 +1,9 @@
 """The gel pad: outline, top surface, closed surface."""
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
-from typing import TypeGuard
+from typing import ClassVar, TypeGuard
 
 import numpy as np
 
@@ -30,6 +30,8 @@ class Gel:
     sag_y: float = 9.7165
     twist: float = 2.8163
     rim: float = -1.25
+
+    FITTED: ClassVar[float] = 1.0  # share of the term that was fitted to the solid's rounded corners
 
     def top(self, x, y) -> np.ndarray:
         """Height z of the undeformed top surface at (x, y), mm, broadcast; outside the outline it is `rim`."""
@@ -87,15 +89,23 @@ class Gel:
         layers = int(np.ceil((self.height + self.rim) / size_mm))
         levels = np.linspace(-self.height, self.rim, layers + 1)
         top = np.column_stack([plane, self.top(*plane.T)])
-        top[:k, 2] = self.rim
+        edge = self._edge(ring)
+        top[:k, 2] = edge
         base = np.column_stack([plane, np.full(n, -self.height)])
-        walls = [np.column_stack([ring, np.full(k, z)]) for z in levels[1:-1]]
+        walls = [
+            np.column_stack([ring, z + (z + self.height) / (self.rim + self.height) * (edge - self.rim)])
+            for z in levels[1:-1]
+        ]
         starts = [n, *(2 * n + k * i for i in range(layers - 1)), 0]
         faces = [flat, flat[:, ::-1] + n]
         i, j = np.arange(k), (np.arange(k) + 1) % k
         for low, high in pairwise(starts):
             faces += [np.column_stack([low + i, low + j, high + j]), np.column_stack([low + i, high + j, high + i])]
         return np.concatenate([top, base, *walls]), np.concatenate(faces)
+
+    def _edge(self, ring: np.ndarray) -> np.ndarray:
+        """Height (k,) of the top's rim at points (k, 2) of the outline, mm."""
+        return np.full(len(ring), self.rim)
 
     def _grid(self, size):
         """Points of a triangular lattice that keep clear of the outline, (m, 2)."""
@@ -140,7 +150,9 @@ class Gel:
         s = rho / self.corner_radius
         one, other = self._square_top(a + rho, np.full_like(rho, b)), self._square_top(np.full_like(rho, a), b + rho)
         blend = np.sin(phi) ** 2
-        return (1.0 - blend) * one + blend * other - np.sin(2.0 * phi) * s * (1.0 - s) * (0.18 + 0.1 * s)
+        return (
+            (1.0 - blend) * one + blend * other - self.FITTED * np.sin(2.0 * phi) * s * (1.0 - s) * (0.18 + 0.1 * s)
+        )
 
 
 def _circle(half_chord, sag):
@@ -155,23 +167,44 @@ THICKNESS = (2.0, 8.0)  # mm that a gel of a stated thickness may have
 _OF_THICKNESS = re.compile(r"(.+)-(\d+(?:\.\d+)?)mm")
 
 
+def own_gels() -> dict[str, Gel]:
+    """The gels of workflow/gels.toml by name."""
+    from gelforge.geometry.gelcatalogue import FILE, gels_of
+
+    found = gels_of(FILE)
+    if taken := [name for name in found if name in GELS or _OF_THICKNESS.fullmatch(name)]:
+        raise BadInput(
+            f"{FILE}: [{taken[0]}]: is a gel that there is already, or one with its thickness; give it another name"
+        )
+    return found
+
+
 def load_gel(name: str) -> Gel:
-    """The gel of that name: one of GELS, or NAME-3.6mm, the same outline and dome on a pad 3.6 mm thick at its crown.
+    """The gel of that name: the usual one, one of workflow/gels.toml, or NAME-3.6mm, the same 3.6 mm thick at its apex.
 
     A name that is none raises BadInput.
     """
     if name in GELS:
         return GELS[name]
+    gels = GELS | own_gels()
+    if name in gels:
+        return gels[name]
     match = _OF_THICKNESS.fullmatch(name)
-    if match is None or match[1] not in GELS:
-        known = ", ".join(GELS)
+    if match is None or match[1] not in gels:
+        known = ", ".join(gels)
         raise BadInput(
             f"gel {name!r} is unknown; known: {known}, and each with its thickness, as {next(iter(GELS))}-3.6mm"
         )
     low, high = THICKNESS
     if not low <= float(match[2]) <= high:
         raise BadInput(f"gel {name!r}: give a thickness from {low:g} to {high:g} mm")
-    return replace(GELS[match[1]], name=name, height=float(match[2]))
+    return replace(gels[match[1]], name=name, height=float(match[2]))
+
+
+def gel_shape(gel: Gel) -> dict:
+    """The kind and numbers of a gel, and the content of its file, without names: what two gels that are one share."""
+    numbers = {key: value for key, value in asdict(gel).items() if key not in ("name", "file")}
+    return numbers | {"kind": type(gel).__name__}
 
 
 def states_thickness(name: str, of: str) -> bool:

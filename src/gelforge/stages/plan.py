@@ -105,6 +105,7 @@ def write_shards(
         write_if_changed(out / "shards" / f"{names[-1]}.csv", shard_text(members))
         # an entry that only other shards use may change without a rerun of this one
         entries = {kind: used(table, named(members, COLUMN_OF[kind])) for kind, table in tables.items()}
+        entries["gels"] = own_shapes(entries.get("sensors", {}))
         entries["images"] = {name: pictures[name] for name in sorted(named(members, "image")) if name in pictures}
         write_if_changed(out / "shards" / f"{names[-1]}.json", config.canonical(entries))
     for gone in set(planned_shards(out / "shards")) - set(names):
@@ -116,6 +117,14 @@ def write_shards(
     lines = [{"sample_id": n, "shard": shard, LOGGED: int(n in shards)} for n, shard in (shards | kept).items()]
     write_if_changed(table, csv_text(["sample_id", "shard", LOGGED], lines))
     return names
+
+
+def own_shapes(sensors: Mapping[str, object]) -> dict[str, dict]:
+    """Kind and numbers of the gels of workflow/gels.toml that sensors sit on: what is pressed there depends on them."""
+    from gelforge.geometry.gel import GELS, gel_shape, is_gel, load_gel
+
+    names = {table.get("gel") for table in sensors.values() if isinstance(table, dict)}
+    return {name: gel_shape(load_gel(name)) for name in sorted(filter(is_gel, names - GELS.keys()))}
 
 
 COLUMN_OF = {"sensors": "sensor_id", "indenters": "indenter"}  # of the log, by catalogue
@@ -192,6 +201,7 @@ def used(catalogue: dict, names: set[str]) -> dict:
 _WORD = re.compile(r"[A-Za-z0-9_@+][A-Za-z0-9_.@+/-]*")
 NETWORK_NAME = re.compile(r"[a-z0-9_]+")  # as flow/names.py lists them
 MOST_SHARDS = 20_000
+GELS_FILE = "gels.toml"
 
 
 def make_list(name: str, values: list[str]) -> str:
@@ -256,12 +266,16 @@ def read_catalogues(
     rows: list[RawRow], catalogue: Path, workflow: Path, known: dict, params: Params
 ) -> tuple[dict[str, dict], list[Path]]:
     """What of the `known` sensors and the indenters a dataset and its charts use, by slice, and files this depends on."""
+    from gelforge.geometry.gelcatalogue import files_of
+
     sensors = named(rows, "sensor_id") | {params.pareto.sensor}
     indenters = used(config.read_toml(catalogue), named(rows, "indenter"))
     indenters, shapes = with_content(indenters, workflow)
     tables = {"sensors": used(known, sensors), "indenters": indenters}
     # the charts' scenes name indenters of the project's own catalogue, whichever the dataset has
-    return tables, list(dict.fromkeys([catalogue, workflow / "indenters.toml", *shapes]))
+    return tables, list(
+        dict.fromkeys([catalogue, workflow / "indenters.toml", *shapes, *files_of(workflow / GELS_FILE)])
+    )
 
 
 def check_gel(file: Path, of: DatasetFile, params: Params, sensors: dict[str, dict]) -> None:
