@@ -8,6 +8,7 @@ An uncompressed .npz. `n` samples:
 | label | (n, 3, rows, cols) float32 | N per cell; channels as in `records.axes` (FEATS) |
 | outside | (n, 3) float64 | N that fell outside the image, same channels |
 | press_id | (n,) str | where samples are frames of a press: which one |
+| extrapolated | (n,) float64 | factor for the size of hexahedra that the forces hold and displacement does not; 1: none |
 | c10 | () float64 | MPa, the material that the forces belong to; absent where they were read by a sensor |
 | c10_interval68, c10_interval95 | (2,) float64 | MPa, where the material was calibrated; labels scale with c10 |
 
@@ -83,6 +84,7 @@ class LabelShard:
     outside: np.ndarray
     material: dict[str, float | list[float]]
     press_id: np.ndarray
+    extrapolated: np.ndarray
     fields: dict[str, np.ndarray]
 
     def index(self, sample_id: str) -> int:
@@ -114,9 +116,15 @@ def read_labels(path: str | Path) -> LabelShard:
         material: dict[str, float | list[float]] = {} if c10 is None else {"c10": c10}
         material |= {name: file.array(name, "f", 1).tolist() for name in INTERVALS if name in file}
         press = file.array("press_id", "U", 1) if "press_id" in file else np.full(len(names), "")
+        factor = file.array("extrapolated", "f", 1) if "extrapolated" in file else np.ones(len(names))
         fields = {name: file.array(name, "f", dims) for name, dims in FIELDS.items() if name in file}
     _check_shapes(path, names, states, label, outside, press, fields)
-    shard = LabelShard(Path(path), names, _statuses(path, names, states), label, outside, material, press, fields)
+    if len(factor) != len(names):
+        raise BadInput(
+            f"{path}: {len(factor)} factors of extrapolation for {len(names)} names; make the labels again"
+        )
+    states_of = _statuses(path, names, states)
+    shard = LabelShard(Path(path), names, states_of, label, outside, material, press, factor, fields)
     _check_values(shard)
     return shard
 

@@ -15,7 +15,7 @@ from gelforge.records.table import read_table
 
 EVIDENCE = (
     "rung", "rounds", "newton_iterations", "load_steps", "seconds", "kinematics_seconds", "peak_mib",
-    "equilibrium_residual", "base_mismatch", "penetration_mm", "pulling_fraction", "engine_difference",
+    "equilibrium_residual", "base_mismatch", "penetration_mm", "pulling_fraction", "engine_difference", "extrapolated",
 )  # fmt: skip
 NAMES = ("sample_id", "status", "reason", "fidelity", "mesh", "file")
 COLUMNS = (*NAMES, *FORCE, *EVIDENCE)

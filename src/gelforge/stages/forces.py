@@ -24,7 +24,7 @@ from gelforge.records.npz import DAMAGED, in_short
 from gelforge.records.solvetable import Solved, damaged, read_record, read_solves
 from gelforge.records.status import Status
 
-VERSION = 1
+VERSION = 2
 
 
 def dat_forces(text: str, mesh: GelMesh, noise: float) -> tuple[Status, str, np.ndarray, np.ndarray]:
@@ -77,7 +77,18 @@ def read_sample(
     if not status.valid:
         return SampleForces.failed(solve.sample_id, status.name, solve.mesh, solve.press_id), reason
     top = mesh.surface_nodes
-    return SampleForces(solve.sample_id, status.name, solve.mesh, top, force, displacement, solve.press_id), ""
+    factor = solve.number("extrapolated")
+    found = SampleForces(
+        solve.sample_id,
+        status.name,
+        solve.mesh,
+        top,
+        force,
+        displacement,
+        solve.press_id,
+        1.0 if np.isnan(factor) else factor,
+    )
+    return found, ""
 
 
 def material_c10(c10: float | str, calibration: Path | None, out: Path) -> tuple[float, dict]:
