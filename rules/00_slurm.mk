@@ -26,7 +26,7 @@ BARRIERS := $(COLLECT:%=barrier-%)
 .SECONDEXPANSION:
 ifneq ($(BARRIERS),)
 barrier-10_poses: $$(POSES)
-barrier-20_meshes: $$(MESH_FILES)
+barrier-20_meshes: $$(MESH_TABLES)
 barrier-30_fea: $$(FEA)
 barrier-40_forces: $$(FORCES)
 $(BARRIERS): barrier-%:

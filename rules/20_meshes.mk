@@ -1,8 +1,9 @@
-# Stage 20: tetrahedral gel meshes, one per region and density, never one per sample. Bricks need no file.
-MESH_FILES := $(MESHES:%=$D/20_meshes/%.npz)
+# Stage 20: the tetrahedral gel mesh of each press, one per region and density, made when a press needs it. Hexahedra need
+# no file. The usual gel's meshes ship; what is made here is kept in workflow/meshes.
+MESH_TABLES := $(if $(MESHES),$(SHARDS:%=$D/20_meshes/%.csv))
 
 .PHONY: meshes
-meshes: $(MESH_FILES) $(call barrier,20_meshes)  ## gel meshes of the chosen fidelity, with quality reports
+meshes: $(MESH_TABLES) $(call barrier,20_meshes)  ## gel meshes that the presses need, with quality reports
 
-$(MESH_FILES): $D/20_meshes/%.npz: $P/meshes.json
-	$(call step,gelforge.stages.meshes --name $* --params $< --out $@.part)
+$(MESH_TABLES): $D/20_meshes/%.csv: $D/10_poses/%.csv $P/meshes.json $P/fea.json | $(call barrier,10_poses)
+	$(call step,gelforge.stages.meshes --poses $< --params $P/meshes.json --meshes $D/20_meshes $(if $(filter local,$(EXECUTOR)),--jobs $(SLOTS)) --out $@.part)

@@ -4,8 +4,8 @@ FEA := $(SHARDS:%=$D/30_fea/%.csv)
 .PHONY: fea
 fea: $(FEA) $(call barrier,30_fea)  ## finite element solves of every good sample
 
-$(FEA): $D/30_fea/%.csv: $D/10_poses/%.csv $P/fea.json $(MESH_FILES) | $(call barrier,10_poses 20_meshes)
-	$(call step,gelforge.stages.fea --poses $< --meshes $D/20_meshes --params $P/fea.json --out $@.part)
+$(FEA): $D/30_fea/%.csv: $D/10_poses/%.csv $P/fea.json $(if $(MESHES),$D/20_meshes/%.csv) | $(call barrier,10_poses 20_meshes)
+	$(call step,gelforge.stages.fea --poses $< --meshes $D/20_meshes $(if $(MESHES),--chosen $D/20_meshes/$*.csv) --params $P/fea.json --out $@.part)
 
 .PHONY: deck
 deck:  ## CalculiX' deck of one sample as a folder that runs by itself: make deck ID=…

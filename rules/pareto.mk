@@ -25,7 +25,7 @@ $(PARETO_FILES): $D/pareto/scenes/%.json: $P/scenes/%.json $P/pareto.json $P/sen
 	$(call step,$(PARETO_SCENE) --meshes $D/pareto/meshes --out $@.part)
 
 # Which reference the small chart has is told by all of its scenes.
-$(PARETO_QUICK_FILES): $D/pareto/quick/%.json: $P/scenes/%.json $(PARETO_QUICK:%=$P/scenes/%.json) $P/pareto.json $P/sensors.json $(KEPT) $(MESH_FILES) | $(call barrier,20_meshes)
+$(PARETO_QUICK_FILES): $D/pareto/quick/%.json: $P/scenes/%.json $(PARETO_QUICK:%=$P/scenes/%.json) $P/pareto.json $P/sensors.json $(KEPT)
 	$(call step,$(PARETO_SCENE) --set quick --meshes $D/20_meshes --out $@.part)
 
 $D/pareto/pareto.json: $(PARETO_FILES)

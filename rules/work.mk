@@ -7,10 +7,9 @@ demo: report
 status: | $(SETUP)  ## samples done, failed with reasons and pending, per stage
 	@$(PY) -m gelforge.commands.status --results $D $(if $(SHARDS),--meshes $(MESHES))
 
-sample: $(MESH_FILES) | $(call barrier,20_meshes)  ## one sample through all stages with its log: make sample ID=…
+sample: | $(SETUP)  ## one sample through all stages with its log: make sample ID=…
 	@$(PY) -m gelforge.commands.sample --dataset $(DATASET) --id $(call given,ID) --resolution $(RES1)
 
-# Before any mesh is made for it.
 ifneq ($(filter sample,$(MAKECMDGOALS)),)
 ifeq ($(strip $(value ID)),)
 $(error no sample named; say make sample DATASET=$(DATASET) ID=SAMPLE_ID)
@@ -56,6 +55,6 @@ why:  ## why a target would be made again: make why TARGET=report
 lineage: | $(SETUP)  ## every file, parameter and cost behind one label: make lineage ID=…
 	@$(PY) -m gelforge.commands.lineage --results $D --id $(call given,ID) --resolution $(RES1)
 
-# The pilots need the meshes, which the run keeps.
-estimate: $(MESH_FILES) | $(call barrier,20_meshes)  ## core hours, disk and time of a run before it starts
+# Meshes that the pilots need are made, and the run finds them.
+estimate: | $(SETUP)  ## core hours, disk and time of a run before it starts
 	@$(PY) -m gelforge.commands.estimate --data $(DATA) --results $D --resolution $(RES1) --model $(MODEL) --cores $(SLOTS)

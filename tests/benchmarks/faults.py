@@ -15,7 +15,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 
@@ -322,8 +321,9 @@ def name_cases() -> Iterator[Case]:
 def key_cases() -> Iterator[Case]:
     """One number of a press, a setting, a shape or a gel changed: another key, so a solve made before is not taken."""
     from gelforge.flow import params as config
+    from gelforge.geometry.indenters import build
     from gelforge.records.press import PosedPress
-    from gelforge.stages.fea import VERSION, sample_key
+    from gelforge.stages.fea import VERSION, press_keys, scene_of
     from tests.press_records import press_record
 
     params = config.cut_slice(config.load_params(ROOT / "workflow"), config.SLICES["fea"].kind, VERSION)
@@ -331,45 +331,45 @@ def key_cases() -> Iterator[Case]:
         "indenters": {"sphere_15": {"kind": "sphere", "diameter": 15, "height": 10}},
         "sensors": {"gelsight_mini": {"gel": "gelsight_mini"}},
     }
-    family = SimpleNamespace(reports={"ccx-disc-0.4": {"size": 0.4, "nodes": 10}})
+    mesh = "ccx-disc-0.4-01234567"
+    bodies = {"sphere_15": build("sphere_15", tables["indenters"]["sphere_15"], "a benchmark", ROOT / "workflow")}
     fields = set(PosedPress.__dataclass_fields__)
     press = PosedPress(**{k: v for k, v in vars(press_record()).items() if k in fields})
 
-    def key(p=press, q=params, t=tables, f=family):
-        return sample_key(p, [p], q, t, f)
+    def key(p=press, q=params, t=tables, m=mesh):
+        return press_keys([p], [scene_of(p, bodies, t["sensors"], q)], q, t, {p.sample_id: m})[0]
 
-    def differs(other):
+    def judged(other):
         return lambda folder: "another" if other() != key() else "the same key"
 
     for column in ("x0_mm", "y0_mm", "z0_mm", "dx_mm", "dy_mm", "dz_mm", "rot_deg"):
         moved = replace(press, **{column: getattr(press, column) + 1e-9})
-        yield Case("keys", column, differs(lambda m=moved: key(p=m)), "another")
+        yield Case("keys", column, judged(lambda m=moved: key(p=m)), "another")
     for name, value in config.plain(params.fea).items():
         if isinstance(value, int | float) and not isinstance(value, bool):
             changed = replace(params, fea=replace(params.fea, **{name: value * 2}))
-            # the tolerances choose a fidelity where one is to be chosen, no other solve depends on them
-            wanted = "the same key" if name in ("tolerance", "cell_tolerance") else "another"
-            yield Case("keys", f"fea.{name}", differs(lambda c=changed: key(q=c)), wanted)
-    for name, value in (
-        ("interface.law", "frictionless"),
-        ("interface.mu", 0.7),
-        ("material.nu", 0.45),
-        ("fea.hex_quality", "demo"),
+            # they choose a fidelity, or limit how long it may take
+            wanted = "the same key" if name in ("tolerance", "cell_tolerance", "timeout_s") else "another"
+            yield Case("keys", f"fea.{name}", judged(lambda c=changed: key(q=c)), wanted)
+    for name, value, wanted in (
+        ("interface.law", "frictionless", "another"),
+        ("interface.mu", 0.7, "the same key"),
+        ("material.nu", 0.45, "another"),
+        ("fea.hex_quality", "demo", "the same key"),
     ):
         table, _, field = name.partition(".")
         changed = replace(params, **{table: replace(getattr(params, table), **{field: value})})
-        yield Case("keys", name, differs(lambda c=changed: key(q=c)), "another")
+        yield Case("keys", name, judged(lambda c=changed: key(q=c)), wanted)
     for name, change in (
         ("diameter", {"diameter": 15.001}),
         ("height", {"height": 11}),
         ("content of a file", {"sha256": "0"}),
     ):
         other = {**tables, "indenters": {"sphere_15": {**tables["indenters"]["sphere_15"], **change}}}
-        yield Case("keys", f"indenter: {name}", differs(lambda t=other: key(t=t)), "another")
-    other = {**tables, "sensors": {"gelsight_mini": {"gel": "another"}}}
-    yield Case("keys", "the sensor's gel", differs(lambda: key(t=other)), "another")
-    denser = SimpleNamespace(reports={"ccx-disc-0.4": {"size": 0.4, "nodes": 11}})
-    yield Case("keys", "a mesh", differs(lambda: key(f=denser)), "another")
+        yield Case("keys", f"indenter: {name}", judged(lambda t=other: key(t=t)), "another")
+    other = {**tables, "sensors": {"gelsight_mini": {"gel": "gelsight_mini-3.6mm"}}}
+    yield Case("keys", "the sensor's gel", judged(lambda: key(t=other)), "another")
+    yield Case("keys", "a mesh", judged(lambda: key(m="ccx-disc-0.4-01234568")), "another")
     same = {
         **tables,
         "indenters": {"sphere_15": {**tables["indenters"]["sphere_15"], "seen": False, "file": "renamed.stl"}},

@@ -47,7 +47,7 @@ include rules/00_given.mk
 include rules/00_slurm.mk
 endif
 POSES := $(SHARDS:%=$D/10_poses/%.csv)
-MESH_FILES :=
+MESH_TABLES :=
 FEA := $(SHARDS:%=$D/30_fea/%.csv)
 FORCES := $(SHARDS:%=$D/40_forces/%.npz)
 .PHONY: poses fea forces whole status

@@ -10,20 +10,23 @@ from hypothesis import strategies as st
 from parameters import parameters, with_values
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import write_json
-from gelforge.geometry.gel import GELS
+from gelforge.flow.files import read_json, write_json
+from gelforge.geometry.gel import GELS, load_gel
 from gelforge.geometry.indenters import build
 from gelforge.mechanics.family import (
     MeshFamily,
     MeshName,
     choose_mesh,
+    first_candidate,
     load_mesh,
     placed,
+    region,
     required_meshes,
     sizing,
     unplaced,
 )
 from gelforge.mechanics.mesh import GelMesh
+from gelforge.mechanics.meshstore import SHIPPED, MeshSource, add
 from gelforge.mechanics.scene import Material, Press, Scene
 from gelforge.mechanics.tet.moved import RASTER_MM, ROUNDING_MM, moved, reach, way_to
 from gelforge.mechanics.tet.tetmesh import (
@@ -42,6 +45,7 @@ from gelforge.mechanics.tet.tetmesh import (
     split_long_edges,
     tetrahedralise,
 )
+from tests.blocks import symmetric_block
 from tests.conftest import process_signals
 
 GEL = GELS["gelsight_mini"]
@@ -261,7 +265,8 @@ def test_a_press_takes_the_smallest_fine_part_that_holds_its_footprint(tmp_path,
     block = build("block", {"kind": "cuboid", "size": [14, 14], "fillet": 1, "height": 8})
 
     def chosen(body, x):
-        return choose_mesh(Scene(GEL, Material(), body, Press(x, 0, 0, 0, 0, -1.0)), family)
+        scene = Scene(GEL, Material(), body, Press(x, 0, 0, 0, 0, -1.0))
+        return choose_mesh(scene, family)
 
     assert chosen(ball, 0) == "ccx-centre-0.7"
     assert chosen(ball, 3) == "ccx-centre-0.7@2:0"  # the small fine part is moved there
@@ -269,13 +274,68 @@ def test_a_press_takes_the_smallest_fine_part_that_holds_its_footprint(tmp_path,
     assert chosen(ball, 5) == "ccx-wide-0.2"  # where it cannot go; under a ball do not fit ten elements of 1 mm
     assert chosen(block, 0) == "ccx-wide-1.0"
     # and where none holds what is touched
+    family = MeshFamily(tmp_path, ["ccx-wide-1.0", "ccx-wide-0.2"])
     family.reports = {
         name: told | {"half_mm": [2.0, 2.0], "reach_mm": [0.0, 0.0]} for name, told in family.reports.items()
     }
-    del family.reports["ccx-centre-0.7"]
     assert (chosen(ball, 5), chosen(block, 0)) == ("ccx-wide-0.2", "ccx-wide-1.0")
     with pytest.raises(BadInput, match="make meshes"):
         MeshFamily(tmp_path, ["ccx-centre-0.5"])
+
+
+def kept_meshes(folder, gel, table, names):
+    """A source of meshes of these names, which lie in a folder as if they had been made there."""
+    source = MeshSource(gel, table, folder)
+    for at, name in enumerate(names):
+        half, size = region(MeshName.parse(name), table), 5.0 - 0.25 * at
+        report = {"half_mm": list(half), "reach_mm": [3.0, 4.0], "gel": gel.name, "recipe": source.key(name)}
+        add(folder, name, symmetric_block(gel, size, 1), report)
+    return source
+
+
+def test_only_the_meshes_that_presses_take_come_into_a_dataset(tmp_path):
+    names = ["ccx-centre-0.7", "ccx-wide-1.0", "ccx-wide-0.2"]
+    source = kept_meshes(tmp_path / "kept", GEL, TABLE, names)
+    ball = build("ball", {"kind": "sphere", "diameter": 10, "height": 8})
+    near, far = (Scene(GEL, Material(), ball, Press(x, 0, 0, 0, 0, -1.0)) for x in (3, 5))
+
+    def chosen(scene, source=source):
+        family = MeshFamily(tmp_path / "20_meshes", names, source)
+        assert choose_mesh(scene, family).startswith(first_candidate(scene, family))
+        return choose_mesh(scene, family)
+
+    def there():
+        return sorted(path.name.rpartition("-")[0] for path in (tmp_path / "20_meshes").glob("*.npz"))
+
+    first = chosen(near)
+    assert first.startswith("ccx-centre-0.7-") and first.endswith("@2:0") and there() == ["ccx-centre-0.7"]
+    mesh = load_mesh(tmp_path / "20_meshes", unplaced(first)[0])
+    assert unplaced(first)[0] == f"ccx-centre-0.7-{mesh.digest}", "its name tells the content"
+    assert chosen(far).startswith("ccx-wide-0.2-") and there() == ["ccx-centre-0.7", "ccx-wide-0.2"]
+    # the dataset has its own copy; where that is lost it comes back byte for byte, for another dataset, too
+    (path,) = (tmp_path / "20_meshes").glob("ccx-centre*.npz")
+    before = path.read_bytes()
+    path.unlink()
+    assert chosen(near) == first and path.read_bytes() == before
+    # sizes, gradings and gels that differ are other meshes, whatever they are called
+    other = replace(source, meshes=replace(TABLE, growth=0.5))
+    assert other.known("ccx-centre-0.7", tmp_path / "20_meshes") is None
+    thin = replace(source, gel=load_gel("gelsight_mini-3.6mm"))
+    assert thin.known("ccx-centre-0.7", tmp_path / "20_meshes") is None
+    renamed = replace(source, gel=replace(GEL, name="mine"))
+    assert renamed.known("ccx-centre-0.7", tmp_path / "20_meshes") == path
+
+
+def test_meshes_that_ship_are_those_of_the_parameters():
+    table = parameters().meshes
+    source = MeshSource(load_gel(table.gel), table)
+    keys = {source.key(f"ccx-{kind}"): kind for kind in parameters().fea.meshes}
+    shipped = {read_json(path)["recipe"]: path for path in SHIPPED.glob("*.json")}
+    assert shipped.keys() <= keys.keys(), "one that ships belongs to parameters that are gone: remove it"
+    for key, report in shipped.items():
+        mesh = GelMesh.load(report.with_suffix(".npz"))
+        assert report.stem == f"ccx-{keys[key]}-{mesh.digest}"
+        assert quality(mesh, source.gel)["min_scaled_jacobian"] == read_json(report)["min_scaled_jacobian"]
 
 
 def test_half_a_mesh_is_one_sentence(mesh, tmp_path):

@@ -18,9 +18,10 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, write_csv, write_json
 from gelforge.geometry.gel import GELS
 from gelforge.mechanics.ccx.dat import last_table, read_dat
+from gelforge.mechanics.meshstore import source_of
 from gelforge.mechanics.scene import REFERENCE_C10
 from gelforge.records.forcefile import ForceFile
-from gelforge.stages import fea, forces
+from gelforge.stages import fea, forces, meshes
 from tests.blocks import symmetric_block
 from tests.waiting import HANG, wait_until
 
@@ -36,20 +37,32 @@ def folder(tmp_path):
     (tmp_path / "20_meshes").mkdir()
     mesh = symmetric_block(GEL, 2.6, 2)
     mesh.save(tmp_path / "20_meshes" / "ccx-wide-2.6.npz")
-    report = {"engine": "ccx", "region": "wide", "size": 2.6, "half_mm": [10, 12], "reach_mm": [0, 0]}
-    write_json(tmp_path / "20_meshes" / "ccx-wide-2.6.json", report)
     params = tmp_path / "params"
+    key = source_of(write_slice(params, "meshes"), tmp_path).key("ccx-wide-2.6")
+    report = {"engine": "ccx", "region": "wide", "size": 2.6, "half_mm": [10, 12], "reach_mm": [0, 0], "recipe": key}
+    write_json(tmp_path / "20_meshes" / "ccx-wide-2.6.json", report)
     write_slice(params, "fea", fea=FEA)
     write_slice(params, "forces", material={"c10": 0.145})
     write_json(params / "sensors.json", {"cam": {"gel": GEL.name}})
     write_json(params / "indenters.json", {"ball": {"kind": "sphere", "diameter": 15, "height": 10}})
     (tmp_path / "10_poses").mkdir()
-    (tmp_path / "10_poses" / "0000.csv").write_text(HEADER + "".join(ROWS))
+    lay_presses(tmp_path, ROWS)
     return tmp_path
+
+
+def lay_presses(folder, rows):
+    """The pose table of a shard, and its table of meshes by stage 20."""
+    (folder / "10_poses" / "0000.csv").write_text(HEADER + "".join(rows))
+    table = ["--meshes", f"{folder}/20_meshes", "--out", f"{folder}/20_meshes/0000.csv"]
+    assert (
+        meshes.main(["--poses", f"{folder}/10_poses/0000.csv", "--params", f"{folder}/params/meshes.json", *table])
+        == 0
+    )
 
 
 def arguments(folder):
     return ["--poses", f"{folder}/10_poses/0000.csv", "--meshes", f"{folder}/20_meshes",
+            "--chosen", f"{folder}/20_meshes/0000.csv",
             "--params", f"{folder}/params/fea.json", "--out", f"{folder}/30_fea/0000.csv.part"]  # fmt: skip
 
 
@@ -123,13 +136,32 @@ def test_a_failed_solve_is_a_row_with_its_reason(folder, ccx):
     params = json.loads((folder / "params" / "fea.json").read_text())
     params["fea"]["timeout_s"] = 1e-3
     write_json(folder / "params" / "fea.json", params)
-    (folder / "10_poses" / "0000.csv").write_text(HEADER + ROWS[0])
+    lay_presses(folder, ROWS[:1])
     assert fea.main(arguments(folder)) == 0
     row = read_csv(folder / "30_fea" / "0000.csv.part")[0]
     assert row["status"] == "DIVERGED" and "raise timeout_s in [fea]" in row["reason"]
     forces.main(forces_arguments(folder))
     with ForceFile(folder / "0000.npz") as found:
         assert found.status.tolist() == ["DIVERGED"] and not len(found.node)
+
+
+def test_a_longer_timeout_solves_again_only_what_the_shorter_one_stopped(folder, ccx):
+    lay_presses(folder, ROWS[:1])
+    record = folder / "30_fea" / "0000" / "s0.json"
+
+    def solved(**changed):
+        write_slice(folder / "params", "fea", fea=FEA | changed)
+        assert fea.main(arguments(folder)) == 0
+        return json.loads(record.read_text())["status"], record.stat().st_mtime_ns
+
+    (stopped, at_first), (again, still) = solved(timeout_s=1e-3), solved(timeout_s=1e-3)
+    assert (stopped, again, still) == ("DIVERGED", "DIVERGED", at_first)
+    status, solved_at = solved()
+    assert status == "OK" and solved_at != at_first
+    # neither what no solve reads nor what this one does not
+    for changed in ({"timeout_s": 7200.0}, {"timeout_s": 1e-3}, {"hex_quality": "demo"}, {"meshes": ["wide-1.0"]}):
+        assert solved(**changed) == ("OK", solved_at), changed
+    assert solved(press_steps=3)[1] != solved_at
 
 
 def forces_by_stock_ccx(ccx, folder, name, forces):
@@ -148,8 +180,7 @@ def forces_by_stock_ccx(ccx, folder, name, forces):
 
 
 def test_decks_run_by_stock_calculix_give_the_forces_of_stage_40(folder, ccx, tmp_path_factory):
-    poses = folder / "10_poses" / "0000.csv"
-    poses.write_text(HEADER + "".join(row.replace("s2,cam,g,ball,2,", "s2,cam,g,ball,2.2,") for row in ROWS[::2]))
+    lay_presses(folder, ROWS[::2])
     assert fea.main(arguments(folder)) == 0
     assert forces.main([*forces_arguments(folder)[:-1], f"{folder}/40_forces/0000.npz"]) == 0
     decks = sorted((folder / "30_fea").rglob("*.inp"))
@@ -185,7 +216,7 @@ def test_a_press_solved_in_process_has_no_deck(folder):
     params = json.loads((folder / "params" / "fea.json").read_text())
     params["fea"] |= {"fidelity": "hex", "hex_quality": "demo"}
     write_json(folder / "params" / "fea.json", params)
-    (folder / "10_poses" / "0000.csv").write_text(HEADER + ROWS[0])
+    lay_presses(folder, ROWS[:1])
     assert fea.main(arguments(folder)) == 0
     rows = [{"sample_id": "s0", "shard": "0", "logged": "1"}]
     write_csv(folder / "00_plan" / "shards.csv", ["sample_id", "shard", "logged"], rows)

@@ -6,12 +6,12 @@ import shutil
 import subprocess
 import time
 from collections import Counter
-from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from parameters import parameters, slice_of
+from parameters import parameters
 
 from gelforge.commands.why import ask_make, reasons
 from gelforge.commands.why import lines as why_lines
@@ -19,12 +19,11 @@ from gelforge.errors import BadInput
 from gelforge.flow.catalogue import with_content
 from gelforge.flow.files import read_csv, write_csv, write_text
 from gelforge.flow.layout import metrics_of
-from gelforge.flow.params import SLICES
+from gelforge.flow.params import SLICES, digest_of_value
 from gelforge.geometry.triangles import write_stl
 from gelforge.records.forcefile import ForceFile
 from gelforge.records.press import RawRow
-from gelforge.stages import fea
-from gelforge.stages.fea import quality, sample_key
+from gelforge.stages.fea import shape_of
 from gelforge.stages.plan import check_count, make_list, picture_folders, used
 from tests.benchmarks.sandbox import comma_language, link_project, make
 from tests.waiting import HANG
@@ -66,7 +65,7 @@ def test_make_reads_no_meaning_into_names(word):
         make_list("LIST", ["fine-0.4", word])
 
 
-def test_a_shape_that_changes_under_its_name_is_another_shape(tmp_path, monkeypatch):
+def test_a_shape_that_changes_under_its_name_is_another_shape(tmp_path):
     """The same key for the same content under another name, another key for other content under the same name."""
     block(tmp_path / "a.stl", 8.0)
     (tmp_path / "b.stl").write_bytes((tmp_path / "a.stl").read_bytes())
@@ -76,29 +75,10 @@ def test_a_shape_that_changes_under_its_name_is_another_shape(tmp_path, monkeypa
     block(tmp_path / "a.stl", 4.0)
     after, _ = with_content(tables, tmp_path)
 
-    class Press:
-        sensor_id, indenter = "s", "a"
-
-        def cells(self):
-            return dict.fromkeys(("x0_mm", "y0_mm", "z0_mm", "dx_mm", "dy_mm", "dz_mm", "rot_deg"), "0")
-
-    class Family:
-        reports = {}
-
-    def key(indenters, name="a", quality="label", **table):
-        press = Press()
-        press.indenter = name
-        params = slice_of("fea", fea={"hex_quality": quality, **table})
-        return sample_key(press, [press], params, {"indenters": indenters, "sensors": {"s": {"gel": "g"}}}, Family())
+    def key(indenters, name="a"):
+        return digest_of_value(shape_of(SimpleNamespace(indenter=name), {"indenters": indenters}))
 
     assert key(before) == key(before, "b") != key(after)
-    assert key(before) != key(before, quality="draft")
-    # bricks need no other meshes, CalculiX does
-    assert key(before, fidelity="hex") == key(before, fidelity="hex", meshes=["wide-1.0"])
-    assert key(before, fidelity="ccx") != key(before, fidelity="ccx", meshes=["wide-1.0"])
-    as_it_was = key(before)
-    monkeypatch.setattr(fea, "quality", lambda name: replace(quality(name), press_steps=99))
-    assert key(before) != as_it_was  # what a quality means, not its name
 
 
 def test_only_what_is_named_is_part_of_the_plan():

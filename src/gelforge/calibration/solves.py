@@ -7,7 +7,7 @@ pose was reached: there a press with shear is one straight down to where it ends
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,6 @@ import numpy as np
 from gelforge.calibration import emulator as em
 from gelforge.calibration.friction import friction_axis
 from gelforge.calibration.readings import Readings
-from gelforge.calibration.sampling import fingerprint
 from gelforge.errors import BadInput, SolveFailed
 from gelforge.flow.files import read_json, write_json
 from gelforge.flow.layout import command_for
@@ -28,6 +27,7 @@ from gelforge.mechanics.hex.reach import first_touch
 from gelforge.mechanics.hex.settings import HexSettings
 from gelforge.mechanics.meshratio import mesh_ratios
 from gelforge.mechanics.scene import Interface, Material, Press, Scene
+from gelforge.mechanics.solvekey import hex_settings, solve_key
 from gelforge.records.status import Status
 
 # Shares of a straight press at which fine bricks tell what coarse ones add. Shallower, few contact points carry the force
@@ -99,10 +99,9 @@ def interface_of(mu: float) -> Interface:
     return Interface("no_slip") if np.isinf(mu) else Interface("coulomb", float(mu))
 
 
-def job_key(job: SolveJob, shape: str, settings: HexSettings, version: int) -> str:
-    """Name of a solve's file: a hash of the solver's version, the scene, the indenter's shape and the settings."""
-    parts = {"press": asdict(job.press), "mu": str(job.mu), "nu": job.nu, "gel": asdict(load_gel(job.gel))}
-    return fingerprint(version, parts, shape, asdict(settings))[:20]
+def scene_of(job: SolveJob, indenter) -> Scene:
+    """The scene of a job."""
+    return Scene(load_gel(job.gel), Material(job.nu), indenter, job.press, interface_of(job.mu))
 
 
 def path_curve(result, press: Press, touch: float) -> dict:
@@ -151,7 +150,7 @@ def solve_job(job: SolveJob, indenter, settings: HexSettings) -> dict:
     A solve that walked its whole path and only then could not meet the final tolerance serves with
     its last load step, which is in equilibrium to the tolerance of the path: 1e-4 of the force.
     """
-    scene = Scene(load_gel(job.gel), Material(job.nu), indenter, job.press, interface_of(job.mu))
+    scene = scene_of(job, indenter)
     result = HexSolver(settings).solve(scene)
     if not usable(result, scene):
         finer = replace(settings, press_steps=2 * settings.press_steps, shear_steps=2 * settings.shear_steps)
@@ -193,7 +192,8 @@ class SolveCache:
             raise BadInput(f"indenter {job.indenter!r} is not in the catalogue; known: {known}")
         if job.indenter not in self._shapes:
             self._shapes[job.indenter] = surface_digest(self.catalogue[job.indenter])
-        return self.folder / f"{job_key(job, self._shapes[job.indenter], self.settings, self.version)}.json"
+        scene, how = scene_of(job, self.catalogue[job.indenter]), hex_settings(self.settings)
+        return self.folder / f"{solve_key([scene], self._shapes[job.indenter], how, self.version)[:20]}.json"
 
     def fill(self, jobs: list[SolveJob], workers: int = 1) -> None:
         """Solve the jobs that have no file yet, on `workers` processes."""

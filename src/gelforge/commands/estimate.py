@@ -35,12 +35,18 @@ from gelforge.records.press import RawRow, parse
 from gelforge.records.samplefile import read_samples
 from gelforge.stages.train import resolve
 
-STAGES = {"poses": layout.POSES, "fea": layout.FEA, "forces": layout.FORCES, "labels": layout.LABELS}
+STAGES = {
+    "poses": layout.POSES,
+    "meshes": layout.MESHES,
+    "fea": layout.FEA,
+    "forces": layout.FORCES,
+    "labels": layout.LABELS,
+}
 # Measured, processor seconds: an image through an evaluation with its start; a press in the report; a press of a
 # calibration; a scene of the quick chart.
 EVALUATE_EACH, REPORT_EACH, CALIBRATE_EACH, CHART_EACH = 5e-3, 0.02, 18.0, 6.0
 # A row in the stages beside the solves, where a few pilots take no longer than the start of the process does.
-ROW_EACH = {"poses": 7e-3, "forces": 1e-3, "labels": 2e-3}
+ROW_EACH = {"poses": 7e-3, "meshes": 3e-2, "forces": 1e-3, "labels": 2e-3}
 # A press in one epoch of the readers of dots, of force and of place.
 DOTS_EACH, PLACES_EACH = 2e-3, 3e-4
 # A press that both readers read for what is learnt above them; its epochs take nothing beside that.
@@ -106,11 +112,17 @@ def pilot(data: Path, results: Path, work: Path, rows: list[RawRow], resolution:
             arguments = [own if Path(str(word)).name == own.name else word for word in arguments]
         out = Path(arguments[-1])
         out.parent.mkdir(parents=True, exist_ok=True)
+        # the first run makes the meshes that are missing, once for all shards
+        made = spend(module, arguments) if module == "meshes" else 0.0
         each, start = row_and_start(module, arguments, len(rows))
         starts = start * (1 if STAGES[module] == layout.LABELS else shards)
         written = bytes_of(work / STAGES[module])
         # operators are of meshes and sensors, whatever the number of presses
         once = sum(bytes_of(folder) for folder in out.parent.glob("operators"))
+        if module == "meshes":
+            starts += max(0.0, made - each * len(rows) - start)
+            once = bytes_of(Layout(results).meshes)
+            written += once
         found.append(Cost(STAGES[module], each, starts, (written - once) / len(rows), once))
     return found
 
@@ -125,13 +137,6 @@ def measured(data: Path, results: Path, resolution: str, rows: list[RawRow]) -> 
         return pilot(data, results, work, chosen, resolution)
     finally:
         shutil.rmtree(work, ignore_errors=True)
-
-
-def meshes(results: Path) -> Cost:
-    """What the meshes took, which the pilots needed and the run keeps."""
-    records = [read_json(path) for path in listed(Layout(results).metrics / layout.MESHES, "*.json")]
-    written = bytes_of(Layout(results).meshes)
-    return Cost(layout.MESHES, cpu_once=sum(record["cpu_seconds"] for record in records), bytes_once=written)
 
 
 def training(results: Layout, resolution: str, model: str, presses: int) -> Cost:
@@ -195,7 +200,7 @@ def estimated(data: Path, results: Path, resolution: str, model: str, rows: list
     # first: a wrong word must not wait for the pilots
     later = later_costs(Layout(results), resolution, model, rows)
     costs = measured(data, results, resolution, rows)
-    return [costs[0], meshes(results), *costs[1:], *later]
+    return [*costs, *later]
 
 
 @command(

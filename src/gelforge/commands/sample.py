@@ -8,7 +8,8 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import write_text
 from gelforge.flow.layout import Layout, shard_name
 from gelforge.flow.main import command, option
-from gelforge.flow.params.slices import ForForces, read_slice
+from gelforge.flow.params.slices import ForFea, ForForces, read_slice
+from gelforge.flow.params.tables import IN_PROCESS
 from gelforge.records.frames import presses_of
 from gelforge.records.log import read_poses, read_shard, shard_text
 from gelforge.records.press import RawRow, check_id
@@ -31,13 +32,18 @@ def stages(data: Path, results: Path, work: Path, resolution: str) -> list[tuple
     """The stages' modules and arguments for a shard of a sample's rows in the folder `work`; the last argument is the output."""
     params, meshes = Layout(results).params, Layout(results).meshes
     own, only = Layout(work), shard_name(0)
+    chosen = own.mesh_table(only)
     shard, poses, fea, forces = own.shard(only), own.poses(only), own.fea(only), own.forces(only)
     labels = own.labelled(resolution)
     posterior = Layout(results).calibration
     calibrated = ["--calibration", posterior] if posterior.exists() else []
+    needed = read_slice(params / "fea.json", ForFea).fea.fidelity not in IN_PROCESS
+    mesh = ["--poses", poses, "--params", params / "meshes.json", "--meshes", meshes, "--out", chosen]
+    solve = ["--poses", poses, "--meshes", meshes, "--params", params / "fea.json"]
     return [
         ("poses", ["--data", data, "--shard", shard, "--params", params / "poses.json", "--out", poses]),
-        ("fea", ["--poses", poses, "--meshes", meshes, "--params", params / "fea.json", "--out", fea]),
+        *[("meshes", mesh)] * needed,
+        ("fea", [*solve, *["--chosen", chosen] * needed, "--out", fea]),
         (
             "forces",
             ["--fea", fea, "--meshes", meshes, "--params", params / "forces.json", *calibrated, "--out", forces],

@@ -84,7 +84,7 @@ def shard_state(folder: Path, valid: dict[str, int]) -> int:
 def lines(results: Path, broken: Collection[str] = (), meshes: Collection[str] | None = None) -> list[str]:
     """The table that `make status` prints.
 
-    broken: stages with a target whose last run failed. meshes: those that the dataset needs; None where that is not known.
+    broken: stages with a target whose last run failed. meshes: those that presses may take; None where that is not known.
     """
     sizes = Layout(results).sizes()
     total = sum(sizes.values())
@@ -204,7 +204,7 @@ def slurm_lines(results: Path) -> list[str]:
 
 @command(
     option("--results", type=Path, help="results/DATASET"),
-    option("--meshes", nargs="*", default=None, help="meshes that the dataset needs"),
+    option("--meshes", nargs="*", default=None, help="meshes that presses may take"),
 )
 def main(args: Namespace) -> None:
     results, known = args.results, last_runs(args.results)

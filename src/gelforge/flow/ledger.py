@@ -57,12 +57,13 @@ def last_runs(results: Path) -> list[LastRun]:
 
 
 def still_asked(results: Path, known: list[LastRun], meshes: Collection[str] | None) -> list[LastRun]:
-    """Those that make knows today: none of shards that the log has lost, nor of meshes that no solve needs any more.
+    """Those that make knows today: none of shards that the log has lost, nor of meshes where no solve needs any.
 
-    meshes: those that the dataset needs; None where that is not known.
+    meshes: those that presses of the dataset may take; None where that is not known.
     """
     shards = Layout(results).names()
-    planned: dict[str, Collection[str] | None] = {POSES: shards, FEA: shards, FORCES: shards, MESHES: meshes}
+    none_needed = meshes is not None and not meshes
+    planned = {POSES: shards, MESHES: [] if none_needed else shards, FEA: shards, FORCES: shards}
     among = ((run, planned.get(run.stage)) for run in known)
     return [run for run, names in among if names is None or run.name.split("/")[-1] in names]
 

@@ -157,10 +157,10 @@ def look(results: Path, now: float | None = None) -> Progress:
     sizes = {shard: size - rejected[shard] for shard, size in sizes.items()}
     running = running_targets(results)
     busy = {target.split("/")[1] for target in running if target.startswith(f"{FEA}/")}
-    # what other parameters or meshes solved is solved again, or found to be as asked when its shard's table is written
-    asked = (of.params / "fea.json", *listed(of.meshes, "*.npz"))
-    since = max(made_at(path) or 0.0 for path in asked)
     for shard, size in sizes.items():
+        # what other parameters or meshes solved is solved again, or found to be as asked when its table is written
+        asked = (of.params / "fea.json", of.mesh_table(shard))
+        since = max(made_at(path) or 0.0 for path in asked)
         table = None if shard in busy else made_since(of.fea(shard), since)
         if table is not None and now - table > RATE_OVER_S:
             solved += size

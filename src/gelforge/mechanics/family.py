@@ -1,7 +1,7 @@
 """A small family of tetrahedral gel meshes, by region and density: names, sizes, and which one serves a press where."""
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache, partial
 from pathlib import Path
@@ -14,10 +14,12 @@ from gelforge.flow.layout import command_for
 from gelforge.flow.params.tables import IN_PROCESS, FeaTable, MeshesTable
 from gelforge.geometry import touch
 from gelforge.geometry.gel import Gel, load_gel
+from gelforge.mechanics import meshstore
 from gelforge.mechanics.hex.bricks import Bricks, is_bricks
 from gelforge.mechanics.mesh import GelMesh
+from gelforge.mechanics.meshstore import MeshSource
 from gelforge.mechanics.scene import Scene
-from gelforge.mechanics.tet.moved import moved, reach, way_to
+from gelforge.mechanics.tet.moved import farthest, moved, reach, way_to
 
 KEPT = 8  # meshes that a loader has at hand
 SPACING, NEAR = 0.25, 0.05  # mm: between points of the top at which a press is looked at, and what counts as touched
@@ -83,12 +85,15 @@ def sizing(half: tuple[float, float], size: float, meshes: MeshesTable) -> Calla
 
 
 def make_mesh(name: MeshName, gel: Gel, meshes: MeshesTable) -> tuple[GelMesh, dict]:
-    """Build one mesh and its report."""
+    """The mesh that ships of this gel and these sizes, or else a new one; and its report."""
     from gelforge.mechanics.tet.tetmesh import gel_mesh, quality
 
     half = region(name, meshes)
+    key = meshstore.recipe(asdict(name), half, gel, meshes)
+    if path := meshstore.find(meshstore.SHIPPED, key):
+        return GelMesh.load(path), read_json(path.with_suffix(".json"))
     mesh = gel_mesh(gel, sizing(half, name.size, meshes), hold=meshes.hold.get(name.region, 0.0))
-    told = {"half_mm": list(half), "reach_mm": list(reach(mesh, gel, half)), "gel": gel.name}
+    told = {"half_mm": list(half), "reach_mm": list(reach(mesh, gel, half)), "gel": gel.name, "recipe": key}
     return mesh, asdict(name) | told | quality(mesh, gel)
 
 
@@ -145,17 +150,44 @@ def mesh_loader(folder: Path | str) -> Callable[[str], GelMesh]:
 
 
 class MeshFamily:
-    """The named tetrahedral meshes of a folder 20_meshes; each is read when first asked for.
+    """The named tetrahedral meshes that presses may take, in a folder 20_meshes; each is read when first asked for.
 
-    reports: of each mesh, what `make_mesh` tells. A mesh or report that is missing raises BadInput.
+    source: what a mesh is copied or made from when a press first takes it. None: all lie in the folder by their names, and
+    one that is missing raises BadInput.
     """
 
-    def __init__(self, folder: Path | str, names: list[str]) -> None:
-        self.folder = Path(folder)
-        for name in names:
-            mesh_file(folder, name)  # told now if it is missing, not at the first press that needs it
-        self.reports = {name: _report(folder, name) for name in names}
+    def __init__(self, folder: Path | str, names: list[str], source: MeshSource | None = None) -> None:
+        self.folder, self.names, self.source = Path(folder), names, source
+        self.reports: dict[str, dict] = {}
+        self._files: dict[str, str] = {}
+        if source is None:
+            for name in names:
+                mesh_file(folder, name)  # told now if it is missing, not at the first press that needs it
+                self.report(name)
         self.load = mesh_loader(self.folder)
+
+    def file(self, name: str) -> str:
+        """The name by which a mesh lies in the folder, which it does from then on."""
+        if name not in self._files:
+            self._files[name] = self.source.fetch(name, self.folder).stem if self.source else name
+        return self._files[name]
+
+    def report(self, name: str) -> dict:
+        """What `make_mesh` tells of a mesh, which lies in the folder from then on."""
+        if name not in self.reports:
+            self.reports[name] = _report(self.folder, self.file(name))
+        return self.reports[name]
+
+    def half(self, name: str) -> tuple[float, float]:
+        """Half extents (x, y) of a mesh's fine part, mm."""
+        if self.source:
+            return region(MeshName.parse(name), self.source.meshes)
+        x, y = self.report(name)["half_mm"]
+        return x, y
+
+    def size(self, name: str) -> float:
+        """Element size of a mesh, mm."""
+        return MeshName.parse(name).size
 
 
 @dataclass(frozen=True)
@@ -181,30 +213,57 @@ def choose_mesh(scene: Scene, family: MeshFamily) -> str:
     """Name of the mesh for one press: that of the smallest region that holds the footprint, moved there if need be.
 
     Of a region's meshes the coarsest that has ACROSS elements across the contact, or its finest. Where no region holds
-    the footprint, the widest does, in the middle.
+    the footprint, the widest does, in the middle. Only meshes that may be it are made.
     """
-    reports = family.reports
-    if not reports:
+    foot = footprint(scene)
+    for name in candidates(scene, family, foot):
+        way = _way(family.half(name), family.report(name)["reach_mm"], foot)
+        if way is not None:
+            return placed(family.file(name), way)
+    return family.file(_widest(family, foot)[0])
+
+
+def first_candidate(scene: Scene, family: MeshFamily) -> str:
+    """The mesh that a press takes most likely, told without making any."""
+    foot = footprint(scene)
+    return next(candidates(scene, family, foot), _widest(family, foot)[0])
+
+
+def candidates(scene: Scene, family: MeshFamily, foot: Footprint | None) -> Iterator[str]:
+    """Meshes whose fine part may hold a footprint, the best first: by the area of their region, then by size."""
+    for names in _by_area(family):
+        for name in _by_size(names, foot, family):
+            half = family.half(name)
+            if _way(half, farthest(scene.gel, half), foot) is not None:
+                yield name
+
+
+def _by_area(family: MeshFamily) -> list[list[str]]:
+    """Names of the meshes of each area, the smallest area first; BadInput where there are none."""
+    if not family.names:
         told = command_for("meshes", family.folder)
         raise BadInput(f"{family.folder}: no mesh was asked for; add one to [fea] meshes and run `{told}`")
-    foot = footprint(scene)
-    areas = {name: float(np.prod(report["half_mm"])) for name, report in reports.items()}
-    ways = {name: _way(report, foot) for name, report in reports.items()}
-    holding = {name: way for name, way in ways.items() if way is not None}
-    if not holding:
-        holding = {name: (0.0, 0.0) for name, area in areas.items() if area == max(areas.values())}
-    smallest = min(areas[name] for name in holding)
-    sizes = {name: reports[name]["size"] for name in holding if areas[name] == smallest}
-    wanted = foot.width / ACROSS if foot else np.inf
-    fine = [name for name, size in sizes.items() if size <= wanted] or [min(sizes, key=lambda n: sizes[n])]
-    chosen = max(fine, key=lambda name: sizes[name])
-    return placed(chosen, holding[chosen])
+    areas: dict[float, list[str]] = {}
+    for name in family.names:
+        areas.setdefault(float(np.prod(family.half(name))), []).append(name)
+    return [names for _, names in sorted(areas.items())]
 
 
-def _way(report: dict, foot: Footprint | None) -> tuple[float, float] | None:
-    """How the fine part of a mesh with this report goes to hold a footprint; None where it cannot."""
+def _by_size(names: list[str], foot: Footprint | None, family: MeshFamily) -> list[str]:
+    """The coarsest mesh that has ACROSS elements across the contact first, then finer ones, then those that are too coarse."""
+    most = foot.width / ACROSS if foot else np.inf
+    return sorted(
+        names, key=lambda n: (family.size(n) > most, family.size(n) if family.size(n) > most else -family.size(n))
+    )
+
+
+def _widest(family: MeshFamily, foot: Footprint | None) -> list[str]:
+    return _by_size(_by_area(family)[-1], foot, family)
+
+
+def _way(half: Sequence[float], far: Sequence[float], foot: Footprint | None) -> tuple[float, float] | None:
+    """How a fine part of half extents `half` that goes `far` at most goes to hold a footprint, mm; None where it cannot."""
     if foot is None:
         return 0.0, 0.0
-    half, far = report["half_mm"], report["reach_mm"]
     x, y = (way_to(foot.low[axis], foot.high[axis], half[axis], far[axis]) for axis in (0, 1))
     return None if x is None or y is None else (x, y)

@@ -19,17 +19,30 @@ from gelforge.mechanics.hex.hexsolver import HexSolver
 from gelforge.mechanics.hex.settings import quality
 from gelforge.mechanics.scene import Result, Scene
 
+GUIDE = "label"  # quality of the hexahedra on which the load path of `ccx` is found
+SPARE = "label"  # quality of those that solve a press for which `ccx` finds no valid state
+
 
 @dataclass(frozen=True)
 class Way:
-    """How a press is solved: a fidelity, the quality of bricks where it uses them, and why they were chosen.
+    """How a press is solved: a fidelity, the quality of hexahedra where they solve it, and why they were chosen.
 
     why: what goes into the evidence of its result, class of contact and name of the way; empty where nothing was chosen.
     """
 
     fidelity: str
-    bricks: str
+    hexahedra: str
     why: dict[str, str] = field(default_factory=dict)
+
+
+def way_of(scene: Scene, fidelity: str, settings: FeaTable) -> Way:
+    """How a press that ends in `scene` is solved."""
+    if fidelity != "auto":
+        return Way(fidelity, settings.hex_quality if fidelity == "hex" else SPARE)
+    kind = contact_class(scene)
+    name = cheapest(kind, settings)
+    engine, _, hexahedra = name.partition("-")
+    return Way(engine, hexahedra or SPARE, {"class": kind or "no contact", "way": name})
 
 
 class Solvers:
@@ -42,7 +55,7 @@ class Solvers:
         self.family, self.workdir, self.settings = family, Path(workdir), settings
         self.ccx = CcxSettings.of(settings)
         quality(settings.hex_quality)  # a name that is none is refused before anything is solved
-        self.guide = HexSolver(quality("label"))
+        self.guide = HexSolver(quality(GUIDE))
         self._ccx: dict[str, CcxSolver] = {}
         self._hex: dict[tuple[str, int], HexSolver] = {}
 
@@ -63,7 +76,7 @@ class Solvers:
             raise BadInput(f"fidelity {fidelity!r} is unknown; choose one of {', '.join(FIDELITIES)}")
         if len(scenes) == 1:
             scenes = [scenes[0].direct]
-        way = self._way(scenes[-1], fidelity)
+        way = way_of(scenes[-1], fidelity, self.settings)
         if way.fidelity not in IN_PROCESS:
             need_ccx()
         first = self._first_rung(scenes, way)
@@ -72,19 +85,10 @@ class Solvers:
             result.evidence |= way.why
         return results
 
-    def _way(self, scene: Scene, fidelity: str) -> Way:
-        """How a press that ends in `scene` is solved."""
-        if fidelity != "auto":
-            return Way(fidelity, self.settings.hex_quality)
-        kind = contact_class(scene)
-        name = cheapest(kind, self.settings)
-        engine, _, bricks = name.partition("-")
-        return Way(engine, bricks or self.settings.hex_quality, {"class": kind or "no contact", "way": name})
-
     def _first_rung(self, scenes: Sequence[Scene], way: Way) -> list[Callable[[Scene], Result]]:
         """How each scene is solved as asked; where a path serves several of them it is walked here."""
         if way.fidelity == "hex":
-            return [_answer(found) for found in self._solve_hex(scenes, way.bricks)]
+            return [_answer(found) for found in self._solve_hex(scenes, way.hexahedra)]
         if way.fidelity == "ccx":
             walks = self.guide.walk(scenes)
             return [partial(self._solve_ccx, trail=walk.trail if walk else None) for walk in walks]
@@ -95,7 +99,7 @@ class Solvers:
     def _climb(self, scene: Scene, way: Way, first: Callable[[Scene], Result]) -> Result:
         """The first valid result of the ladder, else the last one, with what failed before it."""
         climbed = []
-        for rung, attempt in [(way.fidelity, first), *self._lower_rungs(way.fidelity, way.bricks)]:
+        for rung, attempt in [(way.fidelity, first), *self._lower_rungs(way.fidelity, way.hexahedra)]:
             result = attempt(scene)
             result.evidence["rung"] = rung
             if result.status.valid:

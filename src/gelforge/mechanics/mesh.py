@@ -1,5 +1,6 @@
 """A volume mesh of the gel, with the parts that contact and labels need."""
 
+import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -42,6 +43,15 @@ class GelMesh:
                 return cls(str(file["kind"]), file["nodes"], file["elements"], file["faces"], file["base"])
         except DAMAGED as error:
             raise BadInput(f"{path}: not a gel mesh ({error}); delete it and run make again") from error
+
+    @property
+    def digest(self) -> str:
+        """Eight hexadecimal digits of the content, the same for equal nodes, elements, faces and base."""
+        parts = (self.nodes, self.elements, self.faces, self.base)
+        found = hashlib.sha256(self.kind.encode())
+        for part in parts:
+            found.update(np.ascontiguousarray(part).tobytes())
+        return found.hexdigest()[:8]
 
     @property
     def surface_nodes(self) -> np.ndarray:

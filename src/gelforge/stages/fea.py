@@ -5,7 +5,7 @@ import json
 import shutil
 import tempfile
 from argparse import Namespace
-from dataclasses import asdict
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -14,19 +14,19 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import digest_of, publish, read_json, write_json
 from gelforge.flow.layout import beside
 from gelforge.flow.main import command, option
-from gelforge.flow.params import digest_of_value, plain
 from gelforge.flow.params.slices import ForFea, read_slice
-from gelforge.flow.params.tables import CHOOSING, IN_PROCESS, TETRAHEDRAL
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import load_gel
 from gelforge.mechanics.ccx.deck import INCLUDES
 from gelforge.mechanics.family import MeshFamily, mesh_names
-from gelforge.mechanics.fidelity import Solvers
-from gelforge.mechanics.hex.settings import QUALITIES, quality
+from gelforge.mechanics.fidelity import Solvers, way_of
+from gelforge.mechanics.meshstore import source_of
 from gelforge.mechanics.scene import Interface, Material, Result, Scene
+from gelforge.mechanics.solvekey import settings_of, solve_key
 from gelforge.records.frames import presses_of
 from gelforge.records.log import read_poses
-from gelforge.records.press import POSE, PosedPress
+from gelforge.records.meshtable import read_meshes
+from gelforge.records.press import PosedPress
 from gelforge.records.solvetable import Solved, damaged, read_record, write_solves
 from gelforge.records.status import Status
 
@@ -46,39 +46,48 @@ def scene_of(press: PosedPress, bodies: dict, sensors: dict, params: ForFea) -> 
 NO_SHAPE = {"seen", "spare", "file"}
 
 
-def sample_key(press: PosedPress, frames: list[PosedPress], params: ForFea, tables: dict, family: MeshFamily) -> str:
-    """Digest of everything a sample's solve depends on: content and numbers, no names.
+def shape_of(press: PosedPress, tables: dict) -> dict:
+    """The numbers that an indenter's surface is built from."""
+    return {key: value for key, value in tables["indenters"][press.indenter].items() if key not in NO_SHAPE}
 
-    frames: the moments of its press, this one among them, which share one path and one mesh.
+
+def press_keys(
+    frames: list[PosedPress], scenes: list[Scene], params: ForFea, tables: dict, meshes: dict[str, str]
+) -> list[str]:
+    """Key of the solve of each frame of a press. meshes: that of each sample that is solved on tetrahedra, by content."""
+    way = way_of(scenes[-1], params.fea.fidelity, params.fea)
+    law, found = params.interface.law, []
+    for at, frame in enumerate(frames):
+        how = settings_of(way, params.fea, law, meshes.get(frame.sample_id, ""))
+        found.append(solve_key(scenes, shape_of(frame, tables), how, params.version, at))
+    return found
+
+
+def bodies_of(presses: Iterable[PosedPress], tables: dict, workflow: Path) -> dict:
+    """The indenters of presses by name."""
+    from gelforge.geometry.indenters import build
+
+    names = sorted({press.indenter for press in presses})
+    return {name: build(name, tables["indenters"][name], "indenter catalogue", workflow) for name in names}
+
+
+def finished(folder: Path, sample_id: str, key: str, timeout_s: float) -> dict | None:
+    """The record of a sample that was solved whole under the same key, else None.
+
+    One that was stopped because it took too long is no such record where it may take longer now.
     """
-    cells, indenter = press.cells(), tables["indenters"][press.indenter]
-    shape = {key: value for key, value in indenter.items() if key not in NO_SHAPE}
-    bricks, settings = asdict(quality(params.fea.hex_quality)), plain(params)
-    if params.fea.fidelity == "auto":
-        bricks |= {name: asdict(quality(name)) for name in QUALITIES}  # which of them serves, a solve decides
-    else:
-        # they choose among fidelities: a chart that is drawn anew leaves solves as they are, and so do other meshes for others
-        idle = CHOOSING | (TETRAHEDRAL if params.fea.fidelity in IN_PROCESS else frozenset())
-        settings["fea"] = {key: value for key, value in settings["fea"].items() if key not in idle}
-    parts = [[cells[c] for c in POSE], settings, bricks, shape, tables["sensors"][press.sensor_id]["gel"],
-             family.reports]  # fmt: skip
-    if len(frames) > 1:
-        parts.append([[frame.cells()[c] for c in POSE] for frame in frames])
-    return digest_of_value(parts)
-
-
-def finished(folder: Path, sample_id: str, key: str) -> dict | None:
-    """The record of a sample that was solved whole under the same key, else None."""
     record = read_record(folder / f"{sample_id}.json")
     if record is None or record.get("key") != key or damaged(folder, record):
         return None
-    include = record["include"]  # none of a press that was solved in process
+    if record["evidence"].get("stopped_after_s", timeout_s) < timeout_s:
+        return None
+    include = record["include"]  # none of a press that was solved in process, or not at all
     return record if not include or (folder.parent / INCLUDES / include).exists() else None
 
 
 def publish_solve(sample_id: str, result: Result, solvers: Solvers, key: str, folder: Path) -> dict:
     """Publish the files of one solved sample, its record last; return the record."""
-    evidence, include = result.kept_evidence, getattr(result, "include", None)
+    evidence, include = result.kept_evidence, getattr(result, "include", None) if result.status.valid else None
     record = {
         "key": key, "sample_id": sample_id, "status": result.status.name, "mesh": evidence.get("mesh", ""),
         "reason": "" if result.status.valid else str(evidence.get("reason") or result.status.value),
@@ -134,11 +143,14 @@ def solved(record: dict, press: PosedPress, folder: Path) -> Solved:
     )  # fmt: skip
 
 
-def run_shard(poses: Path, meshes: Path, params: ForFea, tables: dict, bodies: dict, folder: Path) -> list[Solved]:
-    """Solve what is missing of a shard, frames of a press together; rows in the order of the pose table."""
-    presses = read_poses(poses)
-    # only the meshes asked for: one that another setting left behind must not be chosen
-    family = MeshFamily(meshes, mesh_names(params.fea))
+def run_shard(
+    presses: list[PosedPress], family: MeshFamily, chosen: dict[str, str], params: ForFea, tables: dict, bodies: dict,
+    folder: Path,
+) -> list[Solved]:  # fmt: skip
+    """Solve what is missing of a shard, frames of a press together; rows in the order of the presses.
+
+    chosen: the mesh of each sample that stage 20 found. family: what these are chosen from.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     for stale in folder.glob(".work-*"):
         shutil.rmtree(stale, ignore_errors=True)
@@ -147,8 +159,8 @@ def run_shard(poses: Path, meshes: Path, params: ForFea, tables: dict, bodies: d
     with tempfile.TemporaryDirectory(prefix=".work-", dir=folder) as work:
         solvers = Solvers(family, work, params.fea)
         for frames in progress(presses_of(presses), f"fea {folder.name}"):
-            keys = [sample_key(press, frames, params, tables, family) for press in frames]
             scenes = [scene_of(press, bodies, tables["sensors"], params) for press in frames]
+            keys = press_keys(frames, scenes, params, tables, chosen)
             try:
                 found = run_press(frames, keys, scenes, solvers, known, folder)
             except OSError as error:
@@ -168,7 +180,8 @@ def run_press(frames: list[PosedPress], keys: list[str], scenes: list[Scene], so
     """
     path = tuple(scene.press for scene in scenes)
     same = [(scene.gel.name, press.indenter, scene.press, path) for press, scene in zip(frames, scenes, strict=True)]
-    records = [finished(folder, press.sample_id, key) for press, key in zip(frames, keys, strict=True)]
+    limit = solvers.settings.timeout_s
+    records = [finished(folder, press.sample_id, key, limit) for press, key in zip(frames, keys, strict=True)]
     for at, press in enumerate(frames):
         if records[at] is None and same[at] in known:
             records[at] = borrow(known[same[at]], press.sample_id, keys[at], folder)
@@ -184,21 +197,26 @@ def run_press(frames: list[PosedPress], keys: list[str], scenes: list[Scene], so
 @command(
     option("--poses", type=Path, help="10_poses/NNNN.csv"),
     option("--meshes", type=Path, help="20_meshes"),
-    option("--params", type=Path, help="fea.json, beside sensors.json, indenters.json"),
-    option("--workflow", type=Path, default=Path("workflow"), help="where STL paths start"),
+    option("--chosen", type=Path, default=None, help="20_meshes/NNNN.csv, where presses are solved on tetrahedra"),
+    option("--params", type=Path, help="fea.json, beside meshes.json, sensors.json, indenters.json"),
+    option(
+        "--workflow",
+        type=Path,
+        default=Path("workflow"),
+        help="where STL paths start; meshes made here are kept in it",
+    ),
     option("--out", type=Path, help="30_fea/NNNN.csv; samples go to 30_fea/NNNN/"),
 )
 def main(args: Namespace) -> None:
-    from gelforge.geometry.indenters import build
-
     params = read_slice(args.params, ForFea)
     tables = {name: read_json(args.params.parent / f"{name}.json") for name in ("sensors", "indenters")}
-    wanted = {press.indenter for press in read_poses(args.poses)}
-    bodies = {
-        name: build(name, tables["indenters"][name], "indenter catalogue", args.workflow) for name in sorted(wanted)
-    }
+    presses = read_poses(args.poses)
+    family, chosen = MeshFamily(args.meshes, []), {}
+    if names := mesh_names(params.fea):
+        family = MeshFamily(args.meshes, names, source_of(args.params.with_name("meshes.json"), args.workflow))
+        chosen = read_meshes(args.chosen)
     folder = beside(args.out, "")
-    solves = run_shard(args.poses, args.meshes, params, tables, bodies, folder)
+    solves = run_shard(presses, family, chosen, params, tables, bodies_of(presses, tables, args.workflow), folder)
     write_solves(args.out, solves)
     for solve in solves:
         if not solve.status.valid:

@@ -1,18 +1,25 @@
-"""Stage 20: a small family of tetrahedral gel meshes, by region and density, each with a quality report."""
+"""Stage 20: the tetrahedral gel mesh of each press of a shard; of a small family by region and density, made when needed."""
 
 import json
-import sys
+import multiprocessing
 from argparse import Namespace
 from pathlib import Path
 
-from gelforge.flow.files import write_json
+from gelforge.flow.files import read_json, write_csv, write_json
 from gelforge.flow.main import command, option
-from gelforge.flow.params.slices import ForMeshes, read_slice
-from gelforge.geometry.gel import load_gel
-from gelforge.mechanics.family import MeshName, make_mesh
+from gelforge.flow.orphans import pool
+from gelforge.flow.params.slices import ForFea, read_slice
+from gelforge.flow.params.tables import IN_PROCESS
+from gelforge.mechanics.family import MeshFamily, choose_mesh, first_candidate, mesh_names
+from gelforge.mechanics.fidelity import way_of
 from gelforge.mechanics.mesh import GelMesh
+from gelforge.mechanics.meshstore import MeshSource, source_of
+from gelforge.mechanics.scene import Scene
+from gelforge.records.frames import presses_of
+from gelforge.records.log import read_poses
+from gelforge.records.meshtable import COLUMNS
 
-VERSION = 5
+VERSION = 6
 
 
 def publish_mesh(name: str, mesh: GelMesh, report: dict, out: Path) -> None:
@@ -21,18 +28,61 @@ def publish_mesh(name: str, mesh: GelMesh, report: dict, out: Path) -> None:
     whole = out.with_name(f".{name}.npz")
     mesh.save(whole)
     whole.replace(out)
-    print(json.dumps(report, indent=1), file=sys.stderr)
+    print(json.dumps(report, indent=1))
+
+
+def meshed(presses: list[dict[str, Scene]], params: ForFea) -> dict[str, Scene]:
+    """Scenes by sample that are solved on tetrahedra. presses: frames of each by their samples, in order of time."""
+    found = {}
+    for frames in presses:
+        way = way_of(list(frames.values())[-1], params.fea.fidelity, params.fea)
+        if way.fidelity not in IN_PROCESS:
+            found |= frames
+    return found
+
+
+def make_missing(names: set[str], source: MeshSource, folder: Path, jobs: int) -> None:
+    """Put meshes into a folder of stage 20; those that must be made are made side by side."""
+    missing = [name for name in sorted(names) if source.known(name, folder) is None]
+    if len(missing) > 1 and jobs > 1:
+        # spawned: a process that has meshed must not fork one that meshes again
+        with pool(min(jobs, len(missing)), multiprocessing.get_context("spawn")) as processes:
+            list(processes.map(source.fetch, missing, [folder] * len(missing)))
 
 
 @command(
-    option("--name", help="ccx-REGION-SIZE, such as ccx-centre-0.7"),
-    option("--params", type=Path, help="slice of [meshes], .json"),
-    option("--out", type=Path, help="20_meshes/NAME.npz; NAME.json is written beside it"),
+    option("--poses", type=Path, help="10_poses/NNNN.csv"),
+    option("--params", type=Path, help="meshes.json, beside fea.json, sensors.json, indenters.json"),
+    option(
+        "--workflow",
+        type=Path,
+        default=Path("workflow"),
+        help="where STL paths start; meshes made here are kept in it",
+    ),
+    option("--jobs", type=int, default=1, help="meshes made at a time"),
+    option("--meshes", type=Path, help="20_meshes, where the meshes go"),
+    option("--out", type=Path, help="20_meshes/NNNN.csv, the mesh of each press"),
 )
 def main(args: Namespace) -> None:
-    table = read_slice(args.params, ForMeshes).meshes
-    mesh, report = make_mesh(MeshName.parse(args.name), load_gel(table.gel), table)
-    publish_mesh(args.name, mesh, report, args.out)
+    from gelforge.stages.fea import bodies_of, scene_of
+
+    source = source_of(args.params, args.workflow)
+    params = read_slice(args.params.with_name("fea.json"), ForFea)
+    tables = {name: read_json(args.params.with_name(f"{name}.json")) for name in ("sensors", "indenters")}
+    presses = read_poses(args.poses)
+    bodies = bodies_of(presses, tables, args.workflow)
+    family = MeshFamily(args.meshes, mesh_names(params.fea), source)
+    scenes = meshed(
+        [
+            {p.sample_id: scene_of(p, bodies, tables["sensors"], params) for p in frames}
+            for frames in presses_of(presses)
+        ],
+        params,
+    )
+    make_missing({first_candidate(scene, family) for scene in scenes.values()}, source, args.meshes, args.jobs)
+    chosen = {name: choose_mesh(scene, family) for name, scene in scenes.items()}
+    write_csv(args.out, COLUMNS, [{"sample_id": p.sample_id, "mesh": chosen.get(p.sample_id, "")} for p in presses])
+    print(json.dumps({"presses": len(presses), "meshes": sorted({mesh.split("@")[0] for mesh in chosen.values()})}))
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ from gelforge.flow.params.tables import IN_PROCESS, FeaTable, ParetoTable, Quick
 from gelforge.mechanics.family import MeshFamily, load_mesh
 from gelforge.mechanics.hex.settings import HexSettings, quality
 from gelforge.mechanics.mesh import GelMesh
+from gelforge.mechanics.meshstore import MeshSource
 from gelforge.mechanics.scene import Result, Scene
 from gelforge.sweeps import references as meshes
 
@@ -142,7 +143,8 @@ def _prepare_label(method, scene, folder, params, work):
     from gelforge.mechanics.fidelity import Solvers
 
     names = [] if method.fidelity in IN_PROCESS else meshes.label_meshes(params)
-    solvers = Solvers(MeshFamily(folder, names), work, params.fea)
+    source = MeshSource(scene.gel, params.meshes)
+    solvers = Solvers(MeshFamily(folder, names, source), work, params.fea)
 
     def run():
         result = solvers.solve(scene, method.fidelity)

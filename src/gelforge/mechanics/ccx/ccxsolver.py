@@ -17,7 +17,7 @@ import numpy as np
 from gelforge.flow.params.tables import FeaTable
 from gelforge.mechanics.ccx.dat import DatError, Unfinished, last_table, read_dat, without_set
 from gelforge.mechanics.ccx.deck import DIRECT, INCLUDES, ITERATIVE, press_deck, write_include
-from gelforge.mechanics.ccx.program import run_ccx
+from gelforge.mechanics.ccx.program import OVERDUE, run_ccx
 from gelforge.mechanics.hex.carry import Trail
 from gelforge.mechanics.hex.reach import first_touch
 from gelforge.mechanics.mesh import GelMesh
@@ -169,6 +169,7 @@ class _Run:
         self.iterations = 0
         self.seconds = self.peak = 0.0
         self.ladder: list[str] = []
+        self.overdue: dict[str, float] = {}
 
     def solve(self, held: np.ndarray, start: np.ndarray) -> "Answer | CcxResult":
         """Equilibrium in which the nodes `held` (k,) are displaced as in `start` (n, 3) mm; or a failed CcxResult.
@@ -187,6 +188,8 @@ class _Run:
             self.iterations += job.iterations
             self.seconds += job.seconds
             self.peak = max(self.peak, job.peak_mib)
+            if job.returncode == OVERDUE:
+                self.overdue = {"stopped_after_s": s.timeout_s}
             try:
                 return read_answer(run / f"{self.name}.dat", mesh, deck)
             except DatError as error:
@@ -218,7 +221,7 @@ class _Run:
     def _evidence(self) -> dict:
         return {
             "newton_iterations": self.iterations, "peak_mib": self.peak, "solver_seconds": self.seconds,
-            "ladder": self.ladder,
+            "ladder": self.ladder, **self.overdue,
         }  # fmt: skip
 
 

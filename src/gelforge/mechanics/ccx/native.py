@@ -16,7 +16,7 @@ from gelforge.geometry.solids import Indenter
 from gelforge.mechanics.ccx.ccxsolver import CcxResult, status_of
 from gelforge.mechanics.ccx.dat import DatError, last_table, read_dat
 from gelforge.mechanics.ccx.deck import material_lines, mesh_include
-from gelforge.mechanics.ccx.program import run_ccx
+from gelforge.mechanics.ccx.program import OVERDUE, run_ccx
 from gelforge.mechanics.hex.reach import first_touch
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.scene import Scene
@@ -108,6 +108,8 @@ def solve_native(scene: Scene, mesh: GelMesh, folder: Path | str, timeout_s: flo
         "seconds": time.perf_counter() - began,
         "peak_mib": job.peak_mib,
     }
+    if job.returncode == OVERDUE:
+        evidence["stopped_after_s"] = timeout_s
     try:
         path = folder / "native.dat"
         text = path.read_text(errors="replace") if path.exists() else ""

@@ -25,15 +25,20 @@ ENDS = [(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y]
 def reach(mesh: GelMesh, gel: Gel, half: tuple[float, float]) -> tuple[float, float]:
     """How far (x, y) the fine part of half extents `half` can go either way and leave every element sound, mm."""
     before = volumes(jacobians(mesh.nodes, mesh.elements))
-    limits = [
-        int((1.0 - NARROWEST) * (size / 2 - part)) for size, part in zip((gel.width, gel.length), half, strict=True)
-    ]
+    limits = farthest(gel, half)
     for back in range(max(limits)):
         x, y = (max(0, limit - back) for limit in limits)
         ends = (moved(mesh, gel, half, (a * x, b * y)) for a, b in ENDS)
         if all(sound(end, before) for end in ends):
             return float(x), float(y)
     return 0.0, 0.0
+
+
+def farthest(gel: Gel, half: tuple[float, float]) -> tuple[int, int]:
+    """Whole mm (x, y) beyond which no mesh's fine part of half extents `half` goes: what is left beside it gets too narrow."""
+    sides = zip((gel.width, gel.length), half, strict=True)
+    x, y = (max(0, int((1.0 - NARROWEST) * (size / 2 - part))) for size, part in sides)
+    return x, y
 
 
 def sound(mesh: GelMesh, before: np.ndarray) -> bool:

@@ -1,0 +1,54 @@
+"""The key of a solve: a digest of exactly what changes its result, by which every cache finds it again.
+
+Content and numbers, no names; and no number that the way in which a press is solved does not read.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, fields
+from typing import Any
+
+from gelforge.flow.params import digest_of_value
+from gelforge.flow.params.tables import FeaTable
+from gelforge.geometry.gel import gel_shape
+from gelforge.mechanics.ccx.ccxsolver import CcxSettings
+from gelforge.mechanics.fidelity import GUIDE, SPARE, Way
+from gelforge.mechanics.hex.settings import HexSettings, quality
+from gelforge.mechanics.scene import Scene
+
+# Of CcxSettings: how long CalculiX may run. A press that it stopped is solved again where it may take longer (stages/fea.py).
+NO_RESULT = {"timeout_s"}
+
+
+def solve_key(frames: Sequence[Scene], shape: Any, how: Any, version: int, at: int = -1) -> str:
+    """Key of frame `at` of a press, whose frames share one path.
+
+    shape: what the indenter's surface is, as a digest of it or the numbers that it is built from. how: settings of the
+    solver and the content of its mesh, see `settings_of` and `hex_settings`. version: of the solver's answers.
+    """
+    scenes = [frames[0].direct] if len(frames) == 1 else list(frames)
+    scene = scenes[at]
+    law = [scene.interface.law, scene.interface.mu if scene.interface.law == "coulomb" else 0.0]
+    path = [asdict(each.press) for each in scenes] if len(scenes) > 1 else []
+    return digest_of_value(
+        [version, asdict(scene.press), path, gel_shape(scene.gel), asdict(scene.material), law, shape, how]
+    )
+
+
+def hex_settings(settings: HexSettings) -> list:
+    """What of a solve on hexahedra changes its result."""
+    return ["hex", asdict(settings)]
+
+
+def settings_of(way: Way, fea: FeaTable, law: str, mesh: str) -> list:
+    """What of [fea] changes the result of a press solved in a way under a law of the interface.
+
+    mesh: name of its tetrahedra, which tells their content.
+    """
+    if way.fidelity == "hex":
+        return hex_settings(quality(way.hexahedra))
+    if way.fidelity == "ccx-native":
+        return [way.fidelity, mesh]
+    ccx = {f.name: getattr(fea, f.name) for f in fields(CcxSettings) if f.name not in NO_RESULT}
+    guide = [asdict(quality(GUIDE))] if way.fidelity == "ccx" and law == "no_slip" else []
+    spare = [asdict(quality(SPARE))] if way.fidelity == "ccx" else []
+    return [way.fidelity, ccx, mesh, guide, spare]
