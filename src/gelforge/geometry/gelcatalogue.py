@@ -99,11 +99,11 @@ class PadTable(ParameterTable):
 
     def gel(self, name: str) -> Gel:
         """The gel of this table."""
-        beside = [side / 2 - self.edge_width for side in (self.width, self.length)]
         rim = -self.edge_drop if self.edge_width else -2 * self.apex
         return Pad(
-            name, self.width, self.length, self.corner_radius, self.thickness, self.apex, *beside, twist=0.0, rim=rim
-        )
+            name, self.width, self.length, self.corner_radius, self.thickness, self.apex,
+            self.width / 2 - self.edge_width, self.length / 2 - self.edge_width, 0.0, rim,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)

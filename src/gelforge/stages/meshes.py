@@ -33,7 +33,7 @@ def publish_mesh(name: str, mesh: GelMesh, report: dict, out: Path) -> None:
 
 def meshed(presses: list[dict[str, Scene]], params: ForFea) -> dict[str, Scene]:
     """Scenes by sample that are solved on tetrahedra. presses: frames of each by their samples, in order of time."""
-    found = {}
+    found: dict[str, Scene] = {}
     for frames in presses:
         way = way_of(list(frames.values())[-1], params.fea.fidelity, params.fea)
         if way.fidelity not in IN_PROCESS:
