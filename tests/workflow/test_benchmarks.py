@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from gelforge.flow.files import read_json
+from tests.benchmarks.fea import chart_figures
 from tests.benchmarks.sandbox import clean_environment
 from tests.browser import needs_browser
 from tests.workflow.test_slurm import pytestmark as of_slurm
@@ -29,7 +30,7 @@ QUICK = {
 LEFT_OUT = {
     "suites": "runs all tests again and again",
     "machines": "solves scenes in six processes: tests/physics/test_machines.py",
-    "fea": "its smallest part solves with CalculiX for minutes: tests/physics/test_ccx_contact.py and test_ccx_closed_forms.py",
+    "fea": "solves with CalculiX, FEATS' deck for hours: tests/physics/test_ccx_contact.py and test_ccx_closed_forms.py",
     "calibration": "an emulator takes minutes: tests/workflow/test_calibrate.py",
 }
 # Of networks, whose quick forms belong to what they measure.
@@ -72,6 +73,15 @@ class TestOfACluster:
 
     def test_its_overhead_is_measured(self, tmp_path):
         assert missed(run_small("slurm", ["--only", "overhead", "--shards", "5"], tmp_path)) == []
+
+
+def test_what_readme_takes_from_the_chart_is_printed():
+    row = {"scenes": 16, "failed": 3, "total_median": 0.2, "total_worst": 0.25, "cells_median": 0.38,
+           "cells_worst": None, "cpu_seconds_median": 31.0}  # fmt: skip
+    figures = chart_figures([row | {"method": name} for name in ("ccx-native-1.4", "ccx-fine-0.3")])
+    said = {figure.name.removeprefix("chart, ccx-native-1.4, "): figure.value for figure in figures}
+    assert said == {"scenes with a result": 13, "total force, median": 20.0, "total force, worst": 25.0,
+                    "cells, median": 38.0, "cells, worst": np.inf, "median processor time": 31.0}  # fmt: skip
 
 
 def test_no_benchmark_is_forgotten(root):
