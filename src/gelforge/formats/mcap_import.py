@@ -31,7 +31,7 @@ from gelforge.flow.files import write_text
 from gelforge.flow.params import read_toml
 from gelforge.formats.feats_folder import NO_PRESS, new_folder
 from gelforge.formats.messageimage import picture
-from gelforge.formats.messagetime import MessageTimes, Order, choose_clock, stamp_of
+from gelforge.formats.messagetime import MessageOrder, MessageTimes, choose_clock, stamp_of
 from gelforge.records.axes import AXIS_OF_CHANNEL
 from gelforge.records.image import write_png
 from gelforge.records.labelfile import write_labels
@@ -190,7 +190,7 @@ def pair(path: Path, topics: Topics) -> Pairs:
     wrench, values = wrenches(path, topics)
     image = MessageTimes.of(topics.image, ((time, stamp_of(said)) for time, said in messages(path, topics.image)))
     clock = choose_clock(image, wrench)
-    seen, felt = Order.by(image, clock.header), Order.by(wrench, clock.header)
+    seen, felt = MessageOrder.by(image, clock.header), MessageOrder.by(wrench, clock.header)
     chosen = seen.index[:: topics.every]
     times = seen.times[:: topics.every]
     rows = [nearest(felt.times, time, 1e9 * topics.latest_s) for time in times.tolist()]

@@ -50,17 +50,17 @@ class MessageTimes:
 
 
 @dataclass(frozen=True)
-class Clock:
+class PairingClock:
     """Which time pairs two topics: that of the headers, or else that of the log; notes: what is to be told of it."""
 
     header: bool
     notes: list[str]
 
 
-def choose_clock(one: MessageTimes, other: MessageTimes) -> Clock:
+def choose_clock(one: MessageTimes, other: MessageTimes) -> PairingClock:
     """The clock that both topics of a recording share."""
     if not len(one.logged) or not len(other.logged):
-        return Clock(False, [])
+        return PairingClock(False, [])
     faults = [times.fault for times in (one, other) if times.fault]
     if not faults and abs(one.delay - other.delay) > SAME_CLOCK_NS:
         faults = [
@@ -68,13 +68,13 @@ def choose_clock(one: MessageTimes, other: MessageTimes) -> Clock:
             f" {1e-9 * other.delay:.3f} s before the log's"
         ]
     if not faults:
-        return Clock(True, [])
+        return PairingClock(True, [])
     told = f"{' and '.join(faults)}, so the log's time was used: forces may be of another moment than their images"
-    return Clock(False, [told])
+    return PairingClock(False, [told])
 
 
 @dataclass(frozen=True)
-class Order:
+class MessageOrder:
     """Messages of a topic in the order of time, each once: index (n,) in the log, times (n,) ns; notes: what was found."""
 
     index: np.ndarray
@@ -82,7 +82,7 @@ class Order:
     notes: list[str]
 
     @classmethod
-    def by(cls, messages: MessageTimes, header: bool) -> "Order":
+    def by(cls, messages: MessageTimes, header: bool) -> "MessageOrder":
         """The order by header or log; a message that repeats a stamp is left out, and so is one without a stamp."""
         index = np.flatnonzero(messages.stamped) if header else np.arange(len(messages.logged))
         times = (messages.stamped if header else messages.logged)[index]
