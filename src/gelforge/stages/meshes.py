@@ -1,15 +1,14 @@
 """Stage 20: the tetrahedral gel mesh of each press of a shard; of a small family by region and density, made when needed."""
 
 import json
-import multiprocessing
 from argparse import Namespace
 from pathlib import Path
 
 from gelforge.flow.files import read_json, write_csv, write_json
 from gelforge.flow.main import command, option
-from gelforge.flow.orphans import pool
 from gelforge.flow.params.slices import ForFea, read_slice
 from gelforge.flow.params.tables import IN_PROCESS
+from gelforge.flow.slots import in_slots
 from gelforge.mechanics.family import MeshFamily, choose_mesh, first_candidate, mesh_names
 from gelforge.mechanics.fidelity import way_of
 from gelforge.mechanics.mesh import GelMesh
@@ -44,10 +43,8 @@ def meshed(presses: list[dict[str, Scene]], params: ForFea) -> dict[str, Scene]:
 def make_missing(names: set[str], source: MeshSource, folder: Path, jobs: int) -> None:
     """Put meshes into a folder of stage 20; those that must be made are made side by side."""
     missing = [name for name in sorted(names) if source.known(name, folder) is None]
-    if len(missing) > 1 and jobs > 1:
-        # spawned: a process that has meshed must not fork one that meshes again
-        with pool(min(jobs, len(missing)), multiprocessing.get_context("spawn")) as processes:
-            list(processes.map(source.fetch, missing, [folder] * len(missing)))
+    # a process that has meshed must not fork one that meshes again: this one has not
+    list(in_slots(source.fetch, [(name, folder) for name in missing], min(jobs, len(missing))))
 
 
 @command(
