@@ -11,12 +11,17 @@ from gelforge.flow.files import read_csv, read_json, write_csv, write_text
 from gelforge.geometry.gel import Gel, gel_shape, is_gel, load_gel
 from gelforge.geometry.gelcatalogue import FILE, gels_of
 from gelforge.geometry.triangles import volume, write_stl
+from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.hex.hexmesh import FineBox, build_mesh
 from gelforge.mechanics.tet.tetmesh import quality
 from gelforge.records.forcefile import ForceFile
 from gelforge.records.labelfile import read_labels
 from gelforge.records.press import COLUMNS
+from gelforge.reporting.surfacegrid import grid_points
 from gelforge.stages import fea, forces, labels, plan, poses
+from gelforge.virtualrig.fields import unloaded
+from gelforge.virtualrig.looks import read_looks
+from gelforge.virtualrig.render import Renderer
 from tests.blocks import symmetric_block
 
 OWN = ("flat_2mm", "dome")
@@ -99,6 +104,16 @@ def test_meshes_follow_the_gel(gel):
     assert quality(tetrahedra, gel)["min_scaled_jacobian"] > 0.05
     vertices, faces = gel.surface(0.5)
     assert quality(tetrahedra, gel)["exact_volume"] == pytest.approx(volume(vertices, faces), rel=5e-3)
+
+
+@pytest.mark.parametrize("gel", OWN)
+def test_the_rig_draws_it_and_the_report_shows_it(root, gel):
+    gel, sensors = load_gel(gel), load_sensors(root / "workflow" / "sensors.toml")
+    look = read_looks(root / "workflow" / "rig" / "sensors.toml")["mini_a"]
+    image = Renderer(look, sensors["mini_a"].projection, gel).image(unloaded(gel), rng=np.random.default_rng(1))
+    assert image.shape == (240, 320, 3) and image.std(axis=(0, 1)).min() > 1.0  # light and markers
+    points = grid_points(gel)[2]
+    np.testing.assert_allclose(points[:, 2], gel.top(*points[:, :2].T), atol=1e-6)
 
 
 def test_the_flat_pad_is_flat_and_the_dome_falls_without_a_kink():
