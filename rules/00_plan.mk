@@ -9,6 +9,7 @@ PLAN_INPUTS := $(DATA)/log.csv $(DATA)/dataset.toml $(addprefix workflow/,params
 PLAN_READS :=
 PLAN_STATE :=
 PICTURES :=
+PICTURE_STATE :=
 
 # Goals that need no dataset do not read one.
 NO_DATASET := help setup lint format test test-% rig rig-% benchmark-% lock clean-% slurm-cancel feats-import mcap-import projection real-check
@@ -33,10 +34,10 @@ include $(PLANNED)
 ifneq ($(PLAN_STATE),$(if $(PLAN_STATE),$(shell LC_ALL=C stat -L -c '%n:%.9Y:%s' $(PLAN_INPUTS) $(PLAN_READS) 2>/dev/null)))
 .PHONY: plan-again
 $(PLANNED): plan-again
-# A picture that was replaced, by an older one too: the time at which its entry changed tells (-cnewer), not its own. One
-# that came or went changes its folder, and a folder the one above it. PICTURES are the folders that the log names.
+# So are those of all files in PICTURES, the folders that the log names, by a digest as stages/plan.py writes it: the time at
+# which an entry changed, which no copy keeps.
 else ifeq ($(MAKE_RESTARTS)$(if $(and $(PICTURES),$(wildcard $(PLANNED))),,none),)
-ifneq ($(shell find -L $(DATA) -maxdepth 0 -newer $(PLANNED) -print; find -L $(PICTURES) \( -type f -cnewer $(PLANNED) -o -type d -newer $(PLANNED) \) -print -quit 2>/dev/null),)
+ifneq ($(PICTURE_STATE),$(shell LC_ALL=C find -L $(PICTURES) -type f -printf '%p %s %C@\n' 2>/dev/null | LC_ALL=C sort | sha256sum | cut -c 1-32))
 .PHONY: plan-again
 $(PLANNED): plan-again
 endif

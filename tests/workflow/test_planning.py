@@ -441,6 +441,21 @@ def test_a_replaced_picture_reruns_its_own_shard(labelled, log):
     assert "rejected: " not in done.stdout and "10_poses/0000.csv" in done.stdout
 
 
+def test_a_picture_that_was_replaced_before_the_date_of_the_plan_is_seen(labelled, log):
+    """As where the plan was made by a clock that was ahead then, and is no more."""
+    picture = labelled / "data/tiny" / log.read_text().splitlines()[1].split(",")[-1]
+    kept = picture.read_bytes()
+    assert planned_once(labelled)
+    picture.write_bytes(kept[:-1] + b"x")
+    (labelled / "results/tiny/00_plan/plan.mk").touch()
+    try:
+        assert "gelforge.stages.poses" in make(labelled, "-n", "poses", "DATASET=tiny").stdout
+        assert planned_once(labelled)
+    finally:
+        picture.write_bytes(kept)
+        assert make(labelled, "labels", "DATASET=tiny").returncode == 0
+
+
 def test_a_picture_that_an_older_one_replaced_is_seen(labelled, log):
     rows = log.read_text().splitlines()
     picture, other = (labelled / "data/tiny" / row.split(",")[-1] for row in rows[1:3])

@@ -227,7 +227,7 @@ def test_limits_of_jobs_and_of_arrays_are_the_clusters_own(tmp_path, monkeypatch
     monkeypatch.chdir(lay_project(tmp_path / "p"))
     with cluster(cpus=1, extra=few) as made:
         monkeypatch.setenv("SLURM_CONF", str(made.folder / "slurm.conf"))
-        monkeypatch.setattr(client, "LEAST_ANSWER_S", 6.0)
+        monkeypatch.setattr(client, "LEAST_ANSWER_S", 4.0)
         record, profile = work_of(8), settings(submit_seconds=1, shards_per_task=2)
         assert array_limit(profile) == 3
         slurm.submit(record, profile, record.tasks[:2])

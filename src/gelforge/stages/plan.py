@@ -4,11 +4,13 @@ Written at parse time of make, so that `make -n` knows all of it. Files change o
 content does.
 """
 
+import os
 import re
+import subprocess
 from argparse import Namespace
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from hashlib import blake2b
+from hashlib import blake2b, sha256
 from pathlib import Path
 from stat import S_ISREG
 from types import MappingProxyType
@@ -144,6 +146,14 @@ def picture_folders(data: Path, rows: list[RawRow]) -> list[str]:
     folders = {str(data / parts[0]) if len(parts) > 1 else str(data) for parts in inside if ".." not in parts}
     found = {folder if _WORD.fullmatch(folder) else str(data) for folder in folders}
     return [str(data)] if str(data) in found else sorted(found)
+
+
+def picture_state(folders: list[str]) -> str:
+    """Digest of the names, sizes and times of all files below folders, as rules/00_plan.mk has it from the same programs."""
+    listing = ["find", "-L", *folders, "-type", "f", "-printf", r"%p %s %C@\n"]
+    found = subprocess.run(listing, capture_output=True, env={**os.environ, "LC_ALL": "C"}, check=False).stdout
+    lines = sorted(found.split(b"\n")[:-1])
+    return sha256(b"".join(line + b"\n" for line in lines)).hexdigest()[:32]
 
 
 def image_digests(data: Path, names: set[str], kept: Path) -> dict[str, str]:
@@ -420,6 +430,7 @@ def main(args: Namespace) -> None:
     lists["LEARN_ALSO"] = list(params.train.also)
     lists["PLAN_READS"] = [str(path) for path in read]
     lists["PICTURES"] = picture_folders(args.data, rows)
+    lists["PICTURE_STATE"] = [picture_state(lists["PICTURES"])]  # told before they are read, too
     text = "".join(make_list(name, values) for name, values in lists.items())
     write_slices(params, args.workflow, out, tables, scenes)
     shards = write_shards(args.data, rows, out, params.plan.shard_size, tables)
