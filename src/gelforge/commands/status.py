@@ -64,10 +64,10 @@ def forces_state(results: Path, valid: dict[str, int]) -> tuple[int, Counter, di
     paths = {shard: Layout(results).forces(shard) for shard in valid if Layout(results).forces(shard).exists()}
     if not paths:
         return done, failed, left
-    from gelforge.records.forcefile import states_of  # numpy is a large part of what status takes
+    from gelforge.records.forcefile import without_forces  # numpy is a large part of what status takes
 
     for shard, path in paths.items():
-        bad = {name: state for name, state in states_of(path).items() if state not in VALID}
+        bad = without_forces(path)
         rows = read_rows(Layout(results).fea(shard)) if bad else []
         lost = [bad[row["sample_id"]] for row in rows if row["status"] in VALID and row["sample_id"] in bad]
         failed.update(f"{state}: {Status[state].value}" for state in lost)
