@@ -15,7 +15,7 @@ import numpy as np
 from gelforge.commands.projection import read_points
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv
-from gelforge.flow.main import command, option, positive
+from gelforge.flow.main import command, option
 from gelforge.flow.progress import progress
 from gelforge.formats.featsfile import read_sample
 from gelforge.geometry.gel import Gel
@@ -34,7 +34,7 @@ from tests.published import compare_indenter, step_file
 REFERENCE_UNIT = "mini_a"
 # The real cuboid's log is not published: its depth is; the sideways path is read off its dots (3 px in u).
 CUBOID = Order(0, "cuboid", "", REFERENCE_UNIT, "cuboid_10", 0.0, 0.0, 2.284, (0.0, -0.25), 0.0, 1e9)
-PRESSES = 24
+PARTS = ("presses", "likeness", "cuboid", "indenters", "repetition")
 MOVED_PX = 2.0  # misprints of real dots are 1 px; a dot that stands off the grid by more than this was moved
 
 
@@ -74,7 +74,7 @@ class Rig:
         return self.cameras[pressing.order.sensor].image(*self.view(pressing), noise)
 
 
-def pressed(rig: Rig, count: int = PRESSES) -> tuple[list[Pressing], list[float], list[float]]:
+def pressed(rig: Rig, count: int = 24) -> tuple[list[Pressing], list[float], list[float]]:
     """Presses spread over the whole plan, processor seconds of simulating and rendering each, and of each new indenter."""
     some = [order for order in orders(rig.plan) if order.unit == 0][7 :: max(1, rig.plan.presses // count)][:count]
     rig.picture(rig.bench.press(some[0])[-1])  # compiles what numba compiles
@@ -295,7 +295,7 @@ def carry_out(plan_text: str, presses: int, data: Path, workflow: Path, jobs: in
     option("--out", type=Path, default=Path("results/benchmarks/rig.json")),
     option("--page", type=Path, help="HTML page to write, with the rig's pictures beside real ones", default=None),
     option("--plan", type=Path, default=Path("workflow/rig/train.toml")),
-    option("--presses", type=positive, default=PRESSES, help="fewer only to try it out, without what takes longest"),
+    option("--parts", nargs="+", choices=PARTS, default=PARTS, help="fewer only to try it out; a page needs all"),
     option("--workflow", type=Path, default=Path("workflow")),
     option("--reference", type=Path, default=PUBLISHED_DATA),
 )
@@ -305,13 +305,20 @@ def main(given: Namespace) -> None:
         raise BadInput(f"{given.reference}: no reference data there; set GELFORGE_REFERENCE to it")
     cv2.setNumThreads(1)
     rig = Rig.of(given.plan, given.workflow)
-    pressings, seconds, firsts = pressed(rig, given.presses)
-    figures = speed(rig, pressings, seconds, firsts) + likeness(rig, given.reference) + cuboid(rig, given.reference)
-    figures += tracking(rig, pressings)
-    if given.presses >= PRESSES:
-        figures += indenters(rig, given.reference) + repetition(given.plan, given.workflow)
+    pressings, figures = [], []
+    if "presses" in given.parts:
+        pressings, seconds, firsts = pressed(rig)
+        figures += speed(rig, pressings, seconds, firsts) + tracking(rig, pressings)
+    if "likeness" in given.parts:
+        figures += likeness(rig, given.reference)
+    if "cuboid" in given.parts:
+        figures += cuboid(rig, given.reference)
+    if "indenters" in given.parts:
+        figures += indenters(rig, given.reference)
+    if "repetition" in given.parts:
+        figures += repetition(given.plan, given.workflow)
     publish_figures(given.out, figures)
-    if given.page:
+    if given.page and len(given.parts) == len(PARTS):
         from tests.benchmarks.rig_page import write_page
 
         write_page(given.page, rig, given.reference, pressings, figures)
