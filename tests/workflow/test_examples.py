@@ -1,0 +1,101 @@
+"""The examples run, and what they print is right."""
+
+import re
+import runpy
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gelforge.formats.featsfile import read_sample
+from gelforge.records.axes import AXIS_OF_CHANNEL
+
+NAMES = [
+    "01_solve_a_press", "02_label_at_two_resolutions", "03_indenter_from_stl", "04_another_gel", "05_calibrate",
+    "06_read_a_film", "07_export", "08_a_sweep",
+]  # fmt: skip
+
+
+@pytest.fixture
+def run(root, tmp_path, monkeypatch, capsys):
+    """Run an example in an empty folder; the numbers that each line of what it prints holds."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(name):
+        monkeypatch.setattr(sys, "argv", [name])
+        names = runpy.run_path(str(root / "workflow" / "examples" / f"{name}.py"), run_name="__main__")
+        lines = capsys.readouterr().out.splitlines()
+        return names, [[float(n) for n in re.findall(r"(?<![\w.])[-+]?\d+\.?\d*", line)] for line in lines]
+
+    return run
+
+
+def test_every_example_is_tried_and_short(root):
+    scripts = sorted((root / "workflow" / "examples").glob("*.py"))
+    assert [path.stem for path in scripts] == NAMES
+    assert all(15 <= len(path.read_text().splitlines()) <= 40 for path in scripts)
+    told = (root / "workflow" / "examples" / "README.md").read_text()
+    assert all(f"`{path.name}`" in told for path in scripts)
+
+
+def test_a_press_is_solved(run):
+    names, (total, centre, _) = run("01_solve_a_press")
+    assert total[2] < -1.0 and total[0] > 0.0 and total == pytest.approx(names["press"].total, abs=1e-3)
+    assert centre[:2] == pytest.approx([2.0, -3.0], abs=0.3)
+
+
+def test_labels_of_all_resolutions_hold_the_same_force(run):
+    names, _ = run("02_label_at_two_resolutions")
+    force = names["press"].total
+    for resolution in ("12x16", "24x32"):
+        cells = np.load(f"label_{resolution}.npy")
+        assert cells.sum((1, 2)) == pytest.approx(force[list(AXIS_OF_CHANNEL)], rel=1e-6, abs=1e-9)
+    assert names["wider"].sum((1, 2)) == pytest.approx(cells.sum((1, 2)), rel=1e-6, abs=1e-9)
+    assert np.count_nonzero(names["wider"][2]) < np.count_nonzero(cells[2])
+
+
+def test_an_stl_is_pressed_and_turned(run):
+    _, (straight, turned) = run("03_indenter_from_stl")
+    assert straight[2:4] != turned[2:4]
+    (_, force, wide, long), (_, force_too, wide_too, long_too) = straight, turned
+    assert wide > long and wide_too < long_too  # the ridge lies along x, then along y
+    assert force == pytest.approx(force_too, rel=0.15) and force < 0
+
+
+def test_gels_differ_as_they_should(run):
+    names, _ = run("04_another_gel")
+    usual = names["usual"]
+    assert names["stiffer"] == pytest.approx(2 * usual, rel=1e-9)
+    assert names["thinner"] < usual < names["softer"] < 0.0  # more force is more negative
+
+
+def test_the_published_presses_tell_a_stiffness(run):
+    names, lines = run("05_calibrate")
+    assert 0.06 < names["c10"] < 0.13  # the paper fits 0.0792; friction and touch offset unknown: 0.077 to 0.119
+    assert all(measured == pytest.approx(solved, rel=0.2) for _, measured, solved in lines[:4])
+
+
+def test_a_film_is_read(run):
+    _, lines = run("06_read_a_film")
+    assert [int(line[0]) for line in lines] == list(range(6))
+    assert min(line[3] for line in lines) < -1.0
+
+
+def test_a_press_is_written_for_others(run):
+    names, _ = run("07_export")
+    sample = read_sample("press.npy")
+    assert np.allclose(sample.label, names["cells"]) and sample.image.shape == (240, 320, 3)
+    import pyvista as pv
+
+    mesh = pv.read("press.vtu")
+    assert mesh.point_data["force"].sum(axis=0) == pytest.approx(names["press"].total, rel=1e-6, abs=1e-9)
+    with np.load("press.npz") as kept:
+        assert kept["cells"].sum() == pytest.approx(names["cells"].sum())
+
+
+def test_a_sweep_shows_the_law(run):
+    names, _ = run("08_a_sweep")
+    forces = np.array([row["force_n"] for row in names["rows"]]).reshape(2, 3)
+    assert (np.diff(forces, axis=1) > 0).all() and (forces[1] > forces[0]).all()
+    assert 1.3 < names["power"] < 2.2 and len(Path("sweep.csv").read_text().splitlines()) == 7
