@@ -8,11 +8,14 @@ CHART := $(if $(filter pareto,$(BRANCHES)),$D/pareto/quick.json)
 ALSO := $(filter-out $(CALIBRATION) $(CHART),$(wildcard $D/calibrate/summary.json $D/pareto/pareto.json $D/pareto/quick.json))
 REPORTED := $(RES1) $(MODEL) $(if $(ALSO),$(shell stat -L -c '%n:%Y' $(ALSO)))
 
+# What was solved here. A dataset with imported labels is not: of its log, which may know no pose, nothing is solved for a page.
+SOLVED := $(if $(IMPORTED),,$(POSES) $(FORCES) $D/50_labels/$(RES1)/labels.json)
+
 .PHONY: report
 report: $(REPORT)  ## one HTML page: presses, labels, errors, posterior, chart, failures
 
 # The page prints every slice of the parameters; the plan writes them before make reads these rules for good.
-$(REPORT): $P/report.json $(wildcard $P/*.json) $(POSES) $(FORCES) $D/50_labels/$(RES1)/labels.json $D/80_evaluate/$(RES1)/$(MODEL).json $(CALIBRATION) $(CHART) $D/90_report/choice.txt
+$(REPORT): $P/report.json $(wildcard $P/*.json) $(SOLVED) $D/80_evaluate/$(RES1)/$(MODEL).json $(CALIBRATION) $(CHART) $D/90_report/choice.txt
 	$(call step,gelforge.stages.report --data $(DATA) --results $D --resolution $(RES1) --model $(MODEL) --params $< --out $@.part)
 
 $(eval $(call choice,$D/90_report/choice.txt,$(REPORTED)))

@@ -2,7 +2,14 @@
 FROM ?=
 EXPORTED := $(RES:%=$D/feats/%/normalization_gelforge.npy)
 
-.PHONY: feats-import feats-export
+SPLIT ?=
+# The dataset as it is published: DATASET is feats where no other is named.
+PUBLISHED := data/$(or $(call by_hand,DATASET),feats)
+
+.PHONY: feats-fetch feats-import feats-export
+feats-fetch: $(SETUP)  ## FEATS' published dataset to data/feats, from the Hugging Face hub or a copy: SPLIT="train val" FROM=folder
+	@$(PY) -m gelforge.commands.feats fetch --from $(call given,FROM) --split $(call given,SPLIT) --downloads downloads/feats --data $(PUBLISHED)
+
 feats-import: SENSOR ?= feats_mini
 feats-import: $(SETUP)  ## FEATS' .npy files to data/DATASET: make feats-import FROM=folder DATASET=name SENSOR=name
 	@$(PY) -m gelforge.commands.feats import --from $(call given,FROM) --data $(DATA) --sensor $(SENSOR)

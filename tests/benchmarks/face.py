@@ -22,6 +22,7 @@ from gelforge.flow.layout import Layout
 from gelforge.flow.main import command, option, positive
 from gelforge.formats.export.samples import Samples
 from tests.benchmarks.figures import Figure, publish_figures
+from tests.benchmarks.reach import time_fetch, time_live
 from tests.benchmarks.sandbox import make
 from tests.browser import WIDTHS, browser, console_errors, wait_for
 from tests.explored import write_page
@@ -188,7 +189,8 @@ def demo_again() -> Figure:
     return Figure("make demo again, with nothing to do", min(seconds), "<=", 0.5, "s", "by the clock, best of 5")
 
 
-PARTS = {"demo": time_demo, "page": time_page, "exports": time_exports, "lineage": time_lineage, "wheel": time_wheel}
+PARTS = {"demo": time_demo, "page": time_page, "exports": time_exports, "lineage": time_lineage, "wheel": time_wheel,
+         "fetch": time_fetch, "live": time_live}  # fmt: skip
 
 
 @command(

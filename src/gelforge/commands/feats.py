@@ -1,4 +1,4 @@
-"""Datasets from FEATS' files and back: `make feats-import`, `make feats-export`."""
+"""Datasets from FEATS' files and back: `make feats-fetch`, `make feats-import`, `make feats-export`."""
 
 from argparse import Namespace
 from pathlib import Path
@@ -27,6 +27,39 @@ def bring_in(args: Namespace) -> None:
 
 
 @command(
+    option(
+        "--from",
+        dest="source",
+        default="",
+        help="a folder in the published layout; the Hugging Face hub where none is named",
+    ),
+    option("--split", default="", help="folders to take, with blanks between them; all where none is named"),
+    option("--downloads", type=Path, help="where files of the hub go"),
+    option("--data", type=Path, help="data/DATASET"),
+    option("--sensors", type=Path, default=Path("workflow/sensors.toml")),
+)
+def fetch(args: Namespace) -> None:
+    """FEATS' published dataset, from the hub or a copy of it, to data/DATASET."""
+    from gelforge.formats import feats_hub
+
+    sensors = load_sensors(args.sensors)
+    sensor, other = (
+        find_sensor(sensors, name, "SENSOR", str(args.sensors)) for name in ("feats_mini", "feats_mini_2")
+    )
+    splits = args.split.split()
+    if args.source and not Path(args.source).is_dir():
+        raise BadInput(f"FROM={args.source}: not a folder; give a copy of the dataset's folders, or leave FROM out")
+    source = Path(args.source) if args.source else feats_hub.fetch(args.downloads, splits)
+    if not args.source and feats_hub.is_imported(args.downloads, args.data):
+        print(f"{args.data}: up to date")
+        return
+    found = import_folder(source, args.data, sensor, other, splits)
+    if not args.source:
+        feats_hub.note_imported(args.downloads, args.data)
+    print(f"{args.data}: {found['presses']} presses from {found['files']} files; labels: {found['labels'] or 'none'}")
+
+
+@command(
     option("--dataset", type=Path, help="60_dataset/RES"),
     option("--folder", type=Path, help="where train/, val/, test/ … go"),
     option("--out", type=Path, help="the normalisation file, written last"),
@@ -36,7 +69,7 @@ def send_out(args: Namespace) -> None:
     write_normalisation(args.out, export_dataset(args.dataset, args.folder))
 
 
-main = group(**{"import": bring_in, "export": send_out})
+main = group(**{"import": bring_in, "export": send_out, "fetch": fetch})
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ import hashlib
 import math
 import re
 import shutil
+from collections.abc import Sequence
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
@@ -22,22 +23,25 @@ from gelforge.formats.featsfile import (
     read_sample,
     write_label,
 )
-from gelforge.records.image import write_png
+from gelforge.records.image import read_image, write_png
 from gelforge.records.labelfile import write_labels
 from gelforge.records.log import write_log
 from gelforge.records.press import FORCES, POSE, LoggedPress, check_id
 from gelforge.records.rowfile import map_array
 from gelforge.records.samplefile import read_samples
-from gelforge.records.splits import SPLITS, TRAINING
+from gelforge.records.splits import SPLITS, TRAINING, UNSEEN_INDENTER, UNSEEN_SENSOR, VALIDATION
 
 FEATS_C10 = 0.0792  # MPa, the paper's fit, which its labels were made with
 GEL_ID = "feats"  # of every press: their files name no gel
+QUIETEST, FEWEST_QUIET = 64, 16  # pictures that press least, of which a picture without contact is made
 # An image that came with its label alone: nobody knows how it was pressed.
 NO_PRESS = {**dict.fromkeys(POSE, math.nan), **dict.fromkeys(FORCES), "indenter": "", "time_utc": ""}
 DATASET_TOML = """# Imported from files in FEATS' layout.
 sensor = "{sensor}"
 gel = "{gel}"
 catalogue = "indenters.toml"
+[params.plan]
+shard_size = 500
 """
 
 
@@ -56,14 +60,30 @@ def new_folder(path: Path):
         shutil.rmtree(part, ignore_errors=True)
 
 
-def import_folder(source: Path, data: Path, sensor) -> dict:
+def split_of(folder: str) -> str:
+    """The split that a folder's name stands for, empty where for none: ours, and other spellings of the same."""
+    name = folder.lower().replace("-", "_")
+    if name in SPLITS:
+        return name
+    if "unseen" in name or "unknown" in name:
+        return UNSEEN_SENSOR if "sensor" in name else UNSEEN_INDENTER if "indenter" in name else ""
+    return {"training": TRAINING, "validation": VALIDATION, "valid": VALIDATION}.get(name, "")
+
+
+def import_folder(source: Path, data: Path, sensor, other=None, splits: Sequence[str] = ()) -> dict:
     """Turn the .npy files below `source` into the dataset folder `data`; return what was found.
 
     Raw samples become rows of log.csv and images; label files become labels/ROWSxCOLS.npz. A raw sample
-    and a label file with the same image are one press. `sensor` is the Sensor that took the images. An
-    unusable file raises BadInput that names it, and nothing is left behind.
+    and a label file with the same image are one press. `sensor` is the Sensor that took the images, `other` the one that
+    took those of the split of an unseen sensor, where it is known. splits: folders to take, all where none is named. From
+    label files a picture of each sensor without contact is found (`write_nocontact`). An unusable file raises BadInput that names
+    it, and nothing is left behind.
     """
-    files = sorted(source.rglob("*.npy"))
+    missing = [name for name in splits if not (source / name).is_dir()]
+    if missing:
+        there = ", ".join(sorted(path.name for path in source.iterdir() if path.is_dir())) or "no folders"
+        raise BadInput(f"SPLIT={missing[0]}: {source} has no such folder; it has {there}")
+    files = sorted(path for name in splits or ["."] for path in (source / name).rglob("*.npy"))
     if not files:
         raise BadInput(f"{source}: holds no .npy files; give FEATS' folder of samples or labels as FROM=...")
     with new_folder(data) as part:
@@ -75,17 +95,22 @@ def import_folder(source: Path, data: Path, sensor) -> dict:
                 ranges = read_normalisation(path)
                 continue
             _take(path, read_sample(path), sensor, part, presses, labels)
-        rows = [{"sensor_id": sensor.name, "gel_id": GEL_ID, **press["row"]} for press in presses.values()]
-        if not rows:
+        if not presses:
             raise BadInput(f"{source}: holds normalisation files only; give the folder that holds the samples too")
+        splits_of = published_splits(source, presses)
+        unseen = {row["sample_id"] for row in splits_of if other and row["split"] == UNSEEN_SENSOR}
+        for press in presses.values():
+            taken_by = other if press["row"]["sample_id"] in unseen else sensor
+            press["row"] |= {"sensor_id": taken_by.name, "gel_id": GEL_ID}
+        rows = [press["row"] for press in presses.values()]
         write_log(part / "log.csv", [LoggedPress(row=0, **{**NO_PRESS, **row}) for row in rows])
         for (height, width), members in labels.items():
             _write_grid(part / "labels" / f"{height}x{width}.npz", members, presses)
         if ranges:
             write_json(part / "feats_normalisation.json", ranges)
-        splits = published_splits(source, presses)
-        if splits:
-            write_csv(part / "splits.csv", ["sample_id", "split"], splits)
+        if splits_of:
+            write_csv(part / "splits.csv", ["sample_id", "split"], splits_of)
+        write_nocontact(part, presses)
         write_text(part / "dataset.toml", DATASET_TOML.format(sensor=sensor.name, gel=sensor.gel))
     grids = {f"{rows}x{cols}": len(members) for (rows, cols), members in labels.items()}
     return {"presses": len(presses), "labels": grids, "files": len(files)}
@@ -100,7 +125,7 @@ def published_splits(source: Path, presses: dict) -> list[dict]:
     """
     found, outside = [], []
     for press in presses.values():
-        folders = {path.relative_to(source).parts[0] for path in press["files"]}
+        folders = {split_of(path.relative_to(source).parts[0]) for path in press["files"]}
         named = [name for name in SPLITS if name in folders]
         if len(named) > 1:
             name, others = press["row"]["sample_id"], " and ".join(named)
@@ -126,6 +151,8 @@ def _take(path, sample, sensor, part, presses, labels) -> None:
     key = hashlib.sha256(np.ascontiguousarray(sample.image).tobytes()).hexdigest()
     if key not in presses:
         name = re.sub(r"[^A-Za-z0-9_-]", "_", path.stem)[:100].lstrip("_-") or "sample"
+        if split_of(path.parent.name) and (part / "images" / f"{name}.png").exists():
+            name = f"{path.parent.name}-{name}"[:100]  # published splits may name their files alike
         presses[key] = {"files": [], "row": {"sample_id": name, "image": f"images/{name}.png"}, "raw": False}
         target = part / "images" / f"{name}.png"
         target.parent.mkdir(exist_ok=True)
@@ -143,8 +170,29 @@ def _take(path, sample, sensor, part, presses, labels) -> None:
                 f"{path}: has the same image as a label file read before ({press['files'][0]}); remove one of them"
             )
         grid[key] = sample.label.astype(np.float32)
+        press["pressed_n"] = float(np.abs(sample.label).sum())
     else:
         _take_raw(path, sample, press)
+
+
+def write_nocontact(part: Path, presses: dict) -> None:
+    """Write nocontact/SENSOR.png of each sensor with enough labelled pictures.
+
+    It is the picture of the sample whose label is zero everywhere where there is one, else the median, pixel by pixel, of
+    those that press least: each pixel is touched in few of them.
+    """
+    by_sensor: dict[str, list] = {}
+    for press in presses.values():
+        if "pressed_n" in press:
+            by_sensor.setdefault(press["row"]["sensor_id"], []).append((press["pressed_n"], press["row"]["image"]))
+    for name, found in by_sensor.items():
+        least = sorted(found)[:QUIETEST]
+        still = [image for pressed, image in least if pressed == 0.0]
+        if not still and len(least) < FEWEST_QUIET:
+            continue
+        pictures = [read_image(part / image) for image in still or [image for _, image in least]]
+        (part / "nocontact").mkdir(exist_ok=True)
+        write_png(part / "nocontact" / f"{name}.png", np.median(pictures, axis=0).astype(np.uint8))
 
 
 def _take_raw(path, sample: RawSample, press) -> None:

@@ -12,9 +12,10 @@ from gelforge.flow.params.slices import ForEvaluate, read_slice
 from gelforge.records.axes import CHANNELS
 from gelforge.records.predictionfile import write_predictions
 from gelforge.records.splits import TRAINING
+from gelforge.reporting import feats_tables
 from gelforge.reporting.networkcharts import draw_predictions
 
-VERSION = 16
+VERSION = 17
 
 
 def keep_predictions(path, data, trained, predictions: dict) -> None:
@@ -63,6 +64,12 @@ def main(args: Namespace) -> None:
     trained = load_model(args.model)
     called = "the network that ships" if args.model.resolve() == SHIPPED.resolve() else ""
     result, predictions = evaluate(data, trained, read_slice(args.params, ForEvaluate).evaluate, called)
+    if feats_tables.SENSOR in data.info["sensors"]:
+        result["published"] = {
+            name: feats_tables.published_errors(predictions[name][1], np.asarray(data.labels[predictions[name][0]]))
+            for name in feats_tables.TESTS
+            if name in predictions
+        }
     print(paper_table(result))
     with publish(beside(args.out, ".png")) as part:
         draw_predictions(part, data, predictions)

@@ -27,13 +27,14 @@ from gelforge.records.press import PosedPress
 from gelforge.records.samplefile import read_samples
 from gelforge.records.solvetable import Solved, read_solves
 from gelforge.records.status import VALID, Status
+from gelforge.reporting import feats_tables
 from gelforge.reporting.explorer import Explorer
 from gelforge.reporting.page import Explored, Section, render
 from gelforge.reporting.parts import PART, forget_parts, in_parts, place_parts
 from gelforge.reporting.presses import as_columns, press_rows
 from gelforge.reporting.provenance import COST, stages, target_costs
 
-VERSION = 3
+VERSION = 4
 ABSENT = "not installed"
 PACKAGES = (
     "gelforge", "numpy", "scipy", "torch", "pymeshlab", "pytetwild", "pyvista", "emcee", "opencv-contrib-python-headless",
@@ -198,10 +199,20 @@ def network_section(results: Path, resolution: str, model: str) -> Section:
     section.text(learnt_from(metrics, model))
     for title, columns, rows in evaluation_tables(metrics):
         section.table(columns, rows, folded=title)
+    ours = published_here(path.parent)
+    if ours:
+        table = feats_tables.comparison(ours)
+        section.table(table["columns"], table["rows"], folded=table["title"])
     curve, picture = Layout(results).curve(resolution, model), path.with_suffix(".png")
     learning = {curve.name: "Loss, learning rate and validation error while it learnt."}
     predicted = {picture.name: "Predicted against labelled total force, and f_z of some presses."}
     return add_pictures(add_pictures(section, curve.parent, learning), picture.parent, predicted)
+
+
+def published_here(folder: Path) -> dict[str, dict]:
+    """Errors on FEATS' published tests of every network that was evaluated on them, by its name."""
+    found = {path.stem: read_json(path).get("published") for path in listed(folder, "*.json")}
+    return {name: errors for name, errors in found.items() if errors}
 
 
 def learnt_from(metrics: dict, model: str) -> str:
@@ -303,8 +314,10 @@ def sections_of(results: Path, resolution: str, model: str, solved: dict[str, So
     ]
 
 
-def lead_of(rows: list[dict], resolution: str) -> str:
-    """One sentence on how many presses became labels."""
+def lead_of(rows: list[dict], resolution: str, samples: int) -> str:
+    """One sentence on how many presses became labels; samples: those of the dataset, whose labels may have come with it."""
+    if not rows:
+        return f"{samples} pictures with labels that came with the dataset, at {resolution} cells a picture; no press was solved here."
     labelled = sum(row["status"] in VALID for row in rows)
     return f"{labelled} of {len(rows)} presses labelled by finite elements at {resolution} cells a picture."
 
@@ -328,8 +341,9 @@ def main(args: Namespace) -> None:
     )
     data = explorer_data(explorer, known) | {"parts": {"size": PART, "beside": folder}}
     sections = sections_of(args.results, args.resolution, args.model, solved)
-    lead = lead_of(explorer.rows, args.resolution)
-    write_text(args.out, render(args.data.name, lead, sections, Explored(data, embedded)))
+    lead = lead_of(explorer.rows, args.resolution, len(explorer.samples))
+    explored = Explored(data, embedded) if explorer.rows else None
+    write_text(args.out, render(args.data.name, lead, sections, explored))
     forget_parts(args.out.parent, folder)
 
 
