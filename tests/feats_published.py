@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from gelforge.formats.featsfile import LabelSample, write_label
-from gelforge.records.splits import SPLITS
+from gelforge.records.splits import SPLITS, TRAINING, UNSEEN_SENSOR
 
 DEMO = Path(__file__).parents[1] / "data" / "demo" / "images"
 SHARES = (0.8, 0.05, 0.05, 0.05, 0.05)  # of the published splits
@@ -15,7 +15,7 @@ SHARES = (0.8, 0.05, 0.05, 0.05, 0.05)  # of the published splits
 def publish(folder: Path, count: int, grid: tuple[int, int] = (24, 32)) -> dict[str, int]:
     """Write so many samples; how many each split has. Pictures are the demo's, moved and relit, forces a lump each.
 
-    The first one of train and of each unseen split is without contact.
+    The first one of each sensor is without contact.
     """
     rng = np.random.default_rng(5)
     pictures = [cv2.imread(str(path)) for path in sorted(DEMO.glob("*.png"))]
@@ -27,6 +27,8 @@ def publish(folder: Path, count: int, grid: tuple[int, int] = (24, 32)) -> dict[
             image = np.clip(moved.astype(int) + rng.integers(-9, 10, 3), 0, 255).astype(np.uint8)[..., ::-1]
             centre = rng.uniform((4, 4), (grid[0] - 4, grid[1] - 4))
             lump = np.exp(-((rows - centre[0]) ** 2 + (cols - centre[1]) ** 2) / 8)
-            size = rng.uniform((-0.02, -0.02, -2.0), (0.02, 0.02, -0.05)) * (k > 0 or name in ("val", "test"))
+            size = rng.uniform((-0.02, -0.02, -2.0), (0.02, 0.02, -0.05)) * (
+                k > 0 or name not in (TRAINING, UNSEEN_SENSOR)
+            )
             write_label(folder / name / f"20250101-{k:06d}.npy", LabelSample(image, size[:, None, None] * lump))
     return counts
