@@ -1,7 +1,8 @@
 """Rows of large .npy files, read when they are asked for."""
 
+import mmap
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.records.npz import DAMAGED, in_short
 
+LET_GO = 512  # rows
 REMEDY = "remove it and make the dataset again"
 
 
@@ -32,6 +34,20 @@ def array_on_disk(path: Path, dtype: type, shape: tuple[int, ...]) -> np.memmap:
         except OSError as error:
             raise OSError(error.errno, error.strerror, str(path)) from error
     return mapped
+
+
+def write_rows(path: Path, dtype: type, shape: tuple[int, ...], rows: Iterable[np.ndarray]) -> None:
+    """Write a .npy file row by row; OSError where the disk has no room for all of it.
+
+    What was written is let go of now and then: it would count as memory of the process, up to the whole file.
+    """
+    mapped = array_on_disk(path, dtype, shape)
+    for at, row in enumerate(rows):
+        mapped[at] = row
+        if at % LET_GO == LET_GO - 1:
+            mapped.flush()
+            mapped._mmap.madvise(mmap.MADV_DONTNEED)  # type: ignore[attr-defined]  # what numpy mapped it by
+    mapped.flush()
 
 
 class RowFile:

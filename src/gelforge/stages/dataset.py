@@ -29,7 +29,7 @@ from gelforge.records.labelfile import FIELDS, open_labels, read_labels
 from gelforge.records.log import read_poses, read_shard, without_duplicates
 from gelforge.records.press import FORCE, ID_RULE, PressRecord, names_files, parse
 from gelforge.records.repeats import repeats, tell_repeats
-from gelforge.records.rowfile import RowFile, array_on_disk
+from gelforge.records.rowfile import RowFile, array_on_disk, write_rows
 from gelforge.records.samplefile import DatasetSample, write_samples
 from gelforge.records.splits import TRAINING
 from gelforge.records.status import Status
@@ -96,10 +96,8 @@ def write_image_array(path, data: Path, presses: list[PressRecord], size: tuple[
     size is (width, height). A missing, unreadable or differently sized image raises BadInput.
     """
     with publish(path) as part:
-        images = array_on_disk(part, np.uint8, (len(presses), size[1], size[0], 3))
-        for at, press in progress(list(enumerate(presses)), "images"):
-            images[at] = read_logged_image(data, press.image, size)
-        images.flush()
+        images = (read_logged_image(data, press.image, size) for press in progress(presses, "images"))
+        write_rows(part, np.uint8, (len(presses), size[1], size[0], 3), images)
 
 
 def write_nocontact(path, data: Path, names: list[str], size: tuple[int, int]) -> list[str]:
@@ -202,7 +200,7 @@ def write_fields(folder: Path, shards, places, grid: Grid) -> None:
 
 def training_ranges(folder: Path, splits: np.ndarray) -> dict:
     """Smallest and largest value of every field over the training split, as FEATS' normalisation has them."""
-    images, labels = (np.load(folder / name, mmap_mode="r") for name in ("images.npy", "labels.npy"))
+    images, labels = RowFile(folder / "images.npy"), np.load(folder / "labels.npy", mmap_mode="r")
     ranges = Ranges()
     for at in np.flatnonzero(splits == TRAINING):
         ranges.add(LabelSample(images[at], labels[at]))
