@@ -12,7 +12,7 @@ from gelforge.formats.featsfile import read_sample
 from gelforge.records.axes import AXIS_OF_CHANNEL
 
 NAMES = [
-    "01_solve_a_press", "02_label_at_two_resolutions", "03_indenter_from_stl", "04_another_gel", "05_calibrate",
+    "01_solve_a_press", "02_label_at_two_resolutions", "03_indenter_from_stl", "04_own_gel", "05_calibrate",
     "06_read_a_film", "07_export", "08_a_sweep",
 ]  # fmt: skip
 
@@ -64,10 +64,11 @@ def test_an_stl_is_pressed_and_turned(run):
 
 
 def test_gels_differ_as_they_should(run):
-    names, _ = run("04_another_gel")
-    usual = names["usual"]
-    assert names["stiffer"] == pytest.approx(2 * usual, rel=1e-9)
-    assert names["thinner"] < usual < names["softer"] < 0.0  # more force is more negative
+    names, lines = run("04_own_gel")
+    thin, dome, thinner = (line[-1] for line in lines[1:4])
+    assert thin > thinner > 1.0  # the rigid base is nearer
+    assert 0.2 < dome < 1.0  # a curved top is touched less
+    assert names["stiffer"] == pytest.approx(2 * names["usual"], rel=1e-9)
 
 
 def test_the_published_presses_tell_a_stiffness(run):
