@@ -125,7 +125,7 @@ class Handler(BaseHTTPRequestHandler):
         self.server.loaded[name] += 1
 
     def log_message(self, *_) -> None:
-        """Nothing is told."""
+        """No request is logged."""
 
 
 @contextmanager

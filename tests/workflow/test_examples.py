@@ -35,8 +35,8 @@ def test_every_example_is_tried_and_short(root):
     scripts = sorted((root / "workflow" / "examples").glob("*.py"))
     assert [path.stem for path in scripts] == NAMES
     assert all(15 <= len(path.read_text().splitlines()) <= 40 for path in scripts)
-    told = (root / "workflow" / "examples" / "README.md").read_text()
-    assert all(f"`{path.name}`" in told for path in scripts)
+    shown = (root / "workflow" / "examples" / "README.md").read_text()
+    assert all(f"`{path.name}`" in shown for path in scripts)
 
 
 def test_a_press_is_solved(run):

@@ -81,8 +81,8 @@ def test_what_is_published_becomes_a_dataset_with_its_splits(root, tmp_path, pub
             changed = fetch(root, tmp_path, server.url)
         finally:
             kept.write_bytes(before)
-    told = [line for line in changed.stdout.splitlines() if "not as the hub lists it" in line]
-    assert len(told) == 2 and mine.name in told[0] and theirs.name in told[1]
+    shown = [line for line in changed.stdout.splitlines() if "not as the hub lists it" in line]
+    assert len(shown) == 2 and mine.name in shown[0] and theirs.name in shown[1]
     assert server.loaded.total() == COUNT + 2
     assert (
         changed.returncode == 2 and "exists already" in changed.stderr
@@ -155,7 +155,7 @@ class Page(BaseHTTPRequestHandler):
         self.do_GET()
 
     def log_message(self, *_) -> None:
-        """Nothing is told."""
+        """No request is logged."""
 
 
 def test_a_proxy_that_answers_with_a_page_is_one_sentence(root, tmp_path):

@@ -146,8 +146,8 @@ def test_viewers_that_leave_do_not_disturb_the_others(capfd):
         send((reading(k) for k in range(21, 41)), topics, serving, None)
         for thread in hearing:
             thread.join(HANG)
-        told = [capfd.readouterr().err]
-        wait_until(lambda: told.append(capfd.readouterr().err) or "left; the others go on" in "".join(told))
+        shown = [capfd.readouterr().err]
+        wait_until(lambda: shown.append(capfd.readouterr().err) or "left; the others go on" in "".join(shown))
     seen = frames_of(heard)
     assert seen == list(range(seen[0], 41))
 
@@ -219,9 +219,9 @@ def test_the_command_serves_a_film_and_records_it(root, tmp_path):
     hearing.start()
     wait_until(lambda: any("ended after 20 frames" in said for said in client.status), of=child)
     child.send_signal(signal.SIGINT)
-    said, told = child.communicate(timeout=HANG)
+    said, shown = child.communicate(timeout=HANG)
     hearing.join(HANG)
-    assert child.returncode == 0 and "Traceback" not in told, told
+    assert child.returncode == 0 and "Traceback" not in shown, shown
     (path,) = (tmp_path / "kept").iterdir()
     assert f"{path}: 20 frames" in said and frames_of(recorded(path)[0]) == list(range(20))
     assert client.channels.keys() == TOPICS.keys()

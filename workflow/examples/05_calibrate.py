@@ -1,6 +1,6 @@
 """Find the stiffness of a gel from presses with a force sensor: the four published presses of a 15 mm sphere.
 
-`make DATASET=feats_sphere15 calibrate` does it with touch offset, compliance and friction unknown, and tells intervals.
+`make DATASET=feats_sphere15 calibrate` does it with touch offset, compliance and friction unknown, and gives intervals.
 """
 
 import csv

@@ -16,7 +16,7 @@ from gelforge.live.topics import RosMessages
 def show_topics(args: Namespace, untouched, frames, capture, name: str, over: threading.Event) -> None:
     """Serve messages until `over` is set, and record them until the frames end.
 
-    BadInput at the end where the frames ended before they should, or the recording was lost; viewers are told at once.
+    BadInput at the end where the frames ended before they should, or the recording was lost; viewers see it at once.
     """
     frame_s = frame_seconds(args, capture)
     with ExitStack() as stack:
@@ -30,7 +30,7 @@ def show_topics(args: Namespace, untouched, frames, capture, name: str, over: th
             recorder.stop()
             print(f"{recorder.file(recorder.name)}: {count} frames", flush=True)
         if server:
-            server.tell(str(fault or f"{name}: ended after {count} frames"))
+            server.announce(str(fault or f"{name}: ended after {count} frames"))
             over.wait()  # viewers keep what they have
         if fault:
             raise fault
@@ -67,7 +67,7 @@ def send(
                     if not server:
                         raise
                     fault = error
-                    server.tell(str(error))
+                    server.announce(str(error))
             count += 1
     except BadInput as error:
         fault = error

@@ -48,7 +48,7 @@ class FoxgloveServer:
             )
         return self.channels[topic]
 
-    def tell(self, sentence: str) -> None:
+    def announce(self, sentence: str) -> None:
         """Show a sentence to all viewers, and on the terminal."""
         from foxglove import StatusLevel
 
