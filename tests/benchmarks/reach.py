@@ -23,17 +23,17 @@ FRAMES = 250  # ten seconds of a film
 RATE = 25
 
 
-def fetching(folder: Path, url: str, *options) -> list[str]:
+def fetching(folder: Path, *options) -> list[str]:
     """The command that fetches into a folder."""
     return [sys.executable, "-m", "gelforge.commands.feats", "fetch", "--downloads", str(folder / "loaded"),
             "--data", str(folder / "data"), *map(str, options)]  # fmt: skip
 
 
-def run(command: list[str], url: str) -> tuple[float, float, float]:
+def run(command: list[str], url: str, home: Path) -> tuple[float, float, float]:
     """Seconds by the clock, seconds of processors and peak memory in MiB of a command."""
     started, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
     words = [sys.executable, "-c", PEAK, *command]
-    environment = os.environ | {"HF_ENDPOINT": url, "HF_HOME": "hub-home"}
+    environment = os.environ | {"HF_ENDPOINT": url, "HF_HOME": str(home)}
     said = subprocess.run(words, check=True, capture_output=True, text=True, env=environment)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
@@ -51,24 +51,24 @@ print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss, file=sys.stderr)
 def time_fetch(folder: Path, presses: int) -> list[Figure]:
     """Fetch 1000 samples (fewer where `presses` are) from a local server, killed once; import copies of two sizes for the memory of all."""
     samples = min(SAMPLES, presses)
-    few = samples // 4
+    few, home = samples // 4, folder / "hub"
     publish(folder / "published", samples)
     with hub(folder / "published") as server:
         server.commit()  # digests are the hub's work
-        seconds, spent, peak = run(fetching(folder / "whole", server.url), server.url)
-        child = subprocess.Popen(fetching(folder / "killed", server.url), stderr=subprocess.DEVNULL,
-                                 env=os.environ | {"HF_ENDPOINT": server.url, "HF_HOME": str(folder / "hub")})  # fmt: skip
+        seconds, spent, peak = run(fetching(folder / "whole"), server.url, home)
+        child = subprocess.Popen(fetching(folder / "killed"), stderr=subprocess.DEVNULL,
+                                 env=os.environ | {"HF_ENDPOINT": server.url, "HF_HOME": str(home)})  # fmt: skip
         wait_until(lambda: len(list((folder / "killed").rglob("*.npy"))) > samples // 3, of=child)
         child.send_signal(signal.SIGKILL)
         child.wait()
         loaded = folder / "killed" / "loaded"
         there = [str(path.relative_to(loaded)) for path in loaded.rglob("*.npy")]
         server.loaded.clear()
-        run(fetching(folder / "killed", server.url), server.url)
+        run(fetching(folder / "killed"), server.url, home)
         twice = len(server.loaded.keys() & set(there))
     publish(folder / "few", few)
-    _, _, small = run(fetching(folder / "small", "", "--from", folder / "few"), "")
-    copied, _, large = run(fetching(folder / "copy", "", "--from", folder / "published"), "")
+    _, _, small = run(fetching(folder / "small", "--from", folder / "few"), "", home)
+    copied, _, large = run(fetching(folder / "copy", "--from", folder / "published"), "", home)
     all_of_it = (large + (large - small) / (samples - few) * (PUBLISHED - samples)) / 1024
     note = f"from a local server; {spent:.0f} s of processors, peak {peak:.0f} MiB"
     return [
