@@ -7,13 +7,13 @@ endif
 # $(call of_toml,KIND): see names.py.
 of_toml = $(patsubst $(1):%,%,$(filter $(1):%,$(TOML_WORDS)))
 MODELS := $(call of_toml,network)
-SHIPPED := src/gelforge/networks/default
+SHIPPED := src/gelforge/networks/weights/default
 # The shipped network is never trained here.
 LEARNT = $(if $(filter shipped,$(MODEL)),$(LEARNER),$(MODEL))
-# Those that go on from the network that ships are for one dataset, and write its grid: they are made by name alone.
+# Those that fine-tune the network that ships are for one dataset, and write its grid: they are made by name alone.
 TUNED := $(call of_toml,tuned)
 LEARNABLE := $(filter-out $(TUNED),$(MODELS))
-TRAINED := $(MODELS:%=$D/70_train/$(RES1)/%.pt)
+TRAINED := $(MODELS:%=$D/70_train/$(RES1)/%.onnx)
 
 # By hand, a network must be one that there is, and one that learns where it is to learn.
 ifneq ($(call by_hand,MODEL),)
@@ -21,21 +21,21 @@ ifeq ($(filter $(MODELS) shipped,$(MODEL))$(if $(MODELS),,unknown),)
 $(error MODEL=$(MODEL): no such network; workflow/models.toml has: $(MODELS), and shipped is the one that ships)
 endif
 ifneq ($(and $(filter $(TUNED),$(MODEL)),$(filter-out $(SHIPPED_RES),$(RES1))),)
-$(error MODEL=$(MODEL) goes on from the network that ships, whose grid is $(SHIPPED_RES): say RES=$(SHIPPED_RES), or name another network)
+$(error MODEL=$(MODEL) fine-tunes the network that ships, whose grid is $(SHIPPED_RES): say RES=$(SHIPPED_RES), or name another network)
 endif
 ifneq ($(and $(filter shipped,$(MODEL)),$(filter train onnx ship,$(MAKECMDGOALS))),)
 $(error MODEL=shipped: the network that ships was trained elsewhere; to $(firstword $(filter train onnx ship,$(MAKECMDGOALS))), name one of $(MODELS))
 endif
 endif
 
-# Networks that read a picture beside one of the untouched sensor. Without such pictures none of them can be judged, which
+# Networks that read a picture beside a no-contact image. Without such pictures none of them can be judged, which
 # is said here, and not after the presses are solved.
 BESIDE_UNTOUCHED := shipped $(call of_toml,beside)
 WANTED = $(if $(filter evaluate report demo study,$(MAKECMDGOALS)),$(MODEL)) $(if $(filter train onnx ship,$(MAKECMDGOALS)),$(LEARNT)) \
     $(if $(filter models evaluate-models,$(MAKECMDGOALS)),$(LEARNABLE)) $(if $(filter pareto-models,$(MAKECMDGOALS)),$(or $(call by_hand,CHARTED),$(LEARNABLE)))
 UNREADABLE = $(firstword $(filter $(BESIDE_UNTOUCHED),$(WANTED)))
 ifneq ($(and $(wildcard $(DATA)),$(if $(wildcard $(DATA)/nocontact),,no),$(UNREADABLE)),)
-$(error MODEL=$(UNREADABLE) reads a picture beside one of the untouched sensor, and $(DATA)/nocontact is missing: add nocontact/SENSOR.png of each sensor, or name a network that reads the image alone, such as grid_16 ([params.report] model in $(DATA)/dataset.toml))
+$(error MODEL=$(UNREADABLE) reads a picture beside a no-contact image, and $(DATA)/nocontact is missing: add nocontact/SENSOR.png of each sensor, or name a network that reads the image alone, such as grid_16 ([params.report] model in $(DATA)/dataset.toml))
 endif
 
 ifneq ($(and $(filter ship,$(MAKECMDGOALS)),$(if $(call by_hand,MODEL),,no)),)
@@ -47,19 +47,17 @@ $(error ship RES=$(RES1): the network that ships has a grid of $(SHIPPED_RES); t
 endif
 
 .PHONY: train models onnx
-train: $D/70_train/$(RES1)/$(LEARNT).pt  ## one network: make train MODEL=grid_16 RES=24x32
-models: $(LEARNABLE:%=$D/70_train/$(RES1)/%.pt)  ## every network of workflow/models.toml that learns from nothing but the dataset
-onnx: $D/70_train/$(RES1)/onnx/$(LEARNT).onnx  ## a trained network as ONNX, checked against torch
+train: $D/70_train/$(RES1)/$(LEARNT).onnx  ## one network as ONNX, which predicts: make train MODEL=grid_16 RES=24x32
+onnx: train
+	@echo 'make train writes ONNX by itself; make onnx will be gone in the next release'
+models: $(LEARNABLE:%=$D/70_train/$(RES1)/%.onnx)  ## every network of workflow/models.toml that learns from nothing but the dataset
 
 # Other datasets that are learnt from as well ([train] also). They are made by themselves.
 LEARNT_WITH := $(LEARN_ALSO:%=results/%/60_dataset/$(RES1)/dataset.json)
 $(LEARNT_WITH):
 	$(error $@ is missing, and [train] also asks for it: make DATASET=$(word 2,$(subst /, ,$@)) RES=$(RES1) dataset)
 
-$(TRAINED): $D/70_train/$(RES1)/%.pt: $D/60_dataset/$(RES1)/dataset.json $P/models/%.json $P/train.json $(LEARNT_WITH)
+$(TRAINED): $D/70_train/$(RES1)/%.onnx: $D/60_dataset/$(RES1)/dataset.json $P/models/%.json $P/train.json $(LEARNT_WITH)
 	$(call step,gelforge.stages.train --dataset $(<D) $(if $(LEARNT_WITH),--also $(patsubst %/,%,$(dir $(LEARNT_WITH)))) --model $* --models $P/models/$*.json --params $P/train.json --out $@.part)
 
-$(TUNED:%=$D/70_train/$(RES1)/%.pt): $(SHIPPED).pt
-
-$(MODELS:%=$D/70_train/$(RES1)/onnx/%.onnx): $D/70_train/$(RES1)/onnx/%.onnx: $D/70_train/$(RES1)/%.pt $P/onnx.json
-	$(call step,gelforge.stages.onnx --model $< --out $@.part)
+$(TUNED:%=$D/70_train/$(RES1)/%.onnx): $(SHIPPED).safetensors

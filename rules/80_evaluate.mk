@@ -5,26 +5,27 @@ EVALUATED := $(MODELS:%=$D/80_evaluate/$(RES1)/%.json)
 evaluate: $D/80_evaluate/$(RES1)/$(MODEL).json $D/80_evaluate/$(RES1)/$(MODEL).card.md  ## errors of one network against labels, controls and sensors; its card
 evaluate-models: $(LEARNABLE:%=$D/80_evaluate/$(RES1)/%.json)  ## the same for every network
 
-$(EVALUATED): $D/80_evaluate/$(RES1)/%.json: $D/70_train/$(RES1)/%.pt $D/60_dataset/$(RES1)/dataset.json $P/evaluate.json
+$(EVALUATED): $D/80_evaluate/$(RES1)/%.json: $D/70_train/$(RES1)/%.onnx $D/60_dataset/$(RES1)/dataset.json $P/evaluate.json
 	$(call step,gelforge.stages.evaluate --dataset $(dir $(word 2,$^)) --model $< --params $P/evaluate.json --out $@.part)
 
 # The network that ships, on a dataset that it did not learn from.
 READ := $D/80_evaluate/$(RES1)/shipped.json
 
-$(READ): $(SHIPPED).pt $D/60_dataset/$(RES1)/dataset.json $P/evaluate.json
+$(READ): $(SHIPPED).onnx $D/60_dataset/$(RES1)/dataset.json $P/evaluate.json
 	$(call step,gelforge.stages.evaluate --dataset $(dir $(word 2,$^)) --model $< --params $P/evaluate.json --out $@.part)
 
-$(READ:.json=.card.md): $(SHIPPED).pt $(READ) $P/card.json
+$(READ:.json=.card.md): $(SHIPPED).onnx $(READ) $P/card.json
 	$(call step,gelforge.stages.card --model $< --evaluation $(word 2,$^) --out $@.part)
 
-$(EVALUATED:.json=.card.md): $D/80_evaluate/$(RES1)/%.card.md: $D/70_train/$(RES1)/%.pt $D/80_evaluate/$(RES1)/%.json $P/card.json
+$(EVALUATED:.json=.card.md): $D/80_evaluate/$(RES1)/%.card.md: $D/70_train/$(RES1)/%.onnx $D/80_evaluate/$(RES1)/%.json $P/card.json
 	$(call step,gelforge.stages.card --model $< --evaluation $(word 2,$^) --out $@.part)
 
 # It takes the time of its copy: one that went on from the network whose place it takes is not trained again for that.
 # What benchmark-unseen and benchmark-real measured of this very network goes into the card.
-ship: $D/70_train/$(RES1)/$(LEARNT).pt $D/80_evaluate/$(RES1)/$(LEARNT).json  ## makes a network the one that predict and live use where none is named
+ship: $D/70_train/$(RES1)/$(LEARNT).onnx $D/80_evaluate/$(RES1)/$(LEARNT).json  ## makes a network the one that predict and live use where none is named
 	@$(PY) -m gelforge.stages.card --model $< --evaluation $(word 2,$^) --measured $(wildcard results/benchmarks/unseen.json results/benchmarks/real.json) --out $(SHIPPED).md.part
-	cp $< $(SHIPPED).pt.part
-	mv $(SHIPPED).pt.part $(SHIPPED).pt
+	cp $< $(SHIPPED).onnx.part
+	cp $(<:.onnx=.safetensors) $(SHIPPED).safetensors
+	mv $(SHIPPED).onnx.part $(SHIPPED).onnx
 	mv $(SHIPPED).md.part $(SHIPPED).md
-	touch -r $(SHIPPED).pt $^
+	touch -r $(SHIPPED).onnx $^ $(SHIPPED).safetensors

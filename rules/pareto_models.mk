@@ -9,7 +9,7 @@ endif
 .PHONY: pareto-models
 pareto-models: $D/pareto_models/$(RES1).json  ## accuracy against latency of every network: chart, CSV, JSON
 
-$D/pareto_models/$(RES1).json: $(CHARTED:%=$D/80_evaluate/$(RES1)/%.json) $(CHARTED:%=$D/70_train/$(RES1)/%.pt) $D/60_dataset/$(RES1)/dataset.json $P/pareto_models.json $D/pareto_models/$(RES1).choice.txt
-	$(call step,gelforge.stages.pareto_models --dataset $D/60_dataset/$(RES1) --models $(filter %.pt,$^) --evaluations $(filter $D/80_evaluate/%.json,$^) --out $@.part)
+$D/pareto_models/$(RES1).json: $(CHARTED:%=$D/80_evaluate/$(RES1)/%.json) $(CHARTED:%=$D/70_train/$(RES1)/%.onnx) $D/60_dataset/$(RES1)/dataset.json $P/pareto_models.json $D/pareto_models/$(RES1).choice.txt
+	$(call step,gelforge.stages.pareto_models --dataset $D/60_dataset/$(RES1) --models $(filter %.onnx,$^) --evaluations $(filter $D/80_evaluate/%.json,$^) --out $@.part)
 
 $(eval $(call choice,$D/pareto_models/$(RES1).choice.txt,$(CHARTED)))

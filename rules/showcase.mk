@@ -9,7 +9,7 @@ readme-pictures: $(README_PICTURES)  ## the README's pictures: a press, real sen
 $(README)/press.png: workflow/indenters.toml | $(SETUP)
 	@$(PY) -m gelforge.stages.readme press --catalogue $< --name triangle_10 --out $@
 
-$(README)/real.png: src/gelforge/networks/default.pt | $(SETUP)
+$(README)/real.png: src/gelforge/networks/weights/default.onnx | $(SETUP)
 	@$(PY) -m gelforge.stages.readme real $(foreach film,$(README_FILMS),$(call given,REFERENCE)/gripper_videos/$(film)) --out $@
 
 $(README)/speed.png: $D/pareto/pareto.json

@@ -7,7 +7,7 @@ $(error STUDIED names $(WRONG_PARTS): give presses_N or units_N, such as presses
 endif
 STUDY := $D/study/$(RES1)/$(LEARNT)
 # Networks and their evaluations lie in folders of their own: a log and a record are named by a target without its suffix.
-STUDIES := $(STUDIED:%=$(STUDY)/networks/%.pt)
+STUDIES := $(STUDIED:%=$(STUDY)/networks/%.onnx)
 JUDGED := $(STUDIED:%=$(STUDY)/evaluations/%.json)
 
 .PHONY: study study-with-others
@@ -18,12 +18,12 @@ study: $(STUDY)/study.json  ## error of one network against the presses and unit
 study-with-others:
 	$(error [train] also = $(LEARN_ALSO): a study compares parts of one dataset with all of it, and these others would be in its whole alone; set [params.train] also = [] in $(DATA)/dataset.toml)
 
-$(STUDIES): $(STUDY)/networks/%.pt: $D/60_dataset/$(RES1)/dataset.json $P/models/$(LEARNT).json $P/train.json
+$(STUDIES): $(STUDY)/networks/%.onnx: $D/60_dataset/$(RES1)/dataset.json $P/models/$(LEARNT).json $P/train.json
 	$(call step,gelforge.stages.train --dataset $(<D) --model $(LEARNT) --part $* --models $P/models/$(LEARNT).json --params $P/train.json --out $@.part)
 
-$(if $(filter $(TUNED),$(LEARNT)),$(STUDIES)): $(SHIPPED).pt
+$(if $(filter $(TUNED),$(LEARNT)),$(STUDIES)): $(SHIPPED).safetensors
 
-$(JUDGED): $(STUDY)/evaluations/%.json: $(STUDY)/networks/%.pt $D/60_dataset/$(RES1)/dataset.json $P/evaluate.json
+$(JUDGED): $(STUDY)/evaluations/%.json: $(STUDY)/networks/%.onnx $D/60_dataset/$(RES1)/dataset.json $P/evaluate.json
 	$(call step,gelforge.stages.evaluate --dataset $(dir $(word 2,$^)) --model $< --params $P/evaluate.json --out $@.part)
 
 $(STUDY)/study.json: $(if $(LEARN_ALSO),study-with-others) $D/80_evaluate/$(RES1)/$(LEARNT).json $(JUDGED) $P/study.json $(STUDY)/choice.txt

@@ -3,8 +3,8 @@
 from parameters import parameters, with_values
 from synthetic_presses import SETTINGS, write_dataset
 
-from gelforge.networks.data import open_data
-from gelforge.networks.modelfile import save_model
+from gelforge.networks.data.arrays import open_data
+from gelforge.networks.pipeline import save_trained
 from gelforge.stages.train import train
 
 IMAGE, GRID = (48, 64), (6, 8)
@@ -38,5 +38,5 @@ def small_models(data) -> dict:
 def small_files(models: dict, folder) -> dict:
     """The files of networks, by their names."""
     for name, trained in models.items():
-        save_model(folder / f"{name}.pt", trained)
-    return {name: folder / f"{name}.pt" for name in models}
+        save_trained(folder / f"{name}.onnx", trained)
+    return {name: folder / f"{name}.onnx" for name in models}

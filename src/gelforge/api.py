@@ -1,9 +1,10 @@
 """What gelforge offers to a Python program: solve a press, label it, read images."""
 
+import warnings
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -15,11 +16,8 @@ from gelforge.labelling.sensor import Sensor
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.scene import REFERENCE_C10, Indenter, Material, Scene
 from gelforge.records.axes import AXIS_OF_CHANNEL
+from gelforge.records.forcereading import ForceReading
 from gelforge.records.press import Press
-
-if TYPE_CHECKING:  # at run time it would bring torch along
-    from gelforge.networks.placement import Placement
-    from gelforge.networks.use import Judgement
 
 
 @dataclass(frozen=True)
@@ -106,103 +104,67 @@ def gelsight_mini() -> Sensor:
 
 
 def predict(
-    image: np.ndarray, untouched: np.ndarray | None = None, model: Any = None
+    image: np.ndarray, nocontact: np.ndarray | None = None, model: Any = None, untouched: np.ndarray | None = None
 ) -> tuple[np.ndarray, dict[str, Any]]:
-    """Read forces from one image (h, w, 3) uint8 RGB; return (3, rows, cols) N and how far to trust it.
+    """Predict forces from one image (h, w, 3) uint8 RGB; return (3, rows, cols) N and how far to trust it.
 
-    untouched: a picture of the same sensor while nothing touches it. model: path; the network that ships where None.
-    The verdict has what networks.use.Judgement has, by the same names: its `flag` is True where something is wrong with
-    the pictures, and `reason` says what.
+    nocontact: a picture of the same sensor while nothing touches it; untouched: its former name. model: path; the network that
+    ships where None. The second value has what `ForceReading` has, by the same names: its `flag` is True where something is
+    wrong with the pictures, and `reason` says what.
     """
-    from gelforge.networks.use import Untouched, load_for_use, predict_one
-
-    picture = None if untouched is None else check_image(untouched)
-    _seen, forces, judgement = predict_one(Untouched(load_for_use(model), picture), check_image(image))
-    return forces, vars(judgement) | {"flag": judgement.flag}
-
-
-@dataclass(frozen=True)
-class ForceReading:
-    """What was read in one image, forces on the gel in N.
-
-    cells: (3, rows, cols) along gel y, gel x and the gel's normal (FEATS' channels; pressing is negative). In a picture
-    of a GelSight Mini gel y points to the left and gel x upwards. total: (3,), their sums. half_width: (3,) of intervals
-    that hold nine of ten totals on sensors that the network never saw, of gels as stiff as those it learnt from, or as
-    uncertain as the factor of a profile tells; None where the model knows none. flag: True where something is wrong with
-    the pictures, and `reason` says what. by_dots: (3,) what the motion of the printed dots tells by itself, whatever the
-    light; None where the gel has none, or the network no reader of them. edge_peak: largest normal force of a cell at
-    the edge of what the picture shows, over the largest of all; from 0.2 on, what touches goes on beyond the picture, and
-    total is a part of its force only. It is NaN where the map has fewer than three rows or columns, as that of a model that
-    only knows totals.
-    """
-
-    cells: np.ndarray
-    total: np.ndarray
-    half_width: np.ndarray | None
-    flag: bool
-    reason: str
-    by_dots: np.ndarray | None
-    edge_peak: float
+    found = Reader(_nocontact(nocontact, untouched), model=model)(image)
+    return found.cells, vars(found) | {"flag": found.flag}
 
 
 class Reader:
-    """Reads forces from images of one sensor, NumPy in and out.
+    """Predicts forces from images of one sensor, NumPy in and out.
 
-    untouched: picture (h, w, 3) uint8 RGB of the sensor while nothing touches it; may be left out with a profile, which
-    holds one. profile: path of a profile that `gelforge sensor` wrote, whose factor the forces are multiplied by. model:
-    path of a model; the network that ships where None. Raises BadInput for pictures that are none of this sensor.
+    nocontact: picture (h, w, 3) uint8 RGB of the sensor while nothing touches it; may be left out with a profile, which holds
+    one; untouched: its former name. profile: path of a profile that `gelforge sensor` wrote, whose factor the forces are
+    multiplied by. model: path of a model; the network that ships where None. device: "cpu", or "cuda" where onnxruntime has
+    it. threads: that one image is predicted with. Raises BadInput for pictures that are none of this sensor.
     """
 
-    def __init__(self, untouched: np.ndarray | None = None, profile: Path | str | None = None, model: Any = None):
-        from gelforge.networks.sensorprofile import untouched_of
-        from gelforge.networks.use import Untouched, load_for_use
+    def __init__(
+        self,
+        nocontact: np.ndarray | None = None,
+        profile: Path | str | None = None,
+        model: Any = None,
+        device: str = "cpu",
+        threads: int = 1,
+        untouched: np.ndarray | None = None,
+    ):
+        from gelforge.networks.inference.predictor import Predictor, load_for_use
+        from gelforge.networks.inference.sensorprofile import with_profile
 
-        path, trained = None if profile is None else Path(profile), load_for_use(model)
-        picture, gain = untouched_of(path, None if untouched is None else check_image(untouched), trained.about)
-        self._untouched = Untouched(trained, picture, gain=gain)
+        path, loaded = None if profile is None else Path(profile), load_for_use(model)
+        picture, gain = with_profile(path, _nocontact(nocontact, untouched), loaded.metadata)
+        self._predictor = Predictor(loaded, picture, gain, device, threads)
 
     def __call__(self, image: np.ndarray) -> ForceReading:
-        """Read one image (h, w, 3) uint8 RGB by itself; for those that a camera gives one after the other: `stream`."""
-        return self._read(check_image(image), None)
+        """Predict one image (h, w, 3) uint8 RGB. Nothing carries over from one image to the next."""
+        return self._predictor.predict(check_image(image))
 
     def stream(self, images: Iterable[np.ndarray]) -> Iterator[ForceReading]:
-        """Read images (h, w, 3) uint8 RGB as they come from a camera, one reading each, as `gelforge live` does.
+        """Predict images (h, w, 3) uint8 RGB as they come from a camera, one reading each: the same as one by one.
 
-        Where the gel sits otherwise than in the untouched picture, the last of them tell it together, which is surer than
-        what one does, and keeps forces from jumping as a press begins; a gel that is pushed in its holder is followed within
-        20 images. Where images cannot tell it, as those that do not show the gel's rim, each is read by itself. One that is no
-        image raises BadInput and ends the stream.
+        One that is no image raises BadInput and ends the stream.
         """
-        from gelforge.networks.sitting import Stream
+        return map(self, images)
 
-        stream = Stream(self._untouched)
-        return (reading_of(*stream.read(check_image(image))[1:]) for image in images)
-
-    def _read(self, image: np.ndarray, placement: "Placement | None") -> ForceReading:
-        from gelforge.networks.use import predict_one
-
-        return reading_of(*predict_one(self._untouched, image, placement)[1:])
-
-    def batch(self, images: np.ndarray, one_sitting: bool = False) -> list[ForceReading]:
-        """Read images (n, h, w, 3) uint8 RGB, one reading each.
-
-        one_sitting: whether the gel sat in its holder alike in all of them, as `gelforge predict` takes the images of
-        one call to be, whose forces these then are. Then four and more of them tell together how it sits, which is
-        surer than what one of them does. Otherwise each is read by itself, as if no other were there: where the gel
-        sits otherwise than in the untouched picture, or seems to in one of the images, forces differ from those of
-        `gelforge predict`.
-        """
-        from gelforge.networks.sitting import place_sitting
-
-        checked = [check_image(image) for image in images]
-        placement = place_sitting(self._untouched, checked) if one_sitting else None
-        return [self._read(image, placement) for image in checked]
+    def batch(self, images: Iterable[np.ndarray]) -> list[ForceReading]:
+        """Predict images (h, w, 3) uint8 RGB, one reading each: the same as one by one."""
+        return [self(image) for image in images]
 
 
-def reading_of(cells: np.ndarray, judged: "Judgement") -> ForceReading:
-    """What was read in an image: forces (3, rows, cols) N, and a judgement of them."""
-    total = cells.sum(axis=(1, 2), dtype=float)
-    return ForceReading(cells, total, judged.half_width, judged.flag, judged.reason, judged.by_dots, judged.edge_peak)
+def _nocontact(nocontact: np.ndarray | None, untouched: np.ndarray | None) -> np.ndarray | None:
+    """The no-contact image under its name or its former one."""
+    if untouched is not None:
+        warnings.warn(
+            "untouched= is called nocontact= now, and will be gone in the next release", DeprecationWarning, 3
+        )
+    picture = untouched if nocontact is None else nocontact
+    return None if picture is None else check_image(picture)
 
 
 def check_image(image: np.ndarray) -> np.ndarray:

@@ -250,12 +250,12 @@ def flips(data: bytes, rng, count: int) -> Iterator[tuple[str, bytes]]:
 
 def array_cases(folder: Path) -> Iterator[Case]:
     """Solves, labels and networks, damaged: refused, or read as they were."""
-    from gelforge.networks.modelfile import load_model, save_model, tensor_digest
-    from gelforge.networks.use import load_for_use
+    from gelforge.networks.checkpoint.modelfile import digest_of_graph, load_model, save_model
+    from gelforge.networks.inference.predictor import load_for_use
     from gelforge.records.labelfile import read_labels
 
     rng = np.random.default_rng(5)
-    labels, network = folder / "24x32.npz", folder / "net.pt"
+    labels, network = folder / "24x32.npz", folder / "net.onnx"
     np.savez(labels, sample_id=np.array(["a", "b", "c"]), status=np.array(["OK", "OK", "DIVERGED"]), c10=np.float64(0.0792),
              label=rng.normal(size=(3, 3, 24, 32)).astype(np.float32), outside=np.full((3, 3), np.nan))  # fmt: skip
     save_model(network, load_for_use(None))
@@ -265,7 +265,7 @@ def array_cases(folder: Path) -> Iterator[Case]:
         return [found.sample_id.tolist(), float(np.asarray(found.label[...]).sum(dtype=float)), found.material]
 
     def weights_of(path):
-        return tensor_digest(load_model(path).net.state_dict())
+        return digest_of_graph(load_model(path).stages["forces"])
 
     for area, path, read, count in (("labels", labels, labels_of, 24), ("networks", network, weights_of, 24)):
         clean = read(path)

@@ -7,11 +7,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from gelforge.networks.modelfile import Trained
-from gelforge.networks.sensorprofile import Gain, fit_opposite
-from gelforge.networks.sitting import Stream
-from gelforge.networks.still import SETTLING, find_untouched
-from gelforge.networks.use import Untouched
+from gelforge.networks.checkpoint.modelfile import ForceModel
+from gelforge.networks.inference.predictor import Predictor
+from gelforge.networks.inference.sensorprofile import Gain, fit_opposite
+from gelforge.networks.preprocess.nocontact import SETTLING, find_nocontact
 from gelforge.records.film import frames, open_source
 from gelforge.records.markers import find_blobs
 from gelforge.records.totals import BEYOND
@@ -63,20 +62,19 @@ def motion_of(dots: np.ndarray, rest: np.ndarray, image: np.ndarray) -> np.ndarr
     return np.where(kept[:, None], (found - start).reshape(-1, 2), np.nan)
 
 
-def read_film(path: Path, trained: Trained) -> Read:
+def read_film(path: Path, model: ForceModel) -> Read:
     """Read every third frame of a film in both ways, and follow its dots."""
     images = frames_of(path)
-    rest, _ = find_untouched(iter(images), str(path))
-    dots, as_it_is, one = find_blobs(rest)[0], bare(trained, images[0]), Untouched(trained, rest)
+    rest, _ = find_nocontact(iter(images), str(path))
+    dots, as_it_is, predictor = find_blobs(rest)[0], bare(model, images[0]), Predictor(model, rest)
     chosen = images[SETTLING::EVERY]  # while a camera sets its exposure nothing is known
-    stream = Stream(one)
-    forces, judgements = zip(*(stream.read(image)[1:] for image in chosen), strict=True)
+    found = [predictor.predict(image) for image in chosen]
     return Read(
-        used=np.array([one.sum((1, 2)) for one in forces]),
+        used=np.array([one.total for one in found]),
         bare=np.array([as_it_is(image).sum((1, 2)) for image in chosen]),
         motion=np.array([motion_of(dots, rest, image) for image in chosen]),
-        flagged=np.array([judgement.flag for judgement in judgements]),
-        peak=np.array([judgement.edge_peak for judgement in judgements]),
+        flagged=np.array([one.flag for one in found]),
+        peak=np.array([one.edge_peak for one in found]),
     )
 
 

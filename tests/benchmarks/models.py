@@ -28,12 +28,12 @@ from gelforge.records.image import read_image
 from gelforge.records.log import read_presses
 from tests.benchmarks.figures import Figure, publish_figures
 
-if TYPE_CHECKING:  # at run time it would bring torch along
-    from gelforge.networks.use import Untouched
+if TYPE_CHECKING:
+    from gelforge.networks.inference.predictor import Predictor
 
 IMAGE, GRID = (240, 320), (24, 32)
 BASELINE, LIGHT = "unet", "pair_24_mirrored"
-SHIPS = "continued"  # as the network that ships is built, which is deeper than LIGHT
+SHIPS = "tuned"  # as the network that ships is built, which is deeper than LIGHT
 PROBED = 24  # presses of the made-up dataset: three batches an epoch
 ABLATION = ("unet", "unet_single", "resnet34")
 # The paper's shapes that its training never saw; all others that training does not see are of no catalogue.
@@ -69,13 +69,13 @@ def load_workflow() -> tuple[dict, TrainTable]:
 
 def speed_figures(models: dict, seconds: float) -> list[Figure]:
     """How much faster the net that ships is than the U-net, with one and two threads."""
-    from gelforge.networks.latency import time_models
+    from gelforge.networks.evaluation.latency import time_predictors
 
-    readers = {name: untrained_reader(models[name]) for name in (BASELINE, SHIPS)}
     image = np.random.default_rng(0).integers(0, 256, (*IMAGE, 3), np.uint8)
     figures = []
     for threads in (1, 2):
-        timed = time_models(readers, image, threads, seconds)
+        predictors = {name: untrained(models[name], threads) for name in (BASELINE, SHIPS)}
+        timed = time_predictors(predictors, image, seconds)
         ms = {name: timed[name]["median_ms"] for name in timed}
         spread = {name: f"{timed[name]['p10_ms']:.1f} to {timed[name]['p90_ms']:.1f}" for name in timed}
         figures.append(
@@ -92,44 +92,37 @@ def speed_figures(models: dict, seconds: float) -> list[Figure]:
 
 
 def chain_figure(seconds: float) -> Figure:
-    """All that `predict` does with a picture over reading it once by the network of brightness, on the demo's pairs, one thread.
+    """All that `predict` does with a picture over its graph alone, on the demo's pairs, one thread.
 
     Both take turns, and of each the time is told that the fastest tenth of its runs stays below: longer runs are
     interrupted more often by other programs, which would count as theirs.
     """
     import cv2
-    import torch
 
-    from gelforge.networks.bothways import OneWay
-    from gelforge.networks.use import GIVEN, predict_one
-
-    pairs = demo_pairs()
-    once = {one: OneWay(one.trained, one.picture(GIVEN)) for one in {one for one, _ in pairs}}
-    threads = torch.get_num_threads(), cv2.getNumThreads()
-    torch.set_num_threads(1)
+    pairs = [(predictor, image, predictor.prepare(image)) for predictor, image in demo_pairs()]
+    threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     whole, alone = [], []
     try:
         ends = time.perf_counter() + seconds
         while time.perf_counter() < ends:
-            whole += [seconds_of(predict_one, untouched, image) for untouched, image in pairs]
-            alone += [seconds_of(once[untouched].read, image) for untouched, image in pairs]
+            whole += [seconds_of(predictor.predict, image) for predictor, image, _ in pairs]
+            alone += [seconds_of(predictor.raw, seen) for predictor, _, seen in pairs]
     finally:
-        torch.set_num_threads(threads[0])
-        cv2.setNumThreads(threads[1])
+        cv2.setNumThreads(threads)
     ms = [1e3 * float(np.quantile(times, 0.1)) for times in (whole, alone)]
     note = f"{ms[0]:.1f} ms against {ms[1]:.1f} ms"
-    return Figure("all that predict does over its network alone, 1 thread", ms[0] / ms[1], "<=", 2.5, "times", note)
+    return Figure("all that predict does over its network alone, 1 thread", ms[0] / ms[1], "<=", 1.6, "times", note)
 
 
-def demo_pairs() -> list[tuple["Untouched", np.ndarray]]:
-    """What the network that ships reads pictures against, and the picture (h, w, 3) uint8, of every press of the demo."""
-    from gelforge.networks.use import Untouched, load_for_use
+def demo_pairs() -> list[tuple["Predictor", np.ndarray]]:
+    """The predictor that ships and the picture (h, w, 3) uint8 of every press of the demo."""
+    from gelforge.networks.inference.predictor import Predictor, load_for_use
 
-    trained, folder = load_for_use(None), Path("data/demo")
+    model, folder = load_for_use(None), Path("data/demo")
     presses = read_presses(folder / "log.csv")
     beside = {
-        name: Untouched(trained, read_image(folder / f"nocontact/{name}.png"))
+        name: Predictor(model, read_image(folder / f"nocontact/{name}.png"))
         for name in {press.sensor_id for press in presses}
     }
     return [(beside[press.sensor_id], read_image(folder / press.image)) for press in presses]
@@ -142,25 +135,26 @@ def seconds_of(work: Callable[..., object], *given: object) -> float:
     return time.perf_counter() - started
 
 
-def untrained_reader(model: dict):
+def untrained(model: dict, threads: int) -> "Predictor":
     """A network with fresh weights and unit scales, for timing."""
-    from gelforge.networks.modelfile import SensorNet, Trained
-    from gelforge.networks.models import build
+    from gelforge.networks.checkpoint.modelfile import ForceModel
+    from gelforge.networks.checkpoint.onnxexport import export
+    from gelforge.networks.inference.predictor import Predictor, load_for_use
+    from gelforge.networks.models.registry import build
 
-    norm = dict.fromkeys(("image_mean", "image_std", "label"), [1.0, 1.0, 1.0]) | {
-        "reads": model.get("reads", "image")
-    }
-    trained = Trained(build(model, IMAGE, GRID).eval(), {"normalisation": norm, "image": IMAGE})
-    return SensorNet(trained, np.zeros((*IMAGE, 3), np.uint8))
+    norm = {"image_mean": [0.4] * 3, "image_std": [0.2] * 3, "label": [1.0] * 3, "reads": model.get("reads", "image")}
+    metadata = load_for_use(None).metadata | {"normalisation": norm, "tta": False}
+    graph = export(build(model, IMAGE, GRID).eval(), metadata)
+    return Predictor(ForceModel(metadata, {"forces": graph}), np.zeros((*IMAGE, 3), np.uint8), threads=threads)
 
 
 def train_apart(dataset: Path, name: str, settings: TrainTable, folder: Path):
     """Train in a process of its own, so that its peak memory is its own; return the model."""
-    from gelforge.networks.modelfile import load_model
+    from gelforge.networks.checkpoint.modelfile import load_model
 
     params = folder / f"{name}.json"
     write_json(params, plain(ForTrain(version=1, train=settings)))
-    out = folder / f"{name}.pt"
+    out = folder / f"{name}.onnx"
     subprocess.run(
         [
             sys.executable,
@@ -183,14 +177,11 @@ def train_apart(dataset: Path, name: str, settings: TrainTable, folder: Path):
 
 
 def training_figures(settings: TrainTable, folder: Path, dataset: Path) -> list[Figure]:
-    """Peak memory, waiting for data and the ONNX form, for the U-net and the light net."""
-    from gelforge.networks.onnxgraph import export, largest_difference
-
-    images = np.load(dataset / "images.npy")[:2]
+    """Peak memory and waiting for data, for the U-net and the light net; the export itself compares graph and network."""
     figures = []
     for name, epochs in ((BASELINE, 1), (LIGHT, 6)):
         trained = train_apart(dataset, name, replace(settings, epochs=epochs), folder)
-        cost = trained.about["cost"]
+        cost = trained.metadata["cost"]
         figures.append(
             Figure(f"peak memory of training `{name}`, batch {settings.batch}", cost["peak_gib"], "<=", 4.0, "GiB")
         )
@@ -204,9 +195,6 @@ def training_figures(settings: TrainTable, folder: Path, dataset: Path) -> list[
                 f"{1e3 * cost['seconds'] / cost['steps']:.0f} ms a step",
             )
         )
-        export(trained, folder / f"{name}.onnx")
-        for engine, value in largest_difference(trained, folder / f"{name}.onnx", images).items():
-            figures.append(Figure(f"ONNX of `{name}` in {engine} against torch", value, "<=", 1e-5, "of the range"))
     return figures
 
 
@@ -214,8 +202,8 @@ def resume_figure(models: dict, settings: TrainTable, folder: Path, dataset: Pat
     """Difference between the validation curves of a whole training and one that stopped and went on."""
     import torch
 
-    from gelforge.networks.data import open_data, scales
-    from gelforge.networks.training import Training, fit
+    from gelforge.networks.data.arrays import open_data, scales
+    from gelforge.networks.training.loop import Training, fit
     from gelforge.stages.train import resolve
 
     torch.set_num_threads(settings.threads)
@@ -224,8 +212,8 @@ def resume_figure(models: dict, settings: TrainTable, folder: Path, dataset: Pat
     norm = scales(data, False, model["reads"])
     whole, cut, rest = (Training(model, settings, norm, IMAGE, GRID, "cpu") for _ in range(3))
     fit(whole, data)
-    fit(cut, data, folder / "cut.checkpoint.pt", "one", epochs=2)
-    fit(rest, data, folder / "cut.checkpoint.pt", "one")
+    fit(cut, data, folder / "cut.checkpoint.safetensors", "one", epochs=2)
+    fit(rest, data, folder / "cut.checkpoint.safetensors", "one")
     worst = max(abs(a[key] - b[key]) for a, b in zip(whole.curve, rest.curve, strict=True) for key in a)
     return Figure(
         "validation curve, interrupted and resumed against whole",
@@ -258,7 +246,7 @@ def chart_figures(chart: dict) -> list[Figure]:
 def accuracy_figures(result: dict) -> list[Figure]:
     """Errors of what `predict` tells: known and unseen units and shapes, cells, single contacts, and the labels themselves."""
     splits, span = result["splits"], result["force_range"]
-    test = splits["test"]["told"]
+    test = splits["test"]
     figures = []
     for axis, (mean, most) in KNOWN_GOALS.items():
         error, known = test["total"][axis], f"known units and shapes, total {axis}"
@@ -274,7 +262,7 @@ def accuracy_figures(result: dict) -> list[Figure]:
         figures += [
             Figure(
                 f"unseen units, total {axis}",
-                units["told"]["total"][axis]["mae_percent_of_range"],
+                units["total"][axis]["mae_percent_of_range"],
                 "<=",
                 goal,
                 "% of range",
@@ -282,10 +270,10 @@ def accuracy_figures(result: dict) -> list[Figure]:
             for axis, goal in UNSEEN_UNIT_GOALS.items()
         ]
     if shapes := splits.get("test_unseen_indenter"):
-        figures += shape_figures(shapes["told"]["per_indenter"], test["total"])
+        figures += shape_figures(shapes["per_indenter"], test["total"])
     for name, split in splits.items():
-        if split["told"]["contacts"]["n"]:
-            apart = split["told"]["contacts"]
+        if split["contacts"]["n"]:
+            apart = split["contacts"]
             note = f"{apart['n']} contacts, {apart['mae']:.2f} N"
             figures.append(
                 Figure(f"each of several contacts at once, {name}", apart["percent"], "<=", 5.0, "%", note)

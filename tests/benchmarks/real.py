@@ -13,25 +13,21 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import torch
 
 from gelforge.api import gelsight_mini
 from gelforge.errors import BadInput
 from gelforge.flow.main import command, option
 from gelforge.flow.progress import progress
 from gelforge.formats.numpy_pickle import read_npy
-from gelforge.networks.canonical import match_light
-from gelforge.networks.modelfile import Trained
-from gelforge.networks.placement import UNPLACED
-from gelforge.networks.sensorprofile import fingerprint
-from gelforge.networks.sitting import Stream, place_sitting
-from gelforge.networks.use import Untouched, load_for_use, predict_one
+from gelforge.networks.checkpoint.modelfile import ForceModel, fingerprint
+from gelforge.networks.inference.predictor import Predictor, load_for_use
+from gelforge.networks.preprocess.illumination import match_light
 from gelforge.records.image import read_image
 from tests.benchmarks.balls import FOLDER as BALLS
 from tests.benchmarks.balls import ball_figures, ball_presses, no_contact
 from tests.benchmarks.figures import PUBLISHED_DATA, Figure, publish_figures
 from tests.benchmarks.films import finger_figures, frames_of, read_film, released_figures, sideways_figures
-from tests.benchmarks.ways import as_it_lies, as_used, bare
+from tests.benchmarks.ways import as_used, bare
 from tests.pictures import moved
 
 PANEL = 200  # px of width of each of the four panels of FEATS' film: x, y, normal map, picture
@@ -49,13 +45,11 @@ PX_PER_MM, FEATS_PX_PER_MM = float(np.hypot(*gelsight_mini().projection[0, :2]))
 CUBOID_MM, TUBE_MM = 9.4, 8.6
 TUBES = (9, 31, 45, 49)  # frames of FEATS' film in which the whole ring of that tube presses
 FOOT = 0.35  # share of a map's largest force from which a cell counts as pressed
-# How a gel that was put back may be seen (tests.pictures.moved), and presses from which that can be told, N.
 NEWTONS = 0.30, 0.17  # a cell at the end of FEATS' colour scale: its code knows both
 SLIPPED = {
     "a zoom of 4 thousandths": {"zoom": 1.004},
     "a shift of 0.5 px": {"shift": (0.4, 0.3)},
 }  # that nothing corrects
-MOVES = {"shifted by 2 px": {"shift": (1.6, 1.2)}, "3 % larger": {"zoom": 1.03}}
 LEAST_PRESS = 2.0
 LEAST_TOTAL = 0.05  # N that is taken to be read at least where a logarithm is taken
 # Folders of the reference data, and a kind of file in each.
@@ -87,16 +81,9 @@ def film_panels(path: Path) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         )
 
 
-def feats_maps(path: Path, trained: Trained, untouched: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Picture and normal map of each press as `film_panels` gives them, the name covered by the gel as it looks untouched.
-
-    That lies there as all pictures' other dots tell, and in their light. Its dots as they are would stand still where the
-    others do not, which tells of a contact in that corner; no dots at all look like a gel that is worn there.
-    """
-    panels = list(film_panels(path))
-    placement = place_sitting(Untouched(trained, untouched), [picture for picture, _ in panels]) or UNPLACED
-    behind = cv2.warpAffine(untouched, placement.matrix, (320, 240), borderMode=cv2.BORDER_REPLICATE)
-    return [(_named_over(picture, behind), normal) for picture, normal in panels]
+def feats_maps(path: Path, nocontact: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Picture and normal map of each press as `film_panels` gives them, the name covered by the gel of the no-contact image."""
+    return [(_named_over(picture, nocontact), normal) for picture, normal in film_panels(path)]
 
 
 def _named_over(picture: np.ndarray, behind: np.ndarray) -> np.ndarray:
@@ -121,12 +108,12 @@ def likeness(maps: list[tuple[np.ndarray, np.ndarray]], *how: float) -> float:
 
 
 def gif_figures(
-    presses: list[tuple[np.ndarray, np.ndarray]], trained: Trained, untouched: np.ndarray
+    presses: list[tuple[np.ndarray, np.ndarray]], model: ForceModel, nocontact: np.ndarray
 ) -> list[Figure]:
     """Normal maps against FEATS' own, which are scaled each to itself; so are the totals' ranks. presses: of feats_maps."""
     found, own_mm = {}, FEATS_PX_PER_MM / PX_PER_MM
     for way, make in (("used", as_used), ("bare", bare)):
-        read = make(trained, untouched, [picture for picture, _ in presses])
+        read = make(model, nocontact)
         found[way] = [(-read(picture)[2], normal) for picture, normal in presses]
     used, plain = found["used"], found["bare"]
     ways = itertools.product(np.arange(0.8, 1.01, 0.02), *[np.arange(-2.0, 2.01, 0.25)] * 2)
@@ -142,10 +129,10 @@ def gif_figures(
 
 
 def newton_figures(
-    presses: list[tuple[np.ndarray, np.ndarray]], maps: Path, trained: Trained, untouched: np.ndarray
+    presses: list[tuple[np.ndarray, np.ndarray]], maps: Path, model: ForceModel, nocontact: np.ndarray
 ) -> list[Figure]:
     """Total normal force against FEATS' maps in newtons; maps: demo_maps.npz, whose pressing runs from 0 to 1 of one scale."""
-    read = as_used(trained, untouched, [picture for picture, _ in presses])
+    read = as_used(model, nocontact)
     total = np.array([-read(picture)[2][SEEN].sum(dtype=float) for picture, _ in presses])
     with np.load(maps) as stored:
         of_feats = stored["z"][:, SEEN].sum(axis=1, dtype=float)
@@ -159,9 +146,9 @@ def newton_figures(
     ]  # fmt: skip
 
 
-def slipped_figures(what: str, pictures: list[np.ndarray], trained: Trained, untouched: np.ndarray) -> list[Figure]:
+def slipped_figures(what: str, pictures: list[np.ndarray], model: ForceModel, nocontact: np.ndarray) -> list[Figure]:
     """How far force changes by a small zoom or shift between picture and no-contact image that nothing corrects."""
-    read, figures = as_it_lies(trained, untouched), []
+    read, figures = as_used(model, nocontact), []
     own = np.array([read(picture).sum((1, 2)) for picture in pictures])
     for move, how in SLIPPED.items():
         after = np.array([read(moved(picture, **how)).sum((1, 2)) for picture in pictures])
@@ -171,18 +158,17 @@ def slipped_figures(what: str, pictures: list[np.ndarray], trained: Trained, unt
     return figures
 
 
-def ball_flow(folder: Path, trained: Trained) -> list[Figure]:
-    """Figures of the presses of a ball, all of them read together."""
+def ball_flow(folder: Path, model: ForceModel) -> list[Figure]:
+    """Figures of the presses of a ball."""
     presses, background = ball_presses(folder, PX_PER_MM), no_contact(folder)
-    one = Untouched(trained, background)
-    placement = place_sitting(one, [press.image for press in presses])
+    predictor = Predictor(model, background)
 
     def read(image: np.ndarray) -> tuple[np.ndarray, bool]:
-        _, forces, judged = predict_one(one, image, placement)
-        return forces, judged.flag
+        found = predictor.predict(image)
+        return found.cells, found.flag
 
     whole = [press.image for press in presses if press.whole]
-    return [*ball_figures(presses, read), *slipped_figures("real balls", whole[::3], trained, background)]
+    return [*ball_figures(presses, read), *slipped_figures("real balls", whole[::3], model, background)]
 
 
 def ranks_alike(maps: list[tuple[np.ndarray, np.ndarray]]) -> float:
@@ -202,10 +188,10 @@ def ring_diameter(pressed: np.ndarray) -> float:
 
 
 def tube_figures(
-    presses: list[tuple[np.ndarray, np.ndarray]], trained: Trained, untouched: np.ndarray
+    presses: list[tuple[np.ndarray, np.ndarray]], model: ForceModel, nocontact: np.ndarray
 ) -> list[Figure]:
     """How wide the rings are read that a tube of known size presses: whether pictures are of the scale that is said."""
-    read = as_used(trained, untouched, [picture for picture, _ in presses])
+    read = as_used(model, nocontact)
     widths = []
     for tube in TUBES:
         pressed = -read(presses[tube][0])[2]
@@ -216,45 +202,10 @@ def tube_figures(
     return [Figure("tube of 10 and 7 mm: diameter of the ring read, off by", off, "<=", 3.0, "%", told)]
 
 
-def moved_figures(
-    presses: list[tuple[np.ndarray, np.ndarray]], trained: Trained, untouched: np.ndarray
-) -> list[Figure]:
-    """How far FEATS' pressed pictures read otherwise when they are moved, each read by itself."""
-    own_place = [picture for picture, _ in presses]
-    figures = []
-    for what, move in MOVES.items():
-        changes = {}
-        for way, make in (("used", as_used), ("bare", bare)):
-            read = make(trained, untouched)
-            own, after = (
-                np.array([read(picture).sum((1, 2)) for picture in pictures])
-                for pictures in (own_place, [moved(picture, **move) for picture in own_place])
-            )
-            change = np.abs(after - own).max(axis=1) / np.abs(own[:, 2])
-            changes[way] = 100 * change[own[:, 2] < -LEAST_PRESS]
-        used, plain = (float(np.median(changes[way])) for way in ("used", "bare"))
-        told = f"{len(changes['used'])} presses; bare {plain:.0f} %"
-        figures.append(Figure(f"real presses {what}: force changes by, median", used, "<=", 2.0, "%", told))
-    return figures
-
-
-def stream_figures(
-    presses: list[tuple[np.ndarray, np.ndarray]], trained: Trained, untouched: np.ndarray
-) -> list[Figure]:
-    """How far FEATS' pressed pictures read otherwise as frames of `live`, and each by itself, than all of them together."""
-    pictures, stream = [picture for picture, _ in presses], Stream(Untouched(trained, untouched))
-    ways = as_used(trained, untouched, pictures), lambda picture: stream.read(picture)[1], as_used(trained, untouched)
-    wanted, live, alone = (np.array([read(picture)[2].sum() for picture in pictures]) for read in ways)
-    pressed = wanted < -LEAST_PRESS
-    apart = [100 * float(np.median(np.abs(told / wanted - 1.0)[pressed])) for told in (live, alone)]
-    told = f"{pressed.sum()} presses; each by itself {apart[1]:.1f} %"
-    return [Figure("real presses as frames of live against all together, median", apart[0], "<=", 2.0, "%", told)]
-
-
-def cuboid_figures(reference: Path, trained: Trained, untouched: np.ndarray) -> list[Figure]:
+def cuboid_figures(reference: Path, model: ForceModel, nocontact: np.ndarray) -> list[Figure]:
     """A 10 mm cuboid pressed straight: sideways force beside the normal one, and how wide the contact is read."""
     image = read_image(reference / "feats/images/cuboid_10-2-284.png")[..., :3]
-    used, plain = as_used(trained, untouched, [image])(image), bare(trained, untouched)(image)
+    used, plain = as_used(model, nocontact)(image), bare(model, nocontact)(image)
     normal, sideways = -used[2].sum(), float(np.hypot(*used[:2].sum((1, 2))))
     pressed = -used[2]
     area = np.count_nonzero(pressed > 0.5 * np.percentile(pressed, 98)) * (10.0 / PX_PER_MM) ** 2
@@ -283,24 +234,23 @@ def need_pictures(reference: Path) -> None:
 )
 def main(args: Namespace) -> None:
     need_pictures(args.reference)
-    torch.set_num_threads(1)  # networks so small are read faster by one, and beside other work far faster
-    trained = load_for_use(args.model)
+    model = load_for_use(args.model)
     films = sorted((args.reference / "gripper_videos").glob("*.avi"))
-    read = {path.stem: read_film(path, trained) for path in progress(films, "films", len(films))}
-    untouched = read_npy(args.reference / "feats/images/nocontact_train_sensor.npy")["gs_img"]
+    read = {path.stem: read_film(path, model) for path in progress(films, "films", len(films))}
+    nocontact = read_npy(args.reference / "feats/images/nocontact_train_sensor.npy")["gs_img"]
     figures = [*released_figures(read), *finger_figures(read), *sideways_figures(read)]
-    presses = feats_maps(args.reference / "feats/images/demo.gif", trained, untouched)
-    for measure in (gif_figures, tube_figures, moved_figures, stream_figures):
-        figures += measure(presses, trained, untouched)
-    figures += newton_figures(presses, args.reference / "feats/images/demo_maps.npz", trained, untouched)
-    figures += slipped_figures("FEATS' presses", [picture for picture, _ in presses][::3], trained, untouched)
-    figures += ball_flow(args.reference / BALLS, trained)
-    figures += cuboid_figures(args.reference, trained, untouched)
-    publish_figures(args.out, figures, fingerprint(trained.about))
+    presses = feats_maps(args.reference / "feats/images/demo.gif", nocontact)
+    for measure in (gif_figures, tube_figures):
+        figures += measure(presses, model, nocontact)
+    figures += newton_figures(presses, args.reference / "feats/images/demo_maps.npz", model, nocontact)
+    figures += slipped_figures("FEATS' presses", [picture for picture, _ in presses][::3], model, nocontact)
+    figures += ball_flow(args.reference / BALLS, model)
+    figures += cuboid_figures(args.reference, model, nocontact)
+    publish_figures(args.out, figures, fingerprint(model.metadata))
     if args.page:
         from tests.benchmarks.real_page import write_page
 
-        write_page(args.page, trained, args.reference, films, figures)
+        write_page(args.page, model, args.reference, films, figures)
 
 
 if __name__ == "__main__":

@@ -8,9 +8,9 @@ import numpy as np
 
 from gelforge.flow.files import write_text
 from gelforge.formats.numpy_pickle import read_npy
-from gelforge.networks.modelfile import Trained
-from gelforge.networks.still import find_untouched
-from gelforge.networks.use import Untouched, predict_one
+from gelforge.networks.checkpoint.modelfile import ForceModel
+from gelforge.networks.inference.predictor import Predictor
+from gelforge.networks.preprocess.nocontact import find_nocontact
 from gelforge.records.axes import CHANNEL_OF_AXIS
 from gelforge.records.image import encode_png, read_image
 from gelforge.reporting.forcemaps import overlay
@@ -24,11 +24,11 @@ A_ROW = 4  # pictures side by side
 OF_THE_GIF = 12  # of FEATS' 51 presses
 
 
-def read_over(untouched: Untouched, image: np.ndarray) -> np.ndarray:
+def read_over(predictor: Predictor, image: np.ndarray) -> np.ndarray:
     """An image (h, w, 3) RGB with its force map, totals and their intervals on it, and why it is flagged."""
-    seen, forces, judged = predict_one(untouched, image)
-    lines = total_lines(forces.sum((1, 2), dtype=float), judged.half_width)
-    drawn = overlay(cv2.cvtColor(seen, cv2.COLOR_RGB2BGR), forces, lines, judged.reason if judged.flag else "", 1)
+    found = predictor.predict(image)
+    lines = total_lines(found.total, found.half_width)
+    drawn = overlay(cv2.cvtColor(found.image, cv2.COLOR_RGB2BGR), found.cells, lines, found.reason, 1)
     return cv2.cvtColor(drawn, cv2.COLOR_BGR2RGB)
 
 
@@ -55,8 +55,8 @@ def rows_of(pictures: list[np.ndarray]) -> Iterator[bytes]:
         yield strip(pictures[start : start + A_ROW])
 
 
-def film_section(trained: Trained, films: Sequence[Path]) -> Section:
-    """Of each film its untouched picture and the frame that is least like it."""
+def film_section(model: ForceModel, films: Sequence[Path]) -> Section:
+    """Of each film its no-contact image and the frame that is least like it."""
     section = Section("Films of grippers").text(
         "Left: the first frames at rest. Right: the frame that is least like them, with the normal force as heat, the"
         " sideways force as arrows, and totals with the intervals that hold nine of ten on unseen units of the rig."
@@ -64,29 +64,29 @@ def film_section(trained: Trained, films: Sequence[Path]) -> Section:
     pictures = []
     for path in films:
         images = frames_of(path)
-        rest, _ = find_untouched(iter(images), str(path))
+        rest, _ = find_nocontact(iter(images), str(path))
         hardest = max(images, key=lambda image: float(np.abs(image.astype(np.int16) - rest).mean()))
-        untouched = Untouched(trained, rest)
-        pictures += [read_over(untouched, rest), read_over(untouched, hardest)]
+        predictor = Predictor(model, rest)
+        pictures += [read_over(predictor, rest), read_over(predictor, hardest)]
     for k, row in enumerate(rows_of(pictures)):
         section.picture(row, ", ".join(path.stem for path in films[k * A_ROW // 2 : (k + 1) * A_ROW // 2]))
     return section
 
 
-def feats_sections(trained: Trained, reference: Path) -> list[Section]:
+def feats_sections(model: ForceModel, reference: Path) -> list[Section]:
     """FEATS' cuboid, and presses of its film beside FEATS' own normal maps."""
     rest = read_npy(reference / "feats/images/nocontact_train_sensor.npy")["gs_img"]
-    untouched = Untouched(trained, rest)
+    predictor = Predictor(model, rest)
     cuboid = read_image(reference / "feats/images/cuboid_10-2-284.png")[..., :3]
     one = Section("FEATS' 10 mm cuboid").picture(
-        strip([rest, cuboid, read_over(untouched, cuboid)]),
+        strip([rest, cuboid, read_over(predictor, cuboid)]),
         "Untouched on another day, pressed 2.3 mm, and as it is read.",
     )
-    presses = feats_maps(reference / "feats/images/demo.gif", trained, rest)
+    presses = feats_maps(reference / "feats/images/demo.gif", rest)
     pictures = []
     for image, normal in presses[:: max(1, len(presses) // OF_THE_GIF)][:OF_THE_GIF]:
         theirs = cv2.applyColorMap(np.uint8(255 * normal), cv2.COLORMAP_INFERNO)[..., ::-1]
-        pictures += [cv2.resize(theirs, (320, 240), interpolation=cv2.INTER_NEAREST), read_over(untouched, image)]
+        pictures += [cv2.resize(theirs, (320, 240), interpolation=cv2.INTER_NEAREST), read_over(predictor, image)]
     section = Section("FEATS' film").text(
         "Left: its own normal map, scaled to itself. Right: what is read here. FEATS places forces at 14 px/mm where pictures"
         " show 15.8, so its maps are a ninth smaller."
@@ -96,8 +96,8 @@ def feats_sections(trained: Trained, reference: Path) -> list[Section]:
     return [one, section]
 
 
-def write_page(path: Path, trained: Trained, reference: Path, films: Sequence[Path], figures: list[Figure]) -> None:
+def write_page(path: Path, model: ForceModel, reference: Path, films: Sequence[Path], figures: list[Figure]) -> None:
     """Write the page."""
-    sections = [figure_table(figures), film_section(trained, films), *feats_sections(trained, reference)]
+    sections = [figure_table(figures), film_section(model, films), *feats_sections(model, reference)]
     lead = "No force was measured beside these pictures. The network learnt from the virtual rig alone."
     write_text(path, render("real sensors", lead, sections))

@@ -12,12 +12,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from synthetic_presses import SETTINGS
 
 from gelforge.errors import BadInput
-from gelforge.networks.augment import (
+from gelforge.networks.data.augment import (
     RGB_TO_YIQ,
     augment,
     colour_matrices,
     mirror_together,
-    misplace_untouched,
+    misplace_nocontact,
     narrow_views,
     shift_together,
 )
@@ -79,16 +79,16 @@ def test_the_untouched_sensor_is_coloured_as_its_image():
 def test_a_misplaced_untouched_picture_leaves_the_image_alone():
     pairs, none = np.random.default_rng(0).integers(0, 255, (6, 24, 32, 6), np.uint8), np.zeros(6, bool)
     every = replace(SETTINGS.augment, misplaced_share=1.0)
-    assert np.array_equal(misplace_untouched(pairs, ~none, every, torch.Generator().manual_seed(1)), pairs)
+    assert np.array_equal(misplace_nocontact(pairs, ~none, every, torch.Generator().manual_seed(1)), pairs)
     still = replace(SETTINGS.augment, misplaced_share=0.0)
-    assert np.array_equal(misplace_untouched(pairs, none, still, torch.Generator().manual_seed(1)), pairs)
-    moved = misplace_untouched(pairs, none, replace(still, misplaced_share=1.0), torch.Generator().manual_seed(1))
+    assert np.array_equal(misplace_nocontact(pairs, none, still, torch.Generator().manual_seed(1)), pairs)
+    moved = misplace_nocontact(pairs, none, replace(still, misplaced_share=1.0), torch.Generator().manual_seed(1))
     assert np.array_equal(moved[..., :3], pairs[..., :3])
     assert all((one != other).any() for one, other in zip(moved[..., 3:], pairs[..., 3:], strict=True))
     aside = replace(still, misplaced_share=1.0, misplaced_px=2.0, misplaced_deg=0.0, misplaced_zoom=0.0)
     dot = np.zeros((40, 24, 32, 6), np.uint8)
     dot[:, 12, 16] = 255
-    moved = misplace_untouched(dot, np.zeros(40, bool), aside, torch.Generator().manual_seed(1))[..., 3].astype(float)
+    moved = misplace_nocontact(dot, np.zeros(40, bool), aside, torch.Generator().manual_seed(1))[..., 3].astype(float)
     v, u = np.mgrid[:24, :32]
     places = np.array([[(w * u).sum() / w.sum(), (w * v).sum() / w.sum()] for w in moved]) - [16, 12]
     assert np.abs(places).max() <= 2.01 and np.ptp(places, axis=0).min() > 3.0

@@ -5,8 +5,8 @@ import pytest
 from pressed_dataset import bump, collect, label, write_pressed
 
 from gelforge.flow.files import read_csv
-from gelforge.networks.data import open_data
-from gelforge.networks.evaluation import reference_totals
+from gelforge.networks.data.arrays import open_data
+from gelforge.networks.evaluation.evaluation import reference_totals
 from gelforge.records.axes import AXIS_OF_CHANNEL, CHANNEL_OF_AXIS, CHANNELS, FORCE_OF_CHANNEL, TITLES
 from gelforge.records.forcefile import SampleForces, write_forces
 from gelforge.records.labelfile import read_labels

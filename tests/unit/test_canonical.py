@@ -7,11 +7,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gelforge.errors import BadInput
-from gelforge.networks.canonical import Resting, match_light, view_of
-from gelforge.networks.still import FEWEST, MOST, STILL, find_untouched
-from gelforge.networks.use import Untouched, load_for_use, predict_one
+from gelforge.networks.inference.predictor import Predictor, load_for_use
+from gelforge.networks.preprocess.illumination import Reference, match_light
+from gelforge.networks.preprocess.markertracks import MarkerTracker
+from gelforge.networks.preprocess.nocontact import FEWEST, MOST, STILL, find_nocontact
+from gelforge.networks.preprocess.registration import OF_CONTACT, rim_shift, shifted_back
+from gelforge.networks.preprocess.scale import fit_size, view_of
 from gelforge.records.image import read_image
 from gelforge.records.markers import pitch_of
+from tests.pictures import moved
 
 SIZE = (240, 320)
 
@@ -109,14 +113,14 @@ def test_drifting_light_is_no_force(shipped, untouched, drift):
     """On sensors that the network never saw: below 0.01 N where it read up to 26 N of the bare difference."""
     for picture in untouched:
         drifted = np.clip(np.rint(DRIFTS[drift](picture.astype(float))), 0, 255).astype(np.uint8)
-        _, forces, judged = predict_one(Untouched(shipped, picture), drifted)
-        assert np.abs(forces.sum((1, 2))).max() < 0.01
-        assert judged.light.known
+        predictor = Predictor(shipped, picture)
+        assert np.abs(predictor.predict(drifted).total).max() < 0.01
+        assert predictor.prepare(drifted).light.known
 
 
 def test_the_untouched_picture_itself_reads_zero(shipped, untouched):
     for picture in untouched:
-        assert np.array_equal(predict_one(Untouched(shipped, picture), picture)[1], np.zeros((3, 24, 32)))
+        assert np.array_equal(Predictor(shipped, picture).predict(picture).cells, np.zeros((3, 24, 32)))
 
 
 def film(*parts):
@@ -132,26 +136,33 @@ def film(*parts):
 
 def test_the_untouched_picture_comes_from_frames_at_rest():
     frames = list(film(("exposing", 8), ("rest", 8), ("moving", 10)))
-    picture, stream = find_untouched(iter(frames), "film")
+    picture, stream = find_nocontact(iter(frames), "film")
     assert np.abs(picture.astype(float) - gel(2)).mean() < 1.5
     assert [np.array_equal(a, b) for a, b in zip(stream, frames, strict=True)] == [True] * len(frames)
 
 
+def test_frames_of_a_large_camera_are_kept_small():
+    """Three hundred frames of eight megapixels do not fit into a robot's memory."""
+    large = (cv2.resize(image, (1600, 1200)) for image in film(("rest", FEWEST)))
+    picture, stream = find_nocontact(large, "film")
+    assert picture.shape == (240, 320, 3) and {image.shape for image in stream} == {(240, 320, 3)}
+
+
 def test_the_fewest_frames_that_can_tell_it_suffice():
-    _, stream = find_untouched(film(("rest", FEWEST)), "film")
+    _, stream = find_nocontact(film(("rest", FEWEST)), "film")
     assert len(list(stream)) == FEWEST
 
 
 @pytest.mark.parametrize("count", [0, 1, FEWEST - 1])
 def test_a_film_too_short_to_tell_the_untouched_sensor_says_so(count):
     with pytest.raises(BadInput, match=f"film: ends after {count} of the {FEWEST} frames"):
-        find_untouched(film(("rest", count)), "film")
+        find_nocontact(film(("rest", count)), "film")
 
 
 @pytest.mark.parametrize("parts", [[("moving", 40)], [("exposing", 8), ("moving", MOST)]])
 def test_a_film_without_rest_is_refused(parts):
     with pytest.raises(BadInput, match=f"no {STILL} frames in a row"):
-        find_untouched(film(*parts), "film")
+        find_nocontact(film(*parts), "film")
 
 
 def test_a_stream_without_end_is_not_read_for_ever():
@@ -163,7 +174,7 @@ def test_a_stream_without_end_is_not_read_for_ever():
             yield image
 
     with pytest.raises(BadInput):
-        find_untouched(endless(), "camera 0")
+        find_nocontact(endless(), "camera 0")
     assert len(taken) <= MOST + 1
 
 
@@ -206,7 +217,7 @@ def test_light_is_found_in_what_a_narrow_view_shows(seed, gain, offset):
     view = view_of(gel(seed), 44.0, (31.0, 33.0))
     rest = view.of(gel(seed))
     seen = view.of(np.clip(np.rint(gain * gel(seed).astype(float) + offset), 0, 255).astype(np.uint8))
-    lit, light = view.match(seen, Resting(rest, view))
+    lit, light = Reference(rest, view).normalised(seen)
     assert light.known and np.abs(light.gain - gain).max() < 0.03
     assert np.abs(lit.astype(float) - rest).mean() < 1.0
     outside = np.ones(SIZE, bool)
@@ -224,21 +235,71 @@ def test_specks_are_no_print():
     assert pitch_of(gel(1)) == pytest.approx(40.0, abs=0.5)
 
 
-def test_what_is_kept_of_an_untouched_picture_is_of_no_other(shipped, untouched):
-    """Pictures read in turns against two of them, and again after others, read as each does against its own alone."""
+def test_no_picture_changes_what_another_one_gives(shipped, untouched):
+    """Pictures read in turns beside two no-contact images, and again after others, give what each does alone."""
     pictures = [pressed(picture, 0.05 * (k + 1), k) for k, picture in enumerate(untouched[:2])]
-    alone = [predict_one(Untouched(shipped, rest), image) for rest, image in zip(untouched, pictures, strict=False)]
-    kept = [Untouched(shipped, rest) for rest in untouched[:2]]
+    alone = [Predictor(shipped, rest).predict(image) for rest, image in zip(untouched, pictures, strict=False)]
+    kept = [Predictor(shipped, rest) for rest in untouched[:2]]
     for _ in range(2):
-        for beside, image, (seen, forces, judged) in zip(kept, pictures, alone, strict=True):
-            again, same, told = predict_one(beside, image)
-            assert np.array_equal(again, seen) and np.array_equal(same, forces)
-            assert (told.score, told.reason) == (judged.score, judged.reason)
-            assert np.array_equal(told.half_width, judged.half_width) and np.array_equal(told.by_dots, judged.by_dots)
+        for predictor, image, first in zip(kept, pictures, alone, strict=True):
+            again = predictor.predict(image)
+            assert np.array_equal(again.cells, first.cells) and again.reason == first.reason
+            assert again.ood_score == first.ood_score
 
 
 def test_reading_changes_no_picture(shipped, untouched):
     rest, image = untouched[0].copy(), pressed(untouched[0], 0.1, 0)
     given = image.copy()
-    predict_one(Untouched(shipped, rest), image)
+    Predictor(shipped, rest).predict(image)
     assert np.array_equal(image, given) and np.array_equal(rest, untouched[0])
+
+
+@pytest.mark.parametrize("size", [(640, 480), (1280, 960), (160, 120)])
+def test_a_picture_of_the_right_shape_is_not_flagged_for_its_size(shipped, untouched, size):
+    """And one of another shape is."""
+    rest, press = untouched[0], pressed(untouched[0], 0.05, 3)
+    larger = [cv2.resize(picture, size, interpolation=cv2.INTER_CUBIC) for picture in (rest, press)]
+    for picture in larger:
+        assert fit_size(picture, (240, 320))[1] == ""
+    found = Predictor(shipped, larger[0]).predict(larger[1])
+    assert "shape" not in found.reason and "size" not in found.reason
+    assert "of another shape" in Predictor(shipped, rest).predict(np.ascontiguousarray(press[:, :240])).reason
+
+
+@pytest.mark.parametrize("spoilt", ["image", "both"])
+def test_a_monochrome_picture_is_flagged_with_what_to_do(shipped, untouched, spoilt):
+    """It was read a third too high, without a word."""
+    rest, image = untouched[0], pressed(untouched[0], 0.05, 3)
+    grey = [np.repeat(cv2.cvtColor(one, cv2.COLOR_RGB2GRAY)[..., None], 3, axis=2) for one in (rest, image)]
+    found = Predictor(shipped, grey[0] if spoilt == "both" else rest).predict(grey[1])
+    assert found.flag and "monochrome" in found.reason and "set the camera to colour" in found.reason
+    assert "monochrome" not in Predictor(shipped, rest).predict(image).reason
+
+
+def test_force_does_not_jump_where_a_press_begins(shipped, untouched):
+    """Small changes of a picture are small changes of force: no part of the reader switches on."""
+    predictor, rest = Predictor(shipped, untouched[0]), untouched[0].astype(float)
+    press = pressed(untouched[0], 0.03, 1).astype(float)
+    blends = [np.rint(rest + weight * (press - rest)).astype(np.uint8) for weight in np.linspace(0.0, 1.0, 41)]
+    normal = np.array([predictor.predict(image).total[2] for image in blends])
+    assert np.abs(np.diff(normal)).max() < 0.15 * np.ptp(normal)
+
+
+@pytest.mark.parametrize("far", [0.0, 2.0, 4.0, 8.0])
+def test_a_gel_that_was_shifted_in_its_holder_is_shifted_back(untouched, far):
+    """As far as contact cannot have done it: not at all below, nearly all of it far beyond."""
+    rest = untouched[0]
+    markers = MarkerTracker(rest)
+    wanted = far * np.array([0.8, 0.6])
+    shift = rim_shift(markers, markers.track(moved(rest, tuple(wanted))))
+    left = wanted - shift
+    assert np.hypot(*left) == pytest.approx(min(far, OF_CONTACT**2 / far) if far else 0.0, abs=0.15)
+    back = shifted_back(moved(rest, tuple(wanted)), wanted).astype(int)
+    assert np.abs(back - rest)[20:-20, 20:-20].mean() < 1.0
+
+
+def test_what_a_shift_does_to_force_grows_without_a_jump(shipped, untouched):
+    rest = untouched[0]
+    predictor, press = Predictor(shipped, rest), pressed(rest, 0.03, 1)
+    normal = np.array([predictor.predict(moved(press, (far, 0.0))).total[2] for far in np.linspace(2.0, 3.5, 16)])
+    assert np.abs(np.diff(normal)).max() < 0.05 * np.abs(normal).max()

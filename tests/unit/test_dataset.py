@@ -15,9 +15,9 @@ from pressed_dataset import SETTINGS, collect, label, write_pressed
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, read_json, write_text
-from gelforge.networks.canonical import match_light
-from gelforge.networks.data import open_data
-from gelforge.networks.split import group_presses, split_presses
+from gelforge.networks.data.arrays import open_data
+from gelforge.networks.data.split import group_presses, split_presses
+from gelforge.networks.preprocess.illumination import match_light
 from gelforge.records.repeats import repeats
 from gelforge.stages.dataset import published_splits, read_truth
 

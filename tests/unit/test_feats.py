@@ -25,7 +25,7 @@ from gelforge.formats.featsfile import (
     write_normalisation,
 )
 from gelforge.labelling.sensor import load_sensors
-from gelforge.networks.data import open_data
+from gelforge.networks.data.arrays import open_data
 from gelforge.records.labelfile import read_labels
 from gelforge.records.samplefile import read_samples
 

@@ -14,7 +14,7 @@ from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
 from gelforge.mechanics.hex.hexsolver import moment_of
 from gelforge.mechanics.scene import Material, Scene
-from gelforge.networks.split import group_presses, split_presses
+from gelforge.networks.data.split import group_presses, split_presses
 from gelforge.records import log
 from gelforge.records.forcefile import ForceFile, SampleForces, write_forces
 from gelforge.records.frames import NEAR_DEPTH_MM, NEAR_MM, check_frames, presses_of

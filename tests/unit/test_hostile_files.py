@@ -13,7 +13,6 @@ import zlib
 import cv2
 import numpy as np
 import pytest
-import torch
 from press_records import log_line, press_record, write_lines
 
 from gelforge.calibration.readings import read_readings
@@ -22,9 +21,9 @@ from gelforge.commands.projection import read_picture
 from gelforge.errors import BadInput, GelforgeError, printable
 from gelforge.formats.mcap_import import messages
 from gelforge.formats.numpy_pickle import read_npy
-from gelforge.networks.modelfile import encode, load_model
-from gelforge.networks.models import build
-from gelforge.networks.statistics import LIMITS
+from gelforge.networks.checkpoint.modelfile import _property, load_model
+from gelforge.networks.inference.predictor import load_for_use
+from gelforge.networks.uncertainty.ood import LIMITS
 from gelforge.records import log
 from gelforge.records.film import open_source
 from gelforge.records.image import bad_image, read_image
@@ -391,57 +390,38 @@ def test_what_is_no_archive_is_refused(tmp_path, data):
 
 
 @pytest.fixture(scope="module")
-def model(root):
-    """The parts of the model that ships."""
-    content = torch.load(root / "src/gelforge/networks/default.pt", weights_only=True)
-    return {**content, "about": json.loads(content["about"])}
+def model():
+    """The model that ships."""
+    return load_for_use(None)
 
 
 def about(**changes):
     def change(model):
         for name, value in changes.items():
             table, _, key = name.partition("__")
-            if key:
-                model["about"][table] = {**model["about"][table], key: value}
-            else:
-                model["about"][name] = value
+            model[table] = {**model[table], key: value} if key else value
 
     return change
 
 
 def without(table, key):
     def change(model):
-        model["about"][table] = {name: value for name, value in model["about"][table].items() if name != key}
+        model[table] = {name: value for name, value in model[table].items() if name != key}
 
     return change
 
 
-def tensors(change):
-    def apply(model):
-        model["tensors"] = {name: value.clone() for name, value in model["tensors"].items()}
-        change(model["tensors"])
-
-    return apply
-
-
-def first(table):
-    return next(name for name, value in table.items() if value.is_floating_point())
-
-
 HOSTILE = {
-    "a network that fills the memory": about(model__blocks=100_000),
-    "a wide one": about(model__width=10**6),
-    "a width that is text": about(model__width="24"),
-    "a width below zero": about(model__width=-3),
-    "a width of zero": about(model__width=0),
-    "a width that is a list": about(model__width=[24]),
-    "blocks that are a list": about(model__blocks=[3]),
+    "digests that are a text": about(sha256=64 * "0"),
+    "another digest": about(sha256={"forces": 64 * "0"}),
+    "no digest": about(sha256={}),
+    "no stages": about(stages=[]),
+    "stages that end otherwise": about(stages=["forces", "slopes"]),
+    "a stage that leads elsewhere": about(stages=["../x", "forces"]),
     "another kind": about(model__kind="transformer"),
     "a kind that is a list": about(model__kind=["grid"]),
     "a kind that is a number": about(model__kind=3),
     "no kind": without("model", "kind"),
-    "an unknown size": about(model__depth=3),
-    "channels that it does not read": about(model__channels=3),
     "an input that is a list": about(model__reads=["pair"]),
     "an input that is a table": about(model__reads={"pair": 1}),
     "an input that is a number": about(model__reads=6),
@@ -452,13 +432,7 @@ HOSTILE = {
     "an image of no size": about(image=[0, 320]),
     "an image that is text": about(image="240x320"),
     "a grid that is none": about(grid=[24]),
-    "a grid as fine as its image": about(grid=[240, 320]),
-    "a grid of uneven cells": about(grid=[23, 31]),
     "a grid of fractions": about(grid=[24.0, 32.0]),
-    "no digest of its weights": lambda m: m["about"].pop("sha256"),
-    "a digest that is null": about(sha256=None),
-    "a digest that is a number": about(sha256=3),
-    "another digest": about(sha256=64 * "0"),
     "no scales": about(normalisation={}),
     "a scale of zero": about(normalisation__image_std=[0.1, 0.0, 0.1]),
     "scales that are text": about(normalisation__label=["a", "b", "c"]),
@@ -481,55 +455,25 @@ HOSTILE = {
     "a limit of four hundred digits": about(statistics__largest_uneven=10**400),
     "intervals that are null": about(intervals=None),
     "distances of dots that are null": about(pitch_px=None),
-    "readers that are never apart": without("dots", "apart"),
-    "readers that are apart by nothing": about(dots__apart={}),
-    "readers that are apart by null": about(dots__apart=None),
-    "readers that are apart in one component": about(dots__apart={"grid_z": [1.0, 0.1]}),
-    "readers whose weights are missing": without("dots", "weight"),
-    "a network of no width": about(model__widths=[]),
     "a name that is a list": about(name=["x"]),
     "another format": about(format=99),
-    "NaN weights": tensors(lambda t: t[first(t)].fill_(float("nan"))),
-    "infinite weights": tensors(lambda t: t[first(t)].fill_(float("inf"))),
-    "weights of another shape": tensors(lambda t: t.update({first(t): torch.zeros(3)})),
-    "weights of half precision": tensors(lambda t: t.update({first(t): t[first(t)].half()})),
-    "weights that are sparse": tensors(lambda t: t.update({first(t): t[first(t)].to_sparse()})),
-    "weights without numbers": tensors(lambda t: t.update({first(t): t[first(t)].to("meta")})),
-    "weights in training": tensors(lambda t: t.update({first(t): torch.nn.Parameter(t[first(t)])})),
-    "a reader's weights that are sparse": lambda m: m.update(
-        dots={name: value.float().to_sparse() for name, value in m["dots"].items()}
-    ),
-    "a weight too few": tensors(lambda t: t.pop(first(t))),
-    "a weight too many": tensors(lambda t: t.update(extra=torch.zeros(1))),
-    "weights that are none": lambda m: m.update(tensors=[1, 2]),
-    "pictures that are none": lambda m: m.update(untouched={"mini_a": torch.zeros(9, dtype=torch.uint8)}),
-    "pictures that are sparse": lambda m: m.update(untouched={"a": torch.zeros(9, dtype=torch.uint8).to_sparse()}),
-    "pictures that are a list": lambda m: m.update(untouched=[1]),
-    "pictures of another size": lambda m: m.update(untouched={"mini_a": encode(np.zeros((8, 9, 3), np.uint8))}),
 }
+
+
+def rewritten(path, model, change):
+    """The model's file with other metadata."""
+    changed = dict(model.metadata)
+    change(changed)
+    text = json.dumps(changed).encode()
+    path.write_bytes(model.stages["forces"] + _property(text))
+    return path
 
 
 @pytest.mark.parametrize("name", HOSTILE)
 def test_a_hostile_model_is_refused_in_a_sentence(tmp_path, model, name):
-    changed = dict(model, about=dict(model["about"]))
-    HOSTILE[name](changed)
-    path = tmp_path / "m.pt"
-    torch.save(changed | {"about": json.dumps(changed["about"])}, path)
-    with pytest.raises(BadInput, match=r"m\.pt: .*(it again|the model again)$"):
+    path = rewritten(tmp_path / "m.onnx", model, HOSTILE[name])
+    with pytest.raises(BadInput, match=r"m\.onnx: .*(it again|the model again)$"):
         load_model(path)
-
-
-def test_a_model_larger_than_its_file_is_refused_before_it_is_built(tmp_path, model):
-    """The weights of a wide network, all of them one number: 2 MB that would take 3 GB of memory."""
-    changed = dict(model, about=dict(model["about"], model={**model["about"]["model"], "width": 400, "blocks": 64}))
-    told = changed["about"]
-    with torch.device("meta"):
-        wanted = build(told["model"], told["image"], told["grid"]).state_dict()
-    changed["tensors"] = {name: torch.zeros((), dtype=like.dtype).expand(like.shape) for name, like in wanted.items()}
-    torch.save(changed | {"about": json.dumps(told)}, tmp_path / "m.pt")
-    assert (tmp_path / "m.pt").stat().st_size < 3e6
-    with pytest.raises(BadInput, match="no model may take 2 GiB"):
-        load_model(tmp_path / "m.pt")
 
 
 def test_a_table_of_semicolons_and_decimal_commas_is_told_what_parts_cells(tmp_path):
@@ -544,18 +488,16 @@ def test_a_table_of_semicolons_and_decimal_commas_is_told_what_parts_cells(tmp_p
 @pytest.mark.parametrize("name", LIMITS[1:])
 def test_a_model_of_before_a_limit_was_known_is_read(tmp_path, model, name):
     """All but the distance, which no reader of differences was ever without."""
-    changed = dict(model, about=dict(model["about"]))
-    without("statistics", name)(changed)
-    torch.save(changed | {"about": json.dumps(changed["about"])}, tmp_path / "m.pt")
-    assert name not in load_model(tmp_path / "m.pt").about["statistics"]
+    path = rewritten(tmp_path / "m.onnx", model, without("statistics", name))
+    assert name not in load_model(path).metadata["statistics"]
 
 
-@pytest.mark.parametrize("content", [[1], {"about": 3}, {"about": "[]"}, {"about": "{" * 5000}, "text"])
-def test_a_file_of_tensors_that_is_no_model_is_refused(tmp_path, content):
-    torch.save(content, tmp_path / "m.pt")
+@pytest.mark.parametrize("content", ["[1]", "3", "[]", "{" * 5000, "text"])
+def test_a_file_whose_metadata_are_no_model_is_refused(tmp_path, model, content):
+    (tmp_path / "m.onnx").write_bytes(model.stages["forces"] + _property(content.encode()))
     with pytest.raises(BadInput, match="not a gelforge model"):
-        load_model(tmp_path / "m.pt")
+        load_model(tmp_path / "m.onnx")
 
 
 def test_the_model_that_ships_is_read(root):
-    assert load_model(root / "src/gelforge/networks/default.pt").about["grid"] == [24, 32]
+    assert load_model(root / "src/gelforge/networks/weights/default.onnx").metadata["grid"] == [24, 32]

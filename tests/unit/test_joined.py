@@ -11,16 +11,16 @@ from hypothesis import strategies as st
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from parameters import with_values
-from small_networks import EVALUATE, GRID, IMAGE, LEARNING, MODELS, SMALL
+from small_networks import EVALUATE, GRID, IMAGE, LEARNING, SMALL
 from synthetic_presses import SETTINGS, write_dataset
 
 from gelforge.errors import BadInput
-from gelforge.networks.data import data_version, open_data, rows_to_judge_by, scales
-from gelforge.networks.evaluation import evaluate
-from gelforge.networks.joined import join
-from gelforge.networks.modelcard import data_lines, origin_of
-from gelforge.networks.training import predict_rows
+from gelforge.networks.data.arrays import data_version, open_data, scales
+from gelforge.networks.data.concatenate import concatenate
+from gelforge.networks.evaluation.evaluation import evaluate, known_rows
+from gelforge.networks.training.loop import predict_rows
 from gelforge.records.rowfile import ChainedRows
+from gelforge.reporting.modelcard import data_lines, origin_of
 from gelforge.stages.train import train
 
 SPLITS = {"own": 48, "other": 64, "third": 32}
@@ -50,7 +50,7 @@ def test_chained_rows_are_those_of_one_array(cuts, rows):
 
 
 def test_every_press_is_what_it_was_in_its_own_dataset(datasets):
-    joined, at = join(datasets[0], datasets[1:]), 0
+    joined, at = concatenate(datasets[0], datasets[1:]), 0
     assert len(joined.table) == sum(SPLITS.values())
     for one in datasets:
         rows = range(len(one.table))
@@ -62,24 +62,23 @@ def test_every_press_is_what_it_was_in_its_own_dataset(datasets):
 
 def test_only_what_trains_and_validates_is_taken_of_others(datasets):
     own, *others = datasets
-    joined = join(own, others)
+    joined = concatenate(own, others)
     assert joined.splits.keys() == own.splits.keys()
     for name, rows in joined.splits.items():
         taken = datasets if name in ("train", "val") else [own]
         assert len(rows) == len(set(rows.tolist())) == sum(len(one.splits[name]) for one in taken)
         assert {joined.table[row].split for row in rows} == {name}
-    assert np.array_equal(rows_to_judge_by(joined), rows_to_judge_by(own))
 
 
 def test_one_name_in_two_datasets_is_two_sensors(datasets):
-    joined = join(datasets[0], datasets[1:])
+    joined = concatenate(datasets[0], datasets[1:])
     assert sorted(joined.nocontact) == ["mini0", "other/mini0", "third/mini0"]
     grouped = [replace(one, table=[replace(row, group="g") for row in one.table]) for one in datasets]
-    assert len(set(join(grouped[0], grouped[1:]).presses(range(sum(SPLITS.values()))))) == 3
+    assert len(set(concatenate(grouped[0], grouped[1:]).presses(range(sum(SPLITS.values()))))) == 3
 
 
 def test_scales_are_those_of_all_presses(datasets):
-    joined = join(datasets[0], datasets[1:])
+    joined = concatenate(datasets[0], datasets[1:])
     labels = np.concatenate([one.labels[one.splits["train"]] for one in datasets]).astype(float)
     found = scales(joined, total_only=False, reads="pair")
     assert np.allclose(found["label"], np.sqrt((labels**2).mean((0, 2, 3))), rtol=1e-6)
@@ -91,7 +90,7 @@ def test_what_cannot_be_learnt_from_together_is_refused(datasets, tmp_path):
     small = open_data(write_dataset(tmp_path / "small", 16, (24, 32), GRID))
     for wrong, word in ((coarse, "grid of 3 x 4"), (small, "images of 32 x 24"), (own, "own is given twice")):
         with pytest.raises(BadInput, match=word):
-            join(own, [other, wrong])
+            concatenate(own, [other, wrong])
 
 
 def test_a_network_reads_both_that_it_learnt_from_and_says_so(datasets):
@@ -103,35 +102,40 @@ def test_a_network_reads_both_that_it_learnt_from_and_says_so(datasets):
     rows = other.splits["train"]
     errors = [
         np.abs(
-            predict_rows(one.net, turned, rows, one.about["normalisation"]).sum((2, 3)) - turned.totals(rows)
+            predict_rows(one.net, turned, rows, one.metadata["normalisation"]).sum((2, 3)) - turned.totals(rows)
         ).mean()
         for one in (alone, both)
     ]
     assert errors[1] < 0.8 * errors[0]
-    assert alone.about["also"] == []
-    told = both.about["also"][0]
-    assert both.about["data"] == alone.about["data"]
+    assert alone.metadata["also"] == []
+    told = both.metadata["also"][0]
+    assert both.metadata["data"] == alone.metadata["data"]
     assert (told["name"], told["version"], told["simulated"]) == ("other", data_version(turned), True)
     assert told["samples"] == {name: len(other.splits[name]) for name in ("train", "val")}
-    assert [line.split(",")[0] for line in data_lines(both.about)] == ["- Data: own", "- Also learnt from: other"]
+    assert [line.split(",")[0] for line in data_lines(both.metadata)] == ["- Data: own", "- Also learnt from: other"]
 
 
-def test_a_network_keeps_the_untouched_sensors_of_its_own_dataset_alone(datasets):
+def test_presses_that_a_dataset_gained_are_new_to_a_network_and_the_others_stay_known(datasets):
+    """A plan that grows changes its dataset's version, and no press of before."""
     own, other = datasets[0], datasets[1]
-    pair, settings = MODELS["pair"], with_values(SETTINGS, epochs=1)
-    many = replace(other, nocontact=other.nocontact | {f"known_{k:02d}": other.nocontact["mini0"] for k in range(20)})
-    for others in ([other], [many]):
-        kept = train(own, "pair", pair, settings, also=others).untouched
-        assert kept.keys() == {"mini0"} and np.array_equal(kept["mini0"], own.nocontact["mini0"])
+    model = train(own, "small", SMALL, with_values(SETTINGS, epochs=1)).model
+    grown = concatenate(own, [other])
+    table = [
+        replace(one, press=replace(one.press, x0_mm=one.press.x0_mm + 50.0)) if n >= len(own.table) else one
+        for n, one in enumerate(grown.table)
+    ]
+    known = known_rows(model, replace(grown, table=table, info=own.info))
+    assert known[own.splits["train"]].all() and not known[len(own.table) :].any()
+    assert not known[own.splits["test"]].all()
 
 
 def test_no_network_is_judged_on_presses_that_it_learnt_from(datasets):
     own, other = datasets[0], datasets[1]
     both = train(own, "small", SMALL, with_values(SETTINGS, epochs=1), also=[other])
-    assert "train" not in evaluate(other, both, EVALUATE)[0]["splits"]
+    assert "train" not in evaluate(other, both.model, EVALUATE)[0]["splits"]
     only = replace(other, splits={"train": other.splits["train"]})
     with pytest.raises(BadInput, match="which it learnt from"):
-        evaluate(only, both, EVALUATE)
+        evaluate(only, both.model, EVALUATE)
 
 
 @pytest.mark.parametrize(

@@ -14,11 +14,12 @@ from small_networks import GRID, IMAGE, LEARNING, SMALL
 from synthetic_presses import SETTINGS, write_dataset
 
 from gelforge.errors import BadInput
-from gelforge.networks.batches import Ahead, epoch_order, images_to_tensor, target, training_batches
-from gelforge.networks.data import open_data, scales
-from gelforge.networks.inputs import network_input
-from gelforge.networks.training import (
-    SHARES,
+from gelforge.networks.data.arrays import open_data, scales
+from gelforge.networks.data.loader import Prefetch, epoch_order, images_to_tensor, target, training_batches
+from gelforge.networks.models.inputs import network_input
+from gelforge.networks.pipeline import Start
+from gelforge.networks.training.loop import (
+    FRACTIONS,
     Training,
     between,
     fit,
@@ -28,7 +29,13 @@ from gelforge.networks.training import (
     save_checkpoint,
     validate,
 )
+from gelforge.records.axes import CHANNELS
 from gelforge.stages.train import resolve, train
+
+
+def start_of(trained) -> Start:
+    """A network to fine-tune."""
+    return Start(trained.net, trained.metadata)
 
 
 def test_total_force_loss_is_blind_to_where_the_force_is():
@@ -67,14 +74,14 @@ def test_epochs_that_share_a_pass_visit_every_press_once_in_it(most):
 
 
 def test_reading_ahead_keeps_order_and_hands_on_errors():
-    assert list(Ahead(iter(range(20)))) == list(range(20))
+    assert list(Prefetch(iter(range(20)))) == list(range(20))
 
     def broken():
         yield 1
         raise BadInput("the second one is missing")
 
     with pytest.raises(BadInput, match="second"):
-        list(Ahead(broken()))
+        list(Prefetch(broken()))
 
 
 @pytest.mark.parametrize("batch", [1, 3, 7, 64])
@@ -94,19 +101,28 @@ def test_batches_hold_the_pictures_of_an_epoch_each_beside_its_own_label(folder,
 def test_training_learns(folder, trained):
     data = open_data(folder)
     guess = np.abs(data.totals(data.splits["val"]) - np.median(data.totals(data.splits["train"]), axis=0)).mean(0)
-    curve = trained.about["curve"]
-    best = curve[trained.about["best_epoch"] - 1]
+    curve = trained.metadata["curve"]
+    best = curve[trained.metadata["best_epoch"] - 1]
     # Forty epochs bring the loss on 48 small images to a tenth, whichever way rounding sends the weights; how well
     # unseen ones are read is another matter, but better than by guessing.
     assert curve[-1]["loss"] < 0.25 * curve[0]["loss"]
     assert best["val_total"] < guess.sum() and best["val_grid_x"] < guess[0]
-    assert best["val_total"] == min(row["val_total"] for row in trained.about["curve"])
+    assert best["val_score"] == min(row["val_score"] for row in trained.metadata["curve"])
+
+
+def test_shear_counts_as_much_as_normal_force_where_weights_are_chosen(folder, trained):
+    """An error of a tenth of its own scale is the same step of the score, whichever component has it."""
+    data, norm = open_data(folder), trained.metadata["normalisation"]
+    plain = validate(trained.net, data, norm, 8, "cpu")
+    wanted = np.mean([plain[f"val_{name}"] / scale for name, scale in zip(CHANNELS, norm["total"], strict=True)])
+    assert plain["val_score"] == pytest.approx(wanted)
 
 
 def test_same_seed_same_curve_other_seed_other_curve(folder):
     data = open_data(folder)
     curves = [
-        train(data, "small", SMALL, with_values(SETTINGS, epochs=2, seed=seed)).about["curve"] for seed in (5, 5, 6)
+        train(data, "small", SMALL, with_values(SETTINGS, epochs=2, seed=seed)).metadata["curve"]
+        for seed in (5, 5, 6)
     ]
     assert curves[0] == curves[1] != curves[2]
 
@@ -137,8 +153,8 @@ def test_resumed_training_has_the_same_curve_and_weights(folder, tmp_path, kind,
 
     whole, cut, rest = start(), start(), start()
     fit(whole, data)
-    fit(cut, data, tmp_path / "c.pt", "same", epochs=2)
-    fit(rest, data, tmp_path / "c.pt", "same")
+    fit(cut, data, tmp_path / "c.safetensors", "same", epochs=2)
+    fit(rest, data, tmp_path / "c.safetensors", "same")
     assert rest.cost["resumed"] == 1 and rest.curve == whole.curve
     assert len(rest.cost["epoch_seconds"]) == 5 and (np.diff(rest.cost["epoch_seconds"]) > 0).all()
     for a, b in zip(whole.net.state_dict().values(), rest.net.state_dict().values()):
@@ -153,7 +169,7 @@ def test_the_last_epochs_train_the_network_that_is_used(folder, share, monkeypat
     frozen = [False, False, True, True] if share == 0.5 else [False, False, False, True]
     settled = []
     monkeypatch.setattr(
-        "gelforge.networks.training.settle_batch_norm", lambda net, *_: settled.append(training.epochs_done)
+        "gelforge.networks.training.loop.settle_batch_norm", lambda net, *_: settled.append(training.epochs_done)
     )
     training = Training(SMALL, settings, scales(data, False), IMAGE, GRID, "cpu")
     seen = []
@@ -199,22 +215,24 @@ def few(tmp_path_factory):
 
 def test_a_network_that_goes_on_begins_as_the_one_it_goes_on_from(few, trained):
     still = with_values(SETTINGS, epochs=1, learning_rate=1e-12, frozen_share=1.0, least_rate=0.0)
-    found = train(few, "tuned", SMALL, still, start=trained)
-    norm, before = found.about["normalisation"], trained.about["normalisation"]
+    found = train(few, "tuned", SMALL, still, start=start_of(trained))
+    norm, before = found.metadata["normalisation"], trained.metadata["normalisation"]
     assert all(norm[key] == before[key] for key in ("image_mean", "image_std", "label", "total"))
     rows = few.splits["test"]
     assert np.allclose(
         predict_rows(found.net, few, rows, norm), predict_rows(trained.net, few, rows, before), atol=1e-4
     )
-    assert found.about["start"]["name"] == "small" and "start" not in trained.about["model"]
+    assert found.metadata["start"]["name"] == "small" and "start" not in trained.metadata["model"]
 
 
 @pytest.mark.parametrize("added", [1, 3])
 def test_a_deeper_network_begins_as_the_one_it_goes_on_from(few, trained, added):
     deeper = {**SMALL, "blocks": SMALL["blocks"] + added}
     spoilt = with_values(SETTINGS, epochs=1, learning_rate=1.0, schedule="cosine")
-    begun = train(few, "deeper", deeper, spoilt, start=trained)  # spoilt at once, so what it began as is kept
-    rows, norm = few.splits["test"], trained.about["normalisation"]
+    begun = train(
+        few, "deeper", deeper, spoilt, start=start_of(trained)
+    )  # spoilt at once, so what it began as is kept
+    rows, norm = few.splits["test"], trained.metadata["normalisation"]
     told = [predict_rows(found.net, few, rows, norm) for found in (begun, trained)]
     assert np.array_equal(*told)
     training = Training(deeper, SETTINGS, norm, IMAGE, GRID, "cpu")
@@ -224,13 +242,13 @@ def test_a_deeper_network_begins_as_the_one_it_goes_on_from(few, trained, added)
     training.train_epoch(training.batches(few))
     assert last.any()
     with pytest.raises(BadInput, match=f"blocks = {SMALL['blocks']}, there {deeper['blocks']}"):
-        train(few, "shallower", SMALL, SETTINGS, start=begun)
+        train(few, "shallower", SMALL, SETTINGS, start=start_of(begun))
 
 
 def test_a_network_that_goes_on_never_ends_worse_than_it_began(few, trained):
     spoilt = with_values(SETTINGS, epochs=1, learning_rate=1.0, schedule="cosine")
-    found = train(few, "tuned", SMALL, spoilt, start=trained)
-    assert found.about["best_epoch"] == 0 < found.about["curve"][0]["val_total"]
+    found = train(few, "tuned", SMALL, spoilt, start=start_of(trained))
+    assert found.metadata["best_epoch"] == 0 < found.metadata["curve"][0]["val_total"]
     weights = trained.net.state_dict()
     assert all(torch.equal(value, weights[name]) for name, value in found.net.state_dict().items())
 
@@ -238,18 +256,18 @@ def test_a_network_that_goes_on_never_ends_worse_than_it_began(few, trained):
 def test_weights_between_first_and_last_are_tried(few, trained):
     """They lie on the straight way from one to the other, and the finished network is what validation likes best of it."""
     settings = with_values(SETTINGS, epochs=3, learning_rate=2e-3, frozen_share=1.0)
-    training = Training(SMALL, settings, trained.about["normalisation"], IMAGE, GRID, "cpu")
+    training = Training(SMALL, settings, trained.metadata["normalisation"], IMAGE, GRID, "cpu")
     training.go_on_from(trained.net.state_dict(), few)
     fit(training, few)
     first, last = training.start["weights"], training.best["weights"]
     judged = {}
-    for share in (0.0, *SHARES, 1.0):
+    for share in (0.0, *FRACTIONS, 1.0):
         training.net.load_state_dict(between(first, last, share))
-        judged[share] = validate(training.net, few, training.norm, 8, "cpu")["val_total"]
-    assert judged[0.0] == pytest.approx(training.start["val_total"])
-    assert judged[1.0] == pytest.approx(training.best["val_total"])
-    assert training.share == min(judged, key=lambda share: judged[share])
-    assert training.best_epoch == (training.best["epoch"] if training.share else 0)
+        judged[share] = validate(training.net, few, training.norm, 8, "cpu")["val_score"]
+    assert judged[0.0] == pytest.approx(training.start["val_score"])
+    assert judged[1.0] == pytest.approx(training.best["val_score"])
+    assert training.fraction == min(judged, key=lambda share: judged[share])
+    assert training.best_epoch == (training.best["epoch"] if training.fraction else 0)
     middle = between(first, last, 0.5)
     assert all(
         torch.allclose(2 * value, first[name] + last[name], atol=1e-5)
@@ -264,9 +282,9 @@ def test_few_presses_teach_more_to_a_network_that_goes_on(few, trained, tmp_path
     others = open_data(write_dataset(tmp_path / "6x8", 96, IMAGE, GRID, seed=9))
     few = replace(few, splits=few.splits | {"train": few.splits["train"][:12]})
     rows, errors = np.arange(96), []
-    for settings, start in ((further, trained), (alone, None)):
+    for settings, start in ((further, start_of(trained)), (alone, None)):
         found = train(few, "tuned", SMALL, settings, start=start)
-        told = predict_rows(found.net, others, rows, found.about["normalisation"]).sum((2, 3), dtype=float)
+        told = predict_rows(found.net, others, rows, found.metadata["normalisation"]).sum((2, 3), dtype=float)
         errors.append(np.abs(told - others.totals(rows)).mean())
     assert errors[0] < 0.7 * errors[1]
 
@@ -274,15 +292,15 @@ def test_few_presses_teach_more_to_a_network_that_goes_on(few, trained, tmp_path
 def test_a_network_does_not_go_on_where_hardly_a_press_tells_whether_it_became_better(trained, tmp_path):
     data = open_data(write_dataset(tmp_path / "6x8", 24, IMAGE, GRID))
     with pytest.raises(BadInput, match="of its presses 3 validate, too few .* raise .params.dataset. validation"):
-        train(data, "tuned", SMALL, SETTINGS, start=trained)
+        train(data, "tuned", SMALL, SETTINGS, start=start_of(trained))
 
 
 def test_a_network_goes_on_from_one_of_its_own_kind_only(few, trained, folder, tmp_path):
     with pytest.raises(BadInput, match="width = 16, there 8"):
-        train(few, "tuned", {**SMALL, "width": 16}, SETTINGS, start=trained)
+        train(few, "tuned", {**SMALL, "width": 16}, SETTINGS, start=start_of(trained))
     finer = open_data(write_dataset(tmp_path / "12x16", 16, IMAGE, (12, 16)))
     with pytest.raises(BadInput, match="grid"):
-        train(finer, "tuned", SMALL, SETTINGS, start=trained)
+        train(finer, "tuned", SMALL, SETTINGS, start=start_of(trained))
     with pytest.raises(BadInput, match="only 'shipped'"):
         resolve({"tuned": {**SMALL, "start": "mine"}}, "tuned", parameters().train)
 
@@ -291,7 +309,7 @@ def test_checkpoint_of_another_training_is_not_used(folder, tmp_path):
     data = open_data(folder)
     for name in ("one", "other"):
         training = Training(SMALL, with_values(SETTINGS, epochs=1), scales(data, False), IMAGE, GRID, "cpu")
-        fit(training, data, tmp_path / "c.pt", name)
+        fit(training, data, tmp_path / "c.safetensors", name)
         assert training.cost["resumed"] == 0
 
 
@@ -303,7 +321,7 @@ def test_a_dataset_without_the_untouched_sensor_is_named(folder):
 
 @pytest.mark.parametrize("damage", [lambda b: b[: len(b) // 2], lambda b: b"", lambda b: b"no tensors at all"])
 def test_a_damaged_checkpoint_starts_the_training_over(folder, tmp_path, damage, capsys):
-    data, path = open_data(folder), tmp_path / "c.pt"
+    data, path = open_data(folder), tmp_path / "c.safetensors"
     first = Training(SMALL, with_values(SETTINGS, epochs=1), scales(data, False), IMAGE, GRID, "cpu")
     fit(first, data, None, "one")
     save_checkpoint(path, first, "one")

@@ -19,8 +19,8 @@ from synthetic_presses import SETTINGS, write_dataset
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, read_json, write_csv, write_json
-from gelforge.networks.data import FILES, LEAST_TOTAL, data_version, open_data, require_splits, scales
-from gelforge.networks.training import loss_of
+from gelforge.networks.data.arrays import FILES, LEAST_TOTAL, data_version, open_data, require_splits, scales
+from gelforge.networks.training.loop import loss_of
 from gelforge.records.rowfile import RowFile, array_on_disk
 from tests.memory import PEAK_KIB
 

@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 from argparse import Namespace
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -14,28 +13,19 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from small_networks import GRID, IMAGE, MODELS
+from small_networks import GRID, IMAGE
 
 from gelforge.commands import live, predict
 from gelforge.commands.live_readings import readings, stopping, until
 from gelforge.errors import BadInput
-from gelforge.networks import statistics, use
-from gelforge.networks.canonical import WHOLE, Resting, view_of
-from gelforge.networks.onnxgraph import TOLERANCE, export, largest_difference, run_onnx
-from gelforge.networks.sensorprofile import Gain, make_profile, write_profile
-from gelforge.networks.still import FEWEST
-from gelforge.records.markers import pitch_of
+from gelforge.networks.inference.predictor import Predictor
+from gelforge.networks.inference.sensorprofile import Gain, make_profile, write_profile
+from gelforge.networks.preprocess.nocontact import FEWEST
+from gelforge.networks.uncertainty import ood
 from gelforge.reporting import forcemaps
 from tests.benchmarks import real, real_page
 from tests.limited import limited_python
 from tests.waiting import heed_interrupts
-
-
-@pytest.mark.parametrize("name", MODELS)
-def test_onnx_equals_torch(models, name, data, tmp_path):
-    export(models[name], tmp_path / "m.onnx")
-    found = largest_difference(models[name], tmp_path / "m.onnx", np.asarray(data.images[:3]))
-    assert found and max(found.values()) <= TOLERANCE
 
 
 def write_png(path, image) -> Path:
@@ -54,7 +44,7 @@ def test_a_picture_calls_its_numbers_as_the_table_does(data, paths, tmp_path, mo
     with (tmp_path / "out" / "totals.csv").open() as stream:
         (row,) = csv.DictReader(stream)
     ((_, title),) = titles
-    assert title.startswith(f"one, unlike training {float(row['unlike_training']):.1f}")
+    assert title.startswith(f"one, OOD score {float(row['ood_score']):.1f}")
 
 
 def test_predict_writes_maps_and_totals(data, models, paths, tmp_path, capsys):
@@ -69,23 +59,6 @@ def test_predict_writes_maps_and_totals(data, models, paths, tmp_path, capsys):
         assert float(row["grid_z_n"]) == pytest.approx(forces[2].sum(), abs=1e-3)
         assert row["flagged"] == "0"
         assert (tmp_path / "out" / f"{i}.png").exists()
-
-
-def test_the_documented_steps_around_an_onnx_graph_give_what_predict_gives(models, data, tmp_path):
-    """Light, scale, tare and factor outside, the network inside: what someone without torch would write."""
-    trained, gain = models["pair"], 1.2
-    rest = np.asarray(data.nocontact["mini0"])
-    image = np.clip(np.rint(0.93 * np.asarray(data.images[3]).astype(float) + 3), 0, 255).astype(np.uint8)
-    _, wanted, judged = use.predict_one(use.Untouched(trained, rest, gain=Gain(gain, gain, gain, 9)), image)
-    assert judged.light.known and judged.light.gain.min() < 0.97
-    export(trained, tmp_path / "m.onnx")
-    learnt = trained.about.get("pitch_px")
-    view = view_of(rest, pitch_of(rest), tuple(learnt)) if learnt else WHOLE
-    picture = view.of(rest)
-    lit, _ = view.match(view.of(image), Resting(picture, view))
-    tensors = np.stack([lit, picture]).transpose(0, 3, 1, 2).astype(np.float32)
-    for read in run_onnx(tmp_path / "m.onnx", tensors, tensors[1:]).values():
-        np.testing.assert_allclose(gain * (read[0] - read[1]), wanted, atol=2e-5 * np.abs(wanted).max())
 
 
 def test_predict_refuses_before_it_writes(data, paths, tmp_path):
@@ -114,7 +87,7 @@ def test_a_link_that_leads_to_itself_is_named_wherever_it_is_given(data, paths, 
     picture, film = loop(tmp_path / "loop.png"), loop(tmp_path / "loop.avi")
     for command, given in (
         (predict, [picture, "--out", str(tmp_path / "out")]),
-        (predict, [good, "--untouched", picture, "--out", str(tmp_path / "out")]),
+        (predict, [good, "--nocontact", picture, "--out", str(tmp_path / "out")]),
         (live, ["--video", film, "--csv", str(tmp_path / "o.csv")]),
         (live, ["--video", str(write_avi(tmp_path / "f.avi", data.images[:12])), "--csv", film]),
     ):
@@ -126,7 +99,7 @@ def test_an_interrupted_call_leaves_no_table_of_an_earlier_one(data, paths, tmp_
     image = write_png(tmp_path / "p.png", data.images[0])
     asked = [str(image), "--model", str(paths["small"]), "--out", str(tmp_path / "out")]
     assert predict.main(asked) == 0 and (tmp_path / "out/totals.csv").is_file()
-    monkeypatch.setattr(predict, "predict_one", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    monkeypatch.setattr(predict.Predictor, "predict", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
         predict.main(asked)
     assert not (tmp_path / "out/totals.csv").exists()
@@ -205,31 +178,19 @@ def test_a_damaged_film_is_told_by_one_line_and_not_by_its_decoder(data, tmp_pat
     assert quiet.stderr == "" and quiet.stdout.count("\n") == 1 < told.stdout.count("\n")
 
 
-def test_predict_names_the_file_to_read_in_place_of_its_onnx(models, paths, tmp_path):
-    export(models["small"], tmp_path / "m.onnx")
-    (tmp_path / "onnx").mkdir()
-    (tmp_path / "onnx/m.onnx").write_bytes((tmp_path / "m.onnx").read_bytes())
-    for given in ("m.onnx", "onnx/m.onnx"):
-        with pytest.raises(BadInput, match=f"{given}: ONNX is for other programs; .* name {tmp_path / 'm.pt'}$"):
-            predict.main([str(tmp_path / "p.png"), "--model", str(tmp_path / given)])
-
-
-def test_predict_finds_the_untouched_sensor(data, models, paths, tmp_path):
-    image = write_png(tmp_path / "p.png", data.images[0])
-    own = data.nocontact["mini0"]
-    other = replace(models["pair"], untouched={"bright": np.clip(own.astype(int) + 60, 0, 255).astype(np.uint8)} |
-                    models["pair"].untouched)  # fmt: skip
-    assert use.Untouched(other).of(data.images[0]) == "mini0"
-    assert use.Untouched(other, sensor="bright").of(data.images[0]) == "bright"
-    assert use.predict_one(use.Untouched(other, sensor="bright"), data.images[0])[2].flag
-    with pytest.raises(BadInput, match="--untouched"):
-        use.Untouched(other, sensor="mini9")
-    totals = []
-    for more in ([], ["--untouched", str(write_png(tmp_path / "own.png", own))], ["--sensor", "mini0"]):
-        predict.main([str(image), "--model", str(paths["pair"]), "--out", str(tmp_path / "out"), *more])
-        with (tmp_path / "out" / "totals.csv").open() as stream:
-            totals.append([{**row, "untouched": ""} for row in csv.DictReader(stream)])
-    assert totals[0] == totals[1] == totals[2]
+def test_a_former_name_of_an_option_still_works_and_names_the_new_one(data, paths, tmp_path, capsys):
+    image, rest = (
+        write_png(tmp_path / "p.png", data.images[0]),
+        write_png(tmp_path / "own.png", data.nocontact["mini0"]),
+    )
+    rows = []
+    for name in ("--nocontact", "--untouched"):
+        predict.main([str(image), "--model", str(paths["pair"]), "--out", str(tmp_path / "out"), name, str(rest)])
+        rows.append((tmp_path / "out" / "totals.csv").read_text())
+        assert ("--untouched is called --nocontact now" in capsys.readouterr().err) == (name == "--nocontact")
+    assert rows[0] == rows[1]
+    with pytest.raises(BadInput, match="give it with --nocontact"):
+        predict.main([str(image), "--model", str(paths["pair"]), "--out", str(tmp_path / "out")])
 
 
 def test_two_images_of_one_name_keep_apart():
@@ -257,7 +218,7 @@ def test_no_map_takes_the_place_of_the_untouched_picture(data, paths, tmp_path):
         (tmp_path / folder).mkdir()
     image, rest = (write_png(tmp_path / f"{name}/nocontact.png", data.images[0]) for name in ("shots", "kept"))
     before = rest.read_bytes()
-    asked = [str(image), "--untouched", str(rest), "--model", str(paths["small"]), "--out", str(rest.parent)]
+    asked = [str(image), "--nocontact", str(rest), "--model", str(paths["small"]), "--out", str(rest.parent)]
     with pytest.raises(BadInput, match="would take the place"):
         predict.main(asked)
     assert rest.read_bytes() == before
@@ -275,21 +236,20 @@ def test_any_name_of_a_file_is_only_a_name(data, paths, tmp_path):
 
 
 def test_unlike_images_are_flagged(data, models):
-    reader = use.Untouched(models["small"])
-    like = [use.predict_one(reader, data.images[row])[2].flag for row in data.splits["test"]]
-    assert not any(like)
+    predictor = Predictor(models["small"].model)
+    assert not any(predictor.predict(data.images[row]).flag for row in data.splits["test"])
     black = np.zeros((*IMAGE, 3), np.uint8)
     plain = np.full((*IMAGE, 3), 120, np.uint8)
-    larger = cv2.resize(np.asarray(data.images[0]), (128, 96))
+    wider = cv2.resize(np.asarray(data.images[0]), (160, 96))
     unlike = "unlike the training images in its "
     for image, reason in (
         (black, unlike),
         (plain, unlike),
         (data.images[0][..., ::-1] // 3, unlike),
-        (larger, "size"),
+        (wider, "of another shape"),
     ):
-        judged = use.predict_one(reader, image)[2]
-        assert judged.flag and reason in judged.reason
+        found = predictor.predict(image)
+        assert found.flag and reason in found.reason
 
 
 def read_frames(path) -> list[np.ndarray]:
@@ -304,8 +264,8 @@ def read_frames(path) -> list[np.ndarray]:
 def test_dots_of_real_sensors_are_counted(reference):
     image = cv2.imread(str(reference / "feats" / "images" / "cuboid_10-2-284.png"))
     # 7 x 9 dots, two of which lie at the rim.
-    assert statistics.find_dots(statistics.grey_of(cv2.split(image)))[0] == pytest.approx(63, abs=4)
-    assert statistics.find_dots(statistics.grey_of(cv2.split(cv2.medianBlur(image, 61))))[0] <= 3
+    assert ood.count_markers(ood.grey_of(cv2.split(image)))[0] == pytest.approx(63, abs=4)
+    assert ood.count_markers(ood.grey_of(cv2.split(cv2.medianBlur(image, 61))))[0] <= 3
 
 
 def test_score_tells_real_sensors_apart(reference):
@@ -313,9 +273,9 @@ def test_score_tells_real_sensors_apart(reference):
         name: read_frames(reference / "slip_videos" / f"{name}.avi")
         for name in ("cheese_tube_camera_0", "cheese_tube_camera_2", "glass_box_camera_0")
     }
-    own = np.stack([statistics.describe(image) for image in videos["cheese_tube_camera_0"]])
-    model = statistics.fit(own[::2], own[1::4])
-    assert not any(statistics.score(model, row) > model["threshold"] for row in own[3::4])
+    own = np.stack([ood.describe(image) for image in videos["cheese_tube_camera_0"]])
+    model = ood.fit(own[::2], own[1::4])
+    assert not any(ood.score(model, row) > model["threshold"] for row in own[3::4])
     image = videos["cheese_tube_camera_0"][0]
     feats = cv2.cvtColor(cv2.imread(str(reference / "feats" / "images" / "cuboid_10-2-284.png")), cv2.COLOR_BGR2RGB)
     unlike = {
@@ -326,7 +286,7 @@ def test_score_tells_real_sensors_apart(reference):
         "FEATS' sensor": feats,
     }
     assert [
-        name for name, other in unlike.items() if not statistics.judge(model, np.ascontiguousarray(other)).reason
+        name for name, other in unlike.items() if not ood.pair_score_fault(model, np.ascontiguousarray(other))[1]
     ] == []
 
 
@@ -365,7 +325,7 @@ def test_live_refuses_what_it_would_not_write(data, paths, tmp_path):
 @pytest.mark.parametrize("while_reading", [False, True])
 def test_an_interrupt_keeps_what_was_filmed_and_read(data, models, tmp_path, while_reading):
     """Wherever it comes: while a frame is awaited, or while one is read."""
-    overlay, seen = live.Overlay(use.Untouched(models["small"])), [0]
+    overlay, seen = live.Overlay(Predictor(models["small"].model)), [0]
 
     def interrupt(here: bool) -> None:
         if here == while_reading and seen[0] == 4:
@@ -473,7 +433,7 @@ def test_live_takes_the_first_frames_at_rest_for_the_untouched_sensor(data, mode
     video = write_avi(tmp_path / "in.avi", seen)
     live.main(["--video", str(video), "--model", str(paths["pair"]), "--out", str(tmp_path / "o.avi")])
     filmed = read_frames(video)
-    overlay = live.Overlay(use.Untouched(models["pair"], filmed[10]))
+    overlay = live.Overlay(Predictor(models["pair"].model, filmed[10]))
     wanted = overlay(cv2.cvtColor(filmed[-1], cv2.COLOR_RGB2BGR))
     got = read_frames(tmp_path / "o.avi")
     assert len(got) == len(seen)
@@ -483,19 +443,18 @@ def test_live_takes_the_first_frames_at_rest_for_the_untouched_sensor(data, mode
 
 def test_live_reads_against_the_picture_of_a_profile(data, models, paths, tmp_path):
     """As `predict` does: a film may begin while something is held, and stays still then, too."""
-    about = models["pair"].about
-    profile = make_profile("mine", data.nocontact["mini0"], 30.0, Gain(), about)
+    profile = make_profile("mine", data.nocontact["mini0"], 30.0, Gain(), models["pair"].metadata)
     write_profile(tmp_path / "mine.toml", profile)
-    args = Namespace(profile=tmp_path / "mine.toml", sensor=None)
+    args = Namespace(profile=tmp_path / "mine.toml", sensor=None, device="cpu", threads=1)
     held = cv2.cvtColor(data.images[0], cv2.COLOR_RGB2BGR)
-    found, seen = live.with_untouched(args, models["pair"], None, iter([held] * 20), "held.avi")
-    np.testing.assert_array_equal(found.known[use.GIVEN], data.nocontact["mini0"])
+    found, seen = live.predictor_of(args, models["pair"].model, None, iter([held] * 20), "held.avi")
+    np.testing.assert_array_equal(found.prepare.nocontact.sized, data.nocontact["mini0"])
     assert len(list(seen)) == 20
 
 
 def test_live_refuses_a_film_that_never_rests(data, paths, tmp_path):
     video = write_avi(tmp_path / "in.avi", [*data.images[:24]])
-    with pytest.raises(BadInput, match="without movement.*--untouched"):
+    with pytest.raises(BadInput, match="without movement.*--nocontact"):
         live.main(["--video", str(video), "--model", str(paths["pair"]), "--out", str(tmp_path / "o.avi")])
 
 
@@ -503,13 +462,13 @@ def test_live_refuses_fewer_frames_than_tell_the_untouched_sensor(data, paths, t
     rest = data.nocontact["mini0"]
     video, out = write_avi(tmp_path / "in.avi", [rest] * (FEWEST + 3)), tmp_path / "o.avi"
     words = ["--video", str(video), "--model", str(paths["pair"]), "--out", str(out)]
-    with pytest.raises(BadInput, match=f"--frames {FEWEST - 1}: .* {FEWEST} at least.*--untouched"):
+    with pytest.raises(BadInput, match=f"--frames {FEWEST - 1}: .* {FEWEST} at least.*--nocontact"):
         live.main([*words, "--frames", str(FEWEST - 1)])
     assert not out.exists()
     live.main([*words, "--frames", str(FEWEST)])
     assert len(read_frames(out)) == FEWEST
     cv2.imwrite(str(tmp_path / "rest.png"), rest)
-    live.main([*words, "--frames", "3", "--untouched", str(tmp_path / "rest.png")])
+    live.main([*words, "--frames", "3", "--nocontact", str(tmp_path / "rest.png")])
     assert len(read_frames(out)) == 3
 
 
@@ -547,9 +506,9 @@ def test_camera_that_is_not_there_is_named(paths):
 def test_live_flags_the_frames_that_predict_flags(models, data):
     """In its lines and on its page, with the same words."""
     frames = [np.ascontiguousarray(data.images[0]), np.zeros((*IMAGE, 3), np.uint8)]
-    untouched = use.Untouched(models["small"])
-    judged = [use.predict_one(untouched, frame)[2] for frame in frames]
-    told = list(readings(untouched, [frame[..., ::-1] for frame in frames]))
+    predictor = Predictor(models["small"].model)
+    judged = [predictor.predict(frame) for frame in frames]
+    told = list(readings(predictor, [frame[..., ::-1] for frame in frames]))
     for lines in ([reading.row() for reading in told], [reading.event() for reading in told]):
         assert [line["flag"] for line in lines] == [one.flag for one in judged] == [False, True]
         assert [line["reason"] for line in lines] == [one.reason for one in judged]
@@ -557,7 +516,7 @@ def test_live_flags_the_frames_that_predict_flags(models, data):
 
 def test_a_film_has_the_time_of_its_frames(data, models):
     frames = [np.ascontiguousarray(data.images[0])] * 3
-    untouched = use.Untouched(models["small"])
-    assert [reading.time_s for reading in readings(untouched, frames, frame_s=0.04)] == pytest.approx(
+    predictor = Predictor(models["small"].model)
+    assert [reading.time_s for reading in readings(predictor, frames, frame_s=0.04)] == pytest.approx(
         [0.0, 0.04, 0.08]
     )

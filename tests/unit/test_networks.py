@@ -12,10 +12,11 @@ from parameters import parameters
 from small_networks import GRID, IMAGE, SMALL
 
 from gelforge.errors import BadInput
-from gelforge.networks.inputs import network_input
-from gelforge.networks.modelfile import fold_normalisation
-from gelforge.networks.models import BasicBlock, GridNet, ResNetTotal, UNet, build, parameter_count, strides
-from gelforge.networks.unrolled import Unrolled
+from gelforge.networks.models.gridnet import strides
+from gelforge.networks.models.inputs import network_input
+from gelforge.networks.models.registry import build, parameter_count
+from gelforge.networks.models.resnet import BasicBlock, ResNetTotal
+from gelforge.networks.models.unet import UNet
 from gelforge.records.networkkind import KINDS
 from gelforge.stages.train import resolve
 
@@ -54,29 +55,9 @@ def test_a_thinned_shortcut_is_the_strided_convolution():
     torch.testing.assert_close(block(x), wanted, rtol=1e-5, atol=1e-6)
 
 
-@pytest.mark.parametrize("image, grid", [((48, 64), (6, 8)), ((40, 60), (4, 6)), ((60, 80), (12, 16))])
-@pytest.mark.parametrize("blocks", [1, 4])
-def test_an_unrolled_net_reads_as_the_net_itself(image, grid, blocks):
-    """With and without a stride behind the first one, for one image and for several."""
-    torch.manual_seed(blocks)
-    net: GridNet = build({"kind": "grid", "width": 6, "blocks": blocks}, image, grid).eval()
-    with torch.no_grad():
-        for value in (*net.parameters(), *(one for name, one in net.named_buffers() if "running" in name)):
-            value.add_(0.2 * torch.rand(value.shape))
-        images = torch.rand(3, 3, *image)
-        size = net(images).abs().max()
-        net.head.weight.div_(size)
-        net.head.bias.div_(size)
-        wanted = net(images)
-        fold_normalisation(net)
-        net.to(memory_format=torch.channels_last)
-        torch.testing.assert_close(Unrolled(net)(images), wanted, rtol=0.0, atol=1e-5)
-        torch.testing.assert_close(Unrolled(net)(images[:1]), wanted[:1], rtol=0.0, atol=1e-5)
-
-
 NARROW = """
 import torch
-from gelforge.networks.models import BasicBlock
+from gelforge.networks.models.resnet import BasicBlock
 
 for before in (3, 4, 8):
     block = BasicBlock(before, 2 * before, stride=2).to(memory_format=torch.channels_last)

@@ -3,37 +3,36 @@
 import cv2
 import numpy as np
 import pytest
-import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gelforge.networks.canonical import Light
-from gelforge.networks.dots import COLS, ROWS, Followed, PrintedDots
-from gelforge.networks.lattice import moved_alike
-from gelforge.networks.sensorprofile import Gain
-from gelforge.networks.statistics import (
+from gelforge.networks.inference.predictor import Predictor, load_for_use
+from gelforge.networks.inference.sensorprofile import Gain
+from gelforge.networks.preprocess.illumination import Light
+from gelforge.networks.preprocess.markertracks import COLS, ROWS, MarkerTracker, Tracks
+from gelforge.networks.preprocess.pair import Preprocessor
+from gelforge.networks.uncertainty.ood import (
     LIMITS,
     MARGIN,
-    DotEvidence,
-    PairEvidence,
+    MarkerDiagnostics,
+    PairDiagnostics,
     as_arrays,
     describe,
-    dot_evidence,
     grey_of,
-    pair_evidence,
+    marker_diagnostics,
+    pair_diagnostics,
     pair_fault,
     pair_limits,
     quantile,
     quarters,
     relief,
     relief_fault,
-    rimless_evidence,
+    rimless_diagnostics,
     score,
     spread_of,
     unevenness,
     widened,
 )
-from gelforge.networks.use import Untouched, load_for_use, predict_one
 from gelforge.records.image import read_image
 from gelforge.records.log import read_presses
 from tests.pictures import moved
@@ -53,15 +52,25 @@ def presses(root):
 
 @pytest.fixture(scope="module")
 def limits(rest, presses):
-    dots = {name: PrintedDots(picture) for name, picture in rest.items()}
-    return pair_limits([pair_evidence(image, rest[name], dots[name]) for name, image, _ in presses])
+    prepare = {name: preprocessor(picture) for name, picture in rest.items()}
+    return pair_limits([pair_diagnostics(prepare[name](image)) for name, image, _ in presses])
+
+
+def preprocessor(picture):
+    """Of the network that ships, whose pictures are all at their own scale."""
+    metadata = {name: value for name, value in load_for_use(None).metadata.items() if name != "pitch_px"}
+    return Preprocessor(metadata, picture)
+
+
+def diagnostics(image, picture):
+    return pair_diagnostics(preprocessor(picture)(image))
 
 
 DAMAGE = {
     "a shift": (lambda image: moved(image, (7.0, 5.0)), "rim"),
     "a turn": (lambda image: moved(image, turn=-4.5), "rim"),
-    "a zoom": (lambda image: moved(image, zoom=1.12), "rim|dots|untouched"),
-    "out of focus": (lambda image: cv2.GaussianBlur(image, (0, 0), 6.0), "dots at the rim"),
+    "a zoom": (lambda image: moved(image, zoom=1.12), "rim|markers|no-contact"),
+    "out of focus": (lambda image: cv2.GaussianBlur(image, (0, 0), 6.0), "markers at the rim"),
 }
 
 
@@ -70,19 +79,14 @@ def test_every_limit_that_is_set_is_one_that_a_file_is_checked_for(limits):
 
 
 def test_good_pairs_are_good(rest, presses, limits):
-    faults = [
-        pair_fault(limits, pair_evidence(image, rest[name], PrintedDots(rest[name]))) for name, image, _ in presses
-    ]
+    faults = [pair_fault(limits, diagnostics(image, rest[name])) for name, image, _ in presses]
     assert sum(map(bool, faults)) <= 0.05 * len(faults)
 
 
 @pytest.mark.parametrize("what", DAMAGE)
 def test_what_happened_to_a_picture_is_named(rest, presses, limits, what):
     damage, named = DAMAGE[what]
-    faults = [
-        pair_fault(limits, pair_evidence(damage(image), rest[name], PrintedDots(rest[name])))
-        for name, image, _ in presses
-    ]
+    faults = [pair_fault(limits, diagnostics(damage(image), rest[name])) for name, image, _ in presses]
     seen = [fault for fault in faults if fault]
     assert len(seen) >= 0.85 * len(faults)
     assert any(any(word in fault for word in named.split("|")) for fault in seen)
@@ -90,10 +94,7 @@ def test_what_happened_to_a_picture_is_named(rest, presses, limits, what):
 
 def test_the_picture_of_another_unit_is_no_untouched_picture(rest, presses, limits):
     other = {"mini_a": "mini_e", "mini_e": "mini_a"}
-    faults = [
-        pair_fault(limits, pair_evidence(image, rest[other[name]], PrintedDots(rest[other[name]])))
-        for name, image, _ in presses
-    ]
+    faults = [pair_fault(limits, diagnostics(image, rest[other[name]])) for name, image, _ in presses]
     assert sum(map(bool, faults)) >= 0.9 * len(faults)
 
 
@@ -110,8 +111,8 @@ BEYOND = {
 def pair_at(limits):
     """A pair that lies exactly at all limits."""
     light = Light(np.ones(3), np.zeros(3), limits["largest_residual"], limits["least_share"], known=True)
-    dots = DotEvidence(limits["largest_rim_px"], limits["largest_rim_lost"], limits["largest_uneven"])
-    return PairEvidence(limits["largest_distance"], light, dots)
+    markers = MarkerDiagnostics(limits["largest_rim_px"], limits["largest_rim_lost"], limits["largest_uneven"])
+    return PairDiagnostics(limits["largest_distance"], light, markers)
 
 
 @pytest.mark.parametrize("name", BEYOND)
@@ -127,7 +128,7 @@ def test_a_pair_beyond_a_single_limit_is_told_and_a_wider_limit_lets_it_pass(lim
 @pytest.mark.parametrize("gain, pulls", [(1.0, False), (-1.0, True)])
 def test_a_gel_that_pulls_on_what_touches_it_is_told(rest, presses, gain, pulls):
     name, image, _ = max(presses, key=lambda press: press[2])
-    judged = predict_one(Untouched(load_for_use(None), rest[name], gain=Gain(gain, gain, gain, 9)), image)[2]
+    judged = Predictor(load_for_use(None), rest[name], Gain(gain, gain, gain, 9)).predict(image)
     assert ("the gel seems to pull" in judged.reason) == pulls and judged.flag >= pulls
 
 
@@ -147,12 +148,12 @@ def test_light_alone_is_no_relief_and_no_fault(rest, presses, limits):
         assert relief(dimmer) == pytest.approx(0.9 * relief(picture), rel=0.1)
     name, image, _ = presses[0]
     dimmer = np.clip(np.rint(0.93 * image), 0, 255).astype(np.uint8)
-    assert pair_fault(limits, pair_evidence(dimmer, rest[name], PrintedDots(rest[name]))) == ""
+    assert pair_fault(limits, diagnostics(dimmer, rest[name])) == ""
 
 
 def test_a_picture_without_dots_has_no_rim_to_look_at():
     grey = np.full((240, 320, 3), 128, np.uint8)
-    assert dot_evidence(PrintedDots(grey), PrintedDots(grey).follow(grey)) == DotEvidence()
+    assert marker_diagnostics(MarkerTracker(grey), MarkerTracker(grey).track(grey)) == MarkerDiagnostics()
     assert relief(grey) < 1.0 and MARGIN > 1.0
 
 
@@ -161,10 +162,10 @@ RIMLESS = {
     "a gel at rest": (0.1, 0.2, 0, ""),
     "a press that shades dots": (0.7, 18.0, 18, ""),
     "a drag": (3.0, 8.0, 4, ""),
-    "a gel that sits otherwise": (3.0, 3.2, 0, "all its dots moved"),
-    "another gel": (3.0, 8.0, 16, "all its dots moved"),
-    "another gel whose dots were taken for others": (0.3, 8.0, 24, "60% of its dots do not look"),
-    "no dot that is found again": (np.nan, np.nan, 40, "100% of its dots do not look"),
+    "a gel that sits otherwise": (3.0, 3.2, 0, "all its markers moved"),
+    "another gel": (3.0, 8.0, 16, "all its markers moved"),
+    "another gel whose dots were taken for others": (0.3, 8.0, 24, "60% of its markers do not look"),
+    "no dot that is found again": (np.nan, np.nan, 40, "100% of its markers do not look"),
 }
 
 
@@ -172,21 +173,23 @@ RIMLESS = {
 def test_another_gel_is_told_where_no_rim_is_shown(limits, what):
     near, far, unlike, told = RIMLESS[what]
     motion = np.where(np.arange(40)[:, None] < 10, near, far) * [1.0, 0.0]
-    evidence = rimless_evidence(Followed(motion, np.arange(40) < unlike))
+    evidence = rimless_diagnostics(Tracks(motion, np.arange(40) < unlike))
     light = Light(np.ones(3), np.zeros(3), 0.0, 1.0, known=True)
-    fault = pair_fault(limits, PairEvidence(0.0, light, evidence))
+    fault = pair_fault(limits, PairDiagnostics(0.0, light, evidence))
     assert fault.startswith(told) and bool(fault) == bool(told)
 
 
 def test_a_picture_without_dots_tells_nothing_of_another_gel():
-    assert rimless_evidence(Followed(np.zeros((0, 2)), np.zeros(0, bool))) == DotEvidence()
+    assert rimless_diagnostics(Tracks(np.zeros((0, 2)), np.zeros(0, bool))) == MarkerDiagnostics()
 
 
 @given(st.tuples(*[st.floats(-5, 5)] * 4), st.floats(0, 0.3), st.integers(0, 99))
 def test_what_moves_all_dots_alike_is_not_uneven(parts, lost, seed):
     """Whatever the shift, turn and zoom, and whichever dots are lost; dots of another print are told from them."""
     rng = np.random.default_rng(seed)
-    aside = moved_alike(*(torch.tensor([part * unit]) for part, unit in zip(parts, (1, 1, 0.01, 0.01)))).numpy()[0]
+    right, down, turn, zoom = (part * unit for part, unit in zip(parts, (1, 1, 0.01, 0.01)))
+    v, u = 32.0 * np.mgrid[:ROWS, :COLS] - 32.0 * np.array([ROWS // 2, COLS // 2])[:, None, None]
+    aside = np.stack([right + zoom * u - turn * v, down + zoom * v + turn * u])
     found = (rng.random((1, ROWS, COLS)) >= lost).astype(np.float32)
     assert unevenness(np.concatenate([found * aside, found])) < 1e-4
     print_ = aside + rng.normal(0, 1.0, aside.shape)
@@ -218,6 +221,6 @@ def test_quantiles_are_numpys(values, share):
 
 
 def test_a_reference_made_arrays_scores_as_its_lists_do(presses):
-    known = load_for_use(None).about["statistics"]
+    known = load_for_use(None).metadata["statistics"]
     described = describe(presses[0][1])
     assert score(as_arrays(known), described) == score(known, described)

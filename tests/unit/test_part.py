@@ -12,9 +12,9 @@ from parameters import parameters
 from synthetic_presses import write_dataset
 
 from gelforge.errors import BadInput
-from gelforge.networks.batches import epoch_order
-from gelforge.networks.data import open_data
-from gelforge.networks.part import as_many_passes, parse_part, take_part
+from gelforge.networks.data.arrays import open_data
+from gelforge.networks.data.loader import epoch_order
+from gelforge.networks.data.subset import as_many_passes, parse_subset, take_subset
 
 
 @pytest.fixture(scope="module")
@@ -24,8 +24,8 @@ def data(tmp_path_factory):
 
 @pytest.mark.parametrize("name", ["presses_6", "units_1"])
 def test_a_part_has_what_it_is_asked_for_and_leaves_the_rest(data, name):
-    part = parse_part(name)
-    taken = take_part(data, part, seed=1)
+    part = parse_subset(name)
+    taken = take_subset(data, part, seed=1)
     rows = taken.splits["train"]
     of_row = data.presses(rows) if part.what == "presses" else data.names("sensor_id")[rows]
     assert len(np.unique(of_row)) == part.count
@@ -43,7 +43,7 @@ def test_a_part_has_what_it_is_asked_for_and_leaves_the_rest(data, name):
 def test_a_press_is_taken_whole_and_parts_grow(data):
     last: set[int] = set()
     for count in (4, 8, 16):
-        rows = take_part(data, parse_part(f"presses_{count}"), seed=3).splits["train"]
+        rows = take_subset(data, parse_subset(f"presses_{count}"), seed=3).splits["train"]
         presses = data.presses(data.splits["train"])
         whole = data.splits["train"][np.isin(presses, data.presses(rows))]
         assert set(whole) == set(rows)
@@ -56,7 +56,7 @@ def test_a_press_is_taken_whole_and_parts_grow(data):
 )
 def test_what_is_no_part_is_refused(name):
     with pytest.raises(BadInput, match="presses_N or units_N"):
-        parse_part(name)
+        parse_subset(name)
 
 
 @pytest.mark.parametrize("most", [0, 5, 17, 10**6])
@@ -71,7 +71,7 @@ def test_every_part_is_passed_over_as_often_as_the_whole(data, most, epochs):
 
     whole = passes(data, settings)
     for count in (4, 8, 16):
-        taken = take_part(data, parse_part(f"presses_{count}"), seed=3)
+        taken = take_subset(data, parse_subset(f"presses_{count}"), seed=3)
         assert (
             0 <= passes(taken, as_many_passes(settings, taken, data)) - whole <= epochs / len(taken.splits["train"])
         )
@@ -79,4 +79,4 @@ def test_every_part_is_passed_over_as_often_as_the_whole(data, most, epochs):
 
 def test_more_than_there_is_is_refused(data):
     with pytest.raises(BadInput, match="asks for more presses than the"):
-        take_part(data, parse_part("presses_100000"), seed=1)
+        take_subset(data, parse_subset("presses_100000"), seed=1)

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from gelforge.commands import predict, sensor
 from gelforge.errors import BadInput, GelforgeError
 from gelforge.formats.numpy_pickle import read_npy
-from gelforge.networks.sensorprofile import (
+from gelforge.networks.inference.predictor import load_for_use
+from gelforge.networks.inference.sensorprofile import (
     Gain,
     SensorProfile,
     check_same_sensor,
@@ -21,11 +22,10 @@ from gelforge.networks.sensorprofile import (
     make_profile,
     read_profile,
     student_quantile,
-    untouched_of,
+    with_profile,
     write_profile,
 )
-from gelforge.networks.still import FEWEST
-from gelforge.networks.use import load_for_use
+from gelforge.networks.preprocess.nocontact import FEWEST
 from gelforge.records.image import read_image
 from gelforge.records.markers import pitch_of
 from tests.benchmarks.real import feats_maps
@@ -98,7 +98,7 @@ def shipped():
     return load_for_use(None)
 
 
-NET = {"name": "net", "sha256": "ab" * 32, "dots": {"sha256": "cd" * 32}}
+NET = {"name": "net", "stages": ["slopes", "forces"], "sha256": {"slopes": "cd" * 32, "forces": "ab" * 32}}
 
 
 def test_a_factor_found_with_another_network_is_refused(root, tmp_path):
@@ -106,12 +106,21 @@ def test_a_factor_found_with_another_network_is_refused(root, tmp_path):
     picture = read_image(root / "data/demo/nocontact/mini_a.png")
     path = tmp_path / "mine.toml"
     write_profile(path, make_profile("mine", picture, pitch_of(picture), Gain(1.2, 1.1, 1.3, 5), NET))
-    assert untouched_of(path, None, NET)[1] == Gain(1.2, 1.1, 1.3, 5)
-    for other in (NET | {"sha256": "12" * 32}, NET | {"dots": {"sha256": "34" * 32}}):
+    assert with_profile(path, None, NET)[1] == Gain(1.2, 1.1, 1.3, 5)
+    for other in ({"slopes": "cd" * 32, "forces": "12" * 32}, {"slopes": "34" * 32, "forces": "ab" * 32}):
         with pytest.raises(BadInput, match="another network.*gelforge sensor"):
-            untouched_of(path, None, other)
+            with_profile(path, None, NET | {"sha256": other})
     write_profile(path, make_profile("mine", picture, pitch_of(picture), Gain(), NET))
-    assert untouched_of(path, None, NET | {"sha256": "12" * 32})[1].value == 1.0  # no factor, so none that is wrong
+    assert (
+        with_profile(path, None, NET | {"sha256": {"slopes": "", "forces": "12" * 32}})[1].value == 1.0
+    )  # no factor, so none that is wrong
+
+
+def test_a_profile_of_an_earlier_version_still_opens(root, tmp_path):
+    picture, path = read_image(root / "data/demo/nocontact/mini_a.png"), tmp_path / "mine.toml"
+    write_profile(path, make_profile("mine", picture, pitch_of(picture), Gain(), NET))
+    path.write_text(path.read_text().replace("nocontact = ", "untouched = "))
+    np.testing.assert_array_equal(read_profile(path).nocontact, picture)
 
 
 def test_a_picture_that_cannot_be_written_is_named_by_its_own_name(tmp_path):
@@ -126,7 +135,7 @@ def test_a_profile_comes_back_from_its_file(root, tmp_path):
     profile = make_profile("mine", picture, pitch_of(picture), Gain(1.2, 1.1, 1.3, 5), NET)
     write_profile(tmp_path / "mine \U0001f916.toml", profile)
     found = read_profile(tmp_path / "mine \U0001f916.toml")
-    np.testing.assert_array_equal(found.untouched, picture)
+    np.testing.assert_array_equal(found.nocontact, picture)
     assert (found.name, found.date, found.gain, found.model) == ("mine", profile.date, profile.gain, "net")
     assert found.pitch == pytest.approx(profile.pitch, abs=1e-3) and 25 < found.pitch < 40
     check_same_sensor(found, found.pitch)
@@ -140,9 +149,9 @@ def test_a_profile_comes_back_from_its_file(root, tmp_path):
     [
         (f"pitch_px = {10**400}", "not a sensor's profile"),
         ("pitch_px = -32.0", "not a sensor's profile"),
-        ('untouched = ""', "lies beside"),
-        (r'untouched = "a\u0000.png"', "lies beside"),
-        ('untouched = "../a.png"', "lies beside"),
+        ('nocontact = ""', "lies beside"),
+        (r'nocontact = "a\u0000.png"', "lies beside"),
+        ('nocontact = "../a.png"', "lies beside"),
     ],
 )
 def test_a_profile_with_a_line_that_cannot_be_is_refused(tmp_path, line, said):
@@ -194,7 +203,7 @@ def make(folder, rows, *more):
     words = [
         "--name",
         "mine",
-        "--untouched",
+        "--nocontact",
         str(folder / "rest.png"),
         "--readings",
         str(table(folder / "r.csv", rows)),
@@ -212,7 +221,7 @@ def test_weighed_presses_make_a_profile_that_predict_uses(weighed, capsys):
             *(str(folder / row[0]) for row in rows),
             "--out",
             str(folder / "all"),
-            "--untouched",
+            "--nocontact",
             str(folder / "rest.png"),
         ]
     )
@@ -220,7 +229,7 @@ def test_weighed_presses_make_a_profile_that_predict_uses(weighed, capsys):
         read = [-float(row["grid_z_n"]) for row in csv.DictReader(stream)]
     assert gain.low < np.median([float(row[1]) for row in rows] / np.array(read)) < gain.high
     totals = []
-    for more in (["--untouched", str(folder / "rest.png")], ["--profile", str(folder / "mine.toml")]):
+    for more in (["--nocontact", str(folder / "rest.png")], ["--profile", str(folder / "mine.toml")]):
         predict.main([str(folder / rows[0][0]), "--out", str(folder / "out"), *more])
         with (folder / "out/totals.csv").open() as stream:
             totals.append(float(next(csv.DictReader(stream))["grid_z_n"]))
@@ -230,7 +239,7 @@ def test_weighed_presses_make_a_profile_that_predict_uses(weighed, capsys):
 def test_a_profile_that_was_weighed_is_not_replaced_by_one_that_was_not(weighed, capsys):
     """Also where its picture is gone. One that is weighed again takes its place, and says so."""
     folder, rows = weighed
-    asked = ["--name", "mine", "--untouched", str(folder / "rest.png"), "--out", str(folder / "mine.toml")]
+    asked = ["--name", "mine", "--nocontact", str(folder / "rest.png"), "--out", str(folder / "mine.toml")]
     assert sensor.main(asked) == 0 and sensor.main(asked) == 0
     assert make(folder, rows) == 0
     told = (folder / "mine.toml").read_text()
@@ -302,12 +311,12 @@ def test_fingers_that_grasp_one_object_read_alike_with_their_profiles(weighed):
     """The same pictures of both fingers, one of which has a factor: the other gets nearly as much."""
     folder, rows = weighed
     left = make_profile(
-        "left", read_image(folder / "rest.png"), 0.0, Gain(1.3, 1.25, 1.35, 9), load_for_use(None).about
+        "left", read_image(folder / "rest.png"), 0.0, Gain(1.3, 1.25, 1.35, 9), load_for_use(None).metadata
     )
     write_profile(folder / "left.toml", left)
     grasps = folder / "grasps.csv"
     grasps.write_text("\n".join(["image,opposite", *(f"{row[0]},{row[0]}" for row in rows)]) + "\n")
-    asked = ["--name", "right", "--untouched", str(folder / "rest.png"), "--out", str(folder / "right.toml")]
+    asked = ["--name", "right", "--nocontact", str(folder / "rest.png"), "--out", str(folder / "right.toml")]
     assert sensor.main([*asked, "--opposite", str(folder / "left.toml"), "--grasps", str(grasps)]) == 0
     assert read_profile(folder / "right.toml").gain.value == pytest.approx(1.3, rel=1e-3)
 
@@ -320,18 +329,18 @@ def test_fingers_that_grasp_one_object_read_alike_with_their_profiles(weighed):
 def test_half_of_what_grasps_need_is_refused(weighed, more, told):
     folder, _ = weighed
     with pytest.raises(BadInput, match=told):
-        sensor.main(["--name", "a", "--untouched", str(folder / "rest.png"), *more])
+        sensor.main(["--name", "a", "--nocontact", str(folder / "rest.png"), *more])
 
 
 @pytest.mark.parametrize("taken", ["renamed", "other"])
 def test_what_a_profile_is_made_from_keeps_its_place(weighed, taken):
     """Also the picture of a profile whose own file was renamed, by which nothing but what the file says leads to it."""
     folder, _ = weighed
-    profile = make_profile("other", read_image(folder / "rest.png"), 0.0, Gain(), load_for_use(None).about)
+    profile = make_profile("other", read_image(folder / "rest.png"), 0.0, Gain(), load_for_use(None).metadata)
     write_profile(folder / "other.toml", profile)
     (folder / "other.toml").rename(folder / "renamed.toml")
     read = ["--opposite", str(folder / "renamed.toml"), "--grasps", str(folder / "grasps.csv")]
-    asked = ["--name", "a", "--untouched", str(folder / "rest.png"), *read]
+    asked = ["--name", "a", "--nocontact", str(folder / "rest.png"), *read]
     with pytest.raises(BadInput, match="would take the place of a file that is read"):
         sensor.main([*asked, "--out", str(folder / f"{taken}.toml")])
     image = folder / "seen" / "other.png"
@@ -360,7 +369,7 @@ def test_a_film_tells_the_untouched_picture_by_itself(weighed):
     dark = [np.clip(rest * (0.5 + k / 16), 0, 255).astype(np.uint8) for k in range(8)]
     film = filmed(folder / "film.avi", [*dark, *[rest] * 12, *[press] * 12])
     assert sensor.main(["--name", "mine", "--video", film, "--out", str(folder / "mine.toml")]) == 0
-    found = read_profile(folder / "mine.toml").untouched.astype(int)
+    found = read_profile(folder / "mine.toml").nocontact.astype(int)
     assert np.abs(found - rest).mean() < 1.0 < np.abs(press.astype(int) - rest).mean()
 
 
@@ -378,7 +387,7 @@ def test_a_profile_of_a_picture_without_dots_is_refused(weighed):
     folder, rows = weighed
     blurred = cv2.medianBlur(cv2.imread(str(folder / "rest.png")), 61)
     cv2.imwrite(str(folder / "rest.png"), blurred)
-    with pytest.raises(BadInput, match="no print of dots.*take a sharp one"):
+    with pytest.raises(BadInput, match="shows no markers.*take a sharp one"):
         make(folder, rows)
 
 
@@ -387,7 +396,7 @@ def test_a_table_with_blanks_beside_its_commas_is_read_and_one_of_semicolons_nam
     path = table(folder / "r.csv", rows)
     lines = path.read_text().splitlines()
     path.write_text("\n".join(line.replace(",", " , ") for line in lines) + "\n")
-    asked = ["--name", "mine", "--untouched", str(folder / "rest.png"), "--readings", str(path)]
+    asked = ["--name", "mine", "--nocontact", str(folder / "rest.png"), "--readings", str(path)]
     assert sensor.main([*asked, "--out", str(folder / "mine.toml")]) == 0
     path.write_text("\n".join(line.replace(",", ";") for line in lines) + "\n")
     with pytest.raises(BadInput, match="column image is missing, seen: image;force_n; .*with commas"):
@@ -398,8 +407,8 @@ def test_one_source_of_the_untouched_picture_is_asked_for(weighed):
     folder, _ = weighed
     moving = [np.full((60, 80, 3), 18 * k, np.uint8) for k in range(FEWEST)]
     for more, says in (
-        ([], "give one of --untouched IMAGE"),
-        (["--untouched", str(folder / "rest.png"), "--camera", "0"], "give one of --untouched IMAGE"),
+        ([], "give one of --nocontact IMAGE"),
+        (["--nocontact", str(folder / "rest.png"), "--camera", "0"], "give one of --nocontact IMAGE"),
         (["--video", str(folder / "gone.avi")], "no such video"),
         (["--video", filmed(folder / "moving.avi", moving)], "without movement"),
     ):
@@ -422,7 +431,7 @@ def test_a_picture_that_shows_a_part_of_the_contact_does_not_count(reference, tm
     assert read_profile(tmp_path / "mine.toml").gain.readings == 2
     with pytest.raises(BadInput, match="in none of 1 pictures is all of the contact seen"):
         make(tmp_path, rows[2:])
-    asked = ["--name", "right", "--untouched", str(tmp_path / "rest.png"), "--opposite", str(tmp_path / "mine.toml")]
+    asked = ["--name", "right", "--nocontact", str(tmp_path / "rest.png"), "--opposite", str(tmp_path / "mine.toml")]
     grasps = tmp_path / "g.csv"
     grasps.write_text("image,opposite\nball.png,bar.png\n")
     with pytest.raises(BadInput, match="in none of 1 grasps do both pictures show all of the contact"):

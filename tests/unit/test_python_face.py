@@ -17,9 +17,8 @@ from gelforge.commands.live_readings import readings
 from gelforge.errors import BadInput
 from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.scene import REFERENCE_C10
-from gelforge.networks.sensorprofile import Gain, make_profile, write_profile
-from gelforge.networks.sitting import LEAST_SITTING
-from gelforge.networks.use import Untouched, load_for_use
+from gelforge.networks.inference.predictor import Predictor, load_for_use
+from gelforge.networks.inference.sensorprofile import Gain, make_profile, write_profile
 from gelforge.records.image import read_image, write_png
 from gelforge.records.log import read_presses
 from gelforge.records.markers import pitch_of
@@ -85,11 +84,18 @@ def test_what_the_readme_shows_runs(root):
 
 def test_reading_an_image():
     image = np.full((240, 320, 3), 128, np.uint8)
-    forces, verdict = gelforge.predict(image, untouched=image)
+    forces, verdict = gelforge.predict(image, nocontact=image)
     assert forces.shape[0] == 3 and np.isfinite(forces).all()
     assert verdict["flag"], "a grey picture is unlike any sensor"
-    told = {"score", "flag", "reason", "untouched", "light", "placed", "by_dots", "half_width", "edge_peak"}
+    told = {"cells", "total", "half_width", "reason", "edge_peak", "ood_score", "image", "flag"}
     assert verdict.keys() == told
+
+
+def test_the_former_name_of_an_argument_still_works_and_names_the_new_one(root):
+    rest = read_image(root / "data/demo/nocontact/mini_a.png")
+    with pytest.warns(DeprecationWarning, match="untouched= is called nocontact= now"):
+        old = gelforge.predict(rest, untouched=rest)[0]
+    assert np.array_equal(old, gelforge.predict(rest, nocontact=rest)[0])
 
 
 def test_reading_many_images_of_one_sensor(root):
@@ -98,11 +104,11 @@ def test_reading_many_images_of_one_sensor(root):
     rest, *images = (
         read_image(path) for path in [folder / "nocontact/mini_a.png", *sorted(folder.glob("images/*.png"))[:2]]
     )
-    read = gelforge.Reader(untouched=rest)
+    read = gelforge.Reader(nocontact=rest)
     found = read.batch(np.stack(images))
     assert len(found) == 2
     for image, one in zip(images, found, strict=True):
-        np.testing.assert_array_equal(one.cells, gelforge.predict(image, untouched=rest)[0])
+        np.testing.assert_array_equal(one.cells, gelforge.predict(image, nocontact=rest)[0])
         np.testing.assert_allclose(one.total, one.cells.sum((1, 2)), rtol=1e-5)
         assert one.half_width is None or (one.half_width > 0.0).all()
     calm = read(rest)
@@ -115,8 +121,8 @@ def test_reading_many_images_of_one_sensor(root):
 @pytest.mark.parametrize(
     ("spoil", "told"),
     [
-        (lambda rest: cv2.medianBlur(rest, 61), "no print of dots"),
-        (lambda rest: cv2.GaussianBlur(rest, (0, 0), 30), "no print of dots"),
+        (lambda rest: cv2.medianBlur(rest, 61), "shows no markers"),
+        (lambda rest: cv2.GaussianBlur(rest, (0, 0), 30), "shows no markers"),
         (lambda rest: np.ascontiguousarray(rest[:3]), "another shape"),
         (lambda rest: np.ascontiguousarray(rest[:, :160]), "another shape"),
     ],
@@ -125,50 +131,39 @@ def test_reading_many_images_of_one_sensor(root):
 def test_an_untouched_picture_that_tells_nothing_is_told(root, spoil, told):
     """What is read against it may be any number."""
     rest = read_image(root / "data/demo/nocontact/mini_a.png")
-    found = gelforge.Reader(untouched=spoil(rest))(rest)
+    found = gelforge.Reader(nocontact=spoil(rest))(rest)
     assert found.flag and told in found.reason
 
 
-def test_images_of_one_sitting_read_as_the_command_reads_them(root, tmp_path):
-    """A gel that was put back otherwise: alike in all images, which together tell it otherwise than each by itself."""
+def test_the_same_image_gives_the_same_answer_everywhere(root, tmp_path):
+    """By `predict`, Reader, its batch and stream, and `live`, whatever was read before."""
     folder = root / "data/demo"
     rest = read_image(folder / "nocontact/mini_a.png")
-    of_sensor = [press for press in read_presses(folder / "log.csv") if press.sensor_id == "mini_a"][:LEAST_SITTING]
-    images = [moved(read_image(folder / press.image), (5.0, -4.0), turn=1.0) for press in of_sensor]
+    of_sensor = [press for press in read_presses(folder / "log.csv") if press.sensor_id == "mini_a"][:4]
+    images = [moved(read_image(folder / press.image), (2.0, -1.0)) for press in of_sensor]
     paths = [tmp_path / f"{number}.png" for number in range(len(images))]
     for path, image in zip(paths, images, strict=True):
         write_png(path, image)
-    reader = gelforge.Reader(untouched=rest)
-    assert len(list(predict.predict_files(paths, Untouched(load_for_use(None), rest), tmp_path / "out"))) == len(
-        paths
-    )
-    wanted = [np.load(tmp_path / "out" / f"{path.stem}.npy") for path in paths]
-    together, alone = reader.batch(np.stack(images), one_sitting=True), reader.batch(np.stack(images))
-    np.testing.assert_array_equal([one.cells for one in together], wanted)
-    np.testing.assert_array_equal([one.cells for one in alone], [reader(image).cells for image in images])
-    assert all(np.abs(one.total - other.total).max() > 1e-3 for one, other in zip(together, alone, strict=True))
-
-
-def test_images_of_a_stream_read_as_live_reads_them(root):
-    """One after the other, as they come, and with what the ones before told of how the gel sits."""
-    folder = root / "data/demo"
-    rest = read_image(folder / "nocontact/mini_a.png")
-    of_sensor = [press for press in read_presses(folder / "log.csv") if press.sensor_id == "mini_a"][:LEAST_SITTING]
-    images = [moved(read_image(folder / press.image), (2.0, -1.0)) for press in of_sensor]
-    reader, taken = gelforge.Reader(untouched=rest), []
+    reader, predictor = gelforge.Reader(nocontact=rest), Predictor(load_for_use(None), rest)
+    wanted = [reader(image).cells for image in images]
+    assert len(list(predict.predict_files(paths, predictor, tmp_path / "out"))) == len(paths)
+    np.testing.assert_array_equal([np.load(tmp_path / "out" / f"{path.stem}.npy") for path in paths], wanted)
+    np.testing.assert_array_equal([one.cells for one in reader.batch(np.stack(images[::-1]))][::-1], wanted)
+    told = readings(predictor, [np.ascontiguousarray(image[..., ::-1]) for image in images])
+    np.testing.assert_array_equal([one.found.cells for one in told], wanted)
+    taken = []
     found = reader.stream(taken.append(image) or image for image in images)
     first = next(found)
     assert len(taken) == 1
-    told = readings(Untouched(load_for_use(None), rest), [np.ascontiguousarray(image[..., ::-1]) for image in images])
-    np.testing.assert_array_equal([one.cells for one in (first, *found)], [one.forces for one in told])
+    np.testing.assert_array_equal([one.cells for one in (first, *found)], wanted)
 
 
 def test_a_profile_scales_what_is_read(root, tmp_path):
     rest = read_image(root / "data/demo/nocontact/mini_a.png")
     image = read_image(sorted(root.glob("data/demo/images/*.png"))[3])
-    about = load_for_use(None).about
+    about = load_for_use(None).metadata
     write_profile(tmp_path / "mine.toml", make_profile("mine", rest, pitch_of(rest), Gain(1.25, 1.1, 1.4, 3), about))
-    plain, scaled = gelforge.Reader(untouched=rest)(image), gelforge.Reader(profile=tmp_path / "mine.toml")(image)
+    plain, scaled = gelforge.Reader(nocontact=rest)(image), gelforge.Reader(profile=tmp_path / "mine.toml")(image)
     np.testing.assert_allclose(scaled.cells, 1.25 * plain.cells, rtol=1e-6)
 
 
@@ -212,7 +207,7 @@ def test_reading_an_image_needs_none_of_what_the_flow_needs():
     code = (
         f"import sys; sys.modules.update(dict.fromkeys({absent!r})); import numpy, gelforge;"
         "image = numpy.full((240, 320, 3), 128, numpy.uint8);"
-        "print(gelforge.predict(image, untouched=image)[0].shape)"
+        "print(gelforge.predict(image, nocontact=image)[0].shape)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

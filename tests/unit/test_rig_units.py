@@ -12,7 +12,7 @@ from gelforge.flow.params import read_sensor_tables
 from gelforge.flow.params.schema import kinds_of
 from gelforge.geometry.gel import USUAL_GEL, Gel
 from gelforge.labelling.sensor import check_projection, sensors_of
-from gelforge.networks.canonical import match_light
+from gelforge.networks.preprocess.illumination import match_light
 from gelforge.records.markers import find_markers
 from gelforge.virtualrig.looks import read_looks
 from gelforge.virtualrig.render import Renderer

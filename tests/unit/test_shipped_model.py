@@ -1,7 +1,6 @@
 """The network that comes with gelforge: it reads pictures as soon as the set-up is done."""
 
 import csv
-from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
@@ -11,23 +10,23 @@ import pytest
 from gelforge.commands import predict
 from gelforge.errors import BadInput
 from gelforge.flow.params.tables import SHIPPED_IMAGE
-from gelforge.networks import use
-from gelforge.networks.modelfile import load_model, require_sensor
-from gelforge.networks.still import picture_at_rest
+from gelforge.networks.checkpoint.modelfile import load_model, require_sensor
+from gelforge.networks.inference.predictor import SHIPPED, Predictor, load_for_use
+from gelforge.networks.preprocess.nocontact import picture_at_rest
 from gelforge.records.film import frames, open_source
 
 LARGEST = 3 * 2**20  # bytes
 
 
 def test_it_is_small_and_its_card_says_where_it_learnt():
-    assert use.SHIPPED.stat().st_size <= LARGEST
-    card = use.SHIPPED.with_suffix(".md").read_text(encoding="utf-8")
+    assert SHIPPED.stat().st_size <= LARGEST
+    card = SHIPPED.with_suffix(".md").read_text(encoding="utf-8")
     assert "learnt from the virtual rig" in card
-    assert f"# Model card: {load_model(use.SHIPPED).about['name']}" in card
+    assert f"# Model card: {load_model(SHIPPED).metadata['name']}" in card
 
 
 def test_the_plan_knows_the_size_of_pictures_that_it_reads():
-    assert SHIPPED_IMAGE[::-1] == tuple(load_model(use.SHIPPED).about["image"])
+    assert SHIPPED_IMAGE[::-1] == tuple(load_model(SHIPPED).metadata["image"])
 
 
 def test_it_reads_presses_it_never_saw(root, tmp_path):
@@ -36,7 +35,7 @@ def test_it_reads_presses_it_never_saw(root, tmp_path):
     truth = {row["sample_id"]: row for row in csv.DictReader((root / "data/demo/truth/presses.csv").open())}
     images = [str(root / "data/demo" / row["image"]) for row in log]
     rest = str(root / "data/demo/nocontact/mini_a.png")
-    assert predict.main([*images, "--untouched", rest, "--out", str(tmp_path)]) == 0
+    assert predict.main([*images, "--nocontact", rest, "--out", str(tmp_path)]) == 0
     rows = list(csv.DictReader((tmp_path / "totals.csv").open()))
     assert not any(int(row["flagged"]) for row in rows)
     read = np.array([float(row["grid_z_n"]) for row in rows])
@@ -45,16 +44,13 @@ def test_it_reads_presses_it_never_saw(root, tmp_path):
     assert np.load(tmp_path / f"{log[0]['sample_id']}.npy").shape == (3, 24, 32)
 
 
-def test_it_is_for_any_sensor_that_brings_its_untouched_picture(root):
+def test_it_is_for_any_sensor_that_brings_its_no_contact_image(root):
     """It learnt from too many units to be one of theirs: the demo's report reads units of other names with it."""
-    trained = load_model(use.SHIPPED)
-    assert trained.for_any_sensor and len(trained.about["sensors"]) > 8
-    require_sensor(trained, {"any name"})
-    with pytest.raises(BadInput, match="give it with --untouched PICTURE or --profile"):
-        use.Untouched(trained)
-    kept = replace(trained, untouched={"known_01": np.zeros((240, 320, 3), np.uint8)})
-    with pytest.raises(BadInput, match="was made for sensors"):
-        require_sensor(kept, {"any name"})
+    model = load_model(SHIPPED)
+    assert model.needs_nocontact and len(model.metadata["sensors"]) > 8
+    require_sensor(model, {"any name"})
+    with pytest.raises(BadInput, match="give it with --nocontact PICTURE or --profile"):
+        Predictor(model)
 
 
 def some_frames(film: Path) -> list[np.ndarray]:
@@ -70,10 +66,10 @@ def some_frames(film: Path) -> list[np.ndarray]:
 def test_the_other_finger_of_a_gripper_is_flagged_and_ones_own_is_not(reference, grasp):
     """Both look alike and show no rim; a released gel reads up to 40 N against the other's untouched picture."""
     films = [reference / f"gripper_videos/{grasp}_camera_{finger}.avi" for finger in (0, 2)]
-    fingers = [use.Untouched(use.load_for_use(None), picture_at_rest(film, None)) for film in films]
+    fingers = [Predictor(load_for_use(None), picture_at_rest(film, None)) for film in films]
     flagged = {True: [], False: []}
-    for one, untouched in enumerate(fingers):
+    for one, predictor in enumerate(fingers):
         for other, film in enumerate(films):
-            told = [use.predict_one(untouched, image)[2].flag for image in some_frames(film)]
+            told = [predictor.predict(image).flag for image in some_frames(film)]
             flagged[one == other] += told
     assert np.mean(flagged[False]) >= 0.9 and np.mean(flagged[True]) <= 0.25

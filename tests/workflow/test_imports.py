@@ -17,7 +17,7 @@ from gelforge.formats.feats_folder import import_folder
 from gelforge.formats.featsfile import FORCE_FIELDS, POSE_FIELDS, LabelSample, read_sample, write_label
 from gelforge.formats.mcap_import import Topics, import_recordings, messages, nearest
 from gelforge.labelling.sensor import load_sensors
-from gelforge.networks.modelfile import load_model
+from gelforge.networks.checkpoint.modelfile import load_model
 from gelforge.records.labelfile import read_labels
 from gelforge.records.splits import SPLITS
 from gelforge.stages.plan import logged_rows, write_shards
@@ -138,13 +138,13 @@ def test_the_dataset_trains_on_totals(tmp_path, sensor, root):
     write_json(tmp_path / "models.json", {"small": {"kind": "resnet", "blocks": [1, 1], "widths": [8, 16]}})
     write_slice(tmp_path, "train", train={**plain(SETTINGS), "epochs": 1, "shift_cells": 0})
     command = {"dataset": out.parent, "model": "small", "models": tmp_path / "models.json", "params": tmp_path / "train.json",
-               "out": tmp_path / "small.pt.part"}  # fmt: skip
+               "out": tmp_path / "small.onnx.part"}  # fmt: skip
     words = [word for name, value in command.items() for word in (f"--{name}", str(value))]
     ran = subprocess.run(
         [sys.executable, "-m", "gelforge.stages.train", *words], capture_output=True, text=True, check=False
     )
     assert ran.returncode == 0, ran.stderr
-    assert load_model(tmp_path / "small.pt.part").about["grid"] == [1, 1]
+    assert load_model(tmp_path / "small.onnx.part").metadata["grid"] == [1, 1]
 
 
 @pytest.mark.parametrize(

@@ -22,6 +22,7 @@ from gelforge.live.foxglove import FoxgloveServer
 from gelforge.live.reading import Reading
 from gelforge.live.recording import McapRecorder
 from gelforge.live.topics import RosMessages
+from gelforge.records.forcereading import ForceReading
 from gelforge.records.image import decode
 from tests.foxglove_client import FoxgloveClient
 from tests.limited import limited_python
@@ -46,8 +47,10 @@ def reading(number, image=None, **other):
     """A reading of a frame, 25 of which are a second."""
     forces = np.random.default_rng(number).normal(0, 0.1, (3, 4, 5)).astype(np.float32)
     picture = np.full((6, 8, 3), 90, np.uint8) if image is None else image
-    said = {"flag": number % 2 == 1, "reason": "dark" if number % 2 else "", "half_width": np.array([0.1, 0.2, 0.3])}
-    return Reading(number, 0.04 * number, picture, forces, **(said | other), ms=3.0, edge_peak=0.0)
+    said = {"reason": "dark" if number % 2 else "", "half_width": np.array([0.1, 0.2, 0.3]), "edge_peak": 0.0}
+    total = forces.sum((1, 2), dtype=np.float64)
+    found = ForceReading(cells=forces, total=total, ood_score=1.0, image=picture, **(said | other))
+    return Reading(number, 0.04 * number, found, ms=3.0)
 
 
 def number_of(message) -> int:
@@ -116,11 +119,13 @@ def test_a_message_says_what_was_read():
     found = {topic: said for topic, _, said in topics.messages(read, 10**18)}
     top = "/sensor_9_Mini_R0B_2"
     assert found.keys() == {f"{top}/{name}" for name in TYPES}
-    along_y, along_x, normal = read.forces.sum((1, 2), dtype=np.float64)
+    along_y, along_x, normal = read.found.cells.sum((1, 2), dtype=np.float64)
     assert found[f"{top}/wrench"]["wrench"]["force"] == pytest.approx({"x": along_x, "y": along_y, "z": normal})
     high, low = (found[f"{top}/wrench/{name}"]["wrench"]["force"] for name in ("high", "low"))
     assert {axis: high[axis] - low[axis] for axis in "xyz"} == pytest.approx({"x": 0.4, "y": 0.2, "z": 0.6})
-    assert np.array_equal(np.frombuffer(found[f"{top}/forces/along_x"]["data"], "<f4").reshape(4, 5), read.forces[1])
+    assert np.array_equal(
+        np.frombuffer(found[f"{top}/forces/along_x"]["data"], "<f4").reshape(4, 5), read.found.cells[1]
+    )
     assert np.abs(decode(found[f"{top}/image/compressed"]["data"], "it").astype(int) - 90).max() <= 2
     (status,) = found[f"{top}/flag"]["status"]
     assert status["level"] == 1 and status["message"] == "dark"

@@ -25,8 +25,9 @@ from gelforge.errors import BadInput
 from gelforge.live.reading import Reading
 from gelforge.live.recording import Recorder, paced
 from gelforge.live.server import KEPT, WEB, Hub, Server, serve
-from gelforge.networks.use import Untouched, load_for_use
+from gelforge.networks.inference.predictor import Predictor, load_for_use
 from gelforge.records.film import frames, open_source
+from gelforge.records.forcereading import ForceReading
 from gelforge.reporting.forcemaps import FULL_COLOUR_N
 from tests.browser import WIDTHS, browser, console_errors, needs_browser, wait_for
 from tests.limited import limited
@@ -163,9 +164,9 @@ def test_a_camera_that_stops_is_told_and_what_it_gave_is_kept(film, tmp_path, as
     said = pytest.raises(BadInput, match="camera 0: stopped after 3 frames") if asked is None else nullcontext()
     with open_source(film, None) as (capture, _):
         seen = list(frames(capture, 3, "camera 0", 3))
-        untouched = Untouched(load_for_use(None, None), cv2.cvtColor(seen[0], cv2.COLOR_BGR2RGB))
+        predictor = Predictor(load_for_use(None, None), cv2.cvtColor(seen[0], cv2.COLOR_BGR2RGB))
         with said:
-            keep_readings(args, untouched, iter(seen), capture, "camera 0", threading.Event())
+            keep_readings(args, predictor, iter(seen), capture, "camera 0", threading.Event())
     assert len((tmp_path / "live.jsonl").read_text().splitlines()) == 3
 
 
@@ -200,9 +201,10 @@ def test_how_many_frames_are_flagged_is_counted_where_they_are_written(tmp_path)
 def reading(number, flag=False):
     forces = np.zeros((3, 4, 5), np.float32)
     forces[2, 1, 1] = -number
-    return Reading(
-        number, 0.01 * number, np.zeros((6, 8, 3), np.uint8), forces, flag, "dark" if flag else "", 1.0, 0.0
+    found = ForceReading(
+        forces, forces.sum((1, 2)), None, "dark" if flag else "", 0.0, 1.0, np.zeros((6, 8, 3), np.uint8)
     )
+    return Reading(number, 0.01 * number, found, 1.0)
 
 
 def full(recorder):

@@ -198,7 +198,7 @@ def test_where_the_report_shows_the_network_that_ships_another_one_trains_withou
     text = path.read_text(encoding="utf-8")
     write_text(path, f'{text}\n[params.report]\nmodel = "shipped"\n')
     try:
-        assert "70_train/24x32/grid_16.pt" in make(labelled, "-n", "train", "DATASET=tiny").stdout
+        assert "70_train/24x32/grid_16.onnx" in make(labelled, "-n", "train", "DATASET=tiny").stdout
         assert "data/tiny/nocontact is missing" in make(labelled, "-n", "evaluate", "DATASET=tiny").stdout
     finally:
         write_text(path, text)
@@ -222,15 +222,16 @@ def test_other_datasets_are_learnt_from_as_they_lie(labelled, also):
     also("here")
     wanted = make(labelled, "-n", "train", "DATASET=tiny")
     assert wanted.returncode == 0 and "--also results/here/60_dataset/24x32 --model" in wanted.stdout
-    assert "results/here/60_dataset/24x32/dataset.json" in inputs_of(wanted.stdout, "70_train/24x32/grid_16.pt")
+    assert "results/here/60_dataset/24x32/dataset.json" in inputs_of(wanted.stdout, "70_train/24x32/grid_16.onnx")
 
 
 @pytest.mark.parametrize(
-    ("model", "target"), [("tuned", "70_train/24x32/tuned.pt"), ("shipped", "80_evaluate/24x32/shipped.json")]
+    ("model", "target"), [("tuned", "70_train/24x32/tuned.onnx"), ("shipped", "80_evaluate/24x32/shipped.json")]
 )
 def test_the_record_of_a_target_names_the_network_that_it_starts_from(untouched, model, target):
     said = make(untouched, "-n", "evaluate", "DATASET=tiny", f"MODEL={model}").stdout
-    assert "src/gelforge/networks/default.pt" in inputs_of(said, target)
+    kind = "safetensors" if model == "tuned" else "onnx"
+    assert f"src/gelforge/networks/weights/default.{kind}" in inputs_of(said, target)
 
 
 def inputs_of(said: str, target: str) -> list[str]:
@@ -587,10 +588,10 @@ def test_the_network_of_a_report_is_the_one_it_names_at_every_resolution_that_it
     text = table.read_text()
     table.write_text(f'{text}\n[params.report]\nmodel = "{model}"\n')
     try:
-        trained = [name for name in step_names(untouched, res).split() if name.endswith(".pt")]
+        trained = [name for name in step_names(untouched, res).split() if name.endswith(".onnx")]
     finally:
         table.write_text(text)
-    assert (trained == [f"results/tiny/70_train/{res}/{model}.pt"]) is writes and trained
+    assert (trained == [f"results/tiny/70_train/{res}/{model}.onnx"]) is writes and trained
 
 
 def step_names(project, res) -> str:
@@ -603,13 +604,17 @@ def test_a_network_that_goes_on_waits_for_the_one_that_ships_and_keeps_to_its_gr
         return next(line.split() for line in lines if line.startswith(f"{target}:"))
 
     folder = "results/tiny/70_train"
-    assert "src/gelforge/networks/default.pt" in needs(f"{folder}/24x32/tuned.pt")
-    assert "src/gelforge/networks/default.pt" not in needs(f"{folder}/24x32/pair_24.pt")
+    assert "src/gelforge/networks/weights/default.safetensors" in needs(f"{folder}/24x32/tuned.onnx")
+    assert "src/gelforge/networks/weights/default.safetensors" not in needs(f"{folder}/24x32/pair_24.onnx")
     # what ships may be a network of another kind, whose place in a comparison of all is no matter of a dataset
-    assert f"{folder}/24x32/tuned.pt" not in needs("models")
+    assert f"{folder}/24x32/tuned.onnx" not in needs("models")
     parts = "results/tiny/study/24x32"
-    assert "src/gelforge/networks/default.pt" in needs(f"{parts}/tuned/networks/units_4.pt", "MODEL=tuned")
-    assert "src/gelforge/networks/default.pt" not in needs(f"{parts}/pair_24/networks/units_4.pt", "MODEL=pair_24")
+    assert "src/gelforge/networks/weights/default.safetensors" in needs(
+        f"{parts}/tuned/networks/units_4.onnx", "MODEL=tuned"
+    )
+    assert "src/gelforge/networks/weights/default.safetensors" not in needs(
+        f"{parts}/pair_24/networks/units_4.onnx", "MODEL=pair_24"
+    )
 
 
 def test_jobs_of_a_program_are_those_of_the_command_line(labelled):

@@ -14,7 +14,7 @@ from synthetic_presses import SETTINGS, write_dataset
 
 from gelforge.flow.files import read_json, write_json
 from gelforge.flow.params import plain
-from gelforge.networks.modelfile import load_model
+from gelforge.networks.checkpoint.modelfile import load_model
 from tests.waiting import wait_until
 
 EPOCHS = 20
@@ -52,12 +52,12 @@ def train_command(place, out) -> list[str]:
 
 @pytest.fixture(scope="module")
 def whole(place):
-    subprocess.run(train_command(place, place / "whole.pt.part"), check=True, capture_output=True)
-    return load_model(place / "whole.pt.part").about
+    subprocess.run(train_command(place, place / "whole.onnx.part"), check=True, capture_output=True)
+    return load_model(place / "whole.onnx.part").metadata
 
 
 def test_killed_training_ends_with_the_same_curve(place, whole):
-    out, checkpoint = place / "killed.pt.part", place / "killed.checkpoint.pt"
+    out, checkpoint = place / "killed.onnx.part", place / "killed.checkpoint.safetensors"
     killed = False
     while not killed:  # a machine that looks too late finds the training at its end
         out.unlink(missing_ok=True)
@@ -68,7 +68,7 @@ def test_killed_training_ends_with_the_same_curve(place, whole):
     assert not out.exists()
     again = subprocess.run(train_command(place, out), check=True, capture_output=True, text=True)
     assert "going on after epoch" in again.stdout and not checkpoint.exists()
-    about = load_model(out).about
+    about = load_model(out).metadata
     assert about["curve"] == whole["curve"] and about["cost"]["resumed"] == 1
 
 
@@ -76,7 +76,7 @@ def test_command_writes_what_it_says(place, whole):
     assert len(whole["curve"]) == EPOCHS and whole["data"]["samples"]["train"] == 24
     assert (place / "whole.curve.csv").read_text().count("\n") == EPOCHS + 1
     assert (place / "whole.curve.png").exists()
-    assert read_json(evaluated(place, place / "whole.pt.part"))["splits"]["test"]["n"] == 6
+    assert read_json(evaluated(place, place / "whole.onnx.part"))["splits"]["test"]["n"] == 6
 
 
 def evaluated(place, model: Path) -> Path:
@@ -90,11 +90,11 @@ def evaluated(place, model: Path) -> Path:
 def test_a_study_tells_errors_against_presses_and_units(place, whole, tmp_path):
     parts = ("presses_8", "units_1")
     for part in parts:
-        asked = [*train_command(place, tmp_path / f"{part}.pt"), "--part", part]
+        asked = [*train_command(place, tmp_path / f"{part}.onnx"), "--part", part]
         subprocess.run(asked, check=True, capture_output=True)
-    told = [evaluated(place, tmp_path / f"{part}.pt") for part in parts]
-    (tmp_path / "whole.pt").write_bytes((place / "whole.pt.part").read_bytes())
-    asked = command("study", "--whole", evaluated(place, tmp_path / "whole.pt"), "--parts", *told)
+    told = [evaluated(place, tmp_path / f"{part}.onnx") for part in parts]
+    (tmp_path / "whole.onnx").write_bytes((place / "whole.onnx.part").read_bytes())
+    asked = command("study", "--whole", evaluated(place, tmp_path / "whole.onnx"), "--parts", *told)
     subprocess.run([*asked, "--out", tmp_path / "study.json.part"], check=True, capture_output=True)
     rows = read_json(tmp_path / "study.json.part")["rows"]
     by_part = {row["part"]: row for row in rows if row["split"] == "test"}
@@ -118,7 +118,7 @@ def test_unusable_dataset_is_one_line_and_leaves_nothing(place, tmp_path):
             "--params",
             place / "train.json",
             "--out",
-            tmp_path / "x.pt.part",
+            tmp_path / "x.onnx.part",
         ),
         capture_output=True,
         text=True,

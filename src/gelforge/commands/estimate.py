@@ -47,10 +47,6 @@ STAGES = {
 EVALUATE_EACH, REPORT_EACH, CALIBRATE_EACH, CHART_EACH = 5e-3, 0.02, 18.0, 6.0
 # A row in the stages beside the solves, where a few pilots take no longer than the start of the process does.
 ROW_EACH = {"poses": 7e-3, "meshes": 3e-2, "forces": 1e-3, "labels": 2e-3}
-# A press in one epoch of the readers of dots, of force and of place.
-DOTS_EACH, PLACES_EACH = 2e-3, 3e-4
-# A press that both readers read for what is learnt above them; its epochs take nothing beside that.
-STACKED_EACH = 4e-2
 START = 3.0  # of a process with torch or the drawing libraries
 
 
@@ -147,11 +143,7 @@ def training(results: Layout, resolution: str, model: str, presses: int) -> Cost
     beside = sum(made_presses(Layout(results.root.parent / name), resolution) for name in of_train.also)
     every = presses + beside
     share = min(1.0, (settings.epoch_images or every) / every)  # of all, that an epoch visits
-    if settings.stacking_epochs:
-        each = STACKED_EACH
-    else:
-        each = kind_of(table).image_seconds * settings.epochs * share
-        each += DOTS_EACH * settings.dot_epochs + PLACES_EACH * settings.place_epochs
+    each = kind_of(table).image_seconds * settings.epochs * share
     return Cost(layout.TRAIN, each, START + each * beside, bytes_once=3e6)
 
 

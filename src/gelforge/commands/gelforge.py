@@ -10,6 +10,7 @@ COMMANDS = {
     "live": "force maps over a video or a camera, as it runs",
     "rig": "simulate presses and write a raw log with images",
     "sensor": "a profile of one's own sensor, from a picture and weighed presses",
+    "convert": "a model of an earlier version as an ONNX file",
     "status": "what of a dataset is done, failed, pending",
     "sample": "one sample through all stages, with its log",
     "projection": "fit a sensor's projection",

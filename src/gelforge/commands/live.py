@@ -2,8 +2,7 @@
 
 --web serves a page to this machine, with recording and replay; --foxglove serves messages of ROS 2 to Foxglove, --record
 writes them as MCAP; --jsonl and --csv write what is read, without a display.
-A network that reads differences takes the first frames at rest for the untouched sensor, unless told otherwise. Frames
-are laid onto its picture as the last of them tell together that the gel sits (networks.sitting.Stream).
+A network that reads pairs takes the mean of the first frames at rest as no-contact image, unless one is given.
 """
 
 import threading
@@ -16,7 +15,8 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish
-from gelforge.flow.main import command, from_zero, option, positive
+from gelforge.flow.main import command, from_zero, option, positive, renamed
+from gelforge.networks.checkpoint.graph import DEVICES
 from gelforge.records.axes import CHANNEL_OF_AXIS
 from gelforge.records.film import frames, open_source, rate_of, source_name
 from gelforge.records.regular import real_place, refuse_to_replace
@@ -27,10 +27,8 @@ RATE_OVER = 30  # frames that the shown rate is averaged over
 class Overlay:
     """Turn frames into pictures with forces on them, keeping count of time."""
 
-    def __init__(self, untouched):
-        from gelforge.networks.sitting import Stream
-
-        self.stream = Stream(untouched)
+    def __init__(self, predictor):
+        self.predictor = predictor
         self.recent: deque[float] = deque(maxlen=RATE_OVER)
         self.network_ms: deque[float] = deque(maxlen=10_000)  # of a camera that films for hours
         self.flagged = 0
@@ -42,17 +40,17 @@ class Overlay:
         from gelforge.reporting.forcemaps import overlay
 
         started = time.perf_counter()
-        image, forces, judged = self.stream.read(cv2.cvtColor(frame, cv2.COLOR_BGR2RGB))
+        found = self.predictor.predict(cv2.cvtColor(frame, cv2.COLOR_BGR2RGB))
         self.network_ms.append(1e3 * (time.perf_counter() - started))
-        self.flagged += judged.flag
+        self.flagged += found.flag
         self.recent.append(started)
         span = self.recent[-1] - self.recent[0]
         rate = (len(self.recent) - 1) / span if span > 0 else 0.0
         lines = [
-            force_line(forces),
+            force_line(found.cells),
             f"{rate:5.1f} frames/s, {self.network_ms[-1]:.1f} ms a frame",
         ]
-        return overlay(cv2.cvtColor(image, cv2.COLOR_RGB2BGR), forces, lines, judged.reason)
+        return overlay(cv2.cvtColor(found.image, cv2.COLOR_RGB2BGR), found.cells, lines, found.reason)
 
 
 def force_line(forces: np.ndarray) -> str:
@@ -154,12 +152,12 @@ def refuse_two_faces(args: Namespace) -> None:
 
 def refuse_taken_files(args: Namespace) -> None:
     """BadInput where what is written would take the place of what is read, or of each other."""
-    from gelforge.networks.sensorprofile import files_of
+    from gelforge.networks.inference.sensorprofile import files_of
 
     written = {name: getattr(args, name) for name in ("out", "jsonl", "csv")}
     # - is standard output, one for both
     files = {name: path if str(path) == "-" else real_place(path) for name, path in written.items() if path}
-    read = [args.video, args.untouched, *files_of(args.profile), args.model]
+    read = [args.video, args.nocontact, *files_of(args.profile), args.model]
     for name, path in files.items():
         refuse_to_replace(f"--{name} {written[name]}", [path], read)
     if len(set(files.values())) < len(files):
@@ -167,41 +165,41 @@ def refuse_taken_files(args: Namespace) -> None:
 
 
 def need_frames(asked: int | None) -> None:
-    """BadInput where fewer frames are asked for than tell the untouched sensor."""
-    from gelforge.networks.still import FEWEST
+    """BadInput where fewer frames are asked for than it takes to find the no-contact image."""
+    from gelforge.networks.preprocess.nocontact import FEWEST
 
     if asked is not None and asked < FEWEST:
         raise BadInput(
-            f"--frames {asked}: the untouched sensor is found among the first frames, {FEWEST} at least; ask for more, or"
-            " give its picture with --untouched or --profile"
+            f"--frames {asked}: the no-contact image is found among the first frames, {FEWEST} at least; ask for more, or"
+            " give it with --nocontact or --profile"
         )
 
 
-def with_untouched(args: Namespace, trained, picture: np.ndarray | None, seen, name: str) -> tuple:
-    """The network with the untouched sensor's picture (networks.use.Untouched), and the frames, BGR, from the first on.
+def predictor_of(args: Namespace, model, picture: np.ndarray | None, seen, name: str) -> tuple:
+    """The model beside the sensor's no-contact image (networks.inference.predictor), and the frames, BGR, from the first on.
 
     picture: what was given for it, (h, w, 3) RGB; where nothing was, the profile's serves; where there is none either and the
     network needs one, the frames tell it.
     """
     import cv2
 
-    from gelforge.networks.sensorprofile import untouched_of
-    from gelforge.networks.still import find_untouched
-    from gelforge.networks.use import Untouched
+    from gelforge.networks.inference.predictor import Predictor
+    from gelforge.networks.inference.sensorprofile import with_profile
+    from gelforge.networks.preprocess.nocontact import find_nocontact
 
-    if picture is None and not (args.sensor or args.profile) and trained.needs_untouched:
+    if picture is None and not args.profile and model.needs_nocontact:
         need_frames(args.frames)
-        picture, seen = find_untouched(seen, name)
+        picture, seen = find_nocontact(seen, name)
         picture = cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
-    picture, gain = untouched_of(args.profile, picture, trained.about)
-    return Untouched(trained, picture, args.sensor, gain), seen
+    picture, gain = with_profile(args.profile, picture, model.metadata)
+    return Predictor(model, picture, gain, args.device, args.threads), seen
 
 
-def draw(args: Namespace, untouched, seen, capture, name: str, over: threading.Event) -> None:
+def draw(args: Namespace, predictor, seen, capture, name: str, over: threading.Event) -> None:
     """Write a film of frames with forces on them, or show them in a window, and say how fast it went."""
     from gelforge.commands.live_readings import is_lost, lost, until
 
-    overlay = Overlay(untouched)
+    overlay = Overlay(predictor)
     pictures = (overlay(frame) for frame in until(over, seen))
     started = time.perf_counter()
     count = write_video(pictures, args.out, rate_of(capture)) if args.out else show(pictures)
@@ -219,9 +217,11 @@ def draw(args: Namespace, untouched, seen, capture, name: str, over: threading.E
     option("--camera", type=from_zero, help="number of a camera, if no film is named", default=None),
     option("--model", type=Path, help="model file; the one that came with gelforge if not named", default=None),
     option("--sensor", help="the sensor that films; refused if the model is for another one", default=None),
-    option("--untouched", type=Path, metavar="IMAGE", help="the sensor while nothing touches it", default=None),
+    option("--nocontact", type=Path, metavar="IMAGE", help="the sensor while nothing touches it", default=None),
+    renamed("--untouched", "--nocontact", type=Path, default=None),
     option("--profile", type=Path, help="the sensor's profile, of gelforge sensor", default=None),
     option("--frames", type=positive, help="stop after so many", default=None),
+    option("--device", choices=DEVICES, default="cpu", help="that predicts (default: %(default)s)"),
     option("--threads", type=positive, default=1),
     option("--web", action="store_true", help="serve a page that shows it all"),
     option(
@@ -251,20 +251,17 @@ def main(args: Namespace) -> None:
         raise BadInput("give either --video FILE or --camera NUMBER")
     refuse_two_faces(args)
     refuse_taken_files(args)
-    import torch
-
     from gelforge.commands.live_readings import keep_readings, show_page, stopping
     from gelforge.commands.live_topics import show_topics
-    from gelforge.networks.use import load_for_use
+    from gelforge.networks.inference.predictor import load_for_use
     from gelforge.records.image import read_image
 
-    torch.set_num_threads(args.threads)
-    trained = load_for_use(args.model, args.sensor)
-    picture = read_image(args.untouched) if args.untouched else None
+    model = load_for_use(args.model, args.sensor)
+    picture = read_image(args.nocontact) if args.nocontact else None
     name = source_name(args.video, args.camera)
     with open_source(args.video, args.camera) as (capture, announced):
         seen = frames(capture, announced, name, args.frames)
-        untouched, seen = with_untouched(args, trained, picture, seen, name)
+        predictor, seen = predictor_of(args, model, picture, seen, name)
         with stopping() as over:
             topics = args.foxglove or (args.record and not args.web)
             face = (
@@ -276,7 +273,7 @@ def main(args: Namespace) -> None:
                 if args.jsonl or args.csv
                 else draw
             )
-            face(args, untouched, seen, capture, name, over)
+            face(args, predictor, seen, capture, name, over)
 
 
 if __name__ == "__main__":

@@ -18,31 +18,18 @@ from gelforge.records.film import rate_of
 LONGEST_LINE = 2**20  # bytes, of a reading that is written
 
 
-def readings(untouched, frames, pace_s: float = 0.0, frame_s: float | None = None) -> Iterator[Reading]:
+def readings(predictor, frames, pace_s: float = 0.0, frame_s: float | None = None) -> Iterator[Reading]:
     """Read frames (h, w, 3) BGR, at most one every `pace_s`; frame_s: time between them, of a film, whose time counts."""
     import cv2
 
-    from gelforge.networks.sitting import Stream
-
-    stream, started = Stream(untouched), time.perf_counter()
+    started = time.perf_counter()
     for number, frame in enumerate(frames):
         time.sleep(max(0.0, started + number * pace_s - time.perf_counter()))
         now = time.perf_counter()
-        image, forces, judged = stream.read(cv2.cvtColor(frame, cv2.COLOR_BGR2RGB))
+        found = predictor.predict(cv2.cvtColor(frame, cv2.COLOR_BGR2RGB))
         took = 1e3 * (time.perf_counter() - now)
         time_s = now - started if frame_s is None else number * frame_s
-        yield Reading(
-            number,
-            time_s,
-            image,
-            forces,
-            judged.flag,
-            judged.reason,
-            took,
-            judged.edge_peak,
-            judged.half_width,
-            judged.by_dots,
-        )
+        yield Reading(number, time_s, found, took)
 
 
 def lost(name: str, count: int) -> str:
@@ -61,16 +48,16 @@ def frame_seconds(args: Namespace, capture) -> float | None:
     return None if args.camera is not None else 1.0 / rate_of(capture)
 
 
-def keep_readings(args: Namespace, untouched, frames, capture, name: str, over: threading.Event) -> None:
+def keep_readings(args: Namespace, predictor, frames, capture, name: str, over: threading.Event) -> None:
     """Write readings to files until the frames end or `over` is set."""
-    found = readings(untouched, until(over, frames), frame_s=frame_seconds(args, capture))
+    found = readings(predictor, until(over, frames), frame_s=frame_seconds(args, capture))
     count, flagged = write_files(found, args.jsonl, args.csv)
     if is_lost(args, over, count):
         raise BadInput(lost(name, count))
     print(f"{count} frames read; {flagged} flagged", file=sys.stderr)
 
 
-def show_page(args: Namespace, untouched, frames, capture, name: str, over: threading.Event) -> None:
+def show_page(args: Namespace, predictor, frames, capture, name: str, over: threading.Event) -> None:
     """Serve the page until `over` is set."""
     frame_s = frame_seconds(args, capture)
     with ExitStack() as stack:
@@ -82,7 +69,7 @@ def show_page(args: Namespace, untouched, frames, capture, name: str, over: thre
         stack.callback(server.shutdown)
         print(f"{server.url} shows {name}; Ctrl-C ends", flush=True)
         try:
-            count = serve(until(over, readings(untouched, frames, frame_s or 0.0, frame_s)), hub, recorder)
+            count = serve(until(over, readings(predictor, frames, frame_s or 0.0, frame_s)), hub, recorder)
             said = lost(name, count) if is_lost(args, over, count) else f"{name}: ended after {count} frames"
         except BadInput as error:
             said = str(error)

@@ -13,7 +13,7 @@ from gelforge.live.recording import McapRecorder
 from gelforge.live.topics import RosMessages
 
 
-def show_topics(args: Namespace, untouched, frames, capture, name: str, over: threading.Event) -> None:
+def show_topics(args: Namespace, predictor, frames, capture, name: str, over: threading.Event) -> None:
     """Serve messages until `over` is set, and record them until the frames end.
 
     BadInput at the end where the frames ended before they should, or the recording was lost; viewers see it at once.
@@ -22,7 +22,7 @@ def show_topics(args: Namespace, untouched, frames, capture, name: str, over: th
     with ExitStack() as stack:
         topics = RosMessages(args.sensor or (args.profile.stem if args.profile else "gelforge"))
         server, recorder = opened(args, name, stack)
-        found = readings(untouched, until(over, frames), frame_s or 0.0 if server else 0.0, frame_s)
+        found = readings(predictor, until(over, frames), frame_s or 0.0 if server else 0.0, frame_s)
         count, fault = send(found, topics, server, recorder)
         if is_lost(args, over, count):
             fault = fault or BadInput(lost(name, count))

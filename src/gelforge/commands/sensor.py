@@ -1,8 +1,8 @@
-"""A profile of one's own sensor: `gelforge sensor --name MINE --untouched PICTURE --readings readings.csv`.
+"""A profile of one's own sensor: `gelforge sensor --name MINE --nocontact PICTURE --readings readings.csv`.
 
 readings.csv has a row for each press that was weighed: `image`, a picture (its path starts at the table's folder), and
 `force_n`, the force that pressed, in newtons (a kitchen scale's grams over 102). Without readings the profile holds the
-untouched picture alone. In place of --untouched, --camera NUMBER or --video FILE take the untouched picture themselves:
+no-contact image alone. In place of --nocontact, --camera NUMBER or --video FILE take the no-contact image themselves:
 the mean of the first frames at rest, as `gelforge live` does. `gelforge predict` and `gelforge live` take the profile with --profile.
 
 Two sensors of a gripper need no scale to agree: --opposite LEFT.toml --grasps grasps.csv brings this one to the profile
@@ -19,8 +19,9 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.main import command, from_zero, option
-from gelforge.networks.sensorprofile import (
+from gelforge.flow.main import command, from_zero, option, renamed
+from gelforge.networks.inference.predictor import Predictor, load_for_use
+from gelforge.networks.inference.sensorprofile import (
     Gain,
     check_readings,
     check_same_network,
@@ -34,9 +35,7 @@ from gelforge.networks.sensorprofile import (
     read_profile,
     write_profile,
 )
-from gelforge.networks.sitting import place_sitting
-from gelforge.networks.still import picture_at_rest
-from gelforge.networks.use import Untouched, fit_size, load_for_use, predict_one
+from gelforge.networks.preprocess.nocontact import picture_at_rest
 from gelforge.records.film import source_name
 from gelforge.records.image import read_image
 from gelforge.records.markers import pitch_of
@@ -46,12 +45,12 @@ from gelforge.records.table import numbered_rows
 from gelforge.records.totals import goes_beyond
 
 
-def gain_of(readings: Path, untouched: Untouched) -> Gain:
+def gain_of(readings: Path, predictor: Predictor) -> Gain:
     """The factor that a table of readings tells; BadInput names the row that cannot be used."""
     rows = _rows(readings, ("image", "force_n"), "readings", "press")
     pictures = _pictures(readings, rows, "image")
     measured = np.array([_force(name, row["force_n"]) for name, (_, row) in zip(pictures, rows, strict=True)])
-    read, whole = _normals(untouched, pictures)
+    read, whole = _normals(predictor, pictures)
     if not whole.any():
         raise BadInput(
             f"{readings}: in none of {len(whole)} pictures is all of the contact seen; press a smaller body, or nearer to the middle"
@@ -113,14 +112,14 @@ def _force(name: str, text: str) -> float:
     return value
 
 
-def gain_beside(grasps: Path, untouched: Untouched, opposite: Path) -> Gain:
+def gain_beside(grasps: Path, predictor: Predictor, opposite: Path) -> Gain:
     """The factor by which grasps bring this sensor to the profile of the finger opposite."""
     rows = _rows(grasps, ("image", "opposite"), "grasps", "moment")
     other = read_profile(opposite)
-    check_same_network(other, untouched.trained.about)
-    facing = Untouched(untouched.trained, other.untouched, gain=other.gain)
+    check_same_network(other, predictor.metadata)
+    facing = Predictor(predictor.model, other.nocontact, other.gain)
     pictures = _pictures(grasps, rows, "image")
-    read, here = _normals(untouched, pictures)
+    read, here = _normals(predictor, pictures)
     felt, there = _normals(facing, _pictures(grasps, rows, "opposite"))
     whole = here & there
     if not whole.any():
@@ -135,30 +134,30 @@ def gain_beside(grasps: Path, untouched: Untouched, opposite: Path) -> Gain:
     return fit_opposite(felt, read, other.gain)
 
 
-def untouched_picture(image: Path | None, video: Path | None, camera: int | None) -> tuple[np.ndarray, str]:
-    """The picture (h, w, 3) uint8 RGB of the untouched sensor, and where it is from; exactly one source may be given."""
+def nocontact_picture(image: Path | None, video: Path | None, camera: int | None) -> tuple[np.ndarray, str]:
+    """The no-contact image (h, w, 3) uint8 RGB of the sensor, and where it is from; exactly one source may be given."""
     if sum(source is not None for source in (image, video, camera)) != 1:
         raise BadInput(
-            "give one of --untouched IMAGE, --video FILE and --camera NUMBER: the sensor while nothing touches it"
+            "give one of --nocontact IMAGE, --video FILE and --camera NUMBER: the sensor while nothing touches it"
         )
     if image is not None:
         return read_image(image), str(image)
     return picture_at_rest(video, camera), source_name(video, camera)
 
 
-def _normals(untouched: Untouched, pictures: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Normal forces (n,) in N that `predict` reads in pictures by name of one sitting, above 0 where something presses.
+def _normals(predictor: Predictor, pictures: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Normal forces (n,) in N that are predicted from pictures by name, above 0 where something presses.
 
     And which pictures (n,) bool show all of the contact. The others are named on the terminal, and so are those that
     `predict` would flag, which count, as some flags are wrong.
     """
-    placement, read, whole = place_sitting(untouched, pictures.values()), [], []
+    read, whole = [], []
     for name, picture in pictures.items():
-        _, forces, judged = predict_one(untouched, picture, placement)
-        read.append(-float(forces[2].sum()))
-        whole.append(not goes_beyond(judged.edge_peak))
-        if judged.flag:
-            print(f"{name}: FLAGGED: {judged.reason}; leave it out if that is so", file=sys.stderr)
+        found = predictor.predict(picture)
+        read.append(-float(found.total[2]))
+        whole.append(not goes_beyond(found.edge_peak))
+        if found.flag:
+            print(f"{name}: FLAGGED: {found.reason}; leave it out if that is so", file=sys.stderr)
         if not whole[-1]:
             print(f"{name}: does not count, the contact goes on beyond the picture", file=sys.stderr)
     return np.array(read), np.array(whole)
@@ -180,7 +179,7 @@ def check_options(args: Namespace, out: Path) -> None:
     if (
         beside.exists()
         and not out.exists()
-        and (args.untouched is None or real_place(beside) != real_place(args.untouched))
+        and (args.nocontact is None or real_place(beside) != real_place(args.nocontact))
     ):
         raise BadInput(
             f"{beside} is there already and would be replaced by the profile's picture; give another --name or --out"
@@ -206,7 +205,8 @@ def factor_replaced(out: Path, measures: bool) -> Gain:
 
 @command(
     option("--name", help="of the sensor"),
-    option("--untouched", type=Path, metavar="IMAGE", help="the sensor while nothing touches it", default=None),
+    option("--nocontact", type=Path, metavar="IMAGE", help="the sensor while nothing touches it", default=None),
+    renamed("--untouched", "--nocontact", type=Path, default=None),
     option("--video", type=Path, help="a film that begins while nothing touches the sensor", default=None),
     option("--camera", type=from_zero, help="number of a camera whose sensor nothing touches now", default=None),
     option("--readings", type=Path, help="table of pictures and the forces that pressed", default=None),
@@ -219,30 +219,23 @@ def main(args: Namespace) -> None:
     name, out = check_id(args.name, "--name"), args.out or Path(f"{args.name}.toml")
     check_options(args, out)
     before = factor_replaced(out, bool(args.readings or args.grasps))
-    picture, source = untouched_picture(args.untouched, args.video, args.camera)
-    trained = load_for_use(args.model)
-    untouched = Untouched(trained, picture)
-    if untouched.fault:
-        raise BadInput(f"{source}: {untouched.fault}; take a sharp one while nothing touches the sensor")
+    picture, source = nocontact_picture(args.nocontact, args.video, args.camera)
+    model = load_for_use(args.model)
+    predictor = Predictor(model, picture)
+    if predictor.fault:
+        raise BadInput(f"{source}: {predictor.fault}; take a sharp one while nothing touches the sensor")
     gain = Gain()
     if args.readings:
-        gain = gain_of(args.readings, untouched)
+        gain = gain_of(args.readings, predictor)
     elif args.grasps:
-        gain = gain_beside(args.grasps, untouched, args.opposite)
-    profile = make_profile(name, picture, pitch_of(picture), gain, trained.about)
+        gain = gain_beside(args.grasps, predictor, args.opposite)
+    profile = make_profile(name, picture, pitch_of(picture), gain, model.metadata)
     write_profile(out, profile)
     what = "grasp" if args.grasps else "reading"
     what += "" if gain.readings == 1 else "s"
-    sized, other = fit_size(picture, trained.about["image"])
-    if other:
-        print(
-            f"{source}: {other}: at that size its dots are {pitch_of(sized):.1f} px apart; its pictures are resized and"
-            " every one is flagged, bring them to that size first",
-            file=sys.stderr,
-        )
     instead = f", in place of {before.value:.3f} from {before.readings}" if before.readings else ""
     print(f"{out}: forces times {gain.value:.3f} ({gain.low:.3f} to {gain.high:.3f}), from {gain.readings} {what}{instead};"
-          f" dots {profile.pitch:.1f} px apart")  # fmt: skip
+          f" markers {profile.pitch:.1f} px apart")  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -117,13 +117,13 @@ def whole_lines(results: Path, broken: Collection[str], meshes: Collection[str] 
     for kind, pattern, target in (
         (layout.MESHES, "*.npz", "meshes"),
         (layout.DATASET, "*/dataset.json", "dataset"),
-        (layout.TRAIN, "*/*.pt", "train"),
+        (layout.TRAIN, "*/*.onnx", "train"),
         (layout.EVALUATE, "*/*.json", "evaluate"),
         (layout.REPORT, "index.html", "report"),
         (layout.CALIBRATE, "summary.json", "calibrate"),
         (layout.PARETO, "*.json", "pareto"),
     ):
-        there = (p for p in listed(results / kind, pattern) if not p.name.endswith(".checkpoint.pt"))
+        there = listed(results / kind, pattern)
         found = [str(p.relative_to(results / kind)) for p in there]
         absent = f"not made ({Layout(results).command(target)})"
         if kind in broken:

@@ -87,6 +87,22 @@ class Group(Command):
             member.extend(words.add_parser(word, help=about, description=about))
 
 
+class Renamed(argparse.Action):
+    """An option under the name that it had before; `const` is the one that it has now, which is told."""
+
+    def __call__(
+        self, _parser: Any, namespace: argparse.Namespace, values: Any, option_string: str | None = None
+    ) -> None:
+        print(f"{option_string} is called {self.const} now, and will be gone in the next release", file=sys.stderr)
+        setattr(namespace, self.dest, values)
+
+
+def renamed(old: str, new: str, **about: Any) -> Option:
+    """The option `new` under its former name `old`, which is no longer listed."""
+    dest = new.lstrip("-").replace("-", "_")
+    return option(old, action=Renamed, const=new, dest=dest, help=argparse.SUPPRESS, **about)
+
+
 def positive(text: str) -> int:
     """A whole number above 0, as the `type` of an option."""
     return _whole(text, 1, "above 0")

@@ -40,17 +40,17 @@ class RosMessages:
 
     def messages(self, reading: Reading, stamp: int) -> list[ros.Message]:
         """The messages of a reading, not encoded."""
-        axes = list(CHANNEL_OF_AXIS)
-        total = reading.forces.sum((1, 2), dtype=np.float64)[axes]
-        picture = encode_jpeg(reading.image, JPEG_QUALITY)
-        found = ros.sensor_messages(self.token, stamp, picture, "jpeg", total, reading.forces)
+        axes, force = list(CHANNEL_OF_AXIS), reading.found
+        total = force.total[axes]
+        picture = encode_jpeg(force.image, JPEG_QUALITY)
+        found = ros.sensor_messages(self.token, stamp, picture, "jpeg", total, force.cells)
         top, header = f"/{self.token}", ros.header(stamp, f"{self.token}_gel")
-        if reading.half_width is not None:
-            half = np.asarray(reading.half_width)[axes]
+        if force.half_width is not None:
+            half = np.asarray(force.half_width)[axes]
             for name, ends in (("low", total - half), ("high", total + half)):
                 found.append((f"{top}/wrench/{name}", "geometry_msgs/msg/WrenchStamped", ros.wrench(header, ends)))
         status = {
-            "level": WARN if reading.flag else OK, "name": "reading", "message": reading.reason or "OK",
+            "level": WARN if reading.flag else OK, "name": "reading", "message": force.reason or "OK",
             "hardware_id": self.sensor,
             "values": [{"key": key, "value": "" if value is None else str(value)} for key, value in reading.row().items()],
         }  # fmt: skip

@@ -1,1 +1,1 @@
-"""Networks that read a force distribution from one tactile image."""
+"""Networks that predict contact forces from pictures of a tactile sensor; README.md beside this file shows the rooms."""

@@ -1,15 +1,15 @@
 """Total force as columns of a table and keys of JSON lines.
 
-For each channel: CHANNEL_n, the total; CHANNEL_half_width_n, half of the interval that holds nine of ten; and
-CHANNEL_by_dots_n, what the motion of the printed dots tells by itself. What is not known is empty. edge_peak tells
-where totals are not all of the force: what touches the gel beyond the picture is no part of them.
+For each channel: CHANNEL_n, the total, and CHANNEL_half_width_n, half of its 90 % prediction interval, empty where it is not
+known. edge_peak tells where totals are too low: the contact is cropped by the image.
 """
 
 import numpy as np
 
 from gelforge.records.axes import CHANNELS
+from gelforge.records.forcereading import ForceReading
 
-KINDS = ("n", "half_width_n", "by_dots_n")
+KINDS = ("n", "half_width_n")
 TOTAL_COLUMNS = (*(f"{channel}_{kind}" for kind in KINDS for channel in CHANNELS), "edge_peak")
 LEAST_PRESS = 0.2  # N of normal force below which a map has no shape: what is read of a released gel is below
 # Of a map's largest force, borne by a cell at the picture's edge: what presses there goes on beyond the picture. Of 51 real
@@ -17,18 +17,13 @@ LEAST_PRESS = 0.2  # N of normal force below which a map has no shape: what is r
 BEYOND = 0.2
 
 
-def total_columns(
-    forces: np.ndarray, half_width: np.ndarray | None, by_dots: np.ndarray | None, peak: float
-) -> dict[str, float | None]:
-    """Values of TOTAL_COLUMNS, N to four decimals, of forces (3, rows, cols) N; half_width, by_dots: (3,) N or None.
-
-    peak: their `edge_peak`.
-    """
-    found: dict[str, float | None] = {}
-    for kind, values in zip(KINDS, (forces.sum((1, 2), dtype=np.float64), half_width, by_dots), strict=True):
+def total_columns(found: ForceReading) -> dict[str, float | None]:
+    """Values of TOTAL_COLUMNS, N to four decimals."""
+    columns: dict[str, float | None] = {}
+    for kind, values in zip(KINDS, (found.total, found.half_width), strict=True):
         for k, channel in enumerate(CHANNELS):
-            found[f"{channel}_{kind}"] = None if values is None else round(float(values[k]), 4)
-    return found | {"edge_peak": None if np.isnan(peak) else round(peak, 4)}
+            columns[f"{channel}_{kind}"] = None if values is None else round(float(values[k]), 4)
+    return columns | {"edge_peak": None if np.isnan(found.edge_peak) else round(found.edge_peak, 4)}
 
 
 def edge_peak(forces: np.ndarray, shown: tuple[slice, slice]) -> float:

@@ -1,14 +1,14 @@
 """Pictures of force maps: a figure for a page, and an overlay that is quick enough for a video."""
 
-import textwrap
-
 import numpy as np
 
 from gelforge.records.axes import TITLES
+from gelforge.records.image import write_png
 
 # Colour maps, the same in every picture. Of a component: red along its axis, blue against it, as on the pages of the
 # explorer and of `live`. Of pressure: the brighter, the harder.
 SIGNED, PRESSURE = "RdBu_r", "inferno"
+PANEL_PX = 380  # width of each of the panels of a written map
 ARROW_PX_PER_N = 400.0  # a typical shear of 0.02 N per cell becomes an arrow of 8 px
 LONGEST_ARROW_PX = 24.0
 # Text below a frame: OpenCV's plain font (cv2.FONT_HERSHEY_SIMPLEX) and its scale, in lines of so many px. Three lines
@@ -22,19 +22,33 @@ FULL_COLOUR_N = (0.005, 0.005, 0.03)
 
 
 def write_maps(path, image, forces, title: str) -> None:
-    """Write a PNG of an image (h, w, 3) RGB beside its force maps (3, rows, cols) in N per cell."""
-    from gelforge.reporting.canvas import canvas, save_png
+    """Write a PNG of an image (h, w, 3) RGB beside its force maps (3, rows, cols) in N per cell, by OpenCV alone."""
+    height = round(image.shape[0] * PANEL_PX / image.shape[1])
+    panels = [captioned(image, wrapped(title, PANEL_PX - 2 * MARGIN_PX, WARNING_LINES), height)]
+    for channel, force in enumerate(forces):
+        span = max(float(np.abs(force).max()), FULL_COLOUR_N[channel])
+        told = [f"{TITLES[channel]}: {force.sum():+.3f} N", f"full colour: {span:.3g} N per cell"]
+        panels.append(captioned(signed_colours(force / span), told, height))
+    write_png(path, np.hstack(panels))
 
-    figure = canvas(13, 2.9)
-    axes = figure.subplots(1, 4)
-    axes[0].imshow(image)
-    # no wider than the image; a file's name with two dollars is no formula
-    axes[0].set_title(textwrap.fill(title, 36), fontsize=8, parse_math=False)
-    for channel, axis in enumerate(axes[1:]):
-        draw_component(axis, forces[channel], channel, least=FULL_COLOUR_N[channel])
-    for axis in axes:
-        axis.set_axis_off()
-    save_png(path, figure)
+
+def captioned(picture, lines: list[str], height: int) -> np.ndarray:
+    """A picture (h, w, 3) RGB, PANEL_PX wide and so high, with lines of text above it."""
+    import cv2
+
+    how = cv2.INTER_NEAREST if picture.shape[1] < PANEL_PX else cv2.INTER_AREA
+    panel = cv2.resize(picture, (PANEL_PX, height), interpolation=how)
+    head = np.full((LINE_PX * WARNING_LINES, PANEL_PX, 3), 255, np.uint8)
+    for i, text in enumerate(lines):
+        cv2.putText(head, text, (MARGIN_PX, 17 + LINE_PX * i), *FONT, (0, 0, 0), 1, cv2.LINE_AA)
+    return np.vstack([head, panel])
+
+
+def signed_colours(values) -> np.ndarray:
+    """Values (rows, cols) from -1 to 1 as RGB: blue below, white at 0, red above."""
+    strength = np.clip(np.abs(values), 0.0, 1.0)[..., None]
+    ends = np.where(np.asarray(values)[..., None] > 0, (178, 24, 43), (33, 102, 172))
+    return np.rint(255 + strength * (ends - 255)).astype(np.uint8)
 
 
 def draw_component(axis, force, channel: int, note: str = "", least: float = 1e-6, **placed) -> None:

@@ -5,9 +5,9 @@ from pathlib import Path
 
 from gelforge.flow.files import read_json, write_text
 from gelforge.flow.main import command, option
-from gelforge.networks.modelcard import write_card
+from gelforge.reporting.modelcard import write_card
 
-VERSION = 3
+VERSION = 4
 
 
 @command(
@@ -23,14 +23,13 @@ VERSION = 3
     option("--out", type=Path),
 )
 def main(args: Namespace) -> None:
-    from gelforge.networks.modelfile import load_model
-    from gelforge.networks.sensorprofile import fingerprint
+    from gelforge.networks.checkpoint.modelfile import fingerprint, load_model
 
-    about = load_model(args.model).about
+    metadata = load_model(args.model).metadata
     measured = [read_json(path) for path in args.measured]
-    own = [found for found in measured if found.get("model") and found["model"] == fingerprint(about)]
+    own = [found for found in measured if found.get("model") and found["model"] == fingerprint(metadata)]
     figures, readings = ([row for found in own for row in found.get(name, [])] for name in ("figures", "readings"))
-    write_text(args.out, write_card(about, read_json(args.evaluation), figures, readings))
+    write_text(args.out, write_card(metadata, read_json(args.evaluation), figures, readings))
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ from gelforge.formats.featsfile import LabelSample, Ranges
 from gelforge.geometry.indenters import fold
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import find_sensor, load_sensors
-from gelforge.networks.split import split_presses
+from gelforge.networks.data.split import split_presses
 from gelforge.records.axes import CHANNEL_OF_AXIS
 from gelforge.records.image import read_logged_image
 from gelforge.records.labelfile import FIELDS, open_labels, read_labels

@@ -13,22 +13,23 @@ from gelforge.records.axes import CHANNELS
 from gelforge.records.predictionfile import write_predictions
 from gelforge.records.splits import TRAINING
 from gelforge.reporting import feats_tables
+from gelforge.reporting.errortables import tables
 from gelforge.reporting.networkcharts import draw_predictions
 
 VERSION = 17
 
 
-def keep_predictions(path, data, trained, predictions: dict) -> None:
-    """Write what the network reads in every image, those it learnt from too, in the order of samples.csv.
+def keep_predictions(path, data, model, predictions: dict) -> None:
+    """Write what is predicted for every image, those it learnt from too, in the order of samples.csv.
 
     predictions: those already made, as `evaluate` returns them.
     """
-    from gelforge.networks.training import predict_rows
+    from gelforge.networks.evaluation.predicted import predict_rows
 
     learnt = data.splits[TRAINING]
     parts = list(predictions.values())
     if TRAINING not in predictions:
-        parts.append((learnt, predict_rows(trained.net, data, learnt, trained.about["normalisation"])))
+        parts.append((learnt, predict_rows(model, data, learnt).forces))
     forces = np.zeros((len(data.table), *parts[0][1].shape[1:]), np.float32)
     for rows, predicted in parts:
         forces[rows] = predicted
@@ -50,20 +51,20 @@ def paper_table(result: dict) -> str:
 
 @command(
     option("--dataset", type=Path, help="60_dataset/RES"),
-    option("--model", type=Path, help="70_train/RES/MODEL.pt"),
+    option("--model", type=Path, help="70_train/RES/MODEL.onnx"),
     option("--params", type=Path),
     option("--out", type=Path),
 )
 def main(args: Namespace) -> None:
-    from gelforge.networks.data import open_data
-    from gelforge.networks.evaluation import evaluate
-    from gelforge.networks.modelfile import load_model
-    from gelforge.networks.use import SHIPPED
+    from gelforge.networks.checkpoint.modelfile import load_model
+    from gelforge.networks.data.arrays import open_data
+    from gelforge.networks.evaluation.evaluation import evaluate
+    from gelforge.networks.inference.predictor import SHIPPED
 
     data = open_data(args.dataset)
-    trained = load_model(args.model)
+    model = load_model(args.model)
     called = "the network that ships" if args.model.resolve() == SHIPPED.resolve() else ""
-    result, predictions = evaluate(data, trained, read_slice(args.params, ForEvaluate).evaluate, called)
+    result, predictions = evaluate(data, model, read_slice(args.params, ForEvaluate).evaluate, called)
     if feats_tables.SENSOR in data.info["sensors"]:
         result["published"] = {
             name: feats_tables.published_errors(predictions[name][1], np.asarray(data.labels[predictions[name][0]]))
@@ -73,8 +74,8 @@ def main(args: Namespace) -> None:
     print(paper_table(result))
     with publish(beside(args.out, ".png")) as part:
         draw_predictions(part, data, predictions)
-    keep_predictions(beside(args.out, ".predictions.npz"), data, trained, predictions)
-    write_json(args.out, result)
+    keep_predictions(beside(args.out, ".predictions.npz"), data, model, predictions)
+    write_json(args.out, result | {"tables": tables(result)})
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from gelforge.records.splits import TEST
 from gelforge.reporting.networkcharts import PANELS, draw_networks
 from gelforge.sweeps.deviation import frontier
 
-VERSION = 2
+VERSION = 3
 BASELINE = "unet"
 FASTER = 5.0  # times that the chosen network must be faster than the baseline, on one CPU thread
 
@@ -76,20 +76,22 @@ def choose(rows: list[dict]) -> dict | None:
 
 
 def measure(models: dict, image, seconds: float) -> dict[str, dict[str, dict]]:
-    """Latency of models, name to networks.modelfile.Trained, with one and two CPU threads, and on CUDA if there.
+    """Latency of models by name (networks.checkpoint.modelfile.ForceModel), with one and two CPU threads, and on CUDA if there.
 
-    image: (h, w, 3) uint8. It serves as the untouched sensor too: no time depends on what that shows.
+    image: (h, w, 3) uint8. It serves as no-contact image too: no time depends on what that shows.
     """
-    import torch
+    import onnxruntime
 
-    from gelforge.networks.latency import time_models
-    from gelforge.networks.modelfile import SensorNet
+    from gelforge.networks.evaluation.latency import time_predictors
+    from gelforge.networks.inference.predictor import Predictor
 
-    readers = {name: SensorNet(trained, image) for name, trained in models.items()}
-    ways = {"cpu1": (1, "cpu"), "cpu2": (2, "cpu")}
-    if torch.cuda.is_available():
-        ways["cuda"] = (1, "cuda")
-    timed = {way: time_models(readers, image, threads, seconds, device) for way, (threads, device) in ways.items()}
+    ways = {"cpu1": ("cpu", 1), "cpu2": ("cpu", 2)}
+    if "CUDAExecutionProvider" in onnxruntime.get_available_providers():
+        ways["cuda"] = ("cuda", 1)
+    timed = {}
+    for way, (device, threads) in ways.items():
+        predictors = {name: Predictor(model, image, device=device, threads=threads) for name, model in models.items()}
+        timed[way] = time_predictors(predictors, image, seconds)
     return {name: {way: timed[way][name] for way in ways} for name in models}
 
 
@@ -105,17 +107,17 @@ def fronts_of(rows: list[dict]) -> dict[str, set[str]]:
 
 @command(
     option("--dataset", type=Path, help="60_dataset/RES, for an image to time on"),
-    option("--models", type=Path, nargs="+", help="70_train/RES/*.pt"),
+    option("--models", type=Path, nargs="+", help="70_train/RES/*.onnx"),
     option("--evaluations", type=Path, nargs="+", help="80_evaluate/RES/*.json"),
     option("--split", default=TEST),
     option("--seconds", type=float, default=3.0, help="of timed runs per model and way"),
     option("--out", type=Path),
 )
 def main(args: Namespace) -> None:
-    from gelforge.networks.data import open_data
-    from gelforge.networks.modelfile import load_model
+    from gelforge.networks.checkpoint.modelfile import load_model
+    from gelforge.networks.data.arrays import open_data
 
-    models = {path.name.removesuffix(".pt"): load_model(path) for path in args.models}
+    models = {path.name.removesuffix(".onnx"): load_model(path) for path in args.models}
     evaluations = {path.name.removesuffix(".json"): read_json(path) for path in args.evaluations}
     if models.keys() != evaluations.keys():
         raise BadInput(
@@ -124,7 +126,7 @@ def main(args: Namespace) -> None:
         )
     image = np.asarray(open_data(args.dataset).images[0])
     latencies = measure(models, image, args.seconds)
-    courses = {name: learning_of(trained.about) for name, trained in sorted(models.items())}
+    courses = {name: learning_of(model.metadata) for name, model in sorted(models.items())}
     rows = [row_of(evaluations[name], args.split, latencies[name], courses[name]) for name in sorted(models)]
     fronts = fronts_of(rows)
     for row in rows:

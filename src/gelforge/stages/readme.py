@@ -15,7 +15,7 @@ from gelforge.flow.main import command, group, option
 from gelforge.flow.params import digest_of_value, read_toml
 from gelforge.records.image import encode_png
 
-SHIPPED = Path("src/gelforge/networks/default.pt")
+SHIPPED = Path("src/gelforge/networks/weights/default.onnx")
 PRESSED = 1.4, (0.5, 1.0), (0.4, -0.3)  # depth, place and way sideways of the press that is shown, mm
 ARROW_MM = 2.0  # length of the largest force
 SHOWN = 3  # frames of a film, where it presses hardest
@@ -44,39 +44,40 @@ def outdated(picture: Path) -> list[str]:
     return [name for name, held in known.items() if digest(name) not in (None, held)]
 
 
-def hardest_frames(film: Path, trained):
+def hardest_frames(film: Path, model):
     """(image, forces) of a film's frames with the largest force, one each third of it, as far as the camera sees."""
     import cv2
 
-    from gelforge.networks.still import find_untouched
-    from gelforge.networks.use import Untouched, predict_one
+    from gelforge.networks.inference.predictor import Predictor
+    from gelforge.networks.preprocess.nocontact import find_nocontact
     from gelforge.records.film import frames, open_source
 
     with open_source(film, None) as (source, announced):
         seen = (cv2.cvtColor(frame, cv2.COLOR_BGR2RGB) for frame in frames(source, announced, str(film), None))
-        picture, images = find_untouched(seen, str(film))
-        untouched = Untouched(trained, picture)
-        read = [predict_one(untouched, image)[:2] for image in images]
+        picture, images = find_nocontact(seen, str(film))
+        predictor = Predictor(model, picture)
+        found = [predictor.predict(image) for image in images]
+        read = [(one.image, one.cells) for one in found]
     parts = np.array_split(np.arange(len(read)), SHOWN)
     hardest = [max((read[at] for at in part), key=lambda pair: -pair[1][2].sum()) for part in parts if len(part)]
-    return [shown(image, forces, untouched.view) for image, forces in hardest]
+    return [shown(image, forces, predictor.prepare.nocontact.view) for image, forces in hardest]
 
 
 def shown(image: np.ndarray, forces: np.ndarray, view) -> tuple[np.ndarray, np.ndarray]:
-    """The part of an image (h, w, 3) and of its forces (3, rows, cols) that a view shows (networks.canonical.View)."""
+    """The part of an image (h, w, 3) and of its forces (3, rows, cols) that a view shows (networks.preprocess.scale.View)."""
     return image[view.shown(image.shape)], forces[(slice(None), *view.cells_shown(forces.shape[1:]))]
 
 
 @command(option("films", nargs="+", type=Path), option("--out", type=Path))
 def real(args: Namespace) -> None:
     """Real sensor pictures beside the force maps that the shipped network reads in them."""
-    from gelforge.networks.use import load_for_use
+    from gelforge.networks.inference.predictor import load_for_use
     from gelforge.reporting.canvas import canvas_with_axes, to_png
     from gelforge.reporting.forcemaps import draw_pressure
 
-    trained, rows = load_for_use(None), []
+    model, rows = load_for_use(None), []
     for film in args.films:
-        rows.append(hardest_frames(film, trained))
+        rows.append(hardest_frames(film, model))
     figure, axes = canvas_with_axes(len(rows), 2 * SHOWN, 12, 1.6 * len(rows) + 0.3)
     for line, pairs in zip(axes, rows, strict=True):
         most = max(float(-forces[2].min()) for _, forces in pairs)  # one scale for the frames of a film

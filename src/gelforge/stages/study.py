@@ -14,7 +14,7 @@ from gelforge.records.axes import CHANNELS
 from gelforge.records.splits import TRAINING, VALIDATION
 from gelforge.reporting.networkcharts import draw_study
 
-VERSION = 1
+VERSION = 2
 WHOLE = "all"
 
 
@@ -34,7 +34,7 @@ def rows_of(name: str, evaluation: dict) -> list[dict]:
             "split": split,
         }
         for axis in CHANNELS:
-            error = (found["told"] or found)["total"][axis]
+            error = found["total"][axis]
             row |= {f"{axis}_n": error["mae"], f"{axis}_low_n": error["mae_low"], f"{axis}_high_n": error["mae_high"]}
         rows.append(row)
     return rows

@@ -13,10 +13,11 @@ from gelforge.flow.main import command, option
 from gelforge.flow.params import laid_over, plain
 from gelforge.flow.params.schema import Place, parse
 from gelforge.flow.params.slices import ForTrain, read_slice
-from gelforge.flow.params.tables import SHIPPED, TrainingTable, TrainTable
+from gelforge.flow.params.tables import SHIPPED as SHIPS
+from gelforge.flow.params.tables import TrainingTable, TrainTable
 from gelforge.records.networkkind import kind_of
 
-VERSION = 20
+VERSION = 21
 
 
 def read_models(path) -> dict:
@@ -31,9 +32,9 @@ def resolve(models: dict, name: str, train: TrainTable) -> tuple[dict, TrainingT
     if name not in models:
         raise BadInput(f"MODEL={name}: no such model in workflow/models.toml; known: {', '.join(sorted(models))}")
     model = dict(models[name])
-    if model.get("start", SHIPPED) != SHIPPED:
+    if model.get("start", SHIPS) != SHIPS:
         raise BadInput(
-            f"workflow/models.toml, [{name}]: start = {model['start']!r}: only {SHIPPED!r} can be gone on from"
+            f"workflow/models.toml, [{name}]: start = {model['start']!r}: only {SHIPS!r} can be fine-tuned"
         )
     kind_of(model)  # which refuses what is no kind
     own = model.pop("train", {})
@@ -47,16 +48,9 @@ def resolve(models: dict, name: str, train: TrainTable) -> tuple[dict, TrainingT
 
 
 def train(data, name: str, model: dict, settings: TrainingTable, checkpoint=None, start=None, also=()):
-    """A model of a dataset, networks.newmodel.make_model of this VERSION; make_stacked where that is all that learns."""
-    from gelforge.networks.newmodel import make_model, make_stacked
+    """A model of a dataset, networks.pipeline.make_model of this VERSION."""
+    from gelforge.networks.pipeline import make_model
 
-    if settings.stacking_epochs:
-        if start is None:
-            raise BadInput(
-                f"workflow/models.toml, [{name}]: stacking_epochs = {settings.stacking_epochs}: what stands above both readers"
-                f' learns beside a network that is there: say start = "{SHIPPED}"'
-            )
-        return make_stacked(data, name, model, settings, start, also)
     return make_model(data, name, model, settings, VERSION, checkpoint, start, also)
 
 
@@ -70,30 +64,32 @@ def train(data, name: str, model: dict, settings: TrainingTable, checkpoint=None
     option("--out", type=Path),
 )
 def main(args: Namespace) -> None:
-    from gelforge.networks import use
-    from gelforge.networks.data import open_data
-    from gelforge.networks.modelfile import load_model, save_model
-    from gelforge.networks.part import as_many_passes, parse_part, take_part
+    from gelforge.networks.checkpoint.weights import load_weights
+    from gelforge.networks.data.arrays import open_data
+    from gelforge.networks.data.subset import as_many_passes, parse_subset, take_subset
+    from gelforge.networks.inference.predictor import SHIPPED
+    from gelforge.networks.pipeline import Start, save_trained
     from gelforge.reporting.networkcharts import draw_curve
 
     model, settings = resolve(read_models(args.models), args.model, read_slice(args.params, ForTrain).train)
-    checkpoint = beside(args.out, ".checkpoint.pt")
+    checkpoint = beside(args.out, ".checkpoint.safetensors")
     data = open_data(args.dataset)
     if args.part:
-        whole, data = data, take_part(data, parse_part(args.part), settings.seed)
+        whole, data = data, take_subset(data, parse_subset(args.part), settings.seed)
         settings = as_many_passes(settings, data, whole)
-    start = load_model(use.SHIPPED) if model.pop("start", None) else None
+    weights = SHIPPED.with_suffix(".safetensors")
+    start = Start(*load_weights(weights)) if model.pop("start", None) else None
     also = [open_data(folder) for folder in args.also]
     trained = train(data, args.model, model, settings, checkpoint, start, also)
-    curve = trained.about["curve"]
+    curve = trained.metadata["curve"]
     write_csv(beside(args.out, ".curve.csv"), list(curve[0]), curve)
     with publish(beside(args.out, ".curve.png")) as part:
-        draw_curve(part, curve, trained.about["best_epoch"], args.model)
-    save_model(args.out, trained)
+        draw_curve(part, curve, trained.metadata["best_epoch"], args.model)
+    save_trained(args.out, trained)
     checkpoint.unlink(missing_ok=True)
-    cost = trained.about["cost"]
+    cost = trained.metadata["cost"]
     print(
-        f"best epoch {trained.about['best_epoch']}, {cost['seconds']:.0f} s in {cost['steps']} steps, waited "
+        f"best epoch {trained.metadata['best_epoch']}, {cost['seconds']:.0f} s in {cost['steps']} steps, waited "
         f"{100 * cost['wait_seconds'] / max(cost['step_seconds'], 1e-9):.1f} % of a step for data, peak {cost['peak_gib']:.2f} GiB"
     )
 

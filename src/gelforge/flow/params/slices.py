@@ -162,7 +162,6 @@ SLICES = {
     "labels": Source(ForLabels, "labels"),
     "dataset": Source(ForDataset, "dataset"),
     "train": Source(ForTrain, "train"),
-    "onnx": Source(Slice, "onnx"),
     "evaluate": Source(ForEvaluate, "evaluate"),
     "card": Source(Slice, "card"),
     "report": Source(ForReport, "report"),

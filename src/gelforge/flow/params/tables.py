@@ -104,14 +104,12 @@ class TrainingTable(ParameterTable):
     total_huber: Annotated[float, Within(0.0, 1e9)]
     shift_cells: Annotated[int, Within(0, 1000)]
     mirrored_share: Share
-    dot_epochs: Whole
-    place_epochs: Whole
-    stacking_epochs: Whole
     settle_images: Whole
     frozen_share: Share
     averaged_share: Share
     seed: Seed
     threads: Annotated[int, Within(1, 1e4)]
+    device: Annotated[str, OneOf("auto", "cpu", "cuda")]
     mixed_precision: bool
     checkpoint_seconds: Annotated[float, Within(0.0, 1e9, "s")]
     augment: AugmentTable

@@ -494,8 +494,8 @@ function provenanceRows(i) {
   line("label", `${d}/50_labels/${resolution}/${shard}.npz`, "labels.json", `50_labels/${resolution}/labels`, "all presses");
   if (COLUMNS.split[i]) {
     line("dataset", `${d}/60_dataset/${resolution}/`, "dataset.json", `60_dataset/${resolution}/dataset`, "all presses");
-    if (DATA.about.learnt_here) line("network", `${d}/70_train/${resolution}/${model}.pt`, "train.json", `70_train/${resolution}/${model}`, "all presses");
-    else rows.push(["network", "src/gelforge/networks/default.pt", "", "", "", "", ""]);
+    if (DATA.about.learnt_here) line("network", `${d}/70_train/${resolution}/${model}.onnx`, "train.json", `70_train/${resolution}/${model}`, "all presses");
+    else rows.push(["network", "src/gelforge/networks/weights/default.onnx", "", "", "", "", ""]);
     line("evaluation", `${d}/80_evaluate/${resolution}/${model}.json`, "evaluate.json", `80_evaluate/${resolution}/${model}`, "all presses");
   }
   return rows;

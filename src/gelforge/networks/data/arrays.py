@@ -1,0 +1,282 @@
+"""The arrays of stage 60 as training and evaluation read them."""
+
+import hashlib
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.flow.files import read_json
+from gelforge.flow.layout import command_for
+from gelforge.networks.models.inputs import needs_nocontact
+from gelforge.networks.preprocess.illumination import Light, match_light
+from gelforge.records.press import PressRecord
+from gelforge.records.rowfile import ChainedRows, RowFile, map_array
+from gelforge.records.samplefile import DatasetSample, read_samples
+from gelforge.records.splits import TRAINING, UNSEEN_BOTH, UNSEEN_SENSOR, VALIDATION
+
+FILES = ("images.npy", "labels.npy", "nocontact.npy", "samples.csv", "normalisation.json", "dataset.json")
+LEAST_TOTAL = 0.01  # of the largest component's scale of total force
+CHUNK = 256
+FEWEST_EACH = 9  # presses of validation that choose, and as many that set intervals
+# Below this a split says nothing about an error and batch statistics nothing about a layer.
+SMALLEST = {TRAINING: 4, VALIDATION: 1}
+
+
+@dataclass(frozen=True)
+class Data:
+    """One dataset of stage 60, its arrays on disk.
+
+    images (n, height, width, 3) uint8 RGB; labels (n, 3, rows, cols) float32 N per cell, channels and
+    signs as FEATS; table has one record per sample; splits gives row numbers by name; nocontact
+    has the no-contact image (height, width, 3) uint8 RGB of each sensor that has one.
+    """
+
+    folder: Path
+    images: np.ndarray | RowFile | ChainedRows
+    labels: np.ndarray | ChainedRows
+    table: list[DatasetSample]
+    splits: dict[str, np.ndarray]
+    info: dict
+    normalisation: dict
+    nocontact: dict[str, np.ndarray]
+    # Lights of the rows that were looked at: they are found once, not in every epoch.
+    _lights: dict[int, Light] = field(default_factory=dict, init=False, repr=False, compare=False)
+
+    @property
+    def name(self) -> str:
+        """Of the dataset: that of its folder below results/ where it tells none."""
+        return str(self.info.get("name", self.folder.parent.parent.name))
+
+    @property
+    def image_size(self) -> tuple[int, int]:
+        _, height, width, _ = self.images.shape
+        return height, width
+
+    @property
+    def grid(self) -> tuple[int, int]:
+        _, _, rows, cols = self.labels.shape
+        return rows, cols
+
+    def column(self, name: str) -> np.ndarray:
+        """One column of samples.csv as float64 (n,); empty fields are NaN."""
+        return np.array([sample.numbers()[name] for sample in self.table])
+
+    def names(self, column: str) -> np.ndarray:
+        """One column of samples.csv as text (n,)."""
+        return np.array([sample.text(column) for sample in self.table])
+
+    def nocontact_of(self, rows) -> np.ndarray:
+        """No-contact images (k, height, width, 3) uint8 RGB of the sensors of some rows."""
+        return np.stack([self.nocontact[name] for name in self.require_nocontact(rows)])
+
+    def require_nocontact(self, rows) -> list[str]:
+        """Names of the sensors of some rows (k,); BadInput where one has no no-contact image."""
+        names = [self.table[row].press.sensor_id for row in rows]
+        missing = sorted(set(names) - set(self.nocontact))
+        if missing:
+            raise BadInput(
+                f"{self.folder}: no no-contact image of sensor {', '.join(missing)}, beside which this network "
+                f"reads pictures: put nocontact/{missing[0]}.png into the dataset's data folder and make the "
+                "dataset again, or choose a MODEL without `reads` in workflow/models.toml"
+            )
+        return names
+
+    def seen(self, rows, reads: str) -> np.ndarray:
+        """What a network with `reads` (networks.models.inputs) is given of some rows, uint8 (k, height, width, 3).
+
+        Or (k, height, width, 6), where the no-contact image stands behind each image, which is brought to its light.
+        """
+        import cv2
+
+        if not needs_nocontact(reads):
+            return self.images[rows]
+        # OpenCV puts channels side by side several times faster than numpy
+        return np.stack([
+            cv2.merge([self._lit(row, image, beside), beside])
+            for row, image, beside in zip(rows, self.images[rows], self.nocontact_of(rows), strict=True)
+        ])  # fmt: skip
+
+    def _lit(self, row, image: np.ndarray, nocontact: np.ndarray) -> np.ndarray:
+        """The image (height, width, 3) of a row under the light of its no-contact image."""
+        light = self._lights.get(int(row))
+        if light is None:
+            light = self._lights[int(row)] = match_light(image, nocontact)
+        return light.undo(image)
+
+    def presses(self, rows) -> np.ndarray:
+        """What tells the presses of some rows apart, (k,): several images may show one; where unknown, none does."""
+        return np.array([self.table[row].group or f"row {row}" for row in rows])
+
+    def totals(self, rows) -> np.ndarray:
+        """Total force of the labels of some rows, (k, 3) float64 N, in the labels' channel order."""
+        return self.labels[rows].sum((2, 3), dtype=np.float64)
+
+
+def open_data(folder) -> Data:
+    """Open a dataset folder of stage 60 and check that its parts belong together.
+
+    Raises BadInput for missing files, arrays of other shapes or types, labels that are not finite.
+    """
+    folder = Path(folder)
+    for name in FILES:
+        if not (folder / name).exists():
+            told = command_for("dataset", folder)
+            raise BadInput(f"{folder}: {name} is missing; make it with `{told}`, RES being the grid you want")
+    images = RowFile(folder / "images.npy")
+    labels, pictures = (map_array(folder / f"{name}.npy") for name in ("labels", "nocontact"))
+    table = read_samples(folder / "samples.csv")
+    info = read_json(folder / "dataset.json")
+    check_shapes(folder, images, labels, table, info)
+    check_finite(folder, labels, table)
+    split = np.array([sample.split for sample in table])
+    splits = {str(name): np.flatnonzero(split == name) for name in np.unique(split)}
+    nocontact = match_pictures(folder, info, pictures, images)
+    return Data(folder, images, labels, table, splits, info, read_json(folder / "normalisation.json"), nocontact)
+
+
+def check_shapes(folder, images, labels, table, info) -> None:
+    """Raise BadInput where the arrays of a dataset do not fit each other."""
+    if images.dtype != np.uint8 or images.ndim != 4 or images.shape[3] != 3:
+        raise BadInput(
+            f"{folder}/images.npy: expected uint8 (n, height, width, 3), got {images.dtype} {images.shape}"
+        )
+    if labels.dtype != np.float32 or labels.ndim != 4 or labels.shape[1] != 3:
+        raise BadInput(f"{folder}/labels.npy: expected float32 (n, 3, rows, cols), got {labels.dtype} {labels.shape}")
+    if not len(images) == len(labels) == len(table):
+        raise BadInput(
+            f"{folder}: {len(images)} images, {len(labels)} labels and {len(table)} rows of samples.csv; "
+            "they must be as many: remove the folder and make the dataset again"
+        )
+    grid = info.get("grid")
+    if grid and tuple(grid) != labels.shape[2:]:
+        raise BadInput(
+            f"{folder}: dataset.json says a grid of {grid}, labels.npy has {list(labels.shape[2:])}; "
+            "make the dataset again for one resolution"
+        )
+
+
+def match_pictures(folder, info, pictures, images) -> dict[str, np.ndarray]:
+    """No-contact images of sensors by name; BadInput where they fit neither their names nor the images."""
+    names = info.get("nocontact", [])
+    if pictures.dtype != np.uint8 or pictures.shape != (len(names), *images.shape[1:]):
+        raise BadInput(
+            f"{folder}/nocontact.npy: expected uint8 {(len(names), *images.shape[1:])}, got {pictures.dtype} "
+            f"{pictures.shape}; make the dataset again"
+        )
+    return {name: np.array(picture) for name, picture in zip(names, pictures, strict=True)}
+
+
+def check_finite(folder, labels, table) -> None:
+    """Raise BadInput naming the first sample whose label is not finite."""
+    for start in range(0, len(labels), CHUNK):
+        good = np.isfinite(labels[start : start + CHUNK]).all((1, 2, 3))
+        if not good.all():
+            row = start + int(np.argmin(good))
+            name = table[row].press.sample_id
+            raise BadInput(
+                f"{folder}/labels.npy: the label of sample {name} (row {row}) is not finite; "
+                "look at its solve, then make labels and dataset again"
+            )
+
+
+def require_splits(data: Data) -> None:
+    """Raise BadInput if a dataset is too small to train on and validate with."""
+    for name, least in SMALLEST.items():
+        have = len(data.splits.get(name, ()))
+        if have < least:
+            raise BadInput(
+                f"{data.folder}: split {name!r} holds {have} of {len(data.table)} samples, training needs "
+                f"at least {least}; add presses or change the shares in [dataset]"
+            )
+
+
+def split_validation(data: Data) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of validation that may choose (the epoch, how intervals grow), and those that choose nothing.
+
+    Every other press goes to either; where there are too few presses for both, all of them choose.
+    """
+    rows = data.splits[VALIDATION]
+    presses, of_row = np.unique(data.presses(rows), return_inverse=True)
+    if len(presses) < 2 * FEWEST_EACH:
+        return rows, rows[:0]
+    chooses = of_row.ravel() % 2 == 0
+    return rows[chooses], rows[~chooses]
+
+
+def calibration_rows(data: Data) -> np.ndarray:
+    """Rows of presses and sensors that chose nothing, on which the size of intervals is set.
+
+    Beside the half of validation that chooses nothing it takes half of the unseen sensors; the others tell whether intervals
+    hold.
+    """
+    rows = np.concatenate([data.splits.get(name, np.zeros(0, int)) for name in (UNSEEN_SENSOR, UNSEEN_BOTH)])
+    names = data.names("sensor_id")
+    known = sorted(set(names[rows].tolist()))
+    unseen = rows[np.isin(names[rows], known[: (len(known) + 1) // 2])]
+    return np.union1d(unseen, split_validation(data)[1])
+
+
+def press_keys(data: Data, rows) -> np.ndarray:
+    """What tells the presses of some rows from all others, in whatever dataset and among whatever presses they are, (k,) text.
+
+    Frames, depths and shears of one touch, by whatever sensor, are one press. A press without a pose is told by the names of
+    its dataset and itself.
+    """
+    return np.array([_press_key(data.name, data.table[row].press) for row in rows])
+
+
+def _press_key(dataset: str, press: PressRecord) -> str:
+    if press.posed:
+        said = f"{press.indenter} {press.x0_mm:.4f} {press.y0_mm:.4f} {press.rot_deg:.3f}"
+    else:
+        said = f"{dataset} {press.press_id or press.sample_id}"
+    return hashlib.sha1(said.encode(), usedforsecurity=False).hexdigest()[:10]
+
+
+def data_version(data: Data) -> str:
+    """Fingerprint of a dataset: everything but the images, of which every 64th enters."""
+    digest = hashlib.sha256()
+    for name in ("samples.csv", "normalisation.json", "dataset.json", "nocontact.npy"):
+        digest.update((data.folder / name).read_bytes())
+    for start in range(0, len(data.labels), CHUNK):
+        digest.update(np.ascontiguousarray(data.labels[start : start + CHUNK]).tobytes())
+    for row in range(0, len(data.images), 64):
+        digest.update(np.ascontiguousarray(data.images[row]).tobytes())
+    return digest.hexdigest()[:16]
+
+
+def scales(data: Data, total_only: bool, reads: str = "image") -> dict:
+    """What training scales by: image mean and deviation per channel, and the labels' root mean square.
+
+    Zero force is zero in scaled units too, because labels are divided and never shifted. A component whose totals
+    cancel, as sideways ones of centred presses do, is scaled by LEAST_TOTAL of the largest: errors of it count as theirs
+    do, not without bound. Where the network only knows totals (`total_only`), `label` is theirs. `reads` is kept beside
+    them: the three together make a network's input of pictures.
+    """
+    rows = data.splits[TRAINING]
+    sums, squares, cells = np.zeros(3), np.zeros(3), np.zeros(3)
+    for part in np.array_split(rows, max(1, len(rows) // CHUNK)):
+        pixels = data.images[part].reshape(-1, 3)
+        counts = np.stack([np.bincount(pixels[:, c], minlength=256) for c in range(3)])
+        levels = np.arange(256) / 255
+        sums += counts @ levels
+        squares += counts @ levels**2
+        cells += (data.labels[part].astype(np.float64) ** 2).sum((0, 2, 3))
+    n = len(rows) * np.prod(data.image_size)
+    mean = sums / n
+    totals = data.totals(rows)
+    total = np.sqrt((totals**2).mean(0))
+    total = np.maximum(total, LEAST_TOTAL * total.max())
+    cell = np.sqrt(cells / (len(rows) * np.prod(data.grid)))
+    if (cell == 0).any() or (total == 0).any():
+        raise BadInput(f"{data.folder}: a force component is zero in every training label; nothing can be learnt")
+    return {
+        "reads": reads,
+        "image_mean": mean.tolist(),
+        "image_std": np.sqrt(np.maximum(squares / n - mean**2, 1e-6)).tolist(),
+        "label": (total if total_only else cell).tolist(),
+        "total": total.tolist(),
+        "range": (totals.max(0) - totals.min(0)).tolist(),
+    }

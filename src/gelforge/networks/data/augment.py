@@ -1,0 +1,135 @@
+"""Augmentation: colour and noise, one small matrix per image; shifts and mirrors of image and label alike."""
+
+import math
+
+import numpy as np
+import torch
+
+from gelforge.flow.params.tables import AugmentTable
+from gelforge.networks.models.inputs import cell_pixels, inner_part
+from gelforge.networks.preprocess.scale import hidden
+
+# Luma, and the two chroma axes of YIQ (NTSC 1953): hue turns the chroma plane, saturation scales it.
+RGB_TO_YIQ = torch.tensor([[0.299, 0.587, 0.114], [0.5959, -0.2746, -0.3213], [0.2115, -0.5227, 0.3112]])
+YIQ_TO_RGB = torch.linalg.inv(RGB_TO_YIQ)
+
+
+def uniform(n: int, half_width: float, generator):
+    """Draw `n` values in +-`half_width`."""
+    return (2 * torch.rand(n, generator=generator) - 1) * half_width
+
+
+def colour_matrices(saturation, hue_turns):
+    """Matrices (n, 3, 3) that scale the chroma by `saturation` (n,) and turn it by `hue_turns` (n,) of a circle."""
+    angle = 2 * math.pi * hue_turns
+    turn = torch.zeros(len(angle), 3, 3)
+    turn[:, 0, 0] = 1
+    turn[:, 1, 1] = turn[:, 2, 2] = saturation * torch.cos(angle)
+    turn[:, 2, 1] = saturation * torch.sin(angle)
+    turn[:, 1, 2] = -turn[:, 2, 1]
+    return YIQ_TO_RGB @ turn @ RGB_TO_YIQ
+
+
+def augment(images, settings: AugmentTable, generator):
+    """Vary noise, brightness, contrast, saturation and hue of images (n, 3, h, w) in 0..1; a chosen share of them.
+
+    The order is the paper's; brightness, contrast, saturation and hue are linear in RGB, so they are one
+    matrix and one offset per image. `settings` holds probability, noise (standard deviation), brightness,
+    contrast, saturation (half widths around 1) and hue (half width in turns). Of images (n, 6, h, w) the
+    second half is the no-contact image: its colours vary as the image's do, and it gets no noise.
+    """
+    n = len(images)
+    chosen = torch.rand(n, generator=generator) < settings.probability
+    brightness, contrast, saturation = (
+        1 + uniform(n, width, generator) for width in (settings.brightness, settings.contrast, settings.saturation)
+    )
+    matrices = colour_matrices(saturation, uniform(n, settings.hue, generator))
+    where = torch.nonzero(chosen).flatten()
+    if len(where) == 0:
+        return images
+    part = images[where].unflatten(1, (-1, 3))
+    noise = torch.empty_like(part[:, 0]).normal_(0, 1, generator=generator).mul_(settings.noise)
+    part[:, 0] += noise
+    part.mul_(brightness[where, None, None, None, None])
+    luma = torch.einsum("c,nchw->n", RGB_TO_YIQ[0], part[:, 0]) / (part.shape[3] * part.shape[4])
+    factor = contrast[where, None, None, None, None]
+    part = part.mul_(factor).add_((1 - factor) * luma[:, None, None, None, None])
+    turned = (matrices[where, None] @ part.flatten(3)).view_as(part)
+    images = images.clone()
+    images[where] = turned.clamp_(0, 1).flatten(1, 2)
+    return images
+
+
+def shift_together(images, labels, cells: int, generator) -> tuple[np.ndarray, np.ndarray]:
+    """Move each image (n, h, w, channels) and its label (n, 3, rows, cols) alike, by up to `cells` cells both ways.
+
+    What leaves one side comes in at the other, in both, so that no force is lost: half a contact at the rim is half
+    the force. Places are drawn evenly, none moved or moved at random with equal odds.
+    """
+    pixels = cell_pixels(images.shape[1:3], labels.shape[2:], f"[train] shift_cells = {cells}")
+    by = torch.randint(-cells, cells + 1, (len(images), 2), generator=generator)
+    by[torch.rand(len(images), generator=generator) < 0.5] = 0
+    moved = zip(images, labels, by.tolist(), strict=True)
+    pairs = [(np.roll(image, (pixels * v, pixels * u), (0, 1)), np.roll(label, (v, u), (1, 2)))
+             for image, label, (v, u) in moved]  # fmt: skip
+    return np.stack([image for image, _ in pairs]), np.stack([label for _, label in pairs])
+
+
+def misplace_nocontact(pairs: np.ndarray, narrow: np.ndarray, settings: AugmentTable, generator) -> np.ndarray:
+    """Shift, turn and zoom the no-contact image of a share of the pairs (n, h, w, 6) uint8, as if the gel sat otherwise.
+
+    Where the gel is held its dots stand still under any force, so these tell the network what to take back. narrow: (n,)
+    pairs that are left alone because they do not show these dots: there a common motion is sideways force.
+    """
+    import cv2
+
+    pairs, (h, w) = np.array(pairs), pairs.shape[1:3]
+    chosen = (torch.rand(len(pairs), generator=generator) < settings.misplaced_share) & ~torch.from_numpy(narrow)
+    drawn = torch.stack([uniform(len(pairs), width, generator) for width in (
+        settings.misplaced_px, settings.misplaced_px, settings.misplaced_deg, settings.misplaced_zoom)], 1)  # fmt: skip
+    for k in torch.nonzero(chosen).flatten().tolist():
+        right, down, turn, zoom = drawn[k].tolist()
+        matrix = cv2.getRotationMatrix2D((w / 2, h / 2), turn, 1.0 + zoom)
+        matrix[:, 2] += right, down
+        behind = np.ascontiguousarray(pairs[k, ..., 3:])
+        pairs[k, ..., 3:] = cv2.warpAffine(behind, matrix, (w, h), borderMode=cv2.BORDER_REPLICATE)
+    return pairs
+
+
+def narrow_views(pairs, labels, settings: AugmentTable, generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Hide the rim of a share of the pairs (n, h, w, 6) uint8 and of their labels (n, 3, rows, cols), up to `narrowed`.
+
+    Returns both and which were chosen, (n,) bool. So look pictures of a camera that sees less of the gel once they are
+    brought to the scale of the others: what it does not see is even, and no force is read there. Wide borders are drawn
+    more often than narrow ones, because it is them that take away what a network could hold on to.
+    """
+    pairs, labels = np.array(pairs), np.array(labels)
+    chosen = torch.rand(len(pairs), generator=generator) < settings.narrowed_share
+    shares = torch.sqrt(torch.rand(len(pairs), generator=generator)) * settings.narrowed
+    for k in torch.nonzero(chosen).flatten().tolist():
+        pixels, inner = inner_part(float(shares[k]), pairs.shape[1:3], labels.shape[2:], "[train.augment] narrowed")
+        shown, force = pairs[k][pixels].copy(), labels[k][(slice(None), *inner)].copy()
+        pairs[k] = hidden(shown)
+        labels[k] = 0.0
+        pairs[k][pixels] = shown
+        labels[k][(slice(None), *inner)] = force
+    return pairs, labels, chosen.numpy()
+
+
+def mirror_together(images, labels, generator) -> tuple[np.ndarray, np.ndarray]:
+    """Mirror each image (n, h, w, channels) and its label (n, 3, rows, cols) alike, either way with even odds.
+
+    Mechanics and dots know no left and right: a press mirrored is a press, its force along the mirrored side of the
+    image reversed. The coloured light does not mirror, so a network learns to lean on it less.
+    """
+    import cv2
+
+    images, labels = np.array(images), np.array(labels)
+    # force along u with the columns, along v with the rows; OpenCV's code of a flip about that axis
+    for component, axis, code in ((0, -1, 1), (1, -2, 0)):
+        chosen = (torch.rand(len(images), generator=generator) < 0.5).numpy()
+        for k in np.flatnonzero(chosen):
+            images[k] = cv2.flip(images[k], code).reshape(images[k].shape)
+        labels[chosen] = np.flip(labels[chosen], axis)
+        labels[chosen, component] *= -1
+    return images, labels

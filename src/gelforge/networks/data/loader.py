@@ -1,0 +1,149 @@
+"""Batches of a dataset, prepared one ahead of the step that uses them."""
+
+import queue
+import threading
+import time
+
+import numpy as np
+import torch
+
+from gelforge.flow.params.tables import TrainingTable
+from gelforge.networks.data.augment import augment, mirror_together, misplace_nocontact, narrow_views, shift_together
+from gelforge.networks.models.inputs import needs_nocontact, network_input
+from gelforge.records.splits import TRAINING
+
+STREAMS = {
+    "order": 0,
+    "augment": 1,
+    "weights": 2,
+    "shift": 3,
+    "mirror": 4,
+    "seat": 5,
+    "view": 6,
+}
+VARIED = ("augment", "shift", "mirror", "seat", "view")  # what an epoch's pictures draw from
+
+# Pictures prepared at a time. A whole batch would be arrays of tens of MB, for each of which the system clears new memory:
+# more than half of the time. Those of a few pictures are used again, and stay in the processor's cache.
+PIECE = 4
+
+
+def generator(seed: int, stream: str, *numbers: int) -> torch.Generator:
+    """A torch generator that depends on nothing but a seed, what it is for, and where in the work it stands.
+
+    So a resumed training draws what the uninterrupted one drew, and no generator's state is stored.
+    """
+    words = np.random.SeedSequence([seed, STREAMS[stream], *numbers]).generate_state(2, np.uint32)
+    return torch.Generator().manual_seed(int(words[0]) << 31 | int(words[1]) >> 1)
+
+
+def epoch_order(rows: np.ndarray, seed: int, epoch: int, most: int = 0) -> np.ndarray:
+    """The training rows of one epoch (from 0) in the order in which they are seen.
+
+    rows: (n,) of a dataset. most: rows in an epoch; with fewer than there are, epochs share a pass over all of them
+    between them, so that no row is seen a second time before every other was seen once. 0: an epoch is a pass.
+    """
+    size = min(most or len(rows), len(rows))
+    first, last = epoch * size, (epoch + 1) * size
+    through = range(first // len(rows), (last - 1) // len(rows) + 1)
+    order = [torch.randperm(len(rows), generator=generator(seed, "order", number)).numpy() for number in through]
+    begin = first % len(rows)
+    return rows[np.concatenate(order)[begin : begin + size]]
+
+
+def images_to_tensor(images) -> torch.Tensor:
+    """Images (n, h, w, channels) uint8 to a contiguous float tensor (n, channels, h, w) in 0..1.
+
+    Channels are turned to the front while they are bytes: four times faster than as floats.
+    """
+    return torch.from_numpy(np.require(images, requirements=["C", "W"])).permute(0, 3, 1, 2).contiguous() / 255
+
+
+def target(labels, norm: dict, total_only: bool) -> torch.Tensor:
+    """Labels (n, 3, rows, cols) in N to what a network is fitted to, in training units."""
+    if total_only:
+        labels = labels.sum((2, 3), keepdims=True)
+    return torch.from_numpy(np.require(labels, requirements=["C", "W"])) / torch.tensor(norm["label"]).float().view(
+        1, 3, 1, 1
+    )
+
+
+def training_batches(data, norm: dict, settings: TrainingTable, epoch: int, total_only: bool):
+    """Yield (input, target) of one epoch, augmented, both in the network's units.
+
+    Shapes (k, 3 or 6, h, w) and (k, 3, rows, cols), or (k, 3, 1, 1) where total_only.
+    """
+    order = epoch_order(data.splits[TRAINING], settings.seed, epoch, settings.epoch_images)
+    draws = {stream: generator(settings.seed, stream, epoch) for stream in VARIED}
+    mirrors = epoch < settings.mirrored_share * settings.epochs
+    for start in range(0, len(order), settings.batch):
+        # Sorted rows read the file forwards; the order inside a batch changes nothing but rounding.
+        rows = np.sort(order[start : start + settings.batch])
+        pieces = [rows[first : first + PIECE] for first in range(0, len(rows), PIECE)]
+        varied = [_varied(data, piece, norm["reads"], settings, mirrors, draws) for piece in pieces]
+        yield (
+            torch.cat([network_input(pictures, norm) for pictures, _ in varied]),
+            torch.cat([target(labels, norm, total_only) for _, labels in varied]),
+        )
+
+
+def _varied(data, rows: np.ndarray, reads: str, settings: TrainingTable, mirrors: bool, draws: dict):
+    """Pictures (k, channels, h, w) in 0..1 and labels (k, 3, rows, cols) N of some rows, varied as training asks for."""
+    pictures, labels = data.seen(rows, reads), data.labels[rows]
+    if needs_nocontact(reads):
+        pictures, labels, narrow = narrow_views(pictures, labels, settings.augment, draws["view"])
+        pictures = misplace_nocontact(pictures, narrow, settings.augment, draws["seat"])
+    if settings.shift_cells:
+        pictures, labels = shift_together(pictures, labels, settings.shift_cells, draws["shift"])
+    if mirrors:
+        pictures, labels = mirror_together(pictures, labels, draws["mirror"])
+    return augment(images_to_tensor(pictures), settings.augment, draws["augment"]), labels
+
+
+class Prefetch:
+    """Iterate over `items` while a thread prepares the next two; `waited` is the seconds spent waiting for it."""
+
+    def __init__(self, items):
+        self.waited = 0.0
+        self._queue = queue.Queue(maxsize=2)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._work, args=(items,), daemon=True)
+        self._thread.start()
+
+    def _work(self, items):
+        # A new thread starts with OpenMP's own count; one is enough here and keeps sums in one order.
+        torch.set_num_threads(1)
+        try:
+            for item in items:
+                if not self._put((item, None)):
+                    return
+            self._put((None, StopIteration()))
+        except Exception as error:  # handed to the consumer, which raises it
+            self._put((None, error))
+
+    def _put(self, entry) -> bool:
+        while not self._stop.is_set():
+            try:
+                self._queue.put(entry, timeout=0.2)
+                return True
+            except queue.Full:
+                continue
+        return False
+
+    def close(self) -> None:
+        """Stop the thread; what it has prepared is dropped."""
+        self._stop.set()
+
+    def __iter__(self):
+        try:
+            while True:
+                started = time.perf_counter()
+                item, error = self._queue.get()
+                self.waited += time.perf_counter() - started
+                if isinstance(error, StopIteration):
+                    return
+                if error is not None:
+                    raise error
+                yield item
+        finally:
+            self.close()

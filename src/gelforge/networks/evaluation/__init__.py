@@ -1,0 +1,1 @@
+"""Errors of a model on a dataset, and what is set on presses that training did not see."""

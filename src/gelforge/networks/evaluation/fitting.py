@@ -1,0 +1,116 @@
+"""What is set beside a trained network on presses that training did not see: out-of-distribution limits and intervals."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from gelforge.flow.params.tables import TrainingTable
+from gelforge.networks.checkpoint.modelfile import ForceModel
+from gelforge.networks.data.arrays import Data, calibration_rows, press_keys, split_validation
+from gelforge.networks.evaluation.predicted import predict_rows
+from gelforge.networks.models.inputs import needs_nocontact
+from gelforge.networks.preprocess.pair import Preprocessor
+from gelforge.networks.uncertainty.conformal import Errors, fit_intervals
+from gelforge.networks.uncertainty.ood import (
+    RELIEF_MARGIN,
+    PairDiagnostics,
+    fit_to_images,
+    pair_diagnostics,
+    pair_limits,
+    relief,
+    widened,
+)
+from gelforge.records.markers import pitch_of
+from gelforge.records.splits import TRAINING, VALIDATION
+
+ENOUGH_PAIRS = 200  # pictures that tell what good pairs are like
+
+
+def set_limits(
+    metadata: dict[str, Any], data: Data, settings: TrainingTable, before: dict[str, Any] | None
+) -> dict[str, Any]:
+    """The part of a model's metadata that tells what pictures it learnt from: `statistics`, and the pitch of their markers.
+
+    before: metadata of the network that it is fine-tuned from, whose limits are widened where few pictures are new.
+    """
+    reads = metadata["normalisation"]["reads"]
+    pitch = learnt_pitch(data, before) if needs_nocontact(reads) else {}
+    rows = usual_rows(data)
+    pairs = good_pairs(metadata | pitch, data, rows) if needs_nocontact(reads) else {}
+    if before is not None and len(data.splits[TRAINING]) < ENOUGH_PAIRS:
+        images = (np.ascontiguousarray(data.images[row]) for row in rows)
+        return pitch | {"statistics": widened(before["statistics"], images, pairs)}
+    see = appearances(data, reads, settings)
+    return pitch | {"statistics": fit_to_images(see, data.splits[TRAINING], data.splits[VALIDATION]) | pairs}
+
+
+def appearances(data: Data, reads: str, settings: TrainingTable) -> Callable[[int], np.ndarray]:
+    """What a picture that the network reads may look like, by row, (h, w, 3) uint8: every other one of a narrow view."""
+    from gelforge.networks.data.augment import narrow_views
+    from gelforge.networks.data.loader import generator
+
+    narrow = replace(settings.augment, narrowed_share=0.5 if settings.augment.narrowed_share else 0.0)
+
+    def see(row: int) -> np.ndarray:
+        pair = data.seen([row], reads)
+        if needs_nocontact(reads):
+            pair, _, _ = narrow_views(pair, data.labels[[row]], narrow, generator(settings.seed, "view", 0, row))
+        return pair[0, ..., :3]
+
+    return see
+
+
+def usual_rows(data: Data) -> np.ndarray:
+    """Rows whose pairs tell what good ones are like: validation's, and where these are few some that trained, evenly picked.
+
+    What a pair is like has nothing to do with what a network learnt from it.
+    """
+    rows, trained = data.splits[VALIDATION], data.splits[TRAINING]
+    picked = np.linspace(0, len(trained) - 1, min(max(ENOUGH_PAIRS - len(rows), 0), len(trained))).astype(int)
+    return np.concatenate([rows, trained[picked]])
+
+
+def good_pairs(metadata: dict[str, Any], data: Data, rows: np.ndarray) -> dict[str, float]:
+    """Limits of what the pairs of some rows are like (networks.uncertainty.ood)."""
+    names = data.names("sensor_id")[rows].tolist()
+    prepare = {name: Preprocessor(metadata, data.nocontact[name]) for name in sorted(set(names))}
+    pairs: list[PairDiagnostics] = []
+    for row, name in zip(rows, names, strict=True):
+        found = pair_diagnostics(prepare[name](np.ascontiguousarray(data.images[row])))
+        pairs += [found] if found else []
+    return pair_limits(pairs) | {
+        "largest_relief": RELIEF_MARGIN * max(relief(data.nocontact[name]) for name in prepare)
+    }
+
+
+def learnt_pitch(data: Data, before: dict[str, Any] | None) -> dict[str, list[float]]:
+    """Least and largest distance in px of the markers in the no-contact images that training saw, and that `before` knew.
+
+    Nothing where none has markers.
+    """
+    names = set(data.names("sensor_id")[data.splits[TRAINING]].tolist())
+    pitches = [pitch for pitch in (pitch_of(data.nocontact[name]) for name in sorted(names)) if pitch]
+    pitches += (before or {}).get("pitch_px", [])
+    return {"pitch_px": [min(pitches), max(pitches)]} if pitches else {}
+
+
+def set_intervals(model: ForceModel, data: Data) -> dict[str, Any]:
+    """The part of a model's metadata that tells its 90 % prediction intervals, set on presses that chose nothing.
+
+    Empty where the model writes another grid than the dataset has, and no intervals where presses are too few.
+    """
+    if list(model.metadata["grid"]) not in (list(data.grid), [1, 1]):
+        return {}
+    scale_on, size_on = split_validation(data)[0], calibration_rows(data)
+    found = fit_intervals(errors_of(model, data, scale_on), errors_of(model, data, size_on)) if len(size_on) else {}
+    sensors = sorted(set(data.names("sensor_id")[size_on].tolist()))
+    pressed = sorted(set(press_keys(data, np.union1d(scale_on, size_on)).tolist()))
+    return {"intervals": found | {"sensors": sensors, "data": data.name, "presses": pressed}}
+
+
+def errors_of(model: ForceModel, data: Data, rows: np.ndarray) -> Errors:
+    """Totals that are predicted for some rows, and what they are wrong by."""
+    total = predict_rows(model, data, rows).forces.sum((2, 3), dtype=float)
+    return Errors(total, total - data.totals(rows), data.presses(rows))

@@ -1,0 +1,69 @@
+"""What `predict` gives for the rows of a dataset."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.networks.checkpoint.modelfile import ForceModel, require_sensor
+from gelforge.networks.data.arrays import Data
+from gelforge.networks.inference.predictor import Predictor
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """What `predict` gives for some rows: forces (n, 3, rows, cols) N and half widths (n, 3) N of the totals' intervals.
+
+    half_widths: None where the model knows none. in_place: whether all cells are those of the labels; False where a sensor's
+    pictures were scaled, because then its cells show other places.
+    """
+
+    forces: np.ndarray
+    half_widths: np.ndarray | None
+    in_place: bool
+
+
+def predict_rows(model: ForceModel, data: Data, rows: np.ndarray) -> Predicted:
+    """Predict some rows of a dataset, each beside the no-contact image of its own sensor."""
+    names = data.names("sensor_id")[rows].tolist()
+    # One row of each sensor is enough to find its picture.
+    first = dict(zip(names, rows, strict=True))
+    beside = {name: _predictor(model, data, name, row) for name, row in first.items()}
+    forces = np.zeros((len(rows), 3, *model.metadata["grid"]), np.float32)
+    widths = np.zeros((len(rows), 3))
+    known = len(rows) > 0
+    for k, (row, name) in enumerate(zip(rows, names, strict=True)):
+        found = beside[name].predict(np.ascontiguousarray(data.images[row]))
+        forces[k] = found.cells
+        known = known and found.half_width is not None
+        widths[k] = found.half_width if known else 0.0
+    views = [one.prepare.nocontact.view for one in beside.values() if one.prepare.nocontact is not None]
+    return Predicted(forces, widths if known else None, all(view.whole for view in views))
+
+
+def _predictor(model: ForceModel, data: Data, name: str, row: int) -> Predictor:
+    try:
+        return Predictor(model, data.nocontact_of([row])[0] if model.needs_nocontact else None)
+    except BadInput as error:
+        raise BadInput(f"sensor {name}: {error}") from None
+
+
+def require_fit(model: ForceModel, data: Data, called: str = "") -> None:
+    """Raise BadInput if a model cannot be used on a dataset: other grid, image size or sensor.
+
+    called: what people call it, where that is not the name that it was trained under.
+    """
+    metadata = model.metadata
+    called = called or f"model {metadata['name']}"
+    (high, wide), (height, width) = metadata["image"], data.image_size
+    if (high, wide) != (height, width):
+        raise BadInput(
+            f"{called} reads images of {wide} x {high}, the dataset has {width} x {height}: use a model trained on this size"
+        )
+    (rows, cols), (of_rows, of_cols) = metadata["grid"], data.grid
+    if (rows, cols) not in ((of_rows, of_cols), (1, 1)):
+        raise BadInput(
+            f"{called} writes a grid of {rows}x{cols}, the dataset has {of_rows}x{of_cols}: evaluate it on the dataset of its"
+            " own RES"
+        )
+    require_sensor(model, set(data.names("sensor_id").tolist()))

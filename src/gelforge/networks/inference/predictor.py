@@ -1,0 +1,141 @@
+"""From a picture to a reading: the one way that predict, Reader, stream, live and every benchmark share.
+
+It keeps no state from one picture to the next, so the same picture gives the same answer everywhere.
+"""
+
+from collections.abc import Callable, Mapping
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.networks.checkpoint.graph import Graph
+from gelforge.networks.checkpoint.modelfile import ForceModel, load_model, require_sensor
+from gelforge.networks.inference.sensorprofile import AS_READ, Gain
+from gelforge.networks.preprocess.illumination import Light
+from gelforge.networks.preprocess.pair import FEATURES, Prepared, Preprocessor
+from gelforge.networks.uncertainty.conformal import half_widths
+from gelforge.networks.uncertainty.ood import (
+    as_arrays,
+    monochrome_fault,
+    pair_diagnostics,
+    pair_score_fault,
+    relief,
+    relief_fault,
+)
+from gelforge.records.forcereading import ForceReading
+from gelforge.records.totals import edge_peak
+
+LEAST_PULL = 1.0  # N above which a prediction that no contact can make is flagged
+SHIPPED = Path(__file__).parents[1] / "weights/default.onnx"
+# A stage of a model: arrays by name, each with a first axis of one picture, to those that it adds.
+Stage = Callable[[Mapping[str, np.ndarray]], dict[str, np.ndarray]]
+
+
+def load_for_use(path: Path | str | None, sensor: str | None = None) -> ForceModel:
+    """Load a model for prediction and check that it is for `sensor`, where one is named; None: the one that ships."""
+    if path is None and not SHIPPED.exists():
+        raise BadInput(
+            "no model came with this copy of gelforge: train one with `make train` and name it with --model"
+        )
+    model = load_model(path or SHIPPED)
+    if sensor:
+        require_sensor(model, {sensor})
+    return model
+
+
+class Predictor:
+    """Predicts the forces in pictures of one sensor.
+
+    nocontact: (h, w, 3) uint8 RGB of any size, of the sensor while nothing touches it, where the model needs one. gain: what all
+    forces are multiplied by, of the sensor's profile. device, threads: of onnxruntime (networks.checkpoint.graph). replaced:
+    stages of the model that others take the place of, such as a sensor's own table from colours to slopes in place of
+    `slopes`. fault: what is wrong with the no-contact image, empty for nothing.
+    """
+
+    def __init__(
+        self,
+        model: ForceModel,
+        nocontact: np.ndarray | None = None,
+        gain: Gain = AS_READ,
+        device: str = "cpu",
+        threads: int = 1,
+        replaced: Mapping[str, Stage] | None = None,
+    ) -> None:
+        self.model, self.metadata, self.gain = model, model.metadata, gain
+        self.prepare = Preprocessor(model.metadata, nocontact)
+        where, replaced = f"model {self.metadata['name']}", replaced or {}
+        self.stages: dict[str, Stage] = {
+            name: replaced.get(name) or Graph(graph, where, device, threads) for name, graph in model.stages.items()
+        }
+        self.statistics = as_arrays(self.metadata["statistics"])
+        self.fault = self._nocontact_fault()
+
+    @cached_property
+    def rest(self) -> np.ndarray:
+        """Forces (3, rows, cols) N that the graphs predict for the no-contact image; 0 beside a model of one picture."""
+        rest = self.prepare.at_rest()
+        return np.zeros((3, 1, 1), np.float32) if rest is None else self.raw(rest)
+
+    def raw(self, seen: Prepared) -> np.ndarray:
+        """Forces (3, rows, cols) N of a prepared picture as the graphs predict them, without tare and factor."""
+        known = _Known(seen)
+        for stage in self.stages.values():
+            known.update(stage(known))
+        return np.asarray(known["forces"][0])
+
+    def predict(self, image: np.ndarray) -> ForceReading:
+        """Read an image (h, w, 3) uint8 RGB of any size."""
+        seen = self.prepare(image)
+        cells = (self.raw(seen) - self.rest) * np.float32(self.gain.value)
+        total = cells.sum((1, 2), dtype=float)
+        score, unlike = pair_score_fault(self.statistics, seen.lit, pair_diagnostics(seen))
+        grey = monochrome_fault(self.statistics, seen.image, "the picture")
+        faults = (seen.fault, grey, self.fault, unlike, light_fault(seen.light), pull_fault(total[2]))
+        view = None if seen.nocontact is None else seen.nocontact.view
+        shown = (slice(None), slice(None)) if view is None else view.cells_shown(cells.shape[1:])
+        return ForceReading(
+            cells=cells,
+            total=total,
+            half_width=half_widths(self.metadata, total, self.gain),
+            reason=next(filter(None, faults), ""),
+            edge_peak=edge_peak(cells, shown),
+            ood_score=score,
+            image=seen.image,
+        )
+
+    def _nocontact_fault(self) -> str:
+        nocontact = self.prepare.nocontact
+        if nocontact is None or nocontact.fault:
+            return "" if nocontact is None else nocontact.fault
+        grey = monochrome_fault(self.statistics, nocontact.sized, "the no-contact image")
+        return grey or relief_fault(self.statistics, relief(nocontact.sized))
+
+
+class _Known(dict[str, np.ndarray]):
+    """Arrays by name: those that stages returned, and the features of a picture, each made when a stage asks for it."""
+
+    def __init__(self, seen: Prepared) -> None:
+        super().__init__()
+        self._seen = seen
+
+    def __missing__(self, name: str) -> np.ndarray:
+        if name not in FEATURES:
+            raise BadInput(
+                f"a graph of the model reads {name!r}, which neither a picture nor a stage before it gives; train it again"
+            )
+        self[name] = self._seen.feature(name)
+        return self[name]
+
+
+def light_fault(light: Light | None) -> str:
+    """What is wrong with a pair of pictures whose light cannot be compared; empty where it can."""
+    return "" if light is None or light.known else "nothing in it has the light of the no-contact image"
+
+
+def pull_fault(normal: float) -> str:
+    """What is wrong with a gel that pulls on what touches it; empty where it presses, total normal force in N."""
+    if normal < LEAST_PULL:
+        return ""
+    return f"the gel seems to pull with {normal:.1f} N: something may have touched it in the no-contact image"

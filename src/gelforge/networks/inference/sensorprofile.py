@@ -1,0 +1,263 @@
+"""What is known of one sensor: its no-contact image, the distance of its markers, and a factor on what is predicted.
+
+A network learnt how gels of one stiffness look under force. Force is proportional to the stiffness of the gel, so what a
+softer, harder or thicker gel makes wrong is, to first order, one factor, and a few readings of a kitchen scale or a force
+sensor tell it.
+"""
+
+import datetime
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import NormalDist
+from typing import TypeGuard
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.flow.files import write_text
+from gelforge.flow.params import read_toml
+from gelforge.networks.checkpoint.modelfile import fingerprint
+from gelforge.records.image import read_image, write_png
+from gelforge.records.markers import pitch_of
+
+SPREAD = 0.3  # of a factor's logarithm before any reading: gels, prints and cameras differ by a third
+SCATTER, KNOWN = 0.15, 2.0  # of one reading's logarithm, as two readings would tell it before any is made
+MAKE_IT = "make it with `gelforge sensor`"  # what to do where there is no profile
+WEAK_N = 1.0  # forces of about this size and below say little of a factor
+LEAST_N = 0.5  # read by the network: below, nothing touches
+FARTHEST = 5.0  # times that a reading may differ from what the network reads
+ODD = 2.0  # times that a reading's proportion differs from that of most, where one of them is likely wrong
+GRASP_SCATTER = 0.35  # of one grasp's logarithm: fingers see different parts of what they hold
+SHARE = 0.9  # of the probability that an interval holds
+USUAL = NormalDist().inv_cdf(0.5 + SHARE / 2)  # standard deviations that such an interval reaches on either side
+APART = 0.03  # share by which the markers' distance may differ from the profile's
+
+
+@dataclass(frozen=True)
+class Gain:
+    """Factor on all forces of a sensor, an interval that holds it with probability 0.9, and the readings behind it."""
+
+    value: float = 1.0
+    low: float = math.exp(-USUAL * SPREAD)
+    high: float = math.exp(USUAL * SPREAD)
+    readings: int = 0
+
+    @property
+    def unsure(self) -> float:
+        """Half of the interval as a share of the factor; none of one that no reading told, which changes nothing."""
+        return (self.high - self.low) / (2 * self.value) if self.readings else 0.0
+
+
+AS_READ = Gain()  # of a sensor that has no profile
+
+
+@dataclass(frozen=True)
+class SensorProfile:
+    """One sensor: name, date of the profile, no-contact image (h, w, 3) uint8 RGB, distance of its markers, gain.
+
+    pitch: px between neighbouring markers, 0 where the gel has none. model: name of the network whose readings were compared,
+    network: what tells it from all others (`fingerprint`).
+    """
+
+    name: str
+    date: str
+    nocontact: np.ndarray
+    pitch: float
+    gain: Gain
+    model: str
+    network: str
+
+
+def fit_gain(measured: np.ndarray, read: np.ndarray) -> Gain:
+    """Factor from normal forces (n,) N measured and read by the network, both larger where pressed more.
+
+    Normal posterior of the factor's logarithm under a normal prior, its scatter estimated from the readings and a prior of
+    two (Gelman et al., Bayesian Data Analysis, 3rd ed., sections 2.5 and 2.6), interval by Student's t.
+    """
+    if not len(measured):
+        return Gain()
+    ratio = np.log(np.asarray(measured, float) / read)
+    weight = read**2 / (read**2 + WEAK_N**2)
+    centre = float(weight @ ratio / weight.sum())
+    freedom = KNOWN + len(ratio) - 1
+    scatter = (KNOWN * SCATTER**2 + float(weight @ (ratio - centre) ** 2)) / freedom
+    precision = 1.0 / SPREAD**2 + weight.sum() / scatter
+    mean = float(weight @ ratio) / scatter / precision
+    half = student_quantile(0.5 + SHARE / 2, freedom) / math.sqrt(precision)
+    return Gain(math.exp(mean), math.exp(mean - half), math.exp(mean + half), len(ratio))
+
+
+def felt_by_both(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Which grasps (n,) bool both fingers feel, by what each of them reads, (n,) N."""
+    return (one >= WEAK_N) & (other >= WEAK_N)
+
+
+def fit_opposite(opposite: np.ndarray, read: np.ndarray, other: Gain) -> Gain:
+    """Factor from grasps (n,) of one object by two fingers, whose normal forces are equal (Newton's third law).
+
+    opposite: N, read by the other finger with its own factor `other`; read: by this one without any. The median of their
+    ratios' logarithms, because in some grasps one finger hardly sees what it holds, under a normal prior; what is not
+    known of the other finger's factor widens the interval. Raises BadInput where no grasp is felt by both.
+    """
+    felt = felt_by_both(opposite, read)
+    if not felt.any():
+        raise BadInput(
+            f"none of {len(read)} grasps is felt by both fingers ({WEAK_N:g} N and more); give pictures of firmer ones"
+        )
+    ratio = np.log(opposite[felt] / read[felt])
+    centre, count = float(np.median(ratio)), len(ratio)
+    freedom = KNOWN + count - 1
+    spread = 1.4826 * float(np.median(np.abs(ratio - centre)))
+    scatter = (KNOWN * GRASP_SCATTER**2 + (count - 1) * spread**2) / freedom
+    told, before = count / (math.pi / 2 * scatter), 1.0 / (2 * SPREAD**2)
+    mean = (told * centre + before * math.log(other.value)) / (told + before)
+    known = math.log(other.high / other.low) / (2 * USUAL)
+    half = student_quantile(0.5 + SHARE / 2, freedom) * math.sqrt(1.0 / (told + before) + known**2)
+    return Gain(math.exp(mean), math.exp(mean - half), math.exp(mean + half), count)
+
+
+def student_quantile(share: float, freedom: float) -> float:
+    """Quantile of Student's t, to a hundredth from two degrees of freedom on (Abramowitz and Stegun 1964, 26.7.5).
+
+    A robot's computer that reads forces need not have scipy.
+    """
+    z, n = NormalDist().inv_cdf(share), freedom
+    terms = (
+        (z**3 + z) / 4,
+        (5 * z**5 + 16 * z**3 + 3 * z) / 96,
+        (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / 384,
+        (79 * z**9 + 776 * z**7 + 1482 * z**5 - 1920 * z**3 - 945 * z) / 92160,
+    )
+    return z + sum(term / n**k for k, term in enumerate(terms, 1))
+
+
+def check_readings(names: list[str], measured: np.ndarray, read: np.ndarray) -> None:
+    """Raise BadInput for readings that cannot be of this sensor under these forces."""
+    for name, force, seen in zip(names, measured, read, strict=True):
+        if not (math.isfinite(force) and force > 0.0):
+            raise BadInput(f"{name}: force_n = {force:g}: give the force that presses, above 0 N")
+        if seen < LEAST_N:
+            raise BadInput(
+                f"{name}: {force:g} N were measured, but the picture shows no contact ({seen:.1f} N are read)"
+            )
+        if not 1.0 / FARTHEST < force / seen < FARTHEST:
+            raise BadInput(
+                f"{name}: {force:g} N were measured where about {seen:.1f} N are read; are they newtons? (102 g are 1 N)"
+            )
+
+
+def odd_readings(names: list[str], measured: np.ndarray, read: np.ndarray) -> dict[str, str]:
+    """What is odd about readings, by name, whose force is in another proportion to what is read than that of most."""
+    ratio = np.asarray(measured, float) / read
+    usual = float(np.median(ratio))
+    return {
+        name: f"{force:g} N were measured where about {seen:.1f} N are read, {usual:.2g} times as much is usual here"
+        for name, force, seen, one in zip(names, measured, read, ratio, strict=True)
+        if max(one / usual, usual / one) > ODD
+    }
+
+
+def make_profile(name: str, nocontact: np.ndarray, pitch: float, gain: Gain, metadata: dict) -> SensorProfile:
+    """The profile of a sensor, dated today. metadata: of the network whose readings gave the factor."""
+    today = datetime.datetime.now(datetime.UTC).date().isoformat()
+    return SensorProfile(name, today, nocontact, pitch, gain, metadata["name"], fingerprint(metadata))
+
+
+def write_profile(path: Path, profile: SensorProfile) -> None:
+    """Write a profile as TOML, and its picture beside it as PNG of the same name."""
+    picture = path.with_suffix(".png")
+    write_png(picture, profile.nocontact)
+    gain = profile.gain
+    write_text(path, "\n".join([
+        f"name = {json.dumps(profile.name, ensure_ascii=False)}", f"date = {profile.date}", f"model = {json.dumps(profile.model, ensure_ascii=False)}",
+        f"network = {json.dumps(profile.network, ensure_ascii=False)}",
+        f"nocontact = {json.dumps(picture.name, ensure_ascii=False)}", f"pitch_px = {profile.pitch:.3f}", "",
+        "# What forces are multiplied by, between `low` and `high` with probability 0.9.",
+        "[gain]", f"value = {gain.value:.6f}", f"low = {gain.low:.6f}", f"high = {gain.high:.6f}", f"readings = {gain.readings}", "",
+    ]))  # fmt: skip
+
+
+def read_profile(path: Path) -> SensorProfile:
+    """Read a profile and its picture; BadInput names what is missing or has no meaning."""
+    table = read_toml(path, MAKE_IT)
+    found, pitch = _gain_of(table), table.get("pitch_px")
+    words = all(isinstance(table.get(key), str) for key in ("name", "model", "network"))
+    if not (found and words and _is_number(pitch) and 0 <= pitch < 1e4):
+        raise BadInput(f"{path}: not a sensor's profile; {MAKE_IT}")
+    picture = read_image(_picture_of(path, table), remedy="make the profile again")
+    date = str(table.get("date", ""))
+    return SensorProfile(table["name"], date, picture, float(pitch), found, table["model"], table["network"])
+
+
+def _gain_of(table: dict) -> Gain | None:
+    """The factor that a profile's table states; none where it states none that has a meaning."""
+    gain = table.get("gain")
+    gain = gain if isinstance(gain, dict) else {}
+    good = all(_is_number(gain.get(key)) and 0 < gain[key] < 1e3 for key in ("value", "low", "high"))
+    readings = gain.get("readings")
+    if not (good and type(readings) is int and readings >= 0):
+        return None
+    return Gain(float(gain["value"]), float(gain["low"]), float(gain["high"]), readings)
+
+
+def gain_there(path: Path) -> Gain | None:
+    """The factor of the profile in a file, whatever became of its picture; as read where there is no file, None if it is none."""
+    if not path.exists():
+        return AS_READ
+    try:
+        return _gain_of(read_toml(path))
+    except BadInput:
+        return None
+
+
+def _picture_of(path: Path, table: dict) -> Path:
+    """Where the no-contact image of a profile lies; BadInput where it does not lie beside it."""
+    beside = table.get("nocontact", table.get("untouched"))  # as earlier versions wrote it
+    if not isinstance(beside, str) or not beside or "\0" in beside or Path(beside).name != beside:
+        raise BadInput(f"{path}: nocontact = {beside!r}: name a picture that lies beside the profile")
+    return path.with_name(beside)
+
+
+def files_of(path: Path | None) -> list[Path]:
+    """The files that a profile is made of, itself and its picture, which no output may replace; None: no profile."""
+    return [] if path is None else [path, _picture_of(path, read_toml(path, MAKE_IT))]
+
+
+def _is_number(value: object) -> TypeGuard[int | float]:
+    """Whether a value of a TOML file is a number; true and false are none."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def with_profile(path: Path | None, picture: np.ndarray | None, metadata: dict) -> tuple[np.ndarray | None, Gain]:
+    """The no-contact image, the given one or the profile's, and the profile's factor on forces.
+
+    metadata: of the network that reads; BadInput where the profile's factor was found with another one.
+    """
+    if path is None:
+        return picture, AS_READ
+    profile = read_profile(path)
+    check_same_network(profile, metadata)
+    if picture is None:
+        return profile.nocontact, profile.gain
+    check_same_sensor(profile, pitch_of(picture))
+    return picture, profile.gain
+
+
+def check_same_network(profile: SensorProfile, metadata: dict) -> None:
+    """Raise BadInput where a profile's factor was found with another network than the one that reads."""
+    if profile.gain.readings and profile.network != fingerprint(metadata):
+        raise BadInput(
+            f"profile {profile.name}: its factor was found with another network ({profile.model}) than the one that reads"
+            f" ({metadata['name']}): make the profile again with `gelforge sensor`, or name that network with --model"
+        )
+
+
+def check_same_sensor(profile: SensorProfile, pitch: float) -> None:
+    """Raise BadInput where markers `pitch` px apart in a no-contact image are not those of the profile."""
+    if abs(pitch - profile.pitch) > APART * profile.pitch:
+        raise BadInput(
+            f"the markers of the no-contact image stand {pitch:.1f} px apart, those of profile {profile.name} {profile.pitch:.1f}:"
+            " it is of another sensor, or cropped or scaled otherwise; make a profile of this one with `gelforge sensor`"
+        )

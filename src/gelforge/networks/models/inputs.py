@@ -1,0 +1,68 @@
+"""What a network reads: the image, how it differs from the untouched sensor, or the pair of both.
+
+A sheared gel shows in dots that moved by fractions of a pixel. From one image a network has to know where each dot
+was; beside a picture of the same sensor before it was touched the displacement lies open, also on a sensor that the
+network never saw. Tactile cameras are commonly read against such a first frame (GelSight: Yuan, Dong and Adelson
+2017, Sensors 17(12) 2762).
+"""
+
+from typing import TYPE_CHECKING
+
+from gelforge.errors import BadInput
+
+if TYPE_CHECKING:
+    import torch
+
+INPUT_CHANNELS = {"image": 3, "difference": 3, "pair": 6}
+
+
+def channels(reads: str) -> int:
+    """Channels of the input of a network with `reads` of workflow/models.toml."""
+    if not isinstance(reads, str) or reads not in INPUT_CHANNELS:
+        raise BadInput(f"workflow/models.toml: reads = {reads!r}; use one of {', '.join(INPUT_CHANNELS)}")
+    return INPUT_CHANNELS[reads]
+
+
+def needs_nocontact(reads: str) -> bool:
+    """Whether such a network needs a picture of the untouched sensor beside each image."""
+    channels(reads)
+    return reads != "image"
+
+
+def cell_pixels(image, grid, who: str) -> int:
+    """Side in pixels of a cell of grid (rows, cols) on an image (height, width); BadInput, for `who`, if not whole."""
+    (height, width), (rows, cols) = image, grid
+    if height % rows or width % cols or height // rows != width // cols:
+        raise BadInput(
+            f"{who}: cells of {rows} x {cols} on an image of {width} x {height} are no squares of whole pixels; choose "
+            "a grid that divides the image, or MODEL=resnet10 where the labels are totals"
+        )
+    return height // rows
+
+
+def inner_part(share: float, image, grid, who: str) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+    """Pixels and cells, rows and columns of each, that are left where the border of an image hides a share of both sides."""
+    cell = cell_pixels(image, grid, who)
+    rows, cols = (slice(margin, count - margin) for margin, count in ((round(share * n / 2), n) for n in grid))
+    return (slice(cell * rows.start, cell * rows.stop), slice(cell * cols.start, cell * cols.stop)), (rows, cols)
+
+
+def network_input(pictures: "torch.Tensor", norm: dict) -> "torch.Tensor":
+    """Input (n, 3 or 6, h, w) of a network in its own units.
+
+    :param pictures: (n, 3, h, w) images in 0..1; where `norm["reads"]` says that the untouched sensor is needed,
+        (n, 6, h, w) with its picture behind the image.
+    :param norm: what networks.data.scales returns.
+    """
+    import torch
+
+    mean, std = (
+        torch.tensor(norm[key], device=pictures.device).float().view(1, 3, 1, 1)
+        for key in ("image_mean", "image_std")
+    )
+    parts = []
+    if norm["reads"] != "difference":
+        parts.append((pictures[:, :3] - mean) / std)
+    if norm["reads"] != "image":
+        parts.append((pictures[:, :3] - pictures[:, 3:]) / std)
+    return torch.cat(parts, 1) if len(parts) > 1 else parts[0]

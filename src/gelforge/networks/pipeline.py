@@ -1,0 +1,203 @@
+"""A model made of datasets: its network trained, exported as it will be used, and judged on presses that it did not see."""
+
+import json
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import nn
+
+from gelforge.flow.files import publish
+from gelforge.flow.layout import beside
+from gelforge.flow.params import plain
+from gelforge.flow.params.tables import TrainingTable
+from gelforge.networks.checkpoint.modelfile import LAST, ForceModel, save_model, with_digests
+from gelforge.networks.checkpoint.onnxexport import export
+from gelforge.networks.checkpoint.weights import save_weights
+from gelforge.networks.data.arrays import Data, data_version, press_keys, require_splits, scales, split_validation
+from gelforge.networks.data.concatenate import concatenate
+from gelforge.networks.evaluation.fitting import set_intervals, set_limits
+from gelforge.networks.models.inputs import needs_nocontact
+from gelforge.networks.models.registry import parameter_count
+from gelforge.networks.training.loop import Training, device_of, fit, mixes_precision, peak_memory_gib
+from gelforge.networks.training.warmstart import require_judges, scales_before
+from gelforge.records.networkkind import kind_of
+from gelforge.records.splits import TRAINING, VALIDATION
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A trained network, and the model that was made of it."""
+
+    net: nn.Module
+    model: ForceModel
+
+    @property
+    def metadata(self) -> dict[str, Any]:
+        """What is known about it."""
+        return self.model.metadata
+
+
+@dataclass(frozen=True)
+class Start:
+    """The network that another one is fine-tuned from, and its metadata."""
+
+    net: nn.Module
+    metadata: dict[str, Any]
+
+
+def save_trained(path: Path, trained: Trained) -> None:
+    """Write the weights that training may go on from beside `path`, then the model to exactly `path`, which its caller publishes."""
+    with publish(beside(path, ".safetensors")) as part:
+        save_weights(part, trained.net, trained.metadata)
+    save_model(path, trained.model)
+
+
+def identity(metadata: dict[str, Any]) -> str:
+    """Text that is equal for two trainings exactly when they must give the same curve."""
+    keys = (
+        "name", "model", "train", "image", "grid", "data", "also", "threads_used", "device", "mixed", "version", "torch",
+        "start",
+    )  # fmt: skip
+    return json.dumps({key: metadata[key] for key in keys}, sort_keys=True)
+
+
+def learnt_from(data: Data, names: Sequence[str]) -> dict[str, Any]:
+    """What a model file says of a dataset that it learnt from; names: splits that it was given."""
+    rows = data.splits[TRAINING]
+    return {
+        "name": data.name,
+        "version": data_version(data),
+        "simulated": bool(np.isfinite(data.column("true_fz_n")).any()),
+        "samples": {name: len(data.splits[name]) for name in sorted(names) if name in data.splits},
+        "presses": len(np.unique(data.presses(rows))),
+        "units": len(set(data.names("sensor_id")[rows].tolist())),
+        "pressed": sorted(set(press_keys(data, rows).tolist())),
+    }
+
+
+def names_in(every: Sequence[Data], column: str, split: str = "") -> list[str]:
+    """What a column of samples.csv names in some datasets, sorted; split: only where samples are of it."""
+    rows = [one.splits[split] if split else slice(None) for one in every]
+    return sorted({name for one, mine in zip(every, rows, strict=True) for name in one.names(column)[mine].tolist()})
+
+
+def describe(
+    every: Sequence[Data],
+    name: str,
+    model: dict[str, Any],
+    settings: TrainingTable,
+    version: int,
+    start: Start | None,
+) -> dict[str, Any]:
+    """What a model file says about where its network comes from.
+
+    every: datasets that it learns from, the one that it is judged on first. version: of how networks are trained.
+    """
+    data, *others = every
+    device = device_of(settings.device)
+    begun: dict[str, Any] = {}
+    if start is not None:
+        learnt = start.metadata["data"]
+        begun = {key: start.metadata[key] for key in ("name", "sha256") if key in start.metadata}
+        begun |= {"data": learnt["name"], "simulated": learnt["simulated"]}
+    return {
+        "name": name,
+        "model": model,
+        "train": plain(settings),
+        "version": version,
+        "torch": torch.__version__,
+        "image": list(data.image_size),
+        "grid": [1, 1] if kind_of(model).totals_only else list(data.grid),
+        "known_sensors": names_in(every, "sensor_id"),
+        "sensors": names_in(every, "sensor_id", TRAINING),
+        "indenters": names_in(every, "indenter", TRAINING),
+        "threads_used": torch.get_num_threads(),
+        "device": device,
+        "start": begun,
+        # one that is fine-tuned keeps what light of any direction taught the other
+        "tta": needs_nocontact(model.get("reads", "image"))
+        and (settings.mirrored_share > 0 or (start is not None and start.metadata["tta"])),
+        "mixed": mixes_precision(settings, device),
+        "data": learnt_from(data, list(data.splits)),
+        "also": [learnt_from(other, (TRAINING, VALIDATION)) for other in others],
+    }
+
+
+def make_model(
+    data: Data,
+    name: str,
+    model: dict[str, Any],
+    settings: TrainingTable,
+    version: int,
+    checkpoint: Path | None = None,
+    start: Start | None = None,
+    also: Sequence[Data] = (),
+) -> Trained:
+    """Train the network of a table of workflow/models.toml; return it with its metadata, curve and cost inside.
+
+    version: of how networks are trained, told in the metadata. checkpoint: file for resuming, or None. start: the network to
+    fine-tune; None: from weights that `seed` draws. also: other datasets, whose presses to train on and to validate with it
+    learns from as well; its intervals are of `data` alone. Raises BadInput for a dataset that no network can learn from, that
+    `start` cannot be fine-tuned on, or that cannot be learnt from beside the others.
+    """
+    for one in (data, *also):
+        require_splits(one)
+    learnt = concatenate(data, also)
+    reads = model.get("reads", "image")
+    if needs_nocontact(reads):
+        # one that lacks its picture is named before hours of training
+        learnt.require_nocontact(range(len(learnt.table)))
+    torch.set_num_threads(settings.threads)
+    metadata = describe([data, *also], name, model, settings, version, start)
+    # half of validation chooses nothing, so that it can tell how wrong the network is
+    choosing = replace(learnt, splits=learnt.splits | {VALIDATION: split_validation(learnt)[0]})
+    training = begin(choosing, model, settings, metadata, start)
+    fit(training, choosing, checkpoint, identity(metadata))
+    began = time.perf_counter()
+    metadata |= {
+        "normalisation": training.norm,
+        "curve": training.curve,
+        "best_epoch": training.best_epoch,
+        "parameters": parameter_count(training.net),
+    }
+    if start is not None:
+        metadata |= {"start": metadata["start"] | {"fraction": training.fraction}}
+    trained = judged(training.net.cpu(), metadata, learnt, data, settings, start)
+    seconds = training.cost["seconds"] + time.perf_counter() - began
+    cost = training.cost | {"seconds": seconds, "peak_gib": peak_memory_gib()}
+    return replace(trained, model=replace(trained.model, metadata=trained.metadata | {"cost": cost}))
+
+
+def judged(
+    net: nn.Module, metadata: dict[str, Any], learnt: Data, own: Data, settings: TrainingTable, start: Start | None
+) -> Trained:
+    """A network as a model: exported, with limits of what its pictures are like and intervals of its totals.
+
+    learnt: what it learnt from. own: the one dataset of it whose unseen sensors tell how wrong it is.
+    """
+    metadata = metadata | set_limits(metadata, learnt, settings, None if start is None else start.metadata)
+    stages = {LAST: export(net, metadata)}
+    model = ForceModel(with_digests(metadata, stages), stages)
+    return Trained(net, replace(model, metadata=model.metadata | set_intervals(model, own)))
+
+
+def begin(
+    data: Data, model: dict[str, Any], settings: TrainingTable, metadata: dict[str, Any], start: Start | None
+) -> Training:
+    """A training at its beginning, which scales as its first weights expect.
+
+    One that is fine-tuned never ends worse on validation than it began: what it learns counts as far as that helps.
+    """
+    norm = scales(data, kind_of(model).totals_only, model.get("reads", "image"))
+    if start is not None:
+        norm = scales_before(start.metadata, model, data, norm)
+        require_judges(start.metadata, data)
+    training = Training(model, settings, norm, metadata["image"], metadata["grid"], metadata["device"])
+    if start is not None:
+        training.go_on_from(start.net.state_dict(), data)
+    return training

@@ -1,0 +1,162 @@
+"""Photometric normalisation: a picture brought under the light of the no-contact image of its sensor.
+
+Light drifts between the two: lamps warm up, a camera sets its exposure anew, a press shades the whole gel. A network that
+reads differences takes that for force. What does not touch tells the drift: most of the picture changes by one gain and one
+offset a colour, and where something touches it changes otherwise.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from gelforge.networks.preprocess.scale import WHOLE, View
+
+SMALL = (40, 30)  # width and height in px at which light is compared: dots and noise average out
+ROUNDS = 20  # at most of iteratively reweighted least squares; four are usual
+BRIGHTEST = 255.0  # level that a picture may have
+LEVELS = np.arange(BRIGHTEST + 1.0)[:, None]
+SETTLED = 0.02  # levels by which a round still changes what light makes of them, where another one is needless
+LEAST_SCALE = 1.5  # levels that a place may differ by through noise alone
+# Scales beyond which a place has no weight (Tukey's biweight: Beaton and Tukey 1974, Technometrics 16, 147-185).
+REACH = 3.0
+TIED = 4.0  # levels squared of contrast below which a gain is hardly told from an offset, and taken for 1
+LEAST_SHARE = 0.25  # of the picture that must agree, or nothing tells what the light does
+DARK, BRIGHT = 4, 250  # levels between which a camera's answer is believed
+MOST_GAIN = 2.0  # a factor beyond which pictures are not of one sensor under one light
+
+
+@dataclass(frozen=True)
+class Light:
+    """How a picture differs in light from the no-contact image: picture = gain * no-contact + offset.
+
+    gain (3,), offset (3,) levels, by colour. residual: levels that agreeing places still differ by, root mean square.
+    share: fraction of the picture that agrees. known: False where too little does; gain is then 1 and offset 0.
+    """
+
+    gain: np.ndarray
+    offset: np.ndarray
+    residual: float
+    share: float
+    known: bool
+
+    def undo(self, image: np.ndarray) -> np.ndarray:
+        """The image (h, w, 3) uint8 as it would be under the light of the no-contact image; as it is where that is not known."""
+        import cv2
+
+        if not self.known:
+            return image
+        table = (LEVELS - self.offset) / self.gain
+        table = np.minimum(np.maximum(np.rint(table, out=table), 0.0, out=table), BRIGHTEST, out=table).astype(
+            np.uint8
+        )
+        return cv2.LUT(np.ascontiguousarray(image), table[None])
+
+
+NO_LIGHT = Light(np.ones(3), np.zeros(3), 0.0, 0.0, False)  # of a picture that tells nothing of it
+
+
+def match_light(image: np.ndarray, nocontact: np.ndarray) -> Light:
+    """Light of an image against a no-contact image, both (h, w, 3) uint8 of one size."""
+    return Reference(nocontact).light_of(image)
+
+
+class Reference:
+    """A no-contact image (h, w, 3) uint8 whose light others are compared with: what is computed of it is computed once.
+
+    view: in which the picture is given (`View.of`); it says what part shows something.
+    """
+
+    def __init__(self, picture: np.ndarray, view: View = WHOLE) -> None:
+        self.picture, self.view = picture, view
+        self._small = _small(picture[view.shown(picture.shape)])
+        self._believed = _believed(self._small)
+
+    def normalised(self, image: np.ndarray) -> tuple[np.ndarray, Light]:
+        """An image (h, w, 3) uint8 in the same view under the light of the no-contact image, and what its light was."""
+        if self.view.zoom >= 1.0:
+            light = self.light_of(image)
+            return light.undo(image), light
+        inner = self.view.shown(image.shape)
+        light = self.light_of(image[inner])
+        normalised = self.picture.copy()  # what neither shows is the same in both
+        normalised[inner] = light.undo(image[inner])
+        return normalised, light
+
+    def light_of(self, image: np.ndarray) -> Light:
+        """Light of an image, (h, w, 3) uint8 of what the view shows."""
+        small = _small(image)
+        believed = self._believed & _believed(small)
+        if believed.mean() < LEAST_SHARE:
+            return NO_LIGHT
+        rest = self._small
+        if not believed.all():  # picking costs more than all else that is done to these few thousand levels once
+            small, rest = small[:, believed], rest[:, believed]
+        return _agreed(small.astype(float), rest.astype(float), float(believed.mean()))
+
+
+def _small(picture: np.ndarray) -> np.ndarray:
+    """Levels (3, n) uint8 of a picture (h, w, 3) uint8 at the size at which light is compared, by colour.
+
+    Colours first, so that sums over the places are sums along lines of memory.
+    """
+    import cv2
+
+    return np.ascontiguousarray(cv2.resize(picture, SMALL, interpolation=cv2.INTER_AREA).reshape(-1, 3).T)
+
+
+def _believed(small: np.ndarray) -> np.ndarray:
+    """Which places (n,) have levels (3, n) at which a camera's answer is believed."""
+    return np.asarray((small.min(axis=0) > DARK) & (small.max(axis=0) < BRIGHT))
+
+
+def _agreed(seen: np.ndarray, rest: np.ndarray, share: float) -> Light:
+    """Light that makes of levels at rest (3, n) those seen (3, n), as most places agree; share: of all that these are.
+
+    In few calls, and numbers by colour as plain ones: most of the time goes into calls, not into a thousand places.
+    """
+    products = np.empty((4, *rest.shape))  # what weighted sums are taken of
+    products[0], products[1] = rest, seen
+    np.multiply(rest, products[:2], out=products[2:])
+    middle = seen.shape[1] // 2
+    gain, offset = np.partition(seen / rest, middle, axis=1)[:, middle].tolist(), [0.0, 0.0, 0.0]
+    for _ in range(ROUNDS):
+        off = seen - np.array(gain)[:, None] * rest
+        off -= np.array(offset)[:, None]
+        squared = np.einsum("ij,ij->j", off, off)
+        scale = max(LEAST_SCALE, 1.4826 * math.sqrt(np.partition(squared, middle)[middle]))
+        weight = squared * (-1.0 / (REACH * scale) ** 2)
+        weight += 1.0
+        np.maximum(weight, 0.0, out=weight)
+        weight *= weight
+        total = float(weight.sum())
+        if total <= 0.0:
+            return NO_LIGHT
+        before = gain, offset
+        gain, offset = _fitted((np.einsum("ijk,k->ij", products, weight) / total).tolist())
+        if _largest_change(*before, gain, offset) < SETTLED:
+            break
+    share *= float((weight > 0.5).mean())
+    residual = math.sqrt(float(weight @ squared) / total)
+    if share < LEAST_SHARE or not all(1.0 / MOST_GAIN < one < MOST_GAIN for one in gain):
+        return NO_LIGHT
+    return Light(np.array(gain), np.array(offset), residual, share, True)
+
+
+def _fitted(means: list[list[float]]) -> tuple[list[float], list[float]]:
+    """Gain and offset by colour from means by colour of the levels at rest, those seen, their square at rest, and product."""
+    gain = [
+        (crossed - rest * seen + TIED) / (squares - rest * rest + TIED)
+        for rest, seen, squares, crossed in zip(*means, strict=True)
+    ]
+    return gain, [seen - one * rest for rest, seen, one in zip(*means[:2], gain, strict=True)]
+
+
+def _largest_change(
+    gain: list[float], offset: list[float], other_gain: list[float], other_offset: list[float]
+) -> float:
+    """Levels that one light makes otherwise than another at most, of black and of white, between which all others lie."""
+    return max(
+        max(abs(c - d), abs(BRIGHTEST * (a - b) + c - d))
+        for a, b, c, d in zip(gain, other_gain, offset, other_offset, strict=True)
+    )

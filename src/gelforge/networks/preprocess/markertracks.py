@@ -1,0 +1,134 @@
+"""The markers of a gel: where they are in the no-contact image, and where optical flow finds them in another picture.
+
+Light does not move markers. What they do is mechanics alone: they spread around a press and go along with a drag, on a unit
+of any contrast. All together they tell whether the gel sits as it did (networks.uncertainty.ood).
+"""
+
+import contextlib
+import functools
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.records.markers import LEAST_PRINT, find_blobs, lattice_of, print_pitch
+
+ROWS, COLS = (
+    9,
+    11,
+)  # of the lattice that is looked at: a GelSight Mini shows 7 x 9 markers, or fewer where it is cropped
+FAR = {"winSize": (21, 21), "maxLevel": 3}  # how markers are followed: in a pyramid, which reaches about 40 px
+# How a marker is looked for where it should be: in the pictures themselves, in at most five steps or till one is small.
+NEAR = {"winSize": (15, 15), "maxLevel": 0, "criteria": (3, 5, 0.03)}
+HOME = 0.5  # px by which a marker that is followed there and back may miss its start
+ALIKE, CLOSELY = 6.0, 0.05  # levels and px within which a marker that is looked for so is surely at home
+UNLIKE = 12.0  # levels by which a marker's surroundings may differ on average
+RIM = 0.8  # pitches from the outermost markers inwards that still are the rim
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """Markers (n,) of a no-contact image in another picture: `motion` (n, 2) px, NaN where one is lost; `unlike` (n,) bool.
+
+    A marker is lost that, followed back, does not come home. Unlike is one whose surroundings do not look as they did.
+    """
+
+    motion: np.ndarray
+    unlike: np.ndarray
+
+    @functools.cached_property
+    def found(self) -> np.ndarray:
+        """Which markers are not lost, (n,) bool."""
+        return np.asarray(np.isfinite(self.motion[:, 0]))
+
+
+class MarkerTracker:
+    """Markers of a no-contact image (h, w, 3) uint8, as many as it shows.
+
+    points: (n, 2) px, OpenCV's: a pixel's centre is a whole number. rim: (n,) bool, which are outermost ones. at: (n, 2) row
+    and column on the lattice, whose middle place has the marker nearest to the picture's middle; -1 for one that stands on no
+    lattice, or outside of ROWS x COLS.
+    """
+
+    def __init__(self, nocontact: np.ndarray):
+        import cv2
+
+        self.grey = cv2.cvtColor(nocontact, cv2.COLOR_RGB2GRAY)
+        points, _ = find_blobs(nocontact)
+        low, high = (points.min(axis=0), points.max(axis=0)) if len(points) else (np.zeros(2), np.zeros(2))
+        reach = RIM * print_pitch(points)
+        self.rim = ((points < low + reach) | (points > high - reach)).any(axis=1)
+        self.points = points - 0.5
+        self.at = self._lattice()
+
+    def _lattice(self) -> np.ndarray:
+        at = np.full((len(self.points), 2), -1)
+        if len(at) < LEAST_PRINT:
+            return at
+        with contextlib.suppress(BadInput):  # no print of markers, then
+            index, used = lattice_of(self.points)
+            middle = np.hypot(*(self.points[used] - np.array(self.grey.shape[::-1]) / 2).T).argmin()
+            index = index - index[middle] + (ROWS // 2, COLS // 2)
+            inside = ((index >= 0) & (index < (ROWS, COLS))).all(axis=1)
+            at[used[inside]] = index[inside]
+        return at
+
+    @functools.cached_property
+    def on_grid(self) -> np.ndarray:
+        """Which markers stand on the lattice, (n,) bool."""
+        return np.asarray(self.at[:, 0] >= 0)
+
+    @functools.cached_property
+    def known(self) -> bool:
+        """Whether there are markers enough on a lattice to read anything from them."""
+        return int(self.on_grid.sum()) >= LEAST_PRINT
+
+    def track(self, image: np.ndarray) -> Tracks:
+        """The markers in an image (h, w, 3) uint8 in light and size like the no-contact image."""
+        import cv2
+
+        if not len(self.points):
+            return Tracks(np.zeros((0, 2)), np.zeros(0, bool))
+        grey, start = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), self.points.astype(np.float32)
+        there, seen, unlike = _follow(self.grey, grey, start, FAR)
+        kept = seen & self._home(grey, start, there, unlike)
+        motion = np.where(kept[:, None], (there - start).astype(float), np.nan)
+        return Tracks(motion, ~kept | (unlike > UNLIKE))
+
+    def _home(self, grey: np.ndarray, start: np.ndarray, there: np.ndarray, unlike: np.ndarray) -> np.ndarray:
+        """Which markers (n,) bool come home to where they start, (n, 2) px, if they are followed back from an image's grey.
+
+        Most look as they did and find home by what is close around them, at a sixth of the time; the others are followed
+        as they were on their way there.
+        """
+        home = unlike < ALIKE
+        if home.any():
+            back, _, _ = _follow(grey, self.grey, there[home], NEAR)
+            home[home] = np.hypot(*(back - start[home]).T) < CLOSELY
+        if not home.all():
+            back, _, _ = _follow(grey, self.grey, there[~home], FAR)
+            home[~home] = np.hypot(*(back - start[~home]).T) < HOME
+        return home
+
+    def on_lattice(self, tracks: Tracks) -> np.ndarray:
+        """What the markers did, on their lattice: (3, ROWS, COLS) float32.
+
+        Motion along u and v in px, and 1 where a marker was found, 0 where there is none.
+        """
+        found = np.zeros((3, ROWS, COLS), np.float32)
+        kept = tracks.found & self.on_grid
+        rows, cols = self.at[kept].T
+        found[:2, rows, cols], found[2, rows, cols] = tracks.motion[kept].T, 1.0
+        return found
+
+
+def _follow(
+    before: np.ndarray, after: np.ndarray, points: np.ndarray, how: dict[str, Any]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points (n, 2) float32 of one grey picture in another: where, whether at all (n,) bool, how unlike (n,) levels."""
+    import cv2
+
+    nothing: Any = None  # no guess; OpenCV's types know no None here
+    there, seen, unlike = cv2.calcOpticalFlowPyrLK(before, after, points[:, None], nothing, **how)
+    return there[:, 0], seen[:, 0] > 0, unlike[:, 0]

@@ -1,0 +1,100 @@
+"""Tables of a network's errors for the report."""
+
+from gelforge.records.axes import CHANNELS
+
+
+def cell_text(table: dict | None, axis: str) -> str:
+    """Mean and deviation as the paper prints them."""
+    return "-" if table is None else f"{table[axis]['mae']:.4f} ± {table[axis]['std']:.4f}"
+
+
+def contacts_text(found: dict) -> str:
+    """Error of each contact where a picture shows several."""
+    return f"{found['mae']:.2f} N, {found['percent']:.1f} % ({found['n']})" if found["n"] else "-"
+
+
+def tables(result: dict) -> list[dict]:
+    """Tables of an evaluation for the report: title, columns, rows of text. The last one only where there are references."""
+    groups = (("per_indenter", "per indenter"), ("per_force", "per normal force"), ("per_sensor", "per sensor"))
+    found = [
+        _totals_and_cells(result),
+        _intervals(result),
+        _controls(result),
+        *(_groups(result, key, title) for key, title in groups),
+    ]
+    references = _references(result)
+    return found + ([references] if references["rows"] else [])
+
+
+def _table(title: str, columns: list[str], rows: list[list]) -> dict:
+    return {"title": title, "columns": columns, "rows": rows}
+
+
+def _with_bias(errors: dict) -> list[str]:
+    """Mean absolute error and bias of each component as text."""
+    return [f"{errors[a]['mae']:.3f} (bias {errors[a]['bias']:+.3f})" for a in CHANNELS]
+
+
+def _totals_and_cells(result: dict) -> dict:
+    rows = [
+        [
+            name,
+            split["n"],
+            *(f"{split['total'][a]['mae']:.3f} ± {split['total'][a]['std']:.3f}" for a in CHANNELS),
+            *(cell_text(split["cell"], a) for a in CHANNELS),
+        ]
+        for name, split in result["splits"].items()
+    ]
+    title = "Mean absolute error, N: total and per cell (± deviation over images)"
+    return _table(
+        title, ["split", "images", *(f"total {a}" for a in CHANNELS), *(f"cell {a}" for a in CHANNELS)], rows
+    )
+
+
+def _intervals(result: dict) -> dict:
+    rows = [
+        [
+            name,
+            axis,
+            f"{e['mae_low']:.3f} to {e['mae_high']:.3f}",
+            f"{e['bias']:+.3f}",
+            "-" if e["mae_percent_of_range"] is None else f"{e['mae_percent_of_range']:.2f}",
+            f"{100 * split['held'][axis]:.0f}" if split["held"] else "-",
+        ]
+        for name, split in result["splits"].items()
+        for axis, e in split["total"].items()
+    ]
+    title = "Total force: 95 % interval of the mean absolute error and bias, N; error in % of the force range"
+    return _table(
+        title, ["split", "component", "95 % interval", "bias", "% of range", "90 % intervals hold, %"], rows
+    )
+
+
+def _controls(result: dict) -> dict:
+    rows = [
+        [name, what.replace("_", " "), *(f"{values[a]:.3f}" for a in CHANNELS)]
+        for name, split in result["splits"].items()
+        for what, values in split["controls"].items()
+    ]
+    title = "What knows less than the network: mean absolute error of total force, N"
+    return _table(title, ["split", "control", *CHANNELS], rows)
+
+
+def _groups(result: dict, key: str, title: str) -> dict:
+    rows = [
+        [name, group, values["n"], *_with_bias(values)]
+        for name, split in result["splits"].items()
+        for group, values in split[key].items()
+    ]
+    return _table(f"Total force, mean absolute error {title}, N", ["split", "group", "images", *CHANNELS], rows)
+
+
+def _references(result: dict) -> dict:
+    rows = [
+        [name, kind, who, pair["n"], *_with_bias(pair[who])]
+        for name, split in result["splits"].items()
+        for kind, pair in split["against"].items()
+        for who in ("network", "labels")
+    ]
+    title = "Network and labels against the force sensor and against what a virtual rig knows, N"
+    return _table(title, ["split", "reference", "who", "images", *CHANNELS], rows)
