@@ -276,10 +276,10 @@ def test_a_monochrome_picture_is_flagged_with_what_to_do(shipped, untouched, spo
     assert "monochrome" not in Predictor(shipped, rest).predict(image).reason
 
 
-def test_force_does_not_jump_where_a_press_begins(shipped, untouched):
+def test_force_does_not_jump_where_a_press_begins(shipped, root):
     """Small changes of a picture are small changes of force: no part of the reader switches on."""
-    predictor, rest = Predictor(shipped, untouched[0]), untouched[0].astype(float)
-    press = pressed(untouched[0], 0.03, 1).astype(float)
+    press, still = (read_image(root / f"data/demo/{name}.png") for name in ("images/demo-000000", "nocontact/mini_a"))
+    predictor, rest = Predictor(shipped, still), still.astype(float)
     blends = [np.rint(rest + weight * (press - rest)).astype(np.uint8) for weight in np.linspace(0.0, 1.0, 41)]
     normal = np.array([predictor.predict(image).total[2] for image in blends])
     assert np.abs(np.diff(normal)).max() < 0.15 * np.ptp(normal)

@@ -34,7 +34,7 @@ class NoContact:
         self.sized, self.fault = fit_size(picture, metadata["image"])
         learnt, self.view = metadata.get("pitch_px"), WHOLE
         pitch = pitch_of(self.sized) if learnt else 0.0
-        if pitch:
+        if learnt and pitch:
             self.view = view_of(self.sized, pitch, learnt)
         elif learnt and not self.fault:
             self.fault = "the no-contact image shows no markers, which the network learnt from: it is blurred, or of another gel"
@@ -123,4 +123,7 @@ class Preprocessor:
 
     def at_rest(self) -> Prepared | None:
         """The no-contact image itself, whose forces are subtracted from all others (tare); None beside a model of one picture."""
-        return None if self.nocontact is None else Prepared(*[self.nocontact.picture] * 2, "", None, self.nocontact)
+        if self.nocontact is None:
+            return None
+        picture = self.nocontact.picture
+        return Prepared(picture, picture, "", None, self.nocontact)
