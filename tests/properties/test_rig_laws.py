@@ -3,6 +3,7 @@
 from dataclasses import replace
 from functools import cache
 
+import cv2
 import numpy as np
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
@@ -163,3 +164,30 @@ def test_a_body_shows_where_the_gel_that_it_presses_shows(name, x, y, down):
     assume(inside_image(seen[weight > 0.0], 2.0 * RIPPLE_MM * eye.scale).all())
     expected = (weight[:, None] * seen).sum(axis=0) / weight.sum()
     assert np.abs(found - expected).max() < 0.03
+
+
+@given(
+    name=st.sampled_from(UNITS), shift=st.tuples(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3)), sunk=st.floats(0.0, 1.5)
+)
+@settings(max_examples=10)
+def test_a_shape_says_how_far_the_gel_appears_moved(name, shift, sunk):
+    """A gel that moves as a whole has no slope, and appears moved by the shift and, nearer to the camera, away from the middle."""
+    eye, sensor = camera(name), load_sensors(ROOT / "workflow/sensors.toml")[name]
+    field = unloaded(Gel())
+    field.values[..., :2] = shift
+    field.values[..., 2] = -sunk
+    shape = eye.geometry(eye.shown(field))
+    gel = np.array([[-4.3, -6.2], [-1.1, 0.4], [3.7, 5.1], [4.2, -4.0]])
+    moved = np.broadcast_to([*shift, -sunk], (4, 3))
+    before, after = sensor.project(gel), eye.seen(gel, moved)
+    inside = ((after > [12, 12]) & (after < [308, 228])).all(axis=1)
+    assume(inside.any())
+    for old, new in zip(before[inside], after[inside], strict=True):
+        column, row = ((new - 4.0) / 8.0).tolist()
+        at = (
+            cv2.getRectSubPix(shape.motion[0].astype(np.float32), (1, 1), (column, row)),
+            cv2.getRectSubPix(shape.motion[1].astype(np.float32), (1, 1), (column, row)),
+        )
+        # nine rounds of the fixed point, float16 of some px
+        assert np.abs(np.ravel(at) - (new - old)).max() < 0.1
+    assert np.abs(shape.slopes[:, 8:-8, 8:-8]).max() <= 1

@@ -87,7 +87,7 @@ def test_a_graph_predicts_what_its_network_does(models, name, data):
 def test_a_picture_rotated_by_180_degrees_has_the_rotated_force(models):
     """Where the graph takes the mean over both: whatever the weights."""
     metadata = models["pair"].metadata | {"tta": True}
-    graph = Graph(export(models["pair"].net.eval(), metadata), "m")
+    graph = Graph(export(models["pair"].net.eval(), metadata)["forces"], "m")
     image, nocontact = sample_pictures(IMAGE, 2)
     found = graph({"image": image, "nocontact": nocontact})["forces"]
     rotated = graph({"image": image[:, ::-1, ::-1].copy(), "nocontact": nocontact[:, ::-1, ::-1].copy()})["forces"]
@@ -250,7 +250,7 @@ def test_a_model_of_an_earlier_version_says_how_it_is_converted_and_then_predict
     found, rest = load_model(tmp_path / "old.onnx"), data.nocontact["mini0"]
     both = ForceModel(
         models["pair"].metadata,
-        {"forces": export(models["pair"].net.eval(), models["pair"].metadata | {"tta": True})},
+        export(models["pair"].net.eval(), models["pair"].metadata | {"tta": True}),
     )
     wanted = Predictor(both, rest).predict(data.images[0])
     np.testing.assert_allclose(Predictor(found, rest).predict(data.images[0]).cells, wanted.cells, atol=1e-6)

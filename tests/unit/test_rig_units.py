@@ -105,7 +105,7 @@ def test_sensors_of_a_dataset_are_read_as_they_were_drawn(drawn, tmp_path):
     ("misprint_px = [0.2, 0.7]", "misprint_px = [-0.5, 0.7]", "misprint_px"),
     ("jpeg_quality = [65, 95]", "jpeg_quality = [65, 300]", "jpeg_quality"),
     ("jpeg_share = 0.5", "jpeg_share = 7", "jpeg_share"),
-    ("camera_mm = [38, 65]", "camera_mm = [1, 65]", "camera_mm"),
+    ("camera_mm = [20, 31]", "camera_mm = [1, 31]", "camera_mm"),
     ("slope_limit = [0.45, 1.1]", "slope_limit = [0, 1.1]", "slope_limit"),
     ('backgrounds = ["mini_a", "mini_d", "mini_e"]', "backgrounds = []", "backgrounds"),
 ])  # fmt: skip

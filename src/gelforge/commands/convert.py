@@ -20,14 +20,14 @@ from gelforge.records.regular import refuse_to_replace
 )
 def main(args: Namespace) -> None:
     from gelforge.networks.checkpoint.convert import read_old
-    from gelforge.networks.checkpoint.modelfile import LAST, ForceModel, save_model, with_digests
+    from gelforge.networks.checkpoint.modelfile import ForceModel, save_model, with_digests
     from gelforge.networks.checkpoint.onnxexport import export
     from gelforge.networks.checkpoint.weights import save_weights
 
     out = args.out or args.model.with_suffix(".onnx")
     refuse_to_replace(f"--out {out}", [out, beside(out, ".safetensors")], [args.model])
     net, metadata = read_old(args.model)
-    stages = {LAST: export(net, metadata)}
+    stages = export(net, metadata)
     model = ForceModel(with_digests(metadata, stages), stages)
     with publish(beside(out, ".safetensors")) as part:
         save_weights(part, net, model.metadata)

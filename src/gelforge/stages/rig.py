@@ -29,6 +29,7 @@ from gelforge.virtualrig.rigplan import Order, Plan, check_names, generator, ord
 from gelforge.virtualrig.units import draw_units
 from gelforge.virtualrig.writer import (
     Dataset,
+    geometry_name,
     image_name,
     logged,
     save_image,
@@ -103,7 +104,10 @@ class Worker:
         body, field = Pressed(self.bench.body(orders[0].indenter), surface.press), field_of(self.gel, surface)
         for order in orders:
             noise = generator(self.plan, order.index, streams.camera(order.unit, order.moment))
-            save_image(self.folder / image_name(order), self.camera(order.sensor).image(field, body, noise))
+            camera = self.camera(order.sensor)
+            shown = camera.shown(field, body)
+            save_image(self.folder / image_name(order), camera.picture(shown, noise))
+            camera.geometry(shown).save(self.folder / geometry_name(order))
 
 
 @lru_cache(maxsize=1)

@@ -96,6 +96,34 @@ def misplace_nocontact(pairs: np.ndarray, narrow: np.ndarray, settings: AugmentT
     return pairs
 
 
+def misplace_shapes(pairs: np.ndarray, motion: np.ndarray, settings: AugmentTable, generator):
+    """Shift, turn and zoom the no-contact image of a fraction of the pairs (n, h, w, 6) uint8, and let their motion tell it.
+
+    motion: (n, 2, rows, cols) px of what appears moved in the image against the no-contact one. Returns both, changed.
+    """
+    import cv2
+
+    pairs, motion, (h, w) = np.array(pairs), motion.astype(np.float32), pairs.shape[1:3]
+    rows, cols = motion.shape[2:]
+    v, u = np.meshgrid(
+        (np.arange(rows) + 0.5) * h / rows - 0.5, (np.arange(cols) + 0.5) * w / cols - 0.5, indexing="ij"
+    )
+    place = np.stack([u, v]).astype(np.float32)
+    chosen = torch.rand(len(pairs), generator=generator) < settings.misplaced_share
+    drawn = torch.stack([uniform(len(pairs), width, generator) for width in (
+        settings.misplaced_px, settings.misplaced_px, settings.misplaced_deg, settings.misplaced_zoom)], 1)  # fmt: skip
+    for k in torch.nonzero(chosen).flatten().tolist():
+        right, down, turn, zoom = drawn[k].tolist()
+        matrix = cv2.getRotationMatrix2D((w / 2, h / 2), turn, 1.0 + zoom)
+        matrix[:, 2] += right, down
+        behind = np.ascontiguousarray(pairs[k, ..., 3:])
+        pairs[k, ..., 3:] = cv2.warpAffine(behind, matrix, (w, h), borderMode=cv2.BORDER_REPLICATE)
+        source = place - motion[k]
+        moved = np.einsum("ij,jrc->irc", matrix[:, :2], source) + matrix[:, 2, None, None]
+        motion[k] = place - moved
+    return pairs, motion
+
+
 def narrow_views(pairs, labels, settings: AugmentTable, generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Hide the rim of a share of the pairs (n, h, w, 6) uint8 and of their labels (n, 3, rows, cols), up to `narrowed`.
 

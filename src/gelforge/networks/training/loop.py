@@ -17,9 +17,11 @@ from gelforge.flow.files import publish
 from gelforge.flow.params.tables import TrainingTable
 from gelforge.flow.progress import progress
 from gelforge.networks.checkpoint.weights import read_tree, write_tree
-from gelforge.networks.data.loader import Prefetch, generator, images_to_tensor, training_batches
+from gelforge.networks.data.loader import Prefetch, generator, images_to_tensor, shaped_batches, training_batches
+from gelforge.networks.models.geometry import GeometryNet
 from gelforge.networks.models.inputs import network_input
 from gelforge.networks.models.registry import begin_as, build
+from gelforge.networks.training.geometryloss import taught
 from gelforge.records.axes import CHANNELS
 from gelforge.records.networkkind import kind_of
 from gelforge.records.splits import TRAINING, VALIDATION
@@ -158,7 +160,7 @@ class Training:
         self.schedule, self.by_validation = make_schedule(self.optimiser, settings)
         self.mean: AveragedModel | None = None  # of the weights, once they are averaged
         self.mixed = mixes_precision(settings, device)
-        self.epochs_done = 0
+        self.epochs_done = self.steps_in_epoch = 0
         self.curve: list[dict] = []
         self.best: dict[str, Any] = {"epoch": 0, "val_score": float("inf"), "weights": None}
         self.start: dict[str, Any] | None = None  # weights that it goes on from, and their validation
@@ -242,14 +244,21 @@ class Training:
         self.epochs_done = len(self.curve)
         self.cost["resumed"] += 1
 
-    def step(self, images, wanted) -> float:
-        """One step of the optimiser on inputs (k, channels, h, w) and targets (k, 3, rows, cols); return the loss."""
-        images, wanted = images.to(self.device), wanted.to(self.device)
+    def step(self, images, wanted, *shape) -> float:
+        """One step of the optimiser on inputs (k, channels, h, w) and targets (k, 3, rows, cols); return the loss.
+
+        shape: slopes and motion of the gel in these images, where the network is taught them.
+        """
+        images, wanted, *shape = (one.to(self.device) for one in (images, wanted, *shape))
         scale, total = (torch.tensor(self.norm[key], device=self.device).float() for key in ("label", "total"))
         self.optimiser.zero_grad(set_to_none=True)
-        with torch.autocast(self.device, dtype=torch.bfloat16, enabled=self.mixed):
-            output = self.net(images)
-        loss = loss_of(output.float(), wanted, scale, total, self.settings)
+        if shape:
+            drawn = generator(self.settings.seed, "shape", self.cost["steps"] + self.steps_in_epoch)
+            loss = taught(self.net, images, wanted, *shape, scale, drawn)
+        else:
+            with torch.autocast(self.device, dtype=torch.bfloat16, enabled=self.mixed):
+                output = self.net(images)
+            loss = loss_of(output.float(), wanted, scale, total, self.settings)
         loss.backward()
         self.optimiser.step()
         if self.averages(self.epochs_done):
@@ -267,6 +276,8 @@ class Training:
 
     def batches(self, data) -> Prefetch:
         """Start preparing the batches of the next epoch."""
+        if isinstance(self.net, GeometryNet) and data.shapes is not None:
+            return Prefetch(shaped_batches(data, self.norm, self.settings, self.epochs_done))
         return Prefetch(training_batches(data, self.norm, self.settings, self.epochs_done, self.total_only))
 
     def train_epoch(self, batches: Prefetch) -> float:
@@ -276,7 +287,10 @@ class Training:
         if self.freezes(self.epochs_done):
             for layer in normalisations(self.net):
                 layer.eval()
-        losses = [self.step(images, wanted) for images, wanted in batches]
+        losses: list[float] = []
+        for batch in batches:
+            self.steps_in_epoch = len(losses)
+            losses.append(self.step(*batch))
         self.cost["wait_seconds"] += batches.waited - waited
         seconds = time.perf_counter() - started
         self.cost["step_seconds"] += seconds

@@ -1,0 +1,91 @@
+"""What a network of two stages is taught by: the gel's shape where the virtual rig told it, and forces from both."""
+
+import torch
+from torch.nn import functional as F
+
+from gelforge.networks.models.geometry import GeometryNet
+
+LEAST_N = 1.0  # N below which an error of force counts as much as at this force
+# How wrong the shape that the second stage is taught with may be: slopes by a factor, of both and of each axis, and by smooth
+# fields; motion by a zoom and turn of the whole gel, a shift in px, and smooth fields in px. Real tables and holders do so.
+GAIN, AXIS_GAIN, FIELDS = 0.12, 0.05, ((6, 8, 0.03), (24, 32, 0.03))
+SIMILARITY, SHIFT_PX, MOTION_PX = 0.004, 0.5, 0.15
+WITHOUT_MOTION = 0.3  # fraction of shapes whose motion is not told, as on a gel without markers
+SHAPE_WEIGHT, SEEN_WEIGHT = 0.15, 0.5
+CONTRAST = 8.0  # by how much more a slope of one counts than a level place, which most of a picture is
+
+
+def relative_loss(output, wanted, scale) -> torch.Tensor:
+    """Errors of force in fractions of each press' own normal force, so that light presses count as firm ones do.
+
+    output, wanted: (n, 3, rows, cols) in training units; scale: (3,) N. Sum of the mean square error of cells over the force to
+    the power 1.5, smooth L1 of the normal force's logarithm, and that of shear over a tenth of the normal force.
+    """
+    output, wanted = output * scale.view(1, 3, 1, 1), wanted * scale.view(1, 3, 1, 1)
+    total, target = output.sum((2, 3)), wanted.sum((2, 3))
+    normal = -target[:, 2]
+    per_cell = ((output - wanted) ** 2).sum((1, 2, 3))
+    cells = (per_cell / (normal.clamp(min=0) + LEAST_N) ** 1.5).mean()
+    log = [torch.log(one.clamp(min=0) + 0.3) for one in (-total[:, 2], normal)]
+    shear = F.smooth_l1_loss(total[:, :2], target[:, :2], beta=0.1, reduction="none").sum(1)
+    shear = (shear / (0.1 * normal.clamp(min=0) + 0.3)).mean()
+    return 2.0 * cells + F.smooth_l1_loss(*log, beta=0.1) + 0.3 * shear
+
+
+def shape_loss(slopes, motion, told_slopes, told_motion) -> torch.Tensor:
+    """Errors of predicted slopes (n, 2, h, w) and motion (n, 2, k, l) px against those that the rig told."""
+    weight = 1.0 + CONTRAST * told_slopes.norm(dim=1, keepdim=True)
+    error = F.smooth_l1_loss(slopes, told_slopes, beta=0.1, reduction="none")
+    return 60.0 * (weight * error).mean() + F.smooth_l1_loss(motion, told_motion, beta=0.3)
+
+
+def taught(net: GeometryNet, pairs, wanted, slopes, motion, scale, generator: torch.Generator) -> torch.Tensor:
+    """Loss of a batch whose shapes are told.
+
+    pairs: (n, 6, h, w) inputs; wanted: (n, 3, rows, cols) in training units; slopes (n, 2, h / 2, w / 2), motion (n, 2, h / 8,
+    w / 8) px. The second stage learns from the shape that the first one predicts, and from the told one, disturbed.
+    """
+    seen = net.slopes(pairs)
+    told = mirrored(*disturbed(slopes, motion, generator), wanted, generator)
+    loss = SHAPE_WEIGHT * shape_loss(*seen, slopes, motion) + relative_loss(net.forces(*seen), wanted, scale)
+    return loss + SEEN_WEIGHT * relative_loss(net.forces(*told[:2]), told[2], scale)
+
+
+def disturbed(slopes, motion, generator: torch.Generator):
+    """Shapes as a sensor's own table and holder may make them; see GAIN and the lines below it."""
+    n, device = len(slopes), slopes.device
+
+    def normal(*shape):
+        return torch.randn(n, *shape, generator=generator).to(device)
+
+    def uniform(*shape):
+        return 2 * torch.rand(n, *shape, generator=generator).to(device) - 1
+
+    slopes = slopes * (1 + GAIN * uniform(1, 1, 1) + AXIS_GAIN * uniform(2, 1, 1))
+    for rows, cols, size in FIELDS:
+        field = normal(2, rows, cols) * size * uniform(1, 1, 1) ** 2
+        slopes = slopes + F.interpolate(field, slopes.shape[2:], mode="bilinear", align_corners=False)
+    high, wide = motion.shape[2:]
+    v, u = torch.meshgrid(
+        *(8.0 * (torch.arange(count, device=device) - (count - 1) / 2) for count in (high, wide)), indexing="ij"
+    )
+    zoom, turn = SIMILARITY * normal(1, 1), SIMILARITY * normal(1, 1)
+    motion = motion + torch.stack([zoom * u - turn * v, turn * u + zoom * v], 1) + SHIFT_PX * normal(2, 1, 1)
+    field = MOTION_PX * normal(2, 5, 6) * uniform(1, 1, 1)
+    motion = motion + F.interpolate(field, (high, wide), mode="bilinear", align_corners=False)
+    told = torch.rand(n, 1, 1, 1, generator=generator) >= WITHOUT_MOTION
+    return slopes, motion * told.to(device)
+
+
+def mirrored(slopes, motion, wanted, generator: torch.Generator):
+    """Shapes and forces mirrored along each side of the image with even odds: mechanics knows no left and right."""
+    for component, side in ((0, 3), (1, 2)):
+        chosen = torch.rand(len(slopes), generator=generator) < 0.5
+        sign = torch.where(chosen, -1.0, 1.0).view(-1, 1, 1).to(slopes.device)
+        flipped = []
+        for maps in (slopes, motion, wanted):
+            own = torch.where(chosen.view(-1, 1, 1, 1).to(maps.device), maps.flip(side), maps).clone()
+            own[:, component] *= sign
+            flipped.append(own)
+        slopes, motion, wanted = flipped
+    return slopes, motion, wanted
