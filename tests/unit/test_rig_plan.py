@@ -167,7 +167,7 @@ def test_a_look_that_lacks_a_value_is_named(tmp_path):
         ("noise = [1.45, 1.2, 2.1]", "noise = [nan, 1.2, 2.1]", "noise is"),
         ("slope_limit = 0.5", "slope_limit = 0", "slope_limit is 0"),
         ("gain = 1.0", "gain = inf", "gain is inf"),
-        ("height_mm = 50.0", "height_mm = 3.0", "height_mm is 3"),
+        ("height_mm = 25.0", "height_mm = 3.0", "height_mm is 3"),
         ("rows = 7", "rows = 1", "give 2 or more of both"),
         ("seed = 1\n", "seed = 1\nmissing = [99]\n", "`missing` from 0 on"),
         ("shadow_length_px = [2.2, 3.4, 3.0]", "shadow_length_px = [-2.2, 3.4, 3.0]", "shadow_length_px is"),
