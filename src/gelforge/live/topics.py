@@ -43,7 +43,7 @@ class RosMessages:
         axes, force = list(CHANNEL_OF_AXIS), reading.found
         total = force.total[axes]
         picture = encode_jpeg(force.image, JPEG_QUALITY)
-        found = ros.sensor_messages(self.token, stamp, picture, "jpeg", total, force.cells)
+        found = ros.sensor_messages(self.token, stamp, picture, "jpeg", total.tolist(), force.cells)
         top, header = f"/{self.token}", ros.header(stamp, f"{self.token}_gel")
         if force.half_width is not None:
             half = np.asarray(force.half_width)[axes]

@@ -11,7 +11,7 @@ LEAST_N = 1.0  # N below which an error of force counts as much as at this force
 GAIN, AXIS_GAIN, FIELDS = 0.12, 0.05, ((6, 8, 0.03), (24, 32, 0.03))
 SIMILARITY, SHIFT_PX, MOTION_PX = 0.004, 0.5, 0.15
 WITHOUT_MOTION = 0.3  # fraction of shapes whose motion is not told, as on a gel without markers
-SHAPE_WEIGHT, SEEN_WEIGHT = 0.15, 0.5
+SHAPE_WEIGHT, TOLD_WEIGHT = 0.15, 0.5
 CONTRAST = 8.0  # by how much more a slope of one counts than a level place, which most of a picture is
 
 
@@ -26,10 +26,10 @@ def relative_loss(output, wanted, scale) -> torch.Tensor:
     normal = -target[:, 2]
     per_cell = ((output - wanted) ** 2).sum((1, 2, 3))
     cells = (per_cell / (normal.clamp(min=0) + LEAST_N) ** 1.5).mean()
-    log = [torch.log(one.clamp(min=0) + 0.3) for one in (-total[:, 2], normal)]
+    found, told = (torch.log(one.clamp(min=0) + 0.3) for one in (-total[:, 2], normal))
     shear = F.smooth_l1_loss(total[:, :2], target[:, :2], beta=0.1, reduction="none").sum(1)
     shear = (shear / (0.1 * normal.clamp(min=0) + 0.3)).mean()
-    return 2.0 * cells + F.smooth_l1_loss(*log, beta=0.1) + 0.3 * shear
+    return 2.0 * cells + F.smooth_l1_loss(found, told, beta=0.1) + 0.3 * shear
 
 
 def shape_loss(slopes, motion, told_slopes, told_motion) -> torch.Tensor:
@@ -45,10 +45,12 @@ def taught(net: GeometryNet, pairs, wanted, slopes, motion, scale, generator: to
     pairs: (n, 6, h, w) inputs; wanted: (n, 3, rows, cols) in training units; slopes (n, 2, h / 2, w / 2), motion (n, 2, h / 8,
     w / 8) px. The second stage learns from the shape that the first one predicts, and from the told one, disturbed.
     """
-    seen = net.slopes(pairs)
-    told = mirrored(*disturbed(slopes, motion, generator), wanted, generator)
-    loss = SHAPE_WEIGHT * shape_loss(*seen, slopes, motion) + relative_loss(net.forces(*seen), wanted, scale)
-    return loss + SEEN_WEIGHT * relative_loss(net.forces(*told[:2]), told[2], scale)
+    seen_slopes, seen_motion = net.slopes(pairs)
+    loss = SHAPE_WEIGHT * shape_loss(seen_slopes, seen_motion, slopes, motion)
+    loss = loss + relative_loss(net.forces(seen_slopes, seen_motion), wanted, scale)
+    told_slopes, told_motion = disturbed(slopes, motion, generator)
+    told_slopes, told_motion, told = mirrored(told_slopes, told_motion, wanted, generator)
+    return loss + TOLD_WEIGHT * relative_loss(net.forces(told_slopes, told_motion), told, scale)
 
 
 def disturbed(slopes, motion, generator: torch.Generator):

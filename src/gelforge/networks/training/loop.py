@@ -249,12 +249,13 @@ class Training:
 
         shape: slopes and motion of the gel in these images, where the network is taught them.
         """
-        images, wanted, *shape = (one.to(self.device) for one in (images, wanted, *shape))
+        images, wanted = images.to(self.device), wanted.to(self.device)
         scale, total = (torch.tensor(self.norm[key], device=self.device).float() for key in ("label", "total"))
         self.optimiser.zero_grad(set_to_none=True)
         if shape:
             drawn = generator(self.settings.seed, "shape", self.cost["steps"] + self.steps_in_epoch)
-            loss = taught(self.net, images, wanted, *shape, scale, drawn)
+            slopes, motion = (one.to(self.device) for one in shape)
+            loss = taught(self.net, images, wanted, slopes, motion, scale, drawn)
         else:
             with torch.autocast(self.device, dtype=torch.bfloat16, enabled=self.mixed):
                 output = self.net(images)
