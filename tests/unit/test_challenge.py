@@ -14,7 +14,7 @@ from parameters import slice_of
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_json
-from gelforge.geometry.triangles import read_stl
+from gelforge.geometry.stlfile import read_stl
 from gelforge.labelling.sensor import load_sensors
 from gelforge.stages import challenge as stage
 from gelforge.stages import pareto

@@ -260,9 +260,10 @@ def test_open_stl_is_refused(tmp_path, catalogue):
 
 def test_self_intersecting_stl_is_refused(tmp_path, catalogue):
     vertices, faces = catalogue["cuboid_7"].surface()
-    doubled = triangles.joined([(vertices, faces), (vertices + [3.0, 2.0, 1.0], faces)])
-    with pytest.raises(BadInput, match=r"mine.*cut through each other.*unite"):
-        load_catalogue(write_stl_catalogue(tmp_path, doubled))
+    pulled = vertices.copy()
+    pulled[np.argmax(vertices[:, 2])] = [0.0, 0.0, -5.0]
+    with pytest.raises(BadInput, match=r"mine.*cut through each other.*repair"):
+        load_catalogue(write_stl_catalogue(tmp_path, (pulled, faces)))
 
 
 @pytest.mark.parametrize("content", [b"", b"solid x\nendsolid x\n", b"\x00" * 84, b"\x89PNG not a mesh at all"])

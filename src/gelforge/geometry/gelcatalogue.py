@@ -12,7 +12,8 @@ from gelforge.flow.files import digest_of
 from gelforge.flow.params import read_toml
 from gelforge.flow.params.schema import OneOf, ParameterTable, Place, Within, parse
 from gelforge.geometry.gel import Gel
-from gelforge.geometry.triangles import is_watertight, read_stl, volume
+from gelforge.geometry.stlfile import read_stl
+from gelforge.geometry.triangles import is_watertight, volume
 
 FILE = Path("workflow") / "gels.toml"
 BASES = ("-x", "+x", "-y", "+y", "-z", "+z")

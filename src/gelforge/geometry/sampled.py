@@ -5,43 +5,31 @@ from functools import cached_property
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.geometry.shells import outer_surface
 from gelforge.geometry.solids import Body
-from gelforge.geometry.triangles import is_watertight, read_stl, to_meshlab, volume
+from gelforge.geometry.stlfile import read_stl
+from gelforge.geometry.triangles import Mesh
 
 MARGIN_MM = 1.0  # of the grid around the body: farther away only the sign and a rough distance matter
 LARGEST_MM = 60.0
 MOST_POINTS = 6_000_000
 
 
-def check_body(vertices: np.ndarray, faces: np.ndarray, what: str) -> tuple[np.ndarray, np.ndarray]:
-    """A closed body without self-intersection, outward; anything else is BadInput naming `what`."""
-    if not is_watertight(faces):
-        raise BadInput(
-            f"{what}: the surface is not closed or not consistently oriented; every edge must belong to "
-            "two triangles. Close holes and merge doubled vertices in the program that exported it"
-        )
+def check_body(vertices: np.ndarray, faces: np.ndarray, what: str) -> Mesh:
+    """The outer surface of a body that can be pressed; anything else is BadInput naming `what`."""
     extent = np.ptp(vertices, axis=0).max()
     if not 0.5 <= extent <= LARGEST_MM:
         raise BadInput(
             f"{what}: the body measures {extent:.4g} mm after scaling, expected 0.5 to {LARGEST_MM:g} mm; "
             "set `scale` in the catalogue (1000 for a file in metres, 25.4 for inches)"
         )
+    vertices, faces = outer_surface(vertices, faces, what)
     aside = np.maximum(vertices.min(axis=0), -vertices.max(axis=0))[:2].max()
     if aside > 0.0:
         raise BadInput(
             f"{what}: the body stands {aside:.4g} mm beside the z axis, on which it is pressed; move it there in the program "
             "that exported it"
         )
-    enclosed = volume(vertices, faces)
-    if abs(enclosed) < 1e-6:
-        raise BadInput(f"{what}: the surface encloses {enclosed:.1e} mm^3; export a solid body")
-    if enclosed < 0.0:
-        faces = faces[:, ::-1]
-    meshes = to_meshlab((vertices, faces))
-    meshes.apply_filter("compute_selection_by_self_intersections_per_face")
-    count = meshes.current_mesh().selected_face_number()
-    if count:
-        raise BadInput(f"{what}: {count} triangles cut through each other; unite the overlapping parts into one body")
     return vertices, faces
 
 

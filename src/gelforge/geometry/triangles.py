@@ -1,10 +1,8 @@
-"""Triangle meshes as pairs (vertices (v, 3) float64, faces (f, 3) int): building, joining, checking, cutting."""
-
-from pathlib import Path
+"""Triangle meshes as pairs (vertices (v, 3) float64, faces (f, 3) int): building, joining, cutting, writing."""
 
 import numpy as np
 
-from gelforge.errors import BadInput
+Mesh = tuple[np.ndarray, np.ndarray]
 
 
 def joined(meshes: list) -> tuple[np.ndarray, np.ndarray]:
@@ -133,43 +131,6 @@ def below(vertices: np.ndarray, faces: np.ndarray, height: float) -> tuple[np.nd
     mesh = pyvista.PolyData.from_regular_faces(vertices, faces)
     kept = mesh.clip_closed_surface("-z", origin=(0.0, 0.0, height)).triangulate()
     return cleaned(np.array(kept.points, float), kept.regular_faces)
-
-
-def read_stl(path, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
-    """A binary or text STL file as one mesh with coincident corners merged, in mm after `scale`."""
-    import pymeshlab
-
-    if fault := stl_fault(Path(path)):
-        raise BadInput(f"{path}: not a readable STL file ({fault}); export it again as binary STL")
-    meshes = pymeshlab.MeshSet()
-    try:
-        meshes.load_new_mesh(str(path))
-    except pymeshlab.PyMeshLabException as error:
-        raise BadInput(f"{path}: not a readable STL file ({error}); export it again as binary STL") from None
-    vertices, faces = from_meshlab(meshes)
-    if not len(faces):
-        raise BadInput(f"{path}: holds no triangles; export the body as a binary STL")
-    vertices, faces = cleaned(vertices * scale, faces)
-    if not len(faces):
-        raise BadInput(
-            f"{path}: all of its triangles shrink to points or lines at scale = {scale:g}; correct the scale"
-        )
-    return vertices, faces
-
-
-def stl_fault(path: Path) -> str | None:
-    """Why a file cannot be STL, from its size alone; None where it may be. MeshLab believes any count that a file claims."""
-    if not path.is_file():
-        return "it is no regular file"
-    size = path.stat().st_size
-    with path.open("rb") as stream:
-        head = stream.read(84)
-    if head.lstrip()[:5].lower() == b"solid":
-        return None
-    claimed = int.from_bytes(head[80:84], "little")
-    if len(head) < 84 or size < 84 + 50 * claimed:
-        return f"it has {size} bytes where its {claimed} triangles would take {84 + 50 * claimed}"
-    return None
 
 
 def write_stl(path, vertices: np.ndarray, faces: np.ndarray) -> None:

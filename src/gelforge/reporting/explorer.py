@@ -10,7 +10,7 @@ import numpy as np
 
 from gelforge.flow.layout import POSES, Layout
 from gelforge.geometry.gel import Gel, load_gel
-from gelforge.geometry.triangles import read_stl
+from gelforge.geometry.stlfile import read_stl
 from gelforge.mechanics.family import mesh_loader
 from gelforge.records.forcefile import ForceFile
 from gelforge.records.labelfile import read_labels

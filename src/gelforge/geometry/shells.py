@@ -1,0 +1,266 @@
+"""Closed shells of a triangle mesh: told apart, each turned outwards, united to the surface that is seen from outside."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.geometry.triangles import Mesh, boolean, cleaned, is_watertight, joined, to_meshlab, volume
+
+NEAR_MM = 1e-6  # what lies nearer touches
+FLAT_RAD = 1e-6  # between triangles that lie on each other
+LEAST_MM3 = 1e-6  # a shell that encloses less is a sheet
+REMEDY = "in the program that exported it"
+
+
+def outer_surface(vertices: np.ndarray, faces: np.ndarray, what: str) -> Mesh:
+    """The surface of a body that is seen from outside: shells (v, 3), (f, 3), each closed and outward, that only touch.
+
+    However its shells were oriented. One inside another is left out, those that overlap or touch are united. A shell that
+    is open, one-sided, crosses itself or encloses nothing raises BadInput that names it and `what`.
+    """
+    if _half_edges(faces)[2].max() > 2:
+        # once the senses are right they part what touches in an edge alone
+        faces = split_shells(vertices, _without_copies(faces), what)[1]
+    number, turned = split_shells(vertices, faces, what)
+    count = number.max() + 1
+    shells = [_used(vertices, turned[number == at]) for at in range(count)]
+    names = [_name(at, shells, what) for at in range(count)]
+    crossing = np.unique(number[_crossing((vertices, turned))])
+    for at in crossing:
+        if cut := np.count_nonzero(_crossing(shells[at])):
+            raise BadInput(f"{names[at]}: {cut} of its triangles cut through each other; repair it {REMEDY}")
+    solid = [at for at in range(count) if volume(*shells[at]) >= LEAST_MM3]
+    if not solid:
+        raise BadInput(f"{what}: the surface encloses {volume(vertices, turned):.1e} mm^3; export a solid body")
+    seen = _not_inside(shells, solid, set(crossing.tolist()))
+    outer = _united([shells[at] for at in seen], what) or _used(vertices, turned[np.isin(number, seen)])
+    for at in set(range(count)) - set(solid):
+        if _beyond(shells[at], outer):
+            raise BadInput(
+                f"{names[at]}: encloses nothing, it is a sheet; remove it, or give it a thickness, {REMEDY}"
+            )
+    return outer
+
+
+def split_shells(vertices: np.ndarray, faces: np.ndarray, what: str) -> tuple[np.ndarray, np.ndarray]:
+    """Shell number (f,) of each triangle, in the order of the file, and the triangles (f, 3), of each shell outward.
+
+    Where more than two triangles meet in an edge, a shell goes on from one to its neighbour around it, of triangles that lie
+    on each other to the other one: a wall between two parts that touch is a flat shell of its own. Open and one-sided
+    shells raise BadInput.
+    """
+    half, edge, count = _half_edges(faces)
+    if (count % 2).any():
+        _refuse_open(vertices, faces, edge, count, what)
+    first, second, flat = _paired(vertices, faces, half, edge, count)
+    # each triangle stands there twice, as it is and turned; two of a shell are linked in the senses that agree
+    ahead, n = half[:, 0] < half[:, 1], len(faces)
+    same, one, other = ahead[first] == ahead[second], first // 3, second // 3
+    label = _connected(2 * n, np.concatenate([one, one + n]), np.concatenate([other + n * same, other + n * ~same]))
+    low, high = np.minimum(label[:n], label[n:]), np.maximum(label[:n], label[n:])
+    number = _in_order(low)
+    if (low == high).any():
+        _refuse(
+            vertices,
+            faces,
+            number,
+            number[np.argmax(low == high)],
+            what,
+            "its surface has one side only; make it a solid body",
+        )
+    turned = np.where((label[:n] == high)[:, None], faces[:, ::-1], faces)
+    signs = _volumes(vertices, turned, number)
+    folded = number[one[flat]]
+    folded = folded[np.abs(signs[folded]) >= LEAST_MM3]
+    if len(folded):
+        _refuse(
+            vertices, faces, number, folded.min(), what, "parts of it lie on each other; unite them into one body"
+        )
+    return number, np.where((signs[number] < 0.0)[:, None], turned[:, ::-1], turned)
+
+
+def _volumes(vertices: np.ndarray, faces: np.ndarray, number: np.ndarray) -> np.ndarray:
+    """Signed volume of each numbered shell, mm^3."""
+    a, b, c = vertices[faces].transpose(1, 0, 2)
+    return np.bincount(number, np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0)
+
+
+def _half_edges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The three edges (3f, 2) of each triangle, the number of each (3f,), and how many there are of each number."""
+    half = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2).astype(np.int64)
+    key = half.min(axis=1) * (half.max() + 1) + half.max(axis=1)
+    _, edge, count = np.unique(key, return_inverse=True, return_counts=True)
+    return half, edge, count
+
+
+def _paired(vertices, faces, half, edge, count) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Half edges (p,) and those (p,) on whose triangles a shell goes on behind them, and whether both lie on each other."""
+    order = np.argsort(edge, kind="stable")
+    start = np.cumsum(count) - count
+    plain = start[count == 2]
+    first, second = [order[plain]], [order[plain + 1]]
+    flat = [np.zeros(len(plain), bool)]
+    part = _connected(len(faces), first[0] // 3, second[0] // 3)
+    for begin, size in zip(start[count > 2], count[count > 2], strict=True):
+        ring, close = _around(vertices, faces, half, part, order[begin : begin + size])
+        first.append(ring[::2])
+        second.append(ring[1::2])
+        flat.append(close)
+    return np.concatenate(first), np.concatenate(second), np.concatenate(flat)
+
+
+def _around(vertices, faces, half, part, members: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Half edges (k,) of one edge, two by two of one shell, and which pairs (k / 2,) lie on each other.
+
+    Two of one part, of triangles that other edges connect (part: (f,)), are a pair. Else they go by the angle of their
+    triangles about the edge: what lies on each other makes a pair, else what encloses a solid by the sense of the first.
+    """
+    of = part[members // 3]
+    if (np.unique(of, return_counts=True)[1] == 2).all():
+        return members[np.argsort(of, kind="stable")], np.zeros(len(members) // 2, bool)
+    a, b = np.sort(half[members[0]])
+    along = (vertices[b] - vertices[a]) / np.linalg.norm(vertices[b] - vertices[a])
+    aside = vertices[faces[members // 3].sum(axis=1) - a - b] - vertices[a]
+    aside = aside - (aside @ along)[:, None] * along
+    up = np.cross(along, aside[0])
+    angle = np.arctan2(aside @ up / np.linalg.norm(up), aside @ aside[0] / np.linalg.norm(aside[0]))
+    order = np.argsort(angle, kind="stable")
+    gaps = np.diff(angle[order], append=angle[order[0]] + 2.0 * np.pi)
+    shift = int(gaps.argmin()) % 2 if gaps.min() < FLAT_RAD else int(half[members[order[0]], 0] == a)
+    return members[np.roll(order, -shift)], np.roll(gaps, -shift)[::2] < FLAT_RAD
+
+
+def _connected(count: int, one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Label (count,) of what links one to other, (k,) each, connect."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    return connected_components(coo_matrix((np.ones(len(one)), (one, other)), shape=(count, count)), directed=False)[
+        1
+    ]
+
+
+def _without_copies(faces: np.ndarray) -> np.ndarray:
+    """Triangles without the copies of shells that a file holds several times.
+
+    Triangles that lie on each other are a copy where they make a closed shell, else the wall between parts that touch.
+    """
+    while True:
+        _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+        twice = np.flatnonzero(count > 1)
+        if not len(twice):
+            return faces
+        _, edge, uses = _half_edges(faces[first[twice]])
+        of = np.repeat(np.arange(len(twice)), 3)
+        label = _connected(len(twice) + len(uses), of, edge + len(twice))[: len(twice)]
+        rim = np.unique(label[of[uses[edge] % 2 == 1]])
+        copies = first[twice[~np.isin(label, rim)]]
+        if not len(copies):
+            return faces
+        faces = np.delete(faces, copies, axis=0)
+
+
+def _refuse_open(vertices, faces, edge, count, what: str) -> None:
+    """BadInput that names the first shell with edges that belong to an odd number of triangles."""
+    of = np.repeat(np.arange(len(faces)), 3)
+    number = _in_order(_connected(len(faces) + len(count), of, edge + len(faces))[: len(faces)])
+    odd = count[edge] % 2 == 1
+    at = number[of[odd]].min()
+    edges = len(np.unique(edge[odd & (number[of] == at)]))
+    why = f"it is not closed: {edges} edges belong to an odd number of triangles, every edge must belong to two; close holes"
+    _refuse(vertices, faces, number, at, what, f"{why} and merge doubled vertices")
+
+
+def _refuse(vertices, faces, number, at, what: str, why: str) -> None:
+    shells = [_used(vertices, faces[number == each]) for each in range(number.max() + 1)]
+    raise BadInput(f"{_name(at, shells, what)}: {why} {REMEDY}")
+
+
+def _not_inside(shells: Sequence[Mesh], solid: list[int], crossing: set[int]) -> list[int]:
+    """The solid shells that do not lie inside another; one that crosses others is kept, whatever it is."""
+    boxes = {at: (shells[at][0].min(axis=0), shells[at][0].max(axis=0)) for at in solid}
+    kept = []
+    for at in solid:
+        low, high = boxes[at]
+        around = [
+            other
+            for other in solid
+            if other != at and (boxes[other][0] < low).all() and (boxes[other][1] > high).all()
+        ]
+        if at in crossing or not any(_distances(shells[at][0], shells[other]).max() < -NEAR_MM for other in around):
+            kept.append(at)
+    return kept
+
+
+def _united(shells: list[Mesh], what: str) -> Mesh | None:
+    """Closed outward shells as one surface without what lies inside it; None where each is fine and their boxes are apart."""
+    groups: list[tuple[Mesh, np.ndarray, np.ndarray]] = []
+    # one that folds back on itself in an edge is united with itself
+    fine = [is_watertight(faces) for _, faces in shells]
+    for shell, whole in zip(shells, fine, strict=True):
+        shell = shell if whole else boolean(shell, shell, "union")
+        low, high = shell[0].min(axis=0), shell[0].max(axis=0)
+        apart = []
+        for other in groups:
+            if (other[1] > high + NEAR_MM).any() or (other[2] < low - NEAR_MM).any():
+                apart.append(other)
+            else:
+                shell = boolean(other[0], shell, "union")
+                low, high = np.minimum(low, other[1]), np.maximum(high, other[2])
+        groups = [*apart, (shell, low, high)]
+    if len(groups) == len(shells) and all(fine):
+        return None
+    surface = cleaned(*joined([shell for shell, _, _ in groups]))
+    number, turned = split_shells(*surface, what)
+    united = [_used(surface[0], turned[number == at]) for at in range(number.max() + 1)]
+    if not all(is_watertight(faces) for _, faces in united):
+        raise BadInput(
+            f"{what}: its parts touch in a way that leaves no closed surface; unite them into one body {REMEDY}"
+        )
+    # parts that overlap may enclose a cavity
+    return joined([united[at] for at in _not_inside(united, list(range(len(united))), set())])
+
+
+def _crossing(mesh: Mesh) -> np.ndarray:
+    """Whether each triangle (f,) cuts through another one."""
+    meshes = to_meshlab(mesh)
+    meshes.apply_filter("compute_selection_by_self_intersections_per_face")
+    return np.asarray(meshes.current_mesh().face_selection_array(), bool)
+
+
+def _distances(points: np.ndarray, mesh: Mesh) -> np.ndarray:
+    """Signed distances (n,) mm of points to a closed surface (VTK's closest triangle)."""
+    import pyvista
+
+    cloud = pyvista.PolyData(np.ascontiguousarray(points))
+    found = cloud.compute_implicit_distance(pyvista.PolyData.from_regular_faces(*mesh))
+    return np.asarray(found["implicit_distance"], float)
+
+
+def _beyond(sheet: Mesh, outer: Mesh) -> bool:
+    """Whether corners or middles of a sheet's triangles lie outside a surface."""
+    corners = sheet[0][sheet[1]]
+    points = np.concatenate([corners.reshape(-1, 3), corners.mean(axis=1)])
+    return bool(_distances(points, outer).max() > NEAR_MM)
+
+
+def _used(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
+    used, faces = np.unique(faces, return_inverse=True)
+    return vertices[used], faces.reshape(-1, 3)
+
+
+def _in_order(label: np.ndarray) -> np.ndarray:
+    """Numbers from 0 for labels (n,), as they come."""
+    _, first, inverse = np.unique(label, return_index=True, return_inverse=True)
+    return np.argsort(np.argsort(first))[inverse]
+
+
+def _name(at: int, shells: Sequence[Mesh], what: str) -> str:
+    """What a message calls a shell: by its number in the file, its triangles and its place, where there are several."""
+    if len(shells) == 1:
+        return what
+    vertices, faces = shells[at]
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    place = ", ".join(f"{axis} {a:.4g} to {b:.4g}" for axis, a, b in zip("xyz", low, high, strict=True))
+    return f"{what}: shell {at + 1} of {len(shells)} ({len(faces)} triangles, {place} mm)"
