@@ -8,6 +8,7 @@ import pytest
 from calibration_law import PARAMS, law_posterior, make_readings
 from press_records import log_line, write_lines
 
+from gelforge.calibration import summary
 from gelforge.calibration.parameters import Model, Prior, compared_models, make_model
 from gelforge.calibration.readings import check_enough, check_readings, read_readings
 from gelforge.calibration.sampling import LEARN, Chain, NotConverged, Rules, complaint, find_modes, judge, sample
@@ -236,3 +237,28 @@ def test_solves_are_at_poisson_s_ratios_of_the_prior(prior, nodes):
     table = parse(PriorTable, {"kind": "normal", "mean": 0.475, "spread": 0.005, **prior}, Place("a test"))
     params = replace(PARAMS, priors=replace(PARAMS.priors, nu=table))
     assert poisson_nodes(params, 0.475) == pytest.approx(nodes, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("c10", "usual", "says"),
+    [
+        (0.0725 / 9.80665, 0.0725, "1/9.81 of the usual 0.0725 MPa.*in kilogram-force.*fz_n"),
+        (0.0081, 0.0725, "in kilogram-force"),
+        (0.0725 / 4.448, 0.0725, "in pound-force"),
+        (0.0725 * 102, 0.0725, "102 times the usual.*in gram-force"),
+        (0.15 * 1000, 0.15, "1e[+]03 times the usual 0.15 MPa.*in millinewtons"),
+        (
+            0.0725 * 30,
+            0.0725,
+            "30 times the usual 0.0725 MPa: most likely forces are not in newtons, or lengths not in mm",
+        ),
+    ],
+)
+def test_a_stiffness_that_no_gel_has_is_told_with_units_as_the_likely_cause(c10, usual, says):
+    (said,) = summary.units_sentence(c10, usual)
+    assert re.search(says, said)
+
+
+@pytest.mark.parametrize("ratio", [0.4, 0.9, 1.0, 2.5])
+def test_a_softer_or_harder_gel_is_no_matter_of_units(ratio):
+    assert summary.units_sentence(0.0725 * ratio, 0.0725) == []

@@ -268,3 +268,76 @@ def test_rows_are_numbered_as_an_editor_shows_them(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text(log.csv_text(list(GOOD), [GOOD, GOOD]))
     assert [row.row for row in log.read_log(path)] == [2, 3]
+
+
+@pytest.mark.parametrize(
+    "name", ["Sample_ID", "SAMPLE ID", "sample-id", "sample_Id "], ids=["capitals", "blank", "dash", "blank behind"]
+)
+def test_a_header_that_is_spelt_otherwise_is_read(tmp_path, name):
+    path = tmp_path / "log.csv"
+    renamed = {name if key == "sample_id" else key: cell for key, cell in GOOD.items()}
+    path.write_text(log.csv_text(list(renamed), [renamed]))
+    assert log.read_log(path)[0].cells == GOOD
+    renamed = {"Dz mm" if key == "dz_mm" else "Image" if key == "image" else key: cell for key, cell in GOOD.items()}
+    path.write_text(log.csv_text(list(renamed), [renamed]))
+    assert log.read_log(path)[0].cells == GOOD
+
+
+def test_a_column_spelt_in_two_ways_is_refused_but_not_beside_its_own_name(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text(log.csv_text([*GOOD, "Image"], [{**GOOD, "Image": "other.png"}]))
+    assert log.read_log(path)[0].cells["image"] == GOOD["image"]
+    others = {key: cell for key, cell in GOOD.items() if key != "image"} | {"Image": "a", "IMAGE": "b"}
+    path.write_text(log.csv_text(list(others), [others]))
+    with pytest.raises(BadInput, match="column image stands 2 times"):
+        log.read_log(path)
+
+
+@pytest.mark.parametrize("marks", [1, 2, 3])
+def test_byte_order_marks_are_no_part_of_the_header(tmp_path, marks):
+    path = tmp_path / "log.csv"
+    path.write_text("\ufeff" * marks + log.csv_text(list(GOOD), [GOOD]), encoding="utf-8")
+    assert log.read_log(path)[0].cells == GOOD
+
+
+@pytest.mark.parametrize("commas", [",", ",,", ", ,"])
+def test_commas_at_the_end_of_rows_are_no_cells(tmp_path, commas):
+    path = tmp_path / "log.csv"
+    lines = log.csv_text(list(GOOD), [{**GOOD, "image": "images/a.png"}]).splitlines()
+    path.write_text("\n".join([lines[0], lines[1] + commas]))
+    row = log.read_log(path)[0]
+    assert (row.cells["image"], row.fault) == ("images/a.png", "") and parse_row(row, "log.csv")[0]
+    shard = tmp_path / "0000.csv"
+    shard.write_text(log.shard_text([row]))
+    assert log.read_shard(shard) == [row]
+
+
+@pytest.mark.parametrize("column", ["x0_mm", "dz_mm", "fx_n", "mz_nm"])
+def test_a_decimal_comma_before_empty_cells_is_no_comma_at_the_end(tmp_path, column):
+    """Cells behind it lie one too far right, and the last one is empty: taken for a comma at the end, forces would be wrong."""
+    cells = {**GOOD, "my_nm": "", "mz_nm": "", "image": ""}
+    line = ",".join("0,5" if name == column else cells[name] for name in COLUMNS)
+    path = tmp_path / "log.csv"
+    path.write_text(",".join(COLUMNS) + "\n" + line + "\n")
+    sample, wrong = parse_row(log.read_log(path)[0], "log.csv")
+    assert sample is None and "decimals with a point" in wrong[0].remedy and "more" in wrong[0].reason
+    path.write_text(",".join(COLUMNS) + "\n" + ",".join(cells[name] for name in COLUMNS) + ",\n")
+    _, wrong = parse_row(log.read_log(path)[0], "log.csv")
+    assert "remove the comma at the end of each row, or end the header with one" in wrong[0].remedy
+    path.write_text(",".join(COLUMNS) + ",\n" + ",".join(cells[name] for name in COLUMNS) + ",\n")
+    assert log.read_log(path)[0].fault == ""
+
+
+def test_a_header_in_the_middle_is_told_once_and_the_rest_is_read(tmp_path):
+    path = tmp_path / "log.csv"
+    whole = log.csv_text(list(GOOD), [GOOD])
+    path.write_text(whole + whole.upper().splitlines()[0] + "\n" + whole.splitlines()[1] + "\n")
+    rows = log.read_log(path)
+    sample, wrong = parse_row(rows[1], "log.csv")
+    assert sample is None and [r.reason for r in wrong] == ["the row is a header again"]
+    assert [row.fault for row in rows] == ["", "second_header", ""]
+
+
+def test_the_minus_sign_of_print_is_a_minus_sign():
+    sample, _ = parse_row(RawRow(2, {**GOOD, "dz_mm": "\u22120.75"}), "log.csv")
+    assert sample.dz_mm == -0.75

@@ -1,5 +1,6 @@
 """Shards: every sample has one, keeps it, and appending changes the last one only."""
 
+import json
 import shutil
 import tomllib
 from contextlib import nullcontext
@@ -283,3 +284,22 @@ def test_where_a_dataset_leaves_it_open_presses_are_solved_in_process_without_ca
     dataset = tmp_path / "dataset.toml"
     dataset.write_text(text)
     assert plan.without_ccx(config.load_params("workflow", dataset), dataset).fea.fidelity == "hex"
+
+
+def test_presses_that_show_one_picture_are_planned_as_such(tmp_path):
+    """By name and by content, over shards; frames of one press may share theirs."""
+    columns = "sample_id,press_id,image"
+    pictures = {"a.png": b"1", "b.png": b"2", "copy.png": b"1", "c.png": b"3"}
+    for name, content in pictures.items():
+        (tmp_path / name).write_bytes(content)
+    rows = ["s0,,a.png", "s1,,b.png", "s2,,copy.png", "s3,p,c.png", "s4,p,c.png", "s5,,gone.png", "s6,,gone.png",
+            "s7,,a.png"]  # fmt: skip
+    log = tmp_path / "log.csv"
+    log.write_text("\n".join([columns, *rows]) + "\n")
+    write_shards(tmp_path, logged_rows(log, None), tmp_path, 3)
+    found = {
+        name: json.loads((tmp_path / f"shards/{name}.json").read_text()).get("repeated")
+        for name in ("0000", "0001", "0002")
+    }
+    assert found["0000"] == {"2": "row 4, s2,", "4": "row 2, s0,"} and found["0001"] is None
+    assert found["0002"] == {"9": "row 2, s0,"}

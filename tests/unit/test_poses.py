@@ -18,6 +18,7 @@ from gelforge.geometry import touch, triangles
 from gelforge.geometry.cropping import cropped
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue
+from gelforge.geometry.stlfile import read_stl
 from gelforge.mechanics.scene import Press
 from gelforge.records import log
 from gelforge.records.press import FORCES, LoggedPress, Rejection, parse, told
@@ -92,7 +93,7 @@ def test_table_and_surfaces_are_written(lab):
     assert [row["stl"] for row in table] == ["0000/a.stl", "0000/b.stl"]
     assert tuple(table[0]) == log.POSED_COLUMNS
     assert (float(table[0]["fz_n"]), table[0]["fx_n"]) == (-5.5, "")
-    vertices, faces = triangles.read_stl(folder / "a.stl")
+    vertices, faces = read_stl(folder / "a.stl")
     # STL holds float32: 1e-6 of a few mm
     assert vertices[:, 2].min() == pytest.approx(0.0, abs=1e-5)
     assert vertices[vertices[:, 2].argmin(), 0] == pytest.approx(1.0, abs=1e-5)
@@ -103,7 +104,7 @@ def test_table_and_surfaces_are_written(lab):
 
 def test_posed_surface_is_the_body_turned_and_moved(lab, root):
     _, _, folder = lab([sample("a", indenter="cross_15_10_3", x0_mm=1.5, y0_mm=-2.0, z0_mm=0.1, rot_deg=77.0)])
-    vertices, _ = triangles.read_stl(folder / "a.stl")
+    vertices, _ = read_stl(folder / "a.stl")
     body = load_catalogue(root / "workflow" / "indenters.toml", ["cross_15_10_3"])["cross_15_10_3"]
     rotation, shift = Press(1.5, -2.0, 0.1, 0, 0, -1, 77.0).pose(0.0, 0.0)
     local = (vertices - shift) @ rotation
@@ -190,7 +191,7 @@ def test_users_shape_goes_through(lab, tmp_path, root):
     )
     assert [row["sample_id"] for row in table] == ["a"]
     assert [row["column"] for row in rejected] == ["dz_mm"]
-    assert triangles.read_stl(folder / "a.stl")[0][:, 2].max() == pytest.approx(1.5, abs=1e-5)
+    assert read_stl(folder / "a.stl")[0][:, 2].max() == pytest.approx(1.5, abs=1e-5)
     mine.write_bytes(mine.read_bytes()[:500])
     table = json.loads(path.read_text()) | {"ball": {"kind": "sphere", "diameter": 15.0, "height": 10.0}}
     path.write_text(json.dumps(table))
@@ -392,3 +393,18 @@ def test_a_log_with_its_forces_turned_round_says_so_once_with_the_likely_cause(l
     assert not table and [(r["column"], float(r["value"])) for r in rejected] == [("fz_n", 5.5 + x) for x in range(3)]
     said = capsys.readouterr().err
     assert said.count("multiply the force columns by -1") == 1 and "2 more rows: 3, 4" in said
+
+
+def test_presses_that_show_one_picture_are_named_and_refused_where_strict(lab, tmp_path, capsys):
+    rows = [sample("a"), sample("b", image="images/b.png", y0_mm=1.0), sample("c", y0_mm=2.0)]
+    cv2.imwrite(str(tmp_path / "data/images/b.png"), np.full((240, 320, 3), 91, np.uint8))
+    (tmp_path / "0000.json").write_text(json.dumps({"repeated": {"2": "row 4, c,", "4": "row 2, a,"}}))
+    good, rejected, _ = lab(rows)
+    said = capsys.readouterr().err
+    assert [row["sample_id"] for row in good] == ["a", "b", "c"] and rejected == []
+    assert said.count("kept, in one split") == 2 and "a: image = 'images/a.png': row 4, c, shows a picture" in said
+    with pytest.raises(BadInput, match="2 rows rejected"):
+        lab(rows, "--strict")
+    folder = tmp_path / "out"
+    assert [row["sample_id"] for row in read(folder / "0000.csv.part")] == ["b"]
+    assert [row["row"] for row in read(folder / "0000.rejected.csv")] == ["2", "4"]

@@ -9,6 +9,15 @@ from gelforge.calibration.parameters import NAMES, label_of
 
 QUANTILES = {"interval68": (0.16, 0.84), "interval95": (0.025, 0.975)}
 DRAWS = 4000  # draws for predictions and scores; Monte Carlo error far below the posterior's width
+SEVERAL = 3.0  # times the usual stiffness: no gel of the kind is so soft or so hard
+UNITS = {
+    "kilogram-force": 9.80665,
+    "pound-force": 4.44822,
+    "gram-force": 9.80665e-3,
+    "millinewtons": 1e-3,
+    "kilonewtons": 1e3,
+}
+ALIKE = 1.5  # the factor within which a unit explains a stiffness
 NEAR = 4.0  # differences of elpd below this are small (Sivula et al. 2020, arXiv:2008.10296, section 5)
 
 
@@ -127,6 +136,20 @@ def sentences(parameters: dict, correlation: dict, models: list[dict], model_nam
         f"C10 is {c10['median']:.4f} MPa under {model_name}, between {low:.4f} and {high:.4f} with 95 % probability."
     ]
     return said + model_sentences(models) + _trades(correlation) + _unseen(parameters)
+
+
+def units_sentence(c10: float, usual: float) -> list[str]:
+    """What a median of C10, MPa, far from the usual one says of the log: forces are proportional to it."""
+    ratio = c10 / usual
+    if 1.0 / SEVERAL < ratio < SEVERAL:
+        return []
+    far = f"{ratio:.3g} times" if ratio > 1.0 else f"1/{1.0 / ratio:.3g} of"
+    like = [name for name, factor in UNITS.items() if abs(np.log(ratio * factor)) < np.log(ALIKE)]
+    said = f", as where they are logged in {like[0]}" if like else ""
+    return [
+        f"C10 is {far} the usual {usual:g} MPa: most likely forces are not in newtons{said}, or lengths not in mm; check the"
+        " units of fz_n and dz_mm in the log before you use it."
+    ]
 
 
 def model_sentences(models: list[dict]) -> list[str]:

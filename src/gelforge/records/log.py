@@ -2,6 +2,7 @@
 
 import csv
 import io
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict
 from difflib import get_close_matches
@@ -24,6 +25,7 @@ from gelforge.records.press import (
     PressRecord,
     RawRow,
     Rejection,
+    judge_cell,
     parse,
     parse_posed,
     reject,
@@ -82,7 +84,7 @@ def _read(
         raise BadInput(
             f"{path}: its header has a cell of more than 131072 characters, so it is no table of ours; {remedy}"
         )
-    header = [cell.strip() for cell in cells]
+    header = _spelt([cell.strip() for cell in cells], known)
     places = _places(path, header, known)
     for name in needed:
         near = get_close_matches(name, sorted(set(header) - set(known)), 1, 0.5) if name not in places else []
@@ -92,13 +94,22 @@ def _read(
                 f"{path}: column {name} is missing, which every press needs; rename {seen!r} if it is that"
             )
     free = set(range(len(header))) - set(places.values())
-    return [_row(*record, places, len(header)) for record in _records(lines, top + 1, free)]
+    return [_row(*record, places, header) for record in _records(lines, top + 1, free)]
 
 
 def _some(rows: list[RawRow], path: str | Path) -> list[RawRow]:
     if not rows:
         raise BadInput(f"{path}: holds no presses, a header and no rows; log at least one under {', '.join(COLUMNS)}")
     return rows
+
+
+def _spelt(header: list[str], known: tuple[str, ...]) -> list[str]:
+    """A header whose known columns are spelt as they are here: Sample_ID, X0 mm and dz-mm are told by their letters.
+
+    A column that stands there as it is spelt here is that column, whatever another one is called.
+    """
+    plain = (re.sub(r"[\s\-]+", "_", name.strip("\ufeff ")).lower() for name in header)
+    return [like if like in known and like not in header else name for name, like in zip(header, plain, strict=True)]
 
 
 def _places(path: Path, header: list[str], known: tuple[str, ...]) -> dict[str, int]:
@@ -161,11 +172,30 @@ def _several_lines(lines: list[str], free: set[int]) -> bool:
     return {at for at, cell in enumerate(cells) if "\n" in cell or "\r" in cell} <= free
 
 
-def _row(line: int, cells: list[str], fault: str, places: dict[str, int], width: int) -> RawRow:
+def _row(line: int, cells: list[str], fault: str, places: dict[str, int], header: list[str]) -> RawRow:
     text = {name: cells[at].strip() if at < len(cells) else "" for name, at in places.items()}
     number, known_fault = text.pop("row", ""), text.pop("fault", "")
-    fault = fault or known_fault or ("more_cells" if len(cells) > width else "")
+    again = "second_header" if text and all(cell.lower() == name for name, cell in text.items()) else ""
+    fault = fault or known_fault or again or _surplus_fault(cells, header)
     return RawRow(int(number) if number.isdigit() else line, text, fault)
+
+
+def _surplus_fault(cells: list[str], header: list[str]) -> str:
+    """What of ROW_FAULTS is wrong with a row of more cells than its header; nothing where it merely ends with commas.
+
+    Decimal commas may leave empty cells behind, too, where the last columns are empty. So the last cell must be one that
+    none of the columns before it can hold to which it would then belong, as a path among forces.
+    """
+    surplus = cells[len(header) :]
+    if not surplus:
+        return ""
+    if any(cell.strip() for cell in surplus):
+        return "more_cells"
+    last, before = cells[len(header) - 1].strip(), header[-1 - len(surplus) : -1]
+    sure = (
+        last and len(before) == len(surplus) and all(name in KNOWN and judge_cell(name, last)[1] for name in before)
+    )
+    return "" if sure else "end_comma"
 
 
 def write_log(path: str | Path, presses: Iterable[LoggedPress], decimals: dict[str, int] | None = None) -> None:

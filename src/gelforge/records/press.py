@@ -45,6 +45,16 @@ ROW_FAULTS = {
         "the row has more cells than the header has columns",
         "quote cells that hold a comma, and write decimals with a point",
     ),
+    "second_header": (
+        "sample_id",
+        "the row is a header again",
+        "remove it, as where two logs were put one behind the other; both must have the same columns in the same order",
+    ),
+    "end_comma": (
+        "sample_id",
+        "the row ends with more commas than the header",
+        "remove the comma at the end of each row, or end the header with one, too; write decimals with a point",
+    ),
     "open_quote": (
         "sample_id",
         "a quotation mark opens in this row and does not close in it",
@@ -182,22 +192,28 @@ class Rejection:
     remedy: str
 
     def __str__(self) -> str:
+        return f"rejected: {self.text}"
+
+    @property
+    def text(self) -> str:
+        """What is wrong where, and what to do."""
         where = f"{self.file}, row {self.row}, {self.sample_id or 'no sample_id'}"
-        return printable(f"rejected: {where}: {self.column} = {self.value!r}: {self.reason}; {self.remedy}")
+        return printable(f"{where}: {self.column} = {self.value!r}: {self.reason}; {self.remedy}")
 
 
 MOST_ROWS = 5  # of one reason that are told by number
 
 
-def told(rejections: Iterable[Rejection]) -> list[str]:
+def told(rejections: Iterable[Rejection], verdict: str = "rejected") -> list[str]:
     """A line for each reason against a column, as of its first row, with how many rows more it holds for and the first of them.
 
-    A log that lacks a column has the same reason against every row. What else is to be done is told beside each.
+    A log that lacks a column has the same reason against every row. What else is to be done is told beside each. verdict:
+    what becomes of the rows.
     """
     alike: dict[tuple[str, str, str], list[Rejection]] = {}
     for one in rejections:
         alike.setdefault((one.column, one.reason, one.remedy), []).append(one)
-    return [f"{first}{_more(others)}" for first, *others in alike.values()]
+    return [f"{verdict}: {first.text}{_more(others)}" for first, *others in alike.values()]
 
 
 def _more(others: list[Rejection]) -> str:
@@ -217,6 +233,7 @@ def reject(press: PressRecord, file: str, column: str, reason: str, remedy: str)
 
 def parse_number(text: str) -> float | None:
     """The finite float that plain decimal text stands for, else None."""
+    text = text.replace("\u2212", "-")  # the minus sign of print
     value = float(text) if _NUMBER.fullmatch(text) else math.nan
     return value if math.isfinite(value) else None
 
@@ -244,7 +261,7 @@ def parse(raw: RawRow, file: str, needed: Collection[str] = COLUMNS) -> tuple[Lo
     wrong: list[Rejection] = []
     values: dict[str, Any] = {}
     for name in KNOWN:
-        values[name], fault = _judge(name, raw.cells.get(name))
+        values[name], fault = judge_cell(name, raw.cells.get(name))
         if fault and (name in needed or name in OPTIONAL):
             wrong.append(_rejection(raw, file, name, *fault))
     if not wrong and values["dz_mm"] > -SHALLOW and abs(values["fz_n"] or 0.0) > BORNE:
@@ -276,7 +293,7 @@ def _cell(value: str | float | None) -> str:
     return repr(float(value)) if math.isfinite(value) else ""
 
 
-def _judge(name: str, text: str | None) -> tuple[str | float | None, tuple[str, str] | None]:
+def judge_cell(name: str, text: str | None) -> tuple[str | float | None, tuple[str, str] | None]:
     """Value of a cell, or what stands for none and what is wrong: (reason, remedy)."""
     if text is None:
         remedy = f"add a column {name} to the log{' (its cells may be empty)' if name in FORCES else ''}"

@@ -75,8 +75,8 @@ def refuse_to_replace(asked: str, written: Iterable[Path], read: Iterable[Path |
 
 
 def read_text(path: Path, remedy: str) -> str:
-    """Text of a regular file in UTF-8, with or without a byte order mark; line endings stay as they are."""
+    """Text of a regular file in UTF-8, whatever byte order marks it begins with; line endings stay as they are."""
     try:
-        return read_bytes(path, remedy).decode("utf-8-sig")
+        return read_bytes(path, remedy).decode("utf-8").lstrip("\ufeff")
     except UnicodeDecodeError as error:
         raise BadInput(f"{path}: not UTF-8 text ({error}); save it as CSV in UTF-8") from None

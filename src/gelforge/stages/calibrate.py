@@ -24,6 +24,7 @@ from gelforge.flow.params.tables import CalibrateSolverTable, CalibrateTable
 from gelforge.flow.progress import progress
 from gelforge.flow.slots import in_slots
 from gelforge.labelling.sensor import Sensor, load_sensors
+from gelforge.mechanics.scene import REFERENCE_C10
 from gelforge.records.log import rejected_rows
 from gelforge.reporting import cornerplots as plots
 
@@ -137,8 +138,8 @@ def refuse_beyond(posterior: Posterior, chain: Chain) -> None:
         )
 
 
-def summarise(done: Calibration, params: CalibrateTable) -> dict:
-    """Everything that summary.json holds but the solves and the plots."""
+def summarise(done: Calibration, params: CalibrateTable, usual: float = REFERENCE_C10) -> dict:
+    """Everything that summary.json holds but the solves and the plots. usual: C10 of such gels, MPa."""
     posterior, chain = done.posterior, done.chain
     parameters = summary.parameter_table(chain, posterior.model)
     correlation = summary.correlations(chain, posterior.model)
@@ -154,6 +155,7 @@ def summarise(done: Calibration, params: CalibrateTable) -> dict:
     least = least_error(posterior).error if plain else None
     said = summary.sentences(parameters, correlation, models, posterior.model.name)
     said.append(summary.predictive_sentence(repeated, own, least))
+    said[1:1] = summary.units_sentence(parameters["c10"]["median"], usual)
     return {
         "c10": summary.describe(posterior.model.values(chain.flat())["c10"]),
         "unit": "MPa",
@@ -315,7 +317,8 @@ def main(args: Namespace) -> None:
     readings, emulator, spent = emulate(readings, catalogue, params, nu, solves, args.jobs)
     done = calibrate(readings, emulator, params, nu, args.work / "chain.npz", say_figures, args.jobs)
     draw_plots(done, args.work, args.work / "chain.npz")
-    result = summarise(done, params)
+    own = of.params.get("material", {}).get("c10")
+    result = summarise(done, params, own if isinstance(own, int | float) else REFERENCE_C10)
     result["solves_spent"] = spent
     result["presses_logged"] = len(logged)
     write_json(args.out, result)

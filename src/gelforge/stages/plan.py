@@ -15,7 +15,7 @@ from pathlib import Path
 from stat import S_ISREG
 from types import MappingProxyType
 
-from gelforge.errors import BadInput
+from gelforge.errors import BadInput, printable
 from gelforge.flow import params as config
 from gelforge.flow.catalogue import with_content
 from gelforge.flow.files import read_json, write_if_changed, write_text
@@ -25,6 +25,7 @@ from gelforge.flow.params import DatasetFile, Params
 from gelforge.flow.params.tables import IN_PROCESS, SHIPPED, SHIPPED_IMAGE
 from gelforge.records.log import csv_text, read_log, shard_text
 from gelforge.records.press import SENSOR_TABLES, RawRow
+from gelforge.records.repeats import repeats
 from gelforge.records.table import read_table
 
 
@@ -101,6 +102,7 @@ def write_shards(
     for row, name in zip(rows, ids, strict=True):
         by_shard.setdefault(shards[name], []).append(row)
     pictures = image_digests(data, named(rows, "image"), out / "pictures.json")
+    repeated = repeated_rows(rows, pictures)
     names = []
     for shard, members in sorted(by_shard.items()):
         names.append(shard_name(shard))
@@ -108,6 +110,8 @@ def write_shards(
         # an entry that only other shards use may change without a rerun of this one
         entries = {kind: used(table, named(members, COLUMN_OF[kind])) for kind, table in tables.items()}
         entries["gels"] = own_shapes(entries.get("sensors", {}))
+        if found := {str(row.row): repeated[row.row] for row in members if row.row in repeated}:
+            entries["repeated"] = found
         entries["images"] = {name: pictures[name] for name in sorted(named(members, "image")) if name in pictures}
         write_if_changed(out / "shards" / f"{names[-1]}.json", config.canonical(entries))
     for gone in set(planned_shards(out / "shards")) - set(names):
@@ -127,6 +131,18 @@ def own_shapes(sensors: Mapping[str, object]) -> dict[str, dict]:
 
     names = {table.get("gel") for table in sensors.values() if isinstance(table, dict)}
     return {name: gel_shape(load_gel(name)) for name in sorted(filter(is_gel, names - GELS.keys()))}
+
+
+def repeated_rows(rows: list[RawRow], pictures: dict[str, str]) -> dict[int, str]:
+    """For each row whose picture another press shows, too, by its line: the first such row but itself.
+
+    pictures: digests by name, so that copies of a file count.
+    """
+    found: dict[int, str] = {}
+    for members in repeats(rows, [pictures.get(row.cells.get("image", "")) for row in rows]):
+        first, second = (f"row {rows[at].row}, {printable(rows[at].cells['sample_id'])[:100]}," for at in members[:2])
+        found |= {rows[at].row: second if at == members[0] else first for at in members}
+    return found
 
 
 COLUMN_OF = {"sensors": "sensor_id", "indenters": "indenter"}  # of the log, by catalogue

@@ -43,7 +43,7 @@ from gelforge.records.press import (
     told,
 )
 
-VERSION = 6
+VERSION = 7
 # A force sensor that drifted reads a light press as a small pull; beyond this the sign is turned round.
 LARGEST_PULL_N = 0.5
 # A tip that ends less deep below the crown may press so lightly that any reading is the sensor's own error.
@@ -178,6 +178,16 @@ def judge(rows: list[RawRow], file: str, data: Path, tables: dict, params: Poses
     return kept, sorted([*rejections, *astray], key=lambda r: r.row)
 
 
+def repeated_pictures(samples: list[LoggedPress], file: str, repeated: dict[str, str]) -> list[Rejection]:
+    """Reasons against samples whose picture another press shows, too; repeated: that press, by the sample's row."""
+    remedy = "give each press its own picture, or remove its row; did the camera freeze?"
+    return [
+        reject(sample, file, "image", f"{repeated[str(sample.row)]} shows a picture of the same content", remedy)
+        for sample in samples
+        if str(sample.row) in repeated
+    ]
+
+
 class Bodies:
     """Indenters by name, each built when first asked for; one that cannot be built raises the same BadInput again."""
 
@@ -246,8 +256,15 @@ def main(args: Namespace) -> None:
     tables = {name: read_json(args.params.parent / f"{name}.json") for name in ("sensors", "indenters")}
     rows = read_shard(args.shard)
     good, rejections = judge(rows, str(args.data / "log.csv"), args.data, {**tables, "folder": args.workflow}, params)
+    planned = args.shard.with_suffix(".json")
+    repeated = read_json(planned).get("repeated", {}) if params.images and planned.exists() else {}
+    doubtful = repeated_pictures([sample for sample, _ in good], str(args.data / "log.csv"), repeated)
+    if args.strict:
+        lost = {r.row for r in doubtful}
+        good = [(sample, body) for sample, body in good if sample.row not in lost]
+        rejections, doubtful = sorted([*rejections, *doubtful], key=lambda r: r.row), []
     write_shard(good, rejections, args.out, params)
-    for line in told(rejections):
+    for line in [*told(rejections), *told(doubtful, "kept, in one split with those like it")]:
         print(line, file=sys.stderr)
     if args.strict and rejections:
         count = len({r.row for r in rejections})
