@@ -7,7 +7,7 @@ import pytest
 
 from gelforge.errors import BadInput
 from gelforge.geometry.stlfile import read_stl
-from gelforge.geometry.triangles import cleaned, write_stl
+from gelforge.geometry.triangles import cleaned, is_watertight, joined, write_stl
 from tests.unit.test_shells import box
 
 BODY = box([-2.0, -2.0, 0.0], [4.0, 4.0, 6.0])
@@ -110,3 +110,23 @@ def test_an_archive_and_a_folder_are_refused_by_what_they_are(tmp_path):
     (tmp_path / "folder.stl").mkdir()
     with pytest.raises(BadInput, match=r"folder\.stl: cannot be read \(it is a folder\)"):
         read_stl(tmp_path / "folder.stl")
+
+
+@pytest.mark.parametrize("place", [[0.0, 0.0, 0.0], [30.0, -20.0, 5.0]])
+def test_corners_that_single_precision_parts_are_one(tmp_path, place):
+    """Programs compute a corner once for each triangle that meets in it."""
+    corners = (BODY[0] + place)[BODY[1]]
+    rng = np.random.default_rng(2)
+    for size in (0.0, 2e-8, 1e-7):
+        moved = corners * (1.0 + rng.uniform(-size, size, corners.shape))
+        write_stl(tmp_path / "b.stl", moved.reshape(-1, 3), np.arange(moved.size // 3).reshape(-1, 3))
+        vertices, faces = read_stl(tmp_path / "b.stl")
+        assert len(vertices) == 8 and is_watertight(faces)
+        assert np.linalg.norm(vertices[:, None] - (BODY[0] + place), axis=2).min(axis=1).max() < 2e-5
+
+
+def test_corners_that_a_body_has_apart_stay_apart(tmp_path):
+    """A slot of a hundredth of a millimetre is far wider than what single precision parts."""
+    left, right = box([-2.0, -2.0, 0.0], [1.995, 4.0, 6.0]), box([0.005, -2.0, 0.0], [1.995, 4.0, 6.0])
+    write_stl(tmp_path / "b.stl", *joined([left, right]))
+    assert len(read_stl(tmp_path / "b.stl")[0]) == 16

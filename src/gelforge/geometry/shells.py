@@ -9,6 +9,7 @@ from gelforge.geometry.triangles import Mesh, boolean, cleaned, is_watertight, j
 
 NEAR_MM = 1e-6  # what lies nearer touches
 FLAT_RAD = 1e-6  # between triangles that lie on each other
+LEAST_MM2 = 1e-9  # twice the area of a triangle that counts as one
 LEAST_MM3 = 1e-6  # a shell that encloses less is a sheet
 REMEDY = "in the program that exported it"
 
@@ -19,6 +20,7 @@ def outer_surface(vertices: np.ndarray, faces: np.ndarray, what: str) -> Mesh:
     However its shells were oriented. One inside another is left out, those that overlap or touch are united. A shell that
     is open, one-sided, crosses itself or encloses nothing raises BadInput that names it and `what`.
     """
+    faces = _without_needless(vertices, faces)
     if _half_edges(faces)[2].max() > 2:
         # once the senses are right they part what touches in an edge alone
         faces = split_shells(vertices, _without_copies(faces), what)[1]
@@ -139,6 +141,15 @@ def _connected(count: int, one: np.ndarray, other: np.ndarray) -> np.ndarray:
     return connected_components(coo_matrix((np.ones(len(one)), (one, other)), shape=(count, count)), directed=False)[
         1
     ]
+
+
+def _without_needless(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Triangles without those that a file holds twice, or that have no area, where nothing but these leaves edges open."""
+    once = faces[np.sort(np.unique(np.sort(faces, axis=1), axis=0, return_index=True)[1])]
+    a, b, c = vertices[once].transpose(1, 0, 2)
+    wide = once[np.linalg.norm(np.cross(b - a, c - a), axis=1) > LEAST_MM2]
+    closed = (kept for kept in (faces, once, wide) if len(kept) and not (_half_edges(kept)[2] % 2).any())
+    return next(closed, faces)
 
 
 def _without_copies(faces: np.ndarray) -> np.ndarray:

@@ -12,6 +12,7 @@ from gelforge.records.regular import read_bytes
 
 HEADER = 84  # bytes before the triangles of a binary file, the last four their number
 RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+WELD = 1e-6  # of the largest coordinate: some units in the last place of single precision
 EXPORT = "export the body again as binary STL"
 LFS = "it is a Git LFS pointer, its content was not fetched; run `git lfs pull`"
 MARKS = {codecs.BOM_UTF8: "utf-8", codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
@@ -46,12 +47,28 @@ def read_stl(path, scale: float = 1.0) -> Mesh:
     if not np.isfinite(corners).all():
         at = int(np.argmin(np.isfinite(corners).all(axis=(1, 2))))
         raise BadInput(f"{path}: a corner of its triangle {at + 1} is no finite number; {EXPORT}")
-    vertices, faces = cleaned(corners.reshape(-1, 3) * scale, np.arange(3 * len(corners)).reshape(-1, 3))
+    every = np.arange(3 * len(corners)).reshape(-1, 3)
+    vertices, faces = cleaned(welded(corners.reshape(-1, 3)) * scale, every)
     if not len(faces):
         raise BadInput(
             f"{path}: all of its triangles shrink to points or lines at scale = {scale:g}; correct the scale"
         )
     return vertices, faces
+
+
+def welded(points: np.ndarray) -> np.ndarray:
+    """Points (n, 3), each moved to the first of those within single precision of it: STL states a corner once a triangle."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    unique, inverse = np.unique(points, axis=0, return_inverse=True)
+    pairs = cKDTree(unique).query_pairs(WELD * np.abs(unique).max(initial=0.0), output_type="ndarray")
+    links = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(unique),) * 2)
+    _, first, group = np.unique(
+        connected_components(links, directed=False)[1], return_index=True, return_inverse=True
+    )
+    return unique[first[group]][inverse.ravel()]
 
 
 def _binary(data: bytes) -> np.ndarray | None:
