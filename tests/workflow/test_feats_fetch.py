@@ -94,6 +94,7 @@ def test_what_is_published_becomes_a_dataset_with_its_splits(root, tmp_path, pub
     still = read_sample(sorted((published / "labels/train").iterdir())[0])  # the one without contact
     assert not still.label.any()
     assert np.array_equal(read_image(tmp_path / "data/nocontact/feats_mini.png"), still.image)
+    assert "branches = []" in (tmp_path / "data/dataset.toml").read_text()  # no pose and no reading is known
     labels = read_labels(tmp_path / "data/labels/24x32.npz")
     assert labels.label.shape == (COUNT, 3, 24, 32)
 

@@ -741,6 +741,17 @@ def test_labels_that_were_imported_at_another_resolution_are_named(alone):
     assert done.returncode and "labels of 1x1, not of 24x32: say RES=1x1" in done.stdout, done.stdout
 
 
+def test_a_report_of_imported_labels_solves_nothing(alone):
+    """Of labels that came with their pictures no pose may be known."""
+    write_text(alone / "data/tiny/labels/24x32.npz", "")
+    write_text(alone / "data/tiny/dataset.toml", "[params.report]\nbranches = []\n")
+    said = make(alone, "-n", "report", "DATASET=tiny", "MODEL=grid_16").stdout
+    assert "gelforge.stages.report" in said and "gelforge.stages.dataset" in said, said
+    assert not [
+        stage for stage in ("poses", "meshes", "fea", "forces", "labels") if f"gelforge.stages.{stage} " in said
+    ]
+
+
 def test_a_projection_without_a_sensor_is_one_sentence(alone):
     done = make(alone, "projection", "POINTS=p.csv")
     assert done.returncode and "no sensor named; say make projection SENSOR=name" in done.stdout, done.stdout

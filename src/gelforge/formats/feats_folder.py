@@ -43,6 +43,8 @@ catalogue = "indenters.toml"
 [params.plan]
 shard_size = 500
 """
+# Of labels alone no pose and no force sensor's reading is known, from which branches of the report start.
+LABELS_ALONE = "[params.report]\nbranches = []\n"
 
 
 @contextmanager
@@ -111,7 +113,9 @@ def import_folder(source: Path, data: Path, sensor, other=None, splits: Sequence
         if splits_of:
             write_csv(part / "splits.csv", ["sample_id", "split"], splits_of)
         write_nocontact(part, presses)
-        write_text(part / "dataset.toml", DATASET_TOML.format(sensor=sensor.name, gel=sensor.gel))
+        known = any(press["raw"] for press in presses.values())
+        text = DATASET_TOML.format(sensor=sensor.name, gel=sensor.gel) + ("" if known else LABELS_ALONE)
+        write_text(part / "dataset.toml", text)
     grids = {f"{rows}x{cols}": len(members) for (rows, cols), members in labels.items()}
     return {"presses": len(presses), "labels": grids, "files": len(files)}
 
