@@ -50,7 +50,6 @@ def hardest_frames(film: Path, model):
 
     from gelforge.networks.inference.predictor import Predictor
     from gelforge.networks.preprocess.nocontact import find_nocontact
-    from gelforge.networks.preprocess.scale import WHOLE
     from gelforge.records.film import frames, open_source
 
     with open_source(film, None) as (source, announced):
@@ -61,9 +60,7 @@ def hardest_frames(film: Path, model):
         read = [(one.image, one.cells) for one in found]
     parts = np.array_split(np.arange(len(read)), SHOWN)
     hardest = [max((read[at] for at in part), key=lambda pair: -pair[1][2].sum()) for part in parts if len(part)]
-    nocontact = predictor.prepare.nocontact
-    view = WHOLE if nocontact is None else nocontact.view
-    return [shown(image, forces, view) for image, forces in hardest]
+    return [shown(image, forces, predictor.view) for image, forces in hardest]
 
 
 def shown(image: np.ndarray, forces: np.ndarray, view) -> tuple[np.ndarray, np.ndarray]:

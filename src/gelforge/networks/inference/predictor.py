@@ -15,6 +15,7 @@ from gelforge.networks.checkpoint.modelfile import ForceModel, load_model, requi
 from gelforge.networks.inference.sensorprofile import AS_READ, Gain
 from gelforge.networks.preprocess.illumination import Light
 from gelforge.networks.preprocess.pair import FEATURES, Prepared, Preprocessor
+from gelforge.networks.preprocess.scale import WHOLE, View
 from gelforge.networks.uncertainty.conformal import half_widths
 from gelforge.networks.uncertainty.ood import (
     as_arrays,
@@ -78,6 +79,11 @@ class Predictor:
         rest = self.prepare.at_rest()
         return np.zeros((3, 1, 1), np.float32) if rest is None else self.raw(rest)
 
+    @property
+    def view(self) -> View:
+        """How pictures of the sensor are scaled."""
+        return WHOLE if self.prepare.nocontact is None else self.prepare.nocontact.view
+
     def raw(self, seen: Prepared) -> np.ndarray:
         """Forces (3, rows, cols) N of a prepared picture as the graphs predict them, without tare and factor."""
         known = _Known(seen)
@@ -93,14 +99,12 @@ class Predictor:
         score, unlike = pair_score_fault(self.statistics, seen.lit, pair_diagnostics(seen))
         grey = monochrome_fault(self.statistics, seen.image, "the picture")
         faults = (seen.fault, grey, self.fault, unlike, light_fault(seen.light), pull_fault(total[2]))
-        view = None if seen.nocontact is None else seen.nocontact.view
-        shown = (slice(None), slice(None)) if view is None else view.cells_shown(cells.shape[1:])
         return ForceReading(
             cells=cells,
             total=total,
             half_width=half_widths(self.metadata, total, self.gain),
             reason=next(filter(None, faults), ""),
-            edge_peak=edge_peak(cells, shown),
+            edge_peak=edge_peak(cells, self.view.cells_shown(cells.shape[1:])),
             ood_score=score,
             image=seen.image,
         )
