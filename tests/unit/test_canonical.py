@@ -298,8 +298,9 @@ def test_a_gel_that_was_shifted_in_its_holder_is_shifted_back(untouched, far):
     assert np.abs(back - rest)[20:-20, 20:-20].mean() < 1.0
 
 
-def test_what_a_shift_does_to_force_grows_without_a_jump(shipped, untouched):
-    rest = untouched[0]
-    predictor, press = Predictor(shipped, rest), pressed(rest, 0.03, 1)
+def test_what_a_shift_does_to_force_grows_without_a_jump(shipped, root):
+    """Also where it begins to be taken back."""
+    press, rest = (read_image(root / f"data/demo/{name}.png") for name in ("images/demo-000002", "nocontact/mini_a"))
+    predictor = Predictor(shipped, rest)
     normal = np.array([predictor.predict(moved(press, (far, 0.0))).total[2] for far in np.linspace(2.0, 3.5, 16)])
     assert np.abs(np.diff(normal)).max() < 0.05 * np.abs(normal).max()

@@ -67,7 +67,6 @@ def diagnostics(image, picture):
 
 
 DAMAGE = {
-    "a shift": (lambda image: moved(image, (7.0, 5.0)), "rim"),
     "a turn": (lambda image: moved(image, turn=-4.5), "rim"),
     "a zoom": (lambda image: moved(image, zoom=1.12), "rim|markers|no-contact"),
     "out of focus": (lambda image: cv2.GaussianBlur(image, (0, 0), 6.0), "markers at the rim"),
