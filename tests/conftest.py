@@ -38,6 +38,7 @@ LONG = (
     "test_slurm",
     "test_nested",
     "test_rig",
+    "test_benchmarks",
     "test_hex",
     "test_placement",
     "test_rig_forces",
