@@ -20,8 +20,9 @@ from gelforge.commands.live_readings import readings, stopping, until
 from gelforge.errors import BadInput
 from gelforge.networks.inference.predictor import Predictor
 from gelforge.networks.inference.sensorprofile import Gain, make_profile, write_profile
-from gelforge.networks.preprocess.nocontact import FEWEST
 from gelforge.networks.uncertainty import ood
+from gelforge.records.film import Frame
+from gelforge.records.nocontact import FEWEST, SETTLING, STILL
 from gelforge.reporting import forcemaps
 from tests.benchmarks import real, real_page
 from tests.limited import limited_python
@@ -436,7 +437,7 @@ def test_live_takes_the_first_frames_at_rest_for_the_untouched_sensor(data, mode
     overlay = live.Overlay(Predictor(models["pair"].model, filmed[10]))
     wanted = overlay(cv2.cvtColor(filmed[-1], cv2.COLOR_RGB2BGR))
     got = read_frames(tmp_path / "o.avi")
-    assert len(got) == len(seen)
+    assert len(got) == len(seen) - SETTLING
     # the video is compressed; the lines that tell times differ
     assert np.median(np.abs(got[-1].astype(int) - wanted[..., ::-1])) <= 2
 
@@ -466,7 +467,7 @@ def test_live_refuses_fewer_frames_than_tell_the_untouched_sensor(data, paths, t
         live.main([*words, "--frames", str(FEWEST - 1)])
     assert not out.exists()
     live.main([*words, "--frames", str(FEWEST)])
-    assert len(read_frames(out)) == FEWEST
+    assert len(read_frames(out)) == STILL
     cv2.imwrite(str(tmp_path / "rest.png"), rest)
     live.main([*words, "--frames", "3", "--nocontact", str(tmp_path / "rest.png")])
     assert len(read_frames(out)) == 3
@@ -508,15 +509,14 @@ def test_live_flags_the_frames_that_predict_flags(models, data):
     frames = [np.ascontiguousarray(data.images[0]), np.zeros((*IMAGE, 3), np.uint8)]
     predictor = Predictor(models["small"].model)
     judged = [predictor.predict(frame) for frame in frames]
-    told = list(readings(predictor, [frame[..., ::-1] for frame in frames]))
+    told = list(readings(predictor, [Frame(k, 0.04 * k, frame[..., ::-1]) for k, frame in enumerate(frames)]))
     for lines in ([reading.row() for reading in told], [reading.event() for reading in told]):
         assert [line["flag"] for line in lines] == [one.flag for one in judged] == [False, True]
         assert [line["reason"] for line in lines] == [one.reason for one in judged]
 
 
 def test_a_film_has_the_time_of_its_frames(data, models):
-    frames = [np.ascontiguousarray(data.images[0])] * 3
+    times = [0.0, 0.04, 2.13]
+    frames = [Frame(k, time, np.ascontiguousarray(data.images[0])) for k, time in enumerate(times)]
     predictor = Predictor(models["small"].model)
-    assert [reading.time_s for reading in readings(predictor, frames, frame_s=0.04)] == pytest.approx(
-        [0.0, 0.04, 0.08]
-    )
+    assert [reading.time_s for reading in readings(predictor, frames)] == times

@@ -25,9 +25,9 @@ from gelforge.networks.inference.sensorprofile import (
     with_profile,
     write_profile,
 )
-from gelforge.networks.preprocess.nocontact import FEWEST
 from gelforge.records.image import read_image
 from gelforge.records.markers import pitch_of
+from gelforge.records.nocontact import FEWEST
 from tests.benchmarks.real import feats_maps
 
 

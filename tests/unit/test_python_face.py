@@ -19,6 +19,7 @@ from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.scene import REFERENCE_C10
 from gelforge.networks.inference.predictor import Predictor, load_for_use
 from gelforge.networks.inference.sensorprofile import Gain, make_profile, write_profile
+from gelforge.records.film import numbered
 from gelforge.records.image import read_image, write_png
 from gelforge.records.log import read_presses
 from gelforge.records.markers import pitch_of
@@ -149,7 +150,7 @@ def test_the_same_image_gives_the_same_answer_everywhere(root, tmp_path):
     assert len(list(predict.predict_files(paths, predictor, tmp_path / "out"))) == len(paths)
     np.testing.assert_array_equal([np.load(tmp_path / "out" / f"{path.stem}.npy") for path in paths], wanted)
     np.testing.assert_array_equal([one.cells for one in reader.batch(np.stack(images[::-1]))][::-1], wanted)
-    told = readings(predictor, [np.ascontiguousarray(image[..., ::-1]) for image in images])
+    told = readings(predictor, numbered(np.ascontiguousarray(image[..., ::-1]) for image in images))
     np.testing.assert_array_equal([one.found.cells for one in told], wanted)
     taken = []
     found = reader.stream(taken.append(image) or image for image in images)

@@ -12,8 +12,8 @@ from gelforge.errors import BadInput
 from gelforge.flow.params.tables import SHIPPED_IMAGE
 from gelforge.networks.checkpoint.modelfile import load_model, require_sensor
 from gelforge.networks.inference.predictor import SHIPPED, Predictor, load_for_use
-from gelforge.networks.preprocess.nocontact import picture_at_rest
 from gelforge.records.film import frames, open_source
+from gelforge.records.nocontact import nocontact_of
 
 LARGEST = 3 * 2**20  # bytes
 
@@ -66,7 +66,7 @@ def some_frames(film: Path) -> list[np.ndarray]:
 def test_the_other_finger_of_a_gripper_is_flagged_and_ones_own_is_not(reference, grasp):
     """Both look alike and show no rim; a released gel reads up to 40 N against the other's untouched picture."""
     films = [reference / f"gripper_videos/{grasp}_camera_{finger}.avi" for finger in (0, 2)]
-    fingers = [Predictor(load_for_use(None), picture_at_rest(film, None)) for film in films]
+    fingers = [Predictor(load_for_use(None), nocontact_of(film, None)) for film in films]
     flagged = {True: [], False: []}
     for one, predictor in enumerate(fingers):
         for other, film in enumerate(films):

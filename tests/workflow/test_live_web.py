@@ -26,8 +26,9 @@ from gelforge.live.reading import Reading
 from gelforge.live.recording import Recorder, paced
 from gelforge.live.server import KEPT, WEB, Hub, Server, serve
 from gelforge.networks.inference.predictor import Predictor, load_for_use
-from gelforge.records.film import frames, open_source
+from gelforge.records.film import Film, open_source
 from gelforge.records.forcereading import ForceReading
+from gelforge.records.nocontact import SETTLING
 from gelforge.reporting.forcemaps import FULL_COLOUR_N
 from tests.browser import WIDTHS, browser, console_errors, needs_browser, wait_for
 from tests.limited import limited
@@ -163,10 +164,11 @@ def test_a_camera_that_stops_is_told_and_what_it_gave_is_kept(film, tmp_path, as
     args = Namespace(camera=0, frames=asked, jsonl=tmp_path / "live.jsonl", csv=None)
     said = pytest.raises(BadInput, match="camera 0: stopped after 3 frames") if asked is None else nullcontext()
     with open_source(film, None) as (capture, _):
-        seen = list(frames(capture, 3, "camera 0", 3))
-        predictor = Predictor(load_for_use(None, None), cv2.cvtColor(seen[0], cv2.COLOR_BGR2RGB))
+        source = Film(capture, 0, "camera 0", 3, camera=True)
+        seen = list(source)
+        predictor = Predictor(load_for_use(None, None), cv2.cvtColor(seen[0].image, cv2.COLOR_BGR2RGB))
         with said:
-            keep_readings(args, predictor, iter(seen), capture, "camera 0", threading.Event())
+            keep_readings(args, predictor, iter(seen), source, "camera 0", threading.Event())
     assert len((tmp_path / "live.jsonl").read_text().splitlines()) == 3
 
 
@@ -186,10 +188,12 @@ def test_without_a_display_lines_and_rows_are_written(film, tmp_path):
     told = [json.loads(line) for line in lines.read_text().splitlines()]
     with table.open() as stream:
         rows = list(csv.DictReader(stream))
-    assert len(told) == len(rows) == 24 and [row["frame"] for row in told] == list(range(24))
+    assert len(told) == len(rows) == 16 and [row["frame"] for row in told] == list(range(SETTLING, 24))
+    assert [row["time_s"] for row in told] == pytest.approx([0.1 * row["frame"] for row in told])
+    assert "frames before the no-contact image are not read: 8" in ran.stderr
     assert [float(row["grid_z_n"]) for row in rows] == [row["grid_z_n"] for row in told]
-    assert min(row["grid_z_n"] for row in told[16:]) < -1.0 < told[0]["grid_z_n"]
-    assert f"24 frames read; {sum(row['flag'] for row in told)} flagged" in ran.stderr
+    assert min(row["grid_z_n"] for row in told[8:]) < -1.0 < told[0]["grid_z_n"]
+    assert f"16 frames read; {sum(row['flag'] for row in told)} flagged" in ran.stderr
 
 
 def test_how_many_frames_are_flagged_is_counted_where_they_are_written(tmp_path):

@@ -2,9 +2,12 @@
 
 --web serves a page to this machine, with recording and replay; --foxglove serves messages of ROS 2 to Foxglove, --record
 writes them as MCAP; --jsonl and --csv write what is read, without a display.
-A network that reads pairs takes the mean of the first frames at rest as no-contact image, unless one is given.
+A network that reads pairs takes the mean of the first frames at rest as no-contact image, unless one is given; the frames
+before these are not read.
 """
 
+import itertools
+import sys
 import threading
 import time
 from argparse import Namespace
@@ -18,7 +21,8 @@ from gelforge.flow.files import publish
 from gelforge.flow.main import command, from_zero, option, positive, renamed
 from gelforge.networks.checkpoint.graph import DEVICES
 from gelforge.records.axes import CHANNEL_OF_AXIS
-from gelforge.records.film import frames, open_source, rate_of, source_name
+from gelforge.records.film import Film, open_source, source_name
+from gelforge.records.nocontact import FEWEST, find_nocontact
 from gelforge.records.regular import real_place, refuse_to_replace
 
 RATE_OVER = 30  # frames that the shown rate is averaged over
@@ -166,8 +170,6 @@ def refuse_taken_files(args: Namespace) -> None:
 
 def need_frames(asked: int | None) -> None:
     """BadInput where fewer frames are asked for than it takes to find the no-contact image."""
-    from gelforge.networks.preprocess.nocontact import FEWEST
-
     if asked is not None and asked < FEWEST:
         raise BadInput(
             f"--frames {asked}: the no-contact image is found among the first frames, {FEWEST} at least; ask for more, or"
@@ -176,7 +178,7 @@ def need_frames(asked: int | None) -> None:
 
 
 def predictor_of(args: Namespace, model, picture: np.ndarray | None, seen, name: str) -> tuple:
-    """The model beside the sensor's no-contact image (networks.inference.predictor), and the frames, BGR, from the first on.
+    """The model beside the sensor's no-contact image (networks.inference.predictor), and the frames to read (records.film.Frame).
 
     picture: what was given for it, (h, w, 3) RGB; where nothing was, the profile's serves; where there is none either and the
     network needs one, the frames tell it.
@@ -185,31 +187,33 @@ def predictor_of(args: Namespace, model, picture: np.ndarray | None, seen, name:
 
     from gelforge.networks.inference.predictor import Predictor
     from gelforge.networks.inference.sensorprofile import with_profile
-    from gelforge.networks.preprocess.nocontact import find_nocontact
 
     if picture is None and not args.profile and model.needs_nocontact:
         need_frames(args.frames)
         picture, seen = find_nocontact(seen, name)
+        first = next(seen)
+        print(f"{name}: frames before the no-contact image are not read: {first.number}", file=sys.stderr)
+        seen = itertools.chain([first], seen)
         picture = cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
     picture, gain = with_profile(args.profile, picture, model.metadata)
     return Predictor(model, picture, gain, args.device, args.threads), seen
 
 
-def draw(args: Namespace, predictor, seen, capture, name: str, over: threading.Event) -> None:
+def draw(args: Namespace, predictor, seen, film: Film, name: str, over: threading.Event) -> None:
     """Write a film of frames with forces on them, or show them in a window, and say how fast it went."""
     from gelforge.commands.live_readings import is_lost, lost, until
 
     overlay = Overlay(predictor)
-    pictures = (overlay(frame) for frame in until(over, seen))
+    pictures = (overlay(frame.image) for frame in until(over, seen))
     started = time.perf_counter()
-    count = write_video(pictures, args.out, rate_of(capture)) if args.out else show(pictures)
+    count = write_video(pictures, args.out, film.rate) if args.out else show(pictures)
     seconds = time.perf_counter() - started
     print(
         f"{count} frames in {seconds:.1f} s: {count / seconds:.1f} a second with overlay; network and check "
         f"{np.median(overlay.network_ms or [0.0]):.1f} ms a frame; {overlay.flagged} flagged"
     )
-    if args.out and is_lost(args, over, count):
-        raise BadInput(lost(name, count))
+    if args.out and is_lost(args, over, film):
+        raise BadInput(lost(name, film.taken))
 
 
 @command(
@@ -260,8 +264,8 @@ def main(args: Namespace) -> None:
     picture = read_image(args.nocontact) if args.nocontact else None
     name = source_name(args.video, args.camera)
     with open_source(args.video, args.camera) as (capture, announced):
-        seen = frames(capture, announced, name, args.frames)
-        predictor, seen = predictor_of(args, model, picture, seen, name)
+        film = Film(capture, announced, name, args.frames, args.camera is not None, args.video)
+        predictor, seen = predictor_of(args, model, picture, film, name)
         with stopping() as over:
             topics = args.foxglove or (args.record and not args.web)
             face = (
@@ -273,7 +277,7 @@ def main(args: Namespace) -> None:
                 if args.jsonl or args.csv
                 else draw
             )
-            face(args, predictor, seen, capture, name, over)
+            face(args, predictor, seen, film, name, over)
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ import sys
 import threading
 import time
 from argparse import Namespace
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
@@ -13,23 +13,25 @@ from gelforge.errors import BadInput
 from gelforge.live.reading import Reading, write_lines
 from gelforge.live.recording import Recorder
 from gelforge.live.server import Hub, Server, serve
-from gelforge.records.film import rate_of
+from gelforge.records.film import Film, Frame
 
 LONGEST_LINE = 2**20  # bytes, of a reading that is written
 
 
-def readings(predictor, frames, pace_s: float = 0.0, frame_s: float | None = None) -> Iterator[Reading]:
-    """Read frames (h, w, 3) BGR, at most one every `pace_s`; frame_s: time between them, of a film, whose time counts."""
+def readings(predictor, frames: Iterable[Frame], paced: bool = False) -> Iterator[Reading]:
+    """Read frames; paced: not before their time, as a film is shown."""
     import cv2
 
-    started = time.perf_counter()
-    for number, frame in enumerate(frames):
-        time.sleep(max(0.0, started + number * pace_s - time.perf_counter()))
+    started = None
+    for frame in frames:
         now = time.perf_counter()
-        found = predictor.predict(cv2.cvtColor(frame, cv2.COLOR_BGR2RGB))
+        started = now - frame.time_s if started is None else started
+        if paced:
+            time.sleep(max(0.0, started + frame.time_s - now))
+        now = time.perf_counter()
+        found = predictor.predict(cv2.cvtColor(frame.image, cv2.COLOR_BGR2RGB))
         took = 1e3 * (time.perf_counter() - now)
-        time_s = now - started if frame_s is None else number * frame_s
-        yield Reading(number, time_s, found, took)
+        yield Reading(frame.number, frame.time_s, found, took)
 
 
 def lost(name: str, count: int) -> str:
@@ -37,29 +39,23 @@ def lost(name: str, count: int) -> str:
     return f"{name}: stopped after {count} frames; see that it is plugged in, and start again"
 
 
-def is_lost(args: Namespace, over: threading.Event, count: int) -> bool:
+def is_lost(args: Namespace, over: threading.Event, film: Film) -> bool:
     """Whether a camera gave no more frames although nobody asked it to end; a film may end."""
-    asked = over.is_set() or (args.frames is not None and count >= args.frames)
-    return args.camera is not None and not asked
+    asked = over.is_set() or (args.frames is not None and film.taken >= args.frames)
+    return film.camera and not asked
 
 
-def frame_seconds(args: Namespace, capture) -> float | None:
-    """Time between the frames of a film; None of a camera."""
-    return None if args.camera is not None else 1.0 / rate_of(capture)
-
-
-def keep_readings(args: Namespace, predictor, frames, capture, name: str, over: threading.Event) -> None:
+def keep_readings(args: Namespace, predictor, frames, film: Film, name: str, over: threading.Event) -> None:
     """Write readings to files until the frames end or `over` is set."""
-    found = readings(predictor, until(over, frames), frame_s=frame_seconds(args, capture))
+    found = readings(predictor, until(over, frames))
     count, flagged = write_files(found, args.jsonl, args.csv)
-    if is_lost(args, over, count):
-        raise BadInput(lost(name, count))
+    if is_lost(args, over, film):
+        raise BadInput(lost(name, film.taken))
     print(f"{count} frames read; {flagged} flagged", file=sys.stderr)
 
 
-def show_page(args: Namespace, predictor, frames, capture, name: str, over: threading.Event) -> None:
+def show_page(args: Namespace, predictor, frames, film: Film, name: str, over: threading.Event) -> None:
     """Serve the page until `over` is set."""
-    frame_s = frame_seconds(args, capture)
     with ExitStack() as stack:
         hub, recorder = Hub(), Recorder(args.record or Path("recordings"))
         server = Server(args.host, args.port, hub, recorder)
@@ -69,8 +65,8 @@ def show_page(args: Namespace, predictor, frames, capture, name: str, over: thre
         stack.callback(server.shutdown)
         print(f"{server.url} shows {name}; Ctrl-C ends", flush=True)
         try:
-            count = serve(until(over, readings(predictor, frames, frame_s or 0.0, frame_s)), hub, recorder)
-            said = lost(name, count) if is_lost(args, over, count) else f"{name}: ended after {count} frames"
+            count = serve(until(over, readings(predictor, frames, paced=not film.camera)), hub, recorder)
+            said = lost(name, film.taken) if is_lost(args, over, film) else f"{name}: ended after {count} frames"
         except BadInput as error:
             said = str(error)
         with suppress(BadInput):  # the recorder keeps it, and pages are told by its state

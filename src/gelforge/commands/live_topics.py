@@ -5,27 +5,27 @@ from argparse import Namespace
 from collections.abc import Iterable
 from contextlib import ExitStack
 
-from gelforge.commands.live_readings import frame_seconds, is_lost, lost, readings, until
+from gelforge.commands.live_readings import is_lost, lost, readings, until
 from gelforge.errors import BadInput
 from gelforge.live.foxglove import FoxgloveServer
 from gelforge.live.reading import Reading
 from gelforge.live.recording import McapRecorder
 from gelforge.live.topics import RosMessages
+from gelforge.records.film import Film
 
 
-def show_topics(args: Namespace, predictor, frames, capture, name: str, over: threading.Event) -> None:
+def show_topics(args: Namespace, predictor, frames, film: Film, name: str, over: threading.Event) -> None:
     """Serve messages until `over` is set, and record them until the frames end.
 
     BadInput at the end where the frames ended before they should, or the recording was lost; viewers see it at once.
     """
-    frame_s = frame_seconds(args, capture)
     with ExitStack() as stack:
         topics = RosMessages(args.sensor or (args.profile.stem if args.profile else "gelforge"))
         server, recorder = opened(args, name, stack)
-        found = readings(predictor, until(over, frames), frame_s or 0.0 if server else 0.0, frame_s)
+        found = readings(predictor, until(over, frames), paced=bool(server) and not film.camera)
         count, fault = send(found, topics, server, recorder)
-        if is_lost(args, over, count):
-            fault = fault or BadInput(lost(name, count))
+        if is_lost(args, over, film):
+            fault = fault or BadInput(lost(name, film.taken))
         if recorder and recorder.on:
             recorder.stop()
             print(f"{recorder.file(recorder.name)}: {count} frames", flush=True)

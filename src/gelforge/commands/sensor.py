@@ -35,10 +35,10 @@ from gelforge.networks.inference.sensorprofile import (
     read_profile,
     write_profile,
 )
-from gelforge.networks.preprocess.nocontact import picture_at_rest
 from gelforge.records.film import source_name
 from gelforge.records.image import read_image
 from gelforge.records.markers import pitch_of
+from gelforge.records.nocontact import nocontact_of
 from gelforge.records.press import check_id, parse_number
 from gelforge.records.regular import real_place, refuse_to_replace
 from gelforge.records.table import numbered_rows
@@ -142,7 +142,7 @@ def nocontact_picture(image: Path | None, video: Path | None, camera: int | None
         )
     if image is not None:
         return read_image(image), str(image)
-    return picture_at_rest(video, camera), source_name(video, camera)
+    return nocontact_of(video, camera), source_name(video, camera)
 
 
 def _normals(predictor: Predictor, pictures: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

@@ -1,16 +1,20 @@
-"""Frames of a camera or a video file."""
+"""Frames of a camera or a video file, each with its own time."""
 
 import mmap
 import os
-from collections.abc import Iterator
+import time
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.records.regular import file_fault
+
+EBML, SEGMENT = b"\x1a\x45\xdf\xa3", b"\x18\x53\x80\x67"  # what a Matroska or WebM file begins with (RFC 9559)
 
 
 @contextmanager
@@ -25,7 +29,7 @@ def open_source(video: Path | None, camera: int | None) -> Iterator[tuple[Any, i
     if fault:
         told = "no such video" if fault.startswith("No such file") else f"cannot be read as a video ({fault})"
         raise BadInput(f"{video}: {told}; name an AVI or MP4 file")
-    # of a damaged film OpenCV's decoder tells thousands of lines, `frames` one
+    # of a damaged film OpenCV's decoder tells thousands of lines, `Film` one
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     source = cv2.VideoCapture(str(video)) if camera is None else cv2.VideoCapture(camera)
     if not source.isOpened():
@@ -63,20 +67,100 @@ def source_name(video: Path | None, camera: int | None) -> str:
     return f"camera {camera}" if video is None else str(video)
 
 
+@dataclass(frozen=True)
+class Frame:
+    """One frame: its number from 0, seconds since the first one, and its image (h, w, 3) uint8 BGR."""
+
+    number: int
+    time_s: float
+    image: np.ndarray
+
+
+class Film:
+    """Frames of an open source, to be iterated over once; `taken` says how many were read so far.
+
+    source, announced: of `open_source`. limit: of frames. camera: whether time runs by this computer's clock. path: of a film.
+    """
+
+    def __init__(
+        self, source: Any, announced: int, name: str, limit: int | None, camera: bool, path: Path | None = None
+    ) -> None:
+        self.name, self.camera, self.rate, self.taken = name, camera, rate_of(source), 0
+        self._source, self._limit, self._path = source, limit, path
+        self._announced = announced
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Yield frames until the source or the limit ends; BadInput if a film ends early or frames change their size."""
+        first = last = 0.0
+        size: tuple[int, ...] = ()
+        while self._limit is None or self.taken < self._limit:
+            good, image = self._source.read()
+            if not good:
+                break
+            size = size or image.shape
+            if image.shape != size:
+                raise BadInput(
+                    f"{self.name}: frames changed from {size[1]} x {size[0]} to {image.shape[1]} x {image.shape[0]} after"
+                    f" {self.taken} frames; set the size before, and start again"
+                )
+            now = self._clock()
+            if not self.taken:
+                first = last = now
+            elif not now > last:  # a film that knows no times, or repeats one
+                now = last + 1.0 / self.rate
+            last = now
+            self.taken += 1
+            yield Frame(self.taken - 1, now - first, image)
+        self._check_whole(last)
+
+    def _clock(self) -> float:
+        """When the frame just read was shown or taken, s."""
+        import cv2
+
+        return time.perf_counter() if self.camera else 1e-3 * self._source.get(cv2.CAP_PROP_POS_MSEC)
+
+    def _check_whole(self, last: float) -> None:
+        """BadInput where no frame was read, or fewer than there are; last: time of the last one in the film, s."""
+        expected = self._announced if self._limit is None else min(self._announced, self._limit)
+        if self.taken == 0:
+            raise BadInput(f"{self.name}: holds no frame that can be decoded")
+        # files without an index announce what duration and mean rate make of it, not how many frames they hold
+        ended = last + 2.0 / self.rate >= self._announced / self.rate
+        if self.taken < expected and not ended and not (self._path and is_whole_matroska(self._path)):
+            raise BadInput(
+                f"{self.name}: ended after {self.taken} of {expected} frames; the file is cut short or damaged: use --frames"
+                f" {self.taken} to take what there is"
+            )
+
+
+def numbered(images: Iterable[np.ndarray], rate: float = 25.0) -> Iterator[Frame]:
+    """Images (h, w, 3) uint8 as the frames of a film of an even rate."""
+    return (Frame(number, number / rate, image) for number, image in enumerate(images))
+
+
 def frames(source: Any, announced: int, name: str, limit: int | None) -> Iterator[np.ndarray]:
-    """Yield frames (h, w, 3) BGR until the source or `limit` ends; BadInput if it ends before it should."""
-    count = 0
-    while limit is None or count < limit:
-        good, frame = source.read()
-        if not good:
-            break
-        count += 1
-        yield frame
-    expected = min(announced, limit) if limit is not None else announced
-    if count == 0 or count < expected:
-        raise BadInput(
-            f"{name}: ended after {count} of {expected or 'an unknown number of'} frames; the file is cut "
-            f"short or damaged: use --frames {count} to take what there is"
-            if count
-            else f"{name}: holds no frame that can be decoded"
-        )
+    """Images (h, w, 3) BGR of an open film, as `Film` yields them."""
+    return (frame.image for frame in Film(source, announced, name, limit, camera=False))
+
+
+def is_whole_matroska(path: Path) -> bool:
+    """Whether a file is Matroska or WebM and holds all that its segment announces."""
+    try:
+        with path.open("rb") as stream:
+            if stream.read(4) != EBML:
+                return False
+            stream.seek(_ebml_size(stream) or 0, os.SEEK_CUR)
+            if stream.read(4) != SEGMENT:
+                return False
+            size = _ebml_size(stream)
+            return size is not None and path.stat().st_size >= stream.tell() + size
+    except (OSError, IndexError, ValueError):
+        return False
+
+
+def _ebml_size(stream: BinaryIO) -> int | None:
+    """The size that stands next (RFC 8794, 4), of 1 to 8 bytes; None where it is left open, as while recording."""
+    head = stream.read(1)
+    length = 9 - head[0].bit_length()
+    value = int.from_bytes(bytes([head[0] ^ (1 << (8 - length))]) + stream.read(length - 1), "big")
+    return None if value == (1 << (7 * length)) - 1 else value
