@@ -2,9 +2,11 @@
 
 import errno
 import json
+import os
 import subprocess
 import sys
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,10 +14,15 @@ import pytest
 from gelforge.commands.export import FORMATS, export, whole_or_absent
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, read_json, write_csv
+from gelforge.formats.export import lerobot
 from gelforge.formats.export.samples import Samples
+from gelforge.records.image import decode
 from tests.exported import READERS, lay
+from tests.lerobot_env import lerobot_python
 from tests.limited import limited, small_disk
 from tests.no_locks import without_locks
+
+OPENS = Path(__file__).resolve().parents[1] / "lerobot_opens.py"
 
 
 @pytest.mark.parametrize("form", FORMATS)
@@ -116,6 +123,53 @@ def test_lerobot_normalises_by_what_all_frames_have(tmp_path):
         assert told[name]["count"] == [22]
         for what, of in (("min", np.min), ("max", np.max), ("mean", np.mean), ("std", np.std)):
             np.testing.assert_allclose(told[name][what], of(values, axis=0), rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("image", [(32, 24), (24, 32)], ids=["across", "upright"])
+def test_lerobot_finds_the_ranges_of_the_pictures(tmp_path, image):
+    """Its factory stopped at a missing key: min, max, mean and std (3, 1, 1) of levels from 0 to 1, and count."""
+    samples = lay(tmp_path, 22, image=image)
+    export(samples, "lerobot", tmp_path / "out")
+    told = json.loads((tmp_path / "out/meta/stats.json").read_text())["observation.images.gelsight"]
+    levels = np.stack([decode(sample.picture, sample.name) for sample in samples]).reshape(-1, 3) / 255
+    assert told.pop("count") == [22] and set(told) == {"min", "max", "mean", "std"}
+    for what, of in (("min", np.min), ("max", np.max), ("mean", np.mean), ("std", np.std)):
+        assert np.shape(told[what]) == (3, 1, 1)
+        np.testing.assert_allclose(np.ravel(told[what]), of(levels, axis=0), rtol=1e-9)
+
+
+def test_of_many_pictures_some_tell_the_ranges(tmp_path, monkeypatch):
+    monkeypatch.setattr(lerobot, "MOST_PICTURES", 5)
+    told = lerobot.picture_stats(lay(tmp_path, 22))
+    assert told["count"] == [5] and 0.4 < told["mean"][0][0][0] < 0.6
+
+
+def test_lerobots_own_factory_opens_and_iterates_an_export(tmp_path):
+    """With its defaults, for two policies and as a stream, by the package itself in an environment of its own."""
+    python, reason = lerobot_python()
+    if python is None:
+        pytest.skip(reason)
+    samples = lay(tmp_path, 22)
+    export(samples, "lerobot", tmp_path / "out")
+    env = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    env |= {"HF_HUB_OFFLINE": "1", "HF_HOME": str(tmp_path / "hub"), "HOME": str(tmp_path)}
+    ran = subprocess.run(
+        [python, OPENS, tmp_path / "out"], capture_output=True, text=True, check=False, env=env, cwd=tmp_path
+    )
+    assert ran.returncode == 0, ran.stderr[-3000:]
+    found = json.loads(ran.stdout.splitlines()[-1])
+    rows = [at for rows in lerobot.in_order_of_splits(samples) for at in rows]
+    for policy, frames in (("act", 1), ("diffusion", 2)):
+        told = found[policy]
+        assert told["frames"] == 22 and told["episodes"] == 11 and told["task"] == "press the gel"
+        assert told["sample_id"] == [samples.rows[at]["sample_id"] for at in rows]
+        # a policy that looks back is given the frame before, too
+        assert told["shape"] == ([3, 24, 32] if frames == 1 else [2, 3, 24, 32])
+        now = np.array(told["wrench"]).reshape(4, frames, 3)[:, -1]
+        np.testing.assert_allclose(now, [samples.sample(at).total() for at in rows[:4]], rtol=1e-6)
+        assert 0.4 < told["mean"] < 0.6
+    assert found["streamed"] == 22
+    assert np.shape(found["stats"]["observation.images.gelsight"]["std"]) == (3, 1, 1)
 
 
 def test_channels_are_named_by_the_axes_that_they_lie_along(tmp_path):

@@ -23,6 +23,7 @@ import numpy as np
 
 from gelforge.flow.files import write_json, write_text
 from gelforge.formats.export.samples import Samples
+from gelforge.records.image import decode
 from gelforge.records.press import FORCE, POSE
 from gelforge.records.samplefile import DatasetSample
 from gelforge.records.splits import TRAINING
@@ -30,6 +31,7 @@ from gelforge.records.splits import TRAINING
 VERSION = "v3.0"
 FPS = 10
 CHUNK_FILES = 1000  # files a chunk folder holds at most
+MOST_PICTURES = 1000  # that tell the ranges of all: LeRobot itself takes as many of about 10 000
 FILE_BYTES = 100e6  # of data a file holds at most, about
 NAMES = ("sample_id", "indenter", "sensor_id", "split")
 PICTURE, FORCES, STATE, WRENCH = (
@@ -246,6 +248,25 @@ def write_tasks(folder: Path) -> None:
 
 def stats(samples: Samples) -> dict:
     """meta/stats.json: ranges of the numbers, as LeRobot normalises by; none of a feature that the dataset does not know."""
+    return {PICTURE: picture_stats(samples), **number_stats(samples)}
+
+
+def picture_stats(samples: Samples) -> dict:
+    """Ranges of the images' levels, 0 to 1, each (3, 1, 1) by colour, from at most MOST_PICTURES of them, evenly spread."""
+    rows = np.unique(np.linspace(0, len(samples) - 1, min(len(samples), MOST_PICTURES)).round().astype(int)).tolist()
+    low, high, sums, squares, pixels = np.full(3, np.inf), np.full(3, -np.inf), np.zeros(3), np.zeros(3), 0
+    for at in rows:
+        sample = samples.sample(at)
+        levels = decode(sample.picture, f"image of sample {sample.name}").reshape(-1, 3) / 255.0
+        low, high = np.minimum(low, levels.min(0)), np.maximum(high, levels.max(0))
+        sums, squares, pixels = sums + levels.sum(0), squares + (levels**2).sum(0), pixels + len(levels)
+    mean = sums / pixels
+    found = {"min": low, "max": high, "mean": mean, "std": np.sqrt(np.maximum(squares / pixels - mean**2, 0))}
+    return {name: value.reshape(3, 1, 1).tolist() for name, value in found.items()} | {"count": [len(rows)]}
+
+
+def number_stats(samples: Samples) -> dict:
+    """Ranges of forces, poses and wrenches."""
     forces = samples.labels
     shape = forces.shape[1:]
     sums, squares, low, high = np.zeros(shape), np.zeros(shape), np.full(shape, np.inf), np.full(shape, -np.inf)
