@@ -8,6 +8,7 @@ from gelforge.flow.main import exit_with
 COMMANDS = {
     "predict": "force maps and totals from images",
     "live": "force maps over a video or a camera, as it runs",
+    "camera": "the modes of a camera, and which one to take",
     "rig": "simulate presses and write a raw log with images",
     "sensor": "a profile of one's own sensor, from a picture and weighed presses",
     "convert": "a model of an earlier version as an ONNX file",

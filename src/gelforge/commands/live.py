@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gelforge.commands.camera import camera_mode
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish
 from gelforge.flow.main import command, from_zero, option, positive, renamed
@@ -219,6 +220,7 @@ def draw(args: Namespace, predictor, seen, film: Film, name: str, over: threadin
 @command(
     option("--video", type=Path, help="a film", default=None),
     option("--camera", type=from_zero, help="number of a camera, if no film is named", default=None),
+    option("--mode", type=camera_mode, metavar="WxH", help="size that the camera is asked for", default=None),
     option("--model", type=Path, help="model file; the one that came with gelforge if not named", default=None),
     option("--sensor", help="the sensor that films; refused if the model is for another one", default=None),
     option("--nocontact", type=Path, metavar="IMAGE", help="the sensor while nothing touches it", default=None),
@@ -263,7 +265,7 @@ def main(args: Namespace) -> None:
     model = load_for_use(args.model, args.sensor)
     picture = read_image(args.nocontact) if args.nocontact else None
     name = source_name(args.video, args.camera)
-    with open_source(args.video, args.camera) as (capture, announced):
+    with open_source(args.video, args.camera, args.mode) as (capture, announced):
         film = Film(capture, announced, name, args.frames, args.camera is not None, args.video)
         predictor, seen = predictor_of(args, model, picture, film, name)
         with stopping() as over:

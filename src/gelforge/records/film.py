@@ -18,10 +18,12 @@ EBML, SEGMENT = b"\x1a\x45\xdf\xa3", b"\x18\x53\x80\x67"  # what a Matroska or W
 
 
 @contextmanager
-def open_source(video: Path | None, camera: int | None) -> Iterator[tuple[Any, int]]:
+def open_source(
+    video: Path | None, camera: int | None, mode: tuple[int, int] | None = None
+) -> Iterator[tuple[Any, int]]:
     """Hold a video file or a camera open: OpenCV's capture and the frames announced, 0 if unknown.
 
-    Raises BadInput for what cannot be opened. However the block ends, the camera is free for others afterwards.
+    mode: (width, height) that a camera is asked for. Raises BadInput for what cannot be opened or set. However the block ends, the camera is free for others afterwards.
     """
     import cv2
 
@@ -40,6 +42,8 @@ def open_source(video: Path | None, camera: int | None) -> Iterator[tuple[Any, i
         )
         raise BadInput(what)
     try:
+        if mode is not None and camera is not None:
+            set_mode(source, mode, source_name(video, camera))
         yield source, int(max(0, source.get(cv2.CAP_PROP_FRAME_COUNT))) if video is not None else 0
     finally:
         source.release()
@@ -53,6 +57,27 @@ def without_index(video: Path) -> str:
         with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
             lacks = data.find(b"moov") < 0
     return " (its index, moov, is missing: the recording was not ended, or the file is cut short)" if lacks else ""
+
+
+def set_mode(source: Any, mode: tuple[int, int], name: str) -> None:
+    """Set a camera's width and height; BadInput where it gives another size."""
+    got = asked_for(source, mode)
+    if got != mode:
+        raise BadInput(
+            f"{name}: was asked for {mode[0]} x {mode[1]} and gives {got[0]} x {got[1]}; `gelforge camera` with its number"
+            " lists its modes"
+        )
+
+
+def asked_for(source: Any, mode: tuple[int, int]) -> tuple[int, int]:
+    """The (width, height) of an open source after it was asked for one; a driver takes the nearest that it has."""
+    import cv2
+
+    # in motion JPEG a USB camera sends large images fast
+    source.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*"MJPG"))
+    source.set(cv2.CAP_PROP_FRAME_WIDTH, mode[0])
+    source.set(cv2.CAP_PROP_FRAME_HEIGHT, mode[1])
+    return int(source.get(cv2.CAP_PROP_FRAME_WIDTH)), int(source.get(cv2.CAP_PROP_FRAME_HEIGHT))
 
 
 def rate_of(source: Any) -> float:

@@ -1,0 +1,87 @@
+"""The modes of a camera, and which one to take: `gelforge camera [NUMBER]`.
+
+Without a number it lists the cameras that open. Each common size is asked for, the camera's driver answers with the nearest
+that it has, and a few frames tell how fast they come. `gelforge live --camera NUMBER --mode WxH` takes one.
+"""
+
+import argparse
+import re
+import time
+from argparse import Namespace
+from pathlib import Path
+from typing import Any
+
+from gelforge.errors import BadInput
+from gelforge.flow.main import command, from_zero, option
+from gelforge.records.film import asked_for, open_source
+
+# Of a GelSight Mini (3280 x 2464, its halves and quarters) and of USB cameras in general.
+SIZES = ((320, 240), (640, 480), (800, 600), (820, 616), (1280, 720), (1640, 1232), (1920, 1080), (3280, 2464))
+LEAST = (320, 240)  # px that networks read
+FAST = 20.0  # frames a second that are enough for a press by hand
+TIMED = 10  # frames that tell how fast a mode is
+
+
+def camera_mode(text: str) -> tuple[int, int]:
+    """A size such as 640x480 as (width, height)."""
+    found = re.fullmatch(r"([1-9][0-9]{1,4})x([1-9][0-9]{1,4})", text)
+    if not found:
+        raise argparse.ArgumentTypeError(f"{text!r} is no size; give width and height such as 640x480")
+    return int(found[1]), int(found[2])
+
+
+def modes_of(source: Any) -> dict[tuple[int, int], float]:
+    """Frames a second by (width, height) that an open camera gives, 0 where it gives no frame."""
+    found: dict[tuple[int, int], float] = {}
+    for size in SIZES:
+        mode = asked_for(source, size)
+        if mode not in found:
+            found[mode] = _rate(source)
+    return found
+
+
+def _rate(source: Any) -> float:
+    if not source.read()[0]:
+        return 0.0
+    started = time.perf_counter()
+    read = sum(source.read()[0] for _ in range(TIMED))
+    return read / max(time.perf_counter() - started, 1e-9)
+
+
+def best_mode(modes: dict[tuple[int, int], float]) -> tuple[int, int] | None:
+    """The smallest mode that is large and fast enough, of 4 to 3 where there is one; the fastest else; none of none."""
+    usable = {mode: rate for mode, rate in modes.items() if rate > 0 and mode[0] >= LEAST[0] and mode[1] >= LEAST[1]}
+    fast = [mode for mode, rate in usable.items() if rate >= FAST]
+    if fast:
+        return min(fast, key=lambda mode: (mode[0] * 3 != mode[1] * 4, mode[0] * mode[1]))
+    return max(usable, key=lambda mode: usable[mode], default=None)
+
+
+def cameras() -> list[int]:
+    """Numbers of the video devices there are."""
+    names = (path.name.removeprefix("video") for path in Path("/dev").glob("video*"))
+    return sorted(int(name) for name in names if name.isdigit())
+
+
+@command(option("number", type=from_zero, nargs="?", help="of the camera", default=None))
+def main(args: Namespace) -> None:
+    there = cameras()
+    if args.number is None:
+        if not there:
+            raise BadInput("no camera is there (/dev/video*); plug it in, or look whether its cable carries data")
+        print(f"cameras: {', '.join(map(str, there))}; `gelforge camera NUMBER` lists the modes of one")
+        return
+    with open_source(None, args.number) as (source, _):
+        modes = modes_of(source)
+    for (width, height), rate in sorted(modes.items()):
+        print(f"{width:5d} x {height:<5d} {f'{rate:5.1f} frames a second' if rate else 'gives no frame'}")
+    best = best_mode(modes)
+    if best is None:
+        raise BadInput(
+            f"camera {args.number}: no mode gives frames of {LEAST[0]} x {LEAST[1]} and more; try another USB port"
+        )
+    print(f"take: gelforge live --camera {args.number} --mode {best[0]}x{best[1]}")
+
+
+if __name__ == "__main__":
+    main.exit()
