@@ -134,12 +134,13 @@ class Reader:
         threads: int = 1,
         untouched: np.ndarray | None = None,
     ):
-        from gelforge.networks.inference.predictor import Predictor, load_for_use
+        from gelforge.camera import CameraPredictor
+        from gelforge.networks.inference.predictor import load_for_use
         from gelforge.networks.inference.sensorprofile import with_profile
 
         path, loaded = None if profile is None else Path(profile), load_for_use(model)
         picture, gain = with_profile(path, _nocontact(nocontact, untouched), loaded.metadata)
-        self._predictor = Predictor(loaded, picture, gain, device, threads)
+        self._predictor = CameraPredictor(loaded, picture, gain, device, threads)
 
     def __call__(self, image: np.ndarray) -> ForceReading:
         """Predict one image (h, w, 3) uint8 RGB. Nothing carries over from one image to the next."""

@@ -186,7 +186,7 @@ def predictor_of(args: Namespace, model, picture: np.ndarray | None, seen, name:
     """
     import cv2
 
-    from gelforge.networks.inference.predictor import Predictor
+    from gelforge.camera import CameraPredictor
     from gelforge.networks.inference.sensorprofile import with_profile
 
     if picture is None and not args.profile and model.needs_nocontact:
@@ -197,7 +197,10 @@ def predictor_of(args: Namespace, model, picture: np.ndarray | None, seen, name:
         seen = itertools.chain([first], seen)
         picture = cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
     picture, gain = with_profile(args.profile, picture, model.metadata)
-    return Predictor(model, picture, gain, args.device, args.threads), seen
+    predictor = CameraPredictor(model, picture, gain, args.device, args.threads)
+    if predictor.text:
+        print(f"{name}: {predictor.text}", file=sys.stderr)
+    return predictor, seen
 
 
 def draw(args: Namespace, predictor, seen, film: Film, name: str, over: threading.Event) -> None:

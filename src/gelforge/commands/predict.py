@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gelforge.camera import CameraPredictor
 from gelforge.errors import BadInput, printable
 from gelforge.flow.files import publish, write_csv
 from gelforge.flow.main import command, option, positive, renamed
@@ -150,7 +151,9 @@ def main(args: Namespace) -> None:
     picture = read_image(args.nocontact) if args.nocontact else None
     model = load_for_use(args.model, args.sensor)
     picture, gain = with_profile(args.profile, picture, model.metadata)
-    predictor = Predictor(model, picture, gain, args.device, args.threads)
+    predictor = CameraPredictor(model, picture, gain, args.device, args.threads)
+    if predictor.text:
+        print(predictor.text)
     kept = [*filter(None, [args.nocontact]), *files_of(args.profile)]
     for row in predict_files(args.images, predictor, args.out, kept):
         print(line_of(row), flush=True)

@@ -18,6 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
+from gelforge.camera import CameraPredictor
+from gelforge.commands.camera import camera_mode
 from gelforge.errors import BadInput
 from gelforge.flow.main import command, from_zero, option, renamed
 from gelforge.networks.inference.predictor import Predictor, load_for_use
@@ -35,6 +37,7 @@ from gelforge.networks.inference.sensorprofile import (
     read_profile,
     write_profile,
 )
+from gelforge.records.cameraframe import reduced
 from gelforge.records.film import source_name
 from gelforge.records.image import read_image
 from gelforge.records.markers import pitch_of
@@ -117,7 +120,7 @@ def gain_beside(grasps: Path, predictor: Predictor, opposite: Path) -> Gain:
     rows = _rows(grasps, ("image", "opposite"), "grasps", "moment")
     other = read_profile(opposite)
     check_same_network(other, predictor.metadata)
-    facing = Predictor(predictor.model, other.nocontact, other.gain)
+    facing = CameraPredictor(predictor.model, other.nocontact, other.gain)
     pictures = _pictures(grasps, rows, "image")
     read, here = _normals(predictor, pictures)
     felt, there = _normals(facing, _pictures(grasps, rows, "opposite"))
@@ -134,7 +137,9 @@ def gain_beside(grasps: Path, predictor: Predictor, opposite: Path) -> Gain:
     return fit_opposite(felt, read, other.gain)
 
 
-def nocontact_picture(image: Path | None, video: Path | None, camera: int | None) -> tuple[np.ndarray, str]:
+def nocontact_picture(
+    image: Path | None, video: Path | None, camera: int | None, mode: tuple[int, int] | None = None
+) -> tuple[np.ndarray, str]:
     """The no-contact image (h, w, 3) uint8 RGB of the sensor, and where it is from; exactly one source may be given."""
     if sum(source is not None for source in (image, video, camera)) != 1:
         raise BadInput(
@@ -142,7 +147,7 @@ def nocontact_picture(image: Path | None, video: Path | None, camera: int | None
         )
     if image is not None:
         return read_image(image), str(image)
-    return nocontact_of(video, camera), source_name(video, camera)
+    return nocontact_of(video, camera, mode), source_name(video, camera)
 
 
 def _normals(predictor: Predictor, pictures: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
@@ -209,6 +214,7 @@ def factor_replaced(out: Path, measures: bool) -> Gain:
     renamed("--untouched", "--nocontact", type=Path, default=None),
     option("--video", type=Path, help="a film that begins while nothing touches the sensor", default=None),
     option("--camera", type=from_zero, help="number of a camera whose sensor nothing touches now", default=None),
+    option("--mode", type=camera_mode, metavar="WxH", help="size that the camera is asked for", default=None),
     option("--readings", type=Path, help="table of pictures and the forces that pressed", default=None),
     option("--opposite", type=Path, help="profile of the sensor on the other finger", default=None),
     option("--grasps", type=Path, help="table of pictures of both fingers while they hold one object", default=None),
@@ -219,9 +225,12 @@ def main(args: Namespace) -> None:
     name, out = check_id(args.name, "--name"), args.out or Path(f"{args.name}.toml")
     check_options(args, out)
     before = factor_replaced(out, bool(args.readings or args.grasps))
-    picture, source = nocontact_picture(args.nocontact, args.video, args.camera)
+    picture, source = nocontact_picture(args.nocontact, args.video, args.camera, args.mode)
     model = load_for_use(args.model)
-    predictor = Predictor(model, picture)
+    picture = reduced(picture)
+    predictor = CameraPredictor(model, picture)
+    if predictor.text:
+        print(f"{source}: {predictor.text}", file=sys.stderr)
     if predictor.fault:
         raise BadInput(f"{source}: {predictor.fault}; take a sharp one while nothing touches the sensor")
     gain = Gain()

@@ -12,7 +12,7 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.records.markers import find_blobs, lattice_of, print_pitch
 
-MOST_SIDE = 480  # px: longer side at which markers are looked for
+MOST_SIDE = 640  # px: longer side at which markers are looked for, and of the image in a profile
 PITCH_PX = 31.2  # between markers in 320 x 240 of the maker's driver (FEATS' sensor and another one)
 OF_WIDTH = 320.0
 DRIVER_CROP = (
@@ -79,15 +79,11 @@ class CameraFrame:
     text: str
 
     def __call__(self, image: np.ndarray) -> np.ndarray:
-        """An image (h, w, 3) uint8 in the network's frame; BadInput where it is of another shape than the no-contact image."""
+        """An image (h, w, 3) uint8 in the network's frame; one of another shape than the no-contact image stays as it is."""
         import cv2
 
-        (height, width), (rows, cols) = image.shape[:2], self.shape
-        if not same_shape((height, width), (rows, cols)):
-            raise BadInput(
-                f"an image of {width} x {height} has another shape than the no-contact image, {cols} x {rows}: take both with"
-                " the camera in one mode"
-            )
+        if not same_shape((image.shape[0], image.shape[1]), self.shape):
+            return image  # of another mode of the camera: networks flag its shape
         turned = self.orientation.of(image) if self.orientation != AS_IT_IS else image
         height, width = turned.shape[:2]
         left, right = round(self.part[0] * width), round(self.part[2] * width)

@@ -57,10 +57,10 @@ def _mean(images: list[np.ndarray]) -> np.ndarray:
     return ((total + len(images) // 2) // len(images)).astype(np.uint8)
 
 
-def nocontact_of(video: Path | None, camera: int | None) -> np.ndarray:
+def nocontact_of(video: Path | None, camera: int | None, mode: tuple[int, int] | None = None) -> np.ndarray:
     """The no-contact image (h, w, 3) uint8 RGB at the start of a film, or of what a camera shows now."""
     name = source_name(video, camera)
-    with open_source(video, camera) as (source, _):
+    with open_source(video, camera, mode) as (source, _):
         # only the start is looked at, so a film that is cut short serves
         picture, _ = find_nocontact(Film(source, 0, name, None, camera is not None), name)
     return np.ascontiguousarray(picture[:, :, ::-1])

@@ -1,0 +1,40 @@
+"""A network behind a camera's frame: forces in images of any size, crop and orientation of a GelSight Mini's driver."""
+
+import numpy as np
+
+from gelforge.networks.checkpoint.modelfile import ForceModel
+from gelforge.networks.inference.predictor import Predictor
+from gelforge.networks.inference.sensorprofile import AS_READ, Gain
+from gelforge.records.cameraframe import CameraFrame, camera_frame
+from gelforge.records.forcereading import ForceReading
+
+
+class CameraPredictor(Predictor):
+    """Predicts as `Predictor` does, from images that are brought to the network's frame first (records.cameraframe).
+
+    frame: what is done to them, as the no-contact image tells it; None beside a network that reads none.
+    """
+
+    def __init__(
+        self,
+        model: ForceModel,
+        nocontact: np.ndarray | None = None,
+        gain: Gain = AS_READ,
+        device: str = "cpu",
+        threads: int = 1,
+    ) -> None:
+        self.frame: CameraFrame | None = None
+        if nocontact is not None and model.needs_nocontact:
+            rows, cols = model.metadata["image"]
+            self.frame = camera_frame(nocontact, (rows, cols))
+            nocontact = self.frame(nocontact)
+        super().__init__(model, nocontact, gain, device, threads)
+
+    @property
+    def text(self) -> str:
+        """What is done to images, in one line; empty for nothing."""
+        return self.frame.text if self.frame else ""
+
+    def predict(self, image: np.ndarray) -> ForceReading:
+        """Read an image (h, w, 3) uint8 RGB of any size."""
+        return super().predict(self.frame(image) if self.frame else image)
