@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
+import gelforge
 from gelforge.commands.camera import best_mode, camera_mode, cameras, modes_of
 from gelforge.commands.camera import main as camera
 from gelforge.errors import BadInput
@@ -19,6 +20,7 @@ from tests.films import write_matroska
 SIZE = (240, 320)
 WAYS = [Orientation(*flags) for flags in itertools.product((False, True), repeat=3)]
 UNITS = ["mini_a", "mini_e"]
+PRESSED = "images/demo-000000.png"
 
 
 @pytest.fixture(params=UNITS)
@@ -73,6 +75,20 @@ def test_every_size_and_crop_shows_the_same_markers_in_the_same_places(picture, 
     assert np.median(apart) < 0.5
     assert ("" if crop == "as it is" else f"{made.shape[1]} x {made.shape[0]}") in frame.text
     assert bool(frame.text) == (crop != "as it is")
+
+
+SIX = ["640 x 480", "raw", "raw, mirrored", "portrait", "upside down", "wide"]
+
+
+@pytest.mark.parametrize("crop", SIX)
+def test_one_press_reads_the_same_force_at_six_sizes_and_crops(root, crop):
+    """Within 3 %, and not flagged for what is not flagged as the maker's driver gives it."""
+    rest, pressed = (read_image(root / "data/demo" / name) for name in ("nocontact/mini_a.png", PRESSED))
+    as_it_is, made = gelforge.Reader(nocontact=rest)(pressed), CROPS[crop]
+    found = gelforge.Reader(nocontact=made(rest))(made(pressed))
+    assert found.total[2] == pytest.approx(as_it_is.total[2], rel=0.03)
+    assert np.abs(found.total - as_it_is.total).max() < 0.03 * np.abs(as_it_is.total).max()
+    assert found.flag == as_it_is.flag
 
 
 @pytest.mark.parametrize("way", WAYS, ids=str)
