@@ -64,8 +64,8 @@ def test_every_size_and_crop_shows_the_same_markers_in_the_same_places(picture, 
     shown = frame(made)
     assert shown.shape == (*SIZE, 3) and shown.flags.c_contiguous
     pitch, wanted = pitch_of(shown), pitch_of(picture)
-    # as the maker's driver shows it, or with markers as far apart as those of most sensors
-    assert pitch == pytest.approx(wanted if "wide" not in crop else 31.2, rel=0.01)
+    # as the maker's driver shows it
+    assert pitch == pytest.approx(wanted, rel=0.01)
     grown = cv2.warpAffine(
         picture, cv2.getRotationMatrix2D((159.5, 119.5), 0, pitch / wanted), SIZE[::-1], borderMode=1
     )

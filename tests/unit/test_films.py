@@ -11,7 +11,7 @@ import pytest
 from gelforge.commands import live
 from gelforge.errors import BadInput
 from gelforge.records.film import Film, Frame, open_source
-from gelforge.records.nocontact import FEWEST, MOST, SETTLING, STILL, find_nocontact, nocontact_of
+from gelforge.records.nocontactimage import FEWEST, MOST, SETTLING, STILL, find_nocontact, nocontact_of
 from tests.films import write_matroska, write_mp4
 
 # A camera that drops frames while its computer is busy, and one that slows down in the dark.

@@ -22,7 +22,7 @@ from gelforge.networks.inference.predictor import Predictor
 from gelforge.networks.inference.sensorprofile import Gain, make_profile, write_profile
 from gelforge.networks.uncertainty import ood
 from gelforge.records.film import Frame
-from gelforge.records.nocontact import FEWEST, SETTLING, STILL
+from gelforge.records.nocontactimage import FEWEST, SETTLING, STILL
 from gelforge.reporting import forcemaps
 from tests.benchmarks import real, real_page
 from tests.limited import limited_python

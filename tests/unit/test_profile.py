@@ -27,7 +27,7 @@ from gelforge.networks.inference.sensorprofile import (
 )
 from gelforge.records.image import read_image
 from gelforge.records.markers import pitch_of
-from gelforge.records.nocontact import FEWEST
+from gelforge.records.nocontactimage import FEWEST
 from tests.benchmarks.real import feats_maps
 
 

@@ -13,7 +13,7 @@ from gelforge.flow.params.tables import SHIPPED_IMAGE
 from gelforge.networks.checkpoint.modelfile import load_model, require_sensor
 from gelforge.networks.inference.predictor import SHIPPED, Predictor, load_for_use
 from gelforge.records.film import frames, open_source
-from gelforge.records.nocontact import nocontact_of
+from gelforge.records.nocontactimage import nocontact_of
 
 LARGEST = 3 * 2**20  # bytes
 

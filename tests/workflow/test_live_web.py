@@ -28,7 +28,7 @@ from gelforge.live.server import KEPT, WEB, Hub, Server, serve
 from gelforge.networks.inference.predictor import Predictor, load_for_use
 from gelforge.records.film import Film, open_source
 from gelforge.records.forcereading import ForceReading
-from gelforge.records.nocontact import SETTLING
+from gelforge.records.nocontactimage import SETTLING
 from gelforge.reporting.forcemaps import FULL_COLOUR_N
 from tests.browser import WIDTHS, browser, console_errors, needs_browser, wait_for
 from tests.limited import limited

@@ -23,7 +23,7 @@ from gelforge.flow.main import command, from_zero, option, positive, renamed
 from gelforge.networks.checkpoint.graph import DEVICES
 from gelforge.records.axes import CHANNEL_OF_AXIS
 from gelforge.records.film import Film, open_source, source_name
-from gelforge.records.nocontact import FEWEST, find_nocontact
+from gelforge.records.nocontactimage import FEWEST, find_nocontact
 from gelforge.records.regular import real_place, refuse_to_replace
 
 RATE_OVER = 30  # frames that the shown rate is averaged over

@@ -41,7 +41,7 @@ from gelforge.records.cameraframe import reduced
 from gelforge.records.film import source_name
 from gelforge.records.image import read_image
 from gelforge.records.markers import pitch_of
-from gelforge.records.nocontact import nocontact_of
+from gelforge.records.nocontactimage import nocontact_of
 from gelforge.records.press import check_id, parse_number
 from gelforge.records.regular import real_place, refuse_to_replace
 from gelforge.records.table import numbered_rows

@@ -129,14 +129,10 @@ def camera_frame(nocontact: np.ndarray, size: tuple[int, int]) -> CameraFrame:
     wanted = PITCH_PX * size[1] / OF_WIDTH
     fits = same_shape((height, width), size)
     if pitch and not (fits and pitch * size[1] / width > (1.0 - UNEVEN) * wanted):
-        shown = width * (1.0 - 2.0 * DRIVER_CROP)
-        if fits and abs(pitch * size[1] / shown / wanted - 1.0) < UNEVEN:
-            part, cut = (
-                (DRIVER_CROP, DRIVER_CROP, 1.0 - DRIVER_CROP, 1.0 - DRIVER_CROP),
-                "cropped as the maker's driver does",
-            )
-        else:
-            part, cut = _part(turned, pitch / wanted, size), "cropped by their markers"
+        scale, driver = pitch / wanted, width * (1.0 - 2.0 * DRIVER_CROP) / size[1]
+        whole = abs(scale / driver - 1.0) < UNEVEN
+        cut = "cropped as the maker's driver does" if whole else "cropped by their markers"
+        part = _part(turned, driver if whole else scale, size, pitch)
     (rows, cols), done = nocontact.shape[:2], [str(orientation), cut]
     if (rows, cols) != tuple(size):
         done.append(f"scaled to {size[1]} x {size[0]}")
@@ -145,15 +141,18 @@ def camera_frame(nocontact: np.ndarray, size: tuple[int, int]) -> CameraFrame:
     return CameraFrame((size[0], size[1]), (rows, cols), orientation, part, text)
 
 
-def _part(turned: np.ndarray, scale: float, size: tuple[int, int]) -> tuple[float, float, float, float]:
-    """The part of a turned image about the middle of its marker grid that the network's frame shows at the network's scale.
+def _part(turned: np.ndarray, scale: float, size: tuple[int, int], pitch: float) -> tuple[float, float, float, float]:
+    """The part of a turned image that the network's frame shows, smaller where the image does not reach so far.
 
-    scale: px of the image for one of the frame. The part is smaller where the image does not reach so far.
+    scale: px of the image for one of the frame. The part lies about the middle of the image, as the gel does but for its
+    mounting; about the middle of the marker grid where that is over a pitch (px) away.
     """
     height, width = turned.shape[:2]
     scale = min(scale, width / size[1], height / size[0])
     across, along = scale * size[1], scale * size[0]
-    u, v = _middle(find_blobs(turned)[0], (width / 2, height / 2))
+    middle = width / 2, height / 2
+    grid = _middle(find_blobs(turned)[0], middle)
+    u, v = grid if math.dist(grid, middle) > pitch else middle
     left, top = min(max(u - across / 2, 0.0), width - across), min(max(v - along / 2, 0.0), height - along)
     return left / width, top / height, (left + across) / width, (top + along) / height
 
