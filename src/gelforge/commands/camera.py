@@ -13,6 +13,7 @@ from typing import Any
 
 from gelforge.errors import BadInput
 from gelforge.flow.main import command, from_zero, option
+from gelforge.records.cameraframe import same_shape
 from gelforge.records.film import asked_for, open_source
 
 # Of a GelSight Mini (3280 x 2464, its halves and quarters) and of USB cameras in general.
@@ -53,7 +54,7 @@ def best_mode(modes: dict[tuple[int, int], float]) -> tuple[int, int] | None:
     usable = {mode: rate for mode, rate in modes.items() if rate > 0 and mode[0] >= LEAST[0] and mode[1] >= LEAST[1]}
     fast = [mode for mode, rate in usable.items() if rate >= FAST]
     if fast:
-        return min(fast, key=lambda mode: (mode[0] * 3 != mode[1] * 4, mode[0] * mode[1]))
+        return min(fast, key=lambda mode: (not same_shape(mode[::-1], LEAST[::-1]), mode[0] * mode[1]))
     return max(usable, key=lambda mode: usable[mode], default=None)
 
 

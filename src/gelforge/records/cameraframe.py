@@ -19,6 +19,7 @@ DRIVER_CROP = (
     1 / 7
 )  # of each side of the camera's whole image, which the maker's driver cuts off (gsrobotics, gs_sdk)
 GRID = (7, 9)  # markers of a Mini's gel, rows and columns
+LEAST_MARKERS, ON_GRID = 12, 0.6  # of a grid, and the fraction of all dark dots that stand on it
 UNEVEN = 0.12  # fraction by which sensors differ in the distance of their markers, px
 SAME_SHAPE = 0.02  # fraction by which the sides of an image may be in another ratio
 SQUARE = 0.1  # the same below which an image is neither upright nor across
@@ -121,7 +122,7 @@ def camera_frame(nocontact: np.ndarray, size: tuple[int, int]) -> CameraFrame:
     """
     small = reduced(nocontact)
     points = find_blobs(small)[0]
-    pitch = print_pitch(points)
+    pitch = print_pitch(points) if stand_on_a_grid(points) else 0.0
     orientation = orientation_of(small, points, pitch) if pitch else AS_IT_IS
     turned = orientation.of(small)
     height, width = turned.shape[:2]
@@ -139,6 +140,15 @@ def camera_frame(nocontact: np.ndarray, size: tuple[int, int]) -> CameraFrame:
     told = ", ".join(filter(None, done))
     text = f"images of {cols} x {rows} are {told}" if told else ""
     return CameraFrame((size[0], size[1]), (rows, cols), orientation, part, text)
+
+
+def stand_on_a_grid(points: np.ndarray) -> bool:
+    """Whether most of the points (n, 2) px are markers of one grid, as specks and noise are not."""
+    try:
+        _, used = lattice_of(points)
+    except BadInput:
+        return False
+    return len(used) >= max(LEAST_MARKERS, ON_GRID * len(points))
 
 
 def _part(turned: np.ndarray, scale: float, size: tuple[int, int], pitch: float) -> tuple[float, float, float, float]:
