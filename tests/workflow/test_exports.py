@@ -2,11 +2,9 @@
 
 import errno
 import json
-import os
 import subprocess
 import sys
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,11 +16,8 @@ from gelforge.formats.export import lerobot
 from gelforge.formats.export.samples import Samples
 from gelforge.records.image import decode
 from tests.exported import READERS, lay
-from tests.lerobot_env import lerobot_python
 from tests.limited import limited, small_disk
 from tests.no_locks import without_locks
-
-OPENS = Path(__file__).resolve().parents[1] / "lerobot_opens.py"
 
 
 @pytest.mark.parametrize("form", FORMATS)
@@ -142,34 +137,6 @@ def test_of_many_pictures_some_tell_the_ranges(tmp_path, monkeypatch):
     monkeypatch.setattr(lerobot, "MOST_PICTURES", 5)
     told = lerobot.picture_stats(lay(tmp_path, 22))
     assert told["count"] == [5] and 0.4 < told["mean"][0][0][0] < 0.6
-
-
-def test_lerobots_own_factory_opens_and_iterates_an_export(tmp_path):
-    """With its defaults, for two policies and as a stream, by the package itself in an environment of its own."""
-    python, reason = lerobot_python()
-    if python is None:
-        pytest.skip(reason)
-    samples = lay(tmp_path, 22)
-    export(samples, "lerobot", tmp_path / "out")
-    env = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    env |= {"HF_HUB_OFFLINE": "1", "HF_HOME": str(tmp_path / "hub"), "HOME": str(tmp_path)}
-    ran = subprocess.run(
-        [python, OPENS, tmp_path / "out"], capture_output=True, text=True, check=False, env=env, cwd=tmp_path
-    )
-    assert ran.returncode == 0, ran.stderr[-3000:]
-    found = json.loads(ran.stdout.splitlines()[-1])
-    rows = [at for rows in lerobot.in_order_of_splits(samples) for at in rows]
-    for policy, frames in (("act", 1), ("diffusion", 2)):
-        told = found[policy]
-        assert told["frames"] == 22 and told["episodes"] == 11 and told["task"] == "press the gel"
-        assert told["sample_id"] == [samples.rows[at]["sample_id"] for at in rows]
-        # a policy that looks back is given the frame before, too
-        assert told["shape"] == ([3, 24, 32] if frames == 1 else [2, 3, 24, 32])
-        now = np.array(told["wrench"]).reshape(4, frames, 3)[:, -1]
-        np.testing.assert_allclose(now, [samples.sample(at).total() for at in rows[:4]], rtol=1e-6)
-        assert 0.4 < told["mean"] < 0.6
-    assert found["streamed"] == 22
-    assert np.shape(found["stats"]["observation.images.gelsight"]["std"]) == (3, 1, 1)
 
 
 def test_channels_are_named_by_the_axes_that_they_lie_along(tmp_path):
