@@ -17,7 +17,7 @@ PROGRAMS = [
     module.name
     for package in (gelforge.stages, gelforge.commands)
     for module in pkgutil.iter_modules(package.__path__, f"{package.__name__}.")
-    if module.name not in ("gelforge.commands.gelforge", "gelforge.commands.live_readings")  # dispatcher; no program
+    if module.name.rpartition(".")[2] not in ("gelforge", "live_readings", "live_topics")  # dispatcher; no programs
 ]
 
 
