@@ -316,9 +316,9 @@ def sections_of(results: Path, resolution: str, model: str, solved: dict[str, So
 
 def lead_of(rows: list[dict], resolution: str, samples: int) -> str:
     """One sentence on how many presses became labels; samples: those of the dataset, whose labels may have come with it."""
-    if not rows:
-        return f"{samples} pictures with labels that came with the dataset, at {resolution} cells a picture; no press was solved here."
     labelled = sum(row["status"] in VALID for row in rows)
+    if samples and not labelled:
+        return f"{samples} pictures with labels that came with the dataset, at {resolution} cells a picture; no press was solved here."
     return f"{labelled} of {len(rows)} presses labelled by finite elements at {resolution} cells a picture."
 
 
