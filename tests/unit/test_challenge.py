@@ -20,9 +20,10 @@ from gelforge.stages import challenge as stage
 from gelforge.stages import pareto
 from gelforge.sweeps.challenge import write_challenge
 from gelforge.sweeps.deviation import errors
-from gelforge.sweeps.keptreferences import COLUMNS, KEYS, keep_references, kept_reference, reference_rows
+from gelforge.sweeps.keptreferences import COLUMNS, KEYS, keep_references, kept_reference, reference_rows, scatters
 from gelforge.sweeps.methods import LARGE_REFERENCE, REFERENCE
 from gelforge.sweeps.scenes import parse_scene, read_tables
+from gelforge.sweeps.symmetry import image_of, images_of
 from gelforge.sweeps.trial import GRID, load_bench, measure
 
 
@@ -61,6 +62,11 @@ def record(folder, name) -> dict:
     }
 
 
+def charted_scene(name: str, found: dict) -> dict:
+    """A scene of the chart with nothing but its reference."""
+    return {"scene": name, "table": read_tables("workflow")[name], "methods": {REFERENCE: found}}
+
+
 def submit(folder, rows, columns=COLUMNS):
     folder.mkdir(exist_ok=True)
     with (folder / "bar.csv").open("w", newline="") as stream:
@@ -96,6 +102,9 @@ def test_the_script_gives_the_errors_of_the_chart(folder, tmp_path):
     expected = errors(wrong, right)
     assert told["scenes"]["bar"]["total"] == pytest.approx(expected["total"], abs=1e-6)
     assert told["scenes"]["bar"]["cells"] == pytest.approx(expected["cells"], abs=1e-5)
+    larger = (cells - right["cells"]).reshape(3, 12, 2, 16, 2).sum(axis=(2, 4))
+    wide = np.linalg.norm(larger, axis=0).sum() / np.linalg.norm(right["total"])
+    assert told["scenes"]["bar"]["cells_2x2"] == pytest.approx(wide, abs=1e-5)
 
 
 def test_points_count_for_the_cell_they_lie_in(folder, root, tmp_path):
@@ -154,6 +163,28 @@ def test_scenes_without_reference_are_refused(root, tmp_path):
     assert not (tmp_path / "out" / "challenge.json").exists()
 
 
+def test_a_symmetric_scene_has_a_symmetric_reference_and_its_scatter_beside_it(folder, root, tmp_path):
+    """A press that moves sideways has no image, a turned block that of half a turn alone, a ball at the crown all three."""
+    tables = read_tables(root / "workflow")
+    images = {name: images_of(parse_scene(name, table, 0.475).scene) for name, table in tables.items()}
+    assert images["cuboid_shear"] == images["sphere_off_centre"] == [] and images["cuboid_round"] == [(-1, -1)]
+    assert images["triangle"] == [(-1, 1)] and len(images["sphere_1mm"]) == len(images["punch"]) == 3
+    told = read_json(folder / "challenge.json")["scatter"]
+    for name, signs in images.items():
+        one = record(folder, name)
+        for image in signs:
+            np.testing.assert_allclose(image_of(one["cells"], image), one["cells"], atol=2e-7)
+        assert (told[name] is None) == (not signs) and (told[name] is None or 0.001 < told[name] < 0.1)
+    noisy = record(folder, "cross")
+    noisy["cells"] = noisy["cells"] * np.random.default_rng(1).uniform(0.9, 1.1, noisy["cells"].shape)
+    keep_references([charted_scene("cross", {**noisy, "key": "k"})], tmp_path, 0.475)
+    apart = np.linalg.norm(image_of(noisy["cells"], (-1, 1)) - noisy["cells"], axis=0).sum()
+    size = np.linalg.norm(noisy["cells"].sum(axis=(1, 2)) + noisy["outside"])
+    assert scatters(tmp_path)["cross"] == pytest.approx(apart / size)
+    kept = np.array(kept_reference(tmp_path, "cross", "k", GRID.shape)["cells"])
+    np.testing.assert_allclose(image_of(kept, (-1, 1)), kept, atol=2e-7)
+
+
 def test_a_failed_reference_is_refused():
     with pytest.raises(BadInput, match="reference of bar is DIVERGED"):
         reference_rows({"scene": "bar", "status": "DIVERGED", "reason": "no equilibrium"})
@@ -194,7 +225,7 @@ def test_a_kept_reference_is_not_solved_again_and_is_none_under_other_settings(b
 def test_references_come_back_as_they_were_kept(folder, tmp_path):
     one = {**record(folder, "cross"), "key": "k"}
     plain = {**one, "cells": one["cells"].tolist(), "outside": one["outside"].tolist()}
-    keep_references([{"scene": "cross", "methods": {REFERENCE: plain}}], tmp_path)
+    keep_references([charted_scene("cross", plain)], tmp_path, 0.475)
     again = kept_reference(tmp_path, "cross", "k", GRID.shape)
     np.testing.assert_allclose(again["cells"], one["cells"], atol=1e-7)
     np.testing.assert_allclose(again["total"], one["total"], atol=1e-5)
@@ -205,7 +236,7 @@ def test_references_come_back_as_they_were_kept(folder, tmp_path):
 )
 def test_a_damaged_reference_is_none(folder, tmp_path, name, text):
     one = {**record(folder, "cross"), "key": "k"}
-    keep_references([{"scene": "cross", "methods": {REFERENCE: one}}], tmp_path)
+    keep_references([charted_scene("cross", one)], tmp_path, 0.475)
     (tmp_path / name).write_text(text)
     assert kept_reference(tmp_path, "cross", "k", GRID.shape) is None
 
@@ -224,10 +255,10 @@ def test_the_folder_is_not_written_with_forces_of_other_scenes(root, tmp_path, c
 
 def test_references_of_scenes_that_are_gone_go(folder, tmp_path):
     def charted(*names):
-        return [{"scene": n, "methods": {REFERENCE: {**record(folder, n), "key": "k"}}} for n in names]
+        return [charted_scene(n, {**record(folder, n), "key": "k"}) for n in names]
 
-    keep_references(charted("cross", "bar"), tmp_path)
-    keep_references(charted("cross"), tmp_path)
+    keep_references(charted("cross", "bar"), tmp_path, 0.475)
+    keep_references(charted("cross"), tmp_path, 0.475)
     assert {path.name for path in tmp_path.iterdir()} == {"cross.csv", KEYS}
 
 

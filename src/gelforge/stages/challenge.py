@@ -18,11 +18,14 @@ from gelforge.sweeps.trial import ChartBench, given_reference
 @command(
     option("--scenes", type=Path, nargs="+", help="results/DATASET/pareto/scenes/*.json"),
     option("--references", type=Path, help="folder of the references"),
+    option("--workflow", type=Path, default=Path("workflow")),
 )
 def references(args: Namespace) -> None:
     """Take the references from a finished chart."""
     args.references.mkdir(parents=True, exist_ok=True)
-    keep_references((read_json(path) for path in args.scenes), args.references)
+    keep_references(
+        (read_json(path) for path in args.scenes), args.references, load_params(args.workflow).material.nu
+    )
 
 
 @command(

@@ -14,7 +14,7 @@ from gelforge.flow.files import write_json
 from gelforge.geometry.triangles import write_stl
 from gelforge.labelling.sensor import Sensor
 from gelforge.mechanics.scene import REFERENCE_C10
-from gelforge.sweeps.keptreferences import KEYS
+from gelforge.sweeps.keptreferences import KEYS, scatters
 from gelforge.sweeps.scenes import NamedScene
 from gelforge.sweeps.trial import GRID
 
@@ -43,7 +43,7 @@ def write_challenge(scenes: list[NamedScene], sensor: Sensor, references: Path, 
     write_json(out / "challenge.json", {
         "gel": asdict(first.gel), "c10_mpa": REFERENCE_C10, "nu": first.material.nu, "d1_per_mpa": first.material.d1,
         "cells": list(GRID.shape), "image": list(sensor.image), "projection": sensor.projection.tolist(),
-        "scenes": sorted(names),
+        "scenes": sorted(names), "scatter": scatters(references),
     })  # fmt: skip
 
 

@@ -14,6 +14,8 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import digest_of, read_csv, read_json, write_csv, write_json
 from gelforge.records.press import FORCE
 from gelforge.sweeps.methods import REFERENCE
+from gelforge.sweeps.scenes import parse_scene
+from gelforge.sweeps.symmetry import images_of, symmetrised
 
 KEYS = "keys.json"
 COLUMNS = ("row", "column", *FORCE)
@@ -37,8 +39,12 @@ def _row(row: int, column: int, force: np.ndarray) -> dict:
     return dict(zip(COLUMNS, (row, column, *(f"{value:.7f}" for value in force)), strict=True))
 
 
-def keep_references(charted: Iterable[dict], folder: Path) -> None:
-    """Write references from scenes of the chart (pareto/scenes/*.json), one file each; those of other scenes go."""
+def keep_references(charted: Iterable[dict], folder: Path, nu: float) -> None:
+    """Write references from scenes of the chart (pareto/scenes/*.json), one file each; those of other scenes go.
+
+    A scene that is its own mirror image gets the mean of its forces and their images, which a mesh keeps apart; by how
+    much is its `scatter`. nu: Poisson's ratio.
+    """
     keys = {}
     for scene in charted:
         record = scene["methods"].get(REFERENCE)
@@ -46,13 +52,22 @@ def keep_references(charted: Iterable[dict], folder: Path) -> None:
             raise BadInput(
                 f"the chart of {scene['scene']} has no {REFERENCE}; the small chart's reference is none here"
             )
-        path = folder / f"{scene['scene']}.csv"
+        path, scatter = folder / f"{scene['scene']}.csv", None
+        if record.get("cells") is not None:
+            images = images_of(parse_scene(scene["scene"], scene["table"], nu).scene)
+            cells, outside, scatter = symmetrised(record["cells"], record["outside"], images)
+            record = record | {"cells": cells, "outside": outside}
         write_csv(path, COLUMNS, reference_rows(record))
-        keys[scene["scene"]] = {"key": record["key"], "sha256": digest_of(path)}
+        keys[scene["scene"]] = {"key": record["key"], "sha256": digest_of(path), "scatter": scatter}
     for path in folder.glob("*.csv"):
         if path.stem not in keys:
             path.unlink()
     write_json(folder / KEYS, keys)
+
+
+def scatters(folder: Path) -> dict[str, float | None]:
+    """By scene, how far its reference was from its own mirror image before the mean was taken; None: it has no image."""
+    return {name: of.get("scatter") for name, of in read_json(folder / KEYS).items()}
 
 
 def kept_reference(folder: Path, scene: str, key: str, shape: tuple[int, int]) -> dict | None:
@@ -62,9 +77,10 @@ def kept_reference(folder: Path, scene: str, key: str, shape: tuple[int, int]) -
     """
     path = folder / f"{scene}.csv"
     try:
-        if read_json(folder / KEYS).get(scene) != {"key": key, "sha256": digest_of(path)}:
+        known = read_json(folder / KEYS)[scene]
+        if (known["key"], known["sha256"]) != (key, digest_of(path)):
             return None
-    except (OSError, ValueError, AttributeError):
+    except (OSError, ValueError, LookupError, TypeError):
         return None
     cells, outside = np.zeros((3, *shape)), np.zeros(3)
     for row in read_csv(path):

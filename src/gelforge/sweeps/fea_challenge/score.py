@@ -81,14 +81,20 @@ def cell_of(points: np.ndarray, challenge: dict) -> np.ndarray:
 
 
 def errors(path: Path, reference: Path, challenge: dict) -> dict[str, float]:
-    """Errors of one scene: of the total force, and summed over the cells, each over the reference's total force."""
+    """Errors of one scene over the reference's total force: of the total, and summed over the cells and over 2 x 2 of them.
+
+    scatter: how far the reference was from its own mirror image, None where it has none.
+    """
     cells, outside = to_cells(*read_table(path), challenge, path)
     right, beside = to_cells(*read_table(reference), challenge, reference)
     total, expected = cells.sum(axis=(0, 1)) + outside, right.sum(axis=(0, 1)) + beside
     size = np.linalg.norm(expected)
+    larger = [sum(grid[i::2, j::2] for i in (0, 1) for j in (0, 1)) for grid in (cells, right)]
     return {
         "total": float(np.linalg.norm(total - expected) / size),
         "cells": float(np.linalg.norm(cells - right, axis=2).sum() / size),
+        "cells_2x2": float(np.linalg.norm(larger[0] - larger[1], axis=2).sum() / size),
+        "scatter": challenge.get("scatter", {}).get(reference.stem),
     }
 
 
@@ -117,7 +123,7 @@ def score(folder: Path, challenge: dict) -> dict:
     if not found:
         raise Unusable(f"{folder}: no SCENE.csv of {', '.join(references)}")
     summary: dict[str, float] = {}
-    for kind in ("total", "cells"):
+    for kind in ("total", "cells", "cells_2x2"):
         values = [scene[kind] for scene in found.values()]
         summary |= {f"{kind}_median": float(np.median(values)), f"{kind}_worst": max(values)}
     missing = [name for name in references if name not in found]
@@ -126,12 +132,15 @@ def score(folder: Path, challenge: dict) -> dict:
 
 def table(result: dict) -> str:
     """The score as text."""
-    lines = [f"{'scene':20} {'total force':>12} {'cells':>8} {'seconds':>9}"]
+    lines = [f"{'scene':20} {'total force':>12} {'cells':>8} {'2 x 2':>8} {'reference':>10} {'seconds':>9}"]
     for name, scene in result["scenes"].items():
         time = f"{result['seconds'][name]:.1f}" if name in result["seconds"] else ""
-        lines.append(f"{name:20} {scene['total']:12.2%} {scene['cells']:8.2%} {time:>9}")
+        own = "unknown" if scene["scatter"] is None else f"{scene['scatter']:.2%}"
+        errors = f"{scene['total']:12.2%} {scene['cells']:8.2%} {scene['cells_2x2']:8.2%}"
+        lines.append(f"{name:20} {errors} {own:>10} {time:>9}")
     for kind in ("median", "worst"):
-        lines.append(f"{kind:20} {result[f'total_{kind}']:12.2%} {result[f'cells_{kind}']:8.2%}")
+        total, cells, larger = (result[f"{what}_{kind}"] for what in ("total", "cells", "cells_2x2"))
+        lines.append(f"{kind:20} {total:12.2%} {cells:8.2%} {larger:8.2%}")
     if result["missing"]:
         lines.append(f"not submitted: {', '.join(result['missing'])}")
     return "\n".join(lines)

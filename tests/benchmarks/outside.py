@@ -1,0 +1,89 @@
+"""An engine that nobody here wrote: GetFEM on scenes of the open benchmark, edges and shear among them, beside the references.
+
+It is a program of Debian's own Python (python3-getfem, python3-scipy). Every scene is solved once for the same program,
+scene and cells, so a run that was interrupted goes on. Without the package it says so and measures nothing.
+"""
+
+import hashlib
+import json
+import subprocess
+import sys
+from argparse import Namespace
+from pathlib import Path
+
+from gelforge.errors import BadInput
+from gelforge.flow.main import command, option
+from gelforge.stages import challenge
+from tests.benchmarks.figures import Figure, publish_figures
+
+PYTHON = "/usr/bin/python3"
+PROGRAM = "getfem_edges.py"
+GOALS = ("sphere_1mm", "cuboid_round", "cylinder", "pyramid", "cuboid_shear", "triple_triangle")
+SHARP = ("cuboid_sharp", "punch")  # no goal: their references still move where elements are halved
+TOTAL, CELLS = 0.7, 3.5  # % of total force: the total, and the sum over 2 x 2 cells
+
+
+def has_getfem() -> bool:
+    """Whether Debian's own Python has GetFEM and what the program needs beside it."""
+    asked = [PYTHON, "-c", "import getfem, scipy"]
+    return Path(PYTHON).exists() and subprocess.run(asked, capture_output=True, check=False).returncode == 0
+
+
+def submission(folder: Path, scenes: tuple[str, ...], work: Path) -> Path:
+    """Folder of the outside engine's forces, named by all that they depend on; folder: the open benchmark's."""
+    told = hashlib.sha256()
+    for name in (PROGRAM, "getfem_spheres.py", "gel.stl", *(f"scenes/{scene}/scene.json" for scene in GOALS + SHARP)):
+        told.update((folder / name).read_bytes())
+    shape = json.loads((folder / "challenge.json").read_text(encoding="utf-8"))
+    told.update(json.dumps([shape[key] for key in ("c10_mpa", "d1_per_mpa", "gel")]).encode())
+    out = work / told.hexdigest()[:16]
+    done = subprocess.run([PYTHON, str(folder / PROGRAM), str(out), *scenes], check=False)
+    if done.returncode:
+        raise BadInput(
+            f"{PROGRAM} ended with {done.returncode}, see above; scenes that it finished are kept in {out}"
+        )
+    return out
+
+
+def scored(folder: Path, out: Path) -> dict:
+    """What the benchmark's own script says of a submission."""
+    path = out / "score.json"
+    subprocess.run([sys.executable, "-I", str(folder / "score.py"), str(out), "--out", str(path)], check=True)
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def figures_of(told: dict) -> list[Figure]:
+    """Errors of the scenes that have goals; the table of the benchmark's own script has the sharp ones, too."""
+    found = []
+    for name, errors in told["scenes"].items():
+        if name in SHARP:
+            continue
+        own = "unknown" if errors["scatter"] is None else f"{100 * errors['scatter']:.1f} %"
+        seconds = told["seconds"].get(name)
+        note = f"cells {100 * errors['cells']:.1f} %; the reference and its own mirror image: {own}"
+        note += f"; {seconds:.0f} s of processor time" if seconds is not None else ""
+        found.append(Figure(f"{name}, total force", 100 * errors["total"], "<=", TOTAL, "%", note))
+        found.append(Figure(f"{name}, 2 x 2 cells", 100 * errors["cells_2x2"], "<=", CELLS, "%"))
+    return found
+
+
+@command(
+    option("--workflow", type=Path, default=Path("workflow")),
+    option("--references", type=Path, default=Path("data/fea_challenge")),
+    option("--scenes", nargs="+", choices=GOALS + SHARP, default=GOALS + SHARP),
+    option("--work", type=Path, default=Path("results/benchmarks/outside"), help="what is kept"),
+    option("--out", type=Path),
+)
+def main(args: Namespace) -> None:
+    if not has_getfem():
+        print(f"skipped: {PYTHON} has no GetFEM; sudo apt-get install python3-getfem python3-scipy")
+        return
+    folder = args.work / "challenge"
+    given = ["--workflow", str(args.workflow), "--references", str(args.references), "--out", str(folder)]
+    challenge.main(["write", *given])
+    told = scored(folder, submission(folder.resolve(), tuple(args.scenes), args.work.resolve()))
+    publish_figures(args.out, figures_of(told), scenes=[{"scene": name} | of for name, of in told["scenes"].items()])
+
+
+if __name__ == "__main__":
+    main.exit()

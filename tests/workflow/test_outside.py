@@ -1,0 +1,46 @@
+"""The outside engine's program on a coarse mesh: seconds, where benchmark-outside takes its time for the goals."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from gelforge.flow.files import read_json
+from gelforge.stages import challenge
+from tests.benchmarks.outside import PROGRAM, PYTHON, figures_of, has_getfem
+
+COARSE = """
+import sys
+import getfem_edges as g
+g.BRICKS, g.LAYERS, g.STEP = {"sphere_1mm": 1.2}, (2.0, 1.0, 1.0), 0.4
+sys.argv = [g.__file__, sys.argv[1], "sphere_1mm"]
+g.main()
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(root, tmp_path_factory):
+    out = tmp_path_factory.mktemp("outside") / "challenge"
+    given = ["write", "--workflow", str(root / "workflow"), "--references", str(root / "data" / "fea_challenge")]
+    assert challenge.main([*given, "--out", str(out)]) == 0
+    return out
+
+
+@pytest.mark.skipif(not has_getfem(), reason="needs Debian's python3-getfem and python3-scipy")
+def test_an_engine_of_others_meets_the_reference_of_a_ball(folder, tmp_path):
+    """A twentieth of the mesh that the benchmark takes: total force within 3 %; a second run solves nothing again."""
+    for _ in range(2):
+        done = subprocess.run([PYTHON, "-c", COARSE, str(tmp_path)], cwd=folder, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+    assert done.stdout == "" and (folder / PROGRAM).exists()
+    score = [sys.executable, "-I", str(folder / "score.py"), str(tmp_path), "--out", str(tmp_path / "score.json")]
+    subprocess.run(score, check=True, capture_output=True)
+    told = read_json(tmp_path / "score.json")
+    errors = told["scenes"]["sphere_1mm"]
+    assert errors["total"] < 0.03 and errors["cells_2x2"] < errors["cells"] < 0.3
+    assert errors["scatter"] == pytest.approx(0.0158, abs=1e-3) and told["seconds"]["sphere_1mm"] > 0
+    # a quarter was solved: what is written is symmetric to the last digit
+    rows = np.loadtxt(tmp_path / "sphere_1mm.csv", delimiter=",", skiprows=1)
+    np.testing.assert_allclose(rows[:, 2:4].sum(axis=0), 0.0, atol=1e-6)
+    assert [figure.name for figure in figures_of(told)] == ["sphere_1mm, total force", "sphere_1mm, 2 x 2 cells"]
