@@ -41,7 +41,7 @@ PLATEAU = 0.5  # of the median pressure under the cuboid: where its outline is d
 
 
 def bumps(mesh, rng, count, reach) -> list[np.ndarray]:
-    """Nodal forces (n, 3) of round presses of 2 mm radius to the largest, centres up to `reach` (2,) mm off the crown."""
+    """Nodal forces (n, 3) of round presses of 2 mm radius to the largest, centres up to `reach` (2,) mm off the apex."""
     found = []
     for _ in range(count):
         x, y, radius = (
@@ -55,7 +55,7 @@ def bumps(mesh, rng, count, reach) -> list[np.ndarray]:
 
 
 def reach_inside(sensor, size: float) -> np.ndarray:
-    """How far (2,) mm from the crown a bump's centre may lie so that all of its elements of `size` mm are in the image."""
+    """How far (2,) mm from the apex a bump's centre may lie so that all of its elements of `size` mm are in the image."""
     width, height = sensor.image
     edges = sensor.unproject(np.array([[0, height / 2], [width, height / 2], [width / 2, 0], [width / 2, height]]))
     return np.array([np.abs(edges[2:, 0]).min(), np.abs(edges[:2, 1]).min()]) - LARGEST_BUMP - 2 * size

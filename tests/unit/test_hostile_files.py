@@ -186,7 +186,7 @@ def test_a_link_that_leads_to_itself_is_rejected(tmp_path):
         read_image(tmp_path / "loop.png")
 
 
-@pytest.mark.parametrize("name", ["a.png", "a.npz", "a.pt", "log.csv", "a.mp4", "a.mcap"])
+@pytest.mark.parametrize("name", ["a.png", "a.npz", "a.onnx", "log.csv", "a.mp4", "a.mcap"])
 def test_a_git_lfs_pointer_is_told_under_any_name(tmp_path, name):
     """A clone without git-lfs holds these in place of what was pushed."""
     path = tmp_path / name
@@ -199,7 +199,7 @@ def test_a_git_lfs_pointer_is_told_under_any_name(tmp_path, name):
     def recording(path):
         return list(messages(path, "/a"))
 
-    readers = {".png": read_image, ".npz": read_labels, ".pt": load_model, ".csv": log.read_log, ".mp4": film,
+    readers = {".png": read_image, ".npz": read_labels, ".onnx": load_model, ".csv": log.read_log, ".mp4": film,
                ".mcap": recording}  # fmt: skip
     with pytest.raises(BadInput, match="git lfs pull"):
         readers[path.suffix](path)

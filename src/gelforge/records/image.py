@@ -163,10 +163,8 @@ def bad_image(press: PressRecord, file: str, folder: str | Path, size: tuple[int
     data, fault = bytes_or_fault(path, MOST_BYTES)
     if fault:
         other = other_case(path)
-        remedy = (
-            f"write its name as it is there: {other.name}" if other else "copy the image there, or remove the row"
-        )
-        return no(f"cannot be read ({fault})", remedy)
+        hint = f"write its name as it is there: {other.name}" if other else "copy the image there, or remove the row"
+        return no(f"cannot be read ({fault})", hint)
     fault, seen = png_fault(data)
     if fault:
         return no(fault, "copy the file again from the source, as PNG")
