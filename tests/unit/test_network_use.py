@@ -188,7 +188,7 @@ def test_a_former_name_of_an_option_still_works_and_names_the_new_one(data, path
     for name in ("--nocontact", "--untouched"):
         predict.main([str(image), "--model", str(paths["pair"]), "--out", str(tmp_path / "out"), name, str(rest)])
         rows.append((tmp_path / "out" / "totals.csv").read_text())
-        assert ("--untouched is called --nocontact now" in capsys.readouterr().err) == (name == "--nocontact")
+        assert ("--untouched is called --nocontact now" in capsys.readouterr().err) == (name != "--nocontact")
     assert rows[0] == rows[1]
     with pytest.raises(BadInput, match="give it with --nocontact"):
         predict.main([str(image), "--model", str(paths["pair"]), "--out", str(tmp_path / "out")])
@@ -242,11 +242,10 @@ def test_unlike_images_are_flagged(data, models):
     black = np.zeros((*IMAGE, 3), np.uint8)
     plain = np.full((*IMAGE, 3), 120, np.uint8)
     wider = cv2.resize(np.asarray(data.images[0]), (160, 96))
-    unlike = "unlike the training images in its "
     for image, reason in (
-        (black, unlike),
-        (plain, unlike),
-        (data.images[0][..., ::-1] // 3, unlike),
+        (black, "monochrome"),
+        (plain, "monochrome"),
+        (data.images[0][..., ::-1] // 3, "unlike the training images in its "),
         (wider, "of another shape"),
     ):
         found = predictor.predict(image)
