@@ -420,7 +420,7 @@ def test_one_source_of_the_untouched_picture_is_asked_for(weighed):
 def test_a_picture_that_shows_a_part_of_the_contact_does_not_count(reference, tmp_path, capsys):
     """Of FEATS' presses two balls that lie within the picture, and a bar that goes on beyond it."""
     rest = read_npy(reference / "feats/images/nocontact_train_sensor.npy")["gs_img"]
-    pictures = [picture for picture, _ in feats_maps(reference / "feats/images/demo.gif", load_for_use(None), rest)]
+    pictures = [picture for picture, _ in feats_maps(reference / "feats/images/demo.gif", rest)]
     chosen = {"rest": rest, "ball": pictures[24], "small_ball": pictures[38], "bar": pictures[16]}
     for name, picture in chosen.items():
         cv2.imwrite(str(tmp_path / f"{name}.png"), picture[..., ::-1])
