@@ -318,11 +318,14 @@ def main(args: Namespace) -> None:
     done = calibrate(readings, emulator, params, nu, args.work / "chain.npz", say_figures, args.jobs)
     draw_plots(done, args.work, args.work / "chain.npz")
     own = of.params.get("material", {}).get("c10")
-    result = summarise(done, params, own if isinstance(own, int | float) else REFERENCE_C10)
+    usual = own if isinstance(own, int | float) else REFERENCE_C10
+    result = summarise(done, params, usual)
     result["solves_spent"] = spent
     result["presses_logged"] = len(logged)
     write_json(args.out, result)
-    print("\n".join([*result["sentences"], say_spent(spent)]))
+    notes = summary.units_sentence(result["c10"]["median"], usual)
+    said = [f"note: {line}" if line in notes else line for line in result["sentences"]]
+    print("\n".join([*said, say_spent(spent)]))
     for row in spent["unsolved"]:
         print(f"left out: {row['sample_id']}: {row['reason']}")
     for row in result["outliers"]:

@@ -183,7 +183,8 @@ def repeated_pictures(path: Path, presses: list[PressRecord], where: str, strict
     if strict:
         raise BadInput(f"{told}; {remedy}")
     print(
-        f"{told}; all presses of one picture go to one split. Did the camera freeze? If so, {remedy}", file=sys.stderr
+        f"note: {told}; all presses of one picture go to one split. Did the camera freeze? If so, {remedy}",
+        file=sys.stderr,
     )
     return found
 
