@@ -10,9 +10,9 @@ import numpy as np
 from gelforge.networks.checkpoint.modelfile import ForceModel
 from gelforge.networks.inference.predictor import Predictor
 from gelforge.networks.inference.sensorprofile import Gain, fit_opposite
-from gelforge.networks.preprocess.nocontact import SETTLING, find_nocontact
-from gelforge.records.film import frames, open_source
+from gelforge.records.film import frames, numbered, open_source
 from gelforge.records.markers import find_blobs
+from gelforge.records.nocontactimage import SETTLING, find_nocontact
 from gelforge.records.totals import BEYOND
 from tests.benchmarks.figures import Figure
 from tests.benchmarks.ways import bare
@@ -65,7 +65,7 @@ def motion_of(dots: np.ndarray, rest: np.ndarray, image: np.ndarray) -> np.ndarr
 def read_film(path: Path, model: ForceModel) -> Read:
     """Read every third frame of a film in both ways, and follow its dots."""
     images = frames_of(path)
-    rest, _ = find_nocontact(iter(images), str(path))
+    rest, _ = find_nocontact(numbered(images), str(path))
     dots, as_it_is, predictor = find_blobs(rest)[0], bare(model, images[0]), Predictor(model, rest)
     chosen = images[SETTLING::EVERY]  # while a camera sets its exposure nothing is known
     found = [predictor.predict(image) for image in chosen]

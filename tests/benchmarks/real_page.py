@@ -10,9 +10,10 @@ from gelforge.flow.files import write_text
 from gelforge.formats.numpy_pickle import read_npy
 from gelforge.networks.checkpoint.modelfile import ForceModel
 from gelforge.networks.inference.predictor import Predictor
-from gelforge.networks.preprocess.nocontact import find_nocontact
 from gelforge.records.axes import CHANNEL_OF_AXIS
+from gelforge.records.film import numbered
 from gelforge.records.image import encode_png, read_image
+from gelforge.records.nocontactimage import find_nocontact
 from gelforge.reporting.forcemaps import overlay
 from gelforge.reporting.page import Section, render
 from tests.benchmarks.figures import Figure
@@ -64,7 +65,7 @@ def film_section(model: ForceModel, films: Sequence[Path]) -> Section:
     pictures = []
     for path in films:
         images = frames_of(path)
-        rest, _ = find_nocontact(iter(images), str(path))
+        rest, _ = find_nocontact(numbered(images), str(path))
         hardest = max(images, key=lambda image: float(np.abs(image.astype(np.int16) - rest).mean()))
         predictor = Predictor(model, rest)
         pictures += [read_over(predictor, rest), read_over(predictor, hardest)]

@@ -10,7 +10,6 @@ from gelforge.errors import BadInput
 from gelforge.networks.inference.predictor import Predictor, load_for_use
 from gelforge.networks.preprocess.illumination import Reference, match_light
 from gelforge.networks.preprocess.markertracks import MarkerTracker
-from gelforge.networks.preprocess.nocontact import FEWEST, MOST, STILL, find_nocontact
 from gelforge.networks.preprocess.registration import OF_CONTACT, rim_shift, shifted_back
 from gelforge.networks.preprocess.scale import fit_size, view_of
 from gelforge.records.image import read_image
@@ -121,61 +120,6 @@ def test_drifting_light_is_no_force(shipped, untouched, drift):
 def test_the_untouched_picture_itself_reads_zero(shipped, untouched):
     for picture in untouched:
         assert np.array_equal(Predictor(shipped, picture).predict(picture).cells, np.zeros((3, 24, 32)))
-
-
-def film(*parts):
-    """Frames: (kind, count) of exposing, rest, moving."""
-    rng, rest, at = np.random.default_rng(5), gel(2).astype(float), 0
-    for kind, count in parts:
-        for k in range(count):
-            level = {"exposing": 1.6 - 0.07 * k, "rest": 1.0, "moving": 1.0}[kind]
-            moved = np.roll(rest, 9 * at if kind == "moving" else 0, axis=1)
-            at += 1
-            yield np.clip(level * moved + rng.normal(0, 2.0, rest.shape), 0, 255).astype(np.uint8)
-
-
-def test_the_untouched_picture_comes_from_frames_at_rest():
-    frames = list(film(("exposing", 8), ("rest", 8), ("moving", 10)))
-    picture, stream = find_nocontact(iter(frames), "film")
-    assert np.abs(picture.astype(float) - gel(2)).mean() < 1.5
-    assert [np.array_equal(a, b) for a, b in zip(stream, frames, strict=True)] == [True] * len(frames)
-
-
-def test_frames_of_a_large_camera_are_kept_small():
-    """Three hundred frames of eight megapixels do not fit into a robot's memory."""
-    large = (cv2.resize(image, (1600, 1200)) for image in film(("rest", FEWEST)))
-    picture, stream = find_nocontact(large, "film")
-    assert picture.shape == (240, 320, 3) and {image.shape for image in stream} == {(240, 320, 3)}
-
-
-def test_the_fewest_frames_that_can_tell_it_suffice():
-    _, stream = find_nocontact(film(("rest", FEWEST)), "film")
-    assert len(list(stream)) == FEWEST
-
-
-@pytest.mark.parametrize("count", [0, 1, FEWEST - 1])
-def test_a_film_too_short_to_tell_the_untouched_sensor_says_so(count):
-    with pytest.raises(BadInput, match=f"film: ends after {count} of the {FEWEST} frames"):
-        find_nocontact(film(("rest", count)), "film")
-
-
-@pytest.mark.parametrize("parts", [[("moving", 40)], [("exposing", 8), ("moving", MOST)]])
-def test_a_film_without_rest_is_refused(parts):
-    with pytest.raises(BadInput, match=f"no {STILL} frames in a row"):
-        find_nocontact(film(*parts), "film")
-
-
-def test_a_stream_without_end_is_not_read_for_ever():
-    taken = []
-
-    def endless():
-        for image in film(("moving", 10 * MOST)):
-            taken.append(1)
-            yield image
-
-    with pytest.raises(BadInput):
-        find_nocontact(endless(), "camera 0")
-    assert len(taken) <= MOST + 1
 
 
 def smooth(seed: int) -> np.ndarray:

@@ -49,14 +49,14 @@ def hardest_frames(film: Path, model):
     import cv2
 
     from gelforge.networks.inference.predictor import Predictor
-    from gelforge.networks.preprocess.nocontact import find_nocontact
-    from gelforge.records.film import frames, open_source
+    from gelforge.records.film import frames, numbered, open_source
+    from gelforge.records.nocontactimage import find_nocontact
 
     with open_source(film, None) as (source, announced):
         seen = (cv2.cvtColor(frame, cv2.COLOR_BGR2RGB) for frame in frames(source, announced, str(film), None))
-        picture, images = find_nocontact(seen, str(film))
+        picture, at_rest_and_after = find_nocontact(numbered(seen), str(film))
         predictor = Predictor(model, picture)
-        found = [predictor.predict(image) for image in images]
+        found = [predictor.predict(frame.image) for frame in at_rest_and_after]
         read = [(one.image, one.cells) for one in found]
     parts = np.array_split(np.arange(len(read)), SHOWN)
     hardest = [max((read[at] for at in part), key=lambda pair: -pair[1][2].sum()) for part in parts if len(part)]
