@@ -33,7 +33,7 @@ def run(command: list[str], url: str, home: Path) -> tuple[float, float, float]:
     """Seconds by the clock, seconds of processors and peak memory in MiB of a command."""
     started, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
     words = [sys.executable, "-c", PEAK, *command]
-    environment = os.environ | {"HF_ENDPOINT": url, "HF_HOME": str(home)}
+    environment = os.environ | {"HF_ENDPOINT": url, "HF_HOME": str(home), "HF_HUB_DOWNLOAD_TIMEOUT": "60"}
     said = subprocess.run(words, check=True, capture_output=True, text=True, env=environment)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime

@@ -40,7 +40,7 @@ def words(folder, *options):
 
 
 def environment(folder, url):
-    return os.environ | {"HF_ENDPOINT": url, "HF_HOME": str(folder / "hub"), "HF_HUB_DOWNLOAD_TIMEOUT": "5"}
+    return os.environ | {"HF_ENDPOINT": url, "HF_HOME": str(folder / "hub"), "HF_HUB_DOWNLOAD_TIMEOUT": "60"}
 
 
 def fetch(root, folder, url, *options, limit_kib=None):

@@ -17,6 +17,7 @@ from gelforge.flow.progress import progress
 from gelforge.formats.feats_folder import split_of
 
 REPOSITORY = "erikhelmut/FEATS"
+PATIENCE_S = 60.0  # that an answer of the hub may take
 LISTING = "feats-hub.json"  # what was fetched: commit, and size and digest of each file
 FULL = (*UNWRITABLE, errno.EFBIG)
 LATER = (
@@ -57,7 +58,7 @@ def fetch(folder: Path, splits: Iterable[str]) -> Path:
         print(*(f"{path}: not as the hub lists it; loading it again" for path in changed), sep="\n", flush=True)
     patterns = sorted({f"{(base / Path(name).relative_to(base).parts[0]).as_posix()}/*" for name in wanted})
     ask(lambda hub: hub.snapshot_download(REPOSITORY, repo_type="dataset", revision=commit, local_dir=folder,
-                                          allow_patterns=patterns))  # fmt: skip
+                                          allow_patterns=patterns, etag_timeout=PATIENCE_S))  # fmt: skip
     for path in (folder / ".cache" / "huggingface").rglob("*.incomplete"):
         path.unlink()  # of a fetch that was killed: the library begins such a file anew
     for name, file in progress(wanted.items(), "check", len(wanted)):
@@ -74,7 +75,7 @@ def listing() -> tuple[str, dict[str, Listed]]:
 
     def asked(hub) -> tuple[str, list]:
         api = hub.HfApi()
-        commit = api.repo_info(REPOSITORY, repo_type="dataset", timeout=30).sha
+        commit = api.repo_info(REPOSITORY, repo_type="dataset", timeout=PATIENCE_S).sha
         return commit, list(api.list_repo_tree(REPOSITORY, repo_type="dataset", revision=commit, recursive=True))
 
     commit, entries = ask(asked)
