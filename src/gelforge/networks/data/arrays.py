@@ -246,8 +246,8 @@ def calibration_rows(data: Data) -> np.ndarray:
 def press_keys(data: Data, rows) -> np.ndarray:
     """What tells the presses of some rows from all others, in whatever dataset and among whatever presses they are, (k,) text.
 
-    Frames, depths and shears of one touch, by whatever sensor, are one press. A press without a pose is told by the names of
-    its dataset and itself.
+    Frames, depths and shears of one touch, by whatever sensor, are one press. A press without a pose is identified by
+    its dataset, its name and the force that was measured.
     """
     return np.array([_press_key(data.name, data.table[row].press) for row in rows])
 
@@ -256,7 +256,7 @@ def _press_key(dataset: str, press: PressRecord) -> str:
     if press.posed:
         said = f"{press.indenter} {press.x0_mm:.4f} {press.y0_mm:.4f} {press.rot_deg:.3f}"
     else:
-        said = f"{dataset} {press.press_id or press.sample_id}"
+        said = f"{dataset} {press.press_id or f'{press.sample_id} {np.round(press.force, 3)}'}"
     return hashlib.sha1(said.encode(), usedforsecurity=False).hexdigest()[:10]
 
 
