@@ -2,10 +2,17 @@
 
 import numpy as np
 import pytest
+from parameters import parameters
 
 import gelforge
 from gelforge.geometry.indenters import build
 from gelforge.geometry.triangles import joined, write_stl
+from gelforge.mechanics.ccx.ccxsolver import CcxSettings, CcxSolver
+from gelforge.mechanics.scene import Material, Press, Scene
+from tests.blocks import symmetric_block
+from tests.flat_pad import FlatPad
+
+PAD = FlatPad(name="pad", width=7.0, length=7.0, corner_radius=0.0, height=4.0)
 
 
 @pytest.fixture(scope="module")
@@ -30,10 +37,23 @@ def on_hexahedra(body):
     return gelforge.solve(body, 0.6, quality="demo").total
 
 
-def test_shells_inside_change_no_force(bodies):
-    full = on_hexahedra(bodies["full"])
+def with_calculix(body, ccx, folder):
+    settings = CcxSettings.of(parameters(fea={"press_steps": 3, "shear_steps": 2}).fea)
+    result = CcxSolver(symmetric_block(PAD, 1.0, 3), folder, settings).solve(
+        Scene(PAD, Material(), body, Press(0, 0, 0, 0, 0, -0.6))
+    )
+    assert result.status.valid, result.evidence
+    return result.total
+
+
+@pytest.mark.parametrize("fidelity", ["hex", "ccx"])
+def test_shells_inside_change_no_force(bodies, fidelity, request, tmp_path):
+    def force(name):
+        if fidelity == "hex":
+            return on_hexahedra(bodies[name])
+        return with_calculix(bodies[name], request.getfixturevalue("ccx"), tmp_path / name.replace(" ", "-"))
+
+    full = force("full")
     assert full[2] < -1.0
     for name in set(bodies) - {"full"}:
-        np.testing.assert_allclose(
-            on_hexahedra(bodies[name]), full, rtol=1e-3, atol=1e-3 * np.abs(full).max(), err_msg=name
-        )
+        np.testing.assert_allclose(force(name), full, rtol=1e-3, atol=1e-3 * np.abs(full).max(), err_msg=name)
