@@ -5,7 +5,7 @@ DATA := data/$(DATASET)
 PLANNED := $D/00_plan/plan.mk
 
 # What a plan is made from, beside the files that it names itself (PLAN_READS: catalogue and shapes).
-PLAN_INPUTS := $(DATA)/log.csv $(DATA)/dataset.toml $(addprefix workflow/,params.toml models.toml scenes.toml sensors.toml gels.toml) $(wildcard $(DATA)/sensors.toml) $(CCX_FOUND) $(wildcard src/gelforge/*/*.py src/gelforge/*/*/*.py)
+PLAN_INPUTS := $(DATA)/log.csv $(DATA)/dataset.toml $(addprefix workflow/,params.toml charted.toml models.toml scenes.toml sensors.toml gels.toml) $(wildcard $(DATA)/sensors.toml) $(CCX_FOUND) $(wildcard src/gelforge/*/*.py src/gelforge/*/*/*.py)
 PLAN_READS :=
 PLAN_STATE :=
 PICTURES :=

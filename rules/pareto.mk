@@ -28,8 +28,9 @@ $(PARETO_FILES): $D/pareto/scenes/%.json: $P/scenes/%.json $P/pareto.json $P/sen
 $(PARETO_QUICK_FILES): $D/pareto/quick/%.json: $P/scenes/%.json $(PARETO_QUICK:%=$P/scenes/%.json) $P/pareto.json $P/sensors.json $(KEPT)
 	$(call step,$(PARETO_SCENE) --set quick --meshes $D/20_meshes --out $@.part)
 
+# It also writes workflow/charted.toml, by which [fea] fidelity = "auto" chooses.
 $D/pareto/pareto.json: $(PARETO_FILES)
-	$(call step,gelforge.stages.pareto chart --scenes $^ --out $@.part)
+	$(call step,gelforge.stages.pareto chart --scenes $^ --params $P/pareto.json --out $@.part)
 
 $D/pareto/quick.json: $(PARETO_QUICK_FILES)
 	$(call step,gelforge.stages.pareto chart --scenes $^ --note "a small chart; make pareto DATASET=$(DATASET) draws the large one" --out $@.part)

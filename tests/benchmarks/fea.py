@@ -38,12 +38,12 @@ from gelforge.sweeps.methods import REFERENCE, Method, prepare, quality_method
 from gelforge.sweeps.scenes import NamedScene, parse_scene, read_tables
 from gelforge.sweeps.trial import (
     ChartBench,
+    ccx_settings,
     given_reference,
     kept,
     load_bench,
     measure,
     solve_isolated,
-    without_bricks,
 )
 from tests.benchmarks import fea_cost as cost
 from tests.benchmarks.chart_meshes import ensure_meshes
@@ -249,7 +249,7 @@ def envelope_settings(params: ForPareto, method: Method) -> list:
     """What the records of an engine depend on."""
     if method.fidelity == "hex":
         return [params.version, asdict(quality(params.fea.hex_quality))]
-    return [params.version, without_bricks(params.fea) | {"charted": None}, without_bricks(params.meshes)]
+    return [params.version, *ccx_settings(params)]
 
 
 def envelope_figures(found: dict[str, list[dict]]) -> list[Figure]:

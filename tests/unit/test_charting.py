@@ -19,10 +19,11 @@ from parameters import parameters, slice_of
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_json
+from gelforge.flow.params import load_params
 from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.family import footprint
 from gelforge.stages import stability
-from gelforge.stages.pareto import charted, summarise
+from gelforge.stages.pareto import charted, keep_charted, summarise
 from gelforge.sweeps import cases
 from gelforge.sweeps.deviation import cell_error, errors, frontier, total_error
 from gelforge.sweeps.isolate import isolated
@@ -350,3 +351,19 @@ def test_bricks_of_label_quality_are_charted_as_such_whatever_fea_uses():
     assert charted(scenes)["flat_deep"]["hex-label"][2] == 1.0 and charted(scenes)["flat_deep"]["ccx"][2] == 3.0
     del methods["hex-label-quality"]
     assert charted(scenes)["flat_deep"]["ccx"][2] == 12.0
+
+
+def test_the_chart_writes_what_auto_chooses_by(root, tmp_path):
+    """The tracked file comes back from its own numbers, and only a chart of the project's own parameters changes it."""
+    workflow = shutil.copytree(root / "workflow", tmp_path / "workflow")
+    path = workflow / "charted.toml"
+    before, params = path.read_text(encoding="utf-8"), slice_of("pareto")
+    found = {kind: {way: list(row) for way, row in of.items()} for kind, of in params.fea.charted.items()}
+    assert "says the same" in keep_charted(found, params, workflow) and path.read_text(encoding="utf-8") == before
+    found["flat_deep"]["ccx"][0] = 0.5
+    own = replace(params, fea=replace(params.fea, meshes=("wide-1.0",)))
+    assert "parameters of its own" in keep_charted(found, own, workflow)
+    assert "not every method" in keep_charted({}, params, workflow)
+    assert path.read_text(encoding="utf-8") == before
+    assert "this chart now" in keep_charted(found, params, workflow)
+    assert load_params(workflow).fea.charted["flat_deep"]["ccx"][0] == 0.5

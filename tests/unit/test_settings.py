@@ -1,7 +1,6 @@
 """Settings of a dataset: what has no meaning is refused in a sentence that names table, key, value, remedy and file."""
 
 import json
-import tomllib
 from dataclasses import fields
 from typing import Annotated, Any, get_args, get_origin
 
@@ -18,6 +17,7 @@ from gelforge.flow.params import (
     read_dataset_file,
     read_slice,
     read_toml,
+    with_charted,
 )
 from gelforge.flow.params import tables as t
 from gelforge.flow.params.schema import OneOf, ParameterTable, Within, bare, kinds_of
@@ -32,7 +32,7 @@ def load(root, tmp_path, text):
 
 
 def raw(root):
-    return tomllib.loads((root / "workflow" / "params.toml").read_text(encoding="utf-8"))
+    return with_charted(read_toml(root / "workflow" / "params.toml"), root / "workflow")
 
 
 def test_the_schema_and_params_toml_hold_the_same_keys(root):
@@ -259,3 +259,15 @@ def test_words_of_the_schema_are_those_of_the_code():
     assert set(LAWS) == set(get_args(t.Law)[1].words)
     assert set(NAMES) | {"indenter"} == {field.name for field in fields(t.PriorsTable)}
     assert set(t.CHANNELS) - {"force"} <= set(FIELDS)
+
+
+def test_benchmarked_errors_stand_in_their_own_file_alone(root, tmp_path):
+    """One that params.toml has, too, would be read or not read without a word; none at all leaves auto nothing to choose by."""
+    text = (root / "workflow" / "params.toml").read_text(encoding="utf-8")
+    (tmp_path / "params.toml").write_text(text, encoding="utf-8")
+    assert load_params(tmp_path).fea.charted == {}
+    (tmp_path / "charted.toml").write_text("[flat_deep]\nccx = [0.01, 0.05, 3.0]\n", encoding="utf-8")
+    assert load_params(tmp_path).fea.charted == {"flat_deep": {"ccx": (0.01, 0.05, 3.0)}}
+    (tmp_path / "params.toml").write_text(text + "\n[fea.charted.flat_deep]\nccx = [0, 0, 1]\n", encoding="utf-8")
+    with pytest.raises(BadInput, match=r"\[fea.charted\]: is read from .*charted.toml; move the tables there"):
+        load_params(tmp_path)

@@ -168,19 +168,27 @@ def _answer(found: Result) -> Callable[[Scene], Result]:
     return lambda scene: found
 
 
-def cheapest(kind: str | None, settings: FeaTable) -> str:
-    """The cheapest of WAYS whose charted worst errors, on scenes of this class of contact, meet both tolerances.
+def charted_errors(kind: str, settings: FeaTable) -> dict[str, np.ndarray]:
+    """Worst benchmarked error of total force and of the cells, and cost (3,), by method, on contacts of this class.
 
-    A class that was never charted counts as the worst of all classes of its shape, or of all there are. None: nothing
-    touches, and the cheapest will say so.
+    A class that was never benchmarked counts as the worst of all classes of its shape, or of all there are.
+    """
+    charted = settings.charted
+    shape, _, _ = kind.partition("_")
+    alike = [name for name in charted if name.startswith(f"{shape}_")]
+    rows = [charted[name] for name in ([kind] if kind in charted else alike or charted)]
+    return {way: np.max([row[way] for row in rows], axis=0) for way in WAYS if all(way in row for row in rows)}
+
+
+def cheapest(kind: str | None, settings: FeaTable) -> str:
+    """The cheapest of WAYS whose benchmarked worst errors on this class of contact meet both tolerances.
+
+    None: nothing touches, and the cheapest will say so.
     """
     if kind is None:
         return WAYS[0]
-    charted = settings.charted
-    alike = [name for name in charted if name.split("_")[0] == kind.split("_")[0]]
-    rows = [charted[name] for name in ([kind] if kind in charted else alike or charted)]
     limits = np.array([settings.tolerance, settings.cell_tolerance])
-    worst = {way: np.max([row[way] for row in rows], axis=0) for way in WAYS if all(way in row for row in rows)}
+    worst = charted_errors(kind, settings)
     meeting = {way: found[2] for way, found in worst.items() if (found[:2] <= limits).all()}
     if not meeting:
         raise BadInput(

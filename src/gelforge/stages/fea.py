@@ -6,6 +6,7 @@ import shutil
 import tempfile
 from argparse import Namespace
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +15,11 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import digest_of, publish, read_json, write_json
 from gelforge.flow.layout import beside
 from gelforge.flow.main import command, option
+from gelforge.flow.params import digest_of_value
 from gelforge.flow.params.slices import ForFea, read_slice
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import load_gel
+from gelforge.labelling.sensor import sensor_of
 from gelforge.mechanics.ccx.deck import INCLUDES
 from gelforge.mechanics.family import MeshFamily, mesh_names
 from gelforge.mechanics.fidelity import Solvers, way_of
@@ -26,9 +29,10 @@ from gelforge.mechanics.solvekey import settings_of, solve_key
 from gelforge.records.frames import presses_of
 from gelforge.records.log import read_poses
 from gelforge.records.meshtable import read_meshes
-from gelforge.records.press import PosedPress
+from gelforge.records.press import SENSOR_TABLES, PosedPress
 from gelforge.records.solvetable import Solved, damaged, read_record, write_solves
 from gelforge.records.status import Status
+from gelforge.sweeps import verification
 
 VERSION = 12
 
@@ -169,6 +173,9 @@ def run_shard(
                     " run make again, it resumes at this sample"
                 ) from error
             records |= {record["sample_id"]: record for record in found}
+            by_ccx = replace(params, fea=replace(params.fea, fidelity="ccx"))
+            twin = press_keys(frames, scenes, by_ccx, tables, chosen)[-1]
+            verify_press(frames[-1], (keys[-1], twin), scenes, found[-1], solvers, tables["sensors"], folder)
     return [solved(records[press.sample_id], press, folder) for press in presses]
 
 
@@ -192,6 +199,43 @@ def run_press(frames: list[PosedPress], keys: list[str], scenes: list[Scene], so
     found = [record for record in records if record is not None]
     known |= dict(zip(same, found, strict=True))
     return found
+
+
+def verify_press(press: PosedPress, keys: tuple[str, str], scenes: list[Scene], record: dict, solvers: Solvers,
+                 sensors: dict, folder: Path) -> None:  # fmt: skip
+    """Solve a press that "auto" solved without CalculiX by CalculiX, too, where it is one of [fea] verify.
+
+    press, keys, record: of the last frame; the second key is that of CalculiX' solve. Deck, output and record of CalculiX
+    are those of a sample called ID.ccx; the difference is ID.verify.json.
+    """
+    path, twin = folder / f"{press.sample_id}{verification.ENDING}", f"{press.sample_id}.ccx"
+    way, kind = record["evidence"].get("way", "ccx"), record["evidence"].get("class", "")
+    solvable = Status[record["status"]].valid and record["fidelity"] == "hex" and way != "ccx"
+    if not (solvable and verification.chosen(press.sample_id, solvers.settings.verify)):
+        for stale in (path, *folder.glob(f"{twin}.*")):
+            stale.unlink(missing_ok=True)
+        return
+    key = digest_of_value([*keys, solvers.settings.charted.get(kind)])
+    whole = finished(folder, twin, keys[1], solvers.settings.timeout_s)
+    if whole and (kept := verification.kept_verified(path)) and kept.key == key:
+        return
+    path.unlink(missing_ok=True)
+    result = solvers.solve_frames(scenes, "ccx")[-1]
+    right = publish_solve(twin, result, solvers, keys[1], folder)
+    told = (key, press.sample_id, kind, way)
+    sensor = sensor_of(SENSOR_TABLES, press.sensor_id, sensors[press.sensor_id])
+    if right["fidelity"] != "ccx" or not right["files"]:
+        reason = right["reason"] or "; ".join(right["evidence"].get("ladder", [])) or "CalculiX found no solution"
+        found = verification.compare(told, solvers.settings, reason, None)
+    else:
+        result_mesh = solvers.family.load(right["mesh"])
+        with np.load(folder / record["files"][-1], allow_pickle=False) as file:
+            forces = [file["force"], result.forces[result_mesh.surface_nodes]]
+        meshes = [solvers.family.load(record["mesh"]), result_mesh]
+        pairs = [(force.sum(axis=0), verification.surface_cells(mesh, force, sensor))
+                 for mesh, force in zip(meshes, forces, strict=True)]  # fmt: skip
+        found = verification.compare(told, solvers.settings, *pairs)
+    verification.write_verified(path, found)
 
 
 @command(

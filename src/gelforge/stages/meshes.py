@@ -17,6 +17,7 @@ from gelforge.mechanics.scene import Scene
 from gelforge.records.frames import presses_of
 from gelforge.records.log import read_poses
 from gelforge.records.meshtable import COLUMNS
+from gelforge.sweeps import verification
 
 VERSION = 6
 
@@ -34,8 +35,10 @@ def meshed(presses: list[dict[str, Scene]], params: ForFea) -> dict[str, Scene]:
     """Scenes by sample that are solved on tetrahedra. presses: frames of each by their samples, in order of time."""
     found: dict[str, Scene] = {}
     for frames in presses:
-        way = way_of(list(frames.values())[-1], params.fea.fidelity, params.fea)
-        if way.fidelity not in IN_PROCESS:
+        last, scene = list(frames.items())[-1]
+        way = way_of(scene, params.fea.fidelity, params.fea)
+        verified = params.fea.fidelity == "auto" and verification.chosen(last, params.fea.verify)
+        if way.fidelity not in IN_PROCESS or verified:
             found |= frames
     return found
 

@@ -4,14 +4,15 @@
 """
 
 from argparse import Namespace
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from statistics import median
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import publish, read_json, write_csv, write_json
+from gelforge.flow.files import publish, read_json, write_csv, write_if_changed, write_json
 from gelforge.flow.layout import beside
 from gelforge.flow.main import command, group, option
+from gelforge.flow.params import CHARTED, cut_slice, load_params
 from gelforge.flow.params.slices import ForPareto, ForParetoMeshes, read_slice
 from gelforge.flow.params.tables import CLASSES, IN_PROCESS
 from gelforge.flow.progress import progress
@@ -23,7 +24,7 @@ from gelforge.sweeps.deviation import errors, frontier
 from gelforge.sweeps.methods import HALVED, REFERENCE, Method, every_method, quick_methods
 from gelforge.sweeps.references import build_mesh
 from gelforge.sweeps.scenes import NamedScene, parse_scene
-from gelforge.sweeps.trial import ChartBench, given_reference, load_bench, measure
+from gelforge.sweeps.trial import ChartBench, ccx_settings, given_reference, load_bench, measure
 
 # Also of its meshes: what was solved on others is solved anew.
 VERSION = 3
@@ -112,7 +113,7 @@ def ways_of(methods: dict[str, dict]) -> dict[str, dict]:
 
 
 def charted(scenes: list[dict]) -> dict[str, dict[str, list[float]]]:
-    """What [fea.charted] should say: by class of contact and way, worst errors in total force and cells, and cost.
+    """What workflow/charted.toml should say: by class of contact and way, worst errors in total force and cells, and cost.
 
     Cost is the median of processor seconds over that of hex-label on all scenes. Empty where a way was not charted.
     """
@@ -127,6 +128,30 @@ def charted(scenes: list[dict]) -> dict[str, dict[str, list[float]]]:
         for kind in CLASSES
         if kind in classes
     }
+
+
+def charted_text(found: dict[str, dict[str, list[float]]], old: str) -> str:
+    """workflow/charted.toml with these numbers under the comment that it begins with."""
+    comment = "".join(line for line in old.splitlines(keepends=True) if line.startswith("#"))
+    tables = [
+        "".join([f"[{kind}]\n", *(f"{way} = {row}\n" for way, row in of.items())]) for kind, of in found.items()
+    ]
+    return "\n".join([comment, *tables])
+
+
+def keep_charted(found: dict[str, dict[str, list[float]]], params: ForPareto, workflow: Path) -> str:
+    """Write benchmarked errors to workflow/charted.toml; a sentence that says so, or why not.
+
+    Only of a dataset that solves with the project's own parameters: "auto" of all datasets chooses by them.
+    """
+    path = workflow / CHARTED
+    usual = cut_slice(load_params(workflow), ForPareto, params.version)
+    if not found:
+        return f"{path} stays as it is: not every method of auto was solved on every scene."
+    if replace(usual, fea=params.fea) != params or ccx_settings(usual) != ccx_settings(params):
+        return f"{path} stays as it is: this dataset sets parameters of its own."
+    changed = write_if_changed(path, charted_text(found, path.read_text(encoding="utf-8") if path.exists() else ""))
+    return f"{path} {'has the errors of this chart now' if changed else 'says the same'}."
 
 
 def _class_row(records: list[dict], base: float) -> list[float]:
@@ -224,6 +249,8 @@ def solve(args: Namespace) -> None:
 @command(
     option("--scenes", type=Path, nargs="+"),
     option("--note", default=""),
+    option("--params", type=Path, help="pareto.json, of a chart whose errors auto shall choose by", default=None),
+    option("--workflow", type=Path, default=Path("workflow"), help="where these errors are written"),
     option("--out", type=Path),
 )
 def draw(args: Namespace) -> None:
@@ -234,6 +261,8 @@ def draw(args: Namespace) -> None:
         raise BadInput(f"scenes stand against different references ({', '.join(sorted(references))}); run make again")
     found = publish_chart(args.out, scenes, args.note)
     print("\n".join(found["reading"]))
+    if args.params:
+        print(keep_charted(found["charted"], read_slice(args.params, ForPareto), args.workflow))
 
 
 @command(

@@ -33,6 +33,7 @@ from gelforge.reporting.page import Explored, Section, render
 from gelforge.reporting.parts import PART, forget_parts, in_parts, place_parts
 from gelforge.reporting.presses import as_columns, press_rows
 from gelforge.reporting.provenance import COST, stages, target_costs
+from gelforge.sweeps import verification
 
 VERSION = 4
 ABSENT = "not installed"
@@ -163,6 +164,27 @@ def failures_section(results: Path, solved: dict[str, Solved]) -> Section:
         section.text("Solves that failed.").table(
             columns, [[s.sample_id, s.status.name, s.reason, s.fidelity] for s in failed]
         )
+    return section
+
+
+def read_verified(results: Path) -> list[verification.Verified]:
+    """Verified presses of the planned shards."""
+    of = Layout(results)
+    return verification.read_verified([of.solves(name) for name in of.names()])
+
+
+def verified_section(records: list[verification.Verified]) -> Section:
+    """Presses that were solved by CalculiX, too, and how far both solves are apart."""
+    section = Section("Verified by CalculiX")
+    section.text(
+        "Differences between the method that was chosen and CalculiX, over CalculiX' total force. The limit is the sum of"
+        " the benchmarked errors of both methods on contacts of that class."
+    ).table(*verification.table(records))
+    for record in records:
+        if record.reason:
+            section.text(f"{record.sample_id} ({record.kind}): not verified: {record.reason}")
+        elif record.beyond:
+            section.text(f"{record.sentence()}.")
     return section
 
 
@@ -299,6 +321,7 @@ def explorer_data(explorer: Explorer, known: dict) -> dict:
 
 def sections_of(results: Path, resolution: str, model: str, solved: dict[str, Solved]) -> list[Section]:
     """What stands below the explorer."""
+    verified = read_verified(results)
     return [
         network_section(results, resolution, model),
         calibration_section(results),
@@ -309,6 +332,7 @@ def sections_of(results: Path, resolution: str, model: str, solved: dict[str, So
             "Seconds of a solve against its error, each point one fidelity and mesh.",
         ),
         failures_section(results, solved),
+        *([verified_section(verified)] if verified else []),
         fidelities_section(solved),
         versions_section(results),
     ]
@@ -331,6 +355,7 @@ def lead_of(rows: list[dict], resolution: str, samples: int) -> str:
     option("--out", type=Path),
 )
 def main(args: Namespace) -> None:
+    verification.refuse_beyond(read_verified(args.results))
     solved = read_solved(args.results)
     gels = {name: sensor.gel for name, sensor in load_sensors(args.params.parent / "sensors.json").items()}
     explorer = open_explorer(args.results, args.resolution, args.model, solved, gels)

@@ -14,7 +14,7 @@ from gelforge.flow.files import read_json, write_json
 from gelforge.flow.params import digest_of_value, plain
 from gelforge.flow.params.schema import ParameterTable
 from gelforge.flow.params.slices import ForPareto, ForStability
-from gelforge.flow.params.tables import CHOOSING, TETRAHEDRAL, ParetoTable, StabilityTable
+from gelforge.flow.params.tables import CHOOSING, TETRAHEDRAL, VERIFYING, ParetoTable, StabilityTable
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import assemble
 from gelforge.labelling.sensor import Sensor
@@ -25,7 +25,7 @@ from gelforge.sweeps.methods import LARGE_REFERENCE, REFERENCE, Method, hex_sett
 from gelforge.sweeps.scenes import NamedScene
 
 GRID = Grid(24, 32)  # of FEATS' labels
-NOT_SOLVER = CHOOSING | TETRAHEDRAL | {"fidelity", "timeout_s"}
+NOT_SOLVER = CHOOSING | TETRAHEDRAL | VERIFYING | {"fidelity", "timeout_s"}
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,8 @@ class ChartBench:
             mesh = [plain(p.pareto.regions.get(scene.fine)), plain(p.pareto.grading)]
             return [plain(p.pareto.reference), *mesh, *ccx_settings(p)]
         if method.name == "auto-label":
-            return [plain(p.fea), plain(p.meshes), *(asdict(quality(name)) for name in QUALITIES)]
+            fea = {key: value for key, value in plain(p.fea).items() if key not in VERIFYING}
+            return [fea, plain(p.meshes), *(asdict(quality(name)) for name in QUALITIES)]
         if method.size is None:
             return [list(p.fea.meshes), *ccx_settings(p)]
         return ccx_settings(p)

@@ -38,6 +38,7 @@ Charted = dict[str, Annotated[dict[str, Annotated[tuple[float, float, float], Wi
 CHOOSING = frozenset(
     {"charted", "tolerance", "cell_tolerance"}
 )  # of [fea]: by these "auto" chooses, nothing else reads them
+VERIFYING = frozenset({"verify"})  # of [fea]: says what is solved twice, and changes no solve
 TETRAHEDRAL = frozenset({"meshes", "fine_meshes"})  # of [fea]: those IN_PROCESS read none of them
 BRANCHES = ("calibrate", "pareto")
 SHIPPED = "shipped"  # the network that predict and live use where none is named, as targets and parameters call it
@@ -374,6 +375,7 @@ class FeaTable(ParameterTable):
     tolerance: Annotated[float, Within(TINY, 1.0)]
     cell_tolerance: Annotated[float, Within(TINY, 1.0)]
     charted: Annotated[Charted, OneOf(*CLASSES)]
+    verify: Share
     hex_quality: Annotated[str, OneOf(*QUALITIES)]
     press_steps: Steps
     shear_steps: Steps
@@ -388,7 +390,7 @@ class FeaTable(ParameterTable):
     def fault(self) -> str | None:
         """Nothing to choose from where the fidelity is chosen by its charted error."""
         if self.fidelity == "auto" and not self.charted:
-            return 'fidelity = "auto": chooses by charted, which is empty; run make pareto, or name a fidelity'
+            return 'fidelity = "auto": chooses by workflow/charted.toml, which is empty; run make pareto, or name a fidelity'
         return None
 
 

@@ -1,0 +1,127 @@
+"""Presses that fidelity "auto" solved without CalculiX, solved by CalculiX, too, and how far both are apart."""
+
+import hashlib
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.flow.files import listed, read_json, write_json
+from gelforge.flow.params.tables import FeaTable
+from gelforge.labelling.grid import Grid
+from gelforge.labelling.operator import assemble
+from gelforge.labelling.sensor import Sensor
+from gelforge.mechanics.fidelity import charted_errors
+from gelforge.mechanics.mesh import GelMesh
+from gelforge.sweeps.deviation import cell_error, total_error
+
+ENDING = ".verify.json"
+GRID = Grid(24, 32)  # of FEATS' labels, on which the errors of methods are benchmarked
+ALLOWED = 0.05  # fraction of the verified presses that may differ by more than their limits
+
+
+@dataclass(frozen=True)
+class Verified:
+    """One press solved both ways, as fractions of CalculiX' total force: differences, and the limits they should meet.
+
+    key: digest of what both solves depend on. kind: class of contact. way: how "auto" solved it. reason: why there are no
+    differences, empty where there are. limits: sums of the benchmarked errors of both methods on this class.
+    """
+
+    key: str
+    sample_id: str
+    kind: str
+    way: str
+    reason: str
+    total: float | None
+    cells: float | None
+    limit_total: float
+    limit_cells: float
+
+    @property
+    def beyond(self) -> bool:
+        """Whether the difference is larger than the errors of both methods explain."""
+        found = ((self.total, self.limit_total), (self.cells, self.limit_cells))
+        return any(value is not None and value > limit for value, limit in found)
+
+    def sentence(self) -> str:
+        """The difference of this press, for people."""
+        return (
+            f"{self.sample_id} ({self.kind}): {self.way} and CalculiX differ by {self.total:.1%} of total force and"
+            f" {self.cells:.1%} summed over the cells; {self.limit_total:.1%} and {self.limit_cells:.1%} are expected"
+        )
+
+
+def chosen(sample_id: str, fraction: float) -> bool:
+    """Whether a press is verified: by a hash of its name, so that the choice is the same everywhere."""
+    digest = hashlib.sha256(sample_id.encode()).digest()
+    return int.from_bytes(digest[:8], "big") < fraction * 2**64
+
+
+def surface_cells(mesh: GelMesh, force: np.ndarray, sensor: Sensor) -> np.ndarray:
+    """Force per cell (3, rows, columns) N of forces (s, 3) at the surface nodes of a mesh."""
+    nodes = mesh.surface_nodes
+    return assemble(mesh, sensor, GRID).apply(np.array([0, len(nodes)]), nodes, force)[0][0]
+
+
+def compare(
+    told: tuple[str, str, str, str], settings: FeaTable, found: tuple[np.ndarray, np.ndarray] | str,
+    right: tuple[np.ndarray, np.ndarray] | None,
+) -> Verified:  # fmt: skip
+    """The differences of a press; told: key, sample_id, class and method of `Verified`.
+
+    found: total (3,) and cells (3, rows, columns) N of "auto", or why CalculiX has none. right: those of CalculiX.
+    """
+    errors = charted_errors(told[2], settings)
+    total, cells = (errors[told[3]] + errors["ccx"])[:2]
+    if isinstance(found, str) or right is None:
+        return Verified(*told, str(found), None, None, float(total), float(cells))
+    apart = total_error(found[0], right[0]), cell_error(found[1], right[1], right[0])
+    return Verified(*told, "", *apart, float(total), float(cells))
+
+
+def write_verified(path: Path, found: Verified) -> None:
+    """Write the record of one press."""
+    write_json(path, asdict(found))
+
+
+def kept_verified(path: Path) -> Verified | None:
+    """The record of one press; None where there is none that can be read."""
+    try:
+        return Verified(**read_json(path))
+    except (OSError, ValueError, TypeError):
+        return None
+
+
+def read_verified(folders: Sequence[Path]) -> list[Verified]:
+    """Records of all presses below folders of stage 30, by sample_id."""
+    records = [kept_verified(path) for folder in folders for path in listed(folder, f"*{ENDING}")]
+    return sorted((record for record in records if record is not None), key=lambda record: record.sample_id)
+
+
+def table(records: Sequence[Verified]) -> tuple[list[str], list[list]]:
+    """Columns and rows of the differences by class of contact and method."""
+    columns = ["contact", "method", "presses", "total, median", "worst", "limit", "cells, median", "worst", "limit"]
+    rows = []
+    solved = [record for record in records if not record.reason]
+    for kind, way in sorted(Counter((record.kind, record.way) for record in solved)):
+        own = [record for record in solved if (record.kind, record.way) == (kind, way)]
+        total, cells = np.array([[record.total, record.cells] for record in own]).T
+        rows.append([kind.replace("_", ", "), way, len(own), *(f"{value:.2%}" for value in (
+            np.median(total), total.max(), own[0].limit_total, np.median(cells), cells.max(), own[0].limit_cells))])  # fmt: skip
+    return columns, rows
+
+
+def refuse_beyond(records: Sequence[Verified]) -> None:
+    """Refuse a dataset in which more than ALLOWED of the verified presses differ by more than expected."""
+    solved = [record for record in records if not record.reason]
+    beyond = [record for record in solved if record.beyond]
+    if len(beyond) > ALLOWED * len(solved):
+        raise BadInput(
+            f"{len(beyond)} of {len(solved)} verified presses differ from CalculiX by more than their benchmarked errors"
+            f" ({ALLOWED:.0%} may): {'; '.join(record.sentence() for record in beyond[:5])}; look at these presses, and set"
+            ' [fea] fidelity = "ccx", or lower tolerance and cell_tolerance'
+        )

@@ -1,0 +1,91 @@
+"""[fea] verify: presses that auto solved on hexahedra are solved by CalculiX, too, and what differs is told."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from parameters import parameters, write_slice
+
+from gelforge.errors import BadInput
+from gelforge.flow.files import read_json, write_json
+from gelforge.flow.params import read_toml
+from gelforge.geometry.gel import GELS
+from gelforge.stages import fea
+from gelforge.stages.report import verified_section
+from gelforge.sweeps import verification
+from gelforge.sweeps.verification import Verified
+from tests.blocks import symmetric_block
+
+GEL = GELS["gelsight_mini"]
+HEADER = "sample_id,sensor_id,gel_id,indenter,x0_mm,y0_mm,z0_mm,dx_mm,dy_mm,dz_mm,rot_deg\n"
+# limits as wide as a mesh of 2.6 mm needs
+WIDE = {"curved_shallow": {"hex-draft": [0.01, 0.1, 0.5], "hex-label": [0.01, 0.1, 1.0], "ccx": [0.6, 2.0, 3.0]}}
+
+
+@pytest.fixture
+def folder(root, tmp_path):
+    """Inputs of stage 30: one press of a ball, one coarse mesh."""
+    (tmp_path / "20_meshes").mkdir()
+    symmetric_block(GEL, 2.6, 2).save(tmp_path / "20_meshes" / "ccx-wide-2.6.npz")
+    report = {"engine": "ccx", "region": "wide", "size": 2.6, "half_mm": [10, 12], "reach_mm": [0, 0]}
+    write_json(tmp_path / "20_meshes" / "ccx-wide-2.6.json", report)
+    sensor = read_toml(root / "workflow" / "sensors.toml")["gelsight_mini"]
+    write_json(tmp_path / "params" / "sensors.json", {"gelsight_mini": sensor})
+    write_json(tmp_path / "params" / "indenters.json", {"ball": {"kind": "sphere", "diameter": 15, "height": 10}})
+    (tmp_path / "10_poses").mkdir()
+    (tmp_path / "10_poses" / "0000.csv").write_text(HEADER + "s0,gelsight_mini,g,ball,0,0,0,0,0,-0.4,0\n")
+    return tmp_path
+
+
+def solve(folder, verify: float, charted=None) -> list[Verified]:
+    table = {"fidelity": "auto", "meshes": ["wide-2.6"], "verify": verify} | ({"charted": charted} if charted else {})
+    write_slice(folder / "params", "fea", fea=table)
+    assert fea.main(["--poses", f"{folder}/10_poses/0000.csv", "--meshes", f"{folder}/20_meshes",
+                     "--params", f"{folder}/params/fea.json", "--out", f"{folder}/30_fea/0000.csv.part"]) == 0  # fmt: skip
+    return verification.read_verified([folder / "30_fea" / "0000"])
+
+
+def test_a_verified_press_has_a_deck_a_difference_and_limits(folder, ccx):
+    """Nothing is solved twice, another fraction leaves the press's own solve alone, and none takes what was kept away."""
+    (found,) = solve(folder, 1.0, WIDE)
+    assert (found.sample_id, found.kind, found.way, found.reason) == ("s0", "curved_shallow", "hex-draft", "")
+    assert 0 < found.total < 0.6 and found.total < found.cells < 2.0 and not found.beyond
+    assert found.limit_total == pytest.approx(0.61) and found.limit_cells == pytest.approx(2.1)
+    solves = folder / "30_fea" / "0000"
+    own, twin = read_json(solves / "s0.json"), read_json(solves / "s0.ccx.json")
+    assert (own["fidelity"], twin["fidelity"]) == ("hex", "ccx") and (solves / "s0.ccx.inp").exists()
+    right = np.array(twin["total"])
+    assert found.total == pytest.approx(np.linalg.norm(right - own["total"]) / np.linalg.norm(right), rel=1e-3)
+    times = {path.name: path.stat().st_mtime_ns for path in solves.iterdir()}
+    solve(folder, 0.9999, WIDE)
+    assert {path.name: path.stat().st_mtime_ns for path in solves.iterdir()} == times
+    assert solve(folder, 0.0, WIDE) == []
+    assert {path.name for path in solves.iterdir()} == {"s0.json", "s0.npz"}
+
+
+def made(name: str, total: float, cells: float) -> Verified:
+    settings = parameters().fea
+    forces = np.array([0.0, 0.0, -1.0]), np.zeros((3, 1, 1))
+    found = forces[0] * (1 + total), np.full((3, 1, 1), cells / np.sqrt(3))
+    return verification.compare(("k", name, "flat_deep", "hex-label"), settings, found, forces)
+
+
+def test_a_difference_beyond_both_errors_is_named_and_more_than_one_in_twenty_are_refused():
+    charted = parameters().fea.charted["flat_deep"]
+    limit = charted["hex-label"][1] + charted["ccx"][1]
+    fine, odd = [made(f"s{i}", 0.01, 0.9 * limit) for i in range(19)], made("odd", 0.01, 1.1 * limit)
+    assert not any(one.beyond for one in fine) and odd.beyond
+    failed = replace(odd, reason="no equilibrium", total=None, cells=None)
+    verification.refuse_beyond([*fine, odd, failed])  # one in twenty; what was not solved is none of them
+    told = [item["text"] for item in verified_section([*fine, odd, failed]).items if item["kind"] == "text"]
+    assert any("odd (flat_deep): hex-label and CalculiX differ by 1.0% of total force" in text for text in told)
+    assert any("not verified: no equilibrium" in text for text in told)
+    with pytest.raises(BadInput, match='2 of 20 verified presses differ .* odd .* fidelity = "ccx"'):
+        verification.refuse_beyond([*fine[1:], odd, replace(odd, sample_id="second")])
+
+
+def test_the_choice_of_presses_is_a_fraction_and_grows_with_it():
+    names = [f"lab-{i:06d}" for i in range(4000)]
+    few, more = ({n for n in names if verification.chosen(n, f)} for f in (0.05, 0.1))
+    assert few < more and 0.04 < len(few) / len(names) < 0.06
+    assert not any(verification.chosen(n, 0.0) for n in names) and all(verification.chosen(n, 1.0) for n in names)
