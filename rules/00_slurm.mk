@@ -35,7 +35,7 @@ endif
 
 # One make at a time, after what an earlier one left running: held until this make ends.
 ifeq ($(or $(SLURM_DRY),$(if $(wildcard $(SETUP)),,bare)),)
-ifneq ($(filter-out $(NO_DATASET) status sample clean-% slurm-%,$(or $(MAKECMDGOALS),help)),)
+ifneq ($(filter-out $(NO_DATASET) status sample clean-% slurm-% $(if $(IS_FROZEN),,demo calibrated-labels),$(or $(MAKECMDGOALS),help)),)
 $(shell $(call SLURM_RUN,attend) --make $$PPID)
 ifneq ($(.SHELLSTATUS),0)
 $(error what was left running on Slurm was not finished; see above)

@@ -2,8 +2,16 @@
 # Solves, chain and pictures lie beside the summary, which is published last.
 POSTERIOR := $D/calibrate/summary.json
 
-.PHONY: calibrate
+.PHONY: calibrate freeze calibrated-labels
 calibrate: $(POSTERIOR)  ## posterior of C10, touch offset, compliance and friction from the log's force readings
 
-$(POSTERIOR): $(DATA)/log.csv $P/calibrate.json $P/indenters.json $P/sensors.json $(POSES) | $(call barrier,10_poses)
+freeze: $(POSTERIOR)  ## keep what calibrate found in data/DATASET/calibration.toml: labels follow it, until it is frozen anew
+	@$(PY) -m gelforge.commands.freeze --summary $< --out $(FROZEN)
+
+# Another make reads what was frozen: poses and stiffness of this one are those before.
+calibrated-labels: $(if $(IS_FROZEN),labels)  ## labels by the log's own calibration, which is found and frozen first
+	$(if $(IS_FROZEN),@:,@$(MAKE) freeze && $(MAKE) labels)
+
+# It reads the path as commanded: poses that a frozen calibration moved make it no other.
+$(POSTERIOR): $(DATA)/log.csv $P/calibrate.json $P/indenters.json $P/sensors.json | $(POSES) $(call barrier,10_poses)
 	$(HANDS_SLOTS)$(call step,gelforge.stages.calibrate --data $(DATA) --poses $D/10_poses --shards $D/00_plan/shards --sensors $P/sensors.json --params $P/calibrate.json --work $D/calibrate $(if $(filter local,$(EXECUTOR)),--jobs $(SLOTS)) --out $@.part)

@@ -1,7 +1,8 @@
 # What people type while they work: the whole flow, its state, one sample, clean-up.
 .PHONY: demo status sample slurm-cancel
 demo:  ## the whole flow on the demo dataset: labels, what the network that ships reads, calibration, chart, report
-demo: report
+demo: $(if $(IS_FROZEN),report)
+	$(if $(IS_FROZEN),,@$(MAKE) freeze && $(MAKE) report)
 	@echo "report: $D/90_report/index.html"
 
 status: | $(SETUP)  ## samples done, failed with reasons and pending, per stage

@@ -5,6 +5,7 @@ import pytest
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_json
+from gelforge.flow.params.tables import MaterialTable
 from gelforge.geometry.gel import GELS
 from gelforge.records.status import Status
 from gelforge.stages.forces import dat_forces, material_c10
@@ -50,17 +51,25 @@ def test_damaged_output_is_no_result(damage):
     assert dat_forces(damage(text([0.5, 0.0, -4.0])), MESH, 1e-6)[0] is Status.UNREADABLE
 
 
+CALIBRATED = MaterialTable(0.475, "calibrated")
+
+
 def test_c10_from_a_number_or_a_calibration(tmp_path):
-    assert material_c10(0.08, None, tmp_path / "f.npz") == (0.08, {})
+    assert material_c10(MaterialTable(0.475, 0.08), None, tmp_path / "f.npz") == (0.08, {})
+    frozen = MaterialTable(0.475, 0.08, (0.079, 0.081), (0.078, 0.082))
+    assert material_c10(frozen, None, tmp_path / "f.npz")[1] == {
+        "c10_interval68": [0.079, 0.081],
+        "c10_interval95": [0.078, 0.082],
+    }
     path = tmp_path / "summary.json"
     write_json(path, {"c10": {"median": 0.081, "interval68": [0.08, 0.082], "interval95": [0.07, 0.09]}})
-    c10, intervals = material_c10("calibrated", path, path)
+    c10, intervals = material_c10(CALIBRATED, path, path)
     assert c10 == 0.081 and intervals["c10_interval95"] == [0.07, 0.09]
 
 
 def test_calibration_that_is_missing_or_broken_is_refused(tmp_path):
     with pytest.raises(BadInput, match="make calibrate DATASET=mine"):
-        material_c10("calibrated", None, tmp_path / "results/mine/40_forces/0000.npz")
+        material_c10(CALIBRATED, None, tmp_path / "results/mine/40_forces/0000.npz")
     write_json(tmp_path / "summary.json", {"c10": {"mean": 1}})
     with pytest.raises(BadInput, match="make calibrate"):
-        material_c10("calibrated", tmp_path / "summary.json", tmp_path / "f.npz")
+        material_c10(CALIBRATED, tmp_path / "summary.json", tmp_path / "f.npz")

@@ -5,7 +5,7 @@ from dataclasses import asdict
 import numpy as np
 
 from gelforge.calibration import scores
-from gelforge.calibration.parameters import NAMES, label_of
+from gelforge.calibration.parameters import NAMES, SOFT_BENCH, label_of
 
 QUANTILES = {"interval68": (0.16, 0.84), "interval95": (0.025, 0.975)}
 DRAWS = 4000  # draws for predictions and scores; Monte Carlo error far below the posterior's width
@@ -43,6 +43,14 @@ def parameter_table(chain, model) -> dict:
             "width_over_prior": float(width),
         }
     return table
+
+
+def bench(parameters: dict, fixed: dict) -> dict[str, float]:
+    """What the bench does to a path: medians of its parameters, or what they were held at; mm and mm/N."""
+    return {
+        name: float(parameters[name]["median"] if name in parameters else fixed[name])
+        for name in ("offset", *SOFT_BENCH)
+    }
 
 
 def correlations(chain, model) -> dict:

@@ -78,7 +78,7 @@ def require_stiffness(results: Path) -> None:
 
     of = Layout(results)
     if not of.calibration.exists():
-        material_c10(read_slice(of.params / "forces.json", ForForces).material.c10, None, of.calibration)
+        material_c10(read_slice(of.params / "forces.json", ForForces).material, None, of.calibration)
 
 
 @command(

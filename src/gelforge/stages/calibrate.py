@@ -28,7 +28,7 @@ from gelforge.mechanics.scene import REFERENCE_C10
 from gelforge.records.log import rejected_rows
 from gelforge.reporting import cornerplots as plots
 
-VERSION = 7
+VERSION = 8
 MOST_BANDS = 6  # indenters in the plot of predictive bands, the first by name: more hide each other
 LARGEST_NU = 0.4995  # that is solved, below the 1/2 of a gel that keeps its volume
 
@@ -157,6 +157,8 @@ def summarise(done: Calibration, params: CalibrateTable, usual: float = REFERENC
     said.append(summary.predictive_sentence(repeated, own, least))
     said[1:1] = summary.units_sentence(parameters["c10"]["median"], usual)
     return {
+        "bench": summary.bench(parameters, posterior.model.fixed),
+        "used": done.readings.ids.tolist(),
         "c10": summary.describe(posterior.model.values(chain.flat())["c10"]),
         "unit": "MPa",
         "model": posterior.model.name,

@@ -14,12 +14,12 @@ from gelforge.flow.files import read_json
 from gelforge.flow.layout import command_for
 from gelforge.flow.main import command, option
 from gelforge.flow.params.slices import ForForces, read_slice
-from gelforge.flow.params.tables import ForcesTable
+from gelforge.flow.params.tables import ForcesTable, MaterialTable
 from gelforge.mechanics.ccx.dat import DatError, last_table, read_dat
 from gelforge.mechanics.family import mesh_loader
 from gelforge.mechanics.mesh import GelMesh
 from gelforge.mechanics.scene import BALANCE, REFERENCE_C10
-from gelforge.records.forcefile import SampleForces, write_forces
+from gelforge.records.forcefile import INTERVALS, SampleForces, write_forces
 from gelforge.records.npz import DAMAGED, in_short
 from gelforge.records.solvetable import Solved, damaged, read_record, read_solves
 from gelforge.records.status import Status
@@ -91,10 +91,11 @@ def read_sample(
     return found, ""
 
 
-def material_c10(c10: float | str, calibration: Path | None, out: Path) -> tuple[float, dict]:
-    """C10 in MPa and its intervals, from [material] c10: a number, or "calibrated" with a summary file; out: what needs it."""
-    if not isinstance(c10, str):
-        return float(c10), {}
+def material_c10(material: MaterialTable, calibration: Path | None, out: Path) -> tuple[float, dict]:
+    """C10 in MPa and its intervals, from [material]: a number, or "calibrated" with a summary file; out: what needs it."""
+    if not isinstance(material.c10, str):
+        known = {name: getattr(material, name) for name in INTERVALS}
+        return float(material.c10), {name: list(pair) for name, pair in known.items() if pair is not None}
     if calibration is None:
         raise BadInput(
             f'[material] c10 = "calibrated" needs --calibration FILE; run `{command_for("calibrate", out)}` first'
@@ -137,7 +138,7 @@ def refuse_damage(table: Path, solves: list[Solved]) -> None:
 )
 def main(args: Namespace) -> None:
     params = read_slice(args.params, ForForces)
-    c10, intervals = material_c10(params.material.c10, args.calibration, args.out)
+    c10, intervals = material_c10(params.material, args.calibration, args.out)
     load = mesh_loader(args.meshes)
     samples: list[SampleForces] = []
     counts: dict[str, int] = {}

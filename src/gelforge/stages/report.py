@@ -12,7 +12,8 @@ import numpy as np
 from gelforge.flow.files import listed, read_csv, read_json, write_text
 from gelforge.flow.layout import PARETO, Layout
 from gelforge.flow.main import command, option
-from gelforge.flow.params.slices import ForEvaluate, ForMeshes, ForReport, read_slice
+from gelforge.flow.params.frozen import FROZEN, read_frozen
+from gelforge.flow.params.slices import ForCalibrate, ForEvaluate, ForForces, ForMeshes, ForReport, read_slice
 from gelforge.flow.params.tables import SHIPPED
 from gelforge.flow.programs import installed
 from gelforge.flow.progress import progress
@@ -29,6 +30,7 @@ from gelforge.records.solvetable import Solved, read_solves
 from gelforge.records.status import VALID, Status
 from gelforge.reporting import feats_tables
 from gelforge.reporting.explorer import Explorer
+from gelforge.reporting.forcesensor import COMPARED, compare_forces, force_rows, force_sentences, spreads
 from gelforge.reporting.page import Explored, Section, render
 from gelforge.reporting.parts import PART, forget_parts, in_parts, place_parts
 from gelforge.reporting.presses import as_columns, press_rows
@@ -137,6 +139,33 @@ def calibration_section(results: Path) -> Section:
         "trace.png": "Walkers of the chain.",
     }
     return add_pictures(section, path.parent, captions)
+
+
+def force_section(results: Path, data: Path, rows: list[dict]) -> Section:
+    """Labels beside the force sensor's readings, press by press."""
+    of, section = Layout(results), Section("Labels against the force sensor")
+    frozen, summary = read_frozen(data / FROZEN), of.calibration
+    material = read_slice(of.params / "forces.json", ForForces).material
+    spread = spreads(
+        material,
+        read_json(summary) if summary.exists() else {},
+        read_slice(of.params / "calibrate.json", ForCalibrate).calibrate,
+    )
+    presses = compare_forces(rows, spread, set(frozen.presses) if frozen else set())
+    if not presses:
+        return section.text("The log has no force readings of presses that were labelled.", absent=True)
+    if frozen is None:
+        told = of.command("calibrated-labels")
+        section.text(
+            f"No calibration was frozen for this dataset: labels have the stiffness and the paths of params.toml ({told})."
+        )
+    else:
+        section.text(
+            f"Labels are made with the calibration {frozen.name} ({frozen.model}, {len(frozen.presses)} presses)."
+        )
+    for sentence in force_sentences(presses):
+        section.text(sentence)
+    return section.table(COMPARED, force_rows(presses), folded="Every press")
 
 
 def add_pictures(section: Section, folder: Path, captions: dict[str, str]) -> Section:
@@ -319,11 +348,13 @@ def explorer_data(explorer: Explorer, known: dict) -> dict:
     }
 
 
-def sections_of(results: Path, resolution: str, model: str, solved: dict[str, Solved]) -> list[Section]:
+def sections_of(explorer: Explorer, data: Path, model: str, solved: dict[str, Solved]) -> list[Section]:
     """What stands below the explorer."""
+    results, resolution = explorer.results, explorer.resolution
     verified = read_verified(results)
     return [
         network_section(results, resolution, model),
+        force_section(results, data, explorer.rows),
         calibration_section(results),
         branch_section(
             results,
@@ -365,7 +396,7 @@ def main(args: Namespace) -> None:
         args.out.parent, in_parts(progress(explorer.presses(), "presses", len(explorer.rows))), limit
     )
     data = explorer_data(explorer, known) | {"parts": {"size": PART, "beside": folder}}
-    sections = sections_of(args.results, args.resolution, args.model, solved)
+    sections = sections_of(explorer, args.data, args.model, solved)
     lead = lead_of(explorer.rows, args.resolution, len(explorer.samples))
     explored = Explored(data, embedded) if explorer.rows else None
     write_text(args.out, render(args.data.name, lead, sections, explored))

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from gelforge.errors import BadInput
+from gelforge.flow.params.frozen import with_frozen
 from gelforge.flow.params.schema import Place, nearest, parse, plain
 from gelforge.flow.params.slices import SLICES, cut_slice, read_slice, stage_version
 from gelforge.flow.params.tables import Params
@@ -42,12 +43,12 @@ def read_toml(path: Path | str, remedy: str = REMEDY) -> dict[str, Any]:
 
 
 def load_params(workflow: Path | str, dataset_toml: Path | str | None = None) -> Params:
-    """Read workflow/params.toml with the [params.*] tables of a dataset laid over it.
+    """Read workflow/params.toml with the [params.*] tables of a dataset and its frozen calibration laid over it.
 
     What has no meaning raises BadInput: a table or key that there is not, another kind of value, a number out of its
     bounds or not finite, a word that is none of the choices, values that cannot go together.
     """
-    given = read_dataset_file(dataset_toml).params if dataset_toml else {}
+    given = with_frozen(read_dataset_file(dataset_toml).params, Path(dataset_toml)) if dataset_toml else {}
     return overlaid(workflow, given, str(dataset_toml or ""))
 
 

@@ -23,6 +23,7 @@ Nu = Annotated[float, Within(0.0, 0.4999)]
 # Of gels, the nominal one is 0.0725: kPa that are taken for MPa lie beyond, and would make all forces 1000 times as large.
 SOFTEST, STIFFEST = 0.002, 5.0
 Stiffness = Annotated[float, Within(SOFTEST, STIFFEST, "MPa")]
+Interval = Annotated[tuple[float, float], Within(SOFTEST, STIFFEST, "MPa")]
 Names = Annotated[tuple[str, ...], Named()]
 Half = Annotated[tuple[float, float], Within(TINY, 1e3, "mm")]
 LAWS = ("no_slip", "coulomb", "frictionless")
@@ -334,6 +335,8 @@ class MaterialTable(PoissonTable):
     """[material]: the gel, in MPa."""
 
     c10: Stiffness | Annotated[str, OneOf("calibrated")]
+    c10_interval68: Interval | None = None  # of a frozen calibration
+    c10_interval95: Interval | None = None
 
 
 @dataclass(frozen=True)

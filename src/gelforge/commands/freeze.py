@@ -1,0 +1,28 @@
+"""`make freeze`: keep what a calibration found as data/DATASET/calibration.toml."""
+
+from argparse import Namespace
+from pathlib import Path
+
+from gelforge.errors import BadInput
+from gelforge.flow.files import read_json
+from gelforge.flow.main import command, option
+from gelforge.flow.params.frozen import frozen_of, write_frozen
+
+
+@command(
+    option("--summary", type=Path, help="results/DATASET/calibrate/summary.json"),
+    option("--out", type=Path, help="data/DATASET/calibration.toml"),
+)
+def main(args: Namespace) -> None:
+    try:
+        summary = read_json(args.summary)
+    except (OSError, ValueError) as error:
+        raise BadInput(f"{args.summary}: cannot be read ({error}); run make calibrate") from error
+    found = frozen_of(args.out.parent.name, summary)
+    write_frozen(args.out, found)
+    told = ", ".join(f"{key} = {value}" for values in found.params.values() for key, value in values.items())
+    print(f"{args.out}: {found.name}: {told}")
+
+
+if __name__ == "__main__":
+    main.exit()
