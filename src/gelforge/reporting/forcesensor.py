@@ -78,17 +78,11 @@ def spreads(material: MaterialTable, summary: Mapping[str, Any], calibrate: Cali
     known = summary.get("c10", {}) if isinstance(material.c10, str) else {}
     pair68 = material.c10_interval68 or known.get("interval68", (c10, c10))
     pair95 = material.c10_interval95 or known.get("interval95", (c10, c10))
-    mesh = np.hypot(
-        *(float(getattr(priors, name).numbers.get("spread", 0.0)) for name in ("discretisation", "indenter"))
-    )
+    mesh = [float(getattr(priors, name).numbers.get("spread", 0.0)) for name in ("discretisation", "indenter")]
     return Spreads(
-        (pair68[1] - pair68[0]) / (2 * c10),
-        pair95[0] / c10,
-        pair95[1] / c10,
-        float(mesh),
-        middle("noise"),
-        middle("scatter"),
-    )
+        c10=(pair68[1] - pair68[0]) / (2 * c10), low=pair95[0] / c10, high=pair95[1] / c10,
+        mesh=float(np.linalg.norm(mesh)), noise=middle("noise"), touch=middle("scatter"),
+    )  # fmt: skip
 
 
 def compare_forces(rows: Sequence[Mapping[str, Any]], of: Spreads, used: Collection[str]) -> list[Compared]:
