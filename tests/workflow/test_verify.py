@@ -10,7 +10,8 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import read_json, write_json
 from gelforge.flow.params import read_toml
 from gelforge.geometry.gel import GELS
-from gelforge.stages import fea
+from gelforge.mechanics.meshstore import source_of
+from gelforge.stages import fea, meshes
 from gelforge.stages.report import verified_section
 from gelforge.sweeps import verification
 from gelforge.sweeps.verification import Verified
@@ -27,7 +28,8 @@ def folder(root, tmp_path):
     """Inputs of stage 30: one press of a ball, one coarse mesh."""
     (tmp_path / "20_meshes").mkdir()
     symmetric_block(GEL, 2.6, 2).save(tmp_path / "20_meshes" / "ccx-wide-2.6.npz")
-    report = {"engine": "ccx", "region": "wide", "size": 2.6, "half_mm": [10, 12], "reach_mm": [0, 0]}
+    key = source_of(write_slice(tmp_path / "params", "meshes"), tmp_path).key("ccx-wide-2.6")
+    report = {"engine": "ccx", "region": "wide", "size": 2.6, "half_mm": [10, 12], "reach_mm": [0, 0], "recipe": key}
     write_json(tmp_path / "20_meshes" / "ccx-wide-2.6.json", report)
     sensor = read_toml(root / "workflow" / "sensors.toml")["gelsight_mini"]
     write_json(tmp_path / "params" / "sensors.json", {"gelsight_mini": sensor})
@@ -40,8 +42,11 @@ def folder(root, tmp_path):
 def solve(folder, verify: float, charted=None) -> list[Verified]:
     table = {"fidelity": "auto", "meshes": ["wide-2.6"], "verify": verify} | ({"charted": charted} if charted else {})
     write_slice(folder / "params", "fea", fea=table)
-    assert fea.main(["--poses", f"{folder}/10_poses/0000.csv", "--meshes", f"{folder}/20_meshes",
-                     "--params", f"{folder}/params/fea.json", "--out", f"{folder}/30_fea/0000.csv.part"]) == 0  # fmt: skip
+    poses = ["--poses", f"{folder}/10_poses/0000.csv", "--meshes", f"{folder}/20_meshes", "--workflow", str(folder)]
+    chosen = f"{folder}/20_meshes/0000.csv"
+    assert meshes.main([*poses, "--params", f"{folder}/params/meshes.json", "--out", chosen]) == 0
+    params, out = f"{folder}/params/fea.json", f"{folder}/30_fea/0000.csv.part"
+    assert fea.main([*poses, "--chosen", chosen, "--params", params, "--out", out]) == 0
     return verification.read_verified([folder / "30_fea" / "0000"])
 
 
