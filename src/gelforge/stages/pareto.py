@@ -12,9 +12,9 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import publish, read_json, write_csv, write_if_changed, write_json
 from gelforge.flow.layout import beside
 from gelforge.flow.main import command, group, option
-from gelforge.flow.params import CHARTED, cut_slice, load_params
+from gelforge.flow.params import CHARTED, cut_slice, load_params, plain
 from gelforge.flow.params.slices import ForPareto, ForParetoMeshes, read_slice
-from gelforge.flow.params.tables import CLASSES, IN_PROCESS
+from gelforge.flow.params.tables import CHOOSING, CLASSES, IN_PROCESS, VERIFYING, FeaTable
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import load_gel
 from gelforge.labelling.sensor import load_sensors
@@ -24,7 +24,7 @@ from gelforge.sweeps.deviation import errors, frontier
 from gelforge.sweeps.methods import HALVED, REFERENCE, Method, every_method, quick_methods
 from gelforge.sweeps.references import build_mesh
 from gelforge.sweeps.scenes import NamedScene, parse_scene
-from gelforge.sweeps.trial import ChartBench, ccx_settings, given_reference, load_bench, measure
+from gelforge.sweeps.trial import ChartBench, given_reference, load_bench, measure
 
 # Also of its meshes: what was solved on others is solved anew.
 VERSION = 3
@@ -139,6 +139,12 @@ def charted_text(found: dict[str, dict[str, list[float]]], old: str) -> str:
     return "\n".join([comment, *tables])
 
 
+def solving(table: FeaTable) -> dict[str, object]:
+    """What of [fea] changes a solve, whichever method is chosen."""
+    idle = CHOOSING | VERIFYING | {"fidelity", "timeout_s"}
+    return {key: value for key, value in plain(table).items() if key not in idle}
+
+
 def keep_charted(found: dict[str, dict[str, list[float]]], params: ForPareto, workflow: Path) -> str:
     """Write benchmarked errors to workflow/charted.toml; a sentence that says so, or why not.
 
@@ -148,7 +154,7 @@ def keep_charted(found: dict[str, dict[str, list[float]]], params: ForPareto, wo
     usual = cut_slice(load_params(workflow), ForPareto, params.version)
     if not found:
         return f"{path} stays as it is: not every method of auto was solved on every scene."
-    if replace(usual, fea=params.fea) != params or ccx_settings(usual) != ccx_settings(params):
+    if replace(usual, fea=params.fea) != params or solving(usual.fea) != solving(params.fea):
         return f"{path} stays as it is: this dataset sets parameters of its own."
     changed = write_if_changed(path, charted_text(found, path.read_text(encoding="utf-8") if path.exists() else ""))
     return f"{path} {'has the errors of this chart now' if changed else 'says the same'}."
