@@ -15,6 +15,9 @@ PLAN_STATE :=
 PICTURES :=
 PICTURE_STATE :=
 
+# Undefined before make reads its files anew, of which a make below another one would warn.
+MAKE_RESTARTS ?=
+
 # Goals that need no dataset do not read one.
 NO_DATASET := help setup lint format test test-% rig rig-% benchmark-% lock clean-% slurm-cancel feats-fetch feats-import mcap-import projection real-check
 # What was made of a dataset whose data are gone can still be seen.

@@ -16,8 +16,9 @@ export OMP_NUM_THREADS ?= 1
 export MKL_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-# Jobs default to the cores of the machine; -jN on the command line wins.
-ifeq ($(filter -j%,$(MAKEFLAGS)),)
+# Jobs default to the cores of the machine; -jN on the command line wins. A make below this one shares its slots.
+HAS_SLOTS ?=
+ifeq ($(HAS_SLOTS)$(filter -j%,$(MAKEFLAGS)),)
 MAKEFLAGS += -j$(JOBS)
 endif
 # Jobs of a program that runs several at a time by itself. Known when a recipe is expanded, not before.

@@ -10,7 +10,7 @@ freeze: $(POSTERIOR)  ## keep what calibrate found in data/DATASET/calibration.t
 
 # Another make reads what was frozen: poses and stiffness of this one are those before.
 calibrated-labels: $(if $(IS_FROZEN),labels)  ## labels by the log's own calibration, which is found and frozen first
-	$(if $(IS_FROZEN),@:,@$(MAKE) freeze && $(MAKE) labels)
+	$(if $(IS_FROZEN),@:,@export HAS_SLOTS=yes; $(MAKE) --no-print-directory freeze && $(MAKE) --no-print-directory labels)
 
 # It reads the path as commanded: poses that a frozen calibration moved make it no other.
 $(POSTERIOR): $(DATA)/log.csv $P/calibrate.json $P/indenters.json $P/sensors.json | $(POSES) $(call barrier,10_poses)

@@ -2,7 +2,7 @@
 .PHONY: demo status sample slurm-cancel
 demo:  ## the whole flow on the demo dataset: labels, what the network that ships reads, calibration, chart, report
 demo: $(if $(IS_FROZEN),report)
-	$(if $(IS_FROZEN),,@$(MAKE) freeze && $(MAKE) report)
+	$(if $(IS_FROZEN),,@export HAS_SLOTS=yes; $(MAKE) --no-print-directory freeze && $(MAKE) --no-print-directory report)
 	@echo "report: $D/90_report/index.html"
 
 status: | $(SETUP)  ## samples done, failed with reasons and pending, per stage
