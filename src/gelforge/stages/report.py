@@ -144,6 +144,9 @@ def calibration_section(results: Path) -> Section:
 def force_section(results: Path, data: Path, rows: list[dict]) -> Section:
     """Labels beside the force sensor's readings, press by press."""
     of, section = Layout(results), Section("Labels against the force sensor")
+    none = "The log has no force readings of presses that were labelled."
+    if not any(row.get("measured_fz") for row in rows):  # as where labels came with the dataset
+        return section.text(none, absent=True)
     frozen, summary = read_frozen(data / FROZEN), of.calibration
     material = read_slice(of.params / "forces.json", ForForces).material
     spread = spreads(
@@ -153,7 +156,7 @@ def force_section(results: Path, data: Path, rows: list[dict]) -> Section:
     )
     presses = compare_forces(rows, spread, set(frozen.presses) if frozen else set())
     if not presses:
-        return section.text("The log has no force readings of presses that were labelled.", absent=True)
+        return section.text(none, absent=True)
     if frozen is None:
         told = of.command("calibrated-labels")
         section.text(
