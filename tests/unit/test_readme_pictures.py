@@ -56,6 +56,8 @@ def test_another_table_of_a_file_leaves_the_picture_of_one_as_it_is(tmp_path):
 
 
 def test_every_picture_of_the_readme_knows_what_it_was_made_from(root):
-    shown = re.findall(r"!\[[^\]]*\]\((results/readme/[^)]+)\)", (root / "README.md").read_text(encoding="utf-8"))
-    assert len(shown) >= 4
+    pages = [root / "README.md", *sorted((root / "workflow/guide").glob("*.md"))]
+    text = "".join(page.read_text(encoding="utf-8") for page in pages)
+    shown = re.findall(r"!\[[^\]]*\]\((?:\.\./\.\./)?(results/readme/[^)]+)\)", text)
+    assert len(set(shown)) >= 4
     assert [name for name in shown if not (root / name).with_suffix(".json").exists()] == []
