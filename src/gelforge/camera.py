@@ -1,5 +1,7 @@
 """A network behind a camera's frame: forces in images of any size, crop and orientation of a GelSight Mini's driver."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from gelforge.networks.checkpoint.modelfile import ForceModel
@@ -37,4 +39,7 @@ class CameraPredictor(Predictor):
 
     def predict(self, image: np.ndarray) -> ForceReading:
         """Read an image (h, w, 3) uint8 RGB of any size."""
-        return super().predict(self.frame(image) if self.frame else image)
+        if self.frame is None:
+            return super().predict(image)
+        reading = super().predict(self.frame(image))
+        return replace(reading, reason=self.frame.fault(image) or reading.reason)

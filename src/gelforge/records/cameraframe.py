@@ -96,6 +96,16 @@ class CameraFrame:
         how = cv2.INTER_CUBIC if smaller else cv2.INTER_AREA
         return cv2.resize(shown, self.size[::-1], interpolation=how)
 
+    def fault(self, image: np.ndarray) -> str:
+        """What is wrong with the shape of an image (h, w, 3); empty for nothing."""
+        (height, width), (rows, cols) = image.shape[:2], self.shape
+        if same_shape((height, width), self.shape):
+            return ""
+        return (
+            f"the picture is {width} x {height}, of another shape than the no-contact image of {cols} x {rows}: take both in one mode"
+            " of the camera"
+        )
+
 
 def same_shape(one: tuple[int, int], other: tuple[int, int]) -> bool:
     """Whether sides (h, w) of two images are in one ratio."""
