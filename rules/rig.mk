@@ -14,3 +14,8 @@ rig-estimate: $(SETUP)  ## core hours, disk, memory and time of a plan, from a f
 
 rig-check: $(SETUP)  ## benchmark-rig with a page of the rig's pictures beside real ones: results/rig-check/index.html
 	@$(PY) -m tests.benchmarks.rig --reference $(call given,REFERENCE) --page results/rig-check/index.html
+
+# The table that ships with `gelforge sensor --balls`; to solve it anew remove it first, rows that are there stay.
+.PHONY: ball-table
+ball-table: $(SETUP)  ## solve the rows that src/gelforge/networks/balls/balls.csv lacks (three minutes for all)
+	@$(PY) -m gelforge.stages.ball_table

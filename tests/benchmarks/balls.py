@@ -4,67 +4,67 @@ The level is sure to a quarter (circles are marked by hand, the diameter is a ca
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from gelforge.records.image import read_image
+from gelforge.networks.balls.ballpresses import BallPress, read_presses
+from gelforge.networks.inference.sensorprofile import fit_gain
 from tests.benchmarks.figures import Figure
 
-# A 5 mm ball, `hex` at label quality, C10 0.0725 MPa: radius in mm at which the gap between ball and gel closes, and force in N.
-RADIUS_MM = (1.24, 1.45, 1.53, 1.65, 1.73, 1.81, 1.98)
-FORCE_N = (0.57, 1.00, 1.27, 1.56, 1.88, 2.24, 3.51)
 FOLDER = "balls/unit_a"
 Read = Callable[
     [np.ndarray], tuple[np.ndarray, bool]
 ]  # a picture to its forces (3, rows, cols) N, and whether it is flagged
 
 
-@dataclass(frozen=True)
-class BallPress:
-    """A press: picture (h, w, 3) uint8 RGB, normal force by finite elements, N, and whether all of its circle is seen."""
-
-    image: np.ndarray
-    force: float
-    whole: bool
-
-
-def no_contact(folder: Path) -> np.ndarray:
-    """The no-contact image (h, w, 3) uint8 RGB of the sensor whose presses lie in a folder (gs_sdk's layout)."""
-    return read_image(folder / "background.png")[..., :3]
-
-
-def ball_presses(folder: Path, px_per_mm: float) -> list[BallPress]:
-    """The presses of a folder in the layout of gs_sdk's calibration, in the order of their numbers."""
-    pressed = sorted(folder.glob("5.000mm/*/gelsight.png"), key=lambda path: int(path.parent.name))
-    return [_press(path, px_per_mm) for path in pressed]
-
-
-def _press(path: Path, px_per_mm: float) -> BallPress:
-    image = read_image(path)[..., :3]
-    with np.load(path.with_name("label.npz")) as label:
-        (u, v), radius = label["center"].astype(float), float(label["radius"])
-    height, width = image.shape[:2]
-    whole = radius < u < width - radius and radius < v < height - radius
-    return BallPress(image, float(np.interp(radius / px_per_mm, RADIUS_MM, FORCE_N)), whole)
-
-
 def ball_figures(presses: list[BallPress], read: Read) -> list[Figure]:
-    """Forces that are read in presses that lie wholly in the picture, over those of finite elements."""
-    whole = [press for press in presses if press.whole]
-    found = [read(press.image) for press in whole]
-    normal, force = np.array([-forces[2].sum(dtype=float) for forces, _ in found]), np.array([p.force for p in whole])
-    ratio = normal / force
-    median = float(np.median(ratio))
-    low, high = (np.quantile(ratio, [0.1, 0.9]) / median).tolist()
-    r = float(np.corrcoef(normal, force)[0, 1])
-    note = f"{len(whole)} presses that lie wholly in the picture; the level is sure to a quarter"
+    """Forces that are read over those of finite elements, and again with a factor that every other press told."""
+    found = [read(press.image) for press in presses]
+    normal, force = (
+        np.array([-forces[2].sum(dtype=float) for forces, _ in found]),
+        np.array([p.force for p in presses]),
+    )
+    note = f"{len(presses)} presses that lie wholly in the picture; the level is sure to a quarter"
+    gain = fit_gain(force[::2], normal[::2])
+    fitted = (
+        f"{len(force[1::2])} presses; factor {gain.value:.2f} ({gain.low:.2f} to {gain.high:.2f}) from the others"
+    )
     return [
-        Figure("real balls, read over finite elements, median: at least", median, ">=", 0.8, "", note),
-        Figure("real balls, read over finite elements, median: at most", median, "<=", 1.25),
-        Figure("the same over the median, 10 %", low, ">=", 0.8),
-        Figure("the same over the median, 90 %", high, "<=", 1.25),
-        Figure("the same, correlation", r, ">=", 0.75, "", "circles are marked in whole px, and this series spans little force"),
+        *_level("real balls, read over finite elements", normal, force, note),
+        *_level("real balls, factor of every other press", gain.value * normal[1::2], force[1::2], fitted),
         Figure("good ball presses flagged", 100 * float(np.mean([flag for _, flag in found])), "<=", 10.0, "%"),
+    ]
+
+
+def _level(what: str, normal: np.ndarray, force: np.ndarray, note: str) -> list[Figure]:
+    """Level, spread and correlation of normal forces (n,) N with those of finite elements."""
+    median = float(np.median(normal / force))
+    low, high = (np.quantile(normal / force, [0.1, 0.9]) / median).tolist()
+    r = float(np.corrcoef(normal, force)[0, 1])
+    return [
+        Figure(f"{what}, median: at least", median, ">=", 0.8, "", note),
+        Figure(f"{what}, median: at most", median, "<=", 1.25),
+        Figure(f"{what}: over the median, 10 %", low, ">=", 0.8),
+        Figure(f"{what}: over the median, 90 %", high, "<=", 1.25),
+        Figure(f"{what}: correlation", r, ">=", 0.75, "", "circles are marked in whole px, and this series spans little force"),
     ]  # fmt: skip
+
+
+def circle_figures(folder: Path, nocontact: np.ndarray, px_per_mm: float) -> list[Figure]:
+    """Circles of contact that are found without marks, against those marked by hand."""
+    marked, found = (
+        {
+            press.name: press.circle
+            for press in read_presses(folder, nocontact, px_per_mm=px_per_mm, marks=marks).presses
+        }
+        for marks in (True, False)
+    )
+    pairs = [(found[name], marked[name]) for name in marked.keys() & found.keys()]
+    ratio = np.array([one.radius / other.radius for one, other in pairs])
+    beside = np.array([np.hypot(one.u - other.u, one.v - other.v) for one, other in pairs])
+    note = "10 to 90 % {:.2f} to {:.2f}; centres {:.1f} px beside in the median".format(
+        *np.quantile(ratio, [0.1, 0.9]), np.median(beside)
+    )
+    return [Figure("real balls: found circles against marked ones, radius, median off by", 100 * abs(float(np.median(ratio)) - 1), "<=", 5.0, "%",
+                   f"{len(pairs)} presses; {note}")]  # fmt: skip

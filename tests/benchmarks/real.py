@@ -19,12 +19,13 @@ from gelforge.errors import BadInput
 from gelforge.flow.main import command, option
 from gelforge.flow.progress import progress
 from gelforge.formats.numpy_pickle import read_npy
+from gelforge.networks.balls.ballpresses import BACKGROUND, read_presses
 from gelforge.networks.checkpoint.modelfile import ForceModel, fingerprint
 from gelforge.networks.inference.predictor import Predictor, load_for_use
 from gelforge.networks.preprocess.illumination import match_light
 from gelforge.records.image import read_image
 from tests.benchmarks.balls import FOLDER as BALLS
-from tests.benchmarks.balls import ball_figures, ball_presses, no_contact
+from tests.benchmarks.balls import ball_figures, circle_figures
 from tests.benchmarks.figures import PUBLISHED_DATA, Figure, publish_figures
 from tests.benchmarks.films import finger_figures, frames_of, read_film, released_figures, sideways_figures
 from tests.benchmarks.ways import as_used, bare
@@ -160,15 +161,16 @@ def slipped_figures(what: str, pictures: list[np.ndarray], model: ForceModel, no
 
 def ball_flow(folder: Path, model: ForceModel) -> list[Figure]:
     """Figures of the presses of a ball."""
-    presses, background = ball_presses(folder, PX_PER_MM), no_contact(folder)
+    background = read_image(folder / BACKGROUND)
+    presses = read_presses(folder, background, px_per_mm=PX_PER_MM).presses
     predictor = Predictor(model, background)
 
     def read(image: np.ndarray) -> tuple[np.ndarray, bool]:
         found = predictor.predict(image)
         return found.cells, found.flag
 
-    whole = [press.image for press in presses if press.whole]
-    return [*ball_figures(presses, read), *slipped_figures("real balls", whole[::3], model, background)]
+    slipped = slipped_figures("real balls", [press.image for press in presses[::3]], model, background)
+    return [*ball_figures(presses, read), *circle_figures(folder, background, PX_PER_MM), *slipped]
 
 
 def ranks_alike(maps: list[tuple[np.ndarray, np.ndarray]]) -> float:

@@ -11,6 +11,7 @@ NETWORKS = PACKAGE / "networks"
 ALLOWED = {
     "models": set(),
     "preprocess": {"models"},
+    "balls": {"preprocess"},
     "uncertainty": {"preprocess", "inference"},
     "checkpoint": {"models", "uncertainty"},
     "inference": {"checkpoint", "preprocess", "uncertainty"},

@@ -22,8 +22,12 @@ from gelforge.camera import CameraPredictor
 from gelforge.commands.camera import camera_mode
 from gelforge.errors import BadInput
 from gelforge.flow.main import command, from_zero, option, renamed
+from gelforge.networks.balls.ballpresses import BACKGROUND, BallFolder, read_presses
+from gelforge.networks.balls.balltable import C10_MPA, THICKNESS_MM
 from gelforge.networks.inference.predictor import Predictor, load_for_use
 from gelforge.networks.inference.sensorprofile import (
+    AS_READ,
+    LEAST_N,
     Gain,
     check_readings,
     check_same_network,
@@ -34,6 +38,7 @@ from gelforge.networks.inference.sensorprofile import (
     gain_there,
     make_profile,
     odd_readings,
+    of_balls,
     read_profile,
     write_profile,
 )
@@ -48,8 +53,8 @@ from gelforge.records.table import numbered_rows
 from gelforge.records.totals import goes_beyond
 
 
-def gain_of(readings: Path, predictor: Predictor) -> Gain:
-    """The factor that a table of readings tells; BadInput names the row that cannot be used."""
+def gain_of(readings: Path, predictor: Predictor, before: Gain = AS_READ) -> Gain:
+    """The factor that a table of readings tells, and `before` without them; BadInput names the row that cannot be used."""
     rows = _rows(readings, ("image", "force_n"), "readings", "press")
     pictures = _pictures(readings, rows, "image")
     measured = np.array([_force(name, row["force_n"]) for name, (_, row) in zip(pictures, rows, strict=True)])
@@ -62,7 +67,24 @@ def gain_of(readings: Path, predictor: Predictor) -> Gain:
     check_readings(names, measured, read)
     for name, told in odd_readings(names, measured, read).items():
         print(f"{name}: {told}; it counts, leave it out if it is wrong", file=sys.stderr)
-    return fit_gain(measured, read)
+    return fit_gain(measured, read, before)
+
+
+def gain_of_balls(balls: BallFolder, predictor: Predictor) -> Gain:
+    """The factor that presses of a ball tell; those that do not count are named on the terminal."""
+    for name, why in balls.left_out.items():
+        print(f"{name}: does not count, {why}", file=sys.stderr)
+    read, counts = _normals(predictor, {press.name: press.image for press in balls.presses})
+    force = np.array([press.force for press in balls.presses])
+    for press, seen in zip(balls.presses, read, strict=True):
+        if seen < LEAST_N:
+            print(f"{press.name}: does not count, the network reads {seen:.1f} N in it", file=sys.stderr)
+    counts &= read >= LEAST_N
+    if not counts.any():
+        raise BadInput(
+            f"in none of {len(read)} presses of the ball does the network read {LEAST_N:g} N; press firmer"
+        )
+    return of_balls(fit_gain(force[counts], read[counts]))
 
 
 def _pictures(table: Path, rows: list[tuple[int, dict[str, str]]], column: str) -> dict[str, np.ndarray]:
@@ -174,12 +196,23 @@ def check_options(args: Namespace, out: Path) -> None:
         raise BadInput(f"--out {out}: give a name that ends in .toml")
     if (args.opposite is None) != (args.grasps is None):
         raise BadInput("--opposite and --grasps go together: a profile of the other finger, and pictures of both")
+    if args.balls is None and (args.diameter is not None or args.thickness is not None):
+        raise BadInput("--diameter and --thickness say what --balls FOLDER shows: give it, too")
+    if args.balls and args.grasps:
+        raise BadInput("give either --balls or --grasps: what a ball tells is more than what another finger reads")
     if args.readings and args.grasps:
         raise BadInput(
             "give either --readings or --grasps: what was weighed says more than what another finger reads"
         )
     beside = out.with_suffix(".png")
-    read = [args.video, args.readings, args.grasps, args.model, *files_of(args.opposite)]
+    read = [
+        args.video,
+        args.readings,
+        args.grasps,
+        args.balls and args.balls / BACKGROUND,
+        args.model,
+        *files_of(args.opposite),
+    ]
     refuse_to_replace(f"--out {out}", [out, beside], read)
     if (
         beside.exists()
@@ -216,6 +249,20 @@ def factor_replaced(out: Path, measures: bool) -> Gain:
     option("--camera", type=from_zero, help="number of a camera whose sensor nothing touches now", default=None),
     option("--mode", type=camera_mode, metavar="WxH", help="size that the camera is asked for", default=None),
     option("--readings", type=Path, help="table of pictures and the forces that pressed", default=None),
+    option(
+        "--balls",
+        type=Path,
+        metavar="FOLDER",
+        help="presses of a ball, as gs_sdk's calibration lays them out",
+        default=None,
+    ),
+    option("--diameter", type=float, help="of the ball in mm; as its folder's name says if not given", default=None),
+    option(
+        "--thickness",
+        type=float,
+        help=f"of the gel where the ball pressed, mm; {THICKNESS_MM:g} if not given",
+        default=None,
+    ),
     option("--opposite", type=Path, help="profile of the sensor on the other finger", default=None),
     option("--grasps", type=Path, help="table of pictures of both fingers while they hold one object", default=None),
     option("--model", type=Path, help="model file; the one that came with gelforge if not named", default=None),
@@ -224,7 +271,9 @@ def factor_replaced(out: Path, measures: bool) -> Gain:
 def main(args: Namespace) -> None:
     name, out = check_id(args.name, "--name"), args.out or Path(f"{args.name}.toml")
     check_options(args, out)
-    before = factor_replaced(out, bool(args.readings or args.grasps))
+    before = factor_replaced(out, bool(args.readings or args.grasps or args.balls))
+    if args.balls and args.nocontact is args.video is args.camera is None:
+        args.nocontact = args.balls / BACKGROUND
     picture, source = nocontact_picture(args.nocontact, args.video, args.camera, args.mode)
     model = load_for_use(args.model)
     picture = reduced(picture)
@@ -233,18 +282,22 @@ def main(args: Namespace) -> None:
         print(f"{source}: {predictor.text}", file=sys.stderr)
     if predictor.fault:
         raise BadInput(f"{source}: {predictor.fault}; take a sharp one while nothing touches the sensor")
-    gain = Gain()
+    gain, told = Gain(), ""
+    if args.balls:
+        balls = read_presses(args.balls, picture, args.diameter, args.thickness or THICKNESS_MM)
+        gain = gain_of_balls(balls, predictor)
+        told = f"; {balls.px_per_mm:.2f} px per mm; gel of C10 {C10_MPA:g} MPa taken, which balls do not tell"
     if args.readings:
-        gain = gain_of(args.readings, predictor)
+        gain = gain_of(args.readings, predictor, gain)
     elif args.grasps:
         gain = gain_beside(args.grasps, predictor, args.opposite)
     profile = make_profile(name, picture, pitch_of(picture), gain, model.metadata)
     write_profile(out, profile)
-    what = "grasp" if args.grasps else "reading"
-    what += "" if gain.readings == 1 else "s"
+    what = "grasp" if args.grasps else "press" if args.balls else "reading"
+    what += "" if gain.readings == 1 else "es" if args.balls else "s"
     instead = f", in place of {before.value:.3f} from {before.readings}" if before.readings else ""
     print(f"{out}: forces times {gain.value:.3f} ({gain.low:.3f} to {gain.high:.3f}), from {gain.readings} {what}{instead};"
-          f" markers {profile.pitch:.1f} px apart")  # fmt: skip
+          f" markers {profile.pitch:.1f} px apart{told}")  # fmt: skip
 
 
 if __name__ == "__main__":

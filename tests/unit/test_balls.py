@@ -1,0 +1,219 @@
+"""A ball as a force sensor: the table of solves, the imprint's circle, and what is refused."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gelforge.commands import sensor
+from gelforge.errors import BadInput
+from gelforge.geometry.gel import Gel
+from gelforge.geometry.indenters import build
+from gelforge.labelling.sensor import load_sensors
+from gelforge.mechanics.hex.hexsolver import HexSolver
+from gelforge.mechanics.hex.settings import quality
+from gelforge.mechanics.scene import Material, Press, Scene
+from gelforge.networks.balls.ballpresses import px_per_mm_of, read_presses
+from gelforge.networks.balls.balltable import ball_table
+from gelforge.networks.balls.imprint import Circle, fit_circle
+from gelforge.networks.inference.sensorprofile import USUAL, fit_gain, of_balls, read_profile
+from gelforge.records.image import read_image, write_png
+from gelforge.stages.ball_table import contact_radius
+from gelforge.virtualrig.bench import SETTINGS
+from gelforge.virtualrig.fields import body_of, field_of, surface_of
+from gelforge.virtualrig.looks import read_looks
+from gelforge.virtualrig.render import Pressed, Renderer
+
+GEL, BALL_MM = Gel(), 6.0
+DRAWN = ((-3.0, -5.0, 0.6), (3.0, -4.0, 1.4), (2.5, 4.5, 0.8), (-2.5, 5.0, 1.2), (0.5, 0.5, 1.0))  # x, y, depth, mm
+
+
+@pytest.fixture(scope="module")
+def ball():
+    return build("ball", {"kind": "sphere", "diameter": BALL_MM, "height": BALL_MM}, "test")
+
+
+@pytest.fixture(scope="module")
+def drawn(root, ball, tmp_path_factory):
+    """A folder in gs_sdk's layout: presses of a 6 mm ball that the virtual rig drew, and no marked circle."""
+    folder = tmp_path_factory.mktemp("balls")
+    looks, sensors = read_looks(root / "workflow/rig/sensors.toml"), load_sensors(root / "workflow/sensors.toml")
+    camera = Renderer(looks["mini_a"], sensors["mini_a"].projection, GEL)
+    body, solver = body_of(ball, 0.0, 0.6, 0.0), HexSolver(SETTINGS)
+    write_png(folder / "background.png", camera.image(rng=np.random.default_rng(0)))
+    for number, (x, y, depth) in enumerate(DRAWN):
+        press = Press(x, y, float(GEL.top(x, y)), 0.0, 0.0, -depth, 0.0)
+        result = solver.solve(Scene(GEL, Material(), ball, press))
+        surface = surface_of(result.solved_mesh, result.displacement, press)
+        picture = camera.image(field_of(GEL, surface), Pressed(body, press), np.random.default_rng(number + 1))
+        put(folder, number, picture)
+    return folder
+
+
+def put(folder: Path, number: int, picture: np.ndarray, size: str = "6.000") -> Path:
+    path = folder / f"{size}mm" / str(number) / "gelsight.png"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_png(path, picture)
+    return path
+
+
+def test_the_table_holds_what_was_measured_of_a_5_mm_ball():
+    """Solves of the same solver, at these radii in mm and forces in N, whose radii were read off by another hand."""
+    radius = (1.24, 1.45, 1.53, 1.65, 1.73, 1.81, 1.98)
+    curve = ball_table().curve(5.0)
+    for depth, force in zip(radius, (0.57, 1.00, 1.27, 1.56, 1.88, 2.24, 3.51), strict=True):
+        at = np.interp(np.log(force), np.log(curve.force), np.log(curve.radius))
+        assert np.exp(at) == pytest.approx(depth, rel=0.03)
+
+
+def test_a_row_of_the_table_is_what_a_solve_gives(ball):
+    """At a coarser setting: of another thickness, ball or stiffness it would be 5 % and more beside it."""
+    result = HexSolver(quality("draft")).solve(
+        Scene(GEL, Material(), ball, Press(0.0, 0.0, 0.0, 0.0, 0.0, -0.8, 0.0))
+    )
+    curve = ball_table().curve(BALL_MM)
+    assert contact_radius(result, BALL_MM, 0.8) == pytest.approx(curve.radius[2], rel=0.03)
+    assert -result.total[2] == pytest.approx(curve.force[2], rel=0.03)
+
+
+@given(st.floats(4.0, 12.0), st.floats(3.6, 4.4))
+@settings(max_examples=50)
+def test_between_the_rows_force_grows_with_radius_ball_and_thinness(diameter, thickness):
+    table = ball_table()
+    curve = table.curve(diameter, thickness)
+    assert (np.diff(curve.radius) > 0).all() and (np.diff(curve.force) > 0).all() and (curve.rim > curve.radius).all()
+    assert (curve.force <= table.curve(diameter, 3.6).force + 1e-9).all()
+    assert (curve.force >= table.curve(4.0, thickness).force - 1e-9).all()
+    radius = float(np.sqrt(curve.radius[1] * curve.radius[2]))
+    assert curve.force[1] < curve.force_at(radius) < curve.force[2]
+    assert np.isnan(curve.force_at(0.5 * curve.radius[0])) and np.isnan(curve.radius_at(2 * curve.rim[-1]))
+
+
+def test_a_size_beyond_the_table_is_refused():
+    with pytest.raises(BadInput, match=r"a ball of 3 mm: the table of solves covers 4 to 12 mm.*\[flow\]"):
+        ball_table().curve(3.0)
+    with pytest.raises(BadInput, match="a gel of 5 mm"):
+        ball_table().curve(5.0, 5.0)
+
+
+@given(st.floats(50, 250), st.floats(50, 200), st.floats(10, 60), st.integers(0, 2**32 - 1))
+@settings(max_examples=50)
+def test_a_circle_is_fitted_though_a_fifth_of_its_points_lie_elsewhere(u, v, radius, seed):
+    rng = np.random.default_rng(seed)
+    angle = np.linspace(0, 2 * np.pi, 72, endpoint=False)
+    off = np.where(np.arange(72) % 5 == 0, rng.uniform(1.2, 2.0, 72), 1.0) * radius + rng.normal(0, 0.2, 72)
+    circle, deviation = fit_circle(np.stack([u + off * np.cos(angle), v + off * np.sin(angle)], axis=1))
+    assert np.hypot(circle.u - u, circle.v - v) < 0.5 and abs(circle.radius - radius) < 0.5 and deviation < 0.6
+
+
+def test_forces_of_drawn_presses_are_those_of_their_depths(drawn):
+    """Circles found by themselves. Rendered rims lie 3 % farther out than the table's, which is a tenth of force."""
+    found = read_presses(drawn, read_image(drawn / "background.png"))
+    curve = ball_table().curve(BALL_MM)
+    depth = np.array([depth for *_, depth in DRAWN])
+    truth = np.exp(np.interp(np.log(depth), np.log([0.3, 0.5, 0.8, 1.1, 1.4, 1.7]), np.log(curve.force)))
+    force = np.array([press.force for press in found.presses])
+    assert not found.left_out and found.px_per_mm == pytest.approx(15.77, rel=0.02)
+    assert 0.9 < np.median(force / truth) < 1.25
+    assert np.corrcoef(force, truth)[0, 1] > 0.96
+
+
+def test_a_profile_is_made_from_balls_alone(drawn, tmp_path, capsys):
+    words = ["--name", "mine", "--balls", str(drawn), "--out", str(tmp_path / "mine.toml")]
+    assert sensor.main([*words, "--diameter", "6"]) == 0
+    gain = read_profile(tmp_path / "mine.toml").gain
+    told = capsys.readouterr().out
+    assert (
+        gain.readings == len(DRAWN)
+        and "px per mm" in told
+        and "C10 0.0725 MPa taken, which balls do not tell" in told
+    )
+    assert (read_profile(tmp_path / "mine.toml").nocontact == read_image(drawn / "background.png")).all()
+    picture = drawn / "6.000mm/1/gelsight.png"
+    (tmp_path / "r.csv").write_text(f"image,force_n\n{picture},5\n")
+    assert sensor.main([*words, "--readings", str(tmp_path / "r.csv")]) == 0
+    both = read_profile(tmp_path / "mine.toml").gain
+    assert both.readings == len(DRAWN) + 1 and both.high / both.low < gain.high / gain.low
+
+
+def test_balls_leave_their_level_open():
+    """However many presses: a quarter in nine of ten cases, as no press tells it."""
+    read = np.linspace(1.0, 5.0, 200)
+    many = of_balls(fit_gain(1.3 * read, read))
+    assert many.value == pytest.approx(1.3, rel=0.01)
+    assert np.log(many.high / many.value) == pytest.approx(0.14 * USUAL, rel=0.1)
+    weighed = fit_gain(1.1 * read, read, many)
+    assert weighed.value == pytest.approx(1.1, rel=0.02) and weighed.readings == 400
+
+
+def test_presses_that_cannot_count_say_why(drawn, tmp_path):
+    rest = read_image(drawn / "background.png")
+    write_png(tmp_path / "background.png", rest)
+    pictures = [read_image(drawn / f"6.000mm/{number}/gelsight.png") for number in range(5)]
+    for number, picture in enumerate(pictures[:3]):
+        put(tmp_path, number, picture)
+    put(tmp_path, 3, rest)
+    cut = cv2.warpAffine(
+        pictures[4], np.float32([[1, 0, 0], [0, 1, 115]]), (320, 240), borderMode=cv2.BORDER_REPLICATE
+    )
+    put(tmp_path, 4, cut)
+    square = rest.copy()
+    square[60:140, 80:220] = np.uint8(0.6 * square[60:140, 80:220])
+    put(tmp_path, 5, square)
+    mark = put(tmp_path, 6, pictures[4]).with_name("label.npz")
+    np.savez(mark, center=np.array([60.0, 60.0]), radius=28)
+    why = read_presses(tmp_path, rest).left_out
+    assert {name: text.split(",")[0] for name, text in why.items()} == {
+        "6.000mm/3": "nothing touches in it",
+        "6.000mm/4": "its imprint is cut by the picture's edge",
+        "6.000mm/5": "its imprint is no circle",
+        "6.000mm/6": "its mark lies beside its imprint",
+    }
+
+
+def test_folders_that_tell_nothing_are_refused(drawn, tmp_path):
+    rest, picture = read_image(drawn / "background.png"), read_image(drawn / "6.000mm/0/gelsight.png")
+    with pytest.raises(BadInput, match="holds no press of a ball; give a folder with background.png"):
+        read_presses(tmp_path, rest)
+    put(tmp_path, 0, picture)
+    put(tmp_path, 1, picture)
+    with pytest.raises(BadInput, match="pressed in one place only .2 presses"):
+        read_presses(tmp_path, rest)
+    with pytest.raises(BadInput, match="a ball of 20 mm"):
+        read_presses(tmp_path, rest, 20.0)
+    with pytest.raises(BadInput, match="shows no markers"):
+        px_per_mm_of(np.full_like(rest, 100))
+    put(tmp_path, 0, rest)
+    put(tmp_path, 1, rest)
+    with pytest.raises(BadInput, match="none of 2 presses counts; 6.000mm/0: nothing touches in it"):
+        read_presses(tmp_path, rest)
+    put(tmp_path, 0, picture, "8.000")
+    with pytest.raises(BadInput, match="holds balls of 6.000, 8.000 mm; leave --diameter out"):
+        read_presses(tmp_path, rest, 6.0)
+
+
+@pytest.mark.parametrize(("more", "told"), [
+    (["--diameter", "5"], "--diameter and --thickness say what --balls FOLDER shows"),
+    (["--balls", "x", "--opposite", "l.toml", "--grasps", "g.csv"], "either --balls or --grasps"),
+])  # fmt: skip
+def test_options_that_do_not_go_together(more, told, tmp_path):
+    with pytest.raises(BadInput, match=told):
+        sensor.main(["--name", "mine", "--out", str(tmp_path / "mine.toml"), *more])
+
+
+def test_circles_of_a_real_sensor_are_found_where_they_were_marked(reference):
+    """Over the presses of a real ball: circles marked by hand, in whole px."""
+    folder = reference / "balls/unit_a"
+    rest = read_image(folder / "background.png")
+    pairs = []
+    for press in read_presses(folder, rest, marks=False).presses:
+        with np.load(folder / press.name / "label.npz") as mark:
+            pairs.append((press.circle, Circle(*mark["center"].tolist(), float(mark["radius"]))))
+    pairs = [(one, other) for one, other in pairs if other.inside(rest.shape)]
+    ratio = np.array([one.radius / other.radius for one, other in pairs])
+    assert len(pairs) >= 40
+    assert abs(np.median(ratio) - 1) < 0.05 and np.quantile(ratio, 0.1) > 0.9 and np.quantile(ratio, 0.9) < 1.12
+    assert np.median([np.hypot(one.u - other.u, one.v - other.v) for one, other in pairs]) < 3.0
