@@ -284,7 +284,8 @@ def main(args: Namespace) -> None:
         raise BadInput(f"{source}: {predictor.fault}; take a sharp one while nothing touches the sensor")
     gain, told = Gain(), ""
     if args.balls:
-        balls = read_presses(args.balls, picture, args.diameter, args.thickness or THICKNESS_MM)
+        thickness = THICKNESS_MM if args.thickness is None else args.thickness
+        balls = read_presses(args.balls, picture, args.diameter, thickness)
         gain = gain_of_balls(balls, predictor)
         told = f"; {balls.px_per_mm:.2f} px per mm; gel of C10 {C10_MPA:g} MPa taken, which balls do not tell"
     if args.readings:

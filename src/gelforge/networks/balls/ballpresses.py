@@ -17,13 +17,14 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.networks.balls.balltable import THICKNESS_MM, BallCurve, ball_table
-from gelforge.networks.balls.imprint import CUT, Circle, find_rim
+from gelforge.networks.balls.imprint import CUT, Circle, contact_place, find_rim
 from gelforge.records.image import read_image
 from gelforge.records.markers import pitch_of
 from gelforge.records.npz import DAMAGED, in_short
 
 LAYOUT = "give a folder with background.png and DIAMETERmm/N/gelsight.png, as gs_sdk's calibration has it"
 MARKER_PITCH_MM = 2.0  # of a GelSight Mini's printed markers to their nearest neighbours
+DEPTHS = "which no depth of the table makes, press it 0.3 to 1.7 mm deep"
 BACKGROUND = "background.png"
 ONE_PLACE = 0.2  # of the picture's width that presses must lie apart
 _DIAMETER = re.compile(r"(\d+(?:\.\d+)?)mm")
@@ -89,13 +90,14 @@ def read_presses(
 
 def _pictures(folder: Path, diameter: float | None) -> Iterator[tuple[Path, float]]:
     """Pictures of a folder's presses with the diameter of the ball in mm."""
-    sizes = {path: match[1] for path in sorted(folder.glob("*mm")) if (match := _DIAMETER.fullmatch(path.name))}
+    folders = [path for path in sorted(folder.glob("*mm")) if path.is_dir()]
+    sizes = {path: match[1] for path in folders if (match := _DIAMETER.fullmatch(path.name))}
     if diameter is not None and len(sizes) > 1:
         raise BadInput(
             f"{folder}: holds balls of {', '.join(sizes.values())} mm; leave --diameter out, or give one of them alone"
         )
     found = [
-        (press / "gelsight.png", diameter or float(size))
+        (press / "gelsight.png", float(size) if diameter is None else diameter)
         for path, size in sizes.items()
         for press in sorted(path.iterdir(), key=lambda one: (len(one.name), one.name))
         if (press / "gelsight.png").exists()
@@ -107,30 +109,25 @@ def _pictures(folder: Path, diameter: float | None) -> Iterator[tuple[Path, floa
 
 def _contact(mark: Path | None, image: np.ndarray, nocontact: np.ndarray, curve: BallCurve, scale: float) -> Circle:
     """The circle of contact in px, as marked or else within the rim that is found; BadInput says why a press cannot count."""
-    circle = _marked(mark) if mark and mark.exists() else None
-    if circle and not circle.inside(image.shape):
+    if mark and mark.exists():
+        circle = _marked(mark)
+        u, v = contact_place(image, nocontact, scale)
+        if np.hypot(circle.u - u, circle.v - v) > circle.radius:
+            raise BadInput("its mark lies beside its imprint, mark it again or remove label.npz")
+    else:
+        rim = find_rim(image, nocontact, scale)
+        circle = Circle(rim.u, rim.v, curve.radius_at(rim.radius / scale) * scale)
+        if np.isnan(circle.radius):
+            raise BadInput(f"its rim has a radius of {rim.radius / scale:.2f} mm, {DEPTHS}")
+    if not circle.inside(image.shape):
         raise BadInput(CUT)
-    rim = find_rim(image, nocontact, scale)
-    if circle is None:
-        radius = curve.radius_at(rim.radius / scale) * scale
-        if np.isnan(radius):
-            raise BadInput(
-                f"its imprint is {rim.radius / scale:.2f} mm wide, no depth of the table makes it; press 0.3 to 1.7 mm deep"
-            )
-        circle = Circle(rim.u, rim.v, radius)
-        if not circle.inside(image.shape):
-            raise BadInput(CUT)
-    elif np.hypot(circle.u - rim.u, circle.v - rim.v) > circle.radius:
-        raise BadInput("its mark lies beside its imprint, mark it again or remove label.npz")
     return circle
 
 
 def _force(circle: Circle, curve: BallCurve, scale: float) -> float:
     force = curve.force_at(circle.radius / scale)
     if np.isnan(force):
-        raise BadInput(
-            f"its circle has a radius of {circle.radius / scale:.2f} mm, no depth of the table makes it; press 0.3 to 1.7 mm deep"
-        )
+        raise BadInput(f"its circle has a radius of {circle.radius / scale:.2f} mm, {DEPTHS}")
     return force
 
 
@@ -139,7 +136,7 @@ def _marked(path: Path) -> Circle:
     try:
         with np.load(path, allow_pickle=False) as label:
             (u, v), radius = label["center"].astype(float), float(label["radius"])
-    except (*DAMAGED, TypeError) as error:
+    except DAMAGED as error:
         raise BadInput(f"label.npz cannot be read ({in_short(error)}), remove it and its circle is found") from None
     return Circle(float(u), float(v), radius)
 

@@ -9,10 +9,8 @@ from gelforge.networks.balls.balltable import BLUR_MM, RIM
 from gelforge.networks.preprocess.illumination import match_light
 
 INK = 0.2  # of the largest level, by which markers are darker than what surrounds them
-MARKER_MM, SPREAD_MM = (
-    1.45,
-    0.3,
-)  # width of the largest marker, and how far about its edge levels say nothing of slopes
+MARKER_MM = 1.45  # width of the largest marker
+SPREAD_MM = 0.45  # across a marker's edge, where levels say nothing of slopes
 LEAST_LEVELS = 10.0  # of difference, blurred, below which nothing touches
 RAYS, STEP_MM, FARTHEST_MM = 72, 0.03, 6.0  # rays from the circle's centre
 ROUNDS = 6  # of rays from the centre found last
@@ -60,6 +58,11 @@ def find_rim(image: np.ndarray, nocontact: np.ndarray, px_per_mm: float) -> Circ
     return circle
 
 
+def contact_place(image: np.ndarray, nocontact: np.ndarray, px_per_mm: float) -> tuple[float, float]:
+    """Where (u, v) in px something touches, images as of `find_rim`; BadInput where nothing does."""
+    return _middle(_difference(image, nocontact, px_per_mm))
+
+
 def fit_circle(points: np.ndarray) -> tuple[Circle, float]:
     """Circle through points (n, 2) px by reweighted least squares (Kasa 1976), and the robust deviation of points from it, px."""
     weight = np.ones(len(points))
@@ -80,8 +83,8 @@ def _difference(image: np.ndarray, nocontact: np.ndarray, px_per_mm: float) -> n
     import cv2
 
     lit = match_light(image, nocontact).undo(image)
-    apart = np.linalg.norm(lit.astype(np.float32) - nocontact, axis=2)
-    weight = np.float32(~(_ink(nocontact, px_per_mm) | _ink(lit, px_per_mm)))
+    apart = np.linalg.norm(np.subtract(lit, nocontact, dtype=np.float32), axis=2)
+    weight = (~(_ink(nocontact, px_per_mm) | _ink(lit, px_per_mm))).astype(np.float32)
     sigma = BLUR_MM * px_per_mm
     blurred = cv2.GaussianBlur(apart * weight, (0, 0), sigma) / (cv2.GaussianBlur(weight, (0, 0), sigma) + 1e-3)
     return np.asarray(np.maximum(blurred - np.median(blurred), 0.0))
@@ -95,7 +98,7 @@ def _ink(image: np.ndarray, px_per_mm: float) -> np.ndarray:
     wide, near = (cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * int(half) + 1,) * 2)
                   for half in (MARKER_MM / 2 * px_per_mm, SPREAD_MM / 2 * px_per_mm))  # fmt: skip
     darker = cv2.morphologyEx(brightest, cv2.MORPH_CLOSE, wide).astype(int) - brightest
-    return cv2.dilate(np.uint8(darker > INK * int(brightest.max())), near) > 0
+    return cv2.dilate((darker > INK * int(brightest.max())).astype(np.uint8), near) > 0
 
 
 def _middle(difference: np.ndarray) -> tuple[float, float]:
@@ -104,7 +107,7 @@ def _middle(difference: np.ndarray) -> tuple[float, float]:
 
     if difference.max() < LEAST_LEVELS:
         raise BadInput("nothing touches in it, press firmer")
-    places = np.uint8(difference > 0.5 * difference.max())
+    places = (difference > 0.5 * difference.max()).astype(np.uint8)
     _, _, measures, centres = cv2.connectedComponentsWithStats(places)
     u, v = centres[1 + measures[1:, cv2.CC_STAT_AREA].argmax()] + 0.5
     return float(u), float(v)
@@ -117,7 +120,12 @@ def _rim_on_rays(difference: np.ndarray, circle: Circle, radii: np.ndarray, angl
     u = circle.u - 0.5 + radii[:, None] * np.cos(angles)
     v = circle.v - 0.5 + radii[:, None] * np.sin(angles)
     seen = cv2.remap(
-        difference, np.float32(u), np.float32(v), cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=-1.0
+        difference,
+        u.astype(np.float32),
+        v.astype(np.float32),
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_CONSTANT,
+        borderValue=-1.0,
     )
     outside = (u < 0) | (v < 0) | (u > difference.shape[1] - 1) | (v > difference.shape[0] - 1)
     rim = np.full(len(angles), np.nan)
