@@ -3,16 +3,34 @@
 The level is sure to a quarter (circles are marked by hand, the diameter is a catalogue's); spread and correlation are surer.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from gelforge.networks.balls.ballpresses import BallPress, read_presses
+from gelforge.geometry.gel import Gel
+from gelforge.geometry.indenters import build
+from gelforge.labelling.sensor import load_sensors
+from gelforge.mechanics.hex.hexsolver import HexSolver
+from gelforge.mechanics.scene import Material, Press, Scene
+from gelforge.networks.balls.ballpresses import BACKGROUND, BallPress, read_presses
+from gelforge.networks.balls.balltable import ball_table
 from gelforge.networks.inference.sensorprofile import fit_gain
+from gelforge.records.image import read_image, write_png
+from gelforge.stages.ball_table import DEPTHS
+from gelforge.virtualrig.bench import SETTINGS
+from gelforge.virtualrig.fields import body_of, field_of, surface_of
+from gelforge.virtualrig.looks import read_looks
+from gelforge.virtualrig.render import Pressed, Renderer
 from tests.benchmarks.figures import Figure
 
 FOLDER = "balls/unit_a"
+ROOT = Path(__file__).parents[2]
+# Where balls are pressed that the virtual rig draws: x, y and depth in mm.
+DRAWN = (
+    (-3.0, -5.0, 0.6), (3.0, -4.0, 1.4), (2.5, 4.5, 0.8), (-2.5, 5.0, 1.2),
+    (0.5, 0.5, 1.0), (-3.5, 0.0, 1.5), (3.5, 1.0, 0.5), (0.0, -6.0, 0.9),
+)  # fmt: skip
 Read = Callable[
     [np.ndarray], tuple[np.ndarray, bool]
 ]  # a picture to its forces (3, rows, cols) N, and whether it is flagged
@@ -68,3 +86,56 @@ def circle_figures(folder: Path, nocontact: np.ndarray, px_per_mm: float) -> lis
     )
     return [Figure("real balls: found circles against marked ones, radius, median off by", 100 * abs(float(np.median(ratio)) - 1), "<=", 5.0, "%",
                    f"{len(pairs)} presses; {note}")]  # fmt: skip
+
+
+def drawn_figures(folder: Path) -> list[Figure]:
+    """Forces that circles found without marks tell of balls that the virtual rig draws, over those of their depths."""
+    told: list[float] = []
+    truth: list[float] = []
+    for unit in ("mini_a", "mini_b"):
+        for diameter in (4.0, 6.0):
+            place = draw_balls(folder / f"{unit}_{diameter:g}", unit, diameter, DRAWN)
+            found = read_presses(place, read_image(place / BACKGROUND)).presses
+            told += [press.force for press in found]
+            truth += [true_force(diameter, DRAWN[int(Path(press.name).name)][2]) for press in found]
+    asked = 4 * len(DRAWN)
+    ratio, note = (
+        np.array(told) / truth,
+        f"{len(told)} of {asked} presses: 4 and 6 mm, two units; circles found without marks",
+    )
+    median = float(np.median(ratio))
+    low, high = (np.quantile(ratio, [0.1, 0.9]) / median).tolist()
+    return [
+        Figure(
+            "drawn balls, force by their circle over the true one, median: at least", median, ">=", 0.95, "", note
+        ),
+        Figure("drawn balls, force by their circle over the true one, median: at most", median, "<=", 1.05),
+        Figure("the same over the median, 10 %", low, ">=", 0.9),
+        Figure("the same over the median, 90 %", high, "<=", 1.1),
+        Figure("the same, correlation", float(np.corrcoef(told, truth)[0, 1]), ">=", 0.96),
+    ]
+
+
+def draw_balls(folder: Path, unit: str, diameter: float, where: Sequence[tuple[float, float, float]]) -> Path:
+    """Draw presses of a ball on a virtual unit into a folder in gs_sdk's layout; where: x, y, and depth below the gel there, mm."""
+    gel = Gel()
+    looks, sensors = read_looks(ROOT / "workflow/rig/sensors.toml"), load_sensors(ROOT / "workflow/sensors.toml")
+    camera = Renderer(looks[unit], sensors[unit].projection, gel)
+    ball = build("ball", {"kind": "sphere", "diameter": diameter, "height": diameter}, "a drawn ball")
+    body, solver = body_of(ball, 0.0, 0.6, 0.0), HexSolver(SETTINGS)
+    folder.mkdir(parents=True)
+    write_png(folder / BACKGROUND, camera.image(rng=np.random.default_rng(0)))
+    for number, (x, y, depth) in enumerate(where):
+        press = Press(x, y, float(gel.top(x, y)), 0.0, 0.0, -depth, 0.0)
+        result = solver.solve(Scene(gel, Material(), ball, press))
+        field = field_of(gel, surface_of(result.solved_mesh, result.displacement, press))
+        picture = camera.image(field, Pressed(body, press), np.random.default_rng(number + 1))
+        (path := folder / f"{diameter:.3f}mm" / str(number)).mkdir(parents=True)
+        write_png(path / "gelsight.png", picture)
+    return folder
+
+
+def true_force(diameter: float, depth: float) -> float:
+    """Normal force in N of a ball that is pressed so many mm deep, between the depths of the table."""
+    force = ball_table().curve(diameter).force
+    return float(np.exp(np.interp(np.log(depth), np.log(DEPTHS), np.log(force))))

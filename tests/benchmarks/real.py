@@ -10,6 +10,7 @@ import itertools
 from argparse import Namespace
 from collections.abc import Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import cv2
 import numpy as np
@@ -25,7 +26,7 @@ from gelforge.networks.inference.predictor import Predictor, load_for_use
 from gelforge.networks.preprocess.illumination import match_light
 from gelforge.records.image import read_image
 from tests.benchmarks.balls import FOLDER as BALLS
-from tests.benchmarks.balls import ball_figures, circle_figures
+from tests.benchmarks.balls import ball_figures, circle_figures, drawn_figures
 from tests.benchmarks.figures import PUBLISHED_DATA, Figure, publish_figures
 from tests.benchmarks.films import finger_figures, frames_of, read_film, released_figures, sideways_figures
 from tests.benchmarks.ways import as_used, bare
@@ -247,6 +248,8 @@ def main(args: Namespace) -> None:
     figures += newton_figures(presses, args.reference / "feats/images/demo_maps.npz", model, nocontact)
     figures += slipped_figures("FEATS' presses", [picture for picture, _ in presses][::3], model, nocontact)
     figures += ball_flow(args.reference / BALLS, model)
+    with TemporaryDirectory() as folder:
+        figures += drawn_figures(Path(folder))
     figures += cuboid_figures(args.reference, model, nocontact)
     publish_figures(args.out, figures, fingerprint(model.metadata))
     if args.page:

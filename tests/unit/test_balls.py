@@ -11,7 +11,6 @@ from gelforge.commands import sensor
 from gelforge.errors import BadInput
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
-from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.hex.hexsolver import HexSolver
 from gelforge.mechanics.hex.settings import quality
 from gelforge.mechanics.scene import Material, Press, Scene
@@ -21,14 +20,9 @@ from gelforge.networks.balls.imprint import Circle, fit_circle
 from gelforge.networks.inference.sensorprofile import USUAL, fit_gain, of_balls, read_profile
 from gelforge.records.image import read_image, write_png
 from gelforge.stages.ball_table import contact_radius
-from gelforge.virtualrig.bench import SETTINGS
-from gelforge.virtualrig.fields import body_of, field_of, surface_of
-from gelforge.virtualrig.looks import read_looks
-from gelforge.virtualrig.render import Pressed, Renderer
+from tests.benchmarks.balls import DRAWN, draw_balls, true_force
 
 GEL, BALL_MM = Gel(), 6.0
-CUT = (-6.8, 0.0, 1.0)  # near the picture's lower edge
-DRAWN = ((-3.0, -5.0, 0.6), (3.0, -4.0, 1.4), (2.5, 4.5, 0.8), (-2.5, 5.0, 1.2), (0.5, 0.5, 1.0))  # x, y, depth, mm
 
 
 @pytest.fixture(scope="module")
@@ -37,23 +31,9 @@ def ball():
 
 
 @pytest.fixture(scope="module")
-def drawn(root, ball, tmp_path_factory):
+def drawn(tmp_path_factory):
     """A folder in gs_sdk's layout: presses of a 6 mm ball that the virtual rig drew, and no marked circle."""
-    folder = tmp_path_factory.mktemp("balls")
-    looks, sensors = read_looks(root / "workflow/rig/sensors.toml"), load_sensors(root / "workflow/sensors.toml")
-    camera = Renderer(looks["mini_a"], sensors["mini_a"].projection, GEL)
-    body, solver = body_of(ball, 0.0, 0.6, 0.0), HexSolver(SETTINGS)
-    write_png(folder / "background.png", camera.image(rng=np.random.default_rng(0)))
-    for number, (x, y, depth) in enumerate((*DRAWN, CUT)):
-        press = Press(x, y, float(GEL.top(x, y)), 0.0, 0.0, -depth, 0.0)
-        result = solver.solve(Scene(GEL, Material(), ball, press))
-        surface = surface_of(result.solved_mesh, result.displacement, press)
-        picture = camera.image(field_of(GEL, surface), Pressed(body, press), np.random.default_rng(number + 1))
-        if (x, y, depth) == CUT:
-            write_png(folder / "cut.png", picture)
-        else:
-            put(folder, number, picture)
-    return folder
+    return draw_balls(tmp_path_factory.mktemp("balls") / "drawn", "mini_a", BALL_MM, DRAWN[:5])
 
 
 def put(folder: Path, number: int, picture: np.ndarray, size: str = "6.000") -> Path:
@@ -115,9 +95,7 @@ def test_a_circle_is_fitted_though_a_fifth_of_its_points_lie_elsewhere(u, v, rad
 def test_forces_of_drawn_presses_are_those_of_their_depths(drawn):
     """Circles found by themselves. Rendered rims lie 3 % farther out than the table's, which is a tenth of force."""
     found = read_presses(drawn, read_image(drawn / "background.png"))
-    curve = ball_table().curve(BALL_MM)
-    depth = np.array([depth for *_, depth in DRAWN])
-    truth = np.exp(np.interp(np.log(depth), np.log([0.3, 0.5, 0.8, 1.1, 1.4, 1.7]), np.log(curve.force)))
+    truth = np.array([true_force(BALL_MM, depth) for *_, depth in DRAWN[:5]])
     force = np.array([press.force for press in found.presses])
     assert not found.left_out and found.px_per_mm == pytest.approx(15.77, rel=0.02)
     assert 0.9 < np.median(force / truth) < 1.25
@@ -129,17 +107,13 @@ def test_a_profile_is_made_from_balls_alone(drawn, tmp_path, capsys):
     assert sensor.main([*words, "--diameter", "6"]) == 0
     gain = read_profile(tmp_path / "mine.toml").gain
     told = capsys.readouterr().out
-    assert (
-        gain.readings == len(DRAWN)
-        and "px per mm" in told
-        and "C10 0.0725 MPa taken, which balls do not tell" in told
-    )
+    assert gain.readings == 5 and "px per mm" in told and "C10 0.0725 MPa taken, which balls do not tell" in told
     assert (read_profile(tmp_path / "mine.toml").nocontact == read_image(drawn / "background.png")).all()
     picture = drawn / "6.000mm/1/gelsight.png"
     (tmp_path / "r.csv").write_text(f"image,force_n\n{picture},5\n")
     assert sensor.main([*words, "--readings", str(tmp_path / "r.csv")]) == 0
     both = read_profile(tmp_path / "mine.toml").gain
-    assert both.readings == len(DRAWN) + 1 and both.high / both.low < gain.high / gain.low
+    assert both.readings == 6 and both.high / both.low < gain.high / gain.low
 
 
 def test_balls_leave_their_level_open():
@@ -159,7 +133,8 @@ def test_presses_that_cannot_count_say_why(drawn, tmp_path):
     for number, picture in enumerate(pictures[:3]):
         put(tmp_path, number, picture)
     put(tmp_path, 3, rest)
-    put(tmp_path, 4, read_image(drawn / "cut.png"))
+    cut = draw_balls(tmp_path / "cut", "mini_a", BALL_MM, [(-6.8, 0.0, 1.0)])
+    put(tmp_path, 4, read_image(cut / "6.000mm/0/gelsight.png"))
     square = rest.copy()
     square[60:140, 80:220] = np.uint8(0.6 * square[60:140, 80:220])
     put(tmp_path, 5, square)

@@ -43,7 +43,7 @@ def find_rim(image: np.ndarray, nocontact: np.ndarray, px_per_mm: float) -> Circ
     u, v = _middle(difference)
     radii = np.arange(1, int(FARTHEST_MM / STEP_MM)) * STEP_MM * px_per_mm
     angles = np.arange(RAYS) * 2.0 * np.pi / RAYS
-    circle, deviation = Circle(u, v, 0.0), np.inf
+    circle, deviation, seen = Circle(u, v, 0.0), np.inf, np.ones(RAYS, bool)
     for _ in range(ROUNDS):
         rim = _rim_on_rays(difference, circle, radii, angles)
         seen = np.isfinite(rim)
@@ -52,9 +52,8 @@ def find_rim(image: np.ndarray, nocontact: np.ndarray, px_per_mm: float) -> Circ
         points = [circle.u + rim * np.cos(angles), circle.v + rim * np.sin(angles)]
         circle, deviation = fit_circle(np.stack(points, axis=1)[seen])
     if deviation > ROUND * circle.radius:
-        raise BadInput(
-            CUT if not circle.inside(image.shape) else "its imprint is no circle, press one smooth ball straight down"
-        )
+        whole = "its imprint is no circle, press one smooth ball straight down"
+        raise BadInput(whole if seen.all() else CUT)
     return circle
 
 
