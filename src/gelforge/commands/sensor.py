@@ -227,7 +227,7 @@ def check_options(args: Namespace, out: Path) -> None:
 def factor_replaced(out: Path, measures: bool) -> Gain:
     """The factor of the profile that a new one takes the place of; as read where there is none.
 
-    measures: whether the new one has readings or grasps. Raises BadInput for a file that is no profile, and for a profile
+    measures: whether the new one has readings, balls or grasps. Raises BadInput for a file that is no profile, and for a profile
     whose factor was measured where the new one's is not: that was work, and nothing else holds it.
     """
     told = gain_there(out)
@@ -236,7 +236,7 @@ def factor_replaced(out: Path, measures: bool) -> Gain:
     if told.readings and not measures:
         raise BadInput(
             f"{out}: is a profile whose factor, {told.value:.3f}, {told.readings} readings or grasps told, and would be replaced"
-            f" by one without any; give --readings or --grasps again, another --name or --out, or remove {out}"
+            f" by one without any; give --readings, --balls or --grasps again, another --name or --out, or remove {out}"
         )
     return told
 
@@ -275,6 +275,8 @@ def main(args: Namespace) -> None:
     if args.balls and args.nocontact is args.video is args.camera is None:
         args.nocontact = args.balls / BACKGROUND
     picture, source = nocontact_picture(args.nocontact, args.video, args.camera, args.mode)
+    thickness = THICKNESS_MM if args.thickness is None else args.thickness
+    balls = read_presses(args.balls, picture, args.diameter, thickness) if args.balls else None
     model = load_for_use(args.model)
     picture = reduced(picture)
     predictor = CameraPredictor(model, picture)
@@ -283,9 +285,7 @@ def main(args: Namespace) -> None:
     if predictor.fault:
         raise BadInput(f"{source}: {predictor.fault}; take a sharp one while nothing touches the sensor")
     gain, told = Gain(), ""
-    if args.balls:
-        thickness = THICKNESS_MM if args.thickness is None else args.thickness
-        balls = read_presses(args.balls, picture, args.diameter, thickness)
+    if balls:
         gain = gain_of_balls(balls, predictor)
         told = f"; {balls.px_per_mm:.2f} px per mm; gel of C10 {C10_MPA:g} MPa taken, which balls do not tell"
     if args.readings:
