@@ -156,7 +156,7 @@ def test_a_network_that_there_is_not_is_named(tmp_path):
     with pytest.raises(BadInput, match="MODEL=grid16"):
         training(Layout(tmp_path), "24x32", "grid16", 900)
     write_json(params / "models" / "net.json", {"net": {"kind": "transformer"}})
-    with pytest.raises(BadInput, match="'transformer': use one of grid"):
+    with pytest.raises(BadInput, match="'transformer': use one of geometry, grid"):
         training(Layout(tmp_path), "24x32", "net", 900)
 
 
