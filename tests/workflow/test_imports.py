@@ -211,7 +211,9 @@ def test_a_damaged_recording_is_read_or_refused(tmp_path, compression):
             list(messages(path, "/ft"))
         except BadInput as error:
             refused += 1
-            assert "a.mcap: cannot be read as MCAP" in str(error)
+            # a byte of the encoding's name leaves a whole file of another kind of message
+            told = ("a.mcap: cannot be read as MCAP", "a.mcap: topic /ft holds no ROS 2 messages")
+            assert any(each in str(error) for each in told)
     assert refused > 20
 
 

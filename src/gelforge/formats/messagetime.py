@@ -15,7 +15,9 @@ LAPSE = 1.5  # of the usual interval: beyond, messages are missing
 def stamp_of(said) -> int:
     """Time in the header of a ROS 2 message, ns; 0 where it has no header or an empty one."""
     stamp = getattr(getattr(said, "header", None), "stamp", None)
-    return 0 if stamp is None else int(stamp.sec) * 10**9 + int(stamp.nanosec)
+    if not (hasattr(stamp, "sec") and hasattr(stamp, "nanosec")):
+        return 0
+    return int(stamp.sec) * 10**9 + int(stamp.nanosec)
 
 
 @dataclass(frozen=True)

@@ -134,6 +134,8 @@ def print_pitch(dots: np.ndarray) -> float:
 
 def _steps(points: np.ndarray) -> np.ndarray:
     """The lattice's two steps (2, 2): typical displacement to the nearest neighbour along u, and along v."""
+    if len(points) < 2:
+        raise BadInput("fewer than two dark dots were found; use a sharp image without contact")
     apart = points[None] - points[:, None]
     distance = np.hypot(*apart.T).T
     distance[(distance < PITCH_RANGE[0]) | (distance > PITCH_RANGE[1])] = np.inf
