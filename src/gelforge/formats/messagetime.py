@@ -15,9 +15,8 @@ LAPSE = 1.5  # of the usual interval: beyond, messages are missing
 def stamp_of(said) -> int:
     """Time in the header of a ROS 2 message, ns; 0 where it has no header or an empty one."""
     stamp = getattr(getattr(said, "header", None), "stamp", None)
-    if not (hasattr(stamp, "sec") and hasattr(stamp, "nanosec")):
-        return 0
-    return int(stamp.sec) * 10**9 + int(stamp.nanosec)
+    seconds, rest = (getattr(stamp, name, None) for name in ("sec", "nanosec"))
+    return 0 if seconds is None or rest is None else int(seconds) * 10**9 + int(rest)
 
 
 @dataclass(frozen=True)
