@@ -134,7 +134,10 @@ def test_the_projects_sensors_are_usable(root):
 def test_gels_of_all_sensors_are_printed_alike(root):
     """A scale that is wrong shows: dots stand 2.0 mm apart on real gels. FEATS' own placement has them farther apart."""
     apart = {}
-    for name, sensor in load_sensors(root / "workflow/sensors.toml").items():
+    every = load_sensors(root / "workflow/sensors.toml")
+    for name, sensor in every.items():
+        if not sensor.markers:  # nothing is known of them
+            continue
         one_mm = sensor.project(np.array([[0.0, 0.5], [0.0, -0.5], [0.5, 0.0], [-0.5, 0.0]]))
         scale = np.mean([np.hypot(*(one_mm[k] - one_mm[k + 1])) for k in (0, 2)])
         apart[name] = float(np.mean(sensor.markers["pitch_px"]) / scale)

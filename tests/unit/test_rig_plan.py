@@ -77,9 +77,11 @@ def test_bad_plan_is_refused_by_name_before_anything_is_written(tmp_path, old, n
 
 
 def cuts_through_itself(path) -> None:
-    """Two cuboids in one file, one in the other."""
+    """A cuboid one of whose corners is pulled through its other side."""
     vertices, faces = load_catalogue(ROOT / "workflow" / "indenters.toml", ["cuboid_7"])["cuboid_7"].surface()
-    triangles.write_stl(path, *triangles.joined([(vertices, faces), (vertices + [3.0, 2.0, 1.0], faces)]))
+    pulled = vertices.copy()
+    pulled[np.argmax(vertices[:, 2])] = [0.0, 0.0, -5.0]
+    triangles.write_stl(path, pulled, faces)
 
 
 def one_triangle(path) -> None:

@@ -22,7 +22,7 @@ OTHER = {
     "fidelity": None, "meshes": ("wide-1.0",), "fine_meshes": ("wide-1.0",), "tolerance": 0.03, "cell_tolerance": 0.2,
     "charted": {name: {way: (*row[:2], 2 * row[2]) for way, row in rows.items()} for name, rows in FEA.charted.items()},
     "hex_quality": "draft", "press_steps": 5, "shear_steps": 4, "step_mm": 0.3, "stiffness": 1000.0, "rounds": 9,
-    "pull_tolerance": 3e-3, "penetration_mm": 3e-3, "residual": 2e-5, "timeout_s": 3600.0,
+    "pull_tolerance": 3e-3, "penetration_mm": 3e-3, "residual": 2e-5, "timeout_s": 3600.0, "verify": 0.5,
 }  # fmt: skip
 CALCULIX = {
     "press_steps",
