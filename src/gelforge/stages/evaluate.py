@@ -65,7 +65,7 @@ def main(args: Namespace) -> None:
     model = load_model(args.model)
     called = "the network that ships" if args.model.resolve() == SHIPPED.resolve() else ""
     result, predictions = evaluate(data, model, read_slice(args.params, ForEvaluate).evaluate, called)
-    if feats_tables.SENSOR in data.info["sensors"]:
+    if feats_tables.SENSOR in data.info.get("sensors", ()):
         result["published"] = {
             name: feats_tables.published_errors(predictions[name][1], np.asarray(data.labels[predictions[name][0]]))
             for name in feats_tables.TESTS
