@@ -21,6 +21,17 @@ $(CHROMIUM_FOUND): envs/chromium.sh | $(SETUP) $(CCX_FOUND) $(SLURM_FOUND)
 
 test benchmark-face: $(CHROMIUM_FOUND)
 
+# LeRobot's package wants other versions than ours; minutes of downloads, so tests take it where it is and do not make it.
+LEROBOT_READY := .venv-lerobot/ready
+
+.PHONY: lerobot-env
+lerobot-env: $(LEROBOT_READY)  ## an environment with LeRobot, in which tests open an export by its own training factory
+
+$(LEROBOT_READY): envs/lerobot.sh envs/lerobot.lock | $(SETUP)
+	@envs/lerobot.sh $@
+
+benchmark-face: $(LEROBOT_READY)
+
 .PHONY: test test-slurm lint format lock
 test: $(SETUP) $(CCX_FOUND)  ## all tests, those of the mechanics on a second code path too
 	@$(PY) -m pytest $(SIDE_BY_SIDE) $(TESTS)

@@ -15,7 +15,7 @@ from gelforge.flow.files import read_csv, read_json, write_csv
 from gelforge.formats.export import lerobot
 from gelforge.formats.export.samples import Samples
 from gelforge.records.image import decode
-from tests.exported import READERS, lay
+from tests.exported import LEROBOT, READERS, lay, opened_by_lerobot
 from tests.limited import limited, small_disk
 from tests.no_locks import without_locks
 
@@ -45,7 +45,7 @@ WRITES_ALL = """
 from pathlib import Path
 import sys
 from gelforge.commands.export import FORMATS, export
-from tests.exported import READERS, lay
+from tests.exported import LEROBOT, READERS, lay, opened_by_lerobot
 samples = lay(Path(sys.argv[1]), 4)
 for form in FORMATS:
     export(samples, form, Path(sys.argv[1]) / f"{form}{READERS[form][0]}")
@@ -137,6 +137,28 @@ def test_of_many_pictures_some_tell_the_ranges(tmp_path, monkeypatch):
     monkeypatch.setattr(lerobot, "MOST_PICTURES", 5)
     told = lerobot.picture_stats(lay(tmp_path, 22))
     assert told["count"] == [5] and 0.4 < told["mean"][0][0][0] < 0.6
+
+
+@pytest.mark.skipif(
+    not LEROBOT.exists(), reason="no environment with LeRobot; `make lerobot-env` makes it, in minutes"
+)
+def test_lerobots_own_factory_opens_and_iterates_an_export(tmp_path):
+    """With its defaults, for two policies and as a stream."""
+    samples = lay(tmp_path, 22)
+    export(samples, "lerobot", tmp_path / "out")
+    found = opened_by_lerobot(tmp_path / "out", tmp_path)
+    rows = [at for rows in lerobot.in_order_of_splits(samples) for at in rows]
+    for policy, frames in (("act", 1), ("diffusion", 2)):
+        of = found[policy]
+        assert of["frames"] == 22 and of["episodes"] == 11 and of["task"] == "press the gel"
+        assert of["sample_id"] == [samples.rows[at]["sample_id"] for at in rows]
+        # a policy that looks back is given the frame before, too
+        assert of["shape"] == ([3, 24, 32] if frames == 1 else [2, 3, 24, 32])
+        now = np.array(of["wrench"]).reshape(4, frames, 3)[:, -1]
+        np.testing.assert_allclose(now, [samples.sample(at).total() for at in rows[:4]], rtol=1e-6)
+        assert 0.4 < of["mean"] < 0.6
+    assert found["streamed"] == 22
+    assert np.shape(found["stats"]["observation.images.gelsight"]["std"]) == (3, 1, 1)
 
 
 def test_channels_are_named_by_the_axes_that_they_lie_along(tmp_path):
