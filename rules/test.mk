@@ -56,11 +56,15 @@ lock: $(SETUP)  ## write envs/requirements.lock from what is installed
 	@mv envs/.requirements.lock envs/requirements.lock
 
 # What benchmarks share, and is none.
-SHARED := __init__ attempts balls chart_meshes fea_cost figures films flow_faults neighbour_faults reach real_page rig_page sandbox ways
+SHARED := __init__ attempts balls chart_meshes fea_cost figures films flow_faults neighbour_faults reach real_page rig_page sandbox tables ways
 BENCHMARKS := $(filter-out $(SHARED:%=benchmark-%),$(patsubst tests/benchmarks/%.py,benchmark-%,$(wildcard tests/benchmarks/*.py)))
 .PHONY: $(BENCHMARKS)
 $(BENCHMARKS): benchmark-%: $(SETUP) $(CCX_FOUND)
 	@$(PY) -m tests.benchmarks.$* --out results/benchmarks/$*.json
+
+.PHONY: benchmark-tables
+benchmark-tables: $(SETUP)  ## write the figures of results/benchmarks/ into README and guide, name those of sources that changed
+	@$(PY) -m tests.benchmarks.tables
 
 .PHONY: real-check
 real-check: $(SETUP)  ## benchmark-real with a page of real pictures and what is read in them: results/real-check/index.html

@@ -256,13 +256,15 @@ def demo_figures(folder: Path, jobs: int) -> list[Figure]:
     """The rig's hidden C10."""
     truth = read_json("data/demo/truth/truth.json")["truth"]["c10_mpa"]
     found, seconds = run_stage("demo", folder, jobs)
-    c10 = found["c10"]
+    c10, friction = found["c10"], found["parameters"]["mu"]
     low, high = c10["interval95"]
     return [
         Figure("demo, hidden C10 inside the 95 % interval", float(low <= truth <= high), "==", 1, "",
                f"{low:.4f} to {high:.4f}, truth {truth:.4f} MPa"),
         Figure("demo, median off the hidden C10", 100 * abs(c10["median"] / truth - 1), "<=", 3, "%",
                f"median {c10['median']:.4f} MPa"),
+        Figure("demo, friction coefficient, median of the posterior", friction["median"], "", friction["median"], "",
+               "95 %: {:.1f} to {:.1f}".format(*friction["interval95"])),
         *seconds,
     ]  # fmt: skip
 

@@ -412,7 +412,7 @@ def main(args: Namespace) -> None:
         print(
             f"does not hold: {record['area']}: {record['case']}: {record['fault']}".encode("unicode_escape").decode()
         )
-    write_json(args.out.with_name("faults_cases.json"), {"cases": records})
+    write_json(args.out.with_suffix("") / "cases.json", {"cases": records})
     publish_figures(args.out, [
         Figure("cases tried", len(records), ">=", 300),
         Figure("cases that hold", 100.0 * (len(records) - len(failed)) / len(records), ">=", 99.0, "%"),

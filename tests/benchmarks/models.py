@@ -79,6 +79,9 @@ def speed_figures(models: dict, seconds: float) -> list[Figure]:
         ms = {name: timed[name]["median_ms"] for name in timed}
         spread = {name: f"{timed[name]['p10_ms']:.1f} to {timed[name]['p90_ms']:.1f}" for name in timed}
         figures.append(
+            Figure(f"one image through the U-net, {threads} thread(s)", ms[BASELINE], "", ms[BASELINE], "ms")
+        )
+        figures.append(
             Figure(
                 f"latency of the U-net over that of `{SHIPS}`, {threads} thread(s)",
                 ms[BASELINE] / ms[SHIPS],

@@ -1,0 +1,98 @@
+"""Tables of measured figures in README.md and the guide, rendered from the JSON of the benchmarks: make benchmark-tables."""
+
+import re
+from pathlib import Path
+
+from gelforge.flow.files import read_json, write_text
+from tests.benchmarks.figures import ROOT, digest_of_sources
+
+PAGES = ("README.md", "workflow/guide/benchmarks.md")
+KEPT = ROOT / "results" / "benchmarks"
+BLOCK = re.compile(r"(<!-- figures: (.+?) -->\n)(.*?)(<!-- end of figures -->)", re.DOTALL)
+FIELD = re.compile(r"\{(\w+): (.+?)\|(\.\d[fg])\}")  # {benchmark: name of a figure|format}
+SIGN = {"<=": "at most ", ">=": "at least ", "==": ""}
+
+# Tables of chosen figures: what stands between { and } is taken from the JSON.
+CHOSEN = {
+    "labels": """
+| `fidelity` | seconds a press | total force: median, worst | force per cell: median, worst |
+| --- | --- | --- | --- |
+| `ccx` (CalculiX), the default | {fea: chart, ccx-label, median processor time|.2g} | {fea: chart, ccx-label, total force, median|.2g} %, {fea: chart, ccx-label, total force, worst|.2g} % | {fea: chart, ccx-label, cells, median|.2g} %, {fea: chart, ccx-label, cells, worst|.2g} % |
+| `hex` (in process), `hex_quality = "label"` | {fea: chart, hex-label, median processor time|.2g} | {fea: chart, hex-label, total force, median|.2g} %, {fea: chart, hex-label, total force, worst|.2g} % | {fea: chart, hex-label, cells, median|.2g} %, {fea: chart, hex-label, cells, worst|.2g} % |
+| FEATS' contact on meshes of 1.4 mm | | {fea: chart, ccx-native-1.4, total force, median|.2g} %, {fea: chart, ccx-native-1.4, total force, worst|.2g} % | {fea: chart, ccx-native-1.4, cells, median|.2g} %, {fea: chart, ccx-native-1.4, cells, worst|.2g} % |
+""",
+    "real sensors": """
+| measured | value |
+| --- | --- |
+| presses of a ball, predicted over finite elements: median; 10 to 90 % over it; correlation | {real: real balls, read over finite elements, median: at least|.2f}; {real: real balls, read over finite elements: over the median, 10 %|.2f} to {real: real balls, read over finite elements: over the median, 90 %|.2f}; {real: real balls, read over finite elements: correlation|.2f} |
+| the same, factor of a profile from every other press (`gelforge sensor --balls`) | {real: real balls, factor of every other press, median: at least|.2f}; {real: real balls, factor of every other press: over the median, 10 %|.2f} to {real: real balls, factor of every other press: over the median, 90 %|.2f}; {real: real balls, factor of every other press: correlation|.2f} |
+| FEATS' 51 images over its own maps: median; deviation of the logarithm | {real: the same at 0.30 N a cell, median: at least|.2f}; {real: totals over FEATS' maps, deviation of the logarithm|.2f} |
+""",
+}  # fmt: skip
+
+
+def read_figures(name: str) -> list[dict]:
+    """Figures of a benchmark, as its JSON keeps them; none where there is no such file."""
+    path = KEPT / f"{name}.json"
+    return read_json(path)["figures"] if path.exists() else []
+
+
+def number(figure: dict, form: str) -> str:
+    """A figure's value without its unit; "low to high" where it was measured on several machines."""
+    ends = [figure["value"], *([figure["highest"]] if figure.get("highest") is not None else [])]
+    return " to ".join(f"{float(format(end, form)):g}" if form[-1] == "g" else format(end, form) for end in ends)
+
+
+def chosen(text: str) -> str:
+    """A table with the values in the place of the fields."""
+
+    def value(field: re.Match) -> str:
+        found = {figure["name"]: figure for figure in read_figures(field[1])}
+        return number(found[field[2]], field[3])
+
+    return FIELD.sub(value, text).strip()
+
+
+def whole(name: str) -> str:
+    """All figures of a benchmark, a table a run."""
+    runs: dict[str, list[dict]] = {}
+    for figure in read_figures(name):
+        run = f"{figure['measured']}, commit `{figure['commit']}`, {figure['machine']}:"
+        runs.setdefault(run, []).append(figure)
+    head = "| figure | measured | goal | note |\n| --- | --- | --- | --- |"
+    return (
+        "\n\n".join("\n".join([run, "", head, *map(row, figures)]) for run, figures in runs.items())
+        or "No figures are kept."
+    )
+
+
+def row(figure: dict) -> str:
+    """A figure as a row: a goal that is missed is said to be."""
+    goal = f"{SIGN[figure['compare']]}{figure['goal']:.3g}" if figure["compare"] else ""
+    goal += "" if figure["met"] or not goal else ", **missed**"
+    return f"| {figure['name']} | {number(figure, '.3g')} {figure['unit']} | {goal} | {figure['note']} |".replace(
+        "  ", " "
+    )
+
+
+def rendered(text: str) -> str:
+    """A page with its tables made anew."""
+
+    def block(found: re.Match) -> str:
+        made = chosen(CHOSEN[found[2]]) if found[2] in CHOSEN else whole(found[2])
+        return f"{found[1]}{made}\n{found[4]}"
+
+    return BLOCK.sub(block, text)
+
+
+def outdated() -> list[str]:
+    """Benchmarks with figures of other sources than those that lie here."""
+    names = sorted(path.stem for path in KEPT.glob("*.json"))
+    return [name for name in names if {f["sources"] for f in read_figures(name)} != {digest_of_sources(name)}]
+
+
+if __name__ == "__main__":
+    for page in PAGES:
+        path = Path(page)
+        write_text(path, rendered(path.read_text(encoding="utf-8")))
+    print("measured on other sources than today's:", ", ".join(outdated()) or "none")
