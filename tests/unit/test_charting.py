@@ -301,23 +301,47 @@ def test_verdicts_against_the_finest_of_the_row():
     records = [_record(sizes[0], fz=-6.0), _record(sizes[1], fz=-5.1), _record(sizes[2])]
     judged = stability.judge_row("size", records, slice_of("stability", stability={"drift": 0.05}))
     assert [line["verdict"] for line in judged] == ["drifts", "good", "good"]
-    assert judged[0]["drift"] == pytest.approx(0.2)
+    assert judged[0]["error"] == pytest.approx(0.2)
     records[0] = _record(sizes[0], "DIVERGED", 0.0)
     judged = stability.judge_row("size", records, slice_of("stability", stability={"drift": 0.05}))
     assert judged[0]["verdict"] == "failed" and judged[0]["reason"] == "why"
     assert "DIVERGED" in "\n".join(stability.reading(judged))
 
 
+def test_a_place_at_label_setting_stands_beside_the_finest_hexahedra():
+    press = {"kind": "flat", "depth": 3.5, "shear": 0.0, "place": "rim", "nu": 0.475}
+    fidelities = ("hex", "ccx", cases.FINEST)
+    records = [
+        _record(cases.Case(fidelity, **press), fz=fz) for fidelity, fz in zip(fidelities, (-5.1, -6, -5), strict=True)
+    ]
+    judged = stability.judge_row("depth", records, slice_of("stability", stability={"drift": 0.05}))
+    assert [(line["level"], line["against"], line["verdict"]) for line in judged] == [
+        (3.5, "finest", "good"), (3.5, "finest", "drifts"), (3.5, None, "good")]  # fmt: skip
+    assert judged[0]["error"] == pytest.approx(0.02)
+
+
+def test_bodies_and_laws_of_the_map_are_those_of_its_rows():
+    table = parameters().stability
+    tilt, ridge, friction = (cases.row_cases(table, row) for row in ("tilt", "ridge", "friction"))
+    assert {case.scene.interface.law for case in friction} == {"frictionless", "coulomb"}
+    # a ridge is as wide as its level says; the steeper the tilt, the farther is the gel from the block's middle
+    assert min(case.scene.indenter.radius() for case in ridge) == pytest.approx(np.hypot(3.0, 0.1), rel=0.02)
+    gaps = [case.scene.indenter.distance(np.zeros((1, 3)))[0][0] for case in tilt if case.fidelity == "hex"]
+    assert gaps == sorted(gaps) and gaps[0] < 0.2 < gaps[-1]
+
+
 def test_the_map_covers_what_was_asked():
     table = parameters().stability
     rows = {row: cases.row_cases(table, row) for row in (*cases.FACTORS, "random", "native")}
     every = [case for row in rows.values() for case in row]
-    assert {case.kind for case in every} == {"round", "flat", "sharp", "several"}
-    depths, shears, nus, steps = ([getattr(c, f) for c in every] for f in ("depth", "shear", "nu", "steps"))
-    assert (min(depths), max(depths)) == (0.02, 2.5) and (min(shears), max(shears)) == (0.0, 0.5)
+    assert {case.kind for case in every} == {"round", "flat", "sharp", "several", "tilted", "ridge"}
+    depths, shears, nus = ([getattr(c, f) for c in every] for f in ("depth", "shear", "nu"))
+    steps = [c.steps for c in rows["steps"]]
+    assert (min(depths), max(depths)) == (0.02, 3.5) and (min(shears), max(shears)) == (0.0, 0.5)
     assert (min(nus), max(nus)) == (0.45, 0.499) and (min(steps), max(steps)) == (1, 40)
     assert rows["random"] == cases.row_cases(table, "random")
     rim = next(c for c in every if c.place == "rim" and c.kind == "flat")
+    assert min(case.shape for case in rows["ridge"]) < 0.5
     assert rim.scene.press.x0 + rim.scene.indenter.radius() > rim.scene.gel.width / 2
 
 

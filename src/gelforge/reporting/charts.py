@@ -75,8 +75,9 @@ def pareto_chart(rows: list[dict], scenes: list[dict], note: str) -> bytes:
     return to_png(figure)
 
 
-PANELS = {"depth": "depth of the press, mm", "shear": "way sideways, share of the depth", "place": "where on the gel",
-          "nu": "Poisson's ratio of the gel", "size": "size of bricks and tetrahedra, mm", "steps": "load steps",
+PANELS = {"depth": "depth of the press, mm", "shear": "way sideways, fraction of the depth", "place": "where on the gel",
+          "tilt": "slope of a tilted block, degrees", "ridge": "width of a ridge, mm", "friction": "friction coefficient",
+          "nu": "Poisson's ratio of the gel", "size": "size of elements, mm", "steps": "load steps",
           "native": "CalculiX' own contact, by depth in mm"}  # fmt: skip
 VERDICTS = {"good": "#9bc995", "drifts": "#f0c05a", "failed": "#c8553d", "not run": "#d9d9d9"}
 
@@ -94,26 +95,25 @@ def stability_map(table: list[dict]) -> bytes:
         (_scatter if row == "random" else _grid)(axis, row, lines)
     for axis in axes.ravel()[len(rows) :]:
         axis.set_axis_off()
-    figure.suptitle("Numbers: difference of total force, %; for size and steps from the finest of the same engine, "
-                    "elsewhere between hex and ccx at the same press", fontsize=11)  # fmt: skip
-    told = {"drifts": "drifts: differs by more than [stability] drift"}
+    figure.suptitle("Error of total force, %, at label setting against the finest hexahedra; for size and steps against the "
+                    "finest of the same engine", fontsize=11)  # fmt: skip
+    told = {"drifts": "drifts: error above [stability] drift"}
     handles = [Patch(color=colour, label=told.get(verdict, verdict)) for verdict, colour in VERDICTS.items()]
     figure.legend(handles=handles, loc="outside lower center", ncols=4)
     return to_png(figure)
 
 
 def _grid(axis, row, lines):
-    """Cells of levels by fidelity and kind; numbers are the drift in per cent, words how a solve failed."""
-    factor = "depth" if row == "native" else row
-    levels = list(dict.fromkeys(line[factor] for line in lines))
-    levels = levels if factor == "place" else sorted(levels, reverse=factor == "size")
+    """Cells of levels by fidelity and kind; numbers are the error in per cent, words how a solve failed."""
+    levels = list(dict.fromkeys(line["level"] for line in lines))
+    levels = levels if row == "place" else sorted(levels, reverse=row == "size")
     groups = list(dict.fromkeys((line["fidelity"], line["kind"]) for line in lines))
     for line in lines:
-        x, y = levels.index(line[factor]), groups.index((line["fidelity"], line["kind"]))
+        x, y = levels.index(line["level"]), groups.index((line["fidelity"], line["kind"]))
         axis.add_patch(_tile(x, y, VERDICTS[line["verdict"]]))
         told = line["status"].lower().replace("_", " ") if line["verdict"] == "failed" else ""
-        if line["verdict"] in ("good", "drifts") and line["drift"] is not None:
-            told = f"{100 * line['drift']:.1f}"
+        if line["verdict"] in ("good", "drifts") and line["error"] is not None:
+            told = f"{100 * line['error']:.1f}"
         axis.text(x, y, told, ha="center", va="center", fontsize=7)
     axis.set(xlim=(-0.5, len(levels) - 0.5), ylim=(len(groups) - 0.5, -0.5), xticks=range(len(levels)),
              yticks=range(len(groups)), title=PANELS[row])  # fmt: skip

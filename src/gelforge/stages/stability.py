@@ -19,29 +19,33 @@ from gelforge.flow.params.slices import ForStability, read_slice
 from gelforge.flow.progress import progress
 from gelforge.mechanics.ccx.program import need_ccx
 from gelforge.records.status import VALID
-from gelforge.sweeps.cases import FACTORS, Case, row_cases
+from gelforge.sweeps.cases import FACTORS, FINEST, SERIES, Case, factor_of, row_cases
 from gelforge.sweeps.deviation import total_error
-from gelforge.sweeps.methods import Method, hex_settings, prepare
+from gelforge.sweeps.methods import Method, hex_settings, prepare, quality_method
 from gelforge.sweeps.trial import ccx_settings, kept, limit_of, solve_isolated
 
-VERSION = 3
+VERSION = 4
 NOT_RUN = "NOT_RUN"
-COLUMNS = ("row", "fidelity", "kind", "depth", "shear", "place", "nu", "size", "steps", "status", "verdict", "drift",
-           "against", "fx_n", "fy_n", "fz_n", "cpu_seconds", "reason")  # fmt: skip
+COLUMNS = ("row", "level", "fidelity", "kind", "shape", "depth", "shear", "place", "nu", "friction", "size", "steps", "status",
+           "verdict", "error", "against", "fx_n", "fy_n", "fz_n", "cpu_seconds", "reason")  # fmt: skip
 
 
 def case_key(case: Case, params: ForStability) -> str:
     """Digest of all that a case's result depends on."""
     parts = [case.describe(), params.version]
-    if case.fidelity == "hex":
+    if case.fidelity in ("hex", FINEST):
         parts.append(asdict(hex_settings(case_method(case, params), params.fea)))
     else:
-        parts += ccx_settings(params)
+        parts += [list(params.fea.meshes), *ccx_settings(params)]
     return digest_of_value(parts)
 
 
 def case_method(case: Case, params: ForStability) -> Method:
     """How a case is solved."""
+    if case.fidelity == FINEST:
+        return quality_method("fine")
+    if not case.size:
+        return Method(f"{case.fidelity}-label", case.fidelity)
     layers = params.stability.layers.get(str(case.size), 6)
     return Method("case", case.fidelity, case.size, layers, case.steps)
 
@@ -84,25 +88,25 @@ def solve_row(row: str, params: ForStability, meshes: Path, folder: Path) -> lis
 
 
 def judge_row(row: str, records: list[dict], params: ForStability) -> list[dict]:
-    """Rows of the table: each case with its verdict "good", "drifts", "failed" or "not run".
+    """Rows of the table: each case with its verdict "good", "drifts", "failed" or "not run", and its error.
 
-    In the rows of mesh and load steps a case is held against the finest of the same press and
-    fidelity; elsewhere the in-process solve and CalculiX' of the same press against each other.
+    That is the difference of total force from the finest of the same press: in the rows of elements and load steps of the
+    same fidelity, elsewhere on the finest hexahedra.
     """
     limit = params.stability.drift
     cases = [Case(**record["case"]) for record in records]
     judged = []
     for case, record in zip(cases, records, strict=True):
         against, other = _yardstick(row, case, cases, records)
-        drift = None
+        error = None
         if other is not None and record["status"] == other["status"] == "OK" and np.linalg.norm(other["total"]) > 0:
-            drift = total_error(record["total"], other["total"])
+            error = total_error(record["total"], other["total"])
         verdict = "not run" if record["status"] == NOT_RUN else "failed" if record["status"] not in VALID else "good"
-        if verdict == "good" and drift is not None and drift > limit:
+        if verdict == "good" and error is not None and error > limit:
             verdict = "drifts"
         fx, fy, fz = record.get("total") or (None, None, None)
-        judged.append({"row": row} | record["case"] | {
-            "status": record["status"], "verdict": verdict, "drift": drift, "against": against,
+        judged.append({"row": row, "level": getattr(case, factor_of(row))} | record["case"] | {
+            "status": record["status"], "verdict": verdict, "error": error, "against": against,
             "fx_n": fx, "fy_n": fy, "fz_n": fz, "cpu_seconds": record.get("cpu_seconds"),
             "reason": record.get("reason", ""),
         })  # fmt: skip
@@ -111,14 +115,14 @@ def judge_row(row: str, records: list[dict], params: ForStability) -> list[dict]
 
 def _yardstick(row, case, cases, records):
     """What a case is held against: its description and the record, (None, None) where there is nothing."""
-    if row in ("size", "steps"):
+    if row in SERIES:
         same = [i for i, c in enumerate(cases) if (c.fidelity, c.press) == (case.fidelity, case.press)]
         finest = min(same, key=lambda i: (cases[i].size, -cases[i].steps))
         return f"{row} {getattr(cases[finest], row):g}", records[finest]
-    other = {"hex": "ccx", "ccx": "hex", "ccx-native": "hex"}[case.fidelity]
-    for c, record in zip(cases, records, strict=True):
-        if c.fidelity == other and c.press == case.press and c.steps == case.steps:
-            return other, record
+    if case.fidelity != FINEST:
+        for c, record in zip(cases, records, strict=True):
+            if c.fidelity == FINEST and c.press == case.press:
+                return FINEST, record
     return None, None
 
 
@@ -132,16 +136,17 @@ def reading(table: list[dict]) -> list[str]:
         said.append(f"{fidelity}: {run - count['failed']} of {run} solves converged, {count['drifts']} of them drift,"
                     f" {count['failed']} failed, {count['not run']} were not run.")  # fmt: skip
         for row in dict.fromkeys(line["row"] for line in own):
-            bad = [line for line in own if line["row"] == row and line["verdict"] in ("failed", "drifts")]
-            if bad:
-                named = ", ".join(_name_bad(line, row if row in FACTORS else "depth") for line in bad[:8])
-                said.append(f"  {fidelity}, {row}: {named}{' and more' if len(bad) > 8 else ''}.")
+            drifting = [line for line in own if line["row"] == row and line["verdict"] == "drifts"]
+            if drifting:
+                named = ", ".join(f"{_place(line)} ({line['error']:.0%})" for line in drifting[:8])
+                said.append(f"  {fidelity}, {row}: {named}{' and more' if len(drifting) > 8 else ''}.")
+        said += [f"  {fidelity}, {line['row']}: {_place(line)}: {line['status']}, {line['reason']}"
+                 for line in own if line["verdict"] == "failed"]  # fmt: skip
     return said
 
 
-def _name_bad(line: dict, factor: str) -> str:
-    how = line["status"] if line["verdict"] == "failed" else f"{line['drift']:.0%}"
-    return f"{line['kind']} {factor} {line[factor]} ({how})"
+def _place(line: dict) -> str:
+    return f"{line['kind']} {factor_of(line['row'])} {line['level']}"
 
 
 @command(

@@ -1,4 +1,4 @@
-"""Cases of the stability map: one factor varied at a time around a centre, and random combinations."""
+"""Cases of the stability map: one factor varied at a time around a centre at label setting, and random combinations."""
 
 from dataclasses import asdict, dataclass, replace
 
@@ -17,9 +17,13 @@ BODIES = {
     "several": {"kind": "triple_triangle", "side": 10, "wall": 1, "first_corner_deg": -90, "fillet": 0.7,
                 "height": 10},
 }  # fmt: skip
+TILTED, RIDGE = "tilted", "ridge"  # bodies of a row of their own, whose `shape` is varied
 # Where the axis stands, mm; at the rim part of every body hangs over the gel's edge.
 PLACES = {"centre": (0.0, 0.0), "off-centre": (3.0, 5.0), "rim": (8.5, 0.0)}
-FACTORS = ("depth", "shear", "place", "nu", "size", "steps")
+FACTORS = ("depth", "shear", "place", "tilt", "ridge", "nu", "friction", "size", "steps")
+SHAPED = {"tilt": TILTED, "ridge": RIDGE}  # rows that vary a body
+SERIES = ("size", "steps")  # rows of elements and load steps, beside which label setting is no value
+FINEST = "finest"  # hexahedra of quality "fine"
 SHEAR_DEG = 30.0  # direction of the shear, between mesh lines
 
 
@@ -27,8 +31,10 @@ SHEAR_DEG = 30.0  # direction of the shear, between mesh lines
 class Case:
     """One solve of the map.
 
-    depth: mm below the gel's top under the axis. shear: share of the depth. size: of bricks or
-    tetrahedra under the press, mm. steps: load steps of the press; half as many of the shear.
+    fidelity: hex, ccx, ccx-native, or FINEST, beside which the others stand. depth: mm below the gel's top under the axis.
+    shear: fraction of the depth. shape: slope in degrees of a tilted block, width in mm of a ridge. friction: coefficient;
+    None: no slip. size: of elements under the press, mm; steps: load steps of the press, half as many of the shear; both 0
+    where labels' own are used.
     """
 
     fidelity: str
@@ -37,8 +43,27 @@ class Case:
     shear: float
     place: str
     nu: float
-    size: float
-    steps: int
+    size: float = 0.0
+    steps: int = 0
+    shape: float = 0.0
+    friction: float | None = None
+
+    @property
+    def body(self) -> dict:
+        """Table of the indenter."""
+        if self.kind == TILTED:
+            return {"kind": "sloping_cuboid", "size": [7, 7], "slope_deg": self.shape, "fillet": 1.0, "height": 10}
+        if self.kind == RIDGE:
+            fillet = min(0.1, 0.4 * self.shape)
+            return {"kind": "cuboid", "size": [6, self.shape], "fillet": fillet, "height": 10}
+        return BODIES[self.kind]
+
+    @property
+    def law(self) -> Interface:
+        """What holds between gel and indenter."""
+        if self.friction is None:
+            return Interface()
+        return Interface("coulomb", self.friction) if self.friction > 0 else Interface("frictionless")
 
     @property
     def scene(self) -> Scene:
@@ -46,35 +71,50 @@ class Case:
         x, y = PLACES[self.place]
         travel = self.shear * self.depth * np.array([np.cos(np.deg2rad(SHEAR_DEG)), np.sin(np.deg2rad(SHEAR_DEG))])
         press = Press(x, y, float(gel.top(x, y)), float(travel[0]), float(travel[1]), -self.depth)
-        return Scene(gel, Material(nu=self.nu), build(self.kind, BODIES[self.kind]), press, Interface())
+        return Scene(gel, Material(nu=self.nu), build(self.kind, self.body, "stability map"), press, self.law)
 
     @property
     def press(self) -> tuple:
         """What is pressed, whichever way it is solved."""
-        return self.kind, self.depth, self.shear, self.place, self.nu
+        return self.kind, self.shape, self.depth, self.shear, self.place, self.nu, self.friction
 
     def describe(self) -> dict:
         return asdict(self)
 
 
 def centre(table: StabilityTable, fidelity: str, kind: str) -> Case:
-    """The case that rows vary one factor of."""
-    size = table.sizes[fidelity][-1] if fidelity == "ccx-native" else table.size[fidelity]
-    return Case(fidelity, kind, table.depth_mm, 0.0, "centre", table.nu, size, table.steps)
+    """The case at label setting that rows vary one factor of."""
+    return Case(fidelity, kind, table.depth_mm, 0.0, "centre", table.nu)
+
+
+def series(table: StabilityTable, fidelity: str, kind: str) -> Case:
+    """The case that rows of elements and load steps vary."""
+    return replace(centre(table, fidelity, kind), size=table.size[fidelity], steps=table.steps)
 
 
 def row_cases(table: StabilityTable, row: str) -> list[Case]:
-    """Cases of one row: a factor, "random", or "native" (CalculiX' own contact and, to hold it against, hex)."""
+    """Cases of one row: a factor, "random", or "native" (CalculiX' own contact)."""
     if row == "random":
         return random_cases(table)
     if row == "native":
-        around = [centre(table, fidelity, kind) for fidelity in ("ccx-native", "hex") for kind in ("round", "flat")]
-        return [replace(case, depth=depth) for case in around for depth in table.native_depths_mm]
-    around = [centre(table, fidelity, kind) for fidelity in ("hex", "ccx") for kind in BODIES]
-    return [replace(case, **{row: level}) for case in around for level in levels(table, row, case.fidelity)]
+        size = table.sizes["ccx-native"][-1]
+        own = [replace(centre(table, "ccx-native", kind), size=size, steps=table.steps) for kind in ("round", "flat")]
+        other = [centre(table, FINEST, kind) for kind in ("round", "flat")]
+        return [replace(case, depth=depth) for case in (*own, *other) for depth in table.native_depths_mm]
+    if row in SERIES:
+        around = [series(table, fidelity, kind) for fidelity in ("hex", "ccx") for kind in BODIES]
+        return [replace(case, **{row: level}) for case in around for level in levels(table, row, case.fidelity)]
+    kinds = [SHAPED[row]] if row in SHAPED else list(BODIES)
+    around = [centre(table, fidelity, kind) for fidelity in ("hex", "ccx", FINEST) for kind in kinds]
+    return [replace(case, **{factor_of(row): level}) for case in around for level in levels(table, row)]
 
 
-def levels(table: StabilityTable, row: str, fidelity: str) -> list:
+def factor_of(row: str) -> str:
+    """The field of a case that a row varies."""
+    return {"native": "depth", "random": "depth", **dict.fromkeys(SHAPED, "shape")}.get(row, row)
+
+
+def levels(table: StabilityTable, row: str, fidelity: str = "") -> list:
     """Values that a row takes."""
     if row == "place":
         return list(PLACES)
@@ -84,7 +124,7 @@ def levels(table: StabilityTable, row: str, fidelity: str) -> list:
 
 
 def random_cases(table: StabilityTable) -> list[Case]:
-    """Random combinations of all factors within their ranges, each by both fidelities."""
+    """Random combinations of depth, shear, place, body and Poisson's ratio within their ranges, by each fidelity."""
     rng = np.random.default_rng(table.seed)
     reach = {factor: (min(values), max(values)) for factor, values in vars(table.levels).items()}
     cases = []
@@ -93,8 +133,5 @@ def random_cases(table: StabilityTable) -> list[Case]:
         shear = float(np.round(rng.uniform(*reach["shear"]), 3))
         nu = float(np.round(rng.uniform(*reach["nu"]), 4))
         place, kind = str(rng.choice(list(PLACES))), str(rng.choice(list(BODIES)))
-        steps = int(rng.choice(table.levels.steps))
-        at = int(rng.integers(len(table.sizes["ccx"])))
-        cases += [Case(fidelity, kind, depth, shear, place, nu, table.sizes[fidelity][at], steps)
-                  for fidelity in ("hex", "ccx")]  # fmt: skip
+        cases += [Case(fidelity, kind, depth, shear, place, nu) for fidelity in ("hex", "ccx", FINEST)]
     return cases

@@ -508,6 +508,9 @@ class LevelsTable(ParameterTable):
 
     depth: Annotated[tuple[float, ...], Within(TINY, 4.0, "mm"), Some()]
     shear: Annotated[tuple[float, ...], Within(0.0, 10.0), Some()]
+    tilt: Annotated[tuple[float, ...], Within(0.0, 60.0, "degrees"), Some()]
+    ridge: Annotated[tuple[float, ...], Within(0.05, 5.0, "mm"), Some()]
+    friction: Annotated[tuple[float, ...], Within(0.0, 100.0), Some()]
     nu: Annotated[tuple[float, ...], Within(0.0, 0.4999), Some()]
     steps: Annotated[tuple[int, ...], Within(1, 1000), Some()]
 
