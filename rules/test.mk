@@ -33,10 +33,8 @@ $(LEROBOT_READY): envs/lerobot.sh envs/lerobot.lock | $(SETUP)
 benchmark-face: $(LEROBOT_READY)
 
 .PHONY: test test-slurm lint format lock
-test: $(SETUP) $(CCX_FOUND)  ## all tests, those of the mechanics on a second code path too
+test: $(SETUP) $(CCX_FOUND)  ## all tests
 	@$(PY) -m pytest $(SIDE_BY_SIDE) $(TESTS)
-# MKL takes other code paths on other processors, which differ in the last bits: what is tested must hold on each.
-	$(if $(filter-out tests,$(TESTS)),,@MKL_CBWR=COMPATIBLE $(PY) -m pytest -q $(SIDE_BY_SIDE) tests/physics)
 
 test-slurm: $(SETUP) $(SLURM_FOUND)  ## tests of EXECUTOR=slurm on a real cluster of one node, started and stopped here
 	@$(PY) -m pytest $(wildcard tests/workflow/test_slurm*.py)

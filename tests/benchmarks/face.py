@@ -22,7 +22,7 @@ from gelforge.flow.layout import Layout
 from gelforge.flow.main import command, option, positive
 from gelforge.formats.export.samples import Samples
 from tests.benchmarks.figures import Figure, publish_figures
-from tests.benchmarks.reach import time_fetch, time_live
+from tests.benchmarks.reach import time_camera, time_fetch, time_lerobot, time_live, time_recordings
 from tests.benchmarks.sandbox import make
 from tests.browser import WIDTHS, browser, console_errors, wait_for
 from tests.explored import write_page
@@ -190,7 +190,7 @@ def demo_again() -> Figure:
 
 
 PARTS = {"demo": time_demo, "page": time_page, "exports": time_exports, "lineage": time_lineage, "wheel": time_wheel,
-         "fetch": time_fetch, "live": time_live}  # fmt: skip
+         "fetch": time_fetch, "live": time_live, "recordings": time_recordings, "lerobot": time_lerobot, "camera": time_camera}  # fmt: skip
 
 
 @command(

@@ -15,6 +15,7 @@ from gelforge.records.cameraframe import AS_IT_IS, Orientation, camera_frame
 from gelforge.records.film import open_source
 from gelforge.records.image import read_image
 from gelforge.records.markers import find_blobs, pitch_of
+from tests.crops import CROPS, SIX, raw, resized
 from tests.films import write_matroska
 
 SIZE = (240, 320)
@@ -26,35 +27,6 @@ PRESSED = "images/demo-000000.png"
 @pytest.fixture(params=UNITS)
 def picture(root, request):
     return read_image(root / f"data/demo/nocontact/{request.param}.png")
-
-
-def resized(image, width, height):
-    return cv2.resize(image, (width, height), interpolation=cv2.INTER_CUBIC)
-
-
-def raw(image, aside=0):
-    """3280 x 2464 as the sensor's camera gives them: more than the driver shows, here of smooth light, about or beside the middle."""
-    height, width = 1757, 2343
-    canvas = cv2.copyMakeBorder(
-        resized(image, width, height), 353, 354, 468 + aside, 469 - aside, cv2.BORDER_REPLICATE
-    )
-    blurred = cv2.resize(cv2.GaussianBlur(cv2.resize(canvas, (328, 246)), (0, 0), 24), (3280, 2464))
-    blurred[353 : 353 + height, 468 + aside : 468 + aside + width] = resized(image, width, height)
-    return blurred
-
-
-CROPS = {
-    "as it is": lambda image: image,
-    "640 x 480": lambda image: resized(image, 640, 480),
-    "160 x 120": lambda image: resized(image, 160, 120),
-    "raw": raw,
-    "raw, mirrored": lambda image: np.ascontiguousarray(raw(image)[:, ::-1]),
-    "raw, beside the middle": lambda image: raw(image, 90),
-    "portrait": lambda image: np.ascontiguousarray(np.rot90(resized(image, 640, 480))),
-    "portrait, the other way": lambda image: np.ascontiguousarray(np.rot90(image, -1)),
-    "upside down": lambda image: np.ascontiguousarray(image[::-1, ::-1]),
-    "wide": lambda image: raw(image)[308:2153],  # 16 : 9
-}
 
 
 @pytest.mark.parametrize("crop", CROPS)
@@ -75,9 +47,6 @@ def test_every_size_and_crop_shows_the_same_markers_in_the_same_places(picture, 
     assert np.median(apart) < 0.5
     assert ("" if crop == "as it is" else f"{made.shape[1]} x {made.shape[0]}") in frame.text
     assert bool(frame.text) == (crop != "as it is")
-
-
-SIX = ["640 x 480", "raw", "raw, mirrored", "portrait", "upside down", "wide"]
 
 
 @pytest.mark.parametrize("crop", SIX)

@@ -20,10 +20,10 @@ FEW = {"cases tried"}  # figures that only the whole benchmark meets
 AREAS_OF_FAULTS = "settings rows logs pictures shapes arrays names keys answers solids frames recordings"
 QUICK = {
     "dag": ["--samples", "20"],
-    "face": ["--parts", "exports", "lineage", "--presses", "200"],
+    "face": ["--parts", "exports", "lineage", "recordings", "--presses", "50"],
     "faults": ["--every", "40", "--areas", *AREAS_OF_FAULTS.split()],
     "geometry": ["--solids", "sphere_15"],
-    "labels": ["--samples", "16"],
+    "labels": ["--samples", "16", "--grids", "12x16", "24x32"],
     "rig": ["--parts", "likeness"],  # an indenter's force factor alone takes 20 s
 }
 # What makes no small form worth its time, and where the same is tested.
