@@ -17,7 +17,7 @@ DATASET ?= demo
 RES ?= 24x32
 # Training, evaluation and the report take the first resolution.
 RES1 = $(firstword $(RES))
-# A network that reads differences where there are pictures of the untouched sensors, one that does not where not.
+# A network that reads differences where there are no-contact images, one that does not where not.
 LEARNER = $(if $(wildcard $(DATA)/nocontact),pair_24_mirrored,grid_16)
 # The grid of the network that ships.
 SHIPPED_RES := 24x32

@@ -44,7 +44,7 @@ def tables(count: int):
             samples[name] = DatasetSample(posed, np.array(force), np.zeros(3), {}, SPLITS[k // 2 % 5], str(k // 2))
             totals[name] = (-0.1 + 0.02, 0.3, force[2] + rng.normal(0, 0.5))
     rejected = [{"sample_id": "", "shard": "0000", "row": "7", "column": "dz_mm", "value": "x",
-                 "reason": "not a number", "remedy": "write a number of millimetres"}]  # fmt: skip
+                 "reason": "not a number", "hint": "write a number of millimetres"}]  # fmt: skip
     return poses, rejected, solved, samples, totals, GELS
 
 

@@ -15,7 +15,7 @@ SPLITS = ("train", "val", "test", "test_unseen_indenter", "test_unseen_sensor")
 def draw_press(rng, image, grid, strength: float = 1.0):
     """One image (h, w, 3) uint8 and its label (3, rows, cols): a bump that shades the picture and moves its dots.
 
-    strength: factor on its force; 0 shows the sensor untouched.
+    strength: factor on its force; 0 shows no contact.
     """
     height, width = image
     place = rng.uniform(0.3, 0.7, 2)

@@ -139,7 +139,7 @@ def time_wheel(folder: Path, presses: int) -> list[Figure]:
     run(sys.executable, "-m", "pip", "wheel", "--no-deps", "--wheel-dir", made, copied)
     run(sys.executable, "-m", "venv", folder / "clean")
     run(python, *install, next(made.glob("*.whl")))
-    run(folder / "clean" / "bin" / "gelforge", "predict", picture, "--untouched", rest, "--out", "read")
+    run(folder / "clean" / "bin" / "gelforge", "predict", picture, "--nocontact", rest, "--out", "read")
     imports = min(run(python, "-c", "from gelforge import Reader, Sensor") for _ in range(3))
     installed = len(list(folder.glob("clean/lib/*/site-packages/*.dist-info")))
     return [

@@ -70,7 +70,7 @@ def finish(project: Path, *goals: str) -> str:
 
 
 class Sandboxes:
-    """Copies of one project, untouched (`raw`) or built to its labels (`built`)."""
+    """Copies of one project, as checked out (`raw`) or built to its labels (`built`)."""
 
     def __init__(self, base: Path):
         self.raw = lay_project(base / "flow-raw")

@@ -3,7 +3,7 @@
 No force was measured beside these pictures. What is known: a ball of known diameter is a force sensor
 (`tests/benchmarks/balls.py`); a released gel bears nothing; a sideways force moves the markers its way; FEATS published its
 own maps of 51 presses; a cuboid leaves a square and a tube a ring, whose sizes are known. Each figure is given for the network as `gelforge live` and `predict` use
-it, and in its note for the bare network that takes a film's first frame for the untouched sensor.
+it, and in its note for the bare network that takes a film's first frame for the no-contact image.
 """
 
 import itertools

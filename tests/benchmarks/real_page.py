@@ -81,7 +81,7 @@ def feats_sections(model: ForceModel, reference: Path) -> list[Section]:
     cuboid = read_image(reference / "feats/images/cuboid_10-2-284.png")[..., :3]
     one = Section("FEATS' 10 mm cuboid").picture(
         strip([rest, cuboid, read_over(predictor, cuboid)]),
-        "Untouched on another day, pressed 2.3 mm, and as it is read.",
+        "No-contact image of another day, pressed 2.3 mm, and as it is read.",
     )
     presses = feats_maps(reference / "feats/images/demo.gif", rest)
     pictures = []

@@ -61,11 +61,11 @@ class Seen:
 
 @dataclass(frozen=True)
 class Units:
-    """The plan's dataset, cameras of its unseen units, their untouched pictures, and what each saw."""
+    """The plan's dataset, cameras of its unseen units, their no-contact images, and what each saw."""
 
     dataset: str
     cameras: dict[str, Renderer]
-    untouched: dict[str, np.ndarray]
+    nocontact: dict[str, np.ndarray]
     seen: list[Seen]
 
 
@@ -76,7 +76,7 @@ def press_units(plan_path: Path, count: int) -> Units:
     names = plan.held_out_sensors
     gel = Gel()
     cameras = {name: Renderer(looks[name], sensors[name].projection, gel) for name in names}
-    untouched = {
+    nocontact = {
         name: camera.image(rng=np.random.default_rng([7, k])) for k, (name, camera) in enumerate(cameras.items())
     }
     fresh = replace(plan, seed=plan.seed + 1, kinds=plan.kinds[-1:], presses=count)
@@ -86,7 +86,7 @@ def press_units(plan_path: Path, count: int) -> Units:
         bench = Bench(fresh, bodies, gel, Path(folder))
         for order in progress([order for order in orders(fresh) if order.unit == 0], "presses", count):
             seen += see(bench, order, cameras, sensors)
-    return Units(plan.dataset, cameras, untouched, seen)
+    return Units(plan.dataset, cameras, nocontact, seen)
 
 
 def see(bench: Bench, order: Order, cameras: dict[str, Renderer], sensors: dict[str, Sensor]) -> list[Seen]:
@@ -120,7 +120,7 @@ def error_figures(units: Units, read: np.ndarray) -> list[Figure]:
     true = np.array([seen.total for seen in units.seen])
     mae = np.abs(read - true).mean(axis=0)
     rig = np.abs(read - np.array([seen.rig_total for seen in units.seen])).mean(axis=0)
-    told = f"{len(true)} pictures of {len(true) // len(units.untouched)} presses by {len(units.untouched)} units; "
+    told = f"{len(true)} pictures of {len(true) // len(units.nocontact)} presses by {len(units.nocontact)} units; "
     told += f"against the rig's own forces {', '.join(f'{value:.2f}' for value in rig)} N"
     return [
         Figure(f"unseen units, total {name}", 100 * value / RANGE[name], "<=", 2.5 if name == "grid_z" else 1.2,
@@ -169,13 +169,13 @@ SUFFERED: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 
 
 def sensitivity_figures(units: Units, readers: dict[str, Predictor], read: np.ndarray) -> list[Figure]:
-    """What changes of light and place read as: on untouched pictures, and of the force on pressed ones."""
+    """What changes of light and place read as: on no-contact images, and of the force on pressed ones."""
     figures = []
     for what, suffer in SUFFERED.items():
-        rest = [np.abs(totals(readers[name], suffer(picture))).max() for name, picture in units.untouched.items()]
+        rest = [np.abs(totals(readers[name], suffer(picture))).max() for name, picture in units.nocontact.items()]
         after = np.array([totals(readers[seen.unit], suffer(seen.image)) for seen in units.seen])
         figures.append(
-            Figure(f"{what}, untouched, worst unit", max(rest), "<=", 0.3, "N", f"median {np.median(rest):.2f}")
+            Figure(f"{what}, no contact, worst unit", max(rest), "<=", 0.3, "N", f"median {np.median(rest):.2f}")
         )
         figures.append(change_figure(f"{what}, pressed, mean change", units, read, after))
     return figures
@@ -193,7 +193,7 @@ def change_figure(name: str, units: Units, read: np.ndarray, after: np.ndarray) 
 
 
 def drift_figure(units: Units, readers: dict[str, Predictor]) -> Figure:
-    """The largest reading of nine of ten untouched frames over an hour in which each colour's light wanders."""
+    """The largest reading of nine of ten no-contact frames over an hour in which each colour's light wanders."""
     worst = {}
     for k, (name, camera) in enumerate(units.cameras.items()):
         rng, found = np.random.default_rng([9, k]), []
@@ -207,7 +207,7 @@ def drift_figure(units: Units, readers: dict[str, Predictor]) -> Figure:
             found.append(np.abs(totals(one, np.clip(np.rint(picture), 0, 255).astype(np.uint8))).max())
         worst[name] = float(np.percentile(found, 90))
     name = max(worst, key=worst.get)
-    return Figure("an hour of drifting light, untouched frames, worst unit", worst[name], "<=", 0.3, "N",
+    return Figure("an hour of drifting light, no-contact frames, worst unit", worst[name], "<=", 0.3, "N",
                   f"{name}; median {np.median(list(worst.values())):.2f}")  # fmt: skip
 
 
@@ -222,7 +222,7 @@ def readings_left(units: Units, read: np.ndarray) -> list[dict]:
     rng = np.random.default_rng(3)
     true, normal = -np.array([seen.total[2] for seen in units.seen]), -read[:, 2]
     left = {count: [] for count in COUNTS}
-    for name in units.untouched:
+    for name in units.nocontact:
         own = np.array([seen.unit == name for seen in units.seen]) & (normal > 1.0) & (true > 1.0)
         for _ in range(DRAWS):
             stiffness = 1.0 + rng.uniform(-SOFTER_HARDER, SOFTER_HARDER)
@@ -265,15 +265,15 @@ def gain_figures(left: list[dict]) -> list[Figure]:
 
 
 def faulty_pairs(units: Units) -> Iterator[tuple[str, np.ndarray, np.ndarray, np.ndarray]]:
-    """Name of a fault, untouched picture, image, and true total (3,) N: each press once with each fault."""
-    names = list(units.untouched)
+    """Name of a fault, no-contact image, image, and true total (3,) N: each press once with each fault."""
+    names = list(units.nocontact)
     for k, seen in enumerate(units.seen):
-        rest = units.untouched[seen.unit]
-        other = units.untouched[names[(names.index(seen.unit) + 1 + k % (len(names) - 1)) % len(names)]]
+        rest = units.nocontact[seen.unit]
+        other = units.nocontact[names[(names.index(seen.unit) + 1 + k % (len(names) - 1)) % len(names)]]
         touched = units.seen[(k + len(names) * 5) % len(units.seen)].image
         yield "none", rest, seen.image, seen.total
-        yield "another unit's untouched picture", other, seen.image, seen.total
-        yield "contact in the untouched picture", touched, seen.image, seen.total
+        yield "another unit's no-contact image", other, seen.image, seen.total
+        yield "contact in the no-contact image", touched, seen.image, seen.total
         yield "a shift of 8 px", rest, moved(seen.image, (6.4, 4.8)), seen.total
         yield "a turn of 4 degrees", rest, moved(seen.image, turn=-4.0), seen.total
         yield "a zoom of 10 %", rest, moved(seen.image, zoom=1.1), seen.total
@@ -311,7 +311,7 @@ def flag_figures(units: Units, model: ForceModel) -> list[Figure]:
 )
 def main(args: Namespace) -> None:
     model, units = load_for_use(args.model), press_units(args.plan, args.presses)
-    readers = {name: Predictor(model, picture) for name, picture in units.untouched.items()}
+    readers = {name: Predictor(model, picture) for name, picture in units.nocontact.items()}
     read = np.array([totals(readers[seen.unit], seen.image) for seen in units.seen])
     left = readings_left(units, read)
     gains = gain_figures(left)

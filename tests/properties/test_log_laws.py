@@ -68,7 +68,7 @@ def test_any_row_is_either_typed_or_explained(cells):
     sample, wrong = press.parse(press.RawRow(2, cells), "log.csv")
     assert (sample is None) == bool(wrong)
     for rejection in wrong:
-        assert rejection.reason and rejection.remedy
+        assert rejection.reason and rejection.hint
         assert rejection.column in press.KNOWN
         # a rejection must survive the file it is written to
         text = io.StringIO()

@@ -120,7 +120,7 @@ def test_a_dot_stands_where_labels_have_its_point_of_the_gel(name, shift):
 
 @given(name=st.sampled_from(UNITS), seed=st.integers(0, 1000))
 @settings(max_examples=10)
-def test_an_untouched_field_is_the_untouched_picture(name, seed):
+def test_a_nocontact_field_is_the_nocontact_image(name, seed):
     eye = camera(name)
     plain = eye.image(rng=np.random.default_rng(seed)).astype(int)
     through = eye.image(unloaded(Gel()), rng=np.random.default_rng(seed)).astype(int)

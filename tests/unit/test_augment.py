@@ -66,7 +66,7 @@ def test_a_shift_needs_cells_of_whole_pixels():
         shift_together(np.zeros((1, 24, 32, 3), np.uint8), np.zeros((1, 3, 7, 8)), 1, torch.Generator())
 
 
-def test_the_untouched_sensor_is_coloured_as_its_image():
+def test_the_nocontact_image_is_coloured_as_its_image():
     image = 0.3 + 0.3 * torch.rand(4, 3, 8, 8, generator=torch.Generator().manual_seed(1))
     settings = replace(SETTINGS.augment, probability=1.0, noise=0.0, hue=0.02)
     changed = augment(torch.cat([image, image], 1), settings, torch.Generator().manual_seed(2))
@@ -76,7 +76,7 @@ def test_the_untouched_sensor_is_coloured_as_its_image():
     assert not torch.equal(noisy[:, :3], noisy[:, 3:])
 
 
-def test_a_misplaced_untouched_picture_leaves_the_image_alone():
+def test_a_misplaced_nocontact_image_leaves_the_image_alone():
     pairs, none = np.random.default_rng(0).integers(0, 255, (6, 24, 32, 6), np.uint8), np.zeros(6, bool)
     every = replace(SETTINGS.augment, misplaced_share=1.0)
     assert np.array_equal(misplace_nocontact(pairs, ~none, every, torch.Generator().manual_seed(1)), pairs)

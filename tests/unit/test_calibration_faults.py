@@ -12,7 +12,7 @@ from gelforge.calibration import summary
 from gelforge.calibration.parameters import Model, Prior, compared_models, make_model
 from gelforge.calibration.readings import check_enough, check_readings, read_readings
 from gelforge.calibration.sampling import LEARN, Chain, NotConverged, Rules, complaint, find_modes, judge, sample
-from gelforge.calibration.solves import refuse_untouched
+from gelforge.calibration.solves import refuse_no_contact
 from gelforge.errors import BadInput
 from gelforge.flow.params.schema import Place, parse
 from gelforge.flow.params.tables import PriorTable
@@ -85,7 +85,7 @@ def test_depth_without_contact_is_named():
     table = np.full((4, 1, 3, 5, 3), -1.0)
     table[3] = 0.0
     with pytest.raises(BadInput, match=r"row 5 \(p003\): depth without contact"):
-        refuse_untouched(readings, table)
+        refuse_no_contact(readings, table)
 
 
 def test_posterior_deeper_than_the_solves_is_named():
@@ -125,7 +125,7 @@ def test_one_broad_mode_is_not_two():
     assert find_modes(slow) == []
 
 
-def test_too_short_a_chain_fails_with_figures_and_remedy():
+def test_too_short_a_chain_fails_with_figures_and_hint():
     posterior = law_posterior(np.random.default_rng(1), DEPTH)
     with pytest.raises(NotConverged, match=r"in 500 steps: \d+ autocorrelation .* acceptance 0\.\d+ .* max_steps"):
         sample(posterior, replace(RULES, max_steps=500))
@@ -170,12 +170,12 @@ def test_too_few_walkers():
 
 def test_rows_rejected_by_stage_10_do_not_serve(tmp_path):
     (tmp_path / "0000.rejected.csv").write_text(
-        "file,row,sample_id,column,value,reason,remedy\n"
+        "file,row,sample_id,column,value,reason,hint\n"
         "log.csv,3,b,dz_mm,x,no number,mend\nlog.csv,4,c,image,,none,add\n"
     )
     # of a longer log: no shard of today's
     (tmp_path / "0001.rejected.csv").write_text(
-        "file,row,sample_id,column,value,reason,remedy\nlog.csv,2,z,dz_mm,x,,\n"
+        "file,row,sample_id,column,value,reason,hint\nlog.csv,2,z,dz_mm,x,,\n"
     )
     lines = [f"{name},sphere_15,0,0,0,0,0,-1,0,,,-{k}" for k, name in enumerate("abc", 1)]
     header = "sample_id,indenter,x0_mm,y0_mm,z0_mm,dx_mm,dy_mm,dz_mm,rot_deg,fx_n,fy_n,fz_n"

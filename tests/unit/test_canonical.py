@@ -1,4 +1,4 @@
-"""The light of a pair of pictures, and the untouched picture found in a film: laws on made and on shipped pictures."""
+"""The light of a pair of pictures, and the no-contact image found in a film: laws on made and on shipped pictures."""
 
 import cv2
 import numpy as np
@@ -93,8 +93,8 @@ def shipped():
 
 
 @pytest.fixture(scope="module")
-def untouched(root):
-    """Untouched pictures of the demo's sensors."""
+def nocontact(root):
+    """No-contact images of the demo's sensors."""
     found = sorted((root / "data/demo/nocontact").glob("*.png"))
     assert len(found) >= 2
     return [read_image(path)[..., :3] for path in found]
@@ -108,17 +108,17 @@ DRIFTS = {
 
 
 @pytest.mark.parametrize("drift", DRIFTS)
-def test_drifting_light_is_no_force(shipped, untouched, drift):
+def test_drifting_light_is_no_force(shipped, nocontact, drift):
     """On sensors that the network never saw: below 0.01 N where it read up to 26 N of the bare difference."""
-    for picture in untouched:
+    for picture in nocontact:
         drifted = np.clip(np.rint(DRIFTS[drift](picture.astype(float))), 0, 255).astype(np.uint8)
         predictor = Predictor(shipped, picture)
         assert np.abs(predictor.predict(drifted).total).max() < 0.01
         assert predictor.prepare(drifted).light.known
 
 
-def test_the_untouched_picture_itself_reads_zero(shipped, untouched):
-    for picture in untouched:
+def test_the_nocontact_image_itself_reads_zero(shipped, nocontact):
+    for picture in nocontact:
         assert np.array_equal(Predictor(shipped, picture).predict(picture).cells, np.zeros((3, 24, 32)))
 
 
@@ -179,11 +179,11 @@ def test_specks_are_no_print():
     assert pitch_of(gel(1)) == pytest.approx(40.0, abs=0.5)
 
 
-def test_no_picture_changes_what_another_one_gives(shipped, untouched):
+def test_no_picture_changes_what_another_one_gives(shipped, nocontact):
     """Pictures read in turns beside two no-contact images, and again after others, give what each does alone."""
-    pictures = [pressed(picture, 0.05 * (k + 1), k) for k, picture in enumerate(untouched[:2])]
-    alone = [Predictor(shipped, rest).predict(image) for rest, image in zip(untouched, pictures, strict=False)]
-    kept = [Predictor(shipped, rest) for rest in untouched[:2]]
+    pictures = [pressed(picture, 0.05 * (k + 1), k) for k, picture in enumerate(nocontact[:2])]
+    alone = [Predictor(shipped, rest).predict(image) for rest, image in zip(nocontact, pictures, strict=False)]
+    kept = [Predictor(shipped, rest) for rest in nocontact[:2]]
     for _ in range(2):
         for predictor, image, first in zip(kept, pictures, alone, strict=True):
             again = predictor.predict(image)
@@ -191,17 +191,17 @@ def test_no_picture_changes_what_another_one_gives(shipped, untouched):
             assert again.ood_score == first.ood_score
 
 
-def test_reading_changes_no_picture(shipped, untouched):
-    rest, image = untouched[0].copy(), pressed(untouched[0], 0.1, 0)
+def test_reading_changes_no_picture(shipped, nocontact):
+    rest, image = nocontact[0].copy(), pressed(nocontact[0], 0.1, 0)
     given = image.copy()
     Predictor(shipped, rest).predict(image)
-    assert np.array_equal(image, given) and np.array_equal(rest, untouched[0])
+    assert np.array_equal(image, given) and np.array_equal(rest, nocontact[0])
 
 
 @pytest.mark.parametrize("size", [(640, 480), (1280, 960), (160, 120)])
-def test_a_picture_of_the_right_shape_is_not_flagged_for_its_size(shipped, untouched, size):
+def test_a_picture_of_the_right_shape_is_not_flagged_for_its_size(shipped, nocontact, size):
     """And one of another shape is."""
-    rest, press = untouched[0], pressed(untouched[0], 0.05, 3)
+    rest, press = nocontact[0], pressed(nocontact[0], 0.05, 3)
     larger = [cv2.resize(picture, size, interpolation=cv2.INTER_CUBIC) for picture in (rest, press)]
     for picture in larger:
         assert fit_size(picture, (240, 320))[1] == ""
@@ -211,9 +211,9 @@ def test_a_picture_of_the_right_shape_is_not_flagged_for_its_size(shipped, untou
 
 
 @pytest.mark.parametrize("spoilt", ["image", "both"])
-def test_a_monochrome_picture_is_flagged_with_what_to_do(shipped, untouched, spoilt):
+def test_a_monochrome_picture_is_flagged_with_what_to_do(shipped, nocontact, spoilt):
     """It was read a third too high, without a word."""
-    rest, image = untouched[0], pressed(untouched[0], 0.05, 3)
+    rest, image = nocontact[0], pressed(nocontact[0], 0.05, 3)
     grey = [np.repeat(cv2.cvtColor(one, cv2.COLOR_RGB2GRAY)[..., None], 3, axis=2) for one in (rest, image)]
     found = Predictor(shipped, grey[0] if spoilt == "both" else rest).predict(grey[1])
     assert found.flag and "monochrome" in found.reason and "set the camera to colour" in found.reason
@@ -230,9 +230,9 @@ def test_force_does_not_jump_where_a_press_begins(shipped, root):
 
 
 @pytest.mark.parametrize("far", [0.0, 2.0, 4.0, 8.0])
-def test_a_gel_that_was_shifted_in_its_holder_is_shifted_back(untouched, far):
+def test_a_gel_that_was_shifted_in_its_holder_is_shifted_back(nocontact, far):
     """As far as contact cannot have done it: not at all below, nearly all of it far beyond."""
-    rest = untouched[0]
+    rest = nocontact[0]
     markers = MarkerTracker(rest)
     wanted = far * np.array([0.8, 0.6])
     shift = rim_shift(markers, markers.track(moved(rest, tuple(wanted))))

@@ -173,7 +173,7 @@ def test_arrays_belong_together(made):
     assert {s.split for s in data.table if s.press.indenter == "triangle_8"} == {"test_unseen_indenter"}
 
 
-def test_untouched_sensors_come_along_where_they_were_photographed(tmp_path, root, monkeypatch):
+def test_nocontact_images_come_along_where_they_were_photographed(tmp_path, root, monkeypatch):
     monkeypatch.chdir(root)
     made = write_pressed(tmp_path, count=4, sensors=("mini_a", "mini_b"))
     (made["data"] / "nocontact").mkdir()
@@ -293,7 +293,7 @@ def escape(made):
 
 BROKEN = {
     "an image of another size": (shrink, {}, ["s002.png", "160 x 120", "320 x 240", "sensors.toml"]),
-    "an untouched sensor of another size": (
+    "a no-contact image of another size": (
         lambda m: write_png(m["data"] / "nocontact/mini_a.png", np.zeros((12, 16, 3), np.uint8)),
         {},
         ["nocontact/mini_a.png", "16 x 12"],
@@ -305,7 +305,7 @@ BROKEN = {
         {},
         ["0000.npz", "make labels"],
     ),
-    "an untouched sensor that is no picture": (
+    "a no-contact image that is no picture": (
         lambda m: write_text(m["data"] / "nocontact/mini_a.png", "no picture"),
         {},
         ["nocontact/mini_a.png", "remove it"],

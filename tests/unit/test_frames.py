@@ -66,7 +66,7 @@ def test_a_press_goes_down_and_then_sideways():
 def test_a_row_that_is_no_later_moment_is_rejected_alone(column, frames, says):
     wrong = check_frames(frames, "log.csv")
     assert [(r.row, r.column) for r in wrong] == [(frames[-1].row, column)]
-    assert says in wrong[0].reason and f"row {frames[-2].row}" in wrong[0].remedy
+    assert says in wrong[0].reason and f"row {frames[-2].row}" in wrong[0].hint
 
 
 @pytest.mark.parametrize(

@@ -287,7 +287,7 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path):
     cv2.imwrite(str(tmp_path / "a.png"), np.zeros((240, 320, 3), np.uint8))
     with pytest.raises(BadInput, match=r"--out .*file/out: cannot be written into"):
         image = str(tmp_path / "a.png")
-        predict.main([image, "--untouched", image, "--out", str(tmp_path / "file/out")])
+        predict.main([image, "--nocontact", image, "--out", str(tmp_path / "file/out")])
 
 
 def test_a_pickle_of_empty_dicts_takes_no_memory(tmp_path):
@@ -445,7 +445,7 @@ HOSTILE = {
     "statistics of other pictures": about(
         statistics__mean=[1.0], statistics__spread=[1.0], statistics__inverse=[[1.0]]
     ),
-    "no distance to an untouched picture": about(statistics__largest_distance=None),
+    "no distance to a no-contact image": about(statistics__largest_distance=None),
     "a limit that is null": about(statistics__largest_relief=None),
     "a limit that is text": about(statistics__largest_residual="much"),
     "a limit that is a list": about(statistics__least_share=[0.5]),

@@ -175,7 +175,7 @@ def test_a_neck_is_as_wide_as_it_was_drawn():
         ({"kind": "outline", "corners": [[0, 0], [5, float("inf")], [0, 5]], "fillet": 0.1, "height": 5}, "corners"),
     ],
 )
-def test_wrong_tables_are_refused_with_name_and_remedy(wrong, says):
+def test_wrong_tables_are_refused_with_name_and_hint(wrong, says):
     with pytest.raises(BadInput, match="indenter wrong_one") as error:
         build("wrong_one", wrong)
     assert says in str(error.value)

@@ -313,7 +313,7 @@ def test_checkpoint_of_another_training_is_not_used(folder, tmp_path):
         assert training.cost["resumed"] == 0
 
 
-def test_a_dataset_without_the_untouched_sensor_is_named(folder):
+def test_a_dataset_without_the_nocontact_image_is_named(folder):
     data = replace(open_data(folder), nocontact={})
     with pytest.raises(BadInput, match="nocontact/mini0.png"):
         train(data, "pair", {**SMALL, "reads": "pair"}, with_values(SETTINGS, epochs=1))

@@ -1,4 +1,4 @@
-"""The raw log: every kind of bad cell is refused with its place and a remedy."""
+"""The raw log: every kind of bad cell is refused with its place and a hint."""
 
 import struct
 import zlib
@@ -86,9 +86,9 @@ def test_bad_cell_is_rejected_with_its_place(column, value, says):
     sample, wrong = parse(**{column: value})
     assert sample is None
     assert [r.column for r in wrong] == [column]
-    assert says in f"{wrong[0].reason}; {wrong[0].remedy}"
+    assert says in f"{wrong[0].reason}; {wrong[0].hint}"
     assert (wrong[0].file, wrong[0].row) == ("data/lab/log.csv", 2)
-    assert wrong[0].remedy
+    assert wrong[0].hint
 
 
 @pytest.mark.parametrize("column", COLUMNS)
@@ -122,7 +122,7 @@ def test_a_column_that_every_press_needs_under_another_name_is_refused_once(tmp_
 def test_other_units_are_told_where_no_gel_can_be_so(values, column):
     """Metres beside newtons, grams of force, newton millimetres."""
     press, wrong = parse(**values)
-    assert press is None and [one.column for one in wrong] == [column] and "check the unit" in wrong[0].remedy
+    assert press is None and [one.column for one in wrong] == [column] and "check the unit" in wrong[0].hint
     assert parse(dz_mm="-0.00107", fz_n="-0.3")[0] is not None
 
 
@@ -149,7 +149,7 @@ def test_later_duplicates_are_rejected():
     good, wrong = log.without_duplicates(rows, "log.csv")
     assert [s.row for s in good] == [2, 3]
     assert [(r.row, r.column) for r in wrong] == [(4, "sample_id")]
-    assert "row 2" in wrong[0].remedy
+    assert "row 2" in wrong[0].hint
 
 
 def test_unknown_sensor_and_indenter():
@@ -231,7 +231,7 @@ def test_link_within_the_dataset_is_taken(folder):
 @pytest.mark.parametrize("there", ["a1.PNG", "A1.png", "A1.Png"])
 def test_an_image_under_a_name_in_other_letters_is_named(folder, there):
     (folder / "images" / there).write_bytes(image_bytes())
-    assert judge_image(folder).remedy == f"write its name as it is there: {there}"
+    assert judge_image(folder).hint == f"write its name as it is there: {there}"
 
 
 @pytest.mark.parametrize(("orientation", "size"), [(1, ""), (3, ""), (6, "240 x 320"), (8, "240 x 320")])
@@ -320,10 +320,10 @@ def test_a_decimal_comma_before_empty_cells_is_no_comma_at_the_end(tmp_path, col
     path = tmp_path / "log.csv"
     path.write_text(",".join(COLUMNS) + "\n" + line + "\n")
     sample, wrong = parse_row(log.read_log(path)[0], "log.csv")
-    assert sample is None and "decimals with a point" in wrong[0].remedy and "more" in wrong[0].reason
+    assert sample is None and "decimals with a point" in wrong[0].hint and "more" in wrong[0].reason
     path.write_text(",".join(COLUMNS) + "\n" + ",".join(cells[name] for name in COLUMNS) + ",\n")
     _, wrong = parse_row(log.read_log(path)[0], "log.csv")
-    assert "remove the comma at the end of each row, or end the header with one" in wrong[0].remedy
+    assert "remove the comma at the end of each row, or end the header with one" in wrong[0].hint
     path.write_text(",".join(COLUMNS) + ",\n" + ",".join(cells[name] for name in COLUMNS) + ",\n")
     assert log.read_log(path)[0].fault == ""
 

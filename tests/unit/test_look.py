@@ -159,7 +159,7 @@ def test_a_label_of_older_parameters_is_told(made, tmp_path, capsys):
     assert capsys.readouterr().out.startswith(told)
 
 
-def test_of_a_rejected_row_the_reason_is_told_and_its_remedy(tmp_path):
+def test_of_a_rejected_row_the_reason_is_told_and_its_hint(tmp_path):
     """make sample could never have helped."""
     write_csv(tmp_path / "lab/00_plan/shards.csv", ["sample_id", "shard"], [{"sample_id": "s7", "shard": 0}])
     write_rejections(

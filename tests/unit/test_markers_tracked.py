@@ -38,7 +38,7 @@ def rest(root):
 
 @pytest.fixture(scope="module")
 def presses(root, rest):
-    """Pictures of mini_a in its untouched picture's light, and their forces (3,) N along the gel."""
+    """Pictures of mini_a in its no-contact image's light, and their forces (3,) N along the gel."""
     with (root / "data/demo/log.csv").open() as stream:
         rows = [row for row in csv.DictReader(stream) if row["sensor_id"] == "mini_a"][::4]
     pictures = [read_image(root / "data/demo" / row["image"])[..., :3] for row in rows]
@@ -76,7 +76,7 @@ def test_a_covered_dot_is_not_seen_and_the_others_stay(rest):
 
 
 def test_light_moves_no_dot(rest, presses):
-    """A picture at eight tenths of its light, brought back to that of the untouched one, shows the same motion."""
+    """A picture at eight tenths of its light, brought back to that of the no-contact image, shows the same motion."""
     dots = MarkerTracker(rest)
     for picture in presses:
         dark = np.rint(picture * 0.8).astype(np.uint8)

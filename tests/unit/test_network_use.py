@@ -214,7 +214,7 @@ def test_no_table_of_totals_takes_the_place_of_what_is_read(data, paths, tmp_pat
         predict.main([str(image), "--model", str(paths["small"]), "--out", str(tmp_path)])
 
 
-def test_no_map_takes_the_place_of_the_untouched_picture(data, paths, tmp_path):
+def test_no_map_takes_the_place_of_the_nocontact_image(data, paths, tmp_path):
     for folder in ("shots", "kept"):
         (tmp_path / folder).mkdir()
     image, rest = (write_png(tmp_path / f"{name}/nocontact.png", data.images[0]) for name in ("shots", "kept"))
@@ -425,7 +425,7 @@ def test_a_folder_without_real_pictures_is_named_with_what_it_lacks(tmp_path):
         real.main(["--reference", str(tmp_path)])
 
 
-def test_live_takes_the_first_frames_at_rest_for_the_untouched_sensor(data, models, paths, tmp_path):
+def test_live_takes_the_first_frames_at_rest_for_the_nocontact_image(data, models, paths, tmp_path):
     """The first ones are brighter, as of a camera that still sets its exposure."""
     rest = data.nocontact["mini0"]
     exposing = [np.clip(rest * (1.5 - 0.06 * k), 0, 255).astype(np.uint8) for k in range(8)]
@@ -458,7 +458,7 @@ def test_live_refuses_a_film_that_never_rests(data, paths, tmp_path):
         live.main(["--video", str(video), "--model", str(paths["pair"]), "--out", str(tmp_path / "o.avi")])
 
 
-def test_live_refuses_fewer_frames_than_tell_the_untouched_sensor(data, paths, tmp_path):
+def test_live_refuses_fewer_frames_than_tell_the_nocontact_image(data, paths, tmp_path):
     rest = data.nocontact["mini0"]
     video, out = write_avi(tmp_path / "in.avi", [rest] * (FEWEST + 3)), tmp_path / "o.avi"
     words = ["--video", str(video), "--model", str(paths["pair"]), "--out", str(out)]

@@ -1,4 +1,4 @@
-"""What tells that an image and an untouched picture do not belong together: on the demo's pictures, damaged one by one."""
+"""What tells that an image and a no-contact image do not belong together: on the demo's pictures, damaged one by one."""
 
 import cv2
 import numpy as np
@@ -91,7 +91,7 @@ def test_what_happened_to_a_picture_is_named(rest, presses, limits, what):
     assert any(any(word in fault for word in named.split("|")) for fault in seen)
 
 
-def test_the_picture_of_another_unit_is_no_untouched_picture(rest, presses, limits):
+def test_the_picture_of_another_unit_is_no_nocontact_image(rest, presses, limits):
     other = {"mini_a": "mini_e", "mini_e": "mini_a"}
     faults = [pair_fault(limits, diagnostics(image, rest[other[name]])) for name, image, _ in presses]
     assert sum(map(bool, faults)) >= 0.9 * len(faults)
@@ -131,7 +131,7 @@ def test_a_gel_that_pulls_on_what_touches_it_is_told(rest, presses, gain, pulls)
     assert ("the gel seems to pull" in judged.reason) == pulls and judged.flag >= pulls
 
 
-def test_contact_shows_in_the_relief_and_untouched_gels_have_little(rest, presses):
+def test_contact_shows_in_the_relief_and_gels_without_contact_have_little(rest, presses):
     calm = max(relief(picture) for picture in rest.values())
     strong = [relief(image) for _, image, force in presses if force > 5.0]
     assert np.mean(np.array(strong) > 1.25 * calm) >= 0.5

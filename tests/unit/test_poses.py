@@ -172,9 +172,7 @@ def test_a_log_without_a_column_of_images_is_told_once_and_can_be_allowed(lab, t
 
 def test_rows_that_want_something_else_done_are_told_apart():
     wanted = ["write 1", "write 2", "write 1"]
-    kept_out = [
-        Rejection("log.csv", 2 + k, f"s{k}", "x0_mm", "", "is empty", remedy) for k, remedy in enumerate(wanted)
-    ]
+    kept_out = [Rejection("log.csv", 2 + k, f"s{k}", "x0_mm", "", "is empty", hint) for k, hint in enumerate(wanted)]
     lines = told(kept_out)
     assert lines == [f"{kept_out[0]}; the same reason against 1 more row: 4", str(kept_out[1])]
 
@@ -199,7 +197,7 @@ def test_users_shape_goes_through(lab, tmp_path, root):
         [sample("a", indenter="mine"), sample("b", indenter="ball")], "--workflow", str(tmp_path)
     )
     assert [row["sample_id"] for row in table] == ["b"]  # a broken shape keeps out its own presses alone
-    assert [(row["column"], "mine.stl" in row["remedy"]) for row in rejected] == [("indenter", True)]
+    assert [(row["column"], "mine.stl" in row["hint"]) for row in rejected] == [("indenter", True)]
 
 
 @pytest.mark.parametrize(
@@ -221,7 +219,7 @@ def test_sensor_without_its_facts_keeps_out_its_presses(lab, root, table, says):
     good, rejected, _ = lab([sample("a", sensor_id="mini_z"), sample("b")])
     assert [row["sample_id"] for row in good] == ["b"]
     assert [row["column"] for row in rejected] == ["sensor_id"]
-    assert says in rejected[0]["remedy"] and "workflow/sensors.toml" in rejected[0]["remedy"]
+    assert says in rejected[0]["hint"] and "workflow/sensors.toml" in rejected[0]["hint"]
 
 
 def test_strict_leaves_with_two(lab, tmp_path, root):
@@ -338,7 +336,7 @@ def test_a_broken_sensor_keeps_out_its_own_presses_alone(lab, tmp_path):
     path.write_text(json.dumps(tables))
     table, rejected, _ = lab([sample("a", sensor_id="broken"), sample("b")])
     assert [row["sample_id"] for row in table] == ["b"]
-    assert [(row["column"], "image" in row["remedy"]) for row in rejected] == [("sensor_id", True)]
+    assert [(row["column"], "image" in row["hint"]) for row in rejected] == [("sensor_id", True)]
 
 
 def test_a_bench_that_gives_way_by_more_than_the_press_is_rejected():
@@ -355,7 +353,7 @@ def test_a_bench_that_gives_way_sideways_by_more_than_the_press_moves_is_rejecte
     forces = {"fx_n": force[0], "fy_n": force[1], "fz_n": -9.0}
     _, wrong = poses.yielded(sample(dx_mm=way[0], dy_mm=way[1], **forces), "log.csv", YIELDING)
     assert [(r.column, "gives way sideways" in r.reason) for r in wrong] == [(column, True)]
-    assert "shear_compliance_mm_per_n = 0.02" in wrong[0].remedy and "sign of fx_n, fy_n" in wrong[0].remedy
+    assert "shear_compliance_mm_per_n = 0.02" in wrong[0].hint and "sign of fx_n, fy_n" in wrong[0].hint
     # a third of it leaves a press, and a way that no axis can tell from none is none
     half = {"fx_n": force[0] / 3, "fy_n": force[1] / 3, "fz_n": -9.0}
     assert poses.yielded(sample(dx_mm=way[0], dy_mm=way[1], **half), "log.csv", YIELDING)[1] == []
@@ -377,7 +375,7 @@ def test_a_press_whose_reading_pulls_is_rejected(params, fz_n, rejected):
     """With its sign turned round it would mislead whoever compares with it, whatever the bench does."""
     wrong = poses.pulling(sample(fx_n=0.0, fy_n=0.0, fz_n=fz_n), "log.csv", params)
     assert [r.column for r in wrong] == ["fz_n"] * rejected
-    assert all("multiply the force columns by -1" in r.remedy for r in wrong)
+    assert all("multiply the force columns by -1" in r.hint for r in wrong)
 
 
 @pytest.mark.parametrize(("params", "rejected"), [(YIELDING, True), (RIGID, False)])

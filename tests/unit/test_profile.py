@@ -166,8 +166,8 @@ def test_a_profile_with_a_line_that_cannot_be_is_refused(tmp_path, line, said):
 
 @pytest.mark.parametrize(
     "text",
-    ["", "name = 3", 'name = "a"\nmodel = "m"\nuntouched = "a.png"\npitch_px = 1', "[gain]\nvalue = -1",
-     'name = "a"\nmodel = "m"\nuntouched = "../a.png"\npitch_px = 1.0\n[gain]\nvalue = 1\nlow = 1\nhigh = 1'],
+    ["", "name = 3", 'name = "a"\nmodel = "m"\nnocontact = "a.png"\npitch_px = 1', "[gain]\nvalue = -1",
+     'name = "a"\nmodel = "m"\nnocontact = "../a.png"\npitch_px = 1.0\n[gain]\nvalue = 1\nlow = 1\nhigh = 1'],
 )  # fmt: skip
 def test_what_is_no_profile_is_refused(tmp_path, text):
     (tmp_path / "p.toml").write_text(text)
@@ -362,7 +362,7 @@ def filmed(path, pictures):
     return str(path)
 
 
-def test_a_film_tells_the_untouched_picture_by_itself(weighed):
+def test_a_film_tells_the_nocontact_image_by_itself(weighed):
     """The first frames, in which a camera sets its exposure, and those of a press are none of it."""
     folder, rows = weighed
     rest, press = read_image(folder / "rest.png"), read_image(folder / rows[0][0])
@@ -403,7 +403,7 @@ def test_a_table_with_blanks_beside_its_commas_is_read_and_one_of_semicolons_nam
         sensor.main([*asked, "--out", str(folder / "other.toml")])
 
 
-def test_one_source_of_the_untouched_picture_is_asked_for(weighed):
+def test_one_source_of_the_nocontact_image_is_asked_for(weighed):
     folder, _ = weighed
     moving = [np.full((60, 80, 3), 18 * k, np.uint8) for k in range(FEWEST)]
     for more, says in (

@@ -350,7 +350,7 @@ def test_the_command_refuses(tmp_path, monkeypatch, root, arguments, reason):
     ],
 )
 def test_the_command_replaces_nothing_that_it_reads(tmp_path, monkeypatch, root, arguments, reason):
-    """The untouched picture of a unit is taken once; the fit drawn over it is no picture to fit by."""
+    """The no-contact image of a unit is taken once; the fit drawn over it is no picture to fit by."""
     monkeypatch.chdir(tmp_path)
     before = (root / "data/demo/nocontact/mini_a.png").read_bytes()
     (tmp_path / "unit.png").write_bytes(before)

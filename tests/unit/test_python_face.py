@@ -129,7 +129,7 @@ def test_reading_many_images_of_one_sensor(root):
     ],
     ids=["an unmarked gel", "out of focus", "three rows", "half of it"],
 )
-def test_an_untouched_picture_that_tells_nothing_is_told(root, spoil, told):
+def test_a_nocontact_image_that_tells_nothing_is_told(root, spoil, told):
     """What is read against it may be any number."""
     rest = read_image(root / "data/demo/nocontact/mini_a.png")
     found = gelforge.Reader(nocontact=spoil(rest))(rest)

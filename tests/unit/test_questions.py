@@ -158,7 +158,7 @@ def test_lineage_of_a_rejected_row_is_its_rejection(tmp_path):
         "column": "dz_mm",
         "value": "x",
         "reason": "no number",
-        "remedy": "give mm",
+        "hint": "give mm",
     }
     write_csv(results / "10_poses/0001.rejected.csv", list(why), [why])
     # a row that has the name of an earlier one is rejected, and the earlier one has its label

@@ -37,10 +37,10 @@ def test_pictures_are_read_with_the_base_packages_alone(root, tmp_path, goal):
     picture, rest = root / "data/demo/images/demo-000000.png", root / "data/demo/nocontact/mini_a.png"
     (tmp_path / "r.csv").write_text(f"image,force_n\n{picture},3.0\n")
     words = {
-        "predict": ["predict", str(picture), "--untouched", str(rest), "--out", str(tmp_path / "out")],
-        "sensor": ["sensor", "--name", "mine", "--untouched", str(rest), "--readings", str(tmp_path / "r.csv"),
+        "predict": ["predict", str(picture), "--nocontact", str(rest), "--out", str(tmp_path / "out")],
+        "sensor": ["sensor", "--name", "mine", "--nocontact", str(rest), "--readings", str(tmp_path / "r.csv"),
                    "--out", str(tmp_path / "mine.toml")],
-        "live": ["live", "--video", str(film(tmp_path / "f.avi", picture)), "--untouched", str(rest), "--csv",
+        "live": ["live", "--video", str(film(tmp_path / "f.avi", picture)), "--nocontact", str(rest), "--csv",
                  str(tmp_path / "live.csv")],
     }[goal]  # fmt: skip
     program = ALONE.format(blocked=flow_modules(root), words=words)
@@ -85,7 +85,7 @@ def test_a_wheel_holds_every_file_of_the_package(root, wheel):
 def test_the_wheel_reads_a_picture_far_from_its_sources(root, wheel, tmp_path):
     picture, rest = root / "data/demo/images/demo-000000.png", root / "data/demo/nocontact/mini_a.png"
     zipfile.ZipFile(wheel).extractall(tmp_path / "installed")
-    words = ["predict", str(picture), "--untouched", str(rest), "--out", "out"]
+    words = ["predict", str(picture), "--nocontact", str(rest), "--out", "out"]
     program = (
         f"import gelforge\nfrom gelforge.commands.gelforge import main\nprint(gelforge.__file__)\nmain({words!r})"
     )

@@ -52,7 +52,7 @@ def test_values_lie_in_their_ranges(drawn):
 
 
 def test_dots_are_found_where_the_sensor_has_them(drawn):
-    """What the camera shows is what the sensor's table says: a unit can be calibrated from its untouched picture."""
+    """What the camera shows is what the sensor's table says: a unit can be calibrated from its no-contact image."""
     looks, sensors = drawn
     for name, look in looks.items():
         sensor = sensors[name]

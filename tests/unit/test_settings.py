@@ -1,4 +1,4 @@
-"""Settings of a dataset: what has no meaning is refused in a sentence that names table, key, value, remedy and file."""
+"""Settings of a dataset: what has no meaning is refused in a sentence that names table, key, value, hint and file."""
 
 import json
 from dataclasses import fields
@@ -227,12 +227,12 @@ def test_a_folder_in_place_of_a_file_of_settings_is_refused_in_a_sentence(tmp_pa
 
 
 def test_a_file_of_settings_that_is_not_there_is_refused_with_what_to_do(tmp_path):
-    for remedy, said in (
+    for hint, said in (
         ((), "check the name .README.md says"),
         (("make it with gelforge sensor",), "make it with gel"),
     ):
         with pytest.raises(BadInput, match=f"nothere.toml: not found; {said}"):
-            read_toml(tmp_path / "nothere.toml", *remedy)
+            read_toml(tmp_path / "nothere.toml", *hint)
 
 
 def test_settings_that_mean_something_are_taken(root, tmp_path):

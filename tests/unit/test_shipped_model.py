@@ -64,7 +64,7 @@ def some_frames(film: Path) -> list[np.ndarray]:
 
 @pytest.mark.parametrize("grasp", ["glass_box_1", "marker_pen_1", "wooden_statue_5"])
 def test_the_other_finger_of_a_gripper_is_flagged_and_ones_own_is_not(reference, grasp):
-    """Both look alike and show no rim; a released gel reads up to 40 N against the other's untouched picture."""
+    """Both look alike and show no rim; a released gel reads up to 40 N against the other's no-contact image."""
     films = [reference / f"gripper_videos/{grasp}_camera_{finger}.avi" for finger in (0, 2)]
     fingers = [Predictor(load_for_use(None), nocontact_of(film, None)) for film in films]
     flagged = {True: [], False: []}

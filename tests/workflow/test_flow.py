@@ -144,7 +144,7 @@ def test_bad_rows_are_rejected_by_name_and_the_rest_goes_on(project, root):
         named
     )
     for row in rejected:
-        assert row["row"] and row["column"] and row["reason"] and row["remedy"]
+        assert row["row"] and row["column"] and row["reason"] and row["hint"]
         assert row["sample_id"] in done.stdout
     kept = [
         r["sample_id"]

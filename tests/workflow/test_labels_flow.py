@@ -77,17 +77,17 @@ def test_a_dataset_follows_what_lies_beside_its_log(folder):
     assert built(run(folder, "dataset", "RES=4x4")) == target
     splits.unlink()
     assert built(run(folder, "dataset", "RES=4x4")) == target
-    untouched = data / "nocontact/mini_a.png"
-    untouched.parent.mkdir(exist_ok=True)
-    shutil.copy(data / "images/s000.png", untouched)
+    nocontact = data / "nocontact/mini_a.png"
+    nocontact.parent.mkdir(exist_ok=True)
+    shutil.copy(data / "images/s000.png", nocontact)
     assert built(run(folder, "dataset", "RES=4x4")) == target and not built(run(folder, "dataset", "RES=4x4"))
-    shutil.copy(data / "images/s001.png", untouched)
-    os.utime(untouched, (1e9, 1e9))
+    shutil.copy(data / "images/s001.png", nocontact)
+    os.utime(nocontact, (1e9, 1e9))
     assert built(run(folder, "dataset", "RES=4x4")) == target and not built(run(folder, "dataset", "RES=4x4"))
-    shutil.move(untouched.parent, data / "elsewhere")
-    untouched.parent.symlink_to("elsewhere")
+    shutil.move(nocontact.parent, data / "elsewhere")
+    nocontact.parent.symlink_to("elsewhere")
     run(folder, "dataset", "RES=4x4")
-    shutil.copy(data / "images/s002.png", untouched)
+    shutil.copy(data / "images/s002.png", nocontact)
     assert built(run(folder, "dataset", "RES=4x4")) == target and not built(run(folder, "dataset", "RES=4x4"))
 
 

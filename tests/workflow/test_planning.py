@@ -114,8 +114,8 @@ def test_what_cannot_be_a_name_is_refused_before_anything_is_made(labelled, vari
 
 
 @pytest.fixture
-def untouched(labelled):
-    """The project whose dataset has a place for pictures of untouched sensors; it goes afterwards."""
+def with_nocontact(labelled):
+    """The project whose dataset has a place for no-contact images; it goes afterwards."""
     folder = labelled / "data/tiny/nocontact"
     folder.mkdir()
     yield labelled
@@ -123,14 +123,14 @@ def untouched(labelled):
 
 
 @pytest.mark.parametrize("goal", ["train", "onnx", "ship"])
-def test_the_network_that_ships_is_not_trained_under_another_name(untouched, goal):
-    done = make(untouched, "-n", goal, "DATASET=tiny", "MODEL=shipped")
+def test_the_network_that_ships_is_not_trained_under_another_name(with_nocontact, goal):
+    done = make(with_nocontact, "-n", goal, "DATASET=tiny", "MODEL=shipped")
     assert done.returncode and f"to {goal}, name one of" in done.stdout
-    assert make(untouched, "-n", "evaluate", "DATASET=tiny", "MODEL=shipped").returncode == 0
+    assert make(with_nocontact, "-n", "evaluate", "DATASET=tiny", "MODEL=shipped").returncode == 0
 
 
 @pytest.mark.parametrize("model", ["shipped", "pair_24_mirrored", "difference_16", "tuned"])
-def test_a_network_that_needs_untouched_sensors_is_refused_before_anything_is_solved(labelled, model):
+def test_a_network_that_needs_nocontact_images_is_refused_before_anything_is_solved(labelled, model):
     done = make(labelled, "-n", "report", "DATASET=tiny", f"MODEL={model}")
     assert done.returncode and "data/tiny/nocontact is missing" in done.stdout and f"MODEL={model}" in done.stdout
     assert make(labelled, "-n", "report", "DATASET=tiny", "MODEL=grid_16").returncode == 0
@@ -180,20 +180,20 @@ def test_a_recipe_that_takes_slots_of_make_is_only_shown_where_others_are(labell
 
 
 @pytest.mark.parametrize("goal", ["models", "evaluate-models", "pareto-models"])
-def test_many_networks_are_refused_where_one_of_them_needs_untouched_sensors(labelled, goal):
+def test_many_networks_are_refused_where_one_of_them_needs_nocontact_images(labelled, goal):
     done = make(labelled, "-n", goal, "DATASET=tiny")
     assert done.returncode and "data/tiny/nocontact is missing" in done.stdout
     assert make(labelled, "-n", "pareto-models", "DATASET=tiny", "CHARTED=grid_16").returncode == 0
 
 
-def test_no_network_ships_that_nobody_named(untouched):
+def test_no_network_ships_that_nobody_named(with_nocontact):
     """The one of the demo, which learns from two dozen presses, would take the place of the one that ships."""
-    done = make(untouched, "-n", "ship", "DATASET=tiny")
+    done = make(with_nocontact, "-n", "ship", "DATASET=tiny")
     assert done.returncode and "name the one that shall" in done.stdout
-    assert make(untouched, "-n", "ship", "DATASET=tiny", "MODEL=grid_16").returncode == 0
+    assert make(with_nocontact, "-n", "ship", "DATASET=tiny", "MODEL=grid_16").returncode == 0
 
 
-def test_where_the_report_shows_the_network_that_ships_another_one_trains_without_untouched_sensors(labelled):
+def test_where_the_report_shows_the_network_that_ships_another_one_trains_without_nocontact_images(labelled):
     path = labelled / "data/tiny/dataset.toml"
     text = path.read_text(encoding="utf-8")
     write_text(path, f'{text}\n[params.report]\nmodel = "shipped"\n')
@@ -228,8 +228,8 @@ def test_other_datasets_are_learnt_from_as_they_lie(labelled, also):
 @pytest.mark.parametrize(
     ("model", "target"), [("tuned", "70_train/24x32/tuned.onnx"), ("shipped", "80_evaluate/24x32/shipped.json")]
 )
-def test_the_record_of_a_target_names_the_network_that_it_starts_from(untouched, model, target):
-    said = make(untouched, "-n", "evaluate", "DATASET=tiny", f"MODEL={model}").stdout
+def test_the_record_of_a_target_names_the_network_that_it_starts_from(with_nocontact, model, target):
+    said = make(with_nocontact, "-n", "evaluate", "DATASET=tiny", f"MODEL={model}").stdout
     kind = "safetensors" if model == "tuned" else "onnx"
     assert f"src/gelforge/networks/weights/default.{kind}" in inputs_of(said, target)
 
@@ -428,7 +428,7 @@ def test_touching_the_log_rebuilds_nothing(labelled, log):
 
 
 def test_a_replaced_picture_reruns_its_own_shard(labelled, log):
-    """The remedy of a rejected picture, to copy the file again, is seen by make; other shards stay as they are."""
+    """The hint of a rejected picture, to copy the file again, is seen by make; other shards stay as they are."""
     rows = log.read_text().splitlines()
     picture = labelled / "data/tiny" / rows[1].split(",")[-1]
     whole = picture.read_bytes()
@@ -473,8 +473,8 @@ def test_a_picture_that_an_older_one_replaced_is_seen(labelled, log):
         picture.write_bytes(kept)
 
 
-def test_files_of_odd_names_beside_a_dataset_disturb_nothing(untouched):
-    labelled, picture = untouched, untouched / "data/tiny/nocontact/mini_a copy.png"
+def test_files_of_odd_names_beside_a_dataset_disturb_nothing(with_nocontact):
+    labelled, picture = with_nocontact, with_nocontact / "data/tiny/nocontact/mini_a copy.png"
     picture.write_bytes(b"")
     (labelled / "workflow" / "x (1).stl").write_bytes(b"") if not (labelled / "workflow").is_symlink() else None
     done = make(labelled, "-n", "labels", "DATASET=tiny")
@@ -557,7 +557,7 @@ def step_targets(project, *words) -> list[str]:
     return re.findall(r"-m gelforge\.flow\.step (\S+) ", said)
 
 
-def test_no_two_targets_share_a_log_and_a_record(untouched):
+def test_no_two_targets_share_a_log_and_a_record(with_nocontact):
     """A record is named by its target without the suffix: one that another overwrote would call the first damaged."""
     goals = (
         "models",
@@ -571,7 +571,7 @@ def test_no_two_targets_share_a_log_and_a_record(untouched):
         "feats-export",
         "pareto-models",
     )
-    found = set(step_targets(untouched, *goals))
+    found = set(step_targets(with_nocontact, *goals))
     assert len(found) > 100 and any("/study/" in name for name in found)
     records = Counter(str(metrics_of(Path(name))) for name in found)
     assert [name for name, count in records.items() if count > 1] == []
@@ -582,13 +582,13 @@ def test_no_two_targets_share_a_log_and_a_record(untouched):
     [("12x16", "grid_16", True), ("24x32", "grid_16", True), ("24x32", "tuned", True), ("12x16", "tuned", False)],
 )
 def test_the_network_of_a_report_is_the_one_it_names_at_every_resolution_that_it_writes(
-    untouched, res, model, writes
+    with_nocontact, res, model, writes
 ):
-    table = untouched / "data/tiny/dataset.toml"
+    table = with_nocontact / "data/tiny/dataset.toml"
     text = table.read_text()
     table.write_text(f'{text}\n[params.report]\nmodel = "{model}"\n')
     try:
-        trained = [name for name in step_names(untouched, res).split() if name.endswith(".onnx")]
+        trained = [name for name in step_names(with_nocontact, res).split() if name.endswith(".onnx")]
     finally:
         table.write_text(text)
     assert (trained == [f"results/tiny/70_train/{res}/{model}.onnx"]) is writes and trained

@@ -1,4 +1,4 @@
-"""Parts of the Slurm executor that need no cluster: causes, remedies, patience, profiles, and what waits for what."""
+"""Parts of the Slurm executor that need no cluster: causes, hints, patience, profiles, and what waits for what."""
 
 import dataclasses
 import os
@@ -59,7 +59,7 @@ def test_cause(state, status, reason, output, cause):
     assert cause_of(state, status, reason, output)[0] == cause
 
 
-def test_remedies_are_bounded_and_fit_the_cause(monkeypatch):
+def test_measures_are_bounded_and_fit_the_cause(monkeypatch):
     monkeypatch.chdir(ROOT)
     profile = dataclasses.replace(
         read_profile(PROFILE, "30_fea"),

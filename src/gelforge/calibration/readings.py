@@ -93,7 +93,7 @@ def read_readings(log, known_bad: Collection[int] = (), gels: Mapping[str, str] 
         if press is None:
             first = wrong[0]
             raise BadInput(
-                f"{log}: row {first.row}, column {first.column}: {first.value!r}: {first.reason}; {first.remedy}"
+                f"{log}: row {first.row}, column {first.column}: {first.value!r}: {first.reason}; {first.hint}"
             )
         same = tuple(raw.cells.get(c) for c in ("time_utc", "indenter", *POSE, *FORCE))
         if seen_by.setdefault(same, press.sensor_id) == press.sensor_id:

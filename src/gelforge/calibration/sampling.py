@@ -17,7 +17,7 @@ MOVES = 2  # raise when the moves change: a chain on disk made by older ones is 
 
 
 class NotConverged(GelforgeError):
-    """A chain that cannot be trusted; the message holds the figures and the remedy."""
+    """A chain that cannot be trusted; the message holds the figures and the hint."""
 
 
 @dataclass(frozen=True)
@@ -223,7 +223,7 @@ def find_modes(chain: np.ndarray) -> list[dict]:
 
 
 def complaint(model, chain, figures: Figures, rules: Rules) -> str:
-    """The sentence of a chain that did not converge: figures, cause where one is seen, remedy."""
+    """The sentence of a chain that did not converge: figures, cause where one is seen, hint."""
     low, high = rules.acceptance
     text = (
         f"model {model.name}: the chain did not converge in {figures.steps} steps: {figures.taus:.0f} "

@@ -255,7 +255,7 @@ def build_emulator(plan: SolvePlan, cache: SolveCache, mus, nus) -> em.Emulator:
     for i in range(count):
         for k, nu in enumerate(nus):
             table[i, k] = em.friction_table(mus, [press_table(plan, cache, i, mu, nu) for mu in mus])
-    refuse_untouched(plan.readings, table)
+    refuse_no_contact(plan.readings, table)
     group = np.unique(plan.readings.indenters, return_inverse=True)[1]
     return em.Emulator(table, plan.top, np.asarray(nus, float), group, plan.readings.travel)
 
@@ -354,7 +354,7 @@ def press_table(plan: SolvePlan, cache: SolveCache, i: int, mu: float, nu: float
     return em.sheared_table(press, float(plan.top[i]), *zip(*reached, strict=True))
 
 
-def refuse_untouched(readings, table) -> None:
+def refuse_no_contact(readings, table) -> None:
     """Refuse presses whose path, by geometry, never meets the gel although a force was logged."""
     silent = np.flatnonzero(np.abs(table[..., 2]).max(axis=(1, 2, 3)) == 0.0)
     if len(silent):

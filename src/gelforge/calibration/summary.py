@@ -196,9 +196,9 @@ def _trades(correlation: dict) -> list[str]:
     strong.sort(key=lambda pair: -abs(pair[1]))
     said = []
     for name, r in strong:
-        remedy = "press other indenters" if name.startswith("scale of ") else "measure that one apart"
+        hint = "press other indenters" if name.startswith("scale of ") else "measure that one apart"
         what = label_of(name).split(" (")[0]
-        said.append(f"C10 trades against the {what} (correlation {r:+.2f}): {remedy} to narrow C10.")
+        said.append(f"C10 trades against the {what} (correlation {r:+.2f}): {hint} to narrow C10.")
     return said
 
 

@@ -56,7 +56,7 @@ def planned_rows(results: Path) -> list[RawRow]:
 
 
 def depth(row: RawRow) -> float:
-    """Depth of a raw row, mm; rows that cannot be read count as untouched, because stage 10 rejects them."""
+    """Depth of a raw row, mm; rows that cannot be read count as no contact, because stage 10 rejects them."""
     press, _ = parse(row, "", ("dz_mm",))
     return 0.0 if press is None else -press.dz_mm
 

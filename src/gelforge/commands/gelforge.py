@@ -22,7 +22,7 @@ COMMANDS = {
     "look": "pictures and .vtu of one sample",
     "feats": "datasets in the files of FEATS, read and written",
     "mcap": "MCAP recordings of pictures and forces as a dataset",
-    "background": "how the light of a sensor falls, from its untouched picture",
+    "background": "how the light of a sensor falls, from its no-contact image",
 }
 
 # Commands whose module is a stage.

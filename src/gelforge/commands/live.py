@@ -97,8 +97,8 @@ def write_avi(pictures, part: Path, path: Path, rate: float) -> tuple[int, BadIn
                 size = picture.shape[1], picture.shape[0]
                 writer = cv2.VideoWriter(str(part), cv2.VideoWriter.fourcc(*"MJPG"), rate, size)
                 if not writer.isOpened():
-                    remedy = "name another folder" if path.suffix == ".avi" else "give a name that ends in .avi"
-                    raise BadInput(f"{path}: cannot be written as a video; {remedy}")
+                    hint = "name another folder" if path.suffix == ".avi" else "give a name that ends in .avi"
+                    raise BadInput(f"{path}: cannot be written as a video; {hint}")
             writer.write(picture)
             count += 1
     except BadInput as fault:

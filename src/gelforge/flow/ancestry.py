@@ -84,7 +84,7 @@ def rejections_of(results: Path, shard: str, sample_id: str) -> list[str]:
     return [
         printable(
             f"row {cells.get('row')} of the log: {cells.get('column')} = {cells.get('value')!r}: {cells.get('reason')};"
-            f" {cells.get('remedy')}"
+            f" {cells.get('hint')}"
         )
         for cells in wrong
     ]

@@ -33,8 +33,8 @@ class _Table:
         self.name, self.source, self._left = name, source, dict(table)
         self.folder = Path(source).parent if folder is None else Path(folder)
 
-    def fail(self, key: str, value, remedy: str):
-        raise BadInput(f"{self.source}: indenter {self.name}: {key} = {value!r}; {remedy}")
+    def fail(self, key: str, value, hint: str):
+        raise BadInput(f"{self.source}: indenter {self.name}: {key} = {value!r}; {hint}")
 
     def take(self, key, default=DEFAULT):
         if key not in self._left and default is DEFAULT:

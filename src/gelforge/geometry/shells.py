@@ -11,7 +11,7 @@ NEAR_MM = 1e-6  # what lies nearer touches
 FLAT_RAD = 1e-6  # between triangles that lie on each other
 LEAST_MM2 = 1e-9  # twice the area of a triangle that counts as one
 LEAST_MM3 = 1e-6  # a shell that encloses less is a sheet
-REMEDY = "in the program that exported it"
+HINT = "in the program that exported it"
 
 
 def outer_surface(vertices: np.ndarray, faces: np.ndarray, what: str) -> Mesh:
@@ -31,7 +31,7 @@ def outer_surface(vertices: np.ndarray, faces: np.ndarray, what: str) -> Mesh:
     crossing = np.unique(number[_crossing((vertices, turned))])
     for at in crossing:
         if cut := np.count_nonzero(_crossing(shells[at])):
-            raise BadInput(f"{names[at]}: {cut} of its triangles cut through each other; repair it {REMEDY}")
+            raise BadInput(f"{names[at]}: {cut} of its triangles cut through each other; repair it {HINT}")
     solid = [at for at in range(count) if volume(*shells[at]) >= LEAST_MM3]
     if not solid:
         raise BadInput(f"{what}: the surface encloses {volume(vertices, turned):.1e} mm^3; export a solid body")
@@ -39,9 +39,7 @@ def outer_surface(vertices: np.ndarray, faces: np.ndarray, what: str) -> Mesh:
     outer = _united([shells[at] for at in seen], what) or _used(vertices, turned[np.isin(number, seen)])
     for at in set(range(count)) - set(solid):
         if _beyond(shells[at], outer):
-            raise BadInput(
-                f"{names[at]}: encloses nothing, it is a sheet; remove it, or give it a thickness, {REMEDY}"
-            )
+            raise BadInput(f"{names[at]}: encloses nothing, it is a sheet; remove it, or give it a thickness, {HINT}")
     return outer
 
 
@@ -185,7 +183,7 @@ def _refuse_open(vertices, faces, edge, count, what: str) -> None:
 
 def _refuse(vertices, faces, number, at, what: str, why: str) -> None:
     shells = [_used(vertices, faces[number == each]) for each in range(number.max() + 1)]
-    raise BadInput(f"{_name(at, shells, what)}: {why} {REMEDY}")
+    raise BadInput(f"{_name(at, shells, what)}: {why} {HINT}")
 
 
 def _not_inside(shells: Sequence[Mesh], solid: list[int], crossing: set[int]) -> list[int]:
@@ -227,7 +225,7 @@ def _united(shells: list[Mesh], what: str) -> Mesh | None:
     united = [_used(surface[0], turned[number == at]) for at in range(number.max() + 1)]
     if not all(is_watertight(faces) for _, faces in united):
         raise BadInput(
-            f"{what}: its parts touch in a way that leaves no closed surface; unite them into one body {REMEDY}"
+            f"{what}: its parts touch in a way that leaves no closed surface; unite them into one body {HINT}"
         )
     # parts that overlap may enclose a cavity
     return joined([united[at] for at in _not_inside(united, list(range(len(united))), set())])

@@ -108,17 +108,17 @@ def _stack(parts: Sequence[np.ndarray], empty_shape: tuple[int, ...], dtype: Any
     return np.concatenate([np.empty(empty_shape, dtype), *(np.asarray(p, dtype) for p in parts)])
 
 
-WHAT, REMEDY = "a forces shard", "delete it and run make again"
+WHAT, HINT = "a forces shard", "delete it and run make again"
 
 
 def without_forces(path: str | Path) -> dict[str, str]:
     """Status by name of a shard's samples without valid forces, at a tenth of what `ForceFile` takes; BadInput as there."""
-    with Archive(path, WHAT, REMEDY) as file:
+    with Archive(path, WHAT, HINT) as file:
         status = file.array("status", "U", 1).tolist()
         bad = [at for at, state in enumerate(status) if state not in VALID]
         names = file.array("sample_id", "U", 1).tolist() if bad else status
     if len(names) != len(status):
-        raise BadInput(f"{path}: not {WHAT} ({len(names)} samples and {len(status)} statuses); {REMEDY}")
+        raise BadInput(f"{path}: not {WHAT} ({len(names)} samples and {len(status)} statuses); {HINT}")
     return {names[at]: status[at] for at in bad}
 
 
@@ -130,7 +130,7 @@ class ForceFile:
 
     def __init__(self, path: str | Path):
         self.path = path
-        self._file = file = Archive(path, WHAT, REMEDY)
+        self._file = file = Archive(path, WHAT, HINT)
         self.sample_id, self.status, self.mesh = (file.array(k, "U", 1) for k in ("sample_id", "status", "mesh"))
         self.ptr, self.total = file.array("ptr", "i", 1), file.array("total", "f", 2)
         self.c10 = float(file.array("c10", "f", 0))

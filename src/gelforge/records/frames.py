@@ -46,8 +46,8 @@ def check_frames(records: Sequence[PressRecord], file: str) -> list[Rejection]:
             fault = _differs(press[0], frame) or _earlier(last, frame) or _off_path(path[stands], path[at])
             if fault:
                 column, reason = fault
-                remedy = f"give it another press_id than row {last.row} has, or correct the cell"
-                wrong.append(reject(frame, file, column, reason, remedy))
+                hint = f"give it another press_id than row {last.row} has, or correct the cell"
+                wrong.append(reject(frame, file, column, reason, hint))
             else:
                 stands.append(at)
     return wrong

@@ -22,17 +22,17 @@ KINDS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP", "PPM")
 MOST_PIXELS = 4096 * 4096
 MOST_BYTES = 256 * 2**20
 LEAST_CONTRAST = 16  # levels: a frame of fewer is dark or covered, and says nothing of colours
-REMEDY = f"give {', '.join(KINDS[:-1])} or {KINDS[-1]}"
+HINT = f"give {', '.join(KINDS[:-1])} or {KINDS[-1]}"
 
 
-def read_image(path: str | Path, size: tuple[int, int] | None = None, remedy: str = REMEDY) -> np.ndarray:
+def read_image(path: str | Path, size: tuple[int, int] | None = None, hint: str = HINT) -> np.ndarray:
     """A picture file as RGB (height, width, 3) uint8.
 
     size is the (width, height) it must have. What is missing, no regular file, no picture, larger than 4096 x 4096
     pixels or of another size raises BadInput.
     """
     path = Path(path)
-    image = decode(read_bytes(path, remedy, MOST_BYTES), str(path), remedy)
+    image = decode(read_bytes(path, hint, MOST_BYTES), str(path), hint)
     if size is not None and (image.shape[1], image.shape[0]) != tuple(size):
         raise BadInput(
             f"{path}: image is {image.shape[1]} x {image.shape[0]} pixels, its sensor has {size[0]} x {size[1]};"
@@ -42,12 +42,12 @@ def read_image(path: str | Path, size: tuple[int, int] | None = None, remedy: st
 
 
 def read_logged_image(
-    folder: Path, name: str, size: tuple[int, int], remedy: str = "restore it, or empty the log's column `image`"
+    folder: Path, name: str, size: tuple[int, int], hint: str = "restore it, or empty the log's column `image`"
 ) -> np.ndarray:
     """A picture that a log names below its dataset's folder; a path that leads out of it raises BadInput."""
     if not stays_inside(folder, name):
         raise BadInput(f"{folder}/log.csv: image {name!r} leads out of the dataset's folder; give a path inside it")
-    return read_image(folder / name, size, remedy)
+    return read_image(folder / name, size, hint)
 
 
 def stays_inside(folder: Path, name: str) -> bool:
@@ -58,7 +58,7 @@ def stays_inside(folder: Path, name: str) -> bool:
         return False
 
 
-def decode(data: bytes, where: str, remedy: str = REMEDY) -> np.ndarray:
+def decode(data: bytes, where: str, hint: str = HINT) -> np.ndarray:
     """Bytes of a picture as RGB (height, width, 3) uint8; what cannot be decoded raises BadInput."""
     import cv2
 
@@ -78,7 +78,7 @@ def decode(data: bytes, where: str, remedy: str = REMEDY) -> np.ndarray:
             f"{where}: holds {8 * image.itemsize} bits a channel; save it with 8, scaled as the sensor shows it"
         )
     if image is None:
-        raise BadInput(f"{where}: {fault or 'cannot be read as an image'}; {remedy}")
+        raise BadInput(f"{where}: {fault or 'cannot be read as an image'}; {hint}")
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
 
 
@@ -146,8 +146,8 @@ def as_jpeg(image: np.ndarray, quality: int) -> np.ndarray:
 def bad_image(press: PressRecord, file: str, folder: str | Path, size: tuple[int, int]) -> Rejection | None:
     """Why a press's image cannot be used; `folder` is the dataset's, `size` the sensor's width and height."""
 
-    def no(reason: str, remedy: str) -> Rejection:
-        return reject(press, file, "image", reason, remedy)
+    def no(reason: str, hint: str) -> Rejection:
+        return reject(press, file, "image", reason, hint)
 
     if not press.image:
         return no("no image is named", "name its PNG, or set images = false under [params.poses] in dataset.toml")

@@ -99,8 +99,8 @@ class LabelShard:
 
 def open_labels(path: str | Path) -> Archive:
     """A label file to read single arrays of."""
-    remedy = f"delete it and run {command_for('labels', path)} again, or import it again"
-    return Archive(path, "a label shard", remedy)
+    hint = f"delete it and run {command_for('labels', path)} again, or import it again"
+    return Archive(path, "a label shard", hint)
 
 
 def read_labels(path: str | Path) -> LabelShard:

@@ -35,7 +35,7 @@ from gelforge.records.table import read_table
 
 P = TypeVar("P", bound=PressRecord)
 
-REJECTION_COLUMNS = ("file", "row", "sample_id", "column", "value", "reason", "remedy")
+REJECTION_COLUMNS = ("file", "row", "sample_id", "column", "value", "reason", "hint")
 POSED_COLUMNS = ("sample_id", "sensor_id", "gel_id", "indenter", *POSE, *FORCES, "image", "stl")
 
 
@@ -74,15 +74,15 @@ def csv_text(columns: list[str], rows: list[dict[str, Any]]) -> str:
 def _read(
     path: Path,
     known: tuple[str, ...],
-    remedy: str = "a dataset needs its raw log there",
+    hint: str = "a dataset needs its raw log there",
     needed: tuple[str, ...] = (),
 ) -> list[RawRow]:
-    lines = list(io.StringIO(read_text(path, remedy), newline=""))
+    lines = list(io.StringIO(read_text(path, hint), newline=""))
     top = next((at for at, line in enumerate(lines) if line.strip()), 0)
     cells = next(_each(csv.reader(lines[top : top + 1])), [])
     if cells is None:
         raise BadInput(
-            f"{path}: its header has a cell of more than 131072 characters, so it is no table of ours; {remedy}"
+            f"{path}: its header has a cell of more than 131072 characters, so it is no table of ours; {hint}"
         )
     header = _spelt([cell.strip() for cell in cells], known)
     places = _places(path, header, known)
@@ -117,8 +117,8 @@ def _places(path: Path, header: list[str], known: tuple[str, ...]) -> dict[str, 
     if "sample_id" not in header:
         seen = printable(", ".join(header))[:200] or "no header"
         other = next((mark for mark in ";\t|" if len(header) == 1 and mark in header[0]), "")
-        remedy = f"; separate cells by commas, not by {other!r}" if other else ""
-        raise BadInput(f"{path}: column sample_id is missing, so it holds no presses; seen: {seen}{remedy}")
+        hint = f"; separate cells by commas, not by {other!r}" if other else ""
+        raise BadInput(f"{path}: column sample_id is missing, so it holds no presses; seen: {seen}{hint}")
     for name in known:
         if header.count(name) > 1:
             raise BadInput(f"{path}: column {name} stands {header.count(name)} times in the header; keep one of them")
@@ -258,8 +258,8 @@ def without_duplicates(presses: list[P], file: str) -> tuple[list[P], list[Rejec
     good, wrong = [], []
     for press in presses:
         if press.sample_id in first:
-            remedy = f"row {first[press.sample_id]} has it and counts; give every press its own, or remove that row"
-            wrong.append(reject(press, file, "sample_id", "an earlier row has the same sample_id", remedy))
+            hint = f"row {first[press.sample_id]} has it and counts; give every press its own, or remove that row"
+            wrong.append(reject(press, file, "sample_id", "an earlier row has the same sample_id", hint))
             continue
         first[press.sample_id] = press.row
         good.append(press)
@@ -289,10 +289,10 @@ def write_rejections(path: str | Path, rejections: Iterable[Rejection]) -> None:
 
 def rejected_rows(path: str | Path, but: str = "") -> set[int]:
     """Lines of the log that a table of rejections names, those for column `but` alone left out."""
-    found, remedy = set(), f"delete it and run {command_for('poses', path)}"
-    for cells in read_table(path, remedy):
+    found, hint = set(), f"delete it and run {command_for('poses', path)}"
+    for cells in read_table(path, hint):
         if not cells.get("row", "").isdigit() or "column" not in cells:
-            raise BadInput(f"{path}: is no table of rejected rows; {remedy}")
+            raise BadInput(f"{path}: is no table of rejected rows; {hint}")
         if cells["column"] != but:
             found.add(int(cells["row"]))
     return found

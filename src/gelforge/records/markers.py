@@ -116,7 +116,7 @@ def _blob(label: np.ndarray, dark: np.ndarray, number: int, stats: np.ndarray) -
 
 
 def pitch_of(picture: np.ndarray) -> float:
-    """`print_pitch` of a picture (h, w, 3) uint8 of an untouched sensor."""
+    """`print_pitch` of a picture (h, w, 3) uint8 without contact."""
     return print_pitch(find_blobs(picture)[0])
 
 

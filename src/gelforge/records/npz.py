@@ -31,11 +31,11 @@ def in_short(error: BaseException) -> str:
 class Archive:
     """Arrays of an .npz by name, each read when asked for; what cannot be read raises BadInput.
 
-    what: the kind of file, remedy: what to do about a broken one, for the message.
+    what: the kind of file, hint: what to do about a broken one, for the message.
     """
 
-    def __init__(self, path: str | Path, what: str, remedy: str):
-        self.path, self.what, self.remedy = Path(path), what, remedy
+    def __init__(self, path: str | Path, what: str, hint: str):
+        self.path, self.what, self.hint = Path(path), what, hint
         fault = file_fault(self.path)
         if fault:
             raise self._bad(fault)
@@ -83,4 +83,4 @@ class Archive:
             raise self._bad(f"array {name} claims {kind} {shape} and has {size} bytes")
 
     def _bad(self, fault: str) -> BadInput:
-        return BadInput(f"{self.path}: not {self.what} ({fault}); {self.remedy}")
+        return BadInput(f"{self.path}: not {self.what} ({fault}); {self.hint}")

@@ -38,7 +38,7 @@ SHALLOW, BORNE = 0.01, 1.0  # mm and N: no gel bears so much where it is pressed
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.\-]{0,99}", re.ASCII)
 
-# Why the cells of a row cannot be told apart: column that the rejection names, reason, remedy.
+# Why the cells of a row cannot be told apart: column that the rejection names, reason, hint.
 ROW_FAULTS = {
     "more_cells": (
         "sample_id",
@@ -189,7 +189,7 @@ class Rejection:
     column: str
     value: str
     reason: str
-    remedy: str
+    hint: str
 
     def __str__(self) -> str:
         return f"rejected: {self.text}"
@@ -198,7 +198,7 @@ class Rejection:
     def text(self) -> str:
         """What is wrong where, and what to do."""
         where = f"{self.file}, row {self.row}, {self.sample_id or 'no sample_id'}"
-        return printable(f"{where}: {self.column} = {self.value!r}: {self.reason}; {self.remedy}")
+        return printable(f"{where}: {self.column} = {self.value!r}: {self.reason}; {self.hint}")
 
 
 MOST_ROWS = 5  # of one reason that are told by number
@@ -212,7 +212,7 @@ def told(rejections: Iterable[Rejection], verdict: str = "rejected") -> list[str
     """
     alike: dict[tuple[str, str, str], list[Rejection]] = {}
     for one in rejections:
-        alike.setdefault((one.column, one.reason, one.remedy), []).append(one)
+        alike.setdefault((one.column, one.reason, one.hint), []).append(one)
     return [f"{verdict}: {first.text}{_more(others)}" for first, *others in alike.values()]
 
 
@@ -224,10 +224,10 @@ def _more(others: list[Rejection]) -> str:
     return f"; the same reason against {len(others)} more row{'s' if len(others) > 1 else ''}: {rows}{rest}"
 
 
-def reject(press: PressRecord, file: str, column: str, reason: str, remedy: str) -> Rejection:
+def reject(press: PressRecord, file: str, column: str, reason: str, hint: str) -> Rejection:
     """A rejection of one cell of a press that could be read."""
     return Rejection(
-        file, press.row, press.sample_id, column, printable(_cell(getattr(press, column)))[:200], reason, remedy
+        file, press.row, press.sample_id, column, printable(_cell(getattr(press, column)))[:200], reason, hint
     )
 
 
@@ -274,17 +274,17 @@ def parse_posed(raw: RawRow, file: str) -> PosedPress:
     """One row of a pose table; a cell that stage 10 cannot have written raises BadInput."""
     press, wrong = parse(raw, file, ("sample_id", "sensor_id", "indenter", *POSE))
     if press is None:
-        remedy = f"delete it and run {command_for('poses', file)}"
-        raise BadInput(f"{file}: row {raw.row}: {wrong[0].column}: {wrong[0].reason}; {remedy}")
+        hint = f"delete it and run {command_for('poses', file)}"
+        raise BadInput(f"{file}: row {raw.row}: {wrong[0].column}: {wrong[0].reason}; {hint}")
     cells = {name: value for name, value in vars(press).items() if name != "time_utc"}
     return PosedPress(**cells, stl=raw.cells.get("stl", ""))
 
 
-def _rejection(raw: RawRow, file: str, column: str, reason: str, remedy: str) -> Rejection:
+def _rejection(raw: RawRow, file: str, column: str, reason: str, hint: str) -> Rejection:
     sample_id, value = (
         printable(raw.cells.get(name, ""))[:most] for name, most in (("sample_id", 100), (column, 200))
     )
-    return Rejection(file, raw.row, sample_id, column, value, reason, remedy)
+    return Rejection(file, raw.row, sample_id, column, value, reason, hint)
 
 
 def _cell(value: str | float | None) -> str:
@@ -294,14 +294,12 @@ def _cell(value: str | float | None) -> str:
 
 
 def judge_cell(name: str, text: str | None) -> tuple[str | float | None, tuple[str, str] | None]:
-    """Value of a cell, or what stands for none and what is wrong: (reason, remedy)."""
+    """Value of a cell, or what stands for none and what is wrong: (reason, hint)."""
     if text is None:
-        remedy = f"add a column {name} to the log{' (its cells may be empty)' if name in FORCES else ''}"
+        hint = f"add a column {name} to the log{' (its cells may be empty)' if name in FORCES else ''}"
         if name == "image":
-            remedy = (
-                "add a column image to the log, or set [params.poses] images = false in the dataset's dataset.toml"
-            )
-        return _nothing(name), None if name in OPTIONAL else ("the column is missing", remedy)
+            hint = "add a column image to the log, or set [params.poses] images = false in the dataset's dataset.toml"
+        return _nothing(name), None if name in OPTIONAL else ("the column is missing", hint)
     if name in POSE or name in FORCES:
         value, fault = _number_cell(name, text)
         return (_nothing(name) if value is None else value), fault

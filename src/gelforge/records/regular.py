@@ -48,13 +48,13 @@ def bytes_or_fault(path: Path, most: int) -> tuple[bytes, str | None]:
         return b"", error.strerror or str(error)
 
 
-def read_bytes(path: Path, remedy: str, most: int = 2**32) -> bytes:
-    """Bytes of a regular file of at most `most` bytes; anything else raises BadInput that ends with the remedy."""
+def read_bytes(path: Path, hint: str, most: int = 2**32) -> bytes:
+    """Bytes of a regular file of at most `most` bytes; anything else raises BadInput that ends with the hint."""
     data, fault = bytes_or_fault(path, most)
     if fault is None:
         return data
     raise BadInput(
-        f"{path}: {'not found' if fault.startswith('No such file') else f'cannot be read ({fault})'}; {remedy}"
+        f"{path}: {'not found' if fault.startswith('No such file') else f'cannot be read ({fault})'}; {hint}"
     )
 
 
@@ -74,9 +74,9 @@ def refuse_to_replace(asked: str, written: Iterable[Path], read: Iterable[Path |
             raise BadInput(f"{asked}: {path} would take the place of a file that is read; name another place")
 
 
-def read_text(path: Path, remedy: str) -> str:
+def read_text(path: Path, hint: str) -> str:
     """Text of a regular file in UTF-8, whatever byte order marks it begins with; line endings stay as they are."""
     try:
-        return read_bytes(path, remedy).decode("utf-8").lstrip("\ufeff")
+        return read_bytes(path, hint).decode("utf-8").lstrip("\ufeff")
     except UnicodeDecodeError as error:
         raise BadInput(f"{path}: not UTF-8 text ({error}); save it as CSV in UTF-8") from None

@@ -11,7 +11,7 @@ from gelforge.errors import BadInput
 from gelforge.records.npz import DAMAGED, in_short
 
 LET_GO = 512  # rows
-REMEDY = "remove it and make the dataset again"
+HINT = "remove it and make the dataset again"
 
 
 def map_array(path: Path) -> np.memmap:
@@ -19,7 +19,7 @@ def map_array(path: Path) -> np.memmap:
     try:
         return np.load(path, mmap_mode="r", allow_pickle=False)
     except DAMAGED as error:
-        raise BadInput(f"{path}: not a readable .npy array ({in_short(error)}); {REMEDY}") from None
+        raise BadInput(f"{path}: not a readable .npy array ({in_short(error)}); {HINT}") from None
 
 
 def array_on_disk(path: Path, dtype: type, shape: tuple[int, ...]) -> np.memmap:
@@ -60,7 +60,7 @@ class RowFile:
     def __init__(self, path: Path):
         mapped = map_array(path)
         if mapped.ndim < 2 or not mapped.flags.c_contiguous:
-            raise BadInput(f"{path}: its rows do not lie one after another; {REMEDY}")
+            raise BadInput(f"{path}: its rows do not lie one after another; {HINT}")
         self.path, self.shape, self.dtype, self.ndim = path, mapped.shape, mapped.dtype, mapped.ndim
         self._first, self._size = mapped.offset, mapped.nbytes // max(len(mapped), 1)
         self._file = path.open("rb", buffering=0)
@@ -76,7 +76,7 @@ class RowFile:
                 os.preadv(self._file.fileno(), [memoryview(into).cast("B")], self._first + row * self._size)
                 != self._size
             ):
-                raise BadInput(f"{self.path}: ends before its row {row}; {REMEDY}")
+                raise BadInput(f"{self.path}: ends before its row {row}; {HINT}")
         return found
 
 

@@ -12,7 +12,7 @@ from gelforge.flow.files import write_csv
 from gelforge.records.press import FORCE, KNOWN, POSE, PressRecord, RawRow, parse, parse_number
 from gelforge.records.table import read_table
 
-REMEDY = "remove the folder and make the dataset again"
+HINT = "remove the folder and make the dataset again"
 NAMES = ("sample_id", "indenter", "sensor_id", "gel_id")
 COLUMNS = (
     *NAMES, "split", "group", *FORCE, *(f"outside_{name}" for name in FORCE), *(f"measured_{name}" for name in FORCE),
@@ -80,7 +80,7 @@ def write_samples(path: str | Path, samples: Sequence[DatasetSample]) -> None:
 
 def read_samples(path: str | Path) -> list[DatasetSample]:
     """Read the table; a row without sample_id or split, or with a number that is none, raises BadInput."""
-    return [_sample(path, at, row) for at, row in enumerate(read_table(path, REMEDY), 2)]
+    return [_sample(path, at, row) for at, row in enumerate(read_table(path, HINT), 2)]
 
 
 def _sample(path: str | Path, at: int, row: dict[str, str]) -> DatasetSample:
@@ -90,7 +90,7 @@ def _sample(path: str | Path, at: int, row: dict[str, str]) -> DatasetSample:
     )
     if press is None or not row.get("split"):
         why = f"{wrong[0].column}: {wrong[0].reason}" if wrong else "its split is missing"
-        raise BadInput(f"{path}: row {at}: {why}; {REMEDY}")
+        raise BadInput(f"{path}: row {at}: {why}; {HINT}")
     total, outside = (np.array([_force(path, at, row.get(f"{kind}{name}") or "") for name in FORCE])
                       for kind in ("", "outside_"))  # fmt: skip
     truth = {name: row.get(f"true_{name}") or "" for name in FORCE}
@@ -100,5 +100,5 @@ def _sample(path: str | Path, at: int, row: dict[str, str]) -> DatasetSample:
 def _force(path: str | Path, at: int, text: str) -> float:
     value = parse_number(text) if text else np.nan
     if value is None:
-        raise BadInput(f"{path}: row {at}: {text[:40]!r} is no force; {REMEDY}")
+        raise BadInput(f"{path}: row {at}: {text[:40]!r} is no force; {HINT}")
     return value

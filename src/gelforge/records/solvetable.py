@@ -65,12 +65,12 @@ def _force(text: str) -> float | None:
 
 def read_solves(path: str | Path) -> list[Solved]:
     """Read what `write_solves` wrote; anything else raises BadInput."""
-    found, remedy = [], f"delete it and run {command_for('fea', path)}"
-    for at, row in enumerate(read_table(path, remedy), 2):
+    found, hint = [], f"delete it and run {command_for('fea', path)}"
+    for at, row in enumerate(read_table(path, hint), 2):
         forces = [_force(row.get(name) or "") for name in FORCE]
         state = row.get("status") or ""
         if state not in Status.__members__ or None in forces or not row.get("sample_id"):
-            raise BadInput(f"{path}: row {at} is no solve of stage 30; {remedy}")
+            raise BadInput(f"{path}: row {at} is no solve of stage 30; {hint}")
         x, y, z = (math.nan if force is None else force for force in forces)
         names = {name: row.get(name) or "" for name in NAMES if name != "status"}
         evidence: dict[str, object] = {name: row.get(name) or "" for name in EVIDENCE}

@@ -81,7 +81,7 @@ class Explorer:
         return ({"image": jpeg(self.images[found])} if found is not None else {}) | pack(packed)
 
     def shared(self) -> dict:
-        """What all presses share: the gel's untouched surface, how thick each gel is, the indenters over the origin."""
+        """What all presses share: the gel's undeformed surface, how thick each gel is, the indenters over the origin."""
         rows, columns, points = grid_points(self.gel)
         gels = sorted({row["gel"] for row in self.rows if row.get("gel")})
         return {

@@ -48,7 +48,7 @@ def press_rows(
     ]
     by_row: dict[tuple, dict] = {}
     for fault in rejected:
-        text = f"{fault['column']}: {fault['reason']}; {fault['remedy']}"
+        text = f"{fault['column']}: {fault['reason']}; {fault['hint']}"
         entry = by_row.setdefault((fault["shard"], fault["row"]), {
             "id": fault["sample_id"] or f"row {fault['row']}", "status": "REJECTED", "reason": "", "shard": fault["shard"],
         })  # fmt: skip

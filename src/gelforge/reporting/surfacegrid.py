@@ -11,7 +11,7 @@ SPACING_MM = 0.35
 
 @lru_cache(maxsize=4)
 def grid_points(gel: Gel) -> tuple[int, int, np.ndarray]:
-    """Rows along x, columns along y, and the points (rows * columns, 3) of the untouched top, mm."""
+    """Rows along x, columns along y, and the points (rows * columns, 3) of the undeformed top, mm."""
     rows, columns = round(gel.width / SPACING_MM) + 1, round(gel.length / SPACING_MM) + 1
     x = np.linspace(-gel.width / 2, gel.width / 2, rows)
     y = np.linspace(-gel.length / 2, gel.length / 2, columns)

@@ -103,7 +103,7 @@ def write_image_array(path, data: Path, presses: list[PressRecord], size: tuple[
 
 
 def write_nocontact(path, data: Path, names: list[str], size: tuple[int, int]) -> list[str]:
-    """Write the pictures of untouched sensors, nocontact/NAME.png, as uint8 (k, height, width, 3) RGB.
+    """Write the no-contact images, nocontact/NAME.png, as uint8 (k, height, width, 3) RGB.
 
     Returns the k of `names` that have one; a network that reads differences needs them, no other does.
     """
@@ -179,11 +179,11 @@ def repeated_pictures(path: Path, presses: list[PressRecord], where: str, strict
     )
     if not found:
         return found
-    told, remedy = tell_repeats(where, presses, found), "give each press its own picture, or remove its row"
+    told, hint = tell_repeats(where, presses, found), "give each press its own picture, or remove its row"
     if strict:
-        raise BadInput(f"{told}; {remedy}")
+        raise BadInput(f"{told}; {hint}")
     print(
-        f"note: {told}; all presses of one picture go to one split. Did the camera freeze? If so, {remedy}",
+        f"note: {told}; all presses of one picture go to one split. Did the camera freeze? If so, {hint}",
         file=sys.stderr,
     )
     return found

@@ -77,11 +77,11 @@ def logged_rows(log: Path, sensor: str | None) -> list[RawRow]:
 
 def known_shards(table: Path) -> dict[str, int]:
     """Shard of each sample in the plan before, none where there was none; a damaged table raises BadInput."""
-    remedy = "bring it back from a copy, or remove it: samples that come into another shard then are solved again"
-    rows = read_table(table, remedy) if table.exists() else []
+    hint = "bring it back from a copy, or remove it: samples that come into another shard then are solved again"
+    rows = read_table(table, hint) if table.exists() else []
     # a row of the log without a sample_id has a shard, too: stage 10 rejects it there
     if not all("sample_id" in row and row.get("shard", "").isdecimal() for row in rows):
-        raise BadInput(f"{table}: does not tell the shard of every sample; {remedy}")
+        raise BadInput(f"{table}: does not tell the shard of every sample; {hint}")
     return {row["sample_id"]: int(row["shard"]) for row in rows}
 
 

@@ -61,8 +61,8 @@ def yielded(sample: LoggedPress, file: str, params: PosesTable) -> tuple[LoggedP
     needed = {"fx_n": sideways, "fy_n": sideways, "fz_n": normal}
     for column, compliance in needed.items():
         if compliance and getattr(sample, column) is None:
-            remedy = f"fill it in, or set the compliance of [poses], {compliance:g} mm/N, to 0"
-            return sample, [reject(sample, file, column, "no force reading, which the compliance needs", remedy)]
+            hint = f"fill it in, or set the compliance of [poses], {compliance:g} mm/N, to 0"
+            return sample, [reject(sample, file, column, "no force reading, which the compliance needs", hint)]
     # the force on the gel points along the motion, so what the frame gave way shortens the path
     way = {name: c * (getattr(sample, f"f{name[1]}_n") or 0.0)
            for name, c in (("dx_mm", sideways), ("dy_mm", sideways), ("dz_mm", normal))}  # fmt: skip
@@ -70,8 +70,8 @@ def yielded(sample: LoggedPress, file: str, params: PosesTable) -> tuple[LoggedP
     if params.touch_offset_mm:
         moved["z0_mm"] = sample.z0_mm - params.touch_offset_mm
     if moved.get("dz_mm", sample.dz_mm) >= 0.0:
-        remedy = f"check fz_n, or compliance_mm_per_n = {normal:g} in [poses]"
-        return sample, [reject(sample, file, "dz_mm", "the bench gives way by more than the press", remedy)]
+        hint = f"check fz_n, or compliance_mm_per_n = {normal:g} in [poses]"
+        return sample, [reject(sample, file, "dz_mm", "the bench gives way by more than the press", hint)]
     path = replace(sample, **moved)
     return path, turned_round(sample, path, file, sideways)
 
@@ -85,28 +85,26 @@ def pulling(sample: LoggedPress, file: str, params: PosesTable) -> list[Rejectio
     firm = -(sample.z0_mm + sample.dz_mm) >= FIRM_MM
     if (sample.fz_n or 0.0) <= LARGEST_PULL_N or not (firm or params.compliance_mm_per_n):
         return []
-    remedy = (
-        "forces are those on the gel: multiply the force columns by -1 if the sensor states those on the indenter"
-    )
+    hint = "forces are those on the gel: multiply the force columns by -1 if the sensor states those on the indenter"
     if not params.compliance_mm_per_n:
-        remedy += ", and leave the cell empty where a reading failed"
-    return [reject(sample, file, "fz_n", "the force reading pulls while the indenter presses", remedy)]
+        hint += ", and leave the cell empty where a reading failed"
+    return [reject(sample, file, "fz_n", "the force reading pulls while the indenter presses", hint)]
 
 
 def turned_round(sample: LoggedPress, path: LoggedPress, file: str, compliance: float) -> list[Rejection]:
     """The rejection of a press whose corrected `path` goes sideways against the commanded one, or across it.
 
-    compliance: shear_compliance_mm_per_n, for the remedy.
+    compliance: shear_compliance_mm_per_n, for the hint.
     """
     asked, left = (np.array([press.dx_mm, press.dy_mm]) for press in (sample, path))
     if np.hypot(*asked) <= NEAR_MM or asked @ left > 0.0:
         return []
     column = "dx_mm" if abs(asked[0]) >= abs(asked[1]) else "dy_mm"
-    remedy = (
+    hint = (
         f"check shear_compliance_mm_per_n = {compliance:g} in [poses], and the sign of fx_n, fy_n: the force on the gel"
         " points along the motion"
     )
-    return [reject(sample, file, column, "the bench gives way sideways by more than the press moves", remedy)]
+    return [reject(sample, file, column, "the bench gives way sideways by more than the press moves", hint)]
 
 
 def posed_points(press, points: np.ndarray) -> np.ndarray:
@@ -118,21 +116,21 @@ def posed_points(press, points: np.ndarray) -> np.ndarray:
 def geometric_faults(sample: LoggedPress, file: str, body, gel: Gel, params: PosesTable) -> list[Rejection]:
     """Rejections of a press that never touches the gel or leaves what it can represent."""
     press = sample.press
-    # Reasons stay the same words for every sample, so that they can be counted; the numbers go into the remedy.
+    # Reasons stay the same words for every sample, so that they can be counted; the numbers go into the hint.
     sideways, farthest = float(np.hypot(press.dx, press.dy)), params.farthest_shear_mm
     if sideways > farthest:
         column = "dx_mm" if abs(press.dx) >= abs(press.dy) else "dy_mm"
-        remedy = f"it moves {sideways:.3g} mm; check the unit, or raise farthest_shear_mm = {farthest:g} in [poses]"
-        return [reject(sample, file, column, "the indenter moves too far sideways", remedy)]
+        hint = f"it moves {sideways:.3g} mm; check the unit, or raise farthest_shear_mm = {farthest:g} in [poses]"
+        return [reject(sample, file, column, "the indenter moves too far sideways", hint)]
     depth, limit = -(press.z0 + press.dz), params.deepest_share * gel.height
     if depth > limit:
-        remedy = f"the tip ends {depth:.3g} mm below the crown, {limit:.3g} are allowed; check z0_mm and dz_mm"
-        return [reject(sample, file, "dz_mm", "the press is deeper than the gel allows", remedy)]
+        hint = f"the tip ends {depth:.3g} mm below the crown, {limit:.3g} are allowed; check z0_mm and dz_mm"
+        return [reject(sample, file, "dz_mm", "the press is deeper than the gel allows", hint)]
     clear = touch.nearest(gel, body, press)
     if clear >= 0.0:
         where = f"stays {clear:.3g} mm clear of" if np.isfinite(clear) else "is never above"
-        remedy = f"it {where} the gel, whose crown is the origin; check x0_mm, y0_mm, z0_mm and dz_mm"
-        return [reject(sample, file, "dz_mm", "the indenter never touches the gel", remedy)]
+        hint = f"it {where} the gel, whose crown is the origin; check x0_mm, y0_mm, z0_mm and dz_mm"
+        return [reject(sample, file, "dz_mm", "the indenter never touches the gel", hint)]
     return []
 
 
@@ -180,9 +178,9 @@ def judge(rows: list[RawRow], file: str, data: Path, tables: dict, params: Poses
 
 def repeated_pictures(samples: list[LoggedPress], file: str, repeated: dict[str, str]) -> list[Rejection]:
     """Reasons against samples whose picture another press shows, too; repeated: that press, by the sample's row."""
-    remedy = "give each press its own picture, or remove its row; did the camera freeze?"
+    hint = "give each press its own picture, or remove its row; did the camera freeze?"
     return [
-        reject(sample, file, "image", f"{repeated[str(sample.row)]} shows a picture of the same content", remedy)
+        reject(sample, file, "image", f"{repeated[str(sample.row)]} shows a picture of the same content", hint)
         for sample in samples
         if str(sample.row) in repeated
     ]

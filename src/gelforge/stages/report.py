@@ -187,7 +187,7 @@ def failures_section(results: Path, solved: dict[str, Solved]) -> Section:
     if not rejected and not failed:
         return section.text("None: every row of the log became a label.")
     if rejected:
-        columns = ["sample_id", "row", "column", "value", "reason", "remedy"]
+        columns = ["sample_id", "row", "column", "value", "reason", "hint"]
         section.text("Rows of the log that were rejected.").table(
             columns, [[r[c] for c in columns] for r in rejected]
         )

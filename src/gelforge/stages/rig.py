@@ -32,10 +32,10 @@ from gelforge.virtualrig.writer import (
     geometry_name,
     image_name,
     logged,
+    nocontact_name,
     save_image,
     surface_name,
     truth_row,
-    untouched_name,
     write_sensors,
 )
 
@@ -64,10 +64,10 @@ class Worker:
 
         return Renderer(self.looks[sensor], self.sensors[sensor].projection, self.gel)
 
-    def picture_untouched(self, sensor: str) -> None:
-        """Take the picture of an untouched unit, from which its markers and projection can be found."""
+    def picture_nocontact(self, sensor: str) -> None:
+        """Take the no-contact image of a unit, from which its markers and projection can be found."""
         noise = np.random.default_rng([self.plan.seed, self.looks[sensor].seed])
-        save_image(self.folder / untouched_name(sensor), self.camera(sensor).image(rng=noise))
+        save_image(self.folder / nocontact_name(sensor), self.camera(sensor).image(rng=noise))
 
     def carry_out(self, orders: list[Order], solved: bool) -> list[tuple]:
         """Press once and take every picture of `orders`, which are of one press and its moments.
@@ -132,13 +132,13 @@ def run(plan_path, data="data", workflow="workflow", jobs: int = 1) -> Path:
     dataset.begin(*contents)
     if plan.units is not None:
         write_sensors(folder / "sensors.toml", {name: sensors[name] for name in plan.units.names})
-    unseen = [(name,) for name in plan.sensors if not (folder / untouched_name(name)).exists()]
+    unseen = [(name,) for name in plan.sensors if not (folder / nocontact_name(name)).exists()]
     todo = by_press(dataset, orders(plan))
     new, drawn, failed = 0, 0, []
     try:
         with _pool(min(jobs, max(len(unseen), len(todo))), plan, workflow, folder) as done_by_all:
-            pictures = done_by_all(Worker.picture_untouched, unseen)
-            deque(progress(pictures, "untouched sensors", total=len(unseen)), maxlen=0)
+            pictures = done_by_all(Worker.picture_nocontact, unseen)
+            deque(progress(pictures, "no-contact images", total=len(unseen)), maxlen=0)
             presses = progress(done_by_all(Worker.carry_out, todo), "rig", total=len(todo))
             for (of_press, solved), rows in zip(todo, presses, strict=True):
                 if solved:

@@ -19,7 +19,7 @@ _CAMERAS = 1_000_000
 _LOAD_CELL = 10_000  # and on, one for each moment before a press's end
 
 # A press that no plan has, for what is drawn once for all presses: the waves in which the load cell drifts. (A unit's
-# ranges and its untouched picture have streams of two numbers, the seed and one of their own, which numpy takes for the
+# ranges and its no-contact image have streams of two numbers, the seed and one of their own, which numpy takes for the
 # ORDER of a press of that number. A number of a unit may thus be one of a press; neither shows in what the other makes.)
 EVERY_PRESS = 999_999_999
 

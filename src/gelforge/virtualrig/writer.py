@@ -42,10 +42,10 @@ class Dataset:
         self._published = -math.inf
 
     def _rows(self, path) -> dict[str, dict]:
-        remedy = "remove it, and its presses are repeated"
-        rows = read_table(path, remedy) if path.exists() else []
+        hint = "remove it, and its presses are repeated"
+        rows = read_table(path, hint) if path.exists() else []
         if rows and not {"sample_id", "status"} <= rows[0].keys():
-            raise BadInput(f"{path}: has no columns sample_id and status; {remedy}")
+            raise BadInput(f"{path}: has no columns sample_id and status; {hint}")
         return {row["sample_id"]: row for row in rows}
 
     def _before(self) -> dict:
@@ -161,8 +161,8 @@ def image_name(order: Order) -> str:
     return f"images/{order.sample_id}.png"
 
 
-def untouched_name(sensor: str) -> str:
-    """Path of the picture of an untouched sensor below the dataset's folder."""
+def nocontact_name(sensor: str) -> str:
+    """Path of the no-contact image of a sensor below the dataset's folder."""
     return f"nocontact/{sensor}.png"
 
 

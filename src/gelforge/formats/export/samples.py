@@ -19,7 +19,7 @@ from gelforge.records.samplefile import DatasetSample, read_samples
 from gelforge.records.table import read_table
 
 SUFFIXES = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg"}
-FRAME = "gel: origin on the crown of the untouched gel, x the short side, y the long side, z out of the gel; mm, N"
+FRAME = "gel: origin on the crown of the undeformed gel, x the short side, y the long side, z out of the gel; mm, N"
 
 
 @dataclass(frozen=True)
@@ -59,18 +59,16 @@ class Samples:
     @classmethod
     def open(cls, data: Path, dataset: Path, sensors: Path) -> "Samples":
         """Open a dataset; BadInput where it is missing, or no picture belongs to it."""
-        remedy = command_for("dataset", dataset)
+        hint = command_for("dataset", dataset)
         for name in ("samples.csv", "labels.npy", "dataset.json"):
             if not (dataset / name).exists():
-                raise BadInput(f"{dataset}: {name} is missing; make it with `{remedy}`, RES being the grid you want")
-        rows, records = read_table(dataset / "samples.csv", remedy), read_samples(dataset / "samples.csv")
+                raise BadInput(f"{dataset}: {name} is missing; make it with `{hint}`, RES being the grid you want")
+        rows, records = read_table(dataset / "samples.csv", hint), read_samples(dataset / "samples.csv")
         if not rows or not any(row.get("image") for row in rows):
-            raise BadInput(
-                f"{dataset}: holds no sample with a picture; fill the log's column `image` and run {remedy}"
-            )
+            raise BadInput(f"{dataset}: holds no sample with a picture; fill the log's column `image` and run {hint}")
         labels = map_array(dataset / "labels.npy")
         if len(labels) != len(rows):
-            raise BadInput(f"{dataset}: {len(labels)} labels for {len(rows)} samples; remove it and run {remedy}")
+            raise BadInput(f"{dataset}: {len(labels)} labels for {len(rows)} samples; remove it and run {hint}")
         return cls(data, dataset, rows, records, labels, read_json(dataset / "dataset.json"), read_json(sensors))
 
     def __len__(self) -> int:

@@ -71,8 +71,8 @@ def load_model(path: Path | str) -> ForceModel:
     """
     path = Path(path)
     refuse_other_kinds(path)
-    remedy = f"train one with `{command_for('train MODEL=…', path)}`"
-    graph, text = split_metadata(read_bytes(path, remedy, MOST_BYTES), str(path))
+    hint = f"train one with `{command_for('train MODEL=…', path)}`"
+    graph, text = split_metadata(read_bytes(path, hint, MOST_BYTES), str(path))
     try:
         metadata = json.loads(text)
     except (ValueError, RecursionError) as error:

@@ -197,7 +197,7 @@ def read_profile(path: Path) -> SensorProfile:
     words = all(isinstance(table.get(key), str) for key in ("name", "model", "network"))
     if not (found and words and _is_number(pitch) and 0 <= pitch < 1e4):
         raise BadInput(f"{path}: not a sensor's profile; {MAKE_IT}")
-    picture = read_image(_picture_of(path, table), remedy="make the profile again")
+    picture = read_image(_picture_of(path, table), hint="make the profile again")
     date = str(table.get("date", ""))
     return SensorProfile(table["name"], date, picture, float(pitch), found, table["model"], table["network"])
 

@@ -1,4 +1,4 @@
-"""What a network reads: the image, how it differs from the untouched sensor, or the pair of both.
+"""What a network reads: the image, its difference from the no-contact image, or the pair of both.
 
 A sheared gel shows in dots that moved by fractions of a pixel. From one image a network has to know where each dot
 was; beside a picture of the same sensor before it was touched the displacement lies open, also on a sensor that the
@@ -24,7 +24,7 @@ def channels(reads: str) -> int:
 
 
 def needs_nocontact(reads: str) -> bool:
-    """Whether such a network needs a picture of the untouched sensor beside each image."""
+    """Whether such a network needs a no-contact image beside each image."""
     channels(reads)
     return reads != "image"
 
@@ -50,7 +50,7 @@ def inner_part(share: float, image, grid, who: str) -> tuple[tuple[slice, slice]
 def network_input(pictures: "torch.Tensor", norm: dict) -> "torch.Tensor":
     """Input (n, 3 or 6, h, w) of a network in its own units.
 
-    :param pictures: (n, 3, h, w) images in 0..1; where `norm["reads"]` says that the untouched sensor is needed,
+    :param pictures: (n, 3, h, w) images in 0..1; where `norm["reads"]` says that the no-contact image is needed,
         (n, 6, h, w) with its picture behind the image.
     :param norm: what networks.data.scales returns.
     """

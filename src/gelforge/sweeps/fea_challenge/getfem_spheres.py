@@ -33,7 +33,7 @@ TRACTION = (
 
 
 def gel_top(path: Path):
-    """Height of the untouched top at points (x, y), from the gel's surface."""
+    """Height of the undeformed top at points (x, y), from the gel's surface."""
     content = path.read_bytes()
     count = struct.unpack("<I", content[80:84])[0]
     triangles = np.frombuffer(content[84:], [("n", "<f4", 3), ("v", "<f4", (3, 3)), ("a", "<u2")], count)
