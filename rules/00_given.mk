@@ -25,7 +25,7 @@ without = $(if $(2),$(call without,$(subst $(firstword $(2)),,$(1)),$(wordlist 2
 named = $(if $(or $(call without,$(value $(1)),$(LETTERS) $(DIGITS) _ - .),$(filter .% -%,$(value $(1))),$(filter-out 1,$(words $(value $(1))))),,yes)
 # Defaults that make works out are no text of others.
 by_hand = $(and $(filter command environment override,$(firstword $(origin $(1)))),$(value $(1)))
-$(foreach v,DATASET SENSOR MODEL FORMAT EXECUTOR,$(if $(call by_hand,$v),$(if $(call named,$v),,$(error $v=$(value $v): give one name of letters, digits, _ - and . that does not start with a dot))))
+$(foreach v,DATASET SENSOR MODEL FORMAT EXECUTOR,$(if $(call by_hand,$v),$(if $(call named,$v),,$(error $v=$(value $v): give one name of letters, digits, _ - and . that starts with another character than .))))
 
 # Given but empty, as by DATASET=$UNSET in a script, DATASET would name the folder of all results, and JOBS no limit.
 $(foreach v,DATASET MODEL JOBS,$(if $(filter-out undefined default file,$(origin $v)),$(if $(strip $(value $v)),,$(error $v is empty: give a value, or leave it out))))

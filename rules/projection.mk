@@ -1,4 +1,4 @@
-# A sensor's projection from point correspondences, or from the dots of an image without contact.
+# A sensor's projection from point correspondences, or from the markers of an image without contact.
 POINTS ?=
 IMAGE ?=
 LIKE ?= gelsight_mini

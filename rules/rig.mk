@@ -1,5 +1,5 @@
 # Source rig: the virtual bench writes data/DATASET as a plan says, resumes where it stopped, and appends when a plan grows.
-# Pictures that were removed, say to give sensors another look, are drawn again from kept surfaces without solving.
+# Pictures that were removed, for example to give sensors another appearance, are drawn again from kept surfaces without solving.
 PLAN ?= workflow/rig/demo.toml
 ifeq ($(origin REFERENCE),undefined)
 REFERENCE := $(or $(value GELFORGE_REFERENCE),../shared/reference)

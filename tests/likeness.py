@@ -1,4 +1,4 @@
-"""What can be measured in a picture of a dotted gel, real or rendered."""
+"""What can be measured in a picture of a gel with markers, real or rendered."""
 
 from dataclasses import dataclass
 
@@ -6,15 +6,15 @@ import cv2
 import numpy as np
 
 from gelforge.records.markers import MarkerGrid, find_markers
+from gelforge.virtualrig.appearance import HEIGHT, WIDTH
 from gelforge.virtualrig.lightfit import dot_free, dot_spots
-from gelforge.virtualrig.looks import HEIGHT, WIDTH
 from gelforge.virtualrig.render import unproject
 from tests.surface_values import interpolate_surface
 
 
 @dataclass(frozen=True)
 class NoContact:
-    """Facts of a picture without contact: its dots, mean colours (3,), background (240, 320, 3) and noise (3,).
+    """Facts of a picture without contact: its markers, mean colours (3,), background (240, 320, 3) and noise (3,).
 
     background: smoothed over 4 px, to be read on `free` (240, 320) only. noise: standard deviation of what
     a smoothing over 3 px takes away, grey levels.
@@ -38,7 +38,7 @@ def no_contact(image: np.ndarray, rows: int, cols: int) -> NoContact:
 
 
 def background_correlation(a: NoContact, b: NoContact) -> np.ndarray:
-    """Correlation of two smoothed backgrounds over the pixels free of dots in both, (3,)."""
+    """Correlation of two smoothed backgrounds over the pixels free of markers in both, (3,)."""
     free = a.free & b.free
     return np.array([np.corrcoef(a.background[free][:, c], b.background[free][:, c])[0, 1] for c in range(3)])
 
@@ -66,9 +66,9 @@ def _peak(profile: np.ndarray) -> float:
 
 
 def tracked_dots(before: np.ndarray, after: np.ndarray, expected: np.ndarray, start: np.ndarray, reach: float = 8.0):
-    """Displacement of dots between two pictures by their dark-weighted centres, and which could be followed.
+    """Displacement of markers between two pictures by their dark-weighted centres, and which could be followed.
 
-    start, expected: (n, 2) px, where the dots stand in `before` and roughly in `after`. Returns (n, 2) and (n,) bool.
+    start, expected: (n, 2) px, where the markers stand in `before` and roughly in `after`. Returns (n, 2) and (n,) bool.
     """
     first, second = dot_spots(before)[0], dot_spots(after)[0]
     i, near_first = _nearest(first, start)
@@ -87,19 +87,19 @@ def gel_points(camera, pixels: np.ndarray) -> np.ndarray:
     return np.stack(unproject(camera.projection, pixels[:, 0], pixels[:, 1]), axis=1)
 
 
-def dots_by_mechanics(camera, result) -> np.ndarray:
-    """Where the camera must see the centre of each printed dot, from nodal displacements alone, (n, 2) px.
+def markers_by_mechanics(camera, result) -> np.ndarray:
+    """Where the camera must see the centre of each printed marker, from nodal displacements alone, (n, 2) px.
 
-    The mean over the dot's area, because a dot's centre in a picture is that of its area.
+    The mean over the marker's area, because a marker's centre in a picture is that of its area.
     """
     radius, angle = np.array([0.2, 0.5, 0.7, 0.87, 0.96]), np.linspace(0, 2 * np.pi, 12, endpoint=False)
     ring = (
-        camera.look.diameter / 2 * radius[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        camera.appearance.diameter / 2 * radius[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     ).reshape(-1, 2)
-    pixels = (camera.look.dots[:, None] + ring[None]).reshape(-1, 2)
+    pixels = (camera.appearance.markers[:, None] + ring[None]).reshape(-1, 2)
     xy = gel_points(camera, pixels)
     moved = interpolate_surface(result.mesh, result.displacement, xy)
-    return camera.seen(xy, moved).reshape(len(camera.look.dots), -1, 2).mean(axis=1)
+    return camera.seen(xy, moved).reshape(len(camera.appearance.markers), -1, 2).mean(axis=1)
 
 
 def inside_image(pixels: np.ndarray, margin: float) -> np.ndarray:

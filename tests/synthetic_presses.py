@@ -13,7 +13,7 @@ SPLITS = ("train", "val", "test", "test_unseen_indenter", "test_unseen_sensor")
 
 
 def draw_press(rng, image, grid, strength: float = 1.0):
-    """One image (h, w, 3) uint8 and its label (3, rows, cols): a bump that shades the picture and moves its dots.
+    """One image (h, w, 3) uint8 and its label (3, rows, cols): a bump that shades the picture and moves its markers.
 
     strength: factor on its force; 0 shows no contact.
     """
@@ -32,12 +32,12 @@ def draw_press(rng, image, grid, strength: float = 1.0):
     v, u = np.meshgrid(np.arange(height), np.arange(width), indexing="ij")
     pitch, travel = height / 7, height / 60
     du, dv = (u - travel * force[0] * field) / pitch, (v - travel * force[1] * field) / pitch
-    dots = np.exp(-(((du % 1) - 0.5) ** 2 + ((dv % 1) - 0.5) ** 2) * 30)
+    markers = np.exp(-(((du % 1) - 0.5) ** 2 + ((dv % 1) - 0.5) ** 2) * 30)
     slope = np.gradient(field, axis=(0, 1))
     light = 120 + 4 * height / 10 * np.stack(
         [slope[0] * force[2], slope[1] * force[2], field * force[2] / height], -1
     )
-    picture = light * (1 - 0.8 * dots[..., None]) + rng.normal(0, 1.5, (height, width, 3))
+    picture = light * (1 - 0.8 * markers[..., None]) + rng.normal(0, 1.5, (height, width, 3))
     return np.clip(picture, 0, 255).astype(np.uint8), label.astype(np.float32)
 
 

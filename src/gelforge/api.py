@@ -10,6 +10,7 @@ import numpy as np
 
 from gelforge.errors import BadInput, GelforgeError
 from gelforge.flow.params.tables import SOFTEST, STIFFEST
+from gelforge.flow.renamed import notice
 from gelforge.geometry.gel import load_gel
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import Sensor
@@ -161,9 +162,7 @@ class Reader:
 def _nocontact(nocontact: np.ndarray | None, untouched: np.ndarray | None) -> np.ndarray | None:
     """The no-contact image under its name or its former one."""
     if untouched is not None:
-        warnings.warn(
-            "untouched= is called nocontact= now, and will be gone in the next release", DeprecationWarning, 3
-        )
+        warnings.warn(notice("untouched=", "nocontact="), DeprecationWarning, 3)
     picture = untouched if nocontact is None else nocontact
     return None if picture is None else check_image(picture)
 

@@ -18,9 +18,9 @@ from gelforge.networks.balls.balltable import ball_table
 from gelforge.networks.inference.sensorprofile import fit_gain
 from gelforge.records.image import read_image, write_png
 from gelforge.stages.ball_table import DEPTHS
+from gelforge.virtualrig.appearance import read_appearances
 from gelforge.virtualrig.bench import SETTINGS
 from gelforge.virtualrig.fields import body_of, field_of, surface_of
-from gelforge.virtualrig.looks import read_looks
 from gelforge.virtualrig.render import Pressed, Renderer
 from tests.benchmarks.figures import Figure
 
@@ -119,7 +119,10 @@ def drawn_figures(folder: Path) -> list[Figure]:
 def draw_balls(folder: Path, unit: str, diameter: float, where: Sequence[tuple[float, float, float]]) -> Path:
     """Draw presses of a ball on a virtual unit into a folder in gs_sdk's layout; where: x, y, and depth below the gel there, mm."""
     gel = Gel()
-    looks, sensors = read_looks(ROOT / "workflow/rig/sensors.toml"), load_sensors(ROOT / "workflow/sensors.toml")
+    looks, sensors = (
+        read_appearances(ROOT / "workflow/rig/sensors.toml"),
+        load_sensors(ROOT / "workflow/sensors.toml"),
+    )
     camera = Renderer(looks[unit], sensors[unit].projection, gel)
     ball = build("ball", {"kind": "sphere", "diameter": diameter, "height": diameter}, "a drawn ball")
     body, solver = body_of(ball, 0.0, 0.6, 0.0), HexSolver(SETTINGS)

@@ -18,7 +18,7 @@ from tests.benchmarks.figures import Figure
 from tests.benchmarks.ways import bare
 
 EVERY = 3  # every so manyth frame of a film is read
-RELEASED_PX = 0.6  # nine of ten dots nearer than this to where they are at rest: nothing touches
+RELEASED_PX = 0.6  # nine of ten markers nearer than this to where they are at rest: nothing touches
 HELD_PX = 1.0  # and farther than this: something does
 MOST_AT_EDGE = 0.7  # edge_peak up to which most of a contact is taken to be seen
 TRACKED = {"winSize": (21, 21), "maxLevel": 2}
@@ -32,7 +32,7 @@ def frames_of(path: Path) -> list[np.ndarray]:
 
 @dataclass(frozen=True)
 class Read:
-    """A film as read: totals (n, 3) N of both ways in the labels' channels, and the dots' motion (n, d, 2) px.
+    """A film as read: totals (n, 3) N of both ways in the labels' channels, and the markers' motion (n, d, 2) px.
 
     flagged: (n,) bool, pictures that `predict` flags. peak: (n,) largest force at the picture's edge (records.totals).
     """
@@ -45,17 +45,17 @@ class Read:
 
     @property
     def moved(self) -> np.ndarray:
-        """How far nine of ten dots have moved, (n,) px."""
+        """How far nine of ten markers have moved, (n,) px."""
         return np.nanpercentile(np.hypot(self.motion[..., 0], self.motion[..., 1]), 90, axis=1)
 
 
-def motion_of(dots: np.ndarray, rest: np.ndarray, image: np.ndarray) -> np.ndarray:
-    """How far dots (d, 2) of the picture at rest have moved in another picture, (d, 2) px; NaN where one is lost.
+def motion_of(markers: np.ndarray, rest: np.ndarray, image: np.ndarray) -> np.ndarray:
+    """How far markers (d, 2) of the picture at rest have moved in another picture, (d, 2) px; NaN where one is lost.
 
-    A dot is lost that, followed back, does not come home.
+    A marker is lost that, followed back, does not come home.
     """
     grey = [cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY) for picture in (rest, image)]
-    start = (dots - 0.5).astype(np.float32).reshape(-1, 1, 2)
+    start = (markers - 0.5).astype(np.float32).reshape(-1, 1, 2)
     found, seen, _ = cv2.calcOpticalFlowPyrLK(*grey, start, None, **TRACKED)
     home, _, _ = cv2.calcOpticalFlowPyrLK(*grey[::-1], found, None, **TRACKED)
     kept = (seen.ravel() > 0) & (np.hypot(*(home - start).reshape(-1, 2).T) < 1.0)
@@ -63,16 +63,16 @@ def motion_of(dots: np.ndarray, rest: np.ndarray, image: np.ndarray) -> np.ndarr
 
 
 def read_film(path: Path, model: ForceModel) -> Read:
-    """Read every third frame of a film in both ways, and follow its dots."""
+    """Read every third frame of a film in both ways, and follow its markers."""
     images = frames_of(path)
     rest, _ = find_nocontact(numbered(images), str(path))
-    dots, as_it_is, predictor = find_blobs(rest)[0], bare(model, images[0]), Predictor(model, rest)
+    markers, as_it_is, predictor = find_blobs(rest)[0], bare(model, images[0]), Predictor(model, rest)
     chosen = images[SETTLING::EVERY]  # while a camera sets its exposure nothing is known
     found = [predictor.predict(image) for image in chosen]
     return Read(
         used=np.array([one.total for one in found]),
         bare=np.array([as_it_is(image).sum((1, 2)) for image in chosen]),
-        motion=np.array([motion_of(dots, rest, image) for image in chosen]),
+        motion=np.array([motion_of(markers, rest, image) for image in chosen]),
         flagged=np.array([one.flag for one in found]),
         peak=np.array([one.edge_peak for one in found]),
     )
@@ -157,7 +157,7 @@ def finger_figures(films: dict[str, Read]) -> list[Figure]:
 
 
 def sideways_figures(films: dict[str, Read]) -> list[Figure]:
-    """Sideways force against the mean motion of the dots: likeness over all films, angle film by film."""
+    """Sideways force against the mean motion of the markers: likeness over all films, angle film by film."""
     found = {}
     for way in ("used", "bare"):
         moved, pulled, angles = [], [], []
@@ -178,7 +178,7 @@ def sideways_figures(films: dict[str, Read]) -> list[Figure]:
     told = f"{found['used'][2]} films; bare {found['bare'][0]:.3f} and {found['bare'][1]:.1f} degrees"
     return [
         Figure(
-            "sideways force against dots, correlation, lesser of two axes", found["used"][0], ">=", 0.98, "", told
+            "sideways force against markers, correlation, lesser of two axes", found["used"][0], ">=", 0.98, "", told
         ),
-        Figure("sideways force against dots, angle, median", found["used"][1], "<=", 5.0, "degrees"),
+        Figure("sideways force against markers, angle, median", found["used"][1], "<=", 5.0, "degrees"),
     ]

@@ -320,7 +320,7 @@ def outline_px(pressure, image) -> np.ndarray:
 
 
 def reference_markers(reference: Path) -> list[Figure]:
-    """The dots of both real images."""
+    """The markers of both real images."""
     import cv2
 
     quiet = read_npy(reference / "feats/images/nocontact_train_sensor.npy")["gs_img"]
@@ -330,9 +330,9 @@ def reference_markers(reference: Path) -> list[Figure]:
     pitch = " x ".join(f"{p:.2f}" for p in grid.pitch)
     note = f"{pitch} px, turned {grid.rotation:.2f} degrees, centre {grid.centre.round(1)}"
     return [
-        Figure("dots in the image without contact", grid.count, "==", 63, "", note),
+        Figure("markers in the image without contact", grid.count, "==", 63, "", note),
         Figure("pitch against 32.9 x 31.4 px", float(off.max()), "<=", 0.3, "px", note),
-        Figure("dots in the pressed image", other.count, "==", 63, "", "the indented cuboid does not hide any"),
+        Figure("markers in the pressed image", other.count, "==", 63, "", "the indented cuboid does not hide any"),
     ]
 
 

@@ -32,10 +32,10 @@ from tests.benchmarks.figures import PUBLISHED_DATA, Figure, publish_figures
 from tests.published import compare_indenter, step_file
 
 REFERENCE_UNIT = "mini_a"
-# The real cuboid's log is not published: its depth is; the sideways path is read off its dots (3 px in u).
+# The real cuboid's log is not published: its depth is; the sideways path is read off its markers (3 px in u).
 CUBOID = Order(0, "cuboid", "", REFERENCE_UNIT, "cuboid_10", 0.0, 0.0, 2.284, (0.0, -0.25), 0.0, 1e9)
 PARTS = ("presses", "likeness", "cuboid", "indenters", "repetition")
-MOVED_PX = 2.0  # misprints of real dots are 1 px; a dot that stands off the grid by more than this was moved
+MOVED_PX = 2.0  # misprints of real markers are 1 px; a marker that stands off the grid by more than this was moved
 
 
 @dataclass
@@ -50,9 +50,9 @@ class Rig:
     @classmethod
     def of(cls, plan_path, workflow: Path) -> "Rig":
         plan = read_plan(plan_path)
-        gel, (looks, sensors) = Gel(), units_of(plan, workflow)
+        gel, (appearances, sensors) = Gel(), units_of(plan, workflow)
         names = dict.fromkeys([REFERENCE_UNIT, *plan.sensors])
-        cameras = {name: Renderer(looks[name], sensors[name].projection, gel) for name in names}
+        cameras = {name: Renderer(appearances[name], sensors[name].projection, gel) for name in names}
         kept = tempfile.TemporaryDirectory(prefix="factors-")
         bench = Bench(plan, load_catalogue(workflow / plan.catalogue), gel, Path(kept.name))
         return cls(plan, bench, cameras, kept)
@@ -119,9 +119,9 @@ def likeness(rig: Rig, reference: Path) -> list[Figure]:
     pitch, diameter = np.abs(ours.grid.pitch - real.grid.pitch), abs(ours.grid.diameter - real.grid.diameter)
     noise = ours.noise / real.noise
     return [
-        Figure("dots found", ours.grid.count, "==", 63, "", f"{note}: {real.grid.count} in the real one"),
-        Figure("dot pitch, difference", pitch.max(), "<=", 0.5, "px", note),
-        Figure("dot diameter, difference", diameter, "<=", 1.0, "px", f"{note}: {real.grid.diameter:.2f} px"),
+        Figure("markers found", ours.grid.count, "==", 63, "", f"{note}: {real.grid.count} in the real one"),
+        Figure("marker pitch, difference", pitch.max(), "<=", 0.5, "px", note),
+        Figure("marker diameter, difference", diameter, "<=", 1.0, "px", f"{note}: {real.grid.diameter:.2f} px"),
         Figure(
             "mean colour, largest difference", np.abs(ours.colour - real.colour).max(), "<=", 8.0, "grey levels", note
         ),
@@ -167,12 +167,12 @@ def cuboid(rig: Rig, reference: Path) -> list[Figure]:
     motion, ours = dot_motions(*pictures)
     moved = np.linalg.norm(motion, axis=1) > MOVED_PX
     cosine, uneven = cosines(motion, ours), cosines(without_even_part(motion), without_even_part(ours))
-    there = f"of {moved.sum()} dots that moved over {MOVED_PX:g} px in the real picture; "
+    there = f"of {moved.sum()} markers that moved over {MOVED_PX:g} px in the real picture; "
     deep = f"{-pressing.log.dz:.2f} mm by the log, {-pressing.real.dz:.2f} mm into the gel"
     return [
         Figure("cuboid outline, largest distance of a side", off.max(), "<=", 3.0, "px",
                f"steepest line of each flank against the corners at this unit's scale, less the sideways path; {deep}"),
-        Figure("cuboid dots displaced in the same direction", (cosine[moved] > 0.5).mean(), ">=", 0.9, "share",
+        Figure("cuboid markers displaced in the same direction", (cosine[moved] > 0.5).mean(), ">=", 0.9, "share",
                f"within 60 degrees, {there}mean cosine {cosine[moved].mean():.2f}, correlation "
                f"{np.corrcoef(motion.ravel(), ours.ravel())[0, 1]:.2f}; less the even stretch, which the print of "
                f"that unit may share: {(uneven > 0.5).mean():.2f}"),
@@ -180,7 +180,7 @@ def cuboid(rig: Rig, reference: Path) -> list[Figure]:
 
 
 def dot_motions(real_before, before, real_after, after) -> tuple[np.ndarray, np.ndarray]:
-    """How far each dot (63, 2) px moved in the real picture and in ours, less the mean motion of all.
+    """How far each marker (63, 2) px moved in the real picture and in ours, less the mean motion of all.
 
     The unit of the real cuboid was not photographed without contact, so another unit of the same print stands in.
     Gels sit a few px apart in their holders, which the mean takes away; a print that is a little larger would
@@ -191,7 +191,7 @@ def dot_motions(real_before, before, real_after, after) -> tuple[np.ndarray, np.
 
 
 def without_even_part(motion: np.ndarray) -> np.ndarray:
-    """Motion (63, 2) of the dots less the affine map of the grid that fits it best."""
+    """Motion (63, 2) of the markers less the affine map of the grid that fits it best."""
     row, col = np.divmod(np.arange(len(motion)), 9)
     design = np.column_stack([np.ones(len(motion)), col, row])
     return motion - design @ np.linalg.lstsq(design, motion, rcond=None)[0]
@@ -203,41 +203,41 @@ def cosines(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _all_dots(image: np.ndarray) -> np.ndarray:
-    """Place (63, 2) px of every dot, row by row."""
+    """Place (63, 2) px of every marker, row by row."""
     grid = find_markers(image, 7, 9)
     if grid.count != 63:
-        raise BadInput(f"{grid.count} of 63 dots found in a picture of the pressed cuboid; look at make rig-check")
+        raise BadInput(f"{grid.count} of 63 markers found in a picture of the pressed cuboid; look at make rig-check")
     return grid.points
 
 
 def tracking(rig: Rig, pressings: list[Pressing]) -> list[Figure]:
-    """Dots followed between a no-contact and a pressed picture against nodal displacements.
+    """Markers followed between a no-contact and a pressed picture against nodal displacements.
 
-    The lights show no slopes here: a flank across a dot pulls its dark-weighted centre, though the dot is in place.
+    The lights show no slopes here: a flank across a marker pulls its dark-weighted centre, though the marker is in place.
     """
     plain = {
-        name: Renderer(replace(camera.look, slope_gain=np.zeros(3)), camera.projection, camera.gel)
+        name: Renderer(replace(camera.appearance, slope_gain=np.zeros(3)), camera.projection, camera.gel)
         for name, camera in rig.cameras.items()
     }
     error, moved = tracking_errors(rig, plain, pressings)
     lit, _ = tracking_errors(rig, rig.cameras, pressings)
-    note = f"{len(error)} dots in {len(pressings)} pairs that moved up to {moved:.1f} px, lit without slopes; "
+    note = f"{len(error)} markers in {len(pressings)} pairs that moved up to {moved:.1f} px, lit without slopes; "
     note += f"median {np.median(error):.3f}, 95 % below {np.quantile(error, 0.95):.3f}, largest {error.max():.2f}; "
     note += f"in full light, where flanks mislead the tracker, {np.sqrt((lit**2).mean()):.2f}"
     rms = float(np.sqrt((error**2).mean()))
-    return [Figure("dots tracked against finite elements, root mean square", rms, "<=", 0.15, "px", note)]
+    return [Figure("markers tracked against finite elements, root mean square", rms, "<=", 0.15, "px", note)]
 
 
 def tracking_errors(rig: Rig, cameras: dict[str, Renderer], pressings: list[Pressing]) -> tuple[np.ndarray, float]:
-    """Distance (n,) px of each dot tracked in a pair of pictures from where nodes put it, and the largest motion."""
+    """Distance (n,) px of each marker tracked in a pair of pictures from where nodes put it, and the largest motion."""
     errors, moved = [], 0.0
     for pressing in pressings:
         camera, index = cameras[pressing.order.sensor], pressing.order.index
-        start, expected = camera.look.dots, measure.dots_by_mechanics(camera, pressing.result)
+        start, expected = camera.appearance.markers, measure.markers_by_mechanics(camera, pressing.result)
         before = camera.image(rng=generator(rig.plan, index, streams.camera(1, 0)))
         after = camera.image(*rig.view(pressing), generator(rig.plan, index, streams.camera(0, 0)))
         motion, followed = measure.tracked_dots(before, after, expected, start)
-        whole = camera.look.diameter
+        whole = camera.appearance.diameter
         followed &= measure.inside_image(start, whole) & measure.inside_image(expected, whole)
         errors.append(np.linalg.norm(motion - (expected - start), axis=1)[followed])
         moved = max(moved, float(np.linalg.norm(expected - start, axis=1).max()))

@@ -30,10 +30,10 @@ DIFFERENCES = (
     "are smooth bands of the same strength, 10 px wider, because a brick of its mesh is 10 px.",
     "Print lines: real ones break, merge and carry wrinkles between them, and blue and red part more; the rig's are "
     "even, half as strong on the reference unit.",
-    "Dots: real ones differ more in shape from one to the next and some are half worn; dots at a flank are narrowed "
+    "Markers: real ones differ more in shape from one to the next and some are half worn; markers at a flank are narrowed "
     "in both.",
-    "Gel: real ones carry scratches, hairs and specks beside the dots; the rig's are clean.",
-    "Far from the punch the rig's dots move outwards by up to 8 px; how much of the real dots' motion is that, and "
+    "Gel: real ones carry scratches, hairs and specks beside the markers; the rig's are clean.",
+    "Far from the punch the rig's markers move outwards by up to 8 px; how much of the real markers' motion is that, and "
     "how much a print a few percent larger, cannot be told without a picture of that unit before contact.",
 )
 
@@ -65,7 +65,7 @@ def beside_real(rig: Rig, reference: Path) -> list[Section]:
         f"after the frame gave way, {-pressing.force[2]:.0f} N.",
     )
     videos = Section("Two other real sensors").text(
-        "Objects in the videos are not the rig's indenters; light, dots and the look of edges and texture compare."
+        "Objects in the videos are not the rig's indenters; light, markers and the appearance of edges and texture compare."
     )
     for number, (name, (sensor, indenter, depth, path)) in enumerate(VIDEOS.items()):
         seen = frames_of(reference / "slip_videos" / f"{name}.avi")

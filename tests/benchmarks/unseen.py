@@ -72,10 +72,10 @@ class Units:
 def press_units(plan_path: Path, count: int) -> Units:
     """Press `count` times, and let each unseen unit of the plan look at every press."""
     plan = read_plan(plan_path)
-    looks, sensors = units_of(plan, plan_path.parents[1])
+    appearances, sensors = units_of(plan, plan_path.parents[1])
     names = plan.held_out_sensors
     gel = Gel()
-    cameras = {name: Renderer(looks[name], sensors[name].projection, gel) for name in names}
+    cameras = {name: Renderer(appearances[name], sensors[name].projection, gel) for name in names}
     nocontact = {
         name: camera.image(rng=np.random.default_rng([7, k])) for k, (name, camera) in enumerate(cameras.items())
     }
@@ -197,7 +197,7 @@ def drift_figure(units: Units, readers: dict[str, Predictor]) -> Figure:
     worst = {}
     for k, (name, camera) in enumerate(units.cameras.items()):
         rng, found = np.random.default_rng([9, k]), []
-        still = Renderer(replace(camera.look, drift=None), camera.projection, camera.gel)
+        still = Renderer(replace(camera.appearance, drift=None), camera.projection, camera.gel)
         rest = still.image(rng=rng)
         one = Predictor(readers[name].model, rest)
         phase, period = rng.uniform(0, 2 * np.pi, (2, 3)), rng.uniform(60, 400, (2, 3))

@@ -13,9 +13,9 @@ from gelforge.geometry.indenters import build
 from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.scene import Press
 from gelforge.records.geometryfile import STEP as SLOPE_STEP
+from gelforge.virtualrig.appearance import TERMS, Appearance, read_appearances
 from gelforge.virtualrig.fields import STEP, body_of, unloaded
 from gelforge.virtualrig.lightfit import dot_spots
-from gelforge.virtualrig.looks import TERMS, Look, read_looks
 from gelforge.virtualrig.render import RIPPLE_MM, Pressed, Renderer
 from gelforge.virtualrig.rigplan import kind_of, orders, read_plan
 from tests.conftest import ROOT
@@ -27,8 +27,11 @@ UNITS = ("mini_a", "mini_b", "mini_c", "mini_d", "mini_e")
 
 @cache
 def camera(name: str) -> Renderer:
-    sensors, looks = load_sensors(ROOT / "workflow" / "sensors.toml"), read_looks(ROOT / "workflow/rig/sensors.toml")
-    return Renderer(looks[name], sensors[name].projection, Gel())
+    sensors, appearances = (
+        load_sensors(ROOT / "workflow" / "sensors.toml"),
+        read_appearances(ROOT / "workflow/rig/sensors.toml"),
+    )
+    return Renderer(appearances[name], sensors[name].projection, Gel())
 
 
 @given(short=st.integers(1, 60), more=st.integers(0, 60))
@@ -72,26 +75,28 @@ def linear_field(shift, stretch, turn_deg):
 def test_dots_go_where_the_gel_goes(name, shift, stretch, turn):
     eye = camera(name)
     field, moves = linear_field(np.array(shift), stretch, turn)
-    points = gel_points(eye, eye.look.dots)
+    points = gel_points(eye, eye.appearance.markers)
     expected = eye.seen(points, np.column_stack([moves(points), np.zeros(len(points))]))
     before, after = dot_spots(eye.image())[0], dot_spots(eye.image(field))[0]
-    seen = inside_image(expected, 1.5 * eye.look.diameter) & inside_image(eye.look.dots, 1.5 * eye.look.diameter)
+    seen = inside_image(expected, 1.5 * eye.appearance.diameter) & inside_image(
+        eye.appearance.markers, 1.5 * eye.appearance.diameter
+    )
     off = []
-    for dot, there in zip(eye.look.dots[seen], expected[seen], strict=True):
-        a = before[np.linalg.norm(before - dot, axis=1).argmin()]
+    for marker, there in zip(eye.appearance.markers[seen], expected[seen], strict=True):
+        a = before[np.linalg.norm(before - marker, axis=1).argmin()]
         b = after[np.linalg.norm(after - there, axis=1).argmin()]
-        off.append(np.linalg.norm((b - a) - (there - dot)))
-    # pictures are free of noise here; what is left are 8 bit, and of a single dot its ragged rim, its flecks and its shadow
-    assert np.median(off) < 0.1 and max(off) < eye.look.diameter / 20
+        off.append(np.linalg.norm((b - a) - (there - marker)))
+    # pictures are free of noise here; what is left are 8 bit, and of a single marker its ragged rim, its flecks and its shadow
+    assert np.median(off) < 0.1 and max(off) < eye.appearance.diameter / 20
 
 
-def clean_look(name: str, dots: np.ndarray) -> Look:
-    """A unit's camera under even light, with round dots that have neither flecks nor shadows."""
+def clean_appearance(name: str, markers: np.ndarray) -> Appearance:
+    """A unit's camera under even light, with round markers that have neither flecks nor shadows."""
     even = np.zeros((len(TERMS), 3))
     even[0] = 240.0
-    look = read_looks(ROOT / "workflow/rig/sensors.toml")[name]
+    appearance = read_appearances(ROOT / "workflow/rig/sensors.toml")[name]
     return replace(
-        look, dots=dots, background=even, tilt=np.zeros((3, 2)), white_balance=np.ones(3), gain=1.0, vignette=0.0,
+        appearance, markers=markers, background=even, tilt=np.zeros((3, 2)), white_balance=np.ones(3), gain=1.0, vignette=0.0,
         raggedness=0.0, flecks=np.zeros(3), shadow_depth=0.0,
     )  # fmt: skip
 
@@ -101,7 +106,7 @@ def clean_look(name: str, dots: np.ndarray) -> Look:
 def test_a_dot_stands_where_labels_have_its_point_of_the_gel(name, shift):
     sensor = load_sensors(ROOT / "workflow/sensors.toml")[name]
     gel = np.array([[-4.3, -6.2], [-1.1, 0.4], [3.7, 5.1], [4.2, -4.0]])
-    eye = Renderer(clean_look(name, sensor.project(gel)), sensor.projection, Gel())
+    eye = Renderer(clean_appearance(name, sensor.project(gel)), sensor.projection, Gel())
     field = unloaded(Gel())
     field.values[..., :2] = shift
     scale = float(
@@ -111,7 +116,7 @@ def test_a_dot_stands_where_labels_have_its_point_of_the_gel(name, shift):
     for image, places in ((eye.image(), sensor.project(gel)), (eye.image(field), sensor.project(gel + shift))):
         darkness = np.clip(np.median(image) - image.mean(axis=2), 0.0, None)
         for at in places:
-            ink = darkness * (np.hypot(u - at[0], v - at[1]) < eye.look.diameter)
+            ink = darkness * (np.hypot(u - at[0], v - at[1]) < eye.appearance.diameter)
             centroid = np.array([(ink * u).sum(), (ink * v).sum()]) / ink.sum()
             # a press is followed to 0.0014 mm of the gel by nine rounds of a fixed point iteration, which a sensor that
             # magnifies shows larger, and 8 bits leave 0.005 px
@@ -135,7 +140,7 @@ def test_what_is_pressed_looks_larger(depth):
     flat = eye.seen(points, np.zeros((2, 3)))
     near = eye.seen(points, np.array([[0.0, 0.0, -depth]] * 2))
     larger = np.linalg.norm(near[1] - near[0]) / np.linalg.norm(flat[1] - flat[0])
-    assert np.isclose(larger, eye.look.camera_mm / (eye.look.camera_mm - depth))
+    assert np.isclose(larger, eye.appearance.camera_mm / (eye.appearance.camera_mm - depth))
 
 
 @given(

@@ -86,9 +86,11 @@ def test_a_misplaced_nocontact_image_leaves_the_image_alone():
     assert np.array_equal(moved[..., :3], pairs[..., :3])
     assert all((one != other).any() for one, other in zip(moved[..., 3:], pairs[..., 3:], strict=True))
     aside = replace(still, misplaced_share=1.0, misplaced_px=2.0, misplaced_deg=0.0, misplaced_zoom=0.0)
-    dot = np.zeros((40, 24, 32, 6), np.uint8)
-    dot[:, 12, 16] = 255
-    moved = misplace_nocontact(dot, np.zeros(40, bool), aside, torch.Generator().manual_seed(1))[..., 3].astype(float)
+    spot = np.zeros((40, 24, 32, 6), np.uint8)
+    spot[:, 12, 16] = 255
+    moved = misplace_nocontact(spot, np.zeros(40, bool), aside, torch.Generator().manual_seed(1))[..., 3].astype(
+        float
+    )
     v, u = np.mgrid[:24, :32]
     places = np.array([[(w * u).sum() / w.sum(), (w * v).sum() / w.sum()] for w in moved]) - [16, 12]
     assert np.abs(places).max() <= 2.01 and np.ptp(places, axis=0).min() > 3.0

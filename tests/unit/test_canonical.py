@@ -20,7 +20,7 @@ SIZE = (240, 320)
 
 
 def gel(seed: int) -> np.ndarray:
-    """A picture with coloured light from three sides and dark dots, (240, 320, 3) uint8."""
+    """A picture with coloured light from three sides and dark spots, (240, 320, 3) uint8."""
     rng = np.random.default_rng(seed)
     y, x = np.mgrid[-1 : 1 : SIZE[0] * 1j, -1 : 1 : SIZE[1] * 1j]
     lamps = rng.uniform(-0.3, 0.3, (3, 2))
@@ -170,7 +170,7 @@ def test_light_is_found_in_what_a_narrow_view_shows(seed, gain, offset):
 
 
 def test_specks_are_no_print():
-    """Dust on a gel without dots says nothing of the camera's scale."""
+    """Dust on a gel without markers says nothing of the camera's scale."""
     rng = np.random.default_rng(4)
     picture = np.full((*SIZE, 3), 130, np.uint8)
     for u, v in zip(rng.uniform(10, 310, 25), rng.uniform(10, 230, 25), strict=True):

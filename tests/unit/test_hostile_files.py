@@ -454,7 +454,7 @@ HOSTILE = {
     "a limit beyond all numbers": about(statistics__largest_uneven=float("inf")),
     "a limit of four hundred digits": about(statistics__largest_uneven=10**400),
     "intervals that are null": about(intervals=None),
-    "distances of dots that are null": about(pitch_px=None),
+    "distances of markers that are null": about(pitch_px=None),
     "a name that is a list": about(name=["x"]),
     "another format": about(format=99),
 }

@@ -45,14 +45,14 @@ def presses(root, rest):
     return [match_light(picture, rest).undo(picture) for picture in pictures]
 
 
-def motion_of(dots, image):
-    return dots.on_lattice(dots.track(image))
+def motion_of(markers, image):
+    return markers.on_lattice(markers.track(image))
 
 
 def test_dots_at_rest_have_not_moved(rest):
-    dots = MarkerTracker(rest)
-    motion = motion_of(dots, rest)
-    assert dots.known and motion[2].sum() == (dots.at[:, 0] >= 0).sum() >= 60
+    markers = MarkerTracker(rest)
+    motion = motion_of(markers, rest)
+    assert markers.known and motion[2].sum() == (markers.at[:, 0] >= 0).sum() >= 60
     assert np.abs(motion[:2]).max() < 1e-3
 
 
@@ -66,21 +66,21 @@ def test_all_dots_of_a_moved_picture_have_moved_as_it_did(rest, u, v):
 
 
 def test_a_covered_dot_is_not_seen_and_the_others_stay(rest):
-    dots = MarkerTracker(rest)
-    covered, (u, v) = rest.copy(), dots.points[len(dots.points) // 2].astype(int)
+    markers = MarkerTracker(rest)
+    covered, (u, v) = rest.copy(), markers.points[len(markers.points) // 2].astype(int)
     covered[v - 14 : v + 14, u - 14 : u + 14] = np.random.default_rng(0).integers(0, 255, (28, 28, 3))
-    motion = motion_of(dots, covered)
-    row, col = dots.at[len(dots.points) // 2]
+    motion = motion_of(markers, covered)
+    row, col = markers.at[len(markers.points) // 2]
     assert motion[2, row, col] == 0
-    assert (motion[2] > 0).sum() >= len(dots.points) - 3
+    assert (motion[2] > 0).sum() >= len(markers.points) - 3
 
 
 def test_light_moves_no_dot(rest, presses):
     """A picture at eight tenths of its light, brought back to that of the no-contact image, shows the same motion."""
-    dots = MarkerTracker(rest)
+    markers = MarkerTracker(rest)
     for picture in presses:
         dark = np.rint(picture * 0.8).astype(np.uint8)
-        motion, again = motion_of(dots, picture), motion_of(dots, match_light(dark, rest).undo(dark))
+        motion, again = motion_of(markers, picture), motion_of(markers, match_light(dark, rest).undo(dark))
         both = (motion[2] > 0) & (again[2] > 0)
         assert both.sum() > 0.9 * motion[2].sum()
         assert np.abs(motion[:2] - again[:2])[:, both].mean() < 0.05
@@ -88,20 +88,20 @@ def test_light_moves_no_dot(rest, presses):
 
 @pytest.mark.parametrize("picture", [np.zeros((240, 320, 3), np.uint8), np.full((240, 320, 3), 130, np.uint8)])
 def test_a_gel_without_print_has_no_dots(picture):
-    dots = MarkerTracker(picture)
-    assert not dots.known and not motion_of(dots, picture).any()
+    markers = MarkerTracker(picture)
+    assert not markers.known and not motion_of(markers, picture).any()
 
 
 def test_dots_that_are_found_close_at_home_are_found_in_the_pyramid(rest, presses):
     """On presses: what is looked for near where it should be is what the whole way back finds."""
-    dots = MarkerTracker(rest)
-    start = dots.points.astype(np.float32)[:, None]
+    markers = MarkerTracker(rest)
+    start = markers.points.astype(np.float32)[:, None]
     for image in [rest, *presses, moved(rest, (4.0, -3.0))]:
-        before, after = dots.grey, cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+        before, after = markers.grey, cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
         there, seen, _ = cv2.calcOpticalFlowPyrLK(before, after, start, None, **FAR)
         back, _, _ = cv2.calcOpticalFlowPyrLK(after, before, there, None, **FAR)
         wanted = (seen[:, 0] > 0) & (np.hypot(*(back - start)[:, 0].T) < HOME)
-        tracks = dots.track(image)
+        tracks = markers.track(image)
         np.testing.assert_array_equal(tracks.found, wanted)
         np.testing.assert_array_equal(tracks.motion[wanted], (there - start)[wanted, 0])
 
@@ -183,7 +183,7 @@ def test_a_contact_that_the_picture_cuts_goes_on_beyond_it(zoom, side):
 
 @pytest.fixture(scope="module")
 def seen(rest, presses, tmp_path_factory):
-    """A few pictures that have dots, all of one sensor."""
+    """A few pictures that have markers, all of one sensor."""
     data = open_data(write_dataset(tmp_path_factory.mktemp("dataset") / "24x32", 40, rest.shape[:2], (24, 32)))
     pictures = np.stack([presses[k % len(presses)] for k in range(len(data.images))])
     return replace(data, images=pictures, nocontact=dict.fromkeys(data.nocontact, rest))

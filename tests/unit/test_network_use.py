@@ -263,7 +263,7 @@ def read_frames(path) -> list[np.ndarray]:
 
 def test_dots_of_real_sensors_are_counted(reference):
     image = cv2.imread(str(reference / "feats" / "images" / "cuboid_10-2-284.png"))
-    # 7 x 9 dots, two of which lie at the rim.
+    # 7 x 9 markers, two of which lie at the rim.
     assert ood.count_markers(ood.grey_of(cv2.split(image)))[0] == pytest.approx(63, abs=4)
     assert ood.count_markers(ood.grey_of(cv2.split(cv2.medianBlur(image, 61))))[0] <= 3
 
@@ -280,7 +280,7 @@ def test_score_tells_real_sensors_apart(reference):
     feats = cv2.cvtColor(cv2.imread(str(reference / "feats" / "images" / "cuboid_10-2-284.png")), cv2.COLOR_BGR2RGB)
     unlike = {
         "black": np.zeros_like(image),
-        "no dots": cv2.medianBlur(image, 61),
+        "no markers": cv2.medianBlur(image, 61),
         "red and blue swapped": image[..., ::-1],
         "other sensor": videos["cheese_tube_camera_2"][0],
         "FEATS' sensor": feats,

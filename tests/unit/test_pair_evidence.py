@@ -156,15 +156,15 @@ def test_a_picture_without_dots_has_no_rim_to_look_at():
     assert relief(grey) < 1.0 and MARGIN > 1.0
 
 
-# Of 40 dots of a view without rim: px that the first ten and the others moved, how many look otherwise, and what is told.
+# Of 40 markers of a view without rim: px that the first ten and the others moved, how many look otherwise, and what is told.
 RIMLESS = {
     "a gel at rest": (0.1, 0.2, 0, ""),
-    "a press that shades dots": (0.7, 18.0, 18, ""),
+    "a press that shades markers": (0.7, 18.0, 18, ""),
     "a drag": (3.0, 8.0, 4, ""),
     "a gel that sits otherwise": (3.0, 3.2, 0, "all its markers moved"),
     "another gel": (3.0, 8.0, 16, "all its markers moved"),
-    "another gel whose dots were taken for others": (0.3, 8.0, 24, "60% of its markers do not look"),
-    "no dot that is found again": (np.nan, np.nan, 40, "100% of its markers do not look"),
+    "another gel whose markers were taken for others": (0.3, 8.0, 24, "60% of its markers do not look"),
+    "no marker that is found again": (np.nan, np.nan, 40, "100% of its markers do not look"),
 }
 
 
@@ -184,7 +184,7 @@ def test_a_picture_without_dots_tells_nothing_of_another_gel():
 
 @given(st.tuples(*[st.floats(-5, 5)] * 4), st.floats(0, 0.3), st.integers(0, 99))
 def test_what_moves_all_dots_alike_is_not_uneven(parts, lost, seed):
-    """Whatever the shift, turn and zoom, and whichever dots are lost; dots of another print are told from them."""
+    """Whatever the shift, turn and zoom, and whichever markers are lost; markers of another print are told from them."""
     rng = np.random.default_rng(seed)
     right, down, turn, zoom = (part * unit for part, unit in zip(parts, (1, 1, 0.01, 0.01)))
     v, u = 32.0 * np.mgrid[:ROWS, :COLS] - 32.0 * np.array([ROWS // 2, COLS // 2])[:, None, None]

@@ -1,4 +1,4 @@
-"""Sensors and their projection: fits, refusals with a reason, and the dots of real and drawn images."""
+"""Sensors and their projection: fits, refusals with a reason, and the markers of real and drawn images."""
 
 import cv2
 import numpy as np
@@ -132,7 +132,7 @@ def test_the_projects_sensors_are_usable(root):
 
 
 def test_gels_of_all_sensors_are_printed_alike(root):
-    """A scale that is wrong shows: dots stand 2.0 mm apart on real gels. FEATS' own placement has them farther apart."""
+    """A scale that is wrong shows: markers stand 2.0 mm apart on real gels. FEATS' own placement has them farther apart."""
     apart = {}
     every = load_sensors(root / "workflow/sensors.toml")
     for name, sensor in every.items():
@@ -219,7 +219,7 @@ def test_the_dots_of_the_pressed_reference_image(reference):
 
 
 def draw_dots(pitch, turn_deg, centre, rows=7, cols=9, missing=(), specks=(), seed=0):
-    """Image (240, 320, 3) of dark soft dots on uneven coloured light, and their true places by index."""
+    """Image (240, 320, 3) of dark soft spots on uneven coloured light, and their true places by index."""
     rng = np.random.default_rng(seed)
     v, u = np.mgrid[:240, :320] + 0.5
     light = np.stack([90 + 0.15 * u, 120 - 0.2 * v + 0.1 * u, 80 + 0.2 * v], axis=-1)
@@ -251,7 +251,7 @@ def test_drawn_dots_are_found(pitch, turn, centre, missing, specks):
     assert {tuple(i) for i in found.missing.tolist()} == set(missing)
     true = {tuple(i): p for i, p in zip(index.tolist(), places, strict=True)}
     off = [np.hypot(*(p - true[tuple(i)])) for i, p in zip(found.index.tolist(), found.points, strict=True)]
-    assert max(off) < 0.5  # a tenth of the dots' radius, under noise and uneven light
+    assert max(off) < 0.5  # a tenth of the markers' radius, under noise and uneven light
     assert found.pitch == pytest.approx(pitch, abs=0.1) and found.rotation == pytest.approx(turn, abs=0.2)
     assert found.centre == pytest.approx(centre, abs=0.3)
 
@@ -273,7 +273,7 @@ def test_images_without_a_grid_are_refused(image):
 
 
 def test_a_unit_is_calibrated_from_one_image(root):
-    """A unit shifted, turned and scaled against the reference is found to a fraction of a pixel from its dots."""
+    """A unit shifted, turned and scaled against the reference is found to a fraction of a pixel from its markers."""
     sensors = load_sensors(root / "workflow/sensors.toml")
     like = sensors["gelsight_mini"]
     angle, scale = np.deg2rad(1.5), 1.03
@@ -290,10 +290,10 @@ def test_a_unit_is_calibrated_from_one_image(root):
 
 
 def test_a_picture_that_shows_a_part_of_the_dots_does_not_tell_which(root):
-    """As of a driver that crops the border: the first dot in it is not the print's first."""
+    """As of a driver that crops the border: the first marker in it is not the print's first."""
     like = load_sensors(root / "workflow/sensors.toml")["gelsight_mini"]
     image, _, _ = draw_dots(1.4 * np.array(like.markers["pitch_px"]), 0.0, (160, 120))
-    with pytest.raises(BadInput, match=r"its dots span \d x \d of the 7 x 9.*POINTS=points.csv"):
+    with pytest.raises(BadInput, match=r"its markers span \d x \d of the 7 x 9.*POINTS=points.csv"):
         projection.fit_projection("new", like, image=image)
     on_gel = np.array([[-8.0, -9], [8, -9], [8, 9], [-8, 9], [0, 0]])
     found = projection.fit_projection("new", like, (on_gel, transform(like.projection, on_gel)), image)

@@ -15,8 +15,8 @@ from gelforge.geometry.indenters import build, load_catalogue, load_indenters, r
 from gelforge.stages import rig
 from gelforge.stages.rig import by_press, check, run
 from gelforge.virtualrig import streams
+from gelforge.virtualrig.appearance import read_appearances
 from gelforge.virtualrig.bench import load_cell_error
-from gelforge.virtualrig.looks import read_looks
 from gelforge.virtualrig.rigplan import generator, kind_of, orders, read_plan
 from gelforge.virtualrig.writer import Dataset, describe, image_name, surface_name
 from tests.conftest import ROOT
@@ -43,7 +43,7 @@ def changed(tmp_path, *changes) -> Path:
     [
         ('"cylinder_8"', '"cylinder_88"', "unknown indenter cylinder_88"),
         ('sensors = ["mini_e"]', 'sensors = ["mini_z"]', "unknown sensor mini_z"),
-        ('sensors = ["mini_e"]', 'sensors = ["gelsight_mini"]', "unknown sensor's look gelsight_mini"),
+        ('sensors = ["mini_e"]', 'sensors = ["gelsight_mini"]', "unknown sensor's appearance gelsight_mini"),
         ("x_mm = [-2.5, 2.5]", "x_mm = [-2.5, 9.0]", "the tip must stay within"),
         ("y_mm = [-4.0, 4.0]", "y_mm = [4.0, -4.0]", "runs backwards"),
         ("depth_mm = [0.3, 1.5]", "depth_mm = [0.3, 4.5]", "the gel is 4.0 mm thick"),
@@ -143,15 +143,18 @@ def test_shapes_that_are_there_to_be_learnt_from_are_in_no_other_plan():
 def test_every_look_agrees_with_its_sensor():
     from gelforge.labelling.sensor import load_sensors
 
-    sensors, looks = load_sensors(ROOT / "workflow" / "sensors.toml"), read_looks(ROOT / "workflow/rig/sensors.toml")
-    assert len(looks) >= 5
-    for name, look in looks.items():
+    sensors, appearances = (
+        load_sensors(ROOT / "workflow" / "sensors.toml"),
+        read_appearances(ROOT / "workflow/rig/sensors.toml"),
+    )
+    assert len(appearances) >= 5
+    for name, appearance in appearances.items():
         markers = sensors[name].markers
-        missing = markers["rows"] * markers["cols"] - len(look.dots)
+        missing = markers["rows"] * markers["cols"] - len(appearance.markers)
         assert 0 <= missing <= 2
-        # misprints of half a pixel average out; a missing outer dot shifts the mean by 4 pitches of 33 px in 62
-        assert np.abs(look.dots.mean(axis=0) - markers["centre_px"]).max() < 0.5 + 2.2 * missing
-        assert look.diameter == pytest.approx(markers["diameter_px"])
+        # misprints of half a pixel average out; a missing outer marker shifts the mean by 4 pitches of 33 px in 62
+        assert np.abs(appearance.markers.mean(axis=0) - markers["centre_px"]).max() < 0.5 + 2.2 * missing
+        assert appearance.diameter == pytest.approx(markers["diameter_px"])
 
 
 def test_a_look_that_lacks_a_value_is_named(tmp_path):
@@ -159,7 +162,7 @@ def test_a_look_that_lacks_a_value_is_named(tmp_path):
     path = tmp_path / "sensors.toml"
     path.write_text(text)
     with pytest.raises(BadInput, match=r"\[mini_a\] is incomplete or malformed: KeyError\('flecks'\)"):
-        read_looks(path)
+        read_appearances(path)
 
 
 @pytest.mark.parametrize(
@@ -183,7 +186,7 @@ def test_a_look_that_no_sensor_has_is_named(tmp_path, old, new, says):
     assert old in text
     (tmp_path / "sensors.toml").write_text(text.replace(old, new, 1))
     with pytest.raises(BadInput, match=says):
-        read_looks(tmp_path / "sensors.toml")
+        read_appearances(tmp_path / "sensors.toml")
 
 
 def test_looks_that_are_no_toml_are_refused_in_a_sentence(tmp_path):
@@ -191,9 +194,9 @@ def test_looks_that_are_no_toml_are_refused_in_a_sentence(tmp_path):
     path = tmp_path / "sensors.toml"
     path.write_bytes("# Gerät\n[mini_a.light]\n".encode("latin-1"))
     with pytest.raises(BadInput, match="sensors.toml: not valid TOML: 'utf-8' codec"):
-        read_looks(path)
+        read_appearances(path)
     with pytest.raises(BadInput, match="absent.toml: not found"):
-        read_looks(tmp_path / "absent.toml")
+        read_appearances(tmp_path / "absent.toml")
 
 
 def test_a_plans_parameters_stand_in_the_dataset_it_writes():

@@ -14,7 +14,7 @@ from gelforge.geometry.gel import USUAL_GEL, Gel
 from gelforge.labelling.sensor import check_projection, sensors_of
 from gelforge.networks.preprocess.illumination import match_light
 from gelforge.records.markers import find_markers
-from gelforge.virtualrig.looks import read_looks
+from gelforge.virtualrig.appearance import read_appearances
 from gelforge.virtualrig.render import Renderer
 from gelforge.virtualrig.rigplan import DrawnUnits, orders, read_plan
 from gelforge.virtualrig.units import UnitRanges, draw_units, read_ranges
@@ -31,44 +31,44 @@ def drawn():
 
 
 def test_a_unit_depends_on_the_seed_and_its_name_alone(drawn):
-    looks, sensors = drawn
+    appearances, sensors = drawn
     more, _ = draw_units(replace(SOME, known=9, unseen=3), USUAL_GEL, RIG, seed=5)
     other, _ = draw_units(SOME, USUAL_GEL, RIG, seed=6)
-    for name, look in looks.items():
-        assert np.array_equal(look.background, more[name].background) and look.seed == more[name].seed
-        assert not np.array_equal(look.background, other[name].background)
-    assert len({look.gain for look in looks.values()}) == len(looks)
-    assert list(looks) == list(sensors) == list(SOME.names)
+    for name, appearance in appearances.items():
+        assert np.array_equal(appearance.background, more[name].background) and appearance.seed == more[name].seed
+        assert not np.array_equal(appearance.background, other[name].background)
+    assert len({appearance.gain for appearance in appearances.values()}) == len(appearances)
+    assert list(appearances) == list(sensors) == list(SOME.names)
 
 
 def test_values_lie_in_their_ranges(drawn):
     ranges = read_ranges(RIG / "units.toml")
-    for look in drawn[0].values():
-        for name, value in {"slope_limit": look.slope_limit, "gain": look.gain, "ink": look.ink, "shade_per_mm": look.shade,
-                            "noise": look.noise, "specks": look.specks, "brightening": look.brightening}.items():  # fmt: skip
+    for appearance in drawn[0].values():
+        for name, value in {"slope_limit": appearance.slope_limit, "gain": appearance.gain, "ink": appearance.ink, "shade_per_mm": appearance.shade,
+                            "noise": appearance.noise, "specks": appearance.specks, "brightening": appearance.brightening}.items():  # fmt: skip
             low, high = getattr(ranges, name)
             assert np.all((low <= np.asarray(value)) & (np.asarray(value) <= high)), name
-        assert look.jpeg == 0 or ranges.jpeg_quality[0] <= look.jpeg <= ranges.jpeg_quality[1]
+        assert appearance.jpeg == 0 or ranges.jpeg_quality[0] <= appearance.jpeg <= ranges.jpeg_quality[1]
 
 
 def test_dots_are_found_where_the_sensor_has_them(drawn):
     """What the camera shows is what the sensor's table says: a unit can be calibrated from its no-contact image."""
-    looks, sensors = drawn
-    for name, look in looks.items():
+    appearances, sensors = drawn
+    for name, appearance in appearances.items():
         sensor = sensors[name]
         check_projection(sensor.projection, name)
-        picture = Renderer(look, sensor.projection, Gel()).image(rng=np.random.default_rng(1))
+        picture = Renderer(appearance, sensor.projection, Gel()).image(rng=np.random.default_rng(1))
         found = find_markers(picture, sensor.markers["rows"], sensor.markers["cols"], name)
         whole = {tuple(index) for index in found.index.tolist()}
-        assert found.count >= 0.85 * len(look.dots) and len(whole) == found.count
-        nearest = np.sqrt(((found.points[:, None] - look.dots[None]) ** 2).sum(axis=2)).min(axis=1)
+        assert found.count >= 0.85 * len(appearance.markers) and len(whole) == found.count
+        nearest = np.sqrt(((found.points[:, None] - appearance.markers[None]) ** 2).sum(axis=2)).min(axis=1)
         assert np.median(nearest) < 0.5, name
 
 
 def test_only_drawn_units_differ_in_light_from_picture_to_picture(drawn):
-    looks, sensors = drawn
+    appearances, sensors = drawn
     name = SOME.names[0]
-    calm = replace(looks[name], noise=np.zeros(3), jpeg=0)
+    calm = replace(appearances[name], noise=np.zeros(3), jpeg=0)
     camera = Renderer(calm, sensors[name].projection, Gel())
     one, other = (camera.image(rng=np.random.default_rng(k)) for k in (1, 2))
     assert np.abs(one.astype(int) - other).mean() > 1.0
@@ -78,7 +78,7 @@ def test_only_drawn_units_differ_in_light_from_picture_to_picture(drawn):
     assert np.abs(light.undo(one).astype(int) - other).mean() < 0.5 * np.abs(one.astype(int) - other).mean()
     still = Renderer(replace(calm, drift=None), sensors[name].projection, Gel())
     assert np.array_equal(*(still.image(rng=np.random.default_rng(k)) for k in (1, 2)))
-    assert all(look.drift is None for look in read_looks(RIG / "sensors.toml").values())
+    assert all(appearance.drift is None for appearance in read_appearances(RIG / "sensors.toml").values())
 
 
 def test_sensors_of_a_dataset_are_read_as_they_were_drawn(drawn, tmp_path):
@@ -99,12 +99,12 @@ def test_sensors_of_a_dataset_are_read_as_they_were_drawn(drawn, tmp_path):
     ("scale_px_per_mm = [15.2, 16.3]", "scale_px_per_mm = [16.3, 15.2]", "runs backwards"),
     ("scale_px_per_mm = [15.2, 16.3]", "scale_px_per_mm = [0, 16.3]", "each a number from 1 to 1000 px/mm"),
     ("contrast = [0.32, 1.6]", "contrasts = [0.32, 1.6]", "contrasts: is read by nothing; contrast is meant"),
-    ('"mini_d", "mini_e"]', '"mini_d", "mini_z"]', "no look mini_z"),
+    ('"mini_d", "mini_e"]', '"mini_d", "mini_z"]', "no appearance mini_z"),
     ("noise = [0.8, 2.3]", 'noise = ["a", "b"]', "noise"),
-    ("missing_dots = [0, 6]", "missing_dots = [0, 70]", "missing_dots"),
+    ("missing_markers = [0, 6]", "missing_markers = [0, 70]", "missing_markers"),
     ("misprint_px = [0.2, 0.7]", "misprint_px = [-0.5, 0.7]", "misprint_px"),
     ("jpeg_quality = [65, 95]", "jpeg_quality = [65, 300]", "jpeg_quality"),
-    ("jpeg_share = 0.5", "jpeg_share = 7", "jpeg_share"),
+    ("jpeg_fraction = 0.5", "jpeg_fraction = 7", "jpeg_fraction"),
     ("camera_mm = [20, 31]", "camera_mm = [1, 31]", "camera_mm"),
     ("slope_limit = [0.45, 1.1]", "slope_limit = [0, 1.1]", "slope_limit"),
     ('backgrounds = ["mini_a", "mini_d", "mini_e"]', "backgrounds = []", "backgrounds"),
@@ -138,17 +138,17 @@ def test_each_press_is_seen_by_as_many_units_as_asked_for(root):
 @pytest.mark.parametrize("end", [0, 1])
 def test_a_unit_at_the_end_of_any_bound_has_a_picture(end):
     """Without shadow, noise, blur, ink and specks, and with as much of each as the schema lets through."""
-    look, sensor = (values["known_01"] for values in draw_units(SOME, USUAL_GEL, RIG, seed=5))
+    appearance, sensor = (values["known_01"] for values in draw_units(SOME, USUAL_GEL, RIG, seed=5))
     bounds = {name: get_args(kind)[1] for name, kind in kinds_of(UnitRanges).items()}
     extreme = {
-        field: np.full(3, limit) if np.ndim(getattr(look, field)) else limit
+        field: np.full(3, limit) if np.ndim(getattr(appearance, field)) else limit
         for field, name in {"noise": "noise", "noise_blur": "noise_blur_px", "blur": "blur_px", "ink": "ink",
                             "flecks": "flecks", "shadow_depth": "shadow_depth", "raggedness": "raggedness",
                             "slope_limit": "slope_limit", "vignette": "vignette", "brightening": "brightening"}.items()
         for limit in [float((bounds[name].low, min(bounds[name].high, 20.0))[end])]
     }  # fmt: skip
     shadow = np.full(3, (0.0, 20.0)[end])
-    one = replace(look, **extreme, shadow_length=shadow, specks=(0, 50)[end])
+    one = replace(appearance, **extreme, shadow_length=shadow, specks=(0, 50)[end])
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         picture = Renderer(one, sensor.projection, Gel()).image(rng=np.random.default_rng(0))

@@ -19,8 +19,8 @@ from gelforge.records.labelfile import read_labels
 from gelforge.records.press import COLUMNS
 from gelforge.reporting.surfacegrid import grid_points
 from gelforge.stages import fea, forces, labels, plan, poses
+from gelforge.virtualrig.appearance import read_appearances
 from gelforge.virtualrig.fields import unloaded
-from gelforge.virtualrig.looks import read_looks
 from gelforge.virtualrig.render import Renderer
 from tests.blocks import symmetric_block
 
@@ -109,8 +109,8 @@ def test_meshes_follow_the_gel(gel):
 @pytest.mark.parametrize("gel", OWN)
 def test_the_rig_draws_it_and_the_report_shows_it(root, gel):
     gel, sensors = load_gel(gel), load_sensors(root / "workflow" / "sensors.toml")
-    look = read_looks(root / "workflow" / "rig" / "sensors.toml")["mini_a"]
-    image = Renderer(look, sensors["mini_a"].projection, gel).image(unloaded(gel), rng=np.random.default_rng(1))
+    appearance = read_appearances(root / "workflow" / "rig" / "sensors.toml")["mini_a"]
+    image = Renderer(appearance, sensors["mini_a"].projection, gel).image(unloaded(gel), rng=np.random.default_rng(1))
     assert image.shape == (240, 320, 3) and image.std(axis=(0, 1)).min() > 1.0  # light and markers
     points = grid_points(gel)[2]
     np.testing.assert_allclose(points[:, 2], gel.top(*points[:, :2].T), atol=1e-6)

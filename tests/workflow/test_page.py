@@ -127,10 +127,10 @@ def test_charts_flow_curve_and_provenance_are_drawn(page, width):
     with browser(width) as driver:
         driver.get(page.as_uri() + "#press=made-000003")
         shown(driver, "made-000003")
-        dots = (
+        points = (
             "return [...document.querySelectorAll('#charts svg')].map((svg) => svg.querySelectorAll('circle').length)"
         )
-        assert driver.execute_script(dots)[:2] == [2, 3]  # the splits it did not learn from, and three indenters
+        assert driver.execute_script(points)[:2] == [2, 3]  # the splits it did not learn from, and three indenters
         assert "always the same guess: 4.00 N" in driver.find_element("css selector", "#charts .legend").text
         assert driver.execute_script("return document.querySelectorAll('#lineage svg path').length") == 3
         inked = "const c = el('curve'); return c.getContext('2d').getImageData(0, 0, c.width, c.height).data.some((v) => v)"

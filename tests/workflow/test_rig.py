@@ -240,11 +240,11 @@ def test_a_shape_that_changed_under_its_name_does_not_mix_in(two, tmp_path, work
 
 
 def test_a_sensor_that_looks_otherwise_needs_its_pictures_drawn_anew(two, tmp_path, workshop, capsys):
-    looks = workshop / "rig" / "sensors.toml"
-    text = looks.read_text(encoding="utf-8")
+    sensors = workshop / "rig" / "sensors.toml"
+    text = sensors.read_text(encoding="utf-8")
     changed = re.sub(r"^gain = .*$", "gain = 0.9", text, count=1, flags=re.MULTILINE)
     assert changed != text
-    looks.write_text(changed, encoding="utf-8")
+    sensors.write_text(changed, encoding="utf-8")
     with pytest.raises(BadInput, match="remove images/ and nocontact/"):
         run(plan_of(tmp_path, 2), two.parent, workshop)
     shutil.rmtree(two / "images")

@@ -4,8 +4,8 @@ from argparse import Namespace
 
 from gelforge.flow.main import command, option
 from gelforge.records.image import read_image
+from gelforge.virtualrig.appearance import COLOURS
 from gelforge.virtualrig.lightfit import fit_background
-from gelforge.virtualrig.looks import COLOURS
 
 
 @command(

@@ -1,4 +1,4 @@
-"""Fit a sensor's projection from point correspondences, or from the marker dots in an image without contact."""
+"""Fit a sensor's projection from point correspondences, or from the markers in an image without contact."""
 
 import csv
 from argparse import Namespace
@@ -88,7 +88,7 @@ def read_picture(path, size: tuple[int, int]) -> np.ndarray:
 
 
 def grid_pixels(markers: dict, index: np.ndarray) -> np.ndarray:
-    """Pixels (n, 2) of dots (row, col) (n, 2) of an even grid as a sensor's `markers` describes it."""
+    """Pixels (n, 2) of markers (row, col) (n, 2) of an even grid as a sensor's `markers` describes it."""
     angle = np.deg2rad(markers.get("rotation_deg", 0.0))
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     middle = np.array([markers["cols"] - 1, markers["rows"] - 1]) / 2
@@ -98,7 +98,7 @@ def grid_pixels(markers: dict, index: np.ndarray) -> np.ndarray:
 def fit_projection(name: str, like: Sensor, points=None, image=None, where: str = "") -> FittedProjection:
     """Fit the projection of the sensor `name`.
 
-    points: (gel points, pixels), or None: then the dots of `image` (h, w, 3) RGB are taken to be where
+    points: (gel points, pixels), or None: then the markers of `image` (h, w, 3) RGB are taken to be where
     `like`, a sensor of the same print, has them on its gel. With both, the points give the projection.
     """
     markers = None
@@ -112,10 +112,10 @@ def fit_projection(name: str, like: Sensor, points=None, image=None, where: str 
         markers = find_markers(image, like.markers["rows"], like.markers["cols"], where)
         span = np.ptp(markers.index, axis=0) + 1
         if tuple(span) != (markers.rows, markers.cols):
-            # rows or columns of dots lie outside of the picture, and nothing tells on which side
+            # rows or columns of markers lie outside of the picture, and nothing tells on which side
             if points is None:
                 raise BadInput(
-                    f"{where}: its dots span {span[0]} x {span[1]} of the {markers.rows} x {markers.cols} of sensor "
+                    f"{where}: its markers span {span[0]} x {span[1]} of the {markers.rows} x {markers.cols} of sensor "
                     f"{like.name}, so nothing tells which of them they are: give POINTS=points.csv, or name as LIKE a sensor "
                     "whose pictures show as many"
                 )
@@ -198,7 +198,7 @@ def toml_table(about: dict) -> str:
 
 
 def draw(found: FittedProjection, image) -> np.ndarray:
-    """Picture (BGR) of the fit: the gel's 5 mm lines, the points used, the dots found and those missing."""
+    """Picture (BGR) of the fit: the gel's 5 mm lines, the points used, the markers found and those missing."""
     import cv2
 
     width, height = found.image
@@ -228,7 +228,7 @@ def draw(found: FittedProjection, image) -> np.ndarray:
 
 
 def _expected(grid: MarkerGrid) -> np.ndarray:
-    """Where the missing dots would be on an even grid, (m, 2) px."""
+    """Where the missing markers would be on an even grid, (m, 2) px."""
     even = {
         "rows": grid.rows,
         "cols": grid.cols,
@@ -240,13 +240,13 @@ def _expected(grid: MarkerGrid) -> np.ndarray:
 
 
 def report(about: dict, old: Sensor | None, like: str | None) -> None:
-    """Print residual, dots, the change from sensors.toml, and the table to paste.
+    """Print residual, markers, the change from sensors.toml, and the table to paste.
 
-    like: the sensor that the dots were taken to be printed as; None where points were given.
+    like: the sensor that the markers were taken to be printed as; None where points were given.
     """
     residual = about["residual_px"]
     if like is not None:
-        print(f"dots are taken to be printed as on {like}")
+        print(f"markers are taken to be printed as on {like}")
     elif about["points"] == EXACT:
         print(f"{EXACT} points fix a projection, which meets them exactly: mark two more to see how far they err")
     print(
@@ -254,16 +254,16 @@ def report(about: dict, old: Sensor | None, like: str | None) -> None:
         f" {residual['largest']:.3f} px at most (at x, y = {residual['at_mm']} mm)"
     )
     if "markers" in about:
-        dots = about["markers"]
+        markers = about["markers"]
         print(
-            f"markers: {dots['count']} of {dots['rows'] * dots['cols']}, pitch {dots['pitch_px'][0]:.2f} x"
-            f" {dots['pitch_px'][1]:.2f} px, turned {dots['rotation_deg']:.2f} degrees about {dots['centre_px']},"
-            f" {dots['uneven_px']:.2f} px rms off an even grid"
+            f"markers: {markers['count']} of {markers['rows'] * markers['cols']}, pitch {markers['pitch_px'][0]:.2f} x"
+            f" {markers['pitch_px'][1]:.2f} px, turned {markers['rotation_deg']:.2f} degrees about {markers['centre_px']},"
+            f" {markers['uneven_px']:.2f} px rms off an even grid"
         )
-        # rows of dots run along gel y: their pitch along u is of gel y
-        apart = np.array(dots["pitch_px"]) / about["px_per_mm"][::-1]
+        # rows of markers run along gel y: their pitch along u is of gel y
+        apart = np.array(markers["pitch_px"]) / about["px_per_mm"][::-1]
         print(
-            f"dots then stand {apart[0]:.2f} x {apart[1]:.2f} mm apart; on every GelSight Mini seen so far it was 2.0"
+            f"markers then stand {apart[0]:.2f} x {apart[1]:.2f} mm apart; on every GelSight Mini seen so far it was 2.0"
         )
     if old is not None:
         half = np.array([[-9.5, -11], [9.5, -11], [9.5, 11], [-9.5, 11]])
@@ -276,7 +276,7 @@ def report(about: dict, old: Sensor | None, like: str | None) -> None:
     option("--sensor", default="", help="name the sensor has, or shall have, in sensors.toml"),
     option("--points", type=Path, help="CSV: x_mm, y_mm, u_px, v_px", default=None),
     option("--image", type=Path, help="image without contact, .png or FEATS' .npy", default=None),
-    option("--like", default="gelsight_mini", help="sensor whose image size, gel and dots it shares"),
+    option("--like", default="gelsight_mini", help="sensor whose image size, gel and markers it shares"),
     option("--sensors", type=Path, default=Path("workflow/sensors.toml")),
     option(
         "--out",

@@ -23,6 +23,7 @@ from dataclasses import dataclass
 from typing import Any, NoReturn
 
 from gelforge.errors import GelforgeError, printable, unwritable
+from gelforge.flow.renamed import notice
 
 # Of a disk or a folder that takes nothing: no fault of the program.
 UNWRITABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT)
@@ -93,7 +94,7 @@ class Renamed(argparse.Action):
     def __call__(
         self, _parser: Any, namespace: argparse.Namespace, values: Any, option_string: str | None = None
     ) -> None:
-        print(f"{option_string} is called {self.const} now, and will be gone in the next release", file=sys.stderr)
+        print(notice(str(option_string), str(self.const)), file=sys.stderr)
         setattr(namespace, self.dest, values)
 
 

@@ -22,7 +22,7 @@ class Sensor:
 
     projection: (3, 3), homography from gel mm (x, y, 1) to pixel (u, v, 1), u right and v down from the
     image's corner, so that the first pixel's centre is (0.5, 0.5) and label cells start at 0.
-    image: (width, height) in pixels. markers: what is known of the printed dots, see sensors.toml.
+    image: (width, height) in pixels. markers: what is known of the printed markers, see sensors.toml.
     """
 
     name: str
@@ -129,7 +129,7 @@ def sensor_of(path: str, name: str, table: dict) -> Sensor:
 
 
 def check_markers(markers: Any, where: str) -> None:
-    """Raise BadInput for a description of printed dots whose values cannot be; what is left out is not known."""
+    """Raise BadInput for a description of printed markers whose values cannot be; what is left out is not known."""
     if not isinstance(markers, dict):
         raise BadInput(f"{where}: is {markers!r}; write a table, such as {{ rows = 7, cols = 9 }}")
     for key in ("rows", "cols"):

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.records.markers import find_blobs, lattice_of, print_pitch
+from gelforge.records.markers import find_blobs, lattice_of, marker_pitch
 
 MOST_SIDE = 640  # px: longer side at which markers are looked for, and of the image in a profile
 PITCH_PX = 31.2  # between markers in 320 x 240 of the maker's driver (FEATS' sensor and another one)
@@ -19,7 +19,7 @@ DRIVER_CROP = (
     1 / 7
 )  # of each side of the camera's whole image, which the maker's driver cuts off (gsrobotics, gs_sdk)
 GRID = (7, 9)  # markers of a Mini's gel, rows and columns
-LEAST_MARKERS, ON_GRID = 12, 0.6  # of a grid, and the fraction of all dark dots that stand on it
+LEAST_MARKERS, ON_GRID = 12, 0.6  # of a grid, and the fraction of all dark spots that stand on it
 UNEVEN = 0.12  # fraction by which sensors differ in the distance of their markers, px
 SAME_SHAPE = 0.02  # fraction by which the sides of an image may be in another ratio
 SQUARE = 0.1  # the same below which an image is neither upright nor across
@@ -132,7 +132,7 @@ def camera_frame(nocontact: np.ndarray, size: tuple[int, int]) -> CameraFrame:
     """
     small = reduced(nocontact)
     points = find_blobs(small)[0]
-    pitch = print_pitch(points) if stand_on_a_grid(points) else 0.0
+    pitch = marker_pitch(points) if stand_on_a_grid(points) else 0.0
     orientation = orientation_of(small, points, pitch) if pitch else AS_IT_IS
     turned = orientation.of(small)
     height, width = turned.shape[:2]

@@ -1,4 +1,4 @@
-"""The printed marker dots of a gel in an image without contact."""
+"""The printed markers of a gel in an image without contact."""
 
 from dataclasses import dataclass
 
@@ -6,22 +6,22 @@ import numpy as np
 
 from gelforge.errors import BadInput
 
-PITCH_RANGE = (12.0, 90.0)  # px between neighbouring dots of any GelSight Mini image we know, with a margin of two
+PITCH_RANGE = (12.0, 90.0)  # px between neighbouring markers of any GelSight Mini image we know, with a margin of two
 LARGEST_TURN = 25.0  # degrees a gel can sit turned in its holder and still be told from the next lattice direction
-REACH = 0.3  # of the pitch: how far from its expected place a dot is still that dot
+REACH = 0.3  # of the pitch: how far from its expected place a marker is still that marker
 LIT = 0.3  # of the brightest colour's background: below, a colour tells noise from ink no more
-LEAST_SHARE = 0.5  # of the dots must be found for a grid to be believed
-LEAST_PRINT = 8  # dots that tell how far apart they are printed
+LEAST_SHARE = 0.5  # of the markers must be found for a grid to be believed
+LEAST_FOR_PITCH = 8  # markers that tell how far apart they are printed
 UNEVEN = 0.15  # share by which such distances differ in one print
 
 
 @dataclass(frozen=True)
 class MarkerGrid:
-    """Dots found in an image, px; index (n, 2) is (row, col) and points (n, 2) is (u, v) of each.
+    """Markers found in an image, px; index (n, 2) is (row, col) and points (n, 2) is (u, v) of each.
 
-    pitch (2,) is the mean distance of neighbouring dots along u and v. Rotation in degrees (positive turns
-    u towards v), centre (2,) of the whole grid and residual (root mean square distance of the dots from an
-    even grid) come from a least-squares affine fit. missing: (m, 2) indices of dots that were not found.
+    pitch (2,) is the mean distance of neighbouring markers along u and v. Rotation in degrees (positive turns
+    u towards v), centre (2,) of the whole grid and residual (root mean square distance of the markers from an
+    even grid) come from a least-squares affine fit. missing: (m, 2) indices of markers that were not found.
     """
 
     rows: int
@@ -45,20 +45,20 @@ class MarkerGrid:
 
 
 def find_markers(image: np.ndarray, rows: int, cols: int, where: str = "image") -> MarkerGrid:
-    """Find a grid of `rows` x `cols` dark dots in an image (h, w, 3) uint8, dots missing or specks added.
+    """Find a grid of `rows` x `cols` dark spots in an image (h, w, 3) uint8, markers missing or specks added.
 
     Raises BadInput where no such grid is there.
     """
     points, widths = find_blobs(image)
     if len(points) < max(4, LEAST_SHARE * rows * cols):
         raise BadInput(
-            f"{where}: {len(points)} dark dots found, a grid of {rows} x {cols} is expected; use a sharp image"
+            f"{where}: {len(points)} dark spots found, a grid of {rows} x {cols} is expected; use a sharp image"
             " without contact, and check `markers` in workflow/sensors.toml"
         )
     index, used = _window(*lattice_of(points), rows, cols)
     if len(used) < LEAST_SHARE * rows * cols:
         raise BadInput(
-            f"{where}: only {len(used)} of {rows} x {cols} dots stand on one grid; use an image without contact,"
+            f"{where}: only {len(used)} of {rows} x {cols} markers stand on one grid; use an image without contact,"
             " and check `markers` in workflow/sensors.toml"
         )
     return _measure(rows, cols, index, points[used], widths[used])
@@ -74,9 +74,9 @@ def lattice_of(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def find_blobs(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Centres (n, 2) as (u, v) and diameters (n,) of dark round dots, px.
+    """Centres (n, 2) as (u, v) and diameters (n,) of dark round markers, px.
 
-    Each colour is divided by its own median-filtered background. Ink is dark in every colour and a dot's
+    Each colour is divided by its own median-filtered background. Ink is dark in every colour and a marker's
     shadow only in the colour of the light it hides, so the least dark colour counts; a colour whose light
     hardly reaches a corner says nothing there.
     """
@@ -102,7 +102,7 @@ def find_blobs(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _blob(label: np.ndarray, dark: np.ndarray, number: int, stats: np.ndarray) -> tuple[float, float, float] | None:
-    """Centre, weighted by darkness, and diameter of a component; None where it is no dot.
+    """Centre, weighted by darkness, and diameter of a component; None where it is no marker.
 
     Coordinates run from the image's edge, as those of label cells do: a pixel's centre is half a pixel in.
     """
@@ -116,15 +116,15 @@ def _blob(label: np.ndarray, dark: np.ndarray, number: int, stats: np.ndarray) -
 
 
 def pitch_of(picture: np.ndarray) -> float:
-    """`print_pitch` of a picture (h, w, 3) uint8 without contact."""
-    return print_pitch(find_blobs(picture)[0])
+    """`marker_pitch` of a picture (h, w, 3) uint8 without contact."""
+    return marker_pitch(find_blobs(picture)[0])
 
 
-def print_pitch(dots: np.ndarray) -> float:
-    """Median distance in px of dots (n, 2) to their nearest neighbours; 0 where they are no even print."""
-    if len(dots) < LEAST_PRINT:
+def marker_pitch(markers: np.ndarray) -> float:
+    """Median distance in px of markers (n, 2) to their nearest neighbours; 0 where they are no even print."""
+    if len(markers) < LEAST_FOR_PITCH:
         return 0.0
-    apart = np.hypot(*(dots[:, None] - dots[None]).transpose(2, 0, 1))
+    apart = np.hypot(*(markers[:, None] - markers[None]).transpose(2, 0, 1))
     np.fill_diagonal(apart, np.inf)
     nearest = apart.min(axis=1)
     pitch = float(np.median(nearest))
@@ -135,7 +135,7 @@ def print_pitch(dots: np.ndarray) -> float:
 def _steps(points: np.ndarray) -> np.ndarray:
     """The lattice's two steps (2, 2): typical displacement to the nearest neighbour along u, and along v."""
     if len(points) < 2:
-        raise BadInput("fewer than two dark dots were found; use a sharp image without contact")
+        raise BadInput("fewer than two dark spots were found; use a sharp image without contact")
     apart = points[None] - points[:, None]
     distance = np.hypot(*apart.T).T
     distance[(distance < PITCH_RANGE[0]) | (distance > PITCH_RANGE[1])] = np.inf
@@ -146,13 +146,13 @@ def _steps(points: np.ndarray) -> np.ndarray:
         nearest = reach.argmin(axis=1)
         real = np.isfinite(reach[np.arange(len(points)), nearest])
         if real.sum() < 2:
-            raise BadInput("the dark dots found form no grid; use a sharp image without contact")
+            raise BadInput("the dark spots found form no grid; use a sharp image without contact")
         steps.append(np.median(apart[np.flatnonzero(real), nearest[real]], axis=0))
     return np.array(steps)
 
 
 def _walk(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Walk from dot to dot along the lattice from every start; keep the largest patch: index (n, 2), dot (n,)."""
+    """Walk from marker to marker along the lattice from every start; keep the largest patch: index (n, 2), marker (n,)."""
     steps = _steps(points)
     best: dict[tuple[int, int], int] = {}
     reach = REACH * np.hypot(*steps.T).min()
@@ -161,12 +161,12 @@ def _walk(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         patch: dict[tuple[int, int], int] = {}
         queue = [(min(unseen), (0, 0))]
         while queue:
-            dot, at = queue.pop()
-            if at in patch or dot in patch.values():
+            marker, at = queue.pop()
+            if at in patch or marker in patch.values():
                 continue
-            patch[at] = dot
+            patch[at] = marker
             for move in ((0, 1), (0, -1), (1, 0), (-1, 0)):
-                target = points[dot] + move[0] * steps[1] + move[1] * steps[0]
+                target = points[marker] + move[0] * steps[1] + move[1] * steps[0]
                 gap = np.hypot(*(points - target).T)
                 if gap.min() < reach:
                     queue.append((int(gap.argmin()), (at[0] + move[0], at[1] + move[1])))
@@ -182,25 +182,25 @@ def _model(index: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def _complete(points: np.ndarray, index: np.ndarray, used: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Give the dots that a gap cut off their place on the lattice; drop those that stand off it."""
+    """Give the markers that a gap cut off their place on the lattice; drop those that stand off it."""
     for _ in range(3):
         if len(used) < 4 or min(np.ptp(index, axis=0)) < 1:
-            raise BadInput("the dark dots found form no grid; use a sharp image without contact")
+            raise BadInput("the dark spots found form no grid; use a sharp image without contact")
         model = _model(index, points[used])
         place = (points - model[0]) @ np.linalg.inv(model[1:])
         nearest = np.rint(place).astype(int)
         off = np.abs(place - nearest).max(axis=1)
         best: dict[tuple[int, int], int] = {}
-        for dot in np.flatnonzero(off < REACH).tolist():
-            at = nearest[dot, 1], nearest[dot, 0]
-            if at not in best or off[dot] < off[best[at]]:
-                best[at] = dot
+        for marker in np.flatnonzero(off < REACH).tolist():
+            at = nearest[marker, 1], nearest[marker, 0]
+            if at not in best or off[marker] < off[best[at]]:
+                best[at] = marker
         index, used = np.array(list(best)), np.array(list(best.values()))
     return index, used
 
 
 def _window(index: np.ndarray, used: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
-    """The `rows` x `cols` part of the lattice that holds most dots, counted from its top left dot."""
+    """The `rows` x `cols` part of the lattice that holds most markers, counted from its top left marker."""
     best = np.zeros(0, int)
     corner = index.min(axis=0)
     for top in range(index[:, 0].min(), max(index[:, 0].max() - rows + 1, index[:, 0].min()) + 1):
@@ -226,7 +226,7 @@ def _measure(rows: int, cols: int, index: np.ndarray, points: np.ndarray, widths
 
 
 def _spacing(index: np.ndarray, points: np.ndarray, axis: int) -> float:
-    """Mean distance of dots that are neighbours along rows (axis 1) or columns (axis 0)."""
+    """Mean distance of markers that are neighbours along rows (axis 1) or columns (axis 0)."""
     at = {tuple(i): k for k, i in enumerate(index.tolist())}
     step = (0, 1) if axis else (1, 0)
     pairs = [(k, at[i + step[0], j + step[1]]) for (i, j), k in at.items() if (i + step[0], j + step[1]) in at]

@@ -27,7 +27,7 @@ KNOWN = (*COLUMNS, *OPTIONAL)
 SENSOR_TABLES = "workflow/sensors.toml or the dataset's own sensors.toml"
 INDENTER_TABLES = "workflow/indenters.toml, or the catalogue that dataset.toml names"
 
-ID_RULE = "1 to 100 letters, digits, dots, dashes or underscores, beginning with a letter or digit"
+ID_RULE = "1 to 100 characters, each a letter, a digit or one of . - _, beginning with a letter or digit"
 LARGEST = {
     **dict.fromkeys(POSE, 1000.0),
     "rot_deg": 3600.0,

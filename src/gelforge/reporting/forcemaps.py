@@ -97,7 +97,7 @@ def footer(width: int, lines: list[str], warning: str) -> np.ndarray:
 
 
 def wrapped(text: str, width: int, most: int) -> list[str]:
-    """Text in lines no wider than `width` px; where it needs more than `most` of them, the last one ends in dots."""
+    """Text in lines no wider than `width` px; where it needs more than `most` of them, the last one ends in an ellipsis."""
     import cv2
 
     def fits(line: str) -> bool:

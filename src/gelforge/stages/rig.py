@@ -24,7 +24,7 @@ from gelforge.geometry.gel import load_gel
 from gelforge.geometry.indenters import load_indenters, read_catalogue
 from gelforge.labelling.sensor import Sensor, load_sensors
 from gelforge.virtualrig import streams
-from gelforge.virtualrig.looks import Look, read_looks
+from gelforge.virtualrig.appearance import Appearance, read_appearances
 from gelforge.virtualrig.rigplan import Order, Plan, check_names, generator, orders, read_plan
 from gelforge.virtualrig.units import draw_units
 from gelforge.virtualrig.writer import (
@@ -56,17 +56,17 @@ class Worker:
         self.plan, self.folder, self.gel = plan, folder, gel
         indenters = load_indenters(workflow, plan.catalogue, plan.indenters)
         self.bench = Bench(plan, indenters, gel, folder / FACTORS)
-        self.looks, self.sensors = units_of(plan, workflow)
+        self.appearances, self.sensors = units_of(plan, workflow)
         self.camera = lru_cache(CAMERAS)(self._camera)
 
     def _camera(self, sensor: str):
         from gelforge.virtualrig.render import Renderer
 
-        return Renderer(self.looks[sensor], self.sensors[sensor].projection, self.gel)
+        return Renderer(self.appearances[sensor], self.sensors[sensor].projection, self.gel)
 
     def picture_nocontact(self, sensor: str) -> None:
         """Take the no-contact image of a unit, from which its markers and projection can be found."""
-        noise = np.random.default_rng([self.plan.seed, self.looks[sensor].seed])
+        noise = np.random.default_rng([self.plan.seed, self.appearances[sensor].seed])
         save_image(self.folder / nocontact_name(sensor), self.camera(sensor).image(rng=noise))
 
     def carry_out(self, orders: list[Order], solved: bool) -> list[tuple]:
@@ -126,8 +126,8 @@ def run(plan_path, data="data", workflow="workflow", jobs: int = 1) -> Path:
     plan = check(plan_path, workflow)
     folder = Path(data) / plan.dataset
     dataset = Dataset(folder, plan)
-    looks, sensors = units_of(plan, workflow)
-    contents = contents_of(plan, workflow, looks, sensors)
+    appearances, sensors = units_of(plan, workflow)
+    contents = contents_of(plan, workflow, appearances, sensors)
     dataset.check_same_plan(*contents)
     dataset.begin(*contents)
     if plan.units is not None:
@@ -169,29 +169,32 @@ def by_press(dataset: Dataset, every: list[Order]) -> list[tuple[list[Order], bo
 def check(plan_path, workflow: Path) -> Plan:
     """Everything that can be refused before a file is written."""
     plan = read_plan(plan_path)
-    looks, sensors = units_of(plan, workflow)
-    check_names(plan, read_catalogue(workflow / plan.catalogue), sensors, looks, plan_path)
+    appearances, sensors = units_of(plan, workflow)
+    check_names(plan, read_catalogue(workflow / plan.catalogue), sensors, appearances, plan_path)
     load_indenters(workflow, plan.catalogue, plan.indenters)
     overlaid(workflow, plan.params, str(plan_path))
     return plan
 
 
-def units_of(plan: Plan, workflow: Path) -> tuple[dict[str, Look], dict[str, Sensor]]:
-    """Looks and sensors by name: those of workflow/, and those that the plan draws."""
-    looks, sensors = read_looks(workflow / "rig" / "sensors.toml"), load_sensors(workflow / "sensors.toml")
+def units_of(plan: Plan, workflow: Path) -> tuple[dict[str, Appearance], dict[str, Sensor]]:
+    """Appearances and sensors by name: those of workflow/, and those that the plan draws."""
+    appearances, sensors = (
+        read_appearances(workflow / "rig" / "sensors.toml"),
+        load_sensors(workflow / "sensors.toml"),
+    )
     if plan.units is None:
-        return looks, sensors
-    drawn_looks, drawn_sensors = draw_units(plan.units, plan.gel, workflow / "rig", plan.seed)
-    return looks | drawn_looks, sensors | drawn_sensors
+        return appearances, sensors
+    drawn_appearances, drawn_sensors = draw_units(plan.units, plan.gel, workflow / "rig", plan.seed)
+    return appearances | drawn_appearances, sensors | drawn_sensors
 
 
 def contents_of(
-    plan: Plan, workflow: Path, looks: dict[str, Look], sensors: dict[str, Sensor]
+    plan: Plan, workflow: Path, appearances: dict[str, Appearance], sensors: dict[str, Sensor]
 ) -> tuple[dict[str, str], dict[str, str]]:
-    """Digests of what a plan's names stand for: each indenter's table and STL file, each sensor's look and projection."""
+    """Digests of what a plan's names stand for: each indenter's table and STL file, each sensor's appearance and projection."""
     every = read_catalogue(workflow / plan.catalogue)
     tables, _ = with_content({name: every[name] for name in plan.indenters}, workflow)
-    seen = {name: [asdict(looks[name]), asdict(sensors[name])] for name in plan.sensors}
+    seen = {name: [appearances[name].content(), asdict(sensors[name])] for name in plan.sensors}
     return digests(tables), digests(seen)
 
 

@@ -1,1 +1,1 @@
-"""The virtual rig: presses like a CNC bench makes them, and images like a dotted gel shows them."""
+"""The virtual rig: presses like a CNC bench makes them, and images like a gel with markers shows them."""

@@ -1,16 +1,16 @@
-"""Fit the parametric light of a look to a real picture without contact."""
+"""Fit the parametric illumination of an appearance to a real no-contact image."""
 
 import cv2
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.virtualrig.looks import HEIGHT, TERMS, WIDTH, normalised_pixels
+from gelforge.virtualrig.appearance import HEIGHT, TERMS, WIDTH, normalised_pixels
 
-DARKER = 0.72  # of its surroundings, from which a spot is a dot
+DARKER = 0.72  # of its surroundings, from which a spot is a marker
 
 
 def dot_spots(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Dark round spots of a dotted gel: centres (n, 2) px from the image's corner, diameters (n,) px of equal area.
+    """Dark round spots of a gel with markers: centres (n, 2) px from the image's corner, diameters (n,) px of equal area.
 
     A spot is a connected part darker than DARKER times its surroundings, 40 to 500 pixels large.
     Centres are weighted by darkness, which is good to about 0.05 px on a sharp picture.
@@ -45,12 +45,14 @@ def dot_free(centres: np.ndarray, radius: float) -> np.ndarray:
 
 
 def fit_background(image: np.ndarray) -> np.ndarray:
-    """Coefficients (15, 3) of Look.background by least squares over the dot-free pixels of an RGB image."""
+    """Coefficients (15, 3) of Appearance.background by least squares over the marker-free pixels of an RGB image."""
     if image.shape != (HEIGHT, WIDTH, 3):
-        raise BadInput(f"an image of shape {image.shape} was given; a look is fitted to {WIDTH} x {HEIGHT} RGB")
+        raise BadInput(
+            f"an image of shape {image.shape} was given; an appearance is fitted to {WIDTH} x {HEIGHT} RGB"
+        )
     centres, diameters = dot_spots(image)
     if not len(centres):
-        raise BadInput("no dark dots were found; give a picture of a dotted gel without contact")
+        raise BadInput("no dark spots were found; give a picture of a gel with markers without contact")
     mask = dot_free(centres, 1.1 * float(np.median(diameters)))
     s, t = normalised_pixels()
     powers = np.stack([s[mask] ** i * t[mask] ** j for i, j in TERMS], axis=1)

@@ -1,15 +1,15 @@
-"""What is printed on the unloaded gel: dots with ragged rims, flecks and coloured shadows."""
+"""What is printed on the unloaded gel: markers with ragged rims, flecks and coloured shadows."""
 
 import cv2
 import numpy as np
 
-from gelforge.virtualrig.looks import HEIGHT, WIDTH, Look
+from gelforge.virtualrig.appearance import HEIGHT, WIDTH, Appearance
 
 MARGIN = 32  # px of gel painted beyond the image, which a press can pull into view
 SUPER = 3  # samples per px and direction
 
 
-def printed(look: Look, rng: np.random.Generator) -> np.ndarray:
+def printed(appearance: Appearance, rng: np.random.Generator) -> np.ndarray:
     """Share of light the printed gel returns, ((240 + 2 MARGIN) SUPER, (320 + 2 MARGIN) SUPER, 3) float32.
 
     Sample (i, j) lies at v = (i + 0.5) / SUPER - MARGIN px from the image's corner, u likewise.
@@ -17,16 +17,18 @@ def printed(look: Look, rng: np.random.Generator) -> np.ndarray:
     shape = (HEIGHT + 2 * MARGIN) * SUPER, (WIDTH + 2 * MARGIN) * SUPER
     cover = np.zeros(shape, np.float32)
     fleck = np.zeros(shape, np.float32)
-    for centre in look.dots:
-        _print_dot(cover, fleck, centre, look, rng)
+    for centre in appearance.markers:
+        _print_marker(cover, fleck, centre, appearance, rng)
     out = np.empty((*shape, 3), np.float32)
     for colour in range(3):
-        shadow = look.shadow_depth * _smeared(cover, -look.light[colour], look.shadow_length[colour] * SUPER)
-        ink = (1.0 - look.ink[colour] - look.flecks[colour] * fleck) * cover
-        out[..., colour] = 1.0 - np.maximum(ink, shadow * (1.0 - look.ink[colour]) * (1.0 - cover))
-    for _ in range(look.specks):
+        shadow = appearance.shadow_depth * _smeared(
+            cover, -appearance.light[colour], appearance.shadow_length[colour] * SUPER
+        )
+        ink = (1.0 - appearance.ink[colour] - appearance.flecks[colour] * fleck) * cover
+        out[..., colour] = 1.0 - np.maximum(ink, shadow * (1.0 - appearance.ink[colour]) * (1.0 - cover))
+    for _ in range(appearance.specks):
         _add_speck(out, rng)
-    return cv2.GaussianBlur(out, (0, 0), look.blur * SUPER) if look.blur > 0 else out
+    return cv2.GaussianBlur(out, (0, 0), appearance.blur * SUPER) if appearance.blur > 0 else out
 
 
 def sample_position(pixel: np.ndarray) -> np.ndarray:
@@ -34,14 +36,14 @@ def sample_position(pixel: np.ndarray) -> np.ndarray:
     return (pixel + MARGIN) * SUPER - 0.5
 
 
-def _print_dot(cover, fleck, centre, look: Look, rng: np.random.Generator) -> None:
-    reach = int(look.diameter * SUPER)
+def _print_marker(cover, fleck, centre, appearance: Appearance, rng: np.random.Generator) -> None:
+    reach = int(appearance.diameter * SUPER)
     middle = sample_position(np.asarray(centre))
     left, top = (np.round(middle).astype(int)) - reach
     size = 2 * reach + 1
     y0, x0 = max(top, 0), max(left, 0)
     y1, x1 = min(top + size, cover.shape[0]), min(left + size, cover.shape[1])
-    harmonics = rng.normal(scale=look.raggedness / np.arange(2, 7), size=(2, 5))
+    harmonics = rng.normal(scale=appearance.raggedness / np.arange(2, 7), size=(2, 5))
     spots = cv2.GaussianBlur(rng.standard_normal((size, size), dtype=np.float32), (0, 0), 0.6 * SUPER)
     if y0 >= y1 or x0 >= x1:
         return
@@ -52,7 +54,7 @@ def _print_dot(cover, fleck, centre, look: Look, rng: np.random.Generator) -> No
     rim = (
         harmonics[0, :, None, None] * np.cos(order * angle) + harmonics[1, :, None, None] * np.sin(order * angle)
     ).sum(0)
-    inside = np.clip((look.diameter / 2 * (1.0 + rim) - np.hypot(dx, dy)) * SUPER + 0.5, 0.0, 1.0)
+    inside = np.clip((appearance.diameter / 2 * (1.0 + rim) - np.hypot(dx, dy)) * SUPER + 0.5, 0.0, 1.0)
     window = np.s_[y0:y1, x0:x1]
     cover[window] = np.maximum(cover[window], inside)
     bright = np.clip(spots[y0 - top : y1 - top, x0 - left : x1 - left] / (spots.std() + 1e-9) - 0.8, 0.0, 1.5)

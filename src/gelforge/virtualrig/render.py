@@ -10,8 +10,8 @@ from gelforge.geometry.gel import Gel
 from gelforge.mechanics.scene import Press
 from gelforge.records.geometryfile import Geometry
 from gelforge.records.image import as_jpeg
+from gelforge.virtualrig.appearance import HEIGHT, WIDTH, Appearance, Drift, normalised_pixels
 from gelforge.virtualrig.fields import FAR, STEP, Field, RoughBody, body_position, unloaded
-from gelforge.virtualrig.looks import HEIGHT, WIDTH, Drift, Look, normalised_pixels
 from gelforge.virtualrig.paint import MARGIN, printed, sample_position
 
 TOUCH = 0.05  # mm between the computed surface and the body within which the picture lays one on the other
@@ -41,10 +41,10 @@ class Shown:
 class Renderer:
     """Camera of one sensor: everything that does not change from press to press is worked out once."""
 
-    def __init__(self, look: Look, projection: np.ndarray, gel: Gel):
-        self.look, self.projection, self.gel = look, np.asarray(projection, float), gel
-        self.light = look.light_field()
-        self.paint = printed(look, np.random.default_rng(look.seed))
+    def __init__(self, appearance: Appearance, projection: np.ndarray, gel: Gel):
+        self.appearance, self.projection, self.gel = appearance, np.asarray(projection, float), gel
+        self.light = appearance.light_field()
+        self.paint = printed(appearance, np.random.default_rng(appearance.seed))
         self.pixel_u, self.pixel_v = _pixels(0)
         wide_u, wide_v = _pixels(MARGIN)
         x, y = unproject(self.projection, wide_u, wide_v)
@@ -89,15 +89,15 @@ class Renderer:
         )
         picture = self.light * (self._shade(height) / self.flat_shade)
         picture *= ink
-        if self.look.shade is not None:
+        if self.appearance.shade is not None:
             sunk = float(np.maximum(self.inner_top - height, 0.0).mean())
-            picture *= (1.0 + self.look.shade * sunk).astype(np.float32)
+            picture *= (1.0 + self.appearance.shade * sunk).astype(np.float32)
         if rng is not None:
-            if self.look.drift is not None:
-                picture = drifted(picture, self.look.drift, rng)
+            if self.appearance.drift is not None:
+                picture = drifted(picture, self.appearance.drift, rng)
             picture += self._noise(rng)
         taken = np.clip(np.rint(picture, out=picture), 0, 255, out=picture).astype(np.uint8)
-        return as_jpeg(taken, self.look.jpeg) if self.look.jpeg else taken
+        return as_jpeg(taken, self.appearance.jpeg) if self.appearance.jpeg else taken
 
     def seen(self, xy: np.ndarray, moved: np.ndarray) -> np.ndarray:
         """Pixels (n, 2) at which gel points xy (n, 2) mm appear that have moved by (n, 3) mm."""
@@ -110,7 +110,7 @@ class Renderer:
     def _seen(self, x, y, w):
         """Pixels of displaced points: the part pressed by w towards the pinhole looks larger."""
         u, v = project(self.projection, x, y)
-        nearer = self.look.camera_mm / (self.look.camera_mm + w)
+        nearer = self.appearance.camera_mm / (self.appearance.camera_mm + w)
         return self.axis[0] + (u - self.axis[0]) * nearer, self.axis[1] + (v - self.axis[1]) * nearer
 
     def _trace(self, field: Field):
@@ -146,7 +146,7 @@ class Renderer:
         height = cv2.GaussianBlur(height, (0, 0), RIPPLE_MM * self.scale)
         x, y = self.inner_xy
         # where a point lies that looks larger or smaller by how far it has moved, as `_seen` has it
-        farther = (self.look.camera_mm + height - self.inner_top) / self.look.camera_mm
+        farther = (self.appearance.camera_mm + height - self.inner_top) / self.appearance.camera_mm
         column, row, tip = body_position(pressed.body, pressed.press, x * farther, y * farther)
         body = tip + cv2.remap(
             pressed.body.height,
@@ -162,27 +162,27 @@ class Renderer:
 
     def _shade(self, height: np.ndarray) -> np.ndarray:
         """Brightness by surface slope relative to a level surface, (240, 320, 3) float32."""
-        smooth = cv2.GaussianBlur(height, (0, 0), max(self.look.blur, 0.5))
+        smooth = cv2.GaussianBlur(height, (0, 0), max(self.appearance.blur, 0.5))
         slope_u = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=self.scale / 8)
         slope_v = cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=self.scale / 8)
         # the gel's coating scatters: steep flanks are hardly brighter than moderate ones
-        strength = 1.0 / np.sqrt(1.0 + (slope_u**2 + slope_v**2) / np.float32(self.look.slope_limit**2))
+        strength = 1.0 / np.sqrt(1.0 + (slope_u**2 + slope_v**2) / np.float32(self.appearance.slope_limit**2))
         gentle = strength**4
         shade = np.empty((HEIGHT, WIDTH, 3), np.float32)
-        for colour, (towards, gain) in enumerate(zip(self.look.light, self.look.slope_gain, strict=True)):
+        for colour, (towards, gain) in enumerate(zip(self.appearance.light, self.appearance.slope_gain, strict=True)):
             lit = strength * (float(gain * towards[0]) * slope_u + float(gain * towards[1]) * slope_v)
-            steep = np.float32(self.look.brightening[colour])
+            steep = np.float32(self.appearance.brightening[colour])
             lit = np.where(lit > 0.0, (steep + (1 - steep) * gentle) * lit, lit)
             np.maximum(1.0 + lit, 0.2, out=shade[..., colour])
         return shade
 
     def _noise(self, rng: np.random.Generator) -> np.ndarray:
         noise: np.ndarray = rng.standard_normal((HEIGHT, WIDTH, 3), dtype=np.float32)
-        sigma = self.look.noise_blur
+        sigma = self.appearance.noise_blur
         if sigma > 0:
             noise = cv2.GaussianBlur(noise, (0, 0), sigma)
             noise = noise * np.float32(1.0 / _blur_gain(sigma))
-        return noise * self.look.noise.astype(np.float32)
+        return noise * self.appearance.noise.astype(np.float32)
 
 
 def drifted(picture: np.ndarray, drift: Drift, rng: np.random.Generator) -> np.ndarray:

@@ -270,13 +270,13 @@ def _check_kind(kind: Kind, gel: Gel, fewest: int, where: str) -> None:
             )
 
 
-def check_names(plan: Plan, indenters, sensors, looks, path) -> None:
-    """Refuse a plan that names indenters, sensors or looks nobody defined."""
+def check_names(plan: Plan, indenters, sensors, appearances, path) -> None:
+    """Refuse a plan that names indenters, sensors or appearances nobody defined."""
     units = [*plan.sensors, *plan.held_out_sensors]
     for what, asked, known, where in (
         ("indenter", plan.indenters, indenters, plan.catalogue),
         ("sensor", units, sensors, "workflow/sensors.toml"),
-        ("sensor's look", units, looks, "workflow/rig/sensors.toml"),
+        ("sensor's appearance", units, appearances, "workflow/rig/sensors.toml"),
     ):
         unknown = [name for name in dict.fromkeys(asked) if name not in known]
         if unknown:

@@ -10,11 +10,12 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.params import read_toml
 from gelforge.flow.params.schema import ParameterTable, Place, Some, Within, parse
+from gelforge.flow.renamed import UNITS, with_names_of_today
 from gelforge.labelling.sensor import Sensor
-from gelforge.virtualrig.looks import HEIGHT, WIDTH, Drift, Look, dot_centres, read_looks
+from gelforge.virtualrig.appearance import HEIGHT, WIDTH, Appearance, Drift, marker_centres, read_appearances
 from gelforge.virtualrig.rigplan import DrawnUnits, Span
 
-ROWS, COLS = 7, 9  # of the dots that a whole view shows
+ROWS, COLS = 7, 9  # of the markers that a whole view shows
 AZIMUTH = np.array([90.0, 0.0, 270.0])  # degrees of the red, green and blue light
 
 
@@ -22,10 +23,10 @@ AZIMUTH = np.array([90.0, 0.0, 270.0])  # degrees of the red, green and blue lig
 class UnitRanges(ParameterTable):
     """What differs between units, each drawn evenly between two bounds; the file says where each range comes from.
 
-    Lengths are px unless named mm, light is in grey levels of 255, angles in degrees. Names are those of `looks.Look` and
-    of workflow/rig/sensors.toml. backgrounds: looks whose light is mixed. pitch_mm: distance of the dots on the gel.
+    Lengths are px unless named mm, light is in grey levels of 255, angles in degrees. Names are those of `Appearance` and
+    of workflow/rig/sensors.toml. backgrounds: appearances whose light is mixed. pitch_mm: distance of the markers on the gel.
     contrast: of all colours together, drawn evenly in its logarithm; colour_contrast: of each besides.
-    jpeg_share: of the units whose camera compresses, with jpeg_quality.
+    jpeg_fraction: of the units whose camera compresses, with jpeg_quality.
     """
 
     example = "workflow/rig/units.toml"
@@ -50,8 +51,8 @@ class UnitRanges(ParameterTable):
     rotation_deg: Annotated[Span, Within(-360, 360, "degrees")]
     shift_px: Annotated[Span, Within(-1000, 1000, "px")]
     pitch_mm: Annotated[Span, Within(0.1, 100, "mm")]
-    print_shift_px: Annotated[Span, Within(-1000, 1000, "px")]
-    print_turn_deg: Annotated[Span, Within(-360, 360, "degrees")]
+    grid_shift_px: Annotated[Span, Within(-1000, 1000, "px")]
+    grid_turn_deg: Annotated[Span, Within(-360, 360, "degrees")]
     spread: Annotated[Span, Within(-1, 1)]
     misprint_px: Annotated[Span, Within(0, 100, "px")]
     diameter_px: Annotated[Span, Within(0.1, 1000, "px")]
@@ -60,40 +61,40 @@ class UnitRanges(ParameterTable):
     flecks: Annotated[Span, Within(0, 10)]
     shadow_depth: Annotated[Span, Within(0, 1)]
     shadow_px: Annotated[Span, Within(0, 1000, "px")]
-    missing_dots: Annotated[Span, Within(0, ROWS * COLS - 1)]
+    missing_markers: Annotated[Span, Within(0, ROWS * COLS - 1)]
     specks: Annotated[Span, Within(0, 10000)]
     drift_gain: Annotated[Span, Within(-1, 1)]
     drift_offset: Annotated[Span, Within(-255, 255)]
     drift_field: Annotated[Span, Within(-1, 1)]
     shade_per_mm: Annotated[Span, Within(-10, 10, "1/mm")]
-    jpeg_share: Annotated[float, Within(0, 1)]
+    jpeg_fraction: Annotated[float, Within(0, 1)]
     jpeg_quality: Annotated[Span, Within(1, 100)]
 
 
-def draw_units(units: DrawnUnits, gel: str, rig: Path, seed: int) -> tuple[dict[str, Look], dict[str, Sensor]]:
-    """Looks and sensors of a plan's drawn units, by name; each depends on the seed and its own name alone.
+def draw_units(units: DrawnUnits, gel: str, rig: Path, seed: int) -> tuple[dict[str, Appearance], dict[str, Sensor]]:
+    """Appearances and sensors of a plan's drawn units, by name; each depends on the seed and its own name alone.
 
     gel: name of that on which those sit for whom `units` names none. rig: folder workflow/rig with the ranges and with
     sensors.toml, whose backgrounds are mixed.
     """
     path = rig / units.ranges
-    ranges, known = read_ranges(path), read_looks(rig / "sensors.toml")
+    ranges, known = read_ranges(path), read_appearances(rig / "sensors.toml")
     unknown = [name for name in ranges.backgrounds if name not in known]
     if unknown:
-        raise BadInput(f"{path}: backgrounds: no look {', '.join(unknown)} in {rig / 'sensors.toml'}")
+        raise BadInput(f"{path}: backgrounds: no appearance {', '.join(unknown)} in {rig / 'sensors.toml'}")
     bases = np.array([known[name].background for name in ranges.backgrounds])
-    looks, sensors = {}, {}
+    appearances, sensors = {}, {}
     for name in units.names:
         draw = Draw(np.random.default_rng([seed, zlib.crc32(name.encode())]), ranges)
         sensors[name] = replace(draw.sensor(name), gel=units.gel_of(name) or gel)
-        looks[name] = draw.look(name, bases, sensors[name])
-    return looks, sensors
+        appearances[name] = draw.appearance(name, bases, sensors[name])
+    return appearances, sensors
 
 
 def read_ranges(path: Path) -> UnitRanges:
     """Read a file of ranges; one that is incomplete, unknown or runs backwards raises BadInput."""
-    ranges = parse(UnitRanges, read_toml(path), Place(str(path)))
-    for name in (field.name for field in fields(ranges) if field.name not in ("backgrounds", "jpeg_share")):
+    ranges = parse(UnitRanges, with_names_of_today(read_toml(path), UNITS, str(path)), Place(str(path)))
+    for name in (field.name for field in fields(ranges) if field.name not in ("backgrounds", "jpeg_fraction")):
         bounds = getattr(ranges, name)
         if bounds[0] > bounds[1]:
             raise BadInput(f"{path}: {name} = {list(bounds)} runs backwards; write [low, high]")
@@ -117,7 +118,7 @@ class Draw:
         return int(self.rng.integers(round(low), round(high) + 1))
 
     def sensor(self, name: str) -> Sensor:
-        """Where the camera sees the gel, and the dots that are printed on it."""
+        """Where the camera sees the gel, and the markers that are printed on it."""
         scale, angle = self.of("scale_px_per_mm"), np.deg2rad(self.of("rotation_deg"))
         centre = np.array([WIDTH, HEIGHT]) / 2 + self.of("shift_px", 2)
         cos, sin = scale * np.cos(angle), scale * np.sin(angle)
@@ -129,26 +130,26 @@ class Draw:
             "rows": ROWS,
             "cols": COLS,
             "pitch_px": [float(round(scale * self.of("pitch_mm"), 3)) for _ in range(2)],
-            "centre_px": [float(round(value, 3)) for value in centre + self.of("print_shift_px", 2)],
-            "rotation_deg": float(round(np.rad2deg(angle) + self.of("print_turn_deg"), 3)),
+            "centre_px": [float(round(value, 3)) for value in centre + self.of("grid_shift_px", 2)],
+            "rotation_deg": float(round(np.rad2deg(angle) + self.of("grid_turn_deg"), 3)),
             "diameter_px": float(round(self.of("diameter_px"), 3)),
         }
         return Sensor(name, (WIDTH, HEIGHT), projection, markers=markers)
 
-    def look(self, name: str, bases: np.ndarray, sensor: Sensor) -> Look:
-        """How the unit looks: light, camera, ink; bases: (k, 15, 3) backgrounds to mix."""
-        share = self.rng.dirichlet(np.ones(len(bases)))
-        background = np.einsum("k,kij->ij", share, bases) * (1.0 + self.of("background_scatter", bases[0].shape))
+    def appearance(self, name: str, bases: np.ndarray, sensor: Sensor) -> Appearance:
+        """Appearance of the unit: illumination, camera, ink; bases: (k, 15, 3) backgrounds to mix."""
+        weight = self.rng.dirichlet(np.ones(len(bases)))
+        background = np.einsum("k,kij->ij", weight, bases) * (1.0 + self.of("background_scatter", bases[0].shape))
         angle = np.deg2rad(AZIMUTH + self.of("azimuth_deg") + self.of("azimuth_deg", 3))
         weakest, strongest = np.log(self.ranges.contrast)
         contrast = np.exp(self.rng.uniform(weakest, strongest))
-        dots = dict(sensor.markers) | {
+        markers = dict(sensor.markers) | {
             "spread": self.of("spread", 2),
             "jitter_px": self.of("misprint_px"),
             "seed": self.rng.integers(2**31),
-            "missing": self.rng.choice(ROWS * COLS, self.whole("missing_dots"), replace=False),
+            "missing": self.rng.choice(ROWS * COLS, self.whole("missing_markers"), replace=False),
         }
-        return Look(
+        return Appearance(
             name=name,
             background=background,
             tilt=self.of("tilt", (3, 2)),
@@ -163,7 +164,7 @@ class Draw:
             blur=self.of("blur_px"),
             noise=self.of("noise", 3),
             noise_blur=self.of("noise_blur_px"),
-            dots=dot_centres(dots),
+            markers=marker_centres(markers),
             diameter=sensor.markers["diameter_px"],
             raggedness=self.of("raggedness"),
             ink=self.of("ink", 3),
@@ -174,5 +175,5 @@ class Draw:
             specks=self.whole("specks"),
             drift=Drift(*(getattr(self.ranges, f"drift_{part}") for part in ("gain", "offset", "field"))),
             shade=self.of("shade_per_mm", 3),
-            jpeg=self.whole("jpeg_quality") if self.rng.random() < self.ranges.jpeg_share else 0,
+            jpeg=self.whole("jpeg_quality") if self.rng.random() < self.ranges.jpeg_fraction else 0,
         )

@@ -64,10 +64,10 @@ class Dataset:
             "remove the folder"
         )
 
-    def check_same_plan(self, shapes: dict[str, str], looks: dict[str, str]) -> None:
+    def check_same_plan(self, shapes: dict[str, str], appearances: dict[str, str]) -> None:
         """Refuse to mix two plans in one folder; more presses of the same plan are welcome.
 
-        shapes, looks: digest of what each name of an indenter, of a sensor, stands for today. A name that stood for
+        shapes, appearances: digest of what each name of an indenter, of a sensor, stands for today. A name that stood for
         something else when presses were made, or pictures taken that are still there, is another plan.
         """
         if not self.plan_path.exists():
@@ -92,7 +92,7 @@ class Dataset:
                 f"{self.folder}: indenter {changed[0]} had another shape when presses were made with it; "
                 "give the new shape a name of its own, or remove the folder"
             )
-        changed = differing(before.get("looks", {}), looks) if self._has_pictures() else []
+        changed = differing(before.get("looks", {}), appearances) if self._has_pictures() else []
         if changed:
             raise BadInput(
                 f"{self.folder}: sensor {changed[0]} looked otherwise when pictures were taken with it; "
@@ -102,9 +102,14 @@ class Dataset:
     def _has_pictures(self) -> bool:
         return any(any((self.folder / name).glob("*.png")) for name in ("images", "nocontact"))
 
-    def begin(self, shapes: dict[str, str], looks: dict[str, str]) -> None:
-        """Write what does not depend on the presses; shapes and looks as of `check_same_plan`."""
-        truth = {"truth": asdict(self.plan.truth), "plan": self.plan.identity(), "shapes": shapes, "looks": looks}
+    def begin(self, shapes: dict[str, str], appearances: dict[str, str]) -> None:
+        """Write what does not depend on the presses; shapes and appearances as of `check_same_plan`."""
+        truth = {
+            "truth": asdict(self.plan.truth),
+            "plan": self.plan.identity(),
+            "shapes": shapes,
+            "looks": appearances,
+        }
         write_json(self.plan_path, truth)
         description = self.folder / "dataset.toml"
         if not description.exists():
@@ -238,7 +243,7 @@ def _tables(name: str, table: dict) -> list[str]:
 
 
 def _key(name: str) -> str:
-    """A key of TOML: as it stands where it is a bare word, else quoted, as "0.7", whose dot would make two keys of it."""
+    """A key of TOML: as it stands where it is a bare word, else quoted, as "0.7", whose period would make two keys of it."""
     return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else _value(name)
 
 

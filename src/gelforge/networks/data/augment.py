@@ -78,8 +78,8 @@ def shift_together(images, labels, cells: int, generator) -> tuple[np.ndarray, n
 def misplace_nocontact(pairs: np.ndarray, narrow: np.ndarray, settings: AugmentTable, generator) -> np.ndarray:
     """Shift, turn and zoom the no-contact image of a share of the pairs (n, h, w, 6) uint8, as if the gel sat otherwise.
 
-    Where the gel is held its dots stand still under any force, so these tell the network what to take back. narrow: (n,)
-    pairs that are left alone because they do not show these dots: there a common motion is sideways force.
+    Where the gel is held its markers stand still under any force, so these tell the network what to take back. narrow: (n,)
+    pairs that are left alone because they do not show these markers: there a common motion is sideways force.
     """
     return _misplaced(pairs, narrow, settings, generator)[0]
 
@@ -147,7 +147,7 @@ def narrow_views(pairs, labels, settings: AugmentTable, generator) -> tuple[np.n
 def mirror_together(images, labels, generator) -> tuple[np.ndarray, np.ndarray]:
     """Mirror each image (n, h, w, channels) and its label (n, 3, rows, cols) alike, either way with even odds.
 
-    Mechanics and dots know no left and right: a press mirrored is a press, its force along the mirrored side of the
+    Mechanics and markers know no left and right: a press mirrored is a press, its force along the mirrored side of the
     image reversed. The coloured light does not mirror, so a network learns to lean on it less.
     """
     import cv2

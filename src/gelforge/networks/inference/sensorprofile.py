@@ -18,6 +18,7 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_text
 from gelforge.flow.params import read_toml
+from gelforge.flow.renamed import PROFILE, with_names_of_today
 from gelforge.networks.checkpoint.modelfile import fingerprint
 from gelforge.records.image import read_image, write_png
 from gelforge.records.markers import pitch_of
@@ -225,7 +226,7 @@ def gain_there(path: Path) -> Gain | None:
 
 def _picture_of(path: Path, table: dict) -> Path:
     """Where the no-contact image of a profile lies; BadInput where it does not lie beside it."""
-    beside = table.get("nocontact", table.get("untouched"))  # as earlier versions wrote it
+    beside = with_names_of_today(table, PROFILE, str(path)).get("nocontact")
     if not isinstance(beside, str) or not beside or "\0" in beside or Path(beside).name != beside:
         raise BadInput(f"{path}: nocontact = {beside!r}: name a picture that lies beside the profile")
     return path.with_name(beside)

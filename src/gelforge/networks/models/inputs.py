@@ -1,6 +1,6 @@
 """What a network reads: the image, its difference from the no-contact image, or the pair of both.
 
-A sheared gel shows in dots that moved by fractions of a pixel. From one image a network has to know where each dot
+A sheared gel shows in markers that moved by fractions of a pixel. From one image a network has to know where each marker
 was; beside a picture of the same sensor before it was touched the displacement lies open, also on a sensor that the
 network never saw. Tactile cameras are commonly read against such a first frame (GelSight: Yuan, Dong and Adelson
 2017, Sensors 17(12) 2762).

@@ -12,7 +12,7 @@ import numpy as np
 
 from gelforge.networks.preprocess.scale import WHOLE, View
 
-SMALL = (40, 30)  # width and height in px at which light is compared: dots and noise average out
+SMALL = (40, 30)  # width and height in px at which light is compared: markers and noise average out
 ROUNDS = 20  # at most of iteratively reweighted least squares; four are usual
 BRIGHTEST = 255.0  # level that a picture may have
 LEVELS = np.arange(BRIGHTEST + 1.0)[:, None]

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.records.markers import LEAST_PRINT, find_blobs, lattice_of, print_pitch
+from gelforge.records.markers import LEAST_FOR_PITCH, find_blobs, lattice_of, marker_pitch
 
 ROWS, COLS = (
     9,
@@ -57,14 +57,14 @@ class MarkerTracker:
         self.grey = cv2.cvtColor(nocontact, cv2.COLOR_RGB2GRAY)
         points, _ = find_blobs(nocontact)
         low, high = (points.min(axis=0), points.max(axis=0)) if len(points) else (np.zeros(2), np.zeros(2))
-        reach = RIM * print_pitch(points)
+        reach = RIM * marker_pitch(points)
         self.rim = ((points < low + reach) | (points > high - reach)).any(axis=1)
         self.points = points - 0.5
         self.at = self._lattice()
 
     def _lattice(self) -> np.ndarray:
         at = np.full((len(self.points), 2), -1)
-        if len(at) < LEAST_PRINT:
+        if len(at) < LEAST_FOR_PITCH:
             return at
         with contextlib.suppress(BadInput):  # no print of markers, then
             index, used = lattice_of(self.points)
@@ -82,7 +82,7 @@ class MarkerTracker:
     @functools.cached_property
     def known(self) -> bool:
         """Whether there are markers enough on a lattice to read anything from them."""
-        return int(self.on_grid.sum()) >= LEAST_PRINT
+        return int(self.on_grid.sum()) >= LEAST_FOR_PITCH
 
     def track(self, image: np.ndarray) -> Tracks:
         """The markers in an image (h, w, 3) uint8 in light and size like the no-contact image."""

@@ -1,5 +1,5 @@
 "use strict";
-// Charts of errors, each a dot with its interval, and the picture of the flow.
+// Charts of errors, each a point with its interval, and the picture of the flow.
 const SVG = "http://www.w3.org/2000/svg";
 function draw(tag, attributes, text) {
   const node = document.createElementNS(SVG, tag);
@@ -35,9 +35,9 @@ function dotChart(rows, lines) {
     const y = 24 * k + 22, name = row.name.length > 24 ? `${row.name.slice(0, 23)}…` : row.name;
     const label = draw("text", { x: left - 10, y: y + 4, "text-anchor": "end" }, name); label.append(draw("title", {}, row.name)); svg.append(label);
     if (Number.isFinite(row.high)) svg.append(draw("line", { x1: X(row.low), x2: X(row.high), y1: y, y2: y, stroke: PALETTE[0], "stroke-width": 2 }));
-    const dot = draw("circle", { cx: X(row.mean), cy: y, r: 5, fill: PALETTE[0] });
-    dot.append(draw("title", {}, `${row.name}: ${fixed(row.mean, 3)} N (${fixed(row.low, 3)} to ${fixed(row.high, 3)}), ${row.n} presses`));
-    svg.append(dot, draw("text", { x: right + 10, y: y + 4, class: "soft" }, `n ${row.n}`));
+    const point = draw("circle", { cx: X(row.mean), cy: y, r: 5, fill: PALETTE[0] });
+    point.append(draw("title", {}, `${row.name}: ${fixed(row.mean, 3)} N (${fixed(row.low, 3)} to ${fixed(row.high, 3)}), ${row.n} presses`));
+    svg.append(point, draw("text", { x: right + 10, y: y + 4, class: "soft" }, `n ${row.n}`));
   });
   svg.append(draw("text", { x: (left + right) / 2, y: height - 6, "text-anchor": "middle", class: "soft" }, "mean absolute error, N"));
   return svg;

@@ -1,12 +1,14 @@
-"""How each virtual sensor looks: light, camera, ink; read from workflow/rig/sensors.toml."""
+"""Appearance of each virtual sensor: illumination, camera, ink; read from workflow/rig/sensors.toml."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.params import read_toml
+from gelforge.flow.renamed import APPEARANCE, with_names_of_today
 
 COLOURS = ("red", "green", "blue")
 WIDTH, HEIGHT = 320, 240
@@ -20,7 +22,7 @@ SHAPES = {"background": (len(TERMS), 3), "tilt": (3, 2), "light": (3, 2)} | dict
 BOUNDS = {
     "background": (-1e4, 1e4), "tilt": (-10, 10), "light": (-1, 1), "white_balance": (0, 10), "gain": (0, 10),
     "vignette": (-1, 1), "slope_gain": (0, 100), "slope_limit": (1e-3, 100), "brightening": (0, 10),
-    "camera_mm": (5, 1e4), "blur": (0, 100), "noise": (0, 255), "noise_blur": (0, 100), "dots": (-1e4, 1e4),
+    "camera_mm": (5, 1e4), "blur": (0, 100), "noise": (0, 255), "noise_blur": (0, 100), "markers": (-1e4, 1e4),
     "diameter": (0.1, 1e3), "raggedness": (0, 1), "ink": (0, 1), "flecks": (0, 10), "shadow_depth": (0, 1),
     "shadow_length": (0, 1e3),
 }  # fmt: skip
@@ -45,7 +47,7 @@ class Drift:
 
 
 @dataclass(frozen=True)
-class Look:
+class Appearance:
     """Appearance of one sensor; lengths in px unless named mm, colours in the order red, green, blue.
 
     background: (15, 3) coefficients of s^i t^j in the order of TERMS, grey levels, where s and t run from -1 to 1
@@ -53,9 +55,9 @@ class Look:
     image plane towards each light. slope_gain: (3,) relative brightening per unit of surface slope towards the light,
     which levels off beyond slope_limit. brightening: (3,) how much of it a steep flank that faces the light gets;
     gentle slopes and flanks that turn away get all.
-    dots: (n, 2) centres, counted from the image's corner like projections. ink: (3,) what an ink dot still
+    markers: (n, 2) centres, counted from the image's corner like projections. ink: (3,) what an ink marker still
     reflects; flecks: (3,) how much brighter its bare spots are. shadow_depth and shadow_length: the coloured
-    penumbra beside each dot. noise: (3,) standard deviation in grey levels. camera_mm: height of the pinhole
+    penumbra beside each marker. noise: (3,) standard deviation in grey levels. camera_mm: height of the pinhole
     below the gel's crown, which sets how much a pressed part looks larger. specks: marks of dust and scratches.
     drift: of the light from picture to picture. shade: (3,) relative change of each colour's light per mm by which the
     gel is pressed in on average. jpeg: quality of a camera that compresses, 0 for one that does not.
@@ -75,7 +77,7 @@ class Look:
     blur: float
     noise: np.ndarray
     noise_blur: float
-    dots: np.ndarray
+    markers: np.ndarray
     diameter: float
     raggedness: float
     ink: np.ndarray
@@ -87,6 +89,11 @@ class Look:
     drift: Drift | None = None
     shade: np.ndarray | None = None
     jpeg: int = 0
+
+    def content(self) -> dict[str, Any]:
+        """Values for the digest that folders of the rig keep; the key `dots` stays, so that older folders still match."""
+        values = asdict(self)
+        return values | {"dots": values.pop("markers")}
 
     def fault(self) -> str:
         """What no sensor can look like, as the start of a sentence; empty where nothing is."""
@@ -100,7 +107,7 @@ class Look:
         return ""
 
     def light_field(self) -> np.ndarray:
-        """Image of the evenly lit, dotless, unloaded gel, (240, 320, 3) float32 grey levels."""
+        """Image of the evenly lit, marker-free, unloaded gel, (240, 320, 3) float32 grey levels."""
         s, t = normalised_pixels()
         powers = np.stack([s**i * t**j for i, j in TERMS], axis=-1)
         field = powers @ self.background
@@ -115,8 +122,8 @@ def normalised_pixels() -> tuple[np.ndarray, np.ndarray]:
     return (u - (WIDTH - 1) / 2) / (WIDTH / 2), (v - (HEIGHT - 1) / 2) / (HEIGHT / 2)
 
 
-def read_looks(path) -> dict[str, Look]:
-    """Read every sensor's look; a table may name another as `base` and write only what differs."""
+def read_appearances(path) -> dict[str, Appearance]:
+    """Read every sensor's appearance; a table may name another as `base` and write only what differs."""
     path = Path(path)
     tables = read_toml(path)
     for name, table in tables.items():
@@ -127,7 +134,8 @@ def read_looks(path) -> dict[str, Look]:
         )
         if loose:
             raise BadInput(f"{path}: {loose[0]} stands outside of a table; compare it with [mini_a]")
-    return {name: _look(name, _merged(name, tables, path), path) for name in tables}
+    tables = {name: with_names_of_today(table, APPEARANCE, f"{path}: [{name}]") for name, table in tables.items()}
+    return {name: _appearance(name, _merged(name, tables, path), path) for name in tables}
 
 
 def _merged(name: str, tables: dict, path) -> dict:
@@ -144,11 +152,11 @@ def _merged(name: str, tables: dict, path) -> dict:
     return merged
 
 
-def _look(name: str, table: dict, path) -> Look:
+def _appearance(name: str, table: dict, path) -> Appearance:
     try:
-        light, camera, dots = table["light"], table["camera"], table["dots"]
+        light, camera, markers = table["light"], table["camera"], table["markers"]
         angle = np.deg2rad(np.array(light["azimuth_deg"], float))
-        look = Look(
+        appearance = Appearance(
             name=name,
             background=np.array([table["background"][colour] for colour in COLOURS], float).T,
             tilt=np.array(light.get("tilt", np.zeros((3, 2))), float),
@@ -163,36 +171,36 @@ def _look(name: str, table: dict, path) -> Look:
             blur=float(camera["blur_px"]),
             noise=np.array(camera["noise"], float),
             noise_blur=float(camera["noise_blur_px"]),
-            dots=dot_centres(dots),
-            diameter=float(dots["diameter_px"]),
-            raggedness=float(dots["raggedness"]),
-            ink=np.array(dots["ink"], float),
-            flecks=np.array(dots["flecks"], float),
-            shadow_depth=float(dots["shadow_depth"]),
-            shadow_length=np.array(dots["shadow_length_px"], float),
-            seed=int(dots["seed"]),
+            markers=marker_centres(markers),
+            diameter=float(markers["diameter_px"]),
+            raggedness=float(markers["raggedness"]),
+            ink=np.array(markers["ink"], float),
+            flecks=np.array(markers["flecks"], float),
+            shadow_depth=float(markers["shadow_depth"]),
+            shadow_length=np.array(markers["shadow_length_px"], float),
+            seed=int(markers["seed"]),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise BadInput(f"{path}: [{name}] is incomplete or malformed: {error!r}; compare it with [mini_a]") from error
-    fault = look.fault()
+    fault = appearance.fault()
     if fault:
         raise BadInput(f"{path}: [{name}]: {fault}; compare it with [mini_a]")
-    return look
+    return appearance
 
 
-def dot_centres(dots: dict) -> np.ndarray:
-    """Centres of the printed dots, (n, 2) px: a rotated grid with seeded misprints, less the missing ones."""
-    rows, cols, missing = dots["rows"], dots["cols"], np.array(dots.get("missing", []), int)
+def marker_centres(markers: dict) -> np.ndarray:
+    """Centres of the printed markers, (n, 2) px: a rotated grid with seeded misprints, less the missing ones."""
+    rows, cols, missing = markers["rows"], markers["cols"], np.array(markers.get("missing", []), int)
     if min(rows, cols) < 2 or ((missing < 0) | (missing >= rows * cols)).any():
-        raise ValueError(f"{rows} rows and {cols} cols of dots: give 2 or more of both, and `missing` from 0 on")
+        raise ValueError(f"{rows} rows and {cols} cols of markers: give 2 or more of both, and `missing` from 0 on")
     row, col = np.divmod(np.arange(rows * cols), cols)
     half = np.array([cols - 1, rows - 1]) / 2
     place = np.stack([col, row], axis=1) - half
-    # the lens and the crown spread the outer dots; the mean pitch stays
-    place = place * (1.0 + np.array(dots["spread"], float) * ((place / half) ** 2 - 1.0))
-    grid = place * np.array(dots["pitch_px"], float)
-    angle = np.deg2rad(dots["rotation_deg"])
+    # the lens and the crown spread the outer markers; the mean pitch stays
+    place = place * (1.0 + np.array(markers["spread"], float) * ((place / half) ** 2 - 1.0))
+    grid = place * np.array(markers["pitch_px"], float)
+    angle = np.deg2rad(markers["rotation_deg"])
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    jitter = np.random.default_rng(dots["seed"]).normal(scale=dots["jitter_px"], size=grid.shape)
-    centres = grid @ turn.T + jitter + np.array(dots["centre_px"], float)
+    jitter = np.random.default_rng(markers["seed"]).normal(scale=markers["jitter_px"], size=grid.shape)
+    centres = grid @ turn.T + jitter + np.array(markers["centre_px"], float)
     return np.delete(centres, missing, axis=0)
