@@ -53,7 +53,7 @@ def law_emulator(stiffness=(4.0,)) -> Emulator:
 
 
 def make_readings(depth, force, sheared=False) -> Readings:
-    """Straight presses of one sphere at the crown."""
+    """Straight presses of one sphere at the apex."""
     n = len(depth)
     pose = np.zeros((n, 7))
     pose[:, 5] = -np.asarray(depth)

@@ -24,7 +24,7 @@ def irregular_surface(kind: str, size: float, rng, gel: Gel | None = None, jitte
     """Surface mesh over the gel's rectangle with corners moved at random by up to `jitter` of `size` mm.
 
     "tet10" gives a Delaunay triangulation with midside nodes on the dome, "hex8" skewed quadrangles on its
-    crown plane. There are no volume elements.
+    apex plane. There are no volume elements.
     """
     from scipy.spatial import Delaunay
 

@@ -11,7 +11,7 @@ PLAIN = {
 
 
 def press_record(row: int = 2, **cells) -> LoggedPress:
-    """A press of 1 mm at the crown, but for what is given."""
+    """A press of 1 mm at the apex, but for what is given."""
     return LoggedPress(row=row, **{**PLAIN, **cells})
 
 

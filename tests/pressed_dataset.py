@@ -19,7 +19,7 @@ CATALOGUE = {"sphere_10": {"kind": "sphere"}, "cuboid_7": {"kind": "cuboid"}, "t
 
 
 def make_mesh(size: float = 1.2):
-    """A gel of bricks, even all over."""
+    """A gel of hexahedra, even all over."""
     return build_mesh(Gel(), FineBox(-10.0, 10.0, -12.0, 12.0, size), layers=2)
 
 
@@ -37,7 +37,7 @@ def write_pressed(
 
     folder, rng, mesh = Path(folder), np.random.default_rng(seed), make_mesh()
     data, results = folder / "data" / "made", folder / "results" / "made"
-    mesh.save(results / "20_meshes" / "brick.npz")
+    mesh.save(results / "20_meshes" / "hexahedra.npz")
     (data / "images").mkdir(parents=True)
     rows, loads, samples = [], {}, []
     for at in range(count):
@@ -67,9 +67,9 @@ def write_pressed(
         rows.append(row)
         good = at not in failed
         samples.append(
-            SampleForces(name, "OK", "brick", surface, loads[name][surface], -0.1 * np.abs(loads[name][surface]))
+            SampleForces(name, "OK", "hexahedra", surface, loads[name][surface], -0.1 * np.abs(loads[name][surface]))
             if good
-            else SampleForces.failed(name, "DIVERGED", "brick")
+            else SampleForces.failed(name, "DIVERGED", "hexahedra")
         )
     write_csv(data / "log.csv", COLUMNS, rows)
     for shard in range(0, count, shard_size):

@@ -7,7 +7,7 @@ from gelforge.mechanics.mesh import GelMesh
 
 
 def interpolate_surface(mesh: GelMesh, values: np.ndarray, xy: np.ndarray) -> np.ndarray:
-    """Nodal values (n, k) of a structured brick mesh at reference points (m, 2) of its top surface, (m, k).
+    """Nodal values (n, k) of a structured hexahedral mesh at reference points (m, 2) of its top surface, (m, k).
 
     Bilinear on the cells; points off the surface take the nearest cell's edge. The mesh may come
     from GelMesh.load: its lines are read off the nodes.

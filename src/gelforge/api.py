@@ -50,7 +50,7 @@ def solve(
 ) -> SolvedPress:
     """Press an indenter into a gel, down by `depth` mm and then sideways by `shear` mm, by finite elements in process.
 
-    indenter: a body, or a table as in workflow/indenters.toml. at: where its tip meets the crown plane, mm.
+    indenter: a body, or a table as in workflow/indenters.toml. at: where its tip meets the apex plane, mm.
     depth: mm from 0 on, positive into the gel. c10: stiffness of the gel, MPa. nu: its Poisson's ratio. quality: "label", "draft" or "demo", slow to fast.
     A press that cannot be solved raises GelforgeError with its reason.
     """

@@ -61,7 +61,7 @@ def design() -> Readings:
 
 
 def rig_meshes() -> list[tuple[HexSettings, str]]:
-    """Bricks of the benches that the truths are read at, each with the quality that corrects its forces.
+    """Hexahedra of the benches that the truths are read at, each with the quality that corrects its forces.
 
     A mesh's error is the same in every reading taken with it. The posterior allows for the percent by which accurate
     meshes differ, so truths must come from several of them: from one alone, intervals hold them too often or too seldom.

@@ -214,13 +214,13 @@ def shape_cases() -> Iterator[Case]:
         "no triangles": stl(triangles=faces[:0]), "one triangle": stl(triangles=faces[:1]), "a hole": stl(triangles=faces[:-1]),
         "not a number": stl(vertices=np.where(cube == 4, np.nan, cube)), "infinite": stl(vertices=np.where(cube == 4, np.inf, cube)),
         "flat": stl(vertices=cube * [1, 1, 0]), "in metres": stl(vertices=cube * 1e-3), "in micrometres": stl(vertices=cube * 1e3),
-        "turned inside out": stl(triangles=faces[:, ::-1]), "far away": stl(vertices=cube + [500, 0, 0]), "text": made(lambda p: p.write_text("solid x\nfacet\n")),
+        "inverted faces": stl(triangles=faces[:, ::-1]), "far away": stl(vertices=cube + [500, 0, 0]), "text": made(lambda p: p.write_text("solid x\nfacet\n")),
         "empty": made(lambda p: p.write_bytes(b"")), "a count of four thousand million": made(lambda p: p.write_bytes(bytes(80) + b"\xff\xff\xff\xff" + bytes(50))),
         "random bytes": made(lambda p: p.write_bytes(rng.bytes(5000))), "a folder": made(lambda p: p.mkdir()), "a pipe": made(os.mkfifo),
     }  # fmt: skip
     for name, run in spoilt.items():
-        # a body that stands elsewhere or inside out may be mended; then it is the cube
-        yield Case("shapes", name, run, [1.0] if name == "turned inside out" else None)
+        # a body that stands elsewhere or has inverted faces may be mended; then it is the cube
+        yield Case("shapes", name, run, [1.0] if name == "inverted faces" else None)
     tables = [
         {"kind": "sphere"}, {"kind": "sphere", "diameter": -5}, {"kind": "sphere", "diameter": float("nan")}, {"kind": "ball", "diameter": 5},
         {"kind": "cuboid", "size": [5]}, {"kind": "cuboid", "size": [5, 0]}, {"kind": "cuboid", "size": "5"}, {"kind": "cuboid", "size": [5, 5], "fillet": 9},

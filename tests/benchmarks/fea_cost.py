@@ -21,7 +21,7 @@ from gelforge.sweeps.trial import cells_of
 from tests.benchmarks.figures import Figure
 
 FRAMES = 6
-# Sizes of bricks under the press and layers, from some 5 000 to some 200 000 unknowns on a 10 mm cuboid.
+# Sizes of hexahedra under the press and layers, from some 5 000 to some 200 000 unknowns on a 10 mm cuboid.
 GROWTH = ((0.9, 4), (0.6, 4), (0.45, 5), (0.35, 5), (0.25, 6), (0.2, 8), (0.165, 9))
 LIMIT_S = 1800.0
 BATCH = 12  # presses that each of the processes solves at once
@@ -81,7 +81,7 @@ def frame_figures(scenes: dict[str, Scene], sensor: Sensor) -> list[Figure]:
 
 
 def grown(scene: Scene, size: float, layers: int) -> dict:
-    """Cost of one solve on bricks of a size, in a process of its own."""
+    """Cost of one solve on hexahedra of a size, in a process of its own."""
     return isolated(partial(_grown, scene, size, layers), LIMIT_S)
 
 
@@ -103,7 +103,7 @@ def exponent(records: list[dict], key: str = "cpu_seconds") -> float:
 
 
 def growth_figures(scene: Scene, folder: Path) -> list[Figure]:
-    """Solve the scene on ever smaller bricks; records and chart go to `folder`."""
+    """Solve the scene on ever smaller hexahedra; records and chart go to `folder`."""
     records = [grown(scene, size, layers) for size, layers in GROWTH]
     write_json(folder / "growth.json", {"records": records})
     solved = [record for record in records if record["status"] == "OK"]
@@ -111,7 +111,7 @@ def growth_figures(scene: Scene, folder: Path) -> list[Figure]:
     draw_growth(solved, folder / "growth.png")
     told = ", ".join(f"{r['unknowns'] / 1000:.0f}k {r['cpu_seconds']:.1f} s {r['peak_mib']:.0f} MiB" for r in solved)
     return [
-        Figure("solved of the sizes of bricks", len(solved), ">=", len(GROWTH), "", told),
+        Figure("solved of the sizes of hexahedra", len(solved), ">=", len(GROWTH), "", told),
         Figure("exponent of time over unknowns", exponent(solved), "<=", 2.0, "", "nested dissection in space: 2"),
         Figure("exponent of memory over unknowns", exponent(solved, "peak_mib"), "<=", 4 / 3, "", "the same: 4/3"),
     ]

@@ -49,10 +49,10 @@ ONE_THREAD = {"MKL_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 def solver_of(way: str, params: config.Params, meshes: Path, work: Path) -> Callable[[Scene], tuple[Result, GelMesh]]:
     """A function that solves a scene in one of WAYS and gives the mesh of the result."""
     if way != "ccx":
-        bricks = HexSolver(quality(way))
+        hexahedra = HexSolver(quality(way))
 
         def solve(scene: Scene) -> tuple[Result, GelMesh]:
-            found = bricks.solve(scene)
+            found = hexahedra.solve(scene)
             return found, found.mesh
 
         return solve

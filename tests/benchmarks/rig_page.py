@@ -27,7 +27,7 @@ DIFFERENCES = (
     "Light: real pictures darken and turn redder as a whole while a hand or an object shades the gel; the rig's do "
     "not.",
     "Outline of a flat punch: real ones show thin bright and dark lines within a band 25 px wide; the rig's flanks "
-    "are smooth bands of the same strength, 10 px wider, because a brick of its mesh is 10 px.",
+    "are smooth bands of the same strength, 10 px wider, because a hexahedron of its mesh is 10 px.",
     "Print lines: real ones break, merge and carry wrinkles between them, and blue and red part more; the rig's are "
     "even, half as strong on the reference unit.",
     "Markers: real ones differ more in shape from one to the next and some are half worn; markers at a flank are narrowed "

@@ -1,7 +1,7 @@
 """What a network reads on units of the rig that it never saw: forces, faults of a pair, drift, few readings of a scale.
 
 Presses are solved here, with another seed than any plan's, and seen by the units that train.toml keeps from training.
-The true force of a press is that of `hex` at label quality on the path that it really took, because the rig's own bricks
+The true force of a press is that of `hex` at label quality on the path that it really took, because the rig's own hexahedra
 are twice as wide: on edged shapes they are up to a tenth too stiff, and 3 % in the mean.
 """
 
@@ -51,7 +51,7 @@ HOUR = 360  # frames: one between each two presses
 
 @dataclass(frozen=True)
 class Seen:
-    """One press seen by one unit: picture, true total (3,) N in the labels' channels, and what the rig's bricks gave."""
+    """One press seen by one unit: picture, true total (3,) N in the labels' channels, and what the rig's hexahedra gave."""
 
     unit: str
     image: np.ndarray

@@ -152,7 +152,7 @@ def test_what_is_pressed_looks_larger(depth):
 @example(name="mini_a", x=5.0, y=6.5, down=0.5)
 @settings(max_examples=12)
 def test_a_body_shows_where_the_gel_that_it_presses_shows(name, x, y, down):
-    """Off the crown, too, where the gel lies lower without having moved: there its label's cell is."""
+    """Off the apex, too, where the gel lies lower without having moved: there its label's cell is."""
     gel, eye, radius = Gel(), camera(name), 3.0
     field = unloaded(gel)
     field.values[..., 2] = -down

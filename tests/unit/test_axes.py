@@ -28,7 +28,7 @@ def test_a_force_along_one_axis_fills_its_channel_and_its_column(tmp_path, root,
     force[axis] = -2.0
     load, surface = bump(made["mesh"], 0.5, -1.0, 3.0, force), made["mesh"].surface_nodes
     samples = [
-        SampleForces(f"s{k:03d}", "OK", "brick", surface, load[surface], 0.0 * load[surface]) for k in range(8)
+        SampleForces(f"s{k:03d}", "OK", "hexahedra", surface, load[surface], 0.0 * load[surface]) for k in range(8)
     ]
     write_forces(made["results"] / "40_forces/0000.npz", samples, 0.0725)
     totals = read_labels(label(made, "6x8") / "0000.npz").label.sum(axis=(2, 3))

@@ -164,7 +164,7 @@ def test_scenes_without_reference_are_refused(root, tmp_path):
 
 
 def test_a_symmetric_scene_has_a_symmetric_reference_and_its_scatter_beside_it(folder, root, tmp_path):
-    """A press that moves sideways has no image, a turned block that of half a turn alone, a ball at the crown all three."""
+    """A press that moves sideways has no image, a turned block that of half a turn alone, a ball at the apex all three."""
     tables = read_tables(root / "workflow")
     images = {name: images_of(parse_scene(name, table, 0.475).scene) for name, table in tables.items()}
     assert images["cuboid_shear"] == images["sphere_off_centre"] == [] and images["cuboid_round"] == [(-1, -1)]

@@ -152,16 +152,16 @@ def test_a_key_follows_what_the_method_depends_on_and_nothing_else(params, scene
 
     stiffer = replace(params.fea, stiffness=1.0)
     charted = replace(params.fea, charted={}, tolerance=0.5)
-    brick, ccx = Method("hex-1-8", "hex", 1.0, 4, 8), Method("ccx-1-8", "ccx", 1.0, steps=8)
+    hexahedron, ccx = Method("hex-1-8", "hex", 1.0, 4, 8), Method("ccx-1-8", "ccx", 1.0, steps=8)
     auto, label, tets = Method("auto-label", "auto"), Method("hex-label", "hex"), Method("ccx-label", "ccx")
     rough = replace(params.fea, hex_quality="demo")
-    assert key(brick) == key(brick, fea=stiffer)
+    assert key(hexahedron) == key(hexahedron, fea=stiffer)
     assert key(ccx) != key(ccx, fea=stiffer)
     assert key(ccx) == key(ccx, fea=charted)
     assert key(auto) != key(auto, fea=charted)
-    assert key(brick) != key(brick, material=replace(params.material, nu=0.49))
+    assert key(hexahedron) != key(hexahedron, material=replace(params.material, nu=0.49))
     assert key(label) != key(label, fea=rough)
-    assert key(tets) == key(tets, fea=rough) and key(brick) == key(brick, fea=rough)
+    assert key(tets) == key(tets, fea=rough) and key(hexahedron) == key(hexahedron, fea=rough)
 
 
 def failing(error):

@@ -10,7 +10,7 @@ from gelforge.geometry.triangles import is_watertight, volume
 
 def test_measured_heights():
     gel = Gel()
-    # read off the published solid: crown, both sags, a point of the dome, start of the corner, rim
+    # read off the published solid: apex, both sags, a point of the dome, start of the corner, rim
     x = [0.0, 7.5354, 0.0, 4.5, 7.5354, 8.875, 10.375, 0.0]
     y = [0.0, 0.0, 9.7165, 6.0, 9.7165, 11.125, 0.0, 12.625]
     z = [0.0, -0.25, -0.25, -0.1605, -0.3240, -0.6907, -1.25, -1.25]

@@ -91,7 +91,7 @@ def test_a_press_over_the_rim_reports_what_it_lost(tmp_path, capsys):
     made = write_pressed(tmp_path, count=1)
     mesh, force = made["mesh"], bump(make_mesh(), 0.0, 11.0, 3.0, (0, 0, -4.0))
     surface = mesh.surface_nodes
-    sample = SampleForces("s000", "OK", "brick", surface, force[surface], np.zeros((len(surface), 3)))
+    sample = SampleForces("s000", "OK", "hexahedra", surface, force[surface], np.zeros((len(surface), 3)))
     write_forces(made["results"] / "40_forces/0000.npz", [sample], 0.0725)
     found = read_labels(label(made, "24x32") / "0000.npz")
     outside = found.outside[0, 2]
@@ -168,14 +168,17 @@ BROKEN = {
         lambda r: (r / "40_forces/0000.npz").write_bytes(b"PK\x03\x04half"),
         ["0000.npz", "delete it"],
     ),
-    "no mesh": (lambda r: (r / "20_meshes/brick.npz").unlink(), ["brick.npz", "make meshes"]),
-    "truncated mesh": (lambda r: (r / "20_meshes/brick.npz").write_bytes(b"junk"), ["brick.npz", "not a gel mesh"]),
+    "no mesh": (lambda r: (r / "20_meshes/hexahedra.npz").unlink(), ["hexahedra.npz", "make meshes"]),
+    "truncated mesh": (
+        lambda r: (r / "20_meshes/hexahedra.npz").write_bytes(b"junk"),
+        ["hexahedra.npz", "not a gel mesh"],
+    ),
     "no pose": (lambda r: (r / "10_poses/0000.csv").write_text("sample_id,sensor_id\n"), ["0000.csv", "s000"]),
     "unknown sensor": (
         lambda r: rewrite(r / "10_poses/0000.csv", "mini_a", "zzz"),
         ["zzz", "mini_a"],
     ),
-    "other mesh": (lambda r: make_mesh(2.5).save(r / "20_meshes/brick.npz"), ["node", "make"]),
+    "other mesh": (lambda r: make_mesh(2.5).save(r / "20_meshes/hexahedra.npz"), ["node", "make"]),
 }
 
 

@@ -61,7 +61,7 @@ def test_vtu_opens_and_holds_the_press(made):
     assert np.allclose(grid.points, mesh.nodes) and np.allclose(grid["force"], force)
     assert np.allclose(grid["displacement"][mesh.surface_nodes], -0.1 * np.abs(force[mesh.surface_nodes]), atol=1e-7)
     assert not grid["displacement"][mesh.base].any()
-    # A solid whose node order were wrong would be turned inside out.
+    # A solid whose node order were wrong would have inverted elements.
     assert grid.compute_cell_sizes()["Volume"].min() > 0
     for resolution in ("24x32", "48x64"):
         assert cv2.imread(str(made["results"] / f"look/s001-{resolution}.png")).shape[1] > 1000

@@ -219,7 +219,7 @@ def test_no_element_is_turned_inside_out_by_a_bowed_edge():
 
 
 def test_an_element_is_judged_within_its_bowed_edges():
-    """One at a rounded corner, where the top falls: moved, its straight edges cross, and it is far from inside out."""
+    """One at a rounded corner, where the top falls: moved, its straight edges cross, and it is far from inverted."""
     flat = np.array([[-9.79, -11.44, -0.56], [-10.37, -11.12, 0], [-10.26, -11.7, 0], [-9.94, -12.19, 0]])
     nodes, elements, _ = second_order(flat, orient(flat, np.arange(4)[None]))
     nodes[:, 2] = bend(GEL, nodes)
@@ -246,7 +246,7 @@ def test_a_moved_mesh_comes_from_the_file_of_the_one_in_the_middle(tmp_path, mes
     assert load_mesh(tmp_path, "ccx-centre-0.7").nodes.tolist() == mesh.nodes.tolist()
     with pytest.raises(BadInput, match="make meshes"):
         load_mesh(tmp_path, "ccx-wide-0.7@2:-3")
-    for far in ("2.5:0", "0:-9"):  # elements beside the fine part would be flat or inside out
+    for far in ("2.5:0", "0:-9"):  # elements beside the fine part would be flat or inverted
         with pytest.raises(BadInput, match="cannot go that far"):
             load_mesh(tmp_path, f"ccx-centre-0.7@{far}")
     (tmp_path / "ccx-centre-0.7.json").unlink()

@@ -217,14 +217,14 @@ def test_sensors_sit_on_gels_of_their_own_where_bricks_follow_them(tmp_path):
         '[thin]\ngel = "gelsight_mini-3.6mm"\nimage = [320, 240]\n'
         "projection = [[0.0, -14.0, 160.0], [-14.0, 0.0, 120.0], [0.0, 0.0, 1.0]]\n"
     )
-    bricks = '[params.fea]\nfidelity = "hex"\n'
-    assert planned(tmp_path, bricks, "thin") == ["thin", "mini_b"]
-    off = r"sensor '{}' of the log sits on gel '{}'.*bricks .*follow the thickness"
+    hexahedra = '[params.fea]\nfidelity = "hex"\n'
+    assert planned(tmp_path, hexahedra, "thin") == ["thin", "mini_b"]
+    off = r"sensor '{}' of the log sits on gel '{}'.*hexahedra .*follow the thickness"
     with pytest.raises(BadInput, match=off.format("thin", "gelsight_mini-3.6mm")):
         planned(tmp_path, '[params.fea]\nfidelity = "auto"\n', "thin", ccx="/usr/bin/ccx")
     # of a thickness for all presses nobody has to guess whether it serves sensors that state none
     with pytest.raises(BadInput, match=off.format("mini_b", "gelsight_mini")):
-        planned(tmp_path, bricks + '[params.meshes]\ngel = "gelsight_mini-3.6mm"\n', "thin")
+        planned(tmp_path, hexahedra + '[params.meshes]\ngel = "gelsight_mini-3.6mm"\n', "thin")
 
 
 LARGE = """[large]

@@ -252,7 +252,7 @@ def test_strict_leaves_with_two(lab, tmp_path, root):
 
 def test_nearest_finds_a_grazing_touch(root):
     sphere = load_catalogue(root / "workflow" / "indenters.toml", ["sphere_10"])["sphere_10"]
-    # at the crown the tip is the only point to touch; the finer samples miss it by 0.0125 mm at most, which is
+    # at the apex the tip is the only point to touch; the finer samples miss it by 0.0125 mm at most, which is
     # 2e-5 mm of height
     for depth in (-0.01, -0.001):
         assert touch.nearest(Gel(), sphere, Press(0.07, 0.11, 0.0, 0, 0, depth - 0.001)) < 0.0

@@ -35,7 +35,7 @@ def press():
 
 def test_solving_a_press(press):
     assert press.total[2] < 0.0, "the indenter pushes the gel down"
-    assert np.abs(press.total[:2]).max() < 0.02 * -press.total[2], "a ball on the crown pushes straight down"
+    assert np.abs(press.total[:2]).max() < 0.02 * -press.total[2], "a ball on the apex pushes straight down"
 
 
 def test_a_label_holds_the_whole_force(press):

@@ -38,10 +38,10 @@ def test_a_damaged_record_of_a_target_keeps_no_page_from_being_written(tmp_path)
 
 
 def test_an_indenter_is_drawn_as_far_up_as_the_gel_can_reach(tmp_path):
-    """Beside the crown a press begins lower: where its tip ends tells how much of the indenter is there, not its way down."""
+    """Beside the apex a press begins lower: where its tip ends tells how much of the indenter is there, not its way down."""
     rows = [
         {"id": name, "indenter": "ball", "stl": f"{name}.stl", "z0_mm": z0, "dz_mm": dz}
-        for name, z0, dz in (("crown", 0.0, -1.5), ("rim", -1.0, -1.2), ("light", -1.0, -0.3))
+        for name, z0, dz in (("apex", 0.0, -1.5), ("rim", -1.0, -1.2), ("light", -1.0, -0.3))
     ]
     assert Explorer(tmp_path, "4x5", rows, {}, load_gel(USUAL_GEL)).deepest()["ball"]["id"] == "rim"
 

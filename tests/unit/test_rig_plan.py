@@ -211,7 +211,7 @@ def test_a_plans_parameters_stand_in_the_dataset_it_writes():
 @pytest.mark.parametrize(
     "table",
     [
-        {"stability": {"layers": {"0.7": 5, "0.35": 9}}},  # brick sizes are keys
+        {"stability": {"layers": {"0.7": 5, "0.35": 9}}},  # sizes of hexahedra are keys
         {"meshes": {"regions": {"left half": [2.0, 3.5], 'a "word"': [1.0, 1.0]}}},
         {"calibrate": {"priors": {"nu": {"reason": 'measured \u00e4 \U0001f9ea \x7f \\ " by hand'}}}},
     ],

@@ -105,7 +105,7 @@ def test_a_stage_that_failed_is_told_with_the_last_words_of_its_log(tmp_path):
 
 def test_a_dataset_on_bricks_needs_no_meshes(tmp_path):
     write_csv(tmp_path / "lab/00_plan/shards/0000.csv", ["sample_id"], [{"sample_id": "a"}])
-    assert "20_meshes            none needed: bricks have no file" in lines(tmp_path / "lab", meshes=[])
+    assert "20_meshes            none needed: hexahedra have no file" in lines(tmp_path / "lab", meshes=[])
     assert "20_meshes            not made (make meshes DATASET=lab)" in lines(
         tmp_path / "lab", meshes=["ccx-centre-0.7"]
     )

@@ -1,4 +1,4 @@
-"""Stages 30 to 50 in process: every press has bricks of its own and no mesh file."""
+"""Stages 30 to 50 in process: every press has hexahedra of its own and no mesh file."""
 
 from dataclasses import replace
 
@@ -20,7 +20,7 @@ from gelforge.stages import fea, forces, labels
 SENSOR = "gelsight_mini"
 BALL = {"kind": "sphere", "diameter": 15, "height": 10}
 COLUMNS = ("sample_id", "sensor_id", "indenter", "x0_mm", "y0_mm", "z0_mm", "dx_mm", "dy_mm", "dz_mm", "rot_deg")
-# Two that share their bricks, one elsewhere, one above the gel, one through the gel.
+# Two that share their hexahedra, one elsewhere, one above the gel, one through the gel.
 PRESSES = {
     "one": ("ball", 0, 0, 0, 0.1, 0, -0.6, 0), "same": ("ball", 0, 0, 0, 0.1, 0.01, -0.6, 0),
     "aside": ("ball", 3, -4, -0.2, 0, 0, -0.5, 0), "above": ("ball", 0, 0, 2, 0, 0, -0.5, 0),

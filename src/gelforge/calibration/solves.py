@@ -30,7 +30,7 @@ from gelforge.mechanics.scene import Interface, Material, Press, Scene
 from gelforge.mechanics.solvekey import hex_settings, solve_key
 from gelforge.records.status import Status
 
-# Shares of a straight press at which fine bricks tell what coarse ones add. Shallower, few contact points carry the force
+# Shares of a straight press at which fine hexahedra tell what coarse ones add. Shallower, few contact points carry the force
 # and the ratio is noise.
 REFINED = (1.0, 0.5)
 
@@ -137,7 +137,7 @@ def touch_of(scene: Scene) -> float:
 def usable(result, scene: Scene) -> bool:
     """Whether a result is valid, or only its last tolerance was missed at the end of the path.
 
-    A state that no gel can take, or bricks too coarse to meet the indenter, reach the end as well and are none.
+    A state that no gel can take, or hexahedra too coarse to meet the indenter, reach the end as well and are none.
     """
     path = result.evidence.get("path") or [[0.0]]
     ended = path[-1][0] >= scene.press.end - 1e-9
@@ -273,7 +273,7 @@ def refine(
 
     What a mesh adds to a force belongs to the shape and place of the footprint: the ratio of fine to coarse force at one
     friction coefficient, along the depth of a path, is applied to all that its presses are told. Normal and sideways
-    force have ratios of their own: under an edge, wide bricks add 8 to 12 % to the one and 2 to 4 % to the other. Where
+    force have ratios of their own: under an edge, wide hexahedra add 8 to 12 % to the one and 2 to 4 % to the other. Where
     hardly anything slips any more, they add up to 3 % more than where it still does: the ratio of the deepest press at
     the last of `mus` tells that, and in between it changes evenly along the friction axis.
     mus: one friction coefficient, or two, rising.
@@ -313,9 +313,9 @@ def path_ratios(
 
 
 def refining_jobs(plan: SolvePlan, i: int, mu: float, nu: float) -> list[SolveJob]:
-    """What fine bricks solve of the path of press i: a sheared one at its depths, a straight one at REFINED of its depth.
+    """What fine hexahedra solve of the path of press i: a sheared one at its depths, a straight one at REFINED of its depth.
 
-    Each depth is a solve of its own, because fine bricks may be walked to on coarser ones, whose path is not theirs.
+    Each depth is a solve of its own, because fine hexahedra may be walked to on coarser ones, whose path is not theirs.
     """
     jobs = plan.jobs(i, mu, nu)
     if plan.readings.sheared[i]:

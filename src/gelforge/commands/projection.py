@@ -181,7 +181,7 @@ def describe(found: FittedProjection) -> dict:
 
 
 def _scale(homography) -> list[float]:
-    """Pixels per mm along gel x and y at the crown."""
+    """Pixels per mm along gel x and y at the apex."""
     step = 1e-3
     here, along_x, along_y = transform(homography, np.array([[0, 0], [step, 0], [0, step]]))
     return [float(np.hypot(*(to - here)) / step) for to in (along_x, along_y)]

@@ -129,7 +129,7 @@ def whole_lines(results: Path, broken: Collection[str], meshes: Collection[str] 
         if kind in broken:
             absent = "not made, because it failed: see below"
         elif kind == layout.MESHES and meshes is not None and not meshes:
-            absent = "none needed: bricks have no file"
+            absent = "none needed: hexahedra have no file"
         text.append(f"{kind:20s} {', '.join(found) or absent}")
     return text
 

@@ -12,7 +12,7 @@ from gelforge.errors import BadInput
 
 @dataclass(frozen=True)
 class Gel:
-    """GelSight Mini gel in the gel frame (mm): crown at the origin, x short side, y long side, z out of the gel.
+    """GelSight Mini gel in the gel frame (mm): apex at the origin, x short side, y long side, z out of the gel.
 
     The dome sags as a circle along each axis, `sag` at `sag_x` and at `sag_y`; off the axes the two multiply:
     1 + twist z = (1 + twist z_x) (1 + twist z_y). Beyond, circular arcs that leave the dome without a kink fall to

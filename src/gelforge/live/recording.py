@@ -124,7 +124,7 @@ class Recorder:
         with contextlib.suppress(OSError):  # what could not be written is not wanted
             if stream is not None:
                 stream.close()
-        with contextlib.suppress(OSError):  # what a folder refuses to let go is hidden, and no recording
+        with contextlib.suppress(OSError):  # what a folder refuses to remove is hidden, and no recording
             self.part(self.name).unlink(missing_ok=True)
 
     def stop(self) -> int:

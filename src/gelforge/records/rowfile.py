@@ -39,7 +39,7 @@ def array_on_disk(path: Path, dtype: type, shape: tuple[int, ...]) -> np.memmap:
 def write_rows(path: Path, dtype: type, shape: tuple[int, ...], rows: Iterable[np.ndarray]) -> None:
     """Write a .npy file row by row; OSError where the disk has no room for all of it.
 
-    What was written is let go of now and then: it would count as memory of the process, up to the whole file.
+    What was written is flushed and dropped from memory now and then: it would count as memory of the process, up to the whole file.
     """
     mapped = array_on_disk(path, dtype, shape)
     for at, row in enumerate(rows):

@@ -94,7 +94,7 @@ def note_small_cells(grid: Grid, sensor: Sensor) -> None:
 class Finder:
     """Operators and surface maps of a folder of meshes at one resolution, the last ones kept in memory.
 
-    Operators of mesh files are also kept below `folder`. Bricks follow the press: nearly every press has its own, and
+    Operators of mesh files are also kept below `folder`. Hexahedra follow the press: nearly every press has its own, and
     its operator takes a fiftieth of a second, so that no file is worth it.
     """
 

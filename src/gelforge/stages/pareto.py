@@ -29,7 +29,7 @@ from gelforge.sweeps.trial import ChartBench, given_reference, load_bench, measu
 # Also of its meshes: what was solved on others is solved anew.
 VERSION = 3
 GOAL_TOTAL, GOAL_CELLS = 0.02, 0.08  # what a label setting should meet over all scenes
-# By what names the chart has the ways among which fidelity "auto" chooses. Bricks of quality "label" stand under the first
+# By what names the chart has the ways among which fidelity "auto" chooses. Hexahedra of quality "label" stand under the first
 # of theirs where [fea] hex_quality is another one, which has the second name then.
 CHARTED_AS = {
     "hex-draft": ("hex-draft-quality",),

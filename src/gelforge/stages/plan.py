@@ -307,7 +307,7 @@ def read_catalogues(
 def check_gel(file: Path, of: DatasetFile, params: Params, sensors: dict[str, dict]) -> None:
     """Refuse a dataset whose gel is not one throughout: in its file, in [meshes], and on the sensors of its log.
 
-    Where presses are solved on bricks, which are built for each press, sensors may state a thickness of their own.
+    Where presses are solved on hexahedra, which are built for each press, sensors may state a thickness of their own.
     sensors: tables of those that the log names. A gel that is none is left to stage 10, which rejects its rows.
     """
     from gelforge.geometry.gel import is_gel, load_gel, states_thickness
@@ -321,14 +321,14 @@ def check_gel(file: Path, of: DatasetFile, params: Params, sensors: dict[str, di
         raise BadInput(
             f"{file}: gel = {of.gel!r}, but [meshes] gel = {mesh_gel!r}, on which presses are solved; name one gel"
         )
-    bricks = params.fea.fidelity in IN_PROCESS
+    hexahedra = params.fea.fidelity in IN_PROCESS
     for name, table in sorted(sensors.items()):
         gel = table.get("gel") if isinstance(table, dict) else None
-        if is_gel(gel) and gel != mesh_gel and not (bricks and states_thickness(gel, mesh_gel)):
+        if is_gel(gel) and gel != mesh_gel and not (hexahedra and states_thickness(gel, mesh_gel)):
             raise BadInput(
                 f"{file}: sensor {name!r} of the log sits on gel {gel!r} ({SENSOR_TABLES}), but"
                 f" [meshes] gel = {mesh_gel!r}: set [params.meshes] gel, and keep presses on different gels in datasets of their own;"
-                ' bricks ([params.fea] fidelity = "hex") follow the thickness that each sensor states'
+                ' hexahedra ([params.fea] fidelity = "hex") follow the thickness that each sensor states'
             )
 
 

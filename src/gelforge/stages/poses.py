@@ -46,7 +46,7 @@ from gelforge.records.press import (
 VERSION = 7
 # A force sensor that drifted reads a light press as a small pull; beyond this the sign is turned round.
 LARGEST_PULL_N = 0.5
-# A tip that ends less deep below the crown may press so lightly that any reading is the sensor's own error.
+# A tip that ends less deep below the apex may press so lightly that any reading is the sensor's own error.
 FIRM_MM = 0.3
 
 
@@ -124,12 +124,12 @@ def geometric_faults(sample: LoggedPress, file: str, body, gel: Gel, params: Pos
         return [reject(sample, file, column, "the indenter moves too far sideways", hint)]
     depth, limit = -(press.z0 + press.dz), params.deepest_share * gel.height
     if depth > limit:
-        hint = f"the tip ends {depth:.3g} mm below the crown, {limit:.3g} are allowed; check z0_mm and dz_mm"
+        hint = f"the tip ends {depth:.3g} mm below the apex, {limit:.3g} are allowed; check z0_mm and dz_mm"
         return [reject(sample, file, "dz_mm", "the press is deeper than the gel allows", hint)]
     clear = touch.nearest(gel, body, press)
     if clear >= 0.0:
         where = f"stays {clear:.3g} mm clear of" if np.isfinite(clear) else "is never above"
-        hint = f"it {where} the gel, whose crown is the origin; check x0_mm, y0_mm, z0_mm and dz_mm"
+        hint = f"it {where} the gel, whose apex is the origin; check x0_mm, y0_mm, z0_mm and dz_mm"
         return [reject(sample, file, "dz_mm", "the indenter never touches the gel", hint)]
     return []
 

@@ -24,7 +24,7 @@ REFERENCE, HALVED = "ccx-fine", "ccx-fine-halved"
 class Method:
     """One point of the chart: name, fidelity, and the settings that make it differ from others.
 
-    size: mm, of bricks or of the density's tetrahedra; None where the fea stage's own are used, or a named quality.
+    size: mm, of hexahedra or of the density's tetrahedra; None where the fea stage's own are used, or a named quality.
     steps: load steps of the press, half as many of the shear; None for those of the fea stage.
     """
 
@@ -59,23 +59,23 @@ def every_method(pareto: ParetoTable, hex_quality: str) -> list[Method]:
     usual, *others = pareto.load_steps
     label = [Method(f"{name}-label", name) for name in LABEL_METHODS]
     sizes = list(zip(pareto.hex_sizes_mm, pareto.hex_layers, strict=True))
-    bricks = [hex_method(size, layers, usual) for size, layers in sizes]
-    bricks += [hex_method(*sizes[0], n) for n in others]
+    hexahedra = [hex_method(size, layers, usual) for size, layers in sizes]
+    hexahedra += [hex_method(*sizes[0], n) for n in others]
     varied = [(size, usual) for size in pareto.ccx_sizes_mm] + [(pareto.ccx_sizes_mm[0], n) for n in others]
     tets = [Method(f"ccx-{size:g}-{n}", "ccx", size, steps=n) for size, n in varied]
     native = [Method(f"ccx-native-{size:g}", "ccx-native", size) for size in pareto.native_sizes_mm]
     qualities = [quality_method(quality) for quality in QUALITIES if quality != hex_quality]
-    return [*qualities, *label, *bricks, *tets, *native, LARGE_REFERENCE]
+    return [*qualities, *label, *hexahedra, *tets, *native, LARGE_REFERENCE]
 
 
 def quick_methods(quick: QuickTable, with_ccx: bool, reference_kept: bool) -> list[Method]:
-    """Methods of the small chart; its reference is the last: the large chart's where it is kept, else fine bricks."""
+    """Methods of the small chart; its reference is the last: the large chart's where it is kept, else fine hexahedra."""
     steps, fine = quick.steps, quick.reference
     sizes = zip(quick.hex_sizes_mm, quick.hex_layers, strict=True)
     found = [hex_method(size, layers, steps) for size, layers in sizes]
     found += [Method(f"{name}-label", name) for name in (("hex", "ccx") if with_ccx else ("hex",))]
-    bricks = hex_method(fine.size, fine.layers, fine.press_steps)
-    return [*found, LARGE_REFERENCE if reference_kept else bricks]
+    hexahedra = hex_method(fine.size, fine.layers, fine.press_steps)
+    return [*found, LARGE_REFERENCE if reference_kept else hexahedra]
 
 
 @cache
@@ -120,9 +120,9 @@ def hex_settings(method: Method, fea: FeaTable) -> HexSettings:
     if method.size is None:
         named = method.name.removeprefix("hex-").removesuffix("-quality")
         return quality(fea.hex_quality if method.name == "hex-label" else named)
-    # `across` would shrink the bricks under small contacts: a density series holds their size
+    # `across` would shrink the hexahedra under small contacts: a density series holds their size
     if method.layers is None or method.steps is None:
-        raise ValueError(f"{method.name}: bricks of {method.size} mm without their layers and steps")
+        raise ValueError(f"{method.name}: hexahedra of {method.size} mm without their layers and steps")
     return HexSettings(size=method.size, layers=method.layers, press_steps=method.steps,
                               shear_steps=(method.steps + 1) // 2, across=0)  # fmt: skip
 

@@ -66,7 +66,7 @@ class ChartBench:
 
 
 def ccx_settings(params: ForPareto | ForStability) -> list[dict]:
-    """What of [meshes] and [fea] changes a solve with CalculiX, whichever fidelity is chosen; bricks do not."""
+    """What of [meshes] and [fea] changes a solve with CalculiX, whichever fidelity is chosen; hexahedra do not."""
     fea = {key: value for key, value in without_bricks(params.fea).items() if key not in NOT_SOLVER}
     return [without_bricks(params.meshes), fea]
 

@@ -58,7 +58,7 @@ class Appearance:
     markers: (n, 2) centres, counted from the image's corner like projections. ink: (3,) what an ink marker still
     reflects; flecks: (3,) how much brighter its bare spots are. shadow_depth and shadow_length: the coloured
     penumbra beside each marker. noise: (3,) standard deviation in grey levels. camera_mm: height of the pinhole
-    below the gel's crown, which sets how much a pressed part looks larger. specks: marks of dust and scratches.
+    below the gel's apex, which sets how much a pressed part looks larger. specks: marks of dust and scratches.
     drift: of the light from picture to picture. shade: (3,) relative change of each colour's light per mm by which the
     gel is pressed in on average. jpeg: quality of a camera that compresses, 0 for one that does not.
     """
@@ -196,7 +196,7 @@ def marker_centres(markers: dict) -> np.ndarray:
     row, col = np.divmod(np.arange(rows * cols), cols)
     half = np.array([cols - 1, rows - 1]) / 2
     place = np.stack([col, row], axis=1) - half
-    # the lens and the crown spread the outer markers; the mean pitch stays
+    # the lens and the apex spread the outer markers; the mean pitch stays
     place = place * (1.0 + np.array(markers["spread"], float) * ((place / half) ** 2 - 1.0))
     grid = place * np.array(markers["pitch_px"], float)
     angle = np.deg2rad(markers["rotation_deg"])

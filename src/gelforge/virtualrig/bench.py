@@ -45,7 +45,7 @@ class Pressing:
     """What one press really was and what the bench reports of it.
 
     real: the path the tip took, mm. log: the same as the bench believes it. force: (3,) N on the gel,
-    moment: (3,) N m about the crown. read_force, read_moment: the load cell's readings of both.
+    moment: (3,) N m about the apex. read_force, read_moment: the load cell's readings of both.
     """
 
     order: Order
@@ -86,7 +86,7 @@ class Bench:
         return self._bodies[name]
 
     def factor(self, name: str) -> ForceFactor:
-        """What the forces of an indenter are multiplied by, because the bench's bricks are a little too stiff."""
+        """What the forces of an indenter are multiplied by, because the bench's hexahedra are a little too stiff."""
         if name not in self._factors:
             scene = self.gel, Material(nu=self.plan.truth.nu), self.indenters[name], self._law, SETTINGS
 
@@ -180,10 +180,10 @@ class Bench:
         return self.plan.truth.c10_mpa / REFERENCE_C10 * volume * stiffness * thinner
 
     def fine_box(self, name: str, real: Press, size: float) -> FineBox | None:
-        """Fine part of the mesh, laid so that a brick straddles each side of the footprint. None: no footprint.
+        """Fine part of the mesh, laid so that a hexahedron straddles each side of the footprint. None: no footprint.
 
-        A punch's flank is a step, and the picture shows it where the brick that spans it lies. The brick size
-        is varied by a tenth so that the footprint is a whole number of bricks both ways. Bricks are larger where
+        A punch's flank is a step, and the picture shows it where the hexahedron that spans it lies. The size of hexahedra
+        is varied by a tenth so that the footprint is a whole number of hexahedra both ways. Hexahedra are larger where
         the footprint would take more than MOST_BRICKS.
         """
         x, y, sunk, _ = self._sunk(name, real)

@@ -1,8 +1,8 @@
-"""How much too strong the bench's own bricks are, and the factor on their forces that makes up for it.
+"""How much too strong the bench's own hexahedra are, and the factor on their forces that makes up for it.
 
-The bench walks a whole path with Coulomb friction on bricks of 0.7 mm: under a large ball their forces are 1 to 3 % too
+The bench walks a whole path with Coulomb friction on hexahedra of 0.7 mm: under a large ball their forces are 1 to 3 % too
 strong, under edges 5 to 9 %, under sharp corners up to 20 %; sideways forces are half as much too strong. What a mesh adds
-belongs to the shape that is pressed, a little to friction and hardly to place, so the force of the bricks that labels are
+belongs to the shape that is pressed, a little to friction and hardly to place, so the force of the hexahedra that labels are
 drafted with, over that of the bench's own, tells it for all presses of an indenter.
 """
 
@@ -24,8 +24,8 @@ from gelforge.mechanics.hex.settings import HexSettings, quality
 from gelforge.mechanics.meshratio import mesh_ratios
 from gelforge.mechanics.scene import Indenter, Interface, Material, Press, Scene
 
-FINE = "draft"  # quality of the bricks that are believed: within 0.5 % of `label`, at half its time
-TURN_DEG = 20.0  # of the indenter against the bricks: neither along them nor half-way
+FINE = "draft"  # quality of the hexahedra that are believed: within 0.5 % of `label`, at half its time
+TURN_DEG = 20.0  # of the indenter against the hexahedra: neither along them nor half-way
 MOMENTS = 3  # depths at which the factor is found
 DEPTHS = (1.2, 0.6, 0.3)  # mm that are tried in turn for the deepest of them
 ASIDE = 0.15  # mm along both sides of the gel, that the last of them is then dragged
@@ -35,7 +35,7 @@ ASIDE = 0.15  # mm along both sides of the gel, that the last of them is then dr
 class ForceFactor:
     """Factors on the forces of one indenter.
 
-    depth: (k,) mm below the gel's crown, rising. factor: (k,) of normal force; constant beyond. sideways: of sideways force.
+    depth: (k,) mm below the gel's apex, rising. factor: (k,) of normal force; constant beyond. sideways: of sideways force.
     """
 
     depth: np.ndarray
@@ -92,10 +92,10 @@ def force_factor(
     settings: HexSettings,
     box_of: Callable[[Press], FineBox | None],
 ) -> ForceFactor:
-    """Factors of one indenter from presses on the gel's crown, the last of them dragged aside where there is friction.
+    """Factors of one indenter from presses on the gel's apex, the last of them dragged aside where there is friction.
 
     interface: the law of both solves; where no press has an equilibrium with friction, presses without slip serve. settings:
-    the bench's bricks, whose fine part under a press is box_of(press). Raises SolveFailed where no press of DEPTHS gives
+    the bench's hexahedra, whose fine part under a press is box_of(press). Raises SolveFailed where no press of DEPTHS gives
     both forces.
     """
     laws = (interface, Interface("no_slip")) if interface.law == "coulomb" else (interface,)
@@ -115,7 +115,7 @@ def force_factor(
             return ForceFactor(depths[told], normal, float(dragged if np.isfinite(dragged) else normal[-1]))
     raise SolveFailed(
         f"indenter {body.name!r}: no straight press of {', '.join(f'{d:g}' for d in DEPTHS)} mm could be solved on both "
-        "meshes, so how much the bench's bricks add to its forces is not known; smooth its edges or leave it out"
+        "meshes, so how much the bench's hexahedra add to its forces is not known; smooth its edges or leave it out"
     )
 
 

@@ -62,7 +62,7 @@ class Surface:
 
 
 def surface_of(mesh: GelMesh, displacement: np.ndarray, press: Press) -> Surface:
-    """The part of a solved press, displacement (n, 3) on a brick mesh, that a camera can see."""
+    """The part of a solved press, displacement (n, 3) on a hexahedral mesh, that a camera can see."""
     xs, ys, first = surface_lines(mesh)
     nodal = displacement[first : first + len(xs) * len(ys)].reshape(len(ys), len(xs), 3)
     return Surface(xs, ys, nodal.astype(np.float32), press)
@@ -71,7 +71,7 @@ def surface_of(mesh: GelMesh, displacement: np.ndarray, press: Press) -> Surface
 def field_of(gel: Gel, surface: Surface) -> Field:
     """Displacement of a surface as a continuously differentiable field.
 
-    Tensor-product cubic Hermite interpolation through the nodes with finite-difference slopes: bricks
+    Tensor-product cubic Hermite interpolation through the nodes with finite-difference slopes: hexahedra
     alone would show their edges as facets in the shading.
     """
     x, y = _grid(gel)

@@ -140,9 +140,9 @@ class Renderer:
     def _against(self, height: np.ndarray, pressed: Pressed) -> np.ndarray:
         """Lay the surface against the body where they touch, so that its edges and texture show.
 
-        Bricks are larger than a print line or an edge fillet; within TOUCH the gel follows the body.
+        Hexahedra are larger than a print line or an edge fillet; within TOUCH the gel follows the body.
         """
-        # off the body the gel is smooth; what ripples there is the size of the bricks
+        # off the body the gel is smooth; what ripples there is the size of the hexahedra
         height = cv2.GaussianBlur(height, (0, 0), RIPPLE_MM * self.scale)
         x, y = self.inner_xy
         # where a point lies that looks larger or smaller by how far it has moved, as `_seen` has it
@@ -230,7 +230,7 @@ def unproject(projection: np.ndarray, u, v):
 
 
 def pixels_per_mm(projection: np.ndarray) -> float:
-    """Mean scale of the projection at the gel's crown."""
+    """Mean scale of the projection at the gel's apex."""
     u, v = project(projection, np.array([0.0, 1e-3, 0.0]), np.array([0.0, 0.0, 1e-3]))
     jacobian = np.array([[u[1] - u[0], u[2] - u[0]], [v[1] - v[0], v[2] - v[0]]]) / 1e-3
     return float(np.sqrt(abs(np.linalg.det(jacobian))))

@@ -124,7 +124,7 @@ class Draw:
         cos, sin = scale * np.cos(angle), scale * np.sin(angle)
         tilt = self.of("perspective", 2)
         projection = np.array([[sin, -cos, centre[0]], [-cos, -sin, centre[1]], [0.0, 0.0, 1.0]])
-        projection[:2, :2] += np.outer(centre, tilt)  # the crown stays where it is
+        projection[:2, :2] += np.outer(centre, tilt)  # the apex stays where it is
         projection[2, :2] = tilt
         markers = {
             "rows": ROWS,

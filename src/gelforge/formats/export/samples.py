@@ -19,7 +19,7 @@ from gelforge.records.samplefile import DatasetSample, read_samples
 from gelforge.records.table import read_table
 
 SUFFIXES = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg"}
-FRAME = "gel: origin on the crown of the undeformed gel, x the short side, y the long side, z out of the gel; mm, N"
+FRAME = "gel: origin on the apex of the undeformed gel, x the short side, y the long side, z out of the gel; mm, N"
 
 
 @dataclass(frozen=True)

@@ -146,11 +146,11 @@ class RigidBody:
 # -- gel
 
 
-def lines(fine_low: float, fine_high: float, low: float, high: float, brick: float) -> np.ndarray:
-    """Mesh lines from `low` to `high`: hexahedra of `brick` in the fine part, larger ones outwards."""
-    found = list(np.linspace(fine_low, fine_high, max(1, round((fine_high - fine_low) / brick)) + 1))
+def lines(fine_low: float, fine_high: float, low: float, high: float, edge: float) -> np.ndarray:
+    """Mesh lines from `low` to `high`: hexahedra of `edge` in the fine part, larger ones outwards."""
+    found = list(np.linspace(fine_low, fine_high, max(1, round((fine_high - fine_low) / edge)) + 1))
     for way, start, end in ((-1, fine_low, low), (1, fine_high, high)):
-        size, at = brick, start
+        size, at = edge, start
         while way * (end - at) > 1.6 * GROWTH * size:
             size = min(GROWTH * size, LARGEST)
             at += way * size
@@ -167,7 +167,7 @@ def footprint(body: RigidBody, legs: np.ndarray, top) -> np.ndarray:
     return np.stack([met.min(axis=0), met.max(axis=0)])
 
 
-def gel_mesh(gel: dict, top, near: np.ndarray, halved: list[bool], brick: float):
+def gel_mesh(gel: dict, top, near: np.ndarray, halved: list[bool], edge: float):
     """Mesh of the gel, or of its half or quarter, with its lines along x and y; near: the fine part (2, 2) mm.
 
     Corners of the outline are left square. Regions: 1 top near the body, 2 base, 3 and 4 the planes of symmetry.
@@ -175,7 +175,7 @@ def gel_mesh(gel: dict, top, near: np.ndarray, halved: list[bool], brick: float)
     ends, sides = np.array([gel["width"], gel["length"]]) / 2, []
     for k in (0, 1):
         low, fine_low = (0.0, 0.0) if halved[k] else (-ends[k], near[0, k])
-        sides.append(lines(fine_low, near[1, k], low, ends[k], brick))
+        sides.append(lines(fine_low, near[1, k], low, ends[k], edge))
     mesh = gf.Mesh("cartesian Q1", *sides, np.concatenate([[0.0], np.cumsum(LAYERS)]) / sum(LAYERS))
     points = mesh.pts()
     above = top(points[0], points[1])
@@ -197,12 +197,12 @@ def gel_mesh(gel: dict, top, near: np.ndarray, halved: list[bool], brick: float)
 class PressedGel:
     """The gel, the body, and the load steps of one scene."""
 
-    def __init__(self, challenge: dict, scene: dict, brick: float):
+    def __init__(self, challenge: dict, scene: dict, edge: float):
         self.body, self.legs = RigidBody(scene), np.array(scene["legs_mm"], float)
         self.halved = [self.body.mirrored(self.legs, axis) for axis in (0, 1)]
         top = gel_top(HERE / "gel.stl")
         self.near = footprint(self.body, self.legs, top) + [[-MARGIN], [MARGIN]]
-        mesh, self.sides = gel_mesh(challenge["gel"], top, self.near, self.halved, brick)
+        mesh, self.sides = gel_mesh(challenge["gel"], top, self.near, self.halved, edge)
         self.traction, displacement = gf.MeshFem(mesh, 3), gf.MeshFem(mesh, 3)
         displacement.set_fem(gf.Fem("FEM_Q2_INCOMPLETE(3)"))
         self.traction.set_fem(gf.Fem("FEM_QK(3,1)"))
@@ -343,9 +343,9 @@ class PressedGel:
         return found
 
 
-def solve(name: str, challenge: dict, brick: float) -> np.ndarray:
+def solve(name: str, challenge: dict, edge: float) -> np.ndarray:
     """Forces of one scene, rows as `PressedGel.forces` gives them."""
-    press = PressedGel(challenge, json.loads((HERE / "scenes" / name / "scene.json").read_text()), brick)
+    press = PressedGel(challenge, json.loads((HERE / "scenes" / name / "scene.json").read_text()), edge)
     press.follow()
     return press.forces()
 

@@ -1,6 +1,6 @@
 """An example of taking part: the four scenes with balls, solved by GetFEM; python3 getfem_spheres.py FOLDER [SCENE].
 
-Needs Debian's python3-getfem and python3-scipy. Quadratic bricks of 20 nodes; contact and stick are penalties, written
+Needs Debian's python3-getfem and python3-scipy. Quadratic hexahedra of 20 nodes; contact and stick are penalties, written
 in GetFEM's own form language: a point that meets the ball is held at the place on it where it was at the end of that
 load step.
 """
@@ -18,7 +18,7 @@ from scipy.interpolate import LinearNDInterpolator
 
 HERE = Path(__file__).resolve().parent
 SCENES = ("sphere_shallow", "sphere_1mm", "sphere_2mm", "sphere_off_centre")
-BRICK, GROWTH, LARGEST = 0.6, 1.6, 3.5  # mm under the ball, and how they grow away from it
+EDGE, GROWTH, LARGEST = 0.6, 1.6, 3.5  # mm under the ball, and how they grow away from it
 LAYERS = (1.9, 1.3, 0.9, 0.7, 0.6)  # from the base to the top, of the height
 STEP = 0.05  # mm of travel in a load step
 PRESS, STICK = 60.0, 30.0  # N/mm^3: the ball is entered by a thousandth of a millimetre
@@ -42,10 +42,10 @@ def gel_top(path: Path):
 
 
 def lines(middle: float, half: float, low: float, high: float) -> np.ndarray:
-    """Mesh lines from `low` to `high`: bricks of BRICK within `half` of the middle, larger ones outwards."""
-    found = list(np.linspace(middle - half, middle + half, round(2 * half / BRICK) + 1))
+    """Mesh lines from `low` to `high`: hexahedra of EDGE within `half` of the middle, larger ones outwards."""
+    found = list(np.linspace(middle - half, middle + half, round(2 * half / EDGE) + 1))
     for side, end in ((-1, low), (1, high)):
-        size, at = BRICK, middle + side * half
+        size, at = EDGE, middle + side * half
         while side * (end - at) > 1.6 * GROWTH * size:
             size = min(GROWTH * size, LARGEST)
             at += side * size
@@ -98,7 +98,7 @@ def model_of(mesh, challenge: dict, start, radius: float):
 
 
 def follow(model, one, three, start, radius: float, legs) -> None:
-    """Move the ball along its legs; points that meet it are held from then on, those that leave it are let go."""
+    """Move the ball along its legs; points that meet it stick from then on, those that leave it are released."""
     at = np.array([*start[:2], start[2] + radius])
     for leg in np.array(legs, float):
         steps = int(np.ceil(np.linalg.norm(leg) / STEP))
@@ -143,7 +143,7 @@ def solve(name: str, challenge: dict) -> list[tuple]:
     scene = json.loads((HERE / "scenes" / name / "scene.json").read_text())
     start, radius = np.array(scene["start_mm"]), scene["indenter"]["diameter"] / 2
     depth = -scene["legs_mm"][0][2]
-    half = round((np.sqrt(2.6 * radius * depth) + 0.9 + np.abs(scene["legs_mm"][1]).max()) / BRICK) * BRICK
+    half = round((np.sqrt(2.6 * radius * depth) + 0.9 + np.abs(scene["legs_mm"][1]).max()) / EDGE) * EDGE
     mesh = gel_mesh(challenge["gel"], gel_top(HERE / "gel.stl"), start, half)
     model, contact, one, three = model_of(mesh, challenge, start, radius)
     follow(model, one, three, start, radius, [leg for leg in scene["legs_mm"] if np.any(leg)])
