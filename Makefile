@@ -28,7 +28,7 @@ EXECUTOR ?= local
 NO := 0 no false
 STRICT ?=
 override STRICT := $(filter-out $(NO),$(STRICT))
-# nproc would tell what a shell grants one program's threads, where it sets these.
+# nproc would give the number that a shell grants to one program's threads, where it sets these.
 JOBS ?= $(shell env -u OMP_NUM_THREADS -u OMP_THREAD_LIMIT nproc)
 
 include rules/00_given.mk

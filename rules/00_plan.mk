@@ -65,7 +65,7 @@ $(DATA)/log.csv $(DATA)/dataset.toml:
 
 # $(call step,MODULE ARGUMENTS) is the recipe of every artifact: it writes $@.part, the wrapper publishes it.
 # Of more inputs than a shell takes as one command (128 KiB) only the parameters are named; the others' reader refuses a
-# broken one. What a network learns from or goes on from beside its dataset lies elsewhere.
+# broken one. What a network learns from or is fine-tuned from beside its dataset lies elsewhere.
 LISTED = $(if $(word 1500,$^),$P/%,$D/% $(LEARNT_WITH) $(SHIPPED).onnx $(SHIPPED).safetensors)
 wrapped = $(PY) -m gelforge.flow.step $@ $(filter $(LISTED),$^) -- $(PY) -m $(1)
 ifeq ($(EXECUTOR),local)

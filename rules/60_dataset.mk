@@ -8,7 +8,7 @@ $(DATA)/labels/%.npz:
 LABEL_SOURCE := $(if $(IMPORTED),$(DATA)/labels/%.npz,$D/50_labels/%/labels.json)
 
 # What lies beside the log: no-contact images, splits and truth that the dataset came with. A digest of names,
-# sizes and times tells when one of them goes, or an older file takes its place.
+# sizes and times shows when one of them goes, or an older file takes its place.
 BESIDE := $(wildcard $(DATA)/nocontact $(DATA)/splits.csv $(DATA)/truth/presses.csv)
 BESIDE_DIGEST := $(if $(BESIDE),$(shell LC_ALL=C find -L $(BESIDE) -type f -printf '%p %s %T@\n' | LC_ALL=C sort | sha256sum | cut -c 1-32))
 

@@ -24,7 +24,7 @@ $(PARETO_MESH_FILES): $D/pareto/meshes/%.npz: $P/pareto_meshes.json
 $(PARETO_FILES): $D/pareto/scenes/%.json: $P/scenes/%.json $P/pareto.json $P/sensors.json $(KEPT) $(PARETO_MESH_FILES)
 	$(call step,$(PARETO_SCENE) --meshes $D/pareto/meshes --out $@.part)
 
-# Which reference the small chart has is told by all of its scenes.
+# All scenes of the small chart decide which reference it has.
 $(PARETO_QUICK_FILES): $D/pareto/quick/%.json: $P/scenes/%.json $(PARETO_QUICK:%=$P/scenes/%.json) $P/pareto.json $P/sensors.json $(KEPT)
 	$(call step,$(PARETO_SCENE) --set quick --meshes $D/20_meshes --out $@.part)
 

@@ -75,7 +75,7 @@ def signals_kept(answers_to_signals):
 
 
 def process_signals() -> dict[str, str]:
-    """Which of signals 1 to 31 this process ignores and catches, as Linux tells; native code shows here, too."""
+    """Which of signals 1 to 31 this process ignores and catches, as Linux reports; native code shows here, too."""
     status = Path("/proc/self/status").read_text().splitlines()
     words = dict(line.split(":\t") for line in status if line.startswith(("SigIgn", "SigCgt")))
     return {name: f"{int(word, 16) & 0x7FFFFFFF:08x}" for name, word in words.items()}

@@ -49,7 +49,7 @@ def tables(count: int):
 
 
 def press(k: int, shown: bool = True) -> dict:
-    """What the page draws of a press: a bump whose place tells its number."""
+    """What the page draws of a press: a bump whose place shows its number."""
     rows, cols = np.mgrid[: GRID[0], : GRID[1]]
     bump = np.exp(-((rows - 4 - k % 16) ** 2 + (cols - 16) ** 2) / 12.0)
     label = np.stack([0.01 * bump, 0.02 * bump, -0.2 * bump])

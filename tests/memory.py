@@ -1,6 +1,6 @@
-"""How much memory a program took, told by itself."""
+"""How much memory a program took, reported by itself."""
 
-# Lines of a program that define peak_kib(). Not getrusage: what that tells of a new program begins with the peak of the
+# Lines of a program that define peak_kib(). Not getrusage: what that gives for a new program begins with the peak of the
 # process that started it, which may hide all of its own.
 PEAK_KIB = (
     "def peak_kib():\n"

@@ -14,7 +14,7 @@ from gelforge.records.forcereading import ForceReading
 class CameraPredictor(Predictor):
     """Predicts as `Predictor` does, from images that are brought to the network's frame first (records.cameraframe).
 
-    frame: what is done to them, as the no-contact image tells it; None beside a network that reads none.
+    frame: how they are turned and cropped, found in the no-contact image; None beside a network that reads none.
     """
 
     def __init__(

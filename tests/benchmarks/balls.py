@@ -37,7 +37,7 @@ Read = Callable[
 
 
 def ball_figures(presses: list[BallPress], read: Read) -> list[Figure]:
-    """Forces that are read over those of finite elements, and again with a factor that every other press told."""
+    """Forces that are read over those of finite elements, and again with a factor from every other press."""
     found = [read(press.image) for press in presses]
     normal, force = (
         np.array([-forces[2].sum(dtype=float) for forces, _ in found]),
@@ -89,19 +89,19 @@ def circle_figures(folder: Path, nocontact: np.ndarray, px_per_mm: float) -> lis
 
 
 def drawn_figures(folder: Path) -> list[Figure]:
-    """Forces that circles found without marks tell of balls that the virtual rig draws, over those of their depths."""
-    told: list[float] = []
+    """Forces of balls that the virtual rig draws, from circles found without marks, over those of their depths."""
+    predicted: list[float] = []
     truth: list[float] = []
     for unit in ("mini_a", "mini_b"):
         for diameter in (4.0, 6.0):
             place = draw_balls(folder / f"{unit}_{diameter:g}", unit, diameter, DRAWN)
             found = read_presses(place, read_image(place / BACKGROUND)).presses
-            told += [press.force for press in found]
+            predicted += [press.force for press in found]
             truth += [true_force(diameter, DRAWN[int(Path(press.name).name)][2]) for press in found]
     asked = 4 * len(DRAWN)
     ratio, note = (
-        np.array(told) / truth,
-        f"{len(told)} of {asked} presses: 4 and 6 mm, two units; circles found without marks",
+        np.array(predicted) / truth,
+        f"{len(predicted)} of {asked} presses: 4 and 6 mm, two units; circles found without marks",
     )
     median = float(np.median(ratio))
     low, high = (np.quantile(ratio, [0.1, 0.9]) / median).tolist()
@@ -112,7 +112,7 @@ def drawn_figures(folder: Path) -> list[Figure]:
         Figure("drawn balls, force by their circle over the true one, median: at most", median, "<=", 1.05),
         Figure("the same over the median, 10 %", low, ">=", 0.9),
         Figure("the same over the median, 90 %", high, "<=", 1.1),
-        Figure("the same, correlation", float(np.corrcoef(told, truth)[0, 1]), ">=", 0.96),
+        Figure("the same, correlation", float(np.corrcoef(predicted, truth)[0, 1]), ">=", 0.96),
     ]
 
 

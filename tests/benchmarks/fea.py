@@ -295,10 +295,10 @@ def _valid_figures(engine: str, records: list[dict]) -> list[Figure]:
     own = [r for r in valid if r["evidence"].get("fidelity", engine) == engine]
     mute = [r["number"] for r in records if r not in valid and not r["reason"]]
     seconds = np.median([r["cpu_seconds"] for r in valid]) if valid else np.nan
-    told = ", ".join(f"{r['number']} {r['indenter']} {r['status']}" for r in records if r not in own)
+    note = ", ".join(f"{r['number']} {r['indenter']} {r['status']}" for r in records if r not in own)
     return [
         Figure(f"valid {engine} results in the paper's envelope", 100 * len(own) / len(records), ">=", 99.0, "%",
-               f"{len(records)} random scenes, median {seconds:.1f} s{'; not: ' + told if told else ''}"),
+               f"{len(records)} random scenes, median {seconds:.1f} s{'; not: ' + note if note else ''}"),
         Figure(f"failures of {engine} without a reason", len(mute), "==", 0, "scenes"),
     ]  # fmt: skip
 
@@ -462,9 +462,9 @@ def reference_figures(checks: dict) -> list[Figure]:
     moved = {name: (100 * check["total"], 100 * check["cells"]) if check else (np.inf, np.inf)
              for name, check in checks.items()}  # fmt: skip
     held = [name for name, (total, cells) in moved.items() if total < HELD_TOTAL and cells < HELD_CELLS]
-    told = "; ".join(f"{name} {total:.2f} %, {cells:.2f} %" for name, (total, cells) in moved.items())
+    note = "; ".join(f"{name} {total:.2f} %, {cells:.2f} %" for name, (total, cells) in moved.items())
     return [Figure(f"scenes where halving the reference moves total force < {HELD_TOTAL} %, cells < {HELD_CELLS} %",
-                   len(held), ">=", 3, "scenes", told or "not measured yet: make pareto")]  # fmt: skip
+                   len(held), ">=", 3, "scenes", note or "not measured yet: make pareto")]  # fmt: skip
 
 
 if __name__ == "__main__":

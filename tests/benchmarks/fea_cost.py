@@ -109,9 +109,9 @@ def growth_figures(scene: Scene, folder: Path) -> list[Figure]:
     solved = [record for record in records if record["status"] == "OK"]
     assert all(a["unknowns"] < b["unknowns"] for a, b in pairwise(solved))
     draw_growth(solved, folder / "growth.png")
-    told = ", ".join(f"{r['unknowns'] / 1000:.0f}k {r['cpu_seconds']:.1f} s {r['peak_mib']:.0f} MiB" for r in solved)
+    note = ", ".join(f"{r['unknowns'] / 1000:.0f}k {r['cpu_seconds']:.1f} s {r['peak_mib']:.0f} MiB" for r in solved)
     return [
-        Figure("solved of the sizes of hexahedra", len(solved), ">=", len(GROWTH), "", told),
+        Figure("solved of the sizes of hexahedra", len(solved), ">=", len(GROWTH), "", note),
         Figure("exponent of time over unknowns", exponent(solved), "<=", 2.0, "", "nested dissection in space: 2"),
         Figure("exponent of memory over unknowns", exponent(solved, "peak_mib"), "<=", 4 / 3, "", "the same: 4/3"),
     ]

@@ -32,7 +32,7 @@ def frames_of(path: Path) -> list[np.ndarray]:
 
 @dataclass(frozen=True)
 class Read:
-    """A film as read: totals (n, 3) N of both ways in the labels' channels, and the markers' motion (n, d, 2) px.
+    """A film as read: totals (n, 3) N, by the shipped network and bare, in the labels' channels, and the markers' motion (n, d, 2) px.
 
     flagged: (n,) bool, pictures that `predict` flags. peak: (n,) largest force at the picture's edge (records.totals).
     """
@@ -63,7 +63,7 @@ def motion_of(markers: np.ndarray, rest: np.ndarray, image: np.ndarray) -> np.nd
 
 
 def read_film(path: Path, model: ForceModel) -> Read:
-    """Read every third frame of a film in both ways, and follow its markers."""
+    """Read every third frame of a film by the shipped network and bare, and follow its markers."""
     images = frames_of(path)
     rest, _ = find_nocontact(numbered(images), str(path))
     markers, as_it_is, predictor = find_blobs(rest)[0], bare(model, images[0]), Predictor(model, rest)
@@ -93,7 +93,7 @@ def released_figures(films: dict[str, Read]) -> list[Figure]:
 
 
 def every_frame(one: Read, two: Read, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Of the first `count` frames of two fingers those in which both are touched, and those that their likeness is told of."""
+    """Of the first `count` frames of two fingers those in which both are touched, and those that their likeness is measured on."""
     return (one.moved[:count] > HELD_PX) & (two.moved[:count] > HELD_PX), np.ones(count, bool)
 
 
@@ -111,9 +111,9 @@ def mostly_seen(one: Read, two: Read, count: int) -> tuple[np.ndarray, np.ndarra
 
 def seen_whole(one: Read, two: Read, count: int) -> tuple[np.ndarray, np.ndarray]:
     """As `mostly_seen`, without frames in which a contact goes on beyond its picture: only what both see whole is equal."""
-    both, told = mostly_seen(one, two, count)
+    both, compared = mostly_seen(one, two, count)
     whole = (one.peak[:count] < BEYOND) & (two.peak[:count] < BEYOND)
-    return both & whole, told & whole
+    return both & whole, compared & whole
 
 
 def grasps_of(films: dict[str, Read], way: str, choose: Callable) -> np.ndarray:
@@ -127,10 +127,10 @@ def grasps_of(films: dict[str, Read], way: str, choose: Callable) -> np.ndarray:
         if not name.endswith("camera_0") or two is None:
             continue
         count = min(len(one.moved), len(two.moved))
-        both, told = choose(one, two, count)
+        both, compared = choose(one, two, count)
         left, right = (-getattr(film, way)[:count, 2] for film in (one, two))
         if both.sum() >= 5 and min(np.median(left[both]), np.median(right[both])) > 0.0:
-            likeness = float(np.corrcoef(left[told], right[told])[0, 1])
+            likeness = float(np.corrcoef(left[compared], right[compared])[0, 1])
             found.append((float(np.median(left[both])), float(np.median(right[both])), likeness))
     return np.array(found).reshape(-1, 3)
 
@@ -175,10 +175,15 @@ def sideways_figures(films: dict[str, Read]) -> list[Figure]:
         motion, force = np.concatenate(moved), np.concatenate(pulled)
         likeness = min(np.corrcoef(motion[:, k], force[:, k])[0, 1] for k in (0, 1))
         found[way] = float(likeness), float(np.median(angles)), len(angles)
-    told = f"{found['used'][2]} films; bare {found['bare'][0]:.3f} and {found['bare'][1]:.1f} degrees"
+    note = f"{found['used'][2]} films; bare {found['bare'][0]:.3f} and {found['bare'][1]:.1f} degrees"
     return [
         Figure(
-            "sideways force against markers, correlation, lesser of two axes", found["used"][0], ">=", 0.98, "", told
+            "sideways force against markers, correlation, lesser of two axes",
+            found["used"][0],
+            ">=",
+            0.98,
+            "",
+            note,
         ),
         Figure("sideways force against markers, angle, median", found["used"][1], "<=", 5.0, "degrees"),
     ]

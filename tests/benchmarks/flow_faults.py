@@ -49,14 +49,14 @@ def lay_project(folder: Path, count: int = 4) -> Path:
 
 def labels_of(project: Path) -> str:
     """Digest of every label and its sample's name."""
-    told = hashlib.sha256()
+    digest = hashlib.sha256()
     for path in sorted((project / LABELS).glob("[0-9]*.npz")):
         if not path.is_file():
             return f"{path.name} is no file"
         with np.load(path, allow_pickle=False) as shard:
             for name in ("sample_id", "label"):
-                told.update(np.ascontiguousarray(shard[name]).tobytes())
-    return told.hexdigest()
+                digest.update(np.ascontiguousarray(shard[name]).tobytes())
+    return digest.hexdigest()
 
 
 def finish(project: Path, *goals: str) -> str:
@@ -352,7 +352,7 @@ def change_cases(boxes: Sandboxes) -> Iterator[Case]:
 
 
 def flow_cases(base: Path) -> Iterator[Case]:
-    """Every disturbance of a small flow, on copies of projects that are laid below `base`."""
+    """Every disturbance of a small flow, on copies of projects below `base`."""
     boxes = Sandboxes(base)
     for cases in (
         damage_cases,

@@ -101,8 +101,8 @@ def environment(case: str, folder: Path) -> dict[str, str]:
 
 def on_machine(case: str, way: str, names: list[str] | None, folder: Path, workflow: Path) -> dict[str, dict]:
     """`solve_scenes` in a process whose libraries take the code path of a case; kept in the folder."""
-    told = json.dumps([digest_of_all(workflow), case, way, names])
-    kept = folder / f"{way}-{case.replace(' ', '-')}-{hashlib.sha256(told.encode()).hexdigest()[:16]}.json"
+    content = json.dumps([digest_of_all(workflow), case, way, names])
+    kept = folder / f"{way}-{case.replace(' ', '-')}-{hashlib.sha256(content.encode()).hexdigest()[:16]}.json"
     if not kept.exists():
         asked = [sys.executable, "-m", "tests.benchmarks.machines", "--way", way, "--workflow", str(workflow)]
         asked += ["--meshes", str(folder / "meshes"), "--out", str(kept), *(["--scenes", *names] if names else [])]

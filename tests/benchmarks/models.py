@@ -97,7 +97,7 @@ def speed_figures(models: dict, seconds: float) -> list[Figure]:
 def chain_figure(seconds: float) -> Figure:
     """All that `predict` does with a picture over its graph alone, on the demo's pairs, one thread.
 
-    Both take turns, and of each the time is told that the fastest tenth of its runs stays below: longer runs are
+    Both take turns, and the time of each is that which the fastest tenth of its runs stays below: longer runs are
     interrupted more often by other programs, which would count as theirs.
     """
     import cv2
@@ -247,7 +247,7 @@ def chart_figures(chart: dict) -> list[Figure]:
 
 
 def accuracy_figures(result: dict) -> list[Figure]:
-    """Errors of what `predict` tells: known and unseen units and shapes, cells, single contacts, and the labels themselves."""
+    """Errors of what `predict` reports: known and unseen units and shapes, cells, single contacts, and the labels themselves."""
     splits, span = result["splits"], result["force_range"]
     test = splits["test"]
     figures = []
@@ -257,8 +257,8 @@ def accuracy_figures(result: dict) -> list[Figure]:
         figures.append(Figure(known, error["mae_percent_of_range"], "<=", mean, "% of range", note))
         figures.append(Figure(f"{known}, upper end of its 95 % interval", highest, "<=", most, "% of range"))
         for control, values in splits["test"]["controls"].items():
-            told = f"total {axis}, {control.replace('_', ' ')} over the network"
-            figures.append(Figure(told, values[axis] / error["mae"], ">=", 3.0, "times"))
+            times = f"total {axis}, {control.replace('_', ' ')} over the network"
+            figures.append(Figure(times, values[axis] / error["mae"], ">=", 3.0, "times"))
     for axis, goal in CELL_GOALS.items() if test["cell"] else ():
         figures.append(Figure(f"known units and shapes, cell {axis}", test["cell"][axis]["mae"], "<=", goal, "N"))
     if units := splits.get("test_unseen_sensor"):

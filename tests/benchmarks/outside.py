@@ -31,12 +31,12 @@ def has_getfem() -> bool:
 
 def submission(folder: Path, scenes: tuple[str, ...], work: Path) -> Path:
     """Folder of the outside engine's forces, named by all that they depend on; folder: the open benchmark's."""
-    told = hashlib.sha256()
+    digest = hashlib.sha256()
     for name in (PROGRAM, "getfem_spheres.py", "gel.stl", *(f"scenes/{scene}/scene.json" for scene in GOALS + SHARP)):
-        told.update((folder / name).read_bytes())
+        digest.update((folder / name).read_bytes())
     shape = json.loads((folder / "challenge.json").read_text(encoding="utf-8"))
-    told.update(json.dumps([shape[key] for key in ("c10_mpa", "d1_per_mpa", "gel")]).encode())
-    out = work / told.hexdigest()[:16]
+    digest.update(json.dumps([shape[key] for key in ("c10_mpa", "d1_per_mpa", "gel")]).encode())
+    out = work / digest.hexdigest()[:16]
     done = subprocess.run([PYTHON, str(folder / PROGRAM), str(out), *scenes], check=False)
     if done.returncode:
         raise BadInput(
@@ -52,14 +52,14 @@ def scored(folder: Path, out: Path) -> dict:
     return json.loads(path.read_text(encoding="utf-8"))
 
 
-def figures_of(told: dict) -> list[Figure]:
+def figures_of(scores: dict) -> list[Figure]:
     """Errors of the scenes that have goals; the table of the benchmark's own script has the sharp ones, too."""
     found = []
-    for name, errors in told["scenes"].items():
+    for name, errors in scores["scenes"].items():
         if name in SHARP:
             continue
         own = "unknown" if errors["scatter"] is None else f"{100 * errors['scatter']:.1f} %"
-        seconds = told["seconds"].get(name)
+        seconds = scores["seconds"].get(name)
         note = f"cells {100 * errors['cells']:.1f} %; the reference and its own mirror image: {own}"
         note += f"; {seconds:.0f} s of processor time" if seconds is not None else ""
         found.append(Figure(f"{name}, total force", 100 * errors["total"], "<=", TOTAL, "%", note))
@@ -81,8 +81,10 @@ def main(args: Namespace) -> None:
     folder = args.work / "challenge"
     given = ["--workflow", str(args.workflow), "--references", str(args.references), "--out", str(folder)]
     challenge.main(["write", *given])
-    told = scored(folder, submission(folder.resolve(), tuple(args.scenes), args.work.resolve()))
-    publish_figures(args.out, figures_of(told), scenes=[{"scene": name} | of for name, of in told["scenes"].items()])
+    scores = scored(folder, submission(folder.resolve(), tuple(args.scenes), args.work.resolve()))
+    publish_figures(
+        args.out, figures_of(scores), scenes=[{"scene": name} | of for name, of in scores["scenes"].items()]
+    )
 
 
 if __name__ == "__main__":

@@ -33,7 +33,7 @@ from tests.benchmarks.ways import as_used, bare
 from tests.pictures import moved
 
 PANEL = 200  # px of width of each of the four panels of FEATS' film: x, y, normal map, picture
-CUT = 1  # px of height that it lacks at its top: cells of its maps are 6.25 px both ways, the first row's 5.6 px high
+CUT = 1  # px of height that it lacks at its top: cells of its maps are 6.25 px along both axes, the first row's 5.6 px high
 NAME = np.s_[:32, :82]  # px of a picture that its name covers
 NAMED = np.s_[:5, :10]  # cells of a map that the panels' names cover
 SEEN = np.ones((24, 32), bool)  # and those that they do not
@@ -41,7 +41,7 @@ SEEN[NAMED] = SEEN[:3, :11] = False
 # Where pictures show the gel, and where FEATS' maps place it, px at 320 x 240 (gelsight_mini and feats_mini of
 # workflow/sensors.toml).
 PX_PER_MM, FEATS_PX_PER_MM = float(np.hypot(*gelsight_mini().projection[0, :2])), 14.0
-# What the rig's labels tell of the reference's bodies, whose edges are round: side of the square in which a cuboid of 10
+# What the rig's labels show of the reference's bodies, whose edges are round: side of the square in which a cuboid of 10
 # mm presses at least half as hard as anywhere (144 presses, 25 to 35 N; nine of ten within 0.2 mm), and diameter of the
 # ring that a tube of 10 and 7 mm presses (140 presses; within 0.05 mm).
 CUBOID_MM, TUBE_MM = 9.4, 8.6
@@ -120,10 +120,10 @@ def gif_figures(
     used, plain = found["used"], found["bare"]
     ways = itertools.product(np.arange(0.8, 1.01, 0.02), *[np.arange(-2.0, 2.01, 0.25)] * 2)
     best, how = max((likeness(used, *how), how) for how in ways)
-    told = f"{len(presses)} presses, each at its own mm; bare {likeness(plain, own_mm):.2f}; pixel for pixel {likeness(used, 1.0):.2f}"
+    note = f"{len(presses)} presses, each at its own mm; bare {likeness(plain, own_mm):.2f}; pixel for pixel {likeness(used, 1.0):.2f}"
     moved_so = "FEATS' maps {:.2f} times as large, {:+.2f} and {:+.2f} cells to the right and down".format(*how)
     return [
-        Figure("normal map against FEATS' maps, correlation, median", likeness(used, own_mm), ">=", 0.9, "", told),
+        Figure("normal map against FEATS' maps, correlation, median", likeness(used, own_mm), ">=", 0.9, "", note),
         Figure("the same after one scale and shift for all of them", best, ">=", 0.93, "", moved_so),
         Figure("place of an imprint beside FEATS' maps", float(np.hypot(*how[1:])), "<=", 0.25, "cells"),
         Figure("totals against the sums of FEATS' maps, rank correlation", ranks_alike(used), ">=", 0.9, "", f"bare {ranks_alike(plain):.2f}"),
@@ -155,8 +155,8 @@ def slipped_figures(what: str, pictures: list[np.ndarray], model: ForceModel, no
     for move, how in SLIPPED.items():
         after = np.array([read(moved(picture, **how)).sum((1, 2)) for picture in pictures])
         change = 100 * float(np.median(np.abs(after - own).max(axis=1) / np.abs(own[:, 2])))
-        told = f"median of {len(pictures)} presses"
-        figures.append(Figure(f"{what}: {move}, uncorrected, changes force by", change, "<=", 5.0, "%", told))
+        note = f"median of {len(pictures)} presses"
+        figures.append(Figure(f"{what}: {move}, uncorrected, changes force by", change, "<=", 5.0, "%", note))
     return figures
 
 
@@ -201,8 +201,8 @@ def tube_figures(
         pressed[NAMED] = 0.0
         widths.append(ring_diameter(pressed) * 10.0 / PX_PER_MM)
     off = 100 * abs(float(np.mean(widths)) / TUBE_MM - 1.0)
-    told = f"{np.mean(widths):.2f} mm for {TUBE_MM:g}; {', '.join(f'{width:.2f}' for width in widths)}"
-    return [Figure("tube of 10 and 7 mm: diameter of the ring read, off by", off, "<=", 3.0, "%", told)]
+    note = f"{np.mean(widths):.2f} mm for {TUBE_MM:g}; {', '.join(f'{width:.2f}' for width in widths)}"
+    return [Figure("tube of 10 and 7 mm: diameter of the ring read, off by", off, "<=", 3.0, "%", note)]
 
 
 def cuboid_figures(reference: Path, model: ForceModel, nocontact: np.ndarray) -> list[Figure]:
@@ -212,9 +212,9 @@ def cuboid_figures(reference: Path, model: ForceModel, nocontact: np.ndarray) ->
     normal, sideways = -used[2].sum(), float(np.hypot(*used[:2].sum((1, 2))))
     pressed = -used[2]
     area = np.count_nonzero(pressed > 0.5 * np.percentile(pressed, 98)) * (10.0 / PX_PER_MM) ** 2
-    told = f"normal {normal:.1f} N; bare {-plain[2].sum():.1f} N"
+    note = f"normal {normal:.1f} N; bare {-plain[2].sum():.1f} N"
     return [
-        Figure("cuboid pressed straight, sideways over normal force", 100 * sideways / abs(normal), "<=", 3.0, "%", told),
+        Figure("cuboid pressed straight, sideways over normal force", 100 * sideways / abs(normal), "<=", 3.0, "%", note),
         Figure("cuboid: side of the square read, off by", abs(float(np.sqrt(area)) - CUBOID_MM), "<=", 10 / PX_PER_MM, "mm"),
     ]  # fmt: skip
 

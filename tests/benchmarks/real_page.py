@@ -34,7 +34,7 @@ def read_over(predictor: Predictor, image: np.ndarray) -> np.ndarray:
 
 
 def total_lines(total: np.ndarray, half_width: np.ndarray | None) -> list[str]:
-    """Totals (3,) N and half of their intervals, in the channels' order, told along the gel's axes as `live` does."""
+    """Totals (3,) N and half of their intervals, in the channels' order, reported along the gel's axes as `live` does."""
     within = [""] * 3 if half_width is None else [f" +- {value:.1f}" for value in half_width]
     x, y, z = CHANNEL_OF_AXIS
     return [

@@ -34,7 +34,7 @@ DIFFERENCES = (
     "in both.",
     "Gel: real ones carry scratches, hairs and specks beside the markers; the rig's are clean.",
     "Far from the punch the rig's markers move outwards by up to 8 px; how much of the real markers' motion is that, and "
-    "how much a print a few percent larger, cannot be told without a picture of that unit before contact.",
+    "how much a print a few percent larger, is unknown without a picture of that unit before contact.",
 )
 
 

@@ -27,11 +27,11 @@ def digest_of_tests() -> str:
     """Digest of what the outcome of a test may depend on: code, tests, rules, parameters and the packages' versions."""
     places = ("src", "tests", "rules", "workflow", "envs")
     files = [path for place in places for path in sorted((ROOT / place).rglob("*")) if path.is_file()]
-    told = hashlib.sha256()
+    digest = hashlib.sha256()
     for path in [ROOT / "Makefile", ROOT / "pyproject.toml", *files]:
         if "__pycache__" not in path.parts and ".egg-info" not in str(path):
-            told.update(str(path.relative_to(ROOT)).encode() + b"\0" + path.read_bytes())
-    return told.hexdigest()
+            digest.update(str(path.relative_to(ROOT)).encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()
 
 
 def outcome(report: Path) -> dict:
@@ -50,8 +50,8 @@ def outcome(report: Path) -> dict:
 def run_once(number: int, tests: list[str], folder: Path, jobs: int) -> dict:
     """Outcome of the suite in the order of seed `number`, on one of the machines' cases; kept in the folder."""
     case = list(CASES)[number % len(CASES)]
-    told = json.dumps([digest_of_tests(), tests, number, case])
-    kept = folder / f"{number:03d}-{hashlib.sha256(told.encode()).hexdigest()[:16]}.json"
+    content = json.dumps([digest_of_tests(), tests, number, case])
+    kept = folder / f"{number:03d}-{hashlib.sha256(content.encode()).hexdigest()[:16]}.json"
     if not kept.exists():
         folder.mkdir(parents=True, exist_ok=True)
         report, log = kept.with_suffix(".xml"), kept.with_suffix(".log")

@@ -120,11 +120,11 @@ def error_figures(units: Units, read: np.ndarray) -> list[Figure]:
     true = np.array([seen.total for seen in units.seen])
     mae = np.abs(read - true).mean(axis=0)
     rig = np.abs(read - np.array([seen.rig_total for seen in units.seen])).mean(axis=0)
-    told = f"{len(true)} pictures of {len(true) // len(units.nocontact)} presses by {len(units.nocontact)} units; "
-    told += f"against the rig's own forces {', '.join(f'{value:.2f}' for value in rig)} N"
+    note = f"{len(true)} pictures of {len(true) // len(units.nocontact)} presses by {len(units.nocontact)} units; "
+    note += f"against the rig's own forces {', '.join(f'{value:.2f}' for value in rig)} N"
     return [
         Figure(f"unseen units, total {name}", 100 * value / RANGE[name], "<=", 2.5 if name == "grid_z" else 1.2,
-               "% of range", f"{value:.2f} N of {RANGE[name]:g}; {told}")
+               "% of range", f"{value:.2f} N of {RANGE[name]:g}; {note}")
         for name, value in zip(CHANNELS, mae, strict=True)
     ]  # fmt: skip
 
@@ -142,9 +142,9 @@ def interval_figure(units: Units, model: ForceModel, read: np.ndarray) -> list[F
     true = np.array([seen.total for seen in units.seen])
     half = np.array([half_widths(model.metadata, one) for one in read])
     held = 100 * (np.abs(read - true) <= half)[others].mean(axis=0)
-    told = ", ".join(f"{name} {value:.0f}" for name, value in zip(CHANNELS, held, strict=True))
+    note = ", ".join(f"{name} {value:.0f}" for name, value in zip(CHANNELS, held, strict=True))
     return [Figure("totals that their 90 % intervals hold, farthest from it", float(held[np.abs(held - 90).argmax()]), ">=", 87.0,
-                   "%", f"{told}; {others.sum()} pictures of other units than the intervals were set on")]  # fmt: skip
+                   "%", f"{note}; {others.sum()} pictures of other units than the intervals were set on")]  # fmt: skip
 
 
 # -- what a pair may suffer
@@ -185,8 +185,8 @@ def change_figure(name: str, units: Units, read: np.ndarray, after: np.ndarray) 
     """How far totals (n, 3) N of pressed pictures are read otherwise after something happened to them."""
     full = np.abs(np.array([seen.total[2] for seen in units.seen])) > 2.0
     off = 100 * np.abs(after - read)[full].max(axis=1) / np.abs(read[full, 2])
-    told = f"median {np.median(off):.1f}, nine of ten below {np.percentile(off, 90):.1f}"
-    return Figure(name, float(off.mean()), "<=", 2.0, "%", told)
+    note = f"median {np.median(off):.1f}, nine of ten below {np.percentile(off, 90):.1f}"
+    return Figure(name, float(off.mean()), "<=", 2.0, "%", note)
 
 
 # -- an hour of drifting light
@@ -293,12 +293,12 @@ def flag_figures(units: Units, model: ForceModel) -> list[Figure]:
         found.setdefault(fault, []).append((float(off.max()), read.flag))
     bad = [flag for pairs in found.values() for off, flag in pairs if off > WRONG]
     good = [flag for off, flag in found["none"] if off <= WRONG]
-    told = ", ".join(
+    note = ", ".join(
         f"{fault} {sum(flag for off, flag in pairs if off > WRONG)} of {sum(off > WRONG for off, _ in pairs)}"
         for fault, pairs in found.items()
     )
     return [
-        Figure("pairs that are read wrong by over 15 % of the range and flagged", 100 * np.mean(bad), ">=", 95.0, "%", told),
+        Figure("pairs that are read wrong by over 15 % of the range and flagged", 100 * np.mean(bad), ">=", 95.0, "%", note),
         Figure("good pairs that are flagged", 100 * np.mean(good), "<=", 5.0, "%", f"of {len(good)}"),
     ]  # fmt: skip
 

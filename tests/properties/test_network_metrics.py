@@ -65,7 +65,7 @@ def test_bootstrap_interval_covers_at_its_rate():
 
 @settings(max_examples=30)
 @given(errors, st.integers(2, 5))
-def test_views_of_one_press_that_err_alike_tell_no_more_than_one(error, views):
+def test_views_of_one_press_that_err_alike_count_no_more_than_one(error, views):
     size = np.abs(error)
     once = metrics.bootstrap_mean(size, np.random.default_rng(0), 100)
     seen = metrics.bootstrap_mean(

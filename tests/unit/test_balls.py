@@ -106,8 +106,12 @@ def test_a_profile_is_made_from_balls_alone(drawn, tmp_path, capsys):
     words = ["--name", "mine", "--balls", str(drawn), "--out", str(tmp_path / "mine.toml")]
     assert sensor.main([*words, "--diameter", "6"]) == 0
     gain = read_profile(tmp_path / "mine.toml").gain
-    told = capsys.readouterr().out
-    assert gain.readings == 5 and "px per mm" in told and "C10 0.0725 MPa taken, which balls do not tell" in told
+    reported = capsys.readouterr().out
+    assert (
+        gain.readings == 5
+        and "px per mm" in reported
+        and "C10 0.0725 MPa assumed, which balls cannot measure" in reported
+    )
     assert (read_profile(tmp_path / "mine.toml").nocontact == read_image(drawn / "background.png")).all()
     picture = drawn / "6.000mm/1/gelsight.png"
     (tmp_path / "r.csv").write_text(f"image,force_n\n{picture},5\n")
@@ -117,7 +121,7 @@ def test_a_profile_is_made_from_balls_alone(drawn, tmp_path, capsys):
 
 
 def test_balls_leave_their_level_open():
-    """However many presses: a quarter in nine of ten cases, as no press tells it."""
+    """However many presses: a quarter in nine of ten cases, as no press shows it."""
     read = np.linspace(1.0, 5.0, 200)
     many = of_balls(fit_gain(1.3 * read, read))
     assert many.value == pytest.approx(1.3, rel=0.01)
@@ -149,7 +153,7 @@ def test_presses_that_cannot_count_say_why(drawn, tmp_path):
     }
 
 
-def test_folders_that_tell_nothing_are_refused(drawn, tmp_path):
+def test_folders_that_show_nothing_are_refused(drawn, tmp_path):
     rest, picture = read_image(drawn / "background.png"), read_image(drawn / "6.000mm/0/gelsight.png")
     with pytest.raises(BadInput, match="holds no press of a ball; give a folder with background.png"):
         read_presses(tmp_path, rest)
@@ -170,12 +174,12 @@ def test_folders_that_tell_nothing_are_refused(drawn, tmp_path):
         read_presses(tmp_path, rest, 6.0)
 
 
-@pytest.mark.parametrize(("more", "told"), [
+@pytest.mark.parametrize(("more", "says"), [
     (["--diameter", "5"], "--diameter and --thickness say what --balls FOLDER shows"),
     (["--balls", "x", "--opposite", "l.toml", "--grasps", "g.csv"], "either --balls or --grasps"),
 ])  # fmt: skip
-def test_options_that_do_not_go_together(more, told, tmp_path):
-    with pytest.raises(BadInput, match=told):
+def test_options_that_do_not_go_together(more, says, tmp_path):
+    with pytest.raises(BadInput, match=says):
         sensor.main(["--name", "mine", "--out", str(tmp_path / "mine.toml"), *more])
 
 

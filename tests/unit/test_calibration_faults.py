@@ -254,7 +254,7 @@ def test_solves_are_at_poisson_s_ratios_of_the_prior(prior, nodes):
         ),
     ],
 )
-def test_a_stiffness_that_no_gel_has_is_told_with_units_as_the_likely_cause(c10, usual, says):
+def test_a_stiffness_that_no_gel_has_is_reported_with_units_as_the_likely_cause(c10, usual, says):
     (said,) = summary.units_sentence(c10, usual)
     assert re.search(says, said)
 

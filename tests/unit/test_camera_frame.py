@@ -62,7 +62,7 @@ def test_one_press_reads_the_same_force_at_six_sizes_and_crops(root, crop):
 
 @pytest.mark.parametrize("way", WAYS, ids=str)
 def test_an_image_that_lies_otherwise_is_turned_back(picture, way):
-    """Bright sides of the light tell which way is up, coloured fringes of the markers whether a mirror is between."""
+    """Bright sides of the light show which way is up, coloured fringes of the markers whether a mirror is between."""
     made = turned_so_that(way, picture)
     frame = camera_frame(made, SIZE)
     assert frame.orientation == way
@@ -88,7 +88,7 @@ def no_contact(path):
 
 
 def test_real_sensors_stay_as_they_are_and_are_turned_back(reference):
-    """Of 32 films, also of gels whose flat markers leave no fringes: no mirror is told there, but which way is up."""
+    """Of 32 films, also of gels whose flat markers leave no fringes: no mirror is found there, but which way is up."""
     for path in sorted((reference / "gripper_videos").glob("*.avi")):
         picture = no_contact(path)
         assert camera_frame(picture, SIZE).orientation == AS_IT_IS, path.name

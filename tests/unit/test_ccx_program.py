@@ -57,7 +57,7 @@ def test_a_run_that_ends_before_it_answers_leaves_no_answer_of_an_earlier_one(tm
     assert job.returncode != 0 and not (tmp_path / "press.dat").exists()
 
 
-def test_a_table_that_cannot_be_read_is_told_from_a_load_that_was_not_reached():
+def test_a_table_that_cannot_be_read_is_distinguished_from_a_load_that_was_not_reached():
     assert status_of(Unfinished("nothing printed")) is Status.DIVERGED
     assert status_of(DatError("no number")) is Status.UNREADABLE
     assert read_dat("") == []

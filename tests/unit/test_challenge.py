@@ -81,15 +81,19 @@ def test_the_folder_holds_every_scene_and_reads_back(folder, root):
     assert {path.stem for path in (folder / "references").glob("*.csv")} == set(tables)
     for name, table in tables.items():
         press = parse_scene(name, table, 0.475).scene.press
-        told = read_json(folder / "scenes" / name / "scene.json")
-        assert np.sum(told["legs_mm"], axis=0) == pytest.approx([press.dx, press.dy, press.dz])
+        reported = read_json(folder / "scenes" / name / "scene.json")
+        assert np.sum(reported["legs_mm"], axis=0) == pytest.approx([press.dx, press.dy, press.dz])
         vertices, _ = read_stl(folder / "scenes" / name / "indenter.stl")
         assert vertices[:, 2].min() == pytest.approx(press.z0, abs=0.02)  # the tip is where the path starts
 
 
 def test_references_score_nothing_against_themselves(folder, tmp_path):
-    found, told = score(folder, folder / "references")
-    assert found.returncode == 0 and told["total_worst"] == told["cells_worst"] == 0.0 and told["missing"] == []
+    found, reported = score(folder, folder / "references")
+    assert (
+        found.returncode == 0
+        and reported["total_worst"] == reported["cells_worst"] == 0.0
+        and reported["missing"] == []
+    )
 
 
 def test_the_script_gives_the_errors_of_the_chart(folder, tmp_path):
@@ -97,14 +101,14 @@ def test_the_script_gives_the_errors_of_the_chart(folder, tmp_path):
     rng = np.random.default_rng(3)
     cells = right["cells"] * rng.uniform(0.9, 1.1, right["cells"].shape)
     wrong = right | {"cells": cells, "total": cells.sum(axis=(1, 2)) + right["outside"]}
-    done, told = score(folder, submit(tmp_path / "mine", [[*row.values()] for row in reference_rows(wrong)]))
+    done, reported = score(folder, submit(tmp_path / "mine", [[*row.values()] for row in reference_rows(wrong)]))
     assert done.returncode == 0, done.stderr
     expected = errors(wrong, right)
-    assert told["scenes"]["bar"]["total"] == pytest.approx(expected["total"], abs=1e-6)
-    assert told["scenes"]["bar"]["cells"] == pytest.approx(expected["cells"], abs=1e-5)
+    assert reported["scenes"]["bar"]["total"] == pytest.approx(expected["total"], abs=1e-6)
+    assert reported["scenes"]["bar"]["cells"] == pytest.approx(expected["cells"], abs=1e-5)
     larger = (cells - right["cells"]).reshape(3, 12, 2, 16, 2).sum(axis=(2, 4))
     wide = np.linalg.norm(larger, axis=0).sum() / np.linalg.norm(right["total"])
-    assert told["scenes"]["bar"]["cells_2x2"] == pytest.approx(wide, abs=1e-5)
+    assert reported["scenes"]["bar"]["cells_2x2"] == pytest.approx(wide, abs=1e-5)
 
 
 def test_points_count_for_the_cell_they_lie_in(folder, root, tmp_path):
@@ -115,9 +119,9 @@ def test_points_count_for_the_cell_they_lie_in(folder, root, tmp_path):
     points = sensor.unproject(10.0 * (held[:, ::-1] + 0.5))
     rows = [[*at, *right["cells"][:, *cell]] for at, cell in zip(points, held, strict=True)]
     rows.append([0.0, 12.6, *right["outside"]])
-    done, told = score(folder, submit(tmp_path / "points", rows, ("x_mm", "y_mm", *COLUMNS[2:])))
+    done, reported = score(folder, submit(tmp_path / "points", rows, ("x_mm", "y_mm", *COLUMNS[2:])))
     assert done.returncode == 0, done.stderr
-    assert told["scenes"]["bar"]["cells"] == pytest.approx(0.0, abs=1e-9)
+    assert reported["scenes"]["bar"]["cells"] == pytest.approx(0.0, abs=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -169,12 +173,12 @@ def test_a_symmetric_scene_has_a_symmetric_reference_and_its_scatter_beside_it(f
     images = {name: images_of(parse_scene(name, table, 0.475).scene) for name, table in tables.items()}
     assert images["cuboid_shear"] == images["sphere_off_centre"] == [] and images["cuboid_round"] == [(-1, -1)]
     assert images["triangle"] == [(-1, 1)] and len(images["sphere_1mm"]) == len(images["punch"]) == 3
-    told = read_json(folder / "challenge.json")["scatter"]
+    reported = read_json(folder / "challenge.json")["scatter"]
     for name, signs in images.items():
         one = record(folder, name)
         for image in signs:
             np.testing.assert_allclose(image_of(one["cells"], image), one["cells"], atol=2e-7)
-        assert (told[name] is None) == (not signs) and (told[name] is None or 0.001 < told[name] < 0.1)
+        assert (reported[name] is None) == (not signs) and (reported[name] is None or 0.001 < reported[name] < 0.1)
     noisy = record(folder, "cross")
     noisy["cells"] = noisy["cells"] * np.random.default_rng(1).uniform(0.9, 1.1, noisy["cells"].shape)
     keep_references([charted_scene("cross", {**noisy, "key": "k"})], tmp_path, 0.475)
@@ -190,10 +194,10 @@ def test_a_failed_reference_is_refused():
         reference_rows({"scene": "bar", "status": "DIVERGED", "reason": "no equilibrium"})
 
 
-def test_the_gel_is_told_as_numbers(folder):
-    told = json.loads((folder / "challenge.json").read_text())
-    assert told["d1_per_mpa"] == pytest.approx(2 / (4 * 0.0725 * 1.475 / (3 * 0.05)))
-    assert (told["gel"]["width"], told["gel"]["length"]) == (20.75, 25.25)
+def test_the_gel_is_reported_as_numbers(folder):
+    reported = json.loads((folder / "challenge.json").read_text())
+    assert reported["d1_per_mpa"] == pytest.approx(2 / (4 * 0.0725 * 1.475 / (3 * 0.05)))
+    assert (reported["gel"]["width"], reported["gel"]["length"]) == (20.75, 25.25)
 
 
 @pytest.fixture

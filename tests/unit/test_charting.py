@@ -216,11 +216,11 @@ sys.path.insert(0, "src")
 import gelforge
 from gelforge.sweeps.isolate import isolated
 
-def told():
+def report():
     return {"status": gelforge.__file__, "loaded": "gelforge.sweeps.warm" in sys.modules}
 
 if __name__ == "__main__":
-    print(isolated(told, 600))
+    print(isolated(report, 600))
 """
 
 

@@ -24,15 +24,15 @@ def test_each_contact_gets_its_own_force():
     assert table["mae"] == pytest.approx(0.85)
 
 
-def test_what_is_told_beside_a_contact_counts_for_the_nearest():
+def test_what_is_reported_beside_a_contact_counts_for_the_nearest():
     label = pressed((4, 4, 4, 0.5), (4, 12, 4, 0.5))
-    told = np.roll(label, 1, axis=2)
-    assert contact_forces(label[None], told[None]) == pytest.approx(np.full((2, 2), 8.0))
+    predicted = np.roll(label, 1, axis=2)
+    assert contact_forces(label[None], predicted[None]) == pytest.approx(np.full((2, 2), 8.0))
     far = np.roll(label, 12, axis=1)
     assert contact_forces(label[None], far[None])[:, 1] == pytest.approx(np.zeros(2))
 
 
-def test_one_contact_tells_nothing_of_several():
+def test_one_contact_says_nothing_of_several():
     corner = pressed((3, 4, 4, 0.5), (7, 8, 4, 0.5))  # two blocks that meet at a corner are one contact
     faint = pressed((3, 4, 4, 0.5), (15, 20, 2, 0.03))
     still = np.zeros((3, 24, 32))

@@ -65,7 +65,7 @@ def test_a_set_can_be_left_out():
     assert read_dat(without_set(text, "NTOP"))[0].set_name == "NBASE"
 
 
-def test_a_job_that_did_not_finish_is_told_from_a_file_that_cannot_be_read():
+def test_a_job_that_did_not_finish_is_distinguished_from_a_file_that_cannot_be_read():
     nodes = np.array([1, 2])
     with pytest.raises(Unfinished):
         last_table(read_dat(""), "displacements", "NTOP", nodes)

@@ -66,10 +66,10 @@ def test_one_core_is_no_cores():
 
 
 @given(st.floats(0, 9e17))
-def test_a_size_is_told_in_the_unit_of_its_three_digits(count):
+def test_a_size_is_reported_in_the_unit_of_its_three_digits(count):
     number, unit = size(count).split()
-    told = float(number) * 1000 ** ["B", "kB", "MB", "GB", "TB", "PB"].index(unit)
-    assert told == pytest.approx(count, rel=0.0051) or count < 1  # three digits
+    reported = float(number) * 1000 ** ["B", "kB", "MB", "GB", "TB", "PB"].index(unit)
+    assert reported == pytest.approx(count, rel=0.0051) or count < 1  # three digits
     assert "e" not in number or float(number) < 1
 
 
@@ -201,12 +201,12 @@ def test_the_start_of_a_process_is_no_cost_of_a_row(monkeypatch, module):
     """A hundred pilots of a stage that starts for 2 s cost what five do, and 95 rows."""
     each = ROW_EACH.get(module, 0.7)
 
-    def told(rows: int) -> tuple[float, float]:
+    def estimated(rows: int) -> tuple[float, float]:
         spent = iter([2.0 + each * rows, 2.0])  # a press that is solved is not solved again
         monkeypatch.setattr(estimate, "spend", lambda *_: next(spent))
         return row_and_start(module, [], rows)
 
-    assert told(5) == pytest.approx((each, 2.0)) == told(100)
+    assert estimated(5) == pytest.approx((each, 2.0)) == estimated(100)
 
 
 def filmed(presses: int, frames: int) -> list[RawRow]:

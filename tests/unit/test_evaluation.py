@@ -1,4 +1,4 @@
-"""Evaluation of networks, what is told of it, and the chart that sets errors against latency; on small networks."""
+"""Evaluation of networks, its report, and the chart that sets errors against latency; on small networks."""
 
 import csv
 import shutil
@@ -86,7 +86,7 @@ def test_evaluation_is_of_what_predict_gives(data, models):
 
 
 @pytest.mark.parametrize("name", ["small", "pair"])
-def test_a_study_tells_the_errors_of_what_predict_tells(data, models, name):
+def test_a_study_reports_the_errors_of_what_predict_reports(data, models, name):
     """Of all splits but the one that chose the epoch."""
     rows = {row["split"]: row for row in rows_of("all", evaluate(data, models[name].model, EVALUATE)[0])}
     assert rows.keys() == {"test", "test_unseen_indenter", "test_unseen_sensor"}
@@ -131,9 +131,9 @@ def test_pictures_and_card_are_written(data, models, tmp_path):
     assert "virtual rig" not in write_card(real, result)
     assert "Fine-tuned from" not in write_card(about, result)
     start = {"name": "small", "sha256": 64 * "0", "data": "train", "simulated": True, "fraction": 0.5}
-    told = write_card(about | {"start": start}, result)
-    assert "Fine-tuned from the network small, which learnt from simulated presses" in told
-    assert "Its weights lie 50 % of the way from that network's to those learnt here" in told
+    reported = write_card(about | {"start": start}, result)
+    assert "Fine-tuned from the network small, which learnt from simulated presses" in reported
+    assert "Its weights lie 50 % of the way from that network's to those learnt here" in reported
 
 
 def test_the_choice_is_faster_and_nowhere_worse():
@@ -172,7 +172,7 @@ def test_chart_of_models_against_latency(data, models, paths, tmp_path):
         rows = list(csv.DictReader(stream))
     assert {row["model"] for row in rows} == set(MODELS) and all(float(row["cpu2_median_ms"]) > 0 for row in rows)
     assert out.with_suffix(".png").exists()
-    # two epochs at the first learning rate end no "plateau", and are too few to tell where it would end
+    # two epochs at the first learning rate end no "plateau", and are too few to show where it would end
     assert {row["ended"] for row in rows} == {"False"} and {row["expected_n"] for row in rows} == {""}
     with pytest.raises(BadInput, match="same names"):
         pareto_models.main([*argv[:4], *argv[6:]])
@@ -199,7 +199,7 @@ def test_of_one_press_alone_there_is_no_other(data, models):
 
 
 def test_force_outside_the_picture_is_no_error_of_label_or_network(data, models):
-    """The truth is of the whole gel; what fell outside is told beside the label, and no picture shows it."""
+    """The truth is of the whole gel; what fell outside is reported beside the label, and no picture shows it."""
     beyond = np.array([0.3, -0.2, -1.5])
     table = [
         replace(
@@ -272,8 +272,8 @@ def seen_by_three(tmp_path_factory):
     write_csv(folder / "samples.csv", list(rows[0]), rows)
     rest = np.load(folder / "nocontact.npy")
     np.save(folder / "nocontact.npy", np.concatenate([rest] * 3))
-    told = read_json(folder / "dataset.json") | {"nocontact": ["mini0", "mini1", "mini2"]}
-    write_json(folder / "dataset.json", told)
+    reported = read_json(folder / "dataset.json") | {"nocontact": ["mini0", "mini1", "mini2"]}
+    write_json(folder / "dataset.json", reported)
     return open_data(folder)
 
 

@@ -22,7 +22,7 @@ def test_a_warning_stays_within_the_picture_and_leaves_its_size(warning, zoom):
     assert red.any() and (len(warning.split()) == 1 or not red[-3:].any())
 
 
-def test_a_warning_is_told_whole_where_there_is_room_and_else_ends_in_dots():
+def test_a_warning_is_reported_whole_where_there_is_room_and_else_ends_in_an_ellipsis():
     lines = wrapped(WARNING, 628, WARNING_LINES)
     assert len(lines) > 1 and " ".join(lines) == WARNING
     assert wrapped("", 628, WARNING_LINES) == []

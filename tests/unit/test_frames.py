@@ -119,7 +119,7 @@ def filmed(*ways):
 @given(st.floats(0.001, 0.009), st.floats(0, 6.28))
 @pytest.mark.parametrize("says", ["rises", "deeper after", "goes back", "leaves the line"])
 def test_a_press_that_is_filmed_slowly_may_go_back_no_farther_than_any_other(says, step, angle):
-    """Each step is too small to tell from the one before it; what they come to is not."""
+    """Each step is too small to distinguish from the one before it; what they come to is not."""
     far, (x, y) = step * np.arange(1, 101), (np.cos(angle), np.sin(angle))
     begins, ways = {
         "rises": ((0, 0, -1), [(0, 0, -1 + rise) for rise in far]),
@@ -173,7 +173,7 @@ def test_frames_of_a_press_share_a_shard_and_keep_it(presses, size, first):
 
 
 @given(st.lists(st.integers(0, 6), min_size=1, max_size=60), st.integers(1, 5))
-def test_samples_that_are_told_to_be_one_press_later_come_together(presses, size):
+def test_samples_that_are_given_as_one_press_later_come_together(presses, size):
     """Those of no press stay where they were, and so do a press's first ones."""
     ids = [f"s{k}" for k in range(len(presses))]
     press_of = {name: f"p{p}" for name, p in zip(ids, presses, strict=True) if p}

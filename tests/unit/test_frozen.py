@@ -121,6 +121,6 @@ def test_the_report_says_what_labels_were_made_with(tmp_path):
     assert force_section(results, path.parent, own).items[-1]["columns"] == COMPARED
     path.unlink()
     write_slice(results / "00_plan" / "params", "forces")
-    told = force_section(results, path.parent, own).items[0]["text"]
-    assert "No calibration was frozen" in told and "make calibrated-labels DATASET=lab" in told
+    reported = force_section(results, path.parent, own).items[0]["text"]
+    assert "No calibration was frozen" in reported and "make calibrated-labels DATASET=lab" in reported
     assert force_section(results, path.parent, []).items[0]["absent"]

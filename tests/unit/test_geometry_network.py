@@ -47,8 +47,8 @@ def shaped(tmp_path_factory):
     return open_data(with_shapes(tmp_path_factory.mktemp("shaped") / "6x8"))
 
 
-def test_it_learns_the_shapes_that_it_is_told(shaped):
-    """After some epochs slopes are nearer to the told ones than level ones are, and forces nearer than the mean force."""
+def test_it_learns_the_shapes_that_it_is_given(shaped):
+    """After some epochs slopes are nearer to the true ones than level ones are, and forces nearer than the mean force."""
     settings = with_values(SETTINGS, epochs=30, learning_rate=4e-3, schedule="cosine")
     trained = train(shaped, "geometry", MODEL, settings)
     assert list(trained.model.stages) == ["slopes", "forces"]
@@ -58,16 +58,16 @@ def test_it_learns_the_shapes_that_it_is_told(shaped):
     for row in rows:
         seen = predictor.prepare(np.ascontiguousarray(shaped.images[row]))
         found = predictor.stages["slopes"]({name: seen.feature(name) for name in ("image", "nocontact")})["slopes"][0]
-        told = shaped.shapes.slopes[row].astype(float) * STEP
-        error.append(((found - told) ** 2).mean())
-        level.append((told**2).mean())
+        true = shaped.shapes.slopes[row].astype(float) * STEP
+        error.append(((found - true) ** 2).mean())
+        level.append((true**2).mean())
         totals.append(predictor.predict(np.ascontiguousarray(shaped.images[row])).total[2])
     wanted = shaped.totals(rows)[:, 2]
     assert np.mean(error) < 0.5 * np.mean(level)
     assert np.abs(np.array(totals) - wanted).mean() < 0.5 * np.abs(wanted - wanted.mean()).mean()
 
 
-def test_it_learns_from_forces_alone_where_no_shape_is_told(data):
+def test_it_learns_from_forces_alone_where_no_shape_is_known(data):
     assert data.shapes is None
     trained = train(data, "geometry", MODEL, with_values(SETTINGS, epochs=2))
     assert [np.isfinite(row["loss"]) for row in trained.metadata["curve"]] == [True, True]
@@ -96,7 +96,7 @@ def test_what_it_cannot_be_built_for_is_refused(model, image, why):
         build(model, image, GRID)
 
 
-def test_a_misplaced_nocontact_image_is_told_in_the_motion():
+def test_a_misplaced_nocontact_image_shows_in_the_motion():
     """A similarity of the no-contact image moves all points alike: by the shift, and by the zoom with their distance from the middle."""
     settings = with_values(
         SETTINGS.augment, misplaced_share=1.0, misplaced_px=2.0, misplaced_deg=0.0, misplaced_zoom=0.0

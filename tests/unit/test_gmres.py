@@ -54,7 +54,7 @@ def test_the_inverse_needs_one_product():
 
 
 @pytest.mark.parametrize("limit", [4, 12])
-def test_a_pace_that_does_not_suffice_is_told_before_the_limit(limit):
+def test_a_pace_that_does_not_suffice_is_reported_before_the_limit(limit):
     matrix, b = system(2, skew=3.0)
     calls = []
 
@@ -63,7 +63,7 @@ def test_a_pace_that_does_not_suffice_is_told_before_the_limit(limit):
         return matrix @ x
 
     assert gmres(apply, lambda r: r, b, 1e-10, limit) is None
-    assert len(calls) == 3  # of that many the pace is told
+    assert len(calls) == 3  # of that many the pace is estimated
 
 
 def test_no_load_has_no_answer_but_zero():
@@ -89,11 +89,11 @@ print(hashlib.sha256(x.tobytes()).hexdigest())
 
 def test_the_threads_of_blas_change_nothing():
     """Nor do they take part: where cores are busy, each inner product waited for all of them."""
-    told = {
+    reported = {
         subprocess.run(
             [sys.executable, "-c", ON_THREADS], capture_output=True, text=True, check=True,
             env=os.environ | dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"), threads),
         ).stdout
         for threads in ("1", "2", "4")
     }  # fmt: skip
-    assert len(told) == 1
+    assert len(reported) == 1

@@ -187,7 +187,7 @@ def test_a_link_that_leads_to_itself_is_rejected(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["a.png", "a.npz", "a.onnx", "log.csv", "a.mp4", "a.mcap"])
-def test_a_git_lfs_pointer_is_told_under_any_name(tmp_path, name):
+def test_a_git_lfs_pointer_is_reported_under_any_name(tmp_path, name):
     """A clone without git-lfs holds these in place of what was pushed."""
     path = tmp_path / name
     path.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12345\n")
@@ -206,7 +206,7 @@ def test_a_git_lfs_pointer_is_told_under_any_name(tmp_path, name):
 
 
 @pytest.mark.parametrize("left", ["no index", "half", "whole"])
-def test_a_film_without_its_index_is_told(tmp_path, left):
+def test_a_film_without_its_index_is_reported(tmp_path, left):
     import cv2
 
     path = tmp_path / "a.mp4"
@@ -476,7 +476,7 @@ def test_a_hostile_model_is_refused_in_a_sentence(tmp_path, model, name):
         load_model(path)
 
 
-def test_a_table_of_semicolons_and_decimal_commas_is_told_what_parts_cells(tmp_path):
+def test_a_table_of_semicolons_and_decimal_commas_is_reported_what_parts_cells(tmp_path):
     """As spreadsheets write them where a comma is decimal."""
     (tmp_path / "r.csv").write_text("image;force_n\npeak.png;2,5\n")
     with pytest.raises(

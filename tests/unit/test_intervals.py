@@ -71,7 +71,7 @@ def test_of_presses_with_many_pictures_they_hold_as_many_on_presses_to_come():
     assert np.mean(by_picture) < HOLDS - 0.01
 
 
-def test_the_fewest_presses_that_tell_hold_as_many_as_promised():
+def test_the_fewest_presses_that_suffice_hold_as_many_as_promised():
     """The largest error of k presses holds k of k + 1 on average."""
     rng, held = np.random.default_rng(5), {LEAST_PRESSES: [], LEAST_PRESSES // 2: []}
     for count, found in held.items():
@@ -121,14 +121,14 @@ def test_they_are_narrow_where_errors_are_small():
 
 @pytest.mark.parametrize("by", ["component", "magnitude", "slope"])
 def test_sideways_force_is_held_as_often_whatever_the_press(by):
-    """It is told the worse the harder is pressed, and the larger it is itself: neither alone tells how far it is off."""
+    """The error grows with the force and with the prediction: neither alone gives its size."""
     rng = np.random.default_rng(4)
     normal, slope = rng.exponential(10.0, 6000), rng.exponential(0.05, 6000)
     true = np.column_stack([slope * normal, np.zeros(6000), -normal])
-    told = true + rng.normal(0, 1, true.shape) * (0.01 + 0.08 * np.abs(true) + 0.01 * normal[:, None])
-    errors = Errors(told, told - true, np.arange(6000))
+    reported = true + rng.normal(0, 1, true.shape) * (0.01 + 0.08 * np.abs(true) + 0.01 * normal[:, None])
+    errors = Errors(reported, reported - true, np.arange(6000))
     about = {"intervals": fit_intervals(errors, errors)}
-    inside = np.array([np.abs(a - b) <= half_widths(about, a) for a, b in zip(told, true, strict=True)])
+    inside = np.array([np.abs(a - b) <= half_widths(about, a) for a, b in zip(reported, true, strict=True)])
     for group in np.array_split(np.argsort({"component": true[:, 0], "magnitude": normal, "slope": slope}[by]), 5):
         assert abs(inside[group, 0].mean() - HOLDS) < 0.05
 
@@ -147,7 +147,7 @@ def made(count, presses, off=0.0, seed=1):
     )
 
 
-def test_too_few_pictures_tell_nothing_and_a_factor_widens():
+def test_too_few_pictures_give_nothing_and_a_factor_widens():
     few, many = made(LEAST_PICTURES - 1, LEAST_PICTURES - 1), made(100, LEAST_PRESSES)
     assert fit_intervals(few, many) == fit_intervals(many, few) == {} and half_widths({}, np.zeros(3)) is None
     assert fit_intervals(many, made(100, LEAST_PRESSES - 1)) == {} != fit_intervals(many, many)
@@ -187,7 +187,7 @@ def shipped_about():
 
 
 def test_what_is_not_known_of_a_profile_widens_intervals():
-    """Also so far that one reading's factor, which may be a third off, is no measurement; one that nobody told is none."""
+    """Also so far that one reading's factor, which may be a third off, is no measurement; one that nobody gave is none."""
     about = {"intervals": {"total": dict.fromkeys(CHANNELS, [0.1, 0.1, 0.0])}}
     total = np.array([1.0, -2.0, -9.0])
     sure, unsure = (half_widths(about, total, Gain(1.0, 1 - half, 1 + half, 1)) for half in (0.0, 0.4))

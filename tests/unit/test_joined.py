@@ -108,10 +108,10 @@ def test_a_network_reads_both_that_it_learnt_from_and_says_so(datasets):
     ]
     assert errors[1] < 0.8 * errors[0]
     assert alone.metadata["also"] == []
-    told = both.metadata["also"][0]
+    reported = both.metadata["also"][0]
     assert both.metadata["data"] == alone.metadata["data"]
-    assert (told["name"], told["version"], told["simulated"]) == ("other", data_version(turned), True)
-    assert told["samples"] == {name: len(other.splits[name]) for name in ("train", "val")}
+    assert (reported["name"], reported["version"], reported["simulated"]) == ("other", data_version(turned), True)
+    assert reported["samples"] == {name: len(other.splits[name]) for name in ("train", "val")}
     assert [line.split(",")[0] for line in data_lines(both.metadata)] == ["- Data: own", "- Also learnt from: other"]
 
 

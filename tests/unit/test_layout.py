@@ -18,12 +18,12 @@ SPELT = re.compile(rf"[^\s]*(?<![\w])({'|'.join(NUMBERED)})(?![\w])[^\s]*")
 
 def spelt(tree: ast.Module) -> list[str]:
     """Texts of a module that are a path with a stage's folder: no docstring, no sentence, no help of an option."""
-    told = {id(word.value) for node in ast.walk(tree) if isinstance(node, ast.Call)
+    reported = {id(word.value) for node in ast.walk(tree) if isinstance(node, ast.Call)
             for word in node.keywords if word.arg == "help"}  # fmt: skip
     return [
         node.value
         for node in ast.walk(tree)
-        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in told
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in reported
         if SPELT.fullmatch(node.value)
     ]
 
@@ -67,8 +67,8 @@ def test_paths_are_those_that_make_writes():
     assert str(metrics_of(of.evaluation("24x32", "grid"))) == "results/demo/metrics/80_evaluate/24x32/grid.json"
 
 
-def test_a_command_that_is_told_names_the_dataset_that_it_is_for():
-    """Typed as it was told it acted on the default dataset."""
+def test_a_command_that_is_reported_names_the_dataset_that_it_is_for():
+    """Typed as it was printed it acted on the default dataset."""
     assert Layout(Path("results/mylab")).command("look ID=s1") == "make look ID=s1 DATASET=mylab"
     for path in ("results/mylab/30_fea/0000.csv", "/there/results/mylab/samples/s1/10_poses/0000.csv"):
         assert command_for("fea", path) == "make fea DATASET=mylab"

@@ -233,8 +233,8 @@ def test_a_deeper_network_begins_as_the_one_it_goes_on_from(few, trained, added)
         few, "deeper", deeper, spoilt, start=start_of(trained)
     )  # spoilt at once, so what it began as is kept
     rows, norm = few.splits["test"], trained.metadata["normalisation"]
-    told = [predict_rows(found.net, few, rows, norm) for found in (begun, trained)]
-    assert np.array_equal(*told)
+    reported = [predict_rows(found.net, few, rows, norm) for found in (begun, trained)]
+    assert np.array_equal(*reported)
     training = Training(deeper, SETTINGS, norm, IMAGE, GRID, "cpu")
     training.go_on_from(trained.net.state_dict(), few)
     last = training.net.late[-1].second_norm.weight
@@ -284,12 +284,12 @@ def test_few_presses_teach_more_to_a_network_that_goes_on(few, trained, tmp_path
     rows, errors = np.arange(96), []
     for settings, start in ((further, start_of(trained)), (alone, None)):
         found = train(few, "tuned", SMALL, settings, start=start)
-        told = predict_rows(found.net, others, rows, found.metadata["normalisation"]).sum((2, 3), dtype=float)
-        errors.append(np.abs(told - others.totals(rows)).mean())
+        reported = predict_rows(found.net, others, rows, found.metadata["normalisation"]).sum((2, 3), dtype=float)
+        errors.append(np.abs(reported - others.totals(rows)).mean())
     assert errors[0] < 0.7 * errors[1]
 
 
-def test_a_network_does_not_go_on_where_hardly_a_press_tells_whether_it_became_better(trained, tmp_path):
+def test_a_network_is_not_fine_tuned_where_hardly_a_press_shows_whether_it_became_better(trained, tmp_path):
     data = open_data(write_dataset(tmp_path / "6x8", 24, IMAGE, GRID))
     with pytest.raises(BadInput, match="of its presses 3 validate, too few .* raise .params.dataset. validation"):
         train(data, "tuned", SMALL, SETTINGS, start=start_of(trained))

@@ -58,7 +58,7 @@ def test_more_of_the_same_never_makes_it_worse():
         assert 0 <= power_law(hours, error, FURTHER * hours[-1]) <= error[-1]
 
 
-def test_what_ended_is_not_read_further_and_what_tells_no_times_has_no_course():
+def test_what_ended_is_not_read_further_and_what_holds_no_times_has_no_course():
     curve = rows([3, 2, 1.5, 1.2, 1.1], [1e-3] * 5)
     about = {"curve": curve, "train": PLATEAU, "cost": {"epoch_seconds": [3600.0 * n for n in range(1, 6)]}}
     going = learning_of(about)

@@ -119,14 +119,14 @@ def test_a_column_that_every_press_needs_under_another_name_is_refused_once(tmp_
         ({"mx_nm": "-212.8"}, "mx_nm"),
     ],
 )
-def test_other_units_are_told_where_no_gel_can_be_so(values, column):
+def test_other_units_are_reported_where_no_gel_can_be_so(values, column):
     """Metres beside newtons, grams of force, newton millimetres."""
     press, wrong = parse(**values)
     assert press is None and [one.column for one in wrong] == [column] and "check the unit" in wrong[0].hint
     assert parse(dz_mm="-0.00107", fz_n="-0.3")[0] is not None
 
 
-def test_all_faults_of_a_row_are_told_at_once():
+def test_all_faults_of_a_row_are_reported_at_once():
     _, wrong = parse(x0_mm="x", dz_mm="NaN", indenter="")
     assert sorted(r.column for r in wrong) == ["dz_mm", "indenter", "x0_mm"]
 
@@ -328,7 +328,7 @@ def test_a_decimal_comma_before_empty_cells_is_no_comma_at_the_end(tmp_path, col
     assert log.read_log(path)[0].fault == ""
 
 
-def test_a_header_in_the_middle_is_told_once_and_the_rest_is_read(tmp_path):
+def test_a_header_in_the_middle_is_reported_once_and_the_rest_is_read(tmp_path):
     path = tmp_path / "log.csv"
     whole = log.csv_text(list(GOOD), [GOOD])
     path.write_text(whole + whole.upper().splitlines()[0] + "\n" + whole.splitlines()[1] + "\n")

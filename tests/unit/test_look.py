@@ -146,7 +146,7 @@ def test_a_force_along_its_axis_is_red_in_every_picture(made, tmp_path):
     assert [int(stop) for stop in stops[:3] + stops[-3:]] == ends
 
 
-def test_a_label_of_older_parameters_is_told(made, tmp_path, capsys):
+def test_a_label_of_older_parameters_is_reported(made, tmp_path, capsys):
     results = tmp_path / "results/lab"
     shutil.copytree(made["results"], results)
     assert outdated_causes(results, shard_paths(results, "s001", "24x32"), "24x32") == []
@@ -155,19 +155,19 @@ def test_a_label_of_older_parameters_is_told(made, tmp_path, capsys):
     write_json(fea, {})
     os.utime(fea, (time.time() + 9, time.time() + 9))
     run(made | {"results": results}, "s001", "24x32")
-    told = "the label of s001 is an older one: parameters of fea changed since; make labels RES=24x32 DATASET=lab"
-    assert capsys.readouterr().out.startswith(told)
+    reported = "the label of s001 is an older one: parameters of fea changed since; make labels RES=24x32 DATASET=lab"
+    assert capsys.readouterr().out.startswith(reported)
 
 
-def test_of_a_rejected_row_the_reason_is_told_and_its_hint(tmp_path):
+def test_of_a_rejected_row_the_reason_is_reported_and_its_hint(tmp_path):
     """make sample could never have helped."""
     write_csv(tmp_path / "lab/00_plan/shards.csv", ["sample_id", "shard"], [{"sample_id": "s7", "shard": 0}])
     write_rejections(
         tmp_path / "lab/10_poses/0000.rejected.csv",
         [Rejection("log.csv", 9, "s7", "dz_mm", "deep", "is no number", "write millimetres")],
     )
-    told = "row 9 of the log: dz_mm = 'deep': is no number; write millimetres; then run make labels DATASET=lab"
-    with pytest.raises(BadInput, match=told):
+    reported = "row 9 of the log: dz_mm = 'deep': is no number; write millimetres; then run make labels DATASET=lab"
+    with pytest.raises(BadInput, match=reported):
         run({"data": tmp_path, "results": tmp_path / "lab"}, "s7", "24x32")
 
 

@@ -138,7 +138,7 @@ def test_what_touches_beyond_the_picture_shows_at_its_edge(grid):
 
 
 @pytest.mark.parametrize("grid", [(1, 1), (2, 2), (2, 32), (24, 1)])
-def test_a_map_that_is_all_edge_tells_nothing_of_it(grid):
+def test_a_map_that_is_all_edge_says_nothing_of_it(grid):
     forces = np.full((3, *grid), -1.0)
     whole = slice(grid[0]), slice(grid[1])
     assert np.isnan(edge_peak(forces, whole)) and total_columns(reading(forces, edge=np.nan))["edge_peak"] is None
@@ -192,7 +192,7 @@ def seen(rest, presses, tmp_path_factory):
 STILL = with_values(SETTINGS, epochs=1, learning_rate=1e-12, least_rate=0.0, frozen_share=1.0)
 
 
-def test_a_network_that_goes_on_tells_the_range_of_all_that_it_learnt_from(seen):
+def test_a_fine_tuned_network_holds_the_range_of_all_that_it_learnt_from(seen):
     about = load_for_use(None).metadata
     before = np.array(about["normalisation"]["range"])
     new = before * [0.5, 1.5, 2.0]
@@ -216,7 +216,7 @@ def test_a_network_goes_on_to_scales_a_little_beyond_those_it_knows(seen):
 
 
 @pytest.mark.parametrize(("val", "train"), [(1, 30), (3, 500), (ENOUGH_PAIRS, 500), (2 * ENOUGH_PAIRS, 30)])
-def test_a_picture_that_trained_tells_what_good_pairs_are_like_where_few_validate(seen, val, train):
+def test_a_picture_that_trained_shows_what_good_pairs_are_like_where_few_validate(seen, val, train):
     """Limits of one validation picture flagged pictures that the network had learnt from."""
     data = replace(seen, splits={"val": np.arange(val), "train": 1000 + np.arange(train)})
     rows = usual_rows(data)
@@ -240,8 +240,8 @@ def test_a_network_that_hardly_learnt_predicts_as_the_one_that_ships(seen, rest,
         assert one == pytest.approx(other, abs=1e-3)
 
 
-def test_the_card_tells_intervals_where_there_are_any():
+def test_the_card_states_intervals_where_there_are_any():
     known = {"total": dict.fromkeys(CHANNELS, [0.1, 0.1, 0.01]), "sensors": ["a"], "data": "d"}
-    (told,) = interval_lines({"intervals": known})
-    assert all(f"{name} " in told for name in CHANNELS) and "% of the whole force" in told
+    (reported,) = interval_lines({"intervals": known})
+    assert all(f"{name} " in reported for name in CHANNELS) and "% of the whole force" in reported
     assert interval_lines({"intervals": {}}) == []

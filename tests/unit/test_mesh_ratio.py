@@ -1,4 +1,4 @@
-"""How forces of two meshes differ: the factors give the finer ones back, and nothing is told where nothing was felt."""
+"""How forces of two meshes differ: the factors give the finer ones back, and there is none where no force was solved."""
 
 import numpy as np
 import pytest
@@ -14,9 +14,9 @@ def pressed(count: int) -> np.ndarray:
 
 def test_the_factors_give_normal_and_sideways_force_of_the_finer_mesh():
     fine, coarse = pressed(50), pressed(51)[:50]
-    told = mesh_ratios(fine, coarse) * coarse
-    assert told[:, 2] == pytest.approx(fine[:, 2])
-    assert np.hypot(*told[:, :2].T) == pytest.approx(np.hypot(*fine[:, :2].T))
+    reported = mesh_ratios(fine, coarse) * coarse
+    assert reported[:, 2] == pytest.approx(fine[:, 2])
+    assert np.hypot(*reported[:, :2].T) == pytest.approx(np.hypot(*fine[:, :2].T))
 
 
 def test_hardly_any_sideways_force_takes_the_factor_of_the_normal_one():
@@ -26,5 +26,5 @@ def test_hardly_any_sideways_force_takes_the_factor_of_the_normal_one():
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("coarse", [(0.0, 0.0, 0.0), (np.nan, np.nan, np.nan), (0.0, 0.0, 0.1)])
-def test_what_presses_on_nothing_tells_no_factor(coarse):
+def test_what_presses_on_nothing_gives_no_factor(coarse):
     assert np.isnan(mesh_ratios(np.array([[0.0, 0.0, -2.0]]), np.array([coarse]))).all()

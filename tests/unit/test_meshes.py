@@ -231,7 +231,7 @@ def test_an_element_is_judged_within_its_bowed_edges():
 
 
 @given(st.integers(-9, 9), st.integers(-9, 9))
-def test_a_name_tells_where_the_fine_part_lies(x, y):
+def test_a_name_says_where_the_fine_part_lies(x, y):
     name = placed("ccx-centre-0.45", (x, y))
     assert unplaced(name) == ("ccx-centre-0.45", (x, y))
     assert (name == "ccx-centre-0.45") == (x == y == 0)
@@ -276,7 +276,7 @@ def test_a_press_takes_the_smallest_fine_part_that_holds_its_footprint(tmp_path,
     # and where none holds what is touched
     family = MeshFamily(tmp_path, ["ccx-wide-1.0", "ccx-wide-0.2"])
     family.reports = {
-        name: told | {"half_mm": [2.0, 2.0], "reach_mm": [0.0, 0.0]} for name, told in family.reports.items()
+        name: reported | {"half_mm": [2.0, 2.0], "reach_mm": [0.0, 0.0]} for name, reported in family.reports.items()
     }
     assert (chosen(ball, 5), chosen(block, 0)) == ("ccx-wide-0.2", "ccx-wide-1.0")
     with pytest.raises(BadInput, match="make meshes"):
@@ -308,11 +308,11 @@ def test_only_the_meshes_that_presses_take_come_into_a_dataset(tmp_path):
 
     first = chosen(near)
     assert first.startswith("ccx-centre-0.7-") and first.endswith("@2:0") and there() == ["ccx-centre-0.7"]
-    # told before any mesh is there: how far one really goes is known of those that are
+    # asked before any mesh is there: how far one really goes is known of those that are
     assert first_candidate(near, MeshFamily(tmp_path / "none", names, source)) == "ccx-centre-0.7"
     assert not (tmp_path / "none").exists()
     mesh = load_mesh(tmp_path / "20_meshes", unplaced(first)[0])
-    assert unplaced(first)[0] == f"ccx-centre-0.7-{mesh.digest}", "its name tells the content"
+    assert unplaced(first)[0] == f"ccx-centre-0.7-{mesh.digest}", "its name holds the content"
     assert chosen(far).startswith("ccx-wide-0.2-") and there() == ["ccx-centre-0.7", "ccx-wide-0.2"]
     # the dataset has its own copy; where that is lost it comes back byte for byte, for another dataset, too
     (path,) = (tmp_path / "20_meshes").glob("ccx-centre*.npz")
@@ -339,8 +339,10 @@ def test_meshes_that_ship_are_those_of_the_parameters():
     for key, report in shipped.items():
         mesh = GelMesh.load(report.with_suffix(".npz"))
         assert report.stem == f"ccx-{keys[key]}-{mesh.digest}"
-        told = read_json(report)["min_scaled_jacobian"]
-        assert quality(mesh, source.gel)["min_scaled_jacobian"] == pytest.approx(told, rel=1e-6) and told > 0.1
+        reported = read_json(report)["min_scaled_jacobian"]
+        assert (
+            quality(mesh, source.gel)["min_scaled_jacobian"] == pytest.approx(reported, rel=1e-6) and reported > 0.1
+        )
 
 
 def test_half_a_mesh_is_one_sentence(mesh, tmp_path):

@@ -189,7 +189,7 @@ def test_corrupt_and_foreign_model_files_are_refused(trained, tmp_path):
             load_model(path)
     with pytest.raises(BadInput, match="not found; train one"):
         load_model(tmp_path / "absent.onnx")
-    with pytest.raises(BadInput, match=r"holds weights that training goes on from; name .*m.onnx"):
+    with pytest.raises(BadInput, match=r"holds weights for further training; name .*m.onnx"):
         load_model(tmp_path / "m.safetensors")
 
 

@@ -35,7 +35,7 @@ def write_png(path, image) -> Path:
 
 
 def test_a_picture_calls_its_numbers_as_the_table_does(data, paths, tmp_path, monkeypatch):
-    """A score that is explained nowhere told nobody anything."""
+    """A score that is explained nowhere helps nobody."""
     titles = []
     monkeypatch.setattr(
         forcemaps, "write_maps", lambda part, image, forces, title: titles.append((part.touch(), title))
@@ -144,20 +144,20 @@ def test_a_name_too_long_for_any_file_is_one_line(data, paths, tmp_path, capsys)
     image = write_png(tmp_path / f"{'a' * 250}.png", data.images[0])
     with pytest.raises(SystemExit) as ended:
         predict.main.exit([str(image), "--model", str(paths["small"]), "--out", str(tmp_path / "out")])
-    told = capsys.readouterr().err
-    assert ended.value.code == 2 and told.count("\n") == 1 and "File name too long; give another name" in told
+    reported = capsys.readouterr().err
+    assert ended.value.code == 2 and reported.count("\n") == 1 and "File name too long; give another name" in reported
     with pytest.raises(BadInput, match="File name too long"):
         predict.main([f"{'a' * 300}.png", "--model", str(paths["small"]), "--out", str(tmp_path / "out")])
 
 
 @pytest.mark.parametrize("name, says", [("", "it is a folder"), ("gone.avi", "no such video")])
-def test_what_is_no_film_is_told(tmp_path, paths, name, says):
+def test_what_is_no_film_is_reported(tmp_path, paths, name, says):
     with pytest.raises(BadInput, match=f"{says}.*name an AVI or MP4 file"):
         live.main(["--video", str(tmp_path / name), "--model", str(paths["small"]), "--csv", str(tmp_path / "o.csv")])
 
 
-def test_a_damaged_film_is_told_by_one_line_and_not_by_its_decoder(data, tmp_path):
-    """The decoder told a line for each block that it could not make out, thousands of them."""
+def test_a_damaged_film_is_reported_by_one_line_and_not_by_its_decoder(data, tmp_path):
+    """The decoder printed a line for each block that it could not make out, thousands of them."""
     film = tmp_path / "f.mp4"
     size = data.images.shape[2], data.images.shape[1]
     writer = cv2.VideoWriter(str(film), cv2.VideoWriter.fourcc(*"mp4v"), 25.0, size)
@@ -175,8 +175,8 @@ def test_a_damaged_film_is_told_by_one_line_and_not_by_its_decoder(data, tmp_pat
     run = [sys.executable, "-c", program, str(film)]
     quiet = subprocess.run(run, capture_output=True, text=True, check=True)
     asked = {"env": os.environ | {"OPENCV_FFMPEG_LOGLEVEL": "24"}}
-    told = subprocess.run(run, capture_output=True, text=True, check=True, **asked)
-    assert quiet.stderr == "" and quiet.stdout.count("\n") == 1 < told.stdout.count("\n")
+    reported = subprocess.run(run, capture_output=True, text=True, check=True, **asked)
+    assert quiet.stderr == "" and quiet.stdout.count("\n") == 1 < reported.stdout.count("\n")
 
 
 def test_a_former_name_of_an_option_still_works_and_names_the_new_one(data, paths, tmp_path, capsys):
@@ -268,7 +268,7 @@ def test_dots_of_real_sensors_are_counted(reference):
     assert ood.count_markers(ood.grey_of(cv2.split(cv2.medianBlur(image, 61))))[0] <= 3
 
 
-def test_score_tells_real_sensors_apart(reference):
+def test_score_separates_real_sensors(reference):
     videos = {
         name: read_frames(reference / "slip_videos" / f"{name}.avi")
         for name in ("cheese_tube_camera_0", "cheese_tube_camera_2", "glass_box_camera_0")
@@ -375,7 +375,7 @@ def test_a_film_for_which_there_is_no_room_is_refused_whole(tmp_path):
 
 
 def cut_film(path: Path, images) -> Path:
-    """A film of a camera that lost its power: its head tells of more frames than there are."""
+    """A film of a camera that lost its power: its head announces more frames than there are."""
     write_avi(path, images)
     content = path.read_bytes()
     path.write_bytes(content[: len(content) // 2])
@@ -437,7 +437,7 @@ def test_live_takes_the_first_frames_at_rest_for_the_nocontact_image(data, model
     wanted = overlay(cv2.cvtColor(filmed[-1], cv2.COLOR_RGB2BGR))
     got = read_frames(tmp_path / "o.avi")
     assert len(got) == len(seen) - SETTLING
-    # the video is compressed; the lines that tell times differ
+    # the video is compressed; the lines with times differ
     assert np.median(np.abs(got[-1].astype(int) - wanted[..., ::-1])) <= 2
 
 
@@ -458,7 +458,7 @@ def test_live_refuses_a_film_that_never_rests(data, paths, tmp_path):
         live.main(["--video", str(video), "--model", str(paths["pair"]), "--out", str(tmp_path / "o.avi")])
 
 
-def test_live_refuses_fewer_frames_than_tell_the_nocontact_image(data, paths, tmp_path):
+def test_live_refuses_fewer_frames_than_give_the_nocontact_image(data, paths, tmp_path):
     rest = data.nocontact["mini0"]
     video, out = write_avi(tmp_path / "in.avi", [rest] * (FEWEST + 3)), tmp_path / "o.avi"
     words = ["--video", str(video), "--model", str(paths["pair"]), "--out", str(out)]
@@ -508,8 +508,8 @@ def test_live_flags_the_frames_that_predict_flags(models, data):
     frames = [np.ascontiguousarray(data.images[0]), np.zeros((*IMAGE, 3), np.uint8)]
     predictor = Predictor(models["small"].model)
     judged = [predictor.predict(frame) for frame in frames]
-    told = list(readings(predictor, [Frame(k, 0.04 * k, frame[..., ::-1]) for k, frame in enumerate(frames)]))
-    for lines in ([reading.row() for reading in told], [reading.event() for reading in told]):
+    reported = list(readings(predictor, [Frame(k, 0.04 * k, frame[..., ::-1]) for k, frame in enumerate(frames)]))
+    for lines in ([reading.row() for reading in reported], [reading.event() for reading in reported]):
         assert [line["flag"] for line in lines] == [one.flag for one in judged] == [False, True]
         assert [line["reason"] for line in lines] == [one.reason for one in judged]
 

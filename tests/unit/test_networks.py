@@ -90,8 +90,8 @@ def test_a_kind_writes_one_cell_exactly_where_it_knows_totals_only(kind):
     reads = "pair" if kind == "geometry" else "image"
     net = build({"kind": kind, "reads": reads}, (240, 320), (24, 32)).eval()
     with torch.inference_mode():
-        told = net(torch.zeros(1, channels(reads), 240, 320))
-    assert told.shape == ((1, 3, 1, 1) if KINDS[kind].totals_only else (1, 3, 24, 32))
+        reported = net(torch.zeros(1, channels(reads), 240, 320))
+    assert reported.shape == ((1, 3, 1, 1) if KINDS[kind].totals_only else (1, 3, 24, 32))
 
 
 def test_a_kind_may_get_epochs_of_its_own():

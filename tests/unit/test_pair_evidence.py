@@ -1,4 +1,4 @@
-"""What tells that an image and a no-contact image do not belong together: on the demo's pictures, damaged one by one."""
+"""Diagnostics that an image and a no-contact image do not belong together: on the demo's pictures, corrupted one by one."""
 
 import cv2
 import numpy as np
@@ -115,8 +115,8 @@ def pair_at(limits):
 
 
 @pytest.mark.parametrize("name", BEYOND)
-def test_a_pair_beyond_a_single_limit_is_told_and_a_wider_limit_lets_it_pass(limits, name):
-    """The wider one of two datasets, where a network goes on from the one to the other."""
+def test_a_pair_beyond_a_single_limit_is_reported_and_a_wider_limit_lets_it_pass(limits, name):
+    """The wider one of two datasets, where a network is fine-tuned from the one on the other."""
     wider = limits | {name: limits[name] + BEYOND[name]}
     assert limits.keys() == BEYOND.keys()
     assert pair_fault(limits, pair_at(limits)) == "" != pair_fault(limits, pair_at(wider))
@@ -125,7 +125,7 @@ def test_a_pair_beyond_a_single_limit_is_told_and_a_wider_limit_lets_it_pass(lim
 
 
 @pytest.mark.parametrize("gain, pulls", [(1.0, False), (-1.0, True)])
-def test_a_gel_that_pulls_on_what_touches_it_is_told(rest, presses, gain, pulls):
+def test_a_gel_that_pulls_on_what_touches_it_is_reported(rest, presses, gain, pulls):
     name, image, _ = max(presses, key=lambda press: press[2])
     judged = Predictor(load_for_use(None), rest[name], Gain(gain, gain, gain, 9)).predict(image)
     assert ("the gel seems to pull" in judged.reason) == pulls and judged.flag >= pulls
@@ -156,7 +156,7 @@ def test_a_picture_without_dots_has_no_rim_to_look_at():
     assert relief(grey) < 1.0 and MARGIN > 1.0
 
 
-# Of 40 markers of a view without rim: px that the first ten and the others moved, how many look otherwise, and what is told.
+# Of 40 markers of a view without rim: px that the first ten and the others moved, how many look otherwise, and what is reported.
 RIMLESS = {
     "a gel at rest": (0.1, 0.2, 0, ""),
     "a press that shades markers": (0.7, 18.0, 18, ""),
@@ -169,22 +169,22 @@ RIMLESS = {
 
 
 @pytest.mark.parametrize("what", RIMLESS)
-def test_another_gel_is_told_where_no_rim_is_shown(limits, what):
-    near, far, unlike, told = RIMLESS[what]
+def test_another_gel_is_reported_where_no_rim_is_shown(limits, what):
+    near, far, unlike, reported = RIMLESS[what]
     motion = np.where(np.arange(40)[:, None] < 10, near, far) * [1.0, 0.0]
     evidence = rimless_diagnostics(Tracks(motion, np.arange(40) < unlike))
     light = Light(np.ones(3), np.zeros(3), 0.0, 1.0, known=True)
     fault = pair_fault(limits, PairDiagnostics(0.0, light, evidence))
-    assert fault.startswith(told) and bool(fault) == bool(told)
+    assert fault.startswith(reported) and bool(fault) == bool(reported)
 
 
-def test_a_picture_without_dots_tells_nothing_of_another_gel():
+def test_a_picture_without_markers_says_nothing_of_another_gel():
     assert rimless_diagnostics(Tracks(np.zeros((0, 2)), np.zeros(0, bool))) == MarkerDiagnostics()
 
 
 @given(st.tuples(*[st.floats(-5, 5)] * 4), st.floats(0, 0.3), st.integers(0, 99))
 def test_what_moves_all_dots_alike_is_not_uneven(parts, lost, seed):
-    """Whatever the shift, turn and zoom, and whichever markers are lost; markers of another print are told from them."""
+    """Whatever the shift, turn and zoom, and whichever markers are lost; markers of another print are distinguished from them."""
     rng = np.random.default_rng(seed)
     right, down, turn, zoom = (part * unit for part, unit in zip(parts, (1, 1, 0.01, 0.01)))
     v, u = 32.0 * np.mgrid[:ROWS, :COLS] - 32.0 * np.array([ROWS // 2, COLS // 2])[:, None, None]

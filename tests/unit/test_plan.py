@@ -107,8 +107,8 @@ def test_a_frame_alone_goes_through_the_stages_with_its_whole_press(tmp_path):
     log, plan = tmp_path / "log.csv", Layout(tmp_path).folder(PLAN)
     log.write_text("sample_id,press_id\na,film\nb,\nc,film\nd,\ne,film\n", encoding="utf-8")
     write_shards(tmp_path, logged_rows(log, None), plan, 4)
-    told = {name: [row.cells["sample_id"] for row in find_rows(tmp_path, name)] for name in "abcde"}
-    assert told == {**dict.fromkeys("ace", ["a", "c", "e"]), "b": ["b"], "d": ["d"]}
+    reported = {name: [row.cells["sample_id"] for row in find_rows(tmp_path, name)] for name in "abcde"}
+    assert reported == {**dict.fromkeys("ace", ["a", "c", "e"]), "b": ["b"], "d": ["d"]}
 
 
 def test_damaged_digests_of_pictures_are_made_anew(tmp_path):
@@ -243,7 +243,7 @@ def test_pictures_of_several_sizes_are_refused_before_anything_is_solved(tmp_pat
 
 @pytest.mark.parametrize(("model", "fits"), [("shipped", False), ("tuned", False), ("pair_24", True), ("", True)])
 def test_a_network_that_does_not_read_the_pictures_is_refused_before_anything_is_solved(root, model, fits):
-    """Also one that goes on from the network that ships."""
+    """Also one that is fine-tuned from the shipped network."""
     params, sensors = parameters(report={"model": model}), tomllib.loads(LARGE)
     refused = pytest.raises(BadInput, match=f"{model}.*pictures of 320 x 240, .*large 640 x 480")
     with nullcontext() if fits else refused:

@@ -21,7 +21,7 @@ from gelforge.geometry.indenters import load_catalogue
 from gelforge.geometry.stlfile import read_stl
 from gelforge.mechanics.scene import Press
 from gelforge.records import log
-from gelforge.records.press import FORCES, LoggedPress, Rejection, parse, told
+from gelforge.records.press import FORCES, LoggedPress, Rejection, parse, summarised
 from gelforge.stages import poses
 
 
@@ -158,7 +158,7 @@ def test_a_log_without_images_can_be_allowed(lab, tmp_path):
     assert not rejected
 
 
-def test_a_log_without_a_column_of_images_is_told_once_and_can_be_allowed(lab, tmp_path, capsys):
+def test_a_log_without_a_column_of_images_is_reported_once_and_can_be_allowed(lab, tmp_path, capsys):
     rows = [sample(f"s{n}") for n in range(9)]
     table, rejected, _ = lab(rows, without=["image"])
     assert not table and len(rejected) == 9
@@ -170,10 +170,10 @@ def test_a_log_without_a_column_of_images_is_told_once_and_can_be_allowed(lab, t
     assert not rejected and len(table) == 9
 
 
-def test_rows_that_want_something_else_done_are_told_apart():
+def test_rows_that_want_something_else_done_are_distinguished():
     wanted = ["write 1", "write 2", "write 1"]
     kept_out = [Rejection("log.csv", 2 + k, f"s{k}", "x0_mm", "", "is empty", hint) for k, hint in enumerate(wanted)]
-    lines = told(kept_out)
+    lines = summarised(kept_out)
     assert lines == [f"{kept_out[0]}; the same reason against 1 more row: 4", str(kept_out[1])]
 
 
@@ -354,7 +354,7 @@ def test_a_bench_that_gives_way_sideways_by_more_than_the_press_moves_is_rejecte
     _, wrong = poses.yielded(sample(dx_mm=way[0], dy_mm=way[1], **forces), "log.csv", YIELDING)
     assert [(r.column, "gives way sideways" in r.reason) for r in wrong] == [(column, True)]
     assert "shear_compliance_mm_per_n = 0.02" in wrong[0].hint and "sign of fx_n, fy_n" in wrong[0].hint
-    # a third of it leaves a press, and a way that no axis can tell from none is none
+    # a third of it leaves a press, and a way that no axis can distinguish from none is none
     half = {"fx_n": force[0] / 3, "fy_n": force[1] / 3, "fz_n": -9.0}
     assert poses.yielded(sample(dx_mm=way[0], dy_mm=way[1], **half), "log.csv", YIELDING)[1] == []
     assert poses.yielded(sample(dx_mm=0.005, dy_mm=0.0, **forces), "log.csv", YIELDING)[1] == []

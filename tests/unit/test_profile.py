@@ -1,4 +1,4 @@
-"""A sensor's profile: the factor that readings tell, files that come back, and what is refused."""
+"""A sensor's profile: the factor from readings, files that come back, and what is refused."""
 
 import csv
 import shutil
@@ -68,8 +68,10 @@ def test_more_readings_narrow_the_interval():
 def test_a_reading_says_the_less_the_weaker_it_is():
     """What a network is off by where hardly anything touches is a large part of what it reads there."""
     read = np.array([8.0, 12.0, 20.0])
-    told = [fit_gain(np.append(read, 2 * weak), np.append(read, weak)).value for weak in (0.1, 0.5, 1.0, 3.0, 20.0)]
-    assert told == sorted(told) and np.log(told[0]) < 0.1 * np.log(told[-1])
+    reported = [
+        fit_gain(np.append(read, 2 * weak), np.append(read, weak)).value for weak in (0.1, 0.5, 1.0, 3.0, 20.0)
+    ]
+    assert reported == sorted(reported) and np.log(reported[0]) < 0.1 * np.log(reported[-1])
 
 
 @given(st.floats(0.3, 3.0), st.integers(3, 30), st.integers(0, 2**32 - 1))
@@ -102,7 +104,7 @@ NET = {"name": "net", "stages": ["slopes", "forces"], "sha256": {"slopes": "cd" 
 
 
 def test_a_factor_found_with_another_network_is_refused(root, tmp_path):
-    """Weights tell networks apart, not names: one that is trained anew keeps its name."""
+    """Weights identify networks, not names: one that is trained anew keeps its name."""
     picture = read_image(root / "data/demo/nocontact/mini_a.png")
     path = tmp_path / "mine.toml"
     write_profile(path, make_profile("mine", picture, pitch_of(picture), Gain(1.2, 1.1, 1.3, 5), NET))
@@ -242,13 +244,13 @@ def test_a_profile_that_was_weighed_is_not_replaced_by_one_that_was_not(weighed,
     asked = ["--name", "mine", "--nocontact", str(folder / "rest.png"), "--out", str(folder / "mine.toml")]
     assert sensor.main(asked) == 0 and sensor.main(asked) == 0
     assert make(folder, rows) == 0
-    told = (folder / "mine.toml").read_text()
+    reported = (folder / "mine.toml").read_text()
     for gone in ([], [folder / "mine.png"]):
         for path in gone:
             path.unlink()
-        with pytest.raises(BadInput, match=f"{len(rows)} readings or grasps told, .* remove .*mine.toml"):
+        with pytest.raises(BadInput, match=f"comes from {len(rows)} readings or grasps.* remove .*mine.toml"):
             sensor.main(asked)
-        assert (folder / "mine.toml").read_text() == told
+        assert (folder / "mine.toml").read_text() == reported
     assert make(folder, rows[:-1]) == 0
     assert read_profile(folder / "mine.toml").gain.readings == len(rows) - 1
     assert f"from {len(rows) - 1} readings, in place of" in capsys.readouterr().out
@@ -262,17 +264,17 @@ def test_a_weighed_picture_that_predict_would_flag_is_named(weighed, capsys):
     spoilt[::2, ::2] = 255 - spoilt[::2, ::2]
     cv2.imwrite(str(folder / rows[0][0]), spoilt)
     make(folder, [[rows[0][0], "5.0"], *rows[1:]])
-    told = [line for line in capsys.readouterr().err.splitlines() if "FLAGGED" in line]
-    assert len(told) == 1 and rows[0][0] in told[0]
+    reported = [line for line in capsys.readouterr().err.splitlines() if "FLAGGED" in line]
+    assert len(reported) == 1 and rows[0][0] in reported[0]
 
 
 def test_a_reading_unlike_the_others_is_named(weighed, capsys):
-    """Three times what the others tell: a scale that was read wrongly, most likely."""
+    """Three times what the others give: a scale that was read wrongly, most likely."""
     folder, rows = weighed
     assert make(folder, rows) == 0 and "is usual here" not in capsys.readouterr().err
     make(folder, [[rows[0][0], f"{3 * float(rows[0][1]):.2f}"], *rows[1:]])
-    told = [line for line in capsys.readouterr().err.splitlines() if "is usual here" in line]
-    assert len(told) == 1 and rows[0][0] in told[0]
+    reported = [line for line in capsys.readouterr().err.splitlines() if "is usual here" in line]
+    assert len(reported) == 1 and rows[0][0] in reported[0]
 
 
 @pytest.mark.parametrize(
@@ -322,13 +324,13 @@ def test_fingers_that_grasp_one_object_read_alike_with_their_profiles(weighed):
 
 
 @pytest.mark.parametrize(
-    "more, told",
+    "more, says",
     [(["--grasps", "g.csv"], "--opposite and --grasps go together"),
      (["--opposite", "l.toml", "--grasps", "g.csv", "--readings", "r.csv"], "either --readings or --grasps")],
 )  # fmt: skip
-def test_half_of_what_grasps_need_is_refused(weighed, more, told):
+def test_half_of_what_grasps_need_is_refused(weighed, more, says):
     folder, _ = weighed
-    with pytest.raises(BadInput, match=told):
+    with pytest.raises(BadInput, match=says):
         sensor.main(["--name", "a", "--nocontact", str(folder / "rest.png"), *more])
 
 
@@ -362,7 +364,7 @@ def filmed(path, pictures):
     return str(path)
 
 
-def test_a_film_tells_the_nocontact_image_by_itself(weighed):
+def test_a_film_gives_the_nocontact_image_by_itself(weighed):
     """The first frames, in which a camera sets its exposure, and those of a press are none of it."""
     folder, rows = weighed
     rest, press = read_image(folder / "rest.png"), read_image(folder / rows[0][0])
@@ -426,8 +428,8 @@ def test_a_picture_that_shows_a_part_of_the_contact_does_not_count(reference, tm
         cv2.imwrite(str(tmp_path / f"{name}.png"), picture[..., ::-1])
     rows = [[f"{name}.png", "10"] for name in ("ball", "small_ball", "bar")]
     assert make(tmp_path, rows) == 0
-    told = [line for line in capsys.readouterr().err.splitlines() if "beyond the picture" in line]
-    assert len(told) == 1 and "line 4: bar.png: does not count" in told[0]
+    reported = [line for line in capsys.readouterr().err.splitlines() if "beyond the picture" in line]
+    assert len(reported) == 1 and "line 4: bar.png: does not count" in reported[0]
     assert read_profile(tmp_path / "mine.toml").gain.readings == 2
     with pytest.raises(BadInput, match="in none of 1 pictures is all of the contact seen"):
         make(tmp_path, rows[2:])

@@ -289,7 +289,7 @@ def test_a_unit_is_calibrated_from_one_image(root):
     assert found.fit.rms < 0.5
 
 
-def test_a_picture_that_shows_a_part_of_the_dots_does_not_tell_which(root):
+def test_a_picture_that_shows_a_part_of_the_markers_does_not_show_which(root):
     """As of a driver that crops the border: the first marker in it is not the print's first."""
     like = load_sensors(root / "workflow/sensors.toml")["gelsight_mini"]
     image, _, _ = draw_dots(1.4 * np.array(like.markers["pitch_px"]), 0.0, (160, 120))

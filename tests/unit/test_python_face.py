@@ -88,8 +88,8 @@ def test_reading_an_image():
     forces, verdict = gelforge.predict(image, nocontact=image)
     assert forces.shape[0] == 3 and np.isfinite(forces).all()
     assert verdict["flag"], "a grey picture is unlike any sensor"
-    told = {"cells", "total", "half_width", "reason", "edge_peak", "ood_score", "image", "flag"}
-    assert verdict.keys() == told
+    reported = {"cells", "total", "half_width", "reason", "edge_peak", "ood_score", "image", "flag"}
+    assert verdict.keys() == reported
 
 
 def test_the_former_name_of_an_argument_still_works_and_names_the_new_one(root):
@@ -120,7 +120,7 @@ def test_reading_many_images_of_one_sensor(root):
 
 
 @pytest.mark.parametrize(
-    ("spoil", "told"),
+    ("spoil", "says"),
     [
         (lambda rest: cv2.medianBlur(rest, 61), "shows no markers"),
         (lambda rest: cv2.GaussianBlur(rest, (0, 0), 30), "shows no markers"),
@@ -129,11 +129,11 @@ def test_reading_many_images_of_one_sensor(root):
     ],
     ids=["an unmarked gel", "out of focus", "three rows", "half of it"],
 )
-def test_a_nocontact_image_that_tells_nothing_is_told(root, spoil, told):
+def test_a_nocontact_image_that_shows_nothing_is_reported(root, spoil, says):
     """What is read against it may be any number."""
     rest = read_image(root / "data/demo/nocontact/mini_a.png")
     found = gelforge.Reader(nocontact=spoil(rest))(rest)
-    assert found.flag and told in found.reason
+    assert found.flag and says in found.reason
 
 
 def test_the_same_image_gives_the_same_answer_everywhere(root, tmp_path):
@@ -150,8 +150,8 @@ def test_the_same_image_gives_the_same_answer_everywhere(root, tmp_path):
     assert len(list(predict.predict_files(paths, predictor, tmp_path / "out"))) == len(paths)
     np.testing.assert_array_equal([np.load(tmp_path / "out" / f"{path.stem}.npy") for path in paths], wanted)
     np.testing.assert_array_equal([one.cells for one in reader.batch(np.stack(images[::-1]))][::-1], wanted)
-    told = readings(predictor, numbered(np.ascontiguousarray(image[..., ::-1]) for image in images))
-    np.testing.assert_array_equal([one.found.cells for one in told], wanted)
+    reported = readings(predictor, numbered(np.ascontiguousarray(image[..., ::-1]) for image in images))
+    np.testing.assert_array_equal([one.found.cells for one in reported], wanted)
     taken = []
     found = reader.stream(taken.append(image) or image for image in images)
     first = next(found)

@@ -67,7 +67,7 @@ def test_a_changed_parameter_is_the_cause_and_the_solve_only_follows(tmp_path, m
     assert "2 files" in text and f"1 that read them: {FILES[3]}" in text
 
 
-def test_a_missing_file_and_a_changed_input_are_told_apart(tmp_path, monkeypatch):
+def test_a_missing_file_and_a_changed_input_are_distinguished(tmp_path, monkeypatch):
     write_text(tmp_path / "Makefile", MAKEFILE)
     made(tmp_path, FILES[0], FILES[2], FILES[1])
     found = asked(tmp_path, monkeypatch)
@@ -90,9 +90,9 @@ def test_what_make_says_of_one_target_is_no_reason_of_another():
             *([] if newer else [f"File '{pose}' does not exist.\n"]), f"Must remake target '{pose}'.\n",
             f"Prerequisite '{pose}' is newer than target '{fea}'.\n", f"Must remake target '{fea}'.\n",
         ]))  # fmt: skip
-    told = [reasons(chain) for chain in chains]
-    assert [len(why[f"results/d/10_poses/{k}.csv"]) for k, why in enumerate(told[:3])] == [2, 1, 1]
-    assert list(reasons("".join(chains)).items()) == [reason for why in told for reason in why.items()]
+    reported = [reasons(chain) for chain in chains]
+    assert [len(why[f"results/d/10_poses/{k}.csv"]) for k, why in enumerate(reported[:3])] == [2, 1, 1]
+    assert list(reasons("".join(chains)).items()) == [reason for why in reported for reason in why.items()]
 
 
 def test_an_unknown_target_is_one_sentence(tmp_path, monkeypatch):
@@ -169,7 +169,7 @@ def test_lineage_of_a_rejected_row_is_its_rejection(tmp_path):
     assert "row 125 of the log: dz_mm = 'x': no number; give mm" in lines(found, results)[2]
 
 
-def test_of_an_imported_label_nothing_is_told_but_where_it_came_from(tmp_path, monkeypatch):
+def test_of_an_imported_label_nothing_is_reported_but_where_it_came_from(tmp_path, monkeypatch):
     """Its row has no pose, and stage 10 rejects it; whoever filled that in would invent one."""
     monkeypatch.chdir(tmp_path)
     results = Path("results/d")

@@ -1,4 +1,4 @@
-"""Pictures of the README tell what they were made from; those drawn of tracked data show what these say today."""
+"""Pictures of the README name what they were made from; those drawn of tracked data show what these say today."""
 
 import re
 from pathlib import Path
@@ -9,7 +9,7 @@ from gelforge.flow.files import read_json
 from gelforge.stages.readme import digest, outdated, publish_picture
 
 # The others are copies of charts below results/: what another machine measures in its own seconds is another chart, not a
-# newer one, so nothing tells whether they are old.
+# newer one, so it is unknown whether they are old.
 DRAWN = ("press", "real")
 
 
@@ -21,7 +21,7 @@ def test_no_picture_that_is_drawn_of_tracked_data_is_older_than_them(root, name)
     assert outdated(picture) == [], f"draw it again: make {picture.relative_to(root)}"
 
 
-def test_pictures_that_nothing_tells_the_age_of_are_copies_of_measured_charts(root):
+def test_pictures_of_unknown_age_are_copies_of_measured_charts(root):
     made = (root / "results" / "readme").glob("*.json")
     others = {path.stem: list(read_json(path)["data"]) for path in made if path.stem not in DRAWN}
     assert not [name for names in others.values() for name in names if not name.startswith("results/")], others

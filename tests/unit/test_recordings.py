@@ -120,7 +120,7 @@ def test_an_image_has_the_force_of_its_own_moment(tmp_path, sensor, delay):
 
 
 @pytest.mark.parametrize("bare", ["images", "wrenches", "both", "a type without header"])
-def test_without_stamps_the_log_is_used_and_that_is_told(tmp_path, sensor, capsys, bare):
+def test_without_stamps_the_log_is_used_and_that_is_reported(tmp_path, sensor, capsys, bare):
     images, forces = filmed(FILM, lambda k: 80.0), ramp()
     if bare in ("images", "both"):
         images = [(time, said | {"header": ros.header(0, "gel")}) for time, said in images]
@@ -165,12 +165,12 @@ def test_stamps_that_never_change_are_none(tmp_path, sensor):
 
 
 def notes_with(found, topic, word):
-    """How many messages of a topic are told to have had this fault."""
-    told = [note.split(f"{topic}: ")[1] for note in found["notes"] if f"{topic}: " in note and word in note]
-    return int(told[0].split()[0]) if told else 0
+    """How many messages of a topic are reported to have had this fault."""
+    reported = [note.split(f"{topic}: ")[1] for note in found["notes"] if f"{topic}: " in note and word in note]
+    return int(reported[0].split()[0]) if reported else 0
 
 
-def test_messages_out_of_order_twice_and_missing_are_told_and_pairs_are_right(tmp_path, sensor):
+def test_messages_out_of_order_twice_and_missing_are_reported_and_pairs_are_right(tmp_path, sensor):
     rng = np.random.default_rng(5)
     images = filmed(FILM, lambda k: rng.uniform(0, 150))
     lost, twice = {7, 8, 20}, {3, 12, 30}
@@ -230,14 +230,14 @@ def test_recordings_that_are_apart_are_of_several_presses(tmp_path, sensor):
     assert (np.diff(moments(rows)) > 0).all()
 
 
-@pytest.mark.parametrize(("offset", "told"), [(20.0, True), (0.5, True), (0.1, False), (0.0, False)])
-def test_a_sensor_that_reads_a_force_all_the_time_is_told(tmp_path, sensor, offset, told):
+@pytest.mark.parametrize(("offset", "reported"), [(20.0, True), (0.5, True), (0.1, False), (0.0, False)])
+def test_a_sensor_that_reads_a_force_all_the_time_is_reported(tmp_path, sensor, offset, reported):
     forces = [(time, wrench(time - MS, said["wrench"]["force"]["z"] - offset)) for time, said in ramp()]
     found, _ = imported(tmp_path, write(tmp_path / "a.mcap", filmed(FILM, lambda k: 0.0), forces), sensor)
-    assert any("tare the sensor" in note for note in found["notes"]) == told
+    assert any("tare the sensor" in note for note in found["notes"]) == reported
 
 
-def test_messages_of_ros_1_are_told_by_what_they_are(tmp_path, sensor):
+def test_messages_of_ros_1_are_reported_by_what_they_are(tmp_path, sensor):
     from mcap.writer import Writer
 
     with (tmp_path / "a.mcap").open("wb") as stream:

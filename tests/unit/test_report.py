@@ -38,7 +38,7 @@ def test_a_damaged_record_of_a_target_keeps_no_page_from_being_written(tmp_path)
 
 
 def test_an_indenter_is_drawn_as_far_up_as_the_gel_can_reach(tmp_path):
-    """Beside the apex a press begins lower: where its tip ends tells how much of the indenter is there, not its way down."""
+    """Beside the apex a press begins lower: where its tip ends shows how much of the indenter is there, not its way down."""
     rows = [
         {"id": name, "indenter": "ball", "stl": f"{name}.stl", "z0_mm": z0, "dz_mm": dz}
         for name, z0, dz in (("apex", 0.0, -1.5), ("rim", -1.0, -1.2), ("light", -1.0, -0.3))
@@ -53,7 +53,7 @@ def test_text_from_data_is_escaped():
     assert "&lt;script&gt;" in page and "a &lt; b &amp; c" in page
 
 
-def test_the_page_tells_the_materials_forces_and_what_stage_40_refused(tmp_path):
+def test_the_page_states_the_materials_forces_and_what_stage_40_refused(tmp_path):
     """A press without a picture has no place in the dataset: its force is the one that its label would have."""
     solves = [Solved(name, Status.OK, "", "hex", "mesh", "", (0.0, 0.0, -10.0), {}) for name in "abc"]
     nodes, force = np.array([0]), np.array([[0.0, 0.0, -20.0]])
@@ -172,7 +172,7 @@ def test_failures_are_listed_with_their_reasons(tmp_path):
     assert "None" in failures_section(tmp_path, {}).items[0]["text"]
 
 
-def test_versions_are_told_where_a_package_is_missing_and_of_the_calculix_that_solves(tmp_path, monkeypatch):
+def test_versions_are_reported_where_a_package_is_missing_and_of_the_calculix_that_solves(tmp_path, monkeypatch):
     monkeypatch.setattr(report, "PACKAGES", (*report.PACKAGES, "no-such-package"))
     monkeypatch.setenv("CCX", str(tmp_path / "no_such_ccx"))
     found = dict(report.versions_section(tmp_path).items[0]["rows"])
@@ -181,7 +181,7 @@ def test_versions_are_told_where_a_package_is_missing_and_of_the_calculix_that_s
     assert found["no-such-package"] == found["CalculiX"] == "not installed"
 
 
-def test_what_was_not_made_is_told_with_what_makes_it_of_this_dataset(tmp_path):
+def test_what_was_not_made_is_reported_with_what_makes_it_of_this_dataset(tmp_path):
     of = tmp_path / "results/mylab"
     sections = [
         calibration_section(of),

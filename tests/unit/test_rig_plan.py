@@ -241,7 +241,7 @@ def test_a_press_whose_truth_was_lost_is_repeated(tmp_path):
 def test_a_damaged_record_of_the_plan_is_refused_in_a_sentence(tmp_path, content):
     (tmp_path / "truth").mkdir()
     (tmp_path / "truth/truth.json").write_text(content)
-    with pytest.raises(BadInput, match=r"truth.json: does not tell which plan .* remove the folder"):
+    with pytest.raises(BadInput, match=r"truth.json: does not say which plan .* remove the folder"):
         Dataset(tmp_path, read_plan(DEMO)).check_same_plan({}, {})
 
 

@@ -119,7 +119,7 @@ def test_what_older_parameters_solved_is_still_to_come(tmp_path):
     assert look(tmp_path, now + 21).solved == 4
 
 
-def test_of_stages_after_the_solves_their_count_is_not_told(tmp_path):
+def test_of_stages_after_the_solves_their_count_is_not_reported(tmp_path):
     now = lay(tmp_path, 8)
     with at_work(tmp_path, "80_evaluate/24x32/pair_8.card"):
         assert look(tmp_path, now).told() == "now: 80_evaluate/24x32/pair_8.card"
@@ -154,7 +154,7 @@ def test_files_that_are_being_written_do_not_count(tmp_path):
 
 
 def test_a_shard_that_goes_between_two_looks_is_none(tmp_path):
-    """Another make plans a log that lost rows; a step that told how far its run has come failed its finished target."""
+    """Another make plans a log that lost rows; a step that printed how far its run has come failed its finished target."""
     now = lay(tmp_path, 3)
     (tmp_path / "00_plan/shards/0002.csv").symlink_to("gone.csv")  # listed, and not there when it is read
     assert look(tmp_path, now).total == 8

@@ -36,7 +36,7 @@ def raw(root):
 
 
 def test_the_schema_and_params_toml_hold_the_same_keys(root):
-    """In step both ways, and no second default: every key stands in params.toml but those that may be left out."""
+    """Both name the same keys, and there is no second default: every key stands in params.toml but those that may be left out."""
 
     def compare(kind, table, name):
         known = kinds_of(kind)

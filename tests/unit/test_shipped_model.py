@@ -70,6 +70,6 @@ def test_the_other_finger_of_a_gripper_is_flagged_and_ones_own_is_not(reference,
     flagged = {True: [], False: []}
     for one, predictor in enumerate(fingers):
         for other, film in enumerate(films):
-            told = [predictor.predict(image).flag for image in some_frames(film)]
-            flagged[one == other] += told
+            reported = [predictor.predict(image).flag for image in some_frames(film)]
+            flagged[one == other] += reported
     assert np.mean(flagged[False]) >= 0.9 and np.mean(flagged[True]) <= 0.25

@@ -47,7 +47,7 @@ def pressed(sample_id):
     return SampleForces(sample_id, "OK", "mesh", np.array([0]), np.array([[0.0, 0.0, -1.0]]), np.zeros((1, 3)))
 
 
-def test_a_solve_that_gives_no_forces_is_told(tmp_path):
+def test_a_solve_that_gives_no_forces_is_reported(tmp_path):
     """Stage 40 refuses what does not balance; neither it nor a label of it is counted as done or to come."""
     results = tmp_path / "lab"
     for table in ("00_plan/shards.csv", "00_plan/shards/0000.csv", "10_poses/0000.csv"):
@@ -75,7 +75,7 @@ def test_a_row_that_doubles_a_sample_is_one_row_of_the_log(tmp_path):
 
 
 def test_what_nobody_asked_for_is_not_pending(tmp_path):
-    """A stage without a result is told with the target that makes it."""
+    """A stage without a result is listed with the target that makes it."""
     results = tmp_path / "lab"
     write_csv(results / "00_plan/shards/0000.csv", ["sample_id"], [{"sample_id": "a"}])
     (results / "20_meshes").mkdir()
@@ -85,8 +85,8 @@ def test_what_nobody_asked_for_is_not_pending(tmp_path):
     assert "calibrate            not made (make calibrate DATASET=lab)" in text
 
 
-def test_a_stage_that_failed_is_told_with_the_last_words_of_its_log(tmp_path):
-    """Nothing told that dataset had failed: it was said to be not made, as what nobody asked for."""
+def test_a_stage_that_failed_is_reported_with_the_last_words_of_its_log(tmp_path):
+    """Nothing said that dataset had failed: it was said to be not made, as what nobody asked for."""
     results, log = tmp_path / "lab", tmp_path / "lab/logs/60_dataset/24x32/dataset.log"
     write_csv(results / "00_plan/shards/0000.csv", ["sample_id"], [{"sample_id": "a"}])
     write_text(log, "$ python -m gelforge.stages.dataset\nerror: no sample has a label\n\n")
@@ -111,7 +111,7 @@ def test_a_dataset_on_bricks_needs_no_meshes(tmp_path):
     )
 
 
-def test_what_was_made_of_something_that_changed_since_is_told(tmp_path):
+def test_what_was_made_of_something_that_changed_since_is_reported(tmp_path):
     """After a changed parameter all of it stood there as done."""
     results = tmp_path / "results/lab"
     params = [write_dated(results / f"00_plan/params/{name}.json", 0) for name in ("poses", "fea")]
@@ -128,8 +128,8 @@ def test_what_was_made_of_something_that_changed_since_is_told(tmp_path):
         f" make why TARGET={fea} DATASET=lab"
     ]
     write_dated(Path(fea), 50)  # solved again, and not labelled
-    (told,) = outdated_lines(results, asked)
-    assert f"{fea} changed since" in told and told.endswith("labels.json RES=12x16 DATASET=lab")
+    (reported,) = outdated_lines(results, asked)
+    assert f"{fea} changed since" in reported and reported.endswith("labels.json RES=12x16 DATASET=lab")
 
 
 def write_dated(path, at):

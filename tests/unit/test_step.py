@@ -199,7 +199,7 @@ def test_what_cannot_be_made_again_is_never_taken_for_whole(tmp_path):
 
 @pytest.mark.parametrize("record", ["", '{"exit_code": 0, "by', "null"])
 def test_an_input_whose_record_is_damaged_is_made_again_by_the_next_make(tmp_path, record):
-    """As a power cut leaves it, of both files maybe: nothing tells any more whether the input is whole."""
+    """As a power cut leaves it, of both files maybe: it is unknown whether the input is whole."""
     first, second = tmp_path / "results/d/30_fea/0000.csv", tmp_path / "results/d/40_forces/0000.npz"
     making, reading = f"echo whole > {first}.part", f"cp {first} {second}.part"
     assert wrapped(first, "bash", "-c", making)[0] == 0
@@ -300,7 +300,7 @@ def test_without_a_terminal_each_finished_file_says_how_far_the_run_has_come(tmp
     target = tmp_path / "results/d/30_fea/0000.csv"
     said = wrapped(target, "bash", "-c", f"echo made > {target}.part")[1]
     assert said.rstrip().endswith("[no press is planned yet]")
-    target = tmp_path / "results/d/80_evaluate/24x32/pair_8.card.md"  # of which the presses tell nothing
+    target = tmp_path / "results/d/80_evaluate/24x32/pair_8.card.md"  # of which the presses say nothing
     assert wrapped(target, "bash", "-c", f"echo made > {target}.part")[1].rstrip().endswith("MiB")
 
 

@@ -58,7 +58,7 @@ def test_a_text_file_is_read_whatever_its_lines_and_name(tmp_path, kind):
     "header", [b"gelforge", b"solid from a program", b"\xef\xbb\xbfsolid", b"<xml", b"ply", b"{"]
 )
 @pytest.mark.parametrize("behind", [b"", b"\x00" * 7, b"what the program adds"])
-def test_a_binary_file_is_told_by_its_size_whatever_its_header(tmp_path, header, behind):
+def test_a_binary_file_is_reported_by_its_size_whatever_its_header(tmp_path, header, behind):
     write_stl(tmp_path / "b.stl", *BODY)
     data = bytearray((tmp_path / "b.stl").read_bytes())
     data[:80] = header.ljust(80)

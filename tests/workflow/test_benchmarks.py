@@ -1,4 +1,4 @@
-"""A small form of each benchmark: it runs as it stands, and what no clock tells meets its goal there, too."""
+"""A small form of each benchmark: it runs as it stands, and what no clock measures meets its goal there, too."""
 
 import re
 import subprocess

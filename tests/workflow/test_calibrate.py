@@ -76,7 +76,7 @@ def test_report_shows_parameters_models_and_what_they_mean(done, tmp_path):
     assert any("priors aside, come nearer than" in text for text in texts)
 
 
-def test_both_predictive_means_and_the_least_error_are_told(done):
+def test_both_predictive_means_and_the_least_error_are_reported(done):
     summary = json.loads((done / "work" / "summary.json").read_text())
     # its own error of touch explains part of a reading; three parameters cannot meet four such readings
     assert summary["own_touch_mae_n"]["fz"] < summary["predictive_mae_n"]["fz"]

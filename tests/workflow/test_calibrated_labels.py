@@ -64,8 +64,8 @@ def test_labels_follow_the_calibration_and_only_freezing_changes_it(project):
     posterior = summary.stat().st_mtime_ns
     say(project, "calibrate", "calibrated-labels")
     assert summary.stat().st_mtime_ns == posterior
-    told = read_json(summary)
-    write_json(summary, told | {"c10": told["c10"] | {"median": 0.05}})
+    reported = read_json(summary)
+    write_json(summary, reported | {"c10": reported["c10"] | {"median": 0.05}})
     say(project, "calibrated-labels")
     assert frozen.read_text() == text and forces.stat().st_mtime_ns == before
     say(project, "freeze")

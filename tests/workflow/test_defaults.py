@@ -22,8 +22,8 @@ def test_a_variable_that_is_not_given_has_its_default(project, words, said):
 
 def test_jobs_are_the_machine_s_cores_whatever_a_shell_grants_one_program(project):
     """nproc obeys OMP_NUM_THREADS: with 1 of it, as numeric work often sets, every make was serial."""
-    told = ["make", "--eval=told: ; @echo jobs=$(JOBS)", "told", "DATASET=tiny"]
+    reported = ["make", "--eval=reported: ; @echo jobs=$(JOBS)", "reported", "DATASET=tiny"]
     for granted in ("1", "7777"):
         environment = os.environ | {"OMP_NUM_THREADS": granted, "OMP_THREAD_LIMIT": granted}
-        done = subprocess.run(told, cwd=project, env=environment, capture_output=True, text=True, check=False)
+        done = subprocess.run(reported, cwd=project, env=environment, capture_output=True, text=True, check=False)
         assert f"jobs={len(os.sched_getaffinity(0))}\n" in done.stdout, done.stdout + done.stderr

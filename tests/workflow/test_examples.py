@@ -71,7 +71,7 @@ def test_gels_differ_as_they_should(run):
     assert names["stiffer"] == pytest.approx(2 * names["usual"], rel=1e-9)
 
 
-def test_the_published_presses_tell_a_stiffness(run):
+def test_the_published_presses_give_a_stiffness(run):
     names, lines = run("05_calibrate")
     assert 0.06 < names["c10"] < 0.13  # the paper fits 0.0792; friction and touch offset unknown: 0.077 to 0.119
     assert all(measured == pytest.approx(solved, rel=0.2) for _, measured, solved in lines[:4])

@@ -112,12 +112,12 @@ def test_splits_of_lerobot_are_runs_of_episodes(tmp_path):
 def test_lerobot_normalises_by_what_all_frames_have(tmp_path):
     samples = lay(tmp_path, 22)
     export(samples, "lerobot", tmp_path / "out")
-    told = json.loads((tmp_path / "out/meta/stats.json").read_text())
+    reported = json.loads((tmp_path / "out/meta/stats.json").read_text())
     forces = np.asarray(samples.labels, float).reshape(len(samples), -1)
     for name, values in (("observation.forces", forces), ("observation.wrench", [r.total for r in samples.records])):
-        assert told[name]["count"] == [22]
+        assert reported[name]["count"] == [22]
         for what, of in (("min", np.min), ("max", np.max), ("mean", np.mean), ("std", np.std)):
-            np.testing.assert_allclose(told[name][what], of(values, axis=0), rtol=1e-6, atol=1e-9)
+            np.testing.assert_allclose(reported[name][what], of(values, axis=0), rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.parametrize("image", [(32, 24), (24, 32)], ids=["across", "upright"])
@@ -125,18 +125,18 @@ def test_lerobot_finds_the_ranges_of_the_pictures(tmp_path, image):
     """Its factory stopped at a missing key: min, max, mean and std (3, 1, 1) of levels from 0 to 1, and count."""
     samples = lay(tmp_path, 22, image=image)
     export(samples, "lerobot", tmp_path / "out")
-    told = json.loads((tmp_path / "out/meta/stats.json").read_text())["observation.images.gelsight"]
+    reported = json.loads((tmp_path / "out/meta/stats.json").read_text())["observation.images.gelsight"]
     levels = np.stack([decode(sample.picture, sample.name) for sample in samples]).reshape(-1, 3) / 255
-    assert told.pop("count") == [22] and set(told) == {"min", "max", "mean", "std"}
+    assert reported.pop("count") == [22] and set(reported) == {"min", "max", "mean", "std"}
     for what, of in (("min", np.min), ("max", np.max), ("mean", np.mean), ("std", np.std)):
-        assert np.shape(told[what]) == (3, 1, 1)
-        np.testing.assert_allclose(np.ravel(told[what]), of(levels, axis=0), rtol=1e-9)
+        assert np.shape(reported[what]) == (3, 1, 1)
+        np.testing.assert_allclose(np.ravel(reported[what]), of(levels, axis=0), rtol=1e-9)
 
 
-def test_of_many_pictures_some_tell_the_ranges(tmp_path, monkeypatch):
+def test_of_many_pictures_some_give_the_ranges(tmp_path, monkeypatch):
     monkeypatch.setattr(lerobot, "MOST_PICTURES", 5)
-    told = lerobot.picture_stats(lay(tmp_path, 22))
-    assert told["count"] == [5] and 0.4 < told["mean"][0][0][0] < 0.6
+    reported = lerobot.picture_stats(lay(tmp_path, 22))
+    assert reported["count"] == [5] and 0.4 < reported["mean"][0][0][0] < 0.6
 
 
 @pytest.mark.skipif(

@@ -90,7 +90,7 @@ def test_the_mesh_of_a_name_is_the_one_that_was_solved(tmp_path, press):
         assert np.array_equal(getattr(again, part), getattr(result.mesh, part)), part
 
 
-def test_a_gel_or_quality_that_no_name_can_tell_is_refused(tmp_path):
+def test_a_gel_or_quality_that_no_name_can_hold_is_refused(tmp_path):
     solvers = Solvers(MeshFamily(tmp_path, []), tmp_path, parameters(fea={"hex_quality": "demo"}).fea)
     scene = Scene(Gel(height=5.0), Material(), build("ball", BALL), Press(0, 0, 0, 0, 0, -0.5))
     with pytest.raises(BadInput, match="gelsight_mini"):

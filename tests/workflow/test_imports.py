@@ -212,8 +212,8 @@ def test_a_damaged_recording_is_read_or_refused(tmp_path, compression):
         except BadInput as error:
             refused += 1
             # a byte of the encoding's name leaves a whole file of another kind of message
-            told = ("a.mcap: cannot be read as MCAP", "a.mcap: topic /ft holds no ROS 2 messages")
-            assert any(each in str(error) for each in told)
+            reported = ("a.mcap: cannot be read as MCAP", "a.mcap: topic /ft holds no ROS 2 messages")
+            assert any(each in str(error) for each in reported)
     assert refused > 20
 
 

@@ -161,7 +161,7 @@ def test_a_number_that_no_port_has_is_one_sentence(film, port):
 
 
 @pytest.mark.parametrize("asked", [None, 3])
-def test_a_camera_that_stops_is_told_and_what_it_gave_is_kept(film, tmp_path, asked):
+def test_a_camera_that_stops_is_reported_and_what_it_gave_is_kept(film, tmp_path, asked):
     """A film in a camera's place: it ends, as a camera does that is pulled out; one that was asked for 3 frames did all."""
     args = Namespace(camera=0, frames=asked, jsonl=tmp_path / "live.jsonl", csv=None)
     said = pytest.raises(BadInput, match="camera 0: stopped after 3 frames") if asked is None else nullcontext()
@@ -187,19 +187,19 @@ def test_without_a_display_lines_and_rows_are_written(film, tmp_path):
     lines, table = tmp_path / "live.jsonl", tmp_path / "live.csv"
     command = [*LIVE, "--video", film, "--jsonl", lines, "--csv", table, "--frames", "24"]
     ran = subprocess.run(command, check=True, capture_output=True, text=True)
-    told = [json.loads(line) for line in lines.read_text().splitlines()]
+    reported = [json.loads(line) for line in lines.read_text().splitlines()]
     with table.open() as stream:
         rows = list(csv.DictReader(stream))
-    assert len(told) == len(rows) == 16 and [row["frame"] for row in told] == list(range(SETTLING, 24))
-    assert [row["time_s"] for row in told] == pytest.approx([0.1 * row["frame"] for row in told])
+    assert len(reported) == len(rows) == 16 and [row["frame"] for row in reported] == list(range(SETTLING, 24))
+    assert [row["time_s"] for row in reported] == pytest.approx([0.1 * row["frame"] for row in reported])
     assert "frames before the no-contact image are not read: 8" in ran.stderr
-    assert [float(row["grid_z_n"]) for row in rows] == [row["grid_z_n"] for row in told]
-    assert min(row["grid_z_n"] for row in told[8:]) < -1.0 < told[0]["grid_z_n"]
-    assert f"16 frames read; {sum(row['flag'] for row in told)} flagged" in ran.stderr
+    assert [float(row["grid_z_n"]) for row in rows] == [row["grid_z_n"] for row in reported]
+    assert min(row["grid_z_n"] for row in reported[8:]) < -1.0 < reported[0]["grid_z_n"]
+    assert f"16 frames read; {sum(row['flag'] for row in reported)} flagged" in ran.stderr
 
 
 def test_how_many_frames_are_flagged_is_counted_where_they_are_written(tmp_path):
-    """A film tells it; who has rows alone would have to look for it."""
+    """A film shows it; who has rows alone would have to look for it."""
     found = (reading(number, flag=number in (1, 4)) for number in range(6))
     assert write_files(found, None, tmp_path / "live.csv") == (6, 2)
 
@@ -242,7 +242,7 @@ def test_a_recording_is_whole_or_absent(tmp_path):
 
 
 def test_two_sensors_that_record_into_one_folder_keep_each_its_own(tmp_path, monkeypatch):
-    """As those of the two fingers of a gripper, told in the same second; one recording took the other's name and place."""
+    """As those of the two fingers of a gripper, started in the same second; one recording took the other's name and place."""
     monkeypatch.setattr("gelforge.live.recording.time.strftime", lambda form: "20260101-120000")
     left, right = Recorder(tmp_path), Recorder(tmp_path)
     names = left.start(), right.start()
@@ -320,7 +320,7 @@ def page_server(recorder):
 
 
 def next_event(address):
-    """The first event that a page is told which opens now."""
+    """The first event that a page gets which opens now."""
     with urllib.request.urlopen(f"{address}events", timeout=HANG) as stream:
         return json.loads(stream.readline().removeprefix(b"data: "))
 
@@ -341,7 +341,7 @@ def test_a_long_path_stays_within_the_page_and_captions_in_one_line(tmp_path, wi
         driver.get(address)
         serve([reading(1)], hub, Recorder(tmp_path))
         wait_for(driver, "return document.body.dataset.frame === '1'")
-        hub.tell(hub.latest | {"ended": f"{'a_folder_without_a_space/' * 9}film.avi: ended after 1 frames"})
+        hub.send(hub.latest | {"ended": f"{'a_folder_without_a_space/' * 9}film.avi: ended after 1 frames"})
         wait_for(driver, "return document.body.dataset.ended")
         assert driver.execute_script("return document.documentElement.scrollWidth <= innerWidth")
         heights = driver.execute_script(
@@ -351,7 +351,7 @@ def test_a_long_path_stays_within_the_page_and_captions_in_one_line(tmp_path, wi
 
 
 @needs_browser
-def test_a_recording_that_went_meanwhile_is_told_where_it_was_to_be_replayed(tmp_path):
+def test_a_recording_that_went_meanwhile_is_reported_where_it_was_to_be_replayed(tmp_path):
     recorder = Recorder(tmp_path)
     name = kept(recorder, range(3))
     with page_server(recorder) as (address, _), browser() as driver:
@@ -375,7 +375,7 @@ def wait_for_button(driver, words, disabled=False):
 
 
 @needs_browser
-def test_the_record_button_tells_what_the_recorder_does_now(tmp_path):
+def test_the_record_button_shows_what_the_recorder_does_now(tmp_path):
     recorder = Recorder(tmp_path)
     kept(recorder, range(0, 60_000, 100))  # a second apart: it is replayed as long as the test lasts
     with browser() as driver:
@@ -399,7 +399,7 @@ def test_the_record_button_tells_what_the_recorder_does_now(tmp_path):
             driver.find_element("id", "back").click()
             wait_for(driver, "return document.body.dataset.frame === '2'")
             recorder.stop()
-            hub.tell(hub.latest | {"ended": "the film ended"})
+            hub.send(hub.latest | {"ended": "the film ended"})
             wait_for_button(driver, "Record", disabled=True)
             recorder.start()  # by another page
             wait_for_button(driver, "Stop recording")
@@ -409,7 +409,7 @@ def test_the_record_button_tells_what_the_recorder_does_now(tmp_path):
 
 
 @needs_browser
-def test_a_flag_is_told_in_its_own_words(tmp_path):
+def test_a_flag_is_reported_in_its_own_words(tmp_path):
     with page_server(Recorder(tmp_path)) as (address, hub), browser() as driver:
         driver.get(address)
         for number, words in ((1, "dark"), (2, "nothing seems wrong with the picture")):
@@ -419,7 +419,7 @@ def test_a_flag_is_told_in_its_own_words(tmp_path):
 
 
 @needs_browser
-def test_how_much_lies_at_the_edge_is_told_where_a_map_tells_it(tmp_path):
+def test_how_much_lies_at_the_edge_is_reported_where_a_map_shows_it(tmp_path):
     with page_server(Recorder(tmp_path)) as (address, hub), browser() as driver:
         driver.get(address)
         for number, (share, words) in enumerate(((0.423, "42 %"), (float("nan"), "\u2013")), 1):
@@ -481,7 +481,7 @@ def test_a_program_that_ended_offers_no_recording(film, tmp_path):
         wait_for_button(driver, "Record", disabled=True)
 
 
-def test_a_lost_recording_is_told_to_all_pages_until_the_next_one_begins(tmp_path):
+def test_a_lost_recording_is_reported_to_all_pages_until_the_next_one_begins(tmp_path):
     recorder = Recorder(tmp_path)
     with page_server(recorder) as (address, hub):
         recorder.start()
@@ -489,13 +489,13 @@ def test_a_lost_recording_is_told_to_all_pages_until_the_next_one_begins(tmp_pat
         assert serve(map(reading, range(4)), hub, recorder) == 4
         late, listed = next_event(address), json.loads(get(f"{address}recordings"))
         assert late["frame"] == 3
-        for told in (late, listed):
-            assert "the recording is lost" in told["trouble"] and told["recording"] is False
+        for reported in (late, listed):
+            assert "the recording is lost" in reported["trouble"] and reported["recording"] is False
         recorder.start()
         assert next_event(address).items() >= {"frame": 3, "trouble": "", "recording": True}.items()
 
 
-def test_a_recording_that_cannot_begin_is_told_to_all_pages(tmp_path):
+def test_a_recording_that_cannot_begin_is_reported_to_all_pages(tmp_path):
     (tmp_path / "file").write_text("no folder")
     recorder = Recorder(tmp_path / "file")
     with page_server(recorder) as (address, hub):
@@ -507,7 +507,7 @@ def test_a_recording_that_cannot_begin_is_told_to_all_pages(tmp_path):
         assert "cannot be read as a folder" in listed["error"] and listed["names"] == []
 
 
-def test_a_recording_that_is_lost_at_the_end_is_told(film, tmp_path):
+def test_a_recording_that_is_lost_at_the_end_is_reported(film, tmp_path):
     with live_page(film, tmp_path / "recordings") as (address, child):
         record = urllib.request.Request(f"{address}record", method="POST", headers={"X-Gelforge": "1"})
         urllib.request.urlopen(record, timeout=HANG).close()
@@ -521,14 +521,14 @@ def test_a_recording_that_is_lost_at_the_end_is_told(film, tmp_path):
 def test_a_slow_page_gets_the_latest(tmp_path):
     hub = Hub()
     for k in range(5):
-        hub.tell({"frame": k})
+        hub.send({"frame": k})
     assert hub.after(2, 0.1) == (5, {"frame": 4}) and hub.after(5, 0.05) == (5, None)
 
 
 def test_the_curve_of_what_was_before_is_kept_without_pictures_and_has_an_end():
     hub = Hub()
     for k in range(KEPT + 5):
-        hub.tell({"frame": k, "image": "large", "forces": "large"})
+        hub.send({"frame": k, "image": "large", "forces": "large"})
     assert hub.before() == [{"frame": k} for k in range(4, KEPT + 4)]
 
 
@@ -536,7 +536,7 @@ def test_the_curve_of_what_was_before_is_kept_without_pictures_and_has_an_end():
 def test_a_page_that_is_opened_after_the_end_shows_the_whole_curve(tmp_path):
     with page_server(Recorder(tmp_path)) as (address, hub), browser() as driver:
         serve([reading(number) for number in range(8)], hub, Recorder(tmp_path))
-        hub.tell(hub.latest | {"ended": "over"})
+        hub.send(hub.latest | {"ended": "over"})
         driver.get(address)
         wait_for(driver, "return document.body.dataset.ended")
         frames = driver.execute_script("return history.map((e) => e.frame)")

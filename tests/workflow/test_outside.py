@@ -36,11 +36,11 @@ def test_an_engine_of_others_meets_the_reference_of_a_ball(folder, tmp_path):
     assert done.stdout == "" and (folder / PROGRAM).exists()
     score = [sys.executable, "-I", str(folder / "score.py"), str(tmp_path), "--out", str(tmp_path / "score.json")]
     subprocess.run(score, check=True, capture_output=True)
-    told = read_json(tmp_path / "score.json")
-    errors = told["scenes"]["sphere_1mm"]
+    reported = read_json(tmp_path / "score.json")
+    errors = reported["scenes"]["sphere_1mm"]
     assert errors["total"] < 0.03 and errors["cells_2x2"] < errors["cells"] < 0.3
-    assert errors["scatter"] == pytest.approx(0.0158, abs=1e-3) and told["seconds"]["sphere_1mm"] > 0
+    assert errors["scatter"] == pytest.approx(0.0158, abs=1e-3) and reported["seconds"]["sphere_1mm"] > 0
     # a quarter was solved: what is written is symmetric to the last digit
     rows = np.loadtxt(tmp_path / "sphere_1mm.csv", delimiter=",", skiprows=1)
     np.testing.assert_allclose(rows[:, 2:4].sum(axis=0), 0.0, atol=1e-6)
-    assert [figure.name for figure in figures_of(told)] == ["sphere_1mm, total force", "sphere_1mm, 2 x 2 cells"]
+    assert [figure.name for figure in figures_of(reported)] == ["sphere_1mm, total force", "sphere_1mm, 2 x 2 cells"]

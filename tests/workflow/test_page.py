@@ -89,8 +89,8 @@ def test_every_gel_is_drawn_as_thick_as_it_is(page):
             driver.get("about:blank")
             driver.get(page.as_uri() + f"#press={name}")
             shown(driver, name)
-            told = driver.find_element("id", "facts").text.splitlines()
-            assert ("gel 2.6 mm thick" in told) == (height == 2.6)
+            reported = driver.find_element("id", "facts").text.splitlines()
+            assert ("gel 2.6 mm thick" in reported) == (height == 2.6)
             wait_for(driver, "return room && (room.none || room.parts.children.length >= 2)")
             if driver.execute_script("return Boolean(room.none)"):
                 pytest.skip("this browser draws no three dimensions")

@@ -527,7 +527,7 @@ def test_why_names_the_parameter_that_changed_and_what_follows(labelled):
     assert make(labelled, "labels", "DATASET=tiny").returncode == 0
 
 
-def test_why_is_told_of_a_target_that_needs_a_choice_of_its_own(labelled):
+def test_why_is_reported_of_a_target_that_needs_a_choice_of_its_own(labelled):
     said = make(labelled, "why", "TARGET=export", "FORMAT=hdf5", "DATASET=tiny")
     assert said.returncode == 0 and "does not exist" in said.stdout, said.stdout
 

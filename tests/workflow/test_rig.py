@@ -195,7 +195,7 @@ def test_a_log_from_elsewhere_is_left_alone(tmp_path):
     assert log.read_text() == "sample_id\nmine\n"
 
 
-def test_parameters_of_a_plan_that_were_changed_since_are_told(two, tmp_path, capsys):
+def test_parameters_of_a_plan_that_were_changed_since_are_reported(two, tmp_path, capsys):
     """dataset.toml may hold a user's own values: it stays, and is not silently something else than the plan says."""
     (two / "dataset.toml").write_text(
         (two / "dataset.toml").read_text() + "\n[params.labels]\nlargest_outside_share = 0.5\n"
@@ -207,14 +207,14 @@ def test_parameters_of_a_plan_that_were_changed_since_are_told(two, tmp_path, ca
     assert "largest_outside_share" in (tmp_path / "data" / two.name / "dataset.toml").read_text()
 
 
-def test_what_a_plan_takes_is_told_before_a_press(pressed, tmp_path, capsys):
+def test_what_a_plan_takes_is_reported_before_a_press(pressed, tmp_path, capsys):
     """Disk as it is used then; nothing is written; nothing more to say where all presses are there."""
     asked = ["--plan", str(plan_of(tmp_path, 2)), "--workflow", str(ROOT / "workflow"), "--cores", "2"]
     assert rigcost.main([*asked, "--data", str(tmp_path / "data")]) == 0
-    told = capsys.readouterr().out
-    assert "pressing 2 of 2 presses" in told and "2 pictures" in told and "on 2 cores" in told
+    reported = capsys.readouterr().out
+    assert "pressing 2 of 2 presses" in reported and "2 pictures" in reported and "on 2 cores" in reported
     assert not (tmp_path / "data").exists()
-    disk = next(line for line in told.splitlines() if line.startswith("presses")).split()[2:]
+    disk = next(line for line in reported.splitlines() if line.startswith("presses")).split()[2:]
     written = sum(path.stat().st_size for part in ("images", "truth") for path in (pressed / part).rglob("*.*"))
     assert disk[1] == "kB" and abs(1000 * float(disk[0]) / written - 1) < 0.25
     assert rigcost.main([*asked, "--data", str(pressed.parent)]) == 0
@@ -251,8 +251,8 @@ def test_a_sensor_that_looks_otherwise_needs_its_pictures_drawn_anew(two, tmp_pa
     shutil.rmtree(two / "nocontact")
     capsys.readouterr()
     rigcost.main(["--plan", str(plan_of(tmp_path, 2)), "--data", str(two.parent), "--workflow", str(workshop)])
-    told = capsys.readouterr().out
-    assert "2 pictures of presses that are solved are drawn again" in told and "pressing" not in told
+    reported = capsys.readouterr().out
+    assert "2 pictures of presses that are solved are drawn again" in reported and "pressing" not in reported
     run(plan_of(tmp_path, 2), two.parent, workshop)
     assert "only drawn again" in capsys.readouterr().out
 

@@ -71,7 +71,7 @@ def work_of(count: int = 2) -> Record:
 
 
 def jobs_alive(lab) -> list[str]:
-    """Numbers of all jobs that wait or run, as Slurm's own program tells."""
+    """Numbers of all jobs that wait or run, as Slurm's own program reports."""
     return sorted(set(lab.ask(REAL_SQUEUE, "-h", "-t", "PD,R", "-o", "%F").split()))
 
 

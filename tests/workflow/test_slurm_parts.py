@@ -219,7 +219,7 @@ def test_a_make_of_the_same_number_on_another_machine_is_another_make(tmp_path):
     assert other.communicate(timeout=HANG)[0] == "mine\n"
 
 
-def test_who_cancels_another_dataset_than_the_one_that_runs_is_told(tmp_path, capsys):
+def test_who_cancels_another_dataset_than_the_one_that_runs_is_reported(tmp_path, capsys):
     assert slurm.main(["cancel", "--results", str(tmp_path / "demo")]) == 0
     assert "demo: nothing was left running" in capsys.readouterr().out
 

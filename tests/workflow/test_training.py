@@ -87,14 +87,14 @@ def evaluated(place, model: Path) -> Path:
     return out
 
 
-def test_a_study_tells_errors_against_presses_and_units(place, whole, tmp_path):
+def test_a_study_reports_errors_against_presses_and_units(place, whole, tmp_path):
     parts = ("presses_8", "units_1")
     for part in parts:
         asked = [*train_command(place, tmp_path / f"{part}.onnx"), "--part", part]
         subprocess.run(asked, check=True, capture_output=True)
-    told = [evaluated(place, tmp_path / f"{part}.onnx") for part in parts]
+    reported = [evaluated(place, tmp_path / f"{part}.onnx") for part in parts]
     (tmp_path / "whole.onnx").write_bytes((place / "whole.onnx.part").read_bytes())
-    asked = command("study", "--whole", evaluated(place, tmp_path / "whole.onnx"), "--parts", *told)
+    asked = command("study", "--whole", evaluated(place, tmp_path / "whole.onnx"), "--parts", *reported)
     subprocess.run([*asked, "--out", tmp_path / "study.json.part"], check=True, capture_output=True)
     rows = read_json(tmp_path / "study.json.part")["rows"]
     by_part = {row["part"]: row for row in rows if row["split"] == "test"}

@@ -1,4 +1,4 @@
-"""[fea] verify: presses that auto solved on hexahedra are solved by CalculiX, too, and what differs is told."""
+"""[fea] verify: presses that auto solved on hexahedra are solved by CalculiX, too, and differences are reported."""
 
 from dataclasses import replace
 
@@ -82,9 +82,9 @@ def test_a_difference_beyond_both_errors_is_named_and_more_than_one_in_twenty_ar
     assert not any(one.beyond for one in fine) and odd.beyond
     failed = replace(odd, reason="no equilibrium", total=None, cells=None)
     verification.refuse_beyond([*fine, odd, failed])  # one in twenty; what was not solved is none of them
-    told = [item["text"] for item in verified_section([*fine, odd, failed]).items if item["kind"] == "text"]
-    assert any("odd (flat_deep): hex-label and CalculiX differ by 1.0% of total force" in text for text in told)
-    assert any("not verified: no equilibrium" in text for text in told)
+    reported = [item["text"] for item in verified_section([*fine, odd, failed]).items if item["kind"] == "text"]
+    assert any("odd (flat_deep): hex-label and CalculiX differ by 1.0% of total force" in text for text in reported)
+    assert any("not verified: no equilibrium" in text for text in reported)
     with pytest.raises(BadInput, match='2 of 20 verified presses differ .* odd .* fidelity = "ccx"'):
         verification.refuse_beyond([*fine[1:], odd, replace(odd, sample_id="second")])
 

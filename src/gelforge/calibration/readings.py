@@ -105,7 +105,7 @@ def read_readings(log, known_bad: Collection[int] = (), gels: Mapping[str, str] 
         if rejected:
             raise BadInput(
                 f"{log}: all {len(rejected)} rows with a normal force (fz_n) were rejected; correct them,"
-                f" `{Layout(Path('results', Path(log).parent.name)).command('poses STRICT=1')}` tells why"
+                f" `{Layout(Path('results', Path(log).parent.name)).command('poses STRICT=1')}`says why"
             )
         raise BadInput(f"{log}: no row has a normal force (fz_n); calibration needs a force sensor's readings")
     return Readings(
@@ -179,7 +179,7 @@ def choose_presses(readings: Readings, most: int) -> np.ndarray:
     """Indices of at most `most` presses, spread over indenters and, within each, over depth.
 
     Round robin over the indenters with most presses, half as many as presses at most, since an
-    indenter pressed to one depth only tells little; each gives its presses in bisection order of
+    an indenter pressed to one depth only adds little; each gives its presses in bisection order of
     depth, so that any number taken spans the range.
     """
     if len(readings) <= most:

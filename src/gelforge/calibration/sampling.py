@@ -99,7 +99,7 @@ def judge(coordinates: np.ndarray, accepted: float) -> Figures:
 
 
 def fingerprint(*parts) -> str:
-    """Hash of arrays and plain values, to tell whether a chain on disk is of this very problem."""
+    """Hash of arrays and plain values, to check whether a chain on disk is of this very problem."""
     digest = hashlib.sha256()
     for part in parts:
         if isinstance(part, np.ndarray):
@@ -157,7 +157,7 @@ def load_checkpoint(path, problem: str):
 def sample(posterior, rules: Rules, path=None, say=None) -> Chain:
     """Sample until the rules are met; raise NotConverged with the figures where they cannot be.
 
-    The chain is kept at `path` at every check and goes on from there; an interrupted and
+    The chain is kept at `path` at every check and continues there; an interrupted and
     resumed chain is the same, to the last digit, as an uninterrupted one. say(figures) reports.
     """
     import emcee
@@ -238,7 +238,7 @@ def complaint(model, chain, figures: Figures, rules: Rules) -> str:
         where = " and ".join(f"{m['walkers']} walkers near {name} = {prior.value(m['centre']):.4g}" for m in modes)
         return text + (
             f"Walkers are stuck in two modes: {where}. Hold that parameter fixed at a measured value, narrow its "
-            "prior, or add readings that tell the two apart"
+            "prior, or add readings that separate the two"
         )
     if figures.acceptance < low:
         return (

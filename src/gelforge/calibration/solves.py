@@ -2,7 +2,7 @@
 
 One solve follows the whole path in load steps, and each converged step is a point of the curve of
 force against depth. So a press straight down needs one solve per friction coefficient; a press with
-shear needs one per depth at which its shear is wanted. Without friction nothing tells by which way a
+shear needs one per depth at which its shear is wanted. Without friction it does not matter by which way a
 pose was reached: there a press with shear is one straight down to where it ends.
 """
 
@@ -30,7 +30,7 @@ from gelforge.mechanics.scene import Interface, Material, Press, Scene
 from gelforge.mechanics.solvekey import hex_settings, solve_key
 from gelforge.records.status import Status
 
-# Shares of a straight press at which fine hexahedra tell what coarse ones add. Shallower, few contact points carry the force
+# Shares of a straight press at which fine hexahedra measure the excess of coarse ones. Shallower, few contact points carry the force
 # and the ratio is noise.
 REFINED = (1.0, 0.5)
 
@@ -50,7 +50,7 @@ class SolveJob:
 class SolvePlan:
     """What the emulator of n presses needs.
 
-    top: (n,) deepest depth, mm. leader: (n,) the press whose curve tells each one's, itself where it shares none.
+    top: (n,) deepest depth, mm. leader: (n,) the press whose curve gives each one's, itself where it shares none.
     fractions: (k,) of the deepest depth, falling from 1, at which presses with shear are solved.
     """
 
@@ -60,7 +60,7 @@ class SolvePlan:
     fractions: tuple
 
     def jobs(self, i: int, mu: float, nu: float) -> list[SolveJob]:
-        """The solves that tell press i at one friction coefficient, deepest first."""
+        """The solves that predict press i at one friction coefficient, deepest first."""
         r, lead = self.readings, self.leader[i]
         body, gel = str(r.indenters[i]), str(r.gels[i])
         if not r.sheared[i]:
@@ -109,7 +109,7 @@ def path_curve(result, press: Press, touch: float) -> dict:
 
     touch: path parameter of the first touch, below 0 where the path starts inside the gel.
     Within the path, points that touch in a step have no friction until its end, so steps lie a
-    steady 0.5 to 1.5 % below settled states; a straight press tells by how much, at its end.
+    steady 0.5 to 1.5 % below settled states; a straight press shows by how much, at its end.
     """
     steps = np.array(result.evidence["path"], float).reshape(-1, 4)
     down = steps[steps[:, 0] <= 1.0 + 1e-9]
@@ -215,8 +215,8 @@ class SolveCache:
             try:
                 self._kept[path] = read_json(path)
             except (ValueError, OSError) as error:
-                told = command_for("calibrate", path)
-                raise BadInput(f"{path}: not a solve ({error}); delete it and run {told} again") from error
+                command = command_for("calibrate", path)
+                raise BadInput(f"{path}: not a solve ({error}); delete it and run {command} again") from error
         return self._kept[path]
 
     def get(self, job: SolveJob) -> dict:
@@ -272,10 +272,10 @@ def refine(
     """Emulator whose forces are those of a finer mesh, for two or three fine solves of each path that was solved.
 
     What a mesh adds to a force belongs to the shape and place of the footprint: the ratio of fine to coarse force at one
-    friction coefficient, along the depth of a path, is applied to all that its presses are told. Normal and sideways
+    friction coefficient, along the depth of a path, is applied to all predictions of its presses. Normal and sideways
     force have ratios of their own: under an edge, wide hexahedra add 8 to 12 % to the one and 2 to 4 % to the other. Where
     hardly anything slips any more, they add up to 3 % more than where it still does: the ratio of the deepest press at
-    the last of `mus` tells that, and in between it changes evenly along the friction axis.
+    the last of `mus` gives that, and in between it changes evenly along the friction axis.
     mus: one friction coefficient, or two, rising.
     """
     jobs = [refining_jobs(plan, i, mus[0], nu) for i in range(len(plan.top))]

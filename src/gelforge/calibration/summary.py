@@ -137,7 +137,7 @@ def score_models(results) -> list[dict]:
 
 
 def sentences(parameters: dict, correlation: dict, models: list[dict], model_name: str) -> list[str]:
-    """What the data say and what they cannot tell apart, in plain words."""
+    """What the data say and what they cannot separate, in plain words."""
     c10 = parameters["c10"]
     low, high = c10["interval95"]
     said = [
@@ -168,7 +168,7 @@ def model_sentences(models: list[dict]) -> list[str]:
     if len(alike) > 1:
         medians = [m["c10"]["median"] for m in alike]
         said.append(
-            f"The data cannot tell apart {len(alike)} of {len(models)} models "
+            f"The data cannot separate {len(alike)} of {len(models)} models "
             f"({', '.join(m['model'] for m in alike)}): their predictive scores differ by less than the comparison "
             f"can resolve, yet their medians of C10 run from "
             f"{min(medians):.4f} to {max(medians):.4f} MPa."

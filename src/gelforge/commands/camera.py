@@ -1,7 +1,7 @@
 """The modes of a camera, and which one to take: `gelforge camera [NUMBER]`.
 
 Without a number it lists the cameras that open. Each common size is asked for, the camera's driver answers with the nearest
-that it has, and a few frames tell how fast they come. `gelforge live --camera NUMBER --mode WxH` takes one.
+that it has, and a few frames measure their rate. `gelforge live --camera NUMBER --mode WxH` takes one.
 """
 
 import argparse
@@ -20,7 +20,7 @@ from gelforge.records.film import asked_for, open_source
 SIZES = ((320, 240), (640, 480), (800, 600), (820, 616), (1280, 720), (1640, 1232), (1920, 1080), (3280, 2464))
 LEAST = (320, 240)  # px that networks read
 FAST = 20.0  # frames a second that are enough for a press by hand
-TIMED = 10  # frames that tell how fast a mode is
+TIMED = 10  # frames that measure the rate of a mode
 
 
 def camera_mode(text: str) -> tuple[int, int]:

@@ -151,8 +151,8 @@ def made_presses(results: Layout, resolution: str) -> int:
     """Presses of another dataset that networks also learn from."""
     found = results.dataset(resolution) / "samples.csv"
     if not found.exists():
-        told = f"{results.command('dataset')} RES={resolution}"
-        raise BadInput(f"{found} is missing, and [train] also names {results.root.name}: {told} first")
+        command = f"{results.command('dataset')} RES={resolution}"
+        raise BadInput(f"{found} is missing, and [train] also names {results.root.name}: {command} first")
     return len(read_samples(found))
 
 
@@ -205,8 +205,8 @@ def estimated(data: Path, results: Path, resolution: str, model: str, rows: list
 def main(args: Namespace) -> None:
     rows = planned_rows(args.results)
     if not rows:
-        told = Layout(args.results).command("estimate")
-        raise BadInput(f"{args.data}/log.csv: no press is planned; log at least one, then {told}")
+        command = Layout(args.results).command("estimate")
+        raise BadInput(f"{args.data}/log.csv: no press is planned; log at least one, then {command}")
     costs = estimated(args.data, args.results, args.resolution, args.model, rows)
     shards = len(Layout(args.results).names())
     print("\n".join(table(costs, len(rows))))

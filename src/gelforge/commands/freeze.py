@@ -20,8 +20,8 @@ def main(args: Namespace) -> None:
         raise BadInput(f"{args.summary}: cannot be read ({error}); run make calibrate") from error
     found = frozen_of(args.out.parent.name, summary)
     write_frozen(args.out, found)
-    told = ", ".join(f"{key} = {value}" for values in found.params.values() for key, value in values.items())
-    print(f"{args.out}: {found.name}: {told}")
+    values = ", ".join(f"{key} = {value}" for table in found.params.values() for key, value in table.items())
+    print(f"{args.out}: {found.name}: {values}")
 
 
 if __name__ == "__main__":

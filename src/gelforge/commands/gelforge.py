@@ -33,9 +33,9 @@ def usage(argv) -> int:
     """Print what commands there are; return 0 for whom asked for help, else 2."""
     asked = bool(argv) and argv[0] in ("-h", "--help")
     wrong = [f"error: {argv[0]!r} is no command of gelforge; choose one of these"] if argv and not asked else []
-    lines = [f"  gelforge {name:11s} {what}" for name, what in COMMANDS.items()]
-    told = [*wrong, "usage: gelforge COMMAND …", *lines, "Everything else is a make target: make help."]
-    print("\n".join(told), file=sys.stdout if asked else sys.stderr)
+    listed = [f"  gelforge {name:11s} {what}" for name, what in COMMANDS.items()]
+    lines = [*wrong, "usage: gelforge COMMAND …", *listed, "Everything else is a make target: make help."]
+    print("\n".join(lines), file=sys.stdout if asked else sys.stderr)
     return 0 if asked else 2
 
 

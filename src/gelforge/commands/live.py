@@ -182,7 +182,7 @@ def predictor_of(args: Namespace, model, picture: np.ndarray | None, seen, name:
     """The model beside the sensor's no-contact image (networks.inference.predictor), and the frames to read (records.film.Frame).
 
     picture: what was given for it, (h, w, 3) RGB; where nothing was, the profile's serves; where there is none either and the
-    network needs one, the frames tell it.
+    network needs one, it is found in the frames.
     """
     import cv2
 

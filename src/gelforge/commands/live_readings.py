@@ -1,4 +1,4 @@
-"""What `gelforge live` reads, told to a page or written to files."""
+"""What `gelforge live` reads, sent to a page or written to files."""
 
 import signal
 import sys
@@ -69,9 +69,9 @@ def show_page(args: Namespace, predictor, frames, film: Film, name: str, over: t
             said = lost(name, film.taken) if is_lost(args, over, film) else f"{name}: ended after {count} frames"
         except BadInput as error:
             said = str(error)
-        with suppress(BadInput):  # the recorder keeps it, and pages are told by its state
+        with suppress(BadInput):  # the recorder keeps it, and pages see its state
             recorder.stop()
-        hub.tell(hub.latest | {"ended": said})  # a page that is opened later still sees the last frame
+        hub.send(hub.latest | {"ended": said})  # a page that is opened later still sees the last frame
         print(*filter(None, (said, recorder.trouble)), sep="\n", file=sys.stderr, flush=True)
         over.wait()  # the page can still be looked at and recordings replayed
 

@@ -21,7 +21,7 @@ from gelforge.records.labelfile import read_labels
 from gelforge.records.log import read_poses
 from gelforge.records.press import PosedPress, check_id
 
-ARROWS = 16  # along the image's height at most, so that they can be told apart
+ARROWS = 16  # along the image's height at most, so that they can be distinguished
 INK = "#12181f"
 
 
@@ -233,8 +233,8 @@ def main(args: Namespace) -> None:
     for resolution in map(str, map(Grid.parse, args.resolution)):
         paths = shard_paths(args.results, args.id, resolution)
         if why := outdated_causes(args.results, paths, resolution):
-            told = Layout(args.results).command(f"labels RES={resolution}")
-            print(f"the label of {args.id} is an older one: {', '.join(why)} changed since; {told} makes it anew")
+            command = Layout(args.results).command(f"labels RES={resolution}")
+            print(f"the label of {args.id} is an older one: {', '.join(why)} changed since; {command} makes it anew")
         look = load(args.data, paths, args.id, sensors, resolution)
         write_figure(out / f"{args.id}-{resolution}.png", draw(look))
         print(out / f"{args.id}-{resolution}.png")

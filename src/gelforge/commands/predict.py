@@ -83,7 +83,7 @@ def need_folder(out: Path) -> None:
 def predict_files(
     paths: Sequence[Path], predictor: Predictor, out: Path, read: Sequence[Path] = ()
 ) -> Iterator[dict]:
-    """Predict image files and write their maps below `out`, one after another; tell each one's row of totals.csv.
+    """Predict image files and write their maps below `out`, one after another; yield each one's row of totals.csv.
 
     Every image is read before anything is written, and again when its turn comes: there may be more than memory holds.
     totals.csv is written at the end, which may come early: whoever stops keeps the rows of what was read.

@@ -112,11 +112,11 @@ def fit_projection(name: str, like: Sensor, points=None, image=None, where: str 
         markers = find_markers(image, like.markers["rows"], like.markers["cols"], where)
         span = np.ptp(markers.index, axis=0) + 1
         if tuple(span) != (markers.rows, markers.cols):
-            # rows or columns of markers lie outside of the picture, and nothing tells on which side
+            # rows or columns of markers lie outside of the picture, and it is unknown on which side
             if points is None:
                 raise BadInput(
                     f"{where}: its markers span {span[0]} x {span[1]} of the {markers.rows} x {markers.cols} of sensor "
-                    f"{like.name}, so nothing tells which of them they are: give POINTS=points.csv, or name as LIKE a sensor "
+                    f"{like.name}, so it is unknown which of them they are: give POINTS=points.csv, or name as LIKE a sensor "
                     "whose pictures show as many"
                 )
             markers = None

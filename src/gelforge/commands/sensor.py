@@ -7,7 +7,7 @@ the mean of the first frames at rest, as `gelforge live` does. `gelforge predict
 
 Two sensors of a gripper need no scale to agree: --opposite LEFT.toml --grasps grasps.csv brings this one to the profile
 of the other by pictures of both at the same moments, columns `image` and `opposite`, since the two fingers that hold
-one object press alike. Which of them is right in newtons only readings tell. A picture that shows only a part of the
+one object press alike. Only readings show which of them is right in newtons. A picture that shows only a part of the
 contact counts in neither table: what is read in it is a part of the force.
 """
 
@@ -54,7 +54,7 @@ from gelforge.records.totals import goes_beyond
 
 
 def gain_of(readings: Path, predictor: Predictor, before: Gain = AS_READ) -> Gain:
-    """The factor that a table of readings tells, and `before` without them; BadInput names the row that cannot be used."""
+    """The factor that a table of readings gives, and `before` without them; BadInput names the row that cannot be used."""
     rows = _rows(readings, ("image", "force_n"), "readings", "press")
     pictures = _pictures(readings, rows, "image")
     measured = np.array([_force(name, row["force_n"]) for name, (_, row) in zip(pictures, rows, strict=True)])
@@ -65,13 +65,13 @@ def gain_of(readings: Path, predictor: Predictor, before: Gain = AS_READ) -> Gai
         )
     names, measured, read = list(compress(pictures, whole)), measured[whole], read[whole]
     check_readings(names, measured, read)
-    for name, told in odd_readings(names, measured, read).items():
-        print(f"{name}: {told}; it counts, leave it out if it is wrong", file=sys.stderr)
+    for name, fault in odd_readings(names, measured, read).items():
+        print(f"{name}: {fault}; it counts, leave it out if it is wrong", file=sys.stderr)
     return fit_gain(measured, read, before)
 
 
 def gain_of_balls(balls: BallFolder, predictor: Predictor) -> Gain:
-    """The factor that presses of a ball tell; those that do not count are named on the terminal."""
+    """The factor that presses of a ball give; those that do not count are named on the terminal."""
     for name, why in balls.left_out.items():
         print(f"{name}: does not count, {why}", file=sys.stderr)
     read, counts = _normals(predictor, {press.name: press.image for press in balls.presses})
@@ -199,7 +199,7 @@ def check_options(args: Namespace, out: Path) -> None:
     if args.balls is None and (args.diameter is not None or args.thickness is not None):
         raise BadInput("--diameter and --thickness say what --balls FOLDER shows: give it, too")
     if args.balls and args.grasps:
-        raise BadInput("give either --balls or --grasps: what a ball tells is more than what another finger reads")
+        raise BadInput("give either --balls or --grasps: a ball gives more than the readings of another finger")
     if args.readings and args.grasps:
         raise BadInput(
             "give either --readings or --grasps: what was weighed says more than what another finger reads"
@@ -230,15 +230,15 @@ def factor_replaced(out: Path, measures: bool) -> Gain:
     measures: whether the new one has readings, balls or grasps. Raises BadInput for a file that is no profile, and for a profile
     whose factor was measured where the new one's is not: that was work, and nothing else holds it.
     """
-    told = gain_there(out)
-    if told is None:
+    kept = gain_there(out)
+    if kept is None:
         raise BadInput(f"{out} is there already and is no sensor's profile; give another --name or --out")
-    if told.readings and not measures:
+    if kept.readings and not measures:
         raise BadInput(
-            f"{out}: is a profile whose factor, {told.value:.3f}, {told.readings} readings or grasps told, and would be replaced"
+            f"{out}: is a profile whose factor, {kept.value:.3f}, comes from {kept.readings} readings or grasps and would be replaced"
             f" by one without any; give --readings, --balls or --grasps again, another --name or --out, or remove {out}"
         )
-    return told
+    return kept
 
 
 @command(
@@ -284,10 +284,10 @@ def main(args: Namespace) -> None:
         print(f"{source}: {predictor.text}", file=sys.stderr)
     if predictor.fault:
         raise BadInput(f"{source}: {predictor.fault}; take a sharp one while nothing touches the sensor")
-    gain, told = Gain(), ""
+    gain, note = Gain(), ""
     if balls:
         gain = gain_of_balls(balls, predictor)
-        told = f"; {balls.px_per_mm:.2f} px per mm; gel of C10 {C10_MPA:g} MPa taken, which balls do not tell"
+        note = f"; {balls.px_per_mm:.2f} px per mm; gel of C10 {C10_MPA:g} MPa assumed, which balls cannot measure"
     if args.readings:
         gain = gain_of(args.readings, predictor, gain)
     elif args.grasps:
@@ -298,7 +298,7 @@ def main(args: Namespace) -> None:
     what += "" if gain.readings == 1 else "es" if args.balls else "s"
     instead = f", in place of {before.value:.3f} from {before.readings}" if before.readings else ""
     print(f"{out}: forces times {gain.value:.3f} ({gain.low:.3f} to {gain.high:.3f}), from {gain.readings} {what}{instead};"
-          f" markers {profile.pitch:.1f} px apart{told}")  # fmt: skip
+          f" markers {profile.pitch:.1f} px apart{note}")  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -92,8 +92,8 @@ def lines(target: str, found: dict[str, list[str]], most: int = 12) -> list[str]
 def main(args: Namespace) -> None:
     if not args.target:
         dataset = [setting for setting in args.settings if setting.startswith("DATASET=")]
-        told = " ".join(["make why TARGET=report", *dataset])
-        raise BadInput(f"no target named; say {told}, or a file below results/")
+        command = " ".join(["make why TARGET=report", *dataset])
+        raise BadInput(f"no target named; say {command}, or a file below results/")
     if args.target.startswith("-") or "=" in args.target:
         raise BadInput(f"TARGET={args.target}: name a stage (make help) or a file below results/")
     print("\n".join(lines(args.target, reasons(ask_make(args.target, args.settings)))))

@@ -125,7 +125,7 @@ def published_splits(source: Path, presses: dict) -> list[dict]:
 
     A dataset as FEATS publishes it lies in train/, val/, test/ and the three of unseen indenters and sensors. A press is of
     the split that one of its files lies in. Where others lie in none or in two BadInput is raised: which split they
-    belong to cannot be told.
+    belong to is unknown.
     """
     found, outside = [], []
     for press in presses.values():

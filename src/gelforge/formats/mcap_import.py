@@ -174,7 +174,7 @@ class Pairs:
     """Images of one recording with their wrenches, in the order of time.
 
     images (n,): which message of the topic, from 0. times (n,): ns. values (n, 6): N and N m. gaps (n,): ns between an image
-    and its wrench. alone: images without a wrench. notes: what is to be told about the times.
+    and its wrench. alone: images without a wrench. notes: what to report about the times.
     """
 
     images: np.ndarray
@@ -204,7 +204,7 @@ def pair(path: Path, topics: Topics) -> Pairs:
 
 
 def untared(values: np.ndarray, topics: Topics) -> list[str]:
-    """What is to be told of a sensor that reads a force all the time; values (n, 6): its readings."""
+    """What to report of a sensor that reads a force all the time; values (n, 6): its readings."""
     least = float(np.linalg.norm(values[:, :3], axis=1).min(initial=np.inf))
     if not topics.touch_n < least < np.inf:
         return []

@@ -52,7 +52,7 @@ class MessageTimes:
 
 @dataclass(frozen=True)
 class PairingClock:
-    """Which time pairs two topics: that of the headers, or else that of the log; notes: what is to be told of it."""
+    """Which time pairs two topics: that of the headers, or else that of the log; notes: what to report of it."""
 
     header: bool
     notes: list[str]
@@ -70,8 +70,8 @@ def choose_clock(one: MessageTimes, other: MessageTimes) -> PairingClock:
         ]
     if not faults:
         return PairingClock(True, [])
-    told = f"{' and '.join(faults)}, so the log's time was used: forces may be of another moment than their images"
-    return PairingClock(False, [told])
+    note = f"{' and '.join(faults)}, so the log's time was used: forces may be of another moment than their images"
+    return PairingClock(False, [note])
 
 
 @dataclass(frozen=True)

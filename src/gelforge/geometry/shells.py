@@ -1,4 +1,4 @@
-"""Closed shells of a triangle mesh: told apart, each turned outwards, united to the surface that is seen from outside."""
+"""Closed shells of a triangle mesh: separated, each turned outwards, united to the surface that is seen from outside."""
 
 from collections.abc import Sequence
 
@@ -46,7 +46,7 @@ def outer_surface(vertices: np.ndarray, faces: np.ndarray, what: str) -> Mesh:
 def split_shells(vertices: np.ndarray, faces: np.ndarray, what: str) -> tuple[np.ndarray, np.ndarray]:
     """Shell number (f,) of each triangle, in the order of the file, and the triangles (f, 3), of each shell outward.
 
-    Where more than two triangles meet in an edge, a shell goes on from one to its neighbour around it, of triangles that lie
+    Where more than two triangles meet in an edge, a shell continues from one to its neighbour around it, of triangles that lie
     on each other to the other one: a wall between two parts that touch is a flat shell of its own. Open and one-sided
     shells raise BadInput.
     """

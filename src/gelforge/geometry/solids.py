@@ -78,11 +78,11 @@ class Body(ABC):
         return f"{type(self).__name__}({self.name!r})"
 
 
-def surface_digest(indenter: Indenter, told: bytes = b"") -> str:
-    """SHA-256 of an indenter's surface, so that a changed shape is another one; `told` counts before it."""
+def surface_digest(indenter: Indenter, prefix: bytes = b"") -> str:
+    """SHA-256 of an indenter's surface, so that a changed shape is another one; `prefix` is hashed before it."""
     vertices, faces = indenter.surface()
     places, corners = np.round(np.asarray(vertices, float), 6), np.asarray(faces, np.int64)
-    return hashlib.sha256(told + places.tobytes() + corners.tobytes()).hexdigest()
+    return hashlib.sha256(prefix + places.tobytes() + corners.tobytes()).hexdigest()
 
 
 class Extrusion(Body):

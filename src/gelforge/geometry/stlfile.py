@@ -1,4 +1,4 @@
-"""STL files of any program: binary or text, in any encoding and with any line ends; other files are told by what they are."""
+"""STL files of any program: binary or text, in any encoding and with any line ends; other files are named by what they are."""
 
 import codecs
 import re
@@ -114,7 +114,7 @@ def _is_number(text: str) -> bool:
 
 
 def _other_kind(data: bytes) -> str | None:
-    """What bytes are by how they begin, in a few words; None where nothing tells."""
+    """What bytes are by how they begin, in a few words; None where it is unknown."""
     if data.startswith(b"version https://git-lfs"):
         return LFS
     head = data[:100].lstrip(b"\xef\xbb\xbf \t\r\n").lower()

@@ -38,7 +38,7 @@ class Recorder:
         return self.stream is not None
 
     def state(self) -> dict:
-        """What pages are told: whether a recording runs, and what became of the last one."""
+        """What pages are sent: whether a recording runs, and what became of the last one."""
         return {"recording": self.on, "trouble": self.trouble}
 
     def part(self, name: str) -> Path:
@@ -68,7 +68,7 @@ class Recorder:
     def _begun(self) -> tuple[str, IO[Any]]:
         """A new recording's name, which no other has, and the file it goes to.
 
-        Two sensors may be told in one second to record into one folder, each by a process of its own.
+        Two sensors may be asked in one second to record into one folder, each by a process of its own.
         """
         stem = time.strftime("%Y%m%d-%H%M%S")
         for k in range(MOST_A_SECOND):
@@ -106,14 +106,14 @@ class Recorder:
                 raise self._lost(error) from error
 
     def _lost(self, error: OSError) -> BadInput:
-        """Give up a recording that the disk does not take; what is to be told of it."""
+        """Give up a recording that the disk does not take; what to report of it."""
         self.drop()
         return self._failed(
             f"{self.folder}: the recording is lost ({error.strerror}); free space or permissions, then record again"
         )
 
     def _failed(self, sentence: str) -> BadInput:
-        """The error of a recording, kept for those who are told later."""
+        """The error of a recording, kept for pages that ask later."""
         error = BadInput(sentence)
         self.trouble = str(error)
         return error

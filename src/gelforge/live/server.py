@@ -32,7 +32,7 @@ class Hub:
         self.number, self.latest = 0, {}
         self._curve = deque(maxlen=KEPT)
 
-    def tell(self, event: dict) -> None:
+    def send(self, event: dict) -> None:
         """Give an event to all who wait."""
         with self.changed:
             if self.latest:
@@ -76,7 +76,7 @@ class Server(ThreadingHTTPServer):
         threading.Thread(target=self.serve_forever, daemon=True).start()
 
     def handle_error(self, request, client_address) -> None:
-        """A browser that left is no error of ours; others are told."""
+        """A browser that left is no error of ours; others are reported."""
         import sys
 
         if not isinstance(sys.exception(), ConnectionError):
@@ -146,8 +146,8 @@ class Handler(BaseHTTPRequestHandler):
         self.end_headers()
         try:
             for event in events:
-                told = event | self.server.recorder.state()
-                self.wfile.write(f"data: {json.dumps(told)}\n\n".encode())
+                reading = event | self.server.recorder.state()
+                self.wfile.write(f"data: {json.dumps(reading)}\n\n".encode())
                 self.wfile.flush()
         except ConnectionError:
             self.close_connection = True
@@ -176,7 +176,7 @@ class Handler(BaseHTTPRequestHandler):
             yield {"ended": str(error)}
 
     def log_message(self, *_) -> None:
-        """Requests are not told on the terminal."""
+        """Requests are not printed on the terminal."""
 
 
 def page() -> str:
@@ -193,8 +193,8 @@ def serve(readings: Iterable[Reading], hub: Hub, recorder: Recorder) -> int:
     count = 0
     for reading in readings:
         event = reading.event()
-        with suppress(BadInput):  # the recorder keeps it, and pages are told by its state
+        with suppress(BadInput):  # the recorder keeps it, and pages see its state
             recorder.add(event)
-        hub.tell(event)
+        hub.send(event)
         count += 1
     return count

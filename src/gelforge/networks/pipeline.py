@@ -140,7 +140,7 @@ def make_model(
 ) -> Trained:
     """Train the network of a table of workflow/models.toml; return it with its metadata, curve and cost inside.
 
-    version: of how networks are trained, told in the metadata. checkpoint: file for resuming, or None. start: the network to
+    version: of how networks are trained, recorded in the metadata. checkpoint: file for resuming, or None. start: the network to
     fine-tune; None: from weights that `seed` draws. also: other datasets, whose presses to train on and to validate with it
     learns from as well; its intervals are of `data` alone. Raises BadInput for a dataset that no network can learn from, that
     `start` cannot be fine-tuned on, or that cannot be learnt from beside the others.
@@ -154,7 +154,7 @@ def make_model(
         learnt.require_nocontact(range(len(learnt.table)))
     torch.set_num_threads(settings.threads)
     metadata = describe([data, *also], name, model, settings, version, start)
-    # half of validation chooses nothing, so that it can tell how wrong the network is
+    # half of validation chooses nothing, so that it can measure how wrong the network is
     choosing = replace(learnt, splits=learnt.splits | {VALIDATION: split_validation(learnt)[0]})
     training = begin(choosing, model, settings, metadata, start)
     fit(training, choosing, checkpoint, identity(metadata))
@@ -178,7 +178,7 @@ def judged(
 ) -> Trained:
     """A network as a model: exported, with limits of what its pictures are like and intervals of its totals.
 
-    learnt: what it learnt from. own: the one dataset of it whose unseen sensors tell how wrong it is.
+    learnt: what it learnt from. own: the one dataset of it whose unseen sensors measure how wrong it is.
     """
     metadata = metadata | set_limits(metadata, learnt, settings, None if start is None else start.metadata)
     stages = export(net, metadata)

@@ -1,6 +1,6 @@
 """Images of a GelSight Mini's camera, of any size, crop and orientation, brought to the frame that networks read.
 
-The no-contact image tells how: its markers, which are printed alike on every gel, give scale and middle; the light behind
+The no-contact image shows how: its markers, which are printed alike on every gel, give scale and middle; the light behind
 them and the coloured fringes that the three lights leave around them give the orientation, and whether it is mirrored.
 """
 
@@ -69,7 +69,7 @@ AS_IT_IS = Orientation()
 class CameraFrame:
     """From a camera's images to (rows, cols) px: orientation, and the part of the turned image that is shown.
 
-    part: left, top, right and bottom as fractions of the turned image. shape: (h, w) of the image that told it; others may be
+    part: left, top, right and bottom as fractions of the turned image. shape: (h, w) of the image in which it was found; others may be
     larger or smaller, but must have its shape. text: what is done, in one line, empty for nothing.
     """
 
@@ -147,8 +147,8 @@ def camera_frame(nocontact: np.ndarray, size: tuple[int, int]) -> CameraFrame:
     (rows, cols), done = nocontact.shape[:2], [str(orientation), cut]
     if (rows, cols) != tuple(size):
         done.append(f"scaled to {size[1]} x {size[0]}")
-    told = ", ".join(filter(None, done))
-    text = f"images of {cols} x {rows} are {told}" if told else ""
+    changes = ", ".join(filter(None, done))
+    text = f"images of {cols} x {rows} are {changes}" if changes else ""
     return CameraFrame((size[0], size[1]), (rows, cols), orientation, part, text)
 
 
@@ -196,8 +196,8 @@ def orientation_of(image: np.ndarray, points: np.ndarray, pitch: float) -> Orien
     """How a no-contact image (h, w, 3) uint8 RGB must be turned to lie as networks know it; as it is where nothing is sure."""
     height, width = image.shape[:2]
     light, fringes = light_moments(image), fringe_moments(image, points, pitch)
-    told = np.linalg.norm(fringes) >= LEAST_FRINGES
-    both = [(LIGHT, light)] + [(FRINGES, fringes)] * bool(told)
+    known = np.linalg.norm(fringes) >= LEAST_FRINGES
+    both = [(LIGHT, light)] + [(FRINGES, fringes)] * bool(known)
 
     def agreement(orientation: Orientation) -> list[float]:
         return [_correlation(known, orientation.moments(seen)) for known, seen in both]

@@ -29,9 +29,9 @@ def open_source(
 
     fault = file_fault(video) if video is not None else None
     if fault:
-        told = "no such video" if fault.startswith("No such file") else f"cannot be read as a video ({fault})"
-        raise BadInput(f"{video}: {told}; name an AVI or MP4 file")
-    # of a damaged film OpenCV's decoder tells thousands of lines, `Film` one
+        fault = "no such video" if fault.startswith("No such file") else f"cannot be read as a video ({fault})"
+        raise BadInput(f"{video}: {fault}; name an AVI or MP4 file")
+    # OpenCV's decoder prints thousands of lines about a corrupt film, `Film` one
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     source = cv2.VideoCapture(str(video)) if camera is None else cv2.VideoCapture(camera)
     if not source.isOpened():
@@ -50,7 +50,7 @@ def open_source(
 
 
 def without_index(video: Path) -> str:
-    """What tells of an MP4 that lacks its index, which is written last; empty for any other file."""
+    """The sign of an MP4 that lacks its index, which is written last; empty for any other file."""
     with video.open("rb") as stream:
         if stream.read(8)[4:] != b"ftyp":
             return ""

@@ -83,7 +83,7 @@ def _off_path(path: np.ndarray, now: np.ndarray) -> tuple[str, str] | None:
     """Whether a point (3,) mm is no later one of a path, whose points (n, 3) so far are dx, dy, dz of the rows that stand.
 
     It is held against how far all of them came: against the last one alone a press that is filmed slowly could go back by
-    steps that are each too small to tell.
+    steps that are each too small to see.
     """
     fault = _depth_fault(path, now) or _sideways_fault(path[:, :2], now[:2])
     if fault is None and (now == path[-1]).all():
@@ -109,7 +109,7 @@ def _sideways_fault(ways: np.ndarray, now: np.ndarray) -> tuple[str, str] | None
     column = "dx_mm" if abs(now[0] - farthest[0]) >= abs(now[1] - farthest[1]) else "dy_mm"
     if now @ farthest < (moved - NEAR_MM) * moved:
         return column, "goes back within its press: a press moves sideways in one direction"
-    # the line of the press is told best by its farthest point, and all others must lie on it
+    # the farthest point gives the line of the press best, and all others must lie on it
     x, y = now / goes if goes > moved else farthest / moved
     if np.abs(np.vstack([ways, now]) @ [-y, x]).max() > NEAR_MM:
         return column, "leaves the line of its press: a press moves sideways in one direction"

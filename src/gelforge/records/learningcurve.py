@@ -16,7 +16,7 @@ class Learning:
 
     hours: (n,) at the end of each epoch; error: (n,) least validation error of total force up to there, the sum of its
     three components' mean absolute errors, N. ended: whether more epochs of its schedule would change nothing.
-    expected: error at `FURTHER` times the hours, N; None where the training ended or too few epochs tell.
+    expected: error at `FURTHER` times the hours, N; None where the training ended or there are too few epochs.
     """
 
     hours: np.ndarray
@@ -63,7 +63,7 @@ def power_law(hours: np.ndarray, error: np.ndarray, at: float) -> float:
 
 
 def learning_of(about: dict[str, Any]) -> Learning | None:
-    """The course of a network's training from what its file tells of it; None where that holds no times of epochs."""
+    """The course of a network's training from what its file holds of it; None where that holds no times of epochs."""
     seconds = about["cost"].get("epoch_seconds", [])
     curve = about["curve"]
     if not seconds or len(seconds) != len(curve):
@@ -71,5 +71,5 @@ def learning_of(about: dict[str, Any]) -> Learning | None:
     hours = np.array(seconds) / 3600
     error = np.minimum.accumulate([row["val_total"] for row in curve])
     ended = has_ended(curve, about["train"])
-    told = not ended and len(curve) >= FEWEST and error[-1] > 0
-    return Learning(hours, error, ended, power_law(hours, error, FURTHER * hours[-1]) if told else None)
+    known = not ended and len(curve) >= FEWEST and error[-1] > 0
+    return Learning(hours, error, ended, power_law(hours, error, FURTHER * hours[-1]) if known else None)

@@ -104,7 +104,7 @@ def _some(rows: list[RawRow], path: str | Path) -> list[RawRow]:
 
 
 def _spelt(header: list[str], known: tuple[str, ...]) -> list[str]:
-    """A header whose known columns are spelt as they are here: Sample_ID, X0 mm and dz-mm are told by their letters.
+    """A header whose known columns are spelt as they are here: Sample_ID, X0 mm and dz-mm are known by their letters.
 
     A column that stands there as it is spelt here is that column, whatever another one is called.
     """

@@ -7,11 +7,13 @@ import numpy as np
 from gelforge.errors import BadInput
 
 PITCH_RANGE = (12.0, 90.0)  # px between neighbouring markers of any GelSight Mini image we know, with a margin of two
-LARGEST_TURN = 25.0  # degrees a gel can sit turned in its holder and still be told from the next lattice direction
+LARGEST_TURN = (
+    25.0  # degrees a gel can sit turned in its holder and still be distinguished from the next lattice direction
+)
 REACH = 0.3  # of the pitch: how far from its expected place a marker is still that marker
-LIT = 0.3  # of the brightest colour's background: below, a colour tells noise from ink no more
+LIT = 0.3  # of the brightest colour's background: below, a colour no longer separates noise from ink
 LEAST_SHARE = 0.5  # of the markers must be found for a grid to be believed
-LEAST_FOR_PITCH = 8  # markers that tell how far apart they are printed
+LEAST_FOR_PITCH = 8  # markers that give their distance
 UNEVEN = 0.15  # share by which such distances differ in one print
 
 

@@ -63,6 +63,6 @@ def sizes_of(model: Mapping[str, Any]) -> dict[str, Any]:
             raise BadInput(f"{name} is {str(value)[:60]!r}, it must be {wanted} from {least} to {most}")
     lists = {name: value for name, value in sizes.items() if isinstance(value, list)}
     if len({len(value) for value in lists.values()}) > 1:
-        told = " and ".join(f"{name} = {value}" for name, value in lists.items())
-        raise BadInput(f"{told}: a level of a network has one number of each; make them equally long")
+        values = " and ".join(f"{name} = {value}" for name, value in lists.items())
+        raise BadInput(f"{values}: a level of a network has one number of each; make them equally long")
     return sizes

@@ -38,7 +38,7 @@ SHALLOW, BORNE = 0.01, 1.0  # mm and N: no gel bears so much where it is pressed
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.\-]{0,99}", re.ASCII)
 
-# Why the cells of a row cannot be told apart: column that the rejection names, reason, hint.
+# Why the cells of a row cannot be separated: column that the rejection names, reason, hint.
 ROW_FAULTS = {
     "more_cells": (
         "sample_id",
@@ -201,13 +201,13 @@ class Rejection:
         return printable(f"{where}: {self.column} = {self.value!r}: {self.reason}; {self.hint}")
 
 
-MOST_ROWS = 5  # of one reason that are told by number
+MOST_ROWS = 5  # of one reason that are listed by number
 
 
-def told(rejections: Iterable[Rejection], verdict: str = "rejected") -> list[str]:
+def summarised(rejections: Iterable[Rejection], verdict: str = "rejected") -> list[str]:
     """A line for each reason against a column, as of its first row, with how many rows more it holds for and the first of them.
 
-    A log that lacks a column has the same reason against every row. What else is to be done is told beside each. verdict:
+    A log that lacks a column has the same reason against every row. What else is to be done is named beside each. verdict:
     what becomes of the rows.
     """
     alike: dict[tuple[str, str, str], list[Rejection]] = {}

@@ -21,7 +21,7 @@ def repeats(records: Sequence[PressRecord | RawRow], pictures: Sequence[Hashable
     return [members for members in several if len({records[at].press_id or at for at in members}) > 1]
 
 
-def tell_repeats(where: str, records: Sequence[PressRecord], found: Sequence[Sequence[int]]) -> str:
+def describe_repeats(where: str, records: Sequence[PressRecord], found: Sequence[Sequence[int]]) -> str:
     """One sentence about `repeats`; where: the file that the presses are of."""
     each = []
     for members in found[:MOST_NAMED]:

@@ -27,8 +27,8 @@ def write_maps(path, image, forces, title: str) -> None:
     panels = [captioned(image, wrapped(title, PANEL_PX - 2 * MARGIN_PX, WARNING_LINES), height)]
     for channel, force in enumerate(forces):
         span = max(float(np.abs(force).max()), FULL_COLOUR_N[channel])
-        told = [f"{TITLES[channel]}: {force.sum():+.3f} N", f"full colour: {span:.3g} N per cell"]
-        panels.append(captioned(signed_colours(force / span), told, height))
+        lines = [f"{TITLES[channel]}: {force.sum():+.3f} N", f"full colour: {span:.3g} N per cell"]
+        panels.append(captioned(signed_colours(force / span), lines, height))
     write_png(path, np.hstack(panels))
 
 

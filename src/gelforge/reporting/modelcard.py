@@ -194,7 +194,7 @@ def write_card(metadata: dict, evaluation: dict, figures: Sequence[dict] = (), r
         f"# Model card: {metadata['name']}",
         "",
         f"Reads one image of an optical tactile sensor, {metadata['image'][1]} x {metadata['image'][0]} pixels (RGB){beside} and "
-        f"tells the contact forces on its gel in N on a grid of {metadata['grid'][0]} x {metadata['grid'][1]} cells. "
+        f"predicts the contact forces on its gel in N on a grid of {metadata['grid'][0]} x {metadata['grid'][1]} cells. "
         f"{origin_of(metadata)}",
         "",
         *about_lines(metadata),

@@ -111,7 +111,7 @@ def draw_networks(
 
     :param rows: of stages.pareto_models, one a network; one without an error is not drawn against it.
     :param fronts: by key of PANELS, the names of the networks that no other beats in both latency and error.
-    :param courses: by name; None where a network's file tells no times.
+    :param courses: by name; None where a network's file holds no times.
     """
     figure = canvas(16, 4.6)
     *latencies, learning = figure.subplots(1, len(PANELS) + 1)

@@ -29,7 +29,7 @@ POWER, FITTED_MM = 2.0 / 3.0, (0.3 * CLOSED_MM, 10 * CLOSED_MM)
 # What pictures make of slopes: the gel's coating bridges this much, and flanks steeper than this are hardly brighter. With both
 # 45 real circles come out as they were marked (1.01 in the median), and those of 39 rendered balls 3 % too wide.
 SKIN_MM, LEVELS_OFF = 0.2, 0.5
-REACH_MM, BIN_MM, PIXEL_MM = 8.0, 0.1, 0.04  # how far, in what rings, and how finely slopes are laid out
+REACH_MM, BIN_MM, PIXEL_MM = 8.0, 0.1, 0.04  # how far, in what rings, and how finely slopes are sampled
 
 
 def contact_radius(result: HexResult, diameter: float, depth: float) -> float:

@@ -113,7 +113,7 @@ def calibrate(
         return Posterior(emulator, model, readings.depth, observed, params.tail)
 
     indenters = np.unique(readings.indenters).tolist()
-    # without sideways forces that serve, nothing tells how the bench yields sideways
+    # without sideways forces that serve, nothing shows how the bench yields sideways
     held = () if np.isfinite(observed[:, :2]).any() else ("shear_compliance",)
     headline = posterior_of(make_model(params, params.law, held, indenters))
     check_enough(int(np.isfinite(observed).sum()), headline.model)
@@ -305,7 +305,9 @@ def main(args: Namespace) -> None:
     from gelforge.geometry.indenters import load_indenters
 
     if (args.poses is None) != (args.shards is None):
-        raise BadInput("--poses and --shards go together: the plan tells which tables of --poses are of today's log")
+        raise BadInput(
+            "--poses and --shards go together: the plan names the tables of --poses that are of today's log"
+        )
     tables = read_slice(args.params, ForCalibrate)
     params, nu = tables.calibrate, float(tables.material.nu)
 

@@ -29,7 +29,7 @@ from gelforge.records.image import read_logged_image
 from gelforge.records.labelfile import FIELDS, open_labels, read_labels
 from gelforge.records.log import read_poses, read_shard, without_duplicates
 from gelforge.records.press import FORCE, ID_RULE, PressRecord, names_files, parse
-from gelforge.records.repeats import repeats, tell_repeats
+from gelforge.records.repeats import describe_repeats, repeats
 from gelforge.records.rowfile import RowFile, array_on_disk, write_rows
 from gelforge.records.samplefile import DatasetSample, write_samples
 from gelforge.records.splits import TRAINING
@@ -169,7 +169,7 @@ def _share_images(folder: Path, data: Path, presses: list[PressRecord], size) ->
 
 
 def repeated_pictures(path: Path, presses: list[PressRecord], where: str, strict: bool) -> list[list[int]]:
-    """Numbers of presses whose pictures are equal in each pixel, by picture; told, and refused where `strict`.
+    """Numbers of presses whose pictures are equal in each pixel, by picture; reported, and refused where `strict`.
 
     path: the array of all pictures. Labels of such presses contradict each other, and one would test what another taught.
     """
@@ -179,11 +179,11 @@ def repeated_pictures(path: Path, presses: list[PressRecord], where: str, strict
     )
     if not found:
         return found
-    told, hint = tell_repeats(where, presses, found), "give each press its own picture, or remove its row"
+    text, hint = describe_repeats(where, presses, found), "give each press its own picture, or remove its row"
     if strict:
-        raise BadInput(f"{told}; {hint}")
+        raise BadInput(f"{text}; {hint}")
     print(
-        f"note: {told}; all presses of one picture go to one split. Did the camera freeze? If so, {hint}",
+        f"note: {text}; all presses of one picture go to one split. Did the camera freeze? If so, {hint}",
         file=sys.stderr,
     )
     return found

@@ -222,11 +222,11 @@ def verify_press(press: PosedPress, keys: tuple[str, str], scenes: list[Scene], 
     path.unlink(missing_ok=True)
     result = solvers.solve_frames(scenes, "ccx")[-1]
     right = publish_solve(twin, result, solvers, keys[1], folder)
-    told = (key, press.sample_id, kind, way)
+    about = (key, press.sample_id, kind, way)
     sensor = sensor_of(SENSOR_TABLES, press.sensor_id, sensors[press.sensor_id])
     if right["fidelity"] != "ccx" or not right["files"]:
         reason = right["reason"] or "; ".join(right["evidence"].get("ladder", [])) or "CalculiX found no solution"
-        found = verification.compare(told, solvers.settings, reason, None)
+        found = verification.compare(about, solvers.settings, reason, None)
     else:
         result_mesh = solvers.family.load(right["mesh"])
         with np.load(folder / record["files"][-1], allow_pickle=False) as file:
@@ -234,7 +234,7 @@ def verify_press(press: PosedPress, keys: tuple[str, str], scenes: list[Scene], 
         meshes = [solvers.family.load(record["mesh"]), result_mesh]
         pairs = [(force.sum(axis=0), verification.surface_cells(mesh, force, sensor))
                  for mesh, force in zip(meshes, forces, strict=True)]  # fmt: skip
-        found = verification.compare(told, solvers.settings, *pairs)
+        found = verification.compare(about, solvers.settings, *pairs)
     verification.write_verified(path, found)
 
 

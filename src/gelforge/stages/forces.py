@@ -146,7 +146,7 @@ def main(args: Namespace) -> None:
     refuse_damage(args.fea, solves)
     for solve in solves:
         sample, reason = read_sample(solve, args.fea.parent, load, params.forces)
-        if solve.status.valid and reason:  # others were told of by stage 30
+        if solve.status.valid and reason:  # others were reported by stage 30
             print(f"failed: {sample.sample_id}: {sample.status}, {reason}")
         # At a fixed Poisson's ratio and prescribed motion every force is proportional to C10.
         samples.append(replace(sample, force=sample.force * (c10 / REFERENCE_C10)))

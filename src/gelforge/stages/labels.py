@@ -196,8 +196,8 @@ def _operator_of(forces, sample, sensor_of, find_operator, poses_path):
     if forces.ptr[sample] == forces.ptr[sample + 1]:
         return None
     if name not in sensor_of:
-        told = command_for("poses forces", poses_path)
-        raise BadInput(f"{poses_path}: has no sample {name}, which {forces.path} holds; run {told}")
+        command = command_for("poses forces", poses_path)
+        raise BadInput(f"{poses_path}: has no sample {name}, which {forces.path} holds; run {command}")
     return find_operator(str(forces.mesh[sample]), sensor_of[name])
 
 

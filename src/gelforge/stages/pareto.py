@@ -185,10 +185,10 @@ def reading(rows: list[dict], scenes: list[dict], fails: list[dict]) -> list[str
     for scene in scenes:
         check = scene.get("reference_check")
         if "reference_check" in scene:
-            told = "failed"
+            effect = "failed"
             if check:
-                told = f"moves total force by {check['total']:.2%} and cells by {check['cells']:.1%}"
-            said.append(f"Halving the reference's element size and load step on {scene['scene']} {told}.")
+                effect = f"moves total force by {check['total']:.2%} and cells by {check['cells']:.1%}"
+            said.append(f"Halving the reference's element size and load step on {scene['scene']} {effect}.")
     if fails:
         said.append(f"{len(fails)} solves gave no result; they are listed with their reasons.")
     return said

@@ -35,7 +35,7 @@ def assign_shards(
     """Return the shard of each id: what `known` says, new ones filling the last shard.
 
     A sample keeps its shard, so appending to a log leaves every full shard as it is. Samples of one press (`press_of`,
-    by id) are solved together: they go to its first one's shard, however full, also where they were told to be one
+    by id) are solved together: they go to its first one's shard, however full, also where they were given as one
     press after they had shards.
     """
     shards: dict[str, int] = {}
@@ -81,7 +81,7 @@ def known_shards(table: Path) -> dict[str, int]:
     rows = read_table(table, hint) if table.exists() else []
     # a row of the log without a sample_id has a shard, too: stage 10 rejects it there
     if not all("sample_id" in row and row.get("shard", "").isdecimal() for row in rows):
-        raise BadInput(f"{table}: does not tell the shard of every sample; {hint}")
+        raise BadInput(f"{table}: does not name the shard of every sample; {hint}")
     return {row["sample_id"]: int(row["shard"]) for row in rows}
 
 
@@ -184,7 +184,7 @@ def image_digests(data: Path, names: set[str], kept: Path) -> dict[str, str]:
         known = read_json(kept)
     except (OSError, ValueError):  # there is none yet, or it was damaged: pictures are read once more
         known = {}
-    told, found = {}, {}
+    seen, found = {}, {}
     for name in sorted(names):
         if not name or not stays_inside(data, name):
             continue
@@ -198,8 +198,8 @@ def image_digests(data: Path, names: set[str], kept: Path) -> dict[str, str]:
             digest = old[2] if same else blake2b(path.read_bytes(), digest_size=8).hexdigest()
         except (OSError, ValueError):
             continue
-        told[name], found[name] = [state.st_mtime_ns, state.st_size, digest], digest
-    write_if_changed(kept, config.canonical(told))
+        seen[name], found[name] = [state.st_mtime_ns, state.st_size, digest], digest
+    write_if_changed(kept, config.canonical(seen))
     return found
 
 
@@ -243,13 +243,13 @@ def make_list(name: str, values: list[str]) -> str:
 
 def state_of(paths: list[Path]) -> str:
     """Name, time and size of files as `stat -c %n:%.9Y:%s` prints them, to see later whether one was replaced."""
-    told = []
+    states = []
     for path in paths:
         if path.exists():
             found = path.stat()
             seconds, rest = divmod(found.st_mtime_ns, 10**9)
-            told.append(f"{path}:{seconds}.{rest:09d}:{found.st_size}")
-    return " ".join(told)
+            states.append(f"{path}:{seconds}.{rest:09d}:{found.st_size}")
+    return " ".join(states)
 
 
 def networks(workflow: Path) -> dict[str, dict]:
@@ -427,7 +427,7 @@ def without_ccx(params: config.Params, dataset_toml: Path) -> config.Params:
 def main(args: Namespace) -> None:
     out = args.out.parent
     dataset_toml = args.data / "dataset.toml"
-    before = state_of(args.inputs)  # told before they are read: a change in between is seen next time
+    before = state_of(args.inputs)  # taken before they are read: a change in between is seen next time
     params = config.load_params(args.workflow, dataset_toml)
     if args.ccx == "none":
         params = without_ccx(params, dataset_toml)
@@ -446,7 +446,7 @@ def main(args: Namespace) -> None:
     lists["LEARN_ALSO"] = list(params.train.also)
     lists["PLAN_READS"] = [str(path) for path in read]
     lists["PICTURES"] = picture_folders(args.data, rows)
-    lists["PICTURE_STATE"] = [picture_state(lists["PICTURES"])]  # told before they are read, too
+    lists["PICTURE_STATE"] = [picture_state(lists["PICTURES"])]  # taken before they are read, too
     text = "".join(make_list(name, values) for name, values in lists.items())
     write_slices(params, args.workflow, out, tables, scenes)
     shards = write_shards(args.data, rows, out, params.plan.shard_size, tables)

@@ -40,7 +40,7 @@ from gelforge.records.press import (
     Rejection,
     parse,
     reject,
-    told,
+    summarised,
 )
 
 VERSION = 7
@@ -262,7 +262,7 @@ def main(args: Namespace) -> None:
         good = [(sample, body) for sample, body in good if sample.row not in lost]
         rejections, doubtful = sorted([*rejections, *doubtful], key=lambda r: r.row), []
     write_shard(good, rejections, args.out, params)
-    for line in [*told(rejections), *told(doubtful, "note: kept, in one split with those like it")]:
+    for line in [*summarised(rejections), *summarised(doubtful, "note: kept, in one split with those like it")]:
         print(line, file=sys.stderr)
     if args.strict and rejections:
         count = len({r.row for r in rejections})

@@ -1,4 +1,4 @@
-"""Pictures of the README, made from what they show; beside each lies the digest of its data, so that a test can tell."""
+"""Pictures of the README, made from what they show; beside each lies the digest of its data, so that a test can check it."""
 
 import os
 import shutil

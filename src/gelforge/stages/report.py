@@ -110,8 +110,8 @@ def calibration_section(results: Path) -> Section:
     section = Section("Calibration")
     path = Layout(results).calibration
     if not path.exists():
-        told = Layout(results).command("calibrate")
-        return section.text(f"Not made: {told} (needs force readings in the log).", absent=True)
+        command = Layout(results).command("calibrate")
+        return section.text(f"Not made: {command} (needs force readings in the log).", absent=True)
     summary = read_json(path)
     parameters = {"c10": {"label": "C10 (MPa)", **summary["c10"]}, **summary["parameters"]}
     rows = [[v.get("label", name), v["median"], *v["interval68"], *v["interval95"]] for name, v in parameters.items()]
@@ -158,9 +158,9 @@ def force_section(results: Path, data: Path, rows: list[dict]) -> Section:
     if not presses:
         return section.text(none, absent=True)
     if frozen is None:
-        told = of.command("calibrated-labels")
+        command = of.command("calibrated-labels")
         section.text(
-            f"No calibration was frozen for this dataset: labels have the stiffness and the paths of params.toml ({told})."
+            f"No calibration was frozen for this dataset: labels have the stiffness and the paths of params.toml ({command})."
         )
     else:
         section.text(
@@ -286,7 +286,7 @@ def evaluation_tables(metrics: dict) -> list[tuple[str, list[str], list[list]]]:
 
 
 def calculix_version() -> str:
-    """Version of the CalculiX that solves run, as it tells it."""
+    """Version of the CalculiX that solves run, as it prints it."""
     program = ccx_program()
     if program is None:
         return ABSENT

@@ -151,8 +151,8 @@ def run(plan_path, data="data", workflow="workflow", jobs: int = 1) -> Path:
         if new:
             dataset.publish()
     counts = {"new": new, "only drawn again": drawn, "failed": len(failed)}
-    told = "".join(f", {count} {what}" for what, count in counts.items() if count or what == "new")
-    print(f"{folder}: {len(dataset.log)} samples{told}")
+    counted = "".join(f", {count} {what}" for what, count in counts.items() if count or what == "new")
+    print(f"{folder}: {len(dataset.log)} samples{counted}")
     for order, status in failed:
         print(f"  no equilibrium, left out: {order.sample_id} ({order.indenter}, {order.depth:.2f} mm: {status})")
     return folder

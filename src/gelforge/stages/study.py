@@ -19,7 +19,7 @@ WHOLE = "all"
 
 
 def rows_of(name: str, evaluation: dict) -> list[dict]:
-    """What a network that learnt from a part makes of each split: errors of total force, as `predict` tells it."""
+    """What a network that learnt from a part makes of each split: errors of total force, as `predict` reports it."""
     learnt = evaluation["dataset"]
     rows = []
     for split, found in evaluation["splits"].items():

@@ -55,7 +55,7 @@ def _answer(work, pipe):
     pipe.close()
 
 
-# Of the server that solves are forked from, and so of them: what a solve costs is told as of one thread, whatever the user
+# Of the server that solves are forked from, and so of them: the cost of a solve is that of one thread, whatever the user
 # has set, and a server that had several could not fork without some of its children hanging.
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 ASKED_BY = "GELFORGE_ASKED_BY"  # the process that began the server, with which it ends

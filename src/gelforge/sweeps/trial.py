@@ -84,7 +84,7 @@ def cells_of(mesh, forces: np.ndarray, sensor: Sensor) -> tuple[np.ndarray, np.n
 
 
 def outcome(result, mesh, sensor: Sensor | None) -> dict:
-    """The part of a record that the result itself tells."""
+    """The part of a record that comes from the result itself."""
     found = {"status": result.status.name, "total": result.total.tolist(), "nodes": len(mesh.nodes),
              "evidence": result.kept_evidence, "reason": ""}  # fmt: skip
     if not result.status.valid:

@@ -25,7 +25,7 @@ ALLOWED = 0.05  # fraction of the verified presses that may differ by more than 
 
 @dataclass(frozen=True)
 class Verified:
-    """One press solved both ways, as fractions of CalculiX' total force: differences, and the limits they should meet.
+    """One press solved by both methods, as fractions of CalculiX' total force: differences, and the limits they should meet.
 
     key: digest of what both solves depend on. kind: class of contact. way: how "auto" solved it. reason: why there are no
     differences, empty where there are. limits: sums of the benchmarked errors of both methods on this class.
@@ -68,19 +68,19 @@ def surface_cells(mesh: GelMesh, force: np.ndarray, sensor: Sensor) -> np.ndarra
 
 
 def compare(
-    told: tuple[str, str, str, str], settings: FeaTable, found: tuple[np.ndarray, np.ndarray] | str,
+    about: tuple[str, str, str, str], settings: FeaTable, found: tuple[np.ndarray, np.ndarray] | str,
     right: tuple[np.ndarray, np.ndarray] | None,
 ) -> Verified:  # fmt: skip
-    """The differences of a press; told: key, sample_id, class and method of `Verified`.
+    """The differences of a press; about: key, sample_id, class and method of `Verified`.
 
     found: total (3,) and cells (3, rows, columns) N of "auto", or why CalculiX has none. right: those of CalculiX.
     """
-    errors = charted_errors(told[2], settings)
-    total, cells = (errors[told[3]] + errors["ccx"])[:2]
+    errors = charted_errors(about[2], settings)
+    total, cells = (errors[about[3]] + errors["ccx"])[:2]
     if isinstance(found, str) or right is None:
-        return Verified(*told, str(found), None, None, float(total), float(cells))
+        return Verified(*about, str(found), None, None, float(total), float(cells))
     apart = total_error(found[0], right[0]), cell_error(found[1], right[1], right[0])
-    return Verified(*told, "", *apart, float(total), float(cells))
+    return Verified(*about, "", *apart, float(total), float(cells))
 
 
 def write_verified(path: Path, found: Verified) -> None:

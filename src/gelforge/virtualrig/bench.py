@@ -32,7 +32,7 @@ SETTINGS = HexSettings(
 )
 # Power of how much thinner a gel is, by which its force is larger: 1.0 under shallow balls, 1.7 under blocks.
 STIFFER = 1.5
-EVERY = 4  # of the lines of a body's heights by which its footprint is told
+EVERY = 4  # of the lines of a body's heights by which its footprint is found
 MOST_BRICKS = 500  # under a footprint: keeps the widest bars within seconds
 # A bench never diverges: where the steps were too long it takes shorter ones, and at last a less deep press,
 # which the log then reports.
@@ -183,7 +183,7 @@ class Bench:
         """Fine part of the mesh, laid so that a hexahedron straddles each side of the footprint. None: no footprint.
 
         A punch's flank is a step, and the picture shows it where the hexahedron that spans it lies. The size of hexahedra
-        is varied by a tenth so that the footprint is a whole number of hexahedra both ways. Hexahedra are larger where
+        is varied by a tenth so that the footprint is a whole number of hexahedra along both axes. Hexahedra are larger where
         the footprint would take more than MOST_BRICKS.
         """
         x, y, sunk, _ = self._sunk(name, real)

@@ -3,7 +3,7 @@
 The bench walks a whole path with Coulomb friction on hexahedra of 0.7 mm: under a large ball their forces are 1 to 3 % too
 strong, under edges 5 to 9 %, under sharp corners up to 20 %; sideways forces are half as much too strong. What a mesh adds
 belongs to the shape that is pressed, a little to friction and hardly to place, so the force of the hexahedra that labels are
-drafted with, over that of the bench's own, tells it for all presses of an indenter.
+drafted with, over that of the bench's own, gives it for all presses of an indenter.
 """
 
 from collections.abc import Callable, Sequence
@@ -53,8 +53,8 @@ def kept_factor(folder: Path, named: str, make: Callable[[], ForceFactor]) -> Fo
     found = _read(path)
     if found is None:
         found = make()
-        told = {"depth": found.depth.tolist(), "factor": found.factor.tolist(), "sideways": found.sideways}
-        write_json(path, told)
+        values = {"depth": found.depth.tolist(), "factor": found.factor.tolist(), "sideways": found.sideways}
+        write_json(path, values)
     return found
 
 
@@ -70,7 +70,7 @@ def _read(path: Path) -> ForceFactor | None:
 
 def name_of(gel: Gel, material: Material, body: Indenter, interface: Interface, settings: HexSettings) -> str:
     """Name of what a factor depends on; of the indenter that is its surface."""
-    told = [
+    parts = [
         asdict(gel),
         asdict(material),
         asdict(interface),
@@ -81,7 +81,7 @@ def name_of(gel: Gel, material: Material, body: Indenter, interface: Interface, 
         ASIDE,
         TURN_DEG,
     ]
-    return f"{body.name}-{surface_digest(body, canonical(told).encode())[:16]}"
+    return f"{body.name}-{surface_digest(body, canonical(parts).encode())[:16]}"
 
 
 def force_factor(
@@ -107,12 +107,12 @@ def force_factor(
         scenes = [Scene(gel, material, body, press, law) for press in presses]
         fine = _forces(scenes, quality(FINE))
         own = _forces(scenes, replace(settings, box=box_of(presses[-1])))
-        told = ((fine[:, 2] < 0) & (own[:, 2] < 0))[:MOMENTS]
-        if told[-1]:
+        valid = ((fine[:, 2] < 0) & (own[:, 2] < 0))[:MOMENTS]
+        if valid[-1]:
             ratios = mesh_ratios(fine, own)
-            normal, dragged = ratios[:MOMENTS][told, 2], ratios[-1, 0]
-            # a press that could not be dragged tells nothing of sideways force
-            return ForceFactor(depths[told], normal, float(dragged if np.isfinite(dragged) else normal[-1]))
+            normal, dragged = ratios[:MOMENTS][valid, 2], ratios[-1, 0]
+            # a press that could not be dragged says nothing of sideways force
+            return ForceFactor(depths[valid], normal, float(dragged if np.isfinite(dragged) else normal[-1]))
     raise SolveFailed(
         f"indenter {body.name!r}: no straight press of {', '.join(f'{d:g}' for d in DEPTHS)} mm could be solved on both "
         "meshes, so how much the bench's hexahedra add to its forces is not known; smooth its edges or leave it out"

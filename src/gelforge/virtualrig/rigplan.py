@@ -133,18 +133,18 @@ class Plan(RigTable):
 
     def identity(self) -> str:
         """Canonical text of everything that a press depends on but the number of presses."""
-        told = {key: value for key, value in asdict(self).items() if key != "params"}
-        # as plans were told apart before presses had moments, and sensors could be drawn
+        content = {key: value for key, value in asdict(self).items() if key != "params"}
+        # as plans were identified before presses had moments, and sensors could be drawn
         if self.frames == 1:
-            del told["frames"]
+            del content["frames"]
         if self.units is None:
-            del told["units"]
+            del content["units"]
         elif not self.units.gels:
-            del told["units"]["known_gels"], told["units"]["unseen_gels"]
-        for kind in told["kinds"]:
+            del content["units"]["known_gels"], content["units"]["unseen_gels"]
+        for kind in content["kinds"]:
             seen_by = kind.pop("seen_by")
             kind["each_sensor"] = seen_by if 1 < seen_by < len(kind["sensors"]) else seen_by > 1
-        return json.dumps({**told, "presses": None}, sort_keys=True)
+        return json.dumps({**content, "presses": None}, sort_keys=True)
 
     def gel_of(self, sensor: str) -> str:
         """Name of the gel on which a sensor sits."""
@@ -166,7 +166,7 @@ class Plan(RigTable):
 
 @dataclass(frozen=True)
 class Order:
-    """One press as ordered, seen by one sensor: what the bench is told to do, and its place in the plan.
+    """One press as ordered, seen by one sensor: what the bench is asked to do, and its place in the plan.
 
     index: of the press, unit: of the sensor among those that see it. gel: name of the gel that is pressed. press_id: what
     orders of one press share.

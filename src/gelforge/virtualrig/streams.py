@@ -1,4 +1,4 @@
-"""The streams of random numbers of a plan, in one table: what is drawn for one thing tells nothing of another.
+"""The streams of random numbers of a plan, in one table: what is drawn for one thing does not depend on another.
 
 A stream is a press of the plan and a purpose, a number from here, for `rigplan.generator`. The numbers follow no scheme
 that one would choose today. data/demo and every dataset since were drawn with them, and a plan that is carried out again

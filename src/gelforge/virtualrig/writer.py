@@ -49,7 +49,7 @@ class Dataset:
         return {row["sample_id"]: row for row in rows}
 
     def _before(self) -> dict:
-        """What truth.json tells of the plan that the folder was written by."""
+        """What truth.json holds of the plan that the folder was written by."""
         try:
             before = read_json(self.plan_path)
         except (OSError, ValueError) as error:
@@ -60,7 +60,7 @@ class Dataset:
 
     def _unknown_plan(self, fault: str) -> BadInput:
         return BadInput(
-            f"{self.plan_path}: does not tell which plan the folder was written by ({fault}); bring it back from a copy, or "
+            f"{self.plan_path}: does not say which plan the folder was written by ({fault}); bring it back from a copy, or "
             "remove the folder"
         )
 
@@ -188,7 +188,7 @@ def save_image(path, image: np.ndarray) -> None:
 
 
 def logged(pressing: Pressing) -> LoggedPress:
-    """The bench's record: what it was told to do and what its load cell read."""
+    """The bench's record: what it was asked to do and what its load cell read."""
     order, log = pressing.order, pressing.log
     path = (log.x0, log.y0, log.z0, log.dx, log.dy, log.dz, log.rot_deg)
     values = dict(zip((*POSE, *FORCES), (*path, *pressing.read_force, *pressing.read_moment), strict=True))

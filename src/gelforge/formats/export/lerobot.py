@@ -31,7 +31,7 @@ from gelforge.records.splits import TRAINING
 VERSION = "v3.0"
 FPS = 10
 CHUNK_FILES = 1000  # files a chunk folder holds at most
-MOST_PICTURES = 1000  # that tell the ranges of all: LeRobot itself takes as many of about 10 000
+MOST_PICTURES = 1000  # that give the ranges of all: LeRobot itself takes as many of about 10 000
 FILE_BYTES = 100e6  # of data a file holds at most, about
 NAMES = ("sample_id", "indenter", "sensor_id", "split")
 PICTURE, FORCES, STATE, WRENCH = (

@@ -84,7 +84,7 @@ function open(path) {
   };
   source.onerror = gone;
 }
-// What the recorder does now comes with all that the server tells, replayed events too; without new frames nothing can be recorded.
+// What the recorder does now comes with every event of the server, replayed events too; without new frames nothing can be recorded.
 function showRecorder({ recording, trouble }) {
   el("record").textContent = recording ? "Stop recording" : "Record";
   el("record").setAttribute("aria-pressed", recording);
@@ -100,17 +100,17 @@ async function ask(path, options) {
   try { return await (await fetch(path, options)).json(); } catch { gone(); return null; }
 }
 async function loadNames() {
-  const told = await ask("recordings");
-  if (!told) return;
-  el("which").replaceChildren(...told.names.map((name) => new Option(name, name)));
-  el("replay").disabled = el("which").disabled = !told.names.length;
-  el("unlisted").textContent = told.error || "";
-  showRecorder(told);
+  const state = await ask("recordings");
+  if (!state) return;
+  el("which").replaceChildren(...state.names.map((name) => new Option(name, name)));
+  el("replay").disabled = el("which").disabled = !state.names.length;
+  el("unlisted").textContent = state.error || "";
+  showRecorder(state);
 }
-// A stream that ended tells no more of the recorder, which goes on: it is asked.
+// A stream that ended says no more about the recorder, which keeps running: it is asked.
 async function lookAfter() {
-  const told = source.readyState === EventSource.CLOSED && await ask("recordings");
-  if (told) showRecorder(told);
+  const state = source.readyState === EventSource.CLOSED && await ask("recordings");
+  if (state) showRecorder(state);
 }
 el("record").onclick = async () => {
   const path = el("record").getAttribute("aria-pressed") === "true" ? "stop" : "record";

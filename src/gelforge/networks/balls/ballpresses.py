@@ -54,7 +54,7 @@ def px_per_mm_of(nocontact: np.ndarray) -> float:
     pitch = pitch_of(nocontact)
     if not pitch:
         raise BadInput(
-            "the no-contact image shows no markers, which alone tell px per mm: use a gel with markers, and a sharp image"
+            "the no-contact image shows no markers, which alone give px per mm: use a gel with markers, and a sharp image"
         )
     return pitch / MARKER_PITCH_MM
 
@@ -142,7 +142,7 @@ def _marked(path: Path) -> Circle:
 
 
 def _check_places(folder: Path, presses: list[BallPress], width: int) -> None:
-    """BadInput where all presses lie in one place: light differs over the gel, and one place does not tell the others'."""
+    """BadInput where all presses lie in one place: light differs over the gel, and one place does not show the others'."""
     centres = [(press.circle.u, press.circle.v) for press in presses]
     apart = max((float(np.hypot(a[0] - b[0], a[1] - b[1])) for a, b in combinations(centres, 2)), default=0.0)
     if apart < ONE_PLACE * width:

@@ -24,7 +24,7 @@ KEY = b"gelforge"  # of the metadata among `metadata_props`
 PROPERTY, BYTES = (
     14,
     2,
-)  # number of that field of ONNX' ModelProto, and protobuf's type of a field that tells its length
+)  # number of that field of ONNX' ModelProto, and protobuf's type of a field that states its length
 MOST_BYTES = 2**31
 CONVERT = "gelforge convert {path}"
 
@@ -48,7 +48,7 @@ def digest_of_graph(graph: bytes) -> str:
 
 
 def with_digests(metadata: dict[str, Any], stages: dict[str, bytes]) -> dict[str, Any]:
-    """Metadata as a file of these graphs tells it."""
+    """Metadata as a file of these graphs holds it."""
     digests = {name: digest_of_graph(graph) for name, graph in stages.items()}
     return metadata | {"format": FORMAT, "stages": list(stages), "sha256": digests}
 
@@ -98,9 +98,7 @@ def refuse_other_kinds(path: Path) -> None:
             f"{path}: is a model of an earlier version; convert it once with `{command}`, which needs gelforge[train]"
         )
     if path.suffix == ".safetensors":
-        raise BadInput(
-            f"{path}: holds weights that training goes on from; name {path.with_suffix('.onnx')} beside it"
-        )
+        raise BadInput(f"{path}: holds weights for further training; name {path.with_suffix('.onnx')} beside it")
 
 
 def _stage(path: Path, name: str, last: bytes) -> bytes:
@@ -175,7 +173,7 @@ def datasets_of(metadata: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def fingerprint(metadata: dict[str, Any]) -> str:
-    """What tells a model from all others: digests of its graphs."""
+    """Identity of a model: digests of its graphs."""
     return "-".join(metadata["sha256"][name][:16] for name in metadata["stages"])
 
 

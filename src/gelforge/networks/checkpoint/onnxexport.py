@@ -30,7 +30,7 @@ TOLERANCE = 1e-5
 
 
 class Exported(nn.Module):
-    """A network with its scales and, where `rotates`, the mean over both ways in which a picture may lie."""
+    """A network with its scales and, where `rotates`, test-time augmentation: the mean over an image and the same rotated by 180 degrees."""
 
     scale: torch.Tensor
     reversed_force: torch.Tensor

@@ -1,4 +1,4 @@
-"""Files that training goes on from: tensors and plain values as safetensors, of which nothing is ever executed."""
+"""Files that training resumes or is fine-tuned from: tensors and plain values as safetensors, of which nothing is ever executed."""
 
 import json
 from pathlib import Path
@@ -11,7 +11,7 @@ from gelforge.errors import BadInput
 from gelforge.networks.models.registry import build
 from gelforge.records.regular import file_fault
 
-TENSOR, PAIRS = "tensor", "pairs"  # how what JSON has not is told in it
+TENSOR, PAIRS = "tensor", "pairs"  # how what JSON lacks is encoded in it
 CONTENT = "content"
 
 
@@ -20,7 +20,7 @@ def write_tree(content: dict[Any, Any], path: Path) -> None:
     from safetensors.torch import save
 
     tensors: dict[str, torch.Tensor] = {}
-    text = json.dumps(_told(content, tensors))
+    text = json.dumps(_encoded(content, tensors))
     Path(path).write_bytes(save(tensors, {CONTENT: text}))
 
 
@@ -34,7 +34,7 @@ def read_tree(path: Path) -> dict[Any, Any]:
         if fault is None:
             with safe_open(path, "pt") as stored:
                 tensors = {name: stored.get_tensor(name) for name in stored.keys()}  # noqa: SIM118, it is no dictionary
-                content = _untold(json.loads(stored.metadata()[CONTENT]), tensors)
+                content = _decoded(json.loads(stored.metadata()[CONTENT]), tensors)
             if isinstance(content, dict):
                 return content
     except Exception as error:  # safetensors raises its own kinds, KeyError and TypeError for a corrupt file
@@ -42,24 +42,24 @@ def read_tree(path: Path) -> dict[Any, Any]:
     raise BadInput(f"{path}: holds no weights of gelforge ({fault or 'another content'}); train the model again")
 
 
-def _told(value: Any, tensors: dict[str, torch.Tensor]) -> Any:
+def _encoded(value: Any, tensors: dict[str, torch.Tensor]) -> Any:
     if isinstance(value, torch.Tensor):
         name = f"t{len(tensors)}"
         tensors[name] = value.detach().cpu().contiguous().clone()
         return {TENSOR: name}
     if isinstance(value, dict):
-        return {PAIRS: [[key, _told(one, tensors)] for key, one in value.items()]}
+        return {PAIRS: [[key, _encoded(one, tensors)] for key, one in value.items()]}
     if isinstance(value, list | tuple):
-        return [_told(one, tensors) for one in value]
+        return [_encoded(one, tensors) for one in value]
     return value
 
 
-def _untold(value: Any, tensors: dict[str, torch.Tensor]) -> Any:
+def _decoded(value: Any, tensors: dict[str, torch.Tensor]) -> Any:
     if isinstance(value, dict):
         if TENSOR in value:
             return tensors[value[TENSOR]]
-        return {key: _untold(one, tensors) for key, one in value[PAIRS]}
-    return [_untold(one, tensors) for one in value] if isinstance(value, list) else value
+        return {key: _decoded(one, tensors) for key, one in value[PAIRS]}
+    return [_decoded(one, tensors) for one in value] if isinstance(value, list) else value
 
 
 def tensors_of(net: nn.Module) -> dict[str, torch.Tensor]:

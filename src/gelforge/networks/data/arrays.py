@@ -39,7 +39,7 @@ class Data:
     images (n, height, width, 3) uint8 RGB; labels (n, 3, rows, cols) float32 N per cell, channels and
     signs as FEATS; table has one record per sample; splits gives row numbers by name; nocontact
     has the no-contact image (height, width, 3) uint8 RGB of each sensor that has one; shapes those of the gel, where the virtual rig
-    told them.
+    gave them.
     """
 
     folder: Path
@@ -56,7 +56,7 @@ class Data:
 
     @property
     def name(self) -> str:
-        """Of the dataset: that of its folder below results/ where it tells none."""
+        """Of the dataset: that of its folder below results/ where it names none."""
         return str(self.info.get("name", self.folder.parent.parent.name))
 
     @property
@@ -116,7 +116,7 @@ class Data:
         return light.undo(image)
 
     def presses(self, rows) -> np.ndarray:
-        """What tells the presses of some rows apart, (k,): several images may show one; where unknown, none does."""
+        """Identity of the press of some rows, (k,): several images may show one; where unknown, none does."""
         return np.array([self.table[row].group or f"row {row}" for row in rows])
 
     def totals(self, rows) -> np.ndarray:
@@ -132,8 +132,8 @@ def open_data(folder) -> Data:
     folder = Path(folder)
     for name in FILES:
         if not (folder / name).exists():
-            told = command_for("dataset", folder)
-            raise BadInput(f"{folder}: {name} is missing; make it with `{told}`, RES being the grid you want")
+            command = command_for("dataset", folder)
+            raise BadInput(f"{folder}: {name} is missing; make it with `{command}`, RES being the grid you want")
     images = RowFile(folder / "images.npy")
     labels, pictures = (map_array(folder / f"{name}.npy") for name in ("labels", "nocontact"))
     table = read_samples(folder / "samples.csv")
@@ -233,7 +233,7 @@ def split_validation(data: Data) -> tuple[np.ndarray, np.ndarray]:
 def calibration_rows(data: Data) -> np.ndarray:
     """Rows of presses and sensors that chose nothing, on which the size of intervals is set.
 
-    Beside the half of validation that chooses nothing it takes half of the unseen sensors; the others tell whether intervals
+    Beside the half of validation that chooses nothing it takes half of the unseen sensors; the others check whether intervals
     hold.
     """
     rows = np.concatenate([data.splits.get(name, np.zeros(0, int)) for name in (UNSEEN_SENSOR, UNSEEN_BOTH)])
@@ -244,7 +244,7 @@ def calibration_rows(data: Data) -> np.ndarray:
 
 
 def press_keys(data: Data, rows) -> np.ndarray:
-    """What tells the presses of some rows from all others, in whatever dataset and among whatever presses they are, (k,) text.
+    """Identity of the press of some rows among all presses of all datasets, (k,) text.
 
     Frames, depths and shears of one touch, by whatever sensor, are one press. A press without a pose is identified by
     its dataset, its name and the force that was measured.

@@ -61,7 +61,7 @@ def augment(images, settings: AugmentTable, generator):
 
 
 def shift_together(images, labels, cells: int, generator) -> tuple[np.ndarray, np.ndarray]:
-    """Move each image (n, h, w, channels) and its label (n, 3, rows, cols) alike, by up to `cells` cells both ways.
+    """Move each image (n, h, w, channels) and its label (n, 3, rows, cols) alike, by up to `cells` cells along both axes.
 
     What leaves one side comes in at the other, in both, so that no force is lost: half a contact at the rim is half
     the force. Places are drawn evenly, none moved or moved at random with equal odds.
@@ -78,14 +78,14 @@ def shift_together(images, labels, cells: int, generator) -> tuple[np.ndarray, n
 def misplace_nocontact(pairs: np.ndarray, narrow: np.ndarray, settings: AugmentTable, generator) -> np.ndarray:
     """Shift, turn and zoom the no-contact image of a share of the pairs (n, h, w, 6) uint8, as if the gel sat otherwise.
 
-    Where the gel is held its markers stand still under any force, so these tell the network what to take back. narrow: (n,)
+    Where the gel is held its markers do not move under any force, so these show the network what to take back. narrow: (n,)
     pairs that are left alone because they do not show these markers: there a common motion is sideways force.
     """
     return _misplaced(pairs, narrow, settings, generator)[0]
 
 
 def misplace_shapes(pairs: np.ndarray, motion: np.ndarray, settings: AugmentTable, generator):
-    """Shift, turn and zoom the no-contact image of a fraction of the pairs (n, h, w, 6) uint8, and let their motion tell it.
+    """Shift, turn and zoom the no-contact image of a fraction of the pairs (n, h, w, 6) uint8, and let their motion show it.
 
     motion: (n, 2, rows, cols) px of what appears moved in the image against the no-contact one. Returns both, changed.
     """

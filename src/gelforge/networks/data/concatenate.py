@@ -41,11 +41,11 @@ def concatenate(own: Data, others: Sequence[Data]) -> Data:
 
 
 def chained_shapes(every: Sequence[Data]) -> Shapes | None:
-    """The shapes of all images of several datasets; None where one of these tells none."""
-    told = [one.shapes for one in every if one.shapes is not None]
-    if len(told) < len(every):
+    """The shapes of all images of several datasets; None where one of these has none."""
+    known = [one.shapes for one in every if one.shapes is not None]
+    if len(known) < len(every):
         return None
-    return Shapes(ChainedRows([one.slopes for one in told]), ChainedRows([one.motion for one in told]))
+    return Shapes(ChainedRows([one.slopes for one in known]), ChainedRows([one.motion for one in known]))
 
 
 def carrying(dataset: str, sample: DatasetSample) -> DatasetSample:

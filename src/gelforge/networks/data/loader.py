@@ -110,7 +110,7 @@ def _varied(data, rows: np.ndarray, reads: str, settings: TrainingTable, mirrors
 
 
 def shaped_batches(data, norm: dict, settings: TrainingTable, epoch: int):
-    """Yield (input, target, slopes, motion) of one epoch of pairs whose shapes are told.
+    """Yield (input, target, slopes, motion) of one epoch of pairs whose shapes are known.
 
     Shapes (k, 6, h, w), (k, 3, rows, cols), and those of `networks.data.arrays.Shapes` in mm per mm and px. Colours are varied and
     no-contact images misplaced as [train.augment] says; coloured light does not mirror or shift, so images are not.

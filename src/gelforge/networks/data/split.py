@@ -46,7 +46,7 @@ def group_presses(
 def _close(places: np.ndarray, near: tuple[float, float, float], turn: float) -> np.ndarray:
     """Pairs (k, 2) of places (n, 3), x and y in mm and an angle in degrees, that are near along every axis.
 
-    turn: degrees after which angles repeat themselves; infinity where no angle tells places apart.
+    turn: degrees after which angles repeat themselves; infinity where no angle separates places.
     """
     from scipy.spatial import cKDTree
 
@@ -81,7 +81,7 @@ def split_presses(
     folds, repeated: as for `group_presses`. force: (n,) N. Unseen indenters and sensors make their own tests; a press that
     shows the picture of one of these goes there with all of its group. The groups of the others are dealt to training, validation and test as their first samples come. Whole presses that come
     later move none of them (but where they tie two groups together), so that a dataset may grow: what a network learnt
-    from is no test of one that goes on from it.
+    from is no test of one that is fine-tuned from it.
     """
     group = group_presses(presses, settings.same_press_mm, settings.same_press_deg, folds, repeated)
     split = np.array(

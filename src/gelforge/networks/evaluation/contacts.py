@@ -1,10 +1,10 @@
-"""Each contact of a press for itself: where a label shows several, and what a network tells of each of them."""
+"""Each contact of a press for itself: where a label shows several, and what a network predicts of each of them."""
 
 import numpy as np
 
 LEAST_CELL = 0.02  # of the strongest cell's normal force, below which a cell belongs to no contact
 LEAST_FORCE = 0.5  # N below which what is pressed is no contact of its own
-REACH = 2.0  # cells around a contact in which what a network tells still belongs to it
+REACH = 2.0  # cells around a contact in which what a network predicts still belongs to it
 
 
 def contacts_of(label: np.ndarray) -> np.ndarray:
@@ -36,12 +36,14 @@ def contact_forces(labels: np.ndarray, forces: np.ndarray) -> np.ndarray:
     from scipy import ndimage
 
     pairs = []
-    for label, told in zip(labels, forces, strict=True):
+    for label, predicted in zip(labels, forces, strict=True):
         contact = contacts_of(label)
         count = int(contact.max(initial=0))
         if count > 1:
             which = np.arange(1, count + 1)
-            pairs.append(np.stack([-ndimage.sum_labels(part[2], contact, which) for part in (label, told)], axis=1))
+            pairs.append(
+                np.stack([-ndimage.sum_labels(part[2], contact, which) for part in (label, predicted)], axis=1)
+            )
     return np.concatenate(pairs) if pairs else np.zeros((0, 2))
 
 

@@ -84,7 +84,7 @@ def controls(
 def known_rows(model: ForceModel, data: Data) -> np.ndarray:
     """Which rows of a dataset (n,) bool show presses that a model learnt from, in whatever dataset these were.
 
-    Each press is told by itself, so a dataset that has grown holds both. Models of before, which name no presses, are taken to
+    Each press is identified by itself, so a dataset that has grown holds both. Models of before, which name no presses, are taken to
     know those of the datasets that they name.
     """
     lessons = datasets_of(model.metadata)

@@ -25,13 +25,13 @@ from gelforge.networks.uncertainty.ood import (
 from gelforge.records.markers import pitch_of
 from gelforge.records.splits import TRAINING, VALIDATION
 
-ENOUGH_PAIRS = 200  # pictures that tell what good pairs are like
+ENOUGH_PAIRS = 200  # pictures that show what good pairs are like
 
 
 def set_limits(
     metadata: dict[str, Any], data: Data, settings: TrainingTable, before: dict[str, Any] | None
 ) -> dict[str, Any]:
-    """The part of a model's metadata that tells what pictures it learnt from: `statistics`, and the pitch of their markers.
+    """The part of a model's metadata that describes the pictures it learnt from: `statistics`, and the pitch of their markers.
 
     before: metadata of the network that it is fine-tuned from, whose limits are widened where few pictures are new.
     """
@@ -63,7 +63,7 @@ def appearances(data: Data, reads: str, settings: TrainingTable) -> Callable[[in
 
 
 def usual_rows(data: Data) -> np.ndarray:
-    """Rows whose pairs tell what good ones are like: validation's, and where these are few some that trained, evenly picked.
+    """Rows whose pairs show what good ones are like: validation's, and where these are few some that trained, evenly picked.
 
     What a pair is like has nothing to do with what a network learnt from it.
     """
@@ -97,7 +97,7 @@ def learnt_pitch(data: Data, before: dict[str, Any] | None) -> dict[str, list[fl
 
 
 def set_intervals(model: ForceModel, data: Data) -> dict[str, Any]:
-    """The part of a model's metadata that tells its 90 % prediction intervals, set on presses that chose nothing.
+    """The part of a model's metadata that gives its 90 % prediction intervals, set on presses that chose nothing.
 
     Empty where the model writes another grid than the dataset has, and no intervals where presses are too few.
     """

@@ -2,7 +2,7 @@
 
 A network learnt how gels of one stiffness look under force. Force is proportional to the stiffness of the gel, so what a
 softer, harder or thicker gel makes wrong is, to first order, one factor, and a few readings of a kitchen scale or a force
-sensor tell it.
+sensor give it.
 """
 
 import datetime
@@ -24,9 +24,9 @@ from gelforge.records.image import read_image, write_png
 from gelforge.records.markers import pitch_of
 
 SPREAD = 0.3  # of a factor's logarithm before any reading: gels, prints and cameras differ by a third
-SCATTER, KNOWN = 0.15, 2.0  # of one reading's logarithm, as two readings would tell it before any is made
+SCATTER, KNOWN = 0.15, 2.0  # of one reading's logarithm, as two readings would give it before any is made
 MAKE_IT = "make it with `gelforge sensor`"  # what to do where there is no profile
-# Of the logarithm of what balls tell, in all presses alike: circles are seen 5 % too wide or too narrow, and force goes with the
+# Of the logarithm of the factor from balls, in all presses alike: circles are seen 5 % too wide or too narrow, and force goes with the
 # fourth power of the radius; diameters are a catalogue's. A quarter in nine of ten cases.
 LEVEL = 0.14
 WEAK_N = 1.0  # forces of about this size and below say little of a factor
@@ -50,7 +50,7 @@ class Gain:
 
     @property
     def unsure(self) -> float:
-        """Half of the interval as a share of the factor; none of one that no reading told, which changes nothing."""
+        """Half of the interval as a share of the factor; none of one that comes from no reading, which changes nothing."""
         return (self.high - self.low) / (2 * self.value) if self.readings else 0.0
 
 
@@ -62,7 +62,7 @@ class SensorProfile:
     """One sensor: name, date of the profile, no-contact image (h, w, 3) uint8 RGB, distance of its markers, gain.
 
     pitch: px between neighbouring markers, 0 where the gel has none. model: name of the network whose readings were compared,
-    network: what tells it from all others (`fingerprint`).
+    network: its identity (`fingerprint`).
     """
 
     name: str
@@ -75,7 +75,7 @@ class SensorProfile:
 
 
 def of_balls(gain: Gain) -> Gain:
-    """A factor that presses of a ball told, with what all of them have in common and none tells: LEVEL."""
+    """A factor from presses of a ball, with the uncertainty that all of them have in common: LEVEL."""
     half = math.hypot(math.log(gain.high / gain.low) / 2, USUAL * LEVEL)
     return replace(gain, low=gain.value * math.exp(-half), high=gain.value * math.exp(half))
 
@@ -96,7 +96,7 @@ def fit_gain(measured: np.ndarray, read: np.ndarray, before: Gain = AS_READ) -> 
     known = (2 * USUAL / math.log(before.high / before.low)) ** 2
     precision = known + weight.sum() / scatter
     mean = (known * math.log(before.value) + float(weight @ ratio) / scatter) / precision
-    wider = student_quantile(0.5 + SHARE / 2, freedom) / USUAL  # of the readings' part: few do not tell their scatter
+    wider = student_quantile(0.5 + SHARE / 2, freedom) / USUAL  # of the readings' part: few do not show their scatter
     half = USUAL / math.sqrt(known + weight.sum() / scatter / wider**2)
     return Gain(math.exp(mean), math.exp(mean - half), math.exp(mean + half), before.readings + len(ratio))
 
@@ -123,10 +123,10 @@ def fit_opposite(opposite: np.ndarray, read: np.ndarray, other: Gain) -> Gain:
     freedom = KNOWN + count - 1
     spread = 1.4826 * float(np.median(np.abs(ratio - centre)))
     scatter = (KNOWN * GRASP_SCATTER**2 + (count - 1) * spread**2) / freedom
-    told, before = count / (math.pi / 2 * scatter), 1.0 / (2 * SPREAD**2)
-    mean = (told * centre + before * math.log(other.value)) / (told + before)
+    measured, before = count / (math.pi / 2 * scatter), 1.0 / (2 * SPREAD**2)
+    mean = (measured * centre + before * math.log(other.value)) / (measured + before)
     known = math.log(other.high / other.low) / (2 * USUAL)
-    half = student_quantile(0.5 + SHARE / 2, freedom) * math.sqrt(1.0 / (told + before) + known**2)
+    half = student_quantile(0.5 + SHARE / 2, freedom) * math.sqrt(1.0 / (measured + before) + known**2)
     return Gain(math.exp(mean), math.exp(mean - half), math.exp(mean + half), count)
 
 

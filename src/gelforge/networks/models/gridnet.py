@@ -30,8 +30,8 @@ class GridNet(nn.Module):
     """A strided encoder that stops at the label grid and never decodes to full resolution.
 
     A wide first stride reads the image once; residual blocks at the label grid, dilated so that a
-    cell sees its surroundings, do the rest. A vector of global means tells every cell the sensor's
-    light and the whole contact, and two coordinates tell it where it is.
+    cell sees its surroundings, do the rest. A vector of global means gives every cell the sensor's
+    light and the whole contact, and two coordinates give its place.
 
     :param image: height and width in pixels; the grid must divide both by the same factor.
     :param width: channels before the grid; twice as many at the grid.

@@ -1,7 +1,7 @@
 """Photometric normalisation: a picture brought under the light of the no-contact image of its sensor.
 
 Light drifts between the two: lamps warm up, a camera sets its exposure anew, a press shades the whole gel. A network that
-reads differences takes that for force. What does not touch tells the drift: most of the picture changes by one gain and one
+reads differences takes that for force. What does not touch shows the drift: most of the picture changes by one gain and one
 offset a colour, and where something touches it changes otherwise.
 """
 
@@ -20,8 +20,8 @@ SETTLED = 0.02  # levels by which a round still changes what light makes of them
 LEAST_SCALE = 1.5  # levels that a place may differ by through noise alone
 # Scales beyond which a place has no weight (Tukey's biweight: Beaton and Tukey 1974, Technometrics 16, 147-185).
 REACH = 3.0
-TIED = 4.0  # levels squared of contrast below which a gain is hardly told from an offset, and taken for 1
-LEAST_SHARE = 0.25  # of the picture that must agree, or nothing tells what the light does
+TIED = 4.0  # levels squared of contrast below which a gain is hardly distinguished from an offset, and taken for 1
+LEAST_SHARE = 0.25  # of the picture that must agree, or the change of the light is unknown
 DARK, BRIGHT = 4, 250  # levels between which a camera's answer is believed
 MOST_GAIN = 2.0  # a factor beyond which pictures are not of one sensor under one light
 
@@ -53,7 +53,7 @@ class Light:
         return cv2.LUT(np.ascontiguousarray(image), table[None])
 
 
-NO_LIGHT = Light(np.ones(3), np.zeros(3), 0.0, 0.0, False)  # of a picture that tells nothing of it
+NO_LIGHT = Light(np.ones(3), np.zeros(3), 0.0, 0.0, False)  # of a picture that does not show it
 
 
 def match_light(image: np.ndarray, nocontact: np.ndarray) -> Light:

@@ -1,7 +1,7 @@
 """The markers of a gel: where they are in the no-contact image, and where optical flow finds them in another picture.
 
 Light does not move markers. What they do is mechanics alone: they spread around a press and go along with a drag, on a unit
-of any contrast. All together they tell whether the gel sits as it did (networks.uncertainty.ood).
+of any contrast. All together they show whether the gel is mounted as it was (networks.uncertainty.ood).
 """
 
 import contextlib

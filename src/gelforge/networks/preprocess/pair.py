@@ -111,7 +111,7 @@ class Preprocessor:
         if self.nocontact is None:
             return Prepared(sized, sized, fault, None, None)
         prepared = self._beside(self.nocontact, self.nocontact.view.of(sized), fault)
-        if not self.nocontact.view.whole:  # a view without the gel's rim tells nothing of how it sits
+        if not self.nocontact.view.whole:  # a view without the gel's rim does not show how it is mounted
             return prepared
         shift = rim_shift(self.nocontact.markers, prepared.tracks)
         return self._beside(self.nocontact, shifted_back(prepared.image, shift), fault) if shift.any() else prepared

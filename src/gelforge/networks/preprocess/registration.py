@@ -14,7 +14,7 @@ LEAST_FOUND = 0.5  # of the rim's markers, that must be found
 
 
 def rim_shift(markers: MarkerTracker, tracks: Tracks) -> np.ndarray:
-    """Shift (2,) px along u and v that is to be taken back; 0 where the rim tells none."""
+    """Shift (2,) px along u and v that is to be taken back; 0 where the rim shows none."""
     found = markers.rim & tracks.found
     if not markers.known or found.sum() < max(1, LEAST_FOUND * markers.rim.sum()):
         return np.zeros(2)

@@ -9,7 +9,7 @@ import numpy as np
 from gelforge.errors import BadInput
 
 ZOOMS = (0.5, 1.6)  # between which a picture still shows what a network looks for
-SLACK = 0.02  # of the markers' distance: how well a picture tells it
+SLACK = 0.02  # of the markers' distance: how well a picture shows it
 SAME_SHAPE = 0.02  # fraction by which the sides of a picture may be in another ratio than the model's
 
 
@@ -75,7 +75,7 @@ WHOLE = View(1.0, (0.0, 0.0, 0.0))
 def at_scale(pitch: float, learnt: Sequence[float]) -> bool:
     """Whether markers `pitch` px apart stand as those that a network learnt from, of which `learnt` is as in `view_of`.
 
-    A picture without markers (pitch 0) tells no scale and passes.
+    A picture without markers (pitch 0) has no known scale and passes.
     """
     return pitch == 0.0 or (1 - SLACK) * learnt[0] <= pitch <= (1 + SLACK) * learnt[1]
 

@@ -1,4 +1,4 @@
-"""What a network of two stages is taught by: the gel's shape where the virtual rig told it, and forces from both."""
+"""What a network of two stages is taught by: the gel's shape where the virtual rig gave it, and forces from both."""
 
 import torch
 from torch.nn import functional as F
@@ -10,8 +10,8 @@ LEAST_N = 1.0  # N below which an error of force counts as much as at this force
 # fields; motion by a zoom and turn of the whole gel, a shift in px, and smooth fields in px. Real tables and holders do so.
 GAIN, AXIS_GAIN, FIELDS = 0.12, 0.05, ((6, 8, 0.03), (24, 32, 0.03))
 SIMILARITY, SHIFT_PX, MOTION_PX = 0.004, 0.5, 0.15
-WITHOUT_MOTION = 0.3  # fraction of shapes whose motion is not told, as on a gel without markers
-SHAPE_WEIGHT, TOLD_WEIGHT = 0.15, 0.5
+WITHOUT_MOTION = 0.3  # fraction of shapes whose motion is left out, as on a gel without markers
+SHAPE_WEIGHT, TRUE_SHAPE_WEIGHT = 0.15, 0.5
 CONTRAST = 8.0  # by how much more a slope of one counts than a level place, which most of a picture is
 
 
@@ -26,31 +26,31 @@ def relative_loss(output, wanted, scale) -> torch.Tensor:
     normal = -target[:, 2]
     per_cell = ((output - wanted) ** 2).sum((1, 2, 3))
     cells = (per_cell / (normal.clamp(min=0) + LEAST_N) ** 1.5).mean()
-    found, told = (torch.log(one.clamp(min=0) + 0.3) for one in (-total[:, 2], normal))
+    found, true = (torch.log(one.clamp(min=0) + 0.3) for one in (-total[:, 2], normal))
     shear = F.smooth_l1_loss(total[:, :2], target[:, :2], beta=0.1, reduction="none").sum(1)
     shear = (shear / (0.1 * normal.clamp(min=0) + 0.3)).mean()
-    return 2.0 * cells + F.smooth_l1_loss(found, told, beta=0.1) + 0.3 * shear
+    return 2.0 * cells + F.smooth_l1_loss(found, true, beta=0.1) + 0.3 * shear
 
 
-def shape_loss(slopes, motion, told_slopes, told_motion) -> torch.Tensor:
-    """Errors of predicted slopes (n, 2, h, w) and motion (n, 2, k, l) px against those that the rig told."""
-    weight = 1.0 + CONTRAST * told_slopes.norm(dim=1, keepdim=True)
-    error = F.smooth_l1_loss(slopes, told_slopes, beta=0.1, reduction="none")
-    return 60.0 * (weight * error).mean() + F.smooth_l1_loss(motion, told_motion, beta=0.3)
+def shape_loss(slopes, motion, true_slopes, true_motion) -> torch.Tensor:
+    """Errors of predicted slopes (n, 2, h, w) and motion (n, 2, k, l) px against those of the rig."""
+    weight = 1.0 + CONTRAST * true_slopes.norm(dim=1, keepdim=True)
+    error = F.smooth_l1_loss(slopes, true_slopes, beta=0.1, reduction="none")
+    return 60.0 * (weight * error).mean() + F.smooth_l1_loss(motion, true_motion, beta=0.3)
 
 
 def taught(net: GeometryNet, pairs, wanted, slopes, motion, scale, generator: torch.Generator) -> torch.Tensor:
-    """Loss of a batch whose shapes are told.
+    """Loss of a batch whose shapes are known.
 
     pairs: (n, 6, h, w) inputs; wanted: (n, 3, rows, cols) in training units; slopes (n, 2, h / 2, w / 2), motion (n, 2, h / 8,
-    w / 8) px. The second stage learns from the shape that the first one predicts, and from the told one, disturbed.
+    w / 8) px. The second stage learns from the shape that the first one predicts, and from the true one, disturbed.
     """
     seen_slopes, seen_motion = net.slopes(pairs)
     loss = SHAPE_WEIGHT * shape_loss(seen_slopes, seen_motion, slopes, motion)
     loss = loss + relative_loss(net.forces(seen_slopes, seen_motion), wanted, scale)
-    told_slopes, told_motion = disturbed(slopes, motion, generator)
-    told_slopes, told_motion, told = mirrored(told_slopes, told_motion, wanted, generator)
-    return loss + TOLD_WEIGHT * relative_loss(net.forces(told_slopes, told_motion), told, scale)
+    true_slopes, true_motion = disturbed(slopes, motion, generator)
+    true_slopes, true_motion, target = mirrored(true_slopes, true_motion, wanted, generator)
+    return loss + TRUE_SHAPE_WEIGHT * relative_loss(net.forces(true_slopes, true_motion), target, scale)
 
 
 def disturbed(slopes, motion, generator: torch.Generator):
@@ -75,8 +75,8 @@ def disturbed(slopes, motion, generator: torch.Generator):
     motion = motion + torch.stack([zoom * u - turn * v, turn * u + zoom * v], 1) + SHIFT_PX * normal(2, 1, 1)
     field = MOTION_PX * normal(2, 5, 6) * uniform(1, 1, 1)
     motion = motion + F.interpolate(field, (high, wide), mode="bilinear", align_corners=False)
-    told = torch.rand(n, 1, 1, 1, generator=generator) >= WITHOUT_MOTION
-    return slopes, motion * told.to(device)
+    known = torch.rand(n, 1, 1, 1, generator=generator) >= WITHOUT_MOTION
+    return slopes, motion * known.to(device)
 
 
 def mirrored(slopes, motion, wanted, generator: torch.Generator):

@@ -26,7 +26,7 @@ from gelforge.records.axes import CHANNELS
 from gelforge.records.networkkind import kind_of
 from gelforge.records.splits import TRAINING, VALIDATION
 
-# Of the way from the weights that a network goes on from to those that it learnt, where validation looks between the two.
+# Of the way from the weights that a network is fine-tuned from to those that it learnt, where validation looks between the two.
 FRACTIONS = (0.25, 0.5, 0.75)
 
 
@@ -163,7 +163,7 @@ class Training:
         self.epochs_done = self.steps_in_epoch = 0
         self.curve: list[dict] = []
         self.best: dict[str, Any] = {"epoch": 0, "val_score": float("inf"), "weights": None}
-        self.start: dict[str, Any] | None = None  # weights that it goes on from, and their validation
+        self.start: dict[str, Any] | None = None  # weights that it is fine-tuned from, and their validation
         self.fraction = 1.0  # of the way from these to the best ones, where those of the finished network lie
         # seconds: of all, step_seconds: of the steps alone, epoch_seconds: of all up to the end of each epoch
         self.cost: dict[str, Any] = {
@@ -188,7 +188,7 @@ class Training:
         """Put the best epoch's weights into the network, or some between these and the ones that it went on from.
 
         Of two datasets learnt one after the other, weights between have more of both: they err less on pictures of either and
-        on others (Wortsman et al. 2022, Robust fine-tuning of zero-shot models, CVPR, section 3.2). Validation tells which.
+        on others (Wortsman et al. 2022, Robust fine-tuning of zero-shot models, CVPR, section 3.2). Validation selects which.
         """
         best = self.best["weights"]
         if self.start is not None:
@@ -352,7 +352,7 @@ def fit(training: Training, data, checkpoint=None, identity: str = "", epochs: i
     """Train up to `epochs` (all of them if None), then let validation choose the network's weights (`Training.finish`).
 
     :param checkpoint: file to resume from and to write every `checkpoint_seconds`; None for neither.
-    :param identity: text that tells one training from another; a checkpoint of another one is not used.
+    :param identity: text that identifies one training; a checkpoint of another one is not used.
     """
     resume(checkpoint, training, identity)
     planned = training.settings.epochs

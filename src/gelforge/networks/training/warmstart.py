@@ -38,8 +38,10 @@ def require_alike(metadata: dict[str, Any], model: dict[str, Any], data: Data) -
     if both and differ == ["blocks"] and model["kind"] == "grid" and before["blocks"] < model["blocks"]:
         differ = []  # a light net can be made deeper
     if differ:
-        told = ", ".join(f"{key} = {model.get(key)!r}, there {before.get(key)!r}" for key in differ)
-        raise BadInput(f"it cannot be fine-tuned from {name}, which is another network: {told}; give the same values")
+        values = ", ".join(f"{key} = {model.get(key)!r}, there {before.get(key)!r}" for key in differ)
+        raise BadInput(
+            f"it cannot be fine-tuned from {name}, which is another network: {values}; give the same values"
+        )
     if [list(data.grid), list(data.image_size)] != [metadata["grid"], metadata["image"]]:
         (rows, cols), (high, wide) = metadata["grid"], metadata["image"]
         (of_rows, of_cols), (height, width) = data.grid, data.image_size
@@ -51,11 +53,11 @@ def require_alike(metadata: dict[str, Any], model: dict[str, Any], data: Data) -
 
 
 def require_judges(metadata: dict[str, Any], data: Data) -> None:
-    """Raise BadInput where too few presses validate to tell whether a network that is fine-tuned has become better."""
+    """Raise BadInput where too few presses validate to show whether a network that is fine-tuned has become better."""
     count = len(np.unique(data.presses(data.splits[VALIDATION])))
     if count < FEWEST_JUDGES:
         raise BadInput(
-            f"{data.folder}: of its presses {count} validate, too few to tell whether a network that is fine-tuned from"
+            f"{data.folder}: of its presses {count} validate, too few to show whether a network that is fine-tuned from"
             f" {metadata['name']} becomes better, which takes {FEWEST_JUDGES}: raise [params.dataset] validation, to 0.25 for a few"
             " dozen presses, or log more"
         )

@@ -17,7 +17,7 @@ from gelforge.networks.inference.sensorprofile import AS_READ, Gain
 from gelforge.records.axes import CHANNELS
 
 HOLDS = 0.9  # share of the forces that intervals shall hold
-LEAST_PICTURES = 20  # fewer tell no such share
+LEAST_PICTURES = 20  # fewer give no such fraction
 LEAST_PRESSES = 9  # the largest error of k presses holds k of k + 1: of fewer it holds less than HOLDS
 ROUNDS = 5  # of least squares, each weighting an error by what the one before expects of it
 
@@ -43,7 +43,7 @@ def magnitudes(totals: np.ndarray) -> np.ndarray:
 def conformal_size(in_scale: np.ndarray, press: np.ndarray) -> float:
     """The least size, in units of a scale, that holds HOLDS of other presses; the largest if none is sure to.
 
-    in_scale: (n,) errors over their scale. press: (n,) what tells their presses apart: of k presses it holds HOLDS (k + 1), a
+    in_scale: (n,) errors over their scale. press: (n,) their presses: of k presses it holds HOLDS (k + 1), a
     press counting by the fraction of its pictures that it holds.
     """
     order = np.argsort(in_scale)
@@ -60,7 +60,7 @@ def usual_error(component: np.ndarray, magnitude: np.ndarray, error: np.ndarray)
     """
     from scipy.optimize import nnls  # who only reads pictures needs no scipy
 
-    least = max(0.05 * float(error.mean()), 1e-9)  # of the base: no force is told without any error
+    least = max(0.05 * float(error.mean()), 1e-9)  # of the base: no force is predicted without any error
     grows = np.column_stack([np.ones(len(error)), component, magnitude])
     expected = np.full(len(error), max(float(error.mean()), least))
     for _ in range(ROUNDS):
@@ -72,7 +72,7 @@ def usual_error(component: np.ndarray, magnitude: np.ndarray, error: np.ndarray)
 
 @dataclass(frozen=True)
 class Errors:
-    """Predicted totals (n, 3) N, what they were wrong by (n, 3) N, and what tells their presses apart, (n,)."""
+    """Predicted totals (n, 3) N, what they were wrong by (n, 3) N, and their presses, (n,)."""
 
     total: np.ndarray
     error: np.ndarray

@@ -13,7 +13,7 @@ from gelforge.networks.preprocess.pair import Prepared
 from gelforge.records.markers import find_blobs
 
 # Smallest standard deviation that a statistic is given, so that a uniform training set does not flag
-# what no eye could tell apart: grey levels for the colours, a marker or two for the count.
+# what no eye could distinguish: grey levels for the colours, a marker or two for the count.
 FLOORS = np.array([4.0] * 12 + [2.0] * 3 + [0.15, 2.0, 4.0])
 MARKER_AREA = (25, 500)  # pixels at 320 x 240; FEATS' markers have about 106
 MARKER_DEPTH = 18  # grey levels below their surroundings
@@ -26,8 +26,8 @@ RELIEF_MARGIN = 1.25
 # Markers of one gel that sits otherwise, or of another gel, move alike: one of ten by more than this share of what another one of
 # ten does, and than so many px. Of 700 presses of the rig, dragged ones too, four in a thousand do.
 ALIKE_SHARE, ALIKE_PX = 0.55, 1.0
-# Another gel's markers look otherwise, too: beyond the first share of such markers less of a common motion tells, beyond the second
-# no motion is needed. Of 238 frames of real films none is told so beside its own no-contact image, beside that of the
+# Another gel's markers look otherwise, too: beyond the first share of such markers less of a common motion suffices, beyond the second
+# no motion is needed. Of 238 frames of real films none is flagged so beside its own no-contact image, beside that of the
 # gripper's other finger 99 % are; of presses of the rig, cropped to seven tenths, 2 %, most of them of 30 N and more.
 OTHER_LOOK, OTHER_LOOK_ALIKE_SHARE, MOST_OTHER_LOOK = 0.27, 0.25, 0.5
 GREY = 1.5  # levels by which the colours of a picture differ in the mean where it has none
@@ -190,7 +190,7 @@ def relief(nocontact) -> float:
 
 
 def relief_fault(limits: dict, value: float) -> str:
-    """What tells that something touches a sensor in its no-contact image; empty where nothing does."""
+    """The sign that something touches a sensor in its no-contact image; empty where nothing does."""
     most = limits.get("largest_relief", np.inf)
     if value <= most:
         return ""
@@ -199,7 +199,7 @@ def relief_fault(limits: dict, value: float) -> str:
 
 @dataclass(frozen=True)
 class MarkerDiagnostics:
-    """What the markers of a no-contact image, found in an image, tell of whether both are of one sensor that sat alike.
+    """Whether both images are of one sensor, mounted alike, by the markers of a no-contact image that are found in an image.
 
     rim_px: how far half of the rim's markers moved at least, px. rim_lost: share of them that does not look as it did.
     uneven: px; in the quarter of all places where it departs least, the motion of a marker departs from the middle of its
@@ -217,9 +217,9 @@ class MarkerDiagnostics:
 
 @dataclass(frozen=True)
 class PairDiagnostics:
-    """What tells whether an image and a no-contact image are of one sensor that sat alike.
+    """Signs whether an image and a no-contact image are of one sensor that was mounted alike.
 
-    distance: of the image, brought to the other's light, levels. light: what was taken back. markers: what they tell.
+    distance: of the image, brought to the other's light, levels. light: what was taken back. markers: what they show.
     """
 
     distance: float
@@ -228,7 +228,7 @@ class PairDiagnostics:
 
 
 def pair_diagnostics(seen: Prepared) -> PairDiagnostics | None:
-    """What tells whether a picture and its no-contact image belong together; None beside a model of one picture."""
+    """Diagnostics whether an image and its no-contact image belong together; None beside a model of one picture."""
     if seen.nocontact is None or seen.light is None:
         return None
     markers = seen.nocontact.markers
@@ -315,7 +315,7 @@ def pair_limits(found: Sequence[PairDiagnostics]) -> dict[str, float]:
 
 
 def pair_fault(limits: dict, pair: PairDiagnostics) -> str:
-    """What tells that the pictures of a pair do not belong together; empty where nothing does."""
+    """The sign that the images of a pair do not belong together; empty where nothing does."""
     light, markers = pair.light, pair.markers
     unlike = light.residual > limits.get("largest_residual", np.inf) or light.share < limits.get("least_share", 0.0)
     faults = {

@@ -215,15 +215,15 @@ const PARTS = new Map(), WAITING = new Map();
 window.gelforgePart = (number, presses) => {
   PARTS.set(number, presses);
   if (DATA.parts.beside && PARTS.size > 40) PARTS.delete(PARTS.keys().next().value);
-  for (const tell of WAITING.get(number) || []) tell();
+  for (const resume of WAITING.get(number) || []) resume();
   WAITING.delete(number);
 };
 function part(number) {
   if (PARTS.has(number)) return Promise.resolve(PARTS.get(number));
   return new Promise((resolve, reject) => {
-    const told = () => resolve(PARTS.get(number));
-    if (WAITING.has(number)) { WAITING.get(number).push(told); return; }
-    WAITING.set(number, [told]);
+    const resume = () => resolve(PARTS.get(number));
+    if (WAITING.has(number)) { WAITING.get(number).push(resume); return; }
+    WAITING.set(number, [resume]);
     if (!DATA.parts.beside) return; // it stands further down in this page
     const script = make("script", { src: `${DATA.parts.beside}/${number}.js` });
     script.onload = () => script.remove();

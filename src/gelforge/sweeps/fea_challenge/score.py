@@ -1,6 +1,6 @@
 """Score forces of any simulator against the references of this folder; python score.py FOLDER [--out score.json].
 
-FOLDER holds one SCENE.csv for each scene that was solved, in one of two forms, told apart by the header:
+FOLDER holds one SCENE.csv for each scene that was solved, in one of two forms, distinguished by the header:
   row,column,fx_n,fy_n,fz_n   force per cell in N
   x_mm,y_mm,fx_n,fy_n,fz_n    forces in N at points of the undeformed surface; each counts for the cell it lies in
 and, if times shall be shown, seconds.csv with the columns scene,seconds. Needs NumPy and nothing else.
