@@ -31,9 +31,9 @@ endif
 # Networks that read a picture beside a no-contact image. Without such pictures none of them can be judged, which
 # is said here, and not after the presses are solved.
 WITH_NOCONTACT := shipped $(call of_toml,beside)
-WANTED = $(if $(filter evaluate report demo study,$(MAKECMDGOALS)),$(MODEL)) $(if $(filter train onnx ship,$(MAKECMDGOALS)),$(LEARNT)) \
+ASKED = $(if $(filter evaluate report demo study,$(MAKECMDGOALS)),$(MODEL)) $(if $(filter train onnx ship,$(MAKECMDGOALS)),$(LEARNT)) \
     $(if $(filter models evaluate-models,$(MAKECMDGOALS)),$(LEARNABLE)) $(if $(filter pareto-models,$(MAKECMDGOALS)),$(or $(call by_hand,CHARTED),$(LEARNABLE)))
-UNREADABLE = $(firstword $(filter $(WITH_NOCONTACT),$(WANTED)))
+UNREADABLE = $(firstword $(filter $(WITH_NOCONTACT),$(ASKED)))
 ifneq ($(and $(wildcard $(DATA)),$(if $(wildcard $(DATA)/nocontact),,no),$(UNREADABLE)),)
 $(error MODEL=$(UNREADABLE) reads a picture beside a no-contact image, and $(DATA)/nocontact is missing: add nocontact/SENSOR.png of each sensor, or name a network that reads the image alone, such as grid_16 ([params.report] model in $(DATA)/dataset.toml))
 endif

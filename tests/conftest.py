@@ -40,9 +40,7 @@ LONG = (
     "test_rig",
     "test_benchmarks",
     "test_hex",
-    "test_placement",
     "test_rig_forces",
-    "test_dots",
     "test_flow",
 )
 

@@ -43,8 +43,8 @@ class FoxgloveClient:
             self.channels[channel["topic"]] = channel
             name = channel["schemaName"]
             self.decoders[channel["id"]] = channel["topic"], generate_dynamic(name, channel["schema"])[name]
-            wanted = [{"id": channel["id"], "channelId": channel["id"]}]
-            self.socket.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+            expected = [{"id": channel["id"], "channelId": channel["id"]}]
+            self.socket.send(json.dumps({"op": "subscribe", "subscriptions": expected}))
 
     def close(self) -> None:
         """Leave."""

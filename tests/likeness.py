@@ -65,7 +65,9 @@ def _peak(profile: np.ndarray) -> float:
     return k + (0.5 * (below - above) / bend if bend < 0 else 0.0)
 
 
-def tracked_dots(before: np.ndarray, after: np.ndarray, expected: np.ndarray, start: np.ndarray, reach: float = 8.0):
+def tracked_markers(
+    before: np.ndarray, after: np.ndarray, expected: np.ndarray, start: np.ndarray, reach: float = 8.0
+):
     """Displacement of markers between two pictures by their dark-weighted centres, and which could be followed.
 
     start, expected: (n, 2) px, where the markers stand in `before` and roughly in `after`. Returns (n, 2) and (n,) bool.

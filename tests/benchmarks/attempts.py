@@ -20,15 +20,15 @@ CANARY = "pwned"  # what foreign code would leave behind
 
 @dataclass(frozen=True)
 class Case:
-    """One thing to try. run(folder) returns what was answered; wanted: that answer of clean input, None: a refusal.
+    """One thing to try. run(folder) returns what was answered; expected: that answer of clean input, None: a refusal.
 
-    strict: nothing but the wanted answer will do, as where bad input must not stop the good.
+    strict: nothing but the expected answer will do, as where bad input must not stop the good.
     """
 
     area: str
     name: str
     run: Callable[[Path], object]
-    wanted: object = None
+    expected: object = None
     strict: bool = False
 
 
@@ -64,9 +64,9 @@ def verdict(case: Case, found: dict, strangers: list[str]) -> str:
         return ""
     if found["status"] != "answered":
         return f"{found['status']}: {found.get('reason', '')[:300]}"
-    if case.wanted is None:
+    if case.expected is None:
         return f"accepted: {str(found['answer'])[:200]}"
-    return "" if found["answer"] == case.wanted else f"another answer: {str(found['answer'])[:200]}"
+    return "" if found["answer"] == case.expected else f"another answer: {str(found['answer'])[:200]}"
 
 
 def judge(case: Case, work: Path) -> dict:

@@ -349,9 +349,9 @@ def key_cases() -> Iterator[Case]:
         if isinstance(value, int | float) and not isinstance(value, bool):
             changed = replace(params, fea=replace(params.fea, **{name: value * 2}))
             # they choose a fidelity, or limit how long it may take
-            wanted = "the same key" if name in ("tolerance", "cell_tolerance", "timeout_s") else "another"
-            yield Case("keys", f"fea.{name}", judged(lambda c=changed: key(q=c)), wanted)
-    for name, value, wanted in (
+            expected = "the same key" if name in ("tolerance", "cell_tolerance", "timeout_s") else "another"
+            yield Case("keys", f"fea.{name}", judged(lambda c=changed: key(q=c)), expected)
+    for name, value, expected in (
         ("interface.law", "frictionless", "another"),
         ("interface.mu", 0.7, "the same key"),
         ("material.nu", 0.45, "another"),
@@ -359,7 +359,7 @@ def key_cases() -> Iterator[Case]:
     ):
         table, _, field = name.partition(".")
         changed = replace(params, **{table: replace(getattr(params, table), **{field: value})})
-        yield Case("keys", name, judged(lambda c=changed: key(q=c)), wanted)
+        yield Case("keys", name, judged(lambda c=changed: key(q=c)), expected)
     for name, change in (
         ("diameter", {"diameter": 15.001}),
         ("height", {"height": 11}),

@@ -75,15 +75,15 @@ class Sandboxes:
     def __init__(self, base: Path):
         self.raw = lay_project(base / "flow-raw")
         self.built = shutil.copytree(self.raw, base / "flow-built", symlinks=True)
-        self.wanted = finish(self.built)
+        self.expected = finish(self.built)
 
-    def case(self, name: str, start: Path, act: Act, wanted: object = None) -> Case:
-        """A case on a copy of one of the two; nothing but the wanted answer will do."""
+    def case(self, name: str, start: Path, act: Act, expected: object = None) -> Case:
+        """A case on a copy of one of the two; nothing but the expected answer will do."""
 
         def run(folder: Path) -> object:
             return act(shutil.copytree(start, folder / "project", symlinks=True))
 
-        return Case("flow", name, run, self.wanted if wanted is None else wanted, strict=True)
+        return Case("flow", name, run, self.expected if expected is None else expected, strict=True)
 
 
 # -- results that are damaged
@@ -158,7 +158,7 @@ def disk_cases(boxes: Sandboxes) -> Iterator[Case]:
             small.mkdir(exist_ok=True)
             mounted = ["mount", "-t", "tmpfs", "-o", f"size={kib}k", "tmpfs", str(small)]
             if subprocess.run(mounted, capture_output=True).returncode:
-                return boxes.wanted  # a disk cannot be mounted here
+                return boxes.expected  # a disk cannot be mounted here
             try:
                 try:
                     finish(project)
@@ -228,7 +228,7 @@ def midway_cases(boxes: Sandboxes) -> Iterator[Case]:
         change = edited(f"data/{NAME}/dataset.toml", old, new)
         fresh = shutil.copytree(boxes.raw, boxes.raw.with_name(f"fresh {name}".replace(" ", "-")), symlinks=True)
         change(fresh)
-        wanted = finish(fresh)
+        expected = finish(fresh)
         for after in (0.3, 1.0, 2.0, 3.0, 4.0, 5.5):
 
             def act(project: Path, change=change, after=after) -> object:
@@ -242,7 +242,7 @@ def midway_cases(boxes: Sandboxes) -> Iterator[Case]:
                 started.wait()
                 return finish(project)
 
-            yield boxes.case(f"{name} changes {after:g} s after make started", boxes.raw, act, wanted)
+            yield boxes.case(f"{name} changes {after:g} s after make started", boxes.raw, act, expected)
 
 
 # -- links and languages
@@ -290,7 +290,7 @@ def link_cases(boxes: Sandboxes) -> Iterator[Case]:
 def language_cases(boxes: Sandboxes) -> Iterator[Case]:
     def act(project: Path) -> object:
         environment = comma_language(project)
-        return boxes.wanted if environment is None else content_with(project, environment=environment)
+        return boxes.expected if environment is None else content_with(project, environment=environment)
 
     yield boxes.case("numbers have a comma", boxes.built, act)
 

@@ -156,13 +156,13 @@ def cuboid(rig: Rig, reference: Path) -> list[Figure]:
     # larger by what half of a flank is nearer to it.
     marked, _ = read_points(reference / "feats" / "point_correspondences.csv")
     corners = camera.seen(marked, np.array([[0.0, 0.0, pressing.real.dz / 2]]))
-    wanted = np.array([corners[:, 0].min(), corners[:, 0].max(), corners[:, 1].min(), corners[:, 1].max()])
+    expected = np.array([corners[:, 0].min(), corners[:, 0].max(), corners[:, 1].min(), corners[:, 1].max()])
     middle = camera.seen(
         np.array([[pressing.real.x0, pressing.real.y0]]), np.array([[pressing.real.dx, pressing.real.dy, 0.0]])
     )[0]
     sides = measure.steepest(camera.height(*rig.view(pressing)), middle)
-    shift = middle - [np.mean(wanted[:2]), np.mean(wanted[2:])]
-    off = np.abs(sides - wanted - np.repeat(shift, 2))
+    shift = middle - [np.mean(expected[:2]), np.mean(expected[2:])]
+    off = np.abs(sides - expected - np.repeat(shift, 2))
     pictures = (*no_contact_pair(rig, reference), real_cuboid(reference), rig.picture(pressing))
     motion, ours = dot_motions(*pictures)
     moved = np.linalg.norm(motion, axis=1) > MOVED_PX
@@ -186,7 +186,7 @@ def dot_motions(real_before, before, real_after, after) -> tuple[np.ndarray, np.
     Gels sit a few px apart in their holders, which the mean takes away; a print that is a little larger would
     be read as motion.
     """
-    start, end, our_start, our_end = (_all_dots(image) for image in (real_before, real_after, before, after))
+    start, end, our_start, our_end = (_all_markers(image) for image in (real_before, real_after, before, after))
     return tuple(motion - motion.mean(axis=0) for motion in (end - start, our_end - our_start))
 
 
@@ -202,7 +202,7 @@ def cosines(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return (a * b).sum(axis=1) / np.linalg.norm(a, axis=1) / np.linalg.norm(b, axis=1)
 
 
-def _all_dots(image: np.ndarray) -> np.ndarray:
+def _all_markers(image: np.ndarray) -> np.ndarray:
     """Place (63, 2) px of every marker, row by row."""
     grid = find_markers(image, 7, 9)
     if grid.count != 63:
@@ -236,7 +236,7 @@ def tracking_errors(rig: Rig, cameras: dict[str, Renderer], pressings: list[Pres
         start, expected = camera.appearance.markers, measure.markers_by_mechanics(camera, pressing.result)
         before = camera.image(rng=generator(rig.plan, index, streams.camera(1, 0)))
         after = camera.image(*rig.view(pressing), generator(rig.plan, index, streams.camera(0, 0)))
-        motion, followed = measure.tracked_dots(before, after, expected, start)
+        motion, followed = measure.tracked_markers(before, after, expected, start)
         whole = camera.appearance.diameter
         followed &= measure.inside_image(start, whole) & measure.inside_image(expected, whole)
         errors.append(np.linalg.norm(motion - (expected - start), axis=1)[followed])

@@ -228,14 +228,14 @@ def readings_left(units: Units, read: np.ndarray) -> list[dict]:
             stiffness = 1.0 + rng.uniform(-SOFTER_HARDER, SOFTER_HARDER)
             rows = rng.permutation(np.flatnonzero(own))
             measured = stiffness * true[rows] + rng.normal(0.0, READ_NOISE, len(rows))
-            wanted = float(np.exp(np.median(np.log(stiffness * true[rows] / normal[rows]))))
+            expected = float(np.exp(np.median(np.log(stiffness * true[rows] / normal[rows]))))
             for count in COUNTS:
                 if count >= len(rows):
                     continue
                 gain = fit_gain(measured[:count], normal[rows[:count]])
                 rest = rows[count:]
                 force = np.abs(gain.value * normal[rest] - stiffness * true[rest]).mean()
-                left[count].append((abs(gain.value / wanted - 1.0), force, gain.low <= wanted <= gain.high))
+                left[count].append((abs(gain.value / expected - 1.0), force, gain.low <= expected <= gain.high))
     rows = []
     for count, values in left.items():
         if values:

@@ -48,9 +48,9 @@ def test_kinds_get_their_share_at_every_length(weights, presses):
     plan = read_plan(PLAN)
     plan = replace(plan, kinds=tuple(replace(plan.kinds[0], weight=w) for w in weights))
     count = np.bincount(kind_of(plan, presses)[0], minlength=len(weights))
-    wanted = presses * np.array(weights) / sum(weights)
+    expected = presses * np.array(weights) / sum(weights)
     # the kind furthest behind is served next, so none is ahead by a whole press
-    assert (count - wanted < 1.0).all()
+    assert (count - expected < 1.0).all()
     assert count.sum() == presses
 
 
@@ -72,7 +72,7 @@ def linear_field(shift, stretch, turn_deg):
     turn=st.floats(-2.0, 2.0),
 )
 @settings(max_examples=20)
-def test_dots_go_where_the_gel_goes(name, shift, stretch, turn):
+def test_markers_go_where_the_gel_goes(name, shift, stretch, turn):
     eye = camera(name)
     field, moves = linear_field(np.array(shift), stretch, turn)
     points = gel_points(eye, eye.appearance.markers)

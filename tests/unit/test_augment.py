@@ -38,9 +38,9 @@ def test_a_shift_moves_image_and_label_alike_and_loses_nothing():
     images, labels = rng.integers(0, 256, (16, 24, 32, 3), np.uint8), rng.normal(size=(16, 3, 6, 8)).astype("f4")
     # pictures of the labels: each cell shows its own force
     images[..., 0] = np.kron(labels[:, 0], np.ones((4, 4))) * 30 + 120
-    seen, wanted = shift_together(images, labels, 2, torch.Generator().manual_seed(1))
-    assert np.abs(np.kron(wanted[:, 0], np.ones((4, 4))) * 30 + 120 - seen[..., 0]).max() < 1  # bytes
-    np.testing.assert_allclose(wanted.sum((2, 3)), labels.sum((2, 3)), rtol=1e-5, atol=1e-5)
+    seen, target = shift_together(images, labels, 2, torch.Generator().manual_seed(1))
+    assert np.abs(np.kron(target[:, 0], np.ones((4, 4))) * 30 + 120 - seen[..., 0]).max() < 1  # bytes
+    np.testing.assert_allclose(target.sum((2, 3)), labels.sum((2, 3)), rtol=1e-5, atol=1e-5)
     moved = (seen != images).any((1, 2, 3))
     assert 0 < moved.sum() < 16
 
@@ -52,9 +52,9 @@ def test_a_mirrored_press_is_a_press():
     labels = np.stack([np.stack([u, v, h]) for h in height]).astype("f4")
     images = np.repeat(np.kron(height, np.ones((4, 4)))[..., None], 3, -1).astype(np.uint8)
     before = images.copy(), labels.copy()
-    seen, wanted = mirror_together(images, labels, torch.Generator().manual_seed(1))
-    np.testing.assert_array_equal(wanted[:, :2], labels[:, :2])
-    np.testing.assert_array_equal(seen[:, ::4, ::4, 0], wanted[:, 2])
+    seen, target = mirror_together(images, labels, torch.Generator().manual_seed(1))
+    np.testing.assert_array_equal(target[:, :2], labels[:, :2])
+    np.testing.assert_array_equal(seen[:, ::4, ::4, 0], target[:, 2])
     moved = (seen != images).any((1, 2, 3))
     assert 0 < moved.sum() < 16
     np.testing.assert_array_equal(images, before[0])  # the mapped file's own rows stay
@@ -101,15 +101,15 @@ def test_a_narrow_view_shows_no_force_and_no_difference_at_its_rim():
     pairs = rng.integers(0, 255, (30, 24, 32, 6), np.uint8)
     labels = rng.normal(size=(30, 3, 6, 8)).astype(np.float32)
     settings = replace(SETTINGS.augment, narrowed_share=1.0, narrowed=0.6)
-    seen, wanted, chosen = narrow_views(pairs, labels, settings, torch.Generator().manual_seed(1))
-    hidden_cells = (wanted == 0).all(axis=1)
+    seen, target, chosen = narrow_views(pairs, labels, settings, torch.Generator().manual_seed(1))
+    hidden_cells = (target == 0).all(axis=1)
     assert 5 < hidden_cells.any(axis=(1, 2)).sum() <= 30
     assert chosen.all()
     for k in range(30):
         hidden_pixels = np.kron(hidden_cells[k], np.ones((4, 4), bool))
         assert np.array_equal(seen[k][~hidden_pixels], pairs[k][~hidden_pixels])
         assert (seen[k][hidden_pixels][:, :3] == seen[k][hidden_pixels][:, 3:]).all()
-        assert np.array_equal(wanted[k][:, ~hidden_cells[k]], labels[k][:, ~hidden_cells[k]])
+        assert np.array_equal(target[k][:, ~hidden_cells[k]], labels[k][:, ~hidden_cells[k]])
     none = narrow_views(pairs, labels, replace(settings, narrowed_share=0.0), torch.Generator().manual_seed(1))
     assert np.array_equal(none[0], pairs) and np.array_equal(none[1], labels)
 

@@ -35,11 +35,11 @@ def test_every_size_and_crop_shows_the_same_markers_in_the_same_places(picture, 
     frame = camera_frame(made, SIZE)
     shown = frame(made)
     assert shown.shape == (*SIZE, 3) and shown.flags.c_contiguous
-    pitch, wanted = pitch_of(shown), pitch_of(picture)
+    pitch, expected = pitch_of(shown), pitch_of(picture)
     # as the maker's driver shows it
-    assert pitch == pytest.approx(wanted, rel=0.01)
+    assert pitch == pytest.approx(expected, rel=0.01)
     grown = cv2.warpAffine(
-        picture, cv2.getRotationMatrix2D((159.5, 119.5), 0, pitch / wanted), SIZE[::-1], borderMode=1
+        picture, cv2.getRotationMatrix2D((159.5, 119.5), 0, pitch / expected), SIZE[::-1], borderMode=1
     )
     (found, _), (places, _) = find_blobs(shown), find_blobs(grown)
     found, places = found - np.median(found, axis=0), places - np.median(places, axis=0)

@@ -144,7 +144,7 @@ def test_a_camera_that_sees_less_shows_the_same_where_it_sees(seed, zoom):
     assert hidden.any() and (back[hidden] == np.rint(cropped.mean(axis=(0, 1)))).all()
 
 
-def test_a_camera_of_the_learnt_scale_or_without_dots_is_left_as_it_is():
+def test_a_camera_of_the_learnt_scale_or_without_markers_is_left_as_it_is():
     for pitch in (31.0, 32.0, 33.0, 33.5, 0.0):
         view = view_of(gel(0), pitch, (31.0, 33.0))
         assert view.zoom == 1.0 and view.of(gel(1)) is not None
@@ -234,11 +234,11 @@ def test_a_gel_that_was_shifted_in_its_holder_is_shifted_back(nocontact, far):
     """As far as contact cannot have done it: not at all below, nearly all of it far beyond."""
     rest = nocontact[0]
     markers = MarkerTracker(rest)
-    wanted = far * np.array([0.8, 0.6])
-    shift = rim_shift(markers, markers.track(moved(rest, tuple(wanted))))
-    left = wanted - shift
+    expected = far * np.array([0.8, 0.6])
+    shift = rim_shift(markers, markers.track(moved(rest, tuple(expected))))
+    left = expected - shift
     assert np.hypot(*left) == pytest.approx(min(far, OF_CONTACT**2 / far) if far else 0.0, abs=0.15)
-    back = shifted_back(moved(rest, tuple(wanted)), wanted).astype(int)
+    back = shifted_back(moved(rest, tuple(expected)), expected).astype(int)
     assert np.abs(back - rest)[20:-20, 20:-20].mean() < 1.0
 
 

@@ -45,9 +45,9 @@ def test_contacts_are_those_of_the_shape_however_it_lies():
     rng = np.random.default_rng(0)
     label = pressed((3, 4, 4, 0.5), (12, 18, 3, 1.0)) * rng.uniform(0.9, 1.1, (3, 24, 32))
     forces = label * rng.uniform(0.9, 1.1, label.shape)
-    wanted = np.sort(contact_forces(label[None], forces[None]), axis=0)
+    expected = np.sort(contact_forces(label[None], forces[None]), axis=0)
     for turn in (lambda a: a[:, ::-1], lambda a: a[:, :, ::-1], lambda a: a.transpose(0, 2, 1)):
         found = contact_forces(turn(label)[None], turn(forces)[None])
-        assert np.sort(found, axis=0) == pytest.approx(wanted)
+        assert np.sort(found, axis=0) == pytest.approx(expected)
     assert set(np.unique(contacts_of(label))) == {0, 1, 2}
     assert (contacts_of(label) > 0).sum() > 25 * REACH / 2

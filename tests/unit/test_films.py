@@ -57,8 +57,8 @@ def test_times_begin_with_the_first_frame(tmp_path):
 def test_an_mp4_of_variable_rate_has_its_own_times_too(tmp_path):
     steps = [40, 40, 320, 40, 80, 40, 200, 40, 40, 160]
     found = all_frames(write_mp4(tmp_path / "a.mp4", shades(len(steps)), steps))
-    wanted = np.cumsum([0, *steps[:-1]]) / 1000
-    assert [frame.time_s for frame in found] == pytest.approx(wanted.tolist(), abs=2e-3)
+    expected = np.cumsum([0, *steps[:-1]]) / 1000
+    assert [frame.time_s for frame in found] == pytest.approx(expected.tolist(), abs=2e-3)
 
 
 @pytest.mark.parametrize("name", ["even", "dropped", "slower"])

@@ -62,9 +62,9 @@ def test_it_learns_the_shapes_that_it_is_given(shaped):
         error.append(((found - true) ** 2).mean())
         level.append((true**2).mean())
         totals.append(predictor.predict(np.ascontiguousarray(shaped.images[row])).total[2])
-    wanted = shaped.totals(rows)[:, 2]
+    target = shaped.totals(rows)[:, 2]
     assert np.mean(error) < 0.5 * np.mean(level)
-    assert np.abs(np.array(totals) - wanted).mean() < 0.5 * np.abs(wanted - wanted.mean()).mean()
+    assert np.abs(np.array(totals) - target).mean() < 0.5 * np.abs(target - target.mean()).mean()
 
 
 def test_it_learns_from_forces_alone_where_no_shape_is_known(data):
@@ -82,8 +82,8 @@ def test_its_graphs_one_after_the_other_are_the_network():
     assert shape["slopes"].shape[1:] == (2, 24, 32) and shape["motion"].shape[1:] == (2, 6, 8)
     found = Graph(graphs["forces"], "forces")(shape)["forces"]
     with torch.inference_mode():
-        wanted = Exported(net, METADATA)(*(torch.from_numpy(one) for one in given.values())).numpy()
-    np.testing.assert_allclose(found, wanted, atol=1e-4 * np.ptp(wanted))
+        target = Exported(net, METADATA)(*(torch.from_numpy(one) for one in given.values())).numpy()
+    np.testing.assert_allclose(found, target, atol=1e-4 * np.ptp(target))
     assert (found[:, 2] <= 0).all()  # a gel cannot be pulled
 
 
@@ -123,19 +123,19 @@ def test_a_misplaced_nocontact_image_shows_in_the_motion():
 def test_mirrored_shapes_have_mirrored_forces():
     """Each flip is one of four: what is summed keeps its amount, and the normal force its sign."""
     rng = torch.Generator().manual_seed(0)
-    slopes, motion, wanted = (torch.randn(64, *shape, generator=rng) for shape in ((2, 4, 6), (2, 2, 3), (3, 2, 3)))
-    for maps, found in zip((slopes, motion, wanted), mirrored(slopes, motion, wanted, rng), strict=True):
+    slopes, motion, target = (torch.randn(64, *shape, generator=rng) for shape in ((2, 4, 6), (2, 2, 3), (3, 2, 3)))
+    for maps, found in zip((slopes, motion, target), mirrored(slopes, motion, target, rng), strict=True):
         torch.testing.assert_close(found.abs().sum((2, 3)), maps.abs().sum((2, 3)))
-    found = mirrored(slopes, motion, wanted, rng)
-    torch.testing.assert_close(found[2][:, 2].sum((1, 2)), wanted[:, 2].sum((1, 2)))
-    signs = torch.sign(found[2][:, :2].sum((2, 3)) / wanted[:, :2].sum((2, 3)))
+    found = mirrored(slopes, motion, target, rng)
+    torch.testing.assert_close(found[2][:, 2].sum((1, 2)), target[:, 2].sum((1, 2)))
+    signs = torch.sign(found[2][:, :2].sum((2, 3)) / target[:, :2].sum((2, 3)))
     assert {tuple(row.tolist()) for row in signs} == {(1, 1), (1, -1), (-1, 1), (-1, -1)}
 
 
 def test_losses_are_zero_for_the_truth_and_grow_with_the_error():
-    wanted, scale = -torch.rand(4, 3, 6, 8), torch.ones(3)
-    assert relative_loss(wanted, wanted, scale) == 0
-    assert 0 < relative_loss(1.05 * wanted, wanted, scale) < relative_loss(1.2 * wanted, wanted, scale)
+    target, scale = -torch.rand(4, 3, 6, 8), torch.ones(3)
+    assert relative_loss(target, target, scale) == 0
+    assert 0 < relative_loss(1.05 * target, target, scale) < relative_loss(1.2 * target, target, scale)
     slopes, motion = torch.randn(2, 2, 8, 8), torch.randn(2, 2, 2, 2)
     assert shape_loss(slopes, motion, slopes, motion) == 0
     assert shape_loss(1.1 * slopes, motion, slopes, motion) > 0 < shape_loss(slopes, motion + 0.1, slopes, motion)

@@ -45,8 +45,8 @@ def test_chained_rows_are_those_of_one_array(cuts, rows):
     whole = np.arange(6 * 8, dtype=np.uint16).reshape(8, 2, 3)
     chained = ChainedRows(np.split(whole, sorted(cuts)))
     assert (chained.shape, chained.dtype, len(chained)) == (whole.shape, whole.dtype, len(whole))
-    wanted = whole[np.array(rows, int) if isinstance(rows, list) else rows]
-    assert chained[rows].dtype == wanted.dtype and np.array_equal(chained[rows], wanted)
+    expected = whole[np.array(rows, int) if isinstance(rows, list) else rows]
+    assert chained[rows].dtype == expected.dtype and np.array_equal(chained[rows], expected)
 
 
 def test_every_press_is_what_it_was_in_its_own_dataset(datasets):

@@ -39,19 +39,19 @@ def start_of(trained) -> Start:
 
 
 def test_total_force_loss_is_blind_to_where_the_force_is():
-    wanted = torch.zeros(1, 3, 2, 2)
-    wanted[0, :, 0, 0] = 1
-    moved = wanted.roll(1, 3)
+    expected = torch.zeros(1, 3, 2, 2)
+    expected[0, :, 0, 0] = 1
+    moved = expected.roll(1, 3)
     scale = torch.ones(3)
     off, square, linear = (
         replace(SETTINGS, total_weight=w, total_huber=h) for w, h in ((0.0, 0.0), (1.0, 0.0), (1.0, 0.1))
     )
-    only_cells = loss_of(moved, wanted, scale, scale, off)
-    assert loss_of(moved, wanted, scale, scale, square) == only_cells == 0.5
-    assert loss_of(moved, wanted, scale, scale, linear) == 0.5
-    assert loss_of(2 * wanted, wanted, scale, scale, square) == pytest.approx(0.25 + 1.0)
+    only_cells = loss_of(moved, expected, scale, scale, off)
+    assert loss_of(moved, expected, scale, scale, square) == only_cells == 0.5
+    assert loss_of(moved, expected, scale, scale, linear) == 0.5
+    assert loss_of(2 * expected, expected, scale, scale, square) == pytest.approx(0.25 + 1.0)
     # an error of one scale: one beyond the corner at 0.1, less half of it
-    assert loss_of(2 * wanted, wanted, scale, scale, linear) == pytest.approx(0.25 + 1.0 - 0.05)
+    assert loss_of(2 * expected, expected, scale, scale, linear) == pytest.approx(0.25 + 1.0 - 0.05)
 
 
 def test_epochs_visit_every_press_once_in_their_own_order():
@@ -93,8 +93,8 @@ def test_batches_hold_the_pictures_of_an_epoch_each_beside_its_own_label(folder,
     assert [len(pictures) for pictures, _ in batches[:-1]] == [batch] * (len(batches) - 1)
     order = [np.sort(part) for part in np.split(epoch_order(rows, still.seed, 3), range(batch, len(rows), batch))]
     rows = np.concatenate(order)
-    wanted = network_input(images_to_tensor(data.seen(rows, norm["reads"])), norm)
-    assert torch.equal(torch.cat([pictures for pictures, _ in batches]), wanted)
+    expected = network_input(images_to_tensor(data.seen(rows, norm["reads"])), norm)
+    assert torch.equal(torch.cat([pictures for pictures, _ in batches]), expected)
     assert torch.equal(torch.cat([labels for _, labels in batches]), target(data.labels[rows], norm, False))
 
 
@@ -114,8 +114,8 @@ def test_shear_counts_as_much_as_normal_force_where_weights_are_chosen(folder, t
     """An error of a tenth of its own scale is the same step of the score, whichever component has it."""
     data, norm = open_data(folder), trained.metadata["normalisation"]
     plain = validate(trained.net, data, norm, 8, "cpu")
-    wanted = np.mean([plain[f"val_{name}"] / scale for name, scale in zip(CHANNELS, norm["total"], strict=True)])
-    assert plain["val_score"] == pytest.approx(wanted)
+    expected = np.mean([plain[f"val_{name}"] / scale for name, scale in zip(CHANNELS, norm["total"], strict=True)])
+    assert plain["val_score"] == pytest.approx(expected)
 
 
 def test_same_seed_same_curve_other_seed_other_curve(folder):
@@ -189,8 +189,8 @@ def test_averaged_weights_are_the_mean_over_the_steps_of_the_last_epochs(folder)
     training = Training(SMALL, settings, scales(data, False), IMAGE, GRID, "cpu")
     passed, step = [], training.step
 
-    def noting(images, wanted):
-        loss = step(images, wanted)
+    def noting(images, expected):
+        loss = step(images, expected)
         passed.append((training.epochs_done, training.net.state_dict()["stem.weight"].clone()))
         return loss
 

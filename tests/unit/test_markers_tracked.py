@@ -49,7 +49,7 @@ def motion_of(markers, image):
     return markers.on_lattice(markers.track(image))
 
 
-def test_dots_at_rest_have_not_moved(rest):
+def test_markers_at_rest_have_not_moved(rest):
     markers = MarkerTracker(rest)
     motion = motion_of(markers, rest)
     assert markers.known and motion[2].sum() == (markers.at[:, 0] >= 0).sum() >= 60
@@ -58,7 +58,7 @@ def test_dots_at_rest_have_not_moved(rest):
 
 @given(u=st.floats(-6, 6), v=st.floats(-6, 6))
 @settings(max_examples=20)
-def test_all_dots_of_a_moved_picture_have_moved_as_it_did(rest, u, v):
+def test_all_markers_of_a_moved_picture_have_moved_as_it_did(rest, u, v):
     motion = motion_of(MarkerTracker(rest), moved(rest, (u, v)))
     seen = motion[2] > 0
     assert seen.sum() >= 45  # a picture that moved does not show them all
@@ -87,12 +87,12 @@ def test_light_moves_no_dot(rest, presses):
 
 
 @pytest.mark.parametrize("picture", [np.zeros((240, 320, 3), np.uint8), np.full((240, 320, 3), 130, np.uint8)])
-def test_a_gel_without_print_has_no_dots(picture):
+def test_a_gel_without_print_has_no_markers(picture):
     markers = MarkerTracker(picture)
     assert not markers.known and not motion_of(markers, picture).any()
 
 
-def test_dots_that_are_found_close_at_home_are_found_in_the_pyramid(rest, presses):
+def test_markers_that_are_found_close_at_home_are_found_in_the_pyramid(rest, presses):
     """On presses: what is looked for near where it should be is what the whole way back finds."""
     markers = MarkerTracker(rest)
     start = markers.points.astype(np.float32)[:, None]
@@ -100,10 +100,10 @@ def test_dots_that_are_found_close_at_home_are_found_in_the_pyramid(rest, presse
         before, after = markers.grey, cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
         there, seen, _ = cv2.calcOpticalFlowPyrLK(before, after, start, None, **FAR)
         back, _, _ = cv2.calcOpticalFlowPyrLK(after, before, there, None, **FAR)
-        wanted = (seen[:, 0] > 0) & (np.hypot(*(back - start)[:, 0].T) < HOME)
+        expected = (seen[:, 0] > 0) & (np.hypot(*(back - start)[:, 0].T) < HOME)
         tracks = markers.track(image)
-        np.testing.assert_array_equal(tracks.found, wanted)
-        np.testing.assert_array_equal(tracks.motion[wanted], (there - start)[wanted, 0])
+        np.testing.assert_array_equal(tracks.found, expected)
+        np.testing.assert_array_equal(tracks.motion[expected], (there - start)[expected, 0])
 
 
 def reading(forces, half_width=None, edge=0.0):

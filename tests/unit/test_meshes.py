@@ -114,12 +114,12 @@ def test_splitting_keeps_the_body_and_leaves_no_long_edge():
 
 
 def test_a_held_mesh_is_as_fine_as_asked_and_sound():
-    wanted = sizing((2.0, 2.0), 1.5, TABLE)
-    mesh = gel_mesh(GEL, wanted, hold=1.3)
+    expected = sizing((2.0, 2.0), 1.5, TABLE)
+    mesh = gel_mesh(GEL, expected, hold=1.3)
     flat = mesh.nodes[mesh.elements[:, :4][:, EDGES].reshape(-1, 2)] * [1, 1, 0]
     on_top = np.isin(mesh.elements[:, :4][:, EDGES].reshape(-1, 2), mesh.surface_nodes).all(axis=1)
     length = np.linalg.norm(flat[:, 0] - flat[:, 1], axis=1)[on_top]
-    assert (length <= 1.3 * wanted(flat.mean(axis=1))[on_top] + 1e-9).all()
+    assert (length <= 1.3 * expected(flat.mean(axis=1))[on_top] + 1e-9).all()
     assert quality(mesh, GEL)["min_scaled_jacobian"] > 0.2
 
 

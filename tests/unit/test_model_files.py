@@ -69,8 +69,10 @@ def test_the_documented_lines_around_a_graph_give_what_predict_gives(models, dat
     def run(seen):
         return session.run(["forces"], {one.name: seen.feature(one.name) for one in session.get_inputs()})[0][0]
 
-    wanted = Predictor(model, rest).predict(image).cells
-    np.testing.assert_allclose(run(prepare(image)) - run(prepare.at_rest()), wanted, atol=2e-5 * np.abs(wanted).max())
+    expected = Predictor(model, rest).predict(image).cells
+    np.testing.assert_allclose(
+        run(prepare(image)) - run(prepare.at_rest()), expected, atol=2e-5 * np.abs(expected).max()
+    )
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -80,8 +82,10 @@ def test_a_graph_predicts_what_its_network_does(models, name, data):
     pictures = dict(zip(names, sample_pictures(IMAGE, len(names)), strict=True))
     found = Graph(trained.model.stages["forces"], name)(pictures)["forces"]
     with torch.inference_mode():
-        wanted = Exported(trained.net.eval(), trained.metadata)(*(torch.from_numpy(one) for one in pictures.values()))
-    np.testing.assert_allclose(found, wanted.numpy(), atol=1e-5 * float(wanted.abs().max()))
+        expected = Exported(trained.net.eval(), trained.metadata)(
+            *(torch.from_numpy(one) for one in pictures.values())
+        )
+    np.testing.assert_allclose(found, expected.numpy(), atol=1e-5 * float(expected.abs().max()))
 
 
 def test_a_picture_rotated_by_180_degrees_has_the_rotated_force(models):
@@ -125,14 +129,14 @@ def test_a_chain_of_graphs_gives_each_stage_what_those_before_it_made(models, da
     rest, image = data.nocontact["mini0"], np.ascontiguousarray(data.images[0])
     plain = Predictor(again, rest)
     seen = plain.prepare(image)
-    wanted = (seen.lit.astype(np.float32) - seen.nocontact.picture).mean((0, 1))
-    np.testing.assert_allclose(plain.predict(image).total, wanted, atol=1e-3)
+    expected = (seen.lit.astype(np.float32) - seen.nocontact.picture).mean((0, 1))
+    np.testing.assert_allclose(plain.predict(image).total, expected, atol=1e-3)
     doubled = Predictor(
         again,
         rest,
         replaced={"slopes": lambda known: {"slopes": 2 * (known["image"] - known["nocontact"].astype(np.float32))}},
     )
-    np.testing.assert_allclose(doubled.predict(image).total, 2 * wanted, atol=1e-3)
+    np.testing.assert_allclose(doubled.predict(image).total, 2 * expected, atol=1e-3)
     (tmp_path / "chain.slopes.onnx").write_bytes(stages["forces"])
     with pytest.raises(BadInput, match="its graph `slopes` is not the one that was trained"):
         load_model(tmp_path / "chain.onnx")
@@ -252,8 +256,8 @@ def test_a_model_of_an_earlier_version_says_how_it_is_converted_and_then_predict
         models["pair"].metadata,
         export(models["pair"].net.eval(), models["pair"].metadata | {"tta": True}),
     )
-    wanted = Predictor(both, rest).predict(data.images[0])
-    np.testing.assert_allclose(Predictor(found, rest).predict(data.images[0]).cells, wanted.cells, atol=1e-6)
+    expected = Predictor(both, rest).predict(data.images[0])
+    np.testing.assert_allclose(Predictor(found, rest).predict(data.images[0]).cells, expected.cells, atol=1e-6)
     assert Predictor(found, rest).predict(data.images[0]).half_width is None
 
 

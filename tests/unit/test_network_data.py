@@ -89,8 +89,8 @@ def test_rows_of_a_file_are_those_of_its_array(rows):
         np.save(Path(folder, "a.npy"), array)
         found = RowFile(Path(folder, "a.npy"))
         assert (found.shape, found.dtype, len(found)) == (array.shape, array.dtype, 7)
-        wanted = array[np.array(rows, int) if isinstance(rows, list) else rows]
-        assert found[rows].dtype == wanted.dtype and np.array_equal(found[rows], wanted)
+        expected = array[np.array(rows, int) if isinstance(rows, list) else rows]
+        assert found[rows].dtype == expected.dtype and np.array_equal(found[rows], expected)
 
 
 def test_a_file_of_rows_that_is_cut_short_or_lies_otherwise_is_named(tmp_path):

@@ -261,7 +261,7 @@ def read_frames(path) -> list[np.ndarray]:
         images.append(cv2.cvtColor(frame, cv2.COLOR_BGR2RGB))
 
 
-def test_dots_of_real_sensors_are_counted(reference):
+def test_markers_of_real_sensors_are_counted(reference):
     image = cv2.imread(str(reference / "feats" / "images" / "cuboid_10-2-284.png"))
     # 7 x 9 markers, two of which lie at the rim.
     assert ood.count_markers(ood.grey_of(cv2.split(image)))[0] == pytest.approx(63, abs=4)
@@ -434,11 +434,11 @@ def test_live_takes_the_first_frames_at_rest_for_the_nocontact_image(data, model
     live.main(["--video", str(video), "--model", str(paths["pair"]), "--out", str(tmp_path / "o.avi")])
     filmed = read_frames(video)
     overlay = live.Overlay(Predictor(models["pair"].model, filmed[10]))
-    wanted = overlay(cv2.cvtColor(filmed[-1], cv2.COLOR_RGB2BGR))
+    expected = overlay(cv2.cvtColor(filmed[-1], cv2.COLOR_RGB2BGR))
     got = read_frames(tmp_path / "o.avi")
     assert len(got) == len(seen) - SETTLING
     # the video is compressed; the lines with times differ
-    assert np.median(np.abs(got[-1].astype(int) - wanted[..., ::-1])) <= 2
+    assert np.median(np.abs(got[-1].astype(int) - expected[..., ::-1])) <= 2
 
 
 def test_live_reads_against_the_picture_of_a_profile(data, models, paths, tmp_path):

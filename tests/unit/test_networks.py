@@ -51,8 +51,8 @@ def test_a_thinned_shortcut_is_the_strided_convolution():
     convolution, norm = block.shortcut
     strided = norm(torch.nn.functional.conv2d(x, convolution.weight, stride=2))
     rest = torch.relu(block.first_norm(block.first(x)))
-    wanted = torch.relu(block.second_norm(block.second(rest)) + strided)
-    torch.testing.assert_close(block(x), wanted, rtol=1e-5, atol=1e-6)
+    expected = torch.relu(block.second_norm(block.second(rest)) + strided)
+    torch.testing.assert_close(block(x), expected, rtol=1e-5, atol=1e-6)
 
 
 NARROW = """

@@ -150,7 +150,7 @@ def test_light_alone_is_no_relief_and_no_fault(rest, presses, limits):
     assert pair_fault(limits, diagnostics(dimmer, rest[name])) == ""
 
 
-def test_a_picture_without_dots_has_no_rim_to_look_at():
+def test_a_picture_without_markers_has_no_rim_to_look_at():
     grey = np.full((240, 320, 3), 128, np.uint8)
     assert marker_diagnostics(MarkerTracker(grey), MarkerTracker(grey).track(grey)) == MarkerDiagnostics()
     assert relief(grey) < 1.0 and MARGIN > 1.0
@@ -183,7 +183,7 @@ def test_a_picture_without_markers_says_nothing_of_another_gel():
 
 
 @given(st.tuples(*[st.floats(-5, 5)] * 4), st.floats(0, 0.3), st.integers(0, 99))
-def test_what_moves_all_dots_alike_is_not_uneven(parts, lost, seed):
+def test_what_moves_all_markers_alike_is_not_uneven(parts, lost, seed):
     """Whatever the shift, turn and zoom, and whichever markers are lost; markers of another print are distinguished from them."""
     rng = np.random.default_rng(seed)
     right, down, turn, zoom = (part * unit for part, unit in zip(parts, (1, 1, 0.01, 0.01)))
@@ -200,8 +200,8 @@ def test_what_moves_all_dots_alike_is_not_uneven(parts, lost, seed):
 def test_statistics_of_a_picture_are_what_they_are_called(seed, rows, cols):
     """Of any size, an odd one too: means of quarters, standard deviations and the mean of the colours, to rounding."""
     image = np.random.default_rng(seed).integers(0, 256, (rows + 1, cols + 1, 3), np.uint8)
-    wanted = cv2.resize(image, (2, 2), interpolation=cv2.INTER_AREA).ravel()
-    assert np.abs(quarters(image) - wanted).max() <= 1
+    expected = cv2.resize(image, (2, 2), interpolation=cv2.INTER_AREA).ravel()
+    assert np.abs(quarters(image) - expected).max() <= 1
     even = image[: (rows + 1) // 2 * 2, : (cols + 1) // 2 * 2]
     (height, width, _), means = even.shape, quarters(even).reshape(2, 2, 3)
     for at in np.ndindex(2, 2):

@@ -171,8 +171,10 @@ def test_a_log_without_a_column_of_images_is_reported_once_and_can_be_allowed(la
 
 
 def test_rows_that_want_something_else_done_are_distinguished():
-    wanted = ["write 1", "write 2", "write 1"]
-    kept_out = [Rejection("log.csv", 2 + k, f"s{k}", "x0_mm", "", "is empty", hint) for k, hint in enumerate(wanted)]
+    expected = ["write 1", "write 2", "write 1"]
+    kept_out = [
+        Rejection("log.csv", 2 + k, f"s{k}", "x0_mm", "", "is empty", hint) for k, hint in enumerate(expected)
+    ]
     lines = summarised(kept_out)
     assert lines == [f"{kept_out[0]}; the same reason against 1 more row: 4", str(kept_out[1])]
 

@@ -385,7 +385,7 @@ def test_a_film_that_is_cut_short_serves_where_it_begins_at_rest(weighed):
     assert sensor.main(["--name", "mine", "--video", str(film), "--out", str(folder / "mine.toml")]) == 0
 
 
-def test_a_profile_of_a_picture_without_dots_is_refused(weighed):
+def test_a_profile_of_a_picture_without_markers_is_refused(weighed):
     folder, rows = weighed
     blurred = cv2.medianBlur(cv2.imread(str(folder / "rest.png")), 61)
     cv2.imwrite(str(folder / "rest.png"), blurred)

@@ -203,7 +203,7 @@ def test_points_of_another_picture_or_unit_are_refused(on_gel, pixels, says):
         projection.check_marks(np.array(on_gel, float), np.array(pixels, float), (320, 240), "points.csv")
 
 
-def test_the_dots_of_the_reference_image(reference):
+def test_the_markers_of_the_reference_image(reference):
     image = read_npy(reference / "feats/images/nocontact_train_sensor.npy")["gs_img"]
     found = find_markers(image, 7, 9)
     assert found.count == 63 and not len(found.missing)
@@ -212,13 +212,13 @@ def test_the_dots_of_the_reference_image(reference):
     assert abs(found.rotation) < 0.5
 
 
-def test_the_dots_of_the_pressed_reference_image(reference):
+def test_the_markers_of_the_pressed_reference_image(reference):
     image = cv2.imread(str(reference / "feats/images/cuboid_10-2-284.png"))[..., ::-1]
     found = find_markers(image, 7, 9)
     assert found.count == 63 and found.pitch == pytest.approx([33.6, 32.9], abs=0.5)
 
 
-def draw_dots(pitch, turn_deg, centre, rows=7, cols=9, missing=(), specks=(), seed=0):
+def draw_markers(pitch, turn_deg, centre, rows=7, cols=9, missing=(), specks=(), seed=0):
     """Image (240, 320, 3) of dark soft spots on uneven coloured light, and their true places by index."""
     rng = np.random.default_rng(seed)
     v, u = np.mgrid[:240, :320] + 0.5
@@ -245,8 +245,8 @@ def draw_dots(pitch, turn_deg, centre, rows=7, cols=9, missing=(), specks=(), se
         ((32.9, 31.4), 0.5, (158, 121), tuple((r, 4) for r in range(7)), ()),
     ],
 )
-def test_drawn_dots_are_found(pitch, turn, centre, missing, specks):
-    image, index, places = draw_dots(pitch, turn, centre, missing=missing, specks=specks)
+def test_drawn_markers_are_found(pitch, turn, centre, missing, specks):
+    image, index, places = draw_markers(pitch, turn, centre, missing=missing, specks=specks)
     found = find_markers(image, 7, 9)
     assert {tuple(i) for i in found.missing.tolist()} == set(missing)
     true = {tuple(i): p for i, p in zip(index.tolist(), places, strict=True)}
@@ -261,9 +261,9 @@ def test_drawn_dots_are_found(pitch, turn, centre, missing, specks):
     [
         np.full((240, 320, 3), 120, np.uint8),
         np.random.default_rng(0).integers(0, 255, (240, 320, 3), np.uint8),
-        draw_dots((32.9, 31.4), 0, (160, 120), missing={(r, c) for r in range(7) for c in range(9) if (r + c) % 3})[
-            0
-        ],
+        draw_markers(
+            (32.9, 31.4), 0, (160, 120), missing={(r, c) for r in range(7) for c in range(9) if (r + c) % 3}
+        )[0],
     ],
     ids=["flat", "noise", "too few"],
 )
@@ -280,7 +280,7 @@ def test_a_unit_is_calibrated_from_one_image(root):
     turn = scale * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     move = np.eye(3)
     move[:2, :2], move[:2, 2] = turn, np.array([164, 118]) - turn @ like.markers["centre_px"]
-    image, _, _ = draw_dots(
+    image, _, _ = draw_markers(
         scale * np.array(like.markers["pitch_px"]), 1.5 + like.markers["rotation_deg"], (164, 118)
     )
     found = projection.fit_projection("new", like, image=image)
@@ -292,7 +292,7 @@ def test_a_unit_is_calibrated_from_one_image(root):
 def test_a_picture_that_shows_a_part_of_the_markers_does_not_show_which(root):
     """As of a driver that crops the border: the first marker in it is not the print's first."""
     like = load_sensors(root / "workflow/sensors.toml")["gelsight_mini"]
-    image, _, _ = draw_dots(1.4 * np.array(like.markers["pitch_px"]), 0.0, (160, 120))
+    image, _, _ = draw_markers(1.4 * np.array(like.markers["pitch_px"]), 0.0, (160, 120))
     with pytest.raises(BadInput, match=r"its markers span \d x \d of the 7 x 9.*POINTS=points.csv"):
         projection.fit_projection("new", like, image=image)
     on_gel = np.array([[-8.0, -9], [8, -9], [8, 9], [-8, 9], [0, 0]])

@@ -146,17 +146,17 @@ def test_the_same_image_gives_the_same_answer_everywhere(root, tmp_path):
     for path, image in zip(paths, images, strict=True):
         write_png(path, image)
     reader, predictor = gelforge.Reader(nocontact=rest), Predictor(load_for_use(None), rest)
-    wanted = [reader(image).cells for image in images]
+    expected = [reader(image).cells for image in images]
     assert len(list(predict.predict_files(paths, predictor, tmp_path / "out"))) == len(paths)
-    np.testing.assert_array_equal([np.load(tmp_path / "out" / f"{path.stem}.npy") for path in paths], wanted)
-    np.testing.assert_array_equal([one.cells for one in reader.batch(np.stack(images[::-1]))][::-1], wanted)
+    np.testing.assert_array_equal([np.load(tmp_path / "out" / f"{path.stem}.npy") for path in paths], expected)
+    np.testing.assert_array_equal([one.cells for one in reader.batch(np.stack(images[::-1]))][::-1], expected)
     reported = readings(predictor, numbered(np.ascontiguousarray(image[..., ::-1]) for image in images))
-    np.testing.assert_array_equal([one.found.cells for one in reported], wanted)
+    np.testing.assert_array_equal([one.found.cells for one in reported], expected)
     taken = []
     found = reader.stream(taken.append(image) or image for image in images)
     first = next(found)
     assert len(taken) == 1
-    np.testing.assert_array_equal([one.cells for one in (first, *found)], wanted)
+    np.testing.assert_array_equal([one.cells for one in (first, *found)], expected)
 
 
 def test_a_profile_scales_what_is_read(root, tmp_path):

@@ -51,7 +51,7 @@ def test_values_lie_in_their_ranges(drawn):
         assert appearance.jpeg == 0 or ranges.jpeg_quality[0] <= appearance.jpeg <= ranges.jpeg_quality[1]
 
 
-def test_dots_are_found_where_the_sensor_has_them(drawn):
+def test_markers_are_found_where_the_sensor_has_them(drawn):
     """What the camera shows is what the sensor's table says: a unit can be calibrated from its no-contact image."""
     appearances, sensors = drawn
     for name, appearance in appearances.items():

@@ -94,9 +94,9 @@ def test_a_recording_becomes_pictures_with_total_force(tmp_path, sensor, raw):
         assert np.array_equal(kept, images[2 * k])
         # The wrench of that millisecond, turned and with its sign changed.
         size = 5.0 if (10 * k // 20) % 2 else 0.0
-        wanted = -np.array(TURN) @ [0.1 * size, 0.2 * size, size]
-        assert [float(row[f"f{axis}_n"]) for axis in "xyz"] == pytest.approx(wanted.tolist(), abs=1e-6)
-        assert labels.label[k, :, 0, 0] == pytest.approx(wanted[[1, 0, 2]], abs=1e-5)
+        expected = -np.array(TURN) @ [0.1 * size, 0.2 * size, size]
+        assert [float(row[f"f{axis}_n"]) for axis in "xyz"] == pytest.approx(expected.tolist(), abs=1e-6)
+        assert labels.label[k, :, 0, 0] == pytest.approx(expected[[1, 0, 2]], abs=1e-5)
         assert (
             row["indenter"] == "" and row["dz_mm"] == "" and float(row["mz_nm"] or 0) == pytest.approx(-0.01 * size)
         )

@@ -367,11 +367,11 @@ def test_a_recording_that_went_meanwhile_is_reported_where_it_was_to_be_replayed
 
 def wait_for_button(driver, words, disabled=False):
     """Wait until the record button says so, and can be pressed or not."""
-    wanted = json.dumps([words, str(words == "Stop recording").lower(), disabled])
+    expected = json.dumps([words, str(words == "Stop recording").lower(), disabled])
     says = (
         "JSON.stringify([el('record').textContent, el('record').getAttribute('aria-pressed'), el('record').disabled])"
     )
-    wait_for(driver, f"return {says} === JSON.stringify({wanted})")
+    wait_for(driver, f"return {says} === JSON.stringify({expected})")
 
 
 @needs_browser
@@ -440,8 +440,8 @@ def curve_pixels(driver, share):
 
 def rows_of(pixels, colour):
     """Rows of pixels (height, 3) that are of a colour such as #1f6f8b, or nearly so."""
-    wanted = [int(colour[at : at + 2], 16) for at in (1, 3, 5)]
-    return np.flatnonzero(np.abs(pixels - wanted).max(axis=1) < 12)
+    expected = [int(colour[at : at + 2], 16) for at in (1, 3, 5)]
+    return np.flatnonzero(np.abs(pixels - expected).max(axis=1) < 12)
 
 
 @needs_browser

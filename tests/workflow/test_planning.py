@@ -220,9 +220,9 @@ def test_other_datasets_are_learnt_from_as_they_lie(labelled, also):
     refused = make(labelled, "-n", "train", "DATASET=tiny")
     assert refused.returncode == 2 and "make DATASET=gone RES=24x32 dataset" in refused.stdout
     also("here")
-    wanted = make(labelled, "-n", "train", "DATASET=tiny")
-    assert wanted.returncode == 0 and "--also results/here/60_dataset/24x32 --model" in wanted.stdout
-    assert "results/here/60_dataset/24x32/dataset.json" in inputs_of(wanted.stdout, "70_train/24x32/grid_16.onnx")
+    expected = make(labelled, "-n", "train", "DATASET=tiny")
+    assert expected.returncode == 0 and "--also results/here/60_dataset/24x32 --model" in expected.stdout
+    assert "results/here/60_dataset/24x32/dataset.json" in inputs_of(expected.stdout, "70_train/24x32/grid_16.onnx")
 
 
 @pytest.mark.parametrize(

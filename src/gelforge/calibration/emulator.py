@@ -111,7 +111,7 @@ def sheared_table(press: np.ndarray, top: float, depths, forces) -> np.ndarray:
 def friction_table(nodes, tables) -> np.ndarray:
     """Tables (FRICTIONS, DEPTHS, 3) on the uniform friction axis from those at the friction `nodes`.
 
-    nodes: (m,) coefficients, first 0, last inf where all laws are wanted. One node gives a constant.
+    nodes: (m,) coefficients, first 0, last inf where all laws are needed. One node gives a constant.
     """
     axis = friction_axis(nodes)
     tables = np.asarray(tables)

@@ -2,7 +2,7 @@
 
 One solve follows the whole path in load steps, and each converged step is a point of the curve of
 force against depth. So a press straight down needs one solve per friction coefficient; a press with
-shear needs one per depth at which its shear is wanted. Without friction it does not matter by which way a
+shear needs one per depth at which its shear is needed. Without friction it does not matter by which way a
 pose was reached: there a press with shear is one straight down to where it ends.
 """
 
@@ -197,16 +197,16 @@ class SolveCache:
 
     def fill(self, jobs: list[SolveJob], workers: int = 1) -> None:
         """Solve the jobs that have no file yet, on `workers` processes."""
-        wanted = {self.path(job): job for job in jobs}
+        required = {self.path(job): job for job in jobs}
         tasks = [
             (path, job, self.catalogue[job.indenter], self.settings)
-            for path, job in wanted.items()
+            for path, job in required.items()
             if not path.exists()
         ]
         self._made |= {task[0] for task in tasks}
         for _ in progress(in_slots(_solve_task, tasks, workers), "calibration solves", len(tasks)):
             pass
-        for path in wanted:
+        for path in required:
             if "failed" in self._read(path):
                 self.failed[path] = self._read(path)["failed"]
 

@@ -52,20 +52,20 @@ def fetch(folder: Path, splits: Iterable[str]) -> Path:
     """
     commit, listed = listing()
     base = base_of(listed)
-    wanted = chosen(listed, base, list(splits))
-    changed = forget_changed(folder, wanted)
+    required = chosen(listed, base, list(splits))
+    changed = forget_changed(folder, required)
     if changed:
         print(*(f"{path}: not as the hub lists it; loading it again" for path in changed), sep="\n", flush=True)
-    patterns = sorted({f"{(base / Path(name).relative_to(base).parts[0]).as_posix()}/*" for name in wanted})
+    patterns = sorted({f"{(base / Path(name).relative_to(base).parts[0]).as_posix()}/*" for name in required})
     ask(lambda hub: hub.snapshot_download(REPOSITORY, repo_type="dataset", revision=commit, local_dir=folder,
                                           allow_patterns=patterns, etag_timeout=PATIENCE_S))  # fmt: skip
     for path in (folder / ".cache" / "huggingface").rglob("*.incomplete"):
         path.unlink()  # of a fetch that was killed: the library begins such a file anew
-    for name, file in progress(wanted.items(), "check", len(wanted)):
+    for name, file in progress(required.items(), "check", len(required)):
         if not file.is_file(folder / name):
             raise BadInput(f"{folder / name}: is not what the hub lists ({file.size} bytes); run it again")
     write_json(
-        folder / LISTING, {"commit": commit, "files": {name: [f.size, f.digest] for name, f in wanted.items()}}
+        folder / LISTING, {"commit": commit, "files": {name: [f.size, f.digest] for name, f in required.items()}}
     )
     return folder / base
 
@@ -133,13 +133,15 @@ def chosen(listed: dict[str, Listed], base: Path, splits: list[str]) -> dict[str
     return {name: file for split in splits or by_split for name, file in by_split[split].items()}
 
 
-def forget_changed(folder: Path, wanted: dict[str, Listed]) -> list[Path]:
+def forget_changed(folder: Path, required: dict[str, Listed]) -> list[Path]:
     """Remove files that are not as the hub lists them, for the library would keep some; return them.
 
     A fetch that was stopped leaves none such: the library gives a file its name when it is whole.
     """
     changed = [
-        folder / name for name, file in wanted.items() if (folder / name).exists() and not file.is_file(folder / name)
+        folder / name
+        for name, file in required.items()
+        if (folder / name).exists() and not file.is_file(folder / name)
     ]
     for path in changed:
         path.unlink()

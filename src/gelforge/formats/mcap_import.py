@@ -264,9 +264,9 @@ def take(
 
     going: press_id of the contact in which the file before this one ended, empty for none.
     """
-    wanted = set(pairs.images.tolist())
+    required = set(pairs.images.tolist())
     for at, (_, said) in enumerate(messages(path, topics.image)):
-        if at not in wanted:
+        if at not in required:
             continue
         image = picture(said, f"{path}: topic {topics.image}, message {at + 1}")
         if (image.shape[1], image.shape[0]) != tuple(sensor.image):

@@ -28,7 +28,7 @@ def clip_to_grid(
 
     polygons (m, k, 2) in pixels (u, v); shape (rows, cols) of the grid; image (width, height) in
     pixels. Returns polygon index, cell index (row-major, row along v) and measure of the overlap,
-    each (p,). `measure` maps polygons (p, k, 2) in pixels to areas in whatever plane is wanted.
+    each (p,). `measure` maps polygons (p, k, 2) in pixels to areas in whatever plane is chosen.
     """
     rows, cols = shape
     edges = np.arange(cols + 1) * (image[0] / cols), np.arange(rows + 1) * (image[1] / rows)

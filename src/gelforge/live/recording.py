@@ -121,7 +121,7 @@ class Recorder:
     def drop(self) -> None:
         """Give up what was recorded so far."""
         stream, self.stream = self.stream, None
-        with contextlib.suppress(OSError):  # what could not be written is not wanted
+        with contextlib.suppress(OSError):  # what could not be written is dropped
             if stream is not None:
                 stream.close()
         with contextlib.suppress(OSError):  # what a folder refuses to remove is hidden, and no recording

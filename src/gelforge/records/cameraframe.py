@@ -137,10 +137,10 @@ def camera_frame(nocontact: np.ndarray, size: tuple[int, int]) -> CameraFrame:
     turned = orientation.of(small)
     height, width = turned.shape[:2]
     part, cut = (0.0, 0.0, 1.0, 1.0), ""
-    wanted = PITCH_PX * size[1] / OF_WIDTH
+    required = PITCH_PX * size[1] / OF_WIDTH
     fits = same_shape((height, width), size)
-    if pitch and not (fits and pitch * size[1] / width > (1.0 - UNEVEN) * wanted):
-        scale, driver = pitch / wanted, width * (1.0 - 2.0 * DRIVER_CROP) / size[1]
+    if pitch and not (fits and pitch * size[1] / width > (1.0 - UNEVEN) * required):
+        scale, driver = pitch / required, width * (1.0 - 2.0 * DRIVER_CROP) / size[1]
         whole = abs(scale / driver - 1.0) < UNEVEN
         cut = "cropped as the maker's driver does" if whole else "cropped by their markers"
         part = _part(turned, driver if whole else scale, size, pitch)

@@ -201,7 +201,7 @@ def _surplus_fault(cells: list[str], header: list[str]) -> str:
 def write_log(path: str | Path, presses: Iterable[LoggedPress], decimals: dict[str, int] | None = None) -> None:
     """Write presses as a raw log that `read_log` and `parse` read back to the last digit.
 
-    decimals: digits behind the point, by column, where the shortest text that reads back is not wanted.
+    decimals: digits behind the point, by column, where the shortest text that reads back is not used.
     """
     _write(path, COLUMNS, list(presses), decimals or {})
 

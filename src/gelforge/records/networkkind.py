@@ -59,8 +59,8 @@ def sizes_of(model: Mapping[str, Any]) -> dict[str, Any]:
         numbers = [value] if of_one else value
         built = isinstance(numbers, list) and 0 < len(numbers) <= MOST_LEVELS
         if not built or not all(type(number) is int and least <= number <= most for number in numbers):
-            wanted = "a whole number" if of_one else f"a list of 1 to {MOST_LEVELS} whole numbers"
-            raise BadInput(f"{name} is {str(value)[:60]!r}, it must be {wanted} from {least} to {most}")
+            required = "a whole number" if of_one else f"a list of 1 to {MOST_LEVELS} whole numbers"
+            raise BadInput(f"{name} is {str(value)[:60]!r}, it must be {required} from {least} to {most}")
     lists = {name: value for name, value in sizes.items() if isinstance(value, list)}
     if len({len(value) for value in lists.values()}) > 1:
         values = " and ".join(f"{name} = {value}" for name, value in lists.items())

@@ -28,5 +28,5 @@ def write_predictions(path: str | Path, sample_id: np.ndarray, forces: np.ndarra
 def read_predictions(path: str | Path) -> dict[str, np.ndarray]:
     """The arrays by name; an unreadable file raises BadInput."""
     with Archive(path, "a file of predictions", f"delete it and run {command_for('evaluate', path)}") as file:
-        wanted = {"sample_id": ("U", 1), "total": ("f", 2), "forces": ("f", 4)}
-        return {name: file.array(name, *form) for name, form in wanted.items()}
+        required = {"sample_id": ("U", 1), "total": ("f", 2), "forces": ("f", 4)}
+        return {name: file.array(name, *form) for name, form in required.items()}

@@ -69,9 +69,9 @@ class RowFile:
         return self.shape[0]
 
     def __getitem__(self, rows: int | np.integer | slice | Sequence[int] | np.ndarray) -> np.ndarray:
-        wanted = np.arange(len(self))[rows]
-        found = np.empty((*wanted.shape, *self.shape[1:]), self.dtype)
-        for row, into in zip(wanted.ravel().tolist(), found.reshape(-1, *self.shape[1:]), strict=True):
+        required = np.arange(len(self))[rows]
+        found = np.empty((*required.shape, *self.shape[1:]), self.dtype)
+        for row, into in zip(required.ravel().tolist(), found.reshape(-1, *self.shape[1:]), strict=True):
             if (
                 os.preadv(self._file.fileno(), [memoryview(into).cast("B")], self._first + row * self._size)
                 != self._size
@@ -100,9 +100,9 @@ class ChainedRows:
         return self.shape[0]
 
     def __getitem__(self, rows: int | np.integer | slice | Sequence[int] | np.ndarray) -> np.ndarray:
-        wanted = np.arange(len(self))[rows]
-        found = np.empty((*wanted.shape, *self.shape[1:]), self.dtype)
-        flat, into = wanted.ravel(), found.reshape(-1, *self.shape[1:])
+        required = np.arange(len(self))[rows]
+        found = np.empty((*required.shape, *self.shape[1:]), self.dtype)
+        flat, into = required.ravel(), found.reshape(-1, *self.shape[1:])
         of = np.searchsorted(self._ends, flat, side="right")
         for number in np.unique(of):
             mine = np.flatnonzero(of == number)

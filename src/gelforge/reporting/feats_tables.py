@@ -37,11 +37,11 @@ def published_errors(predicted: np.ndarray, labels: np.ndarray) -> dict | None:
     predicted, labels: (n, 3, rows, cols) N per cell; a network of another grid has totals only. Of each channel the mean
     over pictures of the absolute error, and its deviation from one picture to the next (n - 1).
     """
-    wanted = labels.sum((2, 3), dtype=np.float64)
-    kept = wanted[:, 2] > -STRONGEST_N
+    target = labels.sum((2, 3), dtype=np.float64)
+    kept = target[:, 2] > -STRONGEST_N
     if not kept.any():
         return None
-    found = {"n": int(kept.sum()), "total": _each(np.abs(predicted.sum((2, 3), dtype=np.float64) - wanted)[kept])}
+    found = {"n": int(kept.sum()), "total": _each(np.abs(predicted.sum((2, 3), dtype=np.float64) - target)[kept])}
     if predicted.shape == labels.shape:
         found["cell"] = _each(np.abs(predicted - labels).mean((2, 3), dtype=np.float64)[kept])
     return found

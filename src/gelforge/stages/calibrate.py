@@ -73,7 +73,7 @@ def poisson_nodes(params: CalibrateTable, nu: float) -> list[float]:
 
 
 def served(readings: Readings, params: CalibrateTable) -> np.ndarray:
-    """Force components that serve, (n, 3) N: sideways ones of sheared presses only where wanted, else nan."""
+    """Force components that serve, (n, 3) N: sideways ones of sheared presses only where asked for, else nan."""
     observed = readings.force.copy()
     if not params.shear:
         observed[:, :2] = np.nan

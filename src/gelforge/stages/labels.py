@@ -152,8 +152,8 @@ def field_streams(forces: ForceFile, find_maps: list, grid: Grid, channels) -> d
             "area_deformed": ((), lambda s, moved, force: s.area(moved)),
         },
     }
-    wanted = {name: how for channel in channels if channel != "force" for name, how in made[channel].items()}
-    return {name: ((n, *shape, *grid.shape), each(shape, of)) for name, (shape, of) in wanted.items()}
+    required = {name: how for channel in channels if channel != "force" for name, how in made[channel].items()}
+    return {name: ((n, *shape, *grid.shape), each(shape, of)) for name, (shape, of) in required.items()}
 
 
 def label_shard(forces_path, poses_path, find: Finder, grid: Grid, out, channels) -> dict:

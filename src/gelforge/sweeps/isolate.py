@@ -81,10 +81,10 @@ def fresh() -> ForkServerContext:
 
 
 @contextmanager
-def surroundings(wanted: dict[str, str]) -> Iterator[None]:
+def surroundings(required: dict[str, str]) -> Iterator[None]:
     """Environment variables of the processes that begin while the block runs."""
-    before = {name: os.environ.get(name) for name in wanted}
-    os.environ.update(wanted)
+    before = {name: os.environ.get(name) for name in required}
+    os.environ.update(required)
     try:
         yield
     finally:

@@ -177,11 +177,11 @@ def fingerprint(metadata: dict[str, Any]) -> str:
     return "-".join(metadata["sha256"][name][:16] for name in metadata["stages"])
 
 
-def require_sensor(model: ForceModel, wanted: set[str]) -> None:
-    """Raise BadInput if none of the sensors `wanted` belongs to the dataset that a model of one picture comes from."""
+def require_sensor(model: ForceModel, required: set[str]) -> None:
+    """Raise BadInput if none of the sensors `required` belongs to the dataset that a model of one picture comes from."""
     known = model.metadata["known_sensors"]
-    if not model.needs_nocontact and wanted.isdisjoint(known):
+    if not model.needs_nocontact and required.isdisjoint(known):
         raise BadInput(
             f"model {model.metadata['name']} was made for sensors {', '.join(known)}, not for "
-            f"{', '.join(sorted(wanted))}: use a model trained on a dataset with that sensor"
+            f"{', '.join(sorted(required))}: use a model trained on a dataset with that sensor"
         )

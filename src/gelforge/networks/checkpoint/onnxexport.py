@@ -129,11 +129,11 @@ def largest_difference(
     """Largest difference between a graph and torch on arrays by input, as a fraction of the range of each output."""
     with torch.inference_mode():
         found = module(*(torch.from_numpy(one) for one in given.values()))
-    wanted = dict(zip(outputs, [found] if len(outputs) == 1 else found, strict=True))
+    required = dict(zip(outputs, [found] if len(outputs) == 1 else found, strict=True))
     made = Graph(graph, "exported")(given)
     return max(
         float(np.abs(made[name] - one.numpy()).max() / (float(np.ptp(one.numpy())) or 1.0))
-        for name, one in wanted.items()
+        for name, one in required.items()
     )
 
 

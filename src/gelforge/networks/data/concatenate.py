@@ -56,11 +56,11 @@ def carrying(dataset: str, sample: DatasetSample) -> DatasetSample:
 
 def require_alike(own: Data, other: Data) -> None:
     """Raise BadInput where two datasets cannot be learnt from together."""
-    seen, wanted = (
+    seen, required = (
         f"images of {one.image_size[1]} x {one.image_size[0]} and a grid of {one.grid[0]} x {one.grid[1]}"
         for one in (other, own)
     )
-    if seen != wanted:
+    if seen != required:
         raise BadInput(
-            f"{other.folder}: has {seen}, {own.folder} has {wanted}: only what is alike can be learnt from together"
+            f"{other.folder}: has {seen}, {own.folder} has {required}: only what is alike can be learnt from together"
         )

@@ -126,9 +126,9 @@ def evaluate_split(
     rng,
 ) -> dict[str, Any]:
     """All tables of one split, of what `predict` gives for its rows."""
-    wanted, alike = data.totals(rows), what_errs_alike(data, rows, learnt)
+    target, alike = data.totals(rows), what_errs_alike(data, rows, learnt)
     totals = predicted.forces.sum((2, 3), dtype=np.float64)
-    error = totals - wanted
+    error = totals - target
     mapped = predicted.in_place and predicted.forces.shape[2:] == data.grid
     against: dict[str, dict] = {}
     result = {
@@ -139,10 +139,10 @@ def evaluate_split(
         "cell": metrics.cell_table(predicted.forces, data.labels[rows]) if mapped else None,
         "contacts": contact_table(data.labels[rows], predicted.forces) if mapped else {"n": 0},
         "per_indenter": metrics.by_group(error, data.names("indenter")[rows]),
-        "per_force": metrics.by_group(error, metrics.force_bins(wanted[:, 2], settings.force_edges)),
+        "per_force": metrics.by_group(error, metrics.force_bins(target[:, 2], settings.force_edges)),
         "per_sensor": metrics.by_group(error, data.names("sensor_id")[rows]),
         "controls": {
-            name: {axis: float(np.abs(guess - wanted).mean(0)[i]) for i, axis in enumerate(CHANNELS)}
+            name: {axis: float(np.abs(guess - target).mean(0)[i]) for i, axis in enumerate(CHANNELS)}
             for name, guess in controls(data, rows, totals, lesson, rng).items()
         },
         "against": against,
@@ -153,12 +153,12 @@ def evaluate_split(
             continue
         known = np.isfinite(reference[rows]).all(1)
         if known.any():
-            mine, labels = totals[known] - reference[rows][known], wanted[known] - reference[rows][known]
+            mine, labels = totals[known] - reference[rows][known], target[known] - reference[rows][known]
             against[kind] = {
                 "n": int(known.sum()),
                 "network": metrics.error_table(mine, rng, settings.bootstrap, alike=alike[known]),
                 "labels": metrics.error_table(labels, rng, settings.bootstrap, alike=alike[known]),
-                "labels_over": metrics.slope(wanted[known], reference[rows][known]),
+                "labels_over": metrics.slope(target[known], reference[rows][known]),
             }
     return result
 

@@ -15,19 +15,19 @@ SHAPE_WEIGHT, TRUE_SHAPE_WEIGHT = 0.15, 0.5
 CONTRAST = 8.0  # by how much more a slope of one counts than a level place, which most of a picture is
 
 
-def relative_loss(output, wanted, scale) -> torch.Tensor:
+def relative_loss(output, target, scale) -> torch.Tensor:
     """Errors of force in fractions of each press' own normal force, so that light presses count as firm ones do.
 
-    output, wanted: (n, 3, rows, cols) in training units; scale: (3,) N. Sum of the mean square error of cells over the force to
+    output, target: (n, 3, rows, cols) in training units; scale: (3,) N. Sum of the mean square error of cells over the force to
     the power 1.5, smooth L1 of the normal force's logarithm, and that of shear over a tenth of the normal force.
     """
-    output, wanted = output * scale.view(1, 3, 1, 1), wanted * scale.view(1, 3, 1, 1)
-    total, target = output.sum((2, 3)), wanted.sum((2, 3))
-    normal = -target[:, 2]
-    per_cell = ((output - wanted) ** 2).sum((1, 2, 3))
+    output, target = output * scale.view(1, 3, 1, 1), target * scale.view(1, 3, 1, 1)
+    total, true_total = output.sum((2, 3)), target.sum((2, 3))
+    normal = -true_total[:, 2]
+    per_cell = ((output - target) ** 2).sum((1, 2, 3))
     cells = (per_cell / (normal.clamp(min=0) + LEAST_N) ** 1.5).mean()
     found, true = (torch.log(one.clamp(min=0) + 0.3) for one in (-total[:, 2], normal))
-    shear = F.smooth_l1_loss(total[:, :2], target[:, :2], beta=0.1, reduction="none").sum(1)
+    shear = F.smooth_l1_loss(total[:, :2], true_total[:, :2], beta=0.1, reduction="none").sum(1)
     shear = (shear / (0.1 * normal.clamp(min=0) + 0.3)).mean()
     return 2.0 * cells + F.smooth_l1_loss(found, true, beta=0.1) + 0.3 * shear
 
@@ -39,18 +39,18 @@ def shape_loss(slopes, motion, true_slopes, true_motion) -> torch.Tensor:
     return 60.0 * (weight * error).mean() + F.smooth_l1_loss(motion, true_motion, beta=0.3)
 
 
-def taught(net: GeometryNet, pairs, wanted, slopes, motion, scale, generator: torch.Generator) -> torch.Tensor:
+def taught(net: GeometryNet, pairs, target, slopes, motion, scale, generator: torch.Generator) -> torch.Tensor:
     """Loss of a batch whose shapes are known.
 
-    pairs: (n, 6, h, w) inputs; wanted: (n, 3, rows, cols) in training units; slopes (n, 2, h / 2, w / 2), motion (n, 2, h / 8,
+    pairs: (n, 6, h, w) inputs; target: (n, 3, rows, cols) in training units; slopes (n, 2, h / 2, w / 2), motion (n, 2, h / 8,
     w / 8) px. The second stage learns from the shape that the first one predicts, and from the true one, disturbed.
     """
     seen_slopes, seen_motion = net.slopes(pairs)
     loss = SHAPE_WEIGHT * shape_loss(seen_slopes, seen_motion, slopes, motion)
-    loss = loss + relative_loss(net.forces(seen_slopes, seen_motion), wanted, scale)
+    loss = loss + relative_loss(net.forces(seen_slopes, seen_motion), target, scale)
     true_slopes, true_motion = disturbed(slopes, motion, generator)
-    true_slopes, true_motion, target = mirrored(true_slopes, true_motion, wanted, generator)
-    return loss + TRUE_SHAPE_WEIGHT * relative_loss(net.forces(true_slopes, true_motion), target, scale)
+    true_slopes, true_motion, mirrored_target = mirrored(true_slopes, true_motion, target, generator)
+    return loss + TRUE_SHAPE_WEIGHT * relative_loss(net.forces(true_slopes, true_motion), mirrored_target, scale)
 
 
 def disturbed(slopes, motion, generator: torch.Generator):
@@ -79,15 +79,15 @@ def disturbed(slopes, motion, generator: torch.Generator):
     return slopes, motion * known.to(device)
 
 
-def mirrored(slopes, motion, wanted, generator: torch.Generator):
+def mirrored(slopes, motion, target, generator: torch.Generator):
     """Shapes and forces mirrored along each side of the image with even odds: mechanics knows no left and right."""
     for component, side in ((0, 3), (1, 2)):
         chosen = torch.rand(len(slopes), generator=generator) < 0.5
         sign = torch.where(chosen, -1.0, 1.0).view(-1, 1, 1).to(slopes.device)
         flipped = []
-        for maps in (slopes, motion, wanted):
+        for maps in (slopes, motion, target):
             own = torch.where(chosen.view(-1, 1, 1, 1).to(maps.device), maps.flip(side), maps).clone()
             own[:, component] *= sign
             flipped.append(own)
-        slopes, motion, wanted = flipped
-    return slopes, motion, wanted
+        slopes, motion, target = flipped
+    return slopes, motion, target

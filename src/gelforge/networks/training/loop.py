@@ -37,16 +37,16 @@ def initial_net(model: dict, image, grid, seed: int):
         return build(model, image, grid)
 
 
-def loss_of(output, wanted, scale, total_scale, settings: TrainingTable):
+def loss_of(output, target, scale, total_scale, settings: TrainingTable):
     """Mean square error per cell, plus `total_weight` times that of total force, both in units of their own scale.
 
     Beyond `total_huber` scales an error of total force counts linearly (smooth L1: Girshick 2015, equation 3, its
     corner at `total_huber`); where that is 0, all count squared.
-    output, wanted: (n, 3, rows, cols) in training units; scale, total_scale: (3,) N.
+    output, target: (n, 3, rows, cols) in training units; scale, total_scale: (3,) N.
     """
-    loss = F.mse_loss(output, wanted)
+    loss = F.mse_loss(output, target)
     if settings.total_weight > 0 and output.shape[2:] != (1, 1):
-        error = (output - wanted).sum((2, 3)) * (scale / total_scale)
+        error = (output - target).sum((2, 3)) * (scale / total_scale)
         corner = settings.total_huber
         total = F.smooth_l1_loss(error, torch.zeros_like(error), beta=corner) if corner > 0 else (error**2).mean()
         loss = loss + settings.total_weight * total
@@ -244,22 +244,22 @@ class Training:
         self.epochs_done = len(self.curve)
         self.cost["resumed"] += 1
 
-    def step(self, images, wanted, *shape) -> float:
+    def step(self, images, target, *shape) -> float:
         """One step of the optimiser on inputs (k, channels, h, w) and targets (k, 3, rows, cols); return the loss.
 
         shape: slopes and motion of the gel in these images, where the network is taught them.
         """
-        images, wanted = images.to(self.device), wanted.to(self.device)
+        images, target = images.to(self.device), target.to(self.device)
         scale, total = (torch.tensor(self.norm[key], device=self.device).float() for key in ("label", "total"))
         self.optimiser.zero_grad(set_to_none=True)
         if shape:
             drawn = generator(self.settings.seed, "shape", self.cost["steps"] + self.steps_in_epoch)
             slopes, motion = (one.to(self.device) for one in shape)
-            loss = taught(self.net, images, wanted, slopes, motion, scale, drawn)
+            loss = taught(self.net, images, target, slopes, motion, scale, drawn)
         else:
             with torch.autocast(self.device, dtype=torch.bfloat16, enabled=self.mixed):
                 output = self.net(images)
-            loss = loss_of(output.float(), wanted, scale, total, self.settings)
+            loss = loss_of(output.float(), target, scale, total, self.settings)
         loss.backward()
         self.optimiser.step()
         if self.averages(self.epochs_done):

@@ -519,6 +519,6 @@ document.addEventListener("keydown", (event) => {
 });
 window.addEventListener("resize", () => { drawMap(); drawRows(); if (state.at >= 0) drawCurve(state.at); });
 arrange();
-const wanted = PLACE.get(decodeURIComponent(location.hash.replace(/^#press=/, "")));
-if (COUNT) choose(wanted ?? state.order.find((i) => !FAILED[i] && Number.isFinite(COLUMNS.error[i])) ?? 0);
+const linked = PLACE.get(decodeURIComponent(location.hash.replace(/^#press=/, "")));
+if (COUNT) choose(linked ?? state.order.find((i) => !FAILED[i] && Number.isFinite(COLUMNS.error[i])) ?? 0);
 document.body.dataset.opened = performance.now().toFixed(0);
