@@ -7,7 +7,7 @@ import numpy as np
 
 from gelforge.records.markers import MarkerGrid, find_markers
 from gelforge.virtualrig.appearance import HEIGHT, WIDTH
-from gelforge.virtualrig.lightfit import dot_free, dot_spots
+from gelforge.virtualrig.lightfit import marker_free, marker_spots
 from gelforge.virtualrig.render import unproject
 from tests.surface_values import interpolate_surface
 
@@ -30,7 +30,7 @@ class NoContact:
 def no_contact(image: np.ndarray, rows: int, cols: int) -> NoContact:
     """Measure a picture without contact, RGB (240, 320, 3) uint8."""
     grid = find_markers(image, rows, cols)
-    free = dot_free(grid.points, 1.2 * grid.diameter)
+    free = marker_free(grid.points, 1.2 * grid.diameter)
     picture = image.astype(np.float32)
     inner = cv2.erode(free.astype(np.uint8), np.ones((5, 5))) > 0
     noise = (picture - cv2.GaussianBlur(picture, (0, 0), 3.0))[inner].std(axis=0)
@@ -72,7 +72,7 @@ def tracked_markers(
 
     start, expected: (n, 2) px, where the markers stand in `before` and roughly in `after`. Returns (n, 2) and (n,) bool.
     """
-    first, second = dot_spots(before)[0], dot_spots(after)[0]
+    first, second = marker_spots(before)[0], marker_spots(after)[0]
     i, near_first = _nearest(first, start)
     j, near_second = _nearest(second, expected)
     return second[j] - first[i], (near_first < reach) & (near_second < reach)

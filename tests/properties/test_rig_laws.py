@@ -15,7 +15,7 @@ from gelforge.mechanics.scene import Press
 from gelforge.records.geometryfile import STEP as SLOPE_STEP
 from gelforge.virtualrig.appearance import TERMS, Appearance, read_appearances
 from gelforge.virtualrig.fields import STEP, body_of, unloaded
-from gelforge.virtualrig.lightfit import dot_spots
+from gelforge.virtualrig.lightfit import marker_spots
 from gelforge.virtualrig.render import RIPPLE_MM, Pressed, Renderer
 from gelforge.virtualrig.rigplan import kind_of, orders, read_plan
 from tests.conftest import ROOT
@@ -77,7 +77,7 @@ def test_markers_go_where_the_gel_goes(name, shift, stretch, turn):
     field, moves = linear_field(np.array(shift), stretch, turn)
     points = gel_points(eye, eye.appearance.markers)
     expected = eye.seen(points, np.column_stack([moves(points), np.zeros(len(points))]))
-    before, after = dot_spots(eye.image())[0], dot_spots(eye.image(field))[0]
+    before, after = marker_spots(eye.image())[0], marker_spots(eye.image(field))[0]
     seen = inside_image(expected, 1.5 * eye.appearance.diameter) & inside_image(
         eye.appearance.markers, 1.5 * eye.appearance.diameter
     )

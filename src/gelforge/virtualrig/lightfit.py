@@ -9,7 +9,7 @@ from gelforge.virtualrig.appearance import HEIGHT, TERMS, WIDTH, normalised_pixe
 DARKER = 0.72  # of its surroundings, from which a spot is a marker
 
 
-def dot_spots(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def marker_spots(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Dark round spots of a gel with markers: centres (n, 2) px from the image's corner, diameters (n,) px of equal area.
 
     A spot is a connected part darker than DARKER times its surroundings, 40 to 500 pixels large.
@@ -35,7 +35,7 @@ def dot_spots(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.array(centres).reshape(-1, 2), np.array(diameters)
 
 
-def dot_free(centres: np.ndarray, radius: float) -> np.ndarray:
+def marker_free(centres: np.ndarray, radius: float) -> np.ndarray:
     """Mask (240, 320) of the pixels farther than `radius` px from every centre."""
     v, u = np.mgrid[:HEIGHT, :WIDTH] + 0.5
     mask = np.ones((HEIGHT, WIDTH), bool)
@@ -50,10 +50,10 @@ def fit_background(image: np.ndarray) -> np.ndarray:
         raise BadInput(
             f"an image of shape {image.shape} was given; an appearance is fitted to {WIDTH} x {HEIGHT} RGB"
         )
-    centres, diameters = dot_spots(image)
+    centres, diameters = marker_spots(image)
     if not len(centres):
         raise BadInput("no dark spots were found; give a picture of a gel with markers without contact")
-    mask = dot_free(centres, 1.1 * float(np.median(diameters)))
+    mask = marker_free(centres, 1.1 * float(np.median(diameters)))
     s, t = normalised_pixels()
     powers = np.stack([s[mask] ** i * t[mask] ** j for i, j in TERMS], axis=1)
     return np.linalg.lstsq(powers, image[mask].astype(float), rcond=None)[0]
