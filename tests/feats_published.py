@@ -9,7 +9,7 @@ from gelforge.formats.featsfile import LabelSample, write_label
 from gelforge.records.splits import SPLITS, TRAINING, UNSEEN_SENSOR
 
 DEMO = Path(__file__).parents[1] / "data" / "demo" / "images"
-SHARES = (0.8, 0.05, 0.05, 0.05, 0.05)  # of the published splits
+FRACTIONS = (0.8, 0.05, 0.05, 0.05, 0.05)  # of the published splits
 
 
 def publish(folder: Path, count: int, grid: tuple[int, int] = (24, 32)) -> dict[str, int]:
@@ -19,7 +19,7 @@ def publish(folder: Path, count: int, grid: tuple[int, int] = (24, 32)) -> dict[
     """
     rng = np.random.default_rng(5)
     pictures = [cv2.imread(str(path)) for path in sorted(DEMO.glob("*.png"))]
-    counts = {name: max(1, round(share * count)) for name, share in zip(SPLITS, SHARES)}
+    counts = {name: max(1, round(fraction * count)) for name, fraction in zip(SPLITS, FRACTIONS)}
     rows, cols = np.mgrid[: grid[0], : grid[1]]
     for name, many in counts.items():
         for k in range(many):

@@ -162,8 +162,8 @@ def picture_cases() -> Iterator[Case]:
         return run
 
     yield Case("pictures", "whole", reading(png), [(240, 320, 3), "uint8", True], True)
-    for share in (0.0, 0.01, 0.1, 0.5, 0.9, 0.99):
-        yield Case("pictures", f"PNG cut to {share:.0%}", reading(png[: int(share * len(png))]))
+    for fraction in (0.0, 0.01, 0.1, 0.5, 0.9, 0.99):
+        yield Case("pictures", f"PNG cut to {fraction:.0%}", reading(png[: int(fraction * len(png))]))
     for at in rng.integers(8, len(png), 12):
         changed = bytearray(png)
         changed[at] ^= 1 << int(rng.integers(8))
@@ -240,8 +240,8 @@ def shape_cases() -> Iterator[Case]:
 
 def flips(data: bytes, rng, count: int) -> Iterator[tuple[str, bytes]]:
     """The same bytes cut short and with single bits changed."""
-    for share in (0.0, 0.2, 0.6, 0.95):
-        yield f"cut to {share:.0%}", data[: int(share * len(data))]
+    for fraction in (0.0, 0.2, 0.6, 0.95):
+        yield f"cut to {fraction:.0%}", data[: int(fraction * len(data))]
     for at in sorted(rng.integers(0, len(data), count).tolist()):
         changed = bytearray(data)
         changed[at] ^= 1 << int(rng.integers(8))

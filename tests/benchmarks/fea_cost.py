@@ -34,10 +34,10 @@ def moments(scene: Scene, count: int = FRAMES) -> list[Scene]:
     """`count` moments of a press: evenly down, and where it goes sideways the last two of them along that way."""
     press = scene.press
     aside = 2 if press.dx or press.dy else 0
-    shares = [(k / (count - aside), 0.0) for k in range(1, count - aside + 1)]
-    shares += [(1.0, k / aside) for k in range(1, aside + 1)]
+    fractions = [(k / (count - aside), 0.0) for k in range(1, count - aside + 1)]
+    fractions += [(1.0, k / aside) for k in range(1, aside + 1)]
     return [replace(scene, press=replace(press, dz=down * press.dz, dx=to * press.dx, dy=to * press.dy))
-            for down, to in shares]  # fmt: skip
+            for down, to in fractions]  # fmt: skip
 
 
 def frames_of(scene: Scene, sensor: Sensor) -> dict:

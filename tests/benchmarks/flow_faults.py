@@ -331,7 +331,7 @@ def change_cases(boxes: Sandboxes) -> Iterator[Case]:
         "a tolerance": edited(settings, "tolerance = 0.2", "tolerance = 0.3"),
         "a quality": edited(settings, '"demo"', '"draft"'),
         "shards of one press": edited(settings, "shard_size = 2", "shard_size = 1"),
-        "a share of labels": edited(params, "largest_outside_share = 0.02", "largest_outside_share = 0.03"),
+        "a fraction of labels": edited(params, "largest_outside_share = 0.02", "largest_outside_share = 0.03"),
         "an indenter that is not used": edited("workflow/indenters.toml", "[bar_10]", "[another_bar]"),
         "a press less": without_row,
         "another picture": swapped_images,

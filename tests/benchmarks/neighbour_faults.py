@@ -13,7 +13,7 @@ from gelforge.errors import GelforgeError
 from tests.benchmarks.attempts import Case
 
 LFS = b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12345\n"
-SHARES = (0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99)  # of a file that is left
+FRACTIONS = (0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99)  # of a file that is left
 
 # -- CalculiX' results
 
@@ -57,8 +57,8 @@ def answer_cases() -> Iterator[Case]:
     for word in SPELLINGS:
         yield Case("answers", f"a value is {word!r}", reading(HEAD + ROWS.replace("2.000000E-02", word)))
     text = HEAD + ROWS
-    for share in SHARES:
-        yield Case("answers", f"cut to {share:.0%}", reading(text[: int(share * len(text))]))
+    for fraction in FRACTIONS:
+        yield Case("answers", f"cut to {fraction:.0%}", reading(text[: int(fraction * len(text))]))
 
 
 # -- solids
@@ -162,9 +162,9 @@ def frame_cases() -> Iterator[Case]:
     for suffix, code in ((".mp4", "mp4v"), (".avi", "MJPG")):
         yield Case("frames", f"film {suffix}, whole", film(bytes, suffix, code), 12, True)
         yield Case("frames", f"film {suffix}, a Git LFS pointer", film(lambda data: LFS, suffix, code))
-        for share in SHARES:
-            yield Case("frames", f"film {suffix}, cut to {share:.0%}",
-                       film(lambda data, share=share: data[: int(share * len(data))], suffix, code), 12)  # fmt: skip
+        for fraction in FRACTIONS:
+            yield Case("frames", f"film {suffix}, cut to {fraction:.0%}",
+                       film(lambda data, fraction=fraction: data[: int(fraction * len(data))], suffix, code), 12)  # fmt: skip
     yield Case("frames", "film .mp4, without its index", film(lambda data: data[: data.find(b"moov") - 4]))
 
 
@@ -193,17 +193,17 @@ def recording_cases() -> Iterator[Case]:
     def whole(folder: Path) -> Path:
         return made.write(folder / "a.mcap", made.filmed(film, lambda k: 0.0), made.ramp())
 
-    def cut(share: float) -> Callable[[Path], object]:
+    def cut(fraction: float) -> Callable[[Path], object]:
         def run(folder: Path) -> object:
             path = whole(folder)
-            path.write_bytes(path.read_bytes()[: int(share * path.stat().st_size)])
+            path.write_bytes(path.read_bytes()[: int(fraction * path.stat().st_size)])
             return off(imported(folder, path)[1])
 
         return run
 
     yield Case("recordings", "whole", cut(1.0), True, True)
-    for share in SHARES:
-        yield Case("recordings", f"cut to {share:.0%}", cut(share), True)
+    for fraction in FRACTIONS:
+        yield Case("recordings", f"cut to {fraction:.0%}", cut(fraction), True)
 
     def split(count: int) -> Callable[[Path], object]:
         def run(folder: Path) -> object:

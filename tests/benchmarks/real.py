@@ -46,7 +46,7 @@ PX_PER_MM, FEATS_PX_PER_MM = float(np.hypot(*gelsight_mini().projection[0, :2]))
 # ring that a tube of 10 and 7 mm presses (140 presses; within 0.05 mm).
 CUBOID_MM, TUBE_MM = 9.4, 8.6
 TUBES = (9, 31, 45, 49)  # frames of FEATS' film in which the whole ring of that tube presses
-FOOT = 0.35  # share of a map's largest force from which a cell counts as pressed
+FOOT = 0.35  # fraction of a map's largest force from which a cell counts as pressed
 NEWTONS = 0.30, 0.17  # a cell at the end of FEATS' colour scale: its code knows both
 SLIPPED = {
     "a zoom of 4 thousandths": {"zoom": 1.004},
@@ -96,11 +96,11 @@ def _named_over(picture: np.ndarray, behind: np.ndarray) -> np.ndarray:
     return whole
 
 
-def laid(cells: np.ndarray, share: float, right: float = 0.0, down: float = 0.0) -> np.ndarray:
-    """A map (rows, cols) made smaller by `share` about its middle and moved by so many cells."""
+def laid(cells: np.ndarray, fraction: float, right: float = 0.0, down: float = 0.0) -> np.ndarray:
+    """A map (rows, cols) made smaller by `fraction` about its middle and moved by so many cells."""
     size = cells.shape[::-1]
-    shift = (1.0 - share) * (np.array(size) - 1) / 2 + (right, down)
-    matrix = np.array([[share, 0.0, shift[0]], [0.0, share, shift[1]]])
+    shift = (1.0 - fraction) * (np.array(size) - 1) / 2 + (right, down)
+    matrix = np.array([[fraction, 0.0, shift[0]], [0.0, fraction, shift[1]]])
     return cv2.warpAffine(cells.astype(np.float32), matrix, size)
 
 

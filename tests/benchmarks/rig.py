@@ -172,7 +172,7 @@ def cuboid(rig: Rig, reference: Path) -> list[Figure]:
     return [
         Figure("cuboid outline, largest distance of a side", off.max(), "<=", 3.0, "px",
                f"steepest line of each flank against the corners at this unit's scale, less the sideways path; {deep}"),
-        Figure("cuboid markers displaced in the same direction", (cosine[moved] > 0.5).mean(), ">=", 0.9, "share",
+        Figure("cuboid markers displaced in the same direction", (cosine[moved] > 0.5).mean(), ">=", 0.9, "fraction",
                f"within 60 degrees, {there}mean cosine {cosine[moved].mean():.2f}, correlation "
                f"{np.corrcoef(motion.ravel(), ours.ravel())[0, 1]:.2f}; less the even stretch, which the print of "
                f"that unit may share: {(uneven > 0.5).mean():.2f}"),

@@ -40,7 +40,7 @@ from tests.benchmarks.figures import Figure, publish_figures
 from tests.pictures import moved
 
 RANGE = {"grid_x": 10.0, "grid_y": 10.0, "grid_z": 40.0}  # N, of the FEATS paper
-SOFTER_HARDER = 0.15  # share by which gels of one kind differ in stiffness
+SOFTER_HARDER = 0.15  # fraction by which gels of one kind differ in stiffness
 READ_NOISE = 0.03  # N, of a force sensor
 COUNTS = (0, 1, 2, 5, 10, 20)  # readings of a force sensor
 PRESSES = 28

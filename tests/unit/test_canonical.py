@@ -31,10 +31,10 @@ def gel(seed: int) -> np.ndarray:
     return np.clip(picture + rng.normal(0, 1.0, picture.shape), 0, 255).astype(np.uint8)
 
 
-def pressed(picture: np.ndarray, share: float, seed: int) -> np.ndarray:
-    """The same with something round pressed into `share` of it: bright on one side, dark on the other."""
+def pressed(picture: np.ndarray, fraction: float, seed: int) -> np.ndarray:
+    """The same with something round pressed into `fraction` of it: bright on one side, dark on the other."""
     rng, (h, w) = np.random.default_rng(seed), SIZE
-    radius = np.sqrt(share * h * w / np.pi)
+    radius = np.sqrt(fraction * h * w / np.pi)
     u, v = rng.uniform(0.3, 0.7) * w, rng.uniform(0.3, 0.7) * h
     y, x = np.mgrid[:h, :w]
     slope = np.where(np.hypot(x - u, y - v) < radius, (x - u) / max(radius, 1e-9), 0.0)
@@ -44,23 +44,23 @@ def pressed(picture: np.ndarray, share: float, seed: int) -> np.ndarray:
 
 @given(st.integers(0, 999), st.floats(0.8, 1.2), st.floats(-6, 6), st.floats(0.0, 0.3))
 @settings(max_examples=40)
-def test_light_is_found_beside_a_contact(seed, gain, offset, share):
+def test_light_is_found_beside_a_contact(seed, gain, offset, fraction):
     """Whatever is pressed into up to three tenths of the picture, gain and offset are those of the rest."""
     rest = gel(seed)
-    seen = np.clip(np.rint(gain * pressed(rest, share, seed).astype(float) + offset), 0, 255).astype(np.uint8)
+    seen = np.clip(np.rint(gain * pressed(rest, fraction, seed).astype(float) + offset), 0, 255).astype(np.uint8)
     light = match_light(seen, rest)
     assert light.known
     back = light.undo(seen).astype(float)
-    away = np.abs(pressed(rest, share, seed).astype(float) - rest).sum(axis=2) == 0
+    away = np.abs(pressed(rest, fraction, seed).astype(float) - rest).sum(axis=2) == 0
     assert abs((back - rest)[away].mean()) < 1.0
 
 
 @given(st.integers(0, 999), st.floats(0.8, 1.2), st.floats(-6, 6), st.floats(0.0, 0.3))
 @settings(max_examples=40)
-def test_light_that_was_taken_back_is_found_no_more(seed, gain, offset, share):
+def test_light_that_was_taken_back_is_found_no_more(seed, gain, offset, fraction):
     """The rounds end where they settle: in a picture whose light was taken back another search finds half a level at most."""
     rest = gel(seed)
-    seen = np.clip(np.rint(gain * pressed(rest, share, seed).astype(float) + offset), 0, 255).astype(np.uint8)
+    seen = np.clip(np.rint(gain * pressed(rest, fraction, seed).astype(float) + offset), 0, 255).astype(np.uint8)
     again = match_light(match_light(seen, rest).undo(seen), rest)
     levels = np.percentile(rest, [10, 90], axis=(0, 1))
     assert np.abs(again.gain * levels + again.offset - levels).max() < 0.5

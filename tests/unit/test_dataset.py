@@ -58,15 +58,15 @@ def test_no_press_is_on_two_sides(count, touches, seed, kinds):
 def test_shares_and_strata_hold():
     rows, force = presses(4000, 1)
     split, _ = split_presses(rows, force, set(), {}, SETTINGS)
-    for name, share in (("train", 0.7), ("val", 0.1), ("test", 0.2)):
+    for name, fraction in (("train", 0.7), ("val", 0.1), ("test", 0.2)):
         chosen = split == name
-        assert chosen.mean() == pytest.approx(share, abs=0.005)  # what 4000 can be dealt to
+        assert chosen.mean() == pytest.approx(fraction, abs=0.005)  # what 4000 can be dealt to
         for low, high in zip([0, *SETTINGS.force_edges], [*SETTINGS.force_edges, 99], strict=True):
             stratum = (force >= low) & (force < high)
-            assert (chosen & stratum).sum() / stratum.sum() == pytest.approx(share, abs=0.03)
+            assert (chosen & stratum).sum() / stratum.sum() == pytest.approx(fraction, abs=0.03)
         for indenter in ("i0", "i3"):
             mine = np.array([row.indenter == indenter for row in rows])
-            assert (chosen & mine).sum() / mine.sum() == pytest.approx(share, abs=0.03)
+            assert (chosen & mine).sum() / mine.sum() == pytest.approx(fraction, abs=0.03)
 
 
 def test_the_seed_decides():
@@ -325,7 +325,7 @@ BROKEN = {
         {},
         ["splits.csv", "row 4", "'s000' is in two splits"],
     ),
-    "shares above one": (lambda m: None, {"validation": 0.7, "test": 0.4}, ["validation", "0.7"]),
+    "fractions above one": (lambda m: None, {"validation": 0.7, "test": 0.4}, ["validation", "0.7"]),
     "falling edges": (lambda m: None, {"force_edges": [3.0, 1.0]}, ["force_edges", "rising"]),
     "no tolerance": (lambda m: None, {"same_press_mm": 0.0}, ["same_press_mm"]),
 }

@@ -1,4 +1,4 @@
-"""Intervals of forces: they hold the share that they promise, whatever the errors are like."""
+"""Intervals of forces: they hold the fraction that they promise, whatever the errors are like."""
 
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ def fitted(force, error, press=None):
     error, press = np.abs(error), np.arange(len(error)) if press is None else press
     scale = usual_error(np.abs(force), np.abs(force), error)
     size = conformal_size(error / scale.of(force, np.abs(force)), press)
-    return HalfWidth(scale.base * size, scale.share * size, scale.of_whole * size)
+    return HalfWidth(scale.base * size, scale.fraction * size, scale.of_whole * size)
 
 
 @given(st.sampled_from(["even", "growing", "biased", "heavy"]), st.integers(0, 10**6))
@@ -112,7 +112,7 @@ def test_they_are_narrow_where_errors_are_small():
     rng = np.random.default_rng(0)
     force = rng.exponential(8.0, 4000)
     width = fitted(force, errors("growing", force, rng))
-    assert width.of(0.0, 0.0) < 0.5 and width.share + width.of_whole == pytest.approx(0.08 * 1.645, rel=0.2)
+    assert width.of(0.0, 0.0) < 0.5 and width.fraction + width.of_whole == pytest.approx(0.08 * 1.645, rel=0.2)
     weak, strong = force < 2.0, force > 15.0
     for group in (weak, strong):
         held = np.abs(errors("growing", force, rng))[group] <= width.of(force[group], force[group])

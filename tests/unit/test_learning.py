@@ -161,12 +161,12 @@ def test_resumed_training_has_the_same_curve_and_weights(folder, tmp_path, kind,
         assert torch.equal(a, b)
 
 
-@pytest.mark.parametrize("share", [0.5, 0.4])
-def test_the_last_epochs_train_the_network_that_is_used(folder, share, monkeypatch):
+@pytest.mark.parametrize("fraction", [0.5, 0.4])
+def test_the_last_epochs_train_the_network_that_is_used(folder, fraction, monkeypatch):
     """Frozen statistics stay, the weights go on; before, each epoch has its own."""
     data = open_data(folder)
-    settings = with_values(SETTINGS, epochs=4, frozen_share=share)
-    frozen = [False, False, True, True] if share == 0.5 else [False, False, False, True]
+    settings = with_values(SETTINGS, epochs=4, frozen_share=fraction)
+    frozen = [False, False, True, True] if fraction == 0.5 else [False, False, False, True]
     settled = []
     monkeypatch.setattr(
         "gelforge.networks.training.loop.settle_batch_norm", lambda net, *_: settled.append(training.epochs_done)
@@ -261,12 +261,12 @@ def test_weights_between_first_and_last_are_tried(few, trained):
     fit(training, few)
     first, last = training.start["weights"], training.best["weights"]
     judged = {}
-    for share in (0.0, *FRACTIONS, 1.0):
-        training.net.load_state_dict(between(first, last, share))
-        judged[share] = validate(training.net, few, training.norm, 8, "cpu")["val_score"]
+    for fraction in (0.0, *FRACTIONS, 1.0):
+        training.net.load_state_dict(between(first, last, fraction))
+        judged[fraction] = validate(training.net, few, training.norm, 8, "cpu")["val_score"]
     assert judged[0.0] == pytest.approx(training.start["val_score"])
     assert judged[1.0] == pytest.approx(training.best["val_score"])
-    assert training.fraction == min(judged, key=lambda share: judged[share])
+    assert training.fraction == min(judged, key=lambda fraction: judged[fraction])
     assert training.best_epoch == (training.best["epoch"] if training.fraction else 0)
     middle = between(first, last, 0.5)
     assert all(

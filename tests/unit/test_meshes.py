@@ -180,11 +180,11 @@ def test_the_fine_part_goes_as_little_as_it_must(low, width, half, far):
     assert "-0" not in placed("ccx-centre-0.7", (found or 0.0, 0.5)).split("@")[1].split(":")
 
 
-@pytest.mark.parametrize("share", [(0, 0), (0.5, 0), (-1, 1), (1, -1)])
-def test_a_moved_mesh_is_as_sound_and_as_fine(mesh, share):
+@pytest.mark.parametrize("fraction", [(0, 0), (0.5, 0), (-1, 1), (1, -1)])
+def test_a_moved_mesh_is_as_sound_and_as_fine(mesh, fraction):
     far = reach(mesh, GEL, (4.0, 4.0))
     assert min(far) >= 1.0  # of elements as wide as half of the fine part; those of labels go two to six
-    way = tuple(np.round(np.multiply(share, far)))
+    way = tuple(np.round(np.multiply(fraction, far)))
     there = moved(mesh, GEL, (4.0, 4.0), way)
     report, before = quality(there, GEL), quality(mesh, GEL)
     assert report["min_scaled_jacobian"] > 0.1

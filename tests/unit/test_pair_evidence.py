@@ -215,8 +215,8 @@ def test_statistics_of_a_picture_are_what_they_are_called(seed, rows, cols):
 
 
 @given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=30), st.floats(0, 1))
-def test_quantiles_are_numpys(values, share):
-    assert quantile(np.array(values), share) == pytest.approx(np.quantile(values, share), abs=1e-9)
+def test_quantiles_are_numpys(values, fraction):
+    assert quantile(np.array(values), fraction) == pytest.approx(np.quantile(values, fraction), abs=1e-9)
 
 
 def test_a_reference_made_arrays_scores_as_its_lists_do(presses):

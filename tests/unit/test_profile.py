@@ -305,8 +305,8 @@ def test_readings_that_cannot_be_are_refused(weighed, change, says):
 def test_quantiles_are_students(freedom):
     from scipy.stats import t
 
-    for share in (0.6, 0.9, 0.95):
-        assert student_quantile(share, freedom) == pytest.approx(t.ppf(share, freedom), rel=0.012)
+    for fraction in (0.6, 0.9, 0.95):
+        assert student_quantile(fraction, freedom) == pytest.approx(t.ppf(fraction, freedom), rel=0.012)
 
 
 def test_fingers_that_grasp_one_object_read_alike_with_their_profiles(weighed):

@@ -422,20 +422,20 @@ def test_a_flag_is_reported_in_its_own_words(tmp_path):
 def test_how_much_lies_at_the_edge_is_reported_where_a_map_shows_it(tmp_path):
     with page_server(Recorder(tmp_path)) as (address, hub), browser() as driver:
         driver.get(address)
-        for number, (share, words) in enumerate(((0.423, "42 %"), (float("nan"), "\u2013")), 1):
+        for number, (fraction, words) in enumerate(((0.423, "42 %"), (float("nan"), "\u2013")), 1):
             one = reading(number)
-            serve([replace(one, found=replace(one.found, edge_peak=share))], hub, Recorder(tmp_path))
+            serve([replace(one, found=replace(one.found, edge_peak=fraction))], hub, Recorder(tmp_path))
             wait_for(driver, f"return document.body.dataset.frame === '{number}'")
             assert driver.find_element("id", "edge").text == words
 
 
-def curve_pixels(driver, share):
-    """Pixels (height, 3) of a column of the curve, at a share of the time that it shows, from the top."""
+def curve_pixels(driver, fraction):
+    """Pixels (height, 3) of a column of the curve, at a fraction of the time that it shows, from the top."""
     script = """
         const c = el('curve'), ratio = c.width / c.clientWidth;
         const x = Math.round(ratio * (50 + (c.clientWidth - 60) * arguments[0]));
         return [...c.getContext('2d').getImageData(x, 0, 1, c.height).data];"""
-    return np.reshape(driver.execute_script(script, share), (-1, 4))[:, :3]
+    return np.reshape(driver.execute_script(script, fraction), (-1, 4))[:, :3]
 
 
 def rows_of(pixels, colour):
@@ -453,7 +453,7 @@ def test_the_curve_has_the_sign_of_the_tiles_and_is_grey_while_frames_are_flagge
             serve([reading(number, flag=number == 2)], hub, Recorder(tmp_path))
             wait_for(driver, f"return document.body.dataset.frame === '{number}'")
         assert float(driver.find_element("id", "z").text) == -4.0
-        early, flagged, late = (curve_pixels(driver, share) for share in (0.2, 0.52, 0.8))
+        early, flagged, late = (curve_pixels(driver, fraction) for fraction in (0.2, 0.52, 0.8))
         assert rows_of(early, colour["grid_z_n"]).mean() < rows_of(late, colour["grid_z_n"]).mean()
         assert len(rows_of(flagged, colour["FLAGGED"])) > 100
         assert not any(len(rows_of(pixels, colour["FLAGGED"])) > 10 for pixels in (early, late))

@@ -53,8 +53,8 @@ def test_frames_of_a_press_are_solved_labelled_and_split_together(project):
     log = project / "data/tiny/log.csv"
     row = read_csv(log)[0] | {"dx_mm": "0", "dy_mm": "0", "press_id": "film"}
     depth = [0.25, 0.5, 0.75, 1.0, 1.0]
-    frames = [row | {"sample_id": f"f{k}", "dz_mm": f"{-share * abs(float(row['dz_mm']))}"}
-              for k, share in enumerate(depth)]  # fmt: skip
+    frames = [row | {"sample_id": f"f{k}", "dz_mm": f"{-fraction * abs(float(row['dz_mm']))}"}
+              for k, fraction in enumerate(depth)]  # fmt: skip
     frames[4] |= {"dx_mm": "0.2"}
     alone = row | {"sample_id": "alone", "press_id": ""}
     back = row | {"sample_id": "back", "dz_mm": "-0.1"}

@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-LEAST_WAY = 1e-6  # share of the travel that is left at least
+LEAST_WAY = 1e-6  # fraction of the travel that is left at least
 
 
 @njit(cache=True, fastmath=False)
@@ -11,7 +11,7 @@ def sideways_left(yielded, exponent):
     """Share of a sideways force that is left where the frame yields.
 
     yielded: part of the travel that the frame would take under the whole force. exponent: d ln force / d ln travel.
-    The travel x that remains, as a share, meets x + yielded * x**exponent = 1; the force is x**exponent.
+    The travel x that remains, as a fraction, meets x + yielded * x**exponent = 1; the force is x**exponent.
     """
     x = 1.0 / (1.0 + yielded)
     for _ in range(4):
@@ -22,7 +22,7 @@ def sideways_left(yielded, exponent):
 
 @njit(cache=True, fastmath=False)
 def _between(nodes, value):
-    """Index of the nodes below and above a value, and how far it is from the one to the other, as a share."""
+    """Index of the nodes below and above a value, and how far it is from the one to the other, as a fraction."""
     k = 0
     while k + 2 < nodes.size and value > nodes[k + 1]:
         k += 1

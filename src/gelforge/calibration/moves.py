@@ -4,7 +4,7 @@ import numpy as np
 
 # Degrees of freedom of the fitted proposal: tails heavier than the posterior's, so that no walker stays in one.
 TAIL = 5.0
-INDEPENDENT = 0.5  # share of the steps that take it
+INDEPENDENT = 0.5  # fraction of the steps that take it
 
 
 def learning_moves() -> list:

@@ -285,14 +285,14 @@ def refine(
         raise SolveFailed(
             f'a refining solve failed ({next(iter(fine.failed.values()))}); set [calibrate] refine = "none"'
         )
-    share = np.interp(np.linspace(0.0, 1.0, em.FRICTIONS), friction_axis(np.array([mus[0], mus[-1]])), [0.0, 1.0])
+    fraction = np.interp(np.linspace(0.0, 1.0, em.FRICTIONS), friction_axis(np.array([mus[0], mus[-1]])), [0.0, 1.0])
     table = emulator.table.copy()
     for i, (group, end) in enumerate(zip(jobs, ends, strict=True)):
         depth, ratio = path_ratios(plan, coarse, fine, i, group)
         change = path_ratios(plan, coarse, fine, i, end)[1][-1] / ratio[-1]
         down = np.linspace(0.0, plan.top[i], em.DEPTHS)
         along = np.stack([np.interp(down, depth, one) for one in ratio.T], axis=1)
-        table[i] *= along * change ** share[:, None, None]
+        table[i] *= along * change ** fraction[:, None, None]
     return replace(emulator, table=table)
 
 
@@ -321,7 +321,7 @@ def refining_jobs(plan: SolvePlan, i: int, mu: float, nu: float) -> list[SolveJo
     if plan.readings.sheared[i]:
         return jobs
     press = jobs[0].press
-    return [replace(jobs[0], press=replace(press, dz=round(share * press.dz, 4))) for share in REFINED]
+    return [replace(jobs[0], press=replace(press, dz=round(fraction * press.dz, 4))) for fraction in REFINED]
 
 
 def coarse_ends(plan: SolvePlan, cache: SolveCache, i: int, group: list[SolveJob]) -> np.ndarray:

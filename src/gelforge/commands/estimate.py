@@ -1,6 +1,6 @@
 """Core hours, disk and time of a run before it starts, from a few of its presses.
 
-Presses from the middles of equal shares of the depths, with all rows of one that was filmed, go through poses, fea, forces
+Presses from the middles of equal fractions of the depths, with all rows of one that was filmed, go through poses, fea, forces
 and labels, in a folder of their own that is removed afterwards. Stages after the labels are estimated from what they took
 on other datasets.
 """
@@ -142,8 +142,8 @@ def training(results: Layout, resolution: str, model: str, presses: int) -> Cost
     table, settings = resolve(tables, model, of_train)
     beside = sum(made_presses(Layout(results.root.parent / name), resolution) for name in of_train.also)
     every = presses + beside
-    share = min(1.0, (settings.epoch_images or every) / every)  # of all, that an epoch visits
-    each = kind_of(table).image_seconds * settings.epochs * share
+    fraction = min(1.0, (settings.epoch_images or every) / every)  # of all, that an epoch visits
+    each = kind_of(table).image_seconds * settings.epochs * fraction
     return Cost(layout.TRAIN, each, START + each * beside, bytes_once=3e6)
 
 

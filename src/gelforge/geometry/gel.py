@@ -31,7 +31,7 @@ class Gel:
     twist: float = 2.8163
     rim: float = -1.25
 
-    FITTED: ClassVar[float] = 1.0  # share of the term that was fitted to the solid's rounded corners
+    FITTED: ClassVar[float] = 1.0  # fraction of the term that was fitted to the solid's rounded corners
 
     def top(self, x, y) -> np.ndarray:
         """Height z of the undeformed top surface at (x, y), mm, broadcast; outside the outline it is `rim`."""

@@ -148,8 +148,8 @@ def _edge_points(indenter: Indenter, below: float) -> np.ndarray:
     begin, end = begin[low], end[low]
     counts = np.clip(np.ceil(np.linalg.norm(end - begin, axis=1) / EDGE_STEP).astype(int), 1, MOST_ON_EDGE)
     which = np.repeat(np.arange(len(begin)), counts)
-    share = (np.arange(len(which)) - np.repeat(np.cumsum(counts) - counts, counts) + 0.5) / counts[which]
-    return np.concatenate([begin, end, begin[which] + share[:, None] * (end - begin)[which]])
+    fraction = (np.arange(len(which)) - np.repeat(np.cumsum(counts) - counts, counts) + 0.5) / counts[which]
+    return np.concatenate([begin, end, begin[which] + fraction[:, None] * (end - begin)[which]])
 
 
 def _heights(gel: Gel, press: Press, points: np.ndarray, t: float) -> np.ndarray:

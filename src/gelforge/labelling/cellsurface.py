@@ -24,14 +24,14 @@ NEWTON_STEPS = 8  # of the inverse of a bilinear map: doubles its digits each
 class SurfaceMap:
     """Linear maps of one mesh seen by one sensor on one grid.
 
-    mean: CSR (cells, nodes), rows sum to one, empty where a cell shows no gel. share: CSR (parts, cells + 1), of each
+    mean: CSR (cells, nodes), rows sum to one, empty where a cell shows no gel. fraction: CSR (parts, cells + 1), of each
     part's area in each cell. corners: (parts, triangles, 3) points as rows of `weights`, CSR (points, nodes).
     """
 
     grid: Grid
     nodes: np.ndarray
     mean: Any
-    share: Any
+    fraction: Any
     weights: Any
     corners: np.ndarray
 
@@ -46,7 +46,7 @@ class SurfaceMap:
         points = (self.weights @ (self.nodes if moved is None else self.nodes + moved))[self.corners]
         normal = np.cross(points[:, :, 1] - points[:, :, 0], points[:, :, 2] - points[:, :, 0])
         parts = 0.5 * np.linalg.norm(normal, axis=2).sum(axis=1)
-        return (parts @ self.share)[:-1].reshape(self.grid.shape)
+        return (parts @ self.fraction)[:-1].reshape(self.grid.shape)
 
 
 def traction(force: np.ndarray, area: np.ndarray) -> np.ndarray:
@@ -134,8 +134,8 @@ def _shapes(mesh: GelMesh, face: np.ndarray, points: np.ndarray) -> np.ndarray:
     if mesh.kind == "tet10":
         edges = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2)
         inner = np.linalg.solve(edges, (points - corners[:, 0])[..., None])[..., 0]
-        share = np.column_stack([1.0 - inner.sum(axis=1), inner])
-        return shapes(share)
+        fraction = np.column_stack([1.0 - inner.sum(axis=1), inner])
+        return shapes(fraction)
     place = np.zeros_like(points)
     for _ in range(NEWTON_STEPS):
         value, slope = _bilinear(place)

@@ -28,7 +28,7 @@ from gelforge.records.npz import DAMAGED, in_short
 
 VERSION = 1  # of the numbers in an operator file; part of its name
 CORNERS = {"tet10": 3, "hex8": 4}
-UPRIGHT = 1e-6  # a face whose projection is smaller than this share of its area stands upright
+UPRIGHT = 1e-6  # a face whose projection is smaller than this fraction of its area stands upright
 WHOLE = 1e-9  # a part that clipping finds inside the image to this accuracy lies inside; the rest is rounding
 
 
@@ -157,7 +157,7 @@ def face_loads(mesh: GelMesh) -> np.ndarray:
 
 
 def node_to_part(mesh: GelMesh, areas: np.ndarray):
-    """CSR (nodes, f k) giving each node's share of the faces' parts, and nodes without any, (l,).
+    """CSR (nodes, f k) giving each node's fraction of the faces' parts, and nodes without any, (l,).
 
     The corners of second-order triangles have no part: their force, small and of either sign, goes to
     the parts beside them by area.
@@ -173,13 +173,13 @@ def node_to_part(mesh: GelMesh, areas: np.ndarray):
             parts.append(np.roll(slots, turn, axis=1))
             weights.append(np.roll(areas, turn, axis=1))
     entries = (np.ravel(weights), (np.ravel(nodes), np.ravel(parts)))
-    share = csr_matrix(entries, shape=(len(mesh.nodes), areas.size))
-    share.eliminate_zeros()
-    total = np.asarray(share.sum(axis=1)).ravel()
-    share.data /= np.repeat(total, np.diff(share.indptr))
+    fraction = csr_matrix(entries, shape=(len(mesh.nodes), areas.size))
+    fraction.eliminate_zeros()
+    total = np.asarray(fraction.sum(axis=1)).ravel()
+    fraction.data /= np.repeat(total, np.diff(fraction.indptr))
     if mesh.kind == "hex8":
-        share = share @ _even_out(loads, areas)
-    return share, mesh.surface_nodes[total[mesh.surface_nodes] <= 0]
+        fraction = fraction @ _even_out(loads, areas)
+    return fraction, mesh.surface_nodes[total[mesh.surface_nodes] <= 0]
 
 
 def _even_out(loads, areas):
@@ -203,7 +203,7 @@ def _even_out(loads, areas):
 
 
 def part_to_cell(parts, areas, sensor: Sensor, grid: Grid):
-    """CSR (f k, cells + 1): the share of each part's area in each cell, the rest outside.
+    """CSR (f k, cells + 1): the fraction of each part's area in each cell, the rest outside.
 
     Areas are taken in the gel's plane: a homography that is not affine stretches a part unevenly.
     """

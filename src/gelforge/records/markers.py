@@ -12,9 +12,9 @@ LARGEST_TURN = (
 )
 REACH = 0.3  # of the pitch: how far from its expected place a marker is still that marker
 LIT = 0.3  # of the brightest colour's background: below, a colour no longer separates noise from ink
-LEAST_SHARE = 0.5  # of the markers must be found for a grid to be believed
+LEAST_FRACTION = 0.5  # of the markers must be found for a grid to be believed
 LEAST_FOR_PITCH = 8  # markers that give their distance
-UNEVEN = 0.15  # share by which such distances differ in one print
+UNEVEN = 0.15  # fraction by which such distances differ in one print
 
 
 @dataclass(frozen=True)
@@ -52,13 +52,13 @@ def find_markers(image: np.ndarray, rows: int, cols: int, where: str = "image") 
     Raises BadInput where no such grid is there.
     """
     points, widths = find_blobs(image)
-    if len(points) < max(4, LEAST_SHARE * rows * cols):
+    if len(points) < max(4, LEAST_FRACTION * rows * cols):
         raise BadInput(
             f"{where}: {len(points)} dark spots found, a grid of {rows} x {cols} is expected; use a sharp image"
             " without contact, and check `markers` in workflow/sensors.toml"
         )
     index, used = _window(*lattice_of(points), rows, cols)
-    if len(used) < LEAST_SHARE * rows * cols:
+    if len(used) < LEAST_FRACTION * rows * cols:
         raise BadInput(
             f"{where}: only {len(used)} of {rows} x {cols} markers stand on one grid; use an image without contact,"
             " and check `markers` in workflow/sensors.toml"
@@ -131,7 +131,7 @@ def marker_pitch(markers: np.ndarray) -> float:
     nearest = apart.min(axis=1)
     pitch = float(np.median(nearest))
     even = np.abs(nearest - pitch) < UNEVEN * pitch
-    return pitch if even.mean() >= LEAST_SHARE else 0.0
+    return pitch if even.mean() >= LEAST_FRACTION else 0.0
 
 
 def _steps(points: np.ndarray) -> np.ndarray:

@@ -134,5 +134,5 @@ def _scatter(axis, _row, lines):
         x, y = [line["depth"] + shift for line in own], [line["shear"] for line in own]
         colours = [VERDICTS[line["verdict"]] for line in own]
         axis.scatter(x, y, s=34, marker=MARKERS[fidelity], c=colours, edgecolors="0.2", lw=0.5)
-    axis.set(xlabel="depth, mm", ylabel="shear, share of depth")
+    axis.set(xlabel="depth, mm", ylabel="shear, fraction of depth")
     axis.set_title("random combinations: circles hex, squares ccx")

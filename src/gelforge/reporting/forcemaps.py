@@ -75,9 +75,9 @@ def overlay(image, forces, lines: list[str], warning: str = "", zoom: int = 2) -
     height, width = image.shape[0] * zoom, image.shape[1] * zoom
     picture = cv2.resize(image, (width, height), interpolation=cv2.INTER_LINEAR)
     pressure = np.clip(-forces[2], 0, None)
-    share = cv2.resize(pressure / max(float(pressure.max()), FULL_COLOUR_N[2]), (width, height))
-    heat = cv2.applyColorMap((255 * np.clip(share, 0, 1)).astype(np.uint8), cv2.COLORMAP_INFERNO)
-    weight = 0.7 * np.clip(share, 0, 1)[..., None]
+    fraction = cv2.resize(pressure / max(float(pressure.max()), FULL_COLOUR_N[2]), (width, height))
+    heat = cv2.applyColorMap((255 * np.clip(fraction, 0, 1)).astype(np.uint8), cv2.COLORMAP_INFERNO)
+    weight = 0.7 * np.clip(fraction, 0, 1)[..., None]
     picture = (picture * (1 - weight) + heat * weight).astype(np.uint8)
     draw_arrows(picture, forces)
     return np.vstack([picture, footer(width, lines, warning)])

@@ -41,8 +41,8 @@ def interval_lines(metadata: dict) -> list[str]:
     if "total" not in known:
         return []
     widths = ", ".join(
-        f"{name} {base:.2f} N + {100 * share:.1f} % of it + {100 * of_whole:.1f} % of the whole force"
-        for name, (base, share, of_whole) in known["total"].items()
+        f"{name} {base:.2f} N + {100 * fraction:.1f} % of it + {100 * of_whole:.1f} % of the whole force"
+        for name, (base, fraction, of_whole) in known["total"].items()
     )
     return [
         f"- 90 % prediction intervals of total force, set on {named(known['sensors'])} of dataset {known['data']}:"

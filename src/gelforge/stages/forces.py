@@ -30,7 +30,7 @@ VERSION = 2
 def dat_forces(text: str, mesh: GelMesh, noise: float) -> tuple[Status, str, np.ndarray, np.ndarray]:
     """Status, reason, forces (s, 3) N and displacements (s, 3) mm of the surface nodes from a .dat text.
 
-    noise: share of the largest nodal force below which a node counts as free; what Newton's residual
+    noise: fraction of the largest nodal force below which a node counts as free; what Newton's residual
     leaves there is not contact.
     """
     top, base = mesh.surface_nodes + 1, mesh.base + 1

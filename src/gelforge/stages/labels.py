@@ -32,7 +32,7 @@ from gelforge.records.status import Status
 VERSION = 1
 KEPT = 64  # operators in memory
 BLOCK_BYTES = 64 * 2**20  # of float64 cells held at a time
-UNSEEN = 0.5  # share of its normal force beyond the image from which on a picture does not show a press
+UNSEEN = 0.5  # fraction of its normal force beyond the image from which on a picture does not show a press
 TELLING = 10  # presses of a sensor from which on it is no chance where they lie
 
 
@@ -207,23 +207,23 @@ def _first_bad(forces: ForceFile) -> str:
 
 
 def summarise(forces: ForceFile, outside: np.ndarray, sensor_of: dict[str, str]) -> dict:
-    """Counts of a shard and the sample with the largest share of its normal force outside the image.
+    """Counts of a shard and the sample with the largest fraction of its normal force outside the image.
 
     seen: how many samples bear a force, by sensor and whether most of it lies in the sensor's image.
     """
-    share = np.abs(outside[:, 2]) / np.maximum(np.abs(forces.total[:, 2]), 1e-12)
-    share = np.where(np.isfinite(share), share, 0.0)
-    worst = int(share.argmax()) if len(share) else None
+    fraction = np.abs(outside[:, 2]) / np.maximum(np.abs(forces.total[:, 2]), 1e-12)
+    fraction = np.where(np.isfinite(fraction), fraction, 0.0)
+    worst = int(fraction.argmax()) if len(fraction) else None
     bears = forces.total[:, 2] != 0.0
     return {
         "seen": Counter(
             (sensor_of[name], bool(part <= UNSEEN))
-            for name, part in zip(forces.sample_id[bears].tolist(), share[bears], strict=True)
+            for name, part in zip(forces.sample_id[bears].tolist(), fraction[bears], strict=True)
         ),
         "samples": len(forces),
         "failed": int(np.isnan(outside[:, 0]).sum()),
         "worst_sample": "" if worst is None else str(forces.sample_id[worst]),
-        "worst_outside_share": 0.0 if worst is None else float(share[worst]),
+        "worst_outside_share": 0.0 if worst is None else float(fraction[worst]),
     }
 
 

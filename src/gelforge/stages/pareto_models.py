@@ -45,12 +45,12 @@ def row_of(evaluation: dict, split: str, latencies: dict[str, dict], learning: L
         row[f"total_{axis}"] = errors["total"][axis]["mae"]
         row[f"percent_{axis}"] = errors["total"][axis]["mae_percent_of_range"]
         row[f"cell_{axis}"] = errors["cell"][axis]["mae"] if errors["cell"] else None
-    shares = [row[f"percent_{axis}"] for axis in CHANNELS]
-    if None in shares:
+    fractions = [row[f"percent_{axis}"] for axis in CHANNELS]
+    if None in fractions:
         raise BadInput(
-            f"{row['model']}: its training presses all have the same force, so errors are no share of a range"
+            f"{row['model']}: its training presses all have the same force, so errors are no fraction of a range"
         )
-    row["percent"] = float(np.mean(shares))
+    row["percent"] = float(np.mean(fractions))
     for way, figures in latencies.items():
         row |= {f"{way}_{key}": value for key, value in figures.items()}
     return row

@@ -109,8 +109,8 @@ class Bench:
         read_noise = rng.normal(scale=truth.force_noise_n, size=3)
         moment_noise = rng.normal(scale=truth.moment_noise_nm, size=3)
         depth = self._reached(order, height)
-        for settings, share in ATTEMPTS:
-            real = _path(order, height, share * depth, play)
+        for settings, fraction in ATTEMPTS:
+            real = _path(order, height, fraction * depth, play)
             results = self._solve(order, real, settings)
             if results[-1].status.valid:
                 break
@@ -214,8 +214,8 @@ class Bench:
 
 
 def _path(order: Order, height: float, depth: float, play) -> Press:
-    share = depth / order.depth
-    dx, dy = order.shear[0] * share, order.shear[1] * share
+    fraction = depth / order.depth
+    dx, dy = order.shear[0] * fraction, order.shear[1] * fraction
     path = order.x + play[0], order.y + play[1], height + play[2], dx + play[3], dy + play[4], -depth + play[5]
     x0, y0, z0, dx, dy, dz = map(float, path)
     return Press(x0, y0, z0, dx, dy, dz, order.rot_deg)

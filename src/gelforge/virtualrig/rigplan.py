@@ -20,7 +20,7 @@ from gelforge.virtualrig.streams import MOST_FRAMES, ORDER, WHO_SEES
 
 EDGE = 2.0  # mm that the tip keeps from the gel's outline
 TINY = 1e-9
-DEEPEST = 0.7  # share of the gel's height that a press may take
+DEEPEST = 0.7  # fraction of the gel's height that a press may take
 
 Span = tuple[float, float]  # what values are drawn evenly between
 FromNone = Annotated[float, Within(0.0, 1e9)]
@@ -63,7 +63,7 @@ class Kind(RigTable):
 
     seen_by: how many of `sensors` see a press, a row of the log each; which ones is drawn anew for every press unless
     all do. A press takes a second, a further picture of it a hundredth.
-    shear: range of the sideways path as a share of the depth. max_force_n: depth is cut where the
+    shear: range of the sideways path as a fraction of the depth. max_force_n: depth is cut where the
     estimated normal force would pass it, as a bench with a load limit does.
     """
 
@@ -296,15 +296,15 @@ def time_of(plan: Plan, index: int) -> datetime:
 def kind_of(plan: Plan, presses: int) -> tuple[np.ndarray, np.ndarray]:
     """Kind of each press and its number within that kind, two arrays (presses,).
 
-    Always the kind that is furthest behind its share, so the answer for a press does not depend on
+    Always the kind that is furthest behind its fraction, so the answer for a press does not depend on
     how many follow.
     """
     weight = np.array([kind.weight for kind in plan.kinds])
-    share = weight / weight.sum()
-    count = np.zeros(len(share), int)
+    fraction = weight / weight.sum()
+    count = np.zeros(len(fraction), int)
     kinds, numbers = np.empty(presses, int), np.empty(presses, int)
     for i in range(presses):
-        k = int(np.argmax(np.round(share * (i + 1) - count, 9)))
+        k = int(np.argmax(np.round(fraction * (i + 1) - count, 9)))
         kinds[i], numbers[i] = k, count[k]
         count[k] += 1
     return kinds, numbers
@@ -349,15 +349,15 @@ def _sensors_of_press(plan: Plan, index: int, kind: Kind) -> tuple[str, ...]:
     rng, gels = generator(plan, index, WHO_SEES), by_gel(plan, kind.sensors)
     names = list(gels.values())
     # a gel is pressed as often as its sensors are many; a plan of one gel draws nothing for it
-    shares = [len(group) / len(kind.sensors) for group in names]
-    chosen = names[0] if len(names) == 1 else names[int(rng.choice(len(names), p=shares))]
+    fractions = [len(group) / len(kind.sensors) for group in names]
+    chosen = names[0] if len(names) == 1 else names[int(rng.choice(len(names), p=fractions))]
     drawn = rng.choice(len(chosen), kind.seen_by, replace=False)
     return tuple(chosen[k] for k in sorted(drawn))
 
 
 def _order(plan: Plan, index: int, kind: Kind, number: int) -> Order:
     rng = generator(plan, index, ORDER)
-    depth, share, heading = rng.uniform(*kind.depth_mm), rng.uniform(*kind.shear), rng.uniform(0.0, 2 * np.pi)
+    depth, fraction, heading = rng.uniform(*kind.depth_mm), rng.uniform(*kind.shear), rng.uniform(0.0, 2 * np.pi)
     sensor = kind.sensors[int(rng.integers(len(kind.sensors)))]
     return Order(
         index=index,
@@ -369,7 +369,7 @@ def _order(plan: Plan, index: int, kind: Kind, number: int) -> Order:
         x=rng.uniform(*kind.x_mm),
         y=rng.uniform(*kind.y_mm),
         depth=depth,
-        shear=(share * depth * np.cos(heading), share * depth * np.sin(heading)),
+        shear=(fraction * depth * np.cos(heading), fraction * depth * np.sin(heading)),
         rot_deg=rng.uniform(*kind.rot_deg),
         max_force_n=kind.max_force_n,
         press_id=f"{plan.dataset}-{index:06d}",

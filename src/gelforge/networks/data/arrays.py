@@ -213,7 +213,7 @@ def require_splits(data: Data) -> None:
         if have < least:
             raise BadInput(
                 f"{data.folder}: split {name!r} holds {have} of {len(data.table)} samples, training needs "
-                f"at least {least}; add presses or change the shares in [dataset]"
+                f"at least {least}; add presses or change the fractions in [dataset]"
             )
 
 

@@ -31,7 +31,7 @@ def colour_matrices(saturation, hue_turns):
 
 
 def augment(images, settings: AugmentTable, generator):
-    """Vary noise, brightness, contrast, saturation and hue of images (n, 3, h, w) in 0..1; a chosen share of them.
+    """Vary noise, brightness, contrast, saturation and hue of images (n, 3, h, w) in 0..1; a chosen fraction of them.
 
     The order is the paper's; brightness, contrast, saturation and hue are linear in RGB, so they are one
     matrix and one offset per image. `settings` holds probability, noise (standard deviation), brightness,
@@ -76,7 +76,7 @@ def shift_together(images, labels, cells: int, generator) -> tuple[np.ndarray, n
 
 
 def misplace_nocontact(pairs: np.ndarray, narrow: np.ndarray, settings: AugmentTable, generator) -> np.ndarray:
-    """Shift, turn and zoom the no-contact image of a share of the pairs (n, h, w, 6) uint8, as if the gel sat otherwise.
+    """Shift, turn and zoom the no-contact image of a fraction of the pairs (n, h, w, 6) uint8, as if the gel sat otherwise.
 
     Where the gel is held its markers do not move under any force, so these show the network what to take back. narrow: (n,)
     pairs that are left alone because they do not show these markers: there a common motion is sideways force.
@@ -125,7 +125,7 @@ def _misplaced(
 
 
 def narrow_views(pairs, labels, settings: AugmentTable, generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Hide the rim of a share of the pairs (n, h, w, 6) uint8 and of their labels (n, 3, rows, cols), up to `narrowed`.
+    """Hide the rim of a fraction of the pairs (n, h, w, 6) uint8 and of their labels (n, 3, rows, cols), up to `narrowed`.
 
     Returns both and which were chosen, (n,) bool. So look pictures of a camera that sees less of the gel once they are
     brought to the scale of the others: what it does not see is even, and no force is read there. Wide borders are drawn
@@ -133,9 +133,11 @@ def narrow_views(pairs, labels, settings: AugmentTable, generator) -> tuple[np.n
     """
     pairs, labels = np.array(pairs), np.array(labels)
     chosen = torch.rand(len(pairs), generator=generator) < settings.narrowed_share
-    shares = torch.sqrt(torch.rand(len(pairs), generator=generator)) * settings.narrowed
+    fractions = torch.sqrt(torch.rand(len(pairs), generator=generator)) * settings.narrowed
     for k in torch.nonzero(chosen).flatten().tolist():
-        pixels, inner = inner_part(float(shares[k]), pairs.shape[1:3], labels.shape[2:], "[train.augment] narrowed")
+        pixels, inner = inner_part(
+            float(fractions[k]), pairs.shape[1:3], labels.shape[2:], "[train.augment] narrowed"
+        )
         shown, force = pairs[k][pixels].copy(), labels[k][(slice(None), *inner)].copy()
         pairs[k] = hidden(shown)
         labels[k] = 0.0

@@ -93,12 +93,12 @@ def split_presses(
             split[group == group[members[0]]] = min(apart)
     known = np.flatnonzero(split == "")
     strata = _strata(presses, np.abs(np.asarray(force)), settings.force_edges)
-    shares = {
+    fractions = {
         TRAINING: 1.0 - settings.validation - settings.test,
         VALIDATION: settings.validation,
         TEST: settings.test,
     }
-    chosen = _deal(group[known], [strata[at] for at in known], shares, settings.seed)
+    chosen = _deal(group[known], [strata[at] for at in known], fractions, settings.seed)
     split[known] = [chosen[name] for name in group[known]]
     return split.astype(str), group
 
@@ -124,23 +124,23 @@ def _strata(presses, force, edges) -> list[tuple[Hashable, ...]]:
 
 
 def _deal(
-    groups: np.ndarray, strata: Sequence[Sequence[Hashable]], shares: Mapping[str, float], seed: int
+    groups: np.ndarray, strata: Sequence[Sequence[Hashable]], fractions: Mapping[str, float], seed: int
 ) -> dict[int, str]:
     """Split by group; groups, strata: of samples in the order in which they came.
 
     The first groups go to one split each, so that few presses validate and test, too. Any other goes to the split that lags
-    furthest behind its share of the samples so far, in all strata of its first one together; chance has a say in what is
+    furthest behind its fraction of the samples so far, in all strata of its first one together; chance has a say in what is
     nearly even.
     """
-    rng, names, share = np.random.default_rng(seed), list(shares), np.array(list(shares.values()))
-    asked = np.flatnonzero(share > 0)
-    behind: dict[Hashable, np.ndarray] = {}  # by stratum: samples that each split lacks of its share
+    rng, names, fraction = np.random.default_rng(seed), list(fractions), np.array(list(fractions.values()))
+    asked = np.flatnonzero(fraction > 0)
+    behind: dict[Hashable, np.ndarray] = {}  # by stratum: samples that each split lacks of its fraction
     chosen: dict[int, int] = {}
     for group, around in zip(groups.tolist(), strata, strict=True):
         for stratum in around:
-            behind[stratum] = behind.get(stratum, 0.0) + share
+            behind[stratum] = behind.get(stratum, 0.0) + fraction
         if group not in chosen:
-            lag = sum(behind[stratum] for stratum in around) + rng.uniform(0.0, CHANCE, len(share))
+            lag = sum(behind[stratum] for stratum in around) + rng.uniform(0.0, CHANCE, len(fraction))
             first = len(chosen) < len(asked)
             chosen[group] = int(asked[len(chosen)] if first else asked[np.argmax(lag[asked])])
         for stratum in around:

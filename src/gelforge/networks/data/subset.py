@@ -52,6 +52,6 @@ def take_subset(data: Data, part: Subset, seed: int) -> Data:
 
 
 def as_many_passes(settings: TrainingTable, taken: Data, whole: Data) -> TrainingTable:
-    """Settings by which a part is passed over as often as the whole would be: its epochs are shorter by its share."""
-    share = len(taken.splits[TRAINING]) / len(whole.splits[TRAINING])
-    return replace(settings, epoch_images=ceil(settings.epoch_images * share))
+    """Settings by which a part is passed over as often as the whole would be: its epochs are shorter by its fraction."""
+    fraction = len(taken.splits[TRAINING]) / len(whole.splits[TRAINING])
+    return replace(settings, epoch_images=ceil(settings.epoch_images * fraction))

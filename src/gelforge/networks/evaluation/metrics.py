@@ -45,8 +45,8 @@ def error_table(error, rng, resamplings: int, force_range=None, alike=None) -> d
             "rms": float(np.sqrt((error[:, i] ** 2).mean())),
         }
         if force_range is not None:
-            share = 100 * size[:, i].mean() / force_range[i] if force_range[i] > 0 else None
-            table[axis]["mae_percent_of_range"] = None if share is None else float(share)
+            fraction = 100 * size[:, i].mean() / force_range[i] if force_range[i] > 0 else None
+            table[axis]["mae_percent_of_range"] = None if fraction is None else float(fraction)
     return table
 
 

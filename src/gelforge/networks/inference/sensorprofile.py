@@ -34,9 +34,11 @@ LEAST_N = 0.5  # read by the network: below, nothing touches
 FARTHEST = 5.0  # times that a reading may differ from what the network reads
 ODD = 2.0  # times that a reading's proportion differs from that of most, where one of them is likely wrong
 GRASP_SCATTER = 0.35  # of one grasp's logarithm: fingers see different parts of what they hold
-SHARE = 0.9  # of the probability that an interval holds
-USUAL = NormalDist().inv_cdf(0.5 + SHARE / 2)  # standard deviations that such an interval reaches on either side
-APART = 0.03  # share by which the markers' distance may differ from the profile's
+PROBABILITY = 0.9  # of the probability that an interval holds
+USUAL = NormalDist().inv_cdf(
+    0.5 + PROBABILITY / 2
+)  # standard deviations that such an interval reaches on either side
+APART = 0.03  # fraction by which the markers' distance may differ from the profile's
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,7 @@ class Gain:
 
     @property
     def unsure(self) -> float:
-        """Half of the interval as a share of the factor; none of one that comes from no reading, which changes nothing."""
+        """Half of the interval as a fraction of the factor; none of one that comes from no reading, which changes nothing."""
         return (self.high - self.low) / (2 * self.value) if self.readings else 0.0
 
 
@@ -96,7 +98,9 @@ def fit_gain(measured: np.ndarray, read: np.ndarray, before: Gain = AS_READ) -> 
     known = (2 * USUAL / math.log(before.high / before.low)) ** 2
     precision = known + weight.sum() / scatter
     mean = (known * math.log(before.value) + float(weight @ ratio) / scatter) / precision
-    wider = student_quantile(0.5 + SHARE / 2, freedom) / USUAL  # of the readings' part: few do not show their scatter
+    wider = (
+        student_quantile(0.5 + PROBABILITY / 2, freedom) / USUAL
+    )  # of the readings' part: few do not show their scatter
     half = USUAL / math.sqrt(known + weight.sum() / scatter / wider**2)
     return Gain(math.exp(mean), math.exp(mean - half), math.exp(mean + half), before.readings + len(ratio))
 
@@ -126,16 +130,16 @@ def fit_opposite(opposite: np.ndarray, read: np.ndarray, other: Gain) -> Gain:
     measured, before = count / (math.pi / 2 * scatter), 1.0 / (2 * SPREAD**2)
     mean = (measured * centre + before * math.log(other.value)) / (measured + before)
     known = math.log(other.high / other.low) / (2 * USUAL)
-    half = student_quantile(0.5 + SHARE / 2, freedom) * math.sqrt(1.0 / (measured + before) + known**2)
+    half = student_quantile(0.5 + PROBABILITY / 2, freedom) * math.sqrt(1.0 / (measured + before) + known**2)
     return Gain(math.exp(mean), math.exp(mean - half), math.exp(mean + half), count)
 
 
-def student_quantile(share: float, freedom: float) -> float:
+def student_quantile(fraction: float, freedom: float) -> float:
     """Quantile of Student's t, to a hundredth from two degrees of freedom on (Abramowitz and Stegun 1964, 26.7.5).
 
     A robot's computer that reads forces need not have scipy.
     """
-    z, n = NormalDist().inv_cdf(share), freedom
+    z, n = NormalDist().inv_cdf(fraction), freedom
     terms = (
         (z**3 + z) / 4,
         (5 * z**5 + 16 * z**3 + 3 * z) / 96,

@@ -40,10 +40,10 @@ def cell_pixels(image, grid, who: str) -> int:
     return height // rows
 
 
-def inner_part(share: float, image, grid, who: str) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
-    """Pixels and cells, rows and columns of each, that are left where the border of an image hides a share of both sides."""
+def inner_part(fraction: float, image, grid, who: str) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+    """Pixels and cells, rows and columns of each, that are left where the border of an image hides a fraction of both sides."""
     cell = cell_pixels(image, grid, who)
-    rows, cols = (slice(margin, count - margin) for margin, count in ((round(share * n / 2), n) for n in grid))
+    rows, cols = (slice(margin, count - margin) for margin, count in ((round(fraction * n / 2), n) for n in grid))
     return (slice(cell * rows.start, cell * rows.stop), slice(cell * cols.start, cell * cols.stop)), (rows, cols)
 
 

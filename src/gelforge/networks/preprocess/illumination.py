@@ -21,7 +21,7 @@ LEAST_SCALE = 1.5  # levels that a place may differ by through noise alone
 # Scales beyond which a place has no weight (Tukey's biweight: Beaton and Tukey 1974, Technometrics 16, 147-185).
 REACH = 3.0
 TIED = 4.0  # levels squared of contrast below which a gain is hardly distinguished from an offset, and taken for 1
-LEAST_SHARE = 0.25  # of the picture that must agree, or the change of the light is unknown
+LEAST_FRACTION = 0.25  # of the picture that must agree, or the change of the light is unknown
 DARK, BRIGHT = 4, 250  # levels between which a camera's answer is believed
 MOST_GAIN = 2.0  # a factor beyond which pictures are not of one sensor under one light
 
@@ -31,13 +31,13 @@ class Light:
     """How a picture differs in light from the no-contact image: picture = gain * no-contact + offset.
 
     gain (3,), offset (3,) levels, by colour. residual: levels that agreeing places still differ by, root mean square.
-    share: fraction of the picture that agrees. known: False where too little does; gain is then 1 and offset 0.
+    fraction: fraction of the picture that agrees. known: False where too little does; gain is then 1 and offset 0.
     """
 
     gain: np.ndarray
     offset: np.ndarray
     residual: float
-    share: float
+    fraction: float
     known: bool
 
     def undo(self, image: np.ndarray) -> np.ndarray:
@@ -87,7 +87,7 @@ class Reference:
         """Light of an image, (h, w, 3) uint8 of what the view shows."""
         small = _small(image)
         believed = self._believed & _believed(small)
-        if believed.mean() < LEAST_SHARE:
+        if believed.mean() < LEAST_FRACTION:
             return NO_LIGHT
         rest = self._small
         if not believed.all():  # picking costs more than all else that is done to these few thousand levels once
@@ -110,8 +110,8 @@ def _believed(small: np.ndarray) -> np.ndarray:
     return np.asarray((small.min(axis=0) > DARK) & (small.max(axis=0) < BRIGHT))
 
 
-def _agreed(seen: np.ndarray, rest: np.ndarray, share: float) -> Light:
-    """Light that makes of levels at rest (3, n) those seen (3, n), as most places agree; share: of all that these are.
+def _agreed(seen: np.ndarray, rest: np.ndarray, fraction: float) -> Light:
+    """Light that makes of levels at rest (3, n) those seen (3, n), as most places agree; fraction: of all that these are.
 
     In few calls, and numbers by colour as plain ones: most of the time goes into calls, not into a thousand places.
     """
@@ -136,11 +136,11 @@ def _agreed(seen: np.ndarray, rest: np.ndarray, share: float) -> Light:
         gain, offset = _fitted((np.einsum("ijk,k->ij", products, weight) / total).tolist())
         if _largest_change(*before, gain, offset) < SETTLED:
             break
-    share *= float((weight > 0.5).mean())
+    fraction *= float((weight > 0.5).mean())
     residual = math.sqrt(float(weight @ squared) / total)
-    if share < LEAST_SHARE or not all(1.0 / MOST_GAIN < one < MOST_GAIN for one in gain):
+    if fraction < LEAST_FRACTION or not all(1.0 / MOST_GAIN < one < MOST_GAIN for one in gain):
         return NO_LIGHT
-    return Light(np.array(gain), np.array(offset), residual, share, True)
+    return Light(np.array(gain), np.array(offset), residual, fraction, True)
 
 
 def _fitted(means: list[list[float]]) -> tuple[list[float], list[float]]:

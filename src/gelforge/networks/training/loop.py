@@ -203,7 +203,7 @@ class Training:
 
     @property
     def best_epoch(self) -> int:
-        """The epoch, from 1, whose weights the finished network has a share of; 0 where those it went on from are better."""
+        """The epoch, from 1, whose weights the finished network is a mean of; 0 where those it was fine-tuned from are better."""
         return self.best["epoch"] if self.fraction else 0
 
     @property

@@ -11,7 +11,7 @@ from gelforge.records.markers import pitch_of
 from gelforge.records.splits import VALIDATION
 
 FEWEST_JUDGES = 5  # presses of validation: chosen by a single one, a network read others five times worse than before
-FARTHER = 0.05  # share by which scales may lie beyond those that a network knows, so that it can still learn them
+FARTHER = 0.05  # fraction by which scales may lie beyond those that a network knows, so that it can still learn them
 
 
 def scales_before(

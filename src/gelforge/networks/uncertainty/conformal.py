@@ -16,7 +16,7 @@ import numpy as np
 from gelforge.networks.inference.sensorprofile import AS_READ, Gain
 from gelforge.records.axes import CHANNELS
 
-HOLDS = 0.9  # share of the forces that intervals shall hold
+HOLDS = 0.9  # fraction of the forces that intervals shall hold
 LEAST_PICTURES = 20  # fewer give no such fraction
 LEAST_PRESSES = 9  # the largest error of k presses holds k of k + 1: of fewer it holds less than HOLDS
 ROUNDS = 5  # of least squares, each weighting an error by what the one before expects of it
@@ -24,15 +24,15 @@ ROUNDS = 5  # of least squares, each weighting an error by what the one before e
 
 @dataclass(frozen=True)
 class HalfWidth:
-    """Half the width of a component's interval, N: `base`, `share` of the component, and `of_whole` of the force's magnitude."""
+    """Half the width of a component's interval, N: `base`, `fraction` of the component, and `of_whole` of the force's magnitude."""
 
     base: float
-    share: float
+    fraction: float
     of_whole: float
 
     def of(self, component: np.ndarray | float, magnitude: np.ndarray | float) -> np.ndarray:
         """Half widths (...) N of components (...) N of forces of magnitudes (...) N."""
-        return self.base + self.share * np.abs(component) + self.of_whole * np.asarray(magnitude)
+        return self.base + self.fraction * np.abs(component) + self.of_whole * np.asarray(magnitude)
 
 
 def magnitudes(totals: np.ndarray) -> np.ndarray:
@@ -98,7 +98,7 @@ def fit_intervals(scale_on: Errors, size_on: Errors) -> dict[str, dict[str, list
         scale = usual_error(*grown)
         in_scale = np.abs(size_on.error[:, k]) / scale.of(size_on.total[:, k], magnitudes(size_on.total))
         size = conformal_size(in_scale, size_on.press)
-        found[name] = [scale.base * size, scale.share * size, scale.of_whole * size]
+        found[name] = [scale.base * size, scale.fraction * size, scale.of_whole * size]
     return {"total": found}
 
 

@@ -23,13 +23,13 @@ MOST_DESCRIBED = 500  # images, of training and held out each, that the referenc
 MARGIN = 1.5
 RELIEF_SIZE = (160, 120)  # px at which the relief of a picture is looked at
 RELIEF_MARGIN = 1.25
-# Markers of one gel that sits otherwise, or of another gel, move alike: one of ten by more than this share of what another one of
+# Markers of one gel that sits otherwise, or of another gel, move alike: one of ten by more than this fraction of what another one of
 # ten does, and than so many px. Of 700 presses of the rig, dragged ones too, four in a thousand do.
-ALIKE_SHARE, ALIKE_PX = 0.55, 1.0
-# Another gel's markers look otherwise, too: beyond the first share of such markers less of a common motion suffices, beyond the second
+ALIKE_FRACTION, ALIKE_PX = 0.55, 1.0
+# Another gel's markers look otherwise, too: beyond the first fraction of such markers less of a common motion suffices, beyond the second
 # no motion is needed. Of 238 frames of real films none is flagged so beside its own no-contact image, beside that of the
 # gripper's other finger 99 % are; of presses of the rig, cropped to seven tenths, 2 %, most of them of 30 N and more.
-OTHER_LOOK, OTHER_LOOK_ALIKE_SHARE, MOST_OTHER_LOOK = 0.27, 0.25, 0.5
+OTHER_LOOK, OTHER_LOOK_ALIKE_FRACTION, MOST_OTHER_LOOK = 0.27, 0.25, 0.5
 GREY = 1.5  # levels by which the colours of a picture differ in the mean where it has none
 LEAST_UNEVEN = 0.2  # px to which markers are tracked, whatever the limit
 USUAL = 99.0  # per cent of good pairs that the limits are set by: the worst of many are odd ones
@@ -201,11 +201,11 @@ def relief_fault(limits: dict, value: float) -> str:
 class MarkerDiagnostics:
     """Whether both images are of one sensor, mounted alike, by the markers of a no-contact image that are found in an image.
 
-    rim_px: how far half of the rim's markers moved at least, px. rim_lost: share of them that does not look as it did.
+    rim_px: how far half of the rim's markers moved at least, px. rim_lost: fraction of them that does not look as it did.
     uneven: px; in the quarter of all places where it departs least, the motion of a marker departs from the middle of its
     neighbours' by no more. Contact moves neighbours alike, and the markers of another print stand where its printer put them.
     All three are 0 where no rim is shown. alike_px: by how much nine of ten markers moved at least, px, where no rim is shown
-    and they moved much alike; else 0. other_look: share of all markers that do not look as they did, where no rim is shown.
+    and they moved much alike; else 0. other_look: fraction of all markers that do not look as they did, where no rim is shown.
     """
 
     rim_px: float = 0.0
@@ -260,8 +260,10 @@ def rimless_diagnostics(tracks: Tracks) -> MarkerDiagnostics:
     moved = np.hypot(*tracks.motion[tracks.found].T)
     if not len(moved):
         return MarkerDiagnostics(other_look=other_look)
-    least, share = quantile(moved, 0.1), OTHER_LOOK_ALIKE_SHARE if other_look > OTHER_LOOK else ALIKE_SHARE
-    return MarkerDiagnostics(alike_px=least if least > share * quantile(moved, 0.9) else 0.0, other_look=other_look)
+    least, fraction = quantile(moved, 0.1), OTHER_LOOK_ALIKE_FRACTION if other_look > OTHER_LOOK else ALIKE_FRACTION
+    return MarkerDiagnostics(
+        alike_px=least if least > fraction * quantile(moved, 0.9) else 0.0, other_look=other_look
+    )
 
 
 def unevenness(motion: np.ndarray) -> float:
@@ -287,12 +289,12 @@ def _rows_of_three() -> np.ndarray:
     return np.stack([np.concatenate([a.ravel(), b.ravel()]) for a, b in zip(along, across, strict=True)])
 
 
-def quantile(values: np.ndarray, share: float) -> float:
-    """The value that `share` of some values (n,), at least one, lie below, between two of them by proportion.
+def quantile(values: np.ndarray, fraction: float) -> float:
+    """The value that `fraction` of some values (n,), at least one, lie below, between two of them by proportion.
 
     As numpy's, which looks at so much else that it takes ten times as long for a hundred values.
     """
-    place = share * (len(values) - 1)
+    place = fraction * (len(values) - 1)
     low, high = math.floor(place), math.ceil(place)
     ordered = np.partition(values, (low, high))
     return float(ordered[low]) + (place - low) * (float(ordered[high]) - float(ordered[low]))
@@ -307,7 +309,7 @@ def pair_limits(found: Sequence[PairDiagnostics]) -> dict[str, float]:
     return {
         "largest_distance": MARGIN * float(np.percentile([one.distance for one in found], USUAL)),
         "largest_residual": MARGIN * float(np.percentile([one.light.residual for one in found], USUAL)),
-        "least_share": float(np.percentile([one.light.share for one in found], 100.0 - USUAL)) / MARGIN,
+        "least_share": float(np.percentile([one.light.fraction for one in found], 100.0 - USUAL)) / MARGIN,
         "largest_rim_px": 1.0 + most["rim_px"],
         "largest_rim_lost": 0.15 + most["rim_lost"],
         "largest_uneven": max(LEAST_UNEVEN, MARGIN * most["uneven"]),
@@ -317,7 +319,9 @@ def pair_limits(found: Sequence[PairDiagnostics]) -> dict[str, float]:
 def pair_fault(limits: dict, pair: PairDiagnostics) -> str:
     """The sign that the images of a pair do not belong together; empty where nothing does."""
     light, markers = pair.light, pair.markers
-    unlike = light.residual > limits.get("largest_residual", np.inf) or light.share < limits.get("least_share", 0.0)
+    unlike = light.residual > limits.get("largest_residual", np.inf) or light.fraction < limits.get(
+        "least_share", 0.0
+    )
     faults = {
         "another sensor than the no-contact image": pair.distance > limits["largest_distance"],
         "too little of it looks like the no-contact image": light.known and unlike,

@@ -100,9 +100,9 @@ function drawFlow() {
     svg.append(draw("path", { d: `M${x1 + 124},${y1 + 27} C${x1 + 144},${y1 + 27} ${x2 - 24},${y2 + 27} ${x2},${y2 + 27}`, fill: "none", stroke: "#9aa5b1", "stroke-width": 1.5 }));
   }
   for (const stage of stages) {
-    const [x, y] = at[stage.name], share = stage.cpu_seconds / total;
-    const title = draw("title", {}, `${stage.name}: ${stage.targets} targets, ${time(stage.cpu_seconds)} of processor time, ${fixed(100 * share, 1)} % of all`);
-    const card = draw("rect", { x, y, width: 124, height: 54, rx: 6, fill: rgb(ramp([[246, 248, 250], [247, 201, 157]], Math.sqrt(share))), stroke: "#9aa5b1" });
+    const [x, y] = at[stage.name], fraction = stage.cpu_seconds / total;
+    const title = draw("title", {}, `${stage.name}: ${stage.targets} targets, ${time(stage.cpu_seconds)} of processor time, ${fixed(100 * fraction, 1)} % of all`);
+    const card = draw("rect", { x, y, width: 124, height: 54, rx: 6, fill: rgb(ramp([[246, 248, 250], [247, 201, 157]], Math.sqrt(fraction))), stroke: "#9aa5b1" });
     card.append(title);
     svg.append(card, draw("text", { x: x + 10, y: y + 20 }, stage.name), draw("text", { x: x + 10, y: y + 36, class: "soft" }, `${time(stage.cpu_seconds)}, ${fixed(stage.peak_mib, 0)} MiB`), draw("text", { x: x + 10, y: y + 49, class: "soft" }, `${stage.targets} target${stage.targets === 1 ? "" : "s"}`));
   }

@@ -143,9 +143,9 @@ function drawRows() {
 // ---- the map of positions
 const VIRIDIS = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
 const rgb = (c) => `rgb(${c.map(Math.round).join(",")})`;
-function quantile(values, share) {
+function quantile(values, fraction) {
   const sorted = values.filter(Number.isFinite).sort((a, b) => a - b);
-  return sorted.length ? sorted[Math.min(sorted.length - 1, Math.floor(share * sorted.length))] : NAN;
+  return sorted.length ? sorted[Math.min(sorted.length - 1, Math.floor(fraction * sorted.length))] : NAN;
 }
 function colours() {
   const name = state.colour, legend = el("legend");
