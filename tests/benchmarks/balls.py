@@ -84,7 +84,7 @@ def circle_figures(folder: Path, nocontact: np.ndarray, px_per_mm: float) -> lis
     note = "10 to 90 % {:.2f} to {:.2f}; centres {:.1f} px beside in the median".format(
         *np.quantile(ratio, [0.1, 0.9]), np.median(beside)
     )
-    return [Figure("real balls: found circles against marked ones, radius, median off by", 100 * abs(float(np.median(ratio)) - 1), "<=", 5.0, "%",
+    return [Figure("real balls: found circles against marked ones, radius, median error", 100 * abs(float(np.median(ratio)) - 1), "<=", 5.0, "%",
                    f"{len(pairs)} presses; {note}")]  # fmt: skip
 
 

@@ -51,7 +51,7 @@ from tests.benchmarks.figures import PUBLISHED_DATA, Figure, publish_figures
 
 # Depth of FEATS' deck: scene, and times faster that `ccx` and `hex` at label setting are to be.
 SPEED = {1.0: ("sphere_1mm", 15.0, 100.0), 2.0: ("sphere_2mm", 30.0, 100.0)}
-MEDIANS = {"total": 0.8, "cells": 3.7}  # % that half of the scenes may be off by
+MEDIANS = {"total": 0.8, "cells": 3.7}  # % of error that half of the scenes may have
 METHODS = (quality_method("demo"), quality_method("draft"), Method("hex-label", "hex"), Method("ccx-label", "ccx"),
            Method(REFERENCE, REFERENCE))  # fmt: skip
 ENVELOPE = 200
@@ -211,12 +211,12 @@ def _balance(found: dict) -> Figure:
 
 def _engines(found: dict) -> Figure:
     """Worst difference between CalculiX and the in-process solver on one mesh, of every press that both solved here."""
-    apart = {f"{name}, {method}": record["evidence"]["engine_difference"] for name, records in found.items()
+    differences = {f"{name}, {method}": record["evidence"]["engine_difference"] for name, records in found.items()
              for method, record in records.items() if "engine_difference" in record.get("evidence", {})}  # fmt: skip
-    worst = max(apart, key=lambda name: apart[name], default="none was solved here")
+    worst = max(differences, key=lambda name: differences[name], default="none was solved here")
     return Figure(
         "CalculiX against the in-process solver on one mesh",
-        apart.get(worst, np.inf),
+        differences.get(worst, np.inf),
         "<=",
         1e-6,
         "of the force",
@@ -272,11 +272,11 @@ def envelope_figures(found: dict[str, list[dict]]) -> list[Figure]:
     figures = [figure for engine, records in found.items() for figure in _valid_figures(engine, records)]
     both = [(h, c) for h, c in zip(found["hex"], found["ccx"], strict=True)
             if h["status"] == c["status"] == "OK" and c["evidence"].get("fidelity") != "hex"]  # fmt: skip
-    apart = {f"{h['number']} {h['indenter']}": 100 * _apart(h["total"], c["total"]) for h, c in both}
-    near = [name for name in apart if apart[name] <= 2.0]
-    worst = sorted(apart, key=apart.get, reverse=True)[:5]
-    note = f"median {np.median(list(apart.values())):.2f} %; worst: " + ", ".join(
-        f"{n} {apart[n]:.1f}" for n in worst
+    differences = {f"{h['number']} {h['indenter']}": 100 * _difference(h["total"], c["total"]) for h, c in both}
+    near = [name for name in differences if differences[name] <= 2.0]
+    worst = sorted(differences, key=differences.get, reverse=True)[:5]
+    note = f"median {np.median(list(differences.values())):.2f} %; worst: " + ", ".join(
+        f"{n} {differences[n]:.1f}" for n in worst
     )
     figures.append(Figure("random presses on which hex and ccx agree to 2 %", 100 * len(near) / len(both), ">=", 95.0,
                           "%", note))  # fmt: skip
@@ -286,7 +286,7 @@ def envelope_figures(found: dict[str, list[dict]]) -> list[Figure]:
     return figures
 
 
-def _apart(one, other) -> float:
+def _difference(one, other) -> float:
     return float(np.linalg.norm(np.subtract(one, other)) / max(np.linalg.norm(other), 1e-12))
 
 

@@ -49,15 +49,15 @@ def frames_of(scene: Scene, sensor: Sensor) -> dict:
         last = alone.solve(scene)
     with Clock() as all_:
         found = whole.solve_frames(parts)
-    apart = []
+    differences = []
     for part, result in zip(parts, found, strict=True):
         single = HexSolver(settings).solve(part)
         size = np.linalg.norm(single.total)
         cells, other = (cells_of(r.mesh, r.forces, sensor)[0] for r in (result, single))
-        apart.append([float(np.linalg.norm(result.total - single.total) / size),
-                      float(np.linalg.norm(cells - other, axis=0).sum() / size)])  # fmt: skip
+        differences.append([float(np.linalg.norm(result.total - single.total) / size),
+                            float(np.linalg.norm(cells - other, axis=0).sum() / size)])  # fmt: skip
     valid = all(r.status is Status.OK for r in [last, *found])
-    return {"ratio": all_.cpu_seconds / one.cpu_seconds, "apart": apart, "valid": valid}
+    return {"ratio": all_.cpu_seconds / one.cpu_seconds, "differences": differences, "valid": valid}
 
 
 def frame_figures(scenes: dict[str, Scene], sensor: Sensor) -> list[Figure]:
@@ -69,8 +69,10 @@ def frame_figures(scenes: dict[str, Scene], sensor: Sensor) -> list[Figure]:
         Figure("scenes whose moments are all valid", sum(r["valid"] for r in found.values()), ">=", len(found)),
     ]
     for k, (what, goal) in enumerate((("total force", 0.3), ("cells", 2.0))):
-        worst = {name: max(100 * moment[k] for moment in record["apart"]) for name, record in found.items()}
-        late = max(100 * record["apart"][at][k] for record in found.values() for at in range(FRAMES // 2, FRAMES))
+        worst = {name: max(100 * moment[k] for moment in record["differences"]) for name, record in found.items()}
+        late = max(
+            100 * record["differences"][at][k] for record in found.values() for at in range(FRAMES // 2, FRAMES)
+        )
         name = max(worst, key=worst.get)
         note = f"{name}; the later half of the moments {late:.2g}"
         figures.append(Figure(f"moments against single presses, worst {what}", worst[name], "<=", goal, "%", note))

@@ -135,8 +135,8 @@ def grasps_of(films: dict[str, Read], way: str, choose: Callable) -> np.ndarray:
     return np.array(found).reshape(-1, 3)
 
 
-def apart(one: np.ndarray, other: np.ndarray) -> float:
-    """Factor by which forces (n,) N stand apart, median."""
+def factor_between(one: np.ndarray, other: np.ndarray) -> float:
+    """Factor by which forces (n,) N differ, median."""
     return float(np.exp(np.median(np.abs(np.log(one / other)))))
 
 
@@ -146,12 +146,12 @@ def finger_figures(films: dict[str, Read]) -> list[Figure]:
     every, whole = (grasps_of(films, "used", choose) for choose in (every_frame, seen_whole))
     others = [np.delete(used, k, axis=0) for k in range(len(used))]
     gains = [fit_opposite(rest[:, 0], rest[:, 1], Gain()).value for rest in others]
-    usual, plain, of_all = (apart(*grasps[:, :2].T) for grasps in (used, bare, every))
+    usual, plain, of_all = (factor_between(*grasps[:, :2].T) for grasps in (used, bare, every))
     # what both cameras see of one object differs too much for a goal
     return [
-        Figure("two fingers on one object, factor apart, median", usual, "", usual, "",
+        Figure("two fingers on one object, factor between them, median", usual, "", usual, "",
                f"{len(used)} grasps; both see all of the contact in {len(whole)}; bare {plain:.2f}; {of_all:.2f} over all"
-               f" frames of {len(every)}; {apart(used[:, 0], gains * used[:, 1]):.2f} once the other grasps brought one finger"
+               f" frames of {len(every)}; {factor_between(used[:, 0], gains * used[:, 1]):.2f} once the other grasps brought one finger"
                f" to the other; correlation over time {np.median(used[:, 2]):.2f}"),
     ]  # fmt: skip
 

@@ -41,7 +41,7 @@ CASES = {
     "two threads": {"MKL_NUM_THREADS": "2", "OMP_NUM_THREADS": "2"},
     "generic": {"MKL_CBWR": "COMPATIBLE", "NUMBA_CPU_NAME": "generic"},
 }
-TOTAL, CELLS = 0.1, 1.0  # % that results may be apart
+TOTAL, CELLS = 0.1, 1.0  # % by which results may differ
 WAYS = ("draft", "label", "ccx")  # qualities of `hex`, and CalculiX at label setting
 ONE_THREAD = {"MKL_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 
@@ -93,7 +93,7 @@ def digest_of_all(workflow: Path) -> str:
 
 def environment(case: str, folder: Path) -> dict[str, str]:
     """Environment of a process whose libraries take the code path of a case; numba's code for another processor is
-    kept apart, in the folder."""
+    kept separately, in the folder."""
     free = {k: v for k, v in os.environ.items() if k != "MKL_CBWR"}
     caches = {"NUMBA_CACHE_DIR": str((folder / "numba" / case).resolve())} if "NUMBA_CPU_NAME" in CASES[case] else {}
     return {**free, **ONE_THREAD, **CASES[case], **caches}
@@ -110,7 +110,7 @@ def on_machine(case: str, way: str, names: list[str] | None, folder: Path, workf
     return read_json(kept)
 
 
-def apart(results: list[dict]) -> tuple[float, float]:
+def difference(results: list[dict]) -> tuple[float, float]:
     """Largest differences, % of the force, of total and of cells between any two results of one scene."""
     totals, cells = ([np.array(result[name]) for result in results] for name in ("total", "cells"))
     size = np.linalg.norm(totals[0])
@@ -126,7 +126,7 @@ def compare(way: str, folder: Path, workflow: Path, names: list[str] | None = No
     for name in machines[0]:
         results = [machine[name] for machine in machines]
         alike = len({result["status"] for result in results}) == 1
-        found[name] = apart(results) if alike else (np.inf, np.inf)
+        found[name] = difference(results) if alike else (np.inf, np.inf)
     return found
 
 

@@ -276,10 +276,10 @@ def accuracy_figures(result: dict) -> list[Figure]:
         figures += shape_figures(shapes["per_indenter"], test["total"])
     for name, split in splits.items():
         if split["contacts"]["n"]:
-            apart = split["contacts"]
-            note = f"{apart['n']} contacts, {apart['mae']:.2f} N"
+            several = split["contacts"]
+            note = f"{several['n']} contacts, {several['mae']:.2f} N"
             figures.append(
-                Figure(f"each of several contacts at once, {name}", apart["percent"], "<=", 5.0, "%", note)
+                Figure(f"each of several contacts at once, {name}", several["percent"], "<=", 5.0, "%", note)
             )
     if truth := splits["test"]["against"].get("truth"):
         off = 100 * abs(truth["labels_over"]["grid_z"] - 1)

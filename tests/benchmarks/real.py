@@ -138,11 +138,11 @@ def newton_figures(
     total = np.array([-read(picture)[2][SEEN].sum(dtype=float) for picture, _ in presses])
     with np.load(maps) as stored:
         of_feats = stored["z"][:, SEEN].sum(axis=1, dtype=float)
-    apart = np.log(np.maximum(total, LEAST_TOTAL) / of_feats)
-    median, other = (float(np.exp(np.median(apart))) / newtons for newtons in NEWTONS)
-    note = f"{len(apart)} presses; with {NEWTONS[1]:.2f} N a cell {other:.2f}"
+    logarithms = np.log(np.maximum(total, LEAST_TOTAL) / of_feats)
+    median, other = (float(np.exp(np.median(logarithms))) / newtons for newtons in NEWTONS)
+    note = f"{len(logarithms)} presses; with {NEWTONS[1]:.2f} N a cell {other:.2f}"
     return [
-        Figure("totals over FEATS' maps, deviation of the logarithm", float(apart.std()), "<=", 0.25, "", f"{len(apart)} presses"),
+        Figure("totals over FEATS' maps, deviation of the logarithm", float(logarithms.std()), "<=", 0.25, "", f"{len(logarithms)} presses"),
         Figure(f"the same at {NEWTONS[0]:.2f} N a cell, median: at least", median, ">=", 0.85, "", note),
         Figure(f"the same at {NEWTONS[0]:.2f} N a cell, median: at most", median, "<=", 1.15),
     ]  # fmt: skip
@@ -202,7 +202,7 @@ def tube_figures(
         widths.append(ring_diameter(pressed) * 10.0 / PX_PER_MM)
     off = 100 * abs(float(np.mean(widths)) / TUBE_MM - 1.0)
     note = f"{np.mean(widths):.2f} mm for {TUBE_MM:g}; {', '.join(f'{width:.2f}' for width in widths)}"
-    return [Figure("tube of 10 and 7 mm: diameter of the ring read, off by", off, "<=", 3.0, "%", note)]
+    return [Figure("tube of 10 and 7 mm: diameter of the ring read, error", off, "<=", 3.0, "%", note)]
 
 
 def cuboid_figures(reference: Path, model: ForceModel, nocontact: np.ndarray) -> list[Figure]:
@@ -215,7 +215,7 @@ def cuboid_figures(reference: Path, model: ForceModel, nocontact: np.ndarray) ->
     note = f"normal {normal:.1f} N; bare {-plain[2].sum():.1f} N"
     return [
         Figure("cuboid pressed straight, sideways over normal force", 100 * sideways / abs(normal), "<=", 3.0, "%", note),
-        Figure("cuboid: side of the square read, off by", abs(float(np.sqrt(area)) - CUBOID_MM), "<=", 10 / PX_PER_MM, "mm"),
+        Figure("cuboid: side of the square read, error", abs(float(np.sqrt(area)) - CUBOID_MM), "<=", 10 / PX_PER_MM, "mm"),
     ]  # fmt: skip
 
 

@@ -45,7 +45,7 @@ READ_NOISE = 0.03  # N, of a force sensor
 COUNTS = (0, 1, 2, 5, 10, 20)  # readings of a force sensor
 PRESSES = 28
 DRAWS = 40  # of which readings are made, on each unit
-WRONG = 0.15  # of the range: a reading that is off by more must be flagged
+WRONG = 0.15  # of the range: a reading with a larger error must be flagged
 HOUR = 360  # frames: one between each two presses
 
 

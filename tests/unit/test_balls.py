@@ -44,7 +44,7 @@ def put(folder: Path, number: int, picture: np.ndarray, size: str = "6.000") -> 
 
 
 def test_the_table_holds_what_was_measured_of_a_5_mm_ball():
-    """Solves of the same solver, at these radii in mm and forces in N, whose radii were read off by another hand."""
+    """Solves of the same solver, at these radii in mm and forces in N, whose radii were read by another person."""
     radius = (1.24, 1.45, 1.53, 1.65, 1.73, 1.81, 1.98)
     curve = ball_table().curve(5.0)
     for depth, force in zip(radius, (0.57, 1.00, 1.27, 1.56, 1.88, 2.24, 3.51), strict=True):

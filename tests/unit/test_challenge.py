@@ -182,9 +182,9 @@ def test_a_symmetric_scene_has_a_symmetric_reference_and_its_scatter_beside_it(f
     noisy = record(folder, "cross")
     noisy["cells"] = noisy["cells"] * np.random.default_rng(1).uniform(0.9, 1.1, noisy["cells"].shape)
     keep_references([charted_scene("cross", {**noisy, "key": "k"})], tmp_path, 0.475)
-    apart = np.linalg.norm(image_of(noisy["cells"], (-1, 1)) - noisy["cells"], axis=0).sum()
+    difference = np.linalg.norm(image_of(noisy["cells"], (-1, 1)) - noisy["cells"], axis=0).sum()
     size = np.linalg.norm(noisy["cells"].sum(axis=(1, 2)) + noisy["outside"])
-    assert scatters(tmp_path)["cross"] == pytest.approx(apart / size)
+    assert scatters(tmp_path)["cross"] == pytest.approx(difference / size)
     kept = np.array(kept_reference(tmp_path, "cross", "k", GRID.shape)["cells"])
     np.testing.assert_allclose(image_of(kept, (-1, 1)), kept, atol=2e-7)
 

@@ -66,7 +66,7 @@ def test_more_readings_narrow_the_interval():
 
 
 def test_a_reading_says_the_less_the_weaker_it_is():
-    """What a network is off by where hardly anything touches is a large part of what it reads there."""
+    """The error of a network where hardly anything touches is a large part of what it reads there."""
     read = np.array([8.0, 12.0, 20.0])
     reported = [
         fit_gain(np.append(read, 2 * weak), np.append(read, weak)).value for weak in (0.1, 0.5, 1.0, 3.0, 20.0)

@@ -163,7 +163,7 @@ def units_sentence(c10: float, usual: float) -> list[str]:
 def model_sentences(models: list[dict]) -> list[str]:
     """Which models predict equally well, what that leaves open, and which are ruled out."""
     alike = [m for m in models if m["indistinguishable"]]
-    apart = [m["model"] for m in models if not m["indistinguishable"]]
+    unlikely = [m["model"] for m in models if not m["indistinguishable"]]
     said = []
     if len(alike) > 1:
         medians = [m["c10"]["median"] for m in alike]
@@ -173,15 +173,15 @@ def model_sentences(models: list[dict]) -> list[str]:
             f"can resolve, yet their medians of C10 run from "
             f"{min(medians):.4f} to {max(medians):.4f} MPa."
         )
-    if apart:
-        said.append(f"The data speak against {', '.join(apart)}.")
+    if unlikely:
+        said.append(f"The data speak against {', '.join(unlikely)}.")
     return said
 
 
 def predictive_sentence(repeated: dict, own: dict, least: float | None) -> str:
     """How far the normal force is off, in both senses of a predictive mean, and how near any parameters come."""
     text = (
-        f"The predictive mean of the normal force is off by {repeated['fz']:.3f} N on average for a press repeated, "
+        f"The predictive mean of the normal force has an error of {repeated['fz']:.3f} N on average for a press repeated, "
         f"by {own['fz']:.3f} N at these very presses, each with its own error of touch"
     )
     if least is not None:
@@ -196,7 +196,7 @@ def _trades(correlation: dict) -> list[str]:
     strong.sort(key=lambda pair: -abs(pair[1]))
     said = []
     for name, r in strong:
-        hint = "press other indenters" if name.startswith("scale of ") else "measure that one apart"
+        hint = "press other indenters" if name.startswith("scale of ") else "measure that one separately"
         what = label_of(name).split(" (")[0]
         said.append(f"C10 trades against the {what} (correlation {r:+.2f}): {hint} to narrow C10.")
     return said

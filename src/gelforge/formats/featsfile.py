@@ -83,7 +83,9 @@ def _label(path, found) -> np.ndarray:
             )
         if not np.isfinite(grid).all():
             raise BadInput(f"{path}: field {name} holds NaN or infinity; label the press again")
-    label = np.stack(grids).astype(np.float64)  # in half precision a sum is off by thousandths, and ends at 65504
+    label = np.stack(grids).astype(
+        np.float64
+    )  # in half precision a sum has an error of thousandths, and ends at 65504
     for name, grid in zip(TOTALS, label, strict=True):
         total = _number(path, name, found.get(name))
         if abs(total - grid.sum()) > SUM_TOLERANCE * np.abs(grid).sum() + 1e-9:

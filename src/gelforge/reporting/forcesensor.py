@@ -110,7 +110,7 @@ def force_rows(presses: Sequence[Compared]) -> list[list]:
 
 
 def force_sentences(presses: Sequence[Compared]) -> list[str]:
-    """How far labels and force sensor are apart, and the presses where they are so by more than they should."""
+    """Differences of labels and force sensor, and the presses where they are larger than they should be."""
     held = [p for p in presses if not p.used and abs(p.sensor) >= LEAST_N]
     said = []
     if held:

@@ -206,7 +206,7 @@ def read_verified(results: Path) -> list[verification.Verified]:
 
 
 def verified_section(records: list[verification.Verified]) -> Section:
-    """Presses that were solved by CalculiX, too, and how far both solves are apart."""
+    """Presses that were solved by CalculiX, too, and the differences of both solves."""
     section = Section("Verified by CalculiX")
     section.text(
         "Differences between the method that was chosen and CalculiX, over CalculiX' total force. The limit is the sum of"

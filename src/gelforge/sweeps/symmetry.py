@@ -38,7 +38,7 @@ def image_of(cells: np.ndarray, signs: tuple[int, int]) -> np.ndarray:
 def symmetrised(
     cells: np.ndarray, outside: np.ndarray, images: list[tuple[int, int]]
 ) -> tuple[np.ndarray, np.ndarray, float | None]:
-    """Mean of cells (3, rows, columns) and of the force outside (3,) N with their images, and how far these were apart.
+    """Mean of cells (3, rows, columns) and of the force outside (3,) N with their images, and their difference before.
 
     The last: largest sum of the differences of the cells over the total force, None where there is no image.
     """
@@ -47,6 +47,6 @@ def symmetrised(
         return cells, outside, None
     every = np.stack([cells, *(image_of(cells, signs) for signs in images)])
     total = np.linalg.norm(cells.sum(axis=(1, 2)) + outside)
-    apart = np.linalg.norm(every - cells, axis=1).sum(axis=(1, 2)).max() / total
+    difference = np.linalg.norm(every - cells, axis=1).sum(axis=(1, 2)).max() / total
     beside = np.mean([outside, *(outside * [*signs, 1.0] for signs in images)], axis=0)
-    return every.mean(axis=0), beside, float(apart)
+    return every.mean(axis=0), beside, float(difference)

@@ -1,4 +1,4 @@
-"""Presses that fidelity "auto" solved without CalculiX, solved by CalculiX, too, and how far both are apart."""
+"""Presses that fidelity "auto" solved without CalculiX, solved by CalculiX, too, and the differences of both."""
 
 import hashlib
 from collections import Counter
@@ -79,8 +79,8 @@ def compare(
     total, cells = (errors[about[3]] + errors["ccx"])[:2]
     if isinstance(found, str) or right is None:
         return Verified(*about, str(found), None, None, float(total), float(cells))
-    apart = total_error(found[0], right[0]), cell_error(found[1], right[1], right[0])
-    return Verified(*about, "", *apart, float(total), float(cells))
+    difference = total_error(found[0], right[0]), cell_error(found[1], right[1], right[0])
+    return Verified(*about, "", *difference, float(total), float(cells))
 
 
 def write_verified(path: Path, found: Verified) -> None:

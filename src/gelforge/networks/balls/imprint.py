@@ -82,10 +82,10 @@ def _difference(image: np.ndarray, nocontact: np.ndarray, px_per_mm: float) -> n
     import cv2
 
     lit = match_light(image, nocontact).undo(image)
-    apart = np.linalg.norm(np.subtract(lit, nocontact, dtype=np.float32), axis=2)
+    difference = np.linalg.norm(np.subtract(lit, nocontact, dtype=np.float32), axis=2)
     weight = (~(_ink(nocontact, px_per_mm) | _ink(lit, px_per_mm))).astype(np.float32)
     sigma = BLUR_MM * px_per_mm
-    blurred = cv2.GaussianBlur(apart * weight, (0, 0), sigma) / (cv2.GaussianBlur(weight, (0, 0), sigma) + 1e-3)
+    blurred = cv2.GaussianBlur(difference * weight, (0, 0), sigma) / (cv2.GaussianBlur(weight, (0, 0), sigma) + 1e-3)
     return np.asarray(np.maximum(blurred - np.median(blurred), 0.0))
 
 

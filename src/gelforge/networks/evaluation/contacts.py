@@ -48,7 +48,7 @@ def contact_forces(labels: np.ndarray, forces: np.ndarray) -> np.ndarray:
 
 
 def contact_table(labels: np.ndarray, forces: np.ndarray) -> dict:
-    """Contacts in presses with several (`n`), and what a network is off by of the force of each: N and per cent, in the mean."""
+    """Contacts in presses with several (`n`), and a network's error of the force of each: N and per cent, in the mean."""
     pairs = contact_forces(labels, forces)
     if not len(pairs):
         return {"n": 0}

@@ -168,10 +168,10 @@ def held(
 ) -> dict[str, float] | None:
     """Fraction of totals by channel that their intervals hold, of presses that these were not set on; None where none are left."""
     set_on = model.metadata.get("intervals", {}).get("presses", [])
-    apart = ~np.isin(press_keys(data, rows), set_on)  # another sensor's picture of a press errs as its own does
-    if predicted.half_widths is None or not apart.any():
+    unseen = ~np.isin(press_keys(data, rows), set_on)  # another sensor's picture of a press errs as its own does
+    if predicted.half_widths is None or not unseen.any():
         return None
-    inside = (np.abs(error) <= predicted.half_widths)[apart].mean(axis=0)
+    inside = (np.abs(error) <= predicted.half_widths)[unseen].mean(axis=0)
     return dict(zip(CHANNELS, inside.tolist(), strict=True))
 
 

@@ -159,9 +159,9 @@ def distance(image, nocontact) -> float:
     """
     import cv2
 
-    apart = cv2.resize(cv2.absdiff(image, nocontact), (80, 60), interpolation=cv2.INTER_AREA)
+    difference = cv2.resize(cv2.absdiff(image, nocontact), (80, 60), interpolation=cv2.INTER_AREA)
     # the sum of whole planes, a quarter of the time of a mean along the colours
-    red, green, blue = cv2.split(apart)
+    red, green, blue = cv2.split(difference)
     return quantile((red.astype(np.uint16) + green + blue).ravel(), 0.5) / 3
 
 
@@ -276,8 +276,8 @@ def unevenness(motion: np.ndarray) -> float:
     found = moved[2] > 0
     known = found[before] & found[middle] & found[after]
     before, middle, after = before[known], middle[known], after[known]
-    apart = np.hypot(*(moved[:2, middle] - (moved[:2, before] + moved[:2, after]) / 2))
-    return quantile(apart, 0.25) if len(apart) else 0.0
+    bend = np.hypot(*(moved[:2, middle] - (moved[:2, before] + moved[:2, after]) / 2))
+    return quantile(bend, 0.25) if len(bend) else 0.0
 
 
 @functools.cache
