@@ -3,8 +3,8 @@
 import numpy as np
 
 from gelforge.geometry.gel import Gel
-from gelforge.mechanics.mesh import GelMesh
-from gelforge.mechanics.tet.tetmesh import from_flat, kuhn_grid
+from gelforge.mechanics.mesh.gelmesh import GelMesh
+from gelforge.mechanics.mesh.tetmesh import from_flat, kuhn_grid
 
 
 def symmetric_block(gel: Gel, size: float, layers: int) -> GelMesh:

@@ -9,7 +9,7 @@ from gelforge.calibration.parameters import make_model, with_nu
 from gelforge.calibration.posterior import Posterior
 from gelforge.calibration.readings import Readings
 from gelforge.geometry.gel import USUAL_GEL
-from gelforge.mechanics.scene import REFERENCE_C10
+from gelforge.mechanics.material import REFERENCE_C10
 
 TOP = 2.4
 MUS = (0.0, 0.4, np.inf)

@@ -7,7 +7,7 @@ from gelforge.labelling.clip import clip_to_grid, polygon_area
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import CORNERS, face_loads
 from gelforge.labelling.sensor import Sensor, transform
-from gelforge.mechanics.mesh import GelMesh
+from gelforge.mechanics.mesh.gelmesh import GelMesh
 
 TRIANGLE_RULE = (  # degree 4, Dunavant (1985), table 1: weight, then two of the area coordinates
     (0.223381589678011, 0.445948490915965, 0.445948490915965),

@@ -8,7 +8,7 @@ from parameters import parameters, with_values, write_slice
 from gelforge.flow.files import write_csv, write_json
 from gelforge.flow.params import plain
 from gelforge.geometry.gel import Gel
-from gelforge.mechanics.hex.hexmesh import FineBox, build_mesh
+from gelforge.mechanics.mesh.hexmesh import FineBox, build_mesh
 from gelforge.records.forcefile import SampleForces, write_forces
 from gelforge.records.press import COLUMNS
 from tests.patch import consistent_loads

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from gelforge.mechanics.hex.hexmesh import surface_lines
-from gelforge.mechanics.mesh import GelMesh
+from gelforge.mechanics.mesh.gelmesh import GelMesh
+from gelforge.mechanics.mesh.hexmesh import surface_lines
 
 
 def interpolate_surface(mesh: GelMesh, values: np.ndarray, xy: np.ndarray) -> np.ndarray:

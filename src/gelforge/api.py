@@ -12,10 +12,12 @@ from gelforge.errors import BadInput, GelforgeError
 from gelforge.flow.params.tables import SOFTEST, STIFFEST
 from gelforge.flow.renamed import notice
 from gelforge.geometry.gel import load_gel
+from gelforge.geometry.solids import Indenter
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import Sensor
-from gelforge.mechanics.mesh import GelMesh
-from gelforge.mechanics.scene import REFERENCE_C10, Indenter, Material, Scene
+from gelforge.mechanics.material import REFERENCE_C10, Material
+from gelforge.mechanics.mesh.gelmesh import GelMesh
+from gelforge.mechanics.scene import Scene
 from gelforge.records.axes import AXIS_OF_CHANNEL
 from gelforge.records.forcereading import ForceReading
 from gelforge.records.press import Press
@@ -65,8 +67,8 @@ def solve(
             "of them, along gel x and y, for at and for shear, and a depth in mm from 0 on, positive into the gel"
         )
     from gelforge.geometry.indenters import build
-    from gelforge.mechanics.hex.hexsolver import HexSolver
-    from gelforge.mechanics.hex.settings import quality as settings
+    from gelforge.mechanics.hexsettings import quality as settings
+    from gelforge.mechanics.solvers.hex import HexSolver
 
     body: Any = build("indenter", indenter, "gelforge.solve") if isinstance(indenter, dict) else indenter
     if not hasattr(body, "distance"):

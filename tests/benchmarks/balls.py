@@ -11,12 +11,14 @@ import numpy as np
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
 from gelforge.labelling.sensor import load_sensors
-from gelforge.mechanics.hex.hexsolver import HexSolver
-from gelforge.mechanics.scene import Material, Press, Scene
+from gelforge.mechanics.material import Material
+from gelforge.mechanics.scene import Scene
+from gelforge.mechanics.solvers.hex import HexSolver
 from gelforge.networks.balls.ballpresses import BACKGROUND, BallPress, read_presses
 from gelforge.networks.balls.balltable import ball_table
 from gelforge.networks.inference.sensorprofile import fit_gain
 from gelforge.records.image import read_image, write_png
+from gelforge.records.press import Press
 from gelforge.stages.ball_table import DEPTHS
 from gelforge.virtualrig.appearance import read_appearances
 from gelforge.virtualrig.bench import SETTINGS

@@ -33,7 +33,7 @@ from gelforge.flow.params.tables import CalibrateTable
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import USUAL_GEL
 from gelforge.geometry.indenters import load_catalogue
-from gelforge.mechanics.hex.settings import HexSettings, quality
+from gelforge.mechanics.hexsettings import HexSettings, quality
 from gelforge.stages import calibrate as stage
 from gelforge.stages.fea import VERSION as SOLVER_VERSION
 from tests.benchmarks.figures import Figure, publish_figures, table
@@ -66,7 +66,7 @@ def rig_meshes() -> list[tuple[HexSettings, str]]:
     A mesh's error is the same in every reading taken with it. The posterior allows for the percent by which accurate
     meshes differ, so truths must come from several of them: from one alone, intervals hold them too often or too seldom.
     """
-    from gelforge.mechanics.hex.settings import QUALITIES
+    from gelforge.mechanics.hexsettings import QUALITIES
     from gelforge.virtualrig.bench import SETTINGS
 
     middle = replace(QUALITIES["demo"], size=0.6, layers=5, gauss=3)

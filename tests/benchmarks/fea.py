@@ -27,8 +27,10 @@ from gelforge.geometry.gel import Gel, load_gel
 from gelforge.geometry.indenters import build, load_catalogue
 from gelforge.labelling.sensor import Sensor, load_sensors
 from gelforge.mechanics.ccx.program import need_ccx, run_ccx
-from gelforge.mechanics.hex.settings import quality
-from gelforge.mechanics.scene import Interface, Material, Press, Scene
+from gelforge.mechanics.hexsettings import quality
+from gelforge.mechanics.material import Material
+from gelforge.mechanics.scene import Interface, Scene
+from gelforge.records.press import Press
 from gelforge.records.status import VALID, Status
 from gelforge.stages import pareto as branch
 from gelforge.sweeps import references as meshes
@@ -348,9 +350,9 @@ class SlideThenPress(Press):
 
 def block_shear(folder: Path, table: FeaTable) -> dict[str, float]:
     """Sideways over normal force by engine, of a plate and of a sphere that slide before they touch."""
-    from gelforge.mechanics.ccx.ccxsolver import CcxSettings, CcxSolver
-    from gelforge.mechanics.hex.hexsolver import HexSolver
-    from gelforge.mechanics.hex.settings import HexSettings
+    from gelforge.mechanics.hexsettings import HexSettings
+    from gelforge.mechanics.solvers.ccx import CcxSettings, CcxSolver
+    from gelforge.mechanics.solvers.hex import HexSolver
     from tests.blocks import symmetric_block
 
     gel = Block()

@@ -10,9 +10,9 @@ import numpy as np
 
 from gelforge.flow.files import write_json
 from gelforge.labelling.sensor import Sensor
-from gelforge.mechanics.hex.hexsolver import HexSolver
-from gelforge.mechanics.hex.settings import HexSettings, quality
+from gelforge.mechanics.hexsettings import HexSettings, quality
 from gelforge.mechanics.scene import Scene
+from gelforge.mechanics.solvers.hex import HexSolver
 from gelforge.records.status import Status
 from gelforge.reporting.canvas import canvas, save_png
 from gelforge.sweeps.isolate import Clock, isolated, peak_mib

@@ -286,9 +286,11 @@ def cuboid_outline(sensors, reference: Path) -> list[Figure]:
     """Outline of a computed cuboid label against the four corners that FEATS marked: as FEATS places forces, and as pictures do."""
     from gelforge.geometry.gel import Gel
     from gelforge.geometry.indenters import load_catalogue
-    from gelforge.mechanics.hex.hexsolver import solve_hex
-    from gelforge.mechanics.hex.settings import HexSettings
-    from gelforge.mechanics.scene import Material, Press, Scene
+    from gelforge.mechanics.hexsettings import HexSettings
+    from gelforge.mechanics.material import Material
+    from gelforge.mechanics.scene import Scene
+    from gelforge.mechanics.solvers.hex import solve_hex
+    from gelforge.records.press import Press
 
     cuboid = load_catalogue("workflow/indenters.toml")["cuboid_10"]
     result = solve_hex(Scene(Gel(), Material(), cuboid, Press(0, 0, 0, 0, 0, DEPTH)), HexSettings(size=0.7, layers=5))

@@ -20,12 +20,13 @@ from gelforge.flow import params as config
 from gelforge.flow.files import read_json, write_json
 from gelforge.flow.main import command, option
 from gelforge.labelling.sensor import load_sensors
-from gelforge.mechanics.family import MeshFamily
-from gelforge.mechanics.fidelity import Solvers
-from gelforge.mechanics.hex.hexsolver import HexSolver
-from gelforge.mechanics.hex.settings import quality
-from gelforge.mechanics.mesh import GelMesh
-from gelforge.mechanics.scene import Result, Scene
+from gelforge.mechanics.hexsettings import quality
+from gelforge.mechanics.mesh.family import MeshFamily
+from gelforge.mechanics.mesh.gelmesh import GelMesh
+from gelforge.mechanics.result import Result
+from gelforge.mechanics.scene import Scene
+from gelforge.mechanics.solvers.fidelity import Solvers
+from gelforge.mechanics.solvers.hex import HexSolver
 from gelforge.sweeps import references
 from gelforge.sweeps.scenes import parse_scene, read_tables
 from gelforge.sweeps.trial import cells_of

@@ -21,9 +21,10 @@ from gelforge.flow.progress import progress
 from gelforge.geometry.gel import Gel, load_gel
 from gelforge.geometry.indenters import load_catalogue
 from gelforge.labelling.sensor import Sensor
-from gelforge.mechanics.hex.hexsolver import HexSolver
-from gelforge.mechanics.hex.settings import quality
-from gelforge.mechanics.scene import REFERENCE_C10, Interface, Material, Scene
+from gelforge.mechanics.hexsettings import quality
+from gelforge.mechanics.material import REFERENCE_C10, Material
+from gelforge.mechanics.scene import Interface, Scene
+from gelforge.mechanics.solvers.hex import HexSolver
 from gelforge.networks.checkpoint.modelfile import ForceModel, fingerprint
 from gelforge.networks.inference.predictor import Predictor, load_for_use
 from gelforge.networks.inference.sensorprofile import fit_gain

@@ -12,10 +12,13 @@ from gelforge.errors import BadInput
 from gelforge.flow.params.tables import CLASSES, WAYS
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
-from gelforge.mechanics.contactclass import contact_class
-from gelforge.mechanics.family import MeshFamily
-from gelforge.mechanics.fidelity import Solvers, cheapest
-from gelforge.mechanics.scene import Material, Press, Scene
+from gelforge.mechanics.material import Material
+from gelforge.mechanics.mesh.family import MeshFamily
+from gelforge.mechanics.scene import Scene
+from gelforge.mechanics.solvers.auto import cheapest
+from gelforge.mechanics.solvers.contactclass import contact_class
+from gelforge.mechanics.solvers.fidelity import Solvers
+from gelforge.records.press import Press
 
 BODIES = {
     "curved": build("ball", {"kind": "sphere", "diameter": 15, "height": 10}),

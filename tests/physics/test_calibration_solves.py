@@ -23,10 +23,11 @@ from gelforge.calibration.solves import (
 from gelforge.errors import BadInput, SolveFailed
 from gelforge.geometry.gel import USUAL_GEL, Gel
 from gelforge.geometry.indenters import load_catalogue
-from gelforge.mechanics.hex.hexsolver import solve_hex
-from gelforge.mechanics.hex.settings import HexSettings
-from gelforge.mechanics.scene import REFERENCE_C10, Material, Press, Scene
-from gelforge.records.press import POSE
+from gelforge.mechanics.hexsettings import HexSettings
+from gelforge.mechanics.material import REFERENCE_C10, Material
+from gelforge.mechanics.scene import Scene
+from gelforge.mechanics.solvers.hex import solve_hex
+from gelforge.records.press import POSE, Press
 from gelforge.records.status import Status
 
 SETTINGS = HexSettings(size=1.2, layers=3, press_steps=8, shear_steps=3, final_tolerance=1e-7)

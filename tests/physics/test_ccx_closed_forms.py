@@ -7,10 +7,10 @@ from scipy.optimize import brentq
 from gelforge.mechanics.ccx.dat import last_table, read_dat
 from gelforge.mechanics.ccx.deck import material_lines, mesh_include
 from gelforge.mechanics.ccx.program import run_ccx
-from gelforge.mechanics.mesh import GelMesh
-from gelforge.mechanics.scene import REFERENCE_C10, Material
-from gelforge.mechanics.tet.solid import TetSolid
-from gelforge.mechanics.tet.tetmesh import boundary_faces, kuhn_grid, second_order
+from gelforge.mechanics.material import REFERENCE_C10, Material
+from gelforge.mechanics.mesh.gelmesh import GelMesh
+from gelforge.mechanics.mesh.tetmesh import boundary_faces, kuhn_grid, second_order
+from gelforge.mechanics.path.tetsolid import TetSolid
 
 MATERIAL = Material()
 SIDE = np.linspace(0.0, 1.0, 3)

@@ -7,16 +7,19 @@ import pytest
 from parameters import parameters
 
 from gelforge.geometry.indenters import build
-from gelforge.mechanics.ccx.ccxsolver import CcxSettings, CcxSolver
-from gelforge.mechanics.ccx.native import solve_native
-from gelforge.mechanics.hex.hexsolver import solve_hex
-from gelforge.mechanics.hex.reach import first_touch
-from gelforge.mechanics.hex.settings import HexSettings
-from gelforge.mechanics.scene import Interface, Material, Press, Scene
-from gelforge.mechanics.tet.face import dunavant12, face_points
-from gelforge.mechanics.tet.facecontact import SLIDE, STICK, Contact, judge
-from gelforge.mechanics.tet.kinematics import PathSettings, contact_blocks, contact_forces, follow
-from gelforge.mechanics.tet.moved import moved
+from gelforge.mechanics.contact.facecontact import SLIDE, STICK, Contact, contact_blocks, contact_forces, judge
+from gelforge.mechanics.contact.facepoints import dunavant12, face_points
+from gelforge.mechanics.hexsettings import HexSettings
+from gelforge.mechanics.material import Material
+from gelforge.mechanics.mesh.moved import moved
+from gelforge.mechanics.path.loadpath import first_touch
+from gelforge.mechanics.path.tetpath import PathSettings
+from gelforge.mechanics.scene import Interface, Scene
+from gelforge.mechanics.solvers.ccx import CcxSettings, CcxSolver
+from gelforge.mechanics.solvers.ccx_native import solve_native
+from gelforge.mechanics.solvers.hex import solve_hex
+from gelforge.mechanics.solvers.tet import follow
+from gelforge.records.press import Press
 from gelforge.records.status import Status
 from tests.blocks import symmetric_block
 from tests.flat_pad import FlatPad

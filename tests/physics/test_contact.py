@@ -7,7 +7,9 @@ import pytest
 
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
-from gelforge.mechanics.hex.hexmesh import (
+from gelforge.mechanics.contact.penalty import GLUED, FacePlaces, Law, contact_points, contact_springs, curved
+from gelforge.mechanics.linear.pattern import build_pattern
+from gelforge.mechanics.mesh.hexmesh import (
     FineBox,
     build_mesh,
     graded_lines,
@@ -15,8 +17,6 @@ from gelforge.mechanics.hex.hexmesh import (
     round_corners,
     surface_lines,
 )
-from gelforge.mechanics.hex.penaltycontact import GLUED, FacePlaces, Law, contact_points, contact_springs, curved
-from gelforge.mechanics.pattern import build_pattern
 from gelforge.mechanics.pose import Pose, on_surface, touch_fraction
 from tests.surface_values import interpolate_surface
 
@@ -168,7 +168,7 @@ def test_layers_grow_downwards():
 
 
 def test_mesh_fills_the_gel(mesh):
-    from gelforge.mechanics.hex.element import bricks
+    from gelforge.mechanics.elements.hex8 import bricks
 
     gel = Gel()
     volume = bricks(mesh.nodes, mesh.cells).weights.sum()  # raises where a brick is inverted

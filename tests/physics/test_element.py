@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from gelforge.mechanics.hex import element
-from gelforge.mechanics.hex.stepped import Cells
-from gelforge.mechanics.lanes import batched
-from gelforge.mechanics.linear import SuperLU, symmetric_solver
-from gelforge.mechanics.pattern import block_places, build_pattern, symmetric_product
-from gelforge.mechanics.scene import Material
+from gelforge.mechanics.elements import hex8
+from gelforge.mechanics.elements.simd import batched
+from gelforge.mechanics.linear.factorisation import SuperLU, symmetric_solver
+from gelforge.mechanics.linear.pattern import block_places, build_pattern, symmetric_product
+from gelforge.mechanics.material import Material
+from gelforge.mechanics.mesh.stepped import Cells
 
 EXACT = 1e-10  # relative; homogeneous fields lie in the element's space, so only rounding is left
 
@@ -28,19 +28,19 @@ def distorted_block(n=3, amount=0.25, seed=1):
 
 def forces_of(nodes, elements, u, material):
     """Nodal forces dE/du (n, 3)."""
-    b = element.bricks(nodes, Cells.plain(elements))
+    b = hex8.bricks(nodes, Cells.plain(elements))
     out = np.zeros_like(u)
-    smallest = element.internal_forces(u, b, material.shear_modulus, material.bulk_modulus, out)
+    smallest = hex8.internal_forces(u, b, material.shear_modulus, material.bulk_modulus, out)
     assert smallest > 0
     return out
 
 
 def matrix_of(nodes, elements, u, material, fixed=np.empty(0, int)):
     """Upper-triangle values and pattern of the tangent."""
-    b, pattern = element.bricks(nodes, Cells.plain(elements)), build_pattern(elements, len(nodes), fixed)
+    b, pattern = hex8.bricks(nodes, Cells.plain(elements)), build_pattern(elements, len(nodes), fixed)
     base, width = block_places(pattern, elements)
     values = np.zeros(len(pattern.indices))
-    element.tangent(u, b, material.shear_modulus, material.bulk_modulus, 1.0, base, width, values)
+    hex8.tangent(u, b, material.shear_modulus, material.bulk_modulus, 1.0, base, width, values)
     return values, pattern
 
 
@@ -89,14 +89,13 @@ def test_products_are_those_of_the_whole_matrix():
 def test_bricks_are_the_same_in_any_company():
     """They are worked on in batches, of which the last is not full."""
     nodes, elements, _ = distorted_block(5)
-    assert len(elements) % element.LANES
+    assert len(elements) % hex8.LANES
     u, material = 0.01 * np.random.default_rng(0).normal(size=nodes.shape), Material()
     alone = [forces_of(nodes, elements[e : e + 1], u, material) for e in range(len(elements))]
     np.testing.assert_allclose(forces_of(nodes, elements, u, material), np.sum(alone, axis=0), rtol=0, atol=1e-12)
-    ratios = element.smallest_ratios(u, element.bricks(nodes, Cells.plain(elements)))
+    ratios = hex8.smallest_ratios(u, hex8.bricks(nodes, Cells.plain(elements)))
     single = [
-        element.smallest_ratios(u, element.bricks(nodes, Cells.plain(elements[e : e + 1])))[0]
-        for e in range(len(elements))
+        hex8.smallest_ratios(u, hex8.bricks(nodes, Cells.plain(elements[e : e + 1])))[0] for e in range(len(elements))
     ]
     np.testing.assert_allclose(ratios, single, rtol=1e-12)
     whole, turned = (dense(*matrix_of(nodes, some, u, material)) for some in (elements, elements[::-1]))

@@ -7,12 +7,15 @@ import pytest
 
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build, load_catalogue
-from gelforge.mechanics.hex.hexmesh import FineBox, HexMesh, mesh_on_lines
-from gelforge.mechanics.hex.hexsolver import MOST_BELOW_MM, MOST_INSIDE_MM, HexSolver, solve_hex
-from gelforge.mechanics.hex.penaltycontact import FREE, GLUED
-from gelforge.mechanics.hex.reach import fine_box, path_pose
-from gelforge.mechanics.hex.settings import HexSettings, quality
-from gelforge.mechanics.scene import Interface, Material, Press, Scene
+from gelforge.mechanics.contact.penalty import FREE, GLUED
+from gelforge.mechanics.hexsettings import HexSettings, quality
+from gelforge.mechanics.material import Material
+from gelforge.mechanics.mesh.finebox import fine_box
+from gelforge.mechanics.mesh.hexmesh import FineBox, HexMesh, mesh_on_lines
+from gelforge.mechanics.path.loadpath import path_pose
+from gelforge.mechanics.scene import Interface, Scene
+from gelforge.mechanics.solvers.hex import MOST_BELOW_MM, MOST_INSIDE_MM, HexSolver, solve_hex
+from gelforge.records.press import Press
 from gelforge.records.status import Status
 from tests.flat_pad import FlatPad
 

@@ -7,8 +7,10 @@ from parameters import parameters
 import gelforge
 from gelforge.geometry.indenters import build
 from gelforge.geometry.triangles import joined, write_stl
-from gelforge.mechanics.ccx.ccxsolver import CcxSettings, CcxSolver
-from gelforge.mechanics.scene import Material, Press, Scene
+from gelforge.mechanics.material import Material
+from gelforge.mechanics.scene import Scene
+from gelforge.mechanics.solvers.ccx import CcxSettings, CcxSolver
+from gelforge.records.press import Press
 from tests.blocks import symmetric_block
 from tests.flat_pad import FlatPad
 

@@ -11,14 +11,17 @@ from gelforge.errors import BadInput
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build, load_catalogue
 from gelforge.geometry.touch import width_of
-from gelforge.mechanics.hex.carry import FLAT, Trail, carried, surface_motion, touches, untangled, volume_motion
-from gelforge.mechanics.hex.element import bricks, smallest_ratios
-from gelforge.mechanics.hex.hexmesh import FineBox, build_mesh, dissected, elimination_order
-from gelforge.mechanics.hex.hexsolver import HexSolver, moment_of, solve_hex
-from gelforge.mechanics.hex.reach import gaps
-from gelforge.mechanics.hex.settings import QUALITIES, HexSettings, Nested
-from gelforge.mechanics.linear import symmetric_solver
-from gelforge.mechanics.scene import Interface, Material, Press, Scene
+from gelforge.mechanics.contact.reach import gaps
+from gelforge.mechanics.elements.hex8 import bricks, smallest_ratios
+from gelforge.mechanics.hexsettings import QUALITIES, HexSettings, Nested
+from gelforge.mechanics.linear.factorisation import symmetric_solver
+from gelforge.mechanics.material import Material
+from gelforge.mechanics.mesh.hexmesh import FineBox, build_mesh, dissected, elimination_order
+from gelforge.mechanics.path.loadpath import moment_of
+from gelforge.mechanics.path.transfer import FLAT, Trail, carried, surface_motion, touches, untangled, volume_motion
+from gelforge.mechanics.scene import Interface, Scene
+from gelforge.mechanics.solvers.hex import HexSolver, solve_hex
+from gelforge.records.press import Press
 from gelforge.records.status import Status
 
 COARSE = build_mesh(Gel(), FineBox(-4, 4, -4, 4, 1.0), 3, 2.0)

@@ -7,9 +7,11 @@ import pytest
 
 from gelforge.geometry.gel import Gel, load_gel
 from gelforge.geometry.indenters import load_catalogue
-from gelforge.mechanics.hex.hexsolver import HexSolver
-from gelforge.mechanics.hex.settings import quality
-from gelforge.mechanics.scene import REFERENCE_C10, Interface, Material, Press, Scene
+from gelforge.mechanics.hexsettings import quality
+from gelforge.mechanics.material import REFERENCE_C10, Material
+from gelforge.mechanics.scene import Interface, Scene
+from gelforge.mechanics.solvers.hex import HexSolver
+from gelforge.records.press import Press
 from gelforge.virtualrig.bench import SETTINGS, Bench, moments
 from gelforge.virtualrig.excess import ForceFactor, kept_factor, name_of
 from gelforge.virtualrig.rigplan import orders, read_plan

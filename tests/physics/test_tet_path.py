@@ -10,15 +10,19 @@ from parameters import parameters
 
 from gelforge.errors import SolveFailed
 from gelforge.geometry.indenters import build
-from gelforge.mechanics.ccx.ccxsolver import CcxSettings, CcxSolver
-from gelforge.mechanics.hex.hexsolver import HexSolver
-from gelforge.mechanics.hex.reach import first_touch
-from gelforge.mechanics.hex.settings import HexSettings, Nested
-from gelforge.mechanics.scene import Interface, Material, Press, Scene
-from gelforge.mechanics.tet import solid
-from gelforge.mechanics.tet.face import face_points
-from gelforge.mechanics.tet.kinematics import PathSettings, arrive, contact_forces, follow
-from gelforge.mechanics.tet.solid import TetSolid
+from gelforge.mechanics.contact.facecontact import contact_forces
+from gelforge.mechanics.contact.facepoints import face_points
+from gelforge.mechanics.hexsettings import HexSettings, Nested
+from gelforge.mechanics.material import Material
+from gelforge.mechanics.path import tetsolid
+from gelforge.mechanics.path.loadpath import first_touch
+from gelforge.mechanics.path.tetpath import PathSettings
+from gelforge.mechanics.path.tetsolid import TetSolid
+from gelforge.mechanics.scene import Interface, Scene
+from gelforge.mechanics.solvers.ccx import CcxSettings, CcxSolver
+from gelforge.mechanics.solvers.hex import HexSolver
+from gelforge.mechanics.solvers.tet import arrive, follow
+from gelforge.records.press import Press
 from gelforge.records.status import Status
 from tests.blocks import symmetric_block
 from tests.flat_pad import FlatPad
@@ -66,7 +70,7 @@ def test_every_tangent_ends_at_the_same_equilibrium(run, way):
 
 def test_an_old_factorisation_ends_where_new_ones_do(run, monkeypatch):
     usual, _ = run(scene(), TIGHT)
-    monkeypatch.setattr(solid, "STALE", 1)  # none is quick enough: every step has a factorisation of its own
+    monkeypatch.setattr(tetsolid, "STALE", 1)  # none is quick enough: every step has a factorisation of its own
     assert apart(run(scene(), TIGHT)[0], usual) < 1e-6
 
 

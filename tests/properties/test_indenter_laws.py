@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gelforge.geometry.indenters import build, fold, load_catalogue, read_catalogue
-from gelforge.mechanics.scene import Press
+from gelforge.records.press import Press
 from tests.conftest import ROOT
 
 CATALOGUE = ROOT / "workflow" / "indenters.toml"

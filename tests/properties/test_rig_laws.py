@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
 from gelforge.labelling.sensor import load_sensors
-from gelforge.mechanics.scene import Press
 from gelforge.records.geometryfile import STEP as SLOPE_STEP
+from gelforge.records.press import Press
 from gelforge.virtualrig.appearance import TERMS, Appearance, read_appearances
 from gelforge.virtualrig.fields import STEP, body_of, unloaded
 from gelforge.virtualrig.lightfit import marker_spots

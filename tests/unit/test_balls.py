@@ -11,14 +11,16 @@ from gelforge.commands import sensor
 from gelforge.errors import BadInput
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
-from gelforge.mechanics.hex.hexsolver import HexSolver
-from gelforge.mechanics.hex.settings import quality
-from gelforge.mechanics.scene import Material, Press, Scene
+from gelforge.mechanics.hexsettings import quality
+from gelforge.mechanics.material import Material
+from gelforge.mechanics.scene import Scene
+from gelforge.mechanics.solvers.hex import HexSolver
 from gelforge.networks.balls.ballpresses import px_per_mm_of, read_presses
 from gelforge.networks.balls.balltable import ball_table
 from gelforge.networks.balls.imprint import Circle, fit_circle
 from gelforge.networks.inference.sensorprofile import USUAL, fit_gain, of_balls, read_profile
 from gelforge.records.image import read_image, write_png
+from gelforge.records.press import Press
 from gelforge.stages.ball_table import contact_radius
 from tests.benchmarks.balls import DRAWN, draw_balls, true_force
 

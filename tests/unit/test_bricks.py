@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gelforge.errors import BadInput
-from gelforge.mechanics.family import load_mesh
-from gelforge.mechanics.hex.bricks import FORM, Bricks
-from gelforge.mechanics.hex.hexmesh import FineBox
+from gelforge.mechanics.mesh.family import load_mesh
+from gelforge.mechanics.mesh.hexmesh import FineBox
+from gelforge.mechanics.mesh.hexname import FORM, Bricks
 
 GOOD = "hex@gelsight_mini:-5.5:5.5:-10:0.25:0.45:5:3:1.8:3:3:1"
 LENGTH = st.floats(0.2, 3.0)

@@ -19,7 +19,7 @@ from gelforge.calibration.parameters import FrictionPrior, Model, Prior
 from gelforge.calibration.posterior import LeaveOneOut
 from gelforge.calibration.readings import bisection_order, choose_presses
 from gelforge.calibration.sampling import Rules, sample, split_rhat
-from gelforge.mechanics.scene import REFERENCE_C10
+from gelforge.mechanics.material import REFERENCE_C10
 
 RULES = Rules(walkers=32, seed=5, taus=50, acceptance=(0.15, 0.6), rhat=1.01, max_steps=40000)
 DEPTH = np.linspace(0.4, 2.0, 10)

@@ -5,9 +5,9 @@ import sys
 import pytest
 
 from gelforge.errors import BadInput
-from gelforge.mechanics.ccx.ccxsolver import status_of
 from gelforge.mechanics.ccx.dat import DatError, Unfinished, read_dat
 from gelforge.mechanics.ccx.program import ccx_program, need_ccx, run_ccx
+from gelforge.mechanics.solvers.ccx import status_of
 from gelforge.records.status import Status
 
 

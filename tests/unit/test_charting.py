@@ -21,7 +21,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import write_json
 from gelforge.flow.params import load_params
 from gelforge.labelling.sensor import load_sensors
-from gelforge.mechanics.family import footprint
+from gelforge.mechanics.mesh.family import footprint
 from gelforge.stages import stability
 from gelforge.stages.pareto import charted, keep_charted, summarise
 from gelforge.sweeps import cases

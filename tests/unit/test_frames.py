@@ -12,8 +12,9 @@ from pressed_dataset import SETTINGS, collect, label, write_pressed
 from gelforge.flow.files import read_csv, write_csv
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
-from gelforge.mechanics.hex.hexsolver import moment_of
-from gelforge.mechanics.scene import Material, Scene
+from gelforge.mechanics.material import Material
+from gelforge.mechanics.path.loadpath import moment_of
+from gelforge.mechanics.scene import Scene
 from gelforge.networks.data.split import group_presses, split_presses
 from gelforge.records import log
 from gelforge.records.forcefile import ForceFile, SampleForces, write_forces

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gelforge.mechanics.linear import gmres
+from gelforge.mechanics.linear.gmres import gmres
 
 SIZE = 30
 

@@ -13,7 +13,7 @@ from gelforge.flow.step import NOTICES
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import Operator, assemble, cached, operator_path
 from gelforge.labelling.sensor import load_sensors
-from gelforge.mechanics.mesh import GelMesh
+from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.records.forcefile import ForceFile, SampleForces, write_forces
 from gelforge.records.labelfile import read_labels, write_labels
 from gelforge.records.status import Status

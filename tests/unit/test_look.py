@@ -79,7 +79,7 @@ def test_a_disk_without_room_for_the_gel_is_a_sentence(made, tmp_path):
 def test_second_order_tetrahedra_keep_their_order(tmp_path):
     import pyvista as pv
 
-    from gelforge.mechanics.mesh import GelMesh
+    from gelforge.mechanics.mesh.gelmesh import GelMesh
 
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
     middles = [(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gelforge.mechanics.meshratio import LEAST_ASIDE, mesh_ratios
+from gelforge.mechanics.mesh.meshratio import LEAST_ASIDE, mesh_ratios
 
 
 def pressed(count: int) -> np.ndarray:

@@ -13,7 +13,8 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import read_json, write_json
 from gelforge.geometry.gel import GELS, load_gel
 from gelforge.geometry.indenters import build
-from gelforge.mechanics.family import (
+from gelforge.mechanics.material import Material
+from gelforge.mechanics.mesh.family import (
     MeshFamily,
     MeshName,
     choose_mesh,
@@ -25,11 +26,10 @@ from gelforge.mechanics.family import (
     sizing,
     unplaced,
 )
-from gelforge.mechanics.mesh import GelMesh
-from gelforge.mechanics.meshstore import SHIPPED, MeshSource, add
-from gelforge.mechanics.scene import Material, Press, Scene
-from gelforge.mechanics.tet.moved import RASTER_MM, ROUNDING_MM, moved, reach, way_to
-from gelforge.mechanics.tet.tetmesh import (
+from gelforge.mechanics.mesh.gelmesh import GelMesh
+from gelforge.mechanics.mesh.meshstore import SHIPPED, MeshSource, add
+from gelforge.mechanics.mesh.moved import RASTER_MM, ROUNDING_MM, moved, reach, way_to
+from gelforge.mechanics.mesh.tetmesh import (
     EDGES,
     bend,
     boundary_faces,
@@ -45,6 +45,8 @@ from gelforge.mechanics.tet.tetmesh import (
     split_long_edges,
     tetrahedralise,
 )
+from gelforge.mechanics.scene import Scene
+from gelforge.records.press import Press
 from tests.blocks import symmetric_block
 from tests.conftest import process_signals
 

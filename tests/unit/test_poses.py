@@ -19,9 +19,8 @@ from gelforge.geometry.cropping import cropped
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue
 from gelforge.geometry.stlfile import read_stl
-from gelforge.mechanics.scene import Press
 from gelforge.records import log
-from gelforge.records.press import FORCES, LoggedPress, Rejection, parse, summarised
+from gelforge.records.press import FORCES, LoggedPress, Press, Rejection, parse, summarised
 from gelforge.stages import poses
 
 

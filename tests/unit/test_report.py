@@ -10,8 +10,8 @@ from importlib.metadata import version
 import numpy as np
 
 from gelforge.geometry.gel import USUAL_GEL, load_gel
-from gelforge.mechanics.hex.bricks import Bricks
-from gelforge.mechanics.hex.hexmesh import FineBox
+from gelforge.mechanics.mesh.hexmesh import FineBox
+from gelforge.mechanics.mesh.hexname import Bricks
 from gelforge.records.forcefile import SampleForces, write_forces
 from gelforge.records.solvetable import Solved
 from gelforge.records.status import Status

@@ -21,8 +21,8 @@ from gelforge.flow.params import (
 )
 from gelforge.flow.params import tables as t
 from gelforge.flow.params.schema import OneOf, ParameterTable, Within, bare, kinds_of
-from gelforge.mechanics.fidelity import FIDELITIES
-from gelforge.mechanics.hex.settings import QUALITIES
+from gelforge.flow.params.tables import FIDELITIES
+from gelforge.mechanics.hexsettings import QUALITIES
 
 
 def load(root, tmp_path, text):

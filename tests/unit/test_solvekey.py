@@ -9,10 +9,12 @@ from gelforge.flow.params.tables import FIDELITIES, FeaTable
 from gelforge.geometry.gel import load_gel
 from gelforge.geometry.indenters import build
 from gelforge.mechanics import solvekey
-from gelforge.mechanics.fidelity import way_of
-from gelforge.mechanics.hex.settings import quality
-from gelforge.mechanics.scene import Interface, Material, Press, Scene
+from gelforge.mechanics.hexsettings import quality
+from gelforge.mechanics.material import Material
+from gelforge.mechanics.scene import Interface, Scene
 from gelforge.mechanics.solvekey import settings_of, solve_key
+from gelforge.mechanics.solvers.auto import way_of
+from gelforge.records.press import Press
 
 FEA = parameters().fea
 BALL = {"kind": "sphere", "diameter": 15, "height": 10}

@@ -10,11 +10,13 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, write_csv, write_json
 from gelforge.geometry.gel import GELS, Gel
 from gelforge.geometry.indenters import build
-from gelforge.mechanics.family import MeshFamily, load_mesh
-from gelforge.mechanics.fidelity import Solvers
-from gelforge.mechanics.scene import Material, Press, Scene
+from gelforge.mechanics.material import Material
+from gelforge.mechanics.mesh.family import MeshFamily, load_mesh
+from gelforge.mechanics.scene import Scene
+from gelforge.mechanics.solvers.fidelity import Solvers
 from gelforge.records.forcefile import ForceFile
 from gelforge.records.labelfile import read_labels
+from gelforge.records.press import Press
 from gelforge.stages import fea, forces, labels
 
 SENSOR = "gelsight_mini"

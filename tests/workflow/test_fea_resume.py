@@ -18,8 +18,8 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, write_csv, write_json
 from gelforge.geometry.gel import GELS
 from gelforge.mechanics.ccx.dat import last_table, read_dat
-from gelforge.mechanics.meshstore import source_of
-from gelforge.mechanics.scene import REFERENCE_C10
+from gelforge.mechanics.material import REFERENCE_C10
+from gelforge.mechanics.mesh.meshstore import source_of
 from gelforge.records.forcefile import ForceFile
 from gelforge.stages import fea, forces, meshes
 from tests.blocks import symmetric_block

@@ -12,8 +12,8 @@ from gelforge.geometry.gel import Gel, gel_shape, is_gel, load_gel
 from gelforge.geometry.gelcatalogue import FILE, gels_of
 from gelforge.geometry.triangles import volume, write_stl
 from gelforge.labelling.sensor import load_sensors
-from gelforge.mechanics.hex.hexmesh import FineBox, build_mesh
-from gelforge.mechanics.tet.tetmesh import quality
+from gelforge.mechanics.mesh.hexmesh import FineBox, build_mesh
+from gelforge.mechanics.mesh.tetmesh import quality
 from gelforge.records.forcefile import ForceFile
 from gelforge.records.labelfile import read_labels
 from gelforge.records.press import COLUMNS

@@ -15,7 +15,7 @@ from gelforge.flow.params import plain
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue
 from gelforge.labelling.sensor import load_sensors
-from gelforge.mechanics.family import MeshFamily, choose_mesh, load_mesh
+from gelforge.mechanics.mesh.family import MeshFamily, choose_mesh, load_mesh
 from gelforge.records.status import Status
 from gelforge.stages import pareto, stability
 from gelforge.sweeps import cases

@@ -10,7 +10,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import read_json, write_json
 from gelforge.flow.params import read_toml
 from gelforge.geometry.gel import GELS
-from gelforge.mechanics.meshstore import source_of
+from gelforge.mechanics.mesh.meshstore import source_of
 from gelforge.stages import fea, meshes
 from gelforge.stages.report import verified_section
 from gelforge.sweeps import verification

@@ -12,7 +12,7 @@ from scipy.interpolate import PchipInterpolator
 
 from gelforge.calibration.friction import friction_axis
 from gelforge.errors import BadInput
-from gelforge.mechanics.scene import REFERENCE_C10
+from gelforge.mechanics.material import REFERENCE_C10
 
 DEPTHS = 161
 FRICTIONS = 33

@@ -10,10 +10,9 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.layout import Layout
 from gelforge.geometry.gel import USUAL_GEL
-from gelforge.mechanics.scene import Press
 from gelforge.records.frames import NEAR_MM, presses_of
 from gelforge.records.log import read_log
-from gelforge.records.press import FORCE, POSE, LoggedPress, parse
+from gelforge.records.press import FORCE, POSE, LoggedPress, Press, parse
 
 
 @dataclass(frozen=True)

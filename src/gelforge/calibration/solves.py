@@ -22,12 +22,14 @@ from gelforge.flow.progress import progress
 from gelforge.flow.slots import in_slots
 from gelforge.geometry.gel import load_gel
 from gelforge.geometry.solids import surface_digest
-from gelforge.mechanics.hex.hexsolver import HexSolver
-from gelforge.mechanics.hex.reach import first_touch
-from gelforge.mechanics.hex.settings import HexSettings
-from gelforge.mechanics.meshratio import mesh_ratios
-from gelforge.mechanics.scene import Interface, Material, Press, Scene
+from gelforge.mechanics.hexsettings import HexSettings
+from gelforge.mechanics.material import Material
+from gelforge.mechanics.mesh.meshratio import mesh_ratios
+from gelforge.mechanics.path.loadpath import first_touch
+from gelforge.mechanics.scene import Interface, Scene
 from gelforge.mechanics.solvekey import hex_settings, solve_key
+from gelforge.mechanics.solvers.hex import HexSolver
+from gelforge.records.press import Press
 from gelforge.records.status import Status
 
 # Shares of a straight press at which fine hexahedra measure the excess of coarse ones. Shallower, few contact points carry the force

@@ -11,7 +11,7 @@ from gelforge.flow.files import write_text
 from gelforge.flow.layout import DECK, Layout, shard_name
 from gelforge.flow.main import command, option
 from gelforge.mechanics.ccx.deck import INCLUDES, include_of
-from gelforge.mechanics.scene import REFERENCE_C10
+from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.records.forcefile import ForceFile
 from gelforge.records.press import check_id
 from gelforge.records.solvetable import read_record

@@ -27,7 +27,7 @@ from gelforge.flow.params.tables import SHIPPED
 from gelforge.flow.running import duration
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import load_sensors
-from gelforge.mechanics.scene import REFERENCE_C10
+from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.records.frames import presses_of
 from gelforge.records.log import read_shard, shard_text
 from gelforge.records.networkkind import kind_of

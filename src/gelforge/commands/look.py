@@ -14,7 +14,7 @@ from gelforge.flow.ledger import causes, changed_since
 from gelforge.flow.main import command, option
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import Sensor, find_sensor, load_sensors, transform
-from gelforge.mechanics.family import load_mesh
+from gelforge.mechanics.mesh.family import load_mesh
 from gelforge.records.forcefile import ForceFile
 from gelforge.records.image import read_logged_image
 from gelforge.records.labelfile import read_labels

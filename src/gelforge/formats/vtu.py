@@ -4,7 +4,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import need_room, publish
-from gelforge.mechanics.mesh import GelMesh
+from gelforge.mechanics.mesh.gelmesh import GelMesh
 
 VTK_CELL = {"hex8": 12, "tet10": 24}  # VTK_HEXAHEDRON, VTK_QUADRATIC_TETRA: same node order as C3D8 and C3D10
 

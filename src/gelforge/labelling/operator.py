@@ -22,8 +22,8 @@ from gelforge.flow.files import publish
 from gelforge.labelling.clip import clip_to_grid, polygon_area
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import Sensor, transform
-from gelforge.mechanics.family import load_mesh, mesh_file
-from gelforge.mechanics.mesh import GelMesh
+from gelforge.mechanics.mesh.family import load_mesh, mesh_file
+from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.records.npz import DAMAGED, in_short
 
 VERSION = 1  # of the numbers in an operator file; part of its name

@@ -10,10 +10,11 @@ from typing import Any
 from gelforge.flow.params import digest_of_value
 from gelforge.flow.params.tables import FeaTable
 from gelforge.geometry.gel import gel_shape
-from gelforge.mechanics.ccx.ccxsolver import CcxSettings
-from gelforge.mechanics.fidelity import GUIDE, SPARE, Way
-from gelforge.mechanics.hex.settings import HexSettings, quality
+from gelforge.mechanics.hexsettings import HexSettings, quality
 from gelforge.mechanics.scene import Scene
+from gelforge.mechanics.solvers.auto import SPARE, Way
+from gelforge.mechanics.solvers.ccx import CcxSettings
+from gelforge.mechanics.solvers.fidelity import GUIDE
 
 # Of CcxSettings: how long CalculiX may run. A press that it stopped is solved again where it may take longer (stages/fea.py).
 NO_RESULT = {"timeout_s"}

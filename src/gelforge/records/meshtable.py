@@ -9,6 +9,6 @@ COLUMNS = ("sample_id", "mesh")
 
 
 def read_meshes(path: Path) -> dict[str, str]:
-    """Name of the mesh of each sample, as `mechanics.family.load_mesh` takes it."""
+    """Name of the mesh of each sample, as `mechanics.mesh.family.load_mesh` takes it."""
     rows = read_table(path, f"delete it and run {command_for('meshes', path)}")
     return {row.get("sample_id") or "": row.get("mesh") or "" for row in rows}

@@ -11,7 +11,7 @@ import numpy as np
 from gelforge.flow.layout import POSES, Layout
 from gelforge.geometry.gel import Gel, load_gel
 from gelforge.geometry.stlfile import read_stl
-from gelforge.mechanics.family import mesh_loader
+from gelforge.mechanics.mesh.family import mesh_loader
 from gelforge.records.forcefile import ForceFile
 from gelforge.records.labelfile import read_labels
 from gelforge.records.rowfile import map_array

@@ -13,9 +13,10 @@ from gelforge.flow.main import command, option
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import USUAL_GEL, Gel, load_gel
 from gelforge.geometry.indenters import build
-from gelforge.mechanics.hex.hexsolver import HexResult, HexSolver
-from gelforge.mechanics.hex.settings import quality
-from gelforge.mechanics.scene import Material, Scene
+from gelforge.mechanics.hexsettings import quality
+from gelforge.mechanics.material import Material
+from gelforge.mechanics.scene import Scene
+from gelforge.mechanics.solvers.hex import HexResult, HexSolver
 from gelforge.networks.balls.balltable import BLUR_MM, COLUMNS, RIM, TABLE
 from gelforge.records.press import Press
 

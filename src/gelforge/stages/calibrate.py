@@ -24,7 +24,7 @@ from gelforge.flow.params.tables import CalibrateSolverTable, CalibrateTable
 from gelforge.flow.progress import progress
 from gelforge.flow.slots import in_slots
 from gelforge.labelling.sensor import Sensor, load_sensors
-from gelforge.mechanics.scene import REFERENCE_C10
+from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.records.log import rejected_rows
 from gelforge.reporting import cornerplots as plots
 
@@ -225,7 +225,7 @@ def say_figures(figures) -> None:
 
 def hex_settings(table: CalibrateSolverTable):
     """Settings of the solver behind the emulator, from [calibrate.solver]."""
-    from gelforge.mechanics.hex.settings import HexSettings
+    from gelforge.mechanics.hexsettings import HexSettings
 
     return HexSettings(**vars(table))
 
@@ -237,7 +237,7 @@ def emulate(readings: Readings, catalogue: dict, params: CalibrateTable, nu: flo
     left out with the reason. More than half of them unsolved raises BadInput.
     """
     from gelforge.calibration.solves import SolveCache, build_emulator, make_plan, refine, solve_all
-    from gelforge.mechanics.hex.settings import quality
+    from gelforge.mechanics.hexsettings import quality
     from gelforge.stages import fea
 
     cache = SolveCache(folder, catalogue, hex_settings(params.solver), fea.VERSION)

@@ -21,11 +21,14 @@ from gelforge.flow.progress import progress
 from gelforge.geometry.gel import load_gel
 from gelforge.labelling.sensor import sensor_of
 from gelforge.mechanics.ccx.deck import INCLUDES
-from gelforge.mechanics.family import MeshFamily, mesh_names
-from gelforge.mechanics.fidelity import Solvers, way_of
-from gelforge.mechanics.meshstore import source_of
-from gelforge.mechanics.scene import Interface, Material, Result, Scene
+from gelforge.mechanics.material import Material
+from gelforge.mechanics.mesh.family import MeshFamily, mesh_names
+from gelforge.mechanics.mesh.meshstore import source_of
+from gelforge.mechanics.result import Result
+from gelforge.mechanics.scene import Interface, Scene
 from gelforge.mechanics.solvekey import settings_of, solve_key
+from gelforge.mechanics.solvers.auto import way_of
+from gelforge.mechanics.solvers.fidelity import Solvers
 from gelforge.records.frames import presses_of
 from gelforge.records.log import read_poses
 from gelforge.records.meshtable import read_meshes

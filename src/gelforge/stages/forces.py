@@ -16,9 +16,10 @@ from gelforge.flow.main import command, option
 from gelforge.flow.params.slices import ForForces, read_slice
 from gelforge.flow.params.tables import ForcesTable, MaterialTable
 from gelforge.mechanics.ccx.dat import DatError, last_table, read_dat
-from gelforge.mechanics.family import mesh_loader
-from gelforge.mechanics.mesh import GelMesh
-from gelforge.mechanics.scene import BALANCE, REFERENCE_C10
+from gelforge.mechanics.material import REFERENCE_C10
+from gelforge.mechanics.mesh.family import mesh_loader
+from gelforge.mechanics.mesh.gelmesh import GelMesh
+from gelforge.mechanics.result import BALANCE
 from gelforge.records.forcefile import INTERVALS, SampleForces, write_forces
 from gelforge.records.npz import DAMAGED, in_short
 from gelforge.records.solvetable import Solved, damaged, read_record, read_solves

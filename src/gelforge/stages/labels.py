@@ -20,9 +20,9 @@ from gelforge.labelling.cellsurface import SurfaceMap, surface_map, traction
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import Operator, assemble, cached
 from gelforge.labelling.sensor import Sensor, find_sensor, load_sensors
-from gelforge.mechanics.family import load_mesh
-from gelforge.mechanics.hex.bricks import is_bricks
-from gelforge.mechanics.mesh import GelMesh
+from gelforge.mechanics.mesh.family import load_mesh
+from gelforge.mechanics.mesh.gelmesh import GelMesh
+from gelforge.mechanics.mesh.hexname import is_bricks
 from gelforge.records.axes import AXIS_OF_CHANNEL, CHANNEL_OF_AXIS
 from gelforge.records.forcefile import ForceFile
 from gelforge.records.labelfile import Stream, open_labels, to_float32, write_labels

@@ -9,11 +9,11 @@ from gelforge.flow.main import command, option
 from gelforge.flow.params.slices import ForFea, read_slice
 from gelforge.flow.params.tables import IN_PROCESS
 from gelforge.flow.slots import in_slots
-from gelforge.mechanics.family import MeshFamily, choose_mesh, first_candidate, mesh_names
-from gelforge.mechanics.fidelity import way_of
-from gelforge.mechanics.mesh import GelMesh
-from gelforge.mechanics.meshstore import MeshSource, source_of
+from gelforge.mechanics.mesh.family import MeshFamily, choose_mesh, first_candidate, mesh_names
+from gelforge.mechanics.mesh.gelmesh import GelMesh
+from gelforge.mechanics.mesh.meshstore import MeshSource, source_of
 from gelforge.mechanics.scene import Scene
+from gelforge.mechanics.solvers.auto import way_of
 from gelforge.records.frames import presses_of
 from gelforge.records.log import read_poses
 from gelforge.records.meshtable import COLUMNS

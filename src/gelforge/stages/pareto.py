@@ -18,7 +18,7 @@ from gelforge.flow.params.tables import CHOOSING, CLASSES, IN_PROCESS, VERIFYING
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import load_gel
 from gelforge.labelling.sensor import load_sensors
-from gelforge.mechanics.contactclass import contact_class
+from gelforge.mechanics.solvers.contactclass import contact_class
 from gelforge.stages.meshes import publish_mesh
 from gelforge.sweeps.deviation import errors, frontier
 from gelforge.sweeps.methods import HALVED, REFERENCE, Method, every_method, quick_methods

@@ -431,7 +431,7 @@ def main(args: Namespace) -> None:
     params = config.load_params(args.workflow, dataset_toml)
     if args.ccx == "none":
         params = without_ccx(params, dataset_toml)
-    from gelforge.mechanics.family import required_meshes
+    from gelforge.mechanics.mesh.family import required_meshes
     from gelforge.sweeps.scenes import read_tables
 
     scenes = read_tables(args.workflow)

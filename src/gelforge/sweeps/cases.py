@@ -7,7 +7,9 @@ import numpy as np
 from gelforge.flow.params.tables import StabilityTable
 from gelforge.geometry.gel import load_gel
 from gelforge.geometry.indenters import build
-from gelforge.mechanics.scene import Interface, Material, Press, Scene
+from gelforge.mechanics.material import Material
+from gelforge.mechanics.scene import Interface, Scene
+from gelforge.records.press import Press
 
 # A flat, a round, a sharp one, and one that touches in several places.
 BODIES = {

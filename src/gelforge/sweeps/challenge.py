@@ -13,7 +13,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import write_json
 from gelforge.geometry.triangles import write_stl
 from gelforge.labelling.sensor import Sensor
-from gelforge.mechanics.scene import REFERENCE_C10
+from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.sweeps.keptreferences import KEYS, scatters
 from gelforge.sweeps.scenes import NamedScene
 from gelforge.sweeps.trial import GRID

@@ -9,11 +9,12 @@ import numpy as np
 
 from gelforge.flow.params.slices import ForPareto, ForStability
 from gelforge.flow.params.tables import IN_PROCESS, FeaTable, ParetoTable, QuickTable
-from gelforge.mechanics.family import MeshFamily, load_mesh
-from gelforge.mechanics.hex.settings import HexSettings, quality
-from gelforge.mechanics.mesh import GelMesh
-from gelforge.mechanics.meshstore import MeshSource
-from gelforge.mechanics.scene import Result, Scene
+from gelforge.mechanics.hexsettings import HexSettings, quality
+from gelforge.mechanics.mesh.family import MeshFamily, load_mesh
+from gelforge.mechanics.mesh.gelmesh import GelMesh
+from gelforge.mechanics.mesh.meshstore import MeshSource
+from gelforge.mechanics.result import Result
+from gelforge.mechanics.scene import Scene
 from gelforge.sweeps import references as meshes
 
 LABEL_METHODS = ("hex", "ccx", "auto")
@@ -54,7 +55,7 @@ def every_method(pareto: ParetoTable, hex_quality: str) -> list[Method]:
     Mesh density is varied at the first of `load_steps`, load steps at the first of each engine's sizes. The quality
     of [fea] is the method hex-label.
     """
-    from gelforge.mechanics.hex.settings import QUALITIES
+    from gelforge.mechanics.hexsettings import QUALITIES
 
     usual, *others = pareto.load_steps
     label = [Method(f"{name}-label", name) for name in LABEL_METHODS]
@@ -83,9 +84,10 @@ def warm_up() -> None:
     """Compile or load kernels before the clock runs, once a process; one that it forks has them already."""
     from gelforge.geometry.gel import Gel
     from gelforge.geometry.indenters import build
-    from gelforge.mechanics.hex.hexsolver import solve_hex
-    from gelforge.mechanics.hex.settings import HexSettings
-    from gelforge.mechanics.scene import Material, Press
+    from gelforge.mechanics.hexsettings import HexSettings
+    from gelforge.mechanics.material import Material
+    from gelforge.mechanics.solvers.hex import solve_hex
+    from gelforge.records.press import Press
 
     ball = build("ball", {"kind": "sphere", "diameter": 15, "height": 10})
     scene = Scene(Gel(), Material(), ball, Press(0, 0, 0, 0, 0, -0.2))
@@ -128,7 +130,7 @@ def hex_settings(method: Method, fea: FeaTable) -> HexSettings:
 
 
 def _prepare_hex(method, scene, fea):
-    from gelforge.mechanics.hex.hexsolver import HexSolver
+    from gelforge.mechanics.solvers.hex import HexSolver
 
     solver = HexSolver(hex_settings(method, fea))
 
@@ -140,7 +142,7 @@ def _prepare_hex(method, scene, fea):
 
 
 def _prepare_label(method, scene, folder, params, work):
-    from gelforge.mechanics.fidelity import Solvers
+    from gelforge.mechanics.solvers.fidelity import Solvers
 
     names = [] if method.fidelity in IN_PROCESS else meshes.label_meshes(params)
     source = MeshSource(scene.gel, params.meshes)
@@ -154,14 +156,14 @@ def _prepare_label(method, scene, folder, params, work):
 
 
 def _prepare_native(method, scene, folder, params, work, limit_s):
-    from gelforge.mechanics.ccx.native import solve_native
+    from gelforge.mechanics.solvers.ccx_native import solve_native
 
     mesh = load_mesh(folder, meshes.density_mesh(scene, folder, params, method.size))
     return lambda: (solve_native(scene, mesh, work / "native", limit_s), mesh)
 
 
 def _prepare_ccx(method, scene, fine, folder, params, work):
-    from gelforge.mechanics.ccx.ccxsolver import CcxSettings, CcxSolver
+    from gelforge.mechanics.solvers.ccx import CcxSettings, CcxSolver
 
     if method.fidelity == REFERENCE:
         table, factor = params.pareto.reference, 2 if method.halved else 1

@@ -9,8 +9,8 @@ from gelforge.errors import BadInput
 from gelforge.flow.params import Params
 from gelforge.flow.params.slices import ForPareto, ForParetoMeshes, ForStability
 from gelforge.geometry.gel import Gel
-from gelforge.mechanics.family import MeshFamily, MeshName, choose_mesh, make_mesh, required_meshes, sizing
-from gelforge.mechanics.mesh import GelMesh
+from gelforge.mechanics.mesh.family import MeshFamily, MeshName, choose_mesh, make_mesh, required_meshes, sizing
+from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.scene import Scene
 
 Charted = Params | ForPareto | ForStability  # what names the meshes and the solver of labels
@@ -47,7 +47,7 @@ def build_mesh(name: str, gel: Gel, params: ForParetoMeshes | ForPareto) -> tupl
     """Build one mesh by its name and report on it."""
     if not name.startswith("fine-"):
         return make_mesh(MeshName.parse(name), gel, params.meshes)
-    from gelforge.mechanics.tet.tetmesh import SIZING_STEP_MM, gel_mesh, quality
+    from gelforge.mechanics.mesh.tetmesh import SIZING_STEP_MM, gel_mesh, quality
 
     _, region, size = name.split("-")
     table = params.pareto.regions[region]

@@ -6,7 +6,9 @@ from pathlib import Path
 from gelforge.errors import BadInput
 from gelforge.flow.params import read_toml
 from gelforge.geometry.gel import load_gel
-from gelforge.mechanics.scene import Interface, Material, Press, Scene
+from gelforge.mechanics.material import Material
+from gelforge.mechanics.scene import Interface, Scene
+from gelforge.records.press import Press
 
 SOURCE = "workflow/scenes.toml"
 _NUMBERS = {"x0": 0.0, "y0": 0.0, "z0": 0.0, "dx": 0.0, "dy": 0.0, "rot_deg": 0.0}

@@ -18,7 +18,7 @@ from gelforge.flow.params.tables import CHOOSING, TETRAHEDRAL, VERIFYING, Pareto
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import assemble
 from gelforge.labelling.sensor import Sensor
-from gelforge.mechanics.hex.settings import QUALITIES, quality
+from gelforge.mechanics.hexsettings import QUALITIES, quality
 from gelforge.sweeps.isolate import CRASHED, REFUSED, TIMED_OUT, Clock, isolated, peak_mib
 from gelforge.sweeps.keptreferences import kept_reference
 from gelforge.sweeps.methods import LARGE_REFERENCE, REFERENCE, Method, hex_settings, prepare, warm_up

@@ -14,8 +14,8 @@ from gelforge.flow.params.tables import FeaTable
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import assemble
 from gelforge.labelling.sensor import Sensor
-from gelforge.mechanics.fidelity import charted_errors
-from gelforge.mechanics.mesh import GelMesh
+from gelforge.mechanics.mesh.gelmesh import GelMesh
+from gelforge.mechanics.solvers.auto import charted_errors
 from gelforge.sweeps.deviation import cell_error, total_error
 
 ENDING = ".verify.json"

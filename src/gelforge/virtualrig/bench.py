@@ -8,10 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.geometry.gel import Gel, load_gel
-from gelforge.mechanics.hex.hexmesh import FineBox
-from gelforge.mechanics.hex.hexsolver import HexResult, HexSolver
-from gelforge.mechanics.hex.settings import HexSettings
-from gelforge.mechanics.scene import REFERENCE_C10, Indenter, Interface, Material, Press, Scene
+from gelforge.geometry.solids import Indenter
+from gelforge.mechanics.hexsettings import HexSettings
+from gelforge.mechanics.material import REFERENCE_C10, Material
+from gelforge.mechanics.mesh.hexmesh import FineBox
+from gelforge.mechanics.scene import Interface, Scene
+from gelforge.mechanics.solvers.hex import HexResult, HexSolver
+from gelforge.records.press import Press
 from gelforge.virtualrig import streams
 from gelforge.virtualrig.excess import ForceFactor, force_factor, kept_factor, name_of
 from gelforge.virtualrig.fields import FAR, RoughBody, body_of

@@ -17,12 +17,14 @@ from gelforge.errors import SolveFailed
 from gelforge.flow.files import read_json, write_json
 from gelforge.flow.params import canonical
 from gelforge.geometry.gel import Gel
-from gelforge.geometry.solids import surface_digest
-from gelforge.mechanics.hex.hexmesh import FineBox
-from gelforge.mechanics.hex.hexsolver import HexSolver
-from gelforge.mechanics.hex.settings import HexSettings, quality
-from gelforge.mechanics.meshratio import mesh_ratios
-from gelforge.mechanics.scene import Indenter, Interface, Material, Press, Scene
+from gelforge.geometry.solids import Indenter, surface_digest
+from gelforge.mechanics.hexsettings import HexSettings, quality
+from gelforge.mechanics.material import Material
+from gelforge.mechanics.mesh.hexmesh import FineBox
+from gelforge.mechanics.mesh.meshratio import mesh_ratios
+from gelforge.mechanics.scene import Interface, Scene
+from gelforge.mechanics.solvers.hex import HexSolver
+from gelforge.records.press import Press
 
 FINE = "draft"  # quality of the hexahedra that are believed: within 0.5 % of `label`, at half its time
 TURN_DEG = 20.0  # of the indenter against the hexahedra: neither along them nor half-way

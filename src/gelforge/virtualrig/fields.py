@@ -8,10 +8,11 @@ from scipy.interpolate import CubicHermiteSpline
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish
 from gelforge.geometry.gel import Gel
-from gelforge.mechanics.hex.hexmesh import surface_lines
-from gelforge.mechanics.mesh import GelMesh
-from gelforge.mechanics.scene import Indenter, Press
+from gelforge.geometry.solids import Indenter
+from gelforge.mechanics.mesh.gelmesh import GelMesh
+from gelforge.mechanics.mesh.hexmesh import surface_lines
 from gelforge.records.npz import DAMAGED
+from gelforge.records.press import Press
 
 STEP = 0.1  # mm between the samples of a field
 FAR = 4.0  # mm; no part of the body higher than this above its tip can touch the gel

@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 
 from gelforge.geometry.gel import Gel
-from gelforge.mechanics.scene import Press
 from gelforge.records.geometryfile import Geometry
 from gelforge.records.image import as_jpeg
+from gelforge.records.press import Press
 from gelforge.virtualrig.appearance import HEIGHT, WIDTH, Appearance, Drift, normalised_pixels
 from gelforge.virtualrig.fields import FAR, STEP, Field, RoughBody, body_position, unloaded
 from gelforge.virtualrig.paint import MARGIN, printed, sample_position

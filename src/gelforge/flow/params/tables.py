@@ -31,7 +31,7 @@ Law = Annotated[str, OneOf(*LAWS)]
 FIDELITIES = ("hex", "ccx", "ccx-native", "ccx-fine", "auto")
 IN_PROCESS = ("hex",)  # those that need neither CalculiX nor tetrahedral meshes
 QUALITIES = ("demo", "draft", "label", "fine")
-# Among what fidelity "auto" chooses, and the classes of contact by which errors are charted (mechanics.contactclass):
+# Among what fidelity "auto" chooses, and the classes of contact by which errors are charted (mechanics.solvers.contactclass):
 # shapes by how fast their overlap with the gel grows with depth, each of them shallow, then deep.
 WAYS = ("hex-draft", "hex-label", "ccx")
 CLASSES = ("flat_shallow", "flat_deep", "curved_shallow", "curved_deep", "pointed_shallow", "pointed_deep")

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.flow.files import publish
-from gelforge.mechanics.mesh import GelMesh
-from gelforge.mechanics.scene import REFERENCE_C10, Material
+from gelforge.mechanics.material import REFERENCE_C10, Material
+from gelforge.mechanics.mesh.gelmesh import GelMesh
 
 MATERIAL_NAME = "GEL"
 # CalculiX' solvers of linear systems. Near the solution, where the kinematics leave it, conjugate gradients cost

@@ -16,10 +16,10 @@ from gelforge.flow.params import digest_of_value
 from gelforge.flow.params.slices import ForMeshes, read_slice
 from gelforge.flow.params.tables import MeshesTable
 from gelforge.geometry.gel import Gel, gel_shape, load_gel
-from gelforge.mechanics.mesh import GelMesh
+from gelforge.mechanics.mesh.gelmesh import GelMesh
 
 MESHER = 1  # raised when `family.make_mesh` makes other meshes of the same numbers
-SHIPPED = Path(__file__).parent / "gelmeshes"
+SHIPPED = Path(__file__).parents[1] / "gelmeshes"
 KEPT = "meshes"  # folder in workflow/ of those that were made here
 WORKFLOW = Path("workflow")
 
@@ -79,7 +79,7 @@ class MeshSource:
 
     def key(self, name: str) -> str:
         """The recipe of a mesh by its name, ccx-REGION-SIZE."""
-        from gelforge.mechanics.family import MeshName, region
+        from gelforge.mechanics.mesh.family import MeshName, region
 
         parsed = MeshName.parse(name)
         return recipe(asdict(parsed), region(parsed, self.meshes), self.gel, self.meshes)
@@ -91,7 +91,7 @@ class MeshSource:
 
     def fetch(self, name: str, folder: Path) -> Path:
         """The mesh in a folder of stage 20: it lies there, is copied from where it is kept, or is made and kept."""
-        from gelforge.mechanics.family import MeshName, make_mesh
+        from gelforge.mechanics.mesh.family import MeshName, make_mesh
 
         path = find(folder, self.key(name))
         if path:

@@ -8,8 +8,8 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.geometry.gel import Gel
-from gelforge.mechanics.hex.stepped import Cells, Hanging, Planes, planes_of
-from gelforge.mechanics.mesh import GelMesh
+from gelforge.mechanics.mesh.gelmesh import GelMesh
+from gelforge.mechanics.mesh.stepped import Cells, Hanging, Planes, planes_of
 
 SMALLEST_PART = 3  # columns either way, of a part that nested dissection cuts no further
 

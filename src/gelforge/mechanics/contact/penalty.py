@@ -14,8 +14,8 @@ import numpy as np
 from numba import njit
 
 from gelforge.geometry.solids import Indenter
-from gelforge.mechanics.mesh import GelMesh
-from gelforge.mechanics.pattern import Pattern, add_block, block_places
+from gelforge.mechanics.linear.pattern import Pattern, add_block, block_places
+from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.pose import Pose
 
 FREE, TOUCHING, GLUED = 0, 1, 2

@@ -18,14 +18,17 @@ from gelforge.flow.params.tables import FeaTable
 from gelforge.mechanics.ccx.dat import DatError, Unfinished, last_table, read_dat, without_set
 from gelforge.mechanics.ccx.deck import DIRECT, INCLUDES, ITERATIVE, press_deck, write_include
 from gelforge.mechanics.ccx.program import OVERDUE, run_ccx
-from gelforge.mechanics.hex.carry import Trail
-from gelforge.mechanics.hex.reach import first_touch
-from gelforge.mechanics.mesh import GelMesh
-from gelforge.mechanics.scene import BALANCE, REFERENCE_C10, Result, Scene
-from gelforge.mechanics.tet.face import FacePoints, face_points
-from gelforge.mechanics.tet.facecontact import Verdict, judge, reachable
-from gelforge.mechanics.tet.kinematics import Kinematics, PathSettings, arrive, contact_forces, follow
-from gelforge.mechanics.tet.solid import TetSolid
+from gelforge.mechanics.contact.facecontact import Verdict, contact_forces, judge, reachable
+from gelforge.mechanics.contact.facepoints import FacePoints, face_points
+from gelforge.mechanics.material import REFERENCE_C10
+from gelforge.mechanics.mesh.gelmesh import GelMesh
+from gelforge.mechanics.path.loadpath import first_touch
+from gelforge.mechanics.path.tetpath import Kinematics, PathSettings
+from gelforge.mechanics.path.tetsolid import TetSolid
+from gelforge.mechanics.path.transfer import Trail
+from gelforge.mechanics.result import BALANCE, Result
+from gelforge.mechanics.scene import Scene
+from gelforge.mechanics.solvers.tet import arrive, follow
 from gelforge.records.status import Status
 
 INCREMENT = 0.25  # of the load, the first where a start from the kinematics fails

@@ -9,18 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from gelforge.errors import BadInput
 from gelforge.geometry.gel import Gel
-from gelforge.mechanics.hex.bricks import Bricks
-from gelforge.mechanics.hex.carry import Trail
-from gelforge.mechanics.hex.equilibrium import System
-from gelforge.mechanics.hex.hexmesh import FineBox, HexMesh, build_mesh
-from gelforge.mechanics.hex.path import Run
-from gelforge.mechanics.hex.penaltycontact import ContactState
-from gelforge.mechanics.hex.reach import fine_box, first_touch
-from gelforge.mechanics.hex.settings import HexSettings, Nested
-from gelforge.mechanics.scene import BALANCE, Result, Scene
-from gelforge.records.frames import MOST_DEEPER_MM, MOST_FARTHER_MM
+from gelforge.mechanics.contact.penalty import ContactState
+from gelforge.mechanics.hexsettings import HexSettings, Nested
+from gelforge.mechanics.mesh.finebox import fine_box
+from gelforge.mechanics.mesh.hexmesh import FineBox, HexMesh, build_mesh
+from gelforge.mechanics.mesh.hexname import Bricks
+from gelforge.mechanics.path.equilibrium import System
+from gelforge.mechanics.path.hexpath import Run
+from gelforge.mechanics.path.loadpath import first_touch, moment_of
+from gelforge.mechanics.path.transfer import Trail
+from gelforge.mechanics.result import BALANCE, Result
+from gelforge.mechanics.scene import Scene
 from gelforge.records.status import Status
 
 # How deep the indenter may end inside the gel. Contact springs give way by 0.02 mm at most on the scenes of the chart, by
@@ -30,7 +30,6 @@ MOST_BELOW_MM = 1e-3  # that a node may end below the base the gel is bonded to
 # Share of the force by which it may be corrected for the size of bricks: where more is asked for, the coarse ones are too
 # coarse to tell anything.
 MOST_CORRECTED = 0.05
-ROUNDING_MM = 1e-6  # far below what an axis resolves
 KEPT = 8  # meshes, and factorisations, of those used last
 TOUCH = 1e-8  # path parameter, about what the first touch is found to: a moment nearer to it touches nothing yet
 
@@ -224,40 +223,6 @@ class Walked:
     trail: Trail
     curve: list[list[float]]
     counts: dict[str, int]
-
-
-def moment_of(scene: Scene, last: Scene) -> float:
-    """Path parameter of the point of scene `last`'s path, down and then sideways, that is nearest to where `scene` ends.
-
-    Its start may have been logged apart, and a frame that gives way moves a little aside while a press goes down, and a
-    little down while it goes aside. BadInput for one that ends beyond the last: the path has no state of it.
-    """
-    end, way = (np.array([s.press.dx, s.press.dy]) for s in (scene, last))
-    fallen = scene.press.z0 + scene.press.dz - last.press.z0
-    _check_moment(last.press.dz - fallen, end, way)
-    # to eight decimals: moments that only rounding tells apart are one
-    down = float(np.clip(np.round(fallen / last.press.dz, 8), 1e-8, 1.0))
-    if not way @ way:
-        return down
-    aside = float(np.clip(np.round(end @ way / (way @ way), 8), 0.0, 1.0))
-    off_down = np.hypot(np.linalg.norm(end), fallen - down * last.press.dz)
-    off_aside = np.hypot(np.linalg.norm(end - aside * way), fallen - last.press.dz)
-    return 1.0 + aside if aside > 0.0 and off_aside < off_down else down
-
-
-def _check_moment(deeper: float, end: np.ndarray, way: np.ndarray) -> None:
-    """Raise BadInput for a moment clearly beyond the last one of its press.
-
-    deeper: by how much it ends below the last one, mm. end, way: where the two end sideways, (2,) mm.
-    """
-    length = float(np.hypot(*way))
-    farther = (float(end @ way) / length if length else float(np.hypot(*end))) - length
-    for beyond, most, what in ((deeper, MOST_DEEPER_MM, "deeper"), (farther, MOST_FARTHER_MM, "farther sideways")):
-        if beyond > most + ROUNDING_MM:
-            raise BadInput(
-                f"a moment of a press ends {beyond:.3g} mm {what} than its last one, {most:g} mm are allowed; give moments in"
-                " order of time along one path, down and then sideways"
-            )
 
 
 def _until(curve: list[list[float]], t: float) -> list[list[float]]:

@@ -18,9 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from gelforge.mechanics.hex.stepped import Cells
-from gelforge.mechanics.lanes import FAST, batched
-from gelforge.mechanics.pattern import add_entries
+from gelforge.mechanics.elements.simd import FAST, batched
+from gelforge.mechanics.linear.pattern import add_entries
+from gelforge.mechanics.mesh.stepped import Cells
 
 CORNERS = np.array(
     [[-1, -1, -1], [1, -1, -1], [1, 1, -1], [-1, 1, -1], [-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1]], float

@@ -7,8 +7,8 @@ that holds the press alone. So one mesh with its fine part in the middle serves 
 import numpy as np
 
 from gelforge.geometry.gel import Gel
-from gelforge.mechanics.mesh import GelMesh
-from gelforge.mechanics.tet.tetmesh import EDGES, jacobians, scaled_jacobians, volumes
+from gelforge.mechanics.mesh.gelmesh import GelMesh
+from gelforge.mechanics.mesh.tetmesh import EDGES, jacobians, scaled_jacobians, volumes
 
 RASTER_MM = 0.5  # that the fine part is moved by: presses share meshes, and what is kept for each
 ROUNDING_MM = 1e-9  # by which two lengths that are one may differ

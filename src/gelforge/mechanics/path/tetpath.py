@@ -10,12 +10,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gelforge.errors import SolveFailed
-from gelforge.mechanics.hex.carry import Trail, touches, volume_motion
+from gelforge.mechanics.contact.facecontact import (
+    FREE,
+    SLIDE,
+    STICK,
+    Contact,
+    contact_blocks,
+    contact_forces,
+    gaps,
+    judge,
+)
+from gelforge.mechanics.contact.facepoints import FacePoints
+from gelforge.mechanics.path.tetsolid import TetSolid
+from gelforge.mechanics.path.transfer import Trail, touches
 from gelforge.mechanics.pose import Pose, on_surface, touch_fraction
-from gelforge.mechanics.scene import NoEquilibrium, Scene
-from gelforge.mechanics.tet.face import FacePoints
-from gelforge.mechanics.tet.facecontact import FREE, SLIDE, STICK, Contact, gaps, judge
-from gelforge.mechanics.tet.solid import TetSolid
+from gelforge.mechanics.result import NoEquilibrium
+from gelforge.mechanics.scene import Scene
 
 # Shares of a displacement carried from bricks that are tried until no element is inside out, or nearly: beside a volume
 # ratio below FLAT pressures are such that Newton's method takes twice as many steps.
@@ -26,8 +36,6 @@ FLAT = 0.1
 LEFT = 0.02, 0.2
 # Residual above which no step is taken with an old factorisation: beside a crease half a direction leads nowhere.
 FAR = 1.5
-
-_A, _B = np.triu_indices(6)
 
 
 @dataclass(frozen=True)
@@ -99,73 +107,7 @@ class _State:
     smallest: float
 
 
-def contact_forces(contact: Contact, points: FacePoints, u: np.ndarray, stiffness: float) -> np.ndarray:
-    """Nodal forces (n, 3) N of the springs and drags of held points on the gel."""
-    faces = np.flatnonzero(contact.held.any(axis=1))
-    nodes, state, normal = points.faces[faces], contact.state[faces], contact.normal[faces]
-    position = points.position[faces] + np.einsum("qa,fak->fqk", points.shape, u[nodes])
-    stretch = contact.target[faces] - position
-    along = np.einsum("fqk,fqk->fq", stretch, normal)[..., None] * normal
-    stick, slide = (state == STICK)[..., None], (state == SLIDE)[..., None]
-    traction = stiffness * (stick * stretch + slide * along) + slide * contact.drag[faces]
-    forces = np.zeros_like(u)
-    np.add.at(forces, nodes, np.einsum("qa,fqk->fak", points.shape, traction * points.weight[faces][..., None]))
-    return forces
-
-
-def contact_blocks(contact: Contact, points: FacePoints, stiffness: float) -> tuple[np.ndarray, np.ndarray]:
-    """Touched faces (f,) of the mesh and their stiffness on node pairs a <= b, (f, 21, 3, 3) N/mm."""
-    faces = np.flatnonzero(contact.held.any(axis=1))
-    state, weight = contact.state[faces], points.weight[faces] * stiffness
-    pairs = points.shape[:, _A] * points.shape[:, _B]
-    blocks = np.einsum("fq,qp->fp", weight * (state == STICK), pairs)[..., None, None] * np.eye(3)
-    n = contact.normal[faces]
-    outer = n[..., :, None] * n[..., None, :] * (weight * (state == SLIDE))[..., None, None]
-    return points.index[faces], blocks + np.einsum("qp,fqij->fpij", pairs, outer)
-
-
-def follow(scene: Scene, solid: TetSolid, points: FacePoints, start: float, settings: PathSettings) -> Kinematics:
-    """Follow press and shear from the press fraction `start` of first touch to the end of the path.
-
-    points: of the faces that may come to touch (`facecontact.reachable`). Failure is told in the result.
-    """
-    path = _Path(scene, solid, points, settings)
-    # nothing touches before: where a point is first met is sought from here on
-    path.at = np.array([min(start, 0.98), 0.0])
-    reason = ""
-    try:
-        for fraction in np.linspace(path.at[0], 1.0, path.press_steps() + 1)[1:]:
-            path.advance(np.array([fraction, 0.0]))
-        if scene.press.dx or scene.press.dy:
-            for fraction in np.linspace(0.0, 1.0, settings.shear_steps + 1)[1:]:
-                path.advance(np.array([1.0, fraction]))
-        settled = path.settle()
-        reason = "" if settled else "the contact set did not settle on the path"
-    except NoEquilibrium as error:
-        settled, reason = False, str(error)
-    return Kinematics(path.contact, path.u, settled, reason, path.iterations, path.steps, path.rounds)
-
-
-def arrive(
-    scene: Scene, solid: TetSolid, points: FacePoints, nodes: np.ndarray, trail: Trail, settings: PathSettings
-) -> Kinematics:
-    """End of a path that was walked on bricks: no slip only. nodes: (n, 3) mm, undeformed.
-
-    Where points are held comes from their own way through that path; what pulls or penetrates there is judged anew.
-    """
-    path = _Path(scene, solid, points, settings)
-    path.at = np.ones(2)
-    u = np.where(solid.free[:, None], volume_motion(trail.mesh, trail.states[-1], nodes, scene.gel), 0.0)
-    try:
-        path.u = path.unfolded(u)
-        settled = path.hold(trail) and path.settle()
-        reason = "" if settled else "the contact set did not settle at the path's end"
-    except NoEquilibrium as error:
-        settled, reason = False, str(error)
-    return Kinematics(path.contact, path.u, settled, reason, path.iterations, len(trail.times) - 1, path.rounds)
-
-
-class _Path:
+class TetPath:
     """State along a path: displacement u (n, 3), contact, anchors (f, q, 3) in the indenter's frame.
 
     at: (2,) fractions of press and shear that are done. velocity: (n, 3) mm per fraction, of the last load step.

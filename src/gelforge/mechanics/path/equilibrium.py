@@ -8,9 +8,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.params.tables import LAWS
-from gelforge.mechanics.hex import element
-from gelforge.mechanics.hex.hexmesh import HexMesh, elimination_order
-from gelforge.mechanics.hex.penaltycontact import (
+from gelforge.mechanics.contact.penalty import (
     GLUED,
     FacePlaces,
     Law,
@@ -21,12 +19,17 @@ from gelforge.mechanics.hex.penaltycontact import (
     curved,
     positions,
 )
-from gelforge.mechanics.hex.reach import gaps, reachable_faces
-from gelforge.mechanics.hex.settings import HexSettings
-from gelforge.mechanics.linear import gmres, length_of, symmetric_solver
-from gelforge.mechanics.pattern import block_places, build_pattern, symmetric_product
+from gelforge.mechanics.contact.reach import gaps, reachable_faces
+from gelforge.mechanics.elements import hex8
+from gelforge.mechanics.hexsettings import HexSettings
+from gelforge.mechanics.linear.factorisation import symmetric_solver
+from gelforge.mechanics.linear.gmres import gmres, length_of
+from gelforge.mechanics.linear.pattern import block_places, build_pattern, symmetric_product
+from gelforge.mechanics.material import REFERENCE_C10
+from gelforge.mechanics.mesh.hexmesh import HexMesh, elimination_order
 from gelforge.mechanics.pose import Pose
-from gelforge.mechanics.scene import REFERENCE_C10, NoEquilibrium, Scene
+from gelforge.mechanics.result import NoEquilibrium
+from gelforge.mechanics.scene import Scene
 
 # Iterations after which a step must lower the residual: the first ones look uphill, though they are right.
 WARY = 3
@@ -83,7 +86,7 @@ class Equilibrium:
         self.contact = Law(settings.penalty * scale, settings.friction_penalty * scale, mu)
         self.sticking = replace(self.contact, mu=1e9)
         self.moduli = scene.material.shear_modulus, scene.material.bulk_modulus
-        self.bricks = element.bricks(mesh.nodes, mesh.cells)
+        self.bricks = hex8.bricks(mesh.nodes, mesh.cells)
         self.state = contact_points(mesh, settings.gauss, reachable_faces(scene, mesh))
         self.nodes = np.ascontiguousarray(mesh.faces[self.state.face])
         self.u, self.candidates = np.zeros_like(mesh.nodes), np.empty(0, np.int64)
@@ -183,7 +186,7 @@ class Equilibrium:
     def internal(self, u: np.ndarray) -> np.ndarray:
         """Nodal forces (n, 3) N of the deformed gel; NoEquilibrium where a brick is inside out."""
         forces = np.zeros_like(u)
-        smallest = element.internal_forces(u, self.bricks, *self.moduli, forces)
+        smallest = hex8.internal_forces(u, self.bricks, *self.moduli, forces)
         if not smallest > 0.0:
             raise NoEquilibrium
         return forces
@@ -193,7 +196,7 @@ class Equilibrium:
         system = self.system
         system.values[:] = 0.0
         pressed = float(self.residual <= self.noisy)
-        element.tangent(u, self.bricks, *self.moduli, pressed, system.base, system.width, system.values)
+        hex8.tangent(u, self.bricks, *self.moduli, pressed, system.base, system.width, system.values)
         system.faces.add_stiffness(self.state, springs, system.values)
         self.iterations += 1
         apply = self._product(self._skew(u, pose, law, springs))

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 from gelforge.errors import BadInput
 from gelforge.geometry.gel import load_gel
-from gelforge.mechanics.hex.hexmesh import FineBox, HexMesh, build_mesh
+from gelforge.mechanics.mesh.hexmesh import FineBox, HexMesh, build_mesh
 
 PREFIX = "hex@"
 FORM = f"{PREFIX}GEL:X_MIN:X_MAX:Y_MIN:Y_MAX:SIZE:LAYERS:LAYER_RATIO:GROWTH:LARGEST[:WIDENED...]"

@@ -5,10 +5,11 @@ import copy
 import numpy as np
 from numba import njit
 
-from gelforge.mechanics.linear import gmres, symmetric_solver
-from gelforge.mechanics.mesh import GelMesh
-from gelforge.mechanics.pattern import add_block, block_places, build_pattern, symmetric_product
-from gelforge.mechanics.tet.tetelement import internal_forces, tangent, tets
+from gelforge.mechanics.elements.tet10 import internal_forces, tangent, tets
+from gelforge.mechanics.linear.factorisation import symmetric_solver
+from gelforge.mechanics.linear.gmres import gmres
+from gelforge.mechanics.linear.pattern import add_block, block_places, build_pattern, symmetric_product
+from gelforge.mechanics.mesh.gelmesh import GelMesh
 
 # Matrix products that a step by an old factorisation may take: a new one costs as much as about twenty.
 STALE = 25

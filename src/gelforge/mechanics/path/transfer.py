@@ -11,11 +11,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gelforge.geometry.gel import Gel
-from gelforge.mechanics.hex.element import BrickGeometry, smallest_ratios
-from gelforge.mechanics.hex.hexmesh import HexMesh
-from gelforge.mechanics.hex.reach import gaps, path_pose
+from gelforge.mechanics.contact.reach import gaps
+from gelforge.mechanics.elements.hex8 import BrickGeometry, smallest_ratios
+from gelforge.mechanics.mesh.hexmesh import HexMesh
+from gelforge.mechanics.path.loadpath import path_pose
 from gelforge.mechanics.pose import Pose, touch_fraction
-from gelforge.mechanics.scene import NoEquilibrium, Scene
+from gelforge.mechanics.result import NoEquilibrium
+from gelforge.mechanics.scene import Scene
 
 FLAT = 0.2  # volume ratio below which a brick is nearly inside out: Newton's first steps would turn it over
 SMOOTHINGS = 40  # of the nodes of flat bricks, at most

@@ -14,12 +14,12 @@ from gelforge.flow.layout import command_for
 from gelforge.flow.params.tables import IN_PROCESS, FeaTable, MeshesTable
 from gelforge.geometry import touch
 from gelforge.geometry.gel import Gel, load_gel
-from gelforge.mechanics import meshstore
-from gelforge.mechanics.hex.bricks import Bricks, is_bricks
-from gelforge.mechanics.mesh import GelMesh
-from gelforge.mechanics.meshstore import MeshSource
+from gelforge.mechanics.mesh import meshstore
+from gelforge.mechanics.mesh.gelmesh import GelMesh
+from gelforge.mechanics.mesh.hexname import Bricks, is_bricks
+from gelforge.mechanics.mesh.meshstore import MeshSource
+from gelforge.mechanics.mesh.moved import farthest, moved, reach, way_to
 from gelforge.mechanics.scene import Scene
-from gelforge.mechanics.tet.moved import farthest, moved, reach, way_to
 
 KEPT = 8  # meshes that a loader has at hand
 SPACING, NEAR = 0.25, 0.05  # mm: between points of the top at which a press is looked at, and what counts as touched
@@ -86,7 +86,7 @@ def sizing(half: tuple[float, float], size: float, meshes: MeshesTable) -> Calla
 
 def make_mesh(name: MeshName, gel: Gel, meshes: MeshesTable) -> tuple[GelMesh, dict]:
     """The mesh that ships of this gel and these sizes, or else a new one; and its report."""
-    from gelforge.mechanics.tet.tetmesh import gel_mesh, quality
+    from gelforge.mechanics.mesh.tetmesh import gel_mesh, quality
 
     half = region(name, meshes)
     key = meshstore.recipe(asdict(name), half, gel, meshes)

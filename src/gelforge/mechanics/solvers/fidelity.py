@@ -1,48 +1,24 @@
 """One interface to every way of solving a scene, with the ladder that a failing solve climbs down."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-
 from gelforge.errors import BadInput
-from gelforge.flow.params.tables import FIDELITIES, IN_PROCESS, WAYS, FeaTable
+from gelforge.flow.params.tables import FIDELITIES, IN_PROCESS, FeaTable
 from gelforge.geometry.gel import load_gel
-from gelforge.mechanics.ccx.ccxsolver import CcxSettings, CcxSolver
 from gelforge.mechanics.ccx.program import need_ccx
-from gelforge.mechanics.contactclass import contact_class
-from gelforge.mechanics.family import MeshFamily, choose_mesh, unplaced
-from gelforge.mechanics.hex.carry import Trail
-from gelforge.mechanics.hex.hexsolver import HexSolver
-from gelforge.mechanics.hex.settings import quality
-from gelforge.mechanics.scene import Result, Scene
+from gelforge.mechanics.hexsettings import quality
+from gelforge.mechanics.mesh.family import MeshFamily, choose_mesh, unplaced
+from gelforge.mechanics.path.transfer import Trail
+from gelforge.mechanics.result import Result
+from gelforge.mechanics.scene import Scene
+from gelforge.mechanics.solvers.auto import Way, way_of
+from gelforge.mechanics.solvers.ccx import CcxSettings, CcxSolver
+from gelforge.mechanics.solvers.hex import HexSolver
 
 GUIDE = "label"  # quality of the hexahedra on which the load path of `ccx` is found
-SPARE = "label"  # quality of those that solve a press for which `ccx` finds no valid state
-
-
-@dataclass(frozen=True)
-class Way:
-    """How a press is solved: a fidelity, the quality of hexahedra where they solve it, and why they were chosen.
-
-    why: what goes into the evidence of its result, class of contact and name of the way; empty where nothing was chosen.
-    """
-
-    fidelity: str
-    hexahedra: str
-    why: dict[str, str] = field(default_factory=dict)
-
-
-def way_of(scene: Scene, fidelity: str, settings: FeaTable) -> Way:
-    """How a press that ends in `scene` is solved."""
-    if fidelity != "auto":
-        return Way(fidelity, settings.hex_quality if fidelity == "hex" else SPARE)
-    kind = contact_class(scene)
-    name = cheapest(kind, settings)
-    engine, _, hexahedra = name.partition("-")
-    return Way(engine, hexahedra or SPARE, {"class": kind or "no contact", "way": name})
 
 
 class Solvers:
@@ -155,7 +131,7 @@ class Solvers:
         return list(results)
 
     def _solve_native(self, scene: Scene) -> Result:
-        from gelforge.mechanics.ccx.native import solve_native
+        from gelforge.mechanics.solvers.ccx_native import solve_native
 
         mesh = choose_mesh(scene, self.family)
         result = solve_native(scene, self.family.load(mesh), self.workdir / "native", self.settings.timeout_s)
@@ -166,33 +142,3 @@ class Solvers:
 def _answer(found: Result) -> Callable[[Scene], Result]:
     """What was solved already, as a way of solving it."""
     return lambda scene: found
-
-
-def charted_errors(kind: str, settings: FeaTable) -> dict[str, np.ndarray]:
-    """Worst benchmarked error of total force and of the cells, and cost (3,), by method, on contacts of this class.
-
-    A class that was never benchmarked counts as the worst of all classes of its shape, or of all there are.
-    """
-    charted = settings.charted
-    shape, _, _ = kind.partition("_")
-    alike = [name for name in charted if name.startswith(f"{shape}_")]
-    rows = [charted[name] for name in ([kind] if kind in charted else alike or charted)]
-    return {way: np.max([row[way] for row in rows], axis=0) for way in WAYS if all(way in row for row in rows)}
-
-
-def cheapest(kind: str | None, settings: FeaTable) -> str:
-    """The cheapest of WAYS whose benchmarked worst errors on this class of contact meet both tolerances.
-
-    None: nothing touches, and the cheapest will say so.
-    """
-    if kind is None:
-        return WAYS[0]
-    limits = np.array([settings.tolerance, settings.cell_tolerance])
-    worst = charted_errors(kind, settings)
-    meeting = {way: found[2] for way, found in worst.items() if (found[:2] <= limits).all()}
-    if not meeting:
-        raise BadInput(
-            f"no charted way of solving meets tolerance = {limits[0]:g} and cell_tolerance = {limits[1]:g} on contacts "
-            f"of class {kind}; raise them or name a fidelity in [fea]"
-        )
-    return min(meeting, key=lambda way: meeting[way])

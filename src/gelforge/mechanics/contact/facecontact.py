@@ -5,12 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from gelforge.geometry import touch
-from gelforge.mechanics.hex.reach import WITHIN
+from gelforge.mechanics.contact.facepoints import FacePoints
+from gelforge.mechanics.contact.reach import WITHIN
 from gelforge.mechanics.pose import Pose
 from gelforge.mechanics.scene import Scene
-from gelforge.mechanics.tet.face import FacePoints
 
 FREE, SLIDE, STICK = 0, 1, 2
+_A, _B = np.triu_indices(6)
 
 
 @dataclass
@@ -74,3 +75,28 @@ def judge(scene: Scene, contact: Contact, points: FacePoints, displacement: np.n
     force = np.abs((push * points.weight).sum())
     pull = float(-(push * points.weight)[contact.held & (push < 0)].sum())
     return Verdict(float(pull / max(force, 1e-12)), float(max(0.0, -gap[~contact.held].min(initial=0.0))))
+
+
+def contact_forces(contact: Contact, points: FacePoints, u: np.ndarray, stiffness: float) -> np.ndarray:
+    """Nodal forces (n, 3) N of the springs and drags of held points on the gel."""
+    faces = np.flatnonzero(contact.held.any(axis=1))
+    nodes, state, normal = points.faces[faces], contact.state[faces], contact.normal[faces]
+    position = points.position[faces] + np.einsum("qa,fak->fqk", points.shape, u[nodes])
+    stretch = contact.target[faces] - position
+    along = np.einsum("fqk,fqk->fq", stretch, normal)[..., None] * normal
+    stick, slide = (state == STICK)[..., None], (state == SLIDE)[..., None]
+    traction = stiffness * (stick * stretch + slide * along) + slide * contact.drag[faces]
+    forces = np.zeros_like(u)
+    np.add.at(forces, nodes, np.einsum("qa,fqk->fak", points.shape, traction * points.weight[faces][..., None]))
+    return forces
+
+
+def contact_blocks(contact: Contact, points: FacePoints, stiffness: float) -> tuple[np.ndarray, np.ndarray]:
+    """Touched faces (f,) of the mesh and their stiffness on node pairs a <= b, (f, 21, 3, 3) N/mm."""
+    faces = np.flatnonzero(contact.held.any(axis=1))
+    state, weight = contact.state[faces], points.weight[faces] * stiffness
+    pairs = points.shape[:, _A] * points.shape[:, _B]
+    blocks = np.einsum("fq,qp->fp", weight * (state == STICK), pairs)[..., None, None] * np.eye(3)
+    n = contact.normal[faces]
+    outer = n[..., :, None] * n[..., None, :] * (weight * (state == SLIDE))[..., None, None]
+    return points.index[faces], blocks + np.einsum("qp,fqij->fpij", pairs, outer)

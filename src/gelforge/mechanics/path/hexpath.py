@@ -6,14 +6,16 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from gelforge.errors import SolveFailed
-from gelforge.mechanics.hex.carry import Trail, carried, touches, untangled
-from gelforge.mechanics.hex.equilibrium import NOISY_INTERPOLATED, PARTS, SHORT, Equilibrium, System
-from gelforge.mechanics.hex.hexmesh import HexMesh
-from gelforge.mechanics.hex.penaltycontact import GLUED, TOUCHING
-from gelforge.mechanics.hex.reach import gaps, path_pose
-from gelforge.mechanics.hex.settings import HexSettings
+from gelforge.mechanics.contact.penalty import GLUED, TOUCHING
+from gelforge.mechanics.contact.reach import gaps
+from gelforge.mechanics.hexsettings import HexSettings
+from gelforge.mechanics.mesh.hexmesh import HexMesh
+from gelforge.mechanics.path.equilibrium import NOISY_INTERPOLATED, PARTS, SHORT, Equilibrium, System
+from gelforge.mechanics.path.loadpath import path_pose
+from gelforge.mechanics.path.transfer import Trail, carried, touches, untangled
 from gelforge.mechanics.pose import Pose, on_surface, touch_fraction
-from gelforge.mechanics.scene import NoEquilibrium, Scene
+from gelforge.mechanics.result import NoEquilibrium
+from gelforge.mechanics.scene import Scene
 from gelforge.records.status import Status
 
 BETWEEN = 2  # load steps at least between two moments of a press that are asked for

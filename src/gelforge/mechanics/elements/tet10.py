@@ -3,7 +3,7 @@
 Energy per volume of the undeformed body W = C10 (J^(-2/3) tr(F^T F) - 3) + (J - 1)^2 / D1. Residual and tangent are its exact derivatives.
 
 Kernels work on LANES elements at once, side by side in the last axis of every array, as those of the bricks do and for
-the same reason (`mechanics.hex.element`).
+the same reason (`mechanics.elements.hex8`).
 """
 
 from dataclasses import dataclass
@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from gelforge.mechanics.lanes import FAST, batched
-from gelforge.mechanics.mesh import GelMesh
-from gelforge.mechanics.pattern import add_entries
-from gelforge.mechanics.tet.tetmesh import GAUSS
-from gelforge.mechanics.tet.tetmesh import gradients as local_gradients
+from gelforge.mechanics.elements.simd import FAST, batched
+from gelforge.mechanics.linear.pattern import add_entries
+from gelforge.mechanics.mesh.gelmesh import GelMesh
+from gelforge.mechanics.mesh.tetmesh import GAUSS
+from gelforge.mechanics.mesh.tetmesh import gradients as local_gradients
 
 LANES = 16
 

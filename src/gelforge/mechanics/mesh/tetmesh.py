@@ -12,7 +12,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.geometry.gel import Gel
-from gelforge.mechanics.mesh import GelMesh
+from gelforge.mechanics.mesh.gelmesh import GelMesh
 
 EDGES = np.array([[0, 1], [1, 2], [2, 0], [0, 3], [1, 3], [2, 3]])  # midside order of C3D10
 FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])  # corners, outward for a positive tetrahedron

@@ -13,15 +13,15 @@ import numpy as np
 
 from gelforge.geometry.cropping import cropped
 from gelforge.geometry.solids import Indenter
-from gelforge.mechanics.ccx.ccxsolver import CcxResult, status_of
 from gelforge.mechanics.ccx.dat import DatError, last_table, read_dat
 from gelforge.mechanics.ccx.deck import material_lines, mesh_include
 from gelforge.mechanics.ccx.program import OVERDUE, run_ccx
-from gelforge.mechanics.hex.reach import first_touch
-from gelforge.mechanics.mesh import GelMesh
+from gelforge.mechanics.mesh.gelmesh import GelMesh
+from gelforge.mechanics.mesh.tetmesh import FACES, boundary_faces, orient, tetrahedralise
+from gelforge.mechanics.path.loadpath import first_touch
+from gelforge.mechanics.path.tetsolid import TetSolid
 from gelforge.mechanics.scene import Scene
-from gelforge.mechanics.tet.solid import TetSolid
-from gelforge.mechanics.tet.tetmesh import FACES, boundary_faces, orient, tetrahedralise
+from gelforge.mechanics.solvers.ccx import CcxResult, status_of
 from gelforge.records.status import Status
 
 MOST_MISMATCH = 1e-5  # of forces at the gel's top and at its base, as a share: the .dat holds seven digits

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.mechanics.hex.hexmesh import FineBox
+from gelforge.mechanics.mesh.hexmesh import FineBox
 
 # Residual over contact force of a path that only leads to the fine bricks. It is far below what their answer needs, because
 # which points let go at its end turns on it: at 1e-4 a second thread let ten more points go under a pyramid, 0.2 % of force.

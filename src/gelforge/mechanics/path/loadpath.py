@@ -1,0 +1,55 @@
+"""The load path of a press: press, then shear, by one parameter; and where its frames lie on it."""
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.geometry import touch
+from gelforge.mechanics.pose import Pose
+from gelforge.mechanics.scene import Scene
+from gelforge.records.frames import MOST_DEEPER_MM, MOST_FARTHER_MM
+
+ROUNDING_MM = 1e-6  # far below what an axis resolves
+
+
+def path_pose(scene: Scene, t: float) -> Pose:
+    """Pose at path parameter t: 0 to 1 press, 1 to 2 shear; below 0 the press goes on upwards."""
+    return Pose(*touch.pose_at(scene.press, t))
+
+
+def first_touch(scene: Scene) -> float | None:
+    """Path parameter where the indenter first meets the undeformed gel, or None where it never does."""
+    return touch.first_touch(scene.gel, scene.indenter, scene.press)
+
+
+def moment_of(scene: Scene, last: Scene) -> float:
+    """Path parameter of the point of scene `last`'s path, down and then sideways, that is nearest to where `scene` ends.
+
+    Its start may have been logged apart, and a frame that gives way moves a little aside while a press goes down, and a
+    little down while it goes aside. BadInput for one that ends beyond the last: the path has no state of it.
+    """
+    end, way = (np.array([s.press.dx, s.press.dy]) for s in (scene, last))
+    fallen = scene.press.z0 + scene.press.dz - last.press.z0
+    _check_moment(last.press.dz - fallen, end, way)
+    # to eight decimals: moments that only rounding tells apart are one
+    down = float(np.clip(np.round(fallen / last.press.dz, 8), 1e-8, 1.0))
+    if not way @ way:
+        return down
+    aside = float(np.clip(np.round(end @ way / (way @ way), 8), 0.0, 1.0))
+    off_down = np.hypot(np.linalg.norm(end), fallen - down * last.press.dz)
+    off_aside = np.hypot(np.linalg.norm(end - aside * way), fallen - last.press.dz)
+    return 1.0 + aside if aside > 0.0 and off_aside < off_down else down
+
+
+def _check_moment(deeper: float, end: np.ndarray, way: np.ndarray) -> None:
+    """Raise BadInput for a moment clearly beyond the last one of its press.
+
+    deeper: by how much it ends below the last one, mm. end, way: where the two end sideways, (2,) mm.
+    """
+    length = float(np.hypot(*way))
+    farther = (float(end @ way) / length if length else float(np.hypot(*end))) - length
+    for beyond, most, what in ((deeper, MOST_DEEPER_MM, "deeper"), (farther, MOST_FARTHER_MM, "farther sideways")):
+        if beyond > most + ROUNDING_MM:
+            raise BadInput(
+                f"a moment of a press ends {beyond:.3g} mm {what} than its last one, {most:g} mm are allowed; give moments in"
+                " order of time along one path, down and then sideways"
+            )

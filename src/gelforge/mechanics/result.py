@@ -1,0 +1,49 @@
+"""What a solver answers."""
+
+import json
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from gelforge.records.status import Status
+
+BALANCE = 1e-6  # of its size, by which the contact force of a valid result may differ from the base's reaction
+
+
+class NoEquilibrium(Exception):
+    """Newton's method stopped without a state; the load stepping answers with a shorter step."""
+
+
+@dataclass
+class Result:
+    """State at the end of the path on a gel mesh with n nodes.
+
+    forces: (n, 3) N, contact forces ON the gel (zero off its surface).
+    displacement: (n, 3) mm. pressure/anchor data stay inside the fidelities.
+    evidence: plain numbers and strings; the keys every fidelity fills are
+    "equilibrium_residual" (relative), "penetration_mm", "pulling_fraction" (of the normal force),
+    "base_mismatch" (relative), "newton_iterations", "rounds", "seconds", "peak_mib", "load_steps".
+    """
+
+    status: Status
+    forces: np.ndarray
+    displacement: np.ndarray
+    evidence: dict = field(default_factory=dict)
+
+    @property
+    def total(self) -> np.ndarray:
+        """Resultant contact force on the gel, (3,) N."""
+        return self.forces.sum(axis=0)
+
+    @property
+    def kept_evidence(self) -> dict:
+        """What of the evidence JSON can hold; numbers that are not finite are left out."""
+        kept = {}
+        for key, value in self.evidence.items():
+            value = value.item() if isinstance(value, np.generic) else value
+            try:
+                json.dumps(value, allow_nan=False)
+            except (TypeError, ValueError):
+                continue
+            kept[key] = value
+        return kept
