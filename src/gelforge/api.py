@@ -76,10 +76,10 @@ def solve(
     press = Press(at[0], at[1], 0.0, shear[0], shear[1], -depth, rot_deg)
     scene = Scene(load_gel(gel), Material(nu), body, press)
     result = HexSolver(settings(quality)).solve(scene)
-    if not result.status.valid or result.bricks is None:
+    if not result.status.valid or result.mesh_name is None:
         raise GelforgeError(f"the press was not solved: {result.evidence.get('reason') or result.status.value}")
     forces = result.forces * (c10 / REFERENCE_C10)  # exactly so: the solid's stress is proportional to C10
-    return SolvedPress(gel, result.bricks.mesh(), forces, result.displacement, result.evidence)
+    return SolvedPress(gel, result.mesh_name.mesh(), forces, result.displacement, result.evidence)
 
 
 def _finite(*values: Any) -> bool:

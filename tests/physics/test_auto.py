@@ -36,7 +36,7 @@ def scene(shape: str, depth: float, x: float = 0.0, y: float = 0.0, turn: float 
     st.floats(0, 5),
 )  # fmt: skip
 def test_the_class_is_that_of_the_body_wherever_it_presses(shape, depth, x, y, turn, lift):
-    """Near the crown, at any turn and from any height; between 0.7 and 0.85 mm the dome decides whether it is deep."""
+    """Near the apex, at any turn and from any height; between 0.7 and 0.85 mm the dome decides whether it is deep."""
     found = contact_class(scene(shape, depth, x, y, turn, lift))
     if shape == "flat" and depth < 0.6:
         return  # a shallow block touches the dome as a ball would

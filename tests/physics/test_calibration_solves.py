@@ -208,7 +208,7 @@ def test_unknown_indenter_is_named(tmp_path, catalogue):
 
 
 def test_force_begins_where_the_gel_is_met(catalogue, tmp_path):
-    """Off the crown a press commanded from z = 0 goes through air first; one from below the crown begins inside the gel."""
+    """Off the apex a press commanded from z = 0 goes through air first; one from below the apex begins inside the gel."""
     readings = presses((5.0, 7.5, 0, 0, 0, -1.2, 0), (0.5, 0, -0.15, 0, 0, -0.6, 0))
     cache = SolveCache(tmp_path, catalogue, SETTINGS, SOLVER)
     plan = make_plan(readings, 0.05, (1.0,))

@@ -110,7 +110,7 @@ def test_a_state_is_judged_by_what_pulls_and_by_what_lies_in_the_indenter(mesh):
 
 @pytest.mark.parametrize("law", ["no_slip", "frictionless", "coulomb"])
 def test_calculix_needs_on_every_node_the_force_that_contact_gives_it(solver, law):
-    """It is told where the touched nodes are, and no force: the in-process solver's must be the ones that hold them there."""
+    """CalculiX is given where the touched nodes are, and no force: the in-process solver's must be the ones that hold them there."""
     pressed, s = scene(law, dx=0.1), solver.settings
     path = PathSettings(s.press_steps, s.shear_steps, s.step_mm, 145.0)
     found = follow(pressed, solver.solid, solver.points, first_touch(pressed), path)
@@ -141,7 +141,7 @@ def test_coulomb_bounds_shear_and_no_slip_exceeds_it(solver):
 
 
 def test_a_solver_of_a_moved_fine_part_is_as_one_of_its_own(solver, tmp_path):
-    """It shares the matrix with the one in the middle: neither sees that of the other, and the force is that of bricks."""
+    """It shares the matrix with the one in the middle: neither sees that of the other, and the force is that of hexahedra."""
     aside, middle = replace(scene("no_slip").press, x0=1.0, y0=-0.5), scene("no_slip")
     pressed, before = replace(middle, press=aside), solver.solve(middle).total
     there = moved(solver.mesh, PAD, (2.0, 2.0), (1.0, -0.5))
@@ -150,7 +150,7 @@ def test_a_solver_of_a_moved_fine_part_is_as_one_of_its_own(solver, tmp_path):
     assert one.status is Status.OK and other.status is Status.OK
     np.testing.assert_allclose(one.total, other.total, atol=1e-6 * abs(other.total[2]))
     np.testing.assert_allclose(solver.solve(middle).total, before, atol=1e-6 * abs(before[2]))
-    # what tetrahedra of 1 mm add to the force of bricks they add there, too: 3 to 4 %
+    # what tetrahedra of 1 mm add to the force of hexahedra they add there, too: 3 to 4 %
     stiffer = [
         found[2] / solve_hex(here, HexSettings(size=0.5, layers=6, gauss=2, press_steps=3)).total[2]
         for found, here in ((before, middle), (one.total, pressed))

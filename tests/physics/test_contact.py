@@ -1,4 +1,4 @@
-"""Contact at Gauss points: the rule integrates the surface, springs have a potential, friction is bounded."""
+"""Contact at Gauss points: the rule integrates the surface, tractions have a potential, friction is bounded."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ import pytest
 
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
-from gelforge.mechanics.contact.penalty import GLUED, FacePlaces, Law, contact_points, contact_springs, curved
+from gelforge.mechanics.contact.penalty import STICK, FacePlaces, Law, contact_points, curved, penalty_tractions
 from gelforge.mechanics.linear.pattern import build_pattern
 from gelforge.mechanics.mesh.hexmesh import (
     FineBox,
@@ -63,15 +63,15 @@ def test_rule_covers_the_surface(mesh, order):
 def test_free_points_feel_the_normal_only(mesh):
     state = contact_points(mesh, 2)
     x = state.reference + [0, 0, 0.3]
-    springs = contact_springs(state, x, HERE, Floor(), LAW, np.arange(len(x)))
-    assert len(springs.point)
-    assert np.abs(np.cross(springs.traction, Floor.normal)).max() < 1e-12 * np.abs(springs.traction).max()
+    tractions = penalty_tractions(state, x, HERE, Floor(), LAW, np.arange(len(x)))
+    assert len(tractions.point)
+    assert np.abs(np.cross(tractions.traction, Floor.normal)).max() < 1e-12 * np.abs(tractions.traction).max()
 
 
-def glued(mesh, seed=0):
+def sticking(mesh, seed=0):
     state, rng = contact_points(mesh, 1), np.random.default_rng(seed)
-    state.status[:] = GLUED
-    state.anchor = state.reference + rng.normal(0, 0.2, state.reference.shape)
+    state.status[:] = STICK
+    state.stick_point = state.reference + rng.normal(0, 0.2, state.reference.shape)
     state.normal = np.tile(Floor.normal, (len(state.status), 1))
     return state, state.reference + [0, 0, 2.0]
 
@@ -79,38 +79,38 @@ def glued(mesh, seed=0):
 @pytest.mark.parametrize("mu", [0.0, 0.02, 0.1, 0.8, np.inf])
 def test_stiffness_is_the_derivative_of_the_traction(mesh, mu):
     """On a flat face, where the indenter's curvature (left out of the stiffness) is zero."""
-    (state, x), law = glued(mesh), replace(LAW, mu=mu)
+    (state, x), law = sticking(mesh), replace(LAW, mu=mu)
     none = np.empty(0, int)
-    springs = contact_springs(state, x, HERE, Floor(), law, none)
+    tractions = penalty_tractions(state, x, HERE, Floor(), law, none)
     step = np.random.default_rng(1).normal(size=x.shape)
     h = 1e-6
-    ahead = contact_springs(state, x + h * step, HERE, Floor(), law, none).traction
-    behind = contact_springs(state, x - h * step, HERE, Floor(), law, none).traction
-    predicted = -np.einsum("pij,pj->pi", springs.stiffness, step[springs.point])
-    slip = springs.slip
-    predicted[np.searchsorted(springs.point, slip.point)] -= np.einsum("pij,pj->pi", slip.block, step[slip.point])
+    ahead = penalty_tractions(state, x + h * step, HERE, Floor(), law, none).traction
+    behind = penalty_tractions(state, x - h * step, HERE, Floor(), law, none).traction
+    predicted = -np.einsum("pij,pj->pi", tractions.stiffness, step[tractions.point])
+    slip = tractions.slip
+    predicted[np.searchsorted(tractions.point, slip.point)] -= np.einsum("pij,pj->pi", slip.block, step[slip.point])
     # central differences of a smooth law; a point within h of the cone would be off, none is for this seed
     assert np.abs((ahead - behind) / (2 * h) - predicted).max() < 1e-5 * LAW.penalty
-    assert np.allclose(springs.stiffness, springs.stiffness.transpose(0, 2, 1))
+    assert np.allclose(tractions.stiffness, tractions.stiffness.transpose(0, 2, 1))
     assert (len(slip.point) > 0) == (mu < 2.0)
 
 
 @pytest.mark.parametrize("mu", [0.0, 0.02, 0.1])
 def test_tangential_traction_stays_in_its_cone_and_opposes_slip(mesh, mu):
-    state, x = glued(mesh)
-    springs = contact_springs(state, x, HERE, Floor(), replace(LAW, mu=mu), np.empty(0, int))
-    pressure = springs.traction @ Floor.normal
-    tangential = springs.traction - pressure[:, None] * Floor.normal
+    state, x = sticking(mesh)
+    tractions = penalty_tractions(state, x, HERE, Floor(), replace(LAW, mu=mu), np.empty(0, int))
+    pressure = tractions.traction @ Floor.normal
+    tangential = tractions.traction - pressure[:, None] * Floor.normal
     assert np.all(np.linalg.norm(tangential, axis=1) <= mu * pressure + 1e-12 * LAW.penalty * 10)  # rounding
-    back = state.anchor[springs.point] - x[springs.point]
+    back = state.stick_point[tractions.point] - x[tractions.point]
     assert np.all(np.einsum("pi,pi->p", tangential, back) >= -1e-12)
 
 
 def test_matrix_product_with_slip_is_that_of_the_blocks(mesh):
     """The part of the matrix that is not symmetric, applied without being stored."""
-    state, x = glued(mesh)
+    state, x = sticking(mesh)
     pattern = build_pattern(mesh.elements, len(mesh.nodes), mesh.base)
-    slip = contact_springs(state, x, HERE, Floor(), replace(LAW, mu=0.05), np.empty(0, int)).slip
+    slip = penalty_tractions(state, x, HERE, Floor(), replace(LAW, mu=0.05), np.empty(0, int)).slip
     rng = np.random.default_rng(2)
     v = rng.normal(size=(len(mesh.nodes), 3))
     v[mesh.base] = 0.0
@@ -126,27 +126,27 @@ def test_matrix_product_with_slip_is_that_of_the_blocks(mesh):
 
 
 def test_curved_stiffness_is_exact_where_the_face_is_not_flat(mesh):
-    state, x = glued(mesh)
+    state, x = sticking(mesh)
     ball, law, none = Ball(), replace(LAW, mu=0.3), np.empty(0, int)
-    springs = contact_springs(state, x, HERE, ball, law, none)
-    rest = curved(springs, state, x, HERE, ball, law, none)
+    tractions = penalty_tractions(state, x, HERE, ball, law, none)
+    rest = curved(tractions, state, x, HERE, ball, law, none)
     step, h = np.random.default_rng(1).normal(size=x.shape), 1e-6
-    ahead = contact_springs(state, x + h * step, HERE, ball, law, none).traction
-    behind = contact_springs(state, x - h * step, HERE, ball, law, none).traction
-    predicted = -np.einsum("pij,pj->pi", springs.stiffness, step[springs.point])
-    predicted[np.searchsorted(springs.point, rest.point)] -= np.einsum("pij,pj->pi", rest.block, step[rest.point])
+    ahead = penalty_tractions(state, x + h * step, HERE, ball, law, none).traction
+    behind = penalty_tractions(state, x - h * step, HERE, ball, law, none).traction
+    predicted = -np.einsum("pij,pj->pi", tractions.stiffness, step[tractions.point])
+    predicted[np.searchsorted(tractions.point, rest.point)] -= np.einsum("pij,pj->pi", rest.block, step[rest.point])
     # one-sided differences over 1e-6 mm within `curved`: 1e-4 of slopes that grow as the pressure does
     assert np.abs((ahead - behind) / (2 * h) - predicted).max() < 1e-3 * LAW.penalty
 
 
 def test_points_let_go_fade():
     mesh = build_mesh(Gel(), FineBox(-3, 3, -2, 2, 1.0), 2)
-    state, x = glued(mesh)
-    state.let_go(np.array([0, 5]), np.ones((2, 3)))
+    state, x = sticking(mesh)
+    state.release(np.array([0, 5]), np.ones((2, 3)))
     state.go(0.25)
-    springs = contact_springs(state, x - [0, 0, 10], HERE, Floor(), LAW, np.empty(0, int))
+    tractions = penalty_tractions(state, x - [0, 0, 10], HERE, Floor(), LAW, np.empty(0, int))
     for point in (0, 5):
-        assert np.allclose(springs.traction[springs.point == point].sum(axis=0), 0.75)
+        assert np.allclose(tractions.traction[tractions.point == point].sum(axis=0), 0.75)
 
 
 # ---- meshes
@@ -168,14 +168,14 @@ def test_layers_grow_downwards():
 
 
 def test_mesh_fills_the_gel(mesh):
-    from gelforge.mechanics.elements.hex8 import bricks
+    from gelforge.mechanics.elements.hex8 import geometry
 
     gel = Gel()
-    volume = bricks(mesh.nodes, mesh.cells).weights.sum()  # raises where a brick is inverted
+    volume = geometry(mesh.nodes, mesh.cells).weights.sum()  # raises where a hexahedron is inverted
     x, y = np.meshgrid(np.linspace(-10.37, 10.37, 400), np.linspace(-12.62, 12.62, 400))
     inside = gel.edge_distance(x, y) <= 0
     exact = (gel.top(x, y) + gel.height)[inside].mean() * inside.mean() * gel.width * gel.length
-    assert volume == pytest.approx(exact, rel=0.02)  # bricks of 2 mm cut the curved rim short
+    assert volume == pytest.approx(exact, rel=0.02)  # hexahedra of 2 mm cut the curved rim short
     assert np.allclose(mesh.nodes[mesh.base][:, 2], -gel.height)
     top = mesh.nodes[mesh.surface_nodes]
     assert np.allclose(top[:, 2], gel.top(top[:, 0], top[:, 1]))
@@ -212,7 +212,7 @@ def test_a_point_touches_where_its_gap_has_gone_evenly_to_zero():
     [{"kind": "sphere", "diameter": 8, "height": 10}, {"kind": "cuboid", "size": [5, 7], "fillet": 1, "height": 10}],
 )
 def test_what_is_held_lies_on_the_indenter(table):
-    """Places a little beside its surface, either way, are moved onto it, along the normal that they are told to have."""
+    """Places a little beside its surface, either way, are moved onto it, along the normal that is returned."""
     body = build("body", table)
     places = np.random.default_rng(4).uniform([-4.0, -4.0, -0.3], [4.0, 4.0, 3.0], (2000, 3))
     places = places[np.abs(body.distance(places)[0]) < 0.3]

@@ -1,4 +1,4 @@
-"""Bricks with mean dilatation against closed forms of the Neo-Hookean solid."""
+"""Hexahedra with mean dilatation against closed forms of the Neo-Hookean solid."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ EXACT = 1e-10  # relative; homogeneous fields lie in the element's space, so onl
 
 
 def distorted_block(n=3, amount=0.25, seed=1):
-    """Unit cube of n^3 bricks whose inner nodes are moved at random: nodes, elements."""
+    """Unit cube of n^3 hexahedra whose inner nodes are moved at random: nodes, elements."""
     grid = np.linspace(0, 1, n + 1)
     z, y, x = np.meshgrid(grid, grid, grid, indexing="ij")
     nodes = np.stack([x, y, z], axis=-1).reshape(-1, 3)
@@ -28,7 +28,7 @@ def distorted_block(n=3, amount=0.25, seed=1):
 
 def forces_of(nodes, elements, u, material):
     """Nodal forces dE/du (n, 3)."""
-    b = hex8.bricks(nodes, Cells.plain(elements))
+    b = hex8.geometry(nodes, Cells.plain(elements))
     out = np.zeros_like(u)
     smallest = hex8.internal_forces(u, b, material.shear_modulus, material.bulk_modulus, out)
     assert smallest > 0
@@ -37,7 +37,7 @@ def forces_of(nodes, elements, u, material):
 
 def matrix_of(nodes, elements, u, material, fixed=np.empty(0, int)):
     """Upper-triangle values and pattern of the tangent."""
-    b, pattern = hex8.bricks(nodes, Cells.plain(elements)), build_pattern(elements, len(nodes), fixed)
+    b, pattern = hex8.geometry(nodes, Cells.plain(elements)), build_pattern(elements, len(nodes), fixed)
     base, width = block_places(pattern, elements)
     values = np.zeros(len(pattern.indices))
     hex8.tangent(u, b, material.shear_modulus, material.bulk_modulus, 1.0, base, width, values)
@@ -89,13 +89,14 @@ def test_products_are_those_of_the_whole_matrix():
 def test_bricks_are_the_same_in_any_company():
     """They are worked on in batches, of which the last is not full."""
     nodes, elements, _ = distorted_block(5)
-    assert len(elements) % hex8.LANES
+    assert len(elements) % hex8.WIDTH
     u, material = 0.01 * np.random.default_rng(0).normal(size=nodes.shape), Material()
     alone = [forces_of(nodes, elements[e : e + 1], u, material) for e in range(len(elements))]
     np.testing.assert_allclose(forces_of(nodes, elements, u, material), np.sum(alone, axis=0), rtol=0, atol=1e-12)
-    ratios = hex8.smallest_ratios(u, hex8.bricks(nodes, Cells.plain(elements)))
+    ratios = hex8.smallest_ratios(u, hex8.geometry(nodes, Cells.plain(elements)))
     single = [
-        hex8.smallest_ratios(u, hex8.bricks(nodes, Cells.plain(elements[e : e + 1])))[0] for e in range(len(elements))
+        hex8.smallest_ratios(u, hex8.geometry(nodes, Cells.plain(elements[e : e + 1])))[0]
+        for e in range(len(elements))
     ]
     np.testing.assert_allclose(ratios, single, rtol=1e-12)
     whole, turned = (dense(*matrix_of(nodes, some, u, material)) for some in (elements, elements[::-1]))
@@ -177,7 +178,7 @@ def test_newton_converges_quadratically():
 
 
 def test_no_locking_near_incompressibility():
-    """A bonded block pressed flat: its force hardly knows nu, a locking brick answers with the bulk modulus."""
+    """A bonded block pressed flat: its force hardly knows nu, a locking hexahedron answers with the bulk modulus."""
     nodes, elements, _ = distorted_block(4, amount=0.0)
     fixed = np.flatnonzero((nodes[:, 2] < 1e-9) | (nodes[:, 2] > 1 - 1e-9))
     answers = []

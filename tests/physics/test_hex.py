@@ -7,7 +7,7 @@ import pytest
 
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build, load_catalogue
-from gelforge.mechanics.contact.penalty import FREE, GLUED
+from gelforge.mechanics.contact.penalty import FREE, STICK
 from gelforge.mechanics.hexsettings import HexSettings, quality
 from gelforge.mechanics.material import Material
 from gelforge.mechanics.mesh.finebox import fine_box
@@ -114,11 +114,11 @@ def test_shear_pulls_the_gel_along(sheared):
 
 def test_stick_is_held_where_it_touches(sheared):
     state = sheared.contact
-    glued = state.status == GLUED
+    sticking = state.status == STICK
     pose = path_pose(ball(dx=0.3, dy=0.1), 2.0)
-    drift = np.linalg.norm(pose.to_gel(state.anchor[glued]) - state.position[glued], axis=1)
-    assert glued.sum() > 50 and drift.max() < 0.03  # traction over penalty
-    distance, _ = Sphere(15.0).distance(state.anchor[glued])
+    drift = np.linalg.norm(pose.to_gel(state.stick_point[sticking]) - state.position[sticking], axis=1)
+    assert sticking.sum() > 50 and drift.max() < 0.03  # traction over penalty
+    distance, _ = Sphere(15.0).distance(state.stick_point[sticking])
     assert np.abs(distance).max() < 1e-6
 
 
@@ -144,7 +144,7 @@ def test_frictionless_contact_has_normal_tractions(solver):
     _, normal = Sphere(15.0).distance(path_pose(ball(), 1.0).to_indenter(state.position[pressed]))
     traction = state.traction[pressed]
     assert np.abs(np.cross(traction, normal)).max() < 1e-9
-    assert not (state.status == GLUED).any()
+    assert not (state.status == STICK).any()
 
 
 @pytest.fixture(scope="module")
@@ -208,7 +208,7 @@ def test_friction_with_a_large_coefficient_is_no_slip():
     "body", [Sphere(15.0), build("bar", {"kind": "cuboid", "size": [30, 5], "fillet": 1, "height": 10})]
 )
 def test_without_friction_only_the_end_of_a_path_counts(body):
-    """Dragged load step by load step and pressed straight down there, on the same bricks."""
+    """Dragged load step by load step and pressed straight down there, on the same hexahedra."""
     dragged = Scene(Gel(), Material(), body, Press(0.3, 0.2, 0.0, 0.16, 0.08, -0.6, 20.0), Interface("frictionless"))
     settings = replace(COARSE, box=fine_box(dragged, COARSE.size))
     slow, fast = HexSolver(settings).solve_frames([dragged])[0], solve_hex(dragged, settings)
@@ -228,10 +228,10 @@ def test_a_path_with_friction_goes_on_where_its_tolerance_cannot_be_met():
     """A point at the edge of slipping may go to and fro for ever; the end is held to its tolerance all the same."""
     never = replace(COARSE, tolerance=1e-30)
     settled = solve_hex(ball(0.8, dx=0.2, law="coulomb", mu=0.3), COARSE)
-    walked = solve_hex(ball(0.8, dx=0.2, law="coulomb", mu=0.3), never)
-    assert walked.status is Status.OK and walked.evidence["cuts"] == 0
-    assert walked.evidence["equilibrium_residual"] <= 1e-7
-    assert np.linalg.norm(walked.total - settled.total) < 0.02 * np.linalg.norm(settled.total)
+    uncut = solve_hex(ball(0.8, dx=0.2, law="coulomb", mu=0.3), never)
+    assert uncut.status is Status.OK and walked.evidence["cuts"] == 0
+    assert uncut.evidence["equilibrium_residual"] <= 1e-7
+    assert np.linalg.norm(uncut.total - settled.total) < 0.02 * np.linalg.norm(settled.total)
     stuck = solve_hex(ball(0.8, dx=0.2), never)  # without friction's kinks a step that fails is cut
     assert stuck.evidence["cuts"] > 0 and stuck.evidence["reached"] < 1.0
 
@@ -308,7 +308,7 @@ def test_solver_reuses_what_it_made(solver):
 
 
 def half_space(size):
-    """A block of 20 mm pressed 0.05 mm at its middle: size of the bricks against a contact radius of 1 mm."""
+    """A block of 20 mm pressed 0.05 mm at its middle: size of the hexahedra against a contact radius of 1 mm."""
     gel = FlatPad(width=40.0, length=40.0, corner_radius=0.0, height=20.0)
 
     def lines():
@@ -333,7 +333,7 @@ class OnMesh(HexSolver):
 
 
 def test_hertz():
-    """Frictionless ball, a / R = 0.05, contact radius 1 mm: F = 4/3 E / (1 - nu^2) sqrt(R) d^1.5, as bricks shrink.
+    """Frictionless ball, a / R = 0.05, contact radius 1 mm: F = 4/3 E / (1 - nu^2) sqrt(R) d^1.5, as hexahedra shrink.
 
     The finite height of the bonded block stiffens it: Dimitriadis et al. (2002), Biophys. J. 82, 2798-2810, eq. 12,
     to second order in sqrt(R d) / height = 0.05.
@@ -350,13 +350,13 @@ def test_hertz():
         scene = Scene(gel, material, Sphere(2 * radius), Press(0, 0, 0, 0, 0, -depth), Interface("frictionless"))
         settings = HexSettings(size=size, press_steps=2, penalty=3000.0, box=FineBox(-2, 2, -2, 2, size))
         errors.append(-OnMesh(settings, mesh).solve(scene).total[2] / hertz - 1)
-    # what is left as bricks shrink: the block's finite width, and 0.5 % for a / R
+    # what is left as hexahedra shrink: the block's finite width, and 0.5 % for a / R
     assert abs(errors[1]) < 0.03 and abs(errors[2]) < 0.03
     assert abs(errors[2] - errors[1]) < 0.6 * abs(errors[2] - errors[0])  # successive halvings close in
 
 
 def test_a_blade_between_the_points_of_contact_is_no_answer_of_zero():
-    """0.2 mm wide, on bricks of 2 mm: it touches, and no contact point sees it. Smaller bricks do."""
+    """0.2 mm wide, on hexahedra of 2 mm: it touches, and no contact point sees it. Smaller hexahedra do."""
     blade = build("blade", {"kind": "cuboid", "size": [0.2, 3.0], "fillet": 0.05, "height": 10})
     scene = Scene(Gel(), Material(), blade, Press(0.45, 0, 0, 0, 0, -0.3))
     wide = solve_hex(scene, HexSettings(size=2.0, layers=2, gauss=2, press_steps=2))

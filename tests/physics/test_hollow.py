@@ -28,7 +28,7 @@ def bodies(tmp_path_factory):
         "full": [(vertices, faces)],
         "hollow": [(vertices, faces), (cavity, faces[:, ::-1])],
         "cavity oriented outwards, a core in it": [(cavity, faces), (kernel, faces), (vertices, faces)],
-        "all inside out": [(vertices, faces[:, ::-1]), (cavity, faces)],
+        "all inverted": [(vertices, faces[:, ::-1]), (cavity, faces)],
     }
     for name, each in shells.items():
         write_stl(folder / f"{name}.stl", *joined(each))

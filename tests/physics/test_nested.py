@@ -1,4 +1,4 @@
-"""The path on coarse bricks and its end on fine ones: what is carried over, and how close it comes to the whole path."""
+"""The path on coarse hexahedra and its end on fine ones: what is carried over, and how close it comes to the whole path."""
 
 from dataclasses import replace
 
@@ -12,13 +12,21 @@ from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build, load_catalogue
 from gelforge.geometry.touch import width_of
 from gelforge.mechanics.contact.reach import gaps
-from gelforge.mechanics.elements.hex8 import bricks, smallest_ratios
+from gelforge.mechanics.elements import hex8
 from gelforge.mechanics.hexsettings import QUALITIES, HexSettings, Nested
 from gelforge.mechanics.linear.factorisation import symmetric_solver
 from gelforge.mechanics.material import Material
 from gelforge.mechanics.mesh.hexmesh import FineBox, build_mesh, dissected, elimination_order
-from gelforge.mechanics.path.loadpath import moment_of
-from gelforge.mechanics.path.transfer import FLAT, Trail, carried, surface_motion, touches, untangled, volume_motion
+from gelforge.mechanics.path.loadpath import frame_time
+from gelforge.mechanics.path.transfer import (
+    FLAT,
+    LoadPath,
+    surface_motion,
+    touches,
+    transferred,
+    untangled,
+    volume_motion,
+)
 from gelforge.mechanics.scene import Interface, Scene
 from gelforge.mechanics.solvers.hex import HexSolver, solve_hex
 from gelforge.records.press import Press
@@ -41,7 +49,7 @@ def heights_of(mesh):
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=20)
 def test_carrying_keeps_trilinear_fields(seed):
-    """A displacement linear along x, y and relative height is told on the fine nodes without error.
+    """A displacement linear along x, y and relative height is interpolated to the fine nodes without error.
 
     Inside the rounded corners only: there mesh lines are bent, and places on a line are not evenly spaced.
     """
@@ -52,7 +60,7 @@ def test_carrying_keeps_trilinear_fields(seed):
         return np.stack([a + b * x + c * y * h + d * x * y for a, b, c, d in k], axis=1)
 
     straight = np.all(np.abs(FINE.nodes[:, :2]) < [8.0, 10.0], axis=1)
-    found = carried(COARSE, field(COARSE), FINE)
+    found = transferred(COARSE, field(COARSE), FINE)
     np.testing.assert_allclose(found[straight], field(FINE)[straight], atol=1e-9)
     top = FINE.nodes[FINE.surface_nodes]
     inner = np.all(np.abs(top[:, :2]) < [8.0, 10.0], axis=1)
@@ -65,8 +73,8 @@ def test_carrying_keeps_trilinear_fields(seed):
 @given(st.integers(0, 2**32 - 1), st.floats(0.1, 0.6))
 @settings(max_examples=20)
 def test_what_is_tangled_is_made_sound_and_what_is_sound_stays(seed, size):
-    """Nodes thrown out of place turn bricks over; afterwards none is, the base holds, and the rest has not moved."""
-    rng, geometry = np.random.default_rng(seed), bricks(FINE.nodes, FINE.cells)
+    """Nodes thrown out of place turn hexahedra over; afterwards none is, the base holds, and the rest has not moved."""
+    rng, geometry = np.random.default_rng(seed), hex8.geometry(FINE.nodes, FINE.cells)
     at_rest = np.zeros_like(FINE.nodes)
     assert untangled(FINE, geometry, at_rest) is at_rest
     u = at_rest.copy()
@@ -74,16 +82,16 @@ def test_what_is_tangled_is_made_sound_and_what_is_sound_stays(seed, size):
     thrown = rng.choice(free, 8, replace=False)
     u[thrown] = rng.uniform(-size, size, (8, 3))
     found = untangled(FINE, geometry, u)
-    assert smallest_ratios(found, geometry).min() >= FLAT
+    assert hex8.smallest_ratios(found, geometry).min() >= FLAT
     assert not found[FINE.base].any()
-    flat = np.unique(FINE.elements[smallest_ratios(u, geometry) < FLAT])
+    flat = np.unique(FINE.elements[hex8.smallest_ratios(u, geometry) < FLAT])
     kept = np.setdiff1d(np.arange(len(u)), flat)
     np.testing.assert_array_equal(found[kept], u[kept])
 
 
 @pytest.mark.parametrize("name", ["cuboid_10", "triangle_8", "cross_15_10_3"])
 def test_deep_presses_of_wide_shapes_take_the_short_way(name, root):
-    """The gel bends round an edge within one wide brick: what is carried over would turn small ones over."""
+    """The gel bends round an edge within one wide hexahedron: what is carried over would turn small ones over."""
     found = solve_hex(deep_press(name, root), QUALITIES["draft"])
     assert found.status is Status.OK and "extrapolated" in found.evidence
 
@@ -96,7 +104,7 @@ def test_deep_presses_of_wide_shapes_take_the_short_way(name, root):
     ],
 )
 def test_a_press_that_bends_bricks_nearly_flat_takes_the_short_way(name, press, root):
-    """At 250 N what is carried over is flat beside whole edges, and usual steps turn bricks inside out: shorter ones do not."""
+    """At 250 N what is carried over is flat beside whole edges, and usual steps invert hexahedra: shorter ones do not."""
     body = load_catalogue(root / "workflow" / "indenters.toml")[name]
     found = solve_hex(Scene(Gel(), Material(), body, Press(*press)), QUALITIES["label"])
     assert found.status is Status.OK and "extrapolated" in found.evidence
@@ -119,9 +127,9 @@ def test_points_that_never_moved_touch_straight_above_them():
     points = FINE.nodes[FINE.surface_nodes]
     rest, times = np.zeros_like(COARSE.nodes), [0.0, 0.3, 0.7, 1.0]
     scene = Scene(Gel(), Material(), BALL, Press(0, 0, 0, 0, 0, -1.5))
-    trail = Trail(scene, COARSE, times, [rest] * len(times), 1e-6)
-    held, places = touches(trail, points)
-    inside = gaps(trail.scene, points, trail.pose(1.0)) < 0.0
+    path = LoadPath(scene, COARSE, times, [rest] * len(times), 1e-6)
+    held, places = touches(path, points)
+    inside = gaps(path.scene, points, path.pose(1.0)) < 0.0
     assert inside.sum() > 50 and np.array_equal(held, inside)
     np.testing.assert_allclose(places[held][:, :2], points[held][:, :2], atol=1e-12)
     # the gap of a straight way is not straight in time: the place errs by what a step bends it
@@ -137,7 +145,7 @@ def test_points_that_never_moved_touch_straight_above_them():
     ],
 )
 def test_nested_and_whole_path_come_together_as_bricks_shrink(law, body, press):
-    """Total force within 3 % on bricks of 1 mm, within 1.5 % on those of 0.5 mm: the difference falls like the size."""
+    """Total force within 3 % on hexahedra of 1 mm, within 1.5 % on those of 0.5 mm: the difference falls like the size."""
     for size, bound in ((1.0, 0.03), (0.5, 0.015)):
         scene = Scene(Gel(), Material(), body, press, Interface(law))
         whole = solve_hex(scene, replace(PATH, size=size))
@@ -150,7 +158,7 @@ def test_nested_and_whole_path_come_together_as_bricks_shrink(law, body, press):
 
 
 def test_extrapolation_brings_wide_bricks_closer_to_small_ones():
-    """Forces are too large on wide bricks; one factor, told by two sizes, takes most of that back."""
+    """Forces are too large on wide hexahedra; one factor, told by two sizes, takes most of that back."""
     scene = Scene(Gel(), Material(), BALL, Press(0, 0, 0, 0, 0, -1.0))
     fine = np.linalg.norm(solve_hex(scene, replace(PATH, size=0.3, layers=9)).total)
     wide = replace(PATH, size=0.5, layers=5)
@@ -234,10 +242,10 @@ def test_frames_of_one_press_are_what_single_presses_to_them_give(body, shear):
     solver = HexSolver(FRAMED)
     frames = solver.solve_frames(scenes)
     for scene, frame in zip(scenes, frames, strict=True):
-        alone = HexSolver(replace(FRAMED, box=frames[-1].bricks.box)).solve(scene)
+        alone = HexSolver(replace(FRAMED, box=frames[-1].mesh_name.box)).solve(scene)
         assert frame.status is alone.status is Status.OK
         assert frame.evidence["base_mismatch"] < 1e-6 and frame.evidence["pulling_fraction"] < 2e-3
-        assert frame.bricks == alone.bricks
+        assert frame.mesh_name == alone.mesh_name
         apart = np.linalg.norm(frame.total - alone.total) / np.linalg.norm(alone.total)
         assert apart < 0.02  # the coarse path's load steps are not the same
         end, *force = frame.evidence["path"][-1]
@@ -254,7 +262,7 @@ def test_moments_that_a_whole_path_passes_are_ends_of_shorter_ones(law):
     scenes = [replace(scene, interface=law) for scene in framed(CUBOID, (0.3, 0.6, 0.9), (0.5, 1.0))]
     frames = HexSolver(settings).solve_frames(scenes)
     for scene, frame in zip(scenes, frames, strict=True):
-        alone = solve_hex(scene, replace(settings, box=frames[-1].bricks.box))
+        alone = solve_hex(scene, replace(settings, box=frames[-1].mesh_name.box))
         assert frame.status.valid and alone.status.valid
         assert frame.evidence["base_mismatch"] < 1e-6
         assert np.linalg.norm(frame.total - alone.total) / np.linalg.norm(alone.total) < 0.02
@@ -276,7 +284,7 @@ def test_frames_before_the_touch_and_alone_are_told_as_such():
 )
 def test_moments_follow_the_path_in_order(steps, aside):
     scenes = framed(BALL, list(np.cumsum(steps)), [w / sum(aside) for w in np.cumsum(aside)] if aside else ())
-    times = [moment_of(scene, scenes[-1]) for scene in scenes]
+    times = [frame_time(scene, scenes[-1]) for scene in scenes]
     assert times == sorted(times) and times[-1] == scenes[-1].press.end
     assert all(0.0 < t <= 2.0 for t in times)
 
@@ -296,7 +304,7 @@ def test_a_moment_is_the_nearest_point_of_its_path(aside, down, last, expected):
     scene, end = (
         Scene(Gel(), Material(), BALL, Press(0, 0, 0, *way, -deep)) for way, deep in ((aside, down), (last, 1.0))
     )
-    assert moment_of(scene, end) == pytest.approx(expected, abs=1e-9)
+    assert frame_time(scene, end) == pytest.approx(expected, abs=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -310,11 +318,11 @@ def test_a_moment_is_the_nearest_point_of_its_path(aside, down, last, expected):
 def test_a_moment_beyond_the_last_one_of_its_press_is_refused(press, says):
     """The state of the last one would be taken for it without a word."""
     end = Scene(Gel(), Material(), BALL, Press(0, 0, 0, 0.3, 0, -1.0))
-    with pytest.raises(BadInput, match=f"ends {says} than its last one, .* allowed; give moments in order"):
-        moment_of(replace(end, press=press), end)
+    with pytest.raises(BadInput, match=f"ends {says} than its last one, .* allowed; give frames in order"):
+        frame_time(replace(end, press=press), end)
     straight = replace(end, press=Press(0, 0, 0, 0, 0, -1.0))
     with pytest.raises(BadInput, match="0.3 mm farther sideways"):
-        moment_of(end, straight)
+        frame_time(end, straight)
 
 
 def test_a_frame_that_gave_way_aside_has_the_force_of_its_own_depth():
@@ -328,7 +336,7 @@ def test_a_frame_that_gave_way_aside_has_the_force_of_its_own_depth():
 
 @pytest.mark.parametrize("law", [Interface("no_slip"), Interface("coulomb", 0.5)])
 def test_moments_that_rounding_tells_apart_are_one(law):
-    """On coarse and fine bricks, and on one path where friction asks for it."""
+    """On coarse and fine hexahedra, and on one path where friction asks for it."""
     scenes = [
         Scene(Gel(), Material(), BALL, Press(0, 0, z0, 0, 0, dz), law)
         for z0, dz in ((0.1, -0.5), (0.105, -0.505), (0.1, -0.9))
@@ -339,14 +347,14 @@ def test_moments_that_rounding_tells_apart_are_one(law):
     for frame in (one, other, end):
         times = [t for t, *_ in frame.evidence["path"]]
         assert len(times) > 1 and times == sorted(times) and times[-1] == 1.0
-    one.evidence["rung"] = "what is told of one moment is told of it alone"
-    assert "rung" not in other.evidence
+    one.evidence["attempt"] = "what is noted of one frame belongs to it alone"
+    assert "attempt" not in other.evidence
 
 
 @pytest.mark.parametrize("law", [Interface("no_slip"), Interface("coulomb", 0.5)])
 @pytest.mark.parametrize(("z0", "deep"), [(0.1, 1.0), (0.2, 1.0), (0.3, 1.5)])
 def test_a_frame_at_the_first_touch_has_no_force(law, z0, deep):
-    """Where the touch is told to a billionth of the path, a load step to it would be shorter than that."""
+    """Where the touch is known to a billionth of the path, a load step to it would be shorter than that."""
     scenes = [Scene(Gel(), Material(), BALL, Press(0, 0, z0, 0, 0, -way), law) for way in (z0, deep)]
     first, last = HexSolver(FRAMED).solve_frames(scenes)
     assert first.status is Status.NO_CONTACT and not first.forces.any()

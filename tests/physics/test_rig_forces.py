@@ -26,7 +26,7 @@ def plan(root):
 
 @pytest.mark.parametrize("name", ["sphere_10", "triangle_10"])
 def test_hidden_forces_are_those_of_fine_bricks(plan, root, tmp_path, name):
-    """Within 1.5 % at another place, turn and depth than the factor was found at; the bench's own bricks add 3 and 7 %."""
+    """Within 1.5 % at another place, turn and depth than the factor was found at; the bench's own hexahedra add 3 and 7 %."""
     catalogue = load_catalogue(root / "workflow" / "indenters.toml", [name])
     bench = Bench(plan, catalogue, Gel(), tmp_path)
     order = replace(orders(plan)[0], indenter=name, x=1.3, y=-2.1, depth=1.0, rot_deg=70.0, shear=(0.0, 0.0))
@@ -78,7 +78,7 @@ def test_hidden_sideways_force_is_that_of_fine_bricks(plan, root, tmp_path):
     scene = Scene(
         Gel(), Material(nu=plan.truth.nu), catalogue["triangle_10"], pressed.real, Interface("coulomb", 0.7)
     )
-    # finer than the bricks that the bench is brought to, in both directions
+    # finer than the hexahedra that the bench is brought to, in both directions
     finer = replace(quality("label"), layers=8, widened=(5, 3))
     exact = HexSolver(finer).solve(scene).total * plan.truth.c10_mpa / REFERENCE_C10
     assert np.hypot(*pressed.force[:2]) == pytest.approx(np.hypot(*exact[:2]), rel=0.03)

@@ -1,4 +1,4 @@
-"""Bricks that are wider below: nothing gapes, constant strain is exact, and presses are those of bricks of one width."""
+"""Hexahedra that are wider below: nothing gapes, constant strain is exact, and presses are those of hexahedra of one width."""
 
 from dataclasses import replace
 
@@ -26,19 +26,19 @@ MATERIAL = Material()
 
 
 def meshes():
-    """Meshes whose lower layers are widened in one, two and three goes, and of an odd number of bricks."""
+    """Meshes whose lower layers are widened in one, two and three goes, and of an odd number of hexahedra."""
     for widened in ((3,), (1,), (3, 1), (4, 3, 2), (2, 2)):
         yield build_mesh(Gel(), BOX, 5, 2.0, widened=widened)
 
 
-MESHES = [pytest.param(mesh, id=f"{len(mesh.cells.nodes)} bricks") for mesh in meshes()]
+MESHES = [pytest.param(mesh, id=f"{len(mesh.cells.nodes)} hexahedra") for mesh in meshes()]
 widened = pytest.mark.parametrize("mesh", MESHES)
 
 
 def forces_of(mesh, u):
     """Nodal forces dE/du (n, 3)."""
     out = np.zeros_like(u)
-    geometry = hex8.bricks(mesh.nodes, mesh.cells)
+    geometry = hex8.geometry(mesh.nodes, mesh.cells)
     assert hex8.internal_forces(u, geometry, MATERIAL.shear_modulus, MATERIAL.bulk_modulus, out) > 0.0
     return out
 
@@ -53,7 +53,7 @@ def moving(mesh, seed, size=0.02):
 
 @widened
 def test_fewer_bricks_fill_the_same_gel(mesh):
-    whole, own = (hex8.bricks(m.nodes, m.cells) for m in (PLAIN, mesh))
+    whole, own = (hex8.geometry(m.nodes, m.cells) for m in (PLAIN, mesh))
     assert len(own.elements) < len(whole.elements)
     volumes = [b.weights.transpose(0, 2, 1).reshape(-1, 8)[: len(b.elements)].sum() for b in (whole, own)]
     # the wide faces are flatter than the gel's arched planes
@@ -95,11 +95,11 @@ def test_no_brick_is_made_of_hanging_nodes(mesh):
 
 @widened
 def test_every_brick_deforms_as_its_corners_do(mesh):
-    """The deformation gradients of bricks on wide faces are those of their own corners, which hang there."""
+    """The deformation gradients of hexahedra on wide faces are those of their own corners, which hang there."""
     u = moving(mesh, 1)
-    whole = hex8.bricks(mesh.nodes, replace(mesh.cells, nodes=mesh.cells.corners, standing=np.empty(0, int),
+    whole = hex8.geometry(mesh.nodes, replace(mesh.cells, nodes=mesh.cells.corners, standing=np.empty(0, int),
                                                shares=np.empty((0, 4, 4))))  # fmt: skip
-    own = hex8.bricks(mesh.nodes, mesh.cells)
+    own = hex8.geometry(mesh.nodes, mesh.cells)
     np.testing.assert_allclose(hex8.smallest_ratios(u, own), hex8.smallest_ratios(u, whole), atol=1e-12)
 
 
@@ -129,12 +129,12 @@ def test_a_rigid_turn_gives_no_force(mesh):
 @given(st.integers(0, 2**32 - 1), st.integers(0, len(MESHES) - 1))
 @settings(max_examples=15, deadline=None)
 def test_forces_are_the_slope_of_one_energy(seed, which):
-    """Forces at nodes do the work of the field that the bricks see, and the tangent is their slope."""
+    """Forces at nodes do the work of the field that the hexahedra see, and the tangent is their slope."""
     mesh = list(meshes())[which]
     u, way, step = moving(mesh, seed), moving(mesh, seed + 1), 1e-5
     system = System(mesh)
     system.values[:] = 0.0
-    geometry, moduli = hex8.bricks(mesh.nodes, mesh.cells), (MATERIAL.shear_modulus, MATERIAL.bulk_modulus)
+    geometry, moduli = hex8.geometry(mesh.nodes, mesh.cells), (MATERIAL.shear_modulus, MATERIAL.bulk_modulus)
     hex8.tangent(u, geometry, *moduli, 1.0, system.base, system.width, system.values)
     slope = symmetric_product(system.pattern, system.values, way[mesh.unknown].ravel())
     ahead, behind = (forces_of(mesh, u + sign * step * way)[mesh.unknown].ravel() for sign in (1, -1))
@@ -152,7 +152,7 @@ def test_forces_are_the_slope_of_one_energy(seed, which):
 )
 @pytest.mark.parametrize("law", [Interface(), Interface("coulomb", 0.5)])
 def test_a_press_is_that_of_bricks_of_one_width(body, press, law):
-    """Below the upper layers wide bricks do: forces, moments and balance are those of bricks that are narrow down to the base."""
+    """Below the upper layers wide hexahedra do: forces, moments and balance are those of hexahedra that are narrow down to the base."""
     scene = Scene(Gel(), MATERIAL, build("body", body), press, law)
     narrow = HexSettings(
         size=0.6, layers=5, layer_ratio=2.0, gauss=2, press_steps=3, shear_steps=2, final_tolerance=1e-7

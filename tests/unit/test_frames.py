@@ -13,7 +13,7 @@ from gelforge.flow.files import read_csv, write_csv
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
 from gelforge.mechanics.material import Material
-from gelforge.mechanics.path.loadpath import moment_of
+from gelforge.mechanics.path.loadpath import frame_time
 from gelforge.mechanics.scene import Scene
 from gelforge.networks.data.split import group_presses, split_presses
 from gelforge.records import log
@@ -145,7 +145,7 @@ def test_frames_that_stand_are_moments_of_the_path_to_their_last(steps, aside):
     scenes = [
         Scene(Gel(), Material(), SPHERE, each.press) for each in frames if each.row not in lost and each.dz_mm < 0
     ]
-    assert all(0.0 < moment_of(scene, scenes[-1]) <= 2.0 for scene in scenes)
+    assert all(0.0 < frame_time(scene, scenes[-1]) <= 2.0 for scene in scenes)
 
 
 def test_the_column_is_optional_and_read(tmp_path):

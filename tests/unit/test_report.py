@@ -11,7 +11,7 @@ import numpy as np
 
 from gelforge.geometry.gel import USUAL_GEL, load_gel
 from gelforge.mechanics.mesh.hexmesh import FineBox
-from gelforge.mechanics.mesh.hexname import Bricks
+from gelforge.mechanics.mesh.hexname import HexMeshName
 from gelforge.records.forcefile import SampleForces, write_forces
 from gelforge.records.solvetable import Solved
 from gelforge.records.status import Status
@@ -108,7 +108,7 @@ def test_parts_lie_beside_the_page_only_where_they_are_large(tmp_path):
 
 def test_a_linear_displacement_is_carried_to_the_grid_exactly():
     gel = load_gel("gelsight_mini")
-    mesh = Bricks(gel.name, FineBox(-3, 3, -4, 4, 0.8), 3, 1.2, 1.3, 2.0).mesh()
+    mesh = HexMeshName(gel.name, FineBox(-3, 3, -4, 4, 0.8), 3, 1.2, 1.3, 2.0).mesh()
     resampler = Resampler(mesh, gel)
     slope = np.array([[0.01, 0.02, -0.03], [0.0, -0.01, 0.02]])
     moved = resampler(resampler.places[:, :2] @ slope)

@@ -13,7 +13,7 @@ from gelforge.mechanics.hexsettings import quality
 from gelforge.mechanics.material import Material
 from gelforge.mechanics.scene import Interface, Scene
 from gelforge.mechanics.solvekey import settings_of, solve_key
-from gelforge.mechanics.solvers.auto import way_of
+from gelforge.mechanics.solvers.auto import method_of
 from gelforge.records.press import Press
 
 FEA = parameters().fea
@@ -40,7 +40,7 @@ READ = {"hex": {"hex_quality"}, "ccx": CALCULIX, "ccx-fine": CALCULIX, "ccx-nati
 
 
 def key(scene=SCENE, fea=FEA, shape=BALL, mesh="ccx-centre-0.45-0123abcd", version=1, frames=None):
-    way = way_of(scene, fea.fidelity, fea)
+    way = method_of(scene, fea.fidelity, fea)
     how = settings_of(way, fea, scene.interface.law, "" if way.fidelity == "hex" else mesh)
     return solve_key(frames or [scene], shape, how, version, -1)
 
@@ -62,11 +62,11 @@ def test_a_parameter_of_fea_solves_again_only_where_the_method_reads_it(fidelity
 def test_each_method_is_solved_for_itself_and_auto_takes_what_its_method_solved():
     keys = {name: key(fea=replace(FEA, fidelity=name)) for name in FIDELITIES}
     assert len({keys[name] for name in ("hex", "ccx", "ccx-fine", "ccx-native")}) == 4
-    chosen = way_of(SCENE, "auto", FEA)
+    chosen = method_of(SCENE, "auto", FEA)
     alone = key(fea=replace(FEA, fidelity=chosen.fidelity, hex_quality=chosen.hexahedra))
     assert keys["auto"] == alone
     strict = replace(FEA, fidelity="auto", tolerance=0.01, cell_tolerance=0.07)
-    assert way_of(SCENE, "auto", strict) != chosen and key(fea=strict) != keys["auto"]
+    assert method_of(SCENE, "auto", strict) != chosen and key(fea=strict) != keys["auto"]
 
 
 @pytest.mark.parametrize("field", [f.name for f in fields(Press)])

@@ -1,4 +1,4 @@
-"""How finely bricks solve a scene: settings, and the named qualities."""
+"""How finely hexahedra solve a scene: settings, and the named qualities."""
 
 from dataclasses import dataclass, replace
 
@@ -7,20 +7,20 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.mechanics.mesh.hexmesh import FineBox
 
-# Residual over contact force of a path that only leads to the fine bricks. It is far below what their answer needs, because
-# which points let go at its end turns on it: at 1e-4 a second thread let ten more points go under a pyramid, 0.2 % of force.
+# Residual over contact force of a path that only leads to the fine hexahedra. It is far below what their answer needs, because
+# which released points at its end turns on it: at 1e-4 a second thread let ten more points go under a pyramid, 0.2 % of force.
 COARSE_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True)
 class Nested:
-    """How the path is walked on coarser bricks, of which only the end is solved on the fine ones.
+    """How the path is followed on coarser hexahedra, of which only the end is solved on the fine ones.
 
     factor: their size in that of the fine ones. layers, widened, growth: theirs (see HexSettings). press_steps, shear_steps:
-    load steps of the path. extrapolation: what the fine bricks' force is corrected by, as a share of its difference
-    from the coarse bricks': 1 / (r^p - 1) for an error that falls with the p-th power of a size r times smaller
+    load steps of the path. extrapolation: what the fine hexahedra' force is corrected by, as a share of its difference
+    from the coarse hexahedra': 1 / (r^p - 1) for an error that falls with the p-th power of a size r times smaller
     (Richardson 1911, Phil. Trans. R. Soc. A 210, 307-357). One factor on all nodal forces of a press: balance and
-    direction stay as they are; displacement is the fine bricks' own, whose base reaction is that much larger.
+    direction stay as they are; displacement is the fine hexahedra' own, whose base reaction is that much larger.
     """
 
     factor: float = 2.0
@@ -32,7 +32,7 @@ class Nested:
     extrapolation: float = 0.0
 
     def share(self, ratio: float) -> float:
-        """`extrapolation` for coarse bricks `ratio` times as wide as the fine ones, at the same order of the error."""
+        """`extrapolation` for coarse hexahedra `ratio` times as wide as the fine ones, at the same order of the error."""
         if not self.extrapolation or ratio <= 1.0:
             return 0.0
         order = np.log(1.0 + 1.0 / self.extrapolation) / np.log(self.factor)
@@ -43,19 +43,19 @@ class Nested:
 class HexSettings:
     """How finely a scene is solved.
 
-    size: side of the bricks under the press, mm; smaller where the contact is under `across` of them wide (0: never).
-    layers, layer_ratio: bricks through the height, and how many times as thick as the uppermost the lowest is.
-    widened: how many of the lowest layers have bricks twice as wide, how many of these bricks four times as wide, and so on.
-    growth, largest: by what factor, and up to what side in mm, bricks grow away from the press.
+    size: side of the hexahedra under the press, mm; smaller where the contact is under `across` of them wide (0: never).
+    layers, layer_ratio: hexahedra through the height, and how many times as thick as the uppermost the lowest is.
+    widened: how many of the lowest layers have hexahedra twice as wide, how many of these hexahedra four times as wide, and so on.
+    growth, largest: by what factor, and up to what side in mm, hexahedra grow away from the press.
     press_steps, shear_steps: load steps of the two legs (more where Newton asks for it).
     gauss: order of the contact rule on a face.
     penalty, friction_penalty: contact stiffness along the normal and along the surface (Coulomb), times size / C10.
     tolerance, final_tolerance: residual over contact force, within the path and at its end.
     max_iterations: of Newton's method in one solve. max_cuts: how often a load step may be halved.
-    settle_rounds: in which points are let go at the end of the path. pull_tolerance: share of the largest pressure by
+    settle_rounds: contact iterations, in which points are released at the end of the path. pull_tolerance: share of the largest pressure by
     which a held point may pull.
     box: fixed fine part (FineBox) in place of one that follows the press.
-    nested: how the path is walked on coarser bricks first; None: on these. With Coulomb friction it is always on these,
+    nested: how the path is followed on coarser hexahedra first; None: on these. With Coulomb friction it is always on these,
     because a point's force depends on all of its slip.
     """
 
@@ -82,7 +82,7 @@ class HexSettings:
 
     @property
     def coarse(self) -> "HexSettings":
-        """Settings of the path on coarser bricks."""
+        """Settings of the path on coarser hexahedra."""
         n = self.nested or Nested()
         return replace(
             self, size=n.factor * self.size, layers=n.layers, widened=n.widened, growth=n.growth, nested=None, tolerance=COARSE_TOLERANCE,
@@ -96,8 +96,8 @@ class HexSettings:
 # - Under a wide flat body the gel flows sideways between two faces that it sticks to, which n layers make stiffer by 1 / n^2.
 #   Seven layers, four of them wide, and an extrapolation of 0.16 are better on flat, shallow presses (2.4 for 3.9 %) and on
 #   the scenes (worst 1.5 for 1.7 %), worse under deep narrow ridges (4.3 for 3.5 %), and take a quarter longer.
-# - A brick's face bends too little for 3 x 3 points to be held: 2 x 2 halve the error of flat and sharp indenters.
-# - Below the upper layers wide bricks do: the same errors in 0.7 (label) and 0.6 (draft) of the time. At least two layers
+# - A hexahedron's face bends too little for 3 x 3 points to be held: 2 x 2 halve the error of flat and sharp indenters.
+# - Below the upper layers wide hexahedra do: the same errors in 0.7 (label) and 0.6 (draft) of the time. At least two layers
 #   must be fine: one alone, on wide faces, doubles the error of the cells.
 # - Three press steps cost under 0.6 % of the force with anchors at first touch (12 % where a step ends, one step).
 QUALITIES = {

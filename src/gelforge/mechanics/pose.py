@@ -1,4 +1,4 @@
-"""Where the indenter stands at one moment of its path, and when and where a point of the gel meets it."""
+"""Where the indenter stands at one point of its path, and when and where a point of the gel meets it."""
 
 from dataclasses import dataclass
 

@@ -28,7 +28,7 @@ class Scene:
 
     @property
     def direct(self) -> "Scene":
-        """A scene with the same end that is reached straight down, where nothing tells by which way: without friction.
+        """A scene with the same end that is reached straight down, where nothing depends on the way: without friction.
 
         Flat bodies that are dragged without friction stick in load steps in which the points at their edges come and go.
         """

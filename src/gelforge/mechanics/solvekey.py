@@ -12,7 +12,7 @@ from gelforge.flow.params.tables import FeaTable
 from gelforge.geometry.gel import gel_shape
 from gelforge.mechanics.hexsettings import HexSettings, quality
 from gelforge.mechanics.scene import Scene
-from gelforge.mechanics.solvers.auto import SPARE, Way
+from gelforge.mechanics.solvers.auto import SPARE, SolveMethod
 from gelforge.mechanics.solvers.ccx import CcxSettings
 from gelforge.mechanics.solvers.fidelity import GUIDE
 
@@ -40,10 +40,10 @@ def hex_settings(settings: HexSettings) -> list:
     return ["hex", asdict(settings)]
 
 
-def settings_of(way: Way, fea: FeaTable, law: str, mesh: str) -> list:
+def settings_of(way: SolveMethod, fea: FeaTable, law: str, mesh: str) -> list:
     """What of [fea] changes the result of a press solved in a way under a law of the interface.
 
-    mesh: name of its tetrahedra, which tells their content.
+    mesh: name of its tetrahedra, which has a digest of their content.
     """
     if way.fidelity == "hex":
         return hex_settings(quality(way.hexahedra))

@@ -27,7 +27,7 @@ from gelforge.mechanics.mesh.meshstore import source_of
 from gelforge.mechanics.result import Result
 from gelforge.mechanics.scene import Interface, Scene
 from gelforge.mechanics.solvekey import settings_of, solve_key
-from gelforge.mechanics.solvers.auto import way_of
+from gelforge.mechanics.solvers.auto import method_of
 from gelforge.mechanics.solvers.fidelity import Solvers
 from gelforge.records.frames import presses_of
 from gelforge.records.log import read_poses
@@ -62,7 +62,7 @@ def press_keys(
     frames: list[PosedPress], scenes: list[Scene], params: ForFea, tables: dict, meshes: dict[str, str]
 ) -> list[str]:
     """Key of the solve of each frame of a press. meshes: that of each sample that is solved on tetrahedra, by content."""
-    way = way_of(scenes[-1], params.fea.fidelity, params.fea)
+    way = method_of(scenes[-1], params.fea.fidelity, params.fea)
     law, found = params.interface.law, []
     for at, frame in enumerate(frames):
         how = settings_of(way, params.fea, law, meshes.get(frame.sample_id, ""))
@@ -228,7 +228,9 @@ def verify_press(press: PosedPress, keys: tuple[str, str], scenes: list[Scene], 
     about = (key, press.sample_id, kind, way)
     sensor = sensor_of(SENSOR_TABLES, press.sensor_id, sensors[press.sensor_id])
     if right["fidelity"] != "ccx" or not right["files"]:
-        reason = right["reason"] or "; ".join(right["evidence"].get("ladder", [])) or "CalculiX found no solution"
+        reason = (
+            right["reason"] or "; ".join(right["evidence"].get("failed_attempts", [])) or "CalculiX found no solution"
+        )
         found = verification.compare(about, solvers.settings, reason, None)
     else:
         result_mesh = solvers.family.load(right["mesh"])

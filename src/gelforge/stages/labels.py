@@ -22,7 +22,7 @@ from gelforge.labelling.operator import Operator, assemble, cached
 from gelforge.labelling.sensor import Sensor, find_sensor, load_sensors
 from gelforge.mechanics.mesh.family import load_mesh
 from gelforge.mechanics.mesh.gelmesh import GelMesh
-from gelforge.mechanics.mesh.hexname import is_bricks
+from gelforge.mechanics.mesh.hexname import is_hex_mesh_name
 from gelforge.records.axes import AXIS_OF_CHANNEL, CHANNEL_OF_AXIS
 from gelforge.records.forcefile import ForceFile
 from gelforge.records.labelfile import Stream, open_labels, to_float32, write_labels
@@ -110,7 +110,7 @@ class Finder:
 
     def _operator(self, mesh: str, sensor: str) -> Operator:
         unit = self.sensor(sensor)
-        if is_bricks(mesh):
+        if is_hex_mesh_name(mesh):
             return assemble(load_mesh(self.meshes, mesh), unit, self.grid)
         return cached(self.folder, self.meshes, mesh, unit, self.grid)
 

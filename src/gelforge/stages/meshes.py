@@ -13,7 +13,7 @@ from gelforge.mechanics.mesh.family import MeshFamily, choose_mesh, first_candid
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.mesh.meshstore import MeshSource, source_of
 from gelforge.mechanics.scene import Scene
-from gelforge.mechanics.solvers.auto import way_of
+from gelforge.mechanics.solvers.auto import method_of
 from gelforge.records.frames import presses_of
 from gelforge.records.log import read_poses
 from gelforge.records.meshtable import COLUMNS
@@ -36,7 +36,7 @@ def meshed(presses: list[dict[str, Scene]], params: ForFea) -> dict[str, Scene]:
     found: dict[str, Scene] = {}
     for frames in presses:
         last, scene = list(frames.items())[-1]
-        way = way_of(scene, params.fea.fidelity, params.fea)
+        way = method_of(scene, params.fea.fidelity, params.fea)
         verified = params.fea.fidelity == "auto" and verification.chosen(last, params.fea.verify)
         if way.fidelity not in IN_PROCESS or verified:
             found |= frames

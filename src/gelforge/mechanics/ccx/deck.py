@@ -35,7 +35,7 @@ def mesh_include(mesh: GelMesh) -> str:
 
 
 def write_include(mesh: GelMesh, folder: Path | str) -> Path:
-    """Write `mesh_include` to a folder, unless it lies there; the path, whose name tells the content."""
+    """Write `mesh_include` to a folder, unless it lies there; the path, whose name holds a digest of the content."""
     text = mesh_include(mesh).encode()
     path = Path(folder) / f"mesh-{hashlib.sha256(text).hexdigest()[:12]}.inp"
     if not path.exists():

@@ -1,8 +1,8 @@
 """Penalty contact between a rigid indenter and a gel surface, at Gauss points of the surface faces.
 
-Within a load step points that touch for the first time feel a normal penalty only; points glued
-earlier are held at their anchor, which travels with the indenter. So a step is a smooth problem
-but for new touches. Coulomb's law cuts the tangential force of a glued point off at mu times its
+Within a load step points that touch for the first time feel a normal penalty only; points sticking
+earlier are held at their stick_point, which travels with the indenter. So a step is a smooth problem
+but for new touches. Coulomb's law cuts the tangential force of a sticking point off at mu times its
 pressure, both of the same iterate (return mapping).
 """
 
@@ -18,9 +18,9 @@ from gelforge.mechanics.linear.pattern import Pattern, add_block, block_places
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.pose import Pose
 
-FREE, TOUCHING, GLUED = 0, 1, 2
+FREE, TOUCHING, STICK = 0, 1, 2
 STEP = 1e-6  # mm that points are moved by for the differences of their tractions
-_CHANGING = ("status", "anchor", "normal", "goal", "fading", "multiplier", "carried")
+_CHANGING = ("status", "stick_point", "normal", "goal", "fading", "multiplier", "carried")
 
 
 @dataclass
@@ -28,13 +28,13 @@ class ContactState:
     """Contact at m Gauss points of the surface; positions in mm, tractions in MPa of undeformed area.
 
     face: (m,) index into mesh.faces. shape: (m, 4) weights of the face's nodes. reference: (m, 3)
-    undeformed position. weights: (m,) mm^2. status: (m,) FREE, TOUCHING or GLUED.
-    anchor: (m, 3) where a glued point is held, in the indenter's frame (nan elsewhere).
+    undeformed position. weights: (m,) mm^2. status: (m,) FREE, TOUCHING or STICK.
+    stick_point: (m, 3) where a sticking point is held, in the indenter's frame (nan elsewhere).
     normal: (m, 3) the indenter's outward normal there, in its frame.
     position: (m, 3) deformed. traction: (m, 3) on the gel.
-    multiplier: (m, 3) tangential traction of glued points at no stretch (Coulomb only).
+    multiplier: (m, 3) tangential traction of sticking points at no stretch (Coulomb only).
     goal: (m, 3) where anchors are on their way to; carried: (m, 3) what multipliers are on their way to;
-    fading: (m, 3) what is left of the traction of points let go (at the end of a path nothing is pending).
+    fading: (m, 3) what is left of the traction of released points (at the end of a path nothing is pending).
     """
 
     face: np.ndarray
@@ -42,7 +42,7 @@ class ContactState:
     reference: np.ndarray
     weights: np.ndarray
     status: np.ndarray
-    anchor: np.ndarray
+    stick_point: np.ndarray
     normal: np.ndarray
     goal: np.ndarray
     fading: np.ndarray
@@ -62,15 +62,15 @@ class ContactState:
 
     def go(self, part: float) -> None:
         """Carry out `part` (0 to 1) of the pending changes."""
-        moving = self.status == GLUED
-        self.anchor[moving] += part * (self.goal[moving] - self.anchor[moving])
+        moving = self.status == STICK
+        self.stick_point[moving] += part * (self.goal[moving] - self.stick_point[moving])
         self.multiplier += part * (self.carried - self.multiplier)
         self.fading *= 1.0 - part
 
-    def let_go(self, points: np.ndarray, traction: np.ndarray) -> None:
-        """Free glued points; their traction fades as changes are carried out."""
+    def release(self, points: np.ndarray, traction: np.ndarray) -> None:
+        """Free sticking points; their traction fades as changes are carried out."""
         self.status[points] = FREE
-        self.anchor[points] = self.goal[points] = np.nan
+        self.stick_point[points] = self.goal[points] = np.nan
         self.multiplier[points] = self.carried[points] = 0.0
         self.fading[points] = traction
 
@@ -83,7 +83,7 @@ def gauss_points(order: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def contact_points(mesh: GelMesh, order: int, faces: np.ndarray | None = None) -> ContactState:
-    """Free Gauss points (order x order) on the chosen faces of a brick mesh (all by default)."""
+    """Free Gauss points (order x order) on the chosen faces of a hexahedral mesh (all by default)."""
     faces = np.arange(len(mesh.faces)) if faces is None else faces
     local, weight = gauss_points(order)
     signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], float)
@@ -100,7 +100,7 @@ def contact_points(mesh: GelMesh, order: int, faces: np.ndarray | None = None) -
         reference=reference.reshape(-1, 3),
         weights=area.ravel(),
         status=np.zeros(m, np.int8),
-        anchor=np.full((m, 3), np.nan),
+        stick_point=np.full((m, 3), np.nan),
         normal=np.full((m, 3), np.nan),
         goal=np.full((m, 3), np.nan),
         fading=np.zeros((m, 3)),
@@ -118,7 +118,7 @@ class Skew:
 
 
 @dataclass(frozen=True)
-class Springs:
+class Tractions:
     """Tractions of the points in contact, linearised: point (p,) index, traction (p, 3), stiffness (p, 3, 3).
 
     gap: (p,) signed distance where known (nan for points held at anchors without slip). stiffness is
@@ -141,29 +141,29 @@ class Law:
     mu: float = np.inf
 
 
-# Springs of some points: index (p,), traction (p, 3), stiffness (p, 3, 3), gap (p,).
+# Tractions of some points: index (p,), traction (p, 3), stiffness (p, 3, 3), gap (p,).
 _Parts = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
-def contact_springs(
+def penalty_tractions(
     state: ContactState, x: np.ndarray, pose: Pose, indenter: Indenter, law: Law, candidates: np.ndarray
-) -> Springs:
+) -> Tractions:
     """Penalty tractions at deformed positions x (m, 3); `candidates` (c,) are the free points within reach."""
-    glued = np.flatnonzero(state.status == GLUED)
-    stuck, sliding = (glued, glued[:0]) if np.isinf(law.mu) else (glued[:0], glued)
+    sticking = np.flatnonzero(state.status == STICK)
+    stuck, sliding = (sticking, sticking[:0]) if np.isinf(law.mu) else (sticking[:0], sticking)
     parts = [_held(state, x, pose, law.penalty, stuck), _faded(state)]
-    probe, slip = np.concatenate([sliding, candidates]), Skew(glued[:0], np.empty((0, 3, 3)))
+    probe, slip = np.concatenate([sliding, candidates]), Skew(sticking[:0], np.empty((0, 3, 3)))
     if len(probe):
         distance, normal = indenter.distance(pose.to_indenter(x[probe]))
         inside = distance < 0.0
         pressed, slip = _pressed(state, x, pose, law, probe[inside], distance[inside], normal[inside])
         parts.append(pressed)
     joined: Any = (*(np.concatenate(arrays) for arrays in zip(*parts)), slip)
-    return Springs(*joined)
+    return Tractions(*joined)
 
 
 def curved(
-    springs: Springs,
+    tractions: Tractions,
     state: ContactState,
     x: np.ndarray,
     pose: Pose,
@@ -171,34 +171,34 @@ def curved(
     law: Law,
     candidates: np.ndarray,
 ) -> Skew:
-    """What `springs` lack of the exact stiffness, by differences over STEP mm: friction and the indenter's curvature."""
-    point = springs.point
-    here = _scattered(springs, len(x))
+    """What `tractions` lack of the exact stiffness, by differences over STEP mm: friction and the indenter's curvature."""
+    point = tractions.point
+    here = _scattered(tractions, len(x))
     block = np.empty((len(x), 3, 3))
     for k in range(3):
-        ahead = contact_springs(state, x + STEP * np.eye(3)[k], pose, indenter, law, candidates)
+        ahead = penalty_tractions(state, x + STEP * np.eye(3)[k], pose, indenter, law, candidates)
         block[:, :, k] = (here - _scattered(ahead, len(x))) / STEP
     known = np.zeros_like(block)
-    np.add.at(known, point, springs.stiffness)
+    np.add.at(known, point, tractions.stiffness)
     point = np.unique(point)
     return Skew(point, (block - known)[point])
 
 
-def _scattered(springs: Springs, count: int) -> np.ndarray:
+def _scattered(tractions: Tractions, count: int) -> np.ndarray:
     traction = np.zeros((count, 3))
-    np.add.at(traction, springs.point, springs.traction)
+    np.add.at(traction, tractions.point, tractions.traction)
     return traction
 
 
 def _held(state: ContactState, x: np.ndarray, pose: Pose, penalty: float, points: np.ndarray) -> _Parts:
-    """Springs in all directions to the anchors."""
-    traction = penalty * (pose.to_gel(state.anchor[points]) - x[points])
+    """Tractions in all directions to the anchors."""
+    traction = penalty * (pose.to_gel(state.stick_point[points]) - x[points])
     stiffness = np.broadcast_to(penalty * np.eye(3), (len(points), 3, 3))
     return points, traction, stiffness, np.full(len(points), np.nan)
 
 
 def _faded(state: ContactState) -> _Parts:
-    """Dead loads that are left of points let go."""
+    """Dead loads that are left of released points."""
     points = np.flatnonzero(np.any(state.fading, axis=1))
     return points, state.fading[points], np.zeros((len(points), 3, 3)), np.full(len(points), np.nan)
 
@@ -212,7 +212,7 @@ def _pressed(
     distance: np.ndarray,
     normal: np.ndarray,
 ) -> tuple[_Parts, Skew]:
-    """Normal penalty, and for glued points a tangential spring that yields at mu times the pressure.
+    """Normal penalty, and for sticking points a tangential spring that yields at mu times the pressure.
 
     The indenter's curvature is left out of the stiffness (see `curved`): far from equilibrium it costs more
     iterations than it saves, because normals of filleted edges jump in curvature.
@@ -220,24 +220,24 @@ def _pressed(
     n = pose.turn(normal)
     stiffness = law.penalty * n[:, :, None] * n[:, None, :]
     traction = -law.penalty * distance[:, None] * n
-    glued = np.flatnonzero(state.status[points] == GLUED)
-    friction, slope, slip = _friction(state, x, pose, law, points[glued], distance[glued], n[glued])
-    traction[glued] += friction
-    stiffness[glued] += slope
+    sticking = np.flatnonzero(state.status[points] == STICK)
+    friction, slope, slip = _friction(state, x, pose, law, points[sticking], distance[sticking], n[sticking])
+    traction[sticking] += friction
+    stiffness[sticking] += slope
     return (points, traction, stiffness, distance), slip
 
 
 def _friction(
     state: ContactState, x: np.ndarray, pose: Pose, law: Law, points: np.ndarray, distance: np.ndarray, n: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, Skew]:
-    """Tangential traction of springs that yield at the cone, its symmetric slope, and the slip.
+    """Tangential traction of tractions that yield at the cone, its symmetric slope, and the slip.
 
     Augmented Lagrangian (Simo, Laursen 1992, Comput. Struct. 42, 97-116): multipliers take over what the
-    springs hold, so that points which stick end where they touched, however soft the springs are. The return
+    tractions hold, so that points which stick end where they touched, however soft the tractions are. The return
     mapping: Wriggers, Computational Contact Mechanics (2006), section 6.3.2; its tangent, section 9.2: along
     the slip the traction follows the pressure.
     """
-    trial = state.multiplier[points] + law.friction * (pose.to_gel(state.anchor[points]) - x[points])
+    trial = state.multiplier[points] + law.friction * (pose.to_gel(state.stick_point[points]) - x[points])
     trial -= np.einsum("pi,pi->p", trial, n)[:, None] * n
     length = np.maximum(np.linalg.norm(trial, axis=1), 1e-12 * law.friction)
     bound = -law.mu * law.penalty * distance
@@ -258,17 +258,17 @@ class FacePlaces:
         self.rows = np.ascontiguousarray(pattern.first_row[mesh.faces], np.int64)
         self.base, self.width = block_places(pattern, mesh.faces)
 
-    def add_forces(self, state: ContactState, springs: Springs, forces: np.ndarray) -> None:
+    def add_forces(self, state: ContactState, tractions: Tractions, forces: np.ndarray) -> None:
         """Subtract contact forces from `forces` (n, 3)."""
-        points = springs.point
+        points = tractions.point
         nodes = self.nodes[state.face[points]]
-        _add_forces(nodes, state.shape[points], state.weights[points], springs.traction, forces)
+        _add_forces(nodes, state.shape[points], state.weights[points], tractions.traction, forces)
 
-    def add_stiffness(self, state: ContactState, springs: Springs, values: np.ndarray) -> None:
+    def add_stiffness(self, state: ContactState, tractions: Tractions, values: np.ndarray) -> None:
         """Add the contact stiffness to the matrix values."""
-        points = springs.point
+        points = tractions.point
         face = state.face[points]
-        stiffness = np.ascontiguousarray(springs.stiffness)
+        stiffness = np.ascontiguousarray(tractions.stiffness)
         _add_stiffness(
             self.base[face], self.width[face], state.shape[points], state.weights[points], stiffness, values
         )

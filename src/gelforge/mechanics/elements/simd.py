@@ -16,10 +16,10 @@ FAST: dict[str, Any] = {
 }
 
 
-def batched(values: np.ndarray, lanes: int) -> np.ndarray:
-    """Values (n, ...) of n > 0 elements as batches (b, ..., lanes); the last batch repeats the last element.
+def batched(values: np.ndarray, width: int) -> np.ndarray:
+    """Values (n, ...) of n > 0 elements as batches (b, ..., width); the last batch repeats the last element.
 
     So kernels work on whole batches; they add up what is of the first n alone.
     """
-    which = np.minimum(np.arange(-(-len(values) // lanes) * lanes), len(values) - 1)
-    return np.ascontiguousarray(np.moveaxis(values[which].reshape(-1, lanes, *values.shape[1:]), 1, -1))
+    which = np.minimum(np.arange(-(-len(values) // width) * width), len(values) - 1)
+    return np.ascontiguousarray(np.moveaxis(values[which].reshape(-1, width, *values.shape[1:]), 1, -1))

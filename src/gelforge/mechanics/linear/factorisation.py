@@ -26,13 +26,13 @@ def symmetric_solver(indptr: np.ndarray, indices: np.ndarray, order: np.ndarray 
     try:
         _mkl()
     except ImportError as error:
-        _tell_of_superlu(str(error))
+        _report_superlu(str(error))
         return SuperLU(indptr, indices)
     return Pardiso(indptr, indices, order)
 
 
 @lru_cache(maxsize=1)
-def _tell_of_superlu(why: str) -> None:
+def _report_superlu(why: str) -> None:
     """Say once a process that solves take several times as long as they would with MKL."""
     print(
         f"MKL's PARDISO cannot be loaded ({why}): every solve takes several times as long with SuperLU; install the"

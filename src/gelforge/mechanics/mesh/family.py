@@ -16,7 +16,7 @@ from gelforge.geometry import touch
 from gelforge.geometry.gel import Gel, load_gel
 from gelforge.mechanics.mesh import meshstore
 from gelforge.mechanics.mesh.gelmesh import GelMesh
-from gelforge.mechanics.mesh.hexname import Bricks, is_bricks
+from gelforge.mechanics.mesh.hexname import HexMeshName, is_hex_mesh_name
 from gelforge.mechanics.mesh.meshstore import MeshSource
 from gelforge.mechanics.mesh.moved import farthest, moved, reach, way_to
 from gelforge.mechanics.scene import Scene
@@ -50,7 +50,7 @@ class MeshName:
 
 
 def mesh_names(fea: FeaTable) -> list[str]:
-    """Names of the meshes that the [fea] table asks for, in its order; bricks are built where they are needed."""
+    """Names of the meshes that the [fea] table asks for, in its order; hexahedra are built where they are needed."""
     if fea.fidelity in IN_PROCESS:
         return []
     return [f"ccx-{kind}" for kind in (fea.fine_meshes if fea.fidelity == "ccx-fine" else fea.meshes)]
@@ -93,17 +93,17 @@ def make_mesh(name: MeshName, gel: Gel, meshes: MeshesTable) -> tuple[GelMesh, d
     if path := meshstore.find(meshstore.SHIPPED, key):
         return GelMesh.load(path), read_json(path.with_suffix(".json"))
     mesh = gel_mesh(gel, sizing(half, name.size, meshes), hold=meshes.hold.get(name.region, 0.0))
-    told = {"half_mm": list(half), "reach_mm": list(reach(mesh, gel, half)), "gel": gel.name, "recipe": key}
-    return mesh, asdict(name) | told | quality(mesh, gel)
+    report = {"half_mm": list(half), "reach_mm": list(reach(mesh, gel, half)), "gel": gel.name, "recipe": key}
+    return mesh, asdict(name) | report | quality(mesh, gel)
 
 
 def load_mesh(folder: Path | str, name: str) -> GelMesh:
-    """The mesh of that name: rebuilt where it is of bricks, else read from the folder 20_meshes.
+    """The mesh of that name: rebuilt where it is of hexahedra, else read from the folder 20_meshes.
 
     Every reader of meshes by name comes here. A name that means nothing or whose file is missing raises BadInput.
     """
-    if is_bricks(name):
-        return Bricks.parse(name).mesh()
+    if is_hex_mesh_name(name):
+        return HexMeshName.parse(name).mesh()
     path, (own, way) = mesh_file(folder, name), unplaced(name)
     if not any(way):
         return GelMesh.load(path)
@@ -140,7 +140,7 @@ def _file(folder: Path | str, name: str) -> Path:
 
 
 def _report(folder: Path | str, name: str) -> dict:
-    """What stage 20 tells of a mesh beside it (`make_mesh`)."""
+    """The report of a mesh that stage 20 wrote beside it (`make_mesh`)."""
     return dict(read_json(_file(folder, f"{name}.json")))
 
 
@@ -162,7 +162,7 @@ class MeshFamily:
         self._files: dict[str, str] = {}
         if source is None:
             for name in names:
-                mesh_file(folder, name)  # told now if it is missing, not at the first press that needs it
+                mesh_file(folder, name)  # reported now if it is missing, not at the first press that needs it
                 self.report(name)
         self.load = mesh_loader(self.folder)
 
@@ -173,7 +173,7 @@ class MeshFamily:
         return self._files[name]
 
     def report(self, name: str) -> dict:
-        """What `make_mesh` tells of a mesh, which lies in the folder from then on."""
+        """What `make_mesh` reports of a mesh, which lies in the folder from then on."""
         if name not in self.reports:
             self.reports[name] = _report(self.folder, self.file(name))
         return self.reports[name]
@@ -224,7 +224,7 @@ def choose_mesh(scene: Scene, family: MeshFamily) -> str:
 
 
 def first_candidate(scene: Scene, family: MeshFamily) -> str:
-    """The mesh that a press takes most likely, told without making any."""
+    """The mesh that a press takes most likely, found without making any."""
     foot = footprint(scene)
     return next(candidates(scene, family, foot), _widest(family, foot)[0])
 
@@ -241,8 +241,8 @@ def candidates(scene: Scene, family: MeshFamily, foot: Footprint | None) -> Iter
 def _by_area(family: MeshFamily) -> list[list[str]]:
     """Names of the meshes of each area, the smallest area first; BadInput where there are none."""
     if not family.names:
-        told = command_for("meshes", family.folder)
-        raise BadInput(f"{family.folder}: no mesh was asked for; add one to [fea] meshes and run `{told}`")
+        command = command_for("meshes", family.folder)
+        raise BadInput(f"{family.folder}: no mesh was asked for; add one to [fea] meshes and run `{command}`")
     areas: dict[float, list[str]] = {}
     for name in family.names:
         areas.setdefault(float(np.prod(family.half(name))), []).append(name)

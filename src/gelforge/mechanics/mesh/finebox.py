@@ -6,16 +6,16 @@ from gelforge.geometry import touch
 from gelforge.mechanics.mesh.hexmesh import FineBox
 from gelforge.mechanics.scene import Scene
 
-NARROW = 0.8  # of the bricks across a whole contact must lie across its parts
-SMALLEST = 0.15  # mm, of bricks made smaller for a small contact
-AROUND, RASTER = 0.5, 0.5  # mm of small bricks around what is touched, and what their box is rounded outwards to
+NARROW = 0.8  # of the hexahedra across a whole contact must lie across its parts
+SMALLEST = 0.15  # mm, of hexahedra made smaller for a small contact
+AROUND, RASTER = 0.5, 0.5  # mm of small hexahedra around what is touched, and what their box is rounded outwards to
 
 
 def fine_box(scene: Scene, size: float, across: int = 0) -> FineBox:
     """Part of the gel that the press can touch, rounded outwards to RASTER so that presses share meshes.
 
-    The undeformed surface inside the indenter anywhere on the path, and AROUND mm around it. Bricks
-    are of `size`, or smaller where the shorter side of what is touched is under `across` bricks, or its parts are narrow.
+    The undeformed surface inside the indenter anywhere on the path, and AROUND mm around it. Hexahedra
+    are of `size`, or smaller where the shorter side of what is touched is under `across` hexahedra, or its parts are narrow.
     """
     points, shape = touch.under_path(scene.gel, scene.indenter, scene.press, 0.2)
     inside = touch.touched(scene.indenter, scene.press, points)

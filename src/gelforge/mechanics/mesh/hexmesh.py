@@ -1,4 +1,4 @@
-"""Structured brick meshes of the gel: fine under one press, growing coarser away from it and with depth."""
+"""Structured hexahedral meshes of the gel: fine under one press, growing coarser away from it and with depth."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,11 +16,11 @@ SMALLEST_PART = 3  # columns either way, of a part that nested dissection cuts n
 
 @dataclass(frozen=True)
 class HexMesh(GelMesh):
-    """A GelMesh of bricks whose nodes are numbered x fastest, then y, then z from the base up.
+    """A GelMesh of hexahedra whose nodes are numbered x fastest, then y, then z from the base up.
 
     xs: (nx + 1,), ys: (ny + 1,) mesh lines before the outline's corners are rounded, mm.
     layers: number of layers nz. planes: which lines go through each plane of nodes. `elements` are those of all lines
-    down to the base, as pictures show them; `cells` are the bricks that are solved.
+    down to the base, as pictures show them; `cells` are the hexahedra that are solved.
     """
 
     xs: np.ndarray
@@ -30,7 +30,7 @@ class HexMesh(GelMesh):
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Bricks along x, y and z, were all lines to go down to the base."""
+        """Hexahedra along x, y and z, were all lines to go down to the base."""
         return len(self.xs) - 1, len(self.ys) - 1, self.layers
 
     @property
@@ -40,12 +40,12 @@ class HexMesh(GelMesh):
 
     @cached_property
     def cells(self) -> Cells:
-        """The bricks that are solved."""
+        """The hexahedra that are solved."""
         return self.planes.cells()
 
     @cached_property
     def hanging(self) -> Hanging:
-        """The nodes that move with wide bricks."""
+        """The nodes that move with wide hexahedra."""
         return self.planes.hanging()
 
     @cached_property
@@ -67,7 +67,7 @@ class HexMesh(GelMesh):
 
 @dataclass(frozen=True)
 class FineBox:
-    """Part of the gel, seen from above, that needs small bricks of side about `size`; all mm."""
+    """Part of the gel, seen from above, that needs small hexahedra of side about `size`; all mm."""
 
     x_min: float
     x_max: float
@@ -111,7 +111,7 @@ def dissected(cuts_x: np.ndarray, cuts_y: np.ndarray) -> np.ndarray:
     """Order in which the columns of a grid are eliminated, x fastest in their numbers: nested dissection.
 
     George 1973, SIAM J. Numer. Anal. 10, 345-363: both halves before the line that parts them. cuts_x, cuts_y: (nx,),
-    (ny,) bool, the lines that may part it: a line that ended half-way down lies within wide bricks.
+    (ny,) bool, the lines that may part it: a line that ended half-way down lies within wide hexahedra.
     """
     nx, ny = len(cuts_x), len(cuts_y)
 
@@ -143,7 +143,7 @@ def elimination_order(mesh: "HexMesh") -> np.ndarray:
     The unknowns are 3 a node of `mesh.unknown`.
     """
     plane = len(mesh.xs) * len(mesh.ys)
-    # a line that ends on the way down lies within wide bricks: only those that reach the base part the gel
+    # a line that ends on the way down lies within wide hexahedra: only those that reach the base part the gel
     x, y = mesh.planes.lines[0]
     nodes = (dissected(x.left, y.left)[:, None] + plane * np.arange(mesh.layers + 1)).ravel()
     number = np.full(len(mesh.nodes), -1)
@@ -167,7 +167,7 @@ def build_mesh(
     largest: float = 2.0,
     widened: Sequence[int] = (),
 ) -> HexMesh:
-    """Brick mesh of the gel, fine in `box`; in the lowest layers bricks are wider (see stepped.planes_of).
+    """hexahedral mesh of the gel, fine in `box`; in the lowest layers hexahedra are wider (see stepped.planes_of).
 
     layers, layer_ratio: as in `layer_heights`. growth, largest: as in `graded_lines`. BadInput where the box lies beside
     the gel.
@@ -182,7 +182,7 @@ def build_mesh(
 def mesh_on_lines(
     gel: Gel, xs: np.ndarray, ys: np.ndarray, heights: np.ndarray, planes: Planes | None = None
 ) -> HexMesh:
-    """Brick mesh on given lines: xs, ys in mm, heights relative from 0 at the base to 1 at the top.
+    """hexahedral mesh on given lines: xs, ys in mm, heights relative from 0 at the base to 1 at the top.
 
     planes: which lines go through each of the heights; all by default.
     """
@@ -224,7 +224,7 @@ def round_corners(
 
 
 def surface_lines(mesh: GelMesh) -> tuple[np.ndarray, np.ndarray, int]:
-    """Lines xs, ys (mm) of the top surface of a brick mesh, and the index of the surface's first node."""
+    """Lines xs, ys (mm) of the top surface of a hexahedral mesh, and the index of the surface's first node."""
     first = int(mesh.faces[0, 0])
     columns = int(mesh.faces[0, 3]) - first
     surface = mesh.nodes[first:].reshape(-1, columns, 3)

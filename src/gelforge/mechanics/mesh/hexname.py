@@ -1,4 +1,4 @@
-"""A brick mesh by its name, which holds the few numbers it is built from: no press needs a mesh file of its own."""
+"""A hexahedral mesh by its name, which holds the few numbers it is built from: no press needs a mesh file of its own."""
 
 import math
 from dataclasses import astuple, dataclass
@@ -10,15 +10,15 @@ from gelforge.mechanics.mesh.hexmesh import FineBox, HexMesh, build_mesh
 
 PREFIX = "hex@"
 FORM = f"{PREFIX}GEL:X_MIN:X_MAX:Y_MIN:Y_MAX:SIZE:LAYERS:LAYER_RATIO:GROWTH:LARGEST[:WIDENED...]"
-MOST_BRICKS = 2e6  # a name that asks for more is a mistake, not a mesh
+MOST_ELEMENTS = 2e6  # a name that asks for more is a mistake, not a mesh
 
 
 @dataclass(frozen=True)
-class Bricks:
+class HexMeshName:
     """What `hexmesh.build_mesh` builds a gel's mesh from; lengths in mm, the gel by its name (`geometry.gel.load_gel`).
 
-    box: the fine part. layers: bricks through the height, the lowest `layer_ratio` times as thick as the uppermost.
-    growth, largest: by what factor, and up to what side, bricks grow away from the box. widened: see stepped.planes_of;
+    box: the fine part. layers: hexahedra through the height, the lowest `layer_ratio` times as thick as the uppermost.
+    growth, largest: by what factor, and up to what side, hexahedra grow away from the box. widened: see stepped.planes_of;
     a name of a mesh without wide layers ends before it.
     """
 
@@ -37,7 +37,7 @@ class Bricks:
         return ":".join([PREFIX + self.gel, *(_text(number) for number in numbers)])
 
     @classmethod
-    def parse(cls, name: str) -> "Bricks":
+    def parse(cls, name: str) -> "HexMeshName":
         """Read a name of the form `FORM`; any other raises BadInput."""
         gel, *texts = name.removeprefix(PREFIX).split(":")
         try:
@@ -70,19 +70,19 @@ class Bricks:
 
     def _check_size(self) -> None:
         """Raise BadInput where building the mesh would take for ever, or its fine part lies beside the gel."""
-        gel, box, bricks = load_gel(self.gel), self.box, float(self.layers)
+        gel, box, count = load_gel(self.gel), self.box, float(self.layers)
         for side, low, high in ((gel.width, box.x_min, box.x_max), (gel.length, box.y_min, box.y_max)):
             fine = min(high, side / 2) - max(low, -side / 2)
             if fine <= 0.0:
                 raise _wrong(self.name, "its fine part lies beside the gel")
-            # a fine part narrower than its bricks is one brick wide, and from there they grow
-            bricks *= side / min(box.size, self.largest, fine)
-        if bricks > MOST_BRICKS:
-            raise _wrong(self.name, f"it asks for more than {MOST_BRICKS:.0g} bricks")
+            # a fine part narrower than its hexahedra is one hexahedron wide, and from there they grow
+            count *= side / min(box.size, self.largest, fine)
+        if count > MOST_ELEMENTS:
+            raise _wrong(self.name, f"it asks for more than {MOST_ELEMENTS:.0g} elements")
 
 
-def is_bricks(name: str) -> bool:
-    """Whether a mesh name is one of bricks."""
+def is_hex_mesh_name(name: str) -> bool:
+    """Whether a mesh name is one of hexahedra."""
     return name.startswith(PREFIX)
 
 
@@ -92,4 +92,4 @@ def _text(number: float) -> str:
 
 
 def _wrong(name: str, why: str) -> BadInput:
-    return BadInput(f"mesh name {name!r} is none of bricks, {FORM}: {why}; run make fea again")
+    return BadInput(f"mesh name {name!r} is none of hexahedra, {FORM}: {why}; run make fea again")

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-LEAST_ASIDE = 0.01  # of the normal force: below, sideways force is noise and tells no ratio
+LEAST_ASIDE = 0.01  # of the normal force: below, sideways force is noise and gives no ratio
 
 
 def mesh_ratios(fine: np.ndarray, coarse: np.ndarray) -> np.ndarray:
@@ -14,6 +14,6 @@ def mesh_ratios(fine: np.ndarray, coarse: np.ndarray) -> np.ndarray:
     pressed = coarse[:, 2] < 0
     normal = np.divide(fine[:, 2], coarse[:, 2], out=np.full(len(coarse), np.nan), where=pressed)
     aside = np.hypot(coarse[:, 0], coarse[:, 1])
-    told = pressed & (aside > LEAST_ASIDE * -coarse[:, 2])
-    sideways = np.where(told, np.hypot(fine[:, 0], fine[:, 1]) / np.where(told, aside, 1.0), normal)
+    sheared = pressed & (aside > LEAST_ASIDE * -coarse[:, 2])
+    sideways = np.where(sheared, np.hypot(fine[:, 0], fine[:, 1]) / np.where(sheared, aside, 1.0), normal)
     return np.stack([sideways, sideways, normal], axis=1)

@@ -41,7 +41,7 @@ def find(folder: Path, key: str) -> Path | None:
 
 
 def add(folder: Path, name: str, mesh: GelMesh, report: dict) -> Path:
-    """Write a mesh and its report to a folder, by a name that tells the content; the mesh's path."""
+    """Write a mesh and its report to a folder, by a name that holds a digest of the content; the mesh's path."""
     path = folder / f"{name}-{mesh.digest}.npz"
     write_json(path.with_suffix(".json"), report)
     mesh.save(path)

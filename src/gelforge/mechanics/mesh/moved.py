@@ -16,7 +16,7 @@ NARROWEST = 0.3  # of its width may be left of what lies between the fine part a
 # Of its volume that every element keeps at least. It is that within its bowed edges: under the rim's fall the straight
 # edges between corners may cross where the element itself is sound.
 SOUND = 0.05
-# Least scaled Jacobian of any element: bowed edges can turn one inside out whose corners still span a volume.
+# Least scaled Jacobian of any element: bowed edges can invert one whose corners still span a volume.
 LEAST_JACOBIAN = 0.1
 # Where the fine part lies farthest out, in shares of its reach: towards each corner of the gel, and each side.
 ENDS = [(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y]
@@ -42,7 +42,7 @@ def farthest(gel: Gel, half: tuple[float, float]) -> tuple[int, int]:
 
 
 def sound(mesh: GelMesh, before: np.ndarray) -> bool:
-    """Whether each element keeps enough of its volume, `before` (e,) mm^3, and is far from inside out."""
+    """Whether each element keeps enough of its volume, `before` (e,) mm^3, and is far from inverted."""
     dets = jacobians(mesh.nodes, mesh.elements)
     return bool((volumes(dets) > SOUND * before).all() and (scaled_jacobians(dets) > LEAST_JACOBIAN).all())
 

@@ -1,10 +1,10 @@
-"""Bricks that are wider in the lower layers: which nodes hang between wide ones, and what each brick is made of.
+"""Hexahedra that are wider in the lower layers: which nodes hang between wide ones, and what each hexahedron is made of.
 
 Near contact the displacement changes from cell to cell, deeper in the gel it no longer does, so every second mesh line ends
 on its way down, and deeper every second of the rest. A plane's nodes on lines that have ended lie within the faces of wide
-bricks: hanging nodes. They move as those faces do, so nothing gapes: constrained approximation (Demkowicz, Oden, Rachowicz,
-Hardy 1989, Comput. Methods Appl. Mech. Eng. 77, 79-112). A small brick that stands on such a face has the face's corners as
-its lower nodes; its own lower corners move by shares of theirs. So no brick is made of hanging nodes, and all are assembled
+hexahedra: hanging nodes. They move as those faces do, so nothing gapes: constrained approximation (Demkowicz, Oden, Rachowicz,
+Hardy 1989, Comput. Methods Appl. Mech. Eng. 77, 79-112). A small hexahedron that stands on such a face has the face's corners as
+its lower nodes; its own lower corners move by shares of theirs. So no hexahedron is made of hanging nodes, and all are assembled
 alike.
 """
 
@@ -34,9 +34,9 @@ class Hanging:
 
 @dataclass(frozen=True)
 class Cells:
-    """The bricks that are solved: corners (e, 8) where they lie, and nodes (e, 8) whose motion deforms them.
+    """The hexahedra that are solved: corners (e, 8) where they lie, and nodes (e, 8) whose motion deforms them.
 
-    Both are the same but for the bricks `standing` (s,) on a wider face, whose lower corner c moves by the share
+    Both are the same but for the hexahedra `standing` (s,) on a wider face, whose lower corner c moves by the share
     `shares[:, c, n]` (s, 4, 4) of the motion of lower node n.
     """
 
@@ -47,7 +47,7 @@ class Cells:
 
     @classmethod
     def plain(cls, elements: np.ndarray) -> "Cells":
-        """Bricks (e, 8) of which none stands on a wider face."""
+        """Hexahedra (e, 8) of which none stands on a wider face."""
         return cls(elements, elements, np.empty(0, np.int64), np.empty((0, 4, 4)))
 
 
@@ -88,7 +88,7 @@ class Planes:
     """Planes of nodes on a grid of mesh lines, from the base up.
 
     columns: nodes of a row, which run along x. lines: of each plane those that go through it, by their places along x and
-    along y. Planes have all nodes of the grid, `size` of them; the bricks use those on lines that go through.
+    along y. Planes have all nodes of the grid, `size` of them; the hexahedra use those on lines that go through.
     """
 
     def __init__(self, columns: int, lines: Sequence[tuple[Sparse, Sparse]]):
@@ -112,7 +112,7 @@ class Planes:
         return Hanging(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
     def cells(self) -> Cells:
-        """The bricks between the planes, layer by layer; a layer has the lines of the plane above it."""
+        """The hexahedra between the planes, layer by layer; a layer has the lines of the plane above it."""
         corners, nodes, standing, shares, count = [], [], [], [], 0
         for k, (below, (x, y)) in enumerate(pairwise(self.lines)):
             a, b = np.meshgrid(np.arange(len(x.at) - 1), np.arange(len(y.at) - 1), indexing="xy")

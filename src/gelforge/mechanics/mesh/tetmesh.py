@@ -128,7 +128,7 @@ def gel_mesh(
     """Mesh the gel with second-order tetrahedra.
 
     gel: the pad. size: points (n, 3) mm -> edge lengths (n,) mm, on the flat pad (top at z = 0). step:
-    spacing, mm, of the grid on which sizes are told, between whose points they are interpolated. hold: edges
+    spacing, mm, of the grid on which sizes are given; between its points they are interpolated. hold: edges
     longer than so many sizes are split (0: they stay as pytetwild leaves them, two to three sizes long where
     the fine part is small).
     The pad is meshed as a flat prism and then bent column by column onto `gel.top`, so that every
@@ -260,7 +260,7 @@ def jacobians(nodes: np.ndarray, elements: np.ndarray) -> np.ndarray:
 
 
 def scaled_jacobians(dets: np.ndarray) -> np.ndarray:
-    """Smallest of each element's `jacobians` (e, 14) as a share of its largest (e,); 0 or less where it is inside out."""
+    """Smallest of each element's `jacobians` (e, 14) as a share of its largest (e,); 0 or less where it is inverted."""
     return dets.min(axis=1) / np.maximum(dets.max(axis=1), 1e-300)
 
 

@@ -1,4 +1,4 @@
-"""Equilibrium of one scene on bricks while the indenter stands: Newton's method with a factorisation kept as long as it serves."""
+"""Equilibrium of one scene on hexahedra while the indenter stands: Newton's method with a factorisation kept as long as it serves."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -9,14 +9,14 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.params.tables import LAWS
 from gelforge.mechanics.contact.penalty import (
-    GLUED,
+    STICK,
     FacePlaces,
     Law,
     Skew,
-    Springs,
+    Tractions,
     contact_points,
-    contact_springs,
     curved,
+    penalty_tractions,
     positions,
 )
 from gelforge.mechanics.contact.reach import gaps, reachable_faces
@@ -41,7 +41,7 @@ SHORT = (*PARTS, 0.125, 0.06, 0.03, 0.015)
 FORCING = 3e-2
 # Residual below which the tangent is exact; farther away the curvature of fillets leads astray.
 CLOSE = 1e-3
-# Residual above which the pressure's geometric stiffness is left out, on a walked path and at an interpolated state:
+# Residual above which the pressure's geometric stiffness is left out, on a followed path and at an interpolated state:
 # that one has noise in its volume ratio, so large pressures of both signs, and a tangent that is indefinite with them.
 NOISY, NOISY_INTERPOLATED = 5e-3, 1e-3
 # Residual that is enough within a path with friction: a point at the edge of slipping may go to and fro for ever below it,
@@ -58,9 +58,9 @@ class System:
     """
 
     def __init__(self, mesh: HexMesh):
-        bricks = mesh.cells.nodes
-        self.pattern = build_pattern(bricks, len(mesh.nodes), np.concatenate([mesh.base, mesh.hanging.nodes]))
-        self.base, self.width = block_places(self.pattern, bricks)
+        elements = mesh.cells.nodes
+        self.pattern = build_pattern(elements, len(mesh.nodes), np.concatenate([mesh.base, mesh.hanging.nodes]))
+        self.base, self.width = block_places(self.pattern, elements)
         self.faces = FacePlaces(mesh, self.pattern)
         self.linear = symmetric_solver(self.pattern.indptr, self.pattern.indices, elimination_order(mesh))
         self.free = mesh.unknown
@@ -70,9 +70,9 @@ class System:
 class Equilibrium:
     """One scene on one mesh, and where it stands.
 
-    u: (n, 3) mm. state: ContactState. springs: those of the last equilibrium. candidates: points that are no part of the
+    u: (n, 3) mm. state: ContactState. tractions: those of the last equilibrium. candidates: points that are no part of the
     held contact and may come to touch. residual: out of balance over contact force. noisy: residual above which the
-    tangent leaves out the pressure's geometric stiffness. crawls: whether a step whose usual parts all turn bricks inside out
+    tangent leaves out the pressure's geometric stiffness. crawls: whether a step whose usual parts all invert hexahedra
     is taken in SHORT ones: where no load step could be shortened instead. The counters hold what all solves together took.
     """
 
@@ -86,11 +86,11 @@ class Equilibrium:
         self.contact = Law(settings.penalty * scale, settings.friction_penalty * scale, mu)
         self.sticking = replace(self.contact, mu=1e9)
         self.moduli = scene.material.shear_modulus, scene.material.bulk_modulus
-        self.bricks = hex8.bricks(mesh.nodes, mesh.cells)
+        self.geometry = hex8.geometry(mesh.nodes, mesh.cells)
         self.state = contact_points(mesh, settings.gauss, reachable_faces(scene, mesh))
         self.nodes = np.ascontiguousarray(mesh.faces[self.state.face])
         self.u, self.candidates = np.zeros_like(mesh.nodes), np.empty(0, np.int64)
-        self.springs: Any = None  # Springs of the last equilibrium
+        self.tractions: Any = None  # Tractions of the last equilibrium
         self.factorisations = self.products = self.iterations = 0
         self.residual, self.factored = np.inf, False
         self.noisy, self.crawls = NOISY, False
@@ -124,7 +124,7 @@ class Equilibrium:
     ) -> tuple[np.ndarray, int]:
         """Newton steps from u until the residual is below tolerance times the contact force: u (n, 3) and their number.
 
-        With friction the first step holds every glued point (but where indenter and contact are as they were, `still`):
+        With friction the first step holds every sticking point (but where indenter and contact are as they were, `still`):
         points that slip from a poor guess drag others along, and Newton loses its way. enough: residual that is taken
         where no number of steps meets the tolerance. parts: of a step that are tried in turn. Raises NoEquilibrium.
         """
@@ -133,7 +133,7 @@ class Equilibrium:
         best: tuple[float, np.ndarray, Any] = np.inf, u, None
         for iteration in range(self.settings.max_iterations + 1):
             if len(laws) == 1 and self.residual <= tolerance:
-                self.springs = state[1]
+                self.tractions = state[1]
                 return u, iteration
             if len(laws) == 1 and self.residual < best[0]:
                 best = self.residual, u, state[1]
@@ -144,13 +144,13 @@ class Equilibrium:
                 u, state = self._step(u, step, pose, laws[0], before, parts)
         if best[0] > enough:
             raise NoEquilibrium
-        self.residual, u, self.springs = best
+        self.residual, u, self.tractions = best
         return u, self.settings.max_iterations
 
     def _step(
         self, u: np.ndarray, step: np.ndarray, pose: Pose, law: Law, before: float, parts: Sequence[float]
-    ) -> tuple[np.ndarray, tuple[np.ndarray, Springs]]:
-        """u less the step, or less one of its parts where that inverts bricks or leaves the residual above `before`."""
+    ) -> tuple[np.ndarray, tuple[np.ndarray, Tractions]]:
+        """u less the step, or less one of its parts where that inverts hexahedra or leaves the residual above `before`."""
         free, best = self.system.free, None
         for part in SHORT if self.crawls else parts:
             if part < parts[-1] and best is not None:
@@ -171,35 +171,35 @@ class Equilibrium:
         self.residual = best[0]
         return best[1:]
 
-    def _out_of_balance(self, u: np.ndarray, pose: Pose, law: Law) -> tuple[np.ndarray, Springs]:
-        """Nodal residual (n, 3) and contact springs; sets `residual` relative to the contact force."""
+    def _out_of_balance(self, u: np.ndarray, pose: Pose, law: Law) -> tuple[np.ndarray, Tractions]:
+        """Nodal residual (n, 3) and contact tractions; sets `residual` relative to the contact force."""
         forces = self.internal(u)
         x, indenter = self.points(u), self.scene.indenter
-        springs = contact_springs(self.state, x, pose, indenter, law, self.candidates)
-        self.system.faces.add_forces(self.state, springs, forces)
-        scale = float(self.state.weights[springs.point] @ np.linalg.norm(springs.traction, axis=1))
+        tractions = penalty_tractions(self.state, x, pose, indenter, law, self.candidates)
+        self.system.faces.add_forces(self.state, tractions, forces)
+        scale = float(self.state.weights[tractions.point] @ np.linalg.norm(tractions.traction, axis=1))
         self.residual = length_of(forces[self.system.free].ravel()) / max(scale, 1e-9 * self.moduli[0])
         if not np.isfinite(self.residual):
             raise NoEquilibrium
-        return forces, springs
+        return forces, tractions
 
     def internal(self, u: np.ndarray) -> np.ndarray:
-        """Nodal forces (n, 3) N of the deformed gel; NoEquilibrium where a brick is inside out."""
+        """Nodal forces (n, 3) N of the deformed gel; NoEquilibrium where a hexahedron is inverted."""
         forces = np.zeros_like(u)
-        smallest = hex8.internal_forces(u, self.bricks, *self.moduli, forces)
+        smallest = hex8.internal_forces(u, self.geometry, *self.moduli, forces)
         if not smallest > 0.0:
             raise NoEquilibrium
         return forces
 
-    def _direction(self, u: np.ndarray, pose: Pose, law: Law, forces: np.ndarray, springs: Springs) -> np.ndarray:
+    def _direction(self, u: np.ndarray, pose: Pose, law: Law, forces: np.ndarray, tractions: Tractions) -> np.ndarray:
         """Newton's step (free nodes, 3) mm, to FORCING of the residual; a factorisation serves as long as GMRES is quick with it."""
         system = self.system
         system.values[:] = 0.0
-        pressed = float(self.residual <= self.noisy)
-        hex8.tangent(u, self.bricks, *self.moduli, pressed, system.base, system.width, system.values)
-        system.faces.add_stiffness(self.state, springs, system.values)
+        geometric_stiffness = float(self.residual <= self.noisy)
+        hex8.tangent(u, self.geometry, *self.moduli, geometric_stiffness, system.base, system.width, system.values)
+        system.faces.add_stiffness(self.state, tractions, system.values)
         self.iterations += 1
-        apply = self._product(self._skew(u, pose, law, springs))
+        apply = self._product(self._skew(u, pose, law, tractions))
         right = forces[system.free].ravel()
         if self.factored:
             step = gmres(apply, system.linear.solve, right, FORCING, STALE)
@@ -213,12 +213,12 @@ class Equilibrium:
             raise NoEquilibrium
         return step.reshape(-1, 3)
 
-    def _skew(self, u: np.ndarray, pose: Pose, law: Law, springs: Springs) -> Skew:
+    def _skew(self, u: np.ndarray, pose: Pose, law: Law, tractions: Tractions) -> Skew:
         """The stiffness beyond the symmetric one; exact close to equilibrium, where it makes Newton quadratic."""
         if self.residual > CLOSE:
-            return springs.slip
+            return tractions.slip
         x = self.points(u)
-        return curved(springs, self.state, x, pose, self.scene.indenter, law, self.candidates)
+        return curved(tractions, self.state, x, pose, self.scene.indenter, law, self.candidates)
 
     def _product(self, skew: Skew) -> Callable[[np.ndarray], np.ndarray]:
         system = self.system
@@ -238,11 +238,11 @@ class Equilibrium:
     ) -> None:
         """Equilibrium with the indenter at a pose. still: nothing in the contact changed since the last one."""
         gap = gaps(self.scene, self.points(self.u), pose)
-        self.candidates = np.flatnonzero((self.state.status != GLUED) & (gap < self.settings.size))
+        self.candidates = np.flatnonzero((self.state.status != STICK) & (gap < self.settings.size))
         self.u, _ = self.newton(self.u, pose, tolerance, still, enough, parts)
 
     def contact_forces(self) -> np.ndarray:
         """Nodal contact forces on the gel (n, 3) of the last equilibrium, N."""
         forces = np.zeros_like(self.u)
-        self.system.faces.add_forces(self.state, self.springs, forces)
+        self.system.faces.add_forces(self.state, self.tractions, forces)
         return -forces

@@ -1,4 +1,4 @@
-"""One scene walked along its path: load steps, and the contact set between them."""
+"""One scene followed along its path: load steps, and the contact set between them."""
 
 import copy
 from collections.abc import Callable, Sequence
@@ -6,23 +6,23 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from gelforge.errors import SolveFailed
-from gelforge.mechanics.contact.penalty import GLUED, TOUCHING
+from gelforge.mechanics.contact.penalty import STICK, TOUCHING
 from gelforge.mechanics.contact.reach import gaps
 from gelforge.mechanics.hexsettings import HexSettings
 from gelforge.mechanics.mesh.hexmesh import HexMesh
 from gelforge.mechanics.path.equilibrium import NOISY_INTERPOLATED, PARTS, SHORT, Equilibrium, System
 from gelforge.mechanics.path.loadpath import path_pose
-from gelforge.mechanics.path.transfer import Trail, carried, touches, untangled
+from gelforge.mechanics.path.transfer import LoadPath, touches, transferred, untangled
 from gelforge.mechanics.pose import Pose, on_surface, touch_fraction
 from gelforge.mechanics.result import NoEquilibrium
 from gelforge.mechanics.scene import Scene
 from gelforge.records.status import Status
 
-BETWEEN = 2  # load steps at least between two moments of a press that are asked for
+BETWEEN = 2  # load steps at least between two frames of a press that are asked for
 EASY = 7  # Newton iterations up to which a shortened step may grow again
 SMALLEST_PART = 0.1  # of pending contact changes carried out in one solve
 ROUGH = 1e-3  # residual at which it shows what pulls and what presses
-# What a path on coarse bricks brought so close to the indenter, in widths of a coarse brick, has touched: between the
+# What a path on coarse hexahedra brought so close to the indenter, in widths of a coarse hexahedron, has touched: between the
 # points where the coarse contact is held, its faces cut corners.
 TOUCHED = 0.05
 BEYOND = 1.001  # of its traction is what a slipping point's multiplier wants, or rounding decides which points stick
@@ -30,9 +30,9 @@ ACCEPTED = 1e-7  # residual over contact force that keeps base reactions within 
 
 
 class Run(Equilibrium):
-    """State of one scene on one mesh while its path is walked.
+    """State of one scene on one mesh while its path is followed.
 
-    `follow` does it all; afterwards u (n, 3), state (ContactState), springs (those of the last
+    `follow` does it all; afterwards u (n, 3), state (ContactState), tractions (those of the last
     equilibrium) and the counters hold the end of the path, or the last equilibrium before a failure.
     """
 
@@ -41,19 +41,19 @@ class Run(Equilibrium):
         self.t, self.rounds, self.steps, self.cuts = 0.0, 0, 0, 0
         self.history: list[tuple[float, np.ndarray]] = []
         self.curve: list[list[float]] = []
-        self._walked = [(0.0, self.u)]
+        self._states = [(0.0, self.u)]
 
     # -- the path
 
     def follow(
         self, start: float, stops: Sequence[float] = (), at_stop: Callable[["Run", Status], None] | None = None
     ) -> Status:
-        """Walk the path from path parameter `start` (first touch) to its end; a load step ends at each of `stops`.
+        """Follow the path from path parameter `start` (first touch) to its end; a load step ends at each of `stops`.
 
-        at_stop: given at each of them a run that was settled there as at an end, while this one goes on.
+        at_stop: given at each of them a run whose contact was iterated there as at an end, while this one continues.
         """
         self.t = start
-        self._walked = [(start, self.u)]
+        self._states = [(start, self.u)]
         try:
             for end, count in self._legs(start):
                 step = (end - self.t) / count
@@ -67,37 +67,37 @@ class Run(Equilibrium):
         return self._end()
 
     def _end(self) -> Status:
-        """Settle here, where a path or one of its moments ends."""
+        """Contact iterations where a path or one of its frames ends."""
         try:
-            return self._settle()
+            return self._iterate_contact()
         except (NoEquilibrium, SolveFailed):
             return Status.DIVERGED
 
-    def arrive(self, trail: Trail) -> Status:
-        """Equilibrium at the end of a path that was walked on coarser bricks: no slip or no friction only.
+    def arrive(self, path: LoadPath) -> Status:
+        """Equilibrium at the end of a path that was followed on coarser hexahedra: no slip or no friction only.
 
         The path may be the way to this end of a longer one.
         """
         self.t, self.noisy, self.crawls = self.scene.press.end, NOISY_INTERPOLATED, True
         pose = path_pose(self.scene, self.t)
         try:
-            self.u = untangled(self.mesh, self.bricks, carried(trail.mesh, trail.states[-1], self.mesh))
+            self.u = untangled(self.mesh, self.geometry, transferred(path.mesh, path.states[-1], self.mesh))
             if self.law == "frictionless":
                 self.solve_here(pose, ROUGH)
             else:
-                held, places = touches(trail, self.state.reference, TOUCHED)
-                self._glue(np.flatnonzero(held), pose, places[held])
-                self._settle_contact(pose, places)
-            return self._settle()
+                held, places = touches(path, self.state.reference, TOUCHED)
+                self._stick(np.flatnonzero(held), pose, places[held])
+                self._iterate_arrival(pose, places)
+            return self._iterate_contact()
         except (NoEquilibrium, SolveFailed):
             return Status.DIVERGED
 
-    def _settle_contact(self, pose: Pose, places: np.ndarray) -> None:
-        """Let go what pulls and hold what presses, each point once, until neither remains.
+    def _iterate_arrival(self, pose: Pose, places: np.ndarray) -> None:
+        """release what pulls and hold what presses, each point once, until neither remains.
 
-        A point that was let go and presses again stays loose: it would change for ever.
+        A point that was released and presses again stays loose: it would change for ever.
         """
-        held = self.state.status == GLUED
+        held = self.state.status == STICK
         for _ in range(self.settings.settle_rounds):
             self.state.go(1.0)
             self.solve_here(pose, ROUGH)
@@ -106,14 +106,14 @@ class Run(Equilibrium):
             new = new[~held[new]]
             held[new] = True
             gone = self._release(pose)
-            self._glue(new, pose, places[new])
+            self._stick(new, pose, places[new])
             if not gone and not len(new):
                 return
 
     def _branch(self) -> "Run":
-        """A run that goes on from here by itself; both share mesh and factorisation."""
+        """A run that continues from here by itself; both share mesh and factorisation."""
         other = copy.copy(self)
-        other.state, other.curve, other._walked = copy.deepcopy(self.state), list(self.curve), list(self._walked)
+        other.state, other.curve, other._states = copy.deepcopy(self.state), list(self.curve), list(self._states)
         return other
 
     def _legs(self, start: float) -> list[tuple[float, int]]:
@@ -150,14 +150,14 @@ class Run(Equilibrium):
         x = self.points(self.u)
         gap = gaps(self.scene, x, before)
         reach = 1.5 * np.linalg.norm(after.translation - before.translation) + self.settings.size
-        self.candidates = np.flatnonzero((self.state.status != GLUED) & (gap < reach))
+        self.candidates = np.flatnonzero((self.state.status != STICK) & (gap < reach))
         guess = self._predict(t)
         expected = self.points(self.u if guess is None else guess)
         kept, previous = self.state.snapshot(), (self.t, self.u)
         try:
             self.state.go(part)
             self.u, used = self.newton_from([self.u] if guess is None else [guess, self.u], after)
-            total = self.state.weights[self.springs.point] @ self.springs.traction
+            total = self.state.weights[self.tractions.point] @ self.tractions.traction
             self._end_step(after, (x, before, gap, expected))
         except NoEquilibrium:
             self.state.restore(kept)
@@ -167,7 +167,7 @@ class Run(Equilibrium):
         self.steps += 1
         self.curve.append([float(t), *total.tolist()])
         self.history = [previous, (t, self.u)]
-        self._walked.append((t, self.u))
+        self._states.append((t, self.u))
         return used
 
     def _predict(self, t: float) -> np.ndarray | None:
@@ -182,12 +182,12 @@ class Run(Equilibrium):
     # -- the contact set at the end of a step
 
     def _touching(self) -> np.ndarray:
-        """Points that press in the last equilibrium and are not glued."""
-        point = self.springs.point[self.springs.gap < 0.0]
-        return point[self.state.status[point] != GLUED]
+        """Points that press in the last equilibrium and do not stick."""
+        point = self.tractions.point[self.tractions.gap < 0.0]
+        return point[self.state.status[point] != STICK]
 
     def _end_step(self, pose: Pose, start: tuple[np.ndarray, Pose, np.ndarray, np.ndarray]) -> None:
-        """Let go what pulls; hold what touched for the first time in this step where it touched."""
+        """release what pulls; hold what touched for the first time in this step where it touched."""
         if self.law == "frictionless":
             return
         if self.law == "coulomb":
@@ -195,7 +195,7 @@ class Run(Equilibrium):
         else:
             self._release(pose)
         new = self._touching()
-        self._glue(new, pose, self._touch_places(new, pose, *start))
+        self._stick(new, pose, self._touch_places(new, pose, *start))
 
     def _touch_places(
         self, new: np.ndarray, pose: Pose, x: np.ndarray, before: Pose, gap: np.ndarray, expected: np.ndarray
@@ -213,60 +213,60 @@ class Run(Equilibrium):
         fraction = touch_fraction(gap_before, gap_after)
         return begin + fraction[:, None] * (end - begin)
 
-    def _glue(self, points: np.ndarray, pose: Pose, places: np.ndarray) -> None:
+    def _stick(self, points: np.ndarray, pose: Pose, places: np.ndarray) -> None:
         """Hold points where they are, bound for `places` of the indenter's frame moved onto its surface."""
         if not len(points):
             return
         state = self.state
-        state.status[points] = GLUED
+        state.status[points] = STICK
         here, _ = on_surface(self.scene.indenter, pose.to_indenter(self.points(self.u)[points]))
         goal, state.normal[points] = on_surface(self.scene.indenter, places)
-        state.anchor[points], state.goal[points] = here, goal
+        state.stick_point[points], state.goal[points] = here, goal
 
     def _pressing(self, pose: Pose) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Index (p,), traction (p, 3) and pressing part (p,) of glued points; below zero they pull.
+        """Index (p,), traction (p, 3) and pressing part (p,) of sticking points; below zero they pull.
 
         None by Coulomb's law and without friction: there a point has a traction only where it is inside the indenter,
-        which presses. So nothing pulls at their end, and no contact set is left unsettled.
+        which presses. So nothing pulls at their end, and no contact set is left open.
         """
-        springs, state = self.springs, self.state
-        held = (state.status[springs.point] == GLUED) & np.isnan(springs.gap)
-        point = springs.point[held]
-        push = np.einsum("pi,pi->p", springs.traction[held], pose.turn(state.normal[point]))
-        return point, springs.traction[held], push
+        tractions, state = self.tractions, self.state
+        held = (state.status[tractions.point] == STICK) & np.isnan(tractions.gap)
+        point = tractions.point[held]
+        push = np.einsum("pi,pi->p", tractions.traction[held], pose.turn(state.normal[point]))
+        return point, tractions.traction[held], push
 
     def _release(self, pose: Pose) -> int:
-        """Let go of what pulls: its traction fades with the next changes. Returns how many."""
+        """Release what pulls: its traction fades with the next changes. Returns how many."""
         point, traction, push = self._pressing(pose)
         gone = push < -self.settings.pull_tolerance * push.max(initial=0.0)
-        self.state.let_go(point[gone], traction[gone])
+        self.state.release(point[gone], traction[gone])
         return int(gone.sum())
 
     # -- Coulomb's law
 
     def _slide(self, pose: Pose) -> None:
-        """Anchors follow points that slip, multipliers the tractions; points that lost contact are let go."""
-        state, springs = self.state, self.springs
+        """Anchors follow points that slip, multipliers the tractions; points that lost contact are released."""
+        state, tractions = self.state, self.tractions
         pressed = np.zeros(len(state.status), bool)
-        pressed[springs.point[springs.gap < 0.0]] = True
-        gone = np.flatnonzero((state.status == GLUED) & ~pressed)
-        state.let_go(gone, np.zeros((len(gone), 3)))
-        at = np.flatnonzero((state.status[springs.point] == GLUED) & (springs.gap < 0.0))
-        point = springs.point[at]
+        pressed[tractions.point[tractions.gap < 0.0]] = True
+        gone = np.flatnonzero((state.status == STICK) & ~pressed)
+        state.release(gone, np.zeros((len(gone), 3)))
+        at = np.flatnonzero((state.status[tractions.point] == STICK) & (tractions.gap < 0.0))
+        point = tractions.point[at]
         places = pose.to_indenter(self.points(self.u)[point])
         _, normal = self.scene.indenter.distance(places)
         n = pose.turn(normal)
-        traction = springs.traction[at]
+        traction = tractions.traction[at]
         state.carried[point] = traction - np.einsum("pi,pi->p", traction, n)[:, None] * n
-        slips = np.isin(point, springs.slip.point)
+        slips = np.isin(point, tractions.slip.point)
         moved = point[slips]
-        state.anchor[moved], state.normal[moved] = on_surface(self.scene.indenter, places[slips])
+        state.stick_point[moved], state.normal[moved] = on_surface(self.scene.indenter, places[slips])
         state.carried[moved] *= BEYOND
-        state.goal[moved], state.multiplier[moved] = state.anchor[moved], state.carried[moved]
+        state.goal[moved], state.multiplier[moved] = state.stick_point[moved], state.carried[moved]
 
     # -- the end of the path
 
-    def _settle(self) -> Status:
+    def _iterate_contact(self) -> Status:
         """Equilibrium at the end of the path in which nothing pulls, to the final tolerance."""
         pose = path_pose(self.scene, self.t)
         status = Status.UNSETTLED
@@ -315,10 +315,10 @@ class Run(Equilibrium):
 
     # -- evidence
 
-    def trail(self) -> Trail:
-        """The walked path, for a finer mesh to arrive at its end."""
-        states = [u for _, u in self._walked[:-1]]
-        return Trail(self.scene, self.mesh, [t for t, _ in self._walked], [*states, self.u], self.settings.size)
+    def load_path(self) -> LoadPath:
+        """The load path so far, for a finer mesh to arrive at its end."""
+        states = [u for _, u in self._states[:-1]]
+        return LoadPath(self.scene, self.mesh, [t for t, _ in self._states], [*states, self.u], self.settings.size)
 
     def checks(self, forces: np.ndarray) -> dict:
         """Penetration, pull and balance of the final state."""
@@ -344,5 +344,5 @@ class Run(Equilibrium):
         """Write final positions and tractions into the contact state."""
         self.state.position = self.points(self.u)
         self.state.traction = np.zeros_like(self.state.position)
-        if self.springs is not None:
-            np.add.at(self.state.traction, self.springs.point, self.springs.traction)
+        if self.tractions is not None:
+            np.add.at(self.state.traction, self.tractions.point, self.tractions.traction)

@@ -21,7 +21,7 @@ def first_touch(scene: Scene) -> float | None:
     return touch.first_touch(scene.gel, scene.indenter, scene.press)
 
 
-def moment_of(scene: Scene, last: Scene) -> float:
+def frame_time(scene: Scene, last: Scene) -> float:
     """Path parameter of the point of scene `last`'s path, down and then sideways, that is nearest to where `scene` ends.
 
     Its start may have been logged apart, and a frame that gives way moves a little aside while a press goes down, and a
@@ -29,8 +29,8 @@ def moment_of(scene: Scene, last: Scene) -> float:
     """
     end, way = (np.array([s.press.dx, s.press.dy]) for s in (scene, last))
     fallen = scene.press.z0 + scene.press.dz - last.press.z0
-    _check_moment(last.press.dz - fallen, end, way)
-    # to eight decimals: moments that only rounding tells apart are one
+    _check_frame(last.press.dz - fallen, end, way)
+    # to eight decimals: frames that only rounding separates are one
     down = float(np.clip(np.round(fallen / last.press.dz, 8), 1e-8, 1.0))
     if not way @ way:
         return down
@@ -40,8 +40,8 @@ def moment_of(scene: Scene, last: Scene) -> float:
     return 1.0 + aside if aside > 0.0 and off_aside < off_down else down
 
 
-def _check_moment(deeper: float, end: np.ndarray, way: np.ndarray) -> None:
-    """Raise BadInput for a moment clearly beyond the last one of its press.
+def _check_frame(deeper: float, end: np.ndarray, way: np.ndarray) -> None:
+    """Raise BadInput for a frame clearly beyond the last one of its press.
 
     deeper: by how much it ends below the last one, mm. end, way: where the two end sideways, (2,) mm.
     """
@@ -50,6 +50,6 @@ def _check_moment(deeper: float, end: np.ndarray, way: np.ndarray) -> None:
     for beyond, most, what in ((deeper, MOST_DEEPER_MM, "deeper"), (farther, MOST_FARTHER_MM, "farther sideways")):
         if beyond > most + ROUNDING_MM:
             raise BadInput(
-                f"a moment of a press ends {beyond:.3g} mm {what} than its last one, {most:g} mm are allowed; give moments in"
+                f"a frame of a press ends {beyond:.3g} mm {what} than its last one, {most:g} mm are allowed; give frames in"
                 " order of time along one path, down and then sideways"
             )

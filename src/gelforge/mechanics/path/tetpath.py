@@ -22,38 +22,40 @@ from gelforge.mechanics.contact.facecontact import (
 )
 from gelforge.mechanics.contact.facepoints import FacePoints
 from gelforge.mechanics.path.tetsolid import TetSolid
-from gelforge.mechanics.path.transfer import Trail, touches
+from gelforge.mechanics.path.transfer import LoadPath, touches
 from gelforge.mechanics.pose import Pose, on_surface, touch_fraction
 from gelforge.mechanics.result import NoEquilibrium
 from gelforge.mechanics.scene import Scene
 
-# Shares of a displacement carried from bricks that are tried until no element is inside out, or nearly: beside a volume
+# Shares of a displacement carried from hexahedra that are tried until no element is inverted, or nearly: beside a volume
 # ratio below FLAT pressures are such that Newton's method takes twice as many steps.
 UNFOLDED = (1.0, 0.95, 0.9, 0.8, 0.6)
 FLAT = 0.1
 
 # Least and most of its residual that a linear solve leaves; between them, as much as that is of the contact force.
 LEFT = 0.02, 0.2
+# Tangents that are tried in turn, (geometric stiffness, regularisation): exact ones, then ones that are surely definite.
+EXACT, DEFINITE = [(1.0, 0.0), (0.5, 0.0)], [(0.0, 0.0), (0.0, 1.0)]
 # Residual above which no step is taken with an old factorisation: beside a crease half a direction leads nowhere.
 FAR = 1.5
 
 
 @dataclass(frozen=True)
 class PathSettings:
-    """How a path is walked; residuals are those of free nodes over the contact force.
+    """How a path is followed; residuals are those of free nodes over the contact force.
 
     press_steps, shear_steps: load steps, at least. step_mm: no load step of the press is longer.
-    stiffness: of the springs that hold face points, N/mm^3.
-    step_tolerance, final_tolerance: residual at the end of a load step and of the path. settle_tolerance: at which the end
-    is judged first. arrival_tolerance: at which the end of a path walked on bricks shows what pulls and what presses; a third
-    of that tells no other points and takes half as long again.
-    gentle_above: residual above which Newton takes the gentle tangent of TetSolid.linearise: it halves the iterations of
+    stiffness: of the blocks that hold face points, N/mm^3.
+    step_tolerance, final_tolerance: residual at the end of a load step and of the path. contact_tolerance: at which the end
+    is judged first. arrival_tolerance: at which the end of a path followed on hexahedra shows what pulls and what presses; a third
+    of that finds no other points and takes half as long again.
+    geometric_stiffness_below: residual above which Newton leaves out the pressure's geometric stiffness: that halves the iterations of
     deep presses and needs no cut steps.
-    pull_tolerance: share of the normal force that may pull at the end; where a path on bricks ends, of the largest pressure
+    pull_tolerance: share of the normal force that may pull at the end; where a path on hexahedra ends, of the largest pressure
     that one point may. penetration_mm: depth at which a free point counts as touching at the end.
-    free_iterations: of Newton's method, after which no point that slides is let go, so that a set that flickers comes to
+    free_iterations: of Newton's method, after which no point that slides is released, so that a set that flickers comes to
     rest. most_iterations: at one pose. most_in_all: of a path. most_cuts: how often a load step may be halved.
-    settle_rounds: in which the contact at the end may change. friction_rounds: in which a load step looks for what slips.
+    contact_iterations: in which the contact at the end may change. friction_rounds: in which a load step looks for what slips.
     """
 
     press_steps: int = 4
@@ -62,29 +64,29 @@ class PathSettings:
     stiffness: float = 145.0
     step_tolerance: float = 0.2
     arrival_tolerance: float = 0.3
-    settle_tolerance: float = 0.02
+    contact_tolerance: float = 0.02
     final_tolerance: float = 1e-8
-    gentle_above: float = 0.5
+    geometric_stiffness_below: float = 0.5
     pull_tolerance: float = 1e-3
     penetration_mm: float = 1e-3
     free_iterations: int = 6
     most_iterations: int = 20
     most_cuts: int = 5
     most_in_all: int = 300
-    settle_rounds: int = 8
+    contact_iterations: int = 8
     friction_rounds: int = 4
 
 
 @dataclass
 class Kinematics:
-    """End of a path: contact, displacement (n, 3) mm, whether it settled, why not, and what it took.
+    """End of a path: contact, displacement (n, 3) mm, whether it converged, why not, and what it took.
 
     iterations: of Newton's method. steps: of the load. rounds: in which the contact at the end was judged.
     """
 
     contact: Contact
     displacement: np.ndarray
-    settled: bool
+    converged: bool
     reason: str
     iterations: int
     steps: int
@@ -96,7 +98,7 @@ class _State:
     """Displacement u (n, 3) mm, contact there, and what is out of balance.
 
     changed: points that came or went. residual: (n, 3) N. size: its norm over that of the contact force. smallest: volume
-    ratio J of the elements; not above 0, one is inside out, and residual and size mean nothing.
+    ratio J of the elements; not above 0, one is inverted, and residual and size mean nothing.
     """
 
     u: np.ndarray
@@ -121,7 +123,7 @@ class TetPath:
         self.at = np.zeros(2)
         zero = np.zeros_like(points.position)
         self.contact = Contact(np.zeros(points.weight.shape, int), zero, zero.copy(), zero.copy())
-        self.anchor, self.anchor_normal = zero.copy(), zero.copy()
+        self.stick_point, self.stick_normal = zero.copy(), zero.copy()
         self.iterations = self.steps = self.rounds = 0
         # The next step takes a factorisation of its own: one of another press would make this one depend on that.
         self.fresh = True
@@ -146,12 +148,12 @@ class TetPath:
         origin, done, length, cuts = self.at, 0.0, 1.0, 0
         while done < 1.0:
             ahead = min(1.0, done + length)
-            kept = self.u, self.contact, self.anchor.copy(), self.anchor_normal.copy()
+            kept = self.u, self.contact, self.stick_point.copy(), self.stick_normal.copy()
             try:
                 self._step(origin + ahead * (goal - origin))
                 done = ahead
             except NoEquilibrium:
-                self.u, self.contact, self.anchor, self.anchor_normal = kept
+                self.u, self.contact, self.stick_point, self.stick_normal = kept
                 length, cuts = length / 2, cuts + 1
                 if cuts > self.settings.most_cuts:
                     raise
@@ -164,7 +166,7 @@ class TetPath:
         length = max(np.abs(aim - before).max(), 1e-12)
         self.u, self.contact = self.newton(self._ahead(start, length), contact, pose, s.step_tolerance)
         if self.scene.interface.law == "no_slip":
-            self._glue(start, before, aim, gap0)
+            self._stick_new(start, before, aim, gap0)
         elif self.scene.interface.law == "coulomb":
             self._rub(pose)
         self.velocity, self.at = (self.u - start) / length, aim
@@ -179,8 +181,8 @@ class TetPath:
         """The contact as the step begins: held points travel with the indenter."""
         stick = self.contact.state == STICK
         c = self.contact
-        target = np.where(stick[..., None], pose.to_gel(self.anchor), c.target)
-        normal = np.where(stick[..., None], pose.turn(self.anchor_normal), c.normal)
+        target = np.where(stick[..., None], pose.to_gel(self.stick_point), c.target)
+        normal = np.where(stick[..., None], pose.turn(self.stick_normal), c.normal)
         return Contact(c.state, target, normal, c.drag)
 
     def newton(self, u: np.ndarray, contact: Contact, pose: Pose, tolerance: float) -> tuple[np.ndarray, Contact]:
@@ -191,7 +193,7 @@ class TetPath:
         state = self._evaluate(u, contact, pose, False)
         for iteration in range(s.most_iterations):
             if state.smallest <= 0.0 or not np.isfinite(state.size):
-                raise NoEquilibrium("an element turned inside out")
+                raise NoEquilibrium("an element is inverted")
             # on the way a few points may still come and go; at the end none
             allowed = 0.05 * state.contact.held.sum() if tolerance > s.final_tolerance else 0
             if state.size < tolerance and state.changed <= allowed:
@@ -215,12 +217,11 @@ class TetPath:
 
     def _newton_step(self, state: "_State", pose: Pose, keep: bool) -> "_State":
         """State after one step, by the first tangent that leads somewhere: from the exact one to one that is surely definite."""
-        springs = contact_blocks(state.contact, self.points, self.settings.stiffness)
-        gentle = state.size > self.settings.gentle_above
-        ways = [(1.0, 0.0), (1.0, 1.0)] if gentle else [(0.0, 0.0), (0.5, 0.0), (1.0, 0.0), (1.0, 1.0)]
-        for share, firm in ways:
+        blocks = contact_blocks(state.contact, self.points, self.settings.stiffness)
+        close = state.size <= self.settings.geometric_stiffness_below
+        for geometric, regularisation in (EXACT if close else []) + DEFINITE:
             self.iterations += 1
-            self.solid.linearise(state.u, self.shear, self.bulk, *springs, gentle=share, firm=firm)
+            self.solid.linearise(state.u, self.shear, self.bulk, *blocks, geometric, regularisation)
             anew = self.fresh or state.size > FAR
             self.fresh = True  # for the next step, where this one's matrix cannot be factorised
             try:
@@ -228,11 +229,11 @@ class TetPath:
             except SolveFailed as error:
                 raise NoEquilibrium(str(error)) from error
             self.fresh = False
-            # a full tangent that turns elements inside out is not worth following at a crawl
-            found = self._search(state, step, pose, keep, 8 if share == 1.0 else 3)
+            # a full tangent that inverts elements is not worth following at a crawl
+            found = self._search(state, step, pose, keep, 8 if geometric == 0.0 else 3)
             if found is not None:
                 return found
-        raise NoEquilibrium("an element turned inside out")
+        raise NoEquilibrium("an element is inverted")
 
     def _search(self, state: "_State", step: np.ndarray, pose: Pose, keep: bool, tries: int) -> "_State | None":
         """State along a step, where the energy does not rise more steeply than it fell at the start; None if none.
@@ -278,14 +279,14 @@ class TetPath:
         return self.settings.stiffness * np.einsum("fqk,fqk->fq", stretch, self.contact.normal) * self.contact.held
 
     def _release(self, least: float = 0.0) -> int:
-        """Let go the held points that pull by more than a share `least` of the largest pressure; how many."""
+        """release the held points that pull by more than a share `least` of the largest pressure; how many."""
         push = self._push()
         gone = self.contact.held & (push < -least * push.max(initial=0.0))
         self.contact = replace(self.contact, state=np.where(gone, FREE, self.contact.state))
         return int(gone.sum())
 
-    def _glue(self, start: np.ndarray, before: np.ndarray, aim: np.ndarray, gap0: np.ndarray) -> None:
-        """Hold new points where they first touched, let go what pulls."""
+    def _stick_new(self, start: np.ndarray, before: np.ndarray, aim: np.ndarray, gap0: np.ndarray) -> None:
+        """Hold new points where they first touched, release what pulls."""
         self._release()
         new = self.contact.state == SLIDE
         length = np.abs(aim - before).max()
@@ -293,20 +294,20 @@ class TetPath:
         fraction = touch_fraction(gap0, ahead)[..., None]
         first = self.pose(before).to_indenter(self.positions(start))
         last = self.pose(aim).to_indenter(self.positions(self.u))
-        self._anchor(new, first + fraction * (last - first), self.pose(aim))
+        self._stick_at(new, first + fraction * (last - first), self.pose(aim))
 
-    def _anchor(self, new: np.ndarray, places: np.ndarray, pose: Pose) -> None:
+    def _stick_at(self, new: np.ndarray, places: np.ndarray, pose: Pose) -> None:
         """Hold points at places of the indenter's frame, moved onto its surface."""
         if not new.any():
             return
-        self.anchor[new], self.anchor_normal[new] = on_surface(self.scene.indenter, places[new])
+        self.stick_point[new], self.stick_normal[new] = on_surface(self.scene.indenter, places[new])
         self.contact = replace(self.contact, state=np.where(new, STICK, self.contact.state))
         self.contact = self._lead(pose)
 
     def _rub(self, pose: Pose) -> None:
         """Coulomb's law at the end of a step: what exceeds mu times the pressure slides under that drag."""
         mu, stiffness = self.scene.interface.mu, self.settings.stiffness
-        self._anchor(self.contact.state == SLIDE, pose.to_indenter(self._carried()), pose)
+        self._stick_at(self.contact.state == SLIDE, pose.to_indenter(self._carried()), pose)
         for _ in range(self.settings.friction_rounds):
             self._release()
             push = self._push()
@@ -330,45 +331,45 @@ class TetPath:
                 break
 
     def _carried(self) -> np.ndarray:
-        """Where sliding points would be held by springs that carry their drag."""
+        """Where sliding points would be held by blocks that carry their drag."""
         return self.positions(self.u) + self.contact.drag / self.settings.stiffness
 
     # -- the end of the path
 
     def unfolded(self, u: np.ndarray) -> np.ndarray:
-        """u (n, 3), or as much of it as leaves every element some volume: bricks bend in places where tetrahedra do not."""
+        """u (n, 3), or as much of it as leaves every element some volume: hexahedra bend in places where tetrahedra do not."""
         for share in UNFOLDED:
             if self.solid.forces(share * u, self.shear, self.bulk)[1] > FLAT:
                 return share * u
-        raise NoEquilibrium("an element turned inside out")
+        raise NoEquilibrium("an element is inverted")
 
-    def hold(self, trail: Trail) -> bool:
-        """Hold the points that a path on bricks brought into contact; what pulls is let go, what presses is held.
+    def stick_as_on(self, coarse_path: LoadPath) -> bool:
+        """Hold the points that a path on hexahedra brought into contact; what pulls is released, what presses is held.
 
         Each point changes once either way, or some would for ever. Whether that comes to rest.
         """
         pose, spots = self.pose(self.at), self.points.position.reshape(-1, 3)
-        held, places = touches(trail, spots)
-        held, places = held.reshape(self.contact.state.shape), places.reshape(self.anchor.shape)
-        self._anchor(held, places, pose)
-        for _ in range(self.settings.settle_rounds):
+        held, places = touches(coarse_path, spots)
+        held, places = held.reshape(self.contact.state.shape), places.reshape(self.stick_point.shape)
+        self._stick_at(held, places, pose)
+        for _ in range(self.settings.contact_iterations):
             self.rounds += 1
             self.u, self.contact = self.newton(self.u, self.contact, pose, self.settings.arrival_tolerance)
             new = (self.contact.state == SLIDE) & ~held
             held |= new
             gone = self._release(self.settings.pull_tolerance)
-            self._anchor(new, places, pose)
+            self._stick_at(new, places, pose)
             if not gone and not new.any():
                 return True
         return False
 
-    def settle(self) -> bool:
+    def iterate_contact(self) -> bool:
         """Equilibrium at the end of the path in which nothing pulls and nothing new penetrates."""
         s, pose = self.settings, self.pose(self.at)
         self.fresh = True  # from here on the contact hardly changes, and one factorisation serves to the end
-        for _ in range(s.settle_rounds):
+        for _ in range(s.contact_iterations):
             self.rounds += 1
-            for tolerance in (s.settle_tolerance, s.final_tolerance):
+            for tolerance in (s.contact_tolerance, s.final_tolerance):
                 self.u, self.contact = self.newton(self.u, self.contact, pose, tolerance)
                 verdict = judge(self.scene, self.contact, self.points, self.u, s.stiffness)
                 if verdict.pulling_fraction > s.pull_tolerance or verdict.penetration > s.penetration_mm:

@@ -50,20 +50,21 @@ class TetSolid:
         bulk: float,
         faces: np.ndarray,
         stiffness: np.ndarray,
-        gentle: float = 0.0,
-        firm: float = 0.0,
+        geometric_stiffness: float = 1.0,
+        regularisation: float = 0.0,
     ) -> None:
         """Take the tangent at u with blocks `stiffness` (f, 21, 3, 3) N/mm on node pairs of `faces` (f,).
 
-        gentle: leave out this share of what the bulk pressure adds to the stiffness (all of it: Gauss and
+        geometric_stiffness: share that is kept of what the bulk pressure adds to the stiffness (0: Gauss and
         Newton's approximation of the volumetric energy). Far from equilibrium pressures are wild and the
-        full tangent is indefinite. firm: add so much of the stiffness at rest, which makes any tangent definite;
-        one near a crease stays indefinite without.
+        full tangent is indefinite. regularisation: add so much of the stiffness at rest, which makes any tangent
+        definite; one near a crease stays indefinite without.
         """
         self.values[:] = 0.0
-        tangent(u, self.geometry, shear, bulk, 1.0 - gentle, *self.places, self.values)
-        if firm:
-            tangent(np.zeros_like(u), self.geometry, firm * shear, firm * bulk, 1.0, *self.places, self.values)
+        tangent(u, self.geometry, shear, bulk, geometric_stiffness, *self.places, self.values)
+        if regularisation:
+            rest, moduli = np.zeros_like(u), (regularisation * shear, regularisation * bulk)
+            tangent(rest, self.geometry, *moduli, 1.0, *self.places, self.values)
         _add_faces(
             self.face_places[0][faces], self.face_places[1][faces], np.ascontiguousarray(stiffness), self.values
         )

@@ -1,9 +1,9 @@
-"""What a path walked on coarse bricks tells fine ones: displacement, and where each surface point first touched.
+"""From a load path on coarse hexahedra to the end on a fine mesh: displacement, and where each surface point first touched.
 
-Nested iteration (Hackbusch, Multi-Grid Methods and Applications, 1985, section 5): the path is walked where that is
+Nested iteration (Hackbusch, Multi-Grid Methods and Applications, 1985, section 5): the path is followed where that is
 cheap, and only its end is solved on the fine mesh. What the end needs of the path is where in the indenter's frame
 each point touched. That is read off the point's own way through the coarse path, which is smooth where points have
-not touched yet; the coarse contact points would tell it at the coarse mesh's resolution only.
+not touched yet; the coarse contact points have only the coarse mesh's resolution.
 """
 
 from dataclasses import dataclass, replace
@@ -12,24 +12,24 @@ import numpy as np
 
 from gelforge.geometry.gel import Gel
 from gelforge.mechanics.contact.reach import gaps
-from gelforge.mechanics.elements.hex8 import BrickGeometry, smallest_ratios
+from gelforge.mechanics.elements.hex8 import Hex8Geometry, smallest_ratios
 from gelforge.mechanics.mesh.hexmesh import HexMesh
 from gelforge.mechanics.path.loadpath import path_pose
 from gelforge.mechanics.pose import Pose, touch_fraction
 from gelforge.mechanics.result import NoEquilibrium
 from gelforge.mechanics.scene import Scene
 
-FLAT = 0.2  # volume ratio below which a brick is nearly inside out: Newton's first steps would turn it over
-SMOOTHINGS = 40  # of the nodes of flat bricks, at most
-STUCK = 10  # smoothings after each of which the nodes of one more ring of bricks move, too
-LEFT = 0.05  # widths of a coarse brick beyond touch at which a point has left again
+FLAT = 0.2  # volume ratio below which a hexahedron is nearly inverted: Newton's first steps would turn it over
+SMOOTHINGS = 40  # of the nodes of flat hexahedra, at most
+STUCK = 10  # smoothings after each of which the nodes of one more ring of hexahedra move, too
+LEFT = 0.05  # widths of a coarse hexahedron beyond touch at which a point has left again
 
 
 @dataclass(frozen=True)
-class Trail:
-    """The states of a scene's walked path: mesh, path parameters (k,), displacements (k, n, 3) mm, the first at rest.
+class LoadPath:
+    """The states of a scene along its load path: mesh, path parameters (k,), displacements (k, n, 3) mm, the first at rest.
 
-    size: side of the mesh's bricks under the press, mm.
+    size: side of the mesh's hexahedra under the press, mm.
     """
 
     scene: Scene
@@ -38,8 +38,8 @@ class Trail:
     states: list[np.ndarray]
     size: float
 
-    def until(self, t: float) -> "Trail":
-        """The path up to t, which must be one of its times to the last bit: a load step ends at each moment asked for."""
+    def until(self, t: float) -> "LoadPath":
+        """The path up to t, which must be one of its times to the last bit: a load step ends at each frame asked for."""
         count = self.times.index(t) + 1
         return replace(self, times=self.times[:count], states=self.states[:count])
 
@@ -55,7 +55,7 @@ def line_weights(lines: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndar
     return np.stack([1.0 - s, s], axis=1), np.stack([i, i + 1], axis=1)
 
 
-def carried(coarse: HexMesh, u: np.ndarray, fine: HexMesh) -> np.ndarray:
+def transferred(coarse: HexMesh, u: np.ndarray, fine: HexMesh) -> np.ndarray:
     """Displacement (n, 3) of the fine nodes: the coarse one (m, 3), trilinear in x, y and relative height."""
     grid = u.reshape(coarse.layers + 1, len(coarse.ys), len(coarse.xs), 3)
     lines = ((coarse.heights, fine.heights), (coarse.ys, fine.ys), (coarse.xs, fine.xs))
@@ -70,21 +70,21 @@ def carried(coarse: HexMesh, u: np.ndarray, fine: HexMesh) -> np.ndarray:
     return moved
 
 
-def untangled(mesh: HexMesh, bricks: BrickGeometry, u: np.ndarray) -> np.ndarray:
-    """Displacement (n, 3) with no brick (nearly) inside out: nodes of those that are move towards their neighbours' mean.
+def untangled(mesh: HexMesh, geometry: Hex8Geometry, u: np.ndarray) -> np.ndarray:
+    """Displacement (n, 3) with no hexahedron (nearly) inverted: nodes of those that are move towards their neighbours' mean.
 
-    What is carried over may turn small bricks over where a wide one, sound on the whole, is bent round an edge.
+    What is carried over may turn small hexahedra over where a wide one, sound on the whole, is bent round an edge.
     NoEquilibrium where `SMOOTHINGS` are not enough.
     """
     fixed = np.ones(len(u), bool)
     fixed[mesh.unknown] = False
     for smoothing in range(SMOOTHINGS):
-        flat = smallest_ratios(u, bricks) < FLAT
+        flat = smallest_ratios(u, geometry) < FLAT
         if not flat.any():
             return u
-        moved = bricks.elements[flat]
+        moved = geometry.elements[flat]
         for _ in range(smoothing // STUCK):
-            moved = bricks.elements[np.isin(bricks.elements, moved).any(axis=1)]
+            moved = geometry.elements[np.isin(geometry.elements, moved).any(axis=1)]
         moved = np.unique(moved)
         moved = moved[~fixed[moved]]
         u = u.copy()
@@ -121,28 +121,28 @@ def volume_motion(coarse: HexMesh, u: np.ndarray, points: np.ndarray, gel: Gel) 
     return np.einsum("pc,pb,pa,pcbai->pi", wz, wy, wx, near, optimize=True)
 
 
-def touches(trail: Trail, points: np.ndarray, near: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+def touches(path: LoadPath, points: np.ndarray, near: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """Which surface points (m, 3) a path has brought into contact (m,), and where each touched (m, 3).
 
-    near: how close to the indenter counts as touching, widths of a coarse brick. Places are in the indenter's frame.
+    near: how close to the indenter counts as touching, widths of a coarse hexahedron. Places are in the indenter's frame.
     A point that goes on as in the step before crosses the surface at a fraction of the step: that place counts. Points
     that have not touched get the place to which the last step would lead them.
     """
     held, places = np.zeros(len(points), bool), np.empty_like(points)
     before: tuple[float, np.ndarray, Pose, np.ndarray] | None = None
     earlier: tuple[float, np.ndarray, Pose, np.ndarray] | None = None
-    for t, u in zip(trail.times, trail.states, strict=True):
-        pose, x = trail.pose(t), points + surface_motion(trail.mesh, u, points[:, :2])
-        gap = gaps(trail.scene, x, pose)
+    for t, u in zip(path.times, path.states, strict=True):
+        pose, x = path.pose(t), points + surface_motion(path.mesh, u, points[:, :2])
+        gap = gaps(path.scene, x, pose)
         if before is not None:
             t1, x1, pose1, gap1 = before
             ahead = x1
             if earlier is not None and not t1 <= 1.0 < t:  # the path turns from press to shear at 1
                 ahead = x1 + (t - t1) / (t1 - earlier[0]) * (x1 - earlier[1])
             free = np.flatnonzero(~held)
-            fraction = touch_fraction(gap1[free], gaps(trail.scene, ahead[free], pose))[:, None]
+            fraction = touch_fraction(gap1[free], gaps(path.scene, ahead[free], pose))[:, None]
             places[free] = (1.0 - fraction) * pose1.to_indenter(x1[free]) + fraction * pose.to_indenter(x[free])
-            held = (held | (gap < near * trail.size)) & (gap < (near + LEFT) * trail.size)
+            held = (held | (gap < near * path.size)) & (gap < (near + LEFT) * path.size)
             earlier = before
         before = (t, x, pose, gap)
     return held, places

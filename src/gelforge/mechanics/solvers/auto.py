@@ -13,7 +13,7 @@ SPARE = "label"  # quality of those that solve a press for which `ccx` finds no 
 
 
 @dataclass(frozen=True)
-class Way:
+class SolveMethod:
     """How a press is solved: a fidelity, the quality of hexahedra where they solve it, and why they were chosen.
 
     why: what goes into the evidence of its result, class of contact and name of the way; empty where nothing was chosen.
@@ -24,14 +24,14 @@ class Way:
     why: dict[str, str] = field(default_factory=dict)
 
 
-def way_of(scene: Scene, fidelity: str, settings: FeaTable) -> Way:
+def method_of(scene: Scene, fidelity: str, settings: FeaTable) -> SolveMethod:
     """How a press that ends in `scene` is solved."""
     if fidelity != "auto":
-        return Way(fidelity, settings.hex_quality if fidelity == "hex" else SPARE)
+        return SolveMethod(fidelity, settings.hex_quality if fidelity == "hex" else SPARE)
     kind = contact_class(scene)
     name = cheapest(kind, settings)
     engine, _, hexahedra = name.partition("-")
-    return Way(engine, hexahedra or SPARE, {"class": kind or "no contact", "way": name})
+    return SolveMethod(engine, hexahedra or SPARE, {"class": kind or "no contact", "way": name})
 
 
 def charted_errors(kind: str, settings: FeaTable) -> dict[str, np.ndarray]:

@@ -25,7 +25,7 @@ from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.path.loadpath import first_touch
 from gelforge.mechanics.path.tetpath import Kinematics, PathSettings
 from gelforge.mechanics.path.tetsolid import TetSolid
-from gelforge.mechanics.path.transfer import Trail
+from gelforge.mechanics.path.transfer import LoadPath
 from gelforge.mechanics.result import BALANCE, Result
 from gelforge.mechanics.scene import Scene
 from gelforge.mechanics.solvers.tet import arrive, follow
@@ -91,12 +91,16 @@ class CcxSolver:
         return other
 
     def solve(
-        self, scene: Scene, name: str = "press", settings: CcxSettings | None = None, trail: Trail | None = None
+        self,
+        scene: Scene,
+        name: str = "press",
+        settings: CcxSettings | None = None,
+        coarse_path: LoadPath | None = None,
     ) -> CcxResult:
         """State at the end of the scene's path. Failure is a status, not an exception.
 
-        trail: the path walked on bricks, without slip; only its end is then solved on the tetrahedra. None, or an end
-        that does not settle: the path is walked on the tetrahedra.
+        coarse_path: the path as followed on hexahedra, without slip; only its end is then solved on the tetrahedra. None, or an end
+        that does not converge: the path is followed on the tetrahedra.
         """
         began = time.perf_counter()
         s = settings or self.settings
@@ -105,12 +109,12 @@ class CcxSolver:
             return self._empty(Status.NO_CONTACT, "", began)
         path = PathSettings(
             s.press_steps, s.shear_steps, s.step_mm, s.stiffness * REFERENCE_C10,
-            pull_tolerance=s.pull_tolerance / 2, penetration_mm=s.penetration_mm / 2, settle_rounds=s.rounds,
+            pull_tolerance=s.pull_tolerance / 2, penetration_mm=s.penetration_mm / 2, contact_iterations=s.rounds,
         )  # fmt: skip
         points = reachable(scene, self.points)
-        found = self._arrived(scene, points, trail, path) or follow(scene, self.solid, points, touch_at, path)
+        found = self._arrived(scene, points, coarse_path, path) or follow(scene, self.solid, points, touch_at, path)
         kinematics_s = time.perf_counter() - began
-        if found.settled:
+        if found.converged:
             result = self._state(scene, found, points, name, s)
             own = contact_forces(found.contact, points, found.displacement, path.stiffness).sum(axis=0)
             result.evidence["engine_difference"] = _difference(result.total, own)
@@ -123,13 +127,13 @@ class CcxSolver:
         return result
 
     def _arrived(
-        self, scene: Scene, points: FacePoints, trail: Trail | None, path: PathSettings
+        self, scene: Scene, points: FacePoints, coarse_path: LoadPath | None, path: PathSettings
     ) -> Kinematics | None:
-        """The end of a path that was walked on bricks; None where none was or where it does not settle."""
-        if trail is None or scene.interface.law != "no_slip":
+        """The end of a path that was followed on hexahedra; None where there is none or its end does not converge."""
+        if coarse_path is None or scene.interface.law != "no_slip":
             return None
-        found = arrive(scene, self.solid, points, self.mesh.nodes, trail, path)
-        return found if found.settled else None
+        found = arrive(scene, self.solid, points, self.mesh.nodes, coarse_path, path)
+        return found if found.converged else None
 
     def _empty(self, status: Status, reason: str, began: float) -> CcxResult:
         zero = np.zeros_like(self.mesh.nodes)
@@ -171,7 +175,7 @@ class _Run:
         self.solver, self.scene, self.name, self.settings = solver, scene, name, settings
         self.iterations = 0
         self.seconds = self.peak = 0.0
-        self.ladder: list[str] = []
+        self.failed_attempts: list[str] = []
         self.overdue: dict[str, float] = {}
 
     def solve(self, held: np.ndarray, start: np.ndarray) -> "Answer | CcxResult":
@@ -197,7 +201,7 @@ class _Run:
                 return read_answer(run / f"{self.name}.dat", mesh, deck)
             except DatError as error:
                 problem = status_of(error), f"{error}; {job.reason()}"
-                self.ladder.append(f"{method}, first increment {increment:g}: {problem[1]}")
+                self.failed_attempts.append(f"{method}, first increment {increment:g}: {problem[1]}")
         zero = np.zeros_like(mesh.nodes)
         return CcxResult(problem[0], zero, zero.copy(), self._evidence() | {"reason": problem[1]}, deck=None)
 
@@ -224,7 +228,7 @@ class _Run:
     def _evidence(self) -> dict:
         return {
             "newton_iterations": self.iterations, "peak_mib": self.peak, "solver_seconds": self.seconds,
-            "ladder": self.ladder, **self.overdue,
+            "failed_attempts": self.failed_attempts, **self.overdue,
         }  # fmt: skip
 
 

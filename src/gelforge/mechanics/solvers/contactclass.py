@@ -1,4 +1,4 @@
-"""What kind of contact a press makes, as far as geometry tells: by this, errors are charted and a solver is chosen."""
+"""What kind of contact a press makes, from geometry alone: by this class errors are benchmarked and a solver is chosen."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from gelforge.mechanics.scene import Scene
 
 SPACING = 0.2  # mm between the points of the gel's top among which the overlap is found
 ACROSS = 80  # points across the overlap, by which its area is counted
-# The overlap of body and untouched gel grows with depth: not at all under a punch, in proportion under a ball or a
+# The overlap of body and undeformed gel grows with depth: not at all under a punch, in proportion under a ball or a
 # wedge, with the square under a tip.
 CURVED, POINTED = 1.5, 2.6  # area at the end of the press over that half-way down, from which contact is called so
 DEEP_MM = 0.75  # overlap from which it is called deep
@@ -30,7 +30,7 @@ def contact_class(scene: Scene) -> str | None:
 
 
 def _under_overlap(scene: Scene) -> np.ndarray:
-    """Points (m, 3) of the gel's top, ACROSS them each way, where body and untouched gel overlap at the end of the press."""
+    """Points (m, 3) of the gel's top, ACROSS them each way, where body and undeformed gel overlap at the end of the press."""
     points, _ = touch.under_path(scene.gel, scene.indenter, scene.press, SPACING, times=(1.0,))
     met = points[touch.touched(scene.indenter, scene.press, points, times=(1.0,))]
     if not len(met):

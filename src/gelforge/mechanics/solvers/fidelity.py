@@ -1,4 +1,4 @@
-"""One interface to every way of solving a scene, with the ladder that a failing solve climbs down."""
+"""One interface to every method of solving a scene, with the fallbacks where an attempt fails."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -11,10 +11,10 @@ from gelforge.geometry.gel import load_gel
 from gelforge.mechanics.ccx.program import need_ccx
 from gelforge.mechanics.hexsettings import quality
 from gelforge.mechanics.mesh.family import MeshFamily, choose_mesh, unplaced
-from gelforge.mechanics.path.transfer import Trail
+from gelforge.mechanics.path.transfer import LoadPath
 from gelforge.mechanics.result import Result
 from gelforge.mechanics.scene import Scene
-from gelforge.mechanics.solvers.auto import Way, way_of
+from gelforge.mechanics.solvers.auto import SolveMethod, method_of
 from gelforge.mechanics.solvers.ccx import CcxSettings, CcxSolver
 from gelforge.mechanics.solvers.hex import HexSolver
 
@@ -24,7 +24,7 @@ GUIDE = "label"  # quality of the hexahedra on which the load path of `ccx` is f
 class Solvers:
     """Solvers of one family of tetrahedral meshes, kept between scenes; files of a solve lie in `workdir`, settings: [fea].
 
-    family: of meshes of the gel that all scenes sit on; bricks follow the gel of each scene. workdir: of this process alone.
+    family: of meshes of the gel that all scenes sit on; hexahedra follow the gel of each scene. workdir: of this process alone.
     """
 
     def __init__(self, family: MeshFamily, workdir: Path | str, settings: FeaTable) -> None:
@@ -44,67 +44,71 @@ class Solvers:
         return self.solve_frames([scene], fidelity)[0]
 
     def solve_frames(self, scenes: Sequence[Scene], fidelity: str) -> list[Result]:
-        """Solve moments of one press, scenes in order of time along one path; one result each, as `solve` gives it.
+        """Solve frames of one press, scenes in order of time along one path; one result each, as `solve` gives it.
 
-        Without slip their path is walked once, on coarse bricks, for all of them.
+        Without slip their path is followed once, on coarse hexahedra, for all of them.
         """
         if fidelity not in FIDELITIES:
             raise BadInput(f"fidelity {fidelity!r} is unknown; choose one of {', '.join(FIDELITIES)}")
         if len(scenes) == 1:
             scenes = [scenes[0].direct]
-        way = way_of(scenes[-1], fidelity, self.settings)
-        if way.fidelity not in IN_PROCESS:
+        method = method_of(scenes[-1], fidelity, self.settings)
+        if method.fidelity not in IN_PROCESS:
             need_ccx()
-        first = self._first_rung(scenes, way)
-        results = [self._climb(scene, way, attempt) for scene, attempt in zip(scenes, first, strict=True)]
+        first = self._as_asked(scenes, method)
+        results = [self._with_fallbacks(scene, method, attempt) for scene, attempt in zip(scenes, first, strict=True)]
         for result in results:
-            result.evidence |= way.why
+            result.evidence |= method.why
         return results
 
-    def _first_rung(self, scenes: Sequence[Scene], way: Way) -> list[Callable[[Scene], Result]]:
-        """How each scene is solved as asked; where a path serves several of them it is walked here."""
-        if way.fidelity == "hex":
-            return [_answer(found) for found in self._solve_hex(scenes, way.hexahedra)]
-        if way.fidelity == "ccx":
-            walks = self.guide.walk(scenes)
-            return [partial(self._solve_ccx, trail=walk.trail if walk else None) for walk in walks]
-        # a reference owes nothing to the bricks
-        alone = self._solve_native if way.fidelity == "ccx-native" else self._solve_ccx
+    def _as_asked(self, scenes: Sequence[Scene], method: SolveMethod) -> list[Callable[[Scene], Result]]:
+        """How each scene is solved as asked; where a path serves several of them it is followed here."""
+        if method.fidelity == "hex":
+            return [_answer(found) for found in self._solve_hex(scenes, method.hexahedra)]
+        if method.fidelity == "ccx":
+            frames = self.guide.coarse_path(scenes)
+            return [partial(self._solve_ccx, coarse_path=frame.path if frame else None) for frame in frames]
+        # a reference owes nothing to the hexahedra
+        alone = self._solve_native if method.fidelity == "ccx-native" else self._solve_ccx
         return [alone] * len(scenes)
 
-    def _climb(self, scene: Scene, way: Way, first: Callable[[Scene], Result]) -> Result:
-        """The first valid result of the ladder, else the last one, with what failed before it."""
-        climbed = []
-        for rung, attempt in [(way.fidelity, first), *self._lower_rungs(way.fidelity, way.hexahedra)]:
+    def _with_fallbacks(self, scene: Scene, method: SolveMethod, first: Callable[[Scene], Result]) -> Result:
+        """The first valid result of the attempts, else the last one, with what failed before it."""
+        failed = []
+        for name, attempt in [(method.fidelity, first), *self._fallbacks(method.fidelity, method.hexahedra)]:
             result = attempt(scene)
-            result.evidence["rung"] = rung
+            result.evidence["attempt"] = name
             if result.status.valid:
                 break
-            climbed.append(f"{rung}: {result.status.name}, {result.evidence.get('reason') or result.status.value}")
-        result.evidence["ladder"] = climbed + result.evidence.get("ladder", [])
-        result.evidence.setdefault("fidelity", way.fidelity)
+            failed.append(f"{name}: {result.status.name}, {result.evidence.get('reason') or result.status.value}")
+        result.evidence["failed_attempts"] = failed + result.evidence.get("failed_attempts", [])
+        result.evidence.setdefault("fidelity", method.fidelity)
         return result
 
-    def _lower_rungs(self, fidelity: str, bricks: str) -> list[tuple[str, Callable[[Scene], Result]]]:
-        """What is tried where solving as asked fails: smaller load steps, more contact rounds, another fidelity."""
+    def _fallbacks(self, fidelity: str, hexahedra: str) -> list[tuple[str, Callable[[Scene], Result]]]:
+        """What is tried where solving as asked fails: smaller load steps, more contact iterations, another fidelity."""
         if fidelity == "hex":
-            return [("hex, smaller load steps", lambda scene: self._solve_hex([scene], bricks, 4)[0])]
+            return [("hex, smaller load steps", lambda scene: self._solve_hex([scene], hexahedra, 4)[0])]
         if fidelity == "ccx-native":
             return []
-        rungs: list[tuple[str, Callable[[Scene], Result]]] = [
+        finer: list[tuple[str, Callable[[Scene], Result]]] = [
             (f"{fidelity}, smaller load steps", partial(self._solve_ccx, steps=3)),
             (f"{fidelity}, more contact rounds", partial(self._solve_ccx, steps=3, rounds=3)),
         ]
         # a reference is CalculiX' or none
         return (
-            rungs if fidelity == "ccx-fine" else [*rungs, ("hex", lambda scene: self._solve_hex([scene], bricks)[0])]
+            finer
+            if fidelity == "ccx-fine"
+            else [*finer, ("hex", lambda scene: self._solve_hex([scene], hexahedra)[0])]
         )
 
-    def _solve_ccx(self, scene: Scene, steps: int = 1, rounds: int = 1, trail: Trail | None = None) -> Result:
+    def _solve_ccx(
+        self, scene: Scene, steps: int = 1, rounds: int = 1, coarse_path: LoadPath | None = None
+    ) -> Result:
         mesh, base = choose_mesh(scene, self.family), self.ccx
         finer = replace(base, press_steps=steps * base.press_steps, shear_steps=steps * base.shear_steps,
                         step_mm=base.step_mm / steps, rounds=rounds * base.rounds)  # fmt: skip
-        result = self._ccx_on(mesh).solve(scene, settings=finer, trail=trail)
+        result = self._ccx_on(mesh).solve(scene, settings=finer, coarse_path=coarse_path)
         result.evidence |= {"mesh": mesh}
         return result
 
@@ -116,18 +120,18 @@ class Solvers:
         solver = self._ccx[own]
         return solver if mesh == own else solver.on(self.family.load(mesh), self.workdir / mesh)
 
-    def _solve_hex(self, scenes: Sequence[Scene], bricks: str, steps: int = 1) -> list[Result]:
-        """Solve on bricks that follow the press; a result's mesh is a name that holds all numbers of it."""
+    def _solve_hex(self, scenes: Sequence[Scene], hexahedra: str, steps: int = 1) -> list[Result]:
+        """Solve on hexahedra that follow the press; a result's mesh is a name that holds all numbers of it."""
         for gel in {scene.gel for scene in scenes}:
             if load_gel(gel.name) != gel:
                 raise BadInput(f"gel {gel.name!r} of the scene is not the one of that name; give it one of its own")
-        if (bricks, steps) not in self._hex:
-            s = quality(bricks)
+        if (hexahedra, steps) not in self._hex:
+            s = quality(hexahedra)
             finer = replace(s, press_steps=steps * s.press_steps, shear_steps=steps * s.shear_steps)
-            self._hex[bricks, steps] = HexSolver(finer)
-        results = self._hex[bricks, steps].solve_frames(scenes)
+            self._hex[hexahedra, steps] = HexSolver(finer)
+        results = self._hex[hexahedra, steps].solve_frames(scenes)
         for result in results:
-            result.evidence |= {"mesh": result.bricks.name if result.bricks else "", "fidelity": "hex"}
+            result.evidence |= {"mesh": result.mesh_name.name if result.mesh_name else "", "fidelity": "hex"}
         return list(results)
 
     def _solve_native(self, scene: Scene) -> Result:
@@ -140,5 +144,5 @@ class Solvers:
 
 
 def _answer(found: Result) -> Callable[[Scene], Result]:
-    """What was solved already, as a way of solving it."""
+    """What was solved already, as a method of solving it."""
     return lambda scene: found

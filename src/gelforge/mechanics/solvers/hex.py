@@ -1,4 +1,4 @@
-"""Fidelity `hex`: the whole contact problem in process, on bricks with mean dilatation."""
+"""Fidelity `hex`: the whole contact problem in process, on hexahedra with mean dilatation."""
 
 import resource
 import time
@@ -14,24 +14,24 @@ from gelforge.mechanics.contact.penalty import ContactState
 from gelforge.mechanics.hexsettings import HexSettings, Nested
 from gelforge.mechanics.mesh.finebox import fine_box
 from gelforge.mechanics.mesh.hexmesh import FineBox, HexMesh, build_mesh
-from gelforge.mechanics.mesh.hexname import Bricks
+from gelforge.mechanics.mesh.hexname import HexMeshName
 from gelforge.mechanics.path.equilibrium import System
 from gelforge.mechanics.path.hexpath import Run
-from gelforge.mechanics.path.loadpath import first_touch, moment_of
-from gelforge.mechanics.path.transfer import Trail
+from gelforge.mechanics.path.loadpath import first_touch, frame_time
+from gelforge.mechanics.path.transfer import LoadPath
 from gelforge.mechanics.result import BALANCE, Result
 from gelforge.mechanics.scene import Scene
 from gelforge.records.status import Status
 
-# How deep the indenter may end inside the gel. Contact springs give way by 0.02 mm at most on the scenes of the chart, by
+# How deep the indenter may end inside the gel. Contact penalties give way by 0.02 mm at most on the scenes of the chart, by
 # half a millimetre and more where the gel is pressed through: that state is in equilibrium, but not one of the press.
 MOST_INSIDE_MM = 0.1
 MOST_BELOW_MM = 1e-3  # that a node may end below the base the gel is bonded to
-# Share of the force by which it may be corrected for the size of bricks: where more is asked for, the coarse ones are too
-# coarse to tell anything.
+# Share of the force by which it may be corrected for the size of hexahedra: where more is asked for, the coarse ones are too
+# coarse to say anything.
 MOST_CORRECTED = 0.05
 KEPT = 8  # meshes, and factorisations, of those used last
-TOUCH = 1e-8  # path parameter, about what the first touch is found to: a moment nearer to it touches nothing yet
+TOUCH = 1e-8  # path parameter, about what the first touch is found to: a frame nearer to it touches nothing yet
 
 
 @dataclass
@@ -39,12 +39,12 @@ class HexResult(Result):
     """A Result with its mesh, the contact at Gauss points (None: nothing was solved), and what the mesh is built from.
 
     evidence["path"]: converged load steps [path parameter, fx, fy, fz], N: one solve is a whole force-depth curve. With
-    nested settings those of the coarse bricks, but for the end.
+    nested settings those of the coarse hexahedra, but for the end.
     """
 
     mesh: HexMesh | None = None
     contact: ContactState | None = None
-    bricks: Bricks | None = None
+    mesh_name: HexMeshName | None = None
 
     @property
     def solved_mesh(self) -> HexMesh:
@@ -62,7 +62,7 @@ def solve_hex(scene: Scene, settings: HexSettings = HexSettings()) -> HexResult:
 class HexSolver:
     """Solves many scenes, keeping meshes and symbolic factorisations (KEPT of each).
 
-    Of numbers nothing is kept: a press gives the same result whatever was solved before it.
+    No state carries over, so results do not depend on the order of solves.
     """
 
     def __init__(self, settings: HexSettings = HexSettings()):
@@ -71,7 +71,7 @@ class HexSolver:
         self._systems = _Kept(KEPT)
 
     def mesh(self, gel: Gel, box: FineBox) -> HexMesh:
-        """The brick mesh for a fine box (cached)."""
+        """The hexahedral mesh for a fine box (cached)."""
         return self._mesh(gel, box, self.settings)
 
     def solve(self, scene: Scene) -> HexResult:
@@ -79,103 +79,107 @@ class HexSolver:
         return self.solve_frames([scene.direct])[0]
 
     def solve_frames(self, scenes: Sequence[Scene]) -> list[HexResult]:
-        """States at moments of one press, scenes in order of time along one path; one result each, all on one mesh.
+        """States at frames of one press, scenes in order of time along one path; one result each, all on one mesh.
 
-        The path is walked once. With nested settings that is on coarse bricks, and only its moments are solved on fine
-        ones; else each moment is settled where the path passes it.
+        The path is followed once. With nested settings that is on coarse hexahedra, and only its frames are solved on fine
+        ones; else the contact of each frame is iterated where the path passes it.
         """
         began, start = time.perf_counter(), first_touch(scenes[-1])
         if start is None:
-            return [self._untouched(scene, began) for scene in scenes]
+            return [self._no_contact(scene, began) for scene in scenes]
         box = self._box(scenes[-1])
-        if len(scenes) > 1 and not self._walks_coarse(scenes[-1]) and not _below_base(scenes[-1]):
+        if len(scenes) > 1 and not self._nests(scenes[-1]) and not _below_base(scenes[-1]):
             return self._passed(scenes, start, box)
-        walked, results = self.walk(scenes), []
+        frames, results = self.coarse_path(scenes), []
         share = (time.perf_counter() - began) / len(scenes)
-        for scene, way in zip(scenes, walked, strict=True):
-            results.append(self._moment(scene, way, box, time.perf_counter() - share))
+        for scene, coarse in zip(scenes, frames, strict=True):
+            results.append(self._frame(scene, coarse, box, time.perf_counter() - share))
         return results
 
-    def _walks_coarse(self, scene: Scene) -> bool:
-        """Whether a path is walked on coarse bricks: with Coulomb friction a point's force depends on all of its slip."""
+    def _nests(self, scene: Scene) -> bool:
+        """Whether the path is followed on coarse hexahedra first: with Coulomb friction a point's force depends on all of its slip."""
         return self.settings.nested is not None and scene.interface.law != "coulomb"
 
     def _passed(self, scenes: Sequence[Scene], start: float, box: FineBox) -> list[HexResult]:
-        """States at moments of one press, each settled where the path on these bricks passes it."""
-        last, bricks = scenes[-1], self._bricks(scenes[-1].gel, box)
+        """States at frames of one press, the contact of each iterated where the path on these hexahedra passes it."""
+        last, name = scenes[-1], self._mesh_name(scenes[-1].gel, box)
         run = self._run(last, self.mesh(last.gel, box), self.settings, box.size)
-        times = [moment_of(scene, last) for scene in scenes]
+        times = [frame_time(scene, last) for scene in scenes]
         found: dict[float, HexResult] = {}
 
         def keep(ended: Run, status: Status) -> None:
-            found[ended.t] = _result(ended, status, time.perf_counter(), bricks)
+            found[ended.t] = _result(ended, status, time.perf_counter(), name)
 
         began = time.perf_counter()
         status = run.follow(start, times, keep)
-        end = _result(run, status, began, bricks)
+        end = _result(run, status, began, name)
         results = []
         for scene, t in zip(scenes, times, strict=True):
             if t <= start + TOUCH:
-                results.append(self._untouched(scene, time.perf_counter()))
+                results.append(self._no_contact(scene, time.perf_counter()))
                 continue
             passed = found.get(t) if t < times[-1] else None
             reached = passed or end
             path = _until(reached.evidence["path"], t) if passed else reached.evidence["path"]
             seconds = (time.perf_counter() - began) / len(scenes)
-            # a result of its own, because moments that are one share what was found, and what is told of each is changed
+            # a result of its own, because equal frames share what was found, and what is noted of each is changed
             results.append(replace(reached, evidence=reached.evidence | {"path": path, "seconds": seconds}))
         return results
 
-    def walk(self, scenes: Sequence[Scene]) -> list["Walked | None"]:
-        """The path of a press on the coarse bricks of nested settings, as it stands at each of its moments.
+    def coarse_path(self, scenes: Sequence[Scene]) -> list["CoarseFrame | None"]:
+        """The path of a press on the coarse hexahedra of nested settings, as it stands at each of its frames.
 
-        None for a moment at which nothing touches yet, and for all where the path finds no equilibrium, where settings
+        None for a frame at which nothing touches yet, and for all where the path finds no equilibrium, where settings
         are not nested, and with Coulomb friction.
         """
         last = scenes[-1]
-        none: list[Walked | None] = [None] * len(scenes)
+        none: list[CoarseFrame | None] = [None] * len(scenes)
         start = first_touch(last)
         nested = self.settings.nested
-        if start is None or nested is None or not self._walks_coarse(last) or _below_base(last):
+        if start is None or nested is None or not self._nests(last) or _below_base(last):
             return none
         settings, box = self.settings.coarse, self._box(last)
         wide = replace(box, size=nested.factor * box.size)
         run = self._run(last, self._mesh(last.gel, wide, settings), settings, wide.size)
-        times = [moment_of(scene, last) for scene in scenes]
+        times = [frame_time(scene, last) for scene in scenes]
         status = run.follow(start, times)
         if status is Status.DIVERGED:
             return none
         run.curve[-1][1:] = run.contact_forces().sum(axis=0).tolist()
-        trail = run.trail()
+        path = run.load_path()
         counts = {"coarse_newton_iterations": run.iterations, "coarse_factorisations": run.factorisations}
-        return [Walked(trail.until(t), _until(run.curve, t), counts) if t > start + TOUCH else None for t in times]
+        return [
+            CoarseFrame(path.until(t), _until(run.curve, t), counts) if t > start + TOUCH else None for t in times
+        ]
 
-    def _moment(self, scene: Scene, walked: "Walked | None", box: FineBox, started: float) -> HexResult:
-        """State at the end of one scene: from the coarse path where it was walked, else by a path of its own."""
+    def _frame(self, scene: Scene, coarse: "CoarseFrame | None", box: FineBox, started: float) -> HexResult:
+        """State at the end of one scene: from the coarse path where there is one, else by a path of its own."""
         start = first_touch(scene)
         if start is None:
-            return self._untouched(scene, started)
-        bricks = self._bricks(scene.gel, box)
+            return self._no_contact(scene, started)
+        name = self._mesh_name(scene.gel, box)
         if reason := _below_base(scene):
-            return _refused(self.mesh(scene.gel, box), bricks, reason, started)
-        if walked:
-            result = self._arrived(scene, walked, box, bricks, started)
+            return _refused(self.mesh(scene.gel, box), name, reason, started)
+        if coarse:
+            result = self._arrived(scene, coarse, box, name, started)
             if result.status.valid or result.status is Status.OUT_OF_RANGE:
                 return result
         run = self._run(scene, self.mesh(scene.gel, box), self.settings, box.size)
-        return _result(run, run.follow(start), started, bricks)
+        return _result(run, run.follow(start), started, name)
 
-    def _arrived(self, scene: Scene, walked: "Walked", box: FineBox, bricks: Bricks, started: float) -> HexResult:
-        """The end of a coarse path on the fine bricks, and what both together tell of the error."""
+    def _arrived(
+        self, scene: Scene, coarse: "CoarseFrame", box: FineBox, name: HexMeshName, started: float
+    ) -> HexResult:
+        """The end of a coarse path on the fine hexahedra, and corrected by what both together say of the error."""
         run = self._run(scene, self.mesh(scene.gel, box), self.settings, box.size)
-        result = _result(run, run.arrive(walked.trail), started, bricks)
-        result.evidence |= walked.counts
-        # the curve is the coarse bricks' but for its end, which is the fine ones'
-        curve = [*walked.curve[:-1], [float(run.t), *result.total.tolist()]]
+        result = _result(run, run.arrive(coarse.path), started, name)
+        result.evidence |= coarse.counts
+        # the curve is the coarse hexahedra' but for its end, which is the fine ones'
+        curve = [*coarse.curve[:-1], [float(run.t), *result.total.tolist()]]
         result.evidence["path"] = curve
         if result.status is Status.OK:
-            share = (self.settings.nested or Nested()).share(walked.trail.size / box.size)
-            factor = _corrected(result.total, np.array(walked.curve[-1][1:]), share)
+            share = (self.settings.nested or Nested()).share(coarse.path.size / box.size)
+            factor = _corrected(result.total, np.array(coarse.curve[-1][1:]), share)
             # reactions of the base go with the forces: what was checked for balance stays balanced
             result.forces *= factor
             run.state.traction *= factor
@@ -193,15 +197,15 @@ class HexSolver:
         shape = (s.layers, s.layer_ratio, s.growth, s.largest, s.widened)
         return self._meshes.get((gel, box, shape), lambda: build_mesh(gel, box, *shape))
 
-    def _bricks(self, gel: Gel, box: FineBox) -> Bricks:
+    def _mesh_name(self, gel: Gel, box: FineBox) -> HexMeshName:
         s = self.settings
-        return Bricks(gel.name, box, s.layers, s.layer_ratio, s.growth, s.largest, s.widened)
+        return HexMeshName(gel.name, box, s.layers, s.layer_ratio, s.growth, s.largest, s.widened)
 
     def _system(self, mesh: HexMesh) -> System:
         """Matrix and factorisation, which meshes of one pattern share."""
         return self._systems.get(mesh.pattern_key, lambda: System(mesh))
 
-    def _untouched(self, scene: Scene, started: float) -> HexResult:
+    def _no_contact(self, scene: Scene, started: float) -> HexResult:
         gel = scene.gel
         s = self.settings
         box = s.box or FineBox(-gel.width / 4, gel.width / 4, -gel.length / 4, gel.length / 4, 2 * s.size)
@@ -209,18 +213,18 @@ class HexSolver:
         zero = np.zeros_like(mesh.nodes)
         evidence = _evidence(unknown=0.0)
         evidence["seconds"] = time.perf_counter() - started
-        return HexResult(Status.NO_CONTACT, zero, zero.copy(), evidence, mesh, None, self._bricks(gel, box))
+        return HexResult(Status.NO_CONTACT, zero, zero.copy(), evidence, mesh, None, self._mesh_name(gel, box))
 
 
 @dataclass(frozen=True)
-class Walked:
-    """A press on coarse bricks up to one moment.
+class CoarseFrame:
+    """A press on coarse hexahedra up to one frame.
 
-    trail: its states. curve: converged load steps [path parameter of the moment's own path, fx, fy, fz] in N.
+    path: its states. curve: converged load steps [path parameter of the frame's own path, fx, fy, fz] in N.
     counts: iterations and factorisations of the whole path.
     """
 
-    trail: Trail
+    path: LoadPath
     curve: list[list[float]]
     counts: dict[str, int]
 
@@ -257,8 +261,8 @@ class _Kept:
         return self._items[key]
 
 
-def _result(run: Run, status: Status, started: float, bricks: Bricks) -> HexResult:
-    """Forces, evidence and contact state of a walked path."""
+def _result(run: Run, status: Status, started: float, name: HexMeshName) -> HexResult:
+    """Forces, evidence and contact state at the end of a path."""
     evidence = _evidence(run.residual, run.iterations, run.rounds, run.steps)
     forces = np.zeros_like(run.u)
     if status is not Status.DIVERGED:
@@ -277,11 +281,11 @@ def _result(run: Run, status: Status, started: float, bricks: Bricks) -> HexResu
     evidence |= {"reached": float(run.t), "cuts": run.cuts, "factorisations": run.factorisations}
     evidence["products"] = run.products
     evidence["seconds"] = time.perf_counter() - started
-    return HexResult(status, forces, run.u, evidence, run.mesh, run.state, bricks)
+    return HexResult(status, forces, run.u, evidence, run.mesh, run.state, name)
 
 
 def _corrected(fine: np.ndarray, coarse: np.ndarray, extrapolation: float) -> float:
-    """Factor on the fine bricks' forces, from total forces (3,) N of fine and coarse bricks; extrapolation: `Nested.share`."""
+    """Factor on the fine hexahedra' forces, from total forces (3,) N of fine and coarse hexahedra; extrapolation: `Nested.share`."""
     size = float(np.linalg.norm(fine))
     if size == 0.0:
         return 1.0
@@ -299,12 +303,12 @@ def _impossible(evidence: dict) -> str | None:
     return None
 
 
-def _refused(mesh: HexMesh, bricks: Bricks, reason: str, started: float) -> HexResult:
+def _refused(mesh: HexMesh, name: HexMeshName, reason: str, started: float) -> HexResult:
     """A press that geometry alone forbids: no solve, no force."""
     zero = np.zeros_like(mesh.nodes)
     evidence = _evidence() | {"reason": f"{reason}; {Status.OUT_OF_RANGE.value}"}
     evidence["seconds"] = time.perf_counter() - started
-    return HexResult(Status.OUT_OF_RANGE, zero, zero.copy(), evidence, mesh, None, bricks)
+    return HexResult(Status.OUT_OF_RANGE, zero, zero.copy(), evidence, mesh, None, name)
 
 
 def _evidence(

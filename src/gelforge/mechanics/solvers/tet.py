@@ -5,7 +5,7 @@ import numpy as np
 from gelforge.mechanics.contact.facepoints import FacePoints
 from gelforge.mechanics.path.tetpath import Kinematics, PathSettings, TetPath
 from gelforge.mechanics.path.tetsolid import TetSolid
-from gelforge.mechanics.path.transfer import Trail, volume_motion
+from gelforge.mechanics.path.transfer import LoadPath, volume_motion
 from gelforge.mechanics.result import NoEquilibrium
 from gelforge.mechanics.scene import Scene
 
@@ -13,7 +13,7 @@ from gelforge.mechanics.scene import Scene
 def follow(scene: Scene, solid: TetSolid, points: FacePoints, start: float, settings: PathSettings) -> Kinematics:
     """Follow press and shear from the press fraction `start` of first touch to the end of the path.
 
-    points: of the faces that may come to touch (`facecontact.reachable`). Failure is told in the result.
+    points: of the faces that may come to touch (`facecontact.reachable`). Failure is a field of the result.
     """
     path = TetPath(scene, solid, points, settings)
     # nothing touches before: where a point is first met is sought from here on
@@ -25,27 +25,34 @@ def follow(scene: Scene, solid: TetSolid, points: FacePoints, start: float, sett
         if scene.press.dx or scene.press.dy:
             for fraction in np.linspace(0.0, 1.0, settings.shear_steps + 1)[1:]:
                 path.advance(np.array([1.0, fraction]))
-        settled = path.settle()
-        reason = "" if settled else "the contact set did not settle on the path"
+        converged = path.iterate_contact()
+        reason = "" if converged else "the contact set did not converge on the path"
     except NoEquilibrium as error:
-        settled, reason = False, str(error)
-    return Kinematics(path.contact, path.u, settled, reason, path.iterations, path.steps, path.rounds)
+        converged, reason = False, str(error)
+    return Kinematics(path.contact, path.u, converged, reason, path.iterations, path.steps, path.rounds)
 
 
 def arrive(
-    scene: Scene, solid: TetSolid, points: FacePoints, nodes: np.ndarray, trail: Trail, settings: PathSettings
+    scene: Scene,
+    solid: TetSolid,
+    points: FacePoints,
+    nodes: np.ndarray,
+    coarse_path: LoadPath,
+    settings: PathSettings,
 ) -> Kinematics:
-    """End of a path that was walked on bricks: no slip only. nodes: (n, 3) mm, undeformed.
+    """End of a path that was followed on hexahedra: no slip only. nodes: (n, 3) mm, undeformed.
 
     Where points are held comes from their own way through that path; what pulls or penetrates there is judged anew.
     """
     path = TetPath(scene, solid, points, settings)
     path.at = np.ones(2)
-    u = np.where(solid.free[:, None], volume_motion(trail.mesh, trail.states[-1], nodes, scene.gel), 0.0)
+    u = np.where(solid.free[:, None], volume_motion(coarse_path.mesh, coarse_path.states[-1], nodes, scene.gel), 0.0)
     try:
         path.u = path.unfolded(u)
-        settled = path.hold(trail) and path.settle()
-        reason = "" if settled else "the contact set did not settle at the path's end"
+        converged = path.stick_as_on(coarse_path) and path.iterate_contact()
+        reason = "" if converged else "the contact set did not converge at the path's end"
     except NoEquilibrium as error:
-        settled, reason = False, str(error)
-    return Kinematics(path.contact, path.u, settled, reason, path.iterations, len(trail.times) - 1, path.rounds)
+        converged, reason = False, str(error)
+    return Kinematics(
+        path.contact, path.u, converged, reason, path.iterations, len(coarse_path.times) - 1, path.rounds
+    )

@@ -1,4 +1,4 @@
-"""Names of brick meshes: they hold all of the mesh, and what is no such name is refused."""
+"""Names of hexahedral meshes: they hold all of the mesh, and what is no such name is refused."""
 
 import re
 
@@ -10,31 +10,31 @@ from hypothesis import strategies as st
 from gelforge.errors import BadInput
 from gelforge.mechanics.mesh.family import load_mesh
 from gelforge.mechanics.mesh.hexmesh import FineBox
-from gelforge.mechanics.mesh.hexname import FORM, Bricks
+from gelforge.mechanics.mesh.hexname import FORM, HexMeshName
 
 GOOD = "hex@gelsight_mini:-5.5:5.5:-10:0.25:0.45:5:3:1.8:3:3:1"
 LENGTH = st.floats(0.2, 3.0)
-BRICKS = st.builds(
-    Bricks, st.just("gelsight_mini"),
+NAMES = st.builds(
+    HexMeshName, st.just("gelsight_mini"),
     st.builds(FineBox, st.floats(-10, -0.1), st.floats(0, 10), st.floats(-12, -0.1), st.floats(0, 12), LENGTH),
     st.just(9), st.floats(0.5, 5), st.floats(1, 3), LENGTH,
     st.lists(st.integers(1, 8), max_size=3).map(lambda w: tuple(sorted(w, reverse=True))),
 )  # fmt: skip
 
 
-@given(BRICKS)
-def test_a_name_holds_every_bit(bricks):
-    assert Bricks.parse(bricks.name) == bricks
+@given(NAMES)
+def test_a_name_holds_every_bit(name):
+    assert HexMeshName.parse(name.name) == name
 
 
-@given(BRICKS)
-def test_zero_has_one_name(bricks):
-    low, high = (Bricks(bricks.gel, FineBox(-1.0, zero, -1.0, 1.0, 1.0), 2, 3.0, 1.5, 2.0) for zero in (0.0, -0.0))
+@given(NAMES)
+def test_zero_has_one_name(name):
+    low, high = (HexMeshName(name.gel, FineBox(-1.0, zero, -1.0, 1.0, 1.0), 2, 3.0, 1.5, 2.0) for zero in (0.0, -0.0))
     assert low.name == high.name
 
 
 def test_a_mesh_of_a_name_is_the_same_wherever_it_is_built(tmp_path):
-    one, other = load_mesh(tmp_path, GOOD), Bricks.parse(GOOD).mesh()
+    one, other = load_mesh(tmp_path, GOOD), HexMeshName.parse(GOOD).mesh()
     assert np.array_equal(one.nodes, other.nodes) and np.array_equal(one.elements, other.elements)
     assert len(one.nodes) > 1000 and one.layers == 5
 
@@ -58,9 +58,9 @@ def test_a_name_that_is_none_is_refused(tmp_path, old, new):
 
 @pytest.mark.parametrize("box", ["0:1e-06:0:1", "0:1:0:1e-06", "10.374999:12:0:1"])
 def test_a_fine_part_as_narrow_as_a_hair_is_refused_before_it_is_built(box):
-    """A brick no wider than it, whatever its size, and others that do not grow from there: ten million lines."""
-    with pytest.raises(BadInput, match="more than 2e\\+06 bricks"):
-        Bricks.parse(f"hex@gelsight_mini:{box}:1:2:3:1:1")
+    """An element no wider than it, whatever its size, and others that do not grow from there: ten million lines."""
+    with pytest.raises(BadInput, match="more than 2e\\+06 elements"):
+        HexMeshName.parse(f"hex@gelsight_mini:{box}:1:2:3:1:1")
 
 
 @pytest.mark.parametrize("name", ["ccx-centre-0.5", "hex-centre-0.5", ""])
