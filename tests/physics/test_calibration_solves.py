@@ -12,7 +12,6 @@ from gelforge.calibration.readings import Readings
 from gelforge.calibration.solves import (
     SolveCache,
     build_emulator,
-    interface_of,
     make_plan,
     path_curve,
     refine,
@@ -25,7 +24,7 @@ from gelforge.geometry.gel import USUAL_GEL, Gel
 from gelforge.geometry.indenters import load_catalogue
 from gelforge.mechanics.hexsettings import HexSettings
 from gelforge.mechanics.material import REFERENCE_C10, Material
-from gelforge.mechanics.scene import Scene
+from gelforge.mechanics.scene import Interface, Scene
 from gelforge.mechanics.solvers.hex import solve_hex
 from gelforge.records.press import POSE, Press
 from gelforge.records.status import Status
@@ -51,7 +50,7 @@ def presses(*poses) -> Readings:
 
 
 def solve(catalogue, press, mu=MU):
-    result = solve_hex(Scene(Gel(), Material(NU), catalogue["sphere_15"], press, interface_of(mu)), SETTINGS)
+    result = solve_hex(Scene(Gel(), Material(NU), catalogue["sphere_15"], press, Interface.of_friction(mu)), SETTINGS)
     assert result.status.valid, result.status.value
     return result.total
 
@@ -137,7 +136,7 @@ def test_forces_between_the_friction_nodes_are_those_of_solves(root, tmp_path):
     assert not solve_all(plan, cache, nodes, [NU])
     emulator = build_emulator(plan, cache, nodes, [NU])
     for mu in (0.7, 1.2):
-        scene = Scene(Gel(), Material(NU), flat["cylinder_8"], readings.press(0, 1.0), interface_of(mu))
+        scene = Scene(Gel(), Material(NU), flat["cylinder_8"], readings.press(0, 1.0), Interface.of_friction(mu))
         direct = solve_hex(scene, SETTINGS).total[2]
         values = true_values(c10=REFERENCE_C10, offset=0.0, compliance=0.0, mu=mu)
         assert emulator.forces(readings.depth, values)[0][0, 0, 2] == pytest.approx(direct, rel=0.012)

@@ -9,6 +9,7 @@ from parameters import parameters
 from gelforge.geometry.indenters import build
 from gelforge.mechanics.contact.facecontact import SLIDE, STICK, Contact, contact_blocks, contact_forces, judge
 from gelforge.mechanics.contact.facepoints import dunavant12, face_points
+from gelforge.mechanics.contact.law import laws
 from gelforge.mechanics.hexsettings import HexSettings
 from gelforge.mechanics.material import Material
 from gelforge.mechanics.mesh.moved import moved
@@ -108,7 +109,7 @@ def test_a_state_is_judged_by_what_pulls_and_by_what_lies_in_the_indenter(mesh):
     assert verdict.penetration == pytest.approx(depth[~held].max()) and verdict.penetration > 0.5
 
 
-@pytest.mark.parametrize("law", ["no_slip", "frictionless", "coulomb"])
+@pytest.mark.parametrize("law", laws())
 def test_calculix_needs_on_every_node_the_force_that_contact_gives_it(solver, law):
     """CalculiX is given where the touched nodes are, and no force: the in-process solver's must be the ones that hold them there."""
     pressed, s = scene(law, dx=0.1), solver.settings

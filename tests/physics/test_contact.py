@@ -1,13 +1,13 @@
 """Contact at Gauss points: the rule integrates the surface, tractions have a potential, friction is bounded."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
+from gelforge.flow.params.tables import LAWS as CONFIGURED
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
-from gelforge.mechanics.contact.penalty import STICK, FacePlaces, Law, contact_points, curved, penalty_tractions
+from gelforge.mechanics.contact.law import contact_law, laws
+from gelforge.mechanics.contact.penalty import STICK, FacePlaces, Penalty, contact_points, curved, penalty_tractions
 from gelforge.mechanics.linear.pattern import build_pattern
 from gelforge.mechanics.mesh.hexmesh import (
     FineBox,
@@ -20,7 +20,19 @@ from gelforge.mechanics.mesh.hexmesh import (
 from gelforge.mechanics.pose import Pose, on_surface, touch_fraction
 from tests.surface_values import interpolate_surface
 
-LAW = Law(penalty=50.0, friction=5.0)
+NO_SLIP = Penalty(50.0, 5.0, contact_law("no_slip"))
+# Every law, with several numbers where it has one.
+LAWS = [
+    contact_law(name, number)
+    for name, law in laws().items()
+    for number in ((0.0, 0.02, 0.1, 0.8) if law.has_coefficient else (0.0,))
+]
+
+
+def named(law):
+    return f"{law.name}-{law.coefficient:g}"
+
+
 HERE = Pose(np.eye(3), np.zeros(3))
 
 
@@ -60,10 +72,14 @@ def test_rule_covers_the_surface(mesh, order):
     assert np.allclose(state.shape.sum(axis=1), 1.0)
 
 
+def test_the_configuration_names_laws_that_there_are():
+    assert set(CONFIGURED) <= laws().keys()
+
+
 def test_free_points_feel_the_normal_only(mesh):
     state = contact_points(mesh, 2)
     x = state.reference + [0, 0, 0.3]
-    tractions = penalty_tractions(state, x, HERE, Floor(), LAW, np.arange(len(x)))
+    tractions = penalty_tractions(state, x, HERE, Floor(), NO_SLIP, np.arange(len(x)))
     assert len(tractions.point)
     assert np.abs(np.cross(tractions.traction, Floor.normal)).max() < 1e-12 * np.abs(tractions.traction).max()
 
@@ -76,32 +92,34 @@ def sticking(mesh, seed=0):
     return state, state.reference + [0, 0, 2.0]
 
 
-@pytest.mark.parametrize("mu", [0.0, 0.02, 0.1, 0.8, np.inf])
-def test_stiffness_is_the_derivative_of_the_traction(mesh, mu):
+@pytest.mark.parametrize("law", LAWS, ids=named)
+def test_stiffness_is_the_derivative_of_the_traction(mesh, law):
     """On a flat face, where the indenter's curvature (left out of the stiffness) is zero."""
-    (state, x), law = sticking(mesh), replace(LAW, mu=mu)
+    (state, x), penalty = sticking(mesh), Penalty(50.0, 5.0, law)
     none = np.empty(0, int)
-    tractions = penalty_tractions(state, x, HERE, Floor(), law, none)
+    tractions = penalty_tractions(state, x, HERE, Floor(), penalty, none)
     step = np.random.default_rng(1).normal(size=x.shape)
     h = 1e-6
-    ahead = penalty_tractions(state, x + h * step, HERE, Floor(), law, none).traction
-    behind = penalty_tractions(state, x - h * step, HERE, Floor(), law, none).traction
+    ahead = penalty_tractions(state, x + h * step, HERE, Floor(), penalty, none).traction
+    behind = penalty_tractions(state, x - h * step, HERE, Floor(), penalty, none).traction
     predicted = -np.einsum("pij,pj->pi", tractions.stiffness, step[tractions.point])
     slip = tractions.slip
     predicted[np.searchsorted(tractions.point, slip.point)] -= np.einsum("pij,pj->pi", slip.block, step[slip.point])
     # central differences of a smooth law; a point within h of the cone would be off, none is for this seed
-    assert np.abs((ahead - behind) / (2 * h) - predicted).max() < 1e-5 * LAW.penalty
+    assert np.abs((ahead - behind) / (2 * h) - predicted).max() < 1e-5 * penalty.normal
     assert np.allclose(tractions.stiffness, tractions.stiffness.transpose(0, 2, 1))
-    assert (len(slip.point) > 0) == (mu < 2.0)
+    assert (len(slip.point) > 0) == law.slips
 
 
-@pytest.mark.parametrize("mu", [0.0, 0.02, 0.1])
-def test_tangential_traction_stays_in_its_cone_and_opposes_slip(mesh, mu):
+@pytest.mark.parametrize("law", [law for law in LAWS if law.slips], ids=named)
+def test_tangential_traction_stays_within_the_limit_and_opposes_slip(mesh, law):
     state, x = sticking(mesh)
-    tractions = penalty_tractions(state, x, HERE, Floor(), replace(LAW, mu=mu), np.empty(0, int))
+    tractions = penalty_tractions(state, x, HERE, Floor(), Penalty(50.0, 5.0, law), np.empty(0, int))
     pressure = tractions.traction @ Floor.normal
     tangential = tractions.traction - pressure[:, None] * Floor.normal
-    assert np.all(np.linalg.norm(tangential, axis=1) <= mu * pressure + 1e-12 * LAW.penalty * 10)  # rounding
+    assert np.all(
+        np.linalg.norm(tangential, axis=1) <= law.slip_limit(pressure, 1.0)[0] + 1e-12 * NO_SLIP.normal * 10
+    )  # rounding
     back = state.stick_point[tractions.point] - x[tractions.point]
     assert np.all(np.einsum("pi,pi->p", tangential, back) >= -1e-12)
 
@@ -110,7 +128,9 @@ def test_matrix_product_with_slip_is_that_of_the_blocks(mesh):
     """The part of the matrix that is not symmetric, applied without being stored."""
     state, x = sticking(mesh)
     pattern = build_pattern(mesh.elements, len(mesh.nodes), mesh.base)
-    slip = penalty_tractions(state, x, HERE, Floor(), replace(LAW, mu=0.05), np.empty(0, int)).slip
+    slip = penalty_tractions(
+        state, x, HERE, Floor(), Penalty(50.0, 5.0, contact_law("coulomb", 0.05)), np.empty(0, int)
+    ).slip
     rng = np.random.default_rng(2)
     v = rng.normal(size=(len(mesh.nodes), 3))
     v[mesh.base] = 0.0
@@ -127,16 +147,16 @@ def test_matrix_product_with_slip_is_that_of_the_blocks(mesh):
 
 def test_curved_stiffness_is_exact_where_the_face_is_not_flat(mesh):
     state, x = sticking(mesh)
-    ball, law, none = Ball(), replace(LAW, mu=0.3), np.empty(0, int)
-    tractions = penalty_tractions(state, x, HERE, ball, law, none)
-    rest = curved(tractions, state, x, HERE, ball, law, none)
+    ball, penalty, none = Ball(), Penalty(50.0, 5.0, contact_law("coulomb", 0.3)), np.empty(0, int)
+    tractions = penalty_tractions(state, x, HERE, ball, penalty, none)
+    rest = curved(tractions, state, x, HERE, ball, penalty, none)
     step, h = np.random.default_rng(1).normal(size=x.shape), 1e-6
-    ahead = penalty_tractions(state, x + h * step, HERE, ball, law, none).traction
-    behind = penalty_tractions(state, x - h * step, HERE, ball, law, none).traction
+    ahead = penalty_tractions(state, x + h * step, HERE, ball, penalty, none).traction
+    behind = penalty_tractions(state, x - h * step, HERE, ball, penalty, none).traction
     predicted = -np.einsum("pij,pj->pi", tractions.stiffness, step[tractions.point])
     predicted[np.searchsorted(tractions.point, rest.point)] -= np.einsum("pij,pj->pi", rest.block, step[rest.point])
     # one-sided differences over 1e-6 mm within `curved`: 1e-4 of slopes that grow as the pressure does
-    assert np.abs((ahead - behind) / (2 * h) - predicted).max() < 1e-3 * LAW.penalty
+    assert np.abs((ahead - behind) / (2 * h) - predicted).max() < 1e-3 * NO_SLIP.normal
 
 
 def test_points_let_go_fade():
@@ -144,7 +164,7 @@ def test_points_let_go_fade():
     state, x = sticking(mesh)
     state.release(np.array([0, 5]), np.ones((2, 3)))
     state.go(0.25)
-    tractions = penalty_tractions(state, x - [0, 0, 10], HERE, Floor(), LAW, np.empty(0, int))
+    tractions = penalty_tractions(state, x - [0, 0, 10], HERE, Floor(), NO_SLIP, np.empty(0, int))
     for point in (0, 5):
         assert np.allclose(tractions.traction[tractions.point == point].sum(axis=0), 0.75)
 

@@ -41,7 +41,7 @@ READ = {"hex": {"hex_quality"}, "ccx": CALCULIX, "ccx-fine": CALCULIX, "ccx-nati
 
 def key(scene=SCENE, fea=FEA, shape=BALL, mesh="ccx-centre-0.45-0123abcd", version=1, frames=None):
     way = method_of(scene, fea.fidelity, fea)
-    how = settings_of(way, fea, scene.interface.law, "" if way.fidelity == "hex" else mesh)
+    how = settings_of(way, fea, scene.interface, "" if way.fidelity == "hex" else mesh)
     return solve_key(frames or [scene], shape, how, version, -1)
 
 

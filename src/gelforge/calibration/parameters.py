@@ -7,6 +7,9 @@ import numpy as np
 from gelforge.calibration.friction import HALF_MU, friction_axis, friction_of
 from gelforge.errors import BadInput
 from gelforge.flow.params.tables import CalibrateTable, PriorTable
+from gelforge.mechanics.contact.laws.coulomb import Coulomb
+from gelforge.mechanics.contact.laws.frictionless import Frictionless
+from gelforge.mechanics.contact.laws.no_slip import NoSlip
 
 SOFT_BENCH = ("compliance", "shear_compliance")
 NAMES = ("c10", "offset", *SOFT_BENCH, "mu", "noise", "scatter", "discretisation", "nu")
@@ -21,7 +24,9 @@ LABELS = {
     "discretisation": "ln of scale, all forces",
     "nu": "Poisson's ratio",
 }
-LAWS = ("frictionless", "coulomb", "no_slip")
+# The contact laws that are compared, each with the friction coefficient it implies; Coulomb's is a parameter.
+FRICTION = {Frictionless.name: 0.0, Coulomb.name: None, NoSlip.name: np.inf}
+LAWS = tuple(FRICTION)
 
 
 @dataclass(frozen=True)
@@ -172,8 +177,8 @@ def make_model(params: CalibrateTable, law: str, without=(), indenters=()) -> Mo
     free, fixed = {}, {}
     for name in NAMES:
         table = getattr(params.priors, name)
-        if name == "mu" and law != "coulomb":
-            fixed[name] = 0.0 if law == "frictionless" else np.inf
+        if name == "mu" and (implied := FRICTION[law]) is not None:
+            fixed[name] = implied
         elif name in without and table.free is not False:
             fixed[name] = 0.0
         elif table.free is not False:

@@ -95,15 +95,9 @@ def make_plan(readings, reach: float, fractions) -> SolvePlan:
     return SolvePlan(readings, top[leader], leader, fractions)
 
 
-def interface_of(mu: float) -> Interface:
-    if mu == 0.0:
-        return Interface("frictionless")
-    return Interface("no_slip") if np.isinf(mu) else Interface("coulomb", float(mu))
-
-
 def scene_of(job: SolveJob, indenter) -> Scene:
     """The scene of a job."""
-    return Scene(load_gel(job.gel), Material(job.nu), indenter, job.press, interface_of(job.mu))
+    return Scene(load_gel(job.gel), Material(job.nu), indenter, job.press, Interface.of_friction(job.mu))
 
 
 def path_curve(result, press: Press, touch: float) -> dict:
@@ -236,7 +230,7 @@ class SolveCache:
 
         `in_vain`: made by this process for presses that are left out.
         """
-        laws = [interface_of(job.mu).law for job in self._used.values()]
+        laws = [Interface.of_friction(job.mu).law for job in self._used.values()]
         new = len(self._made & set(self._used))
         counts = {law: laws.count(law) for law in sorted(set(laws))}
         return {"total": len(laws), **counts, "new": new, "in_vain": len(self._made) - new}

@@ -1,6 +1,6 @@
 """The key of a solve: a digest of exactly what changes its result, by which every cache finds it again.
 
-Content and numbers, no names; and no number that the way in which a press is solved does not read.
+Content and numbers, no names; and no number that the method by which a press is solved does not read.
 """
 
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ from gelforge.flow.params import digest_of_value
 from gelforge.flow.params.tables import FeaTable
 from gelforge.geometry.gel import gel_shape
 from gelforge.mechanics.hexsettings import HexSettings, quality
-from gelforge.mechanics.scene import Scene
+from gelforge.mechanics.scene import Interface, Scene
 from gelforge.mechanics.solvers.auto import SPARE, SolveMethod
 from gelforge.mechanics.solvers.ccx import CcxSettings
 from gelforge.mechanics.solvers.fidelity import GUIDE
@@ -28,7 +28,7 @@ def solve_key(frames: Sequence[Scene], shape: Any, how: Any, version: int, at: i
     """
     scenes = [frames[0].direct] if len(frames) == 1 else list(frames)
     scene = scenes[at]
-    law = [scene.interface.law, scene.interface.mu if scene.interface.law == "coulomb" else 0.0]
+    law = [scene.interface.law, scene.interface.contact.coefficient]
     path = [asdict(each.press) for each in scenes] if len(scenes) > 1 else []
     return digest_of_value(
         [version, asdict(scene.press), path, gel_shape(scene.gel), asdict(scene.material), law, shape, how]
@@ -40,16 +40,16 @@ def hex_settings(settings: HexSettings) -> list:
     return ["hex", asdict(settings)]
 
 
-def settings_of(way: SolveMethod, fea: FeaTable, law: str, mesh: str) -> list:
-    """What of [fea] changes the result of a press solved in a way under a law of the interface.
+def settings_of(method: SolveMethod, fea: FeaTable, interface: Interface, mesh: str) -> list:
+    """What of [fea] changes the result of a press that is solved by a method.
 
     mesh: name of its tetrahedra, which has a digest of their content.
     """
-    if way.fidelity == "hex":
-        return hex_settings(quality(way.hexahedra))
-    if way.fidelity == "ccx-native":
-        return [way.fidelity, mesh]
+    if method.fidelity == "hex":
+        return hex_settings(quality(method.hexahedra))
+    if method.fidelity == "ccx-native":
+        return [method.fidelity, mesh]
     ccx = {f.name: getattr(fea, f.name) for f in fields(CcxSettings) if f.name not in NO_RESULT}
-    guide = [asdict(quality(GUIDE))] if way.fidelity == "ccx" and law == "no_slip" else []
-    spare = [asdict(quality(SPARE))] if way.fidelity == "ccx" else []
-    return [way.fidelity, ccx, mesh, guide, spare]
+    guide = [asdict(quality(GUIDE))] if method.fidelity == "ccx" and not interface.contact.slips else []
+    spare = [asdict(quality(SPARE))] if method.fidelity == "ccx" else []
+    return [method.fidelity, ccx, mesh, guide, spare]

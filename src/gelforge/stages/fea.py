@@ -42,11 +42,10 @@ VERSION = 12
 
 def scene_of(press: PosedPress, bodies: dict, sensors: dict, params: ForFea) -> Scene:
     """The scene of one press of a pose table."""
-    interface = params.interface
-    law = Interface(interface.law, interface.mu if interface.law == "coulomb" else 0.0)
+    interface = Interface(params.interface.law, params.interface.mu)
     gel = load_gel(sensors[press.sensor_id]["gel"])
     material = Material(nu=params.material.nu)
-    return Scene(gel, material, bodies[press.indenter], press.press, law)
+    return Scene(gel, material, bodies[press.indenter], press.press, interface)
 
 
 # What of an indenter's table says nothing of its shape; a file's name does not either, its content (sha256) does.
@@ -62,10 +61,10 @@ def press_keys(
     frames: list[PosedPress], scenes: list[Scene], params: ForFea, tables: dict, meshes: dict[str, str]
 ) -> list[str]:
     """Key of the solve of each frame of a press. meshes: that of each sample that is solved on tetrahedra, by content."""
-    way = method_of(scenes[-1], params.fea.fidelity, params.fea)
-    law, found = params.interface.law, []
+    method = method_of(scenes[-1], params.fea.fidelity, params.fea)
+    found = []
     for at, frame in enumerate(frames):
-        how = settings_of(way, params.fea, law, meshes.get(frame.sample_id, ""))
+        how = settings_of(method, params.fea, scenes[at].interface, meshes.get(frame.sample_id, ""))
         found.append(solve_key(scenes, shape_of(frame, tables), how, params.version, at))
     return found
 

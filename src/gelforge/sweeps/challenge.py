@@ -50,7 +50,7 @@ def write_challenge(scenes: list[NamedScene], sensor: Sensor, references: Path, 
 def write_scene(named: NamedScene, folder: Path) -> None:
     """Write one scene: its path as numbers, its indenter as a surface at the pose it starts from, tip on the path's start."""
     scene = named.scene
-    if scene.interface.law != "no_slip":
+    if scene.interface.contact.slips:
         raise BadInput(
             f"{named.name}: the challenge is about presses without slip, this one is {scene.interface.law}"
         )

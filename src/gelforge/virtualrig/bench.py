@@ -75,8 +75,7 @@ class Bench:
 
     @property
     def _law(self) -> Interface:
-        mu = self.plan.truth.friction
-        return Interface("coulomb", mu) if mu > 0 else Interface("frictionless")
+        return Interface.of_friction(self.plan.truth.friction)
 
     def body(self, name: str) -> RoughBody:
         """Underside of an indenter with the texture its printing left, the same in every run."""

@@ -100,11 +100,11 @@ def force_factor(
     the bench's hexahedra, whose fine part under a press is box_of(press). Raises SolveFailed where no press of DEPTHS gives
     both forces.
     """
-    laws = (interface, Interface("no_slip")) if interface.law == "coulomb" else (interface,)
+    laws = (interface, Interface()) if interface.contact.frictional else (interface,)
     for law, deepest in product(laws, DEPTHS):
         depths = deepest * np.arange(1, MOMENTS + 1) / MOMENTS
         presses = [Press(0.0, 0.0, 0.0, 0.0, 0.0, -float(depth), TURN_DEG) for depth in depths]
-        if law.law != "frictionless":
+        if law.contact.sticks:
             presses.append(replace(presses[-1], dx=ASIDE, dy=ASIDE))
         scenes = [Scene(gel, material, body, press, law) for press in presses]
         fine = _forces(scenes, quality(FINE))

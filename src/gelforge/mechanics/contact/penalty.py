@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 
 from gelforge.geometry.solids import Indenter
+from gelforge.mechanics.contact.law import ContactLaw
 from gelforge.mechanics.linear.pattern import Pattern, add_block, block_places
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.pose import Pose
@@ -133,12 +134,12 @@ class Tractions:
 
 
 @dataclass(frozen=True)
-class Law:
-    """Contact stiffness, MPa per mm of gap (penalty) and of elastic slip (friction); mu inf: no slip."""
+class Penalty:
+    """A contact law with its stiffness, MPa per mm of gap (normal) and of elastic slip (tangential)."""
 
-    penalty: float
-    friction: float
-    mu: float = np.inf
+    normal: float
+    tangential: float
+    law: ContactLaw
 
 
 # Tractions of some points: index (p,), traction (p, 3), stiffness (p, 3, 3), gap (p,).
@@ -146,17 +147,17 @@ _Parts = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 def penalty_tractions(
-    state: ContactState, x: np.ndarray, pose: Pose, indenter: Indenter, law: Law, candidates: np.ndarray
+    state: ContactState, x: np.ndarray, pose: Pose, indenter: Indenter, penalty: Penalty, candidates: np.ndarray
 ) -> Tractions:
     """Penalty tractions at deformed positions x (m, 3); `candidates` (c,) are the free points within reach."""
     sticking = np.flatnonzero(state.status == STICK)
-    stuck, sliding = (sticking, sticking[:0]) if np.isinf(law.mu) else (sticking[:0], sticking)
-    parts = [_held(state, x, pose, law.penalty, stuck), _faded(state)]
+    stuck, sliding = (sticking[:0], sticking) if penalty.law.slips else (sticking, sticking[:0])
+    parts = [_stuck(state, x, pose, penalty.normal, stuck), _faded(state)]
     probe, slip = np.concatenate([sliding, candidates]), Skew(sticking[:0], np.empty((0, 3, 3)))
     if len(probe):
         distance, normal = indenter.distance(pose.to_indenter(x[probe]))
         inside = distance < 0.0
-        pressed, slip = _pressed(state, x, pose, law, probe[inside], distance[inside], normal[inside])
+        pressed, slip = _pressed(state, x, pose, penalty, probe[inside], distance[inside], normal[inside])
         parts.append(pressed)
     joined: Any = (*(np.concatenate(arrays) for arrays in zip(*parts)), slip)
     return Tractions(*joined)
@@ -168,7 +169,7 @@ def curved(
     x: np.ndarray,
     pose: Pose,
     indenter: Indenter,
-    law: Law,
+    penalty: Penalty,
     candidates: np.ndarray,
 ) -> Skew:
     """What `tractions` lack of the exact stiffness, by differences over STEP mm: friction and the indenter's curvature."""
@@ -176,7 +177,7 @@ def curved(
     here = _scattered(tractions, len(x))
     block = np.empty((len(x), 3, 3))
     for k in range(3):
-        ahead = penalty_tractions(state, x + STEP * np.eye(3)[k], pose, indenter, law, candidates)
+        ahead = penalty_tractions(state, x + STEP * np.eye(3)[k], pose, indenter, penalty, candidates)
         block[:, :, k] = (here - _scattered(ahead, len(x))) / STEP
     known = np.zeros_like(block)
     np.add.at(known, point, tractions.stiffness)
@@ -190,11 +191,11 @@ def _scattered(tractions: Tractions, count: int) -> np.ndarray:
     return traction
 
 
-def _held(state: ContactState, x: np.ndarray, pose: Pose, penalty: float, points: np.ndarray) -> _Parts:
-    """Tractions in all directions to the anchors."""
-    traction = penalty * (pose.to_gel(state.stick_point[points]) - x[points])
-    stiffness = np.broadcast_to(penalty * np.eye(3), (len(points), 3, 3))
-    return points, traction, stiffness, np.full(len(points), np.nan)
+def _stuck(state: ContactState, x: np.ndarray, pose: Pose, stiffness: float, points: np.ndarray) -> _Parts:
+    """Penalties in all directions towards the stick points."""
+    traction = stiffness * (pose.to_gel(state.stick_point[points]) - x[points])
+    block = np.broadcast_to(stiffness * np.eye(3), (len(points), 3, 3))
+    return points, traction, block, np.full(len(points), np.nan)
 
 
 def _faded(state: ContactState) -> _Parts:
@@ -207,47 +208,53 @@ def _pressed(
     state: ContactState,
     x: np.ndarray,
     pose: Pose,
-    law: Law,
+    penalty: Penalty,
     points: np.ndarray,
     distance: np.ndarray,
     normal: np.ndarray,
 ) -> tuple[_Parts, Skew]:
-    """Normal penalty, and for sticking points a tangential spring that yields at mu times the pressure.
+    """Normal penalty, and for sticking points a tangential one that yields at the law's limit.
 
     The indenter's curvature is left out of the stiffness (see `curved`): far from equilibrium it costs more
     iterations than it saves, because normals of filleted edges jump in curvature.
     """
     n = pose.turn(normal)
-    stiffness = law.penalty * n[:, :, None] * n[:, None, :]
-    traction = -law.penalty * distance[:, None] * n
+    stiffness = penalty.normal * n[:, :, None] * n[:, None, :]
+    traction = -penalty.normal * distance[:, None] * n
     sticking = np.flatnonzero(state.status[points] == STICK)
-    friction, slope, slip = _friction(state, x, pose, law, points[sticking], distance[sticking], n[sticking])
+    friction, slope, slip = _friction(state, x, pose, penalty, points[sticking], distance[sticking], n[sticking])
     traction[sticking] += friction
     stiffness[sticking] += slope
     return (points, traction, stiffness, distance), slip
 
 
 def _friction(
-    state: ContactState, x: np.ndarray, pose: Pose, law: Law, points: np.ndarray, distance: np.ndarray, n: np.ndarray
+    state: ContactState,
+    x: np.ndarray,
+    pose: Pose,
+    penalty: Penalty,
+    points: np.ndarray,
+    distance: np.ndarray,
+    n: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, Skew]:
-    """Tangential traction of tractions that yield at the cone, its symmetric slope, and the slip.
+    """Tangential traction of penalties that yield at the law's limit, its symmetric slope, and the slip.
 
     Augmented Lagrangian (Simo, Laursen 1992, Comput. Struct. 42, 97-116): multipliers take over what the
-    tractions hold, so that points which stick end where they touched, however soft the tractions are. The return
+    penalties hold, so that points which stick end where they touched, however soft the penalties are. The return
     mapping: Wriggers, Computational Contact Mechanics (2006), section 6.3.2; its tangent, section 9.2: along
-    the slip the traction follows the pressure.
+    the slip the traction follows the limit.
     """
-    trial = state.multiplier[points] + law.friction * (pose.to_gel(state.stick_point[points]) - x[points])
+    trial = state.multiplier[points] + penalty.tangential * (pose.to_gel(state.stick_point[points]) - x[points])
     trial -= np.einsum("pi,pi->p", trial, n)[:, None] * n
-    length = np.maximum(np.linalg.norm(trial, axis=1), 1e-12 * law.friction)
-    bound = -law.mu * law.penalty * distance
-    slips = length > bound
-    scale = np.where(slips, bound / length, 1.0)
+    length = np.maximum(np.linalg.norm(trial, axis=1), 1e-12 * penalty.tangential)
+    limit, rise = penalty.law.slip_limit(-distance, penalty.normal)
+    slips = length > limit
+    scale = np.where(slips, limit / length, 1.0)
     along = trial / length[:, None]
     slope = np.eye(3) - n[:, :, None] * n[:, None, :]
     slope -= slips[:, None, None] * along[:, :, None] * along[:, None, :]
-    slip = Skew(points[slips], law.mu * law.penalty * along[slips, :, None] * n[slips, None, :])
-    return scale[:, None] * trial, (law.friction * scale)[:, None, None] * slope, slip
+    slip = Skew(points[slips], rise[slips, None, None] * along[slips, :, None] * n[slips, None, :])
+    return scale[:, None] * trial, (penalty.tangential * scale)[:, None, None] * slope, slip
 
 
 class FacePlaces:

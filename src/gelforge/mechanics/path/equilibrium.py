@@ -6,12 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from gelforge.errors import BadInput
-from gelforge.flow.params.tables import LAWS
+from gelforge.mechanics.contact.law import Holding
 from gelforge.mechanics.contact.penalty import (
     STICK,
     FacePlaces,
-    Law,
+    Penalty,
     Skew,
     Tractions,
     contact_points,
@@ -78,13 +77,10 @@ class Equilibrium:
 
     def __init__(self, scene: Scene, settings: HexSettings, mesh: HexMesh, system: System) -> None:
         self.scene, self.settings, self.mesh, self.system = scene, settings, mesh, system
-        self.law = scene.interface.law
-        if self.law not in LAWS:
-            raise BadInput(f"interface law {self.law!r} is unknown; choose {', '.join(LAWS[:-1])} or {LAWS[-1]}")
+        self.law = scene.interface.contact
         scale = REFERENCE_C10 / settings.size
-        mu = scene.interface.mu if self.law == "coulomb" else np.inf
-        self.contact = Law(settings.penalty * scale, settings.friction_penalty * scale, mu)
-        self.sticking = replace(self.contact, mu=1e9)
+        self.penalty = Penalty(settings.penalty * scale, settings.friction_penalty * scale, self.law)
+        self.holding = replace(self.penalty, law=Holding())
         self.moduli = scene.material.shear_modulus, scene.material.bulk_modulus
         self.geometry = hex8.geometry(mesh.nodes, mesh.cells)
         self.state = contact_points(mesh, settings.gauss, reachable_faces(scene, mesh))
@@ -98,7 +94,7 @@ class Equilibrium:
     @property
     def enough(self) -> float:
         """Residual that is taken within a path, where no number of steps meets its tolerance."""
-        return CYCLING if self.law == "coulomb" else 0.0
+        return CYCLING if self.law.frictional else 0.0
 
     def points(self, u: np.ndarray) -> np.ndarray:
         """Deformed places (m, 3) mm of the contact's Gauss points."""
@@ -128,27 +124,27 @@ class Equilibrium:
         points that slip from a poor guess drag others along, and Newton loses its way. enough: residual that is taken
         where no number of steps meets the tolerance. parts: of a step that are tried in turn. Raises NoEquilibrium.
         """
-        laws = [self.contact] if still or self.law != "coulomb" else [self.sticking, self.contact]
-        state = self._out_of_balance(u, pose, laws[0])
+        penalties = [self.holding, self.penalty] if self.law.frictional and not still else [self.penalty]
+        state = self._out_of_balance(u, pose, penalties[0])
         best: tuple[float, np.ndarray, Any] = np.inf, u, None
         for iteration in range(self.settings.max_iterations + 1):
-            if len(laws) == 1 and self.residual <= tolerance:
+            if len(penalties) == 1 and self.residual <= tolerance:
                 self.tractions = state[1]
                 return u, iteration
-            if len(laws) == 1 and self.residual < best[0]:
+            if len(penalties) == 1 and self.residual < best[0]:
                 best = self.residual, u, state[1]
             if iteration < self.settings.max_iterations:
-                step = self._direction(u, pose, laws[0], *state)
-                laws = laws[-1:]
+                step = self._direction(u, pose, penalties[0], *state)
+                penalties = penalties[-1:]
                 before = self.residual if iteration >= WARY else np.inf
-                u, state = self._step(u, step, pose, laws[0], before, parts)
+                u, state = self._step(u, step, pose, penalties[0], before, parts)
         if best[0] > enough:
             raise NoEquilibrium
         self.residual, u, self.tractions = best
         return u, self.settings.max_iterations
 
     def _step(
-        self, u: np.ndarray, step: np.ndarray, pose: Pose, law: Law, before: float, parts: Sequence[float]
+        self, u: np.ndarray, step: np.ndarray, pose: Pose, penalty: Penalty, before: float, parts: Sequence[float]
     ) -> tuple[np.ndarray, tuple[np.ndarray, Tractions]]:
         """u less the step, or less one of its parts where that inverts hexahedra or leaves the residual above `before`."""
         free, best = self.system.free, None
@@ -159,7 +155,7 @@ class Equilibrium:
             trial[free] -= part * step
             self.mesh.hanging.hang(trial)
             try:
-                state = self._out_of_balance(trial, pose, law)
+                state = self._out_of_balance(trial, pose, penalty)
             except NoEquilibrium:
                 continue
             if best is None or self.residual < best[0]:
@@ -171,11 +167,11 @@ class Equilibrium:
         self.residual = best[0]
         return best[1:]
 
-    def _out_of_balance(self, u: np.ndarray, pose: Pose, law: Law) -> tuple[np.ndarray, Tractions]:
+    def _out_of_balance(self, u: np.ndarray, pose: Pose, penalty: Penalty) -> tuple[np.ndarray, Tractions]:
         """Nodal residual (n, 3) and contact tractions; sets `residual` relative to the contact force."""
         forces = self.internal(u)
         x, indenter = self.points(u), self.scene.indenter
-        tractions = penalty_tractions(self.state, x, pose, indenter, law, self.candidates)
+        tractions = penalty_tractions(self.state, x, pose, indenter, penalty, self.candidates)
         self.system.faces.add_forces(self.state, tractions, forces)
         scale = float(self.state.weights[tractions.point] @ np.linalg.norm(tractions.traction, axis=1))
         self.residual = length_of(forces[self.system.free].ravel()) / max(scale, 1e-9 * self.moduli[0])
@@ -191,7 +187,9 @@ class Equilibrium:
             raise NoEquilibrium
         return forces
 
-    def _direction(self, u: np.ndarray, pose: Pose, law: Law, forces: np.ndarray, tractions: Tractions) -> np.ndarray:
+    def _direction(
+        self, u: np.ndarray, pose: Pose, penalty: Penalty, forces: np.ndarray, tractions: Tractions
+    ) -> np.ndarray:
         """Newton's step (free nodes, 3) mm, to FORCING of the residual; a factorisation serves as long as GMRES is quick with it."""
         system = self.system
         system.values[:] = 0.0
@@ -199,7 +197,7 @@ class Equilibrium:
         hex8.tangent(u, self.geometry, *self.moduli, geometric_stiffness, system.base, system.width, system.values)
         system.faces.add_stiffness(self.state, tractions, system.values)
         self.iterations += 1
-        apply = self._product(self._skew(u, pose, law, tractions))
+        apply = self._product(self._skew(u, pose, penalty, tractions))
         right = forces[system.free].ravel()
         if self.factored:
             step = gmres(apply, system.linear.solve, right, FORCING, STALE)
@@ -213,12 +211,12 @@ class Equilibrium:
             raise NoEquilibrium
         return step.reshape(-1, 3)
 
-    def _skew(self, u: np.ndarray, pose: Pose, law: Law, tractions: Tractions) -> Skew:
+    def _skew(self, u: np.ndarray, pose: Pose, penalty: Penalty, tractions: Tractions) -> Skew:
         """The stiffness beyond the symmetric one; exact close to equilibrium, where it makes Newton quadratic."""
         if self.residual > CLOSE:
             return tractions.slip
         x = self.points(u)
-        return curved(tractions, self.state, x, pose, self.scene.indenter, law, self.candidates)
+        return curved(tractions, self.state, x, pose, self.scene.indenter, penalty, self.candidates)
 
     def _product(self, skew: Skew) -> Callable[[np.ndarray], np.ndarray]:
         system = self.system

@@ -82,12 +82,12 @@ class Run(Equilibrium):
         pose = path_pose(self.scene, self.t)
         try:
             self.u = untangled(self.mesh, self.geometry, transferred(path.mesh, path.states[-1], self.mesh))
-            if self.law == "frictionless":
-                self.solve_here(pose, ROUGH)
-            else:
-                held, places = touches(path, self.state.reference, TOUCHED)
-                self._stick(np.flatnonzero(held), pose, places[held])
+            if self.law.sticks:
+                touched, places = touches(path, self.state.reference, TOUCHED)
+                self._stick(np.flatnonzero(touched), pose, places[touched])
                 self._iterate_arrival(pose, places)
+            else:
+                self.solve_here(pose, ROUGH)
             return self._iterate_contact()
         except (NoEquilibrium, SolveFailed):
             return Status.DIVERGED
@@ -188,9 +188,9 @@ class Run(Equilibrium):
 
     def _end_step(self, pose: Pose, start: tuple[np.ndarray, Pose, np.ndarray, np.ndarray]) -> None:
         """release what pulls; hold what touched for the first time in this step where it touched."""
-        if self.law == "frictionless":
+        if not self.law.sticks:
             return
-        if self.law == "coulomb":
+        if self.law.slips:
             self._slide(pose)
         else:
             self._release(pose)
@@ -242,7 +242,7 @@ class Run(Equilibrium):
         self.state.release(point[gone], traction[gone])
         return int(gone.sum())
 
-    # -- Coulomb's law
+    # -- friction
 
     def _slide(self, pose: Pose) -> None:
         """Anchors follow points that slip, multipliers the tractions; points that lost contact are released."""
@@ -276,7 +276,7 @@ class Run(Equilibrium):
             if not self._release(pose):
                 status = Status.OK
                 break
-        if self.law == "coulomb":
+        if self.law.frictional:
             self._slide(pose)
         self._carry_out(pose)
         self._polish(pose)

@@ -116,6 +116,7 @@ class TetPath:
     """
 
     def __init__(self, scene: Scene, solid: TetSolid, points: FacePoints, settings: PathSettings):
+        self.law = scene.interface.contact
         self.shear, self.bulk = scene.material.shear_modulus, scene.material.bulk_modulus
         self.scene, self.solid, self.points, self.settings = scene, solid, points, settings
         self.u = np.zeros((len(solid.free), 3))
@@ -165,10 +166,10 @@ class TetPath:
         contact = self._lead(pose)
         length = max(np.abs(aim - before).max(), 1e-12)
         self.u, self.contact = self.newton(self._ahead(start, length), contact, pose, s.step_tolerance)
-        if self.scene.interface.law == "no_slip":
+        if self.law.frictional:
+            self._slide(pose)
+        elif self.law.sticks:
             self._stick_new(start, before, aim, gap0)
-        elif self.scene.interface.law == "coulomb":
-            self._rub(pose)
         self.velocity, self.at = (self.u - start) / length, aim
         self.steps += 1
 
@@ -304,9 +305,9 @@ class TetPath:
         self.contact = replace(self.contact, state=np.where(new, STICK, self.contact.state))
         self.contact = self._lead(pose)
 
-    def _rub(self, pose: Pose) -> None:
-        """Coulomb's law at the end of a step: what exceeds mu times the pressure slides under that drag."""
-        mu, stiffness = self.scene.interface.mu, self.settings.stiffness
+    def _slide(self, pose: Pose) -> None:
+        """Friction at the end of a step: what exceeds the law's limit slides under that drag."""
+        stiffness = self.settings.stiffness
         self._stick_at(self.contact.state == SLIDE, pose.to_indenter(self._carried()), pose)
         for _ in range(self.settings.friction_rounds):
             self._release()
@@ -317,11 +318,11 @@ class TetPath:
                 stretch - np.einsum("fqk,fqk->fq", stretch, self.contact.normal)[..., None] * self.contact.normal
             )
             size = np.linalg.norm(tangent, axis=-1)
-            over = stick & (size > 1.01 * mu * push)
+            over = stick & (size > 1.01 * self._limit(push))
             slide = self.contact.state == SLIDE
             direction = np.where(slide[..., None], self.contact.drag, tangent)
             length = np.maximum(np.linalg.norm(direction, axis=-1), 1e-12)
-            drag = (mu * np.maximum(push, 0.0) / length)[..., None] * direction
+            drag = (self._limit(np.maximum(push, 0.0)) / length)[..., None] * direction
             drag = np.where((over | slide)[..., None], drag, 0.0)
             moved = np.abs(drag - self.contact.drag).sum() / max(np.abs(drag).sum(), 1e-12)
             state = np.where(over, SLIDE, self.contact.state)
@@ -329,6 +330,10 @@ class TetPath:
             self.u, self.contact = self.newton(self.u, self.contact, pose, self.settings.step_tolerance)
             if not over.any() and moved < 0.02:
                 break
+
+    def _limit(self, pressure: np.ndarray) -> np.ndarray:
+        """Tangential traction (f, q) MPa at which points slip under a pressure (f, q) MPa."""
+        return self.law.slip_limit(pressure, 1.0)[0]
 
     def _carried(self) -> np.ndarray:
         """Where sliding points would be held by blocks that carry their drag."""

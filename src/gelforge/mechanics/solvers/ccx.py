@@ -130,7 +130,7 @@ class CcxSolver:
         self, scene: Scene, points: FacePoints, coarse_path: LoadPath | None, path: PathSettings
     ) -> Kinematics | None:
         """The end of a path that was followed on hexahedra; None where there is none or its end does not converge."""
-        if coarse_path is None or scene.interface.law != "no_slip":
+        if coarse_path is None or scene.interface.contact.slips:
             return None
         found = arrive(scene, self.solid, points, self.mesh.nodes, coarse_path, path)
         return found if found.converged else None

@@ -78,8 +78,9 @@ def native_deck(scene: Scene, mesh: GelMesh, nodes: np.ndarray, tets: np.ndarray
     lines += ["*CONTACT PAIR, INTERACTION=TOUCH, TYPE=SURFACE TO SURFACE", "SGEL,SIND",
               "*SURFACE INTERACTION, NAME=TOUCH",
               "*SURFACE BEHAVIOR, PRESSURE-OVERCLOSURE=TIED"]  # fmt: skip
-    if scene.interface.law != "frictionless":
-        lines += ["*FRICTION", f"{scene.interface.mu if scene.interface.law == 'coulomb' else 1.0:g}"]
+    friction = scene.interface.contact.calculix_friction()
+    if friction is not None:
+        lines += ["*FRICTION", f"{friction:g}"]
     lines += ["*BOUNDARY", "NBASE,1,3"]
     p = scene.press
     for dx, dy in [(0.0, 0.0)] + ([(p.dx, p.dy)] if p.dx or p.dy else []):

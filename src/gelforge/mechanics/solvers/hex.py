@@ -98,7 +98,7 @@ class HexSolver:
 
     def _nests(self, scene: Scene) -> bool:
         """Whether the path is followed on coarse hexahedra first: with Coulomb friction a point's force depends on all of its slip."""
-        return self.settings.nested is not None and scene.interface.law != "coulomb"
+        return self.settings.nested is not None and not scene.interface.contact.frictional
 
     def _passed(self, scenes: Sequence[Scene], start: float, box: FineBox) -> list[HexResult]:
         """States at frames of one press, the contact of each iterated where the path on these hexahedra passes it."""

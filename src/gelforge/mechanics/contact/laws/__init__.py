@@ -1,0 +1,1 @@
+"""The contact laws, one a file; `contact.law.laws` finds them."""
