@@ -188,10 +188,10 @@ def test_layers_grow_downwards():
 
 
 def test_mesh_fills_the_gel(mesh):
-    from gelforge.mechanics.elements.hex8 import geometry
+    from gelforge.mechanics.elements.hex8 import ELEMENT
 
     gel = Gel()
-    volume = geometry(mesh.nodes, mesh.cells).weights.sum()  # raises where a hexahedron is inverted
+    volume = ELEMENT.on(mesh.nodes, mesh.cells).weights.sum()  # raises where a hexahedron is inverted
     x, y = np.meshgrid(np.linspace(-10.37, 10.37, 400), np.linspace(-12.62, 12.62, 400))
     inside = gel.edge_distance(x, y) <= 0
     exact = (gel.top(x, y) + gel.height)[inside].mean() * inside.mean() * gel.width * gel.length

@@ -74,17 +74,17 @@ def test_carrying_keeps_trilinear_fields(seed):
 @settings(max_examples=20)
 def test_what_is_tangled_is_made_sound_and_what_is_sound_stays(seed, size):
     """Nodes thrown out of place turn hexahedra over; afterwards none is, the base holds, and the rest has not moved."""
-    rng, geometry = np.random.default_rng(seed), hex8.geometry(FINE.nodes, FINE.cells)
+    rng, hexahedra = np.random.default_rng(seed), hex8.ELEMENT.on(FINE.nodes, FINE.cells)
     at_rest = np.zeros_like(FINE.nodes)
-    assert untangled(FINE, geometry, at_rest) is at_rest
+    assert untangled(FINE, hexahedra, at_rest) is at_rest
     u = at_rest.copy()
     free = np.setdiff1d(np.arange(len(u)), FINE.base)
     thrown = rng.choice(free, 8, replace=False)
     u[thrown] = rng.uniform(-size, size, (8, 3))
-    found = untangled(FINE, geometry, u)
-    assert hex8.smallest_ratios(found, geometry).min() >= FLAT
+    found = untangled(FINE, hexahedra, u)
+    assert hexahedra.smallest_ratios(found).min() >= FLAT
     assert not found[FINE.base].any()
-    flat = np.unique(FINE.elements[hex8.smallest_ratios(u, geometry) < FLAT])
+    flat = np.unique(FINE.elements[hexahedra.smallest_ratios(u) < FLAT])
     kept = np.setdiff1d(np.arange(len(u)), flat)
     np.testing.assert_array_equal(found[kept], u[kept])
 

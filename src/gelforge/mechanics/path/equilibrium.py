@@ -19,7 +19,7 @@ from gelforge.mechanics.contact.penalty import (
     positions,
 )
 from gelforge.mechanics.contact.reach import gaps, reachable_faces
-from gelforge.mechanics.elements import hex8
+from gelforge.mechanics.elements.element import elements
 from gelforge.mechanics.hexsettings import HexSettings
 from gelforge.mechanics.linear.factorisation import symmetric_solver
 from gelforge.mechanics.linear.gmres import gmres, length_of
@@ -82,7 +82,7 @@ class Equilibrium:
         self.penalty = Penalty(settings.penalty * scale, settings.friction_penalty * scale, self.law)
         self.holding = replace(self.penalty, law=Holding())
         self.moduli = scene.material.shear_modulus, scene.material.bulk_modulus
-        self.geometry = hex8.geometry(mesh.nodes, mesh.cells)
+        self.elements = elements()[mesh.kind].on(mesh.nodes, mesh.cells)
         self.state = contact_points(mesh, settings.gauss, reachable_faces(scene, mesh))
         self.nodes = np.ascontiguousarray(mesh.faces[self.state.face])
         self.u, self.candidates = np.zeros_like(mesh.nodes), np.empty(0, np.int64)
@@ -182,7 +182,7 @@ class Equilibrium:
     def internal(self, u: np.ndarray) -> np.ndarray:
         """Nodal forces (n, 3) N of the deformed gel; NoEquilibrium where a hexahedron is inverted."""
         forces = np.zeros_like(u)
-        smallest = hex8.internal_forces(u, self.geometry, *self.moduli, forces)
+        smallest = self.elements.internal_forces(u, *self.moduli, forces)
         if not smallest > 0.0:
             raise NoEquilibrium
         return forces
@@ -194,7 +194,7 @@ class Equilibrium:
         system = self.system
         system.values[:] = 0.0
         geometric_stiffness = float(self.residual <= self.noisy)
-        hex8.tangent(u, self.geometry, *self.moduli, geometric_stiffness, system.base, system.width, system.values)
+        self.elements.tangent(u, *self.moduli, geometric_stiffness, system.base, system.width, system.values)
         system.faces.add_stiffness(self.state, tractions, system.values)
         self.iterations += 1
         apply = self._product(self._skew(u, pose, penalty, tractions))

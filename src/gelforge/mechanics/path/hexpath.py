@@ -81,7 +81,7 @@ class Run(Equilibrium):
         self.t, self.noisy, self.crawls = self.scene.press.end, NOISY_INTERPOLATED, True
         pose = path_pose(self.scene, self.t)
         try:
-            self.u = untangled(self.mesh, self.geometry, transferred(path.mesh, path.states[-1], self.mesh))
+            self.u = untangled(self.mesh, self.elements, transferred(path.mesh, path.states[-1], self.mesh))
             if self.law.sticks:
                 touched, places = touches(path, self.state.reference, TOUCHED)
                 self._stick(np.flatnonzero(touched), pose, places[touched])

@@ -5,11 +5,12 @@ import copy
 import numpy as np
 from numba import njit
 
-from gelforge.mechanics.elements.tet10 import internal_forces, tangent, tets
+from gelforge.mechanics.elements.element import ElementSet, elements
 from gelforge.mechanics.linear.factorisation import symmetric_solver
 from gelforge.mechanics.linear.gmres import gmres
 from gelforge.mechanics.linear.pattern import add_block, block_places, build_pattern, symmetric_product
 from gelforge.mechanics.mesh.gelmesh import GelMesh
+from gelforge.mechanics.mesh.stepped import Cells
 
 # Matrix products that a step by an old factorisation may take: a new one costs as much as about twenty.
 STALE = 25
@@ -23,7 +24,7 @@ class TetSolid:
     """
 
     def __init__(self, mesh: GelMesh):
-        self.geometry = tets(mesh)
+        self.elements = _elements_of(mesh)
         self.pattern = build_pattern(mesh.elements, len(mesh.nodes), mesh.base)
         self.places = block_places(self.pattern, mesh.elements)
         self.face_places = block_places(self.pattern, mesh.faces)
@@ -34,13 +35,13 @@ class TetSolid:
     def on(self, mesh: GelMesh) -> "TetSolid":
         """A body of the same elements whose nodes lie elsewhere; it shares this one's matrix and solver, so one works at a time."""
         other = copy.copy(self)
-        other.geometry = tets(mesh)
+        other.elements = _elements_of(mesh)
         return other
 
     def forces(self, u: np.ndarray, shear: float, bulk: float) -> tuple[np.ndarray, float]:
         """Internal nodal forces (n, 3) N of displacement u (n, 3), and the smallest J (<= 0: inverted)."""
         forces = np.zeros_like(u)
-        smallest = internal_forces(u, self.geometry, shear, bulk, forces)
+        smallest = self.elements.internal_forces(u, shear, bulk, forces)
         return forces, smallest
 
     def linearise(
@@ -61,10 +62,10 @@ class TetSolid:
         definite; one near a crease stays indefinite without.
         """
         self.values[:] = 0.0
-        tangent(u, self.geometry, shear, bulk, geometric_stiffness, *self.places, self.values)
+        self.elements.tangent(u, shear, bulk, geometric_stiffness, *self.places, self.values)
         if regularisation:
             rest, moduli = np.zeros_like(u), (regularisation * shear, regularisation * bulk)
-            tangent(rest, self.geometry, *moduli, 1.0, *self.places, self.values)
+            self.elements.tangent(rest, *moduli, 1.0, *self.places, self.values)
         _add_faces(
             self.face_places[0][faces], self.face_places[1][faces], np.ascontiguousarray(stiffness), self.values
         )
@@ -86,6 +87,10 @@ class TetSolid:
 
     def _apply(self, x: np.ndarray) -> np.ndarray:
         return symmetric_product(self.pattern, self.values, x)
+
+
+def _elements_of(mesh: GelMesh) -> ElementSet:
+    return elements()[mesh.kind].on(mesh.nodes, Cells.plain(mesh.elements))
 
 
 @njit(cache=True, nogil=True)

@@ -12,7 +12,7 @@ import numpy as np
 
 from gelforge.geometry.gel import Gel
 from gelforge.mechanics.contact.reach import gaps
-from gelforge.mechanics.elements.hex8 import Hex8Geometry, smallest_ratios
+from gelforge.mechanics.elements.element import ElementSet
 from gelforge.mechanics.mesh.hexmesh import HexMesh
 from gelforge.mechanics.path.loadpath import path_pose
 from gelforge.mechanics.pose import Pose, touch_fraction
@@ -70,7 +70,7 @@ def transferred(coarse: HexMesh, u: np.ndarray, fine: HexMesh) -> np.ndarray:
     return moved
 
 
-def untangled(mesh: HexMesh, geometry: Hex8Geometry, u: np.ndarray) -> np.ndarray:
+def untangled(mesh: HexMesh, hexahedra: ElementSet, u: np.ndarray) -> np.ndarray:
     """Displacement (n, 3) with no hexahedron (nearly) inverted: nodes of those that are move towards their neighbours' mean.
 
     What is carried over may turn small hexahedra over where a wide one, sound on the whole, is bent round an edge.
@@ -79,12 +79,12 @@ def untangled(mesh: HexMesh, geometry: Hex8Geometry, u: np.ndarray) -> np.ndarra
     fixed = np.ones(len(u), bool)
     fixed[mesh.unknown] = False
     for smoothing in range(SMOOTHINGS):
-        flat = smallest_ratios(u, geometry) < FLAT
+        flat = hexahedra.smallest_ratios(u) < FLAT
         if not flat.any():
             return u
-        moved = geometry.elements[flat]
+        moved = hexahedra.elements[flat]
         for _ in range(smoothing // STUCK):
-            moved = geometry.elements[np.isin(geometry.elements, moved).any(axis=1)]
+            moved = hexahedra.elements[np.isin(hexahedra.elements, moved).any(axis=1)]
         moved = np.unique(moved)
         moved = moved[~fixed[moved]]
         u = u.copy()
