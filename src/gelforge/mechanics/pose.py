@@ -33,6 +33,18 @@ def touch_fraction(gap_before: np.ndarray, gap_after: np.ndarray) -> np.ndarray:
     return np.where(crosses, open_ / np.where(crosses, open_ - gap_after, 1.0), 1.0)
 
 
+def touch_places(
+    before: Pose, after: Pose, x0: np.ndarray, x1: np.ndarray, gap: np.ndarray, gap_ahead: np.ndarray
+) -> np.ndarray:
+    """Where points first touched on the way of one load step, in the indenter's frame (..., 3): of second order.
+
+    x0, x1: places (..., 3) mm of the points at its start and end. gap: (...) mm at its start. gap_ahead: at its end, had the
+    points moved as in the step before. A point is met where it was at a fraction of its way, not where the step left it.
+    """
+    begin, end = before.to_indenter(x0), after.to_indenter(x1)
+    return begin + touch_fraction(gap, gap_ahead)[..., None] * (end - begin)
+
+
 def on_surface(indenter: Indenter, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Places (m, 3) mm of the indenter's frame moved onto its surface, and its outward normal (m, 3) there."""
     for _ in range(2):  # once to get there, and once for the normal where they are then

@@ -10,10 +10,12 @@ from gelforge.mechanics.contact.penalty import STICK, TOUCHING
 from gelforge.mechanics.contact.reach import gaps
 from gelforge.mechanics.hexsettings import HexSettings
 from gelforge.mechanics.mesh.hexmesh import HexMesh
+from gelforge.mechanics.path.arrival import iterate_arrival
 from gelforge.mechanics.path.equilibrium import NOISY_INTERPOLATED, PARTS, SHORT, Equilibrium, System
 from gelforge.mechanics.path.loadpath import path_pose
+from gelforge.mechanics.path.stepcontrol import StepControl
 from gelforge.mechanics.path.transfer import LoadPath, touches, transferred, untangled
-from gelforge.mechanics.pose import Pose, on_surface, touch_fraction
+from gelforge.mechanics.pose import Pose, on_surface, touch_places
 from gelforge.mechanics.result import NoEquilibrium
 from gelforge.mechanics.scene import Scene
 from gelforge.records.status import Status
@@ -29,7 +31,7 @@ BEYOND = 1.001  # of its traction is what a slipping point's multiplier wants, o
 ACCEPTED = 1e-7  # residual over contact force that keeps base reactions within 1e-6
 
 
-class Run(Equilibrium):
+class HexPath(Equilibrium):
     """State of one scene on one mesh while its path is followed.
 
     `follow` does it all; afterwards u (n, 3), state (ContactState), tractions (those of the last
@@ -38,7 +40,8 @@ class Run(Equilibrium):
 
     def __init__(self, scene: Scene, settings: HexSettings, mesh: HexMesh, system: System) -> None:
         super().__init__(scene, settings, mesh, system)
-        self.t, self.rounds, self.steps, self.cuts = 0.0, 0, 0, 0
+        self.t, self.rounds, self.steps = 0.0, 0, 0
+        self.control = StepControl(settings.max_cuts, EASY)
         self.history: list[tuple[float, np.ndarray]] = []
         self.curve: list[list[float]] = []
         self._states = [(0.0, self.u)]
@@ -46,7 +49,7 @@ class Run(Equilibrium):
     # -- the path
 
     def follow(
-        self, start: float, stops: Sequence[float] = (), at_stop: Callable[["Run", Status], None] | None = None
+        self, start: float, stops: Sequence[float] = (), at_stop: Callable[["HexPath", Status], None] | None = None
     ) -> Status:
         """Follow the path from path parameter `start` (first touch) to its end; a load step ends at each of `stops`.
 
@@ -58,7 +61,8 @@ class Run(Equilibrium):
             for end, count in self._legs(start):
                 step = (end - self.t) / count
                 for stop in (*(t for t in sorted(stops) if self.t < t < end), end):
-                    self._leg(stop, min(step, (stop - self.t) / BETWEEN) if stops else step)
+                    longest = min(step, (stop - self.t) / BETWEEN) if stops else step
+                    self.control.follow(self.t, stop, longest, self._advance)
                     if at_stop and stop in stops and stop < self.scene.press.end:
                         ended = self._branch()
                         at_stop(ended, ended._end())
@@ -84,33 +88,31 @@ class Run(Equilibrium):
             self.u = untangled(self.mesh, self.elements, transferred(path.mesh, path.states[-1], self.mesh))
             if self.law.sticks:
                 touched, places = touches(path, self.state.reference, TOUCHED)
-                self._stick(np.flatnonzero(touched), pose, places[touched])
-                self._iterate_arrival(pose, places)
+                self.stick(touched, places, pose)
+                iterate_arrival(self, places, pose, self.settings.settle_rounds)
             else:
                 self.solve_here(pose, ROUGH)
             return self._iterate_contact()
         except (NoEquilibrium, SolveFailed):
             return Status.DIVERGED
 
-    def _iterate_arrival(self, pose: Pose, places: np.ndarray) -> None:
-        """release what pulls and hold what presses, each point once, until neither remains.
+    @property
+    def sticking(self) -> np.ndarray:
+        """Points (m,) that stick, bool."""
+        return self.state.status == STICK
 
-        A point that was released and presses again stays loose: it would change for ever.
-        """
-        held = self.state.status == STICK
-        for _ in range(self.settings.settle_rounds):
-            self.state.go(1.0)
-            self.solve_here(pose, ROUGH)
-            self.rounds += 1
-            new = self._touching()
-            new = new[~held[new]]
-            held[new] = True
-            gone = self._release(pose)
-            self._stick(new, pose, places[new])
-            if not gone and not len(new):
-                return
+    def equilibrate(self, pose: Pose) -> None:
+        """Equilibrium at a pose, close enough to show what pulls and what presses."""
+        self.state.go(1.0)
+        self.solve_here(pose, ROUGH)
 
-    def _branch(self) -> "Run":
+    def touching(self) -> np.ndarray:
+        """Points (m,) that press in the last equilibrium and do not stick, bool."""
+        found = np.zeros(len(self.state.status), bool)
+        found[self.tractions.point[self.tractions.gap < 0.0]] = True
+        return found & ~self.sticking
+
+    def _branch(self) -> "HexPath":
         """A run that continues from here by itself; both share mesh and factorisation."""
         other = copy.copy(self)
         other.state, other.curve, other._states = copy.deepcopy(self.state), list(self.curve), list(self._states)
@@ -121,28 +123,6 @@ class Run(Equilibrium):
         if self.scene.press.end > 1.0 or start >= 1.0:
             legs.append((2.0, self.settings.shear_steps))
         return legs
-
-    def _leg(self, stop: float, step: float) -> None:
-        """Load steps up to `stop`; a step that fails is cut, one that is easy lets the next grow."""
-        largest, pending = step, step
-        while stop - self.t > 1e-9:
-            ahead = min(step, stop - self.t)
-            last = stop - self.t - ahead < 0.3 * ahead
-            if last:
-                ahead = stop - self.t
-            try:
-                # exactly the stop: it is looked up by its value
-                used = self._advance(stop if last else self.t + ahead, min(1.0, ahead / pending))
-                pending = step
-            except NoEquilibrium:
-                self.cuts += 1
-                pending = max(pending, ahead)
-                step = 0.5 * ahead
-                if step < largest / 2**self.settings.max_cuts:
-                    raise
-                continue
-            if used <= EASY:
-                step = min(2.0 * step, largest)
 
     def _advance(self, t: float, part: float) -> int:
         """One load step to t with `part` of the pending contact changes; raises NoEquilibrium, changing nothing."""
@@ -181,46 +161,34 @@ class Run(Equilibrium):
 
     # -- the contact set at the end of a step
 
-    def _touching(self) -> np.ndarray:
-        """Points that press in the last equilibrium and do not stick."""
-        point = self.tractions.point[self.tractions.gap < 0.0]
-        return point[self.state.status[point] != STICK]
-
     def _end_step(self, pose: Pose, start: tuple[np.ndarray, Pose, np.ndarray, np.ndarray]) -> None:
-        """release what pulls; hold what touched for the first time in this step where it touched."""
+        """Release what pulls; what touched for the first time in this step sticks where it touched."""
         if not self.law.sticks:
             return
         if self.law.slips:
             self._slide(pose)
         else:
-            self._release(pose)
-        new = self._touching()
-        self._stick(new, pose, self._touch_places(new, pose, *start))
+            self.release(pose)
+        new = self.touching()
+        self.stick(new, self._touch_places(new, pose, *start), pose)
 
     def _touch_places(
         self, new: np.ndarray, pose: Pose, x: np.ndarray, before: Pose, gap: np.ndarray, expected: np.ndarray
     ) -> np.ndarray:
-        """Where new points first touched, in the indenter's frame (p, 3): second-order anchoring.
+        """Where points `new` (m,) of bool first touched, in the indenter's frame (m, 3)."""
+        places = np.zeros_like(x)
+        ahead = gaps(self.scene, expected[new], pose)
+        places[new] = touch_places(before, pose, x[new], self.points(self.u)[new], gap[new], ahead)
+        return places
 
-        A point that goes on as in the step before crosses the surface at a fraction of the step; it is
-        held where it was then on its way from the step's start to its end, not where the step left it.
-        """
-        begin = before.to_indenter(x[new])
-        end = pose.to_indenter(self.points(self.u)[new])
-        if not len(new):
-            return end
-        gap_before, gap_after = gap[new], gaps(self.scene, expected[new], pose)
-        fraction = touch_fraction(gap_before, gap_after)
-        return begin + fraction[:, None] * (end - begin)
-
-    def _stick(self, points: np.ndarray, pose: Pose, places: np.ndarray) -> None:
-        """Hold points where they are, bound for `places` of the indenter's frame moved onto its surface."""
-        if not len(points):
+    def stick(self, points: np.ndarray, places: np.ndarray, pose: Pose) -> None:
+        """Let points (m,) of bool stick, bound for places (m, 3) of the indenter's frame moved onto its surface."""
+        if not points.any():
             return
         state = self.state
         state.status[points] = STICK
         here, _ = on_surface(self.scene.indenter, pose.to_indenter(self.points(self.u)[points]))
-        goal, state.normal[points] = on_surface(self.scene.indenter, places)
+        goal, state.normal[points] = on_surface(self.scene.indenter, places[points])
         state.stick_point[points], state.goal[points] = here, goal
 
     def _pressing(self, pose: Pose) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -235,7 +203,7 @@ class Run(Equilibrium):
         push = np.einsum("pi,pi->p", tractions.traction[held], pose.turn(state.normal[point]))
         return point, tractions.traction[held], push
 
-    def _release(self, pose: Pose) -> int:
+    def release(self, pose: Pose) -> int:
         """Release what pulls: its traction fades with the next changes. Returns how many."""
         point, traction, push = self._pressing(pose)
         gone = push < -self.settings.pull_tolerance * push.max(initial=0.0)
@@ -245,7 +213,7 @@ class Run(Equilibrium):
     # -- friction
 
     def _slide(self, pose: Pose) -> None:
-        """Anchors follow points that slip, multipliers the tractions; points that lost contact are released."""
+        """Stick points follow what slips, multipliers the tractions; points that lost contact are released."""
         state, tractions = self.state, self.tractions
         pressed = np.zeros(len(state.status), bool)
         pressed[tractions.point[tractions.gap < 0.0]] = True
@@ -273,14 +241,14 @@ class Run(Equilibrium):
         for _ in range(self.settings.settle_rounds):
             self._carry_out(pose)
             self.rounds += 1
-            if not self._release(pose):
+            if not self.release(pose):
                 status = Status.OK
                 break
         if self.law.frictional:
             self._slide(pose)
         self._carry_out(pose)
         self._polish(pose)
-        self.state.status[self._touching()] = TOUCHING
+        self.state.status[self.touching()] = TOUCHING
         return status
 
     def _carry_out(self, pose: Pose) -> None:

@@ -21,9 +21,11 @@ from gelforge.mechanics.contact.facecontact import (
     judge,
 )
 from gelforge.mechanics.contact.facepoints import FacePoints
+from gelforge.mechanics.path.arrival import iterate_arrival
+from gelforge.mechanics.path.stepcontrol import StepControl
 from gelforge.mechanics.path.tetsolid import TetSolid
 from gelforge.mechanics.path.transfer import LoadPath, touches
-from gelforge.mechanics.pose import Pose, on_surface, touch_fraction
+from gelforge.mechanics.pose import Pose, on_surface, touch_places
 from gelforge.mechanics.result import NoEquilibrium
 from gelforge.mechanics.scene import Scene
 
@@ -45,7 +47,7 @@ class PathSettings:
     """How a path is followed; residuals are those of free nodes over the contact force.
 
     press_steps, shear_steps: load steps, at least. step_mm: no load step of the press is longer.
-    stiffness: of the blocks that hold face points, N/mm^3.
+    stiffness: of the penalties that hold face points, N/mm^3.
     step_tolerance, final_tolerance: residual at the end of a load step and of the path. contact_tolerance: at which the end
     is judged first. arrival_tolerance: at which the end of a path followed on hexahedra shows what pulls and what presses; a third
     of that finds no other points and takes half as long again.
@@ -146,18 +148,18 @@ class TetPath:
 
     def advance(self, goal: np.ndarray) -> None:
         """Go to `goal` (press, shear fractions), in shorter steps where Newton asks for it."""
-        origin, done, length, cuts = self.at, 0.0, 1.0, 0
-        while done < 1.0:
-            ahead = min(1.0, done + length)
+        origin = self.at
+
+        def go(part: float, _: float) -> int:
             kept = self.u, self.contact, self.stick_point.copy(), self.stick_normal.copy()
             try:
-                self._step(origin + ahead * (goal - origin))
-                done = ahead
+                self._step(origin + part * (goal - origin))
             except NoEquilibrium:
                 self.u, self.contact, self.stick_point, self.stick_normal = kept
-                length, cuts = length / 2, cuts + 1
-                if cuts > self.settings.most_cuts:
-                    raise
+                raise
+            return 0
+
+        StepControl(self.settings.most_cuts).follow(0.0, 1.0, 1.0, go)
 
     def _step(self, aim: np.ndarray) -> None:
         s, before, start = self.settings, self.at, self.u
@@ -287,39 +289,35 @@ class TetPath:
         return int(gone.sum())
 
     def _stick_new(self, start: np.ndarray, before: np.ndarray, aim: np.ndarray, gap0: np.ndarray) -> None:
-        """Hold new points where they first touched, release what pulls."""
+        """Release what pulls; new points stick where they first touched."""
         self._release()
-        new = self.contact.state == SLIDE
         length = np.abs(aim - before).max()
         ahead, _ = gaps(self.scene, self.pose(aim), self.positions(start + length * self.velocity))
-        fraction = touch_fraction(gap0, ahead)[..., None]
-        first = self.pose(before).to_indenter(self.positions(start))
-        last = self.pose(aim).to_indenter(self.positions(self.u))
-        self._stick_at(new, first + fraction * (last - first), self.pose(aim))
+        ends = self.pose(before), self.pose(aim), self.positions(start), self.positions(self.u)
+        self.stick(self.touching(), touch_places(*ends, gap0, ahead), self.pose(aim))
 
-    def _stick_at(self, new: np.ndarray, places: np.ndarray, pose: Pose) -> None:
-        """Hold points at places of the indenter's frame, moved onto its surface."""
-        if not new.any():
+    def stick(self, points: np.ndarray, places: np.ndarray, pose: Pose) -> None:
+        """Let points (f, q) of bool stick at places (f, q, 3) of the indenter's frame, moved onto its surface."""
+        if not points.any():
             return
-        self.stick_point[new], self.stick_normal[new] = on_surface(self.scene.indenter, places[new])
-        self.contact = replace(self.contact, state=np.where(new, STICK, self.contact.state))
+        self.stick_point[points], self.stick_normal[points] = on_surface(self.scene.indenter, places[points])
+        self.contact = replace(self.contact, state=np.where(points, STICK, self.contact.state))
         self.contact = self._lead(pose)
 
     def _slide(self, pose: Pose) -> None:
         """Friction at the end of a step: what exceeds the law's limit slides under that drag."""
         stiffness = self.settings.stiffness
-        self._stick_at(self.contact.state == SLIDE, pose.to_indenter(self._carried()), pose)
+        self.stick(self.touching(), pose.to_indenter(self._carried()), pose)
         for _ in range(self.settings.friction_rounds):
             self._release()
             push = self._push()
-            stick = self.contact.state == STICK
             stretch = stiffness * (self.contact.target - self.positions(self.u))
             tangent = (
                 stretch - np.einsum("fqk,fqk->fq", stretch, self.contact.normal)[..., None] * self.contact.normal
             )
             size = np.linalg.norm(tangent, axis=-1)
-            over = stick & (size > 1.01 * self._limit(push))
-            slide = self.contact.state == SLIDE
+            over = self.sticking & (size > 1.01 * self._limit(push))
+            slide = self.touching()
             direction = np.where(slide[..., None], self.contact.drag, tangent)
             length = np.maximum(np.linalg.norm(direction, axis=-1), 1e-12)
             drag = (self._limit(np.maximum(push, 0.0)) / length)[..., None] * direction
@@ -348,25 +346,30 @@ class TetPath:
                 return share * u
         raise NoEquilibrium("an element is inverted")
 
-    def stick_as_on(self, coarse_path: LoadPath) -> bool:
-        """Hold the points that a path on hexahedra brought into contact; what pulls is released, what presses is held.
+    def arrive(self, coarse_path: LoadPath) -> bool:
+        """Points that a path on hexahedra brought into contact stick; what pulls is released. Whether that comes to rest."""
+        pose = self.pose(self.at)
+        touched, places = touches(coarse_path, self.points.position.reshape(-1, 3))
+        places = places.reshape(self.stick_point.shape)
+        self.stick(touched.reshape(self.contact.state.shape), places, pose)
+        return iterate_arrival(self, places, pose, self.settings.contact_iterations)
 
-        Each point changes once either way, or some would for ever. Whether that comes to rest.
-        """
-        pose, spots = self.pose(self.at), self.points.position.reshape(-1, 3)
-        held, places = touches(coarse_path, spots)
-        held, places = held.reshape(self.contact.state.shape), places.reshape(self.stick_point.shape)
-        self._stick_at(held, places, pose)
-        for _ in range(self.settings.contact_iterations):
-            self.rounds += 1
-            self.u, self.contact = self.newton(self.u, self.contact, pose, self.settings.arrival_tolerance)
-            new = (self.contact.state == SLIDE) & ~held
-            held |= new
-            gone = self._release(self.settings.pull_tolerance)
-            self._stick_at(new, places, pose)
-            if not gone and not new.any():
-                return True
-        return False
+    @property
+    def sticking(self) -> np.ndarray:
+        """Points (f, q) that stick, bool."""
+        return self.contact.state == STICK
+
+    def equilibrate(self, pose: Pose) -> None:
+        """Equilibrium at a pose, close enough to show what pulls and what presses."""
+        self.u, self.contact = self.newton(self.u, self.contact, pose, self.settings.arrival_tolerance)
+
+    def touching(self) -> np.ndarray:
+        """Points (f, q) that press and do not stick, bool."""
+        return self.contact.state == SLIDE
+
+    def release(self, pose: Pose) -> int:  # noqa: ARG002 (of `Arrival`)
+        """Release the points that pull clearly; how many."""
+        return self._release(self.settings.pull_tolerance)
 
     def iterate_contact(self) -> bool:
         """Equilibrium at the end of the path in which nothing pulls and nothing new penetrates."""

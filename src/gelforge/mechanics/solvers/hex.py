@@ -16,7 +16,7 @@ from gelforge.mechanics.mesh.finebox import fine_box
 from gelforge.mechanics.mesh.hexmesh import FineBox, HexMesh, build_mesh
 from gelforge.mechanics.mesh.hexname import HexMeshName
 from gelforge.mechanics.path.equilibrium import System
-from gelforge.mechanics.path.hexpath import Run
+from gelforge.mechanics.path.hexpath import HexPath
 from gelforge.mechanics.path.loadpath import first_touch, frame_time
 from gelforge.mechanics.path.transfer import LoadPath
 from gelforge.mechanics.result import BALANCE, Result
@@ -107,7 +107,7 @@ class HexSolver:
         times = [frame_time(scene, last) for scene in scenes]
         found: dict[float, HexResult] = {}
 
-        def keep(ended: Run, status: Status) -> None:
+        def keep(ended: HexPath, status: Status) -> None:
             found[ended.t] = _result(ended, status, time.perf_counter(), name)
 
         began = time.perf_counter()
@@ -190,8 +190,8 @@ class HexSolver:
     def _box(self, scene: Scene) -> FineBox:
         return self.settings.box or fine_box(scene, self.settings.size, self.settings.across)
 
-    def _run(self, scene: Scene, mesh: HexMesh, settings: HexSettings, size: float) -> Run:
-        return Run(scene, replace(settings, size=size), mesh, self._system(mesh))
+    def _run(self, scene: Scene, mesh: HexMesh, settings: HexSettings, size: float) -> HexPath:
+        return HexPath(scene, replace(settings, size=size), mesh, self._system(mesh))
 
     def _mesh(self, gel: Gel, box: FineBox, s: HexSettings) -> HexMesh:
         shape = (s.layers, s.layer_ratio, s.growth, s.largest, s.widened)
@@ -261,7 +261,7 @@ class _Kept:
         return self._items[key]
 
 
-def _result(run: Run, status: Status, started: float, name: HexMeshName) -> HexResult:
+def _result(run: HexPath, status: Status, started: float, name: HexMeshName) -> HexResult:
     """Forces, evidence and contact state at the end of a path."""
     evidence = _evidence(run.residual, run.iterations, run.rounds, run.steps)
     forces = np.zeros_like(run.u)
@@ -278,7 +278,7 @@ def _result(run: Run, status: Status, started: float, name: HexMeshName) -> HexR
             forces = np.zeros_like(run.u)
     run.record()
     evidence["path"] = run.curve
-    evidence |= {"reached": float(run.t), "cuts": run.cuts, "factorisations": run.factorisations}
+    evidence |= {"reached": float(run.t), "cuts": run.control.cuts, "factorisations": run.factorisations}
     evidence["products"] = run.products
     evidence["seconds"] = time.perf_counter() - started
     return HexResult(status, forces, run.u, evidence, run.mesh, run.state, name)

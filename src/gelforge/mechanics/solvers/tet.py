@@ -49,7 +49,7 @@ def arrive(
     u = np.where(solid.free[:, None], volume_motion(coarse_path.mesh, coarse_path.states[-1], nodes, scene.gel), 0.0)
     try:
         path.u = path.unfolded(u)
-        converged = path.stick_as_on(coarse_path) and path.iterate_contact()
+        converged = path.arrive(coarse_path) and path.iterate_contact()
         reason = "" if converged else "the contact set did not converge at the path's end"
     except NoEquilibrium as error:
         converged, reason = False, str(error)
