@@ -23,6 +23,16 @@ ALLOWED = {
     "reporting": {"flow", "records", "geometry", "mechanics", "labelling", "calibration"},
     "live": {"records", "reporting", "formats"},
 }
+# The rooms of mechanics and the rooms they may import from; scene, material and their like above them are for all.
+MECHANICS = {
+    "linear": set(),
+    "mesh": set(),
+    "elements": {"linear", "mesh"},
+    "contact": {"linear", "mesh"},
+    "path": {"contact", "elements", "linear", "mesh"},
+    "ccx": {"mesh"},
+    "solvers": {"ccx", "contact", "elements", "linear", "mesh", "path"},
+}
 ON_TOP = {"stages", "commands"}  # thin mains, which may use all of the above
 
 
@@ -51,6 +61,19 @@ def test_folders_use_only_what_they_may():
         for folder, allowed in ALLOWED.items()
         for path in (PACKAGE / folder).rglob("*.py")
         for used in folders_used(path) - allowed - {folder}
+    ]
+    assert wrong == []
+
+
+def test_rooms_of_mechanics_use_only_what_they_may():
+    home = PACKAGE / "mechanics"
+    assert {path.name for path in home.iterdir() if any(path.glob("*.py"))} == MECHANICS.keys()
+    wrong = [
+        f"{path.relative_to(home)} imports {name}"
+        for room, allowed in MECHANICS.items()
+        for path in (home / room).rglob("*.py")
+        for name in imports(path)
+        if name.startswith("gelforge.mechanics.") and name.split(".")[2] in MECHANICS.keys() - allowed - {room}
     ]
     assert wrong == []
 

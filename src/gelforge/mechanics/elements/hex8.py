@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from gelforge.mechanics.elements.element import Element
+from gelforge.mechanics.elements.element import FiniteElement
 from gelforge.mechanics.elements.kernels import mean_dilatation
 from gelforge.mechanics.mesh.stepped import Cells
 
@@ -66,4 +66,4 @@ def _reference(nodes: np.ndarray, elements: np.ndarray, local: np.ndarray) -> tu
     return gradients, weights
 
 
-ELEMENT = Element("hex8", 8, mean_dilatation(8, points=8, width=32), reference)
+ELEMENT = FiniteElement("hex8", 8, mean_dilatation(8, points=8, width=32), reference)

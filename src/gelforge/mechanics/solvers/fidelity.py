@@ -1,6 +1,6 @@
 """One interface to every method of solving a scene, with the fallbacks where an attempt fails."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -14,6 +14,7 @@ from gelforge.mechanics.mesh.family import MeshFamily, choose_mesh, unplaced
 from gelforge.mechanics.path.transfer import LoadPath
 from gelforge.mechanics.result import Result
 from gelforge.mechanics.scene import Scene
+from gelforge.mechanics.solver import Solve
 from gelforge.mechanics.solvers.auto import SolveMethod, method_of
 from gelforge.mechanics.solvers.ccx import CcxSettings, CcxSolver
 from gelforge.mechanics.solvers.hex import HexSolver
@@ -61,7 +62,7 @@ class Solvers:
             result.evidence |= method.why
         return results
 
-    def _as_asked(self, scenes: Sequence[Scene], method: SolveMethod) -> list[Callable[[Scene], Result]]:
+    def _as_asked(self, scenes: Sequence[Scene], method: SolveMethod) -> list[Solve]:
         """How each scene is solved as asked; where a path serves several of them it is followed here."""
         if method.fidelity == "hex":
             return [_answer(found) for found in self._solve_hex(scenes, method.hexahedra)]
@@ -72,7 +73,7 @@ class Solvers:
         alone = self._solve_native if method.fidelity == "ccx-native" else self._solve_ccx
         return [alone] * len(scenes)
 
-    def _with_fallbacks(self, scene: Scene, method: SolveMethod, first: Callable[[Scene], Result]) -> Result:
+    def _with_fallbacks(self, scene: Scene, method: SolveMethod, first: Solve) -> Result:
         """The first valid result of the attempts, else the last one, with what failed before it."""
         failed = []
         for name, attempt in [(method.fidelity, first), *self._fallbacks(method.fidelity, method.hexahedra)]:
@@ -85,13 +86,13 @@ class Solvers:
         result.evidence.setdefault("fidelity", method.fidelity)
         return result
 
-    def _fallbacks(self, fidelity: str, hexahedra: str) -> list[tuple[str, Callable[[Scene], Result]]]:
+    def _fallbacks(self, fidelity: str, hexahedra: str) -> list[tuple[str, Solve]]:
         """What is tried where solving as asked fails: smaller load steps, more contact iterations, another fidelity."""
         if fidelity == "hex":
             return [("hex, smaller load steps", lambda scene: self._solve_hex([scene], hexahedra, 4)[0])]
         if fidelity == "ccx-native":
             return []
-        finer: list[tuple[str, Callable[[Scene], Result]]] = [
+        finer: list[tuple[str, Solve]] = [
             (f"{fidelity}, smaller load steps", partial(self._solve_ccx, steps=3)),
             (f"{fidelity}, more contact rounds", partial(self._solve_ccx, steps=3, rounds=3)),
         ]
@@ -143,6 +144,6 @@ class Solvers:
         return result
 
 
-def _answer(found: Result) -> Callable[[Scene], Result]:
+def _answer(found: Result) -> Solve:
     """What was solved already, as a method of solving it."""
     return lambda scene: found
