@@ -103,7 +103,7 @@ def test_a_state_is_judged_by_what_pulls_and_by_what_lies_in_the_indenter(mesh):
     down, push = np.broadcast_to([0.0, 0.0, -1.0], contact.target.shape), rng.uniform(-1, 1, points.weight.shape)
     contact = Contact(contact.state, points.position + push[..., None] / 145.0 * down, down, contact.drag)
     verdict = judge(pressed, contact, points, np.zeros_like(mesh.nodes), 145.0)
-    held, force = contact.held, push * points.weight
+    held, force = contact.touching, push * points.weight
     assert verdict.pulling_fraction == pytest.approx(-force[held & (push < 0)].sum() / abs(force[held].sum()))
     depth = 4.0 - np.linalg.norm(points.position - MIDDLE, axis=-1)
     assert verdict.penetration == pytest.approx(depth[~held].max()) and verdict.penetration > 0.5

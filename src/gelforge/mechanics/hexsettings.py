@@ -53,7 +53,7 @@ class HexSettings:
     tolerance, final_tolerance: residual over contact force, within the path and at its end.
     max_iterations: of Newton's method in one solve. max_cuts: how often a load step may be halved.
     settle_rounds: contact iterations, in which points are released at the end of the path. pull_tolerance: share of the largest pressure by
-    which a held point may pull.
+    which a sticking point may pull.
     box: fixed fine part (FineBox) in place of one that follows the press.
     nested: how the path is followed on coarser hexahedra first; None: on these. With Coulomb friction it is always on these,
     because a point's force depends on all of its slip.
@@ -96,10 +96,10 @@ class HexSettings:
 # - Under a wide flat body the gel flows sideways between two faces that it sticks to, which n layers make stiffer by 1 / n^2.
 #   Seven layers, four of them wide, and an extrapolation of 0.16 are better on flat, shallow presses (2.4 for 3.9 %) and on
 #   the scenes (worst 1.5 for 1.7 %), worse under deep narrow ridges (4.3 for 3.5 %), and take a quarter longer.
-# - A hexahedron's face bends too little for 3 x 3 points to be held: 2 x 2 halve the error of flat and sharp indenters.
+# - A hexahedron's face bends too little for 3 x 3 points to stick: 2 x 2 halve the error of flat and sharp indenters.
 # - Below the upper layers wide hexahedra do: the same errors in 0.7 (label) and 0.6 (draft) of the time. At least two layers
 #   must be fine: one alone, on wide faces, doubles the error of the cells.
-# - Three press steps cost under 0.6 % of the force with anchors at first touch (12 % where a step ends, one step).
+# - Three press steps cost under 0.6 % of the force with stick points at first touch (12 % where a step ends, one step).
 QUALITIES = {
     "demo": HexSettings(size=1.0, layers=4, gauss=2, press_steps=3, shear_steps=2),
     "draft": HexSettings(

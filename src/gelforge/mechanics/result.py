@@ -19,7 +19,7 @@ class Result:
     """State at the end of the path on a gel mesh with n nodes.
 
     forces: (n, 3) N, contact forces ON the gel (zero off its surface).
-    displacement: (n, 3) mm. pressure/anchor data stay inside the fidelities.
+    displacement: (n, 3) mm. Contact data stay inside the solvers.
     evidence: plain numbers and strings; the keys every fidelity fills are
     "equilibrium_residual" (relative), "penetration_mm", "pulling_fraction" (of the normal force),
     "base_mismatch" (relative), "newton_iterations", "rounds", "seconds", "peak_mib", "load_steps".

@@ -67,14 +67,14 @@ def start_lines(start: np.ndarray) -> list[str]:
 
 
 def press_deck(
-    include: str, material: Material, held: np.ndarray, places: np.ndarray,
+    include: str, material: Material, prescribed: np.ndarray, places: np.ndarray,
     start: np.ndarray | None, increment: float, residual: float, solver: str,
 ) -> str:  # fmt: skip
     """Deck of one equilibrium without contact.
 
-    include: path of the mesh, relative to the deck. held: (k,) nodes, counted from 0, led to the displacements `places` (k, 3) mm.
+    include: path of the mesh, relative to the deck. prescribed: (k,) nodes, counted from 0, led to the displacements `places` (k, 3) mm.
     start: (n, 3) mm, or None: from rest. increment: first load increment, 1 for all at once. residual: largest nodal
-    residual over the mean nodal force. Prints U and RF of the top's nodes, RF of the base, U of all. RF of a held node is
+    residual over the mean nodal force. Prints U and RF of the top's nodes, RF of the base, U of all. RF of a prescribed node is
     the force that holds it.
     """
     lines = [f"{INCLUDE}{include}", *material_lines(material), "*BOUNDARY", "NBASE,1,3"]
@@ -84,7 +84,7 @@ def press_deck(
     lines += ["*CONTROLS, PARAMETERS=TIME INCREMENTATION", "6,20,12,30,15,8,,20,,", "0.25,0.5,0.75,0.85,,,1.5,"]
     lines += ["*CONTROLS, PARAMETERS=FIELD", f"{residual:.3g},1.,,,{residual:.3g},,1e-12"]
     lines.append("*BOUNDARY")
-    for i, u in zip((held + 1).tolist(), places.tolist(), strict=True):
+    for i, u in zip((prescribed + 1).tolist(), places.tolist(), strict=True):
         lines += [f"{i},1,1,{u[0]:{PLACE}}", f"{i},2,2,{u[1]:{PLACE}}", f"{i},3,3,{u[2]:{PLACE}}"]
     for nodes, quantity in (("NTOP", "U"), ("NTOP", "RF"), ("NBASE", "RF"), ("NALL", "U")):
         lines += [f"*NODE PRINT, NSET={nodes}, FREQUENCY=1000", quantity]

@@ -1,12 +1,10 @@
-"""Contact at the face points of a tetrahedral gel: what is held and where, and how a state is judged."""
+"""Contact at the face points of a tetrahedral gel: what touches, what sticks where, and how a state is judged."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from gelforge.geometry import touch
 from gelforge.mechanics.contact.facepoints import FacePoints
-from gelforge.mechanics.contact.reach import WITHIN
 from gelforge.mechanics.pose import Pose
 from gelforge.mechanics.scene import Scene
 
@@ -18,7 +16,7 @@ _A, _B = np.triu_indices(6)
 class Contact:
     """Contact state of q points on each of f faces.
 
-    state: FREE, SLIDE (held along the normal, dragged by `drag`) or STICK (held at `target`).
+    state: FREE, SLIDE (on the surface, dragged by `drag`) or STICK (bound to `target`).
     target: (f, q, 3) mm, on the indenter. normal: (f, q, 3) the indenter's outward normal there.
     drag: (f, q, 3) MPa of undeformed area, tangential traction on a sliding point.
     """
@@ -29,16 +27,9 @@ class Contact:
     drag: np.ndarray
 
     @property
-    def held(self) -> np.ndarray:
+    def touching(self) -> np.ndarray:
         """(f, q) bool, the points in contact."""
         return self.state != FREE
-
-
-def reachable(scene: Scene, points: FacePoints) -> FacePoints:
-    """The points of faces that come within WITHIN mm of the indenter somewhere on its path, undeformed: others never touch."""
-    centre = points.position.mean(axis=1)
-    size = np.linalg.norm(points.position - centre[:, None], axis=2).max(axis=1)
-    return points.only(touch.touched(scene.indenter, scene.press, centre, WITHIN + size))
 
 
 def end_pose(scene: Scene) -> Pose:
@@ -56,7 +47,7 @@ def gaps(scene: Scene, pose: Pose, points: np.ndarray) -> tuple[np.ndarray, np.n
 class Verdict:
     """What is wrong with a solved state.
 
-    pulling_fraction: what held points pull, as a share of the normal force. penetration: how deep a free point lies in the
+    pulling_fraction: what touching points pull, as a share of the normal force. penetration: how deep a free point lies in the
     indenter, mm.
     """
 
@@ -65,21 +56,21 @@ class Verdict:
 
 
 def judge(scene: Scene, contact: Contact, points: FacePoints, displacement: np.ndarray, stiffness: float) -> Verdict:
-    """Read the pressure of every held point and the gap of every free one off a displacement field (n, 3) mm.
+    """Read the pressure of every touching point and the gap of every free one off a displacement field (n, 3) mm.
 
-    stiffness: of the springs that hold points, N/mm^3.
+    stiffness: contact penalty, N/mm^3.
     """
     position = points.position + points.at(displacement)
     gap, _ = gaps(scene, end_pose(scene), position)
-    push = stiffness * np.einsum("fqk,fqk->fq", contact.target - position, contact.normal) * contact.held
+    push = stiffness * np.einsum("fqk,fqk->fq", contact.target - position, contact.normal) * contact.touching
     force = np.abs((push * points.weight).sum())
-    pull = float(-(push * points.weight)[contact.held & (push < 0)].sum())
-    return Verdict(float(pull / max(force, 1e-12)), float(max(0.0, -gap[~contact.held].min(initial=0.0))))
+    pull = float(-(push * points.weight)[contact.touching & (push < 0)].sum())
+    return Verdict(float(pull / max(force, 1e-12)), float(max(0.0, -gap[~contact.touching].min(initial=0.0))))
 
 
 def contact_forces(contact: Contact, points: FacePoints, u: np.ndarray, stiffness: float) -> np.ndarray:
-    """Nodal forces (n, 3) N of the springs and drags of held points on the gel."""
-    faces = np.flatnonzero(contact.held.any(axis=1))
+    """Nodal forces (n, 3) N of the penalties and drags of touching points on the gel."""
+    faces = np.flatnonzero(contact.touching.any(axis=1))
     nodes, state, normal = points.faces[faces], contact.state[faces], contact.normal[faces]
     position = points.position[faces] + np.einsum("qa,fak->fqk", points.shape, u[nodes])
     stretch = contact.target[faces] - position
@@ -93,7 +84,7 @@ def contact_forces(contact: Contact, points: FacePoints, u: np.ndarray, stiffnes
 
 def contact_blocks(contact: Contact, points: FacePoints, stiffness: float) -> tuple[np.ndarray, np.ndarray]:
     """Touched faces (f,) of the mesh and their stiffness on node pairs a <= b, (f, 21, 3, 3) N/mm."""
-    faces = np.flatnonzero(contact.held.any(axis=1))
+    faces = np.flatnonzero(contact.touching.any(axis=1))
     state, weight = contact.state[faces], points.weight[faces] * stiffness
     pairs = points.shape[:, _A] * points.shape[:, _B]
     blocks = np.einsum("fq,qp->fp", weight * (state == STICK), pairs)[..., None, None] * np.eye(3)

@@ -52,7 +52,7 @@ class Holding(ContactLaw):
 @cache
 def laws() -> dict[str, type[ContactLaw]]:
     """The contact laws by name: one of each module in `contact/laws`."""
-    found = {}
+    found: dict[str, type[ContactLaw]] = {}
     for _, name, _ in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
         classes = (each for each in vars(import_module(name)).values() if isinstance(each, type))
         found |= {law.name: law for law in classes if issubclass(law, ContactLaw) and law.__module__ == name}

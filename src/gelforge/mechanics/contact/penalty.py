@@ -1,9 +1,9 @@
 """Penalty contact between a rigid indenter and a gel surface, at Gauss points of the surface faces.
 
-Within a load step points that touch for the first time feel a normal penalty only; points sticking
-earlier are held at their stick_point, which travels with the indenter. So a step is a smooth problem
-but for new touches. Coulomb's law cuts the tangential force of a sticking point off at mu times its
-pressure, both of the same iterate (return mapping).
+Within a load step points that touch for the first time feel a normal penalty only; those that touched
+earlier stick to a point that travels with the indenter. So a step is a smooth problem but for new
+touches. A law with friction limits the tangential traction of sticking points, by the pressure of the
+same iterate (return mapping).
 """
 
 from collections.abc import Callable
@@ -30,11 +30,11 @@ class ContactState:
 
     face: (m,) index into mesh.faces. shape: (m, 4) weights of the face's nodes. reference: (m, 3)
     undeformed position. weights: (m,) mm^2. status: (m,) FREE, TOUCHING or STICK.
-    stick_point: (m, 3) where a sticking point is held, in the indenter's frame (nan elsewhere).
+    stick_point: (m, 3) what a sticking point is bound to, in the indenter's frame (nan elsewhere).
     normal: (m, 3) the indenter's outward normal there, in its frame.
     position: (m, 3) deformed. traction: (m, 3) on the gel.
-    multiplier: (m, 3) tangential traction of sticking points at no stretch (Coulomb only).
-    goal: (m, 3) where anchors are on their way to; carried: (m, 3) what multipliers are on their way to;
+    multiplier: (m, 3) tangential traction of sticking points at no stretch (laws with friction only).
+    goal: (m, 3) where stick points are on their way to; carried: (m, 3) what multipliers are on their way to;
     fading: (m, 3) what is left of the traction of released points (at the end of a path nothing is pending).
     """
 
@@ -122,7 +122,7 @@ class Skew:
 class Tractions:
     """Tractions of the points in contact, linearised: point (p,) index, traction (p, 3), stiffness (p, 3, 3).
 
-    gap: (p,) signed distance where known (nan for points held at anchors without slip). stiffness is
+    gap: (p,) signed distance where known (nan for points that stick without slip). stiffness is
     symmetric; what friction adds to it as the pressure grows is in `slip`.
     """
 

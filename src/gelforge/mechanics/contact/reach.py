@@ -3,19 +3,17 @@
 import numpy as np
 
 from gelforge.geometry import touch
-from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.pose import Pose
 from gelforge.mechanics.scene import Scene
 
 WITHIN = 1.0  # mm from the indenter's path within which a face may come into contact
 
 
-def reachable_faces(scene: Scene, mesh: GelMesh) -> np.ndarray:
-    """Faces whose undeformed corners come within WITHIN mm of the indenter somewhere on the path."""
-    corners = mesh.nodes[mesh.faces]
-    centre = corners.mean(axis=1)
-    size = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
-    return np.flatnonzero(touch.touched(scene.indenter, scene.press, centre, WITHIN + size))
+def reachable(scene: Scene, points: np.ndarray) -> np.ndarray:
+    """Which faces (f,), by points (f, k, 3) mm of each, come within WITHIN mm of the indenter on its path, undeformed."""
+    centre = points.mean(axis=1)
+    size = np.linalg.norm(points - centre[:, None], axis=2).max(axis=1)
+    return touch.touched(scene.indenter, scene.press, centre, WITHIN + size)
 
 
 def gaps(scene: Scene, x: np.ndarray, pose: Pose) -> np.ndarray:

@@ -18,7 +18,7 @@ from gelforge.mechanics.contact.penalty import (
     penalty_tractions,
     positions,
 )
-from gelforge.mechanics.contact.reach import gaps, reachable_faces
+from gelforge.mechanics.contact.reach import gaps, reachable
 from gelforge.mechanics.elements.element import elements
 from gelforge.mechanics.hexsettings import HexSettings
 from gelforge.mechanics.linear.factorisation import symmetric_solver
@@ -70,7 +70,7 @@ class Equilibrium:
     """One scene on one mesh, and where it stands.
 
     u: (n, 3) mm. state: ContactState. tractions: those of the last equilibrium. candidates: points that are no part of the
-    held contact and may come to touch. residual: out of balance over contact force. noisy: residual above which the
+    sticking contact and may come to touch. residual: out of balance over contact force. noisy: residual above which the
     tangent leaves out the pressure's geometric stiffness. crawls: whether a step whose usual parts all invert hexahedra
     is taken in SHORT ones: where no load step could be shortened instead. The counters hold what all solves together took.
     """
@@ -83,7 +83,7 @@ class Equilibrium:
         self.holding = replace(self.penalty, law=Holding())
         self.moduli = scene.material.shear_modulus, scene.material.bulk_modulus
         self.elements = elements()[mesh.kind].on(mesh.nodes, mesh.cells)
-        self.state = contact_points(mesh, settings.gauss, reachable_faces(scene, mesh))
+        self.state = contact_points(mesh, settings.gauss, np.flatnonzero(reachable(scene, mesh.nodes[mesh.faces])))
         self.nodes = np.ascontiguousarray(mesh.faces[self.state.face])
         self.u, self.candidates = np.zeros_like(mesh.nodes), np.empty(0, np.int64)
         self.tractions: Any = None  # Tractions of the last equilibrium

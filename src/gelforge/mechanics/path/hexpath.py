@@ -25,7 +25,7 @@ EASY = 7  # Newton iterations up to which a shortened step may grow again
 SMALLEST_PART = 0.1  # of pending contact changes carried out in one solve
 ROUGH = 1e-3  # residual at which it shows what pulls and what presses
 # What a path on coarse hexahedra brought so close to the indenter, in widths of a coarse hexahedron, has touched: between the
-# points where the coarse contact is held, its faces cut corners.
+# points where the coarse contact sticks, its faces cut corners.
 TOUCHED = 0.05
 BEYOND = 1.001  # of its traction is what a slipping point's multiplier wants, or rounding decides which points stick
 ACCEPTED = 1e-7  # residual over contact force that keeps base reactions within 1e-6
@@ -198,10 +198,10 @@ class HexPath(Equilibrium):
         which presses. So nothing pulls at their end, and no contact set is left open.
         """
         tractions, state = self.tractions, self.state
-        held = (state.status[tractions.point] == STICK) & np.isnan(tractions.gap)
-        point = tractions.point[held]
-        push = np.einsum("pi,pi->p", tractions.traction[held], pose.turn(state.normal[point]))
-        return point, tractions.traction[held], push
+        stuck = (state.status[tractions.point] == STICK) & np.isnan(tractions.gap)
+        point = tractions.point[stuck]
+        push = np.einsum("pi,pi->p", tractions.traction[stuck], pose.turn(state.normal[point]))
+        return point, tractions.traction[stuck], push
 
     def release(self, pose: Pose) -> int:
         """Release what pulls: its traction fades with the next changes. Returns how many."""
@@ -268,7 +268,7 @@ class HexPath(Equilibrium):
                     raise
 
     def _polish(self, pose: Pose) -> None:
-        """Tight equilibrium; points that go on changing between sticking and slipping are held for one step.
+        """Tight equilibrium; points that go on changing between sticking and slipping stick for one step.
 
         Where even then one flips in rounding noise, the accepted residual is enough; where several do, shorter steps help.
         """

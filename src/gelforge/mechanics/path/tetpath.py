@@ -1,8 +1,8 @@
-"""Contact kinematics on the tetrahedra, in process: which face points touch, and where they are held.
+"""Contact kinematics on the tetrahedra, in process: which face points touch, and what they stick to.
 
 The path is followed in load steps. Within a step a point that is new feels only the normal; at the
-step's end it is held where it first touched (glue at the end of the step), and what pulls is let
-go. So every step is a smooth problem but for new touches. CalculiX then solves the end of the path.
+step's end it sticks where it first touched, and what pulls is
+released. So every step is a smooth problem but for new touches. CalculiX then solves the end of the path.
 """
 
 from dataclasses import dataclass, replace
@@ -112,7 +112,7 @@ class _State:
 
 
 class TetPath:
-    """State along a path: displacement u (n, 3), contact, anchors (f, q, 3) in the indenter's frame.
+    """State along a path: displacement u (n, 3), contact, stick points (f, q, 3) in the indenter's frame.
 
     at: (2,) fractions of press and shear that are done. velocity: (n, 3) mm per fraction, of the last load step.
     """
@@ -181,7 +181,7 @@ class TetPath:
         return ahead if self.solid.forces(ahead, self.shear, self.bulk)[1] > 0.2 else u
 
     def _lead(self, pose: Pose) -> Contact:
-        """The contact as the step begins: held points travel with the indenter."""
+        """The contact as the step begins: sticking points travel with the indenter."""
         stick = self.contact.state == STICK
         c = self.contact
         target = np.where(stick[..., None], pose.to_gel(self.stick_point), c.target)
@@ -189,7 +189,7 @@ class TetPath:
         return Contact(c.state, target, normal, c.drag)
 
     def newton(self, u: np.ndarray, contact: Contact, pose: Pose, tolerance: float) -> tuple[np.ndarray, Contact]:
-        """Equilibrium at a fixed pose; points that no anchor holds touch where they would penetrate. Raises NoEquilibrium."""
+        """Equilibrium at a fixed pose; points that do not stick touch where they would penetrate. Raises NoEquilibrium."""
         s = self.settings
         if self.iterations > s.most_in_all:
             raise NoEquilibrium(f"the path took more than {s.most_in_all} Newton iterations")
@@ -198,7 +198,7 @@ class TetPath:
             if state.smallest <= 0.0 or not np.isfinite(state.size):
                 raise NoEquilibrium("an element is inverted")
             # on the way a few points may still come and go; at the end none
-            allowed = 0.05 * state.contact.held.sum() if tolerance > s.final_tolerance else 0
+            allowed = 0.05 * state.contact.touching.sum() if tolerance > s.final_tolerance else 0
             if state.size < tolerance and state.changed <= allowed:
                 return state.u, state.contact
             keep = iteration + 1 >= s.free_iterations
@@ -277,14 +277,16 @@ class TetPath:
     # -- the end of a step
 
     def _push(self) -> np.ndarray:
-        """Pressure of held points, MPa: positive where the indenter presses."""
+        """Pressure of touching points, MPa: positive where the indenter presses."""
         stretch = self.contact.target - self.positions(self.u)
-        return self.settings.stiffness * np.einsum("fqk,fqk->fq", stretch, self.contact.normal) * self.contact.held
+        return (
+            self.settings.stiffness * np.einsum("fqk,fqk->fq", stretch, self.contact.normal) * self.contact.touching
+        )
 
     def _release(self, least: float = 0.0) -> int:
-        """release the held points that pull by more than a share `least` of the largest pressure; how many."""
+        """Release the touching points that pull by more than a share `least` of the largest pressure; how many."""
         push = self._push()
-        gone = self.contact.held & (push < -least * push.max(initial=0.0))
+        gone = self.contact.touching & (push < -least * push.max(initial=0.0))
         self.contact = replace(self.contact, state=np.where(gone, FREE, self.contact.state))
         return int(gone.sum())
 
@@ -334,7 +336,7 @@ class TetPath:
         return self.law.slip_limit(pressure, 1.0)[0]
 
     def _carried(self) -> np.ndarray:
-        """Where sliding points would be held by blocks that carry their drag."""
+        """Where sliding points would stick with penalties that carry their drag."""
         return self.positions(self.u) + self.contact.drag / self.settings.stiffness
 
     # -- the end of the path

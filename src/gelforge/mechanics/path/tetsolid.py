@@ -17,7 +17,7 @@ STALE = 25
 
 
 class TetSolid:
-    """Geometry, matrix pattern and factorisation of one mesh; face springs may be added to the matrix.
+    """Geometry, matrix pattern and factorisation of one mesh; face penalties may be added to the matrix.
 
     The factorisation that `step` may use again is of whatever was solved last, on this mesh or one of `on`: who starts a
     scene asks for one of its own (left = 0), or its result would depend on what was solved before.

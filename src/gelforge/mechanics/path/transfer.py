@@ -128,7 +128,7 @@ def touches(path: LoadPath, points: np.ndarray, near: float = 0.0) -> tuple[np.n
     A point that goes on as in the step before crosses the surface at a fraction of the step: that place counts. Points
     that have not touched get the place to which the last step would lead them.
     """
-    held, places = np.zeros(len(points), bool), np.empty_like(points)
+    touched, places = np.zeros(len(points), bool), np.empty_like(points)
     before: tuple[float, np.ndarray, Pose, np.ndarray] | None = None
     earlier: tuple[float, np.ndarray, Pose, np.ndarray] | None = None
     for t, u in zip(path.times, path.states, strict=True):
@@ -139,10 +139,10 @@ def touches(path: LoadPath, points: np.ndarray, near: float = 0.0) -> tuple[np.n
             ahead = x1
             if earlier is not None and not t1 <= 1.0 < t:  # the path turns from press to shear at 1
                 ahead = x1 + (t - t1) / (t1 - earlier[0]) * (x1 - earlier[1])
-            free = np.flatnonzero(~held)
+            free = np.flatnonzero(~touched)
             fraction = touch_fraction(gap1[free], gaps(path.scene, ahead[free], pose))[:, None]
             places[free] = (1.0 - fraction) * pose1.to_indenter(x1[free]) + fraction * pose.to_indenter(x[free])
-            held = (held | (gap < near * path.size)) & (gap < (near + LEFT) * path.size)
+            touched = (touched | (gap < near * path.size)) & (gap < (near + LEFT) * path.size)
             earlier = before
         before = (t, x, pose, gap)
-    return held, places
+    return touched, places

@@ -1,7 +1,7 @@
 """Fidelity `ccx`: CalculiX on second-order tetrahedra, contact found in process.
 
 The deck has no contact. The final state of a hyperelastic body depends on its boundary data only, so the part of the
-surface that touches is held where contact put it; CalculiX finds the equilibrium of the gel and the forces that hold it
+surface that touches has the displacement that contact gave it; CalculiX finds the equilibrium of the gel and the forces that hold it
 so. What pulls or penetrates in its state makes no valid result. Contact is integrated at twelve points of each face,
 because at nodes a footprint's edge falls between them.
 """
@@ -18,8 +18,9 @@ from gelforge.flow.params.tables import FeaTable
 from gelforge.mechanics.ccx.dat import DatError, Unfinished, last_table, read_dat, without_set
 from gelforge.mechanics.ccx.deck import DIRECT, INCLUDES, ITERATIVE, press_deck, write_include
 from gelforge.mechanics.ccx.program import OVERDUE, run_ccx
-from gelforge.mechanics.contact.facecontact import Verdict, contact_forces, judge, reachable
+from gelforge.mechanics.contact.facecontact import Verdict, contact_forces, judge
 from gelforge.mechanics.contact.facepoints import FacePoints, face_points
+from gelforge.mechanics.contact.reach import reachable
 from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.path.loadpath import first_touch
@@ -39,7 +40,7 @@ class CcxSettings:
     """How `ccx` works: the numbers of [fea] that concern it, with the reasons for them in workflow/params.toml.
 
     press_steps, shear_steps: load steps of the kinematics, at least. step_mm: none of the press is longer.
-    stiffness: contact springs, multiples of C10 per mm. rounds: in which the contact at the path's end may change.
+    stiffness: contact penalty, multiples of C10 per mm. rounds: in which the contact at the path's end may change.
     pull_tolerance: share of the normal force that may pull in a valid state. penetration_mm: depth that counts as touching. residual:
     largest nodal residual over the mean nodal force. timeout_s: seconds after which a run of CalculiX is stopped.
     """
@@ -111,7 +112,7 @@ class CcxSolver:
             s.press_steps, s.shear_steps, s.step_mm, s.stiffness * REFERENCE_C10,
             pull_tolerance=s.pull_tolerance / 2, penetration_mm=s.penetration_mm / 2, contact_iterations=s.rounds,
         )  # fmt: skip
-        points = reachable(scene, self.points)
+        points = self.points.only(reachable(scene, self.points.position))
         found = self._arrived(scene, points, coarse_path, path) or follow(scene, self.solid, points, touch_at, path)
         kinematics_s = time.perf_counter() - began
         if found.converged:
@@ -145,15 +146,15 @@ class CcxSolver:
         return CcxResult(status, zero, zero.copy(), evidence)
 
     def _state(self, scene: Scene, found: Kinematics, points: FacePoints, name: str, s: CcxSettings) -> CcxResult:
-        """CalculiX' equilibrium with the touched part of the surface held where the kinematics left it."""
-        held = np.unique(points.faces[found.contact.held.any(axis=1)])
+        """CalculiX' equilibrium with the displacement of the touching surface as the kinematics left it."""
+        prescribed = np.unique(points.faces[found.contact.touching.any(axis=1)])
         run = _Run(self, scene, name, s)
-        answer = run.solve(held, found.displacement)
+        answer = run.solve(prescribed, found.displacement)
         if isinstance(answer, CcxResult):
             return answer
         verdict = judge(scene, found.contact, points, answer.displacement, s.stiffness * REFERENCE_C10)
-        result = run.result(answer, held, verdict)
-        result.evidence["touching_points"] = int(found.contact.held.sum())
+        result = run.result(answer, prescribed, verdict)
+        result.evidence["touching_points"] = int(found.contact.touching.sum())
         return result
 
 
@@ -178,8 +179,8 @@ class _Run:
         self.failed_attempts: list[str] = []
         self.overdue: dict[str, float] = {}
 
-    def solve(self, held: np.ndarray, start: np.ndarray) -> "Answer | CcxResult":
-        """Equilibrium in which the nodes `held` (k,) are displaced as in `start` (n, 3) mm; or a failed CcxResult.
+    def solve(self, prescribed: np.ndarray, start: np.ndarray) -> "Answer | CcxResult":
+        """Equilibrium in which the nodes `prescribed` (k,) are displaced as in `start` (n, 3) mm; or a failed CcxResult.
 
         Newton's method begins there; where that fails the displacements grow from rest in increments.
         """
@@ -188,8 +189,10 @@ class _Run:
         attempts: list[tuple[np.ndarray | None, float, str]] = [(start, 1.0, ITERATIVE), (start, 1.0, DIRECT)]
         attempts += [(None, INCREMENT, DIRECT), (None, INCREMENT / 10, DIRECT)]
         run, include = self.solver.run, f"../{INCLUDES}/{self.solver.include.name}"
-        for begin, increment, method in attempts if len(held) else []:
-            deck = press_deck(include, self.scene.material, held, start[held], begin, increment, s.residual, method)
+        for begin, increment, method in attempts if len(prescribed) else []:
+            deck = press_deck(
+                include, self.scene.material, prescribed, start[prescribed], begin, increment, s.residual, method
+            )
             (run / f"{self.name}.inp").write_text(deck)
             job = run_ccx(self.name, run, s.timeout_s)
             self.iterations += job.iterations
@@ -205,11 +208,11 @@ class _Run:
         zero = np.zeros_like(mesh.nodes)
         return CcxResult(problem[0], zero, zero.copy(), self._evidence() | {"reason": problem[1]}, deck=None)
 
-    def result(self, answer: Answer, held: np.ndarray, verdict: Verdict) -> CcxResult:
-        """The answer as a result: forces are those on the nodes `held`, and valid where contact and balance are."""
+    def result(self, answer: Answer, prescribed: np.ndarray, verdict: Verdict) -> CcxResult:
+        """The answer as a result: forces are those on the nodes `prescribed`, and valid where contact and balance are."""
         mesh, s = self.solver.mesh, self.settings
         forces = np.zeros_like(mesh.nodes)
-        touched = np.isin(mesh.surface_nodes, held)
+        touched = np.isin(mesh.surface_nodes, prescribed)
         forces[mesh.surface_nodes] = np.where(touched[:, None], answer.top, 0.0)
         total = forces.sum(axis=0)
         mismatch = float(np.linalg.norm(total + answer.base.sum(axis=0))) / max(float(np.linalg.norm(total)), 1e-12)

@@ -13,7 +13,7 @@ from gelforge.mechanics.scene import Scene
 def follow(scene: Scene, solid: TetSolid, points: FacePoints, start: float, settings: PathSettings) -> Kinematics:
     """Follow press and shear from the press fraction `start` of first touch to the end of the path.
 
-    points: of the faces that may come to touch (`facecontact.reachable`). Failure is a field of the result.
+    points: of the faces that may come to touch (`contact.reach.reachable`). Failure is a field of the result.
     """
     path = TetPath(scene, solid, points, settings)
     # nothing touches before: where a point is first met is sought from here on
@@ -42,7 +42,7 @@ def arrive(
 ) -> Kinematics:
     """End of a path that was followed on hexahedra: no slip only. nodes: (n, 3) mm, undeformed.
 
-    Where points are held comes from their own way through that path; what pulls or penetrates there is judged anew.
+    Where points stick comes from their own way through that path; what pulls or penetrates there is judged anew.
     """
     path = TetPath(scene, solid, points, settings)
     path.at = np.ones(2)
