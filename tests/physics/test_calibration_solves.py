@@ -88,7 +88,7 @@ def test_presses_on_gels_of_two_thicknesses_share_no_solve(catalogue, tmp_path):
 
 
 def test_history_of_one_solve_is_the_curve_of_many(built, catalogue):
-    """Other load steps anchor points elsewhere: FINDINGS' spread over steps is 1 to 2 %."""
+    """With other load steps points stick elsewhere: FINDINGS' spread over steps is 1 to 2 %."""
     readings, _, _, emulator = built
     values = true_values(c10=REFERENCE_C10, offset=0.0, compliance=0.0, mu=MU)
     forces = emulator.forces(readings.depth, values)[0][0]
@@ -175,7 +175,9 @@ def test_refined_forces_are_the_fine_mesh_s(built, catalogue):
     refined = refine(emulator, plan, cache, fine, [MU], NU)
     job = replace(plan.jobs(1, MU, NU)[0])
     end = fine.get(job)["end"][2]
-    assert refined.table[1, 0, 0, -1, 2] == pytest.approx(end, rel=0.01)  # last load step against settled end
+    assert refined.table[1, 0, 0, -1, 2] == pytest.approx(
+        end, rel=0.01
+    )  # last load step against contact iterationsd end
 
 
 def test_refined_sideways_force_has_a_ratio_of_its_own(built, catalogue):

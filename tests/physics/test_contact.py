@@ -159,7 +159,7 @@ def test_curved_stiffness_is_exact_where_the_face_is_not_flat(mesh):
     assert np.abs((ahead - behind) / (2 * h) - predicted).max() < 1e-3 * NO_SLIP.normal
 
 
-def test_points_let_go_fade():
+def test_released_points_fade():
     mesh = build_mesh(Gel(), FineBox(-3, 3, -2, 2, 1.0), 2)
     state, x = sticking(mesh)
     state.release(np.array([0, 5]), np.ones((2, 3)))

@@ -123,7 +123,7 @@ def test_stick_is_held_where_it_touches(sheared):
     assert np.abs(distance).max() < 1e-6
 
 
-def test_first_touch_anchoring_needs_few_steps():
+def test_first_touch_sticking_needs_few_steps():
     """Load steps hardly change the force: 2 steps are within 2 % of 12 (gluing where a step ends: 4 %)."""
     few, many = (solve_hex(ball(), replace(COARSE, press_steps=n)).total[2] for n in (2, 12))
     assert few == pytest.approx(many, rel=0.02)
@@ -205,7 +205,7 @@ def test_gross_slip_on_a_plate(mu):
 
 def test_friction_with_a_large_coefficient_is_no_slip():
     held, rough = solve_hex(dragged("no_slip", far=0.3), WHOLE), solve_hex(dragged("coulomb", 5.0, far=0.3), WHOLE)
-    # friction springs are a tenth of the penalty; multipliers leave 1 % of what they give way
+    # friction's penalty is a tenth of the penalty; multipliers leave 1 % of what they give way
     assert np.allclose(rough.total, held.total, rtol=0.01, atol=0.01)
 
 

@@ -103,7 +103,7 @@ def test_deep_presses_of_wide_shapes_take_the_short_way(name, root):
         ("bar_10", (-0.525477, -1.886135, 0, -0.369903, -0.011157, -1.999718, 213.811875)),
     ],
 )
-def test_a_press_that_bends_bricks_nearly_flat_takes_the_short_way(name, press, root):
+def test_a_press_that_bends_hexahedra_nearly_flat_takes_the_short_way(name, press, root):
     """At 250 N what is carried over is flat beside whole edges, and usual steps invert hexahedra: shorter ones do not."""
     body = load_catalogue(root / "workflow" / "indenters.toml")[name]
     found = solve_hex(Scene(Gel(), Material(), body, Press(*press)), QUALITIES["label"])
@@ -144,7 +144,7 @@ def test_points_that_never_moved_touch_straight_above_them():
         ("no_slip", CUBOID, Press(1, -2, 0, 0.3, 0.1, -1)),
     ],
 )
-def test_nested_and_whole_path_come_together_as_bricks_shrink(law, body, press):
+def test_nested_and_whole_path_come_together_as_hexahedra_shrink(law, body, press):
     """Total force within 3 % on hexahedra of 1 mm, within 1.5 % on those of 0.5 mm: the difference falls like the size."""
     for size, bound in ((1.0, 0.03), (0.5, 0.015)):
         scene = Scene(Gel(), Material(), body, press, Interface(law))
@@ -157,7 +157,7 @@ def test_nested_and_whole_path_come_together_as_bricks_shrink(law, body, press):
         assert apart < bound
 
 
-def test_extrapolation_brings_wide_bricks_closer_to_small_ones():
+def test_extrapolation_brings_wide_hexahedra_closer_to_small_ones():
     """Forces are too large on wide hexahedra; one factor, told by two sizes, takes most of that back."""
     scene = Scene(Gel(), Material(), BALL, Press(0, 0, 0, 0, 0, -1.0))
     fine = np.linalg.norm(solve_hex(scene, replace(PATH, size=0.3, layers=9)).total)
@@ -173,7 +173,7 @@ def test_extrapolation_brings_wide_bricks_closer_to_small_ones():
     np.testing.assert_allclose(pressed, better.total, rtol=1e-6, atol=1e-6)
 
 
-def test_friction_walks_the_whole_path_on_the_fine_bricks():
+def test_friction_follows_the_whole_path_on_the_fine_hexahedra():
     scene = Scene(Gel(), Material(), BALL, Press(0, 0, 0, 0.2, 0, -0.5), Interface("coulomb", 0.5))
     small = replace(PATH, size=1.0)
     nested, whole = (solve_hex(scene, replace(small, nested=way)).forces for way in (Nested(), None))
@@ -256,8 +256,8 @@ def test_frames_of_one_press_are_what_single_presses_to_them_give(body, shear):
 
 
 @pytest.mark.parametrize("law", [Interface("coulomb", 0.5), Interface("no_slip"), Interface("frictionless")])
-def test_moments_that_a_whole_path_passes_are_ends_of_shorter_ones(law):
-    """Not nested: each moment is settled where the path passes it, and the path goes on as if nobody had looked."""
+def test_frames_that_a_whole_path_passes_are_ends_of_shorter_ones(law):
+    """Not nested: the contact of each frame is iterated where the path passes it, and the path goes on as if nobody had looked."""
     settings = replace(PATH, size=0.8)
     scenes = [replace(scene, interface=law) for scene in framed(CUBOID, (0.3, 0.6, 0.9), (0.5, 1.0))]
     frames = HexSolver(settings).solve_frames(scenes)
@@ -282,7 +282,7 @@ def test_frames_before_the_touch_and_alone_are_told_as_such():
     st.lists(st.floats(0.05, 1.0), min_size=1, max_size=6),
     st.lists(st.floats(0.01, 0.5), max_size=4),
 )
-def test_moments_follow_the_path_in_order(steps, aside):
+def test_frames_follow_the_path_in_order(steps, aside):
     scenes = framed(BALL, list(np.cumsum(steps)), [w / sum(aside) for w in np.cumsum(aside)] if aside else ())
     times = [frame_time(scene, scenes[-1]) for scene in scenes]
     assert times == sorted(times) and times[-1] == scenes[-1].press.end
@@ -300,7 +300,7 @@ def test_moments_follow_the_path_in_order(steps, aside):
         ((0.3, 0.0), 1.0, (0.3, 0.0), 2.0),
     ],
 )
-def test_a_moment_is_the_nearest_point_of_its_path(aside, down, last, expected):
+def test_a_frame_is_the_nearest_point_of_its_path(aside, down, last, expected):
     scene, end = (
         Scene(Gel(), Material(), BALL, Press(0, 0, 0, *way, -deep)) for way, deep in ((aside, down), (last, 1.0))
     )
@@ -315,7 +315,7 @@ def test_a_moment_is_the_nearest_point_of_its_path(aside, down, last, expected):
         (Press(0, 0, 0, 0.5, 0, -1.0), "0.2 mm farther sideways"),
     ],
 )
-def test_a_moment_beyond_the_last_one_of_its_press_is_refused(press, says):
+def test_a_frame_beyond_the_last_one_of_its_press_is_refused(press, says):
     """The state of the last one would be taken for it without a word."""
     end = Scene(Gel(), Material(), BALL, Press(0, 0, 0, 0.3, 0, -1.0))
     with pytest.raises(BadInput, match=f"ends {says} than its last one, .* allowed; give frames in order"):
@@ -335,7 +335,7 @@ def test_a_frame_that_gave_way_aside_has_the_force_of_its_own_depth():
 
 
 @pytest.mark.parametrize("law", [Interface("no_slip"), Interface("coulomb", 0.5)])
-def test_moments_that_rounding_tells_apart_are_one(law):
+def test_frames_that_rounding_separates_are_one(law):
     """On coarse and fine hexahedra, and on one path where friction asks for it."""
     scenes = [
         Scene(Gel(), Material(), BALL, Press(0, 0, z0, 0, 0, dz), law)

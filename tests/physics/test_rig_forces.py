@@ -25,7 +25,7 @@ def plan(root):
 
 
 @pytest.mark.parametrize("name", ["sphere_10", "triangle_10"])
-def test_hidden_forces_are_those_of_fine_bricks(plan, root, tmp_path, name):
+def test_hidden_forces_are_those_of_fine_hexahedra(plan, root, tmp_path, name):
     """Within 1.5 % at another place, turn and depth than the factor was found at; the bench's own hexahedra add 3 and 7 %."""
     catalogue = load_catalogue(root / "workflow" / "indenters.toml", [name])
     bench = Bench(plan, catalogue, Gel(), tmp_path)
@@ -66,7 +66,7 @@ def test_a_factor_is_constant_beyond_the_depths_it_was_found_at():
     assert (found[:, :2] == 0.97).all()
 
 
-def test_hidden_sideways_force_is_that_of_fine_bricks(plan, root, tmp_path):
+def test_hidden_sideways_force_is_that_of_fine_hexahedra(plan, root, tmp_path):
     """Within 3 % under edges that are dragged; the factor of normal force alone leaves 10 %."""
     catalogue = load_catalogue(root / "workflow" / "indenters.toml", ["triangle_10"])
     dragged = replace(plan, truth=replace(plan.truth, friction=0.7, shear_compliance_mm_per_n=0.0))
@@ -86,7 +86,7 @@ def test_hidden_sideways_force_is_that_of_fine_bricks(plan, root, tmp_path):
 
 
 @pytest.mark.parametrize("turn_deg", [20.0, 65.0])
-def test_a_flat_body_with_friction_settles_at_every_moment(plan, root, turn_deg):
+def test_a_flat_body_with_friction_converges_at_every_frame(plan, root, turn_deg):
     """What the last step left pending is carried out where the body stands, with all points held at first.
 
     Where points may slip at once they drag others along: under flat bodies no equilibrium was found then.
@@ -101,7 +101,7 @@ def test_a_flat_body_with_friction_settles_at_every_moment(plan, root, turn_deg)
 
 
 @pytest.mark.parametrize("thickness", [3.6, 4.4])
-def test_hidden_forces_on_a_gel_of_other_thickness_are_those_of_fine_bricks(plan, root, tmp_path, thickness):
+def test_hidden_forces_on_a_gel_of_other_thickness_are_those_of_fine_hexahedra(plan, root, tmp_path, thickness):
     """The factors of the usual gel serve: what a mesh adds belongs to the shape that is pressed."""
     catalogue, gel = (
         load_catalogue(root / "workflow" / "indenters.toml", ["sphere_15"]),
@@ -126,7 +126,7 @@ def test_a_bench_that_does_not_give_way_keeps_its_load_limit(plan, root, tmp_pat
     assert bench.estimate(order, 0.0, reached) <= 5.0 < bench.estimate(order, 0.0, 1.1 * reached)
 
 
-def test_the_moments_of_a_straight_press_are_all_of_its_way_down(plan, root, tmp_path):
+def test_the_frames_of_a_straight_press_are_all_of_its_way_down(plan, root, tmp_path):
     """The axes' play is an error of travel: what was not ordered to travel sideways has none."""
     played = replace(plan, frames=5, truth=replace(plan.truth, cnc_um=0.25))
     bench = Bench(played, load_catalogue(root / "workflow" / "indenters.toml", ["sphere_15"]), Gel(), tmp_path)

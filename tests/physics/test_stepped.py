@@ -52,7 +52,7 @@ def moving(mesh, seed, size=0.02):
 
 
 @widened
-def test_fewer_bricks_fill_the_same_gel(mesh):
+def test_fewer_hexahedra_fill_the_same_gel(mesh):
     whole, own = (hex8.ELEMENT.on(m.nodes, m.cells) for m in (PLAIN, mesh))
     assert len(own.elements) < len(whole.elements)
     volumes = [b.weights.transpose(0, 2, 1).reshape(-1, 8)[: len(b.elements)].sum() for b in (whole, own)]
@@ -88,13 +88,13 @@ def test_planes_have_the_heights_they_were_given(aside):
 
 
 @widened
-def test_no_brick_is_made_of_hanging_nodes(mesh):
+def test_no_hexahedron_is_made_of_hanging_nodes(mesh):
     assert not np.isin(mesh.cells.nodes, mesh.hanging.nodes).any()
     assert not np.isin(mesh.faces, mesh.hanging.nodes).any()
 
 
 @widened
-def test_every_brick_deforms_as_its_corners_do(mesh):
+def test_every_hexahedron_deforms_as_its_corners_do(mesh):
     """The deformation gradients of hexahedra on wide faces are those of their own corners, which hang there."""
     u = moving(mesh, 1)
     whole = hex8.ELEMENT.on(mesh.nodes, replace(mesh.cells, nodes=mesh.cells.corners, standing=np.empty(0, int),
@@ -151,7 +151,7 @@ def test_forces_are_the_slope_of_one_energy(seed, which):
     ],
 )
 @pytest.mark.parametrize("law", [Interface(), Interface("coulomb", 0.5)])
-def test_a_press_is_that_of_bricks_of_one_width(body, press, law):
+def test_a_press_is_that_of_hexahedra_of_one_width(body, press, law):
     """Below the upper layers wide hexahedra do: forces, moments and balance are those of hexahedra that are narrow down to the base."""
     scene = Scene(Gel(), MATERIAL, build("body", body), press, law)
     narrow = HexSettings(

@@ -66,7 +66,7 @@ def apart(one, other):
 )
 def test_every_tangent_ends_at_the_same_equilibrium(run, tangent):
     usual, _ = run(scene(), TIGHT)
-    # residuals of 1e-9 of the force; the softest mode of the pad is a thousand times softer than the springs
+    # residuals of 1e-9 of the force; the softest mode of the pad is a thousand times softer than the penalty
     assert apart(run(scene(), replace(TIGHT, **tangent))[0], usual) < 1e-6
 
 
@@ -132,7 +132,7 @@ def test_where_conjugate_gradients_fail_a_factorisation_follows(mesh, ccx, tmp_p
     assert apart(result.forces, whole.forces) < 1e-4
 
 
-def test_a_path_walked_on_bricks_ends_on_the_tetrahedra_as_one_walked_there(mesh, run):
+def test_a_path_followed_on_hexahedra_ends_on_the_tetrahedra_as_one_followed_there(mesh, run):
     """Only where points first touched differs, by what hexahedra and tetrahedra differ in: a few per cent at this size."""
     guide = HexSolver(HexSettings(size=0.6, layers=5, layer_ratio=2.0, gauss=2, nested=Nested(layers=3)))
     whole, _ = run(scene(), PathSettings())
@@ -158,7 +158,7 @@ def test_the_guided_and_the_whole_path_agree_in_calculix(mesh, ccx, tmp_path):
     assert guided.evidence["base_mismatch"] < 1e-6
 
 
-def test_an_end_that_does_not_settle_is_walked_to_on_the_tetrahedra(mesh, ccx, tmp_path):
+def test_an_end_that_does_not_converge_is_followed_on_the_tetrahedra(mesh, ccx, tmp_path):
     """A coarse_path that leads elsewhere, twice as deep with every element folded: the press is solved all the same."""
     guide = HexSolver(HexSettings(size=0.6, layers=5, layer_ratio=2.0, gauss=2, nested=Nested(layers=3)))
     coarse_path = guide.coarse_path([scene()])[0].path
