@@ -78,7 +78,7 @@ def test_a_matrix_of_zeros_has_no_answer():
 ON_THREADS = """
 import hashlib
 import numpy as np
-from gelforge.mechanics.linear import gmres
+from gelforge.mechanics.linear.gmres import gmres
 
 rng = np.random.default_rng(1)
 scale, b = rng.uniform(1.0, 3.0, 60_000), rng.normal(size=60_000)

@@ -8,7 +8,7 @@ SOLVE = """
 import sys
 sys.modules["pypardiso.pardiso_wrapper"] = None  # as if it were not installed: the import fails
 import numpy as np, scipy.sparse as sp
-from gelforge.mechanics.linear import symmetric_solver
+from gelforge.mechanics.linear.factorisation import symmetric_solver
 upper = sp.csr_matrix(np.array([[4.0, 1.0, 0.0], [0.0, 3.0, 1.0], [0.0, 0.0, 2.0]]))
 for _ in range(2):
     solver = symmetric_solver(upper.indptr, upper.indices)
