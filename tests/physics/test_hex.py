@@ -155,10 +155,10 @@ def rubbed():
 
 @pytest.mark.parametrize("name", [name for name, law in laws().items() if law.slips])
 def test_tangential_traction_stays_within_the_limit_of_the_law(name):
-    scene = ball(0.8, dx=0.4, law=name, mu=0.2)
+    scene = ball(0.8, dx=0.4, law=name, mu=0.2).direct
     result, law = solve_hex(scene, COARSE), scene.interface.contact
     assert result.status is Status.OK and result.evidence["base_mismatch"] < 1e-6
-    state, pose = result.contact, path_pose(scene, scene.direct.press.end)
+    state, pose = result.contact, path_pose(scene, scene.press.end)
     pressed = np.linalg.norm(state.traction, axis=1) > 0
     _, normal = Sphere(15.0).distance(pose.to_indenter(state.position[pressed]))
     traction = state.traction[pressed]

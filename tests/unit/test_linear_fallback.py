@@ -12,7 +12,7 @@ from gelforge.mechanics.linear.factorisation import symmetric_solver
 upper = sp.csr_matrix(np.array([[4.0, 1.0, 0.0], [0.0, 3.0, 1.0], [0.0, 0.0, 2.0]]))
 for _ in range(2):
     solver = symmetric_solver(upper.indptr, upper.indices)
-    solver.factorise(upper.data)
+    solver.factorise(upper.data.astype(np.float32))  # as solvers assemble them
     full = upper + sp.triu(upper, 1).T
     assert np.allclose(full @ solver.solve(np.arange(3.0)), np.arange(3.0))
 """

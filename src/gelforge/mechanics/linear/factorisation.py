@@ -177,7 +177,9 @@ class SuperLU:
         import scipy.sparse as sp
         from scipy.sparse.linalg import splu
 
-        upper = sp.csr_matrix((data, self._indices, self._indptr), shape=(self.size, self.size))
+        upper = sp.csr_matrix(
+            (np.asarray(data, np.float64), self._indices, self._indptr), shape=(self.size, self.size)
+        )
         full = (upper + sp.triu(upper, 1).T).tocsc()
         try:
             self._lu = splu(full, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
