@@ -122,7 +122,7 @@ def test_hidden_forces_on_a_gel_of_other_thickness_are_those_of_fine_hexahedra(p
 def test_a_bench_that_does_not_give_way_keeps_its_load_limit(plan, root, tmp_path):
     bench = Bench(plan, load_catalogue(root / "workflow" / "indenters.toml", ["sphere_15"]), Gel(), tmp_path)
     order = replace(orders(plan)[0], indenter="sphere_15", x=0.0, y=0.0, depth=2.0, max_force_n=5.0)
-    reached = bench._reached(order, 0.0)
+    reached = bench.reached(order, 0.0)
     assert bench.estimate(order, 0.0, reached) <= 5.0 < bench.estimate(order, 0.0, 1.1 * reached)
 
 

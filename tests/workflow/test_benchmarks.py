@@ -28,6 +28,7 @@ QUICK = {
 }
 # What makes no small form worth its time, and where the same is tested.
 LEFT_OUT = {
+    "auto": "solves 200 presses: tests/workflow/test_verify.py",
     "suites": "runs all tests again and again",
     "machines": "solves scenes in six processes: tests/physics/test_machines.py",
     "fea": "solves with CalculiX, FEATS' deck for hours: tests/physics/test_ccx_contact.py and test_ccx_closed_forms.py",

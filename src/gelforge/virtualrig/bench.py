@@ -110,7 +110,7 @@ class Bench:
         height = truth.touch_offset_mm + rng.normal(scale=truth.touch_scatter_mm)
         read_noise = rng.normal(scale=truth.force_noise_n, size=3)
         moment_noise = rng.normal(scale=truth.moment_noise_nm, size=3)
-        depth = self._reached(order, height)
+        depth = self.reached(order, height)
         for settings, fraction in ATTEMPTS:
             real = _path(order, height, fraction * depth, play)
             results = self._solve(order, real, settings)
@@ -148,7 +148,7 @@ class Bench:
         box = self.fine_box(order.indenter, real, settings.size)
         return HexSolver(replace(settings, box=box)).solve_frames(scenes)
 
-    def _reached(self, order: Order, height: float) -> float:
+    def reached(self, order: Order, height: float) -> float:
         """Depth that is left of the ordered one when the frame has given way and the load limit was kept.
 
         Only an estimate enters here: the log's depth follows afterwards from the force that was computed.
