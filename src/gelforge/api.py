@@ -142,8 +142,8 @@ class Reader:
         from gelforge.networks.inference.sensorprofile import with_profile
 
         path, loaded = None if profile is None else Path(profile), load_for_use(model)
-        picture, gain = with_profile(path, _nocontact(nocontact, untouched), loaded.metadata)
-        self._predictor = CameraPredictor(loaded, picture, gain, device, threads)
+        picture, gain, table = with_profile(path, _nocontact(nocontact, untouched), loaded.metadata)
+        self._predictor = CameraPredictor(loaded, picture, gain, device, threads, table)
 
     def __call__(self, image: np.ndarray) -> ForceReading:
         """Predict one image (h, w, 3) uint8 RGB. Nothing carries over from one image to the next."""

@@ -7,6 +7,7 @@ import numpy as np
 from gelforge.networks.checkpoint.modelfile import ForceModel
 from gelforge.networks.inference.predictor import Predictor
 from gelforge.networks.inference.sensorprofile import AS_READ, Gain
+from gelforge.networks.preprocess.slopetable import SlopeTable
 from gelforge.records.cameraframe import CameraFrame, camera_frame
 from gelforge.records.forcereading import ForceReading
 
@@ -24,13 +25,19 @@ class CameraPredictor(Predictor):
         gain: Gain = AS_READ,
         device: str = "cpu",
         threads: int = 1,
+        table: SlopeTable | None = None,
     ) -> None:
+        self._given = (model, nocontact, gain, device, threads)
         self.frame: CameraFrame | None = None
         if nocontact is not None and model.needs_nocontact:
             rows, cols = model.metadata["image"]
             self.frame = camera_frame(nocontact, (rows, cols))
             nocontact = self.frame(nocontact)
-        super().__init__(model, nocontact, gain, device, threads)
+        super().__init__(model, nocontact, gain, device, threads, table)
+
+    def with_table(self, table: SlopeTable | None) -> "CameraPredictor":
+        """The same with another table of slopes."""
+        return CameraPredictor(*self._given, table)
 
     @property
     def text(self) -> str:
@@ -43,3 +50,7 @@ class CameraPredictor(Predictor):
             return super().predict(image)
         reading = super().predict(self.frame(image))
         return replace(reading, reason=self.frame.fault(image) or reading.reason)
+
+    def height(self, image: np.ndarray) -> np.ndarray | None:
+        """Height (h / 2, w / 2) mm of the gel's surface in an image (h, w, 3) uint8 RGB of any size (`Predictor.height`)."""
+        return super().height(image if self.frame is None else self.frame(image))

@@ -16,7 +16,12 @@ from gelforge.mechanics.scene import Scene
 from gelforge.mechanics.solvers.hex import HexSolver
 from gelforge.networks.balls.ballpresses import BACKGROUND, BallPress, read_presses
 from gelforge.networks.balls.balltable import ball_table
+from gelforge.networks.balls.slopefit import SlopePress, fit_slope_table, known_slopes
+from gelforge.networks.checkpoint.modelfile import ForceModel
+from gelforge.networks.inference.predictor import SLOPES, Predictor
 from gelforge.networks.inference.sensorprofile import fit_gain
+from gelforge.networks.preprocess.illumination import match_light
+from gelforge.networks.preprocess.slopetable import light_change
 from gelforge.records.image import read_image, write_png
 from gelforge.records.press import Press
 from gelforge.stages.ball_table import DEPTHS
@@ -69,6 +74,51 @@ def _level(what: str, normal: np.ndarray, force: np.ndarray, note: str) -> list[
         Figure(f"{what}: over the median, 90 %", high, "<=", 1.25),
         Figure(f"{what}: correlation", r, ">=", 0.75, "", "circles are marked in whole px, and this series spans little force"),
     ]  # fmt: skip
+
+
+def table_figures(
+    presses: list[BallPress], nocontact: np.ndarray, px_per_mm: float, model: ForceModel
+) -> list[Figure]:
+    """Slopes by the sensor's own table in presses that it did not learn from, and forces by way of them."""
+    learnt = [
+        SlopePress(match_light(one.image, nocontact).undo(one.image), one.circle, one.diameter / 2 * px_per_mm)
+        for one in presses
+    ]
+    figures = []
+    for count, low, high in ((40, 0.93, 1.08), (10, 0.85, 1.15)):
+        gains = slope_gains(learnt, count, nocontact, px_per_mm)
+        least, middle, most = np.quantile(gains, [0.1, 0.5, 0.9]).tolist()
+        what = f"slopes by a table of {count} presses over the ball's"
+        figures += [
+            Figure(f"{what}, 10 %", least, ">=", low, "", f"median {middle:.2f}; {len(gains)} presses"),
+            Figure(f"{what}, 90 %", most, "<=", high),
+        ]
+    if SLOPES not in model.stages:
+        return figures
+    force, normal = np.array([press.force for press in presses]), np.zeros(len(presses))
+    for one in (0, 1):
+        table = fit_slope_table(learnt[1 - one :: 2], nocontact, px_per_mm)
+        predictor = Predictor(model, nocontact, table=table)
+        normal[one::2] = [-predictor.predict(press.image).total[2] for press in presses[one::2]]
+    gain = np.array([fit_gain(force[1 - one :: 2], normal[1 - one :: 2]).value for one in (0, 1)])
+    note = f"{len(presses)} presses, table and factor ({gain[0]:.2f} and {gain[1]:.2f}) of every other one"
+    return figures + _level(
+        "real balls, the sensor's own table and factor", normal * gain[np.arange(len(presses)) % 2], force, note
+    )
+
+
+def slope_gains(presses: Sequence[SlopePress], count: int, nocontact: np.ndarray, px_per_mm: float) -> np.ndarray:
+    """Slopes by tables of `count` presses over those that the ball dictates, for the presses left out of each of five tables."""
+    gains, rng = [], np.random.default_rng(0)
+    for _ in range(5):
+        order = rng.permutation(len(presses))
+        table = fit_slope_table([presses[k] for k in order[:count]], nocontact, px_per_mm)
+        for press in (presses[k] for k in order[count:]):
+            _, clear = light_change(press.image, nocontact, px_per_mm)
+            within, _, slope = known_slopes(press, clear)
+            found = table.slopes(press.image, nocontact)[:, within].T
+            gains.append((found * slope).sum() / (slope**2).sum())
+    return np.array(gains)
 
 
 def circle_figures(folder: Path, nocontact: np.ndarray, px_per_mm: float) -> list[Figure]:

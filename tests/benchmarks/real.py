@@ -26,7 +26,7 @@ from gelforge.networks.inference.predictor import Predictor, load_for_use
 from gelforge.networks.preprocess.illumination import match_light
 from gelforge.records.image import read_image
 from tests.benchmarks.balls import FOLDER as BALLS
-from tests.benchmarks.balls import ball_figures, circle_figures, drawn_figures
+from tests.benchmarks.balls import ball_figures, circle_figures, drawn_figures, table_figures
 from tests.benchmarks.figures import PUBLISHED_DATA, Figure, publish_figures
 from tests.benchmarks.films import finger_figures, frames_of, read_film, released_figures, sideways_figures
 from tests.benchmarks.ways import as_used, bare
@@ -171,7 +171,8 @@ def ball_flow(folder: Path, model: ForceModel) -> list[Figure]:
         return found.cells, found.flag
 
     slipped = slipped_figures("real balls", [press.image for press in presses[::3]], model, background)
-    return [*ball_figures(presses, read), *circle_figures(folder, background, PX_PER_MM), *slipped]
+    table = table_figures(presses, background, PX_PER_MM, model)
+    return [*ball_figures(presses, read), *table, *circle_figures(folder, background, PX_PER_MM), *slipped]
 
 
 def ranks_alike(maps: list[tuple[np.ndarray, np.ndarray]]) -> float:

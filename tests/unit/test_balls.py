@@ -35,7 +35,7 @@ def ball():
 @pytest.fixture(scope="module")
 def drawn(tmp_path_factory):
     """A folder in gs_sdk's layout: presses of a 6 mm ball that the virtual rig drew, and no marked circle."""
-    return draw_balls(tmp_path_factory.mktemp("balls") / "drawn", "mini_a", BALL_MM, DRAWN[:5])
+    return draw_balls(tmp_path_factory.mktemp("balls") / "drawn", "mini_a", BALL_MM, DRAWN)
 
 
 def put(folder: Path, number: int, picture: np.ndarray, size: str = "6.000") -> Path:
@@ -110,11 +110,14 @@ def test_a_profile_is_made_from_balls_alone(drawn, tmp_path, capsys):
     gain = read_profile(tmp_path / "mine.toml").gain
     reported = capsys.readouterr().out
     assert (
-        gain.readings == 5
+        gain.readings == len(DRAWN)
         and "px per mm" in reported
         and "C10 0.0725 MPa assumed, which balls cannot measure" in reported
     )
-    assert (read_profile(tmp_path / "mine.toml").nocontact == read_image(drawn / "background.png")).all()
+    profile = read_profile(tmp_path / "mine.toml")
+    assert (profile.nocontact == read_image(drawn / "background.png")).all()
+    deepest = read_image(drawn / "6.000mm/1/gelsight.png")
+    assert np.hypot(*profile.table.slopes(deepest, profile.nocontact)).max() > 0.3
     picture = drawn / "6.000mm/1/gelsight.png"
     (tmp_path / "r.csv").write_text(f"image,force_n\n{picture},5\n")
     assert sensor.main([*words, "--readings", str(tmp_path / "r.csv")]) == 0

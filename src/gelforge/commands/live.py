@@ -196,8 +196,8 @@ def predictor_of(args: Namespace, model, picture: np.ndarray | None, seen, name:
         print(f"{name}: frames before the no-contact image are not read: {first.number}", file=sys.stderr)
         seen = itertools.chain([first], seen)
         picture = cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
-    picture, gain = with_profile(args.profile, picture, model.metadata)
-    predictor = CameraPredictor(model, picture, gain, args.device, args.threads)
+    picture, gain, table = with_profile(args.profile, picture, model.metadata)
+    predictor = CameraPredictor(model, picture, gain, args.device, args.threads, table)
     if predictor.text:
         print(f"{name}: {predictor.text}", file=sys.stderr)
     return predictor, seen

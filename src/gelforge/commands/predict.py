@@ -2,6 +2,8 @@
 
 For every image a picture and the map as .npy, float32 (3, rows, cols) in N per cell, and one totals.csv, which Ctrl-C
 leaves with the rows of the images that were read.
+With --height also the gel's height as NAME_height.npy, float32 (rows, cols) in mm above the unloaded gel, negative where it
+is pressed in, at half of the image's size.
 Columns grid_x_n, grid_y_n, grid_z_n are FEATS' channels: force along gel y, along gel x, along the normal.
 ..._half_width_n: half of the 90 % prediction interval, on sensors that training never saw, of gels as stiff as those it saw.
 ood_score: how far an image's colours, sharpness and markers are from those that the network learnt from; about 1 for an image
@@ -32,6 +34,7 @@ from gelforge.records.regular import FOLDER, file_fault, refuse_to_replace
 from gelforge.records.totals import TOTAL_COLUMNS, total_columns
 
 FILMS = (".avi", ".mp4", ".mkv", ".mov", ".webm")  # names that no picture has
+HEIGHT = "_height.npy"
 COLUMNS = [
     "image",
     *TOTAL_COLUMNS,
@@ -81,18 +84,20 @@ def need_folder(out: Path) -> None:
 
 
 def predict_files(
-    paths: Sequence[Path], predictor: Predictor, out: Path, read: Sequence[Path] = ()
+    paths: Sequence[Path], predictor: Predictor, out: Path, read: Sequence[Path] = (), height: bool = False
 ) -> Iterator[dict]:
     """Predict image files and write their maps below `out`, one after another; yield each one's row of totals.csv.
 
     Every image is read before anything is written, and again when its turn comes: there may be more than memory holds.
     totals.csv is written at the end, which may come early: whoever stops keeps the rows of what was read.
-    read: other files that were read, whose place nothing that is written may take.
+    read: other files that were read, whose place nothing that is written may take. height: whether the gel's height is written,
+    too; BadInput beside a model that does not estimate slopes, where the profile holds no table of them either.
     """
     from gelforge.reporting.forcemaps import write_maps
 
     names = output_names(paths)
-    written = [out / f"{name}{ending}" for name in names for ending in (".png", ".npy")]
+    endings = (".png", ".npy", *([HEIGHT] if height else []))
+    written = [out / f"{name}{ending}" for name in names for ending in endings]
     refuse_to_replace(f"--out {out}", [*written, out / "totals.csv"], [*paths, *read])
     for path in paths:
         read_image(path)
@@ -111,11 +116,25 @@ def predict_files(
                 write_maps(
                     part, found.image, found.cells, f"{printable(name)}, OOD score {found.ood_score:.1f}{flag}"
                 )
+            if height:
+                with publish(out / f"{name}{HEIGHT}") as part:
+                    np.save(part, height_map(predictor, read_image(path)))
             rows.append(row)
             yield row
     finally:
         if rows:
             write_csv(out / "totals.csv", COLUMNS, rows)
+
+
+def height_map(predictor: Predictor, image: np.ndarray) -> np.ndarray:
+    """Height (h / 2, w / 2) mm of the gel's surface, float32; BadInput where nothing estimates it."""
+    height = predictor.height(image)
+    if height is None:
+        raise BadInput(
+            "--height: this network does not estimate slopes; give a profile that `gelforge sensor --balls` wrote, or --model"
+            " with one of two stages (MODEL=geometry)"
+        )
+    return height.astype(np.float32)
 
 
 def line_of(row: dict) -> str:
@@ -139,6 +158,7 @@ def line_of(row: dict) -> str:
     renamed("--untouched", "--nocontact", type=Path, default=None),
     option("--profile", type=Path, help="the sensor's profile, of gelforge sensor", default=None),
     option("--out", type=Path, default=Path("predictions"), help="folder (default: %(default)s)"),
+    option("--height", action="store_true", help="also write the gel's height, NAME_height.npy"),
     option("--device", choices=DEVICES, default="cpu", help="that predicts (default: %(default)s)"),
     option("--threads", type=positive, default=1),
 )
@@ -150,12 +170,14 @@ def main(args: Namespace) -> None:
             raise BadInput(f"{path}: is a film; `gelforge live --video {path} --csv readings.csv` reads it")
     picture = read_image(args.nocontact) if args.nocontact else None
     model = load_for_use(args.model, args.sensor)
-    picture, gain = with_profile(args.profile, picture, model.metadata)
-    predictor = CameraPredictor(model, picture, gain, args.device, args.threads)
+    picture, gain, table = with_profile(args.profile, picture, model.metadata)
+    predictor = CameraPredictor(model, picture, gain, args.device, args.threads, table)
     if predictor.text:
         print(predictor.text)
     kept = [*filter(None, [args.nocontact]), *files_of(args.profile)]
-    for row in predict_files(args.images, predictor, args.out, kept):
+    if args.height:
+        height_map(predictor, read_image(args.images[0]))  # refused before anything is written
+    for row in predict_files(args.images, predictor, args.out, kept, args.height):
         print(line_of(row), flush=True)
     print(f"maps and totals.csv in {args.out}")
 

@@ -13,6 +13,7 @@ contact counts in neither table: what is read in it is a part of the force.
 
 import sys
 from argparse import Namespace
+from collections.abc import Sequence
 from itertools import compress
 from pathlib import Path
 
@@ -22,8 +23,9 @@ from gelforge.camera import CameraPredictor
 from gelforge.commands.camera import camera_mode
 from gelforge.errors import BadInput
 from gelforge.flow.main import command, from_zero, option, renamed
-from gelforge.networks.balls.ballpresses import BACKGROUND, BallFolder, read_presses
+from gelforge.networks.balls.ballpresses import BACKGROUND, BallFolder, BallPress, read_presses
 from gelforge.networks.balls.balltable import C10_MPA, THICKNESS_MM
+from gelforge.networks.balls.slopefit import SlopePress, fit_slope_table
 from gelforge.networks.inference.predictor import Predictor, load_for_use
 from gelforge.networks.inference.sensorprofile import (
     AS_READ,
@@ -42,6 +44,7 @@ from gelforge.networks.inference.sensorprofile import (
     read_profile,
     write_profile,
 )
+from gelforge.networks.preprocess.slopetable import SlopeTable
 from gelforge.records.cameraframe import reduced
 from gelforge.records.film import source_name
 from gelforge.records.image import read_image
@@ -70,20 +73,54 @@ def gain_of(readings: Path, predictor: Predictor, before: Gain = AS_READ) -> Gai
     return fit_gain(measured, read, before)
 
 
-def gain_of_balls(balls: BallFolder, predictor: Predictor) -> Gain:
-    """The factor that presses of a ball give; those that do not count are named on the terminal."""
+def table_of_balls(balls: Sequence[BallPress], predictor: CameraPredictor, px_per_mm: float) -> SlopeTable:
+    """The sensor's table from colours to slopes by presses of a ball; BadInput where it cannot be fitted."""
+    nocontact = predictor.prepare.nocontact
+    if nocontact is None or not nocontact.view.whole or predictor.text:
+        raise BadInput("images are not of the network's own size and scale, so no table of slopes is learnt")
+    known = [
+        SlopePress(predictor.prepare(press.image).lit, press.circle, press.diameter / 2 * px_per_mm)
+        for press in balls
+    ]
+    return fit_slope_table(known, nocontact.picture, px_per_mm)
+
+
+def learnt_from_balls(balls: BallFolder, predictor: CameraPredictor) -> tuple[Gain, SlopeTable | None]:
+    """Factor on forces and table of slopes by presses of a ball; those that do not count are named on the terminal.
+
+    For the factor, each half of the presses is read with the table of the other half.
+    """
     for name, why in balls.left_out.items():
         print(f"{name}: does not count, {why}", file=sys.stderr)
-    read, counts = _normals(predictor, {press.name: press.image for press in balls.presses})
-    force = np.array([press.force for press in balls.presses])
-    for press, seen in zip(balls.presses, read, strict=True):
+    presses, half = balls.presses, (balls.presses[::2], balls.presses[1::2])
+    try:
+        table = table_of_balls(presses, predictor, balls.px_per_mm)
+    except BadInput as error:
+        print(f"no table of slopes: {error}", file=sys.stderr)
+        return _gain_of_balls(presses, *_normals(predictor, _images(presses))), None
+    try:
+        others = [predictor.with_table(table_of_balls(one, predictor, balls.px_per_mm)) for one in half[::-1]]
+    except BadInput:
+        others = [predictor.with_table(table)] * 2
+    read, counts = (np.concatenate(one) for one in zip(*map(_normals, others, map(_images, half)), strict=True))
+    return _gain_of_balls([*half[0], *half[1]], read, counts), table
+
+
+def _images(presses: Sequence[BallPress]) -> dict[str, np.ndarray]:
+    return {press.name: press.image for press in presses}
+
+
+def _gain_of_balls(presses: Sequence[BallPress], read: np.ndarray, counts: np.ndarray) -> Gain:
+    """The factor that presses tell by what is read in them, (n,) N, where they count, (n,) bool."""
+    for press, seen in zip(presses, read, strict=True):
         if seen < LEAST_N:
             print(f"{press.name}: does not count, the network reads {seen:.1f} N in it", file=sys.stderr)
-    counts &= read >= LEAST_N
+    counts = counts & (read >= LEAST_N)
     if not counts.any():
         raise BadInput(
             f"in none of {len(read)} presses of the ball does the network read {LEAST_N:g} N; press firmer"
         )
+    force = np.array([press.force for press in presses])
     return of_balls(fit_gain(force[counts], read[counts]))
 
 
@@ -284,15 +321,16 @@ def main(args: Namespace) -> None:
         print(f"{source}: {predictor.text}", file=sys.stderr)
     if predictor.fault:
         raise BadInput(f"{source}: {predictor.fault}; take a sharp one while nothing touches the sensor")
-    gain, note = Gain(), ""
+    gain, table, note = Gain(), None, ""
     if balls:
-        gain = gain_of_balls(balls, predictor)
+        gain, table = learnt_from_balls(balls, predictor)
         note = f"; {balls.px_per_mm:.2f} px per mm; gel of C10 {C10_MPA:g} MPa assumed, which balls cannot measure"
+        predictor = predictor.with_table(table)
     if args.readings:
         gain = gain_of(args.readings, predictor, gain)
     elif args.grasps:
         gain = gain_beside(args.grasps, predictor, args.opposite)
-    profile = make_profile(name, picture, pitch_of(picture), gain, model.metadata)
+    profile = make_profile(name, picture, pitch_of(picture), gain, model.metadata, table)
     write_profile(out, profile)
     what = "grasp" if args.grasps else "press" if args.balls else "reading"
     what += "" if gain.readings == 1 else "es" if args.balls else "s"

@@ -16,6 +16,12 @@ LEAST_FRACTION = 0.5  # of the markers must be found for a grid to be believed
 LEAST_FOR_PITCH = 8  # markers that give their distance
 UNEVEN = 0.15  # fraction by which such distances differ in one print
 
+MARKER_PITCH_MM = 2.0  # of a GelSight Mini's printed markers to their nearest neighbours
+# What hides the light of the gel.
+HIDES = 0.2  # of the largest level, by which markers are darker than what surrounds them
+MARKER_MM = 1.45  # width of the largest marker
+SPREAD_MM = 0.45  # across a marker's edge, where levels say nothing of slopes
+
 
 @dataclass(frozen=True)
 class MarkerGrid:
@@ -115,6 +121,17 @@ def _blob(label: np.ndarray, dark: np.ndarray, number: int, stats: np.ndarray) -
     weight = np.where(label[window] == number, dark[window], 0.0)
     v, u = np.mgrid[top : top + height, left : left + width] + 0.5
     return (u * weight).sum() / weight.sum(), (v * weight).sum() / weight.sum(), 2.0 * np.sqrt(area / np.pi)
+
+
+def marker_mask(image: np.ndarray, px_per_mm: float) -> np.ndarray:
+    """Which pixels (h, w) of an image (h, w, 3) uint8 are of markers, or near one."""
+    import cv2
+
+    brightest = image.max(axis=2)
+    wide, near = (cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * int(half) + 1,) * 2)
+                  for half in (MARKER_MM / 2 * px_per_mm, SPREAD_MM / 2 * px_per_mm))  # fmt: skip
+    darker = cv2.morphologyEx(brightest, cv2.MORPH_CLOSE, wide).astype(int) - brightest
+    return cv2.dilate((darker > HIDES * int(brightest.max())).astype(np.uint8), near) > 0
 
 
 def pitch_of(picture: np.ndarray) -> float:

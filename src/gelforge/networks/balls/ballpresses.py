@@ -19,11 +19,10 @@ from gelforge.errors import BadInput
 from gelforge.networks.balls.balltable import THICKNESS_MM, BallCurve, ball_table
 from gelforge.networks.balls.imprint import CUT, Circle, contact_place, find_rim
 from gelforge.records.image import read_image
-from gelforge.records.markers import pitch_of
+from gelforge.records.markers import MARKER_PITCH_MM, pitch_of
 from gelforge.records.npz import DAMAGED, in_short
 
 LAYOUT = "give a folder with background.png and DIAMETERmm/N/gelsight.png, as gs_sdk's calibration has it"
-MARKER_PITCH_MM = 2.0  # of a GelSight Mini's printed markers to their nearest neighbours
 DEPTHS = "which no depth of the table makes, press it 0.3 to 1.7 mm deep"
 BACKGROUND = "background.png"
 ONE_PLACE = 0.2  # of the picture's width that presses must lie apart
@@ -32,12 +31,13 @@ _DIAMETER = re.compile(r"(\d+(?:\.\d+)?)mm")
 
 @dataclass(frozen=True)
 class BallPress:
-    """A press: its picture (h, w, 3) uint8 RGB, the circle of contact in px, and the normal force in N that made it."""
+    """A press: its picture (h, w, 3) uint8 RGB, circle of contact in px, normal force in N that made it, and ball's diameter in mm."""
 
     name: str
     image: np.ndarray
     circle: Circle
     force: float
+    diameter: float
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ def read_presses(
             if image.shape != nocontact.shape:
                 raise BadInput("it is not of the size of the no-contact image")
             circle = _contact(path.with_name("label.npz") if marks else None, image, nocontact, curve, scale)
-            counted.append(BallPress(name, image, circle, _force(circle, curve, scale)))
+            counted.append(BallPress(name, image, circle, _force(circle, curve, scale), size))
         except BadInput as error:
             left_out[name] = str(error)
     if not counted:

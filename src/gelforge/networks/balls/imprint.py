@@ -7,10 +7,8 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.networks.balls.balltable import BLUR_MM, RIM
 from gelforge.networks.preprocess.illumination import match_light
+from gelforge.records.markers import marker_mask
 
-INK = 0.2  # of the largest level, by which markers are darker than what surrounds them
-MARKER_MM = 1.45  # width of the largest marker
-SPREAD_MM = 0.45  # across a marker's edge, where levels say nothing of slopes
 LEAST_LEVELS = 10.0  # of difference, blurred, below which nothing touches
 RAYS, STEP_MM, FARTHEST_MM = 72, 0.03, 6.0  # rays from the circle's centre
 ROUNDS = 6  # of rays from the centre found last
@@ -83,21 +81,10 @@ def _difference(image: np.ndarray, nocontact: np.ndarray, px_per_mm: float) -> n
 
     lit = match_light(image, nocontact).undo(image)
     difference = np.linalg.norm(np.subtract(lit, nocontact, dtype=np.float32), axis=2)
-    weight = (~(_ink(nocontact, px_per_mm) | _ink(lit, px_per_mm))).astype(np.float32)
+    weight = (~(marker_mask(nocontact, px_per_mm) | marker_mask(lit, px_per_mm))).astype(np.float32)
     sigma = BLUR_MM * px_per_mm
     blurred = cv2.GaussianBlur(difference * weight, (0, 0), sigma) / (cv2.GaussianBlur(weight, (0, 0), sigma) + 1e-3)
     return np.asarray(np.maximum(blurred - np.median(blurred), 0.0))
-
-
-def _ink(image: np.ndarray, px_per_mm: float) -> np.ndarray:
-    """Which pixels (h, w) are of markers, or near one."""
-    import cv2
-
-    brightest = image.max(axis=2)
-    wide, near = (cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * int(half) + 1,) * 2)
-                  for half in (MARKER_MM / 2 * px_per_mm, SPREAD_MM / 2 * px_per_mm))  # fmt: skip
-    darker = cv2.morphologyEx(brightest, cv2.MORPH_CLOSE, wide).astype(int) - brightest
-    return cv2.dilate((darker > INK * int(brightest.max())).astype(np.uint8), near) > 0
 
 
 def _middle(difference: np.ndarray) -> tuple[float, float]:

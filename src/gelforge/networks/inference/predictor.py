@@ -12,10 +12,12 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.networks.checkpoint.graph import Graph
 from gelforge.networks.checkpoint.modelfile import ForceModel, load_model, require_sensor
+from gelforge.networks.inference.height import height_of
 from gelforge.networks.inference.sensorprofile import AS_READ, Gain
 from gelforge.networks.preprocess.illumination import Light
 from gelforge.networks.preprocess.pair import FEATURES, Prepared, Preprocessor
 from gelforge.networks.preprocess.scale import WHOLE, View
+from gelforge.networks.preprocess.slopetable import SlopeTable
 from gelforge.networks.uncertainty.conformal import half_widths
 from gelforge.networks.uncertainty.ood import (
     as_arrays,
@@ -26,8 +28,10 @@ from gelforge.networks.uncertainty.ood import (
     relief_fault,
 )
 from gelforge.records.forcereading import ForceReading
+from gelforge.records.markers import MARKER_PITCH_MM
 from gelforge.records.totals import edge_peak
 
+SLOPES = "slopes"  # name of the first stage of a model of two, and of what it estimates first
 LEAST_PULL = 1.0  # N above which a prediction that no contact can make is flagged
 SHIPPED = Path(__file__).parents[1] / "weights/default.onnx"
 # A stage of a model: arrays by name, each with a first axis of one picture, to those that it adds.
@@ -50,9 +54,9 @@ class Predictor:
     """Predicts the forces in pictures of one sensor.
 
     nocontact: (h, w, 3) uint8 RGB of any size, of the sensor while nothing touches it, where the model needs one. gain: what all
-    forces are multiplied by, of the sensor's profile. device, threads: of onnxruntime (networks.checkpoint.graph). replaced:
-    stages of the model that others take the place of, such as a sensor's own table from colours to slopes in place of
-    `slopes`. fault: what is wrong with the no-contact image, empty for nothing.
+    forces are multiplied by, of the sensor's profile. device, threads: of onnxruntime (networks.checkpoint.graph). table: the
+    sensor's own, of its profile, whose slopes take the place of those that a model of two stages estimates. fault: what is wrong
+    with the no-contact image, empty for nothing.
     """
 
     def __init__(
@@ -62,14 +66,15 @@ class Predictor:
         gain: Gain = AS_READ,
         device: str = "cpu",
         threads: int = 1,
-        replaced: Mapping[str, Stage] | None = None,
+        table: SlopeTable | None = None,
     ) -> None:
         self.model, self.metadata, self.gain = model, model.metadata, gain
         self.prepare = Preprocessor(model.metadata, nocontact)
-        where, replaced = f"model {self.metadata['name']}", replaced or {}
+        where = f"model {self.metadata['name']}"
         self.stages: dict[str, Stage] = {
-            name: replaced.get(name) or Graph(graph, where, device, threads) for name, graph in model.stages.items()
+            name: Graph(graph, where, device, threads) for name, graph in model.stages.items()
         }
+        self.table = table
         self.statistics = as_arrays(self.metadata["statistics"])
         self.fault = self._nocontact_fault()
 
@@ -86,10 +91,38 @@ class Predictor:
 
     def raw(self, seen: Prepared) -> np.ndarray:
         """Forces (3, rows, cols) N of a prepared picture as the graphs predict them, without tare and factor."""
+        return np.asarray(self._known(seen)["forces"][0])
+
+    def slopes(self, seen: Prepared) -> np.ndarray | None:
+        """Slopes (2, h / 2, w / 2) of the gel's surface along u and v in a prepared picture; None where nothing estimates them."""
+        if self.table and seen.nocontact:
+            return self.table.slopes(seen.lit, seen.nocontact.picture)
+        return self._known(seen)[SLOPES][0] if SLOPES in self.stages else None
+
+    def height(self, image: np.ndarray) -> np.ndarray | None:
+        """Height (h / 2, w / 2) mm of the gel's surface above the unloaded one in an image (h, w, 3) uint8 RGB of any size.
+
+        None where neither the model nor a table of the sensor estimates slopes.
+        """
+        slopes, rest = self.slopes(self.prepare(image)), self.prepare.at_rest()
+        if slopes is None or rest is None:
+            return None
+        return height_of(slopes - self.slopes(rest), 2.0 / self.px_per_mm)
+
+    @property
+    def px_per_mm(self) -> float:
+        """Scale of prepared pictures."""
+        if self.table:
+            return self.table.px_per_mm
+        return sum(self.metadata["pitch_px"]) / 2 / MARKER_PITCH_MM
+
+    def _known(self, seen: Prepared) -> "_Known":
         known = _Known(seen)
-        for stage in self.stages.values():
+        for name, stage in self.stages.items():
             known.update(stage(known))
-        return np.asarray(known["forces"][0])
+            if name == SLOPES and self.table and seen.nocontact:
+                known[SLOPES] = self.table.slopes(seen.lit, seen.nocontact.picture)[None]
+        return known
 
     def predict(self, image: np.ndarray) -> ForceReading:
         """Read an image (h, w, 3) uint8 RGB of any size."""

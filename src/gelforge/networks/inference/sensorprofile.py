@@ -20,6 +20,7 @@ from gelforge.flow.files import write_text
 from gelforge.flow.params import read_toml
 from gelforge.flow.renamed import PROFILE, with_names_of_today
 from gelforge.networks.checkpoint.modelfile import fingerprint
+from gelforge.networks.preprocess.slopetable import COLOUR_TERMS, PLACE_TERMS, SlopeTable
 from gelforge.records.image import read_image, write_png
 from gelforge.records.markers import pitch_of
 
@@ -61,7 +62,7 @@ AS_READ = Gain()  # of a sensor that has no profile
 
 @dataclass(frozen=True)
 class SensorProfile:
-    """One sensor: name, date of the profile, no-contact image (h, w, 3) uint8 RGB, distance of its markers, gain.
+    """One sensor: name, date of the profile, no-contact image (h, w, 3) uint8 RGB, distance of its markers, gain, table of slopes.
 
     pitch: px between neighbouring markers, 0 where the gel has none. model: name of the network whose readings were compared,
     network: its identity (`fingerprint`).
@@ -74,6 +75,7 @@ class SensorProfile:
     gain: Gain
     model: str
     network: str
+    table: SlopeTable | None = None
 
 
 def of_balls(gain: Gain) -> Gain:
@@ -175,10 +177,12 @@ def odd_readings(names: list[str], measured: np.ndarray, read: np.ndarray) -> di
     }
 
 
-def make_profile(name: str, nocontact: np.ndarray, pitch: float, gain: Gain, metadata: dict) -> SensorProfile:
+def make_profile(
+    name: str, nocontact: np.ndarray, pitch: float, gain: Gain, metadata: dict, table: SlopeTable | None = None
+) -> SensorProfile:
     """The profile of a sensor, dated today. metadata: of the network whose readings gave the factor."""
     today = datetime.datetime.now(datetime.UTC).date().isoformat()
-    return SensorProfile(name, today, nocontact, pitch, gain, metadata["name"], fingerprint(metadata))
+    return SensorProfile(name, today, nocontact, pitch, gain, metadata["name"], fingerprint(metadata), table)
 
 
 def write_profile(path: Path, profile: SensorProfile) -> None:
@@ -192,7 +196,36 @@ def write_profile(path: Path, profile: SensorProfile) -> None:
         f"nocontact = {json.dumps(picture.name, ensure_ascii=False)}", f"pitch_px = {profile.pitch:.3f}", "",
         "# What forces are multiplied by, between `low` and `high` with probability 0.9.",
         "[gain]", f"value = {gain.value:.6f}", f"low = {gain.low:.6f}", f"high = {gain.high:.6f}", f"readings = {gain.readings}", "",
+        *(_table_lines(profile.table) if profile.table else []),
     ]))  # fmt: skip
+
+
+def _table_lines(table: SlopeTable) -> list[str]:
+    """A table of slopes as lines of TOML."""
+    values = ", ".join(f"{value:.6g}" for value in table.coefficients.ravel().tolist())
+    return [
+        "# Slopes of the gel by the change of light, learnt from presses of a ball (gelforge.networks.preprocess.slopetable).",
+        "[slopes]",
+        f"px_per_mm = {table.px_per_mm:.6f}",
+        f"coefficients = [{values}]",
+        "",
+    ]
+
+
+def _table_of(where: Path, profile: dict) -> SlopeTable | None:
+    """The table of slopes of a profile's table, if it has one; BadInput where it is none."""
+    told = profile.get("slopes")
+    if told is None:
+        return None
+    values = told.get("coefficients") if isinstance(told, dict) else None
+    scale = told.get("px_per_mm") if isinstance(told, dict) else None
+    shape = (COLOUR_TERMS, PLACE_TERMS, 2)
+    good = isinstance(values, list) and all(map(_is_number, values)) and len(values) == math.prod(shape)
+    if not (good and np.isfinite(values).all() and _is_number(scale) and 0 < scale < 1e4):
+        raise BadInput(
+            f"{where}: [slopes] is no table of {math.prod(shape)} coefficients; make the profile again with --balls"
+        )
+    return SlopeTable(np.reshape(np.asarray(values, float), shape), float(scale))
 
 
 def read_profile(path: Path) -> SensorProfile:
@@ -204,7 +237,8 @@ def read_profile(path: Path) -> SensorProfile:
         raise BadInput(f"{path}: not a sensor's profile; {MAKE_IT}")
     picture = read_image(_picture_of(path, table), hint="make the profile again")
     date = str(table.get("date", ""))
-    return SensorProfile(table["name"], date, picture, float(pitch), found, table["model"], table["network"])
+    known = table["model"], table["network"], _table_of(path, table)
+    return SensorProfile(table["name"], date, picture, float(pitch), found, *known)
 
 
 def _gain_of(table: dict) -> Gain | None:
@@ -246,19 +280,21 @@ def _is_number(value: object) -> TypeGuard[int | float]:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def with_profile(path: Path | None, picture: np.ndarray | None, metadata: dict) -> tuple[np.ndarray | None, Gain]:
-    """The no-contact image, the given one or the profile's, and the profile's factor on forces.
+def with_profile(
+    path: Path | None, picture: np.ndarray | None, metadata: dict
+) -> tuple[np.ndarray | None, Gain, SlopeTable | None]:
+    """The no-contact image, the given one or the profile's, and the profile's factor on forces and table of slopes.
 
     metadata: of the network that reads; BadInput where the profile's factor was found with another one.
     """
     if path is None:
-        return picture, AS_READ
+        return picture, AS_READ, None
     profile = read_profile(path)
     check_same_network(profile, metadata)
     if picture is None:
-        return profile.nocontact, profile.gain
+        return profile.nocontact, profile.gain, profile.table
     check_same_sensor(profile, pitch_of(picture))
-    return picture, profile.gain
+    return picture, profile.gain, profile.table
 
 
 def check_same_network(profile: SensorProfile, metadata: dict) -> None:
