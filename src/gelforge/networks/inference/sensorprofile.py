@@ -214,18 +214,18 @@ def _table_lines(table: SlopeTable) -> list[str]:
 
 def _table_of(where: Path, profile: dict) -> SlopeTable | None:
     """The table of slopes of a profile's table, if it has one; BadInput where it is none."""
-    told = profile.get("slopes")
-    if told is None:
+    given = profile.get("slopes")
+    if given is None:
         return None
-    values = told.get("coefficients") if isinstance(told, dict) else None
-    scale = told.get("px_per_mm") if isinstance(told, dict) else None
+    values, scale = (given.get("coefficients"), given.get("px_per_mm")) if isinstance(given, dict) else (None, None)
     shape = (COLOUR_TERMS, PLACE_TERMS, 2)
-    good = isinstance(values, list) and all(map(_is_number, values)) and len(values) == math.prod(shape)
-    if not (good and np.isfinite(values).all() and _is_number(scale) and 0 < scale < 1e4):
+    numbers = values if isinstance(values, list) and all(map(_is_number, values)) else []
+    good = len(numbers) == math.prod(shape) and all(map(math.isfinite, numbers))
+    if not (good and _is_number(scale) and 0 < scale < 1e4):
         raise BadInput(
             f"{where}: [slopes] is no table of {math.prod(shape)} coefficients; make the profile again with --balls"
         )
-    return SlopeTable(np.reshape(np.asarray(values, float), shape), float(scale))
+    return SlopeTable(np.reshape(np.asarray(numbers, float), shape), float(scale))
 
 
 def read_profile(path: Path) -> SensorProfile:

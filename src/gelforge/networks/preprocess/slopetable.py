@@ -76,7 +76,7 @@ def _products(values: np.ndarray, order: int) -> np.ndarray:
     """All products of up to `order` of the last axis' values, the constant first."""
     count = values.shape[-1]
     sets = [one for size in range(1, order + 1) for one in combinations_with_replacement(range(count), size)]
-    found = {(): np.ones_like(values[..., 0])}
+    found: dict[tuple[int, ...], np.ndarray] = {(): np.ones_like(values[..., 0])}
     for one in sets:
         found[one] = found[one[:-1]] * values[..., one[-1]]
     return np.stack(list(found.values()), -1)
