@@ -46,6 +46,10 @@ clean-all:  ## remove everything made of this dataset, work on Slurm too
 clean-venv:  ## remove the virtual environment
 	rm -rf .venv
 
+.PHONY: parameters
+parameters: $(SETUP)  ## workflow/guide/parameters.md anew, the page of all parameters
+	@$(PY) -m gelforge.commands.parameters
+
 # Questions about the flow.
 .PHONY: why lineage estimate
 TARGET ?=

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from gelforge.errors import BadInput, GelforgeError
-from gelforge.flow.params.tables import SOFTEST, STIFFEST
 from gelforge.flow.renamed import notice
 from gelforge.geometry.gel import load_gel
 from gelforge.geometry.solids import Indenter
@@ -56,6 +55,8 @@ def solve(
     depth: mm from 0 on, positive into the gel. c10: stiffness of the gel, MPa. nu: its Poisson's ratio. quality: "label", "draft" or "demo", slow to fast.
     A press that cannot be solved raises GelforgeError with its reason.
     """
+    from gelforge.flow.params.tables import SOFTEST, STIFFEST
+
     if not (_finite(c10, nu) and SOFTEST <= c10 <= STIFFEST and 0.0 <= nu < 0.5):
         raise BadInput(
             f"gelforge.solve: c10 = {c10!r}, nu = {nu!r}: give c10 from {SOFTEST:g} to {STIFFEST:g} MPa and nu from 0 to below 0.5"

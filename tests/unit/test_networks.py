@@ -74,7 +74,7 @@ def test_narrow_networks_train_without_corrupting_memory():
 
 
 def test_every_network_of_the_table_builds(root):
-    from gelforge.flow.params import read_toml
+    from gelforge.flow.files import read_toml
 
     models = read_toml(root / "workflow" / "models.toml")
     settings = parameters().train
@@ -136,7 +136,7 @@ def test_unknown_kind_and_wrong_size_are_named():
         build({"kind": "grid", "reads": ["pair"]}, IMAGE, GRID)
     with pytest.raises(BadInput, match="MODEL=nothing"):
         resolve({"grid": SMALL}, "nothing", parameters().train)
-    with pytest.raises(BadInput, match=r"models.toml: \[grid.train\] epoch: is read by nothing; epochs is meant"):
+    with pytest.raises(BadInput, match=r"models.toml: \[grid.train\] epoch: unknown key; epochs is meant"):
         resolve({"grid": {**SMALL, "train": {"epoch": 3}}}, "grid", parameters().train)
 
 

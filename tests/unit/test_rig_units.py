@@ -96,9 +96,9 @@ def test_sensors_of_a_dataset_are_read_as_they_were_drawn(drawn, tmp_path):
 
 
 @pytest.mark.parametrize("old, new, says", [
-    ("scale_px_per_mm = [15.2, 16.3]", "scale_px_per_mm = [16.3, 15.2]", "runs backwards"),
+    ("scale_px_per_mm = [15.2, 16.3]", "scale_px_per_mm = [16.3, 15.2]", "the lower one first"),
     ("scale_px_per_mm = [15.2, 16.3]", "scale_px_per_mm = [0, 16.3]", "each a number from 1 to 1000 px/mm"),
-    ("contrast = [0.32, 1.6]", "contrasts = [0.32, 1.6]", "contrasts: is read by nothing; contrast is meant"),
+    ("contrast = [0.32, 1.6]", "contrasts = [0.32, 1.6]", "contrasts: unknown key; contrast is meant"),
     ('"mini_d", "mini_e"]', '"mini_d", "mini_z"]', "no appearance mini_z"),
     ("noise = [0.8, 2.3]", 'noise = ["a", "b"]', "noise"),
     ("missing_markers = [0, 6]", "missing_markers = [0, 70]", "missing_markers"),

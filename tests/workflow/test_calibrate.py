@@ -107,5 +107,5 @@ def test_wrong_sign_leaves_no_summary(root, tmp_path):
 
 
 def test_unknown_solver_setting_is_named():
-    with pytest.raises(BadInput, match=r"\[calibrate.solver\] sizes: is read by nothing; size is meant"):
+    with pytest.raises(BadInput, match=r"\[calibrate.solver\] sizes: unknown key; size is meant"):
         parameters(calibrate={"solver": {"sizes": 1.0}})

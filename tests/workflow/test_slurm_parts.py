@@ -175,7 +175,7 @@ def test_a_stage_overrides_the_default_and_an_own_file_the_published_one(own):
 @pytest.mark.parametrize(
     ("line", "words"),
     [
-        ("memory = 3", "[labels] memory: is read by nothing; memory_mb is meant?"),
+        ("memory = 3", "[labels] memory: unknown key; memory_mb is meant?"),
         ("cores = 0", "[labels] cores = 0: give a whole number from 1"),
         ("cores = '1'", "give a whole number"),
         ("options = [1]", "give a list"),

@@ -7,8 +7,7 @@ import pytest
 from parameters import parameters, write_slice
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import read_json, write_json
-from gelforge.flow.params import read_toml
+from gelforge.flow.files import read_json, read_toml, write_json
 from gelforge.geometry.gel import GELS
 from gelforge.mechanics.mesh.meshstore import source_of
 from gelforge.stages import fea, meshes

@@ -110,6 +110,26 @@ def read_json(path: Path | str) -> Any:
     return json.loads(Path(path).read_text(encoding="utf-8"))
 
 
+def read_toml(
+    path: Path | str, hint: str = "check the name (README.md says what a dataset and workflow/ must hold)"
+) -> dict:
+    """Read a TOML file; one that is not there, cannot be read or is no TOML raises BadInput with file and place.
+
+    hint: what to do where there is none of that name.
+    """
+    import tomllib  # every step imports this module, and few read TOML
+
+    path = Path(path)
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise BadInput(f"{path}: not found; {hint}") from error
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read ({error.strerror}); name a TOML file that can") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise BadInput(f"{path}: not valid TOML: {error}") from error
+
+
 def last_line(path: Path) -> str:
     """The last line of a text file, such as a log that is being written, that is not blank; of a long one its end."""
     with path.open("rb") as text:

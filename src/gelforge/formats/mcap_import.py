@@ -27,8 +27,7 @@ from typing import Any
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import write_text
-from gelforge.flow.params import read_toml
+from gelforge.flow.files import read_toml, write_text
 from gelforge.formats.feats_folder import NO_PRESS, new_folder
 from gelforge.formats.messageimage import picture
 from gelforge.formats.messagetime import MessageOrder, MessageTimes, choose_clock, stamp_of

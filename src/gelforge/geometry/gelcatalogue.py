@@ -3,27 +3,27 @@
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Literal, get_args
 
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import digest_of
-from gelforge.flow.params import read_toml
-from gelforge.flow.params.schema import OneOf, ParameterTable, Place, Within, parse
+from gelforge.flow.files import digest_of, read_toml
+from gelforge.flow.params.schema import Number, ParameterTable, Place, Within, parse
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.stlfile import read_stl
 from gelforge.geometry.triangles import is_watertight, volume
 
 FILE = Path("workflow") / "gels.toml"
-BASES = ("-x", "+x", "-y", "+y", "-z", "+z")
+Base = Literal["-x", "+x", "-y", "+y", "-z", "+z"]
+BASES = get_args(Base)
 THINNEST_MM = 0.3  # that a gel may be anywhere
 LEAST_RADIUS_MM = 0.2  # of the outline's corners: meshes need room to turn round them
 RASTER_MM = 0.1  # between heights of an STL's top
 MOST_APART = 0.02  # of its volume by which an STL may differ from the pad that is made of it
 FLAT = 0.8  # of the outline's area that an STL's bonded face must fill
-Size = Annotated[float, Within(0.5, 100.0, "mm")]
-Drop = Annotated[float, Within(0.0, 20.0, "mm")]
+Size = Annotated[Number, Within(0.5, 100.0, "mm")]
+Drop = Annotated[Number, Within(0.0, 20.0, "mm")]
 
 
 @dataclass(frozen=True)
@@ -78,8 +78,8 @@ class PadTable(ParameterTable):
 
     width: Size
     length: Size
-    thickness: Annotated[float, Within(0.5, 20.0, "mm")]
-    corner_radius: Annotated[float, Within(LEAST_RADIUS_MM, 50.0, "mm")]
+    thickness: Annotated[Number, Within(0.5, 20.0, "mm")]
+    corner_radius: Annotated[Number, Within(LEAST_RADIUS_MM, 50.0, "mm")]
     apex: Drop = 0.0
     edge_width: Drop = 0.0
     edge_drop: Drop = 0.0
@@ -112,8 +112,8 @@ class SolidTable(ParameterTable):
     """A table of gels.toml: a closed STL, and which of its sides is bonded."""
 
     file: str
-    base: Annotated[str, OneOf(*BASES)]
-    scale: Annotated[float, Within(1e-6, 1e6)] = 1.0
+    base: Base
+    scale: Annotated[Number, Within(1e-6, 1e6)] = 1.0
 
     def gel(self, name: str, folder: Path) -> Gel:
         """The gel of this table, whose file lies below `folder`."""

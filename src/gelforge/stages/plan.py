@@ -441,7 +441,8 @@ def main(args: Namespace) -> None:
     tables, read = read_catalogues(rows, args.workflow / of.catalogue, args.workflow, sensors, params)
     check_dataset(dataset_toml, of, params, rows, args.workflow, sensors)
     meshes = required_meshes(params.fea, params.meshes)
-    lists = {"MESHES": meshes, "BRANCHES": list(params.report.branches)} | chart_lists(params, scenes)
+    lists: dict[str, list[str]] = {"MESHES": meshes, "BRANCHES": [*params.report.branches]}
+    lists |= chart_lists(params, scenes)
     lists["REPORT_MODEL"] = reported_model(dataset_toml, params, networks(args.workflow))
     lists["LEARN_ALSO"] = list(params.train.also)
     lists["PLAN_READS"] = [str(path) for path in read]

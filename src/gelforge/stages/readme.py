@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import digest_of, publish, read_json, write_json
+from gelforge.flow.files import digest_of, publish, read_json, read_toml, write_json
 from gelforge.flow.main import command, group, option
-from gelforge.flow.params import digest_of_value, read_toml
+from gelforge.flow.params import digest_of_value
 from gelforge.records.image import encode_png
 
 SHIPPED = Path("src/gelforge/networks/weights/default.onnx")

@@ -22,7 +22,7 @@ VERSION = 21
 
 def read_models(path) -> dict:
     """Read the model table, TOML as written or JSON as stage 00 leaves it."""
-    from gelforge.flow.params import read_toml
+    from gelforge.flow.files import read_toml
 
     return read_json(path) if Path(path).suffix == ".json" else read_toml(path)
 

@@ -1,6 +1,7 @@
 """Cases of the stability map: one factor varied at a time around a centre at label setting, and random combinations."""
 
 from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -89,7 +90,7 @@ def centre(table: StabilityTable, fidelity: str, kind: str) -> Case:
     return Case(fidelity, kind, table.depth_mm, 0.0, "centre", table.nu)
 
 
-def series(table: StabilityTable, fidelity: str, kind: str) -> Case:
+def series(table: StabilityTable, fidelity: Any, kind: str) -> Case:
     """The case that rows of elements and load steps vary."""
     return replace(centre(table, fidelity, kind), size=table.size[fidelity], steps=table.steps)
 
@@ -116,7 +117,7 @@ def factor_of(row: str) -> str:
     return {"native": "depth", "random": "depth", **dict.fromkeys(SHAPED, "shape")}.get(row, row)
 
 
-def levels(table: StabilityTable, row: str, fidelity: str = "") -> list:
+def levels(table: StabilityTable, row: str, fidelity: Any = "") -> list:
     """Values that a row takes."""
     if row == "place":
         return list(PLACES)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gelforge.errors import BadInput
-from gelforge.flow.params import read_toml
+from gelforge.flow.files import read_toml
 from gelforge.geometry.gel import load_gel
 from gelforge.mechanics.material import Material
 from gelforge.mechanics.scene import Interface, Scene

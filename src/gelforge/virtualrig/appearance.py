@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.params import read_toml
+from gelforge.flow.files import read_toml
 from gelforge.flow.renamed import APPEARANCE, with_names_of_today
 
 COLOURS = ("red", "green", "blue")

@@ -11,9 +11,9 @@ from typing import Annotated
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.params import read_toml
-from gelforge.flow.params.schema import Named, ParameterTable, Place, Some, Within, parse
-from gelforge.flow.params.tables import Stiffness
+from gelforge.flow.files import read_toml
+from gelforge.flow.params.schema import SOME, Number, ParameterTable, Place, Span, Within, parse
+from gelforge.flow.params.tables import Finite, FromNone, Name, Stiffness
 from gelforge.geometry.gel import USUAL_GEL, Gel, load_gel
 from gelforge.records.press import LARGEST
 from gelforge.virtualrig.streams import MOST_FRAMES, ORDER, WHO_SEES
@@ -22,8 +22,7 @@ EDGE = 2.0  # mm that the tip keeps from the gel's outline
 TINY = 1e-9
 DEEPEST = 0.7  # fraction of the gel's height that a press may take
 
-Span = tuple[float, float]  # what values are drawn evenly between
-FromNone = Annotated[float, Within(0.0, 1e9)]
+Millimetres = Annotated[Number, Within(-1e3, 1e3, "mm")]
 
 
 @dataclass(frozen=True)
@@ -44,14 +43,14 @@ class Truth(RigTable):
     """
 
     c10_mpa: Stiffness
-    nu: Annotated[float, Within(TINY, 0.4999)]
+    nu: Annotated[Number, Within(TINY, 0.4999)]
     friction: FromNone
     compliance_mm_per_n: FromNone
     shear_compliance_mm_per_n: FromNone
-    touch_offset_mm: float
+    touch_offset_mm: Millimetres
     touch_scatter_mm: FromNone
     force_noise_n: FromNone
-    force_bias_n: tuple[float, float, float]
+    force_bias_n: tuple[Finite, Finite, Finite]
     drift_n: FromNone
     moment_noise_nm: FromNone
     cnc_um: FromNone
@@ -67,15 +66,15 @@ class Kind(RigTable):
     estimated normal force would pass it, as a bench with a load limit does.
     """
 
-    weight: Annotated[float, Within(TINY, 1e9)]
-    indenters: Annotated[tuple[str, ...], Some()]
-    sensors: Annotated[tuple[str, ...], Some()]
-    x_mm: Span
-    y_mm: Span
-    depth_mm: Annotated[Span, Within(TINY, 1e3, "mm")]
-    shear: Annotated[Span, Within(0.0, 1e3)]
-    rot_deg: Annotated[Span, Within(-LARGEST["rot_deg"], LARGEST["rot_deg"], "degrees")]
-    max_force_n: Annotated[float, Within(TINY, 1e9, "N")]
+    weight: Annotated[Number, Within(TINY, 1e9)]
+    indenters: Annotated[tuple[str, ...], SOME]
+    sensors: Annotated[tuple[str, ...], SOME]
+    x_mm: Span[Millimetres]
+    y_mm: Span[Millimetres]
+    depth_mm: Span[Annotated[Number, Within(TINY, 1e3, "mm")]]
+    shear: Span[Annotated[Number, Within(0.0, 1e3)]]
+    rot_deg: Span[Annotated[Number, Within(-LARGEST["rot_deg"], LARGEST["rot_deg"], "degrees")]]
+    max_force_n: Annotated[Number, Within(TINY, 1e9, "N")]
     seen_by: Annotated[int, Within(1, 1e6)] = 1
 
 
@@ -116,7 +115,7 @@ class Plan(RigTable):
     frames: moments of each press that are recorded, evenly along its way down and then sideways, the last at its end.
     """
 
-    dataset: Annotated[str, Named()]
+    dataset: Name
     seed: Annotated[int, Within(0, 2**63)]
     presses: Annotated[int, Within(1, 1e7)]
     gel: str
@@ -195,16 +194,16 @@ def read_plan(path) -> Plan:
     """Read and check a plan's own values; names are checked by `check_names`."""
     path = Path(path)
     raw, whole = read_toml(path), Place(str(path))
-    truth = parse(Truth, raw.pop("truth", {}), whole.key("truth"))
-    kinds, params = raw.pop("kind", []), raw.pop("params", {})
+    kinds = raw.pop("kind", [])
     if not isinstance(kinds, list) or not kinds:
         raise BadInput(f"{path}: no [[kind]] table; write at least one with indenters, sensors and ranges")
-    units = parse(DrawnUnits, raw.pop("units"), whole.key("units")) if "units" in raw else None
-    drawn = units.names if units else ()
-    named = [parse(Kind, kind, whole.key(f"kind {k + 1}")) for k, kind in enumerate(kinds)]
-    made = tuple(replace(kind, sensors=_matching(kind.sensors, drawn)) for kind in named)
-    plan = parse(Plan, raw, whole, truth=truth, kinds=made, params=params, units=units)
-    plan = replace(plan, held_out_sensors=_matching(plan.held_out_sensors, drawn))
+    plan = parse(Plan, {"params": {}, **raw, "kinds": kinds}, whole)
+    drawn = plan.units.names if plan.units else ()
+    plan = replace(
+        plan,
+        kinds=tuple(replace(kind, sensors=_matching(kind.sensors, drawn)) for kind in plan.kinds),
+        held_out_sensors=_matching(plan.held_out_sensors, drawn),
+    )
     _check_values(plan, path)
     return plan
 
@@ -250,10 +249,6 @@ def _check_kind(kind: Kind, gel: Gel, fewest: int, where: str) -> None:
         raise BadInput(
             f"{where}: seen_by = {kind.seen_by}: give 1 to {fewest}, as many sensors as it names on one gel"
         )
-    for name in ("x_mm", "y_mm", "depth_mm", "shear", "rot_deg"):
-        low, high = getattr(kind, name)
-        if low > high:
-            raise BadInput(f"{where}: {name} = [{low}, {high}] runs backwards; write [low, high]")
     deepest = DEEPEST * gel.height
     if kind.depth_mm[1] > deepest:
         raise BadInput(

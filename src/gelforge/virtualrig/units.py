@@ -1,19 +1,19 @@
 """Virtual sensors drawn at random from ranges, so that a network learns what all of them share."""
 
 import zlib
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.params import read_toml
-from gelforge.flow.params.schema import ParameterTable, Place, Some, Within, parse
+from gelforge.flow.files import read_toml
+from gelforge.flow.params.schema import SOME, Number, ParameterTable, Place, Span, Within, parse
 from gelforge.flow.renamed import UNITS, with_names_of_today
 from gelforge.labelling.sensor import Sensor
 from gelforge.virtualrig.appearance import HEIGHT, WIDTH, Appearance, Drift, marker_centres, read_appearances
-from gelforge.virtualrig.rigplan import DrawnUnits, Span
+from gelforge.virtualrig.rigplan import DrawnUnits
 
 ROWS, COLS = 7, 9  # of the markers that a whole view shows
 AZIMUTH = np.array([90.0, 0.0, 270.0])  # degrees of the red, green and blue light
@@ -31,44 +31,44 @@ class UnitRanges(ParameterTable):
 
     example = "workflow/rig/units.toml"
 
-    backgrounds: Annotated[tuple[str, ...], Some()]
-    background_scatter: Annotated[Span, Within(-1, 1)]
-    tilt: Annotated[Span, Within(-1, 1)]
-    azimuth_deg: Annotated[Span, Within(-360, 360, "degrees")]
-    contrast: Annotated[Span, Within(0.001, 100)]
-    colour_contrast: Annotated[Span, Within(0.001, 100)]
-    slope_limit: Annotated[Span, Within(0.001, 100)]
-    brightening: Annotated[Span, Within(0, 10)]
-    camera_mm: Annotated[Span, Within(5, 10000, "mm")]
-    gain: Annotated[Span, Within(0.001, 10)]
-    white_balance: Annotated[Span, Within(0.001, 10)]
-    vignette: Annotated[Span, Within(0, 1)]
-    blur_px: Annotated[Span, Within(0, 100, "px")]
-    noise: Annotated[Span, Within(0, 255)]
-    noise_blur_px: Annotated[Span, Within(0, 100, "px")]
-    scale_px_per_mm: Annotated[Span, Within(1, 1000, "px/mm")]
-    perspective: Annotated[Span, Within(-0.01, 0.01)]
-    rotation_deg: Annotated[Span, Within(-360, 360, "degrees")]
-    shift_px: Annotated[Span, Within(-1000, 1000, "px")]
-    pitch_mm: Annotated[Span, Within(0.1, 100, "mm")]
-    grid_shift_px: Annotated[Span, Within(-1000, 1000, "px")]
-    grid_turn_deg: Annotated[Span, Within(-360, 360, "degrees")]
-    spread: Annotated[Span, Within(-1, 1)]
-    misprint_px: Annotated[Span, Within(0, 100, "px")]
-    diameter_px: Annotated[Span, Within(0.1, 1000, "px")]
-    raggedness: Annotated[Span, Within(0, 1)]
-    ink: Annotated[Span, Within(0, 1)]
-    flecks: Annotated[Span, Within(0, 10)]
-    shadow_depth: Annotated[Span, Within(0, 1)]
-    shadow_px: Annotated[Span, Within(0, 1000, "px")]
-    missing_markers: Annotated[Span, Within(0, ROWS * COLS - 1)]
-    specks: Annotated[Span, Within(0, 10000)]
-    drift_gain: Annotated[Span, Within(-1, 1)]
-    drift_offset: Annotated[Span, Within(-255, 255)]
-    drift_field: Annotated[Span, Within(-1, 1)]
-    shade_per_mm: Annotated[Span, Within(-10, 10, "1/mm")]
-    jpeg_fraction: Annotated[float, Within(0, 1)]
-    jpeg_quality: Annotated[Span, Within(1, 100)]
+    backgrounds: Annotated[tuple[str, ...], SOME]
+    background_scatter: Span[Annotated[Number, Within(-1, 1)]]
+    tilt: Span[Annotated[Number, Within(-1, 1)]]
+    azimuth_deg: Span[Annotated[Number, Within(-360, 360, "degrees")]]
+    contrast: Span[Annotated[Number, Within(0.001, 100)]]
+    colour_contrast: Span[Annotated[Number, Within(0.001, 100)]]
+    slope_limit: Span[Annotated[Number, Within(0.001, 100)]]
+    brightening: Span[Annotated[Number, Within(0, 10)]]
+    camera_mm: Span[Annotated[Number, Within(5, 10000, "mm")]]
+    gain: Span[Annotated[Number, Within(0.001, 10)]]
+    white_balance: Span[Annotated[Number, Within(0.001, 10)]]
+    vignette: Span[Annotated[Number, Within(0, 1)]]
+    blur_px: Span[Annotated[Number, Within(0, 100, "px")]]
+    noise: Span[Annotated[Number, Within(0, 255)]]
+    noise_blur_px: Span[Annotated[Number, Within(0, 100, "px")]]
+    scale_px_per_mm: Span[Annotated[Number, Within(1, 1000, "px/mm")]]
+    perspective: Span[Annotated[Number, Within(-0.01, 0.01)]]
+    rotation_deg: Span[Annotated[Number, Within(-360, 360, "degrees")]]
+    shift_px: Span[Annotated[Number, Within(-1000, 1000, "px")]]
+    pitch_mm: Span[Annotated[Number, Within(0.1, 100, "mm")]]
+    grid_shift_px: Span[Annotated[Number, Within(-1000, 1000, "px")]]
+    grid_turn_deg: Span[Annotated[Number, Within(-360, 360, "degrees")]]
+    spread: Span[Annotated[Number, Within(-1, 1)]]
+    misprint_px: Span[Annotated[Number, Within(0, 100, "px")]]
+    diameter_px: Span[Annotated[Number, Within(0.1, 1000, "px")]]
+    raggedness: Span[Annotated[Number, Within(0, 1)]]
+    ink: Span[Annotated[Number, Within(0, 1)]]
+    flecks: Span[Annotated[Number, Within(0, 10)]]
+    shadow_depth: Span[Annotated[Number, Within(0, 1)]]
+    shadow_px: Span[Annotated[Number, Within(0, 1000, "px")]]
+    missing_markers: Span[Annotated[Number, Within(0, ROWS * COLS - 1)]]
+    specks: Span[Annotated[Number, Within(0, 10000)]]
+    drift_gain: Span[Annotated[Number, Within(-1, 1)]]
+    drift_offset: Span[Annotated[Number, Within(-255, 255)]]
+    drift_field: Span[Annotated[Number, Within(-1, 1)]]
+    shade_per_mm: Span[Annotated[Number, Within(-10, 10, "1/mm")]]
+    jpeg_fraction: Annotated[Number, Within(0, 1)]
+    jpeg_quality: Span[Annotated[Number, Within(1, 100)]]
 
 
 def draw_units(units: DrawnUnits, gel: str, rig: Path, seed: int) -> tuple[dict[str, Appearance], dict[str, Sensor]]:
@@ -92,13 +92,8 @@ def draw_units(units: DrawnUnits, gel: str, rig: Path, seed: int) -> tuple[dict[
 
 
 def read_ranges(path: Path) -> UnitRanges:
-    """Read a file of ranges; one that is incomplete, unknown or runs backwards raises BadInput."""
-    ranges = parse(UnitRanges, with_names_of_today(read_toml(path), UNITS, str(path)), Place(str(path)))
-    for name in (field.name for field in fields(ranges) if field.name not in ("backgrounds", "jpeg_fraction")):
-        bounds = getattr(ranges, name)
-        if bounds[0] > bounds[1]:
-            raise BadInput(f"{path}: {name} = {list(bounds)} runs backwards; write [low, high]")
-    return ranges
+    """Read a file of ranges; one that is incomplete or has unknown keys raises BadInput."""
+    return parse(UnitRanges, with_names_of_today(read_toml(path), UNITS, str(path)), Place(str(path)))
 
 
 class Draw:

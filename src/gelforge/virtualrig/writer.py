@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import read_json, write_csv, write_json, write_text
-from gelforge.flow.params import read_toml
+from gelforge.flow.files import read_json, read_toml, write_csv, write_json, write_text
 from gelforge.labelling.sensor import Sensor
 from gelforge.records.image import write_png
 from gelforge.records.log import fixed, read_presses, write_log

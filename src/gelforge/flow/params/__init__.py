@@ -6,12 +6,12 @@ its own part.
 
 import hashlib
 import json
-import tomllib
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 from gelforge.errors import BadInput
+from gelforge.flow.files import read_toml
 from gelforge.flow.params.frozen import with_frozen
 from gelforge.flow.params.schema import Place, nearest, parse, plain
 from gelforge.flow.params.slices import SLICES, cut_slice, read_slice, stage_version
@@ -23,23 +23,6 @@ __all__ = [
 ]  # fmt: skip
 
 CHARTED = "charted.toml"  # in workflow/, written by branch pareto
-REMEDY = "check the name (README.md says what a dataset and workflow/ must hold)"
-
-
-def read_toml(path: Path | str, remedy: str = REMEDY) -> dict[str, Any]:
-    """Read a TOML file; one that is not there, cannot be read or is no TOML raises BadInput with file and place.
-
-    remedy: what to do where there is none of that name.
-    """
-    path = Path(path)
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise BadInput(f"{path}: not found; {remedy}") from error
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be read ({error.strerror}); name a TOML file that can") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise BadInput(f"{path}: not valid TOML: {error}") from error
 
 
 def load_params(workflow: Path | str, dataset_toml: Path | str | None = None) -> Params:
@@ -117,8 +100,8 @@ def read_dataset_file(path: Path | str) -> DatasetFile:
     for key, value in given.items():
         if key not in DATASET_KINDS:
             tables = {field.name for field in fields(Params)}
-            remedy = f"; write [params.{key}]" if key in tables else nearest(key, DATASET_KINDS)
-            raise BadInput(f"{path}: {key} is read by nothing{remedy}")
+            hint = f"; write [params.{key}]" if key in tables else nearest(key, DATASET_KINDS)
+            raise BadInput(f"{path}: {key} is unknown{hint}")
         if not isinstance(value, DATASET_KINDS[key]):
             what = "text" if DATASET_KINDS[key] is str else "tables such as [params.fea]"
             raise BadInput(f"{path}: {key} = {value!r}: give {what}")

@@ -7,11 +7,11 @@ digests of these files' content, so a value is written as it was given: 2 stays 
 import re
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, Any, TypeVar
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_json
-from gelforge.flow.params.schema import ParameterTable, Place, Within, kinds_of, parse
+from gelforge.flow.params.schema import ParameterTable, Within, kinds_of, structured
 from gelforge.flow.params.tables import (
     CalibrateTable,
     DatasetTable,
@@ -190,8 +190,9 @@ def stage_version(folder: Path, source: Source) -> int:
 
 def cut_slice(params: Params, kind: type[S], version: int) -> S:
     """What a stage reads of the parameters, with the version of its results."""
+    of: Any = kind
     tables = {
-        name: narrowed(getattr(params, name), table) for name, table in kinds_of(kind).items() if name != "version"
+        name: narrowed(getattr(params, name), table) for name, table in kinds_of(of).items() if name != "version"
     }
     return kind(version=version, **tables)
 
@@ -204,9 +205,8 @@ def narrowed(table: ParameterTable, kind: type[ParameterTable]) -> ParameterTabl
 
 
 def read_slice(path: Path, kind: type[S]) -> S:
-    """Read what `make` wrote for a stage, checked as parameters are."""
+    """Read what the plan checked and wrote for a stage."""
     try:
-        given = read_json(path)
-    except (OSError, ValueError) as error:
+        return structured(kind, read_json(path))
+    except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
         raise BadInput(f"{path}: cannot be read ({error}); run make again, the plan writes it anew") from error
-    return parse(kind, given, Place(str(path)))

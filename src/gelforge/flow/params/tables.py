@@ -3,48 +3,59 @@
 What each value is for, and why it is what it is, stands beside it in workflow/params.toml; a test holds the two in step.
 """
 
+import re
 from dataclasses import dataclass, fields
-from typing import Annotated
+from typing import Annotated, Literal, get_args
 
-from gelforge.flow.params.schema import Named, OneLine, OneOf, ParameterTable, Rising, Some, Within
+from annotated_types import MinLen
+
+from gelforge.flow.params.schema import NAME, RISING, SOME, Number, ParameterTable, Rule, Within
 
 TINY = 1e-12  # for what must be above 0
-Share = Annotated[float, Within(0.0, 1.0)]
+Fraction = Annotated[Number, Within(0.0, 1.0)]
 Count = Annotated[int, Within(1, 1e6)]
 Whole = Annotated[int, Within(0, 1e6)]
 Seed = Annotated[int, Within(0, 2**32)]
 Steps = Annotated[int, Within(1, 1000)]
-Length = Annotated[float, Within(TINY, 1e3, "mm")]
-Size = Annotated[float, Within(0.1, 10.0, "mm")]
-Seconds = Annotated[float, Within(TINY, 1e9, "s")]
-Number = Annotated[float, Within(-1e6, 1e6)]
-Positive = Annotated[float, Within(TINY, 1e9)]
-Nu = Annotated[float, Within(0.0, 0.4999)]
+Length = Annotated[Number, Within(TINY, 1e3, "mm")]
+Size = Annotated[Number, Within(0.1, 10.0, "mm")]
+Seconds = Annotated[Number, Within(TINY, 1e9, "s")]
+Finite = Annotated[Number, Within(-1e6, 1e6)]
+Positive = Annotated[Number, Within(TINY, 1e9)]
+Nu = Annotated[Number, Within(0.0, 0.4999)]
 # Of gels, the nominal one is 0.0725: kPa that are taken for MPa lie beyond, and would make all forces 1000 times as large.
 SOFTEST, STIFFEST = 0.002, 5.0
-Stiffness = Annotated[float, Within(SOFTEST, STIFFEST, "MPa")]
-Interval = Annotated[tuple[float, float], Within(SOFTEST, STIFFEST, "MPa")]
-Names = Annotated[tuple[str, ...], Named()]
-Half = Annotated[tuple[float, float], Within(TINY, 1e3, "mm")]
-LAWS = ("no_slip", "coulomb", "frictionless")
-Law = Annotated[str, OneOf(*LAWS)]
-FIDELITIES = ("hex", "ccx", "ccx-native", "ccx-fine", "auto")
+Stiffness = Annotated[Number, Within(SOFTEST, STIFFEST, "MPa")]
+Interval = tuple[Stiffness, Stiffness]
+NAMED = "a name of letters, digits, dots, - and _"
+Name = Annotated[str, Rule(re.compile(NAME).fullmatch, NAMED)]
+Names = tuple[Name, ...]
+Line = Annotated[str, Rule(str.isprintable, "text of one line")]
+Half = tuple[Length, Length]
+Law = Literal["no_slip", "coulomb", "frictionless"]
+LAWS = get_args(Law)
+Fidelity = Literal["hex", "ccx", "ccx-native", "ccx-fine", "auto"]
+FIDELITIES = get_args(Fidelity)
 IN_PROCESS = ("hex",)  # those that need neither CalculiX nor tetrahedral meshes
-QUALITIES = ("demo", "draft", "label", "fine")
+Quality = Literal["demo", "draft", "label", "fine"]
+QUALITIES = get_args(Quality)
 # Among what fidelity "auto" chooses, and the classes of contact by which errors are charted (mechanics.solvers.contactclass):
 # shapes by how fast their overlap with the gel grows with depth, each of them shallow, then deep.
-WAYS = ("hex-draft", "hex-label", "ccx")
-CLASSES = ("flat_shallow", "flat_deep", "curved_shallow", "curved_deep", "pointed_shallow", "pointed_deep")
-Charted = dict[str, Annotated[dict[str, Annotated[tuple[float, float, float], Within(0.0, 1e9)]], OneOf(*WAYS)]]
+Way = Literal["hex-draft", "hex-label", "ccx"]
+WAYS = get_args(Way)
+ContactClass = Literal[
+    "flat_shallow", "flat_deep", "curved_shallow", "curved_deep", "pointed_shallow", "pointed_deep"
+]
+CLASSES = get_args(ContactClass)
+FromNone = Annotated[Number, Within(0.0, 1e9)]
+Charted = dict[ContactClass, dict[Way, tuple[FromNone, FromNone, FromNone]]]
 CHOOSING = frozenset(
     {"charted", "tolerance", "cell_tolerance"}
 )  # of [fea]: by these "auto" chooses, nothing else reads them
 VERIFYING = frozenset({"verify"})  # of [fea]: says what is solved twice, and changes no solve
 TETRAHEDRAL = frozenset({"meshes", "fine_meshes"})  # of [fea]: those IN_PROCESS read none of them
-BRANCHES = ("calibrate", "pareto")
 SHIPPED = "shipped"  # the network that predict and live use where none is named, as targets and parameters call it
 SHIPPED_IMAGE = (320, 240)  # width and height of the pictures that it reads
-CHANNELS = ("force", "displacement", "traction", "traction_deformed")
 
 
 @dataclass(frozen=True)
@@ -58,27 +69,27 @@ class PlanTable(ParameterTable):
 class ReportTable(ParameterTable):
     """[report]: what the page holds."""
 
-    embed_mb: Annotated[float, Within(0.0, 1e6, "MB")]
-    model: Annotated[str, Named(empty=True)]
-    branches: Annotated[tuple[str, ...], OneOf(*BRANCHES)]
+    embed_mb: Annotated[Number, Within(0.0, 1e6, "MB")]
+    model: Annotated[str, Rule(re.compile(f"({NAME})?").fullmatch, NAMED)]
+    branches: tuple[Literal["calibrate", "pareto"], ...]
 
 
 @dataclass(frozen=True)
 class AugmentTable(ParameterTable):
     """[train.augment]: how training images vary."""
 
-    probability: Share
-    noise: Annotated[float, Within(0.0, 1.0)]
-    brightness: Share
-    contrast: Share
-    saturation: Share
-    hue: Annotated[float, Within(0.0, 0.5, "turns")]
-    misplaced_share: Share
-    misplaced_px: Annotated[float, Within(0.0, 1000.0, "px")]
-    misplaced_deg: Annotated[float, Within(0.0, 45.0, "degrees")]
-    misplaced_zoom: Share
-    narrowed_share: Share
-    narrowed: Share
+    probability: Fraction
+    noise: Annotated[Number, Within(0.0, 1.0)]
+    brightness: Fraction
+    contrast: Fraction
+    saturation: Fraction
+    hue: Annotated[Number, Within(0.0, 0.5, "turns")]
+    misplaced_share: Fraction
+    misplaced_px: Annotated[Number, Within(0.0, 1000.0, "px")]
+    misplaced_deg: Annotated[Number, Within(0.0, 45.0, "degrees")]
+    misplaced_zoom: Fraction
+    narrowed_share: Fraction
+    narrowed: Fraction
 
 
 @dataclass(frozen=True)
@@ -97,23 +108,23 @@ class TrainingTable(ParameterTable):
     epochs: Count
     epoch_images: Whole
     batch: Count
-    learning_rate: Annotated[float, Within(TINY, 1e3)]
-    schedule: Annotated[str, OneOf("plateau", "cosine")]
-    plateau_factor: Annotated[float, Within(TINY, 0.999999)]
+    learning_rate: Annotated[Number, Within(TINY, 1e3)]
+    schedule: Literal["plateau", "cosine"]
+    plateau_factor: Annotated[Number, Within(TINY, 0.999999)]
     plateau_patience: Whole
-    least_rate: Annotated[float, Within(0.0, 1e3)]
-    total_weight: Annotated[float, Within(0.0, 1e9)]
-    total_huber: Annotated[float, Within(0.0, 1e9)]
+    least_rate: Annotated[Number, Within(0.0, 1e3)]
+    total_weight: Annotated[Number, Within(0.0, 1e9)]
+    total_huber: Annotated[Number, Within(0.0, 1e9)]
     shift_cells: Annotated[int, Within(0, 1000)]
-    mirrored_share: Share
+    mirrored_share: Fraction
     settle_images: Whole
-    frozen_share: Share
-    averaged_share: Share
+    frozen_share: Fraction
+    averaged_share: Fraction
     seed: Seed
     threads: Annotated[int, Within(1, 1e4)]
-    device: Annotated[str, OneOf("auto", "cpu", "cuda")]
+    device: Literal["auto", "cpu", "cuda"]
     mixed_precision: bool
-    checkpoint_seconds: Annotated[float, Within(0.0, 1e9, "s")]
+    checkpoint_seconds: Annotated[Number, Within(0.0, 1e9, "s")]
     augment: AugmentTable
 
     def fault(self) -> str | None:
@@ -142,7 +153,7 @@ class TrainTable(TrainingTable):
 class EvaluateTable(ParameterTable):
     """[evaluate]: errors of networks."""
 
-    force_edges: Annotated[tuple[float, ...], Within(0.0, 1e6, "N"), Rising(2)]
+    force_edges: Annotated[tuple[Annotated[Number, Within(0.0, 1e6, "N")], ...], MinLen(2), RISING]
     bootstrap: Annotated[int, Within(1, 1e7)]
     seed: Seed
     threads: Annotated[int, Within(1, 1e4)]
@@ -152,8 +163,8 @@ class EvaluateTable(ParameterTable):
 class LabelsTable(ParameterTable):
     """[labels]: what a label holds."""
 
-    channels: Annotated[tuple[str, ...], OneOf(*CHANNELS), Some()]
-    largest_outside_share: Share
+    channels: Annotated[tuple[Literal["force", "displacement", "traction", "traction_deformed"], ...], SOME]
+    largest_outside_share: Fraction
 
     def fault(self) -> str | None:
         """Labels without forces, and a channel named twice."""
@@ -166,13 +177,13 @@ class LabelsTable(ParameterTable):
 class DatasetTable(ParameterTable):
     """[dataset]: which presses train, validate and test."""
 
-    validation: Annotated[float, Within(0.0, 0.9)]
-    test: Annotated[float, Within(0.0, 0.9)]
+    validation: Annotated[Number, Within(0.0, 0.9)]
+    test: Annotated[Number, Within(0.0, 0.9)]
     unseen_indenters: Names
     unseen_sensors: Names
-    force_edges: Annotated[tuple[float, ...], Within(0.0, 1e6, "N"), Rising(0)]
+    force_edges: Annotated[tuple[Annotated[Number, Within(0.0, 1e6, "N")], ...], RISING]
     same_press_mm: Length
-    same_press_deg: Annotated[float, Within(TINY, 360.0, "degrees")]
+    same_press_deg: Annotated[Number, Within(TINY, 360.0, "degrees")]
     seed: Seed
 
     def fault(self) -> str | None:
@@ -188,10 +199,10 @@ class CalibrateSolverTable(ParameterTable):
 
     size: Size
     layers: Annotated[int, Within(1, 100)]
-    widened: Annotated[tuple[int, ...], Within(1, 99)]
+    widened: tuple[Annotated[int, Within(1, 99)], ...]
     press_steps: Steps
     shear_steps: Steps
-    final_tolerance: Annotated[float, Within(TINY, 1.0)]
+    final_tolerance: Annotated[Number, Within(TINY, 1.0)]
 
     def fault(self) -> str | None:
         """Wide layers that are more than there are, or more than the ones above them."""
@@ -214,15 +225,15 @@ PRIOR_KEYS = {
 class PriorTable(ParameterTable):
     """One table of [calibrate.priors]: the kind of a prior and its numbers, or the value a parameter is held at."""
 
-    kind: Annotated[str, OneOf(*PRIOR_KEYS)]
+    kind: Literal["normal", "lognormal", "halfnormal", "uniform", "loguniform"]
     free: bool | None = None
-    fixed: Number | None = None
-    mean: Number | None = None
-    median: Number | None = None
-    spread: Number | None = None
-    low: Number | None = None
-    high: Number | None = None
-    reason: Annotated[str, OneLine()] | None = None
+    fixed: Finite | None = None
+    mean: Finite | None = None
+    median: Finite | None = None
+    spread: Finite | None = None
+    low: Finite | None = None
+    high: Finite | None = None
+    reason: Line | None = None
 
     @property
     def numbers(self) -> dict[str, float]:
@@ -287,18 +298,18 @@ class CalibrateTable(ParameterTable):
     compare: bool
     max_presses: Count
     shear: bool
-    friction_nodes: Annotated[tuple[float, ...], Within(TINY, 1e3), Rising(0)]
-    reach_mm: Annotated[float, Within(0.0, 10.0, "mm")]
-    shear_depths: Annotated[tuple[float, ...], Within(TINY, 1.0), Some()]
-    tail: Annotated[float, Within(TINY, 1e6)]
+    friction_nodes: Annotated[tuple[Annotated[Number, Within(TINY, 1e3)], ...], RISING]
+    reach_mm: Annotated[Number, Within(0.0, 10.0, "mm")]
+    shear_depths: Annotated[tuple[Annotated[Number, Within(TINY, 1.0)], ...], SOME]
+    tail: Annotated[Number, Within(TINY, 1e6)]
     outlier_scales: Positive
     walkers: Annotated[int, Within(4, 1e5)]
     seed: Seed
     autocorrelation_times: Count
-    acceptance: Annotated[tuple[float, float], Within(0.0, 1.0), Rising()]
-    split_rhat: Annotated[float, Within(1.0, 100.0)]
+    acceptance: Annotated[tuple[Annotated[Number, Within(0.0, 1.0)], Annotated[Number, Within(0.0, 1.0)]], RISING]
+    split_rhat: Annotated[Number, Within(1.0, 100.0)]
     max_steps: Annotated[int, Within(1, 1e9)]
-    refine: Annotated[str, OneOf("none", *QUALITIES)]
+    refine: Literal["none", "demo", "draft", "label", "fine"]
     solver: CalibrateSolverTable
     priors: PriorsTable
 
@@ -313,14 +324,14 @@ class CalibrateTable(ParameterTable):
 class PosesTable(ParameterTable):
     """[poses]: from commanded paths to those of the tip against the gel."""
 
-    touch_offset_mm: Annotated[float, Within(-10.0, 10.0, "mm")]
-    compliance_mm_per_n: Annotated[float, Within(0.0, 1.0, "mm/N")]
-    shear_compliance_mm_per_n: Annotated[float, Within(0.0, 1.0, "mm/N")]
+    touch_offset_mm: Annotated[Number, Within(-10.0, 10.0, "mm")]
+    compliance_mm_per_n: Annotated[Number, Within(0.0, 1.0, "mm/N")]
+    shear_compliance_mm_per_n: Annotated[Number, Within(0.0, 1.0, "mm/N")]
     images: bool
-    deepest_share: Annotated[float, Within(TINY, 1.0)]
-    farthest_shear_mm: Annotated[float, Within(0.0, 1e3, "mm")]
-    bulge_mm: Annotated[float, Within(0.0, 1e3, "mm")]
-    band_mm: Annotated[float, Within(1e-3, 1e3, "mm")]
+    deepest_share: Annotated[Number, Within(TINY, 1.0)]
+    farthest_shear_mm: Annotated[Number, Within(0.0, 1e3, "mm")]
+    bulge_mm: Annotated[Number, Within(0.0, 1e3, "mm")]
+    band_mm: Annotated[Number, Within(1e-3, 1e3, "mm")]
 
 
 @dataclass(frozen=True)
@@ -334,7 +345,7 @@ class PoissonTable(ParameterTable):
 class MaterialTable(PoissonTable):
     """[material]: the gel, in MPa."""
 
-    c10: Stiffness | Annotated[str, OneOf("calibrated")]
+    c10: Stiffness | Literal["calibrated"]
     c10_interval68: Interval | None = None  # of a frozen calibration
     c10_interval95: Interval | None = None
 
@@ -344,18 +355,18 @@ class InterfaceTable(ParameterTable):
     """[interface]: what holds sideways between indenter and gel."""
 
     law: Law
-    mu: Annotated[float, Within(0.0, 1e3)]
+    mu: Annotated[Number, Within(0.0, 1e3)]
 
 
 @dataclass(frozen=True)
 class MeshesTable(ParameterTable):
     """[meshes]: the gel and how its tetrahedra coarsen away from the press."""
 
-    gel: Annotated[str, Named()]
-    growth: Annotated[float, Within(0.0, 1e3)]
-    coarsest_mm: Annotated[float, Within(0.1, 1e3, "mm")]
-    fine_depth_mm: Annotated[float, Within(0.0, 1e3, "mm")]
-    hold: dict[str, Annotated[float, Within(0.0, 1e3)]]
+    gel: Name
+    growth: Annotated[Number, Within(0.0, 1e3)]
+    coarsest_mm: Annotated[Number, Within(0.1, 1e3, "mm")]
+    fine_depth_mm: Annotated[Number, Within(0.0, 1e3, "mm")]
+    hold: dict[str, Annotated[Number, Within(0.0, 1e3)]]
     regions: dict[str, Half]
 
     def fault(self) -> str | None:
@@ -372,22 +383,22 @@ class MeshesTable(ParameterTable):
 class FeaTable(ParameterTable):
     """[fea]: finite element solves of presses."""
 
-    fidelity: Annotated[str, OneOf(*FIDELITIES)]
-    meshes: Annotated[tuple[str, ...], Named(), Some()]
-    fine_meshes: Annotated[tuple[str, ...], Named(), Some()]
-    tolerance: Annotated[float, Within(TINY, 1.0)]
-    cell_tolerance: Annotated[float, Within(TINY, 1.0)]
-    charted: Annotated[Charted, OneOf(*CLASSES)]
-    verify: Share
-    hex_quality: Annotated[str, OneOf(*QUALITIES)]
+    fidelity: Fidelity
+    meshes: Annotated[tuple[Name, ...], SOME]
+    fine_meshes: Annotated[tuple[Name, ...], SOME]
+    tolerance: Annotated[Number, Within(TINY, 1.0)]
+    cell_tolerance: Annotated[Number, Within(TINY, 1.0)]
+    charted: Charted
+    verify: Fraction
+    hex_quality: Quality
     press_steps: Steps
     shear_steps: Steps
     step_mm: Length
     stiffness: Positive
     rounds: Steps
-    pull_tolerance: Annotated[float, Within(TINY, 1.0)]
-    penetration_mm: Annotated[float, Within(TINY, 1.0, "mm")]
-    residual: Annotated[float, Within(TINY, 1.0)]
+    pull_tolerance: Annotated[Number, Within(TINY, 1.0)]
+    penetration_mm: Annotated[Number, Within(TINY, 1.0, "mm")]
+    residual: Annotated[Number, Within(TINY, 1.0)]
     timeout_s: Seconds
 
     def fault(self) -> str | None:
@@ -401,24 +412,27 @@ class FeaTable(ParameterTable):
 class ForcesTable(ParameterTable):
     """[forces]: nodal forces out of the solvers' output."""
 
-    noise: Annotated[float, Within(0.0, 0.5)]
+    noise: Annotated[Number, Within(0.0, 0.5)]
 
 
 @dataclass(frozen=True)
 class GradingTable(ParameterTable):
     """[pareto.grading]: how the reference's meshes coarsen."""
 
-    growth: Annotated[float, Within(0.0, 1e3)]
-    fine_depth_mm: Annotated[float, Within(0.0, 1e3, "mm")]
+    growth: Annotated[Number, Within(0.0, 1e3)]
+    fine_depth_mm: Annotated[Number, Within(0.0, 1e3, "mm")]
+
+
+Coordinate = Annotated[Number, Within(-1e3, 1e3, "mm")]
 
 
 @dataclass(frozen=True)
 class RegionTable(ParameterTable):
     """One entry of [pareto.regions]: the fine part of a reference mesh."""
 
-    box: Annotated[tuple[float, float, float, float], Within(-1e3, 1e3, "mm")]
+    box: tuple[Coordinate, Coordinate, Coordinate, Coordinate]
     size: Size
-    hold: Annotated[float, Within(0.0, 1e3)] | None = None
+    hold: Annotated[Number, Within(0.0, 1e3)] | None = None
 
     def fault(self) -> str | None:
         """A box without a width."""
@@ -444,8 +458,8 @@ class BrickReferenceTable(ParameterTable):
     press_steps: Steps
 
 
-Sizes = Annotated[tuple[float, ...], Within(0.1, 10.0, "mm"), Some()]
-Layers = Annotated[tuple[int, ...], Within(1, 100), Some()]
+Sizes = Annotated[tuple[Annotated[Number, Within(0.1, 10.0, "mm")], ...], SOME]
+Layers = Annotated[tuple[Annotated[int, Within(1, 100)], ...], SOME]
 
 
 def uneven(sizes: tuple[float, ...], layers: tuple[int, ...]) -> str | None:
@@ -459,7 +473,7 @@ def uneven(sizes: tuple[float, ...], layers: tuple[int, ...]) -> str | None:
 class QuickTable(ParameterTable):
     """[pareto.quick]: the report's small chart."""
 
-    scenes: Annotated[tuple[str, ...], Named(), Some()]
+    scenes: Annotated[tuple[Name, ...], SOME]
     hex_sizes_mm: Sizes
     hex_layers: Layers
     steps: Steps
@@ -482,12 +496,12 @@ class ParetoMeshesTable(ParameterTable):
 class ParetoTable(ParetoMeshesTable):
     """[pareto]: the chart of speed against accuracy."""
 
-    sensor: Annotated[str, Named()]
+    sensor: Name
     hex_sizes_mm: Sizes
     hex_layers: Layers
     ccx_sizes_mm: Sizes
-    load_steps: Annotated[tuple[int, ...], Within(1, 1000), Some()]
-    native_sizes_mm: Annotated[tuple[float, ...], Within(0.1, 10.0, "mm")]
+    load_steps: Annotated[tuple[Annotated[int, Within(1, 1000)], ...], SOME]
+    native_sizes_mm: tuple[Annotated[Number, Within(0.1, 10.0, "mm")], ...]
     native_limit_s: Seconds
     halved: Names
     limit_s: Seconds
@@ -499,39 +513,39 @@ class ParetoTable(ParetoMeshesTable):
         return uneven(self.hex_sizes_mm, self.hex_layers)
 
 
-ENGINES = OneOf("hex", "ccx", "ccx-native")
+Engine = Literal["hex", "ccx", "ccx-native"]
 
 
 @dataclass(frozen=True)
 class LevelsTable(ParameterTable):
     """[stability.levels]: values of each factor that is varied."""
 
-    depth: Annotated[tuple[float, ...], Within(TINY, 4.0, "mm"), Some()]
-    shear: Annotated[tuple[float, ...], Within(0.0, 10.0), Some()]
-    tilt: Annotated[tuple[float, ...], Within(0.0, 60.0, "degrees"), Some()]
-    ridge: Annotated[tuple[float, ...], Within(0.05, 5.0, "mm"), Some()]
-    friction: Annotated[tuple[float, ...], Within(0.0, 100.0), Some()]
-    nu: Annotated[tuple[float, ...], Within(0.0, 0.4999), Some()]
-    steps: Annotated[tuple[int, ...], Within(1, 1000), Some()]
+    depth: Annotated[tuple[Annotated[Number, Within(TINY, 4.0, "mm")], ...], SOME]
+    shear: Annotated[tuple[Annotated[Number, Within(0.0, 10.0)], ...], SOME]
+    tilt: Annotated[tuple[Annotated[Number, Within(0.0, 60.0, "degrees")], ...], SOME]
+    ridge: Annotated[tuple[Annotated[Number, Within(0.05, 5.0, "mm")], ...], SOME]
+    friction: Annotated[tuple[Annotated[Number, Within(0.0, 100.0)], ...], SOME]
+    nu: Annotated[tuple[Annotated[Number, Within(0.0, 0.4999)], ...], SOME]
+    steps: Annotated[tuple[Annotated[int, Within(1, 1000)], ...], SOME]
 
 
 @dataclass(frozen=True)
 class StabilityTable(ParameterTable):
     """[stability]: the map of where solves converge."""
 
-    depth_mm: Annotated[float, Within(TINY, 4.0, "mm")]
+    depth_mm: Annotated[Number, Within(TINY, 4.0, "mm")]
     nu: Nu
     steps: Steps
-    size: Annotated[dict[str, Size], ENGINES]
-    sizes: Annotated[dict[str, Sizes], ENGINES]
+    size: dict[Engine, Size]
+    sizes: dict[Engine, Sizes]
     layers: dict[str, Annotated[int, Within(1, 100)]]
-    native_depths_mm: Annotated[tuple[float, ...], Within(TINY, 4.0, "mm"), Some()]
+    native_depths_mm: Annotated[tuple[Annotated[Number, Within(TINY, 4.0, "mm")], ...], SOME]
     random: Whole
     seed: Seed
-    drift: Annotated[float, Within(TINY, 1e3)]
+    drift: Annotated[Number, Within(TINY, 1e3)]
     limit_s: Seconds
     native_limit_s: Seconds
-    minutes: Annotated[float, Within(0.0, 1e6, "minutes")]
+    minutes: Annotated[Number, Within(0.0, 1e6, "minutes")]
     levels: LevelsTable
 
     def fault(self) -> str | None:

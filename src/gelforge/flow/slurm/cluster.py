@@ -7,39 +7,39 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from gelforge.errors import BadInput
-from gelforge.flow.params import read_toml
-from gelforge.flow.params.schema import OneLine, ParameterTable, Place, Within, parse
+from gelforge.flow.files import read_toml
+from gelforge.flow.params.schema import Number, ParameterTable, Place, Within, parse
+from gelforge.flow.params.tables import Line
 
 PUBLISHED = Path("workflow/slurm.toml")
 
-Text = Annotated[str, OneLine()]
 FromNone = Annotated[int, Within(0, 1e9)]
 FromOne = Annotated[int, Within(1, 1e9)]
-Factor = Annotated[float, Within(1.0, 1e3)]
-Pause = Annotated[float, Within(0.0, 1e9, "s")]
+Factor = Annotated[Number, Within(1.0, 1e3)]
+Pause = Annotated[Number, Within(0.0, 1e9, "s")]
 
 
 @dataclass(frozen=True)
 class Profile(ParameterTable):
     """What one task of a stage may use, and how long to be patient; workflow/slurm.toml explains every field."""
 
-    partition: Text
-    account: Text
-    constraint: Text
+    partition: Line
+    account: Line
+    constraint: Line
     time_minutes: FromOne
     memory_mb: FromOne
     cores: FromOne
     shards_per_task: FromOne
     array_limit: FromNone
     concurrent: FromNone
-    options: Annotated[tuple[str, ...], OneLine()]
-    setup: Annotated[tuple[str, ...], OneLine()]
+    options: tuple[Line, ...]
+    setup: tuple[Line, ...]
     retries: FromNone
     memory_factor: Factor
     memory_max_mb: FromOne
     time_factor: Factor
     time_max_minutes: FromOne
-    poll_seconds: Annotated[float, Within(0.1, 1e9, "s")]
+    poll_seconds: Annotated[Number, Within(0.1, 1e9, "s")]
     visible_seconds: Pause
     submit_seconds: Pause
     silence_seconds: Pause

@@ -16,8 +16,7 @@ from typing import TypeGuard
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import write_text
-from gelforge.flow.params import read_toml
+from gelforge.flow.files import read_toml, write_text
 from gelforge.flow.renamed import PROFILE, with_names_of_today
 from gelforge.networks.checkpoint.modelfile import fingerprint
 from gelforge.networks.preprocess.slopetable import COLOUR_TERMS, PLACE_TERMS, SlopeTable
