@@ -49,6 +49,10 @@ ifneq ($(PICTURE_STATE),$(shell LC_ALL=C find -L $(PICTURES) -type f -printf '%p
 $(PLANNED): plan-again
 endif
 endif
+# Status makes nothing: without the shards' targets make starts in half the time.
+ifeq ($(MAKECMDGOALS),status)
+SHARDS :=
+endif
 else
 SHARDS :=
 MESHES :=

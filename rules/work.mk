@@ -6,7 +6,7 @@ demo: $(if $(IS_FROZEN),report)
 	@echo "report: $D/90_report/index.html"
 
 status: | $(SETUP)  ## samples done, failed with reasons and pending, per stage
-	@$(PY) -m gelforge.commands.status --results $D $(if $(SHARDS),--meshes $(MESHES))
+	@$(PY) -m gelforge.commands.status --results $D $(if $(PLAN_STATE),--meshes $(MESHES))
 
 sample: | $(SETUP)  ## one sample through all stages with its log: make sample ID=…
 	@$(PY) -m gelforge.commands.sample --dataset $(DATASET) --id $(call given,ID) --resolution $(RES1)

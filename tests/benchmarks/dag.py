@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gelforge.flow.files import read_csv, write_csv
+from gelforge.flow.files import read_csv, write_csv, write_json
+from gelforge.flow.layout import metrics_of
 from gelforge.flow.main import command, option, positive
 from gelforge.records.forcefile import SampleForces, write_forces
 from tests.benchmarks.figures import Figure, publish_figures
@@ -91,7 +92,17 @@ def fill(project: Path) -> int:
         samples = [SampleForces(name, "OK", "ccx-centre", node, force, still) for name in ids]
         write_forces(results / "40_forces" / f"{shard.stem}.npz", samples, 0.0725)
         (labels / f"{shard.stem}.npz").touch()
+        for stage, suffix in (("10_poses", "csv"), ("30_fea", "csv"), ("40_forces", "npz")):
+            target = results / stage / f"{shard.stem}.{suffix}"
+            write_json(metrics_of(target), record_of(target, shard))
     return len(shards)
+
+
+def record_of(target: Path, shard: Path) -> dict:
+    """A record of a target as its step leaves one."""
+    command = [".venv/bin/python", "-m", f"gelforge.stages.{target.parent.name}", "--out", f"{target}.part"]
+    cost = {"started": 0.0, "seconds": 9.0, "cpu_seconds": 9.0, "peak_mib": 120.0, "bytes": 9, "exit_code": 0}
+    return cost | {"command": command, "inputs": [str(shard)], "interrupted": False, "sha256": "0" * 64}
 
 
 def measure(root: Path, samples: int) -> list[Figure]:
@@ -105,11 +116,14 @@ def measure(root: Path, samples: int) -> list[Figure]:
         if make(project, "-q", "DATASET=synthetic", "labels").returncode:
             raise RuntimeError("the synthetic manifest is not up to date after make -t; the benchmark would lie")
         noop = min(timed_make(project, "labels") for _ in range(REPEATS))
+        first = timed_make(project, "status")
         status = min(timed_make(project, "status") for _ in range(REPEATS))
     note = f"{samples} samples, {shards} shards, 5 stages; processor time, best of {REPEATS}"
     return [
         Figure("no-op make", noop, "<=", 0.5, "s", note),
-        Figure("no-op make status", status, "<=", 0.5, "s", note),
+        Figure(
+            "no-op make status", status, "<=", 0.5, "s", f"{note}; the first, which reads all tables, {first:.1f} s"
+        ),
     ]
 
 

@@ -1,19 +1,22 @@
 """What of a dataset is done, failed (with reasons) and pending, stage by stage."""
 
 import json
+import os
 import re
 from argparse import Namespace
 from collections import Counter
 from collections.abc import Collection
+from itertools import chain
 from pathlib import Path
 
 from gelforge.errors import printable
 from gelforge.flow import layout
-from gelforge.flow.files import listed, read_csv
+from gelforge.flow.files import listed, names_in, read_csv
+from gelforge.flow.kept import Kept
 from gelforge.flow.layout import Layout
 from gelforge.flow.ledger import LastRun, causes, changed_since, failures, last_runs, last_words_of, still_asked
 from gelforge.flow.main import command, option
-from gelforge.flow.running import duration, look
+from gelforge.flow.running import duration, look, rows_in, running_targets
 from gelforge.records.status import VALID, Status
 
 RESOLUTION = re.compile(r"/(\d+x\d+)/")
@@ -21,64 +24,69 @@ RESOLUTION = re.compile(r"/(\d+x\d+)/")
 # Only the standard library before there are forces: status answers in a fraction of a second for 15 000 samples.
 
 
-def read_rows(path: Path) -> list[dict]:
-    """Rows of a CSV file, none where it is absent."""
-    return read_csv(path) if path.exists() else []
+def rejections(table: Path) -> list[str]:
+    """Why rows of the log were rejected, a reason each; one that is wrong in several columns is one rejected row."""
+    return [f"{row['column']}: {row['reason']}" for row in {row["row"]: row for row in read_csv(table)}.values()]
 
 
-def poses_state(results: Path, sizes: dict[str, int]) -> tuple[int, Counter]:
+def solves(table: Path) -> list[str]:
+    """What became of each press of a shard: OK for a valid solve, else its status and reason."""
+    return [
+        "OK" if row["status"] in VALID else f"{row['status']}: {row.get('reason', '')}" for row in read_csv(table)
+    ]
+
+
+def lost_forces(path: Path) -> list[str]:
+    """Statuses of a shard's valid solves that gave no forces after all."""
+    from gelforge.records.forcefile import without_forces  # numpy is a large part of what status takes
+
+    bad = without_forces(path)
+    rows = read_csv(Layout(path.parent.parent).fea(path.stem)) if bad else []
+    return [bad[row["sample_id"]] for row in rows if row["status"] in VALID and row["sample_id"] in bad]
+
+
+def poses_state(results: Path, shards: Collection[str], kept: Kept) -> tuple[int, Counter]:
     """Good rows of the log and reasons of the rejected ones."""
-    done, failed = 0, Counter[str]()
-    for shard in sizes:
-        done += len(read_rows(Layout(results).poses(shard)))
-        # A row may be wrong in several columns; it is one rejected row.
-        rejected = {row["row"]: row for row in read_rows(Layout(results).rejected(shard))}
-        failed.update(f"{row['column']}: {row['reason']}" for row in rejected.values())
-    return done, failed
+    folder = Layout(results).folder(layout.POSES)
+    done = sum(kept.of(f"{folder}/{shard}.csv", rows_in) or 0 for shard in shards)
+    failed = (kept.of(f"{folder}/{shard}.rejected.csv", rejections) or () for shard in shards)
+    return done, Counter(chain.from_iterable(failed))
 
 
-def fea_state(results: Path, sizes: dict[str, int]) -> tuple[int, Counter, dict[str, int]]:
+def fea_state(results: Path, shards: Collection[str], kept: Kept) -> tuple[int, Counter, dict[str, int]]:
     """Solves done, reasons of the failed ones, and the valid ones of each whole shard.
 
     Partly done shards count by their sample files.
     """
-    done, failed, valid = 0, Counter[str](), dict.fromkeys(sizes, 0)
-    for shard in sizes:
-        table = Layout(results).fea(shard)
-        if not table.exists():
-            done += len(listed(Layout(results).solves(shard), "*.json"))
-        for row in read_rows(table):
-            if row["status"] in VALID:
-                valid[shard] += 1
-            else:
-                failed[f"{row['status']}: {row.get('reason', '')}"] += 1
-    return done + sum(valid.values()), failed, valid
+    partly, reasons, valid = 0, Counter[str](), {}
+    folder = Layout(results).folder(layout.FEA)
+    for shard in shards:
+        found = kept.of(f"{folder}/{shard}.csv", solves)
+        partly += len(names_in(f"{folder}/{shard}", ".json")) if found is None else 0
+        reasons.update(found or ())
+        valid[shard] = (found or []).count("OK")
+    return partly + reasons.pop("OK", 0), reasons, valid
 
 
-def forces_state(results: Path, valid: dict[str, int]) -> tuple[int, Counter, dict[str, int]]:
+def forces_state(results: Path, valid: dict[str, int], kept: Kept) -> tuple[int, Counter, dict[str, int]]:
     """Samples with forces, what became of solves that gave none after all, and the samples left of each shard.
 
     valid: good solves of each shard.
     """
-    failed, left, done = Counter[str](), dict(valid), 0
-    paths = {shard: Layout(results).forces(shard) for shard in valid if Layout(results).forces(shard).exists()}
-    if not paths:
-        return done, failed, left
-    from gelforge.records.forcefile import without_forces  # numpy is a large part of what status takes
-
-    for shard, path in paths.items():
-        bad = without_forces(path)
-        rows = read_rows(Layout(results).fea(shard)) if bad else []
-        lost = [bad[row["sample_id"]] for row in rows if row["status"] in VALID and row["sample_id"] in bad]
-        failed.update(f"{state}: {Status[state].value}" for state in lost)
-        left[shard] = valid[shard] - len(lost)
-        done += left[shard]
+    folder, failed, left, done = Layout(results).folder(layout.FORCES), Counter[str](), dict(valid), 0
+    for shard, count in valid.items():
+        lost = kept.of(f"{folder}/{shard}.npz", lost_forces)
+        if lost is not None:
+            failed.update(f"{state}: {Status[state].value}" for state in lost)
+            left[shard] = count - len(lost)
+            done += left[shard]
     return done, failed, left
 
 
 def shard_state(folder: Path, valid: dict[str, int]) -> int:
     """Samples of which a shard's file holds forces; valid: solves of each shard."""
-    return sum(count for shard, count in valid.items() if (folder / f"{shard}.npz").exists())
+    there = set(os.listdir(folder))
+    return sum(count for shard, count in valid.items() if f"{shard}.npz" in there)
 
 
 def lines(results: Path, broken: Collection[str] = (), meshes: Collection[str] | None = None) -> list[str]:
@@ -86,15 +94,18 @@ def lines(results: Path, broken: Collection[str] = (), meshes: Collection[str] |
 
     broken: stages with a target whose last run failed. meshes: those that presses may take; None where that is not known.
     """
-    sizes = Layout(results).sizes()
+    of = Layout(results)
+    kept, planned = Kept(of.tables), of.shards
+    counted = {shard: kept.of(f"{planned}/{shard}.csv", rows_in) for shard in of.names()}
+    sizes = {shard: size for shard, size in counted.items() if size is not None}
     total = sum(sizes.values())
     if not total:
-        return [f"{results}: nothing planned yet; run {Layout(results).command('poses')}"]
-    good, rejected = poses_state(results, sizes)
-    solved, diverged, valid = fea_state(results, sizes)
-    stages = [(layout.POSES, good, rejected), (layout.FEA, solved, diverged)]
-    held, unsound, left = forces_state(results, valid)
-    stages.append((layout.FORCES, held, unsound))
+        return [f"{results}: nothing planned yet; run {of.command('poses')}"]
+    good, rejected = poses_state(results, sizes, kept)
+    solved, diverged, valid = fea_state(results, sizes, kept)
+    held, unsound, left = forces_state(results, valid, kept)
+    kept.keep()
+    stages = [(layout.POSES, good, rejected), (layout.FEA, solved, diverged), (layout.FORCES, held, unsound)]
     stages += [
         (f"{layout.LABELS} {f.name}", shard_state(f, left), Counter()) for f in listed(results / layout.LABELS, "*x*")
     ]
@@ -183,9 +194,9 @@ def cost_lines(known: list[LastRun]) -> list[str]:
 
 def running_lines(results: Path) -> list[str]:
     """How far the run that is going on has come; nothing where none is."""
-    state = look(results)
     # other machines' locks are seen on some file systems only, so that Slurm's records are asked too
-    return [f"running: {state}"] if state.running or works_on_slurm(results) else []
+    at_work = running_targets(results) or works_on_slurm(results)
+    return [f"running: {look(results)}"] if at_work else []
 
 
 def works_on_slurm(results: Path) -> bool:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import listed, read_csv
+from gelforge.flow.files import names_in, read_csv
 
 PLAN, POSES, MESHES, FEA, FORCES = "00_plan", "10_poses", "20_meshes", "30_fea", "40_forces"
 LABELS, DATASET, TRAIN, EVALUATE, REPORT = "50_labels", "60_dataset", "70_train", "80_evaluate", "90_report"
@@ -33,7 +33,7 @@ def shard_name(number: int) -> str:
 
 def planned_shards(folder: Path) -> list[str]:
     """Names of the shards that are planned today, in order, from the folder 00_plan/shards."""
-    return [path.stem for path in listed(folder, "*.csv")]
+    return [name.removesuffix(".csv") for name in names_in(folder, ".csv")]
 
 
 def mirror(target: Path, kind: str, suffix: str) -> Path:
@@ -179,6 +179,16 @@ class Layout:
     def counts(self) -> Path:
         """Rows of the planned shards' tables, for the line over a run."""
         return self.logs / "counts.json"
+
+    @property
+    def tables(self) -> Path:
+        """What the shards' tables hold, for `make status`."""
+        return self.logs / "tables.json"
+
+    @property
+    def runs(self) -> Path:
+        """What the records of all targets hold, for `make status`."""
+        return self.logs / "runs.json"
 
     @property
     def metrics(self) -> Path:

@@ -8,10 +8,14 @@ import os
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from gelforge.flow.files import last_line, listed
+from gelforge.flow.files import below, last_line
+from gelforge.flow.kept import Kept
 from gelforge.flow.layout import FEA, FORCES, MESHES, PLAN, POSES, Layout, dataset_folder
 from gelforge.flow.running import running_targets
+
+ASKED = ("exit_code", "interrupted", "inputs", "cpu_seconds", "peak_mib")
 
 
 @dataclass(frozen=True)
@@ -44,16 +48,21 @@ class LastRun:
 
 
 def last_runs(results: Path) -> list[LastRun]:
-    """Last runs of all targets, in the order of their names."""
-    of, found = Layout(results), []
-    for path in listed(of.metrics, "*.json", below=True):
-        try:
-            record = json.loads(path.read_bytes())
-        except (OSError, ValueError):
-            continue  # one that is being written
-        if isinstance(record, dict):
-            found.append(LastRun(str(path.relative_to(of.metrics).with_suffix("")), record))
-    return found
+    """Last runs of all targets, in the order of their names; one that is being written is none."""
+    of = Layout(results)
+    kept, root = Kept(of.runs), f"{of.metrics}/"
+    records = {path[len(root) : -len(".json")]: kept.of(path, read_run) for path in below(of.metrics, ".json")}
+    kept.keep()
+    return [LastRun(name, record) for name, record in records.items() if isinstance(record, dict)]
+
+
+def read_run(path: Path) -> Any:
+    """What of a target's record is asked for of all of them together."""
+    record = json.loads(path.read_bytes())
+    if not isinstance(record, dict):
+        return None
+    found = {key: record[key] for key in ASKED if key in record}
+    return found | {"command": [word for word in record.get("command", []) if word.endswith(".part")]}
 
 
 def still_asked(results: Path, known: list[LastRun], meshes: Collection[str] | None) -> list[LastRun]:
@@ -61,9 +70,9 @@ def still_asked(results: Path, known: list[LastRun], meshes: Collection[str] | N
 
     meshes: those that presses of the dataset may take; None where that is not known.
     """
-    shards = Layout(results).names()
+    shards = set(Layout(results).names())
     none_needed = meshes is not None and not meshes
-    planned = {POSES: shards, MESHES: [] if none_needed else shards, FEA: shards, FORCES: shards}
+    planned = {POSES: shards, MESHES: set() if none_needed else shards, FEA: shards, FORCES: shards}
     among = ((run, planned.get(run.stage)) for run in known)
     return [run for run, names in among if names is None or run.name.split("/")[-1] in names]
 

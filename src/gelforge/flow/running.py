@@ -3,16 +3,14 @@
 Only the standard library, because every step of a run asks for it.
 """
 
-import csv
 import fcntl
-import os
 import time
-from collections.abc import Callable, Iterable
-from contextlib import suppress
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from gelforge.flow.files import listed, made_at, read_csv, read_json, write_json
+from gelforge.flow.files import below, made_at, names_in, read_csv
+from gelforge.flow.kept import Kept
 from gelforge.flow.layout import FEA, FORCES, MESHES, POSES, Layout
 
 RATE_OVER_S = 600.0
@@ -74,16 +72,15 @@ def duration(seconds: float) -> str:
 
 def running_targets(results: Path) -> list[str]:
     """Targets that a step holds the lock of, below results/DATASET without suffix."""
-    found = []
     of = Layout(results)
-    for path in listed(of.logs, "*.lock", below=True):
-        target = path.relative_to(of.logs)
-        # Most locks are of targets made long ago: a record that is newer than the lock says so without opening it.
-        if (made_at(of.metrics / target.with_suffix(".json")) or 0.0) >= (made_at(path) or 0.0):
-            continue
-        if is_held(path):
-            found.append(str(target.with_suffix("")))
-    return found
+    start = len(f"{of.logs}/")
+    names = (path[start : -len(".lock")] for path in below(of.logs, ".lock"))
+    return [name for name in names if is_open(of, name) and is_held(of.logs / f"{name}.lock")]
+
+
+def is_open(of: Layout, name: str) -> bool:
+    """Whether a target may be at work: a record newer than its lock, as of most, says without a look at it that it is not."""
+    return (made_at(f"{of.metrics}/{name}.json") or 0.0) < (made_at(f"{of.logs}/{name}.lock") or 0.0)
 
 
 def is_held(path: Path) -> bool:
@@ -108,39 +105,7 @@ def rows_in(table: Path) -> int:
     return len(read_csv(table))
 
 
-class Counted:
-    """Numbers read from tables, kept in a file by the tables' times and sizes: each is read once, not at every look."""
-
-    def __init__(self, kept: Path) -> None:
-        self.kept = kept
-        self.known: dict[str, object] = {}
-        self.seen: dict[str, object] = {}
-        with suppress(OSError, ValueError, AttributeError):  # none yet, or damaged: tables are read once more
-            self.known = dict(read_json(kept).items())
-
-    def number(self, table: Path, read: Callable[[Path], int]) -> int | None:
-        """What `read` finds in a table; None where there is none, or it cannot be read."""
-        try:
-            state = os.stat(table)
-            now = [state.st_mtime_ns, state.st_size]
-            match self.known.get(str(table)):
-                case [*before, int(number)] if before == now:
-                    pass
-                case _:
-                    number = read(table)
-        except (OSError, ValueError, csv.Error):
-            return None
-        self.seen[str(table)] = [*now, number]
-        return number
-
-    def keep(self) -> None:
-        """Write what changed; where nothing can be written, tables are read again."""
-        if self.seen != self.known:
-            with suppress(OSError):
-                write_json(self.kept, self.seen)
-
-
-def made_since(path: Path, since: float) -> float | None:
+def made_since(path: str, since: float) -> float | None:
     """When a file was last written; None where there is none, or one from before."""
     made = made_at(path)
     return made if made is not None and made >= since else None
@@ -149,24 +114,26 @@ def made_since(path: Path, since: float) -> float | None:
 def look(results: Path, now: float | None = None) -> Progress:
     """The state of a dataset's run."""
     now, of = time.time() if now is None else now, Layout(results)
-    counted, solved, lately = Counted(of.counts), 0, []
-    rows = {shard: counted.number(of.shard(shard), rows_in) for shard in of.names()}
+    kept, planned, solved, lately = Kept(of.counts), of.shards, 0, []
+    rows = {shard: kept.of(f"{planned}/{shard}.csv", rows_in) for shard in of.names()}
     sizes = {shard: size for shard, size in rows.items() if size is not None}
-    rejected = {s: min(size, counted.number(of.rejected(s), rejected_in) or 0) for s, size in sizes.items()}
-    counted.keep()
+    poses = of.folder(POSES)
+    bad = {s: kept.of(f"{poses}/{s}.rejected.csv", rejected_in) or 0 for s in sizes}
+    kept.keep()
+    rejected = {shard: min(size, bad[shard]) for shard, size in sizes.items()}
     sizes = {shard: size - rejected[shard] for shard, size in sizes.items()}
     running = running_targets(results)
     busy = {target.split("/")[1] for target in running if target.startswith(f"{FEA}/")}
+    asked, fea, meshes = made_at(of.params / "fea.json") or 0.0, of.folder(FEA), of.meshes
     for shard, size in sizes.items():
         # what other parameters or meshes solved is solved again, or found to be as asked when its table is written
-        asked = (of.params / "fea.json", of.mesh_table(shard))
-        since = max(made_at(path) or 0.0 for path in asked)
-        table = None if shard in busy else made_since(of.fea(shard), since)
+        since = max(asked, made_at(f"{meshes}/{shard}.csv") or 0.0)
+        table = None if shard in busy else made_since(f"{fea}/{shard}.csv", since)
         if table is not None and now - table > RATE_OVER_S:
             solved += size
             continue
         # a sample that is solved anew may go between the listing and the look at it
-        found = (made_since(path, since) for path in listed(of.solves(shard), "*.json"))
+        found = (made_since(f"{fea}/{shard}/{name}", since) for name in names_in(f"{fea}/{shard}", ".json"))
         times = [made for made in found if made is not None]
         solved += len(times) if table is None else size
         lately += [made for made in times if now - made <= RATE_OVER_S]
