@@ -138,7 +138,7 @@ def test_each_press_is_seen_by_as_many_units_as_asked_for(root):
 @pytest.mark.parametrize("end", [0, 1])
 def test_a_unit_at_the_end_of_any_bound_has_a_picture(end):
     """Without shadow, noise, blur, ink and specks, and with as much of each as the schema lets through."""
-    look, sensor = (values["known_01"] for values in draw_units(SOME, USUAL_GEL, RIG, seed=5))
+    appearance, sensor = (values["known_01"] for values in draw_units(SOME, USUAL_GEL, RIG, seed=5))
     spans = {name: get_args(split(kind)[0]) for name, kind in kinds_of(UnitRanges).items() if name != "jpeg_fraction"}
     bounds = {name: split(span[0])[1][0] for name, span in spans.items() if name != "backgrounds"}
     extreme = {
