@@ -38,9 +38,12 @@ LONG = (
     "test_slurm",
     "test_nested",
     "test_rig",
+    "test_planning",
     "test_benchmarks",
+    "test_calibrate",
     "test_hex",
     "test_rig_forces",
+    "test_live_web",
     "test_flow",
 )
 

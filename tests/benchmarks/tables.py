@@ -14,14 +14,14 @@ SIGN = {"<=": "at most ", ">=": "at least ", "==": ""}
 
 # Tables of chosen figures: what stands between { and } is taken from the JSON.
 CHOSEN = {
-    "labels": """
+    "accuracy of labels": """
 | `fidelity` | seconds a press | total force: median, worst | force per cell: median, worst |
 | --- | --- | --- | --- |
 | `ccx` (CalculiX), the default | {fea: chart, ccx-label, median processor time|.2g} | {fea: chart, ccx-label, total force, median|.2g} %, {fea: chart, ccx-label, total force, worst|.2g} % | {fea: chart, ccx-label, cells, median|.2g} %, {fea: chart, ccx-label, cells, worst|.2g} % |
 | `hex` (in process), `hex_quality = "label"` | {fea: chart, hex-label, median processor time|.2g} | {fea: chart, hex-label, total force, median|.2g} %, {fea: chart, hex-label, total force, worst|.2g} % | {fea: chart, hex-label, cells, median|.2g} %, {fea: chart, hex-label, cells, worst|.2g} % |
 | FEATS' contact on meshes of 1.4 mm | | {fea: chart, ccx-native-1.4, total force, median|.2g} %, {fea: chart, ccx-native-1.4, total force, worst|.2g} % | {fea: chart, ccx-native-1.4, cells, median|.2g} %, {fea: chart, ccx-native-1.4, cells, worst|.2g} % |
 """,
-    "real sensors": """
+    "accuracy on real sensors": """
 | measured | value |
 | --- | --- |
 | presses of a ball, predicted over finite elements: median; 10 to 90 % over it; correlation | {real: real balls, read over finite elements, median: at least|.2f}; {real: real balls, read over finite elements: over the median, 10 %|.2f} to {real: real balls, read over finite elements: over the median, 90 %|.2f}; {real: real balls, read over finite elements: correlation|.2f} |

@@ -12,9 +12,11 @@ from synthetic_presses import write_dataset
 from gelforge.commands import estimate
 from gelforge.commands.estimate import (
     ROW_EACH,
+    Pace,
     image_bytes,
     later_costs,
     measured,
+    on_hexahedra,
     pilot_presses,
     row_and_start,
     training,
@@ -26,6 +28,8 @@ from gelforge.flow.forecast import Cost, on_cores, pilots, presses_an_hour, size
 from gelforge.flow.layout import Layout
 from gelforge.flow.params import plain
 from gelforge.records.press import RawRow
+from gelforge.records.solvetable import Solved, write_solves
+from gelforge.records.status import Status
 
 ROWS = [RawRow(n, {"sensor_id": "mini_a"}) for n in range(900)]
 COSTS = [
@@ -114,6 +118,30 @@ def test_a_log_without_pictures_goes_no_farther_than_its_branches(tmp_path):
     write_json(results.params / "poses.json", {"version": 1, "poses": plain(parameters().poses) | {"images": False}})
     write_json(results.params / "calibrate.json", {"version": 1} | plain(slice_of("calibrate")))
     assert [cost.stage for cost in later_costs(results, "24x32", "shipped", ROWS)] == ["calibrate"]
+
+
+def test_what_the_pilots_do_not_run_is_counted_at_their_pace(tmp_path):
+    """Whatever the machine: solves of a calibration and a chart are as slow as the pilots' own."""
+    results = Layout(tmp_path)
+    branches = plain(parameters().report) | {"branches": ["calibrate", "pareto"]}
+    write_json(results.params / "report.json", {"version": 1, "report": branches})
+    write_json(results.params / "poses.json", {"version": 1, "poses": plain(parameters().poses)})
+    write_json(results.params / "sensors.json", {})
+    for name in ("calibrate", "pareto"):
+        write_json(results.params / f"{name}.json", {"version": 1} | plain(slice_of(name)))
+    quick, slow = (later_costs(results, "24x32", "shipped", [], pace) for pace in (Pace(0.4, 2.0), Pace(1.2, 6.0)))
+    assert [cost.cpu(0) for cost in slow] == pytest.approx([3 * cost.cpu(0) for cost in quick]) and len(quick) == 5
+
+
+def test_of_a_press_by_calculix_the_part_on_hexahedra_counts(tmp_path):
+    def solved(name, seconds, kinematics):
+        evidence = {"seconds": seconds, "kinematics_seconds": kinematics}
+        return Solved(name, Status.OK, "", "ccx", "", "", (0.0, 0.0, -1.0), evidence)
+
+    write_solves(tmp_path / "0.csv", [solved("a", 4.0, 1.0), solved("b", 1.0, "")])
+    assert on_hexahedra(tmp_path / "0.csv") == pytest.approx(0.4)
+    write_solves(tmp_path / "1.csv", [solved("a", "", "")])
+    assert on_hexahedra(tmp_path / "1.csv") == 1.0
 
 
 def test_pictures_count_by_the_size_that_their_sensor_takes(tmp_path, root):

@@ -20,8 +20,10 @@ def test_tables_are_what_the_json_says(root, page):
 
 
 def test_the_page_of_measurements_has_no_table_of_its_own(root):
+    """Its sections are of benchmarks, README's tables of chosen figures."""
     text = (root / "workflow/guide/benchmarks.md").read_text(encoding="utf-8")
     assert "|" not in BLOCK.sub("", text)
+    assert not {found[1] for found in BLOCK.findall(text)} & tables.CHOSEN.keys()
     assert {found[1] for found in BLOCK.findall(text)} >= {path.stem for path in KEPT.glob("*.json")}
 
 

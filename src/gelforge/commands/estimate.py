@@ -2,7 +2,7 @@
 
 Presses from the middles of equal fractions of the depths, with all rows of one that was filmed, go through poses, fea, forces
 and labels, in a folder of their own that is removed afterwards. Stages after the labels are estimated from what they took
-on other datasets.
+on other datasets, branches that solve in solves of the pilots.
 """
 
 import os
@@ -11,6 +11,8 @@ import shutil
 import subprocess
 import sys
 from argparse import Namespace
+from dataclasses import dataclass, replace
+from math import isnan
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +35,7 @@ from gelforge.records.log import read_shard, shard_text
 from gelforge.records.networkkind import kind_of
 from gelforge.records.press import RawRow, parse
 from gelforge.records.samplefile import read_samples
+from gelforge.records.solvetable import read_solves
 from gelforge.stages.train import resolve
 
 STAGES = {
@@ -42,12 +45,21 @@ STAGES = {
     "forces": layout.FORCES,
     "labels": layout.LABELS,
 }
-# Measured, processor seconds: an image through an evaluation with its start; a press in the report; a press of a
-# calibration; a scene of the quick chart.
-EVALUATE_EACH, REPORT_EACH, CALIBRATE_EACH, CHART_EACH = 5e-3, 0.02, 18.0, 6.0
+# Measured, processor seconds: an image through an evaluation; a press in the report.
+EVALUATE_EACH, REPORT_EACH = 5e-3, 0.02
+# Measured in presses on hexahedra as the pilots solved them: a press of a calibration, a scene of the quick chart.
+CALIBRATE_EACH, CHART_EACH = 18.0, 2.0
 # A row in the stages beside the solves, where a few pilots take no longer than the start of the process does.
 ROW_EACH = {"poses": 7e-3, "meshes": 3e-2, "forces": 1e-3, "labels": 2e-3}
-START = 3.0  # of a process with torch or the drawing libraries
+START = 1.5  # of a process with torch or the drawing libraries, in starts of stage 50
+
+
+@dataclass(frozen=True)
+class Pace:
+    """Processor seconds that what was not run is counted in: of one press on hexahedra, and of the start of stage 50."""
+
+    hex_press: float = 1.0
+    start: float = 2.0
 
 
 def planned_rows(results: Path) -> list[RawRow]:
@@ -96,12 +108,21 @@ def uncalibrated(params: Path, work: Path) -> Path:
     return work / "forces.json"
 
 
-def pilot(data: Path, results: Path, work: Path, rows: list[RawRow], resolution: str) -> list[Cost]:
-    """What each stage takes of a row, from a shard of the rows given, and what starting its processes takes."""
+def on_hexahedra(table: Path) -> float:
+    """Fraction of the time of solves that went into hexahedra: all of it, but where CalculiX followed."""
+    solves = [solve for solve in read_solves(table) if solve.number("seconds") > 0.0]
+    whole = sum(solve.number("seconds") for solve in solves)
+    known = [solve.number("kinematics_seconds") for solve in solves]
+    own = sum(solve.number("seconds") if isnan(part) else part for solve, part in zip(solves, known, strict=True))
+    return own / whole if whole else 1.0
+
+
+def pilot(data: Path, results: Path, work: Path, rows: list[RawRow], resolution: str) -> tuple[list[Cost], Pace]:
+    """What each stage takes of a row, from a shard of the rows given, and what starting its processes takes; its pace."""
     shards = len(Layout(results).names())
     shutil.rmtree(work, ignore_errors=True)
     write_text(Layout(work).shard(shard_name(0)), shard_text(rows))
-    found = []
+    found, pace = [], Pace()
     own = None if Layout(results).calibration.exists() else uncalibrated(Layout(results).params, work)
     for module, arguments in stages(data, results, work, resolution):
         if module == "forces" and own:
@@ -120,11 +141,15 @@ def pilot(data: Path, results: Path, work: Path, rows: list[RawRow], resolution:
             once = bytes_of(Layout(results).meshes)
             written += once
         found.append(Cost(STAGES[module], each, starts, (written - once) / len(rows), once))
-    return found
+        if module == "fea":
+            pace = replace(pace, hex_press=each * on_hexahedra(out))
+        if module == "labels":
+            pace = replace(pace, start=start)
+    return found, pace
 
 
-def measured(data: Path, results: Path, resolution: str, rows: list[RawRow]) -> list[Cost]:
-    """What stages 10 to 50 take of each row, from a shard of pilots."""
+def measured(data: Path, results: Path, resolution: str, rows: list[RawRow]) -> tuple[list[Cost], Pace]:
+    """What stages 10 to 50 take of each row, from a shard of pilots, and their pace."""
     presses = pilot_presses(rows)
     print(f"solving {len(presses)} of {len(presses_of(rows))} presses to see what they take", flush=True)
     chosen = [row for press in presses for row in press]
@@ -135,7 +160,7 @@ def measured(data: Path, results: Path, resolution: str, rows: list[RawRow]) -> 
         shutil.rmtree(work, ignore_errors=True)
 
 
-def training(results: Layout, resolution: str, model: str, presses: int) -> Cost:
+def training(results: Layout, resolution: str, model: str, presses: int, start: float = Pace.start * START) -> Cost:
     """What a network takes to learn from so many presses, and from those of [train] also; BadInput for one that there is not."""
     tables = {path.stem: read_json(path)[path.stem] for path in listed(results.params / "models", "*.json")}
     of_train = read_slice(results.params / "train.json", ForTrain).train
@@ -144,7 +169,7 @@ def training(results: Layout, resolution: str, model: str, presses: int) -> Cost
     every = presses + beside
     fraction = min(1.0, (settings.epoch_images or every) / every)  # of all, that an epoch visits
     each = kind_of(table).image_seconds * settings.epochs * fraction
-    return Cost(layout.TRAIN, each, START + each * beside, bytes_once=3e6)
+    return Cost(layout.TRAIN, each, start + each * beside, bytes_once=3e6)
 
 
 def made_presses(results: Layout, resolution: str) -> int:
@@ -163,8 +188,9 @@ def image_bytes(results: Layout, rows: list[RawRow]) -> int:
     return max((3 * int(np.prod(one.image)) for name, one in sensors.items() if name in named), default=0)
 
 
-def later_costs(results: Layout, resolution: str, model: str, rows: list[RawRow]) -> list[Cost]:
-    """What the stages after the labels take of rows with a network, from other datasets."""
+def later_costs(results: Layout, resolution: str, model: str, rows: list[RawRow], pace: Pace = Pace()) -> list[Cost]:
+    """What the stages after the labels take of rows with a network, from other datasets and the pace of this one's pilots."""
+    start = START * pace.start
     params, presses = results.params, len(rows)
     report = read_slice(params / "report.json", ForReport).report
     grid = Grid.parse(resolution)
@@ -172,27 +198,28 @@ def later_costs(results: Layout, resolution: str, model: str, rows: list[RawRow]
     branches = []
     if "calibrate" in report.branches:
         solved = read_slice(params / "calibrate.json", ForCalibrate).calibrate.max_presses
-        branches.append(Cost(layout.CALIBRATE, cpu_once=CALIBRATE_EACH * solved, bytes_once=2e7))
+        branches.append(Cost(layout.CALIBRATE, cpu_once=CALIBRATE_EACH * solved * pace.hex_press, bytes_once=2e7))
     if "pareto" in report.branches:
         scenes = read_slice(params / "pareto.json", ForPareto).pareto.quick.scenes
-        branches.append(Cost(layout.PARETO, cpu_once=CHART_EACH * len(scenes), bytes_once=4e5 * len(scenes)))
+        cpu = CHART_EACH * len(scenes) * pace.hex_press
+        branches.append(Cost(layout.PARETO, cpu_once=cpu, bytes_once=4e5 * len(scenes)))
     if not read_slice(params / "poses.json", ForPoses).poses.images:
         return branches  # a log without pictures goes no farther
     return [
-        Cost(layout.DATASET, 2e-3, START, image_bytes(results, rows) + cells),
-        *([training(results, resolution, model, presses)] if model != SHIPPED else []),
-        Cost(layout.EVALUATE, EVALUATE_EACH, START, cells / 2),
+        Cost(layout.DATASET, 2e-3, start, image_bytes(results, rows) + cells),
+        *([training(results, resolution, model, presses, start)] if model != SHIPPED else []),
+        Cost(layout.EVALUATE, EVALUATE_EACH, start, cells / 2),
         *branches,
-        Cost(layout.REPORT, REPORT_EACH, START, 4e4, 3e6),
+        Cost(layout.REPORT, REPORT_EACH, start, 4e4, 3e6),
     ]
 
 
 def estimated(data: Path, results: Path, resolution: str, model: str, rows: list[RawRow]) -> list[Cost]:
     """What every stage of a dataset takes of a row, the rows given being all that it has."""
     # first: a wrong word must not wait for the pilots
-    later = later_costs(Layout(results), resolution, model, rows)
-    costs = measured(data, results, resolution, rows)
-    return [*costs, *later]
+    later_costs(Layout(results), resolution, model, rows)
+    costs, pace = measured(data, results, resolution, rows)
+    return [*costs, *later_costs(Layout(results), resolution, model, rows, pace)]
 
 
 @command(
