@@ -64,9 +64,7 @@ class Case:
     @property
     def law(self) -> Interface:
         """What holds between gel and indenter."""
-        if self.friction is None:
-            return Interface()
-        return Interface("coulomb", self.friction) if self.friction > 0 else Interface("frictionless")
+        return Interface() if self.friction is None else Interface.of_friction(self.friction)
 
     @property
     def scene(self) -> Scene:
