@@ -24,6 +24,12 @@ def plan(root):
     return replace(demo, truth=replace(demo.truth, friction=0.0, compliance_mm_per_n=0.0, cnc_um=0.0))
 
 
+@pytest.fixture(scope="module")
+def factors(tmp_path_factory):
+    """Where factors of forces are kept, which are found once for a shape."""
+    return tmp_path_factory.mktemp("factors")
+
+
 @pytest.mark.parametrize("name", ["sphere_10", "triangle_10"])
 def test_hidden_forces_are_those_of_fine_hexahedra(plan, root, tmp_path, name):
     """Within 1.5 % at another place, turn and depth than the factor was found at; the bench's own hexahedra add 3 and 7 %."""
@@ -101,13 +107,13 @@ def test_a_flat_body_with_friction_converges_at_every_frame(plan, root, turn_deg
 
 
 @pytest.mark.parametrize("thickness", [3.6, 4.4])
-def test_hidden_forces_on_a_gel_of_other_thickness_are_those_of_fine_hexahedra(plan, root, tmp_path, thickness):
+def test_hidden_forces_on_a_gel_of_other_thickness_are_those_of_fine_hexahedra(plan, root, factors, thickness):
     """The factors of the usual gel serve: what a mesh adds belongs to the shape that is pressed."""
     catalogue, gel = (
         load_catalogue(root / "workflow" / "indenters.toml", ["sphere_15"]),
         load_gel(f"gelsight_mini-{thickness}mm"),
     )
-    bench = Bench(plan, catalogue, Gel(), tmp_path)
+    bench = Bench(plan, catalogue, Gel(), factors)
     order = replace(orders(plan)[0], indenter="sphere_15", x=1.3, y=-2.1, depth=1.0, rot_deg=70.0, shear=(0.0, 0.0))
     usual, pressed = bench.press(order)[-1], bench.press(replace(order, gel=gel.name))[-1]
     # at one depth a gel a tenth thinner or thicker is 16 % stiffer or 11 % softer; a bench that yields takes a part of it back
@@ -119,17 +125,17 @@ def test_hidden_forces_on_a_gel_of_other_thickness_are_those_of_fine_hexahedra(p
     assert estimated == pytest.approx(pressed.force[2] / usual.force[2], rel=0.06)
 
 
-def test_a_bench_that_does_not_give_way_keeps_its_load_limit(plan, root, tmp_path):
-    bench = Bench(plan, load_catalogue(root / "workflow" / "indenters.toml", ["sphere_15"]), Gel(), tmp_path)
+def test_a_bench_that_does_not_give_way_keeps_its_load_limit(plan, root, factors):
+    bench = Bench(plan, load_catalogue(root / "workflow" / "indenters.toml", ["sphere_15"]), Gel(), factors)
     order = replace(orders(plan)[0], indenter="sphere_15", x=0.0, y=0.0, depth=2.0, max_force_n=5.0)
     reached = bench.reached(order, 0.0)
     assert bench.estimate(order, 0.0, reached) <= 5.0 < bench.estimate(order, 0.0, 1.1 * reached)
 
 
-def test_the_frames_of_a_straight_press_are_all_of_its_way_down(plan, root, tmp_path):
+def test_the_frames_of_a_straight_press_are_all_of_its_way_down(plan, root, factors):
     """The axes' play is an error of travel: what was not ordered to travel sideways has none."""
     played = replace(plan, frames=5, truth=replace(plan.truth, cnc_um=0.25))
-    bench = Bench(played, load_catalogue(root / "workflow" / "indenters.toml", ["sphere_15"]), Gel(), tmp_path)
+    bench = Bench(played, load_catalogue(root / "workflow" / "indenters.toml", ["sphere_15"]), Gel(), factors)
     order = replace(orders(plan)[0], indenter="sphere_15", x=0.0, y=0.0, depth=0.3, shear=(0.0, 0.0))
     ends = [pressing.real.dz for pressing in bench.press(order)]
     assert len(ends) == 5 and (np.diff(ends) < -0.05).all()

@@ -2,6 +2,7 @@
 
 import os
 import re
+import shutil
 import signal
 import subprocess
 import time
@@ -10,8 +11,10 @@ import numpy as np
 import pytest
 
 from gelforge.flow.files import read_csv, write_csv
-from tests.benchmarks.sandbox import clean_environment, make
+from tests.benchmarks.sandbox import clean_environment, link_project, make
 from tests.waiting import wait_until
+
+from .conftest import lay_dataset
 
 BUILT = re.compile(r"^results/tiny/(\S+)  [\d.]+ s", re.MULTILINE)
 PREDICTED = re.compile(r"gelforge\.flow\.step results/tiny/(\S+)", re.MULTILINE)
@@ -45,11 +48,19 @@ def stages(built):
     return sorted({name.split("/")[0] for name in built})
 
 
-@pytest.fixture
-def labelled(project):
-    """The tiny dataset, built as far as labels."""
+@pytest.fixture(scope="module")
+def built(root, tmp_path_factory):
+    """A sandbox with the tiny dataset, built as far as labels, which tests copy and leave as it is."""
+    project = link_project(root, tmp_path_factory.mktemp("flow") / "project")
+    lay_dataset(project, root, "tiny", 4)
     assert stages(build(project, "labels")) == ["10_poses", "30_fea", "40_forces", "50_labels"]
     return project
+
+
+@pytest.fixture
+def labelled(built, tmp_path):
+    """A copy of that sandbox, of which nothing is outdated."""
+    return shutil.copytree(built, tmp_path / "project", symlinks=True)
 
 
 def test_parameters_are_prerequisites_exactly(labelled):
@@ -70,8 +81,6 @@ def test_parameters_are_prerequisites_exactly(labelled):
 
 
 def test_appending_to_the_log_solves_only_what_is_new(labelled, root):
-    from .conftest import lay_dataset
-
     before = {p: p.stat().st_mtime_ns for p in (labelled / "results/tiny/30_fea").rglob("*") if p.is_file()}
     lay_dataset(labelled, root, "tiny", 5)
     later = time.time() + 2

@@ -40,8 +40,8 @@ def block(path, wide):
 
 
 @pytest.fixture(scope="module")
-def labelled(root, tmp_path_factory):
-    """A sandbox with a dataset of two presses, built as far as labels; each test leaves its log as it was."""
+def built(root, tmp_path_factory):
+    """A sandbox with a dataset of two presses, built as far as labels, which tests copy and leave as it is."""
     project = link_project(root, tmp_path_factory.mktemp("planning") / "project")
     lay_dataset(project, root, "tiny", 2)
     assert make(project, "labels", "DATASET=tiny").returncode == 0
@@ -49,12 +49,15 @@ def labelled(root, tmp_path_factory):
 
 
 @pytest.fixture
+def labelled(built, tmp_path):
+    """A copy of that sandbox, of which nothing is outdated."""
+    return shutil.copytree(built, tmp_path / "project", symlinks=True)
+
+
+@pytest.fixture
 def log(labelled):
-    """The log of that dataset, restored afterwards."""
-    path = labelled / "data/tiny/log.csv"
-    text = path.read_bytes()
-    yield path
-    path.write_bytes(text)
+    """The log of that dataset."""
+    return labelled / "data/tiny/log.csv"
 
 
 @pytest.mark.parametrize(
@@ -115,11 +118,9 @@ def test_what_cannot_be_a_name_is_refused_before_anything_is_made(labelled, vari
 
 @pytest.fixture
 def with_nocontact(labelled):
-    """The project whose dataset has a place for no-contact images; it goes afterwards."""
-    folder = labelled / "data/tiny/nocontact"
-    folder.mkdir()
-    yield labelled
-    folder.rmdir()
+    """The project whose dataset has a place for no-contact images."""
+    (labelled / "data/tiny/nocontact").mkdir()
+    return labelled
 
 
 @pytest.mark.parametrize("goal", ["train", "onnx", "ship"])
@@ -151,23 +152,17 @@ def test_what_a_network_reads_is_seen_however_toml_writes_it(labelled, table):
     path = labelled / "workflow/models.toml"
     text = path.read_text(encoding="utf-8")
     write_text(path, f"{table}\n{text}" if table.startswith('"') else f"{text}\n{table}\n")
-    try:
-        done = make(labelled, "-n", "report", "DATASET=tiny", "MODEL=mine")
-        assert done.returncode and "data/tiny/nocontact is missing" in done.stdout and "MODEL=mine" in done.stdout
-    finally:
-        write_text(path, text)
+    done = make(labelled, "-n", "report", "DATASET=tiny", "MODEL=mine")
+    assert done.returncode and "data/tiny/nocontact is missing" in done.stdout and "MODEL=mine" in done.stdout
 
 
 def test_a_list_of_networks_that_is_no_toml_is_named_by_file_and_line(labelled):
     path = labelled / "workflow/models.toml"
     text = path.read_text(encoding="utf-8")
     write_text(path, f"{text}\nreads = 'pair\n")
-    try:
-        done = make(labelled, "-n", "report", "DATASET=tiny", "MODEL=grid_16")
-        assert done.returncode and "workflow/models.toml: not valid TOML: " in done.stdout and "line" in done.stdout
-        assert make(labelled, "-n", "help").returncode == 0
-    finally:
-        write_text(path, text)
+    done = make(labelled, "-n", "report", "DATASET=tiny", "MODEL=grid_16")
+    assert done.returncode and "workflow/models.toml: not valid TOML: " in done.stdout and "line" in done.stdout
+    assert make(labelled, "-n", "help").returncode == 0
 
 
 def test_a_recipe_that_takes_slots_of_make_is_only_shown_where_others_are(labelled):
@@ -197,20 +192,16 @@ def test_where_the_report_shows_the_network_that_ships_another_one_trains_withou
     path = labelled / "data/tiny/dataset.toml"
     text = path.read_text(encoding="utf-8")
     write_text(path, f'{text}\n[params.report]\nmodel = "shipped"\n')
-    try:
-        assert "70_train/24x32/grid_16.onnx" in make(labelled, "-n", "train", "DATASET=tiny").stdout
-        assert "data/tiny/nocontact is missing" in make(labelled, "-n", "evaluate", "DATASET=tiny").stdout
-    finally:
-        write_text(path, text)
+    assert "70_train/24x32/grid_16.onnx" in make(labelled, "-n", "train", "DATASET=tiny").stdout
+    assert "data/tiny/nocontact is missing" in make(labelled, "-n", "evaluate", "DATASET=tiny").stdout
 
 
 @pytest.fixture
 def also(labelled):
-    """Gives the names of other datasets that the dataset is learnt with; they go afterwards."""
+    """Gives the names of other datasets that the dataset is learnt with."""
     path = labelled / "data/tiny/dataset.toml"
     text = path.read_text(encoding="utf-8")
-    yield lambda *names: write_text(path, f"{text}\n[params.train]\nalso = {list(names)}\n")
-    write_text(path, text)
+    return lambda *names: write_text(path, f"{text}\n[params.train]\nalso = {list(names)}\n")
 
 
 def test_other_datasets_are_learnt_from_as_they_lie(labelled, also):
@@ -318,24 +309,19 @@ def test_what_was_made_of_another_choice_is_made_again(root, tmp_path):
 def test_a_plan_is_made_once_of_a_file_dated_in_the_future(labelled, log):
     ahead = time.time() + 86400
     os.utime(log, (ahead, ahead))
-    assert make(labelled, "labels", "DATASET=tiny").returncode == 0
-    planned = (labelled / "results/tiny/00_plan/plan.mk").stat().st_mtime_ns
-    done = make(labelled, "labels", "DATASET=tiny")
-    assert done.returncode == 0 and (labelled / "results/tiny/00_plan/plan.mk").stat().st_mtime_ns == planned
+    assert planned_once(labelled)
 
 
 @pytest.fixture
 def dated(labelled):
-    """Dates a result so many seconds from now; everything is made again afterwards."""
+    """Dates a result so many seconds from now."""
 
     def date(name: str, seconds: float) -> Path:
         path = labelled / "results/tiny" / name
         os.utime(path, (time.time() + seconds,) * 2)
         return path
 
-    yield date
-    assert make(labelled, "clean-ahead", "DATASET=tiny").returncode == 0
-    assert make(labelled, "labels", "DATASET=tiny").returncode == 0
+    return date
 
 
 @pytest.mark.parametrize(
@@ -375,9 +361,9 @@ def test_clocks_a_moment_apart_are_waited_for(labelled, dated):
 def planned_once(folder, **options) -> bool:
     """Whether make plans a dataset at most once and is then content with its plan."""
     plan = folder / "results/tiny/00_plan/plan.mk"
-    assert make(folder, "labels", "DATASET=tiny", timeout=HANG, **options).returncode == 0
+    assert make(folder, "poses", "DATASET=tiny", timeout=HANG, **options).returncode == 0
     first = plan.stat().st_mtime_ns
-    done = make(folder, "labels", "DATASET=tiny", timeout=HANG, **options)
+    done = make(folder, "poses", "DATASET=tiny", timeout=HANG, **options)
     return done.returncode == 0 and plan.stat().st_mtime_ns == first
 
 
@@ -401,27 +387,22 @@ def test_a_linked_log_is_planned_once_for_each_change_behind_the_link(labelled, 
     behind.write_text("".join(text))
     log.unlink()
     log.symlink_to(behind)
-    try:
-        assert planned_once(labelled)
-        behind.write_text("".join(text[:-1]))
-        assert planned_once(labelled)
-        assert lost_by_log(labelled) == {text[-1].split(",")[0]}
-    finally:
-        log.unlink()
-        behind.unlink()
+    assert planned_once(labelled)
+    behind.write_text("".join(text[:-1]))
+    assert planned_once(labelled)
+    assert lost_by_log(labelled) == {text[-1].split(",")[0]}
 
 
 def test_a_file_that_an_older_one_replaced_is_planned_again(labelled, log):
     text = log.read_text().splitlines(keepends=True)
     log.write_text("".join(text[:-1]))
     os.utime(log, (1e9, 1e9))
-    done = make(labelled, "labels", "DATASET=tiny")
+    done = make(labelled, "poses", "DATASET=tiny")
     assert done.returncode == 0, done.stdout
     assert lost_by_log(labelled) == {text[-1].split(",")[0]}
 
 
 def test_touching_the_log_rebuilds_nothing(labelled, log):
-    assert make(labelled, "labels", "DATASET=tiny").returncode == 0
     os.utime(log)
     done = make(labelled, "-n", "labels", "DATASET=tiny")
     assert "gelforge.flow.step" not in done.stdout
@@ -433,11 +414,11 @@ def test_a_replaced_picture_reruns_its_own_shard(labelled, log):
     picture = labelled / "data/tiny" / rows[1].split(",")[-1]
     whole = picture.read_bytes()
     picture.write_bytes(whole[:100])
-    done = make(labelled, "labels", "DATASET=tiny")
+    done = make(labelled, "poses", "DATASET=tiny")
     assert done.returncode == 0 and "rejected: " in done.stdout
     assert make(labelled, "poses", "DATASET=tiny", "STRICT=1").returncode  # a plain make before does not hide it
     picture.write_bytes(whole)
-    done = make(labelled, "labels", "DATASET=tiny", "STRICT=1")
+    done = make(labelled, "poses", "DATASET=tiny", "STRICT=1")
     assert done.returncode == 0, done.stdout
     assert "rejected: " not in done.stdout and "10_poses/0000.csv" in done.stdout
 
@@ -449,28 +430,19 @@ def test_a_picture_that_was_replaced_before_the_date_of_the_plan_is_seen(labelle
     assert planned_once(labelled)
     picture.write_bytes(kept[:-1] + b"x")
     (labelled / "results/tiny/00_plan/plan.mk").touch()
-    try:
-        assert "gelforge.stages.poses" in make(labelled, "-n", "poses", "DATASET=tiny").stdout
-        assert planned_once(labelled)
-    finally:
-        picture.write_bytes(kept)
-        assert make(labelled, "labels", "DATASET=tiny").returncode == 0
+    assert "gelforge.stages.poses" in make(labelled, "-n", "poses", "DATASET=tiny").stdout
+    assert planned_once(labelled)
 
 
 def test_a_picture_that_an_older_one_replaced_is_seen(labelled, log):
     rows = log.read_text().splitlines()
     picture, other = (labelled / "data/tiny" / row.split(",")[-1] for row in rows[1:3])
-    kept = picture.read_bytes()
-    assert make(labelled, "labels", "DATASET=tiny").returncode == 0
     assert "gelforge.flow.step" not in make(labelled, "-n", "poses", "DATASET=tiny").stdout
     copy = picture.with_name("copy")
     copy.write_bytes(other.read_bytes())
     os.utime(copy, (0, 0))
     copy.replace(picture)
-    try:
-        assert "10_poses/0000.csv" in make(labelled, "-n", "poses", "DATASET=tiny").stdout
-    finally:
-        picture.write_bytes(kept)
+    assert "10_poses/0000.csv" in make(labelled, "-n", "poses", "DATASET=tiny").stdout
 
 
 def test_files_of_odd_names_beside_a_dataset_disturb_nothing(with_nocontact):
@@ -497,34 +469,24 @@ def test_a_branch_that_is_none_is_refused(asked):
 def test_an_environment_that_moved_with_its_clone_is_named(labelled):
     """Its programs start in the place where it was made; make says so before it runs anything of it."""
     venv = labelled / ".venv"
-    linked = venv.readlink()
     venv.unlink()
     venv.mkdir()
-    try:
-        (venv / "pyvenv.cfg").write_text("home = /usr/bin\ncommand = /usr/bin/python3 -m venv /elsewhere/.venv\n")
-        done = make(labelled, "poses", "DATASET=tiny")
-        assert done.returncode and "made for /elsewhere/.venv" in done.stdout and "make setup" in done.stdout
-        for options in ("", "--clear ", "--clear --upgrade "):
-            command = f"/usr/bin/python3 -m venv {options}{venv}"
-            (venv / "pyvenv.cfg").write_text(f"home = /usr/bin\ncommand = {command}\n")
-            assert make(labelled, "help").returncode == 0
-    finally:
-        shutil.rmtree(venv)
-        venv.symlink_to(linked)
+    (venv / "pyvenv.cfg").write_text("home = /usr/bin\ncommand = /usr/bin/python3 -m venv /elsewhere/.venv\n")
+    done = make(labelled, "poses", "DATASET=tiny")
+    assert done.returncode and "made for /elsewhere/.venv" in done.stdout and "make setup" in done.stdout
+    for options in ("", "--clear ", "--clear --upgrade "):
+        command = f"/usr/bin/python3 -m venv {options}{venv}"
+        (venv / "pyvenv.cfg").write_text(f"home = /usr/bin\ncommand = {command}\n")
+        assert make(labelled, "help").returncode == 0
 
 
 def test_why_names_the_parameter_that_changed_and_what_follows(labelled):
-    assert make(labelled, "labels", "DATASET=tiny").returncode == 0
     assert "up to date" in make(labelled, "why", "TARGET=labels", "DATASET=tiny").stdout
     table = labelled / "data/tiny/dataset.toml"
     text = table.read_text()
     table.write_text(text.replace("tolerance = 0.2", "tolerance = 0.25"))
-    try:
-        said = make(labelled, "why", "TARGET=labels", "DATASET=tiny").stdout
-        assert "30_fea/0000.csv" in said and "parameters of fea changed" in said, said
-    finally:
-        table.write_text(text)
-    assert make(labelled, "labels", "DATASET=tiny").returncode == 0
+    said = make(labelled, "why", "TARGET=labels", "DATASET=tiny").stdout
+    assert "30_fea/0000.csv" in said and "parameters of fea changed" in said, said
 
 
 def test_why_is_reported_of_a_target_that_needs_a_choice_of_its_own(labelled):
@@ -587,10 +549,7 @@ def test_the_network_of_a_report_is_the_one_it_names_at_every_resolution_that_it
     table = with_nocontact / "data/tiny/dataset.toml"
     text = table.read_text()
     table.write_text(f'{text}\n[params.report]\nmodel = "{model}"\n')
-    try:
-        trained = [name for name in step_names(with_nocontact, res).split() if name.endswith(".onnx")]
-    finally:
-        table.write_text(text)
+    trained = [name for name in step_names(with_nocontact, res).split() if name.endswith(".onnx")]
     assert (trained == [f"results/tiny/70_train/{res}/{model}.onnx"]) is writes and trained
 
 
@@ -825,12 +784,7 @@ def test_the_open_benchmark_is_written_again_for_what_its_files_and_keys_hold(la
     write_text(keys, "{}")
     write_text(catalogue, text + '\n[probe]\nkind = "stl"\nfile = "probe.stl"   # closed, tip down\n')
     block(labelled / "workflow/probe.stl", 2.0)
-    try:
-        needed = set(prerequisites(labelled, "fea-challenge", "results/fea_challenge/challenge.json"))
-    finally:
-        shutil.rmtree(keys.parent)
-        write_text(catalogue, text)
-        (labelled / "workflow/probe.stl").unlink()
+    needed = set(prerequisites(labelled, "fea-challenge", "results/fea_challenge/challenge.json"))
     code = {f"src/gelforge/{name}.py" for name in ("sweeps/challenge", "stages/pareto", "sweeps/methods")}
     assert {"data/fea_challenge/keys.json", "workflow/probe.stl", *code} <= needed
 

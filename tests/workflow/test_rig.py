@@ -41,6 +41,13 @@ def pressed(tmp_path_factory):
 
 
 @pytest.fixture
+def begun(pressed, tmp_path):
+    """A folder of datasets, where factors of forces are kept that were found for the same shapes: seconds each."""
+    shutil.copytree(pressed / rig.FACTORS, tmp_path / "data" / pressed.name / rig.FACTORS)
+    return tmp_path / "data"
+
+
+@pytest.fixture
 def two(pressed, tmp_path):
     """A dataset of two presses."""
     return shutil.copytree(pressed, tmp_path / "two" / pressed.name)
@@ -58,9 +65,9 @@ def test_log_and_images_are_what_the_importer_expects(two):
     assert {path.stem for path in (two / "nocontact").iterdir()} == {"mini_a", "mini_e"}
 
 
-def test_one_press_seen_by_two_sensors_is_carried_out_once(tmp_path):
+def test_one_press_seen_by_two_sensors_is_carried_out_once(tmp_path, begun):
     both = 'sensors = ["mini_a"]', 'sensors = ["mini_a", "mini_e"]\nseen_by = 2'
-    data = run(plan_of(tmp_path, 1, both), tmp_path / "data", ROOT / "workflow")
+    data = run(plan_of(tmp_path, 1, both), begun, ROOT / "workflow")
     one, other = read_csv(data / "log.csv")
     assert [one.pop("sensor_id"), other.pop("sensor_id")] == ["mini_a", "mini_e"]
     pictures = [cv2.imread(str(data / row.pop("image"))) for row in (one, other)]
@@ -70,11 +77,11 @@ def test_one_press_seen_by_two_sensors_is_carried_out_once(tmp_path):
     assert len(list((data / "truth" / "surfaces").iterdir())) == 1
 
 
-def test_the_moments_of_a_press_are_frames_of_one_path_at_little_more_than_its_price(two, tmp_path):
+def test_the_moments_of_a_press_are_frames_of_one_path_at_little_more_than_its_price(two, tmp_path, begun):
     """Six moments: rows that belong together, forces that grow, each with its own picture; the last is the press alone."""
     data = run(
         plan_of(tmp_path, 2, ('dataset = "demo"', 'dataset = "demo"\nframes = 6')),
-        tmp_path / "data",
+        begun,
         ROOT / "workflow",
     )
     presses = read_presses(data / "log.csv")
@@ -141,6 +148,7 @@ def test_growth_appends_and_repeats_nothing_and_equals_a_fresh_run(two, tmp_path
     assert kept.stat().st_mtime_ns == times[kept]
     run(plan, two.parent, ROOT / "workflow")
     assert (two / "log.csv").read_text() == after
+    shutil.copytree(two / rig.FACTORS, tmp_path / "fresh" / two.name / rig.FACTORS)
     fresh = run(plan, tmp_path / "fresh", ROOT / "workflow")
     assert_same_rows(read_csv(fresh / "log.csv"), read_csv(two / "log.csv"))
 
@@ -156,10 +164,10 @@ def test_a_lost_picture_is_drawn_again_from_the_kept_surface(two, tmp_path, caps
     assert (two / "log.csv").read_bytes() == log
 
 
-def test_a_camera_that_is_made_anew_takes_the_same_picture(tmp_path, monkeypatch):
+def test_a_camera_that_is_made_anew_takes_the_same_picture(tmp_path, begun, monkeypatch):
     """A process keeps few of a plan's cameras; which of them does not show."""
     both = 'sensors = ["mini_a"]', 'sensors = ["mini_a", "mini_e"]\nseen_by = 2'
-    data = run(plan_of(tmp_path, 1, both), tmp_path / "data", ROOT / "workflow")
+    data = run(plan_of(tmp_path, 1, both), begun, ROOT / "workflow")
     pictures = {path: path.read_bytes() for path in (data / "images").iterdir()}
     monkeypatch.setattr(rig, "CAMERAS", 1)
     for path in pictures:
