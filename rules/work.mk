@@ -51,14 +51,18 @@ parameters: $(SETUP)  ## workflow/guide/parameters.md anew, the page of all para
 	@$(PY) -m gelforge.commands.parameters
 
 # Questions about the flow.
-.PHONY: why lineage estimate
+.PHONY: why provenance lineage estimate
 TARGET ?=
 
 why:  ## why a target would be made again: make why TARGET=report
 	@$(PY) -m gelforge.commands.why --target $(call given,TARGET) 'DATASET=$(DATASET)' 'RES=$(RES)' $(if $(FORMAT),'FORMAT=$(FORMAT)')
 
-lineage: | $(SETUP)  ## every file, parameter and cost behind one label: make lineage ID=…
-	@$(PY) -m gelforge.commands.lineage --results $D --id $(call given,ID) --resolution $(RES1)
+provenance: | $(SETUP)  ## every file, parameter and cost behind one label: make provenance ID=…
+	@$(PY) -m gelforge.commands.provenance --results $D --id $(call given,ID) --resolution $(RES1)
+
+# Former names of targets, each with its name of today; they go with the next release.
+lineage: provenance
+	@echo "make $@ is called make $< now, and will be gone in the next release" >&2
 
 # Meshes that the pilots need are made, and the run finds them.
 estimate: | $(SETUP)  ## core hours, disk and time of a run before it starts

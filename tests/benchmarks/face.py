@@ -96,14 +96,14 @@ def time_exports(folder: Path, presses: int) -> list[Figure]:
     return found
 
 
-def time_lineage(folder: Path, presses: int) -> list[Figure]:
+def time_provenance(folder: Path, presses: int) -> list[Figure]:
     """The command itself, start of Python included."""
     results = folder / "results" / "d"
     lay_flow(results, presses)
     words = [
         sys.executable,
         "-m",
-        "gelforge.commands.lineage",
+        "gelforge.commands.provenance",
         "--results",
         str(results),
         "--id",
@@ -116,7 +116,9 @@ def time_lineage(folder: Path, presses: int) -> list[Figure]:
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         seconds.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
     return [
-        Figure("lineage of one label", min(seconds), "<=", 0.3, "s", f"{presses} samples; processor time, best of 5")
+        Figure(
+            "provenance of one label", min(seconds), "<=", 0.3, "s", f"{presses} samples; processor time, best of 5"
+        )
     ]
 
 
@@ -193,7 +195,7 @@ def demo_again() -> Figure:
     return Figure("make demo again, with nothing to do", min(seconds), "<=", 0.5, "s", "by the clock, best of 5")
 
 
-PARTS = {"demo": time_demo, "page": time_page, "exports": time_exports, "lineage": time_lineage, "wheel": time_wheel,
+PARTS = {"demo": time_demo, "page": time_page, "exports": time_exports, "provenance": time_provenance, "wheel": time_wheel,
          "fetch": time_fetch, "live": time_live, "recordings": time_recordings, "lerobot": time_lerobot, "camera": time_camera}  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""`make why` and `make lineage` say what is true of a flow on disk."""
+"""`make why` and `make provenance` say what is true of a flow on disk."""
 
 import json
 import os
@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from gelforge.commands.lineage import lineage, lines
 from gelforge.commands.look import shard_paths
+from gelforge.commands.provenance import lines, provenance
 from gelforge.commands.why import in_words, reasons
 from gelforge.commands.why import lines as why_lines
 from gelforge.commands.why import main as why
@@ -135,10 +135,10 @@ def lay(results, count, size=100):
     write_json(results / "30_fea/0001/s00123.json", solve)
 
 
-def test_lineage_names_only_what_made_the_sample(tmp_path):
+def test_provenance_names_only_what_made_the_sample(tmp_path):
     results = tmp_path / "results/d"
     lay(results, 300)
-    found = lineage(results, "s00123", "24x32")
+    found = provenance(results, "s00123", "24x32")
     assert [step["target"].split("/")[-2] + "/" + step["target"].split("/")[-1] for step in found["steps"]] == [
         "10_poses/0001.csv", "30_fea/0001.csv", "40_forces/0001.npz", "24x32/labels.json",
     ]  # fmt: skip
@@ -149,7 +149,7 @@ def test_lineage_names_only_what_made_the_sample(tmp_path):
     json.dumps(found)
 
 
-def test_lineage_of_a_rejected_row_is_its_rejection(tmp_path):
+def test_provenance_of_a_rejected_row_is_its_rejection(tmp_path):
     results = tmp_path / "results/d"
     lay(results, 300)
     why = {
@@ -162,9 +162,9 @@ def test_lineage_of_a_rejected_row_is_its_rejection(tmp_path):
     }
     write_csv(results / "10_poses/0001.rejected.csv", list(why), [why])
     # a row that has the name of an earlier one is rejected, and the earlier one has its label
-    assert len(lineage(results, "s00123", "24x32")["steps"]) == 4
+    assert len(provenance(results, "s00123", "24x32")["steps"]) == 4
     write_csv(results / "10_poses/0001.csv", ["sample_id", "indenter"], [{"sample_id": "s00124", "indenter": "ball"}])
-    found = lineage(results, "s00123", "24x32")
+    found = provenance(results, "s00123", "24x32")
     assert [step["target"] for step in found["steps"]] == [str(results / "10_poses/0001.csv")] and not found["solve"]
     assert "row 125 of the log: dz_mm = 'x': no number; give mm" in lines(found, results)[2]
 
@@ -176,7 +176,7 @@ def test_of_an_imported_label_nothing_is_reported_but_where_it_came_from(tmp_pat
     lay(results, 100)
     write_csv(results / "10_poses/0000.rejected.csv", ["sample_id", "row"], [{"sample_id": "s00012", "row": 14}])
     (tmp_path / "data/d/labels").mkdir(parents=True)
-    found = lineage(results, "s00012", "1x1")
+    found = provenance(results, "s00012", "1x1")
     assert not found["steps"] and not found["rejected"]
     assert lines(found, results)[-1] == "its label came with the dataset: data/d/labels/1x1.npz"
     with pytest.raises(BadInput, match=r"came with the dataset, in data/d/labels/1x1\.npz"):
@@ -186,13 +186,13 @@ def test_of_an_imported_label_nothing_is_reported_but_where_it_came_from(tmp_pat
 def test_a_sample_that_is_not_in_the_log_is_one_sentence(tmp_path):
     results = tmp_path / "results/d"
     with pytest.raises(BadInput, match="nothing was planned"):
-        lineage(results, "s00123", "24x32")
+        provenance(results, "s00123", "24x32")
     lay(results, 100)
     with pytest.raises(BadInput, match="not in the log"):
-        lineage(results, "../../x", "24x32")
+        provenance(results, "../../x", "24x32")
 
 
-def test_lineage_reads_the_same_files_however_many_samples_there_are(tmp_path, root):
+def test_provenance_reads_the_same_files_however_many_samples_there_are(tmp_path, root):
     """15 000 samples: only the sample's own records are opened, beside the plan."""
     results = tmp_path / "results/d"
     lay(results, 15000)
@@ -201,7 +201,7 @@ def test_lineage_reads_the_same_files_however_many_samples_there_are(tmp_path, r
         "-X",
         "importtime",
         "-m",
-        "gelforge.commands.lineage",
+        "gelforge.commands.provenance",
         "--results",
         str(results),
         "--id",
@@ -212,13 +212,13 @@ def test_lineage_reads_the_same_files_however_many_samples_there_are(tmp_path, r
     assert not any(f" {heavy}\n" in ran.stderr for heavy in ("numpy", "scipy", "torch"))
 
 
-def test_lineage_of_a_label_that_names_no_shard_is_whole(tmp_path):
+def test_provenance_of_a_label_that_names_no_shard_is_whole(tmp_path):
     """Of very many shards a record names the parameters alone."""
     results = tmp_path / "results/d"
     lay(results, 300)
     record = results / "metrics/50_labels/24x32/labels.json"
     write_json(record, json.loads(record.read_text()) | {"inputs": []})
-    targets = [step["target"] for step in lineage(results, "s00123", "24x32")["steps"]]
+    targets = [step["target"] for step in provenance(results, "s00123", "24x32")["steps"]]
     assert [target.split("d/", 1)[1] for target in targets] == [
         "10_poses/0001.csv", "30_fea/0001.csv", "40_forces/0001.npz", "50_labels/24x32/labels.json",
     ]  # fmt: skip

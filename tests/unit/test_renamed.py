@@ -2,6 +2,7 @@
 
 import pytest
 
+from gelforge.commands import gelforge
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, write_csv
 from gelforge.flow.renamed import APPEARANCE, notice, with_names_of_today
@@ -42,3 +43,12 @@ def test_folders_of_the_rig_keep_their_digests(root):
     plan = read_plan(root / "workflow/rig/demo.toml")
     appearances, sensors = units_of(plan, root / "workflow")
     assert contents_of(plan, root / "workflow", appearances, sensors)[1]["mini_a"] == "6a43218bb3777cd6"
+
+
+def test_a_command_runs_by_both_names(tmp_path, capsys):
+    said = []
+    for name in ("provenance", "lineage"):
+        with pytest.raises(SystemExit) as ended:
+            gelforge.main([name, "--results", str(tmp_path / "lab"), "--id", "s1", "--resolution", "24x32"])
+        said.append((ended.value.code, capsys.readouterr().err))
+    assert said[1] == (said[0][0], f"{notice('gelforge lineage', 'gelforge provenance')}\n{said[0][1]}")

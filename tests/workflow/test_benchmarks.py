@@ -20,7 +20,7 @@ FEW = {"cases tried"}  # figures that only the whole benchmark meets
 AREAS_OF_FAULTS = "settings rows logs pictures shapes arrays names keys answers solids frames recordings"
 QUICK = {
     "dag": ["--samples", "20"],
-    "face": ["--parts", "exports", "lineage", "recordings", "--presses", "50"],
+    "face": ["--parts", "exports", "provenance", "recordings", "--presses", "50"],
     "faults": ["--every", "40", "--areas", *AREAS_OF_FAULTS.split()],
     "geometry": ["--solids", "sphere_15"],
     "labels": ["--samples", "16", "--grids", "12x16", "24x32"],

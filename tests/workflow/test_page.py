@@ -132,7 +132,7 @@ def test_charts_flow_curve_and_provenance_are_drawn(page, width):
         )
         assert driver.execute_script(points)[:2] == [2, 3]  # the splits it did not learn from, and three indenters
         assert "always the same guess: 4.00 N" in driver.find_element("css selector", "#charts .legend").text
-        assert driver.execute_script("return document.querySelectorAll('#lineage svg path').length") == 3
+        assert driver.execute_script("return document.querySelectorAll('#flow-graph svg path').length") == 3
         inked = "const c = el('curve'); return c.getContext('2d').getImageData(0, 0, c.width, c.height).data.some((v) => v)"
         assert driver.execute_script(inked)
         driver.find_element("css selector", "#detail details summary").click()

@@ -256,11 +256,18 @@ def test_no_variable_of_the_command_line_runs_code(labelled, variable, value):
     assert done.returncode and f"{variable}=" in done.stdout and not (labelled / "pwned").exists()
 
 
-@pytest.mark.parametrize("goal", ["sample", "look", "lineage"])
+@pytest.mark.parametrize("goal", ["sample", "look", "provenance"])
 @pytest.mark.parametrize("value", ["$(shell touch pwned)", "`touch pwned`", "';touch pwned;'", '";touch pwned;"'])
 def test_text_from_the_command_line_is_one_word_of_the_shell(labelled, goal, value):
     done = make(labelled, goal, "DATASET=tiny", f"ID={value}")
     assert done.returncode and not (labelled / "pwned").exists()
+
+
+def test_a_target_runs_by_its_former_name_too(labelled):
+    new, old = (make(labelled, "-n", name, "DATASET=tiny", "ID=s000").stdout for name in ("provenance", "lineage"))
+    assert (
+        "gelforge.commands.provenance" in new and new in old and "make lineage is called make provenance now" in old
+    )
 
 
 @pytest.mark.parametrize("executor", ["local", "slurm"])

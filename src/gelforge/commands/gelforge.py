@@ -4,6 +4,8 @@ import importlib
 import sys
 
 from gelforge.flow.main import exit_with
+from gelforge.flow.renamed import COMMANDS as FORMER
+from gelforge.flow.renamed import notice
 
 COMMANDS = {
     "predict": "force maps and totals from images",
@@ -17,7 +19,7 @@ COMMANDS = {
     "projection": "fit a sensor's projection",
     "estimate": "core hours, disk and time of a run before it starts",
     "why": "why make would make a target again",
-    "lineage": "every file, parameter and cost behind one label",
+    "provenance": "every file, parameter and cost behind one label",
     "export": "a dataset as MCAP, Rerun, LeRobot, WebDataset or HDF5",
     "look": "pictures and .vtu of one sample",
     "feats": "datasets in the files of FEATS, read and written",
@@ -42,6 +44,9 @@ def usage(argv) -> int:
 def main(argv=None) -> None:
     """Dispatch `gelforge COMMAND …` to the module of that name."""
     argv = sys.argv[1:] if argv is None else argv
+    if argv and argv[0] in FORMER:
+        print(notice(f"gelforge {argv[0]}", f"gelforge {FORMER[argv[0]]}"), file=sys.stderr)
+        argv = [FORMER[argv[0]], *argv[1:]]
     if not argv or argv[0] not in COMMANDS:
         exit_with(usage, argv)
     module = importlib.import_module(HOMES.get(argv[0], f"gelforge.commands.{argv[0]}"))

@@ -7,6 +7,7 @@ from typing import Any
 from gelforge.errors import BadInput
 
 # Former name: name of today; one table for each kind of file.
+COMMANDS = {"lineage": "provenance"}  # of `gelforge`; those of make stand in rules/work.mk
 COLUMNS = {"remedy": "hint"}  # of tables of results
 PROFILE = {"untouched": "nocontact"}  # of a sensor's profile
 UNITS = {

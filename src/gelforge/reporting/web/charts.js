@@ -85,7 +85,7 @@ function controlLines(splits, axis) {
 }
 const time = (s) => (s < 90 ? `${fixed(s, s < 10 ? 1 : 0)} s` : s < 5400 ? `${fixed(s / 60, 1)} min` : `${fixed(s / 3600, 1)} h`);
 function drawFlow() {
-  const stages = DATA.stages, depth = {}, box = el("lineage");
+  const stages = DATA.stages, depth = {}, box = el("flow-graph");
   if (!stages.length) { box.append(make("p", { className: "absent" }, "No stage has left its record.")); return; }
   const known = Object.fromEntries(stages.map((s) => [s.name, s]));
   const level = (name, seen = []) => depth[name] ?? (depth[name] = seen.includes(name) ? 0 : Math.max(-1, ...known[name].reads.filter((r) => known[r]).map((r) => level(r, [...seen, name]))) + 1);

@@ -21,7 +21,7 @@ from gelforge.flow.layout import FEA, Layout
 from gelforge.flow.main import command, option
 
 
-def lineage(results: Path, sample_id: str, resolution: str) -> dict:
+def provenance(results: Path, sample_id: str, resolution: str) -> dict:
     """All that is known of a label: its sample's solve, and the steps that led to it, first one first; or why there is none."""
     of = Layout(results)
     shard = of.shard_of(sample_id)
@@ -47,7 +47,7 @@ def lineage(results: Path, sample_id: str, resolution: str) -> dict:
 
 
 def lines(found: dict, results: Path) -> list[str]:
-    """The lineage as text."""
+    """The provenance as text."""
     text = [f"{found['sample_id']} of shard {found['shard']}", f"log: data/{results.name}/log.csv"]
     if found["imported"]:
         return [*text, f"its label came with the dataset: {found['imported']}"]
@@ -90,8 +90,8 @@ def solve_lines(solve: dict, target: str) -> list[str]:
 )
 def main(args: Namespace) -> None:
     if not args.id:
-        raise BadInput(f"no sample named; say {Layout(args.results).command('lineage ID=SAMPLE_ID')}")
-    found = lineage(args.results, args.id, args.resolution)
+        raise BadInput(f"no sample named; say {Layout(args.results).command('provenance ID=SAMPLE_ID')}")
+    found = provenance(args.results, args.id, args.resolution)
     print(json.dumps(found, indent=1) if args.json else "\n".join(lines(found, args.results)))
 
 
