@@ -19,7 +19,7 @@ RES ?= 24x32
 RES1 = $(firstword $(RES))
 # A network that reads differences where there are no-contact images, one that does not where not.
 LEARNER = $(if $(wildcard $(DATA)/nocontact),pair_24_mirrored,grid_16)
-# The grid of the network that ships.
+# The grid of the shipped network.
 SHIPPED_RES := 24x32
 # That network reads a dataset that says so ([report] model) and is too small to learn from.
 MODEL ?= $(or $(filter-out $(if $(filter $(SHIPPED_RES),$(RES1)),,shipped $(TUNED)),$(REPORT_MODEL)),$(LEARNER))

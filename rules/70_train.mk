@@ -10,7 +10,7 @@ MODELS := $(call of_toml,network)
 SHIPPED := src/gelforge/networks/weights/default
 # The shipped network is never trained here.
 LEARNT = $(if $(filter shipped,$(MODEL)),$(LEARNER),$(MODEL))
-# Those that fine-tune the network that ships are for one dataset, and write its grid: they are made by name alone.
+# Those that fine-tune the shipped network are for one dataset, and write its grid: they are made by name alone.
 TUNED := $(call of_toml,tuned)
 LEARNABLE := $(filter-out $(TUNED),$(MODELS))
 TRAINED := $(MODELS:%=$D/70_train/$(RES1)/%.onnx)
@@ -21,10 +21,10 @@ ifeq ($(filter $(MODELS) shipped,$(MODEL))$(if $(MODELS),,unknown),)
 $(error MODEL=$(MODEL): no such network; workflow/models.toml has: $(MODELS), and shipped is the one that ships)
 endif
 ifneq ($(and $(filter $(TUNED),$(MODEL)),$(filter-out $(SHIPPED_RES),$(RES1))),)
-$(error MODEL=$(MODEL) fine-tunes the network that ships, whose grid is $(SHIPPED_RES): say RES=$(SHIPPED_RES), or name another network)
+$(error MODEL=$(MODEL) fine-tunes the shipped network, whose grid is $(SHIPPED_RES): say RES=$(SHIPPED_RES), or name another network)
 endif
 ifneq ($(and $(filter shipped,$(MODEL)),$(filter train onnx ship,$(MAKECMDGOALS))),)
-$(error MODEL=shipped: the network that ships was trained elsewhere; to $(firstword $(filter train onnx ship,$(MAKECMDGOALS))), name one of $(MODELS))
+$(error MODEL=shipped: the shipped network was trained elsewhere; to $(firstword $(filter train onnx ship,$(MAKECMDGOALS))), name one of $(MODELS))
 endif
 endif
 
@@ -39,11 +39,11 @@ $(error MODEL=$(UNREADABLE) reads a picture beside a no-contact image, and $(DAT
 endif
 
 ifneq ($(and $(filter ship,$(MAKECMDGOALS)),$(if $(call by_hand,MODEL),,no)),)
-$(error ship: takes the place of the network that ships; name the one that shall, make ship MODEL=… DATASET=…)
+$(error ship: takes the place of the shipped network; name the one that shall, make ship MODEL=… DATASET=…)
 endif
 
 ifneq ($(and $(filter ship,$(MAKECMDGOALS)),$(filter-out $(SHIPPED_RES),$(RES1))),)
-$(error ship RES=$(RES1): the network that ships has a grid of $(SHIPPED_RES); train one of it, RES=$(SHIPPED_RES))
+$(error ship RES=$(RES1): the shipped network has a grid of $(SHIPPED_RES); train one of it, RES=$(SHIPPED_RES))
 endif
 
 .PHONY: train models onnx

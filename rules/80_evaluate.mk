@@ -8,7 +8,7 @@ evaluate-models: $(LEARNABLE:%=$D/80_evaluate/$(RES1)/%.json)  ## the same for e
 $(EVALUATED): $D/80_evaluate/$(RES1)/%.json: $D/70_train/$(RES1)/%.onnx $D/60_dataset/$(RES1)/dataset.json $P/evaluate.json
 	$(call step,gelforge.stages.evaluate --dataset $(dir $(word 2,$^)) --model $< --params $P/evaluate.json --out $@.part)
 
-# The network that ships, on a dataset that it did not learn from.
+# The shipped network, on a dataset that it did not learn from.
 READ := $D/80_evaluate/$(RES1)/shipped.json
 
 $(READ): $(SHIPPED).onnx $D/60_dataset/$(RES1)/dataset.json $P/evaluate.json

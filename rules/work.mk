@@ -1,6 +1,6 @@
 # What people type while they work: the whole flow, its state, one sample, clean-up.
 .PHONY: demo status sample slurm-cancel
-demo:  ## the whole flow on the demo dataset: labels, what the network that ships reads, calibration, chart, report
+demo:  ## the whole flow on the demo dataset: labels, what the shipped network reads, calibration, chart, report
 demo: $(if $(IS_FROZEN),report)
 	$(if $(IS_FROZEN),,@export HAS_SLOTS=yes; $(MAKE) --no-print-directory freeze && $(MAKE) --no-print-directory report)
 	@echo "report: $D/90_report/index.html"

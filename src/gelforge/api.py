@@ -125,7 +125,7 @@ class Reader:
 
     nocontact: picture (h, w, 3) uint8 RGB of the sensor while nothing touches it; may be left out with a profile, which holds
     one; untouched: its former name. profile: path of a profile that `gelforge sensor` wrote, whose factor the forces are
-    multiplied by. model: path of a model; the network that ships where None. device: "cpu", or "cuda" where onnxruntime has
+    multiplied by. model: path of a model; the shipped network where None. device: "cpu", or "cuda" where onnxruntime has
     it. threads: that one image is predicted with. Raises BadInput for pictures that are none of this sensor.
     """
 

@@ -110,7 +110,7 @@ def mostly_seen(one: Read, two: Read, count: int) -> tuple[np.ndarray, np.ndarra
 
 
 def seen_whole(one: Read, two: Read, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """As `mostly_seen`, without frames in which a contact goes on beyond its picture: only what both see whole is equal."""
+    """As `mostly_seen`, without frames whose image crops a contact: only what both see whole is equal."""
     both, compared = mostly_seen(one, two, count)
     whole = (one.peak[:count] < BEYOND) & (two.peak[:count] < BEYOND)
     return both & whole, compared & whole

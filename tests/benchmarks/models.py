@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 IMAGE, GRID = (240, 320), (24, 32)
 BASELINE, LIGHT = "unet", "pair_24_mirrored"
-SHIPS = "tuned"  # as the network that ships is built, which is deeper than LIGHT
+SHIPS = "tuned"  # as the shipped network is built, which is deeper than LIGHT
 PROBED = 24  # presses of the made-up dataset: three batches an epoch
 ABLATION = ("unet", "unet_single", "resnet34")
 # The paper's shapes that its training never saw; all others that training does not see are of no catalogue.

@@ -91,7 +91,7 @@ def test_presses_an_hour_fall_with_what_each_takes_and_rise_with_the_cores():
 
 
 def test_a_network_that_is_trained_is_counted_by_its_kind(tmp_path, root):
-    """The network that ships learns nothing; a U-net takes several times a light network's time."""
+    """The shipped network learns nothing; a U-net takes several times a light network's time."""
     results = Layout(tmp_path)
     params = results.params
     write_json(params / "sensors.json", {})

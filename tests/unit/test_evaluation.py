@@ -53,7 +53,7 @@ def test_evaluation_holds_what_is_asked(data, models, name):
     assert shown and all(table["rows"] for table in shown)
     assert {row[0] for row in shown[0]["rows"]} == set(result["splits"])
     assert all(len(row) == len(table["columns"]) for table in shown for row in table["rows"])
-    # the page says whose they are: the network that ships is not called there as it was when it was trained
+    # the page says whose they are: the shipped network is not called there as it was when it was trained
     assert not any(result["model"] in table["title"] for table in shown)
 
 

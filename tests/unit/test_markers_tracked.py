@@ -147,7 +147,7 @@ def test_a_map_that_is_all_edge_says_nothing_of_it(grid):
 
 @pytest.mark.parametrize("zoom", [0.55, 0.71, 1.0, 1.4])
 def test_the_edge_is_that_of_what_a_camera_shows(zoom):
-    """A contact at the border of a narrow view goes on beyond it, although the map has room there."""
+    """A contact at the border of a narrow view is cropped by it, although the map has room there."""
     view, grid = View(zoom, (0.0, 0.0, 0.0)), (24, 32)
     rows, cols = view.cells_shown(grid)
     assert rows.start == 24 - rows.stop and cols.start == 32 - cols.stop

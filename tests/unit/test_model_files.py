@@ -297,8 +297,8 @@ def test_model_of_another_sensor_grid_or_size_is_refused(folder, trained):
         other = replace(model, metadata=model.metadata | {key: value})
         with pytest.raises(BadInput, match=word):
             require_fit(other, data)
-    with pytest.raises(BadInput, match="the network that ships reads images of 20 x 10"):
-        require_fit(other, data, "the network that ships")
+    with pytest.raises(BadInput, match="the shipped network reads images of 20 x 10"):
+        require_fit(other, data, "the shipped network")
 
 
 def test_training_takes_the_device_that_is_asked_for(folder):

@@ -57,7 +57,7 @@ def limits(rest, presses):
 
 
 def preprocessor(picture):
-    """Of the network that ships, whose pictures are all at their own scale."""
+    """Of the shipped network, whose pictures are all at their own scale."""
     metadata = {name: value for name, value in load_for_use(None).metadata.items() if name != "pitch_px"}
     return Preprocessor(metadata, picture)
 

@@ -420,7 +420,7 @@ def test_one_source_of_the_nocontact_image_is_asked_for(weighed):
 
 
 def test_a_picture_that_shows_a_part_of_the_contact_does_not_count(reference, tmp_path, capsys):
-    """Of FEATS' presses two balls that lie within the picture, and a bar that goes on beyond it."""
+    """Of FEATS' presses two balls that lie within the picture, and a bar that the image crops."""
     rest = read_npy(reference / "feats/images/nocontact_train_sensor.npy")["gs_img"]
     pictures = [picture for picture, _ in feats_maps(reference / "feats/images/demo.gif", rest)]
     chosen = {"rest": rest, "ball": pictures[24], "small_ball": pictures[38], "bar": pictures[16]}
@@ -428,7 +428,7 @@ def test_a_picture_that_shows_a_part_of_the_contact_does_not_count(reference, tm
         cv2.imwrite(str(tmp_path / f"{name}.png"), picture[..., ::-1])
     rows = [[f"{name}.png", "10"] for name in ("ball", "small_ball", "bar")]
     assert make(tmp_path, rows) == 0
-    reported = [line for line in capsys.readouterr().err.splitlines() if "beyond the picture" in line]
+    reported = [line for line in capsys.readouterr().err.splitlines() if "cropped by the image" in line]
     assert len(reported) == 1 and "line 4: bar.png: does not count" in reported[0]
     assert read_profile(tmp_path / "mine.toml").gain.readings == 2
     with pytest.raises(BadInput, match="in none of 1 pictures is all of the contact seen"):

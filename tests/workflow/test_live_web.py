@@ -34,7 +34,7 @@ from tests.browser import WIDTHS, browser, console_errors, needs_browser, wait_f
 from tests.limited import limited
 from tests.waiting import HANG, wait_until
 
-HAS_INTERVALS = bool(load_for_use(None).metadata.get("intervals", {}).get("total"))  # of the network that ships
+HAS_INTERVALS = bool(load_for_use(None).metadata.get("intervals", {}).get("total"))  # of the shipped network
 
 SCRIPT = (WEB / "live.js").read_text(encoding="utf-8")
 LIVE = [sys.executable, "-m", "gelforge.commands.live"]

@@ -124,7 +124,7 @@ def with_nocontact(labelled):
 
 
 @pytest.mark.parametrize("goal", ["train", "onnx", "ship"])
-def test_the_network_that_ships_is_not_trained_under_another_name(with_nocontact, goal):
+def test_the_shipped_network_is_not_trained_under_another_name(with_nocontact, goal):
     done = make(with_nocontact, "-n", goal, "DATASET=tiny", "MODEL=shipped")
     assert done.returncode and f"to {goal}, name one of" in done.stdout
     assert make(with_nocontact, "-n", "evaluate", "DATASET=tiny", "MODEL=shipped").returncode == 0
@@ -188,7 +188,7 @@ def test_no_network_ships_that_nobody_named(with_nocontact):
     assert make(with_nocontact, "-n", "ship", "DATASET=tiny", "MODEL=grid_16").returncode == 0
 
 
-def test_where_the_report_shows_the_network_that_ships_another_one_trains_without_nocontact_images(labelled):
+def test_where_the_report_shows_the_shipped_network_another_one_trains_without_nocontact_images(labelled):
     path = labelled / "data/tiny/dataset.toml"
     text = path.read_text(encoding="utf-8")
     write_text(path, f'{text}\n[params.report]\nmodel = "shipped"\n')

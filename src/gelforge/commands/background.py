@@ -9,7 +9,7 @@ from gelforge.virtualrig.lightfit import fit_background
 
 
 @command(
-    option("image", help="a picture without contact, 320 x 240"),
+    option("image", help="no-contact image, 320 x 240"),
 )
 def main(args: Namespace) -> None:
     image = read_image(args.image)

@@ -64,7 +64,7 @@ def cameras() -> list[int]:
     return sorted(int(name) for name in names if name.isdigit())
 
 
-@command(option("number", type=from_zero, nargs="?", help="of the camera", default=None))
+@command(option("number", type=from_zero, nargs="?", help="number of the camera", default=None))
 def main(args: Namespace) -> None:
     there = cameras()
     if args.number is None:

@@ -14,7 +14,7 @@ from gelforge.records.regular import refuse_to_replace
     option(
         "--out",
         type=Path,
-        help="the .onnx file (default: beside the model); weights to train on from are written beside it",
+        help="the .onnx file (default: beside the model); weights for further training are written beside it",
         default=None,
     ),
 )

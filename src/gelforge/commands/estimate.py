@@ -226,8 +226,8 @@ def estimated(data: Path, results: Path, resolution: str, model: str, rows: list
     option("--data", type=Path, help="data/DATASET"),
     option("--results", type=Path, help="results/DATASET"),
     option("--resolution", default="24x32"),
-    option("--model", default=SHIPPED, help="the network of the run; shipped is not trained"),
-    option("--cores", type=positive, default=os.cpu_count(), help="that the run may use"),
+    option("--model", default=SHIPPED, help="network of the run; `shipped` is not trained"),
+    option("--cores", type=positive, default=os.cpu_count(), help="cores that the run may use"),
 )
 def main(args: Namespace) -> None:
     rows = planned_rows(args.results)

@@ -31,10 +31,10 @@ def bring_in(args: Namespace) -> None:
         "--from",
         dest="source",
         default="",
-        help="a folder in the published layout; the Hugging Face hub where none is named",
+        help="folder in the published layout (default: the Hugging Face hub)",
     ),
-    option("--split", default="", help="folders to take, with blanks between them; all where none is named"),
-    option("--downloads", type=Path, help="where files of the hub go"),
+    option("--split", default="", help="folders to fetch, separated by blanks (default: all)"),
+    option("--downloads", type=Path, help="folder for files of the hub"),
     option("--data", type=Path, help="data/DATASET"),
     option("--sensors", type=Path, default=Path("workflow/sensors.toml")),
 )
@@ -61,7 +61,7 @@ def fetch(args: Namespace) -> None:
 
 @command(
     option("--dataset", type=Path, help="60_dataset/RES"),
-    option("--folder", type=Path, help="where train/, val/, test/ … go"),
+    option("--folder", type=Path, help="folder for train/, val/, test/ …"),
     option("--out", type=Path, help="the normalisation file, written last"),
 )
 def send_out(args: Namespace) -> None:

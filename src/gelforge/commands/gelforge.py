@@ -9,22 +9,22 @@ from gelforge.flow.renamed import notice
 
 COMMANDS = {
     "predict": "force maps and totals from images",
-    "live": "force maps over a video or a camera, as it runs",
-    "camera": "the modes of a camera, and which one to take",
+    "live": "force maps of a video or a camera, frame by frame",
+    "camera": "modes of a camera, and the one to use",
     "rig": "simulate presses and write a raw log with images",
-    "sensor": "a profile of one's own sensor, from a picture and weighed presses",
+    "sensor": "a profile of your sensor, from a no-contact image and force readings",
     "convert": "a model of an earlier version as an ONNX file",
-    "status": "what of a dataset is done, failed, pending",
+    "status": "samples of a dataset that are done, failed, pending",
     "sample": "one sample through all stages, with its log",
     "projection": "fit a sensor's projection",
     "estimate": "core hours, disk and time of a run before it starts",
     "why": "why make would make a target again",
     "provenance": "every file, parameter and cost behind one label",
     "export": "a dataset as MCAP, Rerun, LeRobot, WebDataset or HDF5",
-    "look": "pictures and .vtu of one sample",
+    "look": "images and .vtu of one sample",
     "feats": "datasets in the files of FEATS, read and written",
-    "mcap": "MCAP recordings of pictures and forces as a dataset",
-    "background": "how the light of a sensor falls, from its no-contact image",
+    "mcap": "MCAP recordings of images and forces as a dataset",
+    "background": "illumination of a sensor, from its no-contact image",
 }
 
 # Commands whose module is a stage.

@@ -221,37 +221,39 @@ def draw(args: Namespace, predictor, seen, film: Film, name: str, over: threadin
 
 
 @command(
-    option("--video", type=Path, help="a film", default=None),
-    option("--camera", type=from_zero, help="number of a camera, if no film is named", default=None),
-    option("--mode", type=camera_mode, metavar="WxH", help="size that the camera is asked for", default=None),
-    option("--model", type=Path, help="model file; the one that came with gelforge if not named", default=None),
-    option("--sensor", help="the sensor that films; refused if the model is for another one", default=None),
-    option("--nocontact", type=Path, metavar="IMAGE", help="the sensor while nothing touches it", default=None),
+    option("--video", type=Path, help="video file", default=None),
+    option("--camera", type=from_zero, help="number of the camera, if no video is given", default=None),
+    option("--mode", type=camera_mode, metavar="WxH", help="image size to request from the camera", default=None),
+    option("--model", type=Path, help="model file (default: the shipped network)", default=None),
+    option("--sensor", help="name of the sensor; refused if the model is for another one", default=None),
+    option(
+        "--nocontact",
+        type=Path,
+        metavar="IMAGE",
+        help="no-contact image: the sensor while nothing touches it",
+        default=None,
+    ),
     renamed("--untouched", "--nocontact", type=Path, default=None),
-    option("--profile", type=Path, help="the sensor's profile, of gelforge sensor", default=None),
-    option("--frames", type=positive, help="stop after so many", default=None),
-    option("--device", choices=DEVICES, default="cpu", help="that predicts (default: %(default)s)"),
+    option("--profile", type=Path, help="profile of the sensor, made by `gelforge sensor`", default=None),
+    option("--frames", type=positive, help="number of frames after which to stop", default=None),
+    option("--device", choices=DEVICES, default="cpu", help="device of the network (default: %(default)s)"),
     option("--threads", type=positive, default=1),
-    option("--web", action="store_true", help="serve a page that shows it all"),
-    option(
-        "--foxglove", action="store_true", help="serve picture, forces and flag to Foxglove, as messages of ROS 2"
-    ),
-    option(
-        "--host", default="127.0.0.1", help="who may see the page or the messages; 0.0.0.0: everyone on the network"
-    ),
-    option("--port", type=int, default=8765, help="of the page or the messages; 0: any that is free"),
+    option("--web", action="store_true", help="serve a page with image, forces and flag"),
+    option("--foxglove", action="store_true", help="serve image, forces and flag to Foxglove as ROS 2 messages"),
+    option("--host", default="127.0.0.1", help="address to listen on; 0.0.0.0: everyone on the network"),
+    option("--port", type=int, default=8765, help="port to listen on; 0: any free one"),
     option(
         "--record",
         type=Path,
-        help="folder: of the page's recordings (recordings), or for an MCAP of all messages",
+        help="folder of the page's recordings (default: recordings), or for an MCAP file of all messages",
         default=None,
     ),
-    option("--jsonl", type=Path, help="write a JSON line a frame; - for standard output", default=None),
-    option("--csv", type=Path, help="write a row a frame", default=None),
+    option("--jsonl", type=Path, help="file with one JSON line per frame; - for standard output", default=None),
+    option("--csv", type=Path, help="file with one row per frame", default=None),
     option(
         "--out",
         type=Path,
-        help="film of it all (.avi); with no output named, a window, which OpenCV without a display cannot open",
+        help="video with the force maps (.avi); without any output a window is opened, which needs a display",
         default=None,
     ),
 )

@@ -148,18 +148,24 @@ def line_of(row: dict) -> str:
 
 @command(
     option("images", nargs="+", type=Path, metavar="IMAGE"),
-    option("--model", type=Path, help="model file; the one that came with gelforge if not named", default=None),
+    option("--model", type=Path, help="model file (default: the shipped network)", default=None),
     option(
         "--sensor",
-        help="the sensor of the images; refused if the model is for others",
+        help="name of the sensor; refused if the model is for another one",
         default=None,
     ),
-    option("--nocontact", type=Path, metavar="IMAGE", help="the sensor while nothing touches it", default=None),
+    option(
+        "--nocontact",
+        type=Path,
+        metavar="IMAGE",
+        help="no-contact image: the sensor while nothing touches it",
+        default=None,
+    ),
     renamed("--untouched", "--nocontact", type=Path, default=None),
-    option("--profile", type=Path, help="the sensor's profile, of gelforge sensor", default=None),
+    option("--profile", type=Path, help="profile of the sensor, made by `gelforge sensor`", default=None),
     option("--out", type=Path, default=Path("predictions"), help="folder (default: %(default)s)"),
     option("--height", action="store_true", help="also write the gel's height, NAME_height.npy"),
-    option("--device", choices=DEVICES, default="cpu", help="that predicts (default: %(default)s)"),
+    option("--device", choices=DEVICES, default="cpu", help="device of the network (default: %(default)s)"),
     option("--threads", type=positive, default=1),
 )
 def main(args: Namespace) -> None:

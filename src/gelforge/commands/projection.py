@@ -273,10 +273,10 @@ def report(about: dict, old: Sensor | None, like: str | None) -> None:
 
 
 @command(
-    option("--sensor", default="", help="name the sensor has, or shall have, in sensors.toml"),
+    option("--sensor", default="", help="name of the sensor in sensors.toml"),
     option("--points", type=Path, help="CSV: x_mm, y_mm, u_px, v_px", default=None),
-    option("--image", type=Path, help="image without contact, .png or FEATS' .npy", default=None),
-    option("--like", default="gelsight_mini", help="sensor whose image size, gel and markers it shares"),
+    option("--image", type=Path, help="no-contact image, .png or FEATS' .npy", default=None),
+    option("--like", default="gelsight_mini", help="sensor with the same image size, gel and markers"),
     option("--sensors", type=Path, default=Path("workflow/sensors.toml")),
     option(
         "--out",

@@ -86,7 +86,7 @@ def solve_lines(solve: dict, target: str) -> list[str]:
     option("--results", type=Path, help="results/DATASET"),
     option("--id", help="sample_id in the raw log"),
     option("--resolution", default="24x32"),
-    option("--json", action="store_true", help="all of it, for programs"),
+    option("--json", action="store_true", help="print everything as JSON"),
 )
 def main(args: Namespace) -> None:
     if not args.id:

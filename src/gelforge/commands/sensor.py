@@ -223,7 +223,7 @@ def _normals(predictor: Predictor, pictures: dict[str, np.ndarray]) -> tuple[np.
         if found.flag:
             print(f"{name}: FLAGGED: {found.reason}; leave it out if that is so", file=sys.stderr)
         if not whole[-1]:
-            print(f"{name}: does not count, the contact goes on beyond the picture", file=sys.stderr)
+            print(f"{name}: does not count, the contact is cropped by the image", file=sys.stderr)
     return np.array(read), np.array(whole)
 
 
@@ -279,31 +279,39 @@ def factor_replaced(out: Path, measures: bool) -> Gain:
 
 
 @command(
-    option("--name", help="of the sensor"),
-    option("--nocontact", type=Path, metavar="IMAGE", help="the sensor while nothing touches it", default=None),
+    option("--name", help="name of the sensor"),
+    option(
+        "--nocontact",
+        type=Path,
+        metavar="IMAGE",
+        help="no-contact image: the sensor while nothing touches it",
+        default=None,
+    ),
     renamed("--untouched", "--nocontact", type=Path, default=None),
-    option("--video", type=Path, help="a film that begins while nothing touches the sensor", default=None),
-    option("--camera", type=from_zero, help="number of a camera whose sensor nothing touches now", default=None),
-    option("--mode", type=camera_mode, metavar="WxH", help="size that the camera is asked for", default=None),
-    option("--readings", type=Path, help="table of pictures and the forces that pressed", default=None),
+    option("--video", type=Path, help="video that begins while nothing touches the sensor", default=None),
+    option("--camera", type=from_zero, help="number of the camera; nothing may touch the sensor now", default=None),
+    option("--mode", type=camera_mode, metavar="WxH", help="image size to request from the camera", default=None),
+    option("--readings", type=Path, help="table of images and force readings", default=None),
     option(
         "--balls",
         type=Path,
         metavar="FOLDER",
-        help="presses of a ball, as gs_sdk's calibration lays them out",
+        help="folder of ball presses, laid out as gs_sdk's calibration writes it",
         default=None,
     ),
-    option("--diameter", type=float, help="of the ball in mm; as its folder's name says if not given", default=None),
+    option(
+        "--diameter", type=float, help="diameter of the ball, mm (default: from the name of its folder)", default=None
+    ),
     option(
         "--thickness",
         type=float,
-        help=f"of the gel where the ball pressed, mm; {THICKNESS_MM:g} if not given",
+        help=f"thickness of the gel where the ball pressed, mm (default: {THICKNESS_MM:g})",
         default=None,
     ),
-    option("--opposite", type=Path, help="profile of the sensor on the other finger", default=None),
-    option("--grasps", type=Path, help="table of pictures of both fingers while they hold one object", default=None),
-    option("--model", type=Path, help="model file; the one that came with gelforge if not named", default=None),
-    option("--out", type=Path, help="the profile, .toml", default=None),
+    option("--opposite", type=Path, help="profile of the sensor on the opposite finger", default=None),
+    option("--grasps", type=Path, help="table of images of both fingers while they hold one object", default=None),
+    option("--model", type=Path, help="model file (default: the shipped network)", default=None),
+    option("--out", type=Path, help="file of the profile, .toml", default=None),
 )
 def main(args: Namespace) -> None:
     name, out = check_id(args.name, "--name"), args.out or Path(f"{args.name}.toml")

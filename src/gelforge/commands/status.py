@@ -215,7 +215,7 @@ def slurm_lines(results: Path) -> list[str]:
 
 @command(
     option("--results", type=Path, help="results/DATASET"),
-    option("--meshes", nargs="*", default=None, help="meshes that presses may take"),
+    option("--meshes", nargs="*", default=None, help="meshes that presses may use"),
 )
 def main(args: Namespace) -> None:
     results, known = args.results, last_runs(args.results)

@@ -87,7 +87,8 @@ def lines(target: str, found: dict[str, list[str]], most: int = 12) -> list[str]
 
 
 @command(
-    option("--target", help="a stage or a file"), option("settings", nargs="*", help="DATASET=… and others for make")
+    option("--target", help="stage or file"),
+    option("settings", nargs="*", help="variables for make, such as DATASET=…"),
 )
 def main(args: Namespace) -> None:
     if not args.target:

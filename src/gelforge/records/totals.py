@@ -12,7 +12,7 @@ from gelforge.records.forcereading import ForceReading
 KINDS = ("n", "half_width_n")
 TOTAL_COLUMNS = (*(f"{channel}_{kind}" for kind in KINDS for channel in CHANNELS), "edge_peak")
 LEAST_PRESS = 0.2  # N of normal force below which a map has no shape: what is read of a released gel is below
-# Of a map's largest force, borne by a cell at the picture's edge: what presses there goes on beyond the picture. Of 51 real
+# Of a map's largest force, borne by a cell at the image's edge: the contact there is cropped by the image. Of 51 real
 # presses those that end within it bear at most a tenth there, those that it cuts a quarter and more.
 BEYOND = 0.2
 
@@ -43,5 +43,5 @@ def edge_peak(forces: np.ndarray, shown: tuple[slice, slice]) -> float:
 
 
 def goes_beyond(peak: float) -> bool:
-    """Whether what presses goes on beyond the picture, by its `edge_peak`: then totals are a part of its force only."""
+    """Whether the image crops the contact, by its `edge_peak`: then the total is too low."""
     return peak >= BEYOND

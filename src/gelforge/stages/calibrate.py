@@ -292,10 +292,10 @@ def own_cores() -> int:
 @command(
     option("--data", type=Path, help="data/DATASET, with log.csv and dataset.toml"),
     option("--workflow", type=Path, default=Path("workflow")),
-    option("--poses", type=Path, help="results/DATASET/10_poses: rows rejected there do not serve", default=None),
+    option("--poses", type=Path, help="results/DATASET/10_poses; rows rejected there are not used", default=None),
     option("--shards", type=Path, help="results/DATASET/00_plan/shards, with --poses", default=None),
-    option("--sensors", type=Path, help="slice of the sensors, .json: on which gel each sits"),
-    option("--params", type=Path, help="JSON slice with tables calibrate and material"),
+    option("--sensors", type=Path, help="parameters of the sensors, .json, with the gel of each"),
+    option("--params", type=Path, help="stage parameters, .json, with tables calibrate and material"),
     option("--work", type=Path, help="folder for chain and plots"),
     option("--solves", type=Path, help="folder of cached solves; WORK/solves by default", default=None),
     option("--jobs", type=positive, default=own_cores(), help="solves at a time"),

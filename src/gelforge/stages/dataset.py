@@ -369,11 +369,11 @@ def build(args) -> dict:
     option("--labels", type=Path, help="50_labels/RES, or an imported labels/RES.npz"),
     option("--poses", type=Path, help="folder 10_poses"),
     option("--shards", type=Path, help="folder of planned shards"),
-    option("--catalogue", type=Path, help="slice of the indenter catalogue, .json"),
+    option("--catalogue", type=Path, help="stage parameters of the indenters, .json"),
     option("--sensors", type=Path),
     option("--resolution", help="ROWSxCOLS"),
     option("--params", type=Path),
-    option("--strict", action="store_true", help="fail where presses share a picture"),
+    option("--strict", action="store_true", help="fail where presses share an image"),
     option("--out", type=Path, help="60_dataset/RES/dataset.json, written last"),
 )
 def main(args: Namespace) -> None:

@@ -63,7 +63,7 @@ def main(args: Namespace) -> None:
 
     data = open_data(args.dataset)
     model = load_model(args.model)
-    called = "the network that ships" if args.model.resolve() == SHIPPED.resolve() else ""
+    called = "the shipped network" if args.model.resolve() == SHIPPED.resolve() else ""
     result, predictions = evaluate(data, model, read_slice(args.params, ForEvaluate).evaluate, called)
     if feats_tables.SENSOR in data.info.get("sensors", ()):
         result["published"] = {

@@ -33,7 +33,7 @@ VERSION = 1
 KEPT = 64  # operators in memory
 BLOCK_BYTES = 64 * 2**20  # of float64 cells held at a time
 UNSEEN = 0.5  # fraction of its normal force beyond the image from which on a picture does not show a press
-TELLING = 10  # presses of a sensor from which on it is no chance where they lie
+LEAST_PRESSES = 10  # of a sensor before the projection is judged
 
 
 def bin_samples(forces: ForceFile, members, operator: Operator) -> tuple[np.ndarray, np.ndarray]:
@@ -265,7 +265,7 @@ def require_seen(seen: Counter[tuple[str, bool]], where) -> None:
     """
     for name in sorted({sensor for sensor, _ in seen}):
         inside, outside = seen[name, True], seen[name, False]
-        if inside + outside >= TELLING and outside > inside:
+        if inside + outside >= LEAST_PRESSES and outside > inside:
             raise BadInput(
                 f"{where}: by the projection of sensor {name} {outside} of its {inside + outside} samples bear most of"
                 f" their normal force outside its pictures: measure it anew with make projection SENSOR={name}"
@@ -305,7 +305,7 @@ def report(summary: dict, largest_share: float) -> None:
     option("--forces", type=Path, help="folder 40_forces"),
     option("--poses", type=Path, help="folder 10_poses"),
     option("--meshes", type=Path, help="folder 20_meshes"),
-    option("--sensors", type=Path, help="sensors.toml, or its slice as .json"),
+    option("--sensors", type=Path, help="sensors.toml, or stage parameters as .json"),
     option("--resolution", help="ROWSxCOLS"),
     option("--params", type=Path),
     option("--shards", type=Path, help="folder of planned shards, all of which are labelled"),

@@ -60,7 +60,7 @@ def make_missing(names: set[str], source: MeshSource, folder: Path, jobs: int) -
         help="where STL paths start; meshes made here are kept in it",
     ),
     option("--jobs", type=int, default=1, help="meshes made at a time"),
-    option("--meshes", type=Path, help="20_meshes, where the meshes go"),
+    option("--meshes", type=Path, help="20_meshes, folder for the meshes"),
     option("--out", type=Path, help="20_meshes/NNNN.csv, the mesh of each press"),
 )
 def main(args: Namespace) -> None:

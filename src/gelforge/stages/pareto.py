@@ -226,7 +226,7 @@ def _brief(record: dict) -> dict:
     option(
         "--references",
         type=Path,
-        help="folder of references solved before, that need not be solved again",
+        help="folder of references that were solved before",
         default=None,
     ),
     option("--out", type=Path),
@@ -255,8 +255,8 @@ def solve(args: Namespace) -> None:
 @command(
     option("--scenes", type=Path, nargs="+"),
     option("--note", default=""),
-    option("--params", type=Path, help="pareto.json, of a chart whose errors auto shall choose by", default=None),
-    option("--workflow", type=Path, default=Path("workflow"), help="where these errors are written"),
+    option("--params", type=Path, help="pareto.json; the chart's errors are written for `auto`", default=None),
+    option("--workflow", type=Path, default=Path("workflow"), help="folder for these errors"),
     option("--out", type=Path),
 )
 def draw(args: Namespace) -> None:

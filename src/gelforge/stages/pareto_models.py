@@ -110,7 +110,7 @@ def fronts_of(rows: list[dict]) -> dict[str, set[str]]:
     option("--models", type=Path, nargs="+", help="70_train/RES/*.onnx"),
     option("--evaluations", type=Path, nargs="+", help="80_evaluate/RES/*.json"),
     option("--split", default=TEST),
-    option("--seconds", type=float, default=3.0, help="of timed runs per model and way"),
+    option("--seconds", type=float, default=3.0, help="seconds of timed runs per model and method"),
     option("--out", type=Path),
 )
 def main(args: Namespace) -> None:

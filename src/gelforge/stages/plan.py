@@ -363,7 +363,7 @@ def check_pictures(file: Path, params: Params, sensors: dict[str, dict], models:
     if goes_on and sizes and SHIPPED_IMAGE not in sizes:
         width, height = SHIPPED_IMAGE
         raise BadInput(
-            f"{file}: [params.report] model = {model!r}: the network that ships reads pictures of {width} x {height}, the log's"
+            f"{file}: [params.report] model = {model!r}: the shipped network reads pictures of {width} x {height}, the log's"
             f" sensors take others ({seen}); bring them to that size, also in {SENSOR_TABLES}, or name a network that learns"
             " from these alone (models.toml)"
         )

@@ -94,7 +94,7 @@ def real(args: Namespace) -> None:
 
 
 @command(
-    option("--chart", type=Path, help="picture that a branch drew"),
+    option("--chart", type=Path, help="chart that a branch drew"),
     option("--data", type=Path),
     option("--out", type=Path),
 )
@@ -109,7 +109,7 @@ def copy(args: Namespace) -> None:
 
 @command(
     option("--catalogue", type=Path, help="file of indenters"),
-    option("--name", help="of one of them"),
+    option("--name", help="name of one of them"),
     option("--out", type=Path),
 )
 def press(args: Namespace) -> None:

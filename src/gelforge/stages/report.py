@@ -271,12 +271,12 @@ def published_here(folder: Path) -> dict[str, dict]:
 
 def learnt_from(metrics: dict, model: str) -> str:
     """What the network saw before, and how to judge it."""
-    who = "The network that ships" if model == SHIPPED else f"{model[0].upper()}{model[1:]}"
+    who = "The shipped network" if model == SHIPPED else f"{model[0].upper()}{model[1:]}"
     images = " and ".join(f"{count} images of dataset {name}" for name, count in metrics["lessons"].items())
     these = "this one among them" if metrics["knows"] else "none of them from this one"
     return (
-        f"{who} learnt from {images}, {these}. Judge it by the controls below: what they reach who know of a press' picture its mean colours at most, a"
-        " network must beat by far."
+        f"{who} learnt from {images}, {these}. A useful network must clearly beat the controls below, which"
+        " see only the mean colours of an image."
     )
 
 

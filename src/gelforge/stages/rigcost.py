@@ -45,7 +45,7 @@ def measured(worker: Worker, presses: list[list[Order]], indenters: int) -> list
     option("--plan", help="workflow/rig/NAME.toml"),
     option("--data", default="data", help="folder of the datasets"),
     option("--workflow", default="workflow", help="folder of sensors.toml and rig/sensors.toml"),
-    option("--cores", type=positive, default=os.cpu_count(), help="that make rig may use"),
+    option("--cores", type=positive, default=os.cpu_count(), help="cores that make rig may use"),
 )
 def main(given: Namespace) -> None:
     workflow = Path(given.workflow)

@@ -153,7 +153,7 @@ def _place(line: dict) -> str:
     option("--row", choices=(*FACTORS, "random", "native")),
     option("--params", type=Path),
     option("--meshes", type=Path),
-    option("--cases", type=Path, help="folder that keeps solved cases"),
+    option("--cases", type=Path, help="folder of solved cases"),
     option("--out", type=Path),
 )
 def solve(args: Namespace) -> None:
