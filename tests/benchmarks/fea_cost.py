@@ -1,4 +1,4 @@
-"""What labels cost in process: moments of one press, growth with the number of unknowns, many presses at once."""
+"""What labels cost in process: frames of one press, growth with the number of unknowns, many presses at once."""
 
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
@@ -27,11 +27,11 @@ LIMIT_S = 1800.0
 BATCH = 12  # presses that each of the processes solves at once
 
 
-# -- moments of one press
+# -- frames of one press
 
 
-def moments(scene: Scene, count: int = FRAMES) -> list[Scene]:
-    """`count` moments of a press: evenly down, and where it goes sideways the last two of them along that way."""
+def frames_along(scene: Scene, count: int = FRAMES) -> list[Scene]:
+    """`count` frames of a press: evenly down, and where it goes sideways the last two of them along that way."""
     press = scene.press
     aside = 2 if press.dx or press.dy else 0
     fractions = [(k / (count - aside), 0.0) for k in range(1, count - aside + 1)]
@@ -41,8 +41,8 @@ def moments(scene: Scene, count: int = FRAMES) -> list[Scene]:
 
 
 def frames_of(scene: Scene, sensor: Sensor) -> dict:
-    """Time of all moments over that of the last alone, and each moment's distance from a press solved to it alone."""
-    settings, parts = quality("label"), moments(scene)
+    """Time of all frames over that of the last alone, and each frame's distance from a press solved to it alone."""
+    settings, parts = quality("label"), frames_along(scene)
     warm_up()
     alone, whole = HexSolver(settings), HexSolver(settings)
     with Clock() as one:
@@ -61,21 +61,21 @@ def frames_of(scene: Scene, sensor: Sensor) -> dict:
 
 
 def frame_figures(scenes: dict[str, Scene], sensor: Sensor) -> list[Figure]:
-    """Cost and agreement of moments over the scenes."""
+    """Cost and agreement of frames over the scenes."""
     found = {name: frames_of(scene, sensor) for name, scene in scenes.items()}
     ratio = float(np.median([record["ratio"] for record in found.values()]))
     figures = [
-        Figure(f"a press with {FRAMES} moments against its last alone, median scene", ratio, "<=", 2.0, "times"),
-        Figure("scenes whose moments are all valid", sum(r["valid"] for r in found.values()), ">=", len(found)),
+        Figure(f"a press with {FRAMES} frames against its last alone, median scene", ratio, "<=", 2.0, "times"),
+        Figure("scenes whose frames are all valid", sum(r["valid"] for r in found.values()), ">=", len(found)),
     ]
     for k, (what, goal) in enumerate((("total force", 0.3), ("cells", 2.0))):
-        worst = {name: max(100 * moment[k] for moment in record["differences"]) for name, record in found.items()}
+        worst = {name: max(100 * frame[k] for frame in record["differences"]) for name, record in found.items()}
         late = max(
             100 * record["differences"][at][k] for record in found.values() for at in range(FRAMES // 2, FRAMES)
         )
         name = max(worst, key=worst.get)
-        note = f"{name}; the later half of the moments {late:.2g}"
-        figures.append(Figure(f"moments against single presses, worst {what}", worst[name], "<=", goal, "%", note))
+        note = f"{name}; the later half of the frames {late:.2g}"
+        figures.append(Figure(f"frames against single presses, worst {what}", worst[name], "<=", goal, "%", note))
     return figures
 
 

@@ -152,7 +152,7 @@ def cpu_of(command: list[str]) -> float:
 
 
 def time_recordings(folder: Path, presses: int) -> list[Figure]:
-    """Import a recording whose images are logged up to 0.3 s late, of a force that tells its own moment; whatever the presses."""
+    """Import a recording whose images are logged up to 0.3 s late, of a force that shows its own time; whatever the presses."""
     rng = np.random.default_rng(3)
     images = filmed(FILM, lambda k: rng.uniform(0, 300))
     sensor = load_sensors(ROOT / "workflow" / "sensors.toml")["gelsight_mini"]

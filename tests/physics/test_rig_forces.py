@@ -12,7 +12,7 @@ from gelforge.mechanics.material import REFERENCE_C10, Material
 from gelforge.mechanics.scene import Interface, Scene
 from gelforge.mechanics.solvers.hex import HexSolver
 from gelforge.records.press import Press
-from gelforge.virtualrig.bench import SETTINGS, Bench, moments
+from gelforge.virtualrig.bench import SETTINGS, Bench, frames_along
 from gelforge.virtualrig.excess import ForceFactor, kept_factor, name_of
 from gelforge.virtualrig.rigplan import orders, read_plan
 
@@ -99,7 +99,7 @@ def test_a_flat_body_with_friction_converges_at_every_frame(plan, root, turn_deg
     """
     body = load_catalogue(root / "workflow" / "indenters.toml", ["block_07"])["block_07"]
     press, law = Press(0.5, -1.0, 0.0, 0.15, 0.1, -1.2, turn_deg), Interface("coulomb", 0.8)
-    scenes = [Scene(Gel(), Material(), body, replace(press, **way), law) for way in moments(press, 5)]
+    scenes = [Scene(Gel(), Material(), body, replace(press, **way), law) for way in frames_along(press, 5)]
     results = HexSolver(SETTINGS).solve_frames(scenes)
     assert all(result.status.valid for result in results)
     assert all(result.evidence["base_mismatch"] < 1e-6 for result in results)

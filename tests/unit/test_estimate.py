@@ -238,7 +238,7 @@ def test_the_start_of_a_process_is_no_cost_of_a_row(monkeypatch, module):
 
 
 def filmed(presses: int, frames: int) -> list[RawRow]:
-    """Rows of presses that end one deeper than the other, shuffled, each seen at moments of equal steps."""
+    """Rows of presses that end one deeper than the other, shuffled, each seen at frames of equal steps."""
     rows = [
         RawRow(row, {"press_id": f"p{press}", "dz_mm": f"{-(press + 1) / presses * (frame + 1) / frames}"})
         for row, (press, frame) in enumerate((p, f) for p in range(presses) for f in range(frames))

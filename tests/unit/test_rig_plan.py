@@ -332,7 +332,7 @@ def test_a_plan_of_one_gel_is_the_one_it_was():
     one = on_gels(plan, (plan.gel,))
     assert orders(replace(one, frames=plan.frames, presses=60)) == orders(plan)
     assert [order.x for order in orders(on_gels(plan)) if order.unit == 0][:60] == [
-        order.x for order in orders(plan) if order.unit == 0 and order.moment == 0
+        order.x for order in orders(plan) if order.unit == 0 and order.frame == 0
     ]
 
 
@@ -372,7 +372,7 @@ def test_impossible_counts_of_moments_are_refused(root, tmp_path, frames):
 
 
 def test_a_plan_without_moments_is_the_one_it_was(root, tmp_path):
-    """Datasets written before presses had moments still belong to their plan, and its orders are the same."""
+    """Datasets written before presses had frames still belong to their plan, and its orders are the same."""
     text = (root / "workflow/rig/demo.toml").read_text(encoding="utf-8")
     (tmp_path / "p.toml").write_text(f"frames = 1\n{text}")
     one, other = read_plan(root / "workflow/rig/demo.toml"), read_plan(tmp_path / "p.toml")
@@ -389,21 +389,21 @@ UNITS = (*range(200), *range(990, 1010), *range(9_990, 10_010), *range(99_990, 1
 
 
 def test_no_two_things_of_a_press_are_drawn_from_one_stream():
-    """A picture of the eleventh moment once had the noise that the load cell had at another one."""
-    moments = range(streams.MOST_FRAMES)
-    cameras = [streams.camera(unit, moment) for unit in UNITS for moment in moments]
-    purposes = [streams.ORDER, streams.BENCH, streams.WHO_SEES, *map(streams.load_cell, moments), *cameras]
+    """A picture of the eleventh frame once had the noise that the load cell had at another one."""
+    frames = range(streams.MOST_FRAMES)
+    cameras = [streams.camera(unit, frame) for unit in UNITS for frame in frames]
+    purposes = [streams.ORDER, streams.BENCH, streams.WHO_SEES, *map(streams.load_cell, frames), *cameras]
     assert len(set(purposes)) == len(purposes)
-    with pytest.raises(ValueError, match="moment = 99"):
+    with pytest.raises(ValueError, match="frame = 99"):
         streams.camera(0, streams.MOST_FRAMES)
 
 
 def test_streams_are_those_that_datasets_were_drawn_with():
-    """Carried out again, a plan gives the presses and pictures it gave: the numbers of ten moments stay what they were."""
+    """Carried out again, a plan gives the presses and pictures it gave: the numbers of ten frames stay what they were."""
     assert (streams.ORDER, streams.BENCH, streams.WHO_SEES) == (0, 1, 20_000)
-    assert [streams.load_cell(moment) for moment in range(99)] == [10_000 + moment for moment in range(99)]
-    for moment in range(10):
-        assert [streams.camera(unit, moment) for unit in range(998)] == [2 + u + 1000 * moment for u in range(998)]
+    assert [streams.load_cell(frame) for frame in range(99)] == [10_000 + frame for frame in range(99)]
+    for frame in range(10):
+        assert [streams.camera(unit, frame) for unit in range(998)] == [2 + u + 1000 * frame for u in range(998)]
     plan = read_plan(DEMO)
     drift = np.random.default_rng([plan.seed, 999_999_999])  # two numbers: numpy fills up with zeros
     assert (generator(plan, streams.EVERY_PRESS, streams.ORDER).random(9) == drift.random(9)).all()

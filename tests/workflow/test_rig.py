@@ -78,7 +78,7 @@ def test_one_press_seen_by_two_sensors_is_carried_out_once(tmp_path, begun):
 
 
 def test_the_moments_of_a_press_are_frames_of_one_path_at_little_more_than_its_price(two, tmp_path, begun):
-    """Six moments: rows that belong together, forces that grow, each with its own picture; the last is the press alone."""
+    """Six frames: rows that belong together, forces that grow, each with its own picture; the last is the press alone."""
     data = run(
         plan_of(tmp_path, 2, ('dataset = "demo"', 'dataset = "demo"\nframes = 6')),
         begun,
@@ -94,7 +94,7 @@ def test_the_moments_of_a_press_are_frames_of_one_path_at_little_more_than_its_p
         assert np.linalg.norm(film[-1].force - single.force) < 0.02 * np.linalg.norm(single.force) + 0.05
         assert all(later.fz_n < before.fz_n + 0.2 for before, later in zip(film, film[1:], strict=False))
         assert film[0].fz_n > 0.6 * film[-1].fz_n
-        # counted along one path, from its touch to each moment
+        # counted along one path, from its touch to each frame
         counted = [iterations[press.sample_id] for press in film]
         assert counted == sorted(counted)
     lost = data / presses[3].image

@@ -34,7 +34,7 @@ class FoxgloveServer:
         self.url = f"ws://{host}:{self.server.port}"
 
     def send(self, time: int, messages: list[Encoded]) -> None:
-        """Send the messages of one moment, ns since 1970."""
+        """Send the messages of one frame, ns since 1970."""
         for topic, kind, content in messages:
             self._channel(topic, kind).log(content, log_time=time)
 

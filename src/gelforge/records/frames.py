@@ -32,7 +32,7 @@ def presses_of(records: Sequence[Record]) -> list[list[Record]]:
 
 
 def check_frames(records: Sequence[PressRecord], file: str) -> list[Rejection]:
-    """Rejections of rows that are no later moment of the press whose press_id they have.
+    """Rejections of rows that are no later frame of the press whose press_id they have.
 
     The first row of a press stands; each later one must have its indenter, sensor, gel, place and rotation, and lie
     further along its path than every row before it that stands.

@@ -107,7 +107,7 @@ class Press:
 class PressRecord:
     """What the log says of one press: a force that was not measured is None, a pose that was not logged NaN.
 
-    press_id: rows that share one are moments of one press (`records.frames`); empty where the row stands alone.
+    press_id: rows that share one are frames of one press (`records.frames`); empty where the row stands alone.
     """
 
     row: int

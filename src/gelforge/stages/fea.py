@@ -195,7 +195,7 @@ def run_press(frames: list[PosedPress], keys: list[str], scenes: list[Scene], so
         if records[at] is None and same[at] in known:
             records[at] = borrow(known[same[at]], press.sample_id, keys[at], folder)
     if None in records:
-        # all moments again: what a frame is solved from must not depend on which others were there before
+        # all frames again: what a frame is solved from must not depend on which others were there before
         for at, result in enumerate(solvers.solve_frames(scenes, solvers.settings.fidelity)):
             records[at] = records[at] or publish_solve(frames[at].sample_id, result, solvers, keys[at], folder)
     found = [record for record in records if record is not None]

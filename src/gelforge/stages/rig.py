@@ -70,29 +70,29 @@ class Worker:
         save_image(self.folder / nocontact_name(sensor), self.camera(sensor).image(rng=noise))
 
     def carry_out(self, orders: list[Order], solved: bool) -> list[tuple]:
-        """Press once and take every picture of `orders`, which are of one press and its moments.
+        """Press once and take every picture of `orders`, which are of one press and its frames.
 
         Returns (order, row of the log or None, row of the truth) of each; none where the press is `solved` and only
         pictures are drawn from the surface kept then.
         """
         from gelforge.virtualrig.fields import Surface, surface_of
 
-        by_moment: dict[int, list[Order]] = {}
+        by_frame: dict[int, list[Order]] = {}
         for order in orders:
-            by_moment.setdefault(order.moment, []).append(order)
+            by_frame.setdefault(order.frame, []).append(order)
         if solved:
-            for seen in by_moment.values():
+            for seen in by_frame.values():
                 self._take_pictures(seen, Surface.load(self.folder / surface_name(seen[0])))
             return []
         pressings = self.bench.press(orders[0])
-        for moment, seen in by_moment.items():
-            pressing = pressings[moment]
+        for frame, seen in by_frame.items():
+            pressing = pressings[frame]
             if not pressing.result.status.valid:
                 continue
             surface = surface_of(pressing.result.solved_mesh, pressing.result.displacement, pressing.real)
             surface.save(self.folder / surface_name(seen[0]))
             self._take_pictures(seen, surface)
-        of_each = [(order, replace(pressings[order.moment], order=order)) for order in orders]
+        of_each = [(order, replace(pressings[order.frame], order=order)) for order in orders]
         return [
             (order, logged(seen) if seen.result.status.valid else None, truth_row(seen)) for order, seen in of_each
         ]
@@ -103,7 +103,7 @@ class Worker:
 
         body, field = Pressed(self.bench.body(orders[0].indenter), surface.press), field_of(self.gel, surface)
         for order in orders:
-            noise = generator(self.plan, order.index, streams.camera(order.unit, order.moment))
+            noise = generator(self.plan, order.index, streams.camera(order.unit, order.frame))
             camera = self.camera(order.sensor)
             shown = camera.shown(field, body)
             save_image(self.folder / image_name(order), camera.picture(shown, noise))

@@ -99,9 +99,9 @@ class Bench:
         return self._factors[name]
 
     def press(self, order: Order) -> list[Pressing]:
-        """Carry out one order, the moments of its press in order of time; all of them from one walked path.
+        """Carry out one order, the frames of its press in order of time; all of them from one load path.
 
-        A state that no attempt could reach has a status that is not valid; so may a moment on the way.
+        A state that no attempt could reach has a status that is not valid; so may a frame on the way.
         """
         truth, rng = self.plan.truth, generator(self.plan, order.index, streams.BENCH)
         play = rng.uniform(-1.0, 1.0, size=6) * truth.cnc_um * 1e-3
@@ -117,20 +117,20 @@ class Bench:
             if results[-1].status.valid:
                 break
         noises = [self._later_noise(order, k) for k in range(len(results) - 1)] + [(read_noise, moment_noise)]
-        ways = moments(real, self.plan.frames)
+        states = frames_along(real, self.plan.frames)
         return [
-            self._reported(order, replace(real, **way), result, _part(play, real, way), noise)
-            for way, result, noise in zip(ways, results, noises, strict=True)
+            self._reported(order, replace(real, **state), result, _part(play, real, state), noise)
+            for state, result, noise in zip(states, results, noises, strict=True)
         ]
 
-    def _later_noise(self, order: Order, moment: int) -> tuple[np.ndarray, np.ndarray]:
-        """Noise of force and moment that the load cell reads at a moment before the last."""
-        rng = generator(self.plan, order.index, streams.load_cell(moment))
+    def _later_noise(self, order: Order, frame: int) -> tuple[np.ndarray, np.ndarray]:
+        """Noise of force and moment that the load cell reads at a frame before the last."""
+        rng = generator(self.plan, order.index, streams.load_cell(frame))
         truth = self.plan.truth
         return rng.normal(scale=truth.force_noise_n, size=3), rng.normal(scale=truth.moment_noise_nm, size=3)
 
     def _reported(self, order: Order, real: Press, result: HexResult, play, noise) -> Pressing:
-        """What the bench reports of one solved moment."""
+        """What the bench reports of one solved frame."""
         truth = self.plan.truth
         depth = float(self.gel.top(real.x0, real.y0)) - (real.z0 + real.dz)
         scale = truth.c10_mpa / REFERENCE_C10 * self.factor(order.indenter).at(depth)
@@ -143,8 +143,8 @@ class Bench:
 
     def _solve(self, order: Order, real: Press, settings: HexSettings) -> list[HexResult]:
         body, gel, material = self.indenters[order.indenter], load_gel(order.gel), Material(nu=self.plan.truth.nu)
-        ways = moments(real, self.plan.frames)
-        scenes = [Scene(gel, material, body, replace(real, **way), self._law) for way in ways]
+        states = frames_along(real, self.plan.frames)
+        scenes = [Scene(gel, material, body, replace(real, **state), self._law) for state in states]
         box = self.fine_box(order.indenter, real, settings.size)
         return HexSolver(replace(settings, box=box)).solve_frames(scenes)
 
@@ -223,8 +223,8 @@ def _path(order: Order, height: float, depth: float, play) -> Press:
     return Press(x0, y0, z0, dx, dy, dz, order.rot_deg)
 
 
-def moments(real: Press, count: int) -> list[dict[str, float]]:
-    """How far down and sideways (dx, dy, dz in mm) a press is at `count` moments, evenly along its path, the last its end."""
+def frames_along(real: Press, count: int) -> list[dict[str, float]]:
+    """How far down and sideways (dx, dy, dz in mm) a press is at `count` frames, evenly along its path, the last its end."""
     times = [real.end * (k + 1) / count for k in range(count)]
     return [
         {"dx": max(t - 1.0, 0.0) * real.dx, "dy": max(t - 1.0, 0.0) * real.dy, "dz": min(t, 1.0) * real.dz}
@@ -232,10 +232,10 @@ def moments(real: Press, count: int) -> list[dict[str, float]]:
     ]
 
 
-def _part(play: np.ndarray, real: Press, way: dict[str, float]) -> np.ndarray:
-    """The axes' errors (6,) at a moment: those of the travel grow with it."""
-    down = way["dz"] / real.dz
-    aside = (way["dx"] / real.dx if real.dx else way["dy"] / real.dy) if real.dx or real.dy else 1.0
+def _part(play: np.ndarray, real: Press, state: dict[str, float]) -> np.ndarray:
+    """The axes' errors (6,) at a frame: those of the travel grow with it."""
+    down = state["dz"] / real.dz
+    aside = (state["dx"] / real.dx if real.dx else state["dy"] / real.dy) if real.dx or real.dy else 1.0
     return play * [1.0, 1.0, 1.0, aside, aside, down]
 
 

@@ -122,6 +122,6 @@ def force_factor(
 
 
 def _forces(scenes: Sequence[Scene], settings: HexSettings) -> np.ndarray:
-    """Forces (k, 3) N of moments of one press; NaN where a moment was not solved."""
+    """Forces (k, 3) N of frames of one press; NaN where a frame was not solved."""
     results = HexSolver(settings).solve_frames(scenes)
     return np.array([result.total if result.status.valid else np.full(3, np.nan) for result in results])

@@ -112,7 +112,7 @@ class DrawnUnits(RigTable):
 class Plan(RigTable):
     """A whole plan; `presses` may grow, everything else but `params` makes it another plan.
 
-    frames: moments of each press that are recorded, evenly along its way down and then sideways, the last at its end.
+    frames: states of each press that are recorded, evenly along its way down and then sideways, the last at its end.
     """
 
     dataset: Name
@@ -133,7 +133,7 @@ class Plan(RigTable):
     def identity(self) -> str:
         """Canonical text of everything that a press depends on but the number of presses."""
         content = {key: value for key, value in asdict(self).items() if key != "params"}
-        # as plans were identified before presses had moments, and sensors could be drawn
+        # as plans were identified before presses had frames, and sensors could be drawn
         if self.frames == 1:
             del content["frames"]
         if self.units is None:
@@ -169,7 +169,7 @@ class Order:
 
     index: of the press, unit: of the sensor among those that see it. gel: name of the gel that is pressed. press_id: what
     orders of one press share.
-    moment: which of its moments, 0 the first. film_id: what the moments that one sensor sees share; empty for a single one.
+    frame: which of its frames, 0 the first. film_id: what the frames that one sensor sees share; empty for a single one.
     """
 
     index: int
@@ -185,7 +185,7 @@ class Order:
     max_force_n: float
     unit: int = 0
     press_id: str = ""
-    moment: int = 0
+    frame: int = 0
     film_id: str = ""
     gel: str = USUAL_GEL
 
@@ -333,7 +333,7 @@ def _orders_of_press(plan: Plan, index: int, kind: Kind, number: int) -> list[Or
     if plan.frames == 1:
         return seen
     return [
-        replace(one, sample_id=f"{one.sample_id}-f{k + 1:02d}", film_id=one.sample_id, moment=k)
+        replace(one, sample_id=f"{one.sample_id}-f{k + 1:02d}", film_id=one.sample_id, frame=k)
         for one in seen
         for k in range(plan.frames)
     ]

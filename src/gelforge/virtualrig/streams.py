@@ -5,18 +5,18 @@ that one would choose today. data/demo and every dataset since were drawn with t
 must give the same presses and pictures, so a number that was ever used keeps its meaning; new ones go where none is.
 """
 
-MOST_FRAMES = 99  # moments of one press that a plan may ask for
+MOST_FRAMES = 99  # frames of one press that a plan may ask for
 
 ORDER = 0  # what is pressed, where and how deep
 BENCH = 1  # play of the axes, the touch, and the load cell's noise at a press's end
 WHO_SEES = 20_000  # which sensors see a press
 
-# Noise of the cameras: 2 + unit + 1000 * moment while that stays below the load cell's numbers, which holds for
-# FEW_MOMENTS moments of FEW_UNITS units. A later moment (whose number once was the load cell's of an earlier one) or a
+# Noise of the cameras: 2 + unit + 1000 * frame while that stays below the load cell's numbers, which holds for
+# FEW_FRAMES frames of FEW_UNITS units. A later frame (whose number once was the load cell's of an earlier one) or a
 # further unit has its number past CAMERAS, where nothing else is.
-_CAMERA, _MOMENT, FEW_UNITS, FEW_MOMENTS = 2, 1000, 998, 10
+_CAMERA, _FRAME, FEW_UNITS, FEW_FRAMES = 2, 1000, 998, 10
 _CAMERAS = 1_000_000
-_LOAD_CELL = 10_000  # and on, one for each moment before a press's end
+_LOAD_CELL = 10_000  # and on, one for each frame before a press's end
 
 # A press that no plan has, for what is drawn once for all presses: the waves in which the load cell drifts. (A unit's
 # ranges and its no-contact image have streams of two numbers, the seed and one of their own, which numpy takes for the
@@ -24,22 +24,22 @@ _LOAD_CELL = 10_000  # and on, one for each moment before a press's end
 EVERY_PRESS = 999_999_999
 
 
-def camera(unit: int, moment: int) -> int:
-    """Purpose of the noise in the picture that the `unit`th sensor of a press takes at a moment, both from 0 on."""
-    _check_moment(moment)
+def camera(unit: int, frame: int) -> int:
+    """Purpose of the noise in the picture that the `unit`th sensor of a press takes at a frame, both from 0 on."""
+    _check_frame(frame)
     if unit < 0:
         raise ValueError(f"unit = {unit}: sensors of a press are counted from 0 on")
-    if unit < FEW_UNITS and moment < FEW_MOMENTS:
-        return _CAMERA + unit + _MOMENT * moment
-    return _CAMERAS + MOST_FRAMES * unit + moment
+    if unit < FEW_UNITS and frame < FEW_FRAMES:
+        return _CAMERA + unit + _FRAME * frame
+    return _CAMERAS + MOST_FRAMES * unit + frame
 
 
-def load_cell(moment: int) -> int:
-    """Purpose of what the load cell adds at a moment before a press's end; at the end it is a part of BENCH."""
-    _check_moment(moment)
-    return _LOAD_CELL + moment
+def load_cell(frame: int) -> int:
+    """Purpose of what the load cell adds at a frame before a press's end; at the end it is a part of BENCH."""
+    _check_frame(frame)
+    return _LOAD_CELL + frame
 
 
-def _check_moment(moment: int) -> None:
-    if not 0 <= moment < MOST_FRAMES:
-        raise ValueError(f"moment = {moment}: a press has at most {MOST_FRAMES} moments, counted from 0 on")
+def _check_frame(frame: int) -> None:
+    if not 0 <= frame < MOST_FRAMES:
+        raise ValueError(f"frame = {frame}: a press has at most {MOST_FRAMES} frames, counted from 0 on")

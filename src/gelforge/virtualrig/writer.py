@@ -172,8 +172,8 @@ def nocontact_name(sensor: str) -> str:
 
 def surface_name(order: Order) -> str:
     """Path of a press's surface below the dataset's folder: from it its pictures can be drawn again."""
-    moment = f"-f{order.moment + 1:02d}" if order.film_id else ""
-    return f"truth/surfaces/{order.press_id}{moment}.npz"
+    frame = f"-f{order.frame + 1:02d}" if order.film_id else ""
+    return f"truth/surfaces/{order.press_id}{frame}.npz"
 
 
 def geometry_name(order: Order) -> str:

@@ -86,7 +86,7 @@ def wrench(stamp: dict, force: Sequence[float]) -> dict:
 def sensor_messages(
     token: str, time: int, picture: bytes, form: str, total: Sequence[float], label: np.ndarray
 ) -> list[Message]:
-    """Picture, total force and force maps of one moment.
+    """Picture, total force and force maps of one frame.
 
     token: the sensor in names of topics and frames (`topic_tokens`). time: ns since 1970. picture: a file of format
     `form` (jpeg, png). total: (3,) N along gel x, y, z. label: (3, rows, cols) N per cell, channels as FEATS.
