@@ -1,4 +1,4 @@
-"""Hostile and damaged input of every kind, and a flow that is disturbed: how much is refused in a sentence, or harms nothing.
+"""Hostile and corrupt input of every kind, and a flow that is disturbed: how much is refused in a sentence, or harms nothing.
 
 A case gives one thing to one part of the product, in a process and a folder of its own. It holds where that part refuses
 it in one printable sentence, or gives the answer that a clean input gives; a traceback, a hang, memory without bounds, a
@@ -249,7 +249,7 @@ def flips(data: bytes, rng, count: int) -> Iterator[tuple[str, bytes]]:
 
 
 def array_cases(folder: Path) -> Iterator[Case]:
-    """Solves, labels and networks, damaged: refused, or read as they were."""
+    """Solves, labels and networks, corrupt: refused, or read as they were."""
     from gelforge.networks.checkpoint.modelfile import digest_of_graph, load_model, save_model
     from gelforge.networks.inference.predictor import load_for_use
     from gelforge.records.labelfile import read_labels

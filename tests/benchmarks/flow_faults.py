@@ -1,4 +1,4 @@
-"""A flow that is disturbed: damaged results, kills, full disks, time stamps, two makes at once, changes, links, languages.
+"""A flow that is disturbed: corrupt results, kills, full disks, time stamps, two makes at once, changes, links, languages.
 
 Each case works on a copy of a small project that was built to its labels. It holds where the next make says in a sentence
 what is wrong, or ends with the very labels of an undisturbed run.
@@ -86,9 +86,9 @@ class Sandboxes:
         return Case("flow", name, run, self.expected if expected is None else expected, strict=True)
 
 
-# -- results that are damaged
+# -- results that are corrupt
 
-DAMAGES: dict[str, Callable[[Path], object]] = {
+CORRUPTIONS: dict[str, Callable[[Path], object]] = {
     "deleted": lambda path: path.unlink(),
     "empty": lambda path: path.write_bytes(b""),
     "cut in half": lambda path: path.write_bytes(path.read_bytes()[: path.stat().st_size // 2]),
@@ -103,16 +103,16 @@ def flipped(data: bytes) -> bytes:
     return data[:at] + bytes([data[at] ^ 0x10]) + data[at + 1 :]
 
 
-def damage_cases(boxes: Sandboxes) -> Iterator[Case]:
+def corruption_cases(boxes: Sandboxes) -> Iterator[Case]:
     results = boxes.built / "results" / NAME
     for stage in ("10_poses", "20_meshes", "30_fea", "40_forces", "50_labels"):
         files = sorted(p for p in (results / stage).rglob("*") if p.is_file() and not p.name.startswith("."))
         for suffix in sorted({p.suffix for p in files}):
             which = next(p for p in files if p.suffix == suffix).relative_to(boxes.built)
-            for how, damage in DAMAGES.items():
+            for how, corrupt in CORRUPTIONS.items():
 
-                def act(project: Path, which=which, damage=damage) -> object:
-                    damage(project / which)
+                def act(project: Path, which=which, corrupt=corrupt) -> object:
+                    corrupt(project / which)
                     return finish(project, "dataset")  # a reader of every stage
 
                 name = f"{which.relative_to(Path('results') / NAME)}: {how}"
@@ -355,7 +355,7 @@ def flow_cases(base: Path) -> Iterator[Case]:
     """Every disturbance of a small flow, on copies of projects below `base`."""
     boxes = Sandboxes(base)
     for cases in (
-        damage_cases,
+        corruption_cases,
         kill_cases,
         disk_cases,
         stamp_cases,

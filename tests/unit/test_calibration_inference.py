@@ -200,7 +200,7 @@ def test_resumed_chain_is_the_uninterrupted_one(tmp_path):
     np.testing.assert_array_equal(resumed.coordinates, whole.coordinates)
 
 
-def test_chain_of_another_problem_or_damaged_is_not_resumed(tmp_path):
+def test_chain_of_another_problem_or_corrupt_is_not_resumed(tmp_path):
     path = tmp_path / "chain.npz"
     posterior = law_posterior(np.random.default_rng(3), DEPTH)
     sample(posterior, RULES, path)
@@ -222,9 +222,9 @@ def test_a_chain_whatever_happened_to_its_bytes_is_read_or_begun_anew(tmp_path):
     whole = path.read_bytes()
     for at in range(len(whole) - 500, len(whole)):
         for bit in range(8):
-            damaged = bytearray(whole)
-            damaged[at] ^= 1 << bit
-            path.write_bytes(damaged)
+            corrupt = bytearray(whole)
+            corrupt[at] ^= 1 << bit
+            path.write_bytes(corrupt)
             sampling.load_checkpoint(path, "this")
     np.save(tmp_path / "chain.npy", np.zeros(3))
     (tmp_path / "chain.npy").replace(path)

@@ -238,7 +238,7 @@ def test_references_come_back_as_they_were_kept(folder, tmp_path):
 @pytest.mark.parametrize(
     "name, text", [("cross.csv", "row,column,fx_n,fy_n,fz_n\n99,1,0,0,-1\n"), ("keys.json", "{"), ("keys.json", "[]")]
 )
-def test_a_damaged_reference_is_none(folder, tmp_path, name, text):
+def test_a_corrupt_reference_is_none(folder, tmp_path, name, text):
     one = {**record(folder, "cross"), "key": "k"}
     keep_references([charted_scene("cross", one)], tmp_path, 0.475)
     (tmp_path / name).write_text(text)

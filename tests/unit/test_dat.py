@@ -71,6 +71,6 @@ def test_a_job_that_did_not_finish_is_distinguished_from_a_file_that_cannot_be_r
         last_table(read_dat(""), "displacements", "NTOP", nodes)
     with pytest.raises(Unfinished):
         last_table(read_dat(whole(time="5")), "displacements", "NTOP", nodes)
-    with pytest.raises(DatError) as damaged:
+    with pytest.raises(DatError) as corrupt:
         last_table(read_dat(whole()), "displacements", "NTOP", np.array([1, 2, 7]))
-    assert not isinstance(damaged.value, Unfinished)
+    assert not isinstance(corrupt.value, Unfinished)

@@ -206,7 +206,7 @@ def test_the_truth_of_a_virtual_rig_goes_into_its_columns(tmp_path, root, monkey
 @pytest.mark.parametrize(
     "content", [b"sample_id,fx_n,fy_n,fz_n\n\xff,1,2,3\n", b"sample_id,fx_n,fy_n,fz_n\ns001,1\n"]
 )
-def test_a_damaged_truth_is_refused_in_a_sentence(tmp_path, content):
+def test_a_corrupt_truth_is_refused_in_a_sentence(tmp_path, content):
     """A row cut short was one whose forces nobody knows."""
     (tmp_path / "truth").mkdir()
     (tmp_path / "truth/presses.csv").write_bytes(content)
@@ -222,8 +222,8 @@ def test_resolutions_share_split_and_images(made):
 
 
 @pytest.mark.parametrize("harm", ["flipped", "cut"])
-def test_a_picture_array_that_was_damaged_in_place_is_drawn_again(tmp_path, root, monkeypatch, harm):
-    """images.npy is a link to what resolutions share: making it again must not link the damage."""
+def test_a_picture_array_that_was_corrupted_in_place_is_drawn_again(tmp_path, root, monkeypatch, harm):
+    """images.npy is a link to what resolutions share: making it again must not link the corruption."""
     monkeypatch.chdir(root)
     made = write_pressed(tmp_path, count=4)
     label(made, "4x4")
@@ -233,7 +233,7 @@ def test_a_picture_array_that_was_damaged_in_place_is_drawn_again(tmp_path, root
         stream.truncate(len(whole) // 2) if harm == "cut" else stream.seek(len(whole) // 2)
         stream.write(bytes([whole[len(whole) // 2] ^ 255])) if harm == "flipped" else None
     assert path.read_bytes() != whole
-    path.unlink()  # as the wrapper does with what it finds damaged
+    path.unlink()  # as the wrapper does with what it finds corrupt
     assert (collect(made, "4x4") / "images.npy").read_bytes() == whole
 
 

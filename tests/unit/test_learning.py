@@ -319,13 +319,13 @@ def test_a_dataset_without_the_nocontact_image_is_named(folder):
         train(data, "pair", {**SMALL, "reads": "pair"}, with_values(SETTINGS, epochs=1))
 
 
-@pytest.mark.parametrize("damage", [lambda b: b[: len(b) // 2], lambda b: b"", lambda b: b"no tensors at all"])
-def test_a_damaged_checkpoint_starts_the_training_over(folder, tmp_path, damage, capsys):
+@pytest.mark.parametrize("corrupt", [lambda b: b[: len(b) // 2], lambda b: b"", lambda b: b"no tensors at all"])
+def test_a_corrupt_checkpoint_starts_the_training_over(folder, tmp_path, corrupt, capsys):
     data, path = open_data(folder), tmp_path / "c.safetensors"
     first = Training(SMALL, with_values(SETTINGS, epochs=1), scales(data, False), IMAGE, GRID, "cpu")
     fit(first, data, None, "one")
     save_checkpoint(path, first, "one")
-    path.write_bytes(damage(path.read_bytes()))
+    path.write_bytes(corrupt(path.read_bytes()))
     again = Training(SMALL, with_values(SETTINGS, epochs=1), scales(data, False), IMAGE, GRID, "cpu")
     assert not resume(path, again, "one")
     assert "starting over" in capsys.readouterr().out

@@ -68,7 +68,7 @@ def test_arrays_of_wrong_kind_or_length_are_refused(folder):
         np.save(folder / "images.npy", wrong)
         with pytest.raises(BadInput, match=word):
             open_data(folder)
-    (folder / "images.npy").write_bytes(b"damaged")
+    (folder / "images.npy").write_bytes(b"corrupt")
     with pytest.raises(BadInput, match="not a readable"):
         open_data(folder)
 

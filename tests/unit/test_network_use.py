@@ -156,7 +156,7 @@ def test_what_is_no_film_is_reported(tmp_path, paths, name, says):
         live.main(["--video", str(tmp_path / name), "--model", str(paths["small"]), "--csv", str(tmp_path / "o.csv")])
 
 
-def test_a_damaged_film_is_reported_by_one_line_and_not_by_its_decoder(data, tmp_path):
+def test_a_corrupt_film_is_reported_by_one_line_and_not_by_its_decoder(data, tmp_path):
     """The decoder printed a line for each block that it could not make out, thousands of them."""
     film = tmp_path / "f.mp4"
     size = data.images.shape[2], data.images.shape[1]

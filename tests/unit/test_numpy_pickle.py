@@ -233,13 +233,13 @@ SMALL = {
 
 @settings(max_examples=400)
 @given(st.integers(0, 5), st.lists(st.tuples(st.integers(0, 10**6), st.integers(0, 255)), min_size=1, max_size=6))
-def test_damaged_pickles_are_read_or_refused_but_never_crash(tmp_path_factory, protocol, damage):
-    path = npy(tmp_path_factory.getbasetemp() / "damaged.npy", pickle.dumps(SMALL, protocol))
+def test_corrupt_pickles_are_read_or_refused_but_never_crash(tmp_path_factory, protocol, corrupt):
+    path = npy(tmp_path_factory.getbasetemp() / "corrupt.npy", pickle.dumps(SMALL, protocol))
     whole = bytearray(path.read_bytes())
-    for at, byte in damage:
+    for at, byte in corrupt:
         whole[at % len(whole)] = byte
     path.write_bytes(whole)
     try:
         read_npy(path)
     except BadInput as error:
-        assert "damaged.npy" in str(error)
+        assert "corrupt.npy" in str(error)

@@ -66,7 +66,7 @@ def diagnostics(image, picture):
     return pair_diagnostics(preprocessor(picture)(image))
 
 
-DAMAGE = {
+CORRUPTION = {
     "a turn": (lambda image: moved(image, turn=-4.5), "rim"),
     "a zoom": (lambda image: moved(image, zoom=1.12), "rim|markers|no-contact"),
     "out of focus": (lambda image: cv2.GaussianBlur(image, (0, 0), 6.0), "markers at the rim"),
@@ -82,10 +82,10 @@ def test_good_pairs_are_good(rest, presses, limits):
     assert sum(map(bool, faults)) <= 0.05 * len(faults)
 
 
-@pytest.mark.parametrize("what", DAMAGE)
+@pytest.mark.parametrize("what", CORRUPTION)
 def test_what_happened_to_a_picture_is_named(rest, presses, limits, what):
-    damage, named = DAMAGE[what]
-    faults = [pair_fault(limits, diagnostics(damage(image), rest[name])) for name, image, _ in presses]
+    corrupt, named = CORRUPTION[what]
+    faults = [pair_fault(limits, diagnostics(corrupt(image), rest[name])) for name, image, _ in presses]
     seen = [fault for fault in faults if fault]
     assert len(seen) >= 0.85 * len(faults)
     assert any(any(word in fault for word in named.split("|")) for fault in seen)

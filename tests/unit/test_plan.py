@@ -83,7 +83,7 @@ def test_rows_that_come_back_find_their_shards_again(tmp_path):
 @pytest.mark.parametrize(
     "harm", [lambda text: text[:-5], lambda text: "", lambda text: text.replace("shard", "sherd")]
 )
-def test_a_damaged_table_of_shards_is_refused_in_a_sentence(tmp_path, harm):
+def test_a_corrupt_table_of_shards_is_refused_in_a_sentence(tmp_path, harm):
     """Without it samples may come into other shards, and be solved again: nobody but a person may say so."""
     log, table = tmp_path / "log.csv", tmp_path / "shards.csv"
     write_log(log, range(5))
@@ -111,7 +111,7 @@ def test_a_frame_alone_goes_through_the_stages_with_its_whole_press(tmp_path):
     assert reported == {**dict.fromkeys("ace", ["a", "c", "e"]), "b": ["b"], "d": ["d"]}
 
 
-def test_damaged_digests_of_pictures_are_made_anew(tmp_path):
+def test_corrupt_digests_of_pictures_are_made_anew(tmp_path):
     (tmp_path / "a.png").write_bytes(b"picture")
     found = image_digests(tmp_path, {"a.png"}, tmp_path / "pictures.json")
     whole = (tmp_path / "pictures.json").read_text()

@@ -27,7 +27,7 @@ from tests.explored import GELS, tables, write_page
 from tests.pressed_dataset import write_pressed
 
 
-def test_a_damaged_record_of_a_target_keeps_no_page_from_being_written(tmp_path):
+def test_a_corrupt_record_of_a_target_keeps_no_page_from_being_written(tmp_path):
     """What the target cost is lost with it, and nothing else."""
     folder = tmp_path / "results/lab/metrics/10_poses"
     folder.mkdir(parents=True)

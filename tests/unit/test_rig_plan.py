@@ -238,7 +238,7 @@ def test_a_press_whose_truth_was_lost_is_repeated(tmp_path):
 
 
 @pytest.mark.parametrize("content", ["", '{"plan": "x', "[]", "{}"])
-def test_a_damaged_record_of_the_plan_is_refused_in_a_sentence(tmp_path, content):
+def test_a_corrupt_record_of_the_plan_is_refused_in_a_sentence(tmp_path, content):
     (tmp_path / "truth").mkdir()
     (tmp_path / "truth/truth.json").write_text(content)
     with pytest.raises(BadInput, match=r"truth.json: does not say which plan .* remove the folder"):
@@ -253,7 +253,7 @@ def test_a_damaged_record_of_the_plan_is_refused_in_a_sentence(tmp_path, content
         (b"\xff\xfe", "not UTF-8 text"),
     ],
 )
-def test_a_damaged_table_of_the_truth_is_refused_in_a_sentence(tmp_path, content, says):
+def test_a_corrupt_table_of_the_truth_is_refused_in_a_sentence(tmp_path, content, says):
     """A row cut short would be written back with its cells empty."""
     (tmp_path / "truth").mkdir()
     (tmp_path / "truth/presses.csv").write_bytes(content)

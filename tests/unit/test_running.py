@@ -79,7 +79,7 @@ def test_a_table_is_read_once_and_again_when_it_changed(tmp_path):
 
 
 @pytest.mark.parametrize("text", ["", "[]", '{"a": 1}', "{", "null"])
-def test_kept_counts_that_were_damaged_are_counted_again(tmp_path, text):
+def test_kept_counts_that_were_corrupted_are_counted_again(tmp_path, text):
     now = lay(tmp_path, 0)
     assert look(tmp_path, now).total == 8
     kept = Layout(tmp_path).counts

@@ -45,7 +45,7 @@ def test_success_publishes_target_log_and_metrics(tmp_path):
 
 
 def test_a_target_costs_what_its_own_command_took(tmp_path):
-    """An input that was damaged is made again first; what that takes is the input's cost."""
+    """An input that was corrupted is made again first; what that takes is the input's cost."""
     source, target = tmp_path / "results/d/30_fea/0000.csv", tmp_path / "results/d/40_forces/0000.csv"
     busy = "i=0; while [ $i -lt 300000 ]; do i=$((i+1)); done"
     assert wrapped(source, "bash", "-c", f"{busy}; echo whole > {source}.part")[0] == 0
@@ -188,7 +188,7 @@ def test_an_input_with_a_changed_bit_is_made_again(tmp_path):
 
 
 def test_what_cannot_be_made_again_is_never_taken_for_whole(tmp_path):
-    """A command that only an older version of the code knew fails; the damaged file must not serve the next make."""
+    """A command that only an older version of the code knew fails; the corrupt file must not serve the next make."""
     first, second = tmp_path / "results/d/30_fea/0000.csv", tmp_path / "results/d/40_forces/0000.npz"
     assert wrapped(first, "bash", "-c", f"[ ! -e {tmp_path}/gone ] && echo whole > {first}.part")[0] == 0
     (tmp_path / "gone").touch()
@@ -198,7 +198,7 @@ def test_what_cannot_be_made_again_is_never_taken_for_whole(tmp_path):
 
 
 @pytest.mark.parametrize("record", ["", '{"exit_code": 0, "by', "null"])
-def test_an_input_whose_record_is_damaged_is_made_again_by_the_next_make(tmp_path, record):
+def test_an_input_whose_record_is_corrupt_is_made_again_by_the_next_make(tmp_path, record):
     """As a power cut leaves it, of both files maybe: it is unknown whether the input is whole."""
     first, second = tmp_path / "results/d/30_fea/0000.csv", tmp_path / "results/d/40_forces/0000.npz"
     making, reading = f"echo whole > {first}.part", f"cp {first} {second}.part"
@@ -237,8 +237,8 @@ def test_a_file_that_went_missing_beside_its_table_is_made_again(tmp_path):
         f' echo "{{\\"sha256\\": {{\\"labels.npy\\": \\"$d\\"}}}}" > {table}.part'
     )
     assert wrapped(table, "bash", "-c", making)[0] == 0
-    for damage in (array.unlink, lambda: array.write_text("Labels\n")):
-        damage()
+    for corrupt in (array.unlink, lambda: array.write_text("Labels\n")):
+        corrupt()
         code, said = inputs_wrapped(last, table, "bash", "-c", f"cp {array} {last}.part")
         assert code == 0 and f"{array}: not as it was" in said
         assert last.read_text() == "labels\n"
@@ -304,14 +304,14 @@ def test_without_a_terminal_each_finished_file_says_how_far_the_run_has_come(tmp
     assert wrapped(target, "bash", "-c", f"echo made > {target}.part")[1].rstrip().endswith("MiB")
 
 
-def test_of_two_readers_of_a_damaged_input_one_makes_it_again(tmp_path):
+def test_of_two_readers_of_a_corrupt_input_one_makes_it_again(tmp_path):
     first, count = tmp_path / "results/d/40_forces/0000.npz", tmp_path / "count"
     go = tmp_path / "go"
     make_it = f"echo ran >> {count}; while ! test -e {go}; do sleep 0.1; done; echo whole > {first}.part"
     go.touch()
     assert wrapped(first, "bash", "-c", make_it)[0] == 0
     go.unlink()
-    first.write_text("damaged\n")
+    first.write_text("corrupt\n")
     readers = []
     for name in ("a", "b"):
         target = tmp_path / f"results/d/50_labels/{name}.npz"

@@ -1,4 +1,4 @@
-"""Stages 30 and 40 on a tiny mesh: a killed run resumes, damage is found, failures stay rows."""
+"""Stages 30 and 40 on a tiny mesh: a killed run resumes, corruption is found, failures stay rows."""
 
 import gzip
 import json
@@ -83,7 +83,7 @@ def held_at_the_second(folder, ccx):
     return os.environ | {"CCX": str(waiting)}
 
 
-def test_killed_run_resumes_and_damage_is_found(folder, held_at_the_second):
+def test_killed_run_resumes_and_corruption_is_found(folder, held_at_the_second):
     out = folder / "30_fea" / "0000"
     run = subprocess.Popen([sys.executable, "-m", "gelforge.stages.fea", *arguments(folder)], env=held_at_the_second)
     wait_until((out / "s0.json").exists, of=run)

@@ -187,7 +187,7 @@ def test_a_recording_that_cannot_be_used_leaves_nothing(tmp_path, harm, sensor):
 
 
 @pytest.mark.parametrize("compression", ["NONE", "LZ4", "ZSTD"])
-def test_a_damaged_recording_is_read_or_refused(tmp_path, compression):
+def test_a_corrupt_recording_is_read_or_refused(tmp_path, compression):
     """Its readers raise errors of their own, of struct, of both compressions and of the definitions of ROS 2."""
     from mcap.writer import CompressionType
     from mcap_ros2.writer import Writer

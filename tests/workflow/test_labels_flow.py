@@ -157,13 +157,13 @@ def test_a_setting_that_changes_labels_changes_every_shard(folder):
 
 
 @pytest.mark.parametrize(
-    "damage", [lambda data: b"", lambda data: data[: len(data) // 2], lambda data: data[:-9] + b"!" + data[-8:]]
+    "corrupt", [lambda data: b"", lambda data: data[: len(data) // 2], lambda data: data[:-9] + b"!" + data[-8:]]
 )
-def test_a_damaged_shard_is_made_again_by_who_reads_it(folder, damage):
+def test_a_corrupt_shard_is_made_again_by_who_reads_it(folder, corrupt):
     run(folder, "labels", "RES=6x8")
     shard = folder / "results/made/50_labels/6x8/0000.npz"
     kept = shard.read_bytes()
-    shard.write_bytes(damage(kept))
+    shard.write_bytes(corrupt(kept))
     assert "0000.npz: not as it was when it was made; making it again" in run(folder, "dataset", "RES=6x8")
     assert shard.read_bytes() == kept
 

@@ -527,7 +527,7 @@ def step_targets(project, *words) -> list[str]:
 
 
 def test_no_two_targets_share_a_log_and_a_record(with_nocontact):
-    """A record is named by its target without the suffix: one that another overwrote would call the first damaged."""
+    """A record is named by its target without the suffix: one that another overwrote would call the first corrupt."""
     goals = (
         "models",
         "evaluate-models",

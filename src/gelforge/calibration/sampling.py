@@ -142,7 +142,7 @@ def save_checkpoint(path, problem: str, coordinates, log_probability, accepted, 
 
 
 def load_checkpoint(path, problem: str):
-    """Read what `save_checkpoint` wrote; None where absent, damaged, or of another problem."""
+    """Read what `save_checkpoint` wrote; None where absent, corrupt, or of another problem."""
     try:
         with np.load(path, allow_pickle=False) as file:
             if str(file["problem"]) != problem:

@@ -154,7 +154,7 @@ def messages(path: Path, topic: str) -> Iterator[tuple[int, object]]:
                 f"{path}: topic {topic} holds no ROS 2 messages ({error}); convert the recording to ROS 2, as rosbags-convert"
                 " does"
             ) from error
-        # a damaged file makes mcap, the ROS definitions in it, LZ4, Zstandard and struct each raise errors of their own
+        # a corrupt file makes mcap, the ROS definitions in it, LZ4, Zstandard and struct each raise errors of their own
         except Exception as error:
             raise BadInput(f"{path}: cannot be read as MCAP with ROS 2 messages ({str(error) or type(error).__name__}); record it again, or mend it with `mcap recover`") from error  # fmt: skip
 

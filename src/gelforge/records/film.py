@@ -153,7 +153,7 @@ class Film:
         ended = last + 2.0 / self.rate >= self._announced / self.rate
         if self.taken < expected and not ended and not (self._path and is_whole_matroska(self._path)):
             raise BadInput(
-                f"{self.name}: ended after {self.taken} of {expected} frames; the file is cut short or damaged: use --frames"
+                f"{self.name}: ended after {self.taken} of {expected} frames; the file is cut short or corrupt: use --frames"
                 f" {self.taken} to take what there is"
             )
 

@@ -101,7 +101,7 @@ def _claim_fault(data: bytes) -> str | None:
     except Image.DecompressionBombError:
         return "is far larger than 4096 x 4096 pixels"
     except UnidentifiedImageError:
-        return "cannot be read as an image (of another kind, or damaged)" if data else "is empty"
+        return "cannot be read as an image (of another kind, or corrupt)" if data else "is empty"
     except (OSError, ValueError, SyntaxError, struct.error) as error:
         return f"cannot be read as an image ({type(error).__name__})"
 
@@ -212,7 +212,7 @@ def _chunk_fault(data: bytes) -> tuple[str | None, tuple[int, int]]:
         if at > len(data):
             return "is truncated", size
         if zlib.crc32(body) != struct.unpack(">I", data[at - 4 : at])[0]:
-            return "is damaged: a checksum is wrong", size
+            return "is corrupt: a checksum is wrong", size
         if kind == b"IHDR" and length >= 8:
             width, height = struct.unpack(">II", body[4:12])
             size = width, height

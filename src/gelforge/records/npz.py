@@ -12,7 +12,7 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.records.regular import file_fault
 
-# What reading a damaged or hostile archive can raise in zipfile, zlib and numpy.
+# What reading a corrupt or hostile archive can raise in zipfile, zlib and numpy.
 DAMAGED = (
     OSError, ValueError, KeyError, TypeError, EOFError, RuntimeError, MemoryError, NotImplementedError, OverflowError,
     SyntaxError, tokenize.TokenError, zipfile.BadZipFile, zlib.error,
@@ -24,7 +24,7 @@ MOST_TIMES = 20
 
 
 def in_short(error: BaseException) -> str:
-    """What an error says of damaged bytes, cut to what a person reads."""
+    """What an error says of corrupt bytes, cut to what a person reads."""
     return str(error)[:MOST_SAID]
 
 

@@ -91,7 +91,7 @@ def read_record(path: Path) -> dict[str, Any] | None:
     return record if isinstance(record, dict) and "files" in record else None
 
 
-def damaged(folder: Path, record: dict[str, Any]) -> list[Path]:
+def corrupt(folder: Path, record: dict[str, Any]) -> list[Path]:
     """Files of a sample's record that are gone or do not have the bytes they were written with."""
     digests = record.get("sha256", {})
     paths = [folder / name for name in record["files"]]

@@ -10,7 +10,7 @@ COST = ("seconds", "cpu_seconds", "peak_mib")
 
 
 def target_costs(results: Path) -> dict[str, dict]:
-    """Record of every target that was made, by its path below results/DATASET (without suffix); damaged ones are left out."""
+    """Record of every target that was made, by its path below results/DATASET (without suffix); corrupt ones are left out."""
     folder, found = Layout(results).metrics, {}
     for path in listed(folder, "*.json", below=True):
         with suppress(ValueError):

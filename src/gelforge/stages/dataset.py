@@ -156,7 +156,7 @@ def _share_images(folder: Path, data: Path, presses: list[PressRecord], size) ->
         digest.update(f"{press.sample_id} {press.image} {stamp}\n".encode())
     shared = folder.parent / f"images-{digest.hexdigest()[:16]}.npy"
     noted = shared.with_suffix(".sha256")
-    # a copy that was damaged since must not come back by its link
+    # a copy that was corrupted since must not come back by its link
     if not (shared.exists() and noted.exists() and noted.read_text(encoding="utf-8") == digest_of(shared)):
         write_image_array(shared, data, presses, size)
         write_text(noted, digest_of(shared))

@@ -33,7 +33,7 @@ from gelforge.records.frames import presses_of
 from gelforge.records.log import read_poses
 from gelforge.records.meshtable import read_meshes
 from gelforge.records.press import SENSOR_TABLES, PosedPress
-from gelforge.records.solvetable import Solved, damaged, read_record, write_solves
+from gelforge.records.solvetable import Solved, corrupt, read_record, write_solves
 from gelforge.records.status import Status
 from gelforge.sweeps import verification
 
@@ -83,7 +83,7 @@ def finished(folder: Path, sample_id: str, key: str, timeout_s: float) -> dict |
     One that was stopped because it took too long is no such record where it may take longer now.
     """
     record = read_record(folder / f"{sample_id}.json")
-    if record is None or record.get("key") != key or damaged(folder, record):
+    if record is None or record.get("key") != key or corrupt(folder, record):
         return None
     if record["evidence"].get("stopped_after_s", timeout_s) < timeout_s:
         return None

@@ -22,7 +22,7 @@ from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.result import BALANCE
 from gelforge.records.forcefile import INTERVALS, SampleForces, write_forces
 from gelforge.records.npz import DAMAGED, in_short
-from gelforge.records.solvetable import Solved, damaged, read_record, read_solves
+from gelforge.records.solvetable import Solved, corrupt, read_record, read_solves
 from gelforge.records.status import Status
 
 VERSION = 2
@@ -111,22 +111,22 @@ def material_c10(material: MaterialTable, calibration: Path | None, out: Path) -
         ) from error
 
 
-def refuse_damage(table: Path, solves: list[Solved]) -> None:
+def refuse_corrupt(table: Path, solves: list[Solved]) -> None:
     """Stop where a solved sample's files are gone or changed, after taking the shard's table away.
 
-    Without its table the shard is due again: the next make solves what is damaged and keeps the rest.
+    Without its table the shard is due again: the next make solves what is corrupt and keeps the rest.
     """
     folder = table.parent / table.name.split(".")[0]
     lost = []
     for solve in solves:
         if solve.status.valid:
             record = read_record(folder / f"{solve.sample_id}.json")
-            lost += [folder / f"{solve.sample_id}.json"] if record is None else damaged(folder, record)
+            lost += [folder / f"{solve.sample_id}.json"] if record is None else corrupt(folder, record)
     if lost:
         table.unlink()
         raise BadInput(
             f"{lost[0]}{f' and {len(lost) - 1} more' if len(lost) > 1 else ''}: missing, or not as it was written;"
-            f" {table} was removed, so run make again: it solves what is damaged and keeps the rest"
+            f" {table} was removed, so run make again: it solves what is corrupt and keeps the rest"
         )
 
 
@@ -144,7 +144,7 @@ def main(args: Namespace) -> None:
     samples: list[SampleForces] = []
     counts: dict[str, int] = {}
     solves = list(read_solves(args.fea))
-    refuse_damage(args.fea, solves)
+    refuse_corrupt(args.fea, solves)
     for solve in solves:
         sample, reason = read_sample(solve, args.fea.parent, load, params.forces)
         if solve.status.valid and reason:  # others were reported by stage 30

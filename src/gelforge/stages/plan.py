@@ -76,7 +76,7 @@ def logged_rows(log: Path, sensor: str | None) -> list[RawRow]:
 
 
 def known_shards(table: Path) -> dict[str, int]:
-    """Shard of each sample in the plan before, none where there was none; a damaged table raises BadInput."""
+    """Shard of each sample in the plan before, none where there was none; a corrupt table raises BadInput."""
     hint = "bring it back from a copy, or remove it: samples that come into another shard then are solved again"
     rows = read_table(table, hint) if table.exists() else []
     # a row of the log without a sample_id has a shard, too: stage 10 rejects it there
@@ -182,7 +182,7 @@ def image_digests(data: Path, names: set[str], kept: Path) -> dict[str, str]:
 
     try:
         known = read_json(kept)
-    except (OSError, ValueError):  # there is none yet, or it was damaged: pictures are read once more
+    except (OSError, ValueError):  # there is none yet, or it was corrupted: pictures are read once more
         known = {}
     seen, found = {}, {}
     for name in sorted(names):

@@ -47,7 +47,7 @@ def forces(path):
 
 
 def solved(path):
-    """What stage 40 makes of a solve's output; where that is damaged, a status and a reason of one sentence."""
+    """What stage 40 makes of a solve's output; where that is corrupt, a status and a reason of one sentence."""
     solve = Solved("a", Status.OK, "", "hex", "m", path.name, (0.0, 0.1, -1.0), {})
     sample, reason = read_sample(solve, path.parent, lambda _: SURFACE, None)
     if sample.status != "OK":
@@ -113,7 +113,7 @@ def whole(tmp_path_factory, root):
     return found
 
 
-def damage(data: bytes, draw) -> bytes:
+def corrupt(data: bytes, draw) -> bytes:
     """Cut, flip, insert, delete or overwrite, where `draw` says."""
     at = draw(st.integers(0, len(data) - 1))
     junk = draw(
@@ -150,14 +150,14 @@ KINDS = (
 
 
 @pytest.mark.parametrize(("kind", "examples"), [*((kind, 150) for kind in KINDS), ("model", 25)])
-def test_a_damaged_file_is_read_or_refused(whole, tmp_path, kind, examples):
+def test_a_corrupt_file_is_read_or_refused(whole, tmp_path, kind, examples):
     data, readers = whole[kind]
 
     @settings(max_examples=examples, suppress_health_check=list(HealthCheck), database=None)
     @given(st.data())
     def holds(drawn):
         path = tmp_path / f"x.{kind}"
-        path.write_bytes(damage(data, drawn.draw))
+        path.write_bytes(corrupt(data, drawn.draw))
         for read in readers:
             try:
                 read(path)
